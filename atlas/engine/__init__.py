@@ -1,0 +1,1 @@
+"""The engine integrates any system: it knows floats and arrays only, and imports nothing from above."""

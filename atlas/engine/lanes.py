@@ -1,0 +1,250 @@
+"""Blocks of points side by side: SIMD over the lanes of a block, threads over blocks.
+
+A block holds WIDTH points with one number of steps; each has its own step length, so that what a
+point does depends on itself alone and never on its neighbours, its block or the thread.
+"""
+
+from __future__ import annotations
+
+import os
+import string
+import threading
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from itertools import pairwise
+from types import ModuleType
+
+import numpy as np
+from numpy.typing import NDArray
+
+from . import jit, measure
+from .runge_kutta import METHODS, step_source
+
+WIDTH = 32
+# About this many point-steps a call keeps Ctrl-C and the progress line alive (some 0.1 s).
+CHUNK = 20_000_000
+
+
+def source(equations: ModuleType, method: str) -> str:
+    """Text of the kernel module for a system's equations and a method of runge_kutta.METHODS."""
+    text = jit.functions(equations)
+    text.setdefault("axis_in_frame", "def axis_in_frame(state, constants):\n    return 0.0, 0.0")
+    text["sample"] = jit.functions(measure)["sample"]
+    states, constants = len(equations.STATE), len(equations.CONSTANTS)
+    ones = (1.0,) * states, (1.0,) * constants
+    integrals = []
+    for i, name in enumerate(equations.INTEGRALS):
+        terms = [f"t{j}" for j in range(len(getattr(equations, name)(*ones)))]
+        integrals += [
+            f"{', '.join(terms)}, = {name}(state, constants)",
+            f"total = {' + '.join(terms)}",
+            "if i == 0:",
+            f"    E[{i}, l] = total",
+            f"change = abs(total - E[{i}, l]) * D[{i}, l]",
+            "drift = change if change > drift else drift",
+        ]
+    blocks = {
+        "FUNCTIONS": "\n\n\n".join(f"{jit.INLINE}\n{body}" for body in text.values()),
+        "KERNEL": jit.KERNEL,
+        "LOAD": "\n".join(f"y{i} = Y[{i}, l]" for i in range(states)),
+        "STEP": step_source(METHODS[method], states),
+        "STORE": "\n".join(f"Y[{i}, l] = y{i}" for i in range(states)),
+        "CONSTANTS": "constants = (" + ", ".join(f"c[{i}, l]" for i in range(constants)) + ",)",
+        "STATE": "state = (" + ", ".join(f"Y[{i}, l]" for i in range(states)) + ",)",
+        "INTEGRALS": "\n".join(integrals),
+    }
+    numbers = {
+        "WIDTH": WIDTH, "STATES": states, "CONSTS": constants, "INTS": len(equations.INTEGRALS),
+        "ROWS": len(measure.OUTPUTS), "FULL": measure.LEAST_INTERVALS, "ENDS": len(measure.GREGORY),
+    }  # fmt: skip
+    numbers |= {name: row for row, name in enumerate(measure.OUTPUTS)}
+    return jit.HEADER + fill(KERNEL, blocks, numbers)
+
+
+def fill(template: str, blocks: dict[str, str], numbers: dict[str, int]) -> str:
+    """The template with $NAME alone on a line replaced by a block at its indent, elsewhere by a number."""
+    lines = []
+    for line in template.splitlines():
+        name = line.strip().removeprefix("$")
+        if line.strip().startswith("$") and name in blocks:
+            indent = line[: len(line) - len(line.lstrip())]
+            lines += [indent + part if part else "" for part in blocks[name].splitlines()]
+        else:
+            lines.append(string.Template(line).substitute(numbers))
+    return "\n".join(lines) + "\n"
+
+
+KERNEL = """
+
+$FUNCTIONS
+
+
+$KERNEL
+def integrate(first, last, points, steps, strides, length, state0, constants0, scales, weights, cylinder, out):
+    Y = np.empty(($STATES, $WIDTH))
+    c = np.empty(($CONSTS, $WIDTH))
+    H = np.empty($WIDTH)
+    D = np.empty(($INTS, $WIDTH))
+    E = np.empty(($INTS, $WIDTH))
+    S = np.empty(($ROWS, $WIDTH))
+    for block in range(first, last):
+        for l in range($WIDTH):
+            p = points[block, l]
+            H[l] = length[p]
+            for j in range($STATES):
+                Y[j, l] = state0[j, p]
+            for j in range($CONSTS):
+                c[j, l] = constants0[j, p]
+            for j in range($INTS):
+                D[j, l] = scales[j, p]
+            for j in range($ROWS):
+                S[j, l] = 0.0
+        stride = strides[block]
+        intervals = steps[block] // stride
+        for i in range(intervals + 1):
+            if i > 0:
+                for s in range(stride):
+                    for l in range($WIDTH):
+                        h = H[l]
+                        $CONSTANTS
+                        $LOAD
+                        $STEP
+                        $STORE
+            weight = 1.0
+            if intervals < $FULL:
+                if i == 0 or i == intervals:
+                    weight = 0.5
+            elif i < $ENDS:
+                weight = weights[i]
+            elif intervals - i < $ENDS:
+                weight = weights[intervals - i]
+            for l in range($WIDTH):
+                $CONSTANTS
+                $STATE
+                theta_dot, psi_dot, phi_dot, normal_rate, s2, tilt, outside = sample(
+                    frame_motion(state, constants), cylinder
+                )
+                axis_1, axis_2 = axis_in_frame(state, constants)
+                if i == 0:
+                    S[$psi_dot_reference, l] = psi_dot
+                    S[$phi_dot_reference, l] = phi_dot
+                    S[$normal_rate_reference, l] = normal_rate
+                    S[$tilt_min, l] = tilt
+                psi_dot = (psi_dot - S[$psi_dot_reference, l]) * outside
+                phi_dot = (phi_dot - S[$phi_dot_reference, l]) * outside
+                normal_rate = normal_rate - S[$normal_rate_reference, l]
+                S[$theta_dot, l] += weight * theta_dot
+                S[$theta_dot_squared, l] += weight * theta_dot * theta_dot
+                S[$outside, l] += weight * outside
+                S[$psi_dot, l] += weight * psi_dot
+                S[$psi_dot_squared, l] += weight * psi_dot * psi_dot
+                S[$phi_dot, l] += weight * phi_dot
+                S[$phi_dot_squared, l] += weight * phi_dot * phi_dot
+                S[$normal_rate, l] += weight * normal_rate
+                S[$normal_rate_squared, l] += weight * normal_rate * normal_rate
+                S[$axis_1, l] += weight * axis_1
+                S[$axis_2, l] += weight * axis_2
+                low, high, wide = S[$tilt_min, l], S[$tilt_max, l], S[$sine_squared_max, l]
+                S[$tilt_min, l] = tilt if tilt < low else low
+                S[$tilt_max, l] = tilt if tilt > high else high
+                S[$sine_squared_max, l] = s2 if s2 > wide else wide
+            for l in range($WIDTH):
+                $CONSTANTS
+                $STATE
+                drift = S[$drift, l]
+                $INTEGRALS
+                S[$drift, l] = drift
+        for l in range($WIDTH):
+            p = points[block, l]
+            for j in range($STATES):
+                state0[j, p] = Y[j, l]
+            for j in range($ROWS):
+                out[j, p] = S[j, l]
+"""
+
+
+@dataclass(frozen=True)
+class Plan:
+    """Blocks of a set of points: which points, how many steps, how many steps between two samples."""
+
+    points: NDArray[np.int64]  # (blocks, WIDTH); a last block is filled up with its own last point
+    steps: NDArray[np.int64]  # (blocks,)
+    strides: NDArray[np.int64]  # (blocks,)
+
+    @property
+    def point_steps(self) -> int:
+        return int(self.steps.sum()) * WIDTH
+
+
+def plan(steps: NDArray[np.int64], strides: NDArray[np.int64]) -> Plan:
+    """Gather points of equal steps and stride into blocks, the longest first (threads then end together)."""
+    order = np.lexsort((strides, -steps))
+    key = np.stack([steps[order], strides[order]])
+    starts = (
+        np.flatnonzero(np.r_[True, (key[:, 1:] != key[:, :-1]).any(0)]) if steps.size else np.array([], int)
+    )
+    blocks, counts, pace = [], [], []
+    for first, last in zip(starts, np.r_[starts[1:], steps.size], strict=True):
+        group = order[first:last]
+        padded = np.r_[group, np.full(-len(group) % WIDTH, group[-1])].reshape(-1, WIDTH)
+        blocks.append(padded)
+        counts.append(np.full(len(padded), key[0, first]))
+        pace.append(np.full(len(padded), key[1, first]))
+    if not blocks:
+        return Plan(np.empty((0, WIDTH), np.int64), np.empty(0, np.int64), np.empty(0, np.int64))
+    return Plan(np.concatenate(blocks), np.concatenate(counts), np.concatenate(pace))
+
+
+def available_threads() -> int:
+    """Processors this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def integrate(
+    kernel: ModuleType,
+    blocks: Plan,
+    length: NDArray[np.float64],
+    state: NDArray[np.float64],
+    constants: NDArray[np.float64],
+    scales: NDArray[np.float64],
+    cylinder: float,
+    *,
+    threads: int | None = None,
+    progress: Callable[[int], None] | None = None,
+) -> NDArray[np.float64]:
+    """Integrate every point; returns (len(measure.OUTPUTS), points) and leaves the final state in `state`.
+
+    length: (points,) step of each point, time units; state: (states, points), C order, overwritten;
+    constants: (constants, points); scales: (integrals, points), the reciprocal of what a change of
+    that integral is held against, 0 where it is not conserved; cylinder: radius of the cylinder, rad.
+    progress is called with the point-steps done since the last call, from worker threads. On
+    KeyboardInterrupt the calls in flight end first (a fraction of a second), then it is raised again.
+    """
+    out = np.empty((len(measure.OUTPUTS), state.shape[1]))
+    ends = np.ascontiguousarray(measure.GREGORY)
+    cost = np.cumsum(blocks.steps * WIDTH)
+    cuts = [0]
+    while cuts[-1] < len(cost):
+        done = cost[cuts[-1] - 1] if cuts[-1] else 0
+        cuts.append(max(cuts[-1] + 1, int(np.searchsorted(cost, done + CHUNK))))
+    stop = threading.Event()
+
+    def work(first: int, last: int) -> None:
+        if stop.is_set():
+            return
+        kernel.integrate(
+            first, last, blocks.points, blocks.steps, blocks.strides, length, state, constants, scales,
+            ends, cylinder * cylinder, out,
+        )  # fmt: skip
+        if progress is not None:
+            progress(int(blocks.steps[first:last].sum()) * WIDTH)
+
+    with ThreadPoolExecutor(threads or available_threads()) as pool:
+        jobs = [pool.submit(work, first, last) for first, last in pairwise(cuts)]
+        try:
+            for job in jobs:
+                job.result()
+        finally:
+            stop.set()
+    return out

@@ -1,0 +1,74 @@
+"""How many steps each point takes, and how often it is sampled: from that point and the scene alone."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .measure import LEAST_INTERVALS
+from .runge_kutta import Method
+
+LONGEST_STRIDE = 16
+
+
+@dataclass(frozen=True)
+class Steps:
+    """Step counts and what is known beforehand about them, each of shape (points,)."""
+
+    count: NDArray[np.int64]
+    stride: NDArray[np.int64]  # steps between two samples
+    length: NDArray[np.float64]  # time units
+    step_ratio: NDArray[np.float64]  # length * bound / stability limit
+    phase_error: NDArray[np.float64]  # of an oscillation at the bound, rad at the end of the run
+    hidden_damping: NDArray[np.float64]  # its relative loss of amplitude
+
+
+def ladder(count: NDArray[np.float64]) -> NDArray[np.int64]:
+    """Round up to 16, 32, 48, ... as near as may be to powers of 2^(1/4), so that points share lanes."""
+    rung = np.ceil(4 * np.log2(np.maximum(count / LONGEST_STRIDE, 1.0)) - 1e-9)
+    low = np.ceil(2.0 ** (rung / 4) - 1e-9) * LONGEST_STRIDE
+    return low.astype(np.int64)
+
+
+def choose(
+    method: Method,
+    bound: NDArray[np.float64],
+    duration: NDArray[np.float64],
+    *,
+    tolerance: float,
+    step: float | None,
+    max_steps: int,
+) -> Steps:
+    """Steps of each point: at most `step` long if given, else so that the phase error of an oscillation
+    at the frequency bound (rad per time unit) reaches `tolerance` rad after `duration` (time units).
+
+    More than max_steps are never taken: step_ratio and phase_error then tell what that costs. A point
+    without finite bound gets the fewest steps; its results will not be finite either.
+    """
+    usable = np.isfinite(bound) & np.isfinite(duration)
+    turns = np.where(usable, bound * duration, 0.0)
+    if step is None:
+        with np.errstate(divide="ignore"):
+            y = (tolerance / (method.phase * np.maximum(turns, 1e-300))) ** (1 / method.order)
+        count = ladder(np.minimum(turns / y, float(max_steps)))
+    else:
+        count = np.ceil(np.minimum(np.where(usable, duration, 0.0) / step, float(max_steps)) - 1e-9)
+        count = np.maximum(count, 1).astype(np.int64)
+    y = turns / count
+    # The rule of the statistics has order 8 in the sampling distance: keep its error at y^order.
+    with np.errstate(divide="ignore"):
+        wanted = np.where(y > 0, y, 1e-6) ** (method.order / 8 - 1)
+    wanted = np.minimum(wanted, count / LEAST_INTERVALS)
+    stride = 2 ** np.floor(np.log2(np.clip(wanted, 1, LONGEST_STRIDE))).astype(np.int64)
+    count = -(-count // stride) * stride
+    y = turns / count
+    return Steps(
+        count,
+        stride,
+        duration / count,
+        y / method.stability,
+        turns * method.phase * y**method.order,
+        turns * method.damping * y ** (method.damping_order - 1),
+    )

@@ -1,0 +1,56 @@
+"""The gyrostat about a fixed point in a central Newtonian field (Amer, Abo Essa, Ibrahim & Amer 2013)."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..system import Array, Flags, System
+from . import conditions, equations, start
+
+GEOMETRIES = {
+    "none": "drifting or unresolved",
+    "sleeping": "the third axis stays on the vertical",
+    "conical": "the body turns about its third axis, which precesses about the vertical or is at rest",
+    "staude": "the body turns about the vertical alone (phi' = 0) or is at rest",
+}
+
+
+def geometry(
+    measured: dict[str, Array],
+    steady: NDArray[np.bool_],
+    cylinder: NDArray[np.bool_],
+    rate_tolerance: float,
+    angle_tolerance: float,
+) -> Flags:
+    """Geometry of the measured motion, int8 flags of GEOMETRIES; steady and cylinder are bool."""
+    without_spin = np.abs(measured["phi_dot_mean"]) <= rate_tolerance
+    kind = np.where(cylinder, 1, np.where(without_spin, 3, 2))
+    return np.where(steady, kind, 0).astype(np.int8)
+
+
+FIXED_POINT = System(
+    name="fixed_point",
+    title="gyrostat about a fixed point in a central Newtonian field",
+    frame="space",
+    reference=(
+        "T. S. Amer, Y. M. Abo Essa, I. A. Ibrahim, W. S. Amer, Int. J. Engineering Research and Applications"
+        " 3(5) (2013) 655-671"
+    ),
+    doi="",
+    equations=equations,
+    parameters=start.PARAMETERS,
+    constants=start.constants,
+    start=start.start,
+    check=start.check,
+    conserved=start.conserved,
+    frequency_bound=start.frequency_bound,
+    steady=conditions.steady,
+    families=conditions.FAMILIES,
+    recognise=conditions.recognise,
+    condition_residual=conditions.condition_residual,
+    geometries=GEOMETRIES,
+    geometry=geometry,
+    complete=lambda points: np.ones(points["A"].shape, bool),
+    warnings=start.warnings,
+)

@@ -1,0 +1,699 @@
+"""Steady motions of the gyrostat about a fixed point: conditions, stability and the solver that finds them.
+
+A steady motion keeps theta, psi' = n and phi' = m constant, so w = n g + m e3 with e3 the third body axis.
+Put into the equations of motion with g = (s sin phi, s cos phi, c), s = sin theta, c = cos theta,
+K = n^2 - N and b = n l + Mg r_c it needs, at every phi = phi0 + m t,
+
+    K (B - C) g2 c + n m (B - A - C) g2 + b2 c - b3 g2 + m l2 = 0
+    K (C - A) g1 c + n m (B - A + C) g1 + b3 g1 - b1 c - m l1 = 0
+    K (A - B) g1 g2 + b1 g2 - b2 g1 = 0
+
+s = 0 leaves b1 = b2 = 0 with n = r c: `sleeping`. m = 0 leaves K I g + b parallel to g at one phi: `staude`
+(n != 0) and `rest`. If m and s are not zero, phi takes every value and the coefficients of 1, sin phi,
+cos phi and sin 2 phi vanish one by one: b1 = b2 = 0, then l1 = l2 = 0, then Mg x0 = Mg y0 = 0,
+K (A - B) = 0, K (B - C) c + n m (B - A - C) = b3 and K (C - A) c + n m (B - A + C) = -b3. With A = B both
+are the one equation of `conical`; with A != B they need K = n = 0, that is N = 0, and then Mg z0 = 0:
+a free body that turns about its third axis, in `rest`. So these four families are all there is.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..system import Array, Condition, Family, Flags, Points, on_family
+from . import equations
+from .start import bodies, constants, fields, rates, start, symmetric, vertical
+
+# Below this part of the sum of its own terms a discriminant is rounding: stability is not decided by it.
+ROUNDING = 1e-12
+
+
+def steady(points: Points) -> tuple[Array, Array, Array]:
+    """sin theta, psi' = n and phi' = m of the steady motion that the start would belong to."""
+    gamma = vertical(points)
+    _, n, m = rates(points)
+    return np.hypot(gamma[0], gamma[1]), n, m
+
+
+def squared_rate(points: Points) -> Array:
+    """Largest squared rate of the start: |w0|^2, n^2, m^2, and the torques of fields and rotor over the least moment.
+
+    n and m count because they may cancel in w0, near theta = pi, down to their rounding.
+    """
+    inertia, rotor, weight, N = bodies(points)
+    _, n, m = rates(points)
+    turn = np.maximum((start(points)[:3] ** 2).sum(0), np.maximum(n**2, m**2))
+    least = inertia.min(0)
+    torque = np.maximum(_length(weight), np.abs(N) * (inertia.max(0) - least))
+    return np.maximum(turn, np.maximum(torque, _length(rotor) * np.sqrt(turn)) / least)
+
+
+def condition_residual(points: Points) -> Array:
+    """How far the start is from a steady motion, dimensionless, shape (points,); 0 on an exact motion.
+
+    |w'-dot minus what theta' = 0 and constant n and m need| over the largest squared rate, and theta'
+    over its root, whichever is larger.
+    """
+    state = start(points)
+    gamma = state[3:]
+    theta_dot, n, m = rates(points)
+    rate = np.array(equations.rhs(state, constants(points))[:3])
+    rate -= n * m * np.array([gamma[1], -gamma[0], np.zeros_like(n)])
+    scale = squared_rate(points)
+    return np.maximum(_ratio(_length(rate), scale), _ratio(np.abs(theta_dot), np.sqrt(scale)))
+
+
+def recognise(points: Points, tolerance: float = 1e-10) -> tuple[Flags, Array]:
+    """Family of the steady motion that starts at each point and its largest condition residual.
+
+    Returns (flag, residual) of shape (points,): flag 0 and the least residual of any family where no
+    family's conditions hold within the tolerance. A motion of two families counts as sleeping, else as
+    staude or rest if m = 0, else as conical.
+    """
+    residual = {name: on_family(family, points) for name, family in FAMILIES.items()}
+    still = _rest_of_spin(points) <= tolerance
+    order = ("sleeping", "rest", "staude", "conical", "rest")
+    holds = [residual[name] <= tolerance for name in order]
+    holds[1] = holds[1] & still
+    flags = np.select(holds, [FAMILIES[name].flag for name in order], 0).astype(np.int8)
+    least = np.min(list(residual.values()), axis=0)
+    return flags, np.select(holds, [residual[name] for name in order], least)
+
+
+# Conditions. Each residual is an angular acceleration or rate over that of the start, or a relative difference.
+
+
+def _length(vector: Array) -> Array:
+    return np.sqrt((vector**2).sum(0))
+
+
+def _ratio(value: Array, scale: Array) -> Array:
+    """value / scale, 0 where nothing moves and nothing acts."""
+    return np.divide(value, scale, out=np.zeros_like(scale), where=scale > 0)
+
+
+def _difference(points: Points) -> Array:
+    return (points["A"] - points["B"]) / points["A"]
+
+
+def _acceleration(points: Points, torque: Array) -> Array:
+    """A torque as a residual: over the least moment and the largest squared rate."""
+    least = np.minimum(np.minimum(points["A"], points["B"]), points["C"])
+    return _ratio(torque / least, squared_rate(points))
+
+
+def _transverse_rotor(points: Points) -> Array:
+    turn = _length(start(points)[:3])
+    return _acceleration(points, np.hypot(points["l1"], points["l2"]) * turn)
+
+
+def _transverse_weight(points: Points) -> Array:
+    return _acceleration(points, fields(points)[0] * np.hypot(points["x0"], points["y0"]))
+
+
+def _nutation_rate(points: Points) -> Array:
+    return _ratio(np.abs(rates(points)[0]), np.sqrt(squared_rate(points)))
+
+
+def _rest_of_precession(points: Points) -> Array:
+    return _ratio(np.abs(rates(points)[1]), np.sqrt(squared_rate(points)))
+
+
+def _rest_of_spin(points: Points) -> Array:
+    return _ratio(np.abs(rates(points)[2]), np.sqrt(squared_rate(points)))
+
+
+def _transverse_rate(points: Points) -> Array:
+    return _ratio(_length(start(points)[:2]), np.sqrt(squared_rate(points)))
+
+
+def _on_vertical(points: Points) -> Array:
+    gamma = vertical(points)
+    return np.hypot(gamma[0], gamma[1])
+
+
+def precession(points: Points, **replaced: Array | float) -> Array:
+    """(C - A)(n^2 - N) cos theta + (C m + l3) n + Mg z0, the torque that a conical motion must not leave.
+
+    Any of A, C, N, Mg, z0, l3, n, m and cosine may be replaced.
+    """
+    Mg, N = fields(points)
+    _, n, m = rates(points)
+    value: dict[str, Array | float] = {
+        "A": points["A"], "C": points["C"], "N": N, "Mg": Mg, "z0": points["z0"], "l3": points["l3"],
+        "n": n, "m": m, "cosine": vertical(points)[2],
+    }  # fmt: skip
+    A, C, N, Mg, z0, l3, n, m, c = (np.asarray(replaced.get(name, value[name])) for name in value)
+    return (C - A) * (n**2 - N) * c + (C * m + l3) * n + Mg * z0
+
+
+def _conical(points: Points) -> Array:
+    return _acceleration(points, precession(points))
+
+
+def permanent_torque(points: Points, n: Array | None = None) -> Array:
+    """((n^2 - N) I g + n l + Mg r_c) x g, zero on a permanent rotation about the vertical, shape (3, points)."""
+    inertia, rotor, weight, N = bodies(points)
+    gamma = vertical(points)
+    n = rates(points)[1] if n is None else n
+    return np.cross((n**2 - N) * inertia * gamma + n * rotor + weight, gamma, axis=0)
+
+
+def _permanent(points: Points) -> Array:
+    return _acceleration(points, _length(permanent_torque(points)))
+
+
+def _upright(points: Points) -> Array:
+    """Transverse torque of rotor and weight on the body that stands on the vertical."""
+    _, rotor, weight, _ = bodies(points)
+    state = start(points)
+    transverse = state[2] * rotor[:2] + np.sign(state[5]) * weight[:2]
+    return _acceleration(points, np.hypot(*transverse))
+
+
+def _resting(points: Points) -> Array:
+    return _acceleration(points, _length(permanent_torque(points, np.zeros_like(points["A"]))))
+
+
+def _resting_while_turning(points: Points) -> Array:
+    """What would disturb the resting third axis as phi goes round: nothing if m = 0."""
+    inertia, rotor, weight, N = bodies(points)
+    _, _, m = rates(points)
+    gradient = N * np.abs(inertia[0] - inertia[1])
+    torque = np.abs(gradient) + np.hypot(*weight[:2]) + np.abs(m) * np.hypot(*rotor[:2])
+    return np.where(m == 0, 0.0, _acceleration(points, torque))
+
+
+# Solutions for one parameter each.
+
+
+def _linear(slope: Array, offset: Array, current: Array) -> Array:
+    """The x of slope x + offset = 0; any x serves where both vanish, then the current one is kept."""
+    with np.errstate(divide="ignore", invalid="ignore"):
+        x = -offset / slope
+    return np.where(slope == 0, np.where(offset == 0, current, np.nan), x)
+
+
+def _solve_precession(name: str, resting: bool = False) -> Callable[[Points], Array]:
+    """Solver of precession = 0 for a parameter in which it is linear; resting: at n = 0 whatever n is given."""
+
+    def solve(points: Points) -> Array:
+        Mg, N = fields(points)
+        _, n, m = rates(points)
+        n = np.zeros_like(n) if resting else n
+        A, C, c = points["A"], points["C"], vertical(points)[2]
+        K = n**2 - N
+        slope = {
+            "A": -K * c, "C": K * c + m * n, "m": C * n, "l3": n, "N": (A - C) * c, "Mg": points["z0"], "z0": Mg,
+        }[name]  # fmt: skip
+        x = _linear(slope, precession(points, n=n, **{name: np.zeros_like(n)}), points[name])
+        if name in ("A", "C"):
+            A, C = (x, C) if name == "A" else (A, x)
+            x = np.where((x > 0) & (C <= 2 * A), x, np.nan)
+        return x
+
+    return solve
+
+
+def _solve_theta(resting: bool) -> Callable[[Points], Array]:
+    """Solver of precession = 0 for theta0, in [0, pi]."""
+
+    def solve(points: Points) -> Array:
+        n = np.zeros_like(points["A"]) if resting else rates(points)[1]
+        offset = precession(points, n=n, cosine=0.0)
+        slope = (points["C"] - points["A"]) * (n**2 - fields(points)[1])
+        cosine = _linear(slope, offset, np.cos(points["theta0"]))
+        with np.errstate(invalid="ignore"):
+            return np.arccos(cosine)
+
+    return solve
+
+
+def _solve_n(points: Points) -> Array:
+    """The root n of the quadratic that is nearer to the n given; n = 0 (the default) gives the slow one."""
+    a = (points["C"] - points["A"]) * vertical(points)[2]
+    b = points["C"] * rates(points)[2] + points["l3"]
+    c = precession(points, n=0.0)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        q = -0.5 * (b + np.copysign(np.sqrt(b**2 - 4 * a * c), b))
+        roots = np.array([q / a, np.where(c == 0, 0.0, c / q)])
+    distance = np.where(np.isfinite(roots), np.abs(roots - points["n"]), np.inf)
+    nearer = np.take_along_axis(roots, distance.argmin(0)[None], 0)[0]
+    return np.where(np.isfinite(nearer), nearer, np.nan)
+
+
+def _solve_upright(name: str, axis: int) -> Callable[[Points], Array]:
+    """Solver of r l_i + cos(theta) Mg r_i = 0 for one component of the rotor or of the centre of mass."""
+
+    def solve(points: Points) -> Array:
+        Mg = fields(points)[0]
+        w, sign = start(points)[2], np.sign(vertical(points)[2])
+        rotor, offset = (("l1", "x0"), ("l2", "y0"))[axis]
+        if name == rotor:
+            return _linear(w, sign * Mg * points[offset], points[name])
+        return _linear(sign * Mg, w * points[rotor], points[name])
+
+    return solve
+
+
+def _solve_permanent(name: str) -> Callable[[Points], Array]:
+    """Solver of the permanent rotation for one parameter.
+
+    l1, x0 and l2, y0 are taken from the second and the first component of the torque, so that one of
+    each pair may be solved together (the third component then vanishes if cos theta0 does not); the
+    others from all three, nan where these contradict each other.
+    """
+    component = {"l1": 1, "x0": 1, "l2": 0, "y0": 0}.get(name)
+
+    def solve(points: Points) -> Array:
+        offset = permanent_torque({**points, name: np.zeros_like(points[name])})
+        slope = permanent_torque({**points, name: np.ones_like(points[name])}) - offset
+        if component is not None:
+            return _linear(slope[component], offset[component], points[name])
+        x = _linear((slope**2).sum(0), (slope * offset).sum(0), points[name])
+        rest = _permanent({**points, name: x})
+        return np.where(rest <= 1e-9, x, np.nan)
+
+    return solve
+
+
+def _solve_direction(angle: str, resting: bool) -> Callable[[Points], Array]:
+    """theta0 or phi0 of the permanent rotation nearest to the start, by the angle between the verticals.
+
+    phi0 prefers the rotations whose theta is theta0 already, so that theta0 and phi0 may be solved
+    together, and is nan where there is none.
+    """
+
+    def solve(points: Points) -> Array:
+        gamma = vertical(points)
+        n = np.zeros_like(points["A"]) if resting else rates(points)[1]
+        found, _ = permanent_rotations(points, n, gamma)
+        away = np.where(np.isnan(found[0]), np.inf, -(found * gamma[:, None]).sum(0))
+        if angle == "phi0":
+            away = np.where(np.abs(found[2] - gamma[2]) <= 1e-9, away, np.inf)
+        best = np.take_along_axis(found, away.argmin(0)[None, None], 1)[:, 0]
+        value = (
+            np.arctan2(np.hypot(best[0], best[1]), best[2])
+            if angle == "theta0"
+            else np.arctan2(best[0], best[1])
+        )
+        return np.where(np.isfinite(away.min(0)), value, np.nan)
+
+    return solve
+
+
+def _solve_rest(angle: str) -> Callable[[Points], Array]:
+    """theta0 or phi0 of a resting third axis: closed form if the body is symmetric about it, else the nearest."""
+    nearest, inclined = _solve_direction(angle, True), _solve_theta(True)
+
+    def solve(points: Points) -> Array:
+        closed = inclined(points) if angle == "theta0" else points["phi0"]
+        closed = np.where(symmetric(points), closed, np.nan)
+        general = ~symmetric(points) & (rates(points)[2] == 0)
+        return np.where(general, nearest(points), closed)
+
+    return solve
+
+
+def permanent_rotations(
+    points: Points, n: Array, towards: Array | None = None
+) -> tuple[Array, NDArray[np.int8]]:
+    """All permanent rotations w = n g about the vertical, the directions g of the vertical in the body.
+
+    n: (points,), rad per time unit; 0 gives the positions of rest. towards: (3, points), chooses the
+    member of a circle of solutions. Returns g of shape (3, 12, points), nan in empty places, and the
+    dimension of the set each belongs to, int8 (12, points): 0 isolated, 1 a circle, 2 every direction
+    (-1: empty). There are 2, 4 or 6 isolated ones unless some family is degenerate.
+
+    g = -b / (d - L) with d = (n^2 - N) I, b = n l + Mg r_c, and L a root of the secular equation
+    sum b_i^2 / (d_i - L)^2 = 1, which has one root outside each end pole and none or two between
+    neighbours; a component with b_i = 0 also allows L = d_i with g_i free.
+    """
+    inertia, rotor, weight, N = bodies(points)
+    d, b = (n**2 - N) * inertia, n * rotor + weight
+    order = np.argsort(d, axis=0, kind="stable")
+    d, b = np.take_along_axis(d, order, 0), np.take_along_axis(b, order, 0)
+    aim = np.ones_like(d) if towards is None else np.take_along_axis(towards, order, 0)
+    found = np.full((3, 12, *n.shape), np.nan)
+    dimension = np.full((12, *n.shape), -1, np.int8)
+
+    active = b != 0
+    some = active.any(0)
+    # A pole without residue is moved onto one that has it: the empty interval between them has no root.
+    anchor = np.take_along_axis(d, active.argmax(0)[None], 0)
+    poles = np.sort(np.where(active, d, anchor), axis=0)
+    strength = np.abs(b)
+    total = _length(b)
+
+    def secular(shift: Array, origin: Array, power: int = 2) -> Array:
+        return (b**2 / (d - origin - shift) ** power).sum(0)
+
+    def keep(place: int, shift: Array, origin: Array, there: Array) -> None:
+        g = -b / (d - origin - shift)
+        found[:, place] = np.where(there, g / _length(g), np.nan)
+        dimension[place] = np.where(there, 0, -1)
+
+    def residue(origin: Array) -> Array:
+        return np.where(d == origin, strength, 0.0).max(0)
+
+    def root(near: Array, far: Array, origin: Array) -> Array:
+        """Bisection in the logarithm of the distance from the pole: near is inside |g| > 1, far outside."""
+        side = np.sign(far)
+        near, far = np.abs(near), np.abs(far)
+        for _ in range(64):
+            middle = np.sqrt(near) * np.sqrt(far)
+            inside = secular(side * middle, origin) > 1
+            near, far = np.where(inside, middle, near), np.where(inside, far, middle)
+        return side * far
+
+    with np.errstate(all="ignore"):
+        for place, end, side in ((0, 0, -1.0), (1, 2, 1.0)):
+            origin = poles[end]
+            keep(place, root(side * residue(origin), side * total, origin), origin, some)
+        for place, left in ((2, 0), (4, 1)):
+            low, high = poles[left], poles[left + 1]
+            width = high - low
+            near, far = np.zeros_like(width), width
+            for _ in range(60):
+                middle = 0.5 * (near + far)
+                rising = secular(middle, low, 3) > 0
+                near, far = np.where(rising, near, middle), np.where(rising, middle, far)
+            there = some & (width > 0) & (secular(near, low) < 1)
+            keep(place, root(residue(low), near, low), low, there)
+            keep(place + 1, root(-residue(high), near - width, high), high, there)
+        for i in range(3):
+            group = d == d[i]
+            free = ~(group & active).any(0) & (group.argmax(0) == i)
+            g = np.where(group, 0.0, -b / (d - d[i]))
+            rest = 1 - (g**2).sum(0)
+            size = group.sum(0)
+            inside = np.where(group, aim, 0.0)
+            inside = np.where(_length(inside) > 0, inside, group)
+            inside = inside / _length(inside) * np.sqrt(rest)
+            for place, side in ((6 + 2 * i, 1.0), (7 + 2 * i, -1.0)):
+                there = free & (rest > 0) & ((size == 1) | (side > 0))
+                found[:, place] = np.where(there, g + side * inside, np.nan)
+                dimension[place] = np.where(there, size - 1, -1)
+    back = np.argsort(order, axis=0)
+    return np.take_along_axis(found, np.broadcast_to(back[:, None], found.shape), 0), dimension
+
+
+# Linear stability.
+
+
+def _decide(value: Array, size: Array, growth: Array) -> tuple[Flags, Array]:
+    """Stable where value > 0, unstable where value < 0, unknown (0) where it is rounding of terms of that size."""
+    clear = np.abs(value) > ROUNDING * size
+    stable = np.where(clear, np.where(value > 0, 1, 2), 0).astype(np.int8)
+    return stable, np.where(stable == 2, growth, 0.0)
+
+
+def nutation(points: Points) -> tuple[Array, Array]:
+    """Squared nutation frequency of a conical motion and the sum of the magnitudes of its terms.
+
+    (n^2 + N (C - A)/A) sin^2 theta + ((C r + l3)/A - 2 n cos theta)^2, the curvature of the effective
+    potential at fixed C r + l3 and fixed momentum about the vertical; rad^2 per time unit squared.
+    """
+    gamma = vertical(points)
+    _, n, m = rates(points)
+    A, C, N = points["A"], points["C"], fields(points)[1]
+    s2 = gamma[0] ** 2 + gamma[1] ** 2
+    spin = (C * (m + n * gamma[2]) + points["l3"]) / A
+    gyroscopic = (spin - 2 * n * gamma[2]) ** 2
+    size = (n**2 + np.abs(N * (C - A) / A)) * s2 + spin**2 + 4 * n**2 * gamma[2] ** 2
+    return (n**2 + N * (C - A) / A) * s2 + gyroscopic, size
+
+
+def _conical_stability(points: Points) -> tuple[Flags, Array]:
+    value, size = nutation(points)
+    return _decide(value, size, np.sqrt(np.maximum(-value, 0.0)))
+
+
+def sleeping_discriminant(points: Points) -> tuple[Array, Array]:
+    """(C r + l3)^2 - 4 A (N (C - A) - s Mg z0) of a symmetric body on the vertical, and its terms' magnitude.
+
+    s = cos theta = +-1. Positive: stable; negative: the tilt grows at sqrt(-D) / (2 A).
+    """
+    Mg, N = fields(points)
+    A, C = points["A"], points["C"]
+    spin = C * start(points)[2] + points["l3"]
+    gradient, weight = N * (C - A), np.sign(vertical(points)[2]) * Mg * points["z0"]
+    size = spin**2 + 4 * A * (np.abs(gradient) + np.abs(weight))
+    return spin**2 - 4 * A * (gradient - weight), size
+
+
+def sleeping_at_threshold(points: Points) -> Array:
+    """2 N (C - A) - s Mg z0: where the discriminant is zero, the body is stable if this is positive.
+
+    It is the sign of the term theta^4 of the effective potential, whose term theta^2 vanishes there; a
+    nudge by d then swings to an angle of order sqrt(d). Linear theory calls the threshold unknown.
+    """
+    Mg, N = fields(points)
+    return 2 * N * (points["C"] - points["A"]) - np.sign(vertical(points)[2]) * Mg * points["z0"]
+
+
+def _sleeping_stability(points: Points) -> tuple[Flags, Array]:
+    value, size = sleeping_discriminant(points)
+    stable, growth = _decide(value, size, np.sqrt(np.maximum(-value, 0.0)) / (2 * points["A"]))
+    state = start(points)
+    other = _equilibrium_stability(points, state[2] * np.sign(state[5]), state[3:])
+    closed = symmetric(points)
+    return np.where(closed, stable, other[0]), np.where(closed, growth, other[1])
+
+
+def _staude_stability(points: Points) -> tuple[Flags, Array]:
+    stable, growth = _conical_stability(points)
+    other = _equilibrium_stability(points, rates(points)[1], vertical(points))
+    closed = symmetric(points)
+    return np.where(closed, stable, other[0]), np.where(closed, growth, other[1])
+
+
+def _rest_stability(points: Points) -> tuple[Flags, Array]:
+    stable, growth = _staude_stability(points)
+    A, B, C, m = points["A"], points["B"], points["C"], rates(points)[2]
+    # Free body that turns about its third axis: Euler's equations linearised, with a rotor.
+    one, two = (C - A) * m + points["l3"], (C - B) * m + points["l3"]
+    size = (np.abs((C - A) * m) + np.abs(points["l3"])) * (np.abs((C - B) * m) + np.abs(points["l3"]))
+    turning = _decide(one * two, size, np.sqrt(np.maximum(-one * two / (A * B), 0.0)))
+    free = (m != 0) & ~symmetric(points)
+    return np.where(free, turning[0], stable), np.where(free, turning[1], growth)
+
+
+def amended_hessian(points: Points, n: Array, gamma: Array) -> tuple[Array, Array, Array]:
+    """Second variation of the amended potential at the permanent rotation w = n gamma.
+
+    The amended potential is U + (k - l.g)^2 / (2 g.I g) at the fixed angular momentum k about the
+    vertical. Returns the determinant and the trace of its Hessian on the plane normal to gamma, and
+    the magnitude of the terms of the determinant; each (points,).
+    """
+    inertia, rotor, weight, N = bodies(points)
+    moment = (inertia * gamma**2).sum(0)
+    multiplier = (((n**2 - N) * inertia * gamma + n * rotor + weight) * gamma).sum(0)
+    v = rotor + 2 * n * inertia * gamma
+    diagonal = multiplier - (n**2 - N) * inertia
+    hessian = v[:, None] * v[None] / moment
+    for i in range(3):
+        hessian[i, i] += diagonal[i]
+    trace = (
+        hessian[0, 0] + hessian[1, 1] + hessian[2, 2] - np.einsum("i...,ij...,j...", gamma, hessian, gamma)
+    )
+    # The determinant on the plane normal to gamma is gamma . adj(hessian) gamma.
+    adjugate = np.array([[_cofactor(hessian, i, j) for j in range(3)] for i in range(3)])
+    determinant = np.einsum("i...,ij...,j...", gamma, adjugate, gamma)
+    size = (v**2).sum(0) / moment + np.abs(multiplier) + np.abs(n**2 - N) * inertia.max(0)
+    return determinant, trace, size**2
+
+
+def _cofactor(matrix: Array, i: int, j: int) -> Array:
+    a, b, c, d = (i + 1) % 3, (i + 2) % 3, (j + 1) % 3, (j + 2) % 3
+    return matrix[a, c] * matrix[b, d] - matrix[a, d] * matrix[b, c]
+
+
+def _equilibrium_stability(points: Points, n: Array, gamma: Array) -> tuple[Flags, Array]:
+    """Linear stability of the permanent rotation w = n gamma of any body.
+
+    Two of the six exponents are zero (|gamma| and the momentum about the vertical), the squares x of
+    the others solve x^2 + P x + Q = 0. P comes from the trace of the squared matrix and Q from the
+    amended potential, so the zero exponents, defective in general, do no harm.
+    """
+    inertia, rotor, weight, N = bodies(points)
+    w = n * gamma
+    momentum, force = inertia * w + rotor, N * inertia * gamma - weight
+    matrix = np.zeros((6, 6, *n.shape))
+    for j in range(3):
+        unit = np.zeros_like(gamma)
+        unit[j] = 1.0
+        turn = np.cross(inertia * unit, w, axis=0) + np.cross(momentum, unit, axis=0)
+        tilt = np.cross(unit, force, axis=0) + np.cross(gamma, N * inertia * unit, axis=0)
+        matrix[:3, j], matrix[3:, j] = turn / inertia, np.cross(gamma, unit, axis=0)
+        matrix[:3, 3 + j], matrix[3:, 3 + j] = tilt / inertia, np.cross(unit, w, axis=0)
+    products = matrix * np.swapaxes(matrix, 0, 1)
+    P, size = -0.5 * products.sum((0, 1)), 0.5 * np.abs(products).sum((0, 1))
+    P = np.where(np.abs(P) <= ROUNDING * size, 0.0, P)
+    determinant, trace, size = amended_hessian(points, n, gamma)
+    share = (inertia * gamma**2).sum(0) / inertia.prod(0)
+    Q = np.where(np.abs(determinant) <= ROUNDING * size, 0.0, determinant * share)
+    discriminant = P**2 - 4 * Q
+    discriminant = np.where(np.abs(discriminant) <= ROUNDING * (P**2 + 4 * np.abs(Q)), 0.0, discriminant)
+
+    half = -0.5 * (P + np.copysign(np.sqrt(np.maximum(discriminant, 0.0)), P))
+    other = np.divide(Q, half, out=np.zeros_like(Q), where=half != 0)
+    real = np.sqrt(np.maximum(np.maximum(half, other), 0.0))
+    # Real part of sqrt(x) for x = -P/2 + i sqrt(4 Q - P^2)/2, whose modulus is sqrt(Q).
+    paired = np.sqrt(np.maximum(0.5 * (np.sqrt(np.maximum(Q, 0.0)) - 0.5 * P), 0.0))
+    least = (Q > 0) & (trace > 0)
+    growth = np.where(least, 0.0, np.where(discriminant < 0, paired, real))
+    certain = least | ((Q > 0) & (discriminant > 0))
+    return np.where(growth > 0, 2, np.where(certain, 1, 0)).astype(np.int8), growth
+
+
+def motion(points: Points, t: Array) -> Array:
+    """Closed form of every steady motion: g turns about the third axis at -m, w = n g + m e3.
+
+    t: any shape, time units; returns the state, shape (6, *t.shape, *points.shape).
+    """
+    gamma = vertical(points)
+    _, n, m = rates(points)
+    angle = np.asarray(t, float)[..., None] * m
+    cosine, sine = np.cos(angle), np.sin(angle)
+    g = np.array(
+        [
+            gamma[0] * cosine + gamma[1] * sine,
+            gamma[1] * cosine - gamma[0] * sine,
+            np.broadcast_to(gamma[2], angle.shape),
+        ]
+    )
+    w = n * g
+    w[2] += m
+    return np.concatenate([w, g])
+
+
+def equilibria(body: Points, n: float = 0.0) -> dict[str, np.ndarray]:
+    """All permanent rotations of one body about the vertical at the rate n (0: positions of rest).
+
+    body: every parameter, arrays of shape (1,). Returns arrays over the k solutions, the sets of
+    solutions by one member each: theta, phi (rad), g1, g2, g3, dimension (0 isolated, 1 a circle,
+    2 every direction), index (number of directions in which the amended potential falls; 0 is stable),
+    stable and growth_rate; in the order of theta.
+    """
+    rate = np.full(1, float(n))
+    found, dimension = permanent_rotations(body, rate)
+    there = dimension[:, 0] >= 0
+    g, dimension = found[:, there, 0], dimension[there, 0]
+    order = np.lexsort([g[0], np.arctan2(np.hypot(g[0], g[1]), g[2])])
+    g, dimension = g[:, order], dimension[order]
+    theta, phi = np.arctan2(np.hypot(g[0], g[1]), g[2]), np.arctan2(g[0], g[1])
+    count = theta.size
+    many = {name: np.repeat(values, count) for name, values in body.items()}
+    for name in ("p0", "q0", "r0", "gamma10", "gamma20", "gamma30"):
+        many[name] = np.full(count, np.nan)
+    many |= {"theta0": theta, "phi0": phi, "n": np.repeat(rate, count)}
+    many |= {name: np.zeros(count) for name in ("m", "theta_dot0")}
+    upright = np.hypot(g[0], g[1]) == 0
+    stable, growth = _staude_stability(many)
+    standing = _sleeping_stability(many)
+    determinant, trace, size = amended_hessian(many, many["n"], g)
+    falling = np.where(determinant < 0, 1, np.where(trace < 0, 2, 0))
+    falling = np.where(np.abs(determinant) <= ROUNDING * size, np.where(trace < 0, 1, 0), falling)
+    return {
+        "theta": theta, "phi": phi, "g1": g[0], "g2": g[1], "g3": g[2],
+        "dimension": dimension, "index": falling.astype(np.int8),
+        "stable": np.where(upright, standing[0], stable).astype(np.int8),
+        "growth_rate": np.where(upright, standing[1], growth),
+    }  # fmt: skip
+
+
+_STILL = Condition("theta' = 0", _nutation_rate)
+_PRECESSION = "(C - A)(n^2 - N) cos theta0 + (C m + l3) n + Mg z0 = 0"
+
+FAMILIES = {
+    family.name: family
+    for family in (
+        Family(
+            name="conical",
+            flag=1,
+            title="regular precession about the vertical, or turning about a resting inclined axis (n = 0)",
+            equations="from (1) of the paper with A = B, l = (0, 0, l3)",
+            conditions=(
+                Condition("A = B", _difference),
+                Condition("l1 = l2 = 0", _transverse_rotor),
+                Condition("Mg x0 = Mg y0 = 0", _transverse_weight),
+                _STILL,
+                Condition(_PRECESSION, _conical),
+            ),
+            solve={
+                **{name: _solve_precession(name) for name in ("m", "l3", "Mg", "z0", "N", "C", "A")},
+                "B": lambda points: points["A"].copy(),
+                "theta0": _solve_theta(False),
+                "n": _solve_n,
+            },
+            stability=_conical_stability,
+            motion=motion,
+            geometry="conical",
+            paper_wording="Lagrange's case",
+        ),
+        Family(
+            name="sleeping",
+            flag=2,
+            title="the third axis stands on the vertical and the body turns about it",
+            equations="from the equations of motion",
+            conditions=(
+                Condition("sin theta0 = 0", _on_vertical),
+                Condition("p = q = 0", _transverse_rate),
+                Condition("r l1 + cos(theta0) Mg x0 = r l2 + cos(theta0) Mg y0 = 0", _upright),
+            ),
+            solve={
+                "theta0": lambda points: np.where(np.cos(points["theta0"]) < 0, np.pi, 0.0),
+                **{
+                    name: _solve_upright(name, axis)
+                    for name, axis in (("l1", 0), ("l2", 1), ("x0", 0), ("y0", 1))
+                },
+            },
+            stability=_sleeping_stability,
+            motion=motion,
+            geometry="sleeping",
+            paper_wording="permanent rotation with spin r0 about the z axis",
+        ),
+        Family(
+            name="staude",
+            flag=3,
+            title="permanent rotation of any body about the vertical",
+            equations="from the equations of motion: (n^2 - N) I g + n l + Mg r_c parallel to g",
+            conditions=(
+                Condition("m = 0", _rest_of_spin),
+                _STILL,
+                Condition("((n^2 - N) I g + n l + Mg r_c) x g = 0", _permanent),
+            ),
+            solve={
+                "theta0": _solve_direction("theta0", False),
+                "phi0": _solve_direction("phi0", False),
+                **{name: _solve_permanent(name) for name in ("l1", "l2", "x0", "y0", "l3", "z0", "Mg", "N")},
+            },
+            stability=_staude_stability,
+            motion=motion,
+            geometry="staude",
+        ),
+        Family(
+            name="rest",
+            flag=4,
+            title="the third axis is at rest (n = 0); if the body turns about it, it is symmetric or free",
+            equations="from the equations of motion",
+            conditions=(
+                Condition("n = 0", _rest_of_precession),
+                _STILL,
+                Condition("(Mg r_c - N I g) x g = 0", _resting),
+                Condition("m = 0, or N (A - B) = Mg x0 = Mg y0 = l1 = l2 = 0", _resting_while_turning),
+            ),
+            solve={
+                "theta0": _solve_rest("theta0"),
+                "phi0": _solve_rest("phi0"),
+                **{name: _solve_precession(name, True) for name in ("N", "Mg", "z0", "C")},
+            },
+            stability=_rest_stability,
+            motion=motion,
+        ),
+    )
+}

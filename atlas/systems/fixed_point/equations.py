@@ -1,0 +1,103 @@
+"""Euler-Poisson equations of a gyrostat about a fixed point in a central Newtonian field.
+
+The system (1) of Amer, Abo Essa, Ibrahim & Amer in dimensional form and for any body, centre of mass
+and gyrostatic momentum; `tests/test_fixed_point_equations.py` derives it from the Lagrangian. All
+vectors are given in the body's principal axes at the fixed point: w = (p, q, r) is the angular velocity
+and g (gamma) the unit vector of the vertical Z, which points to the attracting centre (down).
+
+    I w' = (I w + l) x w + Mg r_c x g + N g x (I g),     g' = g x w
+
+Every function takes the state and the constants as sequences in the order of STATE and CONSTANTS and
+is plain arithmetic: the engine pastes the text into its kernels (scalars), and arrays of one shape
+work as well. So nothing may be imported here, and no name may be used but those of this file.
+"""
+
+STATE = ("p", "q", "r", "g1", "g2", "g3")
+# Mx, My, Mz stand for Mg x0, Mg y0, Mg z0 and NA, NB, NC for N A, N B, N C.
+CONSTANTS = (
+    "A", "B", "C", "A_inv", "B_inv", "C_inv", "l1", "l2", "l3", "Mx", "My", "Mz", "NA", "NB", "NC",
+)  # fmt: skip
+# The functions below that are first integrals.
+INTEGRALS = ("energy", "area", "length_gamma", "lagrange", "clebsch", "kovalevskaya")
+
+
+def rhs(state, constants):
+    """Time derivatives of the state; F collects both fields, whose torque is g x F."""
+    p, q, r, g1, g2, g3 = state
+    A, B, C, A_inv, B_inv, C_inv, l1, l2, l3, Mx, My, Mz, NA, NB, NC = constants
+    L1, L2, L3 = A * p + l1, B * q + l2, C * r + l3
+    F1, F2, F3 = NA * g1 - Mx, NB * g2 - My, NC * g3 - Mz
+    return (
+        (L2 * r - L3 * q + g2 * F3 - g3 * F2) * A_inv,
+        (L3 * p - L1 * r + g3 * F1 - g1 * F3) * B_inv,
+        (L1 * q - L2 * p + g1 * F2 - g2 * F1) * C_inv,
+        g2 * r - g3 * q,
+        g3 * p - g1 * r,
+        g1 * q - g2 * p,
+    )
+
+
+def frame_motion(state, constants):
+    """Angular velocity relative to space and the frame's vertical, w and g."""
+    p, q, r, g1, g2, g3 = state
+    return p, q, r, g1, g2, g3
+
+
+# First integrals, each as the tuple of its terms: the drift of the sum is held against their size.
+
+
+def energy(state, constants):
+    """Kinetic energy plus the potential -Mg r_c . g + (N/2) g . I g; the rotor does not enter."""
+    p, q, r, g1, g2, g3 = state
+    A, B, C, A_inv, B_inv, C_inv, l1, l2, l3, Mx, My, Mz, NA, NB, NC = constants
+    return (
+        0.5 * (A * p * p + B * q * q + C * r * r),
+        -(Mx * g1 + My * g2 + Mz * g3),
+        0.5 * (NA * g1 * g1 + NB * g2 * g2 + NC * g3 * g3),
+    )
+
+
+def area(state, constants):
+    """Angular momentum about the vertical, (I w + l) . g."""
+    p, q, r, g1, g2, g3 = state
+    A, B, C, A_inv, B_inv, C_inv, l1, l2, l3, Mx, My, Mz, NA, NB, NC = constants
+    return (A * p + l1) * g1, (B * q + l2) * g2, (C * r + l3) * g3
+
+
+def length_gamma(state, constants):
+    """|gamma|^2 = 1."""
+    g1, g2, g3 = state[3:6]
+    return g1 * g1, g2 * g2, g3 * g3
+
+
+def lagrange(state, constants):
+    """C r + l3, conserved if A = B, l1 = l2 = 0 and Mg x0 = Mg y0 = 0."""
+    return constants[2] * state[2], constants[8]
+
+
+def clebsch(state, constants):
+    """|I w + l|^2 - N det(I) g . I^-1 g, conserved if Mg r_c = 0 and either l = 0 or the field exerts no torque."""
+    p, q, r, g1, g2, g3 = state
+    A, B, C, A_inv, B_inv, C_inv, l1, l2, l3, Mx, My, Mz, NA, NB, NC = constants
+    L1, L2, L3 = A * p + l1, B * q + l2, C * r + l3
+    return (
+        L1 * L1 + L2 * L2 + L3 * L3,
+        -(NB * C * g1 * g1 + NC * A * g2 * g2 + NA * B * g3 * g3),
+    )
+
+
+def kovalevskaya(state, constants):
+    """Kovalevskaya's integral with a rotor, conserved if A = B = 2 C, Mg z0 = 0, l1 = l2 = 0 and N = 0."""
+    p, q, r, g1, g2, g3 = state
+    A, B, C, A_inv, B_inv, C_inv, l1, l2, l3, Mx, My, Mz, NA, NB, NC = constants
+    x, y, rotor = Mx * C_inv, My * C_inv, l3 * C_inv
+    real = p * p - q * q + x * g1 - y * g2
+    imaginary = 2 * p * q + x * g2 + y * g1
+    transverse = p * p + q * q
+    return (
+        real * real,
+        imaginary * imaginary,
+        2 * rotor * r * transverse,
+        -2 * rotor * rotor * transverse,
+        4 * rotor * g3 * (x * p + y * q),
+    )

@@ -1,0 +1,72 @@
+"""The magnetised satellite-gyrostat on a circular orbit (Yehia & El-kenani 2021)."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ..system import Array, Flags, Mask, Points, System, check_inertia
+from . import conditions, equations, start
+
+GEOMETRIES = {
+    "none": "drifting or unresolved",
+    "cylindrical": "the third axis stays on the orbit normal",
+    "perp_radius": "the third axis is at rest in the orbital frame, perpendicular to the radius",
+    "perp_velocity": "the third axis is at rest in the orbital frame, perpendicular to the velocity",
+    "oblique": "the third axis is at rest in the orbital frame in another direction",
+    "general": "the third axis precesses in the orbital frame",
+}
+
+
+def geometry(
+    measured: dict[str, Array], steady: Mask, cylinder: Mask, rate_tolerance: float, angle_tolerance: float
+) -> Flags:
+    """Geometry of the measured motion, int8 flags of GEOMETRIES; steady and cylinder are bool.
+
+    The direction of the third axis is its mean over the run; angle_tolerance in rad.
+    """
+    kinds = [
+        ~steady,
+        cylinder,
+        np.abs(measured["psi_dot_mean"]) > rate_tolerance,
+        np.abs(measured["axis_1"]) <= angle_tolerance,
+        np.abs(measured["axis_2"]) <= angle_tolerance,
+    ]
+    values = [0, 1, 5, 2, 3]
+    return np.asarray(np.select(kinds, values, 4)).astype(np.int8)
+
+
+def warn(points: Points) -> list[str]:
+    """Remarks on a set of points that a user should see; labels speak of the third axis alone."""
+    A, B, C = points["A"], points["B"], points["C"]
+    other = (A != B) & ((B == C) | (A == C))
+    if not other.any():
+        return []
+    return [
+        f"{other.sum()} points have A != B but B = C or A = C: labels speak of the third axis, so a steady"
+        " motion about the body's axis of symmetry reads as drifting"
+    ]
+
+
+SATELLITE = System(
+    name="satellite",
+    title="magnetised satellite-gyrostat on a circular orbit",
+    frame="orbital",
+    reference="H. M. Yehia, H. N. El-kenani, J. Appl. Comput. Mech. 7(4) (2021) 2120-2128",
+    doi="10.22055/JACM.2021.37913.3113",
+    equations=equations,
+    parameters=start.PARAMETERS,
+    constants=start.constants,
+    start=start.start,
+    check=check_inertia,
+    conserved=start.conserved,
+    frequency_bound=start.frequency_bound,
+    steady=start.steady,
+    families=conditions.FAMILIES,
+    recognise=conditions.recognise,
+    condition_residual=conditions.condition_residual,
+    geometries=GEOMETRIES,
+    geometry=geometry,
+    frame_rate=lambda points: points["Omega"],
+    complete=lambda points: points["Omega"] > 0,
+    warnings=warn,
+)

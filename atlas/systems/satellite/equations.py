@@ -1,0 +1,93 @@
+"""Euler-Poisson equations of the magnetised satellite-gyrostat on a circular orbit.
+
+Derived from the kinematics (1), Lagrangian (2) and potential (3) of Yehia & El-kenani 2021
+(doi 10.22055/JACM.2021.37913.3113); `tests/test_satellite_equations.py` repeats the derivation.
+All vectors are given in the body's principal axes: w is the absolute angular velocity, a (alpha) the
+unit vector along the radius, g (gamma) the unit normal of the orbit; beta = gamma x alpha.
+
+    I w' = (I w + k) x w + 3 Omega^2 a x (I a) + H x mu,     H = h1 a + h3 g
+    a' = a x u,   g' = g x u,                                u = w - Omega g
+
+Every function takes the state and the constants as sequences in the order of STATE and CONSTANTS and
+is plain arithmetic: the engine pastes the text into its kernels (scalars), and arrays of one shape
+work as well. So nothing may be imported here, and no name may be used but those of this file.
+"""
+
+STATE = ("w1", "w2", "w3", "a1", "a2", "a3", "g1", "g2", "g3")
+CONSTANTS = (
+    "A", "B", "C", "A_inv", "B_inv", "C_inv", "Omega", "gravity",
+    "k1", "k2", "k3", "mu1", "mu2", "mu3", "h1", "h3",
+)  # fmt: skip
+# The functions below that are first integrals.
+INTEGRALS = ("jacobi", "length_alpha", "length_gamma", "length_sum", "axial_momentum")
+
+
+def rhs(state, constants):
+    """Time derivatives of the state; gravity stands for 3 Omega^2."""
+    w1, w2, w3, a1, a2, a3, g1, g2, g3 = state
+    A, B, C, A_inv, B_inv, C_inv, Omega, gravity, k1, k2, k3, mu1, mu2, mu3, h1, h3 = constants
+    L1, L2, L3 = A * w1 + k1, B * w2 + k2, C * w3 + k3
+    H1, H2, H3 = h1 * a1 + h3 * g1, h1 * a2 + h3 * g2, h1 * a3 + h3 * g3
+    u1, u2, u3 = w1 - Omega * g1, w2 - Omega * g2, w3 - Omega * g3
+    return (
+        (L2 * w3 - L3 * w2 + gravity * (C - B) * a2 * a3 + H2 * mu3 - H3 * mu2) * A_inv,
+        (L3 * w1 - L1 * w3 + gravity * (A - C) * a3 * a1 + H3 * mu1 - H1 * mu3) * B_inv,
+        (L1 * w2 - L2 * w1 + gravity * (B - A) * a1 * a2 + H1 * mu2 - H2 * mu1) * C_inv,
+        a2 * u3 - a3 * u2,
+        a3 * u1 - a1 * u3,
+        a1 * u2 - a2 * u1,
+        g2 * u3 - g3 * u2,
+        g3 * u1 - g1 * u3,
+        g1 * u2 - g2 * u1,
+    )
+
+
+def frame_motion(state, constants):
+    """Angular velocity relative to the orbital frame, w - Omega g, and that frame's vertical, g."""
+    w1, w2, w3, a1, a2, a3, g1, g2, g3 = state
+    Omega = constants[6]
+    return w1 - Omega * g1, w2 - Omega * g2, w3 - Omega * g3, g1, g2, g3
+
+
+def axis_in_frame(state, constants):
+    """Components of the third body axis along the radius and along the velocity."""
+    w1, w2, w3, a1, a2, a3, g1, g2, g3 = state
+    return a3, g1 * a2 - g2 * a1
+
+
+# First integrals, each as the tuple of its terms: the drift of the sum is held against their size.
+
+
+def jacobi(state, constants):
+    """Jacobi integral L2 - L0 + V of (2) and (3), written in absolute rates."""
+    w1, w2, w3, a1, a2, a3, g1, g2, g3 = state
+    A, B, C, A_inv, B_inv, C_inv, Omega, gravity, k1, k2, k3, mu1, mu2, mu3, h1, h3 = constants
+    return (
+        0.5 * (A * w1 * w1 + B * w2 * w2 + C * w3 * w3),
+        -Omega * (g1 * (A * w1 + k1) + g2 * (B * w2 + k2) + g3 * (C * w3 + k3)),
+        0.5 * gravity * (A * a1 * a1 + B * a2 * a2 + C * a3 * a3),
+        h1 * (mu1 * a1 + mu2 * a2 + mu3 * a3) + h3 * (mu1 * g1 + mu2 * g2 + mu3 * g3),
+    )
+
+
+def length_alpha(state, constants):
+    """|alpha|^2 = 1."""
+    a1, a2, a3 = state[3:6]
+    return a1 * a1, a2 * a2, a3 * a3
+
+
+def length_gamma(state, constants):
+    """|gamma|^2 = 1."""
+    g1, g2, g3 = state[6:9]
+    return g1 * g1, g2 * g2, g3 * g3
+
+
+def length_sum(state, constants):
+    """|alpha + gamma|^2 = 2, that is alpha . gamma = 0 with terms that cannot all vanish."""
+    w1, w2, w3, a1, a2, a3, g1, g2, g3 = state
+    return (a1 + g1) * (a1 + g1), (a2 + g2) * (a2 + g2), (a3 + g3) * (a3 + g3)
+
+
+def axial_momentum(state, constants):
+    """C w3 + k3, conserved if A = B and neither rotor nor magnet has a transverse part."""
+    return constants[2] * state[2], constants[10]

@@ -1,0 +1,78 @@
+"""Write the tables of docs/scenes.md and docs/satellite.md from the registries; --check only compares.
+
+python scripts/make_docs.py [--check]
+"""
+
+from __future__ import annotations
+
+import re
+import sys
+from pathlib import Path
+
+import numpy as np
+
+from atlas.systems import SYSTEMS
+from atlas.systems.system import System
+from atlas.variables import variables
+
+DOCS = Path(__file__).parent.parent / "docs"
+
+
+def table(rows: list[tuple[str, ...]]) -> str:
+    """Rows, the first one the heading, as a Markdown table."""
+    lines = ["| " + " | ".join(cell.replace("|", "\\|") for cell in row) + " |" for row in rows]
+    return "\n".join([lines[0], "|" + "---|" * len(rows[0]), *lines[1:]])
+
+
+def parameters(system: System) -> str:
+    rows = [("parameter", "unit", "default", "allowed", "meaning")]
+    for p in system.parameters.values():
+        low = "" if np.isinf(p.low) else f"{'>' if p.open_low else '>='} {p.low:g}"
+        default = "" if np.isnan(p.default) else f"{p.default:g}"
+        rows.append((f"`{p.name}`", p.unit, default, low, p.meaning))
+    return table(rows)
+
+
+def dataset(system: System) -> str:
+    rows = [("variable", "type", "unit or flags", "meaning")]
+    for v in variables(system).values():
+        what = ", ".join(v.flags) if v.flags else v.units
+        rows.append((f"`{v.name}`", v.dtype, what, v.long_name + (f" ({v.comment})" if v.comment else "")))
+    return table(rows)
+
+
+def families(system: System) -> str:
+    rows = [("family", "equations", "solves for", "motion", "conditions")]
+    for f in system.families.values():
+        rows.append(
+            (f"`{f.name}`", f.equations, ", ".join(f.solve), f.title, "; ".join(c.text for c in f.conditions))
+        )
+    return table(rows)
+
+
+TABLES = {"parameters": parameters, "variables": dataset, "families": families}
+
+
+def filled(text: str) -> str:
+    """The text with every <!-- NAME SYSTEM --> ... <!-- end --> replaced by its table."""
+
+    def make(found: re.Match[str]) -> str:
+        return f"<!-- {found[1]} {found[2]} -->\n{TABLES[found[1]](SYSTEMS[found[2]])}\n<!-- end -->"
+
+    return re.sub(r"<!-- (\w+) (\w+) -->\n.*?<!-- end -->", make, text, flags=re.S)
+
+
+def main() -> int:
+    stale = []
+    for path in sorted(DOCS.glob("*.md")):
+        text = path.read_text()
+        if filled(text) != text:
+            stale.append(path.name)
+            if "--check" not in sys.argv:
+                path.write_text(filled(text))
+    print(f"{'stale' if '--check' in sys.argv else 'written'}: {', '.join(stale) or 'nothing'}")
+    return int(bool(stale) and "--check" in sys.argv)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

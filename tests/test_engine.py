@@ -1,0 +1,272 @@
+"""The engine: order, sameness, statistics as good as the states, and a cache that is never stale."""
+
+import ast
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.integrate import solve_ivp
+from scipy.special import ellipj, ellipk
+
+import atlas
+from atlas.engine import jit, lanes, measure, steps
+from atlas.engine.runge_kutta import METHODS
+from atlas.evaluate import kernel
+from atlas.systems import SYSTEMS
+
+SATELLITE = SYSTEMS["satellite"]
+
+
+def points(count: int, seed: int = 0, **given) -> dict[str, np.ndarray]:
+    """Random satellites: every parameter drawn, then those given."""
+    rng = np.random.default_rng(seed)
+    found = {name: rng.normal(size=count) * 0.4 for name in SATELLITE.parameters}
+    found |= {
+        "A": rng.uniform(1, 1.4, count),
+        "B": rng.uniform(1, 1.4, count),
+        "C": rng.uniform(0.6, 1.9, count),
+    }
+    found |= {"Omega": rng.uniform(0.5, 1.5, count), "theta0": rng.uniform(0.2, 2.9, count)}
+    return found | {name: np.full(count, float(value)) for name, value in given.items()}
+
+
+def integrate(p, counts, duration, *, method="rk4", threads=1, stride=1, cylinder=1e-5):
+    """(measured, final state) of points with the given numbers of steps."""
+    counts = np.broadcast_to(counts, p["A"].shape).astype(np.int64)
+    strides = np.full(counts.shape, stride)
+    state, constants = np.ascontiguousarray(SATELLITE.start(p)), np.ascontiguousarray(SATELLITE.constants(p))
+    scales = measure.scales(SATELLITE.equations, state, constants, SATELLITE.conserved(p))
+    out = lanes.integrate(
+        kernel(SATELLITE, method), lanes.plan(counts, strides), duration / counts, state, constants, scales,
+        cylinder, threads=threads,
+    )  # fmt: skip
+    return measure.finish(out, counts // strides), state
+
+
+def reference(p, i, duration):
+    """Final state of point i by DOP853, and its trajectory."""
+    state, constants = SATELLITE.start(p)[:, i], SATELLITE.constants(p)[:, i]
+    solved = solve_ivp(
+        lambda t, y: SATELLITE.equations.rhs(y, constants), (0, duration), state, "DOP853", rtol=1e-13, atol=1e-14,
+        dense_output=True,
+    )  # fmt: skip
+    return solved.y[:, -1], solved.sol, constants
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_order_of_the_method(method):
+    p, duration = points(6), 6.0
+    exact = np.stack([reference(p, i, duration)[0] for i in range(6)], axis=1)
+    order = METHODS[method].order
+    coarse = 160 if order == 4 else 40
+    errors = [np.abs(integrate(p, coarse * k, duration, method=method)[1] - exact).max() for k in (1, 2)]
+    assert np.log2(errors[0] / errors[1]) == pytest.approx(order, abs=0.35)
+
+
+def test_planar_libration_is_a_jacobi_function():
+    """Theta = 0 stays, the body librates about the radius: chi'' + 3 (B - A)/C Omega^2 sin chi cos chi = 0."""
+    A, B, C, Omega, rate = 1.0, 1.3, 1.1, 0.9, 0.4
+    p = points(1, A=A, B=B, C=C, Omega=Omega, m=rate, n=0, theta0=0, psi0=0, phi0=0, theta_dot0=0, k1=0, k2=0,
+               mu1=0, mu2=0, mu3=0, h1=0, h3=0)  # fmt: skip
+    q, duration = Omega * np.sqrt(3 * (B - A) / C), 12.0
+    k = rate / q
+    assert k < 1
+    _, state = integrate(p, 3000, duration)
+    sn, _, _, _ = ellipj(q * duration, k * k)
+    chi = np.arcsin(k * sn)  # alpha = (cos chi, -sin chi, 0), starting at chi = 0 with chi' = rate
+    assert ellipk(k * k) / q < duration
+    np.testing.assert_allclose(state[3:6, 0], [np.cos(chi), -np.sin(chi), 0.0], atol=2e-10)
+
+
+def test_statistics_are_as_good_as_the_states():
+    """Means and spreads against quadrature of a tight reference, at two steps: fourth order."""
+    p, duration = points(60, seed=3), 8.0
+    rough, _ = integrate(p, 200, duration)
+    away = np.flatnonzero((rough["theta_min"] > 0.5) & (rough["theta_max"] < 2.6))[:4]
+    assert away.size == 4
+    p = {name: values[away] for name, values in p.items()}
+    errors = []
+    for counts, stride in ((320, 4), (640, 4)):
+        measured, _ = integrate(p, counts, duration, stride=stride)
+        worst = 0.0
+        for i in range(4):
+            _, sol, constants = reference(p, i, duration)
+            nodes, weights = np.polynomial.legendre.leggauss(400)
+            t = 0.5 * duration * (nodes + 1)
+            u1, u2, u3, g1, g2, g3 = SATELLITE.equations.frame_motion(sol(t), constants)
+            s2 = g1**2 + g2**2
+            psi_dot = (u1 * g1 + u2 * g2) / s2
+            rates = {
+                "theta_dot": (u1 * g2 - u2 * g1) / np.sqrt(s2),
+                "psi_dot": psi_dot,
+                "phi_dot": u3 - psi_dot * g3,
+                "normal_rate": u1 * g1 + u2 * g2 + u3 * g3,
+            }
+            for name, values in rates.items():
+                mean = 0.5 * weights @ values
+                square = 0.5 * weights @ values**2
+                std = np.sqrt(square - mean**2)
+                worst = max(worst, abs(measured[f"{name}_std"][i] - std))
+                if name == "theta_dot":
+                    worst = max(worst, abs(measured["theta_dot_rms"][i] - np.sqrt(square)))
+                else:
+                    worst = max(worst, abs(measured[f"{name}_mean"][i] - mean))
+        errors.append(worst)
+    assert errors[0] < 1e-5
+    assert errors[1] < errors[0] / 10
+
+
+def test_results_do_not_depend_on_threads_blocks_or_neighbours():
+    p = points(100, seed=5)
+    counts = np.random.default_rng(1).choice([32, 48, 64], 100)
+    measured, state = integrate(p, counts, 3.0)
+    for threads, order in ((2, np.arange(100)), (1, np.arange(100)[::-1]), (3, np.arange(0, 100, 7))):
+        again, final = integrate({k: v[order] for k, v in p.items()}, counts[order], 3.0, threads=threads)
+        np.testing.assert_array_equal(final, state[:, order])
+        for name, values in again.items():
+            np.testing.assert_array_equal(values, measured[name][order], err_msg=name)
+
+
+def test_nan_and_overflow_stay_visible():
+    p = points(3, seed=6)
+    p["k1"][1] = 1e200
+    measured, state = integrate(p, 64, 3.0)
+    assert np.isfinite(state[:, [0, 2]]).all()
+    assert not np.isfinite(state[:, 1]).all()
+    assert np.isfinite(measured["theta_dot_rms"][[0, 2]]).all()
+
+
+@given(st.integers(13, 200), st.integers(0, 7))
+def test_gregory_weights_are_positive_and_exact_for_polynomials(intervals, degree):
+    w = measure.weights(intervals)
+    assert (w > 0).all()
+    x = np.linspace(0, 1, intervals + 1)
+    assert (w / intervals) @ x**degree == pytest.approx(1 / (degree + 1), rel=1e-12)
+
+
+@given(st.floats(0, np.pi))
+def test_tilt_gives_theta_back_at_both_poles(theta):
+    g = np.array([np.sin(theta), 0.0, np.cos(theta)])
+    _, _, _, _, s2, tilt, _ = measure.sample((0.0, 0.0, 0.0, *g), 0.0)
+    assert measure.angle(np.asarray(tilt)) == pytest.approx(theta, abs=5e-16, rel=1e-14)
+    assert s2 == g[0] ** 2
+
+
+@given(
+    st.floats(1e-3, 1e4),
+    st.floats(1e-3, 1e5),
+    st.sampled_from([1e-4, 1e-6, 1e-8, 1e-10]),
+    st.sampled_from(list(METHODS)),
+)
+def test_steps_follow_from_the_point_alone(bound, duration, tolerance, method):
+    chosen = steps.choose(
+        METHODS[method], np.array([bound, 1.0]), np.array([duration, 3.0]), tolerance=tolerance, step=None,
+        max_steps=10**9,
+    )  # fmt: skip
+    alone = steps.choose(
+        METHODS[method],
+        np.array([bound]),
+        np.array([duration]),
+        tolerance=tolerance,
+        step=None,
+        max_steps=10**9,
+    )
+    assert chosen.count[0] == alone.count[0]
+    assert chosen.count[0] % chosen.stride[0] == 0
+    assert chosen.length[0] * chosen.count[0] == pytest.approx(duration, rel=1e-14)
+    if chosen.count[0] < 10**9 // 2:
+        assert chosen.phase_error[0] <= tolerance * (1 + 1e-9)
+
+
+def test_a_given_step_is_kept():
+    chosen = steps.choose(
+        METHODS["rk4"], np.array([2.0]), np.array([10.0]), tolerance=1e-8, step=0.01, max_steps=10**8
+    )
+    assert chosen.length[0] <= 0.01
+    assert chosen.length[0] > 0.0098
+    assert chosen.step_ratio[0] == pytest.approx(chosen.length[0] * 2.0 / np.sqrt(8))
+
+
+def test_stability_limit_on_the_imaginary_axis():
+    """|R(iy)| <= 1 up to the limit in the table and > 1 beyond; phase and damping constants as y -> 0."""
+    for method in METHODS.values():
+        a = np.zeros((method.stages, method.stages))
+        for i, row in enumerate(method.a):
+            a[i, : len(row)] = row
+
+        def amplification(y, a=a, method=method):
+            b = np.array(method.b)
+            return 1 + 1j * y * b @ np.linalg.solve(np.eye(len(b)) - 1j * y * a, np.ones(len(b)))
+
+        inside = np.linspace(0.05, method.stability * (1 - 1e-6), 400)
+        assert max(abs(amplification(y)) for y in inside) <= 1 + 1e-12
+        assert abs(amplification(method.stability * 1.001)) > 1
+        y = 0.1 if method.order == 4 else 0.6
+        phase = abs(np.angle(amplification(y) * np.exp(-1j * y)))
+        assert phase / y ** (method.order + 1) == pytest.approx(method.phase, rel=0.1)
+        damping = 1 - abs(amplification(y))
+        assert damping / y**method.damping_order == pytest.approx(method.damping, rel=0.1)
+
+
+def test_an_edited_line_is_never_answered_by_a_stale_kernel(tmp_path):
+    """A copy of the package, one sign of the right-hand side edited: the result must change; a comment must not."""
+    shutil.copytree(
+        Path(atlas.__file__).parent, tmp_path / "atlas", ignore=shutil.ignore_patterns("__pycache__")
+    )
+    code = (
+        "import atlas; from atlas.evaluate import kernel_hash; from atlas.systems import SYSTEMS\n"
+        "ds = atlas.label_points('satellite', dict(theta0=0.4, n=0.3, k3=0.2), duration=5.0, tolerance=1e-6)\n"
+        "print(kernel_hash(SYSTEMS['satellite'], 'rk4'), float(ds.theta_dot_rms[0]).hex())"
+    )
+
+    def result() -> list[str]:
+        done = subprocess.run(
+            [sys.executable, "-c", code], cwd=tmp_path, capture_output=True, text=True, check=True,
+            env={"PATH": "", "ATLAS_CACHE": str(tmp_path / "cache"), "HOME": str(tmp_path)},
+        )  # fmt: skip
+        return done.stdout.split()
+
+    path = tmp_path / "atlas" / "systems" / "satellite" / "equations.py"
+    original = path.read_text()
+    first = result()
+    assert result() == first
+    path.write_text(original.replace("L1, L2, L3 =", "# a comment\n    L1, L2, L3 =", 1))
+    assert result() == first
+    edited = original.replace("gravity * (C - B) * a2 * a3", "gravity * (B - C) * a2 * a3", 1)
+    assert edited != original
+    path.write_text(edited)
+    changed = result()
+    assert changed[0] != first[0]
+    assert changed[1] != first[1]
+
+
+def test_cache_that_cannot_be_written_compiles_in_memory(tmp_path, monkeypatch):
+    blocked = tmp_path / "file"
+    blocked.write_text("")
+    monkeypatch.setenv("ATLAS_CACHE", str(blocked))
+    source = jit.HEADER + "\n\n" + jit.KERNEL + "\ndef integrate(x):\n    return x + 1.0\n"
+    with pytest.warns(UserWarning, match="compiling in memory"):
+        module = jit.load(source)
+    assert module.integrate(1.0) == 2.0
+
+
+def test_cache_is_listed_and_cleared(tmp_path, monkeypatch):
+    monkeypatch.setenv("ATLAS_CACHE", str(tmp_path / "kernels"))
+    source = jit.HEADER + "\n\n" + jit.KERNEL + "\ndef integrate(x):\n    return x + 2.0\n"
+    assert jit.load(source).integrate(1.0) == 3.0
+    assert len(jit.cached()) == 1
+    assert jit.clear() == 1
+    assert jit.cached() == []
+
+
+def test_kernel_source_is_the_physics_as_written():
+    source = lanes.source(SATELLITE.equations, "rk4")
+    tree = ast.parse(source)
+    names = {node.name for node in tree.body if isinstance(node, ast.FunctionDef)}
+    assert {"rhs", "frame_motion", "sample", "integrate", *SATELLITE.equations.INTEGRALS} <= names
+    assert jit.digest(source) == jit.digest(source.replace("\n\n", "\n\n# note\n"))

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import xarray as xr
-from scipy.stats import beta
+from scipy.special import betaincinv
 
 from .systems.system import BadInput
 
@@ -244,7 +244,7 @@ class Atlas:
             least, most = _extremes(values, len(dims), inner=True, step=2)
             calm += int((low == high).sum())
             missed += int(((low == high) & (least != most)).sum())
-        bound = float(beta.ppf(0.95, missed + 1, calm - missed)) if calm > missed else 1.0
+        bound = float(betaincinv(missed + 1, calm - missed, 0.95)) if calm > missed else 1.0
         share = np.array(shares)
         known = share > 0
         slope = np.nan

@@ -13,6 +13,8 @@ from .variables import AGREEMENT, LABELS
 STABLE, UNSTABLE = 1, 2
 # A start whose sin theta is below this is on the vertical: np.pi itself has sin 1.2e-16.
 ON_VERTICAL = 1e-12
+# Beyond this, products of parameters overflow and residuals mean nothing: theory is silent.
+LARGEST = 1e60
 # Near the analytical boundary growth is slow and stable motions swing wide: a share of the axis range.
 BAND = 0.02
 # An unstable motion nudged by 1e-4 and watched with a tolerance of 1e-3 may survive growth by e^12.
@@ -26,13 +28,9 @@ def theory(system: System, points: Points, rate_tolerance: float, nudged: bool) 
     label if the motion is linearly stable, drifting if unstable, 0 if unknown. Off every family:
     drifting once the system's catalogue is complete, else 0.
     """
-    family, _ = system.recognise(points)
-    stable = np.zeros(family.shape, np.int8)
-    growth = np.full(family.shape, np.nan)
-    for member in system.families.values():
-        on = np.flatnonzero(family == member.flag)
-        if on.size and member.stability is not None:
-            stable[on], growth[on] = member.stability({name: values[on] for name, values in points.items()})
+    within = np.all([~(np.abs(values) > LARGEST) for values in points.values()], axis=0)
+    family = np.where(within, system.recognise(points)[0], 0).astype(np.int8)
+    stable, growth = system.linear_stability(points, family)
     sine, n, m = system.steady(points)
     result = {"family": family, "stable": stable, "growth_rate": growth}
     frames = {"predicted": n}
@@ -42,7 +40,7 @@ def theory(system: System, points: Points, rate_tolerance: float, nudged: bool) 
         label = steady_label(rate, m, np.abs(sine) < ON_VERTICAL, rate_tolerance)
         if nudged:
             label = np.select([stable == STABLE, stable == UNSTABLE], [label, DRIFTING], NOT_COMPUTED)
-        off = np.where(system.complete(points), DRIFTING, NOT_COMPUTED)
+        off = np.where(system.complete(points) & within, DRIFTING, NOT_COMPUTED)
         result[name] = np.where(family > 0, label, off).astype(np.int8)
     return result
 

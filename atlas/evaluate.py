@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from functools import cache
 from types import ModuleType
 
@@ -34,6 +34,7 @@ def evaluate(
     duration: Array,
     settings: Settings,
     *,
+    outputs: Collection[str] = (),
     nudged: bool = False,
     there: np.ndarray | None = None,
     threads: int | None = None,
@@ -43,12 +44,13 @@ def evaluate(
 
     base: the points before the nudge, for theory; points: the starts to integrate; there: bool, the
     others are not computed (their flags are 0, their numbers nan). duration: (points,), time units.
+    outputs: the system's layers to compute as well are those named here.
     """
     if there is not None and not there.all():
         where = np.flatnonzero(there)
         part = evaluate(
             system, _take(base, where), _take(points, where), duration[where], settings,
-            nudged=nudged, threads=threads, progress=progress,
+            outputs=outputs, nudged=nudged, threads=threads, progress=progress,
         )  # fmt: skip
         return {name: _spread(values, there) for name, values in part.items()}
 
@@ -115,6 +117,9 @@ def evaluate(
         "end_time": duration.copy(),
         "agreement": compare.agreement(result["label"], theory["predicted"]),
     }
+    for name, layer in system.layers.items():
+        if name in outputs:
+            result[name] = layer.values(base, duration)
     return result
 
 

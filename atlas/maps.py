@@ -457,15 +457,18 @@ def atlas_map(
     with rc_context(STYLE):
         figure, axes = _figure(len(panels), width, len(dims), bool(flag_names(array)), text)
         paint, legend = _paint(array)
+        log = [scene is not None and axes_of(scene)[d].table.get("spacing") == "log" for d in dims]
+        across = _across(len(panels), width)
         image = None
         for i, (one, ax) in enumerate(zip(panels, axes, strict=True)):
             values = array if panel_dim is None else array.isel({panel_dim: i})
-            log = [scene is not None and axes_of(scene)[d].table.get("spacing") == "log" for d in dims]
             image = _draw(ax, values, dims, log, paint)
             if theory and scene is not None:
                 legend |= _overlay(ax, scene, one, dims)
-            ax.set_xlabel(axis_label(ds, dims[0]))
-            if len(dims) == 2:
+            if i + across >= len(axes):  # nothing below it
+                ax.set_xlabel(axis_label(ds, dims[0]))
+                ax.tick_params(labelbottom=True)
+            if len(dims) == 2 and i % across == 0:
                 ax.set_ylabel(axis_label(ds, dims[1]))
             if panel_dim is not None:
                 unit = unit_text(str(one[panel_dim].attrs.get("units", "")))
@@ -506,12 +509,12 @@ def _dims(ds: xr.Dataset, x: str | None, y: str | None) -> tuple[list[str], str 
     if x is not None and x == y:
         raise BadInput(f"x = y = {x!r}: a map needs two axes")
     longest = sorted((d for d in every if d not in (x, y)), key=lambda d: -ds.sizes[d])
-    for _ in range(2 - sum(d is not None for d in (x, y))):
-        if longest:
-            dim = longest.pop(0)
-            if x is None and y is None and longest and every.index(longest[0]) < every.index(dim):
-                dim, longest[0] = longest[0], dim
-            x, y = (dim, y) if x is None else (x, dim)
+    room = (x is None) + (y is None)
+    chosen, longest = sorted(longest[:room], key=every.index), longest[room:]
+    if x is None and chosen:
+        x = chosen.pop(0)
+    if y is None and chosen:
+        y = chosen.pop(0)
     for dim in longest:
         if len(longest) > 1 or ds.sizes[dim] > MOST_PANELS:
             raise BadInput(
@@ -520,9 +523,14 @@ def _dims(ds: xr.Dataset, x: str | None, y: str | None) -> tuple[list[str], str 
     return [d for d in (x, y) if d is not None], (longest[0] if longest else None)
 
 
+def _across(panels: int, width: Width) -> int:
+    """Panels in a row."""
+    return min(panels, 2 if width == "column" else 4)
+
+
 def _figure(panels: int, width: Width, axes: int, flags: bool, text: str) -> tuple[Figure, list[Axes]]:
     """An empty figure of the journal's width with its panels, and room for the text at its foot."""
-    across = min(panels, 2 if width == "column" else 4)
+    across = _across(panels, width)
     down = -(-panels // across)
     wide = WIDTHS[width]
     panel = 0.72 * wide / across if axes == 2 else (18.0 if flags else 0.6 * wide / across)
@@ -667,9 +675,7 @@ def _finish(
     legend: dict[str, Patch | Line2D],
     width: Width,
 ) -> None:
-    """Outer labels, colour bar and legend."""
-    for ax in axes:
-        ax.label_outer()
+    """Colour bar and legend."""
     if image is not None and not flag_names(array):
         bar = figure.colorbar(image, ax=axes, pad=0.02, extend=extend, aspect=25)
         bar.set_label(variable_label(array))
@@ -699,7 +705,8 @@ def trajectory_figure(tr: xr.Dataset, *, width: Width = "page") -> Figure:
     """Angles and rates over time, and the path of the third body axis on the unit sphere of the frame.
 
     tr: as `atlas.trajectory` returns it. psi and phi are shown between -pi and pi; the path is dark on
-    the near side of the sphere and pale on the far side, with a dot at its start.
+    the near side of the sphere and pale on the far side, with a dot at its start. Where a passage near
+    the vertical makes rates more than ten times their 90 % quantile, the panel ends at three times that.
     """
     if width not in WIDTHS:
         raise BadInput(f"width = {width!r}: allowed: {', '.join(WIDTHS)}")
@@ -731,6 +738,10 @@ def trajectory_figure(tr: xr.Dataset, *, width: Width = "page") -> Figure:
         rate.set_ylabel("rates (rad s$^{-1}$)")
         rate.set_xlabel(f"time ({unit_text(str(tr['time'].attrs.get('units', 's')))})")
         rate.set_xlim(time[0], time[-1])
+        magnitude = np.abs(np.concatenate([tr[name].values for name in RATES]))
+        usual = float(np.nanquantile(magnitude, 0.9))
+        if np.nanmax(magnitude) > 10 * usual > 0:
+            rate.set_ylim(-3 * usual, 3 * usual)
         for ax in (turn, rate):
             ax.legend(loc="center left", bbox_to_anchor=(1.0, 0.5), frameon=False, handlelength=1.6)
         left.align_ylabels()

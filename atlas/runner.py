@@ -53,7 +53,7 @@ def run(
         for indices, tile in _tiles(scene):
             values = evaluate(
                 scene.system, tile.base, tile.points, tile.duration, scene.settings,
-                nudged=bool(scene.nudge), there=tile.there, threads=threads,
+                outputs=scene.outputs, nudged=bool(scene.nudge), there=tile.there, threads=threads,
                 progress=None if bar is None else bar.advance,
             )  # fmt: skip
             for name, column in columns.items():
@@ -192,7 +192,7 @@ def label_points(
     bar = Progress(size) if progress else None
     began = time.perf_counter()
     kinds = variables(kind)
-    columns = {name: np.empty(size, v.dtype) for name, v in kinds.items()}
+    columns = {name: np.empty(size, v.dtype) for name, v in kinds.items() if name not in kind.layers}
     for first in range(0, size, grid.TILE):
         part = slice(first, first + grid.TILE)
         piece = {name: values[part] for name, values in full.items()}

@@ -419,7 +419,7 @@ def _outputs(system: System, table: Mapping[str, Any]) -> tuple[str, ...]:
     given = _table(table, "outputs")
     _known(given, "outputs.", ("variables",))
     allowed = variables(system)
-    listed = given.get("variables", list(allowed))
+    listed = given.get("variables", [name for name in allowed if name not in system.layers])
     if not isinstance(listed, list) or not listed:
         raise BadInput(f"outputs.variables = {listed!r}: must be a list of at least one variable name")
     for name in listed:

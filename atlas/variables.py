@@ -104,7 +104,10 @@ def variables(system: System) -> dict[str, Variable]:
     floats = [
         Variable(name, "float64", units, long_name, None, note) for name, units, long_name, note in real
     ]
-    every = {v.name: v for v in flag + floats}
+    layers = [
+        Variable(y.name, "float64", y.unit, y.long_name, None, y.comment) for y in system.layers.values()
+    ]
+    every = {v.name: v for v in flag + floats + layers}
     if system.frame_rate is None:
         del every["label_inertial"], every["predicted_inertial"]
     return every

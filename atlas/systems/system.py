@@ -70,6 +70,17 @@ class Family:
     paper_wording: str = ""
 
 
+@dataclass(frozen=True)
+class Layer:
+    """A quantity from theory that a scene may ask for as one more variable; computed only then."""
+
+    name: str
+    unit: str
+    long_name: str
+    values: Callable[[Points, Array], Array]  # (points before the nudge, duration) -> (points,)
+    comment: str = ""
+
+
 @dataclass(frozen=True, eq=False)
 class System:
     """One system of the mission: equations for the kernels, start, theory and names."""
@@ -93,6 +104,8 @@ class System:
     # (points) -> (flag of the first family whose conditions hold or 0, residual)
     recognise: Callable[[Points], tuple[Flags, Array]]
     condition_residual: Callable[[Points], Array]
+    # (points, family flags) -> (stable, growth_rate) of the steady motions, for every family at once
+    linear_stability: Callable[[Points, Flags], tuple[Flags, Array]]
     geometries: Mapping[str, str]  # flag name -> sentence, in the order of the flag values
     # (measured, steady, cylinder, rate_tolerance, angle_tolerance) -> flags of geometries
     geometry: Callable[..., Flags]
@@ -101,6 +114,19 @@ class System:
     # bool: where the families are all there is, so that a start off them is predicted to drift
     complete: Callable[[Points], Mask] = lambda points: np.zeros(points["n"].shape, bool)
     warnings: Callable[[Points], list[str]] = lambda points: []
+    layers: Mapping[str, Layer] = field(default_factory=dict)
+
+
+def stability_by_family(
+    families: Mapping[str, Family], points: Points, flags: Flags
+) -> tuple[Flags, Array]:
+    """Linear stability from each family's own formulas: unknown (0, nan) off them and where they are silent."""
+    stable, growth = np.zeros(flags.shape, np.int8), np.full(flags.shape, np.nan)
+    for family in families.values():
+        on = np.flatnonzero(flags == family.flag)
+        if on.size and family.stability is not None:
+            stable[on], growth[on] = family.stability({name: values[on] for name, values in points.items()})
+    return stable, growth
 
 
 def on_family(family: Family, points: Points) -> Array:

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from functools import partial
+
 import numpy as np
 from numpy.typing import NDArray
 
-from ..system import Array, Flags, System
+from ..system import Array, Flags, System, stability_by_family
 from . import conditions, equations, start
 
 GEOMETRIES = {
@@ -49,6 +51,7 @@ FIXED_POINT = System(
     families=conditions.FAMILIES,
     recognise=conditions.recognise,
     condition_residual=conditions.condition_residual,
+    linear_stability=partial(stability_by_family, conditions.FAMILIES),
     geometries=GEOMETRIES,
     geometry=geometry,
     complete=lambda points: np.ones(points["A"].shape, bool),

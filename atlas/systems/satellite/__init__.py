@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from ..system import Array, Flags, Mask, Points, System, check_inertia
-from . import conditions, equations, start
+from . import conditions, equations, stability, start
 
 GEOMETRIES = {
     "none": "drifting or unresolved",
@@ -64,6 +64,7 @@ SATELLITE = System(
     families=conditions.FAMILIES,
     recognise=conditions.recognise,
     condition_residual=conditions.condition_residual,
+    linear_stability=stability.linear_stability,
     geometries=GEOMETRIES,
     geometry=geometry,
     frame_rate=lambda points: points["Omega"],

@@ -22,7 +22,7 @@ from collections.abc import Mapping
 import numpy as np
 from numpy.typing import NDArray
 
-from ..system import Array, BadInput, Flags, Points
+from ..system import Array, BadInput, Flags, Points, stability_by_family
 from .conditions import FAMILIES, verdict
 from .start import PARAMETERS, start
 
@@ -110,12 +110,7 @@ def linear_stability(points: Points, family_flags: Flags) -> tuple[Flags, Array]
     grows like a power of t counts as stable. Unknown: rotations so slow that a period holds more
     oscillations than are integrated.
     """
-    stable = np.zeros(family_flags.shape, np.int8)
-    growth = np.full(family_flags.shape, np.nan)
-    for family in FAMILIES.values():
-        if family.stability is not None:
-            here = np.flatnonzero(family_flags == family.flag)
-            stable[here], growth[here] = family.stability({name: v[here] for name, v in points.items()})
+    stable, growth = stability_by_family(FAMILIES, points, family_flags)
     left = np.flatnonzero((family_flags > 0) & (stable == 0))
     for first in range(0, left.size, _BLOCK):
         here = left[first : first + _BLOCK]

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 __version__ = "0.1.0"
 
 if TYPE_CHECKING:
+    from .catalogue import equilibria as equilibria
     from .follow import trajectory as trajectory
     from .runner import label_points as label_points
     from .runner import run as run
@@ -21,6 +22,7 @@ _FACE = {
     "label_points": "runner",
     "open_atlas": "store",
     "trajectory": "follow",
+    "equilibria": "catalogue",
     "BadInput": "systems.system",
 }
 __all__ = [*_FACE, "__version__"]

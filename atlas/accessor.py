@@ -66,11 +66,11 @@ class Atlas:
         """The point nearest to values of some axes (or, among single points, of any parameters).
 
         Among single points distances are counted in the spread of each parameter. Raises BadInput for
-        names that are not there and for values outside the atlas.
+        names that are not there and for values outside the axes.
         """
         from .maps import nearest
 
-        if "point" not in self._ds.dims:
+        if "point" not in self._ds.dims or not coords:
             return nearest(self._ds, coords)
         distance = np.zeros(self._ds.sizes["point"])
         for name, value in coords.items():

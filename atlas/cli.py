@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import argparse
+import csv
+import json
 import sys
+import textwrap
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import NoReturn
@@ -68,6 +71,21 @@ def parser() -> argparse.ArgumentParser:
     sub = command("conditions", _conditions, "print the families of steady motions and their conditions")
     sub.add_argument("system", metavar="SYSTEM", nargs="?", default="satellite", help="default: satellite")
     sub.add_argument("--family", metavar="NAME", help="one family in detail")
+    sub.add_argument("--errata", action="store_true", help="the paper's equations that differ from the truth")
+    form = sub.add_mutually_exclusive_group()
+    form.add_argument("--csv", action="store_true", help="comma-separated values, one row for each")
+    form.add_argument("--json", action="store_true", help="JSON, with every printed equation")
+
+    sub = command("figures", _figures, "draw figures 1-20 of Amer et al., as printed and as true")
+    sub.add_argument("-o", "--out", default="figures", metavar="FOLDER", help="where to (default: figures)")
+    sub.add_argument("--only", type=int, nargs="+", metavar="N", help="which figures (default: all)")
+    sub.add_argument(
+        "--format", choices=("png", "pdf", "svg"), nargs="+", default=["png", "pdf"], help="default: png pdf"
+    )
+    sub.add_argument(
+        "--table", action="store_true", help="print amplitudes, periods and the paper's claims; draw nothing"
+    )
+    sub.add_argument("--force", action="store_true", help="replace existing figures")
 
     sub = command("cache", _cache, "list the compiled kernels")
     sub.add_argument("--clear", action="store_true", help="remove them")
@@ -168,28 +186,98 @@ def _map(options: argparse.Namespace) -> int:
 
 
 def _conditions(options: argparse.Namespace) -> int:
-    from . import systems
+    from . import catalogue, systems
 
     system = systems.get(options.system)
-    if options.family is not None:
-        if options.family not in system.families:
-            raise BadInput(f"--family {options.family}: unknown; allowed: {', '.join(system.families)}")
-        family = system.families[options.family]
-        print(f"{family.name} ({family.equations}): {family.title}")
-        print(
-            f"geometry: {family.geometry}"
-            + (f"; in the paper: {family.paper_wording}" if family.paper_wording else "")
-        )
-        print("conditions:")
-        for condition in family.conditions:
-            print(f"  {condition.text}")
-        print(f"can be solved for: {', '.join(family.solve) or 'nothing'}")
+    families = catalogue.families(system, options.family)
+    if options.json:
+        found: dict[str, object] = {"system": system.name, "reference": system.reference, "doi": system.doi}
+        found |= {} if options.errata else {"families": families}
+        found["printed"] = catalogue.printed(system, options.family, options.errata)
+        print(json.dumps(found, indent=1, ensure_ascii=False))
         return DONE
-    rows = [("family", "equations", "geometry", "solves for", "motion")]
-    rows += [
-        (f.name, f.equations, f.geometry, " ".join(f.solve) or "-", f.title) for f in system.families.values()
+    rows = catalogue.printed(system, options.family, errata=True) if options.errata else families
+    if options.csv:
+        writer = csv.DictWriter(sys.stdout, rows[0] if rows else ["equation"], lineterminator="\n")
+        writer.writeheader()
+        writer.writerows(
+            {key: "; ".join(value) if isinstance(value, list) else value for key, value in row.items()}
+            for row in rows
+        )
+        return DONE
+    if options.errata:
+        for row in rows:
+            print(f"{row['equation']}  {row['family']}".rstrip() + f": {row['verdict']}")
+            print(f"  printed: {row['printed']}\n  true:    {row['true']}")
+            if row["measure"]:
+                print(f"  residual as printed {_residual(row['residual_printed'])}, as true {_residual(row['residual_true'])}:"
+                      f" {row['measure']}")  # fmt: skip
+            if row["effect"]:
+                print(f"  {row['effect']}")
+        print(f"{len(rows)} equations differ; {system.reference}")
+        return DONE
+    if options.family is not None:
+        for key, value in rows[0].items():
+            text = _residual(value) if key.startswith("residual") else value
+            lines = text if isinstance(text, list) else textwrap.wrap(text, 100)
+            print(key.replace("_", " "), *(lines or ["-"]), sep="\n    ")
+        return DONE
+    columns = [("family", "equations", "solves for", "as printed", "as true", "motion")]
+    columns += [
+        (
+            row["family"], row["equations"], " ".join(row["solves_for"]) or "-",
+            _residual(row["residual_printed"]), _residual(row["residual_true"]), row["motion"],
+        )
+        for row in rows
+    ]  # fmt: skip
+    print(table(columns))
+    equations = [("equation", "family", "as printed", "as true", "verdict")]
+    equations += [
+        (
+            row["equation"], row["family"] or "-",
+            _residual(row["residual_printed"]), _residual(row["residual_true"]), row["verdict"],
+        )
+        for row in catalogue.printed(system)
+    ]  # fmt: skip
+    print(f"\n{system.reference}:\n{table(equations)}")
+    print(
+        "as printed, as true: residual of the two readings at random parameters (of a family: the largest of its"
+        " equations);\n--errata says what differs, --family NAME gives conditions and formulas"
+    )
+    return DONE
+
+
+def _residual(value: float | None) -> str:
+    return "-" if value is None else f"{value:.1e}"
+
+
+def _figures(options: argparse.Namespace) -> int:
+    from . import figures
+    from .maps import save
+    from .systems.fixed_point import perturbation
+
+    if options.table:
+        rows = perturbation.figure_table()
+        print(table(figures.amplitude_table(rows)))
+        for claim in perturbation.claims(rows):
+            print(f"\n{'holds' if claim.holds else 'does not hold'}: {claim.text}\n  {claim.measured}")
+        return DONE
+    wanted = [figures.paper_figure(number) for number in options.only or figures.NUMBERS]
+    folder = Path(options.out)
+    paths = [
+        [folder / f"figure_{figure.number:02d}.{kind}" for kind in options.format] for figure in wanted
     ]
-    print(table(rows))
+    for path in (path for row in paths for path in row):
+        if path.exists() and not options.force:
+            raise BadInput(f"{path}: this file exists; --force replaces it")
+    if folder.exists() and not folder.is_dir():
+        raise BadInput(f"{folder}: not a folder")
+    folder.mkdir(parents=True, exist_ok=True)
+    for figure, row in zip(wanted, paths, strict=True):
+        drawn = figures.draw(figure.number)
+        for path in row:
+            save(drawn, path)
+        print(f"wrote {' and '.join(str(path) for path in row)}: {figure.caption}")
     return DONE
 
 

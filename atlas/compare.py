@@ -32,7 +32,7 @@ def theory(system: System, points: Points, rate_tolerance: float, nudged: bool) 
     family = np.where(within, system.recognise(points)[0], 0).astype(np.int8)
     stable, growth = system.linear_stability(points, family)
     sine, n, m = system.steady(points)
-    result = {"family": family, "stable": stable, "growth_rate": growth}
+    result: dict[str, np.ndarray] = {"family": family, "stable": stable, "growth_rate": growth}
     frames = {"predicted": n}
     if system.frame_rate is not None:
         frames["predicted_inertial"] = n + system.frame_rate(points)

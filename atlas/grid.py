@@ -70,7 +70,8 @@ def take(scene: Scene, indices: np.ndarray) -> Grid:
                 base[axis.name] = base[axis.name] + np.asarray(axis.values)[where]
         if there.any():
             system.check({name: values[there] for name, values in base.items()})
-    points = {name: base[name] + scene.nudge.get(name, 0.0) for name in base}
+    start = system.by_angles(base) if scene.nudges_angles else base
+    points = {name: start[name] + scene.nudge.get(name, 0.0) for name in base}
     return Grid(base, points, there, durations(system, scene.duration, base))
 
 
@@ -108,6 +109,13 @@ def check(scene: Scene) -> Grid:
     grid = take(scene, indices)
     if not grid.there.any():
         raise BadInput(f"family.name = {scene.family!r}: {_why_not(scene, indices)}")
+    some = {name: values[grid.there] for name, values in grid.base.items()}
+    for name, layer in scene.system.layers.items():
+        if name in scene.outputs:
+            try:
+                layer.check(some)
+            except BadInput as complaint:
+                raise BadInput(f"outputs.variables: {name}: {complaint}") from None
     return grid
 
 

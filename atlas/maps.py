@@ -87,10 +87,10 @@ STATISTICS = {"mean": "mean", "rms": "rms", "std": "standard deviation of", "min
 def flag_colours(meanings: Iterable[str]) -> dict[str, str]:
     """A colour for each flag of a variable, the same in every figure: the first is white."""
     names = list(meanings)
-    shades = colormaps["cividis"](np.linspace(0.97, 0.0, max(len(names) - 1, 1)))
+    # even steps of luminance from white, which continues the map beyond its light end
+    shades = colormaps["cividis"](np.linspace(1.1, 0.0, len(names)))
     return {
-        name: COLOURS.get(name, "#ffffff" if i == 0 else to_hex(shades[i - 1]))
-        for i, name in enumerate(names)
+        name: COLOURS.get(name, "#ffffff" if i == 0 else to_hex(shades[i])) for i, name in enumerate(names)
     }
 
 
@@ -605,7 +605,8 @@ def _draw(ax: Axes, array: xr.DataArray, dims: list[str], log: list[bool], paint
         shown = values
         if isinstance(paint.norm, LogNorm):
             ax.set_yscale("log")
-            shown = np.where(values > 0, np.maximum(values, float(paint.norm.vmin or 0)), np.nan)
+            shown = np.where(values > 0, values, np.nan)
+            ax.set_ylim(0.5 * float(paint.norm.vmin or 0), 2 * float(paint.norm.vmax or 1))
         ax.plot(array[dims[0]].values, shown, color=COLOURS["regular_precession"])
         ax.set_ylabel(variable_label(array))
     else:

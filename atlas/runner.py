@@ -12,7 +12,7 @@ import numpy as np
 import xarray as xr
 
 from . import grid, store, systems
-from .evaluate import evaluate, kernel_hash
+from .evaluate import Special, evaluate, evaluate_tile, kernel_hash, scene_kernel_hash
 from .progress import Progress
 from .scene import Scene, Settings, check_range
 from .systems.system import BadInput, System
@@ -51,11 +51,9 @@ def run(
     _log(remarks)
     try:
         for indices, tile in _tiles(scene):
-            values = evaluate(
-                scene.system, tile.base, tile.points, tile.duration, scene.settings,
-                outputs=scene.outputs, nudged=bool(scene.nudge), there=tile.there, threads=threads,
-                progress=None if bar is None else bar.advance,
-            )  # fmt: skip
+            values = evaluate_tile(
+                scene, tile, threads=threads, progress=None if bar is None else bar.advance
+            )
             for name, column in columns.items():
                 column[indices] = values[name]
             for name, column in solved.items():
@@ -66,7 +64,7 @@ def run(
     seconds = time.perf_counter() - began
     ds = _dataset(scene, columns, solved)
     ds.attrs |= store.provenance(
-        scene.system, scene.settings, kernel_hash(scene.system, scene.settings.method),
+        scene.system, scene.settings, scene_kernel_hash(scene),
         title=scene.title, scene=scene.toml(), seconds=seconds, points=scene.size, remarks=remarks,
     )  # fmt: skip
     if path is not None:
@@ -192,12 +190,13 @@ def label_points(
     bar = Progress(size) if progress else None
     began = time.perf_counter()
     kinds = variables(kind)
+    special = Special.of_points(kind, full)
     columns = {name: np.empty(size, v.dtype) for name, v in kinds.items() if name not in kind.layers}
     for first in range(0, size, grid.TILE):
         part = slice(first, first + grid.TILE)
         piece = {name: values[part] for name, values in full.items()}
         found = evaluate(
-            kind, piece, piece, times[part], settings,
+            kind, piece, piece, times[part], settings, special=special,
             threads=threads, progress=None if bar is None else bar.advance,
         )  # fmt: skip
         for name, column in columns.items():
@@ -209,7 +208,7 @@ def label_points(
         if not (np.isnan(kind.parameters[name].default) and np.isnan(values).all()):
             ds = ds.assign_coords({name: ("point", values, _axis_attributes(kind, name, False))})
     ds.attrs |= store.provenance(
-        kind, settings, kernel_hash(kind, method),
+        kind, settings, kernel_hash(kind, method, special),
         title=f"points of the {system}", scene="", seconds=time.perf_counter() - began, points=size,
         remarks=remarks,
     )  # fmt: skip

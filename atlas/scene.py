@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import re
 import tomllib
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -100,8 +100,24 @@ class Scene:
         return tuple(len(axis.values) for axis in self.axes.values())
 
     @property
+    def nudges_angles(self) -> bool:
+        """Is the nudge one of angles and their rates, not of the optional start values of the system?"""
+        return bool(self.nudge) and not _optional(self.system, self.nudge)
+
+    @property
     def size(self) -> int:
         return math.prod(self.shape)
+
+    def vanishing(self) -> tuple[frozenset[str], bool]:
+        """Parameters that are 0 or absent at every point, and whether A = B at every point."""
+        moving = {*self.axes, *self.ties, *self.solve}
+        values = {name: p.default for name, p in self.system.parameters.items()} | dict(self.fixed)
+        zero = {k for k in self.system.parameters if k not in moving and (values[k] == 0 or math.isnan(values[k]))}
+        tied = {"A", "B"} & moving
+        symmetric = (not tied and values["A"] == values["B"]) or (
+            len(tied) == 1 and self.ties.get(tied.pop(), Tie("", "0")).text.strip() in {"A", "B"}
+        )
+        return frozenset(zero), symmetric
 
     def toml(self) -> str:
         """The scene with every default written out; load_scene of this text gives the same scene."""
@@ -199,6 +215,13 @@ def scene_from(table: Mapping[str, Any], name: str = "scene") -> Scene:
     nudge = {
         k: _number(f"nudge.{k}", _start_parameter(system, k, v)) for k, v in _table(table, "nudge").items()
     }
+    for k in (vector := _optional(system, nudge)):
+        if not any(k in places for places in (fixed, axes, ties)):
+            raise BadInput(f"nudge.{k}: the scene gives no {k} to which it could be added; nudge theta0 .. m")
+    if vector and vector != list(nudge):
+        raise BadInput(
+            f"nudge: {', '.join(nudge)} together: allowed: angles and their rates, or {', '.join(vector)} alone"
+        )
     duration, settings = _integration(table)
     if duration.unit == "orbits" and system.frame_rate is None:
         raise BadInput(
@@ -271,6 +294,11 @@ def _parameter_value(system: System, key: str, name: str, value: object) -> floa
     else:
         _name(key, name)
     return number
+
+
+def _optional(system: System, names: Iterable[str]) -> list[str]:
+    """Those of the names that a start need not give, because other start values can replace them."""
+    return [name for name in names if math.isnan(system.parameters[name].default)]
 
 
 def _start_parameter(system: System, name: str, value: object) -> object:

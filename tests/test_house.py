@@ -23,8 +23,9 @@ FLOW = [
     {"compare"},
     {"evaluate", "store"},
     {"runner"},
-    {"follow"},
+    {"follow", "catalogue"},
     {"maps", "accessor"},
+    {"figures"},
     {"cli"},
 ]
 

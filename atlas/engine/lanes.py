@@ -9,7 +9,7 @@ from __future__ import annotations
 import os
 import string
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Collection, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from itertools import pairwise
@@ -20,15 +20,23 @@ from numpy.typing import NDArray
 
 from . import jit, measure
 from .runge_kutta import METHODS, step_source
+from .specialise import specialise
 
 WIDTH = 32
 # About this many point-steps a call keeps Ctrl-C and the progress line alive (some 0.1 s).
 CHUNK = 20_000_000
+# Points that end early free their lanes: longer calls keep the lanes full to their end.
+LABEL_CHUNK = 200_000_000
 
 
-def source(equations: ModuleType, method: str) -> str:
-    """Text of the kernel module for a system's equations and a method of runge_kutta.METHODS."""
-    text = jit.functions(equations)
+def source(
+    equations: ModuleType, method: str, zero: Collection[str] = (), same: Mapping[str, str] = {}
+) -> str:
+    """Text of the kernel module for a system's equations and a method of runge_kutta.METHODS.
+
+    zero: constants that vanish; same: constants that equal another one (both for every point to come).
+    """
+    text = {name: specialise(body, zero, same) for name, body in jit.functions(equations).items()}
     text.setdefault("axis_in_frame", "def axis_in_frame(state, constants):\n    return 0.0, 0.0")
     text["sample"] = jit.functions(measure)["sample"]
     states, constants = len(equations.STATE), len(equations.CONSTANTS)
@@ -39,9 +47,9 @@ def source(equations: ModuleType, method: str) -> str:
         integrals += [
             f"{', '.join(terms)}, = {name}(state, constants)",
             f"total = {' + '.join(terms)}",
-            "if i == 0:",
-            f"    E[{i}, l] = total",
-            f"change = abs(total - E[{i}, l]) * D[{i}, l]",
+            f"start = total if first else E[{i}, l]",
+            f"E[{i}, l] = start",
+            f"change = abs(total - start) * D[{i}, l]",
             "drift = change if change > drift else drift",
         ]
     blocks = {
@@ -59,7 +67,8 @@ def source(equations: ModuleType, method: str) -> str:
         "ROWS": len(measure.OUTPUTS), "FULL": measure.LEAST_INTERVALS, "ENDS": len(measure.GREGORY),
     }  # fmt: skip
     numbers |= {name: row for row, name in enumerate(measure.OUTPUTS)}
-    return jit.HEADER + fill(KERNEL, blocks, numbers)
+    blocks |= {"SAMPLE": fill(SAMPLE, blocks, numbers), "DRIFT": fill(DRIFT, blocks, numbers)}
+    return jit.HEADER + fill(KERNEL + LABEL_KERNEL, blocks, numbers)
 
 
 def fill(template: str, blocks: dict[str, str], numbers: dict[str, int]) -> str:
@@ -74,6 +83,46 @@ def fill(template: str, blocks: dict[str, str], numbers: dict[str, int]) -> str:
             lines.append(string.Template(line).substitute(numbers))
     return "\n".join(lines) + "\n"
 
+
+SAMPLE = """
+$CONSTANTS
+$STATE
+theta_dot, psi_dot, phi_dot, normal_rate, s2, tilt, outside = sample(frame_motion(state, constants), cylinder)
+axis_1, axis_2 = axis_in_frame(state, constants)
+psi_0, phi_0, normal_0 = S[$psi_dot_reference, l], S[$phi_dot_reference, l], S[$normal_rate_reference, l]
+low, high, wide = S[$tilt_min, l], S[$tilt_max, l], S[$sine_squared_max, l]
+psi_0 = psi_dot if first else psi_0
+phi_0 = phi_dot if first else phi_0
+normal_0 = normal_rate if first else normal_0
+low = tilt if first else low
+S[$psi_dot_reference, l] = psi_0
+S[$phi_dot_reference, l] = phi_0
+S[$normal_rate_reference, l] = normal_0
+psi_dot = (psi_dot - psi_0) * outside
+phi_dot = (phi_dot - phi_0) * outside
+normal_rate = normal_rate - normal_0
+S[$theta_dot, l] += weight * theta_dot
+S[$theta_dot_squared, l] += weight * theta_dot * theta_dot
+S[$outside, l] += weight * outside
+S[$psi_dot, l] += weight * psi_dot
+S[$psi_dot_squared, l] += weight * psi_dot * psi_dot
+S[$phi_dot, l] += weight * phi_dot
+S[$phi_dot_squared, l] += weight * phi_dot * phi_dot
+S[$normal_rate, l] += weight * normal_rate
+S[$normal_rate_squared, l] += weight * normal_rate * normal_rate
+S[$axis_1, l] += weight * axis_1
+S[$axis_2, l] += weight * axis_2
+S[$tilt_min, l] = tilt if tilt < low else low
+S[$tilt_max, l] = tilt if tilt > high else high
+S[$sine_squared_max, l] = s2 if s2 > wide else wide
+"""
+DRIFT = """
+$CONSTANTS
+$STATE
+drift = S[$drift, l]
+$INTEGRALS
+S[$drift, l] = drift
+"""
 
 KERNEL = """
 
@@ -119,48 +168,131 @@ def integrate(first, last, points, steps, strides, length, state0, constants0, s
                 weight = weights[i]
             elif intervals - i < $ENDS:
                 weight = weights[intervals - i]
+            first = i == 0
             for l in range($WIDTH):
-                $CONSTANTS
-                $STATE
-                theta_dot, psi_dot, phi_dot, normal_rate, s2, tilt, outside = sample(
-                    frame_motion(state, constants), cylinder
-                )
-                axis_1, axis_2 = axis_in_frame(state, constants)
-                if i == 0:
-                    S[$psi_dot_reference, l] = psi_dot
-                    S[$phi_dot_reference, l] = phi_dot
-                    S[$normal_rate_reference, l] = normal_rate
-                    S[$tilt_min, l] = tilt
-                psi_dot = (psi_dot - S[$psi_dot_reference, l]) * outside
-                phi_dot = (phi_dot - S[$phi_dot_reference, l]) * outside
-                normal_rate = normal_rate - S[$normal_rate_reference, l]
-                S[$theta_dot, l] += weight * theta_dot
-                S[$theta_dot_squared, l] += weight * theta_dot * theta_dot
-                S[$outside, l] += weight * outside
-                S[$psi_dot, l] += weight * psi_dot
-                S[$psi_dot_squared, l] += weight * psi_dot * psi_dot
-                S[$phi_dot, l] += weight * phi_dot
-                S[$phi_dot_squared, l] += weight * phi_dot * phi_dot
-                S[$normal_rate, l] += weight * normal_rate
-                S[$normal_rate_squared, l] += weight * normal_rate * normal_rate
-                S[$axis_1, l] += weight * axis_1
-                S[$axis_2, l] += weight * axis_2
-                low, high, wide = S[$tilt_min, l], S[$tilt_max, l], S[$sine_squared_max, l]
-                S[$tilt_min, l] = tilt if tilt < low else low
-                S[$tilt_max, l] = tilt if tilt > high else high
-                S[$sine_squared_max, l] = s2 if s2 > wide else wide
+                $SAMPLE
             for l in range($WIDTH):
-                $CONSTANTS
-                $STATE
-                drift = S[$drift, l]
-                $INTEGRALS
-                S[$drift, l] = drift
+                $DRIFT
         for l in range($WIDTH):
             p = points[block, l]
             for j in range($STATES):
                 state0[j, p] = Y[j, l]
             for j in range($ROWS):
                 out[j, p] = S[j, l]
+"""
+
+# For scenes that ask for labels only: a lane is freed as soon as its point is certain to drift and takes
+# the next one. All weights are positive, so sums of squares (about the mean, too) only grow: once they
+# pass the tolerance of the whole run outside the cylinder, no later motion can bring the label back.
+# A new point first makes strides of length 0, so that its sample at t = 0 is taken like all the others.
+LABEL_KERNEL = """
+
+
+$KERNEL
+def integrate_labels(
+    first_point, last_point, queue, stride, intervals, length, state0, constants0, scales, weights, cylinder,
+    tolerance, out, samples,
+):
+    Y = np.zeros(($STATES, $WIDTH))
+    c = np.zeros(($CONSTS, $WIDTH))
+    H = np.zeros($WIDTH)
+    D = np.zeros(($INTS, $WIDTH))
+    E = np.zeros(($INTS, $WIDTH))
+    S = np.zeros(($ROWS, $WIDTH))
+    G = np.zeros($WIDTH)
+    limit = np.zeros($WIDTH)
+    over = np.zeros($WIDTH)
+    at = np.zeros($WIDTH, np.int64)
+    total_of = np.full($WIDTH, 9223372036854775807)
+    point_of = np.full($WIDTH, -1)
+    following = first_point
+    active = 0
+    free = True
+    least_wide = cylinder * (1.0 + 1e-9)
+    while True:
+        if free:
+            free = False
+            for l in range($WIDTH):
+                if point_of[l] < 0 and following < last_point:
+                    p = queue[following]
+                    following += 1
+                    active += 1
+                    point_of[l] = p
+                    at[l] = -1
+                    total_of[l] = intervals[p]
+                    limit[l] = tolerance * tolerance * intervals[p] * (1.0 + 1e-6)
+                    H[l] = 0.0
+                    for j in range($STATES):
+                        Y[j, l] = state0[j, p]
+                    for j in range($CONSTS):
+                        c[j, l] = constants0[j, p]
+                    for j in range($INTS):
+                        D[j, l] = scales[j, p]
+                    for j in range($ROWS):
+                        S[j, l] = 0.0
+            if active == 0:
+                break
+        for s in range(stride):
+            for l in range($WIDTH):
+                h = H[l]
+                $CONSTANTS
+                $LOAD
+                $STEP
+                $STORE
+        for l in range($WIDTH):
+            at[l] += 1
+            i = at[l]
+            left = total_of[l] - i
+            G[l] = 1.0
+            if i < $ENDS or left < $ENDS:
+                if total_of[l] < $FULL:
+                    if i == 0 or left == 0:
+                        G[l] = 0.5
+                elif i < $ENDS:
+                    G[l] = weights[i]
+                elif left >= 0:
+                    G[l] = weights[left]
+        for l in range($WIDTH):
+            weight = G[l]
+            first = at[l] == 0
+            $SAMPLE
+        for l in range($WIDTH):
+            first = at[l] == 0
+            $DRIFT
+        any_over = 0.0
+        for l in range($WIDTH):
+            seen = S[$outside, l]
+            seen = seen if seen > 0.0 else 1.0
+            psi = S[$psi_dot_squared, l] * (1.0 - 1e-12) - S[$psi_dot, l] * S[$psi_dot, l] / seen
+            phi = S[$phi_dot_squared, l] * (1.0 - 1e-12) - S[$phi_dot, l] * S[$phi_dot, l] / seen
+            most = S[$theta_dot_squared, l]
+            most = psi if psi > most else most
+            most = phi if phi > most else most
+            certain = 1.0 if most > limit[l] else 0.0
+            certain = certain if S[$sine_squared_max, l] > least_wide else 0.0
+            ended = 1.0 if at[l] >= total_of[l] else certain
+            over[l] = ended
+            any_over += ended
+        if any_over > 0.0:
+            for l in range($WIDTH):
+                if over[l] > 0.0 and point_of[l] >= 0:
+                    p = point_of[l]
+                    for j in range($STATES):
+                        state0[j, p] = Y[j, l]
+                        Y[j, l] = 0.0
+                    for j in range($ROWS):
+                        out[j, p] = S[j, l]
+                        S[j, l] = 0.0
+                    samples[p] = at[l]
+                    point_of[l] = -1
+                    H[l] = 0.0
+                    at[l] = 0
+                    total_of[l] = 9223372036854775807
+                    active -= 1
+                    free = True
+        for l in range($WIDTH):
+            if point_of[l] >= 0:
+                H[l] = length[point_of[l]]
 """
 
 
@@ -223,28 +355,85 @@ def integrate(
     """
     out = np.empty((len(measure.OUTPUTS), state.shape[1]))
     ends = np.ascontiguousarray(measure.GREGORY)
-    cost = np.cumsum(blocks.steps * WIDTH)
-    cuts = [0]
-    while cuts[-1] < len(cost):
-        done = cost[cuts[-1] - 1] if cuts[-1] else 0
-        cuts.append(max(cuts[-1] + 1, int(np.searchsorted(cost, done + CHUNK))))
-    stop = threading.Event()
 
-    def work(first: int, last: int) -> None:
-        if stop.is_set():
-            return
+    def work(first: int, last: int) -> int:
         kernel.integrate(
             first, last, blocks.points, blocks.steps, blocks.strides, length, state, constants, scales,
             ends, cylinder * cylinder, out,
         )  # fmt: skip
-        if progress is not None:
-            progress(int(blocks.steps[first:last].sum()) * WIDTH)
+        return int(blocks.steps[first:last].sum()) * WIDTH
+
+    _in_threads(work, _cuts(blocks.steps * WIDTH, CHUNK), threads, progress)
+    return out
+
+
+def integrate_labels(
+    kernel: ModuleType,
+    steps: NDArray[np.int64],
+    strides: NDArray[np.int64],
+    length: NDArray[np.float64],
+    state: NDArray[np.float64],
+    constants: NDArray[np.float64],
+    scales: NDArray[np.float64],
+    cylinder: float,
+    tolerance: float,
+    *,
+    threads: int | None = None,
+    progress: Callable[[int], None] | None = None,
+) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+    """The same as `integrate` until a point is certain to drift: returns its output and the intervals done.
+
+    steps, strides: (points,), as in steps.Steps; tolerance: rate tolerance of the labels, rad per time unit.
+    A point whose intervals done are fewer than steps // strides drifts, whatever comes.
+    """
+    out = np.empty((len(measure.OUTPUTS), state.shape[1]))
+    samples = np.zeros(steps.shape, np.int64)
+    ends = np.ascontiguousarray(measure.GREGORY)
+    intervals = steps // strides
+    for stride in np.unique(strides):
+        queue = np.flatnonzero(strides == stride)
+        queue = queue[np.argsort(-steps[queue], kind="stable")]
+
+        def work(first: int, last: int, queue: NDArray[np.int64] = queue, stride: int = int(stride)) -> int:
+            kernel.integrate_labels(
+                first, last, queue, stride, intervals, length, state, constants, scales, ends,
+                cylinder * cylinder, tolerance, out, samples,
+            )  # fmt: skip
+            return int(steps[queue[first:last]].sum())
+
+        _in_threads(work, _cuts(steps[queue], LABEL_CHUNK), threads, progress)
+    return out, samples
+
+
+def _cuts(cost: NDArray[np.int64], most: int) -> list[int]:
+    """Where to cut a row of jobs so that each piece costs about `most`."""
+    total = np.cumsum(cost)
+    cuts = [0]
+    while cuts[-1] < len(total):
+        done = total[cuts[-1] - 1] if cuts[-1] else 0
+        cuts.append(max(cuts[-1] + 1, int(np.searchsorted(total, done + most))))
+    return cuts
+
+
+def _in_threads(
+    work: Callable[[int, int], int],
+    cuts: list[int],
+    threads: int | None,
+    progress: Callable[[int], None] | None,
+) -> None:
+    """Call work(first, last) for every piece; after an exception the pieces not begun are left out."""
+    stop = threading.Event()
+
+    def piece(first: int, last: int) -> None:
+        if not stop.is_set():
+            done = work(first, last)
+            if progress is not None:
+                progress(done)
 
     with ThreadPoolExecutor(threads or available_threads()) as pool:
-        jobs = [pool.submit(work, first, last) for first, last in pairwise(cuts)]
+        jobs = [pool.submit(piece, first, last) for first, last in pairwise(cuts)]
         try:
             for job in jobs:
                 job.result()
         finally:
             stop.set()
-    return out

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence, Set
 from dataclasses import dataclass, field
 from types import ModuleType
 
@@ -67,7 +67,29 @@ class Family:
     # closed form of the motion: (points, t) -> state of the equations, shape (state, *t.shape, *points.shape)
     motion: Callable[[Points, Array], Array] | None = None
     geometry: str = ""  # flag of the variable `geometry`; empty where it depends on the point
+    labels: str = ""  # what the motion is called, by its kinematics, in the frame and in space
     paper_wording: str = ""
+    exists: str = ""  # limits of existence beyond the conditions
+    free: tuple[str, ...] = ()  # parameters that the conditions leave free
+
+
+@dataclass(frozen=True)
+class Printed:
+    """One printed equation or claim of the system's paper, as printed and as true.
+
+    residual_printed and residual_true measure the two readings at random parameters; `measure` says
+    what the number is. Near 0 is true of a reading; None where there is nothing to measure.
+    """
+
+    number: str
+    family: str  # name of the family that it is about; "" for the equations of motion and other formulas
+    printed: str
+    true: str
+    verdict: str  # true, misprint, false, incomplete, or "true at ..., false at ..."
+    measure: str = ""
+    residual_printed: Callable[[np.random.Generator], float] | None = None
+    residual_true: Callable[[np.random.Generator], float] | None = None
+    effect: str = ""  # what comes of the difference
 
 
 @dataclass(frozen=True)
@@ -79,6 +101,7 @@ class Layer:
     long_name: str
     values: Callable[[Points, Array], Array]  # (points before the nudge, duration) -> (points,)
     comment: str = ""
+    check: Callable[[Points], object] = lambda points: None  # raises BadInput where it has no meaning
 
 
 @dataclass(frozen=True, eq=False)
@@ -114,7 +137,18 @@ class System:
     # bool: where the families are all there is, so that a start off them is predicted to drift
     complete: Callable[[Points], Mask] = lambda points: np.zeros(points["n"].shape, bool)
     warnings: Callable[[Points], list[str]] = lambda points: []
+    # the same starts given by theta0 .. m, where optional start values give them; what angles are nudged from
+    by_angles: Callable[[Points], Points] = lambda points: points
     layers: Mapping[str, Layer] = field(default_factory=dict)
+    # (parameters that are 0 or absent in a whole scene, A = B throughout) -> (kernel constants that are
+    # then 0, pairs of constants of which the first equals the second); few different answers, for each
+    # is a kernel of its own
+    special: Callable[[Set[str], bool], tuple[Set[str], Set[tuple[str, str]]]] = (
+        lambda zero, symmetric: (set(), set())
+    )
+    printed: Callable[[], Sequence[Printed]] = tuple  # the paper's equations; called when a table is asked for
+    # (parameter -> number) -> arrays over the relative equilibria or permanent rotations of one body
+    equilibria: Callable[[Mapping[str, float]], Mapping[str, NDArray]] | None = None
 
 
 def stability_by_family(

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..system import Array, Flags, System, stability_by_family
-from . import conditions, equations, start
+from . import conditions, equations, layers, printed, start
 
 GEOMETRIES = {
     "none": "drifting or unresolved",
@@ -29,6 +30,15 @@ def geometry(
     without_spin = np.abs(measured["phi_dot_mean"]) <= rate_tolerance
     kind = np.where(cylinder, 1, np.where(without_spin, 3, 2))
     return np.where(steady, kind, 0).astype(np.int8)
+
+
+def equilibria(body: Mapping[str, float]) -> dict[str, NDArray]:
+    """All permanent rotations of one body about the vertical at the rate n; see conditions.equilibria."""
+    points = {name: np.full(1, float(body.get(name, p.default))) for name, p in start.PARAMETERS.items()}
+    found = conditions.equilibria(points, float(points["n"][0]))
+    gamma = np.stack([found.pop(name) for name in ("g1", "g2", "g3")], -1)
+    angles = {"theta0": found.pop("theta"), "phi0": found.pop("phi")}
+    return {**angles, "gamma": gamma, **found, "circle": found["dimension"] == 1}
 
 
 FIXED_POINT = System(
@@ -56,4 +66,8 @@ FIXED_POINT = System(
     geometry=geometry,
     complete=lambda points: np.ones(points["A"].shape, bool),
     warnings=start.warnings,
+    by_angles=start.by_angles,
+    layers=layers.LAYERS,
+    printed=lambda: printed.ERRATA,
+    equilibria=equilibria,
 )

@@ -428,6 +428,10 @@ def nutation(points: Points) -> tuple[Array, Array]:
 
 
 def _conical_stability(points: Points) -> tuple[Flags, Array]:
+    """Stable where (n^2 + N (C - A)/A) sin^2 theta + ((C r + l3)/A - 2 n cos theta)^2 > 0.
+
+    That is the squared frequency of nutation; where it is negative the tilt grows at the root of its size.
+    """
     value, size = nutation(points)
     return _decide(value, size, np.sqrt(np.maximum(-value, 0.0)))
 
@@ -456,6 +460,10 @@ def sleeping_at_threshold(points: Points) -> Array:
 
 
 def _sleeping_stability(points: Points) -> tuple[Flags, Array]:
+    """A = B, rotor and weight along the axis: stable where (C r + l3)^2 > 4 A (N (C - A) - s Mg z0), s = cos theta.
+
+    Other bodies: the roots of x^2 + P x + Q, x the squared exponents of the linear equations.
+    """
     value, size = sleeping_discriminant(points)
     stable, growth = _decide(value, size, np.sqrt(np.maximum(-value, 0.0)) / (2 * points["A"]))
     state = start(points)
@@ -465,6 +473,10 @@ def _sleeping_stability(points: Points) -> tuple[Flags, Array]:
 
 
 def _staude_stability(points: Points) -> tuple[Flags, Array]:
+    """A = B, rotor and weight along the axis: as conical with m = 0.
+
+    Other bodies: the roots of x^2 + P x + Q, x the squared exponents of the linear equations.
+    """
     stable, growth = _conical_stability(points)
     other = _equilibrium_stability(points, rates(points)[1], vertical(points))
     closed = symmetric(points)
@@ -472,6 +484,9 @@ def _staude_stability(points: Points) -> tuple[Flags, Array]:
 
 
 def _rest_stability(points: Points) -> tuple[Flags, Array]:
+    """At rest: as staude with n = 0. A free body that turns about its third axis: stable where
+    ((C - A) m + l3) ((C - B) m + l3) > 0.
+    """
     stable, growth = _staude_stability(points)
     A, B, C, m = points["A"], points["B"], points["C"], rates(points)[2]
     # Free body that turns about its third axis: Euler's equations linearised, with a rotor.
@@ -634,6 +649,9 @@ FAMILIES = {
             motion=motion,
             geometry="conical",
             paper_wording="Lagrange's case",
+            labels="regular precession (n, m); permanent rotation where one of the two rates is 0",
+            exists="for given m and theta0: (C m + l3)^2 >= 4 (C - A) cos theta0 (Mg z0 - N (C - A) cos theta0)",
+            free=("psi0", "phi0"),
         ),
         Family(
             name="sleeping",
@@ -656,6 +674,8 @@ FAMILIES = {
             motion=motion,
             geometry="sleeping",
             paper_wording="permanent rotation with spin r0 about the z axis",
+            labels="permanent rotation about the vertical at n +- m",
+            free=("A", "B", "C", "N", "l3", "psi0"),
         ),
         Family(
             name="staude",
@@ -675,6 +695,10 @@ FAMILIES = {
             stability=_staude_stability,
             motion=motion,
             geometry="staude",
+            labels="permanent rotation about the vertical at n",
+            exists="2, 4 or 6 directions of a body off special ones, and sets of them for these;"
+            " atlas.equilibria finds them all",
+            free=("psi0",),
         ),
         Family(
             name="rest",
@@ -694,6 +718,8 @@ FAMILIES = {
             },
             stability=_rest_stability,
             motion=motion,
+            labels="permanent rotation: at rest, or turning at m about the resting third axis",
+            free=("psi0",),
         ),
     )
 }

@@ -320,6 +320,7 @@ class Row(NamedTuple):
 
     body: str
     rotor: float  # l1 = l2 = l3, N m s
+    unit: float  # c sqrt(gamma0''), rad s-1: times p2 it is the angular velocity
     start: float  # p2 at tau = 0, (18)
     centre: float  # of p2, from the full equations
     amplitude: float  # of p2, from the full equations
@@ -334,6 +335,7 @@ class Row(NamedTuple):
     period_printed: float
     gap_printed: float  # max |p2 of (20) - p2 of (15)| as printed: what "analytical = numerical" must hide
     gamma2_amplitude: float  # from the full equations
+    gamma2_period: float  # from the full equations
     gamma2_change: float  # max |gamma2 - M3 cos tau|
 
 
@@ -348,7 +350,9 @@ def figure_table(rotors: Sequence[float] = PAPER_ROTORS) -> list[Row]:
             spin = paper_body(body, rotor)
             y0 = paper_start(spin)
             p2, _, gamma2, _ = to_quasilinear(spin, integrate(spin, y0, tau))
-            first, centre, amplitude, period = _oscillation(spin, y0) if rotor else (0.0, 0.0, 0.0, np.nan)
+            still = (0.0, 0.0, 0.0, np.nan)
+            first, centre, amplitude, period = _oscillation(spin, y0, "p2") if rotor else still
+            _, _, gamma2_amplitude, gamma2_period = _oscillation(spin, y0, "gamma2")
             forcing, squared = spin.A1 * spin.mu.real, printed.frequency_squared(spin)
             slow = np.sqrt(squared)
             rest = forcing / squared
@@ -357,6 +361,7 @@ def figure_table(rotors: Sequence[float] = PAPER_ROTORS) -> list[Row]:
                 Row(
                     body=body,
                     rotor=rotor,
+                    unit=float(spin.scale),
                     start=first,
                     centre=centre,
                     amplitude=amplitude,
@@ -370,27 +375,29 @@ def figure_table(rotors: Sequence[float] = PAPER_ROTORS) -> list[Row]:
                     amplitude_printed=float(np.abs(forcing - rest)),
                     period_printed=float(2 * np.pi / slow),
                     gap_printed=float(np.abs(forcing * np.cos(slow * tau) - literal).max()),
-                    gamma2_amplitude=float(0.5 * np.ptp(gamma2)),
+                    gamma2_amplitude=gamma2_amplitude,
+                    gamma2_period=gamma2_period,
                     gamma2_change=float(np.abs(gamma2 - spin.M3 * np.cos(tau)).max()),
                 )
             )
     return rows
 
 
-def _oscillation(spin: FastSpin, y0: Array) -> tuple[float, float, float, float]:
-    """p2 at the start, its centre, amplitude and period, between extrema of the full motion."""
+def _oscillation(spin: FastSpin, y0: Array, name: str) -> tuple[float, float, float, float]:
+    """p2 or gamma2 at the start, its centre, amplitude and period, between extrema of the full motion."""
+    place, frequency = {"p2": (0, spin.Omega), "gamma2": (2, np.ones(()))}[name]
 
     def speed(_: float, y: Array) -> float:
-        return float(to_quasilinear(spin, y)[1])
+        return float(to_quasilinear(spin, y)[place + 1])
 
-    span = (0.0, 2.5 * np.pi / float(np.abs(spin.Omega)))
+    span = (0.0, 2.5 * np.pi / float(np.abs(frequency)))
     found = solve_ivp(
         lambda _, y: rhs(spin, y), span, y0, method="DOP853", rtol=1e-13, atol=1e-14, events=speed
     )
     # The start is an extremum itself, found or not by the sign of its rounding.
     late = found.t_events[0] > 1e-3
-    extremes = to_quasilinear(spin, found.y_events[0][late].T)[0]
-    begin = float(to_quasilinear(spin, y0)[0])
+    extremes = to_quasilinear(spin, found.y_events[0][late].T)[place]
+    begin = float(to_quasilinear(spin, y0)[place])
     turn = found.t_events[0][late]
     return begin, 0.5 * (begin + extremes[0]), 0.5 * abs(begin - extremes[0]), float(turn[1])
 

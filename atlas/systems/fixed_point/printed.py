@@ -1,92 +1,23 @@
 """The fast-spin formulas of Amer, Abo Essa, Ibrahim & Amer exactly as the paper prints them.
 
-For comparison only: most of them are wrong, ERRATA says how. Each function has the signature and the
-units of its namesake in `perturbation`. X and what follows from it need A1 != 0.
+For comparison only: most of them are wrong, ERRATA says how, and by how much where a number can be
+measured. Each function has the signature and the units of its namesake in `perturbation`. X and what
+follows from it need A1 != 0.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
+from scipy.integrate import cumulative_simpson
 
-from ..system import Array, BadInput
+from ..system import Array, BadInput, Printed
+from . import equations, perturbation, start
 from .perturbation import FastSpin
 
-
-class Erratum(NamedTuple):
-    """One formula of the paper: what is printed, what is true, and what the difference does."""
-
-    equation: str
-    printed: str
-    true: str
-    effect: str
-
-
-ERRATA = (
-    Erratum(
-        "(1), second equation", "eps/b (z0' g1 + a B1 g1 g1'')", "eps/b (z0' g1 + k a B1 g1 g1'')",
-        "the Newtonian torque has no k",
-    ),
-    Erratum(
-        "(3), S1", "a { .. + k [ .. + (1 - g1''^2)]}", "a { .. } with k (1 - g1''^2) outside the factor a",
-        "r1^2 - eps^2 S1 is not constant",
-    ),
-    Erratum("(4)", "k = N / c^2", "k = N gamma0'' / c^2", "invisible with the paper's data (k = 1e-4)"),
-    Erratum(
-        "(7), (15)", "omega'^2 = A1^2 - 2 A1 l3 / (A r0)", "Omega^2 = (A1 + l3 / (A r0))^2",
-        "wrong sign: frequencies shift the wrong way with l3, and omega' may become imaginary",
-    ),
-    Erratum(
-        "(9)", "g1' = (g1-dot - eps q1 g1'') / r1", "g1' = (g1-dot + eps q1 g1'') / r1", "(11) has the right sign",
-    ),
-    Erratum(
-        "(10), chi1 and nu", "divided by 1 - omega'^2", "chi1 = -G0 / (1 + Omega), nu = 1 / (1 + Omega)",
-        "with omega' a pole at omega' = 1; none with Omega but at C r0 + l3 = 0",
-    ),
-    Erratum("(10), chi", "y2^2 l1 / (C r0 A1 A^2 omega'^2)", "0", "q1 l1 - p1 l2 vanishes on the forced solution"),
-    Erratum(
-        "(11), (16), (27)-(33)", "A^-1 y2", "C A^-1 y2", "dimensionally inconsistent as printed",
-    ),
-    Erratum(
-        "(15), second equation", "l1 / (A r0)", "l1 / (C r0 + l3)", "Phi1 lacks a term of the same order",
-    ),
-    Erratum(
-        "(18)", "gamma2(0, eps) = 0", "gamma2-dot(0, eps) = 0", "(22) has the right condition",
-    ),
-    Erratum(
-        "(19), (20), (25)", "p2'' + omega'^2 p2 = 0", "p2'' + Omega^2 p2 = Omega mu1",
-        "fatal: the forced part mu1/Omega of p1, not small, is lost",
-    ),
-    Erratum("(24), h_k", "sin omega'(tau - t1)", "sin(tau - t1)", "gamma2 has frequency 1"),
-    Erratum("(32)", "W1 > 0", "W1 < 0", "sign-definite all the same: the argument survives"),
-    Erratum(
-        "(33), p1", "eps [chi + chi1 M3 cos tau]", "mu1/Omega + eps chi1 M3 cos tau",
-        "p1 is wrong by its whole size wherever l1 != 0",
-    ),
-    Erratum(
-        "(33), q1", "C X y2 / A + ..", "mu2/Omega - eps chi1 M3 sin tau", "X is 1/Omega to first order in l3 only",
-    ),
-    Erratum(
-        "(33), g1''", "y1 (1 - cos tau) + y2 sin tau - ..", "[mu1 (1 - cos tau) + mu2 sin tau] / Omega",
-        "wrong by a factor of order C / (C - A)",
-    ),
-    Erratum(
-        "(33), alpha", "-eps pi n [ .. ]", "-2 pi n eps^2 [G0/(1 + Omega) + |mu|^2 / (2 Omega^2)]",
-        "too large by 1/eps; the bracket is wrong where l1 or l2 != 0",
-    ),
-    Erratum(
-        "theta after (34)", "y1, y2", "mu1/Omega, mu2/Omega", "the swing is wrong by a factor of order (C - A) / C",
-    ),
-    Erratum(
-        "psi after (34)", "half the secular rate, a secular term in l2^2, no mu1 sin r0 t",
-        "-(Mg z0 - N (C - A) cos theta0) / (C r0 + l3)", "precession at half its rate, or far off where l2 != 0",
-    ),
-    Erratum(
-        "section VI, data", "A = 22.49 or 50.32 with M = 30, z0 = 5", "A >= M z0^2 = 750",
-        "no real body has these moments about the fixed point",
-    ),
-)  # fmt: skip
+Measure = Callable[[np.random.Generator], float]
 
 
 def k(spin: FastSpin) -> Array:
@@ -253,3 +184,222 @@ def angles(spin: FastSpin, t: Array, h: float = 0.0, psi0: float = 0.0) -> Array
     psi = psi0 + unit / np.sin(theta0) * sway
     phi = np.pi / 2 + r0 * h + r0 * t - unit / tangent * sway - eps**2 * tangent * change(phi3, t)
     return np.array(np.broadcast_arrays(theta, psi, phi))
+
+
+# What the two readings of a formula are worth: both held against the equations of motion.
+
+
+def _spin(rng: np.random.Generator, **given: float) -> FastSpin:
+    """A random body with strong fields and a moderate spin."""
+    values = {
+        "A": 1.0, "C": rng.uniform(1.2, 1.8), "weight": rng.uniform(1, 2), "N": rng.uniform(2, 4),
+        "l1": rng.uniform(0.5, 1), "l2": rng.uniform(0.5, 1), "l3": rng.uniform(0.5, 1),
+        "r0": rng.uniform(4, 8), "gamma0": rng.uniform(0.3, 0.7),
+    }  # fmt: skip
+    return FastSpin(*(np.asarray(value) for value in (values | given).values()))
+
+
+def _true_rate(spin: FastSpin, y: Array) -> Array:
+    """dy/dtau from the equations of motion themselves."""
+    points = {name: np.full(1, parameter.default) for name, parameter in start.PARAMETERS.items()}
+    given = {
+        "A": spin.A, "B": spin.A, "C": spin.C, "Mg": np.abs(spin.weight), "z0": spin.z, "N": spin.N,
+        "l1": spin.l1, "l2": spin.l2, "l3": spin.l3,
+    }  # fmt: skip
+    points |= {name: np.full(1, float(value)) for name, value in given.items()}
+    state = perturbation.dimensional(spin, y)
+    rate = equations.rhs(state, start.constants(points)[:, 0])
+    return perturbation.dimensionless(spin, np.array(rate)) / spin.r0
+
+
+def _of_motion(index: int, right_side: Callable[[FastSpin, Array], Array]) -> Measure:
+    def measured(rng: np.random.Generator) -> float:
+        spin, y = _spin(rng), rng.normal(size=6)
+        return float(np.abs(right_side(spin, y) - _true_rate(spin, y))[index])
+
+    return measured
+
+
+def _constancy(constants: Callable[[FastSpin, Array], Array]) -> Measure:
+    def measured(rng: np.random.Generator) -> float:
+        spin = _spin(rng)
+        begin = perturbation.first_order(spin, np.array(0.0))
+        y = perturbation.integrate(spin, begin, np.linspace(0, 2 * np.pi, 41))
+        return float(np.ptp(constants(spin, y)[0]))
+
+    return measured
+
+
+def _turning_square(squared: Callable[[FastSpin], Array]) -> Measure:
+    def measured(rng: np.random.Generator) -> float:
+        spin = _spin(rng)
+        one, none = np.array([1.0, 0, 1, 0, 0, 1]), np.array([0.0, 0, 1, 0, 0, 1])
+        turn = (_true_rate(spin, one) - _true_rate(spin, none))[1]
+        return float(np.abs(squared(spin) - turn**2))
+
+    return measured
+
+
+def _direction_cosine(sign: float) -> Measure:
+    def measured(rng: np.random.Generator) -> float:
+        spin, y = _spin(rng), rng.normal(size=6)
+        return float(np.abs((_true_rate(spin, y)[3] + sign * spin.eps * y[1] * y[5]) / y[2] - y[4]))
+
+    return measured
+
+
+def _coupling(of: Callable[[FastSpin], tuple[Array, Array]]) -> Measure:
+    """w = eps chi1 G has to turn with G, at -1, and G = eps nu w with w, at Omega."""
+
+    def measured(rng: np.random.Generator) -> float:
+        spin = _spin(rng, l1=0.0, l2=0.0)
+        chi1, nu = of(spin)
+        forced = _true_rate(spin, np.array([spin.eps * chi1, 0, 1, 1, 0, 1]))[1] / spin.eps
+        carried = _true_rate(spin, np.array([1, 0, 1, spin.eps * nu, 0, 1]))[4] / spin.eps
+        return float(np.abs(forced + chi1) + np.abs(carried - spin.Omega * nu))
+
+    return measured
+
+
+def _reduced(right_side: Callable[[FastSpin, Array], Array]) -> Measure:
+    """gamma2'' of the full motion less the reduced equation, over the term that it is about."""
+
+    def measured(rng: np.random.Generator) -> float:
+        spin = _spin(rng, r0=1e5)
+        y = perturbation.first_order(spin, rng.uniform(0, 6, 1))[:, 0]
+        # tau-derivative along the true rate; the transformation is linear but for terms of order eps
+        h = 1e-5
+        ends = (perturbation.to_quasilinear(spin, y + side * h * _true_rate(spin, y)) for side in (1, -1))
+        slope = np.subtract(*ends)[3] / (2 * h)
+        term = spin.eps * spin.nu * spin.mu.real
+        return float(np.abs((right_side(spin, perturbation.to_quasilinear(spin, y))[3] - slope) / term))
+
+    return measured
+
+
+def _paper_spin(rng: np.random.Generator) -> FastSpin:
+    return perturbation.paper_body(str(rng.choice(list(perturbation.PAPER_BODIES))), rng.uniform(10, 50))
+
+
+def _of_solution(index: int, solution: Callable[[FastSpin, Array], Array]) -> Measure:
+    """Error of the solution over 2 pi, over the size of the forced part of its first-order term."""
+
+    def measured(rng: np.random.Generator) -> float:
+        spin = _paper_spin(rng)
+        tau = np.linspace(0, 2 * np.pi, 41)
+        y = perturbation.integrate(spin, solution(spin, np.array(0.0)), tau)
+        size = np.abs(spin.forced) * (spin.eps if index > 2 else 1.0)
+        return float(np.abs(solution(spin, tau) - y)[index].max() / size)
+
+    return measured
+
+
+def _of_angle(index: int, formula: Callable[[FastSpin, Array], Array]) -> Measure:
+    """Error of theta or psi over two turns, over the swing that is first order in eps."""
+
+    def measured(rng: np.random.Generator) -> float:
+        spin = _paper_spin(rng)
+        tau = np.linspace(0, 4 * np.pi, 401)
+        begin = perturbation.first_order(spin, np.array(0.0))
+        p, q, _, g1, g2, g3 = perturbation.dimensional(spin, perturbation.integrate(spin, begin, tau))
+        t = tau / spin.r0
+        psi = cumulative_simpson((p * g1 + q * g2) / (1 - g3**2), x=t, initial=0)
+        exact = np.arccos(g3) if index == 0 else psi
+        return float(np.abs(formula(spin, t)[index] - exact).max() / (spin.eps * np.abs(spin.forced)))
+
+    return measured
+
+
+_MOTION = "component of (1) at a random state, less the equations of motion"
+_SOLUTION = "error against the full equations with the paper's data, over the size of the forced part"
+
+ERRATA: tuple[Printed, ...] = (
+    Printed(
+        "(1), second equation", "", "eps/b (z0' g1 + a B1 g1 g1'')", "eps/b (z0' g1 + k a B1 g1 g1'')", "misprint",
+        _MOTION, _of_motion(1, rhs), _of_motion(1, perturbation.rhs), "the Newtonian torque has no k",
+    ),
+    Printed(
+        "(3), S1", "", "a { .. + k [ .. + (1 - g1''^2)]}", "a { .. } with k (1 - g1''^2) outside the factor a",
+        "misprint", "change of r1^2 - eps^2 S1 along the motion, over 2 pi",
+        _constancy(integrals), _constancy(perturbation.integrals), "r1^2 - eps^2 S1 is not constant",
+    ),
+    Printed(
+        "(4)", "", "k = N / c^2", "k = N gamma0'' / c^2", "misprint", _MOTION,
+        _of_motion(0, rhs), _of_motion(0, perturbation.rhs), "invisible with the paper's data (k = 1e-4)",
+    ),
+    Printed(
+        "(7), (15)", "", "omega'^2 = A1^2 - 2 A1 l3 / (A r0)", "Omega^2 = (A1 + l3 / (A r0))^2", "false",
+        "less the square of the rate at which p1 + i q1 turns by the equations of motion",
+        _turning_square(frequency_squared), _turning_square(lambda spin: spin.Omega**2),
+        "wrong sign: frequencies shift the wrong way with l3, and omega' may become imaginary",
+    ),
+    Printed(
+        "(9)", "", "g1' = (g1-dot - eps q1 g1'') / r1", "g1' = (g1-dot + eps q1 g1'') / r1", "misprint",
+        "right side at a random state, less g1'", _direction_cosine(-1), _direction_cosine(1),
+        "(11) has the right sign",
+    ),
+    Printed(
+        "(10), chi1 and nu", "", "divided by 1 - omega'^2", "chi1 = -G0 / (1 + Omega), nu = 1 / (1 + Omega)", "false",
+        "by how much w = eps chi1 G fails to turn with G, and G = eps nu w with w (l1 = l2 = 0)",
+        _coupling(lambda spin: coefficients(spin)[1:3]), _coupling(lambda spin: (spin.chi1, spin.nu)),
+        "with omega' a pole at omega' = 1; none with Omega but at C r0 + l3 = 0",
+    ),
+    Printed(
+        "(10), chi", "", "y2^2 l1 / (C r0 A1 A^2 omega'^2)", "0", "false",
+        effect="q1 l1 - p1 l2 vanishes on the forced solution",
+    ),
+    Printed(
+        "(11), (16), (27)-(33)", "", "A^-1 y2", "C A^-1 y2", "misprint", effect="dimensionally inconsistent as printed",
+    ),
+    Printed(
+        "(15), second equation", "", "l1 / (A r0)", "l1 / (C r0 + l3)", "false",
+        "error of gamma2'' at r0 = 1e5, over the forced term; the true one falls with eps",
+        _reduced(lambda spin, x: quasilinear(spin, x, x)), _reduced(perturbation.quasilinear),
+        "Phi1 lacks a term of the same order",
+    ),
+    Printed(
+        "(18)", "", "gamma2(0, eps) = 0", "gamma2-dot(0, eps) = 0", "misprint", effect="(22) has the right condition",
+    ),
+    Printed(
+        "(19), (20), (25)", "", "p2'' + omega'^2 p2 = 0", "p2'' + Omega^2 p2 = Omega mu1", "false",
+        effect="fatal: the forced part mu1/Omega of p1, not small, is lost",
+    ),
+    Printed("(24), h_k", "", "sin omega'(tau - t1)", "sin(tau - t1)", "misprint", effect="gamma2 has frequency 1"),
+    Printed(
+        "(32)", "", "W1 > 0", "W1 < 0", "false", effect="sign-definite all the same: the argument survives",
+    ),
+    Printed(
+        "(33), p1", "", "eps [chi + chi1 M3 cos tau]", "mu1/Omega + eps chi1 M3 cos tau", "false", _SOLUTION,
+        _of_solution(0, first_order), _of_solution(0, perturbation.first_order),
+        "p1 is wrong by its whole size wherever l1 != 0",
+    ),
+    Printed(
+        "(33), q1", "", "C X y2 / A + ..", "mu2/Omega - eps chi1 M3 sin tau", "false", _SOLUTION,
+        _of_solution(1, first_order), _of_solution(1, perturbation.first_order),
+        "X is 1/Omega to first order in l3 only",
+    ),
+    Printed(
+        "(33), g1''", "", "y1 (1 - cos tau) + y2 sin tau - ..", "[mu1 (1 - cos tau) + mu2 sin tau] / Omega", "false",
+        _SOLUTION, _of_solution(5, first_order), _of_solution(5, perturbation.first_order),
+        "wrong by a factor of order C / (C - A)",
+    ),
+    Printed(
+        "(33), alpha", "", "-eps pi n [ .. ]", "-2 pi n eps^2 [G0/(1 + Omega) + |mu|^2 / (2 Omega^2)]", "false",
+        effect="too large by 1/eps; the bracket is wrong where l1 or l2 != 0",
+    ),
+    Printed(
+        "theta after (34)", "", "y1, y2", "mu1/Omega, mu2/Omega", "false", _SOLUTION,
+        _of_angle(0, angles), _of_angle(0, perturbation.angles),
+        "the swing is wrong by a factor of order (C - A) / C",
+    ),
+    Printed(
+        "psi after (34)", "", "half the secular rate, a secular term in l2^2, no mu1 sin r0 t",
+        "-(Mg z0 - N (C - A) cos theta0) / (C r0 + l3)", "false", _SOLUTION,
+        _of_angle(1, angles), _of_angle(1, perturbation.angles),
+        "precession at half its rate, or far off where l2 != 0",
+    ),
+    Printed(
+        "section VI, data", "", "A = 22.49 or 50.32 with M = 30, z0 = 5", "A >= M z0^2 = 750", "false",
+        effect="no real body has these moments about the fixed point",
+    ),
+)  # fmt: skip

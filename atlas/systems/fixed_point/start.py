@@ -108,6 +108,25 @@ def start(points: Points) -> Array:
     return np.concatenate([np.where(np.isnan(vector[0]), w, vector), gamma])
 
 
+def by_angles(points: Points) -> dict[str, Array]:
+    """The same starts with p0 .. gamma30 turned into theta0 .. m; on the vertical theta' is hypot(p0, q0)."""
+    given = ~np.isnan(points["p0"])
+    gamma = vertical(points)
+    theta_dot, n, m = rates(points)
+    sine = np.hypot(gamma[0], gamma[1])
+    turned = {
+        "theta0": np.arctan2(sine, gamma[2]),
+        # No node on the vertical: phi0 is then such that the rest of p0, q0 is a rate about it.
+        "phi0": np.where(sine == 0, np.arctan2(-points["q0"], points["p0"]), np.arctan2(gamma[0], gamma[1])),
+        "theta_dot0": theta_dot,
+        "n": n,
+        "m": m,
+    }
+    found = dict(points)
+    found |= {name: np.where(given, values, points[name]) for name, values in turned.items()}
+    return found | {name: np.where(given, np.nan, points[name]) for name in _VECTORS}
+
+
 def check(points: Points) -> None:
     """Raises BadInput on moments no body has, on half a start or field, and on one given twice."""
     check_inertia(points)

@@ -546,6 +546,10 @@ def steady_motion(points: Points, t: Array) -> Array:
 _SYMMETRIC_TILT = (
     _STEADY_TILT, _NO_PRECESSION, _SYMMETRIC, _AXIAL_ROTOR, _AXIAL_MAGNET,
 )  # fmt: skip
+_TILT_LABELS = (
+    "permanent rotation about the third axis in the orbital frame; in space regular precession (Omega, m),"
+    " permanent rotation where m = 0"
+)
 
 _TABLE = (
     Family(
@@ -559,6 +563,9 @@ _TABLE = (
         geometry="cylindrical",
         paper_wording="n = 0: cylindrical permanent rotation (orbital), cylindrical regular precession "
         "(inertial); n != 0: cylindrical regular precession in both",
+        labels="permanent rotation in both frames, about the normal at n +- m and in space at n + Omega +- m",
+        exists="w3 = 0 only with H3 mu1 = H3 mu2 = 0; k1 and k2 are then free",
+        free=("C", "k3", "psi0", "phi0"),
     ),
     Family(
         name="equilibrium",
@@ -581,6 +588,9 @@ _TABLE = (
             **_formulas(_solve_k_equilibrium, "k3", "k1", "k2"),
         },
         paper_wording="equilibrium position (orbital), cylindrical regular precession (inertial)",
+        labels="at rest in the orbital frame, turning with it in space: permanent rotation in both",
+        exists="every orientation without torque about the normal has such a rotor, k is free along the normal;"
+        " atlas.equilibria finds all orientations of a given body",
     ),
     Family(
         name="perp_radius",
@@ -598,6 +608,9 @@ _TABLE = (
         stability=_stability_tilted,
         geometry="perp_radius",
         paper_wording="conical permanent rotation (orbital), conical regular precession (inertial)",
+        labels=_TILT_LABELS,
+        exists="every theta0; for given k3 and m: |k3 + C m - mu3 h3 / Omega| <= Omega |A - C|",
+        free=("phi0",),
     ),
     Family(
         name="perp_velocity",
@@ -616,6 +629,10 @@ _TABLE = (
         stability=_stability_tilted,
         geometry="perp_velocity",
         paper_wording="hyperboloidal permanent rotation (orbital), hyperboloidal regular precession (inertial)",
+        labels=_TILT_LABELS,
+        exists="every theta0, but sin theta0 = 0 only if h1 mu3 = 0; for given k3 and m without h1 mu3:"
+        " |k3 + C m - mu3 h3 / Omega| <= 4 Omega |A - C|",
+        free=("phi0",),
     ),
     Family(
         name="oblique",
@@ -632,6 +649,9 @@ _TABLE = (
         },
         stability=_stability_tilted,
         geometry="oblique",
+        labels=_TILT_LABELS,
+        exists="|h1 mu3| <= 3 Omega^2 |sin theta0 (A - C)|: from perp_radius at h1 mu3 = 0 to perp_velocity at equality",
+        free=("phi0",),
     ),
     Family(
         name="transverse_magnet",
@@ -649,6 +669,9 @@ _TABLE = (
             "k3": _solve_k3,
         },
         geometry="perp_velocity",
+        labels=_TILT_LABELS,
+        exists="where mu1 or mu2 is not 0: sin psi0 h1 (Omega + m cos theta0) = m sin theta0 h3",
+        free=("phi0",),
     ),
     Family(
         name="despun_transverse",
@@ -665,6 +688,9 @@ _TABLE = (
             **_formulas(_solve_node_pair, "k1", "k2"),
             "k3": _solve_k3,
         },
+        labels=_TILT_LABELS,
+        exists="cos psi0 = 0, or |h1 mu3| <= 3 Omega^2 |sin theta0 (A - C)|",
+        free=("phi0",),
     ),
     Family(
         name="asymmetric_tilt",
@@ -691,6 +717,9 @@ _TABLE = (
         },
         geometry="perp_velocity",
         paper_wording="hyperboloidal permanent rotation (orbital), hyperboloidal regular precession (inertial)",
+        labels=_TILT_LABELS,
+        exists="mu1 = mu2 = 0, or h1 = -sin psi0 sgn(cos theta0) sqrt(3) h3",
+        free=("phi0",),
     ),
     Family(
         name="spherical",
@@ -713,6 +742,10 @@ _TABLE = (
         stability=_stability_spherical,
         geometry="general",
         paper_wording="spherical symmetry: regular precession",
+        labels="regular precession (n, m) in the orbital frame and (n + Omega, m) in space; permanent rotation where"
+        " one of the two rates is 0",
+        exists="n = -Omega only with h3 mu3 = 0; k3 and m are then free",
+        free=("theta0", "psi0", "phi0"),
     ),
     Family(
         name="other_axis",
@@ -730,6 +763,9 @@ _TABLE = (
         solve=_formulas(_solve_k_other_axis, "k3", "k1", "k2"),
         stability=_stability_about_normal,
         geometry="general",
+        labels="permanent rotation in both frames, about the normal at n and in space at n + Omega",
+        exists="n = -Omega only with h3 mu along the normal; k is then free",
+        free=("psi0",),
     ),
 )  # fmt: skip
 

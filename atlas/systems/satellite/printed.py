@@ -9,14 +9,13 @@ number is. Where brackets do not match they are read to the letter of the line; 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
-from ..system import Array
+from ..system import Array, Printed
 from . import lagrange
-from .conditions import steady_motion
+from .conditions import FAMILIES, steady_motion
 from .equations import rhs
 from .start import PARAMETERS, constants, directions
 
@@ -30,20 +29,6 @@ _EQUATION = "left side at a random state and its true accelerations"
 _IDENTITY = "left side at a random time, less that of the true equation"
 _CONDITION = "largest |rate - right-hand side| along the motion under the condition"
 _CLOSED = "largest |rate - right-hand side| of the closed form, or |beta - gamma x alpha|"
-
-
-@dataclass(frozen=True)
-class Printed:
-    """One printed equation or claim; a residual of 0 (round-off) is true of the reading."""
-
-    number: str
-    family: str  # name in conditions.FAMILIES; "" for the equations of motion
-    printed: str
-    true: str
-    verdict: str  # true, misprint, false, incomplete, or "true at ..., false at ..."
-    measure: str  # what the residuals are
-    residual_printed: Measure
-    residual_true: Measure
 
 
 def _draw(rng: np.random.Generator, **given: float | str) -> Point:
@@ -466,6 +451,28 @@ def _violation_26(rng: np.random.Generator) -> float:
     return float(min(np.abs(p["A"] - p["B"])[0], np.abs(p["theta0"] - np.pi)[0]))
 
 
+def _beyond(family: str, *solved: str, **given: float | str) -> Draw:
+    """A random motion of a family that the paper does not have."""
+
+    def drawn(rng: np.random.Generator) -> Point:
+        point = _draw(rng, **{"n": 0, **given})
+        for name in solved:
+            point[name] = FAMILIES[family].solve[name](point)
+        return point
+
+    return drawn
+
+
+def _beyond_row(
+    number: str, family: str, printed: str, true: str, drawn: Draw, breaks: Callable[[Point], Any]
+) -> Printed:
+    """breaks: by how much a motion breaks what the paper allows."""
+    return Printed(
+        number, family, printed, true, "incomplete", "by how much a true motion breaks the printed limits; its defect",
+        lambda rng: float(np.abs(breaks(drawn(rng)))[0]), lambda rng: defect(drawn(rng)),
+    )  # fmt: skip
+
+
 _K_UPRIGHT = "k1,2 = h3 mu1,2 / (m + Omega)"
 
 PRINTED: tuple[Printed, ...] = (
@@ -580,6 +587,23 @@ PRINTED: tuple[Printed, ...] = (
     _form_row("(45)", "cylindrical", "alpha = (cos(nt + psi0 + mt), -sin(nt + psi0 + mt), 0), ...", "the same", "true",
               lambda rng: _upright(rng, 0, lambda p: p["Omega"] + p["m"] + p["n"]),
               _turning(lambda p, t: (p["n"] + p["m"]) * t + p["psi0"], lambda p: p["n"] + p["m"])),
+    _beyond_row("beyond (19)", "asymmetric_tilt", "A != B: theta0 = pi/3 only", "theta0 = 2 pi/3 with m = Omega too",
+                _beyond("asymmetric_tilt", "h1", "k1", "k2", "k3", theta0=2 * np.pi / 3, psi0=np.pi / 2, m=1),
+                lambda p: p["theta0"] - np.pi / 3),
+    _beyond_row("beyond (17), (24)", "oblique", "n = 0, tilted axis: psi0 = 0 or pi/2",
+                "and sin psi0 = h1 mu3 / (3 Omega^2 sin theta0 (A - C))",
+                _beyond("oblique", "h1", "k3", B="A", **_AXIAL), lambda p: np.sin(2 * p["psi0"]) / 2),
+    _beyond_row("beyond (24), psi0 = pi/2", "transverse_magnet", "A = B: mu1 = mu2 = k1 = k2 = 0",
+                "or h1 (Omega + m cos theta0) = m sin theta0 h3, k1,2 = mu1,2 (h3 s - h1 c) / (Omega s)",
+                _beyond("transverse_magnet", "h1", "k1", "k2", "k3", B="A", psi0=np.pi / 2),
+                lambda p: np.hypot(p["mu1"], p["mu2"])),
+    _beyond_row("beyond (24), w3 = 0", "despun_transverse", "A = B: mu1 = mu2 = k1 = k2 = 0",
+                "or m = -Omega cos theta0, h3 c = -h1 s sin psi0, Omega s (k1 + i k2) = (H2 + i H1) (mu1 + i mu2)",
+                _beyond("despun_transverse", "m", "h3", "mu3", "k1", "k2", "k3", B="A"),
+                lambda p: np.hypot(p["mu1"], p["mu2"])),
+    _beyond_row("beyond (26)", "other_axis", "n != 0, tilted axis: spherical symmetry only",
+                "or m = 0 and an axis of symmetry other than the third along the normal",
+                _beyond("other_axis", "k1", "k3", C="A", h1=0, m=0, n=0.6, theta0=np.pi / 2), lambda p: p["A"] - p["B"]),
     Printed(
         "names", "perp_radius", "(17) conical, (24) hyperboloidal",
         "in inertial space the axis of (17) sweeps a one-sheet hyperboloid, that of (24) a cone", "false",

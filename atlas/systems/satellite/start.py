@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Set
+
 import numpy as np
 
 from ..system import Array, Parameter, Points
@@ -134,6 +136,18 @@ def frequency_bound(points: Points) -> Array:
     kinematic = turn + Omega
     half = 0.5 * (gyration + kinematic)
     return half + np.sqrt((0.5 * (gyration - kinematic)) ** 2 + stiffness)
+
+
+def special(zero: Set[str], symmetric: bool) -> tuple[set[str], set[tuple[str, str]]]:
+    """Kernels of their own: without magnet, without rotor, and for axial ones on a symmetric body."""
+    gone: set[str] = set()
+    if zero >= {"mu1", "mu2", "mu3"} or zero >= {"h1", "h3"}:
+        gone |= {"mu1", "mu2", "mu3", "h1", "h3"}
+    if zero >= {"k1", "k2", "k3"}:
+        gone |= {"k1", "k2", "k3"}
+    if symmetric and zero | gone >= {"k1", "k2", "mu1", "mu2"}:
+        return gone | {"k1", "k2", "mu1", "mu2"}, {("B", "A"), ("B_inv", "A_inv")}
+    return gone, set()
 
 
 def steady(points: Points) -> tuple[Array, Array, Array]:

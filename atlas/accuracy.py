@@ -1,0 +1,684 @@
+"""Error against run time: some of a scene's points, by every method at many steps, beside a tight reference."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from statistics import median
+from time import perf_counter
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import xarray as xr
+from scipy.integrate import DOP853
+from scipy.stats import beta
+
+from . import grid, labels
+from .engine import lanes, measure, steps
+from .engine.runge_kutta import METHODS
+from .evaluate import Special, evaluate_tile, kernel
+from .scene import Scene, Settings
+from .systems.system import Array, BadInput, Flags, Mask, Points, System
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+RATES = (
+    "theta_dot_rms", "theta_dot_std", "psi_dot_mean", "psi_dot_std", "phi_dot_mean", "phi_dot_std",
+    "normal_rate_mean", "normal_rate_std",
+)  # fmt: skip
+STATISTICS = (*RATES, "theta_min", "theta_max")
+# Relative tolerances of the reference and of a second run of it: their difference is what it knows.
+REFERENCE, SECOND = 3e-14, 1e-13
+# Rounding alone leaves this much in a component of the state.
+ROUNDING = 1e-15
+# A start whose residual is rounding follows the closed form of its family.
+EXACT = 1e-14
+# The reference is followed in Python: more radians than this at the bound of the frequency take too long.
+MOST_TURNS = 1e5
+# Rungs of the ladder: decades of the tolerance around the scene's own, or halves of its step.
+COARSEST, FINEST, HALVES = 1e-1, 1e-13, range(5, -7, -1)
+# A rung that takes more point-steps than this for the sample is left out.
+MOST_WORK = 5e8
+TIMED = 6_000_000  # point-steps of one timing
+CONFIDENCE = 0.95
+# Half-step sample: at least and at most so many points, and one in so many between (about 1 % of the cost).
+LEAST_SAMPLE, MOST_SAMPLE, ONE_IN = 64, 1000, 200
+
+
+def upper_bound(found: int, of: int) -> float:
+    """Share that `found` of `of` random draws bound from above at 95 % (Clopper and Pearson), 0 to 1."""
+    return 1.0 if found >= of else float(beta.ppf(CONFIDENCE, found + 1, of - found))
+
+
+def spread(size: int, count: int) -> np.ndarray:
+    """One flat index from each of `count` equal parts of range(size), int64: the same for the same size.
+
+    The place in each part is a hash of the part's number, so that no period of the grid is met.
+    """
+    count = min(size, count)
+    part = np.arange(count, dtype=np.uint64)
+    mixed = (part + np.uint64(1)) * np.uint64(0x9E3779B97F4A7C15)
+    mixed = (mixed ^ (mixed >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
+    mixed = (mixed ^ (mixed >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
+    place = ((mixed ^ (mixed >> np.uint64(31))) >> np.uint64(11)).astype(np.float64) / 2.0**53
+    edges = [i * size // count for i in range(count + 1)]
+    first, width = np.array(edges[:-1]), np.diff(edges)
+    return np.asarray(first + np.minimum((place * width).astype(np.int64), width - 1), np.int64)
+
+
+# Half-step sample of a run.
+
+
+def half_step_sample(scene: Scene, ds: xr.Dataset, *, threads: int | None = None) -> dict[str, Any]:
+    """Integrate some points of a finished run again at about half the step, and say what it changed.
+
+    ds: the atlas of the scene, in memory. The points depend on the scene's size alone. Where the label
+    changed, it becomes unresolved and the status step_sensitive, in place. Returns attributes: the
+    number of points, how many labels changed, and the bound "at most this many labels of the atlas may
+    change" at 95 % (all points rerun: exactly); and, where ds holds means and spreads of the rates, the
+    largest change of one, rad per time unit. Empty if ds holds no label.
+    """
+    names = [name for name in ("label", "label_inertial") if name in ds]
+    if not names:
+        return {}
+    indices = spread(scene.size, min(max(LEAST_SAMPLE, scene.size // ONE_IN), MOST_SAMPLE))
+    part = grid.take(scene, indices)
+    again = evaluate_tile(replace(scene, settings=half_step(scene.settings)), part, threads=threads)
+    own = {name: ds[name].values.reshape(-1) for name in ds.data_vars if ds[name].dtype.kind in "fi"}
+    changed, labelled, total = np.zeros(indices.size, bool), np.zeros(indices.size, bool), 0
+    for name in names:
+        known = (own[name] != labels.NOT_COMPUTED) & (own[name] != labels.UNRESOLVED)
+        total = max(total, int(known.sum()))
+        labelled |= known[indices]
+        changed |= known[indices] & (again[name] != own[name][indices])
+    count, wrong = int(labelled.sum()), int(changed.sum())
+    share = wrong / max(count, 1) if indices.size == scene.size else upper_bound(wrong, count)
+    values: dict[str, Any] = {
+        "atlas_half_step_points": count,
+        "atlas_half_step_changed": wrong,
+        "atlas_labels_may_change": math.ceil(share * total - 1e-9),
+        "atlas_labels": total,
+    }
+    differences = [np.abs(again[name] - own[name][indices])[labelled] for name in RATES if name in own]
+    if differences and np.isfinite(differences).any():
+        values["atlas_half_step_difference"] = float(np.nanmax(differences))
+    for name, flag in (
+        *((name, labels.UNRESOLVED) for name in names),
+        ("status", labels.STATUS_VALUE["step_sensitive"]), ("geometry", 0), ("agreement", 0),
+    ):  # fmt: skip
+        if name in own:
+            own[name][indices[changed]] = flag
+    return values
+
+
+def half_step(settings: Settings) -> Settings:
+    """The settings that halve the step of every point (or a little more, as the ladder of steps has it)."""
+    if settings.step is not None:
+        return replace(settings, step=settings.step / 2)
+    return replace(settings, tolerance=settings.tolerance / 2.1 ** METHODS[settings.method].order)
+
+
+def half_step_text(attributes: Mapping[str, Any]) -> str:
+    """The line for the end of a run from what half_step_sample returned, "" if that was nothing."""
+    if "atlas_labels" not in attributes:
+        return ""
+    a = attributes
+    text = (
+        f"labels that may be wrong: at most {a['atlas_labels_may_change']} of {a['atlas_labels']}"
+        f" ({100 * CONFIDENCE:g} %); {a['atlas_half_step_changed']} of {a['atlas_half_step_points']}"
+        " changed at half the step"
+    )
+    if "atlas_half_step_difference" in a:
+        text += f", means and spreads by at most {a['atlas_half_step_difference']:.2g}"
+    return text
+
+
+# The reference.
+
+
+@dataclass(frozen=True)
+class Reference:
+    """What the motions are, and how well that is known; arrays over the points."""
+
+    state: Array  # (state, points) at the end of the run
+    statistics: dict[str, Array]  # by STATISTICS
+    label: Flags
+    exact: Mask  # from the closed form of a family
+    state_error: Array
+    statistics_error: dict[str, Array]
+    certain: Mask  # both determinations give this label
+
+
+def reference(system: System, points: Points, duration: Array, settings: Settings) -> Reference:
+    """Final states and statistics, by closed form where a start is exactly on a family, else by DOP853.
+
+    SciPy's DOP853 runs at the relative tolerances REFERENCE and SECOND, with the statistics as
+    quadratures beside the states. The error of the reference is the difference of the two runs; where
+    the closed form is taken, its difference from the first. Raises BadInput that numbers the points
+    (from 0) where a run fails.
+    """
+    tight, lost = _dop853(system, points, duration, settings.cylinder, REFERENCE)
+    if lost.any():
+        raise _Failure(np.flatnonzero(lost))
+    second, lost = _dop853(system, points, duration, settings.cylinder, SECOND)
+    if lost.any():
+        raise _Failure(np.flatnonzero(lost))
+    flags, _ = system.recognise(points)
+    motions = {f.flag: f.motion for f in system.families.values() if f.motion is not None}
+    exact = (system.condition_residual(points) <= EXACT) & np.isin(flags, list(motions))
+    best, other = tight, second
+    if exact.any():
+        best, other = dict(tight), {k: np.where(exact, tight[k], second[k]) for k in tight}
+        start = system.start(points)
+        now = _rates(system.equations.frame_motion(start, system.constants(points)), settings.cylinder)
+        closed = {name: np.zeros(exact.size) for name in RATES}
+        closed |= {"psi_dot_mean": now[1], "phi_dot_mean": now[2], "normal_rate_mean": now[3]}
+        closed |= {"theta_min": now[5], "theta_max": now[5], "sine_max": np.sin(now[5])}
+        closed["state"] = np.empty_like(start)
+        for flag in np.unique(flags[exact]):
+            on = np.flatnonzero(exact & (flags == flag))
+            moved = motions[flag]({name: values[on] for name, values in points.items()}, duration[on])
+            closed["state"][:, on] = np.einsum("sii->si", moved)
+        best |= {name: np.where(exact, values, tight[name]) for name, values in closed.items()}
+    with np.errstate(invalid="ignore"):
+        called = [labels.label(run, settings.rate_tolerance, settings.cylinder) for run in (best, other)]
+    for run in (best, other):
+        inside = labels.in_cylinder(run, settings.cylinder)
+        for name in ("psi_dot_mean", "psi_dot_std", "phi_dot_mean", "phi_dot_std"):
+            run[name] = np.where(inside, np.nan, run[name])
+    return Reference(
+        best["state"],
+        {name: best[name] for name in STATISTICS},
+        called[0],
+        exact,
+        np.maximum(_distance(best["state"], other["state"], system.frequency_bound(points)), ROUNDING),
+        {name: np.maximum(np.abs(best[name] - other[name]), ROUNDING) for name in STATISTICS},
+        called[0] == called[1],
+    )
+
+
+class _Failure(BadInput):
+    """The reference fails at these places of its points."""
+
+    def __init__(self, places: np.ndarray):
+        super().__init__(f"the reference fails at points {', '.join(map(str, places))}")
+        self.places = places
+
+
+def _distance(one: Array, two: Array, bound: Array) -> Array:
+    """Largest difference of a component; the first three, angular velocities, in units of the bound."""
+    difference = np.abs(one - two)
+    difference[:3] /= bound
+    return np.asarray(difference.max(0))
+
+
+def _rates(motion: Sequence[Array], cylinder: float) -> tuple[Array, ...]:
+    """theta', psi', phi', rate about the vertical, outside the cylinder? (1.0, 0.0), theta: see measure.sample."""
+    u1, u2, u3, g1, g2, g3 = motion
+    sine = np.hypot(g1, g2)
+    outside = np.where(sine >= cylinder, 1.0, 0.0)
+    guarded = np.where(sine == 0.0, 1.0, sine)
+    normal_rate = u1 * g1 + u2 * g2 + u3 * g3
+    psi_dot = (u1 * g1 + u2 * g2) / guarded**2 * outside
+    theta_dot = (u1 * g2 - u2 * g1) / guarded
+    return theta_dot, psi_dot, (u3 - psi_dot * g3) * outside, normal_rate, outside, np.arctan2(sine, g3)
+
+
+def _dop853(
+    system: System, points: Points, duration: Array, cylinder: float, rtol: float
+) -> tuple[dict[str, Array], Mask]:
+    """Statistics by name and the final "state" of every point; and where that failed."""
+    with np.errstate(all="ignore"):
+        turns = system.frequency_bound(points) * duration
+        usable = np.isfinite(system.start(points)).all(0) & (turns <= MOST_TURNS)
+    lost = ~usable
+    found: dict[str, Array] = {}
+    waiting, order = [], np.flatnonzero(usable)[np.argsort(turns[usable], kind="stable")]
+    while order.size:  # points that need about the same steps share them
+        alike = turns[order] <= 1.5 * turns[order[0]]
+        waiting.append(order[alike])
+        order = order[~alike]
+    while waiting:
+        group = waiting.pop()
+        part = _follow(
+            system, {name: values[group] for name, values in points.items()}, duration[group], cylinder, rtol
+        )
+        if part is None:
+            if group.size == 1:
+                lost[group] = True
+            else:  # one bad point must not take its neighbours along
+                waiting += [group[: group.size // 2], group[group.size // 2 :]]
+            continue
+        for name, values in part.items():
+            whole = found.setdefault(name, np.full((*values.shape[:-1], turns.size), np.nan))
+            whole[..., group] = values
+    return found, lost
+
+
+def _follow(
+    system: System, points: Points, duration: Array, cylinder: float, rtol: float
+) -> dict[str, Array] | None:
+    """The points as one system of equations in t / duration; None if a step fails."""
+    equations, constants, start = system.equations, system.constants(points), system.start(points)
+    states, size = start.shape
+    first = _rates(equations.frame_motion(start, constants), cylinder)
+
+    def slope(_: float, flat: Array) -> Array:
+        state = flat.reshape(-1, size)[:states]
+        theta_dot, psi_dot, phi_dot, normal_rate, outside, _ = _rates(
+            equations.frame_motion(state, constants), cylinder
+        )
+        psi_dot, phi_dot = (psi_dot - first[1]) * outside, (phi_dot - first[2]) * outside
+        normal_rate = normal_rate - first[3]
+        rows = [*equations.rhs(state, constants), theta_dot, theta_dot**2, outside]
+        rows += [psi_dot, psi_dot**2, phi_dot, phi_dot**2, normal_rate, normal_rate**2]
+        return np.ravel(duration * np.array(rows))
+
+    sums = 9  # the first rows of measure.OUTPUTS
+    # The quadratures follow the states' steps; they ask for shorter ones only where a rate leaps.
+    tolerance = np.repeat([rtol, 1e3 * rtol], [states * size, sums * size])
+    low, high = first[5].copy(), first[5].copy()
+    with np.errstate(all="ignore"):
+        solver = DOP853(
+            slope, 0.0, np.concatenate([start.ravel(), np.zeros(sums * size)]), 1.0,
+            rtol=tolerance, atol=tolerance,
+        )  # fmt: skip
+        while solver.status == "running":
+            solver.step()
+            if solver.status == "failed" or not np.isfinite(solver.y).all():
+                return None
+            _extremes(solver, equations, constants, duration, cylinder, low, high)
+    final = solver.y.reshape(-1, size)
+    out = np.zeros((len(measure.OUTPUTS), size))
+    out[:sums] = final[states:]
+    for name, values in zip(measure.REFERENCES, first[1:4], strict=True):
+        out[measure.OUTPUTS.index(name)] = values
+    result = measure.finish(out, np.ones(size))
+    over = (low <= np.pi / 2) & (high >= np.pi / 2)
+    return {name: result[name] for name in RATES} | {
+        "theta_min": low,
+        "theta_max": high,
+        "sine_max": np.where(over, 1.0, np.maximum(np.sin(low), np.sin(high))),
+        "state": final[:states],
+    }
+
+
+def _extremes(solver, equations, constants, duration, cylinder, low, high) -> None:
+    """Widen low and high, in place, to the range of theta in the last step: cubic between five instants."""
+    times = np.linspace(solver.t_old, solver.t, 5)
+    path = solver.dense_output()(times).reshape(-1, duration.size, times.size)
+    rates = _rates(equations.frame_motion(path[: len(equations.STATE)], constants[:, :, None]), cylinder)
+    theta, slope = rates[5], rates[0] * (duration * (times[1] - times[0]))[:, None]
+    before, after, rise = slope[:, :-1], slope[:, 1:], np.diff(theta, axis=1)
+    # theta(x) = theta + before x + b x^2 + c x^3 on 0..1, where its slope changes sign
+    b, c = 3 * rise - 2 * before - after, before + after - 2 * rise
+    root = np.sqrt(np.maximum(b**2 - 3 * before * c, 0.0))
+    x = -before / (b + np.where(before > 0, -root, root))
+    turning = theta[:, :-1] + x * (before + x * (b + x * c))
+    turning = np.where((before * after < 0) & (x >= 0) & (x <= 1), turning, theta[:, :-1])
+    every = np.concatenate([theta, turning], axis=1)
+    np.minimum(low, every.min(1), out=low)
+    np.maximum(high, every.max(1), out=high)
+
+
+# The report.
+
+
+def ladder(settings: Settings) -> tuple[str, list[float]]:
+    """Tolerances (decades around the scene's own), or steps (halves and doubles), coarse to fine."""
+    if settings.step is not None:
+        return "step", [settings.step * 2.0**k for k in HALVES]
+    above = math.floor(math.log10(COARSEST / settings.tolerance) + 1e-9)
+    below = math.floor(math.log10(settings.tolerance / FINEST) + 1e-9)
+    decades = range(max(above, 0), -max(below, 0) - 1, -1)
+    return "tolerance", [settings.tolerance * 10.0**k for k in decades]
+
+
+def accuracy(scene: Scene, count: int = 64) -> xr.Dataset:
+    """Errors and run times of `count` points of a scene, over the dimensions (method, rung, point).
+
+    Every method of the engine runs at a ladder of tolerances (or steps, if the scene gives one). State
+    errors are the largest difference of a component at the end of the run, angular velocities in units
+    of the point's frequency bound; `error_NAME` is that of a statistic. No error is below what the
+    reference knows, `reference_error` and `reference_error_NAME`. seconds_per_point: one processor, full
+    blocks of points, to the end of the run, from the measured time of a point-step. Rungs that take too
+    many steps are nan. Raises BadInput for a count below 2, and where the reference fails, by name.
+    """
+    if count < 2:
+        raise BadInput(f"points = {count}: must be at least 2")
+    grid.check(scene)
+    system, settings = scene.system, scene.settings
+    indices = spread(scene.size, 16 * count)
+    there = np.flatnonzero(grid.take(scene, indices).there)
+    if not there.size:
+        raise BadInput(f"family.name = {scene.family!r}: exists at none of the points tried")
+    indices = indices[there[spread(there.size, count)]]
+    part = grid.take(scene, indices)
+    try:
+        truth = reference(system, part.points, part.duration, settings)
+    except _Failure as failure:
+        raise BadInput(
+            f"the reference fails at {failure.places.size} of {indices.size} points: the motion cannot be"
+            f" followed at {_named(scene, indices[failure.places])}"
+        ) from None
+
+    (kind, rungs), methods = ladder(settings), list(METHODS)
+    shape = (len(methods), len(rungs), indices.size)
+    columns = {f"error_{name}": np.full(shape, np.nan) for name in STATISTICS}
+    columns |= {name: np.full(shape, np.nan) for name in ("error_state", "integral_drift", "step")}
+    counts = np.zeros(shape, np.int64)
+    called = np.zeros(shape, np.int8)
+    seconds = np.full(shape[:2], np.nan)
+    bound = system.frequency_bound(part.points)
+    for i, method in enumerate(methods):
+        runner, paces = _Runner(scene, part.points, method), dict[int, float]()
+        for j, rung in enumerate(rungs):
+            chosen = replace(settings, method=method)
+            chosen = replace(chosen, step=rung) if kind == "step" else replace(chosen, tolerance=rung)
+            plan = _plan(system, part.points, part.duration, chosen)
+            if plan.count.sum() > MOST_WORK:
+                continue
+            found = evaluate_tile(
+                replace(scene, settings=chosen, outputs=(*STATISTICS, "integral_drift", "label")), part
+            )
+            state = runner.end(lanes.plan(plan.count, plan.stride), plan.length)
+            with np.errstate(invalid="ignore"):
+                error = _distance(state, truth.state, bound)
+                columns["error_state"][i, j] = np.maximum(error, truth.state_error)
+                for name in STATISTICS:
+                    columns[f"error_{name}"][i, j] = np.maximum(
+                        np.abs(found[name] - truth.statistics[name]), truth.statistics_error[name]
+                    )
+            columns["integral_drift"][i, j], columns["step"][i, j] = found["integral_drift"], plan.length
+            counts[i, j], called[i, j] = plan.count, found["label"]
+            for stride in np.unique(plan.stride):
+                if int(stride) not in paces:
+                    paces[int(stride)] = _pace(scene, part.points, plan, method, int(stride))
+            pace = np.array([paces[int(stride)] for stride in plan.stride])
+            seconds[i, j] = (pace * plan.count).mean()
+    return _dataset(scene, indices, truth, columns, counts, called, seconds)
+
+
+def _plan(system: System, points: Points, duration: Array, settings: Settings) -> steps.Steps:
+    return steps.choose(
+        METHODS[settings.method], system.frequency_bound(points), duration,
+        tolerance=settings.tolerance, step=settings.step, max_steps=settings.max_steps,
+    )  # fmt: skip
+
+
+class _Runner:
+    """Points of a scene in the kernel that the scene gets."""
+
+    def __init__(self, scene: Scene, points: Points, method: str):
+        system = scene.system
+        self.kernel = kernel(system, method, Special.of(system, *scene.vanishing()))
+        self.cylinder = scene.settings.cylinder
+        self.start = np.ascontiguousarray(system.start(points))
+        self.constants = np.ascontiguousarray(system.constants(points))
+        conserved = dict(system.conserved(points))
+        self.scales = measure.scales(system.equations, self.start, self.constants, conserved)
+
+    def end(self, blocks: lanes.Plan, length: Array, threads: int | None = None) -> Array:
+        """Final states, (state, points)."""
+        state = self.start.copy()
+        lanes.integrate(
+            self.kernel, blocks, length, state, self.constants, self.scales, self.cylinder, threads=threads
+        )
+        return state
+
+
+def _pace(scene: Scene, points: Points, plan: steps.Steps, method: str, stride: int) -> float:
+    """Seconds per point-step on one processor in full blocks that are sampled every `stride` steps."""
+    blocks = -(-plan.count.size // lanes.WIDTH)
+    many = np.resize(np.arange(plan.count.size), blocks * lanes.WIDTH)
+    runner = _Runner(scene, {name: values[many] for name, values in points.items()}, method)
+    each = np.full(many.size, max(TIMED // many.size // stride, 1) * stride)
+    work, times = lanes.plan(each, np.full(many.size, stride)), []
+    for _ in range(4):  # the first may load or compile the kernel
+        began = perf_counter()
+        runner.end(work, plan.length[many], threads=1)
+        times.append(perf_counter() - began)
+    return median(times[1:]) / work.point_steps
+
+
+def _named(scene: Scene, indices: np.ndarray, most: int = 5) -> str:
+    """Points by the values on their axes."""
+    shown = []
+    for place in np.transpose(np.unravel_index(indices[:most], scene.shape)):
+        values = zip(scene.axes.values(), place, strict=True)
+        shown.append(", ".join(f"{axis.name} = {axis.values[i]:.6g}" for axis, i in values))
+    return "; ".join(shown) + (f" and {indices.size - most} more" if indices.size > most else "")
+
+
+def _dataset(scene, indices, truth: Reference, columns, counts, called, seconds) -> xr.Dataset:
+    settings, dims = scene.settings, ("method", "rung", "point")
+    compared = truth.certain & (called != labels.UNRESOLVED) & (called != labels.NOT_COMPUTED)
+    wrong = compared & (called != truth.label)
+    rate = "rad s-1"
+    ds = xr.Dataset(
+        {
+            name: (dims, values, {"units": rate if name.removeprefix("error_") in RATES else "1"})
+            for name, values in columns.items()
+        }
+    )
+    ds["step"].attrs["units"] = "s"
+    for name in ("error_theta_min", "error_theta_max"):
+        ds[name].attrs["units"] = "rad"
+    ds["steps"] = dims, counts, {"long_name": "steps to the end of the run", "units": "1"}
+    ds["label_compared"] = dims, compared.astype(np.int8), {"long_name": "both label and reference are sure"}
+    ds["label_wrong"] = dims, wrong.astype(np.int8), {"long_name": "the label is not the reference's"}
+    ds["seconds_per_point"] = dims[:2], seconds, {"units": "s"}
+    ds["order"] = dims[:2], _orders(columns, truth), {"long_name": "observed order from the rung before"}
+    ds["reference_error"] = "point", truth.state_error, {"units": "1"}
+    for name, values in truth.statistics_error.items():
+        ds[f"reference_error_{name}"] = "point", values, dict(ds[f"error_{name}"].attrs)
+    ds["reference_exact"] = "point", truth.exact.astype(np.int8), {"long_name": "closed form of a family"}
+    kind, rungs = ladder(settings)
+    ds = ds.assign_coords(
+        {
+            "method": ("method", list(METHODS)),
+            "point": ("point", indices, {"long_name": "flat index in the scene's grid"}),
+            kind: ("rung", rungs, {"long_name": f"{kind} of the scene's [integration]"}),
+        }
+    )
+    for axis, place in zip(scene.axes.values(), np.unravel_index(indices, scene.shape), strict=True):
+        name = f"{axis.name}_offset" if axis.offset_from_family else axis.name
+        ds = ds.assign_coords({name: ("point", np.asarray(axis.values)[place])})
+    own = settings.step if settings.step is not None else settings.tolerance
+    ds.attrs = {
+        "title": scene.title,
+        "atlas_scene": scene.toml(),
+        "atlas_system": scene.system.name,
+        "atlas_points": scene.size,
+        "ladder": kind,
+        "own_method": settings.method,
+        "own_rung": int(np.abs(np.log(np.array(rungs) / own)).argmin()),
+    }
+    return ds
+
+
+def _orders(columns: Mapping[str, Array], truth: Reference) -> Array:
+    """Median over the points of log(error ratio) / log(step ratio), where the reference can tell; else nan."""
+    error, step = columns["error_state"], columns["step"]
+    order = np.full(error.shape[:2], np.nan)
+    with np.errstate(all="ignore"):
+        each = np.log(error[:, :-1] / error[:, 1:]) / np.log(step[:, :-1] / step[:, 1:])
+    # Errors near the reference's own, and those of a run that is nowhere near converged, show no order.
+    told = (error[:, 1:] > 10 * truth.state_error) & (error[:, :-1] < 1e-2) & np.isfinite(each)
+    for place in np.argwhere(told.sum(2) >= max(2, error.shape[2] // 4)):
+        i, j = place
+        order[i, j + 1] = np.median(each[i, j][told[i, j]])
+    return order
+
+
+def summary(ds: xr.Dataset) -> list[dict[str, Any]]:
+    """One row per method and rung that ran: medians and largest values over the points."""
+    rows: list[dict[str, Any]] = []
+    kind = ds.attrs["ladder"]
+    for method in ds["method"].values:
+        for j in range(ds.sizes["rung"]):
+            at = ds.sel(method=method).isel(rung=j)
+            if not np.isfinite(at["seconds_per_point"]):
+                continue
+            compared, wrong = int(at["label_compared"].sum()), int(at["label_wrong"].sum())
+            error = at["error_state"].values
+            row = {
+                "method": str(method),
+                kind: float(ds[kind][j]),
+                "own_setting": method == ds.attrs["own_method"] and j == ds.attrs["own_rung"],
+                "steps": float(at["steps"].mean()),
+                "seconds_per_point": float(at["seconds_per_point"]),
+                "error_state": _median(error),
+                "error_state_known": bool(_median(error) > _median(ds["reference_error"].values)),
+                "error_state_largest": _largest(error),
+                "labels_compared": compared,
+                "labels_wrong": wrong,
+                "labels_wrong_at_most": upper_bound(wrong, compared),
+                "integral_drift_largest": _largest(at["integral_drift"].values),
+                "order": float(at["order"]),
+            }
+            for name in STATISTICS:
+                values = at[f"error_{name}"].values
+                row |= {f"error_{name}": _median(values), f"error_{name}_largest": _largest(values)}
+            rows.append(row)
+    return rows
+
+
+def _median(values: Array) -> float:
+    """Median of what has a meaning; nan if nothing has."""
+    values = values[~np.isnan(values)]
+    return float(np.median(values)) if values.size else math.nan
+
+
+def _largest(values: Array) -> float:
+    values = values[~np.isnan(values)]
+    return float(values.max()) if values.size else math.nan
+
+
+def report(ds: xr.Dataset) -> str:
+    """The work and what it buys as plain text, ending with one sentence of advice."""
+    kind, rows = ds.attrs["ladder"], summary(ds)
+    exact, own = int(ds["reference_exact"].sum()), ds["reference_error"].values
+    lines = [
+        f"{ds.attrs['title']}: {ds.sizes['point']} of {ds.attrs['atlas_points']} points",
+        f"reference: closed form at {exact} points, DOP853 at {ds.sizes['point'] - exact};"
+        f" it knows final states to {_median(own):.1e} (median), {own.max():.1e} (worst point)",
+        "",
+    ]
+    cells: list[tuple[str, ...]] = [
+        ("method", kind, "steps", "us/point", "state error", "worst", "rates", "labels wrong", "drift", "order")
+    ]  # fmt: skip
+    for row in rows:
+        rates = max((row[f"error_{n}"] for n in RATES if not np.isnan(row[f"error_{n}"])), default=math.nan)
+        cells.append(
+            (
+                row["method"],
+                f"{row[kind]:.3g}" + (" *" if row["own_setting"] else ""),
+                f"{row['steps']:.0f}",
+                f"{1e6 * row['seconds_per_point']:.3g}",
+                ("" if row["error_state_known"] else "<= ") + f"{row['error_state']:.1e}",
+                f"{row['error_state_largest']:.1e}",
+                f"{rates:.1e}",
+                f"{row['labels_wrong']}/{row['labels_compared']} (<= {100 * row['labels_wrong_at_most']:.2g} %)",
+                f"{row['integral_drift_largest']:.1e}",
+                "-" if np.isnan(row["order"]) else f"{row['order']:.2f}",
+            )
+        )
+    lines += [_columns(cells), ""]
+    lines += [
+        "us/point: one processor, to the end of the run; errors: median over the points, none below the"
+        " reference's own (<=);",
+        "rates: of the least accurate mean or spread; labels wrong: beside the reference, share at most"
+        " (95 %); * the scene's setting.",
+        "",
+    ]
+    marked = [row for row in rows if row["own_setting"]]
+    if marked:
+        cells = [("at the scene's setting", "median error", "worst")]
+        for name in STATISTICS:
+            if not np.isnan(marked[0][f"error_{name}"]):
+                cells.append((name, *(f"{marked[0][f'error_{name}{s}']:.1e}" for s in ("", "_largest"))))
+        lines += [_columns(cells), ""]
+    return "\n".join([*lines, advice(ds)])
+
+
+def _columns(rows: Sequence[Sequence[str]]) -> str:
+    widths = [max(len(row[i]) for row in rows) for i in range(len(rows[0]))]
+    return "\n".join("  ".join(cell.rjust(w) for cell, w in zip(row, widths, strict=True)) for row in rows)
+
+
+def advice(ds: xr.Dataset) -> str:
+    """Which method and step reach the scene's tolerance most cheaply, in one sentence.
+
+    A scene with a step has no tolerance: what counts there is the median error of its own setting.
+    """
+    kind, rows = ds.attrs["ladder"], summary(ds)
+    own = next((row for row in rows if row["own_setting"]), None)
+    if kind == "tolerance":
+        target = float(ds["tolerance"][ds.attrs["own_rung"]])
+        what = f"a median state error of {target:.3g}"
+    elif own is None:
+        return "The scene's own step takes too many steps for a sample: no advice."
+    else:
+        target = own["error_state"]
+        what = f"the scene's own median state error, {target:.2g}"
+    known = _median(ds["reference_error"].values)
+    best = ds["error_state"].min(("method", "rung")).values
+    beyond = np.flatnonzero(best > target)
+    names = _named_points(ds, beyond[np.argsort(-best[beyond])])
+    reach = [row for row in rows if row["error_state"] <= target]
+    if not reach:
+        finest = min(row["error_state"] for row in rows)
+        why = (
+            "the reference cannot tell errors that small"
+            if finest <= known * (1 + 1e-9)
+            else "no method and step of the ladder reaches it in double precision"
+        )
+        return f"Out of reach: {what}; {why} (best {finest:.1e}, reference {known:.1e}), first of all at {names}."
+    cheap = min(reach, key=lambda row: row["seconds_per_point"])
+    text = (
+        f"Cheapest for {what}: {cheap['method']} with {kind} = {cheap[kind]:.3g},"
+        f" {1e6 * cheap['seconds_per_point']:.3g} us a point"
+    )
+    if own is not None:
+        text += (
+            f" (the scene's {own['method']} with {kind} = {own[kind]:.3g}: {1e6 * own['seconds_per_point']:.3g} us,"
+            f" error {own['error_state']:.1e})"
+        )
+    if beyond.size:
+        text += f"; {beyond.size} of {best.size} points stay above it at every step, first of all {names}"
+    return text + "."
+
+
+def _named_points(ds: xr.Dataset, places: np.ndarray, most: int = 3) -> str:
+    axes = [name for name in ds.coords if ds[name].dims == ("point",) and name != "point"]
+    shown = [", ".join(f"{name} = {float(ds[name][i]):.6g}" for name in axes) for i in places[:most]]
+    return "; ".join(shown) + (f" and {places.size - most} more" if places.size > most else "")
+
+
+def figure(ds: xr.Dataset) -> Figure:
+    """Work-precision figure: median state error against time per point, one line per method."""
+    from matplotlib.figure import Figure
+
+    drawn = Figure(figsize=(88 / 25.4, 70 / 25.4), layout="constrained")
+    ax = drawn.add_subplot()
+    rows = summary(ds)
+    for method, colour, mark in zip(ds["method"].values, ("#1b6ca8", "#e0892b"), "os", strict=True):
+        line = [(1e6 * r["seconds_per_point"], r["error_state"]) for r in rows if r["method"] == method]
+        ax.plot(*np.transpose(line), mark + "-", color=colour, markersize=3, label=str(method))
+    for row in rows:
+        if row["own_setting"]:
+            ax.plot(
+                1e6 * row["seconds_per_point"], row["error_state"], "o", mfc="none", mec="black", ms=8,
+                label="the scene's setting",
+            )  # fmt: skip
+    known = _median(ds["reference_error"].values)
+    ax.set(
+        xscale="log", yscale="log", xlabel="time per point and processor (µs)", ylabel="median state error"
+    )
+    ax.axhspan(ax.get_ylim()[0], known, color="0.9", zorder=0, label="below the reference's own error")
+    ax.grid(True, color="0.9", linewidth=0.5)
+    ax.legend(frameon=False)
+    return drawn

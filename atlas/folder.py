@@ -1,0 +1,513 @@
+"""Run folders: a scene in tiles, each a file with its hash, so that nothing whole is lost or done twice.
+
+    NAME/manifest.json        what is computed, by which programs, in which tiles; created once
+    NAME/tiles/00000012.nc    variables of one tile
+    NAME/tiles/00000012.json  its hash and what is known of its making, written after it
+    NAME/progress.json        how far the process got that wrote it last, for people and scripts
+
+Nothing is locked: files appear whole by a move, and a tile made twice has the same bytes.
+"""
+
+from __future__ import annotations
+
+import errno
+import hashlib
+import json
+import logging
+import math
+import os
+import shutil
+import socket
+import tomllib
+import uuid
+from collections import Counter
+from collections.abc import Iterable
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
+from dataclasses import dataclass, field
+from datetime import UTC, datetime
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+import netCDF4
+import numpy as np
+import xarray as xr
+from xarray.backends.locks import HDF5_LOCK, NETCDFC_LOCK, combine_locks
+
+from . import __version__, grid, store
+from .engine import steps
+from .engine.runge_kutta import METHODS
+from .evaluate import scene_kernel_hash
+from .scene import Scene, load_scene
+from .systems.system import BadInput
+from .variables import variables
+
+FORMAT = 1
+MANIFEST = "manifest.json"
+# A tile takes a few seconds of one processor at some 6 ns a point-step, but fills the lanes of its kernel.
+TILE_POINT_STEPS, LEAST_POINTS = 5e8, 512
+# The libraries below netCDF4 are not made for threads; this is the lock that xarray reads under.
+_NETCDF = combine_locks([NETCDFC_LOCK, HDF5_LOCK])
+
+
+class Damaged(Exception):
+    """A tile that is there but cannot be used; the message says why."""
+
+
+@dataclass(frozen=True)
+class Tiling:
+    """A grid cut into equal boxes, each a contiguous range of flat C-order indices."""
+
+    shape: tuple[int, ...]
+    tile: tuple[int, ...]  # 1, ..., 1, some rows, whole axes
+
+    @classmethod
+    def of(cls, shape: tuple[int, ...], points: int) -> Tiling:
+        """Tiles of at most so many points, cut evenly."""
+        tile, room = [], points
+        for count in reversed(shape):
+            tile.append(math.ceil(count / math.ceil(count / min(count, max(room, 1)))))
+            room //= count
+        return cls(shape, tuple(reversed(tile)))
+
+    @property
+    def blocks(self) -> tuple[int, ...]:
+        """Number of tiles along each axis."""
+        return tuple(-(-count // length) for count, length in zip(self.shape, self.tile, strict=True))
+
+    @property
+    def count(self) -> int:
+        return math.prod(self.blocks)
+
+    def place(self, tile: int) -> tuple[slice, ...]:
+        """Where a tile lies in the grid."""
+        first = [int(i) * n for i, n in zip(np.unravel_index(tile, self.blocks), self.tile, strict=True)]
+        ends = zip(first, self.tile, self.shape, strict=True)
+        return tuple(slice(start, min(start + length, count)) for start, length, count in ends)
+
+    def extent(self, tile: int) -> tuple[int, ...]:
+        """Shape of a tile: those at the end of an axis may be shorter."""
+        return tuple(s.stop - s.start for s in self.place(tile))
+
+    def indices(self, tile: int) -> np.ndarray:
+        """Flat indices of the points of a tile."""
+        first = int(np.ravel_multi_index(tuple(s.start for s in self.place(tile)), self.shape))
+        return np.arange(first, first + math.prod(self.extent(tile)))
+
+
+def mean_steps(scene: Scene, sample: grid.Grid) -> float:
+    """Integration steps of a point of the scene, averaged over the sample of `grid.check`."""
+    settings = scene.settings
+    with np.errstate(all="ignore"):
+        count = steps.choose(
+            METHODS[settings.method], scene.system.frequency_bound(sample.points), sample.duration,
+            tolerance=settings.tolerance, step=settings.step, max_steps=settings.max_steps,
+        ).count  # fmt: skip
+    return float(count[sample.there].mean())
+
+
+def tiling(scene: Scene, sample: grid.Grid) -> Tiling:
+    """How a scene is cut: from the scene alone, never from timing."""
+    wanted = min(max(TILE_POINT_STEPS / mean_steps(scene, sample), LEAST_POINTS), grid.TILE)
+    # A power of two: a last bit of the mean that differs between machines makes no other tiles.
+    return Tiling.of(scene.shape, 2 ** round(math.log2(wanted)))
+
+
+def identity(scene: Scene) -> dict[str, str]:
+    """What decides every bit of an atlas beside its scene: programs and type of processor."""
+    from .engine.jit import cpu
+
+    code = hashlib.sha256()
+    for path in sorted(Path(__file__).parent.rglob("*.py")):
+        code.update(path.read_bytes())
+    packages = {name: version(name) for name in ("numpy", "numba", "llvmlite", "scipy", "netCDF4")}
+    return {
+        "atlas": __version__,
+        "code": code.hexdigest()[:16],
+        "kernel": scene_kernel_hash(scene),
+        "cpu": cpu(),
+        **packages,
+        "HDF5": str(netCDF4.__hdf5libversion__),
+    }
+
+
+def _key(manifest: dict[str, Any]) -> str:
+    kept = {name: manifest[name] for name in ("format", "scene", "identity", "tile")}
+    return hashlib.sha256(json.dumps(kept, sort_keys=True).encode()).hexdigest()
+
+
+@dataclass
+class Survey:
+    """State of some tiles of a run folder."""
+
+    done: list[int] = field(default_factory=list)
+    missing: list[int] = field(default_factory=list)
+    damaged: dict[int, str] = field(default_factory=dict)  # tile -> why
+    unfinished: dict[int, list[Path]] = field(default_factory=dict)  # files that a stopped process left
+
+
+class RunFolder:
+    """One run on disk. Made by `prepare` (to compute) or `open` (to read); may be sent to other processes."""
+
+    def __init__(self, path: Path, manifest: dict[str, Any]):
+        self.path = path
+        self.manifest = manifest
+        self.key = str(manifest["key"])
+        self.scene = load_scene(str(manifest["scene"]))
+        self.tiling = Tiling(self.scene.shape, tuple(manifest["tile"]))
+        self._tiles = path / "tiles"
+
+    def __reduce__(self) -> Any:
+        return RunFolder.open, (self.path,)
+
+    @classmethod
+    def open(cls, path: str | Path) -> RunFolder:
+        """The run in a folder; BadInput if there is none, or one that this version cannot read."""
+        path = Path(path).absolute()
+        file = path / MANIFEST
+        try:
+            manifest = json.loads(file.read_text(encoding="utf-8"))
+        except FileNotFoundError:
+            raise BadInput(f"{path}: not a run folder: there is no {MANIFEST} in it") from None
+        except NotADirectoryError:
+            raise BadInput(f"{path}: not a run folder but a file") from None
+        except (OSError, ValueError) as error:
+            raise BadInput(f"{file}: cannot be read: {error}") from None
+        if not isinstance(manifest, dict) or manifest.get("format") != FORMAT:
+            raise BadInput(f"{file}: not a manifest of this version of atlas (format {FORMAT})")
+        try:
+            whole = manifest["key"] == _key(manifest)
+            run = cls(path, manifest) if whole else None
+        except BadInput as complaint:
+            made = manifest["identity"].get("atlas")
+            raise BadInput(f"{file}: its scene, of atlas {made}, cannot be read: {complaint}") from None
+        except (KeyError, TypeError, ValueError, AttributeError):
+            run = None
+        if run is None:
+            raise BadInput(f"{file}: damaged: its key does not fit what it holds")
+        return run
+
+    @classmethod
+    def prepare(cls, scene: Scene, path: Path, sample: grid.Grid, remarks: list[str]) -> RunFolder:
+        """The run folder of a scene at `path`: continued if it is there, else made.
+
+        sample, remarks: points from `grid.check` and the system's warnings about them. Raises BadInput,
+        touching nothing, if the folder holds another run (naming what differs) or anything else.
+        """
+        path = path.absolute()
+        if not (path / MANIFEST).exists():
+            if path.exists() and not path.is_dir():
+                raise BadInput(f"{path}: this is a file, not a run folder")
+            if path.exists() and any(not p.name.startswith(f".{MANIFEST}") for p in path.iterdir()):
+                raise BadInput(f"{path}: this folder holds something else: there is no {MANIFEST} in it")
+            store.check_folder(path if not path.exists() else path / MANIFEST)
+            manifest = {
+                "format": FORMAT,
+                "scene": scene.toml(),
+                "identity": identity(scene),
+                "tile": tiling(scene, sample).tile,
+                "created": f"{datetime.now(UTC):%Y-%m-%dT%H:%M:%SZ}",
+                "provenance": store.provenance(
+                    scene.system, scene.settings, scene_kernel_hash(scene),
+                    title=scene.title, scene=scene.toml(), seconds=0.0, points=scene.size, remarks=remarks,
+                ),
+            }  # fmt: skip
+            path.mkdir(exist_ok=True)
+            with suppress(FileExistsError):  # another process was first
+                _write(path / MANIFEST, json.dumps(manifest | {"key": _key(manifest)}, indent=1), once=True)
+        run = cls.open(path)
+        run.check_same(scene)
+        with suppress(OSError):
+            run._tiles.mkdir(exist_ok=True)
+        return run
+
+    def check_same(self, scene: Scene) -> None:
+        """Raise BadInput, naming what differs, unless this process computes the same bits for the scene."""
+        there = _flat(tomllib.loads(self.manifest["scene"])) | self.manifest["identity"]
+        here = _flat(tomllib.loads(scene.toml())) | identity(scene)
+        differ = [name for name in {**there, **here} if there.get(name) != here.get(name)]
+        if differ:
+            shown = ", ".join(
+                f"{name} ({there.get(name, 'nothing')} there, {here.get(name, 'nothing')} here)" for name in differ
+            )
+            raise BadInput(f"{self.path}: holds another run; choose another name or remove it. It differs in {shown}")
+
+    def check_writable(self) -> None:
+        """Raise BadInput unless tiles can be written here."""
+        store.check_folder(self._tiles / "tile")
+
+    def _file(self, tile: int, suffix: str) -> Path:
+        return self._tiles / f"{tile:08d}{suffix}"
+
+    def present(self, tile: int) -> bool:
+        """Has someone finished writing this tile? It may be damaged."""
+        return self._file(tile, ".json").exists()
+
+    def write(self, tile: int, columns: dict[str, np.ndarray], computed: int, seconds: float, by: str) -> None:
+        """Write one tile: columns by name, (points of the tile,) each; the file first, then its sidecar.
+
+        computed: points where the family exists, all others are not_computed for good; seconds: what
+        the tile cost; by: who computed it.
+        """
+        extent = self.tiling.extent(tile)
+        names = store.dims(self.scene)
+        with _NETCDF:
+            file = netCDF4.Dataset("tile.nc", "w", memory=1 << 16)
+            file.setncatts({"atlas_key": self.key, "atlas_tile": tile})
+            for name, length in zip(names, extent, strict=True):
+                file.createDimension(name, length)
+            for name, dtype in self._types().items():
+                variable = file.createVariable(name, dtype, names, fill_value=False, **store.COMPRESSION)
+                variable[:] = columns[name].astype(dtype, copy=False).reshape(extent)
+            content = file.close()
+        side = {
+            "key": self.key, "tile": tile, "sha256": hashlib.sha256(content).hexdigest(),
+            "points": math.prod(extent), "computed": computed, "seconds": seconds,
+            "by": by, "host": socket.gethostname(),
+        }  # fmt: skip
+        _write(self._file(tile, ".nc"), content)
+        _write(self._file(tile, ".json"), json.dumps(side))
+
+    def _types(self) -> dict[str, str]:
+        """What a tile holds: its variables, and the parameters the family was solved for."""
+        kinds = variables(self.scene.system)
+        return {name: kinds[name].dtype for name in self.scene.outputs} | dict.fromkeys(self.scene.solve, "f8")
+
+    def sidecar(self, tile: int) -> dict[str, Any]:
+        """What is known of a tile. Raises FileNotFoundError or Damaged."""
+        try:
+            side = json.loads(self._file(tile, ".json").read_bytes())
+        except (ValueError, IsADirectoryError):
+            raise Damaged("its sidecar cannot be read") from None
+        if not isinstance(side, dict) or side.get("key") != self.key or side.get("tile") != tile:
+            raise Damaged("its sidecar is of another run or tile")
+        return side
+
+    def read(self, tile: int, names: Iterable[str] | None = None) -> dict[str, np.ndarray]:
+        """Variables of a tile (default: all), each of the tile's extent.
+
+        Raises FileNotFoundError if the tile is not there, Damaged if it does not open, or has another
+        hash, key, shape or number of computed points than it should.
+        """
+        side, extent, types = self.sidecar(tile), self.tiling.extent(tile), self._types()
+        try:
+            content = self._file(tile, ".nc").read_bytes()
+        except (FileNotFoundError, IsADirectoryError):
+            raise Damaged("its file is missing") from None
+        if hashlib.sha256(content).hexdigest() != side.get("sha256"):
+            raise Damaged("its hash differs")
+        flags = [name for name in ("label", "status") if name in types]
+        wanted = list(types if names is None else names)
+        try:
+            with _NETCDF, netCDF4.Dataset("tile.nc", memory=content) as file:
+                file.set_auto_maskandscale(False)
+                if (file.getncattr("atlas_key"), file.getncattr("atlas_tile")) != (self.key, tile):
+                    raise Damaged("it is a tile of another run or place")
+                found = {name: np.asarray(file[name][...]) for name in {*wanted, *flags}}
+        except (OSError, RuntimeError, AttributeError, IndexError) as error:
+            raise Damaged(f"it does not open: {error}") from None
+        if any(found[name].shape != extent or found[name].dtype != types[name] for name in found):
+            raise Damaged("its shape or type is wrong")
+        absent = math.prod(extent) - side.get("computed", -1)
+        if side.get("points") != math.prod(extent) or any((found[f] == 0).sum() != absent for f in flags):
+            raise Damaged("it holds points that are not computed")
+        return {name: found[name] for name in wanted}
+
+    def check(self, tile: int) -> str | None:
+        """None if a tile is done, "" if it is missing, else why it is damaged."""
+        try:
+            self.read(tile, ())
+        except FileNotFoundError:
+            return ""
+        except Damaged as damage:
+            return str(damage)
+        return None
+
+    def survey(self, tiles: Iterable[int] | None = None) -> Survey:
+        """Look at tiles (default: all), reading each file that is there from end to end."""
+        names = {entry.name for entry in os.scandir(self._tiles)} if self._tiles.is_dir() else set()
+        found = Survey()
+        for name in names:
+            if name.startswith(".") and name[1:9].isdigit():
+                found.unfinished.setdefault(int(name[1:9]), []).append(self._tiles / name)
+        there = []
+        for tile in range(self.tiling.count) if tiles is None else tiles:
+            (there if f"{tile:08d}.json" in names else found.missing).append(tile)
+        with ThreadPoolExecutor(4) as pool:
+            for tile, why in zip(there, pool.map(self.check, there), strict=True):
+                if why is None:
+                    found.done.append(tile)
+                elif why == "":
+                    found.missing.append(tile)
+                else:
+                    found.damaged[tile] = why
+        return found
+
+    def dataset(self) -> xr.Dataset:
+        """The atlas as far as it is computed: dask arrays with a block for each tile."""
+        import dask.array as da
+
+        chunks = da.core.normalize_chunks(self.tiling.tile, self.scene.shape)
+        arrays = {
+            name: da.map_blocks(
+                _block, self, name, chunks=chunks, dtype=dtype, meta=np.empty((0,) * len(chunks), dtype)
+            )
+            for name, dtype in self._types().items()
+        }
+        ds = store.dataset(
+            self.scene,
+            {name: arrays[name] for name in self.scene.outputs},
+            {name: arrays[name] for name in self.scene.solve},
+            self.tiling.tile,
+        )
+        return ds.assign_attrs(self._attributes())
+
+    def _attributes(self) -> dict[str, Any]:
+        """Provenance of what is there: seconds and points per second of all processes taken together."""
+        points, seconds, by = 0, 0.0, Counter[str]()
+        names = [e.name for e in os.scandir(self._tiles)] if self._tiles.is_dir() else []
+        for name in names:
+            if name.endswith(".json") and not name.startswith("."):
+                with suppress(FileNotFoundError, Damaged, KeyError):
+                    side = self.sidecar(int(name[:8]))
+                    points, seconds = points + side["points"], seconds + side["seconds"]
+                    by[side["by"]] += 1
+        found = dict(self.manifest["provenance"])
+        found["atlas_seconds"] = seconds
+        found["atlas_points_per_second"] = points / seconds if seconds > 0 else math.nan
+        done = sum(by.values())
+        found["atlas_run"] = f"{done} of {self.tiling.count} tiles" + "".join(
+            f"; {n} by {who}" for who, n in sorted(by.items())
+        )
+        return found
+
+    def join(self, out: Path) -> None:
+        """Write the whole atlas as one file, tile by tile: memory does not grow with its size.
+
+        Raises BadInput if a tile is missing or damaged, OSError if the disk is full; `out` is then
+        untouched.
+        """
+        lost = [tile for tile in range(self.tiling.count) if not self.present(tile)]
+        if lost:
+            raise BadInput(
+                f"{self.path}: {len(lost)} of {self.tiling.count} tiles are missing; run its scene again first"
+            )
+        temporary = out.with_name(f".{out.name}.{uuid.uuid4().hex}.tmp")
+        try:
+            self._join(temporary)
+            with open(temporary, "rb+") as file:
+                os.fsync(file.fileno())
+            os.replace(temporary, out)
+            _sync_folder(out.parent)
+        except Damaged as damage:
+            raise BadInput(f"{self.path}: {damage}; run its scene again first") from None
+        except RuntimeError as error:  # what netCDF4 raises when the system cannot write
+            full = shutil.disk_usage(out.parent).free < 1 << 24
+            number = errno.ENOSPC if full else errno.EIO
+            raise OSError(number, f"{os.strerror(number)} ({error})", str(out)) from None
+        finally:
+            temporary.unlink(missing_ok=True)
+
+    def _join(self, path: Path) -> None:
+        ds = self.dataset()
+        # Chunks as long as tiles of the cheapest scene: many small tiles would make a slow file.
+        chunk = dict(zip(ds.sizes, Tiling.of(self.scene.shape, grid.TILE).tile, strict=True))
+        marked = " ".join(str(name) for name in ds.coords if name not in ds.dims)
+        with _NETCDF:
+            file = netCDF4.Dataset(path, "w", format="NETCDF4")
+        try:
+            with _NETCDF:
+                file.setncatts(ds.attrs)
+                for dim, length in ds.sizes.items():
+                    file.createDimension(str(dim), length)
+                for name, array in ds.variables.items():
+                    options: dict[str, Any] = {"fill_value": False}
+                    if name in ds.data_vars and array.dtype.kind == "f":
+                        options["fill_value"] = np.nan
+                    if array.ndim:
+                        options |= store.COMPRESSION
+                        options["chunksizes"] = [min(chunk[d], ds.sizes[d]) for d in array.dims]
+                    made = file.createVariable(str(name), array.dtype, array.dims, **options)
+                    made.set_auto_maskandscale(False)
+                    made.setncatts(array.attrs | ({"coordinates": marked} if name in ds.data_vars else {}))
+                    if array.ndim:
+                        size = 2 * math.prod(made.chunking()) * array.dtype.itemsize
+                        made.set_var_chunk_cache(size=size)
+                    if array.chunks is None:
+                        made[...] = array.values
+            for name in (n for n in ds.coords if ds[n].chunks is not None and n not in self.scene.solve):
+                for place in np.ndindex(*ds[name].data.numblocks):
+                    block = ds[name].data.blocks[place].compute(scheduler="synchronous")
+                    at = [sum(c[:i]) for c, i in zip(ds[name].chunks, place, strict=True)]
+                    with _NETCDF:
+                        file[name][tuple(slice(a, a + n) for a, n in zip(at, block.shape, strict=True))] = block
+            for tile in range(self.tiling.count):
+                try:
+                    found = self.read(tile)
+                except (FileNotFoundError, Damaged) as damage:
+                    raise Damaged(f"tile {tile}: {damage}") from None
+                with _NETCDF:
+                    for name, values in found.items():
+                        file[name][self.tiling.place(tile)] = values
+        finally:
+            with _NETCDF:
+                file.close()
+
+    def remove(self) -> None:
+        """Remove the run, and its folder if nothing else lies in it; the manifest last."""
+        shutil.rmtree(self._tiles, ignore_errors=True)
+        for path in [*self.path.glob("progress*.json"), *self.path.glob(".*.tmp"), self.path / MANIFEST]:
+            path.unlink(missing_ok=True)
+        with suppress(OSError):
+            self.path.rmdir()
+
+
+def _block(run: RunFolder, name: str, block_id: tuple[int, ...]) -> np.ndarray:
+    """One tile of one variable; not_computed or nan where there is none."""
+    tile = int(np.ravel_multi_index(block_id, run.tiling.blocks))
+    try:
+        return run.read(tile, (name,))[name]
+    except FileNotFoundError:
+        pass
+    except Damaged as damage:
+        logging.getLogger("atlas").warning("%s: tile %d is damaged: %s", run.path, tile, damage)
+    dtype = run._types()[name]
+    return np.full(run.tiling.extent(tile), 0 if np.dtype(dtype).kind == "i" else np.nan, dtype)
+
+
+def _flat(table: dict[str, Any], above: str = "") -> dict[str, Any]:
+    """A nested table as one level, with dotted names."""
+    found: dict[str, Any] = {}
+    for name, value in table.items():
+        found |= _flat(value, f"{above}{name}.") if isinstance(value, dict) else {above + name: value}
+    return found
+
+
+def _write(path: Path, content: str | bytes | memoryview, *, once: bool = False) -> None:
+    """Write a whole file under a temporary name, sync, and move it into place.
+
+    once: raise FileExistsError, leaving what is there, if the file exists.
+    """
+    temporary = path.with_name(f".{path.name}.{uuid.uuid4().hex}.tmp")
+    try:
+        with open(temporary, "xb") as file:
+            file.write(content.encode() if isinstance(content, str) else content)
+            file.flush()
+            os.fsync(file.fileno())
+        if once:
+            os.link(temporary, path)
+        else:
+            os.replace(temporary, path)
+        _sync_folder(path.parent)
+    finally:
+        temporary.unlink(missing_ok=True)
+
+
+def _sync_folder(folder: Path) -> None:
+    """Make moves in a folder outlive a power cut."""
+    handle = os.open(folder, os.O_RDONLY)
+    try:
+        os.fsync(handle)
+    finally:
+        os.close(handle)

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
+from . import accessor as _accessor  # registers ds.atlas with xarray
+
 __version__ = "0.1.0"
 
 if TYPE_CHECKING:

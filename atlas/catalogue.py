@@ -42,8 +42,10 @@ def families(system: System, name: str | None = None) -> list[dict[str, Any]]:
     for family in system.families.values():
         if name in (None, family.name):
             measured = [_measured(row) for row in system.printed() if row.family == family.name]
-            worst = (max((pair[i] for pair in measured if pair[i] is not None), default=None) for i in (0, 1))
-            rows.append(_family(family) | dict(zip(_RESIDUALS, worst, strict=True)))
+            row = _family(family)
+            for i, key in enumerate(_RESIDUALS):
+                row[key] = max((one for pair in measured if (one := pair[i]) is not None), default=None)
+            rows.append(row)
     return rows
 
 

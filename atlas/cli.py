@@ -40,11 +40,25 @@ def parser() -> argparse.ArgumentParser:
     sub = command("run", _run, "integrate a scene and write its labelled atlas")
     sub.add_argument("scene", metavar="SCENE", help="scene file (TOML)")
     sub.add_argument(
-        "-o", "--out", metavar="OUT.nc", help="atlas to write (default: the scene's name with .nc)"
-    )
+        "-o", "--out", metavar="OUT", help="NAME.nc, or NAME/ for a run folder, which the same command"
+        " continues (default: the scene's name with .nc)"
+    )  # fmt: skip
     sub.add_argument("--threads", type=int, metavar="N", help="processors to use (default: all)")
+    sub.add_argument("--shard", metavar="I/N", help="compute the I-th of N parts of a run folder, from 1")
+    where = sub.add_mutually_exclusive_group()
+    where.add_argument("--scheduler", metavar="ADDRESS", help="compute on the workers of a dask scheduler")
+    where.add_argument("--workers", type=int, metavar="N", help="compute in so many processes of one thread")
+    sub.add_argument("--dry-run", action="store_true", help="print size, time, memory and error to expect")
     sub.add_argument("--force", action="store_true", help="replace an existing atlas")
     sub.add_argument("--quiet", action="store_true", help="print no progress")
+
+    sub = command("status", _status, "tell how far a run folder is")
+    sub.add_argument("folder", metavar="RUN", help="run folder")
+
+    sub = command("join", _join, "write a finished run folder as one file")
+    sub.add_argument("folder", metavar="RUN", help="run folder")
+    sub.add_argument("-o", "--out", metavar="FILE", required=True, help="atlas to write (.nc)")
+    sub.add_argument("--force", action="store_true", help="replace an existing file")
 
     sub = command("check", _check, "check a scene without running it")
     sub.add_argument("scene", metavar="SCENE", help="scene file (TOML)")
@@ -67,6 +81,15 @@ def parser() -> argparse.ArgumentParser:
     sub.add_argument("--width", choices=("column", "page"), default="column", help="journal width")
     sub.add_argument("--caption", action="store_true", help="print a caption for the figure")
     sub.add_argument("--force", action="store_true", help="replace existing figures")
+
+    sub = command("accuracy", _accuracy, "show error against run time for some points of a scene")
+    sub.add_argument("scene", metavar="SCENE", help="scene file (TOML)")
+    sub.add_argument(
+        "-o", "--out", action="append", default=[], metavar="OUT",
+        help=".nc for every number, .csv for the table, .png, .pdf or .svg for the figure; may be repeated",
+    )  # fmt: skip
+    sub.add_argument("--points", type=int, default=64, metavar="N", help="points to try (default: 64)")
+    sub.add_argument("--force", action="store_true", help="replace existing files")
 
     sub = command("conditions", _conditions, "print the families of steady motions and their conditions")
     sub.add_argument("system", metavar="SYSTEM", nargs="?", default="satellite", help="default: satellite")
@@ -101,7 +124,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         print(f"atlas: {complaint}", file=sys.stderr)
         return BAD_INPUT
     except KeyboardInterrupt:
-        print("atlas: interrupted; nothing was left half written", file=sys.stderr)
+        print("atlas: interrupted; what is finished is kept, nothing is half written", file=sys.stderr)
         return INTERRUPTED
     except BrokenPipeError:
         sys.stderr.close()
@@ -114,15 +137,52 @@ def main(arguments: Sequence[str] | None = None) -> int:
 def _run(options: argparse.Namespace) -> int:
     from .scene import load_scene
 
-    if options.threads is not None and options.threads < 1:
-        raise BadInput(f"--threads {options.threads}: must be at least 1")
+    for name in ("threads", "workers"):
+        if (number := getattr(options, name)) is not None and number < 1:
+            raise BadInput(f"--{name} {number}: must be at least 1")
+    shard = _shard(options.shard)
     scene = load_scene(options.scene)
-    out = Path(options.out) if options.out else Path(Path(options.scene).stem + ".nc")
-    from .runner import run, summary
+    out = options.out or Path(options.scene).stem + ".nc"
+    from .runner import dry_run, run, summary
 
-    ds = run(scene, out, threads=options.threads, progress=not options.quiet, force=options.force)
-    print(summary(ds))
-    print(f"wrote {out}")
+    if options.dry_run:
+        print(dry_run(scene, threads=options.threads, workers=options.workers))
+        return DONE
+    ds = run(
+        scene, out, threads=options.threads, progress=not options.quiet, force=options.force,
+        shard=shard, scheduler=options.scheduler, workers=options.workers,
+    )  # fmt: skip
+    if shard is None:
+        print(summary(ds))
+        print(f"wrote {out}")
+    else:
+        print(f"shard {options.shard} is done; {out} holds {ds.attrs['atlas_run']}")
+    return DONE
+
+
+def _shard(text: str | None) -> tuple[int, int] | None:
+    if text is None:
+        return None
+    part, sign, parts = text.partition("/")
+    if not (sign and part.isdecimal() and parts.isdecimal() and 1 <= int(part) <= int(parts)):
+        raise BadInput(f"--shard {text}: must be I/N with whole numbers, 1 <= I <= N")
+    return int(part), int(parts)
+
+
+def _status(options: argparse.Namespace) -> int:
+    from .folder import RunFolder
+
+    print(RunFolder.open(options.folder).status())
+    return DONE
+
+
+def _join(options: argparse.Namespace) -> int:
+    from . import store
+    from .folder import RunFolder
+
+    folder = RunFolder.open(options.folder)
+    folder.join(store.writable(options.out, force=options.force))
+    print(f"wrote {options.out}")
     return DONE
 
 
@@ -182,6 +242,32 @@ def _map(options: argparse.Namespace) -> int:
     for figure in figures:
         maps.save(drawn, figure)
         print(f"wrote {figure}")
+    return DONE
+
+
+def _accuracy(options: argparse.Namespace) -> int:
+    from . import accuracy, store
+    from .scene import load_scene
+
+    outs = [Path(out) for out in options.out]
+    for out in outs:
+        if out.suffix not in (".nc", ".csv", ".png", ".pdf", ".svg"):
+            raise BadInput(f"{out}: the name must end in .nc, .csv, .png, .pdf or .svg")
+        store.check_folder(out)
+        if out.exists() and not options.force:
+            raise BadInput(f"{out}: this file exists; --force replaces it")
+    ds = accuracy.accuracy(load_scene(options.scene), options.points)
+    print(accuracy.report(ds))
+    for out in outs:
+        if out.suffix == ".nc":
+            store.write(ds, out)
+        elif out.suffix == ".csv":
+            out.write_text(accuracy.table(ds))
+        else:
+            from . import maps
+
+            maps.save(accuracy.figure(ds), out)
+        print(f"wrote {out}")
     return DONE
 
 

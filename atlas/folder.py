@@ -39,6 +39,7 @@ from . import __version__, grid, store
 from .engine import steps
 from .engine.runge_kutta import METHODS
 from .evaluate import scene_kernel_hash
+from .progress import clock
 from .scene import Scene, load_scene
 from .systems.system import BadInput
 from .variables import variables
@@ -47,6 +48,17 @@ FORMAT = 1
 MANIFEST = "manifest.json"
 # A tile takes a few seconds of one processor at some 6 ns a point-step, but fills the lanes of its kernel.
 TILE_POINT_STEPS, LEAST_POINTS = 5e8, 512
+# Files of the package on which the numbers of an atlas depend.
+NUMBERS = (
+    "engine/*.py",
+    "systems/**/*.py",
+    "ties.py",
+    "scene.py",
+    "grid.py",
+    "labels.py",
+    "compare.py",
+    "evaluate.py",
+)
 # The libraries below netCDF4 are not made for threads; this is the lock that xarray reads under.
 _NETCDF = combine_locks([NETCDFC_LOCK, HDF5_LOCK])
 
@@ -96,15 +108,19 @@ class Tiling:
         return np.arange(first, first + math.prod(self.extent(tile)))
 
 
-def mean_steps(scene: Scene, sample: grid.Grid) -> float:
-    """Integration steps of a point of the scene, averaged over the sample of `grid.check`."""
+def step_plan(scene: Scene, sample: grid.Grid) -> steps.Steps:
+    """Step counts of some points of the scene, and what is known beforehand of their errors."""
     settings = scene.settings
     with np.errstate(all="ignore"):
-        count = steps.choose(
+        return steps.choose(
             METHODS[settings.method], scene.system.frequency_bound(sample.points), sample.duration,
             tolerance=settings.tolerance, step=settings.step, max_steps=settings.max_steps,
-        ).count  # fmt: skip
-    return float(count[sample.there].mean())
+        )  # fmt: skip
+
+
+def mean_steps(scene: Scene, sample: grid.Grid) -> float:
+    """Integration steps of a point of the scene, averaged over the sample of `grid.check`."""
+    return float(step_plan(scene, sample).count[sample.there].mean())
 
 
 def tiling(scene: Scene, sample: grid.Grid) -> Tiling:
@@ -114,12 +130,18 @@ def tiling(scene: Scene, sample: grid.Grid) -> Tiling:
     return Tiling.of(scene.shape, 2 ** round(math.log2(wanted)))
 
 
+def tile_types(scene: Scene) -> dict[str, str]:
+    """What a tile holds, name and type: its variables, and the parameters the family was solved for."""
+    kinds = variables(scene.system)
+    return {name: kinds[name].dtype for name in scene.outputs} | dict.fromkeys(scene.solve, "float64")
+
+
 def identity(scene: Scene) -> dict[str, str]:
     """What decides every bit of an atlas beside its scene: programs and type of processor."""
     from .engine.jit import cpu
 
-    code = hashlib.sha256()
-    for path in sorted(Path(__file__).parent.rglob("*.py")):
+    code, package = hashlib.sha256(), Path(__file__).parent
+    for path in sorted(p for room in NUMBERS for p in package.glob(room)):
         code.update(path.read_bytes())
     packages = {name: version(name) for name in ("numpy", "numba", "llvmlite", "scipy", "netCDF4")}
     return {
@@ -208,9 +230,11 @@ class RunFolder:
                 "identity": identity(scene),
                 "tile": tiling(scene, sample).tile,
                 "created": f"{datetime.now(UTC):%Y-%m-%dT%H:%M:%SZ}",
-                "provenance": store.provenance(
-                    scene.system, scene.settings, scene_kernel_hash(scene),
-                    title=scene.title, scene=scene.toml(), seconds=0.0, points=scene.size, remarks=remarks,
+                "provenance": _no_nan(
+                    store.provenance(
+                        scene.system, scene.settings, scene_kernel_hash(scene),
+                        title=scene.title, scene=scene.toml(), seconds=0.0, points=scene.size, remarks=remarks,
+                    )
                 ),
             }  # fmt: skip
             path.mkdir(exist_ok=True)
@@ -229,9 +253,12 @@ class RunFolder:
         differ = [name for name in {**there, **here} if there.get(name) != here.get(name)]
         if differ:
             shown = ", ".join(
-                f"{name} ({there.get(name, 'nothing')} there, {here.get(name, 'nothing')} here)" for name in differ
+                f"{name} ({there.get(name, 'nothing')} there, {here.get(name, 'nothing')} here)"
+                for name in differ
             )
-            raise BadInput(f"{self.path}: holds another run; choose another name or remove it. It differs in {shown}")
+            raise BadInput(
+                f"{self.path}: holds another run; choose another name or remove it. It differs in {shown}"
+            )
 
     def check_writable(self) -> None:
         """Raise BadInput unless tiles can be written here."""
@@ -244,11 +271,11 @@ class RunFolder:
         """Has someone finished writing this tile? It may be damaged."""
         return self._file(tile, ".json").exists()
 
-    def write(self, tile: int, columns: dict[str, np.ndarray], computed: int, seconds: float, by: str) -> None:
+    def write(self, tile: int, columns: dict[str, np.ndarray], facts: dict[str, Any]) -> None:
         """Write one tile: columns by name, (points of the tile,) each; the file first, then its sidecar.
 
-        computed: points where the family exists, all others are not_computed for good; seconds: what
-        the tile cost; by: who computed it.
+        facts: kept in the sidecar; computed: points where the family exists, all others are
+        not_computed for good; seconds: what the tile cost; by: who computed it.
         """
         extent = self.tiling.extent(tile)
         names = store.dims(self.scene)
@@ -257,22 +284,16 @@ class RunFolder:
             file.setncatts({"atlas_key": self.key, "atlas_tile": tile})
             for name, length in zip(names, extent, strict=True):
                 file.createDimension(name, length)
-            for name, dtype in self._types().items():
+            for name, dtype in tile_types(self.scene).items():
                 variable = file.createVariable(name, dtype, names, fill_value=False, **store.COMPRESSION)
                 variable[:] = columns[name].astype(dtype, copy=False).reshape(extent)
             content = file.close()
         side = {
             "key": self.key, "tile": tile, "sha256": hashlib.sha256(content).hexdigest(),
-            "points": math.prod(extent), "computed": computed, "seconds": seconds,
-            "by": by, "host": socket.gethostname(),
+            "points": math.prod(extent), "host": socket.gethostname(), **facts,
         }  # fmt: skip
         _write(self._file(tile, ".nc"), content)
         _write(self._file(tile, ".json"), json.dumps(side))
-
-    def _types(self) -> dict[str, str]:
-        """What a tile holds: its variables, and the parameters the family was solved for."""
-        kinds = variables(self.scene.system)
-        return {name: kinds[name].dtype for name in self.scene.outputs} | dict.fromkeys(self.scene.solve, "f8")
 
     def sidecar(self, tile: int) -> dict[str, Any]:
         """What is known of a tile. Raises FileNotFoundError or Damaged."""
@@ -290,7 +311,7 @@ class RunFolder:
         Raises FileNotFoundError if the tile is not there, Damaged if it does not open, or has another
         hash, key, shape or number of computed points than it should.
         """
-        side, extent, types = self.sidecar(tile), self.tiling.extent(tile), self._types()
+        side, extent, types = self.sidecar(tile), self.tiling.extent(tile), tile_types(self.scene)
         try:
             content = self._file(tile, ".nc").read_bytes()
         except (FileNotFoundError, IsADirectoryError):
@@ -331,7 +352,7 @@ class RunFolder:
         for name in names:
             if name.startswith(".") and name[1:9].isdigit():
                 found.unfinished.setdefault(int(name[1:9]), []).append(self._tiles / name)
-        there = []
+        there: list[int] = []
         for tile in range(self.tiling.count) if tiles is None else tiles:
             (there if f"{tile:08d}.json" in names else found.missing).append(tile)
         with ThreadPoolExecutor(4) as pool:
@@ -344,6 +365,31 @@ class RunFolder:
                     found.damaged[tile] = why
         return found
 
+    def status(self) -> str:
+        """What is done, damaged and missing, and what the processes at work said last, as text."""
+        survey, tiling = self.survey(), self.tiling
+        lines = [
+            f"{self.scene.title}: {self.scene.size} points in {tiling.count} tiles of at most {math.prod(tiling.tile)}",
+            f"done {len(survey.done)}, damaged {len(survey.damaged)}, missing {len(survey.missing)}",
+        ]
+        lines += [
+            f"tile {tile} will be computed again: {why}" for tile, why in sorted(survey.damaged.items())
+        ]
+        left = sum(math.prod(tiling.extent(tile)) for tile in [*survey.missing, *survey.damaged])
+        speed = 0.0
+        for path in sorted(self.path.glob("progress*.json")):
+            with suppress(OSError, ValueError, KeyError, TypeError):
+                said = json.loads(path.read_text())
+                state = "at work" if said["running"] else "ended"
+                lines.append(
+                    f"shard {said['shard']} on {said['host']}: {said['done']} of {said['points']} points,"
+                    f" {said['points_per_second']:.4g} points/s, {state} when it wrote at {said['written']}"
+                )
+                speed += said["points_per_second"] if said["running"] else 0.0
+        if left and speed > 0:
+            lines.append(f"{left} points left, {clock(left / speed)} at the speed of the processes at work")
+        return "\n".join(lines)
+
     def dataset(self) -> xr.Dataset:
         """The atlas as far as it is computed: dask arrays with a block for each tile."""
         import dask.array as da
@@ -353,7 +399,7 @@ class RunFolder:
             name: da.map_blocks(
                 _block, self, name, chunks=chunks, dtype=dtype, meta=np.empty((0,) * len(chunks), dtype)
             )
-            for name, dtype in self._types().items()
+            for name, dtype in tile_types(self.scene).items()
         }
         ds = store.dataset(
             self.scene,
@@ -373,7 +419,8 @@ class RunFolder:
                     side = self.sidecar(int(name[:8]))
                     points, seconds = points + side["points"], seconds + side["seconds"]
                     by[side["by"]] += 1
-        found = dict(self.manifest["provenance"])
+        provenance = self.manifest["provenance"].items()
+        found = {name: math.nan if value is None else value for name, value in provenance}
         found["atlas_seconds"] = seconds
         found["atlas_points_per_second"] = points / seconds if seconds > 0 else math.nan
         done = sum(by.values())
@@ -412,7 +459,7 @@ class RunFolder:
     def _join(self, path: Path) -> None:
         ds = self.dataset()
         # Chunks as long as tiles of the cheapest scene: many small tiles would make a slow file.
-        chunk = dict(zip(ds.sizes, Tiling.of(self.scene.shape, grid.TILE).tile, strict=True))
+        chunk = dict(zip(store.dims(self.scene), Tiling.of(self.scene.shape, grid.TILE).tile, strict=True))
         marked = " ".join(str(name) for name in ds.coords if name not in ds.dims)
         with _NETCDF:
             file = netCDF4.Dataset(path, "w", format="NETCDF4")
@@ -427,8 +474,9 @@ class RunFolder:
                         options["fill_value"] = np.nan
                     if array.ndim:
                         options |= store.COMPRESSION
-                        options["chunksizes"] = [min(chunk[d], ds.sizes[d]) for d in array.dims]
-                    made = file.createVariable(str(name), array.dtype, array.dims, **options)
+                        options["chunksizes"] = [chunk[str(d)] for d in array.dims]
+                    along = [str(d) for d in array.dims]
+                    made = file.createVariable(str(name), array.dtype, along, **options)
                     made.set_auto_maskandscale(False)
                     made.setncatts(array.attrs | ({"coordinates": marked} if name in ds.data_vars else {}))
                     if array.ndim:
@@ -436,12 +484,15 @@ class RunFolder:
                         made.set_var_chunk_cache(size=size)
                     if array.chunks is None:
                         made[...] = array.values
-            for name in (n for n in ds.coords if ds[n].chunks is not None and n not in self.scene.solve):
-                for place in np.ndindex(*ds[name].data.numblocks):
-                    block = ds[name].data.blocks[place].compute(scheduler="synchronous")
-                    at = [sum(c[:i]) for c, i in zip(ds[name].chunks, place, strict=True)]
+            for name, array in ds.coords.items():
+                if array.chunks is None or name in self.scene.solve:
+                    continue
+                for place in np.ndindex(*array.data.numblocks):
+                    block = array.data.blocks[place].compute(scheduler="synchronous")
+                    first = [sum(lengths[:i]) for lengths, i in zip(array.chunks, place, strict=True)]
+                    where = tuple(slice(i, i + n) for i, n in zip(first, block.shape, strict=True))
                     with _NETCDF:
-                        file[name][tuple(slice(a, a + n) for a, n in zip(at, block.shape, strict=True))] = block
+                        file[str(name)][where] = block
             for tile in range(self.tiling.count):
                 try:
                     found = self.read(tile)
@@ -472,8 +523,16 @@ def _block(run: RunFolder, name: str, block_id: tuple[int, ...]) -> np.ndarray:
         pass
     except Damaged as damage:
         logging.getLogger("atlas").warning("%s: tile %d is damaged: %s", run.path, tile, damage)
-    dtype = run._types()[name]
+    dtype = tile_types(run.scene)[name]
     return np.full(run.tiling.extent(tile), 0 if np.dtype(dtype).kind == "i" else np.nan, dtype)
+
+
+def _no_nan(table: dict[str, Any]) -> dict[str, Any]:
+    """JSON has no nan."""
+    return {
+        name: None if isinstance(value, float) and math.isnan(value) else value
+        for name, value in table.items()
+    }
 
 
 def _flat(table: dict[str, Any], above: str = "") -> dict[str, Any]:

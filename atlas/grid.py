@@ -2,17 +2,23 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from .scene import Duration, Scene, check_range
-from .systems.system import Array, BadInput, Points, System, on_family
+from .systems.system import Array, BadInput, Family, Points, System, on_family
 
 # Points per tile: a constant, so that results never depend on how a run was cut.
 TILE = 65536
 # At most this many bodies, and starts on a family, are checked before a run; others when their tile comes.
 CHECKED_BODIES, CHECKED_STARTS = 50_000, 10_000
+# For complaints: points at which formulas are tried, and values tried where a formula has none.
+CHECKED_FORMULAS = 100
+TRIED = np.concatenate(
+    [np.linspace(-np.pi, np.pi, 73), np.geomspace(0.03, 1e3, 40), -np.geomspace(0.03, 1e3, 40)]
+)[:, None]
 # A solved point counts as on its family if its largest condition residual is below this.
 ON_FAMILY = 1e-9
 
@@ -59,8 +65,7 @@ def take(scene: Scene, indices: np.ndarray) -> Grid:
     if scene.family is not None:
         family = system.families[scene.family]
         with np.errstate(all="ignore"):
-            for name in scene.solve:
-                base[name] = np.asarray(family.solve[name](base), np.float64)
+            base = _solved(family, scene.solve, base)
             there = on_family(family, base) < ON_FAMILY
         for name in scene.solve:
             there &= np.isfinite(base[name])
@@ -107,8 +112,8 @@ def check(scene: Scene) -> Grid:
     )
     scene.system.check({k: v for k, v in names(scene, bodies).items() if k in scene.system.parameters})
     grid = take(scene, indices)
-    if not grid.there.any():
-        raise BadInput(f"family.name = {scene.family!r}: {_why_not(scene, indices)}")
+    if scene.family is not None:
+        _check_family(scene, indices, grid.there)
     some = {name: values[grid.there] for name, values in grid.base.items()}
     for name, layer in scene.system.layers.items():
         if name in scene.outputs:
@@ -119,25 +124,52 @@ def check(scene: Scene) -> Grid:
     return grid
 
 
-def _why_not(scene: Scene, indices: np.ndarray) -> str:
-    """Which condition of the family fails, and by how much at best."""
+def _solved(family: Family, solve: Sequence[str], base: Points) -> dict[str, Array]:
+    """The points with the parameters of `solve` from the family's formulas, in that order."""
+    found = dict(base)
+    for name in solve:
+        found[name] = np.asarray(family.solve[name](found), np.float64)
+    return found
+
+
+def _check_family(scene: Scene, indices: np.ndarray, there: np.ndarray) -> None:
+    """Raise BadInput if the family exists at none of the points, or leaves a solved parameter free at all."""
     assert scene.family is not None
     family = scene.system.families[scene.family]
-    base = {name: values for name, values in names(scene, indices).items() if name in scene.system.parameters}
+    where = indices[there] if there.any() else indices
+    where = where[np.linspace(0, where.size - 1, min(where.size, CHECKED_FORMULAS)).astype(np.int64)]
+    base = {name: values for name, values in names(scene, where).items() if name in scene.system.parameters}
     with np.errstate(all="ignore"):
-        for name in scene.solve:
-            base[name] = np.asarray(family.solve[name](base), np.float64)
-        for name in scene.solve:
-            if not np.isfinite(base[name]).any():
-                return f"no {name} puts any point of the scene on it; it needs {_conditions(family)}"
-        best = int(np.argmin(on_family(family, base)))
-        residuals = [abs(float(c.residual(base)[best])) for c in family.conditions]
-    worst = int(np.nanargmax(residuals)) if not np.isnan(residuals).all() else 0
-    return (
-        f"it needs {family.conditions[worst].text}, which fails by {residuals[worst]:.3g}"
-        " (relative) at the nearest point of the scene"
-    )
+        solved = _solved(family, scene.solve, base)
+        for i, name in enumerate(scene.solve):
+            # a formula that gives nothing, or any other value being as good: what do values do to the family?
+            finite = np.isfinite(solved[name]).any()
+            tried = (TRIED if not finite else np.array([[1.3], [-0.6]])) + np.where(finite, solved[name], 0.0)
+            moved = {k: np.broadcast_to(v, tried.shape) for k, v in (base if not finite else solved).items()}
+            moved = _solved(family, scene.solve[:i], moved) | {name: tried}
+            if not finite:
+                moved = _solved(family, scene.solve[i + 1 :], moved)
+            residual = on_family(family, moved)
+            if (residual < ON_FAMILY).all():
+                raise BadInput(
+                    f"family.solve = {name!r}: the family {family.name} leaves it free here, every value is one;"
+                    " give it in [fixed], [axes] or [ties]"
+                )
+            if not finite:
+                why = _fails(family, moved, residual)
+                raise BadInput(
+                    f"family.name = {family.name!r}: no {name} puts any point of the scene on it; {why} at best"
+                )
+        if not there.any():
+            why = _fails(family, solved, on_family(family, solved))
+            raise BadInput(f"family.name = {family.name!r}: {why} at the nearest point of the scene")
 
 
-def _conditions(family) -> str:
-    return "; ".join(c.text for c in family.conditions)
+def _fails(family: Family, points: Points, residual: Array) -> str:
+    """Which condition fails by how much where the residual is least."""
+    best = np.unravel_index(np.argmin(residual), residual.shape)
+    amounts = [abs(float(condition.residual(points)[best])) for condition in family.conditions]
+    if not np.isfinite(residual[best]):
+        return f"it needs {'; '.join(c.text for c in family.conditions)}, which have no value"
+    worst = int(np.argmax(amounts))
+    return f"it needs {family.conditions[worst].text}, which fails by {amounts[worst]:.3g} (relative)"

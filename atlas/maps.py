@@ -261,7 +261,8 @@ def family_curves(plane: Plane) -> dict[str, list[np.ndarray]]:
         dims = list(plane.frame)
         curves = []
         for i, dim in enumerate(dims):
-            if axes[dim].offset_from_family:
+            low, high = plane.frame[dim]
+            if axes[dim].offset_from_family and low <= 0 <= high:
                 ends = np.array([list(plane.frame[d]) for d in dims]).T if len(dims) > 1 else np.zeros((1, 1))
                 ends[:, i] = 0.0
                 curves.append(ends)
@@ -308,9 +309,9 @@ def _solved(plane: Plane, family: Family, dim: str) -> list[np.ndarray]:
     along = plane.samples(others[0]) if others else np.zeros(1)
     values = branches(along)
     ends = np.flatnonzero((np.isfinite(values[:, 1:]) != np.isfinite(values[:, :-1])).any(0))
-    if ends.size:  # curves often end steeply, where a cosine passes 1
+    if 0 < ends.size <= 8:  # curves often end steeply, where a cosine passes 1
         along = np.unique(
-            np.concatenate([along, *(np.linspace(along[i], along[i + 1], 10 * SAMPLES) for i in ends)])
+            np.concatenate([along, *(np.linspace(along[i], along[i + 1], 2 * SAMPLES) for i in ends)])
         )
         values = branches(along)
     values[:, 1:][np.abs(np.diff(values)) > high - low] = np.nan  # the two sides of a pole

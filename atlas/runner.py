@@ -3,8 +3,19 @@
 from __future__ import annotations
 
 import logging
+import math
+import random
+import resource
+import socket
+import sys
+import threading
 import time
-from collections.abc import Iterator, Mapping
+import tracemalloc
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from concurrent.futures import ThreadPoolExecutor, as_completed
+from contextlib import suppress
+from dataclasses import replace
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -12,11 +23,18 @@ import numpy as np
 import xarray as xr
 
 from . import grid, store, systems
+from .engine import lanes
 from .evaluate import Special, evaluate, evaluate_tile, kernel_hash, scene_kernel_hash
-from .progress import Progress
+from .folder import RunFolder, Tiling, mean_steps, step_plan, tile_types, tiling
+from .progress import Progress, clock
 from .scene import Scene, Settings, check_range
 from .systems.system import BadInput, System
 from .variables import variables
+
+# Points read at a time where a whole atlas is gone through.
+SLAB = 4_000_000
+# A dry run times so many points over so many steps for each thread, a fraction of a second.
+CALIBRATION_POINTS, CALIBRATION_STEPS = 4096, 5e7
 
 
 def run(
@@ -26,50 +44,122 @@ def run(
     threads: int | None = None,
     progress: bool = True,
     force: bool = False,
+    shard: tuple[int, int] | None = None,
+    scheduler: str | None = None,
+    workers: int | None = None,
 ) -> xr.Dataset:
     """Integrate every point of a scene and return the labelled atlas; write it if `out` is given.
 
-    scene: from load_scene. out: a path ending in .nc; an existing file is kept unless force is true.
-    threads: default all processors of this process; results do not depend on it. progress: print to
-    stderr. Returns a Dataset with the scene's axes as dimensions, the variables the scene asks for,
-    every parameter as a coordinate, and provenance in the attributes.
+    scene: from load_scene. out: NAME.nc, one file (made in the run folder NAME.nc.run, which is joined
+    and removed in the end; an existing file is kept unless force is true), or a run folder: a name that
+    ends in / or has no suffix. Where the run folder is there already, it is continued. threads: default
+    all processors of this process; results do not depend on it. progress: print to stderr. shard:
+    (i, n), compute only the i-th of n parts, counted from 1; needs a run folder. scheduler, workers:
+    the address of a dask scheduler, or a number of processes on this machine, compute the tiles.
 
-    Raises BadInput for what no body can be and for an `out` that cannot be written, before anything
-    is computed. On KeyboardInterrupt nothing is written.
+    Returns a Dataset with the scene's axes as dimensions, the variables the scene asks for, every
+    parameter as a coordinate, and provenance in the attributes; opened lazily if `out` is given.
+
+    Raises BadInput for what no body can be and for an `out` that cannot be written or holds something
+    else, before anything is computed. On KeyboardInterrupt and errors finished tiles are kept.
     """
-    path = None if out is None else store.writable(out, force=force)
+    if out is None and (shard or scheduler or workers):
+        raise BadInput("shard, scheduler and workers need an out that ends in / or .nc")
+    if (scheduler or workers) and threads:
+        raise BadInput("threads are for a run without scheduler and workers, which run one thread each")
+    if scheduler and workers:
+        raise BadInput("scheduler and workers are both given; a run has one of them")
+    if workers is not None and workers < 1:
+        raise BadInput(f"workers = {workers}: must be at least 1")
+    if shard is not None and not (1 <= shard[0] <= shard[1]):
+        raise BadInput(
+            f"shard {shard[0]}/{shard[1]}: allowed: 1/{max(shard[1], 1)} to {max(shard[1], 1)}/{max(shard[1], 1)}"
+        )
+    path, one_file = (None, False) if out is None else _destination(out, force)
+    if shard and one_file:
+        raise BadInput(f"shard: {path} is one file; shards need a run folder, a name that ends in /")
     checked = grid.check(scene)
-    kinds = variables(scene.system)
-    columns = {
-        name: np.zeros(scene.size, kinds[name].dtype) if kinds[name].flags else np.full(scene.size, np.nan)
-        for name in scene.outputs
-    }
-    solved = {name: np.empty(scene.size) for name in scene.solve}
-    bar = Progress(scene.size) if progress else None
-    began = time.perf_counter()
     remarks = scene.system.warnings(checked.base)
     _log(remarks)
-    try:
-        for indices, tile in _tiles(scene):
-            values = evaluate_tile(
-                scene, tile, threads=threads, progress=None if bar is None else bar.advance
-            )
-            for name, column in columns.items():
-                column[indices] = values[name]
-            for name, column in solved.items():
-                column[indices] = tile.base[name]
-    finally:
-        if bar is not None:
-            bar.close()
-    seconds = time.perf_counter() - began
-    ds = _dataset(scene, columns, solved)
-    ds.attrs |= store.provenance(
-        scene.system, scene.settings, scene_kernel_hash(scene),
-        title=scene.title, scene=scene.toml(), seconds=seconds, points=scene.size, remarks=remarks,
-    )  # fmt: skip
-    if path is not None:
-        store.write(ds, path)
-    return ds
+    if path is None:
+        return _in_memory(scene, checked, remarks, threads, progress)
+    there = path.with_name(path.name + ".run") if one_file else path
+    folder = RunFolder.prepare(scene, there, checked, remarks)
+    _compute(folder, checked, threads, progress, shard or (1, 1), scheduler, workers)
+    if not one_file:
+        return folder.dataset()
+    folder.join(path)
+    folder.remove()
+    return store.open_atlas(path)
+
+
+def dry_run(scene: Scene, *, threads: int | None = None, workers: int | None = None) -> str:
+    """What running a scene will take, as text; some of its points are run for a short while to tell.
+
+    threads, workers: as for `run`. Raises BadInput as `run` does.
+    """
+    checked = grid.check(scene)
+    cut, plan = tiling(scene, checked), step_plan(scene, checked)
+    threads = workers or threads or lanes.available_threads()
+    there = np.flatnonzero(checked.there)
+    points = scene.size * there.size / checked.there.size
+    mean, point_bytes = (
+        mean_steps(scene, checked),
+        sum(np.dtype(t).itemsize for t in tile_types(scene).values()),
+    )
+    some = there[np.linspace(0, there.size - 1, min(there.size, CALIBRATION_POINTS)).astype(np.int64)]
+    short = min(1.0, CALIBRATION_STEPS * threads / (some.size * mean))
+    part = grid.Grid(
+        {name: values[some] for name, values in checked.base.items()},
+        {name: values[some] for name, values in checked.points.items()},
+        checked.there[some],
+        checked.duration[some] * short,
+    )
+    began = time.perf_counter()
+    evaluate_tile(scene, part, threads=threads)
+    first = time.perf_counter() - began
+    began = time.perf_counter()
+    evaluate_tile(scene, part, threads=threads)
+    second = time.perf_counter() - began
+    tracemalloc.start()
+    evaluate_tile(scene, part, threads=threads)
+    peak = tracemalloc.get_traced_memory()[1] / some.size
+    tracemalloc.stop()
+    per_step = second / step_plan(scene, part).count.sum()
+    resident = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * (1 if sys.platform == "darwin" else 1024)
+    if workers:
+        memory, who = workers * (resident + peak * math.prod(cut.tile)), f"{workers} processes"
+    else:
+        tiles = _at_once(scene, checked, cut, threads)
+        memory, who = resident + tiles * peak * math.prod(cut.tile), f"{threads} threads"
+    free = replace(scene, settings=replace(scene.settings, max_steps=2**50))
+    capped = (plan.count < step_plan(free, checked).count)[there].mean()
+    lines = [
+        f"{scene.size} points, about {points:.0f} to integrate, {cut.count} tiles of at most {math.prod(cut.tile)}",
+        f"file: at most {scene.size * point_bytes / 1e6:.4g} MB before compression",
+        f"time: about {clock(points * mean * per_step)} on {who} ({mean:.4g} steps a point,"
+        f" {1e9 * per_step * threads:.3g} ns a step and processor)",
+        f"first call of the kernel: {max(first - second, 0.0):.1f} s (compiling, if it was not in the cache)",
+        f"memory: about {memory / 1e6:.0f} MB",
+        f"expected phase error of the fastest frequency: at most {plan.phase_error[there].max():.2g} rad",
+    ]
+    if capped > 0:
+        lines.append(f"max_steps = {scene.settings.max_steps} cuts short {100 * capped:.3g} % of the points")
+    return "\n".join(lines)
+
+
+def _destination(out: str | Path, force: bool) -> tuple[Path, bool]:
+    """Path of an atlas and whether it is one file. Raises BadInput if it cannot be written."""
+    path = Path(out)
+    if (
+        str(out).endswith("/")
+        or (not path.suffix and not path.is_file())
+        or (path / "manifest.json").exists()
+    ):
+        if not path.absolute().parent.is_dir():
+            raise BadInput(f"{path}: there is no folder {path.parent}")
+        return path, False
+    return store.writable(path, force=force), True
 
 
 def _log(remarks: list[str]) -> None:
@@ -77,67 +167,195 @@ def _log(remarks: list[str]) -> None:
         logging.getLogger("atlas").warning(remark)
 
 
-def _tiles(scene: Scene) -> Iterator[tuple[np.ndarray, grid.Grid]]:
-    for first in range(0, scene.size, grid.TILE):
-        indices = np.arange(first, min(first + grid.TILE, scene.size))
-        yield indices, grid.take(scene, indices)
+def _tile(
+    scene: Scene, indices: np.ndarray, threads: int | None, progress: Callable[[float], None] | None
+) -> tuple[dict[str, np.ndarray], int]:
+    """One tile in every mode of running: its columns by name, and at how many points the family exists."""
+    tile = grid.take(scene, indices)
+    values = evaluate_tile(scene, tile, threads=threads, progress=progress)
+    columns = {name: values[name] for name in scene.outputs} | {name: tile.base[name] for name in scene.solve}
+    return columns, int(tile.there.sum())
 
 
-def _dataset(scene: Scene, columns: dict[str, np.ndarray], solved: dict[str, np.ndarray]) -> xr.Dataset:
-    """Axes as dimensions; each parameter a coordinate along the axes that it depends on and no more."""
-    dims = tuple(scene.axes)
-    kinds, parameters = variables(scene.system), scene.system.parameters
-    ds = xr.Dataset(
-        {
-            name: (dims, column.reshape(scene.shape), kinds[name].attributes())
-            for name, column in columns.items()
-        }
+class _Stopped(Exception):
+    """Ends a tile in flight when another one failed or the user pressed Ctrl-C."""
+
+
+def _in_threads(
+    tiles: Iterable[int], work: Callable[[int, Callable[[float], None]], None], bar: Progress, at_once: int
+) -> None:
+    """Call work(tile, advance) for each tile, several at a time; on an error or Ctrl-C drop those in flight.
+
+    Tiles overlap so that the processors stay busy while one is prepared or written.
+    """
+    source, lock, stop = iter(tiles), threading.Lock(), threading.Event()
+
+    def advance(points: float) -> None:
+        if stop.is_set():
+            raise _Stopped
+        bar.advance(points)
+
+    def worker() -> None:
+        with suppress(_Stopped):
+            while not stop.is_set():
+                with lock:
+                    tile = next(source, None)
+                if tile is None:
+                    return
+                work(tile, advance)
+
+    with ThreadPoolExecutor(at_once) as pool:
+        try:
+            for job in as_completed([pool.submit(worker) for _ in range(at_once)]):
+                job.result()
+        finally:
+            stop.set()
+
+
+def _at_once(scene: Scene, sample: grid.Grid, cut: Tiling, threads: int | None) -> int:
+    """Tiles in flight: two, or as many as it takes to give every thread a call of the kernel."""
+    threads = threads or lanes.available_threads()
+    calls = math.prod(cut.tile) * mean_steps(scene, sample) / lanes.CHUNK
+    return min(1 + math.ceil(threads / max(calls, 1.0)), threads + 1, cut.count)
+
+
+def _in_memory(
+    scene: Scene, sample: grid.Grid, remarks: list[str], threads: int | None, progress: bool
+) -> xr.Dataset:
+    kinds = variables(scene.system)
+    columns = {name: np.zeros(scene.size, kinds[name].dtype) for name in scene.outputs}
+    solved = {name: np.empty(scene.size) for name in scene.solve}
+    cut = tiling(scene, sample)
+    bar = Progress(scene.size, show=progress)
+
+    def work(tile: int, advance: Callable[[float], None]) -> None:
+        indices = cut.indices(tile)
+        found, computed = _tile(scene, indices, threads, advance)
+        for name, column in (columns | solved).items():
+            column[indices] = found[name]
+        bar.skip(indices.size - computed)
+
+    try:
+        _in_threads(range(cut.count), work, bar, _at_once(scene, sample, cut, threads))
+    finally:
+        bar.close()
+    seconds = time.perf_counter() - bar.began
+    ds = store.dataset(
+        scene,
+        {name: column.reshape(scene.shape) for name, column in columns.items()},
+        {name: column.reshape(scene.shape) for name, column in solved.items()},
     )
-    for axis in scene.axes.values():
-        name = f"{axis.name}_offset" if axis.offset_from_family else axis.name
-        attributes = _axis_attributes(scene.system, axis.name, axis.offset_from_family)
-        attributes |= {k: v for k in ("long_name", "units") if (v := getattr(axis, k))}
-        ds = ds.rename({axis.name: name}) if name != axis.name else ds
-        ds = ds.assign_coords({name: (name, np.asarray(axis.values), attributes)})
-    for name, parameter in parameters.items():
-        attributes = _axis_attributes(scene.system, name, False)
-        if name in solved:
-            ds = ds.assign_coords({name: (tuple(ds.sizes), solved[name].reshape(scene.shape), attributes)})
-        elif name not in scene.axes:
-            used = _depends(scene, name)
-            value = _along(scene, name, used)
-            if not (np.isnan(parameter.default) and np.isnan(value).all()):
-                ds = ds.assign_coords({name: (used, value, attributes)})
-    return ds
+    return ds.assign_attrs(
+        store.provenance(
+            scene.system, scene.settings, scene_kernel_hash(scene),
+            title=scene.title, scene=scene.toml(), seconds=seconds, points=scene.size, remarks=remarks,
+        )
+    )  # fmt: skip
 
 
-def _axis_attributes(system: System, name: str, offset: bool) -> dict[str, str]:
-    if name not in system.parameters:
-        return {"long_name": name, "units": "1"}
-    parameter = system.parameters[name]
-    what = f"offset from the family in the {parameter.meaning}" if offset else parameter.meaning
-    return {"long_name": what, "units": parameter.unit}
+def _compute(
+    folder: RunFolder,
+    sample: grid.Grid,
+    threads: int | None,
+    progress: bool,
+    shard: tuple[int, int],
+    scheduler: str | None,
+    workers: int | None,
+) -> None:
+    """Compute the tiles of a run folder (or of a shard of it) that are not done."""
+    part, parts = shard
+    mine = range(part - 1, folder.tiling.count, parts)
+    survey = folder.survey(mine)
+    for tile, why in list(survey.damaged.items())[:5]:
+        logging.getLogger("atlas").warning("%s: tile %d is computed again: %s", folder.path, tile, why)
+    if len(survey.damaged) > 5:
+        logging.getLogger("atlas").warning("... and %d damaged tiles more", len(survey.damaged) - 5)
+    todo = sorted([*survey.missing, *survey.damaged])
+    if not todo:
+        return
+    folder.check_writable()
+    if parts == 1 and len(todo) < folder.tiling.count:
+        # Someone else may be at work here: begin elsewhere, so that two processes share the tiles.
+        first = random.randrange(len(todo))
+        todo = todo[first:] + todo[:first]
+
+    size = {tile: math.prod(folder.tiling.extent(tile)) for tile in mine}
+    name = "progress.json" if parts == 1 else f"progress-{part}-of-{parts}.json"
+    bar = Progress(
+        sum(size.values()),
+        done=sum(size[tile] for tile in survey.done),
+        show=progress,
+        file=folder.path / name,
+        facts={"shard": f"{part}/{parts}", "host": socket.gethostname()},
+    )
+
+    def finished(tile: int) -> None:
+        for left in survey.unfinished.get(tile, ()):
+            left.unlink(missing_ok=True)
+
+    def open_tiles() -> Iterator[int]:
+        for tile in todo:
+            if tile not in survey.damaged and folder.present(tile) and folder.check(tile) is None:
+                bar.skip(size[tile])  # another process was faster
+            else:
+                yield tile
+
+    try:
+        if scheduler or workers:
+            from . import cluster
+
+            def done(tile: int) -> None:
+                if not folder.present(tile):
+                    raise BadInput(
+                        f"a worker wrote tile {tile}, but it is not in {folder.path}: workers must see the same files"
+                    )
+                bar.advance(size[tile])
+                finished(tile)
+
+            arguments = ((str(folder.path), folder.key, tile) for tile in open_tiles())
+            with cluster.client(scheduler, workers) as client:
+                cluster.each(client, compute_tile, arguments, done)
+        else:
+            last, lock = [time.perf_counter()], threading.Lock()
+            by = f"{threads or lanes.available_threads()} threads" + (
+                f", shard {part}/{parts}" if parts > 1 else ""
+            )
+
+            def work(tile: int, advance: Callable[[float], None]) -> None:
+                columns, computed = _tile(folder.scene, folder.tiling.indices(tile), threads, advance)
+                with lock:
+                    now = time.perf_counter()
+                    seconds, last[0] = now - last[0], now
+                folder.write(tile, columns, {"computed": computed, "seconds": seconds, "by": by})
+                finished(tile)
+                bar.skip(size[tile] - computed)
+
+            at_once = _at_once(folder.scene, sample, folder.tiling, threads)
+            _in_threads(open_tiles(), work, bar, at_once)
+    finally:
+        bar.close()
 
 
-def _depends(scene: Scene, name: str) -> tuple[str, ...]:
-    """Axes on which a fixed or tied parameter depends, in the order of the axes."""
-    found: set[str] = set()
-    waiting = [name]
-    while waiting:
-        one = waiting.pop()
-        if one in scene.ties:
-            waiting += scene.ties[one].names
-        elif one in scene.axes:
-            found.add(one)
-    return tuple(axis for axis in scene.axes if axis in found)
+def compute_tile(path: str, key: str, tile: int) -> int:
+    """Compute and write one tile of a run folder with one thread; what a dask worker is asked to do.
+
+    Raises BadInput if the folder holds another run or this machine would give other bits.
+    """
+    folder = _here(path, key)
+    began = time.perf_counter()
+    columns, computed = _tile(folder.scene, folder.tiling.indices(tile), 1, None)
+    seconds = time.perf_counter() - began
+    folder.write(tile, columns, {"computed": computed, "seconds": seconds, "by": "dask workers"})
+    return tile
 
 
-def _along(scene: Scene, name: str, used: tuple[str, ...]) -> np.ndarray:
-    """Value of a parameter along the axes it depends on, the other axes held at their first value."""
-    counts = [len(axis.values) if axis.name in used else 1 for axis in scene.axes.values()]
-    places = np.indices(counts).reshape(len(counts), -1)
-    values = grid.names(scene, np.asarray(np.ravel_multi_index(tuple(places), scene.shape)))[name]
-    return values.reshape([len(scene.axes[axis].values) for axis in used])
+@lru_cache(maxsize=8)
+def _here(path: str, key: str) -> RunFolder:
+    folder = RunFolder.open(path)
+    if folder.key != key:
+        raise BadInput(f"{path}: holds another run on the machine of this worker")
+    folder.check_same(folder.scene)
+    return folder
 
 
 def label_points(
@@ -206,7 +424,7 @@ def label_points(
     ds = xr.Dataset({name: ("point", column, kinds[name].attributes()) for name, column in columns.items()})
     for name, values in full.items():
         if not (np.isnan(kind.parameters[name].default) and np.isnan(values).all()):
-            ds = ds.assign_coords({name: ("point", values, _axis_attributes(kind, name, False))})
+            ds = ds.assign_coords({name: ("point", values, store.parameter_attributes(kind, name, False))})
     ds.attrs |= store.provenance(
         kind, settings, kernel_hash(kind, method, special),
         title=f"points of the {system}", scene="", seconds=time.perf_counter() - began, points=size,
@@ -260,18 +478,25 @@ def point_columns(
 
 def summary(ds: xr.Dataset) -> str:
     """Counts of labels and status, agreement with theory, expected error, time and speed, as text."""
+    flags = [name for name in ("label", "label_inertial", "status", "agreement") if name in ds]
+    largest = {
+        "error_estimate": "expected phase error of the fastest frequency: at most {:.2g} rad",
+        "integral_drift": "drift of first integrals: at most {:.2g}",
+    }
+    meanings = {name: ds[name].attrs["flag_meanings"].split() for name in flags}
+    counts = {name: np.zeros(len(meanings[name]), np.int64) for name in flags}
+    most = {name: math.nan for name in largest if name in ds}
+    cut = Tiling.of(tuple(ds.sizes.values()), SLAB)
+    for slab in range(cut.count):
+        part = ds[[*flags, *most]].isel(dict(zip(ds.sizes, cut.place(slab), strict=True)))
+        for name in flags:
+            counts[name] += np.bincount(part[name].values.ravel(), minlength=len(meanings[name]))
+        for name in most:
+            most[name] = float(np.fmax(most[name], np.fmax.reduce(part[name].values, axis=None)))
     lines = []
-    for name in ("label", "label_inertial", "status", "agreement"):
-        if name in ds:
-            meanings = ds[name].attrs["flag_meanings"].split()
-            counts = np.bincount(ds[name].values.ravel(), minlength=len(meanings))
-            shown = ", ".join(f"{m} {n}" for m, n in zip(meanings, counts, strict=True) if n)
-            lines.append(f"{name}: {shown}")
-    if "error_estimate" in ds:
-        lines.append(
-            f"expected phase error of the fastest frequency: at most {float(ds['error_estimate'].max()):.2g} rad"
-        )
-    if "integral_drift" in ds:
-        lines.append(f"drift of first integrals: at most {float(ds['integral_drift'].max()):.2g}")
+    for name in flags:
+        shown = ", ".join(f"{m} {n}" for m, n in zip(meanings[name], counts[name], strict=True) if n)
+        lines.append(f"{name}: {shown}")
+    lines += [largest[name].format(value) for name, value in most.items()]
     lines.append(f"{ds.attrs['atlas_seconds']:.1f} s, {ds.attrs['atlas_points_per_second']:.4g} points/s")
     return "\n".join(lines)

@@ -375,6 +375,11 @@ def _family(system: System, table: Mapping[str, Any]) -> tuple[str | None, tuple
         raise BadInput(f"family.solve = {solve!r}: must be a list of parameter names")
     can = system.families[name].solve
     for wanted in solve:
+        if wanted in system.families[name].free:
+            raise BadInput(
+                f"family.solve = {wanted!r}: the family {name} leaves it free, every value is one;"
+                " give it in [fixed], [axes] or [ties]"
+            )
         if wanted not in can:
             raise BadInput(
                 f"family.solve = {wanted!r}: the family {name} cannot be solved for it;"

@@ -19,7 +19,7 @@ from .scene import Scene, Settings
 from .systems.system import BadInput, System
 from .variables import variables
 
-COMPRESSION = {"zlib": True, "complevel": 4, "shuffle": True}
+COMPRESSION: dict[str, Any] = {"zlib": True, "complevel": 4, "shuffle": True}
 SUFFIX = ".nc"
 # Parameters with more values than this are computed when they are looked at, a block at a time.
 MOST_EAGER = 4_000_000

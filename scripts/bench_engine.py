@@ -1,10 +1,11 @@
 """Speed of the engine as shipped, as ratios measured in one run (machines are noisy; medians of pairs).
 
-    python scripts/bench_engine.py [--points 4096] [--steps 2000] [--repeat 7]
+    python scripts/bench_engine.py [--points 4096] [--steps 2000] [--repeat 7] [--scene SCENE]
 
-Full satellite (magnet and rotor), statistics and integrals on. Operations of one step of rk4 are counted
+All terms present, statistics and integrals on. Operations of one step of rk4 on the satellite are counted
 as 384: four right-hand sides of 69 and the sums of the method. The peak is that of independent fused
-multiply-adds in registers, measured in the same run between the other measurements.
+multiply-adds in registers, measured in the same run between the other measurements. Then the other
+system and method, kernels that leave out what vanishes, and a scene run for its labels only.
 """
 
 from __future__ import annotations
@@ -12,30 +13,40 @@ from __future__ import annotations
 import argparse
 import time
 from collections.abc import Callable
+from pathlib import Path
 from statistics import median
 
 import numpy as np
 from numba import njit
 
+from atlas import load_scene, runner
 from atlas.engine import jit, lanes, measure, steps
 from atlas.engine.runge_kutta import METHODS, step_source
-from atlas.evaluate import kernel
+from atlas.evaluate import FULL, Special, kernel
 from atlas.systems import SYSTEMS
 
-OPERATIONS = 4 * 69 + 3 * 9 * 2 + 9 * 6
+# Operations of a right-hand side in its readable form, and the number of states.
+RHS = {"satellite": (69, 9), "fixed_point": (45, 6)}
+MAGNET, ROTOR = frozenset({"mu1", "mu2", "mu3", "h1", "h3"}), frozenset({"k1", "k2", "k3"})
 
 
-def satellites(count: int) -> dict[str, np.ndarray]:
-    """Random satellites with every term present."""
+def operations(system: str, method: str) -> int:
+    """Of one step: the right-hand sides, the sums that make the stages, and the one that makes the step."""
+    (rhs, states), tableau = RHS[system], METHODS[method]
+    sums = sum(2 * np.count_nonzero(row) for row in tableau.a) + 2 * np.count_nonzero(tableau.b) - 2
+    return tableau.stages * rhs + states * int(sums)
+
+
+def bodies(system: str, count: int) -> dict[str, np.ndarray]:
+    """Random points of a system with every term present."""
     rng = np.random.default_rng(0)
-    system = SYSTEMS["satellite"]
-    points = {name: rng.normal(size=count) * 0.3 for name in system.parameters}
-    points |= {
-        "A": rng.uniform(1, 1.4, count),
-        "B": rng.uniform(1, 1.4, count),
-        "C": rng.uniform(0.6, 1.9, count),
-    }
-    return points | {"Omega": np.ones(count), "theta0": rng.uniform(0.2, 2.9, count)}
+    points = {}
+    for name, parameter in SYSTEMS[system].parameters.items():
+        optional = np.isnan(parameter.default)
+        points[name] = np.full(count, np.nan) if optional else rng.normal(size=count) * 0.3
+    points |= {"A": rng.uniform(1, 1.4, count), "B": rng.uniform(1, 1.4, count)}
+    points |= {"C": rng.uniform(0.6, 1.9, count), "theta0": rng.uniform(0.2, 2.9, count)}
+    return points | ({"Omega": np.ones(count)} if system == "satellite" else {})
 
 
 def peak_kernel() -> Callable[[int], float]:
@@ -80,6 +91,100 @@ def seconds(work: Callable[[], object]) -> float:
     return time.perf_counter() - began
 
 
+class Case:
+    """One kernel with points to integrate, as an atlas run would."""
+
+    def __init__(self, system: str, method: str, special: Special, count: int, steps_each: int):
+        kind, points = SYSTEMS[system], bodies(system, count)
+        self.state = np.ascontiguousarray(kind.start(points))
+        self.constants = np.ascontiguousarray(kind.constants(points))
+        self.scales = measure.scales(kind.equations, self.state, self.constants, dict(kind.conserved(points)))
+        # The stride that the step rule chooses for a typical point at the default tolerance.
+        chosen = steps.choose(
+            METHODS[method], np.array([3.0]), np.array([60.0]), tolerance=1e-8, step=None, max_steps=10**8
+        )
+        self.stride = int(chosen.stride[0])
+        self.blocks = lanes.plan(np.full(count, steps_each), np.full(count, self.stride))
+        self.length = np.full(count, float(chosen.length[0]))
+        self.kernel = kernel(kind, method, special)
+        self.first_call = seconds(lambda: self.run(1))
+
+    def run(self, threads: int) -> None:
+        lanes.integrate(
+            self.kernel, self.blocks, self.length, self.state.copy(), self.constants, self.scales, 1e-5,
+            threads=threads,
+        )  # fmt: skip
+
+    def speed(self, threads: int = 1) -> float:
+        """Point-steps per second."""
+        return self.blocks.point_steps / seconds(lambda: self.run(threads))
+
+
+def engine(points: int, steps_each: int, repeat: int) -> None:
+    """Kernels against the FMA peak, against each other, and against plain scalar Numba."""
+    few = steps_each // 8
+    cases = {
+        ("satellite", "rk4", "full"): Case("satellite", "rk4", FULL, points, steps_each),
+        ("satellite", "rk4", "no magnet"): Case("satellite", "rk4", Special(MAGNET), points, steps_each),
+        ("satellite", "rk4", "no magnet, no rotor"): Case(
+            "satellite", "rk4", Special(MAGNET | ROTOR), points, steps_each
+        ),
+        ("fixed_point", "rk4", "full"): Case("fixed_point", "rk4", FULL, points, steps_each),
+        ("satellite", "rk8", "full"): Case("satellite", "rk8", FULL, points, few),
+        ("fixed_point", "rk8", "full"): Case("fixed_point", "rk8", FULL, points, few),
+    }
+    whole = cases["satellite", "rk4", "full"]
+    peak, scalar, rounds, some = peak_kernel(), scalar_kernel(), 40_000, max(points // 16, 1)
+    one = np.ascontiguousarray(whole.state[:, :some])
+    two = np.ascontiguousarray(whole.constants[:, :some])
+    peak(1)
+    scalar(one.copy(), two, 0.01, 1)
+    tops: list[float] = []
+    rows: dict[tuple[str, str, str], list[float]] = {key: [] for key in cases}
+    both: list[float] = []
+    plain: list[float] = []
+    for _ in range(repeat):
+        for key, case in cases.items():
+            if key[2] == "full":
+                tops.append(rounds * 32 * 12 * 8 * 2 / seconds(lambda: peak(rounds)))
+            rows[key].append(case.speed())
+        both.append(whole.speed(2))
+        plain.append(some * steps_each / seconds(lambda: scalar(one.copy(), two, 0.01, steps_each)))
+    base, top = rows["satellite", "rk4", "full"], median(tops)
+    print(f"processor {jit.cpu()}, {lanes.available_threads()} usable; {points} points x {steps_each} steps")
+    print(
+        f"FMA peak, one core: {top / 1e9:.1f} GFLOP/s (from {min(tops) / 1e9:.1f} to {max(tops) / 1e9:.1f})"
+    )
+    print(
+        f"{'kernel':48s} {'ns/point-step':>13s} {'share of peak':>14s} {'time saved':>11s} {'first call':>12s}"
+    )
+    for (system, method, special), speeds in rows.items():
+        full = special == "full"
+        share = f"{100 * median(speeds) * operations(system, method) / top:.1f} %" if full else ""
+        saved = (
+            "" if full else f"{100 * (1 - median(a / b for a, b in zip(base, speeds, strict=True))):.0f} %"
+        )
+        case = cases[system, method, special]
+        name = f"{system}, {method}, {special} (sampled every {case.stride})"
+        print(f"{name:48s} {1e9 / median(speeds):13.2f} {share:>14s} {saved:>11s} {case.first_call:10.2f} s")
+    print(f"over plain scalar Numba: {median(a / b for a, b in zip(base, plain, strict=True)):.2f} x")
+    print(f"two cores over one:      {median(a / b for a, b in zip(both, base, strict=True)):.2f} x")
+
+
+def labels_only(path: str) -> None:
+    """A scene for all its variables against the same for its labels, whole runs."""
+    text = Path(path).read_text()
+    few = text + '\n[outputs]\nvariables = ["label", "status", "end_time"]\n'
+    runs = {"all variables": load_scene(text), "labels only": load_scene(few)}
+    times: dict[str, list[float]] = {name: [] for name in runs}
+    for _ in range(3):
+        for name, scene in runs.items():
+            times[name].append(seconds(lambda scene=scene: runner.run(scene, progress=False)))
+    ratio = median(a / b for a, b in zip(*times.values(), strict=True))
+    shown = ", ".join(f"{name} {median(t):.1f} s" for name, t in times.items())
+    print(f"{path}: {shown}: {ratio:.1f} times faster")
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
@@ -87,54 +192,10 @@ def main() -> None:
     parser.add_argument("--points", type=int, default=4096)
     parser.add_argument("--steps", type=int, default=2000)
     parser.add_argument("--repeat", type=int, default=7)
+    parser.add_argument("--scene", default="configs/conditions_k3.toml", help="for the label-only run")
     options = parser.parse_args()
-    system = SYSTEMS["satellite"]
-    points = satellites(options.points)
-    state, constants = system.start(points), np.ascontiguousarray(system.constants(points))
-    scales = measure.scales(system.equations, state, constants, dict(system.conserved(points)))
-    # The stride that the step rule chooses for a typical point at the default tolerance.
-    chosen = steps.choose(
-        METHODS["rk4"], np.array([3.0]), np.array([60.0]), tolerance=1e-8, step=None, max_steps=10**8
-    )
-    counts = np.full(options.points, options.steps)
-    blocks = lanes.plan(counts, np.full(options.points, int(chosen.stride[0])))
-    length = np.full(options.points, float(chosen.length[0]))
-    module = kernel(system, "rk4")
-
-    def engine(threads: int) -> None:
-        lanes.integrate(module, blocks, length, state.copy(), constants, scales, 1e-5, threads=threads)
-
-    peak, scalar, rounds, few = peak_kernel(), scalar_kernel(), 40_000, max(options.points // 16, 1)
-    one, two = np.ascontiguousarray(state[:, :few]), np.ascontiguousarray(constants[:, :few])
-    compile_seconds = seconds(lambda: engine(1))
-    peak(1)
-    scalar(one.copy(), two, 0.01, 1)
-    rows: dict[str, list[float]] = {"peak": [], "one": [], "two": [], "scalar": []}
-    for _ in range(options.repeat):
-        rows["peak"].append(rounds * 32 * 12 * 8 * 2 / seconds(lambda: peak(rounds)))
-        rows["one"].append(blocks.point_steps / seconds(lambda: engine(1)))
-        rows["two"].append(blocks.point_steps / seconds(lambda: engine(2)))
-        rows["scalar"].append(
-            few * options.steps / seconds(lambda: scalar(one.copy(), two, 0.01, options.steps))
-        )
-    shares = [a * OPERATIONS / b for a, b in zip(rows["one"], rows["peak"], strict=True)]
-    speedups = [a / b for a, b in zip(rows["one"], rows["scalar"], strict=True)]
-    cores = [a / b for a, b in zip(rows["two"], rows["one"], strict=True)]
-    print(
-        f"processor {jit.cpu()}, {lanes.available_threads()} usable; {options.points} points x {options.steps} steps"
-    )
-    print(
-        f"first call (load or compile): {compile_seconds:.2f} s; samples every {int(chosen.stride[0])} steps"
-    )
-    print(f"FMA peak, one core:      {median(rows['peak']) / 1e9:8.1f} GFLOP/s")
-    print(
-        f"engine, one core:        {median(rows['one']) / 1e6:8.1f} million point-steps/s ({1e9 / median(rows['one']):.2f} ns)"
-    )
-    print(
-        f"share of FMA peak:       {100 * median(shares):8.1f} %  (min {100 * min(shares):.1f}, max {100 * max(shares):.1f})"
-    )
-    print(f"over plain scalar Numba: {median(speedups):8.2f} x")
-    print(f"two cores over one:      {median(cores):8.2f} x  (min {min(cores):.2f}, max {max(cores):.2f})")
+    engine(options.points, options.steps, options.repeat)
+    labels_only(options.scene)
 
 
 if __name__ == "__main__":

@@ -11,7 +11,9 @@ from pathlib import Path
 
 import numpy as np
 
+from atlas.figures import amplitude_table
 from atlas.systems import SYSTEMS
+from atlas.systems.fixed_point import perturbation
 from atlas.systems.system import System
 from atlas.variables import variables
 
@@ -47,6 +49,17 @@ def families(system: System) -> str:
         rows.append(
             (f"`{f.name}`", f.equations, ", ".join(f.solve), f.title, "; ".join(c.text for c in f.conditions))
         )
+    return table(rows)
+
+
+def amplitudes(system: System) -> str:
+    return table(amplitude_table(perturbation.figure_table()))
+
+
+def claims(system: System) -> str:
+    rows = [("claim", "holds", "measured")]
+    for claim in perturbation.claims(perturbation.figure_table()):
+        rows.append((claim.text, "yes" if claim.holds else "**no**", claim.measured))
     return table(rows)
 
 

@@ -22,6 +22,7 @@ FLOW = [
     {"grid", "labels", "progress"},
     {"compare"},
     {"evaluate", "store"},
+    {"accuracy"},
     {"runner"},
     {"follow", "catalogue"},
     {"maps", "accessor"},

@@ -385,6 +385,8 @@ def test_an_offset_axis_has_its_family_at_zero():
     assert list(view.frame) == ["theta0", "k3_offset"]
     (line,) = maps.family_curves(view)["perp_velocity"]
     np.testing.assert_array_equal(line, [[0.1, 0.0], [1.5, 0.0]])
+    beside = maps.Plane(view.scene, view.frame | {"k3_offset": (0.1, 0.2)}, {})
+    assert maps.family_curves(beside) == {}
     figure = maps.atlas_map(atlas.run(view.scene, progress=False))
     assert figure.axes[0].get_ylabel() == "$k_3$, offset from the family (N m s)"
     assert "perp velocity (exact)" in legend(figure)

@@ -14,6 +14,7 @@ import os
 import shutil
 import sys
 import tempfile
+import threading
 import warnings
 from pathlib import Path
 from types import ModuleType
@@ -35,6 +36,7 @@ KERNEL = (
     "@njit(nogil=True, cache=CACHE, "
     f"fastmath={OPTIONS['fastmath']!r}, error_model='numpy', boundscheck=False)"
 )
+_LOADING = threading.Lock()
 
 
 def cpu() -> str:
@@ -74,6 +76,11 @@ def cache_folder() -> Path:
 
 def load(source: str) -> ModuleType:
     """Import the generated module, compiling at its first call; warm machine code comes from the cache."""
+    with _LOADING:  # a second thread must not get a module that is only half there
+        return _load(source)
+
+
+def _load(source: str) -> ModuleType:
     name = f"atlas_kernel_{digest(source)}"
     if name in sys.modules:
         return sys.modules[name]

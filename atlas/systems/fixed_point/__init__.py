@@ -66,6 +66,7 @@ FIXED_POINT = System(
     geometry=geometry,
     complete=lambda points: np.ones(points["A"].shape, bool),
     warnings=start.warnings,
+    special=start.special,
     by_angles=start.by_angles,
     layers=layers.LAYERS,
     printed=lambda: printed.ERRATA,

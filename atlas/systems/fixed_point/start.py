@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Set
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -252,3 +254,17 @@ def frequency_bound(points: Points) -> Array:
     stiffness = np.abs(N) * newtonian + moment / least
     half = 0.5 * (gyration + turn)
     return half + np.sqrt((0.5 * (gyration - turn)) ** 2 + stiffness)
+
+
+def special(zero: Set[str], symmetric: bool) -> tuple[set[str], set[tuple[str, str]]]:
+    """Kernels of their own: without weight, Newtonian field or rotor, and for axial ones on a symmetric body."""
+    gone: set[str] = set()
+    if zero >= {"Mg", "M"} or zero >= {"x0", "y0", "z0"}:
+        gone |= {"Mx", "My", "Mz"}
+    if zero >= {"N", "lambda"}:
+        gone |= {"NA", "NB", "NC"}
+    if zero >= {"l1", "l2", "l3"}:
+        gone |= {"l1", "l2", "l3"}
+    if symmetric and zero | gone >= {"l1", "l2"} and (zero >= {"x0", "y0"} or "Mx" in gone):
+        return gone | {"l1", "l2", "Mx", "My"}, {("B", "A"), ("B_inv", "A_inv"), ("NB", "NA")}
+    return gone, set()

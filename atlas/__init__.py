@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
-from . import accessor as _accessor  # registers ds.atlas with xarray
+from . import accessor as _accessor  # noqa: F401  (registers ds.atlas with xarray)
 
 __version__ = "0.1.0"
 

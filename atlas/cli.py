@@ -63,12 +63,30 @@ def parser() -> argparse.ArgumentParser:
     sub = command("check", _check, "check a scene without running it")
     sub.add_argument("scene", metavar="SCENE", help="scene file (TOML)")
 
+    sub = command("points", _points, "label points of a file, which names their parameters")
+    sub.add_argument("system", metavar="SYSTEM", help="satellite or fixed_point")
+    sub.add_argument("points", metavar="POINTS", help=".csv with names in its first line, or .nc")
+    sub.add_argument("-o", "--out", metavar="FILE", required=True, help=".nc, or .csv")
+    sub.add_argument("--duration", type=float, default=60.0, metavar="T", help="time units (default: 60)")
+    sub.add_argument("--method", default="rk4", metavar="NAME", help="rk4 or rk8 (default: rk4)")
+    size = sub.add_mutually_exclusive_group()
+    size.add_argument(
+        "--tolerance", type=float, default=1e-8, metavar="E", help="as in a scene (default: 1e-8)"
+    )
+    size.add_argument("--step", type=float, metavar="H", help="time units")
+    sub.add_argument(
+        "--rate-tolerance", type=float, default=1e-5, metavar="R", help="rad per time unit (default: 1e-5)"
+    )
+    sub.add_argument("--threads", type=int, metavar="N", help="processors to use (default: all)")
+    sub.add_argument("--force", action="store_true", help="replace an existing file")
+    sub.add_argument("--quiet", action="store_true", help="print no progress")
+
     sub = command("compare", _compare, "print an atlas beside theory: confusion table, worst disagreements")
-    sub.add_argument("atlas", metavar="ATLAS", help="atlas file (.nc)")
+    sub.add_argument("atlas", metavar="ATLAS", help="atlas file (.nc) or run folder")
     sub.add_argument("--worst", type=int, default=5, metavar="N", help="disagreements to name (default: 5)")
 
     sub = command("map", _map, "draw a map of an atlas")
-    sub.add_argument("atlas", metavar="ATLAS", help="atlas file (.nc)")
+    sub.add_argument("atlas", metavar="ATLAS", help="atlas file (.nc) or run folder")
     sub.add_argument(
         "-o", "--out", metavar="FIGURE", help=".png, .pdf or .svg (default: ATLAS.png and ATLAS.pdf)"
     )
@@ -98,6 +116,12 @@ def parser() -> argparse.ArgumentParser:
     form = sub.add_mutually_exclusive_group()
     form.add_argument("--csv", action="store_true", help="comma-separated values, one row for each")
     form.add_argument("--json", action="store_true", help="JSON, with every printed equation")
+
+    sub = command("stress", _stress, "run stiff and extreme cases and hold every label against the truth")
+    sub.add_argument("system", metavar="SYSTEM", nargs="?", help="one system (default: all)")
+    sub.add_argument("-o", "--out", metavar="FOLDER", help="write SYSTEM.nc and SYSTEM.png there")
+    sub.add_argument("--threads", type=int, metavar="N", help="processors to use (default: all)")
+    sub.add_argument("--force", action="store_true", help="replace existing files")
 
     sub = command("figures", _figures, "draw figures 1-20 of Amer et al., as printed and as true")
     sub.add_argument("-o", "--out", default="figures", metavar="FOLDER", help="where to (default: figures)")
@@ -200,6 +224,32 @@ def _check(options: argparse.Namespace) -> int:
         print(f"the family {scene.family} exists at {100 * checked.there.mean():.1f} % of them")
     for remark in scene.system.warnings(checked.base):
         print(f"warning: {remark}")
+    return DONE
+
+
+def _points(options: argparse.Namespace) -> int:
+    from . import points, store, systems
+
+    out = Path(options.out)
+    if options.threads is not None and options.threads < 1:
+        raise BadInput(f"--threads {options.threads}: must be at least 1")
+    if out.suffix not in points.FORMATS:
+        raise BadInput(f"{out}: the name must end in {' or '.join(points.FORMATS)}")
+    store.check_folder(out)
+    if out.exists() and not options.force:
+        raise BadInput(f"{out}: this file exists; --force replaces it")
+    system = systems.get(options.system)
+    columns = points.read(options.points, system.parameters)
+    from .runner import label_points, summary
+
+    ds = label_points(
+        system.name, columns, duration=options.duration, step=options.step, tolerance=options.tolerance,
+        method=options.method, rate_tolerance=options.rate_tolerance, threads=options.threads,
+        progress=not options.quiet,
+    )  # fmt: skip
+    (points.write_csv if out.suffix == ".csv" else store.write)(ds, out)
+    print(summary(ds))
+    print(f"wrote {out}")
     return DONE
 
 
@@ -337,6 +387,35 @@ def _residual(value: float | None) -> str:
     return "-" if value is None else f"{value:.1e}"
 
 
+def _stress(options: argparse.Namespace) -> int:
+    from . import store, stress, systems
+    from .maps import save
+
+    if options.threads is not None and options.threads < 1:
+        raise BadInput(f"--threads {options.threads}: must be at least 1")
+    names = [systems.get(options.system).name] if options.system else list(stress.BATTERIES)
+    folder = Path(options.out) if options.out else None
+    if folder is not None:
+        for path in (folder / f"{name}{suffix}" for name in names for suffix in (".nc", ".png")):
+            if path.exists() and not options.force:
+                raise BadInput(f"{path}: this file exists; --force replaces it")
+        if folder.exists() and not folder.is_dir():
+            raise BadInput(f"{folder}: not a folder")
+        folder.mkdir(parents=True, exist_ok=True)
+    wrong = 0
+    for name in names:
+        ds = stress.stress(name, threads=options.threads)
+        print(f"{name}\n{stress.report(ds)}\n")
+        wrong += int(stress.silent(ds).sum())
+        if folder is not None:
+            store.write(ds, folder / f"{name}.nc")
+            save(stress.figure(ds), folder / f"{name}.png")
+            print(f"wrote {folder / name}.nc and .png\n")
+    print(table(stress.limits()))
+    print(f"labels that are not true: {wrong}")
+    return FAILED if wrong else DONE
+
+
 def _figures(options: argparse.Namespace) -> int:
     from . import figures
     from .maps import save
@@ -350,9 +429,7 @@ def _figures(options: argparse.Namespace) -> int:
         return DONE
     wanted = [figures.paper_figure(number) for number in options.only or figures.NUMBERS]
     folder = Path(options.out)
-    paths = [
-        [folder / f"figure_{figure.number:02d}.{kind}" for kind in options.format] for figure in wanted
-    ]
+    paths = [[folder / f"figure_{figure.number:02d}.{kind}" for kind in options.format] for figure in wanted]
     for path in (path for row in paths for path in row):
         if path.exists() and not options.force:
             raise BadInput(f"{path}: this file exists; --force replaces it")

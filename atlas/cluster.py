@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import socket
 import time
 import uuid
 from collections.abc import Callable, Iterable, Iterator
@@ -11,7 +12,7 @@ from typing import Any
 
 from .systems.system import BadInput
 
-CONNECT = 8.0  # seconds to wait for a scheduler
+CONNECT = 5.0  # seconds to wait for a scheduler
 PATIENCE = 60.0  # seconds without a worker before saying so
 # Tasks in flight for each thread of the workers: the next is there when one ends.
 DEPTH = 2
@@ -19,33 +20,34 @@ DEPTH = 2
 ATTEMPTS = 3
 
 
+def check(scheduler: str) -> None:
+    """Raise BadInput unless a dask scheduler answers at the address."""
+    from distributed.comm.addressing import parse_address, parse_host_port
+
+    try:
+        scheme, place = parse_address(scheduler)
+        with socket.create_connection(parse_host_port(place), CONNECT) as found:
+            # A dask server speaks first; its own client would wait for ever for another one to do so.
+            if scheme == "tcp" and not found.recv(1):
+                raise OSError("something else is there")
+    except (OSError, ValueError) as error:
+        raise BadInput(f"--scheduler {scheduler}: no scheduler answers there ({_one_line(error)})") from None
+
+
 @contextmanager
 def client(scheduler: str | None, workers: int | None) -> Iterator[Any]:
-    """A client of the scheduler at an address, or of so many one-thread processes on this machine.
-
-    Raises BadInput if no scheduler answers.
-    """
+    """A client of the scheduler at an address, or of so many one-thread processes on this machine."""
     import distributed
 
-    if scheduler is None:
-        cluster = distributed.LocalCluster(
-            n_workers=workers, threads_per_worker=1, processes=True, memory_limit=None,
-            dashboard_address=None, silence_logs=logging.ERROR,
-        )  # fmt: skip
-        with cluster, distributed.Client(cluster) as found:
+    if scheduler is not None:
+        with distributed.Client(scheduler) as found:
             yield found
         return
-    logger = logging.getLogger("distributed")
-    before, level = logger.disabled, logger.level
-    logger.setLevel(logging.CRITICAL)
-    try:
-        found = distributed.Client(scheduler, timeout=CONNECT, set_as_default=False)
-    except (OSError, TimeoutError, ValueError) as error:
-        raise BadInput(f"--scheduler {scheduler}: no scheduler answers there ({_one_line(error)})") from None
-    finally:
-        logger.setLevel(level)
-        logger.disabled = before
-    with found:
+    cluster = distributed.LocalCluster(
+        n_workers=workers, threads_per_worker=1, processes=True, memory_limit=None,
+        dashboard_address=":0", silence_logs=logging.ERROR,
+    )  # fmt: skip
+    with cluster, distributed.Client(cluster) as found:
         yield found
 
 

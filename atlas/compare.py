@@ -13,7 +13,8 @@ from .variables import AGREEMENT, LABELS
 STABLE, UNSTABLE = 1, 2
 # A start whose sin theta is below this is on the vertical: np.pi itself has sin 1.2e-16.
 ON_VERTICAL = 1e-12
-# Beyond this, products of parameters overflow and residuals mean nothing: theory is silent.
+# Beyond this (moments of inertia: below its inverse, too) products and quotients of parameters overflow and
+# residuals mean nothing: theory is silent.
 LARGEST = 1e60
 # Near the analytical boundary growth is slow and stable motions swing wide: a share of the axis range.
 BAND = 0.02
@@ -29,6 +30,7 @@ def theory(system: System, points: Points, rate_tolerance: float, nudged: bool) 
     drifting once the system's catalogue is complete, else 0.
     """
     within = np.all([~(np.abs(values) > LARGEST) for values in points.values()], axis=0)
+    within &= np.all([points[name] >= 1 / LARGEST for name in ("A", "B", "C")], axis=0)
     family = np.where(within, system.recognise(points)[0], 0).astype(np.int8)
     stable, growth = system.linear_stability(points, family)
     sine, n, m = system.steady(points)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Set
+from collections.abc import Callable, Collection, Mapping, Set
 from dataclasses import dataclass
 from functools import cache
 from types import ModuleType
@@ -14,7 +14,7 @@ from .engine import jit, lanes, measure, steps
 from .engine.runge_kutta import METHODS
 from .grid import Grid
 from .scene import Scene, Settings
-from .systems.system import Array, Points, System
+from .systems.system import Array, Mask, Points, System
 
 
 @dataclass(frozen=True)
@@ -43,6 +43,16 @@ STATISTICS = {
     "theta_dot_rms", "theta_dot_std", "psi_dot_mean", "psi_dot_std", "phi_dot_mean", "phi_dot_std",
     "normal_rate_mean", "normal_rate_std", "theta_min", "theta_max", "integral_drift",
 }  # fmt: skip
+
+# What a label is decided from.
+LABELLED = (
+    "theta_dot_rms", "psi_dot_mean", "psi_dot_std", "phi_dot_mean", "phi_dot_std", "normal_rate_std",
+    "theta_min", "theta_max", "sine_max",
+)  # fmt: skip
+# check_half_step = "sample" integrates one point in so many again.
+ONE_IN = 64
+# A start beside an unstable motion leaves it by physics if it leaves alike at half the step.
+ALIKE = 0.05
 
 
 @cache
@@ -113,13 +123,21 @@ def evaluate(
         return {name: _spread(values, there) for name, values in part.items()}
 
     method = METHODS[settings.method]
-    constants, state = system.constants(points), np.ascontiguousarray(system.start(points))
-    with np.errstate(all="ignore"):
+    with np.errstate(all="ignore"):  # parameters may overflow: such points end up unresolved
+        constants, state = system.constants(points), np.ascontiguousarray(system.start(points))
         bound = system.frequency_bound(points)
         plan = steps.choose(
             method, bound, duration,
             tolerance=settings.tolerance, step=settings.step, max_steps=settings.max_steps,
+            rate_tolerance=settings.rate_tolerance,
         )  # fmt: skip
+        theory = compare.theory(system, base, settings.rate_tolerance, nudged)
+        residual = system.condition_residual(points)
+        growing = np.zeros_like(bound) if nudged else np.nan_to_num(theory["growth_rate"] * duration, nan=0.0)
+        # Beside an unstable motion the method's own error grows, too.
+        seeded = plan.rate_error * np.exp(np.minimum(growing, 700.0)) > settings.rate_tolerance
+        seeded &= growing > 0
+        certain_rate = np.where(seeded, np.inf, _certain_rate(plan, bound, settings))
         scales = measure.scales(system.equations, state, constants, dict(system.conserved(points)))
     module, total = kernel(system, settings.method, special), int(plan.count.sum())
 
@@ -128,11 +146,12 @@ def evaluate(
             progress(duration.size * point_steps / total)
 
     constants = np.ascontiguousarray(constants)
+    first = state.copy()
     intervals = plan.count // plan.stride
     if outputs is not None and not set(outputs) & STATISTICS:
         out, done = lanes.integrate_labels(
             module, plan.count, plan.stride, plan.length, state, constants, scales,
-            settings.cylinder, settings.rate_tolerance, threads=threads, progress=advance,
+            settings.cylinder, certain_rate, threads=threads, progress=advance,
         )  # fmt: skip
     else:
         out, done = lanes.integrate(
@@ -144,22 +163,44 @@ def evaluate(
     cylinder = labels.in_cylinder(result, settings.cylinder)
     finite = np.asarray(np.isfinite(state).all(0) & np.isfinite(out).all(0))
 
-    with np.errstate(all="ignore"):
-        theory = compare.theory(system, base, settings.rate_tolerance, nudged)
-        residual = system.condition_residual(points)
     # Rounding has nothing to grow from where the third axis never left the vertical by a bit.
-    growing = np.nan_to_num(theory["growth_rate"] * duration, nan=0.0)
-    exact = np.where(nudged | (result["sine_max"] == 0.0), 0.0, growing)
-    status = labels.status(
-        finite, result["integral_drift"], settings.drift_tolerance, plan.step_ratio, plan.hidden_damping,
-        exact, settings.rate_tolerance,
-    )  # fmt: skip
-    trusted = status == labels.STATUS_VALUE["ok"]
+    exact = np.where(result["sine_max"] == 0.0, 0.0, growing)
+
+    def status(sensitive: np.ndarray | bool) -> np.ndarray:
+        return labels.status(
+            finite, result["integral_drift"], settings.drift_tolerance, plan.step_ratio, plan.hidden_damping,
+            exact, settings.rate_tolerance, sensitive,
+        )  # fmt: skip
+
+    frames = {"label": np.zeros_like(duration)}
+    if system.frame_rate is not None:
+        frames["label_inertial"] = system.frame_rate(points)
+    with np.errstate(all="ignore"):
+        called = labels.label(result, settings.rate_tolerance, settings.cylinder)
+        resolved = status(False) == labels.STATUS_VALUE["ok"]
+        # What leaves may not have been sent by physics; where the start is exact to rounding it was not.
+        left = resolved & (exact > 0) & seeded & (called == labels.DRIFTING)
+        sensitive = left & (residual <= steps.ROUNDING * np.sqrt(plan.count))
+        doubtful = _half_step_sample(first, constants, settings.check_half_step)
+        doubtful |= _unsure(result, _expected_error(plan, bound, result), settings, frames)
+        doubtful = resolved & ~sensitive & ~certain & (doubtful | left)
+    if doubtful.any():
+        where = np.flatnonzero(doubtful)
+        again = lanes.integrate(
+            module, lanes.plan(2 * plan.count[where], plan.stride[where]), plan.length[where] / 2,
+            first[:, where].copy(), constants[:, where].copy(), scales[:, where].copy(),
+            settings.cylinder, threads=threads,
+        )  # fmt: skip
+        twice = measure.finish(again, 2 * intervals[where])
+        parts = {name: rate[where] for name, rate in frames.items()}
+        once = _take(result, where)
+        sensitive[where] = _changed(once, twice, settings, parts)
+        apart = np.abs(once["theta_dot_rms"] - twice["theta_dot_rms"]) > ALIKE * twice["theta_dot_rms"]
+        sensitive[where] |= left[where] & apart
+    status_value = status(sensitive)
+    trusted = status_value == labels.STATUS_VALUE["ok"]
 
     with np.errstate(invalid="ignore"):
-        frames: dict[str, Array | float] = {"label": 0.0}
-        if system.frame_rate is not None:
-            frames["label_inertial"] = system.frame_rate(points)
         for name, rate in frames.items():
             found = labels.label(result, settings.rate_tolerance, settings.cylinder, rate)
             found[certain] = labels.DRIFTING
@@ -172,7 +213,7 @@ def evaluate(
         result[name] = np.where(cylinder, np.nan, result[name])
     result |= theory
     result |= {
-        "status": status,
+        "status": status_value,
         "step": plan.length,
         "step_ratio": plan.step_ratio,
         "error_estimate": plan.phase_error,
@@ -184,6 +225,77 @@ def evaluate(
         if outputs is not None and name in outputs:
             result[name] = layer.values(base, duration)
     return result
+
+
+def _certain_rate(plan: steps.Steps, bound: Array, settings: Settings) -> Array:
+    """Rate above which no expected error can take a drifting point back, (points,), rad per time unit."""
+    near = plan.rate_error + bound * steps.ROUNDING * np.sqrt(plan.count) / settings.cylinder
+    return (settings.rate_tolerance + near) / (1.0 - np.minimum(_relative_error(plan, bound), 1.0))
+
+
+def _relative_error(plan: steps.Steps, bound: Array) -> Array:
+    """Of the spread of a rate: phase and amplitude of what oscillates, and the rule that sums the samples."""
+    rule = np.where(
+        plan.count // plan.stride < measure.LEAST_INTERVALS,
+        1.0,
+        (0.5 * bound * plan.length * plan.stride) ** 8,
+    )
+    return plan.phase_error + plan.hidden_damping + rule
+
+
+def _expected_error(plan: steps.Steps, bound: Array, measured: Mapping[str, Array]) -> dict[str, Array]:
+    """What can be expected beforehand of the error of each measurement that decides a label."""
+    relative = np.minimum(_relative_error(plan, bound), 1.0)
+    # psi' and phi' divide by sin theta: rounding counts the more, the nearer the vertical.
+    sine = np.minimum(np.sin(measured["theta_min"]), np.sin(measured["theta_max"]))
+    near = plan.rate_error + bound * steps.ROUNDING * np.sqrt(plan.count) / np.maximum(sine, 1e-300)
+    swing = measured["theta_max"] - measured["theta_min"]
+    # Between two samples the extreme of a swing is missed by half the square of half their distance.
+    missed = np.minimum(0.125 * (bound * plan.length * plan.stride) ** 2, 1.0)
+    angle = swing * np.minimum(relative + missed, 1.0)
+    angle += measured["sine_max"] * np.where(bound > 0, plan.rate_error / bound, 0.0)
+    found = {"theta_dot_rms": plan.rate_error, "normal_rate_std": plan.rate_error}
+    found |= {"psi_dot_std": near, "phi_dot_std": near}
+    found = {name: size + relative * measured[name] for name, size in found.items()}
+    found |= {"psi_dot_mean": near, "phi_dot_mean": near}
+    return found | {"theta_min": angle, "theta_max": angle, "sine_max": angle}
+
+
+def _unsure(
+    measured: Mapping[str, Array],
+    error: Mapping[str, Array],
+    settings: Settings,
+    frames: Mapping[str, Array],
+) -> Mask:
+    """Could a label in one of the frames (name -> rate added to psi') be another one within the errors? bool."""
+    tolerances = settings.rate_tolerance, settings.cylinder
+    return np.logical_or.reduce(
+        [labels.unsure(measured, error, *tolerances, rate) for rate in frames.values()]
+    )
+
+
+def _changed(
+    once: Mapping[str, Array], twice: Mapping[str, Array], settings: Settings, frames: Mapping[str, Array]
+) -> Mask:
+    """Does a label of the run at half the step differ, or could it by as much as the measurements did? bool."""
+    tolerances = settings.rate_tolerance, settings.cylinder
+    with np.errstate(all="ignore"):
+        difference = {name: np.abs(twice[name] - once[name]) for name in LABELLED}
+        changed = _unsure(twice, difference, settings, frames)
+        for rate in frames.values():
+            changed |= labels.label(once, *tolerances, rate) != labels.label(twice, *tolerances, rate)
+    return changed
+
+
+def _half_step_sample(state: Array, constants: Array, which: str) -> Mask:
+    """Points to integrate again in any case: none, all, or one in ONE_IN, by a hash of start and constants."""
+    if which != "sample":
+        return np.full(state.shape[1], which == "all")
+    mixed = np.zeros(state.shape[1], np.uint64)
+    for bits in np.concatenate([state, constants]).view(np.uint64):
+        mixed = (mixed ^ bits) * np.uint64(0x9E3779B97F4A7C15)
+        mixed ^= mixed >> np.uint64(29)
+    return mixed % np.uint64(ONE_IN) == 0
 
 
 def _take(points: Points, keep: np.ndarray) -> dict[str, Array]:

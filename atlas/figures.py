@@ -209,12 +209,17 @@ def amplitude_table(rows: Sequence[Row]) -> list[tuple[str, ...]]:
         "mu1/Omega", "2 pi/Omega", "(15) printed: centre", "amplitude", "period",
         "gamma2 amplitude", "period", "max |gamma2 - M3 cos tau|", "unit of p2, rad/s",
     )  # fmt: skip
-    found = [heading]
+    found: list[tuple[str, ...]] = [heading]
     for r in rows:
         values = (
             r.start, r.centre, r.amplitude, r.period, r.waves, r.largest, r.centre_theory, r.period_theory,
             r.centre_printed, r.amplitude_printed, r.period_printed, r.gamma2_amplitude, r.gamma2_period,
         )  # fmt: skip
-        texts = ["-" if np.isnan(value) else f"{value + 0.0:.6g}" for value in values]
-        found.append((r.body, f"{r.rotor:g}", *texts, f"{r.gamma2_change:.3g}", f"{r.unit:.6g}"))
+        change = f"{r.gamma2_change:.3g}" if r.gamma2_change > 1e-10 else "< 1e-10"  # below: rounding
+        found.append((r.body, f"{r.rotor:g}", *map(_six, values), change, _six(r.unit)))
     return found
+
+
+def _six(value: float) -> str:
+    """Six digits; a dash for what does not exist."""
+    return "-" if np.isnan(value) else "0" if value == 0 else f"{value:#.6g}"

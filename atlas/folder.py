@@ -46,8 +46,11 @@ from .variables import variables
 
 FORMAT = 1
 MANIFEST = "manifest.json"
+NOTES = "notes.json"  # attributes that are known in the end
 # A tile takes a few seconds of one processor at some 6 ns a point-step, but fills the lanes of its kernel.
 TILE_POINT_STEPS, LEAST_POINTS = 5e8, 512
+# Where writing fails with less than this free, in bytes, the disk is full: larger than a tile in memory.
+NEARLY_FULL = 1 << 25
 # Files of the package on which the numbers of an atlas depend.
 NUMBERS = (
     "engine/*.py",
@@ -115,6 +118,7 @@ def step_plan(scene: Scene, sample: grid.Grid) -> steps.Steps:
         return steps.choose(
             METHODS[settings.method], scene.system.frequency_bound(sample.points), sample.duration,
             tolerance=settings.tolerance, step=settings.step, max_steps=settings.max_steps,
+            rate_tolerance=settings.rate_tolerance,
         )  # fmt: skip
 
 
@@ -246,6 +250,16 @@ class RunFolder:
             run._tiles.mkdir(exist_ok=True)
         return run
 
+    @classmethod
+    def forget(cls, scene: Scene, path: Path) -> None:
+        """Remove what an earlier run of another scene, or by another version, left in a folder of its own."""
+        if (path / MANIFEST).exists():
+            try:
+                cls.open(path).check_same(scene)
+            except BadInput:
+                with suppress(BadInput):
+                    cls.open(path).remove()
+
     def check_same(self, scene: Scene) -> None:
         """Raise BadInput, naming what differs, unless this process computes the same bits for the scene."""
         there = _flat(tomllib.loads(self.manifest["scene"])) | self.manifest["identity"]
@@ -277,22 +291,27 @@ class RunFolder:
         facts: kept in the sidecar; computed: points where the family exists, all others are
         not_computed for good; seconds: what the tile cost; by: who computed it.
         """
-        extent = self.tiling.extent(tile)
-        names = store.dims(self.scene)
-        with _NETCDF:
-            file = netCDF4.Dataset("tile.nc", "w", memory=1 << 16)
-            file.setncatts({"atlas_key": self.key, "atlas_tile": tile})
-            for name, length in zip(names, extent, strict=True):
-                file.createDimension(name, length)
-            for name, dtype in tile_types(self.scene).items():
-                variable = file.createVariable(name, dtype, names, fill_value=False, **store.COMPRESSION)
-                variable[:] = columns[name].astype(dtype, copy=False).reshape(extent)
-            content = file.close()
+        extent, path = self.tiling.extent(tile), self._file(tile, ".nc")
+        names, temporary = store.dims(self.scene), _temporary(path)
+        try:
+            # Made in memory and written when closed; unlike an image in memory it holds no time of day.
+            with _NETCDF, netCDF4.Dataset(temporary, "w", diskless=True, persist=True) as file:
+                file.setncatts({"atlas_key": self.key, "atlas_tile": tile})
+                for name, length in zip(names, extent, strict=True):
+                    file.createDimension(name, length)
+                for name, dtype in tile_types(self.scene).items():
+                    variable = file.createVariable(name, dtype, names, fill_value=False, **store.COMPRESSION)
+                    variable[:] = columns[name].astype(dtype, copy=False).reshape(extent)
+            digest = hashlib.sha256(temporary.read_bytes()).hexdigest()
+            _move(temporary, path)
+        except (RuntimeError, OSError) as error:
+            raise _disk_error(error, path) from None
+        finally:
+            temporary.unlink(missing_ok=True)
         side = {
-            "key": self.key, "tile": tile, "sha256": hashlib.sha256(content).hexdigest(),
+            "key": self.key, "tile": tile, "sha256": digest,
             "points": math.prod(extent), "host": socket.gethostname(), **facts,
         }  # fmt: skip
-        _write(self._file(tile, ".nc"), content)
         _write(self._file(tile, ".json"), json.dumps(side))
 
     def sidecar(self, tile: int) -> dict[str, Any]:
@@ -407,7 +426,7 @@ class RunFolder:
             {name: arrays[name] for name in self.scene.solve},
             self.tiling.tile,
         )
-        return ds.assign_attrs(self._attributes())
+        return ds.assign_attrs(self._attributes() | self.notes())
 
     def _attributes(self) -> dict[str, Any]:
         """Provenance of what is there: seconds and points per second of all processes taken together."""
@@ -440,19 +459,14 @@ class RunFolder:
             raise BadInput(
                 f"{self.path}: {len(lost)} of {self.tiling.count} tiles are missing; run its scene again first"
             )
-        temporary = out.with_name(f".{out.name}.{uuid.uuid4().hex}.tmp")
+        temporary = _temporary(out)
         try:
             self._join(temporary)
-            with open(temporary, "rb+") as file:
-                os.fsync(file.fileno())
-            os.replace(temporary, out)
-            _sync_folder(out.parent)
+            _move(temporary, out)
         except Damaged as damage:
             raise BadInput(f"{self.path}: {damage}; run its scene again first") from None
-        except RuntimeError as error:  # what netCDF4 raises when the system cannot write
-            full = shutil.disk_usage(out.parent).free < 1 << 24
-            number = errno.ENOSPC if full else errno.EIO
-            raise OSError(number, f"{os.strerror(number)} ({error})", str(out)) from None
+        except (RuntimeError, OSError) as error:
+            raise _disk_error(error, out) from None
         finally:
             temporary.unlink(missing_ok=True)
 
@@ -505,10 +519,26 @@ class RunFolder:
             with _NETCDF:
                 file.close()
 
+    def note(self, attributes: dict[str, Any]) -> None:
+        """Keep attributes that are known once all tiles are there; dataset() then has them."""
+        _write(self.path / NOTES, json.dumps(attributes, indent=1))
+
+    def notes(self) -> dict[str, Any]:
+        """What `note` kept, or nothing."""
+        try:
+            return dict(json.loads((self.path / NOTES).read_text(encoding="utf-8")))
+        except (OSError, ValueError):
+            return {}
+
     def remove(self) -> None:
         """Remove the run, and its folder if nothing else lies in it; the manifest last."""
         shutil.rmtree(self._tiles, ignore_errors=True)
-        for path in [*self.path.glob("progress*.json"), *self.path.glob(".*.tmp"), self.path / MANIFEST]:
+        for path in [
+            *self.path.glob("progress*.json"),
+            *self.path.glob(".*.tmp"),
+            self.path / NOTES,
+            self.path / MANIFEST,
+        ]:
             path.unlink(missing_ok=True)
         with suppress(OSError):
             self.path.rmdir()
@@ -543,30 +573,43 @@ def _flat(table: dict[str, Any], above: str = "") -> dict[str, Any]:
     return found
 
 
-def _write(path: Path, content: str | bytes | memoryview, *, once: bool = False) -> None:
-    """Write a whole file under a temporary name, sync, and move it into place.
+def _temporary(path: Path) -> Path:
+    return path.with_name(f".{path.name}.{uuid.uuid4().hex}.tmp")
+
+
+def _write(path: Path, content: str, *, once: bool = False) -> None:
+    """Write a whole file in one move.
 
     once: raise FileExistsError, leaving what is there, if the file exists.
     """
-    temporary = path.with_name(f".{path.name}.{uuid.uuid4().hex}.tmp")
+    temporary = _temporary(path)
     try:
-        with open(temporary, "xb") as file:
-            file.write(content.encode() if isinstance(content, str) else content)
-            file.flush()
-            os.fsync(file.fileno())
-        if once:
-            os.link(temporary, path)
-        else:
-            os.replace(temporary, path)
-        _sync_folder(path.parent)
+        temporary.write_text(content, encoding="utf-8")
+        _move(temporary, path, once=once)
     finally:
         temporary.unlink(missing_ok=True)
 
 
-def _sync_folder(folder: Path) -> None:
-    """Make moves in a folder outlive a power cut."""
-    handle = os.open(folder, os.O_RDONLY)
+def _move(temporary: Path, path: Path, *, once: bool = False) -> None:
+    """Bring a file to the disk, move it into place, and make the move outlive a power cut."""
+    _sync(temporary)
+    if once:
+        os.link(temporary, path)
+    else:
+        os.replace(temporary, path)
+    _sync(path.parent)
+
+
+def _sync(path: Path) -> None:
+    handle = os.open(path, os.O_RDONLY)
     try:
         os.fsync(handle)
     finally:
         os.close(handle)
+
+
+def _disk_error(error: Exception, path: Path) -> OSError:
+    """What netCDF4 hides behind an HDF error or a permission when the system cannot write."""
+    if shutil.disk_usage(path.parent).free < NEARLY_FULL:
+        return OSError(errno.ENOSPC, f"{os.strerror(errno.ENOSPC)} ({error})", str(path))
+    return error if isinstance(error, OSError) else OSError(errno.EIO, str(error), str(path))

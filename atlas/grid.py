@@ -16,9 +16,9 @@ TILE = 65536
 CHECKED_BODIES, CHECKED_STARTS = 50_000, 10_000
 # For complaints: points at which formulas are tried, and values tried where a formula has none.
 CHECKED_FORMULAS = 100
-TRIED = np.concatenate(
-    [np.linspace(-np.pi, np.pi, 73), np.geomspace(0.03, 1e3, 40), -np.geomspace(0.03, 1e3, 40)]
-)[:, None]
+TRIED = np.array([0.5, -0.5, 1.0, -1.0, 1.5, -1.5, 2.0, -2.0, 2.5, -2.5])[
+    :, None
+]  # not 0: angles mean nothing there
 # A solved point counts as on its family if its largest condition residual is below this.
 ON_FAMILY = 1e-9
 
@@ -156,9 +156,11 @@ def _check_family(scene: Scene, indices: np.ndarray, there: np.ndarray) -> None:
                     " give it in [fixed], [axes] or [ties]"
                 )
             if not finite:
-                why = _fails(family, moved, residual)
+                best = float(tried[np.unravel_index(np.argmin(residual), residual.shape)])
+                limits = f"; its limits: {family.exists}" if family.exists else ""
                 raise BadInput(
-                    f"family.name = {family.name!r}: no {name} puts any point of the scene on it; {why} at best"
+                    f"family.name = {family.name!r}: no {name} puts any point of the scene on it;"
+                    f" {_fails(family, moved, residual)} at {name} = {best:g}, the best of some values tried{limits}"
                 )
         if not there.any():
             why = _fails(family, solved, on_family(family, solved))

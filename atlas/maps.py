@@ -35,7 +35,7 @@ MOST_PANELS = 12
 # More cells than the printer has dots along an axis are not drawn: every k-th one is.
 MOST_CELLS = 2000
 # Even, so that no sample falls on the middle of a frame, where special values such as 0 like to be.
-SAMPLES = 200
+SAMPLES = 300
 DECADES = 10  # at most, of a logarithmic colour scale
 STYLE: dict[Any, Any] = {
     "font.family": "sans-serif",
@@ -235,7 +235,8 @@ def stability_boundary(plane: Plane) -> list[np.ndarray]:
     else:
         known = np.ma.masked_equal(stable.T, 0)
         generator = contourpy.contour_generator(z=known, corner_mask=False, line_type="Separate")
-        found = cast("list[np.ndarray]", generator.lines(1.5))
+        # A ring of four vertices holds a single sample: the tip of a cusp that the samples broke off.
+        found = [line for line in cast("list[np.ndarray]", generator.lines(1.5)) if len(line) > 5]
     if not found:
         return []
     vertex = np.concatenate(found)

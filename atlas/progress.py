@@ -93,8 +93,11 @@ class Progress:
         }
         temporary = self.file.with_name(f".{self.file.name}.{os.getpid()}.tmp")
         with suppress(OSError):  # a full disk is the business of who writes the tiles
-            temporary.write_text(json.dumps(found, indent=1))
-            os.replace(temporary, self.file)
+            try:
+                temporary.write_text(json.dumps(found, indent=1))
+                os.replace(temporary, self.file)
+            finally:
+                temporary.unlink(missing_ok=True)
 
     def close(self) -> None:
         """Clear the live line and say in the file that this process has ended."""

@@ -11,7 +11,7 @@ import sys
 import threading
 import time
 import tracemalloc
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor, as_completed
 from contextlib import suppress
 from dataclasses import replace
@@ -22,7 +22,8 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from . import grid, store, systems
+from . import accuracy, cluster, grid, refine, store, systems
+from . import points as own_points
 from .engine import lanes
 from .evaluate import Special, evaluate, evaluate_tile, kernel_hash, scene_kernel_hash
 from .folder import RunFolder, Tiling, mean_steps, step_plan, tile_types, tiling
@@ -56,6 +57,7 @@ def run(
     all processors of this process; results do not depend on it. progress: print to stderr. shard:
     (i, n), compute only the i-th of n parts, counted from 1; needs a run folder. scheduler, workers:
     the address of a dask scheduler, or a number of processes on this machine, compute the tiles.
+    A scene with [refine] runs without these, into memory or one file; see `refine.refined`.
 
     Returns a Dataset with the scene's axes as dimensions, the variables the scene asks for, every
     parameter as a coordinate, and provenance in the attributes; opened lazily if `out` is given.
@@ -78,14 +80,28 @@ def run(
     path, one_file = (None, False) if out is None else _destination(out, force)
     if shard and one_file:
         raise BadInput(f"shard: {path} is one file; shards need a run folder, a name that ends in /")
+    if scene.refine is not None and (shard or scheduler or workers or (path is not None and not one_file)):
+        raise BadInput("refine: a refined scene runs in one process, into memory or one file, NAME.nc")
+    if scheduler:
+        cluster.check(scheduler)
     checked = grid.check(scene)
     remarks = scene.system.warnings(checked.base)
     _log(remarks)
+    if scene.refine is not None:
+        ds = refine.refined(scene, remarks, threads=threads, progress=progress)
+        if path is not None:
+            store.write(ds, path)
+            ds = store.open_atlas(path)
+        return ds
     if path is None:
         return _in_memory(scene, checked, remarks, threads, progress)
     there = path.with_name(path.name + ".run") if one_file else path
+    if one_file and force:
+        RunFolder.forget(scene, there)
     folder = RunFolder.prepare(scene, there, checked, remarks)
     _compute(folder, checked, threads, progress, shard or (1, 1), scheduler, workers)
+    if not folder.notes() and all(folder.present(tile) for tile in range(folder.tiling.count)):
+        folder.note(accuracy.half_step_sample(scene, threads=threads))
     if not one_file:
         return folder.dataset()
     folder.join(path)
@@ -249,7 +265,7 @@ def _in_memory(
         store.provenance(
             scene.system, scene.settings, scene_kernel_hash(scene),
             title=scene.title, scene=scene.toml(), seconds=seconds, points=scene.size, remarks=remarks,
-        )
+        ) | accuracy.half_step_sample(scene, threads=threads)
     )  # fmt: skip
 
 
@@ -274,10 +290,9 @@ def _compute(
     if not todo:
         return
     folder.check_writable()
-    if parts == 1 and len(todo) < folder.tiling.count:
-        # Someone else may be at work here: begin elsewhere, so that two processes share the tiles.
-        first = random.randrange(len(todo))
-        todo = todo[first:] + todo[:first]
+    # Someone else may be at work on the same tiles: begin at different places, so as to share them.
+    first = random.randrange(len(todo))
+    todo = todo[first:] + todo[:first]
 
     size = {tile: math.prod(folder.tiling.extent(tile)) for tile in mine}
     name = "progress.json" if parts == 1 else f"progress-{part}-of-{parts}.json"
@@ -302,7 +317,6 @@ def _compute(
 
     try:
         if scheduler or workers:
-            from . import cluster
 
             def done(tile: int) -> None:
                 if not folder.present(tile):
@@ -360,7 +374,7 @@ def _here(path: str, key: str) -> RunFolder:
 
 def label_points(
     system: str,
-    points: Mapping[str, Any] | xr.Dataset,
+    points: Any,
     *,
     duration: Any = 60.0,
     step: float | None = None,
@@ -374,15 +388,16 @@ def label_points(
     """Label points of one's own: a Dataset with the dimension "point" and every variable of the registry.
 
     system: "satellite" or "fixed_point". points: parameter -> number or 1-D array (all arrays of one
-    length), in the units of the registry; parameters left out take their defaults. duration: time
-    units, a number or one per point. more: cylinder_tolerance, drift_tolerance, max_steps.
+    length), or any other table that `points.table` reads, such as a DataFrame or the name of a CSV file;
+    in the units of the registry; parameters left out take their defaults. duration: time
+    units, a number or one per point. more: cylinder_tolerance, drift_tolerance, max_steps, check_half_step.
 
     Moments of inertia that no body can have are an error in a scene; here, where published numbers are
     looked up, the equations are solved all the same, and a logged warning and the attribute
     atlas_warnings say so. Raises BadInput for unknown names, wrong shapes and numbers out of range.
     """
     kind = systems.get(system)
-    allowed = {"cylinder_tolerance", "drift_tolerance", "max_steps"}
+    allowed = {"cylinder_tolerance", "drift_tolerance", "max_steps", "check_half_step"}
     for key in set(more) - allowed:
         raise BadInput(f"{key}: unknown option of label_points; allowed: {', '.join(sorted(allowed))}")
     settings = Settings(
@@ -443,15 +458,10 @@ def _column(name: str, values: Any) -> np.ndarray:
     return column
 
 
-def point_columns(
-    system: System, points: Mapping[str, Any] | xr.Dataset
-) -> tuple[dict[str, np.ndarray], int]:
+def point_columns(system: System, points: Any) -> tuple[dict[str, np.ndarray], int]:
     """Every parameter of the system as a float64 column, checked, and their length; see label_points."""
-    given = {str(k): points[k] for k in points.variables} if isinstance(points, xr.Dataset) else dict(points)
-    if isinstance(points, xr.Dataset):
-        given = {k: v for k, v in given.items() if k not in points.indexes or k in system.parameters}
     columns = {}
-    for name, values in given.items():
+    for name, values in own_points.table(points, system.parameters).items():
         if name not in system.parameters:
             raise BadInput(
                 f"{name}: not a parameter of the {system.name}; allowed: {', '.join(system.parameters)}"
@@ -478,7 +488,7 @@ def point_columns(
 
 def summary(ds: xr.Dataset) -> str:
     """Counts of labels and status, agreement with theory, expected error, time and speed, as text."""
-    flags = [name for name in ("label", "label_inertial", "status", "agreement") if name in ds]
+    flags = [name for name in ("label", "label_inertial", "status", "agreement", "computed") if name in ds]
     largest = {
         "error_estimate": "expected phase error of the fastest frequency: at most {:.2g} rad",
         "integral_drift": "drift of first integrals: at most {:.2g}",
@@ -498,5 +508,7 @@ def summary(ds: xr.Dataset) -> str:
         shown = ", ".join(f"{m} {n}" for m, n in zip(meanings[name], counts[name], strict=True) if n)
         lines.append(f"{name}: {shown}")
     lines += [largest[name].format(value) for name, value in most.items()]
+    if "atlas_half_step_points" in ds.attrs:
+        lines.append(accuracy.half_step_text(ds.attrs))
     lines.append(f"{ds.attrs['atlas_seconds']:.1f} s, {ds.attrs['atlas_points_per_second']:.4g} points/s")
     return "\n".join(lines)

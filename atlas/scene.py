@@ -13,15 +13,23 @@ from typing import Any
 import numpy as np
 import tomli_w
 
+from . import points as own_points
 from . import systems
 from .engine.runge_kutta import METHODS
 from .systems.system import BadInput, System
-from .ties import RESERVED, Tie, in_order
+from .ties import RESERVED, Column, Tie, in_order
 from .variables import variables
 
 SCHEMA = 1
 MOST_POINTS = 10**12
 DURATION_UNITS = ("orbits", "turns")
+# Points that are integrated again at half the step, besides those whose expected error calls for it.
+HALF_STEP = ("none", "sample", "all")
+# Numbers of a points file that a scene takes up, for they stand in the text of the resolved scene.
+MOST_GIVEN = 200_000
+MOST_SAMPLED = 10**7
+# Points of the fine grid of a refined scene, which is held in memory.
+MOST_REFINED = 2 * 10**8
 
 
 def _is_number(value: object) -> bool:
@@ -39,6 +47,7 @@ class Settings:
     rate_tolerance: float = 1e-5  # rad per time unit
     cylinder_tolerance: float | None = None  # rad; None: the number of rate_tolerance
     drift_tolerance: float = 1e-5
+    check_half_step: str = "none"  # which points are integrated again at half the step: HALF_STEP
 
     def __post_init__(self) -> None:
         if self.method not in METHODS:
@@ -47,6 +56,8 @@ class Settings:
             value = getattr(self, name)
             if value is not None and not (_is_number(value) and math.isfinite(value) and value > 0):
                 raise BadInput(f"{name} = {value!r}: must be a finite number above 0")
+        if self.check_half_step not in HALF_STEP:
+            raise BadInput(f"check_half_step = {self.check_half_step!r}: allowed: {', '.join(HALF_STEP)}")
         if not (isinstance(self.max_steps, int) and self.max_steps >= 1):
             raise BadInput(f"max_steps = {self.max_steps!r}: must be a whole number, at least 1")
 
@@ -80,6 +91,14 @@ class Duration:
 
 
 @dataclass(frozen=True)
+class Refine:
+    """Borders are followed on grids of half, a quarter, ... the spacing; the axes hold the finest."""
+
+    levels: int  # how often the spacing is halved
+    probe: float = 0.01  # share of the points not integrated that are tried in the end
+
+
+@dataclass(frozen=True)
 class Scene:
     """One job, checked: everything that decides what an atlas will hold."""
 
@@ -94,6 +113,8 @@ class Scene:
     duration: Duration = Duration(60.0)
     settings: Settings = Settings()
     outputs: tuple[str, ...] = ()
+    refine: Refine | None = None
+    points: Mapping[str, Any] | None = None  # the table of points that stand instead of axes, resolved
 
     @property
     def shape(self) -> tuple[int, ...]:
@@ -108,11 +129,19 @@ class Scene:
     def size(self) -> int:
         return math.prod(self.shape)
 
+    @property
+    def strides(self) -> tuple[int, ...]:
+        """Distance of the coarse grid's points along each axis, where the scene is refined."""
+        assert self.refine is not None
+        return tuple(2**self.refine.levels if _refined(axis.table) else 1 for axis in self.axes.values())
+
     def vanishing(self) -> tuple[frozenset[str], bool]:
         """Parameters that are 0 or absent at every point, and whether A = B at every point."""
         moving = {*self.axes, *self.ties, *self.solve}
         values = {name: p.default for name, p in self.system.parameters.items()} | dict(self.fixed)
-        zero = {k for k in self.system.parameters if k not in moving and (values[k] == 0 or math.isnan(values[k]))}
+        zero = {
+            k for k in self.system.parameters if k not in moving and (values[k] == 0 or math.isnan(values[k]))
+        }
         tied = {"A", "B"} & moving
         symmetric = (not tied and values["A"] == values["B"]) or (
             len(tied) == 1 and self.ties.get(tied.pop(), Tie("", "0")).text.strip() in {"A", "B"}
@@ -126,6 +155,7 @@ class Scene:
             "duration": str(self.duration) if self.duration.unit else self.duration.amount,
             "method": settings.method,
             "max_steps": settings.max_steps,
+            "check_half_step": settings.check_half_step,
         }
         integration |= {"tolerance": settings.tolerance} if settings.step is None else {"step": settings.step}
         table: dict[str, Any] = {
@@ -133,9 +163,14 @@ class Scene:
             "title": self.title,
             "system": self.system.name,
             "fixed": dict(self.fixed),
-            "axes": {axis.name: dict(axis.table) for axis in self.axes.values()},
-            "ties": {name: tie.text for name, tie in self.ties.items()},
+            "ties": {name: tie.text for name, tie in self.ties.items() if not isinstance(tie, Column)},
         }
+        if self.points is None:
+            table["axes"] = {axis.name: dict(axis.table) for axis in self.axes.values()}
+        else:
+            table["points"] = dict(self.points)
+        if self.refine is not None:
+            table["refine"] = {"levels": self.refine.levels, "probe": self.refine.probe}
         if self.family is not None:
             table["family"] = {"name": self.family, "solve": list(self.solve)}
         if self.nudge:
@@ -156,10 +191,10 @@ def load_scene(source: str | Path) -> Scene:
     Raises BadInput with one line naming key, value and what is allowed.
     """
     if isinstance(source, str) and "\n" in source:
-        text, name = source, "scene"
+        text, name, folder = source, "scene", Path()
     else:
         path = Path(source)
-        name = path.stem
+        name, folder = path.stem, path.parent
         try:
             text = path.read_text(encoding="utf-8")
         except FileNotFoundError:
@@ -176,25 +211,36 @@ def load_scene(source: str | Path) -> Scene:
         raise BadInput(f"{name}: not valid TOML: {error}") from None
     except RecursionError:
         raise BadInput(f"{name}: not valid TOML: nested too deeply") from None
-    return scene_from(table, name)
+    return scene_from(table, name, folder)
 
 
-def scene_from(table: Mapping[str, Any], name: str = "scene") -> Scene:
-    """Check a parsed scene; name is its title if it gives none."""
-    _known(table, "", ("schema", "title", "system", "fixed", "axes", "ties", "family", "nudge",
-                       "integration", "labels", "outputs"))  # fmt: skip
+def scene_from(table: Mapping[str, Any], name: str = "scene", folder: Path = Path()) -> Scene:
+    """Check a parsed scene; name is its title if it gives none, folder where it looks for its points."""
+    _known(table, "", ("schema", "title", "system", "fixed", "axes", "points", "ties", "family", "nudge",
+                       "integration", "labels", "refine", "outputs"))  # fmt: skip
     for key in ("schema", "system", "axes"):
-        if key not in table:
-            raise BadInput(f"{key} is missing: a scene needs schema, system and axes")
+        if key not in table and not (key == "axes" and "points" in table):
+            raise BadInput(f"{key} is missing: a scene needs schema, system and axes (or points)")
+    for key in ("axes", "refine"):
+        if key in table and "points" in table:
+            raise BadInput(f"points and {key} are both given; a scene has one of them")
     if table["schema"] != SCHEMA or isinstance(table["schema"], bool):
         raise BadInput(f"schema = {table['schema']!r}: allowed: {SCHEMA}")
     system = systems.get(_text(table, "system", "system"))
     title = _text(table, "title", "title") if "title" in table else name
 
     fixed = {k: _parameter_value(system, f"fixed.{k}", k, v) for k, v in _table(table, "fixed").items()}
-    axes = {k: _axis(system, k, v) for k, v in _table(table, "axes").items()}
+    refine = _refine(table)
+    levels = 0 if refine is None else refine.levels
+    axes = {k: _axis(system, k, v, levels) for k, v in _table(table, "axes").items()}
+    given, columns = _points(system, table, folder) if "points" in table else (None, {})
+    if given is not None:
+        count = next(iter(columns.values())).values.size
+        axes["point"] = Axis("point", tuple(map(float, range(count))), long_name="number of the point")
     if not axes:
         raise BadInput("axes: a scene needs at least one [axes.NAME] table")
+    if refine is not None:
+        _check_refine(axes)
     parsed = {}
     for k, v in _table(table, "ties").items():
         _name(f"ties.{k}", k)
@@ -202,10 +248,11 @@ def scene_from(table: Mapping[str, Any], name: str = "scene") -> Scene:
             raise BadInput(f'ties.{k} = {v!r}: must be a string of arithmetic, such as "sigma * A"')
         parsed[k] = Tie(f"ties.{k}", v)
     family, solve = _family(system, table)
-    for k, places in _places(fixed, axes, parsed, solve).items():
+    for k, places in _places(fixed, axes, parsed, solve, columns).items():
         if len(places) > 1 and not (k in axes and axes[k].offset_from_family and places == ["axes", "solve"]):
             raise BadInput(f"{k} is given in {' and in '.join(places)}: a name has one value")
-    _ties_fit(system, fixed, axes, parsed, solve)
+    _ties_fit(system, fixed, axes if given is None else {}, columns, parsed, solve)
+    parsed |= columns
     ties = {k: parsed[k] for k in in_order(parsed, {*system.parameters, *fixed, *axes} - set(solve))}
     for k, axis in axes.items():
         if axis.offset_from_family and k not in solve:
@@ -216,7 +263,7 @@ def scene_from(table: Mapping[str, Any], name: str = "scene") -> Scene:
         k: _number(f"nudge.{k}", _start_parameter(system, k, v)) for k, v in _table(table, "nudge").items()
     }
     for k in (vector := _optional(system, nudge)):
-        if not any(k in places for places in (fixed, axes, ties)):
+        if not any(k in places for places in (fixed, axes, parsed)):
             raise BadInput(f"nudge.{k}: the scene gives no {k} to which it could be added; nudge theta0 .. m")
     if vector and vector != list(nudge):
         raise BadInput(
@@ -228,7 +275,8 @@ def scene_from(table: Mapping[str, Any], name: str = "scene") -> Scene:
             f"integration.duration = {str(duration)!r}: the {system.name} has no orbit; use time units or turns"
         )
     scene = Scene(
-        title, system, fixed, axes, ties, family, solve, nudge, duration, settings, _outputs(system, table)
+        title, system, fixed, axes, ties, family, solve, nudge, duration, settings, _outputs(system, table),
+        refine, given,
     )  # fmt: skip
     if scene.size > MOST_POINTS:
         raise BadInput(f"axes: {scene.size:.3g} points in all; allowed: at most {MOST_POINTS:.0e}")
@@ -248,10 +296,10 @@ def _number(key: str, value: object) -> float:
     return number
 
 
-def _table(table: Mapping[str, Any], key: str) -> Mapping[str, Any]:
+def _table(table: Mapping[str, Any], key: str, where: str = "") -> Mapping[str, Any]:
     value = table.get(key, {})
     if not isinstance(value, Mapping):
-        raise BadInput(f"{key} = {value!r}: must be a table, [{key}]")
+        raise BadInput(f"{where}{key} = {value!r}: must be a table, [{where}{key}]")
     return value
 
 
@@ -308,7 +356,13 @@ def _start_parameter(system: System, name: str, value: object) -> object:
     return value
 
 
-def _axis(system: System, name: str, table: object) -> Axis:
+def _refined(table: Mapping[str, Any]) -> bool:
+    """Is an axis with this table one of those that [refine] halves?"""
+    return "count" in table and table["count"] > 1
+
+
+def _axis(system: System, name: str, table: object, levels: int) -> Axis:
+    """levels: how often [refine] halves the spacing of an axis."""
     key = f"axes.{name}"
     _name(key, name)
     if not isinstance(table, Mapping):
@@ -334,21 +388,14 @@ def _axis(system: System, name: str, table: object) -> Axis:
         count = table["count"]
         if not isinstance(count, int) or isinstance(count, bool) or not 1 <= count <= 10**8:
             raise BadInput(f"{key}.count = {count!r}: must be a whole number from 1 to 100000000")
-        spacing = table.get("spacing", "linear")
-        if spacing == "log":
-            if not (first > 0 and last > 0):
-                raise BadInput(
-                    f"{key}.spacing = 'log': from and to must be above 0, found {first:g} and {last:g}"
-                )
-            values = list(np.geomspace(first, last, count))
-        elif spacing == "linear":
-            values = list(np.linspace(first, last, count))
-        else:
-            raise BadInput(f"{key}.spacing = {spacing!r}: allowed: 'linear', 'log'")
+        if (count - 1) * 2**levels >= MOST_REFINED:
+            raise BadInput(f"{key}.count = {count}: too many for {levels} levels of [refine]")
         if count > 1 and first == last:
             raise BadInput(
                 f"{key}: from = to = {first:g} with count = {count}; an axis needs distinct values"
             )
+        places = np.linspace if _spacing(key, table, first, last) == "linear" else np.geomspace
+        values = list(places(first, last, (count - 1) * 2**levels + 1))
     if len(set(values)) < len(values):
         raise BadInput(f"{key}.values: some values occur twice; an axis needs distinct values")
     offset = table.get("offset_from_family", False)
@@ -358,6 +405,126 @@ def _axis(system: System, name: str, table: object) -> Axis:
         check_range(system, key, name, min(values), max(values))
     words = {k: _text(table, k, f"{key}.{k}") for k in ("long_name", "units") if k in table}
     return Axis(name, tuple(float(v) for v in values), offset, table=table, **words)
+
+
+def _spacing(key: str, table: Mapping[str, Any], first: float, last: float) -> str:
+    spacing = table.get("spacing", "linear")
+    if spacing not in ("linear", "log"):
+        raise BadInput(f"{key}.spacing = {spacing!r}: allowed: 'linear', 'log'")
+    if spacing == "log" and not (first > 0 and last > 0):
+        raise BadInput(f"{key}.spacing = 'log': from and to must be above 0, found {first:g} and {last:g}")
+    return str(spacing)
+
+
+def _refine(table: Mapping[str, Any]) -> Refine | None:
+    if "refine" not in table:
+        return None
+    given = _table(table, "refine")
+    _known(given, "refine.", ("levels", "probe"))
+    levels = given.get("levels")
+    if not isinstance(levels, int) or isinstance(levels, bool) or not 1 <= levels <= 8:
+        raise BadInput(f"refine.levels = {levels!r}: must be a whole number from 1 to 8")
+    probe = _number("refine.probe", given.get("probe", Refine.probe))
+    if not 0 <= probe <= 1:
+        raise BadInput(f"refine.probe = {probe:g}: must be a share of the points, from 0 to 1")
+    return Refine(levels, probe)
+
+
+def _check_refine(axes: Mapping[str, Axis]) -> None:
+    if not any(_refined(axis.table) for axis in axes.values()):
+        raise BadInput("refine: no axis has from, to and a count above 1, so that there is nothing to refine")
+    size = math.prod(len(axis.values) for axis in axes.values())
+    if size > MOST_REFINED:
+        raise BadInput(f"refine: {size:.3g} points on the finest grid; allowed: at most {MOST_REFINED:.0e}")
+
+
+def _points(
+    system: System, table: Mapping[str, Any], folder: Path
+) -> tuple[dict[str, Any], dict[str, Column]]:
+    """The table of points, as the resolved scene holds it, and its columns."""
+    given = _table(table, "points")
+    _known(given, "points.", ("sample", "count", "seed", "ranges", "file", "values"))
+    kinds = [key for key in ("sample", "file", "values") if key in given]
+    if len(kinds) != 1:
+        found = " and ".join(kinds) or "none"
+        raise BadInput(f"points: needs one of sample, file and values, found {found}")
+    if kinds == ["sample"]:
+        return _sampled(system, given)
+    for key in ("count", "seed", "ranges"):
+        if key in given:
+            raise BadInput(f"points.{key}: only together with sample")
+    if kinds == ["values"]:
+        values = dict(_table(given, "values", "points."))
+        for name, column in values.items():
+            if not isinstance(column, list) or not column:
+                raise BadInput(f"points.values.{name}: must be a list of at least one number")
+            values[name] = [_number(f"points.values.{name}", value) for value in column]
+    else:
+        path, named = _text(given, "file", "points.file"), _table(table, "ties").values()
+        words = {word for text in named for word in re.findall(r"\w+", str(text))}
+        values = own_points.read(folder / path, {*system.parameters, *words})
+    columns = {}
+    for name, column in values.items():
+        key = f"points.values.{_name('points', name)}"
+        try:
+            numbers = np.asarray(column, np.float64)
+        except (TypeError, ValueError):
+            raise BadInput(f"{key}: must be numbers") from None
+        if numbers.ndim != 1 or not numbers.size:
+            raise BadInput(f"{key}: must be one number for each point")
+        if not np.isfinite(numbers).all():
+            bad = int(np.flatnonzero(~np.isfinite(numbers))[0])
+            raise BadInput(f"{key}: {numbers[bad]} at point {bad} (counted from 0); must be finite numbers")
+        if name in system.parameters:
+            check_range(system, key, name, numbers.min(), numbers.max())
+        columns[name] = Column(key, numbers)
+    sizes = {name: column.values.size for name, column in columns.items()}
+    if len(set(sizes.values())) != 1:
+        shown = ", ".join(f"{name}: {size}" for name, size in sizes.items()) or "there are none"
+        raise BadInput(f"points: columns of different lengths ({shown})" if sizes else f"points: {shown}")
+    if sum(sizes.values()) > MOST_GIVEN:
+        raise BadInput(
+            f"points: {sum(sizes.values())} numbers; a scene takes at most {MOST_GIVEN};"
+            " label more with atlas points or atlas.label_points"
+        )
+    return {"values": {name: column.values.tolist() for name, column in columns.items()}}, columns
+
+
+def _sampled(system: System, given: Mapping[str, Any]) -> tuple[dict[str, Any], dict[str, Column]]:
+    kind = _text(given, "sample", "points.sample")
+    if kind not in own_points.SAMPLES:
+        raise BadInput(f"points.sample = {kind!r}: allowed: {', '.join(own_points.SAMPLES)}")
+    count, seed = given.get("count"), given.get("seed", 0)
+    if not isinstance(count, int) or isinstance(count, bool) or not 1 <= count <= MOST_SAMPLED:
+        raise BadInput(f"points.count = {count!r}: must be a whole number from 1 to {MOST_SAMPLED}")
+    if not isinstance(seed, int) or isinstance(seed, bool) or seed < 0:
+        raise BadInput(f"points.seed = {seed!r}: must be a whole number, at least 0")
+    ranges = _table(given, "ranges", "points.")
+    if not ranges:
+        raise BadInput(
+            "points.ranges: a sample needs at least one [points.ranges.NAME] table with from and to"
+        )
+    columns = {}
+    for (name, span), share in zip(
+        ranges.items(), own_points.sample(kind, len(ranges), count, seed), strict=True
+    ):
+        key = f"points.ranges.{_name('points.ranges', name)}"
+        if not isinstance(span, Mapping):
+            raise BadInput(f"{key} = {span!r}: must be a table with from and to")
+        _known(span, f"{key}.", ("from", "to", "spacing"))
+        for needed in ("from", "to"):
+            if needed not in span:
+                raise BadInput(f"{key}.{needed} is missing: a range needs from and to")
+        first, last = (_number(f"{key}.{end}", span[end]) for end in ("from", "to"))
+        if first == last:
+            raise BadInput(f"{key}: from = to = {first:g}; put what does not vary into [fixed]")
+        if name in system.parameters:
+            check_range(system, key, name, min(first, last), max(first, last))
+        if _spacing(key, span, first, last) == "linear":
+            columns[name] = Column(key, first + (last - first) * share)
+        else:
+            columns[name] = Column(key, first * (last / first) ** share)
+    return {"sample": kind, "count": count, "seed": seed, "ranges": ranges}, columns
 
 
 def _family(system: System, table: Mapping[str, Any]) -> tuple[str | None, tuple[str, ...]]:
@@ -392,15 +559,17 @@ def _family(system: System, table: Mapping[str, Any]) -> tuple[str | None, tuple
 
 def _places(*given: Any) -> dict[str, list[str]]:
     places: dict[str, list[str]] = {}
-    for where, names in zip(("fixed", "axes", "ties", "solve"), given, strict=True):
+    for where, names in zip(("fixed", "axes", "ties", "solve", "points"), given, strict=True):
         for name in names:
             places.setdefault(name, []).append(where)
     return places
 
 
-def _ties_fit(system: System, fixed: Any, axes: Any, ties: Mapping[str, Tie], solve: tuple[str, ...]) -> None:
+def _ties_fit(
+    system: System, fixed: Any, axes: Any, columns: Any, ties: Mapping[str, Tie], solve: tuple[str, ...]
+) -> None:
     used = {name for tie in ties.values() for name in tie.names}
-    for where, names in (("fixed", fixed), ("axes", axes), ("ties", ties)):
+    for where, names in (("fixed", fixed), ("axes", axes), ("points", columns), ("ties", ties)):
         for name in names:
             if name not in system.parameters and name not in used:
                 raise BadInput(
@@ -431,14 +600,15 @@ def _duration(value: object) -> Duration:
 
 def _integration(table: Mapping[str, Any]) -> tuple[Duration, Settings]:
     integration, labels = _table(table, "integration"), _table(table, "labels")
-    _known(integration, "integration.", ("duration", "method", "tolerance", "step", "max_steps"))
+    _known(integration, "integration.", ("duration", "method", "tolerance", "step", "max_steps",
+                                          "check_half_step"))  # fmt: skip
     _known(labels, "labels.", ("rate_tolerance", "cylinder_tolerance", "drift_tolerance"))
     if "step" in integration and "tolerance" in integration:
         raise BadInput("integration: step and tolerance are both given; a scene has one of them")
     values: dict[str, Any] = {k: v for k, v in integration.items() if k != "duration"} | dict(labels)
     for key, value in values.items():
-        if key == "method":
-            _text(integration, "method", "integration.method")
+        if key in ("method", "check_half_step"):
+            _text(integration, key, f"integration.{key}")
         elif key != "max_steps":
             where = "labels" if key in labels else "integration"
             values[key] = _number(f"{where}.{key}", value)

@@ -83,6 +83,18 @@ class Tie:
         raise AssertionError(node)
 
 
+class Column(Tie):
+    """A tie to the number of the point: one value for each."""
+
+    def __init__(self, key: str, values: NDArray[np.float64]):
+        """values: of shape (points,)."""
+        self.key, self.text, self.names = key, "one value for each point", frozenset({"point"})
+        self.values = values
+
+    def value(self, names: Mapping[str, NDArray[np.float64]]) -> NDArray[np.float64]:
+        return self.values[names["point"].astype(np.int64)]
+
+
 def in_order(ties: Mapping[str, Tie], known: set[str]) -> list[str]:
     """Names of the ties in an order in which each uses only known names and earlier ties.
 

@@ -62,6 +62,14 @@ class Variable:
         return found
 
 
+# Only in refined atlases, which are not integrated at every point.
+COMPUTED = Variable(
+    "computed", "int8", "1", "where the labels come from",
+    {
+        "interpolated": "labels of the points around, which are all the same",
+        "computed": "integrated, or without motion of the family",
+    },
+)  # fmt: skip
 _NO_MEANING = "nan where the third axis stays inside the cylinder: psi' and phi' have no meaning there"
 
 

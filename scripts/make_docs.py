@@ -1,4 +1,4 @@
-"""Write the tables of docs/scenes.md and docs/satellite.md from the registries; --check only compares.
+"""Write the tables of the pages in docs from the registries and from theory; --check only compares.
 
 python scripts/make_docs.py [--check]
 """
@@ -11,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
+from atlas import catalogue
 from atlas.figures import amplitude_table
 from atlas.systems import SYSTEMS
 from atlas.systems.fixed_point import perturbation
@@ -63,7 +64,28 @@ def claims(system: System) -> str:
     return table(rows)
 
 
-TABLES = {"parameters": parameters, "variables": dataset, "families": families}
+def printed(system: System) -> str:
+    rows = [("equation", "verdict", "as printed", "true", "residual as printed", "as true", "effect")]
+    for row in catalogue.printed(system):
+        sizes = (_rounded(row["residual_printed"]), _rounded(row["residual_true"]))
+        texts = (row[key] for key in ("equation", "verdict", "printed", "true"))
+        rows.append((*texts, *sizes, row["effect"] or row["measure"]))
+    return table(rows)
+
+
+def _rounded(residual: float | None) -> str:
+    """One digit, so that the page is the same on every processor."""
+    return "" if residual is None else "< 1e-9" if residual < 1e-9 else f"{residual:.0e}"
+
+
+TABLES = {
+    "parameters": parameters,
+    "variables": dataset,
+    "families": families,
+    "amplitudes": amplitudes,
+    "claims": claims,
+    "printed": printed,
+}
 
 
 def filled(text: str) -> str:

@@ -53,6 +53,14 @@ def test_map_writes_png_and_pdf(folder):
         (["run", "small.toml", "-o", "no/folder/a.nc"], "no/folder"),
         (["run", "small.toml", "-o", "a.txt"], ".nc"),
         (["run", "small.toml", "--threads", "0"], "--threads"),
+        (["run", "small.toml", "-o", "r/", "--shard", "0/4"], "--shard 0/4"),
+        (["run", "small.toml", "-o", "r/", "--shard", "5/4"], "--shard 5/4"),
+        (["run", "small.toml", "-o", "a.nc", "--shard", "1/4"], "run folder"),
+        (["run", "small.toml", "-o", "r/", "--scheduler", "tcp://127.0.0.1:9"], "no scheduler answers"),
+        (["run", "small.toml", "-o", "r/", "--scheduler", "banana"], "no scheduler answers"),
+        (["run", "small.toml", "-o", "r/", "--workers", "0"], "--workers"),
+        (["status", "."], "not a run folder"),
+        (["join", "none", "-o", "a.nc"], "not a run folder"),
         (["run", "small.toml", "--colour", "red"], "--colour"),
         (["run"], "SCENE"),
         (["check", "bad.toml"], "count"),
@@ -94,7 +102,8 @@ def test_ctrl_c_leaves_no_half_file_and_exits_130(folder, small_scene):
     assert process.returncode == 130
     assert "interrupted" in complaint
     assert "Traceback" not in complaint
-    assert not [p for p in folder.iterdir() if p.name.startswith((".long", "long.nc"))]
+    assert not (folder / "long.nc").exists()
+    assert not list(folder.rglob("*.tmp"))
 
 
 def test_help_of_every_command_is_real(capsys):

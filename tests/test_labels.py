@@ -50,6 +50,8 @@ def measured(**given):
           "phi_dot_mean": np.nan, "phi_dot_std": np.nan, "normal_rate_std": 1e-4}, "drifting"),
         # slowly out of the cylinder: psi' has no meaning on the way, theta decides
         ({"sine_max": 3e-5, "theta_min": 0.0, "theta_max": 3e-5, "theta_dot_rms": 1e-7}, "drifting"),
+        # on the edge of the cylinder: psi' is that of the sliver outside, the rate about the vertical decides
+        ({"sine_max": 1.01e-5, "theta_min": 0.99e-5, "theta_max": 1.01e-5, "normal_rate_std": 0.5}, "drifting"),
         # on the edge of the cylinder, moving less than its radius: still itself
         ({"sine_max": 1.01e-5, "theta_min": 0.99e-5, "theta_max": 1.01e-5}, "regular_precession"),
     ],

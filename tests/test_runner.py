@@ -138,7 +138,7 @@ def test_an_output_that_cannot_be_is_refused_before_anything_runs(small_scene, t
     assert sorted(p.name for p in tmp_path.iterdir()) == ["folder.nc"]
 
 
-def test_an_interrupt_or_a_full_disk_leaves_no_file(small_scene, tmp_path, monkeypatch):
+def test_an_interrupt_or_a_full_disk_leaves_no_file_but_what_is_finished(small_scene, tmp_path, monkeypatch):
     def interrupt(*args, **kwargs):
         raise KeyboardInterrupt
 
@@ -155,7 +155,9 @@ def test_an_interrupt_or_a_full_disk_leaves_no_file(small_scene, tmp_path, monke
         patched.setattr(store.os, "fsync", full)
         with pytest.raises(OSError, match="No space"):
             atlas.run(scene, tmp_path / "a.nc", progress=False)
-    assert list(tmp_path.iterdir()) == []
+    assert [p.name for p in tmp_path.iterdir()] == ["a.nc.run"]
+    atlas.run(scene, tmp_path / "a.nc", progress=False)
+    assert [p.name for p in tmp_path.iterdir()] == ["a.nc"]
 
 
 def test_what_is_no_atlas_is_refused_in_one_line(small_atlas, tmp_path):

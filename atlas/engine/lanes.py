@@ -220,7 +220,7 @@ def integrate_labels(
                     point_of[l] = p
                     at[l] = -1
                     total_of[l] = intervals[p]
-                    limit[l] = tolerance * tolerance * intervals[p] * (1.0 + 1e-6)
+                    limit[l] = tolerance[p] * tolerance[p] * intervals[p] * (1.0 + 1e-6)
                     H[l] = 0.0
                     for j in range($STATES):
                         Y[j, l] = state0[j, p]
@@ -376,14 +376,15 @@ def integrate_labels(
     constants: NDArray[np.float64],
     scales: NDArray[np.float64],
     cylinder: float,
-    tolerance: float,
+    tolerance: NDArray[np.float64],
     *,
     threads: int | None = None,
     progress: Callable[[int], None] | None = None,
 ) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
     """The same as `integrate` until a point is certain to drift: returns its output and the intervals done.
 
-    steps, strides: (points,), as in steps.Steps; tolerance: rate tolerance of the labels, rad per time unit.
+    steps, strides: (points,), as in steps.Steps; tolerance: (points,) rate above which a point is certain to
+    drift, rad per time unit.
     A point whose intervals done are fewer than steps // strides drifts, whatever comes.
     """
     out = np.empty((len(measure.OUTPUTS), state.shape[1]))

@@ -11,6 +11,9 @@ from .measure import LEAST_INTERVALS
 from .runge_kutta import Method
 
 LONGEST_STRIDE = 16
+# Share of the rate tolerance that an automatic step may spend on a motion that turns at the bound.
+SHARE = 0.1
+ROUNDING = 1e-16
 
 
 @dataclass(frozen=True)
@@ -23,6 +26,7 @@ class Steps:
     step_ratio: NDArray[np.float64]  # length * bound / stability limit
     phase_error: NDArray[np.float64]  # of an oscillation at the bound, rad at the end of the run
     hidden_damping: NDArray[np.float64]  # its relative loss of amplitude
+    rate_error: NDArray[np.float64]  # of a steady rate as large as the bound, rad per time unit
 
 
 def ladder(count: NDArray[np.float64]) -> NDArray[np.int64]:
@@ -40,18 +44,26 @@ def choose(
     tolerance: float,
     step: float | None,
     max_steps: int,
+    rate_tolerance: float = np.inf,
 ) -> Steps:
     """Steps of each point: at most `step` long if given, else so that the phase error of an oscillation
-    at the frequency bound (rad per time unit) reaches `tolerance` rad after `duration` (time units).
+    at the frequency bound (rad per time unit) reaches `tolerance` rad after `duration` (time units), or
+    earlier where the loss of amplitude or the local error would let a steady rate as large as the bound
+    vary by SHARE of rate_tolerance (rad per time unit).
 
     More than max_steps are never taken: step_ratio and phase_error then tell what that costs. A point
-    without finite bound gets the fewest steps; its results will not be finite either.
+    without finite bound gets the fewest steps and an infinite step_ratio.
     """
     usable = np.isfinite(bound) & np.isfinite(duration)
     turns = np.where(usable, bound * duration, 0.0)
     if step is None:
         with np.errstate(divide="ignore"):
             y = (tolerance / (method.phase * np.maximum(turns, 1e-300))) ** (1 / method.order)
+            rate = SHARE * rate_tolerance / np.where(usable, np.maximum(bound, 1e-300), 1.0)
+            y = np.minimum(y, (rate / method.phase) ** (1 / method.order))
+            y = np.minimum(
+                y, (rate / (method.damping * np.maximum(turns, 1e-300))) ** (1 / (method.damping_order - 1))
+            )
         count = ladder(np.minimum(turns / y, float(max_steps)))
     else:
         count = np.ceil(np.minimum(np.where(usable, duration, 0.0) / step, float(max_steps)) - 1e-9)
@@ -63,12 +75,15 @@ def choose(
     wanted = np.minimum(wanted, count / LEAST_INTERVALS)
     stride = 2 ** np.floor(np.log2(np.clip(wanted, 1, LONGEST_STRIDE))).astype(np.int64)
     count = -(-count // stride) * stride
+    turns = np.where(usable, turns, np.inf)  # what no step resolves
     y = turns / count
+    damping = turns * method.damping * y ** (method.damping_order - 1)
     return Steps(
         count,
         stride,
         duration / count,
         y / method.stability,
         turns * method.phase * y**method.order,
-        turns * method.damping * y ** (method.damping_order - 1),
+        damping,
+        bound * (method.phase * y**method.order + damping + ROUNDING * np.sqrt(count)),
     )

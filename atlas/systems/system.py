@@ -143,17 +143,17 @@ class System:
     # (parameters that are 0 or absent in a whole scene, A = B throughout) -> (kernel constants that are
     # then 0, pairs of constants of which the first equals the second); few different answers, for each
     # is a kernel of its own
-    special: Callable[[Set[str], bool], tuple[Set[str], Set[tuple[str, str]]]] = (
-        lambda zero, symmetric: (set(), set())
+    special: Callable[[Set[str], bool], tuple[Set[str], Set[tuple[str, str]]]] = lambda zero, symmetric: (
+        set(),
+        set(),
     )
-    printed: Callable[[], Sequence[Printed]] = tuple  # the paper's equations; called when a table is asked for
+    # the paper's equations; called when a table is asked for
+    printed: Callable[[], Sequence[Printed]] = tuple
     # (parameter -> number) -> arrays over the relative equilibria or permanent rotations of one body
     equilibria: Callable[[Mapping[str, float]], Mapping[str, NDArray]] | None = None
 
 
-def stability_by_family(
-    families: Mapping[str, Family], points: Points, flags: Flags
-) -> tuple[Flags, Array]:
+def stability_by_family(families: Mapping[str, Family], points: Points, flags: Flags) -> tuple[Flags, Array]:
     """Linear stability from each family's own formulas: unknown (0, nan) off them and where they are silent."""
     stable, growth = np.zeros(flags.shape, np.int8), np.full(flags.shape, np.nan)
     for family in families.values():

@@ -16,14 +16,13 @@ that the paper's (19), (20) and (33) leave out.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.integrate import solve_ivp
 
 from ..system import Array, BadInput, Points
 from .start import bodies, start
@@ -287,15 +286,23 @@ def secular_rate(spin: FastSpin) -> Array:
     return -(spin.weight - spin.N * (spin.C - spin.A) * spin.gamma0) / (spin.C * spin.r0 + spin.l3)
 
 
-def integrate(spin: FastSpin, y0: Array, tau: Array, **more: object) -> Array:
-    """y of the full equations (1) at the times tau (k,) from y0 (6,), by DOP853 at its tightest; shape (6, k)."""
+def dop853(rate: Callable[[float, Array], Array], span: tuple[float, float], y0: Array, **more: Any) -> Any:
+    """scipy's DOP853 at its tightest; more: options of solve_ivp, whose result is returned."""
+    # Imported here: reading a scene needs the formulas, but should not wait for scipy.
+    from scipy.integrate import solve_ivp
+
+    options: dict[str, Any] = {"method": "DOP853", "rtol": 1e-13, "atol": 1e-14}
+    return solve_ivp(rate, span, y0, **(options | more))
+
+
+def integrate(spin: FastSpin, y0: Array, tau: Array, **more: Any) -> Array:
+    """y of the full equations (1) at the times tau (k,) from y0 (6,), by `dop853`; shape (6, k)."""
     span = (float(tau[0]), float(tau[-1]))
-    options: dict[str, object] = {"method": "DOP853", "rtol": 1e-13, "atol": 1e-14}
-    return solve_ivp(lambda _, y: rhs(spin, y), span, y0, t_eval=tau, **(options | more)).y
+    return dop853(lambda _, y: rhs(spin, y), span, y0, t_eval=tau, **more).y
 
 
-def paper_body(name: str, rotor: float) -> FastSpin:
-    """A body of section VI: name of PAPER_BODIES and l1 = l2 = l3 = rotor, N m s."""
+def paper_body(name: str, rotor: float | Array) -> FastSpin:
+    """A body of section VI: name of PAPER_BODIES and l1 = l2 = l3 = rotor, N m s, a number or several."""
     A, C = PAPER_BODIES[name]
     d = PAPER_DATA
     weight = d["M"] * d["lambda"] / d["R"] ** 2 * d["z0"]
@@ -391,9 +398,7 @@ def _oscillation(spin: FastSpin, y0: Array, name: str) -> tuple[float, float, fl
         return float(to_quasilinear(spin, y)[place + 1])
 
     span = (0.0, 2.5 * np.pi / float(np.abs(frequency)))
-    found = solve_ivp(
-        lambda _, y: rhs(spin, y), span, y0, method="DOP853", rtol=1e-13, atol=1e-14, events=speed
-    )
+    found = dop853(lambda _, y: rhs(spin, y), span, y0, events=speed)
     # The start is an extremum itself, found or not by the sign of its rounding.
     late = found.t_events[0] > 1e-3
     extremes = to_quasilinear(spin, found.y_events[0][late].T)[place]

@@ -11,7 +11,6 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
-from scipy.integrate import cumulative_simpson
 
 from ..system import Array, BadInput, Printed
 from . import equations, perturbation, start
@@ -298,6 +297,8 @@ def _of_angle(index: int, formula: Callable[[FastSpin, Array], Array]) -> Measur
     """Error of theta or psi over two turns, over the swing that is first order in eps."""
 
     def measured(rng: np.random.Generator) -> float:
+        from scipy.integrate import cumulative_simpson  # slow to import, and scenes do not need it
+
         spin = _paper_spin(rng)
         tau = np.linspace(0, 4 * np.pi, 401)
         begin = perturbation.first_order(spin, np.array(0.0))

@@ -132,7 +132,8 @@ def exponents(points: Points) -> tuple[Flags, Array]:
         w, alpha, gamma = np.split(state[rest], 3, -1)
         w = w / rate[rest, None]
         matrix = bodies.linearised(w, np.zeros_like(w), alpha, gamma)
-        growth[rest] = np.linalg.eigvals(matrix).real.max(-1) * rate[rest]
+        finite = np.isfinite(matrix).all((1, 2))  # squares of the smallest rates underflow
+        growth[rest[finite]] = np.linalg.eigvals(matrix[finite]).real.max(-1) * rate[rest[finite]]
     stable, growth_rest = verdict(growth, rate)
     moving = np.flatnonzero(turn > 1e-12 * rate)
     if moving.size:

@@ -1,0 +1,82 @@
+"""Seconds for a million random points through the satellite's theory, on one core.
+
+    python scripts/bench_catalogue.py [--points 1000000]
+
+A third of the points start off every family, a third on perp-velocity motions and a third on cylindrical
+ones, so that closed forms of stability are evaluated. Eigenvalues and multipliers are timed on fewer points.
+"""
+
+from __future__ import annotations
+
+import argparse
+import time
+
+import numpy as np
+
+from atlas.systems import get
+from atlas.systems.satellite.stability import linear_stability
+
+SATELLITE = get("satellite")
+
+
+def random_points(size: int, seed: int = 0) -> dict[str, np.ndarray]:
+    """Random bodies and starts of order 1; a third on perp_velocity, a third on cylindrical without magnet."""
+    rng = np.random.default_rng(seed)
+    points = {name: rng.uniform(0.3, 1.3, size) for name in SATELLITE.parameters}
+    points |= {name: rng.uniform(0.7, 1.3, size) for name in "ABC"}
+    tilted, upright = np.arange(size) % 3 == 1, np.arange(size) % 3 == 2
+    steady = tilted | upright
+    points["B"] = np.where(steady, points["A"], points["B"])
+    for name in ("k1", "k2", "mu1", "mu2", "theta_dot0"):
+        points[name] = np.where(steady, 0.0, points[name])
+    points["n"] = np.where(tilted, 0.0, points["n"])
+    points["psi0"] = np.where(tilted, np.pi / 2, points["psi0"])
+    points["k3"] = np.where(tilted, SATELLITE.families["perp_velocity"].solve["k3"](points), points["k3"])
+    points["theta0"] = np.where(upright, 0.0, points["theta0"])
+    points["mu3"] = np.where(upright, 0.0, points["mu3"])
+    return points
+
+
+def main() -> None:
+    options = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    options.add_argument("--points", type=int, default=1_000_000)
+    count = options.parse_args().points
+    points = random_points(count)
+    total = time.perf_counter()
+    began = time.perf_counter()
+    flags, _ = SATELLITE.recognise(points)
+    print(f"recognise             {time.perf_counter() - began:7.2f} s for {count} points")
+    began = time.perf_counter()
+    SATELLITE.condition_residual(points)
+    print(f"condition_residual    {time.perf_counter() - began:7.2f} s")
+    began = time.perf_counter()
+    stable, _ = linear_stability(points, flags)
+    print(
+        f"linear_stability      {time.perf_counter() - began:7.2f} s, {np.bincount(stable, minlength=3)} unknown, stable, unstable"
+    )
+    print(f"together              {time.perf_counter() - total:7.2f} s")
+    for name, family in SATELLITE.families.items():
+        print(f"  {name}: {(flags == family.flag).sum()} points")
+
+    some = {name: value[: min(count, 2000)] for name, value in random_points(6000, 1).items()}
+    some |= {
+        name: np.zeros(some["A"].size)
+        for name in ("n", "m", "theta_dot0", "mu1", "mu2", "mu3", "theta0", "psi0", "phi0")
+    }
+    resting = some | {name: np.zeros(some["A"].size) for name in ("k1", "k2")}
+    resting["B"] = resting["A"] + 0.1
+    turning = resting | {"B": resting["A"], "m": -resting["Omega"], "k1": some["k3"]}
+    for what, part in (("eigenvalues", resting), ("multipliers", turning)):
+        flags, _ = SATELLITE.recognise(part)
+        began = time.perf_counter()
+        linear_stability(part, flags)
+        each = (time.perf_counter() - began) / flags.size
+        print(
+            f"{what}           {1e3 * each:7.3f} ms for each of {flags.size} points ({(flags > 0).sum()} steady)"
+        )
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,157 @@
+"""How cost grows with points, tiles and workers; overhead of a tile, speed of joining, memory of 10^9 points.
+
+python scripts/bench_scaling.py [MOST_POINTS]      (default 3e7)
+
+Points are cheap ones (a few hundred steps of rk4), so that what is not integration shows.
+"""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+
+import atlas
+from atlas import grid
+from atlas.folder import RunFolder, mean_steps
+
+SCENE = """
+schema = 1
+title = "scaling"
+system = "satellite"
+[axes.C]
+from = 0.4
+to = 1.8
+count = {rows}
+[axes.theta0]
+from = 0.1
+to = 1.5
+count = {columns}
+[axes.m]
+from = 0.1
+to = 1.0
+count = {layers}
+[integration]
+duration = 10.0
+tolerance = 1e-3
+[outputs]
+variables = ["label", "status", "theta_dot_rms"]
+"""
+
+
+def scene(folder: Path, rows: int, columns: int, layers: int = 1) -> atlas.scene.Scene:
+    (folder / "scene.toml").write_text(SCENE.format(rows=rows, columns=columns, layers=layers))
+    return atlas.load_scene(folder / "scene.toml")
+
+
+def command(folder: Path, *arguments: str) -> tuple[float, float]:
+    """Wall time in s and largest memory in MB of one atlas command."""
+    began = time.perf_counter()
+    process = subprocess.Popen(
+        [sys.executable, "-m", "atlas", *arguments], cwd=folder, stdout=subprocess.DEVNULL
+    )
+    _, status, usage = os.wait4(process.pid, 0)
+    process.returncode = os.waitstatus_to_exitcode(status)
+    if process.returncode:
+        sys.exit(f"atlas {' '.join(arguments)}: exit {process.returncode}")
+    return time.perf_counter() - began, usage.ru_maxrss / 1024
+
+
+def points(folder: Path, most: int) -> None:
+    print("points, tiles, run s, points/s, MB of memory, join s, MB/s joined, MB of memory")
+    count = 10_000
+    while count <= most:
+        rows = count // 1000
+        what = scene(folder, rows, 1000)
+        name = f"points{count}"
+        run = RunFolder.prepare(what, folder / name, grid.check(what), [])
+        seconds, memory = command(folder, "run", "scene.toml", "-o", f"{name}/", "--quiet")
+        joined, join_memory = command(folder, "join", name, "-o", f"{name}.nc")
+        size = (folder / f"{name}.nc").stat().st_size / 1e6
+        print(
+            f"{count}, {run.tiling.count}, {seconds:.2f}, {count / seconds:.4g}, {memory:.0f},"
+            f" {joined:.2f}, {size / joined:.3g}, {join_memory:.0f}",
+            flush=True,
+        )
+        run.remove()
+        (folder / f"{name}.nc").unlink()
+        count *= 10 if count * 10 <= most else max(2, most // count)
+
+
+def tiles(folder: Path, count: int = 1_000_000) -> None:
+    print(f"tiles for {count} points, run s, ms a tile more than with the fewest")
+    what, usual, fewest = scene(folder, count // 1000, 1000), grid.TILE, None
+    for points in (usual, 8192, 1024):
+        grid.TILE = points
+        run = RunFolder.prepare(what, folder / f"tiles{points}", grid.check(what), [])
+        grid.TILE = usual
+        seconds, _ = command(folder, "run", "scene.toml", "-o", f"tiles{points}/", "--quiet")
+        fewest = fewest or (run.tiling.count, seconds)
+        more = run.tiling.count - fewest[0]
+        print(
+            f"{run.tiling.count}, {seconds:.2f}, {1e3 * (seconds - fewest[1]) / more if more else 0.0:.2f}",
+            flush=True,
+        )
+        run.remove()
+
+
+def workers(folder: Path, count: int = 2_000_000) -> None:
+    print(f"workers for {count} points, run s")
+    scene(folder, count // 1000, 1000)
+    for options in (["--threads", "1"], ["--threads", "2"], ["--workers", "1"], ["--workers", "2"]):
+        seconds, _ = command(folder, "run", "scene.toml", "-o", "workers/", "--quiet", *options)
+        print(f"{' '.join(options)}, {seconds:.2f}", flush=True)
+        RunFolder.open(folder / "workers").remove()
+
+
+def billion(folder: Path, seconds: float = 30.0) -> None:
+    what = scene(folder, 1000, 1000, 1000)
+    process = subprocess.Popen(
+        [sys.executable, "-m", "atlas", "run", "scene.toml", "-o", "billion/"],
+        cwd=folder,
+        stderr=subprocess.DEVNULL,
+    )
+    began, first = time.perf_counter(), 0.0
+    while time.perf_counter() - began < seconds:
+        if not first and list((folder / "billion" / "tiles").glob("*.json")):
+            first = time.perf_counter() - began
+        time.sleep(0.05)
+    process.send_signal(signal.SIGINT)
+    _, _, usage = os.wait4(process.pid, 0)
+    process.returncode = 130
+    run = RunFolder.open(folder / "billion")
+    began = time.perf_counter()
+    ds = atlas.open_atlas(folder / "billion")
+    opened = time.perf_counter() - began
+    done = run.survey().done
+    size = sum(file.stat().st_size for file in (run.path / "tiles").iterdir()) / max(len(done), 1)
+    rate = ds.attrs["atlas_points_per_second"]
+    print(
+        f"10^9 points: {run.tiling.count} tiles, the first after {first:.1f} s; {len(done)} in {seconds:.0f} s,"
+        f" {usage.ru_maxrss / 1024:.0f} MB of memory; opens in {opened:.2f} s"
+    )
+    for total in (what.size, 10 * what.size):
+        print(
+            f"  all {total:.0e}: {total / rate / 3600:.1f} h here, {run.tiling.count * total // what.size} tiles,"
+            f" {run.tiling.count * total / what.size * size / 1e9:.1f} GB at {mean_steps(what, grid.check(what)):.0f} steps"
+            " a point and three variables"
+        )
+    run.remove()
+
+
+def main() -> None:
+    most = int(float(sys.argv[1])) if len(sys.argv) > 1 else 30_000_000
+    with tempfile.TemporaryDirectory(prefix="atlas-scaling-") as name:
+        folder = Path(name)
+        points(folder, most)
+        tiles(folder)
+        workers(folder)
+        billion(folder)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,349 @@
+"""Error against run time: orders against exact motions, the reference, the sample, the report and its limits."""
+
+import math
+from itertools import pairwise
+
+import numpy as np
+import pytest
+import xarray as xr
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.special import ellipj, ellipk
+from scipy.stats import binom
+from test_fixed_point_conditions import of_cases
+from test_satellite_conditions import case_points
+
+import atlas
+from atlas import accuracy, grid
+from atlas.cli import main
+from atlas.engine import lanes, measure
+from atlas.engine.runge_kutta import METHODS
+from atlas.evaluate import kernel
+from atlas.scene import Settings, load_scene
+from atlas.systems import SYSTEMS
+from atlas.systems.system import BadInput
+
+
+def points(system, size=1, **given):
+    """Every parameter at its default but those given."""
+    values = {name: p.default for name, p in SYSTEMS[system].parameters.items()} | given
+    return {name: np.broadcast_to(np.asarray(value, float), (size,)).copy() for name, value in values.items()}
+
+
+def ends(system, p, counts, duration, method):
+    """Final states after `counts` steps to `duration`."""
+    kind, size = SYSTEMS[system], p["A"].size
+    state, constants = np.ascontiguousarray(kind.start(p)), np.ascontiguousarray(kind.constants(p))
+    scales = measure.scales(kind.equations, state, constants, dict(kind.conserved(p)))
+    steps, length = np.full(size, counts), np.full(size, duration / counts)
+    lanes.integrate(
+        kernel(kind, method), lanes.plan(steps, np.ones_like(steps)), length, state, constants, scales, 1e-5
+    )
+    return state
+
+
+def spin_of_free_gyrostat(A, B, C, rotor, p0, r0, t):
+    """r(t) of a torque-free gyrostat with its rotor on the third axis, started with q = 0.
+
+    Energy and |momentum|^2 give p^2 and q^2 as quadratics in r, so C r' = (A - B) p q has the quartic
+    -kappa (r - a)(r - b)(r - c)(r - d); between a > b its solution is Byrd and Friedman's 256.00.
+    """
+    energy, momentum = A * p0**2 + C * r0**2, (A * p0) ** 2 + (C * r0 + rotor) ** 2
+    square = np.polynomial.Polynomial([rotor, C]) ** 2
+    left, up = np.polynomial.Polynomial([energy, 0, -C]), momentum - square
+    p2, q2 = (B * left - up) / (A * (B - A)), (up - A * left) / (B * (B - A))
+    quartic = p2 * q2 * ((A - B) / C) ** 2
+    d, c, b, a = np.sort(quartic.roots().real)
+    assert np.abs(quartic.roots().imag).max() < 1e-9
+    kappa = -quartic.coef[4]
+    assert kappa > 0
+    assert min(abs(r0 - a), abs(r0 - b)) < 1e-12
+    modulus = (a - b) * (c - d) / ((a - c) * (b - d))
+    u = 0.5 * t * np.sqrt(kappa * (a - c) * (b - d)) + (ellipk(modulus) if abs(r0 - a) < 1e-12 else 0.0)
+    sn2 = ellipj(u, modulus)[0] ** 2
+    return (b * (a - c) - c * (a - b) * sn2) / ((a - c) - (a - b) * sn2)
+
+
+# The order of every method, against motions known in closed form.
+
+COARSE = {4: 240, 8: 30}
+
+
+@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("rotor", [0.0, 0.25])  # 0: Euler's top
+@pytest.mark.parametrize("system", SYSTEMS)
+def test_order_on_the_free_gyrostat(system, rotor, method):
+    A, B, C, p0, r0, duration = 1.0, 1.2, 1.6, 1.5, 0.9, 20.0
+    body = {"satellite": {"Omega": 0.0, "k3": rotor}, "fixed_point": {"l3": rotor}}[system]
+    # w = n gamma + m e3 with the vertical at 90 degrees on the first axis
+    start = {"theta0": np.pi / 2, "phi0": np.pi / 2, "n": p0, "m": r0}
+    p = points(system, A=A, B=B, C=C, **start, **body)
+    exact = spin_of_free_gyrostat(A, B, C, rotor, p0, r0, duration)
+    coarse = COARSE[METHODS[method].order]
+    errors = [abs(ends(system, p, k * coarse, duration, method)[2, 0] - exact) for k in (1, 2)]
+    assert errors[0] < 1e-5
+    assert np.log2(errors[0] / errors[1]) == pytest.approx(METHODS[method].order, abs=0.7)
+
+
+@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("system", SYSTEMS)
+def test_order_on_every_steady_family(system, method):
+    kind = SYSTEMS[system]
+    p = {"satellite": case_points, "fixed_point": of_cases}[system]()
+    flags, _ = kind.recognise(p)
+    on = np.flatnonzero(flags)
+    p, flags = {name: values[on] for name, values in p.items()}, flags[on]
+    duration = 20.0 / kind.frequency_bound(p)
+    exact = np.empty((len(kind.equations.STATE), on.size))
+    for family in kind.families.values():
+        its = np.flatnonzero(flags == family.flag)
+        for i in its:
+            exact[:, i] = family.motion({k: v[i : i + 1] for k, v in p.items()}, duration[i])[:, 0]
+    order = METHODS[method].order
+    coarse = {4: 96, 8: 8}[order]
+    errors = [np.abs(ends(system, p, k * coarse, duration, method) - exact).max(0) for k in (1, 2)]
+    assert errors[1].max() < 1e-4
+    told = errors[1] > 1e-13  # at rest there is no error, and none below rounding shows an order
+    assert told.sum() > 5
+    assert np.median(np.log2(errors[0][told] / errors[1][told])) == pytest.approx(order, abs=0.4)
+
+
+# The reference.
+
+
+def test_the_reference_knows_what_it_says(small_scene):
+    """Two runs of DOP853 against the closed form of a family, and the statistics of a steady motion."""
+    scene = load_scene(small_scene.split("[nudge]")[0] + "[integration]\nduration = 10.0\n")
+    part = grid.take(scene, np.arange(0, 63, 9))
+    found = accuracy.reference(scene.system, part.points, part.duration, scene.settings)
+    assert found.exact.all()
+    assert found.certain.all()
+    assert found.state_error.max() < 1e-11
+    np.testing.assert_allclose(found.statistics["phi_dot_mean"], part.points["m"], atol=1e-13)
+    np.testing.assert_allclose(found.statistics["theta_max"], part.points["theta0"], atol=1e-14)
+    assert all(error.max() < 1e-7 for error in found.statistics_error.values())
+    np.testing.assert_array_equal(
+        found.label, accuracy.labels.PERMANENT
+    )  # n = 0: the axis rests in the orbital frame
+
+
+def test_the_reference_measures_a_libration():
+    """theta' = rate cn, so the mean square of a planar motion and its turning points are elliptic too."""
+    A, B, C, rate = 1.0, 1.2, 1.1, 0.3
+    # about the velocity's axis: the third axis librates in the plane of normal and radius about pi/2
+    p = points("satellite", A=A, B=B, C=C, theta0=np.pi / 2, psi0=np.pi / 2, theta_dot0=rate)
+    duration = np.array([7.0])
+    found = accuracy.reference(SYSTEMS["satellite"], p, duration, Settings())
+    state = accuracy._follow(SYSTEMS["satellite"], p, duration, 1e-5, 1e-10)
+    assert found.statistics["theta_dot_rms"][0] == pytest.approx(state["theta_dot_rms"][0], rel=1e-8)
+    run = atlas.label_points(
+        "satellite", {name: values for name, values in p.items()}, duration=7.0, tolerance=1e-11
+    )
+    for name in accuracy.RATES:
+        assert run[name].item() == pytest.approx(found.statistics[name][0], abs=1e-9), name
+    # theta is sampled in a run, and interpolated in the reference
+    assert run["theta_max"].item() <= found.statistics["theta_max"][0] + 1e-9
+    assert run["theta_max"].item() == pytest.approx(found.statistics["theta_max"][0], abs=1e-4)
+
+
+def test_extremes_are_those_of_the_path():
+    p = points("satellite", A=1.0, B=1.2, C=0.8, theta0=0.4, psi0=0.3, n=0.3, m=0.5)
+    settings = Settings()
+    found = accuracy.reference(SYSTEMS["satellite"], p, np.array([6.0]), settings)
+    path = atlas.trajectory("satellite", {k: v[0] for k, v in p.items()}, duration=6.0, samples=3001)
+    for name, extreme in (("theta_min", path.theta.min()), ("theta_max", path.theta.max())):
+        assert found.statistics[name][0] == pytest.approx(extreme.item(), abs=1e-5)
+
+
+# The samples.
+
+
+@given(st.integers(1, 10**12), st.integers(1, 300))
+def test_spread_takes_one_of_each_part(size, count):
+    found = accuracy.spread(size, count)
+    assert found.size == min(size, count)
+    np.testing.assert_array_equal(found, accuracy.spread(size, count))
+    for i, place in enumerate(found):
+        assert i * size // found.size <= place < (i + 1) * size // found.size
+
+
+@given(st.integers(0, 50), st.integers(1, 2000))
+def test_upper_bound_is_exact(found, of):
+    bound = accuracy.upper_bound(found, of)
+    if found >= of:
+        assert bound == 1.0
+    else:
+        assert binom.cdf(found, of, bound) == pytest.approx(0.05, rel=1e-6)
+
+
+def test_half_step_counts_what_changes(small_scene, monkeypatch):
+    """A made-up engine whose labels and rates depend on the step."""
+    scene = load_scene(small_scene.replace("tolerance = 1e-5", "step = 0.1"))
+
+    def made_up(scene, tile, *, threads):
+        label = np.full(tile.duration.size, accuracy.labels.PERMANENT, np.int8)
+        label[0], label[1] = accuracy.labels.NOT_COMPUTED, accuracy.labels.UNRESOLVED
+        if scene.settings.step == 0.05:
+            label[:5] = accuracy.labels.DRIFTING
+        rates = {name: np.full(label.size, scene.settings.step) for name in accuracy.RATES}
+        return {"label": label, "label_inertial": label.copy(), **rates}
+
+    monkeypatch.setattr(accuracy, "evaluate_tile", made_up)
+    told = accuracy.half_step_sample(scene)
+    # every point was tried: the bound is the count; without a label there is none to change
+    assert told["atlas_half_step_points"] == told["atlas_points"] == 63
+    assert told["atlas_labels_may_change"] == told["atlas_half_step_changed"] == 3
+    assert told["atlas_half_step_difference"] == pytest.approx(0.05)
+    assert "at most 3 of 63 (95 %)" in accuracy.half_step_text(told)
+    large = load_scene(
+        small_scene.replace("tolerance = 1e-5", "step = 0.1").replace("count = 9", "count = 900")
+    )
+    told = accuracy.half_step_sample(large)
+    assert told["atlas_half_step_points"] == 64
+    assert told["atlas_labels_may_change"] == math.ceil(accuracy.upper_bound(3, 64) * 6300)
+
+
+def test_half_step_of_a_good_scene_changes_nothing(small_scene):
+    scene = load_scene(small_scene)
+    told = accuracy.half_step_sample(scene)
+    assert told["atlas_half_step_changed"] == told["atlas_labels_may_change"] == 0
+    assert 0 < told["atlas_half_step_difference"] < 1e-6
+    assert told == accuracy.half_step_sample(scene, threads=1)
+
+
+@given(st.sampled_from(list(METHODS)), st.sampled_from([{"tolerance": 1e-7}, {"step": 0.01}]))
+def test_half_step_halves_the_step(method, kind):
+    settings_ = Settings(method=method, **kind)
+    system, p = SYSTEMS["satellite"], points("satellite", 3, theta0=[0.3, 0.9, 1.2], m=[0.5, 2.0, 9.0])
+    one, two = (
+        accuracy._plan(system, p, np.array([30.0, 40.0, 50.0]), s)
+        for s in (settings_, accuracy.half_step(settings_))
+    )
+    assert (one.length / two.length > 1.95).all()
+    assert (one.length / two.length < 3).all()
+
+
+# The report.
+
+
+@pytest.fixture(scope="module")
+def report():
+    from conftest import SMALL_SCENE
+
+    scene = load_scene(SMALL_SCENE.replace("30.0", "12.0").replace("1e-5\n", "1e-6\n", 1))
+    return accuracy.accuracy(scene, 10)
+
+
+def test_rows_stay_above_the_reference(report):
+    assert report.sizes["sample"] == 10
+    ran = np.isfinite(report.seconds_per_point)
+    assert (report.error_state.where(ran) >= report.reference_error).where(ran, True).all()
+    rows = accuracy.summary(report)
+    assert {row["method"] for row in rows} == set(METHODS)
+    (own,) = [row for row in rows if row["own_setting"]]
+    assert (own["method"], own["tolerance"]) == ("rk4", pytest.approx(1e-6))
+    assert all(row["labels_wrong"] == 0 and row["seconds_per_point"] > 0 for row in rows)
+    assert own["labels_wrong_at_most"] == pytest.approx(1 - 0.05 ** (1 / own["labels_compared"]))
+
+
+def test_the_text_ends_with_the_cheapest_setting(report):
+    text = accuracy.report(report)
+    rows = accuracy.summary(report)
+    assert len([line for line in text.splitlines() if line.lstrip().startswith("rk")]) == len(rows)
+    advice = text.splitlines()[-1]
+    assert advice == accuracy.advice(report)
+    cheapest = min(
+        (r for r in rows if max(r["error_state"], r["error_rates"]) <= 1e-6 and not r["labels_unresolved"]),
+        key=lambda r: r["seconds_per_point"],
+    )
+    assert f"{cheapest['method']} with tolerance = {cheapest['tolerance']:.3g}" in advice
+
+
+def test_wrong_labels_are_counted_and_bounded(report):
+    flipped = report.copy(deep=True)
+    flipped["label_wrong"][0, :, :3] = 1
+    row = accuracy.summary(flipped)[0]
+    assert row["labels_wrong"] == 3
+    assert row["labels_wrong_at_most"] == accuracy.upper_bound(3, row["labels_compared"])
+
+
+def test_a_tolerance_that_no_step_reaches_is_said(small_scene):
+    scene = load_scene(small_scene.replace("30.0", "5.0").replace("tolerance = 1e-5", "tolerance = 1e-17"))
+    ds = accuracy.accuracy(scene, 3)
+    advice = accuracy.advice(ds)
+    assert advice.startswith("Out of reach: a median error of 1e-17")
+    assert "sigma = " in advice
+    assert float(ds.error_state.min()) >= accuracy.ROUNDING
+
+
+def test_a_step_instead_of_a_tolerance_and_the_orders(small_scene):
+    text = small_scene.replace("30.0", "5.0").replace("tolerance = 1e-5", "step = 0.05")
+    ds = accuracy.accuracy(load_scene(text), 4)
+    for method in METHODS.values():
+        orders = ds.order.sel({"method": method.name})
+        assert orders.notnull().any()
+        assert float(orders.median()) == pytest.approx(method.order, abs=0.6)
+    (own,) = [row for row in accuracy.summary(ds) if row["own_setting"]]
+    assert own["step"] == pytest.approx(0.05)
+    assert "own median error" in accuracy.advice(ds)
+
+
+def test_a_reference_that_fails_names_its_points(small_scene):
+    """One point of three turns too fast to be followed; its neighbours do not hide it."""
+    text = small_scene.split("[family]")[0].replace("m = 0.5\n", "")
+    text += "[axes.m]\nvalues = [0.5, 0.7, 1e9]\n[integration]\nduration = 5.0\nmax_steps = 1000\n"
+    text = text.replace("count = 9", "count = 1").replace("count = 7", "count = 1")
+    text = text.replace("to = 1.7", "to = 0.3").replace("to = 1.4", "to = 0.2")
+    with pytest.raises(BadInput, match=r"reference fails at 1 of 3 points.*m = 1e\+09") as complaint:
+        accuracy.accuracy(load_scene(text), 3)
+    assert "0.5" not in str(complaint.value)
+
+
+def test_a_failing_step_is_told_from_its_neighbours(monkeypatch):
+    """DOP853 gives up on one of three points that share their steps."""
+    follow, system = accuracy._follow, SYSTEMS["satellite"]
+
+    def failing(kind, p, *more):
+        return None if (p["m"] == 0.6).any() else follow(kind, p, *more)
+
+    monkeypatch.setattr(accuracy, "_follow", failing)
+    p = points("satellite", 3, theta0=0.3, m=[0.5, 0.6, 0.7])
+    found, lost = accuracy._dop853(system, p, np.full(3, 2.0), 1e-5, 1e-10)
+    np.testing.assert_array_equal(lost, [False, True, False])
+    np.testing.assert_array_equal(np.isfinite(found["state"]).all(0), ~lost)
+
+
+@pytest.mark.parametrize("count", [1, 0, -3])
+def test_too_few_points(small_scene, count):
+    with pytest.raises(BadInput, match="at least 2"):
+        accuracy.accuracy(load_scene(small_scene), count)
+
+
+def test_command_writes_what_it_printed(tmp_path, monkeypatch, small_scene, capsys):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "small.toml").write_text(small_scene.replace("30.0", "4.0"))
+    command = ["accuracy", "small.toml", "--points", "3", "-o", "a.nc", "-o", "a.csv", "-o", "a.png"]
+    assert main(command) == 0
+    text = capsys.readouterr().out
+    with xr.open_dataset("a.nc") as ds:
+        assert accuracy.report(ds) in text
+    table = (tmp_path / "a.csv").read_text().splitlines()
+    assert table[0].startswith("method,tolerance,own_setting,steps,seconds_per_point,error_state")
+    assert {len(line.split(",")) for line in table} == {len(table[0].split(","))}
+    assert (tmp_path / "a.png").read_bytes().startswith(b"\x89PNG")
+    assert main(command) == 2
+    assert "--force" in capsys.readouterr().err
+    assert main(["accuracy", "small.toml", "-o", "a.txt"]) == 2
+    assert ".csv" in capsys.readouterr().err
+    assert main(["accuracy", "small.toml", "--points", "1"]) == 2
+    assert "at least 2" in capsys.readouterr().err
+
+
+@settings(max_examples=8)
+@given(st.floats(1e-13, 1e-1), st.booleans())
+def test_the_ladder_holds_the_scenes_own_setting(value, step):
+    chosen = Settings(step=value) if step else Settings(tolerance=value)
+    kind, rungs = accuracy.ladder(chosen)
+    assert kind == ("step" if step else "tolerance")
+    assert rungs[accuracy.own_rung(chosen)] == pytest.approx(value, rel=1e-12)
+    assert all(math.log(a / b) > 0 for a, b in pairwise(rungs))

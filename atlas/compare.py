@@ -112,7 +112,10 @@ def _survival(ds: xr.Dataset) -> list[str]:
 
 
 def near_boundary(stable: Flags) -> np.ndarray:
-    """Points within BAND of the axis range of a change of linear stability, bool, on a grid of any rank."""
+    """Points within BAND of the axis range of a change of linear stability, bool, on a grid of any rank.
+
+    Nothing is near on a list of points, which has neighbours only by chance.
+    """
     reach = [1 + 2 * max(1, int(np.ceil(BAND * (count - 1)))) if count > 1 else 1 for count in stable.shape]
     return np.asarray(maximum_filter(stable, reach) != minimum_filter(stable, reach))
 

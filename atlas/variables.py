@@ -21,7 +21,7 @@ STATUS = {
     "not_finite": "the state or a statistic overflowed or became NaN",
     "drift_exceeded": "a first integral changed by more than drift_tolerance",
     "under_resolved": "the step is too long for the fastest frequency of the point",
-    "step_sensitive": "the label changes when the step is halved",
+    "step_sensitive": "the label changes when the step is halved, or could by as much as the measurements did",
     "roundoff_decided": "an exact start on an unstable motion, run until rounding errors decide",
 }
 AGREEMENT = {

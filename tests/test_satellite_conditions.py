@@ -31,13 +31,18 @@ A, B, C, Omega, k1, k2, k3, mu1, mu2, mu3, h1, h3, n, m = sp.symbols(
 s, c, sy, cy, sf, cf = sp.symbols("s c sin_psi cos_psi sin_phi cos_phi")
 
 
+def symbolic(*rotor):
+    """The constants of the equations for symbols, with a rotor."""
+    names = ("A", "B", "C", "Omega", "mu1", "mu2", "mu3", "h1", "h3", "k1", "k2", "k3")
+    return tuple(constants(dict(zip(names, (A, B, C, Omega, mu1, mu2, mu3, h1, h3, *rotor), strict=True))))
+
+
 def lack(**special):
     """Components of I (w-dot needed) - torque, reduced by s^2 + c^2 = 1 and so on; all zero on a motion."""
     alpha = sp.Matrix([cy * cf - c * sf * sy, -cy * sf - c * cf * sy, s * sy])
     gamma = sp.Matrix([s * sf, s * cf, c])
     state = [*((n + Omega) * gamma + sp.Matrix([0, 0, m])), *alpha, *gamma]
-    values = (A, B, C, 1 / A, 1 / B, 1 / C, Omega, 3 * Omega**2, k1, k2, k3, mu1, mu2, mu3, h1, h3)
-    rates = equations.rhs(state, values)
+    rates = equations.rhs(state, symbolic(k1, k2, k3))
     needed = [(n + Omega) * m * gamma[1], -(n + Omega) * m * gamma[0], 0]
     numerators = []
     for inertia, rate, target in zip((A, B, C), rates, needed, strict=False):
@@ -137,8 +142,7 @@ def test_equilibrium_rotor_leaves_the_torque_about_the_normal_alone():
     rest += Omega**2 * (inertia * gamma).cross(gamma)
     k = rest.cross(gamma) / Omega + along * gamma
     needed = gamma * beta.dot(3 * Omega**2 * inertia * alpha + h1 * mu)
-    values = (A, B, C, 1 / A, 1 / B, 1 / C, Omega, 3 * Omega**2, *k, mu1, mu2, mu3, h1, h3)
-    rates = equations.rhs([*(Omega * gamma), *alpha, *gamma], values)
+    rates = equations.rhs([*(Omega * gamma), *alpha, *gamma], symbolic(*k))
     for i, body in enumerate((A, B, C)):
         difference = sp.expand(body * rates[i] - needed[i])
         for sine, cosine in ((s, c), (sy, cy), (sf, cf)):

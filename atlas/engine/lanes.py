@@ -23,6 +23,8 @@ from .runge_kutta import METHODS, step_source
 from .specialise import specialise
 
 WIDTH = 32
+# First integrals are looked at once in so many samples, and at the end: they change slowly.
+DRIFT_EVERY = 4
 # About this many point-steps a call keeps Ctrl-C and the progress line alive (some 0.1 s).
 CHUNK = 20_000_000
 # Points that end early free their lanes: longer calls keep the lanes full to their end.
@@ -64,10 +66,11 @@ def source(
     }
     numbers = {
         "WIDTH": WIDTH, "STATES": states, "CONSTS": constants, "INTS": len(equations.INTEGRALS),
-        "ROWS": len(measure.OUTPUTS), "FULL": measure.LEAST_INTERVALS, "ENDS": len(measure.GREGORY),
+        "ROWS": len(measure.OUTPUTS), "FULL": measure.LEAST_INTERVALS, "DRIFT_EVERY": DRIFT_EVERY, "ENDS": len(measure.GREGORY),
     }  # fmt: skip
     numbers |= {name: row for row, name in enumerate(measure.OUTPUTS)}
-    blocks |= {"SAMPLE": fill(SAMPLE, blocks, numbers), "DRIFT": fill(DRIFT, blocks, numbers)}
+    parts = {"TAKE": TAKE, "SAMPLE": SAMPLE, "DRIFT": DRIFT}
+    blocks |= {name: fill(part, blocks, numbers) for name, part in parts.items()}
     return jit.HEADER + fill(KERNEL + LABEL_KERNEL, blocks, numbers)
 
 
@@ -84,6 +87,16 @@ def fill(template: str, blocks: dict[str, str], numbers: dict[str, int]) -> str:
     return "\n".join(lines) + "\n"
 
 
+TAKE = """
+for j in range($STATES):
+    Y[j, l] = state0[j, p]
+for j in range($CONSTS):
+    c[j, l] = constants0[j, p]
+for j in range($INTS):
+    D[j, l] = scales[j, p]
+for j in range($ROWS):
+    S[j, l] = 0.0
+"""
 SAMPLE = """
 $CONSTANTS
 $STATE
@@ -141,14 +154,7 @@ def integrate(first, last, points, steps, strides, length, state0, constants0, s
         for l in range($WIDTH):
             p = points[block, l]
             H[l] = length[p]
-            for j in range($STATES):
-                Y[j, l] = state0[j, p]
-            for j in range($CONSTS):
-                c[j, l] = constants0[j, p]
-            for j in range($INTS):
-                D[j, l] = scales[j, p]
-            for j in range($ROWS):
-                S[j, l] = 0.0
+            $TAKE
         stride = strides[block]
         intervals = steps[block] // stride
         for i in range(intervals + 1):
@@ -171,8 +177,9 @@ def integrate(first, last, points, steps, strides, length, state0, constants0, s
             first = i == 0
             for l in range($WIDTH):
                 $SAMPLE
-            for l in range($WIDTH):
-                $DRIFT
+            if i % $DRIFT_EVERY == 0 or i == intervals:
+                for l in range($WIDTH):
+                    $DRIFT
         for l in range($WIDTH):
             p = points[block, l]
             for j in range($STATES):
@@ -222,14 +229,7 @@ def integrate_labels(
                     total_of[l] = intervals[p]
                     limit[l] = tolerance[p] * tolerance[p] * intervals[p] * (1.0 + 1e-6)
                     H[l] = 0.0
-                    for j in range($STATES):
-                        Y[j, l] = state0[j, p]
-                    for j in range($CONSTS):
-                        c[j, l] = constants0[j, p]
-                    for j in range($INTS):
-                        D[j, l] = scales[j, p]
-                    for j in range($ROWS):
-                        S[j, l] = 0.0
+                    $TAKE
             if active == 0:
                 break
         for s in range(stride):
@@ -363,7 +363,8 @@ def integrate(
         )  # fmt: skip
         return int(blocks.steps[first:last].sum()) * WIDTH
 
-    _in_threads(work, _cuts(blocks.steps * WIDTH, CHUNK), threads, progress)
+    cost, workers = blocks.steps * WIDTH, threads or available_threads()
+    _in_threads(work, _cuts(cost, min(CHUNK, int(cost.sum()) // (4 * workers))), threads, progress)
     return out
 
 

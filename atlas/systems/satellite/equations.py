@@ -14,25 +14,32 @@ work as well. So nothing may be imported here, and no name may be used but those
 """
 
 STATE = ("w1", "w2", "w3", "a1", "a2", "a3", "g1", "g2", "g3")
+# Those of the body and the fields, then what the right-hand side needs of them: D1 = (B - C)/A and so on,
+# G = 3 Omega^2 D, and components of rotor and magnet over a moment of inertia. At most 30: the compiler
+# cannot read a longer tuple.
 CONSTANTS = (
-    "A", "B", "C", "A_inv", "B_inv", "C_inv", "Omega", "gravity",
-    "k1", "k2", "k3", "mu1", "mu2", "mu3", "h1", "h3",
+    "A", "B", "C", "Omega", "k1", "k2", "k3", "mu1", "mu2", "mu3", "h1", "h3",
+    "D1", "D2", "D3", "G1", "G2", "G3", "k2_A", "k3_A", "k3_B", "k1_B", "k1_C", "k2_C",
+    "mu3_A", "mu2_A", "mu1_B", "mu3_B", "mu2_C", "mu1_C",
 )  # fmt: skip
 # The functions below that are first integrals.
 INTEGRALS = ("jacobi", "length_alpha", "length_gamma", "length_sum", "axial_momentum")
 
 
 def rhs(state, constants):
-    """Time derivatives of the state; gravity stands for 3 Omega^2."""
+    """Time derivatives of the state."""
     w1, w2, w3, a1, a2, a3, g1, g2, g3 = state
-    A, B, C, A_inv, B_inv, C_inv, Omega, gravity, k1, k2, k3, mu1, mu2, mu3, h1, h3 = constants
-    L1, L2, L3 = A * w1 + k1, B * w2 + k2, C * w3 + k3
+    (
+        A, B, C, Omega, k1, k2, k3, mu1, mu2, mu3, h1, h3,
+        D1, D2, D3, G1, G2, G3, k2_A, k3_A, k3_B, k1_B, k1_C, k2_C,
+        mu3_A, mu2_A, mu1_B, mu3_B, mu2_C, mu1_C,
+    ) = constants  # fmt: skip
     H1, H2, H3 = h1 * a1 + h3 * g1, h1 * a2 + h3 * g2, h1 * a3 + h3 * g3
     u1, u2, u3 = w1 - Omega * g1, w2 - Omega * g2, w3 - Omega * g3
     return (
-        (L2 * w3 - L3 * w2 + gravity * (C - B) * a2 * a3 + H2 * mu3 - H3 * mu2) * A_inv,
-        (L3 * w1 - L1 * w3 + gravity * (A - C) * a3 * a1 + H3 * mu1 - H1 * mu3) * B_inv,
-        (L1 * w2 - L2 * w1 + gravity * (B - A) * a1 * a2 + H1 * mu2 - H2 * mu1) * C_inv,
+        (D1 * w2 + k2_A) * w3 - k3_A * w2 - G1 * a2 * a3 + H2 * mu3_A - H3 * mu2_A,
+        (D2 * w3 + k3_B) * w1 - k1_B * w3 - G2 * a3 * a1 + H3 * mu1_B - H1 * mu3_B,
+        (D3 * w1 + k1_C) * w2 - k2_C * w1 - G3 * a1 * a2 + H1 * mu2_C - H2 * mu1_C,
         a2 * u3 - a3 * u2,
         a3 * u1 - a1 * u3,
         a1 * u2 - a2 * u1,
@@ -45,7 +52,7 @@ def rhs(state, constants):
 def frame_motion(state, constants):
     """Angular velocity relative to the orbital frame, w - Omega g, and that frame's vertical, g."""
     w1, w2, w3, a1, a2, a3, g1, g2, g3 = state
-    Omega = constants[6]
+    Omega = constants[3]
     return w1 - Omega * g1, w2 - Omega * g2, w3 - Omega * g3, g1, g2, g3
 
 
@@ -61,11 +68,11 @@ def axis_in_frame(state, constants):
 def jacobi(state, constants):
     """Jacobi integral L2 - L0 + V of (2) and (3), written in absolute rates."""
     w1, w2, w3, a1, a2, a3, g1, g2, g3 = state
-    A, B, C, A_inv, B_inv, C_inv, Omega, gravity, k1, k2, k3, mu1, mu2, mu3, h1, h3 = constants
+    A, B, C, Omega, k1, k2, k3, mu1, mu2, mu3, h1, h3 = constants[:12]
     return (
         0.5 * (A * w1 * w1 + B * w2 * w2 + C * w3 * w3),
         -Omega * (g1 * (A * w1 + k1) + g2 * (B * w2 + k2) + g3 * (C * w3 + k3)),
-        0.5 * gravity * (A * a1 * a1 + B * a2 * a2 + C * a3 * a3),
+        1.5 * Omega * Omega * (A * a1 * a1 + B * a2 * a2 + C * a3 * a3),
         h1 * (mu1 * a1 + mu2 * a2 + mu3 * a3) + h3 * (mu1 * g1 + mu2 * g2 + mu3 * g3),
     )
 
@@ -90,4 +97,4 @@ def length_sum(state, constants):
 
 def axial_momentum(state, constants):
     """C w3 + k3, conserved if A = B and neither rotor nor magnet has a transverse part."""
-    return constants[2] * state[2], constants[10]
+    return constants[2] * state[2], constants[6]

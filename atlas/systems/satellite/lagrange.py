@@ -19,22 +19,22 @@ STATE = ("psi", "theta", "phi", "psi_dot", "theta_dot", "phi_dot")
 def rhs(state, constants):
     """Time derivatives of the state: angles in rad, in the orbital frame."""
     psi, theta, phi, psi_dot, theta_dot, phi_dot = state
-    A, B, C, A_inv, B_inv, C_inv = constants[:6]
+    A, B, C = constants[:3]
     s, c, sf, cf = sin(theta), cos(theta), sin(phi), cos(phi)
     one, two, three = equations(state, (0.0, 0.0, 0.0), constants)
     # The third equation takes phi'' out of the first, whose second derivatives then have a factor s.
     node = (c * three - one) / s
     mixed = (A - B) * sf * cf
-    psi_accel = ((A * cf * cf + B * sf * sf) * node + mixed * two) * A_inv * B_inv / s
-    theta_accel = -((A * sf * sf + B * cf * cf) * two + mixed * node) * A_inv * B_inv
-    return psi_dot, theta_dot, phi_dot, psi_accel, theta_accel, -three * C_inv - c * psi_accel
+    psi_accel = ((A * cf * cf + B * sf * sf) * node + mixed * two) / (A * B * s)
+    theta_accel = -((A * sf * sf + B * cf * cf) * two + mixed * node) / (A * B)
+    return psi_dot, theta_dot, phi_dot, psi_accel, theta_accel, -three / C - c * psi_accel
 
 
 def equations(state, accelerations, constants):
     """Left sides of (5), (6) and (7), corrected; zero on a motion. Torques about normal, node and axis."""
     psi, theta, phi, psi_dot, theta_dot, phi_dot = state
     psi_accel, theta_accel, phi_accel = accelerations
-    A, B, C, A_inv, B_inv, C_inv, Omega, gravity, k1, k2, k3, mu1, mu2, mu3, h1, h3 = constants
+    A, B, C, Omega, k1, k2, k3, mu1, mu2, mu3, h1, h3 = constants[:12]
     s, c, sf, cf, sp, cp = sin(theta), cos(theta), sin(phi), cos(phi), sin(psi), cos(psi)
     rate = psi_dot + Omega
     J = A * sf * sf + B * cf * cf
@@ -44,6 +44,7 @@ def equations(state, accelerations, constants):
     b1, b2, b3 = sp * cf + c * sf * cp, -sp * sf + c * cf * cp, -s * cp
     g1, g2, g3 = s * sf, s * cf, c
     # Gradient of V of (3): d alpha / d psi = -beta, and d/d theta turns alpha and gamma about the node.
+    gravity = 3 * Omega * Omega
     V_psi = -gravity * (A * a1 * b1 + B * a2 * b2 + C * a3 * b3) - h1 * (mu1 * b1 + mu2 * b2 + mu3 * b3)
     V_theta = gravity * sp * (s * (A * sf * a1 + B * cf * a2) + C * c * a3)
     V_theta = (
@@ -69,7 +70,7 @@ def equations_printed(state, accelerations, constants):
     """Left sides of (5), (6) and (7) to the letter of the paper, brackets and all."""
     psi, theta, phi, psi_dot, theta_dot, phi_dot = state
     psi_accel, theta_accel, phi_accel = accelerations
-    A, B, C, A_inv, B_inv, C_inv, Omega, gravity, k1, k2, k3, mu1, mu2, mu3, h1, h3 = constants
+    A, B, C, Omega, k1, k2, k3, mu1, mu2, mu3, h1, h3 = constants[:12]
     s, c, sf, cf, sp, cp = sin(theta), cos(theta), sin(phi), cos(phi), sin(psi), cos(psi)
     sin2, cos2, sin2p, cos2p, sin2t = sin(2 * phi), cos(2 * phi), sin(2 * psi), cos(2 * psi), sin(2 * theta)
     J = A * sf**2 + B * cf**2

@@ -7,6 +7,7 @@ from collections.abc import Set
 import numpy as np
 
 from ..system import Array, Parameter, Points
+from .equations import CONSTANTS
 
 _TABLE = (
     # name, unit, symbol, default, low, open_low, start, meaning
@@ -40,8 +41,12 @@ def constants(points: Points) -> Array:
     """What the kernels read, shape (constants, points), in the order of equations.CONSTANTS."""
     p = points
     A, B, C, Omega = p["A"], p["B"], p["C"], p["Omega"]
-    rest = (p[name] for name in ("k1", "k2", "k3", "mu1", "mu2", "mu3", "h1", "h3"))
-    return np.array([A, B, C, 1 / A, 1 / B, 1 / C, Omega, 3 * Omega**2, *rest])
+    k1, k2, k3, mu1, mu2, mu3 = (p[name] for name in ("k1", "k2", "k3", "mu1", "mu2", "mu3"))
+    D = np.array([(B - C) / A, (C - A) / B, (A - B) / C])
+    body = [A, B, C, Omega, k1, k2, k3, mu1, mu2, mu3, p["h1"], p["h3"]]
+    rotor = [k2 / A, k3 / A, k3 / B, k1 / B, k1 / C, k2 / C]
+    magnet = [mu3 / A, mu2 / A, mu1 / B, mu3 / B, mu2 / C, mu1 / C]
+    return np.array([*body, *D, *(3 * Omega**2 * D), *rotor, *magnet])
 
 
 def directions(points: Points) -> tuple[Array, Array]:
@@ -145,9 +150,12 @@ def special(zero: Set[str], symmetric: bool) -> tuple[set[str], set[tuple[str, s
         gone |= {"mu1", "mu2", "mu3", "h1", "h3"}
     if zero >= {"k1", "k2", "k3"}:
         gone |= {"k1", "k2", "k3"}
+    same: set[tuple[str, str]] = set()
     if symmetric and zero | gone >= {"k1", "k2", "mu1", "mu2"}:
-        return gone | {"k1", "k2", "mu1", "mu2"}, {("B", "A"), ("B_inv", "A_inv")}
-    return gone, set()
+        gone |= {"k1", "k2", "mu1", "mu2", "D3", "G3"}
+        same = {("B", "A"), ("k3_B", "k3_A"), ("mu3_B", "mu3_A")}
+    # k2_A and its like vanish with k2
+    return gone | {name for name in CONSTANTS if name.split("_")[0] in gone}, same
 
 
 def steady(points: Points) -> tuple[Array, Array, Array]:

@@ -148,32 +148,24 @@ class Atlas:
         The start, its nudge, duration, method and step are those of the atlas' own scene; among points
         of one's own they are those of the point. Returns a Dataset over time, see `atlas.trajectory`.
         """
-        from . import trajectory
-        from .maps import axes_of, points_at, scene_of, system_of
+        from .follow import trajectory, trajectory_of_scene
+        from .maps import axes_of, scene_of, system_of
 
-        system, scene = system_of(self._ds), scene_of(self._ds)
+        scene = scene_of(self._ds)
         at = self.nearest(**coords).squeeze()
         if scene is not None:
             axes = axes_of(scene)
-            for dim in axes:
-                if dim not in at.coords or at[dim].ndim:
-                    raise BadInput(f"{dim}: a trajectory needs a value of every axis: {', '.join(axes)}")
-            found = points_at(scene, {axes[dim].name: np.atleast_1d(float(at[dim])) for dim in axes})
-            if not found.there[0]:
-                raise BadInput(f"the family {scene.family} has no motion at this point")
-            point = {name: float(values[0]) for name, values in found.points.items()}
-            duration = float(found.duration[0])
-        else:
-            if "point" in at.dims:
-                raise BadInput("trajectory: name the point by values of its parameters")
-            point = {name: float(at[name]) for name in system.parameters if name in at.coords}
-            duration = float(at["end_time"])
-        attributes = self._ds.attrs
+            places = {axes[d].name: float(at[d]) for d in axes if d in at.coords and not at[d].ndim}
+            return trajectory_of_scene(scene, places, samples=samples)
+        if "point" in at.dims:
+            raise BadInput("trajectory: name the point by values of its parameters")
+        system, attributes = system_of(self._ds), self._ds.attrs
+        point = {name: float(at[name]) for name in system.parameters if name in at.coords}
         step = float(attributes["atlas_step"])
         return trajectory(
             system.name,
             {name: value for name, value in point.items() if not np.isnan(value)},
-            duration=duration,
+            duration=float(at["end_time"]),
             samples=samples,
             method=attributes["atlas_method"],
             **({"step": step} if np.isfinite(step) else {"tolerance": float(attributes["atlas_tolerance"])}),

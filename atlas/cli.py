@@ -100,6 +100,19 @@ def parser() -> argparse.ArgumentParser:
     sub.add_argument("--caption", action="store_true", help="print a caption for the figure")
     sub.add_argument("--force", action="store_true", help="replace existing figures")
 
+    sub = command("trajectory", _trajectory, "follow one point of a scene in time")
+    sub.add_argument("scene", metavar="SCENE", help="scene file (TOML)")
+    sub.add_argument(
+        "--at", nargs="+", default=[], metavar="AXIS=VALUE", help="place of the point, a value for every axis"
+    )
+    sub.add_argument(
+        "-o", "--out", metavar="OUT", help=".png, .pdf, .svg or .nc (default: SCENE_trajectory.png)"
+    )
+    sub.add_argument(
+        "--samples", type=int, default=1001, metavar="N", help="instants to keep (default: 1001)"
+    )
+    sub.add_argument("--force", action="store_true", help="replace an existing file")
+
     sub = command("accuracy", _accuracy, "show error against run time for some points of a scene")
     sub.add_argument("scene", metavar="SCENE", help="scene file (TOML)")
     sub.add_argument(
@@ -276,13 +289,7 @@ def _map(options: argparse.Namespace) -> int:
     for figure in figures:
         if figure.exists() and not options.force:
             raise BadInput(f"{figure}: this file exists; --force replaces it")
-    select = {}
-    for text in options.select:
-        name, sign, value = text.partition("=")
-        try:
-            select[name] = float(value)
-        except ValueError:
-            raise BadInput(f"--select {text}: must be AXIS=VALUE with a number") from None
+    select = _places("--select", options.select)
     with open_atlas(options.atlas) as ds:
         drawn = maps.atlas_map(
             ds, options.variable, x=options.x, y=options.y, select=select or None, width=options.width
@@ -292,6 +299,43 @@ def _map(options: argparse.Namespace) -> int:
     for figure in figures:
         maps.save(drawn, figure)
         print(f"wrote {figure}")
+    return DONE
+
+
+def _places(option: str, texts: Sequence[str]) -> dict[str, float]:
+    """AXIS=VALUE options as numbers by axis."""
+    places = {}
+    for text in texts:
+        name, _, value = text.partition("=")
+        try:
+            places[name] = float(value)
+        except ValueError:
+            raise BadInput(f"{option} {text}: must be AXIS=VALUE with a number") from None
+    return places
+
+
+def _trajectory(options: argparse.Namespace) -> int:
+    from . import store
+    from .scene import load_scene
+
+    scene = load_scene(options.scene)
+    out = Path(options.out or Path(options.scene).stem + "_trajectory.png")
+    if out.suffix not in (".nc", ".png", ".pdf", ".svg"):
+        raise BadInput(f"{out}: the name must end in .nc, .png, .pdf or .svg")
+    store.check_folder(out)
+    if out.exists() and not options.force:
+        raise BadInput(f"{out}: this file exists; --force replaces it")
+    from .follow import trajectory_of_scene
+
+    tr = trajectory_of_scene(scene, _places("--at", options.at), samples=options.samples)
+    if out.suffix == ".nc":
+        store.write(tr, out)
+    else:
+        from . import maps
+
+        maps.save(maps.trajectory_figure(tr), out)
+    low, high = float(tr["theta"].min()), float(tr["theta"].max())
+    print(f"theta from {low:.9g} to {high:.9g} rad in {float(tr['time'][-1]):.9g} time units; wrote {out}")
     return DONE
 
 

@@ -9,12 +9,12 @@ import numpy as np
 import xarray as xr
 from scipy.integrate import cumulative_simpson
 
-from . import systems
+from . import grid, systems
 from .engine import lanes, measure, steps
 from .engine.runge_kutta import METHODS
 from .evaluate import kernel
 from .runner import point_columns
-from .scene import Settings
+from .scene import Scene, Settings
 from .systems.system import BadInput
 
 
@@ -61,6 +61,28 @@ def trajectory(
         lanes.integrate(kernel(kind, method), blocks, length, state, constants, scales, 0.0, threads=1)
         states[i] = state[:, 0]
     return _dataset(kind, states, constants, scales, np.linspace(0.0, duration, samples))
+
+
+def trajectory_of_scene(scene: Scene, places: Mapping[str, float], *, samples: int = 1001) -> xr.Dataset:
+    """Motion of one point of a scene, at any values of its axes: started, nudged and stepped as the scene says.
+
+    places: name of every axis -> value. Raises BadInput for an axis that is missing or unknown, and where
+    the scene's family has no motion. Otherwise as `trajectory`.
+    """
+    for name in (*scene.axes, *places):
+        if name not in places or name not in scene.axes:
+            what = "is no axis of the scene" if name in places else "has no value"
+            raise BadInput(
+                f"{name}: {what}; a trajectory needs a value of every axis: {', '.join(scene.axes)}"
+            )
+    found = grid.points_at(scene, {name: np.array([value]) for name, value in places.items()})
+    if not found.there[0]:
+        raise BadInput(f"the family {scene.family} has no motion at this point")
+    point = {name: values[0] for name, values in found.points.items() if not np.isnan(values[0])}
+    return trajectory(
+        scene.system.name, point, duration=float(found.duration[0]), samples=samples,
+        step=scene.settings.step, method=scene.settings.method, tolerance=scene.settings.tolerance,
+    )  # fmt: skip
 
 
 def _dataset(kind: systems.System, states, constants, scales, time) -> xr.Dataset:

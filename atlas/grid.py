@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -78,6 +78,20 @@ def take(scene: Scene, indices: np.ndarray) -> Grid:
     start = system.by_angles(base) if scene.nudges_angles else base
     points = {name: start[name] + scene.nudge.get(name, 0.0) for name in base}
     return Grid(base, points, there, durations(system, scene.duration, base))
+
+
+def points_at(scene: Scene, places: Mapping[str, np.ndarray]) -> Grid:
+    """The points of a scene at any places along its axes, not only those of its grid.
+
+    places: name of each axis of the scene -> values, all of one shape (points,).
+    """
+    axes, where = {}, []
+    for name, axis in scene.axes.items():
+        values, index = np.unique(places[name], return_inverse=True)
+        axes[name] = replace(axis, values=tuple(values.tolist()))
+        where.append(index)
+    moved = replace(scene, axes=axes)
+    return take(moved, np.ravel_multi_index(tuple(where), moved.shape))
 
 
 def durations(system: System, duration: Duration, points: Points) -> Array:

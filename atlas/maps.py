@@ -157,20 +157,6 @@ def cell_edges(values: np.ndarray, log: bool = False) -> np.ndarray:
 # Theory on the plane of a map.
 
 
-def points_at(scene: Scene, places: Mapping[str, np.ndarray]) -> grid.Grid:
-    """The points of a scene at any places along its axes, not only those of its grid.
-
-    places: name of each axis of the scene -> values, all of one shape (points,).
-    """
-    axes, where = {}, []
-    for name, axis in scene.axes.items():
-        values, index = np.unique(places[name], return_inverse=True)
-        axes[name] = replace(axis, values=tuple(values.tolist()))
-        where.append(index)
-    moved = replace(scene, axes=axes)
-    return grid.take(moved, np.ravel_multi_index(tuple(where), moved.shape))
-
-
 @dataclass(frozen=True)
 class Plane:
     """Part of a scene's parameter space that a map shows: one or two axes, the others held."""
@@ -206,7 +192,7 @@ class Plane:
         axes = axes_of(self.scene)
         # a duration in turns has no value where nothing turns, and theory does not ask for one
         timeless = replace(self.scene, duration=Duration(1.0))
-        return points_at(timeless, {axes[dim].name: values for dim, values in every.items()})
+        return grid.points_at(timeless, {axes[dim].name: values for dim, values in every.items()})
 
     def stable(self, places: Mapping[str, np.ndarray]) -> np.ndarray:
         """Linear stability from theory at places in the frame: 0 unknown, 1 stable, 2 unstable."""

@@ -1,6 +1,6 @@
 """Time from calling run() to the first integration steps done, imports done and the kernel cache warm.
 
-    python scripts/bench_start.py [SCENE]      (default: configs/quickstart.toml)
+python scripts/bench_start.py [SCENE]      (default: configs/quickstart.toml)
 """
 
 from __future__ import annotations

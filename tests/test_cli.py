@@ -7,6 +7,7 @@ import sys
 import time
 
 import pytest
+import xarray as xr
 
 from atlas.cli import main, parser
 
@@ -108,7 +109,21 @@ def test_ctrl_c_leaves_no_half_file_and_exits_130(folder, small_scene):
 
 def test_help_of_every_command_is_real(capsys):
     top = parser()
-    for name in ("run", "check", "compare", "map", "conditions", "cache"):
+    for name in (
+        "run",
+        "check",
+        "compare",
+        "map",
+        "trajectory",
+        "accuracy",
+        "stress",
+        "points",
+        "figures",
+        "status",
+        "join",
+        "conditions",
+        "cache",
+    ):
         with pytest.raises(SystemExit) as left:
             top.parse_args([name, "--help"])
         assert left.value.code == 0
@@ -124,3 +139,17 @@ def test_conditions_and_version_and_cache(capsys, tmp_path, monkeypatch):
     assert main(["cache"]) == 0
     assert main(["cache", "--clear"]) == 0
     assert "removed 0" in capsys.readouterr().out
+
+
+def test_trajectory_of_a_point_of_a_scene(folder, monkeypatch, capsys):
+    monkeypatch.chdir(folder)
+    assert main(["trajectory", "small.toml", "--at", "sigma=0.5", "theta0=0.7"]) == 0
+    assert "theta from" in capsys.readouterr().out
+    assert (folder / "small_trajectory.png").read_bytes().startswith(b"\x89PNG")
+    assert main(["trajectory", "small.toml", "--at", "sigma=0.5", "theta0=0.7", "-o", "a.nc"]) == 0
+    with xr.open_dataset(folder / "a.nc") as tr:
+        assert float(tr.theta[0]) == pytest.approx(0.7001)
+    for bad in (["sigma=0.5"], ["sigma=0.5", "theta0=0.7", "k3=1"], ["sigma=half", "theta0=0.7"]):
+        assert main(["trajectory", "small.toml", "--at", *bad, "-o", "b.nc"]) == 2
+        assert len(capsys.readouterr().err.splitlines()) == 1
+    assert not (folder / "b.nc").exists()

@@ -138,7 +138,10 @@ def test_a_map_shows_every_value_at_its_place(small):
         x, y = ("theta0", "sigma") if turned else ("sigma", "theta0")
         (mesh,) = meshes(maps.atlas_map(small, "theta_dot_rms", x=x, y=y))
         shown = np.asarray(mesh.get_array()).reshape(small.sizes[y], small.sizes[x])
-        np.testing.assert_array_equal(shown, small.theta_dot_rms.transpose(y, x))
+        values = small.theta_dot_rms.transpose(y, x).values
+        above = values > 0  # an exact motion that keeps its zero to the last bit is below any log scale
+        np.testing.assert_array_equal(shown[above], values[above])
+        assert (shown[~above] < mesh.norm.vmin).all()
         corners = mesh.get_coordinates()
         np.testing.assert_array_equal(corners[0, :, 0], maps.cell_edges(small[x].values))
         np.testing.assert_array_equal(corners[:, 0, 1], maps.cell_edges(small[y].values))
@@ -250,7 +253,7 @@ def test_one_axis_gives_a_strip_or_a_line(small):
     line = maps.atlas_map(small, "theta_dot_rms", select={"theta0": 0.8})
     curve = line.axes[0].lines[0]
     nearest = small.theta_dot_rms.sel(theta0=0.8, method="nearest")
-    np.testing.assert_array_equal(curve.get_ydata(), nearest)
+    np.testing.assert_array_equal(curve.get_ydata(), nearest.where(nearest > 0))
     assert line.axes[0].get_yscale() == "log"
 
 
@@ -285,7 +288,7 @@ def test_points_between_those_of_the_grid(small_scene):
     scene = load_scene(small_scene)
     whole = grid.take(scene, np.arange(scene.size))
     some = np.array([5, 17, 17, 40, 62])
-    again = maps.points_at(scene, {name: whole_axis(scene, name)[some] for name in scene.axes})
+    again = grid.points_at(scene, {name: whole_axis(scene, name)[some] for name in scene.axes})
     for name, values in again.points.items():
         np.testing.assert_array_equal(values, whole.points[name][some])
     np.testing.assert_array_equal(again.duration, whole.duration[some])

@@ -231,6 +231,8 @@ def _in_threads(
 def _at_once(scene: Scene, sample: grid.Grid, cut: Tiling, threads: int | None) -> int:
     """Tiles in flight: two, or as many as it takes to give every thread a call of the kernel."""
     threads = threads or lanes.available_threads()
+    if threads == 1:  # one processor is one processor: no tile is prepared beside another
+        return 1
     calls = math.prod(cut.tile) * mean_steps(scene, sample) / lanes.CHUNK
     return min(1 + math.ceil(threads / max(calls, 1.0)), threads + 1, cut.count)
 

@@ -78,19 +78,30 @@ def atlas_engine(method: str, points: dict[str, np.ndarray]) -> Engine:
     return run
 
 
-def compiled_rhs() -> Callable:
-    """The right-hand side as a Numba function of (t, y, constants) that returns an array."""
+def slope_into() -> Callable:
+    """The right-hand side as a Numba function that fills d, from arrays or pointers."""
     rhs = njit(EQUATIONS.rhs)
 
     @njit
-    def slope(t, y, c):
-        d = np.empty(9)
+    def into(d, y, c):
         state = (y[0], y[1], y[2], y[3], y[4], y[5], y[6], y[7], y[8])
         constants = (
             c[0], c[1], c[2], c[3], c[4], c[5], c[6], c[7], c[8], c[9], c[10], c[11], c[12], c[13], c[14],
             c[15], c[16], c[17], c[18], c[19], c[20], c[21], c[22], c[23], c[24], c[25], c[26], c[27], c[28], c[29],
         )  # fmt: skip
         d[0], d[1], d[2], d[3], d[4], d[5], d[6], d[7], d[8] = rhs(state, constants)
+
+    return into
+
+
+def compiled_rhs() -> Callable:
+    """The right-hand side as a Numba function of (t, y, constants) that returns an array."""
+    into = slope_into()
+
+    @njit
+    def slope(t, y, c):
+        d = np.empty(9)
+        into(d, y, c)
         return d
 
     return slope
@@ -135,16 +146,11 @@ def scipy_odeint() -> Engine:
 def numbalsoda_dop853() -> Engine:
     from numbalsoda import dop853, lsoda_sig
 
-    rhs = njit(EQUATIONS.rhs)
+    into = slope_into()
 
     @cfunc(lsoda_sig)
     def slope(t, y, d, c):
-        state = (y[0], y[1], y[2], y[3], y[4], y[5], y[6], y[7], y[8])
-        constants = (
-            c[0], c[1], c[2], c[3], c[4], c[5], c[6], c[7], c[8], c[9], c[10], c[11], c[12], c[13], c[14],
-            c[15], c[16], c[17], c[18], c[19], c[20], c[21], c[22], c[23], c[24], c[25], c[26], c[27], c[28], c[29],
-        )  # fmt: skip
-        d[0], d[1], d[2], d[3], d[4], d[5], d[6], d[7], d[8] = rhs(state, constants)
+        into(d, y, c)
 
     address = slope.address
 
@@ -166,15 +172,10 @@ def numbalsoda_dop853() -> Engine:
 def cyrk_dop853() -> Engine:
     from CyRK import nb_diffeq_addr, nbsolve2_ivp
 
-    rhs = njit(EQUATIONS.rhs)
+    into = slope_into()
 
     def slope(d, t, y, c):
-        state = (y[0], y[1], y[2], y[3], y[4], y[5], y[6], y[7], y[8])
-        constants = (
-            c[0], c[1], c[2], c[3], c[4], c[5], c[6], c[7], c[8], c[9], c[10], c[11], c[12], c[13], c[14],
-            c[15], c[16], c[17], c[18], c[19], c[20], c[21], c[22], c[23], c[24], c[25], c[26], c[27], c[28], c[29],
-        )  # fmt: skip
-        d[0], d[1], d[2], d[3], d[4], d[5], d[6], d[7], d[8] = rhs(state, constants)
+        into(d, y, c)
 
     address = nb_diffeq_addr(slope)
 

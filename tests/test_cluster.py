@@ -9,24 +9,11 @@ import time
 from pathlib import Path
 
 import pytest
-from test_folder import same, start
+from test_folder import same
 
 import atlas
-from atlas import cluster, grid, load_scene
+from atlas import cluster
 from atlas.folder import RunFolder
-
-
-@pytest.fixture
-def job(tmp_path, small_scene, monkeypatch):
-    """A scene of about a second in 18 tiles, in memory as it should be, and its empty run folder."""
-    text = small_scene.replace("count = 9", "count = 18").replace("count = 7", "count = 48")
-    (tmp_path / "scene.toml").write_text(text.replace("tolerance = 1e-5", "tolerance = 1e-9"))
-    scene = load_scene(tmp_path / "scene.toml")
-    whole = atlas.run(scene, progress=False)
-    with monkeypatch.context() as patched:
-        patched.setattr(grid, "TILE", 64)
-        run = start(scene, tmp_path / "run")
-    return tmp_path, run, whole
 
 
 def dask(*arguments, cwd):
@@ -57,8 +44,8 @@ def scheduler(tmp_path):
         each.communicate()
 
 
-def test_a_scheduler_whose_workers_are_killed_in_mid_tile(job, scheduler):
-    path, run, whole = job
+def test_a_scheduler_whose_workers_are_killed_in_mid_tile(longer, scheduler):
+    path, run, whole = longer
     address, worker = scheduler
     workers = [worker(), worker()]
     process = subprocess.Popen(
@@ -76,8 +63,8 @@ def test_a_scheduler_whose_workers_are_killed_in_mid_tile(job, scheduler):
     same(whole, atlas.open_atlas(path / "run"))
 
 
-def test_processes_on_this_machine_make_the_same_file(job):
-    path, _, whole = job
+def test_processes_on_this_machine_make_the_same_file(longer):
+    path, _, whole = longer
     done = subprocess.run(
         [sys.executable, "-m", "atlas", "run", "scene.toml", "-o", "run/", "--workers", "2", "--quiet"],
         cwd=path, capture_output=True, text=True, check=False, timeout=90,

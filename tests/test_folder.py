@@ -295,20 +295,6 @@ def command(*arguments, cwd):
     )  # fmt: skip
 
 
-@pytest.fixture
-def longer(tmp_path, small_scene, monkeypatch):
-    """A scene of about a second in 18 tiles, in memory as it should be, and its empty run folder."""
-    text = small_scene.replace("count = 9", "count = 18").replace("count = 7", "count = 48")
-    (tmp_path / "scene.toml").write_text(text.replace("tolerance = 1e-5", "tolerance = 1e-9"))
-    scene = load_scene(tmp_path / "scene.toml")
-    whole = atlas.run(scene, progress=False)
-    with monkeypatch.context() as patched:
-        patched.setattr(grid, "TILE", 64)
-        run = start(scene, tmp_path / "run")
-    assert run.tiling.count == 18
-    return tmp_path, run, whole
-
-
 def test_kill_9_at_random_moments(longer):
     path, run, whole = longer
     rng = np.random.default_rng(7)

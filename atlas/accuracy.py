@@ -266,7 +266,7 @@ def _follow(
         rows += [theta_dot, theta_dot**2, outside, psi_dot, psi_dot**2, phi_dot, phi_dot**2]
         return np.concatenate([*rows, normal_rate, normal_rate**2])
 
-    sums = 9  # the first rows of measure.OUTPUTS
+    sums = len(measure.SUMS)  # the first rows of measure.OUTPUTS, in that order
     # The quadratures follow the states' steps; they ask for shorter ones only where a rate leaps.
     tolerance = np.repeat([rtol, 1e2 * rtol], [states * size, sums * size])
     low, high = first[5].copy(), first[5].copy()
@@ -285,7 +285,7 @@ def _follow(
     out[:sums] = final[states:]
     for name, values in zip(measure.REFERENCES, first[1:4], strict=True):
         out[measure.OUTPUTS.index(name)] = values
-    result = measure.finish(out, np.ones(size))
+    result = measure.finish(out, np.ones(size, np.int64))
     over = (low <= np.pi / 2) & (high >= np.pi / 2)
     return {name: result[name] for name in RATES} | {
         "theta_min": low,
@@ -375,7 +375,7 @@ def accuracy(scene: Scene, count: int = 64) -> xr.Dataset:
     seconds = np.full(shape[:2], np.nan)
     bound, own, known = system.frequency_bound(part.points), own_rung(settings), _median(truth.state_error)
     for i, method in enumerate(methods):
-        runner, paces, least = _Runner(scene, part.points, method), dict[int, float](), math.inf
+        runner, paces, least = _Runner(scene, part.points, method), dict[tuple[int, int], float](), math.inf
         for j, rung in enumerate(rungs):
             chosen = replace(settings, method=method)
             chosen = replace(chosen, step=rung) if kind == "step" else replace(chosen, tolerance=rung)
@@ -386,7 +386,7 @@ def accuracy(scene: Scene, count: int = 64) -> xr.Dataset:
             found = evaluate_tile(
                 replace(scene, settings=chosen, outputs=(*STATISTICS, "integral_drift", "label")), part
             )
-            state = runner.end(lanes.plan(plan.count, plan.stride), plan.length)
+            state = runner.end(lanes.plan(plan.count, plan.count), plan.length)
             with np.errstate(invalid="ignore"):
                 lost = ~np.isfinite(state).all(0)
                 error = np.where(lost, np.inf, _distance(state, truth.state, bound))
@@ -402,10 +402,10 @@ def accuracy(scene: Scene, count: int = 64) -> xr.Dataset:
                 plan.length,
             )
             counts[i, j], called[i, j] = plan.count, found["label"]
-            for stride in np.unique(plan.stride):
-                if int(stride) not in paces:
-                    paces[int(stride)] = _pace(scene, part.points, plan, method, int(stride))
-            pace = np.array([paces[int(stride)] for stride in plan.stride])
+            looks = list(zip(plan.stride.tolist(), plan.parts.tolist(), strict=True))
+            for look in set(looks) - set(paces):
+                paces[look] = _pace(scene, part.points, plan, method, *look)
+            pace = np.array([paces[look] for look in looks])
             seconds[i, j] = (pace * plan.count).mean()
             reached = _median(columns["error_state"][i, j])
             typical = max(reached, _median(columns["error_rates"][i, j]))
@@ -444,13 +444,13 @@ class _Runner:
         return state
 
 
-def _pace(scene: Scene, points: Points, plan: steps.Steps, method: str, stride: int) -> float:
-    """Seconds per point-step on one processor in full blocks that are sampled every `stride` steps."""
+def _pace(scene: Scene, points: Points, plan: steps.Steps, method: str, stride: int, parts: int) -> float:
+    """Seconds per point-step on one processor in full blocks; stride, parts: as in steps.Steps."""
     blocks = -(-plan.count.size // lanes.WIDTH)
     many = np.resize(np.arange(plan.count.size), blocks * lanes.WIDTH)
     runner = _Runner(scene, {name: values[many] for name, values in points.items()}, method)
     each = np.full(many.size, max(TIMED // many.size // stride, 1) * stride)
-    work, times = lanes.plan(each, np.full(many.size, stride)), []
+    work, times = lanes.plan(each, np.full(many.size, stride), np.full(many.size, parts)), []
     for _ in range(4):  # the first may load or compile the kernel
         began = process_time()
         runner.end(work, plan.length[many], threads=1)

@@ -10,7 +10,7 @@ from types import ModuleType
 import numpy as np
 
 from . import compare, labels
-from .engine import jit, lanes, measure, steps
+from .engine import jit, lanes, measure, steps, template
 from .engine.runge_kutta import METHODS
 from .grid import Grid
 from .scene import Scene, Settings
@@ -57,7 +57,7 @@ ALIKE = 0.05
 
 @cache
 def _source(system: System, method: str, special: Special) -> str:
-    return lanes.source(system.equations, method, special.zero, dict(special.same))
+    return template.source(system.equations, method, special.zero, dict(special.same))
 
 
 @cache
@@ -147,19 +147,20 @@ def evaluate(
 
     constants = np.ascontiguousarray(constants)
     first = state.copy()
-    intervals = plan.count // plan.stride
+    looks = plan.count // plan.stride
     if outputs is not None and not set(outputs) & STATISTICS:
         out, done = lanes.integrate_labels(
-            module, plan.count, plan.stride, plan.length, state, constants, scales,
+            module, plan.count, plan.stride, plan.parts, plan.length, state, constants, scales,
             settings.cylinder, certain_rate, threads=threads, progress=advance,
         )  # fmt: skip
     else:
         out, done = lanes.integrate(
-            module, lanes.plan(plan.count, plan.stride), plan.length, state, constants, scales,
+            module, lanes.plan(plan.count, plan.stride, plan.parts), plan.length, state, constants, scales,
             settings.cylinder, threads=threads, progress=advance,
-        ), intervals  # fmt: skip
-    certain = done < intervals
-    result = measure.finish(out, done)
+        ), looks  # fmt: skip
+    certain = done < looks
+    time = np.where(certain, done * plan.stride * plan.length, duration)
+    result = measure.finish(out, done * plan.parts, plan.parts)
     cylinder = labels.in_cylinder(result, settings.cylinder)
     finite = np.asarray(np.isfinite(state).all(0) & np.isfinite(out).all(0))
 
@@ -187,14 +188,13 @@ def evaluate(
     if doubtful.any():
         where = np.flatnonzero(doubtful)
         again = lanes.integrate(
-            module, lanes.plan(2 * plan.count[where], plan.stride[where]), plan.length[where] / 2,
+            module, lanes.plan(2 * plan.count[where], plan.stride[where], plan.parts[where]), plan.length[where] / 2,
             first[:, where].copy(), constants[:, where].copy(), scales[:, where].copy(),
             settings.cylinder, threads=threads,
         )  # fmt: skip
-        twice = measure.finish(again, 2 * intervals[where])
-        parts = {name: rate[where] for name, rate in frames.items()}
+        twice = measure.finish(again, 2 * plan.intervals[where], plan.parts[where])
         once = _take(result, where)
-        sensitive[where] = _changed(once, twice, settings, parts)
+        sensitive[where] = _changed(once, twice, settings, _take(frames, where))
         apart = np.abs(once["theta_dot_rms"] - twice["theta_dot_rms"]) > ALIKE * twice["theta_dot_rms"]
         sensitive[where] |= left[where] & apart
     status_value = status(sensitive)
@@ -218,7 +218,7 @@ def evaluate(
         "step_ratio": plan.step_ratio,
         "error_estimate": plan.phase_error,
         "condition_residual": residual,
-        "end_time": np.where(certain, done * plan.stride * plan.length, duration),
+        "end_time": time,
         "agreement": compare.agreement(result["label"], theory["predicted"]),
     }
     for name, layer in system.layers.items():
@@ -236,9 +236,9 @@ def _certain_rate(plan: steps.Steps, bound: Array, settings: Settings) -> Array:
 def _relative_error(plan: steps.Steps, bound: Array) -> Array:
     """Of the spread of a rate: phase and amplitude of what oscillates, and the rule that sums the samples."""
     rule = np.where(
-        plan.count // plan.stride < measure.LEAST_INTERVALS,
+        plan.intervals < measure.LEAST_INTERVALS,
         1.0,
-        (0.5 * bound * plan.length * plan.stride) ** 8,
+        (0.5 * bound * plan.distance) ** 8,
     )
     return plan.phase_error + plan.hidden_damping + rule
 
@@ -250,8 +250,8 @@ def _expected_error(plan: steps.Steps, bound: Array, measured: Mapping[str, Arra
     sine = np.minimum(np.sin(measured["theta_min"]), np.sin(measured["theta_max"]))
     near = plan.rate_error + bound * steps.ROUNDING * np.sqrt(plan.count) / np.maximum(sine, 1e-300)
     swing = measured["theta_max"] - measured["theta_min"]
-    # Between two samples the extreme of a swing is missed by half the square of half their distance.
-    missed = np.minimum(0.125 * (bound * plan.length * plan.stride) ** 2, 1.0)
+    # A cubic between two samples misses the extreme of a swing by the fourth power of their distance.
+    missed = (bound * plan.distance) ** 4 / 384
     angle = swing * np.minimum(relative + missed, 1.0)
     angle += measured["sine_max"] * np.where(bound > 0, plan.rate_error / bound, 0.0)
     found = {"theta_dot_rms": plan.rate_error, "normal_rate_std": plan.rate_error}

@@ -103,8 +103,10 @@ class Case:
         chosen = steps.choose(
             METHODS[method], np.array([3.0]), np.array([60.0]), tolerance=1e-8, step=None, max_steps=10**8
         )
-        self.stride = int(chosen.stride[0])
-        self.blocks = lanes.plan(np.full(count, steps_each), np.full(count, self.stride))
+        self.stride, self.parts = int(chosen.stride[0]), int(chosen.parts[0])
+        self.blocks = lanes.plan(
+            np.full(count, steps_each), np.full(count, self.stride), np.full(count, self.parts)
+        )
         self.length = np.full(count, float(chosen.length[0]))
         self.kernel = kernel(kind, method, special)
         self.first_call = seconds(lambda: self.run(1))
@@ -167,7 +169,8 @@ def engine(points: int, steps_each: int, repeat: int) -> None:
             "" if full else f"{100 * (1 - median(a / b for a, b in zip(base, speeds, strict=True))):.0f} %"
         )
         case = cases[system, method, special]
-        name = f"{system}, {method}, {special} (sampled every {case.stride})"
+        every = f"{case.parts} a step" if case.parts > 1 else f"every {case.stride}"
+        name = f"{system}, {method}, {special} (sampled {every})"
         print(f"{name:48s} {1e9 / median(speeds):13.2f} {share:>14s} {saved:>11s} {case.first_call:10.2f} s")
     print(f"over plain scalar Numba: {median(a / b for a, b in zip(base, plain, strict=True)):.2f} x")
     print(f"two cores over one:      {median(a / b for a, b in zip(both, base, strict=True)):.2f} x")

@@ -17,7 +17,7 @@ from atlas.engine import lanes
 scene = atlas.load_scene(sys.argv[1])
 integrate = lanes.integrate
 def probe(kernel, blocks, length, state, constants, scales, cylinder, **more):
-    few = lanes.Plan(blocks.points[:1], blocks.strides[:1] * 16, blocks.strides[:1])
+    few = lanes.Plan(blocks.points[:1], blocks.strides[:1] * 16, blocks.strides[:1], blocks.parts[:1])
     integrate(kernel, few, length, state, constants, scales, cylinder)
     os.write(1, f"{time.perf_counter() - began}\\n".encode())  # two tiles may get here at once
     os._exit(0)

@@ -2,7 +2,9 @@
 
 `sample` is pasted into the kernels. Sums run over equidistant samples with Gregory's weights, which
 turn the trapezoidal rule into one of eighth order; they are all positive, so that a mean square can
-only grow as a run goes on. `finish` turns the sums into means and spreads.
+only grow as a run goes on. Methods of long steps are sampled between their steps as well, on the
+polynomial of seventh degree through states and slopes at four steps (`between`). `finish` turns the
+sums into means and spreads.
 """
 
 from types import ModuleType
@@ -14,69 +16,111 @@ GREGORY = np.array([36799, 176648, 54851, 177984, 89437, 130936, 119585]) / 1209
 # Least number of intervals for the full rule; a shorter run falls back to the trapezoidal rule.
 LEAST_INTERVALS = 2 * len(GREGORY) - 1
 
-# Rows of the kernel's output: sums (weighted), then extremes.
+# Rows of the kernel's output: sums (weighted; those of the axis are not), extremes, what the sums are
+# taken from, and the last sample.
 SUMS = (
     "theta_dot", "theta_dot_squared", "outside", "psi_dot", "psi_dot_squared", "phi_dot", "phi_dot_squared",
-    "normal_rate", "normal_rate_squared", "axis_1", "axis_2",
+    "normal_rate", "normal_rate_squared",
 )  # fmt: skip
-EXTREMES = ("tilt_min", "tilt_max", "sine_squared_max", "drift")
+AXIS = ("axis_1", "axis_2")
+EXTREMES = (
+    "height_min", "height_max", "upper_sine_squared_min", "lower_sine_squared_min", "sine_squared_max", "drift",
+)  # fmt: skip
 REFERENCES = ("psi_dot_reference", "phi_dot_reference", "normal_rate_reference")
-OUTPUTS = SUMS + EXTREMES + REFERENCES
+LAST = ("height", "sine_squared", "turn")
+OUTPUTS = SUMS + AXIS + EXTREMES + REFERENCES + LAST
 
 
 def sample(motion, cylinder_squared):
     """Euler rates and tilt of one instant from frame_motion = (u1, u2, u3, g1, g2, g3).
 
-    Returns theta', psi', phi', the rate about the vertical, sin^2 theta, the tilt (tan(theta/2) up to
-    pi/2, 2 - cot(theta/2) above: monotone in theta and exact at both poles) and whether sin theta is
-    at least the cylinder's, 1.0 or 0.0: inside psi' and phi' have no meaning and are returned as 0.
+    Returns theta', psi', phi', the rate about the vertical, cos theta (`height`), sin^2 theta, `turn` =
+    theta' sin theta = -height', and whether sin theta is at least the cylinder's, 1.0 or 0.0: inside psi'
+    and phi' have no meaning and are returned as 0.
     """
     u1, u2, u3, g1, g2, g3 = motion
     s2 = g1 * g1 + g2 * g2
-    guarded = s2 if s2 > 1e-300 else 1e-300
-    inverse = 1.0 / guarded
-    root = np.sqrt(inverse)
+    inverse = 1.0 / (s2 if s2 > 1e-300 else 1e-300)
     outside = 1.0 if s2 >= cylinder_squared else 0.0
-    psi_dot = (u1 * g1 + u2 * g2) * inverse * outside
-    theta_dot = (u1 * g2 - u2 * g1) * root
+    along = u1 * g1 + u2 * g2
+    turn = u1 * g2 - u2 * g1
+    psi_dot = along * inverse * outside
     phi_dot = (u3 - psi_dot * g3) * outside
-    normal_rate = u1 * g1 + u2 * g2 + u3 * g3
-    height = g3 if g3 > 0.0 else -g3
-    half = s2 * root / (1.0 + height)
-    tilt = half if g3 > 0.0 else 2.0 - half
-    return theta_dot, psi_dot, phi_dot, normal_rate, s2, tilt, outside
+    return turn * np.sqrt(inverse), psi_dot, phi_dot, along + u3 * g3, g3, s2, turn, outside
 
 
-def weights(intervals: int) -> np.ndarray:
-    """Weights of intervals + 1 equidistant samples, in units of their distance; they sum to intervals."""
-    w = np.ones(intervals + 1)
-    if intervals >= LEAST_INTERVALS:
-        w[: len(GREGORY)] = GREGORY
-        w[-len(GREGORY) :] = GREGORY[::-1]
-    else:
-        w[0] = w[-1] = 0.5
-    return w
+def turning(distance, height_0, s2_0, turn_0, height, s2, turn):
+    """cos theta and sin^2 theta where theta turns between two samples, else at the second.
+
+    On the cubics through both samples and their slopes, where the line through the slopes is 0: that
+    is off by the square of the distance, so the values at the turn are good to its fourth power.
+    """
+    x = turn_0 / (turn_0 - turn)
+    turns = turn_0 * turn < 0.0
+    rise = x * x * (3.0 - 2.0 * x)
+    bend = 2.0 * distance * x * (1.0 - x) * (1.0 - x) * turn_0
+    top = height_0 + rise * (height - height_0) - bend
+    wide = s2_0 + rise * (s2 - s2_0) + bend * (height_0 + height)
+    return (top if turns else height), (wide if turns else s2)
 
 
-def angle(tilt: np.ndarray) -> np.ndarray:
-    """theta in rad, 0 to pi, from the tilt that `sample` returns."""
-    return np.where(tilt <= 1.0, 2 * np.arctan(tilt), np.pi - 2 * np.arctan(2.0 - tilt))
+def between(most: int) -> np.ndarray:
+    """Weights of four states, and of their slopes times the step, that give a state between them.
+
+    Shape (most, 3, most, 8), float64: with 1 to `most` parts to a step, in the first, second or third
+    interval of the four states, after 1 to `most` of those parts. Hermite's interpolation: exact for
+    polynomials of degree 7.
+    """
+    nodes = np.arange(4.0)
+    parts = np.arange(1, most + 1)
+    x = np.arange(3)[:, None] + parts / parts[:, None, None]
+    found = np.empty((*x.shape, 8))
+    for k in range(4):
+        others = np.delete(nodes, k)
+        square = np.prod((x[..., None] - others) / (k - others), axis=-1) ** 2
+        found[..., k] = (1.0 - 2.0 * np.sum(1.0 / (k - others)) * (x - k)) * square
+        found[..., 4 + k] = (x - k) * square
+    return found
 
 
-def finish(out: np.ndarray, intervals: np.ndarray) -> dict[str, np.ndarray]:
+def weight(k, intervals, ends):
+    """Weight of the k-th of intervals + 1 samples in units of their distance; ends: GREGORY."""
+    left = intervals - k
+    found = 1.0
+    if intervals < 2 * len(ends) - 1:
+        if k == 0 or left == 0:
+            found = 0.5
+    elif k < len(ends):
+        found = ends[k]
+    elif left < len(ends) and left >= 0:
+        found = ends[left]
+    return found
+
+
+def tilt(height: np.ndarray, sine_squared: np.ndarray) -> np.ndarray:
+    """theta in rad, 0 to pi, from cos theta and sin^2 theta: from each where it tells more."""
+    small = np.arcsin(np.sqrt(np.clip(sine_squared, 0.0, 1.0)))
+    near = np.where(height > 0, small, np.pi - small)
+    return np.where(np.abs(height) > 0.5, near, np.arccos(np.clip(height, -1.0, 1.0)))
+
+
+def finish(out: np.ndarray, intervals: np.ndarray, parts: np.ndarray | int = 1) -> dict[str, np.ndarray]:
     """Means and spreads from the kernel's output.
 
-    out: (len(OUTPUTS), points) float64; intervals: (points,) samples less one. Returns float64 arrays
-    of shape (points,): theta_dot_rms, theta_dot_std, psi_dot_mean, psi_dot_std, phi_dot_mean,
-    phi_dot_std (over the samples outside the cylinder, nan if there are none), normal_rate_mean,
-    normal_rate_std, theta_min, theta_max, sine_max, integral_drift and axis_1, axis_2 (means of the
-    system's axis_in_frame).
+    out: (len(OUTPUTS), points) float64; intervals: (points,) samples less one; parts: samples from one look
+    to the next, as in steps.Steps. Returns float64 arrays of shape (points,): theta_dot_rms, theta_dot_std,
+    psi_dot_mean, psi_dot_std, phi_dot_mean, phi_dot_std (over the samples outside the cylinder, nan if
+    there are none), normal_rate_mean, normal_rate_std, theta_min, theta_max, sine_max, integral_drift and
+    axis_1, axis_2 (means of the system's axis_in_frame).
     """
     row = dict(zip(OUTPUTS, out, strict=True))
     with np.errstate(all="ignore"):
-        result = {"theta_dot_rms": np.sqrt(row["theta_dot_squared"] / intervals)}
-        mean = row["theta_dot"] / intervals
-        result["theta_dot_std"] = np.sqrt(np.maximum(row["theta_dot_squared"] / intervals - mean**2, 0.0))
+        # np.maximum hands nan on: a run that was lost stays visible
+        square, mean = row["theta_dot_squared"] / intervals, row["theta_dot"] / intervals
+        result = {
+            "theta_dot_rms": np.sqrt(square),
+            "theta_dot_std": np.sqrt(np.maximum(square - mean**2, 0.0)),
+        }
         for name, total in (
             ("psi_dot", row["outside"]),
             ("phi_dot", row["outside"]),
@@ -85,14 +129,20 @@ def finish(out: np.ndarray, intervals: np.ndarray) -> dict[str, np.ndarray]:
             shifted = row[name] / total
             result[f"{name}_mean"] = row[f"{name}_reference"] + shifted
             square = row[f"{name}_squared"] / total
-            # np.maximum hands nan on: a run that was lost stays visible
             result[f"{name}_std"] = np.sqrt(np.maximum(square - shifted**2, 0.0))
-        result["theta_min"] = angle(row["tilt_min"])
-        result["theta_max"] = angle(row["tilt_max"])
-        result["sine_max"] = np.sqrt(row["sine_squared_max"])
+        last, square = row["height"], row["sine_squared"]  # an end is no turn
+        low, high = np.minimum(row["height_min"], last), np.maximum(row["height_max"], last)
+        widest = np.maximum(row["sine_squared_max"], square)
+        above = np.minimum(row["upper_sine_squared_min"], np.where(last > 0, square, 1.0))
+        below = np.minimum(row["lower_sine_squared_min"], np.where(last < 0, square, 1.0))
+        # All on one side of the equator the widest tilt is the extreme nearer to it.
+        result["theta_min"] = tilt(high, np.where(high > 0, above, widest))
+        result["theta_max"] = tilt(low, np.where(low > 0, widest, below))
+        result["sine_max"] = np.sqrt(np.minimum(widest, 1.0))
         result["integral_drift"] = row["drift"].copy()
-        result["axis_1"] = row["axis_1"] / intervals
-        result["axis_2"] = row["axis_2"] / intervals
+        looks = intervals // parts + 1
+        result["axis_1"] = row["axis_1"] / looks
+        result["axis_2"] = row["axis_2"] / looks
     return result
 
 

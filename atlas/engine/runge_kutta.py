@@ -11,7 +11,8 @@ class Method:
     """A fixed-step explicit method, with what is known of it on x' = i w x at y = w h.
 
     order: global order p. The phase error per step is phase * y^(p+1), the loss of amplitude per
-    step damping * y^(damping_order); stability: largest stable y.
+    step damping * y^(damping_order); stability: largest stable y. parts: most samples per step, so
+    that the statistics keep up with the states.
     """
 
     name: str
@@ -22,6 +23,7 @@ class Method:
     damping: float
     damping_order: int
     stability: float
+    parts: int = 1
 
     @property
     def stages(self) -> int:
@@ -150,6 +152,7 @@ RK8 = Method(
     damping=2.277e-8,
     damping_order=10,
     stability=5.960359811702219,
+    parts=4,
 )
 METHODS = {method.name: method for method in (RK4, RK8)}
 

@@ -21,12 +21,23 @@ class Steps:
     """Step counts and what is known beforehand about them, each of shape (points,)."""
 
     count: NDArray[np.int64]
-    stride: NDArray[np.int64]  # steps between two samples
+    stride: NDArray[np.int64]  # steps between two looks at the motion
+    parts: NDArray[np.int64]  # samples of the statistics from one look to the next
     length: NDArray[np.float64]  # time units
     step_ratio: NDArray[np.float64]  # length * bound / stability limit
     phase_error: NDArray[np.float64]  # of an oscillation at the bound, rad at the end of the run
     hidden_damping: NDArray[np.float64]  # its relative loss of amplitude
     rate_error: NDArray[np.float64]  # of a steady rate as large as the bound, rad per time unit
+
+    @property
+    def intervals(self) -> NDArray[np.int64]:
+        """Between the samples of the whole run."""
+        return self.count // self.stride * self.parts
+
+    @property
+    def distance(self) -> NDArray[np.float64]:
+        """Between two samples, time units."""
+        return self.length * self.stride / self.parts
 
 
 def ladder(count: NDArray[np.float64]) -> NDArray[np.int64]:
@@ -69,9 +80,12 @@ def choose(
         count = np.ceil(np.minimum(np.where(usable, duration, 0.0) / step, float(max_steps)) - 1e-9)
         count = np.maximum(count, 1).astype(np.int64)
     y = turns / count
-    # The rule of the statistics has order 8 in the sampling distance: keep its error at y^order.
+    # The rule of the statistics has order 8 in the sampling distance: keep its error at that of the phase
+    # (for rk8, too: there the distance needs to fall no faster than the root of y, as measured).
     with np.errstate(divide="ignore"):
-        wanted = np.where(y > 0, y, 1e-6) ** (method.order / 8 - 1)
+        wanted = (120 * method.phase) ** (1 / 8) * np.where(y > 0, y, 1e-12) ** -0.5
+    parts = np.ceil(np.clip(1 / wanted, 1, method.parts)).astype(np.int64)
+    parts[count < LEAST_INTERVALS] = 1
     wanted = np.minimum(wanted, count / LEAST_INTERVALS)
     stride = 2 ** np.floor(np.log2(np.clip(wanted, 1, LONGEST_STRIDE))).astype(np.int64)
     count = -(-count // stride) * stride
@@ -81,6 +95,7 @@ def choose(
     return Steps(
         count,
         stride,
+        parts,
         duration / count,
         y / method.stability,
         turns * method.phase * y**method.order,

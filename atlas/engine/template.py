@@ -1,0 +1,406 @@
+"""Text of the kernels: a system's equations, a method's step and the statistics, pasted together.
+
+A kernel advances a block of WIDTH points side by side, one SIMD lane each; every loop over `l` is one that
+the compiler turns into vector instructions. Local arrays: Y states, c constants, H step lengths, S the rows
+of measure.OUTPUTS, D and E scales and starting values of the first integrals.
+"""
+
+from __future__ import annotations
+
+import math
+import string
+from collections.abc import Collection, Mapping
+from types import ModuleType
+
+from . import jit, measure
+from .runge_kutta import METHODS, step_source
+from .specialise import specialise
+
+WIDTH = 32
+# First integrals are looked at once in so many looks, and at the end: they change slowly.
+DRIFT_EVERY = 4
+
+
+def source(
+    equations: ModuleType, method: str, zero: Collection[str] = (), same: Mapping[str, str] = {}
+) -> str:
+    """Text of the kernel module for a system's equations and a method of runge_kutta.METHODS.
+
+    zero: constants that vanish; same: constants that equal another one (both for every point to come).
+    """
+    text = {name: specialise(body, zero, same) for name, body in jit.functions(equations).items()}
+    text |= {name: jit.functions(measure)[name] for name in ("sample", "turning", "weight")}
+    states, constants = range(len(equations.STATE)), range(len(equations.CONSTANTS))
+    row = {name: i for i, name in enumerate(measure.OUTPUTS)}
+    moving = measure.SUMS + measure.EXTREMES[:-1] + measure.LAST
+    parts = METHODS[method].parts
+    totals = [_total(equations, name) for name in equations.INTEGRALS]
+    seen = _seen(equations)
+    axis = "axis_in_frame" in text
+    blocks = {
+        "FUNCTIONS": "\n\n\n".join(f"{jit.INLINE}\n{body}" for body in text.values()),
+        "KERNEL": jit.KERNEL,
+        "LOAD": _lines(f"y{i} = Y[{i}, l]" for i in states),
+        "STEP": step_source(METHODS[method], len(states)),
+        "STORE": _lines(f"Y[{i}, l] = y{i}" for i in states),
+        "CONSTANTS": _tuple("constants", (f"c[{i}, l]" for i in constants)),
+        "STATE": _tuple("state", (f"Y[{i}, l]" for i in states)),
+        "PUSH": _lines(f"P[slot, {i}, l] = y{i}" for i in seen) if parts > 1 else "",
+        "PUSH_SLOPE": _lines(f"F[slot, {i}, l] = k0_{i}" for i in seen) if parts > 1 else "",
+        "INTEGRALS": _lines(
+            f"{total}\nchange = abs(total - E[{i}, l]) * D[{i}, l]\ndrift = change if change > drift else drift"
+            for i, total in enumerate(totals)
+        ),
+        "FIRST_INTEGRALS": _lines(f"{total}\nE[{i}, l] = total" for i, total in enumerate(totals)),
+        "ROWS_IN": _lines(f"{name} = S[{row[name]}, l]" for name in moving + measure.REFERENCES),
+        "ROWS_OUT": _lines(f"S[{row[name]}, l] = {name}" for name in moving),
+        "ROWS_OUT_LIVE": _lines(f"S[{row[name]}, l] = {name} if live else S[{row[name]}, l]" for name in moving),
+        "FACTORS": _lines(f"b{k} = between[parts - 1, case, part - 1, {k}]" for k in range(8)),
+        "BETWEEN": _tuple("state", (_between(i) if i in seen else "0.0" for i in states)),
+    }  # fmt: skip
+    numbers = row | {
+        "WIDTH": WIDTH, "STATES": len(states), "CONSTS": len(constants), "INTS": len(equations.INTEGRALS),
+        "ROWS": len(row), "DRIFT_EVERY": DRIFT_EVERY, "PARTS": parts,
+    }  # fmt: skip
+    blocks["RATES"] = fill(RATES, blocks, numbers)
+    for name, part in {
+        "DRIFT": DRIFT, "AXIS": AXIS if axis else "pass", "FIRST_AXIS": FIRST_AXIS if axis else "pass",
+        "BETWEEN_STEPS": BETWEEN_STEPS if parts > 1 else "",
+        "BETWEEN_STEPS_OF_LANES": BETWEEN_STEPS_OF_LANES if parts > 1 else "",
+    }.items():  # fmt: skip
+        blocks[name] = fill(part, blocks, numbers)
+    blocks["TAKE"] = fill(TAKE, blocks, numbers)
+    return f"{jit.HEADER}\nPARTS = {parts}\n{fill(KERNEL + LABEL_KERNEL, blocks, numbers)}"
+
+
+def _lines(parts) -> str:
+    return "\n".join(parts)
+
+
+def _tuple(name: str, parts) -> str:
+    return f"{name} = ({', '.join(parts)},)"
+
+
+def _seen(equations: ModuleType) -> list[int]:
+    """The states that frame_motion looks at: those whose nan it hands on."""
+    size, constants = len(equations.STATE), (1.0,) * len(equations.CONSTANTS)
+    tried = ([math.nan if j == i else 1.0 for j in range(size)] for i in range(size))
+    motions = (equations.frame_motion(state, constants) for state in tried)
+    return [i for i, motion in enumerate(motions) if any(map(math.isnan, motion))]
+
+
+def _total(equations: ModuleType, name: str) -> str:
+    """The sum of a first integral's terms."""
+    ones = (1.0,) * len(equations.STATE), (1.0,) * len(equations.CONSTANTS)
+    terms = [f"t{j}" for j in range(len(getattr(equations, name)(*ones)))]
+    return f"{', '.join(terms)}, = {name}(state, constants)\ntotal = {' + '.join(terms)}"
+
+
+def _between(i: int) -> str:
+    """Component i between four nodes, as measure.between weighs them."""
+    states = " + ".join(f"b{k} * P[n{k}, {i}, l]" for k in range(4))
+    slopes = " + ".join(f"b{k + 4} * F[n{k}, {i}, l]" for k in range(4))
+    return f"{states} + h * ({slopes})"
+
+
+def fill(template: str, blocks: dict[str, str], numbers: dict[str, int]) -> str:
+    """The template with $NAME alone on a line replaced by a block at its indent, elsewhere by a number."""
+    lines = []
+    for line in template.splitlines():
+        name = line.strip().removeprefix("$")
+        if line.strip().startswith("$") and name in blocks:
+            indent = line[: len(line) - len(line.lstrip())]
+            lines += [indent + part if part else "" for part in blocks[name].splitlines()]
+        else:
+            lines.append(string.Template(line).substitute(numbers))
+    return "\n".join(lines) + "\n"
+
+
+# A point enters its lane with its first sample; there psi', phi' and the rate about the vertical become the
+# values from which they are counted.
+TAKE = """
+for j in range($STATES):
+    Y[j, l] = state0[j, p]
+for j in range($CONSTS):
+    c[j, l] = constants0[j, p]
+for j in range($INTS):
+    D[j, l] = scales[j, p]
+for j in range($ROWS):
+    S[j, l] = 0.0
+$CONSTANTS
+$STATE
+theta_rate, psi_rate, phi_rate, rate, g3, s2, m, seen = sample(frame_motion(state, constants), cylinder)
+weighs = weight(0, samples, ends)
+S[$theta_dot, l] = weighs * theta_rate
+S[$theta_dot_squared, l] = weighs * theta_rate * theta_rate
+S[$outside, l] = weighs * seen
+S[$psi_dot_reference, l], S[$phi_dot_reference, l], S[$normal_rate_reference, l] = psi_rate, phi_rate, rate
+S[$height, l], S[$sine_squared, l], S[$turn, l] = g3, s2, m
+S[$height_min, l], S[$height_max, l], S[$sine_squared_max, l] = g3, g3, s2
+S[$upper_sine_squared_min, l] = s2 if g3 > 0.0 else 1.0
+S[$lower_sine_squared_min, l] = s2 if g3 < 0.0 else 1.0
+$FIRST_AXIS
+$FIRST_INTEGRALS
+"""
+RATES = """
+theta_rate, psi_rate, phi_rate, rate, g3, s2, m, seen = sample(frame_motion(state, constants), cylinder)
+top, wide = turning(distance, height, sine_squared, turn, g3, s2, m)
+height, sine_squared, turn = g3, s2, m
+psi_rate = (psi_rate - psi_dot_reference) * seen
+phi_rate = (phi_rate - phi_dot_reference) * seen
+rate = rate - normal_rate_reference
+theta_dot += weighs * theta_rate
+theta_dot_squared += weighs * theta_rate * theta_rate
+outside += weighs * seen
+psi_dot += weighs * psi_rate
+psi_dot_squared += weighs * psi_rate * psi_rate
+phi_dot += weighs * phi_rate
+phi_dot_squared += weighs * phi_rate * phi_rate
+normal_rate += weighs * rate
+normal_rate_squared += weighs * rate * rate
+height_min = top if top < height_min else height_min
+height_max = top if top > height_max else height_max
+upper = wide if top > 0.0 else 1.0
+lower = wide if top < 0.0 else 1.0
+upper_sine_squared_min = upper if upper < upper_sine_squared_min else upper_sine_squared_min
+lower_sine_squared_min = lower if lower < lower_sine_squared_min else lower_sine_squared_min
+sine_squared_max = wide if wide > sine_squared_max else sine_squared_max
+"""
+AXIS = """
+$CONSTANTS
+$STATE
+x, y = axis_in_frame(state, constants)
+S[$axis_1, l] += looked * x
+S[$axis_2, l] += looked * y
+"""
+FIRST_AXIS = "S[$axis_1, l], S[$axis_2, l] = axis_in_frame(state, constants)"
+DRIFT = """
+$CONSTANTS
+$STATE
+drift = S[$drift, l]
+$INTEGRALS
+S[$drift, l] = drift
+"""
+# Samples between the steps, in the order of time. Node i of the motion lies in slot i % 4 of P (states) and
+# F (slopes); with nodes i - 3 to i there, the interval from i - 2 to i - 1 can be sampled, and beside it the
+# first and the last interval of the run, where there is no node on the far side.
+BETWEEN_STEPS = """
+n0, n1, n2, n3 = (slot + 1) & 3, (slot + 2) & 3, (slot + 3) & 3, slot
+for case in range(3):
+    if parts > 1 and i >= 3 and (case == 1 or (case == 0 and i == 3) or (case == 2 and i == looks)):
+        for part in range(1, parts + 1):
+            weighs = weight(parts * (i - 3 + case) + part, samples, ends)
+            $FACTORS
+            for l in range($WIDTH):
+                h = H[l]
+                distance = h * share
+                $CONSTANTS
+                $BETWEEN
+                $ROWS_IN
+                $RATES
+                $ROWS_OUT
+"""
+# The same where every lane is at another node: `at` has gone on by one since node i was laid down.
+BETWEEN_STEPS_OF_LANES = """
+n0, n1, n2, n3 = (slot + 1) & 3, (slot + 2) & 3, (slot + 3) & 3, slot
+for case in range(3):
+    wanted = False
+    if parts > 1:
+        for l in range($WIDTH):
+            i = at[l] - 1
+            here = i >= 3 and (case == 1 or (case == 0 and i == 3) or (case == 2 and i == looks_of[l]))
+            over[l] = 1.0 if here else 0.0
+            wanted = wanted or here
+    if wanted:
+        for part in range(1, parts + 1):
+            $FACTORS
+            for l in range($WIDTH):
+                G[l] = weight(parts * (at[l] - 4 + case) + part, parts * looks_of[l], ends)
+            for l in range($WIDTH):
+                h = T[l]
+                distance = h * share
+                weighs = G[l]
+                live = over[l] > 0.0
+                $CONSTANTS
+                $BETWEEN
+                $ROWS_IN
+                $RATES
+                $ROWS_OUT_LIVE
+"""
+
+KERNEL = """
+
+$FUNCTIONS
+
+
+$KERNEL
+def integrate(
+    first, last, points, steps, strides, pieces, length, state0, constants0, scales, ends, between, cylinder, out
+):
+    Y = np.empty(($STATES, $WIDTH))
+    c = np.empty(($CONSTS, $WIDTH))
+    H = np.empty($WIDTH)
+    D = np.empty(($INTS, $WIDTH))
+    E = np.empty(($INTS, $WIDTH))
+    S = np.empty(($ROWS, $WIDTH))
+    P = np.empty((4, $STATES, $WIDTH))
+    F = np.empty((4, $STATES, $WIDTH))
+    looked = 1.0
+    for block in range(first, last):
+        stride, parts = strides[block], pieces[block]
+        looks = steps[block] // stride
+        samples, share = looks * parts, 1.0 / parts
+        for l in range($WIDTH):
+            p = points[block, l]
+            H[l] = length[p]
+            $TAKE
+        for i in range(looks + (1 if parts > 1 else 0)):
+            slot = i & 3
+            go = 1.0 if i < looks else 0.0
+            for s in range(stride):
+                for l in range($WIDTH):
+                    h = H[l] * go
+                    $CONSTANTS
+                    $LOAD
+                    $PUSH
+                    $STEP
+                    $STORE
+                    $PUSH_SLOPE
+            if parts == 1:
+                weighs = weight(i + 1, samples, ends)
+                for l in range($WIDTH):
+                    distance = H[l] * stride
+                    $CONSTANTS
+                    $STATE
+                    $ROWS_IN
+                    $RATES
+                    $ROWS_OUT
+            $BETWEEN_STEPS
+            if i < looks:
+                for l in range($WIDTH):
+                    $AXIS
+            if (i + 1) % $DRIFT_EVERY == 0 or i + 1 == looks:
+                for l in range($WIDTH):
+                    $DRIFT
+        for l in range($WIDTH):
+            p = points[block, l]
+            for j in range($STATES):
+                state0[j, p] = Y[j, l]
+            for j in range($ROWS):
+                out[j, p] = S[j, l]
+"""
+
+# For scenes that ask for labels only: a lane is freed as soon as its point is certain to drift and takes
+# the next one. All weights are positive, so sums of squares (about the mean, too) only grow: once they
+# pass the tolerance of the whole run outside the cylinder, no later motion can bring the label back.
+# Where there are samples between the steps a point makes one more step of length 0, for the slope at its end.
+LABEL_KERNEL = """
+
+
+$KERNEL
+def integrate_labels(
+    first_point, last_point, queue, stride, parts, looks, length, state0, constants0, scales, ends, between,
+    cylinder, tolerance, out, done,
+):
+    Y = np.zeros(($STATES, $WIDTH))
+    c = np.zeros(($CONSTS, $WIDTH))
+    H = np.zeros($WIDTH)
+    T = np.zeros($WIDTH)
+    D = np.zeros(($INTS, $WIDTH))
+    E = np.zeros(($INTS, $WIDTH))
+    S = np.zeros(($ROWS, $WIDTH))
+    P = np.zeros((4, $STATES, $WIDTH))
+    F = np.zeros((4, $STATES, $WIDTH))
+    G = np.zeros($WIDTH)
+    limit = np.zeros($WIDTH)
+    over = np.zeros($WIDTH)
+    at = np.zeros($WIDTH, np.int64)
+    never = 1 << 60
+    looks_of = np.full($WIDTH, never)
+    point_of = np.full($WIDTH, -1)
+    following = first_point
+    active = 0
+    slot = 0
+    free = True
+    late = 1 if parts > 1 else 0
+    share = 1.0 / parts
+    least_wide = cylinder * (1.0 + 1e-9)
+    while True:
+        if free:
+            free = False
+            for l in range($WIDTH):
+                if point_of[l] < 0 and following < last_point:
+                    p = queue[following]
+                    following += 1
+                    active += 1
+                    point_of[l] = p
+                    at[l] = 0
+                    looks_of[l] = looks[p]
+                    samples = looks[p] * parts
+                    limit[l] = tolerance[p] * tolerance[p] * samples * (1.0 + 1e-6)
+                    H[l] = T[l] = length[p]
+                    $TAKE
+            if active == 0:
+                break
+        slot = (slot + 1) & 3
+        for s in range(stride):
+            for l in range($WIDTH):
+                h = H[l]
+                $CONSTANTS
+                $LOAD
+                $PUSH
+                $STEP
+                $STORE
+                $PUSH_SLOPE
+        for l in range($WIDTH):
+            at[l] += 1
+        if parts == 1:
+            for l in range($WIDTH):
+                G[l] = weight(at[l], looks_of[l], ends)
+            for l in range($WIDTH):
+                distance = T[l] * stride
+                weighs = G[l]
+                $CONSTANTS
+                $STATE
+                $ROWS_IN
+                $RATES
+                $ROWS_OUT
+        $BETWEEN_STEPS_OF_LANES
+        for l in range($WIDTH):
+            looked = 1.0 if at[l] <= looks_of[l] else 0.0
+            $AXIS
+        for l in range($WIDTH):
+            $DRIFT
+        any_over = 0.0
+        for l in range($WIDTH):
+            seen = S[$outside, l]
+            seen = seen if seen > 0.0 else 1.0
+            psi = S[$psi_dot_squared, l] * (1.0 - 1e-12) - S[$psi_dot, l] * S[$psi_dot, l] / seen
+            phi = S[$phi_dot_squared, l] * (1.0 - 1e-12) - S[$phi_dot, l] * S[$phi_dot, l] / seen
+            most = S[$theta_dot_squared, l]
+            most = psi if psi > most else most
+            most = phi if phi > most else most
+            certain = 1.0 if most > limit[l] else 0.0
+            certain = certain if S[$sine_squared_max, l] > least_wide else 0.0
+            ended = 1.0 if at[l] - late >= looks_of[l] else certain
+            over[l] = ended
+            any_over += ended
+        if any_over > 0.0:
+            for l in range($WIDTH):
+                if over[l] > 0.0 and point_of[l] >= 0:
+                    p = point_of[l]
+                    for j in range($STATES):
+                        state0[j, p] = Y[j, l]
+                        Y[j, l] = 0.0
+                    for j in range($ROWS):
+                        out[j, p] = S[j, l]
+                        S[j, l] = 0.0
+                    done[p] = max(at[l] - late, 1)
+                    point_of[l] = -1
+                    at[l] = 0
+                    looks_of[l] = never
+                    active -= 1
+                    free = True
+        for l in range($WIDTH):
+            H[l] = T[l] if point_of[l] >= 0 and at[l] < looks_of[l] else 0.0
+"""

@@ -168,6 +168,7 @@ class Atlas:
             duration=float(at["end_time"]),
             samples=samples,
             method=attributes["atlas_method"],
+            rate_tolerance=float(attributes["atlas_rate_tolerance"]),
             **({"step": step} if np.isfinite(step) else {"tolerance": float(attributes["atlas_tolerance"])}),
         )
 

@@ -17,17 +17,13 @@ from scipy.stats import beta
 from . import grid, labels
 from .engine import lanes, measure, steps
 from .engine.runge_kutta import METHODS
-from .evaluate import Special, evaluate_tile, kernel
+from .evaluate import RATES, Special, evaluate_tile, kernel
 from .scene import Scene, Settings
 from .systems.system import Array, BadInput, Flags, Mask, Points, System
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-RATES = (
-    "theta_dot_rms", "theta_dot_std", "psi_dot_mean", "psi_dot_std", "phi_dot_mean", "phi_dot_std",
-    "normal_rate_mean", "normal_rate_std",
-)  # fmt: skip
 STATISTICS = (*RATES, "theta_min", "theta_max")
 # Relative tolerances of the reference and of a second run of it: their difference is what it knows.
 REFERENCE, SECOND = 3e-14, 1e-13

@@ -27,17 +27,19 @@ def trajectory(
     step: float | None = None,
     method: str = "rk4",
     tolerance: float = 1e-8,
+    rate_tolerance: float = 1e-5,
 ) -> xr.Dataset:
     """Motion of one point: a Dataset over the dimension "time".
 
-    point: parameter -> number, as for label_points. samples: instants from 0 to duration, evenly
+    point: parameter -> number; step, method, tolerance, rate_tolerance (rad per time unit): as for
+    label_points, and the steps are never longer than there. samples: instants from 0 to duration, evenly
     spaced; at least 2. Variables, float64: the state by the names of the equations, theta, psi, phi
     (rad, psi and phi unwrapped; nan on the vertical, where they do not exist), theta_dot, psi_dot,
     phi_dot, normal_rate (rad per time unit), axis_x, axis_y, axis_z (the third body axis in the frame:
     for the satellite along radius, velocity, normal), integral_drift. Raises BadInput as label_points.
     """
     kind = systems.get(system)
-    settings = Settings(method=method, step=step, tolerance=tolerance)
+    settings = Settings(method=method, step=step, tolerance=tolerance, rate_tolerance=rate_tolerance)
     if not isinstance(samples, int) or samples < 2:
         raise BadInput(f"samples = {samples!r}: must be a whole number, at least 2")
     if not (np.isfinite(duration) and duration > 0):
@@ -49,6 +51,7 @@ def trajectory(
     plan = steps.choose(
         METHODS[method], kind.frequency_bound(points), np.array([duration]),
         tolerance=settings.tolerance, step=settings.step, max_steps=settings.max_steps,
+        rate_tolerance=settings.rate_tolerance,
     )  # fmt: skip
     # Whole steps between samples, never longer than the atlas' own.
     each = -(-int(plan.count[0]) // (samples - 1))
@@ -82,6 +85,7 @@ def trajectory_of_scene(scene: Scene, places: Mapping[str, float], *, samples: i
     return trajectory(
         scene.system.name, point, duration=float(found.duration[0]), samples=samples,
         step=scene.settings.step, method=scene.settings.method, tolerance=scene.settings.tolerance,
+        rate_tolerance=scene.settings.rate_tolerance,
     )  # fmt: skip
 
 

@@ -75,7 +75,8 @@ def half_step_sample(scene: Scene, *, threads: int | None = None) -> dict[str, A
     same bits as the run. Returns attributes for the atlas: the number of points tried and how many have
     another label at half the step (a label given becomes another, or none); the bound "at most this
     many points of the atlas" at 95 % (all points tried: exactly); and, where the scene keeps means and
-    spreads of the rates, the largest change of one at a point that does not drift, rad per time unit.
+    spreads of the rates, the largest change of one at each point, rad per time unit: the median over all
+    points, and the largest where the point does not drift.
     """
     indices = spread(scene.size, min(max(LEAST_SAMPLE, scene.size // ONE_IN), MOST_SAMPLE))
     part = grid.take(scene, indices)
@@ -95,11 +96,14 @@ def half_step_sample(scene: Scene, *, threads: int | None = None) -> dict[str, A
         "atlas_labels_may_change": math.ceil(share * scene.size - 1e-9),
         "atlas_points": scene.size,
     }
+    kept = [np.abs(again[name] - own[name]) for name in RATES if name in scene.outputs]
+    change = np.fmax.reduce([np.full(indices.size, np.nan), *kept])
+    if np.isfinite(change).any():
+        values["atlas_half_step_median"] = float(np.nanmedian(change))
     # The rates of a drifting point may be those of a chaotic motion or a spike near the vertical.
-    steady = part.there & ~changed & ~drifting & (own["label"] != labels.UNRESOLVED)
-    differences = [np.abs(again[name] - own[name])[steady] for name in RATES if name in scene.outputs]
-    if np.isfinite(differences).any():
-        values["atlas_half_step_difference"] = float(np.nanmax(differences))
+    steady = change[part.there & ~changed & ~drifting & (own["label"] != labels.UNRESOLVED)]
+    if np.isfinite(steady).any():
+        values["atlas_half_step_difference"] = float(np.nanmax(steady))
     return values
 
 
@@ -118,8 +122,10 @@ def half_step_text(attributes: Mapping[str, Any]) -> str:
         f" ({100 * CONFIDENCE:g} %); {a['atlas_half_step_changed']} of {a['atlas_half_step_points']}"
         " changed at half the step"
     )
+    if "atlas_half_step_median" in a:
+        text += f", means and spreads by {a['atlas_half_step_median']:.2g} (median)"
     if "atlas_half_step_difference" in a:
-        text += f", means and spreads of steady points by at most {a['atlas_half_step_difference']:.2g}"
+        text += f", those of steady points by at most {a['atlas_half_step_difference']:.2g}"
     return text
 
 

@@ -149,7 +149,7 @@ def test_nan_and_overflow_stay_visible():
 
 @given(st.integers(13, 200), st.integers(0, 7))
 def test_gregory_weights_are_positive_and_exact_for_polynomials(intervals, degree):
-    w = np.array([measure.weight(k, intervals, measure.GREGORY) for k in range(intervals + 1)])
+    w = np.array([measure.weight(k, intervals, measure.WEIGHTS) for k in range(intervals + 1)])
     assert (w > 0).all()
     x = np.linspace(0, 1, intervals + 1)
     assert (w / intervals) @ x**degree == pytest.approx(1 / (degree + 1), rel=1e-12)

@@ -86,7 +86,7 @@ def integrate(
     KeyboardInterrupt the calls in flight end first (a fraction of a second), then it is raised again.
     """
     out = np.empty((len(measure.OUTPUTS), state.shape[1]))
-    ends, between = measure.GREGORY, measure.between(kernel.PARTS)
+    ends, between = measure.WEIGHTS, measure.between(kernel.PARTS)
 
     def work(first: int, last: int) -> int:
         kernel.integrate(
@@ -95,7 +95,9 @@ def integrate(
         )  # fmt: skip
         return int(blocks.steps[first:last].sum()) * WIDTH
 
-    _in_threads(work, _cuts(blocks.steps * WIDTH, CHUNK, threads), threads, progress)
+    _in_threads(
+        work, _cuts(blocks.steps * WIDTH, CHUNK, 4 * (threads or available_threads())), threads, progress
+    )
     return out
 
 
@@ -122,7 +124,7 @@ def integrate_labels(
     """
     out = np.empty((len(measure.OUTPUTS), state.shape[1]))
     done = np.zeros(steps.shape, np.int64)
-    ends, between = measure.GREGORY, measure.between(kernel.PARTS)
+    ends, between = measure.WEIGHTS, measure.between(kernel.PARTS)
     looks = steps // strides
     for stride, part in np.unique(np.stack([strides, parts]), axis=1).T:
         queue = np.flatnonzero((strides == stride) & (parts == part))
@@ -135,14 +137,14 @@ def integrate_labels(
             )  # fmt: skip
             return int(steps[queue[first:last]].sum())
 
-        _in_threads(work, _cuts(steps[queue], LABEL_CHUNK, threads), threads, progress)
+        _in_threads(work, _cuts(steps[queue], LABEL_CHUNK, threads or available_threads()), threads, progress)
     return out, done
 
 
-def _cuts(cost: NDArray[np.int64], most: int, threads: int | None) -> list[int]:
-    """Where to cut a row of jobs: pieces that cost at most about `most`, and some for every thread."""
+def _cuts(cost: NDArray[np.int64], most: int, pieces: int) -> list[int]:
+    """Where to cut a row of jobs: about so many pieces at least, that cost at most about `most` each."""
     total = np.cumsum(cost)
-    most = min(most, int(total[-1]) // (4 * (threads or available_threads()))) if total.size else most
+    most = min(most, -(-int(total[-1]) // pieces)) if total.size else most
     cuts = [0]
     while cuts[-1] < len(total):
         done = total[cuts[-1] - 1] if cuts[-1] else 0

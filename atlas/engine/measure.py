@@ -13,6 +13,8 @@ import numpy as np
 
 # Gregory's rule with differences up to the sixth: weights of the first and last seven samples.
 GREGORY = np.array([36799, 176648, 54851, 177984, 89437, 130936, 119585]) / 120960
+# The trapezoidal rule and Gregory's, by the distance from the nearer end; what is farther has the last weight.
+WEIGHTS = np.array([[0.5, *np.ones(len(GREGORY))], [*GREGORY, 1.0]])
 # Least number of intervals for the full rule; a shorter run falls back to the trapezoidal rule.
 LEAST_INTERVALS = 2 * len(GREGORY) - 1
 
@@ -84,17 +86,10 @@ def between(most: int) -> np.ndarray:
 
 
 def weight(k, intervals, ends):
-    """Weight of the k-th of intervals + 1 samples in units of their distance; ends: GREGORY."""
-    left = intervals - k
-    found = 1.0
-    if intervals < 2 * len(ends) - 1:
-        if k == 0 or left == 0:
-            found = 0.5
-    elif k < len(ends):
-        found = ends[k]
-    elif left < len(ends) and left >= 0:
-        found = ends[left]
-    return found
+    """Weight of the k-th of intervals + 1 samples in units of their distance; ends: WEIGHTS."""
+    inside = ends.shape[1] - 1
+    near = max(0, min(k, intervals - k, inside))
+    return ends[1 if intervals >= 2 * inside - 1 else 0, near]
 
 
 def tilt(height: np.ndarray, sine_squared: np.ndarray) -> np.ndarray:

@@ -76,7 +76,7 @@ def scalar_kernel() -> Callable[..., None]:
     step = "\n".join("            " + line for line in step_source(METHODS["rk4"], 9).splitlines())
     store = "\n".join(f"        Y[{i}, p] = y{i}" for i in range(9))
     code = (
-        f"{jit.HEADER}\n@njit\n{text}\n\n@njit(nogil=True)\ndef scalar(Y, C, h, count):\n"
+        f"{jit.HEADER}\n@njit\n{text}\n\n@njit(nogil=True)\ndef scalar(Y, C, count):\n"
         f"    for p in range(Y.shape[1]):\n{load}\n        constants = ({', '.join(f'C[{i}, p]' for i in range(len(system.equations.CONSTANTS)))})\n"
         f"        for _ in range(count):\n{step}\n{store}\n"
     )
@@ -139,10 +139,10 @@ def engine(points: int, steps_each: int, repeat: int) -> None:
     }
     whole = cases["satellite", "rk4", "full"]
     peak, scalar, rounds, some = peak_kernel(), scalar_kernel(), 40_000, max(points // 16, 1)
-    one = np.ascontiguousarray(whole.state[:, :some])
-    two = np.ascontiguousarray(whole.constants[:, :some])
+    equations, unit = SYSTEMS["satellite"].equations, 0.01 / METHODS["rk4"].span
+    one, two = map(np.array, equations.scaled(whole.state[:, :some], whole.constants[:, :some], unit))
     peak(1)
-    scalar(one.copy(), two, 0.01, 1)
+    scalar(one.copy(), two, 1)
     tops: list[float] = []
     rows: dict[tuple[str, str, str], list[float]] = {key: [] for key in cases}
     both: list[float] = []
@@ -153,7 +153,7 @@ def engine(points: int, steps_each: int, repeat: int) -> None:
                 tops.append(rounds * 32 * 12 * 8 * 2 / seconds(lambda: peak(rounds)))
             rows[key].append(case.speed())
         both.append(whole.speed(2))
-        plain.append(some * steps_each / seconds(lambda: scalar(one.copy(), two, 0.01, steps_each)))
+        plain.append(some * steps_each / seconds(lambda: scalar(one.copy(), two, steps_each)))
     base, top = rows["satellite", "rk4", "full"], median(tops)
     print(f"processor {jit.cpu()}, {lanes.available_threads()} usable; {points} points x {steps_each} steps")
     print(

@@ -4,11 +4,12 @@
                                   [--csv FILE] [--figure FILE]
 
 Random satellites with Omega = 1, magnet and rotor; or slender ones, whose spin comes in short fast bursts,
-where one step for the whole run costs most beside engines that adapt it. Every engine runs the same points, one processor, each
-in its own best documented way, at a ladder of tolerances; the rungs of all engines take turns, and what is
-counted is processor time. The others return the final state alone; this package runs for that alone, too,
-and with all its means, spreads, extremes and first integrals. Errors are medians over the first points, against SciPy's DOP853 at 3e-14; times
-are interpolated between rungs to the errors asked for. Engines that are not installed are skipped:
+where one step for the whole run costs most beside engines that adapt it. Every engine runs the same points,
+one processor, each in its own best documented way, at a ladder of tolerances; the rungs of all engines take
+turns, and what is counted is processor time. The others return the final state alone; this package runs for
+that alone, too, and with all its means, spreads, extremes and first integrals. All get the equations in the
+units that make a factor 1. Errors are medians over the first points, against SciPy's DOP853 at 3e-14; times are
+interpolated between rungs to the errors asked for. Engines that are not installed are skipped:
 
     pip install heyoka CyRK diffrax jax numbalsoda
 """
@@ -33,6 +34,7 @@ from scipy.integrate import odeint, solve_ivp
 from atlas.accuracy import reference
 from atlas.engine import jit, lanes, measure, steps
 from atlas.engine.runge_kutta import METHODS
+from atlas.engine.specialise import specialise
 from atlas.evaluate import kernel
 from atlas.scene import Settings
 from atlas.systems import SYSTEMS
@@ -90,16 +92,23 @@ def atlas_engine(method: str, points: dict[str, np.ndarray], statistics: bool) -
     return run
 
 
+def right_hand_side() -> Callable:
+    """The equations without the factors that `scaled` makes 1, as the kernels here get them."""
+    space: dict = {}
+    exec(specialise(jit.functions(EQUATIONS)["rhs"], (), {}, EQUATIONS.ONES), space)
+    return space["rhs"]
+
+
 def slope_into() -> Callable:
     """The right-hand side as a Numba function that fills d, from arrays or pointers."""
-    rhs = njit(EQUATIONS.rhs)
+    rhs = njit(right_hand_side())
 
     @njit
     def into(d, y, c):
         state = (y[0], y[1], y[2], y[3], y[4], y[5], y[6], y[7], y[8])
         constants = (
             c[0], c[1], c[2], c[3], c[4], c[5], c[6], c[7], c[8], c[9], c[10], c[11], c[12], c[13], c[14],
-            c[15], c[16], c[17], c[18], c[19], c[20], c[21], c[22], c[23], c[24], c[25], c[26], c[27], c[28], c[29],
+            c[15], c[16], c[17], c[18], c[19], c[20], c[21], c[22], c[23], c[24], c[25], c[26], c[27], c[28],
         )  # fmt: skip
         d[0], d[1], d[2], d[3], d[4], d[5], d[6], d[7], d[8] = rhs(state, constants)
 
@@ -222,7 +231,7 @@ def heyoka_batch() -> Engine:
     width = hy.recommended_simd_size()
     variables = hy.make_vars(*EQUATIONS.STATE)
     parameters = [hy.par[i] for i in range(CONSTANTS)]
-    system = list(zip(variables, EQUATIONS.rhs(variables, parameters), strict=True))
+    system = list(zip(variables, right_hand_side()(variables, parameters), strict=True))
     built = {}
 
     def run(state, constants, duration, tolerance):
@@ -249,7 +258,8 @@ def diffrax_vmap() -> Engine:
     import diffrax
     import jax.numpy as jnp
 
-    term = diffrax.ODETerm(lambda t, y, c: jnp.stack(EQUATIONS.rhs(y, c)))
+    rhs = right_hand_side()
+    term = diffrax.ODETerm(lambda t, y, c: jnp.stack(rhs(y, c)))
 
     def one(y, c, duration, tolerance):
         solved = diffrax.diffeqsolve(
@@ -322,11 +332,16 @@ def main() -> None:
     for _ in range(options.rounds + 1):  # the first round compiles and is not counted
         for name, run in engines.items():
             _, tolerances, size = table[name]
-            start, data = np.ascontiguousarray(state[:, :size]), np.ascontiguousarray(constants[:, :size])
+            start, data = state[:, :size], constants[:, :size]
+            if not name.startswith("atlas"):
+                start, data = map(np.array, EQUATIONS.scaled(start, data, 1.0))
+            start, data = np.ascontiguousarray(start), np.ascontiguousarray(data)
             for tolerance in tolerances:
                 began = process_time()
                 final = run(start, data, options.duration, tolerance)
                 seconds = process_time() - began
+                if not name.startswith("atlas"):
+                    final = np.array(EQUATIONS.unscaled(final, data[:, : final.shape[1]], 1.0))
                 error = np.maximum(np.abs(final[:, :COMPARED] - truth.state).max(0), truth.state_error)
                 known = found.setdefault((name, tolerance), (float(np.median(error)), []))
                 known[1].append(1e6 * seconds / size)

@@ -272,7 +272,7 @@ def test_an_edited_line_is_never_answered_by_a_stale_kernel(tmp_path):
     assert result() == first
     path.write_text(original.replace("H1, H2, H3 =", "# a comment\n    H1, H2, H3 =", 1))
     assert result() == first
-    edited = original.replace("- G1 * a2 * a3", "+ G1 * a2 * a3", 1)
+    edited = original.replace("- N * D1 * a2 * a3", "+ N * D1 * a2 * a3", 1)
     assert edited != original
     path.write_text(edited)
     changed = result()

@@ -34,6 +34,7 @@ CASES = {
         (("mu1", "mu2", "mu3"), False), (("h1", "h3"), False), (("k1", "k2", "k3"), False),
         (("mu1", "mu2", "k1", "k2"), True), (("h1", "h3", "k1", "k2"), True),
         (("mu1", "mu2", "mu3", "k1", "k2", "k3"), False), (("h1", "h3", "k1", "k2", "k3"), True),
+        (("Omega",), False), (("Omega", "mu1", "mu2", "k1", "k2"), True),
     ],
     "fixed_point": [
         (("N",), False), (("Mg",), False), (("l1", "l2", "l3"), False), (("l1", "l2", "x0", "y0"), True),
@@ -63,6 +64,34 @@ def test_a_kernel_that_leaves_terms_out_gives_the_same_to_roundoff(system, zero,
     whole = np.array(kind.equations.rhs(state, constants))
     part = np.array([np.broadcast_to(x, 20) for x in space["rhs"](state, constants)])
     np.testing.assert_allclose(part, whole, rtol=1e-13, atol=1e-14)
+
+
+@pytest.mark.parametrize("h", [1e-3, 0.7, 40.0])
+@pytest.mark.parametrize("system", SYSTEMS)
+def test_the_units_of_the_kernels_change_no_motion(system, h):
+    """Slopes, integrals, frame and axis in the kernels' units are those of the caller times powers of h."""
+    kind = SYSTEMS[system]
+    equations, points = kind.equations, random_points(kind, 20, np.random.default_rng(3))
+    if "Omega" in points:
+        points["Omega"][:4] = [0.0, 1e-120, 1e-90, -0.8]
+    state, constants = kind.start(points), kind.constants(points)
+    inner, fixed = map(np.array, equations.scaled(state, constants, h))
+    slopes = equations.scaled(np.array(equations.rhs(state, constants)), constants, h)[0]
+    close = {"rtol": 1e-12, "atol": 1e-14 * h * h}
+    np.testing.assert_allclose(equations.rhs(inner, fixed), h * np.array(slopes), **close)
+    np.testing.assert_allclose(equations.unscaled(inner, fixed, h), state, rtol=4e-16, atol=0)
+    for name, power in equations.INTEGRALS.items():
+        one, two = (sum(getattr(equations, name)(*given)) for given in ((state, constants), (inner, fixed)))
+        np.testing.assert_allclose(two, one * h**power, rtol=1e-12, atol=1e-13 * h**power, err_msg=name)
+    motions = [np.array(equations.frame_motion(*given)) for given in ((state, constants), (inner, fixed))]
+    motions[0][:3] *= h
+    np.testing.assert_allclose(motions[1], motions[0], rtol=1e-12, atol=1e-15 * h)
+    for name in equations.ONES:
+        value = fixed[equations.CONSTANTS.index(name)]
+        np.testing.assert_allclose(value[points["Omega"] ** 2 > 1e-150], 1.0, rtol=1e-14)
+    if hasattr(equations, "axis_in_frame"):
+        one, two = (equations.axis_in_frame(*given) for given in ((state, constants), (inner, fixed)))
+        np.testing.assert_allclose(two, one, atol=1e-14)
 
 
 @pytest.mark.parametrize("system", SYSTEMS)

@@ -12,7 +12,8 @@ class Method:
 
     order: global order p. The phase error per step is phase * y^(p+1), the loss of amplitude per
     step damping * y^(damping_order); stability: largest stable y. parts: most samples per step, so
-    that the statistics keep up with the states.
+    that the statistics keep up with the states. span: the step in the kernel's unit of time, chosen so that
+    most coefficients times the step are 1.
     """
 
     name: str
@@ -24,6 +25,7 @@ class Method:
     damping_order: int
     stability: float
     parts: int = 1
+    span: float = 1.0
 
     @property
     def stages(self) -> int:
@@ -39,6 +41,7 @@ RK4 = Method(
     damping=float(Fraction(1, 144)),
     damping_order=6,
     stability=8**0.5,
+    span=2.0,
 )
 # The twelve stages of DOP853, its eighth-order solution without the error estimate: Hairer, Norsett and
 # Wanner, Solving Ordinary Differential Equations I, 2nd ed. (1993), section II.5.
@@ -158,27 +161,24 @@ METHODS = {method.name: method for method in (RK4, RK8)}
 
 
 def step_source(method: Method, states: int) -> str:
-    """Source of one step on the scalars y0, y1, ...: calls rhs(state, constants), step length h."""
+    """Source of one step, of length method.span, on the scalars y0, y1, ...: calls rhs(state, constants)."""
     lines = []
     for stage in range(method.stages):
-        terms = [(j, a) for j, a in enumerate(method.a[stage]) if a != 0.0]
-        if not terms:
-            state = [f"y{i}" for i in range(states)]
-        elif len(terms) == 1:
-            j, a = terms[0]
-            scale = "h" if a == 1.0 else f"h{stage}"
-            if a != 1.0:
-                lines.append(f"{scale} = {a!r} * h")
-            state = [f"y{i} + {scale} * k{j}_{i}" for i in range(states)]
-        else:
-            sums = (" + ".join(f"{a!r} * k{j}_{i}" for j, a in terms) for i in range(states))
-            state = [f"y{i} + h * ({total})" for i, total in enumerate(sums)]
+        moves = (_sum(method.a[stage], method.span, i) for i in range(states))
+        state = [f"y{i} + ({move})" if move else f"y{i}" for i, move in enumerate(moves)]
         names = ", ".join(f"k{stage}_{i}" for i in range(states))
         lines.append(f"{names} = rhs(({', '.join(state)}), constants)")
-    # Factor out the first weight: the inner coefficients of rk4 are then 1, 2, 2, 1.
-    weights = [(j, b / method.b[0]) for j, b in enumerate(method.b) if b != 0.0]
-    lines.append(f"hb = {method.b[0]!r} * h")
+    # Factor out the first weight: the inner coefficients of rk4 are then 1, 2, 2, 1, which needs additions only
+    # and leaves the multipliers, the narrowest part of the processor, to the equations.
+    first = method.b[0]
     for i in range(states):
-        total = " + ".join(f"k{j}_{i}" if b == 1.0 else f"{b!r} * k{j}_{i}" for j, b in weights)
-        lines.append(f"y{i} = y{i} + hb * ({total})")
+        total = _sum(method.b, 1 / first, i, doubled="({k} + {k})")
+        lines.append(f"y{i} = y{i} + {first * method.span!r} * ({total})")
     return "\n".join(lines)
+
+
+def _sum(coefficients: tuple[float, ...], factor: float, i: int, doubled: str = "2.0 * {k}") -> str:
+    """Component i of the slopes k, weighted by coefficients times factor."""
+    forms = {1.0: "{k}", 2.0: doubled}
+    terms = [(f"k{j}_{i}", a * factor) for j, a in enumerate(coefficients) if a != 0.0]
+    return " + ".join(forms.get(a, f"{a!r} * {{k}}").format(k=k) for k, a in terms)

@@ -113,7 +113,7 @@ class System:
     frame: str  # the frame in which psi' and theta' are measured: "orbital" or "space"
     reference: str  # citation of the paper
     doi: str
-    equations: ModuleType  # STATE, CONSTANTS, INTEGRALS and plain scalar functions for the kernels
+    equations: ModuleType  # STATE, CONSTANTS, ONES, INTEGRALS and plain scalar functions for the kernels
     parameters: Mapping[str, Parameter]
     constants: Callable[[Points], Array]  # (constants, points), what the kernels read
     start: Callable[[Points], Array]  # (state, points)

@@ -17,8 +17,10 @@ STATE = ("p", "q", "r", "g1", "g2", "g3")
 CONSTANTS = (
     "A", "B", "C", "A_inv", "B_inv", "C_inv", "l1", "l2", "l3", "Mx", "My", "Mz", "NA", "NB", "NC",
 )  # fmt: skip
-# The functions below that are first integrals.
-INTEGRALS = ("energy", "area", "length_gamma", "lagrange", "clebsch", "kovalevskaya")
+# Constants that are 1 in the kernels' units.
+ONES = ()
+# The functions below that are first integrals, and the power of a rate that each is.
+INTEGRALS = {"energy": 2, "area": 1, "length_gamma": 0, "lagrange": 1, "clebsch": 2, "kovalevskaya": 4}
 
 
 def rhs(state, constants):
@@ -35,6 +37,22 @@ def rhs(state, constants):
         g3 * p - g1 * r,
         g1 * q - g2 * p,
     )
+
+
+def scaled(state, constants, h):
+    """State and constants in units in which the time h is 1."""
+    p, q, r, g1, g2, g3 = state
+    A, B, C, A_inv, B_inv, C_inv, l1, l2, l3, Mx, My, Mz, NA, NB, NC = constants
+    return (p * h, q * h, r * h, g1, g2, g3), (
+        A, B, C, A_inv, B_inv, C_inv, l1 * h, l2 * h, l3 * h,
+        Mx * h * h, My * h * h, Mz * h * h, NA * h * h, NB * h * h, NC * h * h,
+    )  # fmt: skip
+
+
+def unscaled(state, constants, h):
+    """The state that `scaled` made this state from."""
+    p, q, r, g1, g2, g3 = state
+    return p / h, q / h, r / h, g1, g2, g3
 
 
 def frame_motion(state, constants):

@@ -11,35 +11,39 @@ unit vector along the radius, g (gamma) the unit normal of the orbit; beta = gam
 Every function takes the state and the constants as sequences in the order of STATE and CONSTANTS and
 is plain arithmetic: the engine pastes the text into its kernels (scalars), and arrays of one shape
 work as well. So nothing may be imported here, and no name may be used but those of this file.
+
+The equations hold in any unit of time, and for an a of any length 1 / a_inv. The kernels use units in which
+most factors are 1 (`scaled`); everywhere else a is the unit vector.
 """
 
 STATE = ("w1", "w2", "w3", "a1", "a2", "a3", "g1", "g2", "g3")
 # Those of the body and the fields, then what the right-hand side needs of them: D1 = (B - C)/A and so on,
-# G = 3 Omega^2 D, and components of rotor and magnet over a moment of inertia. At most 30: the compiler
-# cannot read a longer tuple.
+# N = 3 Omega^2 for an a of length 1, and components of rotor and magnet over a moment of inertia. At most 30:
+# the compiler cannot read a longer tuple.
 CONSTANTS = (
     "A", "B", "C", "Omega", "k1", "k2", "k3", "mu1", "mu2", "mu3", "h1", "h3",
-    "D1", "D2", "D3", "G1", "G2", "G3", "k2_A", "k3_A", "k3_B", "k1_B", "k1_C", "k2_C",
+    "D1", "D2", "D3", "N", "a_inv", "k2_A", "k3_A", "k3_B", "k1_B", "k1_C", "k2_C",
     "mu3_A", "mu2_A", "mu1_B", "mu3_B", "mu2_C", "mu1_C",
 )  # fmt: skip
-# The functions below that are first integrals.
-INTEGRALS = ("jacobi", "length_alpha", "length_gamma", "length_sum", "axial_momentum")
+# Constants that are 1 in the kernels' units.
+ONES = ("N",)
+# The functions below that are first integrals, and the power of a rate that each is.
+INTEGRALS = {"jacobi": 2, "length_alpha": 0, "length_gamma": 0, "length_sum": 0, "axial_momentum": 1}
 
 
 def rhs(state, constants):
     """Time derivatives of the state."""
     w1, w2, w3, a1, a2, a3, g1, g2, g3 = state
     (
-        A, B, C, Omega, k1, k2, k3, mu1, mu2, mu3, h1, h3,
-        D1, D2, D3, G1, G2, G3, k2_A, k3_A, k3_B, k1_B, k1_C, k2_C,
-        mu3_A, mu2_A, mu1_B, mu3_B, mu2_C, mu1_C,
+        A, B, C, Omega, k1, k2, k3, mu1, mu2, mu3, h1, h3, D1, D2, D3, N, a_inv,
+        k2_A, k3_A, k3_B, k1_B, k1_C, k2_C, mu3_A, mu2_A, mu1_B, mu3_B, mu2_C, mu1_C,
     ) = constants  # fmt: skip
     H1, H2, H3 = h1 * a1 + h3 * g1, h1 * a2 + h3 * g2, h1 * a3 + h3 * g3
     u1, u2, u3 = w1 - Omega * g1, w2 - Omega * g2, w3 - Omega * g3
     return (
-        (D1 * w2 + k2_A) * w3 - k3_A * w2 - G1 * a2 * a3 + H2 * mu3_A - H3 * mu2_A,
-        (D2 * w3 + k3_B) * w1 - k1_B * w3 - G2 * a3 * a1 + H3 * mu1_B - H1 * mu3_B,
-        (D3 * w1 + k1_C) * w2 - k2_C * w1 - G3 * a1 * a2 + H1 * mu2_C - H2 * mu1_C,
+        (D1 * w2 + k2_A) * w3 - k3_A * w2 - N * D1 * a2 * a3 + H2 * mu3_A - H3 * mu2_A,
+        (D2 * w3 + k3_B) * w1 - k1_B * w3 - N * D2 * a3 * a1 + H3 * mu1_B - H1 * mu3_B,
+        (D3 * w1 + k1_C) * w2 - k2_C * w1 - N * D3 * a1 * a2 + H1 * mu2_C - H2 * mu1_C,
         a2 * u3 - a3 * u2,
         a3 * u1 - a1 * u3,
         a1 * u2 - a2 * u1,
@@ -47,6 +51,32 @@ def rhs(state, constants):
         g3 * u1 - g1 * u3,
         g1 * u2 - g2 * u1,
     )
+
+
+def scaled(state, constants, h):
+    """State and constants in units in which the time h is 1, and so is N: a is sqrt(3) Omega h long.
+
+    Without gravity gradient it is so short that it exerts no torque.
+    """
+    w1, w2, w3, a1, a2, a3, g1, g2, g3 = state
+    (
+        A, B, C, Omega, k1, k2, k3, mu1, mu2, mu3, h1, h3, D1, D2, D3, N, a_inv,
+        k2_A, k3_A, k3_B, k1_B, k1_C, k2_C, mu3_A, mu2_A, mu1_B, mu3_B, mu2_C, mu1_C,
+    ) = constants  # fmt: skip
+    a = (N * h * h + 1e-200) ** 0.5
+    return (w1 * h, w2 * h, w3 * h, a * a1, a * a2, a * a3, g1, g2, g3), (
+        A, B, C, Omega * h, k1 * h, k2 * h, k3 * h, mu1 * h * h, mu2 * h * h, mu3 * h * h, h1 / a, h3,
+        D1, D2, D3, N * h * h / (a * a), a_inv / a,
+        k2_A * h, k3_A * h, k3_B * h, k1_B * h, k1_C * h, k2_C * h,
+        mu3_A * h * h, mu2_A * h * h, mu1_B * h * h, mu3_B * h * h, mu2_C * h * h, mu1_C * h * h,
+    )  # fmt: skip
+
+
+def unscaled(state, constants, h):
+    """The state that `scaled` made this state from; constants: those that it made."""
+    w1, w2, w3, a1, a2, a3, g1, g2, g3 = state
+    a_inv = constants[16]
+    return w1 / h, w2 / h, w3 / h, a1 * a_inv, a2 * a_inv, a3 * a_inv, g1, g2, g3
 
 
 def frame_motion(state, constants):
@@ -59,7 +89,8 @@ def frame_motion(state, constants):
 def axis_in_frame(state, constants):
     """Components of the third body axis along the radius and along the velocity."""
     w1, w2, w3, a1, a2, a3, g1, g2, g3 = state
-    return a3, g1 * a2 - g2 * a1
+    a_inv = constants[16]
+    return a3 * a_inv, (g1 * a2 - g2 * a1) * a_inv
 
 
 # First integrals, each as the tuple of its terms: the drift of the sum is held against their size.
@@ -68,18 +99,19 @@ def axis_in_frame(state, constants):
 def jacobi(state, constants):
     """Jacobi integral L2 - L0 + V of (2) and (3), written in absolute rates."""
     w1, w2, w3, a1, a2, a3, g1, g2, g3 = state
-    A, B, C, Omega, k1, k2, k3, mu1, mu2, mu3, h1, h3 = constants[:12]
+    A, B, C, Omega, k1, k2, k3, mu1, mu2, mu3, h1, h3, D1, D2, D3, N = constants[:16]
     return (
         0.5 * (A * w1 * w1 + B * w2 * w2 + C * w3 * w3),
         -Omega * (g1 * (A * w1 + k1) + g2 * (B * w2 + k2) + g3 * (C * w3 + k3)),
-        1.5 * Omega * Omega * (A * a1 * a1 + B * a2 * a2 + C * a3 * a3),
+        0.5 * N * (A * a1 * a1 + B * a2 * a2 + C * a3 * a3),
         h1 * (mu1 * a1 + mu2 * a2 + mu3 * a3) + h3 * (mu1 * g1 + mu2 * g2 + mu3 * g3),
     )
 
 
 def length_alpha(state, constants):
     """|alpha|^2 = 1."""
-    a1, a2, a3 = state[3:6]
+    a_inv = constants[16]
+    a1, a2, a3 = state[3] * a_inv, state[4] * a_inv, state[5] * a_inv
     return a1 * a1, a2 * a2, a3 * a3
 
 
@@ -91,8 +123,9 @@ def length_gamma(state, constants):
 
 def length_sum(state, constants):
     """|alpha + gamma|^2 = 2, that is alpha . gamma = 0 with terms that cannot all vanish."""
-    w1, w2, w3, a1, a2, a3, g1, g2, g3 = state
-    return (a1 + g1) * (a1 + g1), (a2 + g2) * (a2 + g2), (a3 + g3) * (a3 + g3)
+    a_inv = constants[16]
+    x, y, z = state[3] * a_inv + state[6], state[4] * a_inv + state[7], state[5] * a_inv + state[8]
+    return x * x, y * y, z * z
 
 
 def axial_momentum(state, constants):

@@ -46,7 +46,7 @@ def constants(points: Points) -> Array:
     body = [A, B, C, Omega, k1, k2, k3, mu1, mu2, mu3, p["h1"], p["h3"]]
     rotor = [k2 / A, k3 / A, k3 / B, k1 / B, k1 / C, k2 / C]
     magnet = [mu3 / A, mu2 / A, mu1 / B, mu3 / B, mu2 / C, mu1 / C]
-    return np.array([*body, *D, *(3 * Omega**2 * D), *rotor, *magnet])
+    return np.array([*body, *D, 3 * Omega**2, np.ones_like(A), *rotor, *magnet])
 
 
 def directions(points: Points) -> tuple[Array, Array]:
@@ -144,15 +144,17 @@ def frequency_bound(points: Points) -> Array:
 
 
 def special(zero: Set[str], symmetric: bool) -> tuple[set[str], set[tuple[str, str]]]:
-    """Kernels of their own: without magnet, without rotor, and for axial ones on a symmetric body."""
+    """Kernels of their own: without magnet, rotor or orbit, and for axial ones on a symmetric body."""
     gone: set[str] = set()
     if zero >= {"mu1", "mu2", "mu3"} or zero >= {"h1", "h3"}:
         gone |= {"mu1", "mu2", "mu3", "h1", "h3"}
     if zero >= {"k1", "k2", "k3"}:
         gone |= {"k1", "k2", "k3"}
+    if "Omega" in zero:
+        gone |= {"Omega", "N"}
     same: set[tuple[str, str]] = set()
     if symmetric and zero | gone >= {"k1", "k2", "mu1", "mu2"}:
-        gone |= {"k1", "k2", "mu1", "mu2", "D3", "G3"}
+        gone |= {"k1", "k2", "mu1", "mu2", "D3"}
         same = {("B", "A"), ("k3_B", "k3_A"), ("mu3_B", "mu3_A")}
     # k2_A and its like vanish with k2
     return gone | {name for name in CONSTANTS if name.split("_")[0] in gone}, same

@@ -66,6 +66,24 @@ def test_a_kernel_that_leaves_terms_out_gives_the_same_to_roundoff(system, zero,
     np.testing.assert_allclose(part, whole, rtol=1e-13, atol=1e-14)
 
 
+@pytest.mark.parametrize(
+    ("text", "folded"),
+    [
+        ("N * x * y - x * z", "x * (y - z)"), ("x * y * z - x * N", "x * y * z - x"), ("x * N - N", "x - 1.0"),
+        ("z * x - y * x", "z * x - y * x"), ("o * N + x * y - x * z", "x * (y - z)"), ("x - o * N", "x"),
+        ("(x + z) * y - (x + z) * x", "(x + z) * y - (x + z) * x"), ("x / N * y - x / N * z", "x / 1.0 * y - x / 1.0 * z"),
+    ],
+)  # fmt: skip
+def test_folding(text, folded):
+    names = "def f(x, y, z, o, N):\n    return "
+    found = specialise(names + text, {"o"}, {}, {"N", "o"})
+    assert found == names + folded
+    spaces: list[dict] = [{}, {}]
+    for space, code in zip(spaces, (names + text, found), strict=True):
+        exec(code, space)
+    assert spaces[1]["f"](3.0, 5.0, 7.0, 0.0, 1.0) == spaces[0]["f"](3.0, 5.0, 7.0, 0.0, 1.0)
+
+
 @pytest.mark.parametrize("h", [1e-3, 0.7, 40.0])
 @pytest.mark.parametrize("system", SYSTEMS)
 def test_the_units_of_the_kernels_change_no_motion(system, h):

@@ -347,11 +347,36 @@ def test_the_ladder_holds_the_scenes_own_setting(value, step):
     assert all(math.log(a / b) > 0 for a, b in pairwise(rungs))
 
 
+@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("system", SYSTEMS)
+def test_no_passage_of_the_vertical_spoils_a_statistic(system, method):
+    """Spikes of psi' a hundred times as high as it is elsewhere, and narrower than the distance of two samples.
+
+    Without the correction of the sums the largest errors are 0.2 (satellite, rk4) to 6 (fixed_point).
+    """
+    kind, rng = SYSTEMS[system], np.random.default_rng(4)
+    given = {
+        "satellite": {"mu1": 0.2, "h3": 0.4, "k3": 0.3},
+        "fixed_point": {"Mg": 1.0, "z0": 0.6, "l3": 0.3},
+    }
+    p = points(system, 24, A=1.0, B=1.2, C=0.8, theta0=0.7, theta_dot0=-1.0, **given[system])
+    p |= {"m": rng.uniform(-1.0, 1.0, 24), "n": rng.uniform(-0.02, 0.02, 24), "phi0": rng.uniform(0, 6, 24)}
+    duration, options = np.full(24, 8.0), Settings(tolerance=1e-9, cylinder_tolerance=1e-7, method=method)
+    truth = accuracy.reference(kind, p, duration, options)
+    found = evaluate(kind, p, p, duration, options)
+    assert truth.statistics["theta_min"].min() < 0.01
+    assert truth.statistics["psi_dot_std"].max() > 5.0
+    for name in accuracy.RATES:
+        error = np.abs(found[name] - truth.statistics[name])
+        assert error.max() < 1e-4, name
+        assert np.median(error) < 2e-6, name
+
+
 def test_error_estimate_holds_the_drift_and_what_half_the_step_changed():
     kind, rng = SYSTEMS["satellite"], np.random.default_rng(8)
     p = points("satellite", 24, A=1.0, B=1.2, C=0.8, k3=0.5, mu1=0.2, h3=0.4)
     p |= {"m": rng.uniform(-1, 1, 24), "psi0": rng.uniform(0, 6, 24)}
-    # half of them fall across the vertical, where psi' has spikes that such long steps do not resolve
+    # half of them fall across the vertical, where psi' has spikes
     p["theta0"] = np.r_[rng.uniform(0.8, 2.2, 12), np.full(12, 0.5)]
     p["theta_dot0"] = np.r_[np.zeros(12), np.full(12, -1.0)]
 
@@ -362,8 +387,8 @@ def test_error_estimate_holds_the_drift_and_what_half_the_step_changed():
     rough, once, fine = run(1e-5, "none"), run(1e-5, "all"), run(1e-10, "none")
     assert (rough["error_estimate"] >= rough["integral_drift"]).all()
     assert (once["error_estimate"] >= rough["error_estimate"]).all()
-    assert (once["error_estimate"] > 1e-2).any()
+    assert (once["error_estimate"] > 1.5 * rough["error_estimate"]).any()
     bound = kind.frequency_bound(p)
     true = np.max([np.abs(once[name] - fine[name]) / bound for name in accuracy.RATES], axis=0)
-    assert (true > 10 * rough["error_estimate"]).any()
+    assert (true > 2 * rough["error_estimate"]).any()
     assert (true <= 1.1 * once["error_estimate"]).mean() > 0.9

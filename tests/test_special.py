@@ -102,6 +102,9 @@ def test_the_units_of_the_kernels_change_no_motion(system, h):
         one, two = (sum(getattr(equations, name)(*given)) for given in ((state, constants), (inner, fixed)))
         np.testing.assert_allclose(two, one * h**power, rtol=1e-12, atol=1e-13 * h**power, err_msg=name)
     motions = [np.array(equations.frame_motion(*given)) for given in ((state, constants), (inner, fixed))]
+    turned = np.array(equations.frame_motion(2 * state[:, ::-1] - state, constants[:, :1]))
+    apart = [np.array(equations.frame_motion(part, constants[:, :1])) for part in (state[:, ::-1], state)]
+    np.testing.assert_allclose(turned, 2 * apart[0] - apart[1], atol=1e-14)
     motions[0][:3] *= h
     np.testing.assert_allclose(motions[1], motions[0], rtol=1e-12, atol=1e-15 * h)
     for name in equations.ONES:

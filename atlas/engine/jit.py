@@ -33,6 +33,7 @@ import numpy as np
 from numba import njit
 '''
 INLINE = f"@njit(forceinline=True, fastmath={OPTIONS['fastmath']!r}, error_model='numpy', boundscheck=False)"
+FUNCTION = INLINE.replace("forceinline=True, ", "")
 KERNEL = (
     "@njit(nogil=True, cache=CACHE, "
     f"fastmath={OPTIONS['fastmath']!r}, error_model='numpy', boundscheck=False)"

@@ -2,7 +2,8 @@
 
 `sample` is pasted into the kernels. Sums run over equidistant samples with Gregory's weights, which
 turn the trapezoidal rule into one of eighth order; they are all positive, so that a mean square can
-only grow as a run goes on. Methods of long steps are sampled between their steps as well, on the
+only grow as a run goes on. Where the third axis passes near the vertical psi' may be a spike between two
+samples; `passage` says what the samples then miss or add, from the pole of psi' in complex time. Methods of long steps are sampled between their steps as well, on the
 polynomial of seventh degree through states and slopes at four steps (`between`). `finish` turns the
 sums into means and spreads.
 """
@@ -19,7 +20,7 @@ WEIGHTS = np.array([[0.5, *np.ones(len(GREGORY))], [*GREGORY, 1.0]])
 LEAST_INTERVALS = 2 * len(GREGORY) - 1
 
 # Rows of the kernel's output: sums (weighted; those of the axis are not), extremes, what the sums are
-# taken from, and the last sample.
+# taken from, the last sample, the first angle and how often the vertical was passed.
 SUMS = (
     "theta_dot", "theta_dot_squared", "outside", "psi_dot", "psi_dot_squared", "phi_dot", "phi_dot_squared",
     "normal_rate", "normal_rate_squared",
@@ -30,7 +31,8 @@ EXTREMES = (
 )  # fmt: skip
 REFERENCES = ("psi_dot_reference", "phi_dot_reference", "normal_rate_reference")
 LAST = ("height", "sine_squared", "turn")
-OUTPUTS = SUMS + AXIS + EXTREMES + REFERENCES + LAST
+PASSAGES = ("first_theta", "passages")
+OUTPUTS = SUMS + AXIS + EXTREMES + REFERENCES + LAST + PASSAGES
 
 
 def sample(motion, cylinder_squared):
@@ -83,6 +85,86 @@ def between(most: int) -> np.ndarray:
         found[..., k] = (1.0 - 2.0 * np.sum(1.0 / (k - others)) * (x - k)) * square
         found[..., 4 + k] = (x - k) * square
     return found
+
+
+def closing(before, after, slope_before, slope_after, span, parts):
+    """Does the third axis pass the vertical from one node to the next, so near that psi' may be a spike? 1.0 or 0.0.
+
+    The arguments are frame_motion and its derivatives at the two nodes, `span` units of time apart; there are
+    `parts` samples to the interval. sin^2 theta is followed as a parabola, with the complex zeros that psi' has
+    for poles; beyond a distance of four samples from the real axis these do no harm (exp(-8 pi)).
+    """
+    g1, g2, v1, v2 = before[3], before[4], slope_before[3], slope_before[4]
+    fall = span * (g1 * v1 + g2 * v2)
+    rise = span * (after[3] * slope_after[3] + after[4] * slope_after[4])
+    bend = rise - fall
+    least = (g1 * g1 + g2 * g2) * bend - fall * fall
+    near = 1.0 if least * parts * parts < 16.0 * bend * bend else 0.0
+    return near if fall < 0.0 and rise >= 0.0 else 0.0
+
+
+def passage(forms, parts, psi_reference, phi_reference, cylinder_squared):
+    """What equidistant samples of theta'^2, psi', psi'^2, phi', phi'^2 sum up to more than their integrals do, on
+    a passage of the vertical between the second and the third of four nodes; 0 where there is none.
+
+    forms: complex128, (3, 8), overwritten: zeta = g1 + i g2, upsilon = u1 + i u2 and g3 + i u3 at the nodes 0 to 3,
+    each followed by its derivative. The unit of time is the distance between nodes, `parts` that of samples. psi' = Re(upsilon / zeta) has
+    a pole at the complex zero z of zeta, with residue R, beside which it is regular with the value a; phi' = u3 -
+    g3 psi' likewise, and theta'^2 has a residue that is small with the distance from the vertical. By Poisson's sum formula samples at the distance 1 / parts exceed the integral, whatever
+    R, by 2 Re(2 pi i R q / (1 - q)) for a simple pole, with q = exp(2 pi i z parts), and its derivative for a double one.
+    """
+    for form in forms:  # into Newton's form of the polynomial of seventh degree, by divided differences
+        for k in range(6, 0, -2):
+            form[k] -= form[k - 2]
+        for level in range(2, 8):
+            for k in range(7, level - 1, -1):
+                form[k] = (form[k] - form[k - 1]) * (1.0 / (k // 2 - (k - level) // 2))
+    z = 1.5 + 0.0j
+    slope = 0j
+    for _ in range(20):
+        value, slope, _ = _newton_form(forms[0], z)
+        move = value / slope
+        z -= move
+        if not abs(move) > 1e-9:  # the next one would be its square
+            break
+    least = z.imag * z.imag * (slope.real * slope.real + slope.imag * slope.imag)
+    if not (abs(z.imag) * parts < 5.0 and abs(z.real - 1.5) < 1.5 and least > cylinder_squared):
+        return 0.0, 0.0, 0.0, 0.0, 0.0
+    _, slope, bend = _newton_form(forms[0], z)
+    turn, turning, _ = _newton_form(forms[1], z)
+    other_value, _, _ = _newton_form(forms[0], np.conj(z))
+    other_turn, _, _ = _newton_form(forms[1], np.conj(z))
+    one, one_slope, _ = _newton_form(forms[2], z)
+    two, two_slope, _ = _newton_form(forms[2], np.conj(z))
+    g3, u3 = 0.5 * (one + np.conj(two)), -0.5j * (one - np.conj(two))
+    g3_slope = 0.5 * (one_slope + np.conj(two_slope))
+    R = 0.5 * turn / slope
+    a = 0.5 * (np.conj(other_turn / other_value) + turning / slope - turn * bend / (slope * slope))
+    R_phi, a_phi = -g3 * R, u3 - g3 * a - g3_slope * R
+    R_theta = -0.25 * turn * turn * np.conj(other_value) / slope
+    if z.imag < 0.0:  # the same pole's mirror image
+        z, R, a, R_phi, a_phi = np.conj(z), np.conj(R), np.conj(a), np.conj(R_phi), np.conj(a_phi)
+        R_theta = np.conj(R_theta)
+    circle = 2j * np.pi
+    q = np.exp(circle * parts * z)
+    once = 2.0 * circle * parts * q / (1.0 - q)
+    twice = 2.0 * circle * circle * parts * parts * q / ((1.0 - q) * (1.0 - q))
+    a, a_phi = a - psi_reference, a_phi - phi_reference
+    return (
+        (once * R_theta).real, (once * R).real, (twice * R * R + 2.0 * once * R * a).real,
+        (once * R_phi).real, (twice * R_phi * R_phi + 2.0 * once * R_phi * a_phi).real,
+    )  # fmt: skip
+
+
+def _newton_form(form, z):
+    """Value, first derivative and half the second of a polynomial at z, from Newton's form on 0, 0, 1, 1, ... 3."""
+    value, slope, bend = form[7], 0j, 0j
+    for k in range(6, -1, -1):
+        x = z - k // 2
+        bend = bend * x + slope
+        slope = slope * x + value
+        value = value * x + form[k]
+    return value, slope, bend
 
 
 def weight(k, intervals, ends):

@@ -35,7 +35,8 @@ def source(
         name: specialise(body, zero, same, () if name == "scaled" else equations.ONES)
         for name, body in jit.functions(equations).items()
     }
-    text |= {name: jit.functions(measure)[name] for name in ("sample", "turning", "weight")}
+    text |= {name: jit.functions(measure)[name] for name in ("sample", "turning", "weight", "closing")}
+    rare = (jit.functions(measure)[name] for name in ("_newton_form", "passage"))
     states, constants = range(len(equations.STATE)), range(len(equations.CONSTANTS))
     row = {name: i for i, name in enumerate(measure.OUTPUTS)}
     moving = measure.SUMS + measure.EXTREMES[:-1] + measure.LAST
@@ -44,7 +45,9 @@ def source(
     seen = _seen(equations)
     axis = "axis_in_frame" in text
     blocks = {
-        "FUNCTIONS": "\n\n\n".join(f"{jit.INLINE}\n{body}" for body in text.values()),
+        "FUNCTIONS": "\n\n\n".join(
+            [*(f"{jit.INLINE}\n{body}" for body in text.values()), *(f"{jit.FUNCTION}\n{body}" for body in rare)]
+        ),
         "KERNEL": jit.KERNEL,
         "LOAD": _lines(f"y{i} = Y[{i}, l]" for i in states),
         "STEP": step_source(METHODS[method], len(states)),
@@ -60,8 +63,7 @@ def source(
         "SCALES": _lines(
             f"D[{i}, l] = scales[{i}, p]{' * R[l]' * power}" for i, power in enumerate(equations.INTEGRALS.values())
         ),
-        "PUSH": _lines(f"P[slot, {i}, l] = y{i}" for i in seen) if parts > 1 else "",
-        "PUSH_SLOPE": _lines(f"F[slot, {i}, l] = k0_{i}" for i in seen) if parts > 1 else "",
+        "PUSH": _lines(f"P[slot, {i}, l], F[slot, {i}, l] = y{i}, k{i}" for i in seen),
         "INTEGRALS": _lines(
             f"{total}\nchange = abs(total - E[{i}, l]) * D[{i}, l]\ndrift = change if change > drift else drift"
             for i, total in enumerate(totals)
@@ -72,7 +74,13 @@ def source(
         "ROWS_OUT_LIVE": _lines(f"S[{row[name]}, l] = {name} if live else S[{row[name]}, l]" for name in moving),
         "FACTORS": _lines(f"b{k} = between[parts - 1, case, part - 1, {k}]" for k in range(8)),
         "BETWEEN": _tuple("state", (_between(i, METHODS[method].span) if i in seen else "0.0" for i in states)),
-        "LAST_SLOPE": f"{', '.join(f'k0_{i}' for i in states)} = rhs(({', '.join(f'y{i}' for i in states)}), constants)",
+        "SLOPE": f"{', '.join(f'k{i}' for i in states)} = rhs(({', '.join(f'y{i}' for i in states)}), constants)",
+        "BEFORE": _motion("before", "P", "n1", states, seen),
+        "AFTER": _motion("after", "P", "n2", states, seen),
+        "SLOPE_BEFORE": _motion("slope_before", "F", "n1", states, seen),
+        "SLOPE_AFTER": _motion("slope_after", "F", "n2", states, seen),
+        "NODE_MOTION": _motion("u1, u2, u3, g1, g2, g3", "P", "n", states, seen),
+        "NODE_SLOPE": _motion("u1, u2, u3, g1, g2, g3", "F", "n", states, seen),
     }  # fmt: skip
     numbers = row | {
         "WIDTH": WIDTH, "STATES": len(states), "CONSTS": len(constants), "INTS": len(equations.INTEGRALS),
@@ -84,10 +92,11 @@ def source(
         "DRIFT": DRIFT, "AXIS": AXIS if axis else "pass", "FIRST_AXIS": FIRST_AXIS if axis else "pass",
         "BETWEEN_STEPS": BETWEEN_STEPS if parts > 1 else "",
         "BETWEEN_STEPS_OF_LANES": BETWEEN_STEPS_OF_LANES if parts > 1 else "",
-        "LAST_NODE": LAST_NODE if parts > 1 else "",
+        "NODE": NODE, "PASSAGE": PASSAGE, "LAST_THETA": LAST_THETA,
     }.items():  # fmt: skip
         blocks[name] = fill(part, blocks, numbers)
-    blocks["TAKE"] = fill(TAKE, blocks, numbers)
+    for name, part in {"TAKE": TAKE, "PASSAGES": PASSAGES, "PASSAGES_OF_LANES": PASSAGES_OF_LANES}.items():
+        blocks[name] = fill(part, blocks, numbers)
     return f"{jit.HEADER}\nPARTS = {parts}\n{fill(KERNEL + LABEL_KERNEL, blocks, numbers)}"
 
 
@@ -121,6 +130,12 @@ def _between(i: int, span: float) -> str:
     return f"{states} + {span} * ({slopes})"
 
 
+def _motion(name: str, ring: str, node: str, states: range, seen: list[int]) -> str:
+    """frame_motion at a node of a ring."""
+    state = (f"{ring}[{node}, {i}, l]" if i in seen else "0.0" for i in states)
+    return f"{name} = frame_motion(({', '.join(state)},), constants)"
+
+
 def fill(template: str, blocks: dict[str, str], numbers: dict[str, float]) -> str:
     """The template with $NAME alone on a line replaced by a block at its indent, elsewhere by a number."""
     lines = []
@@ -151,6 +166,7 @@ for j in range($ROWS):
 $SAMPLE
 weighs = weight(0, samples, ends)
 S[$theta_dot, l] = weighs * theta_rate
+S[$first_theta, l] = np.arctan2(np.sqrt(s2), g3)
 S[$theta_dot_squared, l] = weighs * theta_rate * theta_rate
 S[$outside, l] = weighs * seen
 S[$psi_dot_reference, l], S[$phi_dot_reference, l], S[$normal_rate_reference, l] = psi_rate, phi_rate, rate
@@ -205,9 +221,16 @@ drift = S[$drift, l]
 $INTEGRALS
 S[$drift, l] = drift
 """
-# Samples between the steps, in the order of time. Node i of the motion lies in slot i % 4 of P (states) and
-# F (slopes); with nodes i - 3 to i there, the interval from i - 2 to i - 1 can be sampled, and beside it the
-# first and the last interval of the run, where there is no node on the far side.
+# Node i of the motion, before its steps to the next, lies in slot i % 4 of P (states) and F (slopes).
+NODE = """
+for l in range($WIDTH):
+    $CONSTANTS
+    $LOAD
+    $SLOPE
+    $PUSH
+"""
+# Samples between the steps, in the order of time. With nodes i - 3 to i there, the interval from i - 2 to i - 1
+# can be sampled, and beside it the first and the last interval of the run, where there is no node on the far side.
 BETWEEN_STEPS = """
 n0, n1, n2, n3 = (slot + 1) & 3, (slot + 2) & 3, (slot + 3) & 3, slot
 for case in range(3):
@@ -222,16 +245,6 @@ for case in range(3):
                 $ROWS_IN
                 $RATES
                 $ROWS_OUT
-"""
-# The end of the run is a node as well, from which no step is made.
-LAST_NODE = """
-if parts > 1 and i == looks:
-    for l in range($WIDTH):
-        $CONSTANTS
-        $LOAD
-        $LAST_SLOPE
-        $PUSH
-        $PUSH_SLOPE
 """
 # The same where every lane is at another node: `at` has gone on by one since node i was laid down.
 BETWEEN_STEPS_OF_LANES = """
@@ -260,6 +273,64 @@ for case in range(3):
                 $ROWS_OUT_LIVE
 """
 
+# Spikes of psi' between nodes i - 2 and i - 1, where all samples have the weight 1.
+PASSAGES = """
+n1, n2 = (slot + 2) & 3, (slot + 3) & 3
+if i >= 3 and parts * (i - 2) >= inside and parts * (looks - i + 1) >= inside:
+    for l in range($WIDTH):
+        $CONSTANTS
+        $BEFORE
+        $AFTER
+        $SLOPE_BEFORE
+        $SLOPE_AFTER
+        near[l] = closing(before, after, slope_before, slope_after, span, parts)
+    for l in range($WIDTH):
+        if near[l] > 0.0:
+            $PASSAGE
+"""
+PASSAGES_OF_LANES = """
+n1, n2 = (slot + 2) & 3, (slot + 3) & 3
+for l in range($WIDTH):
+    $CONSTANTS
+    $BEFORE
+    $AFTER
+    $SLOPE_BEFORE
+    $SLOPE_AFTER
+    near[l] = closing(before, after, slope_before, slope_after, span, parts)
+for l in range($WIDTH):
+    i, looks_here = at[l] - 1, looks_of[l]
+    if near[l] > 0.0 and i >= 3 and parts * (i - 2) >= inside and parts * (looks_here - i + 1) >= inside:
+        $PASSAGE
+"""
+PASSAGE = """
+$CONSTANTS
+for k in range(4):
+    n = (slot + 1 + k) & 3
+    $NODE_MOTION
+    forms[0, 2 * k], forms[1, 2 * k] = complex(g1, g2), complex(u1 * span, u2 * span)
+    forms[2, 2 * k] = complex(g3, u3 * span)
+    $NODE_SLOPE
+    u1, u2, u3 = u1 * span, u2 * span, u3 * span
+    forms[0, 2 * k + 1], forms[1, 2 * k + 1] = complex(g1 * span, g2 * span), complex(u1 * span, u2 * span)
+    forms[2, 2 * k + 1] = complex(g3 * span, u3 * span)
+d = H[l] * stride
+psi_0, phi_0 = S[$psi_dot_reference, l] * d, S[$phi_dot_reference, l] * d
+theta_square, psi_rate, psi_square, phi_rate, phi_square = passage(forms, parts, psi_0, phi_0, cylinder)
+S[$passages, l] += 1.0
+S[$theta_dot_squared, l] -= theta_square / (d * d)
+S[$psi_dot, l] -= psi_rate / d
+S[$psi_dot_squared, l] -= psi_square / (d * d)
+S[$phi_dot, l] -= phi_rate / d
+S[$phi_dot_squared, l] -= phi_square / (d * d)
+"""
+
+# Where the axis passed the vertical, theta' leapt from one sample to the next: its sum is taken from theta itself.
+LAST_THETA = """
+if S[$passages, l] > 0.0:
+    theta = np.arctan2(np.sqrt(S[$sine_squared, l]), S[$height, l])
+    S[$theta_dot, l] = (theta - S[$first_theta, l]) * parts / (H[l] * stride)
+"""
+
 KERNEL = """
 
 $FUNCTIONS
@@ -278,25 +349,25 @@ def integrate(
     S = np.empty(($ROWS, $WIDTH))
     P = np.empty((4, $STATES, $WIDTH))
     F = np.empty((4, $STATES, $WIDTH))
-    looked = 1.0
+    near = np.empty($WIDTH)
+    forms = np.empty((3, 8), np.complex128)
+    looked, inside = 1.0, ends.shape[1] - 1
     for block in range(first, last):
         stride, parts = strides[block], pieces[block]
         looks = steps[block] // stride
-        samples, share = looks * parts, 1.0 / parts
+        samples, share, span = looks * parts, 1.0 / parts, $SPAN * stride
         for l in range($WIDTH):
             p = points[block, l]
             $TAKE
         for i in range(looks + (1 if parts > 1 else 0)):
             slot = i & 3
+            $NODE
             for s in range(stride if i < looks else 0):
                 for l in range($WIDTH):
                     $CONSTANTS
                     $LOAD
-                    $PUSH
                     $STEP
                     $STORE
-                    $PUSH_SLOPE
-            $LAST_NODE
             if parts == 1:
                 weighs = weight(i + 1, samples, ends)
                 for l in range($WIDTH):
@@ -307,6 +378,7 @@ def integrate(
                     $RATES
                     $ROWS_OUT
             $BETWEEN_STEPS
+            $PASSAGES
             if i < looks:
                 for l in range($WIDTH):
                     $AXIS
@@ -319,13 +391,16 @@ def integrate(
             $CONSTANTS
             $STATE
             $STATE_OUT
+            $LAST_THETA
             for j in range($ROWS):
                 out[j, p] = S[j, l]
 """
 
 # For scenes that ask for labels only: a lane is freed as soon as its point is certain to drift and takes
-# the next one. All weights are positive, so sums of squares (about the mean, too) only grow: once they
-# pass the tolerance of the whole run outside the cylinder, no later motion can bring the label back.
+# the next one. All weights are positive, so the sum of theta'^2 only grows: once it passes the tolerance of the
+# whole run outside the cylinder, no later motion can bring the label back. A passage of the vertical takes away
+# at most one sample beside it, and is over two samples later. (The sums of psi' and phi' do not tell as early:
+# what their spikes add too much is taken away when the passage is over.)
 # Where there are samples between the steps a point makes one more step, which is not kept, for the slope at its end.
 LABEL_KERNEL = """
 
@@ -348,6 +423,9 @@ def integrate_labels(
     limit = np.zeros($WIDTH)
     over = np.zeros($WIDTH)
     moves = np.zeros($WIDTH)
+    near = np.zeros($WIDTH)
+    forms = np.empty((3, 8), np.complex128)
+    span, inside = $SPAN * stride, ends.shape[1] - 1
     at = np.zeros($WIDTH, np.int64)
     never = 1 << 60
     looks_of = np.full($WIDTH, never)
@@ -377,15 +455,14 @@ def integrate_labels(
             if active == 0:
                 break
         slot = (slot + 1) & 3
+        $NODE
         for s in range(stride):
             for l in range($WIDTH):
                 live = moves[l] > 0.0
                 $CONSTANTS
                 $LOAD
-                $PUSH
                 $STEP
                 $STORE_LIVE
-                $PUSH_SLOPE
         for l in range($WIDTH):
             at[l] += 1
         if parts == 1:
@@ -400,6 +477,7 @@ def integrate_labels(
                 $RATES
                 $ROWS_OUT
         $BETWEEN_STEPS_OF_LANES
+        $PASSAGES_OF_LANES
         for l in range($WIDTH):
             looked = 1.0 if at[l] <= looks_of[l] else 0.0
             $AXIS
@@ -407,14 +485,7 @@ def integrate_labels(
             $DRIFT
         any_over = 0.0
         for l in range($WIDTH):
-            seen = S[$outside, l]
-            seen = seen if seen > 0.0 else 1.0
-            psi = S[$psi_dot_squared, l] * (1.0 - 1e-12) - S[$psi_dot, l] * S[$psi_dot, l] / seen
-            phi = S[$phi_dot_squared, l] * (1.0 - 1e-12) - S[$phi_dot, l] * S[$phi_dot, l] / seen
-            most = S[$theta_dot_squared, l]
-            most = psi if psi > most else most
-            most = phi if phi > most else most
-            certain = 1.0 if most > limit[l] else 0.0
+            certain = 1.0 if S[$theta_dot_squared, l] > limit[l] else 0.0
             certain = certain if S[$sine_squared_max, l] > least_wide else 0.0
             ended = 1.0 if at[l] - late >= looks_of[l] else certain
             over[l] = ended
@@ -427,6 +498,7 @@ def integrate_labels(
                     $CONSTANTS
                     $STATE
                     $STATE_OUT
+                    $LAST_THETA
                     for j in range($STATES):
                         Y[j, l] = 0.0
                     for j in range($ROWS):

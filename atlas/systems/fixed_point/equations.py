@@ -56,7 +56,7 @@ def unscaled(state, constants, h):
 
 
 def frame_motion(state, constants):
-    """Angular velocity relative to space and the frame's vertical, w and g."""
+    """Angular velocity relative to space and the frame's vertical, w and g; linear in the state."""
     p, q, r, g1, g2, g3 = state
     return p, q, r, g1, g2, g3
 

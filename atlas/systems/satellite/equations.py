@@ -80,7 +80,7 @@ def unscaled(state, constants, h):
 
 
 def frame_motion(state, constants):
-    """Angular velocity relative to the orbital frame, w - Omega g, and that frame's vertical, g."""
+    """Angular velocity relative to the orbital frame, w - Omega g, and that frame's vertical, g; linear in the state."""
     w1, w2, w3, a1, a2, a3, g1, g2, g3 = state
     Omega = constants[3]
     return w1 - Omega * g1, w2 - Omega * g2, w3 - Omega * g3, g1, g2, g3

@@ -377,7 +377,7 @@ def accuracy(scene: Scene, count: int = 64) -> xr.Dataset:
     seconds = np.full(shape[:2], np.nan)
     bound, own, known = system.frequency_bound(part.points), own_rung(settings), _median(truth.state_error)
     for i, method in enumerate(methods):
-        runner, paces, least = _Runner(scene, part.points, method), dict[tuple[int, int], float](), math.inf
+        runner, least = _Runner(scene, part.points, method), math.inf
         for j, rung in enumerate(rungs):
             chosen = replace(settings, method=method)
             chosen = replace(chosen, step=rung) if kind == "step" else replace(chosen, tolerance=rung)
@@ -405,8 +405,8 @@ def accuracy(scene: Scene, count: int = 64) -> xr.Dataset:
             )
             counts[i, j], called[i, j] = plan.count, found["label"]
             looks = list(zip(plan.stride.tolist(), plan.parts.tolist(), strict=True))
-            for look in set(looks) - set(paces):
-                paces[look] = _pace(scene, part.points, plan, method, *look)
+            # At every rung: passages of the vertical cost the more, the longer the steps.
+            paces = {look: _pace(scene, part.points, plan, method, *look) for look in set(looks)}
             pace = np.array([paces[look] for look in looks])
             seconds[i, j] = (pace * plan.count).mean()
             reached = _median(columns["error_state"][i, j])

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from scipy.integrate import solve_ivp
+from scipy.integrate import quad, solve_ivp
 from scipy.special import ellipj, ellipk
 
 import atlas
@@ -172,6 +172,36 @@ def test_between_the_steps_a_polynomial_of_seventh_degree_is_exact(coefficients,
         for part in range(1, parts + 1):
             found = measure.between(4)[parts - 1, case, part - 1] @ values
             assert found == pytest.approx(polynomial(case + part / parts), abs=1e-12 * np.abs(values).max())
+
+
+@pytest.mark.parametrize("samples", [9, 30, 400])
+@pytest.mark.parametrize("place", [-1.3, 0.4, 6.7, 23.9, 24.1])
+@pytest.mark.parametrize("height", [0.01, 0.3, 4.0])
+def test_what_samples_make_of_a_pole(samples, place, height):
+    """Beside the sums over all samples and integrals by quadrature; the same from both ends."""
+    weights = np.array([measure.weight(k, samples, measure.WEIGHTS) for k in range(samples + 1)])
+    k = np.arange(samples + 1.0)
+    for z in (complex(place, height), complex(samples - place, height)):
+        found = measure.lattice(z, samples, measure.WEIGHTS)
+        for power, value in zip((1, 2), found, strict=True):
+            inner = [x for x in (z.real - 5 * height, z.real, z.real + 5 * height) if 0 < x < samples]
+            integral, _ = quad(
+                lambda t, z=z, power=power: (t - z) ** -power, 0, samples, points=inner or None,
+                complex_func=True, limit=500, epsabs=1e-11, epsrel=1e-12,
+            )  # fmt: skip
+            true = (weights * (k - z) ** -power).sum() - integral
+            assert abs(value - true) < 1e-8 * (1 + abs(true))
+
+
+def test_a_passage_without_a_pole_is_none():
+    """A third axis at rest on the vertical, or beside it, has no zero to find: nothing is divided by 0."""
+    texts = jit.functions(measure)
+    names = ("weight", "_inverse", "_newton_form", "lattice", "passage")
+    space: dict = {}
+    exec(jit.HEADER + "\n".join(f"{jit.FUNCTION}\n{texts[name]}" for name in names), space)
+    for height in (0.0, 1.0, np.nan, np.inf):
+        forms = np.full((3, 8), height, complex)
+        assert space["passage"](forms, 1, 100, 4, 400, measure.WEIGHTS, 0.0, 0.0, 0.0) == (0.0,) * 5
 
 
 def test_a_turn_between_two_samples_is_found_to_the_fourth_order():

@@ -87,31 +87,35 @@ def between(most: int) -> np.ndarray:
     return found
 
 
-def closing(before, after, slope_before, slope_after, span, parts):
+def closing(case, before, after, slope_before, slope_after, span, parts):
     """Does the third axis pass the vertical from one node to the next, so near that psi' may be a spike? 1.0 or 0.0.
 
     The arguments are frame_motion and its derivatives at the two nodes, `span` units of time apart; there are
     `parts` samples to the interval. sin^2 theta is followed as a parabola, with the complex zeros that psi' has
-    for poles; beyond a distance of four samples from the real axis these do no harm (exp(-8 pi)).
+    for poles; beyond a distance of four samples from the real axis these do no harm (exp(-8 pi)). In the first
+    interval of the run, case 0, the passage may be up to two intervals earlier, in the last, case 2, as much later.
     """
+    early, late = (2.0 if case == 0 else 0.0), (2.0 if case == 2 else 0.0)
     g1, g2, v1, v2 = before[3], before[4], slope_before[3], slope_before[4]
     fall = span * (g1 * v1 + g2 * v2)
     rise = span * (after[3] * slope_after[3] + after[4] * slope_after[4])
     bend = rise - fall
     least = (g1 * g1 + g2 * g2) * bend - fall * fall
-    near = 1.0 if least * parts * parts < 16.0 * bend * bend else 0.0
-    return near if fall < 0.0 and rise >= 0.0 else 0.0
+    wide = 4.0 if case == 1 else 12.0
+    near = 1.0 if least * parts * parts < wide * wide * bend * bend else 0.0
+    return near if fall < early * bend and rise >= -late * bend else 0.0
 
 
-def passage(forms, parts, psi_reference, phi_reference, cylinder_squared):
-    """What equidistant samples of theta'^2, psi', psi'^2, phi', phi'^2 sum up to more than their integrals do, on
-    a passage of the vertical between the second and the third of four nodes; 0 where there is none.
+def passage(forms, case, first, parts, samples, ends, psi_reference, phi_reference, cylinder_squared):
+    """What the weighted samples of theta'^2, psi', psi'^2, phi', phi'^2 sum up to more than their integrals do, on
+    a passage of the vertical in the interval after node `case` of four nodes, 0 to 3; 0 where there is none.
 
     forms: complex128, (3, 8), overwritten: zeta = g1 + i g2, upsilon = u1 + i u2 and g3 + i u3 at the nodes 0 to 3,
-    each followed by its derivative. The unit of time is the distance between nodes, `parts` that of samples. psi' = Re(upsilon / zeta) has
-    a pole at the complex zero z of zeta, with residue R, beside which it is regular with the value a; phi' = u3 -
-    g3 psi' likewise, and theta'^2 has a residue that is small with the distance from the vertical. By Poisson's sum formula samples at the distance 1 / parts exceed the integral, whatever
-    R, by 2 Re(2 pi i R q / (1 - q)) for a simple pole, with q = exp(2 pi i z parts), and its derivative for a double one.
+    each followed by its derivative. The unit of time is the distance between nodes, `parts` that of samples; node 0
+    is the sample `first` of `samples` + 1, with the weights that `weight` takes from `ends`. psi' = Re(upsilon / zeta)
+    has a pole at the complex zero z of zeta, with residue R, beside which it is regular with the value a; phi' = u3 -
+    g3 psi' likewise, and theta'^2 has a residue that is small with the distance from the vertical. What samples make
+    of a pole is known (`lattice`).
     """
     for form in forms:  # into Newton's form of the polynomial of seventh degree, by divided differences
         for k in range(6, 0, -2):
@@ -119,41 +123,79 @@ def passage(forms, parts, psi_reference, phi_reference, cylinder_squared):
         for level in range(2, 8):
             for k in range(7, level - 1, -1):
                 form[k] = (form[k] - form[k - 1]) * (1.0 / (k // 2 - (k - level) // 2))
-    z = 1.5 + 0.0j
+    middle = case + 0.5
+    z = middle + 0.0j
     slope = 0j
     for _ in range(20):
         value, slope, _ = _newton_form(forms[0], z)
-        move = value / slope
+        move = value * _inverse(slope)
         z -= move
-        if not abs(move) > 1e-9:  # the next one would be its square
+        if not move.real * move.real + move.imag * move.imag > 1e-18:  # the next one would be its square
             break
     least = z.imag * z.imag * (slope.real * slope.real + slope.imag * slope.imag)
-    if not (abs(z.imag) * parts < 5.0 and abs(z.real - 1.5) < 1.5 and least > cylinder_squared):
+    far = 1.5 if case == 1 else 2.5
+    if not (
+        abs(z.imag) * parts < (5.0 if case == 1 else 15.0)
+        and abs(z.real - middle) < far
+        and least > cylinder_squared
+    ):
         return 0.0, 0.0, 0.0, 0.0, 0.0
     _, slope, bend = _newton_form(forms[0], z)
     turn, turning, _ = _newton_form(forms[1], z)
-    other_value, _, _ = _newton_form(forms[0], np.conj(z))
-    other_turn, _, _ = _newton_form(forms[1], np.conj(z))
+    mirror = z.conjugate()
+    other_value, _, _ = _newton_form(forms[0], mirror)
+    other_turn, _, _ = _newton_form(forms[1], mirror)
     one, one_slope, _ = _newton_form(forms[2], z)
-    two, two_slope, _ = _newton_form(forms[2], np.conj(z))
-    g3, u3 = 0.5 * (one + np.conj(two)), -0.5j * (one - np.conj(two))
-    g3_slope = 0.5 * (one_slope + np.conj(two_slope))
-    R = 0.5 * turn / slope
-    a = 0.5 * (np.conj(other_turn / other_value) + turning / slope - turn * bend / (slope * slope))
+    two, two_slope, _ = _newton_form(forms[2], mirror)
+    g3, u3 = 0.5 * (one + two.conjugate()), -0.5j * (one - two.conjugate())
+    g3_slope = 0.5 * (one_slope + two_slope.conjugate())
+    inverse = _inverse(slope)
+    R = 0.5 * turn * inverse
+    a = 0.5 * (
+        (other_turn * _inverse(other_value)).conjugate() + turning * inverse - turn * bend * inverse * inverse
+    )
     R_phi, a_phi = -g3 * R, u3 - g3 * a - g3_slope * R
-    R_theta = -0.25 * turn * turn * np.conj(other_value) / slope
-    if z.imag < 0.0:  # the same pole's mirror image
-        z, R, a, R_phi, a_phi = np.conj(z), np.conj(R), np.conj(a), np.conj(R_phi), np.conj(a_phi)
-        R_theta = np.conj(R_theta)
-    circle = 2j * np.pi
-    q = np.exp(circle * parts * z)
-    once = 2.0 * circle * parts * q / (1.0 - q)
-    twice = 2.0 * circle * circle * parts * parts * q / ((1.0 - q) * (1.0 - q))
+    R_theta = -0.25 * turn * turn * other_value.conjugate() * inverse
     a, a_phi = a - psi_reference, a_phi - phi_reference
+    # The formulas of `lattice` are for a pole above the real axis; the other of the pair is its mirror image.
+    above = z.imag > 0.0
+    once, twice = lattice(first + parts * (z if above else mirror), samples, ends)
+    once, twice = (once if above else once.conjugate()), (twice if above else twice.conjugate())
+    once, twice = 2.0 * parts * once, 2.0 * parts * parts * twice
     return (
         (once * R_theta).real, (once * R).real, (twice * R * R + 2.0 * once * R * a).real,
         (once * R_phi).real, (twice * R_phi * R_phi + 2.0 * once * R_phi * a_phi).real,
     )  # fmt: skip
+
+
+def lattice(z, samples, ends):
+    """What the weighted sums of 1 / (k - z) and 1 / (k - z)^2 over k = 0 ... samples exceed their integrals by.
+
+    z: complex, above the real axis. Far from both ends Poisson's sum formula says it: 2 pi i q / (1 - q) with
+    q = exp(2 pi i z), and its derivative by z. Near an end the sums themselves, as far as the pole is felt.
+    """
+    reach = 24
+    if min(z.real, samples - z.real) >= reach:
+        q = np.exp(2j * np.pi * (z - np.floor(z.real)))
+        inverse = _inverse(1.0 - q)
+        once = 2j * np.pi * q * inverse
+        return once, 2j * np.pi * once * inverse
+    intervals = min(samples, 2 * reach)
+    if z.real >= reach:
+        z = z - (samples - intervals)
+    once = np.log(-z) - np.log(intervals - z)
+    twice = _inverse(z) + _inverse(intervals - z)
+    for k in range(intervals + 1):
+        term = _inverse(k - z)
+        weighed = weight(k, intervals, ends) * term
+        once += weighed
+        twice += weighed * term
+    return once, twice
+
+
+def _inverse(z):
+    """1 / z without an error where z is 0: nan or inf, as for real numbers."""
+    return z.conjugate() * (1.0 / (z.real * z.real + z.imag * z.imag))
 
 
 def _newton_form(form, z):

@@ -36,7 +36,7 @@ def source(
         for name, body in jit.functions(equations).items()
     }
     text |= {name: jit.functions(measure)[name] for name in ("sample", "turning", "weight", "closing")}
-    rare = (jit.functions(measure)[name] for name in ("_newton_form", "passage"))
+    rare = (jit.functions(measure)[name] for name in ("_inverse", "_newton_form", "lattice", "passage"))
     states, constants = range(len(equations.STATE)), range(len(equations.CONSTANTS))
     row = {name: i for i, name in enumerate(measure.OUTPUTS)}
     moving = measure.SUMS + measure.EXTREMES[:-1] + measure.LAST
@@ -63,7 +63,7 @@ def source(
         "SCALES": _lines(
             f"D[{i}, l] = scales[{i}, p]{' * R[l]' * power}" for i, power in enumerate(equations.INTEGRALS.values())
         ),
-        "PUSH": _lines(f"P[slot, {i}, l], F[slot, {i}, l] = y{i}, k{i}" for i in seen),
+        "PUSH": _lines(f"P[slot, {i}, l], P[slot, {len(states) + i}, l] = y{i}, k{i}" for i in seen),
         "INTEGRALS": _lines(
             f"{total}\nchange = abs(total - E[{i}, l]) * D[{i}, l]\ndrift = change if change > drift else drift"
             for i, total in enumerate(totals)
@@ -73,14 +73,14 @@ def source(
         "ROWS_OUT": _lines(f"S[{row[name]}, l] = {name}" for name in moving),
         "ROWS_OUT_LIVE": _lines(f"S[{row[name]}, l] = {name} if live else S[{row[name]}, l]" for name in moving),
         "FACTORS": _lines(f"b{k} = between[parts - 1, case, part - 1, {k}]" for k in range(8)),
-        "BETWEEN": _tuple("state", (_between(i, METHODS[method].span) if i in seen else "0.0" for i in states)),
+        "BETWEEN": _tuple("state", (_between(i, len(states), METHODS[method].span) if i in seen else "0.0" for i in states)),
         "SLOPE": f"{', '.join(f'k{i}' for i in states)} = rhs(({', '.join(f'y{i}' for i in states)}), constants)",
-        "BEFORE": _motion("before", "P", "n1", states, seen),
-        "AFTER": _motion("after", "P", "n2", states, seen),
-        "SLOPE_BEFORE": _motion("slope_before", "F", "n1", states, seen),
-        "SLOPE_AFTER": _motion("slope_after", "F", "n2", states, seen),
-        "NODE_MOTION": _motion("u1, u2, u3, g1, g2, g3", "P", "n", states, seen),
-        "NODE_SLOPE": _motion("u1, u2, u3, g1, g2, g3", "F", "n", states, seen),
+        "BEFORE": _motion("before", "m1", 0, states, seen),
+        "AFTER": _motion("after", "m2", 0, states, seen),
+        "SLOPE_BEFORE": _motion("slope_before", "m1", len(states), states, seen),
+        "SLOPE_AFTER": _motion("slope_after", "m2", len(states), states, seen),
+        "NODE_MOTION": _motion("u1, u2, u3, g1, g2, g3", "n", 0, states, seen),
+        "NODE_SLOPE": _motion("u1, u2, u3, g1, g2, g3", "n", len(states), states, seen),
     }  # fmt: skip
     numbers = row | {
         "WIDTH": WIDTH, "STATES": len(states), "CONSTS": len(constants), "INTS": len(equations.INTEGRALS),
@@ -95,9 +95,14 @@ def source(
         "NODE": NODE, "PASSAGE": PASSAGE, "LAST_THETA": LAST_THETA,
     }.items():  # fmt: skip
         blocks[name] = fill(part, blocks, numbers)
-    for name, part in {"TAKE": TAKE, "PASSAGES": PASSAGES, "PASSAGES_OF_LANES": PASSAGES_OF_LANES}.items():
+    for name, part in {
+        "TAKE": TAKE,
+        "INTERVALS": INTERVALS,
+        "INTERVALS_OF_LANES": INTERVALS_OF_LANES,
+    }.items():
         blocks[name] = fill(part, blocks, numbers)
-    return f"{jit.HEADER}\nPARTS = {parts}\n{fill(KERNEL + LABEL_KERNEL, blocks, numbers)}"
+    header = f"{jit.HEADER}from {jit.__name__} import aligned_stack\n\nPARTS = {parts}\n"
+    return f"{header}{fill(KERNEL + LABEL_KERNEL, blocks, numbers)}"
 
 
 def _lines(parts) -> str:
@@ -123,16 +128,16 @@ def _total(equations: ModuleType, name: str) -> str:
     return f"{', '.join(terms)}, = {name}(state, constants)\ntotal = {' + '.join(terms)}"
 
 
-def _between(i: int, span: float) -> str:
+def _between(i: int, states: int, span: float) -> str:
     """Component i between four nodes, as measure.between weighs them."""
-    states = " + ".join(f"b{k} * P[n{k}, {i}, l]" for k in range(4))
-    slopes = " + ".join(f"b{k + 4} * F[n{k}, {i}, l]" for k in range(4))
-    return f"{states} + {span} * ({slopes})"
+    values = " + ".join(f"b{k} * P[n{k}, {i}, l]" for k in range(4))
+    slopes = " + ".join(f"b{k + 4} * P[n{k}, {states + i}, l]" for k in range(4))
+    return f"{values} + {span} * ({slopes})"
 
 
-def _motion(name: str, ring: str, node: str, states: range, seen: list[int]) -> str:
-    """frame_motion at a node of a ring."""
-    state = (f"{ring}[{node}, {i}, l]" if i in seen else "0.0" for i in states)
+def _motion(name: str, node: str, row: int, states: range, seen: list[int]) -> str:
+    """frame_motion at a node, of what begins at a row of it: the state or its slope."""
+    state = (f"P[{node}, {row + i}, l]" if i in seen else "0.0" for i in states)
     return f"{name} = frame_motion(({', '.join(state)},), constants)"
 
 
@@ -221,7 +226,7 @@ drift = S[$drift, l]
 $INTEGRALS
 S[$drift, l] = drift
 """
-# Node i of the motion, before its steps to the next, lies in slot i % 4 of P (states) and F (slopes).
+# Node i of the motion, before its steps to the next, lies in slot i % 4 of P: the state, then its slope.
 NODE = """
 for l in range($WIDTH):
     $CONSTANTS
@@ -229,79 +234,80 @@ for l in range($WIDTH):
     $SLOPE
     $PUSH
 """
-# Samples between the steps, in the order of time. With nodes i - 3 to i there, the interval from i - 2 to i - 1
-# can be sampled, and beside it the first and the last interval of the run, where there is no node on the far side.
-BETWEEN_STEPS = """
+# With nodes i - 3 to i there, the interval from i - 2 to i - 1 can be looked into, and beside it the first and the
+# last interval of the run, where there is no node on the far side: samples in the order of time, then spikes of psi'.
+INTERVALS = """
 n0, n1, n2, n3 = (slot + 1) & 3, (slot + 2) & 3, (slot + 3) & 3, slot
 for case in range(3):
-    if parts > 1 and i >= 3 and (case == 1 or (case == 0 and i == 3) or (case == 2 and i == looks)):
-        for part in range(1, parts + 1):
-            weighs = weight(parts * (i - 3 + case) + part, samples, ends)
-            $FACTORS
-            for l in range($WIDTH):
-                distance = H[l] * share
-                $CONSTANTS
-                $BETWEEN
-                $ROWS_IN
-                $RATES
-                $ROWS_OUT
+    if i >= 3 and (case == 1 or (case == 0 and i == 3) or (case == 2 and i == last_node)):
+        $BETWEEN_STEPS
+        m1, m2 = (slot + 1 + case) & 3, (slot + 2 + case) & 3
+        for l in range($WIDTH):
+            $CONSTANTS
+            $BEFORE
+            $AFTER
+            $SLOPE_BEFORE
+            $SLOPE_AFTER
+            near[l] = closing(case, before, after, slope_before, slope_after, span, parts)
+        for l in range($WIDTH):
+            if near[l] > 0.0:
+                $PASSAGE
+"""
+BETWEEN_STEPS = """
+if parts > 1:
+    for part in range(1, parts + 1):
+        weighs = weight(parts * (i - 3 + case) + part, samples, ends)
+        $FACTORS
+        for l in range($WIDTH):
+            distance = H[l] * share
+            $CONSTANTS
+            $BETWEEN
+            $ROWS_IN
+            $RATES
+            $ROWS_OUT
 """
 # The same where every lane is at another node: `at` has gone on by one since node i was laid down.
-BETWEEN_STEPS_OF_LANES = """
+INTERVALS_OF_LANES = """
 n0, n1, n2, n3 = (slot + 1) & 3, (slot + 2) & 3, (slot + 3) & 3, slot
 for case in range(3):
     wanted = False
-    if parts > 1:
-        for l in range($WIDTH):
-            i = at[l] - 1
-            here = i >= 3 and (case == 1 or (case == 0 and i == 3) or (case == 2 and i == looks_of[l]))
-            over[l] = 1.0 if here else 0.0
-            wanted = wanted or here
+    for l in range($WIDTH):
+        i, last_node = at[l] - 1, looks_of[l] - 1 + late
+        here = i >= 3 and (case == 1 or (case == 0 and i == 3) or (case == 2 and i == last_node))
+        over[l] = 1.0 if here else 0.0
+        wanted = wanted or here
     if wanted:
-        for part in range(1, parts + 1):
-            $FACTORS
-            for l in range($WIDTH):
-                G[l] = weight(parts * (at[l] - 4 + case) + part, parts * looks_of[l], ends)
-            for l in range($WIDTH):
-                distance = H[l] * share
-                weighs = G[l]
-                live = over[l] > 0.0
-                $CONSTANTS
-                $BETWEEN
-                $ROWS_IN
-                $RATES
-                $ROWS_OUT_LIVE
+        $BETWEEN_STEPS_OF_LANES
+        m1, m2 = (slot + 1 + case) & 3, (slot + 2 + case) & 3
+        for l in range($WIDTH):
+            $CONSTANTS
+            $BEFORE
+            $AFTER
+            $SLOPE_BEFORE
+            $SLOPE_AFTER
+            near[l] = over[l] * closing(case, before, after, slope_before, slope_after, span, parts)
+        for l in range($WIDTH):
+            if near[l] > 0.0:
+                i, samples = at[l] - 1, parts * looks_of[l]
+                $PASSAGE
+"""
+BETWEEN_STEPS_OF_LANES = """
+if parts > 1:
+    for part in range(1, parts + 1):
+        $FACTORS
+        for l in range($WIDTH):
+            G[l] = weight(parts * (at[l] - 4 + case) + part, parts * looks_of[l], ends)
+        for l in range($WIDTH):
+            distance = H[l] * share
+            weighs = G[l]
+            live = over[l] > 0.0
+            $CONSTANTS
+            $BETWEEN
+            $ROWS_IN
+            $RATES
+            $ROWS_OUT_LIVE
 """
 
-# Spikes of psi' between nodes i - 2 and i - 1, where all samples have the weight 1.
-PASSAGES = """
-n1, n2 = (slot + 2) & 3, (slot + 3) & 3
-if i >= 3 and parts * (i - 2) >= inside and parts * (looks - i + 1) >= inside:
-    for l in range($WIDTH):
-        $CONSTANTS
-        $BEFORE
-        $AFTER
-        $SLOPE_BEFORE
-        $SLOPE_AFTER
-        near[l] = closing(before, after, slope_before, slope_after, span, parts)
-    for l in range($WIDTH):
-        if near[l] > 0.0:
-            $PASSAGE
-"""
-PASSAGES_OF_LANES = """
-n1, n2 = (slot + 2) & 3, (slot + 3) & 3
-for l in range($WIDTH):
-    $CONSTANTS
-    $BEFORE
-    $AFTER
-    $SLOPE_BEFORE
-    $SLOPE_AFTER
-    near[l] = closing(before, after, slope_before, slope_after, span, parts)
-for l in range($WIDTH):
-    i, looks_here = at[l] - 1, looks_of[l]
-    if near[l] > 0.0 and i >= 3 and parts * (i - 2) >= inside and parts * (looks_here - i + 1) >= inside:
-        $PASSAGE
-"""
 PASSAGE = """
 $CONSTANTS
 for k in range(4):
@@ -315,7 +321,9 @@ for k in range(4):
     forms[2, 2 * k + 1] = complex(g3 * span, u3 * span)
 d = H[l] * stride
 psi_0, phi_0 = S[$psi_dot_reference, l] * d, S[$phi_dot_reference, l] * d
-theta_square, psi_rate, psi_square, phi_rate, phi_square = passage(forms, parts, psi_0, phi_0, cylinder)
+theta_square, psi_rate, psi_square, phi_rate, phi_square = passage(
+    forms, case, parts * (i - 3), parts, samples, ends, psi_0, phi_0, cylinder
+)
 S[$passages, l] += 1.0
 S[$theta_dot_squared, l] -= theta_square / (d * d)
 S[$psi_dot, l] -= psi_rate / d
@@ -340,6 +348,7 @@ $KERNEL
 def integrate(
     first, last, points, steps, strides, pieces, length, state0, constants0, scales, ends, between, cylinder, out
 ):
+    aligned_stack()
     Y = np.empty(($STATES, $WIDTH))
     c = np.empty(($CONSTS, $WIDTH))
     H = np.empty($WIDTH)
@@ -347,15 +356,15 @@ def integrate(
     D = np.empty(($INTS, $WIDTH))
     E = np.empty(($INTS, $WIDTH))
     S = np.empty(($ROWS, $WIDTH))
-    P = np.empty((4, $STATES, $WIDTH))
-    F = np.empty((4, $STATES, $WIDTH))
+    P = np.empty((4, 2 * $STATES, $WIDTH))
     near = np.empty($WIDTH)
     forms = np.empty((3, 8), np.complex128)
-    looked, inside = 1.0, ends.shape[1] - 1
+    looked = 1.0
     for block in range(first, last):
         stride, parts = strides[block], pieces[block]
         looks = steps[block] // stride
         samples, share, span = looks * parts, 1.0 / parts, $SPAN * stride
+        last_node = looks if parts > 1 else looks - 1
         for l in range($WIDTH):
             p = points[block, l]
             $TAKE
@@ -377,8 +386,7 @@ def integrate(
                     $ROWS_IN
                     $RATES
                     $ROWS_OUT
-            $BETWEEN_STEPS
-            $PASSAGES
+            $INTERVALS
             if i < looks:
                 for l in range($WIDTH):
                     $AXIS
@@ -410,6 +418,7 @@ def integrate_labels(
     first_point, last_point, queue, stride, parts, looks, length, state0, constants0, scales, ends, between,
     cylinder, tolerance, out, done,
 ):
+    aligned_stack()
     Y = np.zeros(($STATES, $WIDTH))
     c = np.zeros(($CONSTS, $WIDTH))
     H = np.zeros($WIDTH)
@@ -417,15 +426,14 @@ def integrate_labels(
     D = np.zeros(($INTS, $WIDTH))
     E = np.zeros(($INTS, $WIDTH))
     S = np.zeros(($ROWS, $WIDTH))
-    P = np.zeros((4, $STATES, $WIDTH))
-    F = np.zeros((4, $STATES, $WIDTH))
+    P = np.zeros((4, 2 * $STATES, $WIDTH))
     G = np.zeros($WIDTH)
     limit = np.zeros($WIDTH)
     over = np.zeros($WIDTH)
     moves = np.zeros($WIDTH)
     near = np.zeros($WIDTH)
     forms = np.empty((3, 8), np.complex128)
-    span, inside = $SPAN * stride, ends.shape[1] - 1
+    span = $SPAN * stride
     at = np.zeros($WIDTH, np.int64)
     never = 1 << 60
     looks_of = np.full($WIDTH, never)
@@ -476,8 +484,7 @@ def integrate_labels(
                 $ROWS_IN
                 $RATES
                 $ROWS_OUT
-        $BETWEEN_STEPS_OF_LANES
-        $PASSAGES_OF_LANES
+        $INTERVALS_OF_LANES
         for l in range($WIDTH):
             looked = 1.0 if at[l] <= looks_of[l] else 0.0
             $AXIS

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from statistics import median
-from time import process_time
+from time import perf_counter, process_time
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -14,19 +14,21 @@ import xarray as xr
 from scipy.integrate import DOP853
 from scipy.stats import beta
 
-from . import grid, labels
+from . import grid, labels, store
 from .engine import lanes, measure, steps
 from .engine.runge_kutta import METHODS
-from .evaluate import RATES, Special, evaluate_tile, kernel
+from .evaluate import RATES, Special, evaluate_tile, kernel, scene_kernel_hash
+from .progress import Progress
 from .scene import Scene, Settings
 from .systems.system import Array, BadInput, Flags, Mask, Points, System
+from .variables import variables
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 STATISTICS = (*RATES, "theta_min", "theta_max")
-# Relative tolerances of the reference and of a second run of it: their difference is what it knows.
-REFERENCE, SECOND = 3e-14, 1e-13
+# Relative tolerances of the reference and of a second run of it: SAFETY times their difference is what it knows.
+REFERENCE, SECOND, SAFETY = 3e-14, 1e-13, 10.0
 # Rounding alone leaves this much in a component of the state.
 ROUNDING = 1e-15
 # A start whose residual is rounding follows the closed form of its family.
@@ -44,8 +46,13 @@ COLOURS, MARKS = ("#1b6ca8", "#e0892b", "#262626", "#59a14f"), "os^D"
 LEAST_SAMPLE, MOST_SAMPLE, ONE_IN = 64, 1000, 300
 
 
-def upper_bound(found: int, of: int) -> float:
-    """Share that `found` of `of` random draws bound from above at 95 % (Clopper and Pearson), 0 to 1."""
+def upper_bound(found: int, of: int, size: int | None = None) -> float:
+    """Share that `found` of `of` random draws bound from above at 95 % (Clopper and Pearson), 0 to 1.
+
+    size: how many there are to draw from; if all were drawn, the share itself.
+    """
+    if of == size:
+        return found / of
     return 1.0 if found >= of else float(beta.ppf(CONFIDENCE, found + 1, of - found))
 
 
@@ -69,49 +76,47 @@ def spread(size: int, count: int) -> np.ndarray:
 
 
 def half_step_sample(scene: Scene, *, threads: int | None = None) -> dict[str, Any]:
-    """Integrate some of a scene's points at the scene's step and at about half of it: what does it change?
+    """Integrate some of a scene's points at the scene's step and at half of it: what does it change?
 
     The points depend on the scene's size alone and cost about 1 % of a run; the engine gives them the
     same bits as the run. Returns attributes for the atlas: the number of points tried and how many have
     another label at half the step (a label given becomes another, or none); the bound "at most this
     many points of the atlas" at 95 % (all points tried: exactly); and, where the scene keeps means and
     spreads of the rates, the largest change of one at each point, rad per time unit: the median over all
-    points, and the largest where the point does not drift.
+    points, the largest where the point does not drift, and, where it keeps error_estimate, at how many
+    points the change is more than that says.
     """
     indices = spread(scene.size, min(max(LEAST_SAMPLE, scene.size // ONE_IN), MOST_SAMPLE))
     part = grid.take(scene, indices)
     scene = replace(scene, outputs=tuple(name for name in scene.outputs if name not in scene.system.layers))
-    finer = replace(scene, settings=half_step(scene.settings))
-    own, again = (evaluate_tile(s, part, threads=threads) for s in (scene, finer))
+    own, again = (evaluate_tile(scene, part, halved=halved, threads=threads) for halved in (False, True))
     changed, drifting = np.zeros(indices.size, bool), own["label"] == labels.DRIFTING
     for name in ("label", "label_inertial"):
         if name in own:
             given = (own[name] != labels.NOT_COMPUTED) & (own[name] != labels.UNRESOLVED)
             changed |= given & (again[name] != own[name])
     found = int(changed.sum())
-    share = found / indices.size if indices.size == scene.size else upper_bound(found, indices.size)
     values: dict[str, Any] = {
         "atlas_half_step_points": indices.size,
         "atlas_half_step_changed": found,
-        "atlas_labels_may_change": math.ceil(share * scene.size - 1e-9),
+        "atlas_labels_may_change": math.ceil(
+            upper_bound(found, indices.size, scene.size) * scene.size - 1e-9
+        ),
         "atlas_points": scene.size,
     }
     kept = [np.abs(again[name] - own[name]) for name in RATES if name in scene.outputs]
     change = np.fmax.reduce([np.full(indices.size, np.nan), *kept])
     if np.isfinite(change).any():
         values["atlas_half_step_median"] = float(np.nanmedian(change))
+        if "error_estimate" in scene.outputs:
+            with np.errstate(all="ignore"):
+                bound = scene.system.frequency_bound(part.points)
+            values["atlas_half_step_beyond"] = int((change > own["error_estimate"] * bound).sum())
     # The rates of a drifting point may be those of a chaotic motion or a spike near the vertical.
     steady = change[part.there & ~changed & ~drifting & (own["label"] != labels.UNRESOLVED)]
     if np.isfinite(steady).any():
         values["atlas_half_step_difference"] = float(np.nanmax(steady))
     return values
-
-
-def half_step(settings: Settings) -> Settings:
-    """The settings that halve the step of every point (or a little more, as the ladder of steps has it)."""
-    if settings.step is not None:
-        return replace(settings, step=settings.step / 2)
-    return replace(settings, tolerance=settings.tolerance / 2.2 ** METHODS[settings.method].order)
 
 
 def half_step_text(attributes: Mapping[str, Any]) -> str:
@@ -126,6 +131,8 @@ def half_step_text(attributes: Mapping[str, Any]) -> str:
         text += f", means and spreads by {a['atlas_half_step_median']:.2g} (median)"
     if "atlas_half_step_difference" in a:
         text += f", those of steady points by at most {a['atlas_half_step_difference']:.2g}"
+    if a.get("atlas_half_step_beyond"):
+        text += f"; {a['atlas_half_step_beyond']} changed by more than their estimate"
     return text
 
 
@@ -139,24 +146,32 @@ class Reference:
     state: Array  # (state, points) at the end of the run
     statistics: dict[str, Array]  # by STATISTICS
     label: Flags
+    label_inertial: Flags | None  # where the system has a second frame
     exact: Mask  # from the closed form of a family
     state_error: Array
     statistics_error: dict[str, Array]
-    certain: Mask  # both determinations give this label
+    certain: Mask  # both determinations give these labels
 
 
-def reference(system: System, points: Points, duration: Array, settings: Settings) -> Reference:
+def reference(
+    system: System,
+    points: Points,
+    duration: Array,
+    settings: Settings,
+    advance: Callable[[float], None] = lambda points: None,
+) -> Reference:
     """Final states and statistics, by closed form where a start is exactly on a family, else by DOP853.
 
     SciPy's DOP853 runs at the relative tolerances REFERENCE and SECOND, with the statistics as
-    quadratures beside the states. The error of the reference is the difference of the two runs; where
-    the closed form is taken, its difference from the first. Raises BadInput that numbers the points
-    (from 0) where a run fails.
+    quadratures beside the states. The error of the reference is SAFETY times the difference of the two
+    runs; where the closed form is taken, its difference from the first: on an unstable motion nobody knows
+    where a start that is exact but for rounding goes. Raises BadInput that numbers the points (from 0) where
+    a run fails. advance is called with the points done since the last call, two for each of them in all.
     """
-    tight, lost = _dop853(system, points, duration, settings.cylinder, REFERENCE)
+    tight, lost = _dop853(system, points, duration, settings.cylinder, REFERENCE, advance)
     if lost.any():
         raise _Failure(np.flatnonzero(lost))
-    second, lost = _dop853(system, points, duration, settings.cylinder, SECOND)
+    second, lost = _dop853(system, points, duration, settings.cylinder, SECOND, advance)
     if lost.any():
         raise _Failure(np.flatnonzero(lost))
     flags, _ = system.recognise(points)
@@ -176,8 +191,12 @@ def reference(system: System, points: Points, duration: Array, settings: Setting
             moved = motions[flag]({name: values[on] for name, values in points.items()}, duration[on])
             closed["state"][:, on] = np.einsum("sii->si", moved)
         best |= {name: np.where(exact, values, tight[name]) for name, values in closed.items()}
+    frames: list[Array | float] = [0.0] + ([] if system.frame_rate is None else [system.frame_rate(points)])
     with np.errstate(invalid="ignore"):
-        called = [labels.label(run, settings.rate_tolerance, settings.cylinder) for run in (best, other)]
+        called = [
+            np.array([labels.label(run, settings.rate_tolerance, settings.cylinder, rate) for rate in frames])
+            for run in (best, other)
+        ]
     for run in (best, other):
         inside = labels.in_cylinder(run, settings.cylinder)
         for name in ("psi_dot_mean", "psi_dot_std", "phi_dot_mean", "phi_dot_std"):
@@ -185,11 +204,14 @@ def reference(system: System, points: Points, duration: Array, settings: Setting
     return Reference(
         best["state"],
         {name: best[name] for name in STATISTICS},
-        called[0],
+        called[0][0],
+        called[0][1] if len(frames) > 1 else None,
         exact,
-        np.maximum(_distance(best["state"], other["state"], system.frequency_bound(points)), ROUNDING),
-        {name: np.maximum(np.abs(best[name] - other[name]), ROUNDING) for name in STATISTICS},
-        called[0] == called[1],
+        np.maximum(
+            SAFETY * _distance(best["state"], other["state"], system.frequency_bound(points)), ROUNDING
+        ),
+        {name: np.maximum(SAFETY * np.abs(best[name] - other[name]), ROUNDING) for name in STATISTICS},
+        (called[0] == called[1]).all(0),
     )
 
 
@@ -221,7 +243,12 @@ def _rates(motion: Sequence[Array], cylinder: float) -> tuple[Array, ...]:
 
 
 def _dop853(
-    system: System, points: Points, duration: Array, cylinder: float, rtol: float
+    system: System,
+    points: Points,
+    duration: Array,
+    cylinder: float,
+    rtol: float,
+    advance: Callable[[float], None] = lambda points: None,
 ) -> tuple[dict[str, Array], Mask]:
     """Statistics by name and the final "state" of every point; and where that failed."""
     with np.errstate(all="ignore"):
@@ -236,9 +263,8 @@ def _dop853(
         order = order[~alike]
     while waiting:
         group = waiting.pop()
-        part = _follow(
-            system, {name: values[group] for name, values in points.items()}, duration[group], cylinder, rtol
-        )
+        some = {name: values[group] for name, values in points.items()}
+        part = _follow(system, some, duration[group], cylinder, rtol, advance)
         if part is None:
             if group.size == 1:
                 lost[group] = True
@@ -252,7 +278,12 @@ def _dop853(
 
 
 def _follow(
-    system: System, points: Points, duration: Array, cylinder: float, rtol: float
+    system: System,
+    points: Points,
+    duration: Array,
+    cylinder: float,
+    rtol: float,
+    advance: Callable[[float], None] = lambda points: None,
 ) -> dict[str, Array] | None:
     """The points as one system of equations in t / duration; None if a step fails."""
     equations, constants, start = system.equations, system.constants(points), system.start(points)
@@ -282,6 +313,7 @@ def _follow(
             if solver.status == "failed" or not np.isfinite(solver.y).all():
                 return None
             _extremes(solver, equations, constants, duration, cylinder, low, high)
+            advance(size * (solver.t - solver.t_old))
     final = solver.y.reshape(-1, size)
     out = np.zeros((len(measure.OUTPUTS), size))
     out[:sums] = final[states:]
@@ -322,10 +354,10 @@ def ladder(settings: Settings) -> tuple[str, list[float]]:
     """Tolerances (decades around the scene's own), or steps (halves and doubles), coarse to fine."""
     if settings.step is not None:
         return "step", [settings.step * 2.0**k for k in HALVES]
-    above = math.floor(math.log10(COARSEST / settings.tolerance) + 1e-9)
-    below = math.floor(math.log10(settings.tolerance / FINEST) + 1e-9)
+    above = math.floor(math.log10(COARSEST) - math.log10(settings.tolerance) + 1e-9)
+    below = math.floor(math.log10(settings.tolerance) - math.log10(FINEST) + 1e-9)
     decades = range(max(above, 0), -max(below, 0) - 1, -1)
-    return "tolerance", [settings.tolerance * 10.0**k for k in decades]
+    return "tolerance", [settings.tolerance * 10.0**k for k in decades if k == 0 or k >= -below]
 
 
 def own_rung(settings: Settings) -> int:
@@ -335,7 +367,7 @@ def own_rung(settings: Settings) -> int:
     return int(np.abs(np.log(np.array(rungs) / own)).argmin())
 
 
-def accuracy(scene: Scene, count: int = 64) -> xr.Dataset:
+def accuracy(scene: Scene, count: int = 64, *, progress: bool = False) -> xr.Dataset:
     """Errors and run times of `count` points of a scene, over the dimensions (method, rung, sample).
 
     Every method of the engine runs at a ladder of tolerances (or steps, if the scene gives one). State
@@ -344,11 +376,14 @@ def accuracy(scene: Scene, count: int = 64) -> xr.Dataset:
     in the same units, `error_NAME` that of one statistic; inf where a run is not finite. No error is
     below what the reference knows, `reference_error` and `reference_error_NAME`. seconds_per_point: one
     processor, full blocks of points, to the end of the run, from the measured time of a point-step.
-    Rungs are nan that take too many steps, or as many as a coarser one, or that are finer than rounding
-    lets errors fall. Raises BadInput for a count below 2, and where the reference fails, with the points.
+    Rungs are nan that take too many steps, the same steps as a finer one (or as the scene's own), or that
+    are finer than rounding lets errors fall. Points where the reference fails are left out and named in the
+    attribute `left_out`. progress: say on stderr what is done. Raises BadInput for a count below 2, and where
+    the reference leaves fewer than 2 points.
     """
     if count < 2:
         raise BadInput(f"points = {count}: must be at least 2")
+    began = perf_counter()
     grid.check(scene)
     system, settings = scene.system, scene.settings
     indices = spread(scene.size, 16 * count)
@@ -356,65 +391,87 @@ def accuracy(scene: Scene, count: int = 64) -> xr.Dataset:
     if not there.size:
         raise BadInput(f"family.name = {scene.family!r}: exists at none of the points tried")
     indices = indices[there[spread(there.size, count)]]
-    part = grid.take(scene, indices)
+    bar, left_out = Progress((2 + len(METHODS)) * indices.size, show=progress), ""
     try:
-        truth = reference(system, part.points, part.duration, settings)
-    except _Failure as failure:
-        raise BadInput(
-            f"the reference fails at {failure.places.size} of {indices.size} points: the motion cannot be"
-            f" followed at {_named(scene, indices[failure.places])}"
-        ) from None
-
-    (kind, rungs), methods = ladder(settings), list(METHODS)
-    shape = (len(methods), len(rungs), indices.size)
-    columns = {f"error_{name}": np.full(shape, np.nan) for name in STATISTICS}
-    columns |= {
-        name: np.full(shape, np.nan)
-        for name in ("error_state", "error_rates", "integral_drift", "step_length")
-    }
-    counts = np.zeros(shape, np.int64)
-    called = np.zeros(shape, np.int8)
-    seconds = np.full(shape[:2], np.nan)
-    bound, own, known = system.frequency_bound(part.points), own_rung(settings), _median(truth.state_error)
-    for i, method in enumerate(methods):
-        runner, least = _Runner(scene, part.points, method), math.inf
-        for j, rung in enumerate(rungs):
-            chosen = replace(settings, method=method)
-            chosen = replace(chosen, step=rung) if kind == "step" else replace(chosen, tolerance=rung)
-            plan = _plan(system, part.points, part.duration, chosen)
-            same = j != own and (plan.count == counts[i, :j].max(0, initial=0)).all()
-            if j and (same or plan.count.sum() > MOST_WORK):
-                continue
-            found = evaluate_tile(
-                replace(scene, settings=chosen, outputs=(*STATISTICS, "integral_drift", "label")), part
-            )
-            state = runner.end(lanes.plan(plan.count, plan.count), plan.length)
-            with np.errstate(invalid="ignore"):
-                lost = ~np.isfinite(state).all(0)
-                error = np.where(lost, np.inf, _distance(state, truth.state, bound))
-                columns["error_state"][i, j] = np.maximum(error, truth.state_error)
-                for name in STATISTICS:
-                    columns[f"error_{name}"][i, j] = np.maximum(
-                        np.abs(found[name] - truth.statistics[name]), truth.statistics_error[name]
-                    )
-                worst = np.fmax.reduce([columns[f"error_{name}"][i, j] for name in RATES])
-                columns["error_rates"][i, j] = np.where(lost, np.inf, worst / bound)
-            columns["integral_drift"][i, j], columns["step_length"][i, j] = (
-                found["integral_drift"],
-                plan.length,
-            )
-            counts[i, j], called[i, j] = plan.count, found["label"]
-            looks = list(zip(plan.stride.tolist(), plan.parts.tolist(), strict=True))
-            # At every rung: passages of the vertical cost the more, the longer the steps.
-            paces = {look: _pace(scene, part.points, plan, method, *look) for look in set(looks)}
-            pace = np.array([paces[look] for look in looks])
-            seconds[i, j] = (pace * plan.count).mean()
-            reached = _median(columns["error_state"][i, j])
-            typical = max(reached, _median(columns["error_rates"][i, j]))
-            if j > own and typical > 0.5 * least and reached < 10 * known:
-                break  # rounding, or what the reference knows: finer steps show no less
-            least = min(least, typical)
-    return _dataset(scene, indices, truth, columns, counts, called, seconds)
+        while True:
+            part = grid.take(scene, indices)
+            try:
+                truth = reference(system, part.points, part.duration, settings, bar.advance)
+                break
+            except _Failure as failure:
+                left_out = (
+                    f"the reference fails at {failure.places.size} of {indices.size} points, where the motion is"
+                    f" not finite or turns more than {MOST_TURNS:g} rad: {_named(scene, indices[failure.places])}"
+                )
+                indices = np.delete(indices, failure.places)
+                if indices.size < 2:
+                    raise BadInput(left_out) from None
+        (kind, rungs), methods = ladder(settings), list(METHODS)
+        shape = (len(methods), len(rungs), indices.size)
+        columns = {f"error_{name}": np.full(shape, np.nan) for name in STATISTICS}
+        columns |= {
+            name: np.full(shape, np.nan)
+            for name in ("error_state", "error_rates", "integral_drift", "step_length")
+        }
+        counts = np.zeros(shape, np.int64)
+        called, wrong = np.zeros(shape, np.int8), np.zeros(shape, bool)
+        seconds = np.full(shape[:2], np.nan)
+        bound, own = system.frequency_bound(part.points), own_rung(settings)
+        known = max(_median(truth.state_error), _median(_rates_error(truth, bound)))
+        for i, method in enumerate(methods):
+            runner, least, stale = _Runner(scene, part.points, method), math.inf, 0
+            settled = [
+                replace(settings, method=method, **{kind: rung})  # type: ignore[arg-type]
+                for rung in rungs
+            ]
+            plans = [_plan(system, part.points, part.duration, chosen) for chosen in settled]
+            for j, (chosen, plan) in enumerate(zip(settled, plans, strict=True)):
+                alike = [k for k, other in enumerate(plans) if (other.count == plan.count).all()]
+                last = own if own in alike else alike[-1]
+                bar.advance(indices.size / len(rungs))
+                if j != last or (j and plan.count.sum() > MOST_WORK):
+                    continue
+                found = evaluate_tile(
+                    replace(scene, settings=chosen, outputs=(*STATISTICS, "integral_drift", "label")), part
+                )
+                state = runner.end(lanes.plan(plan.count, plan.count), plan.length)
+                with np.errstate(invalid="ignore"):
+                    lost = ~np.isfinite(state).all(0)
+                    error = np.where(lost, np.inf, _distance(state, truth.state, bound))
+                    columns["error_state"][i, j] = np.maximum(error, truth.state_error)
+                    for name in STATISTICS:
+                        columns[f"error_{name}"][i, j] = np.maximum(
+                            np.abs(found[name] - truth.statistics[name]), truth.statistics_error[name]
+                        )
+                    worst = np.fmax.reduce([columns[f"error_{name}"][i, j] for name in RATES])
+                    columns["error_rates"][i, j] = np.where(lost, np.inf, worst / bound)
+                columns["integral_drift"][i, j], columns["step_length"][i, j] = (
+                    found["integral_drift"],
+                    plan.length,
+                )
+                counts[i, j], called[i, j] = plan.count, found["label"]
+                wrong[i, j] = found["label"] != truth.label
+                if truth.label_inertial is not None:
+                    wrong[i, j] |= found["label_inertial"] != truth.label_inertial
+                looks = list(zip(plan.stride.tolist(), plan.parts.tolist(), strict=True))
+                # At every rung: passages of the vertical cost the more, the longer the steps.
+                paces = {look: _pace(scene, part.points, plan, method, *look) for look in set(looks)}
+                pace = np.array([paces[look] for look in looks])
+                seconds[i, j] = (pace * plan.count).mean()
+                reached = _median(columns["error_state"][i, j])
+                typical = max(reached, _median(columns["error_rates"][i, j]))
+                stale = stale + 1 if typical > 0.5 * least else 0
+                if j > own and stale >= (1 if typical < 3 * known else 3):
+                    break  # rounding, or what the reference knows: finer steps show no less
+                least = min(least, typical)
+    finally:
+        bar.close()
+    ds = _dataset(scene, indices, truth, bound, columns, counts, called, wrong, seconds)
+    ds.attrs = store.provenance(
+        system, settings, scene_kernel_hash(scene), title=scene.title, scene=scene.toml(),
+        seconds=perf_counter() - began, points=indices.size, remarks=[],
+    ) | ds.attrs | ({"left_out": left_out} if left_out else {})  # fmt: skip
+    return ds
 
 
 def _plan(system: System, points: Points, duration: Array, settings: Settings) -> steps.Steps:
@@ -469,30 +526,47 @@ def _named(scene: Scene, indices: np.ndarray, most: int = 5) -> str:
     return "; ".join(shown) + (f" and {indices.size - most} more" if indices.size > most else "")
 
 
-def _dataset(scene, indices, truth: Reference, columns, counts, called, seconds) -> xr.Dataset:
-    settings, dims = scene.settings, ("method", "rung", "sample")
+def _rates_error(truth: Reference, bound: Array) -> Array:
+    """What the reference knows of the least certain mean or spread of a rate, over the bound."""
+    return np.asarray(np.fmax.reduce([truth.statistics_error[name] for name in RATES]) / bound)
+
+
+LONG_NAMES = {
+    "error_state": "largest error of a component of the final state, angular velocities over the frequency bound",
+    "error_rates": "error of the least accurate mean or spread of a rate, over the frequency bound",
+    "integral_drift": "largest relative change of a first integral",
+    "step_length": "length of a step",
+}
+
+
+def _dataset(scene, indices, truth: Reference, bound, columns, counts, called, wrong, seconds) -> xr.Dataset:
+    settings, dims, registry = scene.settings, ("method", "rung", "sample"), variables(scene.system)
     compared = truth.certain & (called != labels.UNRESOLVED) & (called != labels.NOT_COMPUTED)
-    wrong = compared & (called != truth.label)
-    rate = "rad s-1"
-    ds = xr.Dataset(
-        {
-            name: (dims, values, {"units": rate if name.removeprefix("error_") in RATES else "1"})
-            for name, values in columns.items()
-        }
-    )
+    ds = xr.Dataset()
+    for name, values in columns.items():
+        statistic = name.removeprefix("error_")
+        units = registry[statistic].units if statistic in STATISTICS else "1"
+        long_name = LONG_NAMES.get(name) or f"error of {statistic}"
+        ds[name] = dims, values, {"long_name": long_name, "units": units}
     ds["step_length"].attrs["units"] = "s"
-    for name in ("error_theta_min", "error_theta_max"):
-        ds[name].attrs["units"] = "rad"
     ds["steps"] = dims, counts, {"long_name": "steps to the end of the run", "units": "1"}
     ds["label_compared"] = dims, compared.astype(np.int8), {"long_name": "both label and reference are sure"}
-    ds["label_wrong"] = dims, wrong.astype(np.int8), {"long_name": "the label is not the reference's"}
+    ds["label_wrong"] = (
+        dims,
+        (compared & wrong).astype(np.int8),
+        {"long_name": "a label is not the reference's"},
+    )
     unresolved = (called == labels.UNRESOLVED).astype(np.int8)
     ds["label_unresolved"] = dims, unresolved, {"long_name": "the method gives no label"}
-    ds["seconds_per_point"] = dims[:2], seconds, {"units": "s"}
+    ds["seconds_per_point"] = (
+        dims[:2], seconds, {"long_name": "processor time to the end of the run", "units": "s"}
+    )  # fmt: skip
     ds["order"] = dims[:2], _orders(columns, truth), {"long_name": "observed order from the rung before"}
-    ds["reference_error"] = "sample", truth.state_error, {"units": "1"}
-    for name, values in truth.statistics_error.items():
-        ds[f"reference_error_{name}"] = "sample", values, dict(ds[f"error_{name}"].attrs)
+    known = {"": ("state", truth.state_error), "_rates": ("rates", _rates_error(truth, bound))}
+    known |= {f"_{name}": (name, values) for name, values in truth.statistics_error.items()}
+    for suffix, (name, values) in known.items():
+        attributes = {"long_name": f"uncertainty of the reference: error_{name} is never less"}
+        ds[f"reference_error{suffix}"] = "sample", values, attributes | {"units": ds[f"error_{name}"].units}
     ds["reference_exact"] = "sample", truth.exact.astype(np.int8), {"long_name": "closed form of a family"}
     kind, rungs = ladder(settings)
     ds = ds.assign_coords(
@@ -505,9 +579,6 @@ def _dataset(scene, indices, truth: Reference, columns, counts, called, seconds)
     for axis, place in zip(scene.axes.values(), np.unravel_index(indices, scene.shape), strict=True):
         ds = ds.assign_coords({f"axis_{axis.name}": ("sample", np.asarray(axis.values)[place])})
     ds.attrs = {
-        "title": scene.title,
-        "atlas_scene": scene.toml(),
-        "atlas_system": scene.system.name,
         "atlas_points": scene.size,
         "ladder": kind,
         "own_method": settings.method,
@@ -524,7 +595,7 @@ def _orders(columns: Mapping[str, Array], truth: Reference) -> Array:
         each = np.log(error[:, :-1] / error[:, 1:]) / np.log(step[:, :-1] / step[:, 1:])
     # Errors near the reference's own, and those of a run that is nowhere near converged, show no order.
     told = (error[:, 1:] > 10 * truth.state_error) & (error[:, :-1] < 1e-2) & np.isfinite(each)
-    for place in np.argwhere(told.sum(2) >= max(2, error.shape[2] // 4)):
+    for place in np.argwhere(told.sum(2) >= max(2, error.shape[2] / 2)):
         i, j = place
         order[i, j + 1] = np.median(each[i, j][told[i, j]])
     return order
@@ -548,13 +619,13 @@ def summary(ds: xr.Dataset) -> list[dict[str, Any]]:
                 "steps": float(at["steps"].mean()),
                 "seconds_per_point": float(at["seconds_per_point"]),
                 "error_state": _median(error),
-                "error_state_known": _median(error) > 3 * _median(ds["reference_error"].values),
                 "error_state_largest": _largest(error),
                 "error_rates": _median(at["error_rates"].values),
+                "error_rates_largest": _largest(at["error_rates"].values),
                 "labels_unresolved": int(at["label_unresolved"].sum()),
                 "labels_compared": compared,
                 "labels_wrong": wrong,
-                "labels_wrong_at_most": upper_bound(wrong, compared),
+                "labels_wrong_at_most": upper_bound(wrong, compared, ds.attrs["atlas_points"]),
                 "integral_drift_largest": _largest(at["integral_drift"].values),
                 "order": float(at["order"]),
             }
@@ -576,29 +647,44 @@ def _largest(values: Array) -> float:
     return float(values.max()) if values.size else math.nan
 
 
+def _shown(ds: xr.Dataset, at: xr.Dataset, name: str) -> tuple[str, str]:
+    """Median and largest error_NAME at a rung; with <= where the reference knows no better."""
+    known = ds[f"reference_error{'' if name == 'state' else '_' + name}"].values
+    values = at[f"error_{name}"].values
+    return tuple(
+        ("" if of(values) > 3 * of(np.where(np.isnan(values), np.nan, known)) else "<= ")
+        + f"{of(values):.1e}"
+        for of in (_median, _largest)
+    )  # type: ignore[return-value]
+
+
 def report(ds: xr.Dataset) -> str:
     """The work and what it buys as plain text, ending with one sentence of advice."""
     kind, rows = ds.attrs["ladder"], summary(ds)
     exact, own = int(ds["reference_exact"].sum()), ds["reference_error"].values
     lines = [
-        f"{ds.attrs['title']}: {ds.sizes['sample']} of {ds.attrs['atlas_points']} points",
+        f"{ds.attrs['title']}: {ds.sizes['sample']} of {ds.attrs['atlas_points']} points;"
+        f" processor {ds.attrs['atlas_cpu']}, atlas {ds.attrs['atlas_version']}",
         f"reference: closed form at {exact} points, DOP853 at {ds.sizes['sample'] - exact};"
         f" it knows final states to {_median(own):.1e} (median), {own.max():.1e} (worst point)",
-        "",
     ]
+    lines += [f"left out: {ds.attrs['left_out']}"] if "left_out" in ds.attrs else []
+    lines.append("")
     cells: list[tuple[str, ...]] = [
         ("method", kind, "steps", "us/point", "state error", "worst", "rates", "labels wrong", "drift", "order")
     ]  # fmt: skip
+    marked = None
     for row in rows:
+        at = ds.sel({"method": row["method"]}).isel(rung=int(np.abs(ds[kind].values - row[kind]).argmin()))
+        marked = at if row["own_setting"] else marked
         cells.append(
             (
                 row["method"],
                 f"{row[kind]:.3g}" + (" *" if row["own_setting"] else ""),
                 f"{row['steps']:.0f}",
                 f"{1e6 * row['seconds_per_point']:.3g}",
-                ("" if row["error_state_known"] else "<= ") + f"{row['error_state']:.1e}",
-                f"{row['error_state_largest']:.1e}",
-                f"{row['error_rates']:.1e}",
+                *_shown(ds, at, "state"),
+                _shown(ds, at, "rates")[0],
                 f"{row['labels_wrong']}/{row['labels_compared']} (<= {100 * row['labels_wrong_at_most']:.3g} %)",
                 f"{row['integral_drift_largest']:.1e}",
                 "-" if np.isnan(row["order"]) else f"{row['order']:.2f}",
@@ -606,18 +692,17 @@ def report(ds: xr.Dataset) -> str:
         )
     lines += [_columns(cells), ""]
     lines += [
-        "us/point: one processor, to the end of the run; errors: median over the points, none below the"
-        " reference's own (<=);",
-        "rates: the least accurate mean or spread, over the frequency bound; labels wrong: beside the reference,"
-        " share at most (95 %); * the scene's setting.",
+        "us/point: one processor, to the end of the run; errors: median over the points; <=: the reference knows",
+        "no better; rates: the least accurate mean or spread, over the frequency bound; labels wrong: beside the",
+        "reference, share at most (95 %); * the scene's setting.",
         "",
     ]
-    marked = [row for row in rows if row["own_setting"]]
-    if marked:
-        cells = [("at the scene's setting", "median error", "worst")]
+    if marked is not None:
+        cells = [("at the scene's setting", "median error", "worst", "points that have it")]
         for name in STATISTICS:
-            if not np.isnan(marked[0][f"error_{name}"]):
-                cells.append((name, *(f"{marked[0][f'error_{name}{s}']:.1e}" for s in ("", "_largest"))))
+            there = int(marked[f"error_{name}"].notnull().sum())
+            if there:
+                cells.append((name, *_shown(ds, marked, name), str(there)))
         lines += [_columns(cells), ""]
     return "\n".join([*lines, advice(ds)])
 
@@ -642,38 +727,58 @@ def advice(ds: xr.Dataset) -> str:
     else:
         target = max(own["error_state"], own["error_rates"])
         what = f"the scene's own median error in states and rates, {target:.2g}"
-    known = _median(ds["reference_error"].values)
-    each = np.fmax(ds["error_state"].values, ds["error_rates"].values)
-    best = np.nanmin(each, axis=(0, 1))
-    beyond = np.flatnonzero(best > target)
-    names = _named_points(ds, beyond[np.argsort(-best[beyond])])
-    fewest = min(row["labels_unresolved"] for row in rows)
+    states, rates = ds["reference_error"].values, ds["reference_error_rates"].values
+    unsure = np.fmax(states, rates) > target
+    # A setting must not lose a label, nor get one wrong, that another gives.
+    lost = [(row["labels_unresolved"], row["labels_wrong"]) for row in rows]
+    fewest = tuple(min(numbers) for numbers in zip(*lost, strict=True))
     reach = [
         row
         for row in rows
-        if max(row["error_state"], row["error_rates"]) <= target and row["labels_unresolved"] == fewest
+        if max(row["error_state"], row["error_rates"]) <= target
+        and (row["labels_unresolved"], row["labels_wrong"]) == fewest
     ]
     if not reach:
-        finest = min(max(row["error_state"], row["error_rates"]) for row in rows)
-        why = (
-            "the reference cannot tell errors that small"
-            if target < known
-            else "no method and step of the ladder reaches it in double precision"
+        best = min(rows, key=lambda row: max(row["error_state"], row["error_rates"]))
+        known = max(_median(states), _median(rates))
+        text = (
+            f"Out of reach: {what}; the best of the ladder, {best['method']} with {kind} = {best[kind]:.3g}, has"
+            f" {best['error_state']:.1e} in states and {best['error_rates']:.1e} in rates"
         )
-        return f"Out of reach: {what}; {why} (best {finest:.1e}, reference {known:.1e}), first of all at {names}."
+        if known > target:
+            text += f", and the reference cannot tell errors that small (states {_median(states):.1e}, rates {_median(rates):.1e})"
+        names = _beyond(ds, best, target)[1]
+        return f"{text}, first of all at {names}."
     cheap = min(reach, key=lambda row: row["seconds_per_point"])
     text = (
         f"Cheapest for {what}: {cheap['method']} with {kind} = {cheap[kind]:.3g},"
         f" {1e6 * cheap['seconds_per_point']:.3g} us a point"
     )
-    if own is not None:
+    if cheap["own_setting"]:
+        text += ", the scene's own setting"
+    elif own is not None:
         text += (
             f" (the scene's {own['method']} with {kind} = {own[kind]:.3g}: {1e6 * own['seconds_per_point']:.3g} us,"
             f" error {max(own['error_state'], own['error_rates']):.1e})"
         )
-    if beyond.size:
-        text += f"; {beyond.size} of {best.size} points stay above it at every step, first of all {names}"
+    angles = max(cheap["error_theta_min"], cheap["error_theta_max"])
+    if angles > target:
+        text += f"; theta_min and theta_max then have a median error of {angles:.1e}"
+    above, names = _beyond(ds, cheap, target)
+    if above:
+        text += f"; {above} of {unsure.size} points stay above it, first of all {names}"
+        if unsure.any():
+            text += f" ({int(unsure.sum())} where the reference itself does not know)"
     return text + "."
+
+
+def _beyond(ds: xr.Dataset, row: Mapping[str, Any], target: float) -> tuple[int, str]:
+    """How many points have a larger error in states or rates than the target at a row's setting, and the worst."""
+    kind = ds.attrs["ladder"]
+    at = ds.sel({"method": row["method"]}).isel(rung=int(np.abs(ds[kind].values - row[kind]).argmin()))
+    error = np.fmax(at["error_state"].values, at["error_rates"].values)
+    beyond = np.flatnonzero(error > target)
+    return beyond.size, _named_points(ds, beyond[np.argsort(-error[beyond])])
 
 
 def _named_points(ds: xr.Dataset, places: np.ndarray, most: int = 3) -> str:
@@ -689,26 +794,35 @@ def figure(ds: xr.Dataset) -> Figure:
     """Work-precision figure: median errors against time per point, a line and a dotted one per method."""
     from matplotlib import rc_context
     from matplotlib.figure import Figure
+    from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
     rows = summary(ds)
     with rc_context({"font.size": 8, "legend.fontsize": 7, "axes.linewidth": 0.6}):
         drawn = Figure(figsize=(3.5, 2.8), layout="constrained")
         ax = drawn.add_subplot()
         for method, colour, mark in zip(ds["method"].values, COLOURS, MARKS, strict=False):
-            line = [(1e6 * r["seconds_per_point"], r["error_state"]) for r in rows if r["method"] == method]
+            # A run that is nowhere near the motion has no error worth drawing.
+            sane = [r for r in rows if r["method"] == method and r["error_state"] < 3.0] or rows[-1:]
+            line = [(1e6 * r["seconds_per_point"], r["error_state"]) for r in sane]
             ax.plot(
                 *np.transpose(line), mark + "-", color=colour, markersize=3, label=f"{method}, final state"
             )
-            line = [(1e6 * r["seconds_per_point"], r["error_rates"]) for r in rows if r["method"] == method]
+            line = [(1e6 * r["seconds_per_point"], r["error_rates"]) for r in sane]
             ax.plot(*np.transpose(line), ":", color=colour, label=f"{method}, means and spreads")
         for row in rows:
-            if row["own_setting"]:
+            if row["own_setting"] and row["error_state"] < 3.0:
                 place = 1e6 * row["seconds_per_point"], row["error_state"]
                 ax.plot(*place, "o", mfc="none", mec="black", ms=8, label="the scene's setting")
         ax.set(xscale="log", yscale="log")
         ax.set(xlabel="time per point and processor (µs)", ylabel="median error")
-        floor, known = ax.get_ylim()[0], _median(ds["reference_error"].values)
-        ax.axhspan(min(floor, known / 2), known, color="0.9", zorder=0, label="reference unsure of states")
+        known = _median(ds["reference_error"].values)
+        floor = min(ax.get_ylim()[0], known / 2)
+        ax.set_ylim(bottom=floor)
+        ax.axhspan(floor, known, color="0.9", zorder=0, label="reference unsure of states")
+        ax.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+        ax.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+        ax.xaxis.set_minor_formatter(NullFormatter())
+        ax.tick_params(axis="x", labelrotation=0)
         drawn.legend(loc="outside lower center", ncols=2, frameon=False)
     return drawn
 

@@ -45,7 +45,7 @@ def client(scheduler: str | None, workers: int | None) -> Iterator[Any]:
         return
     cluster = distributed.LocalCluster(
         n_workers=workers, threads_per_worker=1, processes=True, memory_limit=None,
-        dashboard_address=":0", silence_logs=logging.ERROR,
+        dashboard_address=":0", silence_logs=logging.CRITICAL,
     )  # fmt: skip
     with cluster, distributed.Client(cluster) as found:
         yield found

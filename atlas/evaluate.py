@@ -77,6 +77,7 @@ def evaluate_tile(
     scene: Scene,
     tile: Grid,
     *,
+    halved: bool = False,
     threads: int | None = None,
     progress: Callable[[float], None] | None = None,
 ) -> dict[str, np.ndarray]:
@@ -84,7 +85,7 @@ def evaluate_tile(
     return evaluate(
         scene.system, tile.base, tile.points, tile.duration, scene.settings,
         special=Special.of(scene.system, *scene.vanishing()), outputs=scene.outputs,
-        nudged=bool(scene.nudge), there=tile.there, threads=threads, progress=progress,
+        nudged=bool(scene.nudge), there=tile.there, halved=halved, threads=threads, progress=progress,
     )  # fmt: skip
 
 
@@ -104,6 +105,7 @@ def evaluate(
     outputs: Collection[str] | None = None,
     nudged: bool = False,
     there: np.ndarray | None = None,
+    halved: bool = False,
     threads: int | None = None,
     progress: Callable[[float], None] | None = None,
 ) -> dict[str, np.ndarray]:
@@ -114,12 +116,13 @@ def evaluate(
     special: what the kernel leaves out, the same for all points of a scene. outputs: names of the
     variables that are wanted, None: every one but the system's layers. Statistics that are not wanted
     may be missing or cover a part of the run: without them a point ends when its label is certain.
+    halved: at half the step that the settings give.
     """
     if there is not None and not there.all():
         where = np.flatnonzero(there)
         part = evaluate(
             system, _take(base, where), _take(points, where), duration[where], settings,
-            special=special, outputs=outputs, nudged=nudged, threads=threads, progress=progress,
+            special=special, outputs=outputs, nudged=nudged, halved=halved, threads=threads, progress=progress,
         )  # fmt: skip
         return {name: _spread(values, there) for name, values in part.items()}
 
@@ -132,11 +135,13 @@ def evaluate(
             tolerance=settings.tolerance, step=settings.step, max_steps=settings.max_steps,
             rate_tolerance=settings.rate_tolerance,
         )  # fmt: skip
+        plan = plan.halved(method) if halved else plan
         theory = compare.theory(system, base, settings.rate_tolerance, nudged)
         residual = system.condition_residual(points)
-        growing = np.zeros_like(bound) if nudged else np.nan_to_num(theory["growth_rate"] * duration, nan=0.0)
+        growth = np.minimum(np.nan_to_num(theory["growth_rate"] * duration, nan=0.0), 700.0)
+        growing = np.zeros_like(bound) if nudged else growth
         # Beside an unstable motion the method's own error grows, too.
-        seeded = plan.rate_error * np.exp(np.minimum(growing, 700.0)) > settings.rate_tolerance
+        seeded = plan.rate_error * np.exp(growing) > settings.rate_tolerance
         seeded &= growing > 0
         certain_rate = np.where(seeded, np.inf, _certain_rate(plan, bound, settings))
         scales = measure.scales(system.equations, state, constants, dict(system.conserved(points)))
@@ -186,7 +191,10 @@ def evaluate(
         doubtful = _half_step_sample(first, constants, settings.check_half_step)
         doubtful |= _unsure(result, _expected_error(plan, bound, result), settings, frames)
         doubtful = resolved & ~sensitive & ~certain & (doubtful | left)
-    error = np.maximum(np.maximum(plan.phase_error, plan.hidden_damping), result["integral_drift"])
+    error = np.maximum(
+        _error_estimate(plan, growth, out, np.asarray(done * plan.parts, float), duration),
+        result["integral_drift"],
+    )
     if doubtful.any():
         where = np.flatnonzero(doubtful)
         again = lanes.integrate(
@@ -229,6 +237,17 @@ def evaluate(
         if outputs is not None and name in outputs:
             result[name] = layer.values(base, duration)
     return result
+
+
+def _error_estimate(plan: steps.Steps, growth: Array, out: Array, samples: Array, duration: Array) -> Array:
+    """Relative error of states and rates that can be foreseen, (points,): of an oscillation at the bound, grown
+    as the motion's instability does (to 1 at most); and, where the axis was in the cylinder for a part of the run,
+    the sample more or less that is outside."""
+    error = np.maximum(plan.phase_error, plan.hidden_damping)
+    error = np.where(growth > 0, np.minimum(error * np.exp(growth), np.maximum(error, 1.0)), error)
+    outside, least = out[measure.OUTPUTS.index("outside")], measure.WEIGHTS.min()
+    crossed = (outside > 0.0) & (outside < samples - 0.5 * least)
+    return np.asarray(np.where(crossed, np.maximum(error, plan.distance / duration), error))
 
 
 def _certain_rate(plan: steps.Steps, bound: Array, settings: Settings) -> Array:

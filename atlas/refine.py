@@ -11,7 +11,7 @@ import numpy as np
 import xarray as xr
 from scipy.ndimage import maximum_filter, minimum_filter
 
-from . import compare, grid, store
+from . import accuracy, compare, grid, store
 from .evaluate import evaluate_tile, scene_kernel_hash
 from .scene import Scene
 from .systems.system import Flags
@@ -65,7 +65,7 @@ def refined(
         store.provenance(
             scene.system, scene.settings, scene_kernel_hash(scene), title=scene.title, scene=scene.toml(),
             seconds=time.perf_counter() - began, points=fine.integrated, remarks=remarks,
-        ) | facts
+        ) | facts | accuracy.half_step_sample(scene, threads=threads)
     )  # fmt: skip
 
 

@@ -492,7 +492,7 @@ def summary(ds: xr.Dataset) -> str:
     """Counts of labels and status, agreement with theory, expected error, time and speed, as text."""
     flags = [name for name in ("label", "label_inertial", "status", "agreement", "computed") if name in ds]
     largest = {
-        "error_estimate": "estimated relative error of states and rates: at most {:.2g}",
+        "error_estimate": "relative error of states and rates, estimated point by point: largest {:.2g}",
         "integral_drift": "drift of first integrals: at most {:.2g}",
     }
     meanings = {name: ds[name].attrs["flag_meanings"].split() for name in flags}

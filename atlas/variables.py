@@ -103,9 +103,10 @@ def variables(system: System) -> dict[str, Variable]:
         ("step", "s", "integration step", ""),
         ("step_ratio", pure, "step times bound of the fastest frequency over the stability limit of the method", ""),
         ("error_estimate", pure, "estimated relative error of states and rates at the end of the run",
-         "the largest of: phase error and damping of an oscillation at the bound of the fastest frequency,"
-         " change of a first integral, and where the point was integrated again at half the step, the change"
-         " of a mean or spread of a rate over that bound"),
+         "the largest of: phase error and damping of an oscillation at the bound of the fastest frequency, times"
+         " the growth of an unstable family (to 1 at most); change of a first integral; where the axis was in the"
+         " cylinder for a part of the run, the share of one sample; and where the point was integrated again at"
+         " half the step, the change of a mean or spread of a rate over that bound"),
         ("condition_residual", pure, "how far the start is from a steady motion, 0 on an exact one", ""),
         ("growth_rate", rate, "largest real part of the characteristic exponents of the steady motion, from theory",
          "nan where theory has no steady motion or no exponent"),

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -38,6 +38,18 @@ class Steps:
     def distance(self) -> NDArray[np.float64]:
         """Between two samples, time units."""
         return self.length * self.stride / self.parts
+
+    def halved(self, method: Method) -> Steps:
+        """Twice as many steps of half the length, sampled twice as often."""
+        return replace(
+            self,
+            count=2 * self.count,
+            length=self.length / 2,
+            step_ratio=self.step_ratio / 2,
+            phase_error=self.phase_error / 2**method.order,
+            hidden_damping=self.hidden_damping / 2 ** (method.damping_order - 1),
+            rate_error=self.rate_error / 2**method.order,
+        )
 
 
 def ladder(count: NDArray[np.float64]) -> NDArray[np.int64]:

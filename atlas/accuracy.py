@@ -765,7 +765,7 @@ def advice(ds: xr.Dataset) -> str:
     if angles > target:
         text += f"; theta_min and theta_max then have a median error of {angles:.1e}"
     above, names = _beyond(ds, cheap, target)
-    if above:
+    if above and kind == "tolerance":  # half of the points are above the median of a setting
         text += f"; {above} of {unsure.size} points stay above it, first of all {names}"
         if unsure.any():
             text += f" ({int(unsure.sum())} where the reference itself does not know)"

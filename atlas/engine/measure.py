@@ -2,10 +2,10 @@
 
 `sample` is pasted into the kernels. Sums run over equidistant samples with Gregory's weights, which
 turn the trapezoidal rule into one of eighth order; they are all positive, so that a mean square can
-only grow as a run goes on. Where the third axis passes near the vertical psi' may be a spike between two
-samples; `passage` says what the samples then miss or add, from the pole of psi' in complex time. Methods of long steps are sampled between their steps as well, on the
-polynomial of seventh degree through states and slopes at four steps (`between`). `finish` turns the
-sums into means and spreads.
+only grow as a run goes on. Methods of long steps are sampled between their steps as well, on the
+polynomial of seventh degree through states and slopes at four steps (`between`). Where the third axis
+passes near the vertical psi' may be a spike between two samples; `passage` says what the samples then
+miss or add, from the pole of psi' in complex time. `finish` turns the sums into means and spreads.
 """
 
 from types import ModuleType

@@ -162,23 +162,24 @@ METHODS = {method.name: method for method in (RK4, RK8)}
 
 def step_source(method: Method, states: int) -> str:
     """Source of one step, of length method.span, on the scalars y0, y1, ...: calls rhs(state, constants)."""
-    lines = []
+    # The first weight is factored out: the inner coefficients of rk4 are then 1, 2, 2, 1, which needs additions only
+    # and leaves the multipliers, the narrowest part of the processor, to the equations. The sum s goes along with the
+    # stages: fewer of them are in use at once.
+    lines, first = [], method.b[0]
     for stage in range(method.stages):
         moves = (_sum(method.a[stage], method.span, i) for i in range(states))
         state = [f"y{i} + ({move})" if move else f"y{i}" for i, move in enumerate(moves)]
         names = ", ".join(f"k{stage}_{i}" for i in range(states))
         lines.append(f"{names} = rhs(({', '.join(state)}), constants)")
-    # Factor out the first weight: the inner coefficients of rk4 are then 1, 2, 2, 1, which needs additions only
-    # and leaves the multipliers, the narrowest part of the processor, to the equations.
-    first = method.b[0]
-    for i in range(states):
-        total = _sum(method.b, 1 / first, i, doubled="({k} + {k})")
-        lines.append(f"y{i} = y{i} + {first * method.span!r} * ({total})")
+        terms = [_sum((0.0,) * stage + (method.b[stage] / first,), 1.0, i) for i in range(states)]
+        before = "s{i} + " if stage else ""
+        lines += [f"s{i} = {before.format(i=i)}{term}" for i, term in enumerate(terms) if term]
+    lines += [f"y{i} = y{i} + {first * method.span!r} * s{i}" for i in range(states)]
     return "\n".join(lines)
 
 
-def _sum(coefficients: tuple[float, ...], factor: float, i: int, doubled: str = "2.0 * {k}") -> str:
+def _sum(coefficients: tuple[float, ...], factor: float, i: int) -> str:
     """Component i of the slopes k, weighted by coefficients times factor."""
-    forms = {1.0: "{k}", 2.0: doubled}
+    forms = {1.0: "{k}", 2.0: "({k} + {k})"}
     terms = [(f"k{j}_{i}", a * factor) for j, a in enumerate(coefficients) if a != 0.0]
     return " + ".join(forms.get(a, f"{a!r} * {{k}}").format(k=k) for k, a in terms)

@@ -244,7 +244,8 @@ def _error_estimate(plan: steps.Steps, growth: Array, out: Array, samples: Array
     as the motion's instability does (to 1 at most); and, where the axis was in the cylinder for a part of the run,
     the sample more or less that is outside."""
     error = np.maximum(plan.phase_error, plan.hidden_damping)
-    error = np.where(growth > 0, np.minimum(error * np.exp(growth), np.maximum(error, 1.0)), error)
+    with np.errstate(over="ignore"):
+        error = np.where(growth > 0, np.minimum(error * np.exp(growth), np.maximum(error, 1.0)), error)
     outside, least = out[measure.OUTPUTS.index("outside")], measure.WEIGHTS.min()
     crossed = (outside > 0.0) & (outside < samples - 0.5 * least)
     return np.asarray(np.where(crossed, np.maximum(error, plan.distance / duration), error))

@@ -87,20 +87,17 @@ def between(most: int) -> np.ndarray:
     return found
 
 
-def closing(case, before, after, slope_before, slope_after, span, parts):
+def closing(case, sine_squared, fall, rise, parts):
     """Does the third axis pass the vertical from one node to the next, so near that psi' may be a spike? 1.0 or 0.0.
 
-    The arguments are frame_motion and its derivatives at the two nodes, `span` units of time apart; there are
-    `parts` samples to the interval. sin^2 theta is followed as a parabola, with the complex zeros that psi' has
+    sine_squared: sin^2 theta at the first; fall, rise: half its derivative at both, in units of their distance; there
+    are `parts` samples to the interval. sin^2 theta is followed as a parabola, with the complex zeros that psi' has
     for poles; beyond a distance of four samples from the real axis these do no harm (exp(-8 pi)). In the first
     interval of the run, case 0, the passage may be up to two intervals earlier, in the last, case 2, as much later.
     """
     early, late = (2.0 if case == 0 else 0.0), (2.0 if case == 2 else 0.0)
-    g1, g2, v1, v2 = before[3], before[4], slope_before[3], slope_before[4]
-    fall = span * (g1 * v1 + g2 * v2)
-    rise = span * (after[3] * slope_after[3] + after[4] * slope_after[4])
     bend = rise - fall
-    least = (g1 * g1 + g2 * g2) * bend - fall * fall
+    least = sine_squared * bend - fall * fall
     wide = 4.0 if case == 1 else 12.0
     near = 1.0 if least * parts * parts < wide * wide * bend * bend else 0.0
     return near if fall < early * bend and rise >= -late * bend else 0.0

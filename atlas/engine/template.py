@@ -10,7 +10,6 @@ and most coefficients are 1: a sixth of the multiplications less. The statistics
 
 from __future__ import annotations
 
-import math
 import string
 from collections.abc import Collection, Mapping
 from types import ModuleType
@@ -20,6 +19,8 @@ from .runge_kutta import METHODS, step_source
 from .specialise import specialise
 
 WIDTH = 32
+# Angular velocity in the frame and its vertical: what the statistics are made from.
+MOTION = ("u1", "u2", "u3", "g1", "g2", "g3")
 # First integrals are looked at once in so many looks, and at the end: they change slowly.
 DRIFT_EVERY = 4
 
@@ -42,7 +43,6 @@ def source(
     moving = measure.SUMS + measure.EXTREMES[:-1] + measure.LAST
     parts = METHODS[method].parts
     totals = [_total(equations, name) for name in equations.INTEGRALS]
-    seen = _seen(equations)
     axis = "axis_in_frame" in text
     blocks = {
         "FUNCTIONS": "\n\n\n".join(
@@ -63,7 +63,6 @@ def source(
         "SCALES": _lines(
             f"D[{i}, l] = scales[{i}, p]{' * R[l]' * power}" for i, power in enumerate(equations.INTEGRALS.values())
         ),
-        "PUSH": _lines(f"P[slot, {i}, l], P[slot, {len(states) + i}, l] = y{i}, k{i}" for i in seen),
         "INTEGRALS": _lines(
             f"{total}\nchange = abs(total - E[{i}, l]) * D[{i}, l]\ndrift = change if change > drift else drift"
             for i, total in enumerate(totals)
@@ -73,19 +72,16 @@ def source(
         "ROWS_OUT": _lines(f"S[{row[name]}, l] = {name}" for name in moving),
         "ROWS_OUT_LIVE": _lines(f"S[{row[name]}, l] = {name} if live else S[{row[name]}, l]" for name in moving),
         "FACTORS": _lines(f"b{k} = between[parts - 1, case, part - 1, {k}]" for k in range(8)),
-        "BETWEEN": _tuple("state", (_between(i, len(states), METHODS[method].span) if i in seen else "0.0" for i in states)),
-        "SLOPE": f"{', '.join(f'k{i}' for i in states)} = rhs(({', '.join(f'y{i}' for i in states)}), constants)",
-        "BEFORE": _motion("before", "m1", 0, states, seen),
-        "AFTER": _motion("after", "m2", 0, states, seen),
-        "SLOPE_BEFORE": _motion("slope_before", "m1", len(states), states, seen),
-        "SLOPE_AFTER": _motion("slope_after", "m2", len(states), states, seen),
-        "NODE_MOTION": _motion("u1, u2, u3, g1, g2, g3", "n", 0, states, seen),
-        "NODE_SLOPE": _motion("u1, u2, u3, g1, g2, g3", "n", len(states), states, seen),
+        "BETWEEN": _lines(f"{name} = {_between(i, METHODS[method].span)}" for i, name in enumerate(MOTION)),
+        "MOTION_STATE": f"state = ({', '.join(f'y{i}' for i in states)})",
+        "MOTION_SLOPE": "state = rhs(state, constants)",
     }  # fmt: skip
     numbers = row | {
         "WIDTH": WIDTH, "STATES": len(states), "CONSTS": len(constants), "INTS": len(equations.INTEGRALS),
         "ROWS": len(row), "DRIFT_EVERY": DRIFT_EVERY, "PARTS": parts, "SPAN": METHODS[method].span,
+        "NODE_ROWS": 2 * len(MOTION),
     }  # fmt: skip
+    blocks["MOTION_NOW"] = fill(MOTION_NOW, blocks, numbers)
     blocks["SAMPLE"] = fill(SAMPLE, blocks, numbers)
     blocks["RATES"] = fill(RATES, blocks, numbers)
     for name, part in {
@@ -113,14 +109,6 @@ def _tuple(name: str, parts) -> str:
     return f"{name} = ({', '.join(parts)},)"
 
 
-def _seen(equations: ModuleType) -> list[int]:
-    """The states that frame_motion looks at: those whose nan it hands on."""
-    size, constants = len(equations.STATE), (1.0,) * len(equations.CONSTANTS)
-    tried = ([math.nan if j == i else 1.0 for j in range(size)] for i in range(size))
-    motions = (equations.frame_motion(state, constants) for state in tried)
-    return [i for i, motion in enumerate(motions) if any(map(math.isnan, motion))]
-
-
 def _total(equations: ModuleType, name: str) -> str:
     """The sum of a first integral's terms."""
     ones = (1.0,) * len(equations.STATE), (1.0,) * len(equations.CONSTANTS)
@@ -128,17 +116,11 @@ def _total(equations: ModuleType, name: str) -> str:
     return f"{', '.join(terms)}, = {name}(state, constants)\ntotal = {' + '.join(terms)}"
 
 
-def _between(i: int, states: int, span: float) -> str:
-    """Component i between four nodes, as measure.between weighs them."""
+def _between(i: int, span: float) -> str:
+    """Component i of the motion between four nodes, as measure.between weighs them."""
     values = " + ".join(f"b{k} * P[n{k}, {i}, l]" for k in range(4))
-    slopes = " + ".join(f"b{k + 4} * P[n{k}, {states + i}, l]" for k in range(4))
+    slopes = " + ".join(f"b{k + 4} * P[n{k}, {len(MOTION) + i}, l]" for k in range(4))
     return f"{values} + {span} * ({slopes})"
-
-
-def _motion(name: str, node: str, row: int, states: range, seen: list[int]) -> str:
-    """frame_motion at a node, of what begins at a row of it: the state or its slope."""
-    state = (f"P[{node}, {row + i}, l]" if i in seen else "0.0" for i in states)
-    return f"{name} = frame_motion(({', '.join(state)},), constants)"
 
 
 def fill(template: str, blocks: dict[str, str], numbers: dict[str, float]) -> str:
@@ -168,6 +150,7 @@ $CONSTANTS_SCALED
 $SCALES
 for j in range($ROWS):
     S[j, l] = 0.0
+$MOTION_NOW
 $SAMPLE
 weighs = weight(0, samples, ends)
 S[$theta_dot, l] = weighs * theta_rate
@@ -182,10 +165,12 @@ S[$lower_sine_squared_min, l] = s2 if g3 < 0.0 else 1.0
 $FIRST_AXIS
 $FIRST_INTEGRALS
 """
-SAMPLE = """
+MOTION_NOW = """
 u1, u2, u3, g1, g2, g3 = frame_motion(state, constants)
-motion = (u1 * R[l], u2 * R[l], u3 * R[l], g1, g2, g3)
-theta_rate, psi_rate, phi_rate, rate, g3, s2, m, seen = sample(motion, cylinder)
+u1, u2, u3 = u1 * R[l], u2 * R[l], u3 * R[l]
+"""
+SAMPLE = """
+theta_rate, psi_rate, phi_rate, rate, g3, s2, m, seen = sample((u1, u2, u3, g1, g2, g3), cylinder)
 """
 RATES = """
 $SAMPLE
@@ -226,13 +211,18 @@ drift = S[$drift, l]
 $INTEGRALS
 S[$drift, l] = drift
 """
-# Node i of the motion, before its steps to the next, lies in slot i % 4 of P: the state, then its slope.
+# Node i of the motion, before its steps to the next, lies in slot i % 4 of P: MOTION, then its slope, which
+# frame_motion gives as well because it is linear in the state.
 NODE = """
 for l in range($WIDTH):
     $CONSTANTS
     $LOAD
-    $SLOPE
-    $PUSH
+    $MOTION_STATE
+    $MOTION_NOW
+    P[slot, 0, l], P[slot, 1, l], P[slot, 2, l], P[slot, 3, l], P[slot, 4, l], P[slot, 5, l] = u1, u2, u3, g1, g2, g3
+    $MOTION_SLOPE
+    $MOTION_NOW
+    P[slot, 6, l], P[slot, 7, l], P[slot, 8, l], P[slot, 9, l], P[slot, 10, l], P[slot, 11, l] = u1, u2, u3, g1, g2, g3
 """
 # With nodes i - 3 to i there, the interval from i - 2 to i - 1 can be looked into, and beside it the first and the
 # last interval of the run, where there is no node on the far side: samples in the order of time, then spikes of psi'.
@@ -243,12 +233,10 @@ for case in range(3):
         $BETWEEN_STEPS
         m1, m2 = (slot + 1 + case) & 3, (slot + 2 + case) & 3
         for l in range($WIDTH):
-            $CONSTANTS
-            $BEFORE
-            $AFTER
-            $SLOPE_BEFORE
-            $SLOPE_AFTER
-            near[l] = closing(case, before, after, slope_before, slope_after, span, parts)
+            fall = span * (P[m1, 3, l] * P[m1, 9, l] + P[m1, 4, l] * P[m1, 10, l])
+            rise = span * (P[m2, 3, l] * P[m2, 9, l] + P[m2, 4, l] * P[m2, 10, l])
+            s2 = P[m1, 3, l] * P[m1, 3, l] + P[m1, 4, l] * P[m1, 4, l]
+            near[l] = closing(case, s2, fall, rise, parts)
         for l in range($WIDTH):
             if near[l] > 0.0:
                 $PASSAGE
@@ -260,7 +248,6 @@ if parts > 1:
         $FACTORS
         for l in range($WIDTH):
             distance = H[l] * share
-            $CONSTANTS
             $BETWEEN
             $ROWS_IN
             $RATES
@@ -280,12 +267,10 @@ for case in range(3):
         $BETWEEN_STEPS_OF_LANES
         m1, m2 = (slot + 1 + case) & 3, (slot + 2 + case) & 3
         for l in range($WIDTH):
-            $CONSTANTS
-            $BEFORE
-            $AFTER
-            $SLOPE_BEFORE
-            $SLOPE_AFTER
-            near[l] = over[l] * closing(case, before, after, slope_before, slope_after, span, parts)
+            fall = span * (P[m1, 3, l] * P[m1, 9, l] + P[m1, 4, l] * P[m1, 10, l])
+            rise = span * (P[m2, 3, l] * P[m2, 9, l] + P[m2, 4, l] * P[m2, 10, l])
+            s2 = P[m1, 3, l] * P[m1, 3, l] + P[m1, 4, l] * P[m1, 4, l]
+            near[l] = over[l] * closing(case, s2, fall, rise, parts)
         for l in range($WIDTH):
             if near[l] > 0.0:
                 i, samples = at[l] - 1, parts * looks_of[l]
@@ -301,7 +286,6 @@ if parts > 1:
             distance = H[l] * share
             weighs = G[l]
             live = over[l] > 0.0
-            $CONSTANTS
             $BETWEEN
             $ROWS_IN
             $RATES
@@ -309,17 +293,15 @@ if parts > 1:
 """
 
 PASSAGE = """
-$CONSTANTS
+d = H[l] * stride
 for k in range(4):
     n = (slot + 1 + k) & 3
-    $NODE_MOTION
-    forms[0, 2 * k], forms[1, 2 * k] = complex(g1, g2), complex(u1 * span, u2 * span)
-    forms[2, 2 * k] = complex(g3, u3 * span)
-    $NODE_SLOPE
-    u1, u2, u3 = u1 * span, u2 * span, u3 * span
-    forms[0, 2 * k + 1], forms[1, 2 * k + 1] = complex(g1 * span, g2 * span), complex(u1 * span, u2 * span)
-    forms[2, 2 * k + 1] = complex(g3 * span, u3 * span)
-d = H[l] * stride
+    for j in range(2):
+        u1, u2, u3, g1, g2, g3 = P[n, 6 * j, l], P[n, 6 * j + 1, l], P[n, 6 * j + 2, l], P[n, 6 * j + 3, l], P[n, 6 * j + 4, l], P[n, 6 * j + 5, l]
+        unit = span if j else 1.0
+        forms[0, 2 * k + j] = complex(g1 * unit, g2 * unit)
+        forms[1, 2 * k + j] = complex(u1 * d * unit, u2 * d * unit)
+        forms[2, 2 * k + j] = complex(g3 * unit, u3 * d * unit)
 psi_0, phi_0 = S[$psi_dot_reference, l] * d, S[$phi_dot_reference, l] * d
 theta_square, psi_rate, psi_square, phi_rate, phi_square = passage(
     forms, case, parts * (i - 3), parts, samples, ends, psi_0, phi_0, cylinder
@@ -356,7 +338,7 @@ def integrate(
     D = np.empty(($INTS, $WIDTH))
     E = np.empty(($INTS, $WIDTH))
     S = np.empty(($ROWS, $WIDTH))
-    P = np.empty((4, 2 * $STATES, $WIDTH))
+    P = np.empty((4, $NODE_ROWS, $WIDTH))
     near = np.empty($WIDTH)
     forms = np.empty((3, 8), np.complex128)
     looked = 1.0
@@ -383,6 +365,7 @@ def integrate(
                     distance = H[l] * stride
                     $CONSTANTS
                     $STATE
+                    $MOTION_NOW
                     $ROWS_IN
                     $RATES
                     $ROWS_OUT
@@ -426,7 +409,7 @@ def integrate_labels(
     D = np.zeros(($INTS, $WIDTH))
     E = np.zeros(($INTS, $WIDTH))
     S = np.zeros(($ROWS, $WIDTH))
-    P = np.zeros((4, 2 * $STATES, $WIDTH))
+    P = np.zeros((4, $NODE_ROWS, $WIDTH))
     G = np.zeros($WIDTH)
     limit = np.zeros($WIDTH)
     over = np.zeros($WIDTH)
@@ -481,6 +464,7 @@ def integrate_labels(
                 weighs = G[l]
                 $CONSTANTS
                 $STATE
+                $MOTION_NOW
                 $ROWS_IN
                 $RATES
                 $ROWS_OUT

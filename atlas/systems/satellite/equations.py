@@ -12,21 +12,21 @@ Every function takes the state and the constants as sequences in the order of ST
 is plain arithmetic: the engine pastes the text into its kernels (scalars), and arrays of one shape
 work as well. So nothing may be imported here, and no name may be used but those of this file.
 
-The equations hold in any unit of time, and for an a of any length 1 / a_inv. The kernels use units in which
-most factors are 1 (`scaled`); everywhere else a is the unit vector.
+The equations hold in any unit of time, and for an a of any length 1 / a_inv and a g of any length 1 / g_inv. The
+kernels use units in which most factors are 1 (`scaled`); everywhere else a and g are unit vectors.
 """
 
 STATE = ("w1", "w2", "w3", "a1", "a2", "a3", "g1", "g2", "g3")
 # Those of the body and the fields, then what the right-hand side needs of them: D1 = (B - C)/A and so on,
-# N = 3 Omega^2 for an a of length 1, and components of rotor and magnet over a moment of inertia. At most 30:
-# the compiler cannot read a longer tuple.
+# N = 3 Omega^2 for an a of length 1, the reciprocal lengths of a and g (h1, Omega and h3 are over those lengths),
+# and components of rotor and magnet over a moment of inertia. At most 30: the compiler cannot read a longer tuple.
 CONSTANTS = (
     "A", "B", "C", "Omega", "k1", "k2", "k3", "mu1", "mu2", "mu3", "h1", "h3",
-    "D1", "D2", "D3", "N", "a_inv", "k2_A", "k3_A", "k3_B", "k1_B", "k1_C", "k2_C",
+    "D1", "D2", "D3", "N", "a_inv", "g_inv", "k2_A", "k3_A", "k3_B", "k1_B", "k1_C", "k2_C",
     "mu3_A", "mu2_A", "mu1_B", "mu3_B", "mu2_C", "mu1_C",
 )  # fmt: skip
 # Constants that are 1 in the kernels' units.
-ONES = ("N",)
+ONES = ("N", "Omega")
 # The functions below that are first integrals, and the power of a rate that each is.
 INTEGRALS = {"jacobi": 2, "length_alpha": 0, "length_gamma": 0, "length_sum": 0, "axial_momentum": 1}
 
@@ -35,7 +35,7 @@ def rhs(state, constants):
     """Time derivatives of the state."""
     w1, w2, w3, a1, a2, a3, g1, g2, g3 = state
     (
-        A, B, C, Omega, k1, k2, k3, mu1, mu2, mu3, h1, h3, D1, D2, D3, N, a_inv,
+        A, B, C, Omega, k1, k2, k3, mu1, mu2, mu3, h1, h3, D1, D2, D3, N, a_inv, g_inv,
         k2_A, k3_A, k3_B, k1_B, k1_C, k2_C, mu3_A, mu2_A, mu1_B, mu3_B, mu2_C, mu1_C,
     ) = constants  # fmt: skip
     H1, H2, H3 = h1 * a1 + h3 * g1, h1 * a2 + h3 * g2, h1 * a3 + h3 * g3
@@ -54,19 +54,21 @@ def rhs(state, constants):
 
 
 def scaled(state, constants, h):
-    """State and constants in units in which the time h is 1, and so is N: a is sqrt(3) Omega h long.
+    """State and constants in units in which the time h is 1, and so are N and Omega: a is sqrt(3) Omega h long,
+    and g Omega h.
 
-    Without gravity gradient it is so short that it exerts no torque.
+    Without an orbit both are so short that they do nothing.
     """
     w1, w2, w3, a1, a2, a3, g1, g2, g3 = state
     (
-        A, B, C, Omega, k1, k2, k3, mu1, mu2, mu3, h1, h3, D1, D2, D3, N, a_inv,
+        A, B, C, Omega, k1, k2, k3, mu1, mu2, mu3, h1, h3, D1, D2, D3, N, a_inv, g_inv,
         k2_A, k3_A, k3_B, k1_B, k1_C, k2_C, mu3_A, mu2_A, mu1_B, mu3_B, mu2_C, mu1_C,
     ) = constants  # fmt: skip
     a = (N * h * h + 1e-200) ** 0.5
-    return (w1 * h, w2 * h, w3 * h, a * a1, a * a2, a * a3, g1, g2, g3), (
-        A, B, C, Omega * h, k1 * h, k2 * h, k3 * h, mu1 * h * h, mu2 * h * h, mu3 * h * h, h1 / a, h3,
-        D1, D2, D3, N * h * h / (a * a), a_inv / a,
+    g = Omega * h + 1e-100
+    return (w1 * h, w2 * h, w3 * h, a * a1, a * a2, a * a3, g * g1, g * g2, g * g3), (
+        A, B, C, Omega * h / g, k1 * h, k2 * h, k3 * h, mu1 * h * h, mu2 * h * h, mu3 * h * h, h1 / a, h3 / g,
+        D1, D2, D3, N * h * h / (a * a), a_inv / a, g_inv / g,
         k2_A * h, k3_A * h, k3_B * h, k1_B * h, k1_C * h, k2_C * h,
         mu3_A * h * h, mu2_A * h * h, mu1_B * h * h, mu3_B * h * h, mu2_C * h * h, mu1_C * h * h,
     )  # fmt: skip
@@ -75,22 +77,22 @@ def scaled(state, constants, h):
 def unscaled(state, constants, h):
     """The state that `scaled` made this state from; constants: those that it made."""
     w1, w2, w3, a1, a2, a3, g1, g2, g3 = state
-    a_inv = constants[16]
-    return w1 / h, w2 / h, w3 / h, a1 * a_inv, a2 * a_inv, a3 * a_inv, g1, g2, g3
+    a_inv, g_inv = constants[16:18]
+    return w1 / h, w2 / h, w3 / h, a1 * a_inv, a2 * a_inv, a3 * a_inv, g1 * g_inv, g2 * g_inv, g3 * g_inv
 
 
 def frame_motion(state, constants):
     """Angular velocity relative to the orbital frame, w - Omega g, and that frame's vertical, g; linear in the state."""
     w1, w2, w3, a1, a2, a3, g1, g2, g3 = state
-    Omega = constants[3]
-    return w1 - Omega * g1, w2 - Omega * g2, w3 - Omega * g3, g1, g2, g3
+    Omega, g_inv = constants[3], constants[17]
+    return w1 - Omega * g1, w2 - Omega * g2, w3 - Omega * g3, g1 * g_inv, g2 * g_inv, g3 * g_inv
 
 
 def axis_in_frame(state, constants):
     """Components of the third body axis along the radius and along the velocity."""
     w1, w2, w3, a1, a2, a3, g1, g2, g3 = state
-    a_inv = constants[16]
-    return a3 * a_inv, (g1 * a2 - g2 * a1) * a_inv
+    a_inv, g_inv = constants[16:18]
+    return a3 * a_inv, (g1 * a2 - g2 * a1) * a_inv * g_inv
 
 
 # First integrals, each as the tuple of its terms: the drift of the sum is held against their size.
@@ -117,14 +119,19 @@ def length_alpha(state, constants):
 
 def length_gamma(state, constants):
     """|gamma|^2 = 1."""
-    g1, g2, g3 = state[6:9]
+    g_inv = constants[17]
+    g1, g2, g3 = state[6] * g_inv, state[7] * g_inv, state[8] * g_inv
     return g1 * g1, g2 * g2, g3 * g3
 
 
 def length_sum(state, constants):
     """|alpha + gamma|^2 = 2, that is alpha . gamma = 0 with terms that cannot all vanish."""
-    a_inv = constants[16]
-    x, y, z = state[3] * a_inv + state[6], state[4] * a_inv + state[7], state[5] * a_inv + state[8]
+    a_inv, g_inv = constants[16:18]
+    x, y, z = (
+        state[3] * a_inv + state[6] * g_inv,
+        state[4] * a_inv + state[7] * g_inv,
+        state[5] * a_inv + state[8] * g_inv,
+    )
     return x * x, y * y, z * z
 
 

@@ -46,7 +46,7 @@ def constants(points: Points) -> Array:
     body = [A, B, C, Omega, k1, k2, k3, mu1, mu2, mu3, p["h1"], p["h3"]]
     rotor = [k2 / A, k3 / A, k3 / B, k1 / B, k1 / C, k2 / C]
     magnet = [mu3 / A, mu2 / A, mu1 / B, mu3 / B, mu2 / C, mu1 / C]
-    return np.array([*body, *D, 3 * Omega**2, np.ones_like(A), *rotor, *magnet])
+    return np.array([*body, *D, 3 * Omega**2, np.ones_like(A), np.ones_like(A), *rotor, *magnet])
 
 
 def directions(points: Points) -> tuple[Array, Array]:

@@ -510,7 +510,7 @@ def _pace(scene: Scene, points: Points, plan: steps.Steps, method: str, stride: 
     runner = _Runner(scene, {name: values[many] for name, values in points.items()}, method)
     each = np.full(many.size, max(TIMED // many.size // stride, 1) * stride)
     work, times = lanes.plan(each, np.full(many.size, stride), np.full(many.size, parts)), []
-    for _ in range(4):  # the first may load or compile the kernel
+    for _ in range(6):  # the first may load or compile the kernel
         began = process_time()
         runner.end(work, plan.length[many], threads=1)
         times.append(process_time() - began)

@@ -139,6 +139,13 @@ def half_step_text(attributes: Mapping[str, Any]) -> str:
 # The reference.
 
 
+Advance = Callable[[float], None]  # called with the points done since the last call
+
+
+def _untold(points: float) -> None:
+    """An Advance that nobody listens to."""
+
+
 @dataclass(frozen=True)
 class Reference:
     """What the motions are, and how well that is known; arrays over the points."""
@@ -154,11 +161,7 @@ class Reference:
 
 
 def reference(
-    system: System,
-    points: Points,
-    duration: Array,
-    settings: Settings,
-    advance: Callable[[float], None] = lambda points: None,
+    system: System, points: Points, duration: Array, settings: Settings, advance: Advance = _untold
 ) -> Reference:
     """Final states and statistics, by closed form where a start is exactly on a family, else by DOP853.
 
@@ -166,7 +169,7 @@ def reference(
     quadratures beside the states. The error of the reference is SAFETY times the difference of the two
     runs; where the closed form is taken, its difference from the first: on an unstable motion nobody knows
     where a start that is exact but for rounding goes. Raises BadInput that numbers the points (from 0) where
-    a run fails. advance is called with the points done since the last call, two for each of them in all.
+    a run fails. advance hears of two for each of the points in all.
     """
     tight, lost = _dop853(system, points, duration, settings.cylinder, REFERENCE, advance)
     if lost.any():
@@ -243,12 +246,7 @@ def _rates(motion: Sequence[Array], cylinder: float) -> tuple[Array, ...]:
 
 
 def _dop853(
-    system: System,
-    points: Points,
-    duration: Array,
-    cylinder: float,
-    rtol: float,
-    advance: Callable[[float], None] = lambda points: None,
+    system: System, points: Points, duration: Array, cylinder: float, rtol: float, advance: Advance = _untold
 ) -> tuple[dict[str, Array], Mask]:
     """Statistics by name and the final "state" of every point; and where that failed."""
     with np.errstate(all="ignore"):
@@ -278,12 +276,7 @@ def _dop853(
 
 
 def _follow(
-    system: System,
-    points: Points,
-    duration: Array,
-    cylinder: float,
-    rtol: float,
-    advance: Callable[[float], None] = lambda points: None,
+    system: System, points: Points, duration: Array, cylinder: float, rtol: float, advance: Advance = _untold
 ) -> dict[str, Array] | None:
     """The points as one system of equations in t / duration; None if a step fails."""
     equations, constants, start = system.equations, system.constants(points), system.start(points)
@@ -391,21 +384,9 @@ def accuracy(scene: Scene, count: int = 64, *, progress: bool = False) -> xr.Dat
     if not there.size:
         raise BadInput(f"family.name = {scene.family!r}: exists at none of the points tried")
     indices = indices[there[spread(there.size, count)]]
-    bar, left_out = Progress((2 + len(METHODS)) * indices.size, show=progress), ""
+    bar = Progress((2 + len(METHODS)) * indices.size, show=progress)
     try:
-        while True:
-            part = grid.take(scene, indices)
-            try:
-                truth = reference(system, part.points, part.duration, settings, bar.advance)
-                break
-            except _Failure as failure:
-                left_out = (
-                    f"the reference fails at {failure.places.size} of {indices.size} points, where the motion is"
-                    f" not finite or turns more than {MOST_TURNS:g} rad: {_named(scene, indices[failure.places])}"
-                )
-                indices = np.delete(indices, failure.places)
-                if indices.size < 2:
-                    raise BadInput(left_out) from None
+        indices, part, truth, left_out = _followed(scene, indices, bar.advance)
         (kind, rungs), methods = ladder(settings), list(METHODS)
         shape = (len(methods), len(rungs), indices.size)
         columns = {f"error_{name}": np.full(shape, np.nan) for name in STATISTICS}
@@ -472,6 +453,26 @@ def accuracy(scene: Scene, count: int = 64, *, progress: bool = False) -> xr.Dat
         seconds=perf_counter() - began, points=indices.size, remarks=[],
     ) | ds.attrs | ({"left_out": left_out} if left_out else {})  # fmt: skip
     return ds
+
+
+def _followed(
+    scene: Scene, indices: np.ndarray, advance: Advance
+) -> tuple[np.ndarray, grid.Grid, Reference, str]:
+    """Those points that the reference can follow, and which it cannot, in words; BadInput for less than 2."""
+    left_out = ""
+    while True:
+        part = grid.take(scene, indices)
+        try:
+            truth = reference(scene.system, part.points, part.duration, scene.settings, advance)
+            return indices, part, truth, left_out
+        except _Failure as failure:
+            left_out = (
+                f"the reference fails at {failure.places.size} of {indices.size} points, where the motion is"
+                f" not finite or turns more than {MOST_TURNS:g} rad: {_named(scene, indices[failure.places])}"
+            )
+            indices = np.delete(indices, failure.places)
+            if indices.size < 2:
+                raise BadInput(left_out) from None
 
 
 def _plan(system: System, points: Points, duration: Array, settings: Settings) -> steps.Steps:
@@ -647,6 +648,12 @@ def _largest(values: Array) -> float:
     return float(values.max()) if values.size else math.nan
 
 
+def _at(ds: xr.Dataset, row: Mapping[str, Any]) -> xr.Dataset:
+    """The method and rung that a row of the summary is made from."""
+    kind = ds.attrs["ladder"]
+    return ds.sel({"method": row["method"]}).isel(rung=int(np.abs(ds[kind].values - row[kind]).argmin()))
+
+
 def _shown(ds: xr.Dataset, at: xr.Dataset, name: str) -> tuple[str, str]:
     """Median and largest error_NAME at a rung; with <= where the reference knows no better."""
     known = ds[f"reference_error{'' if name == 'state' else '_' + name}"].values
@@ -675,7 +682,7 @@ def report(ds: xr.Dataset) -> str:
     ]  # fmt: skip
     marked = None
     for row in rows:
-        at = ds.sel({"method": row["method"]}).isel(rung=int(np.abs(ds[kind].values - row[kind]).argmin()))
+        at = _at(ds, row)
         marked = at if row["own_setting"] else marked
         cells.append(
             (
@@ -774,8 +781,7 @@ def advice(ds: xr.Dataset) -> str:
 
 def _beyond(ds: xr.Dataset, row: Mapping[str, Any], target: float) -> tuple[int, str]:
     """How many points have a larger error in states or rates than the target at a row's setting, and the worst."""
-    kind = ds.attrs["ladder"]
-    at = ds.sel({"method": row["method"]}).isel(rung=int(np.abs(ds[kind].values - row[kind]).argmin()))
+    at = _at(ds, row)
     error = np.fmax(at["error_state"].values, at["error_rates"].values)
     beyond = np.flatnonzero(error > target)
     return beyond.size, _named_points(ds, beyond[np.argsort(-error[beyond])])

@@ -348,8 +348,6 @@ def _accuracy(options: argparse.Namespace) -> int:
         if out.suffix not in (".nc", ".csv", ".png", ".pdf", ".svg"):
             raise BadInput(f"{out}: the name must end in .nc, .csv, .png, .pdf or .svg")
         store.check_folder(out)
-        if out.is_dir():
-            raise BadInput(f"{out}: this is a folder")
         if out.exists() and not options.force:
             raise BadInput(f"{out}: this file exists; --force replaces it")
     ds = accuracy.accuracy(load_scene(options.scene), options.points, progress=True)

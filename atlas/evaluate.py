@@ -166,7 +166,8 @@ def evaluate(
         ), looks  # fmt: skip
     certain = done < looks
     time = np.where(certain, done * plan.stride * plan.length, duration)
-    result = measure.finish(out, done * plan.parts, plan.parts)
+    samples = done * plan.parts
+    result = measure.finish(out, samples, plan.parts)
     cylinder = labels.in_cylinder(result, settings.cylinder)
     finite = np.asarray(np.isfinite(state).all(0) & np.isfinite(out).all(0))
 
@@ -191,18 +192,15 @@ def evaluate(
         doubtful = _half_step_sample(first, constants, settings.check_half_step)
         doubtful |= _unsure(result, _expected_error(plan, bound, result), settings, frames)
         doubtful = resolved & ~sensitive & ~certain & (doubtful | left)
-    error = np.maximum(
-        _error_estimate(plan, growth, out, np.asarray(done * plan.parts, float), duration),
-        result["integral_drift"],
-    )
+    error = np.maximum(_error_estimate(plan, growth, out, samples, duration), result["integral_drift"])
     if doubtful.any():
-        where = np.flatnonzero(doubtful)
+        where, half = np.flatnonzero(doubtful), plan.halved(method)
         again = lanes.integrate(
-            module, lanes.plan(2 * plan.count[where], plan.stride[where], plan.parts[where]), plan.length[where] / 2,
+            module, lanes.plan(half.count[where], half.stride[where], half.parts[where]), half.length[where],
             first[:, where].copy(), constants[:, where].copy(), scales[:, where].copy(),
             settings.cylinder, threads=threads,
         )  # fmt: skip
-        twice = measure.finish(again, 2 * plan.intervals[where], plan.parts[where])
+        twice = measure.finish(again, half.intervals[where], half.parts[where])
         once = _take(result, where)
         sensitive[where] = _changed(once, twice, settings, _take(frames, where))
         apart = np.abs(once["theta_dot_rms"] - twice["theta_dot_rms"]) > ALIKE * twice["theta_dot_rms"]
@@ -239,7 +237,9 @@ def evaluate(
     return result
 
 
-def _error_estimate(plan: steps.Steps, growth: Array, out: Array, samples: Array, duration: Array) -> Array:
+def _error_estimate(
+    plan: steps.Steps, growth: Array, out: Array, samples: np.ndarray, duration: Array
+) -> Array:
     """Relative error of states and rates that can be foreseen, (points,): of an oscillation at the bound, grown
     as the motion's instability does (to 1 at most); and, where the axis was in the cylinder for a part of the run,
     the sample more or less that is outside."""

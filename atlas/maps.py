@@ -785,8 +785,6 @@ def save(figure: Figure, path: str | Path) -> None:
     if path.suffix.lower() not in FORMATS:
         raise BadInput(f"{path}: a figure's name ends in {', '.join(FORMATS)}")
     check_folder(path)
-    if path.is_dir():
-        raise BadInput(f"{path}: this is a folder")
     kind = path.suffix.lower()[1:]
     # no date, so that the same atlas gives the same file
     undated = {"png": {}, "pdf": {"CreationDate": None}, "svg": {"Date": None}}[kind]

@@ -149,15 +149,13 @@ def writable(out: str | Path, *, force: bool) -> Path:
     if path.suffix != SUFFIX:
         raise BadInput(f"{path}: the name of an atlas ends in {SUFFIX}")
     check_folder(path)
-    if path.is_dir():
-        raise BadInput(f"{path}: this is a folder")
     if path.exists() and not force:
         raise BadInput(f"{path}: this file exists; --force (force=True) replaces it")
     return path
 
 
 def check_folder(path: Path) -> None:
-    """Raise BadInput unless a file can be made beside where `path` will be."""
+    """Raise BadInput unless a file can be made beside where `path` will be, and no folder is in its place."""
     folder = path.parent
     if not folder.is_dir():
         raise BadInput(f"{path}: there is no folder {folder}")
@@ -166,6 +164,8 @@ def check_folder(path: Path) -> None:
             pass
     except OSError as error:
         raise BadInput(f"{path}: cannot be written: {error.strerror}") from None
+    if path.is_dir():
+        raise BadInput(f"{path}: this is a folder")
 
 
 def write(ds: xr.Dataset, path: Path) -> None:

@@ -73,29 +73,24 @@ def source(
         "ROWS_OUT_LIVE": _lines(f"S[{row[name]}, l] = {name} if live else S[{row[name]}, l]" for name in moving),
         "FACTORS": _lines(f"b{k} = between[parts - 1, case, part - 1, {k}]" for k in range(8)),
         "BETWEEN": _lines(f"{name} = {_between(i, METHODS[method].span)}" for i, name in enumerate(MOTION)),
-        "MOTION_STATE": f"state = ({', '.join(f'y{i}' for i in states)})",
-        "MOTION_SLOPE": "state = rhs(state, constants)",
+        "STATE_LOADED": _tuple("state", (f"y{i}" for i in states)),
+        "MOTION_OUT": f"{_node('slot', 0)} = {', '.join(MOTION)}",
+        "SLOPE_OUT": f"{_node('slot', len(MOTION))} = {', '.join(MOTION)}",
+        "MOTION_IN": f"{', '.join(MOTION)} = {_node('n', f'{len(MOTION)} * j')}",
     }  # fmt: skip
     numbers = row | {
         "WIDTH": WIDTH, "STATES": len(states), "CONSTS": len(constants), "INTS": len(equations.INTEGRALS),
         "ROWS": len(row), "DRIFT_EVERY": DRIFT_EVERY, "PARTS": parts, "SPAN": METHODS[method].span,
         "NODE_ROWS": 2 * len(MOTION),
     }  # fmt: skip
-    blocks["MOTION_NOW"] = fill(MOTION_NOW, blocks, numbers)
-    blocks["SAMPLE"] = fill(SAMPLE, blocks, numbers)
-    blocks["RATES"] = fill(RATES, blocks, numbers)
-    for name, part in {
-        "DRIFT": DRIFT, "AXIS": AXIS if axis else "pass", "FIRST_AXIS": FIRST_AXIS if axis else "pass",
+    for name, part in {  # each may hold those before it
+        "MOTION_NOW": MOTION_NOW, "SAMPLE": SAMPLE, "RATES": RATES, "DRIFT": DRIFT,
+        "AXIS": AXIS if axis else "pass", "FIRST_AXIS": FIRST_AXIS if axis else "pass",
         "BETWEEN_STEPS": BETWEEN_STEPS if parts > 1 else "",
         "BETWEEN_STEPS_OF_LANES": BETWEEN_STEPS_OF_LANES if parts > 1 else "",
-        "NODE": NODE, "PASSAGE": PASSAGE, "LAST_THETA": LAST_THETA,
+        "NODE": NODE, "CLOSING": CLOSING, "PASSAGE": PASSAGE, "LAST_THETA": LAST_THETA,
+        "TAKE": TAKE, "INTERVALS": INTERVALS, "INTERVALS_OF_LANES": INTERVALS_OF_LANES,
     }.items():  # fmt: skip
-        blocks[name] = fill(part, blocks, numbers)
-    for name, part in {
-        "TAKE": TAKE,
-        "INTERVALS": INTERVALS,
-        "INTERVALS_OF_LANES": INTERVALS_OF_LANES,
-    }.items():
         blocks[name] = fill(part, blocks, numbers)
     header = f"{jit.HEADER}from {jit.__name__} import aligned_stack\n\nPARTS = {parts}\n"
     return f"{header}{fill(KERNEL + LABEL_KERNEL, blocks, numbers)}"
@@ -114,6 +109,11 @@ def _total(equations: ModuleType, name: str) -> str:
     ones = (1.0,) * len(equations.STATE), (1.0,) * len(equations.CONSTANTS)
     terms = [f"t{j}" for j in range(len(getattr(equations, name)(*ones)))]
     return f"{', '.join(terms)}, = {name}(state, constants)\ntotal = {' + '.join(terms)}"
+
+
+def _node(slot: str, first: int | str) -> str:
+    """The rows of a node that hold the motion, or its slope, from the first of them on."""
+    return ", ".join(f"P[{slot}, {first} + {i}, l]" for i in range(len(MOTION)))
 
 
 def _between(i: int, span: float) -> str:
@@ -217,12 +217,20 @@ NODE = """
 for l in range($WIDTH):
     $CONSTANTS
     $LOAD
-    $MOTION_STATE
+    $STATE_LOADED
     $MOTION_NOW
-    P[slot, 0, l], P[slot, 1, l], P[slot, 2, l], P[slot, 3, l], P[slot, 4, l], P[slot, 5, l] = u1, u2, u3, g1, g2, g3
-    $MOTION_SLOPE
+    $MOTION_OUT
+    state = rhs(state, constants)
     $MOTION_NOW
-    P[slot, 6, l], P[slot, 7, l], P[slot, 8, l], P[slot, 9, l], P[slot, 10, l], P[slot, 11, l] = u1, u2, u3, g1, g2, g3
+    $SLOPE_OUT
+"""
+CLOSING = """
+m1, m2 = (slot + 1 + case) & 3, (slot + 2 + case) & 3
+for l in range($WIDTH):
+    fall = span * (P[m1, 3, l] * P[m1, 9, l] + P[m1, 4, l] * P[m1, 10, l])
+    rise = span * (P[m2, 3, l] * P[m2, 9, l] + P[m2, 4, l] * P[m2, 10, l])
+    s2 = P[m1, 3, l] * P[m1, 3, l] + P[m1, 4, l] * P[m1, 4, l]
+    near[l] = closing(case, s2, fall, rise, parts)
 """
 # With nodes i - 3 to i there, the interval from i - 2 to i - 1 can be looked into, and beside it the first and the
 # last interval of the run, where there is no node on the far side: samples in the order of time, then spikes of psi'.
@@ -231,12 +239,7 @@ n0, n1, n2, n3 = (slot + 1) & 3, (slot + 2) & 3, (slot + 3) & 3, slot
 for case in range(3):
     if i >= 3 and (case == 1 or (case == 0 and i == 3) or (case == 2 and i == last_node)):
         $BETWEEN_STEPS
-        m1, m2 = (slot + 1 + case) & 3, (slot + 2 + case) & 3
-        for l in range($WIDTH):
-            fall = span * (P[m1, 3, l] * P[m1, 9, l] + P[m1, 4, l] * P[m1, 10, l])
-            rise = span * (P[m2, 3, l] * P[m2, 9, l] + P[m2, 4, l] * P[m2, 10, l])
-            s2 = P[m1, 3, l] * P[m1, 3, l] + P[m1, 4, l] * P[m1, 4, l]
-            near[l] = closing(case, s2, fall, rise, parts)
+        $CLOSING
         for l in range($WIDTH):
             if near[l] > 0.0:
                 $PASSAGE
@@ -265,14 +268,9 @@ for case in range(3):
         wanted = wanted or here
     if wanted:
         $BETWEEN_STEPS_OF_LANES
-        m1, m2 = (slot + 1 + case) & 3, (slot + 2 + case) & 3
+        $CLOSING
         for l in range($WIDTH):
-            fall = span * (P[m1, 3, l] * P[m1, 9, l] + P[m1, 4, l] * P[m1, 10, l])
-            rise = span * (P[m2, 3, l] * P[m2, 9, l] + P[m2, 4, l] * P[m2, 10, l])
-            s2 = P[m1, 3, l] * P[m1, 3, l] + P[m1, 4, l] * P[m1, 4, l]
-            near[l] = over[l] * closing(case, s2, fall, rise, parts)
-        for l in range($WIDTH):
-            if near[l] > 0.0:
+            if near[l] > 0.0 and over[l] > 0.0:
                 i, samples = at[l] - 1, parts * looks_of[l]
                 $PASSAGE
 """
@@ -297,7 +295,7 @@ d = H[l] * stride
 for k in range(4):
     n = (slot + 1 + k) & 3
     for j in range(2):
-        u1, u2, u3, g1, g2, g3 = P[n, 6 * j, l], P[n, 6 * j + 1, l], P[n, 6 * j + 2, l], P[n, 6 * j + 3, l], P[n, 6 * j + 4, l], P[n, 6 * j + 5, l]
+        $MOTION_IN
         unit = span if j else 1.0
         forms[0, 2 * k + j] = complex(g1 * unit, g2 * unit)
         forms[1, 2 * k + j] = complex(u1 * d * unit, u2 * d * unit)

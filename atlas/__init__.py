@@ -5,27 +5,26 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 from . import accessor as _accessor  # noqa: F401  (registers ds.atlas with xarray)
-
-__version__ = "0.1.0"
+from ._version import __version__
 
 if TYPE_CHECKING:
-    from .catalogue import equilibria as equilibria
-    from .follow import trajectory as trajectory
-    from .runner import label_points as label_points
-    from .runner import run as run
-    from .scene import load_scene as load_scene
-    from .store import open_atlas as open_atlas
-    from .systems.system import BadInput as BadInput
+    from .analysis.catalogue import equilibria as equilibria
+    from .label.points import label_points as label_points
+    from .label.trajectory import trajectory as trajectory
+    from .runs.open import open_atlas as open_atlas
+    from .runs.runner import run as run
+    from .scene.read import load_scene as load_scene
+    from .systems.base import BadInput as BadInput
 
 # name -> module: imported when first used, so that reading a scene loads no compiler
 _FACE = {
-    "load_scene": "scene",
-    "run": "runner",
-    "label_points": "runner",
-    "open_atlas": "store",
-    "trajectory": "follow",
-    "equilibria": "catalogue",
-    "BadInput": "systems.system",
+    "load_scene": "scene.read",
+    "run": "runs.runner",
+    "label_points": "label.points",
+    "open_atlas": "runs.open",
+    "trajectory": "label.trajectory",
+    "equilibria": "analysis.catalogue",
+    "BadInput": "systems.base",
 }
 __all__ = [*_FACE, "__version__"]
 

@@ -15,14 +15,14 @@ import numpy as np
 import xarray as xr
 from scipy.special import betaincinv
 
-from .systems.system import BadInput
+from .systems.base import BadInput
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-BLOCK = 4_000_000
+CHUNK = 4_000_000
 # Shorter axes are taken as so many separate maps: their cells say nothing about resolution.
-LEAST_VALUES = 5
+MIN_VALUES = 5
 
 
 @xr.register_dataset_accessor("atlas")
@@ -34,7 +34,7 @@ class Atlas:
 
     def map(self, variable: str | None = None, **options: Any) -> Figure:
         """Figure of one variable over two axes; options as in `maps.atlas_map`."""
-        from .maps import atlas_map
+        from .plotting.maps import atlas_map
 
         return atlas_map(self._ds, variable, **options)
 
@@ -50,7 +50,7 @@ class Atlas:
             raise BadInput("select: name at least one flag, such as label='drifting'")
         dims = [str(d) for d in self._ds[next(iter(wanted))].dims]
         parts: list[xr.Dataset] = []
-        for place in _blocks(self._ds, dims):
+        for place in _chunks(self._ds, dims):
             block = self._ds.isel(place)
             keep = np.ones([block.sizes[d] for d in dims], bool)
             for name, values in wanted.items():
@@ -68,7 +68,7 @@ class Atlas:
         Among single points distances are counted in the spread of each parameter. Raises BadInput for
         names that are not there and for values outside the axes.
         """
-        from .maps import nearest
+        from .analysis.select import nearest
 
         if "point" not in self._ds.dims or not coords:
             return nearest(self._ds, coords)
@@ -96,7 +96,7 @@ class Atlas:
             raise BadInput(f"along = {along!r}: not an axis of this atlas; allowed: {', '.join(dims)}")
         rows = self._ds.sizes[along] if along is not None else 1
         counts = np.zeros((rows, len(names)), np.int64)
-        for place in _blocks(self._ds, dims):
+        for place in _chunks(self._ds, dims):
             values = array.isel(place).values
             table = np.moveaxis(values, dims.index(along), 0) if along is not None else values[np.newaxis]
             part = place.get(along, slice(None)) if along is not None else slice(None)
@@ -128,7 +128,7 @@ class Atlas:
         """
         import contourpy
 
-        from .maps import plane_of
+        from .analysis.select import plane_of
 
         (flag,) = _values(self._ds, variable, label)
         part, dims, panels = plane_of(self._ds, x, y, select or {})
@@ -148,8 +148,8 @@ class Atlas:
         The start, its nudge, duration, method and step are those of the atlas' own scene; among points
         of one's own they are those of the point. Returns a Dataset over time, see `atlas.trajectory`.
         """
-        from .follow import trajectory, trajectory_of_scene
-        from .maps import axes_of, scene_of, system_of
+        from .analysis.select import axes_of, scene_of, system_of
+        from .label.trajectory import trajectory, trajectory_of_scene
 
         scene = scene_of(self._ds)
         at = self.nearest(**coords).squeeze()
@@ -174,7 +174,7 @@ class Atlas:
 
     def compare(self, worst: int = 5) -> str:
         """Comparison with theory in plain text, see `atlas compare`; reads label and predicted whole."""
-        from .compare import report
+        from .analysis.compare import report
 
         return report(self._ds, worst)
 
@@ -186,7 +186,8 @@ class Atlas:
         x, y, select as in `maps.atlas_map`. Returns family -> curves of shape (vertices, axes), x first;
         rows of nan cut a curve. See `maps.family_curves` for which families show.
         """
-        from .maps import Plane, family_curves, plane_of, scene_of
+        from .analysis.select import plane_of, scene_of
+        from .analysis.theory_curves import Plane, family_curves
 
         scene = scene_of(self._ds)
         if scene is None:
@@ -214,9 +215,9 @@ class Atlas:
         """
         _names(self._ds, variable)
         array = self._ds[variable]
-        dims = [str(d) for d in array.dims if array.sizes[d] >= LEAST_VALUES and d in self._ds.coords]
+        dims = [str(d) for d in array.dims if array.sizes[d] >= MIN_VALUES and d in self._ds.coords]
         if not dims:
-            raise BadInput(f"trust: no axis has {LEAST_VALUES} values or more")
+            raise BadInput(f"trust: no axis has {MIN_VALUES} values or more")
         array = array.sortby(dims).transpose(..., *dims)
         strides = [1]
         while 4 * strides[-1] < min(array.sizes[d] for d in dims):
@@ -225,13 +226,13 @@ class Atlas:
         for stride in strides:
             coarse = array.isel({d: slice(None, None, stride) for d in dims})
             cells, differ = 0, 0
-            for place in _blocks(coarse, dims, overlap=1):
+            for place in _chunks(coarse, dims, overlap=1):
                 values = coarse.isel(place).values
                 low, high = _extremes(values, len(dims), inner=False, step=1)
                 cells, differ = cells + low.size, differ + int((low != high).sum())
             shares.append(differ / cells)
         calm, missed = 0, 0
-        for place in _blocks(array, dims, overlap=2):
+        for place in _chunks(array, dims, overlap=2):
             values = array.isel(place).values
             low, high = _extremes(values, len(dims), inner=False, step=2)
             least, most = _extremes(values, len(dims), inner=True, step=2)
@@ -256,7 +257,7 @@ class Atlas:
 
     def cite(self) -> str:
         """What a result from this atlas rests on: program, equations, and how it was computed."""
-        from .maps import system_of
+        from .analysis.select import system_of
 
         system, attributes = system_of(self._ds), self._ds.attrs
         return (
@@ -287,14 +288,14 @@ def _values(ds: xr.Dataset, variable: str, names: str | Sequence[str]) -> list[i
     return [known.index(name) for name in listed]
 
 
-def _blocks(
+def _chunks(
     ds: xr.Dataset | xr.DataArray, dims: Sequence[str], overlap: int = 0
 ) -> Iterator[dict[str, slice]]:
     """Slices that cut the dims into blocks of about BLOCK points in C order, other dims whole.
 
     With an overlap each block holds so many of the points of the next, and starts at an even point.
     """
-    room, cuts = BLOCK // math.prod(n for d, n in ds.sizes.items() if d not in dims), []
+    room, cuts = CHUNK // math.prod(n for d, n in ds.sizes.items() if d not in dims), []
     for dim in reversed(dims):
         size, least = ds.sizes[dim], 2 if overlap else 1
         length = max(least, room // least * least)

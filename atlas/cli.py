@@ -11,8 +11,8 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import NoReturn
 
-from . import __version__
-from .systems.system import BadInput
+from ._version import __version__
+from .systems.base import BadInput
 
 DONE, FAILED, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130
 
@@ -172,7 +172,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _run(options: argparse.Namespace) -> int:
-    from .scene import load_scene
+    from .scene.read import load_scene
 
     for name in ("threads", "workers"):
         if (number := getattr(options, name)) is not None and number < 1:
@@ -180,7 +180,9 @@ def _run(options: argparse.Namespace) -> int:
     shard = _shard(options.shard)
     scene = load_scene(options.scene)
     out = options.out or Path(options.scene).stem + ".nc"
-    from .runner import dry_run, run, summary
+    from .analysis.summary import summary
+    from .runs.estimate import dry_run
+    from .runs.runner import run
 
     if options.dry_run:
         print(dry_run(scene, threads=options.threads, workers=options.workers))
@@ -207,25 +209,25 @@ def _shard(text: str | None) -> tuple[int, int] | None:
 
 
 def _status(options: argparse.Namespace) -> int:
-    from .folder import RunFolder
+    from .runs.folder import RunFolder
 
     print(RunFolder.open(options.folder).status())
     return DONE
 
 
 def _join(options: argparse.Namespace) -> int:
-    from . import store
-    from .folder import RunFolder
+    from .io import netcdf
+    from .runs.folder import RunFolder
 
     folder = RunFolder.open(options.folder)
-    folder.join(store.writable(options.out, force=options.force))
+    folder.join(netcdf.writable(options.out, force=options.force))
     print(f"wrote {options.out}")
     return DONE
 
 
 def _check(options: argparse.Namespace) -> int:
-    from . import grid
-    from .scene import load_scene
+    from .scene import grid
+    from .scene.read import load_scene
 
     scene = load_scene(options.scene)
     checked = grid.check(scene)
@@ -241,34 +243,37 @@ def _check(options: argparse.Namespace) -> int:
 
 
 def _points(options: argparse.Namespace) -> int:
-    from . import points, store, systems
+    from . import systems
+    from .io import files, netcdf
+    from .scene import tables
 
     out = Path(options.out)
     if options.threads is not None and options.threads < 1:
         raise BadInput(f"--threads {options.threads}: must be at least 1")
-    if out.suffix not in points.FORMATS:
-        raise BadInput(f"{out}: the name must end in {' or '.join(points.FORMATS)}")
-    store.check_folder(out)
+    if out.suffix not in tables.FORMATS:
+        raise BadInput(f"{out}: the name must end in {' or '.join(tables.FORMATS)}")
+    files.check_folder(out)
     if out.exists() and not options.force:
         raise BadInput(f"{out}: this file exists; --force replaces it")
     system = systems.get(options.system)
-    columns = points.read(options.points, system.parameters)
-    from .runner import label_points, summary
+    columns = tables.read(options.points, system.parameters)
+    from .analysis.summary import summary
+    from .label.points import label_points
 
     ds = label_points(
         system.name, columns, duration=options.duration, step=options.step, tolerance=options.tolerance,
         method=options.method, rate_tolerance=options.rate_tolerance, threads=options.threads,
         progress=not options.quiet,
     )  # fmt: skip
-    (points.write_csv if out.suffix == ".csv" else store.write)(ds, out)
+    (tables.write_csv if out.suffix == ".csv" else netcdf.write)(ds, out)
     print(summary(ds))
     print(f"wrote {out}")
     return DONE
 
 
 def _compare(options: argparse.Namespace) -> int:
-    from .compare import report
-    from .store import open_atlas
+    from .analysis.compare import report
+    from .runs.open import open_atlas
 
     with open_atlas(options.atlas) as ds:
         for name in ("label", "predicted"):
@@ -281,12 +286,12 @@ def _compare(options: argparse.Namespace) -> int:
 
 
 def _map(options: argparse.Namespace) -> int:
-    from . import maps
-    from .store import open_atlas
+    from .plotting import maps, style
+    from .runs.open import open_atlas
 
     stem = Path(options.atlas).with_suffix("")
-    figures = [Path(options.out)] if options.out else [stem.with_suffix(".png"), stem.with_suffix(".pdf")]
-    for figure in figures:
+    amer2013 = [Path(options.out)] if options.out else [stem.with_suffix(".png"), stem.with_suffix(".pdf")]
+    for figure in amer2013:
         if figure.exists() and not options.force:
             raise BadInput(f"{figure}: this file exists; --force replaces it")
     select = _places("--select", options.select)
@@ -296,8 +301,8 @@ def _map(options: argparse.Namespace) -> int:
         )
         if options.caption:
             print(maps.caption(ds))
-    for figure in figures:
-        maps.save(drawn, figure)
+    for figure in amer2013:
+        style.save(drawn, figure)
         print(f"wrote {figure}")
     return DONE
 
@@ -315,68 +320,71 @@ def _places(option: str, texts: Sequence[str]) -> dict[str, float]:
 
 
 def _trajectory(options: argparse.Namespace) -> int:
-    from . import store
-    from .scene import load_scene
+    from .io import files, netcdf
+    from .scene.read import load_scene
 
     scene = load_scene(options.scene)
     out = Path(options.out or Path(options.scene).stem + "_trajectory.png")
     if out.suffix not in (".nc", ".png", ".pdf", ".svg"):
         raise BadInput(f"{out}: the name must end in .nc, .png, .pdf or .svg")
-    store.check_folder(out)
+    files.check_folder(out)
     if out.exists() and not options.force:
         raise BadInput(f"{out}: this file exists; --force replaces it")
-    from .follow import trajectory_of_scene
+    from .label.trajectory import trajectory_of_scene
 
     tr = trajectory_of_scene(scene, _places("--at", options.at), samples=options.samples)
     if out.suffix == ".nc":
-        store.write(tr, out)
+        netcdf.write(tr, out)
     else:
-        from . import maps
+        from .plotting import style, trajectory
 
-        maps.save(maps.trajectory_figure(tr), out)
+        style.save(trajectory.trajectory_figure(tr), out)
     low, high = float(tr["theta"].min()), float(tr["theta"].max())
     print(f"theta from {low:.9g} to {high:.9g} rad in {float(tr['time'][-1]):.9g} time units; wrote {out}")
     return DONE
 
 
 def _accuracy(options: argparse.Namespace) -> int:
-    from . import accuracy, store
-    from .scene import load_scene
+    from .io import files, netcdf
+    from .plotting.work_precision import figure
+    from .scene.read import load_scene
+    from .validation import work_precision
 
     outs = [Path(out) for out in options.out]
     for out in outs:
         if out.suffix not in (".nc", ".csv", ".png", ".pdf", ".svg"):
             raise BadInput(f"{out}: the name must end in .nc, .csv, .png, .pdf or .svg")
-        store.check_folder(out)
+        files.check_folder(out)
         if out.exists() and not options.force:
             raise BadInput(f"{out}: this file exists; --force replaces it")
-    ds = accuracy.accuracy(load_scene(options.scene), options.points, progress=True)
-    print(accuracy.report(ds))
+    ds = work_precision.work_precision(load_scene(options.scene), options.points, progress=True)
+    print(work_precision.report(ds))
     for out in outs:
         if out.suffix == ".nc":
-            store.write(ds, out)
+            netcdf.write(ds, out)
         elif out.suffix == ".csv":
-            out.write_text(accuracy.table(ds))
+            out.write_text(work_precision.table(ds))
         else:
-            from . import maps
+            from .plotting import style
 
-            maps.save(accuracy.figure(ds), out)
+            style.save(figure(ds), out)
         print(f"wrote {out}")
     return DONE
 
 
 def _conditions(options: argparse.Namespace) -> int:
-    from . import catalogue, systems
+    from . import systems
+    from .analysis import catalogue
 
     system = systems.get(options.system)
     families = catalogue.families(system, options.family)
     if options.json:
         found: dict[str, object] = {"system": system.name, "reference": system.reference, "doi": system.doi}
         found |= {} if options.errata else {"families": families}
-        found["printed"] = catalogue.printed(system, options.family, options.errata)
+        found["printed"] = catalogue.published(system, options.family, options.errata)
         print(json.dumps(found, indent=1, ensure_ascii=False))
         return DONE
-    rows = catalogue.printed(system, options.family, errata=True) if options.errata else families
+    rows = catalogue.published(system, options.family, errata=True) if options.errata else families
     if options.csv:
         writer = csv.DictWriter(sys.stdout, rows[0] if rows else ["equation"], lineterminator="\n")
         writer.writeheader()
@@ -417,7 +425,7 @@ def _conditions(options: argparse.Namespace) -> int:
             row["equation"], row["family"] or "-",
             _residual(row["residual_printed"]), _residual(row["residual_true"]), row["verdict"],
         )
-        for row in catalogue.printed(system)
+        for row in catalogue.published(system)
     ]  # fmt: skip
     print(f"\n{system.reference}:\n{table(equations)}")
     print(
@@ -432,12 +440,15 @@ def _residual(value: float | None) -> str:
 
 
 def _stress(options: argparse.Namespace) -> int:
-    from . import store, stress, systems
-    from .maps import save
+    from . import systems
+    from .io import netcdf
+    from .plotting.stress import figure
+    from .plotting.style import save
+    from .validation import limits, stress, stress_cases
 
     if options.threads is not None and options.threads < 1:
         raise BadInput(f"--threads {options.threads}: must be at least 1")
-    names = [systems.get(options.system).name] if options.system else list(stress.BATTERIES)
+    names = [systems.get(options.system).name] if options.system else list(stress_cases.STRESS_CASES)
     folder = Path(options.out) if options.out else None
     if folder is not None:
         for path in (folder / f"{name}{suffix}" for name in names for suffix in (".nc", ".png")):
@@ -450,28 +461,28 @@ def _stress(options: argparse.Namespace) -> int:
     for name in names:
         ds = stress.stress(name, threads=options.threads)
         print(f"{name}\n{stress.report(ds)}\n")
-        wrong += int(stress.silent(ds).sum())
+        wrong += int(stress.mislabelled(ds).sum())
         if folder is not None:
-            store.write(ds, folder / f"{name}.nc")
-            save(stress.figure(ds), folder / f"{name}.png")
+            netcdf.write(ds, folder / f"{name}.nc")
+            save(figure(ds), folder / f"{name}.png")
             print(f"wrote {folder / name}.nc and .png\n")
-    print(table(stress.limits()))
+    print(table(limits.limits()))
     print(f"labels that are not true: {wrong}")
     return FAILED if wrong else DONE
 
 
 def _figures(options: argparse.Namespace) -> int:
-    from . import figures
-    from .maps import save
-    from .systems.fixed_point import perturbation
+    from .plotting import amer2013
+    from .plotting.style import save
+    from .systems.fixed_point.paper import fast_spin
 
     if options.table:
-        rows = perturbation.figure_table()
-        print(table(figures.amplitude_table(rows)))
-        for claim in perturbation.claims(rows):
+        rows = fast_spin.figure_table()
+        print(table(amer2013.amplitude_table(rows)))
+        for claim in fast_spin.claims(rows):
             print(f"\n{'holds' if claim.holds else 'does not hold'}: {claim.text}\n  {claim.measured}")
         return DONE
-    wanted = [figures.paper_figure(number) for number in options.only or figures.NUMBERS]
+    wanted = [amer2013.paper_figure(number) for number in options.only or amer2013.NUMBERS]
     folder = Path(options.out)
     paths = [[folder / f"figure_{figure.number:02d}.{kind}" for kind in options.format] for figure in wanted]
     for path in (path for row in paths for path in row):
@@ -481,7 +492,7 @@ def _figures(options: argparse.Namespace) -> int:
         raise BadInput(f"{folder}: not a folder")
     folder.mkdir(parents=True, exist_ok=True)
     for figure, row in zip(wanted, paths, strict=True):
-        drawn = figures.draw(figure.number)
+        drawn = amer2013.draw(figure.number)
         for path in row:
             save(drawn, path)
         print(f"wrote {' and '.join(str(path) for path in row)}: {figure.caption}")

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from .systems.system import System
+from .systems.base import System
 
 LABELS = {
     "not_computed": "not computed",

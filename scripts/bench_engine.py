@@ -19,10 +19,11 @@ from statistics import median
 import numpy as np
 from numba import njit
 
-from atlas import load_scene, runner
-from atlas.engine import jit, lanes, measure, steps
-from atlas.engine.runge_kutta import METHODS, step_source
-from atlas.evaluate import FULL, Special, kernel
+from atlas import load_scene
+from atlas.engine import blocks, jit, measure, stepsize
+from atlas.engine.tableaux import METHODS, step_source
+from atlas.label.pipeline import GENERIC, Specialization, kernel
+from atlas.runs import runner
 from atlas.systems import SYSTEMS
 
 # Operations of a right-hand side in its readable form, and the number of states.
@@ -94,17 +95,17 @@ def seconds(work: Callable[[], object]) -> float:
 class Case:
     """One kernel with points to integrate, as an atlas run would."""
 
-    def __init__(self, system: str, method: str, special: Special, count: int, steps_each: int):
+    def __init__(self, system: str, method: str, special: Specialization, count: int, steps_each: int):
         kind, points = SYSTEMS[system], bodies(system, count)
         self.state = np.ascontiguousarray(kind.start(points))
         self.constants = np.ascontiguousarray(kind.constants(points))
         self.scales = measure.scales(kind.equations, self.state, self.constants, dict(kind.conserved(points)))
         # The stride that the step rule chooses for a typical point at the default tolerance.
-        chosen = steps.choose(
+        chosen = stepsize.choose(
             METHODS[method], np.array([3.0]), np.array([60.0]), tolerance=1e-8, step=None, max_steps=10**8
         )
         self.stride, self.parts = int(chosen.stride[0]), int(chosen.parts[0])
-        self.blocks = lanes.plan(
+        self.blocks = blocks.pack_blocks(
             np.full(count, steps_each), np.full(count, self.stride), np.full(count, self.parts)
         )
         self.length = np.full(count, float(chosen.length[0]))
@@ -112,7 +113,7 @@ class Case:
         self.first_call = seconds(lambda: self.run(1))
 
     def run(self, threads: int) -> None:
-        lanes.integrate(
+        blocks.integrate(
             self.kernel, self.blocks, self.length, self.state.copy(), self.constants, self.scales, 1e-5,
             threads=threads,
         )  # fmt: skip
@@ -126,16 +127,20 @@ def engine(points: int, steps_each: int, repeat: int) -> None:
     """Kernels against the FMA peak, against each other, and against plain scalar Numba."""
     few = steps_each // 8
     cases = {
-        ("satellite", "rk4", "full"): Case("satellite", "rk4", FULL, points, steps_each),
+        ("satellite", "rk4", "full"): Case("satellite", "rk4", GENERIC, points, steps_each),
         ("satellite", "rk4", "no magnet"): Case(
-            "satellite", "rk4", Special.of(SYSTEMS["satellite"], MAGNET, False), points, steps_each
+            "satellite", "rk4", Specialization.of(SYSTEMS["satellite"], MAGNET, False), points, steps_each
         ),
         ("satellite", "rk4", "no magnet, no rotor"): Case(
-            "satellite", "rk4", Special.of(SYSTEMS["satellite"], MAGNET | ROTOR, False), points, steps_each
+            "satellite",
+            "rk4",
+            Specialization.of(SYSTEMS["satellite"], MAGNET | ROTOR, False),
+            points,
+            steps_each,
         ),
-        ("fixed_point", "rk4", "full"): Case("fixed_point", "rk4", FULL, points, steps_each),
-        ("satellite", "rk8", "full"): Case("satellite", "rk8", FULL, points, few),
-        ("fixed_point", "rk8", "full"): Case("fixed_point", "rk8", FULL, points, few),
+        ("fixed_point", "rk4", "full"): Case("fixed_point", "rk4", GENERIC, points, steps_each),
+        ("satellite", "rk8", "full"): Case("satellite", "rk8", GENERIC, points, few),
+        ("fixed_point", "rk8", "full"): Case("fixed_point", "rk8", GENERIC, points, few),
     }
     whole = cases["satellite", "rk4", "full"]
     peak, scalar, rounds, some = peak_kernel(), scalar_kernel(), 40_000, max(points // 16, 1)
@@ -155,7 +160,7 @@ def engine(points: int, steps_each: int, repeat: int) -> None:
         both.append(whole.speed(2))
         plain.append(some * steps_each / seconds(lambda: scalar(one.copy(), two, steps_each)))
     base, top = rows["satellite", "rk4", "full"], median(tops)
-    print(f"processor {jit.cpu()}, {lanes.available_threads()} usable; {points} points x {steps_each} steps")
+    print(f"processor {jit.cpu()}, {blocks.available_threads()} usable; {points} points x {steps_each} steps")
     print(
         f"FMA peak, one core: {top / 1e9:.1f} GFLOP/s (from {min(tops) / 1e9:.1f} to {max(tops) / 1e9:.1f})"
     )

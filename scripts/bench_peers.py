@@ -31,13 +31,13 @@ from matplotlib.figure import Figure
 from numba import cfunc, njit
 from scipy.integrate import odeint, solve_ivp
 
-from atlas.accuracy import SAFETY, reference
-from atlas.engine import jit, lanes, measure, steps
-from atlas.engine.runge_kutta import METHODS
-from atlas.engine.specialise import specialise
-from atlas.evaluate import kernel
-from atlas.scene import Settings
+from atlas.engine import blocks, jit, measure, stepsize
+from atlas.engine.simplify import simplify
+from atlas.engine.tableaux import METHODS
+from atlas.label.pipeline import kernel
+from atlas.scene.model import Settings
 from atlas.systems import SYSTEMS
+from atlas.validation.reference import SAFETY, reference
 
 SYSTEM = SYSTEMS["satellite"]
 EQUATIONS = SYSTEM.equations
@@ -76,15 +76,15 @@ def atlas_engine(method: str, points: dict[str, np.ndarray], statistics: bool) -
 
     def run(state, constants, duration, tolerance):
         size = state.shape[1]
-        plan = steps.choose(
+        plan = stepsize.choose(
             METHODS[method], bound[:size], np.full(size, duration),
             tolerance=tolerance, step=None, max_steps=10**8,
         )  # fmt: skip
         final = state.copy()
         looks = (plan.stride, plan.parts) if statistics else (plan.count, None)
-        blocks = lanes.plan(plan.count, *looks)
-        lanes.integrate(
-            module, blocks, plan.length, final, constants,
+        schedule = blocks.pack_blocks(plan.count, *looks)
+        blocks.integrate(
+            module, schedule, plan.length, final, constants,
             np.ascontiguousarray(scales[:, :size]), 1e-5, threads=1,
         )  # fmt: skip
         return final
@@ -95,7 +95,7 @@ def atlas_engine(method: str, points: dict[str, np.ndarray], statistics: bool) -
 def right_hand_side() -> Callable:
     """The equations without the factors that `scaled` makes 1, as the kernels here get them."""
     space: dict = {}
-    exec(specialise(jit.functions(EQUATIONS)["rhs"], (), {}, EQUATIONS.ONES), space)
+    exec(simplify(jit.functions(EQUATIONS)["rhs"], (), {}, EQUATIONS.ONES), space)
     return space["rhs"]
 
 

@@ -13,8 +13,8 @@ import tomllib
 from pathlib import Path
 
 import atlas
-from atlas.refine import refined
-from atlas.scene import scene_from
+from atlas.runs.refine import refined
+from atlas.scene.read import scene_from
 
 CONFIGS = Path(__file__).parent.parent / "configs"
 

@@ -16,8 +16,9 @@ import time
 from pathlib import Path
 
 import atlas
-from atlas import grid
-from atlas.folder import RunFolder, mean_steps
+from atlas.runs.folder import RunFolder
+from atlas.runs.tiling import mean_steps
+from atlas.scene import grid
 
 SCENE = """
 schema = 1
@@ -84,11 +85,11 @@ def points(folder: Path, most: int) -> None:
 
 def tiles(folder: Path, count: int = 1_000_000) -> None:
     print(f"tiles for {count} points, run s, ms a tile more than with the fewest")
-    what, usual, fewest = scene(folder, count // 1000, 1000), grid.TILE, None
+    what, usual, fewest = scene(folder, count // 1000, 1000), grid.MAX_POINTS_PER_TILE, None
     for points in (usual, 8192, 1024):
-        grid.TILE = points
+        grid.MAX_POINTS_PER_TILE = points
         run = RunFolder.prepare(what, folder / f"tiles{points}", grid.check(what), [])
-        grid.TILE = usual
+        grid.MAX_POINTS_PER_TILE = usual
         seconds, _ = command(folder, "run", "scene.toml", "-o", f"tiles{points}/", "--quiet")
         fewest = fewest or (run.tiling.count, seconds)
         more = run.tiling.count - fewest[0]

@@ -21,8 +21,8 @@ import time
 from pathlib import Path
 
 import atlas
-from atlas import grid
-from atlas.folder import RunFolder
+from atlas.runs.folder import RunFolder
+from atlas.scene import grid
 
 SCENE = """
 schema = 1
@@ -69,11 +69,11 @@ class Trial:
 
     def start(self, name: str) -> RunFolder:
         """A run folder of many small tiles: its manifest decides how every process cuts the scene."""
-        usual, grid.TILE = grid.TILE, TILE
+        usual, grid.MAX_POINTS_PER_TILE = grid.MAX_POINTS_PER_TILE, TILE
         try:
             return RunFolder.prepare(self.scene, self.folder / name, grid.check(self.scene), [])
         finally:
-            grid.TILE = usual
+            grid.MAX_POINTS_PER_TILE = usual
 
     def process(self, *arguments: str) -> subprocess.Popen[str]:
         return subprocess.Popen(

@@ -14,7 +14,9 @@ from pathlib import Path
 from PIL import Image
 
 import atlas
-from atlas import compare, maps, store
+from atlas.label import theory
+from atlas.plotting import maps, style
+from atlas.runs import open
 
 ROOT = Path(__file__).parent.parent
 # Scene, variable of its map, and what a reader should see in it.
@@ -102,14 +104,14 @@ def main() -> None:
         if options.force or not file.exists():
             print(f"{name}: running", flush=True)
             atlas.run(atlas.load_scene(ROOT / "configs" / f"{name}.toml"), file, force=True)
-        with store.open_atlas(file) as ds:
+        with open.open_atlas(file) as ds:
             figure = maps.atlas_map(ds, variable)
             for suffix in (".png", ".pdf"):
-                maps.save(figure, file.with_suffix(suffix))
+                style.save(figure, file.with_suffix(suffix))
             (pictures / f"{name}.png").write_bytes(shrink(figure))
             words_of_theory = "nothing to compare"
             if "predicted" in ds:
-                agree = compare.agreement(ds["label"].values, ds["predicted"].values)
+                agree = theory.agreement(ds["label"].values, ds["predicted"].values)
                 if compared := (agree > 0).sum():
                     share = 100 * (agree == 1).sum() / compared
                     words_of_theory = f"{share:.2f} % of {compared} compared points agree with theory"

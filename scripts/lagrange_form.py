@@ -17,10 +17,11 @@ from collections.abc import Callable
 import numpy as np
 from scipy.integrate import solve_ivp
 
-from atlas.systems.satellite import equations, lagrange
-from atlas.systems.satellite.conditions import FAMILIES, steady_motion
-from atlas.systems.satellite.start import PARAMETERS, constants, start
-from atlas.systems.system import Array, Points
+from atlas.systems.base import Array, Points
+from atlas.systems.satellite import equations
+from atlas.systems.satellite.families import FAMILIES, steady_motion
+from atlas.systems.satellite.initial import PARAMETERS, constants, initial_state
+from atlas.systems.satellite.paper import lagrange
 
 ANGLES = ("psi0", "theta0", "phi0", "n", "theta_dot0", "m")
 TURN, DRIFT, HALVED = 0.3, 1e-5, 1e-3
@@ -38,7 +39,7 @@ def rk4(rhs: Callable[..., tuple], state: Array, values: Array, step: float) -> 
 
 def from_angles(points: Points, angles: Array) -> Array:
     """State of equations.STATE, (9, points), from (psi, theta, phi, psi', theta', phi')."""
-    return start({**points, **dict(zip(ANGLES, angles, strict=True))})
+    return initial_state({**points, **dict(zip(ANGLES, angles, strict=True))})
 
 
 def jacobi_drift(first: Array, last: Array, values: Array) -> Array:
@@ -53,7 +54,7 @@ def run(points: Points, duration: float, steps: int, form: str) -> tuple[Array, 
     points: every parameter of the satellite, 1-D; form: one of FORMS.
     """
     values, step = constants(points), duration / steps
-    first = start(points)
+    first = initial_state(points)
     with np.errstate(all="ignore"):
         if form == "Euler-Poisson":
             state = first
@@ -83,7 +84,7 @@ def integrate(points: Points, duration: float, steps: int, form: str) -> tuple[A
 
 def error(points: Points, state: Array, exact: Array) -> Array:
     """Largest difference of the components at the end, (points,); inf where not finite."""
-    first = start(points)
+    first = initial_state(points)
     unit = np.maximum(points["Omega"], np.abs(first[:3]).max(0))
     scale = np.concatenate([np.broadcast_to(unit, (3, unit.size)), np.ones((6, unit.size))])
     found = np.abs((state - exact) / scale).max(0)
@@ -92,7 +93,7 @@ def error(points: Points, state: Array, exact: Array) -> Array:
 
 def reference(points: Points, duration: float) -> Array:
     """End state (9, points) by DOP853 in Euler-Poisson form at its tightest."""
-    values, first = constants(points), start(points)
+    values, first = constants(points), initial_state(points)
     ends = [
         solve_ivp(
             lambda _, y, c=values[:, i]: equations.rhs(y, c), (0, duration), first[:, i], "DOP853",

@@ -11,11 +11,11 @@ from pathlib import Path
 
 import numpy as np
 
-from atlas import catalogue
-from atlas.figures import amplitude_table
+from atlas.analysis import catalogue
+from atlas.plotting.amer2013 import amplitude_table
 from atlas.systems import SYSTEMS
-from atlas.systems.fixed_point import perturbation
-from atlas.systems.system import System
+from atlas.systems.base import System
+from atlas.systems.fixed_point.paper import fast_spin
 from atlas.variables import variables
 
 DOCS = Path(__file__).parent.parent / "docs"
@@ -54,19 +54,19 @@ def families(system: System) -> str:
 
 
 def amplitudes(system: System) -> str:
-    return table(amplitude_table(perturbation.figure_table()))
+    return table(amplitude_table(fast_spin.figure_table()))
 
 
 def claims(system: System) -> str:
     rows = [("claim", "holds", "measured")]
-    for claim in perturbation.claims(perturbation.figure_table()):
+    for claim in fast_spin.claims(fast_spin.figure_table()):
         rows.append((claim.text, "yes" if claim.holds else "**no**", claim.measured))
     return table(rows)
 
 
 def printed(system: System) -> str:
     rows = [("equation", "verdict", "as printed", "true", "residual as printed", "as true", "effect")]
-    for row in catalogue.printed(system):
+    for row in catalogue.published(system):
         sizes = (_rounded(row["residual_printed"]), _rounded(row["residual_true"]))
         texts = (row[key] for key in ("equation", "verdict", "printed", "true"))
         rows.append((*texts, *sizes, row["effect"] or row["measure"]))

@@ -63,15 +63,16 @@ def small_scene() -> str:
 def longer(tmp_path, small_scene, monkeypatch):
     """A scene of about a second in 18 tiles, in memory as it should be, and its empty run folder."""
     import atlas
-    from atlas import grid, load_scene
-    from atlas.folder import RunFolder
+    from atlas import load_scene
+    from atlas.runs.folder import RunFolder
+    from atlas.scene import grid
 
     text = small_scene.replace("count = 9", "count = 18").replace("count = 7", "count = 48")
     (tmp_path / "scene.toml").write_text(text.replace("tolerance = 1e-5", "tolerance = 1e-9"))
     scene = load_scene(tmp_path / "scene.toml")
     whole = atlas.run(scene, progress=False)
     with monkeypatch.context() as patched:
-        patched.setattr(grid, "TILE", 64)
+        patched.setattr(grid, "MAX_POINTS_PER_TILE", 64)
         run = RunFolder.prepare(scene, tmp_path / "run", grid.check(scene), [])
     assert run.tiling.count == 18
     return tmp_path, run, whole

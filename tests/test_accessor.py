@@ -12,7 +12,8 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import array_shapes, arrays
 
 import atlas
-from atlas import BadInput, accessor, load_scene, maps
+from atlas import BadInput, accessor, load_scene
+from atlas.analysis import theory_curves
 
 MEANINGS = {
     "flag_values": np.arange(5, dtype=np.int8),
@@ -32,7 +33,7 @@ def files(tmp_path_factory):
 def small(files, request, monkeypatch):
     path, ds = files
     if request.param == "blocks":
-        monkeypatch.setattr(accessor, "BLOCK", 10)
+        monkeypatch.setattr(accessor, "CHUNK", 10)
     if request.param in ("memory", "blocks"):
         yield ds
         return
@@ -106,9 +107,9 @@ def test_fractions_are_counts(small, files):
 def test_blocks_cover_every_point_once(label, room):
     ds = made(label)
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(accessor, "BLOCK", room)
+        patch.setattr(accessor, "CHUNK", room)
         seen = np.zeros(label.shape, int)
-        for place in accessor._blocks(ds, list(ds.dims)):
+        for place in accessor._chunks(ds, list(ds.dims)):
             part = tuple(place.values())
             seen[part] += 1
             assert seen[part].size <= room
@@ -141,7 +142,7 @@ def uncertain(label: np.ndarray, stride: int, step: int, inner: bool) -> tuple[i
 )
 def test_trust_counts_cells(label, room):
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(accessor, "BLOCK", room)
+        patch.setattr(accessor, "CHUNK", room)
         trust = made(label).atlas.trust()
     for stride, share in zip(trust.stride.values, trust.uncertain.values, strict=True):
         cells, differ = uncertain(label, int(stride), 1, True)
@@ -187,7 +188,7 @@ def test_short_axes_are_separate_maps():
 
 
 def test_an_atlas_larger_than_a_block_is_never_loaded_whole(tmp_path, monkeypatch):
-    monkeypatch.setattr(accessor, "BLOCK", 250_000)
+    monkeypatch.setattr(accessor, "CHUNK", 250_000)
     size = 4000  # 16 MB of labels
     label = np.full((size, size), 2, np.int8)
     label[1501:, 77] = 3
@@ -264,8 +265,10 @@ def test_families_and_maps_come_from_maps(small_scene):
     text = small_scene.split("[family]")[0] + "[axes.n]\nvalues = [0.0, 0.1]\n[integration]\nduration = 1.0\n"
     ds = atlas.run(load_scene(text), progress=False)
     curves = ds.atlas.families(select={"n": 0.0})
-    view = maps.Plane.of(load_scene(text), ds.sel(n=0.0), ["sigma", "theta0"])
-    np.testing.assert_array_equal(curves["perp_velocity"][0], maps.family_curves(view)["perp_velocity"][0])
+    view = theory_curves.Plane.of(load_scene(text), ds.sel(n=0.0), ["sigma", "theta0"])
+    np.testing.assert_array_equal(
+        curves["perp_velocity"][0], theory_curves.family_curves(view)["perp_velocity"][0]
+    )
     assert "perp_velocity" not in ds.atlas.families(select={"n": 0.1})
     assert ds.atlas.map("theta_dot_rms", select={"n": 0.0}).axes
     with pytest.raises(BadInput, match="n has 2 values here"):

@@ -17,7 +17,7 @@ GREGORY = np.array([36799, 176648, 54851, 177984, 89437, 130936, 119585]) / 1209
 # The trapezoidal rule and Gregory's, by the distance from the nearer end; what is farther has the last weight.
 WEIGHTS = np.array([[0.5, *np.ones(len(GREGORY))], [*GREGORY, 1.0]])
 # Least number of intervals for the full rule; a shorter run falls back to the trapezoidal rule.
-LEAST_INTERVALS = 2 * len(GREGORY) - 1
+MIN_INTERVALS = 2 * len(GREGORY) - 1
 
 # Rows of the kernel's output: sums (weighted; those of the axis are not), extremes, what the sums are
 # taken from, the last sample, the first angle and how often the vertical was passed.

@@ -15,8 +15,8 @@ from collections.abc import Collection, Mapping
 from types import ModuleType
 
 from . import jit, measure
-from .runge_kutta import METHODS, step_source
-from .specialise import specialise
+from .simplify import simplify
+from .tableaux import METHODS, step_source
 
 WIDTH = 32
 # Angular velocity in the frame and its vertical: what the statistics are made from.
@@ -33,7 +33,7 @@ def source(
     zero: constants that vanish; same: constants that equal another one (both for every point to come).
     """
     text = {
-        name: specialise(body, zero, same, () if name == "scaled" else equations.ONES)
+        name: simplify(body, zero, same, () if name == "scaled" else equations.ONES)
         for name, body in jit.functions(equations).items()
     }
     text |= {name: jit.functions(measure)[name] for name in ("sample", "turning", "weight", "closing")}

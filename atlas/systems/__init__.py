@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
+from .base import BadInput, System
 from .fixed_point import FIXED_POINT
 from .satellite import SATELLITE
-from .system import BadInput, System
 
 SYSTEMS = {system.name: system for system in (SATELLITE, FIXED_POINT)}
 

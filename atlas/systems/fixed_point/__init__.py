@@ -8,8 +8,10 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
-from ..system import Array, Flags, System, stability_by_family
-from . import conditions, equations, layers, printed, start
+from ..base import Array, Flags, System, stability_by_family
+from . import equations, families, initial
+from .equilibria import equilibria as permanent_rotations
+from .paper import errors, published
 
 GEOMETRIES = {
     "none": "drifting or unresolved",
@@ -32,10 +34,10 @@ def geometry(
     return np.where(steady, kind, 0).astype(np.int8)
 
 
-def equilibria(body: Mapping[str, float]) -> dict[str, NDArray]:
-    """All permanent rotations of one body about the vertical at the rate n; see conditions.equilibria."""
-    points = {name: np.full(1, float(body.get(name, p.default))) for name, p in start.PARAMETERS.items()}
-    found = conditions.equilibria(points, float(points["n"][0]))
+def equilibria_of_body(body: Mapping[str, float]) -> dict[str, NDArray]:
+    """All permanent rotations of one body about the vertical at the rate n; see equilibria.equilibria."""
+    points = {name: np.full(1, float(body.get(name, p.default))) for name, p in initial.PARAMETERS.items()}
+    found = permanent_rotations(points, float(points["n"][0]))
     gamma = np.stack([found.pop(name) for name in ("g1", "g2", "g3")], -1)
     angles = {"theta0": found.pop("theta"), "phi0": found.pop("phi")}
     return {**angles, "gamma": gamma, **found, "circle": found["dimension"] == 1}
@@ -51,24 +53,24 @@ FIXED_POINT = System(
     ),
     doi="",
     equations=equations,
-    parameters=start.PARAMETERS,
-    constants=start.constants,
-    start=start.start,
-    check=start.check,
-    conserved=start.conserved,
-    frequency_bound=start.frequency_bound,
-    steady=conditions.steady,
-    families=conditions.FAMILIES,
-    recognise=conditions.recognise,
-    condition_residual=conditions.condition_residual,
-    linear_stability=partial(stability_by_family, conditions.FAMILIES),
+    parameters=initial.PARAMETERS,
+    constants=initial.constants,
+    start=initial.initial_state,
+    check=initial.check,
+    conserved=initial.integral_scales,
+    frequency_bound=initial.frequency_bound,
+    steady=families.steady_rates,
+    families=families.FAMILIES,
+    recognise=families.identify_family,
+    condition_residual=families.condition_residual,
+    linear_stability=partial(stability_by_family, families.FAMILIES),
     geometries=GEOMETRIES,
     geometry=geometry,
     complete=lambda points: np.ones(points["A"].shape, bool),
-    warnings=start.warnings,
-    special=start.special,
-    by_angles=start.by_angles,
-    layers=layers.LAYERS,
-    printed=lambda: printed.ERRATA,
-    equilibria=equilibria,
+    warnings=initial.warnings,
+    special=initial.specialization,
+    by_angles=initial.as_euler_angles,
+    layers=errors.DERIVED,
+    printed=lambda: published.PUBLISHED,
+    equilibria=equilibria_of_body,
 )

@@ -6,8 +6,18 @@ from functools import lru_cache, partial
 
 import numpy as np
 
-from ..system import Array, BadInput, Flags, Layer, Mask, Points, Printed, System, check_inertia
-from . import conditions, equations, stability, start
+from ..base import (
+    Array,
+    BadInput,
+    DerivedVariable,
+    Flags,
+    Mask,
+    Points,
+    PublishedEquation,
+    System,
+    check_inertia,
+)
+from . import equations, equilibria, families, initial, stability
 
 GEOMETRIES = {
     "none": "drifting or unresolved",
@@ -52,7 +62,7 @@ def warn(points: Points) -> list[str]:
 @lru_cache(maxsize=1 << 16)
 def _counts(names: tuple[str, ...], values: tuple[float, ...]) -> tuple[float, float]:
     try:
-        found = stability.equilibria(dict(zip(names, values, strict=True)))
+        found = equilibria.equilibria(dict(zip(names, values, strict=True)))
     except (BadInput, RuntimeError):
         return np.nan, np.nan
     if found["circle"].any():
@@ -66,7 +76,7 @@ def count_equilibria(points: Points, duration: Array, stable: bool = False) -> A
     stable: only the linearly stable ones. About 70 ms for each body; points that differ in their start
     alone share one search.
     """
-    body = [name for name, parameter in start.PARAMETERS.items() if not parameter.start]
+    body = [name for name, parameter in initial.PARAMETERS.items() if not parameter.start]
     rows = np.array([points[name] for name in body]).T.tolist()
     return np.array([_counts(tuple(body), tuple(row))[int(stable)] for row in rows])
 
@@ -75,8 +85,8 @@ _COUNTED = "nan where some are not isolated; depends on body, rotor and fields a
 LAYERS = {
     layer.name: layer
     for layer in (
-        Layer("equilibrium_count", "1", "number of relative equilibria", count_equilibria, _COUNTED),
-        Layer(
+        DerivedVariable("equilibrium_count", "1", "number of relative equilibria", count_equilibria, _COUNTED),
+        DerivedVariable(
             "equilibrium_stable_count", "1", "number of linearly stable relative equilibria",
             partial(count_equilibria, stable=True), _COUNTED,
         ),
@@ -84,11 +94,11 @@ LAYERS = {
 }  # fmt: skip
 
 
-def printed() -> tuple[Printed, ...]:
+def printed() -> tuple[PublishedEquation, ...]:
     """The equations of the paper; see `printed.PRINTED`."""
-    from .printed import PRINTED
+    from .paper.published import PUBLISHED
 
-    return PRINTED
+    return PUBLISHED
 
 
 SATELLITE = System(
@@ -98,24 +108,24 @@ SATELLITE = System(
     reference="H. M. Yehia, H. N. El-kenani, J. Appl. Comput. Mech. 7(4) (2021) 2120-2128",
     doi="10.22055/JACM.2021.37913.3113",
     equations=equations,
-    parameters=start.PARAMETERS,
-    constants=start.constants,
-    start=start.start,
+    parameters=initial.PARAMETERS,
+    constants=initial.constants,
+    start=initial.initial_state,
     check=check_inertia,
-    conserved=start.conserved,
-    frequency_bound=start.frequency_bound,
-    steady=start.steady,
-    families=conditions.FAMILIES,
-    recognise=conditions.recognise,
-    condition_residual=conditions.condition_residual,
+    conserved=initial.integral_scales,
+    frequency_bound=initial.frequency_bound,
+    steady=initial.steady_rates,
+    families=families.FAMILIES,
+    recognise=families.identify_family,
+    condition_residual=families.condition_residual,
     linear_stability=stability.linear_stability,
     geometries=GEOMETRIES,
     geometry=geometry,
     frame_rate=lambda points: points["Omega"],
     complete=lambda points: points["Omega"] > 0,
     warnings=warn,
-    special=start.special,
+    special=initial.specialization,
     layers=LAYERS,
     printed=printed,
-    equilibria=stability.equilibria,
+    equilibria=equilibria.equilibria,
 )

@@ -1,0 +1,1 @@
+"""Questions to an atlas; numbers and tables, no figures."""

@@ -1,0 +1,1 @@
+"""Files: atlases, their provenance, and progress."""

@@ -1,0 +1,60 @@
+"""Global attributes of an atlas: what it is and what made it."""
+
+from __future__ import annotations
+
+import logging
+import platform
+from datetime import UTC, datetime
+from importlib.metadata import version
+from typing import Any
+
+from .._version import __version__
+from ..scene.model import Settings
+from ..systems.base import System
+
+
+def log_warnings(remarks: list[str]) -> None:
+    for remark in remarks:
+        logging.getLogger("atlas").warning(remark)
+
+
+def provenance(
+    system: System,
+    settings: Settings,
+    kernel_hash: str,
+    *,
+    title: str,
+    scene: str,
+    seconds: float,
+    points: int,
+    remarks: list[str],
+) -> dict[str, Any]:
+    """Global attributes of an atlas: what it is, from which scene and programs, and how long it took."""
+    from ..engine.jit import cpu
+
+    packages = ("numpy", "numba", "llvmlite", "xarray", "netCDF4", "scipy")
+    found = {
+        "Conventions": "CF-1.12",
+        "title": title,
+        "source": f"Precession Atlas {__version__}: {system.title}, fixed-step {settings.method}",
+        "references": system.reference + (f", https://doi.org/{system.doi}" if system.doi else ""),
+        "history": f"{datetime.now(UTC):%Y-%m-%dT%H:%M:%SZ} computed by atlas {__version__}",
+        "atlas_version": __version__,
+        "atlas_system": system.name,
+        "atlas_scene": scene,
+        "atlas_method": settings.method,
+        "atlas_rate_tolerance": settings.rate_tolerance,
+        "atlas_cylinder_tolerance": settings.cylinder,
+        "atlas_drift_tolerance": settings.drift_tolerance,
+        "atlas_tolerance": settings.tolerance if settings.step is None else float("nan"),
+        "atlas_step": float("nan") if settings.step is None else settings.step,
+        "atlas_kernel_hash": kernel_hash,
+        "atlas_cpu": cpu(),
+        "atlas_platform": f"{platform.system()} {platform.machine()}, Python {platform.python_version()}",
+        "atlas_versions": ", ".join(f"{name} {version(name)}" for name in packages),
+        "atlas_seconds": seconds,
+        "atlas_points_per_second": points / seconds if seconds > 0 else float("nan"),
+    }
+    if remarks:
+        found["atlas_warnings"] = "; ".join(remarks)
+    return found

@@ -1,0 +1,1 @@
+"""Labels of motions: measured by integration, predicted by theory."""

@@ -1,0 +1,1 @@
+"""Scenes: job files read and checked, and their grids of points."""

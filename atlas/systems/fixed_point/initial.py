@@ -1,0 +1,274 @@
+"""Parameters and starts of the gyrostat about a fixed point: from angles, rates or vectors to the state."""
+
+from __future__ import annotations
+
+from collections.abc import Set
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..base import Array, BadInput, Parameter, Points, check_inertia
+
+_TABLE = (
+    # name, unit, symbol, default, low, open_low, start, meaning
+    ("A", "kg m2", "$A$", 1.0, 0.0, True, False, "moment of inertia about the first principal axis at the fixed point"),
+    ("B", "kg m2", "$B$", 1.0, 0.0, True, False, "moment of inertia about the second principal axis at the fixed point"),
+    ("C", "kg m2", "$C$", 1.2, 0.0, True, False, "moment of inertia about the third principal axis at the fixed point"),
+    ("Mg", "N", "$Mg$", 0.0, -np.inf, False, False, "weight; it acts along gamma, towards the attracting centre"),
+    ("x0", "m", "$x_0$", 0.0, -np.inf, False, False, "centre of mass along the first body axis"),
+    ("y0", "m", "$y_0$", 0.0, -np.inf, False, False, "centre of mass along the second body axis"),
+    ("z0", "m", "$z_0$", 0.0, -np.inf, False, False, "centre of mass along the third body axis"),
+    ("N", "s-2", "$N$", 0.0, -np.inf, False, False, "gradient of the Newtonian field, 3 g / R = 3 lambda / R^3"),
+    ("l1", "N m s", r"$\ell_1$", 0.0, -np.inf, False, False, "gyrostatic momentum along the first body axis"),
+    ("l2", "N m s", r"$\ell_2$", 0.0, -np.inf, False, False, "gyrostatic momentum along the second body axis"),
+    ("l3", "N m s", r"$\ell_3$", 0.0, -np.inf, False, False, "gyrostatic momentum along the third body axis"),
+    ("M", "kg", "$M$", np.nan, 0.0, True, False, "mass; with lambda and R instead of Mg and N"),
+    ("lambda", "m3 s-2", r"$\lambda$", np.nan, 0.0, False, False, "coefficient of attraction of the centre, g = lambda / R^2"),
+    ("R", "m", "$R$", np.nan, 0.0, True, False, "distance from the fixed point to the attracting centre"),
+    ("theta0", "rad", r"$\theta_0$", 0.0, -np.inf, False, True, "angle from the vertical (towards the attracting centre) to the third body axis at the start"),
+    ("psi0", "rad", r"$\psi_0$", 0.0, -np.inf, False, True, "precession angle at the start; the motion does not depend on it"),
+    ("phi0", "rad", r"$\varphi_0$", 0.0, -np.inf, False, True, "angle of proper rotation at the start"),
+    ("theta_dot0", "rad s-1", r"$\dot\theta_0$", 0.0, -np.inf, False, True, "rate of the start about the line of nodes"),
+    ("n", "rad s-1", "$n$", 0.0, -np.inf, False, True, "precession rate of the start, about the vertical"),
+    ("m", "rad s-1", "$m$", 0.0, -np.inf, False, True, "rate of proper rotation of the start, about the third body axis"),
+    ("p0", "rad s-1", "$p_0$", np.nan, -np.inf, False, True, "angular velocity about the first body axis, instead of angles and rates"),
+    ("q0", "rad s-1", "$q_0$", np.nan, -np.inf, False, True, "angular velocity about the second body axis, instead of angles and rates"),
+    ("r0", "rad s-1", "$r_0$", np.nan, -np.inf, False, True, "angular velocity about the third body axis, instead of angles and rates"),
+    ("gamma10", "1", r"$\gamma_0$", np.nan, -np.inf, False, True, "first component of the vertical, with p0, q0, r0"),
+    ("gamma20", "1", r"$\gamma'_0$", np.nan, -np.inf, False, True, "second component of the vertical, with p0, q0, r0"),
+    ("gamma30", "1", r"$\gamma''_0$", np.nan, -np.inf, False, True, "third component of the vertical, with p0, q0, r0"),
+)  # fmt: skip
+
+PARAMETERS = {
+    name: Parameter(name, unit, meaning, default, low, np.inf, open_low, initial_state, symbol)
+    for name, unit, symbol, default, low, open_low, initial_state, meaning in _TABLE
+}
+
+_VECTORS = ("p0", "q0", "r0", "gamma10", "gamma20", "gamma30")
+_ANGLES = ("theta0", "psi0", "phi0", "theta_dot0", "n", "m")
+_PAPER = ("M", "lambda", "R")
+
+
+def fields(points: Points) -> tuple[Array, Array]:
+    """Weight Mg and field gradient N, from M, lambda and R where these are given: (4), (5) of the paper."""
+    given = ~np.isnan(points["M"])
+    Mg = np.where(given, points["M"] * points["lambda"] / points["R"] ** 2, points["Mg"])
+    N = np.where(given, 3 * points["lambda"] / points["R"] ** 3, points["N"])
+    return Mg, N
+
+
+def bodies(points: Points) -> tuple[Array, Array, Array, Array]:
+    """Inertia I, rotor l and moment of weight Mg r_c, each of shape (3, points), and N."""
+    Mg, N = fields(points)
+    inertia = np.array([points["A"], points["B"], points["C"]])
+    rotor = np.array([points["l1"], points["l2"], points["l3"]])
+    return inertia, rotor, Mg * np.array([points["x0"], points["y0"], points["z0"]]), N
+
+
+def constants(points: Points) -> Array:
+    """What the kernels read, shape (constants, points), in the order of equations.CONSTANTS."""
+    inertia, rotor, weight, N = bodies(points)
+    return np.concatenate([inertia, 1 / inertia, rotor, weight, N * inertia])
+
+
+def vertical(points: Points) -> Array:
+    """gamma in body axes at the start, shape (3, points)."""
+    st, ct = np.sin(points["theta0"]), np.cos(points["theta0"])
+    angles = np.array([st * np.sin(points["phi0"]), st * np.cos(points["phi0"]), ct])
+    vector = np.array([points["gamma10"], points["gamma20"], points["gamma30"]])
+    length = np.sqrt((vector**2).sum(0))
+    # A vector that is a unit vector to rounding is taken as it is: dividing would only move its bits.
+    vector = np.where(np.abs(length - 1) > 4e-16, vector / length, vector)
+    return np.where(np.isnan(points["gamma10"]), angles, vector)
+
+
+def rates(points: Points) -> tuple[Array, Array, Array]:
+    """theta', n and m of the start, w = n gamma + m e3 + theta' about the node; at a pole n = 0 and m = r."""
+    gamma = vertical(points)
+    p, q, r = points["p0"], points["q0"], points["r0"]
+    sine = np.hypot(gamma[0], gamma[1])
+    pole = sine == 0
+    sine = np.where(pole, 1.0, sine)
+    theta_dot = np.where(pole, np.hypot(p, q), (p * gamma[1] - q * gamma[0]) / sine)
+    n = np.where(pole, 0.0, (p * gamma[0] + q * gamma[1]) / sine**2)
+    given = ~np.isnan(p)
+    return (
+        np.where(given, theta_dot, points["theta_dot0"]),
+        np.where(given, n, points["n"]),
+        np.where(given, r - n * gamma[2], points["m"]),
+    )
+
+
+def initial_state(points: Points) -> Array:
+    """State at t = 0, shape (6, points): p0, q0, r0 or w = n gamma + m e3 + theta_dot0 about the node."""
+    gamma = vertical(points)
+    w = points["n"] * gamma
+    w[0] += points["theta_dot0"] * np.cos(points["phi0"])
+    w[1] -= points["theta_dot0"] * np.sin(points["phi0"])
+    w[2] += points["m"]
+    vector = np.array([points["p0"], points["q0"], points["r0"]])
+    return np.concatenate([np.where(np.isnan(vector[0]), w, vector), gamma])
+
+
+def as_euler_angles(points: Points) -> dict[str, Array]:
+    """The same starts with p0 .. gamma30 turned into theta0 .. m; on the vertical theta' is hypot(p0, q0)."""
+    given = ~np.isnan(points["p0"])
+    gamma = vertical(points)
+    theta_dot, n, m = rates(points)
+    sine = np.hypot(gamma[0], gamma[1])
+    turned = {
+        "theta0": np.arctan2(sine, gamma[2]),
+        # No node on the vertical: phi0 is then such that the rest of p0, q0 is a rate about it.
+        "phi0": np.where(sine == 0, np.arctan2(-points["q0"], points["p0"]), np.arctan2(gamma[0], gamma[1])),
+        "theta_dot0": theta_dot,
+        "n": n,
+        "m": m,
+    }
+    found = dict(points)
+    found |= {name: np.where(given, values, points[name]) for name, values in turned.items()}
+    return found | {name: np.where(given, np.nan, points[name]) for name in _VECTORS}
+
+
+def check(points: Points) -> None:
+    """Raises BadInput on moments no body has, on half a start or field, and on one given twice."""
+    check_inertia(points)
+    paper = _all_or_none(points, _PAPER)
+    _never_both(points, paper, "M, lambda and R", ("Mg", "N"))
+    vectors = _all_or_none(points, _VECTORS)
+    _never_both(points, vectors, "p0 .. gamma30", _ANGLES)
+    length = np.sqrt(points["gamma10"] ** 2 + points["gamma20"] ** 2 + points["gamma30"] ** 2)
+    bad = np.flatnonzero(vectors & ~(np.abs(length - 1) <= 1e-9))
+    if bad.size:
+        raise BadInput(
+            f"(gamma10, gamma20, gamma30) has length {length.flat[bad[0]]:.12g} ({bad.size} of {length.size}"
+            " points): it must be a unit vector within 1e-9"
+        )
+
+
+def _all_or_none(points: Points, names: tuple[str, ...]) -> NDArray[np.bool_]:
+    """Where the optional parameters are given; raises BadInput where some are and some are not."""
+    given = np.array([~np.isnan(points[name]) for name in names])
+    bad = np.flatnonzero(given.any(0) & ~given.all(0))
+    if bad.size:
+        missing = [name for name, there in zip(names, given, strict=True) if not there.flat[bad[0]]]
+        raise BadInput(
+            f"{', '.join(missing)} missing: {', '.join(names)} must be given together or not at all"
+        )
+    return np.logical_and.reduce(given)
+
+
+def _never_both(points: Points, given: NDArray[np.bool_], what: str, others: tuple[str, ...]) -> None:
+    """Raises BadInput where a second set of parameters says the same thing again."""
+    for name in others:
+        bad = np.flatnonzero(given & (points[name] != 0))
+        if bad.size:
+            value = points[name].flat[bad[0]]
+            raise BadInput(
+                f"{name} = {value:g} beside {what} ({bad.size} of {given.size} points): give one or the other"
+            )
+
+
+def warnings(points: Points) -> list[str]:
+    """What no real body has but the equations allow: moments below M times the squared offset."""
+    found = []
+    for moment, one, two in (("A", "y0", "z0"), ("B", "x0", "z0"), ("C", "x0", "y0")):
+        least = points["M"] * (points[one] ** 2 + points[two] ** 2)
+        bad = np.flatnonzero(points[moment] < least * (1 - 1e-12))
+        if bad.size:
+            i = bad[0]
+            found.append(
+                f"{moment} = {points[moment].flat[i]:g} is below M ({one}^2 + {two}^2) = {least.flat[i]:g}"
+                f" ({bad.size} of {least.size} points): no real body has this moment about the fixed point"
+            )
+    return found
+
+
+def symmetric(points: Points) -> NDArray[np.bool_]:
+    """Where Lagrange's integral holds: A = B, no transverse rotor, centre of mass on the third axis."""
+    inertia, rotor, weight, _ = bodies(points)
+    return (inertia[0] == inertia[1]) & (rotor[:2] == 0).all(0) & (weight[:2] == 0).all(0)
+
+
+def integral_scales(points: Points) -> dict[str, Array]:
+    """By integral: nan where it is not conserved, else the least that its terms may count as."""
+    inertia, rotor, weight, N = bodies(points)
+    w = initial_state(points)[:3]
+    zero = np.zeros_like(points["A"])
+    largest = inertia.max(0)
+    # What the fields can do to the kinetic energy: terms that vanish at the start count at least this.
+    potential = np.sqrt((weight**2).sum(0)) + 0.5 * np.abs(N) * (largest - inertia.min(0))
+    momentum = np.sqrt(((inertia * w) ** 2).sum(0)) + np.sqrt(2 * largest * potential)
+    no_weight, no_rotor = (weight == 0).all(0), (rotor == 0).all(0)
+    no_gradient = (N == 0) | (largest == inertia.min(0))
+    kovalevskaya = (inertia[0] == inertia[1]) & (inertia[0] == 2 * inertia[2]) & (N == 0) & (weight[2] == 0)
+    kovalevskaya = kovalevskaya & (rotor[:2] == 0).all(0)
+    transverse = w[0] ** 2 + w[1] ** 2 + 2 * potential / inertia[2]
+    return {
+        "energy": potential,
+        "area": momentum + np.sqrt((rotor**2).sum(0)),
+        "length_gamma": zero,
+        "lagrange": np.where(symmetric(points), momentum, np.nan),
+        "clebsch": np.where(no_weight & (no_rotor | no_gradient), momentum**2 + (rotor**2).sum(0), np.nan),
+        "kovalevskaya": np.where(kovalevskaya, transverse**2, np.nan),
+    }
+
+
+def frequency_bound(points: Points) -> Array:
+    """Upper bound of the fastest frequency of the motion, rad per time unit, shape (points,).
+
+    The energy bounds w through the range of the potential; where C r + l3 is conserved too, r stands
+    still and only the rest of the energy can go into p and q. With every |w_i| bounded, the frozen
+    linearised equations in the coordinates sqrt(I) w are bounded block by block, and the Perron root
+    of the 2 x 2 matrix of the block norms bounds their frequencies and the rate of turning |w|.
+    """
+    inertia, rotor, weight, N = bodies(points)
+    A, B, C = inertia
+    state = initial_state(points)
+    w, gamma = state[:3], state[3:]
+    fixed = symmetric(points)
+    moment = np.sqrt((weight**2).sum(0))
+
+    # U - min U <= each term at the start minus its own minimum; a bound of 2 T for all or for p, q.
+    quadratic = (inertia * gamma**2).sum(0)
+    gradient = np.where(N > 0, quadratic - inertia.min(0), inertia.max(0) - quadratic)
+    gain = 2 * (moment - (weight * gamma).sum(0)) + np.abs(N) * gradient
+    gain = np.maximum(gain, 0.0)
+    energy = (inertia * w**2).sum(0) + gain
+    most = np.sqrt(energy / inertia)
+    transverse = np.sqrt(w[0] ** 2 + w[1] ** 2 + gain / A)
+    most = np.where(fixed, np.array([transverse, transverse, np.abs(w[2])]), most)
+    least = np.where(fixed, A, inertia.min(0))
+    turn = np.where(fixed, np.hypot(transverse, w[2]), np.sqrt(energy / least))
+
+    # Entries of sqrt(I) I^-1 ((I w + l) x . - w x I .) sqrt(I)^-1; sqrt(norm_1 norm_inf) >= norm_2.
+    rows, columns = np.zeros_like(inertia), np.zeros_like(inertia)
+    for i, j, axis in ((0, 1, 2), (1, 0, 2), (0, 2, 1), (2, 0, 1), (1, 2, 0), (2, 1, 0)):
+        entry = np.abs(inertia[axis] - inertia[j]) * most[axis] + np.abs(rotor[axis])
+        entry = entry / np.sqrt(inertia[i] * inertia[j])
+        rows[i] += entry
+        columns[j] += entry
+    # r and its perturbation stand still where C r + l3 is conserved, and the coefficient is known.
+    gyration = np.where(fixed, np.abs((C - A) * w[2] + rotor[2]) / A, np.sqrt(rows.max(0) * columns.max(0)))
+    differences = np.array([C - B, A - C, B - A])
+    newtonian = np.where(fixed, np.abs(C - A) / A, np.sqrt((differences**2 / inertia).sum(0) / least))
+    stiffness = np.abs(N) * newtonian + moment / least
+    half = 0.5 * (gyration + turn)
+    return half + np.sqrt((0.5 * (gyration - turn)) ** 2 + stiffness)
+
+
+def specialization(zero: Set[str], symmetric: bool) -> tuple[set[str], set[tuple[str, str]]]:
+    """Kernels of their own: without weight, Newtonian field or rotor, and for axial ones on a symmetric body."""
+    gone: set[str] = set()
+    if zero >= {"Mg", "M"} or zero >= {"x0", "y0", "z0"}:
+        gone |= {"Mx", "My", "Mz"}
+    if zero >= {"N", "lambda"}:
+        gone |= {"NA", "NB", "NC"}
+    if zero >= {"l1", "l2", "l3"}:
+        gone |= {"l1", "l2", "l3"}
+    if symmetric and zero | gone >= {"l1", "l2"} and (zero >= {"x0", "y0"} or "Mx" in gone):
+        return gone | {"l1", "l2", "Mx", "My"}, {("B", "A"), ("B_inv", "A_inv"), ("NB", "NA")}
+    return gone, set()
+
+
+def length(vector: Array) -> Array:
+    return np.sqrt((vector**2).sum(0))

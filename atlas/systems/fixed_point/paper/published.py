@@ -1,0 +1,407 @@
+"""The fast-spin formulas of Amer, Abo Essa, Ibrahim & Amer exactly as the paper prints them.
+
+For comparison only: most of them are wrong, ERRATA says how, and by how much where a number can be
+measured. Each function has the signature and the units of its namesake in `perturbation`. X and what
+follows from it need A1 != 0.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+
+from ...base import Array, BadInput, PublishedEquation
+from .. import equations, initial
+from . import fast_spin
+from .fast_spin import FastSpin
+
+Measure = Callable[[np.random.Generator], float]
+
+
+def k(spin: FastSpin) -> Array:
+    """N / c^2, (4)."""
+    return spin.N * spin.C / np.abs(spin.weight)
+
+
+def rhs(spin: FastSpin, y: Array) -> Array:
+    """dy/dtau, (1) with (4) and (5); A = B, so C1 = 0."""
+    p, q, r, g1, g2, g3 = y
+    eps, a, A, A1, B1 = spin.eps, spin.a, spin.A, spin.A1, -spin.A1
+    rotor2, rotor1 = r * spin.l2 / spin.scale, r * spin.l1 / spin.scale
+    dp = (
+        -A1 * q * r
+        - (q * spin.l3 / spin.r0 - rotor2) / A
+        - eps / a * (spin.z * g2 - k(spin) * a * A1 * g2 * g3)
+    )
+    dq = -B1 * p * r + (p * spin.l3 / spin.r0 - rotor1) / A + eps / a * (spin.z * g1 + a * B1 * g1 * g3)
+    dr = eps**2 * (q * spin.l1 - p * spin.l2) / (spin.C * spin.scale)
+    return np.array([dp, dq, dr, r * g2 - eps * q * g3, eps * p * g3 - r * g1, eps * (q * g1 - p * g2)])
+
+
+def integrals(spin: FastSpin, y: Array) -> Array:
+    """What (2) with (3) says is constant: energy, area and |gamma|^2, shape (3, ...)."""
+    p, q, r, g1, g2, g3 = y
+    y1, y2, y3 = spin.y
+    length = g1**2 + g2**2 + g3**2
+    energy = r**2 + spin.eps**2 * (spin.a * (p**2 + q**2 + k(spin) * length) - 2 * spin.z * g3)
+    area = r * g3 + spin.eps * (spin.a * (p * g1 + q * g2) + y1 * g1 + y2 * g2 + y3 * g3)
+    return np.array([energy, area, length])
+
+
+def frequency_squared(spin: FastSpin) -> Array:
+    """omega'^2 = A1^2 - 2 A1 l3 / (A r0), after (8); may be negative."""
+    return spin.A1**2 - 2 * spin.A1 * spin.l3 / (spin.A * spin.r0)
+
+
+class Coefficients(NamedTuple):
+    """chi, chi1 and nu of (10), X, chi2 and nu2 of (11)."""
+
+    chi: Array
+    chi1: Array
+    nu: Array
+    X: Array
+    chi2: Array
+    nu2: Array
+
+
+def coefficients(spin: FastSpin) -> Coefficients:
+    """Coefficients of (10) and (11); BadInput where they divide by zero."""
+    A, C, A1, a, r0 = spin.A, spin.C, spin.A1, spin.a, spin.r0
+    squared = frequency_squared(spin)
+    if np.any(A1 == 0):
+        raise BadInput("A1 = 0 (A = C): X of (11) divides by A1")
+    if np.any((squared == 1) | (squared == 0)):
+        raise BadInput("omega'^2 = 0 or 1: chi, chi1 and nu of (10) divide by omega'^2 or 1 - omega'^2")
+    y2, s = spin.y[1], spin.l3 / (A * r0)
+    chi = y2**2 * spin.l1 / (C * r0 * A1 * A**2 * squared)
+    field = spin.z / a
+    chi1 = (-field * (1 - A1) + k(spin) * (A1 - A1**2) + s * (field - k(spin) * A1)) / (1 - squared)
+    nu = (1 - A1 - s) / (1 - squared)
+    X = (1 - s / A1) / A1
+    return Coefficients(chi, chi1, nu, X, chi1 + field - k(spin) * A1, nu - X)
+
+
+def quasilinear(spin: FastSpin, x: Array, x0: Array) -> Array:
+    """d/dtau of x = (p2, p2', gamma2, gamma2'), (15) with F1 and Phi1 of (16); x0 is x at tau = 0."""
+    p, p_dot, g, g_dot = x
+    A, C, A1, a, r0, eps = spin.A, spin.C, spin.A1, spin.a, spin.r0, spin.eps
+    l1, l2 = spin.l1, spin.l2
+    y1, y2, _ = spin.y
+    _, chi1, _, X, chi2, _ = coefficients(spin)
+    p0, p_dot0, g0, g_dot0 = x0
+    twist = (p_dot0 * g_dot0 - p_dot * g_dot) - X / (A * r0) * l2 * (p_dot0 - p_dot)
+    S21 = a * ((p0 * g0 - p * g) - X * twist)
+    S21 = S21 + y1 * (g0 - g) + y2 * (1 - a * X * C / A) * (g_dot0 - g_dot)
+    inner = (p_dot**2 - 2 * y2 / A * p_dot + 2 * p_dot * chi2 * g_dot) / C - A1 * p * (y2 / A - p_dot) / C
+    F1 = -chi1 * l1 / (A * r0) + l2 / (A1 * r0) * inner
+    Phi1 = l1 * S21 / (A * r0) + g_dot * (l1 / A * (y2 / A - p_dot) - l2 * p) / (C * r0)
+    forcing = C * A1 * y1 / A
+    return np.array(
+        [p_dot, forcing + eps * F1 - frequency_squared(spin) * p, g_dot, l1 / (A * r0) + eps * Phi1 - g]
+    )
+
+
+def first_order(spin: FastSpin, tau: Array) -> Array:
+    """The periodic solution (33); tau broadcasts with the fields of spin; returns y of shape (6, ...)."""
+    A, C, A1, a, r0, eps, M3 = spin.A, spin.C, spin.A1, spin.a, spin.r0, spin.eps, spin.M3
+    l2, l3 = spin.l2, spin.l3
+    y1, y2, y3 = spin.y
+    chi, chi1, _, X, chi2, _ = coefficients(spin)
+    cosine, sine = np.cos(tau), np.sin(tau)
+    s2, s3 = l2 / (A * A1 * r0), l3 / (A * A1 * r0)
+    # The first term of (33) is l1 y2^2 / (C A1 A^2 r0 omega'^2), the chi of (10).
+    p = eps * (chi + chi1 * M3 * cosine)
+    q = C * X * y2 / A + eps * (2 * a * k(spin) * l2 * l3 / (A * A1 * r0) ** 2 + X * chi2) * M3 * sine
+    r = 1 - eps**2 * k(spin) * M3 * a * s3 * sine
+    swing = y1 * (1 - cosine) + y2 * sine
+    second = X * chi2 * M3 * sine + k(spin) * M3 * a * s3 * sine * (2 * s2 + X * M3 * sine)
+    g2 = -M3 * sine + s2 * (1 + eps * M3 * swing) + eps**2 * second
+    lean = swing - a * C * l2 * y2 / (A**2 * A1**2 * r0) * sine
+    third = a * chi * (1 - cosine) + 0.5 * a * M3 * (chi1 + X * chi2) * (1 - np.cos(2 * tau))
+    third = third - a * l2 * chi2 / (A * A1**2 * r0) * sine - y3 * lean - k(spin) * a * s3 * sine
+    g3 = 1 + eps * M3 * lean + eps**2 * M3 * third
+    return np.array(np.broadcast_arrays(p, q, r, M3 * cosine, g2, g3))
+
+
+def period_correction(spin: FastSpin, turns: int = 1) -> Array:
+    """alpha(eps) of (33) with beta3 = 0, its value to the lowest order."""
+    A, a, A1 = spin.A, spin.a, spin.A1
+    y1, y2, _ = spin.y
+    chi, chi1, nu, X, _, _ = coefficients(spin)
+    front = 1 + spin.l1 / A / (spin.r0 * spin.M3 - spin.l3)
+    bracket = spin.z / a - nu * chi1 * (1 - frequency_squared(spin)) + (y2 * X / A) ** 2 - k(spin) * A1
+    bracket = bracket + a * chi * spin.l1 / (A * spin.r0) + y1 * spin.M3 * (spin.z / a - 2 * k(spin) * A1)
+    return -spin.eps * np.pi * turns * front * bracket
+
+
+def angles(spin: FastSpin, t: Array, h: float = 0.0, psi0: float = 0.0) -> Array:
+    """theta, psi and phi after (34), shape (3, ...)."""
+    A, C, A1, a, r0, eps = spin.A, spin.C, spin.A1, spin.a, spin.r0, spin.eps
+    l2, l3 = spin.l2, spin.l3
+    y1, y2, y3 = spin.y
+    chi, chi1, _, X, chi2, _ = coefficients(spin)
+    theta0 = np.arctan(spin.M3)
+    tangent, cosine0 = np.tan(theta0), np.cos(theta0)
+    c = spin.scale / np.sqrt(spin.gamma0)
+    field = k(spin) * l3
+
+    def theta1(s: Array) -> Array:
+        # "c a l2" in the printed bracket is the c of (5).
+        return -y1 * np.cos(r0 * s) + (1 - c * a * l2 / (A1**2 * A**2 * r0)) * y2 * np.sin(r0 * s)
+
+    def theta2(s: Array) -> Array:
+        sine = -y2 * y3 - a / (A1 * A * r0) * (l2 * chi2 / A1 + field)
+        return (
+            (y1 * y3 - a * chi) * np.cos(r0 * s)
+            + sine * np.sin(r0 * s)
+            - 0.5 * a * tangent * (chi1 + X * chi2) * np.cos(2 * r0 * s)
+        )
+
+    def psi1(s: Array) -> Array:
+        return C * y2 / (A1 * A * r0) * (l2 * cosine0 / (A1 * A) * s + np.cos(r0 * s))
+
+    def psi2(s: Array) -> Array:
+        drift = l2 * C * y1 * y2 / (A1**2 * A**2 * r0) - 0.5 * X * chi2 * tangent
+        return drift * s + chi2 * tangent / (4 * r0 * A1) * np.sin(2 * r0 * s)
+
+    def psi3(s: Array) -> Array:
+        drift = chi1 + C * X**2 * y2 * a * field / (A1 * A**2 * r0) + chi2 * y2 * l2 / (A1**2 * A * r0)
+        wave = chi1 * tangent / (4 * r0) * np.sin(2 * r0 * s)
+        return 0.5 * drift * tangent * s + wave - C * y2 * chi2 / (A1**2 * A * r0) * np.cos(r0 * s)
+
+    def phi3(s: Array) -> Array:
+        return a * field / (8 * A1 * A * r0) * np.cos(r0 * s)
+
+    def change(f, s: Array) -> Array:
+        return f(s + h) - f(h)
+
+    t = np.asarray(t, float)
+    unit = c * np.sqrt(cosine0)
+    theta = theta0 - eps * change(theta1, t) - eps**2 * change(theta2, t)
+    sway = change(psi1, t) + eps * change(psi2, t) + eps**2 * change(psi3, t)
+    psi = psi0 + unit / np.sin(theta0) * sway
+    phi = np.pi / 2 + r0 * h + r0 * t - unit / tangent * sway - eps**2 * tangent * change(phi3, t)
+    return np.array(np.broadcast_arrays(theta, psi, phi))
+
+
+# What the two readings of a formula are worth: both held against the equations of motion.
+
+
+def _spin(rng: np.random.Generator, **given: float) -> FastSpin:
+    """A random body with strong fields and a moderate spin."""
+    values = {
+        "A": 1.0, "C": rng.uniform(1.2, 1.8), "weight": rng.uniform(1, 2), "N": rng.uniform(2, 4),
+        "l1": rng.uniform(0.5, 1), "l2": rng.uniform(0.5, 1), "l3": rng.uniform(0.5, 1),
+        "r0": rng.uniform(4, 8), "gamma0": rng.uniform(0.3, 0.7),
+    }  # fmt: skip
+    return FastSpin(*(np.asarray(value) for value in (values | given).values()))
+
+
+def _true_rate(spin: FastSpin, y: Array) -> Array:
+    """dy/dtau from the equations of motion themselves."""
+    points = {name: np.full(1, parameter.default) for name, parameter in initial.PARAMETERS.items()}
+    given = {
+        "A": spin.A, "B": spin.A, "C": spin.C, "Mg": np.abs(spin.weight), "z0": spin.z, "N": spin.N,
+        "l1": spin.l1, "l2": spin.l2, "l3": spin.l3,
+    }  # fmt: skip
+    points |= {name: np.full(1, float(value)) for name, value in given.items()}
+    state = fast_spin.dimensional(spin, y)
+    rate = equations.rhs(state, initial.constants(points)[:, 0])
+    return fast_spin.dimensionless(spin, np.array(rate)) / spin.r0
+
+
+def _of_motion(index: int, right_side: Callable[[FastSpin, Array], Array]) -> Measure:
+    def measured(rng: np.random.Generator) -> float:
+        spin, y = _spin(rng), rng.normal(size=6)
+        return float(np.abs(right_side(spin, y) - _true_rate(spin, y))[index])
+
+    return measured
+
+
+def _constancy(constants: Callable[[FastSpin, Array], Array]) -> Measure:
+    def measured(rng: np.random.Generator) -> float:
+        spin = _spin(rng)
+        begin = fast_spin.first_order(spin, np.array(0.0))
+        y = fast_spin.integrate(spin, begin, np.linspace(0, 2 * np.pi, 41))
+        return float(np.ptp(constants(spin, y)[0]))
+
+    return measured
+
+
+def _turning_square(squared: Callable[[FastSpin], Array]) -> Measure:
+    def measured(rng: np.random.Generator) -> float:
+        spin = _spin(rng)
+        one, none = np.array([1.0, 0, 1, 0, 0, 1]), np.array([0.0, 0, 1, 0, 0, 1])
+        turn = (_true_rate(spin, one) - _true_rate(spin, none))[1]
+        return float(np.abs(squared(spin) - turn**2))
+
+    return measured
+
+
+def _direction_cosine(sign: float) -> Measure:
+    def measured(rng: np.random.Generator) -> float:
+        spin, y = _spin(rng), rng.normal(size=6)
+        return float(np.abs((_true_rate(spin, y)[3] + sign * spin.eps * y[1] * y[5]) / y[2] - y[4]))
+
+    return measured
+
+
+def _coupling(of: Callable[[FastSpin], tuple[Array, Array]]) -> Measure:
+    """w = eps chi1 G has to turn with G, at -1, and G = eps nu w with w, at Omega."""
+
+    def measured(rng: np.random.Generator) -> float:
+        spin = _spin(rng, l1=0.0, l2=0.0)
+        chi1, nu = of(spin)
+        forced = _true_rate(spin, np.array([spin.eps * chi1, 0, 1, 1, 0, 1]))[1] / spin.eps
+        carried = _true_rate(spin, np.array([1, 0, 1, spin.eps * nu, 0, 1]))[4] / spin.eps
+        return float(np.abs(forced + chi1) + np.abs(carried - spin.Omega * nu))
+
+    return measured
+
+
+def _reduced(right_side: Callable[[FastSpin, Array], Array]) -> Measure:
+    """gamma2'' of the full motion less the reduced equation, over the term that it is about."""
+
+    def measured(rng: np.random.Generator) -> float:
+        spin = _spin(rng, r0=1e5)
+        y = fast_spin.first_order(spin, rng.uniform(0, 6, 1))[:, 0]
+        # tau-derivative along the true rate; the transformation is linear but for terms of order eps
+        h = 1e-5
+        ends = (fast_spin.to_quasilinear(spin, y + side * h * _true_rate(spin, y)) for side in (1, -1))
+        slope = np.subtract(*ends)[3] / (2 * h)
+        term = spin.eps * spin.nu * spin.mu.real
+        return float(np.abs((right_side(spin, fast_spin.to_quasilinear(spin, y))[3] - slope) / term))
+
+    return measured
+
+
+def _paper_spin(rng: np.random.Generator) -> FastSpin:
+    return fast_spin.paper_body(str(rng.choice(list(fast_spin.PAPER_BODIES))), rng.uniform(10, 50))
+
+
+def _of_solution(index: int, solution: Callable[[FastSpin, Array], Array]) -> Measure:
+    """Error of the solution over 2 pi, over the size of the forced part of its first-order term."""
+
+    def measured(rng: np.random.Generator) -> float:
+        spin = _paper_spin(rng)
+        tau = np.linspace(0, 2 * np.pi, 41)
+        y = fast_spin.integrate(spin, solution(spin, np.array(0.0)), tau)
+        size = np.abs(spin.forced) * (spin.eps if index > 2 else 1.0)
+        return float(np.abs(solution(spin, tau) - y)[index].max() / size)
+
+    return measured
+
+
+def _of_angle(index: int, formula: Callable[[FastSpin, Array], Array]) -> Measure:
+    """Error of theta or psi over two turns, over the swing that is first order in eps."""
+
+    def measured(rng: np.random.Generator) -> float:
+        from scipy.integrate import cumulative_simpson  # slow to import, and scenes do not need it
+
+        spin = _paper_spin(rng)
+        tau = np.linspace(0, 4 * np.pi, 401)
+        begin = fast_spin.first_order(spin, np.array(0.0))
+        p, q, _, g1, g2, g3 = fast_spin.dimensional(spin, fast_spin.integrate(spin, begin, tau))
+        t = tau / spin.r0
+        psi = cumulative_simpson((p * g1 + q * g2) / (1 - g3**2), x=t, initial=0)
+        exact = np.arccos(g3) if index == 0 else psi
+        return float(np.abs(formula(spin, t)[index] - exact).max() / (spin.eps * np.abs(spin.forced)))
+
+    return measured
+
+
+_MOTION = "component of (1) at a random state, less the equations of motion"
+_SOLUTION = "error against the full equations with the paper's data, over the size of the forced part"
+
+PUBLISHED: tuple[PublishedEquation, ...] = (
+    PublishedEquation(
+        "(1), second equation", "", "eps/b (z0' g1 + a B1 g1 g1'')", "eps/b (z0' g1 + k a B1 g1 g1'')", "misprint",
+        _MOTION, _of_motion(1, rhs), _of_motion(1, fast_spin.rhs), "the Newtonian torque has no k",
+    ),
+    PublishedEquation(
+        "(3), S1", "", "a { .. + k [ .. + (1 - g1''^2)]}", "a { .. } with k (1 - g1''^2) outside the factor a",
+        "misprint", "change of r1^2 - eps^2 S1 along the motion, over 2 pi",
+        _constancy(integrals), _constancy(fast_spin.integrals), "r1^2 - eps^2 S1 is not constant",
+    ),
+    PublishedEquation(
+        "(4)", "", "k = N / c^2", "k = N gamma0'' / c^2", "misprint", _MOTION,
+        _of_motion(0, rhs), _of_motion(0, fast_spin.rhs), "invisible with the paper's data (k = 1e-4)",
+    ),
+    PublishedEquation(
+        "(7), (15)", "", "omega'^2 = A1^2 - 2 A1 l3 / (A r0)", "Omega^2 = (A1 + l3 / (A r0))^2", "false",
+        "less the square of the rate at which p1 + i q1 turns by the equations of motion",
+        _turning_square(frequency_squared), _turning_square(lambda spin: spin.Omega**2),
+        "wrong sign: frequencies shift the wrong way with l3, and omega' may become imaginary",
+    ),
+    PublishedEquation(
+        "(9)", "", "g1' = (g1-dot - eps q1 g1'') / r1", "g1' = (g1-dot + eps q1 g1'') / r1", "misprint",
+        "right side at a random state, less g1'", _direction_cosine(-1), _direction_cosine(1),
+        "(11) has the right sign",
+    ),
+    PublishedEquation(
+        "(10), chi1 and nu", "", "divided by 1 - omega'^2", "chi1 = -G0 / (1 + Omega), nu = 1 / (1 + Omega)", "false",
+        "by how much w = eps chi1 G fails to turn with G, and G = eps nu w with w (l1 = l2 = 0)",
+        _coupling(lambda spin: coefficients(spin)[1:3]), _coupling(lambda spin: (spin.chi1, spin.nu)),
+        "with omega' a pole at omega' = 1; none with Omega but at C r0 + l3 = 0",
+    ),
+    PublishedEquation(
+        "(10), chi", "", "y2^2 l1 / (C r0 A1 A^2 omega'^2)", "0", "false",
+        effect="q1 l1 - p1 l2 vanishes on the forced solution",
+    ),
+    PublishedEquation(
+        "(11), (16), (27)-(33)", "", "A^-1 y2", "C A^-1 y2", "misprint", effect="dimensionally inconsistent as printed",
+    ),
+    PublishedEquation(
+        "(15), second equation", "", "l1 / (A r0)", "l1 / (C r0 + l3)", "false",
+        "error of gamma2'' at r0 = 1e5, over the forced term; the true one falls with eps",
+        _reduced(lambda spin, x: quasilinear(spin, x, x)), _reduced(fast_spin.quasilinear),
+        "Phi1 lacks a term of the same order",
+    ),
+    PublishedEquation(
+        "(18)", "", "gamma2(0, eps) = 0", "gamma2-dot(0, eps) = 0", "misprint", effect="(22) has the right condition",
+    ),
+    PublishedEquation(
+        "(19), (20), (25)", "", "p2'' + omega'^2 p2 = 0", "p2'' + Omega^2 p2 = Omega mu1", "false",
+        effect="fatal: the forced part mu1/Omega of p1, not small, is lost",
+    ),
+    PublishedEquation("(24), h_k", "", "sin omega'(tau - t1)", "sin(tau - t1)", "misprint", effect="gamma2 has frequency 1"),
+    PublishedEquation(
+        "(32)", "", "W1 > 0", "W1 < 0", "false", effect="sign-definite all the same: the argument survives",
+    ),
+    PublishedEquation(
+        "(33), p1", "", "eps [chi + chi1 M3 cos tau]", "mu1/Omega + eps chi1 M3 cos tau", "false", _SOLUTION,
+        _of_solution(0, first_order), _of_solution(0, fast_spin.first_order),
+        "p1 is wrong by its whole size wherever l1 != 0",
+    ),
+    PublishedEquation(
+        "(33), q1", "", "C X y2 / A + ..", "mu2/Omega - eps chi1 M3 sin tau", "false", _SOLUTION,
+        _of_solution(1, first_order), _of_solution(1, fast_spin.first_order),
+        "X is 1/Omega to first order in l3 only",
+    ),
+    PublishedEquation(
+        "(33), g1''", "", "y1 (1 - cos tau) + y2 sin tau - ..", "[mu1 (1 - cos tau) + mu2 sin tau] / Omega", "false",
+        _SOLUTION, _of_solution(5, first_order), _of_solution(5, fast_spin.first_order),
+        "wrong by a factor of order C / (C - A)",
+    ),
+    PublishedEquation(
+        "(33), alpha", "", "-eps pi n [ .. ]", "-2 pi n eps^2 [G0/(1 + Omega) + |mu|^2 / (2 Omega^2)]", "false",
+        effect="too large by 1/eps; the bracket is wrong where l1 or l2 != 0",
+    ),
+    PublishedEquation(
+        "theta after (34)", "", "y1, y2", "mu1/Omega, mu2/Omega", "false", _SOLUTION,
+        _of_angle(0, angles), _of_angle(0, fast_spin.angles),
+        "the swing is wrong by a factor of order (C - A) / C",
+    ),
+    PublishedEquation(
+        "psi after (34)", "", "half the secular rate, a secular term in l2^2, no mu1 sin r0 t",
+        "-(Mg z0 - N (C - A) cos theta0) / (C r0 + l3)", "false", _SOLUTION,
+        _of_angle(1, angles), _of_angle(1, fast_spin.angles),
+        "precession at half its rate, or far off where l2 != 0",
+    ),
+    PublishedEquation(
+        "section VI, data", "", "A = 22.49 or 50.32 with M = 30, z0 = 5", "A >= M z0^2 = 750", "false",
+        effect="no real body has these moments about the fixed point",
+    ),
+)  # fmt: skip

@@ -1,0 +1,175 @@
+"""Linear stability of the steady motions of a gyrostat about a fixed point."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ..base import Array, Flags, Points
+from .initial import bodies, fields, initial_state, rates, symmetric, vertical
+
+# Below this part of the sum of its own terms a discriminant is rounding: stability is not decided by it.
+ROUNDING = 1e-12
+
+
+# Linear stability.
+
+
+def _decide(value: Array, size: Array, growth: Array) -> tuple[Flags, Array]:
+    """Stable where value > 0, unstable where value < 0, unknown (0) where it is rounding of terms of that size."""
+    clear = np.abs(value) > ROUNDING * size
+    stable = np.where(clear, np.where(value > 0, 1, 2), 0).astype(np.int8)
+    return stable, np.where(stable == 2, growth, 0.0)
+
+
+def nutation(points: Points) -> tuple[Array, Array]:
+    """Squared nutation frequency of a conical motion and the sum of the magnitudes of its terms.
+
+    (n^2 + N (C - A)/A) sin^2 theta + ((C r + l3)/A - 2 n cos theta)^2, the curvature of the effective
+    potential at fixed C r + l3 and fixed momentum about the vertical; rad^2 per time unit squared.
+    """
+    gamma = vertical(points)
+    _, n, m = rates(points)
+    A, C, N = points["A"], points["C"], fields(points)[1]
+    s2 = gamma[0] ** 2 + gamma[1] ** 2
+    spin = (C * (m + n * gamma[2]) + points["l3"]) / A
+    gyroscopic = (spin - 2 * n * gamma[2]) ** 2
+    size = (n**2 + np.abs(N * (C - A) / A)) * s2 + spin**2 + 4 * n**2 * gamma[2] ** 2
+    return (n**2 + N * (C - A) / A) * s2 + gyroscopic, size
+
+
+def conical_stability(points: Points) -> tuple[Flags, Array]:
+    """Stable where (n^2 + N (C - A)/A) sin^2 theta + ((C r + l3)/A - 2 n cos theta)^2 > 0.
+
+    That is the squared frequency of nutation; where it is negative the tilt grows at the root of its size.
+    """
+    value, size = nutation(points)
+    return _decide(value, size, np.sqrt(np.maximum(-value, 0.0)))
+
+
+def sleeping_discriminant(points: Points) -> tuple[Array, Array]:
+    """(C r + l3)^2 - 4 A (N (C - A) - s Mg z0) of a symmetric body on the vertical, and its terms' magnitude.
+
+    s = cos theta = +-1. Positive: stable; negative: the tilt grows at sqrt(-D) / (2 A).
+    """
+    Mg, N = fields(points)
+    A, C = points["A"], points["C"]
+    spin = C * initial_state(points)[2] + points["l3"]
+    gradient, weight = N * (C - A), np.sign(vertical(points)[2]) * Mg * points["z0"]
+    size = spin**2 + 4 * A * (np.abs(gradient) + np.abs(weight))
+    return spin**2 - 4 * A * (gradient - weight), size
+
+
+def sleeping_at_threshold(points: Points) -> Array:
+    """2 N (C - A) - s Mg z0: where the discriminant is zero, the body is stable if this is positive.
+
+    It is the sign of the term theta^4 of the effective potential, whose term theta^2 vanishes there; a
+    nudge by d then swings to an angle of order sqrt(d). Linear theory calls the threshold unknown.
+    """
+    Mg, N = fields(points)
+    return 2 * N * (points["C"] - points["A"]) - np.sign(vertical(points)[2]) * Mg * points["z0"]
+
+
+def sleeping_stability(points: Points) -> tuple[Flags, Array]:
+    """A = B, rotor and weight along the axis: stable where (C r + l3)^2 > 4 A (N (C - A) - s Mg z0), s = cos theta.
+
+    Other bodies: the roots of x^2 + P x + Q, x the squared exponents of the linear equations.
+    """
+    value, size = sleeping_discriminant(points)
+    stable, growth = _decide(value, size, np.sqrt(np.maximum(-value, 0.0)) / (2 * points["A"]))
+    state = initial_state(points)
+    other = _equilibrium_stability(points, state[2] * np.sign(state[5]), state[3:])
+    closed = symmetric(points)
+    return np.where(closed, stable, other[0]), np.where(closed, growth, other[1])
+
+
+def staude_stability(points: Points) -> tuple[Flags, Array]:
+    """A = B, rotor and weight along the axis: as conical with m = 0.
+
+    Other bodies: the roots of x^2 + P x + Q, x the squared exponents of the linear equations.
+    """
+    stable, growth = conical_stability(points)
+    other = _equilibrium_stability(points, rates(points)[1], vertical(points))
+    closed = symmetric(points)
+    return np.where(closed, stable, other[0]), np.where(closed, growth, other[1])
+
+
+def rest_stability(points: Points) -> tuple[Flags, Array]:
+    """At rest: as staude with n = 0. A free body that turns about its third axis: stable where
+    ((C - A) m + l3) ((C - B) m + l3) > 0.
+    """
+    stable, growth = staude_stability(points)
+    A, B, C, m = points["A"], points["B"], points["C"], rates(points)[2]
+    # Free body that turns about its third axis: Euler's equations linearised, with a rotor.
+    one, two = (C - A) * m + points["l3"], (C - B) * m + points["l3"]
+    size = (np.abs((C - A) * m) + np.abs(points["l3"])) * (np.abs((C - B) * m) + np.abs(points["l3"]))
+    turning = _decide(one * two, size, np.sqrt(np.maximum(-one * two / (A * B), 0.0)))
+    free = (m != 0) & ~symmetric(points)
+    return np.where(free, turning[0], stable), np.where(free, turning[1], growth)
+
+
+def amended_hessian(points: Points, n: Array, gamma: Array) -> tuple[Array, Array, Array]:
+    """Second variation of the amended potential at the permanent rotation w = n gamma.
+
+    The amended potential is U + (k - l.g)^2 / (2 g.I g) at the fixed angular momentum k about the
+    vertical. Returns the determinant and the trace of its Hessian on the plane normal to gamma, and
+    the magnitude of the terms of the determinant; each (points,).
+    """
+    inertia, rotor, weight, N = bodies(points)
+    moment = (inertia * gamma**2).sum(0)
+    multiplier = (((n**2 - N) * inertia * gamma + n * rotor + weight) * gamma).sum(0)
+    v = rotor + 2 * n * inertia * gamma
+    diagonal = multiplier - (n**2 - N) * inertia
+    hessian = v[:, None] * v[None] / moment
+    for i in range(3):
+        hessian[i, i] += diagonal[i]
+    trace = (
+        hessian[0, 0] + hessian[1, 1] + hessian[2, 2] - np.einsum("i...,ij...,j...", gamma, hessian, gamma)
+    )
+    # The determinant on the plane normal to gamma is gamma . adj(hessian) gamma.
+    adjugate = np.array([[_cofactor(hessian, i, j) for j in range(3)] for i in range(3)])
+    determinant = np.einsum("i...,ij...,j...", gamma, adjugate, gamma)
+    size = (v**2).sum(0) / moment + np.abs(multiplier) + np.abs(n**2 - N) * inertia.max(0)
+    return determinant, trace, size**2
+
+
+def _cofactor(matrix: Array, i: int, j: int) -> Array:
+    a, b, c, d = (i + 1) % 3, (i + 2) % 3, (j + 1) % 3, (j + 2) % 3
+    return matrix[a, c] * matrix[b, d] - matrix[a, d] * matrix[b, c]
+
+
+def _equilibrium_stability(points: Points, n: Array, gamma: Array) -> tuple[Flags, Array]:
+    """Linear stability of the permanent rotation w = n gamma of any body.
+
+    Two of the six exponents are zero (|gamma| and the momentum about the vertical), the squares x of
+    the others solve x^2 + P x + Q = 0. P comes from the trace of the squared matrix and Q from the
+    amended potential, so the zero exponents, defective in general, do no harm.
+    """
+    inertia, rotor, weight, N = bodies(points)
+    w = n * gamma
+    momentum, force = inertia * w + rotor, N * inertia * gamma - weight
+    matrix = np.zeros((6, 6, *n.shape))
+    for j in range(3):
+        unit = np.zeros_like(gamma)
+        unit[j] = 1.0
+        turn = np.cross(inertia * unit, w, axis=0) + np.cross(momentum, unit, axis=0)
+        tilt = np.cross(unit, force, axis=0) + np.cross(gamma, N * inertia * unit, axis=0)
+        matrix[:3, j], matrix[3:, j] = turn / inertia, np.cross(gamma, unit, axis=0)
+        matrix[:3, 3 + j], matrix[3:, 3 + j] = tilt / inertia, np.cross(unit, w, axis=0)
+    products = matrix * np.swapaxes(matrix, 0, 1)
+    P, size = -0.5 * products.sum((0, 1)), 0.5 * np.abs(products).sum((0, 1))
+    P = np.where(np.abs(P) <= ROUNDING * size, 0.0, P)
+    determinant, trace, size = amended_hessian(points, n, gamma)
+    share = (inertia * gamma**2).sum(0) / inertia.prod(0)
+    Q = np.where(np.abs(determinant) <= ROUNDING * size, 0.0, determinant * share)
+    discriminant = P**2 - 4 * Q
+    discriminant = np.where(np.abs(discriminant) <= ROUNDING * (P**2 + 4 * np.abs(Q)), 0.0, discriminant)
+
+    half = -0.5 * (P + np.copysign(np.sqrt(np.maximum(discriminant, 0.0)), P))
+    other = np.divide(Q, half, out=np.zeros_like(Q), where=half != 0)
+    real = np.sqrt(np.maximum(np.maximum(half, other), 0.0))
+    # Real part of sqrt(x) for x = -P/2 + i sqrt(4 Q - P^2)/2, whose modulus is sqrt(Q).
+    paired = np.sqrt(np.maximum(0.5 * (np.sqrt(np.maximum(Q, 0.0)) - 0.5 * P), 0.0))
+    least = (Q > 0) & (trace > 0)
+    growth = np.where(least, 0.0, np.where(discriminant < 0, paired, real))
+    certain = least | ((Q > 0) & (discriminant > 0))
+    return np.where(growth > 0, 2, np.where(certain, 1, 0)).astype(np.int8), growth

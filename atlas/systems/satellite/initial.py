@@ -1,0 +1,165 @@
+"""Parameters and starts of the satellite: from angles and rates to the state of the equations."""
+
+from __future__ import annotations
+
+from collections.abc import Set
+
+import numpy as np
+
+from ..base import Array, Parameter, Points
+from .equations import CONSTANTS
+
+_TABLE = (
+    # name, unit, symbol, default, low, open_low, start, meaning
+    ("A", "kg m2", "$A$", 1.0, 0.0, True, False, "principal moment of inertia about the first body axis"),
+    ("B", "kg m2", "$B$", 1.0, 0.0, True, False, "principal moment of inertia about the second body axis"),
+    ("C", "kg m2", "$C$", 1.2, 0.0, True, False, "principal moment of inertia about the third body axis"),
+    ("Omega", "rad s-1", r"$\Omega$", 1.0, 0.0, False, False, "angular velocity of the circular orbit"),
+    ("k1", "N m s", "$k_1$", 0.0, -np.inf, False, False, "gyrostatic momentum along the first body axis"),
+    ("k2", "N m s", "$k_2$", 0.0, -np.inf, False, False, "gyrostatic momentum along the second body axis"),
+    ("k3", "N m s", "$k_3$", 0.0, -np.inf, False, False, "gyrostatic momentum along the third body axis"),
+    ("mu1", "A m2", r"$\mu_1$", 0.0, -np.inf, False, False, "magnetic moment along the first body axis"),
+    ("mu2", "A m2", r"$\mu_2$", 0.0, -np.inf, False, False, "magnetic moment along the second body axis"),
+    ("mu3", "A m2", r"$\mu_3$", 0.0, -np.inf, False, False, "magnetic moment along the third body axis"),
+    ("h1", "T", "$h_1$", 0.0, -np.inf, False, False, "magnetic field along the radius (the potential is +mu.H, as in (3))"),
+    ("h3", "T", "$h_3$", 0.0, -np.inf, False, False, "magnetic field along the orbit normal (the potential is +mu.H, as in (3))"),
+    ("theta0", "rad", r"$\theta_0$", 0.0, -np.inf, False, True, "angle from the orbit normal to the third body axis at the start"),
+    ("psi0", "rad", r"$\psi_0$", 0.0, -np.inf, False, True, "precession angle at the start, about the orbit normal from the radius"),
+    ("phi0", "rad", r"$\varphi_0$", 0.0, -np.inf, False, True, "angle of proper rotation at the start"),
+    ("theta_dot0", "rad s-1", r"$\dot\theta_0$", 0.0, -np.inf, False, True, "rate of the start about the line of nodes"),
+    ("n", "rad s-1", "$n$", 0.0, -np.inf, False, True, "precession rate of the start, about the orbit normal in the orbital frame"),
+    ("m", "rad s-1", "$m$", 0.0, -np.inf, False, True, "rate of proper rotation of the start, about the third body axis"),
+)  # fmt: skip
+
+PARAMETERS = {
+    name: Parameter(name, unit, meaning, default, low, np.inf, open_low, initial_state, symbol)
+    for name, unit, symbol, default, low, open_low, initial_state, meaning in _TABLE
+}
+
+
+def constants(points: Points) -> Array:
+    """What the kernels read, shape (constants, points), in the order of equations.CONSTANTS."""
+    p = points
+    A, B, C, Omega = p["A"], p["B"], p["C"], p["Omega"]
+    k1, k2, k3, mu1, mu2, mu3 = (p[name] for name in ("k1", "k2", "k3", "mu1", "mu2", "mu3"))
+    D = np.array([(B - C) / A, (C - A) / B, (A - B) / C])
+    body = [A, B, C, Omega, k1, k2, k3, mu1, mu2, mu3, p["h1"], p["h3"]]
+    rotor = [k2 / A, k3 / A, k3 / B, k1 / B, k1 / C, k2 / C]
+    magnet = [mu3 / A, mu2 / A, mu1 / B, mu3 / B, mu2 / C, mu1 / C]
+    return np.array([*body, *D, 3 * Omega**2, np.ones_like(A), np.ones_like(A), *rotor, *magnet])
+
+
+def directions(points: Points) -> tuple[Array, Array]:
+    """alpha and gamma in body axes at the start, each of shape (3, points); (1) of the paper."""
+    st, ct = np.sin(points["theta0"]), np.cos(points["theta0"])
+    sp, cp = np.sin(points["psi0"]), np.cos(points["psi0"])
+    sf, cf = np.sin(points["phi0"]), np.cos(points["phi0"])
+    alpha = np.array([cp * cf - ct * sf * sp, -cp * sf - ct * cf * sp, st * sp])
+    gamma = np.array([st * sf, st * cf, ct])
+    return alpha, gamma
+
+
+def initial_state(points: Points) -> Array:
+    """State at t = 0, shape (9, points): w' = n gamma + m e3 + theta_dot0 about the node, w = w' + Omega gamma."""
+    alpha, gamma = directions(points)
+    w = (points["n"] + points["Omega"]) * gamma
+    w[0] += points["theta_dot0"] * np.cos(points["phi0"])
+    w[1] -= points["theta_dot0"] * np.sin(points["phi0"])
+    w[2] += points["m"]
+    return np.concatenate([w, alpha, gamma])
+
+
+def integral_scales(points: Points) -> dict[str, Array]:
+    """By integral: nan where it is not conserved, else the least that its terms may count as."""
+    zero = np.zeros_like(points["A"])
+    axial = points["A"] == points["B"]
+    for name in ("k1", "k2", "mu1", "mu2"):
+        axial = axial & (points[name] == 0)
+    rates = sum(np.abs(points[name]) for name in ("Omega", "n", "m", "theta_dot0"))
+    return {
+        "jacobi": zero,
+        "length_alpha": zero,
+        "length_gamma": zero,
+        "length_sum": zero,
+        "axial_momentum": np.where(axial, points["C"] * rates, np.nan),
+    }
+
+
+def frequency_bound(points: Points) -> Array:
+    """Upper bound of the fastest frequency of the motion, rad per time unit, shape (points,).
+
+    The Jacobi integral T + U = const, with T the kinetic energy of w' and U = V - Omega k.gamma
+    - Omega^2/2 gamma.I gamma, bounds w' through the range of U. With every |w_i| bounded, the
+    frozen linearised equations in the coordinates sqrt(I) w are bounded block by block, and the
+    Perron root of the 2 x 2 matrix of the block norms bounds their frequencies.
+    """
+    A, B, C, Omega = points["A"], points["B"], points["C"], np.abs(points["Omega"])
+    inertia = np.array([A, B, C])
+    k = np.array([points["k1"], points["k2"], points["k3"]])
+    mu = np.array([points["mu1"], points["mu2"], points["mu3"]])
+    state = initial_state(points)
+    w, alpha, gamma = state[:3], state[3:6], state[6:]
+    u = w - points["Omega"] * gamma
+    field = np.hypot(points["h1"], points["h3"])
+    moment = np.sqrt((mu**2).sum(0))
+    rotor = np.sqrt((k**2).sum(0))
+
+    # U - min U <= each term at the start minus its own minimum.
+    kinetic = 0.5 * (inertia * u**2).sum(0)
+    gravity = 1.5 * Omega**2 * ((inertia * alpha**2).sum(0) - inertia.min(0))
+    centrifugal = 0.5 * Omega**2 * (inertia.max(0) - (inertia * gamma**2).sum(0))
+    gyroscopic = Omega * rotor - points["Omega"] * (k * gamma).sum(0)
+    H = points["h1"] * alpha + points["h3"] * gamma
+    magnetic = moment * field + (mu * H).sum(0)
+    energy = kinetic + gravity + centrifugal + gyroscopic + magnetic
+    energy = np.maximum(energy, 0.0)
+
+    # Symmetric body without transverse rotor or magnet: C w3 + k3 is conserved, so w3 stands still,
+    # its perturbation decouples and C does not count as an inertia.
+    symmetric = ~np.isnan(integral_scales(points)["axial_momentum"])
+    least = np.where(symmetric, A, inertia.min(0))
+    most = np.sqrt(2 * energy / inertia) + Omega
+    most[2] = np.where(symmetric, np.abs(w[2]), most[2])
+    turn = np.where(
+        symmetric,
+        np.hypot(np.sqrt(2 * energy / A), np.abs(w[2]) + Omega),
+        np.sqrt(2 * energy / least),
+    )
+
+    # Entries of sqrt(I) I^-1 ((I w + k) x . - w x I .) sqrt(I)^-1; sqrt(norm_1 norm_inf) >= norm_2.
+    rows, columns = np.zeros_like(inertia), np.zeros_like(inertia)
+    for i, j, axis in ((0, 1, 2), (1, 0, 2), (0, 2, 1), (2, 0, 1), (1, 2, 0), (2, 1, 0)):
+        entry = np.abs(inertia[axis] - inertia[j]) * most[axis] + np.abs(k[axis])
+        entry = entry / np.sqrt(inertia[i] * inertia[j])
+        entry = np.where(symmetric & (axis != 2), 0.0, entry)
+        rows[i] += entry
+        columns[j] += entry
+    gyration = np.sqrt(rows.max(0) * columns.max(0))
+    differences = np.array([C - B, A - C, B - A])
+    gradient = 3 * Omega**2 * np.sqrt((differences**2 / inertia).sum(0) / least)
+    stiffness = np.sqrt(2) * (gradient + moment * field / least)
+    kinematic = turn + Omega
+    half = 0.5 * (gyration + kinematic)
+    return half + np.sqrt((0.5 * (gyration - kinematic)) ** 2 + stiffness)
+
+
+def specialization(zero: Set[str], symmetric: bool) -> tuple[set[str], set[tuple[str, str]]]:
+    """Kernels of their own: without magnet, rotor or orbit, and for axial ones on a symmetric body."""
+    gone: set[str] = set()
+    if zero >= {"mu1", "mu2", "mu3"} or zero >= {"h1", "h3"}:
+        gone |= {"mu1", "mu2", "mu3", "h1", "h3"}
+    if zero >= {"k1", "k2", "k3"}:
+        gone |= {"k1", "k2", "k3"}
+    if "Omega" in zero:
+        gone |= {"Omega", "N"}
+    same: set[tuple[str, str]] = set()
+    if symmetric and zero | gone >= {"k1", "k2", "mu1", "mu2"}:
+        gone |= {"k1", "k2", "mu1", "mu2", "D3"}
+        same = {("B", "A"), ("k3_B", "k3_A"), ("mu3_B", "mu3_A")}
+    # k2_A and its like vanish with k2
+    return gone | {name for name in CONSTANTS if name.split("_")[0] in gone}, same
+
+
+def steady_rates(points: Points) -> tuple[Array, Array, Array]:
+    """sin theta, psi' = n and phi' = m of the steady motion that the start would belong to."""
+    return np.sin(points["theta0"]), points["n"], points["m"]

@@ -1,0 +1,109 @@
+"""Lagrange's equations (5)-(7) of the satellite in Euler angles, corrected, and as printed.
+
+The corrected ones are the equations of the Lagrangian (2), (3) of Yehia & El-kenani 2021
+(doi 10.22055/JACM.2021.37913.3113); `tests/test_satellite_lagrange.py` derives them. They give the
+accelerations of the Euler-Poisson equations of equations.py but for sin theta = 0, where the matrix of
+the second derivatives, of determinant A B C sin^2 theta, is singular and the result not finite.
+
+The functions take state and constants as sequences in the order of STATE and CONSTANTS, as in
+equations.py, and are plain arithmetic but for sin and cos, the only names they take from elsewhere.
+"""
+
+from numpy import cos, sin
+
+from ..equations import CONSTANTS as CONSTANTS
+
+STATE = ("psi", "theta", "phi", "psi_dot", "theta_dot", "phi_dot")
+
+
+def rhs(state, constants):
+    """Time derivatives of the state: angles in rad, in the orbital frame."""
+    psi, theta, phi, psi_dot, theta_dot, phi_dot = state
+    A, B, C = constants[:3]
+    s, c, sf, cf = sin(theta), cos(theta), sin(phi), cos(phi)
+    one, two, three = equations(state, (0.0, 0.0, 0.0), constants)
+    # The third equation takes phi'' out of the first, whose second derivatives then have a factor s.
+    node = (c * three - one) / s
+    mixed = (A - B) * sf * cf
+    psi_accel = ((A * cf * cf + B * sf * sf) * node + mixed * two) / (A * B * s)
+    theta_accel = -((A * sf * sf + B * cf * cf) * two + mixed * node) / (A * B)
+    return psi_dot, theta_dot, phi_dot, psi_accel, theta_accel, -three / C - c * psi_accel
+
+
+def equations(state, accelerations, constants):
+    """Left sides of (5), (6) and (7), corrected; zero on a motion. Torques about normal, node and axis."""
+    psi, theta, phi, psi_dot, theta_dot, phi_dot = state
+    psi_accel, theta_accel, phi_accel = accelerations
+    A, B, C, Omega, k1, k2, k3, mu1, mu2, mu3, h1, h3 = constants[:12]
+    s, c, sf, cf, sp, cp = sin(theta), cos(theta), sin(phi), cos(phi), sin(psi), cos(psi)
+    rate = psi_dot + Omega
+    J = A * sf * sf + B * cf * cf
+    sin2, cos2 = 2 * sf * cf, cf * cf - sf * sf
+    k_node, k_across = k1 * cf - k2 * sf, k1 * sf + k2 * cf
+    a1, a2, a3 = cp * cf - c * sf * sp, -cp * sf - c * cf * sp, s * sp
+    b1, b2, b3 = sp * cf + c * sf * cp, -sp * sf + c * cf * cp, -s * cp
+    g1, g2, g3 = s * sf, s * cf, c
+    # Gradient of V of (3): d alpha / d psi = -beta, and d/d theta turns alpha and gamma about the node.
+    gravity = 3 * Omega * Omega
+    V_psi = -gravity * (A * a1 * b1 + B * a2 * b2 + C * a3 * b3) - h1 * (mu1 * b1 + mu2 * b2 + mu3 * b3)
+    V_theta = gravity * sp * (s * (A * sf * a1 + B * cf * a2) + C * c * a3)
+    V_theta = (
+        V_theta + h1 * sp * (mu1 * g1 + mu2 * g2 + mu3 * g3) + h3 * (c * (mu1 * sf + mu2 * cf) - s * mu3)
+    )
+    V_phi = gravity * (A - B) * a1 * a2 + h1 * (mu1 * a2 - mu2 * a1) + h3 * (mu1 * g2 - mu2 * g1)
+    return (
+        (J * s * s + C * c * c) * psi_accel + 0.5 * (A - B) * sin2 * s * theta_accel + C * c * phi_accel
+        + 0.5 * (A - B) * sin2 * c * theta_dot * theta_dot
+        + theta_dot * (((A - B) * cos2 - C) * s * phi_dot + 2 * (J - C) * s * c * rate - k3 * s + c * k_across)
+        + phi_dot * ((A - B) * sin2 * s * s * rate + s * k_node) + V_psi,
+        0.5 * (A - B) * sin2 * s * psi_accel + (A * cf * cf + B * sf * sf) * theta_accel
+        - (J - C) * s * c * rate * rate
+        + rate * (((A - B) * cos2 + C) * s * phi_dot + k3 * s - c * k_across)
+        - (A - B) * sin2 * theta_dot * phi_dot - k_across * phi_dot + V_theta,
+        C * c * psi_accel + C * phi_accel
+        + 0.5 * (A - B) * sin2 * (theta_dot * theta_dot - s * s * rate * rate)
+        - theta_dot * rate * s * ((A - B) * cos2 + C) + theta_dot * k_across - rate * s * k_node + V_phi,
+    )  # fmt: skip
+
+
+def equations_printed(state, accelerations, constants):
+    """Left sides of (5), (6) and (7) to the letter of the paper, brackets and all."""
+    psi, theta, phi, psi_dot, theta_dot, phi_dot = state
+    psi_accel, theta_accel, phi_accel = accelerations
+    A, B, C, Omega, k1, k2, k3, mu1, mu2, mu3, h1, h3 = constants[:12]
+    s, c, sf, cf, sp, cp = sin(theta), cos(theta), sin(phi), cos(phi), sin(psi), cos(psi)
+    sin2, cos2, sin2p, cos2p, sin2t = sin(2 * phi), cos(2 * phi), sin(2 * psi), cos(2 * psi), sin(2 * theta)
+    J = A * sf**2 + B * cf**2
+    k_across, k_node = k2 * cf + k1 * sf, k1 * cf - k2 * sf
+    square = Omega**2
+    five = (
+        0.5 * (A - B) * sin2 * s * theta_accel + (J * s**2 + C * c**2) * psi_accel + C * c * phi_accel
+        + 0.5 * (A - B) * sin2 * c * theta_dot**2
+        + (((A - B) * cos2 - C) * s * phi_dot + (J - C) * sin2t * psi_dot
+           + (2 * Omega * c * (J - C) - k3) * s + k_across * theta_dot)
+        + ((A - B) * sin2 * s**2 * (psi_dot + Omega) + s * k_node) * phi_dot
+        + 1.5 * square * C * s**2 * sin2p + mu3 * h1 * cp * s - 1.5 * square * (-B * c**2 + A) * sin2p * cf**2
+        + (-3 * square * cos2p * (A - B) * c * sf - h1 * (mu2 * sp * c + mu1 * sp)) * cf
+        + 3 * sf * (square / 2 * sin2p * (A * c**2 - B) * sf - h1 / 3 * (mu1 * cp * c - mu2 * sp))
+    )  # fmt: skip
+    six = (
+        0.5 * (A - B) * sin2 * s * psi_accel + (A * cf**2 + B * sf**2) * theta_accel
+        - 0.5 * (J - C) * sin2t * psi_dot**2
+        + (((A - B) * cos2 + C) * s * phi_dot + 0.5 * (A - B) * sin2 * c * theta_dot
+           + (-2 * Omega * c * J + 2 * C * Omega * c + k3) * s - c * k_across * psi_dot)
+        + ((B - A) * sin2 * theta_dot + ((A - B) * cos2 + C) * Omega * s - k_across) * phi_dot
+        + 0.5 * (A - B) * sin2 * c * Omega * theta_dot
+        + (-square * (B + A - C) * c * (3 * sp**2 + 1) + 0.75 * square * (A - B) * sin2p * sin2
+           + h1 * mu2 * sp * cf + h1 * mu1 * sp * sf + Omega * k3 - h3 * mu3) * s
+        - c * (Omega * k2 - h3 * mu2) * cf + (Omega * k1 - h3 * mu1) * sf - h1 * mu3 * sp
+    )  # fmt: skip
+    seven = (
+        C * c * phi_accel + C * phi_accel + 0.5 * (A - B) * sin2 * theta_dot**2
+        + ((B - A) * cos2 - C) * s * psi_dot - ((A - B) * cos2 + C) * Omega * s
+        + (k1 * sf + k2 * cf) * theta_dot
+        - 0.5 * (A - B) * sin2 * s**2 * psi_dot**2 - Omega * s * sin2 * (A - B) * s + k_node * psi_dot
+        - 0.5 * square * (A - B) * sin2 * s**2 + (-Omega * k_node + h3 * (mu1 * cf - mu2 * sf)) * s
+        - 1.5 * square * (A - B) * (sin2p * c * cos2 - (cp**2 - sp**2 * c**2) * sin2)
+        - h1 * mu1 * sp * cf * c + cp * sf - h1 * mu2 * (-sp * sf * c + cp * cf)
+    )  # fmt: skip
+    return five, six, seven

@@ -1,0 +1,395 @@
+"""The catalogue as tables, its limits as complaints, and what it says of equilibria and of Lagrange's form."""
+
+import csv
+import importlib.util
+import io
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+import test_fixed_point_families as fixed_point
+import test_satellite_families as satellite
+import xarray as xr
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+import atlas
+from atlas import BadInput, load_scene, systems
+from atlas.analysis import catalogue
+from atlas.cli import main
+from atlas.scene import grid
+from atlas.systems.base import on_family
+from atlas.systems.satellite import equations, initial
+from atlas.systems.satellite.stability import linear_stability
+
+ROOT = Path(__file__).parents[2]
+SATELLITE, FIXED_POINT = systems.get("satellite"), systems.get("fixed_point")
+# The paper's equations that the project says are wrong or not all there is, and those that are right.
+WRONG = {
+    *(f"({i})" for i in range(4, 14)), "(14)1", "(14)2", "(14)3", "(19)1", "(21)", "(26)", "(29)1", "(31b)",
+    "after (31)", "(44)1", "(44)3", "names",
+}  # fmt: skip
+RIGHT = {
+    "(15)", "(16)", "(17)1", "(17)2", "(18)", "(19)2", "(20)", "(22)", "(23)", "after (23)", "(24)", "(25)",
+    "(27)", "(28)", "(29)2", "(30)", "(31)1", "(31)2", "(44)2", "(45)",
+}  # fmt: skip
+
+
+def script(name):
+    """A file of scripts/ as a module."""
+    spec = importlib.util.spec_from_file_location(name, ROOT / "scripts" / f"{name}.py")
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+# Tables.
+
+
+def test_every_printed_equation_has_its_verdict_and_residuals():
+    rows = catalogue.published(SATELLITE)
+    assert rows == catalogue.published(SATELLITE)  # the same random parameters in every call
+    beyond = {row["equation"] for row in rows if row["equation"].startswith("beyond")}
+    assert {row["equation"] for row in rows} == WRONG | RIGHT | beyond
+    for row in rows:
+        assert row["residual_true"] < 1e-12
+        wrong = row["equation"] in WRONG | beyond
+        assert (row["verdict"] != "true") == wrong
+        assert (row["residual_printed"] > 1e-2) == wrong
+    errata = catalogue.published(SATELLITE, errata=True)
+    assert {row["equation"] for row in errata} == WRONG | beyond
+
+
+def test_families_are_complete_rows():
+    rows = catalogue.families(SATELLITE)
+    assert [row["family"] for row in rows] == list(SATELLITE.families)
+    for row in rows + catalogue.families(FIXED_POINT):
+        assert all(
+            row[key] for key in ("equations", "motion", "conditions", "solves_for", "geometry", "labels")
+        )
+        assert row["stability"]
+    for row in rows:
+        assert row["exists"]
+        assert row["residual_true"] < 1e-12
+    with pytest.raises(BadInput, match="banana"):
+        catalogue.families(SATELLITE, "banana")
+
+
+def test_command_line_tables(capsys):
+    def output(*arguments):
+        assert main(["conditions", *arguments]) == 0
+        return capsys.readouterr().out
+
+    assert output("satellite") == output()
+    assert "(31b)" in output("satellite")
+    assert "conical" in output("fixed_point")
+    detail = output("--family", "perp_velocity")
+    for expected in (
+        "lambda^4 + P lambda^2 + Q = 0",
+        "hyperboloidal",
+        "(24), (25)",
+        "4 Omega |A - C|",
+        "phi0",
+    ):
+        assert expected in detail
+    errata = output("--errata")
+    assert all(f"{number}" in errata for number in WRONG)
+    assert "(15)  " not in errata
+    for system in ("satellite", "fixed_point"):
+        read = list(csv.DictReader(io.StringIO(output(system, "--csv"))))
+        assert [row["family"] for row in read] == list(systems.get(system).families)
+        read = list(csv.DictReader(io.StringIO(output(system, "--errata", "--csv"))))
+        found = catalogue.published(systems.get(system), errata=True)
+        assert [row["printed"] for row in read] == [row["printed"] for row in found]
+        whole = json.loads(output(system, "--json"))
+        assert whole["printed"] == catalogue.published(systems.get(system))
+        assert len(whole["families"]) == len(systems.get(system).families)
+    assert list(csv.DictReader(io.StringIO(output("--family", "oblique", "--errata", "--csv"))))
+    with pytest.raises(SystemExit) as left:
+        main(["conditions", "--csv", "--json"])
+    assert left.value.code == 2
+
+
+# Which parameters a family leaves free, and how far it reaches.
+
+
+def moved(family, point, name):
+    """Is the point still on the family when one parameter is another?"""
+    return (on_family(family, {**point, name: point[name] + 0.37}) < 1e-9).all()
+
+
+@pytest.mark.parametrize("name", SATELLITE.families)
+def test_free_parameters_of_the_satellite(name):
+    family, rng = SATELLITE.families[name], np.random.default_rng(1)
+    found = [p for _ in range(20) if (p := satellite.solved(name, rng)) is not None]
+    assert found
+    free = {p for p in SATELLITE.parameters if all(moved(family, point, p) for point in found)}
+    # a magnet is free only as long as there is no field along the radius
+    assert free - {"mu3"} == set(family.free)
+    assert not set(family.free) & set(family.solve)
+
+
+@pytest.mark.parametrize("name", FIXED_POINT.families)
+def test_free_parameters_of_the_fixed_point(name):
+    family, rng = FIXED_POINT.families[name], np.random.default_rng(2)
+    many = {
+        "conical": lambda: fixed_point.solved(name, fixed_point.symmetric_points(9, rng), "l3"),
+        "sleeping": lambda: fixed_point.solved(name, fixed_point.random_points(9, rng), "theta0", "l1", "l2"),
+        "staude": lambda: fixed_point.solved(name, fixed_point.random_points(9, rng, m=0.0), "l1", "l2"),
+        "rest": lambda: fixed_point.solved(
+            name, fixed_point.random_points(9, rng, n=0.0, m=0.0), "theta0", "phi0"
+        ),
+    }[name]()
+    assert (on_family(family, many) < 1e-9).all()
+    for parameter in family.free:
+        assert moved(family, many, parameter), parameter
+    assert not set(family.free) & set(family.solve)
+
+
+@settings(max_examples=60, deadline=None)
+@given(k3=st.floats(-6, 6), m=st.floats(-2, 2), C=st.floats(0.2, 1.9), h3=st.floats(-1, 1))
+@pytest.mark.parametrize(("name", "factor"), [("perp_radius", 1), ("perp_velocity", 4)])
+def test_existence_limits_of_the_tilted_axis(name, factor, k3, m, C, h3):
+    given_values = {"k3": k3, "m": m, "C": C, "h3": h3, "mu3": 0.5, "psi0": np.pi / 2 * (factor == 4)}
+    point = {p.name: np.full(1, p.default) for p in SATELLITE.parameters.values()}
+    point |= {key: np.full(1, value) for key, value in given_values.items()}
+    momentum, limit = abs(k3 + C * m - 0.5 * h3), factor * abs(1 - C)
+    if abs(momentum - limit) < 1e-9:
+        return
+    point["theta0"] = SATELLITE.families[name].solve["theta0"](point)
+    assert np.isfinite(point["theta0"][0]) == (momentum < limit)
+    if momentum < limit:
+        assert on_family(SATELLITE.families[name], point)[0] < 1e-9
+
+
+@settings(max_examples=60, deadline=None)
+@given(h1=st.floats(-3, 3), theta0=st.floats(0.05, 3.1), C=st.floats(0.2, 1.9))
+def test_existence_limit_of_the_oblique_axis(h1, theta0, C):
+    point = {p.name: np.full(1, p.default) for p in SATELLITE.parameters.values()}
+    point |= {
+        key: np.full(1, value) for key, value in {"h1": h1, "theta0": theta0, "C": C, "mu3": 0.7}.items()
+    }
+    product, limit = abs(0.7 * h1), 3 * np.sin(theta0) * abs(1 - C)
+    if abs(product - limit) < 1e-9 or limit < 1e-6:
+        return
+    point["psi0"] = SATELLITE.families["oblique"].solve["psi0"](point)
+    assert np.isfinite(point["psi0"][0]) == (product < limit)
+
+
+@settings(max_examples=60, deadline=None)
+@given(seed=st.integers(0, 10**6))
+def test_existence_limit_of_the_conical_motion(seed):
+    point = fixed_point.symmetric_points(1, np.random.default_rng(seed))
+    weight, gradient = point["Mg"] * point["z0"], (point["C"] - point["A"]) * np.cos(point["theta0"])
+    left = (point["C"] * point["m"] + point["l3"]) ** 2
+    limit = 4 * gradient * (weight - point["N"] * gradient)
+    n = FIXED_POINT.families["conical"].solve["n"](point)
+    assert np.isfinite(n[0]) == (left > limit)[0]
+
+
+# Complaints.
+
+
+def scene(system, family, solve, axis="phi0", **fixed):
+    lines = [f"{name} = {float(value)!r}" for name, value in fixed.items()]
+    return load_scene(
+        f'schema = 1\nsystem = "{system}"\n[fixed]\n' + "\n".join(lines)
+        + f'\n[axes.{axis}]\nvalues = [0.0, 0.5, 1.0]\n[family]\nname = "{family}"\nsolve = {json.dumps(solve)}\n'
+    )  # fmt: skip
+
+
+OUTSIDE = [
+    # system, family, solved, parameters, the condition that fails
+    ("satellite", "cylindrical", ["k1", "k2"], {"h1": 1, "mu3": 1}, "h1 mu = 0"),
+    ("satellite", "cylindrical", ["k1"], {"m": -1, "mu1": 1, "h3": 1}, "no k1 puts any point"),
+    ("satellite", "equilibrium", ["k1", "k2", "k3"], {"m": 0.5, "theta0": 1}, "n sin theta0 = 0"),
+    ("satellite", "equilibrium", ["k1", "k2"], {"B": 1.2, "psi0": 0.3}, "beta.(3 Omega^2 I alpha"),
+    ("satellite", "perp_radius", ["theta0"], {"k3": 5}, "Omega s (k3 + C m)"),
+    ("satellite", "perp_radius", ["k3"], {"theta0": 1, "h1": 1, "mu3": 1}, "h1 mu3 = 0"),
+    ("satellite", "perp_velocity", ["theta0"], {"k3": 9, "psi0": np.pi / 2}, "Omega s (k3 + C m)"),
+    ("satellite", "perp_velocity", ["k3"], {"theta0": 1, "k1": 0.2, "psi0": np.pi / 2}, "k1 = k2 = 0"),
+    ("satellite", "oblique", ["psi0", "k3"], {"theta0": 0.5, "h1": 5, "mu3": 1}, "3 Omega^2 s sin psi0"),
+    ("satellite", "transverse_magnet", ["k1", "k2", "k3"],
+     {"theta0": 1, "psi0": np.pi / 2, "mu1": 1, "h1": 1, "h3": 1, "m": 2}, "w3 k1,2 = H3 mu1,2"),
+    ("satellite", "despun_transverse", ["k1", "k2", "k3"], {"theta0": 1, "m": 1}, "m = -Omega cos theta0"),
+    ("satellite", "asymmetric_tilt", ["k3"], {"theta0": 1, "psi0": np.pi / 2, "m": -1}, "cos theta0 = +-1/2"),
+    ("satellite", "spherical", ["k3"], {"theta0": 1, "n": 1}, "B = C"),
+    ("satellite", "spherical", ["k3"], {"C": 1, "n": -1, "h3": 1, "mu3": 1}, "no k3 puts any point"),
+    ("satellite", "other_axis", ["k3"], {"theta0": 0.3, "n": 1}, "an axis of equal moments"),
+    ("fixed_point", "conical", ["l3"], {"B": 1.2, "theta0": 1, "n": 1}, "A = B"),
+    ("fixed_point", "conical", ["n"], {"C": 0.5, "theta0": 1, "z0": 1, "Mg": -3}, "(C - A)(n^2 - N)"),
+    ("fixed_point", "sleeping", [], {"theta0": 0.3, "m": 1}, "sin theta0 = 0"),
+    ("fixed_point", "staude", [], {"m": 1, "n": 1, "theta0": 1}, "m = 0"),
+    ("fixed_point", "rest", [], {"n": 1, "theta0": 1}, "n = 0"),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("system", "family", "solve", "fixed", "named"), OUTSIDE)
+def test_outside_a_family_the_condition_and_its_amount_are_named(system, family, solve, fixed, named):
+    with pytest.raises(BadInput) as complaint:
+        grid.check(scene(system, family, solve, **fixed))
+    text = str(complaint.value)
+    assert "\n" not in text
+    assert family in text
+    assert named in text
+    assert "fails by" in text
+    amount = float(text.split("fails by ")[1].split()[0])
+    assert amount > 1e-3
+
+
+FREE = [
+    ("satellite", "cylindrical", ["k3"], {}),
+    ("satellite", "perp_velocity", ["phi0"], {}),
+    ("fixed_point", "sleeping", ["l3"], {}),
+    # free only here: no magnet to hold, no tilt to feel k3 or a rotor along the normal
+    ("satellite", "perp_velocity", ["h3", "k3"], {"theta0": 1, "psi0": np.pi / 2}),
+    ("satellite", "perp_velocity", ["k3"], {"psi0": np.pi / 2}),
+    ("satellite", "equilibrium", ["k3"], {}),
+    ("satellite", "asymmetric_tilt", ["h1", "k3"], {"theta0": np.pi / 3, "psi0": np.pi / 2, "m": -1}),
+    ("satellite", "spherical", ["k3"], {"C": 1, "n": -1, "theta0": 1}),
+]
+
+
+@pytest.mark.parametrize(("system", "family", "solve", "fixed"), FREE)
+def test_solving_for_a_free_parameter_says_that_it_is_free(system, family, solve, fixed):
+    with pytest.raises(BadInput, match=f"family.solve = '{solve[0]}'.*free"):
+        grid.check(scene(system, family, solve, axis="n" if solve == ["phi0"] else "phi0", **fixed))
+
+
+# Equilibria.
+
+
+def test_equilibria_of_a_gyrostat_are_at_rest_and_counted():
+    body = {"A": 1.0, "B": 1.3, "C": 1.7, "k1": 0.1, "k2": 0.2, "k3": -0.05}
+    found = atlas.equilibria("satellite", body)
+    assert 8 <= found.sizes["equilibrium"] <= 24
+    assert not found.circle.any()
+    assert ((-1) ** found["index"].astype(int)).sum() == 0
+    assert set(found) >= {"theta0", "psi0", "phi0", "index", "circle", "stable", "growth_rate", "potential"}
+    assert found.stable.attrs["flag_meanings"] == "unknown stable unstable"
+    assert ((found.stable == 1) == (found.growth_rate == 0)).all()
+    assert (found.stable.where(found["index"] == 0, 1) == 1).all()  # minima are stable
+    points = {
+        p.name: np.full(found.sizes["equilibrium"], body.get(p.name, p.default))
+        for p in SATELLITE.parameters.values()
+    }
+    points |= {name: found[name].values for name in ("theta0", "psi0", "phi0")}
+    rates = np.array(equations.rhs(initial.initial_state(points), initial.constants(points)))
+    assert np.abs(rates).max() < 1e-9
+    flags, _ = SATELLITE.recognise(points)
+    assert (flags == SATELLITE.families["equilibrium"].flag).all()
+    np.testing.assert_allclose(initial.directions(points)[1], found.gamma.values.T, atol=1e-12)
+    layer = {name: SATELLITE.layers[name].values(points, np.ones(2)) for name in SATELLITE.layers}
+    np.testing.assert_array_equal(layer["equilibrium_count"], found.sizes["equilibrium"])
+    np.testing.assert_array_equal(layer["equilibrium_stable_count"], int((found.stable == 1).sum()))
+
+
+def test_circles_and_surfaces_of_equilibria():
+    found = atlas.equilibria("satellite", {"A": 1.0, "B": 1.0, "C": 1.5})
+    assert found.circle.all()
+    assert np.isfinite(found.axis.values).all()
+    with pytest.raises(BadInput, match="surface"):
+        atlas.equilibria("satellite", {"A": 1.0, "B": 1.0, "C": 1.0})
+    points = {p.name: np.full(2, p.default) for p in SATELLITE.parameters.values()} | {
+        "C": np.array([1.0, 1.5])
+    }
+    assert np.isnan(SATELLITE.layers["equilibrium_count"].values(points, np.ones(2))).all()
+
+
+def test_permanent_rotations_of_a_heavy_gyrostat():
+    body = {"A": 1.0, "B": 1.5, "C": 2.0, "Mg": 2.0, "x0": 0.3, "y0": 0.2, "z0": 0.5, "l1": 0.4, "n": 1.2}
+    found = atlas.equilibria("fixed_point", body)
+    assert found.sizes["equilibrium"] in (2, 4, 6)
+    assert set(found) >= {"theta0", "phi0", "gamma", "index", "circle", "stable", "growth_rate"}
+    points = {
+        p.name: np.full(found.sizes["equilibrium"], body.get(p.name, p.default))
+        for p in FIXED_POINT.parameters.values()
+    }
+    points |= {name: found[name].values for name in ("theta0", "phi0")}
+    assert FIXED_POINT.condition_residual(points).max() < 1e-9
+    assert ((-1) ** found["index"].astype(int)).sum() == 2  # Euler characteristic of the sphere
+    resting = atlas.equilibria("fixed_point", {"Mg": 1.0, "z0": 1.0})
+    assert list(resting.stable.values) == [1, 2]
+    assert list(resting.theta0.values) == [0.0, np.pi]
+
+
+def test_equilibria_survive_a_file(tmp_path):
+    found = atlas.equilibria("satellite", {"A": 1.0, "B": 1.3, "C": 1.7})
+    found.to_netcdf(tmp_path / "e.nc")
+    with xr.open_dataset(tmp_path / "e.nc") as again:
+        xr.testing.assert_identical(again.load(), found)
+
+
+@pytest.mark.parametrize(
+    ("body", "named"),
+    [
+        ({"A": 1.0, "B": 1.0, "C": 9.0}, "no rigid body"),
+        ({"A": [1.0, 2.0]}, "2 bodies"),
+        ({"A": np.nan}, "A: must be finite"),
+        ({"A": -1.0}, "A > 0"),
+        ({"mass": 1.0}, "mass: not a parameter"),
+        ({"Omega": 0.0}, "without orbit and field"),
+    ],
+)
+def test_bad_bodies(body, named):
+    with pytest.raises(BadInput, match=named):
+        atlas.equilibria("satellite", body)
+    with pytest.raises(BadInput, match="sputnik"):
+        atlas.equilibria("sputnik", body)
+
+
+def test_gravity_gradient_diagram_is_the_classical_one():
+    """Lagrange's triangle and the region of DeBra and Delp, by their inequalities."""
+    found = grid.points_at_indices(
+        small := load_scene(ROOT / "configs" / "gravity_gradient.toml"), np.arange(0, small.size, 37)
+    )
+    flags, _ = SATELLITE.recognise(found.base)
+    stable, _ = linear_stability(found.base, flags)
+    A, B, C = (found.base[name] for name in "ABC")
+    K1, K3 = (C - A) / B, (C - B) / A
+    above = 1 + 3 * K1 + K1 * K3 - 4 * np.sqrt(np.maximum(K1 * K3, 0))
+    expected = (K1 * K3 > 0) & (K1 > K3) & (above > 0)
+    clear = (np.abs(K1 - K3) > 0.01) & (np.abs(above) > 0.01)
+    assert clear.sum() > 1000
+    np.testing.assert_array_equal(stable[clear] == 1, expected[clear])
+
+
+# Lagrange's form, and the scripts.
+
+
+def test_lagrange_form_is_exact_on_precessions_and_singular_upright():
+    form = script("lagrange_form")
+    points = form.tilted(np.array([1.0, 1e-3, 0.0]), np.pi / 2, "perp_velocity", C=1.3, m=0.5)
+    closed = SATELLITE.families["perp_velocity"].motion(points, np.array(5.0))
+    (angles, resolved), (cosines, sure) = (form.integrate(points, 5.0, 100, name) for name in form.FORMS)
+    assert list(resolved) == [True, True, False]
+    assert sure.all()
+    assert form.error(points, angles, closed)[:2].max() < 1e-11
+    errors = form.error(points, cosines, closed)
+    assert 1e-11 < errors.min() < errors.max() < 1e-6
+
+
+def test_lagrange_form_is_never_wrong_in_silence():
+    form = script("lagrange_form")
+    tilts = np.concatenate([np.geomspace(1e-8, 1, 20), np.linspace(0.5, 2.6, 20)])
+    points = form.random_points(40, 3, theta0=tilts)
+    exact = form.reference(points, 6.0)
+    before = None
+    for steps in (150, 300, 600):
+        (angles, resolved), (cosines, sure) = (
+            form.integrate(points, 6.0, steps, name) for name in form.FORMS
+        )
+        assert sure.all()
+        assert form.error(points, angles, exact)[resolved].max() < form.HALVED
+        assert not resolved[:10].any()  # they start at a pole
+        errors = np.median(form.error(points, cosines, exact))
+        if before is not None:
+            assert np.log2(before / errors) == pytest.approx(4, abs=0.4)
+        before = errors
+
+
+def test_benchmark_runs(capsys, monkeypatch):
+    monkeypatch.setattr("sys.argv", ["bench_catalogue.py", "--points", "3000"])
+    script("bench_catalogue").main()
+    assert "perp_velocity: 1000 points" in capsys.readouterr().out

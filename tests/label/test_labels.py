@@ -1,0 +1,211 @@
+"""Labels: the CONTRACT of how a point is called, on measurements made by hand and on published cases."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+import atlas
+from atlas.label import labels
+from atlas.variables import LABELS, STATUS
+
+REFERENCE = Path(__file__).parents[1] / "reference"
+NAMES = list(LABELS)
+
+
+def named(ds, variable: str, point: int) -> str:
+    """Flag name of a variable at one point."""
+    return ds[variable].attrs["flag_meanings"].split()[int(ds[variable][point])]
+
+
+def measured(**given):
+    """One steady motion at theta = 1 with psi' = 0.5, phi' = 0.3, and what is given instead."""
+    values = {
+        "theta_dot_rms": 0.0, "psi_dot_mean": 0.5, "psi_dot_std": 0.0, "phi_dot_mean": 0.3, "phi_dot_std": 0.0,
+        "normal_rate_std": 0.0, "theta_min": 1.0, "theta_max": 1.0, "sine_max": np.sin(1.0),
+    } | given  # fmt: skip
+    return {name: np.array([value]) for name, value in values.items()}
+
+
+@pytest.mark.parametrize(
+    ("given", "expected"),
+    [
+        ({}, "regular_precession"),
+        ({"psi_dot_mean": 0.0}, "permanent_rotation"),
+        ({"phi_dot_mean": 0.9e-5}, "permanent_rotation"),
+        ({"phi_dot_mean": 1.1e-5}, "regular_precession"),
+        ({"psi_dot_mean": 0.0, "phi_dot_mean": 0.0}, "permanent_rotation"),
+        ({"theta_dot_rms": 1.1e-5}, "drifting"),
+        ({"theta_dot_rms": 0.9e-5}, "regular_precession"),
+        ({"psi_dot_std": 1.1e-5}, "drifting"),
+        ({"phi_dot_std": 1.1e-5}, "drifting"),
+        # a varying rate about the vertical counts inside the cylinder only
+        ({"normal_rate_std": 1.0}, "regular_precession"),
+        ({"sine_max": 0.9e-5, "theta_max": 0.9e-5, "theta_min": 0.0, "psi_dot_mean": np.nan, "psi_dot_std": np.nan,
+          "phi_dot_mean": np.nan, "phi_dot_std": np.nan}, "permanent_rotation"),
+        ({"sine_max": 0.9e-5, "theta_max": 0.9e-5, "theta_min": 0.0, "psi_dot_mean": np.nan, "psi_dot_std": np.nan,
+          "phi_dot_mean": np.nan, "phi_dot_std": np.nan, "normal_rate_std": 1e-4}, "drifting"),
+        # slowly out of the cylinder: psi' has no meaning on the way, theta decides
+        ({"sine_max": 3e-5, "theta_min": 0.0, "theta_max": 3e-5, "theta_dot_rms": 1e-7}, "drifting"),
+        # on the edge of the cylinder: psi' is that of the sliver outside, the rate about the vertical decides
+        ({"sine_max": 1.01e-5, "theta_min": 0.99e-5, "theta_max": 1.01e-5, "normal_rate_std": 0.5}, "drifting"),
+        # on the edge of the cylinder, moving less than its radius: still itself
+        ({"sine_max": 1.01e-5, "theta_min": 0.99e-5, "theta_max": 1.01e-5}, "regular_precession"),
+    ],
+)  # fmt: skip
+def test_contract(given, expected):
+    found = labels.label(measured(**given), 1e-5, 1e-5)
+    assert NAMES[found[0]] == expected
+    assert found.dtype == np.int8
+
+
+def test_inertial_label_adds_the_rate_of_the_frame():
+    still = measured(psi_dot_mean=0.0)
+    assert NAMES[labels.label(still, 1e-5, 1e-5)[0]] == "permanent_rotation"
+    assert NAMES[labels.label(still, 1e-5, 1e-5, 1.0)[0]] == "regular_precession"
+    assert NAMES[labels.label(measured(psi_dot_mean=-1.0), 1e-5, 1e-5, 1.0)[0]] == "permanent_rotation"
+
+
+@given(
+    st.booleans(), st.sampled_from([0.0, 1e-3]), st.sampled_from([0.1, 0.6]), st.sampled_from([0.0, 0.2]),
+    st.sampled_from([0.0, 30.0]),
+)  # fmt: skip
+def test_status_is_the_first_that_applies(finite, drift, ratio, damping, growth):
+    found = labels.status(
+        np.array([finite]),
+        np.array([drift]),
+        1e-5,
+        np.array([ratio]),
+        np.array([damping]),
+        np.array([growth]),
+        1e-5,
+    )[0]
+    order = [
+        (not finite, "not_finite"), (drift > 1e-5, "drift_exceeded"),
+        (ratio > 0.5 or damping > 0.1, "under_resolved"), (growth > np.log(1e11), "roundoff_decided"), (True, "ok"),
+    ]  # fmt: skip
+    assert list(STATUS)[found] == next(name for applies, name in order if applies)
+
+
+def satellite_cases():
+    cases = json.loads((REFERENCE / "satellite_cases.json").read_text())["cases"]
+    columns = {k: np.array([c[k] for c in cases])
+               for k in ("A", "B", "C", "Omega", "h1", "h3", "theta0", "psi0", "phi0", "n", "m")}  # fmt: skip
+    for i in range(3):
+        columns[f"k{i + 1}"] = np.array([c["k"][i] for c in cases])
+        columns[f"mu{i + 1}"] = np.array([c["mu"][i] for c in cases])
+    return cases, columns
+
+
+def test_the_68_satellite_cases():
+    cases, columns = satellite_cases()
+    ds = atlas.label_points("satellite", columns, duration=np.array([c["T"] for c in cases]))
+    for i, case in enumerate(cases):
+        expected = case["label_orbital"], case["label_inertial"], case["geometry"]
+        found = named(ds, "label", i), named(ds, "label_inertial", i), named(ds, "geometry", i)
+        assert found == expected, case["id"]
+        assert (named(ds, "predicted", i), named(ds, "predicted_inertial", i)) == expected[:2], case["id"]
+        if case["valid"]:
+            assert ds.family[i] > 0
+            assert ds.condition_residual[i] < 1e-12
+        else:
+            assert ds.family[i] == 0
+    assert (ds.status == list(STATUS).index("ok")).all()
+    assert (ds.agreement == 1).all()
+
+
+def fixed_point_cases():
+    cases = json.loads((REFERENCE / "fixed_point_cases.json").read_text())["cases"]
+    vectors = {"l": ("l1", "l2", "l3"), "rc": ("x0", "y0", "z0"), "w0": ("p0", "q0", "r0"),
+               "gamma0": ("gamma10", "gamma20", "gamma30")}  # fmt: skip
+    columns = {k: np.array([float(c[k]) for c in cases]) for k in ("A", "B", "C", "Mg", "N")}
+    for key, names in vectors.items():
+        columns |= {name: np.array([c[key][i] for c in cases]) for i, name in enumerate(names)}
+    return cases, columns
+
+
+def test_the_55_fixed_point_cases():
+    cases, columns = fixed_point_cases()
+    ds = atlas.label_points("fixed_point", columns, duration=np.array([c["T"] for c in cases]))
+    for i, case in enumerate(cases):
+        assert (named(ds, "label", i), named(ds, "geometry", i)) == (case["label"], case["geometry"]), case[
+            "id"
+        ]
+        assert named(ds, "predicted", i) == case["label"], case["id"]
+    assert (ds.agreement == 1).all()
+
+
+def test_nothing_grows_where_nothing_is_left_to_rounding():
+    """An unstable sleeping top that is vertical to the last bit stays so: no matter how long."""
+    cases, columns = fixed_point_cases()
+    i = next(i for i, c in enumerate(cases) if c["id"] == 60)
+    ds = atlas.label_points(
+        "fixed_point", {k: v[i] for k, v in columns.items()}, duration=60.0, tolerance=1e-6
+    )
+    assert ds.growth_rate[0] * 60 > np.log(1e11)
+    assert named(ds, "label", 0) == "permanent_rotation"
+
+
+def test_a_blown_up_point_is_unresolved_with_its_reason():
+    ds = atlas.label_points(
+        "satellite", {"k1": [0.1, 1e200, 0.1], "theta0": 0.5}, duration=20.0, tolerance=1e-6, max_steps=4000
+    )
+    assert named(ds, "label", 1) == "unresolved"
+    assert named(ds, "status", 1) in ("not_finite", "drift_exceeded")
+    assert named(ds, "label", 0) == "drifting"
+    assert np.isfinite(ds.theta_dot_rms[[0, 2]]).all()
+
+
+def test_too_long_a_step_is_under_resolved_never_labelled():
+    point = {"m": 40.0, "k3": 0.0, "theta0": 0.5, "C": 1.2}
+    for step in (0.03, 0.05, 0.08, 0.2):
+        ds = atlas.label_points("satellite", point, duration=20.0, step=step)
+        assert named(ds, "label", 0) == "unresolved"
+    assert named(atlas.label_points("satellite", point, duration=20.0), "label", 0) == "drifting"
+
+
+def test_exact_start_on_an_unstable_motion_run_too_long_is_left_to_roundoff():
+    point = {"A": 1.0, "B": 1.0, "C": 1.2, "theta0": 1.0, "psi0": np.pi / 2, "m": 0.3}
+    point["k3"] = 4 * np.cos(1.0) * (1.0 - 1.2) - 1.2 * 0.3  # (24): perp_velocity, unstable for 1 < C/A < 4/3
+    short = atlas.label_points("satellite", point, duration=5.0)
+    long = atlas.label_points("satellite", point, duration=500.0, tolerance=1e-6)
+    assert short.stable[0] == 2
+    assert short.growth_rate[0] * 500 > np.log(1e11)
+    assert named(short, "label", 0) == "permanent_rotation"
+    assert named(long, "status", 0) == "roundoff_decided"
+    assert named(long, "label", 0) == "unresolved"
+
+
+def test_steady_turn_about_the_node_is_no_precession():
+    """Theta' constant and not zero has standard deviation 0: rms must speak. Free spherical body, Omega = 0."""
+    ds = atlas.label_points(
+        "satellite", {"C": 1.0, "Omega": 0.0, "theta0": 1.0, "theta_dot0": 0.2}, duration=3.0, tolerance=1e-10
+    )
+    assert ds.theta_dot_std[0] < 1e-6
+    assert named(ds, "label", 0) == "drifting"
+
+
+@pytest.mark.parametrize("theta0", [0.0, np.pi])
+def test_a_start_on_the_pole_that_leaves_it_drifts_without_nan(theta0):
+    ds = atlas.label_points("satellite", {"theta0": theta0, "k1": 0.3}, duration=10.0, tolerance=1e-6)
+    assert named(ds, "label", 0) == "drifting"
+    assert np.isfinite(ds.psi_dot_mean[0])
+
+
+def test_theta_zero_exactly_with_varying_spin_drifts():
+    ds = atlas.label_points("satellite", {"B": 1.1, "theta0": 0.0, "m": 0.7}, duration=30.0, tolerance=1e-6)
+    assert ds.theta_max[0] == 0.0
+    assert named(ds, "label", 0) == "drifting"
+    assert np.isnan(ds.psi_dot_mean[0])
+
+
+@given(st.floats(-20, 20), st.floats(0.02, 3.1), st.floats(-3, 3), st.floats(-3, 3))
+def test_label_does_not_depend_on_where_psi_and_phi_start(angle, theta0, n, m):
+    """A symmetric body with axial rotor: the motion about the axis is free, phi0 must not matter."""
+    base = {"theta0": theta0, "n": n, "m": m, "k3": 0.3}
+    ds = atlas.label_points("satellite", base | {"phi0": [0.0, angle]}, duration=5.0, tolerance=1e-6)
+    assert ds.label[0] == ds.label[1]
+    np.testing.assert_allclose(ds.theta_dot_rms[0], ds.theta_dot_rms[1], rtol=1e-6, atol=1e-9)

@@ -1,0 +1,114 @@
+"""The paper's figures: each shows what its caption says, and the curves are those of the equations."""
+
+import numpy as np
+import pytest
+
+from atlas.cli import main
+from atlas.plotting import amer2013
+from atlas.systems.base import BadInput
+from atlas.systems.fixed_point.paper import fast_spin
+
+# The captions of the paper: number -> quantity, phase plane, |l| / sqrt(3), for A = B < C, analytical.
+CAPTIONS = {
+    1: ("p2", False, (0, 10, 20)),
+    2: ("p2", False, (30, 40, 50)),
+    3: ("gamma2", False, (30, 40, 50)),
+    4: ("p2", True, (50,)),
+    5: ("gamma2", True, (10,)),
+}
+
+
+@pytest.mark.parametrize("number", amer2013.NUMBERS)
+def test_every_figure_shows_what_its_caption_says(number):
+    figure = amer2013.paper_figure(number)
+    quantity, phase_plane, rotors = CAPTIONS[(number - 1) % 5 + 1]
+    assert (figure.quantity, figure.phase_plane, figure.rotors) == (quantity, phase_plane, rotors)
+    assert figure.body == ("A > C" if number in (*range(6, 11), *range(16, 21)) else "A < C")
+    assert figure.numerical == (number > 10)
+    assert quantity in figure.caption
+    assert f"A = B {figure.body[2:]}" in figure.caption
+
+
+def test_rk4_has_order_four():
+    def error(intervals):
+        tau = np.linspace(0, 10, intervals + 1)
+        path = amer2013.rk4(lambda y: np.array([y[1], -y[0]]), np.array([1.0, 0.0]), tau)
+        return np.abs(path - [np.cos(tau), -np.sin(tau)]).max()
+
+    assert error(100) / error(200) == pytest.approx(16, rel=0.1)
+
+
+@pytest.mark.parametrize("number", [2, 7, 12, 17])
+def test_curves_are_those_of_the_equations(number):
+    """The true curves against the full equations by DOP853; the printed ones are far from them."""
+    figure = amer2013.paper_figure(number)
+    tau = np.linspace(0, amer2013.END, 1001)
+    motion = amer2013.curves(figure, tau)
+    for i, rotor in enumerate(figure.rotors):
+        spin = fast_spin.paper_body(figure.body, rotor)
+        y0 = fast_spin.paper_start(spin)
+        exact = fast_spin.to_quasilinear(spin, fast_spin.integrate(spin, y0, tau))
+        size = np.ptp(exact[0])
+        start = float(spin.C * spin.A1 * spin.y[0] / spin.A)
+        for source, path in motion.items():
+            if "(33)" not in source:  # a solution with a start of its own
+                np.testing.assert_allclose(path[:2, 0, i], [start, 0], atol=1e-6 * size)
+        if figure.numerical:
+            np.testing.assert_allclose(motion["(1)"][..., i], exact, atol=1e-8 * size)
+            assert np.abs(motion["(15), true"][0, :, i] - exact[0]).max() < 1e-4 * size
+            # only the sign in omega'^2 is wrong
+            assert 1e-3 < np.abs(motion["(15), printed"][0, :, i] - exact[0]).max() / size < 5e-2
+        else:
+            assert np.abs(motion["general"][0, :, i] - exact[0]).max() < 1e-4 * size
+            assert np.abs(motion["general"][2, :, i] - exact[2]).max() < 1e-3
+            assert np.ptp(motion["(33), true"][0, :, i]) < 1e-9 * size
+            centre = 0.5 * (exact[0].max() + exact[0].min())
+            assert motion["(33), true"][0, 0, i] == pytest.approx(centre, rel=1e-4)
+            assert np.abs(motion["(33), printed"][0, :, i]).max() < 1e-6
+            assert np.abs(motion["(20), printed"][0, :, i] - exact[0]).max() > 0.5 * size
+
+
+@pytest.mark.parametrize(("number", "panels"), [(1, 2), (3, 4), (9, 2), (20, 2)])
+def test_figures_are_drawn(number, panels):
+    drawn = amer2013.draw(number)
+    assert drawn.get_figwidth() == pytest.approx(180 / 25.4)
+    assert len(drawn.axes) == panels
+    drawn.canvas.draw()
+    left, right = (np.concatenate([line.get_ydata() for line in ax.lines]) for ax in drawn.axes[:2])
+    assert np.isfinite(left).all()
+    assert np.isfinite(right).all()
+
+
+def test_table_has_six_digits():
+    rows = amer2013.amplitude_table(fast_spin.figure_table((0.0, 40.0)))
+    assert len({len(row) for row in rows}) == 1
+    heading, still, moving, *_ = rows
+    assert still[heading.index("period")] == "-"
+    assert moving[heading.index("max |p2|")] == "10700.0"
+    assert moving[heading.index("amplitude")] == "4250.97"
+    assert still[heading.index("max |gamma2 - M3 cos tau|")] == "< 1e-10"
+
+
+def test_command(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    assert main(["figures", "--only", "4", "--format", "svg"]) == 0
+    assert (tmp_path / "figures" / "figure_04.svg").read_bytes().startswith(b"<?xml")
+    assert "phase plane of the analytical solution p2 for l = 50 sqrt(3) N m s, A = B < C" in (
+        capsys.readouterr().out
+    )
+    assert main(["figures", "--only", "4", "--format", "svg"]) == 2
+    assert "--force" in capsys.readouterr().err
+    assert main(["figures", "--only", "21"]) == 2
+    assert "figures 1 to 20" in capsys.readouterr().err
+    (tmp_path / "taken").write_text("")
+    assert main(["figures", "--only", "1", "-o", "taken"]) == 2
+    assert "not a folder" in capsys.readouterr().err
+    assert main(["figures", "--table"]) == 0
+    printed = capsys.readouterr().out
+    assert "does not hold: A > C: the amplitude of p2 decreases" in printed
+    assert "5307.59" in printed
+
+
+def test_no_other_figures():
+    with pytest.raises(BadInput, match="figure 0: the paper has"):
+        amer2013.draw(0)

@@ -1,0 +1,550 @@
+"""Maps: what they show is what the atlas and the equations say, and a journal can print them."""
+
+import ast
+import io
+import re
+from pathlib import Path
+
+import matplotlib
+import numpy as np
+import pytest
+import xarray as xr
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from matplotlib.collections import QuadMesh
+from matplotlib.colors import LogNorm, to_rgb
+from matplotlib.figure import Figure
+
+import atlas
+from atlas import BadInput, load_scene
+from atlas.analysis import select, theory_curves
+from atlas.plotting import maps, style, trajectory
+from atlas.scene import grid
+from atlas.systems import SYSTEMS
+from atlas.variables import variables
+
+CURVE_SCENE = """
+schema = 1
+system = "satellite"
+[fixed]
+m = {m}
+C = {C}
+psi0 = 1.5707963267948966
+mu3 = {mu3}
+h3 = 0.4
+[axes.theta0]
+from = 0.1
+to = 1.5
+count = 4
+[axes.k3]
+from = -4.0
+to = 4.0
+count = 3
+"""
+
+
+@pytest.fixture(scope="module")
+def small():
+    from conftest import SMALL_SCENE
+
+    return atlas.run(load_scene(SMALL_SCENE), progress=False)
+
+
+@pytest.fixture(scope="module")
+def solid():
+    """Three axes, the shortest with three values, none of them on a family but n = 0."""
+    from conftest import SMALL_SCENE
+
+    scene = (
+        SMALL_SCENE.split("[family]")[0]
+        + "[axes.n]\nvalues = [0.1, -0.02, 0.0]\n[integration]\nduration = 3.0\n"
+    )
+    return atlas.run(load_scene(scene), progress=False)
+
+
+def meshes(figure: Figure) -> list[QuadMesh]:
+    return [
+        c for ax in figure.axes for c in ax.collections if isinstance(c, QuadMesh) and ax.get_xlabel() != ""
+    ]
+
+
+def legend(figure: Figure) -> list[str]:
+    return [text.get_text() for entry in figure.legends for text in entry.get_texts()]
+
+
+# Colours.
+
+# Machado, Oliveira & Fernandes 2009, severity 1, on linear RGB: protanopia, deuteranopia, tritanopia.
+BLIND = (
+    np.eye(3),
+    [[0.152286, 1.052583, -0.204868], [0.114503, 0.786281, 0.099216], [-0.003882, -0.048116, 1.051998]],
+    [[0.367322, 0.860646, -0.227968], [0.280085, 0.672501, 0.047413], [-0.011820, 0.042940, 0.968881]],
+    [[1.255528, -0.076749, -0.178779], [-0.078411, 0.930809, 0.147602], [0.004733, 0.691367, 0.303900]],
+)
+XYZ = np.array([[0.4124, 0.3576, 0.1805], [0.2126, 0.7152, 0.0722], [0.0193, 0.1192, 0.9505]])
+
+
+def lab(colours: list[str], sight) -> np.ndarray:
+    """CIE L*a*b* (D65) of colours as seen, shape (colours, 3)."""
+    rgb = np.array([to_rgb(c) for c in colours])
+    linear = np.where(rgb <= 0.04045, rgb / 12.92, ((rgb + 0.055) / 1.055) ** 2.4)
+    seen = np.clip(linear @ np.asarray(sight).T, 0, 1) @ XYZ.T / XYZ.sum(1)
+    f = np.where(seen > 216 / 24389, np.cbrt(seen), (24389 / 27 * seen + 16) / 116)
+    return np.stack([116 * f[:, 1] - 16, 500 * (f[:, 0] - f[:, 1]), 200 * (f[:, 1] - f[:, 2])], -1)
+
+
+@pytest.mark.parametrize("sight", BLIND, ids=("full", "protan", "deutan", "tritan"))
+def test_flags_differ_in_grey_and_for_the_colour_blind(sight):
+    for system in SYSTEMS.values():
+        for variable in variables(system).values():
+            if variable.flags:
+                seen = lab(list(style.flag_colours(variable.flags).values()), sight)
+                i, j = np.triu_indices(len(seen), 1)
+                assert np.abs(seen[i, 0] - seen[j, 0]).min() > (5 if len(seen) > 7 else 12), variable.name
+                assert np.linalg.norm(seen[i] - seen[j], axis=1).min() > 7, variable.name
+
+
+def test_a_flag_has_one_colour_whatever_else_occurs(small):
+    part = small.isel(sigma=slice(0, 2))
+    assert len(np.unique(part.label)) < len(np.unique(small.label))
+    for ds in (small, part):
+        (mesh,) = meshes(maps.atlas_map(ds))
+        found = {int(v): mesh.cmap(mesh.norm(v)) for v in np.unique(ds.label)}
+        for value, colour in found.items():
+            name = list(variables(SYSTEMS["satellite"])["label"].flags)[value]
+            assert colour[:3] == pytest.approx(to_rgb(style.COLOURS[name]), abs=1e-6)
+
+
+# Cells.
+
+
+@settings(max_examples=50)
+@given(st.lists(st.floats(1e-3, 10), min_size=2, max_size=30), st.booleans())
+def test_cells_enclose_their_points_and_meet_midway(steps, log):
+    values = np.cumsum(steps)
+    if log:
+        values = np.exp(values / values[-1] * 20)
+    edges = select.cell_edges(values, log)
+    assert edges.shape == (values.size + 1,)
+    assert (edges[:-1] < values).all()
+    assert (values < edges[1:]).all()
+    middle = np.sqrt(values[1:] * values[:-1]) if log else (values[1:] + values[:-1]) / 2
+    np.testing.assert_allclose(edges[1:-1], middle, rtol=1e-12)
+    outer = np.log(edges) if log else edges
+    inner = np.log(values) if log else values
+    assert inner[0] - outer[0] == pytest.approx(outer[1] - inner[0])
+    assert outer[-1] - inner[-1] == pytest.approx(inner[-1] - outer[-2])
+
+
+def test_a_map_shows_every_value_at_its_place(small):
+    for turned in (False, True):
+        x, y = ("theta0", "sigma") if turned else ("sigma", "theta0")
+        (mesh,) = meshes(maps.atlas_map(small, "theta_dot_rms", x=x, y=y))
+        shown = np.asarray(mesh.get_array()).reshape(small.sizes[y], small.sizes[x])
+        values = small.theta_dot_rms.transpose(y, x).values
+        above = values > 0  # an exact motion that keeps its zero to the last bit is below any log scale
+        np.testing.assert_array_equal(shown[above], values[above])
+        assert (shown[~above] < mesh.norm.vmin).all()
+        corners = mesh.get_coordinates()
+        np.testing.assert_array_equal(corners[0, :, 0], select.cell_edges(small[x].values))
+        np.testing.assert_array_equal(corners[:, 0, 1], select.cell_edges(small[y].values))
+        assert mesh.get_rasterized()
+
+
+def test_axes_given_in_any_order_are_drawn_in_theirs(small):
+    mixed = small.isel(sigma=[3, 0, 8, 1, 7, 2, 5, 4, 6], theta0=slice(None, None, -1))
+    (a,), (b,) = meshes(maps.atlas_map(small)), meshes(maps.atlas_map(mixed))
+    np.testing.assert_array_equal(np.asarray(a.get_array()), np.asarray(b.get_array()))
+
+
+def test_long_axes_are_thinned(small, monkeypatch):
+    monkeypatch.setattr(select, "MAX_CELLS", 4)
+    (mesh,) = meshes(maps.atlas_map(small))
+    shown = np.asarray(mesh.get_array()).reshape(4, 3)
+    np.testing.assert_array_equal(shown, small.label.transpose("theta0", "sigma")[::2, ::3])
+
+
+# Scales, labels, size.
+
+
+def test_scales_fit_the_numbers(small):
+    def norm(values):
+        ds = small.assign(theta_dot_rms=small.theta_dot_rms.copy(data=values))
+        figure = maps.atlas_map(ds, "theta_dot_rms")
+        return meshes(figure)[0].norm, figure
+
+    shape = small.theta_dot_rms.shape
+    decades = np.logspace(-6, 0, 63).reshape(shape)
+    found, _ = norm(decades)
+    assert isinstance(found, LogNorm)
+    assert (found.vmin, found.vmax) == pytest.approx((1e-6, 1))
+    decades[0, 0] = 0.0
+    found, figure = norm(decades)
+    assert isinstance(found, LogNorm)
+    mesh = meshes(figure)[0]
+    zero = mesh.cmap(mesh.norm(np.asarray(mesh.get_array()).ravel()[0]))
+    assert zero == mesh.cmap(0)  # the lowest colour, not a hole
+    found, _ = norm(np.linspace(1, 2, 63).reshape(shape))
+    assert not isinstance(found, LogNorm)
+    found, _ = norm(np.linspace(-1, 3, 63).reshape(shape))
+    assert (found.vmin, found.vmax) == (-3, 3)
+    found, _ = norm(np.full(shape, 2.0))
+    assert found.vmin < 2 < found.vmax
+    hole = np.linspace(1, 2, 63).reshape(shape)
+    hole[2, 2] = np.nan
+    assert "no value" in legend(norm(hole)[1])
+    assert legend(norm(np.full(shape, np.nan))[1])[0] == "no value"
+
+
+def test_signed_colours_tell_the_sign_in_grey():
+    lightness = lab(
+        [matplotlib.colors.to_hex(c) for c in matplotlib.colormaps["cividis"](np.linspace(0, 1, 11))],
+        np.eye(3),
+    )
+    assert (np.diff(lightness[:, 0]) > 0).all()
+
+
+@pytest.mark.parametrize(("width", "mm"), [("column", 88), ("page", 180)])
+def test_the_figure_has_the_width_of_the_journal(small, solid, width, mm):
+    for ds in (small, solid, small.isel(sigma=0)):
+        figure = maps.atlas_map(ds, width=width, caption=ds is small)
+        assert figure.get_figwidth() * 25.4 == pytest.approx(mm)
+        figure.draw_without_rendering()
+        box = figure.get_tightbbox()
+        assert box.x0 > -0.01
+        assert box.y0 > -0.01
+        assert box.x1 < figure.get_figwidth() + 0.01
+        assert box.y1 < figure.get_figheight() + 0.01
+
+
+def test_axes_carry_symbols_and_units(small):
+    figure = maps.atlas_map(small, "psi_dot_mean")
+    ax, bar = figure.axes
+    assert (ax.get_xlabel(), ax.get_ylabel()) == ("$C/A$", r"$\theta_0$ (rad)")
+    assert bar.get_ylabel() == r"mean $\dot\psi$ (rad s$^{-1}$)"
+    assert style.unit_text("kg m2") == "kg m$^{2}$"
+    assert maps.variable_label(small.growth_rate) == "growth rate (rad s$^{-1}$)"
+
+
+def test_every_variable_of_an_atlas_can_be_drawn(small):
+    for name in small.data_vars:
+        maps.atlas_map(small, name, theory=False).draw_without_rendering()
+
+
+def test_the_legend_shows_only_what_occurs(small):
+    names = list(variables(SYSTEMS["satellite"])["label"].flags)
+    occurring = [names[v].replace("_", " ") for v in np.unique(small.label)]
+    assert legend(maps.atlas_map(small, theory=False)) == occurring
+    assert legend(maps.atlas_map(small)) == [*occurring, "stability limit (theory)"]
+
+
+def test_panels_of_a_third_axis(solid):
+    figure = maps.atlas_map(solid, "theta_dot_rms")
+    panels = figure.axes[:3]
+    assert [ax.get_title() for ax in panels] == [
+        f"$n$ = {v} rad s$^{{-1}}$" for v in ("\N{MINUS SIGN}0.02", "0", "0.1")
+    ]
+    norms = {(m.norm.vmin, m.norm.vmax) for ax in panels for m in ax.collections}
+    assert len(norms) == 1
+    assert [ax.get_xlabel() != "" for ax in panels] == [False, True, True]  # two above, one below
+    assert [ax.get_ylabel() != "" for ax in panels] == [True, False, True]
+
+
+def test_one_axis_gives_a_strip_or_a_line(small):
+    strip = maps.atlas_map(small, select={"theta0": 0.8})
+    assert meshes(strip)
+    line = maps.atlas_map(small, "theta_dot_rms", select={"theta0": 0.8})
+    curve = line.axes[0].lines[0]
+    nearest = small.theta_dot_rms.sel(theta0=0.8, method="nearest")
+    np.testing.assert_array_equal(curve.get_ydata(), nearest.where(nearest > 0))
+    assert line.axes[0].get_yscale() == "log"
+
+
+def test_logarithmic_axes_are_drawn_so(small):
+    text = small.attrs["atlas_scene"].replace("from = 0.3", 'spacing = "log"\nfrom = 0.3')
+    ds = small.assign_coords(sigma=np.geomspace(0.3, 1.7, 9)).assign_attrs(atlas_scene=text)
+    ds["sigma"].attrs = small["sigma"].attrs
+    ax = maps.atlas_map(ds).axes[0]
+    assert ax.get_xscale() == "log"
+    np.testing.assert_allclose(ax.get_xlim(), select.cell_edges(ds.sigma.values, log=True)[[0, -1]])
+
+
+def test_settings_of_the_user_are_left_alone(small):
+    before = dict(matplotlib.rcParams)
+    maps.atlas_map(small)
+    assert dict(matplotlib.rcParams) == before
+    tree = ast.parse(Path(maps.__file__).read_text())
+    assert "pyplot" not in ast.dump(tree)
+
+
+# Theory.
+
+
+def plane(text: str, **held: float) -> theory_curves.Plane:
+    scene = load_scene(text)
+    axes = select.axes_of(scene)
+    frame = {d: (min(a.values), max(a.values)) for d, a in axes.items() if d not in held}
+    return theory_curves.Plane(scene, frame, held)
+
+
+def test_points_between_those_of_the_grid(small_scene):
+    scene = load_scene(small_scene)
+    whole = grid.points_at_indices(scene, np.arange(scene.size))
+    some = np.array([5, 17, 17, 40, 62])
+    again = grid.points_at(scene, {name: whole_axis(scene, name)[some] for name in scene.axes})
+    for name, values in again.points.items():
+        np.testing.assert_array_equal(values, whole.points[name][some])
+    np.testing.assert_array_equal(again.duration, whole.duration[some])
+
+
+def whole_axis(scene, name):
+    place = np.unravel_index(np.arange(scene.size), scene.shape)[list(scene.axes).index(name)]
+    return np.asarray(scene.axes[name].values)[place]
+
+
+def exponent(sigma, theta, m):
+    """Largest growth of perp-velocity precession (mu = 0) by a numerical Jacobian of the equations of motion."""
+    from atlas.systems.satellite import equations, families, initial
+
+    p = {n: np.array(q.default) for n, q in initial.PARAMETERS.items()}
+    p |= {"C": np.array(sigma), "theta0": np.array(theta), "m": np.array(m), "psi0": np.array(np.pi / 2)}
+    p["k3"] = families.FAMILIES["perp_velocity"].solve["k3"](p)
+    turning = {n: np.atleast_1d(v) for n, v in p.items()}
+    state, constants = initial.initial_state(turning)[:, 0], initial.constants(turning)[:, 0]
+    # in the axes of the node: the body spins about e3 at m, which drops out for a symmetric body
+    spin = np.zeros((9, 9))
+    turn = np.array([[0, 1, 0], [-1, 0, 0], [0, 0, 0]]) * m
+    for i in (0, 3, 6):
+        spin[i : i + 3, i : i + 3] = turn
+    steps = np.eye(9) * 1e-6
+    jacobian = np.array(
+        [
+            (np.array(equations.rhs(state + s, constants)) - np.array(equations.rhs(state - s, constants)))
+            / 2e-6
+            for s in steps
+        ]
+    ).T
+    return np.linalg.eigvals(jacobian - spin).real.max()
+
+
+def test_the_stability_limit_divides_growth_from_none(small_scene):
+    view = plane(small_scene)
+    lines = theory_curves.stability_boundary(view)
+    vertices = np.concatenate(lines)
+    assert len(vertices) > 100
+    steps = np.array([[0.02, 0.0], [-0.02, 0.0], [0.0, 0.02], [0.0, -0.02]])
+    for vertex in vertices[:: len(vertices) // 12]:
+        growth = [exponent(*(vertex + s), 0.5) for s in steps]
+        assert max(growth) > 1e-2, vertex
+        assert min(growth) < 1e-3, vertex
+
+
+def test_the_stability_limit_is_sharp(small_scene):
+    vertices = np.concatenate(theory_curves.stability_boundary(plane(small_scene)))
+    sigma, u = vertices[:, 0], np.cos(vertices[:, 1]) ** 2
+    # closed form for mu = 0: lambda^4 + P lambda^2 + Q = 0 in units of Omega
+    P, Q = 7 - 6 * sigma + 9 * sigma * (sigma - 1) * u, 3 * (sigma - 1) * (3 * sigma - 4) * (1 - u)
+    off = np.min([abs(sigma - 1), abs(sigma - 4 / 3), abs(P - 2 * np.sqrt(np.maximum(Q, 0)))], 0)
+    assert off.max() < 1e-4
+
+
+def test_the_stability_limit_on_one_axis(small_scene):
+    (one, two) = theory_curves.stability_boundary(plane(small_scene, theta0=0.5))
+    assert (float(one[0, 0]), float(two[0, 0])) == pytest.approx((1.0, 4 / 3), abs=1e-4)
+
+
+@settings(max_examples=10)
+@given(
+    m=st.floats(-2, 2).filter(lambda m: abs(m) > 1e-6), C=st.floats(0.3, 1.9), mu3=st.sampled_from([0.0, 0.5])
+)
+def test_family_curves_are_exact_motions(m, C, mu3):
+    view = plane(CURVE_SCENE.format(m=m, C=C, mu3=mu3))
+    curves = theory_curves.family_curves(view)
+    assert "perp_velocity" in curves
+    for lines in curves.values():
+        for line in lines:
+            theta, k3 = line[np.isfinite(line).all(1)].T
+            points = view.points({"theta0": theta, "k3": k3}).points
+            residual = view.scene.system.condition_residual(points)
+            assert residual.max() < 1e-7
+
+
+def test_family_curves_for_either_axis(small_scene):
+    text = small_scene.split("[family]")[0].replace("[axes.sigma]", "[axes.sigma]") + "[integration]\n"
+    view = plane(text)
+    (curve,) = theory_curves.family_curves(view)["perp_velocity"]  # only theta0 can be solved for
+    known = np.isfinite(curve).all(1)
+    sigma, theta = curve[known].T
+    assert sigma.size > 100
+    # k3 = 0: 4 Omega c (A - C) = C m
+    np.testing.assert_allclose(4 * np.cos(theta) * (1 - sigma), 0.5 * sigma, atol=1e-9)
+    turned = theory_curves.Plane(view.scene, dict(reversed(view.frame.items())), {})
+    (other,) = theory_curves.family_curves(turned)["perp_velocity"]
+    np.testing.assert_array_equal(other[:, ::-1], curve)
+
+
+def test_an_offset_axis_has_its_family_at_zero():
+    text = CURVE_SCENE.format(m=0.5, C=0.7, mu3=0.0).replace(
+        "from = -4.0\nto = 4.0\ncount = 3", "from = -0.1\nto = 0.2\ncount = 4\noffset_from_family = true"
+    )
+    view = plane(text + '[family]\nname = "perp_velocity"\nsolve = ["k3"]\n')
+    assert list(view.frame) == ["theta0", "k3_offset"]
+    (line,) = theory_curves.family_curves(view)["perp_velocity"]
+    np.testing.assert_array_equal(line, [[0.1, 0.0], [1.5, 0.0]])
+    beside = theory_curves.Plane(view.scene, view.frame | {"k3_offset": (0.1, 0.2)}, {})
+    assert theory_curves.family_curves(beside) == {}
+    figure = maps.atlas_map(atlas.run(view.scene, progress=False))
+    assert figure.axes[0].get_ylabel() == "$k_3$, offset from the family (N m s)"
+    assert "perp velocity (exact)" in legend(figure)
+
+
+def test_a_plane_that_lies_on_a_family_has_no_curve(small_scene):
+    assert theory_curves.family_curves(plane(small_scene)) == {}
+
+
+def test_a_map_survives_theory_that_does_not_exist_between_its_points(small, caplog):
+    text = small.attrs["atlas_scene"].replace('B = "A"', 'B = "A * sqrt(sigma - 0.3)"')
+    figure = maps.atlas_map(small.assign_attrs(atlas_scene=text).assign_coords(sigma=np.linspace(-0.3, 1, 9)))
+    assert "no theory on this map" in caplog.text
+    assert meshes(figure) or figure.axes
+
+
+# Bad input.
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        ({"variable": "lable"}, "lable: not a variable"),
+        ({"x": "k3"}, "x = 'k3': not an axis"),
+        ({"x": "sigma", "y": "sigma"}, "x = y"),
+        ({"select": {"k3": 1.0}}, "k3: not an axis"),
+        ({"select": {"sigma": 7.0}}, "sigma = 7: outside the atlas; allowed: 0.3 to 1.7"),
+        ({"select": {"sigma": float("nan")}}, "must be a finite number"),
+        ({"select": {"sigma": 1.0, "theta0": 1.0}}, "no axes to draw"),
+        ({"width": "poster"}, "allowed: column, page"),
+    ],
+)
+def test_bad_input_is_one_line(small, options, words):
+    with pytest.raises(BadInput, match=re.escape(words)) as complaint:
+        maps.atlas_map(small, **options)
+    assert "\n" not in str(complaint.value)
+
+
+def test_other_datasets_are_told_what_they_are(small, solid):
+    with pytest.raises(BadInput, match="not an atlas"):
+        maps.atlas_map(xr.Dataset())
+    with pytest.raises(BadInput, match="single points"):
+        maps.atlas_map(small.stack(point=("sigma", "theta0")).reset_index("point"))
+    with pytest.raises(BadInput, match="not a trajectory"):
+        trajectory.trajectory_figure(small)
+    with pytest.raises(BadInput, match=r"sigma has 9 values here: choose one by select = \{'sigma': value\}"):
+        maps.atlas_map(solid.expand_dims(extra=[0.0, 1.0]), x="theta0", y="n")
+
+
+def test_too_many_panels_are_refused(solid):
+    wide = solid.isel(n=0, drop=True).expand_dims(n=np.linspace(0, 1, select.MAX_PANELS + 1))
+    with pytest.raises(BadInput, match="choose one by select"):
+        maps.atlas_map(wide, x="sigma", y="theta0")
+
+
+# Files.
+
+
+def test_files_are_whole_repeatable_and_carry_their_fonts(small, tmp_path):
+    for suffix in style.FORMATS:
+        path = tmp_path / f"map{suffix}"
+        written = []
+        for _ in range(2):
+            style.save(maps.atlas_map(small), path)
+            written.append(path.read_bytes())
+        assert written[0] == written[1]
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["map.pdf", "map.png", "map.svg"]
+    pdf = (tmp_path / "map.pdf").read_bytes()
+    assert b"/FontFile2" in pdf
+    assert b"/Type3" not in pdf
+    assert b"DejaVuSans" in pdf
+    image = matplotlib.image.imread(io.BytesIO((tmp_path / "map.png").read_bytes()), format="png")
+    assert image.shape[1] == pytest.approx(88 / 25.4 * 600, abs=2)
+
+
+def test_unwritable_places_are_named(small, tmp_path):
+    figure = maps.atlas_map(small)
+    for path, words in (
+        (tmp_path / "map.jpeg", "a figure's name ends in .png, .pdf, .svg"),
+        (tmp_path / "map", "a figure's name ends in"),
+        (tmp_path / "no" / "map.png", "there is no folder"),
+    ):
+        with pytest.raises(BadInput, match=re.escape(words)):
+            style.save(figure, path)
+    (tmp_path / "folder.png").mkdir()
+    with pytest.raises(BadInput, match="this is a folder"):
+        style.save(figure, tmp_path / "folder.png")
+    assert [p.name for p in tmp_path.iterdir()] == ["folder.png"]
+
+
+def test_nothing_is_left_of_a_figure_that_fails(small, tmp_path, monkeypatch):
+    figure = maps.atlas_map(small)
+    path = tmp_path / "map.png"
+    path.write_bytes(b"older")
+
+    def fail(name, **_):
+        Path(name).write_bytes(b"half")
+        raise OSError("no space")
+
+    monkeypatch.setattr(figure, "savefig", fail)
+    with pytest.raises(OSError, match="no space"):
+        style.save(figure, path)
+    assert [p.name for p in tmp_path.iterdir()] == ["map.png"]
+    assert path.read_bytes() == b"older"
+
+
+def test_the_caption_says_what_was_computed(small):
+    text = maps.caption(small)
+    for words in (
+        "small: magnetised satellite-gyrostat",
+        "m = 0.5",
+        "C = sigma * A",
+        "perp_velocity [(24), (25)], solved for k3",
+        "theta0 by 0.0001",
+        "Duration 30 time units",
+        "phase tolerance 1e-05 rad",
+        "within 0.001 rad per time unit",
+        f"Precession Atlas {atlas.__version__} (kernel {small.attrs['atlas_kernel_hash']})",
+        "10.22055/JACM.2021.37913.3113",
+    ):
+        assert words in text
+    assert "theta0 = 0.8" in maps.caption(select.nearest(small, {"theta0": 0.8}))
+    words = [t.get_text() for t in maps.atlas_map(small, caption=True).texts]
+    assert " ".join(words[0].split()) == text
+    points = atlas.label_points("satellite", {"theta0": [0.1, 0.2]}, duration=1.0, step=0.1)
+    assert "step 0.1" in maps.caption(points)
+
+
+# Trajectories.
+
+
+def test_a_trajectory_figure_shows_the_motion():
+    tr = atlas.trajectory("satellite", {"theta0": 1.0, "n": 0.3, "m": 0.4}, duration=20.0, samples=201)
+    for width, mm in style.WIDTHS.items():
+        figure = trajectory.trajectory_figure(tr, width=width)
+        assert figure.get_figwidth() * 25.4 == pytest.approx(mm)
+        tilt, turn, rate, sphere = figure.axes
+        np.testing.assert_array_equal(tilt.lines[0].get_ydata(), tr.theta)
+        psi = turn.lines[0].get_ydata()
+        known = np.isfinite(psi)
+        np.testing.assert_allclose(np.exp(1j * psi[known]), np.exp(1j * tr.psi.values[known]), atol=1e-12)
+        assert [t.get_text() for t in rate.get_legend().get_texts()] == [
+            style.SYMBOLS[n] for n in trajectory.RATES
+        ]
+        # the near and the far part of the path are the whole path, inside the disc
+        near, far = sphere.lines[-2].get_xydata(), sphere.lines[-3].get_xydata()
+        assert (np.isfinite(near[:, 0]) ^ np.isfinite(far[:, 0])).all()
+        assert np.nanmax(np.hypot(*np.where(np.isfinite(near), near, far).T)) <= 1 + 1e-9
+        assert [t.get_text() for t in sphere.texts] == ["radius", "velocity", "normal"]
+
+
+def test_rates_that_blow_up_near_the_vertical_do_not_hide_the_others():
+    tr = atlas.trajectory("satellite", {"theta0": 1.0, "n": 0.3}, duration=20.0, samples=201)
+    tr["psi_dot"][100] = 1e6
+    assert trajectory.trajectory_figure(tr).axes[2].get_ylim()[1] < 100

@@ -1,0 +1,238 @@
+"""Runs and atlas files: what is in them, that they are whole or not there, and that they say the same again."""
+
+import json
+
+import cf_xarray  # noqa: F401
+import netCDF4
+import numpy as np
+import pytest
+import xarray as xr
+
+import atlas
+from atlas import BadInput, load_scene
+from atlas.io import files
+from atlas.runs import runner
+from atlas.scene import grid
+from atlas.variables import variables
+
+
+@pytest.fixture(scope="module")
+def small_atlas(tmp_path_factory):
+    from conftest import SMALL_SCENE
+
+    path = tmp_path_factory.mktemp("atlas") / "small.nc"
+    ds = atlas.run(load_scene(SMALL_SCENE), path, progress=False)
+    return path, ds
+
+
+def test_every_variable_of_the_registry_is_there_as_the_registry_says(small_atlas):
+    path, ds = small_atlas
+    scene = load_scene(ds.attrs["atlas_scene"])
+    with xr.open_dataset(path) as read:
+        for name, variable in variables(scene.system).items():
+            if name in scene.system.layers:  # only where a scene asks for them
+                assert name not in read
+                continue
+            for each in (ds, read):
+                assert each[name].dtype == variable.dtype
+                assert each[name].dims == ("sigma", "theta0")
+                assert each[name].attrs["long_name"] == variable.long_name
+            np.testing.assert_array_equal(read[name].values, ds[name].values)
+        assert read["sigma"].attrs["long_name"] == "C/A"
+        assert read["theta0"].attrs["units"] == "rad"
+        assert read["k3"].dims == ("sigma", "theta0")
+        assert read["C"].dims == ("sigma",)
+        assert read["Omega"].dims == ()
+        assert set(scene.system.parameters) <= set(read.coords)
+        for key in (
+            "Conventions",
+            "title",
+            "source",
+            "references",
+            "history",
+            "atlas_kernel_hash",
+            "atlas_cpu",
+        ):
+            assert read.attrs[key]
+        assert "10.22055/JACM.2021.37913.3113" in read.attrs["references"]
+
+
+def test_flags_speak_to_cf_xarray_and_to_plain_netcdf(small_atlas):
+    path, ds = small_atlas
+    with xr.open_dataset(path) as read:
+        drifting = read.label.cf == "drifting"
+        np.testing.assert_array_equal(drifting.values, ds.label.values == 3)
+        assert 0 < drifting.sum() < drifting.size
+        assert read.label.cf.isin(["drifting", "unresolved"]).any()
+    with netCDF4.Dataset(path) as raw:
+        label = raw["label"]
+        assert label.dtype == np.int8
+        assert "_FillValue" not in label.ncattrs()
+        assert label.getncattr("flag_meanings").split()[3] == "drifting"
+        assert label.getncattr("flag_values").dtype == np.int8
+
+
+def test_theory_and_numbers_agree_away_from_the_boundary(small_atlas):
+    from atlas.analysis.compare import near_boundary
+
+    _, ds = small_atlas
+    away = ~near_boundary(ds.stable.values)
+    assert ((ds.stable == 1) & (ds.label == 3)).values[away].sum() == 0
+    survivors = ((ds.stable == 2) & (ds.label != 3)).values & away
+    assert (ds.growth_rate * ds.end_time).values[survivors].max(initial=0) < 12
+
+
+def test_the_same_scene_gives_the_same_bytes(small_atlas, tmp_path, monkeypatch):
+    path, ds = small_atlas
+    monkeypatch.setattr(grid, "MAX_POINTS_PER_TILE", 10)
+    again = atlas.run(load_scene(ds.attrs["atlas_scene"]), tmp_path / "again.nc", threads=2, progress=False)
+    for name in ds.data_vars:
+        np.testing.assert_array_equal(ds[name].values, again[name].values, err_msg=name)
+    assert again.attrs["atlas_kernel_hash"] == ds.attrs["atlas_kernel_hash"]
+
+
+def test_a_point_of_the_atlas_is_the_same_point_alone(small_atlas):
+    _, ds = small_atlas
+    at = ds.isel(sigma=3, theta0=2)
+    start = {name: float(at[name]) for name in load_scene(ds.attrs["atlas_scene"]).system.parameters}
+    start["theta0"] += 1e-4
+    start["psi0"] += 1e-4
+    alone = atlas.label_points("satellite", start, duration=30.0, tolerance=1e-5, rate_tolerance=1e-3)
+    assert float(alone.theta_dot_rms[0]) == float(at.theta_dot_rms)
+    assert int(alone.label[0]) == int(at.label)
+
+
+def test_a_scene_may_leave_variables_out(small_scene, tmp_path):
+    text = small_scene + '[outputs]\nvariables = ["theta_max", "label"]\n'
+    ds = atlas.run(load_scene(text), tmp_path / "few.nc", progress=False)
+    assert list(ds.data_vars) == ["label", "theta_max"]
+
+
+def test_points_where_the_family_does_not_exist_are_not_computed(small_scene):
+    text = small_scene.replace(
+        'name = "perp_velocity"\nsolve = ["k3"]', 'name = "oblique"\nsolve = ["psi0", "k3"]'
+    )
+    text = text.replace('psi0 = "pi / 2"\n', "").replace("m = 0.5", "m = 0.5\nmu3 = 1.0\nh1 = 0.5")
+    ds = atlas.run(load_scene(text), progress=False)
+    nowhere = ds.label.values == 0
+    assert 0 < nowhere.sum() < nowhere.size
+    assert (ds.status.values[nowhere] == 0).all()
+    assert np.isnan(ds.theta_dot_rms.values[nowhere]).all()
+    assert (ds.agreement.values[nowhere] == 0).all()
+    assert (ds.label.values[~nowhere] > 0).all()
+
+
+def test_an_existing_file_is_kept_without_force(small_scene, tmp_path):
+    scene, path = load_scene(small_scene), tmp_path / "kept.nc"
+    path.write_text("mine")
+    with pytest.raises(BadInput, match="force"):
+        atlas.run(scene, path, progress=False)
+    assert path.read_text() == "mine"
+    atlas.run(scene, path, progress=False, force=True)
+    assert atlas.open_atlas(path).sizes == {"sigma": 9, "theta0": 7}
+
+
+@pytest.mark.parametrize("name", ["no/such/folder/a.nc", "a.txt", "folder.nc"])
+def test_an_output_that_cannot_be_is_refused_before_anything_runs(small_scene, tmp_path, name, monkeypatch):
+    (tmp_path / "folder.nc").mkdir()
+    monkeypatch.setattr(runner, "evaluate_tile", None)
+    with pytest.raises(BadInput):
+        atlas.run(load_scene(small_scene), tmp_path / name, progress=False)
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["folder.nc"]
+
+
+def test_an_interrupt_or_a_full_disk_leaves_no_file_but_what_is_finished(small_scene, tmp_path, monkeypatch):
+    def interrupt(*args, **kwargs):
+        raise KeyboardInterrupt
+
+    scene = load_scene(small_scene)
+    with monkeypatch.context() as patched:
+        patched.setattr(runner, "evaluate_tile", interrupt)
+        with pytest.raises(KeyboardInterrupt):
+            atlas.run(scene, tmp_path / "a.nc", progress=False)
+
+    def full(*args, **kwargs):
+        raise OSError(28, "No space left on device")
+
+    with monkeypatch.context() as patched:
+        patched.setattr(files.os, "fsync", full)
+        with pytest.raises(OSError, match="No space"):
+            atlas.run(scene, tmp_path / "a.nc", progress=False)
+    assert [p.name for p in tmp_path.iterdir()] == ["a.nc.run"]
+    atlas.run(scene, tmp_path / "a.nc", progress=False)
+    assert [p.name for p in tmp_path.iterdir()] == ["a.nc"]
+
+
+def test_what_is_no_atlas_is_refused_in_one_line(small_atlas, tmp_path):
+    path, _ = small_atlas
+    whole = path.read_bytes()
+    (tmp_path / "truncated.nc").write_bytes(whole[: len(whole) // 2])
+    (tmp_path / "text.nc").write_text("hello")
+    (tmp_path / "empty.nc").write_bytes(b"")
+    xr.Dataset({"a": 1}).to_netcdf(tmp_path / "other.nc")
+    for name in ("truncated.nc", "text.nc", "empty.nc", "other.nc", "none.nc", "."):
+        with pytest.raises(BadInput) as complaint:
+            atlas.open_atlas(tmp_path / name)
+        assert "\n" not in str(complaint.value)
+        assert len(str(complaint.value)) < 400
+
+
+@pytest.mark.parametrize(
+    ("points", "options", "named"),
+    [
+        ({"mass": 1.0}, {}, "mass"),
+        ({"A": -1.0}, {}, "A"),
+        ({"A": [1.0, 2.0], "B": [1.0, 2.0, 3.0]}, {}, "different lengths"),
+        ({"A": [[1.0]]}, {}, "shape"),
+        ({"A": "one"}, {}, "A"),
+        ({"A": np.nan}, {}, "A"),
+        ({"theta0": []}, {}, "there are none"),
+        ({}, {"duration": -1.0}, "duration"),
+        ({}, {"duration": [1.0, 2.0]}, "duration"),
+        ({}, {"method": "euler"}, "euler"),
+        ({}, {"step": 0.0}, "step"),
+        ({}, {"colour": 1}, "colour"),
+    ],
+)
+def test_label_points_refuses_in_one_line(points, options, named):
+    with pytest.raises(BadInput) as complaint:
+        atlas.label_points("satellite", points, **options)
+    assert named in str(complaint.value)
+    assert "\n" not in str(complaint.value)
+
+
+def test_label_points_takes_scalars_arrays_and_datasets():
+    table = xr.Dataset({"theta0": ("point", [0.3, 0.6]), "m": 0.2})
+    one = atlas.label_points("satellite", table, duration=[3.0, 4.0], tolerance=1e-6)
+    two = atlas.label_points(
+        "satellite", {"theta0": [0.3, 0.6], "m": 0.2}, duration=[3.0, 4.0], tolerance=1e-6
+    )
+    xr.testing.assert_identical(one.drop_attrs(), two.drop_attrs())
+    assert one.sizes == {"point": 2}
+    np.testing.assert_array_equal(one.end_time, [3.0, 4.0])
+
+
+def test_impossible_moments_are_remarked_on(caplog):
+    ds = atlas.label_points("satellite", {"A": 1.0, "B": 1.0, "C": 2.5}, duration=1.0)
+    assert "no rigid body" in ds.attrs["atlas_warnings"]
+    assert "no rigid body" in caplog.text
+
+
+def test_trajectory_ends_where_the_atlas_ends():
+    point = {"theta0": 0.7, "k3": 0.3, "n": 0.2, "m": 0.4}
+    tr = atlas.trajectory("satellite", point, duration=12.0, samples=301)
+    ds = atlas.label_points("satellite", point, duration=12.0)
+    assert tr.time[-1] == 12.0
+    assert float(tr.theta[0]) == pytest.approx(0.7, abs=1e-15)
+    assert float(tr.psi_dot[0]) == pytest.approx(0.2, abs=1e-14)
+    assert float(tr.theta.max()) == pytest.approx(float(ds.theta_max[0]), abs=1e-4)
+    mean = np.trapezoid(tr.normal_rate, tr.time) / 12.0
+    assert mean == pytest.approx(float(ds.normal_rate_mean[0]), abs=1e-5)
+    np.testing.assert_allclose(tr.axis_x**2 + tr.axis_y**2 + tr.axis_z**2, 1.0, atol=1e-10)
+    turned = np.gradient(tr.psi, tr.time)  # later the axis passes close by the pole
+    np.testing.assert_allclose(turned[1:20], tr.psi_dot[1:20], atol=2e-3)
+
+
+def test_reference_cases_carry_their_convention(pytestconfig):
+    data = json.loads((pytestconfig.rootpath / "tests/reference/satellite_cases.json").read_text())
+    assert "equations of motion" in data["convention"]

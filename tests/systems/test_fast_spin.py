@@ -1,0 +1,365 @@
+"""The fast-spin solution: proved from the equations of motion, its order measured, the printed one shown wrong."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.integrate import cumulative_simpson
+
+from atlas.systems.base import BadInput
+from atlas.systems.fixed_point import equations, initial
+from atlas.systems.fixed_point.paper import fast_spin, published
+
+ROTORS = [(0.0, 0.0, 0.0), (10.0, 0.0, 0.0), (0.0, 10.0, 0.0), (0.0, 0.0, 10.0), (10.0, 10.0, 10.0)]
+TAU = np.linspace(0, 2 * np.pi, 101)
+
+
+def top(r0, rotor=(10.0, 10.0, 10.0), A=22.49, C=35.6, z0=5.0, N=3 * 9.81 / 2000, gamma0=0.352):
+    """The paper's body under the earth's attraction, where the small parameter is not invisible."""
+    return fast_spin.FastSpin(A, C, 30 * 9.81 * z0, N, *rotor, r0, gamma0)
+
+
+def off_periodic(spin):
+    """A start with r1 = g1'' = 1 and a free oscillation of p1, q1."""
+    y = fast_spin.first_order(spin, np.array(0.0))
+    y[0] += 3.0
+    y[1] -= 2.0
+    y[2] = y[5] = 1.0
+    y[3] = np.sqrt(spin.M3**2 - y[4] ** 2)
+    return y
+
+
+def orders(error, spins):
+    """Observed order in eps of each component between the first and the last spin."""
+    errors = np.array([error(spin) for spin in spins])
+    ratio = spins[-1].eps / spins[0].eps
+    floor = 1e-13
+    return np.log(np.maximum(errors[-1], floor) / np.maximum(errors[0], floor)) / np.log(ratio)
+
+
+def as_points(spin):
+    known = {name: np.full(1, parameter.default) for name, parameter in initial.PARAMETERS.items()}
+    given_values = {
+        "A": spin.A, "B": spin.A, "C": spin.C, "Mg": np.abs(spin.weight), "z0": spin.z, "N": spin.N,
+        "l1": spin.l1, "l2": spin.l2, "l3": spin.l3, "theta0": np.arccos(spin.gamma0), "m": spin.r0,
+    }  # fmt: skip
+    return known | {name: np.full(1, float(value)) for name, value in given_values.items()}
+
+
+# The dimensionless equations and their integrals.
+
+
+@given(
+    C=st.floats(0.3, 1.9),
+    z0=st.sampled_from([1.0, -0.4]),
+    N=st.floats(-2, 2),
+    rotor=st.tuples(*[st.floats(-3, 3)] * 3),
+    r0=st.floats(0.5, 20),
+    gamma0=st.floats(0.05, 0.95),
+    seed=st.integers(0, 1000),
+)
+@settings(max_examples=50, deadline=None)
+def test_dimensionless_equations_are_the_equations_of_motion(C, z0, N, rotor, r0, gamma0, seed):
+    if abs(C * r0 + rotor[2]) < 1e-3 or abs((C - 1) * r0 + rotor[2]) < 1e-3:
+        return
+    spin = fast_spin.FastSpin(1.0, C, z0, N, *rotor, r0, gamma0)
+    y = np.random.default_rng(seed).normal(size=6)
+    state = fast_spin.dimensional(spin, y)
+    np.testing.assert_allclose(fast_spin.dimensionless(spin, state), y, rtol=1e-14)
+    constants = initial.constants(as_points(spin))[:, 0]
+    rate = np.array(equations.rhs(state, constants))
+    expected = fast_spin.dimensionless(spin, rate) / spin.r0
+    found = fast_spin.rhs(spin, y)
+    np.testing.assert_allclose(found, expected, rtol=1e-10, atol=1e-10 * (1 + np.abs(expected).max()))
+
+    # Dimensional integrals in units of C r0^2 / 2, C r0 gamma0'' and gamma0''^2.
+    energy, area, length = (
+        sum(getattr(equations, name)(state, constants)) for name in ("energy", "area", "length_gamma")
+    )
+    units = [spin.C * spin.r0**2 / 2, spin.C * spin.r0 * spin.gamma0, spin.gamma0**2]
+    values = fast_spin.integrals(spin, y)
+    np.testing.assert_allclose(values, np.array([energy, area, length]) / units, rtol=1e-9, atol=1e-9)
+
+
+def test_printed_equations_and_integrals_are_not():
+    """With a strong field: k is missing once in (1), misplaced in (3) and misses gamma0'' in (4)."""
+    spin = top(30.0, N=200.0)
+    assert spin.k > 1
+    y = fast_spin.integrate(spin, off_periodic(spin), TAU)
+    assert np.ptp(fast_spin.integrals(spin, y), axis=1).max() < 1e-9
+    assert np.ptp(published.integrals(spin, y)[0]) > 1e-3
+    difference = np.abs(published.rhs(spin, y) - fast_spin.rhs(spin, y)).max(1)
+    assert difference[:2].min() > 1e-2
+    np.testing.assert_allclose(difference[2:], 0, atol=1e-12)
+    calm = top(30.0, N=0.0)
+    np.testing.assert_allclose(published.integrals(calm, y), fast_spin.integrals(calm, y), rtol=1e-14)
+
+
+# The reduction (15) and its frequency.
+
+
+def quasilinear_residual(spin, printed_form=False):
+    """Second derivatives of p2 and gamma2 along the full motion less the right-hand side of (15)."""
+    y = fast_spin.integrate(spin, off_periodic(spin), TAU)
+    x = fast_spin.to_quasilinear(spin, y)
+    v, h = fast_spin.rhs(spin, y), 1e-5
+    slope = (fast_spin.to_quasilinear(spin, y + h * v) - fast_spin.to_quasilinear(spin, y - h * v)) / (2 * h)
+    if printed_form:
+        return np.abs(slope - published.quasilinear(spin, x, x[:, :1]))[[1, 3]].max(1)
+    return np.abs(slope - fast_spin.quasilinear(spin, x))[[1, 3]].max(1)
+
+
+@pytest.mark.parametrize("body", [(22.49, 35.6), (50.32, 33.4)])
+def test_reduction_is_right_to_first_order(body):
+    spins = [top(r0, A=body[0], C=body[1]) for r0 in (10000.0, 1000.0)]
+    np.testing.assert_allclose(orders(quasilinear_residual, spins), 2, atol=0.15)
+    assert orders(lambda spin: quasilinear_residual(spin, True), spins)[0] < 1.1
+    fast = top(1e5, A=body[0], C=body[1])
+    missing = fast.eps * fast.mu.real * fast.Omega / (1 + fast.Omega)
+    assert quasilinear_residual(fast, True)[1] == pytest.approx(abs(missing), rel=0.1)
+    assert quasilinear_residual(fast)[1] < 0.2 * abs(missing)
+
+
+@pytest.mark.parametrize(
+    ("r0", "l3", "measured", "wrong"), [(100.0, 50.0, 0.605158, 0.56025), (100.0, 300.0, 0.716318, 0.429286)]
+)
+def test_frequency_is_exact_in_l3(r0, l3, measured, wrong):
+    """Zero crossings of p1 in the full equations without fields' help: eps tiny, l3 not."""
+    spin = fast_spin.FastSpin(22.49, 35.6, 2.25e-5, 0.0, 0.0, 0.0, l3, r0, 0.352)
+    y0 = off_periodic(spin)
+    tau = np.linspace(0, 200, 8001)
+    y = fast_spin.integrate(spin, y0, tau)
+    phase = np.unwrap(np.angle(y[0] + 1j * y[1]))
+    frequency = np.polyfit(tau, phase, 1)[0]
+    assert frequency == pytest.approx(float(spin.Omega), rel=1e-6)
+    assert frequency == pytest.approx(measured, abs=1e-6)
+    assert np.sqrt(published.frequency_squared(spin)) == pytest.approx(wrong, abs=1e-5)
+
+
+def test_printed_frequency_becomes_imaginary():
+    spin = top(30.0, (0.0, 0.0, 300.0))
+    assert published.frequency_squared(spin) < 0
+    assert spin.Omega == pytest.approx(1.0275675)
+
+
+# The solution (33) and the general one.
+
+
+def error_of(solution):
+    def error(spin):
+        exact = fast_spin.integrate(spin, solution(spin, np.array(0.0)), TAU)
+        return np.abs(solution(spin, TAU) - exact).max(1)
+
+    return error
+
+
+@pytest.mark.parametrize("rotor", ROTORS)
+@pytest.mark.parametrize("body", [(22.49, 35.6), (50.32, 33.4)])
+def test_periodic_solution_is_of_second_order(rotor, body):
+    spins = [top(r0, rotor, A=body[0], C=body[1]) for r0 in (3000.0, 1000.0, 300.0)]
+    found = orders(error_of(fast_spin.first_order), spins)
+    small = error_of(fast_spin.first_order)(spins[0]) < 1e-12
+    assert np.all((found > 1.9) | small), found
+
+
+def test_printed_solution_is_not():
+    """Order 0 in p1, q1 and order 1 in gamma where l1 != 0: wrong by the whole forced part mu / Omega."""
+    spins = [top(r0) for r0 in (1000.0, 300.0, 100.0)]
+    found = orders(error_of(published.first_order), spins)
+    assert np.all(np.abs(found[:2]) < 0.05)
+    assert found[5] == pytest.approx(1, abs=0.05)
+    error = error_of(published.first_order)(spins[0])
+    assert error[0] == pytest.approx(2 * spins[0].forced.real, rel=0.01)
+    alone = [top(r0, (0.0, 0.0, 10.0)) for r0 in (1000.0, 100.0)]
+    assert np.all(orders(error_of(published.first_order), alone)[:2] < 2.1)
+    assert np.all(orders(error_of(fast_spin.first_order), alone)[:2] > 2.9)
+
+
+def test_errors_with_the_data_of_the_paper():
+    for body in fast_spin.PAPER_BODIES:
+        for rotor in fast_spin.PAPER_ROTORS[1:]:
+            spin = fast_spin.paper_body(body, rotor)
+            true, wrong = error_of(fast_spin.first_order)(spin), error_of(published.first_order)(spin)
+            assert true[0] < 1e-10 * spin.forced.real**2 + 1e-7
+            assert true[3:].max() < 1e-4
+            assert wrong[0] > 1.2 * np.abs(spin.forced.real)
+
+
+def test_general_solution_is_of_second_order():
+    def error(spin):
+        y0 = off_periodic(spin)
+        return np.abs(fast_spin.general(spin, y0, TAU) - fast_spin.integrate(spin, y0, TAU)).max(1)
+
+    for A, C in fast_spin.PAPER_BODIES.values():
+        found = orders(error, [top(r0, A=A, C=C) for r0 in (3000.0, 1000.0, 300.0)])
+        assert np.all(found[[0, 1, 3, 4]] > 1.9)
+        assert found[2] > 2.9
+        assert found[5] > 1.4
+
+
+def test_general_solution_contains_the_periodic_one():
+    spin = top(300.0)
+    periodic = fast_spin.first_order(spin, TAU)
+    again = fast_spin.general(spin, periodic[:, 0], TAU)
+    assert np.abs(again - periodic).max() < 50 * spin.eps**2
+
+
+@pytest.mark.parametrize("rotor", [(0.0, 0.0, 0.0), (30.0, 20.0, 10.0)])
+def test_period_correction_is_measured(rotor):
+    """Mean turning rate of gamma over many periods of the full equations."""
+    spin = top(300.0, rotor)
+    tau = np.linspace(0, 200 * np.pi, 4001)
+    y = fast_spin.integrate(spin, fast_spin.first_order(spin, np.array(0.0)), tau)
+    phase = -np.unwrap(np.angle(y[3] + 1j * y[4]))
+    shift = np.polyfit(tau, phase, 1)[0] - 1
+    assert shift == pytest.approx(float(fast_spin.frequency_shift(spin)), rel=0.03)
+    alpha = float(fast_spin.period_correction(spin, 2))
+    assert alpha == pytest.approx(-4 * np.pi * shift, rel=0.03)
+    assert float(published.period_correction(spin, 2)) / alpha == pytest.approx(1 / spin.eps, rel=0.25)
+
+
+# Euler angles.
+
+
+def angles_of_the_motion(spin, turns):
+    """Times and theta, psi, phi of the full equations, psi by Simpson's rule on (34)."""
+    tau = np.linspace(0, 2 * np.pi * turns, 400 * turns + 1)
+    y = fast_spin.integrate(spin, fast_spin.first_order(spin, np.array(0.0)), tau)
+    p, q, _, g1, g2, g3 = fast_spin.dimensional(spin, y)
+    t = tau / spin.r0
+    psi = cumulative_simpson((p * g1 + q * g2) / (1 - g3**2), x=t, initial=0)
+    return t, np.array([np.arccos(g3), psi, np.unwrap(np.arctan2(g1, g2))])
+
+
+@pytest.mark.parametrize("body", [(22.49, 35.6), (50.32, 33.4)])
+@pytest.mark.parametrize("rotor", [(0.0, 0.0, 0.0), (10.0, 0.0, 0.0), (10.0, 10.0, 10.0)])
+def test_euler_angles(body, rotor):
+    def error(formula):
+        def of(spin):
+            t, exact = angles_of_the_motion(spin, 2)
+            return np.abs(formula(spin, t) - exact).max(1)
+
+        return of
+
+    spins = [top(r0, rotor, A=body[0], C=body[1]) for r0 in (1000.0, 100.0)]
+    assert np.all(orders(error(fast_spin.angles), spins) > 1.9)
+    true, wrong = error(fast_spin.angles)(spins[0]), error(published.angles)(spins[0])
+    # theta as printed is right where l1 = l2 = 0: it does not swing at all.
+    assert np.all((wrong > 50 * true)[0 if rotor[0] else 1 :])
+
+
+def test_secular_precession_is_twice_the_printed_one():
+    spin = top(300.0, (0.0, 0.0, 0.0))
+    t, exact = angles_of_the_motion(spin, 40)
+    rate = exact[1, -1] / t[-1]
+    assert rate == pytest.approx(float(fast_spin.secular_rate(spin)), rel=2e-3)
+    wrong = published.angles(spin, t)[1, -1] / t[-1]
+    assert wrong / rate == pytest.approx(0.5, abs=0.01)
+
+
+def test_phase_of_the_angles_is_a_shift_of_time():
+    spin = top(300.0)
+    h, t = 0.004, np.linspace(0, 0.03, 7)
+    one, two = fast_spin.angles(spin, t, h), fast_spin.angles(spin, t + h)
+    np.testing.assert_allclose(one[0] - one[0, 0], two[0] - two[0, 0], atol=1e-15)
+    np.testing.assert_allclose(one[1] - one[1, 0], two[1] - two[1, 0], atol=1e-12)
+
+
+# Figures and claims.
+
+
+def test_figure_table_holds_the_motion_of_the_full_equations():
+    rows = fast_spin.figure_table((0.0, 10.0, 50.0))
+    assert [(row.body, row.rotor) for row in rows] == [
+        (b, l) for b in ("A < C", "A > C") for l in (0.0, 10.0, 50.0)
+    ]
+    for row in rows:
+        if row.rotor:
+            assert row.centre == pytest.approx(row.centre_theory, rel=1e-6)
+            assert row.amplitude == pytest.approx(row.amplitude_theory, rel=1e-6)
+            assert row.period == pytest.approx(row.period_theory, rel=2e-5)
+            assert abs(row.period - row.period_printed) > 50 * abs(row.period - row.period_theory)
+    np.testing.assert_allclose(
+        [(r.start, r.centre, r.amplitude, r.period, r.largest) for r in rows if r.rotor == 50],
+        [(2747.62, 8055.20, 5307.59, 10.7378, 13362.79), (-686.12, -6086.47, 5400.35, 18.7415, 11486.82)],
+        rtol=2e-5,
+    )
+    resting = [row for row in rows if not row.rotor]
+    assert all(row.amplitude == 0 and row.gamma2_change < 1e-10 for row in resting)
+    verdicts = [claim.holds for claim in fast_spin.claims(rows)]
+    assert verdicts == [True, False, True, True, False]
+    assert "1066.43, 5307.59" in fast_spin.claims(rows)[0].measured
+
+
+def test_paper_start_is_the_start_18():
+    for body in fast_spin.PAPER_BODIES:
+        spin = fast_spin.paper_body(body, 30.0)
+        x = fast_spin.to_quasilinear(spin, fast_spin.paper_start(spin))
+        assert x[0] == pytest.approx(float(spin.C * spin.A1 * spin.y[0] / spin.A), rel=1e-12)
+        np.testing.assert_allclose(x[[1, 3]], 0, atol=1e-9)
+        length = (fast_spin.paper_start(spin)[3:] ** 2).sum()
+        assert length == pytest.approx(1 / 0.352**2, rel=1e-14)
+
+
+# Shapes and bad input.
+
+
+def test_formulas_serve_arrays_of_points():
+    r0 = np.array([100.0, 300.0, 1000.0])
+    at = {name: np.repeat(values, 3) for name, values in as_points(top(100.0)).items()} | {"m": r0}
+    many = fast_spin.fast_spin(at)
+    for module in (fast_spin, published):
+        whole = module.first_order(many, TAU[:, None])
+        assert whole.shape == (6, 101, 3)
+        for i, value in enumerate(r0):
+            np.testing.assert_allclose(
+                whole[..., i], module.first_order(top(value), TAU), rtol=1e-9, atol=1e-12
+            )
+        assert module.angles(many, TAU[:, None] / r0).shape == (3, 101, 3)
+        assert module.period_correction(many).shape == (3,)
+
+
+@pytest.mark.parametrize(
+    ("make", "message"),
+    [
+        (lambda: top(0.0), "r0 = 0: the small parameter"),
+        (lambda: top(100.0, gamma0=0.0), "cos theta0 outside"),
+        (lambda: top(100.0, gamma0=1.0), "cos theta0 outside"),
+        (lambda: top(100.0, z0=0.0), "Mg z0 = 0: the unit"),
+        (lambda: top(-2.0, (1.0, 0.0, 2 * 35.5), C=35.5, A=22.0), "C r0 \\+ l3 = 0: chi1 and nu"),
+        (lambda: top(100.0, (1.0, 0.0, 0.0), A=30.0, C=30.0), "mu / Omega of p1, q1 is resonant"),
+        (
+            lambda: published.coefficients(top(100.0, (0.0, 0.0, 1.0), A=30.0, C=30.0)),
+            "A1 = 0 \\(A = C\\): X of",
+        ),
+        (lambda: published.coefficients(top(100.0, (0.0, 0.0, 0.0), A=1.0, C=2.0)), "omega'\\^2 = 0 or 1"),
+    ],
+)
+def test_bad_input_names_the_formula(make, message):
+    with pytest.raises(BadInput, match=message):
+        make()
+
+
+@pytest.mark.parametrize(("name", "value", "message"), [("B", 23.0, "A != B"), ("x0", 1.0, "Mg x0 or Mg y0")])
+def test_only_the_body_of_the_paper_is_served(name, value, message):
+    with pytest.raises(BadInput, match=message):
+        fast_spin.fast_spin(as_points(top(100.0)) | {name: np.full(1, value)})
+
+
+def test_a_round_body_with_an_axial_rotor_is_no_exception():
+    """A1 = 0 is harmless where the transverse rotor vanishes or l3 does not: Omega = l3 / (A r0)."""
+    spins = [top(r0, (1.0, 0.0, 10.0), A=30.0, C=30.0) for r0 in (300.0,)]
+    assert spins[0].Omega == pytest.approx(10 / 9000)
+    assert np.isfinite(fast_spin.first_order(top(300.0, (0.0, 0.0, 0.0), A=30.0, C=30.0), TAU)).all()
+
+
+@pytest.mark.parametrize("row", published.PUBLISHED, ids=lambda row: row.number)
+def test_errata_measure_what_they_say(row):
+    assert [r.number for r in published.PUBLISHED].count(row.number) == 1
+    assert all((row.printed, row.true, row.verdict, row.effect))
+    if row.residual_true is not None:
+        seeds = range(3)
+        true = [row.residual_true(np.random.default_rng(seed)) for seed in seeds]
+        wrong = [row.residual_printed(np.random.default_rng(seed)) for seed in seeds]
+        assert max(true) < 1e-2  # asymptotic formulas: the first term that they leave out
+        assert min(wrong) > 20 * max(true)

@@ -1,0 +1,68 @@
+"""The package: directions of its imports, cost of the command line, completeness of the registries."""
+
+import ast
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from importlinter.cli import lint_imports
+
+import atlas
+from atlas.systems import SYSTEMS
+from atlas.variables import variables
+
+PACKAGE = Path(atlas.__file__).parent
+EQUATIONS = sorted(PACKAGE.rglob("equations.py"))
+
+
+@pytest.mark.parametrize("path", EQUATIONS, ids=str)
+def test_equations_import_nothing(path):
+    assert not [
+        node
+        for node in ast.walk(ast.parse(path.read_text()))
+        if isinstance(node, ast.Import | ast.ImportFrom)
+    ]
+
+
+def test_data_flows_one_way():
+    """The order of the rooms is declared in pyproject.toml."""
+    assert lint_imports(config_filename=str(PACKAGE.parent / "pyproject.toml"), no_cache=True) == 0
+
+
+@pytest.mark.parametrize("command", [["--help"], ["check", "configs/quickstart.toml"], ["--version"]])
+def test_help_and_check_load_no_compiler(command):
+    code = (
+        "import sys; from atlas.cli import main\n"
+        "try: main(sys.argv[1:])\n"
+        "except SystemExit: pass\n"
+        "sys.exit(any(name in sys.modules for name in ('numba', 'llvmlite', 'matplotlib')))"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", code, *command],
+        cwd=PACKAGE.parent,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr
+
+
+@pytest.mark.parametrize("system", SYSTEMS.values(), ids=lambda s: s.name)
+def test_registries_are_whole(system):
+    for name, variable in variables(system).items():
+        assert name == variable.name
+        assert variable.long_name
+        assert np.dtype(variable.dtype)
+        if variable.flags is not None:
+            assert len(variable.flags) >= 2  # cf_xarray breaks on one
+            assert all(" " not in flag for flag in variable.flags)
+    for name, parameter in system.parameters.items():
+        assert name == parameter.name
+        assert parameter.unit
+        assert parameter.meaning
+    assert [f.flag for f in system.families.values()] == list(range(1, len(system.families) + 1))
+    for family in system.families.values():
+        assert set(family.solve) <= set(system.parameters)
+        assert family.geometry in {"", *system.geometries}

@@ -9,12 +9,12 @@ from ._version import __version__
 
 if TYPE_CHECKING:
     from .analysis.catalogue import equilibria as equilibria
+    from .errors import BadInput as BadInput
     from .label.points import label_points as label_points
     from .label.trajectory import trajectory as trajectory
     from .runs.open import open_atlas as open_atlas
     from .runs.runner import run as run
     from .scene.read import load_scene as load_scene
-    from .systems.base import BadInput as BadInput
 
 # name -> module: imported when first used, so that reading a scene loads no compiler
 _FACE = {
@@ -24,7 +24,7 @@ _FACE = {
     "open_atlas": "runs.open",
     "trajectory": "label.trajectory",
     "equilibria": "analysis.catalogue",
-    "BadInput": "systems.base",
+    "BadInput": "errors",
 }
 __all__ = [*_FACE, "__version__"]
 

@@ -15,7 +15,7 @@ import numpy as np
 import xarray as xr
 from scipy.special import betaincinv
 
-from .systems.base import BadInput
+from .errors import BadInput
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

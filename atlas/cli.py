@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import NoReturn
 
 from ._version import __version__
-from .systems.base import BadInput
+from .errors import BadInput
 
 DONE, FAILED, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130
 
@@ -243,8 +243,8 @@ def _check(options: argparse.Namespace) -> int:
 
 
 def _points(options: argparse.Namespace) -> int:
-    from . import systems
-    from .io import files, netcdf
+    from . import files, systems
+    from .io import netcdf
     from .scene import tables
 
     out = Path(options.out)
@@ -320,7 +320,8 @@ def _places(option: str, texts: Sequence[str]) -> dict[str, float]:
 
 
 def _trajectory(options: argparse.Namespace) -> int:
-    from .io import files, netcdf
+    from . import files
+    from .io import netcdf
     from .scene.read import load_scene
 
     scene = load_scene(options.scene)
@@ -345,7 +346,8 @@ def _trajectory(options: argparse.Namespace) -> int:
 
 
 def _accuracy(options: argparse.Namespace) -> int:
-    from .io import files, netcdf
+    from . import files
+    from .io import netcdf
     from .plotting.work_precision import figure
     from .scene.read import load_scene
     from .validation import work_precision

@@ -6,36 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from .flags import Agreement, Label, Stability, Status
 from .systems.base import System
-
-LABELS = {
-    "not_computed": "not computed",
-    "regular_precession": "theta, psi' and phi' are constant, psi' and phi' are not zero",
-    "permanent_rotation": "theta, psi' and phi' are constant and psi' or phi' is zero, or the third axis stays on the vertical",
-    "drifting": "theta, psi' or phi' varies",
-    "unresolved": "the numbers cannot tell: see status",
-}
-STATUS = {
-    "not_computed": "not computed: the family asked for has no motion here",
-    "ok": "integrated and resolved",
-    "not_finite": "the state or a statistic overflowed or became NaN",
-    "drift_exceeded": "a first integral changed by more than drift_tolerance",
-    "under_resolved": "the step is too long for the fastest frequency of the point",
-    "step_sensitive": "the label changes when the step is halved, or could by as much as the measurements did",
-    "roundoff_decided": "an exact start on an unstable motion, run until rounding errors decide",
-}
-AGREEMENT = {
-    "not_compared": "nothing to compare: unresolved, or theory is silent",
-    "agree": "measured label and theory agree",
-    "theory_only": "theory says steady, the measured motion drifts",
-    "numerics_only": "theory says drifting, the measured motion is steady",
-    "differ": "both steady, with different labels",
-}
-STABLE = {
-    "unknown": "linear stability unknown, or no steady motion",
-    "stable": "no characteristic exponent has a positive real part",
-    "unstable": "some characteristic exponent has a positive real part",
-}
 
 
 @dataclass(frozen=True)
@@ -77,15 +49,15 @@ def variables(system: System) -> dict[str, Variable]:
     """Every variable an atlas of the system can hold, by name, in the order of the file."""
     families = {"none": "no family of steady motions"} | {f.name: f.title for f in system.families.values()}
     flag = [
-        Variable("label", "int8", "1", f"kind of motion in the {system.frame} frame", LABELS),
-        Variable("label_inertial", "int8", "1", "kind of motion in the inertial frame", LABELS),
+        Variable("label", "int8", "1", f"kind of motion in the {system.frame} frame", Label.meanings()),
+        Variable("label_inertial", "int8", "1", "kind of motion in the inertial frame", Label.meanings()),
         Variable("geometry", "int8", "1", "geometry of the measured motion", dict(system.geometries)),
-        Variable("status", "int8", "1", "how far the label can be trusted", STATUS),
+        Variable("status", "int8", "1", "how far the label can be trusted", Status.meanings()),
         Variable("family", "int8", "1", "family of exact steady motions the start belongs to", families),
-        Variable("stable", "int8", "1", "linear stability of the steady motion, from theory", STABLE),
-        Variable("predicted", "int8", "1", f"kind of motion in the {system.frame} frame, from theory alone", LABELS),
-        Variable("predicted_inertial", "int8", "1", "kind of motion in the inertial frame, from theory alone", LABELS),
-        Variable("agreement", "int8", "1", "measured label against theory", AGREEMENT),
+        Variable("stable", "int8", "1", "linear stability of the steady motion, from theory", Stability.meanings()),
+        Variable("predicted", "int8", "1", f"kind of motion in the {system.frame} frame, from theory alone", Label.meanings()),
+        Variable("predicted_inertial", "int8", "1", "kind of motion in the inertial frame, from theory alone", Label.meanings()),
+        Variable("agreement", "int8", "1", "measured label against theory", Agreement.meanings()),
     ]  # fmt: skip
     rate, pure = "rad s-1", "1"
     real = [

@@ -10,8 +10,9 @@ import numpy as np
 import xarray as xr
 
 from .. import systems
-from ..systems.base import BadInput, Family, PublishedEquation, System
-from ..variables import STABLE
+from ..errors import BadInput
+from ..flags import Stability
+from ..systems.base import Family, PublishedEquation, System
 
 DRAWS = 5  # random parameters behind each residual, from the seeds 0, 1, ...
 _UNITS = {
@@ -127,9 +128,9 @@ def equilibria(system: str, body: Mapping[str, float]) -> xr.Dataset:
     for name, values in kind.equilibria({k: float(v[0]) for k, v in columns.items()}).items():
         dims = ("equilibrium", "body_axis")[: values.ndim]
         if name == "stable":
-            meanings = " ".join(STABLE)
+            meanings = " ".join(Stability.meanings())
             attributes: dict[str, Any] = {"long_name": "linear stability", "flag_meanings": meanings}
-            attributes["flag_values"] = np.arange(len(STABLE), dtype="int8")
+            attributes["flag_values"] = np.arange(len(Stability), dtype="int8")
         else:
             attributes = dict(zip(("units", "long_name"), _UNITS[name], strict=True))
         ds[name] = (dims, values, attributes)

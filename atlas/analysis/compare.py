@@ -6,10 +6,9 @@ import numpy as np
 import xarray as xr
 from scipy.ndimage import maximum_filter, minimum_filter
 
-from ..label.labels import DRIFTING, PERMANENT, REGULAR
-from ..label.theory import STABLE, UNSTABLE, agreement
+from ..flags import Agreement, Label, Stability
+from ..label.theory import agreement
 from ..systems.base import Array, Flags
-from ..variables import AGREEMENT, LABELS
 
 # Near the analytical boundary growth is slow and stable motions swing wide: a share of the axis range.
 BAND = 0.02
@@ -18,8 +17,8 @@ NO_TIME_TO_GROW = 12.0
 
 
 def confusion(label: Array, predicted: Array) -> np.ndarray:
-    """Counts [predicted, measured] over the values of LABELS, int64 of shape (5, 5)."""
-    size = len(LABELS)
+    """Counts [predicted, measured] over the values of Label, int64 of shape (5, 5)."""
+    size = len(Label)
     return np.bincount(
         np.ravel(predicted).astype(np.int64) * size + np.ravel(label), minlength=size * size
     ).reshape(size, size)
@@ -31,7 +30,7 @@ def report(ds: xr.Dataset, worst: int = 5) -> str:
     Needs the variables label and predicted; uses stable, growth_rate, end_time and the rates if there.
     """
     table = confusion(ds["label"].values, ds["predicted"].values)
-    names = list(LABELS)
+    names = list(Label.meanings())
     used = [i for i in range(len(names)) if table[i].any() or table[:, i].any()]
     width = max(len(names[i]) for i in used) + 2
     lines = ["theory \\ measured".ljust(width + 4) + "".join(names[i].rjust(width) for i in used)]
@@ -41,11 +40,11 @@ def report(ds: xr.Dataset, worst: int = 5) -> str:
         if table[i].any()
     ]
     agree = agreement(ds["label"].values, ds["predicted"].values)
-    counts = np.bincount(agree.ravel(), minlength=len(AGREEMENT))
+    counts = np.bincount(agree.ravel(), minlength=len(Agreement))
     compared = counts[1:].sum()
     share = f"{100 * counts[1] / compared:.3f} %" if compared else "nothing"
     lines.append(f"compared: {compared} of {agree.size} points, {share} agree")
-    lines += [f"  {name}: {n}" for name, n in zip(AGREEMENT, counts, strict=True) if n]
+    lines += [f"  {name}: {n}" for name, n in zip(Agreement.meanings(), counts, strict=True) if n]
     if {"stable", "growth_rate", "end_time"} <= set(ds):
         lines += _survival(ds)
     lines += _worst(ds, agree, worst)
@@ -57,8 +56,10 @@ def _survival(ds: xr.Dataset) -> list[str]:
     label, stable = ds["label"].values, ds["stable"].values
     grown = ds["growth_rate"].values * ds["end_time"].values
     near = near_boundary(stable)
-    drift = (stable == STABLE) & (label == DRIFTING)
-    survive = (stable == UNSTABLE) & ((label == REGULAR) | (label == PERMANENT))
+    drift = (stable == Stability.STABLE) & (label == Label.DRIFTING)
+    survive = (stable == Stability.UNSTABLE) & (
+        (label == Label.REGULAR_PRECESSION) | (label == Label.PERMANENT_ROTATION)
+    )
     lines = []
     for what, found in (("stable points that drift", drift), ("unstable points that survive", survive)):
         lines.append(
@@ -100,7 +101,7 @@ def _worst(ds: xr.Dataset, agree: np.ndarray, count: int) -> list[str]:
         place = dict(zip(ds["label"].dims, index, strict=True))
         at = ds.isel(place)
         where = ", ".join(f"{dim} = {float(at[dim]):.9g}" for dim in place if dim in at.coords)
-        said, seen = list(LABELS)[int(at["predicted"])], list(LABELS)[int(at["label"])]
+        said, seen = list(Label.meanings())[int(at["predicted"])], list(Label.meanings())[int(at["label"])]
         growth = f", growth_rate x time = {float(at['growth_rate'] * at['end_time']):.2f}" if (
             {"growth_rate", "end_time"} <= set(ds)) else ""  # fmt: skip
         lines.append(f"  {where}: theory {said}, measured {seen}, unsteadiness {unsteady[flat]:.3g}{growth}")

@@ -9,9 +9,10 @@ import numpy as np
 import xarray as xr
 
 from .. import systems
+from ..errors import BadInput
 from ..scene.model import Axis, Scene
 from ..scene.read import load_scene
-from ..systems.base import BadInput, System
+from ..systems.base import System
 
 MAX_PANELS = 12
 # More cells than the printer has dots along an axis are not drawn: every k-th one is.

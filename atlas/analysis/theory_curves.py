@@ -10,10 +10,11 @@ import contourpy
 import numpy as np
 import xarray as xr
 
+from ..errors import BadInput
 from ..label.theory import predict
 from ..scene import grid
 from ..scene.model import Duration, Scene
-from ..systems.base import BadInput, Family, on_family
+from ..systems.base import Family, on_family
 from .select import axes_of
 
 # Even, so that no sample falls on the middle of a frame, where special values such as 0 like to be.

@@ -11,11 +11,12 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
+from ..errors import BadInput
+from ..files import check_folder, umask
 from ..scene import grid
 from ..scene.model import Scene
-from ..systems.base import BadInput, System
+from ..systems.base import System
 from ..variables import variables
-from .files import check_folder, umask
 
 COMPRESSION: dict[str, Any] = {"zlib": True, "complevel": 4, "shuffle": True}
 SUFFIX = ".nc"

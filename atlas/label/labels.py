@@ -6,11 +6,9 @@ from collections.abc import Mapping
 
 import numpy as np
 
+from ..flags import Label, Status
 from ..systems.base import Array, Flags, Mask
-from ..variables import LABELS, STATUS
 
-NOT_COMPUTED, REGULAR, PERMANENT, DRIFTING, UNRESOLVED = range(len(LABELS))
-STATUS_VALUE = {name: value for value, name in enumerate(STATUS)}
 ROUNDOFF = 1e-16
 
 
@@ -44,8 +42,8 @@ def steady_label(
 ) -> Flags:
     """Label of a steady motion with rates n = psi' and m = phi', zero meaning at most the tolerance."""
     still = (np.abs(n) <= tolerance) | (np.abs(m) <= tolerance)
-    steady = np.where(cylinder | still, PERMANENT, REGULAR)
-    return np.where(drifting, DRIFTING, steady).astype(np.int8)
+    steady = np.where(cylinder | still, Label.PERMANENT_ROTATION, Label.REGULAR_PRECESSION)
+    return np.where(drifting, Label.DRIFTING, steady).astype(np.int8)
 
 
 def in_cylinder(measured: Mapping[str, Array], cylinder_tolerance: float) -> Mask:
@@ -100,6 +98,11 @@ def status(
         step_sensitive,
         exact_growth > np.log(rate_tolerance / ROUNDOFF),
     ]
-    names = ("not_finite", "drift_exceeded", "under_resolved", "step_sensitive", "roundoff_decided")
-    values = [STATUS_VALUE[name] for name in names]
-    return np.select(conditions, values, STATUS_VALUE["ok"]).astype(np.int8)
+    values = [
+        Status.NOT_FINITE,
+        Status.DRIFT_EXCEEDED,
+        Status.UNDER_RESOLVED,
+        Status.STEP_SENSITIVE,
+        Status.ROUNDOFF_DECIDED,
+    ]
+    return np.select(conditions, values, Status.OK).astype(np.int8)

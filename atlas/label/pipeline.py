@@ -11,6 +11,7 @@ import numpy as np
 
 from ..engine import blocks, jit, measure, stepsize, template
 from ..engine.tableaux import METHODS
+from ..flags import Label, Status
 from ..scene.grid import Grid
 from ..scene.model import Scene, Settings
 from ..systems.base import Array, Mask, Points, System
@@ -188,9 +189,9 @@ def evaluate(
         frames["label_inertial"] = system.frame_rate(points)
     with np.errstate(all="ignore"):
         called = labels.label(result, settings.rate_tolerance, settings.cylinder)
-        resolved = status(False) == labels.STATUS_VALUE["ok"]
+        resolved = status(False) == Status.OK
         # What leaves may not have been sent by physics; where the start is exact to rounding it was not.
-        left = resolved & (exact > 0) & seeded & (called == labels.DRIFTING)
+        left = resolved & (exact > 0) & seeded & (called == Label.DRIFTING)
         sensitive = left & (residual <= stepsize.ROUNDING * np.sqrt(plan.count))
         doubtful = _half_step_sample(first, constants, settings.check_half_step)
         doubtful |= _unsure(result, _expected_error(plan, bound, result), settings, frames)
@@ -213,14 +214,14 @@ def evaluate(
         changes = [np.abs(twice[name] - once[name]) for name in RATES]
         error[where] = np.fmax(error[where], np.fmax.reduce(changes) / bound[where])
     status_value = status(sensitive)
-    trusted = status_value == labels.STATUS_VALUE["ok"]
+    trusted = status_value == Status.OK
 
     with np.errstate(invalid="ignore"):
         for name, rate in frames.items():
             found = labels.label(result, settings.rate_tolerance, settings.cylinder, rate)
-            found[certain] = labels.DRIFTING
-            result[name] = np.where(trusted, found, labels.UNRESOLVED).astype(np.int8)
-        steady = trusted & (result["label"] != labels.DRIFTING)
+            found[certain] = Label.DRIFTING
+            result[name] = np.where(trusted, found, Label.UNRESOLVED).astype(np.int8)
+        steady = trusted & (result["label"] != Label.DRIFTING)
         result["geometry"] = system.geometry(
             result, steady, cylinder, settings.rate_tolerance, settings.cylinder
         )

@@ -9,13 +9,13 @@ import numpy as np
 import xarray as xr
 
 from .. import systems
+from ..errors import BadInput
 from ..io import netcdf, provenance
 from ..io.progress import Progress
 from ..io.provenance import log_warnings
 from ..scene import grid
 from ..scene.model import Settings
 from ..scene.tables import number_column, point_columns
-from ..systems.base import BadInput
 from ..variables import variables
 from .pipeline import Specialization, evaluate, kernel_hash
 

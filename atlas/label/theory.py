@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
+from ..flags import Label, Stability
 from ..systems.base import Flags, Points, System
-from .labels import DRIFTING, NOT_COMPUTED, UNRESOLVED, steady_label
+from .labels import steady_label
 
-STABLE, UNSTABLE = 1, 2
 # A start whose sin theta is below this is on the vertical: np.pi itself has sin 1.2e-16.
 ON_VERTICAL = 1e-12
 # Beyond this (moments of inertia: below its inverse, too) products and quotients of parameters overflow and
@@ -34,14 +34,18 @@ def predict(system: System, points: Points, rate_tolerance: float, nudged: bool)
     for name, rate in frames.items():
         label = steady_label(rate, m, np.abs(sine) < ON_VERTICAL, rate_tolerance)
         if nudged:
-            label = np.select([stable == STABLE, stable == UNSTABLE], [label, DRIFTING], NOT_COMPUTED)
-        off = np.where(system.complete(points) & within, DRIFTING, NOT_COMPUTED)
+            label = np.select(
+                [stable == Stability.STABLE, stable == Stability.UNSTABLE],
+                [label, Label.DRIFTING],
+                Label.NOT_COMPUTED,
+            )
+        off = np.where(system.complete(points) & within, Label.DRIFTING, Label.NOT_COMPUTED)
         result[name] = np.where(family > 0, label, off).astype(np.int8)
     return result
 
 
 def agreement(label: Flags, predicted: Flags) -> Flags:
-    """Flag of AGREEMENT for each point, int8."""
-    silent = (predicted == NOT_COMPUTED) | (label == NOT_COMPUTED) | (label == UNRESOLVED)
-    kinds = [silent, label == predicted, label == DRIFTING, predicted == DRIFTING]
+    """Value of Agreement for each point, int8."""
+    silent = (predicted == Label.NOT_COMPUTED) | (label == Label.NOT_COMPUTED) | (label == Label.UNRESOLVED)
+    kinds = [silent, label == predicted, label == Label.DRIFTING, predicted == Label.DRIFTING]
     return np.select(kinds, [0, 1, 2, 3], 4).astype(np.int8)

@@ -12,10 +12,10 @@ from scipy.integrate import cumulative_simpson
 from .. import systems
 from ..engine import blocks, measure, stepsize
 from ..engine.tableaux import METHODS
+from ..errors import BadInput
 from ..scene import grid
 from ..scene.model import Scene, Settings
 from ..scene.tables import point_columns
-from ..systems.base import BadInput
 from .pipeline import kernel
 
 

@@ -13,7 +13,8 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.ticker import MaxNLocator
 
-from ..systems.base import Array, BadInput
+from ..errors import BadInput
+from ..systems.base import Array
 from ..systems.fixed_point.paper import fast_spin, published
 from ..systems.fixed_point.paper.fast_spin import FastSpin, Row
 from .style import COLOURS, STYLE, WIDTHS

@@ -22,8 +22,9 @@ from matplotlib.ticker import LogLocator, MaxNLocator, NullFormatter
 
 from ..analysis.select import axes_of, cell_edges, flag_names, nearest, plane_of, scene_of, system_of
 from ..analysis.theory_curves import Plane, family_curves, stability_boundary
+from ..errors import BadInput
 from ..scene.model import Scene
-from ..systems.base import BadInput, System
+from ..systems.base import System
 from .style import COLOURS, STYLE, SYMBOLS, WIDTHS, Width, flag_colours, unit_text
 
 DECADES = 10  # at most, of a logarithmic colour scale

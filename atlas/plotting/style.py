@@ -13,8 +13,8 @@ from matplotlib import colormaps, rc_context
 from matplotlib.colors import to_hex
 from matplotlib.figure import Figure
 
-from ..io.files import check_folder
-from ..systems.base import BadInput
+from ..errors import BadInput
+from ..files import check_folder
 
 Width = Literal["column", "page"]
 WIDTHS = {"column": 88.0, "page": 180.0}  # mm, one and two columns of a journal

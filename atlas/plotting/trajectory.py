@@ -11,7 +11,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from ..analysis.select import system_of
-from ..systems.base import BadInput
+from ..errors import BadInput
 from .style import COLOURS, STYLE, SYMBOLS, WIDTHS, Width, unit_text
 
 RATES = ("theta_dot", "psi_dot", "phi_dot", "normal_rate")

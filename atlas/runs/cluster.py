@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from typing import Any
 
-from ..systems.base import BadInput
+from ..errors import BadInput
 
 CONNECT = 5.0  # seconds to wait for a scheduler
 PATIENCE = 60.0  # seconds without a worker before saying so

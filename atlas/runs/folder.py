@@ -32,14 +32,15 @@ import numpy as np
 import xarray as xr
 from xarray.backends.locks import HDF5_LOCK, NETCDFC_LOCK, combine_locks
 
-from ..io import files, netcdf, provenance
-from ..io.files import disk_error, move_into_place, temporary_path, write_text
+from .. import files
+from ..errors import BadInput
+from ..files import disk_error, move_into_place, temporary_path, write_text
+from ..io import netcdf, provenance
 from ..io.progress import clock
 from ..label.pipeline import scene_kernel_hash
 from ..scene import grid
 from ..scene.model import Scene
 from ..scene.read import load_scene
-from ..systems.base import BadInput
 from ..variables import variables
 from .identity import identity
 from .tiling import Tiling, tiling

@@ -6,8 +6,8 @@ from pathlib import Path
 
 import xarray as xr
 
-from ..io.files import one_line
-from ..systems.base import BadInput
+from ..errors import BadInput
+from ..files import one_line
 
 
 def open_atlas(path: str | Path) -> xr.Dataset:

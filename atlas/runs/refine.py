@@ -11,6 +11,7 @@ import numpy as np
 import xarray as xr
 from scipy.ndimage import maximum_filter, minimum_filter
 
+from ..flags import Stability
 from ..io import netcdf, provenance
 from ..label import theory
 from ..label.pipeline import evaluate_tile, scene_kernel_hash
@@ -101,7 +102,7 @@ class _FineGrid:
             for name, flag in self.theory.items():
                 flag[where] = found[name]
             grown = found["growth_rate"] * points.duration[points.there]
-            self.slow[where] = (found["stable"] == theory.UNSTABLE) & (grown < _growth_needed(scene))
+            self.slow[where] = (found["stable"] == Stability.UNSTABLE) & (grown < _growth_needed(scene))
         self.points = int(there.sum())
         # a point without motion has the code 0, that of not_computed
         self.known = ~there.reshape(scene.shape)

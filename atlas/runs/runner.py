@@ -18,13 +18,13 @@ import numpy as np
 import xarray as xr
 
 from ..engine import blocks
+from ..errors import BadInput
 from ..io import netcdf, provenance
 from ..io.progress import Progress
 from ..io.provenance import log_warnings
 from ..label.pipeline import evaluate_tile, scene_kernel_hash
 from ..scene import grid
 from ..scene.model import Scene
-from ..systems.base import BadInput
 from ..validation import half_step
 from ..variables import variables
 from . import cluster, open, refine

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..systems.base import BadInput
+from ..errors import BadInput
 
 MAX_LENGTH = 500  # characters
 _BINARY: dict[type[ast.operator], Callable[..., Any]] = {

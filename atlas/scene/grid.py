@@ -7,7 +7,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ..systems.base import Array, BadInput, Family, Points, System, on_family
+from ..errors import BadInput
+from ..systems.base import Array, Family, Points, System, on_family
 from .model import Duration, Scene, check_range
 
 # Points per tile: a constant, so that results never depend on how a run was cut.

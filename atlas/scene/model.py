@@ -10,7 +10,8 @@ from typing import Any
 import tomli_w
 
 from ..engine.tableaux import METHODS
-from ..systems.base import BadInput, System
+from ..errors import BadInput
+from ..systems.base import System
 from .expressions import Expression, PointColumn
 
 SCHEMA = 1

@@ -12,7 +12,8 @@ from typing import Any
 import numpy as np
 
 from .. import systems
-from ..systems.base import BadInput, System
+from ..errors import BadInput
+from ..systems.base import System
 from ..variables import variables
 from . import tables as own_points
 from .expressions import RESERVED, Expression, PointColumn, evaluation_order

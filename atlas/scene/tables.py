@@ -12,7 +12,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ..systems.base import BadInput, System
+from ..errors import BadInput
+from ..systems.base import System
 from .model import check_range
 
 if TYPE_CHECKING:

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from .base import BadInput, System
+from ..errors import BadInput
+from .base import System
 from .fixed_point import FIXED_POINT
 from .satellite import SATELLITE
 

@@ -9,15 +9,13 @@ from types import ModuleType
 import numpy as np
 from numpy.typing import NDArray
 
+from ..errors import BadInput
+
 Array = NDArray[np.float64]
 Flags = NDArray[np.int8]
 Mask = NDArray[np.bool_]
 # Every parameter of a system by name, as float64 arrays of one common shape.
 Points = Mapping[str, Array]
-
-
-class BadInput(ValueError):
-    """A complaint about the user's input in one line: which key, what was found, what is allowed."""
 
 
 @dataclass(frozen=True)

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from scipy.stats import beta
 
-from ..label import labels
+from ..flags import Label
 from ..label.pipeline import RATES, evaluate_tile
 from ..scene import grid
 from ..scene.model import Scene
@@ -66,10 +66,10 @@ def half_step_sample(scene: Scene, *, threads: int | None = None) -> dict[str, A
     part = grid.points_at_indices(scene, indices)
     scene = replace(scene, outputs=tuple(name for name in scene.outputs if name not in scene.system.layers))
     own, again = (evaluate_tile(scene, part, halved=halved, threads=threads) for halved in (False, True))
-    changed, drifting = np.zeros(indices.size, bool), own["label"] == labels.DRIFTING
+    changed, drifting = np.zeros(indices.size, bool), own["label"] == Label.DRIFTING
     for name in ("label", "label_inertial"):
         if name in own:
-            given = (own[name] != labels.NOT_COMPUTED) & (own[name] != labels.UNRESOLVED)
+            given = (own[name] != Label.NOT_COMPUTED) & (own[name] != Label.UNRESOLVED)
             changed |= given & (again[name] != own[name])
     found = int(changed.sum())
     values: dict[str, Any] = {
@@ -89,7 +89,7 @@ def half_step_sample(scene: Scene, *, threads: int | None = None) -> dict[str, A
                 bound = scene.system.frequency_bound(part.points)
             values["atlas_half_step_beyond"] = int((change > own["error_estimate"] * bound).sum())
     # The rates of a drifting point may be those of a chaotic motion or a spike near the vertical.
-    steady = change[part.there & ~changed & ~drifting & (own["label"] != labels.UNRESOLVED)]
+    steady = change[part.there & ~changed & ~drifting & (own["label"] != Label.UNRESOLVED)]
     if np.isfinite(steady).any():
         values["atlas_half_step_difference"] = float(np.nanmax(steady))
     return values

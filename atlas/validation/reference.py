@@ -9,10 +9,11 @@ import numpy as np
 from scipy.integrate import DOP853
 
 from ..engine import measure
+from ..errors import BadInput
 from ..label import labels
 from ..label.pipeline import RATES
 from ..scene.model import Settings
-from ..systems.base import Array, BadInput, Flags, Mask, Points, System
+from ..systems.base import Array, Flags, Mask, Points, System
 
 STATISTICS = (*RATES, "theta_min", "theta_max")
 # Relative tolerances of the reference and of a second run of it: SAFETY times their difference is what it knows.

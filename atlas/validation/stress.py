@@ -12,12 +12,13 @@ import xarray as xr
 from .. import systems
 from ..engine import blocks, stepsize
 from ..engine.tableaux import METHODS
+from ..flags import Label, Status
 from ..label import labels
 from ..label.pipeline import evaluate, kernel
 from ..label.theory import predict
 from ..scene.model import Settings
 from ..systems.base import Array, Flags, Mask, Points, System
-from ..variables import STATUS, variables
+from ..variables import variables
 from .reference import EXACT_RESIDUAL, reference
 from .stress_cases import STRESS_CASES, StressCase
 
@@ -77,11 +78,11 @@ def reference_label(
         turns = system.frequency_bound(twin) * duration
     sine = np.abs(system.steady(points)[0])
     rounding = theory["growth_rate"] * duration > np.log(settings.rate_tolerance / labels.ROUNDOFF)
-    label = np.where(rounding & (sine > 0), labels.UNRESOLVED, theory["predicted"]).astype(np.int8)
+    label = np.where(rounding & (sine > 0), Label.UNRESOLVED, theory["predicted"]).astype(np.int8)
     unsteady = np.zeros(duration.shape)
     whence = ["theory"] * duration.size
     lost = ~exact & (~np.isfinite(turns) | (turns > 1e100))
-    label[lost], unsteady[lost] = labels.UNRESOLVED, np.nan
+    label[lost], unsteady[lost] = Label.UNRESOLVED, np.nan
     for i in np.flatnonzero(lost):
         whence[i] = "overflow"
     rest = np.flatnonzero(~exact & ~lost)
@@ -102,7 +103,7 @@ def reference_label(
     tolerances = settings.rate_tolerance, settings.cylinder
     with np.errstate(invalid="ignore"):
         called = labels.label(measured, *tolerances)
-        undecided = labels.unsure(measured, error, *tolerances) | ((share < 1) & (called != labels.DRIFTING))
+        undecided = labels.unsure(measured, error, *tolerances) | ((share < 1) & (called != Label.DRIFTING))
     if undecided.any():
         raise ValueError(f"the reference cannot decide points {rest[undecided]}")
     label[rest] = called
@@ -164,7 +165,7 @@ def stress(
     with np.errstate(invalid="ignore"):
         error = np.abs(spread - unsteady) / np.maximum(unsteady, settings.rate_tolerance)
     verdict = np.select(
-        [label == labels.NOT_COMPUTED, label == labels.UNRESOLVED, label == true],
+        [label == Label.NOT_COMPUTED, label == Label.UNRESOLVED, label == true],
         [LEFT_OUT, UNRESOLVED, RIGHT],
         WRONG,
     )
@@ -254,7 +255,7 @@ def mislabelled(ds: xr.Dataset) -> Mask:
 def unresolved(ds: xr.Dataset) -> Mask:
     """Where an automatic step left a point without label that the battery does not name, bool as `silent`."""
     automatic = np.arange(len(LEVELS)) >= len(RATIOS)
-    unnamed = (ds["may_stay_unresolved"].values == "") & (ds["truth"].values != labels.UNRESOLVED)
+    unnamed = (ds["may_stay_unresolved"].values == "") & (ds["truth"].values != Label.UNRESOLVED)
     return np.asarray((ds["verdict"].values == UNRESOLVED) & automatic[:, None] & unnamed)
 
 
@@ -287,7 +288,7 @@ def report(ds: xr.Dataset) -> str:
             at = ds.isel(dict(zip(ds["verdict"].dims, place, strict=True)))
             lines.append(
                 f"{text}: {at['case'].item()}, {at['name'].item()}; {at['method'].item()}, {at['rung'].item()}:"
-                f" {meanings[int(at['label'])]} ({list(STATUS)[int(at['status'])]}),"
+                f" {meanings[int(at['label'])]} ({list(Status.meanings())[int(at['status'])]}),"
                 f" true {meanings[int(at['truth'])]}"
             )
     counts = np.bincount(ds["verdict"].values.ravel(), minlength=len(VERDICTS))

@@ -14,13 +14,14 @@ import xarray as xr
 
 from ..engine import blocks, measure, stepsize
 from ..engine.tableaux import METHODS
+from ..errors import BadInput
+from ..flags import Label
 from ..io import provenance
 from ..io.progress import Progress
-from ..label import labels
 from ..label.pipeline import RATES, Specialization, evaluate_tile, kernel, scene_kernel_hash
 from ..scene import grid
 from ..scene.model import Scene, Settings
-from ..systems.base import Array, BadInput, Points, System
+from ..systems.base import Array, Points, System
 from ..variables import variables
 from .half_step import stratified_indices, upper_bound
 from .reference import (
@@ -247,7 +248,7 @@ LONG_NAMES = {
 
 def _dataset(scene, indices, truth: Reference, bound, columns, counts, called, wrong, seconds) -> xr.Dataset:
     settings, dims, registry = scene.settings, ("method", "rung", "sample"), variables(scene.system)
-    compared = truth.certain & (called != labels.UNRESOLVED) & (called != labels.NOT_COMPUTED)
+    compared = truth.certain & (called != Label.UNRESOLVED) & (called != Label.NOT_COMPUTED)
     ds = xr.Dataset()
     for name, values in columns.items():
         statistic = name.removeprefix("error_")
@@ -262,7 +263,7 @@ def _dataset(scene, indices, truth: Reference, bound, columns, counts, called, w
         (compared & wrong).astype(np.int8),
         {"long_name": "a label is not the reference's"},
     )
-    unresolved = (called == labels.UNRESOLVED).astype(np.int8)
+    unresolved = (called == Label.UNRESOLVED).astype(np.int8)
     ds["label_unresolved"] = dims, unresolved, {"long_name": "the method gives no label"}
     ds["seconds_per_point"] = (
         dims[:2], seconds, {"long_name": "processor time to the end of the run", "units": "s"}

@@ -7,10 +7,10 @@ from hypothesis.extra import numpy as hnp
 import atlas
 from atlas import load_scene
 from atlas.analysis import compare
+from atlas.flags import Agreement, Label
 from atlas.label import theory
-from atlas.variables import AGREEMENT, LABELS
 
-flags = hnp.arrays(np.int8, 30, elements={"min_value": 0, "max_value": len(LABELS) - 1})
+flags = hnp.arrays(np.int8, 30, elements={"min_value": 0, "max_value": len(Label) - 1})
 
 
 @given(flags, flags)
@@ -18,8 +18,8 @@ def test_agreement_and_confusion_tell_the_same(label, predicted):
     table = compare.confusion(label, predicted)
     found = theory.agreement(label, predicted)
     assert table.sum() == label.size
-    for i, p in enumerate(LABELS):
-        for j, m in enumerate(LABELS):
+    for i, p in enumerate(Label.meanings()):
+        for j, m in enumerate(Label.meanings()):
             here = (predicted == i) & (label == j)
             assert table[i, j] == here.sum()
             if "not_computed" in (p, m) or m == "unresolved":
@@ -32,7 +32,7 @@ def test_agreement_and_confusion_tell_the_same(label, predicted):
                 expected = "numerics_only"
             else:
                 expected = "differ"
-            assert (found[here] == list(AGREEMENT).index(expected)).all()
+            assert (found[here] == list(Agreement.meanings()).index(expected)).all()
 
 
 def test_off_the_families_the_satellite_drifts_and_a_free_body_is_not_judged():
@@ -45,7 +45,7 @@ def test_off_the_families_the_satellite_drifts_and_a_free_body_is_not_judged():
     }
     found = theory.predict(system, start, 1e-5, nudged=False)
     assert found["family"].tolist() == [0, 0]
-    assert [list(LABELS)[i] for i in found["predicted"]] == ["drifting", "not_computed"]
+    assert [list(Label.meanings())[i] for i in found["predicted"]] == ["drifting", "not_computed"]
 
 
 def test_a_nudge_turns_the_prediction_by_stability():
@@ -54,7 +54,7 @@ def test_a_nudge_turns_the_prediction_by_stability():
     start["C"] = np.array([1.2, 0.5])  # cylindrical: stable, unstable
     for nudged, expected in ((False, ["permanent_rotation"] * 2), (True, ["permanent_rotation", "drifting"])):
         found = theory.predict(system, start, 1e-5, nudged)
-        assert [list(LABELS)[i] for i in found["predicted"]] == expected
+        assert [list(Label.meanings())[i] for i in found["predicted"]] == expected
 
 
 def test_report_counts_and_names_the_worst(small_scene):

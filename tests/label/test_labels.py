@@ -9,11 +9,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import atlas
+from atlas.flags import Label, Status
 from atlas.label import labels
-from atlas.variables import LABELS, STATUS
 
 REFERENCE = Path(__file__).parents[1] / "reference"
-NAMES = list(LABELS)
+NAMES = list(Label.meanings())
 
 
 def named(ds, variable: str, point: int) -> str:
@@ -87,7 +87,7 @@ def test_status_is_the_first_that_applies(finite, drift, ratio, damping, growth)
         (not finite, "not_finite"), (drift > 1e-5, "drift_exceeded"),
         (ratio > 0.5 or damping > 0.1, "under_resolved"), (growth > np.log(1e11), "roundoff_decided"), (True, "ok"),
     ]  # fmt: skip
-    assert list(STATUS)[found] == next(name for applies, name in order if applies)
+    assert list(Status.meanings())[found] == next(name for applies, name in order if applies)
 
 
 def satellite_cases():
@@ -113,7 +113,7 @@ def test_the_68_satellite_cases():
             assert ds.condition_residual[i] < 1e-12
         else:
             assert ds.family[i] == 0
-    assert (ds.status == list(STATUS).index("ok")).all()
+    assert (ds.status == Status.OK).all()
     assert (ds.agreement == 1).all()
 
 

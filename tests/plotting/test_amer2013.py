@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from atlas.cli import main
+from atlas.errors import BadInput
 from atlas.plotting import amer2013
-from atlas.systems.base import BadInput
 from atlas.systems.fixed_point.paper import fast_spin
 
 # The captions of the paper: number -> quantity, phase plane, |l| / sqrt(3), for A = B < C, analytical.

@@ -16,9 +16,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import atlas
-from atlas import BadInput, load_scene
+from atlas import BadInput, files, load_scene
 from atlas.analysis import summary
-from atlas.io import files, netcdf
+from atlas.io import netcdf
 from atlas.runs import folder, runner, tiling
 from atlas.runs.folder import RunFolder
 from atlas.runs.tiling import Tiling

@@ -9,8 +9,7 @@ import pytest
 import xarray as xr
 
 import atlas
-from atlas import BadInput, load_scene
-from atlas.io import files
+from atlas import BadInput, files, load_scene
 from atlas.runs import runner
 from atlas.scene import grid
 from atlas.variables import variables

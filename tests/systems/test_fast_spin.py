@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.integrate import cumulative_simpson
 
-from atlas.systems.base import BadInput
+from atlas.errors import BadInput
 from atlas.systems.fixed_point import equations, initial
 from atlas.systems.fixed_point.paper import fast_spin, published
 

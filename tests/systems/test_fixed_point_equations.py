@@ -7,7 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 
-from atlas.systems.base import BadInput
+from atlas.errors import BadInput
 from atlas.systems.fixed_point import equations, initial
 
 rng = np.random.default_rng(20260101)

@@ -10,6 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 
+from atlas.flags import Label
 from atlas.systems.base import on_family
 from atlas.systems.fixed_point import FIXED_POINT, equations, equilibria, families, initial, stability
 
@@ -111,11 +112,13 @@ def test_every_case_has_its_stability():
 
 
 def test_every_case_has_its_label_and_geometry():
-    from atlas.label import labels, theory
+    from atlas.label import theory
 
     at = of_cases()
     theory = theory.predict(FIXED_POINT, at, 1e-5, nudged=False)
-    assert [list(labels.LABELS)[value] for value in theory["predicted"]] == [case["label"] for case in CASES]
+    assert [list(Label.meanings())[value] for value in theory["predicted"]] == [
+        case["label"] for case in CASES
+    ]
     _, n, m = families.steady_rates(at)
     measured = {"psi_dot_mean": n, "phi_dot_mean": m}
     steady = np.array([case["label"] != "drifting" for case in CASES])

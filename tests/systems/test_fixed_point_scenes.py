@@ -11,10 +11,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import atlas
+from atlas.errors import BadInput
 from atlas.scene import grid
 from atlas.scene.read import scene_from
 from atlas.systems import get
-from atlas.systems.base import BadInput
 from atlas.systems.fixed_point import initial
 from atlas.systems.fixed_point.paper import errors, fast_spin, published
 

@@ -10,7 +10,7 @@ from scipy.integrate import solve_ivp
 from test_satellite_equations import jacobians
 from test_satellite_families import free_point, solved
 
-from atlas.systems.base import BadInput
+from atlas.errors import BadInput
 from atlas.systems.satellite.equations import rhs
 from atlas.systems.satellite.equilibria import equilibria
 from atlas.systems.satellite.families import FAMILIES, identify_family

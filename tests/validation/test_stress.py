@@ -9,15 +9,16 @@ import atlas
 from atlas import cli
 from atlas.engine import stepsize
 from atlas.engine.tableaux import METHODS, RK4
+from atlas.flags import Label, Status
 from atlas.label import labels
 from atlas.label.pipeline import GENERIC, evaluate
 from atlas.scene.model import Settings
 from atlas.scene.tables import point_columns
 from atlas.systems import SYSTEMS
 from atlas.validation import limits, stress, stress_cases
-from atlas.variables import LABELS, STATUS, variables
+from atlas.variables import variables
 
-NAMES, STATES = list(LABELS), list(STATUS)
+NAMES, STATES = list(Label.meanings()), list(Status.meanings())
 # Cases that take a fraction of a second each; `atlas stress` runs all of them.
 QUICK = {
     "near 0", "near pi", "steep precession", "weak field", "separatrix", "unstable, short", "unstable, long",

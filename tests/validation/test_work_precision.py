@@ -17,13 +17,13 @@ import atlas
 from atlas.cli import main
 from atlas.engine import blocks, measure, stepsize
 from atlas.engine.tableaux import METHODS
-from atlas.label import labels
+from atlas.errors import BadInput
+from atlas.flags import Label
 from atlas.label.pipeline import RATES, evaluate, kernel
 from atlas.scene import grid
 from atlas.scene.model import Settings
 from atlas.scene.read import load_scene
 from atlas.systems import SYSTEMS
-from atlas.systems.base import BadInput
 from atlas.validation import half_step, reference, work_precision
 
 
@@ -131,7 +131,9 @@ def test_the_reference_knows_what_it_says(small_scene):
     np.testing.assert_allclose(found.statistics["phi_dot_mean"], part.points["m"], atol=1e-13)
     np.testing.assert_allclose(found.statistics["theta_max"], part.points["theta0"], atol=1e-14)
     assert all(error.max() < 1e-7 for error in found.statistics_error.values())
-    np.testing.assert_array_equal(found.label, labels.PERMANENT)  # n = 0: the axis rests in the orbital frame
+    np.testing.assert_array_equal(
+        found.label, Label.PERMANENT_ROTATION
+    )  # n = 0: the axis rests in the orbital frame
 
 
 def test_the_reference_measures_a_libration():
@@ -186,10 +188,10 @@ def test_half_step_counts_what_changes(small_scene, monkeypatch):
     scene = load_scene(small_scene.replace("tolerance = 1e-5", "step = 0.1"))
 
     def made_up(scene, tile, *, halved, threads):
-        label = np.full(tile.duration.size, labels.PERMANENT, np.int8)
-        label[0], label[1] = labels.NOT_COMPUTED, labels.UNRESOLVED
+        label = np.full(tile.duration.size, Label.PERMANENT_ROTATION, np.int8)
+        label[0], label[1] = Label.NOT_COMPUTED, Label.UNRESOLVED
         if halved:
-            label[:5] = labels.DRIFTING
+            label[:5] = Label.DRIFTING
         rates = {name: np.full(label.size, 0.05 if halved else 0.1) for name in RATES}
         estimate = np.where(np.arange(label.size) < 7, 0.0, 1.0)
         return {"label": label, "label_inertial": label.copy(), "error_estimate": estimate, **rates}

@@ -7,7 +7,8 @@ from collections.abc import Set
 import numpy as np
 from numpy.typing import NDArray
 
-from ..base import Array, BadInput, Parameter, Points, check_inertia
+from ...errors import BadInput
+from ..base import Array, Parameter, Points, check_inertia
 
 _TABLE = (
     # name, unit, symbol, default, low, open_low, start, meaning

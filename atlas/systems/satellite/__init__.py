@@ -6,17 +6,8 @@ from functools import lru_cache, partial
 
 import numpy as np
 
-from ..base import (
-    Array,
-    BadInput,
-    DerivedVariable,
-    Flags,
-    Mask,
-    Points,
-    PublishedEquation,
-    System,
-    check_inertia,
-)
+from ...errors import BadInput
+from ..base import Array, DerivedVariable, Flags, Mask, Points, PublishedEquation, System, check_inertia
 from . import equations, equilibria, families, initial, stability
 
 GEOMETRIES = {

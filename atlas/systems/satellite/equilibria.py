@@ -7,7 +7,8 @@ from collections.abc import Mapping
 import numpy as np
 from numpy.typing import NDArray
 
-from ..base import Array, BadInput
+from ...errors import BadInput
+from ..base import Array
 from .initial import PARAMETERS
 from .stability import Bodies, cross_matrix, exponents
 

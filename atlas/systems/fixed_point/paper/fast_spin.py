@@ -24,7 +24,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ...base import Array, BadInput, Points
+from ....errors import BadInput
+from ...base import Array, Points
 from ..initial import bodies, initial_state
 
 # Data of section VI: moments of the two bodies, and the rest in SI units.

@@ -12,7 +12,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ...base import Array, BadInput, PublishedEquation
+from ....errors import BadInput
+from ...base import Array, PublishedEquation
 from .. import equations, initial
 from . import fast_spin
 from .fast_spin import FastSpin

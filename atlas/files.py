@@ -9,7 +9,7 @@ import tempfile
 import uuid
 from pathlib import Path
 
-from ..systems.base import BadInput
+from .errors import BadInput
 
 # Where writing fails with less than this free, in bytes, the disk is full: larger than a tile in memory.
 MIN_FREE_BYTES = 1 << 25

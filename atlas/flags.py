@@ -1,0 +1,71 @@
+"""Values of the flag variables: names, numbers and what they mean."""
+
+from __future__ import annotations
+
+from enum import IntEnum
+
+
+class Flag(IntEnum):
+    """Value of a flag variable, with the sentence that says what it means.
+
+    The name in files and in text is the member's name in lower case.
+    """
+
+    sentence: str
+
+    def __new__(cls, value: int, sentence: str) -> Flag:
+        flag = int.__new__(cls, value)
+        flag._value_ = value
+        flag.sentence = sentence
+        return flag
+
+    @classmethod
+    def meanings(cls) -> dict[str, str]:
+        """Name -> sentence of every flag, in the order of the values 0, 1, 2, ..."""
+        return {flag.name.lower(): flag.sentence for flag in cls}
+
+
+class Label(Flag):
+    """Kind of motion."""
+
+    NOT_COMPUTED = 0, "not computed"
+    REGULAR_PRECESSION = 1, "theta, psi' and phi' are constant, psi' and phi' are not zero"
+    PERMANENT_ROTATION = (
+        2,
+        "theta, psi' and phi' are constant and psi' or phi' is zero, or the third axis stays on the vertical",
+    )
+    DRIFTING = 3, "theta, psi' or phi' varies"
+    UNRESOLVED = 4, "the numbers cannot tell: see status"
+
+
+class Status(Flag):
+    """How far a label can be trusted."""
+
+    NOT_COMPUTED = 0, "not computed: the family asked for has no motion here"
+    OK = 1, "integrated and resolved"
+    NOT_FINITE = 2, "the state or a statistic overflowed or became NaN"
+    DRIFT_EXCEEDED = 3, "a first integral changed by more than drift_tolerance"
+    UNDER_RESOLVED = 4, "the step is too long for the fastest frequency of the point"
+    STEP_SENSITIVE = (
+        5,
+        "the label changes when the step is halved, or could by as much as the measurements did",
+    )
+    ROUNDOFF_DECIDED = 6, "an exact start on an unstable motion, run until rounding errors decide"
+
+
+class Agreement(Flag):
+    """Measured label against theory."""
+
+    NOT_COMPARED = 0, "nothing to compare: unresolved, or theory makes no prediction"
+    AGREE = 1, "measured label and theory agree"
+    THEORY_ONLY = 2, "theory says steady, the measured motion drifts"
+    NUMERICS_ONLY = 3, "theory says drifting, the measured motion is steady"
+    DIFFER = 4, "both steady, with different labels"
+
+
+class Stability(Flag):
+    """Linear stability of a steady motion."""
+
+    UNKNOWN = 0, "linear stability unknown, or no steady motion"
+    STABLE = 1, "no characteristic exponent has a positive real part"
+    UNSTABLE = 2, "some characteristic exponent has a positive real part"

@@ -88,7 +88,7 @@ def variables(system: System) -> dict[str, Variable]:
         Variable(name, "float64", units, long_name, None, note) for name, units, long_name, note in real
     ]
     layers = [
-        Variable(y.name, "float64", y.unit, y.long_name, None, y.comment) for y in system.layers.values()
+        Variable(y.name, "float64", y.unit, y.long_name, None, y.comment) for y in system.derived.values()
     ]
     every = {v.name: v for v in flag + floats + layers}
     if system.frame_rate is None:

@@ -46,7 +46,7 @@ def main() -> None:
     points = random_points(count)
     total = time.perf_counter()
     began = time.perf_counter()
-    flags, _ = SATELLITE.recognise(points)
+    flags, _ = SATELLITE.identify_family(points)
     print(f"recognise             {time.perf_counter() - began:7.2f} s for {count} points")
     began = time.perf_counter()
     SATELLITE.condition_residual(points)
@@ -69,7 +69,7 @@ def main() -> None:
     resting["B"] = resting["A"] + 0.1
     turning = resting | {"B": resting["A"], "m": -resting["Omega"], "k1": some["k3"]}
     for what, part in (("eigenvalues", resting), ("multipliers", turning)):
-        flags, _ = SATELLITE.recognise(part)
+        flags, _ = SATELLITE.identify_family(part)
         began = time.perf_counter()
         linear_stability(part, flags)
         each = (time.perf_counter() - began) / flags.size

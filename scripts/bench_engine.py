@@ -97,9 +97,11 @@ class Case:
 
     def __init__(self, system: str, method: str, special: Specialization, count: int, steps_each: int):
         kind, points = SYSTEMS[system], bodies(system, count)
-        self.state = np.ascontiguousarray(kind.start(points))
+        self.state = np.ascontiguousarray(kind.initial_state(points))
         self.constants = np.ascontiguousarray(kind.constants(points))
-        self.scales = measure.scales(kind.equations, self.state, self.constants, dict(kind.conserved(points)))
+        self.scales = measure.scales(
+            kind.equations, self.state, self.constants, dict(kind.integral_scales(points))
+        )
         # The stride that the step rule chooses for a typical point at the default tolerance.
         chosen = stepsize.choose(
             METHODS[method], np.array([3.0]), np.array([60.0]), tolerance=1e-8, step=None, max_steps=10**8

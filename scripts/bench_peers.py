@@ -71,7 +71,10 @@ def atlas_engine(method: str, points: dict[str, np.ndarray], statistics: bool) -
     """This package with steps by its own rule; the points must be those of the calls."""
     module, bound = kernel(SYSTEM, method), SYSTEM.frequency_bound(points)
     scales = measure.scales(
-        EQUATIONS, SYSTEM.start(points), SYSTEM.constants(points), dict(SYSTEM.conserved(points))
+        EQUATIONS,
+        SYSTEM.initial_state(points),
+        SYSTEM.constants(points),
+        dict(SYSTEM.integral_scales(points)),
     )
 
     def run(state, constants, duration, tolerance):
@@ -295,7 +298,7 @@ def main() -> None:
         os.sched_setaffinity(0, {max(os.sched_getaffinity(0))})
     points = {"random": satellites, "slender": slender}[options.bodies](8192)
     state, constants = (
-        np.ascontiguousarray(SYSTEM.start(points)),
+        np.ascontiguousarray(SYSTEM.initial_state(points)),
         np.ascontiguousarray(SYSTEM.constants(points)),
     )
     few = {name: values[:COMPARED] for name, values in points.items()}

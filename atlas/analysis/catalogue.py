@@ -42,7 +42,7 @@ def families(system: System, name: str | None = None) -> list[dict[str, Any]]:
     rows = []
     for family in system.families.values():
         if name in (None, family.name):
-            measured = [_max_residuals(row) for row in system.printed() if row.family == family.name]
+            measured = [_max_residuals(row) for row in system.published() if row.family == family.name]
             row = _family(family)
             for i, key in enumerate(_RESIDUALS):
                 row[key] = max((one for pair in measured if (one := pair[i]) is not None), default=None)
@@ -92,7 +92,7 @@ def published(system: System, family: str | None = None, errata: bool = False) -
             **dict(zip(_RESIDUALS, _max_residuals(row), strict=True)),
             "effect": row.effect,
         }
-        for row in system.printed()
+        for row in system.published()
         if family in (None, row.family) and not (errata and row.verdict == "true")
     ]
 

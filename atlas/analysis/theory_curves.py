@@ -155,7 +155,7 @@ def _solution_curves(plane: Plane, family: Family, dim: str) -> list[np.ndarray]
             base[dim] = np.asarray(family.solve[dim](base), float)
             there = on_family(family, base) < grid.ON_FAMILY
             if scene.family is None:  # families overlap: the first that holds is the point's
-                there &= scene.system.recognise(base)[0] == family.flag
+                there &= scene.system.identify_family(base)[0] == family.flag
         # A formula that gives back what it was given: the whole plane is on the family, or none of it.
         there &= np.isfinite(base[dim]) & (np.abs(base[dim] - start) > 1e-9 * (high - low))
         return np.where(there, base[dim], np.nan).reshape(starts.size, along.size)

@@ -29,7 +29,7 @@ class Specialization:
     @classmethod
     def of(cls, system: System, zero: Set[str], symmetric: bool) -> Specialization:
         """Where these parameters are 0 (or absent) and A = B (or not) at every point."""
-        gone, same = system.special(zero, symmetric)
+        gone, same = system.specialization(zero, symmetric)
         return cls(frozenset(gone), frozenset(same))
 
     @classmethod
@@ -132,7 +132,7 @@ def evaluate(
 
     method = METHODS[settings.method]
     with np.errstate(all="ignore"):  # parameters may overflow: such points end up unresolved
-        constants, state = system.constants(points), np.ascontiguousarray(system.start(points))
+        constants, state = system.constants(points), np.ascontiguousarray(system.initial_state(points))
         bound = system.frequency_bound(points)
         plan = stepsize.choose(
             method, bound, duration,
@@ -148,7 +148,7 @@ def evaluate(
         seeded = plan.rate_error * np.exp(growing) > settings.rate_tolerance
         seeded &= growing > 0
         certain_rate = np.where(seeded, np.inf, _early_stop_rate(plan, bound, settings))
-        scales = measure.scales(system.equations, state, constants, dict(system.conserved(points)))
+        scales = measure.scales(system.equations, state, constants, dict(system.integral_scales(points)))
     module, total = kernel(system, settings.method, special), int(plan.count.sum())
 
     def advance(point_steps: int) -> None:
@@ -237,7 +237,7 @@ def evaluate(
         "end_time": time,
         "agreement": agreement(result["label"], theory["predicted"]),
     }
-    for name, layer in system.layers.items():
+    for name, layer in system.derived.items():
         if outputs is not None and name in outputs:
             result[name] = layer.values(base, duration)
     return result

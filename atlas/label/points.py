@@ -72,7 +72,7 @@ def label_points(
     began = time.perf_counter()
     kinds = variables(kind)
     special = Specialization.of_points(kind, full)
-    columns = {name: np.empty(size, v.dtype) for name, v in kinds.items() if name not in kind.layers}
+    columns = {name: np.empty(size, v.dtype) for name, v in kinds.items() if name not in kind.derived}
     for first in range(0, size, grid.MAX_POINTS_PER_TILE):
         part = slice(first, first + grid.MAX_POINTS_PER_TILE)
         piece = {name: values[part] for name, values in full.items()}

@@ -24,9 +24,9 @@ def predict(system: System, points: Points, rate_tolerance: float, nudged: bool)
     """
     within = np.all([~(np.abs(values) > LARGEST) for values in points.values()], axis=0)
     within &= np.all([points[name] >= 1 / LARGEST for name in ("A", "B", "C")], axis=0)
-    family = np.where(within, system.recognise(points)[0], 0).astype(np.int8)
+    family = np.where(within, system.identify_family(points)[0], 0).astype(np.int8)
     stable, growth = system.linear_stability(points, family)
-    sine, n, m = system.steady(points)
+    sine, n, m = system.steady_rates(points)
     result: dict[str, np.ndarray] = {"family": family, "stable": stable, "growth_rate": growth}
     frames = {"predicted": n}
     if system.frame_rate is not None:

@@ -48,7 +48,10 @@ def trajectory(
     points, size = point_columns(kind, point)
     if size != 1:
         raise BadInput(f"point: {size} points given; a trajectory follows one")
-    state, constants = np.ascontiguousarray(kind.start(points)), np.ascontiguousarray(kind.constants(points))
+    state, constants = (
+        np.ascontiguousarray(kind.initial_state(points)),
+        np.ascontiguousarray(kind.constants(points)),
+    )
     plan = stepsize.choose(
         METHODS[method], kind.frequency_bound(points), np.array([duration]),
         tolerance=settings.tolerance, step=settings.step, max_steps=settings.max_steps,
@@ -58,7 +61,7 @@ def trajectory(
     each = -(-int(plan.count[0]) // (samples - 1))
     length = np.array([duration / (each * (samples - 1))])
     schedule = blocks.pack_blocks(np.array([each]), np.array([each]))
-    scales = measure.scales(kind.equations, state, constants, dict(kind.conserved(points)))
+    scales = measure.scales(kind.equations, state, constants, dict(kind.integral_scales(points)))
     states = np.empty((samples, len(state)))
     states[0] = state[:, 0]
     for i in range(1, samples):

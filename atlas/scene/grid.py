@@ -76,7 +76,7 @@ def points_at_indices(scene: Scene, indices: np.ndarray) -> Grid:
                 base[axis.name] = base[axis.name] + np.asarray(axis.values)[where]
         if there.any():
             system.check({name: values[there] for name, values in base.items()})
-    start = system.by_angles(base) if scene.nudges_angles else base
+    start = system.as_euler_angles(base) if scene.nudges_angles else base
     points = {name: start[name] + scene.nudge.get(name, 0.0) for name in base}
     return Grid(base, points, there, durations(system, scene.duration, base))
 
@@ -102,7 +102,7 @@ def durations(system: System, duration: Duration, points: Points) -> Array:
         assert system.frame_rate is not None
         rate = np.abs(system.frame_rate(points))
     elif duration.unit == "turns":
-        _, n, m = system.steady(points)
+        _, n, m = system.steady_rates(points)
         n, m = np.abs(n), np.abs(m)
         rate = np.where(n == 0, m, np.where(m == 0, n, np.fmin(n, m)))
     else:
@@ -132,7 +132,7 @@ def check(scene: Scene) -> Grid:
     if scene.family is not None:
         _check_family(scene, indices, grid.there)
     some = {name: values[grid.there] for name, values in grid.base.items()}
-    for name, layer in scene.system.layers.items():
+    for name, layer in scene.system.derived.items():
         if name in scene.outputs:
             try:
                 layer.check(some)

@@ -462,7 +462,7 @@ def _outputs(system: System, table: Mapping[str, Any]) -> tuple[str, ...]:
     given = _table(table, "outputs")
     _check_keys(given, "outputs.", ("variables",))
     allowed = variables(system)
-    listed = given.get("variables", [name for name in allowed if name not in system.layers])
+    listed = given.get("variables", [name for name in allowed if name not in system.derived])
     if not isinstance(listed, list) or not listed:
         raise BadInput(f"outputs.variables = {listed!r}: must be a list of at least one variable name")
     for name in listed:

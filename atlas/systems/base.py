@@ -114,16 +114,16 @@ class System:
     equations: ModuleType  # STATE, CONSTANTS, ONES, INTEGRALS and plain scalar functions for the kernels
     parameters: Mapping[str, Parameter]
     constants: Callable[[Points], Array]  # (constants, points), what the kernels read
-    start: Callable[[Points], Array]  # (state, points)
+    initial_state: Callable[[Points], Array]  # (state, points)
     check: Callable[[Points], None]  # raises BadInput on what no body can be
     # by integral: nan where it is not conserved, else a floor for the sum of its terms' magnitudes
-    conserved: Callable[[Points], Mapping[str, Array]]
+    integral_scales: Callable[[Points], Mapping[str, Array]]
     frequency_bound: Callable[[Points], Array]  # rad per time unit, never below the fastest frequency
     # (sin theta, n, m) of the steady motion a start would belong to, nan where it has none
-    steady: Callable[[Points], tuple[Array, Array, Array]]
+    steady_rates: Callable[[Points], tuple[Array, Array, Array]]
     families: Mapping[str, Family]
     # (points) -> (flag of the first family whose conditions hold or 0, residual)
-    recognise: Callable[[Points], tuple[Flags, Array]]
+    identify_family: Callable[[Points], tuple[Flags, Array]]
     condition_residual: Callable[[Points], Array]
     # (points, family flags) -> (stable, growth_rate) of the steady motions, for every family at once
     linear_stability: Callable[[Points, Flags], tuple[Flags, Array]]
@@ -136,17 +136,19 @@ class System:
     complete: Callable[[Points], Mask] = lambda points: np.zeros(points["n"].shape, bool)
     warnings: Callable[[Points], list[str]] = lambda points: []
     # the same starts given by theta0 .. m, where optional start values give them; what angles are nudged from
-    by_angles: Callable[[Points], Points] = lambda points: points
-    layers: Mapping[str, DerivedVariable] = field(default_factory=dict)
+    as_euler_angles: Callable[[Points], Points] = lambda points: points
+    derived: Mapping[str, DerivedVariable] = field(default_factory=dict)
     # (parameters that are 0 or absent in a whole scene, A = B throughout) -> (kernel constants that are
     # then 0, pairs of constants of which the first equals the second); few different answers, for each
     # is a kernel of its own
-    special: Callable[[Set[str], bool], tuple[Set[str], Set[tuple[str, str]]]] = lambda zero, symmetric: (
-        set(),
-        set(),
+    specialization: Callable[[Set[str], bool], tuple[Set[str], Set[tuple[str, str]]]] = (
+        lambda zero, symmetric: (
+            set(),
+            set(),
+        )
     )
     # the paper's equations; called when a table is asked for
-    printed: Callable[[], Sequence[PublishedEquation]] = tuple
+    published: Callable[[], Sequence[PublishedEquation]] = tuple
     # (parameter -> number) -> arrays over the relative equilibria or permanent rotations of one body
     equilibria: Callable[[Mapping[str, float]], Mapping[str, NDArray]] | None = None
 

@@ -64,7 +64,7 @@ def half_step_sample(scene: Scene, *, threads: int | None = None) -> dict[str, A
         scene.size, min(max(MIN_SAMPLE, scene.size // POINTS_PER_SAMPLE), MAX_SAMPLE)
     )
     part = grid.points_at_indices(scene, indices)
-    scene = replace(scene, outputs=tuple(name for name in scene.outputs if name not in scene.system.layers))
+    scene = replace(scene, outputs=tuple(name for name in scene.outputs if name not in scene.system.derived))
     own, again = (evaluate_tile(scene, part, halved=halved, threads=threads) for halved in (False, True))
     changed, drifting = np.zeros(indices.size, bool), own["label"] == Label.DRIFTING
     for name in ("label", "label_inertial"):

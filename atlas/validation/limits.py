@@ -16,7 +16,7 @@ from ..systems.base import Array, Points, System
 
 def _end(system: System, method: str, points: Points, length: Array, count: int) -> Array:
     """States after `count` steps, (state, points)."""
-    state = np.ascontiguousarray(system.start(points))
+    state = np.ascontiguousarray(system.initial_state(points))
     constants = np.ascontiguousarray(system.constants(points))
     scales = np.zeros((len(system.equations.INTEGRALS), length.size))
     each, stride = np.full(length.size, count), np.full(length.size, min(count, 16))

@@ -65,13 +65,13 @@ def reference(
     second, lost = _dop853(system, points, duration, settings.cylinder, SECOND_RTOL, advance)
     if lost.any():
         raise ReferenceFailureError(np.flatnonzero(lost))
-    flags, _ = system.recognise(points)
+    flags, _ = system.identify_family(points)
     motions = {f.flag: f.motion for f in system.families.values() if f.motion is not None}
     exact = (system.condition_residual(points) <= EXACT_RESIDUAL) & np.isin(flags, list(motions))
     best, other = tight, second
     if exact.any():
         best, other = dict(tight), {k: np.where(exact, tight[k], second[k]) for k in tight}
-        start = system.start(points)
+        start = system.initial_state(points)
         now = euler_rates(system.equations.frame_motion(start, system.constants(points)), settings.cylinder)
         closed = {name: np.zeros(exact.size) for name in RATES}
         closed |= {"psi_dot_mean": now[1], "phi_dot_mean": now[2], "normal_rate_mean": now[3]}
@@ -144,7 +144,7 @@ def _dop853(
     """Statistics by name and the final "state" of every point; and where that failed."""
     with np.errstate(all="ignore"):
         turns = system.frequency_bound(points) * duration
-        usable = np.isfinite(system.start(points)).all(0) & (turns <= MAX_RADIANS)
+        usable = np.isfinite(system.initial_state(points)).all(0) & (turns <= MAX_RADIANS)
     lost = ~usable
     found: dict[str, Array] = {}
     waiting, order = [], np.flatnonzero(usable)[np.argsort(turns[usable], kind="stable")]
@@ -177,7 +177,7 @@ def _integrate_group(
     advance: Advance = no_progress,
 ) -> dict[str, Array] | None:
     """The points as one system of equations in t / duration; None if a step fails."""
-    equations, constants, start = system.equations, system.constants(points), system.start(points)
+    equations, constants, start = system.equations, system.constants(points), system.initial_state(points)
     states, size = start.shape
     first = euler_rates(equations.frame_motion(start, constants), cylinder)
 

@@ -49,7 +49,7 @@ def despun_equivalent(system: System, points: Points) -> tuple[Points, Array]:
     sum alone; where it is not, the points themselves.
     """
     rotor, axial = ("k3", "axial_momentum") if system.name == "satellite" else ("l3", "lagrange")
-    free = ~np.isnan(system.conserved(points)[axial]) & np.isfinite(points[rotor])
+    free = ~np.isnan(system.integral_scales(points)[axial]) & np.isfinite(points[rotor])
     excess = np.where(free, points[rotor] / points["C"], 0.0)
     twin = dict(points)
     twin[rotor] = np.where(free, 0.0, points[rotor])
@@ -76,7 +76,7 @@ def reference_label(
         exact = (theory["family"] > 0) & (system.condition_residual(points) <= EXACT_RESIDUAL)
         twin, excess = despun_equivalent(system, points)
         turns = system.frequency_bound(twin) * duration
-    sine = np.abs(system.steady(points)[0])
+    sine = np.abs(system.steady_rates(points)[0])
     rounding = theory["growth_rate"] * duration > np.log(settings.rate_tolerance / labels.ROUNDOFF)
     label = np.where(rounding & (sine > 0), Label.UNRESOLVED, theory["predicted"]).astype(np.int8)
     unsteady = np.zeros(duration.shape)

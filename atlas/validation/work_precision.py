@@ -194,9 +194,9 @@ class _Runner:
         system = scene.system
         self.kernel = kernel(system, method, Specialization.of(system, *scene.vanishing()))
         self.cylinder = scene.settings.cylinder
-        self.start = np.ascontiguousarray(system.start(points))
+        self.start = np.ascontiguousarray(system.initial_state(points))
         self.constants = np.ascontiguousarray(system.constants(points))
-        conserved = dict(system.conserved(points))
+        conserved = dict(system.integral_scales(points))
         self.scales = measure.scales(system.equations, self.start, self.constants, conserved)
 
     def end(self, schedule: blocks.BlockSchedule, length: Array, threads: int | None = None) -> Array:

@@ -277,10 +277,10 @@ def test_equilibria_of_a_gyrostat_are_at_rest_and_counted():
     points |= {name: found[name].values for name in ("theta0", "psi0", "phi0")}
     rates = np.array(equations.rhs(initial.initial_state(points), initial.constants(points)))
     assert np.abs(rates).max() < 1e-9
-    flags, _ = SATELLITE.recognise(points)
+    flags, _ = SATELLITE.identify_family(points)
     assert (flags == SATELLITE.families["equilibrium"].flag).all()
     np.testing.assert_allclose(initial.directions(points)[1], found.gamma.values.T, atol=1e-12)
-    layer = {name: SATELLITE.layers[name].values(points, np.ones(2)) for name in SATELLITE.layers}
+    layer = {name: SATELLITE.derived[name].values(points, np.ones(2)) for name in SATELLITE.derived}
     np.testing.assert_array_equal(layer["equilibrium_count"], found.sizes["equilibrium"])
     np.testing.assert_array_equal(layer["equilibrium_stable_count"], int((found.stable == 1).sum()))
 
@@ -294,7 +294,7 @@ def test_circles_and_surfaces_of_equilibria():
     points = {p.name: np.full(2, p.default) for p in SATELLITE.parameters.values()} | {
         "C": np.array([1.0, 1.5])
     }
-    assert np.isnan(SATELLITE.layers["equilibrium_count"].values(points, np.ones(2))).all()
+    assert np.isnan(SATELLITE.derived["equilibrium_count"].values(points, np.ones(2))).all()
 
 
 def test_permanent_rotations_of_a_heavy_gyrostat():
@@ -344,7 +344,7 @@ def test_gravity_gradient_diagram_is_the_classical_one():
     found = grid.points_at_indices(
         small := load_scene(ROOT / "configs" / "gravity_gradient.toml"), np.arange(0, small.size, 37)
     )
-    flags, _ = SATELLITE.recognise(found.base)
+    flags, _ = SATELLITE.identify_family(found.base)
     stable, _ = linear_stability(found.base, flags)
     A, B, C = (found.base[name] for name in "ABC")
     K1, K3 = (C - A) / B, (C - B) / A

@@ -39,8 +39,11 @@ def integrate(p, counts, duration, *, method="rk4", threads=1, stride=1, parts=1
     """(measured, final state) of points with the given numbers of steps."""
     counts = np.broadcast_to(counts, p["A"].shape).astype(np.int64)
     strides, pieces = np.full(counts.shape, stride), np.full(counts.shape, parts)
-    state, constants = np.ascontiguousarray(SATELLITE.start(p)), np.ascontiguousarray(SATELLITE.constants(p))
-    scales = measure.scales(SATELLITE.equations, state, constants, SATELLITE.conserved(p))
+    state, constants = (
+        np.ascontiguousarray(SATELLITE.initial_state(p)),
+        np.ascontiguousarray(SATELLITE.constants(p)),
+    )
+    scales = measure.scales(SATELLITE.equations, state, constants, SATELLITE.integral_scales(p))
     out = blocks.integrate(
         kernel(SATELLITE, method), blocks.pack_blocks(counts, strides, pieces), duration / counts, state, constants, scales,
         cylinder, threads=threads,
@@ -50,7 +53,7 @@ def integrate(p, counts, duration, *, method="rk4", threads=1, stride=1, parts=1
 
 def reference(p, i, duration):
     """Final state of point i by DOP853, and its trajectory."""
-    state, constants = SATELLITE.start(p)[:, i], SATELLITE.constants(p)[:, i]
+    state, constants = SATELLITE.initial_state(p)[:, i], SATELLITE.constants(p)[:, i]
     solved = solve_ivp(
         lambda t, y: SATELLITE.equations.rhs(y, constants), (0, duration), state, "DOP853", rtol=1e-13, atol=1e-14,
         dense_output=True,

@@ -53,7 +53,7 @@ def test_a_kernel_that_leaves_terms_out_gives_the_same_to_roundoff(system, zero,
     points = random_points(kind, 20, np.random.default_rng(1), zero, symmetric)
     special = Specialization.of_points(kind, points)
     assert special != GENERIC
-    state, constants = kind.start(points), kind.constants(points)
+    state, constants = kind.initial_state(points), kind.constants(points)
     source = ast.unparse(next(n for n in ast.parse(Path(kind.equations.__file__).read_text()).body
                               if isinstance(n, ast.FunctionDef) and n.name == "rhs"))  # fmt: skip
     folded = simplify(source, special.zero, dict(special.same))
@@ -93,7 +93,7 @@ def test_the_units_of_the_kernels_change_no_motion(system, h):
     equations, points = kind.equations, random_points(kind, 20, np.random.default_rng(3))
     if "Omega" in points:
         points["Omega"][:4] = [0.0, 1e-120, 1e-90, -0.8]
-    state, constants = kind.start(points), kind.constants(points)
+    state, constants = kind.initial_state(points), kind.constants(points)
     inner, fixed = map(np.array, equations.scaled(state, constants, h))
     slopes = equations.scaled(np.array(equations.rhs(state, constants)), constants, h)[0]
     close = {"rtol": 1e-12, "atol": 1e-14 * h * h}

@@ -121,7 +121,7 @@ def test_points_are_on_the_family_and_nudged(small_scene):
     scene = load_scene(small_scene)
     found = grid.points_at_indices(scene, np.arange(scene.size))
     assert found.there.all()
-    family, residual = scene.system.recognise(found.base)
+    family, residual = scene.system.identify_family(found.base)
     assert (family == scene.system.families["perp_velocity"].flag).all()
     assert residual.max() < 1e-12
     np.testing.assert_allclose(found.points["theta0"] - found.base["theta0"], 1e-4, rtol=1e-10)
@@ -137,7 +137,7 @@ def test_offset_axis_passes_through_the_family(small_scene):
     )
     scene = load_scene(text)
     found = grid.points_at_indices(scene, np.arange(scene.size))
-    family, _ = scene.system.recognise(found.base)
+    family, _ = scene.system.identify_family(found.base)
     on = family.reshape(scene.shape) > 0
     assert on[:, :, 1].all()
     assert not on[:, :, [0, 2]].any()

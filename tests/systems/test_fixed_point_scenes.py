@@ -98,7 +98,7 @@ def test_scenes_hold_the_data_of_the_paper(body, name):
         wanted = fast_spin.paper_body(body, rotor)
         for field in ("A", "C", "weight", "N", "l1", "l2", "l3", "r0", "gamma0"):
             assert np.broadcast_to(getattr(spin, field), 6)[i] == pytest.approx(float(getattr(wanted, field)))
-        y = fast_spin.dimensionless(wanted, SYSTEM.start(found.points)[:, i])
+        y = fast_spin.dimensionless(wanted, SYSTEM.initial_state(found.points)[:, i])
         # the scene leaves out the part of order eps of p0
         np.testing.assert_allclose(y, fast_spin.paper_start(wanted), rtol=1e-6, atol=1e-4)
     assert found.duration * spin.r0 == pytest.approx(np.full(6, 4 * np.pi))
@@ -230,7 +230,7 @@ def test_vectors_nudge_a_start_given_by_vectors():
     nudged = grid.points_at_indices(
         scene_from(NUDGED | {"nudge": {"p0": 0.01, "gamma20": 0.01}}), np.arange(2)
     )
-    state = SYSTEM.start(nudged.points)
+    state = SYSTEM.initial_state(nudged.points)
     np.testing.assert_allclose(state[0], 0.11)
     np.testing.assert_allclose((state[3:] ** 2).sum(0), 1, rtol=1e-14)
 
@@ -239,7 +239,7 @@ def test_vectors_nudge_a_start_listed_among_points():
     table = {name: values for name, values in NUDGED.items() if name != "axes"}
     table |= {"points": {"values": {"r0": [1.0, 2.0]}}, "nudge": {"r0": 0.5}}
     nudged = grid.points_at_indices(scene_from(table), np.arange(2))
-    np.testing.assert_allclose(SYSTEM.start(nudged.points)[2], [1.5, 2.5])
+    np.testing.assert_allclose(SYSTEM.initial_state(nudged.points)[2], [1.5, 2.5])
 
 
 @pytest.mark.parametrize(

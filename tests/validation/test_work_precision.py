@@ -36,8 +36,8 @@ def points(system, size=1, **given):
 def ends(system, p, counts, duration, method):
     """Final states after `counts` steps to `duration`."""
     kind, size = SYSTEMS[system], p["A"].size
-    state, constants = np.ascontiguousarray(kind.start(p)), np.ascontiguousarray(kind.constants(p))
-    scales = measure.scales(kind.equations, state, constants, dict(kind.conserved(p)))
+    state, constants = np.ascontiguousarray(kind.initial_state(p)), np.ascontiguousarray(kind.constants(p))
+    scales = measure.scales(kind.equations, state, constants, dict(kind.integral_scales(p)))
     stepsize, length = np.full(size, counts), np.full(size, duration / counts)
     blocks.integrate(
         kernel(kind, method),
@@ -99,7 +99,7 @@ def test_order_on_the_free_gyrostat(system, rotor, method):
 def test_order_on_every_steady_family(system, method):
     kind = SYSTEMS[system]
     p = {"satellite": case_points, "fixed_point": of_cases}[system]()
-    flags, _ = kind.recognise(p)
+    flags, _ = kind.identify_family(p)
     on = np.flatnonzero(flags)
     p, flags = {name: values[on] for name, values in p.items()}, flags[on]
     duration = 20.0 / kind.frequency_bound(p)

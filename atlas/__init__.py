@@ -16,8 +16,8 @@ if TYPE_CHECKING:
     from .runs.runner import run as run
     from .scene.read import load_scene as load_scene
 
-# name -> module: imported when first used, so that reading a scene loads no compiler
-_FACE = {
+# Public name -> its module, which is imported when the name is first used: reading a scene loads no compiler.
+_MODULES = {
     "load_scene": "scene.read",
     "run": "runs.runner",
     "label_points": "label.points",
@@ -26,14 +26,14 @@ _FACE = {
     "equilibria": "analysis.catalogue",
     "BadInput": "errors",
 }
-__all__ = [*_FACE, "__version__"]
+__all__ = [*_MODULES, "__version__"]
 
 
 def __getattr__(name: str) -> Any:
-    if name in _FACE:
+    if name in _MODULES:
         from importlib import import_module
 
-        value = getattr(import_module(f".{_FACE[name]}", __name__), name)
+        value = getattr(import_module(f".{_MODULES[name]}", __name__), name)
         globals()[name] = value
         return value
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

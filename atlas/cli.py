@@ -1,4 +1,4 @@
-"""The `atlas` command: reads options, calls the package, prints. It knows no physics."""
+"""The `atlas` command: parses options, calls the package, prints. It contains no physics."""
 
 from __future__ import annotations
 
@@ -7,161 +7,50 @@ import csv
 import json
 import sys
 import textwrap
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import NoReturn
+from typing import Any, NoReturn, TypeAlias
 
 from ._version import __version__
 from .errors import BadInput
+from .files import check_folder
 
 DONE, FAILED, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130
+FIGURES = (".png", ".pdf", ".svg")
+
+
+Handler = Callable[[argparse.Namespace], int]
+Commands: TypeAlias = "argparse._SubParsersAction[_Parser]"
 
 
 class _Parser(argparse.ArgumentParser):
+    """A parser whose errors are one line."""
+
     def error(self, message: str) -> NoReturn:
         self.exit(BAD_INPUT, f"{self.prog}: {message} (see {self.prog} --help)\n")
 
 
-def parser() -> argparse.ArgumentParser:
-    """The command line, complete with help; builds without importing the compiler."""
-    top = _Parser(
-        prog="atlas",
-        description="Where in parameter space a gyrostat precesses regularly, rotates permanently or drifts.",
-        epilog="Exit codes: 0 done, 1 failed, 2 bad input, 130 interrupted.",
-    )
-    top.add_argument("--version", action="version", version=f"atlas {__version__}")
-    commands = top.add_subparsers(title="commands", metavar="COMMAND", required=True, parser_class=_Parser)
-
-    def command(name: str, act: Callable[[argparse.Namespace], int], text: str) -> argparse.ArgumentParser:
-        made = commands.add_parser(name, help=text, description=text[0].upper() + text[1:] + ".")
-        made.set_defaults(act=act)
-        return made
-
-    sub = command("run", _run, "integrate a scene and write its labelled atlas")
-    sub.add_argument("scene", metavar="SCENE", help="scene file (TOML)")
-    sub.add_argument(
-        "-o", "--out", metavar="OUT", help="NAME.nc, or NAME/ for a run folder, which the same command"
-        " continues (default: the scene's name with .nc)"
-    )  # fmt: skip
-    sub.add_argument("--threads", type=int, metavar="N", help="processors to use (default: all)")
-    sub.add_argument("--shard", metavar="I/N", help="compute the I-th of N parts of a run folder, from 1")
-    where = sub.add_mutually_exclusive_group()
-    where.add_argument("--scheduler", metavar="ADDRESS", help="compute on the workers of a dask scheduler")
-    where.add_argument("--workers", type=int, metavar="N", help="compute in so many processes of one thread")
-    sub.add_argument("--dry-run", action="store_true", help="print size, time, memory and error to expect")
-    sub.add_argument("--force", action="store_true", help="replace an existing atlas")
-    sub.add_argument("--quiet", action="store_true", help="print no progress")
-
-    sub = command("status", _status, "tell how far a run folder is")
-    sub.add_argument("folder", metavar="RUN", help="run folder")
-
-    sub = command("join", _join, "write a finished run folder as one file")
-    sub.add_argument("folder", metavar="RUN", help="run folder")
-    sub.add_argument("-o", "--out", metavar="FILE", required=True, help="atlas to write (.nc)")
-    sub.add_argument("--force", action="store_true", help="replace an existing file")
-
-    sub = command("check", _check, "check a scene without running it")
-    sub.add_argument("scene", metavar="SCENE", help="scene file (TOML)")
-
-    sub = command("points", _points, "label points of a file, which names their parameters")
-    sub.add_argument("system", metavar="SYSTEM", help="satellite or fixed_point")
-    sub.add_argument("points", metavar="POINTS", help=".csv with names in its first line, or .nc")
-    sub.add_argument("-o", "--out", metavar="FILE", required=True, help=".nc, or .csv")
-    sub.add_argument("--duration", type=float, default=60.0, metavar="T", help="time units (default: 60)")
-    sub.add_argument("--method", default="rk4", metavar="NAME", help="rk4 or rk8 (default: rk4)")
-    size = sub.add_mutually_exclusive_group()
-    size.add_argument(
-        "--tolerance", type=float, default=1e-8, metavar="E", help="as in a scene (default: 1e-8)"
-    )
-    size.add_argument("--step", type=float, metavar="H", help="time units")
-    sub.add_argument(
-        "--rate-tolerance", type=float, default=1e-5, metavar="R", help="rad per time unit (default: 1e-5)"
-    )
-    sub.add_argument("--threads", type=int, metavar="N", help="processors to use (default: all)")
-    sub.add_argument("--force", action="store_true", help="replace an existing file")
-    sub.add_argument("--quiet", action="store_true", help="print no progress")
-
-    sub = command("compare", _compare, "print an atlas beside theory: confusion table, worst disagreements")
-    sub.add_argument("atlas", metavar="ATLAS", help="atlas file (.nc) or run folder")
-    sub.add_argument("--worst", type=int, default=5, metavar="N", help="disagreements to name (default: 5)")
-
-    sub = command("map", _map, "draw a map of an atlas")
-    sub.add_argument("atlas", metavar="ATLAS", help="atlas file (.nc) or run folder")
-    sub.add_argument(
-        "-o", "--out", metavar="FIGURE", help=".png, .pdf or .svg (default: ATLAS.png and ATLAS.pdf)"
-    )
-    sub.add_argument("--variable", default=None, metavar="NAME", help="what to map (default: label)")
-    sub.add_argument("--x", metavar="AXIS", help="horizontal axis (default: the first)")
-    sub.add_argument("--y", metavar="AXIS", help="vertical axis (default: the second)")
-    sub.add_argument(
-        "--select", action="append", default=[], metavar="AXIS=VALUE", help="place on another axis"
-    )
-    sub.add_argument("--width", choices=("column", "page"), default="column", help="journal width")
-    sub.add_argument("--caption", action="store_true", help="print a caption for the figure")
-    sub.add_argument("--force", action="store_true", help="replace existing figures")
-
-    sub = command("trajectory", _trajectory, "follow one point of a scene in time")
-    sub.add_argument("scene", metavar="SCENE", help="scene file (TOML)")
-    sub.add_argument(
-        "--at", nargs="+", default=[], metavar="AXIS=VALUE", help="place of the point, a value for every axis"
-    )
-    sub.add_argument(
-        "-o", "--out", metavar="OUT", help=".png, .pdf, .svg or .nc (default: SCENE_trajectory.png)"
-    )
-    sub.add_argument(
-        "--samples", type=int, default=1001, metavar="N", help="instants to keep (default: 1001)"
-    )
-    sub.add_argument("--force", action="store_true", help="replace an existing file")
-
-    sub = command("accuracy", _accuracy, "show error against run time for some points of a scene")
-    sub.add_argument("scene", metavar="SCENE", help="scene file (TOML)")
-    sub.add_argument(
-        "-o", "--out", action="append", default=[], metavar="OUT",
-        help=".nc for every number, .csv for the table, .png, .pdf or .svg for the figure; may be repeated",
-    )  # fmt: skip
-    sub.add_argument("--points", type=int, default=64, metavar="N", help="points to try (default: 64)")
-    sub.add_argument("--force", action="store_true", help="replace existing files")
-
-    sub = command("conditions", _conditions, "print the families of steady motions and their conditions")
-    sub.add_argument("system", metavar="SYSTEM", nargs="?", default="satellite", help="default: satellite")
-    sub.add_argument("--family", metavar="NAME", help="one family in detail")
-    sub.add_argument("--errata", action="store_true", help="the paper's equations that differ from the truth")
-    form = sub.add_mutually_exclusive_group()
-    form.add_argument("--csv", action="store_true", help="comma-separated values, one row for each")
-    form.add_argument("--json", action="store_true", help="JSON, with every printed equation")
-
-    sub = command("stress", _stress, "run stiff and extreme cases and hold every label against the truth")
-    sub.add_argument("system", metavar="SYSTEM", nargs="?", help="one system (default: all)")
-    sub.add_argument("-o", "--out", metavar="FOLDER", help="write SYSTEM.nc and SYSTEM.png there")
-    sub.add_argument("--threads", type=int, metavar="N", help="processors to use (default: all)")
-    sub.add_argument("--force", action="store_true", help="replace existing files")
-
-    sub = command("figures", _figures, "draw figures 1-20 of Amer et al., as printed and as true")
-    sub.add_argument("-o", "--out", default="figures", metavar="FOLDER", help="where to (default: figures)")
-    sub.add_argument("--only", type=int, nargs="+", metavar="N", help="which figures (default: all)")
-    sub.add_argument(
-        "--format", choices=("png", "pdf", "svg"), nargs="+", default=["png", "pdf"], help="default: png pdf"
-    )
-    sub.add_argument(
-        "--table", action="store_true", help="print amplitudes, periods and the paper's claims; draw nothing"
-    )
-    sub.add_argument("--force", action="store_true", help="replace existing figures")
-
-    sub = command("cache", _cache, "list the compiled kernels")
-    sub.add_argument("--clear", action="store_true", help="remove them")
-    return top
-
-
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run one command; returns the exit code."""
+    """Run one command.
+
+    Parameters
+    ----------
+    arguments : sequence of str, optional
+        Name of the command and its options; by default those of the process.
+
+    Returns
+    -------
+    int
+        Exit code: 0 done, 1 failed, 2 bad input, 130 interrupted.
+    """
     try:
         options = parser().parse_args(arguments)
-        return int(options.act(options))
-    except BadInput as complaint:
-        print(f"atlas: {complaint}", file=sys.stderr)
+        return int(options.handler(options))
+    except BadInput as error:
+        print(f"atlas: {error}", file=sys.stderr)
         return BAD_INPUT
     except KeyboardInterrupt:
-        print("atlas: interrupted; what is finished is kept, nothing is half written", file=sys.stderr)
+        print("atlas: interrupted; finished work is kept, and no file is half written", file=sys.stderr)
         return INTERRUPTED
     except BrokenPipeError:
         sys.stderr.close()
@@ -171,12 +60,68 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return FAILED
 
 
+def parser() -> argparse.ArgumentParser:
+    """The command line with its help; building it imports no compiler."""
+    top = _Parser(
+        prog="atlas",
+        description="Where in parameter space a gyrostat precesses regularly, rotates permanently or drifts.",
+        epilog="Exit codes: 0 done, 1 failed, 2 bad input, 130 interrupted.",
+    )
+    top.add_argument("--version", action="version", version=f"atlas {__version__}")
+    commands = top.add_subparsers(title="commands", metavar="COMMAND", required=True, parser_class=_Parser)
+    for add in (
+        _add_run,
+        _add_status,
+        _add_join,
+        _add_check,
+        _add_points,
+        _add_compare,
+        _add_map,
+        _add_trajectory,
+        _add_accuracy,
+        _add_conditions,
+        _add_stress,
+        _add_figures,
+        _add_cache,
+    ):
+        add(commands)
+    return top
+
+
+def _command(commands: Commands, name: str, handler: Handler, text: str) -> argparse.ArgumentParser:
+    """A new command; text: what it does, in one line."""
+    command = commands.add_parser(name, help=text, description=text[0].upper() + text[1:] + ".")
+    command.set_defaults(handler=handler)
+    return command
+
+
+def _add_run(commands: Commands) -> None:
+    command = _command(commands, "run", _run, "integrate a scene and write its labelled atlas")
+    _scene_option(command)
+    command.add_argument(
+        "-o",
+        "--out",
+        metavar="OUT",
+        help="NAME.nc, or NAME/ for a run folder, which the same command continues"
+        " (default: the scene's name with .nc)",
+    )
+    _threads_option(command)
+    command.add_argument("--shard", metavar="I/N", help="compute part I of N of a run folder, counted from 1")
+    where = command.add_mutually_exclusive_group()
+    where.add_argument("--scheduler", metavar="ADDRESS", help="compute on the workers of this dask scheduler")
+    where.add_argument("--workers", type=int, metavar="N", help="compute in N processes of one thread each")
+    command.add_argument(
+        "--dry-run", action="store_true", help="print the expected size, time, memory and error"
+    )
+    _force_option(command, "an existing atlas")
+    _quiet_option(command)
+
+
 def _run(options: argparse.Namespace) -> int:
     from .scene.read import load_scene
 
-    for name in ("threads", "workers"):
-        if (number := getattr(options, name)) is not None and number < 1:
-            raise BadInput(f"--{name} {number}: must be at least 1")
+    _check_positive("--threads", options.threads)
+    _check_positive("--workers", options.workers)
     shard = _shard(options.shard)
     scene = load_scene(options.scene)
     out = options.out or Path(options.scene).stem + ".nc"
@@ -188,9 +133,15 @@ def _run(options: argparse.Namespace) -> int:
         print(dry_run(scene, threads=options.threads, workers=options.workers))
         return DONE
     ds = run(
-        scene, out, threads=options.threads, progress=not options.quiet, force=options.force,
-        shard=shard, scheduler=options.scheduler, workers=options.workers,
-    )  # fmt: skip
+        scene,
+        out,
+        threads=options.threads,
+        progress=not options.quiet,
+        force=options.force,
+        shard=shard,
+        scheduler=options.scheduler,
+        workers=options.workers,
+    )
     if shard is None:
         print(summary(ds))
         print(f"wrote {out}")
@@ -200,12 +151,18 @@ def _run(options: argparse.Namespace) -> int:
 
 
 def _shard(text: str | None) -> tuple[int, int] | None:
+    """Number of the shard, from 1, and how many there are."""
     if text is None:
         return None
-    part, sign, parts = text.partition("/")
-    if not (sign and part.isdecimal() and parts.isdecimal() and 1 <= int(part) <= int(parts)):
+    shard, slash, count = text.partition("/")
+    if not (slash and shard.isdecimal() and count.isdecimal() and 1 <= int(shard) <= int(count)):
         raise BadInput(f"--shard {text}: must be I/N with whole numbers, 1 <= I <= N")
-    return int(part), int(parts)
+    return int(shard), int(count)
+
+
+def _add_status(commands: Commands) -> None:
+    command = _command(commands, "status", _status, "print the progress of a run folder")
+    command.add_argument("folder", metavar="RUN", help="run folder")
 
 
 def _status(options: argparse.Namespace) -> int:
@@ -215,14 +172,24 @@ def _status(options: argparse.Namespace) -> int:
     return DONE
 
 
+def _add_join(commands: Commands) -> None:
+    command = _command(commands, "join", _join, "write a finished run folder as one file")
+    command.add_argument("folder", metavar="RUN", help="run folder")
+    command.add_argument("-o", "--out", metavar="FILE", required=True, help="atlas to write (.nc)")
+    _force_option(command, "an existing file")
+
+
 def _join(options: argparse.Namespace) -> int:
-    from .io import netcdf
     from .runs.folder import RunFolder
 
     folder = RunFolder.open(options.folder)
-    folder.join(netcdf.writable(options.out, force=options.force))
+    folder.join(output_path(options.out, (".nc",), force=options.force))
     print(f"wrote {options.out}")
     return DONE
+
+
+def _add_check(commands: Commands) -> None:
+    _scene_option(_command(commands, "check", _check, "check a scene without running it"))
 
 
 def _check(options: argparse.Namespace) -> int:
@@ -230,45 +197,94 @@ def _check(options: argparse.Namespace) -> int:
     from .scene.read import load_scene
 
     scene = load_scene(options.scene)
-    checked = grid.check(scene)
+    points = grid.check(scene)
     shape = " x ".join(f"{name} {count}" for name, count in zip(scene.axes, scene.shape, strict=True))
     print(
         f"{scene.title}\nsystem {scene.system.name}: {shape} = {scene.size} points, duration {scene.duration}"
     )
-    if not checked.there.all():
-        print(f"the family {scene.family} exists at {100 * checked.there.mean():.1f} % of them")
-    for remark in scene.system.warnings(checked.base):
-        print(f"warning: {remark}")
+    if not points.exists.all():
+        print(f"the family {scene.family} exists at {100 * points.exists.mean():.1f} % of them")
+    for warning in scene.system.warnings(points.base):
+        print(f"warning: {warning}")
     return DONE
 
 
+def _add_points(commands: Commands) -> None:
+    from .scene.model import DEFAULTS, Duration
+
+    command = _command(commands, "points", _points, "label points of a file, which names their parameters")
+    command.add_argument("system", metavar="SYSTEM", help="satellite or fixed_point")
+    command.add_argument("points", metavar="POINTS", help=".csv with names in its first line, or .nc")
+    command.add_argument("-o", "--out", metavar="FILE", required=True, help=".nc, or .csv")
+    command.add_argument(
+        "--duration",
+        type=float,
+        default=Duration().amount,
+        metavar="T",
+        help="time units (default: %(default)g)",
+    )
+    command.add_argument(
+        "--method", default=DEFAULTS.method, metavar="NAME", help="rk4 or rk8 (default: %(default)s)"
+    )
+    size = command.add_mutually_exclusive_group()
+    size.add_argument(
+        "--tolerance",
+        type=float,
+        default=DEFAULTS.tolerance,
+        metavar="E",
+        help="as in a scene (default: %(default)g)",
+    )
+    size.add_argument("--step", type=float, metavar="H", help="time units")
+    command.add_argument(
+        "--rate-tolerance",
+        type=float,
+        default=DEFAULTS.rate_tolerance,
+        metavar="R",
+        help="rad per time unit (default: %(default)g)",
+    )
+    _threads_option(command)
+    _force_option(command, "an existing file")
+    _quiet_option(command)
+
+
 def _points(options: argparse.Namespace) -> int:
-    from . import files, systems
+    from . import systems
+    from .io import csv as csv_file
     from .io import netcdf
     from .scene import tables
 
-    out = Path(options.out)
-    if options.threads is not None and options.threads < 1:
-        raise BadInput(f"--threads {options.threads}: must be at least 1")
-    if out.suffix not in tables.FORMATS:
-        raise BadInput(f"{out}: the name must end in {' or '.join(tables.FORMATS)}")
-    files.check_folder(out)
-    if out.exists() and not options.force:
-        raise BadInput(f"{out}: this file exists; --force replaces it")
+    _check_positive("--threads", options.threads)
+    out = output_path(options.out, tables.FORMATS, force=options.force)
     system = systems.get(options.system)
     columns = tables.read(options.points, system.parameters)
     from .analysis.summary import summary
     from .label.points import label_points
 
     ds = label_points(
-        system.name, columns, duration=options.duration, step=options.step, tolerance=options.tolerance,
-        method=options.method, rate_tolerance=options.rate_tolerance, threads=options.threads,
+        system.name,
+        columns,
+        duration=options.duration,
+        step=options.step,
+        tolerance=options.tolerance,
+        method=options.method,
+        rate_tolerance=options.rate_tolerance,
+        threads=options.threads,
         progress=not options.quiet,
-    )  # fmt: skip
-    (tables.write_csv if out.suffix == ".csv" else netcdf.write)(ds, out)
+    )
+    (csv_file if out.suffix.lower() == ".csv" else netcdf).write(ds, out)
     print(summary(ds))
     print(f"wrote {out}")
     return DONE
+
+
+def _add_compare(commands: Commands) -> None:
+    command = _command(
+        commands, "compare", _compare, "print an atlas beside theory: confusion table, worst disagreements"
+    )
+    _atlas_option(command)
+    command.add_argument(
+        "--worst", type=int, default=5, metavar="N", help="disagreements to list (default: %(default)s)"
+    )
 
 
 def _compare(options: argparse.Namespace) -> int:
@@ -285,56 +301,83 @@ def _compare(options: argparse.Namespace) -> int:
     return DONE
 
 
+def _add_map(commands: Commands) -> None:
+    command = _command(commands, "map", _map, "draw a map of an atlas")
+    _atlas_option(command)
+    command.add_argument(
+        "-o", "--out", metavar="FIGURE", help=".png, .pdf or .svg (default: ATLAS.png and ATLAS.pdf)"
+    )
+    command.add_argument("--variable", metavar="NAME", help="what to map (default: label)")
+    command.add_argument("--x", metavar="AXIS", help="horizontal axis (default: the first)")
+    command.add_argument("--y", metavar="AXIS", help="vertical axis (default: the second)")
+    command.add_argument(
+        "--select", action="append", default=[], metavar="AXIS=VALUE", help="place on another axis"
+    )
+    command.add_argument("--width", choices=("column", "page"), default="column", help="journal width")
+    command.add_argument("--caption", action="store_true", help="print a caption for the figure")
+    _force_option(command, "existing figures")
+
+
 def _map(options: argparse.Namespace) -> int:
-    from .plotting import maps, style
+    from .plotting import maps, style, text
     from .runs.open import open_atlas
 
     stem = Path(options.atlas).with_suffix("")
-    amer2013 = [Path(options.out)] if options.out else [stem.with_suffix(".png"), stem.with_suffix(".pdf")]
-    for figure in amer2013:
-        if figure.exists() and not options.force:
-            raise BadInput(f"{figure}: this file exists; --force replaces it")
-    select = _places("--select", options.select)
+    names = [options.out] if options.out else [stem.with_suffix(".png"), stem.with_suffix(".pdf")]
+    paths = [output_path(name, FIGURES, force=options.force) for name in names]
+    select = _axis_values("--select", options.select)
     with open_atlas(options.atlas) as ds:
-        drawn = maps.atlas_map(
+        figure = maps.atlas_map(
             ds, options.variable, x=options.x, y=options.y, select=select or None, width=options.width
         )
         if options.caption:
-            print(maps.caption(ds))
-    for figure in amer2013:
-        style.save(drawn, figure)
-        print(f"wrote {figure}")
+            print(text.caption(ds))
+    for path in paths:
+        style.save(figure, path)
+        print(f"wrote {path}")
     return DONE
 
 
-def _places(option: str, texts: Sequence[str]) -> dict[str, float]:
+def _axis_values(option: str, texts: Sequence[str]) -> dict[str, float]:
     """AXIS=VALUE options as numbers by axis."""
-    places = {}
+    values = {}
     for text in texts:
         name, _, value = text.partition("=")
         try:
-            places[name] = float(value)
+            values[name] = float(value)
         except ValueError:
             raise BadInput(f"{option} {text}: must be AXIS=VALUE with a number") from None
-    return places
+    return values
+
+
+def _add_trajectory(commands: Commands) -> None:
+    command = _command(
+        commands, "trajectory", _trajectory, "integrate one point of a scene and draw its motion"
+    )
+    _scene_option(command)
+    command.add_argument(
+        "--at", nargs="+", default=[], metavar="AXIS=VALUE", help="place of the point, a value for every axis"
+    )
+    command.add_argument(
+        "-o", "--out", metavar="OUT", help=".png, .pdf, .svg or .nc (default: SCENE_trajectory.png)"
+    )
+    command.add_argument(
+        "--samples", type=int, default=1001, metavar="N", help="instants to keep (default: %(default)s)"
+    )
+    _force_option(command, "an existing file")
 
 
 def _trajectory(options: argparse.Namespace) -> int:
-    from . import files
     from .io import netcdf
     from .scene.read import load_scene
 
     scene = load_scene(options.scene)
-    out = Path(options.out or Path(options.scene).stem + "_trajectory.png")
-    if out.suffix not in (".nc", ".png", ".pdf", ".svg"):
-        raise BadInput(f"{out}: the name must end in .nc, .png, .pdf or .svg")
-    files.check_folder(out)
-    if out.exists() and not options.force:
-        raise BadInput(f"{out}: this file exists; --force replaces it")
+    name = options.out or Path(options.scene).stem + "_trajectory.png"
+    out = output_path(name, (".nc", *FIGURES), force=options.force)
     from .label.trajectory import trajectory_of_scene
 
-    tr = trajectory_of_scene(scene, _places("--at", options.at), samples=options.samples)
-    if out.suffix == ".nc":
+    tr = trajectory_of_scene(scene, _axis_values("--at", options.at), samples=options.samples)
+    if out.suffix.lower() == ".nc":
         netcdf.write(tr, out)
     else:
         from .plotting import style, trajectory
@@ -345,33 +388,60 @@ def _trajectory(options: argparse.Namespace) -> int:
     return DONE
 
 
+def _add_accuracy(commands: Commands) -> None:
+    command = _command(
+        commands, "accuracy", _accuracy, "measure error against run time at some points of a scene"
+    )
+    _scene_option(command)
+    command.add_argument(
+        "-o",
+        "--out",
+        action="append",
+        default=[],
+        metavar="OUT",
+        help=".nc for every number, .csv for the table, .png, .pdf or .svg for the figure; may be repeated",
+    )
+    command.add_argument(
+        "--points", type=int, default=64, metavar="N", help="points to integrate (default: %(default)s)"
+    )
+    _force_option(command, "existing files")
+
+
 def _accuracy(options: argparse.Namespace) -> int:
-    from . import files
-    from .io import netcdf
-    from .plotting.work_precision import figure
     from .scene.read import load_scene
-    from .validation import work_precision
 
-    outs = [Path(out) for out in options.out]
+    outs = [output_path(out, (".nc", ".csv", *FIGURES), force=options.force) for out in options.out]
+    scene = load_scene(options.scene)
+    from .io import netcdf
+    from .plotting import style
+    from .plotting.work_precision import figure
+    from .validation import work_precision, work_precision_report
+
+    ds = work_precision.work_precision(scene, options.points, progress=True)
+    print(work_precision_report.report(ds))
     for out in outs:
-        if out.suffix not in (".nc", ".csv", ".png", ".pdf", ".svg"):
-            raise BadInput(f"{out}: the name must end in .nc, .csv, .png, .pdf or .svg")
-        files.check_folder(out)
-        if out.exists() and not options.force:
-            raise BadInput(f"{out}: this file exists; --force replaces it")
-    ds = work_precision.work_precision(load_scene(options.scene), options.points, progress=True)
-    print(work_precision.report(ds))
-    for out in outs:
-        if out.suffix == ".nc":
+        if out.suffix.lower() == ".nc":
             netcdf.write(ds, out)
-        elif out.suffix == ".csv":
-            out.write_text(work_precision.table(ds))
+        elif out.suffix.lower() == ".csv":
+            out.write_text(work_precision_report.table(ds))
         else:
-            from .plotting import style
-
             style.save(figure(ds), out)
         print(f"wrote {out}")
     return DONE
+
+
+def _add_conditions(commands: Commands) -> None:
+    command = _command(
+        commands, "conditions", _conditions, "print the families of steady motions and their conditions"
+    )
+    command.add_argument(
+        "system", metavar="SYSTEM", nargs="?", default="satellite", help="default: satellite"
+    )
+    command.add_argument("--family", metavar="NAME", help="one family in detail")
+    command.add_argument("--errata", action="store_true", help="only the paper's equations that are wrong")
+    form = command.add_mutually_exclusive_group()
+    form.add_argument("--csv", action="store_true", help="comma-separated values, one row for each")
+    form.add_argument("--json", action="store_true", help="JSON, with every printed equation")
 
 
 def _conditions(options: argparse.Namespace) -> int:
@@ -381,84 +451,105 @@ def _conditions(options: argparse.Namespace) -> int:
     system = systems.get(options.system)
     families = catalogue.families(system, options.family)
     if options.json:
-        found: dict[str, object] = {"system": system.name, "reference": system.reference, "doi": system.doi}
-        found |= {} if options.errata else {"families": families}
-        found["printed"] = catalogue.published(system, options.family, options.errata)
-        print(json.dumps(found, indent=1, ensure_ascii=False))
+        content: dict[str, object] = {"system": system.name, "reference": system.reference, "doi": system.doi}
+        if not options.errata:
+            content["families"] = families
+        content["printed"] = catalogue.published(system, options.family, options.errata)
+        print(json.dumps(content, indent=1, ensure_ascii=False))
         return DONE
     rows = catalogue.published(system, options.family, errata=True) if options.errata else families
     if options.csv:
-        writer = csv.DictWriter(sys.stdout, rows[0] if rows else ["equation"], lineterminator="\n")
-        writer.writeheader()
-        writer.writerows(
-            {key: "; ".join(value) if isinstance(value, list) else value for key, value in row.items()}
-            for row in rows
-        )
-        return DONE
-    if options.errata:
-        for row in rows:
-            print(f"{row['equation']}  {row['family']}".rstrip() + f": {row['verdict']}")
-            print(f"  printed: {row['printed']}\n  true:    {row['true']}")
-            if row["measure"]:
-                print(f"  residual as printed {_residual(row['residual_printed'])}, as true {_residual(row['residual_true'])}:"
-                      f" {row['measure']}")  # fmt: skip
-            if row["effect"]:
-                print(f"  {row['effect']}")
+        _print_csv(rows)
+    elif options.errata:
+        _print_errata(rows)
         print(f"{len(rows)} equations differ; {system.reference}")
-        return DONE
-    if options.family is not None:
-        for key, value in rows[0].items():
-            text = _residual(value) if key.startswith("residual") else value
-            lines = text if isinstance(text, list) else textwrap.wrap(text, 100)
-            print(key.replace("_", " "), *(lines or ["-"]), sep="\n    ")
-        return DONE
-    columns = [("family", "equations", "solves for", "as printed", "as true", "motion")]
-    columns += [
-        (
-            row["family"], row["equations"], " ".join(row["solves_for"]) or "-",
-            _residual(row["residual_printed"]), _residual(row["residual_true"]), row["motion"],
-        )
-        for row in rows
-    ]  # fmt: skip
-    print(table(columns))
-    equations = [("equation", "family", "as printed", "as true", "verdict")]
-    equations += [
-        (
-            row["equation"], row["family"] or "-",
-            _residual(row["residual_printed"]), _residual(row["residual_true"]), row["verdict"],
-        )
-        for row in catalogue.published(system)
-    ]  # fmt: skip
-    print(f"\n{system.reference}:\n{table(equations)}")
-    print(
-        "as printed, as true: residual of the two readings at random parameters (of a family: the largest of its"
-        " equations);\n--errata says what differs, --family NAME gives conditions and formulas"
-    )
+    elif options.family is not None:
+        _print_family(rows[0])
+    else:
+        _print_catalogue(families, catalogue.published(system), system.reference)
     return DONE
 
 
+def _print_csv(rows: Sequence[Mapping[str, Any]]) -> None:
+    """Print rows as comma-separated values, lists joined by semicolons."""
+    writer = csv.DictWriter(sys.stdout, rows[0] if rows else ["equation"], lineterminator="\n")
+    writer.writeheader()
+    writer.writerows(
+        {key: "; ".join(value) if isinstance(value, list) else value for key, value in row.items()}
+        for row in rows
+    )
+
+
+def _print_errata(rows: Sequence[Mapping[str, Any]]) -> None:
+    """Print the equations whose printed reading is not the true one."""
+    for row in rows:
+        print(f"{row['equation']}  {row['family']}".rstrip() + f": {row['verdict']}")
+        print(f"  printed: {row['printed']}\n  true:    {row['true']}")
+        if row["measure"]:
+            printed, true = _residual(row["residual_printed"]), _residual(row["residual_true"])
+            print(f"  residual as printed {printed}, as true {true}: {row['measure']}")
+        if row["effect"]:
+            print(f"  {row['effect']}")
+
+
+def _print_family(row: Mapping[str, Any]) -> None:
+    """Print every field of one family."""
+    for key, value in row.items():
+        text = _residual(value) if key.startswith("residual") else value
+        lines = text if isinstance(text, list) else textwrap.wrap(text, 100)
+        print(key.replace("_", " "), *(lines or ["-"]), sep="\n    ")
+
+
+def _print_catalogue(
+    families: Sequence[Mapping[str, Any]], published: Sequence[Mapping[str, Any]], reference: str
+) -> None:
+    """Print all families and all published equations as two tables."""
+
+    def residuals(row: Mapping[str, Any]) -> tuple[str, str]:
+        return _residual(row["residual_printed"]), _residual(row["residual_true"])
+
+    rows: list[tuple[str, ...]] = [("family", "equations", "solves for", "as printed", "as true", "motion")]
+    for row in families:
+        solves_for = " ".join(row["solves_for"]) or "-"
+        rows.append((row["family"], row["equations"], solves_for, *residuals(row), row["motion"]))
+    print(table(rows))
+    rows = [("equation", "family", "as printed", "as true", "verdict")]
+    rows += [(row["equation"], row["family"] or "-", *residuals(row), row["verdict"]) for row in published]
+    print(f"\n{reference}:\n{table(rows)}")
+    print(
+        "as printed, as true: residual of the two readings at random parameters (of a family: the largest of its"
+        " equations);\n--errata lists what differs, --family NAME gives conditions and formulas"
+    )
+
+
 def _residual(value: float | None) -> str:
+    """A residual to two digits; a dash where there is nothing to measure."""
     return "-" if value is None else f"{value:.1e}"
+
+
+def _add_stress(commands: Commands) -> None:
+    command = _command(
+        commands, "stress", _stress, "run stiff and extreme cases and compare every label with the true one"
+    )
+    command.add_argument("system", metavar="SYSTEM", nargs="?", help="one system (default: all)")
+    command.add_argument("-o", "--out", metavar="FOLDER", help="write SYSTEM.nc and SYSTEM.png there")
+    _threads_option(command)
+    _force_option(command, "existing files")
 
 
 def _stress(options: argparse.Namespace) -> int:
     from . import systems
+
+    _check_positive("--threads", options.threads)
+    with_cases = [name for name, system in systems.SYSTEMS.items() if system.stress_cases()]
+    names = [systems.get(options.system).name] if options.system else with_cases
+    files = [f"{name}{suffix}" for name in names for suffix in (".nc", ".png")]
+    folder = output_folder(options.out, files, force=options.force) if options.out else None
     from .io import netcdf
     from .plotting.stress import figure
     from .plotting.style import save
-    from .validation import limits, stress, stress_cases
+    from .validation import limits, stress
 
-    if options.threads is not None and options.threads < 1:
-        raise BadInput(f"--threads {options.threads}: must be at least 1")
-    names = [systems.get(options.system).name] if options.system else list(stress_cases.STRESS_CASES)
-    folder = Path(options.out) if options.out else None
-    if folder is not None:
-        for path in (folder / f"{name}{suffix}" for name in names for suffix in (".nc", ".png")):
-            if path.exists() and not options.force:
-                raise BadInput(f"{path}: this file exists; --force replaces it")
-        if folder.exists() and not folder.is_dir():
-            raise BadInput(f"{folder}: not a folder")
-        folder.mkdir(parents=True, exist_ok=True)
     wrong = 0
     for name in names:
         ds = stress.stress(name, threads=options.threads)
@@ -473,32 +564,50 @@ def _stress(options: argparse.Namespace) -> int:
     return FAILED if wrong else DONE
 
 
+def _add_figures(commands: Commands) -> None:
+    command = _command(
+        commands, "figures", _figures, "draw figures 1-20 of Amer et al., as printed and as true"
+    )
+    command.add_argument(
+        "-o",
+        "--out",
+        default="figures",
+        metavar="FOLDER",
+        help="folder of the figures (default: %(default)s)",
+    )
+    command.add_argument("--only", type=int, nargs="+", metavar="N", help="which figures (default: all)")
+    command.add_argument(
+        "--format", choices=("png", "pdf", "svg"), nargs="+", default=["png", "pdf"], help="default: png pdf"
+    )
+    command.add_argument(
+        "--table", action="store_true", help="print amplitudes, periods and the paper's claims; draw nothing"
+    )
+    _force_option(command, "existing figures")
+
+
 def _figures(options: argparse.Namespace) -> int:
     from .plotting import amer2013
     from .plotting.style import save
-    from .systems.fixed_point.paper import fast_spin
 
     if options.table:
-        rows = fast_spin.figure_table()
-        print(table(amer2013.amplitude_table(rows)))
-        for claim in fast_spin.claims(rows):
-            print(f"\n{'holds' if claim.holds else 'does not hold'}: {claim.text}\n  {claim.measured}")
+        rows, claims = amer2013.amplitudes_and_claims()
+        print("\n\n".join([table(rows), *claims]))
         return DONE
-    wanted = [amer2013.paper_figure(number) for number in options.only or amer2013.NUMBERS]
-    folder = Path(options.out)
-    paths = [[folder / f"figure_{figure.number:02d}.{kind}" for kind in options.format] for figure in wanted]
-    for path in (path for row in paths for path in row):
-        if path.exists() and not options.force:
-            raise BadInput(f"{path}: this file exists; --force replaces it")
-    if folder.exists() and not folder.is_dir():
-        raise BadInput(f"{folder}: not a folder")
-    folder.mkdir(parents=True, exist_ok=True)
-    for figure, row in zip(wanted, paths, strict=True):
+    figures = [amer2013.paper_figure(number) for number in options.only or amer2013.NUMBERS]
+    files = [f"figure_{figure.number:02d}.{kind}" for figure in figures for kind in options.format]
+    folder = output_folder(options.out, files, force=options.force)
+    for figure in figures:
         drawn = amer2013.draw(figure.number)
-        for path in row:
+        paths = [folder / f"figure_{figure.number:02d}.{kind}" for kind in options.format]
+        for path in paths:
             save(drawn, path)
-        print(f"wrote {' and '.join(str(path) for path in row)}: {figure.caption}")
+        print(f"wrote {' and '.join(map(str, paths))}: {figure.caption}")
     return DONE
+
+
+def _add_cache(commands: Commands) -> None:
+    command = _command(commands, "cache", _cache, "list the compiled kernels")
+    command.add_argument("--clear", action="store_true", help="remove them")
 
 
 def _cache(options: argparse.Namespace) -> int:
@@ -507,11 +616,80 @@ def _cache(options: argparse.Namespace) -> int:
     if options.clear:
         print(f"removed {jit.clear()} kernels from {jit.cache_folder()}")
         return DONE
-    found = jit.cached()
-    print(f"{jit.cache_folder()}: {len(found)} kernels, {sum(size for _, size, _ in found) / 1e6:.1f} MB")
-    for name, size, _ in found:
+    kernels = jit.cached()
+    print(f"{jit.cache_folder()}: {len(kernels)} kernels, {sum(size for _, size, _ in kernels) / 1e6:.1f} MB")
+    for name, size, _ in kernels:
         print(f"  {name}  {size / 1e6:.1f} MB")
     return DONE
+
+
+def _scene_option(command: argparse.ArgumentParser) -> None:
+    command.add_argument("scene", metavar="SCENE", help="scene file (TOML)")
+
+
+def _atlas_option(command: argparse.ArgumentParser) -> None:
+    command.add_argument("atlas", metavar="ATLAS", help="atlas file (.nc) or run folder")
+
+
+def _threads_option(command: argparse.ArgumentParser) -> None:
+    command.add_argument("--threads", type=int, metavar="N", help="processors to use (default: all)")
+
+
+def _force_option(command: argparse.ArgumentParser, what: str) -> None:
+    command.add_argument("--force", action="store_true", help=f"replace {what}")
+
+
+def _quiet_option(command: argparse.ArgumentParser) -> None:
+    command.add_argument("--quiet", action="store_true", help="print no progress")
+
+
+def output_path(name: str | Path, suffixes: Sequence[str], *, force: bool) -> Path:
+    """Check the path of a file before anything is computed.
+
+    Parameters
+    ----------
+    name : str or Path
+        The file, in a folder that can be written.
+    suffixes : sequence of str
+        Allowed ends of the name, in lower case.
+    force : bool
+        Allow a file that exists.
+
+    Returns
+    -------
+    Path
+        The path.
+
+    Raises
+    ------
+    BadInput
+        For another suffix, a place that cannot be written, and a file that exists.
+    """
+    path = Path(name)
+    if path.suffix.lower() not in suffixes:
+        allowed = " or ".join(filter(None, (", ".join(suffixes[:-1]), suffixes[-1])))
+        raise BadInput(f"{path}: the name must end in {allowed}")
+    check_folder(path)
+    if path.exists() and not force:
+        raise BadInput(f"{path}: this file exists; --force replaces it")
+    return path
+
+
+def output_folder(name: str, files: Sequence[str], *, force: bool) -> Path:
+    """Create the folder of some files, and check the files as `output_path`."""
+    folder = Path(name)
+    if folder.exists() and not folder.is_dir():
+        raise BadInput(f"{folder}: not a folder")
+    folder.mkdir(parents=True, exist_ok=True)
+    for file in files:
+        output_path(folder / file, (Path(file).suffix,), force=force)
+    return folder
+
+
+def _check_positive(option: str, value: int | None) -> None:
+    """Raise BadInput for a number of threads or processes below 1."""
+    if value is not None and value < 1:
+        raise BadInput(f"{option} {value}: must be at least 1")
 
 
 def table(rows: Sequence[Sequence[str]]) -> str:

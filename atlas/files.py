@@ -1,4 +1,4 @@
-"""Files written whole: temporary name, sync, move."""
+"""Writing files so that they are whole or absent, and checks of where they go."""
 
 from __future__ import annotations
 
@@ -7,42 +7,58 @@ import os
 import shutil
 import tempfile
 import uuid
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 from .errors import BadInput
 
-# Where writing fails with less than this free, in bytes, the disk is full: larger than a tile in memory.
+# A write that fails while less than this is free, in bytes, failed because the disk is full. A tile is smaller.
 MIN_FREE_BYTES = 1 << 25
 
 
-def temporary_path(path: Path) -> Path:
-    return path.with_name(f".{path.name}.{uuid.uuid4().hex}.tmp")
+@contextmanager
+def atomic_write(path: Path, *, exclusive: bool = False) -> Iterator[Path]:
+    """Write a file that appears at `path` whole or not at all, also after a power cut.
 
+    The body of the `with` statement creates and closes the file under the temporary name it is given. When
+    the body ends, the file is flushed to the disk and moved into place; after an error it is removed.
 
-def write_text(path: Path, content: str, *, once: bool = False) -> None:
-    """Write a whole file in one move.
+    Parameters
+    ----------
+    path : Path
+        Where the file goes; an existing file is replaced.
+    exclusive : bool
+        Keep an existing file and raise FileExistsError instead.
 
-    once: raise FileExistsError, leaving what is there, if the file exists.
+    Yields
+    ------
+    Path
+        Hidden, unique name in the folder of `path`. Nothing exists there yet, so that the file gets the
+        permissions of any new file.
+
+    Raises
+    ------
+    FileExistsError
+        If `exclusive` is true and `path` exists.
+    OSError
+        If the file cannot be flushed or moved.
     """
-    temporary = temporary_path(path)
+    temporary = path.with_name(f".{path.name}.{uuid.uuid4().hex}.tmp")
     try:
-        temporary.write_text(content, encoding="utf-8")
-        move_into_place(temporary, path, once=once)
+        yield temporary
+        _sync(temporary)
+        if exclusive:
+            os.link(temporary, path)
+        else:
+            os.replace(temporary, path)
+        _sync(path.parent)  # the new name too must reach the disk
     finally:
         temporary.unlink(missing_ok=True)
 
 
-def move_into_place(temporary: Path, path: Path, *, once: bool = False) -> None:
-    """Bring a file to the disk, move it into place, and make the move outlive a power cut."""
-    sync(temporary)
-    if once:
-        os.link(temporary, path)
-    else:
-        os.replace(temporary, path)
-    sync(path.parent)
-
-
-def sync(path: Path) -> None:
+def _sync(path: Path) -> None:
+    """Flush a file, or the names in a folder, to the disk."""
     handle = os.open(path, os.O_RDONLY)
     try:
         os.fsync(handle)
@@ -51,14 +67,14 @@ def sync(path: Path) -> None:
 
 
 def disk_error(error: Exception, path: Path) -> OSError:
-    """What netCDF4 hides behind an HDF error or a permission when the system cannot write."""
+    """Convert an error of netCDF4, which reports a full disk as an HDF or permission error, to an OSError."""
     if shutil.disk_usage(path.parent).free < MIN_FREE_BYTES:
         return OSError(errno.ENOSPC, f"{os.strerror(errno.ENOSPC)} ({error})", str(path))
     return error if isinstance(error, OSError) else OSError(errno.EIO, str(error), str(path))
 
 
 def check_folder(path: Path) -> None:
-    """Raise BadInput unless a file can be made beside where `path` will be, and no folder is in its place."""
+    """Raise BadInput unless a file can be created in the folder of `path` and `path` is not a folder."""
     folder = path.parent
     if not folder.is_dir():
         raise BadInput(f"{path}: there is no folder {folder}")
@@ -71,11 +87,6 @@ def check_folder(path: Path) -> None:
         raise BadInput(f"{path}: this is a folder")
 
 
-def umask() -> int:
-    mask = os.umask(0)
-    os.umask(mask)
-    return mask
-
-
 def one_line(error: Exception) -> str:
+    """Message of an error in one line of at most 200 characters."""
     return " ".join(str(error).split())[:200]

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from .engine.statistics import STATISTICS
 from .flags import Agreement, Label, Stability, Status
 from .systems.base import System
 
@@ -23,15 +24,15 @@ class Variable:
 
     def attributes(self) -> dict[str, object]:
         """CF attributes: units or flags, long_name, comment."""
-        found: dict[str, object] = {"long_name": self.long_name}
+        attributes: dict[str, object] = {"long_name": self.long_name}
         if self.flags is None:
-            found["units"] = self.units
+            attributes["units"] = self.units
         else:
-            found["flag_values"] = np.arange(len(self.flags), dtype=self.dtype)
-            found["flag_meanings"] = " ".join(self.flags)
+            attributes["flag_values"] = np.arange(len(self.flags), dtype=self.dtype)
+            attributes["flag_meanings"] = " ".join(self.flags)
         if self.comment:
-            found["comment"] = self.comment
-        return found
+            attributes["comment"] = self.comment
+        return attributes
 
 
 # Only in refined atlases, which are not integrated at every point.
@@ -42,6 +43,12 @@ COMPUTED = Variable(
         "computed": "integrated, or without motion of the family",
     },
 )  # fmt: skip
+_ERROR_ESTIMATE = (
+    "the largest of: phase error and dissipation of an oscillation at the bound of the fastest frequency, times the growth"
+    " of an unstable family (to 1 at most); change of a first integral; where the axis was in the cylinder for a part of the"
+    " run, the share of one sample; and where the point was integrated again at half the step, the change of a mean or"
+    " standard deviation of a rate over that bound"
+)
 _NO_MEANING = "nan where the third axis stays inside the cylinder: psi' and phi' have no meaning there"
 
 
@@ -59,38 +66,42 @@ def variables(system: System) -> dict[str, Variable]:
         Variable("predicted_inertial", "int8", "1", "kind of motion in the inertial frame, from theory alone", Label.meanings()),
         Variable("agreement", "int8", "1", "measured label against theory", Agreement.meanings()),
     ]  # fmt: skip
-    rate, pure = "rad s-1", "1"
-    real = [
-        ("theta_dot_rms", rate, "root mean square of the nutation rate", ""),
-        ("theta_dot_std", rate, "standard deviation of the nutation rate", ""),
-        ("psi_dot_mean", rate, "mean precession rate", _NO_MEANING),
-        ("psi_dot_std", rate, "standard deviation of the precession rate", _NO_MEANING),
-        ("phi_dot_mean", rate, "mean rate of proper rotation", _NO_MEANING),
-        ("phi_dot_std", rate, "standard deviation of the rate of proper rotation", _NO_MEANING),
-        ("normal_rate_mean", rate, "mean rate about the vertical of the frame", ""),
-        ("normal_rate_std", rate, "standard deviation of the rate about the vertical of the frame", ""),
-        ("theta_min", "rad", "least angle between third axis and vertical", ""),
-        ("theta_max", "rad", "largest angle between third axis and vertical", ""),
-        ("integral_drift", pure, "largest relative change of a first integral", ""),
-        ("step", "s", "integration step", ""),
-        ("step_ratio", pure, "step times bound of the fastest frequency over the stability limit of the method", ""),
-        ("error_estimate", pure, "estimated relative error of states and rates at the end of the run",
-         "the largest of: phase error and damping of an oscillation at the bound of the fastest frequency, times"
-         " the growth of an unstable family (to 1 at most); change of a first integral; where the axis was in the"
-         " cylinder for a part of the run, the share of one sample; and where the point was integrated again at"
-         " half the step, the change of a mean or spread of a rate over that bound"),
-        ("condition_residual", pure, "how far the start is from a steady motion, 0 on an exact one", ""),
-        ("growth_rate", rate, "largest real part of the characteristic exponents of the steady motion, from theory",
-         "nan where theory has no steady motion or no exponent"),
-        ("end_time", "s", "time at which the integration ended", ""),
+    theory = [
+        Variable("condition_residual", "float64", "1", "how far the start is from a steady motion, 0 on an exact one"),
+        Variable(
+            "growth_rate", "float64", "rad s-1",
+            "largest real part of the characteristic exponents of the steady motion, from theory",
+            comment="nan where theory has no steady motion or no exponent",
+        ),
+        Variable("end_time", "float64", "s", "time at which the integration ended"),
     ]  # fmt: skip
-    floats = [
-        Variable(name, "float64", units, long_name, None, note) for name, units, long_name, note in real
+    numerics = [
+        Variable("step", "float64", "s", "integration step"),
+        Variable(
+            "step_ratio", "float64", "1",
+            "step times bound of the fastest frequency over the stability limit of the method",
+        ),
+        Variable(
+            "error_estimate", "float64", "1", "estimated relative error of states and rates at the end of the run",
+            comment=_ERROR_ESTIMATE,
+        ),
+    ]  # fmt: skip
+    measured = [
+        Variable(s.name, "float64", s.unit, s.long_name, comment=_NO_MEANING if s.needs_psi else "")
+        for s in STATISTICS
     ]
-    layers = [
-        Variable(y.name, "float64", y.unit, y.long_name, None, y.comment) for y in system.derived.values()
+    derived = [
+        Variable(d.name, "float64", d.unit, d.long_name, comment=d.comment) for d in system.derived.values()
     ]
-    every = {v.name: v for v in flag + floats + layers}
+    registry = {v.name: v for v in (*flag, *measured, *numerics, *theory, *derived)}
+    missing: set[str] = set()
     if system.frame_rate is None:
-        del every["label_inertial"], every["predicted_inertial"]
-    return every
+        missing |= {"label_inertial", "predicted_inertial"}
+    if not system.families:
+        missing |= {"family", "stable", "growth_rate", "condition_residual", "predicted", "agreement"}
+        missing |= {"predicted_inertial"}
+    if not system.equations.INTEGRALS:
+        missing |= {"integral_drift"}
+    if len(system.geometries) < 2:
+        missing |= {"geometry"}
+    return {name: variable for name, variable in registry.items() if name not in missing}

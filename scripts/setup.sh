@@ -7,4 +7,5 @@ python=${PYTHON:-python3}
     exit 1
 }
 [ -x .venv/bin/python ] || "$python" -m venv .venv
+echo "Installing Precession Atlas into .venv" >&2
 .venv/bin/python -m pip install --quiet --disable-pip-version-check --editable ".${extras:-}"

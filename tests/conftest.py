@@ -1,9 +1,12 @@
-"""Settings shared by all tests: a kernel cache of their own, and hypothesis without deadlines."""
+"""Settings shared by all tests, and the scene that most of them change a little."""
 
 import os
+import tomllib
+from collections.abc import Callable, Mapping
 from pathlib import Path
 
 import pytest
+import tomli_w
 from hypothesis import settings
 
 os.environ.setdefault("ATLAS_CACHE", str(Path(__file__).parent.parent / ".pytest_cache" / "kernels"))
@@ -53,22 +56,46 @@ rate_tolerance = 1e-3
 """
 
 
-@pytest.fixture
+def changed_scene(changes: Mapping[str, object]) -> str:
+    """Text of the small scene after changes, which map a dotted key to its new value; None removes the key.
+
+    A mistyped key fails here where it is removed, and otherwise when the scene is read.
+    """
+    table = tomllib.loads(SMALL_SCENE)
+    for key, value in changes.items():
+        *sections, name = key.split(".")
+        section = table
+        for each in sections:
+            section = section.setdefault(each, {})
+        if value is None:
+            del section[name]
+        else:
+            section[name] = value
+    return tomli_w.dumps(table)
+
+
+@pytest.fixture(scope="session")
+def scene_text() -> Callable[[Mapping[str, object]], str]:
+    """Function that returns the text of the small scene after changes: scene_text({"fixed.m": 0.6})."""
+    return changed_scene
+
+
+@pytest.fixture(scope="session")
 def small_scene() -> str:
     """Text of a scene of 63 points that runs in milliseconds."""
     return SMALL_SCENE
 
 
 @pytest.fixture
-def longer(tmp_path, small_scene, monkeypatch):
-    """A scene of about a second in 18 tiles, in memory as it should be, and its empty run folder."""
+def longer(tmp_path, scene_text, monkeypatch):
+    """Folder of a scene of about a second in 18 tiles, its empty run folder, and its result computed in memory."""
     import atlas
     from atlas import load_scene
     from atlas.runs.folder import RunFolder
     from atlas.scene import grid
 
-    text = small_scene.replace("count = 9", "count = 18").replace("count = 7", "count = 48")
-    (tmp_path / "scene.toml").write_text(text.replace("tolerance = 1e-5", "tolerance = 1e-9"))
+    changes = {"axes.sigma.count": 18, "axes.theta0.count": 48, "integration.tolerance": 1e-9}
+    (tmp_path / "scene.toml").write_text(scene_text(changes))
     scene = load_scene(tmp_path / "scene.toml")
     whole = atlas.run(scene, progress=False)
     with monkeypatch.context() as patched:

@@ -1,7 +1,9 @@
-"""ds.atlas: its answers are those of brute force, on files, in memory, and chunk by chunk."""
+"""ds.atlas: results equal those of brute force, on files, in memory, and chunk by chunk."""
 
 import itertools
 import re
+import subprocess
+import sys
 import tracemalloc
 
 import numpy as np
@@ -12,8 +14,9 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import array_shapes, arrays
 
 import atlas
-from atlas import BadInput, accessor, load_scene
-from atlas.analysis import theory_curves
+from atlas import BadInput, load_scene
+from atlas.analysis import chunks, theory_curves
+from atlas.flags import Agreement, Label
 
 MEANINGS = {
     "flag_values": np.arange(5, dtype=np.int8),
@@ -22,27 +25,25 @@ MEANINGS = {
 
 
 @pytest.fixture(scope="module")
-def files(tmp_path_factory):
-    from conftest import SMALL_SCENE
-
+def files(tmp_path_factory, small_scene):
     path = tmp_path_factory.mktemp("atlas") / "small.nc"
-    return path, atlas.run(load_scene(SMALL_SCENE), path, progress=False)
+    return path, atlas.run(load_scene(small_scene), path, progress=False)
 
 
-@pytest.fixture(params=["memory", "file", "dask", "blocks"])
+@pytest.fixture(params=["memory", "file", "dask", "chunks"])
 def small(files, request, monkeypatch):
     path, ds = files
-    if request.param == "blocks":
-        monkeypatch.setattr(accessor, "CHUNK", 10)
-    if request.param in ("memory", "blocks"):
+    if request.param == "chunks":
+        monkeypatch.setattr(chunks, "MAX_POINTS", 10)
+    if request.param in ("memory", "chunks"):
         yield ds
         return
     with atlas.open_atlas(path) as read:
         yield read.chunk({"sigma": 4, "theta0": 3}) if request.param == "dask" else read
 
 
-def made(label: np.ndarray) -> xr.Dataset:
-    """A dataset with a label and nothing else but axes."""
+def labelled(label: np.ndarray) -> xr.Dataset:
+    """A dataset with axes and a label alone."""
     dims = [f"x{i}" for i in range(label.ndim)]
     return xr.Dataset(
         {"label": (dims, label.astype(np.int8), MEANINGS)},
@@ -50,52 +51,60 @@ def made(label: np.ndarray) -> xr.Dataset:
     )
 
 
-# Selection and shares.
+# Selection and fractions.
 
 
 def test_select_gives_the_points_of_the_flags(small, files):
     _, ds = files
-    flat = ds.stack(place=("sigma", "theta0"))
-    drifting, agreed = flat.label.values == 3, flat.agreement.values == 1
-    for chosen, keep in (
+    flat = ds.stack(index=("sigma", "theta0"))
+    drifting, agreed = flat.label.values == Label.DRIFTING, flat.agreement.values == Agreement.AGREE
+    for chosen, expected in (
         (small.atlas.select(label="drifting"), drifting),
         (small.atlas.select(label="drifting", agreement=["agree"]), drifting & agreed),
-        (small.atlas.select(label=["drifting", "permanent_rotation"]), flat.label.isin([2, 3]).values),
+        (
+            small.atlas.select(label=["drifting", "permanent_rotation"]),
+            flat.label.isin([Label.PERMANENT_ROTATION, Label.DRIFTING]).values,
+        ),
         (small.atlas.select(status="not_finite"), np.zeros(63, bool)),
     ):
-        assert chosen.sizes == {"point": keep.sum()}
+        assert chosen.sizes == {"point": expected.sum()}
         assert set(chosen.coords) == set(ds.coords)
         assert str(chosen.attrs) == str(small.attrs)
         for name in ds.data_vars:
-            np.testing.assert_array_equal(chosen[name], flat[name].values[keep])
+            np.testing.assert_array_equal(chosen[name], flat[name].values[expected])
             assert chosen[name].dtype == ds[name].dtype
             assert chosen[name].attrs.keys() == ds[name].attrs.keys()
         for name in ("sigma", "theta0", "k3"):
-            np.testing.assert_array_equal(chosen[name], flat[name].values[keep])
-        np.testing.assert_array_equal(chosen["C"], flat["sigma"].values[keep])
+            np.testing.assert_array_equal(chosen[name], flat[name].values[expected])
+        np.testing.assert_array_equal(chosen["C"], flat["sigma"].values[expected])
         assert chosen["Omega"].ndim == 0
 
 
-def test_a_selection_can_be_asked_again(files):
+def test_a_selection_can_be_selected_from_again(files):
     _, ds = files
-    some = ds.atlas.select(label="drifting")
-    assert float(some.atlas.fractions().sel(label="drifting")) == 1.0
-    again = some.atlas.select(agreement="agree")
-    assert again.identical(ds.atlas.select(label="drifting", agreement="agree"))
-    one = some.isel(point=5)
-    assert some.atlas.nearest(sigma=float(one.sigma), theta0=float(one.theta0)).identical(one)
+    drifting = ds.atlas.select(label="drifting")
+    assert float(drifting.atlas.fractions().sel(label="drifting")) == 1.0
+    agreed = drifting.atlas.select(agreement="agree")
+    assert agreed.identical(ds.atlas.select(label="drifting", agreement="agree"))
+    point = drifting.isel(point=5)
+    assert drifting.atlas.nearest(sigma=float(point.sigma), theta0=float(point.theta0)).identical(point)
+    empty = drifting.atlas.select(label="unresolved")
+    assert empty.sizes == {"point": 0}
+    assert empty.atlas.select(label="drifting").sizes == {"point": 0}
 
 
 def test_fractions_are_counts(small, files):
     _, ds = files
     whole = small.atlas.fractions()
     assert list(whole.label.values) == ds.label.attrs["flag_meanings"].split()
-    np.testing.assert_allclose(whole, np.bincount(ds.label.values.ravel(), minlength=5) / 63)
+    np.testing.assert_allclose(
+        whole, np.bincount(ds.label.values.ravel(), minlength=len(Label)) / ds.label.size
+    )
     for along, axis in (("sigma", 1), ("theta0", 0)):
         rows = small.atlas.fractions("agreement", along=along)
         assert rows.dims == (along, "agreement")
         np.testing.assert_array_equal(rows[along], ds[along])
-        for value in range(5):
+        for value in Agreement:
             np.testing.assert_allclose(rows[:, value], (ds.agreement.values == value).mean(axis))
 
 
@@ -104,32 +113,34 @@ def test_fractions_are_counts(small, files):
     arrays(np.int8, array_shapes(min_dims=1, max_dims=3, max_side=7), elements=st.integers(0, 4)),
     st.integers(1, 30),
 )
-def test_blocks_cover_every_point_once(label, room):
-    ds = made(label)
+def test_chunks_cover_every_point_once(label, max_points):
+    ds = labelled(label)
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(accessor, "CHUNK", room)
-        seen = np.zeros(label.shape, int)
-        for place in accessor._chunks(ds, list(ds.dims)):
-            part = tuple(place.values())
-            seen[part] += 1
-            assert seen[part].size <= room
-        assert (seen == 1).all()
-        found = ds.atlas.select(label="drifting")
-    for i, d in enumerate(ds.dims):
-        np.testing.assert_array_equal(found[d], ds[d].values[np.argwhere(label == 3)[:, i]])
+        patch.setattr(chunks, "MAX_POINTS", max_points)
+        visits = np.zeros(label.shape, int)
+        for box in chunks.chunks(ds.sizes, list(ds.dims)):
+            slices = tuple(box.values())
+            visits[slices] += 1
+            assert visits[slices].size <= max_points
+        assert (visits == 1).all()
+        selected = ds.atlas.select(label="drifting")
+    for i, dim in enumerate(ds.dims):
+        np.testing.assert_array_equal(
+            selected[dim], ds[dim].values[np.argwhere(label == Label.DRIFTING)[:, i]]
+        )
 
 
 # Trust.
 
 
-def uncertain(label: np.ndarray, stride: int, step: int, inner: bool) -> tuple[int, int]:
-    """Cells, cells whose points differ, by brute force."""
+def count_uncertain(label: np.ndarray, stride: int, step: int, inner: bool) -> tuple[int, int]:
+    """Number of cells, and of cells whose points differ, by brute force."""
     coarse = label[(slice(None, None, stride),) * label.ndim]
     counts = [(n - 1) // step for n in coarse.shape]
     differ = 0
     for corner in itertools.product(*map(range, counts)):
-        reach = slice(None) if inner else slice(None, None, step)
-        cell = coarse[tuple(slice(c * step, c * step + step + 1) for c in corner)][(reach,) * label.ndim]
+        points = slice(None) if inner else slice(None, None, step)
+        cell = coarse[tuple(slice(c * step, c * step + step + 1) for c in corner)][(points,) * label.ndim]
         differ += len(np.unique(cell)) > 1
     return int(np.prod(counts)), differ
 
@@ -140,15 +151,15 @@ def uncertain(label: np.ndarray, stride: int, step: int, inner: bool) -> tuple[i
     ),
     st.sampled_from([1, 7, 30, 1000]),
 )
-def test_trust_counts_cells(label, room):
+def test_trust_counts_cells(label, max_points):
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(accessor, "CHUNK", room)
-        trust = made(label).atlas.trust()
+        patch.setattr(chunks, "MAX_POINTS", max_points)
+        trust = labelled(label).atlas.trust()
     for stride, share in zip(trust.stride.values, trust.uncertain.values, strict=True):
-        cells, differ = uncertain(label, int(stride), 1, True)
+        cells, differ = count_uncertain(label, int(stride), 1, True)
         assert share == pytest.approx(differ / cells)
-    cells, corners = uncertain(label, 1, 2, False)
-    hidden = uncertain(label, 1, 2, True)[1] - corners
+    cells, corners = count_uncertain(label, 1, 2, False)
+    hidden = count_uncertain(label, 1, 2, True)[1] - corners
     if cells > corners:
         assert float(trust.missed) == pytest.approx(hidden / (cells - corners))
         assert float(trust.missed) <= float(trust.missed_bound) <= 1
@@ -156,67 +167,69 @@ def test_trust_counts_cells(label, room):
         assert np.isnan(trust.missed)
 
 
-def test_trust_knows_smooth_from_wild():
+def test_trust_distinguishes_smooth_from_random_borders():
     x, y = np.meshgrid(np.linspace(-1, 1, 301), np.linspace(-1, 1, 257), indexing="ij")
-    smooth = made(np.where(x**2 + y**2 < 0.6, 2, 3)).atlas.trust()
+    smooth = labelled(np.where(x**2 + y**2 < 0.6, Label.PERMANENT_ROTATION, Label.DRIFTING)).atlas.trust()
     assert float(smooth.exponent) == pytest.approx(1.0, abs=0.1)
     assert float(smooth.uncertain[0]) < 0.02
-    wild = made(np.random.default_rng(1).integers(2, 4, (257, 257))).atlas.trust()
-    assert float(wild.exponent) == pytest.approx(0.0, abs=0.05)
-    # binomial tail: the bound is where seeing so few misses or fewer has a chance of 5 %
-    calm = made(np.full((101, 101), 2)).atlas.trust()
-    assert float(calm.missed) == 0
-    assert (1 - float(calm.missed_bound)) ** 2500 == pytest.approx(0.05)
-    assert np.isnan(calm.exponent)
+    random = labelled(np.random.default_rng(1).integers(2, 4, (257, 257))).atlas.trust()
+    assert float(random.exponent) == pytest.approx(0.0, abs=0.05)
+    # binomial tail: at the bound, no miss among the cells has a probability of 5 %
+    uniform = labelled(np.full((101, 101), Label.PERMANENT_ROTATION)).atlas.trust()
+    assert float(uniform.missed) == 0
+    assert (1 - float(uniform.missed_bound)) ** 2500 == pytest.approx(0.05)
+    assert np.isnan(uniform.exponent)
 
 
 def test_an_island_between_the_corners_is_counted_as_missed():
-    label = np.full((9, 9), 2)
-    label[3, 5] = 3
-    trust = made(label).atlas.trust()
+    label = np.full((9, 9), Label.PERMANENT_ROTATION)
+    label[3, 5] = Label.DRIFTING
+    trust = labelled(label).atlas.trust()
     assert float(trust.missed) == 1 / 16
 
 
 def test_short_axes_are_separate_maps():
-    label = np.full((9, 9, 2), 2)
-    label[..., 1] = 3
-    trust = made(label).atlas.trust()
+    label = np.full((9, 9, 2), Label.PERMANENT_ROTATION)
+    label[..., 1] = Label.DRIFTING
+    trust = labelled(label).atlas.trust()
     assert (trust.uncertain == 0).all()
     assert trust.attrs["axes"] == "x0, x1"
     with pytest.raises(BadInput, match="5 values or more"):
-        made(label[:4, :4]).atlas.trust()
+        labelled(label[:4, :4]).atlas.trust()
 
 
-def test_an_atlas_larger_than_a_block_is_never_loaded_whole(tmp_path, monkeypatch):
-    monkeypatch.setattr(accessor, "CHUNK", 250_000)
+def test_an_atlas_larger_than_a_chunk_is_never_loaded_whole(tmp_path, monkeypatch):
+    monkeypatch.setattr(chunks, "MAX_POINTS", 250_000)
     size = 4000  # 16 MB of labels
-    label = np.full((size, size), 2, np.int8)
-    label[1501:, 77] = 3
-    made(label).to_netcdf(
+    label = np.full((size, size), Label.PERMANENT_ROTATION, np.int8)
+    label[1501:, 77] = Label.DRIFTING
+    labelled(label).to_netcdf(
         tmp_path / "large.nc", encoding={"label": {"zlib": True, "chunksizes": (100, 1000)}}
     )
     del label
     with xr.open_dataset(tmp_path / "large.nc") as ds:
         tracemalloc.start()
         try:
-            found = ds.atlas.select(label="drifting")
-            shares = ds.atlas.fractions(along="x0")
+            selected = ds.atlas.select(label="drifting")
+            fractions = ds.atlas.fractions(along="x0")
             trust = ds.atlas.trust()
             _, peak = tracemalloc.get_traced_memory()
         finally:
             tracemalloc.stop()
     assert peak < 6e6
-    assert found.sizes["point"] == size - 1501
-    assert float(shares.isel(x0=1501).sel(label="drifting")) == pytest.approx(1 / size)
+    assert selected.sizes["point"] == size - 1501
+    assert float(fractions.isel(x0=1501).sel(label="drifting")) == pytest.approx(1 / size)
     assert float(trust.uncertain[0]) > 0
 
 
-# Places.
+# Planes and points.
 
 
-def test_the_boundary_of_a_region():
+def test_the_boundary_of_a_disc_is_its_circle():
     x, y = np.linspace(-1, 1, 81), np.linspace(-2, 2, 101)
-    ds = made(np.where(x[:, None] ** 2 + y**2 / 4 < 0.5, 3, 2)).assign_coords(x0=x, x1=y)
+    ds = labelled(
+        np.where(x[:, None] ** 2 + y**2 / 4 < 0.5, Label.DRIFTING, Label.PERMANENT_ROTATION)
+    ).assign_coords(x0=x, x1=y)
     ds.attrs["atlas_system"] = "satellite"
     (line,) = ds.atlas.boundary("drifting")
     np.testing.assert_array_equal(line[0], line[-1])
@@ -232,27 +245,27 @@ def test_the_boundary_of_a_region():
 @given(st.floats(0.25, 1.75), st.floats(0.15, 1.45))
 def test_nearest_is_the_nearest(files, sigma, theta0):
     _, ds = files
-    at = ds.atlas.nearest(sigma=sigma, theta0=theta0)
-    assert at.sizes == {}
-    assert abs(float(at.sigma) - sigma) == np.abs(ds.sigma - sigma).min()
-    assert abs(float(at.theta0) - theta0) == np.abs(ds.theta0 - theta0).min()
+    point = ds.atlas.nearest(sigma=sigma, theta0=theta0)
+    assert point.sizes == {}
+    assert abs(float(point.sigma) - sigma) == np.abs(ds.sigma - sigma).min()
+    assert abs(float(point.theta0) - theta0) == np.abs(ds.theta0 - theta0).min()
     assert ds.atlas.nearest(sigma=sigma).sizes == {"theta0": 7}
 
 
 def test_a_trajectory_is_that_of_the_atlas(small, files):
     _, ds = files
-    place = {"sigma": 1.35, "theta0": 1.2}
-    at, tr = ds.atlas.nearest(**place), small.atlas.trajectory(samples=501, **place)
-    assert float(tr.time[-1]) == float(at.end_time) == 30.0
-    assert float(tr.theta[0]) == pytest.approx(float(at.theta0) + 1e-4)
+    coords = {"sigma": 1.35, "theta0": 1.2}
+    point, tr = ds.atlas.nearest(**coords), small.atlas.trajectory(samples=501, **coords)
+    assert float(tr.time[-1]) == float(point.end_time) == 30.0
+    assert float(tr.theta[0]) == pytest.approx(float(point.theta0) + 1e-4)
     assert float(tr.psi[0]) == pytest.approx(np.pi / 2 + 1e-4)
-    assert float(tr.theta.max()) == pytest.approx(float(at.theta_max), abs=1e-3)
-    assert float(tr.theta.min()) == pytest.approx(float(at.theta_min), abs=1e-3)
-    from_point = ds.atlas.select(label="drifting").atlas.trajectory(samples=501, **place)
+    assert float(tr.theta.max()) == pytest.approx(float(point.theta_max), abs=1e-3)
+    assert float(tr.theta.min()) == pytest.approx(float(point.theta_min), abs=1e-3)
+    from_point = ds.atlas.select(label="drifting").atlas.trajectory(samples=501, **coords)
     assert from_point.identical(tr)
 
 
-def test_trajectories_of_points_of_ones_own():
+def test_trajectories_of_points_without_a_scene():
     ds = atlas.label_points("satellite", {"theta0": [0.4, 0.9], "m": 0.3}, duration=[5.0, 8.0], step=0.05)
     tr = ds.atlas.trajectory(theta0=0.95)
     assert float(tr.theta[0]) == pytest.approx(0.9)
@@ -261,18 +274,32 @@ def test_trajectories_of_points_of_ones_own():
     np.testing.assert_array_equal(tr.theta, direct.theta)
 
 
-def test_families_and_maps_come_from_maps(small_scene):
-    text = small_scene.split("[family]")[0] + "[axes.n]\nvalues = [0.0, 0.1]\n[integration]\nduration = 1.0\n"
-    ds = atlas.run(load_scene(text), progress=False)
+def test_families_and_maps_are_those_of_analysis_and_plotting(scene_text):
+    changes = {"family": None, "nudge": None, "labels": None, "integration": {"duration": 1.0}}
+    scene = load_scene(scene_text(changes | {"axes.n.values": [0.0, 0.1]}))
+    ds = atlas.run(scene, progress=False)
     curves = ds.atlas.families(select={"n": 0.0})
-    view = theory_curves.Plane.of(load_scene(text), ds.sel(n=0.0), ["sigma", "theta0"])
+    plane = theory_curves.Plane.of(scene, ds.sel(n=0.0), ["sigma", "theta0"])
     np.testing.assert_array_equal(
-        curves["perp_velocity"][0], theory_curves.family_curves(view)["perp_velocity"][0]
+        curves["perp_velocity"][0], theory_curves.family_curves(plane)["perp_velocity"][0]
     )
     assert "perp_velocity" not in ds.atlas.families(select={"n": 0.1})
     assert ds.atlas.map("theta_dot_rms", select={"n": 0.0}).axes
     with pytest.raises(BadInput, match="n has 2 values here"):
         ds.atlas.families()
+
+
+def test_numbers_do_not_import_matplotlib(files):
+    code = (
+        "import sys, atlas\n"
+        "with atlas.open_atlas(sys.argv[1]) as ds:\n"
+        "    ds.atlas.nearest(sigma=1.0), ds.atlas.select(label='drifting'), ds.atlas.fractions()\n"
+        "    ds.atlas.boundary('drifting'), ds.atlas.families(), ds.atlas.trust()\n"
+        "    ds.atlas.trajectory(samples=11, sigma=1.0, theta0=0.5), ds.atlas.compare(), ds.atlas.cite()\n"
+        "sys.exit('matplotlib' in sys.modules)"
+    )
+    done = subprocess.run([sys.executable, "-c", code, files[0]], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
 
 
 def test_compare_and_cite(small):
@@ -305,13 +332,13 @@ def test_compare_and_cite(small):
         (lambda a: a.trust("step"), "step: not a flag variable"),
     ],
 )
-def test_bad_questions_get_one_line(files, question, words):
-    with pytest.raises(BadInput, match=re.escape(words)) as complaint:
+def test_bad_questions_are_one_line_errors(files, question, words):
+    with pytest.raises(BadInput, match=re.escape(words)) as error:
         question(files[1].atlas)
-    assert "\n" not in str(complaint.value)
+    assert "\n" not in str(error.value)
 
 
-def test_questions_that_need_an_atlas_say_so():
+def test_questions_that_need_a_scene_or_an_atlas_are_errors():
     points = atlas.label_points("satellite", {"theta0": [0.4, 0.9]}, duration=1.0, step=0.1)
     for question, words in (
         (lambda: points.atlas.families(), "come from no scene"),

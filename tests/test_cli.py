@@ -1,6 +1,7 @@
-"""The command line as a user meets it: real processes, exit codes, one line of complaint, nothing lost."""
+"""The command line as a user meets it: real processes, exit codes, one-line errors, no file left half written."""
 
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -13,6 +14,7 @@ from atlas.cli import main, parser
 
 
 def shell(*arguments, cwd, **more):
+    """Run the command in a process of its own."""
     return subprocess.run(
         [sys.executable, "-m", "atlas", *map(str, arguments)], cwd=cwd, capture_output=True, text=True, check=False, **more
     )  # fmt: skip
@@ -20,6 +22,7 @@ def shell(*arguments, cwd, **more):
 
 @pytest.fixture
 def folder(tmp_path, small_scene):
+    """A folder with the small scene in small.toml."""
     (tmp_path / "small.toml").write_text(small_scene)
     return tmp_path
 
@@ -53,6 +56,20 @@ def test_map_writes_png_and_pdf(folder):
         (["run", "none.toml"], "none.toml"),
         (["run", "small.toml", "-o", "no/folder/a.nc"], "no/folder"),
         (["run", "small.toml", "-o", "a.txt"], ".nc"),
+        (["points", "satellite", "small.toml", "-o", "a.txt"], "must end in .csv or .nc"),
+        (
+            ["points", "satellite", "small.toml", "-o", "a.nc", "--threads", "0"],
+            "--threads 0: must be at least 1",
+        ),
+        (["trajectory", "small.toml", "-o", "a.txt"], "must end in .nc, .png, .pdf or .svg"),
+        (["trajectory", "small.toml", "-o", "no/a.nc"], "no folder no"),
+        (["accuracy", "small.toml", "-o", "a.txt"], "must end in .nc, .csv, .png, .pdf or .svg"),
+        (["map", "none.nc", "-o", "a.txt"], "must end in .png, .pdf or .svg"),
+        (["join", ".", "-o", "a.nc"], "not a run folder"),
+        (["stress", "--threads", "0"], "--threads 0: must be at least 1"),
+        (["stress", "satellite", "-o", "small.toml"], "small.toml: not a folder"),
+        (["figures", "-o", "small.toml"], "small.toml: not a folder"),
+        (["figures", "--only", "21"], "figures 1 to 20"),
         (["run", "small.toml", "--threads", "0"], "--threads"),
         (["run", "small.toml", "-o", "r/", "--shard", "0/4"], "--shard 0/4"),
         (["run", "small.toml", "-o", "r/", "--shard", "5/4"], "--shard 5/4"),
@@ -79,37 +96,61 @@ def test_bad_input_is_one_line_and_exit_2(folder, monkeypatch, capsys, arguments
     before = sorted(p.name for p in folder.iterdir())
     try:
         code = main(arguments)
-    except SystemExit as left:
-        code = left.code
-    complaint = capsys.readouterr().err
+    except SystemExit as stop:
+        code = stop.code
+    message = capsys.readouterr().err
     assert code == 2
-    assert len(complaint.strip().splitlines()) == 1
-    assert named in complaint
+    assert len(message.strip().splitlines()) == 1
+    assert named in message
     assert sorted(p.name for p in folder.iterdir()) == before
 
 
-def test_ctrl_c_leaves_no_half_file_and_exits_130(folder, small_scene):
-    long = small_scene.replace("count = 9", "count = 900").replace("count = 7", "count = 700")
-    (folder / "long.toml").write_text(long.replace("tolerance = 1e-5", "tolerance = 1e-9"))
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ["run", "small.toml", "-o", "old.nc"],
+        ["points", "satellite", "small.toml", "-o", "old.nc"],
+        ["trajectory", "small.toml", "-o", "old.nc"],
+        ["accuracy", "small.toml", "-o", "old.nc"],
+        ["map", "none.nc", "-o", "old.png"],
+        ["figures", "-o", ".", "--only", "1", "--format", "png"],
+        ["stress", "satellite", "-o", "."],
+    ],
+    ids=lambda arguments: arguments[0],
+)
+def test_existing_files_are_kept_without_force(folder, monkeypatch, capsys, arguments):
+    monkeypatch.chdir(folder)
+    for name in ("old.nc", "old.png", "figure_01.png", "satellite.png"):
+        (folder / name).write_text("kept")
+    assert main(arguments) == 2
+    assert re.search(r"this file exists; --force.* replaces it", capsys.readouterr().err)
+    assert all(path.read_text() == "kept" for path in folder.iterdir() if path.name != "small.toml")
+
+
+def test_ctrl_c_leaves_no_half_file_and_exits_130(folder, scene_text):
+    large = {"axes.sigma.count": 900, "axes.theta0.count": 700, "integration.tolerance": 1e-9}
+    (folder / "long.toml").write_text(scene_text(large))
     assert shell("run", "small.toml", cwd=folder).returncode == 0  # the kernel is warm now
     process = subprocess.Popen(
         [sys.executable, "-m", "atlas", "run", "long.toml"], cwd=folder, stderr=subprocess.PIPE, text=True,
         start_new_session=True,
     )  # fmt: skip
-    time.sleep(4)
+    deadline = time.monotonic() + 60
+    while not list(folder.glob("long.nc.run/*.json")) and time.monotonic() < deadline:
+        time.sleep(0.1)
     assert process.poll() is None
     os.killpg(process.pid, signal.SIGINT)
-    _, complaint = process.communicate(timeout=30)
+    _, message = process.communicate(timeout=60)
     assert process.returncode == 130
-    assert "interrupted" in complaint
-    assert "Traceback" not in complaint
+    assert "interrupted" in message
+    assert "Traceback" not in message
     assert not (folder / "long.nc").exists()
     assert not list(folder.rglob("*.tmp"))
 
 
 def test_help_of_every_command_is_real(capsys):
     top = parser()
-    for name in (
+    commands = [
         "run",
         "check",
         "compare",
@@ -123,10 +164,11 @@ def test_help_of_every_command_is_real(capsys):
         "join",
         "conditions",
         "cache",
-    ):
-        with pytest.raises(SystemExit) as left:
+    ]
+    for name in commands:
+        with pytest.raises(SystemExit) as stop:
             top.parse_args([name, "--help"])
-        assert left.value.code == 0
+        assert stop.value.code == 0
         assert name in capsys.readouterr().out
 
 

@@ -1,9 +1,9 @@
-"""The catalogue of a system for tables and queries: families, printed equations, equilibria of a body."""
+"""The catalogue of a system as tables: families, published equations, equilibria of a body."""
 
 from __future__ import annotations
 
 import inspect
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from typing import Any
 
 import numpy as np
@@ -12,9 +12,10 @@ import xarray as xr
 from .. import systems
 from ..errors import BadInput
 from ..flags import Stability
+from ..scene.tables import point_columns
 from ..systems.base import Family, PublishedEquation, System
 
-DRAWS = 5  # random parameters behind each residual, from the seeds 0, 1, ...
+N_SAMPLES = 5  # random parameters behind each residual, from the seeds 0, 1, ...
 _UNITS = {
     "theta0": ("rad", "angle from the vertical to the third body axis"),
     "psi0": ("rad", "precession angle; 0 where only its sum or difference with phi0 is defined"),
@@ -32,32 +33,40 @@ _UNITS = {
 
 
 def families(system: System, name: str | None = None) -> list[dict[str, Any]]:
-    """One row for each family of steady motions, or for the named one; texts, lists of texts and numbers.
+    """Families of exact steady motions.
 
-    residual_printed and residual_true: the largest of the printed equations that belong to the family
-    (see `printed`), None if there is none. Raises BadInput for an unknown name.
+    Parameters
+    ----------
+    system : System
+        The system that has the families.
+    name : str, optional
+        Only this one.
+
+    Returns
+    -------
+    list of dict
+        One row for each family: texts, lists of texts and numbers. residual_printed and residual_true
+        are the largest of the published equations that belong to the family, None if there is none.
+
+    Raises
+    ------
+    BadInput
+        If the system has no family of this name.
     """
     if name is not None and name not in system.families:
         raise BadInput(f"family {name}: unknown; allowed: {', '.join(system.families)}")
-    rows = []
-    for family in system.families.values():
-        if name in (None, family.name):
-            measured = [_max_residuals(row) for row in system.published() if row.family == family.name]
-            row = _family(family)
-            for i, key in enumerate(_RESIDUALS):
-                row[key] = max((one for pair in measured if (one := pair[i]) is not None), default=None)
-            rows.append(row)
-    return rows
+    return [_family(system, family) for family in system.families.values() if name in (None, family.name)]
 
 
-def _family(family: Family) -> dict[str, Any]:
+def _family(system: System, family: Family) -> dict[str, Any]:
+    """The row of a family."""
     stability = (
         "No closed form: eigenvalues of the linear equations at an equilibrium, else Floquet multipliers over"
         " the period of the rotation."
     )
     if family.stability is not None:
         stability = " ".join((inspect.getdoc(family.stability) or "").split())
-    return {
+    description = {
         "family": family.name,
         "equations": family.equations,
         "motion": family.title,
@@ -70,16 +79,26 @@ def _family(family: Family) -> dict[str, Any]:
         "paper_wording": family.paper_wording,
         "stability": stability,
     }
-
-
-_RESIDUALS = ("residual_printed", "residual_true")
+    return description | _max_residuals([row for row in system.published() if row.family == family.name])
 
 
 def published(system: System, family: str | None = None, errata: bool = False) -> list[dict[str, Any]]:
-    """One row for each printed equation of the system's paper as printed and as true; texts and numbers.
+    """Published equations of the system's paper, as printed and as true.
 
-    family: only those that belong to it; errata: only those whose verdict is not "true". The residuals
-    are the largest of DRAWS random parameters, the same in every call; None where nothing is measured.
+    Parameters
+    ----------
+    system : System
+        The system of the paper.
+    family : str, optional
+        Only those that belong to this family.
+    errata : bool, optional
+        Only those whose verdict is not "true".
+
+    Returns
+    -------
+    list of dict
+        One row for each equation: texts and numbers. The residuals are the largest at N_SAMPLES random
+        parameters, the same in every call; None where nothing is measured.
     """
     return [
         {
@@ -89,7 +108,7 @@ def published(system: System, family: str | None = None, errata: bool = False) -
             "printed": row.printed,
             "true": row.true,
             "measure": row.measure,
-            **dict(zip(_RESIDUALS, _max_residuals(row), strict=True)),
+            **_max_residuals([row]),
             "effect": row.effect,
         }
         for row in system.published()
@@ -97,47 +116,65 @@ def published(system: System, family: str | None = None, errata: bool = False) -
     ]
 
 
-def _max_residuals(row: PublishedEquation) -> tuple[float | None, float | None]:
-    """Largest residual of both readings."""
-    both = (row.residual_printed, row.residual_true)
-    one, other = (None if f is None else max(f(np.random.default_rng(i)) for i in range(DRAWS)) for f in both)
-    return one, other
+def _max_residuals(rows: Iterable[PublishedEquation]) -> dict[str, float | None]:
+    """Largest residuals of some equations as printed and as true, None where nothing is measured."""
+    maxima = {}
+    for key in ("residual_printed", "residual_true"):
+        residuals = [residual for row in rows if (residual := getattr(row, key)) is not None]
+        seeds = range(N_SAMPLES)
+        maxima[key] = max((f(np.random.default_rng(seed)) for f in residuals for seed in seeds), default=None)
+    return maxima
 
 
 def equilibria(system: str, body: Mapping[str, float]) -> xr.Dataset:
-    """All relative equilibria of a satellite, or permanent rotations about the vertical of a gyrostat.
+    """All relative equilibria of a satellite, or permanent rotations of a heavy gyrostat about the vertical.
 
-    system: "satellite" or "fixed_point". body: parameter -> number, those left out take their defaults;
-    start values have no say but n of the fixed_point, the rate of rotation (default 0: rest). Returns a
-    Dataset with the dimension "equilibrium": theta0, phi0 and, for the satellite, psi0 (rad), gamma
-    (equilibrium, body_axis), index, circle, stable (flags), growth_rate (rad per time unit); for the
-    satellite also alpha, axis, degenerate, potential, in the order of the potential; for the fixed_point
-    dimension, in the order of theta0. What comes as a circle is there once, by one of its members.
+    Parameters
+    ----------
+    system : str
+        "satellite" or "fixed_point".
+    body : mapping of str to float
+        Parameter -> number; those left out take their defaults. Start values have no effect, except n
+        of the fixed_point, the rate of rotation in rad per time unit (default 0: rest).
 
-    Raises BadInput for bodies that cannot be, and where every orientation is an equilibrium.
+    Returns
+    -------
+    Dataset
+        Dimension "equilibrium"; a circle of equilibria is there once, by one of its members. Variables:
+        theta0, phi0 and, for the satellite, psi0 (rad), gamma (equilibrium, body_axis), index, circle,
+        stable (flags), growth_rate (rad per time unit). For the satellite also alpha, axis, degenerate,
+        potential, in the order of the potential; for the fixed_point dimension, in the order of theta0.
+
+    Raises
+    ------
+    BadInput
+        For bodies that cannot exist, and where every orientation is an equilibrium.
     """
-    from ..scene.tables import point_columns
-
-    kind = systems.get(system)
-    assert kind.equilibria is not None
-    columns, size = point_columns(kind, body)
+    description = systems.get(system)
+    if description.equilibria is None:
+        raise BadInput(f"equilibria: the system {system} has no function that computes them")
+    columns, size = point_columns(description, body)
     if size != 1:
         raise BadInput(f"body: {size} bodies given; equilibria are those of one")
-    kind.check(columns)
-    ds = xr.Dataset(attrs={"title": f"equilibria of one body: {kind.title}", "references": kind.reference})
-    for name, values in kind.equilibria({k: float(v[0]) for k, v in columns.items()}).items():
-        dims = ("equilibrium", "body_axis")[: values.ndim]
-        if name == "stable":
-            meanings = " ".join(Stability.meanings())
-            attributes: dict[str, Any] = {"long_name": "linear stability", "flag_meanings": meanings}
-            attributes["flag_values"] = np.arange(len(Stability), dtype="int8")
-        else:
-            attributes = dict(zip(("units", "long_name"), _UNITS[name], strict=True))
-        ds[name] = (dims, values, attributes)
+    description.check(columns)
+    title = f"equilibria of one body: {description.title}"
+    ds = xr.Dataset(attrs={"title": title, "references": description.reference})
+    for name, values in description.equilibria({k: float(v[0]) for k, v in columns.items()}).items():
+        ds[name] = (("equilibrium", "body_axis")[: values.ndim], values, _attributes(name))
     for name, column in columns.items():
-        parameter = kind.parameters[name]
+        parameter = description.parameters[name]
         if not parameter.start:
-            ds = ds.assign_coords(
-                {name: ((), column[0], {"units": parameter.unit, "long_name": parameter.meaning})}
-            )
+            attributes = {"units": parameter.unit, "long_name": parameter.meaning}
+            ds = ds.assign_coords({name: ((), column[0], attributes)})
     return ds
+
+
+def _attributes(name: str) -> dict[str, Any]:
+    """CF attributes of a variable of `equilibria`."""
+    if name == "stable":
+        return {
+            "long_name": "linear stability",
+            "flag_meanings": " ".join(Stability.meanings()),
+            "flag_values": np.arange(len(Stability), dtype="int8"),
+        }
+    return dict(zip(("units", "long_name"), _UNITS.get(name, ("1", name)), strict=True))

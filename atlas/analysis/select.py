@@ -1,74 +1,105 @@
-"""Parts of an atlas: its scene, its axes, the nearest point, the plane of a map."""
+"""Selected points of an atlas: by flags, nearest to given values, on the plane of a map."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 import xarray as xr
 
-from .. import systems
 from ..errors import BadInput
-from ..scene.model import Axis, Scene
-from ..scene.read import load_scene
-from ..systems.base import System
+from .chunks import chunks
+from .metadata import flag_values
 
 MAX_PANELS = 12
 # More cells than the printer has dots along an axis are not drawn: every k-th one is.
 MAX_CELLS = 2000
 
 
-def system_of(ds: xr.Dataset) -> System:
-    """The system of an atlas; BadInput if the dataset is none."""
-    if "atlas_system" not in ds.attrs:
-        raise BadInput("not an atlas: the attribute atlas_system is missing")
-    return systems.get(ds.attrs["atlas_system"])
+def select(ds: xr.Dataset, flags: Mapping[str, str | Sequence[str]]) -> xr.Dataset:
+    """The points with the flags named, in memory, along the dimension "point"; see `Atlas.select`."""
+    wanted = {variable: flag_values(ds, variable, names) for variable, names in flags.items()}
+    if not wanted:
+        raise BadInput("select: name at least one flag, such as label='drifting'")
+    dims = [str(dim) for dim in ds[next(iter(wanted))].dims]
+    selected: list[xr.Dataset] = []
+    for box in chunks(ds.sizes, dims):
+        chunk = ds.isel(box)
+        mask = np.ones([chunk.sizes[dim] for dim in dims], bool)
+        for variable, values in wanted.items():
+            mask &= np.isin(chunk[variable].transpose(*dims).values, values)
+        if mask.any() or not selected:  # an empty first selection, too: it has the names and types
+            indices = dict(zip(dims, np.nonzero(mask), strict=True))
+            pointwise = {dim: xr.DataArray(index, dims="point") for dim, index in indices.items()}
+            selected.append(chunk.isel(pointwise).load())
+    return xr.concat(
+        selected, "point", data_vars="minimal", coords="minimal", compat="override", combine_attrs="override"
+    )
 
 
-def scene_of(ds: xr.Dataset) -> Scene | None:
-    """The scene of an atlas, None for points of one's own."""
-    text = ds.attrs.get("atlas_scene", "")
-    return load_scene(text) if text else None
+def nearest(ds: xr.Dataset, values: Mapping[str, float]) -> xr.Dataset:
+    """The part of an atlas nearest to values of some axes, or of single points the nearest to some parameters.
+
+    See `Atlas.nearest`.
+    """
+    if "point" in ds.dims and values:
+        return _nearest_point(ds, values)
+    return nearest_on_axes(ds, values)
 
 
-def axes_of(scene: Scene) -> dict[str, Axis]:
-    """The axes of a scene by the name of their dimension in the atlas."""
-    return {f"{a.name}_offset" if a.offset_from_family else a.name: a for a in scene.axes.values()}
+def _nearest_point(ds: xr.Dataset, values: Mapping[str, float]) -> xr.Dataset:
+    """The nearest of single points; each parameter is scaled by its range over the points."""
+    distance = np.zeros(ds.sizes["point"])
+    for name, value in values.items():
+        if name not in ds.coords or ds[name].dims != ("point",):
+            allowed = [str(n) for n, c in ds.coords.items() if c.dims == ("point",)]
+            raise BadInput(
+                f"{name}: does not vary over these points; allowed: {', '.join(allowed) or 'none'}"
+            )
+        column = ds[name].values
+        distance += ((column - value) / (np.ptp(column) or 1.0)) ** 2
+    return ds.isel(point=int(distance.argmin()))
 
 
-def nearest(ds: xr.Dataset, select: Mapping[str, float]) -> xr.Dataset:
-    """The part of an atlas nearest to the values given for some of its axes.
+def nearest_on_axes(ds: xr.Dataset, values: Mapping[str, float]) -> xr.Dataset:
+    """The part of an atlas nearest to values of some axes.
 
     Raises BadInput for a name that is no axis and for a value more than half a cell outside it.
     """
-    for name, value in select.items():
+    for name, value in values.items():
         if name not in ds.dims or name not in ds.coords:
             raise BadInput(
                 f"{name}: not an axis of this atlas; allowed: {', '.join(map(str, ds.sizes)) or 'none'}"
             )
-        if (
-            isinstance(value, bool)
-            or not isinstance(value, int | float | np.number)
-            or not math.isfinite(value)
-        ):
+        is_number = isinstance(value, int | float | np.number) and not isinstance(value, bool)
+        if not (is_number and math.isfinite(value)):
             raise BadInput(f"{name} = {value!r}: must be a finite number")
-        values = ds[name].values
-        place = int(np.abs(values - value).argmin())
-        if values.size > 1:
-            edges = cell_edges(np.sort(values))
+        axis = ds[name].values
+        if axis.size > 1:
+            edges = cell_edges(np.sort(axis))
             if not min(edges) <= value <= max(edges):
                 raise BadInput(
-                    f"{name} = {value:g}: outside the atlas; allowed: {values.min():g} to {values.max():g}"
+                    f"{name} = {value:g}: outside the atlas; allowed: {axis.min():g} to {axis.max():g}"
                 )
-        ds = ds.isel({name: place})
+        ds = ds.isel({name: int(np.abs(axis - value).argmin())})
     return ds
 
 
 def cell_edges(values: np.ndarray, log: bool = False) -> np.ndarray:
-    """Edges of the cells around increasing values: midway between them, on a log scale if log is true.
+    """Edges of the cells around the values of an axis.
 
-    Shape (values + 1,). The outer cells are as wide to the outside as to the inside.
+    Parameters
+    ----------
+    values : ndarray
+        Increasing, float64 of shape (n,).
+    log : bool, optional
+        Are the edges midway on a logarithmic scale?
+
+    Returns
+    -------
+    ndarray
+        Shape (n + 1,): midway between neighbours; the outer cells are as wide outwards as inwards.
     """
     v = np.log(values) if log else np.asarray(values, float)
     if v.size == 1:
@@ -79,46 +110,62 @@ def cell_edges(values: np.ndarray, log: bool = False) -> np.ndarray:
     return np.exp(edges) if log else edges
 
 
-def flag_names(array: xr.DataArray) -> list[str]:
-    """Names of the values 0, 1, 2, ... of a flag variable; empty for any other variable."""
-    return str(array.attrs.get("flag_meanings", "")).split()
-
-
 def plane_of(
     ds: xr.Dataset, x: str | None, y: str | None, select: Mapping[str, float]
 ) -> tuple[xr.Dataset, list[str], str | None]:
-    """The part of an atlas that a map shows, its axes (x first) and the axis of its panels.
+    """The plane of an atlas that a map shows; nothing is loaded.
 
-    Sorted along its axes; of axes longer than MOST_CELLS every k-th value. Nothing is loaded.
+    Parameters
+    ----------
+    ds : Dataset
+        The atlas.
+    x, y : str or None
+        Its axes; where None, the longest of the others, x the one that comes first in the atlas.
+    select : mapping of str to float
+        Axis -> value, for the other axes.
+
+    Returns
+    -------
+    plane : Dataset
+        Sorted along its axes; of axes longer than MAX_CELLS every k-th value.
+    dims : list of str
+        One or two axes, x first.
+    panel_dim : str or None
+        One more axis of at most MAX_PANELS values.
+
+    Raises
+    ------
+    BadInput
+        If x, y or select name no axis, and where more axes are left.
     """
-    part = nearest(ds, select).squeeze()
-    dims, panel_dim = plane_dims(part, x, y)
-    part = part.isel({dim: slice(None, None, -(-part.sizes[dim] // MAX_CELLS)) for dim in dims})
-    return part.sortby(dims + ([panel_dim] if panel_dim else [])), dims, panel_dim
+    plane = nearest_on_axes(ds, select).squeeze()
+    dims, panel_dim = _plane_dims(plane, x, y)
+    plane = plane.isel({dim: slice(None, None, -(-plane.sizes[dim] // MAX_CELLS)) for dim in dims})
+    return plane.sortby(dims + ([panel_dim] if panel_dim else [])), dims, panel_dim
 
 
-def plane_dims(ds: xr.Dataset, x: str | None, y: str | None) -> tuple[list[str], str | None]:
-    """The plotted axes, x first, and the axis of the panels if there is one."""
-    every = [str(d) for d in ds.dims if d in ds.coords]
+def _plane_dims(ds: xr.Dataset, x: str | None, y: str | None) -> tuple[list[str], str | None]:
+    """The axes of the plane, x first, and the axis of the panels if there is one."""
+    axes = [str(d) for d in ds.dims if d in ds.coords]
     for role, dim in (("x", x), ("y", y)):
-        if dim is not None and dim not in every:
+        if dim is not None and dim not in axes:
             raise BadInput(
-                f"{role} = {dim!r}: not an axis with several values here; allowed: {', '.join(every) or 'none'}"
+                f"{role} = {dim!r}: not an axis with several values here; allowed: {', '.join(axes) or 'none'}"
             )
-    if not every or set(map(str, ds.dims)) - set(every):
+    if not axes or set(map(str, ds.dims)) - set(axes):
         raise BadInput("this dataset has no axes to draw a map over: single points, or all axes selected")
     if x is not None and x == y:
         raise BadInput(f"x = y = {x!r}: a map needs two axes")
-    longest = sorted((d for d in every if d not in (x, y)), key=lambda d: -ds.sizes[d])
-    room = (x is None) + (y is None)
-    chosen, longest = sorted(longest[:room], key=every.index), longest[room:]
+    by_length = sorted((d for d in axes if d not in (x, y)), key=lambda d: -ds.sizes[d])
+    n_free = (x is None) + (y is None)
+    chosen, others = sorted(by_length[:n_free], key=axes.index), by_length[n_free:]
     if x is None and chosen:
         x = chosen.pop(0)
     if y is None and chosen:
         y = chosen.pop(0)
-    for dim in longest:
-        if len(longest) > 1 or ds.sizes[dim] > MAX_PANELS:
+    for dim in others:
+        if len(others) > 1 or ds.sizes[dim] > MAX_PANELS:
             raise BadInput(
                 f"{dim} has {ds.sizes[dim]} values here: choose one by select = {{{dim!r}: value}}"
             )
-    return [d for d in (x, y) if d is not None], (longest[0] if longest else None)
+    return [d for d in (x, y) if d is not None], (others[0] if others else None)

@@ -7,46 +7,65 @@ import math
 import numpy as np
 import xarray as xr
 
-from ..runs.tiling import Tiling
 from ..validation import half_step
+from .chunks import chunks
+from .metadata import flag_names
 
-# Points read at a time where a whole atlas is gone through.
-CHUNK = 4_000_000
+FLAGS = ("label", "label_inertial", "status", "agreement", "computed")
+# Variable -> the line with its largest value.
+ERRORS = {
+    "error_estimate": "relative error of states and rates, by the estimate of each point: at most {:.2g}",
+    "integral_drift": "drift of first integrals: at most {:.2g}",
+}
+# Histogram from which the median is read: quarters of a decade from 1e-20 on.
+BINS_PER_DECADE, LOWEST_DECADE, BINS = 4, -20, 161
 
 
 def summary(ds: xr.Dataset) -> str:
-    """Counts of labels and status, agreement with theory, expected error, time and speed, as text."""
-    flags = [name for name in ("label", "label_inertial", "status", "agreement", "computed") if name in ds]
-    largest = {
-        "error_estimate": "relative error of states and rates, by the estimate of each point: at most {:.2g}",
-        "integral_drift": "drift of first integrals: at most {:.2g}",
-    }
-    # Quarters of a decade from 1e-20 on: enough to tell the median without keeping every point.
-    quarters = {name: np.zeros(161, np.int64) for name in largest if name in ds}
-    meanings = {name: ds[name].attrs["flag_meanings"].split() for name in flags}
-    counts = {name: np.zeros(len(meanings[name]), np.int64) for name in flags}
-    most = {name: math.nan for name in largest if name in ds}
-    cut = Tiling.of(tuple(ds.sizes.values()), CHUNK)
-    for slab in range(cut.count):
-        part = ds[[*flags, *most]].isel(dict(zip(ds.sizes, cut.place(slab), strict=True)))
-        for name in flags:
-            counts[name] += np.bincount(part[name].values.ravel(), minlength=len(meanings[name]))
-        for name in most:
-            values = part[name].values.ravel()
-            most[name] = float(np.fmax(most[name], np.fmax.reduce(values)))
-            with np.errstate(divide="ignore", invalid="ignore"):
-                place = np.ceil(4 * (np.log10(values[~np.isnan(values)]) + 20))
-            quarters[name] += np.bincount(np.clip(place, 0, 160).astype(np.int64), minlength=161)
-    lines = []
-    for name in flags:
-        shown = ", ".join(f"{m} {n}" for m, n in zip(meanings[name], counts[name], strict=True) if n)
-        lines.append(f"{name}: {shown}")
-    for name, value in most.items():
-        total = np.cumsum(quarters[name])
-        half = 10.0 ** (np.searchsorted(total, (total[-1] + 1) // 2) / 4 - 20)
-        text = largest[name].format(value)
-        lines.append(f"{text}, {min(half, value):.0e} at half of them" if value > 10 * half else text)
+    """Summary of an atlas for the end of its run.
+
+    Parameters
+    ----------
+    ds : Dataset
+        An atlas; it may be larger than memory.
+
+    Returns
+    -------
+    str
+        Lines with the counts of labels, status and agreement with theory, the largest and the median
+        expected error, labels that may change at half the step, time and speed.
+    """
+    lines = [f"{name}: {_flag_counts(ds[name])}" for name in FLAGS if name in ds]
+    for name, sentence in ERRORS.items():
+        if name in ds:
+            largest, median = _largest_and_median(ds[name])
+            text = sentence.format(largest)
+            lines.append(f"{text}, {median:.0e} at half of them" if largest > 10 * median else text)
     if "atlas_half_step_points" in ds.attrs:
         lines.append(half_step.half_step_text(ds.attrs))
     lines.append(f"{ds.attrs['atlas_seconds']:.1f} s, {ds.attrs['atlas_points_per_second']:.4g} points/s")
     return "\n".join(lines)
+
+
+def _flag_counts(array: xr.DataArray) -> str:
+    """Number of points with each flag that occurs."""
+    names = flag_names(array)
+    counts = np.zeros(len(names), np.int64)
+    for box in chunks(array.sizes, array.dims):
+        counts += np.bincount(array.isel(box).values.ravel(), minlength=len(names))
+    return ", ".join(f"{name} {count}" for name, count in zip(names, counts, strict=True) if count)
+
+
+def _largest_and_median(array: xr.DataArray) -> tuple[float, float]:
+    """Largest value of a non-negative variable, and its median rounded up to a quarter of a decade."""
+    largest, histogram = math.nan, np.zeros(BINS, np.int64)
+    for box in chunks(array.sizes, array.dims):
+        values = array.isel(box).values.ravel()
+        largest = float(np.fmax(largest, np.fmax.reduce(values)))
+        with np.errstate(divide="ignore"):
+            exponent = np.log10(values[~np.isnan(values)])
+        index = np.clip(np.ceil(BINS_PER_DECADE * (exponent - LOWEST_DECADE)), 0, BINS - 1)
+        histogram += np.bincount(index.astype(np.int64), minlength=BINS)
+    cumulative = np.cumsum(histogram)
+    median_bin = np.searchsorted(cumulative, (cumulative[-1] + 1) // 2)
+    return largest, 10.0 ** (median_bin / BINS_PER_DECADE + LOWEST_DECADE)

@@ -1,7 +1,7 @@
-"""Blocks of points side by side: SIMD over the lanes of a block, threads over blocks.
+"""Blocks of points for the kernel: SIMD over the lanes of a block, threads over blocks.
 
-A block holds WIDTH points with one number of steps; each has its own step length, so that what a
-point does depends on itself alone and never on its neighbours, its block or the thread.
+A block holds WIDTH points with one number of steps; each has its own step size, so that the result of a point depends
+on that point alone and never on its neighbours, its block or the thread.
 """
 
 from __future__ import annotations
@@ -17,163 +17,192 @@ from types import ModuleType
 import numpy as np
 from numpy.typing import NDArray
 
-from . import measure
-from .template import WIDTH
+from .generated import WIDTH
+from .kernel import MOTION
+from .sampling import END_WEIGHTS, hermite_weights
+from .statistics import Row
+from .stepsize import StepSizes
 
-# About this many point-steps a call keeps Ctrl-C and the progress line alive (some 0.1 s).
+# A call of the kernel takes about this many point-steps (some 0.1 s): Ctrl-C and the progress line wait for it.
 CHUNK = 20_000_000
-# Points that end early free their lanes: longer calls keep the lanes full to their end.
-LABEL_CHUNK = 200_000_000
 
 
 @dataclass(frozen=True)
 class BlockSchedule:
-    """Blocks of a set of points: which points, and their steps, strides and parts as in steps.Steps."""
+    """Blocks of points with equal numbers of steps and samples.
 
-    points: NDArray[np.int64]  # (blocks, WIDTH); a last block is filled up with its own last point
-    steps: NDArray[np.int64]  # (blocks,)
-    strides: NDArray[np.int64]  # (blocks,)
-    parts: NDArray[np.int64]  # (blocks,)
+    Attributes
+    ----------
+    points : ndarray of int64, shape (blocks, WIDTH)
+        Indices of the points of each block; an incomplete block repeats its last point.
+    steps, steps_per_sample, samples_per_step : ndarray of int64, shape (blocks,)
+        As in StepSizes.
+    """
+
+    points: NDArray[np.int64]
+    steps: NDArray[np.int64]
+    steps_per_sample: NDArray[np.int64]
+    samples_per_step: NDArray[np.int64]
 
     @property
     def point_steps(self) -> int:
+        """Steps of all points together, the repeated ones included."""
         return int(self.steps.sum()) * WIDTH
+
+    @property
+    def nodes(self) -> NDArray[np.int64]:
+        """Nodes of a whole run, (blocks,)."""
+        return self.steps // self.steps_per_sample + (self.samples_per_step > 1)
 
 
 def pack_blocks(
-    steps: NDArray[np.int64], strides: NDArray[np.int64], parts: NDArray[np.int64] | None = None
+    steps: NDArray[np.int64],
+    steps_per_sample: NDArray[np.int64],
+    samples_per_step: NDArray[np.int64] | None = None,
 ) -> BlockSchedule:
-    """Gather points of equal steps into blocks, the longest first (threads then end together).
+    """Gather points of equal steps and samples into blocks, the longest first, so that threads end together.
 
-    steps, strides, parts: (points,), as in steps.Steps; without parts only whole strides are sampled.
+    All arguments have the shape (points,); samples_per_step is 1 if it is not given.
     """
-    key = np.stack([steps, strides, np.ones_like(steps) if parts is None else parts])
+    ones = np.ones_like(steps)
+    key = np.stack([steps, steps_per_sample, ones if samples_per_step is None else samples_per_step])
     order = np.lexsort((key[2], key[1], -key[0]))
     key = key[:, order]
     new = np.r_[True, (key[:, 1:] != key[:, :-1]).any(0)][: steps.size]
     starts = np.flatnonzero(new)
-    blocks, rows = [np.empty((0, WIDTH), np.int64)], [np.empty((3, 0), np.int64)]
+    points, rows = [np.empty((0, WIDTH), np.int64)], [np.empty((3, 0), np.int64)]
     for first, last in zip(starts, np.r_[starts[1:], steps.size], strict=True):
         group = order[first:last]
-        blocks.append(np.r_[group, np.full(-len(group) % WIDTH, group[-1])].reshape(-1, WIDTH))
-        rows.append(np.repeat(key[:, [first]], len(blocks[-1]), axis=1))
-    return BlockSchedule(np.concatenate(blocks), *np.ascontiguousarray(np.concatenate(rows, axis=1)))
+        points.append(np.r_[group, np.full(-len(group) % WIDTH, group[-1])].reshape(-1, WIDTH))
+        rows.append(np.repeat(key[:, [first]], len(points[-1]), axis=1))
+    return BlockSchedule(np.concatenate(points), *np.ascontiguousarray(np.concatenate(rows, axis=1)))
+
+
+def schedule_of(step_sizes: StepSizes) -> BlockSchedule:
+    """The blocks of a whole ensemble."""
+    return pack_blocks(step_sizes.steps, step_sizes.steps_per_sample, step_sizes.samples_per_step)
 
 
 def available_threads() -> int:
-    """Processors this process may use."""
+    """Processors that this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+@dataclass(frozen=True)
+class Segment:
+    """Part of the runs of a schedule; see the arguments of `kernel.integrate` of the same names.
+
+    Attributes
+    ----------
+    first_node, last_node : ndarray of int64, shape (blocks,)
+    resume : ndarray of float64
+    out : ndarray of float64, shape (len(Row), points)
+    """
+
+    first_node: NDArray[np.int64]
+    last_node: NDArray[np.int64]
+    resume: NDArray[np.float64]
+    out: NDArray[np.float64]
+
+
+def resume_array(integrals: int, points: int) -> NDArray[np.float64]:
+    """What the kernel keeps of runs in segments beside states and sums, uninitialised."""
+    return np.empty((8 * MOTION + integrals, points))
 
 
 def integrate(
     kernel: ModuleType,
-    blocks: BlockSchedule,
-    length: NDArray[np.float64],
+    schedule: BlockSchedule,
+    step_size: NDArray[np.float64],
     state: NDArray[np.float64],
     constants: NDArray[np.float64],
     scales: NDArray[np.float64],
     cylinder: float,
     *,
+    segment: Segment | None = None,
     threads: int | None = None,
     progress: Callable[[int], None] | None = None,
 ) -> NDArray[np.float64]:
-    """Integrate every point; returns (len(measure.OUTPUTS), points) and leaves the final state in `state`.
+    """Integrate every point of a schedule.
 
-    length: (points,) step of each point, time units; state: (states, points), C order, overwritten;
-    constants: (constants, points); scales: (integrals, points), the reciprocal of what a change of
-    that integral is held against, 0 where it is not conserved; cylinder: radius of the cylinder, rad.
-    progress is called with the point-steps done since the last call, from worker threads. On
-    KeyboardInterrupt the calls in flight end first (a fraction of a second), then it is raised again.
+    Parameters
+    ----------
+    kernel : module
+        As `assemble.source` makes it, loaded.
+    schedule : BlockSchedule
+    step_size : ndarray of float64, shape (points,)
+        In time units.
+    state : ndarray of float64, shape (states, points), C order, overwritten
+        At the start, and afterwards at the end.
+    constants : ndarray of float64, shape (constants, points)
+    scales : ndarray of float64, shape (integrals, points)
+        Reciprocals of the sizes with which changes of the first integrals are compared; 0: not conserved.
+    cylinder : float
+        Radius of the cylinder, rad.
+    segment : Segment, optional
+        Part of the runs, default: all of them.
+    threads : int, optional
+        Default: all processors.
+    progress : callable, optional
+        Called from worker threads with the point-steps done since the last call.
+
+    Returns
+    -------
+    ndarray of float64, shape (len(Row), points)
+        The sums, for `statistics.finish`.
+
+    Notes
+    -----
+    On KeyboardInterrupt the calls of the kernel in flight end first (a fraction of a second), then it is raised again.
     """
-    out = np.empty((len(measure.OUTPUTS), state.shape[1]))
-    ends, between = measure.WEIGHTS, measure.between(kernel.PARTS)
+    if segment is None:
+        nodes = schedule.nodes
+        out = np.empty((len(Row), state.shape[1]))
+        segment = Segment(np.zeros_like(nodes), nodes, np.empty((0, 0)), out)
+    hermite = hermite_weights(kernel.MAX_SAMPLES)
+    nodes = segment.last_node - segment.first_node
+    steps = np.minimum(nodes * schedule.steps_per_sample, schedule.steps) * WIDTH
 
     def work(first: int, last: int) -> int:
         kernel.integrate(
-            first, last, blocks.points, blocks.steps, blocks.strides, blocks.parts, length, state, constants, scales,
-            ends, between, cylinder * cylinder, out,
+            first, last, schedule.points, schedule.steps, schedule.steps_per_sample, schedule.samples_per_step,
+            segment.first_node, segment.last_node, step_size, state, constants, scales, END_WEIGHTS, hermite,
+            cylinder * cylinder, segment.resume, segment.out,
         )  # fmt: skip
-        return int(blocks.steps[first:last].sum()) * WIDTH
+        return int(steps[first:last].sum())
 
-    _in_threads(
-        work,
-        _chunk_bounds(blocks.steps * WIDTH, CHUNK, 4 * (threads or available_threads())),
-        threads,
-        progress,
-    )
-    return out
+    run_in_threads(work, chunk_bounds(steps, CHUNK, 4 * (threads or available_threads())), threads, progress)
+    return segment.out
 
 
-def integrate_labels(
-    kernel: ModuleType,
-    steps: NDArray[np.int64],
-    strides: NDArray[np.int64],
-    parts: NDArray[np.int64],
-    length: NDArray[np.float64],
-    state: NDArray[np.float64],
-    constants: NDArray[np.float64],
-    scales: NDArray[np.float64],
-    cylinder: float,
-    tolerance: NDArray[np.float64],
-    *,
-    threads: int | None = None,
-    progress: Callable[[int], None] | None = None,
-) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
-    """The same as `integrate` until a point is certain to drift: returns its output and the looks done.
-
-    steps, strides, parts: (points,), as in steps.Steps; tolerance: (points,) rate above which a point is
-    certain to drift, rad per time unit.
-    A point whose looks done are fewer than steps // strides drifts, whatever comes.
-    """
-    out = np.empty((len(measure.OUTPUTS), state.shape[1]))
-    done = np.zeros(steps.shape, np.int64)
-    ends, between = measure.WEIGHTS, measure.between(kernel.PARTS)
-    looks = steps // strides
-    for stride, part in np.unique(np.stack([strides, parts]), axis=1).T:
-        queue = np.flatnonzero((strides == stride) & (parts == part))
-        queue = queue[np.argsort(-steps[queue], kind="stable")]
-
-        def work(first: int, last: int, queue=queue, stride: int = int(stride), part: int = int(part)) -> int:
-            kernel.integrate_labels(
-                first, last, queue, stride, part, looks, length, state, constants, scales, ends, between,
-                cylinder * cylinder, tolerance, out, done,
-            )  # fmt: skip
-            return int(steps[queue[first:last]].sum())
-
-        _in_threads(
-            work, _chunk_bounds(steps[queue], LABEL_CHUNK, threads or available_threads()), threads, progress
-        )
-    return out, done
-
-
-def _chunk_bounds(cost: NDArray[np.int64], most: int, pieces: int) -> list[int]:
-    """Where to cut a row of jobs: about so many pieces at least, that cost at most about `most` each."""
+def chunk_bounds(cost: NDArray[np.int64], max_cost: int, min_chunks: int) -> list[int]:
+    """Bounds of chunks of a row of jobs: at least about min_chunks, of at most about max_cost each."""
     total = np.cumsum(cost)
-    most = min(most, -(-int(total[-1]) // pieces)) if total.size else most
-    cuts = [0]
-    while cuts[-1] < len(total):
-        done = total[cuts[-1] - 1] if cuts[-1] else 0
-        cuts.append(max(cuts[-1] + 1, int(np.searchsorted(total, done + most))))
-    return cuts
+    max_cost = min(max_cost, -(-int(total[-1]) // min_chunks)) if total.size else max_cost
+    bounds = [0]
+    while bounds[-1] < len(total):
+        done = total[bounds[-1] - 1] if bounds[-1] else 0
+        bounds.append(max(bounds[-1] + 1, int(np.searchsorted(total, done + max_cost))))
+    return bounds
 
 
-def _in_threads(
+def run_in_threads(
     work: Callable[[int, int], int],
-    cuts: list[int],
+    bounds: list[int],
     threads: int | None,
     progress: Callable[[int], None] | None,
 ) -> None:
-    """Call work(first, last) for every piece; after an exception the pieces not begun are left out."""
+    """Call work(first, last) for every chunk; after an exception the chunks not begun are left out."""
     stop = threading.Event()
 
-    def piece(first: int, last: int) -> None:
+    def chunk(first: int, last: int) -> None:
         if not stop.is_set():
             done = work(first, last)
             if progress is not None:
                 progress(done)
 
     with ThreadPoolExecutor(threads or available_threads()) as pool:
-        jobs = [pool.submit(piece, first, last) for first, last in pairwise(cuts)]
+        jobs = [pool.submit(chunk, first, last) for first, last in pairwise(bounds)]
         try:
             for job in jobs:
                 job.result()

@@ -1,4 +1,4 @@
-"""Explicit Runge-Kutta methods: Butcher tableaux, their limits, and unrolled source for one step."""
+"""Explicit Runge-Kutta methods: Butcher tableaux and their limits on oscillations."""
 
 from __future__ import annotations
 
@@ -8,27 +8,56 @@ from fractions import Fraction
 
 @dataclass(frozen=True)
 class Method:
-    """A fixed-step explicit method, with what is known of it on x' = i w x at y = w h.
+    """A fixed-step explicit Runge-Kutta method and its errors on x' = i w x with y = w h.
 
-    order: global order p. The phase error per step is phase * y^(p+1), the loss of amplitude per
-    step damping * y^(damping_order); stability: largest stable y. parts: most samples per step, so
-    that the statistics keep up with the states. span: the step in the kernel's unit of time, chosen so that
-    most coefficients times the step are 1.
+    Attributes
+    ----------
+    name : str
+    order : int
+        Global order.
+    a : tuple of tuples of float
+        Rows of the Butcher tableau below the diagonal.
+    b : tuple of float
+        Weights of the stages.
+    dispersion : float
+        The phase error of a step is dispersion * y^(order + 1) to leading order.
+    dissipation, dissipation_order : float, int
+        The relative loss of amplitude of a step is dissipation * y^dissipation_order to leading order.
+    stability : float
+        Largest stable y.
+    max_samples : int
+        Largest number of samples per step, for the statistics to be as accurate as the states.
+    kernel_step : float
+        Length of the step in the kernel's unit of time: most coefficients times it are 1.
+
+    Raises
+    ------
+    ValueError
+        Where the tableau has the wrong shape or fails the conditions of the first and second order.
     """
 
     name: str
     order: int
     a: tuple[tuple[float, ...], ...]
     b: tuple[float, ...]
-    phase: float
-    damping: float
-    damping_order: int
+    dispersion: float
+    dissipation: float
+    dissipation_order: int
     stability: float
-    parts: int = 1
-    span: float = 1.0
+    max_samples: int = 1
+    kernel_step: float = 1.0
+
+    def __post_init__(self) -> None:
+        if [len(row) for row in self.a] != list(range(len(self.b))):
+            raise ValueError(f"{self.name}: row i of the tableau must have i coefficients")
+        first = sum(self.b)
+        second = sum(weight * sum(row) for weight, row in zip(self.b, self.a, strict=True))
+        if abs(first - 1.0) > 1e-14 or abs(second - 0.5) > 1e-14:
+            raise ValueError(f"{self.name}: sum b = {first} (1) and sum b c = {second} (1/2)")
 
     @property
     def stages(self) -> int:
+        """Number of stages."""
         return len(self.b)
 
 
@@ -37,11 +66,11 @@ RK4 = Method(
     4,
     ((), (0.5,), (0.0, 0.5), (0.0, 0.0, 1.0)),
     (1 / 6, 1 / 3, 1 / 3, 1 / 6),
-    phase=float(Fraction(1, 120)),
-    damping=float(Fraction(1, 144)),
-    damping_order=6,
+    dispersion=float(Fraction(1, 120)),
+    dissipation=float(Fraction(1, 144)),
+    dissipation_order=6,
     stability=8**0.5,
-    span=2.0,
+    kernel_step=2.0,
 )
 # The twelve stages of DOP853, its eighth-order solution without the error estimate: Hairer, Norsett and
 # Wanner, Solving Ordinary Differential Equations I, 2nd ed. (1993), section II.5.
@@ -151,35 +180,10 @@ RK8 = Method(
         0.20136540080403034,
         0.04471061572777259,
     ),
-    phase=6.402e-8,
-    damping=2.277e-8,
-    damping_order=10,
+    dispersion=6.402e-8,
+    dissipation=2.277e-8,
+    dissipation_order=10,
     stability=5.960359811702219,
-    parts=4,
+    max_samples=4,
 )
 METHODS = {method.name: method for method in (RK4, RK8)}
-
-
-def step_source(method: Method, states: int) -> str:
-    """Source of one step, of length method.span, on the scalars y0, y1, ...: calls rhs(state, constants)."""
-    # The first weight is factored out: the inner coefficients of rk4 are then 1, 2, 2, 1, which needs additions only
-    # and leaves the multipliers, the narrowest part of the processor, to the equations. The sum s goes along with the
-    # stages: fewer of them are in use at once.
-    lines, first = [], method.b[0]
-    for stage in range(method.stages):
-        moves = (_sum(method.a[stage], method.span, i) for i in range(states))
-        state = [f"y{i} + ({move})" if move else f"y{i}" for i, move in enumerate(moves)]
-        names = ", ".join(f"k{stage}_{i}" for i in range(states))
-        lines.append(f"{names} = rhs(({', '.join(state)}), constants)")
-        terms = [_sum((0.0,) * stage + (method.b[stage] / first,), 1.0, i) for i in range(states)]
-        before = "s{i} + " if stage else ""
-        lines += [f"s{i} = {before.format(i=i)}{term}" for i, term in enumerate(terms) if term]
-    lines += [f"y{i} = y{i} + {first * method.span!r} * s{i}" for i in range(states)]
-    return "\n".join(lines)
-
-
-def _sum(coefficients: tuple[float, ...], factor: float, i: int) -> str:
-    """Component i of the slopes k, weighted by coefficients times factor."""
-    forms = {1.0: "{k}", 2.0: "({k} + {k})"}
-    terms = [(f"k{j}_{i}", a * factor) for j, a in enumerate(coefficients) if a != 0.0]
-    return " + ".join(forms.get(a, f"{a!r} * {{k}}").format(k=k) for k, a in terms)

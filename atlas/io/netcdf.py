@@ -1,9 +1,7 @@
-"""The atlas: its layout and provenance, writing in one move, opening with every complaint in one line."""
+"""The atlas as a Dataset, and as a NetCDF file."""
 
 from __future__ import annotations
 
-import os
-import tempfile
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -12,7 +10,7 @@ import numpy as np
 import xarray as xr
 
 from ..errors import BadInput
-from ..files import check_folder, umask
+from ..files import atomic_write, check_folder
 from ..scene import grid
 from ..scene.model import Scene
 from ..systems.base import System
@@ -20,88 +18,126 @@ from ..variables import variables
 
 COMPRESSION: dict[str, Any] = {"zlib": True, "complevel": 4, "shuffle": True}
 SUFFIX = ".nc"
-# Parameters with more values than this are computed when they are looked at, a block at a time.
+# A parameter with more values than this becomes a dask array, computed chunk by chunk when it is used.
 MAX_EAGER_VALUES = 4_000_000
 
 
 def dims(scene: Scene) -> tuple[str, ...]:
-    """Dimensions of the atlas: its axes, an axis of distances from a family with "_offset" appended."""
+    """Names of the dimensions: those of the axes, with "_offset" for an axis of offsets from a family."""
     return tuple(f"{a.name}_offset" if a.offset_from_family else a.name for a in scene.axes.values())
 
 
 def dataset(
-    scene: Scene, columns: Mapping[str, Any], solved: Mapping[str, Any], blocks: Sequence[int] | None = None
+    scene: Scene, columns: Mapping[str, Any], solved: Mapping[str, Any], chunks: Sequence[int] | None = None
 ) -> xr.Dataset:
-    """The atlas without provenance: axes as dimensions, each parameter along the axes it depends on.
+    """Assemble the atlas of a scene, without provenance.
 
-    columns, solved: arrays of the scene's shape (NumPy or dask), the variables of the atlas and the
-    parameters that its family was solved for. blocks: a block of the grid by its length along each
-    axis; with it, parameters of more than MOST_EAGER values become dask arrays of such blocks.
+    Parameters
+    ----------
+    scene : Scene
+    columns : mapping of str to array
+        Variables of the atlas, NumPy or dask arrays of the scene's shape.
+    solved : mapping of str to array
+        Parameters that the family was solved for, likewise.
+    chunks : sequence of int, optional
+        Length of a chunk along each axis. If given, parameters of more than MAX_EAGER_VALUES values become
+        dask arrays of such chunks.
+
+    Returns
+    -------
+    xarray.Dataset
+        Axes as dimensions, and each parameter as a coordinate along the axes on which it depends.
     """
-    names, kinds = dims(scene), variables(scene.system)
-    ds = xr.Dataset({name: (names, values, kinds[name].attributes()) for name, values in columns.items()})
-    for name, axis in zip(names, scene.axes.values(), strict=True):
+    dimensions, registry = dims(scene), variables(scene.system)
+    ds = xr.Dataset(
+        {name: (dimensions, values, registry[name].attributes()) for name, values in columns.items()}
+    )
+    for name, axis in zip(dimensions, scene.axes.values(), strict=True):
         attributes = parameter_attributes(scene.system, axis.name, axis.offset_from_family)
         attributes |= {k: v for k in ("long_name", "units") if (v := getattr(axis, k))}
         ds = ds.assign_coords({name: (name, np.asarray(axis.values), attributes)})
     for name, parameter in scene.system.parameters.items():
         attributes = parameter_attributes(scene.system, name, False)
         if name in solved:
-            ds = ds.assign_coords({name: (names, solved[name], attributes)})
-        elif name not in scene.axes:
-            used = _depends(scene, name)
-            value = _along(scene, name, used, blocks)
-            if not (np.isnan(parameter.default) and name not in scene.fixed and name not in scene.ties):
-                ds = ds.assign_coords({name: ([names[i] for i in used], value, attributes)})
+            ds = ds.assign_coords({name: (dimensions, solved[name], attributes)})
+        elif name not in scene.axes and (
+            not np.isnan(parameter.default) or name in scene.fixed or name in scene.ties
+        ):
+            axes = _axes_of_parameter(scene, name)
+            values = _parameter_along_axes(scene, name, axes, chunks)
+            ds = ds.assign_coords({name: ([dimensions[i] for i in axes], values, attributes)})
     return ds
 
 
 def parameter_attributes(system: System, name: str, offset: bool) -> dict[str, str]:
-    """long_name and units of a parameter, or of its distance from a family; of any other name, the name."""
+    """long_name and units of a parameter, or of its offset from a family.
+
+    An axis that is not a parameter has its own name as long_name.
+    """
     if name not in system.parameters:
         return {"long_name": name, "units": "1"}
     parameter = system.parameters[name]
-    what = f"offset from the family in the {parameter.meaning}" if offset else parameter.meaning
-    return {"long_name": what, "units": parameter.unit}
+    long_name = f"offset from the family in the {parameter.meaning}" if offset else parameter.meaning
+    return {"long_name": long_name, "units": parameter.unit}
 
 
-def _depends(scene: Scene, name: str) -> tuple[int, ...]:
+def _axes_of_parameter(scene: Scene, name: str) -> tuple[int, ...]:
     """Axes, by number, on which a fixed or tied parameter depends."""
-    found: set[str] = set()
-    waiting = [name]
-    while waiting:
-        one = waiting.pop()
-        if one in scene.ties:
-            waiting += scene.ties[one].names
-        elif one in scene.axes:
-            found.add(one)
-    return tuple(i for i, axis in enumerate(scene.axes) if axis in found)
+    axes: set[str] = set()
+    pending = [name]
+    while pending:
+        current = pending.pop()
+        if current in scene.ties:
+            pending += scene.ties[current].names
+        elif current in scene.axes:
+            axes.add(current)
+    return tuple(i for i, axis in enumerate(scene.axes) if axis in axes)
 
 
-def _along(scene: Scene, name: str, used: tuple[int, ...], blocks: Sequence[int] | None) -> Any:
-    """Value of a parameter along the axes it depends on, the other axes held at their first value."""
+def _parameter_along_axes(
+    scene: Scene, name: str, axes: tuple[int, ...], chunks: Sequence[int] | None
+) -> Any:
+    """Values of a parameter along the axes on which it depends; see `dataset` for chunks."""
 
-    def values(places: Sequence[np.ndarray]) -> np.ndarray:
-        full = [np.zeros(1, np.int64)] * len(scene.shape)
-        for i, place in zip(used, places, strict=True):
-            full[i] = place
-        flat = np.ravel_multi_index(tuple(np.meshgrid(*full, indexing="ij")), scene.shape)
-        return grid.parameter_values(scene, flat.ravel())[name].reshape([len(place) for place in places])
+    def evaluate(indices: Sequence[np.ndarray]) -> np.ndarray:
+        """Values at the given indices along the axes, at the first value of each other axis."""
+        all_indices = [np.zeros(1, np.int64)] * len(scene.shape)
+        for i, index in zip(axes, indices, strict=True):
+            all_indices[i] = index
+        flat = np.ravel_multi_index(tuple(np.meshgrid(*all_indices, indexing="ij")), scene.shape)
+        return grid.parameter_values(scene, flat.ravel())[name].reshape([len(index) for index in indices])
 
-    shape = [scene.shape[i] for i in used]
-    if blocks is None or np.prod(shape, dtype=float) <= MAX_EAGER_VALUES:
-        return values([np.arange(count) for count in shape])
+    shape = [scene.shape[i] for i in axes]
+    if chunks is None or np.prod(shape, dtype=float) <= MAX_EAGER_VALUES:
+        return evaluate([np.arange(count) for count in shape])
     import dask.array as da
 
-    def block(block_info: Any = None) -> np.ndarray:
-        return values([np.arange(*ends) for ends in block_info[None]["array-location"]])
+    def chunk(block_info: Any = None) -> np.ndarray:
+        return evaluate([np.arange(*ends) for ends in block_info[None]["array-location"]])
 
-    chunks = da.core.normalize_chunks([blocks[i] for i in used], shape)
-    return da.map_blocks(block, chunks=chunks, dtype=float, meta=np.empty([0] * len(shape)))
+    lengths = da.core.normalize_chunks([chunks[i] for i in axes], shape)
+    return da.map_blocks(chunk, chunks=lengths, dtype=float, meta=np.empty([0] * len(shape)))
 
 
 def writable(out: str | Path, *, force: bool) -> Path:
-    """The path of an atlas to be written; BadInput if it cannot be, or exists and force is false."""
+    """Check the path of an atlas file before anything is computed.
+
+    Parameters
+    ----------
+    out : str or Path
+        Must end in .nc, in a folder that can be written.
+    force : bool
+        Allow an existing file, to be replaced.
+
+    Returns
+    -------
+    Path
+
+    Raises
+    ------
+    BadInput
+        If the file cannot be written, or exists and `force` is false.
+    """
     path = Path(out)
     if path.suffix != SUFFIX:
         raise BadInput(f"{path}: the name of an atlas ends in {SUFFIX}")
@@ -112,7 +148,15 @@ def writable(out: str | Path, *, force: bool) -> Path:
 
 
 def write(ds: xr.Dataset, path: Path) -> None:
-    """Write under a temporary name beside `path`, sync, and move into place: never half a file."""
+    """Write a Dataset as one compressed NetCDF file, which appears whole or not at all.
+
+    Parameters
+    ----------
+    ds : xarray.Dataset
+        Data variables of type float get the fill value nan; flags and coordinates get none.
+    path : Path
+        From `writable`; an existing file is replaced.
+    """
     encoding: dict[str, dict[str, Any]] = {}
     for name, variable in ds.variables.items():
         encoding[str(name)] = {"_FillValue": None}
@@ -120,14 +164,5 @@ def write(ds: xr.Dataset, path: Path) -> None:
             encoding[str(name)] = {"_FillValue": np.nan if name in ds.data_vars else None}
         if variable.ndim:
             encoding[str(name)] |= COMPRESSION
-    handle, temporary = tempfile.mkstemp(prefix=f".{path.name}.", suffix=".tmp", dir=path.parent)
-    os.close(handle)
-    try:
+    with atomic_write(path) as temporary:
         ds.to_netcdf(temporary, engine="netcdf4", format="NETCDF4", encoding=encoding)
-        with open(temporary, "rb+") as file:
-            os.fsync(file.fileno())
-        os.chmod(temporary, 0o666 & ~umask())
-        os.replace(temporary, path)
-    except BaseException:
-        Path(temporary).unlink(missing_ok=True)
-        raise

@@ -1,9 +1,8 @@
-"""Progress of a run: one live line on a terminal, a plain line now and then elsewhere, and a file."""
+"""Progress of a run: a live line on a terminal, plain lines elsewhere, and a JSON file."""
 
 from __future__ import annotations
 
 import json
-import os
 import sys
 import threading
 import time
@@ -13,16 +12,38 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, TextIO
 
-PLAIN_EVERY = 10.0  # seconds between two plain lines
-LIVE_EVERY = 0.2
-FILE_EVERY = 2.0
+from ..files import atomic_write
+
+# Seconds between two plain lines, two updates of the live line, and two of the file.
+PLAIN_INTERVAL = 10.0
+LIVE_INTERVAL = 0.2
+FILE_INTERVAL = 2.0
 
 
 class Progress:
-    """Counts points from any thread; tells points per second and the time left.
+    """Counter of finished points that reports points per second and the time left.
 
-    points: all there are; done: those of earlier runs. show: print to `stream` (default stderr). file:
-    a JSON file kept up to date, which holds `facts` as well; losing it loses nothing.
+    All methods may be called from any thread.
+
+    Parameters
+    ----------
+    points : int
+        Number of points of the run.
+    stream : TextIO, optional
+        Where to print; default stderr.
+    done : int
+        Points that earlier runs have finished; they do not count for the speed.
+    show : bool
+        Print to `stream`.
+    file : Path, optional
+        JSON file that is kept up to date. It is for people and scripts; no computation reads it.
+    facts : mapping, optional
+        Entries added to the file.
+
+    Attributes
+    ----------
+    started : float
+        Time of the start in seconds, as `time.perf_counter` gives it.
     """
 
     def __init__(
@@ -41,71 +62,67 @@ class Progress:
         self.live = self.stream.isatty()
         self.file = file
         self.facts = dict(facts or {})
-        self.began = time.perf_counter()
-        self._printed = self._filed = self.began
-        self._before = self._done = float(done)
+        self.started = time.perf_counter()
+        self._last_print = self._last_save = self.started
+        self._done_at_no_cost = self._done = float(done)
         self._lock = threading.Lock()
         if file is not None:
-            self._write(self.began, running=True)
+            self._save(self.started, running=True)
 
     def advance(self, points: float) -> None:
-        """Add finished points (fractions too: a tile reports as its blocks end)."""
+        """Add finished points; fractions too, because a tile reports after each block of its points."""
         with self._lock:
             self._done = min(self._done + points, self.points)
             now = time.perf_counter()
-            if self.show and now - self._printed >= (LIVE_EVERY if self.live else PLAIN_EVERY):
-                self._printed = now
+            if self.show and now - self._last_print >= (LIVE_INTERVAL if self.live else PLAIN_INTERVAL):
+                self._last_print = now
                 self._print(now)
-            if self.file is not None and now - self._filed >= FILE_EVERY:
-                self._filed = now
-                self._write(now, running=True)
+            if self.file is not None and now - self._last_save >= FILE_INTERVAL:
+                self._last_save = now
+                self._save(now, running=True)
 
     def skip(self, points: float) -> None:
-        """Take points as done that cost this process nothing."""
+        """Add points that this process did not have to compute; they do not count for the speed."""
         with self._lock:
-            self._before += points
+            self._done_at_no_cost += points
             self._done += points
 
-    def _speed(self, now: float) -> tuple[float, float]:
-        """Points per second, seconds left."""
-        speed = (self._done - self._before) / max(now - self.began, 1e-9)
-        return speed, (self.points - self._done) / speed if speed > 0 else 0.0
-
-    def _print(self, now: float) -> None:
-        speed, left = self._speed(now)
-        text = (
-            f"{100 * self._done / self.points:5.1f} %  {self._done:.0f} of {self.points} points"
-            f"  {speed:.3g} points/s  {clock(left)} left"
-        )
-        self.stream.write(f"\r{text}\x1b[K" if self.live else f"{text}\n")
-        self.stream.flush()
-
-    def _write(self, now: float, running: bool) -> None:
-        assert self.file is not None
-        speed, left = self._speed(now)
-        found = self.facts | {
-            "points": self.points,
-            "done": round(self._done),
-            "points_per_second": speed,
-            "seconds_left": left,
-            "running": running,
-            "written": f"{datetime.now(UTC):%Y-%m-%dT%H:%M:%SZ}",
-        }
-        temporary = self.file.with_name(f".{self.file.name}.{os.getpid()}.tmp")
-        with suppress(OSError):  # a full disk is the business of who writes the tiles
-            try:
-                temporary.write_text(json.dumps(found, indent=1))
-                os.replace(temporary, self.file)
-            finally:
-                temporary.unlink(missing_ok=True)
-
     def close(self) -> None:
-        """Clear the live line and say in the file that this process has ended."""
+        """Clear the live line and mark the process as ended in the file."""
         if self.show and self.live:
             self.stream.write("\r\x1b[K")
             self.stream.flush()
         if self.file is not None:
-            self._write(time.perf_counter(), running=False)
+            self._save(time.perf_counter(), running=False)
+
+    def _speed(self, now: float) -> tuple[float, float]:
+        """Points per second, and seconds left."""
+        speed = (self._done - self._done_at_no_cost) / max(now - self.started, 1e-9)
+        return speed, (self.points - self._done) / speed if speed > 0 else 0.0
+
+    def _print(self, now: float) -> None:
+        speed, seconds_left = self._speed(now)
+        text = (
+            f"{100 * self._done / self.points:5.1f} %  {self._done:.0f} of {self.points} points"
+            f"  {speed:.3g} points/s  {clock(seconds_left)} left"
+        )
+        self.stream.write(f"\r{text}\x1b[K" if self.live else f"{text}\n")
+        self.stream.flush()
+
+    def _save(self, now: float, running: bool) -> None:
+        assert self.file is not None
+        speed, seconds_left = self._speed(now)
+        content = self.facts | {
+            "points": self.points,
+            "done": round(self._done),
+            "points_per_second": speed,
+            "seconds_left": seconds_left,
+            "running": running,
+            "written": f"{datetime.now(UTC):%Y-%m-%dT%H:%M:%SZ}",
+        }
+        # On a full disk the run fails where it writes a tile, with a better message.
+        with suppress(OSError), atomic_write(self.file) as temporary:
+            temporary.write_text(json.dumps(content, indent=1), encoding="utf-8")
 
 
 def clock(seconds: float) -> str:

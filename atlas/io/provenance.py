@@ -1,4 +1,4 @@
-"""Global attributes of an atlas: what it is and what made it."""
+"""Provenance of an atlas: its global attributes."""
 
 from __future__ import annotations
 
@@ -13,9 +13,10 @@ from ..scene.model import Settings
 from ..systems.base import System
 
 
-def log_warnings(remarks: list[str]) -> None:
-    for remark in remarks:
-        logging.getLogger("atlas").warning(remark)
+def log_warnings(warnings: list[str]) -> None:
+    """Log warnings about the input under the name "atlas"."""
+    for warning in warnings:
+        logging.getLogger("atlas").warning(warning)
 
 
 def provenance(
@@ -27,13 +28,37 @@ def provenance(
     scene: str,
     seconds: float,
     points: int,
-    remarks: list[str],
+    warnings: list[str],
 ) -> dict[str, Any]:
-    """Global attributes of an atlas: what it is, from which scene and programs, and how long it took."""
+    """Global attributes of an atlas: its subject, scene, programs, tolerances and cost.
+
+    Parameters
+    ----------
+    system : System
+    settings : Settings
+        How the points were integrated and labelled.
+    kernel_hash : str
+        Hash of the kernel that integrated them.
+    title : str
+    scene : str
+        TOML text of the resolved scene, empty where points were given directly.
+    seconds : float
+        Wall-clock time of the computation.
+    points : int
+        Number of points integrated in this time.
+    warnings : list of str
+        Warnings about the input, kept in `atlas_warnings`.
+
+    Returns
+    -------
+    dict
+        CF attributes, and the program's own, whose names begin with `atlas_`. A number that does not
+        apply is nan: `atlas_tolerance` where a step was given, `atlas_step` where it was not.
+    """
     from ..engine.jit import cpu
 
     packages = ("numpy", "numba", "llvmlite", "xarray", "netCDF4", "scipy")
-    found = {
+    attributes: dict[str, Any] = {
         "Conventions": "CF-1.12",
         "title": title,
         "source": f"Precession Atlas {__version__}: {system.title}, fixed-step {settings.method}",
@@ -55,6 +80,6 @@ def provenance(
         "atlas_seconds": seconds,
         "atlas_points_per_second": points / seconds if seconds > 0 else float("nan"),
     }
-    if remarks:
-        found["atlas_warnings"] = "; ".join(remarks)
-    return found
+    if warnings:
+        attributes["atlas_warnings"] = "; ".join(warnings)
+    return attributes

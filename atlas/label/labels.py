@@ -1,4 +1,4 @@
-"""From measurements to labels and status: what a point is called, and when it is not called anything."""
+"""From measurements to labels and status."""
 
 from __future__ import annotations
 
@@ -7,62 +7,79 @@ from collections.abc import Mapping
 import numpy as np
 
 from ..flags import Label, Status
+from ..scene.model import Tolerances
 from ..systems.base import Array, Flags, Mask
 
+# Relative rounding error of an initial state: an unstable motion amplifies it.
 ROUNDOFF = 1e-16
+# The measurements from which a label is decided.
+LABEL_STATISTICS = (
+    "theta_dot_rms", "psi_dot_mean", "psi_dot_std", "phi_dot_mean", "phi_dot_std", "normal_rate_std",
+    "theta_min", "theta_max", "sine_max",
+)  # fmt: skip
 
 
-def label(
-    measured: Mapping[str, Array],
-    rate_tolerance: float,
-    cylinder_tolerance: float,
-    frame_rate: Array | float = 0.0,
-) -> Flags:
-    """Label of each point from the measurements of `engine.measure.finish`, int8 of their shape.
+def label(measured: Mapping[str, Array], tolerances: Tolerances, frame_rate: Array | float = 0.0) -> Flags:
+    """Label of each point, whatever its status.
 
-    rate_tolerance: rad per time unit, absolute; cylinder_tolerance: rad; frame_rate: added to the mean
-    of psi' (the rate of the orbital frame, for the label in the inertial frame). Every point gets a
-    label here: `status` decides which of them may be kept.
+    Parameters
+    ----------
+    measured : mapping of str to ndarray of float64
+        LABEL_STATISTICS as `engine.statistics.finish` returns them, all of one shape.
+    tolerances : Tolerances
+    frame_rate : ndarray or float
+        Added to the mean of psi', rad per time unit: the rate of the orbital frame, for the label in the inertial frame.
+
+    Returns
+    -------
+    ndarray of int8
+        Values of `flags.Label`.
     """
-    m, tol = measured, rate_tolerance
-    cylinder = in_cylinder(m, cylinder_tolerance)
-    moving = m["theta_dot_rms"] > tol
+    rate = tolerances.rate
+    cylinder = in_cylinder(measured, tolerances.angle)
+    nutates = measured["theta_dot_rms"] > rate
     # A run that enters or leaves the cylinder has no usable psi' there: theta decides.
-    entered = np.minimum(np.sin(m["theta_min"]), np.sin(m["theta_max"])) < cylinder_tolerance
-    # psi' then comes from the outer sliver alone, so the rate about the vertical must be steady as well.
-    swings = m["theta_max"] - m["theta_min"] > cylinder_tolerance
-    crossing = entered & (swings | (m["normal_rate_std"] > tol))
-    unsteady = (m["psi_dot_std"] > tol) | (m["phi_dot_std"] > tol)
-    drifting = np.where(cylinder, m["normal_rate_std"] > tol, moving | crossing | unsteady)
-    return steady_label(m["psi_dot_mean"] + frame_rate, m["phi_dot_mean"], cylinder, tol, drifting)
+    entered = np.minimum(np.sin(measured["theta_min"]), np.sin(measured["theta_max"])) < tolerances.angle
+    # psi' is then measured on a small part of the run, so the rate about the vertical must be steady as well.
+    swings = measured["theta_max"] - measured["theta_min"] > tolerances.angle
+    crossing = entered & (swings | (measured["normal_rate_std"] > rate))
+    unsteady = (measured["psi_dot_std"] > rate) | (measured["phi_dot_std"] > rate)
+    drifting = np.where(cylinder, measured["normal_rate_std"] > rate, nutates | crossing | unsteady)
+    return steady_label(
+        measured["psi_dot_mean"] + frame_rate, measured["phi_dot_mean"], cylinder, rate, drifting
+    )
 
 
 def steady_label(
     n: Array, m: Array, cylinder: Mask, tolerance: float, drifting: Mask | bool = False
 ) -> Flags:
-    """Label of a steady motion with rates n = psi' and m = phi', zero meaning at most the tolerance."""
-    still = (np.abs(n) <= tolerance) | (np.abs(m) <= tolerance)
-    steady = np.where(cylinder | still, Label.PERMANENT_ROTATION, Label.REGULAR_PRECESSION)
+    """Label of a steady motion with rates n = psi' and m = phi'; rates of at most the tolerance count as zero."""
+    zero_rate = (np.abs(n) <= tolerance) | (np.abs(m) <= tolerance)
+    steady = np.where(cylinder | zero_rate, Label.PERMANENT_ROTATION, Label.REGULAR_PRECESSION)
     return np.where(drifting, Label.DRIFTING, steady).astype(np.int8)
 
 
 def in_cylinder(measured: Mapping[str, Array], cylinder_tolerance: float) -> Mask:
-    """Did sin theta stay below the tolerance through the run? bool."""
+    """Whether sin theta stayed below the tolerance (rad) through the run."""
     return np.asarray(measured["sine_max"] < cylinder_tolerance)
 
 
 def unsure(
     measured: Mapping[str, Array],
     error: Mapping[str, Array],
-    rate_tolerance: float,
-    cylinder_tolerance: float,
+    tolerances: Tolerances,
     frame_rate: Array | float = 0.0,
 ) -> Mask:
-    """Could the label be another one, were every measurement off by as much as its error? bool.
+    """Whether the label could be another one, were every measurement off by as much as its error.
 
-    error: of the measurements that `label` reads, by their names and in their units; other arguments as there.
+    Parameters
+    ----------
+    measured, tolerances, frame_rate
+        As for `label`.
+    error : mapping of str to ndarray of float64
+        Errors of the measurements that `label` reads, by their names and in their units.
     """
-    found = []
+    labels = []
     for sign in (-1.0, 0.0, 1.0):
         moved = {name: measured[name] + sign * size for name, size in error.items()}
         moved["theta_min"] = measured["theta_min"] - sign * error["theta_min"]
@@ -70,8 +87,9 @@ def unsure(
             mean = measured[name] + rate
             size = np.maximum(np.abs(mean) + sign * error[name], 0.0)
             moved[name] = np.copysign(size, mean) - rate
-        found.append(label(moved, rate_tolerance, cylinder_tolerance, frame_rate))
-    return np.asarray((found[0] != found[1]) | (found[2] != found[1]))
+        labels.append(label(moved, tolerances, frame_rate))
+    lower, central, upper = labels
+    return np.asarray((lower != central) | (upper != central))
 
 
 def status(
@@ -79,30 +97,41 @@ def status(
     integral_drift: Array,
     drift_tolerance: float,
     step_ratio: Array,
-    hidden_damping: Array,
-    exact_growth: Array,
+    dissipation_error: Array,
+    rounding_growth: Array,
     rate_tolerance: float,
     step_sensitive: Mask | bool = False,
 ) -> Flags:
-    """Status of each computed point, the first that applies in the order of the registry, int8.
+    """Status of each computed point: the first that applies, in the order of `flags.Status`.
 
-    finite: bool; step_ratio: step times frequency bound over the stability limit (at most 1/2);
-    hidden_damping: relative loss of amplitude of the fastest frequency over the run (at most 0.1);
-    exact_growth: growth rate times duration where the start is exactly on an unstable motion, else 0;
-    step_sensitive: the label changes, or could, when the step is halved.
+    Parameters
+    ----------
+    finite : ndarray of bool
+        Whether state and statistics are finite.
+    integral_drift : ndarray of float64
+        Largest relative change of a first integral, at most drift_tolerance.
+    drift_tolerance : float
+    step_ratio : ndarray of float64
+        Step times frequency bound over the stability limit, at most 1/2.
+    dissipation_error : ndarray of float64
+        Relative loss of amplitude of the fastest frequency over the run, at most 0.1.
+    rounding_growth : ndarray of float64
+        Growth rate times duration where the start is exactly on an unstable motion, else 0.
+    rate_tolerance : float
+        In rad per time unit.
+    step_sensitive : ndarray of bool
+        Whether the label changes, or could, when the step is halved.
+
+    Returns
+    -------
+    ndarray of int8
+        Values of `flags.Status`.
     """
-    conditions = [
-        ~finite,
-        integral_drift > drift_tolerance,
-        ~((step_ratio <= 0.5) & (hidden_damping <= 0.1)),
-        step_sensitive,
-        exact_growth > np.log(rate_tolerance / ROUNDOFF),
-    ]
-    values = [
-        Status.NOT_FINITE,
-        Status.DRIFT_EXCEEDED,
-        Status.UNDER_RESOLVED,
-        Status.STEP_SENSITIVE,
-        Status.ROUNDOFF_DECIDED,
-    ]
-    return np.select(conditions, values, Status.OK).astype(np.int8)
+    conditions = {
+        Status.NOT_FINITE: ~finite,
+        Status.DRIFT_EXCEEDED: integral_drift > drift_tolerance,
+        Status.UNDER_RESOLVED: ~((step_ratio <= 0.5) & (dissipation_error <= 0.1)),
+        Status.STEP_SENSITIVE: step_sensitive,
+        Status.ROUNDOFF_DECIDED: rounding_growth > np.log(rate_tolerance / ROUNDOFF),
+    }
+    return np.select(list(conditions.values()), list(conditions), Status.OK).astype(np.int8)

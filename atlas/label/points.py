@@ -3,94 +3,190 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 import xarray as xr
 
 from .. import systems
+from ..engine.specialization import Specialization, kernel_hash
 from ..errors import BadInput
 from ..io import netcdf, provenance
 from ..io.progress import Progress
 from ..io.provenance import log_warnings
 from ..scene import grid
-from ..scene.model import Settings
+from ..scene.model import DEFAULTS, Duration, Settings
 from ..scene.tables import number_column, point_columns
-from ..variables import variables
-from .pipeline import Specialization, evaluate, kernel_hash
+from ..systems.base import Array, Points, System
+from ..variables import variables as variable_registry
+from .pipeline import evaluate
+
+MORE_SETTINGS = ("cylinder_tolerance", "drift_tolerance", "max_steps", "check_half_step")
 
 
 def label_points(
     system: str,
     points: Any,
     *,
-    duration: Any = 60.0,
+    duration: Any = Duration.amount,
     step: float | None = None,
-    tolerance: float = 1e-8,
-    method: str = "rk4",
-    rate_tolerance: float = 1e-5,
+    tolerance: float = DEFAULTS.tolerance,
+    method: str = DEFAULTS.method,
+    rate_tolerance: float = DEFAULTS.rate_tolerance,
+    variables: Sequence[str] | None = None,
     threads: int | None = None,
     progress: bool = False,
     **more: Any,
 ) -> xr.Dataset:
-    """Label points of one's own: a Dataset with the dimension "point" and every variable of the registry.
+    """Label points given one by one.
 
-    system: "satellite" or "fixed_point". points: parameter -> number or 1-D array (all arrays of one
-    length), or any other table that `points.table` reads, such as a DataFrame or the name of a CSV file;
-    in the units of the registry; parameters left out take their defaults. duration: time
-    units, a number or one per point. more: cylinder_tolerance, drift_tolerance, max_steps, check_half_step.
+    Parameters
+    ----------
+    system : str
+        Name of a system, such as "satellite" or "fixed_point".
+    points : mapping, list of mappings, Dataset, DataFrame or path
+        Parameter -> number or 1-D array, all arrays of one length, in the units of the registry; parameters that are
+        left out take their defaults. A path names a .csv or .nc file.
+    duration : float or array_like of float, shape (points,)
+        In time units.
+    step : float, optional
+        Largest step in time units, instead of `tolerance`.
+    tolerance : float
+        Phase error of the fastest frequency at the end of the run, rad.
+    method : str
+        "rk4" or "rk8".
+    rate_tolerance : float
+        Variation of a rate that counts as none, rad per time unit.
+    variables : sequence of str, optional
+        Names of the variables wanted; default: every one that is measured or predicted.
+    threads : int, optional
+        Default: all processors.
+    progress : bool
+        Print progress on the standard error stream.
+    **more
+        cylinder_tolerance, drift_tolerance, max_steps, check_half_step: as in a scene.
 
-    Moments of inertia that no body can have are an error in a scene; here, where published numbers are
-    looked up, the equations are solved all the same, and a logged warning and the attribute
-    atlas_warnings say so. Raises BadInput for unknown names, wrong shapes and numbers out of range.
+    Returns
+    -------
+    xarray.Dataset
+        Over the dimension "point"; the parameters are coordinates.
+
+    Raises
+    ------
+    BadInput
+        For unknown names, wrong shapes and numbers out of range.
+
+    Notes
+    -----
+    Moments of inertia that no body can have are an error in a scene; here, where published numbers are looked up, the
+    equations are solved all the same, with a logged warning that the attribute `atlas_warnings` repeats.
     """
     kind = systems.get(system)
-    allowed = {"cylinder_tolerance", "drift_tolerance", "max_steps", "check_half_step"}
-    for key in set(more) - allowed:
-        raise BadInput(f"{key}: unknown option of label_points; allowed: {', '.join(sorted(allowed))}")
-    settings = Settings(
-        method=method, tolerance=tolerance, step=step, rate_tolerance=rate_tolerance, **more
-    )  # fmt: skip
+    for key in set(more) - set(MORE_SETTINGS):
+        raise BadInput(f"{key}: unknown option of label_points; allowed: {', '.join(sorted(MORE_SETTINGS))}")
+    settings = Settings(method=method, tolerance=tolerance, step=step, rate_tolerance=rate_tolerance, **more)
+    outputs = _outputs(kind, variables)
     full, size = point_columns(kind, points)
-    lengths = number_column("duration", duration)
-    if lengths.ndim and lengths.shape != (size,):
-        raise BadInput(
-            f"duration has shape {lengths.shape}; allowed: a number, or one for each of {size} points"
-        )
-    times = np.broadcast_to(lengths, (size,)).astype(np.float64)
-    if not (np.isfinite(times) & (times > 0)).all():
-        raise BadInput(
-            f"duration = {times[~(np.isfinite(times) & (times > 0))][0]!r}: must be a finite number above 0"
-        )
-    remarks = kind.warnings(full)
-    try:
-        kind.check(full)
-    except BadInput as complaint:
-        remarks.append(str(complaint))
-    log_warnings(remarks)
-    bar = Progress(size) if progress else None
+    durations = _durations(duration, size)
+    warnings = _warnings(kind, full)
+    log_warnings(warnings)
     began = time.perf_counter()
-    kinds = variables(kind)
-    special = Specialization.of_points(kind, full)
-    columns = {name: np.empty(size, v.dtype) for name, v in kinds.items() if name not in kind.derived}
+    specialization = Specialization.of_points(kind, full)
+    columns = _evaluate_in_tiles(
+        kind,
+        full,
+        durations,
+        settings,
+        specialization,
+        outputs,
+        None if variables is None else outputs,
+        threads,
+        progress,
+    )
+    ds = _dataset(kind, columns, full)
+    ds.attrs |= provenance.provenance(
+        kind, settings, kernel_hash(kind, method, specialization),
+        title=f"points of the {system}", scene="", seconds=time.perf_counter() - began, points=size,
+        warnings=warnings,
+    )  # fmt: skip
+    return ds
+
+
+def _outputs(system: System, variables: Sequence[str] | None) -> list[str]:
+    """The variables wanted, in the order of the registry."""
+    registry = variable_registry(system)
+    if variables is None:
+        return [name for name in registry if name not in system.derived]
+    for name in variables:
+        if name not in registry:
+            raise BadInput(f"variables: {name!r} is unknown; allowed: {', '.join(registry)}")
+    return [name for name in registry if name in variables]
+
+
+def _durations(duration: Any, size: int) -> Array:
+    """Duration of each point, checked."""
+    given = number_column("duration", duration)
+    if given.ndim and given.shape != (size,):
+        raise BadInput(
+            f"duration has shape {given.shape}; allowed: a number, or one for each of {size} points"
+        )
+    durations = np.broadcast_to(given, (size,)).astype(np.float64)
+    bad = ~(np.isfinite(durations) & (durations > 0))
+    if bad.any():
+        raise BadInput(f"duration = {durations[bad][0]!r}: must be a finite number above 0")
+    return durations
+
+
+def _warnings(system: System, points: Points) -> list[str]:
+    """The system's warnings, and its objection to bodies that cannot exist."""
+    warnings = system.warnings(points)
+    try:
+        system.check(points)
+    except BadInput as error:
+        warnings.append(str(error))
+    return warnings
+
+
+def _evaluate_in_tiles(
+    system: System,
+    points: Points,
+    durations: Array,
+    settings: Settings,
+    specialization: Specialization,
+    names: Sequence[str],
+    outputs: Sequence[str] | None,
+    threads: int | None,
+    progress: bool,
+) -> dict[str, np.ndarray]:
+    """The named variables of all points; outputs: as for `evaluate`."""
+    size = durations.size
+    registry = variable_registry(system)
+    columns = {name: np.empty(size, registry[name].dtype) for name in names}
+    bar = Progress(size) if progress else None
     for first in range(0, size, grid.MAX_POINTS_PER_TILE):
-        part = slice(first, first + grid.MAX_POINTS_PER_TILE)
-        piece = {name: values[part] for name, values in full.items()}
-        found = evaluate(
-            kind, piece, piece, times[part], settings, special=special,
+        tile = slice(first, first + grid.MAX_POINTS_PER_TILE)
+        part = {name: values[tile] for name, values in points.items()}
+        values = evaluate(
+            system, part, part, durations[tile], settings, specialization=specialization, outputs=outputs,
             threads=threads, progress=None if bar is None else bar.advance,
         )  # fmt: skip
         for name, column in columns.items():
-            column[part] = found[name]
+            column[tile] = values[name]
     if bar is not None:
         bar.close()
-    ds = xr.Dataset({name: ("point", column, kinds[name].attributes()) for name, column in columns.items()})
-    for name, values in full.items():
-        if not (np.isnan(kind.parameters[name].default) and np.isnan(values).all()):
-            ds = ds.assign_coords({name: ("point", values, netcdf.parameter_attributes(kind, name, False))})
-    ds.attrs |= provenance.provenance(
-        kind, settings, kernel_hash(kind, method, special),
-        title=f"points of the {system}", scene="", seconds=time.perf_counter() - began, points=size,
-        remarks=remarks,
-    )  # fmt: skip
+    return columns
+
+
+def _dataset(system: System, columns: dict[str, np.ndarray], points: Points) -> xr.Dataset:
+    """Variables and parameters along the dimension "point"."""
+    registry = variable_registry(system)
+    ds = xr.Dataset(
+        {name: ("point", column, registry[name].attributes()) for name, column in columns.items()}
+    )
+    for name, values in points.items():
+        absent = np.isnan(system.parameters[name].default) and np.isnan(values).all()
+        if not absent:
+            attributes = netcdf.parameter_attributes(system, name, False)
+            ds = ds.assign_coords({name: ("point", values, attributes)})
     return ds

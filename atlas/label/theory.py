@@ -4,26 +4,35 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..flags import Label, Stability
+from ..flags import Agreement, Label, Stability
 from ..systems.base import Flags, Points, System
 from .labels import steady_label
 
 # A start whose sin theta is below this is on the vertical: np.pi itself has sin 1.2e-16.
 ON_VERTICAL = 1e-12
-# Beyond this (moments of inertia: below its inverse, too) products and quotients of parameters overflow and
-# residuals mean nothing: theory is silent.
-LARGEST = 1e60
 
 
 def predict(system: System, points: Points, rate_tolerance: float, nudged: bool) -> dict[str, np.ndarray]:
-    """family, stable, growth_rate, predicted and, where the system's frame turns, predicted_inertial.
+    """Labels of a set of starts from theory alone.
 
-    points: the starts before any nudge. Exact start: the label of the family's motion; nudged: that
-    label if the motion is linearly stable, drifting if unstable, 0 if unknown. Off every family:
-    drifting once the system's catalogue is complete, else 0.
+    Parameters
+    ----------
+    system : System
+    points : mapping of str to ndarray of float64, shape (points,)
+        The starts before any nudge.
+    rate_tolerance : float
+        Rates of at most this count as zero, rad per time unit.
+    nudged : bool
+        A nudged start is predicted to keep the label of its family where the motion is linearly stable and to drift
+        where it is unstable.
+
+    Returns
+    -------
+    dict of ndarray, shape (points,)
+        family, stable, growth_rate, predicted and, where the system's frame turns, predicted_inertial. Off every family
+        `predicted` is drifting where the system's catalogue is complete, else not_computed.
     """
-    within = np.all([~(np.abs(values) > LARGEST) for values in points.values()], axis=0)
-    within &= np.all([points[name] >= 1 / LARGEST for name in ("A", "B", "C")], axis=0)
+    within = system.within_range(points)
     family = np.where(within, system.identify_family(points)[0], 0).astype(np.int8)
     stable, growth = system.linear_stability(points, family)
     sine, n, m = system.steady_rates(points)
@@ -45,7 +54,12 @@ def predict(system: System, points: Points, rate_tolerance: float, nudged: bool)
 
 
 def agreement(label: Flags, predicted: Flags) -> Flags:
-    """Value of Agreement for each point, int8."""
-    silent = (predicted == Label.NOT_COMPUTED) | (label == Label.NOT_COMPUTED) | (label == Label.UNRESOLVED)
-    kinds = [silent, label == predicted, label == Label.DRIFTING, predicted == Label.DRIFTING]
-    return np.select(kinds, [0, 1, 2, 3], 4).astype(np.int8)
+    """Value of flags.Agreement for each point."""
+    nothing = (predicted == Label.NOT_COMPUTED) | (label == Label.NOT_COMPUTED) | (label == Label.UNRESOLVED)
+    conditions = {
+        Agreement.NOT_COMPARED: nothing,
+        Agreement.AGREE: label == predicted,
+        Agreement.THEORY_ONLY: label == Label.DRIFTING,
+        Agreement.NUMERICS_ONLY: predicted == Label.DRIFTING,
+    }
+    return np.select(list(conditions.values()), list(conditions), Agreement.DIFFER).astype(np.int8)

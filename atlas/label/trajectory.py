@@ -1,4 +1,4 @@
-"""One point followed in time, by the kernel and the steps that label it in an atlas."""
+"""The motion of one point in time, by the kernel and the steps that label it in an atlas."""
 
 from __future__ import annotations
 
@@ -10,34 +10,61 @@ import xarray as xr
 from scipy.integrate import cumulative_simpson
 
 from .. import systems
-from ..engine import blocks, measure, stepsize
-from ..engine.tableaux import METHODS
+from ..engine import blocks
+from ..engine.ensemble import Ensemble
+from ..engine.specialization import kernel
+from ..engine.stepsize import StepSizes
 from ..errors import BadInput
 from ..scene import grid
-from ..scene.model import Scene, Settings
+from ..scene.model import DEFAULTS, Duration, Scene, Settings
 from ..scene.tables import point_columns
-from .pipeline import kernel
+from ..systems.base import Array, System
 
 
 def trajectory(
     system: str,
     point: Mapping[str, Any],
     *,
-    duration: float = 60.0,
+    duration: float = Duration.amount,
     samples: int = 1001,
     step: float | None = None,
-    method: str = "rk4",
-    tolerance: float = 1e-8,
-    rate_tolerance: float = 1e-5,
+    method: str = DEFAULTS.method,
+    tolerance: float = DEFAULTS.tolerance,
+    rate_tolerance: float = DEFAULTS.rate_tolerance,
 ) -> xr.Dataset:
-    """Motion of one point: a Dataset over the dimension "time".
+    """Motion of one point.
 
-    point: parameter -> number; step, method, tolerance, rate_tolerance (rad per time unit): as for
-    label_points, and the steps are never longer than there. samples: instants from 0 to duration, evenly
-    spaced; at least 2. Variables, float64: the state by the names of the equations, theta, psi, phi
-    (rad, psi and phi unwrapped; nan on the vertical, where they do not exist), theta_dot, psi_dot,
-    phi_dot, normal_rate (rad per time unit), axis_x, axis_y, axis_z (the third body axis in the frame:
-    for the satellite along radius, velocity, normal), integral_drift. Raises BadInput as label_points.
+    Parameters
+    ----------
+    system : str
+        Name of a system, such as "satellite" or "fixed_point".
+    point : mapping of str to float
+        Parameters; those that are left out take their defaults.
+    duration : float
+        In time units.
+    samples : int
+        Instants from 0 to `duration`, evenly spaced, at least 2.
+    step : float, optional
+        As for `label_points`, as are the next three; steps are never longer than there.
+    method : str
+        "rk4" or "rk8".
+    tolerance : float
+        Phase error of the fastest frequency at the end of the run, rad.
+    rate_tolerance : float
+        Variation of a rate that counts as none, rad per time unit.
+
+    Returns
+    -------
+    xarray.Dataset
+        Over the dimension "time", float64: the state by the names of the equations; theta, psi, phi (rad; psi and phi
+        unwrapped, nan on the vertical, where they do not exist); theta_dot, psi_dot, phi_dot, normal_rate (rad per time
+        unit); axis_x, axis_y, axis_z (the third body axis in the frame: for the satellite along radius, velocity and
+        normal); integral_drift.
+
+    Raises
+    ------
+    BadInput
+        As `label_points`.
     """
     kind = systems.get(system)
     settings = Settings(method=method, step=step, tolerance=tolerance, rate_tolerance=rate_tolerance)
@@ -47,84 +74,108 @@ def trajectory(
         raise BadInput(f"duration = {duration!r}: must be a finite number above 0")
     points, size = point_columns(kind, point)
     if size != 1:
-        raise BadInput(f"point: {size} points given; a trajectory follows one")
-    state, constants = (
-        np.ascontiguousarray(kind.initial_state(points)),
-        np.ascontiguousarray(kind.constants(points)),
-    )
-    plan = stepsize.choose(
-        METHODS[method], kind.frequency_bound(points), np.array([duration]),
-        tolerance=settings.tolerance, step=settings.step, max_steps=settings.max_steps,
-        rate_tolerance=settings.rate_tolerance,
-    )  # fmt: skip
-    # Whole steps between samples, never longer than the atlas' own.
-    each = -(-int(plan.count[0]) // (samples - 1))
-    length = np.array([duration / (each * (samples - 1))])
-    schedule = blocks.pack_blocks(np.array([each]), np.array([each]))
-    scales = measure.scales(kind.equations, state, constants, dict(kind.integral_scales(points)))
-    states = np.empty((samples, len(state)))
-    states[0] = state[:, 0]
-    for i in range(1, samples):
-        blocks.integrate(kernel(kind, method), schedule, length, state, constants, scales, 0.0, threads=1)
-        states[i] = state[:, 0]
-    return _dataset(kind, states, constants, scales, np.linspace(0.0, duration, samples))
+        raise BadInput(f"point: {size} points given; a trajectory is that of one")
+    ensemble = Ensemble.of(kind, points)
+    step_sizes = StepSizes.of(settings, ensemble.frequency_bound, np.array([duration]))
+    # Whole steps between samples, never longer than those of the atlas.
+    steps_per_sample = -(-int(step_sizes.steps[0]) // (samples - 1))
+    step_size = np.array([duration / (steps_per_sample * (samples - 1))])
+    states = _states(kernel(kind, method), ensemble, steps_per_sample, step_size, samples)
+    return _dataset(kind, ensemble, states, np.linspace(0.0, duration, samples))
 
 
 def trajectory_of_scene(scene: Scene, places: Mapping[str, float], *, samples: int = 1001) -> xr.Dataset:
-    """Motion of one point of a scene, at any values of its axes: started, nudged and stepped as the scene says.
+    """Motion of one point of a scene, with the scene's start, nudge, duration and step.
 
-    places: name of every axis -> value. Raises BadInput for an axis that is missing or unknown, and where
-    the scene's family has no motion. Otherwise as `trajectory`.
+    Parameters
+    ----------
+    scene : Scene
+    places : mapping of str to float
+        A value of every axis, on the grid or off it.
+    samples : int
+        As for `trajectory`.
+
+    Returns
+    -------
+    xarray.Dataset
+        As `trajectory`.
+
+    Raises
+    ------
+    BadInput
+        For an axis that is missing or unknown, and where the scene's family has no motion.
     """
     for name in (*scene.axes, *places):
         if name not in places or name not in scene.axes:
-            what = "is no axis of the scene" if name in places else "has no value"
+            problem = "is no axis of the scene" if name in places else "has no value"
             raise BadInput(
-                f"{name}: {what}; a trajectory needs a value of every axis: {', '.join(scene.axes)}"
+                f"{name}: {problem}; a trajectory needs a value of every axis: {', '.join(scene.axes)}"
             )
-    found = grid.points_at(scene, {name: np.array([value]) for name, value in places.items()})
-    if not found.there[0]:
+    located = grid.points_at(scene, {name: np.array([value]) for name, value in places.items()})
+    if not located.exists[0]:
         raise BadInput(f"the family {scene.family} has no motion at this point")
-    point = {name: values[0] for name, values in found.points.items() if not np.isnan(values[0])}
+    point = {name: values[0] for name, values in located.points.items() if not np.isnan(values[0])}
     return trajectory(
-        scene.system.name, point, duration=float(found.duration[0]), samples=samples,
+        scene.system.name, point, duration=float(located.duration[0]), samples=samples,
         step=scene.settings.step, method=scene.settings.method, tolerance=scene.settings.tolerance,
         rate_tolerance=scene.settings.rate_tolerance,
     )  # fmt: skip
 
 
-def _dataset(kind: systems.System, states, constants, scales, time) -> xr.Dataset:
-    columns = {name: states[:, i] for i, name in enumerate(kind.equations.STATE)}
-    motion = kind.equations.frame_motion(states.T, constants)
-    u1, u2, u3, g1, g2, g3 = motion
-    with np.errstate(all="ignore"):
-        sine = np.hypot(g1, g2)
-        psi_dot = (u1 * g1 + u2 * g2) / sine**2
-        columns |= {
-            "theta": np.arctan2(sine, g3),
-            "phi": np.unwrap(np.arctan2(g1, g2)),
-            "theta_dot": (u1 * g2 - u2 * g1) / sine,
-            "psi_dot": psi_dot,
-            "phi_dot": u3 - psi_dot * g3,
-            "normal_rate": u1 * g1 + u2 * g2 + u3 * g3,
-        }
-        if hasattr(kind.equations, "axis_in_frame"):
-            x, y = kind.equations.axis_in_frame(states.T, constants)
-            psi = np.unwrap(np.arctan2(x, -y))
-        else:
-            psi = np.r_[0.0, cumulative_simpson(psi_dot, x=time)]
-            x, y = sine * np.sin(psi), -sine * np.cos(psi)
-    on_vertical = sine == 0.0
-    for name, values in (("psi", psi), ("phi", columns["phi"])):
-        columns[name] = np.where(on_vertical, np.nan, values)
-    columns |= {"axis_x": x, "axis_y": y, "axis_z": g3}
+def _states(module: Any, ensemble: Ensemble, steps_per_sample: int, step_size: Array, samples: int) -> Array:
+    """States at evenly spaced instants, shape (samples, states)."""
+    schedule = blocks.pack_blocks(np.array([steps_per_sample]), np.array([steps_per_sample]))
+    state = ensemble.state.copy()
+    states = np.empty((samples, len(state)))
+    states[0] = state[:, 0]
+    for i in range(1, samples):
+        blocks.integrate(
+            module, schedule, step_size, state, ensemble.constants, ensemble.scales, 0.0, threads=1
+        )
+        states[i] = state[:, 0]
+    return states
+
+
+def _dataset(system: System, ensemble: Ensemble, states: Array, time: Array) -> xr.Dataset:
+    """The trajectory with angles, rates and the drift of the first integrals."""
+    equations, constants = system.equations, ensemble.constants
+    columns = {name: states[:, i] for i, name in enumerate(equations.STATE)}
+    columns |= _angles(equations, states, constants, time)
     drift = np.zeros(len(time))
-    for name, scale in zip(kind.equations.INTEGRALS, scales, strict=True):
-        total = sum(getattr(kind.equations, name)(states.T, constants))
+    for name, scale in zip(equations.INTEGRALS, ensemble.scales, strict=True):
+        total = sum(getattr(equations, name)(states.T, constants))
         drift = np.maximum(drift, np.abs(total - total[0]) * scale)
     columns["integral_drift"] = drift
     return xr.Dataset(
         {name: ("time", np.asarray(values)) for name, values in columns.items()},
         coords={"time": ("time", time, {"long_name": "time", "units": "s"})},
-        attrs={"atlas_system": kind.name},
+        attrs={"atlas_system": system.name},
     )
+
+
+def _angles(equations: Any, states: Array, constants: Array, time: Array) -> dict[str, Array]:
+    """Euler angles, their rates and the third body axis in the frame, at every instant."""
+    u1, u2, u3, g1, g2, g3 = equations.frame_motion(states.T, constants)
+    with np.errstate(all="ignore"):
+        sine = np.hypot(g1, g2)
+        psi_dot = (u1 * g1 + u2 * g2) / sine**2
+        phi = np.unwrap(np.arctan2(g1, g2))
+        if hasattr(equations, "axis_in_frame"):
+            x, y = equations.axis_in_frame(states.T, constants)
+            psi = np.unwrap(np.arctan2(x, -y))
+        else:
+            psi = np.r_[0.0, cumulative_simpson(psi_dot, x=time)]
+            x, y = sine * np.sin(psi), -sine * np.cos(psi)
+        on_vertical = sine == 0.0
+        return {
+            "theta": np.arctan2(sine, g3),
+            "phi": np.where(on_vertical, np.nan, phi),
+            "theta_dot": (u1 * g2 - u2 * g1) / sine,
+            "psi_dot": psi_dot,
+            "phi_dot": u3 - psi_dot * g3,
+            "normal_rate": u1 * g1 + u2 * g2 + u3 * g3,
+            "psi": np.where(on_vertical, np.nan, psi),
+            "axis_x": x,
+            "axis_y": y,
+            "axis_z": g3,
+        }

@@ -1,4 +1,4 @@
-"""Figures 1-20 of Amer, Abo Essa, Ibrahim & Amer from the paper's data: as printed beside what is true."""
+"""Figures 1-20 of Amer, Abo Essa, Ibrahim & Amer from the paper's data: as printed and corrected."""
 
 from __future__ import annotations
 
@@ -15,25 +15,26 @@ from matplotlib.ticker import MaxNLocator
 
 from ..errors import BadInput
 from ..systems.base import Array
-from ..systems.fixed_point.paper import fast_spin, published
-from ..systems.fixed_point.paper.fast_spin import FastSpin, Row
+from ..systems.fixed_point.paper import claims, fast_spin, published
+from ..systems.fixed_point.paper.claims import Row
+from ..systems.fixed_point.paper.fast_spin import FastSpin
 from .style import COLOURS, STYLE, WIDTHS
 
 NUMBERS = range(1, 21)
 # T of section VI: two turns about the third axis, in tau.
 END = 4 * np.pi
-INSTANTS = 2001
+TIMES = 2001
 LINES = (COLOURS["regular_precession"], COLOURS["drifting"], "#8c4799")
 SYMBOLS = {"p2": "p_2", "gamma2": r"\gamma_2"}
-PLACE = {"p2": 0, "gamma2": 2}  # in (p2, p2', gamma2, gamma2')
+ROW = {"p2": 0, "gamma2": 2}  # in (p2, p2', gamma2, gamma2')
 
 
 @dataclass(frozen=True)
 class PaperFigure:
-    """What one figure of the paper shows."""
+    """Quantity, body and rotors of one figure of the paper."""
 
     number: int
-    body: str  # name of perturbation.PAPER_BODIES
+    body: str  # key of fast_spin.PAPER_BODIES
     quantity: str  # "p2" or "gamma2"
     phase_plane: bool
     numerical: bool
@@ -41,26 +42,41 @@ class PaperFigure:
 
     @property
     def caption(self) -> str:
-        """As under the figure in the paper."""
-        kind = "numerical" if self.numerical else "analytical"
-        what = "phase plane of the" if self.phase_plane else "the"
+        """The caption of the figure in the paper."""
+        method = "numerical" if self.numerical else "analytical"
+        article = "phase plane of the" if self.phase_plane else "the"
         rotors = ", ".join(f"{l:g} sqrt(3)" if l else "0" for l in self.rotors)
-        return f"{what} {kind} solution {self.quantity} for l = {rotors} N m s, A = B {self.body[2:]}"
+        return f"{article} {method} solution {self.quantity} for l = {rotors} N m s, A = B {self.body[2:]}"
 
 
 def paper_figure(number: int) -> PaperFigure:
     """Figure 1 to 20 by its caption; BadInput for any other number."""
     if number not in NUMBERS:
         raise BadInput(f"figure {number}: the paper has figures {NUMBERS[0]} to {NUMBERS[-1]}")
-    half, place = divmod(number - 1, 10)
-    body, kind = divmod(place, 5)
+    half, remainder = divmod(number - 1, 10)
+    body, kind = divmod(remainder, 5)
     rotors = ((0.0, 10.0, 20.0), (30.0, 40.0, 50.0), (30.0, 40.0, 50.0), (50.0,), (10.0,))[kind]
     quantity = "p2" if kind in (0, 1, 3) else "gamma2"
     return PaperFigure(number, list(fast_spin.PAPER_BODIES)[body], quantity, kind > 2, half == 1, rotors)
 
 
 def rk4(rate: Callable[[Array], Array], y0: Array, tau: Array) -> Array:
-    """Classical Runge-Kutta with one step between each two of the instants tau (k,): (state, k, ...)."""
+    """Classical Runge-Kutta method with one step between successive times.
+
+    Parameters
+    ----------
+    rate : callable
+        y -> dy/dtau, of the shape of y.
+    y0 : ndarray
+        Initial state, shape (state, ...).
+    tau : ndarray
+        Times, shape (k,).
+
+    Returns
+    -------
+    ndarray
+        States, shape (state, k, ...).
+    """
     path = [y0]
     for h in np.diff(tau):
         y = path[-1]
@@ -73,11 +89,23 @@ def rk4(rate: Callable[[Array], Array], y0: Array, tau: Array) -> Array:
 
 
 def curves(figure: PaperFigure, tau: Array) -> dict[str, Array]:
-    """(p2, p2', gamma2, gamma2') at the instants tau by source, each of shape (4, instants, rotors).
+    """The solutions that a figure compares.
 
-    All but "(33), true" start at (18): p2 = C A1 y1 / A, p2' = gamma2' = 0. The sources of an analytical
-    figure are (20) and (33) as printed, the two-frequency solution with that start and (33) as true; of
-    a numerical one, by RK4, (15) as printed, the full equations (1) and (15) as true.
+    All but "(33), true" start at (18): p2 = C A1 y1 / A, p2' = gamma2' = 0.
+
+    Parameters
+    ----------
+    figure : PaperFigure
+        Its body and rotors.
+    tau : ndarray
+        Times, shape (k,).
+
+    Returns
+    -------
+    dict
+        Source -> (p2, p2', gamma2, gamma2') of shape (4, k, rotors). The sources of an analytical figure
+        are (20) and (33) as printed, the two-frequency solution with the start (18), and (33) corrected;
+        of a numerical one, by RK4, (15) as printed, the full equations (1), and (15) corrected.
     """
     spin = fast_spin.paper_body(figure.body, np.array(figure.rotors))
     y0 = fast_spin.paper_start(spin)
@@ -119,7 +147,7 @@ def _printed_first_order(spin: FastSpin, tau: Array) -> Array:
     return np.array([p2, np.gradient(p2, step, axis=0), gamma2, np.gradient(gamma2, step, axis=0)])
 
 
-# Panels: title, its full lines, its dashed lines over them.
+# Analytical and numerical figures -> for both columns: title, source of the full and of the dashed lines.
 _PANELS = {
     False: (
         ("as printed: (20), dashed (33)", "(20), printed", "(33), printed"),
@@ -133,38 +161,43 @@ _PANELS = {
 
 
 def draw(number: int) -> Figure:
-    """One of the figures 1-20, 180 mm wide: on the left as printed, on the right what is true.
+    """One of the figures 1-20, 180 mm wide: on the left as printed, on the right corrected.
 
-    Time is tau = r0 t, p2 is in units of c sqrt(gamma0''). Under gamma2 over time stands what differs
-    from M3 cos tau. Raises BadInput for a number the paper does not have.
+    Time is tau = r0 t, p2 is in units of c sqrt(gamma0''). Below gamma2 over time is its difference from
+    M3 cos tau.
+
+    Parameters
+    ----------
+    number : int
+        1 to 20.
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+        Two columns of panels.
+
+    Raises
+    ------
+    BadInput
+        For a number that the paper does not have.
     """
     figure = paper_figure(number)
-    tau = np.linspace(0.0, END, INSTANTS)
-    motion = curves(figure, tau)
-    place = PLACE[figure.quantity]
-    difference = figure.quantity == "gamma2" and not figure.phase_plane
-    M3 = float(fast_spin.paper_body(figure.body, 0.0).M3)
-    circle = figure.quantity == "gamma2" and figure.phase_plane
-    high = 105.0 if difference else (78.0 if circle else 66.0)
+    tau = np.linspace(0.0, END, TIMES)
+    solutions = curves(figure, tau)
+    gamma2 = figure.quantity == "gamma2"
+    with_difference = gamma2 and not figure.phase_plane
+    height = 105.0 if with_difference else 78.0 if gamma2 else 66.0
     with rc_context(STYLE):
-        drawn = Figure(figsize=(WIDTHS["page"] / 25.4, high / 25.4), layout="constrained")
-        rows = drawn.subplots(1 + difference, 2, sharex=True, sharey="row", squeeze=False)
-        for (title, full, dashed), column in zip(_PANELS[figure.numerical], rows.T, strict=True):
-            points = figure.phase_plane and figure.quantity == "p2" and not figure.numerical
-            column[0].set_title(title.replace("dashed", "+") if points else title)
-            for source, style in ((full, "-"), (dashed, "--")):
-                if source is None:
-                    continue
-                path = motion[source]
-                # Two numerical solutions lie on each other: the second one in black over the colours.
-                black = figure.numerical and style == "--"
-                if figure.phase_plane:
-                    _lines(column[0], path[place], path[place + 1], style, black)
-                    continue
-                _lines(column[0], tau[:, None], path[place], style, black)
-                if difference:
-                    _lines(column[1], tau[:, None], path[place] - M3 * np.cos(tau)[:, None], style, black)
-        _label(rows, figure)
+        drawn = Figure(figsize=(WIDTHS["page"] / 25.4, height / 25.4), layout="constrained")
+        axes = drawn.subplots(1 + with_difference, 2, sharex=True, sharey="row", squeeze=False)
+        for (title, full, dashed), column in zip(_PANELS[figure.numerical], axes.T, strict=True):
+            # stationary points of the phase plane are drawn as crosses
+            crosses = figure.phase_plane and not gamma2 and not figure.numerical
+            column[0].set_title(title.replace("dashed", "+") if crosses else title)
+            _draw_column(column, figure, tau, solutions[full], "-")
+            if dashed is not None:
+                _draw_column(column, figure, tau, solutions[dashed], "--")
+        _label_axes(axes, figure)
         handles = [Line2D([], [], color=colour) for colour in LINES[: len(figure.rotors)]]
         names = [rf"$\ell = {l:g}\sqrt{{3}}$ N m s" if l else r"$\ell = 0$" for l in figure.rotors]
         drawn.legend(handles, names, loc="outside upper center", ncols=3, frameon=False)
@@ -172,55 +205,84 @@ def draw(number: int) -> Figure:
     return drawn
 
 
-def _lines(ax: Axes, x: Array, y: Array, style: str, black: bool) -> None:
+def _draw_column(
+    column: np.ndarray, figure: PaperFigure, tau: Array, solution: Array, linestyle: str
+) -> None:
+    """Draw a solution in the phase plane or over time, and below its difference from M3 cos tau."""
+    row, time = ROW[figure.quantity], tau[:, None]
+    # Two numerical solutions coincide: the second one is black over the colours.
+    black = figure.numerical and linestyle == "--"
+    if figure.phase_plane:
+        _draw_lines(column[0], solution[row], solution[row + 1], linestyle, black)
+        return
+    _draw_lines(column[0], time, solution[row], linestyle, black)
+    if len(column) > 1:
+        M3 = float(fast_spin.paper_body(figure.body, 0.0).M3)
+        _draw_lines(column[1], time, solution[row] - M3 * np.cos(time), linestyle, black)
+
+
+def _draw_lines(ax: Axes, x: Array, y: Array, linestyle: str, black: bool) -> None:
+    """Draw a line for each rotor, (times, rotors)."""
     x = np.broadcast_to(x, y.shape)
     for i, colour in enumerate(LINES[: y.shape[1]]):
-        look: dict[str, Any] = {"color": "black" if black else colour, "linestyle": style}
-        look |= {"linewidth": 0.8} if black else {}
-        if np.ptp(x[:, i]) + np.ptp(y[:, i]) < 1e-3:  # what stands still is a point of the phase plane
-            look |= {"marker": "+", "markersize": 5, "markevery": [0]}
-        ax.plot(x[:, i], y[:, i], **look)
+        style: dict[str, Any] = {"color": "black" if black else colour, "linestyle": linestyle}
+        if black:
+            style["linewidth"] = 0.8
+        if np.ptp(x[:, i]) + np.ptp(y[:, i]) < 1e-3:  # a stationary point of the phase plane
+            style |= {"marker": "+", "markersize": 5, "markevery": [0]}
+        ax.plot(x[:, i], y[:, i], **style)
 
 
-def _label(rows: np.ndarray, figure: PaperFigure) -> None:
+def _label_axes(axes: np.ndarray, figure: PaperFigure) -> None:
+    """Ticks and labels of the panels, an array of shape (rows, 2)."""
     symbol = SYMBOLS[figure.quantity]
-    for ax in rows.ravel():
+    for ax in axes.ravel():
         ax.tick_params(length=2.5)
         ax.yaxis.set_major_locator(MaxNLocator(5))
     if figure.phase_plane:
-        rows[0, 0].set_ylabel(rf"$\dot {symbol}$" if figure.quantity == "p2" else r"$\dot\gamma_2$")
-        for ax in rows[-1]:
+        axes[0, 0].set_ylabel(rf"$\dot {symbol}$" if figure.quantity == "p2" else r"$\dot\gamma_2$")
+        for ax in axes[-1]:
             ax.set_xlabel(f"${symbol}$")
             if figure.quantity == "gamma2":
                 ax.set_aspect("equal", adjustable="box")
         return
-    rows[0, 0].set_ylabel(f"${symbol}$")
-    for ax in rows[-1]:
+    axes[0, 0].set_ylabel(f"${symbol}$")
+    for ax in axes[-1]:
         ax.set_xlabel(r"$\tau = r_0 t$")
         ax.set_xlim(0, END)
         ax.set_xticks(np.pi * np.arange(5), ["0", *(rf"${k or ''}\pi$" for k in ("", 2, 3, 4))])
-    if len(rows) > 1:
-        rows[1, 0].set_ylabel(r"$\gamma_2 - M_3 \cos\tau$")
+    if len(axes) > 1:
+        axes[1, 0].set_ylabel(r"$\gamma_2 - M_3 \cos\tau$")
 
 
 def amplitude_table(rows: Sequence[Row]) -> list[tuple[str, ...]]:
-    """`perturbation.figure_table` as text to six digits, the first row the heading."""
+    """Rows of `claims.figure_table` as text to six digits, below a heading."""
     heading = (
         "body", "l1 = l2 = l3", "p2(0), (18)", "centre", "amplitude", "period", "waves in 4 pi", "max |p2|",
         "mu1/Omega", "2 pi/Omega", "(15) printed: centre", "amplitude", "period",
         "gamma2 amplitude", "period", "max |gamma2 - M3 cos tau|", "unit of p2, rad/s",
     )  # fmt: skip
-    found: list[tuple[str, ...]] = [heading]
+    table: list[tuple[str, ...]] = [heading]
     for r in rows:
         values = (
             r.start, r.centre, r.amplitude, r.period, r.waves, r.largest, r.centre_theory, r.period_theory,
             r.centre_printed, r.amplitude_printed, r.period_printed, r.gamma2_amplitude, r.gamma2_period,
         )  # fmt: skip
         change = f"{r.gamma2_change:.3g}" if r.gamma2_change > 1e-10 else "< 1e-10"  # below: rounding
-        found.append((r.body, f"{r.rotor:g}", *map(_six, values), change, _six(r.unit)))
-    return found
+        table.append((r.body, f"{r.rotor:g}", *map(_six, values), change, _six(r.unit)))
+    return table
 
 
 def _six(value: float) -> str:
-    """Six digits; a dash for what does not exist."""
+    """A number to six digits; a dash for nan."""
     return "-" if np.isnan(value) else "0" if value == 0 else f"{value:#.6g}"
+
+
+def amplitudes_and_claims() -> tuple[list[tuple[str, ...]], list[str]]:
+    """`amplitude_table` of the paper's bodies, and the text of each of the paper's claims with what holds."""
+    rows = claims.figure_table()
+    texts = [
+        f"{'holds' if claim.holds else 'does not hold'}: {claim.text}\n  {claim.measured}"
+        for claim in claims.claims(rows)
+    ]
+    return amplitude_table(rows), texts

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import os
-import re
 from collections.abc import Iterable
 from pathlib import Path
 from typing import Any, Literal
@@ -14,7 +12,7 @@ from matplotlib.colors import to_hex
 from matplotlib.figure import Figure
 
 from ..errors import BadInput
-from ..files import check_folder
+from ..files import atomic_write, check_folder
 
 Width = Literal["column", "page"]
 WIDTHS = {"column": 88.0, "page": 180.0}  # mm, one and two columns of a journal
@@ -35,7 +33,7 @@ STYLE: dict[Any, Any] = {
     "savefig.dpi": 600,
     "svg.hashsalt": "atlas",
 }
-# Safe for colour-blind readers and, by their luminance, readable in grey: one colour per meaning.
+# One colour per meaning; readers who are colour-blind and prints in grey can tell them apart.
 COLOURS = {
     "not_computed": "#ffffff",
     "permanent_rotation": "#a8d8f0",
@@ -63,26 +61,46 @@ SYMBOLS = {
 
 
 def flag_colours(meanings: Iterable[str]) -> dict[str, str]:
-    """A colour for each flag of a variable, the same in every figure: the first is white."""
+    """Colours of the flags of a variable, the same in every figure.
+
+    Parameters
+    ----------
+    meanings : iterable of str
+        Names of the flags in the order of their values.
+
+    Returns
+    -------
+    dict
+        Name -> colour. Those without an entry in COLOURS get even steps of luminance; the first is white.
+    """
     names = list(meanings)
-    # even steps of luminance from white, which continues the map beyond its light end
+    # from white, which continues the colour map beyond its light end
     shades = colormaps["cividis"](np.linspace(1.1, 0.0, len(names)))
     return {
         name: COLOURS.get(name, "#ffffff" if i == 0 else to_hex(shades[i])) for i, name in enumerate(names)
     }
 
 
-def unit_text(unit: str) -> str:
-    """A unit in UDUNITS spelling for print, with raised exponents; empty for pure numbers."""
-    if unit in ("", "1"):
-        return ""
-    return re.sub(r"(?<=[A-Za-z])(-?\d+)", r"$^{\1}$", unit)
+def check_width(width: str) -> None:
+    """Raise BadInput unless the width is one of WIDTHS."""
+    if width not in WIDTHS:
+        raise BadInput(f"width = {width!r}: allowed: {', '.join(WIDTHS)}")
 
 
 def save(figure: Figure, path: str | Path) -> None:
-    """Write a figure as PNG (600 dpi), PDF or SVG by the suffix of its name, and move it into place.
+    """Write a figure as PNG (600 dpi), PDF or SVG, all of it or nothing.
 
-    Raises BadInput for another suffix and for a place that cannot be written.
+    Parameters
+    ----------
+    figure : matplotlib.figure.Figure
+        The figure; the same figure gives the same bytes.
+    path : str or Path
+        File to write; its suffix is the format.
+
+    Raises
+    ------
+    BadInput
+        For another suffix, and for a path that cannot be written.
     """
     path = Path(path)
     if path.suffix.lower() not in FORMATS:
@@ -91,11 +109,5 @@ def save(figure: Figure, path: str | Path) -> None:
     kind = path.suffix.lower()[1:]
     # no date, so that the same atlas gives the same file
     undated = {"png": {}, "pdf": {"CreationDate": None}, "svg": {"Date": None}}[kind]
-    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
-    try:
-        with rc_context(STYLE):
-            figure.savefig(temporary, format=kind, metadata=undated)
-        os.replace(temporary, path)
-    except BaseException:
-        temporary.unlink(missing_ok=True)
-        raise
+    with atomic_write(path) as temporary, rc_context(STYLE):
+        figure.savefig(temporary, format=kind, metadata=undated)

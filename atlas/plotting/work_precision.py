@@ -1,53 +1,67 @@
-"""Work-precision figure."""
+"""Figure of a work-precision study."""
 
 from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-import numpy as np
 import xarray as xr
 
-from ..validation.work_precision import median_of, summary
+from ..validation.work_precision import nanmedian
+from ..validation.work_precision_report import summary
 
 if TYPE_CHECKING:
+    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
 
-COLOURS, MARKS = ("#1b6ca8", "#e0892b", "#262626", "#59a14f"), "os^D"
+COLOURS, MARKERS = ("#1b6ca8", "#e0892b", "#262626", "#59a14f"), "os^D"
+# States with larger errors have nothing to do with the motion and are not drawn.
+MAX_ERROR_DRAWN = 3.0
 
 
 def figure(ds: xr.Dataset) -> Figure:
-    """Work-precision figure: median errors against time per point, a line and a dotted one per method."""
+    """Median errors against processor time per point, for each method: states (solid), rates (dotted).
+
+    Parameters
+    ----------
+    ds : xarray.Dataset
+        As `validation.work_precision.work_precision` returns it.
+    """
     from matplotlib import rc_context
     from matplotlib.figure import Figure
-    from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
     rows = summary(ds)
     with rc_context({"font.size": 8, "legend.fontsize": 7, "axes.linewidth": 0.6}):
         drawn = Figure(figsize=(3.5, 2.8), layout="constrained")
         ax = drawn.add_subplot()
-        for method, colour, mark in zip(ds["method"].values, COLOURS, MARKS, strict=False):
-            # A run that is nowhere near the motion has no error worth drawing.
-            sane = [r for r in rows if r["method"] == method and r["error_state"] < 3.0] or rows[-1:]
-            line = [(1e6 * r["seconds_per_point"], r["error_state"]) for r in sane]
-            ax.plot(
-                *np.transpose(line), mark + "-", color=colour, markersize=3, label=f"{method}, final state"
-            )
-            line = [(1e6 * r["seconds_per_point"], r["error_rates"]) for r in sane]
-            ax.plot(*np.transpose(line), ":", color=colour, label=f"{method}, means and spreads")
+        for method, colour, marker in zip(ds["method"].values, COLOURS, MARKERS, strict=False):
+            usable = [r for r in rows if r["method"] == method and r["error_state"] < MAX_ERROR_DRAWN]
+            usable = usable or rows[-1:]
+            time = [1e6 * r["seconds_per_point"] for r in usable]
+            states, rates = [r["error_state"] for r in usable], [r["error_rates"] for r in usable]
+            ax.plot(time, states, marker + "-", color=colour, markersize=3, label=f"{method}, final state")
+            ax.plot(time, rates, ":", color=colour, label=f"{method}, rates")
         for row in rows:
-            if row["own_setting"] and row["error_state"] < 3.0:
-                place = 1e6 * row["seconds_per_point"], row["error_state"]
-                ax.plot(*place, "o", mfc="none", mec="black", ms=8, label="the scene's setting")
-        ax.set(xscale="log", yscale="log")
-        ax.set(xlabel="time per point and processor (µs)", ylabel="median error")
-        known = median_of(ds["reference_error"].values)
-        floor = min(ax.get_ylim()[0], known / 2)
-        ax.set_ylim(bottom=floor)
-        ax.axhspan(floor, known, color="0.9", zorder=0, label="reference unsure of states")
-        ax.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
-        ax.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
-        ax.xaxis.set_minor_formatter(NullFormatter())
-        ax.tick_params(axis="x", labelrotation=0)
+            if row["own_setting"] and row["error_state"] < MAX_ERROR_DRAWN:
+                point = 1e6 * row["seconds_per_point"], row["error_state"]
+                ax.plot(*point, "o", mfc="none", mec="black", ms=8, label="the scene's setting")
+        _set_axes(ax)
+        _shade_uncertainty(ax, nanmedian(ds["reference_error"].values))
         drawn.legend(loc="outside lower center", ncols=2, frameon=False)
     return drawn
+
+
+def _set_axes(ax: Axes) -> None:
+    from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
+
+    ax.set(xscale="log", yscale="log", xlabel="time per point and processor (µs)", ylabel="median error")
+    ax.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+    ax.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+    ax.xaxis.set_minor_formatter(NullFormatter())
+
+
+def _shade_uncertainty(ax: Axes, uncertainty: float) -> None:
+    """Shade the errors below the uncertainty of the reference."""
+    bottom = min(ax.get_ylim()[0], uncertainty / 2)
+    ax.set_ylim(bottom=bottom)
+    ax.axhspan(bottom, uncertainty, color="0.9", zorder=0, label="uncertainty of reference")

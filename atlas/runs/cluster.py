@@ -1,23 +1,29 @@
-"""Tasks on many machines by dask.distributed: bounded in flight, tried again when a worker dies."""
+"""Tasks on many machines by dask.distributed: few in flight, and repeated when a worker dies."""
 
 from __future__ import annotations
 
 import logging
+import math
 import socket
 import time
 import uuid
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from ..errors import BadInput
+from ..files import one_line
 
-CONNECT = 5.0  # seconds to wait for a scheduler
-PATIENCE = 60.0  # seconds without a worker before saying so
-# Tasks in flight for each thread of the workers: the next is there when one ends.
+if TYPE_CHECKING:
+    from distributed import Client, Future
+
+CONNECT_TIMEOUT = 5.0  # seconds to wait for a scheduler
+POLL_INTERVAL = 5.0  # seconds between two looks at the number of workers
+NO_WORKER_WARNING = 60.0  # seconds without a worker before a warning
+# Tasks in flight for each thread of the workers, so that a thread has the next one when one ends.
 TASKS_PER_THREAD = 2
-# dask gives a task up when four workers died under it; it is then sent again so many times.
-ATTEMPTS = 3
+# dask gives a task up when several workers died while computing it; it is submitted so many times.
+MAX_ATTEMPTS = 3
 
 
 def check(scheduler: str) -> None:
@@ -25,85 +31,112 @@ def check(scheduler: str) -> None:
     from distributed.comm.addressing import parse_address, parse_host_port
 
     try:
-        scheme, place = parse_address(scheduler)
-        with socket.create_connection(parse_host_port(place), CONNECT) as found:
-            # A dask server speaks first; its own client would wait for ever for another one to do so.
-            if scheme == "tcp" and not found.recv(1):
+        scheme, address = parse_address(scheduler)
+        with socket.create_connection(parse_host_port(address), CONNECT_TIMEOUT) as connection:
+            # A dask server sends first. Without this check its client would wait for ever for another server.
+            if scheme == "tcp" and not connection.recv(1):
                 raise OSError("something else is there")
     except (OSError, ValueError) as error:
-        raise BadInput(f"--scheduler {scheduler}: no scheduler answers there ({_one_line(error)})") from None
+        reason = one_line(error) or type(error).__name__
+        raise BadInput(f"--scheduler {scheduler}: no scheduler answers there ({reason})") from None
 
 
 @contextmanager
-def client(scheduler: str | None, workers: int | None) -> Iterator[Any]:
-    """A client of the scheduler at an address, or of so many one-thread processes on this machine."""
+def connect(scheduler: str | None, workers: int | None) -> Iterator[Client]:
+    """A client of the scheduler at an address, or of `workers` one-thread processes on this machine."""
     import distributed
 
     if scheduler is not None:
-        with distributed.Client(scheduler) as found:
-            yield found
+        with distributed.Client(scheduler) as client:
+            yield client
         return
     cluster = distributed.LocalCluster(
         n_workers=workers, threads_per_worker=1, processes=True, memory_limit=None,
         dashboard_address=":0", silence_logs=logging.CRITICAL,
     )  # fmt: skip
-    with cluster, distributed.Client(cluster) as found:
-        yield found
+    with cluster, distributed.Client(cluster) as client:
+        yield client
 
 
-def each(
-    found: Any, task: Callable[..., Any], arguments: Iterable[tuple[Any, ...]], done: Callable[[Any], None]
+def for_each(
+    client: Client,
+    task: Callable[..., Any],
+    arguments: Iterable[tuple[Any, ...]],
+    on_result: Callable[[Any], None],
 ) -> None:
-    """Call task(*a) on the workers for each of the arguments, and done(result) here as they end.
+    """Call a task on the workers for each tuple of arguments.
 
-    The task must be harmless to run twice. Raises what a task raised, KilledWorker if workers kept
-    dying under one, OSError if the scheduler is lost.
+    Parameters
+    ----------
+    client : distributed.Client
+    task : callable
+        Called as task(*arguments). It must be harmless to run twice.
+    arguments : iterable of tuple
+        The next one is taken when a worker is free.
+    on_result : callable
+        Called in this process with each result, in the order in which the tasks end.
+
+    Raises
+    ------
+    Exception
+        What a task raised; KilledWorker if workers died under every attempt; OSError if the scheduler is
+        lost.
     """
-    from distributed import KilledWorker, wait
-
     source = iter(arguments)
-    waiting: dict[Any, tuple[tuple[Any, ...], int]] = {}
-    exhausted, seen, told = False, time.monotonic(), False
+    in_flight: dict[Future, tuple[tuple[Any, ...], int]] = {}
 
-    def submit(some: tuple[Any, ...], attempt: int) -> None:
-        future = found.submit(task, *some, key=f"atlas-{uuid.uuid4().hex}", pure=False)
-        waiting[future] = some, attempt
+    def submit(task_arguments: tuple[Any, ...], attempt: int) -> None:
+        future = client.submit(task, *task_arguments, key=f"atlas-{uuid.uuid4().hex}", pure=False)
+        in_flight[future] = task_arguments, attempt
 
     try:
-        while not exhausted or waiting:
-            threads = sum(found.nthreads().values())
+        exhausted, worker_seen = False, time.monotonic()
+        while not exhausted or in_flight:
+            threads = sum(client.nthreads().values())
             if threads:
-                seen, told = time.monotonic(), False
-            elif time.monotonic() - seen > PATIENCE and not told:
-                told = True
-                logging.getLogger("atlas").warning("no dask worker for %.0f s: still waiting", PATIENCE)
-            while not exhausted and len(waiting) < max(TASKS_PER_THREAD * threads, 1):
-                some = next(source, None)
-                if some is None:
+                worker_seen = time.monotonic()
+            elif time.monotonic() - worker_seen > NO_WORKER_WARNING:
+                logging.getLogger("atlas").warning(
+                    "no dask worker for %.0f s: still waiting", NO_WORKER_WARNING
+                )
+                worker_seen = math.inf  # no second warning before a worker appears
+            while not exhausted and len(in_flight) < max(TASKS_PER_THREAD * threads, 1):
+                task_arguments = next(source, None)
+                if task_arguments is None:
                     exhausted = True
                 else:
-                    submit(some, 1)
-            if not waiting:
-                break
-            try:
-                ended = wait(list(waiting), timeout=5.0, return_when="FIRST_COMPLETED").done
-            except TimeoutError:
-                continue
-            for future in ended:
-                some, attempt = waiting.pop(future)
-                if future.status == "finished":
-                    done(future.result())
-                elif future.status == "error":
-                    error = future.exception()
-                    if not isinstance(error, KilledWorker) or attempt == ATTEMPTS:
-                        raise error
-                    submit(some, attempt + 1)
+                    submit(task_arguments, 1)
+            for future in _wait_for_any(in_flight):
+                task_arguments, attempt = in_flight.pop(future)
+                if _succeeded(future, attempt):
+                    on_result(future.result())
                 else:
-                    raise OSError(f"the dask scheduler lost a task ({future.status})")
+                    submit(task_arguments, attempt + 1)
     finally:
-        for future in waiting:
+        for future in in_flight:
             future.cancel()
 
 
-def _one_line(error: BaseException) -> str:
-    return " ".join(str(error).split())[:200] or type(error).__name__
+def _wait_for_any(futures: Iterable[Future]) -> Iterable[Future]:
+    """The futures that have ended, after one has, or none when the interval is over."""
+    from distributed import wait
+
+    try:
+        pending = list(futures)
+        return wait(pending, timeout=POLL_INTERVAL, return_when="FIRST_COMPLETED").done if pending else []
+    except TimeoutError:
+        return []
+
+
+def _succeeded(future: Future, attempt: int) -> bool:
+    """Whether a task gave a result; False if it has to be submitted again. Raises its error otherwise."""
+    from distributed import KilledWorker
+
+    if future.status == "finished":
+        return True
+    if future.status != "error":
+        raise OSError(f"the dask scheduler lost a task ({future.status})")
+    error = future.exception()
+    if not isinstance(error, KilledWorker) or attempt == MAX_ATTEMPTS:
+        raise error
+    return False

@@ -1,19 +1,82 @@
-"""TODO"""
+"""Tiles computed by threads of this process, several at a time."""
 
 from __future__ import annotations
 
 import math
+import threading
+from collections.abc import Callable, Iterable
+from concurrent.futures import ThreadPoolExecutor, as_completed
+from contextlib import suppress
 
 from ..engine import blocks
 from ..scene import grid
 from ..scene.model import Scene
 from .tiling import Tiling, mean_steps
 
+Advance = Callable[[float], None]  # takes a number of finished points
 
-def tiles_in_flight(scene: Scene, sample: grid.Grid, cut: Tiling, threads: int | None) -> int:
-    """Tiles in flight: two, or as many as it takes to give every thread a call of the kernel."""
+
+def tiles_in_flight(scene: Scene, sample: grid.Grid, tiling: Tiling, threads: int | None) -> int:
+    """Number of tiles to compute at a time.
+
+    Usually two, so that the processors stay busy while one tile is prepared or written; more where a tile
+    is too small to give every thread a call of the kernel; one on a single processor.
+
+    Parameters
+    ----------
+    scene : Scene
+    sample : Grid
+        Points of the scene, from `grid.check`.
+    tiling : Tiling
+    threads : int or None
+        Threads of the kernel; None for all processors of this process.
+    """
     threads = threads or blocks.available_threads()
-    if threads == 1:  # one processor is one processor: no tile is prepared beside another
+    if threads == 1:
         return 1
-    calls = math.prod(cut.tile) * mean_steps(scene, sample) / blocks.CHUNK
-    return min(1 + math.ceil(threads / max(calls, 1.0)), threads + 1, cut.count)
+    calls_per_tile = math.prod(tiling.tile) * mean_steps(scene, sample) / blocks.CHUNK
+    return min(1 + math.ceil(threads / max(calls_per_tile, 1.0)), threads + 1, tiling.count)
+
+
+class _StoppedError(Exception):
+    """Ends a tile in flight after another one failed or the user pressed Ctrl-C."""
+
+
+def for_each_tile(
+    tiles: Iterable[int], compute: Callable[[int, Advance], None], advance: Advance, in_flight: int
+) -> None:
+    """Compute tiles in threads; after an error or Ctrl-C abandon those in flight and raise it.
+
+    Parameters
+    ----------
+    tiles : iterable of int
+        Tiles to compute; the next one is taken when a thread is free.
+    compute : callable
+        Called as compute(tile, advance); it must call advance(points) as its points are finished.
+    advance : callable
+        Called with the number of finished points.
+    in_flight : int
+        Tiles computed at a time.
+    """
+    source, lock, stop = iter(tiles), threading.Lock(), threading.Event()
+
+    def advance_or_stop(points: float) -> None:
+        if stop.is_set():
+            raise _StoppedError
+        advance(points)
+
+    def worker() -> None:
+        with suppress(_StoppedError):
+            while not stop.is_set():
+                with lock:
+                    tile = next(source, None)
+                if tile is None:
+                    return
+                compute(tile, advance_or_stop)
+
+    with ThreadPoolExecutor(in_flight) as pool:
+        try:
+            for future in as_completed([pool.submit(worker) for _ in range(in_flight)]):
+                future.result()
+        finally:
+            stop.set()

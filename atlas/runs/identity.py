@@ -1,4 +1,4 @@
-"""What every bit of an atlas depends on beside its scene."""
+"""Identity of a computation: programs and processor on which the bits of an atlas depend."""
 
 from __future__ import annotations
 
@@ -13,20 +13,26 @@ from ..label.pipeline import scene_kernel_hash
 from ..scene.model import Scene
 
 # Files of the package on which the numbers of an atlas depend.
-NUMERIC_SOURCES = (
-    "engine/*.py",
-    "systems/**/*.py",
-    "scene/*.py",
-    "label/*.py",
-)
+NUMERIC_SOURCES = ("engine/**/*.py", "systems/**/*.py", "scene/**/*.py", "label/**/*.py", "flags.py")
 
 
 def identity(scene: Scene) -> dict[str, str]:
-    """What decides every bit of an atlas beside its scene: programs and type of processor."""
+    """Everything besides its scene on which the bits of an atlas depend.
+
+    Parameters
+    ----------
+    scene : Scene
+
+    Returns
+    -------
+    dict of str to str
+        Versions of programs and libraries, hashes of this package's sources and of the kernel, and the type
+        of processor.
+    """
     from ..engine.jit import cpu
 
     code, package = hashlib.sha256(), Path(__file__).parents[1]
-    for path in sorted(p for room in NUMERIC_SOURCES for p in package.glob(room)):
+    for path in sorted(path for pattern in NUMERIC_SOURCES for path in package.glob(pattern)):
         code.update(path.read_bytes())
     packages = {name: version(name) for name in ("numpy", "numba", "llvmlite", "scipy", "netCDF4")}
     return {

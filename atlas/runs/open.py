@@ -1,4 +1,4 @@
-"""Opening an atlas, file or run folder."""
+"""Opening an atlas from a file or a run folder."""
 
 from __future__ import annotations
 
@@ -11,12 +11,24 @@ from ..files import one_line
 
 
 def open_atlas(path: str | Path) -> xr.Dataset:
-    """Open an atlas file or a run folder lazily, as a Dataset with plain integer flags.
+    """Open an atlas lazily.
 
-    A folder gives dask arrays of one block per tile; tiles that are not there (yet) are not_computed
-    and nan, and are looked for again whenever values are asked for.
+    Parameters
+    ----------
+    path : str or Path
+        An atlas file (NAME.nc) or a run folder, which may still be growing.
 
-    Raises BadInput with one line if there is no such file, if it is damaged or no atlas.
+    Returns
+    -------
+    xarray.Dataset
+        Flag variables are plain integers. A run folder gives dask arrays with a chunk for each tile;
+        points of tiles that are missing are `not_computed` and nan. Tiles are read whenever values are
+        computed, so that tiles finished later appear in the same Dataset.
+
+    Raises
+    ------
+    BadInput
+        If there is no such file, if it is damaged, or if it is not an atlas.
     """
     path = Path(path)
     if not path.exists():
@@ -27,7 +39,7 @@ def open_atlas(path: str | Path) -> xr.Dataset:
         return RunFolder.open(path).dataset()
     try:
         ds = xr.open_dataset(path, engine="netcdf4", chunks=None)
-    except Exception as error:  # whatever a damaged file makes the reader say
+    except Exception as error:  # a damaged file may raise any error
         raise BadInput(f"{path}: not a NetCDF file that can be read ({one_line(error)})") from None
     missing = [name for name in ("atlas_system", "atlas_version") if name not in ds.attrs]
     if missing:

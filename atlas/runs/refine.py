@@ -1,4 +1,4 @@
-"""Refinement at the borders: an atlas on a fine grid of which only the surroundings of borders are integrated."""
+"""Refinement: an atlas on a fine grid, integrated only around the boundaries between different flags."""
 
 from __future__ import annotations
 
@@ -12,7 +12,8 @@ import xarray as xr
 from scipy.ndimage import maximum_filter, minimum_filter
 
 from ..flags import Stability
-from ..io import netcdf, provenance
+from ..io import netcdf
+from ..io.provenance import provenance
 from ..label import theory
 from ..label.pipeline import evaluate_tile, scene_kernel_hash
 from ..scene import grid
@@ -21,183 +22,226 @@ from ..systems.base import Flags
 from ..validation import half_step
 from ..variables import COMPUTED, variables
 
-# Measured flags; borders of those that the scene asks for are followed, and of the label always.
+# Measured flags whose boundaries are traced: the label always, the others where the scene asks for them.
 MEASURED = ("label", "label_inertial", "geometry", "status")
-THEORY = ("family", "stable", "predicted", "predicted_inertial")
-# Points on either side of a border that are integrated, at each level: with 2, every point of a cell
+PREDICTED = ("family", "stable", "predicted", "predicted_inertial")
+# Points on either side of a boundary that are integrated, at each level: with 2, every point of a cell
 # whose corners differ, and the cells around it.
-BORDER_WIDTH = 2
-# Nudged unstable motions that survive the run outside what is integrated: at most so many are expected.
+BOUNDARY_WIDTH = 2
+# Expected number of nudged unstable motions that survive the run outside the points that are integrated.
 EXPECTED_MISSES = 0.05
 SEED = 0
 
 
 def refined(
-    scene: Scene, remarks: list[str], *, threads: int | None = None, progress: bool = True
+    scene: Scene, warnings: list[str], *, threads: int | None = None, progress: bool = True
 ) -> xr.Dataset:
-    """The atlas of a scene that has [refine], on its finest grid, integrated around borders only.
+    """Compute the atlas of a scene that has [refine], on its finest grid.
 
-    The coarse grid is integrated; at each level, of half the spacing, so are the points not farther than
-    WIDTH from two points with different flags, until every border runs between integrated points. On the
-    finest grid the same is done around borders of what theory predicts, which is computed everywhere, where
-    instability has hardly time to show, and for a random share of the points left over, the probe; those
-    found to differ are followed like borders.
+    The coarse grid is integrated. At each level the spacing is halved and the points within BOUNDARY_WIDTH
+    of two points with different flags are integrated, until every boundary runs between integrated points.
+    On the finest grid two more sets of points are integrated, and boundaries that appear there are traced in
+    the same way: first the points near boundaries of what theory predicts (it is evaluated at every point),
+    and those where an instability has hardly time to show; then the probe, a random share of all others.
 
-    remarks: the system's warnings, for the attributes. Returns a Dataset as `runner.run` does, with the
-    variable `computed`; where that is `interpolated`, measured flags are those of the points around and
-    measured numbers are nan. Attributes: atlas_computed_share, of the points integrated among those where
-    the family exists; atlas_probe_points and atlas_probe_missed, points of the probe and how many of them
-    had other flags than were assumed.
+    Parameters
+    ----------
+    scene : Scene
+    warnings : list of str
+        Warnings about the scene, for the attributes.
+    threads : int, optional
+        Default: all processors of this process.
+    progress : bool
+        Print a line to stderr after each level.
+
+    Returns
+    -------
+    xarray.Dataset
+        As from `run`, with the flag variable `computed`. Where it is `interpolated`, measured flags are
+        those of neighbouring points and measured numbers are nan. Attributes: atlas_computed_share, the
+        share of points integrated among those where the family exists; atlas_probe_points and
+        atlas_probe_missed, the number of points of the probe and how many of them had other flags than
+        assumed.
     """
     assert scene.refine is not None
-    began = time.perf_counter()
+    started = time.perf_counter()
     fine = _FineGrid(scene, threads)
     for level in range(scene.refine.levels + 1):
-        fine.level(level)
+        fine.refine_to(level)
         if progress:
-            done = f"level {level} of {scene.refine.levels}: {fine.integrated} of {fine.points} points"
-            print(f"{done} ({100 * fine.integrated / fine.points:.2f} %)", file=sys.stderr)
-    fine.follow_theory()
-    tried, missed = fine.probe(scene.refine.probe)
-    ds = fine.dataset()
-    facts = {
-        "atlas_computed_share": fine.integrated / fine.points,
-        "atlas_probe_points": tried,
-        "atlas_probe_missed": missed,
+            line = f"level {level} of {scene.refine.levels}: {fine.n_integrated} of {fine.n_existing} points"
+            print(f"{line} ({100 * fine.n_integrated / fine.n_existing:.2f} %)", file=sys.stderr)
+    fine.trace_predicted_boundary()
+    probe_points, probe_missed = fine.probe(scene.refine.probe)
+    attributes = {
+        "atlas_computed_share": fine.n_integrated / fine.n_existing,
+        "atlas_probe_points": probe_points,
+        "atlas_probe_missed": probe_missed,
     }
+    ds = fine.dataset()
+    seconds = time.perf_counter() - started
     return ds.assign_attrs(
-        provenance.provenance(
+        provenance(
             scene.system, scene.settings, scene_kernel_hash(scene), title=scene.title, scene=scene.toml(),
-            seconds=time.perf_counter() - began, points=fine.integrated, remarks=remarks,
-        ) | facts | half_step.half_step_sample(scene, threads=threads)
+            seconds=seconds, points=fine.n_integrated, warnings=warnings,
+        ) | attributes | half_step.half_step_sample(scene, threads=threads)
     )  # fmt: skip
 
 
 class _FineGrid:
-    """The finest grid: what theory says at every point, what is known, and what is assumed of the rest."""
+    """The finest grid of a scene: predictions at every point, measurements where points are integrated.
+
+    `flag_code` holds the measured flags of each point as one number: measured where `computed` is true
+    (integrated, or without motion), assumed elsewhere. A spacing is a number of fine points for each axis.
+    """
 
     def __init__(self, scene: Scene, threads: int | None):
         self.scene, self.threads = scene, threads
-        self.kinds = variables(scene.system)
-        self.flags = [n for n in MEASURED if n == "label" or n in scene.outputs]
-        self.integrated = 0
-        numbers = [n for n in scene.outputs if self.kinds[n].flags is None and n != "growth_rate"]
-        self.numbers = {name: np.full(scene.size, np.nan) for name in numbers}
+        self.registry = variables(scene.system)
+        self.flags = [name for name in MEASURED if name == "label" or name in scene.outputs]
+        self.flag_counts = [len(self.registry[name].flags or ()) for name in self.flags]
+        self.numbers = {
+            name: np.full(scene.size, np.nan)
+            for name in scene.outputs
+            if self.registry[name].flags is None and name != "growth_rate"
+        }
         self.solved = {name: np.empty(scene.size) for name in scene.solve}
         self.growth_rate = np.full(scene.size, np.nan)
-        self.theory = {n: np.zeros(scene.size, np.int8) for n in THEORY if n in self.kinds}
-        there, self.slow = np.empty(scene.size, bool), np.zeros(scene.size, bool)
-        for part in _chunks(scene.size):
-            indices = np.arange(part.start, part.stop)
-            points = grid.points_at_indices(scene, indices)
-            for name, column in self.solved.items():
-                column[part] = points.base[name]
-            there[part], where = points.there, indices[points.there]
-            if not where.size:
-                continue
-            base = {name: values[points.there] for name, values in points.base.items()}
+        self.predicted = {name: np.zeros(scene.size, np.int8) for name in PREDICTED if name in self.registry}
+        self.slowly_unstable = np.zeros(scene.size, bool)
+        exists = np.empty(scene.size, bool)
+        for chunk in _chunks(scene.size):
+            exists[chunk] = self._predict(np.arange(chunk.start, chunk.stop))
+        self.n_existing, self.n_integrated = int(exists.sum()), 0
+        # Points without motion are computed: their flags are 0, not_computed.
+        self.computed = ~exists.reshape(scene.shape)
+        self.flag_code = np.zeros(scene.shape, np.int16)
+
+    def _predict(self, indices: np.ndarray) -> np.ndarray:
+        """Evaluate theory at points of the grid; returns where the family exists."""
+        scene, points = self.scene, grid.points_at_indices(self.scene, indices)
+        for name, column in self.solved.items():
+            column[indices] = points.base[name]
+        existing = indices[points.exists]
+        if existing.size:
+            base = {name: values[points.exists] for name, values in points.base.items()}
             with np.errstate(all="ignore"):
-                found = theory.predict(scene.system, base, scene.settings.rate_tolerance, bool(scene.nudge))
-            self.growth_rate[where] = found["growth_rate"]
-            for name, flag in self.theory.items():
-                flag[where] = found[name]
-            grown = found["growth_rate"] * points.duration[points.there]
-            self.slow[where] = (found["stable"] == Stability.UNSTABLE) & (grown < _growth_needed(scene))
-        self.points = int(there.sum())
-        # a point without motion has the code 0, that of not_computed
-        self.known = ~there.reshape(scene.shape)
-        self.code = np.zeros(scene.shape, np.int16)
+                prediction = theory.predict(
+                    scene.system, base, scene.settings.rate_tolerance, bool(scene.nudge)
+                )
+            growth_rate = prediction["growth_rate"]
+            self.growth_rate[existing] = growth_rate
+            for name, flags in self.predicted.items():
+                flags[existing] = prediction[name]
+            growth = growth_rate * points.duration[points.exists]
+            unstable = prediction["stable"] == Stability.UNSTABLE
+            self.slowly_unstable[existing] = unstable & (growth < _growth_needed(scene))
+        return points.exists
 
-    def level(self, level: int) -> None:
-        """Go on to a grid; level 0 is the coarse one. Each point begins with the code of one beside it."""
-        steps = [max(stride >> level, 1) for stride in self.scene.strides]
-        here = tuple(slice(None, None, step) for step in steps)
+    def refine_to(self, level: int) -> None:
+        """Compute the grid of a level; level 0 is the coarse grid, all of which is integrated.
+
+        At the others each new point is first assumed to have the flags of a neighbour.
+        """
+        coarsening = self.scene.coarsening
+        spacing = [max(factor >> level, 1) for factor in coarsening]
+        subgrid = _subgrid(spacing)
         if level == 0:
-            self._learn(np.flatnonzero(~self.known[here]), steps)
+            self._integrate(np.flatnonzero(~self.computed[subgrid]), spacing)
             return
-        before = self.code[tuple(slice(None, None, min(2 * step, stride)) for step, stride in
-                                 zip(steps, self.scene.strides, strict=True))]  # fmt: skip
-        for axis, stride in enumerate(self.scene.strides):
-            if stride > 1:
-                before = np.repeat(before, 2, axis).take(range(2 * before.shape[axis] - 1), axis)
-        self.code[here] = np.where(self.known[here], self.code[here], before)
-        self.follow(steps)
+        spacing_before = [min(2 * n, factor) for n, factor in zip(spacing, coarsening, strict=True)]
+        assumed = self.flag_code[_subgrid(spacing_before)]
+        for axis, factor in enumerate(coarsening):
+            if factor > 1:
+                assumed = np.repeat(assumed, 2, axis).take(range(2 * assumed.shape[axis] - 1), axis)
+        self.flag_code[subgrid] = np.where(self.computed[subgrid], self.flag_code[subgrid], assumed)
+        self.trace_boundary(spacing)
 
-    def follow(self, steps: Sequence[int]) -> None:
-        """Integrate around borders on the grid of these steps until they run between known points."""
-        here = tuple(slice(None, None, step) for step in steps)
-        while (todo := np.flatnonzero(self._near(self.code[here]) & ~self.known[here])).size:
-            self._learn(todo, steps)
+    def trace_boundary(self, spacing: Sequence[int]) -> None:
+        """Integrate near boundaries, on the grid of this spacing, until they run between computed points."""
+        subgrid = _subgrid(spacing)
+        while (
+            indices := np.flatnonzero(self._near_boundary(self.flag_code[subgrid]) & ~self.computed[subgrid])
+        ).size:
+            self._integrate(indices, spacing)
 
-    def follow_theory(self) -> None:
-        """Integrate around the borders of what theory says and where it is not sure; follow what is found."""
-        said = _code(self.theory, [len(self.kinds[name].flags or ()) for name in self.theory])
-        ones = [1] * len(self.scene.shape)
-        todo = self._near(said.reshape(self.scene.shape)) | self.slow.reshape(self.scene.shape)
-        self._learn(np.flatnonzero(todo & ~self.known), ones)
-        self.follow(ones)
+    def trace_predicted_boundary(self) -> None:
+        """Integrate near boundaries of the predictions and at slowly unstable points, then trace boundaries."""
+        code = _encode(self.predicted, [len(self.registry[name].flags or ()) for name in self.predicted])
+        code = np.broadcast_to(code, self.scene.size)  # one number if the system has no theory
+        near_boundary = self._near_boundary(code.reshape(self.scene.shape))
+        chosen = near_boundary | self.slowly_unstable.reshape(self.scene.shape)
+        finest = [1] * len(self.scene.shape)
+        self._integrate(np.flatnonzero(chosen & ~self.computed), finest)
+        self.trace_boundary(finest)
 
     def probe(self, share: float) -> tuple[int, int]:
-        """Integrate a random share of the points not known and follow what is found; how many, how many missed."""
-        unknown = np.flatnonzero(~self.known)
-        tried = np.random.default_rng(SEED).choice(unknown, math.ceil(share * unknown.size), replace=False)
-        tried.sort()
-        assumed = self.code.flat[tried]
-        ones = [1] * len(self.scene.shape)
-        self._learn(tried, ones)
-        missed = int((self.code.flat[tried] != assumed).sum())
-        self.follow(ones)
-        return tried.size, missed
+        """Integrate a random share of the points not computed, then trace boundaries.
 
-    def _near(self, code: np.ndarray) -> np.ndarray:
-        """Points within WIDTH of two different codes, along the axes that are refined; bool."""
-        window = [1 + 2 * BORDER_WIDTH * (stride > 1) for stride in self.scene.strides]
+        Returns the number of points of the probe, and of those with other flags than assumed.
+        """
+        rest = np.flatnonzero(~self.computed)
+        chosen = np.random.default_rng(SEED).choice(rest, math.ceil(share * rest.size), replace=False)
+        chosen.sort()
+        assumed = self.flag_code.flat[chosen]
+        finest = [1] * len(self.scene.shape)
+        self._integrate(chosen, finest)
+        missed = int((self.flag_code.flat[chosen] != assumed).sum())
+        self.trace_boundary(finest)
+        return chosen.size, missed
+
+    def _near_boundary(self, code: np.ndarray) -> np.ndarray:
+        """Mask of points within BOUNDARY_WIDTH of two different codes, along the axes that are refined."""
+        window = [1 + 2 * BOUNDARY_WIDTH * (factor > 1) for factor in self.scene.coarsening]
         return np.asarray(maximum_filter(code, window) != minimum_filter(code, window))
 
-    def _learn(self, places: np.ndarray, steps: Sequence[int]) -> None:
-        """Integrate points given by their flat indices in the grid of these steps."""
-        coarse = self.known[tuple(slice(None, None, step) for step in steps)].shape
-        at = [i * step for i, step in zip(np.unravel_index(places, coarse), steps, strict=True)]
-        indices = np.ravel_multi_index(at, self.scene.shape)
-        for part in _chunks(indices.size):
-            some = indices[part]
-            values = evaluate_tile(self.scene, grid.points_at_indices(self.scene, some), threads=self.threads)
-            self.code.flat[some] = _code({n: values[n] for n in self.flags}, self._lengths())
+    def _integrate(self, subgrid_indices: np.ndarray, spacing: Sequence[int]) -> None:
+        """Integrate points given by their flat indices in the grid of this spacing."""
+        subgrid_shape = self.computed[_subgrid(spacing)].shape
+        along_axes = np.unravel_index(subgrid_indices, subgrid_shape)
+        fine_indices = [index * step for index, step in zip(along_axes, spacing, strict=True)]
+        indices = np.ravel_multi_index(fine_indices, self.scene.shape)
+        for chunk in _chunks(indices.size):
+            points = grid.points_at_indices(self.scene, indices[chunk])
+            values = evaluate_tile(self.scene, points, threads=self.threads)
+            flags = {name: values[name] for name in self.flags}
+            self.flag_code.flat[indices[chunk]] = _encode(flags, self.flag_counts)
             for name, column in self.numbers.items():
-                column[some] = values[name]
-        self.known.flat[indices] = True
-        self.integrated += indices.size
-
-    def _lengths(self) -> list[int]:
-        return [len(self.kinds[name].flags or ()) for name in self.flags]
+                column[indices[chunk]] = values[name]
+        self.computed.flat[indices] = True
+        self.n_integrated += indices.size
 
     def dataset(self) -> xr.Dataset:
         """The atlas without provenance."""
-        scene, columns = self.scene, dict[str, np.ndarray](self.numbers) | self.theory
+        scene, columns = self.scene, dict[str, np.ndarray](self.numbers) | self.predicted
         columns["growth_rate"] = self.growth_rate
-        for name, values in zip(self.flags, _decoded(self.code.ravel(), self._lengths()), strict=True):
-            columns[name] = values
-        columns["agreement"] = theory.agreement(columns["label"], self.theory["predicted"])
+        columns |= zip(self.flags, _decode(self.flag_code.ravel(), self.flag_counts), strict=True)
+        if "predicted" in self.predicted:
+            columns["agreement"] = theory.agreement(columns["label"], self.predicted["predicted"])
         ds = netcdf.dataset(
             scene,
             {name: columns[name].reshape(scene.shape) for name in scene.outputs},
             {name: values.reshape(scene.shape) for name, values in self.solved.items()},
         )
-        ds["computed"] = netcdf.dims(scene), self.known.astype(np.int8), COMPUTED.attributes()
+        ds["computed"] = netcdf.dims(scene), self.computed.astype(np.int8), COMPUTED.attributes()
         return ds
 
 
 def _growth_needed(scene: Scene) -> float:
-    """Growth_rate x duration above which all nudged unstable points of a scene drift, but MISSED of them.
+    """Product of growth rate and duration above which all nudged unstable points but EXPECTED_MISSES drift.
 
-    A nudge survives if less than the share rate_tolerance / nudge exp(-growth) of it is unstable motion.
-    Starts of which that is true lie on needles, of this share of all points, thinner than the grid.
-    Starts without nudge have none: -inf.
+    A nudge survives if its component along the unstable motion is a smaller share of it than
+    rate_tolerance / nudge * exp(-growth). Starts of which that is true are this share of all points, in
+    needles thinner than the grid. Without a nudge there are none: -inf.
     """
-    size = max(map(abs, scene.nudge.values()), default=0.0)
-    return (
-        math.log(scene.settings.rate_tolerance / size * scene.size / EXPECTED_MISSES) if size else -math.inf
-    )
+    nudge = max(map(abs, scene.nudge.values()), default=0.0)
+    if nudge == 0:
+        return -math.inf
+    return math.log(scene.settings.rate_tolerance / nudge * scene.size / EXPECTED_MISSES)
+
+
+def _subgrid(spacing: Sequence[int]) -> tuple[slice, ...]:
+    return tuple(slice(None, None, step) for step in spacing)
 
 
 def _chunks(size: int) -> Iterator[slice]:
@@ -205,17 +249,18 @@ def _chunks(size: int) -> Iterator[slice]:
         yield slice(first, min(first + grid.MAX_POINTS_PER_TILE, size))
 
 
-def _code(flags: Mapping[str, Flags], lengths: Sequence[int]) -> np.ndarray:
-    """Several flags of each point as one number, int16."""
+def _encode(flags: Mapping[str, Flags], counts: Sequence[int]) -> np.ndarray:
+    """Several flags of each point as one number, int16; counts: how many values each flag has."""
     code = np.zeros(1, np.int16)
-    for values, length in zip(flags.values(), lengths, strict=True):
-        code = (code * length + values).astype(np.int16)
+    for values, count in zip(flags.values(), counts, strict=True):
+        code = (code * count + values).astype(np.int16)
     return code
 
 
-def _decoded(code: np.ndarray, lengths: Sequence[int]) -> list[Flags]:
+def _decode(code: np.ndarray, counts: Sequence[int]) -> list[Flags]:
+    """Inverse of `_encode`."""
     flags: list[Flags] = []
-    for length in reversed(lengths):
-        flags.insert(0, (code % length).astype(np.int8))
-        code = code // length
+    for count in reversed(counts):
+        flags.insert(0, (code % count).astype(np.int8))
+        code = code // count
     return flags

@@ -1,16 +1,14 @@
-"""A run: the tiles of a scene, in memory or in a run folder."""
+"""A run: the tiles of a scene computed in memory or in a run folder, by threads or by dask workers."""
 
 from __future__ import annotations
 
 import logging
-import math
 import random
 import socket
 import threading
 import time
-from collections.abc import Callable, Iterable, Iterator
-from concurrent.futures import ThreadPoolExecutor, as_completed
-from contextlib import suppress
+from collections.abc import Iterator
+from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
 
@@ -19,22 +17,55 @@ import xarray as xr
 
 from ..engine import blocks
 from ..errors import BadInput
-from ..io import netcdf, provenance
+from ..io import netcdf
 from ..io.progress import Progress
-from ..io.provenance import log_warnings
+from ..io.provenance import log_warnings, provenance
 from ..label.pipeline import evaluate_tile, scene_kernel_hash
 from ..scene import grid
 from ..scene.model import Scene
+from ..scene.read import load_scene
 from ..validation import half_step
 from ..variables import variables
-from . import cluster, open, refine
-from .concurrency import tiles_in_flight
-from .folder import RunFolder
+from . import cluster, refine
+from .concurrency import Advance, for_each_tile, tiles_in_flight
+from .folder import MANIFEST, RunFolder
+from .open import open_atlas
 from .tiling import tiling
+
+MAX_DAMAGE_WARNINGS = 5
+
+
+@dataclass(frozen=True)
+class _Execution:
+    """Who computes which tiles; see `run`."""
+
+    threads: int | None
+    shard: tuple[int, int] | None
+    scheduler: str | None
+    workers: int | None
+
+    @property
+    def on_cluster(self) -> bool:
+        return bool(self.scheduler or self.workers)
+
+    def check(self) -> None:
+        """Raise BadInput for values and combinations that are not allowed."""
+        if self.on_cluster and self.threads:
+            raise BadInput("threads are for a run without scheduler and workers, which run one thread each")
+        if self.scheduler and self.workers:
+            raise BadInput("scheduler and workers are both given; a run has one of them")
+        if self.workers is not None and self.workers < 1:
+            raise BadInput(f"workers = {self.workers}: must be at least 1")
+        if self.shard is not None and not 1 <= self.shard[0] <= self.shard[1]:
+            part, parts = self.shard
+            parts_allowed = max(parts, 1)
+            raise BadInput(
+                f"shard {part}/{parts}: allowed: 1/{parts_allowed} to {parts_allowed}/{parts_allowed}"
+            )
 
 
 def run(
-    scene: Scene,
+    scene: Scene | str | Path,
     out: str | Path | None = None,
     *,
     threads: int | None = None,
@@ -44,250 +75,264 @@ def run(
     scheduler: str | None = None,
     workers: int | None = None,
 ) -> xr.Dataset:
-    """Integrate every point of a scene and return the labelled atlas; write it if `out` is given.
+    """Integrate every point of a scene, label it, and write the atlas if `out` is given.
 
-    scene: from load_scene. out: NAME.nc, one file (made in the run folder NAME.nc.run, which is joined
-    and removed in the end; an existing file is kept unless force is true), or a run folder: a name that
-    ends in / or has no suffix. Where the run folder is there already, it is continued. threads: default
-    all processors of this process; results do not depend on it. progress: print to stderr. shard:
-    (i, n), compute only the i-th of n parts, counted from 1; needs a run folder. scheduler, workers:
-    the address of a dask scheduler, or a number of processes on this machine, compute the tiles.
-    A scene with [refine] runs without these, into memory or one file; see `refine.refined`.
+    After an error or KeyboardInterrupt, finished tiles stay in the run folder, and the same call continues.
+    A scene with [refine] runs in this process only, into memory or one file; see `refine.refined`.
 
-    Returns a Dataset with the scene's axes as dimensions, the variables the scene asks for, every
-    parameter as a coordinate, and provenance in the attributes; opened lazily if `out` is given.
+    Parameters
+    ----------
+    scene : Scene, str or Path
+        A scene from `load_scene`, or what `load_scene` reads.
+    out : str or Path, optional
+        NAME.nc for one file, which is computed in the run folder NAME.nc.run; the folder is joined and
+        removed in the end. Or a run folder: a name that ends in / or has no suffix. A run folder that exists
+        is continued.
+    threads : int, optional
+        Default: all processors of this process. Results do not depend on it.
+    progress : bool
+        Print progress to stderr.
+    force : bool
+        Replace an existing file.
+    shard : (int, int), optional
+        (i, n) computes only the i-th of n parts, counted from 1; needs a run folder.
+    scheduler : str, optional
+        Address of a dask scheduler, whose workers compute the tiles.
+    workers : int, optional
+        Number of processes on this machine that compute the tiles.
 
-    Raises BadInput for what no body can be and for an `out` that cannot be written or holds something
-    else, before anything is computed. On KeyboardInterrupt and errors finished tiles are kept.
+    Returns
+    -------
+    xarray.Dataset
+        The scene's axes as dimensions, the variables it asks for, every parameter as a coordinate, and
+        provenance in the attributes. Opened lazily if `out` is given.
+
+    Raises
+    ------
+    BadInput
+        If a body is impossible, or if `out` cannot be written or holds something else. Nothing has then been
+        computed.
     """
-    if out is None and (shard or scheduler or workers):
+    scene = scene if isinstance(scene, Scene) else load_scene(scene)
+    execution = _Execution(threads, shard, scheduler, workers)
+    if out is None and (shard or execution.on_cluster):
         raise BadInput("shard, scheduler and workers need an out that ends in / or .nc")
-    if (scheduler or workers) and threads:
-        raise BadInput("threads are for a run without scheduler and workers, which run one thread each")
-    if scheduler and workers:
-        raise BadInput("scheduler and workers are both given; a run has one of them")
-    if workers is not None and workers < 1:
-        raise BadInput(f"workers = {workers}: must be at least 1")
-    if shard is not None and not (1 <= shard[0] <= shard[1]):
-        raise BadInput(
-            f"shard {shard[0]}/{shard[1]}: allowed: 1/{max(shard[1], 1)} to {max(shard[1], 1)}/{max(shard[1], 1)}"
-        )
+    execution.check()
     path, one_file = (None, False) if out is None else _destination(out, force)
     if shard and one_file:
         raise BadInput(f"shard: {path} is one file; shards need a run folder, a name that ends in /")
-    if scene.refine is not None and (shard or scheduler or workers or (path is not None and not one_file)):
+    if scene.refine is not None and (shard or execution.on_cluster or (path is not None and not one_file)):
         raise BadInput("refine: a refined scene runs in one process, into memory or one file, NAME.nc")
     if scheduler:
         cluster.check(scheduler)
-    checked = grid.check(scene)
-    remarks = scene.system.warnings(checked.base)
-    log_warnings(remarks)
+    sample = grid.check(scene)
+    warnings = scene.system.warnings(sample.base)
+    log_warnings(warnings)
     if scene.refine is not None:
-        ds = refine.refined(scene, remarks, threads=threads, progress=progress)
-        if path is not None:
-            netcdf.write(ds, path)
-            ds = open.open_atlas(path)
-        return ds
+        ds = refine.refined(scene, warnings, threads=threads, progress=progress)
+        if path is None:
+            return ds
+        netcdf.write(ds, path)
+        return open_atlas(path)
     if path is None:
-        return _in_memory(scene, checked, remarks, threads, progress)
-    there = path.with_name(path.name + ".run") if one_file else path
+        return _run_in_memory(scene, sample, warnings, threads, progress)
+    folder_path = path.with_name(path.name + ".run") if one_file else path
     if one_file and force:
-        RunFolder.forget(scene, there)
-    folder = RunFolder.prepare(scene, there, checked, remarks)
-    _compute(folder, checked, threads, progress, shard or (1, 1), scheduler, workers)
-    if not folder.notes() and all(folder.present(tile) for tile in range(folder.tiling.count)):
-        folder.note(half_step.half_step_sample(scene, threads=threads))
+        RunFolder.discard(scene, folder_path)
+    folder = RunFolder.prepare(scene, folder_path, sample, warnings)
+    _compute_tiles(folder, sample, execution, progress)
+    if not folder.final_attributes() and folder.is_written():
+        folder.save_final_attributes(half_step.half_step_sample(scene, threads=threads))
     if not one_file:
         return folder.dataset()
     folder.join(path)
     folder.remove()
-    return open.open_atlas(path)
+    return open_atlas(path)
 
 
 def _destination(out: str | Path, force: bool) -> tuple[Path, bool]:
-    """Path of an atlas and whether it is one file. Raises BadInput if it cannot be written."""
+    """Path of an atlas, and whether it is one file; BadInput if it cannot be written."""
     path = Path(out)
-    if (
-        str(out).endswith("/")
-        or (not path.suffix and not path.is_file())
-        or (path / "manifest.json").exists()
-    ):
-        if not path.absolute().parent.is_dir():
-            raise BadInput(f"{path}: there is no folder {path.parent}")
-        return path, False
-    return netcdf.writable(path, force=force), True
+    is_folder = str(out).endswith("/") or (not path.suffix and not path.is_file())
+    if not is_folder and not (path / MANIFEST).exists():
+        return netcdf.writable(path, force=force), True
+    if not path.absolute().parent.is_dir():
+        raise BadInput(f"{path}: there is no folder {path.parent}")
+    return path, False
 
 
-def _tile(
-    scene: Scene, indices: np.ndarray, threads: int | None, progress: Callable[[float], None] | None
+def _compute_points(
+    scene: Scene, indices: np.ndarray, threads: int | None, progress: Advance | None
 ) -> tuple[dict[str, np.ndarray], int]:
-    """One tile in every mode of running: its columns by name, and at how many points the family exists."""
-    tile = grid.points_at_indices(scene, indices)
-    values = evaluate_tile(scene, tile, threads=threads, progress=progress)
-    columns = {name: values[name] for name in scene.outputs} | {name: tile.base[name] for name in scene.solve}
-    return columns, int(tile.there.sum())
+    """Columns of a tile by name, and the number of its points where the family exists."""
+    points = grid.points_at_indices(scene, indices)
+    values = evaluate_tile(scene, points, threads=threads, progress=progress)
+    columns = {name: values[name] for name in scene.outputs}
+    columns |= {name: points.base[name] for name in scene.solve}
+    return columns, int(points.exists.sum())
 
 
-class _StoppedError(Exception):
-    """Ends a tile in flight when another one failed or the user pressed Ctrl-C."""
-
-
-def _in_threads(
-    tiles: Iterable[int], work: Callable[[int, Callable[[float], None]], None], bar: Progress, at_once: int
-) -> None:
-    """Call work(tile, advance) for each tile, several at a time; on an error or Ctrl-C drop those in flight.
-
-    Tiles overlap so that the processors stay busy while one is prepared or written.
-    """
-    source, lock, stop = iter(tiles), threading.Lock(), threading.Event()
-
-    def advance(points: float) -> None:
-        if stop.is_set():
-            raise _StoppedError
-        bar.advance(points)
-
-    def worker() -> None:
-        with suppress(_StoppedError):
-            while not stop.is_set():
-                with lock:
-                    tile = next(source, None)
-                if tile is None:
-                    return
-                work(tile, advance)
-
-    with ThreadPoolExecutor(at_once) as pool:
-        try:
-            for job in as_completed([pool.submit(worker) for _ in range(at_once)]):
-                job.result()
-        finally:
-            stop.set()
-
-
-def _in_memory(
-    scene: Scene, sample: grid.Grid, remarks: list[str], threads: int | None, progress: bool
+def _run_in_memory(
+    scene: Scene, sample: grid.Grid, warnings: list[str], threads: int | None, progress: bool
 ) -> xr.Dataset:
-    kinds = variables(scene.system)
-    columns = {name: np.zeros(scene.size, kinds[name].dtype) for name in scene.outputs}
+    registry = variables(scene.system)
+    outputs = {name: np.zeros(scene.size, registry[name].dtype) for name in scene.outputs}
     solved = {name: np.empty(scene.size) for name in scene.solve}
-    cut = tiling(scene, sample)
+    tiles = tiling(scene, sample)
     bar = Progress(scene.size, show=progress)
 
-    def work(tile: int, advance: Callable[[float], None]) -> None:
-        indices = cut.indices(tile)
-        found, computed = _tile(scene, indices, threads, advance)
-        for name, column in (columns | solved).items():
-            column[indices] = found[name]
+    def compute(tile: int, advance: Advance) -> None:
+        indices = tiles.indices(tile)
+        columns, computed = _compute_points(scene, indices, threads, advance)
+        for name, array in (outputs | solved).items():
+            array[indices] = columns[name]
         bar.skip(indices.size - computed)
 
     try:
-        _in_threads(range(cut.count), work, bar, tiles_in_flight(scene, sample, cut, threads))
+        in_flight = tiles_in_flight(scene, sample, tiles, threads)
+        for_each_tile(range(tiles.count), compute, bar.advance, in_flight)
     finally:
         bar.close()
-    seconds = time.perf_counter() - bar.began
+    seconds = time.perf_counter() - bar.started
     ds = netcdf.dataset(
         scene,
-        {name: column.reshape(scene.shape) for name, column in columns.items()},
-        {name: column.reshape(scene.shape) for name, column in solved.items()},
+        {name: array.reshape(scene.shape) for name, array in outputs.items()},
+        {name: array.reshape(scene.shape) for name, array in solved.items()},
     )
     return ds.assign_attrs(
-        provenance.provenance(
+        provenance(
             scene.system, scene.settings, scene_kernel_hash(scene),
-            title=scene.title, scene=scene.toml(), seconds=seconds, points=scene.size, remarks=remarks,
+            title=scene.title, scene=scene.toml(), seconds=seconds, points=scene.size, warnings=warnings,
         ) | half_step.half_step_sample(scene, threads=threads)
     )  # fmt: skip
 
 
-def _compute(
-    folder: RunFolder,
-    sample: grid.Grid,
-    threads: int | None,
-    progress: bool,
-    shard: tuple[int, int],
-    scheduler: str | None,
-    workers: int | None,
-) -> None:
-    """Compute the tiles of a run folder (or of a shard of it) that are not done."""
-    part, parts = shard
-    mine = range(part - 1, folder.tiling.count, parts)
-    survey = folder.survey(mine)
-    for tile, why in list(survey.damaged.items())[:5]:
-        logging.getLogger("atlas").warning("%s: tile %d is computed again: %s", folder.path, tile, why)
-    if len(survey.damaged) > 5:
-        logging.getLogger("atlas").warning("... and %d damaged tiles more", len(survey.damaged) - 5)
-    todo = sorted([*survey.missing, *survey.damaged])
-    if not todo:
-        return
-    folder.check_writable()
-    # Someone else may be at work on the same tiles: begin at different places, so as to share them.
-    first = random.randrange(len(todo))
-    todo = todo[first:] + todo[:first]
+class _Job:
+    """The tiles of a run folder, or of one shard of it, that this process has to compute."""
 
-    size = {tile: math.prod(folder.tiling.extent(tile)) for tile in mine}
-    name = "progress.json" if parts == 1 else f"progress-{part}-of-{parts}.json"
-    bar = Progress(
-        sum(size.values()),
-        done=sum(size[tile] for tile in survey.done),
-        show=progress,
-        file=folder.path / name,
-        facts={"shard": f"{part}/{parts}", "host": socket.gethostname()},
-    )
+    def __init__(self, folder: RunFolder, shard: tuple[int, int]):
+        self.folder = folder
+        self.part, self.parts = shard
+        self.tiles = range(self.part - 1, folder.tiling.count, self.parts)
+        self.status = folder.tiles.status(self.tiles)
+        self.unfinished = sorted([*self.status.missing, *self.status.damaged])
 
-    def finished(tile: int) -> None:
-        for left in survey.unfinished.get(tile, ()):
-            left.unlink(missing_ok=True)
+    def warn_of_damage(self) -> None:
+        logger = logging.getLogger("atlas")
+        for tile, reason in list(self.status.damaged.items())[:MAX_DAMAGE_WARNINGS]:
+            logger.warning("%s: tile %d is computed again: %s", self.folder.path, tile, reason)
+        if len(self.status.damaged) > MAX_DAMAGE_WARNINGS:
+            logger.warning("... and %d damaged tiles more", len(self.status.damaged) - MAX_DAMAGE_WARNINGS)
 
-    def open_tiles() -> Iterator[int]:
-        for tile in todo:
-            if tile not in survey.damaged and folder.present(tile) and folder.check(tile) is None:
-                bar.skip(size[tile])  # another process was faster
+    def open_progress(self, show: bool) -> Progress:
+        size_of = self.folder.tiling.size_of
+        name = "progress.json" if self.parts == 1 else f"progress-{self.part}-of-{self.parts}.json"
+        return Progress(
+            sum(map(size_of, self.tiles)),
+            done=sum(map(size_of, self.status.done)),
+            show=show,
+            file=self.folder.path / name,
+            facts={"shard": f"{self.part}/{self.parts}", "host": socket.gethostname()},
+        )
+
+    def remaining_tiles(self, bar: Progress) -> Iterator[int]:
+        """Unfinished tiles one by one, without those that another process has finished in the meantime.
+
+        They begin at a random tile, so that processes which run at the same time share the work.
+        """
+        first = random.randrange(len(self.unfinished))
+        for tile in self.unfinished[first:] + self.unfinished[:first]:
+            if tile not in self.status.damaged and self.folder.tiles.is_done(tile):
+                bar.skip(self.folder.tiling.size_of(tile))
             else:
                 yield tile
 
+    def remove_leftovers(self, tile: int) -> None:
+        """Remove what a process that was killed left of a tile."""
+        for path in self.status.leftovers.get(tile, ()):
+            path.unlink(missing_ok=True)
+
+
+def _compute_tiles(folder: RunFolder, sample: grid.Grid, execution: _Execution, progress: bool) -> None:
+    """Compute the tiles of a run folder, or of one shard of it, that are missing or damaged."""
+    job = _Job(folder, execution.shard or (1, 1))
+    job.warn_of_damage()
+    if not job.unfinished:
+        return
+    folder.check_writable()
+    bar = job.open_progress(progress)
     try:
-        if scheduler or workers:
-
-            def done(tile: int) -> None:
-                if not folder.present(tile):
-                    raise BadInput(
-                        f"a worker wrote tile {tile}, but it is not in {folder.path}: workers must see the same files"
-                    )
-                bar.advance(size[tile])
-                finished(tile)
-
-            arguments = ((str(folder.path), folder.key, tile) for tile in open_tiles())
-            with cluster.client(scheduler, workers) as client:
-                cluster.each(client, compute_tile, arguments, done)
+        if execution.on_cluster:
+            _compute_on_cluster(job, bar, execution)
         else:
-            last, lock = [time.perf_counter()], threading.Lock()
-            by = f"{threads or blocks.available_threads()} threads" + (
-                f", shard {part}/{parts}" if parts > 1 else ""
-            )
-
-            def work(tile: int, advance: Callable[[float], None]) -> None:
-                columns, computed = _tile(folder.scene, folder.tiling.indices(tile), threads, advance)
-                with lock:
-                    now = time.perf_counter()
-                    seconds, last[0] = now - last[0], now
-                folder.write(tile, columns, {"computed": computed, "seconds": seconds, "by": by})
-                finished(tile)
-                bar.skip(size[tile] - computed)
-
-            at_once = tiles_in_flight(folder.scene, sample, folder.tiling, threads)
-            _in_threads(open_tiles(), work, bar, at_once)
+            _compute_in_threads(job, bar, sample, execution.threads)
     finally:
         bar.close()
 
 
-def compute_tile(path: str, key: str, tile: int) -> int:
-    """Compute and write one tile of a run folder with one thread; what a dask worker is asked to do.
+def _compute_in_threads(job: _Job, bar: Progress, sample: grid.Grid, threads: int | None) -> None:
+    folder = job.folder
+    by = f"{threads or blocks.available_threads()} threads"
+    by += f", shard {job.part}/{job.parts}" if job.parts > 1 else ""
+    last_end, lock = time.perf_counter(), threading.Lock()
 
-    Raises BadInput if the folder holds another run or this machine would give other bits.
+    def compute(tile: int, advance: Advance) -> None:
+        nonlocal last_end
+        indices = folder.tiling.indices(tile)
+        columns, computed = _compute_points(folder.scene, indices, threads, advance)
+        with lock:  # tiles overlap: each takes the time since the one before it ended
+            now = time.perf_counter()
+            seconds, last_end = now - last_end, now
+        folder.tiles.write(tile, columns, computed=computed, seconds=seconds, by=by)
+        job.remove_leftovers(tile)
+        bar.skip(indices.size - computed)
+
+    in_flight = tiles_in_flight(folder.scene, sample, folder.tiling, threads)
+    for_each_tile(job.remaining_tiles(bar), compute, bar.advance, in_flight)
+
+
+def _compute_on_cluster(job: _Job, bar: Progress, execution: _Execution) -> None:
+    folder = job.folder
+
+    def on_result(tile: int) -> None:
+        if not folder.tiles.is_written(tile):
+            raise BadInput(
+                f"a worker wrote tile {tile}, but it is not in {folder.path}: workers must see the same files"
+            )
+        bar.advance(folder.tiling.size_of(tile))
+        job.remove_leftovers(tile)
+
+    arguments = ((str(folder.path), folder.key, tile) for tile in job.remaining_tiles(bar))
+    with cluster.connect(execution.scheduler, execution.workers) as client:
+        cluster.for_each(client, compute_tile, arguments, on_result)
+
+
+def compute_tile(path: str, key: str, tile: int) -> int:
+    """Compute and write one tile of a run folder with one thread: the task of a dask worker.
+
+    Parameters
+    ----------
+    path : str
+        The run folder.
+    key : str
+        Key that the run must have.
+    tile : int
+
+    Returns
+    -------
+    int
+        The tile.
+
+    Raises
+    ------
+    BadInput
+        If the folder holds another run, or this machine would compute other bits.
     """
     folder = _open_cached(path, key)
-    began = time.perf_counter()
-    columns, computed = _tile(folder.scene, folder.tiling.indices(tile), 1, None)
-    seconds = time.perf_counter() - began
-    folder.write(tile, columns, {"computed": computed, "seconds": seconds, "by": "dask workers"})
+    started = time.perf_counter()
+    columns, computed = _compute_points(folder.scene, folder.tiling.indices(tile), 1, None)
+    seconds = time.perf_counter() - started
+    folder.tiles.write(tile, columns, computed=computed, seconds=seconds, by="dask workers")
     return tile
 
 

@@ -1,1 +1,1 @@
-"""Scenes: job files read and checked, and their grids of points."""
+"""Scenes: job files as checked dataclasses, and the points of their grids."""

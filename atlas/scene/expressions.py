@@ -1,4 +1,4 @@
-"""Ties: arithmetic of a scene in other names. Read with Python's parser, never executed as Python."""
+"""Ties: arithmetic of a scene in names, read with Python's parser and never executed as Python."""
 
 from __future__ import annotations
 
@@ -6,12 +6,14 @@ import ast
 import math
 import operator
 from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from graphlib import CycleError, TopologicalSorter
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ..errors import BadInput
+from ..systems.base import Array
 
 MAX_LENGTH = 500  # characters
 _BINARY: dict[type[ast.operator], Callable[..., Any]] = {
@@ -23,19 +25,44 @@ _BINARY: dict[type[ast.operator], Callable[..., Any]] = {
 }
 _UNARY: dict[type[ast.unaryop], Callable[..., Any]] = {ast.USub: operator.neg, ast.UAdd: operator.pos}
 FUNCTIONS: dict[str, Callable[..., Any]] = {
-    "sqrt": np.sqrt, "sin": np.sin, "cos": np.cos, "tan": np.tan, "asin": np.arcsin, "acos": np.arccos,
-    "atan": np.arctan, "exp": np.exp, "log": np.log, "abs": np.abs,
-}  # fmt: skip
+    "sqrt": np.sqrt,
+    "sin": np.sin,
+    "cos": np.cos,
+    "tan": np.tan,
+    "asin": np.arcsin,
+    "acos": np.arccos,
+    "atan": np.arctan,
+    "exp": np.exp,
+    "log": np.log,
+    "abs": np.abs,
+}
 CONSTANTS = {"pi": math.pi}
 RESERVED = {*FUNCTIONS, *CONSTANTS}
 _ALLOWED = f"allowed: + - * / **, {', '.join(FUNCTIONS)}, pi, numbers and other names"
 
 
 class Expression:
-    """One parsed expression: `names` it refers to, and its value for given names."""
+    """Arithmetic in names, parsed once and evaluated on arrays.
+
+    Parameters
+    ----------
+    key : str
+        Where the expression stands in the scene, such as "ties.C"; error messages begin with it.
+    text : str
+        The expression: numbers, names, pi, + - * / ** and the functions of `FUNCTIONS`.
+
+    Attributes
+    ----------
+    names : frozenset of str
+        The names that the expression refers to.
+
+    Raises
+    ------
+    BadInput
+        If the text is anything but arithmetic, or longer than `MAX_LENGTH`.
+    """
 
     def __init__(self, key: str, text: str):
-        """key: where it stands, for complaints. Raises BadInput for anything but arithmetic."""
         self.key, self.text = key, text
         if len(text) > MAX_LENGTH:
             raise BadInput(f"{key}: the expression has {len(text)} characters; allowed: at most {MAX_LENGTH}")
@@ -43,28 +70,41 @@ class Expression:
             self._tree = ast.parse(text.strip(), mode="eval").body
         except (SyntaxError, ValueError, RecursionError, MemoryError):
             raise BadInput(f"{key} = {text!r}: not an expression; {_ALLOWED}") from None
-        self.names: frozenset[str] = frozenset(self._check(self._tree))
+        self.names = frozenset(self._names_in(self._tree))
 
-    def _check(self, node: ast.expr) -> set[str]:
+    def value(self, values: Mapping[str, Array]) -> Array:
+        """Value for given values of the names.
+
+        Parameters
+        ----------
+        values : mapping of str to ndarray
+            Value of each of `names`, float64, of shapes that broadcast.
+
+        Returns
+        -------
+        ndarray
+            float64 of the broadcast shape; inf or nan where the arithmetic has no finite value.
+        """
+        with np.errstate(all="ignore"):
+            return self._evaluate(self._tree, values)
+
+    def _names_in(self, node: ast.expr) -> set[str]:
+        """Names in a part of the expression; BadInput if the part is not arithmetic."""
         match node:
             case ast.Constant(value=value) if type(value) in (int, float):
                 return set()
             case ast.Name(id=name):
                 return set() if name in CONSTANTS else {name}
             case ast.BinOp(left=left, op=op, right=right) if type(op) in _BINARY:
-                return self._check(left) | self._check(right)
+                return self._names_in(left) | self._names_in(right)
             case ast.UnaryOp(op=op, operand=operand) if type(op) in _UNARY:
-                return self._check(operand)
+                return self._names_in(operand)
             case ast.Call(func=ast.Name(id=name), args=[argument], keywords=[]) if name in FUNCTIONS:
-                return self._check(argument)
+                return self._names_in(argument)
         raise BadInput(f"{self.key} = {self.text!r}: {ast.unparse(node)!r} is not arithmetic; {_ALLOWED}")
 
-    def value(self, names: Mapping[str, NDArray[np.float64]]) -> NDArray[np.float64]:
-        """Value as float64 of the broadcast shape of the names it uses; may be inf or nan."""
-        with np.errstate(all="ignore"):
-            return self._value(self._tree, names)
-
-    def _value(self, node: ast.expr, names: Mapping[str, NDArray[np.float64]]) -> NDArray[np.float64]:
+    def _evaluate(self, node: ast.expr, values: Mapping[str, Array]) -> Array:
+        """Value of a part of the expression."""
         match node:
             case ast.Constant(value=value):
                 assert isinstance(value, int | float)
@@ -73,43 +113,59 @@ class Expression:
                 except OverflowError:
                     return np.asarray(math.inf)
             case ast.Name(id=name):
-                return np.asarray(CONSTANTS[name]) if name in CONSTANTS else names[name]
+                return np.asarray(CONSTANTS[name]) if name in CONSTANTS else values[name]
             case ast.BinOp(left=left, op=op, right=right):
-                return _BINARY[type(op)](self._value(left, names), self._value(right, names))
+                return _BINARY[type(op)](self._evaluate(left, values), self._evaluate(right, values))
             case ast.UnaryOp(op=op, operand=operand):
-                return _UNARY[type(op)](self._value(operand, names))
+                return _UNARY[type(op)](self._evaluate(operand, values))
             case ast.Call(func=ast.Name(id=name), args=[argument]):
-                return FUNCTIONS[name](self._value(argument, names))
+                return FUNCTIONS[name](self._evaluate(argument, values))
         raise AssertionError(node)
 
 
-class PointColumn(Expression):
-    """A tie to the number of the point: one value for each."""
+@dataclass(frozen=True, eq=False)
+class PointColumn:
+    """One value of a name for each point of a scene with [points]: a tie to the number of the point.
 
-    def __init__(self, key: str, values: NDArray[np.float64]):
-        """values: of shape (points,)."""
-        self.key, self.text, self.names = key, "one value for each point", frozenset({"point"})
-        self.values = values
+    Attributes
+    ----------
+    key : str
+        Where the values stand in the scene, such as "points.values.C".
+    column : ndarray
+        The values, float64 of shape (points,).
+    """
 
-    def value(self, names: Mapping[str, NDArray[np.float64]]) -> NDArray[np.float64]:
-        return self.values[names["point"].astype(np.int64)]
+    key: str
+    column: Array
+    text = "one value for each point"
+    names = frozenset({"point"})
+
+    def value(self, values: Mapping[str, Array]) -> Array:
+        """The values of the points whose numbers are values["point"]."""
+        return self.column[values["point"].astype(np.int64)]
 
 
-def evaluation_order(ties: Mapping[str, Expression], known: set[str]) -> list[str]:
+Tie = Expression | PointColumn
+
+
+def evaluation_order(ties: Mapping[str, Tie], known: set[str]) -> list[str]:
     """Names of the ties in an order in which each uses only known names and earlier ties.
 
-    Raises BadInput for a tie that refers to nothing or in a circle.
+    Raises BadInput for a tie that refers to a name without a value, and for ties that form a circle.
     """
     for tie in ties.values():
-        for other in sorted(tie.names - known - set(ties)):
-            raise BadInput(f"{tie.key} = {tie.text!r}: {other!r} is neither a parameter, an axis nor a tie")
-    done: list[str] = []
-    waiting = list(ties)
-    while waiting:
-        ready = [name for name in waiting if not (ties[name].names & set(waiting))]
-        if not ready:
-            circle = ", ".join(f"{name} = {ties[name].text!r}" for name in waiting)
-            raise BadInput(f"ties refer to each other in a circle: {circle}")
-        done += ready
-        waiting = [name for name in waiting if name not in ready]
-    return done
+        for name in sorted(tie.names - known - set(ties)):
+            raise BadInput(f"{tie.key} = {tie.text!r}: {name!r} is neither a parameter, an axis nor a tie")
+    sorter = TopologicalSorter({name: sorted(tie.names & set(ties)) for name, tie in ties.items()})
+    try:
+        sorter.prepare()
+    except CycleError as error:
+        circle = ", ".join(f"{name} = {ties[name].text!r}" for name in error.args[1][:-1])
+        raise BadInput(f"ties refer to each other in a circle: {circle}") from None
+    order: list[str] = []
+    while sorter.is_active():
+        # The order of the scene decides between ties that are ready together: a resolved scene reads alike.
+        ready = sorted(sorter.get_ready(), key=list(ties).index)
+        order += ready
+        sorter.done(*ready)
+    return order

@@ -1,4 +1,4 @@
-"""The grid of a scene: axes, ties, family and nudge become labelled points, a range at a time."""
+"""The grid of a scene: axes, ties, family and nudge become points, a range at a time."""
 
 from __future__ import annotations
 
@@ -8,193 +8,280 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ..errors import BadInput
-from ..systems.base import Array, Family, Points, System, on_family
-from .model import Duration, Scene, check_range
+from ..systems.base import Array, Family, Mask, Points, System, on_family, shape_of
+from .checks import check_range
+from .model import Duration, Scene
 
 # Points per tile: a constant, so that results never depend on how a run was cut.
 MAX_POINTS_PER_TILE = 65536
-# At most this many bodies, and starts on a family, are checked before a run; others when their tile comes.
-CHECKED_BODIES, CHECKED_STARTS = 50_000, 10_000
-# For complaints: points at which formulas are tried, and values tried where a formula has none.
-CHECKED_FORMULAS = 100
-TRIAL_VALUES = np.array([0.5, -0.5, 1.0, -1.0, 1.5, -1.5, 2.0, -2.0, 2.5, -2.5])[
-    :, None
-]  # not 0: angles mean nothing there
+# Bodies, and starts on a family, that are checked before a run; the others are checked with their tile.
+MAX_CHECKED_BODIES, MAX_CHECKED_STARTS = 50_000, 10_000
+# Points at which the formulas of an impossible family are tried for an error message.
+MAX_CHECKED_FORMULAS = 100
+# Values tried for a parameter where its formula gives none; not 0, where angles have no meaning.
+TRIAL_VALUES = np.array([0.5, -0.5, 1.0, -1.0, 1.5, -1.5, 2.0, -2.0, 2.5, -2.5])[:, None]
+# Changes of a solved parameter; a family that holds after each of them leaves the parameter free.
+TRIAL_CHANGES = np.array([1.3, -0.6])[:, None]
 # A solved point counts as on its family if its largest condition residual is below this.
 ON_FAMILY = 1e-9
 
 
 @dataclass(frozen=True)
 class Grid:
-    """A range of a scene's points, every array of shape (points,)."""
+    """Some points of a scene.
 
-    base: dict[str, Array]  # before the nudge, where theory speaks
-    points: dict[str, Array]  # the starts
-    there: np.ndarray  # bool: does the family exist at the point?
-    duration: Array  # time units
+    Attributes
+    ----------
+    base : dict of str to ndarray
+        Parameter -> values before the nudge, to which theory applies; float64 of shape (points,).
+    points : dict of str to ndarray
+        Parameter -> values of the starts, after the nudge; float64 of shape (points,).
+    exists : ndarray
+        bool of shape (points,): whether the scene's family exists at the point.
+    duration : ndarray
+        Length of the run in time units; float64 of shape (points,).
+    """
+
+    base: dict[str, Array]
+    points: dict[str, Array]
+    exists: Mask
+    duration: Array
 
 
-def parameter_values(scene: Scene, indices: np.ndarray) -> dict[str, np.ndarray]:
-    """Value of every parameter, axis and tie at flat C-order indices, before the family is solved."""
-    place = np.unravel_index(indices, scene.shape)
-    known: dict[str, np.ndarray] = {
-        name: np.full(indices.shape, p.default) for name, p in scene.system.parameters.items()
-    }
-    known |= {name: np.full(indices.shape, value) for name, value in scene.fixed.items()}
-    for axis, where in zip(scene.axes.values(), place, strict=True):
+def parameter_values(scene: Scene, indices: np.ndarray) -> dict[str, Array]:
+    """Value of every parameter, axis and tie, before the family is solved.
+
+    Parameters
+    ----------
+    scene : Scene
+        The scene.
+    indices : ndarray
+        Flat indices of points in C order, integers of shape (points,).
+
+    Returns
+    -------
+    dict of str to ndarray
+        Name -> values, float64 of shape (points,).
+
+    Raises
+    ------
+    BadInput
+        For a tie without a finite value, or one that leaves the range of its parameter.
+    """
+    parameters = scene.system.parameters
+    values: dict[str, Array] = {name: np.full(indices.shape, p.default) for name, p in parameters.items()}
+    values |= {name: np.full(indices.shape, value) for name, value in scene.fixed.items()}
+    for axis, index in zip(scene.axes.values(), np.unravel_index(indices, scene.shape), strict=True):
         if not axis.offset_from_family:
-            known[axis.name] = np.asarray(axis.values)[where]
+            values[axis.name] = np.asarray(axis.values)[index]
     for name, tie in scene.ties.items():
-        value = np.broadcast_to(tie.value(known), indices.shape).astype(np.float64)
-        if not np.isfinite(value).all():
-            raise BadInput(
-                f"{tie.key} = {tie.text!r}: gives {value[~np.isfinite(value)][0]} at some point of the grid"
-            )
-        if name in scene.system.parameters:
-            check_range(scene.system, f"{tie.key} = {tie.text!r}", name, value.min(), value.max())
-        known[name] = value
-    return known
+        value = np.broadcast_to(tie.value(values), indices.shape).astype(np.float64)
+        finite = np.isfinite(value)
+        if not finite.all():
+            raise BadInput(f"{tie.key} = {tie.text!r}: gives {value[~finite][0]} at some point of the grid")
+        if name in parameters:
+            check_range(parameters[name], f"{tie.key} = {tie.text!r}", value.min(), value.max())
+        values[name] = value
+    return values
 
 
 def points_at_indices(scene: Scene, indices: np.ndarray) -> Grid:
-    """The points at flat C-order indices of the scene's grid. Raises BadInput for impossible bodies."""
+    """Points of the scene's grid: ties evaluated, family solved, offsets and nudge added.
+
+    Parameters
+    ----------
+    scene : Scene
+        The scene.
+    indices : ndarray
+        Flat indices of points in C order, integers of shape (points,).
+
+    Returns
+    -------
+    Grid
+        The points in the order of the indices.
+
+    Raises
+    ------
+    BadInput
+        For an impossible body, a tie without a finite value, and a duration in turns of what rests.
+    """
     system = scene.system
-    known = parameter_values(scene, indices)
-    base = {name: known[name] for name in system.parameters}
+    values = parameter_values(scene, indices)
+    base = {name: values[name] for name in system.parameters}
     system.check(base)
-    there = np.ones(indices.shape, bool)
+    exists = np.ones(indices.shape, bool)
     if scene.family is not None:
         family = system.families[scene.family]
         with np.errstate(all="ignore"):
             base = _solved(family, scene.solve, base)
-            there = on_family(family, base) < ON_FAMILY
+            exists = on_family(family, base) < ON_FAMILY
         for name in scene.solve:
-            there &= np.isfinite(base[name])
-        place = np.unravel_index(indices, scene.shape)
-        for axis, where in zip(scene.axes.values(), place, strict=True):
+            exists &= np.isfinite(base[name])
+        for axis, index in zip(scene.axes.values(), np.unravel_index(indices, scene.shape), strict=True):
             if axis.offset_from_family:
-                base[axis.name] = base[axis.name] + np.asarray(axis.values)[where]
-        if there.any():
-            system.check({name: values[there] for name, values in base.items()})
+                base[axis.name] = base[axis.name] + np.asarray(axis.values)[index]
+        if exists.any():
+            system.check({name: column[exists] for name, column in base.items()})
     start = system.as_euler_angles(base) if scene.nudges_angles else base
     points = {name: start[name] + scene.nudge.get(name, 0.0) for name in base}
-    return Grid(base, points, there, durations(system, scene.duration, base))
+    return Grid(base, points, exists, durations(system, scene.duration, base))
 
 
 def points_at(scene: Scene, places: Mapping[str, np.ndarray]) -> Grid:
-    """The points of a scene at any places along its axes, not only those of its grid.
+    """Points of a scene at any places along its axes, not only those of its grid.
 
-    places: name of each axis of the scene -> values, all of one shape (points,).
+    Parameters
+    ----------
+    scene : Scene
+        The scene.
+    places : mapping of str to ndarray
+        Name of each axis of the scene -> values of shape (points,).
+
+    Returns
+    -------
+    Grid
+        The points in the order of the places.
+
+    Raises
+    ------
+    BadInput
+        As `points_at_indices`.
     """
-    axes, where = {}, []
+    axes, indices = {}, []
     for name, axis in scene.axes.items():
         values, index = np.unique(places[name], return_inverse=True)
         axes[name] = replace(axis, values=tuple(values.tolist()))
-        where.append(index)
-    moved = replace(scene, axes=axes)
-    return points_at_indices(moved, np.ravel_multi_index(tuple(where), moved.shape))
+        indices.append(index)
+    scene = replace(scene, axes=axes)
+    return points_at_indices(scene, np.ravel_multi_index(tuple(indices), scene.shape))
 
 
 def durations(system: System, duration: Duration, points: Points) -> Array:
-    """Length of each run in time units."""
-    shape = np.shape(points["n"])
+    """Length of each run in time units, float64 of shape (points,); BadInput for turns of what rests."""
     if duration.unit == "orbits":
         assert system.frame_rate is not None
-        rate = np.abs(system.frame_rate(points))
+        names, rate = f"the rate of the {system.frame} frame", np.abs(system.frame_rate(points))
     elif duration.unit == "turns":
         _, n, m = system.steady_rates(points)
         n, m = np.abs(n), np.abs(m)
-        rate = np.where(n == 0, m, np.where(m == 0, n, np.fmin(n, m)))
+        names, rate = "n and m", np.where(n == 0, m, np.where(m == 0, n, np.fmin(n, m)))
     else:
-        return np.full(shape, duration.amount)
-    still = ~(rate > 0)
-    if still.any():
-        what = "Omega" if duration.unit == "orbits" else "n and m"
+        return np.full(shape_of(points), duration.amount)
+    at_rest = ~(rate > 0)
+    if at_rest.any():
         raise BadInput(
-            f"integration.duration = {str(duration)!r}: {what} = 0 at {still.sum()} points, which never turn"
+            f"integration.duration = {str(duration)!r}: {names} = 0 at {at_rest.sum()} points, which never turn"
         )
     return duration.amount * 2 * np.pi / rate
 
 
 def check(scene: Scene) -> Grid:
-    """Check the scene at points evenly spread over its grid and return some of them.
+    """Check a scene at points evenly spaced over its grid.
 
-    Raises BadInput for impossible bodies, ties without value, and a family that exists nowhere.
+    Parameters
+    ----------
+    scene : Scene
+        The scene.
+
+    Returns
+    -------
+    Grid
+        At most `MAX_CHECKED_STARTS` of the points.
+
+    Raises
+    ------
+    BadInput
+        For an impossible body, a tie without a finite value, a family that exists nowhere or leaves a
+        solved parameter free, and a derived variable that has no meaning.
     """
-    bodies, indices = (
-        np.unique(np.linspace(0, scene.size - 1, min(scene.size, most)).round().astype(np.int64))
-        for most in (CHECKED_BODIES, CHECKED_STARTS)
-    )
-    scene.system.check(
-        {k: v for k, v in parameter_values(scene, bodies).items() if k in scene.system.parameters}
-    )
+    bodies = parameter_values(scene, _evenly_spaced(scene.size, MAX_CHECKED_BODIES))
+    scene.system.check({name: bodies[name] for name in scene.system.parameters})
+    indices = _evenly_spaced(scene.size, MAX_CHECKED_STARTS)
     grid = points_at_indices(scene, indices)
     if scene.family is not None:
-        _check_family(scene, indices, grid.there)
-    some = {name: values[grid.there] for name, values in grid.base.items()}
-    for name, layer in scene.system.derived.items():
+        _check_family(scene, indices, grid.exists)
+    on_grid = {name: values[grid.exists] for name, values in grid.base.items()}
+    for name, derived in scene.system.derived.items():
         if name in scene.outputs:
             try:
-                layer.check(some)
-            except BadInput as complaint:
-                raise BadInput(f"outputs.variables: {name}: {complaint}") from None
+                derived.check(on_grid)
+            except BadInput as error:
+                raise BadInput(f"outputs.variables: {name}: {error}") from None
     return grid
 
 
-def _solved(family: Family, solve: Sequence[str], base: Points) -> dict[str, Array]:
+def _evenly_spaced(size: int, count: int) -> np.ndarray:
+    """At most `count` of the indices 0 .. size - 1."""
+    return np.unique(np.linspace(0, size - 1, min(size, count)).round().astype(np.int64))
+
+
+def _solved(family: Family, solve: Sequence[str], points: Points) -> dict[str, Array]:
     """The points with the parameters of `solve` from the family's formulas, in that order."""
-    found = dict(base)
+    solved = dict(points)
     for name in solve:
-        found[name] = np.asarray(family.solve[name](found), np.float64)
-    return found
+        solved[name] = np.asarray(family.solve[name](solved), np.float64)
+    return solved
 
 
-def _check_family(scene: Scene, indices: np.ndarray, there: np.ndarray) -> None:
-    """Raise BadInput if the family exists at none of the points, or leaves a solved parameter free at all."""
+def _check_family(scene: Scene, indices: np.ndarray, exists: Mask) -> None:
+    """Raise BadInput if the family exists at none of the points, or leaves a solved parameter free."""
     assert scene.family is not None
     family = scene.system.families[scene.family]
-    where = indices[there] if there.any() else indices
-    where = where[np.linspace(0, where.size - 1, min(where.size, CHECKED_FORMULAS)).astype(np.int64)]
-    base = {
-        name: values
-        for name, values in parameter_values(scene, where).items()
-        if name in scene.system.parameters
-    }
+    candidates = indices[exists] if exists.any() else indices
+    values = parameter_values(scene, candidates[_evenly_spaced(candidates.size, MAX_CHECKED_FORMULAS)])
+    base = {name: values[name] for name in scene.system.parameters}
     with np.errstate(all="ignore"):
         solved = _solved(family, scene.solve, base)
         for i, name in enumerate(scene.solve):
-            # a formula that gives nothing, or any other value being as good: what do values do to the family?
-            finite = np.isfinite(solved[name]).any()
-            tried = (TRIAL_VALUES if not finite else np.array([[1.3], [-0.6]])) + np.where(
-                finite, solved[name], 0.0
+            if np.isfinite(solved[name]).any():
+                changed = _with_values(family, scene.solve[:i], solved, name, solved[name] + TRIAL_CHANGES)
+                _check_not_free(family, name, changed)
+            else:
+                tried = _with_values(
+                    family, scene.solve[:i], base, name, np.zeros_like(base[name]) + TRIAL_VALUES
+                )
+                tried = _solved(family, scene.solve[i + 1 :], tried)
+                _check_not_free(family, name, tried)
+                raise BadInput(_no_value_text(family, name, tried))
+        if not exists.any():
+            raise BadInput(
+                f"family.name = {family.name!r}: {_failure_text(family, solved)} at the nearest point of the scene"
             )
-            moved = {k: np.broadcast_to(v, tried.shape) for k, v in (base if not finite else solved).items()}
-            moved = _solved(family, scene.solve[:i], moved) | {name: tried}
-            if not finite:
-                moved = _solved(family, scene.solve[i + 1 :], moved)
-            residual = on_family(family, moved)
-            if (residual < ON_FAMILY).all():
-                raise BadInput(
-                    f"family.solve = {name!r}: the family {family.name} leaves it free here, every value is one;"
-                    " give it in [fixed], [axes] or [ties]"
-                )
-            if not finite:
-                best = float(tried[np.unravel_index(np.argmin(residual), residual.shape)])
-                limits = f"; its limits: {family.exists}" if family.exists else ""
-                raise BadInput(
-                    f"family.name = {family.name!r}: no {name} puts any point of the scene on it;"
-                    f" {_failure_text(family, moved, residual)} at {name} = {best:g}, the best of some values tried{limits}"
-                )
-        if not there.any():
-            why = _failure_text(family, solved, on_family(family, solved))
-            raise BadInput(f"family.name = {family.name!r}: {why} at the nearest point of the scene")
 
 
-def _failure_text(family: Family, points: Points, residual: Array) -> str:
-    """Which condition fails by how much where the residual is least."""
-    best = np.unravel_index(np.argmin(residual), residual.shape)
-    amounts = [abs(float(condition.residual(points)[best])) for condition in family.conditions]
-    if not np.isfinite(residual[best]):
+def _with_values(
+    family: Family, solve: Sequence[str], points: Points, name: str, values: Array
+) -> dict[str, Array]:
+    """The points with values of shape (trials, points) for one parameter, those of `solve` solved again."""
+    repeated = {key: np.broadcast_to(column, values.shape) for key, column in points.items()}
+    return _solved(family, solve, repeated) | {name: values}
+
+
+def _check_not_free(family: Family, name: str, points: Points) -> None:
+    """Raise BadInput if the points, which differ in one parameter, are all on the family."""
+    if (on_family(family, points) < ON_FAMILY).all():
+        raise BadInput(
+            f"family.solve = {name!r}: the family {family.name} leaves it free here, every value is one;"
+            " give it in [fixed], [axes] or [ties]"
+        )
+
+
+def _no_value_text(family: Family, name: str, points: Points) -> str:
+    """Error for a parameter whose formula gives no value: what fails at the best of the values tried."""
+    best = points[name].flat[np.argmin(on_family(family, points))]
+    limits = f"; its limits: {family.exists}" if family.exists else ""
+    return (
+        f"family.name = {family.name!r}: no {name} puts any point of the scene on it;"
+        f" {_failure_text(family, points)} at {name} = {best:g}, the best of some values tried{limits}"
+    )
+
+
+def _failure_text(family: Family, points: Points) -> str:
+    """Which condition fails by how much at the point nearest to the family."""
+    residual = on_family(family, points)
+    nearest = np.unravel_index(np.argmin(residual), residual.shape)
+    if not np.isfinite(residual[nearest]):
         return f"it needs {'; '.join(c.text for c in family.conditions)}, which have no value"
+    amounts = [abs(float(condition.residual(points)[nearest])) for condition in family.conditions]
     worst = int(np.argmax(amounts))
     return f"it needs {family.conditions[worst].text}, which fails by {amounts[worst]:.3g} (relative)"

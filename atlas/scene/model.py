@@ -1,153 +1,276 @@
-"""The frozen, validated job: a Scene, its axes and settings."""
+"""A scene and its parts: frozen dataclasses, complete and checked."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
+from functools import partial
 from typing import Any
 
 import tomli_w
 
 from ..engine.tableaux import METHODS
-from ..errors import BadInput
 from ..systems.base import System
-from .expressions import Expression, PointColumn
+from . import checks
+from .checks import checked
+from .expressions import PointColumn, Tie
 
 SCHEMA = 1
 DURATION_UNITS = ("orbits", "turns")
-# Points that are integrated again at half the step, besides those whose expected error calls for it.
 HALF_STEP = ("none", "sample", "all")
+MAX_REFINEMENT_LEVELS = 8
 
 
-def is_number(value: object) -> bool:
-    return isinstance(value, int | float) and not isinstance(value, bool)
+@dataclass(frozen=True)
+class Tolerances:
+    """What a motion may vary by and still count as steady.
+
+    Attributes
+    ----------
+    rate : float
+        Largest root mean square of theta' and standard deviation of psi' and phi', rad per time unit;
+        a mean rate up to this size counts as zero.
+    angle : float
+        Radius in rad of the polar cap, called cylinder in scenes: while sin(theta) is below it, the third
+        axis counts as vertical.
+    """
+
+    rate: float
+    angle: float
 
 
 @dataclass(frozen=True)
 class Settings:
-    """How points are integrated and labelled; durations come with the points."""
+    """How points are integrated and labelled; durations come with the points.
 
-    method: str = "rk4"
-    tolerance: float = 1e-8  # rad, phase error of the fastest frequency at the end of the run
-    step: float | None = None  # time units; overrides tolerance
-    max_steps: int = 100_000_000
-    rate_tolerance: float = 1e-5  # rad per time unit
-    cylinder_tolerance: float | None = None  # rad; None: the number of rate_tolerance
-    drift_tolerance: float = 1e-5
-    check_half_step: str = "none"  # which points are integrated again at half the step: HALF_STEP
+    Attributes
+    ----------
+    method : str
+        Integration method, a key of `engine.tableaux.METHODS`.
+    tolerance : float
+        Phase error of the point's fastest frequency that is expected at the end of the run, in rad.
+    step : float or None
+        Step size in time units; overrides `tolerance`.
+    max_steps : int
+        Largest number of steps of a run.
+    rate_tolerance : float
+        See `Tolerances.rate`.
+    cylinder_tolerance : float or None
+        See `Tolerances.angle`; None stands for the number of `rate_tolerance`.
+    drift_tolerance : float
+        Largest relative change of a first integral of a point that is labelled.
+    check_half_step : str
+        Points that are integrated again at half the step, besides those whose expected error calls for
+        it: "none", "sample" or "all".
+
+    Raises
+    ------
+    BadInput
+        For a value of the wrong type or out of range.
+    """
+
+    method: str = checked(partial(checks.choice, allowed=METHODS), "rk4", "integration")
+    tolerance: float = checked(checks.positive, 1e-8, "integration")
+    step: float | None = checked(checks.positive, None, "integration")
+    max_steps: int = checked(partial(checks.whole_number, low=1), 100_000_000, "integration")
+    rate_tolerance: float = checked(checks.positive, 1e-5, "labels")
+    cylinder_tolerance: float | None = checked(checks.positive, None, "labels")
+    drift_tolerance: float = checked(checks.positive, 1e-5, "labels")
+    check_half_step: str = checked(partial(checks.choice, allowed=HALF_STEP), "none", "integration")
 
     def __post_init__(self) -> None:
-        if self.method not in METHODS:
-            raise BadInput(f"method = {self.method!r}: allowed: {', '.join(METHODS)}")
-        for name in ("tolerance", "step", "rate_tolerance", "cylinder_tolerance", "drift_tolerance"):
-            value = getattr(self, name)
-            if value is not None and not (is_number(value) and math.isfinite(value) and value > 0):
-                raise BadInput(f"{name} = {value!r}: must be a finite number above 0")
-        if self.check_half_step not in HALF_STEP:
-            raise BadInput(f"check_half_step = {self.check_half_step!r}: allowed: {', '.join(HALF_STEP)}")
-        if not (isinstance(self.max_steps, int) and self.max_steps >= 1):
-            raise BadInput(f"max_steps = {self.max_steps!r}: must be a whole number, at least 1")
+        for f in fields(self):
+            if (value := getattr(self, f.name)) is not None or f.default is not None:
+                f.metadata["check"](f.name, value)
 
     @property
     def cylinder(self) -> float:
-        """Radius of the cylinder in rad."""
+        """Radius in rad of the polar cap, called cylinder, in which the third axis counts as vertical."""
         return self.rate_tolerance if self.cylinder_tolerance is None else self.cylinder_tolerance
+
+    @property
+    def tolerances(self) -> Tolerances:
+        """The tolerances of a label."""
+        return Tolerances(self.rate_tolerance, self.cylinder)
+
+
+DEFAULTS = Settings()
 
 
 @dataclass(frozen=True)
 class Axis:
-    """One dimension of the atlas."""
+    """One dimension of the atlas.
+
+    Attributes
+    ----------
+    name : str
+        A parameter, or a name that ties refer to.
+    values : tuple of float
+        Values along the axis, all different.
+    offset_from_family : bool
+        The values are distances from what the family's formula gives.
+    long_name, units : str
+        Attributes of the coordinate in the atlas; empty for those of the parameter.
+    table : mapping
+        The table of the scene that describes the axis.
+    """
 
     name: str
     values: tuple[float, ...]
     offset_from_family: bool = False
     long_name: str = ""
     units: str = ""
-    table: Mapping[str, Any] = field(default_factory=dict, compare=False)  # as the scene gives it
+    table: Mapping[str, Any] = field(default_factory=dict, compare=False)
+
+    @property
+    def can_be_refined(self) -> bool:
+        """Whether [refine] halves the spacing of the axis: it has a count above 1, not listed values."""
+        return self.table.get("count", 1) > 1
+
+    def __str__(self) -> str:
+        first, last, count = self.values[0], self.values[-1], len(self.values)
+        kind = "offset from the family, " if self.offset_from_family else ""
+        extent = f"{first:g}" if count == 1 else f"{count} values from {first:g} to {last:g}"
+        return f"{self.name}: {kind}{extent}"
 
 
 @dataclass(frozen=True)
 class Duration:
-    """Length of the runs: a number of time units, of orbits, or of turns of the slower of n and m."""
+    """Length of the runs.
 
-    amount: float
-    unit: str = ""  # "", "orbits" or "turns"
+    Attributes
+    ----------
+    amount : float
+        How many units.
+    unit : str
+        "" for time units, "orbits", or "turns" of the slower of n and m.
+    """
+
+    amount: float = 60.0
+    unit: str = ""
 
     def __str__(self) -> str:
-        return f"{self.amount:g} {self.unit}".strip()
+        return f"{repr(self.amount).removesuffix('.0')} {self.unit}".strip()
 
 
 @dataclass(frozen=True)
 class Refine:
-    """Borders are followed on grids of half, a quarter, ... the spacing; the axes hold the finest."""
+    """Refinement at the borders of labels on grids of half, a quarter, ... the spacing.
 
-    levels: int  # how often the spacing is halved
-    probe: float = 0.01  # share of the points not integrated that are tried in the end
+    Attributes
+    ----------
+    levels : int
+        How often the spacing is halved; the axes of the scene hold the finest grid.
+    probe : float
+        Fraction of the points not integrated that are integrated in the end, at random.
+    """
+
+    levels: int = checked(partial(checks.whole_number, low=1, high=MAX_REFINEMENT_LEVELS))
+    probe: float = checked(checks.fraction, 0.01)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Scene:
-    """One job, checked: everything that decides what an atlas will hold."""
+    """One job, checked: everything that decides what an atlas will hold.
+
+    Attributes
+    ----------
+    title : str
+        Free text, kept in the atlas.
+    system : System
+        Equations, parameters and families.
+    fixed : mapping of str to float
+        Parameters, and names that ties refer to, with one value.
+    axes : mapping of str to Axis
+        The dimensions of the atlas in order; the single axis "point" for a scene with [points].
+    ties : mapping of str to Tie
+        Names computed from other names, in an order in which they can be evaluated.
+    family : str or None
+        Family of steady motions on which every point starts.
+    solve : tuple of str
+        Parameters from the family's formulas, in the order in which these are used.
+    nudge : mapping of str to float
+        Added to start values after solving.
+    duration : Duration
+        Length of the runs.
+    settings : Settings
+        Integration and labels.
+    outputs : tuple of str
+        Variables that the atlas holds.
+    refine : Refine or None
+        Refinement at borders.
+    points : mapping or None
+        The table [points] that stands instead of axes, with the numbers of a file in it.
+    """
 
     title: str
     system: System
     fixed: Mapping[str, float]
     axes: Mapping[str, Axis]
-    ties: Mapping[str, Expression]  # in an order in which they can be evaluated
+    ties: Mapping[str, Tie]
     family: str | None = None
     solve: tuple[str, ...] = ()
     nudge: Mapping[str, float] = field(default_factory=dict)
-    duration: Duration = Duration(60.0)
-    settings: Settings = Settings()
+    duration: Duration = Duration()
+    settings: Settings = DEFAULTS
     outputs: tuple[str, ...] = ()
     refine: Refine | None = None
-    points: Mapping[str, Any] | None = None  # the table of points that stand instead of axes, resolved
+    points: Mapping[str, Any] | None = None
 
     @property
     def shape(self) -> tuple[int, ...]:
+        """Number of values along each axis."""
         return tuple(len(axis.values) for axis in self.axes.values())
 
     @property
-    def nudges_angles(self) -> bool:
-        """Is the nudge one of angles and their rates, not of the optional start values of the system?"""
-        return bool(self.nudge) and not optional_start_values(self.system, self.nudge)
-
-    @property
     def size(self) -> int:
+        """Number of points."""
         return math.prod(self.shape)
 
     @property
-    def strides(self) -> tuple[int, ...]:
+    def nudges_angles(self) -> bool:
+        """Whether the nudge is one of angles and their rates, not of the optional start values of the system."""
+        return bool(self.nudge) and not optional_start_values(self.system, self.nudge)
+
+    @property
+    def coarsening(self) -> tuple[int, ...]:
         """Distance of the coarse grid's points along each axis, where the scene is refined."""
         assert self.refine is not None
-        return tuple(
-            2**self.refine.levels if is_refined_axis(axis.table) else 1 for axis in self.axes.values()
-        )
+        return tuple(2**self.refine.levels if axis.can_be_refined else 1 for axis in self.axes.values())
 
-    def vanishing(self) -> tuple[frozenset[str], bool]:
-        """Parameters that are 0 or absent at every point, and whether A = B at every point."""
-        moving = {*self.axes, *self.ties, *self.solve}
+    def zero_and_equal_parameters(self) -> tuple[frozenset[str], frozenset[tuple[str, str]]]:
+        """What is the same at every point, so that the kernels can leave out terms.
+
+        Returns
+        -------
+        zero : frozenset of str
+            Parameters that are 0 or absent at every point.
+        equal : frozenset of pairs of str
+            Those of the system's `equal_parameters` whose two values are equal at every point.
+        """
+        varying = {*self.axes, *self.ties, *self.solve}
         values = {name: p.default for name, p in self.system.parameters.items()} | dict(self.fixed)
         zero = {
-            k for k in self.system.parameters if k not in moving and (values[k] == 0 or math.isnan(values[k]))
+            name
+            for name in self.system.parameters
+            if name not in varying and (values[name] == 0 or math.isnan(values[name]))
         }
-        tied = {"A", "B"} & moving
-        symmetric = (not tied and values["A"] == values["B"]) or (
-            len(tied) == 1 and self.ties.get(tied.pop(), Expression("", "0")).text.strip() in {"A", "B"}
-        )
-        return frozenset(zero), symmetric
+
+        def are_equal(pair: tuple[str, str]) -> bool:
+            match [name for name in pair if name in varying]:
+                case []:
+                    return values[pair[0]] == values[pair[1]]
+                case [name] if name in self.ties:
+                    return self.ties[name].text.strip() in pair
+            return False
+
+        return frozenset(zero), frozenset(filter(are_equal, self.system.equal_parameters))
 
     def toml(self) -> str:
-        """The scene with every default written out; load_scene of this text gives the same scene."""
-        settings = self.settings
-        integration: dict[str, Any] = {
-            "duration": str(self.duration) if self.duration.unit else self.duration.amount,
-            "method": settings.method,
-            "max_steps": settings.max_steps,
-            "check_half_step": settings.check_half_step,
-        }
-        integration |= {"tolerance": settings.tolerance} if settings.step is None else {"step": settings.step}
+        """The scene with every default written out; `load_scene` of this text gives the same scene."""
+        settings, duration = self.settings, self.duration
+        step_control = ("tolerance", settings.tolerance) if settings.step is None else ("step", settings.step)
         table: dict[str, Any] = {
             "schema": SCHEMA,
             "title": self.title,
@@ -160,12 +283,18 @@ class Scene:
         else:
             table["points"] = dict(self.points)
         if self.refine is not None:
-            table["refine"] = {"levels": self.refine.levels, "probe": self.refine.probe}
+            table["refine"] = vars(self.refine)
         if self.family is not None:
             table["family"] = {"name": self.family, "solve": list(self.solve)}
         if self.nudge:
             table["nudge"] = dict(self.nudge)
-        table["integration"] = integration
+        table["integration"] = {
+            "duration": str(duration) if duration.unit else duration.amount,
+            "method": settings.method,
+            "max_steps": settings.max_steps,
+            "check_half_step": settings.check_half_step,
+            step_control[0]: step_control[1],
+        }
         table["labels"] = {
             "rate_tolerance": settings.rate_tolerance,
             "cylinder_tolerance": settings.cylinder,
@@ -174,23 +303,24 @@ class Scene:
         table["outputs"] = {"variables": list(self.outputs)}
         return tomli_w.dumps(table)
 
+    def __repr__(self) -> str:
+        settings = self.settings
+        lines = [f"{self.title}: {self.size} points of the {self.system.name}", *map(str, self.axes.values())]
+        for title, values in (("fixed", self.fixed), ("nudge", self.nudge)):
+            if values:
+                lines.append(
+                    f"{title}: " + ", ".join(f"{name} = {value:g}" for name, value in values.items())
+                )
+        if self.ties:
+            lines.append("ties: " + ", ".join(f"{name} = {tie.text}" for name, tie in self.ties.items()))
+        if self.family is not None:
+            lines.append(f"family: {self.family}, solved for {', '.join(self.solve) or 'nothing'}")
+        accuracy = f"tolerance {settings.tolerance:g}" if settings.step is None else f"step {settings.step:g}"
+        lines.append(f"duration {self.duration}, {settings.method}, {accuracy}")
+        lines.append(f"rate tolerance {settings.rate_tolerance:g}, cylinder tolerance {settings.cylinder:g}")
+        return "\n  ".join(lines)
+
 
 def optional_start_values(system: System, names: Iterable[str]) -> list[str]:
     """Those of the names that a start need not give, because other start values can replace them."""
     return [name for name in names if math.isnan(system.parameters[name].default)]
-
-
-def is_refined_axis(table: Mapping[str, Any]) -> bool:
-    """Is an axis with this table one of those that [refine] halves?"""
-    return "count" in table and table["count"] > 1
-
-
-def check_range(system: System, key: str, name: str, low: float, high: float) -> None:
-    """Raise BadInput if values from low to high leave the range of a parameter of the system."""
-    parameter = system.parameters[name]
-    below = low <= parameter.low if parameter.open_low else low < parameter.low
-    if below or high > parameter.high:
-        bad = low if below else high
-        sign = ">" if parameter.open_low else ">="
-        allowed = f"{name} {sign} {parameter.low:g}" if below else f"{name} <= {parameter.high:g}"
-        raise BadInput(f"{key} = {bad:g}: allowed: {allowed} ({parameter.meaning})")

@@ -1,11 +1,11 @@
-"""A TOML job file becomes a frozen, validated Scene: every complaint about input is made here."""
+"""A TOML job file becomes a checked Scene; every error in it is one line that names the key."""
 
 from __future__ import annotations
 
 import math
 import re
 import tomllib
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -15,8 +15,8 @@ from .. import systems
 from ..errors import BadInput
 from ..systems.base import System
 from ..variables import variables
-from . import tables as own_points
-from .expressions import RESERVED, Expression, PointColumn, evaluation_order
+from . import checks
+from .expressions import Expression, PointColumn, Tie, evaluation_order
 from .model import (
     DURATION_UNITS,
     SCHEMA,
@@ -25,40 +25,52 @@ from .model import (
     Refine,
     Scene,
     Settings,
-    check_range,
-    is_number,
-    is_refined_axis,
     optional_start_values,
 )
+from .points import read_points
 
 MAX_POINTS = 10**12
-# Numbers of a points file that a scene takes up, for they stand in the text of the resolved scene.
-MAX_LISTED_NUMBERS = 200_000
-MAX_SAMPLED_POINTS = 10**7
+MAX_AXIS_COUNT = 10**8
 # Points of the fine grid of a refined scene, which is held in memory.
 MAX_REFINED_POINTS = 2 * 10**8
+TABLES = (
+    "fixed",
+    "axes",
+    "points",
+    "ties",
+    "family",
+    "nudge",
+    "integration",
+    "labels",
+    "refine",
+    "outputs",
+)
+KEYS = ("schema", "title", "system", *TABLES)
 
 
 def load_scene(source: str | Path) -> Scene:
-    """Read and check a scene file (a path), or the text of one (anything with a line break).
+    """Read and check a scene.
 
-    Raises BadInput with one line naming key, value and what is allowed.
+    Parameters
+    ----------
+    source : str or Path
+        Path of a scene file, or the text of one (any string with a line break).
+
+    Returns
+    -------
+    Scene
+        The scene, with every default filled in.
+
+    Raises
+    ------
+    BadInput
+        With one line that names the key, its value and what is allowed.
     """
     if isinstance(source, str) and "\n" in source:
         text, name, folder = source, "scene", Path()
     else:
         path = Path(source)
-        name, folder = path.stem, path.parent
-        try:
-            text = path.read_text(encoding="utf-8")
-        except FileNotFoundError:
-            raise BadInput(f"{path}: there is no such file") from None
-        except IsADirectoryError:
-            raise BadInput(f"{path}: this is a folder, not a scene file") from None
-        except UnicodeDecodeError:
-            raise BadInput(f"{path}: not a text file in UTF-8") from None
-        except OSError as error:
-            raise BadInput(f"{path}: cannot be read: {error.strerror}") from None
+        text, name, folder = _read_text(path), path.stem, path.parent
     try:
         table = tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:
@@ -69,9 +81,96 @@ def load_scene(source: str | Path) -> Scene:
 
 
 def scene_from(table: Mapping[str, Any], name: str = "scene", folder: Path = Path()) -> Scene:
-    """Check a parsed scene; name is its title if it gives none, folder where it looks for its points."""
-    _check_keys(table, "", ("schema", "title", "system", "fixed", "axes", "points", "ties", "family", "nudge",
-                       "integration", "labels", "refine", "outputs"))  # fmt: skip
+    """Check a parsed scene.
+
+    Parameters
+    ----------
+    table : mapping
+        The scene as TOML gives it.
+    name : str
+        Title of a scene that gives none.
+    folder : Path
+        Folder from which the path of a points file starts.
+
+    Returns
+    -------
+    Scene
+        The scene, with every default filled in.
+
+    Raises
+    ------
+    BadInput
+        With one line that names the key, its value and what is allowed.
+    """
+    _check_keys(table)
+    section = {key: checks.mapping(key, table.get(key, {})) for key in TABLES}
+    system = systems.get(checks.text("system", table["system"]))
+    title = checks.text("title", table.get("title", name))
+    fixed = {key: _fixed_value(system, key, value) for key, value in section["fixed"].items()}
+    refine = Refine(**checks.from_table(Refine, section["refine"], "refine")) if "refine" in table else None
+    levels = 0 if refine is None else refine.levels
+    axes = {key: _axis(system, key, value, levels) for key, value in section["axes"].items()}
+    points: Mapping[str, Any] | None = None
+    columns: dict[str, PointColumn] = {}
+    if "points" in table:
+        points, columns = read_points(system, section["points"], section["ties"], folder)
+        count = next(iter(columns.values())).column.size
+        axes["point"] = Axis("point", tuple(map(float, range(count))), long_name="number of the point")
+    if not axes:
+        raise BadInput("axes: a scene needs at least one [axes.NAME] table")
+    if refine is not None:
+        _check_refined_size(axes)
+    expressions = {key: _expression(key, value) for key, value in section["ties"].items()}
+    family, solve = _family(system, section["family"]) if "family" in table else (None, ())
+    ties: dict[str, Tie] = expressions | columns
+    names: dict[str, Iterable[str]] = {
+        "fixed": fixed,
+        "axes": axes,
+        "ties": expressions,
+        "solve": solve,
+        "points": columns,
+    }
+    _check_names(system, names, axes, ties)
+    _check_solved(axes, expressions, solve)
+    order = evaluation_order(ties, {*system.parameters, *fixed, *axes} - set(solve))
+    duration, settings = _integration(system, section["integration"], section["labels"])
+    scene = Scene(
+        title=title,
+        system=system,
+        fixed=fixed,
+        axes=axes,
+        ties={key: ties[key] for key in order},
+        family=family,
+        solve=solve,
+        nudge=_nudge(system, section["nudge"], {*fixed, *axes, *ties}),
+        duration=duration,
+        settings=settings,
+        outputs=_outputs(system, section["outputs"]),
+        refine=refine,
+        points=points,
+    )
+    if scene.size > MAX_POINTS:
+        raise BadInput(f"axes: {scene.size:.3g} points in all; allowed: at most {MAX_POINTS:.0e}")
+    return scene
+
+
+def _read_text(path: Path) -> str:
+    """Text of a scene file."""
+    try:
+        return path.read_text(encoding="utf-8")
+    except FileNotFoundError:
+        raise BadInput(f"{path}: there is no such file") from None
+    except IsADirectoryError:
+        raise BadInput(f"{path}: this is a folder, not a scene file") from None
+    except UnicodeDecodeError:
+        raise BadInput(f"{path}: not a text file in UTF-8") from None
+    except OSError as error:
+        raise BadInput(f"{path}: cannot be read: {error.strerror}") from None
+
+
+def _check_keys(table: Mapping[str, Any]) -> None:
+    """Raise BadInput for unknown, missing and contradicting keys at the top of a scene."""
+    checks.check_keys(table, "", KEYS)
     for key in ("schema", "system", "axes"):
         if key not in table and not (key == "axes" and "points" in table):
             raise BadInput(f"{key} is missing: a scene needs schema, system and axes (or points)")
@@ -80,191 +179,61 @@ def scene_from(table: Mapping[str, Any], name: str = "scene", folder: Path = Pat
             raise BadInput(f"points and {key} are both given; a scene has one of them")
     if table["schema"] != SCHEMA or isinstance(table["schema"], bool):
         raise BadInput(f"schema = {table['schema']!r}: allowed: {SCHEMA}")
-    system = systems.get(_text(table, "system", "system"))
-    title = _text(table, "title", "title") if "title" in table else name
-
-    fixed = {k: _parameter_value(system, f"fixed.{k}", k, v) for k, v in _table(table, "fixed").items()}
-    refine = _refine(table)
-    levels = 0 if refine is None else refine.levels
-    axes = {k: _axis(system, k, v, levels) for k, v in _table(table, "axes").items()}
-    given, columns = _points(system, table, folder) if "points" in table else (None, {})
-    if given is not None:
-        count = next(iter(columns.values())).values.size
-        axes["point"] = Axis("point", tuple(map(float, range(count))), long_name="number of the point")
-    if not axes:
-        raise BadInput("axes: a scene needs at least one [axes.NAME] table")
-    if refine is not None:
-        _check_refine(axes)
-    parsed = {}
-    for k, v in _table(table, "ties").items():
-        _name(f"ties.{k}", k)
-        if not isinstance(v, str):
-            raise BadInput(f'ties.{k} = {v!r}: must be a string of arithmetic, such as "sigma * A"')
-        parsed[k] = Expression(f"ties.{k}", v)
-    family, solve = _family(system, table)
-    for k, places in _origins(fixed, axes, parsed, solve, columns).items():
-        if len(places) > 1 and not (k in axes and axes[k].offset_from_family and places == ["axes", "solve"]):
-            raise BadInput(f"{k} is given in {' and in '.join(places)}: a name has one value")
-    _check_expressions(system, fixed, axes if given is None else {}, columns, parsed, solve)
-    parsed |= columns
-    ties = {k: parsed[k] for k in evaluation_order(parsed, {*system.parameters, *fixed, *axes} - set(solve))}
-    for k, axis in axes.items():
-        if axis.offset_from_family and k not in solve:
-            raise BadInput(
-                f"axes.{k}.offset_from_family: {k} must be solved by [family], but solve = {list(solve)}"
-            )
-    nudge = {
-        k: _number(f"nudge.{k}", _start_parameter(system, k, v)) for k, v in _table(table, "nudge").items()
-    }
-    for k in (vector := optional_start_values(system, nudge)):
-        if not any(k in places for places in (fixed, axes, parsed)):
-            raise BadInput(f"nudge.{k}: the scene gives no {k} to which it could be added; nudge theta0 .. m")
-    if vector and vector != list(nudge):
-        raise BadInput(
-            f"nudge: {', '.join(nudge)} together: allowed: angles and their rates, or {', '.join(vector)} alone"
-        )
-    duration, settings = _integration(table)
-    if duration.unit == "orbits" and system.frame_rate is None:
-        raise BadInput(
-            f"integration.duration = {str(duration)!r}: the {system.name} has no orbit; use time units or turns"
-        )
-    scene = Scene(
-        title, system, fixed, axes, ties, family, solve, nudge, duration, settings, _outputs(system, table),
-        refine, given,
-    )  # fmt: skip
-    if scene.size > MAX_POINTS:
-        raise BadInput(f"axes: {scene.size:.3g} points in all; allowed: at most {MAX_POINTS:.0e}")
-    return scene
 
 
-def _number(key: str, value: object) -> float:
-    if not is_number(value):
-        raise BadInput(f"{key} = {value!r}: must be a number")
-    assert isinstance(value, int | float)
-    try:
-        number = float(value)
-    except OverflowError:
-        number = math.inf
-    if not math.isfinite(number):
-        raise BadInput(f"{key} = {value!r}: must be a finite number")
-    return number
-
-
-def _table(table: Mapping[str, Any], key: str, where: str = "") -> Mapping[str, Any]:
-    value = table.get(key, {})
-    if not isinstance(value, Mapping):
-        raise BadInput(f"{where}{key} = {value!r}: must be a table, [{where}{key}]")
-    return value
-
-
-def _text(table: Mapping[str, Any], name: str, key: str) -> str:
-    value = table[name]
-    if not isinstance(value, str):
-        raise BadInput(f"{key} = {value!r}: must be a string")
-    return value
-
-
-def _check_keys(table: Mapping[str, Any], where: str, allowed: tuple[str, ...]) -> None:
-    for key in table:
-        if key not in allowed:
-            raise BadInput(f"{where}{key}: unknown key; allowed: {', '.join(allowed)}")
-
-
-def _name(key: str, name: str) -> str:
-    if not re.fullmatch(r"[A-Za-z_][A-Za-z0-9_]*", name) or name in RESERVED:
-        raise BadInput(
-            f"{key}: {name!r} cannot be used as a name; allowed: letters, digits and _, not {sorted(RESERVED)}"
-        )
-    return name
-
-
-def _parameter_value(system: System, key: str, name: str, value: object) -> float:
-    number = _number(key, value)
+def _fixed_value(system: System, name: str, value: object) -> float:
+    """Value of a name in [fixed]."""
+    key = f"fixed.{name}"
+    number = checks.number(key, value)
     if name in system.parameters:
-        check_range(system, key, name, number, number)
+        checks.check_range(system.parameters[name], key, number, number)
     else:
-        _name(key, name)
+        checks.identifier(key, name)
     return number
-
-
-def _start_parameter(system: System, name: str, value: object) -> object:
-    starts = [p.name for p in system.parameters.values() if p.start]
-    if name not in starts:
-        raise BadInput(f"nudge.{name}: unknown key; allowed: {', '.join(starts)}")
-    return value
 
 
 def _axis(system: System, name: str, table: object, levels: int) -> Axis:
-    """levels: how often [refine] halves the spacing of an axis."""
+    """Axis of a table [axes.NAME], whose spacing [refine] halves `levels` times."""
     key = f"axes.{name}"
-    _name(key, name)
+    checks.identifier(key, name)
     if not isinstance(table, Mapping):
         raise BadInput(f"{key} = {table!r}: must be a table with from, to and count, or values")
-    _check_keys(
-        table,
-        f"{key}.",
-        ("from", "to", "count", "spacing", "values", "offset_from_family", "long_name", "units"),
-    )
+    spaced = ("from", "to", "count", "spacing")
+    checks.check_keys(table, f"{key}.", (*spaced, "values", "offset_from_family", "long_name", "units"))
     if "values" in table:
-        for other in ("from", "to", "count", "spacing"):
+        for other in spaced:
             if other in table:
                 raise BadInput(f"{key}.{other}: not together with values")
-        listed = table["values"]
-        if not isinstance(listed, list) or not listed:
-            raise BadInput(f"{key}.values = {listed!r}: must be a list of at least one number")
-        values = [_number(f"{key}.values", v) for v in listed]
+        values = checks.numbers(f"{key}.values", table["values"])
     else:
-        for needed in ("from", "to", "count"):
-            if needed not in table:
-                raise BadInput(f"{key}.{needed} is missing: an axis needs from, to and count, or values")
-        first, last = _number(f"{key}.from", table["from"]), _number(f"{key}.to", table["to"])
-        count = table["count"]
-        if not isinstance(count, int) or isinstance(count, bool) or not 1 <= count <= 10**8:
-            raise BadInput(f"{key}.count = {count!r}: must be a whole number from 1 to 100000000")
-        if (count - 1) * 2**levels >= MAX_REFINED_POINTS:
-            raise BadInput(f"{key}.count = {count}: too many for {levels} levels of [refine]")
-        if count > 1 and first == last:
-            raise BadInput(
-                f"{key}: from = to = {first:g} with count = {count}; an axis needs distinct values"
-            )
-        places = np.linspace if _spacing(key, table, first, last) == "linear" else np.geomspace
-        values = list(places(first, last, (count - 1) * 2**levels + 1))
+        values = _spaced_values(key, table, levels)
     if len(set(values)) < len(values):
         raise BadInput(f"{key}.values: some values occur twice; an axis needs distinct values")
-    offset = table.get("offset_from_family", False)
-    if not isinstance(offset, bool):
-        raise BadInput(f"{key}.offset_from_family = {offset!r}: must be true or false")
+    offset = checks.boolean(f"{key}.offset_from_family", table.get("offset_from_family", False))
     if name in system.parameters and not offset:
-        check_range(system, key, name, min(values), max(values))
-    words = {k: _text(table, k, f"{key}.{k}") for k in ("long_name", "units") if k in table}
-    return Axis(name, tuple(float(v) for v in values), offset, table=table, **words)
+        checks.check_range(system.parameters[name], key, min(values), max(values))
+    long_name, units = (checks.text(f"{key}.{k}", table.get(k, "")) for k in ("long_name", "units"))
+    return Axis(name, tuple(values), offset, long_name, units, table)
 
 
-def _spacing(key: str, table: Mapping[str, Any], first: float, last: float) -> str:
-    spacing = table.get("spacing", "linear")
-    if spacing not in ("linear", "log"):
-        raise BadInput(f"{key}.spacing = {spacing!r}: allowed: 'linear', 'log'")
-    if spacing == "log" and not (first > 0 and last > 0):
-        raise BadInput(f"{key}.spacing = 'log': from and to must be above 0, found {first:g} and {last:g}")
-    return str(spacing)
+def _spaced_values(key: str, table: Mapping[str, Any], levels: int) -> list[float]:
+    """Values of an axis with from, to and count, whose spacing is halved `levels` times."""
+    for needed in ("from", "to", "count"):
+        if needed not in table:
+            raise BadInput(f"{key}.{needed} is missing: an axis needs from, to and count, or values")
+    first, last, spacing = checks.interval(key, table)
+    count = checks.whole_number(f"{key}.count", table["count"], 1, MAX_AXIS_COUNT)
+    fine_count = (count - 1) * 2**levels + 1
+    if fine_count > MAX_REFINED_POINTS:
+        raise BadInput(f"{key}.count = {count}: too many for {levels} levels of [refine]")
+    if count > 1 and first == last:
+        raise BadInput(f"{key}: from = to = {first:g} with count = {count}; an axis needs distinct values")
+    return (np.linspace if spacing == "linear" else np.geomspace)(first, last, fine_count).tolist()
 
 
-def _refine(table: Mapping[str, Any]) -> Refine | None:
-    if "refine" not in table:
-        return None
-    given = _table(table, "refine")
-    _check_keys(given, "refine.", ("levels", "probe"))
-    levels = given.get("levels")
-    if not isinstance(levels, int) or isinstance(levels, bool) or not 1 <= levels <= 8:
-        raise BadInput(f"refine.levels = {levels!r}: must be a whole number from 1 to 8")
-    probe = _number("refine.probe", given.get("probe", Refine.probe))
-    if not 0 <= probe <= 1:
-        raise BadInput(f"refine.probe = {probe:g}: must be a share of the points, from 0 to 1")
-    return Refine(levels, probe)
-
-
-def _check_refine(axes: Mapping[str, Axis]) -> None:
-    if not any(is_refined_axis(axis.table) for axis in axes.values()):
+def _check_refined_size(axes: Mapping[str, Axis]) -> None:
+    """Raise BadInput if no axis can be refined, or the finest grid does not fit into memory."""
+    if not any(axis.can_be_refined for axis in axes.values()):
         raise BadInput("refine: no axis has from, to and a count above 1, so that there is nothing to refine")
     size = math.prod(len(axis.values) for axis in axes.values())
     if size > MAX_REFINED_POINTS:
@@ -273,199 +242,142 @@ def _check_refine(axes: Mapping[str, Axis]) -> None:
         )
 
 
-def _points(
-    system: System, table: Mapping[str, Any], folder: Path
-) -> tuple[dict[str, Any], dict[str, PointColumn]]:
-    """The table of points, as the resolved scene holds it, and its columns."""
-    given = _table(table, "points")
-    _check_keys(given, "points.", ("sample", "count", "seed", "ranges", "file", "values"))
-    kinds = [key for key in ("sample", "file", "values") if key in given]
-    if len(kinds) != 1:
-        found = " and ".join(kinds) or "none"
-        raise BadInput(f"points: needs one of sample, file and values, found {found}")
-    if kinds == ["sample"]:
-        return _sampled(system, given)
-    for key in ("count", "seed", "ranges"):
-        if key in given:
-            raise BadInput(f"points.{key}: only together with sample")
-    if kinds == ["values"]:
-        values = dict(_table(given, "values", "points."))
-        for name, column in values.items():
-            if not isinstance(column, list) or not column:
-                raise BadInput(f"points.values.{name}: must be a list of at least one number")
-            values[name] = [_number(f"points.values.{name}", value) for value in column]
-    else:
-        path, named = _text(given, "file", "points.file"), _table(table, "ties").values()
-        words = {word for text in named for word in re.findall(r"\w+", str(text))}
-        values = own_points.read(folder / path, {*system.parameters, *words})
-    columns = {}
-    for name, column in values.items():
-        key = f"points.values.{_name('points', name)}"
-        try:
-            numbers = np.asarray(column, np.float64)
-        except (TypeError, ValueError):
-            raise BadInput(f"{key}: must be numbers") from None
-        if numbers.ndim != 1 or not numbers.size:
-            raise BadInput(f"{key}: must be one number for each point")
-        if not np.isfinite(numbers).all():
-            bad = int(np.flatnonzero(~np.isfinite(numbers))[0])
-            raise BadInput(f"{key}: {numbers[bad]} at point {bad} (counted from 0); must be finite numbers")
-        if name in system.parameters:
-            check_range(system, key, name, numbers.min(), numbers.max())
-        columns[name] = PointColumn(key, numbers)
-    sizes = {name: column.values.size for name, column in columns.items()}
-    if len(set(sizes.values())) != 1:
-        shown = ", ".join(f"{name}: {size}" for name, size in sizes.items()) or "there are none"
-        raise BadInput(f"points: columns of different lengths ({shown})" if sizes else f"points: {shown}")
-    if sum(sizes.values()) > MAX_LISTED_NUMBERS:
-        raise BadInput(
-            f"points: {sum(sizes.values())} numbers; a scene takes at most {MAX_LISTED_NUMBERS};"
-            " label more with atlas points or atlas.label_points"
-        )
-    return {"values": {name: column.values.tolist() for name, column in columns.items()}}, columns
+def _expression(name: str, value: object) -> Expression:
+    """Expression of a name in [ties]."""
+    key = f"ties.{name}"
+    checks.identifier(key, name)
+    if not isinstance(value, str):
+        raise BadInput(f'{key} = {value!r}: must be a string of arithmetic, such as "sigma * A"')
+    return Expression(key, value)
 
 
-def _sampled(system: System, given: Mapping[str, Any]) -> tuple[dict[str, Any], dict[str, PointColumn]]:
-    kind = _text(given, "sample", "points.sample")
-    if kind not in own_points.SAMPLES:
-        raise BadInput(f"points.sample = {kind!r}: allowed: {', '.join(own_points.SAMPLES)}")
-    count, seed = given.get("count"), given.get("seed", 0)
-    if not isinstance(count, int) or isinstance(count, bool) or not 1 <= count <= MAX_SAMPLED_POINTS:
-        raise BadInput(f"points.count = {count!r}: must be a whole number from 1 to {MAX_SAMPLED_POINTS}")
-    if not isinstance(seed, int) or isinstance(seed, bool) or seed < 0:
-        raise BadInput(f"points.seed = {seed!r}: must be a whole number, at least 0")
-    ranges = _table(given, "ranges", "points.")
-    if not ranges:
-        raise BadInput(
-            "points.ranges: a sample needs at least one [points.ranges.NAME] table with from and to"
-        )
-    columns = {}
-    for (name, span), share in zip(
-        ranges.items(), own_points.sample(kind, len(ranges), count, seed), strict=True
-    ):
-        key = f"points.ranges.{_name('points.ranges', name)}"
-        if not isinstance(span, Mapping):
-            raise BadInput(f"{key} = {span!r}: must be a table with from and to")
-        _check_keys(span, f"{key}.", ("from", "to", "spacing"))
-        for needed in ("from", "to"):
-            if needed not in span:
-                raise BadInput(f"{key}.{needed} is missing: a range needs from and to")
-        first, last = (_number(f"{key}.{end}", span[end]) for end in ("from", "to"))
-        if first == last:
-            raise BadInput(f"{key}: from = to = {first:g}; put what does not vary into [fixed]")
-        if name in system.parameters:
-            check_range(system, key, name, min(first, last), max(first, last))
-        if _spacing(key, span, first, last) == "linear":
-            columns[name] = PointColumn(key, first + (last - first) * share)
-        else:
-            columns[name] = PointColumn(key, first * (last / first) ** share)
-    return {"sample": kind, "count": count, "seed": seed, "ranges": ranges}, columns
-
-
-def _family(system: System, table: Mapping[str, Any]) -> tuple[str | None, tuple[str, ...]]:
-    if "family" not in table:
-        return None, ()
-    given = _table(table, "family")
-    _check_keys(given, "family.", ("name", "solve"))
-    if "name" not in given:
+def _family(system: System, table: Mapping[str, Any]) -> tuple[str, tuple[str, ...]]:
+    """Name of the family, and the parameters it is solved for in the order of its formulas."""
+    checks.check_keys(table, "family.", ("name", "solve"))
+    if "name" not in table:
         raise BadInput(f"family.name is missing; allowed: {', '.join(system.families)}")
-    name = _text(given, "name", "family.name")
+    name = checks.text("family.name", table["name"])
     if name not in system.families:
         raise BadInput(f"family.name = {name!r}: unknown family; allowed: {', '.join(system.families)}")
-    solve = given.get("solve", [])
-    if not isinstance(solve, list) or not all(isinstance(s, str) for s in solve):
+    family = system.families[name]
+    solve = table.get("solve", [])
+    if not isinstance(solve, list) or not all(isinstance(parameter, str) for parameter in solve):
         raise BadInput(f"family.solve = {solve!r}: must be a list of parameter names")
-    can = system.families[name].solve
-    for wanted in solve:
-        if wanted in system.families[name].free:
+    for parameter in solve:
+        if parameter in family.free:
             raise BadInput(
-                f"family.solve = {wanted!r}: the family {name} leaves it free, every value is one;"
+                f"family.solve = {parameter!r}: the family {name} leaves it free, every value is one;"
                 " give it in [fixed], [axes] or [ties]"
             )
-        if wanted not in can:
+        if parameter not in family.solve:
             raise BadInput(
-                f"family.solve = {wanted!r}: the family {name} cannot be solved for it;"
-                f" allowed: {', '.join(can) or 'nothing'}"
+                f"family.solve = {parameter!r}: the family {name} cannot be solved for it;"
+                f" allowed: {', '.join(family.solve) or 'nothing'}"
             )
     if len(set(solve)) < len(solve):
         raise BadInput(f"family.solve = {solve!r}: a parameter is named twice")
-    return name, tuple(p for p in can if p in solve)
+    return name, tuple(parameter for parameter in family.solve if parameter in solve)
 
 
-def _origins(*given: Any) -> dict[str, list[str]]:
-    places: dict[str, list[str]] = {}
-    for where, names in zip(("fixed", "axes", "ties", "solve", "points"), given, strict=True):
-        for name in names:
-            places.setdefault(name, []).append(where)
-    return places
-
-
-def _check_expressions(
-    system: System,
-    fixed: Any,
-    axes: Any,
-    columns: Any,
-    ties: Mapping[str, Expression],
-    solve: tuple[str, ...],
+def _check_names(
+    system: System, names: Mapping[str, Iterable[str]], axes: Mapping[str, Axis], ties: Mapping[str, Tie]
 ) -> None:
+    """Raise BadInput for a name that two sections give, and for one that nothing uses.
+
+    names: section -> names that it gives. An axis of distances from a family is given there and solved.
+    """
+    sections: dict[str, list[str]] = {}
+    for section, given in names.items():
+        for name in given:
+            sections.setdefault(name, []).append(section)
+    for name, where in sections.items():
+        is_offset = where == ["axes", "solve"] and axes[name].offset_from_family
+        if len(where) > 1 and not is_offset:
+            raise BadInput(f"{name} is given in {' and in '.join(where)}: a name has one value")
     used = {name for tie in ties.values() for name in tie.names}
-    for where, names in (("fixed", fixed), ("axes", axes), ("points", columns), ("ties", ties)):
-        for name in names:
-            if name not in system.parameters and name not in used:
-                raise BadInput(
-                    f"{where}.{name}: not a parameter of the {system.name}, and no tie uses it;"
-                    f" parameters: {', '.join(system.parameters)}"
-                )
-    for name, tie in ties.items():
-        for solved in tie.names & set(solve):
-            raise BadInput(f"ties.{name} = {tie.text!r}: {solved} is only known once [family] has solved it")
+    for name, where in sections.items():
+        if name not in system.parameters and name not in used:
+            raise BadInput(
+                f"{where[0]}.{name}: not a parameter of the {system.name}, and no tie uses it;"
+                f" parameters: {', '.join(system.parameters)}"
+            )
 
 
-def _duration(value: object) -> Duration:
-    key = "integration.duration"
-    if isinstance(value, str):
-        match = re.fullmatch(r"\s*([-+0-9.eE]+)\s+(\w+)\s*", value)
-        if match is None or match[2] not in DURATION_UNITS:
-            raise BadInput(f'{key} = {value!r}: allowed: a number of time units, "20 orbits" or "50 turns"')
-        try:
-            amount, unit = float(match[1]), match[2]
-        except ValueError:
-            raise BadInput(f"{key} = {value!r}: {match[1]!r} is not a number") from None
-    else:
-        amount, unit = _number(key, value), ""
-    if not (math.isfinite(amount) and amount > 0):
-        raise BadInput(f"{key} = {value!r}: must be a finite number above 0")
-    return Duration(amount, unit)
+def _check_solved(
+    axes: Mapping[str, Axis], expressions: Mapping[str, Expression], solve: tuple[str, ...]
+) -> None:
+    """Raise BadInput for a tie to a solved parameter, and for an offset from one that is not solved."""
+    for name, expression in expressions.items():
+        for solved in sorted(expression.names & set(solve)):
+            raise BadInput(
+                f"ties.{name} = {expression.text!r}: {solved} is only known once [family] has solved it"
+            )
+    for name, axis in axes.items():
+        if axis.offset_from_family and name not in solve:
+            raise BadInput(
+                f"axes.{name}.offset_from_family: {name} must be solved by [family], but solve = {list(solve)}"
+            )
 
 
-def _integration(table: Mapping[str, Any]) -> tuple[Duration, Settings]:
-    integration, labels = _table(table, "integration"), _table(table, "labels")
-    _check_keys(integration, "integration.", ("duration", "method", "tolerance", "step", "max_steps",
-                                          "check_half_step"))  # fmt: skip
-    _check_keys(labels, "labels.", ("rate_tolerance", "cylinder_tolerance", "drift_tolerance"))
-    if "step" in integration and "tolerance" in integration:
+def _nudge(system: System, table: Mapping[str, Any], given: set[str]) -> dict[str, float]:
+    """Amounts added to start values. given: names to which the scene gives a value."""
+    starts = [parameter.name for parameter in system.parameters.values() if parameter.start]
+    checks.check_keys(table, "nudge.", starts)
+    nudge = {name: checks.number(f"nudge.{name}", value) for name, value in table.items()}
+    optional = optional_start_values(system, nudge)
+    for name in optional:
+        if name not in given:
+            raise BadInput(
+                f"nudge.{name}: the scene gives no {name} to which it could be added; nudge theta0 .. m"
+            )
+    if optional and optional != list(nudge):
+        raise BadInput(
+            f"nudge: {', '.join(nudge)} together: allowed: angles and their rates, or {', '.join(optional)} alone"
+        )
+    return nudge
+
+
+def _integration(
+    system: System, integration: Mapping[str, Any], labels: Mapping[str, Any]
+) -> tuple[Duration, Settings]:
+    """Duration and settings from the tables [integration] and [labels]."""
+    values = checks.from_table(Settings, integration, "integration", also=["duration"])
+    values |= checks.from_table(Settings, labels, "labels")
+    if "step" in values and "tolerance" in values:
         raise BadInput("integration: step and tolerance are both given; a scene has one of them")
-    values: dict[str, Any] = {k: v for k, v in integration.items() if k != "duration"} | dict(labels)
-    for key, value in values.items():
-        if key in ("method", "check_half_step"):
-            _text(integration, key, f"integration.{key}")
-        elif key != "max_steps":
-            where = "labels" if key in labels else "integration"
-            values[key] = _number(f"{where}.{key}", value)
-    if isinstance(values.get("max_steps"), bool):
-        raise BadInput(f"integration.max_steps = {values['max_steps']!r}: must be a whole number, at least 1")
-    duration = _duration(integration["duration"]) if "duration" in integration else Duration(60.0)
+    duration = _duration(integration["duration"]) if "duration" in integration else Duration()
+    if duration.unit == "orbits" and system.frame_rate is None:
+        raise BadInput(
+            f"integration.duration = {str(duration)!r}: the {system.name} has no orbit; use time units or turns"
+        )
     return duration, Settings(**values)
 
 
+def _duration(value: object) -> Duration:
+    """Duration from a number of time units, or a string with a number and a unit."""
+    key = "integration.duration"
+    if not isinstance(value, str):
+        return Duration(checks.positive(key, value))
+    match = re.fullmatch(r"\s*([-+0-9.eE]+)\s+(\w+)\s*", value)
+    if match is None or match[2] not in DURATION_UNITS:
+        raise BadInput(f'{key} = {value!r}: allowed: a number of time units, "20 orbits" or "50 turns"')
+    try:
+        amount = float(match[1])
+    except ValueError:
+        raise BadInput(f"{key} = {value!r}: {match[1]!r} is not a number") from None
+    if not (math.isfinite(amount) and amount > 0):
+        raise BadInput(f"{key} = {value!r}: must be a finite number above 0")
+    return Duration(amount, match[2])
+
+
 def _outputs(system: System, table: Mapping[str, Any]) -> tuple[str, ...]:
-    given = _table(table, "outputs")
-    _check_keys(given, "outputs.", ("variables",))
-    allowed = variables(system)
-    listed = given.get("variables", [name for name in allowed if name not in system.derived])
-    if not isinstance(listed, list) or not listed:
-        raise BadInput(f"outputs.variables = {listed!r}: must be a list of at least one variable name")
-    for name in listed:
-        if name not in allowed:
-            raise BadInput(f"outputs.variables: {name!r} is unknown; allowed: {', '.join(allowed)}")
-    return tuple(name for name in allowed if name in listed)
+    """Variables of the atlas in the order of the registry; by default all but the derived ones."""
+    checks.check_keys(table, "outputs.", ("variables",))
+    registry = variables(system)
+    wanted = table.get("variables", [name for name in registry if name not in system.derived])
+    if not isinstance(wanted, list) or not wanted:
+        raise BadInput(f"outputs.variables = {wanted!r}: must be a list of at least one variable name")
+    for name in wanted:
+        if not isinstance(name, str) or name not in registry:
+            raise BadInput(f"outputs.variables: {name!r} is unknown; allowed: {', '.join(registry)}")
+    return tuple(name for name in registry if name in wanted)

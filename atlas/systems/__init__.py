@@ -1,4 +1,4 @@
-"""The table of systems. A new system is one new folder and one line here."""
+"""The systems by name."""
 
 from __future__ import annotations
 
@@ -7,7 +7,12 @@ from .base import System
 from .fixed_point import FIXED_POINT
 from .satellite import SATELLITE
 
-SYSTEMS = {system.name: system for system in (SATELLITE, FIXED_POINT)}
+SYSTEMS: dict[str, System] = {}
+
+
+def register(system: System) -> None:
+    """Make a system available to scenes and functions under its name; one of the same name is replaced."""
+    SYSTEMS[system.name] = system
 
 
 def get(name: str) -> System:
@@ -15,3 +20,7 @@ def get(name: str) -> System:
     if name not in SYSTEMS:
         raise BadInput(f"system = {name!r}: there is no such system; allowed: {', '.join(SYSTEMS)}")
     return SYSTEMS[name]
+
+
+for _system in (SATELLITE, FIXED_POINT):
+    register(_system)

@@ -1,21 +1,29 @@
-"""The shape of a system: what the engine, the labels and the scenes may ask of its physics."""
+"""The interface between the physics of a system and the rest of the package."""
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence, Set
 from dataclasses import dataclass, field
-from types import ModuleType
+from types import MappingProxyType, ModuleType
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from ..errors import BadInput
+from ..flags import Stability
 
 Array = NDArray[np.float64]
 Flags = NDArray[np.int8]
 Mask = NDArray[np.bool_]
 # Every parameter of a system by name, as float64 arrays of one common shape.
 Points = Mapping[str, Array]
+
+# Products and quotients of parameters beyond this magnitude, or of positive ones below its inverse, may overflow.
+MAX_MAGNITUDE = 1e60
+# A start whose condition residuals are at most this belongs to the family.
+FAMILY_TOLERANCE = 1e-10
+_CHUNK = 16384  # points whose family is identified together, so that the arrays stay in the cache
 
 
 @dataclass(frozen=True)
@@ -37,8 +45,8 @@ class Parameter:
 class Condition:
     """One equation or inequality that a family of steady motions needs.
 
-    residual(points) is dimensionless, zero where the condition holds, and says by how much it fails
-    elsewhere (an inequality returns the amount of its violation); shape and dtype of the points.
+    residual(points) is dimensionless and has the shape of the points: 0 where the condition holds, elsewhere
+    the amount by which it fails (of an inequality: the amount by which it is violated).
     """
 
     text: str
@@ -47,25 +55,22 @@ class Condition:
 
 @dataclass(frozen=True)
 class Family:
-    """A family of exact steady motions theta = theta0, psi' = n, phi' = m.
-
-    solve maps a parameter to the formula that puts a point on the family, in the order in which
-    the formulas may be used together; a formula gives nan where the family does not exist.
-    stability(points) -> (stable, growth_rate): 0 unknown, 1 stable, 2 unstable (linear), and the
-    largest real part of the characteristic exponents in rad per time unit (nan where unknown).
-    """
+    """A family of exact steady motions theta = theta0, psi' = n, phi' = m."""
 
     name: str
-    flag: int  # value of the dataset variable `family`; 0 means none
+    flag: int  # value of the dataset variable `family`, from 1
     title: str
     equations: str  # numbers in the paper, or where it was derived
     conditions: tuple[Condition, ...]
+    # parameter -> formula that puts a point on the family, nan where the family does not exist; in the order in
+    # which the formulas may be used together
     solve: Mapping[str, Callable[[Points], Array]] = field(default_factory=dict)
+    # points -> (flags.Stability, growth rate in rad per time unit), as System.linear_stability
     stability: Callable[[Points], tuple[Flags, Array]] | None = None
     # closed form of the motion: (points, t) -> state of the equations, shape (state, *t.shape, *points.shape)
     motion: Callable[[Points, Array], Array] | None = None
     geometry: str = ""  # flag of the variable `geometry`; empty where it depends on the point
-    labels: str = ""  # what the motion is called, by its kinematics, in the frame and in space
+    labels: str = ""  # label of the motion, by its kinematics, in the frame and in inertial space
     paper_wording: str = ""
     exists: str = ""  # limits of existence beyond the conditions
     free: tuple[str, ...] = ()  # parameters that the conditions leave free
@@ -73,10 +78,10 @@ class Family:
 
 @dataclass(frozen=True)
 class PublishedEquation:
-    """One printed equation or claim of the system's paper, as printed and as true.
+    """One equation or statement of the system's paper, as printed and as true.
 
-    residual_printed and residual_true measure the two readings at random parameters; `measure` says
-    what the number is. Near 0 is true of a reading; None where there is nothing to measure.
+    residual_printed and residual_true measure the two readings at random parameters: near 0 where the reading
+    is true, None where there is nothing to measure.
     """
 
     number: str
@@ -84,10 +89,10 @@ class PublishedEquation:
     printed: str
     true: str
     verdict: str  # true, misprint, false, incomplete, or "true at ..., false at ..."
-    measure: str = ""
+    measure: str = ""  # what the residuals are
     residual_printed: Callable[[np.random.Generator], float] | None = None
     residual_true: Callable[[np.random.Generator], float] | None = None
-    effect: str = ""  # what comes of the difference
+    effect: str = ""  # consequence of the difference
 
 
 @dataclass(frozen=True)
@@ -103,69 +108,319 @@ class DerivedVariable:
 
 
 @dataclass(frozen=True, eq=False)
-class System:
-    """One system of the mission: equations for the kernels, start, theory and names."""
+class StressCase:
+    """Specification of stiff or extreme points; its arrays have one length, and numbers hold for all points."""
 
     name: str
+    description: str
+    duration: ArrayLike  # time units
+    columns: Mapping[str, ArrayLike]  # parameters; those left out take their defaults
+    solve: tuple[str, str] | None = None  # family, and the parameter that puts the points on it
+    additions: Mapping[str, ArrayLike] = field(default_factory=dict)  # added to parameters after solving
+    may_stay_unresolved: str = ""  # reason for which an automatic step, too, may leave a point unresolved
+
+
+class System(ABC):
+    """A physical system: what engine, labels, scenes and figures use of it.
+
+    A system is written as a subclass. What it must give is its names, `equations`, `parameters`,
+    `initial_state` and `frequency_bound`; every other member has a default, which stands for "this
+    system does not have it". `points` is throughout a mapping of every parameter's name to a float64
+    array, all of one shape, here called ``(points,)``.
+
+    Members, in three groups:
+
+    Equations
+        `equations`, `parameters`, `constants`, `integral_scales`, `frequency_bound`, `rate_states`,
+        `equal_parameters`, `specialization`.
+    Initial values
+        `initial_state`, `steady_rates`, `as_euler_angles`, `check`, `within_range`, `warnings`.
+    Theory
+        `families`, `identify_family`, `condition_residual`, `linear_stability`, `complete`, `frame_rate`,
+        `geometries`, `geometry`, `derived`, `equilibria`, `published`, `stress_cases`, `despun_equivalent`.
+
+    Instances are compared and hashed by identity: kernels are cached by system.
+    """
+
+    name: str
+    """Name in scenes and files, such as "satellite"."""
     title: str
-    frame: str  # the frame in which psi' and theta' are measured: "orbital" or "space"
-    reference: str  # citation of the paper
-    doi: str
-    equations: ModuleType  # STATE, CONSTANTS, ONES, INTEGRALS and plain scalar functions for the kernels
+    """What the system is, in a few words."""
+    frame: str = "space"
+    """Name of the frame in which theta, psi and phi are measured; its third axis is "the vertical"."""
+    frame_axes: tuple[str, str, str] = ("$x$", "$y$", "vertical")
+    """Labels of the three axes of that frame in figures."""
+    reference: str = ""
+    """Citation of the paper that the system comes from."""
+    doi: str = ""
+    """DOI of that paper."""
+
+    # Equations.
+
+    equations: ModuleType
+    """Module of plain scalar functions, whose source is pasted into the kernels; it may import nothing.
+
+    It defines the names ``STATE`` and ``CONSTANTS`` (tuples of names), ``ONES`` (constants that are 1 in
+    the units of the kernels), ``INTEGRALS`` (name of each first integral -> its power of a rate), and
+    functions of ``(state, constants)``, sequences in the order of those names:
+
+    - ``rhs``: time derivatives of the state;
+    - ``scaled``, with a third argument h: state and constants in units in which the time h is 1;
+      ``unscaled``, with the same arguments: back from a scaled state;
+    - ``frame_motion``: angular velocity of the body relative to the frame (rad per time unit) and the unit
+      vector of the frame's vertical, three components each, in body axes; linear in the state;
+    - ``axis_in_frame`` (optional): components of the third body axis along the first two axes of the frame;
+    - one function for each first integral: the tuple of its terms.
+    """
     parameters: Mapping[str, Parameter]
-    constants: Callable[[Points], Array]  # (constants, points), what the kernels read
-    initial_state: Callable[[Points], Array]  # (state, points)
-    check: Callable[[Points], None]  # raises BadInput on what no body can be
-    # by integral: nan where it is not conserved, else a floor for the sum of its terms' magnitudes
-    integral_scales: Callable[[Points], Mapping[str, Array]]
-    frequency_bound: Callable[[Points], Array]  # rad per time unit, never below the fastest frequency
-    # (sin theta, n, m) of the steady motion a start would belong to, nan where it has none
-    steady_rates: Callable[[Points], tuple[Array, Array, Array]]
-    families: Mapping[str, Family]
-    # (points) -> (flag of the first family whose conditions hold or 0, residual)
-    identify_family: Callable[[Points], tuple[Flags, Array]]
-    condition_residual: Callable[[Points], Array]
-    # (points, family flags) -> (stable, growth_rate) of the steady motions, for every family at once
-    linear_stability: Callable[[Points, Flags], tuple[Flags, Array]]
-    geometries: Mapping[str, str]  # flag name -> sentence, in the order of the flag values
-    # (measured, steady, cylinder, rate_tolerance, angle_tolerance) -> flags of geometries
-    geometry: Callable[..., Flags]
-    # rate of the frame's vertical in inertial space, added to n for label_inertial; None: same frame
-    frame_rate: Callable[[Points], Array] | None = None
-    # bool: where the families are all there is, so that a start off them is predicted to drift
-    complete: Callable[[Points], Mask] = lambda points: np.zeros(points["n"].shape, bool)
-    warnings: Callable[[Points], list[str]] = lambda points: []
-    # the same starts given by theta0 .. m, where optional start values give them; what angles are nudged from
-    as_euler_angles: Callable[[Points], Points] = lambda points: points
-    derived: Mapping[str, DerivedVariable] = field(default_factory=dict)
-    # (parameters that are 0 or absent in a whole scene, A = B throughout) -> (kernel constants that are
-    # then 0, pairs of constants of which the first equals the second); few different answers, for each
-    # is a kernel of its own
-    specialization: Callable[[Set[str], bool], tuple[Set[str], Set[tuple[str, str]]]] = (
-        lambda zero, symmetric: (
-            set(),
-            set(),
+    """Parameters and start values by name, with units, defaults and allowed ranges."""
+    rate_states: tuple[str, ...] = ()
+    """States that are angular velocities; their errors are measured against the frequency bound."""
+    equal_parameters: tuple[tuple[str, str], ...] = ()
+    """Pairs of parameters; `specialization` receives those that are equal at every point of a scene."""
+
+    def constants(self, points: Points) -> Array:
+        """Constants that the kernels read, shape (constants, points), in the order of ``equations.CONSTANTS``.
+
+        The default takes each from the parameter of the same name.
+        """
+        return np.array([points[name] for name in self.equations.CONSTANTS])
+
+    def integral_scales(self, points: Points) -> Mapping[str, Array]:
+        """Where each first integral is conserved, and a lower bound for the magnitude it is compared with.
+
+        Returns
+        -------
+        mapping of every name in ``equations.INTEGRALS`` to an array (points,)
+            nan where the integral is not conserved; elsewhere the least value, in units of the integral,
+            that the sum of the magnitudes of its terms is given. The default is 0: conserved everywhere.
+        """
+        return {name: np.zeros(shape_of(points)) for name in self.equations.INTEGRALS}
+
+    @abstractmethod
+    def frequency_bound(self, points: Points) -> Array:
+        """Upper bound of the fastest frequency of each motion, rad per time unit, shape (points,).
+
+        The step sizes and the check for under-resolved points depend on it, so it must hold for the whole
+        motion and not only at the start.
+        """
+
+    def specialization(
+        self, zero: Set[str], equal: Set[tuple[str, str]]
+    ) -> tuple[Set[str], Set[tuple[str, str]]]:
+        """Terms of the equations that a whole scene does not need.
+
+        Each different answer is a kernel that is compiled once, so there should be few of them. The default
+        leaves nothing out.
+
+        Parameters
+        ----------
+        zero : set of str
+            Parameters that are 0 or absent at every point.
+        equal : set of pairs of str
+            Those of `equal_parameters` that are equal at every point.
+
+        Returns
+        -------
+        zero_constants : set of str
+            Constants of the equations that are 0.
+        equal_constants : set of pairs of str
+            Constants of which the first equals the second.
+        """
+        return set(), set()
+
+    # Initial values.
+
+    @abstractmethod
+    def initial_state(self, points: Points) -> Array:
+        """State at t = 0, shape (states, points), in the order of ``equations.STATE``."""
+
+    def steady_rates(self, points: Points) -> tuple[Array, Array, Array]:
+        """Steady motion theta' = 0, psi' = n, phi' = m that each start would belong to.
+
+        Returns
+        -------
+        sin_theta, n, m : arrays (points,)
+            Pure number and rad per time unit. The default computes them from the initial state; where the
+            third axis is exactly on the vertical n is 0 there and m the whole rate.
+        """
+        u1, u2, u3, g1, g2, g3 = self.equations.frame_motion(
+            self.initial_state(points), self.constants(points)
         )
-    )
-    # the paper's equations; called when a table is asked for
-    published: Callable[[], Sequence[PublishedEquation]] = tuple
-    # (parameter -> number) -> arrays over the relative equilibria or permanent rotations of one body
+        sine = np.hypot(g1, g2)
+        n = np.divide(u1 * g1 + u2 * g2, sine**2, out=np.zeros_like(sine), where=sine**2 > 0)
+        return sine, n, u3 - n * g3
+
+    def as_euler_angles(self, points: Points) -> Points:
+        """The same starts, given by angles and their rates where optional start values give them.
+
+        Scenes that add a nudge to angles add it to these. The default returns the points as they are.
+        """
+        return points
+
+    def check(self, points: Points) -> None:
+        """Raise BadInput with one line on points that no such system can have. The default accepts all."""
+        return None
+
+    def within_range(self, points: Points) -> Mask:
+        """Where no parameter is so large or small that the formulas of theory overflow, bool (points,).
+
+        Theory makes no prediction elsewhere. The default allows magnitudes up to MAX_MAGNITUDE, and of
+        parameters that must be positive those from its inverse.
+        """
+        positive = [name for name, p in self.parameters.items() if p.open_low and p.low == 0]
+        too_large = [np.abs(values) > MAX_MAGNITUDE for values in points.values()]
+        too_small = [points[name] < 1 / MAX_MAGNITUDE for name in positive]
+        return ~np.any([*too_large, *too_small], axis=0)
+
+    def warnings(self, points: Points) -> list[str]:
+        """One sentence for each thing that a user should know about the points."""
+        return []
+
+    # Theory.
+
+    families: Mapping[str, Family] = MappingProxyType({})
+    """Families of exact steady motions by name, their flags counted from 1 in this order."""
+    geometries: Mapping[str, str] = MappingProxyType({"none": "drifting or unresolved"})
+    """Name -> sentence of each value of the flag variable `geometry`, in the order of the values."""
+    derived: Mapping[str, DerivedVariable] = MappingProxyType({})
+    """Quantities from theory that a scene may list among its outputs, by name."""
+    frame_rate: Callable[[Points], Array] | None = None
+    """Rate of the frame about its vertical in inertial space, points -> rad per time unit, shape (points,).
+
+    None: the frame is inertial.
+    """
     equilibria: Callable[[Mapping[str, float]], Mapping[str, NDArray]] | None = None
+    """All relative equilibria or permanent rotations of one body: parameter -> number to arrays over them.
+
+    None: they cannot be computed.
+    """
+
+    def identify_family(self, points: Points) -> tuple[Flags, Array]:
+        """Family of the steady motion that starts at each point.
+
+        Returns
+        -------
+        flag : int8 array (points,)
+            Flag of the first family whose largest condition residual is at most FAMILY_TOLERANCE; 0: none.
+        residual : array (points,)
+            That residual, dimensionless; where there is no family, the least residual of any (inf if there
+            are no families).
+        """
+        shape = shape_of(points)
+        flat = {name: np.ravel(value) for name, value in points.items()}
+        size = int(np.prod(shape))
+        flags, residual = np.zeros(size, np.int8), np.full(size, np.inf)
+        for first in range(0, size, _CHUNK):
+            chunk = slice(first, first + _CHUNK)
+            _identify(self.families, {k: v[chunk] for k, v in flat.items()}, flags[chunk], residual[chunk])
+        return flags.reshape(shape), residual.reshape(shape)
+
+    def condition_residual(self, points: Points) -> Array:
+        """How far each start is from a steady motion, dimensionless, shape (points,); 0 on an exact one.
+
+        The default is the residual of `identify_family`, nan if the system has no families.
+        """
+        if not self.families:
+            return np.full(shape_of(points), np.nan)
+        return self.identify_family(points)[1]
+
+    def linear_stability(self, points: Points, flags: Flags) -> tuple[Flags, Array]:
+        """Linear stability of the steady motions.
+
+        The default uses the formula of each family that has one.
+
+        Parameters
+        ----------
+        flags : int8 array (points,)
+            Families, as `identify_family` gives them.
+
+        Returns
+        -------
+        stable : int8 array (points,)
+            Values of flags.Stability.
+        growth_rate : array (points,)
+            Largest real part of the characteristic exponents, rad per time unit; nan where unknown.
+        """
+        return stability_by_family(self.families, points, flags)
+
+    def complete(self, points: Points) -> Mask:
+        """Where the families are all steady motions, so that other starts must drift; bool (points,)."""
+        return np.zeros(shape_of(points), bool)
+
+    def geometry(
+        self,
+        measured: Mapping[str, Array],
+        steady: Mask,
+        cylinder: Mask,
+        rate_tolerance: float,
+        angle_tolerance: float,
+    ) -> Flags:
+        """Geometry of the measured motion, values of `geometries`, int8 (points,).
+
+        Parameters
+        ----------
+        measured : mapping
+            Measured variables by name, (points,), and axis_1, axis_2: means over the run of the third axis'
+            components along the first two axes of the frame, where the equations have ``axis_in_frame``.
+        steady : bool array (points,)
+            Where the motion is labelled as steady.
+        cylinder : bool array (points,)
+            Where the third axis stayed on the vertical.
+        rate_tolerance, angle_tolerance : float
+            Rates (rad per time unit) and angles (rad) that count as zero.
+        """
+        return np.zeros(steady.shape, np.int8)
+
+    def published(self) -> Sequence[PublishedEquation]:
+        """Equations of the system's paper, as printed and as true."""
+        return ()
+
+    def stress_cases(self) -> Sequence[StressCase]:
+        """Stiff and extreme points for the command `atlas stress`."""
+        return ()
+
+    def despun_equivalent(self, points: Points) -> tuple[Points, Array]:
+        """Points of which the third axis moves alike while the body turns more slowly about it.
+
+        Such points are cheaper to integrate accurately. Returns them and how much larger their phi' is, rad
+        per time unit, (points,). The default returns the points themselves.
+        """
+        return points, np.zeros(shape_of(points))
+
+
+def _identify(families: Mapping[str, Family], points: Points, flags: Flags, residual: Array) -> None:
+    """Write flag and residual of each point, see System.identify_family, into flags (zeros) and residual (inf)."""
+    computed: dict[Condition, Array] = {}  # families share conditions
+    for family in families.values():
+        for condition in family.conditions:
+            if condition not in computed:
+                value = np.abs(condition.residual(points))
+                computed[condition] = np.where(np.isnan(value), np.inf, value)
+        worst = np.max([computed[condition] for condition in family.conditions], axis=0)
+        free = flags == 0
+        residual[free] = np.minimum(residual[free], worst[free])
+        flags[free & (worst <= FAMILY_TOLERANCE)] = family.flag
+
+
+def shape_of(points: Points) -> tuple[int, ...]:
+    """Shape of the arrays of the points."""
+    return np.shape(next(iter(points.values())))
 
 
 def stability_by_family(families: Mapping[str, Family], points: Points, flags: Flags) -> tuple[Flags, Array]:
-    """Linear stability from each family's own formulas: unknown (0, nan) off them and where they are silent."""
-    stable, growth = np.zeros(flags.shape, np.int8), np.full(flags.shape, np.nan)
+    """Linear stability from each family's own formulas: unknown, nan off them and where they give nothing."""
+    stable, growth = np.full(flags.shape, Stability.UNKNOWN, np.int8), np.full(flags.shape, np.nan)
     for family in families.values():
-        on = np.flatnonzero(flags == family.flag)
-        if on.size and family.stability is not None:
-            stable[on], growth[on] = family.stability({name: values[on] for name, values in points.items()})
+        members = np.flatnonzero(flags == family.flag)
+        if members.size and family.stability is not None:
+            stable[members], growth[members] = family.stability({k: v[members] for k, v in points.items()})
     return stable, growth
 
 
 def on_family(family: Family, points: Points) -> Array:
-    """Largest condition residual of the family at each point: 0 on it, nan -> inf (no such motion)."""
-    worst = np.zeros(np.shape(next(iter(points.values()))))
+    """Largest condition residual of the family at each point: 0 on it, inf where it has no such motion."""
+    worst = np.zeros(shape_of(points))
     for condition in family.conditions:
         residual = np.abs(condition.residual(points))
         worst = np.maximum(worst, np.where(np.isnan(residual), np.inf, residual))
@@ -173,16 +428,33 @@ def on_family(family: Family, points: Points) -> Array:
 
 
 def check_inertia(points: Points) -> None:
-    """Triangle inequality of the principal moments; equality is a flat body.
+    """Triangle inequality of the principal moments A, B and C; equality is a flat body.
 
     Raises BadInput where no rigid body has the moments.
     """
-    for one, two, three in (("A", "B", "C"), ("B", "C", "A"), ("C", "A", "B")):
-        total, other = points[one] + points[two], points[three]
-        bad = np.flatnonzero(~(total >= other * (1 - 1e-12)))
+    for a, b, c in (("A", "B", "C"), ("B", "C", "A"), ("C", "A", "B")):
+        total, largest = points[a] + points[b], points[c]
+        bad = np.flatnonzero(~(total >= largest * (1 - 1e-12)))
         if bad.size:
             i = bad[0]
             raise BadInput(
-                f"{one} + {two} = {total[i]:g} is less than {three} = {other[i]:g}"
+                f"{a} + {b} = {total[i]:g} is less than {c} = {largest[i]:g}"
                 f" ({bad.size} of {total.size} points): no rigid body has these moments of inertia"
             )
+
+
+def despun_about_third_axis(
+    system: System, points: Points, rotor: str, integral: str
+) -> tuple[Points, Array]:
+    """System.despun_equivalent of a body of moment C and rate of proper rotation m with a rotor along its third axis.
+
+    Where the integral C w3 + rotor is conserved, the motion of the third axis depends on spin and rotor through
+    that sum alone, and the rotor can be left out.
+    """
+    conserved = ~np.isnan(system.integral_scales(points)[integral]) & np.isfinite(points[rotor])
+    excess = np.where(conserved, points[rotor] / points["C"], 0.0)
+    despun = {**points, rotor: np.where(conserved, 0.0, points[rotor]), "m": points["m"] + excess}
+    with np.errstate(all="ignore"):
+        slower = system.frequency_bound(despun) < system.frequency_bound(points)
+    despun = {name: np.where(slower, despun[name], points[name]) for name in points}
+    return despun, np.where(slower, excess, 0.0)

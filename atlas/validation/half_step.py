@@ -1,4 +1,4 @@
-"""Points of a run integrated again at half the step."""
+"""Integrate a sample of a scene's points again at half the step and count what that changes."""
 
 from __future__ import annotations
 
@@ -10,103 +10,157 @@ from typing import Any
 import numpy as np
 from scipy.stats import beta
 
+from ..engine.statistics import RATES
 from ..flags import Label
-from ..label.pipeline import RATES, evaluate_tile
+from ..label.pipeline import evaluate_tile
 from ..scene import grid
 from ..scene.model import Scene
+from ..systems.base import Array, Flags, Mask
 
 CONFIDENCE = 0.95
-# Half-step sample: at least and at most so many points, and one in so many between (1 % of the cost).
+# Size of the sample: one point in POINTS_PER_SAMPLE (about 1 % of the cost of a run), within these limits.
 MIN_SAMPLE, MAX_SAMPLE, POINTS_PER_SAMPLE = 64, 1000, 300
 
 
-def upper_bound(found: int, of: int, size: int | None = None) -> float:
-    """Share that `found` of `of` random draws bound from above at 95 % (Clopper and Pearson), 0 to 1.
+def upper_bound(events: int, draws: int, population: int | None = None) -> float:
+    """Upper confidence bound (95 %) of the probability of an event.
 
-    size: how many there are to draw from; if all were drawn, the share itself.
+    Parameters
+    ----------
+    events, draws : int
+        The event was observed `events` times in `draws` random draws.
+    population : int, optional
+        Number of items to draw from. If all of them were drawn, the result is the observed share itself.
+
+    Returns
+    -------
+    float
+        Probability, 0 to 1.
+
+    References
+    ----------
+    C. J. Clopper and E. S. Pearson, Biometrika 26 (1934) 404-413.
     """
-    if of == size:
-        return found / of
-    return 1.0 if found >= of else float(beta.ppf(CONFIDENCE, found + 1, of - found))
+    if draws == population:
+        return events / draws
+    return 1.0 if events >= draws else float(beta.ppf(CONFIDENCE, events + 1, draws - events))
 
 
 def stratified_indices(size: int, count: int) -> np.ndarray:
-    """One flat index from each of `count` equal parts of range(size), int64: the same for the same size.
+    """One index from each of `count` equal parts of range(size); the same size gives the same indices.
 
-    The place in each part is a hash of the part's number, so that no period of the grid is met.
+    The position within a part is a hash (SplitMix64) of the part's number, so that the sample does not
+    follow a period of the grid.
+
+    Parameters
+    ----------
+    size : int
+        Number of items to draw from.
+    count : int
+        Number of parts; at most `size` are used.
+
+    Returns
+    -------
+    ndarray of int64, shape (min(size, count),)
+        Ascending indices.
     """
     count = min(size, count)
     part = np.arange(count, dtype=np.uint64)
     mixed = (part + np.uint64(1)) * np.uint64(0x9E3779B97F4A7C15)
     mixed = (mixed ^ (mixed >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
     mixed = (mixed ^ (mixed >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
-    place = ((mixed ^ (mixed >> np.uint64(31))) >> np.uint64(11)).astype(np.float64) / 2.0**53
+    fraction = ((mixed ^ (mixed >> np.uint64(31))) >> np.uint64(11)).astype(np.float64) / 2.0**53
     edges = [i * size // count for i in range(count + 1)]
     first, width = np.array(edges[:-1]), np.diff(edges)
-    return np.asarray(first + np.minimum((place * width).astype(np.int64), width - 1), np.int64)
-
-
-# Half-step sample of a run.
+    return np.asarray(first + np.minimum((fraction * width).astype(np.int64), width - 1), np.int64)
 
 
 def half_step_sample(scene: Scene, *, threads: int | None = None) -> dict[str, Any]:
-    """Integrate some of a scene's points at the scene's step and at half of it: what does it change?
+    """Integrate a sample of a scene's points at the scene's step and at half of it, and compare.
 
-    The points depend on the scene's size alone and cost about 1 % of a run; the engine gives them the
-    same bits as the run. Returns attributes for the atlas: the number of points tried and how many have
-    another label at half the step (a label given becomes another, or none); the bound "at most this
-    many points of the atlas" at 95 % (all points tried: exactly); and, where the scene keeps means and
-    spreads of the rates, the largest change of one at each point, rad per time unit: the median over all
-    points, the largest where the point does not drift, and, where it keeps error_estimate, at how many
-    points the change is more than that says.
+    The sample depends on the number of points of the scene alone and costs about 1 % of a run. The
+    points get the same bits as in the run itself.
+
+    Parameters
+    ----------
+    scene : Scene
+    threads : int, optional
+        Default: all available processors.
+
+    Returns
+    -------
+    dict
+        Attributes for the atlas:
+
+        - ``atlas_half_step_points``: size of the sample;
+        - ``atlas_half_step_changed``: points of the sample whose label becomes another one or none;
+        - ``atlas_labels_may_change``: upper bound (95 %) of the number of such points in the whole atlas,
+          or the number itself if the sample is the atlas;
+        - ``atlas_points``: number of points of the scene;
+        - ``atlas_half_step_median``: median over the points of the largest change of a mean, rms or
+          standard deviation of a rate, rad per time unit;
+        - ``atlas_half_step_difference``: the largest such change of a steady point. Drifting points are
+          left out, because their motion may be chaotic or have a peak of psi' near the vertical;
+        - ``atlas_half_step_beyond``: points where that change is larger than `error_estimate`.
+
+        The last three are present only if the scene's outputs contain the variables compared.
     """
     indices = stratified_indices(
         scene.size, min(max(MIN_SAMPLE, scene.size // POINTS_PER_SAMPLE), MAX_SAMPLE)
     )
     part = grid.points_at_indices(scene, indices)
     scene = replace(scene, outputs=tuple(name for name in scene.outputs if name not in scene.system.derived))
-    own, again = (evaluate_tile(scene, part, halved=halved, threads=threads) for halved in (False, True))
-    changed, drifting = np.zeros(indices.size, bool), own["label"] == Label.DRIFTING
-    for name in ("label", "label_inertial"):
-        if name in own:
-            given = (own[name] != Label.NOT_COMPUTED) & (own[name] != Label.UNRESOLVED)
-            changed |= given & (again[name] != own[name])
-    found = int(changed.sum())
-    values: dict[str, Any] = {
+    full, half = (evaluate_tile(scene, part, halved=halved, threads=threads) for halved in (False, True))
+    changed = _labels_changed(full, half)
+    bound = upper_bound(int(changed.sum()), indices.size, scene.size)
+    attributes: dict[str, Any] = {
         "atlas_half_step_points": indices.size,
-        "atlas_half_step_changed": found,
-        "atlas_labels_may_change": math.ceil(
-            upper_bound(found, indices.size, scene.size) * scene.size - 1e-9
-        ),
+        "atlas_half_step_changed": int(changed.sum()),
+        "atlas_labels_may_change": math.ceil(bound * scene.size - 1e-9),
         "atlas_points": scene.size,
     }
-    kept = [np.abs(again[name] - own[name]) for name in RATES if name in scene.outputs]
-    change = np.fmax.reduce([np.full(indices.size, np.nan), *kept])
+    compared = [np.abs(half[name] - full[name]) for name in RATES if name in scene.outputs]
+    change = np.fmax.reduce([np.full(indices.size, np.nan), *compared])
     if np.isfinite(change).any():
-        values["atlas_half_step_median"] = float(np.nanmedian(change))
+        attributes["atlas_half_step_median"] = float(np.nanmedian(change))
         if "error_estimate" in scene.outputs:
-            with np.errstate(all="ignore"):
-                bound = scene.system.frequency_bound(part.points)
-            values["atlas_half_step_beyond"] = int((change > own["error_estimate"] * bound).sum())
-    # The rates of a drifting point may be those of a chaotic motion or a spike near the vertical.
-    steady = change[part.there & ~changed & ~drifting & (own["label"] != Label.UNRESOLVED)]
-    if np.isfinite(steady).any():
-        values["atlas_half_step_difference"] = float(np.nanmax(steady))
-    return values
+            attributes["atlas_half_step_beyond"] = _count_beyond_estimate(scene, part, full, change)
+    unsteady = (full["label"] == Label.DRIFTING) | (full["label"] == Label.UNRESOLVED)
+    steady_change = change[part.exists & ~changed & ~unsteady]
+    if np.isfinite(steady_change).any():
+        attributes["atlas_half_step_difference"] = float(np.nanmax(steady_change))
+    return attributes
+
+
+def _labels_changed(full: Mapping[str, Flags], half: Mapping[str, Flags]) -> Mask:
+    """Points that have a label at the full step and another one, or none, at half the step."""
+    changed = np.zeros(full["label"].shape, bool)
+    for name in ("label", "label_inertial"):
+        if name in full:
+            labelled = (full[name] != Label.NOT_COMPUTED) & (full[name] != Label.UNRESOLVED)
+            changed |= labelled & (half[name] != full[name])
+    return changed
+
+
+def _count_beyond_estimate(scene: Scene, part: grid.Grid, full: Mapping[str, Array], change: Array) -> int:
+    """Number of points where a rate changes by more than the error estimate times the frequency bound."""
+    with np.errstate(all="ignore"):
+        bound = scene.system.frequency_bound(part.points)
+    return int((change > full["error_estimate"] * bound).sum())
 
 
 def half_step_text(attributes: Mapping[str, Any]) -> str:
-    """The line for the end of a run from the attributes that half_step_sample gave."""
+    """One line of text about the attributes that `half_step_sample` returns."""
     a = attributes
     text = (
-        f"labels that may be wrong: at most {a['atlas_labels_may_change']} of {a['atlas_points']}"
-        f" ({100 * CONFIDENCE:g} %); {a['atlas_half_step_changed']} of {a['atlas_half_step_points']}"
-        " changed at half the step"
+        f"labels that may be wrong: at most {a['atlas_labels_may_change']} of {a['atlas_points']} points"
+        f" ({100 * CONFIDENCE:g} % confidence); of {a['atlas_half_step_points']} points integrated again at half"
+        f" the step, {a['atlas_half_step_changed']} changed their label"
     )
     if "atlas_half_step_median" in a:
-        text += f", means and spreads by {a['atlas_half_step_median']:.2g} (median)"
+        text += f"; largest change of a mean, rms or standard deviation of the rates: {a['atlas_half_step_median']:.2g} (median)"
     if "atlas_half_step_difference" in a:
-        text += f", those of steady points by at most {a['atlas_half_step_difference']:.2g}"
+        text += f", {a['atlas_half_step_difference']:.2g} (largest at steady points)"
     if a.get("atlas_half_step_beyond"):
-        text += f"; {a['atlas_half_step_beyond']} changed by more than their estimate"
+        text += f"; {a['atlas_half_step_beyond']} points changed by more than their error_estimate"
     return text

@@ -1,171 +1,268 @@
-"""Final states and statistics by closed forms and by DOP853."""
+"""Reference solutions: final states, statistics and labels from closed forms and from DOP853."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from scipy.integrate import DOP853
 
-from ..engine import measure
+from ..engine.statistics import RATES, Row, finish
 from ..errors import BadInput
 from ..label import labels
-from ..label.pipeline import RATES
 from ..scene.model import Settings
 from ..systems.base import Array, Flags, Mask, Points, System
 
 STATISTICS = (*RATES, "theta_min", "theta_max")
-# Relative tolerances of the reference and of a second run of it: SAFETY times their difference is what it knows.
+# Sums of the rates, which are integrated beside the states, in this order.
+RATE_SUMS = (
+    Row.THETA_DOT, Row.THETA_DOT_SQUARED, Row.OUTSIDE, Row.PSI_DOT, Row.PSI_DOT_SQUARED,
+    Row.PHI_DOT, Row.PHI_DOT_SQUARED, Row.NORMAL_RATE, Row.NORMAL_RATE_SQUARED,
+)  # fmt: skip
+# Relative tolerances of the reference and of a second run; its uncertainty is SAFETY times their difference.
 REFERENCE_RTOL, SECOND_RTOL, SAFETY = 3e-14, 1e-13, 10.0
-# Rounding alone leaves this much in a component of the state.
+# Uncertainty of a component of the state because of rounding alone.
 ROUNDING = 1e-15
 # A start whose residual is rounding follows the closed form of its family.
 EXACT_RESIDUAL = 1e-14
-# The reference is followed in Python: more radians than this at the bound of the frequency take too long.
+# DOP853 runs in Python and takes too long for more radians than this at the frequency bound.
 MAX_RADIANS = 1e5
-# The reference.
+# Points whose runs differ in length by no more than this factor are integrated as one system.
+GROUP_FACTOR = 1.5
 
-
-Advance = Callable[[float], None]  # called with the points done since the last call
+Advance = Callable[[float], None]  # called with the number of points finished since the last call
+Run = dict[str, Array]  # STATISTICS, "sine_max", all (points,), and "state" (state, points)
 
 
 def no_progress(points: float) -> None:
-    """An Advance that nobody listens to."""
+    """An Advance that does nothing."""
 
 
 @dataclass(frozen=True)
 class Reference:
-    """What the motions are, and how well that is known; arrays over the points."""
+    """Reference solution of some points and its uncertainty.
 
-    state: Array  # (state, points) at the end of the run
-    statistics: dict[str, Array]  # by STATISTICS
+    Attributes
+    ----------
+    state : ndarray, shape (state, points)
+        At the end of the run.
+    statistics : dict of ndarray, shape (points,)
+        By the names of `STATISTICS`; NaN where psi' and phi' have no meaning (polar cap).
+    label : ndarray of int8
+    label_inertial : ndarray of int8 or None
+        None if the system has one frame only.
+    exact : ndarray of bool
+        True where the closed form of a family is used.
+    state_error : ndarray, shape (points,)
+        Uncertainty of the state as `state_distance` measures it.
+    statistics_error : dict of ndarray
+        Uncertainty of each statistic, in its own units.
+    label_certain : ndarray of bool
+        True where both determinations give the same labels.
+    """
+
+    state: Array
+    statistics: dict[str, Array]
     label: Flags
-    label_inertial: Flags | None  # where the system has a second frame
-    exact: Mask  # from the closed form of a family
+    label_inertial: Flags | None
+    exact: Mask
     state_error: Array
     statistics_error: dict[str, Array]
-    certain: Mask  # both determinations give these labels
+    label_certain: Mask
+
+
+class ReferenceFailureError(BadInput):
+    """The reference cannot be computed for the points at these indices."""
+
+    def __init__(self, indices: np.ndarray):
+        super().__init__(f"the reference fails at points {', '.join(map(str, indices))}")
+        self.indices = indices
 
 
 def reference(
     system: System, points: Points, duration: Array, settings: Settings, advance: Advance = no_progress
 ) -> Reference:
-    """Final states and statistics, by closed form where a start is exactly on a family, else by DOP853.
+    """Final states and statistics: the closed form where a start is exactly on a family, else DOP853.
 
-    SciPy's DOP853 runs at the relative tolerances REFERENCE and SECOND, with the statistics as
-    quadratures beside the states. The error of the reference is SAFETY times the difference of the two
-    runs; where the closed form is taken, its difference from the first: on an unstable motion nobody knows
-    where a start that is exact but for rounding goes. Raises BadInput that numbers the points (from 0) where
-    a run fails. advance hears of two for each of the points in all.
+    SciPy's DOP853 runs at the relative tolerances REFERENCE_RTOL and SECOND_RTOL, with the statistics as
+    quadratures beside the states. The uncertainty is SAFETY times the difference of the two runs, or of
+    the closed form and the first run: where the motion is unstable, rounding of an exact start grows, so
+    that the closed form is no more certain than that difference.
+
+    Parameters
+    ----------
+    system : System
+    points : dict of ndarray, shape (points,)
+        Parameters by name.
+    duration : ndarray, shape (points,)
+        Length of the runs, time units.
+    settings : Settings
+        Only the tolerances of the labels are used.
+    advance : callable, optional
+        Called with the progress of the runs, 2 for each point in all.
+
+    Raises
+    ------
+    ReferenceFailureError
+        (a BadInput) With the indices of the points where a run fails.
     """
-    tight, lost = _dop853(system, points, duration, settings.cylinder, REFERENCE_RTOL, advance)
-    if lost.any():
-        raise ReferenceFailureError(np.flatnonzero(lost))
-    second, lost = _dop853(system, points, duration, settings.cylinder, SECOND_RTOL, advance)
-    if lost.any():
-        raise ReferenceFailureError(np.flatnonzero(lost))
-    flags, _ = system.identify_family(points)
-    motions = {f.flag: f.motion for f in system.families.values() if f.motion is not None}
-    exact = (system.condition_residual(points) <= EXACT_RESIDUAL) & np.isin(flags, list(motions))
-    best, other = tight, second
-    if exact.any():
-        best, other = dict(tight), {k: np.where(exact, tight[k], second[k]) for k in tight}
-        start = system.initial_state(points)
-        now = euler_rates(system.equations.frame_motion(start, system.constants(points)), settings.cylinder)
-        closed = {name: np.zeros(exact.size) for name in RATES}
-        closed |= {"psi_dot_mean": now[1], "phi_dot_mean": now[2], "normal_rate_mean": now[3]}
-        closed |= {"theta_min": now[5], "theta_max": now[5], "sine_max": np.sin(now[5])}
-        closed["state"] = np.empty_like(start)
-        for flag in np.unique(flags[exact]):
-            on = np.flatnonzero(exact & (flags == flag))
-            moved = motions[flag]({name: values[on] for name, values in points.items()}, duration[on])
-            closed["state"][:, on] = np.einsum("sii->si", moved)
-        best |= {name: np.where(exact, values, tight[name]) for name, values in closed.items()}
-    frames: list[Array | float] = [0.0] + ([] if system.frame_rate is None else [system.frame_rate(points)])
-    with np.errstate(invalid="ignore"):
-        called = [
-            np.array([labels.label(run, settings.rate_tolerance, settings.cylinder, rate) for rate in frames])
-            for run in (best, other)
-        ]
+    runs = []
+    for rtol in (REFERENCE_RTOL, SECOND_RTOL):
+        run, failed = _dop853(system, points, duration, settings.cylinder, rtol, advance)
+        if failed.any():
+            raise ReferenceFailureError(np.flatnonzero(failed))
+        runs.append(run)
+    first, second = runs
+    closed, exact = _closed_forms(system, points, duration, settings.cylinder)
+    best = {name: np.where(exact, closed[name], first[name]) for name in first}
+    other = {name: np.where(exact, first[name], second[name]) for name in first}
+    label, other_label = (_labels_in_frames(system, points, run, settings) for run in (best, other))
     for run in (best, other):
-        inside = labels.in_cylinder(run, settings.cylinder)
-        for name in ("psi_dot_mean", "psi_dot_std", "phi_dot_mean", "phi_dot_std"):
-            run[name] = np.where(inside, np.nan, run[name])
+        _mask_polar_cap(run, settings.cylinder)
+    distance = state_distance(system, best["state"], other["state"], system.frequency_bound(points))
     return Reference(
-        best["state"],
-        {name: best[name] for name in STATISTICS},
-        called[0][0],
-        called[0][1] if len(frames) > 1 else None,
-        exact,
-        np.maximum(
-            SAFETY * state_distance(best["state"], other["state"], system.frequency_bound(points)), ROUNDING
-        ),
-        {name: np.maximum(SAFETY * np.abs(best[name] - other[name]), ROUNDING) for name in STATISTICS},
-        (called[0] == called[1]).all(0),
+        state=best["state"],
+        statistics={name: best[name] for name in STATISTICS},
+        label=label[0],
+        label_inertial=label[1] if len(label) > 1 else None,
+        exact=exact,
+        state_error=np.maximum(SAFETY * distance, ROUNDING),
+        statistics_error={
+            name: np.maximum(SAFETY * np.abs(best[name] - other[name]), ROUNDING) for name in STATISTICS
+        },
+        label_certain=(label == other_label).all(0),
     )
 
 
-class ReferenceFailureError(BadInput):
-    """The reference fails at these places of its points."""
+def state_distance(system: System, state: Array, other: Array, bound: Array) -> Array:
+    """Largest difference of a component of two states.
 
-    def __init__(self, places: np.ndarray):
-        super().__init__(f"the reference fails at points {', '.join(map(str, places))}")
-        self.places = places
+    Parameters
+    ----------
+    system : System
+    state, other : ndarray, shape (state, points)
+    bound : ndarray, shape (points,)
+        Frequency bound, rad per time unit; the unit of the differences of angular velocities.
 
-
-def state_distance(one: Array, two: Array, bound: Array) -> Array:
-    """Largest difference of a component; the first three, angular velocities, in units of the bound."""
-    difference = np.abs(one - two)
-    difference[:3] /= bound
+    Returns
+    -------
+    ndarray, shape (points,)
+    """
+    difference = np.abs(state - other)
+    difference[[name in system.rate_states for name in system.equations.STATE]] /= bound
     return np.asarray(difference.max(0))
 
 
-def euler_rates(motion: Sequence[Array], cylinder: float) -> tuple[Array, ...]:
-    """theta', psi', phi', rate about the vertical, outside the cylinder? (1.0, 0.0), theta: see measure.sample."""
+def largest_sine(theta_min: Array, theta_max: Array) -> Array:
+    """Largest sin(theta) between two angles, rad."""
+    contains_right_angle = (theta_min <= np.pi / 2) & (theta_max >= np.pi / 2)
+    return np.where(contains_right_angle, 1.0, np.maximum(np.sin(theta_min), np.sin(theta_max)))
+
+
+def _closed_forms(system: System, points: Points, duration: Array, cylinder: float) -> tuple[Run, Mask]:
+    """The steady motion of each start by the family's closed form, and which starts are exactly on one."""
+    flags, _ = system.identify_family(points)
+    motions = {f.flag: f.motion for f in system.families.values() if f.motion is not None}
+    exact = (system.condition_residual(points) <= EXACT_RESIDUAL) & np.isin(flags, list(motions))
+    start = system.initial_state(points)
+    rates = euler_rates(system.equations.frame_motion(start, system.constants(points)), cylinder)
+    run = {name: np.zeros(exact.size) for name in RATES}
+    run |= {
+        "psi_dot_mean": rates.psi_dot,
+        "phi_dot_mean": rates.phi_dot,
+        "normal_rate_mean": rates.normal_rate,
+        "theta_min": rates.theta,
+        "theta_max": rates.theta,
+        "sine_max": np.sin(rates.theta),
+        "state": np.full_like(start, np.nan),
+    }
+    for flag in np.unique(flags[exact]):
+        members = np.flatnonzero(exact & (flags == flag))
+        states = motions[flag]({name: values[members] for name, values in points.items()}, duration[members])
+        run["state"][:, members] = np.einsum("sii->si", states)  # each point at its own time
+    return run, exact
+
+
+def _labels_in_frames(system: System, points: Points, run: Run, settings: Settings) -> Flags:
+    """Labels of a run, (frames, points)."""
+    frame_rates: list[Array | float] = [0.0]
+    if system.frame_rate is not None:
+        frame_rates.append(system.frame_rate(points))
+    with np.errstate(invalid="ignore"):
+        return np.array([labels.label(run, settings.tolerances, rate) for rate in frame_rates])
+
+
+def _mask_polar_cap(run: Run, cylinder: float) -> None:
+    """Set psi' and phi' to NaN, in place, where the axis stays in the polar cap sin(theta) < cylinder."""
+    inside = labels.in_cylinder(run, cylinder)
+    for name in ("psi_dot_mean", "psi_dot_std", "phi_dot_mean", "phi_dot_std"):
+        run[name] = np.where(inside, np.nan, run[name])
+
+
+class EulerRates(NamedTuple):
+    """Euler rates, rad per time unit, and theta, rad; arrays of one shape."""
+
+    theta_dot: Array
+    psi_dot: Array  # 0 in the polar cap
+    phi_dot: Array  # 0 in the polar cap
+    normal_rate: Array  # angular velocity about the frame's vertical
+    outside: Array  # 1.0 outside the polar cap, 0.0 inside
+    theta: Array
+
+
+def euler_rates(motion: Sequence[Array], cylinder: float) -> EulerRates:
+    """Euler rates of the motion (u1, u2, u3, g1, g2, g3) that `frame_motion` of the equations returns."""
     u1, u2, u3, g1, g2, g3 = motion
     sine = np.hypot(g1, g2)
     outside = np.where(sine >= cylinder, 1.0, 0.0)
-    guarded = np.where(sine == 0.0, 1.0, sine)
-    normal_rate = u1 * g1 + u2 * g2 + u3 * g3
-    psi_dot = (u1 * g1 + u2 * g2) / guarded**2 * outside
-    theta_dot = (u1 * g2 - u2 * g1) / guarded
-    return theta_dot, psi_dot, (u3 - psi_dot * g3) * outside, normal_rate, outside, np.arctan2(sine, g3)
+    safe_sine = np.where(sine == 0.0, 1.0, sine)
+    psi_dot = (u1 * g1 + u2 * g2) / safe_sine**2 * outside
+    return EulerRates(
+        theta_dot=(u1 * g2 - u2 * g1) / safe_sine,
+        psi_dot=psi_dot,
+        phi_dot=(u3 - psi_dot * g3) * outside,
+        normal_rate=u1 * g1 + u2 * g2 + u3 * g3,
+        outside=outside,
+        theta=np.arctan2(sine, g3),
+    )
 
 
 def _dop853(
-    system: System,
-    points: Points,
-    duration: Array,
-    cylinder: float,
-    rtol: float,
-    advance: Advance = no_progress,
-) -> tuple[dict[str, Array], Mask]:
-    """Statistics by name and the final "state" of every point; and where that failed."""
+    system: System, points: Points, duration: Array, cylinder: float, rtol: float, advance: Advance
+) -> tuple[Run, Mask]:
+    """Integrate every point by DOP853; also returns where that failed (NaN in the run)."""
     with np.errstate(all="ignore"):
-        turns = system.frequency_bound(points) * duration
-        usable = np.isfinite(system.initial_state(points)).all(0) & (turns <= MAX_RADIANS)
-    lost = ~usable
-    found: dict[str, Array] = {}
-    waiting, order = [], np.flatnonzero(usable)[np.argsort(turns[usable], kind="stable")]
-    while order.size:  # points that need about the same steps share them
-        alike = turns[order] <= 1.5 * turns[order[0]]
-        waiting.append(order[alike])
-        order = order[~alike]
-    while waiting:
-        group = waiting.pop()
-        some = {name: values[group] for name, values in points.items()}
-        part = _integrate_group(system, some, duration[group], cylinder, rtol, advance)
-        if part is None:
-            if group.size == 1:
-                lost[group] = True
-            else:  # one bad point must not take its neighbours along
-                waiting += [group[: group.size // 2], group[group.size // 2 :]]
-            continue
-        for name, values in part.items():
-            whole = found.setdefault(name, np.full((*values.shape[:-1], turns.size), np.nan))
-            whole[..., group] = values
-    return found, lost
+        radians = system.frequency_bound(points) * duration
+        usable = np.isfinite(system.initial_state(points)).all(0) & (radians <= MAX_RADIANS)
+    failed = ~usable
+    run: Run = {}
+    groups = _groups_of_similar_length(radians, np.flatnonzero(usable))
+    while groups:
+        group = groups.pop()
+        members = {name: values[group] for name, values in points.items()}
+        part = _integrate_group(system, members, duration[group], cylinder, rtol, advance)
+        if part is None and group.size == 1:
+            failed[group] = True
+        elif part is None:  # halve the group until the point that fails is alone
+            groups += [group[: group.size // 2], group[group.size // 2 :]]
+        else:
+            for name, values in part.items():
+                whole = run.setdefault(name, np.full((*values.shape[:-1], radians.size), np.nan))
+                whole[..., group] = values
+    return run, failed
+
+
+def _groups_of_similar_length(radians: Array, indices: np.ndarray) -> list[np.ndarray]:
+    """Split indices into groups of points that need about the same number of steps, the shortest first."""
+    groups = []
+    indices = indices[np.argsort(radians[indices], kind="stable")]
+    while indices.size:
+        similar = radians[indices] <= GROUP_FACTOR * radians[indices[0]]
+        groups.append(indices[similar])
+        indices = indices[~similar]
+    return groups
 
 
 def _integrate_group(
@@ -175,64 +272,69 @@ def _integrate_group(
     cylinder: float,
     rtol: float,
     advance: Advance = no_progress,
-) -> dict[str, Array] | None:
-    """The points as one system of equations in t / duration; None if a step fails."""
+) -> Run | None:
+    """Integrate the points as one system of equations in the time t / duration; None if a step fails."""
     equations, constants, start = system.equations, system.constants(points), system.initial_state(points)
     states, size = start.shape
-    first = euler_rates(equations.frame_motion(start, constants), cylinder)
+    at_start = euler_rates(equations.frame_motion(start, constants), cylinder)
 
     def slope(time: float, flat: Array) -> Array:
+        """Slopes of the states, then of the sums in the order of RATE_SUMS."""
         state = flat.reshape(-1, size)[:states]
         now = euler_rates(equations.frame_motion(state, constants), cylinder)
-        theta_dot, outside, normal_rate = now[0], now[4], now[3] - first[3]
-        psi_dot, phi_dot = (now[1] - first[1]) * outside, (now[2] - first[2]) * outside
+        normal_rate = now.normal_rate - at_start.normal_rate
+        psi_dot = (now.psi_dot - at_start.psi_dot) * now.outside
+        phi_dot = (now.phi_dot - at_start.phi_dot) * now.outside
         rows = [duration * rate for rate in equations.rhs(state, constants)]
-        rows += [theta_dot, theta_dot**2, outside, psi_dot, psi_dot**2, phi_dot, phi_dot**2]
+        rows += [now.theta_dot, now.theta_dot**2, now.outside, psi_dot, psi_dot**2, phi_dot, phi_dot**2]
         return np.concatenate([*rows, normal_rate, normal_rate**2])
 
-    sums = len(measure.SUMS)  # the first rows of measure.OUTPUTS, in that order
-    # The quadratures follow the states' steps; they ask for shorter ones only where a rate leaps.
+    sums = len(RATE_SUMS)
+    # The quadratures follow the steps of the states and shorten them only where a rate has a peak.
     tolerance = np.repeat([rtol, 1e2 * rtol], [states * size, sums * size])
-    low, high = first[5].copy(), first[5].copy()
+    initial = np.concatenate([start.ravel(), np.zeros(sums * size)])
+    theta_min, theta_max = at_start.theta, at_start.theta
     with np.errstate(all="ignore"):
-        solver = DOP853(
-            slope, 0.0, np.concatenate([start.ravel(), np.zeros(sums * size)]), 1.0,
-            rtol=tolerance, atol=tolerance,
-        )  # fmt: skip
+        solver = DOP853(slope, 0.0, initial, 1.0, rtol=tolerance, atol=tolerance)
         while solver.status == "running":
             solver.step()
             if solver.status == "failed" or not np.isfinite(solver.y).all():
                 return None
-            _extremes(solver, equations, constants, duration, cylinder, low, high)
+            low, high = _theta_range_of_step(solver, equations, constants, duration, cylinder)
+            theta_min, theta_max = np.minimum(theta_min, low), np.maximum(theta_max, high)
             advance(size * (solver.t - solver.t_old))
     final = solver.y.reshape(-1, size)
-    out = np.zeros((len(measure.OUTPUTS), size))
-    out[:sums] = final[states:]
-    for name, values in zip(measure.REFERENCES, first[1:4], strict=True):
-        out[measure.OUTPUTS.index(name)] = values
-    result = measure.finish(out, np.ones(size, np.int64))
-    over = (low <= np.pi / 2) & (high >= np.pi / 2)
-    return {name: result[name] for name in RATES} | {
-        "theta_min": low,
-        "theta_max": high,
-        "sine_max": np.where(over, 1.0, np.maximum(np.sin(low), np.sin(high))),
-        "state": final[:states],
-    }
+    rates = _finish_sums(final[states:], at_start)
+    extremes = {
+        "theta_min": theta_min, "theta_max": theta_max, "sine_max": largest_sine(theta_min, theta_max)
+    }  # fmt: skip
+    return rates | extremes | {"state": final[:states]}
 
 
-def _extremes(solver, equations, constants, duration, cylinder, low, high) -> None:
-    """Widen low and high, in place, to the range of theta in the last step: cubic between five instants."""
+def _finish_sums(sums: Array, at_start: EulerRates) -> Run:
+    """Means, rms and standard deviations of the rates from their integrals over the run, by name."""
+    out = np.zeros((len(Row), sums.shape[1]))
+    out[list(RATE_SUMS)] = sums
+    out[Row.PSI_DOT_REFERENCE] = at_start.psi_dot
+    out[Row.PHI_DOT_REFERENCE] = at_start.phi_dot
+    out[Row.NORMAL_RATE_REFERENCE] = at_start.normal_rate
+    result = finish(out, np.ones(sums.shape[1], np.int64))
+    return {name: result[name] for name in RATES}
+
+
+def _theta_range_of_step(solver, equations, constants, duration, cylinder) -> tuple[Array, Array]:
+    """Smallest and largest theta in the solver's last step, by cubics between five instants of it."""
     times = np.linspace(solver.t_old, solver.t, 5)
     path = solver.dense_output()(times).reshape(-1, duration.size, times.size)
-    rates = euler_rates(equations.frame_motion(path[: len(equations.STATE)], constants[:, :, None]), cylinder)
-    theta, slope = rates[5], rates[0] * (duration * (times[1] - times[0]))[:, None]
-    before, after, rise = slope[:, :-1], slope[:, 1:], np.diff(theta, axis=1)
-    # theta(x) = theta + before x + b x^2 + c x^3 on 0..1, where its slope changes sign
-    b, c = 3 * rise - 2 * before - after, before + after - 2 * rise
-    root = np.sqrt(np.maximum(b**2 - 3 * before * c, 0.0))
-    x = -before / (b + np.where(before > 0, -root, root))
-    turning = theta[:, :-1] + x * (before + x * (b + x * c))
-    turning = np.where((before * after < 0) & (x >= 0) & (x <= 1), turning, theta[:, :-1])
-    every = np.concatenate([theta, turning], axis=1)
-    np.minimum(low, every.min(1), out=low)
-    np.maximum(high, every.max(1), out=high)
+    motion = equations.frame_motion(path[: len(equations.STATE)], constants[:, :, None])
+    rates = euler_rates(motion, cylinder)
+    theta, slope = rates.theta, rates.theta_dot * (duration * (times[1] - times[0]))[:, None]
+    left, right, rise = slope[:, :-1], slope[:, 1:], np.diff(theta, axis=1)
+    # theta(x) = theta + left x + b x^2 + c x^3 on 0..1 turns where its slope changes sign
+    b, c = 3 * rise - 2 * left - right, left + right - 2 * rise
+    root = np.sqrt(np.maximum(b**2 - 3 * left * c, 0.0))
+    x = -left / (b + np.where(left > 0, -root, root))
+    turning = theta[:, :-1] + x * (left + x * (b + x * c))
+    turning = np.where((left * right < 0) & (x >= 0) & (x <= 1), turning, theta[:, :-1])
+    candidates = np.concatenate([theta, turning], axis=1)
+    return candidates.min(1), candidates.max(1)

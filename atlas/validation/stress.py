@@ -1,313 +1,402 @@
-"""Stiff and extreme cases: a battery of named points whose truth is known, run at a ladder of steps."""
+"""Stress study: stiff and extreme points at many step sizes, every label compared with the true one."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 import xarray as xr
 
 from .. import systems
-from ..engine import blocks, stepsize
+from ..engine import blocks
+from ..engine.specialization import kernel
+from ..engine.stepsize import StepSizes
 from ..engine.tableaux import METHODS
-from ..flags import Label, Status
+from ..errors import BadInput
+from ..flags import Flag, Label, Status
 from ..label import labels
-from ..label.pipeline import evaluate, kernel
+from ..label.pipeline import evaluate
 from ..label.theory import predict
 from ..scene.model import Settings
-from ..systems.base import Array, Flags, Mask, Points, System
+from ..systems.base import Array, Flags, Mask, Points, StressCase, System
 from ..variables import variables
-from .reference import EXACT_RESIDUAL, reference
-from .stress_cases import STRESS_CASES, StressCase
+from .reference import EXACT_RESIDUAL, largest_sine, reference
+from .stress_points import CasePoints, case_points
 
-# The ladder, coarse to fine: fixed steps as a share of the stability limit at the frequency bound, then
+# The levels, coarse to fine: fixed steps as a share of the stability limit at the frequency bound, then
 # the automatic step at tolerances down to the default one.
 RATIOS = (1.5, 0.9, 0.49, 0.3, 0.15, 0.06, 0.025, 0.01)
 TOLERANCES = (1e-2, 1e-4, 1e-6, 1e-8)
 LEVELS = tuple(f"ratio {ratio:g}" for ratio in RATIOS) + tuple(f"tolerance {tol:.0e}" for tol in TOLERANCES)
-# A rung that takes more steps than this for a point is left out.
+# A point that takes more steps than this at a level is left out there.
 MAX_STEPS = 10_000_000
-# A reference follows a whole run of so many radians at the frequency bound, and this much of a longer one.
+# A run of at most so many radians at the frequency bound is integrated whole by the reference; of a longer
+# run this much.
 MAX_RADIANS_WHOLE, RADIANS_OF_PART = 170.0, 40.0
-# A spread of the rates within this share of itself, or of the tolerance where that is more, is accurate.
+# The unsteadiness is accurate within this share of itself, or of the rate tolerance if that is larger.
 ACCURATE = 0.01
-RIGHT, UNRESOLVED, WRONG, LEFT_OUT = range(4)
-VERDICTS = {
-    "right": "the label is true",
-    "unresolved": "no label",
-    "wrong": "a label that is not true",
-    "left_out": "more steps than the battery allows",
-}
 
 
-def despun_equivalent(system: System, points: Points) -> tuple[Points, Array]:
-    """Points of the same motion of the axis without a rotor, and what their phi' exceeds the true one by.
+class Verdict(Flag):
+    """A label compared with the true one."""
 
-    Where C w3 + rotor is conserved, the motion of the third axis depends on spin and rotor through that
-    sum alone; where it is not, the points themselves.
+    RIGHT = 0, "the label is true"
+    UNRESOLVED = 1, "no label"
+    WRONG = 2, "a label that is not true"
+    LEFT_OUT = 3, "not run, because it takes too many steps"
+
+
+@dataclass(frozen=True)
+class TrueLabels:
+    """True labels of some points; arrays of shape (points,).
+
+    Attributes
+    ----------
+    label : ndarray of int8
+        `Label.UNRESOLVED` where rounding decides or numbers overflow.
+    unsteadiness : ndarray
+        Largest rms or standard deviation of the rates, rad per time unit; NaN where unknown.
+    source : ndarray of str
+        How the label was determined: "theory", "reference", "part of the run" or "overflow".
     """
-    rotor, axial = ("k3", "axial_momentum") if system.name == "satellite" else ("l3", "lagrange")
-    free = ~np.isnan(system.integral_scales(points)[axial]) & np.isfinite(points[rotor])
-    excess = np.where(free, points[rotor] / points["C"], 0.0)
-    twin = dict(points)
-    twin[rotor] = np.where(free, 0.0, points[rotor])
-    twin["m"] = points["m"] + excess
-    with np.errstate(all="ignore"):
-        slower = system.frequency_bound(twin) < system.frequency_bound(points)
-    twin = {name: np.where(slower, twin[name], points[name]) for name in points}
-    return twin, np.where(slower, excess, 0.0)
+
+    label: Flags
+    unsteadiness: Array
+    source: np.ndarray
 
 
-def reference_label(
-    system: System, points: Points, duration: Array, settings: Settings
-) -> tuple[Flags, Array, list[str]]:
-    """Label of each point, its unsteadiness (largest rms or std of the rates, nan where unknown), and whence.
+def true_labels(system: System, points: Points, duration: Array, settings: Settings) -> TrueLabels:
+    """True label of each point and how unsteady its motion is.
 
-    Exact starts: theory, or unresolved where growth_rate x duration lets rounding decide. Others: the
-    reference of `accuracy` on the slow twin; where that would take more than WHOLE radians, over the
-    first part of the run: what drifts there by sqrt(whole / part) times the tolerance drifts in all of
-    it, because a mean square over the run is at least the part's times part / whole. Points that the
-    reference cannot decide are an error of the battery, ValueError; where numbers overflow, unresolved.
+    Exact starts have the label that theory predicts, or none where growth_rate x duration is so large
+    that rounding decides. The labels of other points come from a reference solution of the despun
+    equivalent, see `_labels_by_reference`. Points whose numbers overflow have no label.
+
+    Parameters
+    ----------
+    system : System
+    points : dict of ndarray, shape (points,)
+        Parameters by name.
+    duration : ndarray, shape (points,)
+        Length of the runs, time units.
+    settings : Settings
+        Only the tolerances of the labels are used.
+
+    Raises
+    ------
+    ValueError
+        If the reference does not decide the label of a point: such a point is no use as a stress case.
     """
     with np.errstate(all="ignore"):
         theory = predict(system, points, settings.rate_tolerance, nudged=False)
         exact = (theory["family"] > 0) & (system.condition_residual(points) <= EXACT_RESIDUAL)
-        twin, excess = despun_equivalent(system, points)
-        turns = system.frequency_bound(twin) * duration
-    sine = np.abs(system.steady_rates(points)[0])
-    rounding = theory["growth_rate"] * duration > np.log(settings.rate_tolerance / labels.ROUNDOFF)
-    label = np.where(rounding & (sine > 0), Label.UNRESOLVED, theory["predicted"]).astype(np.int8)
-    unsteady = np.zeros(duration.shape)
-    whence = ["theory"] * duration.size
-    lost = ~exact & (~np.isfinite(turns) | (turns > 1e100))
-    label[lost], unsteady[lost] = Label.UNRESOLVED, np.nan
-    for i in np.flatnonzero(lost):
-        whence[i] = "overflow"
-    rest = np.flatnonzero(~exact & ~lost)
-    if not rest.size:
-        return label, unsteady, whence
-    share = np.where(turns[rest] <= MAX_RADIANS_WHOLE, 1.0, RADIANS_OF_PART / np.maximum(turns[rest], 1e-300))
-    part = {name: values[rest] for name, values in twin.items()}
-    known = reference(system, part, duration[rest] * share, settings)
-    measured = dict(known.statistics)
-    over = (measured["theta_min"] <= np.pi / 2) & (measured["theta_max"] >= np.pi / 2)
-    sides = np.maximum(np.sin(measured["theta_min"]), np.sin(measured["theta_max"]))
-    measured["sine_max"] = np.where(over, 1.0, sides)
-    measured["phi_dot_mean"] = measured["phi_dot_mean"] - excess[rest]
+        despun, excess = system.despun_equivalent(points)
+        radians = system.frequency_bound(despun) * duration
+    tilted = np.abs(system.steady_rates(points)[0]) > 0
+    growth = theory["growth_rate"] * duration
+    by_rounding = tilted & (growth > np.log(settings.rate_tolerance / labels.ROUNDOFF))
+    label = np.where(by_rounding, Label.UNRESOLVED, theory["predicted"]).astype(np.int8)
+    unsteadiness, source = np.zeros(duration.shape), np.full(duration.shape, "theory", "<U15")
+    overflow = ~exact & (~np.isfinite(radians) | (radians > 1e100))
+    label[overflow], unsteadiness[overflow], source[overflow] = Label.UNRESOLVED, np.nan, "overflow"
+    others = np.flatnonzero(~exact & ~overflow)
+    if others.size:
+        part = {name: values[others] for name, values in despun.items()}
+        solved, undecided = _labels_by_reference(
+            system, part, excess[others], duration[others], radians[others], settings
+        )
+        if undecided.any():
+            raise ValueError(f"the reference cannot decide the labels of points {others[undecided]}")
+        label[others], unsteadiness[others] = solved.label, solved.unsteadiness
+        source[others] = solved.source
+    return TrueLabels(label, unsteadiness, source)
+
+
+def _labels_by_reference(
+    system: System, despun: Points, excess: Array, duration: Array, radians: Array, settings: Settings
+) -> tuple[TrueLabels, Mask]:
+    """Labels from a reference solution of the despun points, and where it leaves them undecided.
+
+    excess: by how much phi' of the despun points is larger. Of a run of more than MAX_RADIANS_WHOLE only
+    the first part is integrated. A mean square over the run is at least part / whole times the one over
+    the part, so that what drifts in the part by sqrt(whole / part) times the tolerance drifts in the whole.
+    """
+    whole = radians <= MAX_RADIANS_WHOLE
+    share = np.where(whole, 1.0, RADIANS_OF_PART / np.maximum(radians, 1e-300))
+    solution = reference(system, despun, duration * share, settings)
+    measured = dict(solution.statistics)
+    measured["sine_max"] = largest_sine(measured["theta_min"], measured["theta_max"])
+    measured["phi_dot_mean"] = measured["phi_dot_mean"] - excess
     for name in ("theta_dot_rms", "psi_dot_std", "phi_dot_std", "normal_rate_std"):
         measured[name] = measured[name] * np.sqrt(share)
-    error = {name: known.statistics_error.get(name, np.zeros(rest.size)) for name in measured}
-    error["sine_max"] = error["theta_max"]
-    tolerances = settings.rate_tolerance, settings.cylinder
+    error = solution.statistics_error | {"sine_max": solution.statistics_error["theta_max"]}
+    tolerances = settings.tolerances
     with np.errstate(invalid="ignore"):
-        called = labels.label(measured, *tolerances)
-        undecided = labels.unsure(measured, error, *tolerances) | ((share < 1) & (called != Label.DRIFTING))
-    if undecided.any():
-        raise ValueError(f"the reference cannot decide points {rest[undecided]}")
-    label[rest] = called
-    for i, whole in zip(rest, share == 1, strict=True):
-        whence[i] = "reference" if whole else "part of the run"
-    unsteady[rest] = np.where(share == 1, _unsteadiness(measured), np.nan)
-    return label, unsteady, whence
+        label = labels.label(measured, tolerances)
+        undecided = labels.unsure(measured, error, tolerances) | (~whole & (label != Label.DRIFTING))
+    source = np.where(whole, "reference", "part of the run")
+    return TrueLabels(label, np.where(whole, _unsteadiness(measured), np.nan), source), undecided
 
 
 def _unsteadiness(measured: Mapping[str, Array]) -> Array:
-    """The largest of the measurements that make a point drift, rad per time unit."""
+    """The largest of the statistics that make a point drift, rad per time unit."""
     rates = [measured["theta_dot_rms"], measured["psi_dot_std"], measured["phi_dot_std"]]
-    inside = np.isnan(rates[1])
-    return np.where(inside, measured["normal_rate_std"], np.fmax.reduce(rates))
+    in_polar_cap = np.isnan(rates[1])
+    return np.where(in_polar_cap, measured["normal_rate_std"], np.fmax.reduce(rates))
 
 
 def stress(
-    system: System | str, cases: list[StressCase] | None = None, *, threads: int | None = None
+    system: System | str, cases: Sequence[StressCase] | None = None, *, threads: int | None = None
 ) -> xr.Dataset:
-    """Run a battery at every rung of the ladder by every method, and hold each label against the truth.
+    """Run stress cases by every method at every level and compare each label with the true one.
 
-    Returns a Dataset over (method, rung, point): label, status, step_ratio and verdict; over point: the
-    truth, whence it is known, case, name and why the battery lets the point stay unresolved. Rungs of
-    more than MOST_STEPS steps are left out.
+    Parameters
+    ----------
+    system : System or str
+    cases : sequence of StressCase, optional
+        Default: all cases of the system.
+    threads : int, optional
+        Default: all available processors.
+
+    Returns
+    -------
+    xarray.Dataset
+        Over (method, level, point): ``label``, ``status``, ``step_ratio``, ``verdict`` and the relative
+        ``error`` of the unsteadiness. Over (point): ``truth`` (the true label), ``known_from`` (how it was
+        determined), ``case``, ``name``, ``may_stay_unresolved`` (a reason, or empty), ``duration`` and the
+        parameters.
     """
     if isinstance(system, str):
         system = systems.get(system)
-    cases = STRESS_CASES[system.name]() if cases is None else cases
-    points = {name: np.concatenate([c.points[name] for c in cases]) for name in system.parameters}
-    duration = np.concatenate([c.duration for c in cases])
-    settings = Settings(max_steps=MAX_STEPS)
-    true, unsteady, whence = reference_label(system, points, duration, settings)
-    shape = (len(METHODS), len(LEVELS), duration.size)
-    label, status = np.zeros(shape, np.int8), np.zeros(shape, np.int8)
-    ratio, spread = np.full(shape, np.nan), np.full(shape, np.nan)
+    parts = [case_points(system, case) for case in (system.stress_cases() if cases is None else cases)]
+    if not parts:
+        raise BadInput(f"stress: the system {system.name} has no stress cases")
+    points = {name: np.concatenate([part.points[name] for part in parts]) for name in system.parameters}
+    duration = np.concatenate([part.duration for part in parts])
+    truth = true_labels(system, points, duration, Settings())
+    results = _run_levels(system, points, duration, threads)
+    return _dataset(system, parts, points, truth, results)
+
+
+@dataclass(frozen=True)
+class _Job:
+    """Points to be run with the same settings."""
+
+    cell: tuple[int, int]  # indices of the method and the level
+    settings: Settings
+    indices: np.ndarray
+
+
+def _jobs(system: System, points: Points, duration: Array) -> list[_Job]:
+    """All runs: at fixed steps one for each point, as its step is its own; else one for each level."""
     with np.errstate(all="ignore"):
         bound = system.frequency_bound(points)
     jobs = []
     for i, method in enumerate(METHODS.values()):
-        own = replace(settings, method=method.name)
-        for j, rung in enumerate([*RATIOS, *TOLERANCES]):
-            if j < len(RATIOS):
-                with np.errstate(all="ignore"):
-                    length = np.clip(rung * method.stability / bound, 0.0, duration)
-                # each point has a step of its own: one call each
-                for k in np.flatnonzero(length > 0):
-                    jobs.append((replace(own, step=float(length[k])), np.array([k]), (i, j)))
-            else:
-                jobs.append((replace(own, tolerance=rung), np.arange(duration.size), (i, j)))
-        kernel(system, method.name)  # loaded before threads ask for it
+        settings = Settings(method=method.name, max_steps=MAX_STEPS)
+        for j, ratio in enumerate(RATIOS):
+            with np.errstate(all="ignore"):
+                length = np.clip(ratio * method.stability / bound, 0.0, duration)
+            jobs += [
+                _Job((i, j), replace(settings, step=float(length[k])), np.array([k]))
+                for k in np.flatnonzero(length > 0)
+            ]
+        jobs += [
+            _Job((i, j), replace(settings, tolerance=tolerance), np.arange(duration.size))
+            for j, tolerance in enumerate(TOLERANCES, len(RATIOS))
+        ]
+    return jobs
 
-    def work(job: tuple[Settings, np.ndarray, tuple[int, int]]) -> None:
-        _run(system, points, duration, job[0], job[1], (label, status, ratio, spread), job[2])
 
-    # The kernel lets other threads run; one call seldom has work for two of them.
+def _run_levels(
+    system: System, points: Points, duration: Array, threads: int | None
+) -> dict[str, np.ndarray]:
+    """Label, status, step ratio and unsteadiness, each (method, level, point)."""
+    shape = len(METHODS), len(LEVELS), duration.size
+    results = {
+        "label": np.zeros(shape, np.int8),
+        "status": np.zeros(shape, np.int8),
+        "step_ratio": np.full(shape, np.nan),
+        "unsteadiness": np.full(shape, np.nan),
+    }
+    for method in METHODS:
+        kernel(system, method)  # loaded here, so that no two threads load it at once
+
+    def work(job: _Job) -> None:
+        for indices, values in _run_job(system, points, duration, job):
+            for name, column in results.items():
+                column[(*job.cell, indices)] = values[name]
+
+    # The kernel releases the interpreter lock; one job is seldom large enough for two threads.
     with ThreadPoolExecutor(threads or blocks.available_threads()) as pool:
-        for _ in pool.map(work, jobs):
-            pass
-    with np.errstate(invalid="ignore"):
-        error = np.abs(spread - unsteady) / np.maximum(unsteady, settings.rate_tolerance)
-    verdict = np.select(
-        [label == Label.NOT_COMPUTED, label == Label.UNRESOLVED, label == true],
-        [LEFT_OUT, UNRESOLVED, RIGHT],
-        WRONG,
-    )
-    return _dataset(system, cases, points, duration, true, whence, label, status, ratio, error, verdict)
+        list(pool.map(work, _jobs(system, points, duration)))
+    return results
 
 
-def _run(
-    system: System,
-    points: Points,
-    duration: Array,
-    settings: Settings,
-    where: np.ndarray,
-    columns: tuple[np.ndarray, ...],
-    place: tuple[int, int],
-) -> None:
-    """Evaluate the points that take no more than MOST_STEPS, and put what they gave into the columns."""
+def _run_job(
+    system: System, points: Points, duration: Array, job: _Job
+) -> list[tuple[np.ndarray, dict[str, np.ndarray]]]:
+    """Indices and results of the points of a job that take no more than MAX_STEPS."""
+    settings, duration_of_job = job.settings, duration[job.indices]
     with np.errstate(all="ignore"):
-        bound = system.frequency_bound(points)[where]
-        free = stepsize.choose(
-            METHODS[settings.method], bound, duration[where], tolerance=settings.tolerance, step=settings.step,
-            max_steps=2**50, rate_tolerance=settings.rate_tolerance,
-        )  # fmt: skip
-    # What overflows would take any number of steps: a few are enough to see it.
-    endless = ~np.isfinite(bound) | (bound * duration[where] > 1e12)
-    for chosen, kept in (
-        (settings, ~endless & (free.count <= MAX_STEPS)),
-        (replace(settings, max_steps=1000), endless),
-    ):
-        some = where[kept]
-        if some.size:
-            part = {name: values[some] for name, values in points.items()}
-            found = evaluate(system, part, part, duration[some], chosen, threads=1)
-            values = (found["label"], found["status"], found["step_ratio"], _unsteadiness(found))
-            for column, value in zip(columns, values, strict=True):
-                column[(*place, some)] = value
+        bound = system.frequency_bound(points)[job.indices]
+        unlimited = StepSizes.of(replace(settings, max_steps=2**50), bound, duration_of_job)
+    # Points whose numbers overflow would take any number of steps; a few steps show the overflow.
+    overflow = ~np.isfinite(bound) | (bound * duration_of_job > 1e12)
+    runs = [
+        (settings, job.indices[~overflow & (unlimited.steps <= MAX_STEPS)]),
+        (replace(settings, max_steps=1000), job.indices[overflow]),
+    ]
+    results = []
+    for limited, indices in runs:
+        if indices.size:
+            part = {name: values[indices] for name, values in points.items()}
+            values = evaluate(system, part, part, duration[indices], limited, threads=1)
+            results.append((indices, values | {"unsteadiness": _unsteadiness(values)}))
+    return results
+
+
+def _verdicts(label: Flags, truth: Flags) -> Flags:
+    """Verdict on each label, (method, level, point), given the true labels, (point,)."""
+    conditions = [label == Label.NOT_COMPUTED, label == Label.UNRESOLVED, label == truth]
+    values = [Verdict.LEFT_OUT, Verdict.UNRESOLVED, Verdict.RIGHT]
+    return np.select(conditions, values, Verdict.WRONG).astype(np.int8)
 
 
 def _dataset(
     system: System,
-    cases: list[StressCase],
+    parts: Sequence[CasePoints],
     points: Points,
-    duration: Array,
-    true: Flags,
-    whence: list[str],
-    label: Flags,
-    status: Flags,
-    ratio: Array,
-    error: Array,
-    verdict: np.ndarray,
+    truth: TrueLabels,
+    results: Mapping[str, np.ndarray],
 ) -> xr.Dataset:
-    kinds, ladder = variables(system), ("method", "rung", "point")
-    flags = {"flag_values": np.arange(len(VERDICTS), dtype=np.int8), "flag_meanings": " ".join(VERDICTS)}
-    named = [(case, name) for case in cases for name in case.names]
-    ds = xr.Dataset(
+    registry, dims = variables(system), ("method", "level", "point")
+    with np.errstate(invalid="ignore"):
+        error = np.abs(results["unsteadiness"] - truth.unsteadiness)
+        error /= np.maximum(truth.unsteadiness, Settings().rate_tolerance)
+    verdict_attributes = {
+        "long_name": "label compared with the true label",
+        "flag_values": np.arange(len(Verdict), dtype=np.int8),
+        "flag_meanings": " ".join(Verdict.meanings()),
+    }
+    error_attributes = {
+        "long_name": "relative error of the largest rms or standard deviation of the rates",
+        "units": "1",
+        "comment": "relative to rate_tolerance where the true value is less; nan where it is unknown, because only a"
+        " part of the run was integrated by the reference or numbers overflow",
+    }
+    names = [(part, name) for part in parts for name in part.names]
+    return xr.Dataset(
         {
-            "label": (ladder, label, kinds["label"].attributes()),
-            "status": (ladder, status, kinds["status"].attributes()),
-            "step_ratio": (ladder, ratio, kinds["step_ratio"].attributes()),
-            "error": (ladder, error, {
-                "long_name": "relative error of the largest rms or standard deviation of the rates", "units": "1",
-                "comment": "held against rate_tolerance where the true value is less; nan where only a part of the run"
-                " is known or the numbers overflow",
-            }),
-            "verdict": (ladder, verdict.astype(np.int8), {"long_name": "label against the truth", **flags}),
-            "truth": ("point", true, kinds["label"].attributes() | {"long_name": "true label"}),
-            "duration": ("point", duration, {"long_name": "length of the run", "units": "s"}),
+            **{
+                name: (dims, results[name], registry[name].attributes())
+                for name in ("label", "status", "step_ratio")
+            },
+            "error": (dims, error, error_attributes),
+            "verdict": (dims, _verdicts(results["label"], truth.label), verdict_attributes),
+            "truth": ("point", truth.label, registry["label"].attributes() | {"long_name": "true label"}),
+            "duration": (
+                "point",
+                np.concatenate([part.duration for part in parts]),
+                {"long_name": "length of the run", "units": "s"},
+            ),
             **{name: ("point", values) for name, values in points.items() if not np.isnan(values).all()},
         },
         {
             "method": list(METHODS),
-            "rung": list(LEVELS),
-            "case": ("point", [case.name for case, _ in named]),
-            "name": ("point", [name for _, name in named]),
-            "known_from": ("point", whence),
-            "may_stay_unresolved": ("point", [case.may for case, _ in named]),
+            "level": list(LEVELS),
+            "case": ("point", [part.name for part, _ in names]),
+            "name": ("point", [name for _, name in names]),
+            "known_from": ("point", truth.source),
+            "may_stay_unresolved": ("point", [part.may_stay_unresolved for part, _ in names]),
         },
         {"title": f"stiff and extreme cases of the {system.name}", "atlas_system": system.name},
-    )  # fmt: skip
-    return ds
+    )
 
 
 def mislabelled(ds: xr.Dataset) -> Mask:
-    """Where a label was given that is not true, bool over (method, rung, point)."""
-    return np.asarray(ds["verdict"].values == WRONG)
+    """Where a label differs from the true one, bool over (method, level, point)."""
+    return np.asarray(ds["verdict"].values == Verdict.WRONG)
 
 
 def unresolved(ds: xr.Dataset) -> Mask:
-    """Where an automatic step left a point without label that the battery does not name, bool as `silent`."""
+    """Where an automatic step gives no label and the case expects one, bool over (method, level, point)."""
     automatic = np.arange(len(LEVELS)) >= len(RATIOS)
-    unnamed = (ds["may_stay_unresolved"].values == "") & (ds["truth"].values != Label.UNRESOLVED)
-    return np.asarray((ds["verdict"].values == UNRESOLVED) & automatic[:, None] & unnamed)
+    expected = (ds["may_stay_unresolved"].values == "") & (ds["truth"].values != Label.UNRESOLVED)
+    return np.asarray((ds["verdict"].values == Verdict.UNRESOLVED) & automatic[:, None] & expected)
+
+
+LEGEND = (
+    f"one sign for each level, {LEVELS[0]} to {LEVELS[len(RATIOS) - 1]} of the stability limit, then"
+    f" {LEVELS[len(RATIOS)]} to {LEVELS[-1]}:\n  . every label true   u some unresolved   U all unresolved"
+    "   - left out (too many steps)   X some label not true"
+)
 
 
 def report(ds: xr.Dataset) -> str:
-    """The battery as text: a row for each case, a sign for each rung; then what went wrong, by name."""
-    meanings = list(ds["label"].attrs["flag_meanings"].split())
-    rows = [("case", "points", "truth", "known from", *ds["method"].values)]
+    """The study as text: a row for each case with a sign for each level, then each point that failed."""
+    counts = np.bincount(ds["verdict"].values.ravel(), minlength=len(Verdict))
+    return "\n".join(
+        [
+            *_case_table(ds),
+            LEGEND,
+            *_point_lines(ds, "label not true", mislabelled(ds)),
+            *_point_lines(ds, "unresolved at an automatic step", unresolved(ds)),
+            ", ".join(f"{name} {count}" for name, count in zip(Verdict.meanings(), counts, strict=True)),
+            *_accuracy_lines(ds),
+        ]
+    )
+
+
+def _case_table(ds: xr.Dataset) -> list[str]:
+    meanings = list(Label.meanings())
+    rows = [("case", "points", "true label", "determined by", *ds["method"].values)]
     for case in dict.fromkeys(ds["case"].values):
         part = ds.isel(point=np.flatnonzero(ds["case"].values == case))
-        true = ", ".join(dict.fromkeys(meanings[i] for i in part["truth"].values))
-        signs = [
-            "".join(_sign(verdict) for verdict in part["verdict"].values[i]) for i in range(len(METHODS))
-        ]
-        whence = ", ".join(dict.fromkeys(part["known_from"].values))
-        rows.append((str(case), str(part.sizes["point"]), true, whence, *signs))
+        truth = ", ".join(dict.fromkeys(meanings[i] for i in part["truth"].values))
+        source = ", ".join(dict.fromkeys(part["known_from"].values))
+        signs = ["".join(_sign(level) for level in method) for method in part["verdict"].values]
+        rows.append((str(case), str(part.sizes["point"]), truth, source, *signs))
     widths = [max(len(row[i]) for row in rows) for i in range(len(rows[0]))]
-    lines = [
+    return [
         "  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip() for row in rows
     ]
-    lines.append(
-        f"one sign for each rung, {LEVELS[0]} to {LEVELS[len(RATIOS) - 1]} of the stability limit, then"
-        f" {LEVELS[len(RATIOS)]} to {LEVELS[-1]}:\n  . every label true   u some unresolved   U all unresolved"
-        "   - left out (too many steps)   X some label not true"
-    )
-    for text, found in (
-        ("label not true", mislabelled(ds)),
-        ("unresolved at an automatic step", unresolved(ds)),
-    ):
-        for place in zip(*np.nonzero(found), strict=True):
-            at = ds.isel(dict(zip(ds["verdict"].dims, place, strict=True)))
-            lines.append(
-                f"{text}: {at['case'].item()}, {at['name'].item()}; {at['method'].item()}, {at['rung'].item()}:"
-                f" {meanings[int(at['label'])]} ({list(Status.meanings())[int(at['status'])]}),"
-                f" true {meanings[int(at['truth'])]}"
-            )
-    counts = np.bincount(ds["verdict"].values.ravel(), minlength=len(VERDICTS))
-    lines.append(", ".join(f"{name} {count}" for name, count in zip(VERDICTS, counts, strict=True)))
-    for i, method in enumerate(ds["method"].values):
-        error = np.where(ds["verdict"].values[i] == RIGHT, ds["error"].values[i], np.nan)
-        known = np.isfinite(error).sum(1)
-        shown = " ".join(f"{n}/{k}" for n, k in zip((error < ACCURATE).sum(1), known, strict=True))
-        lines.append(
-            f"{method}: true labels with a spread within {100 * ACCURATE:g} %, of those known: {shown}"
-        )
-    return "\n".join(lines)
 
 
 def _sign(verdict: Array) -> str:
-    if (verdict == WRONG).any():
+    """One character for the verdicts on the points of a case."""
+    if (verdict == Verdict.WRONG).any():
         return "X"
-    if (verdict == LEFT_OUT).all():
+    if (verdict == Verdict.LEFT_OUT).all():
         return "-"
-    if (verdict == UNRESOLVED).any():
-        return "u" if (verdict == RIGHT).any() else "U"
+    if (verdict == Verdict.UNRESOLVED).any():
+        return "u" if (verdict == Verdict.RIGHT).any() else "U"
     return "."
+
+
+def _point_lines(ds: xr.Dataset, text: str, selected: Mask) -> list[str]:
+    """A line for each selected point, method and level."""
+    label, status, lines = list(Label.meanings()), list(Status.meanings()), []
+    for index in np.argwhere(selected):
+        at = ds.isel(dict(zip(ds["verdict"].dims, index, strict=True)))
+        lines.append(
+            f"{text}: {at['case'].item()}, {at['name'].item()}; {at['method'].item()}, {at['level'].item()}:"
+            f" {label[int(at['label'])]} ({status[int(at['status'])]}), true {label[int(at['truth'])]}"
+        )
+    return lines
+
+
+def _accuracy_lines(ds: xr.Dataset) -> list[str]:
+    """For each method and level: how many true labels come with an accurate unsteadiness, and of how many."""
+    lines = []
+    for i, method in enumerate(ds["method"].values):
+        error = np.where(ds["verdict"].values[i] == Verdict.RIGHT, ds["error"].values[i], np.nan)
+        accurate, known = (error < ACCURATE).sum(1), np.isfinite(error).sum(1)
+        counts = " ".join(f"{n}/{k}" for n, k in zip(accurate, known, strict=True))
+        lines.append(
+            f"{method}: true labels with the largest rms or standard deviation of the rates within"
+            f" {100 * ACCURATE:g} %, of those for which it is known, by level: {counts}"
+        )
+    return lines

@@ -1,4 +1,4 @@
-"""The catalogue as tables, its limits as complaints, and what it says of equilibria and of Lagrange's form."""
+"""The catalogue: tables, limits of families as errors, equilibria, Lagrange's form."""
 
 import csv
 import importlib.util
@@ -8,16 +8,21 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import test_fixed_point_families as fixed_point
-import test_satellite_families as satellite
 import xarray as xr
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from strategies import (
+    fixed_points_on_family,
+    random_fixed_points,
+    satellite_on_family,
+    symmetric_fixed_points,
+)
 
 import atlas
 from atlas import BadInput, load_scene, systems
 from atlas.analysis import catalogue
 from atlas.cli import main
+from atlas.flags import Stability
 from atlas.scene import grid
 from atlas.systems.base import on_family
 from atlas.systems.satellite import equations, initial
@@ -25,7 +30,7 @@ from atlas.systems.satellite.stability import linear_stability
 
 ROOT = Path(__file__).parents[2]
 SATELLITE, FIXED_POINT = systems.get("satellite"), systems.get("fixed_point")
-# The paper's equations that the project says are wrong or not all there is, and those that are right.
+# The paper's equations that are wrong or incomplete by the catalogue, and those that are right.
 WRONG = {
     *(f"({i})" for i in range(4, 14)), "(14)1", "(14)2", "(14)3", "(19)1", "(21)", "(26)", "(29)1", "(31b)",
     "after (31)", "(44)1", "(44)3", "names",
@@ -36,9 +41,9 @@ RIGHT = {
 }  # fmt: skip
 
 
-def script(name):
+def script(path):
     """A file of scripts/ as a module."""
-    spec = importlib.util.spec_from_file_location(name, ROOT / "scripts" / f"{name}.py")
+    spec = importlib.util.spec_from_file_location(Path(path).stem, ROOT / "scripts" / path)
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
     return module
@@ -61,7 +66,7 @@ def test_every_printed_equation_has_its_verdict_and_residuals():
     assert {row["equation"] for row in errata} == WRONG | beyond
 
 
-def test_families_are_complete_rows():
+def test_rows_of_families_are_complete():
     rows = catalogue.families(SATELLITE)
     assert [row["family"] for row in rows] == list(SATELLITE.families)
     for row in rows + catalogue.families(FIXED_POINT):
@@ -100,31 +105,31 @@ def test_command_line_tables(capsys):
         read = list(csv.DictReader(io.StringIO(output(system, "--csv"))))
         assert [row["family"] for row in read] == list(systems.get(system).families)
         read = list(csv.DictReader(io.StringIO(output(system, "--errata", "--csv"))))
-        found = catalogue.published(systems.get(system), errata=True)
-        assert [row["printed"] for row in read] == [row["printed"] for row in found]
+        expected = catalogue.published(systems.get(system), errata=True)
+        assert [row["printed"] for row in read] == [row["printed"] for row in expected]
         whole = json.loads(output(system, "--json"))
         assert whole["printed"] == catalogue.published(systems.get(system))
         assert len(whole["families"]) == len(systems.get(system).families)
     assert list(csv.DictReader(io.StringIO(output("--family", "oblique", "--errata", "--csv"))))
-    with pytest.raises(SystemExit) as left:
+    with pytest.raises(SystemExit) as stop:
         main(["conditions", "--csv", "--json"])
-    assert left.value.code == 2
+    assert stop.value.code == 2
 
 
-# Which parameters a family leaves free, and how far it reaches.
+# Free parameters and limits of existence of the families.
 
 
-def moved(family, point, name):
-    """Is the point still on the family when one parameter is another?"""
+def holds_after_change(family, point, name):
+    """Is the point still on the family when one parameter is changed?"""
     return (on_family(family, {**point, name: point[name] + 0.37}) < 1e-9).all()
 
 
 @pytest.mark.parametrize("name", SATELLITE.families)
 def test_free_parameters_of_the_satellite(name):
     family, rng = SATELLITE.families[name], np.random.default_rng(1)
-    found = [p for _ in range(20) if (p := satellite.solved(name, rng)) is not None]
-    assert found
-    free = {p for p in SATELLITE.parameters if all(moved(family, point, p) for point in found)}
+    points = [p for _ in range(20) if (p := satellite_on_family(name, rng)) is not None]
+    assert points
+    free = {p for p in SATELLITE.parameters if all(holds_after_change(family, point, p) for point in points)}
     # a magnet is free only as long as there is no field along the radius
     assert free - {"mu3"} == set(family.free)
     assert not set(family.free) & set(family.solve)
@@ -133,17 +138,21 @@ def test_free_parameters_of_the_satellite(name):
 @pytest.mark.parametrize("name", FIXED_POINT.families)
 def test_free_parameters_of_the_fixed_point(name):
     family, rng = FIXED_POINT.families[name], np.random.default_rng(2)
-    many = {
-        "conical": lambda: fixed_point.solved(name, fixed_point.symmetric_points(9, rng), "l3"),
-        "sleeping": lambda: fixed_point.solved(name, fixed_point.random_points(9, rng), "theta0", "l1", "l2"),
-        "staude": lambda: fixed_point.solved(name, fixed_point.random_points(9, rng, m=0.0), "l1", "l2"),
-        "rest": lambda: fixed_point.solved(
-            name, fixed_point.random_points(9, rng, n=0.0, m=0.0), "theta0", "phi0"
+    points = {
+        "conical": lambda: fixed_points_on_family(name, symmetric_fixed_points(rng, 9), "l3"),
+        "sleeping": lambda: fixed_points_on_family(
+            name, random_fixed_points(rng, 9, theta_dot0=0.0), "theta0", "l1", "l2"
+        ),
+        "staude": lambda: fixed_points_on_family(
+            name, random_fixed_points(rng, 9, theta_dot0=0.0, m=0.0), "l1", "l2"
+        ),
+        "rest": lambda: fixed_points_on_family(
+            name, random_fixed_points(rng, 9, theta_dot0=0.0, n=0.0, m=0.0), "theta0", "phi0"
         ),
     }[name]()
-    assert (on_family(family, many) < 1e-9).all()
+    assert (on_family(family, points) < 1e-9).all()
     for parameter in family.free:
-        assert moved(family, many, parameter), parameter
+        assert holds_after_change(family, points, parameter), parameter
     assert not set(family.free) & set(family.solve)
 
 
@@ -180,15 +189,15 @@ def test_existence_limit_of_the_oblique_axis(h1, theta0, C):
 @settings(max_examples=60, deadline=None)
 @given(seed=st.integers(0, 10**6))
 def test_existence_limit_of_the_conical_motion(seed):
-    point = fixed_point.symmetric_points(1, np.random.default_rng(seed))
+    point = symmetric_fixed_points(np.random.default_rng(seed), 1)
     weight, gradient = point["Mg"] * point["z0"], (point["C"] - point["A"]) * np.cos(point["theta0"])
-    left = (point["C"] * point["m"] + point["l3"]) ** 2
+    discriminant = (point["C"] * point["m"] + point["l3"]) ** 2
     limit = 4 * gradient * (weight - point["N"] * gradient)
     n = FIXED_POINT.families["conical"].solve["n"](point)
-    assert np.isfinite(n[0]) == (left > limit)[0]
+    assert np.isfinite(n[0]) == (discriminant > limit)[0]
 
 
-# Complaints.
+# Errors.
 
 
 def scene(system, family, solve, axis="phi0", **fixed):
@@ -226,10 +235,10 @@ OUTSIDE = [
 
 
 @pytest.mark.parametrize(("system", "family", "solve", "fixed", "named"), OUTSIDE)
-def test_outside_a_family_the_condition_and_its_amount_are_named(system, family, solve, fixed, named):
-    with pytest.raises(BadInput) as complaint:
+def test_the_error_outside_a_family_has_the_condition_and_its_residual(system, family, solve, fixed, named):
+    with pytest.raises(BadInput) as error:
         grid.check(scene(system, family, solve, **fixed))
-    text = str(complaint.value)
+    text = str(error.value)
     assert "\n" not in text
     assert family in text
     assert named in text
@@ -242,7 +251,7 @@ FREE = [
     ("satellite", "cylindrical", ["k3"], {}),
     ("satellite", "perp_velocity", ["phi0"], {}),
     ("fixed_point", "sleeping", ["l3"], {}),
-    # free only here: no magnet to hold, no tilt to feel k3 or a rotor along the normal
+    # free only here: without a magnet, or without the tilt on which k3 and the rotor act
     ("satellite", "perp_velocity", ["h3", "k3"], {"theta0": 1, "psi0": np.pi / 2}),
     ("satellite", "perp_velocity", ["k3"], {"psi0": np.pi / 2}),
     ("satellite", "equilibrium", ["k3"], {}),
@@ -252,7 +261,7 @@ FREE = [
 
 
 @pytest.mark.parametrize(("system", "family", "solve", "fixed"), FREE)
-def test_solving_for_a_free_parameter_says_that_it_is_free(system, family, solve, fixed):
+def test_solving_for_a_free_parameter_is_an_error(system, family, solve, fixed):
     with pytest.raises(BadInput, match=f"family.solve = '{solve[0]}'.*free"):
         grid.check(scene(system, family, solve, axis="n" if solve == ["phi0"] else "phi0", **fixed))
 
@@ -262,33 +271,46 @@ def test_solving_for_a_free_parameter_says_that_it_is_free(system, family, solve
 
 def test_equilibria_of_a_gyrostat_are_at_rest_and_counted():
     body = {"A": 1.0, "B": 1.3, "C": 1.7, "k1": 0.1, "k2": 0.2, "k3": -0.05}
-    found = atlas.equilibria("satellite", body)
-    assert 8 <= found.sizes["equilibrium"] <= 24
-    assert not found.circle.any()
-    assert ((-1) ** found["index"].astype(int)).sum() == 0
-    assert set(found) >= {"theta0", "psi0", "phi0", "index", "circle", "stable", "growth_rate", "potential"}
-    assert found.stable.attrs["flag_meanings"] == "unknown stable unstable"
-    assert ((found.stable == 1) == (found.growth_rate == 0)).all()
-    assert (found.stable.where(found["index"] == 0, 1) == 1).all()  # minima are stable
+    equilibria = atlas.equilibria("satellite", body)
+    assert 8 <= equilibria.sizes["equilibrium"] <= 24
+    assert not equilibria.circle.any()
+    assert ((-1) ** equilibria["index"].astype(int)).sum() == 0
+    assert set(equilibria) >= {
+        "theta0",
+        "psi0",
+        "phi0",
+        "index",
+        "circle",
+        "stable",
+        "growth_rate",
+        "potential",
+    }
+    assert equilibria.stable.attrs["flag_meanings"] == "unknown stable unstable"
+    assert ((equilibria.stable == Stability.STABLE) == (equilibria.growth_rate == 0)).all()
+    assert (
+        equilibria.stable.where(equilibria["index"] == 0, Stability.STABLE) == Stability.STABLE
+    ).all()  # minima
     points = {
-        p.name: np.full(found.sizes["equilibrium"], body.get(p.name, p.default))
+        p.name: np.full(equilibria.sizes["equilibrium"], body.get(p.name, p.default))
         for p in SATELLITE.parameters.values()
     }
-    points |= {name: found[name].values for name in ("theta0", "psi0", "phi0")}
+    points |= {name: equilibria[name].values for name in ("theta0", "psi0", "phi0")}
     rates = np.array(equations.rhs(initial.initial_state(points), initial.constants(points)))
     assert np.abs(rates).max() < 1e-9
     flags, _ = SATELLITE.identify_family(points)
     assert (flags == SATELLITE.families["equilibrium"].flag).all()
-    np.testing.assert_allclose(initial.directions(points)[1], found.gamma.values.T, atol=1e-12)
-    layer = {name: SATELLITE.derived[name].values(points, np.ones(2)) for name in SATELLITE.derived}
-    np.testing.assert_array_equal(layer["equilibrium_count"], found.sizes["equilibrium"])
-    np.testing.assert_array_equal(layer["equilibrium_stable_count"], int((found.stable == 1).sum()))
+    np.testing.assert_allclose(initial.directions(points)[1], equilibria.gamma.values.T, atol=1e-12)
+    derived = {name: SATELLITE.derived[name].values(points, np.ones(2)) for name in SATELLITE.derived}
+    np.testing.assert_array_equal(derived["equilibrium_count"], equilibria.sizes["equilibrium"])
+    np.testing.assert_array_equal(
+        derived["equilibrium_stable_count"], int((equilibria.stable == Stability.STABLE).sum())
+    )
 
 
 def test_circles_and_surfaces_of_equilibria():
-    found = atlas.equilibria("satellite", {"A": 1.0, "B": 1.0, "C": 1.5})
-    assert found.circle.all()
-    assert np.isfinite(found.axis.values).all()
+    equilibria = atlas.equilibria("satellite", {"A": 1.0, "B": 1.0, "C": 1.5})
+    assert equilibria.circle.all()
+    assert np.isfinite(equilibria.axis.values).all()
     with pytest.raises(BadInput, match="surface"):
         atlas.equilibria("satellite", {"A": 1.0, "B": 1.0, "C": 1.0})
     points = {p.name: np.full(2, p.default) for p in SATELLITE.parameters.values()} | {
@@ -299,26 +321,26 @@ def test_circles_and_surfaces_of_equilibria():
 
 def test_permanent_rotations_of_a_heavy_gyrostat():
     body = {"A": 1.0, "B": 1.5, "C": 2.0, "Mg": 2.0, "x0": 0.3, "y0": 0.2, "z0": 0.5, "l1": 0.4, "n": 1.2}
-    found = atlas.equilibria("fixed_point", body)
-    assert found.sizes["equilibrium"] in (2, 4, 6)
-    assert set(found) >= {"theta0", "phi0", "gamma", "index", "circle", "stable", "growth_rate"}
+    equilibria = atlas.equilibria("fixed_point", body)
+    assert equilibria.sizes["equilibrium"] in (2, 4, 6)
+    assert set(equilibria) >= {"theta0", "phi0", "gamma", "index", "circle", "stable", "growth_rate"}
     points = {
-        p.name: np.full(found.sizes["equilibrium"], body.get(p.name, p.default))
+        p.name: np.full(equilibria.sizes["equilibrium"], body.get(p.name, p.default))
         for p in FIXED_POINT.parameters.values()
     }
-    points |= {name: found[name].values for name in ("theta0", "phi0")}
+    points |= {name: equilibria[name].values for name in ("theta0", "phi0")}
     assert FIXED_POINT.condition_residual(points).max() < 1e-9
-    assert ((-1) ** found["index"].astype(int)).sum() == 2  # Euler characteristic of the sphere
+    assert ((-1) ** equilibria["index"].astype(int)).sum() == 2  # Euler characteristic of the sphere
     resting = atlas.equilibria("fixed_point", {"Mg": 1.0, "z0": 1.0})
-    assert list(resting.stable.values) == [1, 2]
+    assert list(resting.stable.values) == [Stability.STABLE, Stability.UNSTABLE]
     assert list(resting.theta0.values) == [0.0, np.pi]
 
 
 def test_equilibria_survive_a_file(tmp_path):
-    found = atlas.equilibria("satellite", {"A": 1.0, "B": 1.3, "C": 1.7})
-    found.to_netcdf(tmp_path / "e.nc")
-    with xr.open_dataset(tmp_path / "e.nc") as again:
-        xr.testing.assert_identical(again.load(), found)
+    equilibria = atlas.equilibria("satellite", {"A": 1.0, "B": 1.3, "C": 1.7})
+    equilibria.to_netcdf(tmp_path / "e.nc")
+    with xr.open_dataset(tmp_path / "e.nc") as read:
+        xr.testing.assert_identical(read.load(), equilibria)
 
 
 @pytest.mark.parametrize(
@@ -332,7 +354,7 @@ def test_equilibria_survive_a_file(tmp_path):
         ({"Omega": 0.0}, "without orbit and field"),
     ],
 )
-def test_bad_bodies(body, named):
+def test_impossible_bodies_are_errors(body, named):
     with pytest.raises(BadInput, match=named):
         atlas.equilibria("satellite", body)
     with pytest.raises(BadInput, match="sputnik"):
@@ -341,25 +363,24 @@ def test_bad_bodies(body, named):
 
 def test_gravity_gradient_diagram_is_the_classical_one():
     """Lagrange's triangle and the region of DeBra and Delp, by their inequalities."""
-    found = grid.points_at_indices(
-        small := load_scene(ROOT / "configs" / "gravity_gradient.toml"), np.arange(0, small.size, 37)
-    )
-    flags, _ = SATELLITE.identify_family(found.base)
-    stable, _ = linear_stability(found.base, flags)
-    A, B, C = (found.base[name] for name in "ABC")
+    scene = load_scene(ROOT / "configs" / "gravity_gradient.toml")
+    base = grid.points_at_indices(scene, np.arange(0, scene.size, 37)).base
+    flags, _ = SATELLITE.identify_family(base)
+    stable, _ = linear_stability(base, flags)
+    A, B, C = (base[name] for name in "ABC")
     K1, K3 = (C - A) / B, (C - B) / A
     above = 1 + 3 * K1 + K1 * K3 - 4 * np.sqrt(np.maximum(K1 * K3, 0))
     expected = (K1 * K3 > 0) & (K1 > K3) & (above > 0)
     clear = (np.abs(K1 - K3) > 0.01) & (np.abs(above) > 0.01)
     assert clear.sum() > 1000
-    np.testing.assert_array_equal(stable[clear] == 1, expected[clear])
+    np.testing.assert_array_equal(stable[clear] == Stability.STABLE, expected[clear])
 
 
 # Lagrange's form, and the scripts.
 
 
 def test_lagrange_form_is_exact_on_precessions_and_singular_upright():
-    form = script("lagrange_form")
+    form = script("tools/lagrange_form.py")
     points = form.tilted(np.array([1.0, 1e-3, 0.0]), np.pi / 2, "perp_velocity", C=1.3, m=0.5)
     closed = SATELLITE.families["perp_velocity"].motion(points, np.array(5.0))
     (angles, resolved), (cosines, sure) = (form.integrate(points, 5.0, 100, name) for name in form.FORMS)
@@ -370,12 +391,12 @@ def test_lagrange_form_is_exact_on_precessions_and_singular_upright():
     assert 1e-11 < errors.min() < errors.max() < 1e-6
 
 
-def test_lagrange_form_is_never_wrong_in_silence():
-    form = script("lagrange_form")
+def test_lagrange_form_reports_where_it_is_not_resolved():
+    form = script("tools/lagrange_form.py")
     tilts = np.concatenate([np.geomspace(1e-8, 1, 20), np.linspace(0.5, 2.6, 20)])
     points = form.random_points(40, 3, theta0=tilts)
     exact = form.reference(points, 6.0)
-    before = None
+    coarser = None
     for steps in (150, 300, 600):
         (angles, resolved), (cosines, sure) = (
             form.integrate(points, 6.0, steps, name) for name in form.FORMS
@@ -384,12 +405,12 @@ def test_lagrange_form_is_never_wrong_in_silence():
         assert form.error(points, angles, exact)[resolved].max() < form.HALVED
         assert not resolved[:10].any()  # they start at a pole
         errors = np.median(form.error(points, cosines, exact))
-        if before is not None:
-            assert np.log2(before / errors) == pytest.approx(4, abs=0.4)
-        before = errors
+        if coarser is not None:
+            assert np.log2(coarser / errors) == pytest.approx(4, abs=0.4)
+        coarser = errors
 
 
 def test_benchmark_runs(capsys, monkeypatch):
     monkeypatch.setattr("sys.argv", ["bench_catalogue.py", "--points", "3000"])
-    script("bench_catalogue").main()
+    script("benchmarks/bench_catalogue.py").main()
     assert "perp_velocity: 1000 points" in capsys.readouterr().out

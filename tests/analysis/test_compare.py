@@ -1,4 +1,4 @@
-"""Comparison with theory: agreement, confusion, and what the report says."""
+"""Comparison with theory: agreement, confusion table and report."""
 
 import numpy as np
 from hypothesis import given
@@ -14,28 +14,28 @@ flags = hnp.arrays(np.int8, 30, elements={"min_value": 0, "max_value": len(Label
 
 
 @given(flags, flags)
-def test_agreement_and_confusion_tell_the_same(label, predicted):
+def test_agreement_and_confusion_table_are_consistent(label, predicted):
     table = compare.confusion(label, predicted)
-    found = theory.agreement(label, predicted)
+    result = theory.agreement(label, predicted)
     assert table.sum() == label.size
-    for i, p in enumerate(Label.meanings()):
-        for j, m in enumerate(Label.meanings()):
-            here = (predicted == i) & (label == j)
-            assert table[i, j] == here.sum()
-            if "not_computed" in (p, m) or m == "unresolved":
-                expected = "not_compared"
+    for p in Label:
+        for m in Label:
+            points = (predicted == p) & (label == m)
+            assert table[p, m] == points.sum()
+            if Label.NOT_COMPUTED in (p, m) or m == Label.UNRESOLVED:
+                expected = Agreement.NOT_COMPARED
             elif p == m:
-                expected = "agree"
-            elif m == "drifting":
-                expected = "theory_only"
-            elif p == "drifting":
-                expected = "numerics_only"
+                expected = Agreement.AGREE
+            elif m == Label.DRIFTING:
+                expected = Agreement.THEORY_ONLY
+            elif p == Label.DRIFTING:
+                expected = Agreement.NUMERICS_ONLY
             else:
-                expected = "differ"
-            assert (found[here] == list(Agreement.meanings()).index(expected)).all()
+                expected = Agreement.DIFFER
+            assert (result[points] == expected).all()
 
 
-def test_off_the_families_the_satellite_drifts_and_a_free_body_is_not_judged():
+def test_off_the_families_a_satellite_drifts_and_a_free_body_has_no_prediction():
     system = load_scene('schema = 1\nsystem = "satellite"\n[axes.theta0]\nvalues = [0.5]\n').system
     start = {name: np.array([p.default, p.default]) for name, p in system.parameters.items()}
     start |= {
@@ -43,21 +43,21 @@ def test_off_the_families_the_satellite_drifts_and_a_free_body_is_not_judged():
         "Omega": np.array([1.0, 0.0]),
         "theta_dot0": np.array([0.1, 0.1]),
     }
-    found = theory.predict(system, start, 1e-5, nudged=False)
-    assert found["family"].tolist() == [0, 0]
-    assert [list(Label.meanings())[i] for i in found["predicted"]] == ["drifting", "not_computed"]
+    predicted = theory.predict(system, start, 1e-5, nudged=False)
+    assert predicted["family"].tolist() == [0, 0]
+    assert predicted["predicted"].tolist() == [Label.DRIFTING, Label.NOT_COMPUTED]
 
 
-def test_a_nudge_turns_the_prediction_by_stability():
+def test_the_prediction_for_a_nudged_start_depends_on_stability():
     system = load_scene('schema = 1\nsystem = "satellite"\n[axes.theta0]\nvalues = [0.5]\n').system
     start = {name: np.array([p.default, p.default]) for name, p in system.parameters.items()}
     start["C"] = np.array([1.2, 0.5])  # cylindrical: stable, unstable
-    for nudged, expected in ((False, ["permanent_rotation"] * 2), (True, ["permanent_rotation", "drifting"])):
-        found = theory.predict(system, start, 1e-5, nudged)
-        assert [list(Label.meanings())[i] for i in found["predicted"]] == expected
+    for nudged, unstable in ((False, Label.PERMANENT_ROTATION), (True, Label.DRIFTING)):
+        predicted = theory.predict(system, start, 1e-5, nudged)["predicted"]
+        assert predicted.tolist() == [Label.PERMANENT_ROTATION, unstable]
 
 
-def test_report_counts_and_names_the_worst(small_scene):
+def test_the_report_counts_and_lists_the_worst_disagreements(small_scene):
     ds = atlas.run(load_scene(small_scene), progress=False)
     text = compare.report(ds)
     assert f"of {ds.label.size} points" in text
@@ -65,10 +65,8 @@ def test_report_counts_and_names_the_worst(small_scene):
     assert "no time to grow" in text
     wrong = ds.copy()
     wrong["label"] = ds.label.copy()
-    wrong.label[2, 3] = 3 if int(ds.predicted[2, 3]) == 2 else 2
-    text = compare.report(wrong, worst=1)
-    named = text.splitlines()[-1]
-    assert f"sigma = {float(ds.sigma[2]):.9g}, theta0 = {float(ds.theta0[3]):.9g}" in compare.report(
-        wrong, worst=99
-    )
-    assert "theory" in named
+    steady = int(ds.predicted[2, 3]) == Label.PERMANENT_ROTATION
+    wrong.label[2, 3] = Label.DRIFTING if steady else Label.PERMANENT_ROTATION
+    coordinates = f"sigma = {float(ds.sigma[2]):.9g}, theta0 = {float(ds.theta0[3]):.9g}: theory"
+    assert coordinates in compare.report(wrong, worst=99)
+    assert "theory" in compare.report(wrong, worst=1).splitlines()[-1]

@@ -10,7 +10,9 @@ from hypothesis import strategies as st
 
 import atlas
 from atlas.engine.simplify import simplify
-from atlas.label.pipeline import GENERIC, Specialization, evaluate
+from atlas.engine.specialization import GENERIC, Specialization
+from atlas.flags import Label, Status
+from atlas.label.pipeline import evaluate
 from atlas.scene.model import Settings
 from atlas.scene.read import load_scene
 from atlas.systems import SYSTEMS
@@ -56,7 +58,7 @@ def test_a_kernel_that_leaves_terms_out_gives_the_same_to_roundoff(system, zero,
     state, constants = kind.initial_state(points), kind.constants(points)
     source = ast.unparse(next(n for n in ast.parse(Path(kind.equations.__file__).read_text()).body
                               if isinstance(n, ast.FunctionDef) and n.name == "rhs"))  # fmt: skip
-    folded = simplify(source, special.zero, dict(special.same))
+    folded = simplify(source, special.zero, dict(special.equal))
     assert sum(isinstance(n, ast.BinOp) for n in ast.walk(ast.parse(folded))) < sum(
         isinstance(n, ast.BinOp) for n in ast.walk(ast.parse(source))
     )
@@ -124,7 +126,7 @@ def test_specialised_and_whole_kernels_agree_on_labels_and_rates(system):
     duration = np.full(64, 6.0)
     options = Settings(tolerance=1e-6)
     one, two = (
-        evaluate(kind, points, points, duration, options, special=special)
+        evaluate(kind, points, points, duration, options, specialization=special)
         for special in (GENERIC, Specialization.of_points(kind, points))
     )
     np.testing.assert_array_equal(one["label"], two["label"])
@@ -133,7 +135,7 @@ def test_specialised_and_whole_kernels_agree_on_labels_and_rates(system):
 
 def test_nothing_is_left_out_that_an_axis_a_tie_or_a_solution_can_move(small_scene):
     scene = load_scene(small_scene)
-    zero, symmetric = scene.vanishing()
+    zero, symmetric = scene.zero_and_equal_parameters()
     assert {"k1", "k2", "mu1", "mu2", "mu3", "h1", "h3", "n"} <= zero
     assert not zero & {"k3", "m", "theta0", "C"}
     assert symmetric
@@ -142,7 +144,7 @@ def test_nothing_is_left_out_that_an_axis_a_tie_or_a_solution_can_move(small_sce
             "[family]", "[axes.h1]\nvalues = [0.0]\n[family]"
         )
     )
-    zero, symmetric = moved.vanishing()
+    zero, symmetric = moved.zero_and_equal_parameters()
     assert not zero & {"mu1", "h1"}
     assert not symmetric
 
@@ -167,15 +169,15 @@ def test_label_only_runs_give_the_same_labels(seed, system, tolerance, method):
     quick = evaluate(kind, points, points, duration, options, outputs=("label",))
     early = quick["end_time"] < duration
     # Guards are evaluated up to the stop: a point that fails them only later was already certain to drift.
-    later = early & (whole["status"] != 1) & (quick["status"] == 1)
-    assert (quick["label"][later] == 3).all()
+    later = early & (whole["status"] != Status.OK) & (quick["status"] == Status.OK)
+    assert (quick["label"][later] == Label.DRIFTING).all()
     assert later.mean() < 0.1
     for name in ("label", "geometry", "status", "predicted", "agreement"):
         np.testing.assert_array_equal(quick[name][~later], whole[name][~later], err_msg=name)
     assert (quick["end_time"] <= duration * (1 + 1e-12)).all()
-    assert (whole["label"][early & ~later] == 3).all()
+    assert (whole["label"][early & ~later] == Label.DRIFTING).all()
     assert (whole["end_time"] == duration).all()
-    if (whole["label"] == 3).mean() > 0.5:
+    if (whole["label"] == Label.DRIFTING).mean() > 0.5:
         assert early.any()
 
 

@@ -11,8 +11,10 @@ from hypothesis import strategies as st
 import atlas
 from atlas.flags import Label, Status
 from atlas.label import labels
+from atlas.scene.model import Tolerances
 
 REFERENCE = Path(__file__).parents[1] / "reference"
+TOLERANCES = Tolerances(1e-5, 1e-5)
 NAMES = list(Label.meanings())
 
 
@@ -57,16 +59,16 @@ def measured(**given):
     ],
 )  # fmt: skip
 def test_contract(given, expected):
-    found = labels.label(measured(**given), 1e-5, 1e-5)
+    found = labels.label(measured(**given), TOLERANCES)
     assert NAMES[found[0]] == expected
     assert found.dtype == np.int8
 
 
 def test_inertial_label_adds_the_rate_of_the_frame():
     still = measured(psi_dot_mean=0.0)
-    assert NAMES[labels.label(still, 1e-5, 1e-5)[0]] == "permanent_rotation"
-    assert NAMES[labels.label(still, 1e-5, 1e-5, 1.0)[0]] == "regular_precession"
-    assert NAMES[labels.label(measured(psi_dot_mean=-1.0), 1e-5, 1e-5, 1.0)[0]] == "permanent_rotation"
+    assert NAMES[labels.label(still, TOLERANCES)[0]] == "permanent_rotation"
+    assert NAMES[labels.label(still, TOLERANCES, 1.0)[0]] == "regular_precession"
+    assert NAMES[labels.label(measured(psi_dot_mean=-1.0), TOLERANCES, 1.0)[0]] == "permanent_rotation"
 
 
 @given(

@@ -1,4 +1,4 @@
-"""The paper's figures: each shows what its caption says, and the curves are those of the equations."""
+"""The paper's figures: quantities and rotors are those of its captions, curves those of the equations."""
 
 import numpy as np
 import pytest
@@ -6,7 +6,7 @@ import pytest
 from atlas.cli import main
 from atlas.errors import BadInput
 from atlas.plotting import amer2013
-from atlas.systems.fixed_point.paper import fast_spin
+from atlas.systems.fixed_point.paper import claims, fast_spin
 
 # The captions of the paper: number -> quantity, phase plane, |l| / sqrt(3), for A = B < C, analytical.
 CAPTIONS = {
@@ -19,7 +19,7 @@ CAPTIONS = {
 
 
 @pytest.mark.parametrize("number", amer2013.NUMBERS)
-def test_every_figure_shows_what_its_caption_says(number):
+def test_every_figure_has_the_quantity_of_its_caption(number):
     figure = amer2013.paper_figure(number)
     quantity, phase_plane, rotors = CAPTIONS[(number - 1) % 5 + 1]
     assert (figure.quantity, figure.phase_plane, figure.rotors) == (quantity, phase_plane, rotors)
@@ -51,7 +51,7 @@ def test_curves_are_those_of_the_equations(number):
         size = np.ptp(exact[0])
         start = float(spin.C * spin.A1 * spin.y[0] / spin.A)
         for source, path in motion.items():
-            if "(33)" not in source:  # a solution with a start of its own
+            if "(33)" not in source:  # (33) has another start
                 np.testing.assert_allclose(path[:2, 0, i], [start, 0], atol=1e-6 * size)
         if figure.numerical:
             np.testing.assert_allclose(motion["(1)"][..., i], exact, atol=1e-8 * size)
@@ -79,8 +79,8 @@ def test_figures_are_drawn(number, panels):
     assert np.isfinite(right).all()
 
 
-def test_table_has_six_digits():
-    rows = amer2013.amplitude_table(fast_spin.figure_table((0.0, 40.0)))
+def test_the_table_has_six_digits():
+    rows = amer2013.amplitude_table(claims.figure_table((0.0, 40.0)))
     assert len({len(row) for row in rows}) == 1
     heading, still, moving, *_ = rows
     assert still[heading.index("period")] == "-"
@@ -89,7 +89,7 @@ def test_table_has_six_digits():
     assert still[heading.index("max |gamma2 - M3 cos tau|")] == "< 1e-10"
 
 
-def test_command(tmp_path, monkeypatch, capsys):
+def test_the_command_writes_figures_and_the_table(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     assert main(["figures", "--only", "4", "--format", "svg"]) == 0
     assert (tmp_path / "figures" / "figure_04.svg").read_bytes().startswith(b"<?xml")
@@ -109,6 +109,6 @@ def test_command(tmp_path, monkeypatch, capsys):
     assert "5307.59" in printed
 
 
-def test_no_other_figures():
+def test_the_paper_has_no_other_figures():
     with pytest.raises(BadInput, match="figure 0: the paper has"):
         amer2013.draw(0)

@@ -1,4 +1,4 @@
-"""Maps: what they show is what the atlas and the equations say, and a journal can print them."""
+"""Maps and trajectories: figures show the values of the atlas and of theory, and can be printed."""
 
 import ast
 import io
@@ -17,8 +17,9 @@ from matplotlib.figure import Figure
 
 import atlas
 from atlas import BadInput, load_scene
-from atlas.analysis import select, theory_curves
-from atlas.plotting import maps, style, trajectory
+from atlas.analysis import metadata, select, theory_curves
+from atlas.flags import Label
+from atlas.plotting import maps, style, text, trajectory
 from atlas.scene import grid
 from atlas.systems import SYSTEMS
 from atlas.variables import variables
@@ -44,21 +45,20 @@ count = 3
 
 
 @pytest.fixture(scope="module")
-def small():
-    from conftest import SMALL_SCENE
-
-    return atlas.run(load_scene(SMALL_SCENE), progress=False)
+def small(small_scene):
+    return atlas.run(load_scene(small_scene), progress=False)
 
 
 @pytest.fixture(scope="module")
-def solid():
-    """Three axes, the shortest with three values, none of them on a family but n = 0."""
-    from conftest import SMALL_SCENE
+def without_family():
+    """Changes of the small scene that leave its points where the axes put them."""
+    return {"family": None, "nudge": None, "labels": None, "integration": {"duration": 3.0}}
 
-    scene = (
-        SMALL_SCENE.split("[family]")[0]
-        + "[axes.n]\nvalues = [0.1, -0.02, 0.0]\n[integration]\nduration = 3.0\n"
-    )
+
+@pytest.fixture(scope="module")
+def solid(scene_text, without_family):
+    """Three axes, the shortest with three values; only n = 0 is on a family."""
+    scene = scene_text(without_family | {"axes.n.values": [0.1, -0.02, 0.0]})
     return atlas.run(load_scene(scene), progress=False)
 
 
@@ -69,13 +69,13 @@ def meshes(figure: Figure) -> list[QuadMesh]:
 
 
 def legend(figure: Figure) -> list[str]:
-    return [text.get_text() for entry in figure.legends for text in entry.get_texts()]
+    return [entry.get_text() for legend in figure.legends for entry in legend.get_texts()]
 
 
 # Colours.
 
 # Machado, Oliveira & Fernandes 2009, severity 1, on linear RGB: protanopia, deuteranopia, tritanopia.
-BLIND = (
+COLOUR_VISION = (
     np.eye(3),
     [[0.152286, 1.052583, -0.204868], [0.114503, 0.786281, 0.099216], [-0.003882, -0.048116, 1.051998]],
     [[0.367322, 0.860646, -0.227968], [0.280085, 0.672501, 0.047413], [-0.011820, 0.042940, 0.968881]],
@@ -84,35 +84,35 @@ BLIND = (
 XYZ = np.array([[0.4124, 0.3576, 0.1805], [0.2126, 0.7152, 0.0722], [0.0193, 0.1192, 0.9505]])
 
 
-def lab(colours: list[str], sight) -> np.ndarray:
-    """CIE L*a*b* (D65) of colours as seen, shape (colours, 3)."""
+def lab(colours: list[str], vision) -> np.ndarray:
+    """CIE L*a*b* (D65) of colours as perceived, shape (colours, 3)."""
     rgb = np.array([to_rgb(c) for c in colours])
     linear = np.where(rgb <= 0.04045, rgb / 12.92, ((rgb + 0.055) / 1.055) ** 2.4)
-    seen = np.clip(linear @ np.asarray(sight).T, 0, 1) @ XYZ.T / XYZ.sum(1)
-    f = np.where(seen > 216 / 24389, np.cbrt(seen), (24389 / 27 * seen + 16) / 116)
+    xyz = np.clip(linear @ np.asarray(vision).T, 0, 1) @ XYZ.T / XYZ.sum(1)
+    f = np.where(xyz > 216 / 24389, np.cbrt(xyz), (24389 / 27 * xyz + 16) / 116)
     return np.stack([116 * f[:, 1] - 16, 500 * (f[:, 0] - f[:, 1]), 200 * (f[:, 1] - f[:, 2])], -1)
 
 
-@pytest.mark.parametrize("sight", BLIND, ids=("full", "protan", "deutan", "tritan"))
-def test_flags_differ_in_grey_and_for_the_colour_blind(sight):
+@pytest.mark.parametrize("vision", COLOUR_VISION, ids=("full", "protan", "deutan", "tritan"))
+def test_flags_differ_in_grey_and_for_the_colour_blind(vision):
     for system in SYSTEMS.values():
         for variable in variables(system).values():
             if variable.flags:
-                seen = lab(list(style.flag_colours(variable.flags).values()), sight)
-                i, j = np.triu_indices(len(seen), 1)
-                assert np.abs(seen[i, 0] - seen[j, 0]).min() > (5 if len(seen) > 7 else 12), variable.name
-                assert np.linalg.norm(seen[i] - seen[j], axis=1).min() > 7, variable.name
+                colours = lab(list(style.flag_colours(variable.flags).values()), vision)
+                i, j = np.triu_indices(len(colours), 1)
+                lightness_difference = np.abs(colours[i, 0] - colours[j, 0]).min()
+                assert lightness_difference > (5 if len(colours) > 7 else 12), variable.name
+                assert np.linalg.norm(colours[i] - colours[j], axis=1).min() > 7, variable.name
 
 
-def test_a_flag_has_one_colour_whatever_else_occurs(small):
+def test_the_colour_of_a_flag_does_not_depend_on_the_others(small):
     part = small.isel(sigma=slice(0, 2))
     assert len(np.unique(part.label)) < len(np.unique(small.label))
     for ds in (small, part):
         (mesh,) = meshes(maps.atlas_map(ds))
-        found = {int(v): mesh.cmap(mesh.norm(v)) for v in np.unique(ds.label)}
-        for value, colour in found.items():
-            name = list(variables(SYSTEMS["satellite"])["label"].flags)[value]
-            assert colour[:3] == pytest.approx(to_rgb(style.COLOURS[name]), abs=1e-6)
+        for value in np.unique(ds.label):
+            colour = to_rgb(style.COLOURS[Label(value).name.lower()])
+            assert mesh.cmap(mesh.norm(value))[:3] == pytest.approx(colour, abs=1e-6)
 
 
 # Cells.
@@ -136,22 +136,21 @@ def test_cells_enclose_their_points_and_meet_midway(steps, log):
     assert outer[-1] - inner[-1] == pytest.approx(inner[-1] - outer[-2])
 
 
-def test_a_map_shows_every_value_at_its_place(small):
-    for turned in (False, True):
-        x, y = ("theta0", "sigma") if turned else ("sigma", "theta0")
+def test_a_map_shows_every_value_at_its_coordinates(small):
+    for x, y in (("sigma", "theta0"), ("theta0", "sigma")):
         (mesh,) = meshes(maps.atlas_map(small, "theta_dot_rms", x=x, y=y))
         shown = np.asarray(mesh.get_array()).reshape(small.sizes[y], small.sizes[x])
         values = small.theta_dot_rms.transpose(y, x).values
-        above = values > 0  # an exact motion that keeps its zero to the last bit is below any log scale
-        np.testing.assert_array_equal(shown[above], values[above])
-        assert (shown[~above] < mesh.norm.vmin).all()
+        positive = values > 0  # exact zeros are below any logarithmic scale
+        np.testing.assert_array_equal(shown[positive], values[positive])
+        assert (shown[~positive] < mesh.norm.vmin).all()
         corners = mesh.get_coordinates()
         np.testing.assert_array_equal(corners[0, :, 0], select.cell_edges(small[x].values))
         np.testing.assert_array_equal(corners[:, 0, 1], select.cell_edges(small[y].values))
         assert mesh.get_rasterized()
 
 
-def test_axes_given_in_any_order_are_drawn_in_theirs(small):
+def test_axes_are_drawn_in_increasing_order(small):
     mixed = small.isel(sigma=[3, 0, 8, 1, 7, 2, 5, 4, 6], theta0=slice(None, None, -1))
     (a,), (b,) = meshes(maps.atlas_map(small)), meshes(maps.atlas_map(mixed))
     np.testing.assert_array_equal(np.asarray(a.get_array()), np.asarray(b.get_array()))
@@ -168,35 +167,35 @@ def test_long_axes_are_thinned(small, monkeypatch):
 
 
 def test_scales_fit_the_numbers(small):
-    def norm(values):
+    def norm_and_figure(values):
         ds = small.assign(theta_dot_rms=small.theta_dot_rms.copy(data=values))
         figure = maps.atlas_map(ds, "theta_dot_rms")
         return meshes(figure)[0].norm, figure
 
     shape = small.theta_dot_rms.shape
     decades = np.logspace(-6, 0, 63).reshape(shape)
-    found, _ = norm(decades)
-    assert isinstance(found, LogNorm)
-    assert (found.vmin, found.vmax) == pytest.approx((1e-6, 1))
+    norm, _ = norm_and_figure(decades)
+    assert isinstance(norm, LogNorm)
+    assert (norm.vmin, norm.vmax) == pytest.approx((1e-6, 1))
     decades[0, 0] = 0.0
-    found, figure = norm(decades)
-    assert isinstance(found, LogNorm)
+    norm, figure = norm_and_figure(decades)
+    assert isinstance(norm, LogNorm)
     mesh = meshes(figure)[0]
     zero = mesh.cmap(mesh.norm(np.asarray(mesh.get_array()).ravel()[0]))
     assert zero == mesh.cmap(0)  # the lowest colour, not a hole
-    found, _ = norm(np.linspace(1, 2, 63).reshape(shape))
-    assert not isinstance(found, LogNorm)
-    found, _ = norm(np.linspace(-1, 3, 63).reshape(shape))
-    assert (found.vmin, found.vmax) == (-3, 3)
-    found, _ = norm(np.full(shape, 2.0))
-    assert found.vmin < 2 < found.vmax
+    norm, _ = norm_and_figure(np.linspace(1, 2, 63).reshape(shape))
+    assert not isinstance(norm, LogNorm)
+    norm, _ = norm_and_figure(np.linspace(-1, 3, 63).reshape(shape))
+    assert (norm.vmin, norm.vmax) == (-3, 3)
+    norm, _ = norm_and_figure(np.full(shape, 2.0))
+    assert norm.vmin < 2 < norm.vmax
     hole = np.linspace(1, 2, 63).reshape(shape)
     hole[2, 2] = np.nan
-    assert "no value" in legend(norm(hole)[1])
-    assert legend(norm(np.full(shape, np.nan))[1])[0] == "no value"
+    assert "no value" in legend(norm_and_figure(hole)[1])
+    assert legend(norm_and_figure(np.full(shape, np.nan))[1])[0] == "no value"
 
 
-def test_signed_colours_tell_the_sign_in_grey():
+def test_signed_colours_show_the_sign_in_grey():
     lightness = lab(
         [matplotlib.colors.to_hex(c) for c in matplotlib.colormaps["cividis"](np.linspace(0, 1, 11))],
         np.eye(3),
@@ -222,8 +221,8 @@ def test_axes_carry_symbols_and_units(small):
     ax, bar = figure.axes
     assert (ax.get_xlabel(), ax.get_ylabel()) == ("$C/A$", r"$\theta_0$ (rad)")
     assert bar.get_ylabel() == r"mean $\dot\psi$ (rad s$^{-1}$)"
-    assert style.unit_text("kg m2") == "kg m$^{2}$"
-    assert maps.variable_label(small.growth_rate) == "growth rate (rad s$^{-1}$)"
+    assert text.unit_text("kg m2") == "kg m$^{2}$"
+    assert text.variable_label(small.growth_rate) == "growth rate (rad s$^{-1}$)"
 
 
 def test_every_variable_of_an_atlas_can_be_drawn(small):
@@ -238,14 +237,14 @@ def test_the_legend_shows_only_what_occurs(small):
     assert legend(maps.atlas_map(small)) == [*occurring, "stability limit (theory)"]
 
 
-def test_panels_of_a_third_axis(solid):
+def test_a_third_axis_becomes_panels(solid):
     figure = maps.atlas_map(solid, "theta_dot_rms")
     panels = figure.axes[:3]
     assert [ax.get_title() for ax in panels] == [
         f"$n$ = {v} rad s$^{{-1}}$" for v in ("\N{MINUS SIGN}0.02", "0", "0.1")
     ]
-    norms = {(m.norm.vmin, m.norm.vmax) for ax in panels for m in ax.collections}
-    assert len(norms) == 1
+    limits = {(m.norm.vmin, m.norm.vmax) for ax in panels for m in ax.collections}
+    assert len(limits) == 1
     assert [ax.get_xlabel() != "" for ax in panels] == [False, True, True]  # two above, one below
     assert [ax.get_ylabel() != "" for ax in panels] == [True, False, True]
 
@@ -260,9 +259,9 @@ def test_one_axis_gives_a_strip_or_a_line(small):
     assert line.axes[0].get_yscale() == "log"
 
 
-def test_logarithmic_axes_are_drawn_so(small):
-    text = small.attrs["atlas_scene"].replace("from = 0.3", 'spacing = "log"\nfrom = 0.3')
-    ds = small.assign_coords(sigma=np.geomspace(0.3, 1.7, 9)).assign_attrs(atlas_scene=text)
+def test_logarithmic_axes_are_drawn_on_a_logarithmic_scale(small):
+    scene = small.attrs["atlas_scene"].replace("from = 0.3", 'spacing = "log"\nfrom = 0.3')
+    ds = small.assign_coords(sigma=np.geomspace(0.3, 1.7, 9)).assign_attrs(atlas_scene=scene)
     ds["sigma"].attrs = small["sigma"].attrs
     ax = maps.atlas_map(ds).axes[0]
     assert ax.get_xscale() == "log"
@@ -280,42 +279,41 @@ def test_settings_of_the_user_are_left_alone(small):
 # Theory.
 
 
-def plane(text: str, **held: float) -> theory_curves.Plane:
+def plane(text: str, **fixed: float) -> theory_curves.Plane:
     scene = load_scene(text)
-    axes = select.axes_of(scene)
-    frame = {d: (min(a.values), max(a.values)) for d, a in axes.items() if d not in held}
-    return theory_curves.Plane(scene, frame, held)
+    axes = metadata.axes_of(scene)
+    extent = {d: (min(a.values), max(a.values)) for d, a in axes.items() if d not in fixed}
+    return theory_curves.Plane(scene, extent, fixed)
 
 
-def test_points_between_those_of_the_grid(small_scene):
+def test_points_at_the_coordinates_of_the_grid_are_those_of_the_grid(small_scene):
     scene = load_scene(small_scene)
-    whole = grid.points_at_indices(scene, np.arange(scene.size))
-    some = np.array([5, 17, 17, 40, 62])
-    again = grid.points_at(scene, {name: whole_axis(scene, name)[some] for name in scene.axes})
-    for name, values in again.points.items():
-        np.testing.assert_array_equal(values, whole.points[name][some])
-    np.testing.assert_array_equal(again.duration, whole.duration[some])
+    expected = grid.points_at_indices(scene, np.arange(scene.size))
+    indices = np.array([5, 17, 17, 40, 62])
+    coordinates = {
+        axis.name: np.asarray(axis.values)[i]
+        for axis, i in zip(scene.axes.values(), np.unravel_index(indices, scene.shape), strict=True)
+    }
+    points = grid.points_at(scene, coordinates)
+    for name, values in points.points.items():
+        np.testing.assert_array_equal(values, expected.points[name][indices])
+    np.testing.assert_array_equal(points.duration, expected.duration[indices])
 
 
-def whole_axis(scene, name):
-    place = np.unravel_index(np.arange(scene.size), scene.shape)[list(scene.axes).index(name)]
-    return np.asarray(scene.axes[name].values)[place]
-
-
-def exponent(sigma, theta, m):
+def growth_rate(sigma, theta, m):
     """Largest growth of perp-velocity precession (mu = 0) by a numerical Jacobian of the equations of motion."""
     from atlas.systems.satellite import equations, families, initial
 
     p = {n: np.array(q.default) for n, q in initial.PARAMETERS.items()}
     p |= {"C": np.array(sigma), "theta0": np.array(theta), "m": np.array(m), "psi0": np.array(np.pi / 2)}
     p["k3"] = families.FAMILIES["perp_velocity"].solve["k3"](p)
-    turning = {n: np.atleast_1d(v) for n, v in p.items()}
-    state, constants = initial.initial_state(turning)[:, 0], initial.constants(turning)[:, 0]
-    # in the axes of the node: the body spins about e3 at m, which drops out for a symmetric body
-    spin = np.zeros((9, 9))
-    turn = np.array([[0, 1, 0], [-1, 0, 0], [0, 0, 0]]) * m
+    points = {n: np.atleast_1d(v) for n, v in p.items()}
+    state, constants = initial.initial_state(points)[:, 0], initial.constants(points)[:, 0]
+    # in the axes of the node, in which a symmetric body rotates about e3 at m and its motion is steady
+    rotation = np.zeros((9, 9))
+    generator = np.array([[0, 1, 0], [-1, 0, 0], [0, 0, 0]]) * m
     for i in (0, 3, 6):
-        spin[i : i + 3, i : i + 3] = turn
+        rotation[i : i + 3, i : i + 3] = generator
     steps = np.eye(9) * 1e-6
     jacobian = np.array(
         [
@@ -324,17 +322,17 @@ def exponent(sigma, theta, m):
             for s in steps
         ]
     ).T
-    return np.linalg.eigvals(jacobian - spin).real.max()
+    return np.linalg.eigvals(jacobian - rotation).real.max()
 
 
-def test_the_stability_limit_divides_growth_from_none(small_scene):
+def test_the_stability_limit_separates_growth_from_none(small_scene):
     view = plane(small_scene)
     lines = theory_curves.stability_boundary(view)
     vertices = np.concatenate(lines)
     assert len(vertices) > 100
     steps = np.array([[0.02, 0.0], [-0.02, 0.0], [0.0, 0.02], [0.0, -0.02]])
     for vertex in vertices[:: len(vertices) // 12]:
-        growth = [exponent(*(vertex + s), 0.5) for s in steps]
+        growth = [growth_rate(*(vertex + s), 0.5) for s in steps]
         assert max(growth) > 1e-2, vertex
         assert min(growth) < 1e-3, vertex
 
@@ -349,8 +347,8 @@ def test_the_stability_limit_is_sharp(small_scene):
 
 
 def test_the_stability_limit_on_one_axis(small_scene):
-    (one, two) = theory_curves.stability_boundary(plane(small_scene, theta0=0.5))
-    assert (float(one[0, 0]), float(two[0, 0])) == pytest.approx((1.0, 4 / 3), abs=1e-4)
+    (first, second) = theory_curves.stability_boundary(plane(small_scene, theta0=0.5))
+    assert (float(first[0, 0]), float(second[0, 0])) == pytest.approx((1.0, 4 / 3), abs=1e-4)
 
 
 @settings(max_examples=10)
@@ -369,30 +367,28 @@ def test_family_curves_are_exact_motions(m, C, mu3):
             assert residual.max() < 1e-7
 
 
-def test_family_curves_for_either_axis(small_scene):
-    text = small_scene.split("[family]")[0].replace("[axes.sigma]", "[axes.sigma]") + "[integration]\n"
-    view = plane(text)
+def test_family_curves_for_either_axis(scene_text, without_family):
+    view = plane(scene_text(without_family))
     (curve,) = theory_curves.family_curves(view)["perp_velocity"]  # only theta0 can be solved for
-    known = np.isfinite(curve).all(1)
-    sigma, theta = curve[known].T
+    sigma, theta = curve[np.isfinite(curve).all(1)].T
     assert sigma.size > 100
     # k3 = 0: 4 Omega c (A - C) = C m
     np.testing.assert_allclose(4 * np.cos(theta) * (1 - sigma), 0.5 * sigma, atol=1e-9)
-    turned = theory_curves.Plane(view.scene, dict(reversed(view.frame.items())), {})
-    (other,) = theory_curves.family_curves(turned)["perp_velocity"]
-    np.testing.assert_array_equal(other[:, ::-1], curve)
+    transposed = theory_curves.Plane(view.scene, dict(reversed(view.extent.items())), {})
+    (transposed_curve,) = theory_curves.family_curves(transposed)["perp_velocity"]
+    np.testing.assert_array_equal(transposed_curve[:, ::-1], curve)
 
 
 def test_an_offset_axis_has_its_family_at_zero():
-    text = CURVE_SCENE.format(m=0.5, C=0.7, mu3=0.0).replace(
+    scene = CURVE_SCENE.format(m=0.5, C=0.7, mu3=0.0).replace(
         "from = -4.0\nto = 4.0\ncount = 3", "from = -0.1\nto = 0.2\ncount = 4\noffset_from_family = true"
     )
-    view = plane(text + '[family]\nname = "perp_velocity"\nsolve = ["k3"]\n')
-    assert list(view.frame) == ["theta0", "k3_offset"]
+    view = plane(scene + '[family]\nname = "perp_velocity"\nsolve = ["k3"]\n')
+    assert list(view.extent) == ["theta0", "k3_offset"]
     (line,) = theory_curves.family_curves(view)["perp_velocity"]
     np.testing.assert_array_equal(line, [[0.1, 0.0], [1.5, 0.0]])
-    beside = theory_curves.Plane(view.scene, view.frame | {"k3_offset": (0.1, 0.2)}, {})
-    assert theory_curves.family_curves(beside) == {}
+    away = theory_curves.Plane(view.scene, view.extent | {"k3_offset": (0.1, 0.2)}, {})
+    assert theory_curves.family_curves(away) == {}
     figure = maps.atlas_map(atlas.run(view.scene, progress=False))
     assert figure.axes[0].get_ylabel() == "$k_3$, offset from the family (N m s)"
     assert "perp velocity (exact)" in legend(figure)
@@ -402,9 +398,11 @@ def test_a_plane_that_lies_on_a_family_has_no_curve(small_scene):
     assert theory_curves.family_curves(plane(small_scene)) == {}
 
 
-def test_a_map_survives_theory_that_does_not_exist_between_its_points(small, caplog):
-    text = small.attrs["atlas_scene"].replace('B = "A"', 'B = "A * sqrt(sigma - 0.3)"')
-    figure = maps.atlas_map(small.assign_attrs(atlas_scene=text).assign_coords(sigma=np.linspace(-0.3, 1, 9)))
+def test_a_map_without_theory_where_bodies_between_its_points_cannot_exist(small, caplog):
+    scene = small.attrs["atlas_scene"].replace('B = "A"', 'B = "A * sqrt(sigma - 0.3)"')
+    figure = maps.atlas_map(
+        small.assign_attrs(atlas_scene=scene).assign_coords(sigma=np.linspace(-0.3, 1, 9))
+    )
     assert "no theory on this map" in caplog.text
     assert meshes(figure) or figure.axes
 
@@ -426,12 +424,12 @@ def test_a_map_survives_theory_that_does_not_exist_between_its_points(small, cap
     ],
 )
 def test_bad_input_is_one_line(small, options, words):
-    with pytest.raises(BadInput, match=re.escape(words)) as complaint:
+    with pytest.raises(BadInput, match=re.escape(words)) as error:
         maps.atlas_map(small, **options)
-    assert "\n" not in str(complaint.value)
+    assert "\n" not in str(error.value)
 
 
-def test_other_datasets_are_told_what_they_are(small, solid):
+def test_datasets_without_a_map_are_errors(small, solid):
     with pytest.raises(BadInput, match="not an atlas"):
         maps.atlas_map(xr.Dataset())
     with pytest.raises(BadInput, match="single points"):
@@ -468,7 +466,7 @@ def test_files_are_whole_repeatable_and_carry_their_fonts(small, tmp_path):
     assert image.shape[1] == pytest.approx(88 / 25.4 * 600, abs=2)
 
 
-def test_unwritable_places_are_named(small, tmp_path):
+def test_paths_that_cannot_be_written_are_errors(small, tmp_path):
     figure = maps.atlas_map(small)
     for path, words in (
         (tmp_path / "map.jpeg", "a figure's name ends in .png, .pdf, .svg"),
@@ -483,7 +481,7 @@ def test_unwritable_places_are_named(small, tmp_path):
     assert [p.name for p in tmp_path.iterdir()] == ["folder.png"]
 
 
-def test_nothing_is_left_of_a_figure_that_fails(small, tmp_path, monkeypatch):
+def test_a_figure_that_fails_leaves_the_older_file(small, tmp_path, monkeypatch):
     figure = maps.atlas_map(small)
     path = tmp_path / "map.png"
     path.write_bytes(b"older")
@@ -499,8 +497,8 @@ def test_nothing_is_left_of_a_figure_that_fails(small, tmp_path, monkeypatch):
     assert path.read_bytes() == b"older"
 
 
-def test_the_caption_says_what_was_computed(small):
-    text = maps.caption(small)
+def test_the_caption_contains_what_was_computed(small):
+    caption = text.caption(small)
     for words in (
         "small: magnetised satellite-gyrostat",
         "m = 0.5",
@@ -513,12 +511,12 @@ def test_the_caption_says_what_was_computed(small):
         f"Precession Atlas {atlas.__version__} (kernel {small.attrs['atlas_kernel_hash']})",
         "10.22055/JACM.2021.37913.3113",
     ):
-        assert words in text
-    assert "theta0 = 0.8" in maps.caption(select.nearest(small, {"theta0": 0.8}))
-    words = [t.get_text() for t in maps.atlas_map(small, caption=True).texts]
-    assert " ".join(words[0].split()) == text
+        assert words in caption
+    assert "theta0 = 0.8" in text.caption(select.nearest(small, {"theta0": 0.8}))
+    printed = maps.atlas_map(small, caption=True).texts[0].get_text()
+    assert " ".join(printed.split()) == caption
     points = atlas.label_points("satellite", {"theta0": [0.1, 0.2]}, duration=1.0, step=0.1)
-    assert "step 0.1" in maps.caption(points)
+    assert "step 0.1" in text.caption(points)
 
 
 # Trajectories.
@@ -529,22 +527,22 @@ def test_a_trajectory_figure_shows_the_motion():
     for width, mm in style.WIDTHS.items():
         figure = trajectory.trajectory_figure(tr, width=width)
         assert figure.get_figwidth() * 25.4 == pytest.approx(mm)
-        tilt, turn, rate, sphere = figure.axes
-        np.testing.assert_array_equal(tilt.lines[0].get_ydata(), tr.theta)
-        psi = turn.lines[0].get_ydata()
-        known = np.isfinite(psi)
-        np.testing.assert_allclose(np.exp(1j * psi[known]), np.exp(1j * tr.psi.values[known]), atol=1e-12)
-        assert [t.get_text() for t in rate.get_legend().get_texts()] == [
+        theta_ax, angle_ax, rate_ax, sphere_ax = figure.axes
+        np.testing.assert_array_equal(theta_ax.lines[0].get_ydata(), tr.theta)
+        psi = angle_ax.lines[0].get_ydata()
+        finite = np.isfinite(psi)
+        np.testing.assert_allclose(np.exp(1j * psi[finite]), np.exp(1j * tr.psi.values[finite]), atol=1e-12)
+        assert [t.get_text() for t in rate_ax.get_legend().get_texts()] == [
             style.SYMBOLS[n] for n in trajectory.RATES
         ]
         # the near and the far part of the path are the whole path, inside the disc
-        near, far = sphere.lines[-2].get_xydata(), sphere.lines[-3].get_xydata()
+        near, far = sphere_ax.lines[-2].get_xydata(), sphere_ax.lines[-3].get_xydata()
         assert (np.isfinite(near[:, 0]) ^ np.isfinite(far[:, 0])).all()
         assert np.nanmax(np.hypot(*np.where(np.isfinite(near), near, far).T)) <= 1 + 1e-9
-        assert [t.get_text() for t in sphere.texts] == ["radius", "velocity", "normal"]
+        assert [t.get_text() for t in sphere_ax.texts] == ["radius", "velocity", "normal"]
 
 
-def test_rates_that_blow_up_near_the_vertical_do_not_hide_the_others():
+def test_rates_that_diverge_near_the_vertical_do_not_hide_the_others():
     tr = atlas.trajectory("satellite", {"theta0": 1.0, "n": 0.3}, duration=20.0, samples=201)
     tr["psi_dot"][100] = 1e6
     assert trajectory.trajectory_figure(tr).axes[2].get_ylim()[1] < 100

@@ -1,4 +1,4 @@
-"""Refined atlases: the same as the full grid at a share of its points, and honest about what is not computed."""
+"""Refined atlases: equal to the full grid at a share of its points, and open about what is not computed."""
 
 import numpy as np
 import pytest
@@ -9,28 +9,39 @@ from hypothesis import strategies as st
 import atlas
 from atlas import BadInput, load_scene
 from atlas.analysis import summary
+from atlas.flags import Label
 from atlas.io import netcdf
 from atlas.runs import refine
 from atlas.scene.grid import Grid
 
+OBLIQUE = {
+    "family": {"name": "oblique", "solve": ["psi0", "k3"]},
+    "ties.psi0": None,
+    "fixed.mu3": 1.0,
+    "fixed.h1": 0.5,
+}
 
-def scene_of(small_scene, counts=(9, 7), more="", refined="[refine]\nlevels = 3\n"):
-    text = small_scene.replace("count = 9", f"count = {counts[0]}").replace(
-        "count = 7", f"count = {counts[1]}"
-    )
-    return load_scene(text.replace("[ties]", f"{more}{refined}[ties]"))
+
+def full_scene(scene_text, counts, changes=None):
+    """The small scene with so many values along its axes."""
+    counts = dict(zip(("axes.sigma.count", "axes.theta0.count"), counts, strict=True))
+    return load_scene(scene_text(counts | (changes or {})))
+
+
+def refined_scene(scene_text, counts=(9, 7), changes=None, refine=None):
+    """The small scene with a coarse grid of so many values along its axes."""
+    return full_scene(scene_text, counts, (changes or {}) | {"refine": refine or {"levels": 3}})
 
 
 @pytest.fixture(scope="module")
-def both():
-    from conftest import SMALL_SCENE
-
-    scene = scene_of(SMALL_SCENE)
-    full = scene_of(SMALL_SCENE, counts=scene.shape, refined="")
+def both(scene_text):
+    """A refined atlas, and the same on the full grid."""
+    scene = refined_scene(scene_text)
+    full = full_scene(scene_text, scene.shape)
     return refine.refined(scene, [], progress=False), atlas.run(full, progress=False)
 
 
-def test_every_flag_is_that_of_the_full_grid(both):
+def test_flags_and_parameters_are_those_of_the_full_grid(both):
     ds, full = both
     assert dict(ds.sizes) == {"sigma": 65, "theta0": 49}
     for name in full.data_vars:
@@ -56,12 +67,12 @@ def test_numbers_are_those_of_the_full_grid_or_nan(both):
     assert ds.attrs["atlas_probe_missed"] == 0
 
 
-def test_a_refined_atlas_is_written_read_mapped_and_asked_like_any_other(both, tmp_path):
+def test_a_refined_atlas_can_be_written_read_mapped_and_queried(both, tmp_path):
     ds, full = both
     netcdf.write(ds, tmp_path / "a.nc")
     with atlas.open_atlas(tmp_path / "a.nc") as read:
         xr.testing.assert_equal(read.load(), ds)
-        assert float(read.atlas.fractions()[3]) == float((full.label == 3).mean())
+        assert float(read.atlas.fractions()[Label.DRIFTING]) == float((full.label == Label.DRIFTING).mean())
         assert len(read.atlas.select(computed="computed").point) == int(ds.computed.sum())
         assert read.atlas.map("computed").axes
     scene = load_scene(ds.attrs["atlas_scene"])
@@ -69,36 +80,37 @@ def test_a_refined_atlas_is_written_read_mapped_and_asked_like_any_other(both, t
     assert load_scene(scene.toml()).toml() == scene.toml()
 
 
-def test_axes_of_values_and_single_values_stay_as_they_are(small_scene):
-    more = "[axes.k1]\nvalues = [0.0]\n[axes.h3]\nvalues = [0.0, 0.2]\n"
-    scene = scene_of(small_scene, (5, 4), more, "[refine]\nlevels = 2\nprobe = 0.0\n")
+def test_axes_given_by_values_are_not_refined(scene_text):
+    axes = {"axes.k1.values": [0.0], "axes.h3.values": [0.0, 0.2]}
+    scene = refined_scene(scene_text, (5, 4), axes, {"levels": 2, "probe": 0.0})
     assert scene.shape == (17, 13, 1, 2)
     ds = refine.refined(scene, [], progress=False)
     assert ds.label.dims == ("sigma", "theta0", "k1", "h3")
-    full = atlas.run(scene_of(small_scene, (17, 13), more, ""), progress=False)
+    full = atlas.run(full_scene(scene_text, (17, 13), axes), progress=False)
     np.testing.assert_array_equal(ds.label, full.label)
     assert ds.attrs["atlas_probe_points"] == 0
 
 
-def test_points_without_motion_are_not_computed_and_their_border_is_followed(small_scene):
-    oblique = small_scene.replace('"perp_velocity"', '"oblique"').replace('["k3"]', '["psi0", "k3"]')
-    oblique = oblique.replace('psi0 = "pi / 2"\n', "").replace("m = 0.5", "m = 0.5\nmu3 = 1.0\nh1 = 0.5")
-    scene = scene_of(oblique, (5, 4), refined="[refine]\nlevels = 3\n")
+def test_points_without_motion_are_not_computed_and_their_boundary_is_traced(scene_text):
+    scene = refined_scene(scene_text, (5, 4), OBLIQUE)
     ds = refine.refined(scene, [], progress=False)
-    full = atlas.run(scene_of(oblique, scene.shape, refined=""), progress=False)
-    nowhere = full.label.values == 0
-    assert 0 < nowhere.sum() < nowhere.size
+    full = atlas.run(full_scene(scene_text, scene.shape, OBLIQUE), progress=False)
+    without_motion = full.label.values == Label.NOT_COMPUTED
+    assert 0 < without_motion.sum() < without_motion.size
     np.testing.assert_array_equal(ds.label, full.label)
     np.testing.assert_array_equal(ds.psi0, full.psi0)
-    assert (ds.computed.values[nowhere] == 1).all()
+    assert (ds.computed.values[without_motion] == 1).all()
     assert ds.attrs["atlas_computed_share"] <= 1
 
 
-# Motions of an invented plane: label 2 inside the shape, 3 outside; without magnet the field is nothing to theory.
-def pretend(monkeypatch, inside):
-    def evaluate(scene, tile: Grid, *, threads=None):
-        flag = np.where(inside(tile.base["h1"], tile.base["h3"]), 2, 3).astype(np.int8)
-        return {"label": flag}
+def labels_of_region(inside, x, y):
+    """Invented labels of the (h1, h3) plane: permanent rotation inside a region, drifting outside."""
+    return np.where(inside(x, y), Label.PERMANENT_ROTATION, Label.DRIFTING).astype(np.int8)
+
+
+def replace_integration(monkeypatch, inside):
+    def evaluate(scene, points: Grid, *, threads=None):
+        return {"label": labels_of_region(inside, points.base["h1"], points.base["h3"])}
 
     monkeypatch.setattr(refine, "evaluate_tile", evaluate)
 
@@ -122,99 +134,92 @@ def plane(count, levels, probe):
     )
 
 
-def truth(ds, inside):
-    x, y = np.meshgrid(ds.h1, ds.h3, indexing="ij")
-    return np.where(inside(x, y), 2, 3)
+def expected_labels(ds, inside):
+    return labels_of_region(inside, *np.meshgrid(ds.h1, ds.h3, indexing="ij"))
 
 
 @settings(max_examples=25)
-@given(
-    st.floats(0, 1), st.floats(0, 1), st.floats(0.15, 0.6), st.floats(0.02, 1.0), st.floats(0, np.pi),
-)  # fmt: skip
-def test_any_ellipse_that_the_coarse_grid_meets_is_exact(x0, y0, long, ratio, turned):
+@given(st.floats(0, 1), st.floats(0, 1), st.floats(0.15, 0.6), st.floats(0.02, 1.0), st.floats(0, np.pi))
+def test_any_ellipse_that_contains_a_coarse_point_is_exact(x0, y0, semi_axis, ratio, angle):
     def inside(x, y):
-        along = (x - x0) * np.cos(turned) + (y - y0) * np.sin(turned)
-        across = (y - y0) * np.cos(turned) - (x - x0) * np.sin(turned)
-        return (along / long) ** 2 + (across / (long * ratio)) ** 2 < 1
+        along = (x - x0) * np.cos(angle) + (y - y0) * np.sin(angle)
+        across = (y - y0) * np.cos(angle) - (x - x0) * np.sin(angle)
+        return (along / semi_axis) ** 2 + (across / (semi_axis * ratio)) ** 2 < 1
 
     with pytest.MonkeyPatch.context() as patch:
-        pretend(patch, inside)
+        replace_integration(patch, inside)
         ds = refine.refined(plane(9, 3, 0.0), [], progress=False)
-    if (ds.label == 2).any():
-        # needles thinner than the finest grid fall apart into islands
-        if long * ratio > 2 / 64:
-            np.testing.assert_array_equal(ds.label, truth(ds, inside))
+    if (ds.label == Label.PERMANENT_ROTATION).any():
+        # on the finest grid a thinner ellipse is a row of separate islands
+        if semi_axis * ratio > 2 / 64:
+            np.testing.assert_array_equal(ds.label, expected_labels(ds, inside))
     else:
-        coarse = truth(ds, inside)[::8, ::8]
-        assert (coarse == 3).all()
+        coarse = expected_labels(ds, inside)[::8, ::8]
+        assert (coarse == Label.DRIFTING).all()
 
 
-def test_what_the_probe_hits_is_mended_and_counted(monkeypatch):
+def test_islands_that_the_probe_hits_are_traced_and_counted(monkeypatch):
     def islands(x, y):  # three fine points wide, between the points of the coarse grid
         return (abs((8 * x) % 1 - 0.5) < 0.2) & (abs((8 * y) % 1 - 0.5) < 0.2)
 
-    pretend(monkeypatch, islands)
-    blind = refine.refined(plane(9, 3, 0.0), [], progress=False)
-    assert (blind.label == 3).all()
-    assert blind.attrs["atlas_computed_share"] == 81 / 65**2
+    replace_integration(monkeypatch, islands)
+    without_probe = refine.refined(plane(9, 3, 0.0), [], progress=False)
+    assert (without_probe.label == Label.DRIFTING).all()
+    assert without_probe.attrs["atlas_computed_share"] == 81 / 65**2
     ds = refine.refined(plane(9, 3, 0.1), [], progress=False)
-    tried, missed = ds.attrs["atlas_probe_points"], ds.attrs["atlas_probe_missed"]
-    assert tried == np.ceil(0.1 * (65**2 - 81))
-    expected = truth(ds, islands)
-    assert missed / tried == pytest.approx((expected == 2).mean(), abs=0.05)
-    assert (ds.label == 2).sum() > 4 * missed  # the whole of every island that was hit
+    probed, missed = ds.attrs["atlas_probe_points"], ds.attrs["atlas_probe_missed"]
+    assert probed == np.ceil(0.1 * (65**2 - 81))
+    expected = expected_labels(ds, islands)
+    assert missed / probed == pytest.approx((expected == Label.PERMANENT_ROTATION).mean(), abs=0.05)
+    # every island that was hit is traced as a whole
+    assert (ds.label == Label.PERMANENT_ROTATION).sum() > 4 * missed
     computed = ds.computed.values == 1
     np.testing.assert_array_equal(ds.label.values[computed], expected[computed])
     again = refine.refined(plane(9, 3, 0.1), [], progress=False)
     np.testing.assert_array_equal(again.computed, ds.computed)
 
 
-def test_progress_is_told(monkeypatch, capsys):
-    pretend(monkeypatch, lambda x, y: x + y < 0.7)
+def test_progress_is_printed(monkeypatch, capsys):
+    replace_integration(monkeypatch, lambda x, y: x + y < 0.7)
     refine.refined(plane(5, 2, 0.01), [], progress=True)
     assert "level 2 of 2" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(
-    ("old", "new", "named"),
+    ("changes", "named"),
     [
-        ("levels = 3", "levels = 0", "refine.levels = 0"),
-        ("levels = 3", "levels = 9", "refine.levels = 9"),
-        ("levels = 3", "levels = 1.5", "refine.levels = 1.5"),
-        ("levels = 3", "", "refine.levels = None"),
-        ("levels = 3", "levels = 3\nprobe = 1.5", "refine.probe = 1.5"),
-        ("levels = 3", "levels = 3\nprobe = -0.1", "refine.probe = -0.1"),
-        ("levels = 3", "levels = 3\nprobe = 'few'", "refine.probe"),
-        ("levels = 3", "levels = 3\nwidth = 3", "refine.width"),
-        ("[refine]\nlevels = 3", "refine = 3", "unknown key"),
-        ("count = 9", "count = 90000000", "axes.sigma.count"),
-        ("from = 0.3\nto = 1.7\ncount = 9", "values = [1.0]", ""),
+        ({"refine.levels": 0}, "refine.levels = 0"),
+        ({"refine.levels": 9}, "refine.levels = 9"),
+        ({"refine.levels": 1.5}, "refine.levels = 1.5"),
+        ({"refine": {}}, "refine.levels is missing"),
+        ({"refine.probe": 1.5}, "refine.probe = 1.5"),
+        ({"refine.probe": -0.1}, "refine.probe = -0.1"),
+        ({"refine.probe": "few"}, "refine.probe"),
+        ({"refine.width": 3}, "refine.width"),
+        ({"refine": 3}, "refine = 3"),
+        ({"axes.theta0.refine": 3}, "unknown key"),
+        ({"axes.sigma.count": 90000000}, "axes.sigma.count"),
+        ({"axes.sigma": {"values": [1.0]}, "axes.theta0": {"values": [0.4]}}, "nothing to refine"),
     ],
-)  # fmt: skip
-def test_bad_refinement_is_one_line_that_names_it(small_scene, old, new, named):
-    text = small_scene.replace("[ties]", "[refine]\nlevels = 3\n[ties]")
-    assert old in text
-    text = text.replace(old, new, 1)
-    if not named:
-        text = text.replace("from = 0.2\nto = 1.4\ncount = 7", "values = [0.4]")
-        named = "nothing to refine"
-    with pytest.raises(BadInput) as complaint:
-        load_scene(text)
-    assert named in str(complaint.value)
-    assert "\n" not in str(complaint.value)
+)
+def test_bad_refinement_is_refused_in_one_line_that_names_the_key(scene_text, changes, named):
+    with pytest.raises(BadInput) as error:
+        load_scene(scene_text({"refine.levels": 3} | changes))
+    assert named in str(error.value)
+    assert "\n" not in str(error.value)
 
 
-def test_a_finest_grid_beyond_memory_is_refused(small_scene):
+def test_a_finest_grid_beyond_memory_is_refused(scene_text):
     with pytest.raises(BadInput, match="finest grid"):
-        scene_of(small_scene, (3000, 3000))
+        refined_scene(scene_text, (3000, 3000))
 
 
-def test_run_refines_into_memory_or_one_file(small_scene, tmp_path, both):
-    scene = scene_of(small_scene)
+def test_run_refines_into_memory_or_one_file(scene_text, tmp_path, both):
+    scene = refined_scene(scene_text)
     ds = atlas.run(scene, tmp_path / "a.nc", progress=False)
     xr.testing.assert_equal(ds.load(), both[0])
     assert "interpolated" in summary.summary(ds)
     xr.testing.assert_equal(atlas.run(scene, progress=False), both[0])
-    for out, more in ((tmp_path / "folder", {}), (tmp_path / "b.nc", {"workers": 1})):
+    for out, options in ((tmp_path / "folder", {}), (tmp_path / "b.nc", {"workers": 1})):
         with pytest.raises(BadInput, match="one process"):
-            atlas.run(scene, out, progress=False, **more)
+            atlas.run(scene, out, progress=False, **options)

@@ -1,4 +1,4 @@
-"""Runs and atlas files: what is in them, that they are whole or not there, and that they say the same again."""
+"""Runs and atlas files: their content, that they are written whole or not at all, and that runs are repeatable."""
 
 import json
 
@@ -10,21 +10,20 @@ import xarray as xr
 
 import atlas
 from atlas import BadInput, files, load_scene
+from atlas.flags import Agreement, Label, Stability, Status
 from atlas.runs import runner
 from atlas.scene import grid
 from atlas.variables import variables
 
 
 @pytest.fixture(scope="module")
-def small_atlas(tmp_path_factory):
-    from conftest import SMALL_SCENE
-
+def small_atlas(tmp_path_factory, small_scene):
     path = tmp_path_factory.mktemp("atlas") / "small.nc"
-    ds = atlas.run(load_scene(SMALL_SCENE), path, progress=False)
+    ds = atlas.run(load_scene(small_scene), path, progress=False)
     return path, ds
 
 
-def test_every_variable_of_the_registry_is_there_as_the_registry_says(small_atlas):
+def test_an_atlas_has_the_variables_and_parameters_of_the_registry(small_atlas):
     path, ds = small_atlas
     scene = load_scene(ds.attrs["atlas_scene"])
     with xr.open_dataset(path) as read:
@@ -32,10 +31,10 @@ def test_every_variable_of_the_registry_is_there_as_the_registry_says(small_atla
             if name in scene.system.derived:  # only where a scene asks for them
                 assert name not in read
                 continue
-            for each in (ds, read):
-                assert each[name].dtype == variable.dtype
-                assert each[name].dims == ("sigma", "theta0")
-                assert each[name].attrs["long_name"] == variable.long_name
+            for dataset in (ds, read):
+                assert dataset[name].dtype == variable.dtype
+                assert dataset[name].dims == ("sigma", "theta0")
+                assert dataset[name].attrs["long_name"] == variable.long_name
             np.testing.assert_array_equal(read[name].values, ds[name].values)
         assert read["sigma"].attrs["long_name"] == "C/A"
         assert read["theta0"].attrs["units"] == "rad"
@@ -43,7 +42,7 @@ def test_every_variable_of_the_registry_is_there_as_the_registry_says(small_atla
         assert read["C"].dims == ("sigma",)
         assert read["Omega"].dims == ()
         assert set(scene.system.parameters) <= set(read.coords)
-        for key in (
+        attributes = [
             "Conventions",
             "title",
             "source",
@@ -51,37 +50,38 @@ def test_every_variable_of_the_registry_is_there_as_the_registry_says(small_atla
             "history",
             "atlas_kernel_hash",
             "atlas_cpu",
-        ):
-            assert read.attrs[key]
+        ]
+        assert all(read.attrs[name] for name in attributes)
         assert "10.22055/JACM.2021.37913.3113" in read.attrs["references"]
 
 
-def test_flags_speak_to_cf_xarray_and_to_plain_netcdf(small_atlas):
+def test_flags_can_be_read_by_cf_xarray_and_by_plain_netcdf(small_atlas):
     path, ds = small_atlas
     with xr.open_dataset(path) as read:
         drifting = read.label.cf == "drifting"
-        np.testing.assert_array_equal(drifting.values, ds.label.values == 3)
+        np.testing.assert_array_equal(drifting.values, ds.label.values == Label.DRIFTING)
         assert 0 < drifting.sum() < drifting.size
         assert read.label.cf.isin(["drifting", "unresolved"]).any()
     with netCDF4.Dataset(path) as raw:
         label = raw["label"]
         assert label.dtype == np.int8
         assert "_FillValue" not in label.ncattrs()
-        assert label.getncattr("flag_meanings").split()[3] == "drifting"
+        assert label.getncattr("flag_meanings").split()[Label.DRIFTING] == "drifting"
         assert label.getncattr("flag_values").dtype == np.int8
 
 
-def test_theory_and_numbers_agree_away_from_the_boundary(small_atlas):
+def test_theory_and_measurement_agree_away_from_the_boundary(small_atlas):
     from atlas.analysis.compare import near_boundary
 
     _, ds = small_atlas
     away = ~near_boundary(ds.stable.values)
-    assert ((ds.stable == 1) & (ds.label == 3)).values[away].sum() == 0
-    survivors = ((ds.stable == 2) & (ds.label != 3)).values & away
+    drifting = ds.label == Label.DRIFTING
+    assert ((ds.stable == Stability.STABLE) & drifting).values[away].sum() == 0
+    survivors = ((ds.stable == Stability.UNSTABLE) & ~drifting).values & away
     assert (ds.growth_rate * ds.end_time).values[survivors].max(initial=0) < 12
 
 
-def test_the_same_scene_gives_the_same_bytes(small_atlas, tmp_path, monkeypatch):
+def test_the_same_scene_gives_the_same_values_for_other_tiles_and_threads(small_atlas, tmp_path, monkeypatch):
     path, ds = small_atlas
     monkeypatch.setattr(grid, "MAX_POINTS_PER_TILE", 10)
     again = atlas.run(load_scene(ds.attrs["atlas_scene"]), tmp_path / "again.nc", threads=2, progress=False)
@@ -90,7 +90,7 @@ def test_the_same_scene_gives_the_same_bytes(small_atlas, tmp_path, monkeypatch)
     assert again.attrs["atlas_kernel_hash"] == ds.attrs["atlas_kernel_hash"]
 
 
-def test_a_point_of_the_atlas_is_the_same_point_alone(small_atlas):
+def test_a_point_of_the_atlas_equals_the_same_point_labelled_alone(small_atlas):
     _, ds = small_atlas
     at = ds.isel(sigma=3, theta0=2)
     start = {name: float(at[name]) for name in load_scene(ds.attrs["atlas_scene"]).system.parameters}
@@ -107,18 +107,22 @@ def test_a_scene_may_leave_variables_out(small_scene, tmp_path):
     assert list(ds.data_vars) == ["label", "theta_max"]
 
 
-def test_points_where_the_family_does_not_exist_are_not_computed(small_scene):
-    text = small_scene.replace(
-        'name = "perp_velocity"\nsolve = ["k3"]', 'name = "oblique"\nsolve = ["psi0", "k3"]'
-    )
-    text = text.replace('psi0 = "pi / 2"\n', "").replace("m = 0.5", "m = 0.5\nmu3 = 1.0\nh1 = 0.5")
-    ds = atlas.run(load_scene(text), progress=False)
-    nowhere = ds.label.values == 0
-    assert 0 < nowhere.sum() < nowhere.size
-    assert (ds.status.values[nowhere] == 0).all()
-    assert np.isnan(ds.theta_dot_rms.values[nowhere]).all()
-    assert (ds.agreement.values[nowhere] == 0).all()
-    assert (ds.label.values[~nowhere] > 0).all()
+def test_points_where_the_family_does_not_exist_are_not_computed(scene_text):
+    oblique = {"family": {"name": "oblique", "solve": ["psi0", "k3"]}, "ties.psi0": None}
+    ds = atlas.run(load_scene(scene_text(oblique | {"fixed.mu3": 1.0, "fixed.h1": 0.5})), progress=False)
+    not_computed = ds.label.values == Label.NOT_COMPUTED
+    assert 0 < not_computed.sum() < not_computed.size
+    assert (ds.status.values[not_computed] == Status.NOT_COMPUTED).all()
+    assert np.isnan(ds.theta_dot_rms.values[not_computed]).all()
+    assert (ds.agreement.values[not_computed] == Agreement.NOT_COMPARED).all()
+    assert (ds.label.values[~not_computed] != Label.NOT_COMPUTED).all()
+
+
+def test_run_takes_the_path_of_a_scene(small_atlas, small_scene, tmp_path):
+    _, ds = small_atlas
+    (tmp_path / "small.toml").write_text(small_scene)
+    for path in (tmp_path / "small.toml", str(tmp_path / "small.toml")):
+        xr.testing.assert_equal(atlas.run(path, progress=False), ds)
 
 
 def test_an_existing_file_is_kept_without_force(small_scene, tmp_path):
@@ -132,7 +136,7 @@ def test_an_existing_file_is_kept_without_force(small_scene, tmp_path):
 
 
 @pytest.mark.parametrize("name", ["no/such/folder/a.nc", "a.txt", "folder.nc"])
-def test_an_output_that_cannot_be_is_refused_before_anything_runs(small_scene, tmp_path, name, monkeypatch):
+def test_an_output_that_cannot_be_written_is_refused_before_the_run(small_scene, tmp_path, name, monkeypatch):
     (tmp_path / "folder.nc").mkdir()
     monkeypatch.setattr(runner, "evaluate_tile", None)
     with pytest.raises(BadInput):
@@ -140,7 +144,7 @@ def test_an_output_that_cannot_be_is_refused_before_anything_runs(small_scene, t
     assert sorted(p.name for p in tmp_path.iterdir()) == ["folder.nc"]
 
 
-def test_an_interrupt_or_a_full_disk_leaves_no_file_but_what_is_finished(small_scene, tmp_path, monkeypatch):
+def test_after_an_interrupt_or_a_full_disk_only_the_run_folder_is_left(small_scene, tmp_path, monkeypatch):
     def interrupt(*args, **kwargs):
         raise KeyboardInterrupt
 
@@ -162,7 +166,7 @@ def test_an_interrupt_or_a_full_disk_leaves_no_file_but_what_is_finished(small_s
     assert [p.name for p in tmp_path.iterdir()] == ["a.nc"]
 
 
-def test_what_is_no_atlas_is_refused_in_one_line(small_atlas, tmp_path):
+def test_a_file_that_is_not_an_atlas_is_refused_in_one_line(small_atlas, tmp_path):
     path, _ = small_atlas
     whole = path.read_bytes()
     (tmp_path / "truncated.nc").write_bytes(whole[: len(whole) // 2])
@@ -170,10 +174,10 @@ def test_what_is_no_atlas_is_refused_in_one_line(small_atlas, tmp_path):
     (tmp_path / "empty.nc").write_bytes(b"")
     xr.Dataset({"a": 1}).to_netcdf(tmp_path / "other.nc")
     for name in ("truncated.nc", "text.nc", "empty.nc", "other.nc", "none.nc", "."):
-        with pytest.raises(BadInput) as complaint:
+        with pytest.raises(BadInput) as error:
             atlas.open_atlas(tmp_path / name)
-        assert "\n" not in str(complaint.value)
-        assert len(str(complaint.value)) < 400
+        assert "\n" not in str(error.value)
+        assert len(str(error.value)) < 400
 
 
 @pytest.mark.parametrize(
@@ -194,30 +198,31 @@ def test_what_is_no_atlas_is_refused_in_one_line(small_atlas, tmp_path):
     ],
 )
 def test_label_points_refuses_in_one_line(points, options, named):
-    with pytest.raises(BadInput) as complaint:
+    with pytest.raises(BadInput) as error:
         atlas.label_points("satellite", points, **options)
-    assert named in str(complaint.value)
-    assert "\n" not in str(complaint.value)
+    assert named in str(error.value)
+    assert "\n" not in str(error.value)
 
 
 def test_label_points_takes_scalars_arrays_and_datasets():
     table = xr.Dataset({"theta0": ("point", [0.3, 0.6]), "m": 0.2})
-    one = atlas.label_points("satellite", table, duration=[3.0, 4.0], tolerance=1e-6)
-    two = atlas.label_points(
-        "satellite", {"theta0": [0.3, 0.6], "m": 0.2}, duration=[3.0, 4.0], tolerance=1e-6
+    mapping = {"theta0": [0.3, 0.6], "m": 0.2}
+    from_table, from_mapping = (
+        atlas.label_points("satellite", points, duration=[3.0, 4.0], tolerance=1e-6)
+        for points in (table, mapping)
     )
-    xr.testing.assert_identical(one.drop_attrs(), two.drop_attrs())
-    assert one.sizes == {"point": 2}
-    np.testing.assert_array_equal(one.end_time, [3.0, 4.0])
+    xr.testing.assert_identical(from_table.drop_attrs(), from_mapping.drop_attrs())
+    assert from_table.sizes == {"point": 2}
+    np.testing.assert_array_equal(from_table.end_time, [3.0, 4.0])
 
 
-def test_impossible_moments_are_remarked_on(caplog):
+def test_impossible_moments_of_inertia_give_a_warning(caplog):
     ds = atlas.label_points("satellite", {"A": 1.0, "B": 1.0, "C": 2.5}, duration=1.0)
     assert "no rigid body" in ds.attrs["atlas_warnings"]
     assert "no rigid body" in caplog.text
 
 
-def test_trajectory_ends_where_the_atlas_ends():
+def test_a_trajectory_agrees_with_the_statistics_of_its_point():
     point = {"theta0": 0.7, "k3": 0.3, "n": 0.2, "m": 0.4}
     tr = atlas.trajectory("satellite", point, duration=12.0, samples=301)
     ds = atlas.label_points("satellite", point, duration=12.0)
@@ -228,10 +233,11 @@ def test_trajectory_ends_where_the_atlas_ends():
     mean = np.trapezoid(tr.normal_rate, tr.time) / 12.0
     assert mean == pytest.approx(float(ds.normal_rate_mean[0]), abs=1e-5)
     np.testing.assert_allclose(tr.axis_x**2 + tr.axis_y**2 + tr.axis_z**2, 1.0, atol=1e-10)
-    turned = np.gradient(tr.psi, tr.time)  # later the axis passes close by the pole
-    np.testing.assert_allclose(turned[1:20], tr.psi_dot[1:20], atol=2e-3)
+    psi_dot = np.gradient(tr.psi, tr.time)
+    before_the_pole = slice(1, 20)  # later the axis passes close to it
+    np.testing.assert_allclose(psi_dot[before_the_pole], tr.psi_dot[before_the_pole], atol=2e-3)
 
 
-def test_reference_cases_carry_their_convention(pytestconfig):
+def test_reference_cases_state_their_conventions(pytestconfig):
     data = json.loads((pytestconfig.rootpath / "tests/reference/satellite_cases.json").read_text())
     assert "equations of motion" in data["convention"]

@@ -1,4 +1,4 @@
-"""Scenes: what is read, what is refused, and the one line that says so."""
+"""Scenes: reading, the errors of bad input, the grid of points, and ties."""
 
 import re
 
@@ -10,15 +10,17 @@ from hypothesis import strategies as st
 from atlas import BadInput, load_scene
 from atlas.scene import grid
 from atlas.scene.expressions import Expression, evaluation_order
+from atlas.scene.model import Settings, Tolerances
 
 
 def edit(text: str, old: str, new: str) -> str:
+    """The text with the first occurrence of `old` replaced."""
     assert old in text
     return text.replace(old, new, 1)
 
 
 BAD = [
-    # what is replaced, by what, what the complaint must name
+    # text of the small scene, its replacement, what the error message must contain
     ("schema = 1", "schema = 2", "schema = 2"),
     ("schema = 1", "schema = true", "schema = True"),
     ("schema = 1\n", "", "schema is missing"),
@@ -57,7 +59,7 @@ BAD = [
     ('B = "A"', "B = \"__import__('os')\"", "not arithmetic"),
     ('B = "A"', 'B = "A.real"', "not arithmetic"),
     ('B = "A"', 'B = "1 / (A - A)"', "ties.B"),
-    ('B = "A"\n', 'B = "u"\nu = "v"\nv = "u + 1"\n', "circle"),
+    ('B = "A"\n', 'B = "u"\nu = "v"\nv = "u + 1"\n', "circle: u = 'v', v = 'u + 1'"),
     ('C = "sigma * A"\n', "", "axes.sigma"),
     ('name = "perp_velocity"', 'name = "banana"', "banana"),
     ('name = "perp_velocity"\n', "", "family.name"),
@@ -71,14 +73,20 @@ BAD = [
     ("duration = 30.0", "duration = -2", "integration.duration"),
     ("duration = 30.0", 'duration = "20 days"', "integration.duration"),
     ("duration = 30.0", 'duration = "many orbits"', "integration.duration"),
-    ("tolerance = 1e-5", "tolerance = 0", "tolerance"),
-    ("tolerance = 1e-5", "step = 0.0", "step"),
-    ("tolerance = 1e-5", "step = -0.1", "step"),
+    ("tolerance = 1e-5", "tolerance = 0", "integration.tolerance = 0"),
+    ("tolerance = 1e-5", "tolerance = true", "integration.tolerance = True"),
+    ("tolerance = 1e-5", "step = 0.0", "integration.step = 0.0"),
+    ("tolerance = 1e-5", "step = -0.1", "integration.step = -0.1"),
     ("tolerance = 1e-5", "step = 0.1\ntolerance = 1e-6", "both given"),
     ("tolerance = 1e-5", 'method = "euler"', "euler"),
-    ("tolerance = 1e-5", "max_steps = 0", "max_steps"),
-    ("rate_tolerance = 1e-3", "rate_tolerance = -1e-3", "rate_tolerance"),
-    ("rate_tolerance = 1e-3", "rate_tolerance = nan", "rate_tolerance"),
+    ("tolerance = 1e-5", "max_steps = 0", "integration.max_steps = 0"),
+    ("tolerance = 1e-5", "max_steps = true", "integration.max_steps = True"),
+    ("tolerance = 1e-5", "check_half_step = 'some'", "allowed: none, sample, all"),
+    ("rate_tolerance = 1e-3", "rate_tolerance = -1e-3", "labels.rate_tolerance = -0.001"),
+    ("rate_tolerance = 1e-3", "rate_tolerance = nan", "labels.rate_tolerance = nan"),
+    ("[labels]", "[refine]\n[labels]", "refine.levels is missing"),
+    ("[labels]", "[refine]\nlevels = 9\n[labels]", "refine.levels = 9"),
+    ("[labels]", "[refine]\nlevels = 2\nprobe = 1.5\n[labels]", "refine.probe = 1.5"),
     ("rate_tolerance = 1e-3", 'rate_tolerance = 1e-3\n[outputs]\nvariables = ["colour"]', "colour"),
     ("rate_tolerance = 1e-3", "rate_tolerance = 1e-3\n[outputs]\nvariables = []", "outputs.variables"),
     ("schema = 1", "schema = = 1", "not valid TOML"),
@@ -86,11 +94,11 @@ BAD = [
 
 
 @pytest.mark.parametrize(("old", "new", "named"), BAD, ids=[b[1][:40] or b[0] for b in BAD])
-def test_bad_input_is_one_line_that_names_it(small_scene, old, new, named):
-    with pytest.raises(BadInput) as complaint:
+def test_error_of_bad_input_is_one_line_that_names_the_key(small_scene, old, new, named):
+    with pytest.raises(BadInput) as error:
         grid.check(load_scene(edit(small_scene, old, new)))
-    assert "\n" not in str(complaint.value)
-    assert named in str(complaint.value)
+    assert "\n" not in str(error.value)
+    assert named in str(error.value)
 
 
 def test_a_scene_without_axes_is_refused():
@@ -110,23 +118,23 @@ def test_missing_file_and_folder(tmp_path):
 
 def test_resolved_scene_reads_back_to_the_same_points(small_scene):
     scene = load_scene(small_scene)
-    again = load_scene(scene.toml())
-    assert again.toml() == scene.toml()
-    one, two = (grid.points_at_indices(s, np.arange(s.size)) for s in (scene, again))
-    for name, values in one.points.items():
-        np.testing.assert_array_equal(values, two.points[name])
+    copy = load_scene(scene.toml())
+    assert copy.toml() == scene.toml()
+    points, copied = (grid.points_at_indices(s, np.arange(s.size)) for s in (scene, copy))
+    for name, values in points.points.items():
+        np.testing.assert_array_equal(values, copied.points[name])
 
 
-def test_points_are_on_the_family_and_nudged(small_scene):
+def test_points_are_on_the_family_before_the_nudge(small_scene):
     scene = load_scene(small_scene)
-    found = grid.points_at_indices(scene, np.arange(scene.size))
-    assert found.there.all()
-    family, residual = scene.system.identify_family(found.base)
+    points = grid.points_at_indices(scene, np.arange(scene.size))
+    assert points.exists.all()
+    family, residual = scene.system.identify_family(points.base)
     assert (family == scene.system.families["perp_velocity"].flag).all()
     assert residual.max() < 1e-12
-    np.testing.assert_allclose(found.points["theta0"] - found.base["theta0"], 1e-4, rtol=1e-10)
-    np.testing.assert_array_equal(found.points["n"], found.base["n"])
-    np.testing.assert_array_equal(found.base["C"].reshape(scene.shape)[:, 0], scene.axes["sigma"].values)
+    np.testing.assert_allclose(points.points["theta0"] - points.base["theta0"], 1e-4, rtol=1e-10)
+    np.testing.assert_array_equal(points.points["n"], points.base["n"])
+    np.testing.assert_array_equal(points.base["C"].reshape(scene.shape)[:, 0], scene.axes["sigma"].values)
 
 
 def test_offset_axis_passes_through_the_family(small_scene):
@@ -136,11 +144,40 @@ def test_offset_axis_passes_through_the_family(small_scene):
         "[axes.k3]\nfrom = -0.1\nto = 0.1\ncount = 3\noffset_from_family = true\n[ties]",
     )
     scene = load_scene(text)
-    found = grid.points_at_indices(scene, np.arange(scene.size))
-    family, _ = scene.system.identify_family(found.base)
-    on = family.reshape(scene.shape) > 0
-    assert on[:, :, 1].all()
-    assert not on[:, :, [0, 2]].any()
+    points = grid.points_at_indices(scene, np.arange(scene.size))
+    family, _ = scene.system.identify_family(points.base)
+    on_family = family.reshape(scene.shape) > 0
+    assert on_family[:, :, 1].all()
+    assert not on_family[:, :, [0, 2]].any()
+
+
+@pytest.mark.parametrize(
+    "duration", ['"1234567.25 turns"', '"0.1 orbits"', '"20 orbits"', "0.30000000000000004"]
+)
+def test_resolved_duration_keeps_every_digit(small_scene, duration):
+    scene = load_scene(edit(small_scene, "duration = 30.0", f"duration = {duration}"))
+    assert load_scene(scene.toml()).duration == scene.duration
+
+
+def test_tolerance_of_the_angle_is_by_default_the_number_of_the_rate():
+    assert Settings(rate_tolerance=1e-3).tolerances == Tolerances(rate=1e-3, angle=1e-3)
+    assert Settings(cylinder_tolerance=1e-2).tolerances == Tolerances(rate=1e-5, angle=1e-2)
+
+
+def test_scene_prints_as_a_few_lines(small_scene):
+    text = repr(load_scene(small_scene))
+    assert len(text.splitlines()) == 9
+    for part in (
+        "small: 63 points of the satellite",
+        "sigma: 9 values from 0.3 to 1.7",
+        "fixed: A = 1, Omega = 1, m = 0.5",
+        "ties: B = A, C = sigma * A, psi0 = pi / 2",
+        "family: perp_velocity, solved for k3",
+        "nudge: theta0 = 0.0001, psi0 = 0.0001",
+        "duration 30, rk4, tolerance 1e-05",
+        "rate tolerance 0.001, cylinder tolerance 0.001",
+    ):
+        assert part in text
 
 
 @pytest.mark.parametrize(
@@ -183,12 +220,12 @@ def test_ties_compute_what_python_computes(text, x, y):
             expected = eval(text, {"__builtins__": {}}, names)
         except ZeroDivisionError:
             return
-    found = Expression("t", text).value({"x": np.asarray(x), "y": np.asarray(y)})
-    np.testing.assert_array_equal(found, expected)
+    value = Expression("t", text).value({"x": np.asarray(x), "y": np.asarray(y)})
+    np.testing.assert_array_equal(value, expected)
 
 
 @given(st.text(max_size=40))
-def test_ties_never_do_anything_else(text):
+def test_ties_accept_only_arithmetic_in_names(text):
     try:
         names = Expression("t", text).names
     except BadInput:
@@ -197,5 +234,7 @@ def test_ties_never_do_anything_else(text):
 
 
 def test_ties_are_ordered():
-    ties = {k: Expression(k, v) for k, v in {"a": "b + 1", "b": "c * 2", "c": "x"}.items()}
-    assert evaluation_order(ties, {"x"}) == ["c", "b", "a"]
+    """Each tie follows those it uses; otherwise the order of the scene decides."""
+    texts = {"a": "b + 1", "p": "d", "q": "c", "b": "c * 2", "c": "x", "d": "1"}
+    ties = {name: Expression(name, text) for name, text in texts.items()}
+    assert evaluation_order(ties, {"x"}) == ["c", "d", "p", "q", "b", "a"]

@@ -1,4 +1,4 @@
-"""Points of one's own: what files and tables give, what is refused, samples in scenes, `atlas points`."""
+"""Points of one's own: files and tables, samples in scenes, `atlas points`, and the errors of bad input."""
 
 import csv
 
@@ -14,7 +14,9 @@ from scipy.stats import kstest
 import atlas
 from atlas import BadInput, load_scene
 from atlas.cli import main
+from atlas.flags import Label
 from atlas.scene import grid, tables
+from atlas.scene.points import SAMPLES, quasi_random
 from atlas.systems import SYSTEMS
 
 NAMES = set(SYSTEMS["satellite"].parameters)
@@ -68,6 +70,7 @@ GIVEN = (
 
 
 def write(path, text):
+    """Write a file and return its path."""
     path.write_text(text)
     return path
 
@@ -80,10 +83,10 @@ def test_every_form_of_table_gives_the_same_columns(tmp_path):
     path = write(tmp_path / "a.csv", "\ufeffC, m\n0.8,0.5\n1.2,-0.25\n\n1.3,2e0\n")
     sources = [columns, rows, ds, pd.DataFrame(columns), path, str(path), tmp_path / "a.nc"]
     for source in sources:
-        found = tables.table(source, NAMES)
-        assert list(found) == ["C", "m"]
+        table = tables.table(source, NAMES)
+        assert list(table) == ["C", "m"]
         for name, values in columns.items():
-            np.testing.assert_array_equal(found[name], values)
+            np.testing.assert_array_equal(table[name], values)
     indexed = pd.DataFrame(columns).set_index("m").to_xarray()
     assert set(tables.table(indexed, NAMES)) == {"C", "m"}
 
@@ -114,14 +117,14 @@ def test_csv_gives_back_every_bit(tmp_path_factory, rows):
 )
 def test_files_that_hold_no_points_are_refused_in_one_line(tmp_path, name, content, named):
     (tmp_path / name).write_bytes(content)
-    with pytest.raises(BadInput) as complaint:
+    with pytest.raises(BadInput) as error:
         tables.read(tmp_path / name, NAMES)
-    assert named in str(complaint.value)
-    assert name in str(complaint.value)
-    assert "\n" not in str(complaint.value)
+    assert named in str(error.value)
+    assert name in str(error.value)
+    assert "\n" not in str(error.value)
 
 
-def test_other_things_are_refused(tmp_path):
+def test_sources_that_are_no_table_of_points_are_refused(tmp_path):
     plane = xr.Dataset({"C": (("x", "y"), np.ones((2, 2)))})
     plane.to_netcdf(tmp_path / "plane.nc")
     cases = [
@@ -139,18 +142,18 @@ def test_other_things_are_refused(tmp_path):
             tables.table(source, NAMES)
 
 
-@pytest.mark.parametrize("kind", tables.SAMPLES)
+@pytest.mark.parametrize("kind", SAMPLES)
 def test_samples_fill_the_unit_cube_evenly(kind):
-    found = tables.sample(kind, 3, 256, 5)
-    assert found.shape == (3, 256)
-    for column in found:
+    points = quasi_random(kind, 3, 256, 5)
+    assert points.shape == (3, 256)
+    for column in points:
         assert kstest(column, "uniform").statistic < 0.02  # random numbers: about 0.05
-    np.testing.assert_array_equal(found, tables.sample(kind, 3, 256, 5))
-    assert (found != tables.sample(kind, 3, 256, 6)).any()
-    assert tables.sample(kind, 2, 1, 0).shape == (2, 1)
+    np.testing.assert_array_equal(points, quasi_random(kind, 3, 256, 5))
+    assert (points != quasi_random(kind, 3, 256, 6)).any()
+    assert quasi_random(kind, 2, 1, 0).shape == (2, 1)
 
 
-def test_a_sampled_scene_has_one_dimension_and_everything_else_of_a_scene(tmp_path):
+def test_a_sampled_scene_runs_and_is_read_back_like_any_other(tmp_path):
     scene = load_scene(SAMPLED)
     ds = atlas.run(scene, tmp_path / "a.nc", progress=False)
     assert dict(ds.sizes) == {"point": 48}
@@ -158,16 +161,16 @@ def test_a_sampled_scene_has_one_dimension_and_everything_else_of_a_scene(tmp_pa
     assert ((ds.C > 0.3) & (ds.C < 1.7)).all()
     assert float(np.log(ds.theta0).mean()) == pytest.approx(np.log(0.02 * 1.4) / 2, abs=0.05)
     assert (ds.family.cf == "perp_velocity").all()
-    assert set(np.unique(ds.label)) == {2, 3}
+    assert set(np.unique(ds.label)) == {Label.PERMANENT_ROTATION, Label.DRIFTING}
     base = {name: ds[name].values for name in scene.system.parameters}
     nudged = base | {"theta0": base["theta0"] + 1e-4, "psi0": base["psi0"] + 1e-4}
-    alone = atlas.label_points(
+    labelled = atlas.label_points(
         "satellite", nudged, duration=ds.end_time.values, tolerance=1e-4, rate_tolerance=1e-3
     )
-    np.testing.assert_array_equal(alone.label, ds.label)
-    np.testing.assert_array_equal(alone.theta_dot_rms, ds.theta_dot_rms)
-    again = load_scene(ds.attrs["atlas_scene"])
-    assert again.toml() == scene.toml()
+    np.testing.assert_array_equal(labelled.label, ds.label)
+    np.testing.assert_array_equal(labelled.theta_dot_rms, ds.theta_dot_rms)
+    copy = load_scene(ds.attrs["atlas_scene"])
+    assert copy.toml() == scene.toml()
     motion = ds.atlas.trajectory(point=5, samples=3)
     assert float(motion.theta[0]) == pytest.approx(float(ds.theta0[5]) + 1e-4, abs=1e-12)
     folder = atlas.run(scene, tmp_path / "folder/", progress=False)
@@ -177,14 +180,14 @@ def test_a_sampled_scene_has_one_dimension_and_everything_else_of_a_scene(tmp_pa
 def test_a_scene_takes_its_points_from_a_file_beside_it(tmp_path, monkeypatch):
     write(tmp_path / "mine.csv", "sigma,theta0\n0.5,0.3\n1.5,0.7\n0.7,1.1\n")
     scene = load_scene(write(tmp_path / "scene.toml", GIVEN))
-    found = grid.points_at_indices(scene, np.arange(scene.size))
-    np.testing.assert_array_equal(found.base["C"], [0.5, 1.5, 0.7])
-    np.testing.assert_array_equal(found.base["theta0"], [0.3, 0.7, 1.1])
+    points = grid.points_at_indices(scene, np.arange(scene.size))
+    np.testing.assert_array_equal(points.base["C"], [0.5, 1.5, 0.7])
+    np.testing.assert_array_equal(points.base["theta0"], [0.3, 0.7, 1.1])
     monkeypatch.chdir(tmp_path.parent)
     (tmp_path / "mine.csv").unlink()
-    again = load_scene(scene.toml())  # as an atlas keeps it: without the file
+    copy = load_scene(scene.toml())  # as an atlas keeps it: without the file
     np.testing.assert_array_equal(
-        grid.points_at_indices(again, np.arange(3)).points["k3"], found.points["k3"]
+        grid.points_at_indices(copy, np.arange(3)).points["k3"], points.points["k3"]
     )
 
 
@@ -195,7 +198,7 @@ BAD = [
     (SAMPLED, 'sample = "sobol"', 'sample = "sobol"\nfile = "a.csv"', "found sample and file"),
     (SAMPLED, "count = 48", "count = 0", "points.count = 0"),
     (SAMPLED, "count = 48", "count = 4.0", "points.count"),
-    (SAMPLED, "count = 48", "", "points.count = None"),
+    (SAMPLED, "count = 48", "", "points.count is missing"),
     (SAMPLED, "seed = 3", "seed = -1", "points.seed"),
     (SAMPLED, "seed = 3", "grain = 3", "points.grain"),
     (SAMPLED, "from = 0.3", "", "points.ranges.sigma.from is missing"),
@@ -225,14 +228,14 @@ BAD = [
 
 
 @pytest.mark.parametrize(("text", "old", "new", "named"), BAD, ids=[b[3] for b in BAD])
-def test_bad_points_of_a_scene_are_one_line_that_names_them(tmp_path, text, old, new, named):
+def test_error_of_bad_points_in_a_scene_is_one_line_that_names_the_key(tmp_path, text, old, new, named):
     assert old in text
     write(tmp_path / "mine.csv", "sigma,theta0\n0.5,0.3\n")
     path = write(tmp_path / "scene.toml", text.replace(old, new, 1))
-    with pytest.raises(BadInput) as complaint:
+    with pytest.raises(BadInput) as error:
         grid.check(load_scene(path))
-    assert named in str(complaint.value)
-    assert "\n" not in str(complaint.value)
+    assert named in str(error.value)
+    assert "\n" not in str(error.value)
 
 
 @pytest.mark.parametrize(
@@ -256,9 +259,9 @@ def test_atlas_points_labels_a_file(tmp_path, monkeypatch, capsys):
     write(tmp_path / "mine.csv", "C,theta0,m\n0.8,0.1,0.5\n1.2,0.0,0.5\n")
     options = ["--duration", "20", "--tolerance", "1e-6", "--method", "rk8", "--quiet"]
     assert main(["points", "satellite", "mine.csv", "-o", "out.nc", *options]) == 0
-    said = capsys.readouterr().out
-    assert "drifting 1" in said
-    assert "wrote out.nc" in said
+    output = capsys.readouterr().out
+    assert "drifting 1" in output
+    assert "wrote out.nc" in output
     with atlas.open_atlas("out.nc") as ds:
         expected = atlas.label_points(
             "satellite", tables.read("mine.csv", NAMES), duration=20.0, tolerance=1e-6, method="rk8"
@@ -293,17 +296,19 @@ def test_atlas_points_labels_a_file(tmp_path, monkeypatch, capsys):
         ("C\n1\n", ["-o", "out.txt"], ".csv or .nc"),
     ],
 )
-def test_bad_points_are_one_line_and_exit_2(tmp_path, monkeypatch, capsys, content, arguments, named):
+def test_atlas_points_answers_bad_input_with_one_line_and_exit_2(
+    tmp_path, monkeypatch, capsys, content, arguments, named
+):
     monkeypatch.chdir(tmp_path)
     write(tmp_path / "mine.csv", content)
     try:
         code = main(["points", "satellite", "mine.csv", "-o", "out.nc", *arguments])
-    except SystemExit as left:
-        code = left.code
-    complaint = capsys.readouterr().err
+    except SystemExit as stop:
+        code = stop.code
+    message = capsys.readouterr().err
     assert code == 2
-    assert named in complaint
-    assert len(complaint.strip().splitlines()) == 1
+    assert named in message
+    assert len(message.strip().splitlines()) == 1
     assert sorted(p.name for p in tmp_path.iterdir()) == ["mine.csv"]
 
 

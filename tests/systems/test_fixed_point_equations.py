@@ -6,118 +6,101 @@ import sympy as sp
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
+from strategies import default_points, random_fixed_points, seeds
+from truth import jacobian_matrices
 
 from atlas.errors import BadInput
 from atlas.systems.fixed_point import equations, initial
 
-rng = np.random.default_rng(20260101)
 
-
-def points(**given):
-    size = max((np.size(value) for value in given.values()), default=1)
-    known = {name: parameter.default for name, parameter in initial.PARAMETERS.items()} | given
-    assert set(known) == set(initial.PARAMETERS)
-    return {name: np.broadcast_to(np.asarray(value, float), (size,)).copy() for name, value in known.items()}
-
-
-def random_points(size, rng=rng, **given):
-    """Bodies and starts without any symmetry; moments of real bodies."""
-    part = rng.uniform(0.3, 1.0, (3, size))
-    body = dict(zip("ABC", part.sum(0) - part, strict=True))
-    names = ("Mg", "x0", "y0", "z0", "N", "l1", "l2", "l3", "theta_dot0", "n", "m")
-    rest = {name: rng.normal(size=size) for name in names}
-    angles = {"theta0": rng.uniform(0.2, 2.9, size), "phi0": rng.uniform(0, 6, size)}
-    return points(**(body | rest | angles | given))
-
-
-def integrate(at, duration, samples=2):
+def integrate(points, duration, samples=2):
     """State at equidistant times, shape (6, points, samples), by DOP853."""
-    constants, state = initial.constants(at), initial.initial_state(at)
+    constants, state = initial.constants(points), initial.initial_state(points)
 
     def rate(_, y):
         return np.ravel(equations.rhs(y.reshape(state.shape), constants))
 
-    found = solve_ivp(
+    solution = solve_ivp(
         rate, (0, duration), state.ravel(), method="DOP853", rtol=1e-12, atol=1e-13,
         t_eval=np.linspace(0, duration, samples),
     )  # fmt: skip
-    return found.y.reshape(*state.shape, samples)
+    return solution.y.reshape(*state.shape, samples)
 
 
 def test_equations_follow_from_the_lagrangian():
-    q = sp.symbols("psi theta phi")
-    v = sp.symbols("psi_dot theta_dot phi_dot")
-    names = sp.symbols("A B C l1 l2 l3 Mx My Mz N")
-    A, B, C, l1, l2, l3, Mx, My, Mz, N = names
-    _, theta, phi = q
+    angles = sp.symbols("psi theta phi")
+    rates = sp.symbols("psi_dot theta_dot phi_dot")
+    body = sp.symbols("A B C l1 l2 l3 Mx My Mz N")
+    A, B, C, l1, l2, l3, Mx, My, Mz, N = body
+    _, theta, phi = angles
+    psi_dot, theta_dot, phi_dot = rates
     gamma = sp.Matrix([sp.sin(theta) * sp.sin(phi), sp.sin(theta) * sp.cos(phi), sp.cos(theta)])
-    w = v[0] * gamma + sp.Matrix([v[1] * sp.cos(phi), -v[1] * sp.sin(phi), v[2]])
+    w = psi_dot * gamma + sp.Matrix([theta_dot * sp.cos(phi), -theta_dot * sp.sin(phi), phi_dot])
     inertia = sp.diag(A, B, C)
     kinetic = (w.T * inertia * w)[0] / 2 + sp.Matrix([l1, l2, l3]).dot(w)
     potential = -sp.Matrix([Mx, My, Mz]).dot(gamma) + N / 2 * (gamma.T * inertia * gamma)[0]
     lagrangian = kinetic - potential
-    momenta = [lagrangian.diff(rate) for rate in v]
-    mass = sp.Matrix([[p.diff(rate) for rate in v] for p in momenta])
-    force = sp.Matrix(
-        [
-            lagrangian.diff(x) - sum(p.diff(y) * u for y, u in zip(q, v, strict=True))
-            for x, p in zip(q, momenta, strict=True)
-        ]
-    )
-    fast = sp.Matrix([[component.diff(rate) for rate in v] for component in w])
-    slow = sp.Matrix([sum(component.diff(y) * u for y, u in zip(q, v, strict=True)) for component in w])
-    system = sp.lambdify([*q, *v, *names], [mass, force, fast, slow], "numpy")
+    momenta = sp.Matrix([lagrangian]).jacobian(rates).T
+    mass = momenta.jacobian(rates)
+    force = sp.Matrix([lagrangian]).jacobian(angles).T - momenta.jacobian(angles) * sp.Matrix(rates)
+    # w-dot = rate_matrix * accelerations + remainder
+    rate_matrix, remainder = w.jacobian(rates), w.jacobian(angles) * sp.Matrix(rates)
+    evaluate = sp.lambdify([*angles, *rates, *body], [mass, force, rate_matrix, remainder], "numpy")
 
-    at = random_points(30)
-    expected = np.array(equations.rhs(initial.initial_state(at), initial.constants(at)))
+    points = random_fixed_points(np.random.default_rng(1), 30)
+    expected = np.array(equations.rhs(initial.initial_state(points), initial.constants(points)))
     for i in range(30):
-        p = {name: float(value[i]) for name, value in at.items()}
+        p = {name: float(value[i]) for name, value in points.items()}
         arguments = [
             p["psi0"], p["theta0"], p["phi0"], p["n"], p["theta_dot0"], p["m"], p["A"], p["B"], p["C"],
             p["l1"], p["l2"], p["l3"], p["Mg"] * p["x0"], p["Mg"] * p["y0"], p["Mg"] * p["z0"], p["N"],
         ]  # fmt: skip
-        mass_i, force_i, fast_i, slow_i = (np.asarray(x, float) for x in system(*arguments))
-        acceleration = fast_i @ np.linalg.solve(mass_i, force_i) + slow_i
-        np.testing.assert_allclose(acceleration[:, 0], expected[:3, i], rtol=1e-11, atol=1e-11)
+        mass_i, force_i, matrix_i, remainder_i = (np.asarray(x, float) for x in evaluate(*arguments))
+        w_dot = matrix_i @ np.linalg.solve(mass_i, force_i) + remainder_i
+        np.testing.assert_allclose(w_dot[:, 0], expected[:3, i], rtol=1e-11, atol=1e-11)
 
 
 def test_fields_are_the_attraction_of_a_distant_point():
-    """Torque of weight and gradient against point masses; with N of the other sign one order is lost."""
-    masses, where = rng.uniform(0.5, 1.5, 6), rng.normal(size=(6, 3))
-    tensor = np.einsum("i,ijk->jk", masses, [np.eye(3) * (x @ x) - np.outer(x, x) for x in where])
+    """Torque of weight and gravity gradient against that of point masses, to fourth order in 1/R.
+
+    With the opposite sign of N the difference is of third order.
+    """
+    rng = np.random.default_rng(2)
+    masses, positions = rng.uniform(0.5, 1.5, 6), rng.normal(size=(6, 3))
+    tensor = np.einsum("i,ijk->jk", masses, [np.eye(3) * (x @ x) - np.outer(x, x) for x in positions])
     moments, axes = np.linalg.eigh(tensor)
     axes[:, 2] *= np.sign(np.linalg.det(axes))
-    where = where @ axes
-    centre = masses @ where / masses.sum()
+    positions = positions @ axes
+    centre = masses @ positions / masses.sum()
     gamma = np.array([0.48, -0.6, 0.64])
 
     def error(R, sign):
-        pull = R * gamma - where
-        force = masses[:, None] * pull / np.linalg.norm(pull, axis=1)[:, None] ** 3
-        exact = np.cross(where, force).sum(0)
-        at = points(A=moments[0], B=moments[1], C=moments[2], x0=centre[0], y0=centre[1], z0=centre[2],
-                    M=masses.sum(), R=R, **{"lambda": 1.0})  # fmt: skip
-        constants = initial.constants(at)[:, 0]
+        distance = R * gamma - positions
+        force = masses[:, None] * distance / np.linalg.norm(distance, axis=1)[:, None] ** 3
+        exact = np.cross(positions, force).sum(0)
+        body = dict(zip(("A", "B", "C", "x0", "y0", "z0"), (*moments, *centre), strict=True))
+        points = default_points("fixed_point", **body, M=masses.sum(), R=R, **{"lambda": 1.0})
+        constants = initial.constants(points)[:, 0]
         constants[12:] *= sign
-        rate = equations.rhs((0.0, 0.0, 0.0, *gamma), constants)[:3]
-        return np.linalg.norm(moments * rate - exact)
+        w_dot = equations.rhs((0.0, 0.0, 0.0, *gamma), constants)[:3]
+        return np.linalg.norm(moments * w_dot - exact)
 
     assert error(100.0, 1) / error(200.0, 1) == pytest.approx(16, rel=0.05)
     assert error(100.0, -1) / error(200.0, -1) == pytest.approx(8, rel=0.05)
 
 
 def test_rates_of_the_frame_are_the_rates_of_the_start():
-    at = random_points(50)
-    p, q, r, g1, g2, g3 = equations.frame_motion(initial.initial_state(at), initial.constants(at))
+    points = random_fixed_points(np.random.default_rng(3), 50)
+    p, q, r, g1, g2, g3 = equations.frame_motion(initial.initial_state(points), initial.constants(points))
     sine2 = g1**2 + g2**2
     psi_dot = (p * g1 + q * g2) / sine2
-    np.testing.assert_allclose(psi_dot, at["n"], atol=1e-12)
-    np.testing.assert_allclose((p * g2 - q * g1) / np.sqrt(sine2), at["theta_dot0"], atol=1e-12)
-    np.testing.assert_allclose(r - psi_dot * g3, at["m"], atol=1e-12)
-    np.testing.assert_allclose(np.arctan2(g1, g2) % (2 * np.pi), at["phi0"], atol=1e-12)
+    np.testing.assert_allclose(psi_dot, points["n"], atol=1e-12)
+    np.testing.assert_allclose((p * g2 - q * g1) / np.sqrt(sine2), points["theta_dot0"], atol=1e-12)
+    np.testing.assert_allclose(r - psi_dot * g3, points["m"], atol=1e-12)
+    np.testing.assert_allclose(np.arctan2(g1, g2) % (2 * np.pi), points["phi0"], atol=1e-12)
 
 
-# Where each integral exists, as replacements of symbols; one entry per kind of body.
+# Conditions on the parameters under which each integral exists, one entry for each case.
 EXISTS = {
     "energy": [{}],
     "area": [{}],
@@ -140,40 +123,39 @@ def test_integrals_are_conserved_where_they_exist(name):
     integral = sum(getattr(equations, name)(state, constants))
     rates = equations.rhs(state, constants)
     change = sum(integral.diff(x) * rate for x, rate in zip(state, rates, strict=True))
-    for case in EXISTS[name]:
-        assert sp.expand(change.subs({sp.Symbol(key): sp.sympify(value) for key, value in case.items()})) == 0
+    for conditions in EXISTS[name]:
+        values = {sp.Symbol(key): sp.sympify(value) for key, value in conditions.items()}
+        assert sp.expand(change.subs(values)) == 0
 
-    generic = random_points(1)
-    for case in EXISTS[name]:
+    generic = random_fixed_points(np.random.default_rng(4), 1)
+    for conditions in EXISTS[name]:
         body = {"A": 1.0, "C": 0.7, "B": 1.3} | {
-            key: value for key, value in case.items() if not isinstance(value, str)
+            key: value for key, value in conditions.items() if not isinstance(value, str)
         }
-        for key, value in case.items():
+        for key, value in conditions.items():
             if isinstance(value, str):
                 body[key] = {"A": body["A"], "2*C": 2 * body["C"]}[value]
-        at = generic | {key: np.full(1, float(value)) for key, value in body.items()}
-        floor = initial.integral_scales(at)[name]
-        assert np.isfinite(floor).all()
-        # Whatever is taken away from the conditions, the integral is gone and said to be.
-        for key in case:
-            broken = at | {key: at[key] + 0.1}
+        points = generic | {key: np.full(1, float(value)) for key, value in body.items()}
+        scale = initial.integral_scales(points)[name]
+        assert np.isfinite(scale).all()
+        # Where one of the conditions fails, the integral is not conserved and its scale is nan.
+        for key in conditions:
+            broken = points | {key: points[key] + 0.1}
             if name == "clebsch" and not np.isnan(initial.integral_scales(broken)[name]).all():
                 continue
             assert np.isnan(initial.integral_scales(broken)[name]).all()
-            values = [
-                sum(getattr(equations, name)(y, initial.constants(broken)))
-                for y in np.moveaxis(integrate(broken, 1.0), -1, 0)
-            ]
-            assert abs(values[1] - values[0]) > 1e-8
+            states = integrate(broken, 1.0)
+            start, end = sum(getattr(equations, name)(states, initial.constants(broken)[..., None]))[0]
+            assert abs(end - start) > 1e-8
 
 
-def test_no_integral_drifts_relative_to_its_floor():
-    """Also for bodies at rest, where the terms of an integral vanish at the start."""
-    n = 40
+def test_relative_drift_of_every_integral_is_small():
+    """Also for bodies at rest, for which the terms of an integral are 0 at the start."""
+    rng, count = np.random.default_rng(5), 40
     symmetric = {"A": 1.0, "B": 1.0, "C": 1.4, "l1": 0.0, "l2": 0.0, "x0": 0.0, "y0": 0.0}
     at_rest = {"n": 0.0, "m": 0.0, "theta_dot0": 0.0, "theta0": np.pi / 2, "l3": 0.0}
     kovalevskaya = symmetric | {"C": 0.5, "x0": 0.8, "y0": 0.5, "z0": 0.0, "N": 0.0}
-    for case in (
+    for conditions in (
         {},
         symmetric,
         symmetric | at_rest,
@@ -181,75 +163,75 @@ def test_no_integral_drifts_relative_to_its_floor():
         kovalevskaya | {"l3": 0.0},
         {"Mg": 0.0, "N": 0.0},
     ):
-        at = random_points(n, **case)
-        constants = initial.constants(at)
-        first, last = np.moveaxis(integrate(at, 3.0), -1, 0)
-        for name, floor in initial.integral_scales(at).items():
-            before, after = (np.array(getattr(equations, name)(y, constants)) for y in (first, last))
-            size = np.maximum(np.abs(before).sum(0), floor)
-            drift = np.abs(after.sum(0) - before.sum(0)) / size
-            assert np.isnan(floor).all() or np.nanmax(np.where(np.isnan(floor), 0, drift)) < 1e-9, name
+        points = random_fixed_points(rng, count, **conditions)
+        constants = initial.constants(points)
+        first, last = np.moveaxis(integrate(points, 3.0), -1, 0)
+        for name, scale in initial.integral_scales(points).items():
+            initial_terms, final_terms = (
+                np.array(getattr(equations, name)(y, constants)) for y in (first, last)
+            )
+            size = np.maximum(np.abs(initial_terms).sum(0), scale)
+            drift = np.abs(final_terms.sum(0) - initial_terms.sum(0)) / size
+            assert np.isnan(scale).all() or np.nanmax(np.where(np.isnan(scale), 0, drift)) < 1e-9, name
 
 
-def jacobian(y, constants):
-    rate = np.array(equations.rhs(y, constants))
-    step = 1e-7
-    columns = []
-    for i in range(6):
-        moved = y.copy()
-        moved[i] += step
-        columns.append((np.array(equations.rhs(moved, constants)) - rate) / step)
-    return np.array(columns).T
-
-
-@given(seed=st.integers(0, 10**6), symmetric=st.booleans(), spin=st.floats(0, 30))
+@given(seed=seeds, symmetric=st.booleans(), spin=st.floats(0, 30))
 @settings(max_examples=25, deadline=None)
 def test_frequency_bound_is_never_below_the_motion(seed, symmetric, spin):
     given_values = {"m": spin}
     if symmetric:
         given_values |= {"A": 1.0, "B": 1.0, "C": 1.5, "l1": 0.0, "l2": 0.0, "x0": 0.0, "y0": 0.0}
-    at = random_points(1, np.random.default_rng(seed), **given_values)
-    bound = initial.frequency_bound(at)[0]
-    constants = initial.constants(at)[:, 0]
-    for y in integrate(at, 4.0, 40)[:, 0].T:
-        assert np.linalg.norm(y[:3]) <= bound * (1 + 1e-6)
-        assert np.abs(np.linalg.eigvals(jacobian(y, constants))).max() <= bound * (1 + 1e-5)
+    points = random_fixed_points(np.random.default_rng(seed), 1, **given_values)
+    bound = initial.frequency_bound(points)[0]
+    constants = initial.constants(points)[:, 0]
+    states = integrate(points, 4.0, 40)[:, 0]
+    assert np.linalg.norm(states[:3], axis=0).max() <= bound * (1 + 1e-6)
+    matrices = jacobian_matrices(equations.rhs, states, constants[:, None])
+    assert np.abs(np.linalg.eigvals(matrices)).max() <= bound * (1 + 1e-6)
 
 
 def test_frequency_bound_is_tight_for_a_fast_symmetric_top():
-    at = points(A=22.49, B=22.49, C=35.6, Mg=1.0, z0=5.0, N=1e-3, l3=50.0, theta0=1.2, m=1000.0)
-    assert 1000 <= initial.frequency_bound(at)[0] < 1000.1
+    points = default_points(
+        "fixed_point", A=22.49, B=22.49, C=35.6, Mg=1.0, z0=5.0, N=1e-3, l3=50.0, theta0=1.2, m=1000.0
+    )
+    assert 1000 <= initial.frequency_bound(points)[0] < 1000.1
 
 
 def test_vector_starts_equal_angle_starts():
-    at = random_points(20)
-    state = initial.initial_state(at)
+    points = random_fixed_points(np.random.default_rng(7), 20)
+    state = initial.initial_state(points)
     names = ("p0", "q0", "r0", "gamma10", "gamma20", "gamma30")
     angles = ("theta0", "psi0", "phi0", "theta_dot0", "n", "m")
-    other = at | {name: np.zeros(20) for name in angles} | dict(zip(names, state, strict=True))
-    initial.check(other)
-    np.testing.assert_allclose(initial.initial_state(other), state, atol=1e-15)
-    np.testing.assert_allclose(initial.rates(other), [at["theta_dot0"], at["n"], at["m"]], atol=1e-12)
+    by_vectors = points | {name: np.zeros(20) for name in angles} | dict(zip(names, state, strict=True))
+    initial.check(by_vectors)
+    np.testing.assert_allclose(initial.initial_state(by_vectors), state, atol=1e-15)
+    np.testing.assert_allclose(
+        initial.rates(by_vectors), [points["theta_dot0"], points["n"], points["m"]], atol=1e-12
+    )
 
 
 def test_vertical_start_has_all_its_rate_in_the_spin():
-    at = points(p0=0.0, q0=0.0, r0=2.0, gamma10=0.0, gamma20=0.0, gamma30=-1.0)
-    np.testing.assert_array_equal(np.ravel(initial.rates(at)), [0.0, 0.0, 2.0])
-    wobbling = at | {"p0": np.full(1, 0.3), "q0": np.full(1, 0.4)}
-    assert initial.rates(wobbling)[0] == 0.5
+    points = default_points("fixed_point", p0=0.0, q0=0.0, r0=2.0, gamma10=0.0, gamma20=0.0, gamma30=-1.0)
+    np.testing.assert_array_equal(np.ravel(initial.rates(points)), [0.0, 0.0, 2.0])
+    tilted = points | {"p0": np.full(1, 0.3), "q0": np.full(1, 0.4)}
+    assert initial.rates(tilted)[0] == 0.5
 
 
 def test_a_vertical_off_by_rounding_is_normalised():
     gamma = np.array([0.6, 0.0, 0.8]) * (1 + 5e-10)
-    at = points(p0=0.0, q0=0.0, r0=0.0, gamma10=gamma[0], gamma20=gamma[1], gamma30=gamma[2])
-    initial.check(at)
-    np.testing.assert_allclose(initial.vertical(at)[:, 0], [0.6, 0, 0.8], atol=1e-16)
+    points = default_points(
+        "fixed_point", p0=0.0, q0=0.0, r0=0.0, gamma10=gamma[0], gamma20=gamma[1], gamma30=gamma[2]
+    )
+    initial.check(points)
+    np.testing.assert_allclose(initial.vertical(points)[:, 0], [0.6, 0, 0.8], atol=1e-16)
 
 
 def test_paper_units_give_weight_and_gradient():
-    at = points(M=30.0, R=2000.0, **{"lambda": 0.6})
-    initial.check(at)
-    np.testing.assert_allclose(initial.fields(at), [[30 * 0.6 / 2000**2], [3 * 0.6 / 2000**3]], rtol=1e-15)
+    points = default_points("fixed_point", M=30.0, R=2000.0, **{"lambda": 0.6})
+    initial.check(points)
+    np.testing.assert_allclose(
+        initial.fields(points), [[30 * 0.6 / 2000**2], [3 * 0.6 / 2000**3]], rtol=1e-15
+    )
 
 
 @pytest.mark.parametrize(
@@ -269,13 +251,15 @@ def test_paper_units_give_weight_and_gradient():
 )
 def test_bad_input_is_named(given_values, message):
     with pytest.raises(BadInput, match=message):
-        initial.check(points(**given_values))
+        initial.check(default_points("fixed_point", **given_values))
 
 
 def test_moments_below_the_offset_of_the_mass_are_a_warning():
-    at = points(A=22.49, B=22.49, C=35.6, M=30.0, z0=5.0, R=2000.0, **{"lambda": 0.6})
-    initial.check(at)
-    found = initial.warnings(at)
-    assert [text[0] for text in found] == ["A", "B"]
-    assert "A = 22.49 is below M (y0^2 + z0^2) = 750" in found[0]
-    assert initial.warnings(points()) == []
+    points = default_points(
+        "fixed_point", A=22.49, B=22.49, C=35.6, M=30.0, z0=5.0, R=2000.0, **{"lambda": 0.6}
+    )
+    initial.check(points)
+    warnings = initial.warnings(points)
+    assert [text[0] for text in warnings] == ["A", "B"]
+    assert "A = 22.49 is below M (y0^2 + z0^2) = 750" in warnings[0]
+    assert initial.warnings(default_points("fixed_point")) == []

@@ -1,4 +1,4 @@
-"""Scenes of the fixed-point system: what they promise at small counts, its layers, nudges and complaints."""
+"""Example scenes of the fixed-point system, its derived variables, nudges and their errors."""
 
 import logging
 import re
@@ -9,9 +9,11 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from strategies import default_points
 
 import atlas
 from atlas.errors import BadInput
+from atlas.flags import Agreement, Label, Stability, Status
 from atlas.scene import grid
 from atlas.scene.read import scene_from
 from atlas.systems import get
@@ -24,8 +26,9 @@ SYSTEM = get("fixed_point")
 
 
 @pytest.fixture(autouse=True)
-def quiet(caplog):
-    caplog.set_level(logging.ERROR, "atlas")  # the paper's bodies are warned about
+def no_warnings(caplog):
+    """Warnings about the impossible moments of the paper's bodies are not shown."""
+    caplog.set_level(logging.ERROR, "atlas")
 
 
 def reduced(path, count=11, **integration):
@@ -37,24 +40,20 @@ def reduced(path, count=11, **integration):
     return scene_from(table, path.stem)
 
 
-def points_of(count, **given_values):
-    known = {name: np.full(count, parameter.default) for name, parameter in SYSTEM.parameters.items()}
-    return known | {name: np.broadcast_to(np.asarray(v, float), count) for name, v in given_values.items()}
-
-
 def paper_points(body, **given_values):
+    """The paper's starts of a body with each of its rotors."""
     A, C = fast_spin.PAPER_BODIES[body]
     d = fast_spin.PAPER_DATA
     rotor = np.array(fast_spin.PAPER_ROTORS)
     values = {"A": A, "B": A, "C": C, "l1": rotor, "l2": rotor, "l3": rotor, "m": d["r0"]}
     values |= {name: d[name] for name in ("M", "lambda", "R", "z0")} | {"theta0": np.arccos(d["gamma0"])}
-    return points_of(rotor.size, **values | given_values)
+    return default_points("fixed_point", rotor.size, **values | given_values)
 
 
 # The scenes.
 
 
-def test_there_is_a_scene_for_every_map_of_the_paper():
+def test_example_scenes_state_what_they_show_and_how_long_they_take():
     assert len(PATHS) >= 8
     for path in PATHS:
         head = path.read_text().split("schema")[0]
@@ -66,52 +65,53 @@ def test_scenes_agree_with_theory_at_reduced_counts(path):
     scene = reduced(path)
     ds = atlas.run(scene, progress=False)
     assert set(ds.data_vars) == set(scene.outputs)
-    assert (ds.status.values[ds.label.values > 0] == 1).all()
-    if (
-        path.stem == "fast_spin_survival"
-    ):  # no steady motion exists: what survives does so within the tolerance
-        assert (ds.predicted == 3).all()
-        assert {1, 2, 3} == set(np.unique(ds.label))
+    assert (ds.status.values[ds.label.values != Label.NOT_COMPUTED] == Status.OK).all()
+    if path.stem == "fast_spin_survival":  # no steady motion exists, but some motions are steady to tolerance
+        steady = {Label.REGULAR_PRECESSION, Label.PERMANENT_ROTATION}
+        assert (ds.predicted == Label.DRIFTING).all()
+        assert set(np.unique(ds.label)) == {Label.DRIFTING} | steady
     elif "agreement" in ds:
-        assert np.isin(ds.agreement, (0, 1)).mean() > 0.98
+        assert np.isin(ds.agreement, (Agreement.NOT_COMPARED, Agreement.AGREE)).mean() > 0.98
     if scene.family is not None:
-        assert {1, 2} <= set(np.unique(ds.stable))
+        assert set(np.unique(ds.stable)) >= {Stability.STABLE, Stability.UNSTABLE}
 
 
 def test_threshold_of_the_sleeping_top_over_spin_and_rotor():
-    """Away from (C r0 + l3)^2 = 4 A [N (C - A) + Mg |z0|] the measured label is the formula's."""
+    """The measured label agrees with (C r0 + l3)^2 > 4 A [N (C - A) + Mg |z0|] away from equality."""
     ds = atlas.run(reduced(CONFIGS / "sleeping_top_spin.toml", 30), progress=False)
     spin = ds.C * ds.r0 + ds.l3
     threshold = 4 * ds.A * (ds.N * (ds.C - ds.A) + ds.Mg * abs(ds.z0))
-    clear = abs(spin**2 / threshold - 1) > 0.1
-    survives = (ds.label == 2).transpose(*spin.dims)
-    assert (survives == (spin**2 > threshold)).where(clear, True).all()
+    off_threshold = abs(spin**2 / threshold - 1) > 0.1
+    survives = (ds.label == Label.PERMANENT_ROTATION).transpose(*spin.dims)
+    assert (survives == (spin**2 > threshold)).where(off_threshold, True).all()
 
 
 @pytest.mark.parametrize(("body", "name"), [("A < C", "oblate"), ("A > C", "prolate")])
-def test_scenes_hold_the_data_of_the_paper(body, name):
+def test_scenes_contain_the_data_of_the_paper(body, name):
     scene = reduced(CONFIGS / f"fixed_point_paper_{name}.toml", 6)
-    found = grid.points_at_indices(scene, np.arange(6))
-    spin = fast_spin.fast_spin(found.points)
+    starts = grid.points_at_indices(scene, np.arange(6))
+    spin = fast_spin.fast_spin(starts.points)
     assert scene.axes["l"].values == fast_spin.PAPER_ROTORS
     for i, rotor in enumerate(fast_spin.PAPER_ROTORS):
-        wanted = fast_spin.paper_body(body, rotor)
+        expected = fast_spin.paper_body(body, rotor)
         for field in ("A", "C", "weight", "N", "l1", "l2", "l3", "r0", "gamma0"):
-            assert np.broadcast_to(getattr(spin, field), 6)[i] == pytest.approx(float(getattr(wanted, field)))
-        y = fast_spin.dimensionless(wanted, SYSTEM.initial_state(found.points)[:, i])
-        # the scene leaves out the part of order eps of p0
-        np.testing.assert_allclose(y, fast_spin.paper_start(wanted), rtol=1e-6, atol=1e-4)
-    assert found.duration * spin.r0 == pytest.approx(np.full(6, 4 * np.pi))
+            assert np.broadcast_to(getattr(spin, field), 6)[i] == pytest.approx(
+                float(getattr(expected, field))
+            )
+        y = fast_spin.dimensionless(expected, SYSTEM.initial_state(starts.points)[:, i])
+        # the scene omits the part of p0 of order eps
+        np.testing.assert_allclose(y, fast_spin.paper_start(expected), rtol=1e-6, atol=1e-4)
+    assert starts.duration * spin.r0 == pytest.approx(np.full(6, 4 * np.pi))
 
 
-def test_impossible_moments_are_a_warning_kept_in_the_file(tmp_path):
+def test_warning_about_impossible_moments_is_written_to_the_file(tmp_path):
     scene = reduced(CONFIGS / "fixed_point_paper_oblate.toml", 2)
     atlas.run(scene, tmp_path / "paper.nc", progress=False)
     with atlas.open_atlas(tmp_path / "paper.nc") as ds:
         assert "A = 22.49 is below M (y0^2 + z0^2) = 750 (2 of 2 points)" in ds.attrs["atlas_warnings"]
 
 
-# The layers.
+# The derived variables.
 
 
 @pytest.mark.parametrize("body", fast_spin.PAPER_BODIES)
@@ -123,16 +123,17 @@ def test_errors_are_those_of_single_integrations(body, module):
     for i, rotor in enumerate(fast_spin.PAPER_ROTORS):
         spin = fast_spin.paper_body(body, rotor)
         claimed = module.first_order(spin, tau)
-        away = claimed - fast_spin.integrate(spin, claimed[:, 0], tau)
-        wanted = float(spin.gamma0) * np.sqrt((away[3:] ** 2).sum(0)).max()
-        assert angle[i] == pytest.approx(wanted, rel=1e-3, abs=1e-12)
+        exact = fast_spin.integrate(spin, claimed[:, 0], tau)
+        error = claimed - exact
+        angle_error = float(spin.gamma0) * np.sqrt((error[3:] ** 2).sum(0)).max()
+        assert angle[i] == pytest.approx(angle_error, rel=1e-3, abs=1e-12)
         if rotor:
-            size = np.hypot(*(claimed - away)[:2]).max()
-            assert rate[i] == pytest.approx(np.hypot(*away[:2]).max() / size, rel=1e-3, abs=3e-12)
+            rate_error = np.hypot(*error[:2]).max() / np.hypot(*exact[:2]).max()
+            assert rate[i] == pytest.approx(rate_error, rel=1e-3, abs=3e-12)
 
 
-def test_layers_show_the_order_of_the_true_solution_and_the_failure_of_the_printed_one():
-    """eps and the rotor halved together: the true error falls by 4, the printed one by 2 or not at all."""
+def test_first_order_errors_are_of_second_order_and_of_lower_order_as_printed():
+    """With eps and the rotor halved, the true error falls by 4, the printed one by 2 or not at all."""
     table = tomllib.loads((CONFIGS / "first_order_error.toml").read_text())
     measured = {}
     for size in (0.02, 0.01):
@@ -140,7 +141,7 @@ def test_layers_show_the_order_of_the_true_solution_and_the_failure_of_the_print
         ds = atlas.run(scene_from(table), progress=False)
         for name in errors.DERIVED:
             measured.setdefault(name, []).append(float(ds[name].values[0, 0]))
-    ratio = {name: big / small for name, (big, small) in measured.items()}
+    ratio = {name: coarse / fine for name, (coarse, fine) in measured.items()}
     assert ratio["first_order_error"] == pytest.approx(4, rel=0.1)
     assert ratio["first_order_rate_error"] > 3.5
     assert ratio["first_order_error_printed"] == pytest.approx(2, rel=0.1)
@@ -148,17 +149,16 @@ def test_layers_show_the_order_of_the_true_solution_and_the_failure_of_the_print
     assert measured["first_order_rate_error_printed"][1] > 0.3
 
 
-def test_errors_do_not_depend_on_the_block(monkeypatch):
+def test_errors_do_not_depend_on_the_chunk(monkeypatch):
     points, duration = paper_points("A < C", m=np.geomspace(30, 3000, 6)), np.full(6, 0.05)
-    whole = errors.errors(points, duration, fast_spin.first_order)
-    monkeypatch.setattr(errors, "BLOCK", 4)
-    np.testing.assert_allclose(
-        errors.errors(points, duration, fast_spin.first_order), whole, rtol=1e-6, atol=1e-11
-    )
+    expected = errors.errors(points, duration, fast_spin.first_order)
+    monkeypatch.setattr(errors, "CHUNK", 4)
+    in_chunks = errors.errors(points, duration, fast_spin.first_order)
+    np.testing.assert_allclose(in_chunks, expected, rtol=1e-6, atol=1e-11)
 
 
 @pytest.mark.parametrize(
-    ("changes", "layer", "message"),
+    ("changes", "variable", "message"),
     [
         ({"m": 0.0}, "first_order_error", "r0 = 0: the small parameter eps"),
         ({"theta0": np.pi / 2 + 0.1}, "first_order_error", "outside (0, 1): the scaling (4) divides"),
@@ -170,21 +170,21 @@ def test_errors_do_not_depend_on_the_block(monkeypatch):
         ({"B": 25.0}, "first_order_rate_error_printed", "A != B: the paper's (5)"),
     ],
 )
-def test_scenes_say_which_formula_loses_its_meaning(changes, layer, message):
+def test_error_names_the_formula_that_has_no_meaning(changes, variable, message):
     fixed = {"A": 22.49, "B": 22.49, "C": 35.6, "Mg": 1.0, "z0": 1.0, "l1": 0.1, "theta0": 1.2, "m": 1.0}
     table = {
         "schema": 1, "system": "fixed_point", "fixed": fixed | changes, "axes": {"l2": {"values": [0.1]}},
-        "integration": {"duration": 1.0}, "outputs": {"variables": ["label", layer]},
+        "integration": {"duration": 1.0}, "outputs": {"variables": ["label", variable]},
     }  # fmt: skip
-    with pytest.raises(BadInput, match=re.escape(message)) as complaint:
+    with pytest.raises(BadInput, match=re.escape(message)) as error:
         atlas.run(scene_from(table), progress=False)
-    assert str(complaint.value).startswith(f"outputs.variables: {layer}: ")
-    assert "\n" not in str(complaint.value)
+    assert str(error.value).startswith(f"outputs.variables: {variable}: ")
+    assert "\n" not in str(error.value)
     table["outputs"]["variables"] = ["label"]
     assert atlas.run(scene_from(table), progress=False).label.size == 1
 
 
-# Nudges of starts given by vectors.
+# Nudges of starts that are given by vectors.
 
 NUDGED = {
     "schema": 1,
@@ -200,19 +200,18 @@ NUDGED = {
     phi=st.floats(-3, 3),
 )
 @settings(max_examples=60, deadline=None)
-def test_vector_starts_by_angles_are_the_same_starts(w, theta, phi):
+def test_starts_by_vectors_converted_to_angles_are_the_same(w, theta, phi):
     s = np.sin(theta) if 0 < theta < np.pi else 0.0
     vector = dict(zip(("p0", "q0", "r0"), w, strict=True))
     vector |= {"gamma10": s * np.sin(phi), "gamma20": s * np.cos(phi), "gamma30": np.cos(theta)}
-    points = points_of(1, **vector)
-    turned = initial.as_euler_angles(points)
-    assert np.isnan(turned["p0"]).all()
-    size = 1 + np.abs(w).max() / max(s, 1e-2)
-    np.testing.assert_allclose(
-        initial.initial_state(turned), initial.initial_state(points), atol=1e-14 * size
-    )
-    same = initial.as_euler_angles(turned)
-    assert all(np.array_equal(same[name], turned[name], equal_nan=True) for name in same)
+    points = default_points("fixed_point", 1, **vector)
+    by_angles = initial.as_euler_angles(points)
+    assert np.isnan(by_angles["p0"]).all()
+    scale = 1 + np.abs(w).max() / max(s, 1e-2)
+    state, expected = initial.initial_state(by_angles), initial.initial_state(points)
+    np.testing.assert_allclose(state, expected, atol=1e-14 * scale)
+    unchanged = initial.as_euler_angles(by_angles)
+    assert all(np.array_equal(unchanged[name], by_angles[name], equal_nan=True) for name in unchanged)
 
 
 def test_angles_nudge_a_start_given_by_vectors():
@@ -250,6 +249,6 @@ def test_vectors_nudge_a_start_listed_among_points():
          "nudge.gamma10: the scene gives no gamma10"),
     ],
 )  # fmt: skip
-def test_nudges_that_mean_nothing_are_refused(changes, message):
+def test_nudges_without_meaning_are_refused(changes, message):
     with pytest.raises(BadInput, match=re.escape(message)):
         scene_from(NUDGED | changes)

@@ -1,9 +1,6 @@
-"""The satellite's families of steady motions: proved, solved, recognised, and held against the paper."""
+"""The satellite's families of steady motions: proofs, formulas, identification, and the paper's equations."""
 
 from __future__ import annotations
-
-import json
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -11,19 +8,20 @@ import sympy as sp
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
+from strategies import nonzero_satellite, random_satellites, satellite_on_family, seeds
+from truth import cases, satellite_cases
 
 from atlas.systems.base import on_family
-from atlas.systems.satellite import equations
-from atlas.systems.satellite.families import FAMILIES, condition_residual, identify_family, steady_motion
+from atlas.systems.satellite import SATELLITE, equations
+from atlas.systems.satellite.families import FAMILIES, condition_residual, steady_motion
 from atlas.systems.satellite.initial import PARAMETERS, constants, initial_state
 from atlas.systems.satellite.paper.published import PUBLISHED, residual
 from atlas.systems.satellite.stability import linear_stability
 
-CASES = json.loads((Path(__file__).parents[1] / "reference" / "satellite_cases.json").read_text())["cases"]
 NAMES = ("cylindrical", "equilibrium", "perp_radius", "perp_velocity", "oblique", "transverse_magnet",
          "despun_transverse", "asymmetric_tilt", "spherical", "other_axis")  # fmt: skip
 
-# Proof: the torque that w' = n gamma + m e3 lacks, as a polynomial in sines and cosines.
+# Proof: the torque missing for w' = n gamma + m e3 is 0, as a polynomial in sines and cosines.
 
 A, B, C, Omega, k1, k2, k3, mu1, mu2, mu3, h1, h3, n, m = sp.symbols(
     "A B C Omega k1 k2 k3 mu1 mu2 mu3 h1 h3 n m"
@@ -31,29 +29,34 @@ A, B, C, Omega, k1, k2, k3, mu1, mu2, mu3, h1, h3, n, m = sp.symbols(
 s, c, sy, cy, sf, cf = sp.symbols("s c sin_psi cos_psi sin_phi cos_phi")
 
 
-def symbolic(*rotor):
-    """The constants of the equations for symbols, with a rotor."""
+def symbolic_constants(*rotor):
+    """The constants of the equations as symbols, with a rotor."""
     names = ("A", "B", "C", "Omega", "mu1", "mu2", "mu3", "h1", "h3", "k1", "k2", "k3")
     return tuple(constants(dict(zip(names, (A, B, C, Omega, mu1, mu2, mu3, h1, h3, *rotor), strict=True))))
 
 
-def lack(**special):
-    """Components of I (w-dot needed) - torque, reduced by s^2 + c^2 = 1 and so on; all zero on a motion."""
+def reduced(expression):
+    """A polynomial in sines and cosines without the squares of sines."""
+    for sine, cosine in ((s, c), (sy, cy), (sf, cf)):
+        expression = sp.rem(sp.expand(expression), sine**2 + cosine**2 - 1, sine)
+    return sp.expand(expression)
+
+
+def missing_torque(**substitutions):
+    """Torque of the equations of motion less that of the steady motion; all components are 0 on a family."""
     alpha = sp.Matrix([cy * cf - c * sf * sy, -cy * sf - c * cf * sy, s * sy])
     gamma = sp.Matrix([s * sf, s * cf, c])
     state = [*((n + Omega) * gamma + sp.Matrix([0, 0, m])), *alpha, *gamma]
-    rates = equations.rhs(state, symbolic(k1, k2, k3))
-    needed = [(n + Omega) * m * gamma[1], -(n + Omega) * m * gamma[0], 0]
+    rates = equations.rhs(state, symbolic_constants(k1, k2, k3))
+    steady_rates = [(n + Omega) * m * gamma[1], -(n + Omega) * m * gamma[0], 0]
     numerators = []
-    for inertia, rate, target in zip((A, B, C), rates, needed, strict=False):
-        expression = sp.expand(inertia * (rate - target))
-        for _ in range(3):  # what a formula brings in is replaced in the next round
-            for name, value in special.items():
+    for inertia, rate, steady_rate in zip((A, B, C), rates[:3], steady_rates, strict=True):
+        expression = sp.expand(inertia * (rate - steady_rate))
+        for _ in range(3):  # a formula may introduce a name that another one replaces
+            for name, value in substitutions.items():
                 expression = expression.subs(sp.Symbol(name), value)
         numerator, _ = sp.fraction(sp.together(expression))
-        for sine, cosine in ((s, c), (sy, cy), (sf, cf)):
-            numerator = sp.rem(sp.expand(numerator), sine**2 + cosine**2 - 1, sine)
-        numerators.append(sp.expand(numerator))
+        numerators.append(reduced(numerator))
     return numerators
 
 
@@ -73,7 +76,7 @@ def upright(side):
     return {"s": 0, "c": side, "B": A}
 
 
-# Substitutions; phi (and psi where n is not 0) stays arbitrary.
+# The conditions of each family as substitutions; phi (and psi where n is not 0) is arbitrary.
 PROOFS = {
     "cylindrical, no field along the radius": [
         {**upright(side), "h1": 0, "k1": h3 * mu1 / (Omega + n + side * m), "k2": h3 * mu2 / (Omega + n + side * m)}
@@ -128,119 +131,40 @@ PROOFS = {
 
 @pytest.mark.parametrize("name", PROOFS)
 def test_family_solves_the_equations_identically(name):
-    for special in PROOFS[name]:
-        assert lack(**special) == [0, 0, 0], special
+    for substitutions in PROOFS[name]:
+        assert missing_torque(**substitutions) == [0, 0, 0], substitutions
 
 
-def test_equilibrium_rotor_leaves_the_torque_about_the_normal_alone():
+def test_equilibrium_rotor_leaves_only_the_torque_about_the_normal():
     """k = (R x gamma)/Omega + lambda gamma makes the torque gamma (beta.(3 Omega^2 I alpha + h1 mu))."""
     alpha = sp.Matrix([cy * cf - c * sf * sy, -cy * sf - c * cf * sy, s * sy])
     beta = sp.Matrix([sy * cf + c * sf * cy, -sy * sf + c * cf * cy, -s * cy])
     gamma = sp.Matrix([s * sf, s * cf, c])
-    inertia, mu, along = sp.diag(A, B, C), sp.Matrix([mu1, mu2, mu3]), sp.Symbol("along")
-    rest = 3 * Omega**2 * alpha.cross(inertia * alpha) + (h1 * alpha + h3 * gamma).cross(mu)
-    rest += Omega**2 * (inertia * gamma).cross(gamma)
-    k = rest.cross(gamma) / Omega + along * gamma
-    needed = gamma * beta.dot(3 * Omega**2 * inertia * alpha + h1 * mu)
-    rates = equations.rhs([*(Omega * gamma), *alpha, *gamma], symbolic(*k))
-    for i, body in enumerate((A, B, C)):
-        difference = sp.expand(body * rates[i] - needed[i])
-        for sine, cosine in ((s, c), (sy, cy), (sf, cf)):
-            difference = sp.rem(sp.expand(difference), sine**2 + cosine**2 - 1, sine)
-        assert sp.expand(difference) == 0
+    inertia, mu, lambda_ = sp.diag(A, B, C), sp.Matrix([mu1, mu2, mu3]), sp.Symbol("lambda")
+    R = 3 * Omega**2 * alpha.cross(inertia * alpha) + (h1 * alpha + h3 * gamma).cross(mu)
+    R += Omega**2 * (inertia * gamma).cross(gamma)
+    k = R.cross(gamma) / Omega + lambda_ * gamma
+    torque = gamma * beta.dot(3 * Omega**2 * inertia * alpha + h1 * mu)
+    rates = equations.rhs([*(Omega * gamma), *alpha, *gamma], symbolic_constants(*k))
+    for i, moment in enumerate((A, B, C)):
+        assert reduced(moment * rates[i] - torque[i]) == 0
 
 
 # Random points on every family, by its own formulas.
 
 
-def draw(rng, **given):
-    """A random point of order 1, arrays of shape (1,)."""
-    point = {name: rng.uniform(0.3, 1.3, 1) * rng.choice([-1.0, 1.0], 1) for name in PARAMETERS}
-    point |= {name: rng.uniform(0.7, 1.3, 1) for name in ("A", "B", "C", "Omega")}
-    point |= {"theta0": rng.uniform(-4, 4, 1), "theta_dot0": np.zeros(1)}
-    point |= {name: np.full(1, float(value)) for name, value in given.items()}
-    return point
-
-
-def free_point(rng, name):
-    """A random point with what the family's formulas do not solve."""
-    point = draw(rng)
-    if name in (
-        "cylindrical",
-        "perp_radius",
-        "perp_velocity",
-        "oblique",
-        "transverse_magnet",
-        "despun_transverse",
-    ):
-        point["B"] = point["A"]
-        point["n"] = np.zeros(1)
-    if name in ("perp_radius", "perp_velocity", "oblique"):
-        point |= {key: np.zeros(1) for key in ("k1", "k2", "mu1", "mu2")}
-    if name in ("perp_radius", "cylindrical"):
-        point["h1"] = np.zeros(1)
-    if name == "cylindrical":
-        point["n"] = rng.normal(size=1)
-    if name == "equilibrium":
-        point["n"] = np.zeros(1)
-    if name == "asymmetric_tilt":
-        point["n"] = np.zeros(1)
-    if name == "oblique":
-        point["h1"] = point["h1"] * 0.1
-    if name == "spherical":
-        point |= {"B": point["A"], "C": point["A"]}
-        point |= {key: np.zeros(1) for key in ("k1", "k2", "mu1", "mu2", "h1")}
-    if name == "other_axis":
-        point |= {"m": np.zeros(1), "h1": np.zeros(1)}
-        kind = rng.integers(3)
-        if kind == 0:
-            point |= {
-                "C": point["A"],
-                "theta0": np.full(1, np.pi / 2),
-                "phi0": np.full(1, np.pi * rng.integers(2)),
-            }
-        elif kind == 1:
-            point |= {"C": point["B"], "theta0": np.full(1, np.pi / 2), "phi0": np.full(1, -np.pi / 2)}
-        else:
-            point |= {"B": point["A"], "C": point["A"]}
-    return point
-
-
-def solved(name, rng):
-    """A point on the family, or None where the drawn parameters admit none."""
-    point = free_point(rng, name)
-    formulas = FAMILIES[name].solve
-    # enough of them, in order, to be on the family
-    wanted = {
-        "cylindrical": ("theta0", "k1", "k2"), "equilibrium": ("m", "h1", "k1", "k2"), "perp_radius": ("psi0", "k3"),
-        "perp_velocity": ("psi0", "k3"), "oblique": ("psi0", "k3"),
-        "transverse_magnet": ("psi0", "h3", "k1", "k2", "k3"),
-        "despun_transverse": ("m", "h3", "mu3", "k1", "k2", "k3"),
-        "asymmetric_tilt": ("theta0", "psi0", "m", "h1", "k1", "k2", "k3"),
-        "spherical": ("k3",), "other_axis": ("k3", "k1", "k2"),
-    }[name]  # fmt: skip
-    for parameter in wanted:
-        value = formulas[parameter](point)
-        if name == "other_axis" and np.isnan(value[0]):  # the component along the axis is free
-            continue
-        if np.isnan(value[0]) or abs(value[0]) > 50:
-            return None
-        point[parameter] = value
-    return point
-
-
 @pytest.mark.parametrize("name", NAMES)
 @settings(max_examples=25, deadline=None)
-@given(seed=st.integers(0, 10**6))
+@given(seed=seeds)
 def test_solved_points_are_steady_and_recognised(name, seed):
-    point = solved(name, np.random.default_rng(seed))
+    point = satellite_on_family(name, np.random.default_rng(seed))
     if point is None:
         return
-    size = float(np.abs(constants(point)).max()) ** 2
+    scale = float(np.abs(constants(point)).max()) ** 2
     assert on_family(FAMILIES[name], point)[0] < 1e-12
-    assert residual(point) < 1e-12 * size
+    assert residual(point) < 1e-12 * scale
     assert condition_residual(point)[0] < 1e-12
-    flag, distance = identify_family(point)
+    flag, distance = SATELLITE.identify_family(point)
     assert 1 <= flag[0] <= FAMILIES[name].flag
     assert distance[0] < 1e-10
 
@@ -249,115 +173,109 @@ def test_solved_points_are_steady_and_recognised(name, seed):
     ("name", "parameter"), [(name, key) for name in NAMES for key in FAMILIES[name].solve]
 )
 def test_every_formula_restores_its_parameter(name, parameter):
-    """A point on the family, thrown off in one parameter, comes back by that parameter's formula."""
-    tried = 0
+    """A point on the family, changed in one parameter, returns to the family by that parameter's formula."""
+    formula, count = FAMILIES[name].solve[parameter], 0
     for seed in range(40):
-        point = solved(name, np.random.default_rng(seed))
+        point = satellite_on_family(name, np.random.default_rng(seed))
         if point is None:
             continue
         off = point | {parameter: point[parameter] + 0.05}
-        formula = FAMILIES[name].solve[parameter]
-        if (
-            parameter == "theta0"
-            and FAMILIES[name].solve["theta0"] is FAMILIES["perp_velocity"].solve["theta0"]
-        ):
+        if parameter == "theta0" and formula is FAMILIES["perp_velocity"].solve["theta0"]:
             off["h1"] = point["h1"] = np.zeros(1)
             off["k3"] = point["k3"] = FAMILIES[name].solve["k3"](point)
         value = formula(off)
-        if on_family(FAMILIES[name], off)[0] < 1e-10:  # it is free here
-            continue
-        if np.isnan(value[0]):
+        is_free = on_family(FAMILIES[name], off)[0] < 1e-10
+        if is_free or np.isnan(value[0]):
             continue
         assert on_family(FAMILIES[name], off | {parameter: value})[0] < 1e-11
-        tried += 1
-    assert tried >= 5
+        count += 1
+    assert count >= 5
 
 
-def test_nan_where_a_family_does_not_exist():
+def test_formulas_give_nan_where_a_family_does_not_exist():
     rng = np.random.default_rng(0)
-    base = draw(rng, B=1, A=1, C=1.2, n=0, k1=0, k2=0, mu1=0, mu2=0, theta0=1)
+    base = nonzero_satellite(rng, B=1, A=1, C=1.2, n=0, k1=0, k2=0, mu1=0, mu2=0, theta0=1)
     oblique = FAMILIES["oblique"].solve
     assert np.isnan(oblique["psi0"](base | {"h1": np.array([9.0]), "mu3": np.array([9.0])}))
     assert np.isnan(FAMILIES["perp_radius"].solve["theta0"](base | {"k3": np.array([9.0])}))
     upright = base | {"theta0": np.array([np.pi]), "psi0": np.array([np.pi / 2])}
     assert np.isnan(FAMILIES["perp_velocity"].solve["k3"](upright))
-    without = FAMILIES["perp_velocity"].solve["k3"](upright | {"h1": np.zeros(1)})
-    assert on_family(FAMILIES["perp_velocity"], upright | {"h1": np.zeros(1), "k3": without})[0] < 1e-12
+    upright["h1"] = np.zeros(1)
+    upright["k3"] = FAMILIES["perp_velocity"].solve["k3"](upright)
+    assert on_family(FAMILIES["perp_velocity"], upright)[0] < 1e-12
     no_orbit = base | {"Omega": np.zeros(1)}
     assert np.isnan(FAMILIES["perp_radius"].solve["k3"](no_orbit))
 
 
-# Nothing is recognised that is not steady, and nothing that is steady is missed.
+# A point is on a family if and only if its motion is steady.
 
 
 @settings(max_examples=400, deadline=None)
 @given(data=st.data())
-def test_recognised_means_steady_and_the_converse(data):
-    """Points from few special values, where families and their accidents are dense."""
-    pick = lambda *values: data.draw(st.sampled_from(values))  # noqa: E731
-    kind = pick("any", "node", "rest")
-    Omega_ = 1.0
-    p = {
-        "A": 1.0, "B": pick(1.0, 1.0, 1.3), "C": pick(1.0, 1.3, 0.8), "Omega": Omega_,
+def test_a_point_is_recognised_if_and_only_if_it_is_steady(data):
+    """Points of few values, among which families and coincidences are frequent."""
+
+    def pick(*values):
+        return data.draw(st.sampled_from(values))
+
+    rotor = pick("any", "node", "family")
+    parameters = {
+        "A": 1.0, "B": pick(1.0, 1.0, 1.3), "C": pick(1.0, 1.3, 0.8), "Omega": 1.0,
         "mu1": pick(0.0, 0.0, 0.7), "mu2": pick(0.0, 0.0, 0.4), "mu3": pick(0.0, 0.5),
         "h1": pick(0.0, 0.6, -0.3), "h3": pick(0.0, 0.5), "k1": pick(0.0, 0.0, 0.3), "k2": pick(0.0, 0.2),
         "k3": pick(0.0, 0.3), "theta0": pick(0.0, np.pi, np.pi / 3, 2 * np.pi / 3, np.pi / 2, 1.1, -0.7),
         "psi0": pick(0.0, np.pi / 2, -np.pi / 2, np.pi, 0.4), "phi0": pick(0.0, np.pi / 2, np.pi, 0.9),
         "theta_dot0": 0.0, "n": pick(0.0, 0.0, -1.0, 0.5, 1.0), "m": pick(0.0, 1.0, -1.0, 0.5, -0.5, 0.7),
     }  # fmt: skip
-    point = {name: np.full(1, float(value)) for name, value in p.items()}
-    if kind == "node":
-        names = pick(("m",), ("h1",), ("psi0",), ("h3",), ())
-        for name in names:
-            formula = FAMILIES[
-                pick("oblique", "transverse_magnet", "despun_transverse", "asymmetric_tilt")
-            ].solve
-            if name in formula:
-                point[name] = formula[name](point)
+    point = {name: np.full(1, float(value)) for name, value in parameters.items()}
+    if rotor == "node":
+        for name in pick(("m",), ("h1",), ("psi0",), ("h3",), ()):
+            family = pick("oblique", "transverse_magnet", "despun_transverse", "asymmetric_tilt")
+            if name in FAMILIES[family].solve:
+                point[name] = FAMILIES[family].solve[name](point)
         for name in ("k1", "k2", "k3"):
             point[name] = FAMILIES["transverse_magnet"].solve[name](point)
-    if kind == "rest":
-        name = pick("spherical", "other_axis", "equilibrium", "cylindrical")
-        for parameter, formula in FAMILIES[name].solve.items():
+    if rotor == "family":
+        family = pick("spherical", "other_axis", "equilibrium", "cylindrical")
+        for parameter, formula in FAMILIES[family].solve.items():
             if parameter.startswith("k"):
                 value = formula(point)
                 point[parameter] = np.where(np.isnan(value), point[parameter], value)
     if any(np.isnan(value[0]) or abs(value[0]) > 20 for value in point.values()):
         return
-    flag, _ = identify_family(point)
-    lack_ = residual(point)
+    flag, _ = SATELLITE.identify_family(point)
     if flag[0]:
-        assert lack_ < 1e-9
+        assert residual(point) < 1e-9
     else:
-        assert lack_ > 1e-6
+        assert residual(point) > 1e-6
 
 
-def test_off_every_family_by_one_percent():
+def test_points_one_percent_off_a_family_are_on_none():
     rng = np.random.default_rng(3)
     for name in NAMES:
         parameter = "C" if name in ("equilibrium", "other_axis", "oblique") else "k3"
         if name == "cylindrical":
             parameter = "B"
-        seen = 0
+        count = 0
         for _ in range(20):
-            point = solved(name, rng)
-            if point is None or identify_family(point)[0][0] != FAMILIES[name].flag:
+            point = satellite_on_family(name, rng)
+            if point is None or SATELLITE.identify_family(point)[0][0] != FAMILIES[name].flag:
                 continue
             off = point | {parameter: point[parameter] * 1.01}
             if name == "other_axis" and np.ptp([point[i][0] for i in "ABC"]) > 0:
                 off = point | {"theta0": point["theta0"] * 1.01}
-            flag, distance = identify_family(off)
+            flag, distance = SATELLITE.identify_family(off)
             assert flag[0] == 0
             assert distance[0] > 1e-5
-            seen += 1
-        assert seen > 3, name
+            count += 1
+        assert count > 3, name
 
 
 def test_generic_points_are_on_no_family():
-    rng = np.random.default_rng(4)
-    points = {name: rng.normal(size=500) for name in PARAMETERS}
-    points |= {name: rng.uniform(0.8, 1.5, 500) for name in ("A", "B", "C", "Omega")}
-    flags, distance = identify_family({name: value.reshape(50, 10) for name, value in points.items()})
+    points = random_satellites(np.random.default_rng(4), 500)
+    flags, distance = SATELLITE.identify_family(
+        {name: value.reshape(50, 10) for name, value in points.items()}
+    )
     assert flags.shape == distance.shape == (50, 10)
     assert flags.dtype == np.int8
     assert not flags.any()
@@ -370,31 +288,31 @@ def test_order_of_overlapping_families():
     assert [family.flag for family in FAMILIES.values()] == list(range(1, 11))
     body = {"A": 1.0, "B": 1.0, "C": 1.2, "Omega": 1.0}
 
-    def first(**values):
+    def families_of(**values):
         point = {name: np.full(1, float((body | values).get(name, 0.0))) for name in PARAMETERS}
-        holding = [name for name, family in FAMILIES.items() if on_family(family, point)[0] < 1e-12]
-        assert holding[0] == NAMES[identify_family(point)[0][0] - 1]
-        return holding
+        names = [name for name, family in FAMILIES.items() if on_family(family, point)[0] < 1e-12]
+        assert names[0] == NAMES[SATELLITE.identify_family(point)[0][0] - 1]
+        return names
 
-    assert first(m=0.4) == ["cylindrical", "perp_radius", "oblique"]
-    assert first()[:3] == ["cylindrical", "equilibrium", "perp_radius"]
+    assert families_of(m=0.4) == ["cylindrical", "perp_radius", "oblique"]
+    assert families_of()[:3] == ["cylindrical", "equilibrium", "perp_radius"]
     k3 = 1.0 * np.cos(1.0) * (1 - 1.2) - 1.2 * 0.4
-    assert first(theta0=1.0, m=0.4, k3=k3) == ["perp_radius", "oblique"]
+    assert families_of(theta0=1.0, m=0.4, k3=k3) == ["perp_radius", "oblique"]
     tilt = {"theta0": np.pi / 3, "psi0": np.pi / 2, "m": -1.0, "k3": 0.8}
-    assert first(**tilt) == ["perp_velocity", "transverse_magnet", "asymmetric_tilt"]
-    assert first(B=1.1, **tilt | {"k3": 0.9}) == ["asymmetric_tilt"]
-    assert first(C=1.0, theta0=1.0, n=0.5) == ["spherical", "other_axis"]
-    assert first(C=1.0, theta0=1.0, n=0.5, k2=np.sin(1.0), k3=np.cos(1.0)) == ["other_axis"]
-    assert first(C=1.0, theta0=1.0, n=0.5, m=0.3, k3=-0.3) == ["spherical"]
+    assert families_of(**tilt) == ["perp_velocity", "transverse_magnet", "asymmetric_tilt"]
+    assert families_of(B=1.1, **tilt | {"k3": 0.9}) == ["asymmetric_tilt"]
+    assert families_of(C=1.0, theta0=1.0, n=0.5) == ["spherical", "other_axis"]
+    assert families_of(C=1.0, theta0=1.0, n=0.5, k2=np.sin(1.0), k3=np.cos(1.0)) == ["other_axis"]
+    assert families_of(C=1.0, theta0=1.0, n=0.5, m=0.3, k3=-0.3) == ["spherical"]
 
 
 def test_exact_starts_written_with_pi():
-    """pi, pi/2 and pi/3 in float64 are on the families; so is a tilt beyond pi."""
+    """Tilts of multiples of pi in float64 are on the family."""
     for theta0 in (np.pi, -np.pi, 4 * np.pi):
-        point = draw(np.random.default_rng(1), theta0=theta0, B=1, A=1, h1=0)
+        point = nonzero_satellite(np.random.default_rng(1), theta0=theta0, B=1, A=1, h1=0)
         for name in ("k1", "k2"):
             point[name] = FAMILIES["cylindrical"].solve[name](point)
-        assert identify_family(point)[0][0] == 1
+        assert SATELLITE.identify_family(point)[0][0] == FAMILIES["cylindrical"].flag
 
 
 # The closed form against an integrator.
@@ -403,66 +321,59 @@ def test_exact_starts_written_with_pi():
 @pytest.mark.parametrize("name", NAMES)
 def test_closed_form_agrees_with_the_integrator_over_20_radians(name):
     rng = np.random.default_rng(11)
-    done = 0
-    while done < 2:
-        point = solved(name, rng)
+    count = 0
+    while count < 2:
+        point = satellite_on_family(name, rng)
         if point is None:
             continue
-        done += 1
+        count += 1
         rate = max(abs(point[key][0]) for key in ("Omega", "n", "m"))
         times = np.linspace(0, 20 / rate, 9)
-        run = solve_ivp(
+        solution = solve_ivp(
             lambda t, y, values: equations.rhs(y, values), (0, times[-1]), initial_state(point)[:, 0],
             "DOP853", times, rtol=1e-12, atol=1e-13, max_step=0.15 / rate,
             args=(constants(point)[:, 0],),
         )  # fmt: skip
         closed = FAMILIES[name].motion(point, times)
         assert closed.shape == (9, 9, 1)
-        # an unstable motion leaves the closed form at its growth rate
+        # rounding errors of an unstable motion grow at its growth rate
         _, growth = linear_stability(point, np.array([FAMILIES[name].flag]))
-        assert (
-            np.abs(closed[..., 0] - run.y).max(0) < 1e-10 * (1 + times) * np.exp(1.1 * growth * times)
-        ).all()
+        bound = 1e-10 * (1 + times) * np.exp(1.1 * growth * times)
+        assert (np.abs(closed[..., 0] - solution.y).max(0) < bound).all()
 
 
 def test_closed_form_shapes():
-    point = solved("perp_velocity", np.random.default_rng(5))
-    wide = {name: np.broadcast_to(value, (4, 3)) for name, value in point.items()}
-    assert steady_motion(wide, np.zeros((2, 5))).shape == (9, 2, 5, 4, 3)
-    np.testing.assert_array_equal(steady_motion(wide, np.array(0.0)), initial_state(wide))
+    point = satellite_on_family("perp_velocity", np.random.default_rng(5))
+    points = {name: np.broadcast_to(value, (4, 3)) for name, value in point.items()}
+    assert steady_motion(points, np.zeros((2, 5))).shape == (9, 2, 5, 4, 3)
+    np.testing.assert_array_equal(steady_motion(points, np.array(0.0)), initial_state(points))
 
 
-# The verified cases and the printed equations.
-
-
-def case_points():
-    points = {name: np.array([float(case.get(name, 0.0)) for case in CASES]) for name in PARAMETERS}
-    for i in range(3):
-        points[f"k{i + 1}"] = np.array([case["k"][i] for case in CASES])
-        points[f"mu{i + 1}"] = np.array([case["mu"][i] for case in CASES])
-    return points
+# The verified cases and the paper's equations.
 
 
 def test_the_68_cases_are_recognised():
-    points = case_points()
-    flags, _ = identify_family(points)
-    residual = condition_residual(points)
+    points = satellite_cases()
+    flags, _ = SATELLITE.identify_family(points)
+    residuals = condition_residual(points)
     upright = np.abs(np.sin(points["theta0"])) < 1e-12
-    for i, case in enumerate(CASES):
+
+    def label(i, precession):
+        if flags[i] == 0:
+            return "drifting"
+        regular = not upright[i] and abs(precession) > 1e-5 and abs(points["m"][i]) > 1e-5
+        return "regular_precession" if regular else "permanent_rotation"
+
+    for i, case in enumerate(cases("satellite")):
         assert (flags[i] > 0) == case["valid"], case["id"]
-        labels = []
-        for precession in (points["n"][i], points["n"][i] + points["Omega"][i]):
-            regular = not upright[i] and abs(precession) > 1e-5 and abs(points["m"][i]) > 1e-5
-            labels.append(
-                "drifting" if flags[i] == 0 else "regular_precession" if regular else "permanent_rotation"
-            )
-        assert labels == [case["label_orbital"], case["label_inertial"]], case["id"]
+        assert label(i, points["n"][i]) == case["label_orbital"], case["id"]
+        assert label(i, points["n"][i] + points["Omega"][i]) == case["label_inertial"], case["id"]
         if case["valid"]:
-            assert residual[i] < 1e-12, case["id"]
+            assert residuals[i] < 1e-12, case["id"]
             geometry = FAMILIES[NAMES[flags[i] - 1]].geometry
             assert geometry in ("", case["geometry"]), case["id"]
         else:
-            assert residual[i] > 1e-4, case["id"]
+            assert residuals[i] > 1e-4, case["id"]
 
 
 @pytest.mark.parametrize("row", PUBLISHED, ids=lambda row: row.number)

@@ -7,13 +7,15 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
-from test_satellite_equations import jacobians
-from test_satellite_families import free_point, solved
+from strategies import default_points, satellite_for_family, satellite_on_family, seeds, select
+from truth import jacobian_matrices, monodromy_matrix
 
 from atlas.errors import BadInput
+from atlas.flags import Stability
+from atlas.systems.satellite import SATELLITE
 from atlas.systems.satellite.equations import rhs
 from atlas.systems.satellite.equilibria import equilibria
-from atlas.systems.satellite.families import FAMILIES, identify_family
+from atlas.systems.satellite.families import FAMILIES
 from atlas.systems.satellite.initial import PARAMETERS, constants, initial_state
 from atlas.systems.satellite.stability import exponents, linear_stability
 
@@ -22,113 +24,99 @@ def stack(points):
     return {name: np.concatenate([point[name] for point in points]) for name in PARAMETERS}
 
 
-def some(name, count, seed=0, slowest=0.15):
+def rotation_rate(point):
+    """Rate of the steady rotation relative to the orbital frame."""
+    tilt, n, m = point["theta0"], point["n"], point["m"]
+    return np.hypot(n * np.sin(tilt), n * np.cos(tilt) + m)
+
+
+def points_of_family(name, count, seed=0, min_rate=0.15):
     """Points whose first family is the named one, the rotation not too slow to integrate."""
-    rng, found = np.random.default_rng(seed), []
-    while len(found) < count:
-        point = solved(name, rng)
-        if point is None or identify_family(point)[0][0] != FAMILIES[name].flag:
+    rng, points = np.random.default_rng(seed), []
+    while len(points) < count:
+        point = satellite_on_family(name, rng)
+        if point is None or SATELLITE.identify_family(point)[0][0] != FAMILIES[name].flag:
             continue
-        turn = np.hypot(
-            point["n"] * np.sin(point["theta0"]), point["n"] * np.cos(point["theta0"]) + point["m"]
-        )
-        if turn[0] > slowest or name == "equilibrium":
-            found.append(point)
-    return stack(found)
+        if rotation_rate(point)[0] > min_rate or name == "equilibrium":
+            points.append(point)
+    return stack(points)
 
 
 def monodromy_growth(point, period):
     """Growth rate from the variational equations of the nine equations of motion themselves."""
-    values = constants(point)
-
-    def both(t, y):
-        state, matrix = y[:9], y[9:].reshape(9, 9)
-        return np.concatenate(
-            [rhs(state, values[:, 0]), (jacobians(state[:, None], values)[0] @ matrix).ravel()]
-        )
-
-    first = np.concatenate([initial_state(point)[:, 0], np.eye(9).ravel()])
-    run = solve_ivp(both, (0, period), first, "DOP853", rtol=1e-11, atol=1e-12)
-    return np.log(np.abs(np.linalg.eigvals(run.y[9:, -1].reshape(9, 9))).max()) / period
+    matrix = monodromy_matrix(rhs, initial_state(point)[:, 0], constants(point)[:, 0], period)
+    return np.log(np.abs(np.linalg.eigvals(matrix)).max()) / period
 
 
 @pytest.mark.parametrize("name", ["cylindrical", "transverse_magnet", "despun_transverse", "asymmetric_tilt",
                                   "other_axis"])  # fmt: skip
 def test_multipliers_are_those_of_the_equations_of_motion(name):
-    # fast enough that an unstable motion is still itself after a period
-    points = some(name, 5, slowest=0.6)
+    # fast enough that rounding errors of an unstable motion stay small over a period
+    points = points_of_family(name, 5, min_rate=0.6)
     stable, growth = exponents(points)
     for i in range(5):
-        point = {key: value[i : i + 1] for key, value in points.items()}
-        turn = np.hypot(
-            point["n"] * np.sin(point["theta0"]), point["n"] * np.cos(point["theta0"]) + point["m"]
-        )
-        expected = monodromy_growth(point, 2 * np.pi / turn[0])
-        assert stable[i] > 0
+        point = select(points, i)
+        expected = monodromy_growth(point, 2 * np.pi / rotation_rate(point)[0])
         assert growth[i] == pytest.approx(expected, abs=2e-5)
-        assert (stable[i] == 2) == (expected > 2e-5)
+        assert stable[i] == (Stability.UNSTABLE if expected > 2e-5 else Stability.STABLE)
 
 
 def test_eigenvalues_at_equilibria_are_those_of_the_equations_of_motion():
-    points = some("equilibrium", 20)
-    stable, growth = linear_stability(points, np.full(20, 2))
-    values = np.linalg.eigvals(jacobians(initial_state(points), constants(points)))
-    # the nine equations have three zeros more, of the lengths and the angle of alpha and gamma
-    assert growth == pytest.approx(values.real.max(1), abs=1e-6)
-    assert set(stable) == {1, 2}
+    points = points_of_family("equilibrium", 20)
+    stable, growth = linear_stability(points, np.full(20, FAMILIES["equilibrium"].flag))
+    eigenvalues = np.linalg.eigvals(jacobian_matrices(rhs, initial_state(points), constants(points)))
+    # the nine equations have three more eigenvalues 0, for the lengths and the angle of alpha and gamma
+    assert growth == pytest.approx(eigenvalues.real.max(1), abs=1e-6)
+    assert set(stable) == {Stability.STABLE, Stability.UNSTABLE}
+
+
+def point_with_closed_form(name, rng):
+    """A point of the family for which the stability is known in closed form, or None."""
+    if name not in ("cylindrical", "other_axis"):
+        return satellite_on_family(name, rng)
+    # rotor and magnet along the axis of rotation
+    point = satellite_for_family(name, rng)
+    if name == "cylindrical":
+        point["theta0"] = np.pi * rng.integers(2, size=1)
+        return point | {key: np.zeros(1) for key in ("k1", "k2", "mu1", "mu2")}
+    gamma = initial_state(point)[6:]
+    k, mu = rng.normal() * gamma, rng.normal() * gamma
+    return point | {f"k{i + 1}": k[i] for i in range(3)} | {f"mu{i + 1}": mu[i] for i in range(3)}
 
 
 @pytest.mark.parametrize("name", ["cylindrical", "perp_radius", "perp_velocity", "oblique", "other_axis"])
 @settings(max_examples=12, deadline=None)
-@given(seed=st.integers(0, 10**6))
+@given(seed=seeds)
 def test_closed_forms_are_those_of_the_multipliers(name, seed):
-    rng = np.random.default_rng(seed)
-    point = solved(name, rng)
-    if name in ("cylindrical", "other_axis"):  # axial rotor and magnet
-        point = free_point(rng, name)
-        if name == "cylindrical":
-            point["theta0"] = np.pi * rng.integers(2, size=1)
-            point |= {key: np.zeros(1) for key in ("k1", "k2", "mu1", "mu2")}
-        else:
-            axis = np.array([np.sin(point["theta0"]) * np.sin(point["phi0"]),
-                             np.sin(point["theta0"]) * np.cos(point["phi0"]), np.cos(point["theta0"])])  # fmt: skip
-            k, mu = rng.normal(), rng.normal()
-            point |= {f"k{i + 1}": k * axis[i] for i in range(3)} | {
-                f"mu{i + 1}": mu * axis[i] for i in range(3)
-            }
+    point = point_with_closed_form(name, np.random.default_rng(seed))
     if point is None:
         return
-    expected = exponents(point)
-    if expected[0][0] == 0:  # too slow a rotation for the multipliers
+    by_multipliers, growth_by_multipliers = exponents(point)
+    if by_multipliers[0] == Stability.UNKNOWN:  # the rotation is too slow for the multipliers
         return
     stable, growth = linear_stability(point, np.array([FAMILIES[name].flag]))
-    close = FAMILIES[name].stability(point)
-    assert close[0][0] == stable[0] > 0
-    # near a collision of multipliers the integration error counts by its square root
-    assert growth[0] == pytest.approx(expected[1][0], abs=3e-5)
+    closed_form, _ = FAMILIES[name].stability(point)
+    assert closed_form[0] == stable[0] != Stability.UNKNOWN
+    # near a collision of multipliers their error is the square root of the integration error
+    assert growth[0] == pytest.approx(growth_by_multipliers[0], abs=3e-5)
 
 
 def test_spherical_bodies_are_stable():
-    """With n = 0 the multipliers can tell; without gravity the orbit's rate is no other than n."""
+    """With n = 0, where the multipliers decide; without gravity Omega acts only through n + Omega."""
     rng = np.random.default_rng(2)
-    points = [free_point(rng, "spherical") | {"n": np.zeros(1)} for _ in range(6)]
+    points = [satellite_for_family("spherical", rng) | {"n": np.zeros(1)} for _ in range(6)]
     points = stack([point | {"k3": FAMILIES["spherical"].solve["k3"](point)} for point in points])
     stable, growth = exponents(points)
-    assert (stable == 1).all()
+    assert (stable == Stability.STABLE).all()
     assert not growth.any()
-    assert (linear_stability(points, np.full(6, 9))[0] == 1).all()
+    stable, _ = linear_stability(points, np.full(6, FAMILIES["spherical"].flag))
+    assert (stable == Stability.STABLE).all()
 
 
-def symmetric(theta0, psi0, sigma, b):
+def symmetric_point(theta0, psi0, sigma, b):
     """Symmetric body A = 1 with C = sigma and axial momentum b, m = 0.7; no magnet."""
-    point = {name: np.zeros(1) for name in PARAMETERS} | {name: np.ones(1) for name in ("A", "B", "Omega")}
-    point |= {
-        "C": np.full(1, sigma),
-        "theta0": np.full(1, theta0),
-        "psi0": np.full(1, psi0),
-        "m": np.full(1, 0.7),
-    }
-    return point | {"k3": np.full(1, b - sigma * (np.cos(theta0) + 0.7))}
+    k3 = b - sigma * (np.cos(theta0) + 0.7)
+    return default_points("satellite", A=1, B=1, Omega=1, C=sigma, theta0=theta0, psi0=psi0, m=0.7, k3=k3)
 
 
 @settings(max_examples=40, deadline=None)
@@ -136,64 +124,65 @@ def symmetric(theta0, psi0, sigma, b):
 def test_classical_boundaries(sigma, b, theta0):
     """lambda^4 + P lambda^2 + Q = 0 in units of Omega, sigma = C/A, b = (C w3 + k3)/(A Omega)."""
     u = np.cos(theta0) ** 2
-    forms = [
+    motions = [
         ("cylindrical", 0.0, 0.0, b, b * b - 2 * b + 3 * sigma - 1, (b - 1) * (b + 3 * sigma - 4)),
         ("cylindrical", np.pi, 0.0, b, b * b + 2 * b + 3 * sigma - 1, (-b - 1) * (-b + 3 * sigma - 4)),
         ("perp_radius", theta0, 0.0, np.cos(theta0), 3 * sigma - 2, 3 * (sigma - 1) * (1 - u)),
         ("perp_velocity", theta0, np.pi / 2, (4 - 3 * sigma) * np.cos(theta0),
          7 - 6 * sigma + 9 * sigma * (sigma - 1) * u, 3 * (sigma - 1) * (3 * sigma - 4) * (1 - u)),
     ]  # fmt: skip
-    for name, tilt, psi0, momentum, P, Q in forms:
-        point = symmetric(tilt, psi0, sigma, momentum)
-        # the axis at pi sees w3 = -Omega + m
-        flag, _ = identify_family(point)
+    for name, tilt, psi0, momentum, P, Q in motions:
+        point = symmetric_point(tilt, psi0, sigma, momentum)
+        flag, _ = SATELLITE.identify_family(point)
         assert flag[0] == FAMILIES[name].flag or abs(sigma - 1) < 1e-9
         stable, growth = FAMILIES[name].stability(point)
         roots = np.sqrt(np.roots([1, P, Q]).astype(complex))
         assert growth[0] == pytest.approx(np.abs(roots.real).max(), abs=2e-6)
         if min(abs(P), abs(Q), abs(P * P - 4 * Q)) > 1e-6:
-            assert (stable[0] == 1) == (P > 0 and Q > 0 and P * P > 4 * Q)
+            assert (stable[0] == Stability.STABLE) == (P > 0 and Q > 0 and P * P > 4 * Q)
 
 
 def test_marginal_roots_count_as_stable():
-    """sigma = 1: the axis may lie anywhere, lambda = 0 twice."""
-    stable, growth = FAMILIES["perp_radius"].stability(symmetric(0.8, 0.0, 1.0, np.cos(0.8)))
-    assert (stable[0], growth[0]) == (1, 0.0)
+    """sigma = 1: every direction of the axis is steady, and lambda = 0 is a double root."""
+    stable, growth = FAMILIES["perp_radius"].stability(symmetric_point(0.8, 0.0, 1.0, np.cos(0.8)))
+    assert (stable[0], growth[0]) == (Stability.STABLE, 0.0)
 
 
 def test_slow_rotation_and_no_family_are_unknown():
-    points = some("transverse_magnet", 2)
+    points = points_of_family("transverse_magnet", 2)
     slow = points | {"m": points["m"] * 1e-6}
-    stable, growth = linear_stability(slow, np.array([6, 0]))
-    assert stable.tolist() == [0, 0]
+    no_family = 0
+    stable, growth = linear_stability(slow, np.array([FAMILIES["transverse_magnet"].flag, no_family]))
+    assert stable.tolist() == [Stability.UNKNOWN] * 2
     assert np.isnan(growth).all()
     assert stable.dtype == np.int8
 
 
-def test_unstable_motions_leave_and_stable_ones_stay():
-    """Nudged runs of the equations of motion for 12 orbits, of the families without closed form."""
+def test_nudged_motions_stay_where_stable_and_leave_where_unstable():
+    """Nudged motions over 12 orbits, of the families without closed form."""
     for name in ("transverse_magnet", "asymmetric_tilt"):
-        points = some(name, 8, seed=3)
+        points = points_of_family(name, 8, seed=3)
         stable, growth = linear_stability(points, np.full(8, FAMILIES[name].flag))
         for i in range(8):
-            point = {key: value[i : i + 1] for key, value in points.items()}
-            if stable[i] == 2 and growth[i] < 0.15:
+            point = select(points, i)
+            if stable[i] == Stability.UNSTABLE and growth[i] < 0.15:  # too slow to leave in 12 orbits
                 continue
             nudged = point | {"theta0": point["theta0"] + 1e-6, "psi0": point["psi0"] + 1e-6}
             end = 75 / point["Omega"][0]
-            run = solve_ivp(
+            solution = solve_ivp(
                 lambda t, y, values: rhs(y, values), (0, end), initial_state(nudged)[:, 0],
                 "DOP853", rtol=1e-9, atol=1e-11, args=(constants(point)[:, 0],),
             )  # fmt: skip
-            left = np.abs(np.arccos(np.clip(run.y[8], -1, 1)) - np.arccos(np.cos(point["theta0"]))).max()
-            assert (left > 2e-4) == (stable[i] == 2), (name, i, growth[i], left)
+            theta = np.arccos(np.clip(solution.y[8], -1, 1))
+            change = np.abs(theta - np.arccos(np.cos(point["theta0"]))).max()
+            assert (change > 2e-4) == (stable[i] == Stability.UNSTABLE), (name, i, growth[i], change)
 
 
 # Relative equilibria.
 
 
 def algebraic_count(inertia, kappa):
-    """Number of equilibria without h1 from the curves that beta, the direction of motion, lies on.
+    """Number of equilibria without h1, from two curves that contain beta, the direction of motion.
 
     alpha.(4 I gamma + kappa) = 0, beta.(I gamma + kappa) = 0, beta.I alpha = 0 with kappa = k/Omega give
     gamma = (I beta - (beta.I beta) beta)/rho, alpha = beta x I beta/rho, rho = -kappa.beta, and so a
@@ -204,25 +193,25 @@ def algebraic_count(inertia, kappa):
 
     def curves(x, y):
         beta = basis @ np.array([x, y, np.ones_like(x)])
-        moved = inertia[:, None] * beta
-        normal = np.cross(beta, moved, axis=0)
-        determinant = (normal * inertia[:, None] * moved).sum(0)
-        along = kappa @ beta
+        momentum = inertia[:, None] * beta
+        normal = np.cross(beta, momentum, axis=0)
+        determinant = (normal * inertia[:, None] * momentum).sum(0)
+        component = kappa @ beta
         square = (beta**2).sum(0)
-        cubic = 4 * determinant - along * (kappa @ normal)
-        quartic = (moved**2).sum(0) * square - (beta * moved).sum(0) ** 2 - along**2 * square
+        cubic = 4 * determinant - component * (kappa @ normal)
+        quartic = (momentum**2).sum(0) * square - (beta * momentum).sum(0) ** 2 - component**2 * square
         return cubic, quartic
 
     circle = np.exp(2j * np.pi * np.arange(8) / 8)
 
-    def in_y(x):
+    def coefficients_in_y(x):
         """Coefficients of both curves in powers of y, highest first, for one x."""
         values = curves(np.full(8, x, complex), circle)
         cubic, quartic = (np.fft.fft(value) / 8 for value in values)
         return cubic[3::-1], quartic[4::-1]
 
     def resultant(x):
-        cubic, quartic = in_y(x)
+        cubic, quartic = coefficients_in_y(x)
         matrix = np.zeros((7, 7), complex)
         for i in range(4):
             matrix[i, i : i + 4] = cubic
@@ -239,94 +228,79 @@ def algebraic_count(inertia, kappa):
 @pytest.mark.parametrize("seed", range(8))
 def test_all_equilibria_of_a_gyrostat_are_found(seed):
     rng = np.random.default_rng(seed)
-    # no component near 0, where the two curves touch in points that are no equilibria
+    # no component near 0, where the two curves touch at points that are not equilibria
     inertia, k = np.array([1.0, 1.3, 1.7]), rng.uniform(0.04, 0.2, 3) * (3 if seed % 2 else 1)
-    found = equilibria({"A": 1.0, "B": 1.3, "C": 1.7, "Omega": 1.0, **{f"k{i + 1}": k[i] for i in range(3)}})
-    assert len(found["index"]) == algebraic_count(inertia, k)
-    assert 8 <= len(found["index"]) <= 24
-    assert ((-1.0) ** found["index"]).sum() == 0
+    body = dict(zip("ABC", inertia, strict=True)) | {f"k{i + 1}": k[i] for i in range(3)}
+    index = equilibria(body | {"Omega": 1.0})["index"]
+    assert len(index) == algebraic_count(inertia, k)
+    assert 8 <= len(index) <= 24
+    assert ((-1.0) ** index).sum() == 0  # Euler characteristic of the rotation group
 
 
-def test_equilibria_are_equilibria():
+def test_equilibria_are_on_their_family_and_sorted_by_potential():
     body = {"A": 1.0, "B": 1.3, "C": 1.7, "Omega": 0.4, "k1": 0.04, "k2": -0.03, "k3": 0.05, "mu1": 0.1, "mu2": 0.2,
             "mu3": -0.1, "h1": 0.3, "h3": 0.2}  # fmt: skip
-    found = equilibria(body)
-    count = len(found["index"])
+    solutions = equilibria(body)
+    count = len(solutions["index"])
     points = {name: np.full(count, body.get(name, 0.0)) for name in PARAMETERS}
-    points |= {name: found[name] for name in ("theta0", "psi0", "phi0")}
-    flags, _ = identify_family(points)
-    assert (flags == 2).all()
+    points |= {name: solutions[name] for name in ("theta0", "psi0", "phi0")}
+    flags, _ = SATELLITE.identify_family(points)
+    assert (flags == FAMILIES["equilibrium"].flag).all()
     state = initial_state(points)
-    np.testing.assert_allclose(state[3:6].T, found["alpha"], atol=1e-12)
-    np.testing.assert_allclose(state[6:].T, found["gamma"], atol=1e-12)
-    assert (np.diff(found["potential"]) >= 0).all()
-    # a minimum is stable
-    assert (found["stable"][found["index"] == 0] == 1).all()
-    # an odd index is not (Kelvin, Chetaev)
-    assert (found["stable"][found["index"] % 2 == 1] == 2).all()
-    assert ((-1.0) ** found["index"]).sum() == 0
+    np.testing.assert_allclose(state[3:6].T, solutions["alpha"], atol=1e-12)
+    np.testing.assert_allclose(state[6:].T, solutions["gamma"], atol=1e-12)
+    assert (np.diff(solutions["potential"]) >= 0).all()
+    # a minimum of the potential is stable, an odd index unstable (Kelvin, Chetaev)
+    assert (solutions["stable"][solutions["index"] == 0] == Stability.STABLE).all()
+    assert (solutions["stable"][solutions["index"] % 2 == 1] == Stability.UNSTABLE).all()
+    assert ((-1.0) ** solutions["index"]).sum() == 0
 
 
-def test_index_and_potential_by_differences():
-    body = {
-        "A": 1.0,
-        "B": 1.3,
-        "C": 1.7,
-        "Omega": 0.7,
-        "k1": 0.1,
-        "k2": -0.03,
-        "k3": 0.05,
-        "mu1": 0.2,
-        "h1": 0.3,
-    }
-    found = equilibria(body)
+def test_index_is_that_of_the_difference_quotients_of_the_potential():
+    body = {"A": 1.0, "B": 1.3, "C": 1.7, "Omega": 0.7, "mu1": 0.2, "h1": 0.3}
+    body |= {"k1": 0.1, "k2": -0.03, "k3": 0.05}
+    solutions = equilibria(body)
     inertia, k = np.array([1.0, 1.3, 1.7]), np.array([0.1, -0.03, 0.05])
+    names = ("theta0", "psi0", "phi0")
 
     def potential(angles):
-        point = {name: np.full(1, body.get(name, 0.0)) for name in PARAMETERS}
-        point |= {
-            name: np.full(1, angle) for name, angle in zip(("theta0", "psi0", "phi0"), angles, strict=True)
-        }
-        alpha, gamma = initial_state(point)[3:6, 0], initial_state(point)[6:, 0]
+        state = initial_state(default_points("satellite", **body, **dict(zip(names, angles, strict=True))))
+        alpha, gamma = state[3:6, 0], state[6:, 0]
         gravity = 1.5 * 0.49 * inertia @ alpha**2 + 0.3 * 0.2 * alpha[0]
         return gravity - 0.7 * k @ gamma - 0.5 * 0.49 * inertia @ gamma**2
 
     step = 1e-3
-    for i in range(len(found["index"])):
-        if abs(np.sin(found["theta0"][i])) < 0.05:
+    for i in range(len(solutions["index"])):
+        if abs(np.sin(solutions["theta0"][i])) < 0.05:
             continue
-        at = np.array([found[name][i] for name in ("theta0", "psi0", "phi0")])
-        assert potential(at) == pytest.approx(found["potential"][i], abs=1e-12)
+        x = np.array([solutions[name][i] for name in names])
+        assert potential(x) == pytest.approx(solutions["potential"][i], abs=1e-12)
         hessian = np.zeros((3, 3))
         for p in range(3):
             for q in range(3):
                 e, f = np.eye(3)[p] * step, np.eye(3)[q] * step
-                corners = (
-                    potential(at + e + f),
-                    -potential(at + e - f),
-                    -potential(at - e + f),
-                    potential(at - e - f),
-                )
-                hessian[p, q] = sum(corners) / (4 * step**2)
-        assert (np.linalg.eigvalsh(hessian) < 0).sum() == found["index"][i]
+                difference = potential(x + e + f) - potential(x + e - f)
+                difference -= potential(x - e + f) - potential(x - e - f)
+                hessian[p, q] = difference / (4 * step**2)
+        assert (np.linalg.eigvalsh(hessian) < 0).sum() == solutions["index"][i]
 
 
-def test_the_24_of_a_rigid_body():
-    found = equilibria({"A": 1.0, "B": 1.2, "C": 1.5})
-    assert np.bincount(found["index"]).tolist() == [4, 8, 8, 4]
-    assert np.allclose(np.sort(np.abs(found["gamma"]), axis=1), [0, 0, 1], atol=1e-9)
-    assert not found["circle"].any()
-    assert found["stable"].dtype == np.int8
+def test_a_rigid_body_has_24_equilibria():
+    solutions = equilibria({"A": 1.0, "B": 1.2, "C": 1.5})
+    assert np.bincount(solutions["index"]).tolist() == [4, 8, 8, 4]
+    assert np.allclose(np.sort(np.abs(solutions["gamma"]), axis=1), [0, 0, 1], atol=1e-9)
+    assert not solutions["circle"].any()
+    assert solutions["stable"].dtype == np.int8
 
 
 def test_circles_of_a_symmetric_body():
-    """A = B: the axis along normal, velocity or radius, turned about itself by any angle."""
-    found = equilibria({"A": 1.0, "B": 1.0, "C": 1.5})
-    assert len(found["circle"]) == 6
-    assert found["circle"].all()
-    np.testing.assert_allclose(np.abs(found["axis"]), np.tile([0, 0, 1.0], (6, 1)), atol=1e-9)
-    # C > A: stable along the normal and along the velocity, as the classical diagram has it
-    assert (found["stable"] == 1).sum() == 4
+    """A = B: the axis along normal, velocity or radius, and any angle about it."""
+    solutions = equilibria({"A": 1.0, "B": 1.0, "C": 1.5})
+    assert len(solutions["circle"]) == 6
+    assert solutions["circle"].all()
+    np.testing.assert_allclose(np.abs(solutions["axis"]), np.tile([0, 0, 1.0], (6, 1)), atol=1e-9)
+    # C > A: stable along the normal and along the velocity, as in the classical diagram
+    assert (solutions["stable"] == Stability.STABLE).sum() == 4
     ball = equilibria({"A": 1.0, "B": 1.0, "C": 1.0, "k1": 0.3, "k3": 0.4})
     assert ball["circle"].all()
     np.testing.assert_allclose(np.abs(ball["gamma"]), [[0.6, 0, 0.8]] * 2, atol=1e-9)
@@ -336,15 +310,15 @@ def test_circles_of_a_symmetric_body():
 @pytest.mark.parametrize("axis", [0, 1, 2])
 @pytest.mark.parametrize("k", [0.0, 0.1, 0.7, 1.3, 3.0])
 def test_circles_of_a_symmetric_gyrostat(axis, k):
-    """Its axis on the normal (2), across the radius if |k| < |A - C| (2), across the velocity if |k| < 4 |A - C| (2)."""
+    """Two each: axis on the normal; across the radius if |k| < |A - C|; across the velocity if |k| < 4 |A - C|."""
     inertia = np.full(3, 1.5)
     inertia[axis] = 1.0
-    found = equilibria({**dict(zip("ABC", inertia, strict=True)), f"k{axis + 1}": k})
-    assert found["circle"].all()
-    assert len(found["circle"]) == 2 + 2 * (k < 0.5) + 2 * (k < 2.0)
+    solutions = equilibria({**dict(zip("ABC", inertia, strict=True)), f"k{axis + 1}": k})
+    assert solutions["circle"].all()
+    assert len(solutions["circle"]) == 2 + 2 * (k < 0.5) + 2 * (k < 2.0)
 
 
-def test_a_body_at_rest_anywhere():
+def test_bodies_at_rest_in_every_orientation_are_refused():
     with pytest.raises(BadInput, match="surface of equilibria"):
         equilibria({"A": 1.0, "B": 1.0, "C": 1.0})
     with pytest.raises(BadInput, match="any orientation"):

@@ -1,15 +1,15 @@
 """Euler-Poisson equations of a gyrostat about a fixed point in a central Newtonian field.
 
 The system (1) of Amer, Abo Essa, Ibrahim & Amer in dimensional form and for any body, centre of mass
-and gyrostatic momentum; `tests/test_fixed_point_equations.py` derives it from the Lagrangian. All
+and gyrostatic momentum; `tests/systems/test_fixed_point_equations.py` derives it from the Lagrangian. All
 vectors are given in the body's principal axes at the fixed point: w = (p, q, r) is the angular velocity
 and g (gamma) the unit vector of the vertical Z, which points to the attracting centre (down).
 
     I w' = (I w + l) x w + Mg r_c x g + N g x (I g),     g' = g x w
 
 Every function takes the state and the constants as sequences in the order of STATE and CONSTANTS and
-is plain arithmetic: the engine pastes the text into its kernels (scalars), and arrays of one shape
-work as well. So nothing may be imported here, and no name may be used but those of this file.
+is plain arithmetic, which holds for numbers and for arrays of one shape. The engine copies the source of the
+functions into its kernels, so they may use no imports and no names but those of this file.
 """
 
 STATE = ("p", "q", "r", "g1", "g2", "g3")
@@ -19,7 +19,7 @@ CONSTANTS = (
 )  # fmt: skip
 # Constants that are 1 in the kernels' units.
 ONES = ()
-# The functions below that are first integrals, and the power of a rate that each is.
+# First integrals: name of the function below, and the power of a rate in its unit.
 INTEGRALS = {"energy": 2, "area": 1, "length_gamma": 0, "lagrange": 1, "clebsch": 2, "kovalevskaya": 4}
 
 
@@ -50,7 +50,7 @@ def scaled(state, constants, h):
 
 
 def unscaled(state, constants, h):
-    """The state that `scaled` made this state from."""
+    """Inverse of `scaled` for the state."""
     p, q, r, g1, g2, g3 = state
     return p / h, q / h, r / h, g1, g2, g3
 
@@ -61,7 +61,7 @@ def frame_motion(state, constants):
     return p, q, r, g1, g2, g3
 
 
-# First integrals, each as the tuple of its terms: the drift of the sum is held against their size.
+# First integrals, each as the tuple of its terms: the change of the sum is compared with their magnitudes.
 
 
 def energy(state, constants):
@@ -84,13 +84,15 @@ def area(state, constants):
 
 def length_gamma(state, constants):
     """|gamma|^2 = 1."""
-    g1, g2, g3 = state[3:6]
+    p, q, r, g1, g2, g3 = state
     return g1 * g1, g2 * g2, g3 * g3
 
 
 def lagrange(state, constants):
     """C r + l3, conserved if A = B, l1 = l2 = 0 and Mg x0 = Mg y0 = 0."""
-    return constants[2] * state[2], constants[8]
+    p, q, r, g1, g2, g3 = state
+    A, B, C, A_inv, B_inv, C_inv, l1, l2, l3, Mx, My, Mz, NA, NB, NC = constants
+    return C * r, l3
 
 
 def clebsch(state, constants):

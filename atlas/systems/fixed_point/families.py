@@ -1,4 +1,4 @@
-"""Steady motions of the gyrostat about a fixed point: conditions, stability and the solver that finds them.
+"""Steady motions of the gyrostat about a fixed point: conditions, and solutions of them for one parameter each.
 
 A steady motion keeps theta, psi' = n and phi' = m constant, so w = n g + m e3 with e3 the third body axis.
 Put into the equations of motion with g = (s sin phi, s cos phi, c), s = sin theta, c = cos theta,
@@ -13,7 +13,7 @@ s = 0 leaves b1 = b2 = 0 with n = r c: `sleeping`. m = 0 leaves K I g + b parall
 cos phi and sin 2 phi vanish one by one: b1 = b2 = 0, then l1 = l2 = 0, then Mg x0 = Mg y0 = 0,
 K (A - B) = 0, K (B - C) c + n m (B - A - C) = b3 and K (C - A) c + n m (B - A + C) = -b3. With A = B both
 are the one equation of `conical`; with A != B they need K = n = 0, that is N = 0, and then Mg z0 = 0:
-a free body that turns about its third axis, in `rest`. So these four families are all there is.
+a free body that turns about its third axis, in `rest`. So these four families are complete.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from ..base import Array, Condition, Family, Flags, Points, on_family
+from ..base import FAMILY_TOLERANCE, Array, Condition, Family, Flags, Points, on_family
 from . import equations
 from .equilibria import permanent_rotations
 from .initial import bodies, constants, fields, initial_state, length, rates, symmetric, vertical
@@ -64,7 +64,7 @@ def condition_residual(points: Points) -> Array:
     return np.maximum(_ratio(length(rate), scale), _ratio(np.abs(theta_dot), np.sqrt(scale)))
 
 
-def identify_family(points: Points, tolerance: float = 1e-10) -> tuple[Flags, Array]:
+def identify_family(points: Points, tolerance: float = FAMILY_TOLERANCE) -> tuple[Flags, Array]:
     """Family of the steady motion that starts at each point and its largest condition residual.
 
     Returns (flag, residual) of shape (points,): flag 0 and the least residual of any family where no
@@ -130,7 +130,7 @@ def _on_vertical(points: Points) -> Array:
 
 
 def precession(points: Points, **replaced: Array | float) -> Array:
-    """(C - A)(n^2 - N) cos theta + (C m + l3) n + Mg z0, the torque that a conical motion must not leave.
+    """(C - A)(n^2 - N) cos theta + (C m + l3) n + Mg z0, the torque that vanishes on a conical motion.
 
     Any of A, C, N, Mg, z0, l3, n, m and cosine may be replaced.
     """
@@ -173,7 +173,7 @@ def _resting(points: Points) -> Array:
 
 
 def _resting_while_turning(points: Points) -> Array:
-    """What would disturb the resting third axis as phi goes round: nothing if m = 0."""
+    """Torques that disturb the resting third axis as phi takes every value; 0 if m = 0."""
     inertia, rotor, weight, N = bodies(points)
     _, _, m = rates(points)
     gradient = N * np.abs(inertia[0] - inertia[1])
@@ -185,14 +185,14 @@ def _resting_while_turning(points: Points) -> Array:
 
 
 def _linear(slope: Array, offset: Array, current: Array) -> Array:
-    """The x of slope x + offset = 0; any x serves where both vanish, then the current one is kept."""
+    """The x of slope x + offset = 0; where both vanish, any x is a solution and the current one is kept."""
     with np.errstate(divide="ignore", invalid="ignore"):
         x = -offset / slope
     return np.where(slope == 0, np.where(offset == 0, current, np.nan), x)
 
 
 def _solve_precession(name: str, resting: bool = False) -> Callable[[Points], Array]:
-    """Solver of precession = 0 for a parameter in which it is linear; resting: at n = 0 whatever n is given."""
+    """Solver of precession = 0 for a parameter in which it is linear; resting: with n = 0 in place of the given n."""
 
     def solve(points: Points) -> Array:
         Mg, N = fields(points)
@@ -284,17 +284,17 @@ def _solve_direction(angle: str, resting: bool) -> Callable[[Points], Array]:
     def solve(points: Points) -> Array:
         gamma = vertical(points)
         n = np.zeros_like(points["A"]) if resting else rates(points)[1]
-        found, _ = permanent_rotations(points, n, gamma)
-        away = np.where(np.isnan(found[0]), np.inf, -(found * gamma[:, None]).sum(0))
+        rotations, _ = permanent_rotations(points, n, gamma)
+        distance = np.where(np.isnan(rotations[0]), np.inf, -(rotations * gamma[:, None]).sum(0))
         if angle == "phi0":
-            away = np.where(np.abs(found[2] - gamma[2]) <= 1e-9, away, np.inf)
-        best = np.take_along_axis(found, away.argmin(0)[None, None], 1)[:, 0]
+            distance = np.where(np.abs(rotations[2] - gamma[2]) <= 1e-9, distance, np.inf)
+        best = np.take_along_axis(rotations, distance.argmin(0)[None, None], 1)[:, 0]
         value = (
             np.arctan2(np.hypot(best[0], best[1]), best[2])
             if angle == "theta0"
             else np.arctan2(best[0], best[1])
         )
-        return np.where(np.isfinite(away.min(0)), value, np.nan)
+        return np.where(np.isfinite(distance.min(0)), value, np.nan)
 
     return solve
 

@@ -1,14 +1,13 @@
-"""Parameters and starts of the gyrostat about a fixed point: from angles, rates or vectors to the state."""
+"""Parameters of the gyrostat about a fixed point and its initial state from angles, rates or vectors."""
 
 from __future__ import annotations
 
 from collections.abc import Set
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ...errors import BadInput
-from ..base import Array, Parameter, Points, check_inertia
+from ..base import Array, Mask, Parameter, Points, check_inertia
 
 _TABLE = (
     # name, unit, symbol, default, low, open_low, start, meaning
@@ -67,7 +66,7 @@ def bodies(points: Points) -> tuple[Array, Array, Array, Array]:
 
 
 def constants(points: Points) -> Array:
-    """What the kernels read, shape (constants, points), in the order of equations.CONSTANTS."""
+    """Constants of the equations, shape (constants, points), in the order of equations.CONSTANTS."""
     inertia, rotor, weight, N = bodies(points)
     return np.concatenate([inertia, 1 / inertia, rotor, weight, N * inertia])
 
@@ -78,7 +77,7 @@ def vertical(points: Points) -> Array:
     angles = np.array([st * np.sin(points["phi0"]), st * np.cos(points["phi0"]), ct])
     vector = np.array([points["gamma10"], points["gamma20"], points["gamma30"]])
     length = np.sqrt((vector**2).sum(0))
-    # A vector that is a unit vector to rounding is taken as it is: dividing would only move its bits.
+    # A vector of length 1 to rounding is not divided: that would only change its last bits.
     vector = np.where(np.abs(length - 1) > 4e-16, vector / length, vector)
     return np.where(np.isnan(points["gamma10"]), angles, vector)
 
@@ -112,26 +111,25 @@ def initial_state(points: Points) -> Array:
 
 
 def as_euler_angles(points: Points) -> dict[str, Array]:
-    """The same starts with p0 .. gamma30 turned into theta0 .. m; on the vertical theta' is hypot(p0, q0)."""
+    """The same starts with theta0 .. m in place of p0 .. gamma30; on the vertical theta' is hypot(p0, q0)."""
     given = ~np.isnan(points["p0"])
     gamma = vertical(points)
     theta_dot, n, m = rates(points)
     sine = np.hypot(gamma[0], gamma[1])
-    turned = {
+    euler = {
         "theta0": np.arctan2(sine, gamma[2]),
-        # No node on the vertical: phi0 is then such that the rest of p0, q0 is a rate about it.
+        # On the vertical there is no node; this phi0 makes the transverse part of p0, q0 a rate about it.
         "phi0": np.where(sine == 0, np.arctan2(-points["q0"], points["p0"]), np.arctan2(gamma[0], gamma[1])),
         "theta_dot0": theta_dot,
         "n": n,
         "m": m,
     }
-    found = dict(points)
-    found |= {name: np.where(given, values, points[name]) for name, values in turned.items()}
-    return found | {name: np.where(given, np.nan, points[name]) for name in _VECTORS}
+    euler = {name: np.where(given, values, points[name]) for name, values in euler.items()}
+    return {**points, **euler, **{name: np.where(given, np.nan, points[name]) for name in _VECTORS}}
 
 
 def check(points: Points) -> None:
-    """Raises BadInput on moments no body has, on half a start or field, and on one given twice."""
+    """Raise BadInput on moments that no body has, and on starts or fields given incompletely or twice."""
     check_inertia(points)
     paper = _all_or_none(points, _PAPER)
     _never_both(points, paper, "M, lambda and R", ("Mg", "N"))
@@ -146,21 +144,21 @@ def check(points: Points) -> None:
         )
 
 
-def _all_or_none(points: Points, names: tuple[str, ...]) -> NDArray[np.bool_]:
-    """Where the optional parameters are given; raises BadInput where some are and some are not."""
+def _all_or_none(points: Points, names: tuple[str, ...]) -> Mask:
+    """Where the optional parameters are given, bool; raises BadInput where only a part of them is."""
     given = np.array([~np.isnan(points[name]) for name in names])
     bad = np.flatnonzero(given.any(0) & ~given.all(0))
     if bad.size:
-        missing = [name for name, there in zip(names, given, strict=True) if not there.flat[bad[0]]]
+        missing = [name for name, is_given in zip(names, given, strict=True) if not is_given.flat[bad[0]]]
         raise BadInput(
             f"{', '.join(missing)} missing: {', '.join(names)} must be given together or not at all"
         )
     return np.logical_and.reduce(given)
 
 
-def _never_both(points: Points, given: NDArray[np.bool_], what: str, others: tuple[str, ...]) -> None:
-    """Raises BadInput where a second set of parameters says the same thing again."""
-    for name in others:
+def _never_both(points: Points, given: Mask, what: str, alternatives: tuple[str, ...]) -> None:
+    """Raise BadInput where parameters are given beside those that replace them."""
+    for name in alternatives:
         bad = np.flatnonzero(given & (points[name] != 0))
         if bad.size:
             value = points[name].flat[bad[0]]
@@ -170,33 +168,33 @@ def _never_both(points: Points, given: NDArray[np.bool_], what: str, others: tup
 
 
 def warnings(points: Points) -> list[str]:
-    """What no real body has but the equations allow: moments below M times the squared offset."""
-    found = []
-    for moment, one, two in (("A", "y0", "z0"), ("B", "x0", "z0"), ("C", "x0", "y0")):
-        least = points["M"] * (points[one] ** 2 + points[two] ** 2)
+    """One sentence for each moment of inertia below M times the squared offset: the equations allow it, no body has it."""
+    messages = []
+    for moment, a, b in (("A", "y0", "z0"), ("B", "x0", "z0"), ("C", "x0", "y0")):
+        least = points["M"] * (points[a] ** 2 + points[b] ** 2)
         bad = np.flatnonzero(points[moment] < least * (1 - 1e-12))
         if bad.size:
             i = bad[0]
-            found.append(
-                f"{moment} = {points[moment].flat[i]:g} is below M ({one}^2 + {two}^2) = {least.flat[i]:g}"
+            messages.append(
+                f"{moment} = {points[moment].flat[i]:g} is below M ({a}^2 + {b}^2) = {least.flat[i]:g}"
                 f" ({bad.size} of {least.size} points): no real body has this moment about the fixed point"
             )
-    return found
+    return messages
 
 
-def symmetric(points: Points) -> NDArray[np.bool_]:
+def symmetric(points: Points) -> Mask:
     """Where Lagrange's integral holds: A = B, no transverse rotor, centre of mass on the third axis."""
     inertia, rotor, weight, _ = bodies(points)
     return (inertia[0] == inertia[1]) & (rotor[:2] == 0).all(0) & (weight[:2] == 0).all(0)
 
 
 def integral_scales(points: Points) -> dict[str, Array]:
-    """By integral: nan where it is not conserved, else the least that its terms may count as."""
+    """Lower bound of the magnitude of each integral, nan where it is not conserved; see System.integral_scales."""
     inertia, rotor, weight, N = bodies(points)
     w = initial_state(points)[:3]
     zero = np.zeros_like(points["A"])
     largest = inertia.max(0)
-    # What the fields can do to the kinetic energy: terms that vanish at the start count at least this.
+    # The most by which the fields can change the kinetic energy; terms that vanish at the start reach this size.
     potential = np.sqrt((weight**2).sum(0)) + 0.5 * np.abs(N) * (largest - inertia.min(0))
     momentum = np.sqrt(((inertia * w) ** 2).sum(0)) + np.sqrt(2 * largest * potential)
     no_weight, no_rotor = (weight == 0).all(0), (rotor == 0).all(0)
@@ -217,8 +215,8 @@ def integral_scales(points: Points) -> dict[str, Array]:
 def frequency_bound(points: Points) -> Array:
     """Upper bound of the fastest frequency of the motion, rad per time unit, shape (points,).
 
-    The energy bounds w through the range of the potential; where C r + l3 is conserved too, r stands
-    still and only the rest of the energy can go into p and q. With every |w_i| bounded, the frozen
+    The energy bounds w through the range of the potential; where C r + l3 is conserved too, r is constant
+    and only the remaining energy can go into p and q. With every |w_i| bounded, the frozen
     linearised equations in the coordinates sqrt(I) w are bounded block by block, and the Perron root
     of the 2 x 2 matrix of the block norms bounds their frequencies and the rate of turning |w|.
     """
@@ -235,41 +233,47 @@ def frequency_bound(points: Points) -> Array:
     gain = 2 * (moment - (weight * gamma).sum(0)) + np.abs(N) * gradient
     gain = np.maximum(gain, 0.0)
     energy = (inertia * w**2).sum(0) + gain
-    most = np.sqrt(energy / inertia)
+    max_rates = np.sqrt(energy / inertia)
     transverse = np.sqrt(w[0] ** 2 + w[1] ** 2 + gain / A)
-    most = np.where(fixed, np.array([transverse, transverse, np.abs(w[2])]), most)
-    least = np.where(fixed, A, inertia.min(0))
-    turn = np.where(fixed, np.hypot(transverse, w[2]), np.sqrt(energy / least))
+    max_rates = np.where(fixed, np.array([transverse, transverse, np.abs(w[2])]), max_rates)
+    min_inertia = np.where(fixed, A, inertia.min(0))
+    max_turn = np.where(fixed, np.hypot(transverse, w[2]), np.sqrt(energy / min_inertia))
 
     # Entries of sqrt(I) I^-1 ((I w + l) x . - w x I .) sqrt(I)^-1; sqrt(norm_1 norm_inf) >= norm_2.
     rows, columns = np.zeros_like(inertia), np.zeros_like(inertia)
     for i, j, axis in ((0, 1, 2), (1, 0, 2), (0, 2, 1), (2, 0, 1), (1, 2, 0), (2, 1, 0)):
-        entry = np.abs(inertia[axis] - inertia[j]) * most[axis] + np.abs(rotor[axis])
+        entry = np.abs(inertia[axis] - inertia[j]) * max_rates[axis] + np.abs(rotor[axis])
         entry = entry / np.sqrt(inertia[i] * inertia[j])
         rows[i] += entry
         columns[j] += entry
-    # r and its perturbation stand still where C r + l3 is conserved, and the coefficient is known.
+    # Where C r + l3 is conserved, r and its perturbation are constant and the coefficient is exact.
     gyration = np.where(fixed, np.abs((C - A) * w[2] + rotor[2]) / A, np.sqrt(rows.max(0) * columns.max(0)))
     differences = np.array([C - B, A - C, B - A])
-    newtonian = np.where(fixed, np.abs(C - A) / A, np.sqrt((differences**2 / inertia).sum(0) / least))
-    stiffness = np.abs(N) * newtonian + moment / least
-    half = 0.5 * (gyration + turn)
-    return half + np.sqrt((0.5 * (gyration - turn)) ** 2 + stiffness)
+    newtonian = np.where(fixed, np.abs(C - A) / A, np.sqrt((differences**2 / inertia).sum(0) / min_inertia))
+    stiffness = np.abs(N) * newtonian + moment / min_inertia
+    half = 0.5 * (gyration + max_turn)
+    return half + np.sqrt((0.5 * (gyration - max_turn)) ** 2 + stiffness)
 
 
-def specialization(zero: Set[str], symmetric: bool) -> tuple[set[str], set[tuple[str, str]]]:
-    """Kernels of their own: without weight, Newtonian field or rotor, and for axial ones on a symmetric body."""
-    gone: set[str] = set()
+def specialization(zero: Set[str], equal: Set[tuple[str, str]]) -> tuple[set[str], set[tuple[str, str]]]:
+    """Constants that vanish without weight, field or rotor; those that are equal on an axially symmetric body.
+
+    See System.specialization.
+    """
+    zero_constants: set[str] = set()
     if zero >= {"Mg", "M"} or zero >= {"x0", "y0", "z0"}:
-        gone |= {"Mx", "My", "Mz"}
+        zero_constants |= {"Mx", "My", "Mz"}
     if zero >= {"N", "lambda"}:
-        gone |= {"NA", "NB", "NC"}
+        zero_constants |= {"NA", "NB", "NC"}
     if zero >= {"l1", "l2", "l3"}:
-        gone |= {"l1", "l2", "l3"}
-    if symmetric and zero | gone >= {"l1", "l2"} and (zero >= {"x0", "y0"} or "Mx" in gone):
-        return gone | {"l1", "l2", "Mx", "My"}, {("B", "A"), ("B_inv", "A_inv"), ("NB", "NA")}
-    return gone, set()
+        zero_constants |= {"l1", "l2", "l3"}
+    no_transverse_weight = zero >= {"x0", "y0"} or "Mx" in zero_constants
+    if ("A", "B") in equal and zero | zero_constants >= {"l1", "l2"} and no_transverse_weight:
+        equal_constants = {("B", "A"), ("B_inv", "A_inv"), ("NB", "NA")}
+        return zero_constants | {"l1", "l2", "Mx", "My"}, equal_constants
+    return zero_constants, set()
 
 
 def length(vector: Array) -> Array:
+    """Euclidean length over the first axis."""
     return np.sqrt((vector**2).sum(0))

@@ -4,21 +4,20 @@ from __future__ import annotations
 
 import numpy as np
 
+from ...flags import Stability
 from ..base import Array, Flags, Points
 from .initial import bodies, fields, initial_state, rates, symmetric, vertical
 
-# Below this part of the sum of its own terms a discriminant is rounding: stability is not decided by it.
+# A discriminant below this fraction of the magnitude of its terms is rounding and does not decide stability.
 ROUNDING = 1e-12
 
 
-# Linear stability.
-
-
 def _decide(value: Array, size: Array, growth: Array) -> tuple[Flags, Array]:
-    """Stable where value > 0, unstable where value < 0, unknown (0) where it is rounding of terms of that size."""
+    """Stable where value > 0, unstable where value < 0, unknown where it is rounding of terms of that size."""
     clear = np.abs(value) > ROUNDING * size
-    stable = np.where(clear, np.where(value > 0, 1, 2), 0).astype(np.int8)
-    return stable, np.where(stable == 2, growth, 0.0)
+    stable = np.where(value > 0, Stability.STABLE, Stability.UNSTABLE)
+    stable = np.where(clear, stable, Stability.UNKNOWN).astype(np.int8)
+    return stable, np.where(stable == Stability.UNSTABLE, growth, 0.0)
 
 
 def nutation(points: Points) -> tuple[Array, Array]:
@@ -63,7 +62,7 @@ def sleeping_at_threshold(points: Points) -> Array:
     """2 N (C - A) - s Mg z0: where the discriminant is zero, the body is stable if this is positive.
 
     It is the sign of the term theta^4 of the effective potential, whose term theta^2 vanishes there; a
-    nudge by d then swings to an angle of order sqrt(d). Linear theory calls the threshold unknown.
+    nudge by d then swings to an angle of order sqrt(d). Linear theory does not decide the stability at the threshold.
     """
     Mg, N = fields(points)
     return 2 * N * (points["C"] - points["A"]) - np.sign(vertical(points)[2]) * Mg * points["z0"]
@@ -77,9 +76,9 @@ def sleeping_stability(points: Points) -> tuple[Flags, Array]:
     value, size = sleeping_discriminant(points)
     stable, growth = _decide(value, size, np.sqrt(np.maximum(-value, 0.0)) / (2 * points["A"]))
     state = initial_state(points)
-    other = _equilibrium_stability(points, state[2] * np.sign(state[5]), state[3:])
+    general = _equilibrium_stability(points, state[2] * np.sign(state[5]), state[3:])
     closed = symmetric(points)
-    return np.where(closed, stable, other[0]), np.where(closed, growth, other[1])
+    return np.where(closed, stable, general[0]), np.where(closed, growth, general[1])
 
 
 def staude_stability(points: Points) -> tuple[Flags, Array]:
@@ -88,9 +87,9 @@ def staude_stability(points: Points) -> tuple[Flags, Array]:
     Other bodies: the roots of x^2 + P x + Q, x the squared exponents of the linear equations.
     """
     stable, growth = conical_stability(points)
-    other = _equilibrium_stability(points, rates(points)[1], vertical(points))
+    general = _equilibrium_stability(points, rates(points)[1], vertical(points))
     closed = symmetric(points)
-    return np.where(closed, stable, other[0]), np.where(closed, growth, other[1])
+    return np.where(closed, stable, general[0]), np.where(closed, growth, general[1])
 
 
 def rest_stability(points: Points) -> tuple[Flags, Array]:
@@ -100,9 +99,9 @@ def rest_stability(points: Points) -> tuple[Flags, Array]:
     stable, growth = staude_stability(points)
     A, B, C, m = points["A"], points["B"], points["C"], rates(points)[2]
     # Free body that turns about its third axis: Euler's equations linearised, with a rotor.
-    one, two = (C - A) * m + points["l3"], (C - B) * m + points["l3"]
+    first, second = (C - A) * m + points["l3"], (C - B) * m + points["l3"]
     size = (np.abs((C - A) * m) + np.abs(points["l3"])) * (np.abs((C - B) * m) + np.abs(points["l3"]))
-    turning = _decide(one * two, size, np.sqrt(np.maximum(-one * two / (A * B), 0.0)))
+    turning = _decide(first * second, size, np.sqrt(np.maximum(-first * second / (A * B), 0.0)))
     free = (m != 0) & ~symmetric(points)
     return np.where(free, turning[0], stable), np.where(free, turning[1], growth)
 
@@ -142,7 +141,7 @@ def _equilibrium_stability(points: Points, n: Array, gamma: Array) -> tuple[Flag
 
     Two of the six exponents are zero (|gamma| and the momentum about the vertical), the squares x of
     the others solve x^2 + P x + Q = 0. P comes from the trace of the squared matrix and Q from the
-    amended potential, so the zero exponents, defective in general, do no harm.
+    amended potential, so the zero exponents, which are defective in general, do not enter.
     """
     inertia, rotor, weight, N = bodies(points)
     w = n * gamma
@@ -159,17 +158,18 @@ def _equilibrium_stability(points: Points, n: Array, gamma: Array) -> tuple[Flag
     P, size = -0.5 * products.sum((0, 1)), 0.5 * np.abs(products).sum((0, 1))
     P = np.where(np.abs(P) <= ROUNDING * size, 0.0, P)
     determinant, trace, size = amended_hessian(points, n, gamma)
-    share = (inertia * gamma**2).sum(0) / inertia.prod(0)
-    Q = np.where(np.abs(determinant) <= ROUNDING * size, 0.0, determinant * share)
+    ratio = (inertia * gamma**2).sum(0) / inertia.prod(0)
+    Q = np.where(np.abs(determinant) <= ROUNDING * size, 0.0, determinant * ratio)
     discriminant = P**2 - 4 * Q
     discriminant = np.where(np.abs(discriminant) <= ROUNDING * (P**2 + 4 * np.abs(Q)), 0.0, discriminant)
 
-    half = -0.5 * (P + np.copysign(np.sqrt(np.maximum(discriminant, 0.0)), P))
-    other = np.divide(Q, half, out=np.zeros_like(Q), where=half != 0)
-    real = np.sqrt(np.maximum(np.maximum(half, other), 0.0))
+    first = -0.5 * (P + np.copysign(np.sqrt(np.maximum(discriminant, 0.0)), P))
+    second = np.divide(Q, first, out=np.zeros_like(Q), where=first != 0)
+    real = np.sqrt(np.maximum(np.maximum(first, second), 0.0))
     # Real part of sqrt(x) for x = -P/2 + i sqrt(4 Q - P^2)/2, whose modulus is sqrt(Q).
     paired = np.sqrt(np.maximum(0.5 * (np.sqrt(np.maximum(Q, 0.0)) - 0.5 * P), 0.0))
-    least = (Q > 0) & (trace > 0)
-    growth = np.where(least, 0.0, np.where(discriminant < 0, paired, real))
-    certain = least | ((Q > 0) & (discriminant > 0))
-    return np.where(growth > 0, 2, np.where(certain, 1, 0)).astype(np.int8), growth
+    minimum = (Q > 0) & (trace > 0)  # of the amended potential
+    growth = np.where(minimum, 0.0, np.where(discriminant < 0, paired, real))
+    proved = minimum | ((Q > 0) & (discriminant > 0))
+    stable = np.where(proved, Stability.STABLE, Stability.UNKNOWN)
+    return np.where(growth > 0, Stability.UNSTABLE, stable).astype(np.int8), growth

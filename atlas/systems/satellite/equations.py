@@ -1,7 +1,7 @@
 """Euler-Poisson equations of the magnetised satellite-gyrostat on a circular orbit.
 
 Derived from the kinematics (1), Lagrangian (2) and potential (3) of Yehia & El-kenani 2021
-(doi 10.22055/JACM.2021.37913.3113); `tests/test_satellite_equations.py` repeats the derivation.
+(doi 10.22055/JACM.2021.37913.3113); `tests/systems/test_satellite_equations.py` repeats the derivation.
 All vectors are given in the body's principal axes: w is the absolute angular velocity, a (alpha) the
 unit vector along the radius, g (gamma) the unit normal of the orbit; beta = gamma x alpha.
 
@@ -9,17 +9,17 @@ unit vector along the radius, g (gamma) the unit normal of the orbit; beta = gam
     a' = a x u,   g' = g x u,                                u = w - Omega g
 
 Every function takes the state and the constants as sequences in the order of STATE and CONSTANTS and
-is plain arithmetic: the engine pastes the text into its kernels (scalars), and arrays of one shape
-work as well. So nothing may be imported here, and no name may be used but those of this file.
+is plain arithmetic, which holds for numbers and for arrays of one shape. The engine copies the source of the
+functions into its kernels, so they may use no imports and no names but those of this file.
 
-The equations hold in any unit of time, and for an a of any length 1 / a_inv and a g of any length 1 / g_inv. The
+The equations hold in any unit of time, for an a of any length 1 / a_inv and a g of any length 1 / g_inv. The
 kernels use units in which most factors are 1 (`scaled`); everywhere else a and g are unit vectors.
 """
 
 STATE = ("w1", "w2", "w3", "a1", "a2", "a3", "g1", "g2", "g3")
-# Those of the body and the fields, then what the right-hand side needs of them: D1 = (B - C)/A and so on,
-# N = 3 Omega^2 for an a of length 1, the reciprocal lengths of a and g (h1, Omega and h3 are over those lengths),
-# and components of rotor and magnet over a moment of inertia. At most 30: the compiler cannot read a longer tuple.
+# Body and fields, then combinations of them in the right-hand side: D1 = (B - C)/A and so on, N = 3 Omega^2 for
+# an a of length 1, the reciprocal lengths of a and g (h1, Omega and h3 are divided by those lengths), and
+# components of rotor and magnet over a moment of inertia. At most 30: Numba cannot unpack a longer tuple.
 CONSTANTS = (
     "A", "B", "C", "Omega", "k1", "k2", "k3", "mu1", "mu2", "mu3", "h1", "h3",
     "D1", "D2", "D3", "N", "a_inv", "g_inv", "k2_A", "k3_A", "k3_B", "k1_B", "k1_C", "k2_C",
@@ -27,7 +27,7 @@ CONSTANTS = (
 )  # fmt: skip
 # Constants that are 1 in the kernels' units.
 ONES = ("N", "Omega")
-# The functions below that are first integrals, and the power of a rate that each is.
+# First integrals: name of the function below, and the power of a rate in its unit.
 INTEGRALS = {"jacobi": 2, "length_alpha": 0, "length_gamma": 0, "length_sum": 0, "axial_momentum": 1}
 
 
@@ -54,10 +54,10 @@ def rhs(state, constants):
 
 
 def scaled(state, constants, h):
-    """State and constants in units in which the time h is 1, and so are N and Omega: a is sqrt(3) Omega h long,
-    and g Omega h.
+    """State and constants in units in which the time h is 1.
 
-    Without an orbit both are so short that they do nothing.
+    The lengths of a, sqrt(3) Omega h, and g, Omega h, make N and Omega 1. Without an orbit both are so short
+    that they have no effect.
     """
     w1, w2, w3, a1, a2, a3, g1, g2, g3 = state
     (
@@ -75,33 +75,45 @@ def scaled(state, constants, h):
 
 
 def unscaled(state, constants, h):
-    """The state that `scaled` made this state from; constants: those that it made."""
+    """Inverse of `scaled` for the state; the constants are the scaled ones."""
     w1, w2, w3, a1, a2, a3, g1, g2, g3 = state
-    a_inv, g_inv = constants[16:18]
+    (
+        A, B, C, Omega, k1, k2, k3, mu1, mu2, mu3, h1, h3, D1, D2, D3, N, a_inv, g_inv,
+        k2_A, k3_A, k3_B, k1_B, k1_C, k2_C, mu3_A, mu2_A, mu1_B, mu3_B, mu2_C, mu1_C,
+    ) = constants  # fmt: skip
     return w1 / h, w2 / h, w3 / h, a1 * a_inv, a2 * a_inv, a3 * a_inv, g1 * g_inv, g2 * g_inv, g3 * g_inv
 
 
 def frame_motion(state, constants):
     """Angular velocity relative to the orbital frame, w - Omega g, and that frame's vertical, g; linear in the state."""
     w1, w2, w3, a1, a2, a3, g1, g2, g3 = state
-    Omega, g_inv = constants[3], constants[17]
+    (
+        A, B, C, Omega, k1, k2, k3, mu1, mu2, mu3, h1, h3, D1, D2, D3, N, a_inv, g_inv,
+        k2_A, k3_A, k3_B, k1_B, k1_C, k2_C, mu3_A, mu2_A, mu1_B, mu3_B, mu2_C, mu1_C,
+    ) = constants  # fmt: skip
     return w1 - Omega * g1, w2 - Omega * g2, w3 - Omega * g3, g1 * g_inv, g2 * g_inv, g3 * g_inv
 
 
 def axis_in_frame(state, constants):
     """Components of the third body axis along the radius and along the velocity."""
     w1, w2, w3, a1, a2, a3, g1, g2, g3 = state
-    a_inv, g_inv = constants[16:18]
+    (
+        A, B, C, Omega, k1, k2, k3, mu1, mu2, mu3, h1, h3, D1, D2, D3, N, a_inv, g_inv,
+        k2_A, k3_A, k3_B, k1_B, k1_C, k2_C, mu3_A, mu2_A, mu1_B, mu3_B, mu2_C, mu1_C,
+    ) = constants  # fmt: skip
     return a3 * a_inv, (g1 * a2 - g2 * a1) * a_inv * g_inv
 
 
-# First integrals, each as the tuple of its terms: the drift of the sum is held against their size.
+# First integrals, each as the tuple of its terms: the change of the sum is compared with their magnitudes.
 
 
 def jacobi(state, constants):
     """Jacobi integral L2 - L0 + V of (2) and (3), written in absolute rates."""
     w1, w2, w3, a1, a2, a3, g1, g2, g3 = state
-    A, B, C, Omega, k1, k2, k3, mu1, mu2, mu3, h1, h3, D1, D2, D3, N = constants[:16]
+    (
+        A, B, C, Omega, k1, k2, k3, mu1, mu2, mu3, h1, h3, D1, D2, D3, N, a_inv, g_inv,
+        k2_A, k3_A, k3_B, k1_B, k1_C, k2_C, mu3_A, mu2_A, mu1_B, mu3_B, mu2_C, mu1_C,
+    ) = constants  # fmt: skip
     return (
         0.5 * (A * w1 * w1 + B * w2 * w2 + C * w3 * w3),
         -Omega * (g1 * (A * w1 + k1) + g2 * (B * w2 + k2) + g3 * (C * w3 + k3)),
@@ -112,29 +124,42 @@ def jacobi(state, constants):
 
 def length_alpha(state, constants):
     """|alpha|^2 = 1."""
-    a_inv = constants[16]
-    a1, a2, a3 = state[3] * a_inv, state[4] * a_inv, state[5] * a_inv
+    w1, w2, w3, a1, a2, a3, g1, g2, g3 = state
+    (
+        A, B, C, Omega, k1, k2, k3, mu1, mu2, mu3, h1, h3, D1, D2, D3, N, a_inv, g_inv,
+        k2_A, k3_A, k3_B, k1_B, k1_C, k2_C, mu3_A, mu2_A, mu1_B, mu3_B, mu2_C, mu1_C,
+    ) = constants  # fmt: skip
+    a1, a2, a3 = a1 * a_inv, a2 * a_inv, a3 * a_inv
     return a1 * a1, a2 * a2, a3 * a3
 
 
 def length_gamma(state, constants):
     """|gamma|^2 = 1."""
-    g_inv = constants[17]
-    g1, g2, g3 = state[6] * g_inv, state[7] * g_inv, state[8] * g_inv
+    w1, w2, w3, a1, a2, a3, g1, g2, g3 = state
+    (
+        A, B, C, Omega, k1, k2, k3, mu1, mu2, mu3, h1, h3, D1, D2, D3, N, a_inv, g_inv,
+        k2_A, k3_A, k3_B, k1_B, k1_C, k2_C, mu3_A, mu2_A, mu1_B, mu3_B, mu2_C, mu1_C,
+    ) = constants  # fmt: skip
+    g1, g2, g3 = g1 * g_inv, g2 * g_inv, g3 * g_inv
     return g1 * g1, g2 * g2, g3 * g3
 
 
 def length_sum(state, constants):
     """|alpha + gamma|^2 = 2, that is alpha . gamma = 0 with terms that cannot all vanish."""
-    a_inv, g_inv = constants[16:18]
-    x, y, z = (
-        state[3] * a_inv + state[6] * g_inv,
-        state[4] * a_inv + state[7] * g_inv,
-        state[5] * a_inv + state[8] * g_inv,
-    )
+    w1, w2, w3, a1, a2, a3, g1, g2, g3 = state
+    (
+        A, B, C, Omega, k1, k2, k3, mu1, mu2, mu3, h1, h3, D1, D2, D3, N, a_inv, g_inv,
+        k2_A, k3_A, k3_B, k1_B, k1_C, k2_C, mu3_A, mu2_A, mu1_B, mu3_B, mu2_C, mu1_C,
+    ) = constants  # fmt: skip
+    x, y, z = a1 * a_inv + g1 * g_inv, a2 * a_inv + g2 * g_inv, a3 * a_inv + g3 * g_inv
     return x * x, y * y, z * z
 
 
 def axial_momentum(state, constants):
     """C w3 + k3, conserved if A = B and neither rotor nor magnet has a transverse part."""
-    return constants[2] * state[2], constants[6]
+    w1, w2, w3, a1, a2, a3, g1, g2, g3 = state
+    (
+        A, B, C, Omega, k1, k2, k3, mu1, mu2, mu3, h1, h3, D1, D2, D3, N, a_inv, g_inv,
+        k2_A, k3_A, k3_B, k1_B, k1_C, k2_C, mu3_A, mu2_A, mu1_B, mu3_B, mu2_C, mu1_C,
+    ) = constants  # fmt: skip
+    return C * w3, k3

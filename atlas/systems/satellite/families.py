@@ -2,7 +2,7 @@
 
 Together they are all of them for Omega > 0. They follow from the equations of motion of (1)-(3) of
 Yehia & El-kenani 2021 (doi 10.22055/JACM.2021.37913.3113) by asking that w' = n gamma + m e3 be a
-solution for all t; `tests/test_satellite_conditions.py` proves each from those equations. Short names:
+solution for all t; `tests/systems/test_satellite_families.py` proves each from those equations. Short names:
 c, s = cos, sin theta0; H = (h1 cos psi0, h3 s - h1 c sin psi0, h3 c + h1 s sin psi0) is the field in
 the axes of the node, where e3 is the third; w3 = (n + Omega) c + m; K = k1 + i k2, U = mu1 + i mu2;
 a = (A + B) / 2. With n = 0 and A = B the motion is steady if and only if (m not zero)
@@ -23,12 +23,13 @@ from dataclasses import replace
 
 import numpy as np
 
+from ...flags import Stability
 from ..base import Array, Condition, Family, Flags, Points
 from .equations import rhs
 from .initial import constants, directions, initial_state
 
-# Largest growth rate, over the point's own rates, that counts as none: double roots of the
-# characteristic polynomial carry the square root of the round-off, about 1e-8.
+# Largest growth rate, relative to the rates of the point, that is taken as 0: double roots of the
+# characteristic polynomial have the square root of the round-off, about 1e-8, as their error.
 GROWTH_TOLERANCE = 1e-6
 Residual = Callable[[Points], Array]
 
@@ -100,8 +101,8 @@ def _cross(a: Array, b: Array) -> Array:
 # Conditions that several families share.
 
 
-def _equal(one: str, other: str) -> Condition:
-    return Condition(f"{one} = {other}", lambda p: _relative_to(p[one] - p[other], _inertia(p)))
+def _equal(a: str, b: str) -> Condition:
+    return Condition(f"{a} = {b}", lambda p: _relative_to(p[a] - p[b], _inertia(p)))
 
 
 _SYMMETRIC = _equal("A", "B")
@@ -122,9 +123,9 @@ _NO_AXIAL_RADIAL_TORQUE = Condition("h1 mu3 = 0", lambda p: _relative_to(p["h1"]
 
 def _pair(p: Points, factor: Array, real: Array, imaginary: Array) -> Array:
     """|factor K - (real + i imaginary) U| over the scale of torques."""
-    one = factor * p["k1"] - real * p["mu1"] + imaginary * p["mu2"]
-    two = factor * p["k2"] - real * p["mu2"] - imaginary * p["mu1"]
-    return _relative_to(np.hypot(one, two), _torque(p))
+    first = factor * p["k1"] - real * p["mu1"] + imaginary * p["mu2"]
+    second = factor * p["k2"] - real * p["mu2"] - imaginary * p["mu1"]
+    return _relative_to(np.hypot(first, second), _torque(p))
 
 
 def _spinning_pair(p: Points) -> Array:
@@ -251,13 +252,14 @@ def _quartic(P: Array, Q: Array, scale: Array) -> tuple[Flags, Array]:
     real = np.where(P > 0, -2 * _relative_to(Q, P + root), 0.5 * (root - P))
     spiral = np.sqrt(np.maximum(Q, 0.0)) - 0.5 * P
     growth = np.where(P * P < 4 * Q, np.sqrt(np.maximum(0.5 * spiral, 0)), np.sqrt(np.maximum(real, 0)))
-    return verdict(growth, scale)
+    return classify_growth(growth, scale)
 
 
-def verdict(growth: Array, scale: Array) -> tuple[Flags, Array]:
-    """Flag and growth rate: 1 and exactly 0 where growth is round-off, 2 where not, 0 where it is nan."""
+def classify_growth(growth: Array, scale: Array) -> tuple[Flags, Array]:
+    """Stability and growth rate: stable with growth exactly 0 where it is round-off, unknown where it is nan."""
     none = growth <= GROWTH_TOLERANCE * scale
-    stable = np.where(np.isnan(growth), 0, np.where(none, 1, 2)).astype(np.int8)
+    stable = np.where(none, Stability.STABLE, Stability.UNSTABLE)
+    stable = np.where(np.isnan(growth), Stability.UNKNOWN, stable).astype(np.int8)
     return stable, np.where(none, 0.0, growth)
 
 
@@ -310,7 +312,7 @@ def _stability_about_normal(p: Points) -> tuple[Flags, Array]:
 
 def _stability_spherical(p: Points) -> tuple[Flags, Array]:
     """Seen from axes that turn with n + Omega, lambda^2 = 0 twice and -((N s)^2 + (2 N c - p)^2): stable."""
-    return np.ones(np.shape(p["A"]), np.int8), np.zeros(np.shape(p["A"]))
+    return np.full(np.shape(p["A"]), Stability.STABLE, np.int8), np.zeros(np.shape(p["A"]))
 
 
 # Cylindrical.
@@ -361,7 +363,7 @@ def _plane_torque(p: Points) -> Array:
 def _k_along(name: str, p: Points, base: Array, gamma: Array) -> Array:
     """Component of k = base + lambda gamma: k3 with lambda from k1 and k2, k1 and k2 with lambda from k3.
 
-    Where gamma3 = 0 lambda does not enter k3, and k1 and k2 are found from each other.
+    Where gamma3 = 0 lambda does not enter k3, and k1 and k2 determine each other.
     """
     i, k = int(name[1]) - 1, np.array([p["k1"], p["k2"], p["k3"]])
     gamma = np.where(np.abs(gamma) < 1e-14, 0.0, gamma)
@@ -498,7 +500,7 @@ def _solve_spherical(name: str, p: Points) -> Array:
 
 
 def _symmetry_about_normal(p: Points) -> Array:
-    """How far gamma is from an axis with one moment of inertia for every direction across it."""
+    """Deviation of gamma from an axis across which every direction has the same moment of inertia."""
     inertia, _, _ = _vectors(p)
     alpha, gamma = directions(p)
     beta = _cross(gamma, alpha)
@@ -543,9 +545,7 @@ def steady_motion(points: Points, t: Array) -> Array:
     )
 
 
-_SYMMETRIC_TILT = (
-    _STEADY_TILT, _NO_PRECESSION, _SYMMETRIC, _AXIAL_ROTOR, _AXIAL_MAGNET,
-)  # fmt: skip
+_SYMMETRIC_TILT = (_STEADY_TILT, _NO_PRECESSION, _SYMMETRIC, _AXIAL_ROTOR, _AXIAL_MAGNET)
 _TILT_LABELS = (
     "permanent rotation about the third axis in the orbital frame; in space regular precession (Omega, m),"
     " permanent rotation where m = 0"
@@ -771,35 +771,6 @@ _TABLE = (
 
 FAMILIES: dict[str, Family] = {family.name: replace(family, motion=steady_motion) for family in _TABLE}
 
-_BLOCK = 16384  # points at a time, so that the arrays stay in the cache
-
-
-def identify_family(points: Points, tolerance: float = 1e-10) -> tuple[Flags, Array]:
-    """The family of each point: the first of FAMILIES whose largest residual is at most tolerance.
-
-    Returns its flag (int8, 0: none) and that residual (float64, dimensionless; where there is no
-    family, the smallest over the families), both of the points' shape.
-    """
-    shape = np.shape(points["A"])
-    flat = {name: np.ravel(value) for name, value in points.items()}
-    size = flat["A"].size
-    flags, residual = np.zeros(size, np.int8), np.full(size, np.inf)
-    for first in range(0, size, _BLOCK):
-        part = slice(first, first + _BLOCK)
-        block = {name: value[part] for name, value in flat.items()}
-        flag, least = flags[part], residual[part]
-        known: dict[Condition, Array] = {}  # families share conditions
-        for family in FAMILIES.values():
-            for condition in family.conditions:
-                if condition not in known:
-                    value = np.abs(condition.residual(block))
-                    known[condition] = np.where(np.isnan(value), np.inf, value)
-            worst = np.max([known[condition] for condition in family.conditions], axis=0)
-            free = flag == 0
-            least[free] = np.minimum(least[free], worst[free])
-            flag[free & (worst <= tolerance)] = family.flag
-    return flags.reshape(shape), residual.reshape(shape)
-
 
 def condition_residual(points: Points) -> Array:
     """|w'-dot - n m gamma x e3| at the start over the largest squared rate; 0 on an exact motion.
@@ -812,8 +783,8 @@ def condition_residual(points: Points) -> Array:
     w, gamma = state[:3], state[6:]
     rates = np.array(rhs(state, constants(points)))
     needed = np.array([gamma[1], -gamma[0], np.zeros_like(gamma[0])]) * (points["n"] * points["m"])
-    defect = rates[:3] - points["Omega"] * rates[6:] - needed
-    least = np.minimum(np.minimum(points["A"], points["B"]), points["C"])
-    field = _moment(points) * np.hypot(points["h1"], points["h3"]) / least
+    residual = rates[:3] - points["Omega"] * rates[6:] - needed
+    min_inertia = np.minimum(np.minimum(points["A"], points["B"]), points["C"])
+    field = _moment(points) * np.hypot(points["h1"], points["h3"]) / min_inertia
     square = np.maximum(np.maximum(points["Omega"] ** 2, (w**2).sum(0)), field)
-    return _relative_to(_norm(defect), square)
+    return _relative_to(_norm(residual), square)

@@ -1,4 +1,4 @@
-"""Parameters and starts of the satellite: from angles and rates to the state of the equations."""
+"""Parameters of the satellite and its initial state from angles and rates."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ PARAMETERS = {
 
 
 def constants(points: Points) -> Array:
-    """What the kernels read, shape (constants, points), in the order of equations.CONSTANTS."""
+    """Constants of the equations, shape (constants, points), in the order of equations.CONSTANTS."""
     p = points
     A, B, C, Omega = p["A"], p["B"], p["C"], p["Omega"]
     k1, k2, k3, mu1, mu2, mu3 = (p[name] for name in ("k1", "k2", "k3", "mu1", "mu2", "mu3"))
@@ -70,7 +70,7 @@ def initial_state(points: Points) -> Array:
 
 
 def integral_scales(points: Points) -> dict[str, Array]:
-    """By integral: nan where it is not conserved, else the least that its terms may count as."""
+    """Lower bound of the magnitude of each integral, nan where it is not conserved; see System.integral_scales."""
     zero = np.zeros_like(points["A"])
     axial = points["A"] == points["B"]
     for name in ("k1", "k2", "mu1", "mu2"):
@@ -114,50 +114,54 @@ def frequency_bound(points: Points) -> Array:
     energy = kinetic + gravity + centrifugal + gyroscopic + magnetic
     energy = np.maximum(energy, 0.0)
 
-    # Symmetric body without transverse rotor or magnet: C w3 + k3 is conserved, so w3 stands still,
-    # its perturbation decouples and C does not count as an inertia.
+    # Symmetric body without transverse rotor or magnet: C w3 + k3 is conserved, so w3 is constant, its
+    # perturbation decouples, and the bound does not depend on C as a moment of inertia.
     symmetric = ~np.isnan(integral_scales(points)["axial_momentum"])
-    least = np.where(symmetric, A, inertia.min(0))
-    most = np.sqrt(2 * energy / inertia) + Omega
-    most[2] = np.where(symmetric, np.abs(w[2]), most[2])
-    turn = np.where(
+    min_inertia = np.where(symmetric, A, inertia.min(0))
+    max_rates = np.sqrt(2 * energy / inertia) + Omega
+    max_rates[2] = np.where(symmetric, np.abs(w[2]), max_rates[2])
+    max_turn = np.where(
         symmetric,
         np.hypot(np.sqrt(2 * energy / A), np.abs(w[2]) + Omega),
-        np.sqrt(2 * energy / least),
+        np.sqrt(2 * energy / min_inertia),
     )
 
     # Entries of sqrt(I) I^-1 ((I w + k) x . - w x I .) sqrt(I)^-1; sqrt(norm_1 norm_inf) >= norm_2.
     rows, columns = np.zeros_like(inertia), np.zeros_like(inertia)
     for i, j, axis in ((0, 1, 2), (1, 0, 2), (0, 2, 1), (2, 0, 1), (1, 2, 0), (2, 1, 0)):
-        entry = np.abs(inertia[axis] - inertia[j]) * most[axis] + np.abs(k[axis])
+        entry = np.abs(inertia[axis] - inertia[j]) * max_rates[axis] + np.abs(k[axis])
         entry = entry / np.sqrt(inertia[i] * inertia[j])
         entry = np.where(symmetric & (axis != 2), 0.0, entry)
         rows[i] += entry
         columns[j] += entry
     gyration = np.sqrt(rows.max(0) * columns.max(0))
     differences = np.array([C - B, A - C, B - A])
-    gradient = 3 * Omega**2 * np.sqrt((differences**2 / inertia).sum(0) / least)
-    stiffness = np.sqrt(2) * (gradient + moment * field / least)
-    kinematic = turn + Omega
+    gradient = 3 * Omega**2 * np.sqrt((differences**2 / inertia).sum(0) / min_inertia)
+    stiffness = np.sqrt(2) * (gradient + moment * field / min_inertia)
+    kinematic = max_turn + Omega
     half = 0.5 * (gyration + kinematic)
     return half + np.sqrt((0.5 * (gyration - kinematic)) ** 2 + stiffness)
 
 
-def specialization(zero: Set[str], symmetric: bool) -> tuple[set[str], set[tuple[str, str]]]:
-    """Kernels of their own: without magnet, rotor or orbit, and for axial ones on a symmetric body."""
-    gone: set[str] = set()
+def specialization(zero: Set[str], equal: Set[tuple[str, str]]) -> tuple[set[str], set[tuple[str, str]]]:
+    """Constants that vanish without magnet, rotor or orbit; those that are equal on an axially symmetric body.
+
+    See System.specialization.
+    """
+    zero_constants: set[str] = set()
     if zero >= {"mu1", "mu2", "mu3"} or zero >= {"h1", "h3"}:
-        gone |= {"mu1", "mu2", "mu3", "h1", "h3"}
+        zero_constants |= {"mu1", "mu2", "mu3", "h1", "h3"}
     if zero >= {"k1", "k2", "k3"}:
-        gone |= {"k1", "k2", "k3"}
+        zero_constants |= {"k1", "k2", "k3"}
     if "Omega" in zero:
-        gone |= {"Omega", "N"}
-    same: set[tuple[str, str]] = set()
-    if symmetric and zero | gone >= {"k1", "k2", "mu1", "mu2"}:
-        gone |= {"k1", "k2", "mu1", "mu2", "D3"}
-        same = {("B", "A"), ("k3_B", "k3_A"), ("mu3_B", "mu3_A")}
-    # k2_A and its like vanish with k2
-    return gone | {name for name in CONSTANTS if name.split("_")[0] in gone}, same
+        zero_constants |= {"Omega", "N"}
+    equal_constants: set[tuple[str, str]] = set()
+    if ("A", "B") in equal and zero | zero_constants >= {"k1", "k2", "mu1", "mu2"}:
+        zero_constants |= {"k1", "k2", "mu1", "mu2", "D3"}
+        equal_constants = {("B", "A"), ("k3_B", "k3_A"), ("mu3_B", "mu3_A")}
+    # k2 / A, whose name is k2_A, vanishes with k2
+    quotients = {name for name in CONSTANTS if name.split("_")[0] in zero_constants}
+    return zero_constants | quotients, equal_constants
 
 
 def steady_rates(points: Points) -> tuple[Array, Array, Array]:

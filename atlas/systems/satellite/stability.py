@@ -1,4 +1,4 @@
-"""Linear stability of the steady motions of the satellite, and its relative equilibria.
+"""Linear stability of the steady motions of the satellite.
 
 A steady motion turns the body relative to the orbital frame with a constant u = w' in body axes, so
 alpha, gamma and w = u + Omega gamma turn about u (they stand still if u = 0). A small rotation xi of the
@@ -12,7 +12,7 @@ delta w = xi' + w x xi, and with the Euler-Poisson equations of (1)-(3)
 Lagrange's equations of (xi'.I xi' - xi'.D xi + xi.P xi) / 2. In (xi, p), p = I xi' - D xi / 2, this is a
 linear Hamiltonian system in the six tangent directions of |alpha| = |gamma| = 1, alpha.gamma = 0:
 autonomous at an equilibrium, else of period 2 pi / |u|. Exponents come in pairs +-lambda.
-`tests/test_satellite_stability.py` holds it against the equations of motion.
+`tests/systems/test_satellite_stability.py` compares it with the equations of motion.
 """
 
 from __future__ import annotations
@@ -20,15 +20,16 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from ...flags import Stability
 from ..base import Array, Flags, Points, stability_by_family
-from .families import FAMILIES, verdict
+from .families import FAMILIES, classify_growth
 from .initial import initial_state
 
-# Multipliers at 1 carry the square root of the integration error.
-FLOQUET_TOLERANCE = 20.0  # in units of conditions.GROWTH_TOLERANCE
+# Multipliers at 1 have the square root of the integration error as their error.
+FLOQUET_TOLERANCE = 20.0  # in units of families.GROWTH_TOLERANCE
 _STEP = 0.35  # of the Floquet integration, over the norm of the system: errors of about 1e-9
-_MAX_STEPS = 2048  # a slower rotation has more libration periods in it than are worth integrating
-_BLOCK = 2048
+_MAX_STEPS = 2048  # periods of rotation that need more steps are not integrated
+_CHUNK = 2048  # points whose exponents are computed together
 
 
 def cross_matrix(v: Array) -> Array:
@@ -46,10 +47,10 @@ class Bodies:
             return np.stack([points[name] for name in names], -1)
 
         self.inertia = vectors("A", "B", "C")
-        most = self.inertia.max(-1)
-        unit = (most * rate**2)[..., None]
-        self.inertia = self.inertia / most[..., None]
-        self.k = vectors("k1", "k2", "k3") / (most * rate)[..., None]
+        largest = self.inertia.max(-1)
+        unit = (largest * rate**2)[..., None]
+        self.inertia = self.inertia / largest[..., None]
+        self.k = vectors("k1", "k2", "k3") / (largest * rate)[..., None]
         mu = vectors("mu1", "mu2", "mu3")
         self.radial, self.normal = points["h1"][..., None] * mu / unit, points["h3"][..., None] * mu / unit
         self.Omega = (points["Omega"] / rate)[..., None]
@@ -69,6 +70,7 @@ class Bodies:
         return np.cross(by_alpha, alpha) + np.cross(by_gamma, gamma), hessian
 
     def potential(self, alpha: Array, gamma: Array) -> Array:
+        """Amended potential, see gradient."""
         square = self.Omega**2
         parts = 1.5 * square * self.inertia * alpha**2 - 0.5 * square * self.inertia * gamma**2
         return (parts + self.radial * alpha + (self.normal - self.Omega * self.k) * gamma).sum(-1)
@@ -92,36 +94,48 @@ class Bodies:
         return np.concatenate([top, np.concatenate([P + 0.5 * D @ left, right], -1)], -2)
 
 
-def linear_stability(points: Points, family_flags: Flags) -> tuple[Flags, Array]:
+def linear_stability(points: Points, flags: Flags) -> tuple[Flags, Array]:
     """Spectral stability of the steady motion that each point starts.
 
-    points: 1-D arrays of one length; family_flags: their families as conditions.recognise gives them.
-    Returns (stable, growth_rate): 1 stable, 2 unstable, 0 unknown, and the largest real part of the
-    characteristic exponents in rad per time unit (exactly 0 if stable, nan if unknown or off every
-    family). Closed forms where the family has one, else the eigenvalues at an equilibrium, else the
-    Floquet multipliers over the period of the rotation. Stable is: no exponent grows beyond round-off,
-    GROWTH_TOLERANCE of the point's rates (FLOQUET_TOLERANCE times that for multipliers). The pair of
-    exponents 0 of a turning body (a shift in time) is taken out exactly and any other double root that
-    grows like a power of t counts as stable. Unknown: rotations so slow that a period holds more
-    oscillations than are integrated.
+    The closed form of the family is used where it has one, else the eigenvalues at an equilibrium, else the
+    Floquet multipliers over the period of the rotation. A motion is stable if no exponent grows beyond
+    round-off, GROWTH_TOLERANCE of the rates of the point (FLOQUET_TOLERANCE times that for multipliers). The
+    pair of exponents 0 of a turning body (a shift in time) is removed exactly; any other double root, which
+    grows like a power of t, counts as stable. The stability is unknown for rotations so slow that a period
+    contains more oscillations than are integrated.
+
+    Parameters
+    ----------
+    points : mapping
+        1-D arrays of one length.
+    flags : int8 array (points,)
+        Families, as identify_family gives them.
+
+    Returns
+    -------
+    stable : int8 array (points,)
+        Values of flags.Stability; unknown off every family.
+    growth_rate : array (points,)
+        Largest real part of the characteristic exponents, rad per time unit; exactly 0 if stable, nan if
+        unknown.
     """
-    stable, growth = stability_by_family(FAMILIES, points, family_flags)
-    left = np.flatnonzero((family_flags > 0) & (stable == 0))
-    for first in range(0, left.size, _BLOCK):
-        here = left[first : first + _BLOCK]
-        stable[here], growth[here] = exponents({name: value[here] for name, value in points.items()})
+    stable, growth = stability_by_family(FAMILIES, points, flags)
+    remaining = np.flatnonzero((flags > 0) & (stable == Stability.UNKNOWN))
+    for first in range(0, remaining.size, _CHUNK):
+        chunk = remaining[first : first + _CHUNK]
+        stable[chunk], growth[chunk] = exponents({name: value[chunk] for name, value in points.items()})
     return stable, growth
 
 
 def exponents(points: Points) -> tuple[Flags, Array]:
-    """Stability and growth rate of steady motions from eigenvalues or multipliers alone; 1-D points."""
+    """Stability and growth rate as linear_stability, from eigenvalues or multipliers alone; 1-D points."""
     rate = sum(np.abs(points[name]) for name in ("Omega", "n", "m"))
     rate = np.where(rate == 0, 1.0, rate)
     state = np.moveaxis(initial_state({**points, "theta_dot0": np.zeros_like(points["A"])}), 0, -1)
     u = state[:, :3] - points["Omega"][:, None] * state[:, 6:]
-    turn = np.sqrt((u**2).sum(-1))
+    turn_rate = np.sqrt((u**2).sum(-1))
     growth = np.full(rate.shape, np.nan)
-    rest = np.flatnonzero(turn <= 1e-12 * rate)
+    rest = np.flatnonzero(turn_rate <= 1e-12 * rate)
     if rest.size:
         bodies = Bodies({name: value[rest] for name, value in points.items()}, rate[rest])
         w, alpha, gamma = np.split(state[rest], 3, -1)
@@ -129,38 +143,38 @@ def exponents(points: Points) -> tuple[Flags, Array]:
         matrix = bodies.linearised(w, np.zeros_like(w), alpha, gamma)
         finite = np.isfinite(matrix).all((1, 2))  # squares of the smallest rates underflow
         growth[rest[finite]] = np.linalg.eigvals(matrix[finite]).real.max(-1) * rate[rest[finite]]
-    stable, growth_rest = verdict(growth, rate)
-    moving = np.flatnonzero(turn > 1e-12 * rate)
+    stable, growth = classify_growth(growth, rate)
+    moving = np.flatnonzero(turn_rate > 1e-12 * rate)
     if moving.size:
         part = {name: value[moving] for name, value in points.items()}
-        multiplied = _floquet(part, rate[moving], turn[moving])
-        stable[moving], growth_rest[moving] = verdict(multiplied, FLOQUET_TOLERANCE * rate[moving])
-    return stable, growth_rest
+        floquet = _floquet_growth(part, rate[moving], turn_rate[moving])
+        stable[moving], growth[moving] = classify_growth(floquet, FLOQUET_TOLERANCE * rate[moving])
+    return stable, growth
 
 
-def _floquet(points: Points, rate: Array, turn: Array) -> Array:
-    """Growth rate over the period 2 pi / turn."""
+def _floquet_growth(points: Points, rate: Array, turn_rate: Array) -> Array:
+    """Growth rate from the Floquet multipliers over the period 2 pi / turn_rate."""
     phases = 2 * np.pi * np.arange(5) / 5
-    harmonics = np.fft.rfft(_system_at(points, rate, turn, phases), axis=0) / 5
-    # The norm over the period, from the mean: the harmonics add to it like perturbations.
+    harmonics = np.fft.rfft(_system_at(points, rate, turn_rate, phases), axis=0) / 5
+    # Root mean square of the norm over the period.
     norm = np.sqrt((np.abs(harmonics) ** 2 * np.array([1, 2, 2])[:, None, None, None]).sum((0, 2, 3)))
-    period = 2 * np.pi * rate / turn
+    period = 2 * np.pi * rate / turn_rate
     steps = 2.0 ** np.ceil(np.log2(np.maximum(period * norm / _STEP, 16)))
     growth = np.full(rate.shape, np.nan)
     for count in np.unique(steps[steps <= _MAX_STEPS]):
-        here = np.flatnonzero(steps == count)
-        monodromy = _monodromy(harmonics[:, here], period[here], int(count))
+        members = np.flatnonzero(steps == count)
+        monodromy = _monodromy(harmonics[:, members], period[members], int(count))
         with np.errstate(over="ignore", invalid="ignore"):
             exponent = np.abs(np.arccosh(_traces(monodromy) / 2).real).max(0)
-        # multipliers beyond the square root of the largest float
+        # Traces of multipliers beyond the square root of the largest float overflow.
         exponent = np.where(np.isfinite(exponent), exponent, np.log(np.abs(monodromy).max((1, 2))))
-        growth[here] = exponent / period[here] * rate[here]
+        growth[members] = exponent / period[members] * rate[members]
     return growth
 
 
-def _system_at(points: Points, rate: Array, turn: Array, phases: Array) -> Array:
-    """Linear system at phases of the rotation, shape (phases, points, 6, 6); two harmonics and a mean."""
-    t = phases[:, None] / turn
+def _system_at(points: Points, rate: Array, turn_rate: Array, phases: Array) -> Array:
+    """Linear system at phases of the rotation, (phases, points, 6, 6); it consists of a mean and two harmonics."""
+    t = phases[:, None] / turn_rate
     moved = {name: np.broadcast_to(value, t.shape) for name, value in points.items()}
     moved["psi0"], moved["phi0"] = points["psi0"] + points["n"] * t, points["phi0"] + points["m"] * t
     moved["theta_dot0"] = np.zeros(t.shape)
@@ -178,12 +192,12 @@ def _monodromy(harmonics: NDArray[np.complex128], period: Array, count: int) -> 
     the multipliers of a stable motion on the unit circle. Blanes et al., Phys. Rep. 470 (2009) 151.
     """
     h = (period / count)[:, None, None]
-    one = np.eye(6)
-    result = np.broadcast_to(one, harmonics.shape[1:])
+    identity = np.eye(6)
+    result = np.broadcast_to(identity, harmonics.shape[1:])
     for i in range(count):
         first, middle, last = (
-            h * (harmonics[0].real + 2 * (harmonics[1] * turn + harmonics[2] * turn**2).real)
-            for turn in np.exp(2j * np.pi * (i + 0.5 + np.sqrt(0.15) * np.array([-1, 0, 1])) / count)
+            h * (harmonics[0].real + 2 * (harmonics[1] * phase + harmonics[2] * phase**2).real)
+            for phase in np.exp(2j * np.pi * (i + 0.5 + np.sqrt(0.15) * np.array([-1, 0, 1])) / count)
         )
         b2, b3 = np.sqrt(15) / 3 * (last - first), 10 / 3 * (last - 2 * middle + first)
         c1 = middle @ b2 - b2 @ middle
@@ -192,7 +206,7 @@ def _monodromy(harmonics: NDArray[np.complex128], period: Array, count: int) -> 
         x, y = -20 * middle - b3 + c1, b2 + c2
         z = middle + b3 / 12 + (x @ y - y @ x) / 240
         square = z @ z
-        even, odd = one + square / 10, z @ (one / 2 + square / 120)
+        even, odd = identity + square / 10, z @ (identity / 2 + square / 120)
         result = np.linalg.solve(even - odd, (even + odd) @ result)
     return result
 

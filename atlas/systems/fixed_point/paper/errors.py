@@ -1,4 +1,4 @@
-"""The paper's solution (33), as printed and as true, held against the full equations at every point of an atlas."""
+"""Errors of the paper's solution (33), as printed and as true, against the full equations at points of an atlas."""
 
 from __future__ import annotations
 
@@ -11,8 +11,9 @@ from . import published
 from .fast_spin import FastSpin, dop853, fast_spin, first_order, rhs
 
 SAMPLES = 201  # instants of a run at which the errors are taken
-# Points integrated together: enough that NumPy's overhead per step is shared, few enough for little memory.
-BLOCK = 512
+CHUNK = (
+    512  # points integrated together: enough to share the overhead of a step, few enough for little memory
+)
 
 Solution = Callable[[FastSpin, Array], Array]
 
@@ -20,31 +21,46 @@ Solution = Callable[[FastSpin, Array], Array]
 def errors(points: Points, duration: Array, solution: Solution) -> tuple[Array, Array]:
     """Largest errors of a solution of (1) over a run, each of shape (points,).
 
-    solution(spin, tau) -> y, as `perturbation.first_order`; the full equations start where it starts,
-    with r0 and gamma0'' from the point, so that nothing but the formula is tested. duration: (points,),
-    time units. Returns the error of gamma (a unit vector; the error is its angle in rad while small) and
-    that of p + i q, relative to the largest |p + i q| of the run. Raises BadInput as `fast_spin`.
+    The full equations are integrated from the initial value of the solution, with r0 and gamma0'' from the
+    point, so that the error is that of the formula. DOP853 with a relative tolerance of 1e-13 takes about
+    0.2 ms per point and turn; the points of a chunk share their steps, so that the digits of an error near
+    1e-12 depend on the other points.
 
-    Integrated by DOP853 with a relative tolerance of 1e-13, about 0.2 ms per point and turn; its steps
-    suit all points of a block, so that an error near 1e-12 depends in its digits on the neighbours.
+    Parameters
+    ----------
+    duration : array (points,)
+        Time units.
+    solution : callable
+        (spin, tau) -> y, as `fast_spin.first_order`.
+
+    Returns
+    -------
+    angle, rate : arrays (points,)
+        Error of gamma, a unit vector (rad while small), and of p + i q relative to the largest |p + i q| of
+        the run.
+
+    Raises
+    ------
+    BadInput
+        As `fast_spin.fast_spin`.
     """
     angle, rate = np.empty(duration.shape), np.empty(duration.shape)
-    for first in range(0, duration.size, BLOCK):
-        part = slice(first, first + BLOCK)
+    for first in range(0, duration.size, CHUNK):
+        part = slice(first, first + CHUNK)
         spin = fast_spin({name: values[part] for name, values in points.items()})
         tau = np.linspace(0.0, 1.0, SAMPLES)[:, None] * (spin.r0 * duration[part])
-        claimed = solution(spin, tau)
-        exact = _full(spin, claimed[:, 0], tau[-1])
-        angle[part] = (spin.gamma0 * np.sqrt(((claimed - exact)[3:] ** 2).sum(0))).max(0)
+        approximate = solution(spin, tau)
+        exact = _full(spin, approximate[:, 0], tau[-1])
+        angle[part] = (spin.gamma0 * np.sqrt(((approximate - exact)[3:] ** 2).sum(0))).max(0)
         size = np.hypot(exact[0], exact[1]).max(0)
-        rate[part] = np.hypot(*(claimed - exact)[:2]).max(0) / size
+        rate[part] = np.hypot(*(approximate - exact)[:2]).max(0) / size
     return angle, rate
 
 
 def _full(spin: FastSpin, y0: Array, end: Array) -> Array:
     """y of the full equations (1) at SAMPLES instants up to tau = end, for many points: (6, SAMPLES, points)."""
     shape = y0.shape
-    # p, q may be 1e3 or 1e-6: each point's rounding level is its own.
+    # p and q may be 1e3 or 1e-6: each point has its own level of rounding errors.
     size = np.ones(shape)
     size[:2] = np.abs(spin.forced) + np.abs(spin.eps * spin.chi1) * spin.M3
 
@@ -52,11 +68,14 @@ def _full(spin: FastSpin, y0: Array, end: Array) -> Array:
         return (end * rhs(spin, y.reshape(shape))).ravel()
 
     instants = np.linspace(0.0, 1.0, SAMPLES)
-    found = dop853(rate, (0.0, 1.0), y0.ravel(), atol=1e-14 * size.ravel(), t_eval=instants)
-    return np.moveaxis(found.y.reshape(*shape, SAMPLES), -1, 1)
+    solution = dop853(rate, (0.0, 1.0), y0.ravel(), atol=1e-14 * size.ravel(), t_eval=instants)
+    return np.moveaxis(solution.y.reshape(*shape, SAMPLES), -1, 1)
 
 
-def _layers(form: str, solution: Solution, check: Callable[[Points], object]) -> list[DerivedVariable]:
+def _error_variables(
+    form: str, solution: Solution, check: Callable[[Points], object]
+) -> list[DerivedVariable]:
+    """Errors of the solution in one form, "true" or "printed", as variables of an atlas."""
     suffix = "" if form == "true" else f"_{form}"
     note = (
         "against the full equations from the formula's own start, with r0 and gamma0'' of the point; over the"
@@ -76,9 +95,11 @@ def _layers(form: str, solution: Solution, check: Callable[[Points], object]) ->
 
 
 DERIVED = {
-    layer.name: layer
-    for layer in (
-        *_layers("true", first_order, fast_spin),
-        *_layers("printed", published.first_order, lambda points: published.coefficients(fast_spin(points))),
+    variable.name: variable
+    for variable in (
+        *_error_variables("true", first_order, fast_spin),
+        *_error_variables(
+            "printed", published.first_order, lambda points: published.coefficients(fast_spin(points))
+        ),
     )
 }

@@ -2,30 +2,29 @@
 
 A body with A = B and its centre of mass on the third axis spins fast, r0, about that axis; the rotor
 (l1, l2, l3) is arbitrary. Small parameter: eps = c sqrt(gamma0'') / r0, c^2 = Mg |z0| / C. Numbers in
-brackets are the paper's equations; the same quantities as the paper prints them are in `printed`, what
-differs and by how much in `printed.ERRATA`. Dimensionless state: y = (p1, q1, r1, g1, g1', g1''), time
+brackets are the paper's equations; `published` has the same quantities as the paper prints them, and in
+`published.PUBLISHED` the differences and their amounts. Dimensionless state: y = (p1, q1, r1, g1, g1', g1''), time
 tau = r0 t. In the complex form w = p1 + i q1, G = g1 + i g1', mu = (l1 + i l2) / (A c sqrt(gamma0'')),
 
     w'   = i (A1 r1 + s) w - i mu r1 + i eps (z/a - k A1 g1'') G        s = l3 / (A r0)
     G'   = -i r1 G + i eps w g1''
     r1'  = eps^2 a Im(w conj(mu)),      g1''' = eps Im(w conj(G))
 
-so that w turns with Omega = A1 + s exactly where eps = 0, about mu / Omega, which is not small: the part
-that the paper's (19), (20) and (33) leave out.
+so that w turns with Omega = A1 + s, exactly if eps = 0, about mu / Omega, which is not small and missing from
+the paper's (19), (20) and (33).
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ....errors import BadInput
-from ...base import Array, Points
+from ...base import Array, Mask, Points
 from ..initial import bodies, initial_state
 
 # Data of section VI: moments of the two bodies, and the rest in SI units.
@@ -38,7 +37,7 @@ PAPER_DATA = {"r0": 1000.0, "R": 2000.0, "lambda": 0.6, "M": 30.0, "z0": 5.0, "g
 class FastSpin:
     """A body of the paper and its dimensionless numbers (4), (5), (10), (30); fields of shapes that broadcast.
 
-    Raises BadInput where a formula loses its meaning.
+    Raises BadInput where a formula is undefined.
     """
 
     A: Array  # = B, kg m2
@@ -54,15 +53,17 @@ class FastSpin:
     def __post_init__(self) -> None:
         for name in self.__dataclass_fields__:
             object.__setattr__(self, name, np.asarray(getattr(self, name), float))
-        _refuse(self.r0 == 0, "r0 = 0: the small parameter eps = c sqrt(gamma0'') / r0 does not exist")
-        _refuse(
+        _raise_where(self.r0 == 0, "r0 = 0: the small parameter eps = c sqrt(gamma0'') / r0 does not exist")
+        _raise_where(
             ~((self.gamma0 > 0) & (self.gamma0 < 1)),
             "gamma0'' = cos theta0 outside (0, 1): the scaling (4) divides by it and takes its root, and"
             " psi' in (34) divides by sin theta0",
         )
-        _refuse(self.weight == 0, "Mg z0 = 0: the unit c sqrt(gamma0'') of p and q in (4) vanishes")
-        _refuse(self.C * self.r0 + self.l3 == 0, "C r0 + l3 = 0: chi1 and nu of (10) divide by 1 + Omega")
-        _refuse(
+        _raise_where(self.weight == 0, "Mg z0 = 0: the unit c sqrt(gamma0'') of p and q in (4) vanishes")
+        _raise_where(
+            self.C * self.r0 + self.l3 == 0, "C r0 + l3 = 0: chi1 and nu of (10) divide by 1 + Omega"
+        )
+        _raise_where(
             (self.Omega == 0) & (self.mu != 0),
             "A1 + l3 / (A r0) = 0: the forced part mu / Omega of p1, q1 is resonant",
         )
@@ -134,7 +135,8 @@ class FastSpin:
         return np.sqrt(1 - self.gamma0**2) / self.gamma0
 
 
-def _refuse(bad: NDArray[np.bool_], reason: str) -> None:
+def _raise_where(bad: Mask, reason: str) -> None:
+    """Raise BadInput if the condition holds anywhere."""
     if np.any(bad):
         raise BadInput(reason)
 
@@ -142,8 +144,8 @@ def _refuse(bad: NDArray[np.bool_], reason: str) -> None:
 def fast_spin(points: Points) -> FastSpin:
     """The paper's body at each point, with r0 and gamma0'' from the start; BadInput unless A = B, Mg x0 = Mg y0 = 0."""
     inertia, rotor, weight, N = bodies(points)
-    _refuse(inertia[0] != inertia[1], "A != B: the paper's (5) and all that follows need A = B")
-    _refuse(weight[:2] != 0, "Mg x0 or Mg y0 is not 0: (1) needs the centre of mass on the third axis")
+    _raise_where(inertia[0] != inertia[1], "A != B: the paper's (5) and all that follows need A = B")
+    _raise_where(weight[:2] != 0, "Mg x0 or Mg y0 is not 0: (1) needs the centre of mass on the third axis")
     state = initial_state(points)
     return FastSpin(inertia[0], inertia[2], weight[2], N, rotor[0], rotor[1], rotor[2], state[2], state[5])
 
@@ -188,11 +190,11 @@ def to_quasilinear(spin: FastSpin, y: Array) -> Array:
     """(p2, p2', gamma2, gamma2') of y, by (10) with chi = 0: p2 = p1 - eps chi1 gamma2, gamma2 = g1 - eps nu p2."""
     rate = rhs(spin, y)
     eps, chi1, nu = spin.eps, spin.chi1, spin.nu
-    found = []
+    pairs = []
     for p, g in ((y[0], y[3]), (rate[0], rate[3])):
         gamma2 = (g - eps * nu * p) / (1 - eps**2 * nu * chi1)
-        found.append((p - eps * chi1 * gamma2, gamma2))
-    (p2, gamma2), (p2_dot, gamma2_dot) = found
+        pairs.append((p - eps * chi1 * gamma2, gamma2))
+    (p2, gamma2), (p2_dot, gamma2_dot) = pairs
     return np.array([p2, p2_dot, gamma2, gamma2_dot])
 
 
@@ -264,7 +266,7 @@ def angles(spin: FastSpin, t: Array, h: float = 0.0, psi0: float = 0.0) -> Array
     phase: theta starts at theta0, psi at psi0 and phi at pi/2 + r0 h but for terms of order eps.
     """
     theta0 = np.arccos(spin.gamma0)
-    pace = spin.r0 * (1 + frequency_shift(spin))
+    fast_rate = spin.r0 * (1 + frequency_shift(spin))
     f = spin.forced
 
     def swing(T: Array) -> Array:
@@ -273,12 +275,10 @@ def angles(spin: FastSpin, t: Array, h: float = 0.0, psi0: float = 0.0) -> Array
     def sway(T: Array) -> Array:
         return f.real * np.sin(T) + f.imag * np.cos(T)
 
-    before, now = pace * h, pace * (np.asarray(t, float) + h)
-    rate = secular_rate(spin)
-    sideways = spin.eps / np.sin(theta0) * (sway(now) - sway(before))
-    theta = theta0 - spin.eps * (swing(now) - swing(before))
-    psi = psi0 + rate * t + sideways
-    phi = np.pi / 2 + now - spin.eps / np.tan(theta0) * sway(now)
+    T0, T = fast_rate * h, fast_rate * (np.asarray(t, float) + h)
+    theta = theta0 - spin.eps * (swing(T) - swing(T0))
+    psi = psi0 + secular_rate(spin) * t + spin.eps / np.sin(theta0) * (sway(T) - sway(T0))
+    phi = np.pi / 2 + T - spin.eps / np.tan(theta0) * sway(T)
     return np.array(np.broadcast_arrays(theta, psi, phi))
 
 
@@ -289,7 +289,7 @@ def secular_rate(spin: FastSpin) -> Array:
 
 def dop853(rate: Callable[[float, Array], Array], span: tuple[float, float], y0: Array, **more: Any) -> Any:
     """scipy's DOP853 at its tightest; more: options of solve_ivp, whose result is returned."""
-    # Imported here: reading a scene needs the formulas, but should not wait for scipy.
+    # Imported here because reading a scene needs the formulas but not scipy, which is slow to import.
     from scipy.integrate import solve_ivp
 
     options: dict[str, Any] = {"method": "DOP853", "rtol": 1e-13, "atol": 1e-14}
@@ -319,148 +319,5 @@ def paper_start(spin: FastSpin) -> Array:
     g2 = eps * q1
     g1 = np.sqrt(spin.M3**2 - g2**2)
     gamma2 = g1 - eps * spin.nu * p2
-    one = np.ones_like(p2)
-    return np.array([p2 + eps * spin.chi1 * gamma2, q1, one, g1, g2, one])
-
-
-class Row(NamedTuple):
-    """One curve of the paper's figures; dimensionless, times in tau. nan where p2 does not move."""
-
-    body: str
-    rotor: float  # l1 = l2 = l3, N m s
-    unit: float  # c sqrt(gamma0''), rad s-1: times p2 it is the angular velocity
-    start: float  # p2 at tau = 0, (18)
-    centre: float  # of p2, from the full equations
-    amplitude: float  # of p2, from the full equations
-    period: float  # of p2, from the full equations
-    waves: float  # of p2 in [0, 4 pi]
-    largest: float  # max |p2| on [0, 4 pi], from the full equations
-    centre_theory: float  # mu1 / Omega
-    amplitude_theory: float
-    period_theory: float  # 2 pi / Omega
-    centre_printed: float  # (15) as printed, with its forcing
-    amplitude_printed: float
-    period_printed: float
-    gap_printed: float  # max |p2 of (20) - p2 of (15)| as printed: what "analytical = numerical" must hide
-    gamma2_amplitude: float  # from the full equations
-    gamma2_period: float  # from the full equations
-    gamma2_change: float  # max |gamma2 - M3 cos tau|
-
-
-def figure_table(rotors: Sequence[float] = PAPER_ROTORS) -> list[Row]:
-    """Amplitudes and periods behind figures 1-20, measured from the full equations (1) with DOP853."""
-    from . import published
-
-    rows = []
-    tau = np.linspace(0, 4 * np.pi, 2001)
-    for body in PAPER_BODIES:
-        for rotor in rotors:
-            spin = paper_body(body, rotor)
-            y0 = paper_start(spin)
-            p2, _, gamma2, _ = to_quasilinear(spin, integrate(spin, y0, tau))
-            still = (0.0, 0.0, 0.0, np.nan)
-            first, centre, amplitude, period = _oscillation(spin, y0, "p2") if rotor else still
-            _, _, gamma2_amplitude, gamma2_period = _oscillation(spin, y0, "gamma2")
-            forcing, squared = spin.A1 * spin.mu.real, published.frequency_squared(spin)
-            slow = np.sqrt(squared)
-            rest = forcing / squared
-            literal = rest + (forcing - rest) * np.cos(slow * tau)
-            rows.append(
-                Row(
-                    body=body,
-                    rotor=rotor,
-                    unit=float(spin.scale),
-                    start=first,
-                    centre=centre,
-                    amplitude=amplitude,
-                    period=period,
-                    waves=4 * np.pi / period,
-                    largest=float(np.abs(p2).max()) if rotor else 0.0,
-                    centre_theory=float(spin.forced.real),
-                    amplitude_theory=float(np.abs(forcing - spin.forced.real)),
-                    period_theory=float(2 * np.pi / np.abs(spin.Omega)),
-                    centre_printed=float(rest),
-                    amplitude_printed=float(np.abs(forcing - rest)),
-                    period_printed=float(2 * np.pi / slow),
-                    gap_printed=float(np.abs(forcing * np.cos(slow * tau) - literal).max()),
-                    gamma2_amplitude=gamma2_amplitude,
-                    gamma2_period=gamma2_period,
-                    gamma2_change=float(np.abs(gamma2 - spin.M3 * np.cos(tau)).max()),
-                )
-            )
-    return rows
-
-
-def _oscillation(spin: FastSpin, y0: Array, name: str) -> tuple[float, float, float, float]:
-    """p2 or gamma2 at the start, its centre, amplitude and period, between extrema of the full motion."""
-    place, frequency = {"p2": (0, spin.Omega), "gamma2": (2, np.ones(()))}[name]
-
-    def speed(_: float, y: Array) -> float:
-        return float(to_quasilinear(spin, y)[place + 1])
-
-    span = (0.0, 2.5 * np.pi / float(np.abs(frequency)))
-    found = dop853(lambda _, y: rhs(spin, y), span, y0, events=speed)
-    # The start is an extremum itself, found or not by the sign of its rounding.
-    late = found.t_events[0] > 1e-3
-    extremes = to_quasilinear(spin, found.y_events[0][late].T)[place]
-    begin = float(to_quasilinear(spin, y0)[place])
-    turn = found.t_events[0][late]
-    return begin, 0.5 * (begin + extremes[0]), 0.5 * abs(begin - extremes[0]), float(turn[1])
-
-
-class Claim(NamedTuple):
-    """A statement of section VI, whether it holds, and the numbers that say so."""
-
-    text: str
-    holds: bool
-    measured: str
-
-
-def claims(rows: Sequence[Row]) -> list[Claim]:
-    """The paper's statements about figures 1-20, held against `figure_table`."""
-    body = {name: [row for row in rows if row.body == name] for name in PAPER_BODIES}
-    small, large = body["A < C"], body["A > C"]
-
-    def list_of(values: list[float]) -> str:
-        return ", ".join(f"{value:.6g}" for value in values)
-
-    def amplitudes(part: list[Row]) -> list[float]:
-        return [row.amplitude for row in part]
-
-    def waves(part: list[Row]) -> list[float]:
-        return [row.waves for row in part if row.rotor]
-
-    spread = max(max(waves(part)) / min(waves(part)) - 1 for part in body.values())
-    change = max(row.gamma2_change for row in rows)
-    gap, gap_scale = max((row.gap_printed, row.amplitude_printed) for row in rows)
-    return [
-        Claim(
-            "A < C: the amplitude of p2 increases with l",
-            bool(np.all(np.diff(amplitudes(small)) > 0)),
-            f"amplitudes {list_of(amplitudes(small))}",
-        ),
-        Claim(
-            "A > C: the amplitude of p2 decreases when l increases",
-            bool(np.all(np.diff(amplitudes(large)) < 0)),
-            f"amplitudes {list_of(amplitudes(large))}; only the signed start {list_of([r.start for r in large])}"
-            " decreases",
-        ),
-        Claim(
-            "the number of waves remains unchanged",
-            spread < 0.01,
-            f"waves of p2 in 4 pi: {list_of(waves(small))} (A < C), {list_of(waves(large))} (A > C);"
-            f" relative spread {spread:.3g}",
-        ),
-        Claim(
-            "gamma2 does not depend on l, A, B, C",
-            change < 1e-2,
-            f"amplitude {list_of([min(r.gamma2_amplitude for r in rows), max(r.gamma2_amplitude for r in rows)])}"
-            f" (least, greatest); largest |gamma2 - M3 cos tau| = {change:.3g}: true to the lowest order only",
-        ),
-        Claim(
-            "analytical and numerical p2 of (15) agree",
-            gap < 1e-2 * gap_scale,
-            f"they differ by up to {gap:.6g}, {gap / gap_scale:.3g} times the amplitude {gap_scale:.6g}:"
-            " (19), (20) drop the forcing C A1 y1 / A that (15) and (18) contain",
-        ),
-    ]
+    ones = np.ones_like(p2)
+    return np.array([p2 + eps * spin.chi1 * gamma2, q1, ones, g1, g2, ones])

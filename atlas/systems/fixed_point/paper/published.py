@@ -1,8 +1,8 @@
 """The fast-spin formulas of Amer, Abo Essa, Ibrahim & Amer exactly as the paper prints them.
 
-For comparison only: most of them are wrong, ERRATA says how, and by how much where a number can be
-measured. Each function has the signature and the units of its namesake in `perturbation`. X and what
-follows from it need A1 != 0.
+For comparison only, because most of them are wrong; PUBLISHED lists the errors, with their amounts where a
+number can be measured. Each function has the signature and the units of its namesake in `fast_spin`. X and
+what depends on it need A1 != 0.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ def rhs(spin: FastSpin, y: Array) -> Array:
 
 
 def integrals(spin: FastSpin, y: Array) -> Array:
-    """What (2) with (3) says is constant: energy, area and |gamma|^2, shape (3, ...)."""
+    """The constants of the motion according to (2) with (3): energy, area and |gamma|^2, shape (3, ...)."""
     p, q, r, g1, g2, g3 = y
     y1, y2, y3 = spin.y
     length = g1**2 + g2**2 + g3**2

@@ -1,8 +1,8 @@
 """Lagrange's equations (5)-(7) of the satellite in Euler angles, corrected, and as printed.
 
 The corrected ones are the equations of the Lagrangian (2), (3) of Yehia & El-kenani 2021
-(doi 10.22055/JACM.2021.37913.3113); `tests/test_satellite_lagrange.py` derives them. They give the
-accelerations of the Euler-Poisson equations of equations.py but for sin theta = 0, where the matrix of
+(doi 10.22055/JACM.2021.37913.3113); `tests/systems/test_satellite_lagrange.py` derives them. They
+give the accelerations of the Euler-Poisson equations of equations.py except at sin theta = 0, where the matrix of
 the second derivatives, of determinant A B C sin^2 theta, is singular and the result not finite.
 
 The functions take state and constants as sequences in the order of STATE and CONSTANTS, as in
@@ -21,13 +21,13 @@ def rhs(state, constants):
     psi, theta, phi, psi_dot, theta_dot, phi_dot = state
     A, B, C = constants[:3]
     s, c, sf, cf = sin(theta), cos(theta), sin(phi), cos(phi)
-    one, two, three = equations(state, (0.0, 0.0, 0.0), constants)
-    # The third equation takes phi'' out of the first, whose second derivatives then have a factor s.
-    node = (c * three - one) / s
+    first, second, third = equations(state, (0.0, 0.0, 0.0), constants)
+    # The third equation eliminates phi'' from the first, whose second derivatives then have a factor s.
+    node = (c * third - first) / s
     mixed = (A - B) * sf * cf
-    psi_accel = ((A * cf * cf + B * sf * sf) * node + mixed * two) / (A * B * s)
-    theta_accel = -((A * sf * sf + B * cf * cf) * two + mixed * node) / (A * B)
-    return psi_dot, theta_dot, phi_dot, psi_accel, theta_accel, -three / C - c * psi_accel
+    psi_accel = ((A * cf * cf + B * sf * sf) * node + mixed * second) / (A * B * s)
+    theta_accel = -((A * sf * sf + B * cf * cf) * second + mixed * node) / (A * B)
+    return psi_dot, theta_dot, phi_dot, psi_accel, theta_accel, -third / C - c * psi_accel
 
 
 def equations(state, accelerations, constants):

@@ -1,9 +1,9 @@
 """The equations of Yehia & El-kenani 2021 as printed and as true, each with its measured residual.
 
 doi 10.22055/JACM.2021.37913.3113. Every row measures both readings on a random draw (Omega = 1, the rest
-of order 1, so that what is wrong is of order 1 and what is true is round-off); `measure` says what the
-number is. Where brackets do not match they are read to the letter of the line; n*, m* and tau of
-(11)-(31) are read as n, m and t, for as defined they are not rates in the time they multiply.
+of order 1, so that the residual of a wrong equation is of order 1 and that of a true one is round-off).
+Where brackets do not match they are read to the letter of the line; n*, m* and tau of (11)-(31) are read
+as n, m and t, because as defined they are not rates in the time they multiply.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ def _random_point(rng: np.random.Generator, **given: float | str) -> Point:
 
 
 def residual(point: Point) -> float:
-    """Largest |w' - what w' = n gamma + m e3 asks of it| over 13 times of the steady motion of one point."""
+    """Largest error of the acceleration over 13 times of the steady motion w' = n gamma + m e3 of one point."""
     t = np.linspace(0.0, 13.0, 13)
     state = steady_motion(point, t)
     rates = np.array(rhs(state, constants(point)[:, None]))
@@ -53,6 +53,7 @@ def residual(point: Point) -> float:
 
 
 def _form_residual(point: Point, form: Form) -> float:
+    """Largest error of the rates, and of beta = gamma x alpha, along a closed form of the motion."""
     t = np.linspace(0.0, 13.0, 13)
 
     def evaluate(time: Any) -> list[Any]:
@@ -62,11 +63,11 @@ def _form_residual(point: Point, form: Form) -> float:
         return [turn + point["Omega"] * gamma, alpha, gamma, beta]
 
     w, alpha, gamma, beta = evaluate(t)
-    # derivative by a complex step: exact to round-off
+    # A derivative by a complex step is exact to round-off.
     slopes = [part.imag / 1e-30 for part in evaluate(t + 1e-30j)[:3]]
     rates = np.array(rhs(np.concatenate([w, alpha, gamma]), constants(point)))
-    handed = np.abs(beta - np.cross(gamma, alpha, axis=0)).max()
-    return float(max(np.abs(np.concatenate(slopes) - rates).max(), handed))
+    orientation = np.abs(beta - np.cross(gamma, alpha, axis=0)).max()
+    return float(max(np.abs(np.concatenate(slopes) - rates).max(), orientation))
 
 
 def _state(point: Point) -> list[Array]:
@@ -77,13 +78,13 @@ def _state(point: Point) -> list[Array]:
 
 
 def _free(rng: np.random.Generator) -> Point:
-    """A random state of any body: nothing special but sin theta not small."""
+    """A random state of any body with sin theta not small."""
     rate, angle = rng.uniform(0.4, 1.2, 1), rng.uniform(0, 2 * np.pi, 1)
     return {**_random_point(rng), "theta_dot0": rate, "phi0": angle}
 
 
 def _lagrangian_terms(p: Point, sign: float) -> Array:
-    """(4) with its two doubtful signs; sign = 1 as printed, -1 as they follow from (2) and (3)."""
+    """(4) with its two questionable signs; sign = 1 as printed, -1 as they follow from (2) and (3)."""
     psi, theta, phi, psi_dot, theta_dot, phi_dot = _state(p)
     s, c, sf, cf, sp, cp = np.sin(theta), np.cos(theta), np.sin(phi), np.cos(phi), np.sin(psi), np.cos(psi)
     rate = psi_dot + p["Omega"]
@@ -253,21 +254,22 @@ def _condition_row(
     drawn: Draw,
     corrected: Draw | None = None,
 ) -> PublishedEquation:
-    """corrected: None where the printed condition is true."""
-    other = corrected or drawn
+    """Row of a printed condition; corrected: draw that satisfies the true one, None where the printed one is true."""
+    true_draw = corrected or drawn
     return PublishedEquation(
         number, family, printed, true, verdict, _CONDITION,
-        lambda rng: residual(drawn(rng)), lambda rng: residual(other(rng)),
+        lambda rng: residual(drawn(rng)), lambda rng: residual(true_draw(rng)),
     )  # fmt: skip
 
 
 def _form_row(
     number: str, family: str, printed: str, true: str, verdict: str, drawn: Draw, form: Form, corrected: Form | None = None
 ) -> PublishedEquation:  # fmt: skip
-    other = corrected or form
+    """Row of a printed closed form; corrected: the true form, None where the printed one is true."""
+    true_form = corrected or form
     return PublishedEquation(
         number, family, printed, true, verdict, _CLOSED,
-        lambda rng: _form_residual(drawn(rng), form), lambda rng: _form_residual(drawn(rng), other),
+        lambda rng: _form_residual(drawn(rng), form), lambda rng: _form_residual(drawn(rng), true_form),
     )  # fmt: skip
 
 

@@ -1,6 +1,6 @@
-"""Write the tables of the pages in docs from the registries and from theory; --check only compares.
+"""Write the tables of the pages in docs from the registries and from theory; --check compares only.
 
-python scripts/make_docs.py [--check]
+python scripts/tools/make_docs.py [--check]
 """
 
 from __future__ import annotations
@@ -15,10 +15,10 @@ from atlas.analysis import catalogue
 from atlas.plotting.amer2013 import amplitude_table
 from atlas.systems import SYSTEMS
 from atlas.systems.base import System
-from atlas.systems.fixed_point.paper import fast_spin
+from atlas.systems.fixed_point.paper import claims
 from atlas.variables import variables
 
-DOCS = Path(__file__).parent.parent / "docs"
+DOCS = Path(__file__).parents[2] / "docs"
 
 
 def table(rows: list[tuple[str, ...]]) -> str:
@@ -28,6 +28,7 @@ def table(rows: list[tuple[str, ...]]) -> str:
 
 
 def parameters(system: System) -> str:
+    """Table of the parameters of a system."""
     rows = [("parameter", "unit", "default", "allowed", "meaning")]
     for p in system.parameters.values():
         low = "" if np.isinf(p.low) else f"{'>' if p.open_low else '>='} {p.low:g}"
@@ -37,14 +38,16 @@ def parameters(system: System) -> str:
 
 
 def dataset(system: System) -> str:
+    """Table of the variables of an atlas."""
     rows = [("variable", "type", "unit or flags", "meaning")]
     for v in variables(system).values():
-        what = ", ".join(v.flags) if v.flags else v.units
-        rows.append((f"`{v.name}`", v.dtype, what, v.long_name + (f" ({v.comment})" if v.comment else "")))
+        values = ", ".join(v.flags) if v.flags else v.units
+        rows.append((f"`{v.name}`", v.dtype, values, v.long_name + (f" ({v.comment})" if v.comment else "")))
     return table(rows)
 
 
 def families(system: System) -> str:
+    """Table of the families of steady motions."""
     rows = [("family", "equations", "solves for", "motion", "conditions")]
     for f in system.families.values():
         rows.append(
@@ -54,17 +57,20 @@ def families(system: System) -> str:
 
 
 def amplitudes(system: System) -> str:
-    return table(amplitude_table(fast_spin.figure_table()))
+    """Table of the amplitudes behind the figures of Amer et al. (2013)."""
+    return table(amplitude_table(claims.figure_table()))
 
 
-def claims(system: System) -> str:
+def claim_table(system: System) -> str:
+    """Table of the claims of Amer et al. (2013), section VI."""
     rows = [("claim", "holds", "measured")]
-    for claim in fast_spin.claims(fast_spin.figure_table()):
+    for claim in claims.claims(claims.figure_table()):
         rows.append((claim.text, "yes" if claim.holds else "**no**", claim.measured))
     return table(rows)
 
 
-def printed(system: System) -> str:
+def published_equations(system: System) -> str:
+    """Table of the equations of the paper, as printed and as corrected."""
     rows = [("equation", "verdict", "as printed", "true", "residual as printed", "as true", "effect")]
     for row in catalogue.published(system):
         sizes = (_rounded(row["residual_printed"]), _rounded(row["residual_true"]))
@@ -74,7 +80,7 @@ def printed(system: System) -> str:
 
 
 def _rounded(residual: float | None) -> str:
-    """One digit, so that the page is the same on every processor."""
+    """A residual with one digit, so that the page is the same on every processor."""
     return "" if residual is None else "< 1e-9" if residual < 1e-9 else f"{residual:.0e}"
 
 
@@ -83,18 +89,19 @@ TABLES = {
     "variables": dataset,
     "families": families,
     "amplitudes": amplitudes,
-    "claims": claims,
-    "printed": printed,
+    "claims": claim_table,
+    "printed": published_equations,
 }
 
 
 def filled(text: str) -> str:
     """The text with every <!-- NAME SYSTEM --> ... <!-- end --> replaced by its table."""
 
-    def make(found: re.Match[str]) -> str:
-        return f"<!-- {found[1]} {found[2]} -->\n{TABLES[found[1]](SYSTEMS[found[2]])}\n<!-- end -->"
+    def replacement(match: re.Match[str]) -> str:
+        name, system = match.groups()
+        return f"<!-- {name} {system} -->\n{TABLES[name](SYSTEMS[system])}\n<!-- end -->"
 
-    return re.sub(r"<!-- (\w+) (\w+) -->\n.*?<!-- end -->", make, text, flags=re.S)
+    return re.sub(r"<!-- (\w+) (\w+) -->\n.*?<!-- end -->", replacement, text, flags=re.S)
 
 
 def main() -> int:

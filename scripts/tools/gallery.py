@@ -1,8 +1,8 @@
 """Make every figure of the gallery from its scene, and the page docs/gallery.md with times and agreement.
 
-    python scripts/gallery.py [--out out/gallery] [--only NAME ...] [--force]
+    python scripts/tools/gallery.py [--out out/gallery] [--only NAME ...] [--force]
 
-A scene that has been run is not run again without --force. Whole gallery: some ten minutes on two cores.
+A scene whose atlas exists is not run again without --force. The whole gallery takes about ten minutes on two cores.
 """
 
 from __future__ import annotations
@@ -11,15 +11,18 @@ import argparse
 import io
 from pathlib import Path
 
+import xarray as xr
+from matplotlib.figure import Figure
 from PIL import Image
 
 import atlas
+from atlas.flags import Agreement
 from atlas.label import theory
 from atlas.plotting import maps, style
-from atlas.runs import open
 
-ROOT = Path(__file__).parent.parent
-# Scene, variable of its map, and what a reader should see in it.
+ROOT = Path(__file__).parents[2]
+PICTURES = ROOT / "docs" / "gallery"
+# Scene, variable of its map, and caption.
 FIGURES = [
     (
         "stability_cylindrical",
@@ -44,7 +47,7 @@ FIGURES = [
     (
         "conditions_k3",
         "theta_dot_rms",
-        "The condition on k3 is a curve: the unsteadiness falls to zero on it alone.",
+        "The condition on k3 is a curve: the rms of theta' is zero on that curve only.",
     ),
     (
         "equilibrium_count",
@@ -55,7 +58,7 @@ FIGURES = [
     (
         "oblique",
         "label",
-        "Oblique motions, missed by the paper: they join its conical to its hyperboloidal ones.",
+        "Oblique motions, which the paper does not give: they connect its conical and hyperboloidal ones.",
     ),
     ("sleeping_top_spin", "label", "Sleeping gyrostat: stability over spin and rotor."),
     ("sleeping_top_field", "label", "Sleeping gyrostat: stability over rotor and Newtonian field."),
@@ -69,15 +72,36 @@ FIGURES = [
 WIDTH = 700  # pixels of the pictures in docs
 
 
-def shrink(figure: object) -> bytes:
-    """A figure as a small PNG for the page; the full one is in the output folder."""
-    raw = io.BytesIO()
-    figure.savefig(raw, format="png", dpi=300)  # type: ignore[attr-defined]
-    picture = Image.open(raw).convert("RGB")
+def small_png(figure: Figure) -> bytes:
+    """A figure as a small PNG for the page; the large one is in the output folder."""
+    large = io.BytesIO()
+    figure.savefig(large, format="png", dpi=300)
+    picture = Image.open(large).convert("RGB")
     picture = picture.resize((WIDTH, round(WIDTH * picture.height / picture.width)), Image.Resampling.LANCZOS)
     small = io.BytesIO()
-    picture.quantize(96).save(small, "PNG", optimize=True)
+    picture.save(small, "PNG", optimize=True)
     return small.getvalue()
+
+
+def agreement_with_theory(ds: xr.Dataset) -> str:
+    """The share of the compared points at which measured and predicted labels agree, in words."""
+    if "predicted" not in ds:
+        return "nothing to compare"
+    agreement = theory.agreement(ds["label"].values, ds["predicted"].values)
+    compared = int((agreement != Agreement.NOT_COMPARED).sum())
+    if not compared:
+        return "nothing to compare"
+    share = 100 * (agreement == Agreement.AGREE).sum() / compared
+    return f"{share:.2f} % of {compared} compared points agree with theory"
+
+
+def section(name: str, caption: str, ds: xr.Dataset) -> list[str]:
+    """The lines of the page about one scene."""
+    return [
+        f"## {ds.attrs['title']}", "", f"![{name}](gallery/{name}.png)", "", caption, "",
+        f"`configs/{name}.toml`: {ds['label'].size} points, {ds.attrs['atlas_seconds']:.0f} s,"
+        f" {agreement_with_theory(ds)}.", "",
+    ]  # fmt: skip
 
 
 def main() -> None:
@@ -89,40 +113,30 @@ def main() -> None:
     parser.add_argument("--force", action="store_true")
     options = parser.parse_args()
     options.out.mkdir(parents=True, exist_ok=True)
-    pictures = ROOT / "docs" / "gallery"
-    pictures.mkdir(exist_ok=True)
-    rows = [
+    PICTURES.mkdir(exist_ok=True)
+    lines = [
         "# Gallery",
         "",
-        "Made by `python scripts/gallery.py` from the scenes in `configs/`, on one machine.",
+        "Made by `python scripts/tools/gallery.py` from the scenes in `configs/`, on one machine.",
+        "Times are those of the runs; the large figures are PNG and PDF in `out/gallery/`.",
+        "",
     ]
-    rows += ["Times are those of the runs; the full figures are PNG and PDF in `out/gallery/`.", ""]
-    for name, variable, words in FIGURES:
-        file = options.out / f"{name}.nc"
+    for name, variable, caption in FIGURES:
         if options.only is not None and name not in options.only:
             continue
+        file = options.out / f"{name}.nc"
         if options.force or not file.exists():
             print(f"{name}: running", flush=True)
             atlas.run(atlas.load_scene(ROOT / "configs" / f"{name}.toml"), file, force=True)
-        with open.open_atlas(file) as ds:
+        with atlas.open_atlas(file) as ds:
             figure = maps.atlas_map(ds, variable)
             for suffix in (".png", ".pdf"):
                 style.save(figure, file.with_suffix(suffix))
-            (pictures / f"{name}.png").write_bytes(shrink(figure))
-            words_of_theory = "nothing to compare"
-            if "predicted" in ds:
-                agree = theory.agreement(ds["label"].values, ds["predicted"].values)
-                if compared := (agree > 0).sum():
-                    share = 100 * (agree == 1).sum() / compared
-                    words_of_theory = f"{share:.2f} % of {compared} compared points agree with theory"
-            rows += [
-                f"## {ds.attrs['title']}", "", f"![{name}](gallery/{name}.png)", "", words, "",
-                f"`configs/{name}.toml`: {ds['label'].size} points, {ds.attrs['atlas_seconds']:.0f} s,"
-                f" {words_of_theory}.", "",
-            ]  # fmt: skip
+            (PICTURES / f"{name}.png").write_bytes(small_png(figure))
+            lines += section(name, caption, ds)
         print(f"{name}: drawn", flush=True)
     if options.only is None:
-        (ROOT / "docs" / "gallery.md").write_text("\n".join(rows))
+        (ROOT / "docs" / "gallery.md").write_text("\n".join(lines))
 
 
 if __name__ == "__main__":

@@ -1,8 +1,8 @@
-"""Refinement against the full grid: share of the points integrated, labels that differ, and times.
+"""Refinement in comparison with the full grid: share of points integrated, differing labels, times.
 
-python scripts/bench_refine.py [SCENE ...] [--count 129] [--levels 3]
+python scripts/benchmarks/bench_refine.py [SCENE ...] [--count 129] [--levels 3]
 
-Without scenes: the three stability diagrams of configs/, some minutes each.
+Without scenes, the three stability diagrams of configs/ are compared; each takes some minutes.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ import atlas
 from atlas.runs.refine import refined
 from atlas.scene.read import scene_from
 
-CONFIGS = Path(__file__).parent.parent / "configs"
+CONFIGS = Path(__file__).parents[2] / "configs"
 
 
 def main() -> None:
@@ -31,15 +31,15 @@ def main() -> None:
         scene = scene_from(table | {"refine": {"levels": options.levels}}, path.stem)
         began = time.perf_counter()
         ds = refined(scene, [], progress=False)
-        quick = time.perf_counter() - began
+        refined_seconds = time.perf_counter() - began
         for name, count in zip(scene.axes, scene.shape, strict=True):
             table["axes"][name]["count"] = count
         began = time.perf_counter()
         full = atlas.run(scene_from(table, path.stem), progress=False)
-        slow = time.perf_counter() - began
+        full_seconds = time.perf_counter() - began
         print(
             f"{path.stem}: {' x '.join(map(str, scene.shape))} points,"
-            f" {100 * ds.attrs['atlas_computed_share']:.2f} % integrated in {quick:.1f} s, all in {slow:.1f} s;"
+            f" {100 * ds.attrs['atlas_computed_share']:.2f} % integrated in {refined_seconds:.1f} s, all in {full_seconds:.1f} s;"
             f" probe missed {ds.attrs['atlas_probe_missed']} of {ds.attrs['atlas_probe_points']};"
             f" {int((ds.label != full.label).sum())} labels differ",
             flush=True,

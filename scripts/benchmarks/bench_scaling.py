@@ -1,8 +1,8 @@
-"""How cost grows with points, tiles and workers; overhead of a tile, speed of joining, memory of 10^9 points.
+"""Cost over the number of points, tiles and workers; overhead of a tile, speed of join, memory of 10^9 points.
 
-python scripts/bench_scaling.py [MOST_POINTS]      (default 3e7)
+python scripts/benchmarks/bench_scaling.py [MAX_POINTS]      (default 3e7)
 
-Points are cheap ones (a few hundred steps of rk4), so that what is not integration shows.
+Points take a few hundred steps of rk4 only, so that the cost of everything but integration shows.
 """
 
 from __future__ import annotations
@@ -19,6 +19,7 @@ import atlas
 from atlas.runs.folder import RunFolder
 from atlas.runs.tiling import mean_steps
 from atlas.scene import grid
+from atlas.scene.model import Scene
 
 SCENE = """
 schema = 1
@@ -44,7 +45,8 @@ variables = ["label", "status", "theta_dot_rms"]
 """
 
 
-def scene(folder: Path, rows: int, columns: int, layers: int = 1) -> atlas.scene.Scene:
+def scene(folder: Path, rows: int, columns: int, layers: int = 1) -> Scene:
+    """The scene with these numbers of points along its axes, saved in the folder."""
     (folder / "scene.toml").write_text(SCENE.format(rows=rows, columns=columns, layers=layers))
     return atlas.load_scene(folder / "scene.toml")
 
@@ -62,14 +64,15 @@ def command(folder: Path, *arguments: str) -> tuple[float, float]:
     return time.perf_counter() - began, usage.ru_maxrss / 1024
 
 
-def points(folder: Path, most: int) -> None:
+def points(folder: Path, max_points: int) -> None:
+    """Time and memory of a run and of its join, from 10^4 points on."""
     print("points, tiles, run s, points/s, MB of memory, join s, MB/s joined, MB of memory")
     count = 10_000
-    while count <= most:
+    while count <= max_points:
         rows = count // 1000
-        what = scene(folder, rows, 1000)
+        case = scene(folder, rows, 1000)
         name = f"points{count}"
-        run = RunFolder.prepare(what, folder / name, grid.check(what), [])
+        run = RunFolder.prepare(case, folder / name, grid.check(case), [])
         seconds, memory = command(folder, "run", "scene.toml", "-o", f"{name}/", "--quiet")
         joined, join_memory = command(folder, "join", name, "-o", f"{name}.nc")
         size = (folder / f"{name}.nc").stat().st_size / 1e6
@@ -80,15 +83,16 @@ def points(folder: Path, most: int) -> None:
         )
         run.remove()
         (folder / f"{name}.nc").unlink()
-        count *= 10 if count * 10 <= most else max(2, most // count)
+        count *= 10 if count * 10 <= max_points else max(2, max_points // count)
 
 
 def tiles(folder: Path, count: int = 1_000_000) -> None:
-    print(f"tiles for {count} points, run s, ms a tile more than with the fewest")
-    what, usual, fewest = scene(folder, count // 1000, 1000), grid.MAX_POINTS_PER_TILE, None
+    """Overhead of a tile: the same points in more and more tiles."""
+    print(f"tiles for {count} points, run s, ms for each tile beyond the fewest")
+    case, usual, fewest = scene(folder, count // 1000, 1000), grid.MAX_POINTS_PER_TILE, None
     for points in (usual, 8192, 1024):
         grid.MAX_POINTS_PER_TILE = points
-        run = RunFolder.prepare(what, folder / f"tiles{points}", grid.check(what), [])
+        run = RunFolder.prepare(case, folder / f"tiles{points}", grid.check(case), [])
         grid.MAX_POINTS_PER_TILE = usual
         seconds, _ = command(folder, "run", "scene.toml", "-o", f"tiles{points}/", "--quiet")
         fewest = fewest or (run.tiling.count, seconds)
@@ -101,6 +105,7 @@ def tiles(folder: Path, count: int = 1_000_000) -> None:
 
 
 def workers(folder: Path, count: int = 2_000_000) -> None:
+    """Time of the same run with threads and with dask workers."""
     print(f"workers for {count} points, run s")
     scene(folder, count // 1000, 1000)
     for options in (["--threads", "1"], ["--threads", "2"], ["--workers", "1"], ["--workers", "2"]):
@@ -110,7 +115,8 @@ def workers(folder: Path, count: int = 2_000_000) -> None:
 
 
 def billion(folder: Path, seconds: float = 30.0) -> None:
-    what = scene(folder, 1000, 1000, 1000)
+    """Start a run of 10^9 points, interrupt it, open it, and extrapolate."""
+    case = scene(folder, 1000, 1000, 1000)
     process = subprocess.Popen(
         [sys.executable, "-m", "atlas", "run", "scene.toml", "-o", "billion/"],
         cwd=folder,
@@ -128,27 +134,27 @@ def billion(folder: Path, seconds: float = 30.0) -> None:
     began = time.perf_counter()
     ds = atlas.open_atlas(folder / "billion")
     opened = time.perf_counter() - began
-    done = run.survey().done
+    done = run.tiles.status().done
     size = sum(file.stat().st_size for file in (run.path / "tiles").iterdir()) / max(len(done), 1)
     rate = ds.attrs["atlas_points_per_second"]
     print(
         f"10^9 points: {run.tiling.count} tiles, the first after {first:.1f} s; {len(done)} in {seconds:.0f} s,"
         f" {usage.ru_maxrss / 1024:.0f} MB of memory; opens in {opened:.2f} s"
     )
-    for total in (what.size, 10 * what.size):
+    for total in (case.size, 10 * case.size):
         print(
-            f"  all {total:.0e}: {total / rate / 3600:.1f} h here, {run.tiling.count * total // what.size} tiles,"
-            f" {run.tiling.count * total / what.size * size / 1e9:.1f} GB at {mean_steps(what, grid.check(what)):.0f} steps"
+            f"  all {total:.0e}: {total / rate / 3600:.1f} h here, {run.tiling.count * total // case.size} tiles,"
+            f" {run.tiling.count * total / case.size * size / 1e9:.1f} GB at {mean_steps(case, grid.check(case)):.0f} steps"
             " a point and three variables"
         )
     run.remove()
 
 
 def main() -> None:
-    most = int(float(sys.argv[1])) if len(sys.argv) > 1 else 30_000_000
+    max_points = int(float(sys.argv[1])) if len(sys.argv) > 1 else 30_000_000
     with tempfile.TemporaryDirectory(prefix="atlas-scaling-") as name:
         folder = Path(name)
-        points(folder, most)
+        points(folder, max_points)
         tiles(folder)
         workers(folder)
         billion(folder)

@@ -1,6 +1,6 @@
-"""Seconds for a million random points through the satellite's theory, on one core.
+"""Time of the satellite's theory for a million random points, on one core.
 
-    python scripts/bench_catalogue.py [--points 1000000]
+    python scripts/benchmarks/bench_catalogue.py [--points 1000000]
 
 A third of the points start off every family, a third on perp-velocity motions and a third on cylindrical
 ones, so that closed forms of stability are evaluated. Eigenvalues and multipliers are timed on fewer points.
@@ -38,16 +38,16 @@ def random_points(size: int, seed: int = 0) -> dict[str, np.ndarray]:
 
 
 def main() -> None:
-    options = argparse.ArgumentParser(
+    parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    options.add_argument("--points", type=int, default=1_000_000)
-    count = options.parse_args().points
+    parser.add_argument("--points", type=int, default=1_000_000)
+    count = parser.parse_args().points
     points = random_points(count)
     total = time.perf_counter()
     began = time.perf_counter()
     flags, _ = SATELLITE.identify_family(points)
-    print(f"recognise             {time.perf_counter() - began:7.2f} s for {count} points")
+    print(f"identify_family       {time.perf_counter() - began:7.2f} s for {count} points")
     began = time.perf_counter()
     SATELLITE.condition_residual(points)
     print(f"condition_residual    {time.perf_counter() - began:7.2f} s")
@@ -60,21 +60,24 @@ def main() -> None:
     for name, family in SATELLITE.families.items():
         print(f"  {name}: {(flags == family.flag).sum()} points")
 
-    some = {name: value[: min(count, 2000)] for name, value in random_points(6000, 1).items()}
-    some |= {
-        name: np.zeros(some["A"].size)
-        for name in ("n", "m", "theta_dot0", "mu1", "mu2", "mu3", "theta0", "psi0", "phi0")
-    }
-    resting = some | {name: np.zeros(some["A"].size) for name in ("k1", "k2")}
-    resting["B"] = resting["A"] + 0.1
-    turning = resting | {"B": resting["A"], "m": -resting["Omega"], "k1": some["k3"]}
-    for what, part in (("eigenvalues", resting), ("multipliers", turning)):
-        flags, _ = SATELLITE.identify_family(part)
+    print_numeric_stability(min(count, 2000))
+
+
+def print_numeric_stability(count: int) -> None:
+    """Print the time of a point whose stability needs eigenvalues, or Floquet multipliers."""
+    points = random_points(3 * count, 1)
+    points = {name: values[:count] for name, values in points.items()}
+    rest = ("n", "m", "theta_dot0", "mu1", "mu2", "mu3", "theta0", "psi0", "phi0")
+    points |= {name: np.zeros(count) for name in rest}
+    resting = points | {name: np.zeros(count) for name in ("k1", "k2")} | {"B": points["A"] + 0.1}
+    turning = resting | {"B": resting["A"], "m": -resting["Omega"], "k1": points["k3"]}
+    for name, case in (("eigenvalues", resting), ("multipliers", turning)):
+        flags, _ = SATELLITE.identify_family(case)
         began = time.perf_counter()
-        linear_stability(part, flags)
+        linear_stability(case, flags)
         each = (time.perf_counter() - began) / flags.size
         print(
-            f"{what}           {1e3 * each:7.3f} ms for each of {flags.size} points ({(flags > 0).sum()} steady)"
+            f"{name}           {1e3 * each:7.3f} ms for each of {flags.size} points ({(flags > 0).sum()} steady)"
         )
 
 

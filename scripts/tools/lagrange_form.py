@@ -1,10 +1,10 @@
-"""Lagrange's form of the satellite against Euler-Poisson: error and cost of RK4 at equal steps, plain NumPy.
+"""Error and cost of RK4 for Lagrange's and Euler-Poisson's equations of the satellite, at equal steps in NumPy.
 
-    python scripts/lagrange_form.py
+    python scripts/tools/lagrange_form.py
 
-Random motions are held against DOP853 at its tightest, motions of the catalogue against their closed
+Random motions are compared with DOP853 at its smallest tolerance, motions of the catalogue with their closed
 forms. The error is the largest difference of a component of (w in units of the largest rate, alpha, gamma)
-at the end. Near sin theta = 0 the angles turn without bound, so a run in Euler angles counts as unresolved
+at the end. Near sin theta = 0 the rates of the angles are unbounded, so a run in Euler angles counts as unresolved
 if it is not finite, if an angle turned by more than TURN in one step, if theta left (0, pi), if the Jacobi
 integral drifted by more than DRIFT or if half as many steps end more than HALVED away.
 """
@@ -30,11 +30,11 @@ FORMS = ("Lagrange", "Euler-Poisson")
 
 def rk4(rhs: Callable[..., tuple], state: Array, values: Array, step: float) -> Array:
     """One classical Runge-Kutta step of states (components, points)."""
-    one = np.array(rhs(state, values))
-    two = np.array(rhs(state + 0.5 * step * one, values))
-    three = np.array(rhs(state + 0.5 * step * two, values))
-    four = np.array(rhs(state + step * three, values))
-    return state + step / 6 * (one + 2 * (two + three) + four)
+    k1 = np.array(rhs(state, values))
+    k2 = np.array(rhs(state + 0.5 * step * k1, values))
+    k3 = np.array(rhs(state + 0.5 * step * k2, values))
+    k4 = np.array(rhs(state + step * k3, values))
+    return state + step / 6 * (k1 + 2 * (k2 + k3) + k4)
 
 
 def from_angles(points: Points, angles: Array) -> Array:
@@ -49,7 +49,7 @@ def jacobi_drift(first: Array, last: Array, values: Array) -> Array:
 
 
 def run(points: Points, duration: float, steps: int, form: str) -> tuple[Array, np.ndarray]:
-    """End state (9, points) after equal RK4 steps, and whether nothing speaks against it, bool (points,).
+    """End state (9, points) after equal RK4 steps, and whether the run counts as resolved, bool (points,).
 
     points: every parameter of the satellite, 1-D; form: one of FORMS.
     """
@@ -74,7 +74,7 @@ def run(points: Points, duration: float, steps: int, form: str) -> tuple[Array, 
 
 
 def integrate(points: Points, duration: float, steps: int, form: str) -> tuple[Array, np.ndarray]:
-    """As run, and Lagrange's form held against half as many steps too; see the module."""
+    """As `run`, with Lagrange's form compared with half as many steps as well; see the module."""
     state, resolved = run(points, duration, steps, form)
     if form == "Lagrange":
         with np.errstate(all="ignore"):
@@ -87,12 +87,12 @@ def error(points: Points, state: Array, exact: Array) -> Array:
     first = initial_state(points)
     unit = np.maximum(points["Omega"], np.abs(first[:3]).max(0))
     scale = np.concatenate([np.broadcast_to(unit, (3, unit.size)), np.ones((6, unit.size))])
-    found = np.abs((state - exact) / scale).max(0)
-    return np.where(np.isfinite(found), found, np.inf)
+    largest = np.abs((state - exact) / scale).max(0)
+    return np.where(np.isfinite(largest), largest, np.inf)
 
 
 def reference(points: Points, duration: float) -> Array:
-    """End state (9, points) by DOP853 in Euler-Poisson form at its tightest."""
+    """End state (9, points) by DOP853 in Euler-Poisson form at its smallest tolerance."""
     values, first = constants(points), initial_state(points)
     ends = [
         solve_ivp(
@@ -130,42 +130,46 @@ def cost(form: str, size: int = 4096, steps: int = 40) -> float:
     return (time.perf_counter() - began) / size / steps * 1e9
 
 
+def compare_random(words: str, points: Points, duration: float) -> None:
+    """Print errors and unresolved shares of both forms for random motions, for several numbers of steps."""
+    exact = reference(points, duration)
+    for steps in (200, 400, 800, 1600):
+        runs = [integrate(points, duration, steps, form) for form in FORMS]
+        both = np.logical_and.reduce([resolved for _, resolved in runs])
+        errors = [error(points, state, exact) for state, _ in runs]
+        print(f"{words}, {duration:g} time units, {steps} steps")
+        largest = [e[resolved].max() for e, (_, resolved) in zip(errors, runs, strict=True)]
+        for quantity, values in (
+            ("  median error where both are resolved", [np.median(e[both]) for e in errors]),
+            ("  largest error of resolved runs", largest),
+            ("  share unresolved", [1 - resolved.mean() for _, resolved in runs]),
+        ):
+            print(f"{quantity:40s}" + "".join(f"{value:16.2g}" for value in values))
+
+
+def compare_exact(family: str, psi0: float, duration: float) -> None:
+    """Print errors of both forms for exact motions of a family, down to a tilt of 0."""
+    print(f"exact motions of {family}, C/A = 1.3, m = 0.5, {duration:g} time units, 200 steps")
+    tilts = np.array([1.0, 0.3, 0.1, 1e-2, 1e-4, 1e-6, 1e-8, 0.0])
+    points = tilted(tilts, psi0, family, C=1.3, m=0.5)
+    closed = steady_motion(points, np.array(duration))
+    runs = [integrate(points, duration, 200, form) for form in FORMS]
+    for i, tilt in enumerate(tilts):
+        cells = [
+            f"{error(points, state, closed)[i]:.1e}" if resolved[i] else "unresolved"
+            for state, resolved in runs
+        ]
+        print(f"{f'  theta0 = {tilt:g}':40s}" + "".join(f"{cell:>16s}" for cell in cells))
+
+
 def main() -> None:
     print(f"{'':40s}" + "".join(f"{form:>16s}" for form in FORMS))
     print(f"{'ns for each point and step':40s}" + "".join(f"{cost(form):16.0f}" for form in FORMS))
-    duration = 10.0
-    near = {"theta0": 10.0 ** np.random.default_rng(0).uniform(-8, 0, 200)}
-    for what, points in (
-        ("random motions", random_points(200, 1)),
-        ("from tilts of 1e-8 to 1", random_points(200, 2, **near)),
-    ):
-        exact = reference(points, duration)
-        for steps in (200, 400, 800, 1600):
-            runs = [integrate(points, duration, steps, form) for form in FORMS]
-            both = np.logical_and.reduce([resolved for _, resolved in runs])
-            errors = [error(points, state, exact) for state, _ in runs]
-            print(f"{what}, {duration:g} time units, {steps} steps")
-            for measured, value in (
-                ("  median error where both resolve", [np.median(e[both]) for e in errors]),
-                (
-                    "  largest error called resolved",
-                    [e[r].max() for e, (_, r) in zip(errors, runs, strict=True)],
-                ),
-                ("  share unresolved", [1 - r.mean() for _, r in runs]),
-            ):
-                print(f"{measured:40s}" + "".join(f"{v:16.2g}" for v in value))
-    for family, psi0 in (("perp_radius", 0.0), ("perp_velocity", np.pi / 2)):
-        print(f"exact motions of {family}, C/A = 1.3, m = 0.5, {duration:g} time units, 200 steps")
-        tilts = np.array([1.0, 0.3, 0.1, 1e-2, 1e-4, 1e-6, 1e-8, 0.0])
-        points = tilted(tilts, psi0, family, C=1.3, m=0.5)
-        closed = steady_motion(points, np.array(duration))
-        runs = [integrate(points, duration, 200, form) for form in FORMS]
-        for i, tilt in enumerate(tilts):
-            shown = [
-                f"{error(points, state, closed)[i]:.1e}" if resolved[i] else "unresolved"
-                for state, resolved in runs
-            ]
-            print(f"{f'  theta0 = {tilt:g}':40s}" + "".join(f"{text:>16s}" for text in shown))
+    near_pole = {"theta0": 10.0 ** np.random.default_rng(0).uniform(-8, 0, 200)}
+    compare_random("random motions", random_points(200, 1), 10.0)
+    compare_random("from tilts of 1e-8 to 1", random_points(200, 2, **near_pole), 10.0)
+    compare_exact("perp_radius", 0.0, 10.0)
+    compare_exact("perp_velocity", np.pi / 2, 10.0)
 
 
 if __name__ == "__main__":

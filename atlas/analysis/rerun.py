@@ -1,0 +1,43 @@
+"""Points of an atlas integrated again."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+
+import xarray as xr
+
+from ..errors import BadInput
+from ..label.trajectory import trajectory, trajectory_of_scene
+from .metadata import axes_of, scene_of, system_of
+from .select import nearest
+
+
+def nearest_trajectory(ds: xr.Dataset, coordinates: Mapping[str, float], samples: int) -> xr.Dataset:
+    """Motion of the point of an atlas nearest to some values, integrated as the atlas was.
+
+    See `Atlas.trajectory`.
+    """
+    point = nearest(ds, coordinates).squeeze()
+    scene = scene_of(ds)
+    if scene is not None:
+        values = {
+            axis.name: float(point[dim])
+            for dim, axis in axes_of(scene).items()
+            if dim in point.coords and point[dim].ndim == 0
+        }
+        return trajectory_of_scene(scene, values, samples=samples)
+    if "point" in point.dims:
+        raise BadInput("trajectory: name the point by values of its parameters")
+    system, attributes = system_of(ds), ds.attrs
+    start = {name: float(point[name]) for name in system.parameters if name in point.coords}
+    step = float(attributes["atlas_step"])
+    return trajectory(
+        system.name,
+        {name: value for name, value in start.items() if not math.isnan(value)},
+        duration=float(point["end_time"]),
+        samples=samples,
+        method=attributes["atlas_method"],
+        rate_tolerance=float(attributes["atlas_rate_tolerance"]),
+        **({"step": step} if math.isfinite(step) else {"tolerance": float(attributes["atlas_tolerance"])}),
+    )

@@ -1,0 +1,85 @@
+"""Reliability of a map between its points, estimated from the map itself."""
+
+from __future__ import annotations
+
+import numpy as np
+import xarray as xr
+from scipy.special import betaincinv
+
+from ..errors import BadInput
+from .chunks import chunks
+from .metadata import flag_variable
+
+# Shorter axes count as separate maps: their cells contain no information about resolution.
+MIN_VALUES = 5
+CONFIDENCE = 0.95
+
+
+def trust(ds: xr.Dataset, variable: str) -> xr.Dataset:
+    """Uncertainty of a map at several resolutions and the fraction of borders it misses; see `Atlas.trust`."""
+    array = flag_variable(ds, variable)
+    dims = [str(d) for d in array.dims if array.sizes[d] >= MIN_VALUES and d in ds.coords]
+    if not dims:
+        raise BadInput(f"trust: no axis has {MIN_VALUES} values or more")
+    array = array.sortby(dims).transpose(..., *dims)
+    sides = [1]
+    while 4 * sides[-1] < min(array.sizes[d] for d in dims):
+        sides.append(2 * sides[-1])
+    uncertain = np.array([_uncertain_fraction(array, dims, side) for side in sides])
+    n_uniform, n_missed = _count_missed(array, dims)
+    # the upper limit of Clopper and Pearson for n_missed of n_uniform independent cells
+    bound = betaincinv(n_missed + 1, n_uniform - n_missed, CONFIDENCE) if n_uniform > n_missed else 1.0
+    missed = n_missed / n_uniform if n_uniform else np.nan
+    return xr.Dataset(
+        {
+            "uncertain": ("stride", uncertain, {"long_name": "share of cells whose corners differ"}),
+            "exponent": ((), _exponent(np.array(sides), uncertain), {"long_name": "uncertainty exponent"}),
+            "missed": ((), missed, {"long_name": "share of cells with equal corners that hide a border"}),
+            "missed_bound": ((), float(bound), {"long_name": "upper 95 % bound of missed"}),
+        },
+        coords={"stride": ("stride", sides, {"long_name": "side of the cells in points"})},
+        attrs={"variable": variable, "axes": ", ".join(dims)},
+    )
+
+
+def _uncertain_fraction(array: xr.DataArray, dims: list[str], side: int) -> float:
+    """Fraction of the cells with corners `side` points apart whose corners differ."""
+    coarse = array.isel({dim: slice(None, None, side) for dim in dims})
+    n_cells = n_different = 0
+    for box in chunks(coarse.sizes, dims, cell_side=1):
+        differ = _differ(coarse.isel(box).values, len(dims), (0, 1), step=1)
+        n_cells, n_different = n_cells + differ.size, n_different + int(differ.sum())
+    return n_different / n_cells
+
+
+def _count_missed(array: xr.DataArray, dims: list[str]) -> tuple[int, int]:
+    """Number of cells of side 2 with equal corners, and how many of them have another value inside."""
+    n_uniform = n_missed = 0
+    for box in chunks(array.sizes, dims, cell_side=2):
+        values = array.isel(box).values
+        uniform = ~_differ(values, len(dims), (0, 2), step=2)
+        n_uniform += int(uniform.sum())
+        n_missed += int((uniform & _differ(values, len(dims), (0, 1, 2), step=2)).sum())
+    return n_uniform, n_missed
+
+
+def _exponent(sides: np.ndarray, uncertain: np.ndarray) -> float:
+    """Slope of log(uncertain) over log(side) by least squares; nan with less than two fractions above 0."""
+    positive = uncertain > 0
+    if positive.sum() < 2:
+        return np.nan
+    return np.polyfit(np.log(sides[positive]), np.log(uncertain[positive]), 1)[0]
+
+
+def _differ(values: np.ndarray, n_axes: int, offsets: tuple[int, ...], *, step: int) -> np.ndarray:
+    """Do the points of a cell differ? One bool for each cell along the last axes of an array.
+
+    Cells begin every `step` points; those of their points count that are `offsets` from their beginning
+    along each axis.
+    """
+    low = high = values
+    for axis in range(values.ndim - n_axes, values.ndim):
+        first = np.arange((values.shape[axis] - 1) // step) * step
+        low = np.minimum.reduce([low.take(first + offset, axis) for offset in offsets])
+        high = np.maximum.reduce([high.take(first + offset, axis) for offset in offsets])
+    return low != high

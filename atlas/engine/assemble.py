@@ -1,0 +1,216 @@
+"""A kernel module for a system and a method: ordinary functions, and the few that depend on both.
+
+`source` makes the text of a module for the compiler: the functions of `kernel` and what they call, the equations of the
+system and what `generated` declares. `plain_module` makes the same module for the interpreter: there `kernel` is the file
+itself, so that a debugger or a coverage tool steps through it.
+"""
+
+from __future__ import annotations
+
+import ast
+import importlib.util
+from collections.abc import Collection, Iterable, Mapping
+from pathlib import Path
+from types import ModuleType
+
+import numpy as np
+
+from . import generated, jit, kernel, poles, sampling, statistics
+from .simplify import simplify
+from .statistics import Row
+from .tableaux import METHODS, Method
+
+INLINED = (
+    (sampling, ("sample", "turning_point", "quadrature_weight")),
+    (poles, ("is_near_vertical",)),
+    (statistics, ("begin", "accumulate")),
+)
+# Called seldom and long: inlined they would only fill the instruction cache.
+CALLED = (
+    (
+        poles,
+        (
+            "complex_inverse",
+            "to_newton_form",
+            "newton_polynomial",
+            "trapezoid_error_of_pole",
+            "pole_correction",
+        ),
+    ),
+)
+
+
+def functions(module: ModuleType) -> dict[str, str]:
+    """Source of every function of a module without docstrings, by name; members of Row become their numbers."""
+    path = module.__file__
+    assert path is not None
+    tree = _RowNumbers().visit(ast.parse(Path(path).read_text(encoding="utf-8")))
+    sources = {}
+    for node in tree.body:
+        if isinstance(node, ast.FunctionDef):
+            if ast.get_docstring(node) is not None:
+                node.body = node.body[1:] or [ast.Pass()]
+            sources[node.name] = ast.unparse(ast.fix_missing_locations(node))
+    return sources
+
+
+class _RowNumbers(ast.NodeTransformer):
+    """Row.NAME and len(Row) as plain numbers, which the compiler needs not look up."""
+
+    def visit_Attribute(self, node: ast.Attribute) -> ast.expr:
+        if isinstance(node.value, ast.Name) and node.value.id == "Row":
+            return ast.Constant(int(Row[node.attr]))
+        return node
+
+    def visit_Call(self, node: ast.Call) -> ast.expr:
+        if ast.unparse(node) == "len(Row)":
+            return ast.Constant(len(Row))
+        self.generic_visit(node)
+        return node
+
+
+def source(
+    equations: ModuleType, method: str, zero: Collection[str] = (), equal: Mapping[str, str] = {}
+) -> str:
+    """Text of the compiled kernel module of a system's equations and a method.
+
+    Parameters
+    ----------
+    equations : module
+        Of a system; see `systems.base.System.equations`.
+    method : str
+        A key of tableaux.METHODS.
+    zero : collection of str
+        Constants that are 0 at every point to come.
+    equal : mapping of str to str
+        Constants that equal another one at every point to come.
+    """
+    kernel_functions = functions(kernel)
+    integrate = kernel_functions.pop("integrate")
+    inlined = list(_generated_functions(equations, METHODS[method], zero, equal).values())
+    inlined += [functions(module)[name] for module, names in INLINED for name in names]
+    inlined += kernel_functions.values()
+    called = [functions(module)[name] for module, names in CALLED for name in names]
+    parts = [f"{jit.INLINE}\n{text}" for text in inlined]
+    parts += [f"{jit.CALLED}\n{text}" for text in called]
+    parts.append(f"{jit.KERNEL}\n{integrate}")
+    constants = _constants(equations, METHODS[method]) | {
+        name: getattr(kernel, name) for name in ("MOTION", "NODES_PER_DRIFT")
+    }
+    numbers = "\n".join(f"{name} = {value!r}" for name, value in constants.items())
+    return jit.HEADER + numbers + "\n\n\n" + "\n\n\n".join(parts) + "\n"
+
+
+def plain_module(
+    equations: ModuleType, method: str, zero: Collection[str] = (), equal: Mapping[str, str] = {}
+) -> ModuleType:
+    """The same kernel as plain Python, slow; arguments as for `source`."""
+    assert kernel.__file__ is not None
+    spec = importlib.util.spec_from_file_location(f"{__package__}.plain_kernel", kernel.__file__)
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    namespace: dict[str, object] = {"np": np}
+    for name, text in _generated_functions(equations, METHODS[method], zero, equal).items():
+        exec(compile(text, f"<{name} of {equations.__name__}>", "exec"), namespace)
+    vars(module).update(namespace, **_constants(equations, METHODS[method]))
+    # Compiled code raises no floating-point warnings.
+    vars(module)["integrate"] = np.errstate(all="ignore")(module.integrate)
+    return module
+
+
+def _constants(equations: ModuleType, method: Method) -> dict[str, float]:
+    """The numbers that `generated` declares."""
+    return {
+        "WIDTH": generated.WIDTH,
+        "STATES": len(equations.STATE),
+        "CONSTANTS": len(equations.CONSTANTS),
+        "INTEGRALS": len(equations.INTEGRALS),
+        "STEP": method.kernel_step,
+        "MAX_SAMPLES": method.max_samples,
+        "HAS_AXIS": hasattr(equations, "axis_in_frame"),
+    }
+
+
+def _generated_functions(
+    equations: ModuleType, method: Method, zero: Collection[str], equal: Mapping[str, str]
+) -> dict[str, str]:
+    """Source of the equations, simplified, and of the functions that `generated` declares, by name."""
+    states, constants = len(equations.STATE), len(equations.CONSTANTS)
+    sources = {
+        name: simplify(text, zero, equal, () if name == "scaled" else equations.ONES)
+        for name, text in functions(equations).items()
+    }
+    if "axis_in_frame" not in sources:
+        sources["axis_in_frame"] = "def axis_in_frame(state, constants):\n    return 0.0, 0.0"
+    generated_lines = {
+        "load_state(block, l)": [f"return {_columns('block', states)}"],
+        "store_state(block, l, state)": [f"{_columns('block', states)} = state"],
+        "load_constants(block, l)": [f"return {_columns('block', constants)}"],
+        "store_constants(block, l, constants)": [f"{_columns('block', constants)} = constants"],
+        "store_scales(block, l, scales, p, inverse_unit)": [
+            f"block[{i}, l] = scales[{i}, p]{' * inverse_unit' * power}"
+            for i, power in enumerate(equations.INTEGRALS.values())
+        ],
+        "step(state, constants)": step_lines(method, states),
+        "store_integrals(block, l, state, constants)": [
+            line
+            for i, name in enumerate(equations.INTEGRALS)
+            for line in (*_integral_lines(equations, name), f"block[{i}, l] = total")
+        ],
+        "largest_change(first, scales, l, state, constants, largest)": [
+            line
+            for i, name in enumerate(equations.INTEGRALS)
+            for line in (
+                *_integral_lines(equations, name),
+                f"change = abs(total - first[{i}, l]) * scales[{i}, l]",
+                "largest = change if change > largest else largest",
+            )
+        ]
+        + ["return largest"],
+    }
+    for head, lines in generated_lines.items():
+        sources[head.partition("(")[0]] = "\n    ".join([f"def {head}:", *(lines or ["pass"])])
+    return sources
+
+
+def _columns(block: str, rows: int) -> str:
+    """Column l of a block as a tuple."""
+    return f"({', '.join(f'{block}[{i}, l]' for i in range(rows))},)"
+
+
+def _integral_lines(equations: ModuleType, name: str) -> list[str]:
+    """Lines that assign the sum of a first integral's terms to `total`."""
+    ones = (1.0,) * len(equations.STATE), (1.0,) * len(equations.CONSTANTS)
+    terms = [f"t{j}" for j in range(len(getattr(equations, name)(*ones)))]
+    return [f"{', '.join(terms)}, = {name}(state, constants)", f"total = {' + '.join(terms)}"]
+
+
+def step_lines(method: Method, states: int) -> list[str]:
+    """Body of `step`: one step of length method.kernel_step, unrolled to scalars.
+
+    The first weight is factored out: the inner coefficients of rk4 are then 1, 2, 2, 1, which needs additions only and
+    leaves the multipliers, the narrowest part of the processor, to the equations. The sum s goes along with the
+    stages, so that fewer of them are in use at once.
+    """
+    y = ", ".join(f"y{i}" for i in range(states))
+    lines, first = [f"{y}, = state"], method.b[0]
+    for stage in range(method.stages):
+        moves = (_weighted_sum(method.a[stage], method.kernel_step, i) for i in range(states))
+        arguments = [f"y{i} + ({move})" if move else f"y{i}" for i, move in enumerate(moves)]
+        slopes = ", ".join(f"k{stage}_{i}" for i in range(states))
+        lines.append(f"{slopes}, = rhs(({', '.join(arguments)},), constants)")
+        weights = (0.0,) * stage + (method.b[stage] / first,)
+        for i in range(states):
+            if term := _weighted_sum(weights, 1.0, i):
+                lines.append(f"s{i} = s{i} + {term}" if stage else f"s{i} = {term}")
+    new = ", ".join(f"y{i} + {first * method.kernel_step!r} * s{i}" for i in range(states))
+    return [*lines, f"return ({new},)"]
+
+
+def _weighted_sum(coefficients: Iterable[float], factor: float, i: int) -> str:
+    """Component i of the slopes k, weighted by coefficients times factor; empty if all are 0."""
+    forms = {1.0: "{k}", 2.0: "({k} + {k})"}
+    terms = [(f"k{j}_{i}", a * factor) for j, a in enumerate(coefficients) if a != 0.0]
+    return " + ".join(forms.get(a, f"{a!r} * {{k}}").format(k=k) for k, a in terms)

@@ -1,0 +1,244 @@
+"""An ensemble: points of a system, ready to be integrated."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from types import ModuleType
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..systems.base import Array, Mask, Points, System
+from . import blocks
+from .sampling import END_WEIGHTS
+from .statistics import Row, finish
+from .stepsize import StepSizes
+
+# Where runs are interrupted to leave out the points that are certain to drift, as shares of their nodes. Most drifting
+# motions are certain after a small part of the run; those that leave an unstable motion only later.
+SEGMENTS = (1 / 256, 1 / 64, 1 / 16, 1 / 4, 1 / 2, 1.0)
+
+
+@dataclass(frozen=True)
+class Integration:
+    """What came of integrating an ensemble.
+
+    Attributes
+    ----------
+    final_state : ndarray of float64, shape (states, points)
+        Of the points that ran to the end.
+    sums : ndarray of float64, shape (len(Row), points)
+        Output of the kernel.
+    intervals : ndarray of int64, shape (points,)
+        Intervals between the samples taken.
+    samples_per_step : ndarray of int64, shape (points,)
+        As in StepSizes.
+    duration : ndarray of float64, shape (points,)
+        Integrated time, time units.
+    stopped_early : ndarray of bool, shape (points,)
+        Whether the point was certain to drift before its end.
+    """
+
+    final_state: Array
+    sums: Array
+    intervals: NDArray[np.int64]
+    samples_per_step: NDArray[np.int64]
+    duration: Array
+    stopped_early: Mask
+
+    def statistics(self) -> dict[str, Array]:
+        """Means, standard deviations and extremes; see `statistics.finish`."""
+        return finish(self.sums, self.intervals, self.samples_per_step)
+
+    @property
+    def finite(self) -> Mask:
+        """Whether state and sums are finite, bool of shape (points,)."""
+        return np.asarray(np.isfinite(self.final_state).all(0) & np.isfinite(self.sums).all(0))
+
+    @property
+    def crossed_cylinder(self) -> Mask:
+        """Whether the axis was in the cylinder for a part of the run, bool of shape (points,)."""
+        outside = self.sums[Row.OUTSIDE]
+        return np.asarray((outside > 0.0) & (outside < self.intervals - 0.5 * END_WEIGHTS.min()))
+
+
+@dataclass(frozen=True)
+class Ensemble:
+    """Initial states and constants of a set of points.
+
+    Attributes
+    ----------
+    state : ndarray of float64, shape (states, points), C order
+        Initial state.
+    constants : ndarray of float64, shape (constants, points), C order
+        Constants of the equations.
+    scales : ndarray of float64, shape (integrals, points), C order
+        Reciprocal sizes of the first integrals; see `integral_scales`.
+    frequency_bound : ndarray of float64, shape (points,)
+        Upper bound of the fastest frequency, rad per time unit.
+    """
+
+    state: Array
+    constants: Array
+    scales: Array
+    frequency_bound: Array
+
+    @classmethod
+    def of(cls, system: System, points: Points) -> Ensemble:
+        """The ensemble of points of a system. Parameters that overflow make numbers that are not finite."""
+        with np.errstate(all="ignore"):
+            state = np.ascontiguousarray(system.initial_state(points))
+            constants = np.ascontiguousarray(system.constants(points))
+            scales = integral_scales(system, state, constants, system.integral_scales(points))
+            return cls(state, constants, scales, system.frequency_bound(points))
+
+    @property
+    def size(self) -> int:
+        """Number of points."""
+        return self.state.shape[1]
+
+    def subset(self, where: NDArray[np.int64]) -> Ensemble:
+        """Some of the points, by their indices."""
+        state, constants, scales = (
+            np.ascontiguousarray(rows[:, where]) for rows in (self.state, self.constants, self.scales)
+        )
+        return Ensemble(state, constants, scales, self.frequency_bound[where])
+
+    def integrate(
+        self,
+        kernel: ModuleType,
+        step_sizes: StepSizes,
+        cylinder: float,
+        *,
+        early_stop_rate: Array | None = None,
+        threads: int | None = None,
+        progress: Callable[[int], None] | None = None,
+    ) -> Integration:
+        """Integrate every point.
+
+        Parameters
+        ----------
+        kernel : module
+            See `specialization.kernel`.
+        step_sizes : StepSizes
+        cylinder : float
+            Radius of the cylinder, rad.
+        early_stop_rate : ndarray of float64, shape (points,), optional
+            Root mean square of theta' over the whole run, rad per time unit, beyond which a point outside the
+            cylinder is certain to drift; its run may then end early. Default: every run is whole.
+        threads, progress
+            See `blocks.integrate`.
+        """
+        state = self.state.copy()
+        if early_stop_rate is None:
+            sums = blocks.integrate(
+                kernel, blocks.schedule_of(step_sizes), step_sizes.step_size, state, self.constants, self.scales,
+                cylinder, threads=threads, progress=progress,
+            )  # fmt: skip
+            nodes = step_sizes.nodes
+        else:
+            sums, nodes = self._integrate_in_segments(
+                kernel, step_sizes, cylinder, early_stop_rate, state, threads, progress
+            )
+        stopped_early = nodes < step_sizes.nodes
+        complete = np.maximum(nodes - (step_sizes.samples_per_step > 1), 1)  # intervals between nodes
+        steps = complete * step_sizes.steps_per_sample
+        return Integration(
+            final_state=state,
+            sums=sums,
+            intervals=complete * step_sizes.samples_per_step,
+            samples_per_step=step_sizes.samples_per_step,
+            duration=steps * step_sizes.step_size,
+            stopped_early=stopped_early,
+        )
+
+    def final_states(
+        self,
+        kernel: ModuleType,
+        steps: NDArray[np.int64],
+        step_size: Array,
+        *,
+        threads: int | None = None,
+    ) -> Array:
+        """States after so many steps of these sizes (time units), (states, points), without statistics."""
+        state = self.state.copy()
+        blocks.integrate(
+            kernel,
+            blocks.pack_blocks(steps, steps),
+            step_size,
+            state,
+            self.constants,
+            self.scales,
+            0.0,
+            threads=threads,
+        )
+        return state
+
+    def _integrate_in_segments(
+        self,
+        kernel: ModuleType,
+        step_sizes: StepSizes,
+        cylinder: float,
+        early_stop_rate: Array,
+        state: Array,
+        threads: int | None,
+        progress: Callable[[int], None] | None,
+    ) -> tuple[Array, NDArray[np.int64]]:
+        """Sums, and how many nodes each point took.
+
+        The weights of all samples are positive, so that the sum of theta'^2 only grows: once it exceeds the limit of
+        the whole run outside the cylinder, no later motion can bring the label back. A passage of the vertical takes
+        away at most one sample beside it. Points that run to the end have the same bits as in a single call.
+        """
+        sums = np.empty((len(Row), self.size))
+        resume = blocks.resume_array(len(self.scales), self.size)
+        with np.errstate(over="ignore"):
+            limit = early_stop_rate * early_stop_rate * step_sizes.intervals * (1.0 + 1e-6)
+        min_sin2_theta = cylinder * cylinder * (1.0 + 1e-9)
+        done = np.zeros_like(step_sizes.nodes)
+        active = np.arange(self.size)
+        for share in SEGMENTS:
+            until = np.ceil(share * step_sizes.nodes[active]).astype(np.int64)
+            selected = active[until > done[active]]
+            if not selected.size:
+                continue
+            chosen = step_sizes.subset(selected)
+            packed = blocks.schedule_of(chosen)
+            schedule = blocks.BlockSchedule(
+                selected[packed.points], packed.steps, packed.steps_per_sample, packed.samples_per_step
+            )
+            first_points = schedule.points[:, 0]  # all points of a block have the same history
+            last_node = np.ceil(share * packed.nodes).astype(np.int64)
+            segment = blocks.Segment(done[first_points], last_node, resume, sums)
+            blocks.integrate(
+                kernel, schedule, step_sizes.step_size, state, self.constants, self.scales, cylinder,
+                segment=segment, threads=threads, progress=progress,
+            )  # fmt: skip
+            done[selected] = np.ceil(share * chosen.nodes).astype(np.int64)
+            certain = (sums[Row.THETA_DOT_SQUARED, active] > limit[active]) & (
+                sums[Row.SIN2_THETA_MAX, active] > min_sin2_theta
+            )
+            ended = certain | (done[active] == step_sizes.nodes[active])
+            if progress is not None:
+                left_out = (step_sizes.nodes[active] - done[active]) * step_sizes.steps_per_sample[active]
+                progress(int(left_out[ended].sum()))
+            active = active[~ended]
+        return sums, done
+
+
+def integral_scales(
+    system: System, state: Array, constants: Array, floors: Mapping[str, Array]
+) -> NDArray[np.float64]:
+    """Reciprocal of the sum of the magnitudes of each first integral's terms at the start, (integrals, points).
+
+    floors: by integral, nan where it is not conserved (scale 0: its change does not count), else the least size. A sum
+    of exactly zero counts as 1.
+    """
+    rows = []
+    for name in system.equations.INTEGRALS:
+        terms = getattr(system.equations, name)(state, constants)
+        size = np.maximum(sum(np.abs(term) for term in terms), floors[name])
+        size = np.where(size == 0.0, 1.0, size)
+        rows.append(np.where(np.isnan(size), 0.0, 1.0 / size))
+    return np.ascontiguousarray(np.reshape(rows, (len(rows), state.shape[1])))

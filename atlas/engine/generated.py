@@ -1,0 +1,92 @@
+"""What depends on the system and the method in a kernel: `assemble` writes these for each pair of them.
+
+Here they stand with their signatures, for readers, linters and type checkers; calling them is an error. The compiled
+kernel and its plain Python twin have the generated ones in their place. `state` and `constants` are tuples of floats in
+the kernel's units (see `scaled` of a system's equations), blocks are arrays of shape (rows, WIDTH), l is a lane.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+WIDTH = 32  # points of a block
+STATES = 0
+CONSTANTS = 0
+INTEGRALS = 0
+STEP = 1.0  # length of a step in the kernel's unit of time, `Method.kernel_step`
+MAX_SAMPLES = 1  # largest number of samples per step, `Method.max_samples`
+HAS_AXIS = False  # does the system have `axis_in_frame`?
+
+
+def aligned_empty(shape):
+    """Uninitialised array of float64, aligned to cache lines where it is compiled."""
+    return np.empty(shape)
+
+
+def aligned_stack():
+    """Align the stack of the calling kernel to cache lines where it is compiled."""
+
+
+def rhs(state, constants):
+    """Time derivatives of the state."""
+    raise NotImplementedError
+
+
+def scaled(state, constants, unit):
+    """State and constants in units in which the time `unit` is 1."""
+    raise NotImplementedError
+
+
+def unscaled(state, constants, unit):
+    """State in the caller's units; constants: those that `scaled` returned."""
+    raise NotImplementedError
+
+
+def frame_motion(state, constants):
+    """Angular velocity relative to the frame and the frame's vertical: u1, u2, u3, g1, g2, g3."""
+    raise NotImplementedError
+
+
+def axis_in_frame(state, constants):
+    """Two components of the third body axis in the frame."""
+    raise NotImplementedError
+
+
+def step(state, constants):
+    """State after one step of length STEP."""
+    raise NotImplementedError
+
+
+def load_state(block, l):
+    """Column l of a block of states, as a tuple."""
+    raise NotImplementedError
+
+
+def store_state(block, l, state):
+    """Write a state into column l of a block."""
+    raise NotImplementedError
+
+
+def load_constants(block, l):
+    """Column l of a block of constants, as a tuple."""
+    raise NotImplementedError
+
+
+def store_constants(block, l, constants):
+    """Write constants into column l of a block."""
+    raise NotImplementedError
+
+
+def store_scales(block, l, scales, p, inverse_unit):
+    """Write the scales of the first integrals of point p, in the kernel's units, into column l of a block."""
+    raise NotImplementedError
+
+
+def store_integrals(block, l, state, constants):
+    """Write the first integrals of a state into column l of a block."""
+    raise NotImplementedError
+
+
+def largest_change(first, scales, l, state, constants, largest):
+    """The larger of `largest` and the scaled changes of the first integrals since their column l of `first`."""
+    raise NotImplementedError

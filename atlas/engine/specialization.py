@@ -1,0 +1,62 @@
+"""Kernels of a system: compiled once for each method and each set of terms that vanish, then cached."""
+
+from __future__ import annotations
+
+from collections.abc import Set
+from dataclasses import dataclass
+from functools import cache
+from types import ModuleType
+
+import numpy as np
+
+from ..systems.base import Points, System
+from . import assemble, jit
+
+
+@dataclass(frozen=True)
+class Specialization:
+    """Terms that the kernel of a whole scene may leave out.
+
+    Attributes
+    ----------
+    zero : frozenset of str
+        Constants of the equations that are 0 at every point.
+    equal : frozenset of pairs of str
+        Constants of which the first equals the second at every point.
+    """
+
+    zero: frozenset[str] = frozenset()
+    equal: frozenset[tuple[str, str]] = frozenset()
+
+    @classmethod
+    def of(cls, system: System, zero: Set[str], equal: Set[tuple[str, str]]) -> Specialization:
+        """Where these parameters are 0 (or absent), and these pairs of them equal, at every point."""
+        zero_constants, equal_constants = system.specialization(zero, equal)
+        return cls(frozenset(zero_constants), frozenset(equal_constants))
+
+    @classmethod
+    def of_points(cls, system: System, points: Points) -> Specialization:
+        """For points that are all there are."""
+        zero = {name for name, values in points.items() if ((values == 0) | np.isnan(values)).all()}
+        equal = {(a, b) for a, b in system.equal_parameters if (points[a] == points[b]).all()}
+        return cls.of(system, zero, equal)
+
+
+GENERIC = Specialization()
+
+
+@cache
+def _source(system: System, method: str, specialization: Specialization) -> str:
+    return assemble.source(system.equations, method, specialization.zero, dict(specialization.equal))
+
+
+@cache
+def kernel(system: System, method: str, specialization: Specialization = GENERIC) -> ModuleType:
+    """The compiled module that integrates a system; compiled, or taken from the cache, at its first call."""
+    return jit.load(_source(system, method, specialization))
+
+
+@cache
+def kernel_hash(system: System, method: str, specialization: Specialization = GENERIC) -> str:
+    """Hash of the kernel's source, compilers and processor type, recorded in every atlas."""
+    return jit.digest(_source(system, method, specialization))

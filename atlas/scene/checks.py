@@ -1,0 +1,178 @@
+"""Checks of single input values: each returns the value or raises BadInput with one line."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+import re
+from collections.abc import Callable, Collection, Iterable, Mapping
+from typing import Any
+
+from ..errors import BadInput
+from ..systems.base import Parameter
+from .expressions import RESERVED
+
+
+def number(key: str, value: object) -> float:
+    """The value as a float, if it is a finite number."""
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        raise BadInput(f"{key} = {value!r}: must be a number")
+    try:
+        result = float(value)
+    except OverflowError:
+        result = math.inf
+    if not math.isfinite(result):
+        raise BadInput(f"{key} = {value!r}: must be a finite number")
+    return result
+
+
+def positive(key: str, value: object) -> float:
+    """The value as a float, if it is a finite number above 0."""
+    result = number(key, value)
+    if result <= 0:
+        raise BadInput(f"{key} = {value!r}: must be a finite number above 0")
+    return result
+
+
+def fraction(key: str, value: object) -> float:
+    """The value as a float, if it is a number from 0 to 1."""
+    result = number(key, value)
+    if not 0 <= result <= 1:
+        raise BadInput(f"{key} = {result:g}: must be a share of the points, from 0 to 1")
+    return result
+
+
+def whole_number(key: str, value: object, low: int, high: float = math.inf) -> int:
+    """The value, if it is an integer (not a Boolean) from low to high."""
+    if isinstance(value, bool) or not isinstance(value, int) or not low <= value <= high:
+        allowed = f", at least {low}" if high == math.inf else f" from {low} to {high}"
+        raise BadInput(f"{key} = {value!r}: must be a whole number{allowed}")
+    return value
+
+
+def boolean(key: str, value: object) -> bool:
+    """The value, if it is true or false."""
+    if not isinstance(value, bool):
+        raise BadInput(f"{key} = {value!r}: must be true or false")
+    return value
+
+
+def text(key: str, value: object) -> str:
+    """The value, if it is a string."""
+    if not isinstance(value, str):
+        raise BadInput(f"{key} = {value!r}: must be a string")
+    return value
+
+
+def choice(key: str, value: object, allowed: Collection[str]) -> str:
+    """The value, if it is one of the allowed strings."""
+    if not isinstance(value, str) or value not in allowed:
+        raise BadInput(f"{key} = {value!r}: allowed: {', '.join(allowed)}")
+    return value
+
+
+def numbers(key: str, value: object) -> list[float]:
+    """The values as floats, if they are a list of at least one finite number."""
+    if not isinstance(value, list) or not value:
+        raise BadInput(f"{key} = {value!r}: must be a list of at least one number")
+    return [number(key, item) for item in value]
+
+
+def identifier(key: str, name: str) -> str:
+    """The name, if ties can refer to it."""
+    if not re.fullmatch(r"[A-Za-z_][A-Za-z0-9_]*", name) or name in RESERVED:
+        raise BadInput(
+            f"{key}: {name!r} cannot be used as a name; allowed: letters, digits and _, not {sorted(RESERVED)}"
+        )
+    return name
+
+
+def mapping(key: str, value: object) -> Mapping[str, Any]:
+    """The value, if it is a table."""
+    if not isinstance(value, Mapping):
+        raise BadInput(f"{key} = {value!r}: must be a table, [{key}]")
+    return value
+
+
+def check_keys(table: Mapping[str, Any], parent: str, allowed: Iterable[str]) -> None:
+    """Raise BadInput if the table has a key that is not allowed. parent: key of the table with a dot."""
+    for key in table:
+        if key not in allowed:
+            raise BadInput(f"{parent}{key}: unknown key; allowed: {', '.join(allowed)}")
+
+
+def check_range(parameter: Parameter, key: str, low: float, high: float) -> None:
+    """Raise BadInput if values from low to high leave the range of a parameter."""
+    below = low <= parameter.low if parameter.open_low else low < parameter.low
+    if below or high > parameter.high:
+        sign = ">" if parameter.open_low else ">="
+        limit = f"{sign} {parameter.low:g}" if below else f"<= {parameter.high:g}"
+        raise BadInput(
+            f"{key} = {low if below else high:g}: allowed: {parameter.name} {limit} ({parameter.meaning})"
+        )
+
+
+SPACINGS = ("linear", "log")
+
+
+def interval(key: str, table: Mapping[str, Any]) -> tuple[float, float, str]:
+    """The numbers from and to of a table that has both, and its spacing, "linear" or "log"."""
+    first, last = (number(f"{key}.{end}", table[end]) for end in ("from", "to"))
+    spacing = choice(f"{key}.spacing", table.get("spacing", "linear"), SPACINGS)
+    if spacing == "log" and not (first > 0 and last > 0):
+        raise BadInput(f"{key}.spacing = 'log': from and to must be above 0, found {first:g} and {last:g}")
+    return first, last, spacing
+
+
+def checked(check: Callable[[str, Any], Any], default: Any = dataclasses.MISSING, section: str = "") -> Any:
+    """Field of a dataclass that is read from a table of a scene.
+
+    Parameters
+    ----------
+    check : callable
+        (key, value) -> value; raises BadInput.
+    default : optional
+        Value if the table does not give the key; without a default the key is needed.
+    section : str
+        Key of the table, for a class that is read from more than one.
+    """
+    return dataclasses.field(default=default, metadata={"check": check, "section": section})
+
+
+def from_table(
+    cls: type, table: Mapping[str, Any], section: str, also: Collection[str] = ()
+) -> dict[str, Any]:
+    """Arguments of a dataclass with `checked` fields, from the table under the key `section`.
+
+    Parameters
+    ----------
+    cls : type
+        The dataclass; the names of its fields are the keys of the table.
+    table : mapping
+        The table as TOML gives it.
+    section : str
+        Key of the table. Fields that name another section are left out.
+    also : collection of str
+        Keys of the table that the caller reads.
+
+    Returns
+    -------
+    dict
+        Field -> checked value, for the keys that the table gives.
+
+    Raises
+    ------
+    BadInput
+        For an unknown key, a missing one, and a value that does not pass the check of its field.
+    """
+    fields = {f.name: f for f in dataclasses.fields(cls) if f.metadata["section"] in ("", section)}
+    check_keys(table, f"{section}.", [*also, *fields])
+    needed = [name for name, field in fields.items() if field.default is dataclasses.MISSING]
+    for name in needed:
+        if name not in table:
+            raise BadInput(f"{section}.{name} is missing: [{section}] needs {', '.join(needed)}")
+    return {
+        name: field.metadata["check"](f"{section}.{name}", table[name])
+        for name, field in fields.items()
+        if name in table
+    }

@@ -1,0 +1,182 @@
+"""The table [points] of a scene: points from a sample, a file or a list, instead of axes."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ..errors import BadInput
+from ..systems.base import Array, System
+from . import checks, tables
+from .checks import checked
+from .expressions import PointColumn
+
+SAMPLES = ("latin_hypercube", "sobol")
+MAX_SAMPLED_POINTS = 10**7
+# Numbers of a points file that a scene takes up: they stand in the text of the resolved scene.
+MAX_LISTED_NUMBERS = 200_000
+
+
+@dataclass(frozen=True)
+class Sample:
+    """Quasi-random points.
+
+    Attributes
+    ----------
+    sample : str
+        Kind of the sample, "latin_hypercube" or "sobol".
+    count : int
+        Number of points.
+    ranges : mapping of str to mapping
+        Name -> table with from, to and spacing.
+    seed : int
+        Seed of the random numbers.
+    """
+
+    sample: str = checked(partial(checks.choice, allowed=SAMPLES))
+    count: int = checked(partial(checks.whole_number, low=1, high=MAX_SAMPLED_POINTS))
+    ranges: Mapping[str, Any] = checked(checks.mapping)
+    seed: int = checked(partial(checks.whole_number, low=0), 0)
+
+
+def read_points(
+    system: System, table: Mapping[str, Any], ties: Mapping[str, Any], folder: Path
+) -> tuple[dict[str, Any], dict[str, PointColumn]]:
+    """The table [points] as the resolved scene holds it, and the columns of the points by name.
+
+    Parameters
+    ----------
+    system : System
+        The system of the scene.
+    table : mapping
+        The table [points] as TOML gives it.
+    ties : mapping
+        The table [ties]; a NetCDF file's coordinate is a column if a tie refers to it.
+    folder : Path
+        Folder of the scene, from which the path of a points file starts.
+
+    Raises
+    ------
+    BadInput
+        For a bad table, a file that cannot be read, and values out of range.
+    """
+    checks.check_keys(table, "points.", ("sample", "count", "seed", "ranges", "file", "values"))
+    sources = [key for key in ("sample", "file", "values") if key in table]
+    if len(sources) != 1:
+        given = " and ".join(sources) or "none"
+        raise BadInput(f"points: needs one of sample, file and values, found {given}")
+    if sources == ["sample"]:
+        sample = Sample(**checks.from_table(Sample, table, "points"))
+        return vars(sample), _sampled_columns(system, sample)
+    for key in ("count", "seed", "ranges"):
+        if key in table:
+            raise BadInput(f"points.{key}: only together with sample")
+    values: dict[str, Any]
+    if sources == ["values"]:
+        values = {
+            name: checks.numbers(f"points.values.{name}", column)
+            for name, column in checks.mapping("points.values", table["values"]).items()
+        }
+    else:
+        words = {word for text in ties.values() for word in re.findall(r"\w+", str(text))}
+        path = folder / checks.text("points.file", table["file"])
+        values = tables.read(path, {*system.parameters, *words})
+    columns = {name: _listed_column(system, name, column) for name, column in values.items()}
+    _check_sizes({name: column.column.size for name, column in columns.items()})
+    return {"values": {name: column.column.tolist() for name, column in columns.items()}}, columns
+
+
+def quasi_random(kind: str, dimensions: int, count: int, seed: int) -> np.ndarray:
+    """Quasi-random numbers that fill the unit cube evenly.
+
+    Parameters
+    ----------
+    kind : str
+        One of `SAMPLES`; "sobol" is scrambled, and best where count is a power of two.
+    dimensions, count : int
+        Number of coordinates and of points.
+    seed : int
+        The numbers depend on the arguments and the version of SciPy alone.
+
+    Returns
+    -------
+    ndarray
+        float64 in [0, 1), of shape (dimensions, count).
+    """
+    from scipy.stats import qmc
+
+    if kind == "latin_hypercube":
+        points = qmc.LatinHypercube(dimensions, seed=seed).random(count)
+    else:
+        # SciPy warns of a count that is no power of two: these are the first points of the next power.
+        points = qmc.Sobol(dimensions, seed=seed).random_base2((count - 1).bit_length())[:count]
+    return np.ascontiguousarray(points.T)
+
+
+def _sampled_columns(system: System, sample: Sample) -> dict[str, PointColumn]:
+    """The sample, stretched over the range of each name."""
+    if not sample.ranges:
+        raise BadInput(
+            "points.ranges: a sample needs at least one [points.ranges.NAME] table with from and to"
+        )
+    unit_cube = quasi_random(sample.sample, len(sample.ranges), sample.count, sample.seed)
+    return {
+        name: _stretched_column(system, name, table, fraction)
+        for (name, table), fraction in zip(sample.ranges.items(), unit_cube, strict=True)
+    }
+
+
+def _stretched_column(system: System, name: str, table: object, fraction: Array) -> PointColumn:
+    """Numbers in [0, 1) stretched over the range of one name."""
+    key = f"points.ranges.{checks.identifier('points.ranges', name)}"
+    if not isinstance(table, Mapping):
+        raise BadInput(f"{key} = {table!r}: must be a table with from and to")
+    checks.check_keys(table, f"{key}.", ("from", "to", "spacing"))
+    for needed in ("from", "to"):
+        if needed not in table:
+            raise BadInput(f"{key}.{needed} is missing: a range needs from and to")
+    first, last, spacing = checks.interval(key, table)
+    if first == last:
+        raise BadInput(f"{key}: from = to = {first:g}; put what does not vary into [fixed]")
+    if name in system.parameters:
+        checks.check_range(system.parameters[name], key, min(first, last), max(first, last))
+    if spacing == "linear":
+        return PointColumn(key, first + (last - first) * fraction)
+    return PointColumn(key, first * (last / first) ** fraction)
+
+
+def _listed_column(system: System, name: str, values: Any) -> PointColumn:
+    """One column of a file or a list, checked."""
+    key = f"points.values.{checks.identifier('points', name)}"
+    try:
+        column = np.asarray(values, np.float64)
+    except (TypeError, ValueError):
+        raise BadInput(f"{key}: must be numbers") from None
+    if column.ndim != 1 or not column.size:
+        raise BadInput(f"{key}: must be one number for each point")
+    if not np.isfinite(column).all():
+        i = int(np.flatnonzero(~np.isfinite(column))[0])
+        raise BadInput(f"{key}: {column[i]} at point {i} (counted from 0); must be finite numbers")
+    if name in system.parameters:
+        checks.check_range(system.parameters[name], key, column.min(), column.max())
+    return PointColumn(key, column)
+
+
+def _check_sizes(sizes: Mapping[str, int]) -> None:
+    """Raise BadInput unless there are columns, of one length, and not too many numbers."""
+    if not sizes:
+        raise BadInput("points: there are none")
+    if len(set(sizes.values())) > 1:
+        lengths = ", ".join(f"{name}: {size}" for name, size in sizes.items())
+        raise BadInput(f"points: columns of different lengths ({lengths})")
+    if sum(sizes.values()) > MAX_LISTED_NUMBERS:
+        raise BadInput(
+            f"points: {sum(sizes.values())} numbers; a scene takes at most {MAX_LISTED_NUMBERS};"
+            " label more with atlas points or atlas.label_points"
+        )

@@ -1,0 +1,79 @@
+"""Stiff and extreme points of the gyrostat about a fixed point."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ..base import StressCase
+
+OVERFLOW = "the numbers overflow"
+GROWN = "the method's own error grows with the motion before rounding does"
+
+
+def cases() -> tuple[StressCase, ...]:
+    """The cases, see System.stress_cases."""
+    heavy = {"Mg": 1.0, "z0": 0.5, "N": 0.1}
+    tilted = {"theta0": 0.6, "m": 0.5, "n": 0.2} | heavy
+    cone = {"theta0": 0.8, "n": 0.5, "C": 0.7} | heavy
+    fast, up = 10.0 ** np.arange(0, 7), 10.0 ** np.arange(-2, -13, -2)
+    spins, fields = 10.0 ** np.arange(-6, 5, 2), 10.0 ** np.arange(-8, 7, 2)
+    tilts = np.array([1e-2, 1e-3, 1e-4, 3e-5, 1e-6, 1e-8, 1e-12, 0.0])
+    flip = {"A": 1.0, "B": 2.0, "C": 1.5, "m": 1.0}
+    middle = {"A": 1.0, "B": 1.5, "C": 2.0, "theta0": np.pi / 2, "n": 1.0}
+    # conical motions are unstable where N (A - C) > A n^2 only, at small C r + l3
+    steep = {"A": 1.0, "C": 0.4, "N": 3.0, "n": 0.5, "theta0": 1.0, "Mg": 1.0}
+    paper = {"A": [22.49, 50.32], "B": [22.49, 50.32], "C": [35.6, 33.4]}
+    return (
+        StressCase("stiff rotor", "rotor frequency over the slow one", np.minimum(20, 2e3 / fast),
+                   {"l3": fast, "theta_dot0": 0.1, **tilted}),
+        StressCase("stiff spin", "fast spin with the rotor against it: the axis moves slowly",
+                   np.minimum(20, 2e3 / fast),
+                   {"l3": 0.6 - 1.2 * fast, **tilted, "m": fast}),
+        StressCase("stiff steady", "the same on an exact regular precession", np.minimum(20, 2e3 / fast),
+                   {"m": fast, **cone}, solve=("conical", "l3")),
+        StressCase("spin", "exact regular precession, slow to fast spin", np.minimum(20, 2e3 / spins),
+                   {"m": spins, **cone}, solve=("conical", "l3")),
+        StressCase("r0 = 1000", "the paper's bodies and spin", 2.0,
+                   {"Mg": 294.3, "z0": 5.0, "theta0": 0.5, "m": 1000.0, "l3": [0.0, 50.0], **paper}),
+        StressCase("needle", "C towards 0", 20.0, {"C": 10.0 ** np.arange(-1, -7, -1), **tilted}),
+        StressCase("flat body", "A + B = C", 20.0,
+                   {"A": [1.0, 0.3, 1e-3], "B": [1.0, 0.7, 1.0], "C": [2.0, 1.0, 1.001], **tilted}),
+        StressCase("needle across", "A towards 0", [20.0, 5.0, 1.0],
+                   {"A": 10.0 ** np.arange(-2, -7, -2), "C": 1.0, **tilted}),
+        StressCase("near 0", "tilts of a stable sleeping top", 20.0, {"theta0": tilts, "m": 1.5, **heavy}),
+        StressCase("near pi", "the same upside down", 20.0, {"theta0": np.pi - tilts, "m": 3.5, **heavy}),
+        StressCase("steep precession", "exact regular precession close to the vertical", 20.0,
+                   {"m": 0.7, **cone, "theta0": [1e-1, 1e-2, 1e-3, 1e-4]}, solve=("conical", "l3")),
+        StressCase("through the pole", "planar pendulum and fast tops through the vertical", 5.0,
+                   {"theta0": 0.5, "theta_dot0": -3.0, "l3": [0.0, 0.2], **heavy}),
+        StressCase("field", "weak to strong weight and gradient", np.minimum(20, 30 / np.sqrt(fields)),
+                   {"Mg": fields, "N": 0.3 * fields, "x0": 0.2, "z0": 0.5, "theta0": 0.6, "m": 0.5}),
+        StressCase("weak field", "a steady motion that an offset disturbs", 20.0,
+                   {"m": 0.4, **cone},
+                   solve=("conical", "l3"), additions={"x0": 10.0 ** np.arange(-12, -3, 2)}),
+        StressCase("separatrix", "a pendulum beside its upper rest", 15.0, {"theta0": np.pi - up, **heavy}),
+        StressCase("racket", "free body about its middle axis, pushed a little", 60.0,
+                   {"theta_dot0": up, **flip}),
+        StressCase("unstable, short", "exactly on an unstable motion", 12.0, {**middle, "n": [1.0, 0.3]}),
+        StressCase("unstable cone, short", "exactly on an unstable regular precession", 8.0,
+                   {**steep, "m": [0.3, 3.0]}, solve=("conical", "z0")),
+        StressCase("unstable cone, middle", "the same, longer", 20.0,
+                   {**steep, "m": [0.3, 3.0]}, solve=("conical", "z0"), may_stay_unresolved=GROWN),
+        StressCase("unstable, long", "until rounding decides", 200.0, middle),
+        StressCase("hidden growth", "fast spin on top of slow growth", 15.0,
+                   {"m": 60.0, "l3": 0.4 * (0.3 - 60.0), **steep},
+                   solve=("conical", "z0"), additions={"theta0": [1e-4, 1e-5, 1e-6]}),
+        StressCase("slower than the run", "weak weight", 4.0,
+                   {"Mg": 10.0 ** np.arange(-2, -9, -2), "z0": 1.0, "theta0": 0.6}),
+        StressCase("long", "exactly steady, and drifting, for 10 000 turns", 4e4 * np.pi,
+                   {"m": 0.4, **cone}, solve=("conical", "l3"), additions={"theta0": [0.0, 0.3]}),
+        StressCase("at rest", "nothing turns at all", 20.0, {"theta0": [0.0, 0.5]}),
+        StressCase("denormal", "parameters of 1e-300 and less", 20.0,
+                   {"theta0": [1e-310, 0.5, 0.5], "l1": [1e-310, 0.0, 1e-320], "m": [0.5, 1e-300, 1e-310],
+                    "Mg": 1e-310, "x0": 1e-310}),
+        StressCase("overflow", "products of parameters overflow", 20.0,
+                   {"theta0": 0.5, "l1": [1e200, 0.0, 0.0, 0.0], "theta_dot0": 0.1,
+                    "m": [0.0, 1e300, 0.0, 0.0], "Mg": [0.0, 0.0, 1e300, 0.0], "x0": [0.0, 0.0, 1e300, 0.0],
+                    "n": [0.0, 0.0, 0.0, 1e160]},
+                   may_stay_unresolved=OVERFLOW),
+    )  # fmt: skip

@@ -1,0 +1,100 @@
+"""The gyrostat about a fixed point in a central Newtonian field (Amer, Abo Essa, Ibrahim & Amer 2013)."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..base import (
+    Array,
+    Flags,
+    Mask,
+    Points,
+    PublishedEquation,
+    System,
+    despun_about_third_axis,
+    shape_of,
+)
+from . import equations, equilibria, families, initial, stress_cases
+from .paper import errors, published
+
+GEOMETRIES = {
+    "none": "drifting or unresolved",
+    "sleeping": "the third axis stays on the vertical",
+    "conical": "the body turns about its third axis, which precesses about the vertical or is at rest",
+    "staude": "the body turns about the vertical alone (phi' = 0) or is at rest",
+}
+
+
+class FixedPoint(System):
+    """Heavy gyrostat about a fixed point, attracted by a distant centre."""
+
+    name = "fixed_point"
+    title = "gyrostat about a fixed point in a central Newtonian field"
+    frame = "space"
+    frame_axes = ("$x$", "$y$", "vertical")
+    reference = (
+        "T. S. Amer, Y. M. Abo Essa, I. A. Ibrahim, W. S. Amer, Int. J. Engineering Research and Applications"
+        " 3(5) (2013) 655-671"
+    )
+
+    equations = equations
+    parameters = initial.PARAMETERS
+    rate_states = ("p", "q", "r")
+    equal_parameters = (("A", "B"),)
+    constants = staticmethod(initial.constants)
+    integral_scales = staticmethod(initial.integral_scales)
+    frequency_bound = staticmethod(initial.frequency_bound)
+    specialization = staticmethod(initial.specialization)
+
+    initial_state = staticmethod(initial.initial_state)
+    steady_rates = staticmethod(families.steady_rates)
+    as_euler_angles = staticmethod(initial.as_euler_angles)
+    check = staticmethod(initial.check)
+    warnings = staticmethod(initial.warnings)
+
+    identify_family = staticmethod(families.identify_family)
+    condition_residual = staticmethod(families.condition_residual)
+    families = families.FAMILIES
+    geometries = GEOMETRIES
+    derived = errors.DERIVED
+    stress_cases = staticmethod(stress_cases.cases)
+
+    def complete(self, points: Points) -> Mask:
+        return np.ones(shape_of(points), bool)
+
+    def geometry(
+        self,
+        measured: Mapping[str, Array],
+        steady: Mask,
+        cylinder: Mask,
+        rate_tolerance: float,
+        angle_tolerance: float,
+    ) -> Flags:
+        names = list(self.geometries)
+        conditions = [
+            (~steady, "none"),
+            (cylinder, "sleeping"),
+            (np.abs(measured["phi_dot_mean"]) <= rate_tolerance, "staude"),
+        ]
+        flags = [names.index(name) for _, name in conditions]
+        return np.select([where for where, _ in conditions], flags, names.index("conical")).astype(np.int8)
+
+    def equilibria(self, body: Mapping[str, float]) -> dict[str, NDArray]:
+        """All permanent rotations of one body about the vertical at the rate n; see equilibria.equilibria."""
+        points = {k: np.full(1, float(body.get(k, p.default))) for k, p in self.parameters.items()}
+        solutions = equilibria.equilibria(points, float(points["n"][0]))
+        gamma = np.stack([solutions.pop(name) for name in ("g1", "g2", "g3")], -1)
+        angles = {"theta0": solutions.pop("theta"), "phi0": solutions.pop("phi")}
+        return {**angles, "gamma": gamma, **solutions, "circle": solutions["dimension"] == 1}
+
+    def published(self) -> Sequence[PublishedEquation]:
+        return published.PUBLISHED
+
+    def despun_equivalent(self, points: Points) -> tuple[Points, Array]:
+        return despun_about_third_axis(self, points, "l3", "lagrange")
+
+
+FIXED_POINT = FixedPoint()

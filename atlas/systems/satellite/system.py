@@ -1,0 +1,109 @@
+"""The magnetised satellite-gyrostat on a circular orbit (Yehia & El-kenani 2021)."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from ..base import (
+    Array,
+    Flags,
+    Mask,
+    Points,
+    PublishedEquation,
+    System,
+    check_inertia,
+    despun_about_third_axis,
+)
+from . import equations, equilibria, families, initial, stability, stress_cases
+from .derived import DERIVED
+
+GEOMETRIES = {
+    "none": "drifting or unresolved",
+    "cylindrical": "the third axis stays on the orbit normal",
+    "perp_radius": "the third axis is at rest in the orbital frame, perpendicular to the radius",
+    "perp_velocity": "the third axis is at rest in the orbital frame, perpendicular to the velocity",
+    "oblique": "the third axis is at rest in the orbital frame in another direction",
+    "general": "the third axis precesses in the orbital frame",
+}
+
+
+class Satellite(System):
+    """Gyrostat with a magnet on a circular orbit, under the gravity gradient and a magnetic field."""
+
+    name = "satellite"
+    title = "magnetised satellite-gyrostat on a circular orbit"
+    frame = "orbital"
+    frame_axes = ("radius", "velocity", "normal")
+    reference = "H. M. Yehia, H. N. El-kenani, J. Appl. Comput. Mech. 7(4) (2021) 2120-2128"
+    doi = "10.22055/JACM.2021.37913.3113"
+
+    equations = equations
+    parameters = initial.PARAMETERS
+    rate_states = ("w1", "w2", "w3")
+    equal_parameters = (("A", "B"),)
+    constants = staticmethod(initial.constants)
+    integral_scales = staticmethod(initial.integral_scales)
+    frequency_bound = staticmethod(initial.frequency_bound)
+    specialization = staticmethod(initial.specialization)
+
+    initial_state = staticmethod(initial.initial_state)
+    steady_rates = staticmethod(initial.steady_rates)
+    check = staticmethod(check_inertia)
+
+    condition_residual = staticmethod(families.condition_residual)
+    linear_stability = staticmethod(stability.linear_stability)
+    families = families.FAMILIES
+    geometries = GEOMETRIES
+    derived = DERIVED
+    equilibria = staticmethod(equilibria.equilibria)
+    stress_cases = staticmethod(stress_cases.cases)
+
+    def warnings(self, points: Points) -> list[str]:
+        A, B, C = points["A"], points["B"], points["C"]
+        symmetric = (A != B) & ((B == C) | (A == C))
+        if not symmetric.any():
+            return []
+        return [
+            f"{symmetric.sum()} points have A != B but B = C or A = C: labels speak of the third axis, so a"
+            " steady motion about the body's axis of symmetry reads as drifting"
+        ]
+
+    def frame_rate(self, points: Points) -> Array:
+        """Angular velocity Omega of the orbit."""
+        return points["Omega"]
+
+    def complete(self, points: Points) -> Mask:
+        """Without an orbit a free or heavy body has more steady motions than the families."""
+        return points["Omega"] > 0
+
+    def geometry(
+        self,
+        measured: Mapping[str, Array],
+        steady: Mask,
+        cylinder: Mask,
+        rate_tolerance: float,
+        angle_tolerance: float,
+    ) -> Flags:
+        names = list(self.geometries)
+        conditions = [
+            (~steady, "none"),
+            (cylinder, "cylindrical"),
+            (np.abs(measured["psi_dot_mean"]) > rate_tolerance, "general"),
+            (np.abs(measured["axis_1"]) <= angle_tolerance, "perp_radius"),
+            (np.abs(measured["axis_2"]) <= angle_tolerance, "perp_velocity"),
+        ]
+        flags = [names.index(name) for _, name in conditions]
+        return np.select([where for where, _ in conditions], flags, names.index("oblique")).astype(np.int8)
+
+    def published(self) -> Sequence[PublishedEquation]:
+        from .paper.published import PUBLISHED  # only tables of the catalogue need it
+
+        return PUBLISHED
+
+    def despun_equivalent(self, points: Points) -> tuple[Points, Array]:
+        return despun_about_third_axis(self, points, "k3", "axial_momentum")
+
+
+SATELLITE = Satellite()

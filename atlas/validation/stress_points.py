@@ -1,0 +1,38 @@
+"""The points of a stress case: every parameter of the system as a column."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..scene.tables import point_columns
+from ..systems.base import Array, Points, StressCase, System
+
+
+@dataclass(frozen=True)
+class CasePoints:
+    """A stress case as arrays of shape (points,)."""
+
+    name: str  # of the case
+    points: Points
+    duration: Array  # time units
+    names: tuple[str, ...]  # of the points: the parameters that vary within the case, and their values
+    may_stay_unresolved: str
+
+
+def case_points(system: System, case: StressCase) -> CasePoints:
+    """Points of a case: columns and defaults, the parameter of the family solved, then the additions."""
+    varying = {k: np.asarray(v, float) for k, v in {**case.columns, **case.additions}.items() if np.ndim(v)}
+    size = max((values.size for values in varying.values()), default=1)
+    points, _ = point_columns(
+        system, {name: np.broadcast_to(values, (size,)) for name, values in case.columns.items()}
+    )
+    if case.solve is not None:
+        family, parameter = case.solve
+        points[parameter] = system.families[family].solve[parameter](points)
+    for name, amount in case.additions.items():
+        points[name] = points[name] + np.asarray(amount, float)
+    names = [", ".join(f"{k} = {v[i]:.4g}" for k, v in varying.items() if v.any()) for i in range(size)]
+    duration = np.broadcast_to(np.asarray(case.duration, float), (size,)).copy()
+    return CasePoints(case.name, points, duration, tuple(names), case.may_stay_unresolved)

@@ -1,0 +1,53 @@
+"""Time from calling run() to the end of the first block of points, imports done and the kernel cache warm.
+
+python scripts/benchmarks/bench_start.py [SCENE]      (default: configs/quickstart.toml)
+"""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+from statistics import median
+
+SCENE = Path(__file__).parents[2] / "configs" / "quickstart.toml"
+PROCESSES = 6  # the first one fills the kernel cache and does not count
+# A process that ends itself after the first block of the first tile.
+CODE = """
+import os, sys, time
+from dataclasses import fields, replace
+import atlas
+from atlas.engine import blocks
+from atlas.runs import runner
+
+scene = atlas.load_scene(sys.argv[1])
+integrate = blocks.integrate
+
+def first_block(kernel, schedule, *arguments, **options):
+    one = replace(schedule, **{f.name: getattr(schedule, f.name)[:1] for f in fields(schedule)})
+    integrate(kernel, one, *arguments, **options)
+    os.write(1, f"{time.perf_counter() - began}\\n".encode())  # two tiles may get here at once
+    os._exit(0)
+
+blocks.integrate = first_block
+began = time.perf_counter()
+runner.run(scene, progress=False)
+"""
+
+
+def main() -> None:
+    scene = sys.argv[1] if len(sys.argv) > 1 else str(SCENE)
+    times = []
+    for _ in range(PROCESSES):
+        process = subprocess.run(
+            [sys.executable, "-c", CODE, scene], stdout=subprocess.PIPE, text=True, check=True
+        )
+        times.append(float(process.stdout.splitlines()[0]))
+    print(
+        f"run() to its first steps, {scene}: {median(times[1:]):.3f} s"
+        f" (median of {PROCESSES - 1} processes, kernel cache warm)"
+    )
+
+
+if __name__ == "__main__":
+    main()

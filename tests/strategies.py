@@ -1,0 +1,142 @@
+"""Bodies and starts for tests: defaults, random points, random points on a family of steady motions.
+
+Every function takes the generator that it draws from, so that no test depends on those that ran before it.
+Points are dictionaries of arrays of one length, as the package takes them.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from hypothesis import strategies as st
+
+from atlas.systems import SYSTEMS
+from atlas.systems.fixed_point.families import FAMILIES as FIXED_POINT_FAMILIES
+from atlas.systems.satellite.families import FAMILIES as SATELLITE_FAMILIES
+
+Points = dict[str, np.ndarray]
+
+seeds = st.integers(0, 10**6)
+
+
+def default_points(system: str, count: int | None = None, **given) -> Points:
+    """Points of a system with every parameter at its default but those given."""
+    defaults = {name: parameter.default for name, parameter in SYSTEMS[system].parameters.items()}
+    assert set(given) <= set(defaults)
+    if count is None:
+        count = max((np.size(value) for value in given.values()), default=1)
+    values = defaults | given
+    return {
+        name: np.broadcast_to(np.asarray(value, float), (count,)).copy() for name, value in values.items()
+    }
+
+
+def select(points: Points, index) -> Points:
+    """The points at an index, list of indices or mask, as arrays of one dimension."""
+    return {name: np.atleast_1d(values[index]) for name, values in points.items()}
+
+
+def random_satellites(rng: np.random.Generator, count: int, **given) -> Points:
+    """Random satellites, starts and fields without any symmetry; theta0 away from 0 and pi."""
+    points = {name: rng.normal(size=count) for name in SYSTEMS["satellite"].parameters}
+    points |= {name: rng.uniform(0.8, 1.5, count) for name in ("A", "B", "C")}
+    points |= {"Omega": rng.uniform(0.3, 1.5, count), "theta0": rng.uniform(0.3, 2.8, count)}
+    return default_points("satellite", count, **points | given)
+
+
+def random_fixed_points(rng: np.random.Generator, count: int, **given) -> Points:
+    """Random bodies about a fixed point, starts and fields without any symmetry; theta0 away from 0 and pi.
+
+    Each moment of inertia is the sum of two of three positive numbers, as for every body with mass.
+    """
+    parts = rng.uniform(0.3, 1.0, (3, count))
+    points = dict(zip("ABC", parts.sum(0) - parts, strict=True))
+    names = ("Mg", "x0", "y0", "z0", "N", "l1", "l2", "l3", "theta_dot0", "n", "m")
+    points |= {name: rng.normal(size=count) for name in names}
+    points |= {"theta0": rng.uniform(0.2, 2.9, count), "phi0": rng.uniform(0, 2 * np.pi, count)}
+    return default_points("fixed_point", count, **points | given)
+
+
+def symmetric_fixed_points(rng: np.random.Generator, count: int, **given) -> Points:
+    """Random bodies with A = B = 1, rotor and centre of mass on the third axis, and theta_dot0 = 0."""
+    axial = {"A": 1.0, "B": 1.0, "C": rng.uniform(0.3, 1.9, count)}
+    axial |= dict.fromkeys(("x0", "y0", "l1", "l2", "theta_dot0"), 0.0)
+    return random_fixed_points(rng, count, **axial | given)
+
+
+def fixed_points_on_family(family: str, points: Points, *names: str) -> Points:
+    """The points with the named parameters from the family's formulas, those where they exist."""
+    points = dict(points)
+    for name in names:
+        points[name] = FIXED_POINT_FAMILIES[family].solve[name](points)
+    exists = np.all([~np.isnan(points[name]) for name in names], axis=0)
+    assert exists.any()
+    return select(points, exists)
+
+
+def nonzero_satellite(rng: np.random.Generator, **given) -> Points:
+    """A random satellite whose parameters are of order 1 and not near 0; theta_dot0 = 0, arrays of shape (1,)."""
+    names = SYSTEMS["satellite"].parameters
+    point = {name: rng.uniform(0.3, 1.3, 1) * rng.choice([-1.0, 1.0], 1) for name in names}
+    point |= {name: rng.uniform(0.7, 1.3, 1) for name in ("A", "B", "C", "Omega")}
+    point |= {"theta0": rng.uniform(-4, 4, 1), "theta_dot0": np.zeros(1)}
+    return default_points("satellite", 1, **point | given)
+
+
+def satellite_for_family(name: str, rng: np.random.Generator) -> Points:
+    """A random satellite that meets the conditions that the family's formulas do not solve."""
+    point = nonzero_satellite(rng)
+    zero = np.zeros(1)
+    axial = ("perp_radius", "perp_velocity", "oblique")
+    if name in ("cylindrical", "transverse_magnet", "despun_transverse", *axial):
+        point |= {"B": point["A"], "n": zero}
+    if name in axial:
+        point |= dict.fromkeys(("k1", "k2", "mu1", "mu2"), zero)
+    if name in ("perp_radius", "cylindrical"):
+        point["h1"] = zero
+    if name == "cylindrical":
+        point["n"] = rng.normal(size=1)
+    if name in ("equilibrium", "asymmetric_tilt"):
+        point["n"] = zero
+    if name == "oblique":
+        point["h1"] = point["h1"] * 0.1
+    if name == "spherical":
+        point |= {"B": point["A"], "C": point["A"]} | dict.fromkeys(("k1", "k2", "mu1", "mu2", "h1"), zero)
+    if name == "other_axis":
+        point |= {"m": zero, "h1": zero}
+        axis = rng.integers(3)
+        upright = np.full(1, np.pi / 2)
+        if axis == 0:
+            point |= {"C": point["A"], "theta0": upright, "phi0": np.full(1, np.pi * rng.integers(2))}
+        elif axis == 1:
+            point |= {"C": point["B"], "theta0": upright, "phi0": -upright}
+        else:
+            point |= {"B": point["A"], "C": point["A"]}
+    return point
+
+
+# Parameters that the formulas of each family solve, in this order, to put a point on the family.
+SATELLITE_SOLVED = {
+    "cylindrical": ("theta0", "k1", "k2"),
+    "equilibrium": ("m", "h1", "k1", "k2"),
+    "perp_radius": ("psi0", "k3"),
+    "perp_velocity": ("psi0", "k3"),
+    "oblique": ("psi0", "k3"),
+    "transverse_magnet": ("psi0", "h3", "k1", "k2", "k3"),
+    "despun_transverse": ("m", "h3", "mu3", "k1", "k2", "k3"),
+    "asymmetric_tilt": ("theta0", "psi0", "m", "h1", "k1", "k2", "k3"),
+    "spherical": ("k3",),
+    "other_axis": ("k3", "k1", "k2"),
+}
+
+
+def satellite_on_family(name: str, rng: np.random.Generator) -> Points | None:
+    """A random satellite on the family, or None where the drawn parameters admit none."""
+    point = satellite_for_family(name, rng)
+    for parameter in SATELLITE_SOLVED[name]:
+        value = SATELLITE_FAMILIES[name].solve[parameter](point)
+        if name == "other_axis" and np.isnan(value[0]):  # the component along the axis is free
+            continue
+        if np.isnan(value[0]) or abs(value[0]) > 50:
+            return None
+        point[parameter] = value
+    return point

@@ -1,0 +1,59 @@
+"""Docstrings of the public face follow numpydoc; the list of checks is in pyproject.toml."""
+
+import inspect
+import tomllib
+from functools import cached_property
+from pathlib import Path
+from types import FunctionType
+
+import pytest
+from numpydoc.validate import validate
+
+import atlas
+from atlas.accessor import Atlas
+from atlas.systems.base import System
+
+ROOT = Path(__file__).parent.parent
+CHECKS = set(tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["numpydoc_validation"]["checks"])
+FUNCTIONS = ("equilibria", "label_points", "load_scene", "open_atlas", "run", "trajectory")
+SYSTEM = "atlas.systems.base.System."
+
+
+def is_in_class_docstring(code: str, message: str) -> bool:
+    """Whether an error concerns what the docstring of System describes for all its methods.
+
+    That is `points`, their only argument in most cases, and a single array as the result, which a summary describes.
+    """
+    return code == "RT01" or (code, message) == ("PR01", "Parameters {'points'} not documented")
+
+
+def public_members(owner: type) -> list[str]:
+    """Full names of the public methods and properties that a class defines."""
+    kinds = (FunctionType, property, cached_property, classmethod, staticmethod)
+    return [
+        f"{owner.__module__}.{owner.__name__}.{name}"
+        for name, member in vars(owner).items()
+        if not name.startswith("_") and isinstance(member, kinds)
+    ]
+
+
+def test_the_list_of_functions_is_complete():
+    functions = {name for name in atlas.__all__ if inspect.isfunction(getattr(atlas, name))}
+    assert functions == set(FUNCTIONS)
+
+
+@pytest.mark.parametrize(
+    "name", [*(f"atlas.{name}" for name in FUNCTIONS), *public_members(Atlas), *public_members(System)]
+)
+def test_docstring_has_the_sections_of_numpydoc(name):
+    errors = [
+        f"{code}: {message}"
+        for code, message in validate(name)["errors"]
+        if code in CHECKS and not (name.startswith(SYSTEM) and is_in_class_docstring(code, message))
+    ]
+    assert not errors, f"{name}:\n" + "\n".join(errors)
+
+
+@pytest.mark.parametrize("owner", [Atlas, System])
+def test_classes_have_docstrings(owner):
+    assert inspect.getdoc(owner)

@@ -1,0 +1,172 @@
+"""Reference results that do not come from the code under test.
+
+The Lagrangian of the satellite by computer algebra, the cases verified outside this project, linearisation by
+complex steps, and equality of data sets to the byte.
+"""
+
+from __future__ import annotations
+
+import json
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import xarray as xr
+from scipy.integrate import solve_ivp
+from strategies import default_points
+
+from atlas.systems.satellite.initial import PARAMETERS as SATELLITE_PARAMETERS
+
+REFERENCE = Path(__file__).parent / "reference"
+
+# The satellite, from the Lagrangian (2) with (3) of the paper.
+
+BODY_NAMES = ("A", "B", "C", "Omega", "k1", "k2", "k3", "mu1", "mu2", "mu3", "h1", "h3")
+
+
+@cache
+def satellite_symbols():
+    """Symbols of the Euler angles, their first and second derivatives, and the parameters of the body."""
+    import sympy as sp
+
+    angles = sp.symbols("psi theta phi")
+    rates = sp.symbols("psi_dot theta_dot phi_dot")
+    accelerations = sp.symbols("psi_accel theta_accel phi_accel")
+    return angles, rates, accelerations, sp.symbols(BODY_NAMES)
+
+
+@cache
+def paper_vectors():
+    """alpha, beta, gamma and the relative rate w' of (1)."""
+    import sympy as sp
+
+    (psi, theta, phi), (psi_dot, theta_dot, phi_dot), _, _ = satellite_symbols()
+    s, c, sf, cf = sp.sin(theta), sp.cos(theta), sp.sin(phi), sp.cos(phi)
+    sy, cy = sp.sin(psi), sp.cos(psi)
+    alpha = sp.Matrix([cy * cf - c * sf * sy, -cy * sf - c * cf * sy, s * sy])
+    beta = sp.Matrix([sy * cf + c * sf * cy, -sy * sf + c * cf * cy, -s * cy])
+    gamma = sp.Matrix([s * sf, s * cf, c])
+    relative_rate = [
+        psi_dot * s * sf + theta_dot * cf,
+        psi_dot * s * cf - theta_dot * sf,
+        psi_dot * c + phi_dot,
+    ]
+    return alpha, beta, gamma, sp.Matrix(relative_rate)
+
+
+@cache
+def lagrangian_functions():
+    """Functions of (angles, rates, accelerations, body), all from the Lagrangian (2) with (3).
+
+    Left sides of Lagrange's equations, mass matrix, Jacobi integral, derivative of the absolute rates.
+    """
+    import sympy as sp
+
+    angles, rates, accelerations, body = satellite_symbols()
+    A, B, C, Omega, k1, k2, k3, mu1, mu2, mu3, h1, h3 = body
+    alpha, _, gamma, relative_rate = paper_vectors()
+    inertia, rotor, moment = sp.diag(A, B, C), sp.Matrix([k1, k2, k3]), sp.Matrix([mu1, mu2, mu3])
+    w = relative_rate + Omega * gamma
+    potential = sp.Rational(3, 2) * Omega**2 * alpha.dot(inertia * alpha) + moment.dot(
+        h1 * alpha + h3 * gamma
+    )
+    lagrangian = w.dot(inertia * w) / 2 + w.dot(rotor) - potential
+    momenta = sp.Matrix([lagrangian]).jacobian(rates).T
+    mass = momenta.jacobian(rates)
+    momentum_rates = mass * sp.Matrix(accelerations) + momenta.jacobian(angles) * sp.Matrix(rates)
+    left_sides = momentum_rates - sp.Matrix([lagrangian]).jacobian(angles).T
+    jacobi = momenta.dot(sp.Matrix(rates)) - lagrangian
+    w_dot = w.jacobian(angles) * sp.Matrix(rates) + w.jacobian(rates) * sp.Matrix(accelerations)
+    expressions = {"left_sides": left_sides, "mass": mass, "jacobi": jacobi, "w_dot": w_dot}
+    arguments = (*angles, *rates, *accelerations, *body)
+    return {
+        name: sp.lambdify(arguments, expression, modules="numpy", cse=True)
+        for name, expression in expressions.items()
+    }
+
+
+def lagrangian_arguments(points, accelerations=None):
+    """Arguments of the functions of `lagrangian_functions` at points; accelerations are 0 unless given."""
+    states = [points[name] for name in ("psi0", "theta0", "phi0", "n", "theta_dot0", "m")]
+    zero = np.zeros_like(points["A"])
+    return (
+        *states,
+        *(accelerations if accelerations is not None else [zero] * 3),
+        *(points[i] for i in BODY_NAMES),
+    )
+
+
+# Linearised equations of motion.
+
+
+def jacobian_matrices(rhs, state, constants):
+    """Matrices of the equations linearised at states of shape (d, samples), by complex steps: (samples, d, d)."""
+    columns = []
+    for i in range(len(state)):
+        shifted = state.astype(complex)
+        shifted[i] += 1e-30j
+        columns.append(np.array(rhs(shifted, constants)).imag / 1e-30)
+    return np.moveaxis(np.array(columns), -1, 0).swapaxes(1, 2)
+
+
+def monodromy_matrix(rhs, state, constants, duration):
+    """Derivative of the final state by the initial state of shape (d,), from the variational equations: (d, d)."""
+    d = state.size
+
+    def variational(_, y):
+        matrix = jacobian_matrices(rhs, y[:d, None], constants[:, None])[0]
+        return np.concatenate([rhs(y[:d], constants), (matrix @ y[d:].reshape(d, d)).ravel()])
+
+    start = np.concatenate([state, np.eye(d).ravel()])
+    solution = solve_ivp(variational, (0, duration), start, "DOP853", rtol=1e-11, atol=1e-12)
+    return solution.y[d:, -1].reshape(d, d)
+
+
+# Cases verified outside this project.
+
+
+@cache
+def cases(system: str) -> list[dict]:
+    """The verified cases of a system as dictionaries."""
+    return json.loads((REFERENCE / f"{system}_cases.json").read_text())["cases"]
+
+
+def satellite_cases() -> dict[str, np.ndarray]:
+    """Points of the verified cases of the satellite."""
+
+    def column(value_of):
+        return np.array([float(value_of(case)) for case in cases("satellite")])
+
+    points = {name: column(lambda case, name=name: case.get(name, 0.0)) for name in SATELLITE_PARAMETERS}
+    for i in range(3):
+        points[f"k{i + 1}"] = column(lambda case, i=i: case["k"][i])
+        points[f"mu{i + 1}"] = column(lambda case, i=i: case["mu"][i])
+    return points
+
+
+def fixed_point_cases() -> dict[str, np.ndarray]:
+    """Points of the verified cases of the fixed point."""
+
+    def column(value_of):
+        return np.array([value_of(case) for case in cases("fixed_point")], float)
+
+    given = {name: column(lambda case, name=name: case[name]) for name in ("A", "B", "C", "Mg", "N")}
+    vectors = {
+        "rc": ("x0", "y0", "z0"),
+        "l": ("l1", "l2", "l3"),
+        "w0": ("p0", "q0", "r0"),
+        "gamma0": ("gamma10", "gamma20", "gamma30"),
+    }
+    for key, names in vectors.items():
+        given |= {name: column(lambda case, key=key, i=i: case[key][i]) for i, name in enumerate(names)}
+    return default_points("fixed_point", **given)
+
+
+def assert_same_bytes(expected: xr.Dataset, dataset: xr.Dataset) -> None:
+    """Assert that variables and coordinates agree in every byte, in type, dimensions and names of attributes."""
+    assert set(expected.variables) == set(dataset.variables)
+    for name, variable in expected.variables.items():
+        actual = dataset.variables[name]
+        assert (variable.dtype, variable.dims) == (actual.dtype, actual.dims), name
+        assert variable.values.tobytes() == actual.values.tobytes(), name
+        assert set(variable.attrs) == set(actual.attrs), name

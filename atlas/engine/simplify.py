@@ -1,4 +1,5 @@
-"""Leave out of the equations what vanishes in a whole scene: x * 0, x + 0, x - x and x * 1, on the syntax tree.
+"""Equations without the terms that vanish in a whole scene: x * 0, x + 0, x - x and x * 1, on the syntax tree.
+
 x * y - x * z becomes x * (y - z).
 
 The result is the same to round-off. LLVM may not do this itself: 0 * x is not 0 for a NaN or an infinity.
@@ -11,22 +12,35 @@ from collections.abc import Collection, Mapping
 from functools import reduce
 
 
-def simplify(text: str, zero: Collection[str], same: Mapping[str, str], ones: Collection[str] = ()) -> str:
-    """Source of a function with the names in `zero` set to 0, those in `ones` to 1, and each key of `same`
-    replaced by its value. A name in both is 0.
+def simplify(text: str, zero: Collection[str], equal: Mapping[str, str], ones: Collection[str] = ()) -> str:
+    """Leave out of a function what vanishes when some of its names have known values.
+
+    Parameters
+    ----------
+    text : str
+        Source of the function.
+    zero, ones : collection of str
+        Names that are 0 and names that are 1. A name in both is 0.
+    equal : mapping of str to str
+        Names that equal another one, which replaces them.
+
+    Returns
+    -------
+    str
+        Source of the simplified function.
     """
     tree = ast.parse(text)
-    folder = _Folder(set(zero), dict(same), set(ones))
-    return ast.unparse(ast.fix_missing_locations(folder.visit(tree)))
+    simplifier = _Simplifier(set(zero), dict(equal), set(ones))
+    return ast.unparse(ast.fix_missing_locations(simplifier.visit(tree)))
 
 
 def _is(node: ast.expr, value: float) -> bool:
     return isinstance(node, ast.Constant) and node.value == value
 
 
-class _Folder(ast.NodeTransformer):
-    def __init__(self, zero: set[str], same: dict[str, str], ones: set[str]):
-        self.zero, self.same, self.ones = zero, same, ones
+class _Simplifier(ast.NodeTransformer):
+    def __init__(self, zero: set[str], equal: dict[str, str], ones: set[str]):
+        self.zero, self.equal, self.ones = zero, equal, ones
 
     def visit_Name(self, node: ast.Name) -> ast.expr:
         if isinstance(node.ctx, ast.Load):
@@ -34,7 +48,7 @@ class _Folder(ast.NodeTransformer):
                 return ast.Constant(0.0)
             if node.id in self.ones:
                 return ast.Constant(1.0)
-            return ast.Name(self.same.get(node.id, node.id), node.ctx)
+            return ast.Name(self.equal.get(node.id, node.id), node.ctx)
         return node
 
     def visit_Assign(self, node: ast.Assign) -> ast.Assign:
@@ -70,9 +84,9 @@ class _Folder(ast.NodeTransformer):
             case ast.Sub() if ast.dump(left) == ast.dump(right):
                 return ast.Constant(0.0)
             case ast.Sub():
-                (one, *y), (two, *z) = _factors(left), _factors(right)
-                if y and z and isinstance(one, ast.Name) and ast.dump(one) == ast.dump(two):
-                    return ast.BinOp(one, ast.Mult(), ast.BinOp(_product(y), ast.Sub(), _product(z)))
+                (first, *y), (second, *z) = _factors(left), _factors(right)
+                if y and z and isinstance(first, ast.Name) and ast.dump(first) == ast.dump(second):
+                    return ast.BinOp(first, ast.Mult(), ast.BinOp(_product(y), ast.Sub(), _product(z)))
         return ast.BinOp(left, node.op, right)
 
 

@@ -47,90 +47,98 @@ CASES = {
 
 
 @pytest.mark.parametrize(
-    ("system", "zero", "symmetric"), [(s, *case) for s, cases in CASES.items() for case in cases]
+    ("system_name", "zero", "symmetric"), [(s, *case) for s, cases in CASES.items() for case in cases]
 )
-def test_a_kernel_that_leaves_terms_out_gives_the_same_to_roundoff(system, zero, symmetric):
-    """The folded right-hand side, as Python, against the whole one at random states; no kernel is compiled."""
-    kind = SYSTEMS[system]
-    points = random_points(kind, 20, np.random.default_rng(1), zero, symmetric)
-    special = Specialization.of_points(kind, points)
-    assert special != GENERIC
-    state, constants = kind.initial_state(points), kind.constants(points)
-    source = ast.unparse(next(n for n in ast.parse(Path(kind.equations.__file__).read_text()).body
+def test_a_kernel_that_leaves_terms_out_gives_the_same_to_roundoff(system_name, zero, symmetric):
+    """The simplified right-hand side, as Python, against the whole one at random states; no kernel is compiled."""
+    system = SYSTEMS[system_name]
+    points = random_points(system, 20, np.random.default_rng(1), zero, symmetric)
+    specialization = Specialization.of_points(system, points)
+    assert specialization != GENERIC
+    state, constants = system.initial_state(points), system.constants(points)
+    source = ast.unparse(next(n for n in ast.parse(Path(system.equations.__file__).read_text()).body
                               if isinstance(n, ast.FunctionDef) and n.name == "rhs"))  # fmt: skip
-    folded = simplify(source, special.zero, dict(special.equal))
-    assert sum(isinstance(n, ast.BinOp) for n in ast.walk(ast.parse(folded))) < sum(
+    simplified = simplify(source, specialization.zero, dict(specialization.equal))
+    assert sum(isinstance(n, ast.BinOp) for n in ast.walk(ast.parse(simplified))) < sum(
         isinstance(n, ast.BinOp) for n in ast.walk(ast.parse(source))
     )
-    space: dict = {}
-    exec(folded, space)
-    whole = np.array(kind.equations.rhs(state, constants))
-    part = np.array([np.broadcast_to(x, 20) for x in space["rhs"](state, constants)])
+    namespace: dict = {}
+    exec(simplified, namespace)
+    whole = np.array(system.equations.rhs(state, constants))
+    part = np.array([np.broadcast_to(x, 20) for x in namespace["rhs"](state, constants)])
     np.testing.assert_allclose(part, whole, rtol=1e-13, atol=1e-14)
 
 
 @pytest.mark.parametrize(
-    ("text", "folded"),
+    ("text", "simplified"),
     [
         ("N * x * y - x * z", "x * (y - z)"), ("x * y * z - x * N", "x * y * z - x"), ("x * N - N", "x - 1.0"),
         ("z * x - y * x", "z * x - y * x"), ("o * N + x * y - x * z", "x * (y - z)"), ("x - o * N", "x"),
         ("(x + z) * y - (x + z) * x", "(x + z) * y - (x + z) * x"), ("x / N * y - x / N * z", "x / 1.0 * y - x / 1.0 * z"),
     ],
 )  # fmt: skip
-def test_folding(text, folded):
+def test_folding(text, simplified):
     names = "def f(x, y, z, o, N):\n    return "
-    found = simplify(names + text, {"o"}, {}, {"N", "o"})
-    assert found == names + folded
-    spaces: list[dict] = [{}, {}]
-    for space, code in zip(spaces, (names + text, found), strict=True):
-        exec(code, space)
-    assert spaces[1]["f"](3.0, 5.0, 7.0, 0.0, 1.0) == spaces[0]["f"](3.0, 5.0, 7.0, 0.0, 1.0)
+    result = simplify(names + text, {"o"}, {}, {"N", "o"})
+    assert result == names + simplified
+    namespaces: list[dict] = [{}, {}]
+    for namespace, code in zip(namespaces, (names + text, result), strict=True):
+        exec(code, namespace)
+    assert namespaces[1]["f"](3.0, 5.0, 7.0, 0.0, 1.0) == namespaces[0]["f"](3.0, 5.0, 7.0, 0.0, 1.0)
 
 
 @pytest.mark.parametrize("h", [1e-3, 0.7, 40.0])
-@pytest.mark.parametrize("system", SYSTEMS)
-def test_the_units_of_the_kernels_change_no_motion(system, h):
+@pytest.mark.parametrize("system_name", SYSTEMS)
+def test_the_units_of_the_kernels_change_no_motion(system_name, h):
     """Slopes, integrals, frame and axis in the kernels' units are those of the caller times powers of h."""
-    kind = SYSTEMS[system]
-    equations, points = kind.equations, random_points(kind, 20, np.random.default_rng(3))
+    system = SYSTEMS[system_name]
+    equations, points = system.equations, random_points(system, 20, np.random.default_rng(3))
     if "Omega" in points:
         points["Omega"][:4] = [0.0, 1e-120, 1e-90, -0.8]
-    state, constants = kind.initial_state(points), kind.constants(points)
+    state, constants = system.initial_state(points), system.constants(points)
     inner, fixed = map(np.array, equations.scaled(state, constants, h))
     slopes = equations.scaled(np.array(equations.rhs(state, constants)), constants, h)[0]
     close = {"rtol": 1e-12, "atol": 1e-14 * h * h}
     np.testing.assert_allclose(equations.rhs(inner, fixed), h * np.array(slopes), **close)
     np.testing.assert_allclose(equations.unscaled(inner, fixed, h), state, rtol=4e-16, atol=0)
     for name, power in equations.INTEGRALS.items():
-        one, two = (sum(getattr(equations, name)(*given)) for given in ((state, constants), (inner, fixed)))
-        np.testing.assert_allclose(two, one * h**power, rtol=1e-12, atol=1e-13 * h**power, err_msg=name)
+        outer, kernel_units = (
+            sum(getattr(equations, name)(*given)) for given in ((state, constants), (inner, fixed))
+        )
+        np.testing.assert_allclose(
+            kernel_units, outer * h**power, rtol=1e-12, atol=1e-13 * h**power, err_msg=name
+        )
     motions = [np.array(equations.frame_motion(*given)) for given in ((state, constants), (inner, fixed))]
     turned = np.array(equations.frame_motion(2 * state[:, ::-1] - state, constants[:, :1]))
-    apart = [np.array(equations.frame_motion(part, constants[:, :1])) for part in (state[:, ::-1], state)]
-    np.testing.assert_allclose(turned, 2 * apart[0] - apart[1], atol=1e-14)
+    parts = [np.array(equations.frame_motion(part, constants[:, :1])) for part in (state[:, ::-1], state)]
+    np.testing.assert_allclose(turned, 2 * parts[0] - parts[1], atol=1e-14)
     motions[0][:3] *= h
     np.testing.assert_allclose(motions[1], motions[0], rtol=1e-12, atol=1e-15 * h)
     for name in equations.ONES:
         value = fixed[equations.CONSTANTS.index(name)]
         np.testing.assert_allclose(value[points["Omega"] ** 2 > 1e-150], 1.0, rtol=1e-14)
     if hasattr(equations, "axis_in_frame"):
-        one, two = (equations.axis_in_frame(*given) for given in ((state, constants), (inner, fixed)))
-        np.testing.assert_allclose(two, one, atol=1e-14)
+        outer, kernel_units = (
+            equations.axis_in_frame(*given) for given in ((state, constants), (inner, fixed))
+        )
+        np.testing.assert_allclose(kernel_units, outer, atol=1e-14)
 
 
-@pytest.mark.parametrize("system", SYSTEMS)
-def test_specialised_and_whole_kernels_agree_on_labels_and_rates(system):
-    kind = SYSTEMS[system]
-    zero, symmetric = CASES[system][4]
-    points = random_points(kind, 64, np.random.default_rng(2), zero, symmetric)
+@pytest.mark.parametrize("system_name", SYSTEMS)
+def test_specialised_and_whole_kernels_agree_on_labels_and_rates(system_name):
+    system = SYSTEMS[system_name]
+    zero, symmetric = CASES[system_name][4]
+    points = random_points(system, 64, np.random.default_rng(2), zero, symmetric)
     duration = np.full(64, 6.0)
     options = Settings(tolerance=1e-6)
-    one, two = (
-        evaluate(kind, points, points, duration, options, specialization=special)
-        for special in (GENERIC, Specialization.of_points(kind, points))
+    generic, specialized = (
+        evaluate(system, points, points, duration, options, specialization=specialization)
+        for specialization in (GENERIC, Specialization.of_points(system, points))
     )
-    np.testing.assert_array_equal(one["label"], two["label"])
-    np.testing.assert_allclose(one["normal_rate_mean"], two["normal_rate_mean"], rtol=1e-8, atol=1e-9)
+    np.testing.assert_array_equal(generic["label"], specialized["label"])
+    np.testing.assert_allclose(
+        generic["normal_rate_mean"], specialized["normal_rate_mean"], rtol=1e-8, atol=1e-9
+    )
 
 
 def test_nothing_is_left_out_that_an_axis_a_tie_or_a_solution_can_move(small_scene):
@@ -152,10 +160,10 @@ def test_nothing_is_left_out_that_an_axis_a_tie_or_a_solution_can_move(small_sce
 @settings(max_examples=12)
 @given(st.integers(0, 10**6), st.sampled_from(sorted(SYSTEMS)), st.sampled_from([1e-5, 1e-3, 0.05]),
        st.sampled_from(["rk4", "rk8"]))  # fmt: skip
-def test_label_only_runs_give_the_same_labels(seed, system, tolerance, method):
+def test_label_only_runs_give_the_same_labels(seed, system_name, tolerance, method):
     """Random points, some exactly steady, some on the vertical, several step counts and strides."""
-    kind, rng = SYSTEMS[system], np.random.default_rng(seed)
-    points = random_points(kind, 90, rng)
+    system, rng = SYSTEMS[system_name], np.random.default_rng(seed)
+    points = random_points(system, 90, rng)
     for name in points:
         if name not in ("A", "B", "C", "Omega", "theta0"):
             points[name][rng.random(90) < 0.6] *= 0.0
@@ -165,16 +173,16 @@ def test_label_only_runs_give_the_same_labels(seed, system, tolerance, method):
     )
     duration = rng.choice([3.0, 8.0, 20.0], 90)
     options = Settings(tolerance=1e-5, rate_tolerance=tolerance, method=method)
-    whole = evaluate(kind, points, points, duration, options)
-    quick = evaluate(kind, points, points, duration, options, outputs=("label",))
-    early = quick["end_time"] < duration
+    whole = evaluate(system, points, points, duration, options)
+    label_only = evaluate(system, points, points, duration, options, outputs=("label",))
+    early = label_only["end_time"] < duration
     # Guards are evaluated up to the stop: a point that fails them only later was already certain to drift.
-    later = early & (whole["status"] != Status.OK) & (quick["status"] == Status.OK)
-    assert (quick["label"][later] == Label.DRIFTING).all()
+    later = early & (whole["status"] != Status.OK) & (label_only["status"] == Status.OK)
+    assert (label_only["label"][later] == Label.DRIFTING).all()
     assert later.mean() < 0.1
     for name in ("label", "geometry", "status", "predicted", "agreement"):
-        np.testing.assert_array_equal(quick[name][~later], whole[name][~later], err_msg=name)
-    assert (quick["end_time"] <= duration * (1 + 1e-12)).all()
+        np.testing.assert_array_equal(label_only[name][~later], whole[name][~later], err_msg=name)
+    assert (label_only["end_time"] <= duration * (1 + 1e-12)).all()
     assert (whole["label"][early & ~later] == Label.DRIFTING).all()
     assert (whole["end_time"] == duration).all()
     if (whole["label"] == Label.DRIFTING).mean() > 0.5:
@@ -182,13 +190,15 @@ def test_label_only_runs_give_the_same_labels(seed, system, tolerance, method):
 
 
 def test_early_verdicts_do_not_depend_on_threads_or_neighbours():
-    kind = SYSTEMS["satellite"]
-    points = random_points(kind, 200, np.random.default_rng(4))
+    system = SYSTEMS["satellite"]
+    points = random_points(system, 200, np.random.default_rng(4))
     duration = np.full(200, 15.0)
-    whole = evaluate(kind, points, points, duration, Settings(tolerance=1e-5), outputs=("label",), threads=1)
+    whole = evaluate(
+        system, points, points, duration, Settings(tolerance=1e-5), outputs=("label",), threads=1
+    )
     order = np.random.default_rng(0).permutation(200)[:70]
     part = evaluate(
-        kind, *({k: v[order] for k, v in points.items()} for _ in range(2)), duration[order],
+        system, *({k: v[order] for k, v in points.items()} for _ in range(2)), duration[order],
         Settings(tolerance=1e-5), outputs=("label",), threads=2,
     )  # fmt: skip
     for name in ("label", "end_time", "status"):
@@ -197,8 +207,8 @@ def test_early_verdicts_do_not_depend_on_threads_or_neighbours():
 
 def test_a_scene_of_labels_only_is_a_label_only_run(small_scene):
     whole = atlas.run(load_scene(small_scene), progress=False)
-    quick = atlas.run(
+    label_only = atlas.run(
         load_scene(small_scene + '[outputs]\nvariables = ["label", "end_time"]\n'), progress=False
     )
-    np.testing.assert_array_equal(whole.label, quick.label)
-    assert float(quick.end_time.min()) < 30.0 == float(whole.end_time.min())
+    np.testing.assert_array_equal(whole.label, label_only.label)
+    assert float(label_only.end_time.min()) < 30.0 == float(whole.end_time.min())

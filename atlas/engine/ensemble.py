@@ -18,6 +18,8 @@ from .stepsize import StepSizes
 # Where runs are interrupted to leave out the points that are certain to drift, as shares of their nodes. Most drifting
 # motions are certain after a small part of the run; those that leave an unstable motion only later.
 SEGMENTS = (1 / 256, 1 / 64, 1 / 16, 1 / 4, 1 / 2, 1.0)
+# A run is not interrupted before this node: shorter segments cost more than they save.
+MIN_NODES = 8
 
 
 @dataclass(frozen=True)
@@ -199,32 +201,38 @@ class Ensemble:
         done = np.zeros_like(step_sizes.nodes)
         active = np.arange(self.size)
         for share in SEGMENTS:
-            until = np.ceil(share * step_sizes.nodes[active]).astype(np.int64)
+            until = _segment_end(share, step_sizes.nodes[active])
             selected = active[until > done[active]]
             if not selected.size:
                 continue
-            chosen = step_sizes.subset(selected)
+            chosen, last_of_selected = step_sizes.subset(selected), until[until > done[active]]
             packed = blocks.schedule_of(chosen)
             schedule = blocks.BlockSchedule(
                 selected[packed.points], packed.steps, packed.steps_per_sample, packed.samples_per_step
             )
             first_points = schedule.points[:, 0]  # all points of a block have the same history
-            last_node = np.ceil(share * packed.nodes).astype(np.int64)
+            last_node = _segment_end(share, packed.nodes)
             segment = blocks.Segment(done[first_points], last_node, resume, sums)
             blocks.integrate(
                 kernel, schedule, step_sizes.step_size, state, self.constants, self.scales, cylinder,
                 segment=segment, threads=threads, progress=progress,
             )  # fmt: skip
-            done[selected] = np.ceil(share * chosen.nodes).astype(np.int64)
-            certain = (sums[Row.THETA_DOT_SQUARED, active] > limit[active]) & (
-                sums[Row.SIN2_THETA_MAX, active] > min_sin2_theta
-            )
+            done[selected] = last_of_selected
+            certain = done[active] > 0  # sums of points that have not begun are undefined
+            certain &= sums[Row.THETA_DOT_SQUARED, active] > limit[active]
+            certain &= sums[Row.SIN2_THETA_MAX, active] > min_sin2_theta
             ended = certain | (done[active] == step_sizes.nodes[active])
             if progress is not None:
                 left_out = (step_sizes.nodes[active] - done[active]) * step_sizes.steps_per_sample[active]
                 progress(int(left_out[ended].sum()))
             active = active[~ended]
         return sums, done
+
+
+def _segment_end(share: float, nodes: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Node at which runs of so many nodes are interrupted after a share of them; 0 where that is too early."""
+    end = np.ceil(share * nodes).astype(np.int64)
+    return np.where((end >= MIN_NODES) | (end == nodes), end, 0)
 
 
 def integral_scales(

@@ -436,8 +436,12 @@ def report(results: Results, duration: float) -> None:
     for name, row in times.items():
         print(f"{name:26}" + "".join(f"{t:10.1f}" if np.isfinite(t) else f"{'-':>10}" for t in row))
     here = np.fmin.reduce([row for name, row in times.items() if name.startswith("atlas")])
-    peers = np.fmin.reduce([row for name, row in times.items() if not name.startswith("atlas")])
     print(f"{'best here':26}" + "".join(f"{t:10.1f}" for t in here))
+    others = [row for name, row in times.items() if not name.startswith("atlas")]
+    if not others:
+        print("none of the other integrators asked for is installed")
+        return
+    peers = np.fmin.reduce(others)
     print(f"{'best peer':26}" + "".join(f"{t:10.1f}" for t in peers))
     print(f"{'peer / here':26}" + "".join(f"{r:10.2f}" for r in peers / here))
 

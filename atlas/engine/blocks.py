@@ -10,7 +10,7 @@ import os
 import threading
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from types import ModuleType
 
@@ -78,9 +78,14 @@ def pack_blocks(
     return BlockSchedule(np.concatenate(points), *np.ascontiguousarray(np.concatenate(rows, axis=1)))
 
 
-def schedule_of(step_sizes: StepSizes) -> BlockSchedule:
-    """The blocks of a whole ensemble."""
-    return pack_blocks(step_sizes.steps, step_sizes.steps_per_sample, step_sizes.samples_per_step)
+def schedule_of(step_sizes: StepSizes, where: NDArray[np.int64] | None = None) -> BlockSchedule:
+    """The blocks of an ensemble, or of some of its points by their indices."""
+    if where is None:
+        return pack_blocks(step_sizes.steps, step_sizes.steps_per_sample, step_sizes.samples_per_step)
+    packed = pack_blocks(
+        step_sizes.steps[where], step_sizes.steps_per_sample[where], step_sizes.samples_per_step[where]
+    )
+    return replace(packed, points=where[packed.points])
 
 
 def available_threads() -> int:

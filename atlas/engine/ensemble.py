@@ -199,25 +199,23 @@ class Ensemble:
             limit = early_stop_rate * early_stop_rate * step_sizes.intervals * (1.0 + 1e-6)
         min_sin2_theta = cylinder * cylinder * (1.0 + 1e-9)
         done = np.zeros_like(step_sizes.nodes)
-        active = np.arange(self.size)
+        active, packed, schedule = np.arange(self.size), np.empty(0, np.int64), None
         for share in SEGMENTS:
             until = _segment_end(share, step_sizes.nodes[active])
-            selected = active[until > done[active]]
+            goes_on = until > done[active]
+            selected = active[goes_on]
             if not selected.size:
                 continue
-            chosen, last_of_selected = step_sizes.subset(selected), until[until > done[active]]
-            packed = blocks.schedule_of(chosen)
-            schedule = blocks.BlockSchedule(
-                selected[packed.points], packed.steps, packed.steps_per_sample, packed.samples_per_step
-            )
+            if schedule is None or not np.array_equal(selected, packed):
+                schedule, packed = blocks.schedule_of(step_sizes, selected), selected
             first_points = schedule.points[:, 0]  # all points of a block have the same history
-            last_node = _segment_end(share, packed.nodes)
+            last_node = _segment_end(share, schedule.nodes)
             segment = blocks.Segment(done[first_points], last_node, resume, sums)
             blocks.integrate(
                 kernel, schedule, step_sizes.step_size, state, self.constants, self.scales, cylinder,
                 segment=segment, threads=threads, progress=progress,
             )  # fmt: skip
-            done[selected] = last_of_selected
+            done[selected] = until[goes_on]
             certain = done[active] > 0  # sums of points that have not begun are undefined
             certain &= sums[Row.THETA_DOT_SQUARED, active] > limit[active]
             certain &= sums[Row.SIN2_THETA_MAX, active] > min_sin2_theta

@@ -26,7 +26,7 @@ INLINED = (
     (statistics, ("begin", "accumulate")),
 )
 # Called seldom and long: inlined they would only fill the instruction cache.
-CALLED = (
+NOT_INLINED = (
     (
         poles,
         (
@@ -90,9 +90,9 @@ def source(
     inlined = list(_generated_functions(equations, METHODS[method], zero, equal).values())
     inlined += [functions(module)[name] for module, names in INLINED for name in names]
     inlined += kernel_functions.values()
-    called = [functions(module)[name] for module, names in CALLED for name in names]
+    not_inlined = [functions(module)[name] for module, names in NOT_INLINED for name in names]
     parts = [f"{jit.INLINE}\n{text}" for text in inlined]
-    parts += [f"{jit.CALLED}\n{text}" for text in called]
+    parts += [f"{jit.CALLED}\n{text}" for text in not_inlined]
     parts.append(f"{jit.KERNEL}\n{integrate}")
     constants = _constants(equations, METHODS[method]) | {
         name: getattr(kernel, name) for name in ("MOTION", "NODES_PER_DRIFT")

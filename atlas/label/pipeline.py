@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass
+from types import ModuleType
 
 import numpy as np
 
@@ -140,6 +141,11 @@ class _Runs:
     frame_rates: Mapping[str, Array]  # label variable -> rate added to psi', rad per time unit
 
     @property
+    def kernel(self) -> ModuleType:
+        """The kernel that integrates the points."""
+        return kernel(self.system, self.settings.method, self.specialization)
+
+    @property
     def error_amplified(self) -> Mask:
         """Whether an unstable motion amplifies the method's own error beyond the rate tolerance."""
         amplified = self.step_sizes.rate_error * np.exp(self.log_growth_exact) > self.settings.rate_tolerance
@@ -200,7 +206,7 @@ def _integrate(
             stop_rate = early_stop_rate(step_sizes, runs.ensemble.frequency_bound, settings.tolerances)
             stop_rate = np.where(runs.error_amplified, np.inf, stop_rate)
     return runs.ensemble.integrate(
-        kernel(runs.system, settings.method, runs.specialization), step_sizes, settings.cylinder,
+        runs.kernel, step_sizes, settings.cylinder,
         early_stop_rate=stop_rate, threads=threads, progress=advance,
     )  # fmt: skip
 
@@ -249,7 +255,7 @@ def _recheck_at_half_step(
         fine = (
             ensemble.subset(where)
             .integrate(
-                kernel(runs.system, settings.method, runs.specialization),
+                runs.kernel,
                 step_sizes.subset(where).halved(METHODS[settings.method]),
                 settings.cylinder,
                 threads=threads,

@@ -3,7 +3,8 @@
 doi 10.22055/JACM.2021.37913.3113. Every row measures both readings on a random draw (Omega = 1, the rest
 of order 1, so that the residual of a wrong equation is of order 1 and that of a true one is round-off).
 Where brackets do not match they are read to the letter of the line; n*, m* and tau of (11)-(31) are read
-as n, m and t, because as defined they are not rates in the time they multiply.
+as n, m and t, because as defined they are not rates in the time they multiply. The rows of section 4.2 are in
+`irrational`.
 """
 
 from __future__ import annotations
@@ -16,12 +17,10 @@ import numpy as np
 from ...base import Array, PublishedEquation
 from ..equations import rhs
 from ..families import FAMILIES, steady_motion
-from ..initial import PARAMETERS, constants, directions
-from . import lagrange
+from ..initial import constants, directions
+from . import irrational, lagrange
+from .draws import Draw, Measure, Point, euler_state, random_point
 
-Point = dict[str, Array]
-Draw = Callable[[np.random.Generator], Point]
-Measure = Callable[[np.random.Generator], float]
 # alpha, beta, gamma, w' in body axes at a time that may be complex
 Form = Callable[[Point, Any], Sequence[Sequence[Any]]]
 
@@ -29,17 +28,6 @@ _EQUATION = "left side at a random state and its true accelerations"
 _IDENTITY = "left side at a random time, less that of the true equation"
 _CONDITION = "largest |rate - right-hand side| along the motion under the condition"
 _CLOSED = "largest |rate - right-hand side| of the closed form, or |beta - gamma x alpha|"
-
-
-def _random_point(rng: np.random.Generator, **given: float | str) -> Point:
-    """A random point of order 1 with given parameters; a name as value copies that parameter."""
-    point = {name: rng.uniform(0.4, 1.2, 1) * rng.choice([-1, 1], 1) for name in PARAMETERS}
-    point |= {name: rng.uniform(0.7, 1.3, 1) for name in ("A", "B", "C")}
-    point |= {"Omega": np.ones(1), "theta0": rng.uniform(0.4, 1.2, 1), "theta_dot0": np.zeros(1)}
-    point["phi0"] = np.zeros(1)
-    for name, value in given.items():
-        point[name] = point[value] if isinstance(value, str) else np.full(1, float(value))
-    return point
 
 
 def residual(point: Point) -> float:
@@ -70,22 +58,18 @@ def _form_residual(point: Point, form: Form) -> float:
     return float(max(np.abs(np.concatenate(slopes) - rates).max(), orientation))
 
 
-def _state(point: Point) -> list[Array]:
-    return [point[name] for name in ("psi0", "theta0", "phi0", "n", "theta_dot0", "m")]
-
-
 # The Lagrangian and Lagrange's equations.
 
 
 def _free(rng: np.random.Generator) -> Point:
     """A random state of any body with sin theta not small."""
     rate, angle = rng.uniform(0.4, 1.2, 1), rng.uniform(0, 2 * np.pi, 1)
-    return {**_random_point(rng), "theta_dot0": rate, "phi0": angle}
+    return {**random_point(rng), "theta_dot0": rate, "phi0": angle}
 
 
 def _lagrangian_terms(p: Point, sign: float) -> Array:
     """(4) with its two questionable signs; sign = 1 as printed, -1 as they follow from (2) and (3)."""
-    psi, theta, phi, psi_dot, theta_dot, phi_dot = _state(p)
+    psi, theta, phi, psi_dot, theta_dot, phi_dot = euler_state(p)
     s, c, sf, cf, sp, cp = np.sin(theta), np.cos(theta), np.sin(phi), np.cos(phi), np.sin(psi), np.cos(psi)
     rate = psi_dot + p["Omega"]
     w1, w2, w3 = rate * s * sf + theta_dot * cf, rate * s * cf - theta_dot * sf, phi_dot + rate * c
@@ -130,8 +114,8 @@ def _motion_row(index: int, printed: str, true: str) -> PublishedEquation:
     def residual(equations: Callable[..., Any]) -> Measure:
         def measured(rng: np.random.Generator) -> float:
             point = _free(rng)
-            accelerations = lagrange.rhs(_state(point), constants(point))[3:]
-            return float(np.abs(equations(_state(point), accelerations, constants(point))[index])[0])
+            accelerations = lagrange.rhs(euler_state(point), constants(point))[3:]
+            return float(np.abs(equations(euler_state(point), accelerations, constants(point))[index])[0])
 
         return measured
 
@@ -229,10 +213,8 @@ def _identity_row(number: str, printed: str, true: str) -> PublishedEquation:
 
     def residual(reading: str) -> Measure:
         def measured(rng: np.random.Generator) -> float:
-            point, t = _random_point(rng), rng.uniform(0.5, 5.0)
-            moved = {**point, "psi0": point["psi0"] + point["n"] * t, "phi0": point["m"] * t}
-            zero = np.zeros(1)
-            needed = lagrange.equations(_state(moved), (zero, zero, zero), constants(moved))[index]
+            point, t = random_point(rng), rng.uniform(0.5, 5.0)
+            needed = irrational.true_left_side(point, t, index)
             return float(np.abs(form(_identity_parts(point, t), reading) - needed)[0])
 
         return measured
@@ -285,12 +267,12 @@ def _rotor(point: Point, rate: Array) -> Point:
 def _upright(
     rng: np.random.Generator, theta0: float, rotor_rate: Callable[[Point], Array], **given: float | str
 ) -> Point:
-    point = _random_point(rng, B="A", theta0=theta0, h1=0, **given)
+    point = random_point(rng, B="A", theta0=theta0, h1=0, **given)
     return _rotor(point, rotor_rate(point))
 
 
 def _tilted(rng: np.random.Generator, k3: Callable[[Point], Array], **given: float | str) -> Point:
-    point = _random_point(rng, **{"n": 0, **_AXIAL, **given})
+    point = random_point(rng, **{"n": 0, **_AXIAL, **given})
     return {**point, "k3": k3(point)}
 
 
@@ -315,7 +297,7 @@ _SIXTY: dict[str, float | str] = {"theta0": np.pi / 3, "psi0": np.pi / 2, "m": -
 
 
 def _nineteen_two(rng: np.random.Generator) -> Point:
-    p = _random_point(rng, **_SIXTY)
+    p = random_point(rng, **_SIXTY)
     Omega = p["Omega"]
     p["h1"] = -np.sqrt(3) * p["h3"]
     p = {**p, "k1": 2 * p["mu1"] * p["h3"] / Omega, "k2": 2 * p["mu2"] * p["h3"] / Omega}
@@ -323,7 +305,7 @@ def _nineteen_two(rng: np.random.Generator) -> Point:
 
 
 def _twenty_seven(rng: np.random.Generator) -> Point:
-    p = _random_point(rng, theta0=np.pi, m="n")
+    p = random_point(rng, theta0=np.pi, m="n")
     sp, cp, Omega = np.sin(p["psi0"]), np.cos(p["psi0"]), p["Omega"]
     sine = np.sin(2 * p["psi0"])
     p["h1"] = -1.5 * Omega**2 * (p["A"] - p["B"]) * sine / (p["mu1"] * sp - p["mu2"] * cp)
@@ -333,13 +315,13 @@ def _twenty_seven(rng: np.random.Generator) -> Point:
 
 
 def _twenty_nine_one(rng: np.random.Generator) -> Point:
-    p = _random_point(rng, B="A", theta0=0, m="n", mu1=0, mu2=0)
+    p = random_point(rng, B="A", theta0=0, m="n", mu1=0, mu2=0)
     radial, rate = p["mu3"] * p["h1"], p["Omega"] + 2 * p["n"]
     return {**p, "k1": radial * np.cos(p["psi0"]) / rate, "k2": radial * np.sin(p["psi0"]) / rate}
 
 
 def _thirty_one(rng: np.random.Generator) -> Point:
-    p = _random_point(rng, B="A", theta0=np.pi, h1=0)
+    p = random_point(rng, B="A", theta0=np.pi, h1=0)
     p["m"] = 2 * p["n"]
     return _rotor(p, p["Omega"] - p["n"])
 
@@ -347,21 +329,21 @@ def _thirty_one(rng: np.random.Generator) -> Point:
 def _thirty_one_two(rng: np.random.Generator) -> Point:
     """Either of the two alternatives."""
     if rng.random() < 0.5:
-        return _random_point(rng, B="A", theta0=np.pi, n=1, m=2, **_FREE_MAGNET)
-    p = _random_point(rng, B="A", theta0=np.pi, mu3=0, **_AXIAL)
+        return random_point(rng, B="A", theta0=np.pi, n=1, m=2, **_FREE_MAGNET)
+    p = random_point(rng, B="A", theta0=np.pi, mu3=0, **_AXIAL)
     return {**p, "m": 2 * p["n"]}
 
 
 def _forty_four_three(side: float) -> Draw:
     def drawn(rng: np.random.Generator) -> Point:
-        p = _random_point(rng, B="A", theta0=np.pi, **_FREE_MAGNET)
+        p = random_point(rng, B="A", theta0=np.pi, **_FREE_MAGNET)
         return {**p, "m": side * (p["n"] + p["Omega"])}
 
     return drawn
 
 
 def _spherical(rng: np.random.Generator) -> Point:
-    p = _random_point(rng, B="A", C="A", h1=0, **_AXIAL)
+    p = random_point(rng, B="A", C="A", h1=0, **_AXIAL)
     return {**p, "k3": p["h3"] * p["mu3"] / (p["n"] + p["Omega"]) - p["C"] * p["m"]}
 
 
@@ -431,7 +413,7 @@ def _apex_distance(psi0: float) -> Measure:
     """Least distance of the line along e3 through the satellite from the Earth's normal, over the orbit's radius."""
 
     def measured(rng: np.random.Generator) -> float:
-        p = _random_point(rng, psi0=psi0, n=0)
+        p = random_point(rng, psi0=psi0, n=0)
         alpha, gamma = directions(p)
         across = np.array([alpha[2, 0], -np.sin(p["theta0"][0]) * np.cos(psi0)])
         along = -across[0] / (across @ across)
@@ -442,7 +424,7 @@ def _apex_distance(psi0: float) -> Measure:
 
 def _asymmetric_upright(rng: np.random.Generator) -> Point:
     """A steady motion with n not 0, A != B and theta0 = 0: (27) turned over."""
-    p = _random_point(rng, theta0=0)
+    p = random_point(rng, theta0=0)
     sp, cp, Omega = np.sin(p["psi0"]), np.cos(p["psi0"]), p["Omega"]
     p["m"] = -p["n"]
     p["h1"] = -1.5 * Omega**2 * (p["A"] - p["B"]) * np.sin(2 * p["psi0"]) / (p["mu2"] * cp + p["mu1"] * sp)
@@ -459,7 +441,7 @@ def _beyond(family: str, *solved: str, **given: float | str) -> Draw:
     """A random motion of a family that the paper does not have."""
 
     def drawn(rng: np.random.Generator) -> Point:
-        point = _random_point(rng, **{"n": 0, **given})
+        point = random_point(rng, **{"n": 0, **given})
         for name in solved:
             point[name] = FAMILIES[family].solve[name](point)
         return point
@@ -504,12 +486,12 @@ PUBLISHED: tuple[PublishedEquation, ...] = (
                   "as (10), with u2 ((n + Omega) k2 - mu2 h3) sin mt"),
     _condition_row(
         "(14)1", "cylindrical", "mu1 = mu2 = 0, k1 = k2 = 0", "and h1 mu3 = 0", "false",
-        lambda rng: _random_point(rng, B="A", theta0=0, psi0=0, n=0, **_AXIAL),
-        lambda rng: _random_point(rng, B="A", theta0=0, psi0=0, n=0, h1=0, **_AXIAL)),
+        lambda rng: random_point(rng, B="A", theta0=0, psi0=0, n=0, **_AXIAL),
+        lambda rng: random_point(rng, B="A", theta0=0, psi0=0, n=0, h1=0, **_AXIAL)),
     _condition_row(
         "(14)2", "cylindrical", "mu1 = mu2 = 0, m = -Omega", "and h1 mu3 = 0", "false",
-        lambda rng: _random_point(rng, B="A", theta0=0, psi0=0, n=0, m=-1, mu1=0, mu2=0),
-        lambda rng: _random_point(rng, B="A", theta0=0, psi0=0, n=0, m=-1, mu1=0, mu2=0, h1=0)),
+        lambda rng: random_point(rng, B="A", theta0=0, psi0=0, n=0, m=-1, mu1=0, mu2=0),
+        lambda rng: random_point(rng, B="A", theta0=0, psi0=0, n=0, m=-1, mu1=0, mu2=0, h1=0)),
     _condition_row(
         "(14)3", "cylindrical", "h1 = 0, " + _K_UPRIGHT + " at theta0 = 0 and pi",
         "at theta0 = pi: k1,2 = h3 mu1,2 / (Omega - m)", "true at theta0 = 0, false at pi",
@@ -519,7 +501,7 @@ PUBLISHED: tuple[PublishedEquation, ...] = (
               lambda rng: _upright(rng, 0, lambda p: p["m"] + p["Omega"], psi0=0, n=0),
               _turning(lambda p, t: p["m"] * t, lambda p: p["m"])),
     _form_row("(16)", "cylindrical", "alpha = (cos Omega t, sin Omega t, 0), ...", "the same", "true",
-              lambda rng: _random_point(rng, B="A", theta0=0, psi0=0, n=0, m=-1, mu1=0, mu2=0, h1=0), _form_16),
+              lambda rng: random_point(rng, B="A", theta0=0, psi0=0, n=0, m=-1, mu1=0, mu2=0, h1=0), _form_16),
     _condition_row(
         "(17)1", "perp_radius", "h1 = 0, mu1 = mu2 = k1 = k2 = 0, k3 = (Omega^2 (B - C) cos theta0 - m Omega C + mu3 h3)/Omega",
         "the same", "true", lambda rng: _tilted(rng, _k3_17, B="A", psi0=0, h1=0)),
@@ -541,7 +523,7 @@ PUBLISHED: tuple[PublishedEquation, ...] = (
               lambda rng: _upright(rng, 0, lambda p: p["m"] + p["Omega"], psi0=np.pi / 2, n=0),
               _form_21(1.0), _form_21(-1.0)),
     _condition_row("(22)", "cylindrical", "mu = 0, k1 = k2 = 0", "the same", "true",
-                   lambda rng: _random_point(rng, B="A", theta0=0, psi0=np.pi / 2, n=0, mu3=0, **_AXIAL)),
+                   lambda rng: random_point(rng, B="A", theta0=0, psi0=np.pi / 2, n=0, mu3=0, **_AXIAL)),
     _condition_row("(23)", "cylindrical", "h1 = 0, " + _K_UPRIGHT, "the same", "true",
                    lambda rng: _upright(rng, 0, lambda p: p["m"] + p["Omega"], psi0=np.pi / 2, n=0)),
     _condition_row("after (23)", "cylindrical", "k3 is arbitrary", "the same (for cylindrical motions only)", "true",
@@ -565,7 +547,7 @@ PUBLISHED: tuple[PublishedEquation, ...] = (
     _condition_row(
         "(29)1", "cylindrical", "mu1 = mu2 = 0, k1 = mu3 h1 cos psi0 / (Omega + 2n), k2 = mu3 h1 sin psi0 / (Omega + 2n)",
         "h1 mu3 = 0, (Omega + 2n) k1,2 = 0", "false", _twenty_nine_one,
-        lambda rng: _random_point(rng, B="A", theta0=0, m="n", h1=0, **_AXIAL)),
+        lambda rng: random_point(rng, B="A", theta0=0, m="n", h1=0, **_AXIAL)),
     _condition_row("(29)2", "cylindrical", "h1 = 0, k1,2 = mu1,2 h3 / (Omega + 2n)", "the same", "true",
                    lambda rng: _upright(rng, 0, lambda p: p["Omega"] + 2 * p["n"], m="n")),
     _form_row("(30)", "cylindrical", "alpha = (cos(2nt + psi0), -sin(2nt + psi0), 0), ...", "the same", "true",
@@ -578,13 +560,14 @@ PUBLISHED: tuple[PublishedEquation, ...] = (
               "inertial rate n - Omega about e3", "false", _thirty_one, _form_31b(1.0), _form_31b(-1.0)),
     _condition_row("after (31)", "spherical", "theta0 != 0, pi: spherical symmetry (is enough)",
                    "A = B = C, k1 = k2 = 0, h1 mu = 0, h3 mu1 = h3 mu2 = 0, (n + Omega)(C m + k3) = h3 mu3", "incomplete",
-                   lambda rng: _random_point(rng, B="A", C="A", **_AXIAL), _spherical),
+                   lambda rng: random_point(rng, B="A", C="A", **_AXIAL), _spherical),
+    *irrational.ROWS,
     _condition_row("(44)1", "cylindrical", "h1 = 0, mu1,2 = (Omega + m + n) k1,2 / h3; the same at theta0 = pi",
                    "at theta0 = pi: mu1,2 = (Omega + n - m) k1,2 / h3", "true at theta0 = 0, false at pi",
                    lambda rng: _upright(rng, np.pi, lambda p: p["Omega"] + p["m"] + p["n"]),
                    lambda rng: _upright(rng, np.pi, lambda p: p["Omega"] + p["n"] - p["m"])),
     _condition_row("(44)2", "cylindrical", "mu = 0, k1 = k2 = 0", "the same", "true",
-                   lambda rng: _random_point(rng, B="A", theta0=0, mu3=0, **_AXIAL)),
+                   lambda rng: random_point(rng, B="A", theta0=0, mu3=0, **_AXIAL)),
     _condition_row("(44)3", "cylindrical", "mu = 0, n + Omega + m = 0; the same at theta0 = pi",
                    "at theta0 = pi: n + Omega - m = 0", "true at theta0 = 0, false at pi",
                    _forty_four_three(-1.0), _forty_four_three(1.0)),

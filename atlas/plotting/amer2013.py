@@ -139,10 +139,7 @@ def _generating(spin: FastSpin, p0: Array, tau: Array) -> Array:
 
 def _printed_first_order(spin: FastSpin, tau: Array) -> Array:
     """(33) as printed in the variables (10) as printed; the derivatives by central differences."""
-    chi, chi1, nu, *_ = published.coefficients(spin)
-    p1, _, _, g1, _, _ = published.first_order(spin, tau)
-    gamma2 = (g1 - spin.eps * nu * (p1 - spin.eps * chi)) / (1 - spin.eps**2 * nu * chi1)
-    p2 = p1 - spin.eps * chi - spin.eps * chi1 * gamma2
+    p2, gamma2 = published.to_quasilinear(spin, published.first_order(spin, tau))
     step = tau[:, 0]
     return np.array([p2, np.gradient(p2, step, axis=0), gamma2, np.gradient(gamma2, step, axis=0)])
 
@@ -279,10 +276,7 @@ def _six(value: float) -> str:
 
 
 def amplitudes_and_claims() -> tuple[list[tuple[str, ...]], list[str]]:
-    """`amplitude_table` of the paper's bodies, and the text of each of the paper's claims with what holds."""
+    """`amplitude_table` of the paper's bodies, and the text of each of the paper's claims after its verdict."""
     rows = claims.figure_table()
-    texts = [
-        f"{'holds' if claim.holds else 'does not hold'}: {claim.text}\n  {claim.measured}"
-        for claim in claims.claims(rows)
-    ]
+    texts = [f"{claim.verdict}: {claim.text}\n  {claim.measured}" for claim in claims.claims(rows)]
     return amplitude_table(rows), texts

@@ -62,10 +62,10 @@ def amplitudes(system: System) -> str:
 
 
 def claim_table(system: System) -> str:
-    """Table of the claims of Amer et al. (2013), section VI."""
-    rows = [("claim", "holds", "measured")]
+    """Table of the claims of Amer et al. (2013)."""
+    rows = [("claim", "verdict", "measured")]
     for claim in claims.claims(claims.figure_table()):
-        rows.append((claim.text, "yes" if claim.holds else "**no**", claim.measured))
+        rows.append((claim.text, claim.verdict if claim.holds else f"**{claim.verdict}**", claim.measured))
     return table(rows)
 
 

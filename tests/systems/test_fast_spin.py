@@ -287,9 +287,78 @@ def test_figure_table_agrees_with_the_full_equations():
     )
     resting = [row for row in rows if not row.rotor]
     assert all(row.amplitude == 0 and row.gamma2_change < 1e-10 for row in resting)
-    verdicts = [claim.holds for claim in claims.claims(rows)]
-    assert verdicts == [True, False, True, True, False]
-    assert "1066.43, 5307.59" in claims.claims(rows)[0].measured
+
+
+def test_the_claims_of_the_paper_have_their_verdicts():
+    rows = claims.figure_table((0.0, 10.0, 50.0))
+    judged = claims.claims(rows)
+    assert [claim.verdict for claim in judged] == [
+        "holds",
+        "does not hold",
+        "holds",
+        "holds to lowest order only",
+        "does not hold",
+        "holds for gamma2 only",
+        "does not hold",
+        "does not hold",
+        "holds to lowest order, but not for the period",
+    ]
+    assert [claim.holds for claim in judged] == [c.verdict == "holds" for c in judged]
+    assert "1066.43, 5307.59" in judged[0].measured
+    assert "the opposite sign" in judged[2].measured
+    assert "0.00368" in judged[3].measured
+    assert "(33) drops p2 as well" in judged[4].measured
+    assert "|p2| < 1e-10" in judged[4].measured
+
+
+@pytest.mark.parametrize("body", fast_spin.PAPER_BODIES)
+def test_the_true_number_of_waves_shifts_against_the_printed_one(body):
+    """The rate of p2 about its centre, by the phase of the full motion."""
+    tau = np.linspace(0, 4 * np.pi, 2001)
+    waves, printed = [], []
+    for rotor in (10.0, 50.0):
+        spin = fast_spin.paper_body(body, rotor)
+        y = fast_spin.integrate(spin, fast_spin.paper_start(spin), tau)
+        phase = np.unwrap(np.angle(y[0] + 1j * y[1] - spin.forced))
+        waves.append(abs(phase[-1] - phase[0]) / (2 * np.pi))
+        printed.append(2 * np.sqrt(published.frequency_squared(spin)))
+    assert (waves[1] - waves[0]) * (printed[1] - printed[0]) < 0
+    assert (waves[1] - waves[0]) == pytest.approx(-float(printed[1] - printed[0]), rel=0.05)
+
+
+@pytest.mark.parametrize("body", fast_spin.PAPER_BODIES)
+def test_gamma2_deviates_in_proportion_to_the_rotor(body):
+    changes = [row.gamma2_change for row in claims.figure_table((10.0, 20.0, 50.0)) if row.body == body]
+    np.testing.assert_allclose(np.array(changes) / changes[0], [1, 2, 5], rtol=0.02)
+
+
+def test_the_upright_body_of_the_phase_plane_claim_is_unstable():
+    """Growth of a small tilt in the full equations, at the r0 of the claim."""
+    text = claims.claims(claims.figure_table((0.0, 10.0)))[6].measured
+    r0 = float(text.split("r0 = ")[1].split()[0])
+    growth = float(text.split("growth rate ")[1].split()[0])
+    d = fast_spin.PAPER_DATA
+    weight = -d["M"] * d["lambda"] / d["R"] ** 2 * d["z0"]
+    spin = fast_spin.FastSpin(
+        22.49, 35.6, weight, 3 * d["lambda"] / d["R"] ** 3, 0.0, 0.0, 0.0, r0, d["gamma0"]
+    )
+    tau = np.linspace(0, 12, 61)
+    y = fast_spin.integrate(spin, np.array([1e-10, 0, 1, 1e-10, 0, 1 / d["gamma0"]]), tau)
+    rate = np.polyfit(tau[30:], np.log(np.hypot(y[3], y[4]))[30:], 1)[0]
+    assert rate == pytest.approx(growth, rel=0.02)
+    spun = fast_spin.FastSpin(22.49, 35.6, weight, spin.N, 0.0, 0.0, 0.0, 3 * r0, d["gamma0"])
+    y = fast_spin.integrate(spun, np.array([1e-10, 0, 1, 1e-10, 0, 1 / d["gamma0"]]), tau)
+    assert np.hypot(y[3], y[4]).max() < 1e-8
+
+
+def test_the_true_solution_has_no_singular_frequency():
+    """The error at rational frequencies is of second order, with one constant."""
+    for Omega in (1 / 3, 0.5, 1.0, 2.0, 3.0):
+        ratios = []
+        for r0 in (1000.0, 10000.0):
+            spin = fast_spin.FastSpin(1.0, 1.5, 1.0, 1.0, 0.5, 0.5, r0 * (Omega - 0.5), r0, 0.5)
+            ratios.append(error_of(fast_spin.first_order)(spin).max() / spin.eps**2)
+        assert ratios[1] == pytest.approx(ratios[0], rel=0.05)
 
 
 def test_paper_start_is_the_start_18():

@@ -8,17 +8,16 @@ what depends on it need A1 != 0.
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
 
 from ....errors import BadInput
 from ...base import Array, PublishedEquation
-from .. import equations, initial
-from . import fast_spin
+from . import fast_spin, reduction
+from .draws import Measure, paper_spin, random_spin, true_acceleration, true_rate
 from .fast_spin import FastSpin
-
-Measure = Callable[[np.random.Generator], float]
 
 
 def k(spin: FastSpin) -> Array:
@@ -126,6 +125,13 @@ def first_order(spin: FastSpin, tau: Array) -> Array:
     return np.array(np.broadcast_arrays(p, q, r, M3 * cosine, g2, g3))
 
 
+def to_quasilinear(spin: FastSpin, y: Array) -> Array:
+    """(p2, gamma2) of y, by (10); shape (2, ...)."""
+    chi, chi1, nu, *_ = coefficients(spin)
+    gamma2 = (y[3] - spin.eps * nu * (y[0] - spin.eps * chi)) / (1 - spin.eps**2 * nu * chi1)
+    return np.array([y[0] - spin.eps * chi - spin.eps * chi1 * gamma2, gamma2])
+
+
 def period_correction(spin: FastSpin, turns: int = 1) -> Array:
     """alpha(eps) of (33) with beta3 = 0, its value to the lowest order."""
     A, a, A1 = spin.A, spin.a, spin.A1
@@ -190,40 +196,22 @@ def angles(spin: FastSpin, t: Array, h: float = 0.0, psi0: float = 0.0) -> Array
 # What the two readings of a formula are worth: both held against the equations of motion.
 
 
-def _spin(rng: np.random.Generator, **given: float) -> FastSpin:
-    """A random body with strong fields and a moderate spin."""
-    values = {
-        "A": 1.0, "C": rng.uniform(1.2, 1.8), "weight": rng.uniform(1, 2), "N": rng.uniform(2, 4),
-        "l1": rng.uniform(0.5, 1), "l2": rng.uniform(0.5, 1), "l3": rng.uniform(0.5, 1),
-        "r0": rng.uniform(4, 8), "gamma0": rng.uniform(0.3, 0.7),
-    }  # fmt: skip
-    return FastSpin(*(np.asarray(value) for value in (values | given).values()))
-
-
-def _true_rate(spin: FastSpin, y: Array) -> Array:
-    """dy/dtau from the equations of motion themselves."""
-    points = {name: np.full(1, parameter.default) for name, parameter in initial.PARAMETERS.items()}
-    given = {
-        "A": spin.A, "B": spin.A, "C": spin.C, "Mg": np.abs(spin.weight), "z0": spin.z, "N": spin.N,
-        "l1": spin.l1, "l2": spin.l2, "l3": spin.l3,
-    }  # fmt: skip
-    points |= {name: np.full(1, float(value)) for name, value in given.items()}
-    state = fast_spin.dimensional(spin, y)
-    rate = equations.rhs(state, initial.constants(points)[:, 0])
-    return fast_spin.dimensionless(spin, np.array(rate)) / spin.r0
-
-
 def _of_motion(index: int, right_side: Callable[[FastSpin, Array], Array]) -> Measure:
     def measured(rng: np.random.Generator) -> float:
-        spin, y = _spin(rng), rng.normal(size=6)
-        return float(np.abs(right_side(spin, y) - _true_rate(spin, y))[index])
+        spin, y = random_spin(rng), rng.normal(size=6)
+        return float(np.abs(right_side(spin, y) - true_rate(spin, y))[index])
 
     return measured
 
 
+def _without_forcing(spin: FastSpin, x: Array) -> Array:
+    """(19), with the true frequency."""
+    return np.array([x[1], -(spin.Omega**2) * x[0], x[3], -x[2]])
+
+
 def _constancy(constants: Callable[[FastSpin, Array], Array]) -> Measure:
     def measured(rng: np.random.Generator) -> float:
-        spin = _spin(rng)
+        spin = random_spin(rng)
         begin = fast_spin.first_order(spin, np.array(0.0))
         y = fast_spin.integrate(spin, begin, np.linspace(0, 2 * np.pi, 41))
         return float(np.ptp(constants(spin, y)[0]))
@@ -233,9 +221,9 @@ def _constancy(constants: Callable[[FastSpin, Array], Array]) -> Measure:
 
 def _turning_square(squared: Callable[[FastSpin], Array]) -> Measure:
     def measured(rng: np.random.Generator) -> float:
-        spin = _spin(rng)
+        spin = random_spin(rng)
         one, none = np.array([1.0, 0, 1, 0, 0, 1]), np.array([0.0, 0, 1, 0, 0, 1])
-        turn = (_true_rate(spin, one) - _true_rate(spin, none))[1]
+        turn = (true_rate(spin, one) - true_rate(spin, none))[1]
         return float(np.abs(squared(spin) - turn**2))
 
     return measured
@@ -243,8 +231,8 @@ def _turning_square(squared: Callable[[FastSpin], Array]) -> Measure:
 
 def _direction_cosine(sign: float) -> Measure:
     def measured(rng: np.random.Generator) -> float:
-        spin, y = _spin(rng), rng.normal(size=6)
-        return float(np.abs((_true_rate(spin, y)[3] + sign * spin.eps * y[1] * y[5]) / y[2] - y[4]))
+        spin, y = random_spin(rng), rng.normal(size=6)
+        return float(np.abs((true_rate(spin, y)[3] + sign * spin.eps * y[1] * y[5]) / y[2] - y[4]))
 
     return measured
 
@@ -253,43 +241,40 @@ def _coupling(of: Callable[[FastSpin], tuple[Array, Array]]) -> Measure:
     """w = eps chi1 G has to turn with G, at -1, and G = eps nu w with w, at Omega."""
 
     def measured(rng: np.random.Generator) -> float:
-        spin = _spin(rng, l1=0.0, l2=0.0)
+        spin = random_spin(rng, l1=0.0, l2=0.0)
         chi1, nu = of(spin)
-        forced = _true_rate(spin, np.array([spin.eps * chi1, 0, 1, 1, 0, 1]))[1] / spin.eps
-        carried = _true_rate(spin, np.array([1, 0, 1, spin.eps * nu, 0, 1]))[4] / spin.eps
+        forced = true_rate(spin, np.array([spin.eps * chi1, 0, 1, 1, 0, 1]))[1] / spin.eps
+        carried = true_rate(spin, np.array([1, 0, 1, spin.eps * nu, 0, 1]))[4] / spin.eps
         return float(np.abs(forced + chi1) + np.abs(carried - spin.Omega * nu))
 
     return measured
 
 
-def _reduced(right_side: Callable[[FastSpin, Array], Array]) -> Measure:
-    """gamma2'' of the full motion less the reduced equation, over the term that it is about."""
+def _reduced(index: int, right_side: Callable[[FastSpin, Array], Array]) -> Measure:
+    """p2'' (index 1) or gamma2'' (3) of the full motion less the reduced equation, over the forced term."""
 
     def measured(rng: np.random.Generator) -> float:
-        spin = _spin(rng, r0=1e5)
+        spin = random_spin(rng, r0=1e5)
         y = fast_spin.first_order(spin, rng.uniform(0, 6, 1))[:, 0]
-        # tau-derivative along the true rate; the transformation is linear but for terms of order eps
-        h = 1e-5
-        ends = (fast_spin.to_quasilinear(spin, y + side * h * _true_rate(spin, y)) for side in (1, -1))
-        slope = np.subtract(*ends)[3] / (2 * h)
-        term = spin.eps * spin.nu * spin.mu.real
-        return float(np.abs((right_side(spin, fast_spin.to_quasilinear(spin, y))[3] - slope) / term))
+        x, acceleration = fast_spin.to_quasilinear(spin, y), true_acceleration(spin, y)
+        gamma2 = acceleration[3] - spin.eps * spin.nu * acceleration[0]
+        gamma2 = gamma2 / (1 - spin.eps**2 * spin.nu * spin.chi1)
+        exact = acceleration[0] - spin.eps * spin.chi1 * gamma2 if index == 1 else gamma2
+        term = (spin.Omega if index == 1 else spin.eps * spin.nu) * spin.mu.real
+        return float(np.abs((right_side(spin, x)[index] - exact) / term))
 
     return measured
-
-
-def _paper_spin(rng: np.random.Generator) -> FastSpin:
-    return fast_spin.paper_body(str(rng.choice(list(fast_spin.PAPER_BODIES))), rng.uniform(10, 50))
 
 
 def _of_solution(index: int, solution: Callable[[FastSpin, Array], Array]) -> Measure:
     """Error of the solution over 2 pi, over the size of the forced part of its first-order term."""
 
     def measured(rng: np.random.Generator) -> float:
-        spin = _paper_spin(rng)
+        spin = paper_spin(rng)
         tau = np.linspace(0, 2 * np.pi, 41)
         y = fast_spin.integrate(spin, solution(spin, np.array(0.0)), tau)
-        size = np.abs(spin.forced) * (spin.eps if index > 2 else 1.0)
+        forced = np.abs(spin.forced)
+        size = (forced, forced, spin.eps**2 * spin.a * forced**2, *3 * (spin.eps * forced,))[index]
         return float(np.abs(solution(spin, tau) - y)[index].max() / size)
 
     return measured
@@ -301,7 +286,7 @@ def _of_angle(index: int, formula: Callable[[FastSpin, Array], Array]) -> Measur
     def measured(rng: np.random.Generator) -> float:
         from scipy.integrate import cumulative_simpson  # slow to import, and scenes do not need it
 
-        spin = _paper_spin(rng)
+        spin = paper_spin(rng)
         tau = np.linspace(0, 4 * np.pi, 401)
         begin = fast_spin.first_order(spin, np.array(0.0))
         p, q, _, g1, g2, g3 = fast_spin.dimensional(spin, fast_spin.integrate(spin, begin, tau))
@@ -309,6 +294,82 @@ def _of_angle(index: int, formula: Callable[[FastSpin, Array], Array]) -> Measur
         psi = cumulative_simpson((p * g1 + q * g2) / (1 - g3**2), x=t, initial=0)
         exact = np.arccos(g3) if index == 0 else psi
         return float(np.abs(formula(spin, t)[index] - exact).max() / (spin.eps * np.abs(spin.forced)))
+
+    return measured
+
+
+def _constant_10(chi: Callable[[FastSpin], Array]) -> Measure:
+    """chi less what A1 (q1 l1 - p1 l2) q1 / (C r0) of (7) leaves on the forced motion w = mu / Omega."""
+
+    def measured(rng: np.random.Generator) -> float:
+        spin = random_spin(rng, r0=50.0)
+        y = np.array([spin.forced.real, spin.forced.imag, 1, 0, 0, 1])
+        left = spin.A1 * y[1] * true_rate(spin, y)[2] / (spin.eps * spin.Omega**2)
+        return float(np.abs(chi(spin) - left))
+
+    return measured
+
+
+def _in_other_units(term: Callable[[FastSpin], Array]) -> Measure:
+    """Relative change of a dimensionless number when the unit of mass is halved."""
+
+    def measured(rng: np.random.Generator) -> float:
+        spin = random_spin(rng)
+        doubled = {name: 2 * getattr(spin, name) for name in ("A", "C", "weight", "l1", "l2", "l3")}
+        return float(np.abs(term(replace(spin, **doubled)) / term(spin) - 1))
+
+    return measured
+
+
+def _start_18(index: int) -> Measure:
+    """gamma2 (0) or its rate (1) at tau = 0 on (20), which is to vanish."""
+
+    def measured(rng: np.random.Generator) -> float:
+        x = reduction.generating(random_spin(rng), 1.0, 0.0, np.asarray(0.0))
+        return float(np.abs(x[2 + index]))
+
+    return measured
+
+
+def _kernel_24(frequency: Callable[[FastSpin], Array]) -> Measure:
+    """h'' + h - 1 at a random time, for h the integral (24) of Phi = 1 with the kernel sin(frequency (tau - t1))."""
+
+    def measured(rng: np.random.Generator) -> float:
+        w, tau = frequency(random_spin(rng, r0=50.0)), rng.uniform(0.5, 5.0)
+        return float(np.abs(w * np.cos(w * tau) + (1 - np.cos(w * tau)) / w - 1))
+
+    return measured
+
+
+def W1(spin: FastSpin) -> Array:
+    """W1 of (32)."""
+    squared, X = frequency_squared(spin), coefficients(spin).X
+    rotor = spin.A1 * spin.l3 / (spin.r0 * spin.A)
+    return 0.5 * spin.a * (squared * X**2 - 1) * (squared - rotor) - (1 + spin.a) * (squared * X) ** 2
+
+
+def _sign_32(sign: int) -> Measure:
+    """By how much W1 has the wrong sign."""
+    return lambda rng: float(np.maximum(0, -sign * W1(paper_spin(rng))))
+
+
+def measured_period_correction(spin: FastSpin, turns: int = 4) -> float:
+    """alpha for one turn, from the mean rate of the phase of g1 + i g1' over whole turns of the full equations."""
+    tau = np.linspace(0, 2 * np.pi * turns, 40 * turns + 1)
+    y = fast_spin.integrate(spin, fast_spin.first_order(spin, np.array(0.0)), tau)
+    rate = fast_spin.rhs(spin, y)
+    speed = -((rate[3] + 1j * rate[4]) / (y[3] + 1j * y[4])).imag
+    window = np.sin(np.pi * tau / tau[-1]) ** 2  # removes the oscillations with the period of a turn
+    return float(-2 * np.pi * ((speed - 1) * window).sum() / window.sum())
+
+
+def _period_33(correction: Callable[[FastSpin], Array]) -> Measure:
+    """Relative error of alpha."""
+
+    def measured(rng: np.random.Generator) -> float:
+        spin = random_spin(rng, r0=1e3)
+        exact = measured_period_correction(spin)
+        return float(np.abs(correction(spin) / exact - 1))
 
     return measured
 
@@ -330,12 +391,15 @@ PUBLISHED: tuple[PublishedEquation, ...] = (
         "(4)", "", "k = N / c^2", "k = N gamma0'' / c^2", "misprint", _MOTION,
         _of_motion(0, rhs), _of_motion(0, fast_spin.rhs), "invisible with the paper's data (k = 1e-4)",
     ),
+    reduction.SIX,
     PublishedEquation(
         "(7), (15)", "", "omega'^2 = A1^2 - 2 A1 l3 / (A r0)", "Omega^2 = (A1 + l3 / (A r0))^2", "false",
         "less the square of the rate at which p1 + i q1 turns by the equations of motion",
         _turning_square(frequency_squared), _turning_square(lambda spin: spin.Omega**2),
         "wrong sign: frequencies shift the wrong way with l3, and omega' may become imaginary",
     ),
+    reduction.SEVEN,
+    reduction.EIGHT,
     PublishedEquation(
         "(9)", "", "g1' = (g1-dot - eps q1 g1'') / r1", "g1' = (g1-dot + eps q1 g1'') / r1", "misprint",
         "right side at a random state, less g1'", _direction_cosine(-1), _direction_cosine(1),
@@ -349,27 +413,47 @@ PUBLISHED: tuple[PublishedEquation, ...] = (
     ),
     PublishedEquation(
         "(10), chi", "", "y2^2 l1 / (C r0 A1 A^2 omega'^2)", "0", "false",
-        effect="q1 l1 - p1 l2 vanishes on the forced solution",
+        "less what A1 (q1 l1 - p1 l2) q1 / (C r0) of (7) leaves on the forced motion p1 + i q1 = mu / Omega",
+        _constant_10(lambda spin: coefficients(spin).chi), _constant_10(lambda spin: np.zeros(())),
+        "q1 l1 - p1 l2 vanishes on the forced solution",
     ),
-    PublishedEquation(
-        "(11), (16), (27)-(33)", "", "A^-1 y2", "C A^-1 y2", "misprint", effect="dimensionally inconsistent as printed",
-    ),
+    reduction.ELEVEN,
+    *reduction.THIRTEEN,
+    reduction.FOURTEEN,
     PublishedEquation(
         "(15), second equation", "", "l1 / (A r0)", "l1 / (C r0 + l3)", "false",
         "error of gamma2'' at r0 = 1e5, over the forced term; the true one falls with eps",
-        _reduced(lambda spin, x: quasilinear(spin, x, x)), _reduced(fast_spin.quasilinear),
+        _reduced(3, lambda spin, x: quasilinear(spin, x, x)), _reduced(3, fast_spin.quasilinear),
         "Phi1 lacks a term of the same order",
     ),
     PublishedEquation(
-        "(18)", "", "gamma2(0, eps) = 0", "gamma2-dot(0, eps) = 0", "misprint", effect="(22) has the right condition",
+        "(16), (27)-(33)", "", "A^-1 y2", "C A^-1 y2", "misprint",
+        "relative change of (y2 X / A)^2 of (33) when the unit of mass is halved",
+        _in_other_units(lambda spin: (spin.y[1] * coefficients(spin).X / spin.A) ** 2),
+        _in_other_units(lambda spin: (spin.C * spin.y[1] * coefficients(spin).X / spin.A) ** 2),
+        "dimensionally inconsistent as printed; (11) and (13) have C",
+    ),
+    reduction.SEVENTEEN,
+    PublishedEquation(
+        "(18)", "", "gamma2(0, eps) = 0", "gamma2-dot(0, eps) = 0", "misprint",
+        "value at tau = 0 of what is to vanish, on (20)", _start_18(0), _start_18(1), "(22) has the right condition",
     ),
     PublishedEquation(
         "(19), (20), (25)", "", "p2'' + omega'^2 p2 = 0", "p2'' + Omega^2 p2 = Omega mu1", "false",
-        effect="fatal: the forced part mu1/Omega of p1, not small, is lost",
+        "error of p2'' at r0 = 1e5, over the forcing Omega mu1",
+        _reduced(1, _without_forcing), _reduced(1, fast_spin.quasilinear),
+        "fatal: the forced part mu1/Omega of p1, not small, is lost",
     ),
-    PublishedEquation("(24), h_k", "", "sin omega'(tau - t1)", "sin(tau - t1)", "misprint", effect="gamma2 has frequency 1"),
     PublishedEquation(
-        "(32)", "", "W1 > 0", "W1 < 0", "false", effect="sign-definite all the same: the argument survives",
+        "(24), h_k", "", "sin omega'(tau - t1)", "sin(tau - t1)", "misprint",
+        "h'' + h - 1 at a random time, for the integral h of Phi = 1",
+        _kernel_24(lambda spin: np.sqrt(frequency_squared(spin))), _kernel_24(lambda spin: np.ones(())),
+        "gamma2 has frequency 1",
+    ),
+    *reduction.GENERATING,
+    PublishedEquation(
+        "(32)", "", "W1 > 0", "W1 < 0", "false", "by how much W1 has the other sign, with the paper's data",
+        _sign_32(1), _sign_32(-1), "sign-definite all the same: the argument survives",
     ),
     PublishedEquation(
         "(33), p1", "", "eps [chi + chi1 M3 cos tau]", "mu1/Omega + eps chi1 M3 cos tau", "false", _SOLUTION,
@@ -382,13 +466,31 @@ PUBLISHED: tuple[PublishedEquation, ...] = (
         "X is 1/Omega to first order in l3 only",
     ),
     PublishedEquation(
+        "(33), r1", "", "1 - eps^2 k M3 a l3 sin tau / (A A1 r0)",
+        "1 + eps^3 (a M3 G0 / (1 + Omega)) [mu1 (1 - cos tau) + mu2 sin tau]", "false",
+        "error against the full equations with the paper's data, over eps^2 a |mu / Omega|^2",
+        _of_solution(2, first_order), _of_solution(2, fast_spin.first_order),
+        "the lost forced part swings r1 by eps^2; where it is kept, r1 is 1 to order eps^3",
+    ),
+    PublishedEquation(
+        "(33), g1", "", "M3 cos tau + ..", "M3 cos tau + eps (mu1/Omega) (1 - cos tau)", "false", _SOLUTION,
+        _of_solution(3, first_order), _of_solution(3, fast_spin.first_order),
+        "the term of first order, eps nu p2 of (10), is lost with p2",
+    ),
+    PublishedEquation(
+        "(33), g1'", "", "-M3 sin tau + l2 / (A A1 r0) + ..", "-M3 sin tau + eps [(mu1/Omega) sin tau + mu2/Omega]", "false",
+        _SOLUTION, _of_solution(4, first_order), _of_solution(4, fast_spin.first_order),
+        "the term in mu1 is lost with p2",
+    ),
+    PublishedEquation(
         "(33), g1''", "", "y1 (1 - cos tau) + y2 sin tau - ..", "[mu1 (1 - cos tau) + mu2 sin tau] / Omega", "false",
         _SOLUTION, _of_solution(5, first_order), _of_solution(5, fast_spin.first_order),
         "wrong by a factor of order C / (C - A)",
     ),
     PublishedEquation(
         "(33), alpha", "", "-eps pi n [ .. ]", "-2 pi n eps^2 [G0/(1 + Omega) + |mu|^2 / (2 Omega^2)]", "false",
-        effect="too large by 1/eps; the bracket is wrong where l1 or l2 != 0",
+        "relative error against the period of the full equations, r0 = 1e3",
+        _period_33(period_correction), _period_33(fast_spin.period_correction), "too large by 1/eps; the bracket is wrong where l1 or l2 != 0",
     ),
     PublishedEquation(
         "theta after (34)", "", "y1, y2", "mu1/Omega, mu2/Omega", "false", _SOLUTION,

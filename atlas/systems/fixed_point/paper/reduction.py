@@ -1,0 +1,402 @@
+"""(6)-(8), (11), (13), (14), (17), (26) and (27) of Amer, Abo Essa, Ibrahim & Amer, as printed and as true, with residuals.
+
+These are the steps from the equations of motion to the solution (33). Each row changes its own equation alone: k,
+the frequency and chi, chi1, nu, X are the true ones (X = 1 / Omega, chi = 0) in both readings. S1 and S2 are those of
+(2), or of (3) with its own misprint corrected. Residuals are in units of the difference of the two readings; where an
+equation is an expansion in eps, the true one is of order eps. Terms with l2 / (A r0), which is of order eps, in S12,
+S22 and Phi1 are of higher order and left out.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+
+from ...base import Array, PublishedEquation
+from . import fast_spin
+from .draws import Measure, random_spin, true_acceleration
+from .fast_spin import FastSpin
+
+# errors of the printed and of the true reading at the same random parameters
+Pair = Callable[[np.random.Generator], tuple[Array, Array]]
+
+
+# (3), corrected, and states that satisfy (2) with it.
+
+
+def S1_S2(spin: FastSpin, y0: Array, y: Array) -> tuple[Array, Array]:
+    """S1 and S2 of (3), corrected, of a state y that left the start y0."""
+    (p0, q0, _, g10, g20, _), (p, q, _, g1, g2, g3) = y0, y
+    a, k = spin.a, spin.k
+    y1, y2, y3 = spin.y
+    transverse = g10**2 - g1**2 + g20**2 - g2**2
+    S1 = a * (p0**2 - p**2 + q0**2 - q**2) + k * (a * transverse + 1 - g3**2) - 2 * spin.z * (1 - g3)
+    S2 = a * (p0 * g10 - p * g1 + q0 * g20 - q * g2) + y1 * (g10 - g1) + y2 * (g20 - g2) + y3 * (1 - g3)
+    return S1, S2
+
+
+def random_states(rng: np.random.Generator, spin: FastSpin) -> tuple[Array, Array]:
+    """A random start with r1 = g1'' = 1, and a random state with the same energy and area, (2) with (3)."""
+    y0, y = rng.normal(size=(2, 6))
+    y0[[2, 5]] = y[[2, 5]] = 1.0
+    for _ in range(60):  # a contraction by a factor of order eps
+        S1, S2 = S1_S2(spin, y0, y)
+        y[2] = np.sqrt(1 + spin.eps**2 * S1)
+        y[5] = (1 + spin.eps * S2) / y[2]
+    return y0, y
+
+
+# (13): S1 = S11 + 2 eps S12 and S2 = S21 + eps S22 in p2, gamma2 and their rates.
+
+
+class Differences(NamedTuple):
+    """Values at the start less those at x = (p2, p2', gamma2, gamma2'), which (13) is written in."""
+
+    p: Array
+    pp: Array
+    v: Array  # p2'
+    vv: Array
+    g: Array
+    gg: Array
+    u: Array  # gamma2'
+    uu: Array
+    pg: Array
+    vu: Array
+
+
+def differences(x0: Array, x: Array) -> Differences:
+    """The differences between two states of the quasilinear system."""
+
+    def values(state: Array) -> Array:
+        p, v, g, u = state
+        return np.array([p, p * p, v, v * v, g, g * g, u, u * u, p * g, v * u])
+
+    return Differences(*(values(x0) - values(x)))
+
+
+class Coefficients(NamedTuple):
+    """X, chi2, nu2 of (11) and l2 / (A r0), in their true forms."""
+
+    X: Array
+    chi2: Array
+    nu2: Array
+    s2: Array
+
+
+def coefficients(spin: FastSpin) -> Coefficients:
+    """X = 1 / Omega, chi2 = chi1 + z0'/a - k A1, nu2 = nu - X."""
+    X = 1 / spin.Omega
+    return Coefficients(X, spin.chi1 + spin.G0, spin.nu - X, spin.l2 / (spin.A * spin.r0))
+
+
+def S11(spin: FastSpin, x0: Array, x: Array) -> Array:
+    """S11 of (13), true as printed."""
+    d, (X, _, _, s2) = differences(x0, x), coefficients(spin)
+    field = spin.k * (d.gg + d.uu + 2 * X * s2 * d.u)
+    return spin.a * (d.pp + X**2 * d.vv + field - 2 * spin.C * X**2 / spin.A * spin.y[1] * d.v)
+
+
+def S12(spin: FastSpin, x0: Array, x: Array, printed: bool = False) -> Array:
+    """S12 of (13)."""
+    d, (X, chi2, nu2, _) = differences(x0, x), coefficients(spin)
+    front = 1.0 if printed else spin.a
+    return (
+        spin.a * (spin.chi1 * d.pg + X**2 * chi2 * d.vu) + (spin.z - spin.k) * S21(spin, x0, x)
+        + spin.k * spin.a * (spin.nu * d.pg + nu2 * d.vu)
+        - front * spin.C * X**2 / spin.A * chi2 * spin.y[1] * d.u
+    )  # fmt: skip
+
+
+def S21(spin: FastSpin, x0: Array, x: Array, signs: tuple[int, int] = (1, 1)) -> Array:
+    """S21 of (13); signs of its two terms in l2, both -1 as printed."""
+    d, (X, _, _, s2) = differences(x0, x), coefficients(spin)
+    twist = d.vu + signs[0] * X * s2 * d.v
+    lean = spin.y[0] * d.g + spin.y[1] * (1 + signs[1] * spin.a * X * spin.C / spin.A) * d.u
+    return spin.a * (d.pg - X * twist) + lean
+
+
+def S22(spin: FastSpin, x0: Array, x: Array, printed: bool = False) -> Array:
+    """S22 of (13)."""
+    d, (X, chi2, nu2, _) = differences(x0, x), coefficients(spin)
+    y1, y2, y3 = spin.y
+    last = 1.0 if printed else nu2
+    return (
+        spin.a * (spin.nu * d.pp + spin.chi1 * d.gg)
+        + spin.a * X * (-nu2 * d.vv + spin.C / spin.A * y2 * nu2 * d.v - chi2 * d.uu)
+        + y1 * spin.nu * d.p + y2 * last * d.v - y3 * S21(spin, x0, x)
+    )  # fmt: skip
+
+
+def _expansion(error: Callable[[FastSpin, Array, Array, Array, Array, bool], Array]) -> Pair:
+    """error(spin, y0, y, x0, x, printed) of two states, in the variables of (1) and of (15)."""
+
+    def errors(rng: np.random.Generator) -> tuple[Array, Array]:
+        spin = random_spin(rng, r0=1e4)
+        y0, y = random_states(rng, spin)
+        x0, x = (fast_spin.to_quasilinear(spin, state) for state in (y0, y))
+        return error(spin, y0, y, x0, x, True), error(spin, y0, y, x0, x, False)
+
+    return errors
+
+
+def _spin_rate_6(spin: FastSpin, y0: Array, y: Array, x0: Array, x: Array, printed: bool) -> Array:
+    """r1 less (6), over eps^2."""
+    S1 = bracket = S1_S2(spin, y0, y)[0]
+    if printed:
+        bracket = S1 + 2 * spin.z * (1 - y[5]) - spin.k * (1 - y[5] ** 2)
+    return S1 / (y[2] + 1) - 0.5 * bracket  # r1 - 1 = eps^2 S1 / (r1 + 1), without cancellation
+
+
+def _energy_13(spin: FastSpin, y0: Array, y: Array, x0: Array, x: Array, printed: bool) -> Array:
+    """S1 less S11 + 2 eps S12, over eps."""
+    S1 = S1_S2(spin, y0, y)[0]
+    return (S1 - S11(spin, x0, x)) / spin.eps - 2 * S12(spin, x0, x, printed)
+
+
+def _area_13(spin: FastSpin, y0: Array, y: Array, x0: Array, x: Array, printed: bool) -> Array:
+    """S2 less S21 + eps S22, with S21 as printed."""
+    signs = (-1, -1) if printed else (1, 1)
+    return S1_S2(spin, y0, y)[1] - S21(spin, x0, x, signs) - spin.eps * S22(spin, x0, x)
+
+
+def _area_13_second(spin: FastSpin, y0: Array, y: Array, x0: Array, x: Array, printed: bool) -> Array:
+    """S2 less S21 + eps S22, with S22 as printed."""
+    return S1_S2(spin, y0, y)[1] - S21(spin, x0, x) - spin.eps * S22(spin, x0, x, printed)
+
+
+def _spin_rate_14(spin: FastSpin, y0: Array, y: Array, x0: Array, x: Array, printed: bool) -> Array:
+    """r1 less (14), over eps^2."""
+    third = S12(spin, x0, x)
+    if printed:
+        third = third + (spin.k - spin.z) * S21(spin, x0, x)
+    return S1_S2(spin, y0, y)[0] / (y[2] + 1) - 0.5 * S11(spin, x0, x) - spin.eps * third
+
+
+# (11) and (17).
+
+
+def q1_of_11(spin: FastSpin, x0: Array, x: Array, printed: bool) -> Array:
+    """q1 of (11)."""
+    _, v, _, u = x
+    X, chi2, nu2, s2 = coefficients(spin)
+    first_integral, eps = S11(spin, x0, x), spin.eps
+    field = s2 * first_integral if printed else -X * spin.G0 * s2
+    carried = spin.nu if printed else nu2
+    second = X * (0.5 * first_integral - spin.G0 * carried) * v + X * spin.k * spin.A1 * u * S21(spin, x0, x)
+    return -X * (v - spin.mu.imag) - eps * X * (chi2 * u - field) + eps**2 * second
+
+
+def _rate_11(spin: FastSpin, y0: Array, y: Array, x0: Array, x: Array, printed: bool) -> Array:
+    """q1 of (11) less that of the state."""
+    return q1_of_11(spin, x0, x, printed) - y[1]
+
+
+def length_17(spin: FastSpin, x0: Array, x: Array, printed: bool) -> Array:
+    """Left side of (17), which is |gamma|^2 / gamma0''^2 - 1."""
+    p, v, g, u = x
+    X, chi2, nu2, s2 = coefficients(spin)
+    turn, area = S11(spin, x0, x), S21(spin, x0, x)
+    lowest = g**2 + u * (u + 2 * X * s2)
+    first = 2 * (spin.nu * g * p + (u + X * s2) * (nu2 * v + X * s2 * area) + area)
+    second = (spin.nu * p) ** 2 + (nu2 * v) ** 2 - 2 * X * u * (chi2 * u + area * v) + area**2
+    second = second + 2 * S22(spin, x0, x) - turn
+    if not printed:
+        lowest, second = lowest + (X * s2) ** 2, second - turn * u**2
+    return lowest + spin.eps * first + spin.eps**2 * second
+
+
+def _length_error_17(spin: FastSpin, y0: Array, y: Array, x0: Array, x: Array, printed: bool) -> Array:
+    """Left side of (17) less |gamma|^2 - 1 of the state."""
+    return length_17(spin, x0, x, printed) - ((y[3:] ** 2).sum() - 1)
+
+
+# (7) and (8): second derivatives of p1 and g1.
+
+
+def _random_motion(rng: np.random.Generator, spin: FastSpin) -> tuple[Array, Array, Array]:
+    """A random state y with random S1, S2, which are what (2) makes of r1 and g1''."""
+    p, q, g1, g2, S1, S2 = rng.normal(size=6)
+    r = np.sqrt(1 + spin.eps**2 * S1)
+    return np.array([p, q, r, g1, g2, (1 + spin.eps * S2) / r]), S1, S2
+
+
+def seven(spin: FastSpin, y: Array, S1: Array, printed: bool) -> Array:
+    """p1'' by (7) up to its terms of first order, with the true frequency in place of omega'."""
+    p, q, _, g1, _, _ = y
+    A, C, A1, r0 = spin.A, spin.C, spin.A1, spin.r0
+    s3, mu1, mu2 = spin.l3 / (A * r0), spin.mu.real, spin.mu.imag
+    torque = (q * spin.l1 - p * spin.l2) / (C * r0)
+    field, newton = spin.z / spin.a * g1, spin.k * A1 * g1
+    first = A1 * spin.l1 / (A * r0) * S1 + (1 - A1) * (field - newton)
+    if printed:
+        return A1 * mu1 + spin.eps * (first + A1 * torque * q + s3 * (field + newton)) - spin.Omega**2 * p
+    first = first + torque * (mu2 - A1 * q) + s3 * (newton - field)
+    return (A1 + s3) * mu1 + spin.eps * first - spin.Omega**2 * p
+
+
+def eight(spin: FastSpin, y: Array, S1: Array, S2: Array, printed: bool) -> Array:
+    """g1'' by (8)."""
+    p, q, _, g1, g2, _ = y
+    A, A1, eps = spin.A, spin.A1, spin.eps
+    s1, s3, field = spin.l1 / (A * spin.r0), spin.l3 / (A * spin.r0), spin.z / spin.a
+    torque = (q * spin.l1 - p * spin.l2) / (spin.C * spin.r0)
+    first = (1 - A1) * p + s1 * S2 - s3 * p + torque * g2
+    second = -S1 * g1 + (1 - A1) * p * S2 + p * q * g2 - g1 * (field + q * q) + spin.k * A1 * g1
+    third = (field - 2 * spin.k * A1) * g1 * S2
+    if not printed:
+        second, third = second - s3 * p * S2, -third
+    return s1 - g1 + eps * first + eps**2 * second + eps**3 * third
+
+
+def _seven_errors(rng: np.random.Generator) -> tuple[Array, Array]:
+    """p1'' by (7) less that of the motion."""
+    spin = random_spin(rng, r0=1e4)
+    y, S1, _ = _random_motion(rng, spin)
+    exact = true_acceleration(spin, y)[0]
+    return seven(spin, y, S1, True) - exact, seven(spin, y, S1, False) - exact
+
+
+def _eight_errors(rng: np.random.Generator) -> tuple[Array, Array]:
+    """g1'' by (8) less that of the motion."""
+    spin = random_spin(rng, r0=1e3)  # eps^3 far above rounding errors
+    y, S1, S2 = _random_motion(rng, spin)
+    exact = true_acceleration(spin, y)[3]
+    return eight(spin, y, S1, S2, True) - exact, eight(spin, y, S1, S2, False) - exact
+
+
+# (26) and (27): (13) and Phi1 on the generating solution (20), (25).
+
+
+def generating(spin: FastSpin, E: float, eta: float, tau: Array) -> Array:
+    """(p2, p2', gamma2, gamma2') of (25), with the true frequency."""
+    turn = spin.Omega * tau - eta
+    return np.array(
+        [E * np.cos(turn), -spin.Omega * E * np.sin(turn), spin.M3 * np.cos(tau), -spin.M3 * np.sin(tau)]
+    )
+
+
+def S11_of_26(spin: FastSpin, E: float, eta: float, tau: Array, printed: bool) -> Array:
+    """S11^(0) of (26)."""
+    X, _, _, s2 = coefficients(spin)
+    turn, square = spin.Omega * tau - eta, (X * spin.Omega) ** 2
+    wave = np.cos(eta) ** 2 + square * np.sin(eta) ** 2
+    if printed:
+        wave = wave + 0.5 * (square - 1) * (1 - np.cos(2 * turn))
+        rotor = spin.l3 * X / (spin.A * spin.r0)
+    else:
+        wave = wave - 0.5 * (square + 1) + 0.5 * (square - 1) * np.cos(2 * turn)
+        rotor = X * s2
+    sway = 2 * spin.a * E * spin.Omega * X**2 * spin.mu.imag * (np.sin(eta) + np.sin(turn))
+    return spin.a * E**2 * wave + 2 * spin.k * spin.a * spin.M3 * rotor * np.sin(tau) - sway
+
+
+def _generating_26(rng: np.random.Generator) -> tuple[Array, Array]:
+    """S11^(0) of (26) less S11 of (13) on (25)."""
+    spin = random_spin(rng)
+    E, eta, tau = rng.uniform(0.5, 1.5), *rng.uniform(0.5, 5.0, 2)
+    x0, x = (generating(spin, E, eta, np.asarray(t)) for t in (0.0, tau))
+    exact = S11(spin, x0, x)
+    return S11_of_26(spin, E, eta, tau, True) - exact, S11_of_26(spin, E, eta, tau, False) - exact
+
+
+def Phi1(spin: FastSpin, x0: Array, x: Array) -> Array:
+    """Phi1 of (16), with C A^-1 y2 for A^-1 y2 and X l1 for A^-1 l1."""
+    p, v, _, u = x
+    torque = (spin.l1 / spin.Omega * (spin.mu.imag - v) - spin.l2 * p) / (spin.C * spin.r0)
+    return spin.l1 * S21(spin, x0, x) / (spin.A * spin.r0) + u * torque
+
+
+def Phi1_of_27(spin: FastSpin, tau: Array, printed: bool) -> Array:
+    """Phi1^(0) of (27) with M1 = M2 = 0, which the paper arrives at."""
+    X = 1 / spin.Omega
+    y1, y2, _ = spin.y
+    if printed:
+        inner = spin.a * X * spin.C - spin.l1 / (spin.A1 * spin.C * spin.r0)
+        return y2 * (1 + inner / spin.A) * spin.M3 * np.sin(tau)
+    return spin.l1 / (spin.A * spin.r0) * spin.M3 * (y1 * (1 - np.cos(tau)) + y2 * np.sin(tau))
+
+
+def _generating_27(rng: np.random.Generator) -> tuple[Array, Array]:
+    """Phi1^(0) of (27) less Phi1 of (16) on (20)."""
+    spin, tau = random_spin(rng), rng.uniform(0.5, 5.0, ())
+    x0, x = (generating(spin, 0.0, 0.0, np.asarray(t)) for t in (0.0, tau))
+    exact = Phi1(spin, x0, x)
+    return Phi1_of_27(spin, tau, True) - exact, Phi1_of_27(spin, tau, False) - exact
+
+
+_UNIT = "over the difference of the two readings"
+
+
+def _row(
+    number: str, printed: str, true: str, verdict: str, measure: str, errors: Pair, effect: str
+) -> PublishedEquation:
+    """Row of an equation of which errors gives the errors of the two readings at the same random parameters."""
+
+    def residual(index: int) -> Measure:
+        def measured(rng: np.random.Generator) -> float:
+            pair = errors(rng)
+            return float(np.abs(pair[index] / (pair[0] - pair[1])))
+
+        return measured
+
+    return PublishedEquation(
+        number, "", printed, true, verdict, f"{measure}, {_UNIT}", residual(0), residual(1), effect
+    )
+
+
+SIX = _row(
+    "(6)", "1/2 eps^2 [S1 + 2 z0' (1 - g1'') - k (1 - g1''^2)]", "1/2 eps^2 S1, in r1 and in g1''", "false",
+    "error of r1 at a random state that satisfies (2)", _expansion(_spin_rate_6),
+    "S1 of (3) contains both terms; (7) and (14) keep the error",
+)  # fmt: skip
+SEVEN = _row(
+    "(7), forcing and first order",
+    "C A1 y1 / A; eps {A1 (q1 l1 - p1 l2) q1 / (C r0) + .. z0 (1 - A1) g1 / a .. + (z0' / a + k A1) g1 l3 / (A r0)}",
+    "C (A1 + l3 / (A r0)) y1 / A; eps {(q1 l1 - p1 l2) (C y2 / A - A1 q1) / (C r0) + .. z0' (1 - A1) g1 / a .. "
+    "+ (-z0' / a + k A1) g1 l3 / (A r0)}",
+    "false", "error of p1'' at a random state, the frequency of the row above corrected", _seven_errors,
+    "chi of (10) and the forcing of (15) follow from it",
+)  # fmt: skip
+EIGHT = _row(
+    "(8)", "+eps^3 (z0' / a - 2 k A1) g1 S2", "-eps^3 (z0' / a - 2 k A1) g1 S2 - eps^2 l3 p1 S2 / (A r0)", "misprint",
+    "error of g1'' at a random state", _eight_errors, "of third order: (33) does not contain it",
+)  # fmt: skip
+ELEVEN = _row(
+    "(11), q1", "eps X (A r0)^-1 l2 S11; eps^2 X (k A1 - z0' / a) nu p2-dot",
+    "eps X^2 (A r0)^-1 l2 (k A1 - z0' / a); eps^2 X (k A1 - z0' / a) nu2 p2-dot", "misprint",
+    "error of q1 at a random state that satisfies (2)", _expansion(_rate_11), "of second order: (33) does not contain it",
+)  # fmt: skip
+SEVENTEEN = _row(
+    "(17)", "no term in g2-dot^2 S11", "-eps^2 g2-dot^2 S11; and (X l2 / (A r0))^2, neglected in print", "misprint",
+    "error of |gamma|^2 at a random state that satisfies (2)", _expansion(_length_error_17),
+    "of second order: (30) does not contain it",
+)  # fmt: skip
+THIRTEEN = (
+    _row("(13), S12", "-C X^2 A^-1 chi2 y2 (g2-dot(0) - g2-dot)", "-a C X^2 A^-1 chi2 y2 (..)", "misprint",
+         "error of S1 = S11 + 2 eps S12 at a random state that satisfies (2)", _expansion(_energy_13),
+         "(26) has it too: r1 is wrong in its third order"),
+    _row("(13), S21", "-X [.. - X (A r0)^-1 l2 (..)]; y2 (1 - a X C A^-1)",
+         "-X [.. + X (A r0)^-1 l2 (..)]; y2 (1 + a X C A^-1)", "misprint",
+         "error of S2 = S21 + eps S22 at a random state that satisfies (2)", _expansion(_area_13), "(26) has both signs right"),
+    _row("(13), S22", ".. + y2 (p2-dot(0) - p2-dot)", ".. + y2 nu2 (p2-dot(0) - p2-dot)", "misprint",
+         "error of S2 = S21 + eps S22 at a random state that satisfies (2)", _expansion(_area_13_second),
+         "(26) lacks nu2 too: g1'' is wrong in its second order"),
+)  # fmt: skip
+FOURTEEN = _row(
+    "(14)", "eps^3 [S12 + (k - z0') S21] in r1, minus the same in g1''",
+    "eps^3 S12 in r1; in g1'' also -1/2 eps^3 S11 S21 and what S2 has at that order", "false",
+    "error of r1 at a random state that satisfies (2)", _expansion(_spin_rate_14),
+    "S12 contains (z0' - k) S21, which the printed term cancels",
+)  # fmt: skip
+GENERATING = (
+    _row("(26), S11", "1/2 (X^2 omega'^2 - 1) [1 - cos 2(omega' tau - eta)]; 2 k a M3 l3 (A A1 r0)^-1 sin tau",
+         "-1/2 (X^2 omega'^2 + 1) + 1/2 (X^2 omega'^2 - 1) cos 2(omega' tau - eta); 2 k a M3 l2 (A A1 r0)^-1 sin tau",
+         "misprint", "less S11 of (13) on (25) at a random time", _generating_26,
+         "does not vanish at tau = 0 as printed; r1, g1' and g1'' of (33) have l3 for l2 too"),
+    _row("(27), Phi1", "y2 {1 + A^-1 [a X C - (A1 C r0)^-1 l1]} M3 sin tau",
+         "l1 (A r0)^-1 [y1 (1 - cos tau) + y2 sin tau] M3", "false",
+         "less Phi1 of (16), corrected, on (20) with M1 = M2 = 0 at a random time", _generating_27,
+         "(29) keeps the error, so that alpha of (33) is of order eps instead of eps^2"),
+)  # fmt: skip

@@ -1,8 +1,8 @@
 """The fast-spin formulas of Amer, Abo Essa, Ibrahim & Amer exactly as the paper prints them.
 
 For comparison only, because most of them are wrong; PUBLISHED lists the errors, with their amounts where a
-number can be measured. Each function has the signature and the units of its namesake in `fast_spin`. X and
-what depends on it need A1 != 0.
+number can be measured. The steps between (6) and (27) are in `reduction`. Each function has the signature and
+the units of its namesake in `fast_spin`. X and what depends on it need A1 != 0.
 """
 
 from __future__ import annotations
@@ -475,12 +475,12 @@ PUBLISHED: tuple[PublishedEquation, ...] = (
     PublishedEquation(
         "(33), g1", "", "M3 cos tau + ..", "M3 cos tau + eps (mu1/Omega) (1 - cos tau)", "false", _SOLUTION,
         _of_solution(3, first_order), _of_solution(3, fast_spin.first_order),
-        "the term of first order, eps nu p2 of (10), is lost with p2",
+        "its term of first order is lost with p2 and with the forcing of gamma2 in (15)",
     ),
     PublishedEquation(
         "(33), g1'", "", "-M3 sin tau + l2 / (A A1 r0) + ..", "-M3 sin tau + eps [(mu1/Omega) sin tau + mu2/Omega]", "false",
         _SOLUTION, _of_solution(4, first_order), _of_solution(4, fast_spin.first_order),
-        "the term in mu1 is lost with p2",
+        "the term in mu1 is lost as in g1; l2 / (A A1 r0) is eps mu2/Omega to first order in l3 only",
     ),
     PublishedEquation(
         "(33), g1''", "", "y1 (1 - cos tau) + y2 sin tau - ..", "[mu1 (1 - cos tau) + mu2 sin tau] / Omega", "false",

@@ -193,6 +193,7 @@ def _add_check(commands: Commands) -> None:
 
 
 def _check(options: argparse.Namespace) -> int:
+    from .runs.method_costs import method_lines
     from .scene import grid
     from .scene.read import load_scene
 
@@ -204,6 +205,8 @@ def _check(options: argparse.Namespace) -> int:
     )
     if not points.exists.all():
         print(f"the family {scene.family} exists at {100 * points.exists.mean():.1f} % of them")
+    for line in method_lines(scene, points):
+        print(line)
     for warning in scene.system.warnings(points.base):
         print(f"warning: {warning}")
     return DONE

@@ -7,9 +7,11 @@ import math
 import numpy as np
 import xarray as xr
 
+from ..runs.method_costs import method_lines
+from ..scene import grid
 from ..validation import half_step
 from .chunks import chunks
-from .metadata import flag_names
+from .metadata import flag_names, scene_of
 
 FLAGS = ("label", "label_inertial", "status", "agreement", "computed")
 # Variable -> the line with its largest value.
@@ -33,7 +35,8 @@ def summary(ds: xr.Dataset) -> str:
     -------
     str
         Lines with the counts of labels, status and agreement with theory, the largest and the median
-        expected error, labels that may change at half the step, time and speed.
+        expected error, labels that may change at half the step, time and speed, and, where the points are those
+        of a scene with a tolerance, what the other method would cost.
     """
     lines = [f"{name}: {_flag_counts(ds[name])}" for name in FLAGS if name in ds]
     for name, sentence in ERRORS.items():
@@ -44,6 +47,8 @@ def summary(ds: xr.Dataset) -> str:
     if "atlas_half_step_points" in ds.attrs:
         lines.append(half_step.half_step_text(ds.attrs))
     lines.append(f"{ds.attrs['atlas_seconds']:.1f} s, {ds.attrs['atlas_points_per_second']:.4g} points/s")
+    if (scene := scene_of(ds)) is not None:
+        lines += method_lines(scene, grid.check(scene))
     return "\n".join(lines)
 
 

@@ -29,6 +29,8 @@ class Method:
         Largest number of samples per step, for the statistics to be as accurate as the states.
     kernel_step : float
         Length of the step in the kernel's unit of time: most coefficients times it are 1.
+    step_cost : float
+        Processor time of a step, samples included, in units of a step of rk4, as bench_methods.py measures it.
 
     Raises
     ------
@@ -46,6 +48,7 @@ class Method:
     stability: float
     max_samples: int = 1
     kernel_step: float = 1.0
+    step_cost: float = 1.0
 
     def __post_init__(self) -> None:
         if [len(row) for row in self.a] != list(range(len(self.b))):
@@ -185,5 +188,6 @@ RK8 = Method(
     dissipation_order=10,
     stability=5.960359811702219,
     max_samples=4,
+    step_cost=7.0,
 )
 METHODS = {method.name: method for method in (RK4, RK8)}

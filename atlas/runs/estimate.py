@@ -17,6 +17,7 @@ from ..label.pipeline import evaluate_tile
 from ..scene import grid
 from ..scene.model import Scene
 from .concurrency import tiles_in_flight
+from .method_costs import method_lines
 from .tiles import tile_types
 from .tiling import mean_steps, step_sizes, tiling
 
@@ -45,8 +46,9 @@ def dry_run(scene: Scene, *, threads: int | None = None, workers: int | None = N
     Returns
     -------
     str
-        Lines of text: points and tiles, size of the file, time, memory, expected phase error, and the
-        share of points that `max_steps` gives fewer steps than the tolerance asks for, if any.
+        Lines of text: points and tiles, size of the file, time, what the other method would cost, memory,
+        expected phase error, and the share of points that `max_steps` gives fewer steps than the tolerance
+        asks for, if any.
 
     Raises
     ------
@@ -72,6 +74,7 @@ def dry_run(scene: Scene, *, threads: int | None = None, workers: int | None = N
         f"file: at most {file_bytes / 1e6:.4g} MB before compression",
         f"time: about {clock(seconds)} on {processors_text} ({steps_per_point:.4g} steps a point,"
         f" {1e9 * cost.seconds_per_step * processors:.3g} ns a step and processor)",
+        *method_lines(scene, sample),
         f"first call of the kernel: {cost.compile_seconds:.1f} s (compiling, if it was not in the cache)",
         f"memory: about {memory / 1e6:.0f} MB",
         f"expected phase error of the fastest frequency: at most {phase_error:.2g} rad",

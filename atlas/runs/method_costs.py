@@ -1,0 +1,47 @@
+"""What the integration methods cost in comparison with each other, at the same tolerance."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from ..engine.tableaux import METHODS
+from ..scene.grid import Grid
+from ..scene.model import Scene
+from .tiling import mean_steps
+
+
+def relative_costs(scene: Scene, sample: Grid) -> dict[str, float]:
+    """Expected processor time of the integration by the other methods, at the tolerance of a scene.
+
+    It is the number of steps that a method takes at the points of the sample times the cost of a step.
+
+    Parameters
+    ----------
+    scene : Scene
+    sample : Grid
+        Points of the scene, from `grid.check`.
+
+    Returns
+    -------
+    dict of str to float
+        Name of a method -> its time over that of the scene's method, for runs that go on to the end. Empty where
+        the scene sets a step: with the same step, methods have different errors.
+    """
+    settings = scene.settings
+    if settings.step is not None:
+        return {}
+    costs = {
+        name: method.step_cost * mean_steps(replace(scene, settings=replace(settings, method=name)), sample)
+        for name, method in METHODS.items()
+    }
+    own = costs.pop(settings.method)
+    return {name: cost / own for name, cost in costs.items()}
+
+
+def method_lines(scene: Scene, sample: Grid) -> list[str]:
+    """A sentence for each other method on what it would cost; none where the scene sets a step."""
+    return [
+        f'method: {scene.settings.method}; method = "{name}" would integrate in about {ratio:.2g}'
+        f" {'of' if ratio < 1 else 'times'} the time at the same tolerance"
+        for name, ratio in relative_costs(scene, sample).items()
+    ]

@@ -1,0 +1,108 @@
+"""Processor time of the methods at the tolerance of each scene, beside the estimate that `atlas check` prints.
+
+python scripts/benchmarks/bench_methods.py [SCENE ...] [--points 8192] [--rounds 3]
+
+Without scenes, all scenes of configs/ that set a tolerance. One thread; the methods take turns, and the least time of
+the rounds counts. Points are integrated to the end of their runs, with all statistics; "with theory" is the time of
+everything that a tile of the scene needs, in which points may end when their label is certain. The cost of a step is in
+units of a step of rk4; its median over the scenes is the `step_cost` of rk8 in atlas/engine/tableaux.py.
+"""
+
+from __future__ import annotations
+
+import argparse
+import time
+from collections.abc import Callable
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+from statistics import median
+
+import numpy as np
+
+import atlas
+from atlas.engine.ensemble import Ensemble
+from atlas.engine.specialization import kernel
+from atlas.label.pipeline import evaluate_tile, scene_specialization
+from atlas.runs.method_costs import relative_costs
+from atlas.runs.tiling import step_sizes
+from atlas.scene import grid
+from atlas.scene.model import Scene
+
+CONFIGS = Path(__file__).parents[2] / "configs"
+METHODS = ("rk4", "rk8")
+
+
+class Comparison:
+    """Both methods at some points of a scene."""
+
+    def __init__(self, scene: Scene, count: int, rounds: int):
+        indices = np.unique(np.linspace(0, scene.size - 1, count).round().astype(np.int64))
+        every = grid.points_at_indices(scene, indices)
+        self.points = grid.points_at_indices(scene, indices[every.exists])
+        self.size = self.points.duration.size
+        scenes = [replace(scene, settings=replace(scene.settings, method=method)) for method in METHODS]
+        self.estimate = relative_costs(scenes[0], self.points)["rk8"]
+        sizes = [step_sizes(each, self.points) for each in scenes]
+        ensemble = Ensemble.of(scene.system, self.points.points)
+        integrations = [
+            partial(
+                ensemble.integrate,
+                kernel(scene.system, method, scene_specialization(scene)), size, scene.settings.cylinder, threads=1,
+            )
+            for method, size in zip(METHODS, sizes, strict=True)
+        ]  # fmt: skip
+        self.seconds = seconds_in_turn(integrations, rounds)
+        tiles = [partial(evaluate_tile, each, self.points, threads=1) for each in scenes]
+        self.tile_seconds = seconds_in_turn(tiles, rounds)
+        labels = [tile()["label"] for tile in tiles]
+        self.different_labels = int(np.count_nonzero(labels[0] != labels[1]))
+        steps = [size.steps.sum() for size in sizes]
+        self.ratio = self.seconds[1] / self.seconds[0]
+        self.step_cost = self.ratio * steps[0] / steps[1]
+
+    def __str__(self) -> str:
+        return (
+            f"{1e6 * self.seconds[0] / self.size:.1f} | {self.ratio:.2f} | {self.estimate:.2f} |"
+            f" {self.tile_seconds[1] / self.tile_seconds[0]:.2f} | {self.step_cost:.1f} |"
+            f" {self.different_labels} of {self.size}"
+        )
+
+
+def seconds_in_turn(functions: list[Callable[[], object]], rounds: int) -> list[float]:
+    """Least processor time of each function over the rounds, after one that may compile."""
+    least = [float("inf")] * len(functions)
+    for turn in range(rounds + 1):
+        for i, function in enumerate(functions):
+            began = time.process_time()
+            function()
+            if turn:
+                least[i] = min(least[i], time.process_time() - began)
+    return least
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description="processor time of the methods at the same tolerance")
+    parser.add_argument("scenes", nargs="*", type=Path, default=sorted(CONFIGS.glob("*.toml")))
+    parser.add_argument("--points", type=int, default=8192, help="points of a scene (default: %(default)s)")
+    parser.add_argument("--rounds", type=int, default=3)
+    options = parser.parse_args()
+    print(
+        "| scene | rk4, µs a point | rk8 / rk4 | estimated | with theory | cost of a step | labels that differ |"
+    )
+    print("|---|---|---|---|---|---|---|")
+    comparisons = []
+    for path in options.scenes:
+        scene = atlas.load_scene(path)
+        if scene.settings.step is None:
+            comparisons.append(Comparison(scene, options.points, options.rounds))
+            print(f"| {path.stem} | {comparisons[-1]} |", flush=True)
+    ratios = [comparison.ratio for comparison in comparisons]
+    print(
+        f"rk8 / rk4 from {min(ratios):.2f} to {max(ratios):.2f}, median {median(ratios):.2f};"
+        f" median cost of a step {median(comparison.step_cost for comparison in comparisons):.1f}"
+    )
+
+
+if __name__ == "__main__":
+    main()

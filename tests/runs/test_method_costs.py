@@ -1,0 +1,81 @@
+"""The line on what the other method would cost: its number, and where it is printed."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import atlas
+from atlas import load_scene
+from atlas.analysis.summary import summary
+from atlas.cli import main
+from atlas.engine.tableaux import METHODS
+from atlas.runs.estimate import dry_run
+from atlas.runs.method_costs import method_lines, relative_costs
+from atlas.scene import grid
+
+
+def lines_and_sample(text):
+    """The lines on the other methods of a scene, its sample and itself."""
+    scene = load_scene(text)
+    sample = grid.check(scene)
+    return method_lines(scene, sample), sample, scene
+
+
+@pytest.mark.parametrize(("method", "other", "words"), [("rk4", "rk8", "of"), ("rk8", "rk4", "times")])
+def test_the_line_names_both_methods_and_what_the_other_costs(scene_text, method, other, words):
+    (line,), sample, scene = lines_and_sample(scene_text({"integration.method": method}))
+    ratio = relative_costs(scene, sample)[other]
+    assert line == (
+        f'method: {method}; method = "{other}" would integrate in about {ratio:.2g} {words} the time'
+        " at the same tolerance"
+    )
+    assert (ratio < 1) == (other == "rk8")
+
+
+@pytest.mark.parametrize("tolerance", [1e-4, 1e-7, 1e-10])
+def test_the_costs_are_those_of_the_steps_that_keep_the_phase_error(scene_text, tolerance):
+    text = scene_text({"integration.tolerance": tolerance, "labels.rate_tolerance": 1.0})
+    _, sample, scene = lines_and_sample(text)
+    radians = scene.system.frequency_bound(sample.points) * sample.duration
+    # N steps of y = radians / N rad cause the phase error N c y^(p + 1) = tolerance.
+    steps = {
+        name: (radians * (radians * method.dispersion / tolerance) ** (1 / method.order)).mean()
+        for name, method in METHODS.items()
+    }
+    expected = METHODS["rk8"].step_cost * steps["rk8"] / steps["rk4"]
+    assert relative_costs(scene, sample)["rk8"] == pytest.approx(expected, rel=0.2)  # counts are rounded up
+    other_way = replace(scene, settings=replace(scene.settings, method="rk8"))
+    product = relative_costs(scene, sample)["rk8"] * relative_costs(other_way, sample)["rk4"]
+    assert product == pytest.approx(1.0)
+
+
+def test_only_points_where_the_family_exists_count(scene_text):
+    changes = {"family": {"name": "oblique", "solve": ["psi0", "k3"]}, "ties.psi0": None}
+    _, sample, scene = lines_and_sample(scene_text(changes | {"fixed.mu3": 1.0, "fixed.h1": 0.5}))
+    assert 0 < sample.exists.sum() < sample.exists.size
+    existing = grid.points_at_indices(scene, np.flatnonzero(sample.exists))
+    assert relative_costs(scene, sample) == pytest.approx(relative_costs(scene, existing))
+
+
+def test_a_scene_with_a_step_has_no_line(scene_text):
+    lines, sample, scene = lines_and_sample(
+        scene_text({"integration.tolerance": None, "integration.step": 0.01})
+    )
+    assert lines == []
+    assert relative_costs(scene, sample) == {}
+
+
+def test_check_dry_run_and_summary_print_the_line_once(small_scene, tmp_path, monkeypatch, capsys):
+    (tmp_path / "small.toml").write_text(small_scene)
+    (line,), _, scene = lines_and_sample(small_scene)
+    monkeypatch.chdir(tmp_path)
+    assert main(["check", "small.toml"]) == 0
+    assert capsys.readouterr().out.splitlines().count(line) == 1
+    assert dry_run(scene, threads=1).splitlines().count(line) == 1
+    assert main(["run", "small.toml", "--quiet"]) == 0
+    assert capsys.readouterr().out.splitlines().count(line) == 1
+
+
+def test_the_summary_of_points_without_a_scene_has_no_line():
+    assert "method" not in summary(atlas.label_points("satellite", {"theta0": 0.3}, duration=1.0))

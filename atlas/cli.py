@@ -13,7 +13,7 @@ from typing import Any, NoReturn, TypeAlias
 
 from ._version import __version__
 from .errors import BadInput
-from .files import check_folder
+from .files import writable
 
 DONE, FAILED, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130
 FIGURES = (".png", ".pdf", ".svg")
@@ -183,7 +183,7 @@ def _join(options: argparse.Namespace) -> int:
     from .runs.folder import RunFolder
 
     folder = RunFolder.open(options.folder)
-    folder.join(output_path(options.out, (".nc",), force=options.force))
+    folder.join(writable(options.out, (".nc",), force=options.force))
     print(f"wrote {options.out}")
     return DONE
 
@@ -257,7 +257,7 @@ def _points(options: argparse.Namespace) -> int:
     from .scene import tables
 
     _check_positive("--threads", options.threads)
-    out = output_path(options.out, tables.FORMATS, force=options.force)
+    out = writable(options.out, tables.FORMATS, force=options.force)
     system = systems.get(options.system)
     columns = tables.read(options.points, system.parameters)
     from .analysis.summary import summary
@@ -327,7 +327,7 @@ def _map(options: argparse.Namespace) -> int:
 
     stem = Path(options.atlas).with_suffix("")
     names = [options.out] if options.out else [stem.with_suffix(".png"), stem.with_suffix(".pdf")]
-    paths = [output_path(name, FIGURES, force=options.force) for name in names]
+    paths = [writable(name, FIGURES, force=options.force) for name in names]
     select = _axis_values("--select", options.select)
     with open_atlas(options.atlas) as ds:
         figure = maps.atlas_map(
@@ -376,7 +376,7 @@ def _trajectory(options: argparse.Namespace) -> int:
 
     scene = load_scene(options.scene)
     name = options.out or Path(options.scene).stem + "_trajectory.png"
-    out = output_path(name, (".nc", *FIGURES), force=options.force)
+    out = writable(name, (".nc", *FIGURES), force=options.force)
     from .label.trajectory import trajectory_of_scene
 
     tr = trajectory_of_scene(scene, _axis_values("--at", options.at), samples=options.samples)
@@ -413,7 +413,7 @@ def _add_accuracy(commands: Commands) -> None:
 def _accuracy(options: argparse.Namespace) -> int:
     from .scene.read import load_scene
 
-    outs = [output_path(out, (".nc", ".csv", *FIGURES), force=options.force) for out in options.out]
+    outs = [writable(out, (".nc", ".csv", *FIGURES), force=options.force) for out in options.out]
     scene = load_scene(options.scene)
     from .io import netcdf
     from .plotting import style
@@ -646,46 +646,14 @@ def _quiet_option(command: argparse.ArgumentParser) -> None:
     command.add_argument("--quiet", action="store_true", help="print no progress")
 
 
-def output_path(name: str | Path, suffixes: Sequence[str], *, force: bool) -> Path:
-    """Check the path of a file before anything is computed.
-
-    Parameters
-    ----------
-    name : str or Path
-        The file, in a folder that can be written.
-    suffixes : sequence of str
-        Allowed ends of the name, in lower case.
-    force : bool
-        Allow a file that exists.
-
-    Returns
-    -------
-    Path
-        The path.
-
-    Raises
-    ------
-    BadInput
-        For another suffix, a place that cannot be written, and a file that exists.
-    """
-    path = Path(name)
-    if path.suffix.lower() not in suffixes:
-        allowed = " or ".join(filter(None, (", ".join(suffixes[:-1]), suffixes[-1])))
-        raise BadInput(f"{path}: the name must end in {allowed}")
-    check_folder(path)
-    if path.exists() and not force:
-        raise BadInput(f"{path}: this file exists; --force replaces it")
-    return path
-
-
 def output_folder(name: str, files: Sequence[str], *, force: bool) -> Path:
-    """Create the folder of some files, and check the files as `output_path`."""
+    """Create the folder of some files, and check each of them as `writable`."""
     folder = Path(name)
     if folder.exists() and not folder.is_dir():
         raise BadInput(f"{folder}: not a folder")
     folder.mkdir(parents=True, exist_ok=True)
     for file in files:
-        output_path(folder / file, (Path(file).suffix,), force=force)
+        writable(folder / file, (Path(file).suffix,), force=force)
     return folder
 
 

@@ -7,7 +7,7 @@ import os
 import shutil
 import tempfile
 import uuid
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -85,6 +85,37 @@ def check_folder(path: Path) -> None:
         raise BadInput(f"{path}: cannot be written: {error.strerror}") from None
     if path.is_dir():
         raise BadInput(f"{path}: this is a folder")
+
+
+def writable(name: str | Path, suffixes: Sequence[str], *, force: bool) -> Path:
+    """Check the path of a file before anything is computed.
+
+    Parameters
+    ----------
+    name : str or Path
+        The file, in a folder that can be written.
+    suffixes : sequence of str
+        Allowed ends of the name, in lower case.
+    force : bool
+        Allow a file that exists.
+
+    Returns
+    -------
+    Path
+
+    Raises
+    ------
+    BadInput
+        For another suffix, a place that cannot be written, and a file that exists.
+    """
+    path = Path(name)
+    if path.suffix.lower() not in suffixes:
+        allowed = " or ".join(filter(None, (", ".join(suffixes[:-1]), suffixes[-1])))
+        raise BadInput(f"{path}: the name must end in {allowed}")
+    check_folder(path)
+    if path.exists() and not force:
+        raise BadInput(f"{path}: this file exists; --force (force=True) replaces it")
+    return path
 
 
 def one_line(error: Exception) -> str:

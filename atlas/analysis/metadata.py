@@ -28,7 +28,7 @@ def scene_of(ds: xr.Dataset) -> Scene | None:
 
 def axes_of(scene: Scene) -> dict[str, Axis]:
     """The axes of a scene by the name of their dimension in the atlas."""
-    return {f"{a.name}_offset" if a.offset_from_family else a.name: a for a in scene.axes.values()}
+    return {axis.dim: axis for axis in scene.axes.values()}
 
 
 def is_logarithmic(scene: Scene, dim: str) -> bool:

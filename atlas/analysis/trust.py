@@ -4,15 +4,14 @@ from __future__ import annotations
 
 import numpy as np
 import xarray as xr
-from scipy.special import betaincinv
 
 from ..errors import BadInput
+from ..validation.half_step import upper_bound
 from .chunks import chunks
 from .metadata import flag_variable
 
 # Shorter axes count as separate maps: their cells contain no information about resolution.
 MIN_VALUES = 5
-CONFIDENCE = 0.95
 
 
 def trust(ds: xr.Dataset, variable: str) -> xr.Dataset:
@@ -27,15 +26,17 @@ def trust(ds: xr.Dataset, variable: str) -> xr.Dataset:
         sides.append(2 * sides[-1])
     uncertain = np.array([_uncertain_fraction(array, dims, side) for side in sides])
     n_uniform, n_missed = _count_missed(array, dims)
-    # the upper limit of Clopper and Pearson for n_missed of n_uniform independent cells
-    bound = betaincinv(n_missed + 1, n_uniform - n_missed, CONFIDENCE) if n_uniform > n_missed else 1.0
     missed = n_missed / n_uniform if n_uniform else np.nan
     return xr.Dataset(
         {
             "uncertain": ("stride", uncertain, {"long_name": "share of cells whose corners differ"}),
             "exponent": ((), _exponent(np.array(sides), uncertain), {"long_name": "uncertainty exponent"}),
             "missed": ((), missed, {"long_name": "share of cells with equal corners that hide a border"}),
-            "missed_bound": ((), float(bound), {"long_name": "upper 95 % bound of missed"}),
+            "missed_bound": (
+                (),
+                upper_bound(n_missed, n_uniform),
+                {"long_name": "upper 95 % bound of missed"},
+            ),
         },
         coords={"stride": ("stride", sides, {"long_name": "side of the cells in points"})},
         attrs={"variable": variable, "axes": ", ".join(dims)},

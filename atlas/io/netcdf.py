@@ -9,36 +9,31 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from ..errors import BadInput
-from ..files import atomic_write, check_folder
+from ..files import atomic_write
 from ..scene import grid
 from ..scene.model import Scene
 from ..systems.base import System
 from ..variables import variables
 
 COMPRESSION: dict[str, Any] = {"zlib": True, "complevel": 4, "shuffle": True}
-SUFFIX = ".nc"
 # A parameter with more values than this becomes a dask array, computed chunk by chunk when it is used.
 MAX_EAGER_VALUES = 4_000_000
 
 
 def dims(scene: Scene) -> tuple[str, ...]:
-    """Names of the dimensions: those of the axes, with "_offset" for an axis of offsets from a family."""
-    return tuple(f"{a.name}_offset" if a.offset_from_family else a.name for a in scene.axes.values())
+    """Names of the dimensions."""
+    return tuple(axis.dim for axis in scene.axes.values())
 
 
-def dataset(
-    scene: Scene, columns: Mapping[str, Any], solved: Mapping[str, Any], chunks: Sequence[int] | None = None
-) -> xr.Dataset:
+def dataset(scene: Scene, columns: Mapping[str, Any], chunks: Sequence[int] | None = None) -> xr.Dataset:
     """Assemble the atlas of a scene, without provenance.
 
     Parameters
     ----------
     scene : Scene
     columns : mapping of str to array
-        Variables of the atlas, NumPy or dask arrays of the scene's shape.
-    solved : mapping of str to array
-        Parameters that the family was solved for, likewise.
+        The scene's outputs and the parameters that it solves for, NumPy or dask arrays of the scene's shape
+        or flat. Other columns are left out.
     chunks : sequence of int, optional
         Length of a chunk along each axis. If given, parameters of more than MAX_EAGER_VALUES values become
         dask arrays of such chunks.
@@ -50,7 +45,10 @@ def dataset(
     """
     dimensions, registry = dims(scene), variables(scene.system)
     ds = xr.Dataset(
-        {name: (dimensions, values, registry[name].attributes()) for name, values in columns.items()}
+        {
+            name: (dimensions, columns[name].reshape(scene.shape), registry[name].attributes())
+            for name in scene.outputs
+        }
     )
     for name, axis in zip(dimensions, scene.axes.values(), strict=True):
         attributes = parameter_attributes(scene.system, axis.name, axis.offset_from_family)
@@ -58,8 +56,8 @@ def dataset(
         ds = ds.assign_coords({name: (name, np.asarray(axis.values), attributes)})
     for name, parameter in scene.system.parameters.items():
         attributes = parameter_attributes(scene.system, name, False)
-        if name in solved:
-            ds = ds.assign_coords({name: (dimensions, solved[name], attributes)})
+        if name in scene.solve:
+            ds = ds.assign_coords({name: (dimensions, columns[name].reshape(scene.shape), attributes)})
         elif name not in scene.axes and (
             not np.isnan(parameter.default) or name in scene.fixed or name in scene.ties
         ):
@@ -119,34 +117,6 @@ def _parameter_along_axes(
     return da.map_blocks(chunk, chunks=lengths, dtype=float, meta=np.empty([0] * len(shape)))
 
 
-def writable(out: str | Path, *, force: bool) -> Path:
-    """Check the path of an atlas file before anything is computed.
-
-    Parameters
-    ----------
-    out : str or Path
-        Must end in .nc, in a folder that can be written.
-    force : bool
-        Allow an existing file, to be replaced.
-
-    Returns
-    -------
-    Path
-
-    Raises
-    ------
-    BadInput
-        If the file cannot be written, or exists and `force` is false.
-    """
-    path = Path(out)
-    if path.suffix != SUFFIX:
-        raise BadInput(f"{path}: the name of an atlas ends in {SUFFIX}")
-    check_folder(path)
-    if path.exists() and not force:
-        raise BadInput(f"{path}: this file exists; --force (force=True) replaces it")
-    return path
-
-
 def write(ds: xr.Dataset, path: Path) -> None:
     """Write a Dataset as one compressed NetCDF file, which appears whole or not at all.
 
@@ -155,7 +125,7 @@ def write(ds: xr.Dataset, path: Path) -> None:
     ds : xarray.Dataset
         Data variables of type float get the fill value nan; flags and coordinates get none.
     path : Path
-        From `writable`; an existing file is replaced.
+        An existing file is replaced.
     """
     encoding: dict[str, dict[str, Any]] = {}
     for name, variable in ds.variables.items():

@@ -12,7 +12,7 @@ from matplotlib.colors import to_hex
 from matplotlib.figure import Figure
 
 from ..errors import BadInput
-from ..files import atomic_write, check_folder
+from ..files import atomic_write, writable
 
 Width = Literal["column", "page"]
 WIDTHS = {"column": 88.0, "page": 180.0}  # mm, one and two columns of a journal
@@ -102,10 +102,7 @@ def save(figure: Figure, path: str | Path) -> None:
     BadInput
         For another suffix, and for a path that cannot be written.
     """
-    path = Path(path)
-    if path.suffix.lower() not in FORMATS:
-        raise BadInput(f"{path}: a figure's name ends in {', '.join(FORMATS)}")
-    check_folder(path)
+    path = writable(path, FORMATS, force=True)
     kind = path.suffix.lower()[1:]
     # no date, so that the same atlas gives the same file
     undated = {"png": {}, "pdf": {"CreationDate": None}, "svg": {"Date": None}}[kind]

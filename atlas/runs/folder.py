@@ -220,12 +220,7 @@ class RunFolder:
             )
             for name, dtype in tile_types(self.scene).items()
         }
-        ds = netcdf.dataset(
-            self.scene,
-            {name: arrays[name] for name in self.scene.outputs},
-            {name: arrays[name] for name in self.scene.solve},
-            self.tiling.tile,
-        )
+        ds = netcdf.dataset(self.scene, arrays, self.tiling.tile)
         return ds.assign_attrs(self._provenance() | self.final_attributes())
 
     def _provenance(self) -> dict[str, Any]:

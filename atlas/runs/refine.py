@@ -213,17 +213,13 @@ class _FineGrid:
 
     def dataset(self) -> xr.Dataset:
         """The atlas without provenance."""
-        scene, columns = self.scene, dict[str, np.ndarray](self.numbers) | self.predicted
+        columns = dict[str, np.ndarray](self.numbers) | self.predicted | self.solved
         columns["growth_rate"] = self.growth_rate
         columns |= zip(self.flags, _decode(self.flag_code.ravel(), self.flag_counts), strict=True)
         if "predicted" in self.predicted:
             columns["agreement"] = theory.agreement(columns["label"], self.predicted["predicted"])
-        ds = netcdf.dataset(
-            scene,
-            {name: columns[name].reshape(scene.shape) for name in scene.outputs},
-            {name: values.reshape(scene.shape) for name, values in self.solved.items()},
-        )
-        ds["computed"] = netcdf.dims(scene), self.computed.astype(np.int8), COMPUTED.attributes()
+        ds = netcdf.dataset(self.scene, columns)
+        ds["computed"] = netcdf.dims(self.scene), self.computed.astype(np.int8), COMPUTED.attributes()
         return ds
 
 

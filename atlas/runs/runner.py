@@ -17,6 +17,7 @@ import xarray as xr
 
 from ..engine import blocks
 from ..errors import BadInput
+from ..files import writable
 from ..io import netcdf
 from ..io.progress import Progress
 from ..io.provenance import log_warnings, provenance
@@ -25,11 +26,11 @@ from ..scene import grid
 from ..scene.model import Scene
 from ..scene.read import load_scene
 from ..validation import half_step
-from ..variables import variables
 from . import cluster, refine
 from .concurrency import Advance, for_each_tile, tiles_in_flight
 from .folder import MANIFEST, RunFolder
 from .open import open_atlas
+from .tiles import tile_types
 from .tiling import tiling
 
 MAX_DAMAGE_WARNINGS = 5
@@ -155,7 +156,7 @@ def _destination(out: str | Path, force: bool) -> tuple[Path, bool]:
     path = Path(out)
     is_folder = str(out).endswith("/") or (not path.suffix and not path.is_file())
     if not is_folder and not (path / MANIFEST).exists():
-        return netcdf.writable(path, force=force), True
+        return writable(path, (".nc",), force=force), True
     if not path.absolute().parent.is_dir():
         raise BadInput(f"{path}: there is no folder {path.parent}")
     return path, False
@@ -175,17 +176,15 @@ def _compute_points(
 def _run_in_memory(
     scene: Scene, sample: grid.Grid, warnings: list[str], threads: int | None, progress: bool
 ) -> xr.Dataset:
-    registry = variables(scene.system)
-    outputs = {name: np.zeros(scene.size, registry[name].dtype) for name in scene.outputs}
-    solved = {name: np.empty(scene.size) for name in scene.solve}
+    columns = {name: np.empty(scene.size, dtype) for name, dtype in tile_types(scene).items()}
     tiles = tiling(scene, sample)
     bar = Progress(scene.size, show=progress)
 
     def compute(tile: int, advance: Advance) -> None:
         indices = tiles.indices(tile)
-        columns, computed = _compute_points(scene, indices, threads, advance)
-        for name, array in (outputs | solved).items():
-            array[indices] = columns[name]
+        values, computed = _compute_points(scene, indices, threads, advance)
+        for name, column in columns.items():
+            column[indices] = values[name]
         bar.skip(indices.size - computed)
 
     try:
@@ -194,12 +193,7 @@ def _run_in_memory(
     finally:
         bar.close()
     seconds = time.perf_counter() - bar.started
-    ds = netcdf.dataset(
-        scene,
-        {name: array.reshape(scene.shape) for name, array in outputs.items()},
-        {name: array.reshape(scene.shape) for name, array in solved.items()},
-    )
-    return ds.assign_attrs(
+    return netcdf.dataset(scene, columns).assign_attrs(
         provenance(
             scene.system, scene.settings, scene_kernel_hash(scene),
             title=scene.title, scene=scene.toml(), seconds=seconds, points=scene.size, warnings=warnings,

@@ -124,6 +124,11 @@ class Axis:
     table: Mapping[str, Any] = field(default_factory=dict, compare=False)
 
     @property
+    def dim(self) -> str:
+        """Name of the dimension of the atlas."""
+        return f"{self.name}_offset" if self.offset_from_family else self.name
+
+    @property
     def can_be_refined(self) -> bool:
         """Whether [refine] halves the spacing of the axis: it has a count above 1, not listed values."""
         return self.table.get("count", 1) > 1

@@ -5,7 +5,8 @@ python scripts/benchmarks/bench_methods.py [SCENE ...] [--points 8192] [--rounds
 Without scenes, all scenes of configs/ that set a tolerance. One thread; the methods take turns, and the least time of
 the rounds counts. Points are integrated to the end of their runs, with all statistics; "with theory" is the time of
 everything that a tile of the scene needs, in which points may end when their label is certain. The cost of a step is in
-units of a step of rk4; its median over the scenes is the `step_cost` of rk8 in atlas/engine/tableaux.py.
+units of a step of rk4; its median over the scenes is the `step_cost` of rk8 in atlas/engine/tableaux.py. "Other label"
+counts the points with different labels among those that both methods label, "unresolved" those without label by each.
 """
 
 from __future__ import annotations
@@ -23,6 +24,7 @@ import numpy as np
 import atlas
 from atlas.engine.ensemble import Ensemble
 from atlas.engine.specialization import kernel
+from atlas.flags import Label
 from atlas.label.pipeline import evaluate_tile, scene_specialization
 from atlas.runs.method_costs import relative_costs
 from atlas.runs.tiling import step_sizes
@@ -55,8 +57,10 @@ class Comparison:
         self.seconds = seconds_in_turn(integrations, rounds)
         tiles = [partial(evaluate_tile, each, self.points, threads=1) for each in scenes]
         self.tile_seconds = seconds_in_turn(tiles, rounds)
-        labels = [tile()["label"] for tile in tiles]
-        self.different_labels = int(np.count_nonzero(labels[0] != labels[1]))
+        labels = np.array([tile()["label"] for tile in tiles])
+        unresolved = labels == Label.UNRESOLVED
+        self.unresolved = unresolved.sum(1)
+        self.different_labels = int(((labels[0] != labels[1]) & ~unresolved.any(0)).sum())
         steps = [size.steps.sum() for size in sizes]
         self.ratio = self.seconds[1] / self.seconds[0]
         self.step_cost = self.ratio * steps[0] / steps[1]
@@ -65,7 +69,7 @@ class Comparison:
         return (
             f"{1e6 * self.seconds[0] / self.size:.1f} | {self.ratio:.2f} | {self.estimate:.2f} |"
             f" {self.tile_seconds[1] / self.tile_seconds[0]:.2f} | {self.step_cost:.1f} |"
-            f" {self.different_labels} of {self.size}"
+            f" {self.different_labels} of {self.size} | {self.unresolved[0]}, {self.unresolved[1]}"
         )
 
 

@@ -469,8 +469,8 @@ def test_files_are_whole_repeatable_and_carry_their_fonts(small, tmp_path):
 def test_paths_that_cannot_be_written_are_errors(small, tmp_path):
     figure = maps.atlas_map(small)
     for path, words in (
-        (tmp_path / "map.jpeg", "a figure's name ends in .png, .pdf, .svg"),
-        (tmp_path / "map", "a figure's name ends in"),
+        (tmp_path / "map.jpeg", "the name must end in .png, .pdf or .svg"),
+        (tmp_path / "map", "the name must end in"),
         (tmp_path / "no" / "map.png", "there is no folder"),
     ):
         with pytest.raises(BadInput, match=re.escape(words)):

@@ -134,6 +134,8 @@ def _succeeded(future: Future, attempt: int) -> bool:
 
     if future.status == "finished":
         return True
+    if future.status == "lost":  # its worker died before the result left it
+        return False
     if future.status != "error":
         raise OSError(f"the dask scheduler lost a task ({future.status})")
     error = future.exception()

@@ -8,6 +8,7 @@ import subprocess
 import sys
 import time
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 from truth import assert_same_bytes
@@ -63,6 +64,13 @@ def test_a_run_survives_a_worker_that_is_killed_in_mid_tile(longer, scheduler):
     assert "wrote run/" in printed
     assert len(run.tiles.status().done) == run.tiling.count
     assert_same_bytes(whole, atlas.open_atlas(path / "run"))
+
+
+def test_a_result_that_died_with_its_worker_is_computed_again_and_a_lost_scheduler_is_an_error():
+    assert cluster._succeeded(SimpleNamespace(status="finished"), 1)
+    assert not cluster._succeeded(SimpleNamespace(status="lost"), cluster.MAX_ATTEMPTS)
+    with pytest.raises(OSError, match="scheduler lost a task"):
+        cluster._succeeded(SimpleNamespace(status="cancelled"), 1)
 
 
 def test_worker_processes_on_this_machine_give_the_same_atlas(longer):

@@ -41,7 +41,7 @@ def report(ds: xr.Dataset, worst: int = 5) -> str:
     """
     for name in ("label", "predicted"):
         if name not in ds:
-            raise BadInput(f"{name}: not in this atlas; a comparison with theory needs label and predicted")
+            raise BadInput(f"{name}: not in this atlas; put label and predicted into [outputs] of its scene")
     label, predicted = ds["label"].values, ds["predicted"].values
     result = agreement(label, predicted)
     lines = _confusion_table(label, predicted) + _agreement_lines(result)

@@ -13,47 +13,7 @@ os.environ.setdefault("ATLAS_CACHE", str(Path(__file__).parent.parent / ".pytest
 settings.register_profile("atlas", deadline=None, max_examples=50, derandomize=True)
 settings.load_profile("atlas")
 
-SMALL_SCENE = """
-schema = 1
-title = "small"
-system = "satellite"
-
-[fixed]
-A = 1.0
-Omega = 1.0
-m = 0.5
-
-[axes.sigma]
-from = 0.3
-to = 1.7
-count = 9
-long_name = "C/A"
-
-[axes.theta0]
-from = 0.2
-to = 1.4
-count = 7
-
-[ties]
-B = "A"
-C = "sigma * A"
-psi0 = "pi / 2"
-
-[family]
-name = "perp_velocity"
-solve = ["k3"]
-
-[nudge]
-theta0 = 1e-4
-psi0 = 1e-4
-
-[integration]
-duration = 30.0
-tolerance = 1e-5
-
-[labels]
-rate_tolerance = 1e-3
-"""
+SMALL_SCENE = (Path(__file__).parent / "small.toml").read_text()
 
 
 def changed_scene(changes: Mapping[str, object]) -> str:

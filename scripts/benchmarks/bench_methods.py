@@ -1,6 +1,6 @@
 """Processor time of the methods at the tolerance of each scene, beside the estimate that `atlas check` prints.
 
-python scripts/benchmarks/bench_methods.py [SCENE ...] [--points 8192] [--rounds 3]
+python scripts/benchmarks/bench_methods.py [SCENE ...] [--points 4096] [--rounds 3]
 
 Without scenes, all scenes of configs/ that set a tolerance. One thread; the methods take turns, and the least time of
 the rounds counts. Points are integrated to the end of their runs, with all statistics; "with theory" is the time of
@@ -13,11 +13,12 @@ from __future__ import annotations
 
 import argparse
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from statistics import median
+from typing import TypeVar
 
 import numpy as np
 
@@ -33,6 +34,7 @@ from atlas.scene.model import Scene
 
 CONFIGS = Path(__file__).parents[2] / "configs"
 METHODS = ("rk4", "rk8")
+T = TypeVar("T")
 
 
 class Comparison:
@@ -54,10 +56,12 @@ class Comparison:
             )
             for method, size in zip(METHODS, sizes, strict=True)
         ]  # fmt: skip
-        self.seconds = seconds_in_turn(integrations, rounds)
+        for integrate in integrations:
+            integrate()  # may compile
+        self.seconds, _ = seconds_in_turn(integrations, rounds)
         tiles = [partial(evaluate_tile, each, self.points, threads=1) for each in scenes]
-        self.tile_seconds = seconds_in_turn(tiles, rounds)
-        labels = np.array([tile()["label"] for tile in tiles])
+        self.tile_seconds, columns = seconds_in_turn(tiles, rounds)
+        labels = np.array([values["label"] for values in columns])
         unresolved = labels == Label.UNRESOLVED
         self.unresolved = unresolved.sum(1)
         self.different_labels = int(((labels[0] != labels[1]) & ~unresolved.any(0)).sum())
@@ -73,22 +77,22 @@ class Comparison:
         )
 
 
-def seconds_in_turn(functions: list[Callable[[], object]], rounds: int) -> list[float]:
-    """Least processor time of each function over the rounds, after one that may compile."""
-    least = [float("inf")] * len(functions)
-    for turn in range(rounds + 1):
+def seconds_in_turn(functions: Sequence[Callable[[], T]], rounds: int) -> tuple[list[float], list[T]]:
+    """Least processor time of each function over the rounds, and what it returned last."""
+    least, results = [float("inf")] * len(functions), []
+    for _ in range(rounds):
+        results = []
         for i, function in enumerate(functions):
             began = time.process_time()
-            function()
-            if turn:
-                least[i] = min(least[i], time.process_time() - began)
-    return least
+            results.append(function())
+            least[i] = min(least[i], time.process_time() - began)
+    return least, results
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description="processor time of the methods at the same tolerance")
     parser.add_argument("scenes", nargs="*", type=Path, default=sorted(CONFIGS.glob("*.toml")))
-    parser.add_argument("--points", type=int, default=8192, help="points of a scene (default: %(default)s)")
+    parser.add_argument("--points", type=int, default=4096, help="points of a scene (default: %(default)s)")
     parser.add_argument("--rounds", type=int, default=3)
     options = parser.parse_args()
     print(

@@ -18,43 +18,15 @@ import subprocess
 import sys
 import tempfile
 import time
+import tomllib
 from pathlib import Path
 
 import atlas
 from atlas.runs.folder import RunFolder
 from atlas.scene import grid
+from atlas.scene.read import scene_from
 
-SCENE = """
-schema = 1
-title = "faults"
-system = "satellite"
-[fixed]
-A = 1.0
-m = 0.5
-[axes.sigma]
-from = 0.3
-to = 1.7
-count = 60
-[axes.theta0]
-from = 0.2
-to = 1.4
-count = 64
-[ties]
-B = "A"
-C = "sigma * A"
-psi0 = "pi / 2"
-[family]
-name = "perp_velocity"
-solve = ["k3"]
-[nudge]
-theta0 = 1e-4
-psi0 = 1e-4
-[integration]
-duration = 30.0
-tolerance = 1e-10
-[labels]
-rate_tolerance = 1e-3
-"""
+SMALL_SCENE = Path(__file__).parents[2] / "tests" / "small.toml"
 TILE = 64
 
 
@@ -63,7 +35,10 @@ class Trial:
 
     def __init__(self, folder: Path):
         self.folder = folder
-        (folder / "scene.toml").write_text(SCENE)
+        table = tomllib.loads(SMALL_SCENE.read_text())
+        table["axes"]["sigma"]["count"], table["axes"]["theta0"]["count"] = 60, 64
+        table["integration"]["tolerance"] = 1e-10
+        (folder / "scene.toml").write_text(scene_from(table).toml())
         self.scene = atlas.load_scene(folder / "scene.toml")
         self.whole = atlas.run(self.scene, progress=False)
 

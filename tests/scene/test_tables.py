@@ -1,6 +1,7 @@
 """Points of one's own: files and tables, samples in scenes, `atlas points`, and the errors of bad input."""
 
 import csv
+from pathlib import Path
 
 import cf_xarray  # noqa: F401
 import numpy as np
@@ -20,14 +21,12 @@ from atlas.scene.points import SAMPLES, quasi_random
 from atlas.systems import SYSTEMS
 
 NAMES = set(SYSTEMS["satellite"].parameters)
-SAMPLED = """
-schema = 1
-system = "satellite"
-
-[fixed]
-A = 1.0
-m = 0.5
-
+SMALL = (Path(__file__).parents[1] / "small.toml").read_text()
+SMALL = SMALL.replace("duration = 30.0", 'duration = "3 orbits"').replace(
+    "tolerance = 1e-5", "tolerance = 1e-4"
+)
+BEFORE_AXES, FROM_TIES = SMALL[: SMALL.index("[axes")], SMALL[SMALL.index("[ties]") :]
+SAMPLE = """\
 [points]
 sample = "sobol"
 count = 48
@@ -42,31 +41,9 @@ from = 0.02
 to = 1.4
 spacing = "log"
 
-[ties]
-B = "A"
-C = "sigma * A"
-psi0 = "pi / 2"
-
-[family]
-name = "perp_velocity"
-solve = ["k3"]
-
-[nudge]
-theta0 = 1e-4
-psi0 = 1e-4
-
-[integration]
-duration = "3 orbits"
-tolerance = 1e-4
-
-[labels]
-rate_tolerance = 1e-3
 """
-GIVEN = (
-    SAMPLED[: SAMPLED.index("[points]")]
-    + '[points]\nfile = "mine.csv"\n'
-    + SAMPLED[SAMPLED.index("[ties]") :]
-)
+SAMPLED = BEFORE_AXES + SAMPLE + FROM_TIES
+GIVEN = BEFORE_AXES + '[points]\nfile = "mine.csv"\n' + FROM_TIES
 
 
 def write(path, text):
@@ -191,7 +168,6 @@ def test_a_scene_takes_its_points_from_a_file_beside_it(tmp_path, monkeypatch):
     )
 
 
-SAMPLE = SAMPLED[SAMPLED.index("[points]") : SAMPLED.index("[ties]")]
 BAD = [
     (SAMPLED, 'sample = "sobol"', 'sample = "random"', "points.sample"),
     (SAMPLED, 'sample = "sobol"', "", "one of sample, file and values, found none"),

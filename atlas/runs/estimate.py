@@ -111,12 +111,8 @@ def _calibration_points(scene: Scene, sample: grid.Grid, threads: int) -> grid.G
     exists = np.flatnonzero(sample.exists)
     chosen = exists[np.linspace(0, exists.size - 1, min(exists.size, CALIBRATION_POINTS)).astype(np.int64)]
     fraction = min(1.0, CALIBRATION_STEPS * threads / (chosen.size * mean_steps(scene, sample)))
-    return grid.Grid(
-        {name: values[chosen] for name, values in sample.base.items()},
-        {name: values[chosen] for name, values in sample.points.items()},
-        sample.exists[chosen],
-        sample.duration[chosen] * fraction,
-    )
+    points = sample.subset(chosen)
+    return replace(points, duration=points.duration * fraction)
 
 
 def _resident_bytes() -> int:

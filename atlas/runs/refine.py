@@ -124,16 +124,16 @@ class _FineGrid:
             column[indices] = points.base[name]
         existing = indices[points.exists]
         if existing.size:
-            base = {name: values[points.exists] for name, values in points.base.items()}
+            there = points.subset(points.exists)
             with np.errstate(all="ignore"):
                 prediction = theory.predict(
-                    scene.system, base, scene.settings.rate_tolerance, bool(scene.nudge)
+                    scene.system, there.base, scene.settings.rate_tolerance, bool(scene.nudge)
                 )
             growth_rate = prediction["growth_rate"]
             self.growth_rate[existing] = growth_rate
             for name, flags in self.predicted.items():
                 flags[existing] = prediction[name]
-            growth = growth_rate * points.duration[points.exists]
+            growth = growth_rate * there.duration
             unstable = prediction["stable"] == Stability.UNSTABLE
             self.slowly_unstable[existing] = unstable & (growth < _growth_needed(scene))
         return points.exists

@@ -101,6 +101,13 @@ def check_keys(table: Mapping[str, Any], parent: str, allowed: Iterable[str]) ->
             raise BadInput(f"{parent}{key}: unknown key; allowed: {', '.join(allowed)}")
 
 
+def check_given(key: str, table: Mapping[str, Any], needed: Iterable[str], rule: str) -> None:
+    """Raise BadInput, which ends with the rule, if a key that is needed is not in the table under `key`."""
+    for name in needed:
+        if name not in table:
+            raise BadInput(f"{key}.{name} is missing: {rule}")
+
+
 def check_range(parameter: Parameter, key: str, low: float, high: float) -> None:
     """Raise BadInput if values from low to high leave the range of a parameter."""
     below = low <= parameter.low if parameter.open_low else low < parameter.low
@@ -168,9 +175,7 @@ def from_table(
     fields = {f.name: f for f in dataclasses.fields(cls) if f.metadata["section"] in ("", section)}
     check_keys(table, f"{section}.", [*also, *fields])
     needed = [name for name, field in fields.items() if field.default is dataclasses.MISSING]
-    for name in needed:
-        if name not in table:
-            raise BadInput(f"{section}.{name} is missing: [{section}] needs {', '.join(needed)}")
+    check_given(section, table, needed, f"[{section}] needs {', '.join(needed)}")
     return {
         name: field.metadata["check"](f"{section}.{name}", table[name])
         for name, field in fields.items()

@@ -47,6 +47,13 @@ class Grid:
     exists: Mask
     duration: Array
 
+    def subset(self, where: np.ndarray) -> Grid:
+        """Some of the points, by their indices or by a mask."""
+        base, points = (
+            {name: values[where] for name, values in columns.items()} for columns in (self.base, self.points)
+        )
+        return Grid(base, points, self.exists[where], self.duration[where])
+
 
 def parameter_values(scene: Scene, indices: np.ndarray) -> dict[str, Array]:
     """Value of every parameter, axis and tie, before the family is solved.
@@ -200,7 +207,7 @@ def check(scene: Scene) -> Grid:
     grid = points_at_indices(scene, indices)
     if scene.family is not None:
         _check_family(scene, indices, grid.exists)
-    on_grid = {name: values[grid.exists] for name, values in grid.base.items()}
+    on_grid = grid.subset(grid.exists).base
     for name, derived in scene.system.derived.items():
         if name in scene.outputs:
             try:

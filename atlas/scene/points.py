@@ -138,9 +138,7 @@ def _stretched_column(system: System, name: str, table: object, fraction: Array)
     if not isinstance(table, Mapping):
         raise BadInput(f"{key} = {table!r}: must be a table with from and to")
     checks.check_keys(table, f"{key}.", ("from", "to", "spacing"))
-    for needed in ("from", "to"):
-        if needed not in table:
-            raise BadInput(f"{key}.{needed} is missing: a range needs from and to")
+    checks.check_given(key, table, ("from", "to"), "a range needs from and to")
     first, last, spacing = checks.interval(key, table)
     if first == last:
         raise BadInput(f"{key}: from = to = {first:g}; put what does not vary into [fixed]")

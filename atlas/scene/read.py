@@ -17,34 +17,14 @@ from ..systems.base import System
 from ..variables import variables
 from . import checks
 from .expressions import Expression, PointColumn, Tie, evaluation_order
-from .model import (
-    DURATION_UNITS,
-    SCHEMA,
-    Axis,
-    Duration,
-    Refine,
-    Scene,
-    Settings,
-    optional_start_values,
-)
+from .model import DURATION_UNITS, SCHEMA, Axis, Duration, Refine, Scene, Settings, optional_start_values
 from .points import read_points
 
 MAX_POINTS = 10**12
 MAX_AXIS_COUNT = 10**8
 # Points of the fine grid of a refined scene, which is held in memory.
 MAX_REFINED_POINTS = 2 * 10**8
-TABLES = (
-    "fixed",
-    "axes",
-    "points",
-    "ties",
-    "family",
-    "nudge",
-    "integration",
-    "labels",
-    "refine",
-    "outputs",
-)
+TABLES = ("fixed", "axes", "points", "ties", "family", "nudge", "integration", "labels", "refine", "outputs")
 KEYS = ("schema", "title", "system", *TABLES)
 
 
@@ -218,9 +198,7 @@ def _axis(system: System, name: str, table: object, levels: int) -> Axis:
 
 def _spaced_values(key: str, table: Mapping[str, Any], levels: int) -> list[float]:
     """Values of an axis with from, to and count, whose spacing is halved `levels` times."""
-    for needed in ("from", "to", "count"):
-        if needed not in table:
-            raise BadInput(f"{key}.{needed} is missing: an axis needs from, to and count, or values")
+    checks.check_given(key, table, ("from", "to", "count"), "an axis needs from, to and count, or values")
     first, last, spacing = checks.interval(key, table)
     count = checks.whole_number(f"{key}.count", table["count"], 1, MAX_AXIS_COUNT)
     fine_count = (count - 1) * 2**levels + 1

@@ -183,7 +183,7 @@ def _with_reference(scene: Scene, indices: np.ndarray, advance: Advance) -> _Sam
             failed = indices[failure.indices]
             left_out = (
                 f"the reference fails at {failed.size} of {indices.size} points, where the motion is not finite"
-                f" or turns more than {MAX_RADIANS:g} rad: {_axis_values_text(scene, failed)}"
+                f" or turns more than {MAX_RADIANS:g} rad: {points_text(_on_axes(scene, failed), 5)}"
             )
             indices = np.delete(indices, failure.indices)
             if indices.size < 2:
@@ -312,13 +312,20 @@ def _kernel(scene: Scene, method: str) -> ModuleType:
     return kernel(scene.system, method, scene_specialization(scene))
 
 
-def _axis_values_text(scene: Scene, indices: np.ndarray, most: int = 5) -> str:
+def _on_axes(scene: Scene, indices: np.ndarray) -> dict[str, Array]:
+    """Values of some points on the axes of their scene, by the axis."""
+    on_grid = np.unravel_index(indices, scene.shape)
+    axes = zip(scene.axes.values(), on_grid, strict=True)
+    return {axis.name: np.asarray(axis.values)[index] for axis, index in axes}
+
+
+def points_text(on_axes: Mapping[str, Array], most: int) -> str:
     """The first points by the values on their axes, in words."""
-    texts = []
-    for index in np.transpose(np.unravel_index(indices[:most], scene.shape)):
-        values = zip(scene.axes.values(), index, strict=True)
-        texts.append(", ".join(f"{axis.name} = {axis.values[i]:.6g}" for axis, i in values))
-    return "; ".join(texts) + (f" and {indices.size - most} more" if indices.size > most else "")
+    texts = [
+        ", ".join(f"{name} = {value:.6g}" for name, value in zip(on_axes, point, strict=True))
+        for point in zip(*on_axes.values(), strict=True)
+    ]
+    return "; ".join(texts[:most]) + (f" and {len(texts) - most} more" if len(texts) > most else "")
 
 
 def _dataset(sample: _Sample, results: Mapping[tuple[int, int], _LevelResult]) -> xr.Dataset:
@@ -333,8 +340,8 @@ def _dataset(sample: _Sample, results: Mapping[tuple[int, int], _LevelResult]) -
             name: ("level", values, {"long_name": f"{name} of the scene's [integration]"}),
         }
     )
-    for axis, index in zip(scene.axes.values(), np.unravel_index(sample.indices, scene.shape), strict=True):
-        ds.coords[f"axis_{axis.name}"] = "sample", np.asarray(axis.values)[index]
+    for axis, on_axis in _on_axes(scene, sample.indices).items():
+        ds.coords[f"axis_{axis}"] = "sample", on_axis
     registry = variables(scene.system)
     statistics = {f"error_{name}": (float, f"error of {name}", registry[name].units) for name in STATISTICS}
     for variable, (dtype, long_name, units) in (statistics | VARIABLES).items():

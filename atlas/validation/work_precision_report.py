@@ -11,7 +11,7 @@ import xarray as xr
 from ..systems.base import Array
 from .half_step import upper_bound
 from .reference import STATISTICS
-from .work_precision import nanmedian, uncertainty_name
+from .work_precision import nanmedian, points_text, uncertainty_name
 
 
 def summary(ds: xr.Dataset) -> list[dict[str, Any]]:
@@ -232,12 +232,10 @@ def _points_above(ds: xr.Dataset, row: Mapping[str, Any], target: float, most: i
     at = _at_row(ds, row)
     error = np.fmax(at["error_state"].values, at["error_rates"].values)
     above = np.flatnonzero(error > target)
-    worst = above[np.argsort(-error[above])][:most]
+    worst = above[np.argsort(-error[above])]
     axes = [str(name) for name in ds.coords if str(name).startswith("axis_")]
-    texts = [
-        ", ".join(f"{name.removeprefix('axis_')} = {float(ds[name][i]):.6g}" for name in axes) for i in worst
-    ]
-    return above.size, "; ".join(texts) + (f" and {above.size - most} more" if above.size > most else "")
+    on_axes = {name.removeprefix("axis_"): ds[name].values[worst] for name in axes}
+    return above.size, points_text(on_axes, most)
 
 
 def nanmax(values: Array) -> float:

@@ -42,8 +42,8 @@ class Comparison:
 
     def __init__(self, scene: Scene, count: int, rounds: int):
         indices = np.unique(np.linspace(0, scene.size - 1, count).round().astype(np.int64))
-        every = grid.points_at_indices(scene, indices)
-        self.points = grid.points_at_indices(scene, indices[every.exists])
+        points = grid.points_at_indices(scene, indices)
+        self.points = points.subset(points.exists)
         self.size = self.points.duration.size
         scenes = [replace(scene, settings=replace(scene.settings, method=method)) for method in METHODS]
         self.estimate = relative_costs(scenes[0], self.points)["rk8"]

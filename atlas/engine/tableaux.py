@@ -188,6 +188,6 @@ RK8 = Method(
     dissipation_order=10,
     stability=5.960359811702219,
     max_samples=4,
-    step_cost=8.5,
+    step_cost=8.3,
 )
 METHODS = {method.name: method for method in (RK4, RK8)}

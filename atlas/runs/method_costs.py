@@ -13,7 +13,8 @@ from .tiling import mean_steps
 def relative_costs(scene: Scene, sample: Grid) -> dict[str, float]:
     """Expected processor time of the integration by the other methods, at the tolerance of a scene.
 
-    It is the number of steps that a method takes at the points of the sample times the cost of a step.
+    It is the number of steps that a method takes at the points of the sample times the cost of a step; compiling and the
+    prediction of theory are not part of it.
 
     Parameters
     ----------

@@ -34,6 +34,9 @@ from atlas.scene.model import Scene
 
 CONFIGS = Path(__file__).parents[2] / "configs"
 METHODS = ("rk4", "rk8")
+COLUMNS = (
+    "rk4, µs a point", "rk8 / rk4", "estimated", "with theory", "cost of a step", "other label", "unresolved"
+)  # fmt: skip
 T = TypeVar("T")
 
 
@@ -95,10 +98,7 @@ def main() -> None:
     parser.add_argument("--points", type=int, default=4096, help="points of a scene (default: %(default)s)")
     parser.add_argument("--rounds", type=int, default=3)
     options = parser.parse_args()
-    print(
-        "| scene | rk4, µs a point | rk8 / rk4 | estimated | with theory | cost of a step | labels that differ |"
-    )
-    print("|---|---|---|---|---|---|---|")
+    print(f"| scene | {' | '.join(COLUMNS)} |\n{'|---' * (1 + len(COLUMNS))}|")
     comparisons = []
     for path in options.scenes:
         scene = atlas.load_scene(path)

@@ -87,6 +87,20 @@ def check_folder(path: Path) -> None:
         raise BadInput(f"{path}: this is a folder")
 
 
+def read_text(path: Path) -> str:
+    """Text of a file in UTF-8; BadInput if it cannot be read."""
+    try:
+        return path.read_text(encoding="utf-8-sig")
+    except FileNotFoundError:
+        raise BadInput(f"{path}: there is no such file") from None
+    except IsADirectoryError:
+        raise BadInput(f"{path}: this is a folder") from None
+    except UnicodeDecodeError:
+        raise BadInput(f"{path}: not a text file in UTF-8") from None
+    except OSError as error:
+        raise BadInput(f"{path}: cannot be read: {error.strerror}") from None
+
+
 def writable(name: str | Path, suffixes: Sequence[str], *, force: bool) -> Path:
     """Check the path of a file before anything is computed.
 

@@ -275,7 +275,6 @@ class Scene:
     def toml(self) -> str:
         """The scene with every default written out; `load_scene` of this text gives the same scene."""
         settings, duration = self.settings, self.duration
-        step_control = ("tolerance", settings.tolerance) if settings.step is None else ("step", settings.step)
         table: dict[str, Any] = {
             "schema": SCHEMA,
             "title": self.title,
@@ -293,18 +292,12 @@ class Scene:
             table["family"] = {"name": self.family, "solve": list(self.solve)}
         if self.nudge:
             table["nudge"] = dict(self.nudge)
-        table["integration"] = {
-            "duration": str(duration) if duration.unit else duration.amount,
-            "method": settings.method,
-            "max_steps": settings.max_steps,
-            "check_half_step": settings.check_half_step,
-            step_control[0]: step_control[1],
-        }
-        table["labels"] = {
-            "rate_tolerance": settings.rate_tolerance,
-            "cylinder_tolerance": settings.cylinder,
-            "drift_tolerance": settings.drift_tolerance,
-        }
+        table["integration"] = {"duration": str(duration) if duration.unit else duration.amount}
+        table["labels"] = {}
+        for f in fields(settings):
+            table[f.metadata["section"]][f.name] = getattr(settings, f.name)
+        del table["integration"]["step" if settings.step is None else "tolerance"]
+        table["labels"]["cylinder_tolerance"] = settings.cylinder
         table["outputs"] = {"variables": list(self.outputs)}
         return tomli_w.dumps(table)
 

@@ -13,6 +13,7 @@ import numpy as np
 
 from .. import systems
 from ..errors import BadInput
+from ..files import read_text
 from ..systems.base import System
 from ..variables import variables
 from . import checks
@@ -50,7 +51,7 @@ def load_scene(source: str | Path) -> Scene:
         text, name, folder = source, "scene", Path()
     else:
         path = Path(source)
-        text, name, folder = _read_text(path), path.stem, path.parent
+        text, name, folder = read_text(path), path.stem, path.parent
     try:
         table = tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:
@@ -132,20 +133,6 @@ def scene_from(table: Mapping[str, Any], name: str = "scene", folder: Path = Pat
     if scene.size > MAX_POINTS:
         raise BadInput(f"axes: {scene.size:.3g} points in all; allowed: at most {MAX_POINTS:.0e}")
     return scene
-
-
-def _read_text(path: Path) -> str:
-    """Text of a scene file."""
-    try:
-        return path.read_text(encoding="utf-8")
-    except FileNotFoundError:
-        raise BadInput(f"{path}: there is no such file") from None
-    except IsADirectoryError:
-        raise BadInput(f"{path}: this is a folder, not a scene file") from None
-    except UnicodeDecodeError:
-        raise BadInput(f"{path}: not a text file in UTF-8") from None
-    except OSError as error:
-        raise BadInput(f"{path}: cannot be read: {error.strerror}") from None
 
 
 def _check_keys(table: Mapping[str, Any]) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import io
 import math
 from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
@@ -11,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from ..errors import BadInput
+from ..files import read_text
 from ..systems.base import Array, System
 from .checks import check_range
 
@@ -160,16 +162,11 @@ def _columns_of_rows(rows: Sequence[Mapping[Any, Any]]) -> dict[str, Any]:
 def _read_csv(path: Path) -> dict[str, Any]:
     """Columns of a CSV file whose first line names them."""
     try:
-        with path.open(encoding="utf-8-sig", newline="") as file:
-            reader = csv.reader(file, strict=True)
-            header = _csv_header(path, next(reader, []))
-            rows = [_csv_row(path, reader.line_num, header, row) for row in reader if row]
-    except UnicodeDecodeError:
-        raise BadInput(f"{path}: not a text file in UTF-8") from None
+        reader = csv.reader(io.StringIO(read_text(path)), strict=True)
+        header = _csv_header(path, next(reader, []))
+        rows = [_csv_row(path, reader.line_num, header, row) for row in reader if row]
     except csv.Error as error:
         raise BadInput(f"{path}: not a CSV file: {error}") from None
-    except OSError as error:
-        raise BadInput(f"{path}: cannot be read: {error.strerror}") from None
     if not rows:
         raise BadInput(f"{path}: no points: there is only the line of names")
     return dict(zip(header, np.array(rows).T, strict=True))

@@ -44,10 +44,10 @@ COMPUTED = Variable(
     },
 )  # fmt: skip
 _ERROR_ESTIMATE = (
-    "the largest of: phase error and dissipation of an oscillation at the bound of the fastest frequency, times the growth"
-    " of an unstable family (to 1 at most); change of a first integral; where the axis was in the cylinder for a part of the"
-    " run, the share of one sample; and where the point was integrated again at half the step, the change of a mean or"
-    " standard deviation of a rate over that bound"
+    "differences of rates over the bound of the fastest frequency, of angles in rad; expected from phase error, dissipation,"
+    " rounding and interpolation, the growth of an unstable family, the distance of the third axis from the vertical and the"
+    " change of first integrals, or measured by a second run (check_half_step); at least 1 where the axis was in the"
+    " cylinder for a part of the run"
 )
 _NO_MEANING = "nan where the third axis stays inside the cylinder: psi' and phi' have no meaning there"
 
@@ -82,7 +82,7 @@ def variables(system: System) -> dict[str, Variable]:
             "step times bound of the fastest frequency over the stability limit of the method",
         ),
         Variable(
-            "error_estimate", "float64", "1", "estimated relative error of states and rates at the end of the run",
+            "error_estimate", "float64", "1", "estimated relative error of the final state and of every statistic",
             comment=_ERROR_ESTIMATE,
         ),
     ]  # fmt: skip

@@ -129,9 +129,10 @@ SATELLITE_SOLVED = {
 }
 
 
-def satellite_on_family(name: str, rng: np.random.Generator) -> Points | None:
-    """A random satellite on the family, or None where the drawn parameters admit none."""
+def satellite_on_family(name: str, rng: np.random.Generator, slower: float = 1.0) -> Points | None:
+    """A random satellite on the family, or None where the drawn parameters admit none; n and m times `slower`."""
     point = satellite_for_family(name, rng)
+    point |= {rate: point[rate] * slower for rate in ("n", "m")}
     for parameter in SATELLITE_SOLVED[name]:
         value = SATELLITE_FAMILIES[name].solve[parameter](point)
         if name == "other_axis" and np.isnan(value[0]):  # the component along the axis is free

@@ -15,36 +15,33 @@ from types import ModuleType
 
 import numpy as np
 
-from . import generated, jit, kernel, poles, sampling, statistics
+from . import generated, jit, kernel, poles, sampling, statistics, turning
 from .simplify import simplify
 from .statistics import Row
 from .tableaux import METHODS, Method
 
 INLINED = (
-    (sampling, ("sample", "turning_point", "quadrature_weight")),
-    (poles, ("is_near_vertical",)),
-    (statistics, ("begin", "accumulate")),
-)
-# Called seldom and long: inlined they would only fill the instruction cache.
-NOT_INLINED = (
+    (sampling, ("sample", "rule_position", "end_stretch", "stretched")),
+    (statistics, ("begin", "accumulate", "extend", "may_extend", "end")),
     (
         poles,
         (
-            "complex_inverse",
-            "to_newton_form",
-            "newton_polynomial",
-            "trapezoid_error_of_pole",
-            "pole_correction",
+            "turns_near_vertical", "complex_inverse", "square_root", "divided_differences", "horner", "polynomial", "difference",
+            "differences_of", "zeta_differences", "approximate_zero", "improve_zero", "pole_terms", "sum_errors",
         ),
     ),
-)
+    (turning, ("newton_change", "motion_of_turn", "turning_point")),
+)  # fmt: skip
+# Called seldom and long: inlined it would only fill the instruction cache.
+NOT_INLINED = ((poles, ("trapezoid_error_of_pole",)),)
+ENUMS = {enum.__name__: enum for enum in (Row, poles.Passage, poles.Term, turning.Turn)}
 
 
 def functions(module: ModuleType) -> dict[str, str]:
-    """Source of every function of a module without docstrings, by name; members of Row become their numbers."""
+    """Source of every function of a module without docstrings, by name; members of ENUMS become their numbers."""
     path = module.__file__
     assert path is not None
-    tree = _RowNumbers().visit(ast.parse(Path(path).read_text(encoding="utf-8")))
+    tree = _EnumNumbers().visit(ast.parse(Path(path).read_text(encoding="utf-8")))
     sources = {}
     for node in tree.body:
         if isinstance(node, ast.FunctionDef):
@@ -54,17 +51,18 @@ def functions(module: ModuleType) -> dict[str, str]:
     return sources
 
 
-class _RowNumbers(ast.NodeTransformer):
-    """Row.NAME and len(Row) as plain numbers, which the compiler needs not look up."""
+class _EnumNumbers(ast.NodeTransformer):
+    """Members and sizes of the enumerations as plain numbers, which the compiler needs not look up."""
 
     def visit_Attribute(self, node: ast.Attribute) -> ast.expr:
-        if isinstance(node.value, ast.Name) and node.value.id == "Row":
-            return ast.Constant(int(Row[node.attr]))
+        if isinstance(node.value, ast.Name) and node.value.id in ENUMS:
+            return ast.Constant(int(ENUMS[node.value.id][node.attr]))
+        self.generic_visit(node)
         return node
 
     def visit_Call(self, node: ast.Call) -> ast.expr:
-        if ast.unparse(node) == "len(Row)":
-            return ast.Constant(len(Row))
+        if isinstance(node.func, ast.Name) and node.func.id == "len" and ast.unparse(node.args[0]) in ENUMS:
+            return ast.Constant(len(ENUMS[ast.unparse(node.args[0])]))
         self.generic_visit(node)
         return node
 
@@ -95,7 +93,15 @@ def source(
     parts += [f"{jit.CALLED}\n{text}" for text in not_inlined]
     parts.append(f"{jit.KERNEL}\n{integrate}")
     constants = _constants(equations, METHODS[method]) | {
-        name: getattr(kernel, name) for name in ("MOTION", "NODES_PER_DRIFT")
+        name: getattr(module, name)
+        for module, names in (
+            (kernel, ("MOTION", "NODES_PER_DRIFT", "QUEUE", "NEAR_END")),
+            (sampling, ("END", "LONG", "CLUSTERING", "SQUARE", "FOURTH")),
+            (poles, ("REACH", "PASSAGE_ROWS", "NEWTON_STEPS")),
+            (turning, ("TURN_ROWS", "TURN_STEPS")),
+            (statistics, ("NO_ZERO",)),
+        )
+        for name in names
     }
     numbers = "\n".join(f"{name} = {value!r}" for name, value in constants.items())
     return jit.HEADER + numbers + "\n\n\n" + "\n\n\n".join(parts) + "\n"
@@ -128,7 +134,8 @@ def _constants(equations: ModuleType, method: Method) -> dict[str, float]:
         "CONSTANTS": len(equations.CONSTANTS),
         "INTEGRALS": len(equations.INTEGRALS),
         "STEP": method.kernel_step,
-        "MAX_SAMPLES": method.max_samples,
+        # Worth its loads and stores where a step is much longer than they are.
+        "STORES_SLOPE": method.stages > 4,
         "HAS_AXIS": hasattr(equations, "axis_in_frame"),
     }
 
@@ -153,7 +160,7 @@ def _generated_functions(
             f"block[{i}, l] = scales[{i}, p]{' * inverse_unit' * power}"
             for i, power in enumerate(equations.INTEGRALS.values())
         ],
-        "step(state, constants)": step_lines(method, states),
+        "step(state, slope, constants)": step_lines(method, states),
         "store_integrals(block, l, state, constants)": [
             line
             for i, name in enumerate(equations.INTEGRALS)
@@ -200,7 +207,8 @@ def step_lines(method: Method, states: int) -> list[str]:
         moves = (_weighted_sum(method.a[stage], method.kernel_step, i) for i in range(states))
         arguments = [f"y{i} + ({move})" if move else f"y{i}" for i, move in enumerate(moves)]
         slopes = ", ".join(f"k{stage}_{i}" for i in range(states))
-        lines.append(f"{slopes}, = rhs(({', '.join(arguments)},), constants)")
+        rhs = f"rhs(({', '.join(arguments)},), constants)" if stage else "slope"
+        lines.append(f"{slopes}, = {rhs}")
         weights = (0.0,) * stage + (method.b[stage] / first,)
         for i in range(states):
             if term := _weighted_sum(weights, 1.0, i):

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from .generated import WIDTH
 from .kernel import MOTION
-from .sampling import END_WEIGHTS, hermite_weights
+from .sampling import quadrature
 from .statistics import Row
 from .stepsize import StepSizes
 
@@ -29,20 +29,19 @@ CHUNK = 20_000_000
 
 @dataclass(frozen=True)
 class BlockSchedule:
-    """Blocks of points with equal numbers of steps and samples.
+    """Blocks of points with equal numbers of steps and nodes.
 
     Attributes
     ----------
     points : ndarray of int64, shape (blocks, WIDTH)
         Indices of the points of each block; an incomplete block repeats its last point.
-    steps, steps_per_sample, samples_per_step : ndarray of int64, shape (blocks,)
+    steps, steps_per_sample : ndarray of int64, shape (blocks,)
         As in StepSizes.
     """
 
     points: NDArray[np.int64]
     steps: NDArray[np.int64]
     steps_per_sample: NDArray[np.int64]
-    samples_per_step: NDArray[np.int64]
 
     @property
     def point_steps(self) -> int:
@@ -52,25 +51,20 @@ class BlockSchedule:
     @property
     def nodes(self) -> NDArray[np.int64]:
         """Nodes of a whole run, (blocks,)."""
-        return self.steps // self.steps_per_sample + (self.samples_per_step > 1)
+        return self.steps // self.steps_per_sample + 1
 
 
-def pack_blocks(
-    steps: NDArray[np.int64],
-    steps_per_sample: NDArray[np.int64],
-    samples_per_step: NDArray[np.int64] | None = None,
-) -> BlockSchedule:
-    """Gather points of equal steps and samples into blocks, the longest first, so that threads end together.
+def pack_blocks(steps: NDArray[np.int64], steps_per_sample: NDArray[np.int64]) -> BlockSchedule:
+    """Gather points of equal steps and nodes into blocks, the longest first, so that threads end together.
 
-    All arguments have the shape (points,); samples_per_step is 1 if it is not given.
+    Both arguments have the shape (points,).
     """
-    ones = np.ones_like(steps)
-    key = np.stack([steps, steps_per_sample, ones if samples_per_step is None else samples_per_step])
-    order = np.lexsort((key[2], key[1], -key[0]))
+    key = np.stack([steps, steps_per_sample])
+    order = np.lexsort((key[1], -key[0]))
     key = key[:, order]
     new = np.r_[True, (key[:, 1:] != key[:, :-1]).any(0)][: steps.size]
     starts = np.flatnonzero(new)
-    points, rows = [np.empty((0, WIDTH), np.int64)], [np.empty((3, 0), np.int64)]
+    points, rows = [np.empty((0, WIDTH), np.int64)], [np.empty((2, 0), np.int64)]
     for first, last in zip(starts, np.r_[starts[1:], steps.size], strict=True):
         group = order[first:last]
         points.append(np.r_[group, np.full(-len(group) % WIDTH, group[-1])].reshape(-1, WIDTH))
@@ -81,10 +75,8 @@ def pack_blocks(
 def schedule_of(step_sizes: StepSizes, where: NDArray[np.int64] | None = None) -> BlockSchedule:
     """The blocks of an ensemble, or of some of its points by their indices."""
     if where is None:
-        return pack_blocks(step_sizes.steps, step_sizes.steps_per_sample, step_sizes.samples_per_step)
-    packed = pack_blocks(
-        step_sizes.steps[where], step_sizes.steps_per_sample[where], step_sizes.samples_per_step[where]
-    )
+        return pack_blocks(step_sizes.steps, step_sizes.steps_per_sample)
+    packed = pack_blocks(step_sizes.steps[where], step_sizes.steps_per_sample[where])
     return replace(packed, points=where[packed.points])
 
 
@@ -164,15 +156,15 @@ def integrate(
         nodes = schedule.nodes
         out = np.empty((len(Row), state.shape[1]))
         segment = Segment(np.zeros_like(nodes), nodes, np.empty((0, 0)), out)
-    hermite = hermite_weights(kernel.MAX_SAMPLES)
+    rules = quadrature()
     nodes = segment.last_node - segment.first_node
     steps = np.minimum(nodes * schedule.steps_per_sample, schedule.steps) * WIDTH
 
     def work(first: int, last: int) -> int:
         kernel.integrate(
-            first, last, schedule.points, schedule.steps, schedule.steps_per_sample, schedule.samples_per_step,
-            segment.first_node, segment.last_node, step_size, state, constants, scales, END_WEIGHTS, hermite,
-            cylinder * cylinder, segment.resume, segment.out,
+            first, last, schedule.points, schedule.steps, schedule.steps_per_sample, segment.first_node,
+            segment.last_node, step_size, state, constants, scales, rules.node_weights, rules.first_sample,
+            rules.samples, cylinder * cylinder, segment.resume, segment.out,
         )  # fmt: skip
         return int(steps[first:last].sum())
 

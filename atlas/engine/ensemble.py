@@ -11,8 +11,7 @@ from numpy.typing import NDArray
 
 from ..systems.base import Array, Mask, Points, System
 from . import blocks
-from .sampling import END_WEIGHTS
-from .statistics import Row, finish
+from .statistics import Row, finish, theta_dot_squared_sum
 from .stepsize import StepSizes
 
 # Where runs are interrupted to leave out the points that are certain to drift, as shares of their nodes. Most drifting
@@ -33,9 +32,7 @@ class Integration:
     sums : ndarray of float64, shape (len(Row), points)
         Output of the kernel.
     intervals : ndarray of int64, shape (points,)
-        Intervals between the samples taken.
-    samples_per_step : ndarray of int64, shape (points,)
-        As in StepSizes.
+        Intervals between the nodes reached.
     duration : ndarray of float64, shape (points,)
         Integrated time, time units.
     stopped_early : ndarray of bool, shape (points,)
@@ -45,13 +42,19 @@ class Integration:
     final_state: Array
     sums: Array
     intervals: NDArray[np.int64]
-    samples_per_step: NDArray[np.int64]
     duration: Array
     stopped_early: Mask
 
     def statistics(self) -> dict[str, Array]:
         """Means, standard deviations and extremes; see `statistics.finish`."""
-        return finish(self.sums, self.intervals, self.samples_per_step)
+        return finish(self.sums, self.intervals, self.duration)
+
+    def subset(self, where: NDArray[np.int64]) -> Integration:
+        """Some of the points, by their indices."""
+        return Integration(
+            self.final_state[:, where], self.sums[:, where], self.intervals[where], self.duration[where],
+            self.stopped_early[where],
+        )  # fmt: skip
 
     @property
     def finite(self) -> Mask:
@@ -62,7 +65,7 @@ class Integration:
     def crossed_cylinder(self) -> Mask:
         """Whether the axis was in the cylinder for a part of the run, bool of shape (points,)."""
         outside = self.sums[Row.OUTSIDE]
-        return np.asarray((outside > 0.0) & (outside < self.intervals - 0.5 * END_WEIGHTS.min()))
+        return np.asarray((outside > 0.0) & (outside < self.intervals * (1.0 - 1e-10)))
 
 
 @dataclass(frozen=True)
@@ -138,21 +141,18 @@ class Ensemble:
                 kernel, blocks.schedule_of(step_sizes), step_sizes.step_size, state, self.constants, self.scales,
                 cylinder, threads=threads, progress=progress,
             )  # fmt: skip
-            nodes = step_sizes.nodes
+            nodes = step_sizes.intervals + 1
         else:
             sums, nodes = self._integrate_in_segments(
                 kernel, step_sizes, cylinder, early_stop_rate, state, threads, progress
             )
-        stopped_early = nodes < step_sizes.nodes
-        complete = np.maximum(nodes - (step_sizes.samples_per_step > 1), 1)  # intervals between nodes
-        steps = complete * step_sizes.steps_per_sample
+        intervals = np.maximum(nodes - 1, 1)
         return Integration(
             final_state=state,
             sums=sums,
-            intervals=complete * step_sizes.samples_per_step,
-            samples_per_step=step_sizes.samples_per_step,
-            duration=steps * step_sizes.step_size,
-            stopped_early=stopped_early,
+            intervals=intervals,
+            duration=intervals * step_sizes.sample_spacing,
+            stopped_early=nodes <= step_sizes.intervals,
         )
 
     def final_states(
@@ -193,15 +193,16 @@ class Ensemble:
         the whole run outside the cylinder, no later motion can bring the label back. A passage of the vertical takes
         away at most one sample beside it. Points that run to the end have the same bits as in a single call.
         """
+        run_nodes = step_sizes.intervals + 1
         sums = np.empty((len(Row), self.size))
         resume = blocks.resume_array(len(self.scales), self.size)
         with np.errstate(over="ignore"):
             limit = early_stop_rate * early_stop_rate * step_sizes.intervals * (1.0 + 1e-6)
         min_sin2_theta = cylinder * cylinder * (1.0 + 1e-9)
-        done = np.zeros_like(step_sizes.nodes)
+        done = np.zeros_like(run_nodes)
         active, packed, schedule = np.arange(self.size), np.empty(0, np.int64), None
         for share in SEGMENTS:
-            until = _segment_end(share, step_sizes.nodes[active])
+            until = _segment_end(share, run_nodes[active])
             goes_on = until > done[active]
             selected = active[goes_on]
             if not selected.size:
@@ -217,11 +218,11 @@ class Ensemble:
             )  # fmt: skip
             done[selected] = until[goes_on]
             certain = done[active] > 0  # sums of points that have not begun are undefined
-            certain &= sums[Row.THETA_DOT_SQUARED, active] > limit[active]
+            certain &= theta_dot_squared_sum(sums)[active] > limit[active]
             certain &= sums[Row.SIN2_THETA_MAX, active] > min_sin2_theta
-            ended = certain | (done[active] == step_sizes.nodes[active])
+            ended = certain | (done[active] == run_nodes[active])
             if progress is not None:
-                left_out = (step_sizes.nodes[active] - done[active]) * step_sizes.steps_per_sample[active]
+                left_out = (run_nodes[active] - done[active]) * step_sizes.steps_per_sample[active]
                 progress(int(left_out[ended].sum()))
             active = active[~ended]
         return sums, done

@@ -14,7 +14,7 @@ STATES = 0
 CONSTANTS = 0
 INTEGRALS = 0
 STEP = 1.0  # length of a step in the kernel's unit of time, `Method.kernel_step`
-MAX_SAMPLES = 1  # largest number of samples per step, `Method.max_samples`
+STORES_SLOPE = False  # is the slope at a node kept for the first stage of the step after it?
 HAS_AXIS = False  # does the system have `axis_in_frame`?
 
 
@@ -52,8 +52,8 @@ def axis_in_frame(state, constants):
     raise NotImplementedError
 
 
-def step(state, constants):
-    """State after one step of length STEP."""
+def step(state, slope, constants):
+    """State after one step of length STEP; slope: its derivative before it."""
     raise NotImplementedError
 
 

@@ -1,15 +1,18 @@
 """The kernel: blocks of WIDTH points integrated side by side, one SIMD lane each.
 
 Ordinary Python. Every loop over `l` runs over the lanes and is what the compiler turns into vector instructions; every
-function is inlined into `integrate` but for the rare `pole_correction`. What depends on the system and the method stands
-in `generated` and is written by `assemble`, which makes of this file a module for the compiler, or for the interpreter.
+function is inlined into `integrate` but for the rare `trapezoid_error_of_pole`. What depends on the system and the
+method stands in `generated` and is written by `assemble`, which makes of this file a module for the compiler, or for
+the interpreter.
 
 Each point is integrated in units of its own (`scaled` of its equations), in which all steps are STEP long and most
 coefficients are 1: a sixth of the multiplications less. The statistics are in the units of the caller.
 
-A node is an instant at which the motion is known with its derivative: every steps_per_sample steps, and where there are
-several samples per step, every step. Node i is kept in slot i % 4 of `nodes`, so that the interval from node i - 2 to
-i - 1 can be interpolated, and corrected for poles, from the four nodes around it once node i is known.
+A node is an instant at which the motion is evaluated together with its derivative: every steps_per_sample steps. Node i
+is kept in slot i % 4 of `nodes`, so that the motion between the nodes i - 2 and i - 1 can be interpolated from the four
+nodes around them once node i is evaluated. The statistics are sums over the nodes and, near both ends of a run, over
+interpolated samples between them (`sampling`). Passages near the vertical wait in a queue, so that the errors that they
+cause (`poles`) are computed for many of them side by side.
 """
 
 import numpy as np
@@ -18,9 +21,9 @@ from .generated import (
     CONSTANTS,
     HAS_AXIS,
     INTEGRALS,
-    MAX_SAMPLES,
     STATES,
     STEP,
+    STORES_SLOPE,
     WIDTH,
     aligned_empty,
     aligned_stack,
@@ -38,14 +41,32 @@ from .generated import (
     store_state,
     unscaled,
 )
-from .poles import is_near_vertical, pole_correction
-from .sampling import quadrature_weight
-from .statistics import Row, accumulate, begin
+from .poles import (
+    NEWTON_STEPS,
+    PASSAGE_ROWS,
+    REACH,
+    Passage,
+    Term,
+    approximate_zero,
+    difference,
+    improve_zero,
+    pole_terms,
+    sum_errors,
+    trapezoid_error_of_pole,
+    turns_near_vertical,
+)
+from .sampling import END, LONG, rule_position, stretched
+from .statistics import Row, accumulate, begin, end, extend, may_extend
+from .turning import TURN_ROWS, TURN_STEPS, Turn, turning_point
 
 # Components of the motion, u1, u2, u3, g1, g2, g3: rows of a node, followed by those of their derivatives.
 MOTION = 6
 # First integrals change slowly: they are evaluated at every fourth node and at the end.
 NODES_PER_DRIFT = 4
+# Turning points and passages that are computed side by side.
+QUEUE = 96
+# sin^2 theta below which both ends of a run are searched for passages.
+NEAR_END = 0.2
 
 
 def motion_of(state, constants, inverse_unit):
@@ -62,18 +83,26 @@ def store_motion(nodes, slot, row, l, motion):
     ) = motion  # fmt: skip
 
 
+def motion_at(nodes, slot, l):
+    """The motion at a node."""
+    return (
+        nodes[slot, 0, l], nodes[slot, 1, l], nodes[slot, 2, l],
+        nodes[slot, 3, l], nodes[slot, 4, l], nodes[slot, 5, l],
+    )  # fmt: skip
+
+
 def interpolate(nodes, slots, weights, row, l):
-    """One component of the motion between four nodes: `hermite_weights` of values and derivatives."""
+    """One component of the motion between four nodes: weights of their values and derivatives."""
     s0, s1, s2, s3 = slots
     w0, w1, w2, w3, w4, w5, w6, w7 = weights
     d = row + MOTION
     values = w0 * nodes[s0, row, l] + w1 * nodes[s1, row, l] + w2 * nodes[s2, row, l] + w3 * nodes[s3, row, l]
     slopes = w4 * nodes[s0, d, l] + w5 * nodes[s1, d, l] + w6 * nodes[s2, d, l] + w7 * nodes[s3, d, l]
-    return values + STEP * slopes
+    return values + slopes
 
 
 def interpolated_motion(nodes, slots, weights, l):
-    """The motion between four nodes that are one step apart."""
+    """The motion between four nodes."""
     return (
         interpolate(nodes, slots, weights, 0, l),
         interpolate(nodes, slots, weights, 1, l),
@@ -84,60 +113,15 @@ def interpolated_motion(nodes, slots, weights, l):
     )
 
 
-def interpolation_weights(hermite, samples_per_step, interval, sample):
-    """The eight weights of a sample in an interval, as scalars; hermite: sampling.hermite_weights."""
-    w = hermite[samples_per_step - 1, interval, sample - 1]
-    return w[0], w[1], w[2], w[3], w[4], w[5], w[6], w[7]
-
-
-def near_vertical(nodes, first, second, l, interval, spacing, samples_per_step):
-    """Do the samples between two nodes need a correction? See `is_near_vertical`; spacing in the kernel's units."""
-    slope_0 = spacing * (nodes[first, 3, l] * nodes[first, 9, l] + nodes[first, 4, l] * nodes[first, 10, l])
-    slope_1 = spacing * (
-        nodes[second, 3, l] * nodes[second, 9, l] + nodes[second, 4, l] * nodes[second, 10, l]
-    )
-    sin2_theta = nodes[first, 3, l] * nodes[first, 3, l] + nodes[first, 4, l] * nodes[first, 4, l]
-    return is_near_vertical(interval, sin2_theta, slope_0, slope_1, samples_per_step)
-
-
-def correct(
-    stats, nodes, hermite_data, l, slot, interval, spacing, duration, first, samples_per_step, intervals, end_weights,
-    cylinder_squared,
-):  # fmt: skip
-    """Subtract the quadrature error of a passage near the vertical from the sums of lane l.
-
-    spacing, duration: distance of two nodes in the kernel's and in the caller's units; first: sample at the first of
-    the four nodes.
-    """
-    for k in range(4):
-        n = (slot + 1 + k) & 3
-        for derivative in range(2):
-            row, unit = MOTION * derivative, (spacing if derivative else 1.0)
-            rate = duration * unit
-            hermite_data[0, 2 * k + derivative] = complex(
-                nodes[n, row + 3, l] * unit, nodes[n, row + 4, l] * unit
-            )
-            hermite_data[1, 2 * k + derivative] = complex(
-                nodes[n, row, l] * rate, nodes[n, row + 1, l] * rate
-            )
-            hermite_data[2, 2 * k + derivative] = complex(
-                nodes[n, row + 5, l] * unit, nodes[n, row + 2, l] * rate
-            )
-    theta_squared, psi, psi_squared, phi, phi_squared = pole_correction(
-        hermite_data, interval, first, samples_per_step, intervals, end_weights,
-        stats[Row.PSI_DOT_REFERENCE, l] * duration, stats[Row.PHI_DOT_REFERENCE, l] * duration, cylinder_squared,
-    )  # fmt: skip
-    stats[Row.PASSAGES, l] += 1.0
-    stats[Row.THETA_DOT_SQUARED, l] -= theta_squared / (duration * duration)
-    stats[Row.PSI_DOT, l] -= psi / duration
-    stats[Row.PSI_DOT_SQUARED, l] -= psi_squared / (duration * duration)
-    stats[Row.PHI_DOT, l] -= phi / duration
-    stats[Row.PHI_DOT_SQUARED, l] -= phi_squared / (duration * duration)
+def sample_weights(samples, j, spacing):
+    """The eight weights of sample j as scalars, those of derivatives for a distance `spacing` of two nodes."""
+    w = samples[j]
+    return w[1], w[2], w[3], w[4], w[5] * spacing, w[6] * spacing, w[7] * spacing, w[8] * spacing
 
 
 def integrate(
-    first_block, last_block, points, steps, steps_per_sample, samples_per_step, first_node, last_node, step_size,
-    state0, constants0, scales, end_weights, hermite, cylinder_squared, resume, out,
+    first_block, last_block, points, steps, steps_per_sample, first_node, last_node, step_size, state0, constants0,
+    scales, node_weights, first_sample, samples, cylinder_squared, resume, out,
 ):  # fmt: skip
     """Integrate blocks of points over a range of nodes.
 
@@ -147,20 +131,20 @@ def integrate(
         Range of the blocks to integrate.
     points : ndarray of int64, shape (blocks, WIDTH)
         The points of each block.
-    steps, steps_per_sample, samples_per_step : ndarray of int64, shape (blocks,)
+    steps, steps_per_sample : ndarray of int64, shape (blocks,)
         Of the whole run of a block's points, as in `stepsize.StepSizes`.
     first_node, last_node : ndarray of int64, shape (blocks,)
-        Range of the nodes of this call; 0 begins the runs, `nodes_of_run` ends them. Between calls the state lies in
-        `state0` in the kernel's units, the sums in `out`, the rest in `resume`; the results are the same to the bit
-        as those of a single call.
+        Range of the nodes of this call; 0 begins the runs, that after steps / steps_per_sample ends them. Between
+        calls the state lies in `state0` in the kernel's units, the sums in `out`, the rest in `resume`; the results
+        are the same to the bit as those of a single call.
     step_size : ndarray of float64, shape (points,)
         In time units.
     state0 : ndarray of float64, shape (STATES, points), overwritten
         State at the start and, after the last node, at the end.
     constants0, scales : ndarray of float64, shapes (CONSTANTS, points) and (INTEGRALS, points)
         Constants of the equations and reciprocal scales of the first integrals.
-    end_weights, hermite : ndarray of float64
-        `sampling.END_WEIGHTS` and `sampling.hermite_weights(MAX_SAMPLES)`.
+    node_weights, first_sample, samples : ndarray
+        See `sampling.Quadrature`.
     cylinder_squared : float
         Square of the cylinder tolerance.
     resume : ndarray of float64, shape (4 * 2 * MOTION + INTEGRALS, points), or (0, 0) where all runs are whole
@@ -173,15 +157,19 @@ def integrate(
     dt, inverse_unit = aligned_empty((WIDTH,)), aligned_empty((WIDTH,))
     inverse_scales, integrals0 = aligned_empty((INTEGRALS, WIDTH)), aligned_empty((INTEGRALS, WIDTH))
     stats, nodes = aligned_empty((len(Row), WIDTH)), aligned_empty((4, 2 * MOTION, WIDTH))
-    near = aligned_empty((WIDTH,))
-    hermite_data = np.empty((3, 8), np.complex128)
+    slopes = aligned_empty((STATES, WIDTH))
+    turning, near, instant = aligned_empty((WIDTH,)), aligned_empty((WIDTH,)), aligned_empty((WIDTH,))
+    turns, extremes = aligned_empty((TURN_ROWS, QUEUE)), aligned_empty((2, QUEUE))
+    turn_lanes = np.zeros(QUEUE, np.int64)
+    passages, terms = aligned_empty((PASSAGE_ROWS, QUEUE)), aligned_empty((2, len(Term), QUEUE))
+    lanes, first_nodes = np.zeros(QUEUE, np.int64), np.zeros(QUEUE, np.int64)
+    passages[:] = 0.0
+    turns[:] = 0.0
     for block in range(first_block, last_block):
-        stride, samples = steps_per_sample[block], samples_per_step[block]
-        intervals = steps[block] // stride
-        all_samples = intervals * samples
-        last_interval_node = intervals if samples > 1 else intervals - 1
-        # The last node, for the derivative at the end of the last interval, has no steps after it.
-        run_nodes = intervals + 1 if samples > 1 else intervals
+        stride = steps_per_sample[block]
+        intervals, spacing = steps[block] // stride, STEP * stride
+        rule = min(intervals, LONG)
+        passage_count, turn_count = 0, 0
         for l in range(WIDTH):
             p = points[block, l]
             dt[l] = step_size[p]
@@ -192,92 +180,211 @@ def integrate(
             store_constants(constants, l, c)
             store_scales(inverse_scales, l, scales, p, inverse_unit[l])
         if first_node[block] == 0:
-            weight = quadrature_weight(0, all_samples, end_weights)
             for l in range(WIDTH):
                 y, c = load_state(state, l), load_constants(constants, l)
-                begin_run(l, y, c, inverse_unit[l], weight, cylinder_squared, stats, integrals0)
+                begin(stats, l, motion_of(y, c, inverse_unit[l]), cylinder_squared)
+                store_integrals(integrals0, l, y, c)
         else:
             for l in range(WIDTH):
                 load_run(points[block, l], l, state, stats, nodes, integrals0, state0, resume, out)
         for i in range(first_node[block], last_node[block]):
-            slot = i & 3
+            slot, last = i & 3, i + 1 == last_node[block]
+            weight = node_weights[rule, rule_position(i, intervals)]
             for l in range(WIDTH):
                 y, c = load_state(state, l), load_constants(constants, l)
                 store_motion(nodes, slot, 0, l, motion_of(y, c, inverse_unit[l]))
-                store_motion(nodes, slot, MOTION, l, motion_of(rhs(y, c), c, inverse_unit[l]))
-            for _ in range(stride if i < intervals else 0):
-                for l in range(WIDTH):
-                    store_state(state, l, step(load_state(state, l), load_constants(constants, l)))
-            if samples == 1:
-                weight = quadrature_weight(i + 1, all_samples, end_weights)
-                for l in range(WIDTH):
-                    motion = motion_of(load_state(state, l), load_constants(constants, l), inverse_unit[l])
-                    accumulate(stats, l, motion, weight, dt[l] * stride, cylinder_squared)
+                slope = rhs(y, c)
+                store_state(slopes, l, slope)
+                store_motion(nodes, slot, MOTION, l, motion_of(slope, c, inverse_unit[l]))
+            for l in range(WIDTH):
+                motion = motion_at(nodes, slot, l)
+                accumulate(stats, l, motion, weight, cylinder_squared)
+                extend(stats, l, motion[5], motion[3] * motion[3] + motion[4] * motion[4])
             if i >= 3:  # the inner interval; at both ends of the run those beside it, too
-                for interval in range(0 if i == 3 else 1, 3 if i == last_interval_node else 2):
-                    sample_interval(
-                        interval, i, stride, samples, all_samples, dt, nodes, near, hermite_data, stats, end_weights,
-                        hermite, cylinder_squared,
-                    )  # fmt: skip
-            if HAS_AXIS and i < intervals:
+                for interval in range(i - 3 if i == 3 else i - 2, i if i == intervals else i - 1):
+                    position = rule_position(interval, intervals)
+                    slots = (i - 3) & 3, (i - 2) & 3, (i - 1) & 3, slot
+                    for j in range(first_sample[rule, position], first_sample[rule, position + 1]):
+                        weights = sample_weights(samples, j, spacing)
+                        for l in range(WIDTH):
+                            motion = interpolated_motion(nodes, slots, weights, l)
+                            accumulate(stats, l, motion, samples[j, 0], cylinder_squared)
+                    first, second = interval & 3, (interval + 1) & 3
+                    for l in range(WIDTH):
+                        slope_0, slope_1 = spacing * nodes[first, 11, l], spacing * nodes[second, 11, l]
+                        turning[l] = may_extend(
+                            stats, l, nodes[first, 5, l], nodes[second, 5, l], slope_0, slope_1
+                        )
+                        near[l], instant[l] = near_vertical(
+                            nodes, first, second, l, spacing, interval, intervals
+                        )
+                    for l in range(WIDTH):
+                        if turning[l] > 0.0:
+                            turn_lanes[turn_count] = l
+                            slope = nodes[first, 11, l]
+                            x = interval - (i - 3) + slope / (slope - nodes[second, 11, l])
+                            store_turn(turns, turn_count, nodes, slots, l, spacing, x)
+                            turn_count += 1
+                        if near[l] > 0.0:
+                            lanes[passage_count], first_nodes[passage_count] = l, i - 3
+                            store_passage(
+                                passages, passage_count, nodes, slots, l, spacing, stride * dt[l],
+                                interval - (i - 3) + instant[l], stats,
+                            )  # fmt: skip
+                            passage_count += 1
+                    if turn_count > QUEUE - WIDTH or last:
+                        extend_to_turns(stats, turns, turn_lanes, turn_count, extremes)
+                        turn_count = 0
+                    if passage_count > QUEUE - WIDTH or last:
+                        correct(stats, passages, terms, lanes, first_nodes, passage_count, stride, dt, intervals,
+                                cylinder_squared)  # fmt: skip
+                        passage_count = 0
+            if HAS_AXIS:
                 for l in range(WIDTH):
                     a1, a2 = axis_in_frame(load_state(state, l), load_constants(constants, l))
                     stats[Row.AXIS_1, l] += a1
                     stats[Row.AXIS_2, l] += a2
-            if (i + 1) % NODES_PER_DRIFT == 0 or i + 1 == intervals:
+            if (i + 1) % NODES_PER_DRIFT == 0 or i == intervals:
                 for l in range(WIDTH):
                     y, c, drift = load_state(state, l), load_constants(constants, l), stats[Row.DRIFT, l]
                     stats[Row.DRIFT, l] = largest_change(integrals0, inverse_scales, l, y, c, drift)
+            for k in range(stride if i < intervals else 0):
+                if STORES_SLOPE and k > 0:
+                    for l in range(WIDTH):
+                        store_state(slopes, l, rhs(load_state(state, l), load_constants(constants, l)))
+                for l in range(WIDTH):
+                    y, c = load_state(state, l), load_constants(constants, l)
+                    slope = load_state(slopes, l) if STORES_SLOPE else rhs(y, c)
+                    store_state(state, l, step(y, slope, c))
         for l in range(WIDTH):
             p = points[block, l]
-            if last_node[block] == run_nodes:
+            if last_node[block] == intervals + 1:
+                end(stats, l, motion_at(nodes, intervals & 3, l))
                 y = unscaled(load_state(state, l), load_constants(constants, l), dt[l] / STEP)
                 store_state(state0, p, y)
-                end_run(l, dt[l] * stride, samples, stats)
             else:
                 store_run(p, l, state, nodes, integrals0, state0, resume)
             for row in range(len(Row)):
                 out[row, p] = stats[row, l]
 
 
-def begin_run(l, y, c, inverse_unit, weight, cylinder_squared, stats, integrals0):
-    """Start the run of lane l: its first sample and its first integrals."""
-    begin(stats, l, motion_of(y, c, inverse_unit), weight, cylinder_squared)
-    if HAS_AXIS:
-        stats[Row.AXIS_1, l], stats[Row.AXIS_2, l] = axis_in_frame(y, c)
-    store_integrals(integrals0, l, y, c)
+def near_vertical(nodes, first, second, l, spacing, interval, intervals):
+    """Whether zeta may have a zero near an interval, 1.0 or 0.0, and where: see `poles.turns_near_vertical`.
+
+    Where the run begins or ends near the vertical there may be one without sin^2 theta turning.
+    """
+    slope_0 = spacing * (nodes[first, 3, l] * nodes[first, 9, l] + nodes[first, 4, l] * nodes[first, 10, l])
+    slope_1 = spacing * (
+        nodes[second, 3, l] * nodes[second, 9, l] + nodes[second, 4, l] * nodes[second, 10, l]
+    )
+    sin2_0 = nodes[first, 3, l] * nodes[first, 3, l] + nodes[first, 4, l] * nodes[first, 4, l]
+    sin2_1 = nodes[second, 3, l] * nodes[second, 3, l] + nodes[second, 4, l] * nodes[second, 4, l]
+    near, instant = turns_near_vertical(sin2_0, slope_0, slope_1)
+    at_start = (1.0 if interval == 0 else 0.0) * ((1.0 - near) if sin2_0 < NEAR_END else 0.0)
+    at_end = (1.0 if interval == intervals - 1 else 0.0) * ((1.0 - near) if sin2_1 < NEAR_END else 0.0)
+    ends = at_start + at_end
+    return near + (1.0 if ends > 0.0 else 0.0), (instant if near > 0.0 else (0.0 if at_start > 0.0 else 1.0))
 
 
-def sample_interval(
-    interval, i, stride, samples, all_samples, dt, nodes, near, hermite_data, stats, end_weights, hermite,
-    cylinder_squared,
-):  # fmt: skip
-    """Take the samples of an interval between nodes i - 3 to i, and correct them where it is near the vertical."""
-    slot = i & 3
-    if MAX_SAMPLES > 1 and samples > 1:
-        slots = (slot + 1) & 3, (slot + 2) & 3, (slot + 3) & 3, slot
-        for sample in range(1, samples + 1):
-            weight = quadrature_weight(samples * (i - 3 + interval) + sample, all_samples, end_weights)
-            weights = interpolation_weights(hermite, samples, interval, sample)
-            for l in range(WIDTH):
-                motion = interpolated_motion(nodes, slots, weights, l)
-                accumulate(stats, l, motion, weight, dt[l] * (1.0 / samples), cylinder_squared)
-    first, second, spacing = (slot + 1 + interval) & 3, (slot + 2 + interval) & 3, STEP * stride
-    for l in range(WIDTH):
-        near[l] = near_vertical(nodes, first, second, l, interval, spacing, samples)
-    for l in range(WIDTH):
-        if near[l] > 0.0:
-            correct(
-                stats, nodes, hermite_data, l, slot, interval, spacing, dt[l] * stride, samples * (i - 3), samples,
-                all_samples, end_weights, cylinder_squared,
-            )  # fmt: skip
+def store_passage(passages, e, nodes, slots, l, spacing, duration, time, stats):
+    """Describe a passage of lane l near the vertical in column e.
+
+    spacing, duration: distance of two nodes in the kernel's and in the caller's units.
+    """
+    rate = spacing * duration
+    for k in range(4):
+        passages[Passage.G1 + k, e] = nodes[slots[k], 3, l]
+        passages[Passage.G2 + k, e] = nodes[slots[k], 4, l]
+        passages[Passage.U3 + k, e] = nodes[slots[k], 2, l] * duration
+        passages[Passage.G1_SLOPE + k, e] = nodes[slots[k], 9, l] * spacing
+        passages[Passage.G2_SLOPE + k, e] = nodes[slots[k], 10, l] * spacing
+        passages[Passage.U3_SLOPE + k, e] = nodes[slots[k], 8, l] * rate
+    passages[Passage.TIME, e] = time
+    passages[Passage.VERTICAL, e] = 1.0 if nodes[slots[1], 5, l] > 0.0 else -1.0
+    passages[Passage.PSI_DOT_REFERENCE, e] = stats[Row.PSI_DOT_REFERENCE, l] * duration
+    passages[Passage.PHI_DOT_REFERENCE, e] = stats[Row.PHI_DOT_REFERENCE, l] * duration
 
 
-def end_run(l, spacing, samples, stats):
-    """Take the sum of theta' from theta itself where the axis passed the vertical: theta' jumps there."""
-    if stats[Row.PASSAGES, l] > 0.0:
-        theta = np.arctan2(np.sqrt(stats[Row.SIN2_THETA, l]), stats[Row.COS_THETA, l])
-        stats[Row.THETA_DOT, l] = (theta - stats[Row.FIRST_THETA, l]) * samples / spacing
+def store_turn(turns, e, nodes, slots, l, spacing, x):
+    """Describe a turning point of lane l in column e; x: its first approximation."""
+    for k in range(4):
+        turns[Turn.G1 + k, e] = nodes[slots[k], 3, l]
+        turns[Turn.G2 + k, e] = nodes[slots[k], 4, l]
+        turns[Turn.G3 + k, e] = nodes[slots[k], 5, l]
+        turns[Turn.G1_SLOPE + k, e] = nodes[slots[k], 9, l] * spacing
+        turns[Turn.G2_SLOPE + k, e] = nodes[slots[k], 10, l] * spacing
+        turns[Turn.G3_SLOPE + k, e] = nodes[slots[k], 11, l] * spacing
+    turns[Turn.TIME, e] = x
+
+
+def extend_to_turns(stats, turns, lanes, count, extremes):
+    """Extend the extremes of the lanes of `count` turning points to these."""
+    if count > 0:
+        for e in range(QUEUE):
+            difference(turns, Turn.G1, e)
+            difference(turns, Turn.G2, e)
+            difference(turns, Turn.G3, e)
+        for _ in range(TURN_STEPS):
+            for e in range(QUEUE):
+                extremes[0, e], extremes[1, e] = turning_point(turns, e)
+    for e in range(count):
+        extend(stats, lanes[e], extremes[0, e], extremes[1, e])
+
+
+def correct(stats, passages, terms, lanes, first_nodes, count, stride, dt, intervals, cylinder_squared):
+    """Add the quadrature errors of `count` passages to the sums of their lanes."""
+    if count == 0:
+        return
+    for e in range(QUEUE):
+        difference(passages, Passage.G1, e)
+        difference(passages, Passage.G2, e)
+        difference(passages, Passage.U3, e)
+    for farther in range(2):
+        for e in range(QUEUE):
+            approximate_zero(passages, e, farther == 1)
+        for _ in range(NEWTON_STEPS):
+            for e in range(QUEUE):
+                improve_zero(passages, e)
+        for e in range(QUEUE):
+            pole_terms(passages, e, terms, farther)
+    for e in range(count):
+        for farther in range(2):
+            l = lanes[e]
+            z = complex(terms[farther, Term.Z_REAL, e] + first_nodes[e], terms[farther, Term.Z_IMAG, e])
+            if counts(stats, l, terms, farther, e, z, intervals, cylinder_squared):
+                stats[Row.ZERO_2_REAL, l], stats[Row.ZERO_2_IMAG, l] = (
+                    stats[Row.ZERO_1_REAL, l],
+                    stats[Row.ZERO_1_IMAG, l],
+                )
+                stats[Row.ZERO_1_REAL, l], stats[Row.ZERO_1_IMAG, l] = z.real, z.imag
+                slope = complex(1.0, 0.0)
+                if min(z.real, intervals - z.real) < END:
+                    z, slope = stretched(z, intervals - z)
+                simple, double = trapezoid_error_of_pole(z - np.floor(z.real), slope)
+                theta_squared, psi, psi_squared, phi, phi_squared = sum_errors(
+                    terms, farther, e, simple, double, passages[Passage.VERTICAL, e]
+                )
+                per_time = 1.0 / (stride * dt[l])
+                stats[Row.THETA_DOT_SQUARED_ERROR, l] += theta_squared * per_time * per_time
+                stats[Row.PSI_DOT_ERROR, l] += psi * per_time
+                stats[Row.PSI_DOT_SQUARED_ERROR, l] += psi_squared * per_time * per_time
+                stats[Row.PHI_DOT_ERROR, l] += phi * per_time
+                stats[Row.PHI_DOT_SQUARED_ERROR, l] += phi_squared * per_time * per_time
+
+
+def counts(stats, l, terms, farther, e, z, intervals, cylinder_squared):
+    """Whether the zero z of a passage, counted from the first node of the run, needs a correction of its own."""
+    x, y = abs(terms[farther, Term.Z_REAL, e] - 1.5), abs(z.imag)
+    # The farther from the real axis, the less does the accuracy matter that the polynomial loses beyond its nodes.
+    near = x < 1.5 + 0.5 * y and y < REACH + 1.0 and terms[farther, Term.CHANGE, e] < 1e-4 * y * y
+    # A passage inside the cylinder has no samples of psi' and phi'; before and after the run it does not matter.
+    inside = terms[farther, Term.SIN2_THETA, e] <= cylinder_squared and 0.0 < z.real < intervals
+    # Passages that follow each other, and both zeros of one, may be the same.
+    same = 0.1 * y
+    x1, y1 = z.real - stats[Row.ZERO_1_REAL, l], z.imag - stats[Row.ZERO_1_IMAG, l]
+    x2, y2 = z.real - stats[Row.ZERO_2_REAL, l], z.imag - stats[Row.ZERO_2_IMAG, l]
+    corrected = x1 * x1 + y1 * y1 < same * same or x2 * x2 + y2 * y2 < same * same
+    return near and not inside and not corrected
 
 
 def load_run(p, l, state, stats, nodes, integrals0, state0, resume, out):

@@ -1,181 +1,249 @@
-"""Quadrature errors of psi' where the third axis passes near the vertical.
+"""Quadrature errors where the third axis passes near the vertical.
 
-With zeta = g1 + i g2 and upsilon = u1 + i u2, psi' = Re(upsilon / zeta). Near the vertical zeta has a zero z close to
-the real time axis, so that psi' has a pole there, of residue R, beside which it is regular with the value a:
+With zeta = g1 + i g2 the angle of proper rotation is phi = pi/2 - arg zeta. Near the vertical zeta, as a function of
+complex time, has a zero z close to the real axis, so that
 
-    psi' = 2 Re(R / (t - z)) + a + ...,   phi' = u3 - g3 psi',   theta'^2 has a residue proportional to sin^2 theta.
+    phi' = -Im(zeta' / zeta),    psi' = (u3 - phi') / g3,    theta'^2 = g3'^2 / |zeta|^2
 
-The trapezoidal rule converges slowly on such a spike, but its error on a pole is a closed form (Poisson summation).
-`pole_correction` finds z on the polynomial through four nodes of the motion and returns the error of the weighted sums,
-which the kernel subtracts.
+have poles there. The trapezoidal rule converges slowly on such a spike, but its error on a pole is a closed form
+(Poisson's summation formula): `trapezoid_error_of_pole`. The zero is found on the polynomial through four nodes of the
+motion (`pole_terms`), and the kernel subtracts the errors of the sums.
 
-The functions are plain arithmetic on scalars and one small work array: they run compiled or not.
+The unit of time is the distance of two nodes. The functions are plain arithmetic on scalars and one column of an array:
+they run compiled or not, `pole_terms` for several passages side by side.
 """
+
+from enum import IntEnum
 
 import numpy as np
 
-from .sampling import quadrature_weight
+# Beyond this distance from the real axis a pole does no harm: exp(-8 pi).
+REACH = 4.0
+# Steps of Newton's method for its position.
+NEWTON_STEPS = 4
+PASSAGE_ROWS = 31
 
 
-def is_near_vertical(interval, sin2_theta, slope_0, slope_1, samples):
-    """Whether the third axis passes the vertical between two nodes so near that psi' may be a spike; 1.0 or 0.0.
+class Passage(IntEnum):
+    """Rows that describe a passage near the vertical; rates and derivatives are per distance of two nodes.
+
+    The first six are the first of four rows each, one for every node; `difference` turns each eight of them into the
+    divided differences of a component.
+    """
+
+    G1 = 0
+    G1_SLOPE = 4
+    G2 = 8
+    G2_SLOPE = 12
+    U3 = 16
+    U3_SLOPE = 20
+    TIME = 24  # real instant near which zeros are sought, counted from the first of the four nodes
+    Z_REAL = 25  # a zero or its approximation, counted likewise
+    Z_IMAG = 26
+    CHANGE = 27  # square of its last change by Newton's method
+    VERTICAL = 28  # the sign of g3
+    PSI_DOT_REFERENCE = 29  # what psi' and phi' are counted from in the sums
+    PHI_DOT_REFERENCE = 30
+
+
+class Term(IntEnum):
+    """Rows of the result of `pole_terms`: a zero, and the coefficients of 1 / (t - z) in the squares of the rates."""
+
+    Z_REAL = 0  # counted from the first of the four nodes
+    Z_IMAG = 1
+    CHANGE = 2  # square of the last change of the zero by Newton's method
+    SIN2_THETA = 3  # at the real part of the zero
+    THETA_REAL = 4
+    THETA_IMAG = 5
+    PSI_REAL = 6
+    PSI_IMAG = 7
+    PHI_REAL = 8
+    PHI_IMAG = 9
+
+
+def turns_near_vertical(sin2_theta, slope_0, slope_1):
+    """Instant between two nodes at which sin^2 theta is least, and whether zeta may have a zero near.
 
     Parameters
     ----------
-    interval : int
-        0: the first interval of the run, whose passage may be up to two intervals earlier; 1: an inner interval;
-        2: the last of the run, whose passage may be up to two intervals later.
     sin2_theta : float
         sin^2 theta at the first node.
     slope_0, slope_1 : float
-        Half the derivative of sin^2 theta at both nodes, the unit of time being their distance.
-    samples : int
-        Samples in the interval. sin^2 theta is taken as a parabola, whose complex zeros are poles of psi'; beyond four
-        sample spacings from the real axis they do no harm (exp(-8 pi)).
-    """
-    early, late = (2.0 if interval == 0 else 0.0), (2.0 if interval == 2 else 0.0)
-    curvature = slope_1 - slope_0
-    min_value = sin2_theta * curvature - slope_0 * slope_0
-    width = 4.0 if interval == 1 else 12.0
-    near = 1.0 if min_value * samples * samples < width * width * curvature * curvature else 0.0
-    return near if slope_0 < early * curvature and slope_1 >= -late * curvature else 0.0
-
-
-def pole_correction(
-    hermite_data,
-    interval,
-    first,
-    samples,
-    intervals,
-    end_weights,
-    psi_reference,
-    phi_reference,
-    cylinder_squared,
-):
-    """Excess of the weighted sample sums of five rates over their integrals on one passage of the vertical.
-
-    Parameters
-    ----------
-    hermite_data : ndarray of complex128, shape (3, 8), overwritten
-        zeta = g1 + i g2, upsilon = u1 + i u2 and g3 + i u3 at four nodes, each followed by its derivative; the unit
-        of time is the distance between nodes.
-    interval : int
-        The interval between the nodes in which the passage is, 0, 1 or 2; see `is_near_vertical`.
-    first : int
-        Number of the sample at the first node.
-    samples : int
-        Samples per interval.
-    intervals : int
-        Intervals between the samples of the whole run, whose weights `quadrature_weight` takes from end_weights.
-    psi_reference, phi_reference : float
-        Values from which psi' and phi' are counted in the sums.
-    cylinder_squared : float
-        A zero at which |zeta|^2 on the real axis is below this is inside the cylinder and gets no correction.
+        Half its derivative at both nodes.
 
     Returns
     -------
-    tuple of five floats
-        Excess of the sums of theta'^2, psi', psi'^2, phi', phi'^2; zeros where there is no passage.
+    near : float
+        1.0 if sin^2 theta is least between the nodes and the zero of a parabola is within REACH of the real axis, else
+        0.0.
+    instant : float
+        Counted from the first node.
     """
-    for values in hermite_data:
-        to_newton_form(values)
-    middle = interval + 0.5
-    z = middle + 0.0j
-    slope = 0j
-    for _ in range(20):
-        value, slope, _ = newton_polynomial(hermite_data[0], z)
-        change = value * complex_inverse(slope)
-        z -= change
-        if not change.real * change.real + change.imag * change.imag > 1e-18:  # the next change is its square
-            break
-    min_sin2_theta = z.imag * z.imag * (slope.real * slope.real + slope.imag * slope.imag)
-    if not (
-        abs(z.imag) * samples < (5.0 if interval == 1 else 15.0)
-        and abs(z.real - middle) < (1.5 if interval == 1 else 2.5)
-        and min_sin2_theta > cylinder_squared
-    ):
-        return 0.0, 0.0, 0.0, 0.0, 0.0
-    mirror = z.conjugate()
-    _, slope, curvature = newton_polynomial(hermite_data[0], z)
-    upsilon, upsilon_slope, _ = newton_polynomial(hermite_data[1], z)
-    zeta_mirror, _, _ = newton_polynomial(hermite_data[0], mirror)
-    upsilon_mirror, _, _ = newton_polynomial(hermite_data[1], mirror)
-    # g3 and u3 at z: real and imaginary part of the third polynomial, continued to complex time.
-    p, p_slope, _ = newton_polynomial(hermite_data[2], z)
-    q, q_slope, _ = newton_polynomial(hermite_data[2], mirror)
-    g3, u3 = 0.5 * (p + q.conjugate()), -0.5j * (p - q.conjugate())
-    g3_slope = 0.5 * (p_slope + q_slope.conjugate())
-    inverse = complex_inverse(slope)
-    R = 0.5 * upsilon * inverse
-    a = 0.5 * (
-        (upsilon_mirror * complex_inverse(zeta_mirror)).conjugate()
-        + upsilon_slope * inverse
-        - upsilon * curvature * inverse * inverse
-    )
-    R_phi, a_phi = -g3 * R, u3 - g3 * a - g3_slope * R
-    R_theta = -0.25 * upsilon * upsilon * zeta_mirror.conjugate() * inverse
-    a, a_phi = a - psi_reference, a_phi - phi_reference
-    # trapezoid_error_of_pole is for a pole above the real axis; the other pole of the pair is its mirror image.
-    above = z.imag > 0.0
-    simple, double = trapezoid_error_of_pole(
-        first + samples * (z if above else mirror), intervals, end_weights
-    )
-    simple, double = (simple if above else simple.conjugate()), (double if above else double.conjugate())
-    simple, double = 2.0 * samples * simple, 2.0 * samples * samples * double
+    rises = 1.0 if slope_1 >= 0.0 else 0.0
+    turns = rises if slope_0 < 0.0 else 0.0
+    curvature = slope_1 - slope_0
+    inverse = 1.0 / (curvature if turns > 0.0 else 1.0)
+    instant = -slope_0 * inverse
+    near = turns if sin2_theta * inverse - instant * instant < REACH * REACH else 0.0
+    return near, instant
+
+
+def difference(table, row, e):
+    """Replace four values and four derivatives at the nodes, rows `row` to row + 7, by their divided differences."""
+    (
+        table[row, e], table[row + 1, e], table[row + 2, e], table[row + 3, e],
+        table[row + 4, e], table[row + 5, e], table[row + 6, e], table[row + 7, e],
+    ) = divided_differences(
+        table[row, e], table[row + 1, e], table[row + 2, e], table[row + 3, e],
+        table[row + 4, e], table[row + 5, e], table[row + 6, e], table[row + 7, e],
+    )  # fmt: skip
+
+
+def differences_of(table, row, e):
+    """The divided differences in rows `row` to row + 7."""
     return (
-        (simple * R_theta).real,
-        (simple * R).real,
-        (double * R * R + 2.0 * simple * R * a).real,
-        (simple * R_phi).real,
-        (double * R_phi * R_phi + 2.0 * simple * R_phi * a_phi).real,
-    )
+        table[row, e], table[row + 1, e], table[row + 2, e], table[row + 3, e],
+        table[row + 4, e], table[row + 5, e], table[row + 6, e], table[row + 7, e],
+    )  # fmt: skip
 
 
-def trapezoid_error_of_pole(z, intervals, end_weights):
-    """Excess of the weighted sums of 1 / (k - z) and 1 / (k - z)^2, k = 0 ... intervals, over their integrals.
+def zeta_differences(passages, e):
+    """The divided differences of zeta = g1 + i g2."""
+    a0, a1, a2, a3, a4, a5, a6, a7 = differences_of(passages, Passage.G1, e)
+    b0, b1, b2, b3, b4, b5, b6, b7 = differences_of(passages, Passage.G2, e)
+    return (
+        complex(a0, b0), complex(a1, b1), complex(a2, b2), complex(a3, b3),
+        complex(a4, b4), complex(a5, b5), complex(a6, b6), complex(a7, b7),
+    )  # fmt: skip
 
-    z is complex, above the real axis. Far from both ends Poisson's summation formula gives 2 pi i q / (1 - q) with
-    q = exp(2 pi i z), and its derivative by z; near an end the sums are taken as far as the pole is felt.
+
+def approximate_zero(passages, e, farther):
+    """The nearer or the farther zero of the parabola that touches zeta at TIME; `passages` holds divided differences.
+
+    An axis that starts beside the vertical, or turns back there, has two zeros near.
     """
-    cutoff = 24
-    if min(z.real, intervals - z.real) >= cutoff:
-        q = np.exp(2j * np.pi * (z - np.floor(z.real)))
-        inverse = complex_inverse(1.0 - q)
-        simple = 2j * np.pi * q * inverse
-        return simple, 2j * np.pi * simple * inverse
-    near_end = min(intervals, 2 * cutoff)
-    if z.real >= cutoff:
-        z = z - (intervals - near_end)
-    simple = np.log(-z) - np.log(near_end - z)
-    double = complex_inverse(z) + complex_inverse(near_end - z)
-    for k in range(near_end + 1):
-        term = complex_inverse(k - z)
-        weighted = quadrature_weight(k, near_end, end_weights) * term
-        simple += weighted
-        double += weighted * term
-    return simple, double
+    x = passages[Passage.TIME, e]
+    value, slope, curvature = polynomial(zeta_differences(passages, e), x)
+    root = square_root(slope * slope - 4.0 * (curvature * value))
+    along = slope.real * root.real + slope.imag * root.imag
+    half = -0.5 * (slope + (1.0 if along >= 0.0 else -1.0) * root)
+    z = half * complex_inverse(curvature) if farther else value * complex_inverse(half)
+    passages[Passage.Z_REAL, e], passages[Passage.Z_IMAG, e] = x + z.real, z.imag
+
+
+def improve_zero(passages, e):
+    """A step of Newton's method for the zero of zeta; `passages` holds divided differences."""
+    z = complex(passages[Passage.Z_REAL, e], passages[Passage.Z_IMAG, e])
+    value, slope, _ = polynomial(zeta_differences(passages, e), z)
+    change = value * complex_inverse(slope)
+    z = z - change
+    passages[Passage.Z_REAL, e], passages[Passage.Z_IMAG, e] = z.real, z.imag
+    passages[Passage.CHANGE, e] = change.real * change.real + change.imag * change.imag
+
+
+def pole_terms(passages, e, terms, farther):
+    """Zero and Laurent coefficients of passage e, for the nearer (0) or the farther zero (1).
+
+    Column e of `passages` (rows `Passage`, differenced) goes to column e of terms[farther] (rows `Term`).
+    """
+    zeta = zeta_differences(passages, e)
+    z = complex(passages[Passage.Z_REAL, e], passages[Passage.Z_IMAG, e])
+    _, slope, curvature = polynomial(zeta, z)
+    mirror_value, mirror_slope, _ = polynomial(zeta, z.conjugate())
+    # conj(zeta(conj t)) and its derivative at z: |zeta|^2 is the product of zeta and that function.
+    conjugate, conjugate_slope = mirror_value.conjugate(), mirror_slope.conjugate()
+    u3_z, _, _ = polynomial(differences_of(passages, Passage.U3, e), z)
+    # phi' = R / (t - z) + a + ... with R = i/2; g3 = +-1 at z.
+    vertical = passages[Passage.VERTICAL, e]
+    a = 0.5j * (curvature * complex_inverse(slope) - conjugate_slope * complex_inverse(conjugate))
+    product = slope * conjugate
+    g3_slope = -0.5 * vertical * product
+    a_psi = vertical * (u3_z - a) + 0.5j * g3_slope
+    # psi'^2 = R^2 / (t - z)^2 + 2 R a / (t - z) + ..., counted from the reference; theta'^2 = g3'^2 / |zeta|^2.
+    theta = 0.25 * product
+    psi = -1j * vertical * (a_psi - passages[Passage.PSI_DOT_REFERENCE, e])
+    phi = 1j * (a - passages[Passage.PHI_DOT_REFERENCE, e])
+    terms[farther, Term.Z_REAL, e], terms[farther, Term.Z_IMAG, e] = z.real, z.imag
+    terms[farther, Term.CHANGE, e] = passages[Passage.CHANGE, e]
+    beside, _, _ = polynomial(zeta, z.real)
+    terms[farther, Term.SIN2_THETA, e] = beside.real * beside.real + beside.imag * beside.imag
+    terms[farther, Term.THETA_REAL, e], terms[farther, Term.THETA_IMAG, e] = theta.real, theta.imag
+    terms[farther, Term.PSI_REAL, e], terms[farther, Term.PSI_IMAG, e] = psi.real, psi.imag
+    terms[farther, Term.PHI_REAL, e], terms[farther, Term.PHI_IMAG, e] = phi.real, phi.imag
+
+
+def sum_errors(terms, farther, e, simple, double, vertical):
+    """Excess of the sums of theta'^2, psi', psi'^2, phi', phi'^2 over their integrals, from column e of terms[farther].
+
+    simple, double : complex
+        See `trapezoid_error_of_pole`.
+    vertical : float
+        The sign of g3.
+    """
+    theta = (
+        simple.real * terms[farther, Term.THETA_REAL, e] - simple.imag * terms[farther, Term.THETA_IMAG, e]
+    )
+    psi = simple.real * terms[farther, Term.PSI_REAL, e] - simple.imag * terms[farther, Term.PSI_IMAG, e]
+    phi = simple.real * terms[farther, Term.PHI_REAL, e] - simple.imag * terms[farther, Term.PHI_IMAG, e]
+    square = -0.5 * double.real
+    return 2.0 * theta, vertical * simple.imag, square + 2.0 * psi, -simple.imag, square + 2.0 * phi
+
+
+def trapezoid_error_of_pole(tau, slope):
+    """Excess of the weighted sums of 1 / (t - z) and 1 / (t - z)^2 over their integrals.
+
+    Parameters
+    ----------
+    tau : complex
+        The variable in which the samples are uniform, at z; see `sampling.stretched`.
+    slope : complex
+        Its derivative by t there.
+    """
+    above = tau.imag > 0.0
+    q = np.exp(2j * np.pi * (tau if above else tau.conjugate()))
+    inverse = complex_inverse(1.0 - q)
+    simple = 2j * np.pi * q * inverse
+    double = 2j * np.pi * simple * inverse * (slope if above else slope.conjugate())
+    return (simple if above else simple.conjugate()), (double if above else double.conjugate())
 
 
 def complex_inverse(z):
-    """1 / z without an error where z is 0: nan or inf, as for real numbers (Numba's complex division raises)."""
-    return z.conjugate() * (1.0 / (z.real * z.real + z.imag * z.imag))
+    """1 / z, and a large number without an error where z is 0 (complex division raises)."""
+    square = z.real * z.real + z.imag * z.imag
+    return z.conjugate() * (1.0 / (square if square > 1e-300 else 1e-300))
 
 
-def to_newton_form(values):
-    """Values and derivatives at 0, 1, 2, 3 become, in place, the divided differences on 0, 0, 1, 1, 2, 2, 3, 3."""
-    for k in range(6, 0, -2):
-        values[k] -= values[k - 2]
-    for level in range(2, 8):
-        for k in range(7, level - 1, -1):
-            values[k] = (values[k] - values[k - 1]) * (1.0 / (k // 2 - (k - level) // 2))
+def square_root(z):
+    """A square root of z."""
+    size = np.sqrt(z.real * z.real + z.imag * z.imag)
+    real, imag = np.sqrt(0.5 * abs(size + z.real)), np.sqrt(0.5 * abs(size - z.real))
+    return complex(real, imag if z.imag >= 0.0 else -imag)
 
 
-def newton_polynomial(differences, z):
-    """Value, first derivative and half the second derivative at z of the polynomial with these differences."""
-    value, slope, curvature = differences[7], 0j, 0j
-    for k in range(6, -1, -1):
-        x = z - k // 2
-        curvature = curvature * x + slope
-        slope = slope * x + value
-        value = value * x + differences[k]
-    return value, slope, curvature
+def divided_differences(v0, v1, v2, v3, d0, d1, d2, d3):
+    """Divided differences on 0, 0, 1, 1, 2, 2, 3, 3 of values v and derivatives d at the nodes 0, 1, 2, 3."""
+    e0, e1, e2 = v1 - v0, v2 - v1, v3 - v2
+    f0, f1, f2, f3, f4, f5 = e0 - d0, d1 - e0, e1 - d1, d2 - e1, e2 - d2, d3 - e2
+    h0, h1, h2, h3, h4 = f1 - f0, 0.5 * (f2 - f1), f3 - f2, 0.5 * (f4 - f3), f5 - f4
+    i0, i1, i2, i3 = 0.5 * (h1 - h0), 0.5 * (h2 - h1), 0.5 * (h3 - h2), 0.5 * (h4 - h3)
+    j0, j1, j2 = 0.5 * (i1 - i0), (i2 - i1) * (1 / 3), 0.5 * (i3 - i2)
+    k0, k1 = (j1 - j0) * (1 / 3), (j2 - j1) * (1 / 3)
+    return v0, d0, f0, h0, i0, j0, k0, (k1 - k0) * (1 / 3)
+
+
+def horner(value, slope, curvature, x, coefficient):
+    """One step of Horner's scheme with the first derivative and half the second."""
+    return value * x + coefficient, slope * x + value, curvature * x + slope
+
+
+def polynomial(differences, z):
+    """Value, first derivative and half the second derivative at z of the polynomial with these divided differences."""
+    c0, c1, c2, c3, c4, c5, c6, c7 = differences
+    x1, x2, x3 = z - 1.0, z - 2.0, z - 3.0
+    p, s, c = c7 * x3 + c6, c7, c7 * 0.0
+    p, s, c = horner(p, s, c, x2, c5)
+    p, s, c = horner(p, s, c, x2, c4)
+    p, s, c = horner(p, s, c, x1, c3)
+    p, s, c = horner(p, s, c, x1, c2)
+    p, s, c = horner(p, s, c, z, c1)
+    return horner(p, s, c, z, c0)

@@ -1,17 +1,33 @@
 """Samples of the Euler rates and the quadrature rule that averages them over a run.
 
-The functions are plain arithmetic on scalars: the kernel calls them for each lane, compiled or not.
+The unit of time is the distance of two nodes. Inside a run the rule is the trapezoidal one on the nodes, whose error
+falls exponentially. At both ends the variable of integration is changed from t to tau(t), which is t itself away from
+the ends and there grows like the logarithm of the distance from the end: uniform in tau, the samples crowd towards the
+ends geometrically, so that the rule is as accurate for a rate that has a singularity at any distance beyond an end as
+for a smooth one. (The trapezoidal rule after such a change of variable: H. Takahasi and M. Mori, Publ. RIMS 9 (1974)
+721-741.) The functions of scalars are plain arithmetic: the kernel calls them for each lane, compiled or not.
 """
 
-import numpy as np
+from __future__ import annotations
 
-# Gregory's rule with differences up to the sixth: weights of the first and last seven samples.
-GREGORY = np.array([36799, 176648, 54851, 177984, 89437, 130936, 119585]) / 120960
-# End weights of the trapezoidal rule and of Gregory's, by the distance from the nearer end of the run; samples that
-# are farther from it have the last weight. All are positive, so that a weighted sum of squares can only grow.
-END_WEIGHTS = np.array([[0.5, *np.ones(len(GREGORY))], [*GREGORY, 1.0]])
-# Smallest number of intervals for Gregory's rule; a shorter run uses the trapezoidal rule.
-MIN_INTERVALS = 2 * len(GREGORY) - 1
+from dataclasses import dataclass
+from functools import cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+# tau(t) = t + CLUSTERING log(1 - exp(-p(t))), p(t) = t / CLUSTERING + (t / SQUARE)^2 + (t / FOURTH)^4. Seen from beyond the end
+# every singularity lies CLUSTERING times at least pi / 2 from the real tau axis: an error of exp(-pi^2 CLUSTERING).
+CLUSTERING = 2.25
+SQUARE, FOURTH = 5.0, 9.0
+# Intervals from an end in which tau(t) differs from t, and the shortest run that has both ends to themselves.
+END = 18
+LONG = 2 * END
+# Nodes are interpolated by fours.
+MIN_INTERVALS = 3
+# The sample nearest to an end is about this far from it; what lies beyond is added to the weight of the end itself.
+NEAREST = 1e-7
+SAME_AS_NODE = 1e-11
 
 
 def sample(motion, cylinder_squared):
@@ -28,8 +44,7 @@ def sample(motion, cylinder_squared):
     -------
     theta_dot, psi_dot, phi_dot, normal_rate : float
         Rates in the units of u; psi' and phi' are 0 inside the cylinder.
-    cos_theta, sin2_theta, theta_dot_sin_theta : float
-        The last is minus the derivative of cos theta.
+    sin2_theta : float
     outside : float
         1.0 outside the cylinder, 0.0 inside.
     """
@@ -38,59 +53,121 @@ def sample(motion, cylinder_squared):
     inverse = 1.0 / (sin2_theta if sin2_theta > 1e-300 else 1e-300)
     outside = 1.0 if sin2_theta >= cylinder_squared else 0.0
     along = u1 * g1 + u2 * g2
-    theta_dot_sin_theta = u1 * g2 - u2 * g1
     psi_dot = along * inverse * outside
     phi_dot = (u3 - psi_dot * g3) * outside
-    theta_dot = theta_dot_sin_theta * np.sqrt(inverse)
-    return theta_dot, psi_dot, phi_dot, along + u3 * g3, g3, sin2_theta, theta_dot_sin_theta, outside
+    theta_dot = (u1 * g2 - u2 * g1) * np.sqrt(inverse)
+    return theta_dot, psi_dot, phi_dot, along + u3 * g3, sin2_theta, outside
 
 
-def turning_point(spacing, cos_0, sin2_0, slope_0, cos_1, sin2_1, slope_1):
-    """cos theta and sin^2 theta where theta turns between two samples, else their values at the second.
+def rule_position(i, intervals):
+    """Row of `Quadrature` for node or interval i of a run: a long run is one of LONG intervals with more in the middle."""
+    return i - min(max(intervals - LONG, 0), max(i - END, 0))
 
-    `slope` is theta' sin theta. Both are taken on the cubics through the two samples and their slopes, at the zero
-    of the line through the slopes: that instant is off by the square of the spacing, the values there by its fourth
-    power.
+
+@dataclass(frozen=True)
+class Quadrature:
+    """The rules of all runs, by the number of intervals, LONG and above being one.
+
+    Attributes
+    ----------
+    node_weights : ndarray of float64, shape (LONG + 1, LONG + 1)
+        Weight of each node; see `rule_position`.
+    first_sample : ndarray of int64, shape (LONG + 1, LONG + 1)
+        Samples first_sample[n, i] to first_sample[n, i + 1] are between the nodes i and i + 1.
+    samples : ndarray of float64, shape (samples, 9)
+        Weight of a sample, then the weights of `hermite_weights` that interpolate the motion there.
     """
-    x = slope_0 / (slope_0 - slope_1)
-    turns = slope_0 * slope_1 < 0.0
-    rise = x * x * (3.0 - 2.0 * x)
-    curvature = 2.0 * spacing * x * (1.0 - x) * (1.0 - x) * slope_0
-    cos_theta = cos_0 + rise * (cos_1 - cos_0) - curvature
-    sin2_theta = sin2_0 + rise * (sin2_1 - sin2_0) + curvature * (cos_0 + cos_1)
-    return (cos_theta if turns else cos_1), (sin2_theta if turns else sin2_1)
+
+    node_weights: NDArray[np.float64]
+    first_sample: NDArray[np.int64]
+    samples: NDArray[np.float64]
 
 
-def quadrature_weight(k, intervals, end_weights):
-    """Weight of sample k of intervals + 1, in units of their spacing; end_weights: END_WEIGHTS."""
-    inner = end_weights.shape[1] - 1
-    from_end = max(0, min(k, intervals - k, inner))
-    return end_weights[1 if intervals >= 2 * inner - 1 else 0, from_end]
+@cache
+def quadrature() -> Quadrature:
+    """The rules for runs of MIN_INTERVALS intervals and more. The weights of each are positive and add up to them."""
+    node_weights = np.zeros((LONG + 1, LONG + 1))
+    first_sample = np.zeros((LONG + 1, LONG + 1), np.int64)
+    rows, count = [], 0
+    for intervals in range(MIN_INTERVALS, LONG + 1):
+        t, weight = instants(intervals)
+        node = np.rint(t)
+        at_node = np.abs(t - node) < SAME_AS_NODE
+        at_node &= (node > 0) & (node < intervals)
+        node_weights[intervals, node[at_node].astype(int)] = weight[at_node]
+        node_weights[intervals, [0, intervals]] = 0.5 * (intervals - weight.sum())
+        t, weight = t[~at_node], weight[~at_node]
+        interval = np.minimum(t.astype(np.int64), intervals - 1)
+        first_sample[intervals] = count + np.searchsorted(interval, np.arange(LONG + 1))
+        # Nodes 0 to 3 for the first interval of a run, the last four for the last, else one before and one after.
+        first_node = np.clip(interval - 1, 0, intervals - 3)
+        rows.append(np.column_stack([weight, hermite_weights(t - first_node)]))
+        count += t.size
+    return Quadrature(node_weights, first_sample, np.concatenate(rows))
 
 
-def hermite_weights(max_samples: int) -> np.ndarray:
-    """Weights of four values, and of their derivatives times the step, that give a value between them.
+def instants(intervals: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Instants of the samples of a run, ascending, and their weights, both in node distances, without the two ends."""
+    reach = int(np.ceil(-np.log(NEAREST) * CLUSTERING)) + END
+    tau = np.arange(-reach, intervals + reach + 1.0)
+    low, high = np.full(tau.shape, -40.0), np.full(tau.shape, 40.0)  # of the logarithm of start / end
+    for _ in range(20):
+        middle = 0.5 * (low + high)
+        too_low = stretched(*_from_both_ends(middle, intervals))[0] < tau
+        low, high = np.where(too_low, middle, low), np.where(too_low, high, middle)
+    for _ in range(4):  # Newton's method
+        start, end = _from_both_ends(middle, intervals)
+        value, slope = stretched(start, end)
+        middle = np.clip(middle + (tau - value) * intervals / (slope * start * end), low - 1.0, high + 1.0)
+    start, end = _from_both_ends(middle, intervals)
+    used = np.minimum(start, end) > 0.5 * NEAREST
+    return start[used], 1.0 / stretched(start, end)[1][used]
 
-    Hermite interpolation on the nodes 0, 1, 2, 3: exact for polynomials of degree 7.
+
+def _from_both_ends(
+    x: NDArray[np.float64], intervals: int
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Distances from start and end, whose ratio is exp(x)."""
+    return intervals / (1.0 + np.exp(-x)), intervals / (1.0 + np.exp(x))
+
+
+def stretched(start, end):
+    """tau and its derivative by t at an instant that is `start` after the first and `end` before the last node.
+
+    Arguments may be arrays or complex.
+    """
+    from_start, slope_start = end_stretch(start)
+    from_end, slope_end = end_stretch(end)
+    return start + from_start - from_end, 1.0 + slope_start + slope_end
+
+
+def end_stretch(t):
+    """tau(t) - t and its derivative at the distance t from one end of a run that goes on for ever."""
+    x, y = t * (1.0 / SQUARE), t * (1.0 / FOURTH)
+    small = np.exp(-(t * (1.0 / CLUSTERING) + x * x + y * y * y * y))
+    slope = 1.0 / CLUSTERING + 2.0 * x * (1.0 / SQUARE) + 4.0 * y * y * y * (1.0 / FOURTH)
+    return CLUSTERING * np.log(1.0 - small), CLUSTERING * slope * small / (1.0 - small)
+
+
+def hermite_weights(x: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Weights of the values at the nodes 0, 1, 2, 3 and of their derivatives that give the value at x.
+
+    Hermite interpolation, exact for polynomials of degree 7.
 
     Parameters
     ----------
-    max_samples : int
-        Largest number of samples per step.
+    x : ndarray of float64, shape (samples,)
 
     Returns
     -------
-    ndarray of float64, shape (max_samples, 3, max_samples, 8)
-        First index: samples per step less one; second: interval between the nodes; third: sample in the interval,
-        the last of which is the node at its end; fourth: four weights of values, four of derivatives.
+    ndarray of float64, shape (samples, 8)
+        Four weights of values, four of derivatives.
     """
     nodes = np.arange(4.0)
-    samples = np.arange(1, max_samples + 1)
-    x = np.arange(3)[:, None] + samples / samples[:, None, None]
-    weights = np.empty((*x.shape, 8))
+    weights = np.empty((x.size, 8))
     for k in range(4):
         others = np.delete(nodes, k)
-        square = np.prod((x[..., None] - others) / (k - others), axis=-1) ** 2
-        weights[..., k] = (1.0 - 2.0 * np.sum(1.0 / (k - others)) * (x - k)) * square
-        weights[..., 4 + k] = (x - k) * square
+        square = np.prod((x[:, None] - others) / (k - others), axis=1) ** 2
+        weights[:, k] = (1.0 - 2.0 * np.sum(1.0 / (k - others)) * (x - k)) * square
+        weights[:, 4 + k] = (x - k) * square
     return weights

@@ -14,48 +14,58 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from .sampling import sample, turning_point
+from .sampling import sample
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 
+# Position of a zero that there is not.
+NO_ZERO = -1e3
+
+
 class Row(IntEnum):
     """Rows of the kernel's output.
 
-    Weighted sums over the samples; sums over the nodes; extremes; the values from which rates are counted; the last
-    sample; and what corrects theta' where the axis passes the vertical.
+    Weighted sums over the samples and their errors, which are kept apart; sums over the nodes; extremes; the values
+    from which rates are counted; and theta at both ends, rad.
     """
 
     @staticmethod
     def _generate_next_value_(name: str, start: int, count: int, last_values: list[int]) -> int:
         return count
 
+    OUTSIDE = auto()
     THETA_DOT = auto()
     THETA_DOT_SQUARED = auto()
-    OUTSIDE = auto()
     PSI_DOT = auto()
     PSI_DOT_SQUARED = auto()
     PHI_DOT = auto()
     PHI_DOT_SQUARED = auto()
     NORMAL_RATE = auto()
     NORMAL_RATE_SQUARED = auto()
+    THETA_DOT_SQUARED_ERROR = auto()
+    PSI_DOT_ERROR = auto()
+    PSI_DOT_SQUARED_ERROR = auto()
+    PHI_DOT_ERROR = auto()
+    PHI_DOT_SQUARED_ERROR = auto()
     AXIS_1 = auto()
     AXIS_2 = auto()
     COS_THETA_MIN = auto()
     COS_THETA_MAX = auto()
-    SIN2_THETA_MIN_ABOVE = auto()  # of the samples with cos theta > 0
-    SIN2_THETA_MIN_BELOW = auto()  # of those with cos theta < 0
+    SIN2_THETA_MIN_ABOVE = auto()  # where cos theta > 0
+    SIN2_THETA_MIN_BELOW = auto()  # where cos theta < 0
     SIN2_THETA_MAX = auto()
     DRIFT = auto()
     PSI_DOT_REFERENCE = auto()
     PHI_DOT_REFERENCE = auto()
     NORMAL_RATE_REFERENCE = auto()
-    COS_THETA = auto()
-    SIN2_THETA = auto()
-    THETA_DOT_SIN_THETA = auto()
     FIRST_THETA = auto()
-    PASSAGES = auto()
+    LAST_THETA = auto()
+    ZERO_1_REAL = auto()  # the last two zeros of zeta that were corrected for
+    ZERO_1_IMAG = auto()
+    ZERO_2_REAL = auto()
+    ZERO_2_IMAG = auto()
 
 
 @dataclass(frozen=True)
@@ -101,68 +111,71 @@ RATES = tuple(statistic.name for statistic in RATE_STATISTICS)
 NEEDS_PSI = tuple(statistic.name for statistic in STATISTICS if statistic.needs_psi)
 
 
-def begin(stats, l, motion, weight, cylinder_squared):
-    """Start lane l of the sums with the first sample, from whose rates psi', phi' and the normal rate are counted."""
+def begin(stats, l, motion, cylinder_squared):
+    """Start lane l of the sums with the first node, from whose rates psi', phi' and the normal rate are counted."""
     for row in range(stats.shape[0]):
         stats[row, l] = 0.0
-    theta_dot, psi_dot, phi_dot, normal_rate, cos_theta, sin2_theta, slope, outside = sample(
-        motion, cylinder_squared
-    )
-    stats[Row.THETA_DOT, l] = weight * theta_dot
-    stats[Row.THETA_DOT_SQUARED, l] = weight * theta_dot * theta_dot
-    stats[Row.OUTSIDE, l] = weight * outside
+    _, psi_dot, phi_dot, normal_rate, sin2_theta, _ = sample(motion, cylinder_squared)
+    cos_theta = motion[5]
+    stats[Row.ZERO_1_REAL, l], stats[Row.ZERO_2_REAL, l] = NO_ZERO, NO_ZERO
     stats[Row.PSI_DOT_REFERENCE, l] = psi_dot
     stats[Row.PHI_DOT_REFERENCE, l] = phi_dot
     stats[Row.NORMAL_RATE_REFERENCE, l] = normal_rate
     stats[Row.FIRST_THETA, l] = np.arctan2(np.sqrt(sin2_theta), cos_theta)
-    stats[Row.COS_THETA, l] = cos_theta
-    stats[Row.SIN2_THETA, l] = sin2_theta
-    stats[Row.THETA_DOT_SIN_THETA, l] = slope
     stats[Row.COS_THETA_MIN, l] = cos_theta
     stats[Row.COS_THETA_MAX, l] = cos_theta
-    stats[Row.SIN2_THETA_MAX, l] = sin2_theta
-    stats[Row.SIN2_THETA_MIN_ABOVE, l] = sin2_theta if cos_theta > 0.0 else 1.0
-    stats[Row.SIN2_THETA_MIN_BELOW, l] = sin2_theta if cos_theta < 0.0 else 1.0
+    stats[Row.SIN2_THETA_MIN_ABOVE, l] = 1.0
+    stats[Row.SIN2_THETA_MIN_BELOW, l] = 1.0
+    extend(stats, l, cos_theta, sin2_theta)
 
 
-def accumulate(stats, l, motion, weight, spacing, cylinder_squared):
-    """Add one sample to lane l of the sums, `spacing` (time units) after the one before."""
-    theta_dot, psi_dot, phi_dot, normal_rate, cos_theta, sin2_theta, slope, outside = sample(
-        motion, cylinder_squared
-    )
-    cos_extreme, sin2_extreme = turning_point(
-        spacing,
-        stats[Row.COS_THETA, l],
-        stats[Row.SIN2_THETA, l],
-        stats[Row.THETA_DOT_SIN_THETA, l],
-        cos_theta,
-        sin2_theta,
-        slope,
-    )
-    stats[Row.COS_THETA, l] = cos_theta
-    stats[Row.SIN2_THETA, l] = sin2_theta
-    stats[Row.THETA_DOT_SIN_THETA, l] = slope
+def accumulate(stats, l, motion, weight, cylinder_squared):
+    """Add one sample to lane l of the sums."""
+    theta_dot, psi_dot, phi_dot, normal_rate, _, outside = sample(motion, cylinder_squared)
     psi_dot = (psi_dot - stats[Row.PSI_DOT_REFERENCE, l]) * outside
     phi_dot = (phi_dot - stats[Row.PHI_DOT_REFERENCE, l]) * outside
     normal_rate = normal_rate - stats[Row.NORMAL_RATE_REFERENCE, l]
+    stats[Row.OUTSIDE, l] += weight * outside
     stats[Row.THETA_DOT, l] += weight * theta_dot
     stats[Row.THETA_DOT_SQUARED, l] += weight * theta_dot * theta_dot
-    stats[Row.OUTSIDE, l] += weight * outside
     stats[Row.PSI_DOT, l] += weight * psi_dot
     stats[Row.PSI_DOT_SQUARED, l] += weight * psi_dot * psi_dot
     stats[Row.PHI_DOT, l] += weight * phi_dot
     stats[Row.PHI_DOT_SQUARED, l] += weight * phi_dot * phi_dot
     stats[Row.NORMAL_RATE, l] += weight * normal_rate
     stats[Row.NORMAL_RATE_SQUARED, l] += weight * normal_rate * normal_rate
+
+
+def extend(stats, l, cos_theta, sin2_theta):
+    """Extend the extremes of lane l to a direction of the third axis."""
     low, high = stats[Row.COS_THETA_MIN, l], stats[Row.COS_THETA_MAX, l]
-    stats[Row.COS_THETA_MIN, l] = cos_extreme if cos_extreme < low else low
-    stats[Row.COS_THETA_MAX, l] = cos_extreme if cos_extreme > high else high
-    above, least = (sin2_extreme if cos_extreme > 0.0 else 1.0), stats[Row.SIN2_THETA_MIN_ABOVE, l]
+    stats[Row.COS_THETA_MIN, l] = cos_theta if cos_theta < low else low
+    stats[Row.COS_THETA_MAX, l] = cos_theta if cos_theta > high else high
+    above, least = (sin2_theta if cos_theta > 0.0 else 1.0), stats[Row.SIN2_THETA_MIN_ABOVE, l]
     stats[Row.SIN2_THETA_MIN_ABOVE, l] = above if above < least else least
-    below, least = (sin2_extreme if cos_extreme < 0.0 else 1.0), stats[Row.SIN2_THETA_MIN_BELOW, l]
+    below, least = (sin2_theta if cos_theta < 0.0 else 1.0), stats[Row.SIN2_THETA_MIN_BELOW, l]
     stats[Row.SIN2_THETA_MIN_BELOW, l] = below if below < least else least
     largest = stats[Row.SIN2_THETA_MAX, l]
-    stats[Row.SIN2_THETA_MAX, l] = sin2_extreme if sin2_extreme > largest else largest
+    stats[Row.SIN2_THETA_MAX, l] = sin2_theta if sin2_theta > largest else largest
+
+
+def may_extend(stats, l, cos_0, cos_1, slope_0, slope_1):
+    """Whether a turning point of theta between two nodes may be an extreme of lane l, 1.0 or 0.0.
+
+    Arguments: cos theta and its derivative at both nodes, the unit of time being their distance.
+    """
+    margin = 0.25 * (abs(slope_0) + abs(slope_1)) + 1e-9
+    above = 1.0 if max(cos_0, cos_1) + margin > stats[Row.COS_THETA_MAX, l] else 0.0
+    below = 1.0 if min(cos_0, cos_1) - margin < stats[Row.COS_THETA_MIN, l] else 0.0
+    possible = above if slope_0 > 0.0 else below
+    return possible if slope_0 * slope_1 < 0.0 else 0.0
+
+
+def end(stats, l, motion):
+    """Add the direction of the third axis at the last node to the extremes of lane l."""
+    sin2_theta = motion[3] * motion[3] + motion[4] * motion[4]
+    extend(stats, l, motion[5], sin2_theta)
+    stats[Row.LAST_THETA, l] = np.arctan2(np.sqrt(sin2_theta), motion[5])
 
 
 def theta_from(cos_theta: NDArray[np.float64], sin2_theta: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -173,7 +186,7 @@ def theta_from(cos_theta: NDArray[np.float64], sin2_theta: NDArray[np.float64]) 
 
 
 def finish(
-    out: NDArray[np.float64], intervals: NDArray[np.int64], samples_per_step: NDArray[np.int64] | int = 1
+    out: NDArray[np.float64], intervals: NDArray[np.int64], duration: NDArray[np.float64]
 ) -> dict[str, NDArray[np.float64]]:
     """Means, standard deviations and extremes from the kernel's output.
 
@@ -182,52 +195,66 @@ def finish(
     out : ndarray of float64, shape (len(Row), points)
         Output of the kernel.
     intervals : ndarray of int64, shape (points,)
-        Samples less one.
-    samples_per_step : ndarray of int64, shape (points,), or int
-        As in `stepsize.StepSizes`.
+        Nodes less one.
+    duration : ndarray of float64, shape (points,)
+        In time units.
 
     Returns
     -------
     dict of ndarray of float64, shape (points,)
-        Every name of STATISTICS; the means and standard deviations of psi' and phi' are over the samples outside the
+        Every name of STATISTICS; the means and standard deviations of psi' and phi' are over the time outside the
         cylinder, nan if there is none. Also `sine_max`, the largest sin theta, and `axis_1`, `axis_2`, means of the
         system's `axis_in_frame`.
     """
     with np.errstate(all="ignore"):
         # np.maximum returns nan for nan: a run that overflowed stays visible.
-        square, mean = out[Row.THETA_DOT_SQUARED] / intervals, out[Row.THETA_DOT] / intervals
+        square = np.maximum(theta_dot_squared_sum(out) / intervals, 0.0)
+        # theta' jumps where the axis passes the vertical; elsewhere the sums cancel where theta' is constant.
+        passed = (out[Row.ZERO_1_REAL] > NO_ZERO) | (_least_sin2_theta(out) < 0.01)
+        mean = np.where(
+            passed, (out[Row.LAST_THETA] - out[Row.FIRST_THETA]) / duration, out[Row.THETA_DOT] / intervals
+        )
         result = {
             "theta_dot_rms": np.sqrt(square),
             "theta_dot_std": np.sqrt(np.maximum(square - mean**2, 0.0)),
         }
         outside = out[Row.OUTSIDE]
+        psi, phi = out[Row.PSI_DOT] - out[Row.PSI_DOT_ERROR], out[Row.PHI_DOT] - out[Row.PHI_DOT_ERROR]
+        psi_squared = out[Row.PSI_DOT_SQUARED] - out[Row.PSI_DOT_SQUARED_ERROR]
+        phi_squared = out[Row.PHI_DOT_SQUARED] - out[Row.PHI_DOT_SQUARED_ERROR]
+        normal, normal_squared = out[Row.NORMAL_RATE], out[Row.NORMAL_RATE_SQUARED]
         for name, reference, total, total_squared, weight in (
-            ("psi_dot", Row.PSI_DOT_REFERENCE, Row.PSI_DOT, Row.PSI_DOT_SQUARED, outside),
-            ("phi_dot", Row.PHI_DOT_REFERENCE, Row.PHI_DOT, Row.PHI_DOT_SQUARED, outside),
-            ("normal_rate", Row.NORMAL_RATE_REFERENCE, Row.NORMAL_RATE, Row.NORMAL_RATE_SQUARED, intervals),
+            ("psi_dot", Row.PSI_DOT_REFERENCE, psi, psi_squared, outside),
+            ("phi_dot", Row.PHI_DOT_REFERENCE, phi, phi_squared, outside),
+            ("normal_rate", Row.NORMAL_RATE_REFERENCE, normal, normal_squared, intervals),
         ):
-            shifted_mean, square = out[total] / weight, out[total_squared] / weight
+            shifted_mean, square = total / weight, total_squared / weight
             result[f"{name}_mean"] = out[reference] + shifted_mean
             result[f"{name}_std"] = np.sqrt(np.maximum(square - shifted_mean**2, 0.0))
         result |= _tilt_extremes(out)
-        nodes = intervals // samples_per_step + 1
-        result["axis_1"] = out[Row.AXIS_1] / nodes
-        result["axis_2"] = out[Row.AXIS_2] / nodes
+        result["axis_1"] = out[Row.AXIS_1] / (intervals + 1)
+        result["axis_2"] = out[Row.AXIS_2] / (intervals + 1)
     result["integral_drift"] = out[Row.DRIFT].copy()
     return result
 
 
+def theta_dot_squared_sum(out: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Sum of theta'^2 over the samples of output of the kernel, corrected for passages near the vertical."""
+    return np.asarray(out[Row.THETA_DOT_SQUARED] - out[Row.THETA_DOT_SQUARED_ERROR])
+
+
+def _least_sin2_theta(out: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Least sin^2 theta of output of the kernel."""
+    return np.asarray(np.minimum(out[Row.SIN2_THETA_MIN_ABOVE], out[Row.SIN2_THETA_MIN_BELOW]))
+
+
 def _tilt_extremes(out: NDArray[np.float64]) -> dict[str, NDArray[np.float64]]:
     """theta_min and theta_max in rad, and the largest sin theta."""
-    cos_last, sin2_last = out[Row.COS_THETA], out[Row.SIN2_THETA]  # the end of a run is no turning point
-    low = np.minimum(out[Row.COS_THETA_MIN], cos_last)
-    high = np.maximum(out[Row.COS_THETA_MAX], cos_last)
-    widest = np.maximum(out[Row.SIN2_THETA_MAX], sin2_last)
-    above = np.minimum(out[Row.SIN2_THETA_MIN_ABOVE], np.where(cos_last > 0, sin2_last, 1.0))
-    below = np.minimum(out[Row.SIN2_THETA_MIN_BELOW], np.where(cos_last < 0, sin2_last, 1.0))
+    low, high = out[Row.COS_THETA_MIN], out[Row.COS_THETA_MAX]
+    widest = np.where((low < 0) & (high > 0), 1.0, out[Row.SIN2_THETA_MAX])
     # All on one side of the equator the widest tilt is the extreme nearer to it.
     return {
-        "theta_min": theta_from(high, np.where(high > 0, above, widest)),
-        "theta_max": theta_from(low, np.where(low > 0, widest, below)),
+        "theta_min": theta_from(high, np.where(high > 0, out[Row.SIN2_THETA_MIN_ABOVE], widest)),
+        "theta_max": theta_from(low, np.where(low > 0, widest, out[Row.SIN2_THETA_MIN_BELOW])),
         "sine_max": np.sqrt(np.minimum(widest, 1.0)),
     }

@@ -15,6 +15,8 @@ MAX_STEPS_PER_SAMPLE = 16
 # Share of the rate tolerance that an automatic step may spend on a motion that turns at the frequency bound.
 RATE_ERROR_BUDGET = 0.1
 ROUNDING = 1e-16
+# Error of the interpolation between four nodes that are x radians of an oscillation apart: this times x^8.
+INTERPOLATION_ERROR = 81 / 256 / 40320
 
 
 class StepSizeSettings(Protocol):
@@ -49,8 +51,8 @@ class StepSizes:
     ----------
     steps : ndarray of int64, shape (points,)
         Number of steps.
-    steps_per_sample, samples_per_step : ndarray of int64, shape (points,)
-        One of the two is 1.
+    steps_per_sample : ndarray of int64, shape (points,)
+        Steps between two nodes of the statistics.
     step_size : ndarray of float64, shape (points,)
         In time units.
     step_ratio : ndarray of float64, shape (points,)
@@ -65,7 +67,6 @@ class StepSizes:
 
     steps: NDArray[np.int64]
     steps_per_sample: NDArray[np.int64]
-    samples_per_step: NDArray[np.int64]
     step_size: NDArray[np.float64]
     step_ratio: NDArray[np.float64]
     dispersion_error: NDArray[np.float64]
@@ -92,8 +93,9 @@ class StepSizes:
         else:
             count = np.where(finite, duration, 0.0) / settings.step
             steps = np.ceil(np.minimum(count, float(settings.max_steps)) - 1e-9)
-            steps = np.maximum(steps, 1).astype(np.int64)
-        steps_per_sample, samples_per_step = _sampling(method, radians / steps, steps)
+            steps = np.maximum(steps, MIN_INTERVALS).astype(np.int64)
+        y = radians / steps
+        steps_per_sample = _steps_per_sample(y, steps, radians * method.dispersion * y**method.order)
         steps = -(-steps // steps_per_sample) * steps_per_sample
         radians = np.where(finite, radians, np.inf)  # no step resolves an infinite frequency
         y = radians / steps
@@ -102,7 +104,6 @@ class StepSizes:
         return cls(
             steps=steps,
             steps_per_sample=steps_per_sample,
-            samples_per_step=samples_per_step,
             step_size=duration / steps,
             step_ratio=y / method.stability,
             dispersion_error=radians * dispersion,
@@ -112,25 +113,20 @@ class StepSizes:
 
     @property
     def intervals(self) -> NDArray[np.int64]:
-        """Intervals between the samples of the whole run."""
-        return self.steps // self.steps_per_sample * self.samples_per_step
-
-    @property
-    def nodes(self) -> NDArray[np.int64]:
-        """Nodes of the kernel over the whole run; see `kernel`."""
-        return self.steps // self.steps_per_sample + (self.samples_per_step > 1)
+        """Intervals between the nodes of the whole run."""
+        return self.steps // self.steps_per_sample
 
     @property
     def sample_spacing(self) -> NDArray[np.float64]:
-        """Time between two samples, time units."""
-        return self.step_size * self.steps_per_sample / self.samples_per_step
+        """Time between two nodes, time units."""
+        return self.step_size * self.steps_per_sample
 
     def subset(self, where: NDArray[np.int64]) -> StepSizes:
         """Those of some points, by their indices."""
         return StepSizes(**{field.name: getattr(self, field.name)[where] for field in fields(self)})
 
     def halved(self, method: Method) -> StepSizes:
-        """Twice as many steps of half the size, sampled twice as often."""
+        """Twice as many steps of half the size, with twice as many nodes."""
         return replace(
             self,
             steps=2 * self.steps,
@@ -139,6 +135,21 @@ class StepSizes:
             dispersion_error=self.dispersion_error / 2**method.order,
             dissipation_error=self.dissipation_error / 2 ** (method.dissipation_order - 1),
             rate_error=self.rate_error / 2**method.order,
+        )
+
+    def coarsened(self, method: Method) -> StepSizes:
+        """Half as many steps, rounded up, of twice the size."""
+        steps = np.maximum(-(-self.steps // 2), MIN_INTERVALS)
+        ratio = self.steps / steps
+        return replace(
+            self,
+            steps=steps,
+            steps_per_sample=np.gcd(steps, self.steps_per_sample),
+            step_size=self.step_size * ratio,
+            step_ratio=self.step_ratio * ratio,
+            dispersion_error=self.dispersion_error * ratio**method.order,
+            dissipation_error=self.dissipation_error * ratio ** (method.dissipation_order - 1),
+            rate_error=self.rate_error * ratio**method.order,
         )
 
 
@@ -168,18 +179,15 @@ def _automatic_steps(
     return np.asarray(np.minimum(radians / y, float(settings.max_steps)))
 
 
-def _sampling(
-    method: Method, y: NDArray[np.float64], steps: NDArray[np.int64]
-) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """steps_per_sample and samples_per_step for steps of y radians at the frequency bound.
+def _steps_per_sample(
+    y: NDArray[np.float64], steps: NDArray[np.int64], dispersion_error: NDArray[np.float64]
+) -> NDArray[np.int64]:
+    """Steps between two nodes for steps of y radians at the frequency bound, a power of 2.
 
-    The quadrature rule has order 8 in the sample spacing; its error is kept at that of the phase. (For rk8 the spacing
-    needs to fall no faster than the root of y, as measured.)
+    The motion is interpolated between nodes with an error of order 8 in their distance, which is kept below a tenth of
+    the phase error.
     """
     with np.errstate(divide="ignore"):
-        spacing = (120 * method.dispersion) ** (1 / 8) * np.where(y > 0, y, 1e-12) ** -0.5  # in steps
-    samples_per_step = np.ceil(np.clip(1 / spacing, 1, method.max_samples)).astype(np.int64)
-    samples_per_step[steps < MIN_INTERVALS] = 1
-    spacing = np.minimum(spacing, steps / MIN_INTERVALS)
-    steps_per_sample = 2 ** np.floor(np.log2(np.clip(spacing, 1, MAX_STEPS_PER_SAMPLE))).astype(np.int64)
-    return steps_per_sample, samples_per_step
+        spacing = (0.1 * dispersion_error / INTERPOLATION_ERROR) ** (1 / 8) / y  # in steps
+    spacing = np.minimum(np.where(y > 0, spacing, MAX_STEPS_PER_SAMPLE), steps / (4 * MIN_INTERVALS))
+    return 2 ** np.floor(np.log2(np.clip(spacing, 1, MAX_STEPS_PER_SAMPLE))).astype(np.int64)

@@ -25,8 +25,6 @@ class Method:
         The relative loss of amplitude of a step is dissipation * y^dissipation_order to leading order.
     stability : float
         Largest stable y.
-    max_samples : int
-        Largest number of samples per step, for the statistics to be as accurate as the states.
     kernel_step : float
         Length of the step in the kernel's unit of time: most coefficients times it are 1.
     step_cost : float
@@ -46,7 +44,6 @@ class Method:
     dissipation: float
     dissipation_order: int
     stability: float
-    max_samples: int = 1
     kernel_step: float = 1.0
     step_cost: float = 1.0
 
@@ -187,7 +184,6 @@ RK8 = Method(
     dissipation=2.277e-8,
     dissipation_order=10,
     stability=5.960359811702219,
-    max_samples=4,
-    step_cost=8.3,
+    step_cost=8.0,
 )
 METHODS = {method.name: method for method in (RK4, RK8)}

@@ -1,4 +1,4 @@
-"""Errors to expect of the statistics of a run, from its step sizes alone."""
+"""Errors of the states and statistics of a run: expected from its step sizes, or measured by a second run."""
 
 from __future__ import annotations
 
@@ -7,32 +7,131 @@ from collections.abc import Mapping
 import numpy as np
 
 from ..engine.ensemble import Integration
-from ..engine.sampling import MIN_INTERVALS
-from ..engine.stepsize import ROUNDING, StepSizes
+from ..engine.statistics import RATES, Row
+from ..engine.stepsize import INTERPOLATION_ERROR, ROUNDING, StepSizes
+from ..engine.tableaux import Method
 from ..scene.model import Tolerances
-from ..systems.base import Array
+from ..systems.base import Array, System
 
 
-def error_estimate(step_sizes: StepSizes, log_growth: Array, integration: Integration) -> Array:
-    """Relative error of states and statistics, (points,).
+def error_estimate(
+    step_sizes: StepSizes,
+    bound: Array,
+    log_growth: Array,
+    integration: Integration,
+    measured: Mapping[str, Array],
+    cylinder: float,
+) -> Array:
+    """Relative error of states and statistics to expect, (points,).
 
-    The error of an oscillation at the frequency bound, amplified by the instability of the motion (to 1 at most); where
-    the axis was in the cylinder for a part of the run, at least the share of one sample.
+    That of the states is the error of an oscillation at the frequency bound, amplified by the instability of the motion
+    (to 1 at most); see `with_statistics` for the rest.
 
     Parameters
     ----------
     step_sizes : StepSizes
+    bound : ndarray of float64, shape (points,)
+        Frequency bound, rad per time unit.
     log_growth : ndarray of float64, shape (points,)
         Growth rate of the family's motion times duration.
     integration : Integration
+    measured : mapping of str to ndarray
+        Statistics of the integration.
+    cylinder : float
+        Radius of the cylinder, rad.
     """
-    error = np.maximum(step_sizes.dispersion_error, step_sizes.dissipation_error)
-    with np.errstate(over="ignore"):
+    error = np.maximum(step_sizes.dispersion_error, step_sizes.dissipation_error) + rounding_error(step_sizes)
+    with np.errstate(all="ignore"):
         amplified = np.minimum(error * np.exp(log_growth), np.maximum(error, 1.0))
-    error = np.where(log_growth > 0, amplified, error)
-    run = step_sizes.step_size * step_sizes.steps
-    one_sample = np.maximum(error, step_sizes.sample_spacing / run)
-    return np.asarray(np.where(integration.crossed_cylinder, one_sample, error))
+        error = np.where(log_growth > 0, amplified, error)
+    return with_statistics(error, step_sizes, bound, integration, measured, cylinder)
+
+
+def with_statistics(
+    state_error: Array,
+    step_sizes: StepSizes,
+    bound: Array,
+    integration: Integration,
+    measured: Mapping[str, Array],
+    cylinder: float,
+) -> Array:
+    """Relative error of states and statistics from that of the states, (points,).
+
+    The interpolation between nodes adds to the error of the angles. That of psi' and phi' grows as the third axis comes
+    near the vertical, and is as large as they are where it was in the cylinder for a part of the run. Arguments as for
+    `error_estimate`.
+    """
+    with np.errstate(all="ignore"):
+        angle = state_error + _interpolation_error(step_sizes, bound)
+        sine = np.minimum(np.sin(measured["theta_min"]), np.sin(measured["theta_max"]))
+        spread = np.fmax(measured["psi_dot_std"], measured["phi_dot_std"]) / bound
+        rates = np.fmax(angle, angle * (1.0 + (2.0 + 6.0 * spread) / np.maximum(sine, 1e-300)))
+        # The peak of psi' of an axis that leaves the cylinder at the frequency bound.
+        peak = np.sqrt(0.5 * np.pi / (cylinder * bound * integration.duration))
+        undefined = np.fmax.reduce([np.ones_like(rates), spread, rates, peak])
+    inside = integration.sums[Row.OUTSIDE] == 0.0  # psi' and phi' are missing
+    crossed = ~inside & (integration.crossed_cylinder | (sine < 2.0 * cylinder))
+    return np.asarray(np.select([inside, crossed], [angle, undefined], rates))
+
+
+def rounding_error(step_sizes: StepSizes) -> Array:
+    """Relative error of the states by rounding, (points,)."""
+    return np.asarray(4.0 * ROUNDING * np.sqrt(step_sizes.steps))
+
+
+def pair_error(
+    system: System,
+    method: Method,
+    bound: Array,
+    fine: tuple[StepSizes, Integration, Mapping[str, Array]],
+    coarse: tuple[StepSizes, Integration, Mapping[str, Array]],
+    cylinder: float,
+) -> Array:
+    """Relative error of the states and statistics of a run, measured by a second run with fewer steps, (points,).
+
+    The difference of the final states is as many times the error of the finer as the order of the method implies. The
+    statistics have no clean order: their differences are taken as they are, and count at least three tenths of what the
+    error of the states implies, because two runs may agree by chance.
+
+    Parameters
+    ----------
+    system : System
+    method : Method
+    bound : ndarray of float64, shape (points,)
+        Frequency bound, rad per time unit.
+    fine, coarse : tuple of StepSizes, Integration and mapping of str to ndarray
+        Step sizes, integration and statistics of both runs.
+    cylinder : float
+        Radius of the cylinder, rad.
+    """
+    (fine_sizes, fine_run, fine_values), (coarse_sizes, coarse_run, coarse_values) = fine, coarse
+    with np.errstate(all="ignore"):
+        ratio = fine_sizes.steps / coarse_sizes.steps
+        state = state_distance(system, fine_run.final_state, coarse_run.final_state, bound)
+        state = np.fmax(state / (ratio**method.order - 1.0), rounding_error(fine_sizes))
+        rates = [np.abs(fine_values[name] - coarse_values[name]) / bound for name in RATES]
+        angles = [np.abs(fine_values[name] - coarse_values[name]) for name in ("theta_min", "theta_max")]
+        implied = with_statistics(state, fine_sizes, bound, fine_run, fine_values, cylinder)
+    return np.asarray(np.fmax.reduce([state, 0.3 * implied, *rates, *angles]))
+
+
+def state_distance(system: System, state: Array, other: Array, bound: Array) -> Array:
+    """Largest difference of a component of two states.
+
+    Parameters
+    ----------
+    system : System
+    state, other : ndarray, shape (state, points)
+    bound : ndarray, shape (points,)
+        Frequency bound, rad per time unit; the unit of the differences of angular velocities.
+
+    Returns
+    -------
+    ndarray, shape (points,)
+    """
+    difference = np.abs(state - other)
+    difference[[name in system.rate_states for name in system.equations.STATE]] /= bound
+    return np.asarray(difference.max(0))
 
 
 def early_stop_rate(step_sizes: StepSizes, bound: Array, tolerances: Tolerances) -> Array:
@@ -53,9 +152,7 @@ def measurement_errors(
     near_vertical = step_sizes.rate_error + bound * ROUNDING * np.sqrt(step_sizes.steps) / np.maximum(
         sine, 1e-300
     )
-    # A cubic between two samples misses the extreme of an oscillation by the fourth power of their spacing.
-    interpolation = (bound * step_sizes.sample_spacing) ** 4 / 384
-    angle = (measured["theta_max"] - measured["theta_min"]) * np.minimum(relative + interpolation, 1.0)
+    angle = (measured["theta_max"] - measured["theta_min"]) * relative
     angle += measured["sine_max"] * np.where(bound > 0, step_sizes.rate_error / bound, 0.0)
     absolute = {
         "theta_dot_rms": step_sizes.rate_error,
@@ -69,8 +166,12 @@ def measurement_errors(
 
 
 def _relative_error(step_sizes: StepSizes, bound: Array) -> Array:
-    """Relative error of a standard deviation: dispersion, dissipation and quadrature error."""
-    quadrature = np.where(
-        step_sizes.intervals < MIN_INTERVALS, 1.0, (0.5 * bound * step_sizes.sample_spacing) ** 8
-    )
-    return np.asarray(step_sizes.dispersion_error + step_sizes.dissipation_error + quadrature)
+    """Relative error of a standard deviation: dispersion, dissipation and interpolation error."""
+    interpolation = _interpolation_error(step_sizes, bound)
+    return np.asarray(step_sizes.dispersion_error + step_sizes.dissipation_error + interpolation)
+
+
+def _interpolation_error(step_sizes: StepSizes, bound: Array) -> Array:
+    """Relative error of the motion between nodes, for an oscillation at the frequency bound."""
+    with np.errstate(over="ignore"):
+        return np.asarray(INTERPOLATION_ERROR * (bound * step_sizes.sample_spacing) ** 8)

@@ -12,6 +12,9 @@ from ..systems.base import Array, Flags, Mask
 
 # Relative rounding error of an initial state: an unstable motion amplifies it.
 ROUNDOFF = 1e-16
+# The conditions of a steady motion are satisfied as well as rounding allows where their residual is at most this: of a
+# larger distance from the motion, rounding errors change less than a hundredth.
+ROUNDING_RESIDUAL = 1e-13
 # The measurements from which a label is decided.
 LABEL_STATISTICS = (
     "theta_dot_rms", "psi_dot_mean", "psi_dot_std", "phi_dot_mean", "phi_dot_std", "normal_rate_std",
@@ -92,6 +95,23 @@ def unsure(
     return np.asarray((lower != central) | (upper != central))
 
 
+def rounding_limit(residual: Array, frequency_bound: Array, tolerances: Tolerances) -> Array:
+    """Growth, as a logarithm, by which rounding errors reach a tolerance, (points,).
+
+    Rounding errors of rates are relative to the frequency bound, those of angles to 1.
+
+    Parameters
+    ----------
+    residual : ndarray of float64
+        Residual of the conditions of the steady motion at the start, dimensionless.
+    frequency_bound : ndarray of float64
+        In rad per time unit.
+    tolerances : Tolerances
+    """
+    tolerance = np.minimum(tolerances.rate / frequency_bound, tolerances.angle)
+    return np.asarray(np.log(tolerance / np.fmax(residual, ROUNDOFF)))
+
+
 def status(
     finite: Mask,
     integral_drift: Array,
@@ -99,7 +119,7 @@ def status(
     step_ratio: Array,
     dissipation_error: Array,
     rounding_growth: Array,
-    rate_tolerance: float,
+    rounding_limit: Array | float,
     step_sensitive: Mask | bool = False,
 ) -> Flags:
     """Status of each computed point: the first that applies, in the order of `flags.Status`.
@@ -116,9 +136,9 @@ def status(
     dissipation_error : ndarray of float64
         Relative loss of amplitude of the fastest frequency over the run, at most 0.1.
     rounding_growth : ndarray of float64
-        Growth rate times duration where the start is exactly on an unstable motion, else 0.
-    rate_tolerance : float
-        In rad per time unit.
+        Growth rate times duration where the start is on an unstable motion to rounding, else 0.
+    rounding_limit : ndarray of float64
+        As the function of that name returns it.
     step_sensitive : ndarray of bool
         Whether the label changes, or could, when the step is halved.
 
@@ -132,6 +152,6 @@ def status(
         Status.DRIFT_EXCEEDED: integral_drift > drift_tolerance,
         Status.UNDER_RESOLVED: ~((step_ratio <= 0.5) & (dissipation_error <= 0.1)),
         Status.STEP_SENSITIVE: step_sensitive,
-        Status.ROUNDOFF_DECIDED: rounding_growth > np.log(rate_tolerance / ROUNDOFF),
+        Status.ROUNDOFF_DECIDED: (rounding_growth > 0) & (rounding_growth > rounding_limit),
     }
     return np.select(list(conditions.values()), list(conditions), Status.OK).astype(np.int8)

@@ -16,12 +16,12 @@ from ..engine.tableaux import METHODS
 from ..flags import Label, Status
 from ..scene.grid import Grid
 from ..scene.model import Scene, Settings
-from ..systems.base import Array, Flags, Mask, Points, System
+from ..systems.base import FAMILY_TOLERANCE, Array, Flags, Mask, Points, System
 from . import labels
-from .expected_errors import early_stop_rate, error_estimate, measurement_errors
-from .theory import agreement, predict
+from .expected_errors import early_stop_rate, error_estimate, measurement_errors, pair_error
+from .theory import agreement, exact_starts, predict
 
-# check_half_step = "sample" integrates one point in so many again.
+# check_half_step = "sample" measures the error of one point in so many.
 POINTS_PER_HALF_STEP = 64
 # A start beside an unstable motion departs because of its nudge, and not of integration errors, where theta' at half the
 # step is the same within this share.
@@ -116,7 +116,7 @@ def evaluate(
     whole_run = outputs is None or bool(WHOLE_RUN & set(outputs))
     integration = _integrate(runs, whole_run, threads, progress)
     measured = integration.statistics()
-    recheck = _recheck_at_half_step(runs, integration, measured, threads)
+    recheck = _recheck(runs, integration, measured, threads)
     columns = _assemble(runs, integration, measured, recheck)
     for name, derived in system.derived.items():
         if outputs is not None and name in outputs:
@@ -136,8 +136,10 @@ class _Runs:
     duration: Array
     theory: Mapping[str, np.ndarray]
     residual: Array  # of the conditions of a steady motion, at the nudged start
-    log_growth: Array  # growth rate of the family's motion times duration
-    log_growth_exact: Array  # the same where the start is exactly on the motion, else 0
+    log_growth: Array  # growth of a distance from the family's motion over the run, as a logarithm
+    log_growth_exact: Array  # the same where no nudge moved the start off the motion, else 0
+    rounding_growth: Array  # the same where the start is on the motion to rounding, else 0
+    rounding_growth_on_vertical: Array  # the same of runs whose third axis never leaves the vertical by a bit
     frame_rates: Mapping[str, Array]  # label variable -> rate added to psi', rad per time unit
 
     @property
@@ -168,9 +170,19 @@ def _prepare(
         step_sizes = StepSizes.of(settings, ensemble.frequency_bound, duration)
         if halved:
             step_sizes = step_sizes.halved(METHODS[settings.method])
-        theory = predict(system, base, settings.rate_tolerance, nudged)
-        log_growth = np.minimum(np.nan_to_num(theory["growth_rate"] * duration, nan=0.0), MAX_LOG_GROWTH)
         residual = system.condition_residual(points)
+        nearby = residual <= FAMILY_TOLERANCE
+        pushed = ~exact_starts(system, points, nearby) if nudged else np.zeros_like(nearby)
+        theory = predict(system, base, settings.rate_tolerance, pushed)
+        growth = system.log_growth(base, theory["family"], theory["growth_rate"], duration)
+        log_growth = np.minimum(np.nan_to_num(growth, nan=0.0), MAX_LOG_GROWTH)
+        # The growth of an offset in one step is rounded: where that is a per cent of it or more, rounding decides.
+        max_residual = np.fmax(
+            labels.ROUNDING_RESIDUAL, 100.0 * labels.ROUNDOFF / (theory["growth_rate"] * step_sizes.step_size)
+        )
+        exact = ~pushed if nudged else exact_starts(system, points, nearby & (log_growth > 0), max_residual)
+        rounding_growth = np.where(exact, log_growth, 0.0)
+        about_vertical = system.growth_about_vertical(points) * duration
     frame_rates = {"label": np.zeros_like(duration)}
     if system.frame_rate is not None:
         frame_rates["label_inertial"] = system.frame_rate(points)
@@ -184,7 +196,9 @@ def _prepare(
         theory=theory,
         residual=residual,
         log_growth=log_growth,
-        log_growth_exact=np.zeros_like(log_growth) if nudged else log_growth,
+        log_growth_exact=np.where(pushed, 0.0, log_growth),
+        rounding_growth=rounding_growth,
+        rounding_growth_on_vertical=np.fmin(rounding_growth, about_vertical),
         frame_rates=frame_rates,
     )
 
@@ -215,62 +229,107 @@ def _status(
     runs: _Runs, integration: Integration, measured: Mapping[str, Array], step_sensitive: Mask | bool
 ) -> Flags:
     """Status of the points."""
-    # Rounding errors have nothing to grow from where the third axis never left the vertical by a bit.
-    rounding_growth = np.where(measured["sine_max"] == 0.0, 0.0, runs.log_growth_exact)
+    # No tilt can grow where the third axis never left the vertical by a bit.
+    on_vertical = measured["sine_max"] == 0.0
+    rounding_growth = np.where(on_vertical, runs.rounding_growth_on_vertical, runs.rounding_growth)
     settings, step_sizes = runs.settings, runs.step_sizes
     with np.errstate(all="ignore"):
+        limit = labels.rounding_limit(runs.residual, runs.ensemble.frequency_bound, settings.tolerances)
         return labels.status(
             integration.finite, measured["integral_drift"], settings.drift_tolerance, step_sizes.step_ratio,
-            step_sizes.dissipation_error, rounding_growth, settings.rate_tolerance, step_sensitive,
+            step_sizes.dissipation_error, rounding_growth, limit, step_sensitive,
         )  # fmt: skip
 
 
 @dataclass(frozen=True)
 class _Recheck:
-    """What integrating some of the points again at half the step shows; arrays of shape (points,)."""
+    """What integrating some of the points again with other steps shows; arrays of shape (points,)."""
 
     step_sensitive: Mask
     error: Array  # relative error of states and statistics
 
 
-def _recheck_at_half_step(
+def _recheck(
     runs: _Runs, integration: Integration, measured: Mapping[str, Array], threads: int | None
 ) -> _Recheck:
-    """Integrate again, at half the step, the points whose label an error could change."""
-    ensemble, settings, step_sizes = runs.ensemble, runs.settings, runs.step_sizes
-    bound = ensemble.frequency_bound
+    """Measure the error of some points, and integrate again those whose label an error could change."""
+    settings, step_sizes, bound = runs.settings, runs.step_sizes, runs.ensemble.frequency_bound
     with np.errstate(all="ignore"):
         label = labels.label(measured, settings.tolerances)
-        resolved = _status(runs, integration, measured, False) == Status.OK
+        resolved = (_status(runs, integration, measured, False) == Status.OK) & ~integration.stopped_early
         # A departure from an unstable motion may be caused by integration errors; it must be where the start
         # satisfies the conditions of the motion to rounding.
         departed = resolved & (measured["sine_max"] > 0.0) & runs.error_amplified & (label == Label.DRIFTING)
         step_sensitive = departed & (runs.residual <= ROUNDING * np.sqrt(step_sizes.steps))
-        recheck = _half_step_sample(ensemble, settings.check_half_step)
-        recheck |= _unsure(measured, measurement_errors(step_sizes, bound, measured), runs)
-        recheck = resolved & ~step_sensitive & ~integration.stopped_early & (recheck | departed)
-    error = np.maximum(error_estimate(step_sizes, runs.log_growth, integration), measured["integral_drift"])
-    where = np.flatnonzero(recheck)
+        unsure = _unsure(measured, measurement_errors(step_sizes, bound, measured), runs)
+        error = error_estimate(step_sizes, bound, runs.log_growth, integration, measured, settings.cylinder)
+    sample = np.flatnonzero(resolved & _half_step_sample(runs.ensemble, settings.check_half_step))
+    if sample.size:
+        error[sample], unsure[sample] = _measured_error(
+            runs, integration, measured, sample, error[sample], threads
+        )
+    where = np.flatnonzero(resolved & ~step_sensitive & (unsure | departed))
     if where.size:
-        fine = (
-            ensemble.subset(where)
-            .integrate(
-                runs.kernel,
-                step_sizes.subset(where).halved(METHODS[settings.method]),
-                settings.cylinder,
-                threads=threads,
-            )
-            .statistics()
+        changes, difference = _at_half_step(runs, measured, departed[where], where, threads)
+        step_sensitive[where] = changes
+        error[where] = np.fmax(error[where], difference)
+    return _Recheck(step_sensitive, np.fmax(error, measured["integral_drift"]))
+
+
+def _measured_error(
+    runs: _Runs,
+    integration: Integration,
+    measured: Mapping[str, Array],
+    where: np.ndarray,
+    expected: Array,
+    threads: int | None,
+) -> tuple[Array, Mask]:
+    """Errors of points from a second run with half as many steps, and whether a label could change within them.
+
+    Where the second run is not resolved, the expected error counts if it is larger.
+    """
+    bound, method = runs.ensemble.frequency_bound[where], METHODS[runs.settings.method]
+    sizes = runs.step_sizes.subset(where)
+    coarse_sizes = sizes.coarsened(method)
+    coarse = runs.ensemble.subset(where).integrate(
+        runs.kernel, coarse_sizes, runs.settings.cylinder, threads=threads
+    )
+    run, values, coarse_values = integration.subset(where), _subset(measured, where), coarse.statistics()
+    error = pair_error(
+        runs.system,
+        method,
+        bound,
+        (sizes, run, values),
+        (coarse_sizes, coarse, coarse_values),
+        runs.settings.cylinder,
+    )
+    with np.errstate(all="ignore"):
+        difference = {name: np.abs(values[name] - coarse_values[name]) for name in labels.LABEL_STATISTICS}
+        unsure = _unsure(values, difference, runs, where)
+    trusted = (coarse_sizes.step_ratio < 0.5) & coarse.finite
+    return np.where(trusted, error, np.fmax(error, expected)), unsure
+
+
+def _at_half_step(
+    runs: _Runs, measured: Mapping[str, Array], departed: Mask, where: np.ndarray, threads: int | None
+) -> tuple[Mask, Array]:
+    """Whether labels change at half the step, and the largest change of a rate over the frequency bound."""
+    fine = (
+        runs.ensemble.subset(where)
+        .integrate(
+            runs.kernel,
+            runs.step_sizes.subset(where).halved(METHODS[runs.settings.method]),
+            runs.settings.cylinder,
+            threads=threads,
         )
-        coarse = _subset(measured, where)
-        step_sensitive[where] = _label_changes(coarse, fine, runs, where)
-        disagrees = (
-            np.abs(coarse["theta_dot_rms"] - fine["theta_dot_rms"]) > HALF_STEP_RTOL * fine["theta_dot_rms"]
-        )
-        step_sensitive[where] |= departed[where] & disagrees
-        changes = [np.abs(fine[name] - coarse[name]) for name in RATES]
-        error[where] = np.fmax(error[where], np.fmax.reduce(changes) / bound[where])
-    return _Recheck(step_sensitive, error)
+        .statistics()
+    )
+    coarse = _subset(measured, where)
+    changes = _label_changes(coarse, fine, runs, where)
+    with np.errstate(invalid="ignore"):
+        differences = {name: np.abs(fine[name] - coarse[name]) for name in RATES}
+    changes |= departed & (differences["theta_dot_rms"] > HALF_STEP_RTOL * fine["theta_dot_rms"])
+    return changes, np.fmax.reduce(list(differences.values())) / runs.ensemble.frequency_bound[where]
 
 
 def _unsure(
@@ -304,7 +363,7 @@ def _label_changes(
 
 
 def _half_step_sample(ensemble: Ensemble, which: str) -> Mask:
-    """Points to integrate again in any case: none, all, or one in POINTS_PER_HALF_STEP, by a hash of the point."""
+    """Points whose error is measured: none, all, or one in POINTS_PER_HALF_STEP, by a hash of the point."""
     if which != "sample":
         return np.full(ensemble.size, which == "all")
     mixed = np.zeros(ensemble.size, np.uint64)

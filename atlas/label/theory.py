@@ -5,14 +5,13 @@ from __future__ import annotations
 import numpy as np
 
 from ..flags import Agreement, Label, Stability
-from ..systems.base import Flags, Points, System
-from .labels import steady_label
-
-# A start whose sin theta is below this is on the vertical: np.pi itself has sin 1.2e-16.
-ON_VERTICAL = 1e-12
+from ..systems.base import FAMILY_TOLERANCE, Array, Flags, Mask, Points, System
+from .labels import ROUNDING_RESIDUAL, steady_label
 
 
-def predict(system: System, points: Points, rate_tolerance: float, nudged: bool) -> dict[str, np.ndarray]:
+def predict(
+    system: System, points: Points, rate_tolerance: float, nudged: Mask | bool
+) -> dict[str, np.ndarray]:
     """Labels of a set of starts from theory alone.
 
     Parameters
@@ -22,9 +21,9 @@ def predict(system: System, points: Points, rate_tolerance: float, nudged: bool)
         The starts before any nudge.
     rate_tolerance : float
         Rates of at most this count as zero, rad per time unit.
-    nudged : bool
-        A nudged start is predicted to keep the label of its family where the motion is linearly stable and to drift
-        where it is unstable.
+    nudged : ndarray of bool or bool
+        Whether a nudge moved the start off its motion. It is then predicted to keep the label of its family where the
+        motion is linearly stable and to drift where it is unstable.
 
     Returns
     -------
@@ -41,16 +40,31 @@ def predict(system: System, points: Points, rate_tolerance: float, nudged: bool)
     if system.frame_rate is not None:
         frames["predicted_inertial"] = n + system.frame_rate(points)
     for name, rate in frames.items():
-        label = steady_label(rate, m, np.abs(sine) < ON_VERTICAL, rate_tolerance)
-        if nudged:
-            label = np.select(
-                [stable == Stability.STABLE, stable == Stability.UNSTABLE],
-                [label, Label.DRIFTING],
-                Label.NOT_COMPUTED,
-            )
+        label = steady_label(rate, m, np.abs(sine) <= FAMILY_TOLERANCE, rate_tolerance)
+        label = np.select(
+            [np.logical_not(nudged) | (stable == Stability.STABLE), stable == Stability.UNSTABLE],
+            [label, Label.DRIFTING],
+            Label.NOT_COMPUTED,
+        )
         off = np.where(system.complete(points) & within, Label.DRIFTING, Label.NOT_COMPUTED)
         result[name] = np.where(family > 0, label, off).astype(np.int8)
     return result
+
+
+def exact_starts(
+    system: System, points: Points, candidates: Mask, max_residual: Array | float = ROUNDING_RESIDUAL
+) -> Mask:
+    """Which of the candidates are on a steady motion of a family as exactly as rounding allows, (points,).
+
+    A nudge along a family or a symmetry leads to such a start again. max_residual: residual of the conditions of the
+    family up to which a start is exact.
+    """
+    exact = np.zeros(candidates.shape, bool)
+    where = np.flatnonzero(candidates)
+    if where.size:
+        flag, residual = system.identify_family({name: values[where] for name, values in points.items()})
+        exact[where] = (flag > 0) & (residual <= np.broadcast_to(max_residual, candidates.shape)[where])
+    return exact
 
 
 def agreement(label: Flags, predicted: Flags) -> Flags:

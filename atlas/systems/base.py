@@ -21,7 +21,8 @@ Points = Mapping[str, Array]
 
 # Products and quotients of parameters beyond this magnitude, or of positive ones below its inverse, may overflow.
 MAX_MAGNITUDE = 1e60
-# A start whose condition residuals are at most this belongs to the family.
+# A start whose condition residuals are at most this belongs to the family; sin theta of at most this is on the
+# vertical.
 FAMILY_TOLERANCE = 1e-10
 _CHUNK = 16384  # points whose family is identified together, so that the arrays stay in the cache
 
@@ -118,6 +119,9 @@ class StressCase:
     solve: tuple[str, str] | None = None  # family, and the parameter that puts the points on it
     additions: Mapping[str, ArrayLike] = field(default_factory=dict)  # added to parameters after solving
     may_stay_unresolved: str = ""  # reason for which an automatic step, too, may leave a point unresolved
+    # the exact motion of validation.exact that the points follow, or "departure" where the additions are tiny offsets
+    # from an unstable equilibrium; empty: the true label follows from theory or from the reference integrator
+    truth: str = ""
 
 
 class System(ABC):
@@ -136,8 +140,8 @@ class System(ABC):
     Initial values
         `initial_state`, `steady_rates`, `as_euler_angles`, `check`, `within_range`, `warnings`.
     Theory
-        `families`, `identify_family`, `condition_residual`, `linear_stability`, `complete`, `frame_rate`,
-        `geometries`, `geometry`, `derived`, `equilibria`, `published`, `stress_cases`, `despun_equivalent`.
+        `families`, `identify_family`, `condition_residual`, `linear_stability`, `log_growth`,
+        `growth_about_vertical`, `complete`, `frame_rate`, `geometries`, `geometry`, `derived`, `equilibria`, `published`, `stress_cases`, `despun_equivalent`.
 
     Instances are compared and hashed by identity: kernels are cached by system.
     """
@@ -343,6 +347,28 @@ class System(ABC):
             Largest real part of the characteristic exponents, rad per time unit; nan where unknown.
         """
         return stability_by_family(self.families, points, flags)
+
+    def log_growth(self, points: Points, flags: Flags, growth_rate: Array, duration: Array) -> Array:
+        """Logarithm of the growth of a small distance from the steady motions over runs, (points,); nan: unknown.
+
+        The default, growth_rate x duration, is right unless the linear system varies more slowly than the run lasts.
+
+        Parameters
+        ----------
+        flags, growth_rate : arrays (points,)
+            As `identify_family` and `linear_stability` give them.
+        duration : array (points,)
+            Time units.
+        """
+        return growth_rate * duration
+
+    def growth_about_vertical(self, points: Points) -> Array:
+        """Growth rate of a steady motion of which the third axis is, and stays, exactly on the vertical.
+
+        No tilt can grow then, but the rotation about the vertical may be unstable. Rounding errors decide no label
+        where this rate is 0. The default nan stands for unknown: the growth rate of `linear_stability` counts.
+        """
+        return np.full(shape_of(points), np.nan)
 
     def complete(self, points: Points) -> Mask:
         """Where the families are all steady motions, so that other starts must drift; bool (points,)."""

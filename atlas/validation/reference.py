@@ -12,14 +12,15 @@ from scipy.integrate import DOP853
 from ..engine.statistics import RATES, Row, finish
 from ..errors import BadInput
 from ..label import labels
+from ..label.expected_errors import state_distance
 from ..scene.model import Settings
 from ..systems.base import Array, Flags, Mask, Points, System
 
 STATISTICS = (*RATES, "theta_min", "theta_max")
 # Sums of the rates, which are integrated beside the states, in this order.
 RATE_SUMS = (
-    Row.THETA_DOT, Row.THETA_DOT_SQUARED, Row.OUTSIDE, Row.PSI_DOT, Row.PSI_DOT_SQUARED,
-    Row.PHI_DOT, Row.PHI_DOT_SQUARED, Row.NORMAL_RATE, Row.NORMAL_RATE_SQUARED,
+    Row.THETA_DOT, Row.THETA_DOT_SQUARED, Row.OUTSIDE, Row.PSI_DOT, Row.PSI_DOT_SQUARED, Row.PHI_DOT, Row.PHI_DOT_SQUARED,
+    Row.NORMAL_RATE, Row.NORMAL_RATE_SQUARED,
 )  # fmt: skip
 # Relative tolerances of the reference and of a second run; its uncertainty is SAFETY times their difference.
 REFERENCE_RTOL, SECOND_RTOL, SAFETY = 3e-14, 1e-13, 10.0
@@ -134,25 +135,6 @@ def reference(
         },
         label_certain=(label == other_label).all(0),
     )
-
-
-def state_distance(system: System, state: Array, other: Array, bound: Array) -> Array:
-    """Largest difference of a component of two states.
-
-    Parameters
-    ----------
-    system : System
-    state, other : ndarray, shape (state, points)
-    bound : ndarray, shape (points,)
-        Frequency bound, rad per time unit; the unit of the differences of angular velocities.
-
-    Returns
-    -------
-    ndarray, shape (points,)
-    """
-    difference = np.abs(state - other)
-    difference[[name in system.rate_states for name in system.equations.STATE]] /= bound
-    return np.asarray(difference.max(0))
 
 
 def largest_sine(theta_min: Array, theta_max: Array) -> Array:
@@ -304,21 +286,23 @@ def _integrate_group(
             theta_min, theta_max = np.minimum(theta_min, low), np.maximum(theta_max, high)
             advance(size * (solver.t - solver.t_old))
     final = solver.y.reshape(-1, size)
-    rates = _finish_sums(final[states:], at_start)
+    theta = euler_rates(equations.frame_motion(final[:states], constants), cylinder).theta
+    rates = _finish_sums(final[states:], at_start, theta, duration)
     extremes = {
         "theta_min": theta_min, "theta_max": theta_max, "sine_max": largest_sine(theta_min, theta_max)
     }  # fmt: skip
     return rates | extremes | {"state": final[:states]}
 
 
-def _finish_sums(sums: Array, at_start: EulerRates) -> Run:
-    """Means, rms and standard deviations of the rates from their integrals over the run, by name."""
+def _finish_sums(sums: Array, at_start: EulerRates, theta: Array, duration: Array) -> Run:
+    """Means, rms and standard deviations of the rates from their means over the run and theta at its end, by name."""
     out = np.zeros((len(Row), sums.shape[1]))
     out[list(RATE_SUMS)] = sums
     out[Row.PSI_DOT_REFERENCE] = at_start.psi_dot
     out[Row.PHI_DOT_REFERENCE] = at_start.phi_dot
     out[Row.NORMAL_RATE_REFERENCE] = at_start.normal_rate
-    result = finish(out, np.ones(sums.shape[1], np.int64))
+    out[Row.FIRST_THETA], out[Row.LAST_THETA] = at_start.theta, theta
+    result = finish(out, np.ones(sums.shape[1], np.int64), duration)
     return {name: result[name] for name in RATES}
 
 

@@ -16,14 +16,12 @@ from ..engine.stepsize import StepSizes
 from ..engine.tableaux import METHODS
 from ..errors import BadInput
 from ..flags import Flag, Label, Status
-from ..label import labels
 from ..label.pipeline import evaluate
-from ..label.theory import predict
 from ..scene.model import Settings
 from ..systems.base import Array, Flags, Mask, Points, StressCase, System
 from ..variables import variables
-from .reference import EXACT_RESIDUAL, largest_sine, reference
 from .stress_points import CasePoints, case_points
+from .stress_truth import EXACT_ACCURACY, EXACT_STATISTICS, TrueLabels, true_labels, unsteadiness
 
 # The levels, coarse to fine: fixed steps as a share of the stability limit at the frequency bound, then
 # the automatic step at tolerances down to the default one.
@@ -32,9 +30,6 @@ TOLERANCES = (1e-2, 1e-4, 1e-6, 1e-8)
 LEVELS = tuple(f"ratio {ratio:g}" for ratio in RATIOS) + tuple(f"tolerance {tol:.0e}" for tol in TOLERANCES)
 # A point that takes more steps than this at a level is left out there.
 MAX_STEPS = 10_000_000
-# A run of at most so many radians at the frequency bound is integrated whole by the reference; of a longer
-# run this much.
-MAX_RADIANS_WHOLE, RADIANS_OF_PART = 170.0, 40.0
 # The unsteadiness is accurate within this share of itself, or of the rate tolerance if that is larger.
 ACCURATE = 0.01
 
@@ -46,105 +41,6 @@ class Verdict(Flag):
     UNRESOLVED = 1, "no label"
     WRONG = 2, "a label that is not true"
     LEFT_OUT = 3, "not run, because it takes too many steps"
-
-
-@dataclass(frozen=True)
-class TrueLabels:
-    """True labels of some points; arrays of shape (points,).
-
-    Attributes
-    ----------
-    label : ndarray of int8
-        `Label.UNRESOLVED` where rounding decides or numbers overflow.
-    unsteadiness : ndarray
-        Largest rms or standard deviation of the rates, rad per time unit; NaN where unknown.
-    source : ndarray of str
-        How the label was determined: "theory", "reference", "part of the run" or "overflow".
-    """
-
-    label: Flags
-    unsteadiness: Array
-    source: np.ndarray
-
-
-def true_labels(system: System, points: Points, duration: Array, settings: Settings) -> TrueLabels:
-    """True label of each point and how unsteady its motion is.
-
-    Exact starts have the label that theory predicts, or none where growth_rate x duration is so large
-    that rounding decides. The labels of other points come from a reference solution of the despun
-    equivalent, see `_labels_by_reference`. Points whose numbers overflow have no label.
-
-    Parameters
-    ----------
-    system : System
-    points : dict of ndarray, shape (points,)
-        Parameters by name.
-    duration : ndarray, shape (points,)
-        Length of the runs, time units.
-    settings : Settings
-        Only the tolerances of the labels are used.
-
-    Raises
-    ------
-    ValueError
-        If the reference does not decide the label of a point: such a point is no use as a stress case.
-    """
-    with np.errstate(all="ignore"):
-        theory = predict(system, points, settings.rate_tolerance, nudged=False)
-        exact = (theory["family"] > 0) & (system.condition_residual(points) <= EXACT_RESIDUAL)
-        despun, excess = system.despun_equivalent(points)
-        radians = system.frequency_bound(despun) * duration
-    tilted = np.abs(system.steady_rates(points)[0]) > 0
-    growth = theory["growth_rate"] * duration
-    by_rounding = tilted & (growth > np.log(settings.rate_tolerance / labels.ROUNDOFF))
-    label = np.where(by_rounding, Label.UNRESOLVED, theory["predicted"]).astype(np.int8)
-    unsteadiness, source = np.zeros(duration.shape), np.full(duration.shape, "theory", "<U15")
-    overflow = ~exact & (~np.isfinite(radians) | (radians > 1e100))
-    label[overflow], unsteadiness[overflow], source[overflow] = Label.UNRESOLVED, np.nan, "overflow"
-    others = np.flatnonzero(~exact & ~overflow)
-    if others.size:
-        part = {name: values[others] for name, values in despun.items()}
-        solved, undecided = _labels_by_reference(
-            system, part, excess[others], duration[others], radians[others], settings
-        )
-        if undecided.any():
-            raise ValueError(f"the reference cannot decide the labels of points {others[undecided]}")
-        label[others], unsteadiness[others] = solved.label, solved.unsteadiness
-        source[others] = solved.source
-    return TrueLabels(label, unsteadiness, source)
-
-
-def _labels_by_reference(
-    system: System, despun: Points, excess: Array, duration: Array, radians: Array, settings: Settings
-) -> tuple[TrueLabels, Mask]:
-    """Labels from a reference solution of the despun points, and where it leaves them undecided.
-
-    excess: by how much phi' of the despun points is larger. Of a run of more than MAX_RADIANS_WHOLE only
-    the first part is integrated. A mean square over the run is at least part / whole times the one over
-    the part, so that what drifts in the part by sqrt(whole / part) times the tolerance drifts in the whole.
-    """
-    whole = radians <= MAX_RADIANS_WHOLE
-    share = np.where(whole, 1.0, RADIANS_OF_PART / np.maximum(radians, 1e-300))
-    solution = reference(system, despun, duration * share, settings)
-    measured = dict(solution.statistics)
-    measured["sine_max"] = largest_sine(measured["theta_min"], measured["theta_max"])
-    measured["phi_dot_mean"] = measured["phi_dot_mean"] - excess
-    for name in ("theta_dot_rms", "psi_dot_std", "phi_dot_std", "normal_rate_std"):
-        measured[name] = measured[name] * np.sqrt(share)
-    error = solution.statistics_error | {"sine_max": solution.statistics_error["theta_max"]}
-    tolerances = settings.tolerances
-    with np.errstate(invalid="ignore"):
-        label = labels.label(measured, tolerances)
-        undecided = labels.unsure(measured, error, tolerances) | (~whole & (label != Label.DRIFTING))
-    source = np.where(whole, "reference", "part of the run")
-    return TrueLabels(label, np.where(whole, _unsteadiness(measured), np.nan), source), undecided
-
-
-def _unsteadiness(measured: Mapping[str, Array]) -> Array:
-    """The largest of the statistics that make a point drift, rad per time unit."""
-    rates = [measured["theta_dot_rms"], measured["psi_dot_std"], measured["phi_dot_std"]]
-    in_polar_cap = np.isnan(rates[1])
-    return np.where(in_polar_cap, measured["normal_rate_std"], np.fmax.reduce(rates))
 
 
 def stress(
@@ -163,8 +59,9 @@ def stress(
     Returns
     -------
     xarray.Dataset
-        Over (method, level, point): ``label``, ``status``, ``step_ratio``, ``verdict`` and the relative
-        ``error`` of the unsteadiness. Over (point): ``truth`` (the true label), ``known_from`` (how it was
+        Over (method, level, point): ``label``, ``status``, ``step_ratio``, ``error_estimate``, ``verdict`` and the
+        relative ``error`` of the unsteadiness. Over (method, level, statistic, point): ``statistic_error``, for
+        points that follow an exact motion. Over (point): ``truth`` (the true label), ``known_from`` (how it was
         determined), ``case``, ``name``, ``may_stay_unresolved`` (a reason, or empty), ``duration`` and the
         parameters.
     """
@@ -175,7 +72,9 @@ def stress(
         raise BadInput(f"stress: the system {system.name} has no stress cases")
     points = {name: np.concatenate([part.points[name] for part in parts]) for name in system.parameters}
     duration = np.concatenate([part.duration for part in parts])
-    truth = true_labels(system, points, duration, Settings())
+    truth = TrueLabels.join([
+        true_labels(system, part.points, part.duration, Settings(), part.truth, part.base) for part in parts
+    ])  # fmt: skip
     results = _run_levels(system, points, duration, threads)
     return _dataset(system, parts, points, truth, results)
 
@@ -213,14 +112,11 @@ def _jobs(system: System, points: Points, duration: Array) -> list[_Job]:
 def _run_levels(
     system: System, points: Points, duration: Array, threads: int | None
 ) -> dict[str, np.ndarray]:
-    """Label, status, step ratio and unsteadiness, each (method, level, point)."""
+    """Label, status and the measured numbers that are compared, each (method, level, point)."""
     shape = len(METHODS), len(LEVELS), duration.size
-    results = {
-        "label": np.zeros(shape, np.int8),
-        "status": np.zeros(shape, np.int8),
-        "step_ratio": np.full(shape, np.nan),
-        "unsteadiness": np.full(shape, np.nan),
-    }
+    numbers = ("step_ratio", "error_estimate", "unsteadiness", *EXACT_STATISTICS)
+    results: dict[str, np.ndarray] = {name: np.zeros(shape, np.int8) for name in ("label", "status")}
+    results |= {name: np.full(shape, np.nan) for name in numbers}
     for method in METHODS:
         kernel(system, method)  # loaded here, so that no two threads load it at once
 
@@ -254,7 +150,7 @@ def _run_job(
         if indices.size:
             part = {name: values[indices] for name, values in points.items()}
             values = evaluate(system, part, part, duration[indices], limited, threads=1)
-            results.append((indices, values | {"unsteadiness": _unsteadiness(values)}))
+            results.append((indices, values | {"unsteadiness": unsteadiness(values)}))
     return results
 
 
@@ -276,6 +172,11 @@ def _dataset(
     with np.errstate(invalid="ignore"):
         error = np.abs(results["unsteadiness"] - truth.unsteadiness)
         error /= np.maximum(truth.unsteadiness, Settings().rate_tolerance)
+    statistic_attributes = {
+        "long_name": "error of a statistic against the exact motion",
+        "units": "1",
+        "comment": "of a rate in units of the frequency bound, of an angle in rad; nan where the motion is not known exactly",
+    }
     verdict_attributes = {
         "long_name": "label compared with the true label",
         "flag_values": np.arange(len(Verdict), dtype=np.int8),
@@ -292,8 +193,13 @@ def _dataset(
         {
             **{
                 name: (dims, results[name], registry[name].attributes())
-                for name in ("label", "status", "step_ratio")
+                for name in ("label", "status", "step_ratio", "error_estimate")
             },
+            "statistic_error": (
+                ("method", "level", "statistic", "point"),
+                _statistic_errors(system, points, truth, results),
+                statistic_attributes,
+            ),
             "error": (dims, error, error_attributes),
             "verdict": (dims, _verdicts(results["label"], truth.label), verdict_attributes),
             "truth": ("point", truth.label, registry["label"].attributes() | {"long_name": "true label"}),
@@ -307,6 +213,7 @@ def _dataset(
         {
             "method": list(METHODS),
             "level": list(LEVELS),
+            "statistic": list(EXACT_STATISTICS),
             "case": ("point", [part.name for part, _ in names]),
             "name": ("point", [name for _, name in names]),
             "known_from": ("point", truth.source),
@@ -314,6 +221,20 @@ def _dataset(
         },
         {"title": f"stiff and extreme cases of the {system.name}", "atlas_system": system.name},
     )
+
+
+def _statistic_errors(
+    system: System, points: Points, truth: TrueLabels, results: Mapping[str, np.ndarray]
+) -> Array:
+    """Errors of EXACT_STATISTICS against exact motions, (method, level, statistic, point)."""
+    with np.errstate(all="ignore"):
+        bound = system.frequency_bound(points)
+        errors = [
+            np.abs(results[name] - truth.statistics[name])
+            / (1.0 if name in ("theta_min", "theta_max") else bound)
+            for name in EXACT_STATISTICS
+        ]
+    return np.stack(errors, axis=2)
 
 
 def mislabelled(ds: xr.Dataset) -> Mask:
@@ -326,6 +247,21 @@ def unresolved(ds: xr.Dataset) -> Mask:
     automatic = np.arange(len(LEVELS)) >= len(RATIOS)
     expected = (ds["may_stay_unresolved"].values == "") & (ds["truth"].values != Label.UNRESOLVED)
     return np.asarray((ds["verdict"].values == Verdict.UNRESOLVED) & automatic[:, None] & expected)
+
+
+def beyond_estimate(ds: xr.Dataset) -> Mask:
+    """Where a statistic of a resolved point is off by more than ten times `error_estimate`, as `mislabelled`.
+
+    Only points that follow an exact motion are compared; more than 1 % of them is a failure of the estimate.
+    """
+    error = ds["statistic_error"].max("statistic").values
+    return np.asarray(_estimated(ds) & (error > 10 * ds["error_estimate"].values + EXACT_ACCURACY))
+
+
+def _estimated(ds: xr.Dataset) -> Mask:
+    """Where a resolved point follows an exact motion, bool over (method, level, point)."""
+    known = ds["statistic_error"].notnull().any("statistic").values
+    return np.asarray(known & (ds["status"].values == Status.OK))
 
 
 LEGEND = (
@@ -346,8 +282,17 @@ def report(ds: xr.Dataset) -> str:
             *_point_lines(ds, "unresolved at an automatic step", unresolved(ds)),
             ", ".join(f"{name} {count}" for name, count in zip(Verdict.meanings(), counts, strict=True)),
             *_accuracy_lines(ds),
+            *_statistics_table(ds),
         ]
     )
+
+
+def _columns(rows: Sequence[Sequence[str]]) -> list[str]:
+    """Rows of a table as lines with aligned columns."""
+    widths = [max(len(row[i]) for row in rows) for i in range(len(rows[0]))]
+    return [
+        "  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip() for row in rows
+    ]
 
 
 def _case_table(ds: xr.Dataset) -> list[str]:
@@ -359,10 +304,7 @@ def _case_table(ds: xr.Dataset) -> list[str]:
         source = ", ".join(dict.fromkeys(part["known_from"].values))
         signs = ["".join(_sign(level) for level in method) for method in part["verdict"].values]
         rows.append((str(case), str(part.sizes["point"]), truth, source, *signs))
-    widths = [max(len(row[i]) for row in rows) for i in range(len(rows[0]))]
-    return [
-        "  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip() for row in rows
-    ]
+    return _columns(rows)
 
 
 def _sign(verdict: Array) -> str:
@@ -400,3 +342,42 @@ def _accuracy_lines(ds: xr.Dataset) -> list[str]:
             f" {100 * ACCURATE:g} %, of those for which it is known, by level: {counts}"
         )
     return lines
+
+
+def _statistics_table(ds: xr.Dataset) -> list[str]:
+    """A row for each case of exact motions: largest error at the default tolerance, and against the estimate."""
+    known = ds["statistic_error"].notnull().any(("method", "level", "statistic")).values
+    if not known.any():
+        return []
+    heading = ["exact motions", "points"]
+    for method in ds["method"].values:
+        heading += [f"{method} largest error", "of", "over estimate", "beyond 10 x"]
+    rows, beyond, estimated = [heading], beyond_estimate(ds), _estimated(ds)
+    for case in dict.fromkeys(ds["case"].values[known]):
+        members = np.flatnonzero(known & (ds["case"].values == case))
+        row = [str(case), str(members.size)]
+        for i in range(ds.sizes["method"]):
+            row += _error_cells(ds.isel(method=i, level=-1, point=members))
+            row.append(f"{beyond[i][:, members].sum()}/{estimated[i][:, members].sum()}")
+        rows.append(row)
+    total = [
+        f"{name}: {bad.sum()} of {all_.sum()}"
+        for name, bad, all_ in zip(ds["method"].values, beyond, estimated, strict=True)
+    ]
+    return [
+        "errors of the statistics against exact motions: of a rate in units of the frequency bound, of an angle in rad",
+        *_columns(rows),
+        f"runs with a statistic off by more than ten times error_estimate: {', '.join(total)}",
+    ]
+
+
+def _error_cells(ds: xr.Dataset) -> list[str]:
+    """Largest error of a statistic, of which one, and the largest ratio of an error to the estimate."""
+    resolved = ds["status"].values == Status.OK
+    error = np.where(resolved, ds["statistic_error"].values, np.nan)
+    if np.isnan(error).all():
+        return ["-", "-", "-"]
+    worst = np.nanmax(error, axis=1, initial=0.0)
+    estimate = np.maximum(ds["error_estimate"].values, EXACT_ACCURACY)
+    ratio = np.nanmax(np.where(resolved, np.nanmax(error, axis=0, initial=0.0) / estimate, np.nan))
+    return [f"{worst.max():.1e}", str(ds["statistic"].values[worst.argmax()]), f"{ratio:.2g}"]

@@ -16,9 +16,11 @@ class CasePoints:
 
     name: str  # of the case
     points: Points
+    base: Points  # before the additions of the case
     duration: Array  # time units
-    names: tuple[str, ...]  # of the points: the parameters that vary within the case, and their values
+    names: tuple[str, ...]  # of the points: the parameters and the duration where they vary within the case
     may_stay_unresolved: str
+    truth: str  # as in StressCase
 
 
 def case_points(system: System, case: StressCase) -> CasePoints:
@@ -31,8 +33,10 @@ def case_points(system: System, case: StressCase) -> CasePoints:
     if case.solve is not None:
         family, parameter = case.solve
         points[parameter] = system.families[family].solve[parameter](points)
+    base = dict(points)
     for name, amount in case.additions.items():
         points[name] = points[name] + np.asarray(amount, float)
+    varying |= {"duration": np.asarray(case.duration, float)} if np.ndim(case.duration) else {}
     names = [", ".join(f"{k} = {v[i]:.4g}" for k, v in varying.items() if v.any()) for i in range(size)]
     duration = np.broadcast_to(np.asarray(case.duration, float), (size,)).copy()
-    return CasePoints(case.name, points, duration, tuple(names), case.may_stay_unresolved)
+    return CasePoints(case.name, points, base, duration, tuple(names), case.may_stay_unresolved, case.truth)

@@ -22,6 +22,7 @@ from ..errors import BadInput
 from ..flags import Label
 from ..io import provenance
 from ..io.progress import Progress
+from ..label.expected_errors import state_distance
 from ..label.pipeline import evaluate_tile, scene_kernel_hash, scene_specialization
 from ..scene import grid
 from ..scene.model import Scene, Settings
@@ -35,7 +36,6 @@ from .reference import (
     Reference,
     ReferenceFailureError,
     reference,
-    state_distance,
 )
 
 # Levels: the scene's tolerance times powers of 10 within these limits, or its step times powers of 2.
@@ -278,15 +278,15 @@ def _errors(sample: _Sample, measured: Mapping[str, Array], final: Array) -> dic
 def _seconds_per_point(sample: _Sample, step_sizes: StepSizes, method: str) -> float:
     """Mean processor time of a point to the end of its run.
 
-    Each pair of steps per sample and samples per step is timed, because the statistics near the vertical cost more at longer steps.
+    Each number of steps per sample is timed, because samples cost the more, the closer they are.
     """
-    pairs = list(zip(step_sizes.steps_per_sample.tolist(), step_sizes.samples_per_step.tolist(), strict=True))
-    seconds = {pair: _seconds_per_point_step(sample, step_sizes, method, *pair) for pair in set(pairs)}
-    return float((np.array([seconds[pair] for pair in pairs]) * step_sizes.steps).mean())
+    strides = step_sizes.steps_per_sample.tolist()
+    seconds = {stride: _seconds_per_point_step(sample, step_sizes, method, stride) for stride in set(strides)}
+    return float((np.array([seconds[stride] for stride in strides]) * step_sizes.steps).mean())
 
 
 def _seconds_per_point_step(
-    sample: _Sample, step_sizes: StepSizes, method: str, steps_per_sample: int, samples_per_step: int
+    sample: _Sample, step_sizes: StepSizes, method: str, steps_per_sample: int
 ) -> float:
     """Processor time of a point-step in full blocks, seconds; the median of several runs."""
     size = step_sizes.steps.size
@@ -297,7 +297,6 @@ def _seconds_per_point_step(
         step_sizes.subset(repeated),
         steps=np.full(repeated.size, steps),
         steps_per_sample=np.full(repeated.size, steps_per_sample),
-        samples_per_step=np.full(repeated.size, samples_per_step),
     )
     module, times = _kernel(sample.scene, method), []
     for _ in range(6):  # the first may load or compile the kernel

@@ -82,11 +82,7 @@ def atlas_engine(method: str, points: dict[str, np.ndarray], statistics: bool) -
         settings = Settings(method=method, tolerance=tolerance, rate_tolerance=1e30)
         step_sizes = StepSizes.of(settings, part.frequency_bound, np.full(part.size, duration))
         if not statistics:
-            step_sizes = replace(
-                step_sizes,
-                steps_per_sample=step_sizes.steps,
-                samples_per_step=np.ones_like(step_sizes.steps),
-            )
+            step_sizes = replace(step_sizes, steps_per_sample=step_sizes.steps)
         return part.integrate(module, step_sizes, 1e-5, threads=1).final_state
 
     return run

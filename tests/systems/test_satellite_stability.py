@@ -8,16 +8,16 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 from strategies import default_points, satellite_for_family, satellite_on_family, seeds, select
-from truth import jacobian_matrices, monodromy_matrix
+from truth import fundamental_matrix, jacobian_matrices, monodromy_matrix
 
 from atlas.errors import BadInput
 from atlas.flags import Stability
-from atlas.systems.satellite import SATELLITE
+from atlas.systems.satellite import SATELLITE, stability
 from atlas.systems.satellite.equations import rhs
 from atlas.systems.satellite.equilibria import equilibria
 from atlas.systems.satellite.families import FAMILIES
 from atlas.systems.satellite.initial import PARAMETERS, constants, initial_state
-from atlas.systems.satellite.stability import exponents, linear_stability
+from atlas.systems.satellite.stability import exponents, linear_stability, log_growth
 
 
 def stack(points):
@@ -30,11 +30,11 @@ def rotation_rate(point):
     return np.hypot(n * np.sin(tilt), n * np.cos(tilt) + m)
 
 
-def points_of_family(name, count, seed=0, min_rate=0.15):
-    """Points whose first family is the named one, the rotation not too slow to integrate."""
+def points_of_family(name, count, seed=0, min_rate=0.15, slower=1.0):
+    """Points whose first family is the named one, rotating at no less than a rate."""
     rng, points = np.random.default_rng(seed), []
     while len(points) < count:
-        point = satellite_on_family(name, rng)
+        point = satellite_on_family(name, rng, slower)
         if point is None or SATELLITE.identify_family(point)[0][0] != FAMILIES[name].flag:
             continue
         if rotation_rate(point)[0] > min_rate or name == "equilibrium":
@@ -48,8 +48,23 @@ def monodromy_growth(point, period):
     return np.log(np.abs(np.linalg.eigvals(matrix)).max()) / period
 
 
-@pytest.mark.parametrize("name", ["cylindrical", "transverse_magnet", "despun_transverse", "asymmetric_tilt",
-                                  "other_axis"])  # fmt: skip
+def matrix_along_the_motion(name, point, duration):
+    """Fundamental matrix of the nine equations of motion, linearised along the exact motion, and its scale."""
+    motion = FAMILIES[name].motion
+    return fundamental_matrix(rhs, lambda t: motion(point, t)[..., 0], constants(point)[:, 0], duration)
+
+
+def growth_along_the_motion(name, point):
+    """Growth rate of one point from the nine equations of motion over one period."""
+    period = 2 * np.pi / rotation_rate(point)[0]
+    monodromy, log_scale = matrix_along_the_motion(name, point, period)
+    return (np.log(np.abs(np.linalg.eigvals(monodromy)).max()) + log_scale) / period
+
+
+PERIODIC = ["cylindrical", "transverse_magnet", "despun_transverse", "asymmetric_tilt", "other_axis"]
+
+
+@pytest.mark.parametrize("name", PERIODIC)
 def test_multipliers_are_those_of_the_equations_of_motion(name):
     # fast enough that rounding errors of an unstable motion stay small over a period
     points = points_of_family(name, 5, min_rate=0.6)
@@ -92,8 +107,6 @@ def test_closed_forms_are_those_of_the_multipliers(name, seed):
     if point is None:
         return
     by_multipliers, growth_by_multipliers = exponents(point)
-    if by_multipliers[0] == Stability.UNKNOWN:  # the rotation is too slow for the multipliers
-        return
     stable, growth = linear_stability(point, np.array([FAMILIES[name].flag]))
     closed_form, _ = FAMILIES[name].stability(point)
     assert closed_form[0] == stable[0] != Stability.UNKNOWN
@@ -148,13 +161,67 @@ def test_marginal_roots_count_as_stable():
     assert (stable[0], growth[0]) == (Stability.STABLE, 0.0)
 
 
-def test_slow_rotation_and_no_family_are_unknown():
-    points = points_of_family("transverse_magnet", 2)
+@pytest.mark.parametrize("name", ["cylindrical", "transverse_magnet", "other_axis"])
+def test_multipliers_of_slow_rotations_are_those_of_the_equations_of_motion(name):
+    points = points_of_family(name, 6, min_rate=0.0, slower=0.05)
+    stable, growth = linear_stability(points, np.full(6, FAMILIES[name].flag))
+    known = np.flatnonzero(stable != Stability.UNKNOWN)
+    assert known.size >= 5
+    for i in known:
+        expected = growth_along_the_motion(name, select(points, i))
+        assert growth[i] == pytest.approx(expected, abs=2e-5)
+        assert stable[i] == (Stability.UNSTABLE if expected > 2e-5 else Stability.STABLE)
+
+
+@pytest.mark.parametrize("name", ["cylindrical", "transverse_magnet", "other_axis"])
+def test_very_slow_rotations_grow_like_their_frozen_phases(name, monkeypatch):
+    points = points_of_family(name, 60, min_rate=0.0, slower=0.01)
+    integrated, growth = exponents(points)
+    monkeypatch.setattr(stability, "_MAX_STEPS", 0)
+    adiabatic, approximate = exponents(points)
+    period = 2 * np.pi / rotation_rate(points)
+    certain = adiabatic != Stability.UNKNOWN
+    assert certain.sum() > 20
+    assert (adiabatic[certain] == integrated[certain]).all()
+    np.testing.assert_allclose((approximate * period)[certain], (growth * period)[certain], rtol=0.05, atol=5)
+
+
+@pytest.mark.parametrize("name", ["cylindrical", "transverse_magnet", "despun_transverse", "other_axis"])
+def test_growth_over_a_part_of_a_period_is_that_of_the_equations_of_motion(name):
+    points = points_of_family(name, 12, min_rate=0.0, slower=0.05)
+    flags = np.full(12, FAMILIES[name].flag, np.int8)
+    _, growth = linear_stability(points, flags)
+    duration = np.minimum(30.0, 0.5 * 2 * np.pi / rotation_rate(points))
+    result = log_growth(points, flags, growth, duration)
+    mean = np.nan_to_num(growth * duration)
+    assert (np.nan_to_num(result) >= mean).all()
+    for i in range(12):
+        _, log_scale = matrix_along_the_motion(name, select(points, i), duration[i])
+        # the entries of the two matrices have other units
+        if log_scale > max(13.0, mean[i] + 3):
+            assert result[i] == pytest.approx(log_scale, abs=3)
+        elif log_scale < 7:
+            assert result[i] == pytest.approx(mean[i]) or np.isnan(result[i])
+
+
+@pytest.mark.parametrize("slower", [1.0, 0.03])
+def test_exponents_do_not_depend_on_the_other_points(slower):
+    points = points_of_family("other_axis", 40, min_rate=0.0, slower=slower)
+    _, together = exponents(points)
+    for part in (slice(0, 1), slice(3, 20), slice(7, None)):
+        _, alone = exponents({name: values[part] for name, values in points.items()})
+        np.testing.assert_array_equal(alone, together[part])
+
+
+def test_no_family_is_unknown_and_the_slowest_rotations_are_not():
+    points = points_of_family("transverse_magnet", 30)
     slow = points | {"m": points["m"] * 1e-6}
-    no_family = 0
-    stable, growth = linear_stability(slow, np.array([FAMILIES["transverse_magnet"].flag, no_family]))
-    assert stable.tolist() == [Stability.UNKNOWN] * 2
-    assert np.isnan(growth).all()
+    flags = np.full(30, FAMILIES["transverse_magnet"].flag, np.int8)
+    flags[::2] = 0
+    stable, growth = linear_stability(slow, flags)
+    assert (stable[::2] == Stability.UNKNOWN).all()
+    assert np.isnan(growth[::2]).all()
+    assert set(stable[1::2]) == {Stability.STABLE, Stability.UNSTABLE}
     assert stable.dtype == np.int8
 
 

@@ -94,7 +94,7 @@ def test_halved_step_sizes(method, limit):
     assert exact.dissipation_error[i] == pytest.approx(half.dissipation_error[i], rel=0.5)
 
 
-def test_error_estimate_contains_the_drift_and_the_change_at_half_the_step():
+def test_errors_expected_and_measured_by_a_second_run():
     system, rng = SYSTEMS["satellite"], np.random.default_rng(8)
     points = default_points("satellite", 24, A=1.0, B=1.2, C=0.8, k3=0.5, mu1=0.2, h3=0.4)
     points |= {"m": rng.uniform(-1, 1, 24), "psi0": rng.uniform(0, 6, 24)}
@@ -106,11 +106,10 @@ def test_error_estimate_contains_the_drift_and_the_change_at_half_the_step():
         settings = Settings(tolerance=tolerance, cylinder_tolerance=1e-5, check_half_step=check_half_step)
         return evaluate(system, points, points, np.full(24, 8.0), settings)
 
-    unchecked, checked, fine = run(1e-5, "none"), run(1e-5, "all"), run(1e-10, "none")
-    assert (unchecked["error_estimate"] >= unchecked["integral_drift"]).all()
-    assert (checked["error_estimate"] >= unchecked["error_estimate"]).all()
-    assert (checked["error_estimate"] > 1.5 * unchecked["error_estimate"]).any()
+    expected, measured, fine = run(1e-5, "none"), run(1e-5, "all"), run(1e-10, "none")
     bound = system.frequency_bound(points)
-    error = np.max([np.abs(checked[name] - fine[name]) / bound for name in RATES], axis=0)
-    assert (error > 2 * unchecked["error_estimate"]).any()
-    assert (error <= 1.1 * checked["error_estimate"]).mean() > 0.9
+    error = np.max([np.abs(expected[name] - fine[name]) / bound for name in RATES], axis=0)
+    for run_of in (expected, measured):
+        assert (run_of["error_estimate"] >= run_of["integral_drift"]).all()
+        assert (error <= 3 * run_of["error_estimate"]).all()
+    assert np.median(measured["error_estimate"]) < 0.1 * np.median(expected["error_estimate"])

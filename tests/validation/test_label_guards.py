@@ -4,14 +4,23 @@ import numpy as np
 import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
+from strategies import (
+    SATELLITE_SOLVED,
+    fixed_points_on_family,
+    random_fixed_points,
+    satellite_on_family,
+    select,
+    symmetric_fixed_points,
+)
 
 import atlas
 from atlas.engine.specialization import GENERIC
 from atlas.engine.stepsize import StepSizes
 from atlas.engine.tableaux import METHODS
-from atlas.flags import Label, Status
+from atlas.flags import Label, Stability, Status
 from atlas.label import labels
 from atlas.label.pipeline import evaluate
+from atlas.label.theory import predict
 from atlas.scene.model import Settings, Tolerances
 from atlas.scene.tables import point_columns
 from atlas.systems import SYSTEMS
@@ -80,12 +89,13 @@ def test_the_automatic_step_resolves_the_rate_tolerance():
     assert step_sizes.rate_error[0] < 0.5 * 1e-5
 
 
-def test_an_exact_start_that_leaves_because_of_the_methods_error_is_step_sensitive():
+def test_an_exact_start_that_leaves_is_step_sensitive_before_rounding_is_expected_to_decide(monkeypatch):
+    monkeypatch.setattr(labels, "rounding_limit", lambda *_: np.inf)
     results = set()
     for m in np.linspace(29.0, 30.0, 12):  # the last bits decide which of them leave
-        result = run("satellite", unstable_point(m=m), duration=50.0, tolerance=1e-2)
-        assert result["growth_rate"][0] * 50 < np.log(1e11)
-        results.add((result["label"][0], result["status"][0]))
+        for duration in (50.0, 90.0):
+            result = run("satellite", unstable_point(m=m), duration=duration, tolerance=1e-2)
+            results.add((result["label"][0], result["status"][0]))
     step_sensitive = (Label.UNRESOLVED, Status.STEP_SENSITIVE)
     assert results <= {step_sensitive, (Label.PERMANENT_ROTATION, Status.OK)}
     assert step_sensitive in results
@@ -153,6 +163,184 @@ def test_labels_alone_are_those_of_whole_runs_at_coarse_steps():
         assert ((whole["status"] == alone["status"]) | drifted).all()
         assert ((whole["label"] == alone["label"]) | drifted).all()
         assert (alone["label"][exact] != Label.DRIFTING).all()
+
+
+# Starts that rounding decides.
+
+PERIODIC = ("cylindrical", "transverse_magnet", "despun_transverse", "asymmetric_tilt", "other_axis")
+
+
+def satellites_on_families(rng, count, families=tuple(SATELLITE_SOLVED), slower=1.0):
+    """Random satellites on the families in turn, as one set of points."""
+    points = []
+    while len(points) < count:
+        point = satellite_on_family(families[len(points) % len(families)], rng, slower)
+        if point is not None:
+            points.append(point)
+    return {name: np.concatenate([point[name] for point in points]) for name in points[0]}
+
+
+def fixed_points_on_families(rng, count):
+    """Random gyrostats on the four families, as one set of points."""
+    still = {"theta_dot0": 0.0}
+    weightless = dict.fromkeys(("Mg", "N", "n", "l1", "l2"), 0.0)
+    parts = [
+        fixed_points_on_family("conical", symmetric_fixed_points(rng, count), "l3"),
+        fixed_points_on_family("staude", random_fixed_points(rng, count, m=0.0, **still), "l1", "l2"),
+        fixed_points_on_family(
+            "sleeping", random_fixed_points(rng, count, n=0.0, **still), "theta0", "l1", "l2"
+        ),
+        random_fixed_points(rng, count, **weightless, **still),
+    ]
+    return {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
+
+
+def in_other_units(name, points, rate):
+    """The same points in a unit of time in which every rate is `rate` times as large."""
+    powers = {
+        "satellite": {1: ("Omega", "n", "m", "theta_dot0", "k1", "k2", "k3"), 2: ("h1", "h3")},
+        "fixed_point": {1: ("n", "m", "theta_dot0", "l1", "l2", "l3", "p0", "q0", "r0"), 2: ("Mg", "N")},
+    }[name]
+    scaled = {key: points[key] * rate**power for power, keys in powers.items() for key in keys}
+    return points | scaled
+
+
+def unstable(system, points):
+    """The unstable ones of the points that do not grow too slowly for a short run, and their growth rates."""
+    stable, growth = system.linear_stability(points, system.identify_family(points)[0])
+    chosen = (stable == Stability.UNSTABLE) & (growth > 0.02 * system.frequency_bound(points))
+    return select(points, chosen), growth[chosen]
+
+
+@pytest.mark.parametrize("rate", [1e-3, 1.0, 1e3])
+@pytest.mark.parametrize(
+    ("name", "draw"), [("satellite", satellites_on_families), ("fixed_point", fixed_points_on_families)]
+)
+def test_an_exact_start_never_drifts_in_any_unit_of_time(name, draw, rate):
+    rng, system = np.random.default_rng(8), SYSTEMS[name]
+    points, growth = unstable(system, in_other_units(name, draw(rng, 120), rate))
+    assert growth.size > 30
+    log_growth = rng.uniform(15.0, 45.0, growth.size)
+    result = evaluate(system, points, points, log_growth / growth, Settings(method="rk8"))
+    assert (result["label"] != Label.DRIFTING).all()
+    decided = result["status"] == Status.ROUNDOFF_DECIDED
+    on_vertical = np.sin(points["theta0"]) == 0.0
+    assert decided[(log_growth > np.log(1e11)) & ~on_vertical].all()
+    assert not decided[log_growth < 0.5 * np.log(1e11)].any()
+
+
+@pytest.mark.parametrize("slower", [1.0, 0.1, 0.01])
+def test_exact_starts_with_a_periodic_linear_system_never_drift(slower):
+    points = satellites_on_families(np.random.default_rng(9), 100, PERIODIC, slower)
+    result = evaluate(SATELLITE, points, points, np.full(100, 100.0), Settings(method="rk8"))
+    assert (result["label"] != Label.DRIFTING).all()
+    unknown = (result["stable"] == Stability.UNKNOWN).sum()
+    assert unknown <= {1.0: 0, 0.1: 2, 0.01: 15}[slower]
+
+
+# Angles of which each family's motions are free, so that nudging them leads to another motion of the family.
+FREE_ANGLES = {
+    "satellite": {
+        "perp_radius": ("phi0",),
+        "perp_velocity": ("phi0",),
+        "oblique": ("phi0",),
+        "other_axis": ("psi0",),
+    },
+    "fixed_point": {
+        "conical": ("psi0", "phi0"),
+        "sleeping": ("psi0",),
+        "staude": ("psi0",),
+        "rest": ("psi0",),
+    },
+}
+
+
+@pytest.mark.parametrize(
+    ("name", "draw"), [("satellite", satellites_on_families), ("fixed_point", fixed_points_on_families)]
+)
+def test_a_nudge_along_the_family_is_no_push(name, draw):
+    system = SYSTEMS[name]
+    flags = {system.families[family].flag: angles for family, angles in FREE_ANGLES[name].items()}
+    points, growth = unstable(system, draw(np.random.default_rng(10), 200))
+    family = system.identify_family(points)[0]
+    chosen = np.isin(family, list(flags))
+    points, growth, family = select(points, chosen), growth[chosen], family[chosen]
+    assert growth.size > 20
+    nudged = dict(points)
+    for flag, angles in flags.items():
+        for angle in angles:
+            nudged[angle] = nudged[angle] + np.where(family == flag, 1e-4, 0.0)
+    tolerances = {"rate_tolerance": 1e-3, "cylinder_tolerance": 1e-3}
+    for log_growth in (5.0, 60.0):
+        result = evaluate(system, points, nudged, log_growth / growth, Settings(**tolerances), nudged=True)
+        exact = evaluate(system, points, points, log_growth / growth, Settings(**tolerances))
+        np.testing.assert_array_equal(result["predicted"], exact["predicted"])
+        np.testing.assert_array_equal(result["status"], exact["status"])
+        np.testing.assert_array_equal(result["label"], exact["label"])
+    assert (result["status"] == Status.ROUNDOFF_DECIDED).sum() > 0.9 * growth.size
+    # across the family
+    pushed = points | {"theta_dot0": points["theta_dot0"] + 1e-4}
+    result = evaluate(system, points, pushed, 30 / growth, Settings(**tolerances), nudged=True)
+    assert (result["predicted"] == Label.DRIFTING).all()
+    assert (result["status"] != Status.ROUNDOFF_DECIDED).all()
+
+
+def test_a_free_body_about_its_middle_axis_is_not_pushed_by_a_nudge_of_the_vertical():
+    points, _ = point_columns(SYSTEMS["fixed_point"], {"A": 1.0, "B": 1.8, "C": 1.4, "m": 1.0})
+    nudged = points | {"theta0": points["theta0"] + 1e-4, "psi0": points["psi0"] + 1e-4}
+    settings = Settings(rate_tolerance=1e-3)
+    for duration, status in ((20.0, Status.OK), (200.0, Status.ROUNDOFF_DECIDED)):
+        result = evaluate(SYSTEMS["fixed_point"], points, nudged, np.array([duration]), settings, nudged=True)
+        assert result["predicted"][0] == Label.PERMANENT_ROTATION
+        assert result["status"][0] == status
+
+
+@given(
+    A=st.floats(1.02, 1.6), C=st.floats(0.7, 1.5), offset=st.floats(-16, -10.5), log_growth=st.floats(18, 26),
+    theta0=st.sampled_from([0.0, np.pi]),
+)  # fmt: skip
+@settings(max_examples=60)
+def test_the_pitch_about_the_normal_leaves_as_its_exact_motion_does(A, C, offset, log_growth, theta0):
+    """B = 1: psi'' = g^2 sin psi cos psi of the unstable pitch, psi = offset cosh(g t) while it is small."""
+    growth, offset = np.sqrt(3 * (A - 1) / C), 10.0**offset
+    points, _ = point_columns(SATELLITE, {"A": A, "B": 1.0, "C": C, "psi0": offset, "theta0": theta0})
+    assert SATELLITE.growth_about_vertical(points)[0] == pytest.approx(growth)
+    result = evaluate(SATELLITE, points, points, np.array([log_growth / growth]), Settings(method="rk8"))
+    t = np.linspace(0, log_growth / growth, 4001)
+    spread = np.std(offset * growth * np.sinh(growth * t))
+    if result["status"][0] == Status.OK and abs(np.log(spread / 1e-5)) > 0.1:
+        drifts = spread > 1e-5
+        assert result["label"][0] == (Label.DRIFTING if drifts else Label.PERMANENT_ROTATION)
+    assert (result["status"][0] == Status.ROUNDOFF_DECIDED) <= (offset < 1e-12)
+
+
+def test_an_exact_sleeping_start_cannot_tilt():
+    """The third axis stays on the vertical to the bit, and nothing accelerates the rotation about it."""
+    result = run("fixed_point", {"Mg": 1.0, "z0": -1.0, "m": 0.1}, duration=200.0)
+    assert result["growth_rate"][0] * 200 > 100
+    assert (result["label"][0], result["status"][0]) == (Label.PERMANENT_ROTATION, Status.OK)
+    # the pitch is stable, roll and yaw are not
+    result = run("satellite", {"A": 1.0, "B": 1.2, "C": 0.5}, duration=200.0)
+    assert result["growth_rate"][0] * 200 > 50
+    assert (result["label"][0], result["status"][0]) == (Label.PERMANENT_ROTATION, Status.OK)
+    # the pitch is not
+    result = run("satellite", {"A": 1.2, "B": 1.0, "C": 0.9}, duration=200.0)
+    assert result["status"][0] == Status.ROUNDOFF_DECIDED
+
+
+@pytest.mark.parametrize("name", ["satellite", "fixed_point"])
+@given(exponent=st.floats(-17, -10), n=st.floats(-2, 2), m=st.floats(-2, 2), upside_down=st.booleans())
+@settings(max_examples=40)
+def test_whatever_counts_as_upright_is_predicted_to_rotate_about_the_vertical(
+    name, exponent, n, m, upside_down
+):
+    tilt = 10.0**exponent
+    upright = {"theta0": np.pi - tilt if upside_down else tilt, "n": n, "m": m}
+    points, _ = point_columns(SYSTEMS[name], upright | ({"l3": 6.0} if name == "fixed_point" else {}))
+    flag = SYSTEMS[name].identify_family(points)[0]
+    predicted = predict(SYSTEMS[name], points, 1e-5, nudged=False)
+    if flag[0] > 0:
+        assert predicted["predicted"][0] == Label.PERMANENT_ROTATION
 
 
 # Any parameters at all.

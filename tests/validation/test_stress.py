@@ -5,25 +5,35 @@ import pytest
 from strategies import default_points
 
 from atlas import cli
+from atlas.flags import Status
 from atlas.label.pipeline import evaluate
 from atlas.scene.model import Settings
 from atlas.systems import SYSTEMS
-from atlas.validation import limits, stress
+from atlas.validation import exact, limits, stress, stress_truth
+from atlas.validation.stress_points import case_points
 
 # Cases that take a fraction of a second each; `atlas stress` runs all of them.
 QUICK = {
     "near 0", "near pi", "steep precession", "weak field", "separatrix", "unstable, short", "unstable, long",
-    "unstable cone, short", "slower than the run", "at rest", "denormal", "overflow",
+    "unstable cone, short", "slower than the run", "at rest", "denormal", "overflow", "pitch",
+    "heavy top passes", "free gyrostat ends", "free sphere starts", "magnetic sphere ends", "magnetic top starts",
 }  # fmt: skip
+# Unstable motions of which rounding decides when they are left.
+BY_ROUNDING = {
+    "unstable rest, offset", "unstable rotation, offset", "unstable pitch, offset", "unstable pitch, long",
+    "slow spin, unstable",
+}  # fmt: skip
+
+
+def selected(system, names):
+    """The cases of a system with these names."""
+    return [case for case in system.stress_cases() if case.name in names]
 
 
 @pytest.fixture(scope="module")
 def studies():
     """Study of the quick cases, by system."""
-    return {
-        name: stress.stress(name, [case for case in system.stress_cases() if case.name in QUICK])
-        for name, system in SYSTEMS.items()
-    }
+    return {name: stress.stress(name, selected(system, QUICK)) for name, system in SYSTEMS.items()}
 
 
 @pytest.mark.parametrize("system", SYSTEMS)
@@ -33,13 +43,119 @@ def test_no_label_differs_from_the_true_one(studies, system):
     assert not stress.unresolved(ds).any(), stress.report(ds)
     assert (ds.verdict == stress.Verdict.RIGHT).sum() > 300
     # beyond the stability limit nothing that moves has a label
-    moving = ~np.isin(ds["case"], ["at rest", "slower than the run", "denormal"])
-    unstable = ds.verdict.sel(level=["ratio 1.5", "ratio 0.9"]).values[..., moving]
-    assert (unstable != stress.Verdict.RIGHT).all()
+    moving = ~np.isin(ds["case"], ["at rest", "slower than the run", "denormal"]) & (
+        ds["known_from"] != "exact motion"
+    )
+    coarse = ds.sel(level=["ratio 1.5", "ratio 0.9"])
+    unstable = (coarse.step_ratio.values > 0.5) & moving.values  # a run takes three steps at least
+    assert unstable.sum() > 50
+    assert (coarse.verdict.values[unstable] != stress.Verdict.RIGHT).all()
+
+
+@pytest.mark.parametrize("system", SYSTEMS)
+def test_no_label_where_rounding_decides(system):
+    ds = stress.stress(system, selected(SYSTEMS[system], BY_ROUNDING))
+    assert not stress.mislabelled(ds).any(), stress.report(ds)
+
+
+@pytest.mark.parametrize("system", SYSTEMS)
+def test_statistics_are_as_accurate_as_the_estimate(studies, system):
+    ds = studies[system]
+    known = ds["statistic_error"].notnull().any("statistic") & (ds["status"] == Status.OK)
+    beyond = stress.beyond_estimate(ds)
+    for i, method in enumerate(ds["method"].values):
+        compared, worse = int(known[i].sum()), int(beyond[i].sum())
+        assert compared > 100
+        assert worse <= 0.01 * compared, f"{method}\n{stress.report(ds)}"
+
+
+def test_statistics_table_of_the_report(studies):
+    ds = studies["satellite"].copy(deep=True)
+    ds["error_estimate"][:] = np.inf
+    assert not stress.beyond_estimate(ds).any()
+    assert "error_estimate: rk4: 0 of" in stress.report(ds)
+    ds["error_estimate"][:] = 0.0
+    ds["statistic_error"][..., ds["known_from"].values == "exact motion"] = 1e-3
+    resolved = (ds["status"] == Status.OK).values & (ds["known_from"] == "exact motion").values
+    assert (stress.beyond_estimate(ds) == resolved).all()
+    assert f"rk8: {resolved[1].sum()} of {resolved[1].sum()}" in stress.report(ds)
+    none = ds.isel(point=ds["known_from"].values == "theory")
+    assert "exact motions" not in stress.report(none)
+
+
+@pytest.mark.parametrize("system", SYSTEMS)
+def test_exact_cases_pass_beside_the_vertical(system):
+    """Each of these runs comes as near the vertical as its case states."""
+    for case in SYSTEMS[system].stress_cases():
+        if case.name.endswith(" passes"):
+            part = case_points(SYSTEMS[system], case)
+            for i, sine in enumerate((1e-4, 1e-3, 1e-2, 1e-1)):
+                motion = exact.motion_of(SYSTEMS[system], case.truth, part.points, i)
+                theta = exact.statistics(motion, part.duration[i])["theta_min"]
+                assert theta == pytest.approx(sine, rel=1e-6)
+
+
+def test_departures_of_large_offsets_agree_with_the_reference():
+    """Offsets large enough for the reference integrator, which adds them to the state."""
+    system = SYSTEMS["satellite"]
+    (case,) = selected(system, {"unstable rest, offset"})
+    part = case_points(system, case)
+    points = part.base | {"theta0": part.base["theta0"] + 1e-3}
+    duration = 0.25 * part.duration
+    departure = stress_truth.true_labels(system, points, duration, Settings(), "departure", part.base)
+    whole = stress_truth.true_labels(system, points, duration, Settings())
+    np.testing.assert_array_equal(departure.label, whole.label)
+    np.testing.assert_allclose(departure.unsteadiness, whole.unsteadiness, rtol=1e-5)
+
+
+def test_departures_grow_at_the_rate_of_theory():
+    """As long as a departure is small, its rates at ten times the offset are ten times as large."""
+    system = SYSTEMS["fixed_point"]
+    (case,) = selected(system, {"unstable rotation, offset"})
+    part = case_points(system, case)
+    tiny = [
+        stress_truth.true_labels(
+            system,
+            part.base | {"theta0": part.base["theta0"] + offset},
+            0.5 * part.duration,
+            Settings(rate_tolerance=1e-5),
+            "departure",
+            part.base,
+        ).unsteadiness
+        for offset in (2.0**-30, 2.0**-33)
+    ]
+    np.testing.assert_allclose(tiny[0] / tiny[1], 8, rtol=1e-3)
+
+
+def test_growth_of_a_disturbance_over_a_run():
+    """Where theory gives the growth rate, the fundamental matrix grows as it predicts."""
+    system = SYSTEMS["satellite"]
+    (case,) = selected(system, {"slow spin, unstable"})
+    part = case_points(system, case)
+    flags, _ = system.identify_family(part.points)
+    _, rate = system.linear_stability(part.points, flags)
+    known = np.flatnonzero(part.points["m"] == 0.05)
+    growth = stress_truth.linear_growth(system, part.points, flags, part.duration, known)
+    np.testing.assert_allclose(growth, rate[known] * part.duration[known], atol=2)
+
+
+def test_points_without_an_exact_motion():
+    for system, kind, given in (
+        ("fixed_point", "symmetric top", {"B": 1.1}),
+        ("fixed_point", "symmetric top", {"N": 0.1}),
+        ("fixed_point", "free gyrostat", {"Mg": 1.0, "x0": 1.0}),
+        ("satellite", "symmetric top", {}),  # gravity has a torque on a body that is not a sphere
+        ("satellite", "planar libration", {"theta0": 0.1}),
+        ("satellite", "pendulum", {}),
+    ):
+        points = default_points(system, **given)
+        with pytest.raises(ValueError, match="no exact motion"):
+            exact.motion_of(SYSTEMS[system], kind, points, 0)
 
 
 def test_a_wrong_label_is_reported_and_fails_the_command(studies, monkeypatch, capsys):
     ds = studies["satellite"].copy(deep=True)
+    ds["verdict"][:] = stress.Verdict.RIGHT
     ds["verdict"][0, -1, 0] = stress.Verdict.WRONG
     monkeypatch.setattr(stress, "stress", lambda name, **options: ds)
     monkeypatch.setattr(limits, "limits", lambda: [("method",), ("rk4",)])
@@ -64,7 +180,7 @@ def test_a_case_whose_true_label_is_unknown_is_an_error():
     """A motion that stays steady for the part of the run that the reference integrates proves nothing."""
     points = default_points("satellite", theta0=1e-7, m=1.5, C=1.3)
     with pytest.raises(ValueError, match="cannot decide"):
-        stress.true_labels(SYSTEMS["satellite"], points, np.array([1e4]), Settings())
+        stress_truth.true_labels(SYSTEMS["satellite"], points, np.array([1e4]), Settings())
 
 
 def test_the_despun_equivalent_moves_its_axis_alike():

@@ -2,12 +2,86 @@
 
 from __future__ import annotations
 
-import numpy as np
+from collections.abc import Mapping
 
-from ..base import StressCase
+import numpy as np
+from numpy.typing import ArrayLike
+
+from ..base import Array, StressCase
+from ..passages import earlier_start
+from . import equations, equilibria, initial
 
 OVERFLOW = "the numbers overflow"
 GROWN = "the method's own error grows with the motion before rounding does"
+OFFSET = "the start is as near an unstable motion as rounding resolves"
+
+# Distances at which the axis passes the vertical, rad, and its speed there.
+SINES, SPEED = np.array([1e-4, 1e-3, 1e-2, 1e-1]), 0.3
+# By part of the run in which the axis passes: start of the run before the passage, and length of the run.
+PASSAGES = {
+    "starts": (np.array([0.0, 0.01]), np.array([2.0, 2.0])),
+    "ends": (np.array([2.0, 2.0]), np.array([2.0, 1.95])),
+    "passes": (np.array([1.5]), np.array([3.0])),
+}
+# Bodies with exact motions that pass the vertical, with the kind of motion.
+BODIES: Mapping[str, tuple[str, Mapping[str, float]]] = {
+    "free sphere": ("symmetric top", {"A": 1.0, "C": 1.0}),
+    "free top": ("symmetric top", {"A": 1.0, "C": 1.6, "l3": -0.5}),
+    "heavy top": ("symmetric top", {"A": 1.0, "C": 0.7, "l3": 0.4, "Mg": 1.0, "z0": 0.8}),
+    "heavy top, upside down": ("symmetric top", {"A": 1.0, "C": 0.7, "l3": 0.4, "Mg": 1.0, "z0": -0.8}),
+    "free body": ("free gyrostat", {"A": 1.0, "B": 1.3, "C": 1.7}),
+    "free gyrostat": ("free gyrostat", {"A": 1.0, "B": 1.3, "C": 1.7, "l1": 0.6}),
+}
+
+
+def passages() -> list[StressCase]:
+    """Exact motions that start, end or pass beside the vertical."""
+    result = []
+    for body, (truth, columns) in BODIES.items():
+        for part, (before, duration) in PASSAGES.items():
+            sine, before, duration = (
+                values.ravel() for values in np.broadcast_arrays(SINES[:, None], before, duration)
+            )
+            nearest: dict[str, ArrayLike] = {"B": columns["A"], **columns, "theta0": sine, "phi0": 0.3}
+            nearest |= {"n": SPEED / sine, "m": 0.5 - SPEED / sine * np.cos(sine)}
+            result.append(
+                StressCase(f"{body} {part}", f"it {part} beside the vertical", duration,
+                           earlier_start(equations, initial, nearest, before), truth=truth)
+            )  # fmt: skip
+    return result
+
+
+def unstable_rotations(n: float, seed: int, count: int = 10) -> tuple[dict[str, Array], Array]:
+    """Unstable permanent rotations of random bodies at the rate n, and their growth rates."""
+    rng, found = np.random.default_rng(seed), list[dict[str, float]]()
+    while len(found) < count:
+        parts = rng.uniform(0.3, 1.0, 3)
+        body = dict(zip("ABC", parts.sum() - parts, strict=True)) | {"Mg": 1.0}
+        body |= dict(zip(("x0", "y0", "z0", "l1", "l2", "l3"), rng.normal(size=6), strict=True))
+        points = {name: np.full(1, body.get(name, p.default)) for name, p in initial.PARAMETERS.items()}
+        all_ = equilibria.equilibria(points, n)
+        tilted = np.minimum(all_["theta"], np.pi - all_["theta"]) > 0.2
+        growth = np.where(tilted, np.nan_to_num(all_["growth_rate"]), 0.0)
+        i = growth.argmax()
+        if growth[i] > 0.3:
+            found.append(
+                body | {"theta0": all_["theta"][i], "phi0": all_["phi"][i], "n": n, "growth": growth[i]}
+            )
+    columns = {name: np.array([point[name] for point in found]) for name in found[0]}
+    return columns, columns.pop("growth")
+
+
+def departures() -> list[StressCase]:
+    """Unstable positions of rest and permanent rotations with offsets of 1e-15 to 3e-11 rad."""
+    result = []
+    for name, n, seed in (("unstable rest", 0.0, 1), ("unstable rotation", 0.7, 2)):
+        columns, growth = unstable_rotations(n, seed)
+        offset, logarithm = np.geomspace(1e-15, 3e-11, growth.size), np.linspace(20.0, 25.0, growth.size)
+        result.append(
+            StressCase(f"{name}, offset", "offsets that grow by exp(20) to exp(25)", logarithm / growth, columns,
+                       additions={"theta0": offset}, may_stay_unresolved=OFFSET, truth="departure")
+        )  # fmt: skip
+    return result
 
 
 def cases() -> tuple[StressCase, ...]:
@@ -76,4 +150,5 @@ def cases() -> tuple[StressCase, ...]:
                     "m": [0.0, 1e300, 0.0, 0.0], "Mg": [0.0, 0.0, 1e300, 0.0], "x0": [0.0, 0.0, 1e300, 0.0],
                     "n": [0.0, 0.0, 0.0, 1e160]},
                    may_stay_unresolved=OVERFLOW),
+        *departures(), *passages(),
     )  # fmt: skip

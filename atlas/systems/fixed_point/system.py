@@ -62,6 +62,10 @@ class FixedPoint(System):
     derived = errors.DERIVED
     stress_cases = staticmethod(stress_cases.cases)
 
+    def growth_about_vertical(self, points: Points) -> Array:
+        """0: the vertical is an axis of symmetry of the fields."""
+        return np.zeros(shape_of(points))
+
     def complete(self, points: Points) -> Mask:
         return np.ones(shape_of(points), bool)
 

@@ -247,12 +247,16 @@ def _quartic(P: Array, Q: Array, scale: Array) -> tuple[Flags, Array]:
     Marginal roots (lambda = 0, or a double imaginary pair) count as stable: they grow like a power
     of t at most. Growth up to GROWTH_TOLERANCE * scale is round-off and counts as none.
     """
+    return classify_growth(quartic_growth(P, Q), scale)
+
+
+def quartic_growth(P: Array, Q: Array) -> Array:
+    """Largest real part of the roots of lambda^4 + P lambda^2 + Q = 0."""
     root = np.sqrt(np.maximum(P * P - 4 * Q, 0.0))
     # -P + root without cancellation where P > 0
     real = np.where(P > 0, -2 * _relative_to(Q, P + root), 0.5 * (root - P))
     spiral = np.sqrt(np.maximum(Q, 0.0)) - 0.5 * P
-    growth = np.where(P * P < 4 * Q, np.sqrt(np.maximum(0.5 * spiral, 0)), np.sqrt(np.maximum(real, 0)))
-    return classify_growth(growth, scale)
+    return np.where(P * P < 4 * Q, np.sqrt(np.maximum(0.5 * spiral, 0)), np.sqrt(np.maximum(real, 0)))
 
 
 def classify_growth(growth: Array, scale: Array) -> tuple[Flags, Array]:

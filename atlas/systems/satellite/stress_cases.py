@@ -2,12 +2,91 @@
 
 from __future__ import annotations
 
-import numpy as np
+from collections.abc import Mapping
 
-from ..base import StressCase
+import numpy as np
+from numpy.typing import ArrayLike
+
+from ..base import Array, StressCase
+from ..passages import earlier_start
+from . import equations, families, initial, stability
 
 OVERFLOW = "the numbers overflow"
 GROWN = "the method's own error grows with the motion before rounding does"
+OFFSET = "the start is as near an unstable motion as rounding resolves"
+
+# Distances at which the axis passes the normal, rad, and its speed there.
+SINES, SPEED = np.array([1e-4, 1e-3, 1e-2, 1e-1]), 0.3
+# By part of the run in which the axis passes: start of the run before the passage, and length of the run.
+PASSAGES = {"starts": (0.01, 2.0), "ends": (2.0, 1.95), "passes": (1.5, 3.0)}
+# Tops that pass the normal: spherical ones on the orbit, where gravity has no torque, and others without an orbit.
+BODIES: Mapping[str, Mapping[str, float]] = {
+    "sphere": {"C": 1.0, "k3": 0.4},
+    "magnetic sphere": {"C": 1.0, "k3": 0.4, "mu3": 1.0, "h3": -0.6},
+    "magnetic top": {"C": 0.7, "Omega": 0.0, "k3": 0.4, "mu3": 1.0, "h3": -0.6},
+}
+
+
+def passages() -> list[StressCase]:
+    """Exact motions that start, end or pass beside the normal."""
+    result = []
+    for body, columns in BODIES.items():
+        for part, (before, duration) in PASSAGES.items():
+            nearest: dict[str, ArrayLike] = {**columns, "theta0": SINES, "phi0": 0.3, "n": SPEED / SINES}
+            nearest["m"] = 0.5 - SPEED / SINES * np.cos(SINES)
+            start = earlier_start(equations, initial, nearest, np.full(SINES.shape, before))
+            result.append(
+                StressCase(f"{body} {part}", f"it {part} beside the normal", duration, start, truth="symmetric top")
+            )  # fmt: skip
+    return result
+
+
+def unstable_equilibria(seed: int, count: int = 10) -> tuple[dict[str, Array], Array]:
+    """Unstable equilibria of random satellites with rotor and magnet, and their growth rates."""
+    rng = np.random.default_rng(seed)
+    size = 8 * count
+    points = {name: np.full(size, parameter.default) for name, parameter in initial.PARAMETERS.items()}
+    points |= {name: rng.normal(size=size) for name in ("k3", "mu1", "mu2", "mu3", "h3")}
+    points |= {name: rng.uniform(0.8, 1.5, size) for name in "ABC"}
+    points |= {
+        "theta0": rng.uniform(0.4, 2.7, size),
+        "psi0": rng.uniform(0, 6, size),
+        "phi0": rng.uniform(0, 6, size),
+    }
+    family = families.FAMILIES["equilibrium"]
+    for name in ("h1", "k1", "k2"):
+        points[name] = family.solve[name](points)
+    growth = stability.linear_stability(points, np.full(size, family.flag, np.int8))[1]
+    chosen = np.flatnonzero((growth > 0.3) & (np.abs(points["h1"]) < 5))[:count]
+    return {name: values[chosen] for name, values in points.items()}, growth[chosen]
+
+
+def departures() -> list[StressCase]:
+    """Unstable equilibria with offsets of 1e-15 to 3e-11 rad that grow by exp(20) to exp(25)."""
+    columns, growth = unstable_equilibria(1)
+    offset, logarithm = np.geomspace(1e-15, 3e-11, growth.size), np.linspace(20.0, 25.0, growth.size)
+    pitch = {"A": 1.2, "B": 1.0, "C": 0.9}
+    pitch_growth = np.sqrt(3 * (pitch["A"] - pitch["B"]) / pitch["C"])
+    return [
+        StressCase("unstable rest, offset", "equilibria with rotor and magnet", logarithm / growth, columns,
+                   additions={"theta0": offset}, may_stay_unresolved=OFFSET, truth="departure"),
+        StressCase("unstable pitch, offset", "on the normal, beside the unstable direction", logarithm / pitch_growth,
+                   {**pitch, "psi0": offset}, may_stay_unresolved=OFFSET, truth="planar libration"),
+        StressCase("unstable pitch, long", "the same over and over again", 100.0, {**pitch, "psi0": [2e-14, 1e-11]},
+                   may_stay_unresolved=OFFSET, truth="planar libration"),
+    ]  # fmt: skip
+
+
+def slow_spin() -> StressCase:
+    """Exact starts whose linear equations have a period much longer than the run."""
+    m, duration = (values.ravel() for values in np.meshgrid([0.05, 0.02, 0.005], [30.0, 100.0]))
+    theta, C = 1.2, 1.2
+    s, c = np.sin(theta), np.cos(theta)
+    h1 = m * s / (1 + m * c)
+    columns = {"theta0": theta, "psi0": np.pi / 2, "C": C, "m": m, "mu1": 1.0, "h3": 1.0, "h1": h1}
+    columns |= {"k1": (s - h1 * c) / s, "k3": 4 * (1 - C) * c - C * m}
+    return StressCase("slow spin, unstable", "magnet across the axis, so that the linear equations are periodic",
+                      duration, columns, may_stay_unresolved=GROWN)  # fmt: skip
 
 
 def cases() -> tuple[StressCase, ...]:
@@ -78,4 +157,9 @@ def cases() -> tuple[StressCase, ...]:
                     "mu1": [0.0, 0.0, 1e300, 0.0], "h1": [0.0, 0.0, 1e300, 0.0],
                     "n": [0.0, 0.0, 0.0, 1e160]},
                    may_stay_unresolved=OVERFLOW),
+        StressCase("pitch", "libration and rotation in the plane of the orbit", 20.0,
+                   {"A": [1.0, 1.0, 1.0, 1.2, 1.2], "B": [1.3, 1.3, 1.3, 1.0, 1.0], "psi0": [0.1, 1.5, 0.1, 1.5, 0.3],
+                    "n": [0.0, 0.0, 2.0, 0.0, -1.0], "k3": 0.5},
+                   truth="planar libration"),
+        slow_spin(), *departures(), *passages(),
     )  # fmt: skip

@@ -54,6 +54,8 @@ class Satellite(System):
 
     condition_residual = staticmethod(families.condition_residual)
     linear_stability = staticmethod(stability.linear_stability)
+    log_growth = staticmethod(stability.log_growth)
+    growth_about_vertical = staticmethod(stability.growth_about_vertical)
     families = families.FAMILIES
     geometries = GEOMETRIES
     derived = DERIVED

@@ -1,0 +1,275 @@
+"""True labels of stress cases: from theory, exact motions, departures of offsets and the reference integrator."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from scipy.integrate import solve_ivp
+
+from ..flags import Label
+from ..label import labels
+from ..label.theory import predict
+from ..scene.model import Settings
+from ..systems.base import Array, Flags, Mask, Points, System
+from . import exact
+from .reference import EXACT_RESIDUAL, largest_sine, reference
+
+# A run of at most so many radians at the frequency bound is integrated whole by the reference; of a longer
+# run this much.
+MAX_RADIANS_WHOLE, RADIANS_OF_PART = 170.0, 40.0
+# Statistics of an exact motion that are compared, and the accuracy of their values (of a rate: in units of the frequency
+# bound).
+EXACT_STATISTICS = (
+    "theta_dot_rms", "theta_dot_std", "psi_dot_mean", "psi_dot_std", "phi_dot_mean", "phi_dot_std",
+    "normal_rate_mean", "normal_rate_std", "theta_min", "theta_max",
+)  # fmt: skip
+EXACT_ACCURACY = 1e-12
+# An offset from an equilibrium is known within the rounding of the state.
+STATE_ROUNDING = 3e-16
+
+
+@dataclass(frozen=True)
+class TrueLabels:
+    """True labels of some points; arrays of shape (points,).
+
+    Attributes
+    ----------
+    label : ndarray of int8
+        `Label.UNRESOLVED` where rounding decides or numbers overflow.
+    unsteadiness : ndarray
+        Largest rms or standard deviation of the rates, rad per time unit; NaN where unknown.
+    source : ndarray of str
+        How the label was determined: "theory", "exact motion", "departure", "reference", "part of the run" or
+        "overflow".
+    statistics : dict of ndarray
+        EXACT_STATISTICS by name; NaN but for exact motions.
+    """
+
+    label: Flags
+    unsteadiness: Array
+    source: np.ndarray
+    statistics: dict[str, Array]
+
+    @classmethod
+    def join(cls, parts: Sequence[TrueLabels]) -> TrueLabels:
+        """The labels of several sets of points, one after the other."""
+        return cls(
+            np.concatenate([part.label for part in parts]),
+            np.concatenate([part.unsteadiness for part in parts]),
+            np.concatenate([part.source for part in parts]),
+            {name: np.concatenate([part.statistics[name] for part in parts]) for name in EXACT_STATISTICS},
+        )
+
+
+def true_labels(
+    system: System,
+    points: Points,
+    duration: Array,
+    settings: Settings,
+    truth: str = "",
+    base: Points | None = None,
+) -> TrueLabels:
+    """True label of each point and how unsteady its motion is.
+
+    Exact starts have the label that theory predicts, or none where growth_rate x duration is so large
+    that rounding decides. The labels of other points come from a reference solution of the despun
+    equivalent, see `_labels_by_reference`. Points whose numbers overflow have no label.
+
+    Parameters
+    ----------
+    system : System
+    points : dict of ndarray, shape (points,)
+        Parameters by name.
+    duration : ndarray, shape (points,)
+        Length of the runs, time units.
+    settings : Settings
+        Only the tolerances of the labels are used.
+    truth : str
+        The kind of exact motion, or "departure", as in `StressCase`.
+    base : dict of ndarray, optional
+        For "departure": the equilibria from which the points are offset.
+
+    Raises
+    ------
+    ValueError
+        If the label of a point cannot be decided: such a point is no use as a stress case.
+    """
+    if truth == "departure":
+        return _labels_by_departure(system, points if base is None else base, points, duration, settings)
+    if truth:
+        return _labels_by_exact_motion(system, points, duration, settings, truth)
+    with np.errstate(all="ignore"):
+        theory = predict(system, points, settings.rate_tolerance, nudged=False)
+        residual, bound = system.condition_residual(points), system.frequency_bound(points)
+        is_exact = (theory["family"] > 0) & (residual <= EXACT_RESIDUAL)
+        growth = system.log_growth(points, theory["family"], theory["growth_rate"], duration)
+        limit = labels.rounding_limit(residual, bound, settings.tolerances)
+        despun, excess = system.despun_equivalent(points)
+        radians = system.frequency_bound(despun) * duration
+    tilted = np.abs(system.steady_rates(points)[0]) > 0
+    unknown = is_exact & tilted & np.isnan(theory["growth_rate"])
+    growth[unknown] = linear_growth(system, points, theory["family"], duration, np.flatnonzero(unknown))
+    by_rounding = tilted & (growth > 0) & (growth > limit)
+    label = np.where(by_rounding, Label.UNRESOLVED, theory["predicted"]).astype(np.int8)
+    unsteadiness, source = np.zeros(duration.shape), np.full(duration.shape, "theory", "<U15")
+    overflow = ~is_exact & (~np.isfinite(radians) | (radians > 1e100))
+    label[overflow], unsteadiness[overflow], source[overflow] = Label.UNRESOLVED, np.nan, "overflow"
+    others = np.flatnonzero(~is_exact & ~overflow)
+    if others.size:
+        part = {name: values[others] for name, values in despun.items()}
+        solved, undecided = _labels_by_reference(
+            system, part, excess[others], duration[others], radians[others], settings
+        )
+        _require_decided("the reference", others[undecided])
+        label[others], unsteadiness[others] = solved.label, solved.unsteadiness
+        source[others] = solved.source
+    return TrueLabels(label, unsteadiness, source, _no_statistics(duration.size))
+
+
+def _no_statistics(size: int) -> dict[str, Array]:
+    """Statistics that are not known."""
+    return {name: np.full(size, np.nan) for name in EXACT_STATISTICS}
+
+
+def _require_decided(source: str, undecided: np.ndarray) -> None:
+    """Raise ValueError if there are undecided points."""
+    if undecided.size:
+        raise ValueError(f"{source} cannot decide the labels of points {undecided}")
+
+
+def unsteadiness(measured: Mapping[str, Array]) -> Array:
+    """The largest of the statistics that make a point drift, rad per time unit."""
+    rates = [measured["theta_dot_rms"], measured["psi_dot_std"], measured["phi_dot_std"]]
+    in_polar_cap = np.isnan(rates[1])
+    return np.where(in_polar_cap, measured["normal_rate_std"], np.fmax.reduce(rates))
+
+
+def _labels_by_exact_motion(
+    system: System, points: Points, duration: Array, settings: Settings, kind: str
+) -> TrueLabels:
+    """Labels and statistics of points that follow an exact motion."""
+    runs = [
+        exact.statistics(exact.motion_of(system, kind, points, i), duration[i]) for i in range(duration.size)
+    ]
+    measured = {name: np.array([run[name] for run in runs]) for name in EXACT_STATISTICS}
+    measured["sine_max"] = largest_sine(measured["theta_min"], measured["theta_max"])
+    error = {name: np.full(duration.shape, EXACT_ACCURACY) for name in labels.LABEL_STATISTICS}
+    with np.errstate(invalid="ignore"):
+        undecided = labels.unsure(measured, error, settings.tolerances)
+        label = labels.label(measured, settings.tolerances)
+    _require_decided("the exact motion", np.flatnonzero(undecided))
+    source = np.full(duration.shape, "exact motion", "<U15")
+    statistics = {name: measured[name] for name in EXACT_STATISTICS}
+    return TrueLabels(label, unsteadiness(measured), source, statistics)
+
+
+def _labels_by_departure(
+    system: System, base: Points, points: Points, duration: Array, settings: Settings
+) -> TrueLabels:
+    """Labels of points that start at a tiny offset from an equilibrium."""
+    rest, constants = system.initial_state(base), system.constants(points)
+    offset = system.initial_state(points) - rest
+    runs = [
+        _departure(system, rest[:, i], offset[:, i], constants[:, i], duration[i])
+        for i in range(duration.size)
+    ]
+    measured = {name: np.array([run[name] for run in runs]) for name in EXACT_STATISTICS}
+    measured["sine_max"] = largest_sine(measured["theta_min"], measured["theta_max"])
+    relative = 1e-3 + STATE_ROUNDING / np.abs(offset).max(0)
+    error = {
+        name: np.abs(measured[name]) * np.where(name.endswith(("rms", "std")), relative, 1e-12)
+        for name in labels.LABEL_STATISTICS
+    }
+    with np.errstate(invalid="ignore"):
+        undecided = labels.unsure(measured, error, settings.tolerances)
+        label = labels.label(measured, settings.tolerances)
+    _require_decided("the departure", np.flatnonzero(undecided))
+    source = np.full(duration.shape, "departure", "<U15")
+    return TrueLabels(label, unsteadiness(measured), source, _no_statistics(duration.size))
+
+
+def _departure(
+    system: System, rest: Array, offset: Array, constants: Array, duration: float
+) -> dict[str, float]:
+    """Statistics of a run that starts at a tiny offset from an equilibrium.
+
+    With the state x + e d (x: equilibrium, e: size of the offset) the equations, whose right-hand side is quadratic in
+    the state and 0 at x, become d' = J d + e Q(d), which loses nothing however small e is.
+    """
+    rhs, size = system.equations.rhs, float(np.abs(offset).max())
+
+    def slope(_: float, d: Array) -> Array:
+        linear = np.array(rhs(rest + 1e-30j * d, constants)).imag / 1e-30
+        return linear + 0.5 * size * (np.array(rhs(d, constants)) + np.array(rhs(-d, constants)))
+
+    run = solve_ivp(
+        slope, (0.0, duration), offset / size, "DOP853", rtol=1e-11, atol=1e-11, dense_output=True
+    )
+    if not run.success:
+        raise ValueError("the departure from an equilibrium cannot be integrated")
+    length = np.diff(run.t)[:, None]
+    time = (run.t[:-1, None] + 0.5 * length * (1 + exact.GAUSS_POINTS)).ravel()
+    weight = (0.5 * length * exact.GAUSS_WEIGHTS).ravel() / duration
+    u1, u2, u3, g1, g2, g3 = system.equations.frame_motion(
+        rest[:, None] + size * run.sol(time), constants[:, None]
+    )
+    now = exact.euler_motion(np.array([u1, u2, u3]), np.array([g1, g2, g3]))
+    return exact.moments(now, weight) | {
+        "theta_min": float(now.theta.min()),
+        "theta_max": float(now.theta.max()),
+    }
+
+
+def linear_growth(
+    system: System, points: Points, flags: Flags, duration: Array, indices: np.ndarray
+) -> Array:
+    """Logarithm of the growth of a disturbance of each steady motion over the run, where theory gives no growth rate."""
+    motions = {family.flag: family.motion for family in system.families.values()}
+    result = []
+    for i in indices:
+        point = {name: values[i : i + 1] for name, values in points.items()}
+        result.append(_growth_along(system, motions[flags[i]], point, float(duration[i])))
+    return np.array(result)
+
+
+def _growth_along(system: System, motion: Any, point: Points, duration: float) -> float:
+    """Logarithm of the norm of the fundamental matrix of the equations linearised along a steady motion."""
+    size, constants = len(system.equations.STATE), system.constants(point)
+
+    def slope(time: float, flat: Array) -> Array:
+        state = motion(point, np.array([time])).reshape(size, 1)
+        columns = system.equations.rhs(state + 1e-30j * flat.reshape(size, size), constants)
+        return (np.array(columns).imag / 1e-30).ravel()
+
+    run = solve_ivp(slope, (0.0, duration), np.eye(size).ravel(), "DOP853", rtol=1e-7, atol=1e-7)
+    return float(np.log(np.linalg.norm(run.y[:, -1].reshape(size, size), 2)))
+
+
+def _labels_by_reference(
+    system: System, despun: Points, excess: Array, duration: Array, radians: Array, settings: Settings
+) -> tuple[TrueLabels, Mask]:
+    """Labels from a reference solution of the despun points, and where it leaves them undecided.
+
+    excess: by how much phi' of the despun points is larger. Of a run of more than MAX_RADIANS_WHOLE only
+    the first part is integrated. A mean square over the run is at least part / whole times the one over
+    the part, so that what drifts in the part by sqrt(whole / part) times the tolerance drifts in the whole.
+    """
+    whole = radians <= MAX_RADIANS_WHOLE
+    share = np.where(whole, 1.0, RADIANS_OF_PART / np.maximum(radians, 1e-300))
+    solution = reference(system, despun, duration * share, settings)
+    measured = dict(solution.statistics)
+    measured["sine_max"] = largest_sine(measured["theta_min"], measured["theta_max"])
+    measured["phi_dot_mean"] = measured["phi_dot_mean"] - excess
+    for name in ("theta_dot_rms", "psi_dot_std", "phi_dot_std", "normal_rate_std"):
+        measured[name] = measured[name] * np.sqrt(share)
+    error = solution.statistics_error | {"sine_max": solution.statistics_error["theta_max"]}
+    tolerances = settings.tolerances
+    with np.errstate(invalid="ignore"):
+        label = labels.label(measured, tolerances)
+        undecided = labels.unsure(measured, error, tolerances) | (~whole & (label != Label.DRIFTING))
+    source = np.where(whole, "reference", "part of the run")
+    unsteady = np.where(whole, unsteadiness(measured), np.nan)
+    return TrueLabels(label, unsteady, source, _no_statistics(duration.size)), undecided

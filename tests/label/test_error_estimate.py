@@ -1,0 +1,58 @@
+"""`error_estimate` against the true errors of all statistics, expected and measured by a second run."""
+
+import numpy as np
+import pytest
+from strategies import random_fixed_points, random_satellites
+
+import atlas
+from atlas.engine.statistics import RATES
+from atlas.flags import Status
+from atlas.systems import SYSTEMS
+
+RANDOM = {"satellite": random_satellites, "fixed_point": random_fixed_points}
+COUNT = 64
+
+
+def point_set(kind: str, system: str) -> tuple[dict[str, np.ndarray], np.ndarray]:
+    """Points of a system and durations: random, slender or symmetric bodies, or starts beside the vertical."""
+    rng = np.random.default_rng(3)
+    points = {k: v for k, v in RANDOM[system](rng, COUNT).items() if not np.isnan(v).any()}
+    duration = rng.uniform(0.5, 8.0, COUNT)
+    if kind == "slender":
+        points["C"] = points["A"] * 10 ** rng.uniform(-2, -1, COUNT)
+        points["B"] = points["A"] - 0.9 * points["C"]
+        duration = duration / 4
+    elif kind == "symmetric":
+        points["B"] = points["A"]
+        points |= {
+            name: np.zeros(COUNT)
+            for name in ("k1", "k2", "mu1", "mu2", "l1", "l2", "x0", "y0")
+            if name in points
+        }
+        points["C"] = np.minimum(points["C"], 1.9 * points["A"])
+    elif kind == "beside the vertical":
+        points["theta0"] = 10 ** rng.uniform(-3, -1, COUNT)
+        points["theta0"][::2] = np.pi - points["theta0"][::2]
+        points["theta_dot0"] = rng.normal(size=COUNT)
+    return points, duration
+
+
+@pytest.mark.parametrize("system", SYSTEMS)
+@pytest.mark.parametrize("kind", ["random", "slender", "symmetric", "beside the vertical"])
+def test_estimates_cover_the_errors_of_all_statistics(kind, system):
+    """Against rk8 at a tolerance of 1e-13; of 64 points at most two may be beyond ten times their estimate."""
+    points, duration = point_set(kind, system)
+    true = atlas.label_points(system, points, duration=duration, method="rk8", tolerance=1e-13, rate_tolerance=1e-9,
+                              cylinder_tolerance=1e-5)  # fmt: skip
+    defaults = {name: np.full(COUNT, p.default) for name, p in SYSTEMS[system].parameters.items()}
+    bound = SYSTEMS[system].frequency_bound(defaults | points)
+    for method in ("rk4", "rk8"):
+        for check in ("none", "all"):
+            ds = atlas.label_points(system, points, duration=duration, method=method, check_half_step=check)
+            error = [np.abs(ds[name] - true[name]) / bound for name in RATES]
+            error += [np.abs(ds[name] - true[name]) for name in ("theta_min", "theta_max")]
+            ok = (ds.status.values == Status.OK) & (true.status.values == Status.OK)
+            ratio = (np.fmax.reduce(error) / ds.error_estimate.values)[ok]
+            assert ok.sum() > 0.9 * COUNT
+            assert (ratio > 10).sum() <= 2
+            assert np.median(ds.error_estimate.values[ok]) < (1e-4 if kind == "beside the vertical" else 1e-5)

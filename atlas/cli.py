@@ -510,18 +510,19 @@ def _stress(options: argparse.Namespace) -> int:
     from .plotting.style import save
     from .validation import limits, stress
 
-    wrong = 0
+    wrong, failed = 0, False
     for name in names:
         ds = stress.stress(name, threads=options.threads)
         print(f"{name}\n{stress.report(ds)}\n")
         wrong += int(stress.mislabelled(ds).sum())
+        failed |= stress.estimate_fails(ds)
         if folder is not None:
             netcdf.write(ds, folder / f"{name}.nc")
             save(figure(ds), folder / f"{name}.png")
             print(f"wrote {folder / name}.nc and .png\n")
     print(table(limits.limits()))
     print(f"labels that are not true: {wrong}")
-    return FAILED if wrong else DONE
+    return FAILED if wrong or failed else DONE
 
 
 def _add_figures(commands: Commands) -> None:

@@ -258,6 +258,11 @@ def beyond_estimate(ds: xr.Dataset) -> Mask:
     return np.asarray(_estimated(ds) & (error > 10 * ds["error_estimate"].values + EXACT_ACCURACY))
 
 
+def estimate_fails(ds: xr.Dataset) -> bool:
+    """Whether more than 1 % of the runs that are compared with an exact motion are beyond ten times their estimate."""
+    return bool(beyond_estimate(ds).sum() > 0.01 * _estimated(ds).sum())
+
+
 def _estimated(ds: xr.Dataset) -> Mask:
     """Where a resolved point follows an exact motion, bool over (method, level, point)."""
     known = ds["statistic_error"].notnull().any("statistic").values

@@ -166,6 +166,18 @@ def test_a_wrong_label_is_reported_and_fails_the_command(studies, monkeypatch, c
     assert cli.main(["stress", "pendulum"]) == cli.BAD_INPUT
 
 
+def test_estimates_beyond_ten_times_fail_the_command(studies, monkeypatch):
+    """More than 1 % of the compared runs, with every label true."""
+    ds = studies["fixed_point"].copy(deep=True)
+    ds["verdict"][:] = stress.Verdict.RIGHT
+    monkeypatch.setattr(stress, "stress", lambda name, **options: ds)
+    monkeypatch.setattr(limits, "limits", lambda: [("method",), ("rk4",)])
+    assert cli.main(["stress", "fixed_point"]) == cli.DONE
+    ds["error_estimate"][:] = 1e-30
+    assert stress.estimate_fails(ds)
+    assert cli.main(["stress", "fixed_point"]) == cli.FAILED
+
+
 def test_files_of_the_command(studies, monkeypatch, tmp_path):
     monkeypatch.setattr(stress, "stress", lambda name, **options: studies[name])
     monkeypatch.setattr(limits, "limits", lambda: [("method",), ("rk4",)])

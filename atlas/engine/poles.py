@@ -21,7 +21,6 @@ import numpy as np
 REACH = 4.0
 # Steps of Newton's method for its position.
 NEWTON_STEPS = 4
-PASSAGE_ROWS = 31
 
 
 class Passage(IntEnum):
@@ -44,6 +43,9 @@ class Passage(IntEnum):
     VERTICAL = 28  # the sign of g3
     PSI_DOT_REFERENCE = 29  # what psi' and phi' are counted from in the sums
     PHI_DOT_REFERENCE = 30
+
+
+PASSAGE_ROWS = max(Passage) + 1
 
 
 class Term(IntEnum):

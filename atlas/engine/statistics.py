@@ -126,7 +126,6 @@ def begin(stats, l, motion, cylinder_squared):
     stats[Row.COS_THETA_MAX, l] = cos_theta
     stats[Row.SIN2_THETA_MIN_ABOVE, l] = 1.0
     stats[Row.SIN2_THETA_MIN_BELOW, l] = 1.0
-    extend(stats, l, cos_theta, sin2_theta)
 
 
 def accumulate(stats, l, motion, weight, cylinder_squared):
@@ -172,10 +171,8 @@ def may_extend(stats, l, cos_0, cos_1, slope_0, slope_1):
 
 
 def end(stats, l, motion):
-    """Add the direction of the third axis at the last node to the extremes of lane l."""
-    sin2_theta = motion[3] * motion[3] + motion[4] * motion[4]
-    extend(stats, l, motion[5], sin2_theta)
-    stats[Row.LAST_THETA, l] = np.arctan2(np.sqrt(sin2_theta), motion[5])
+    """Keep theta of the last node of lane l."""
+    stats[Row.LAST_THETA, l] = np.arctan2(np.sqrt(motion[3] * motion[3] + motion[4] * motion[4]), motion[5])
 
 
 def theta_from(cos_theta: NDArray[np.float64], sin2_theta: NDArray[np.float64]) -> NDArray[np.float64]:

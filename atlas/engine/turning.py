@@ -8,7 +8,6 @@ from enum import IntEnum
 
 from .poles import differences_of, polynomial
 
-TURN_ROWS = 25
 # Steps of Newton's method for the instant.
 TURN_STEPS = 5
 
@@ -26,6 +25,9 @@ class Turn(IntEnum):
     G3 = 16
     G3_SLOPE = 20
     TIME = 24  # first approximation, counted from the first of the four nodes
+
+
+TURN_ROWS = max(Turn) + 1
 
 
 def newton_change(g1, g2, g3):

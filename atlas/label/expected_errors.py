@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 
 import numpy as np
 
@@ -109,10 +109,18 @@ def pair_error(
         ratio = fine_sizes.steps / coarse_sizes.steps
         state = state_distance(system, fine_run.final_state, coarse_run.final_state, bound)
         state = np.fmax(state / (ratio**method.order - 1.0), rounding_error(fine_sizes))
-        rates = [np.abs(fine_values[name] - coarse_values[name]) / bound for name in RATES]
-        angles = [np.abs(fine_values[name] - coarse_values[name]) for name in ("theta_min", "theta_max")]
+        rates = [change / bound for change in differences(fine_values, coarse_values, RATES).values()]
+        angles = differences(fine_values, coarse_values, ("theta_min", "theta_max")).values()
         implied = with_statistics(state, fine_sizes, bound, fine_run, fine_values, cylinder)
     return np.asarray(np.fmax.reduce([state, 0.3 * implied, *rates, *angles]))
+
+
+def differences(
+    values: Mapping[str, Array], other: Mapping[str, Array], names: Iterable[str]
+) -> dict[str, Array]:
+    """Sizes of the differences of the statistics of two runs, by name."""
+    with np.errstate(invalid="ignore"):
+        return {name: np.abs(values[name] - other[name]) for name in names}
 
 
 def state_distance(system: System, state: Array, other: Array, bound: Array) -> Array:

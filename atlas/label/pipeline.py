@@ -18,7 +18,7 @@ from ..scene.grid import Grid
 from ..scene.model import Scene, Settings
 from ..systems.base import FAMILY_TOLERANCE, Array, Flags, Mask, Points, System
 from . import labels
-from .expected_errors import early_stop_rate, error_estimate, measurement_errors, pair_error
+from .expected_errors import differences, early_stop_rate, error_estimate, measurement_errors, pair_error
 from .theory import agreement, exact_starts, predict
 
 # check_half_step = "sample" measures the error of one point in so many.
@@ -304,7 +304,7 @@ def _measured_error(
         runs.settings.cylinder,
     )
     with np.errstate(all="ignore"):
-        difference = {name: np.abs(values[name] - coarse_values[name]) for name in labels.LABEL_STATISTICS}
+        difference = differences(values, coarse_values, labels.LABEL_STATISTICS)
         unsure = _unsure(values, difference, runs, where)
     trusted = (coarse_sizes.step_ratio < 0.5) & coarse.finite
     return np.where(trusted, error, np.fmax(error, expected)), unsure
@@ -326,10 +326,9 @@ def _at_half_step(
     )
     coarse = _subset(measured, where)
     changes = _label_changes(coarse, fine, runs, where)
-    with np.errstate(invalid="ignore"):
-        differences = {name: np.abs(fine[name] - coarse[name]) for name in RATES}
-    changes |= departed & (differences["theta_dot_rms"] > HALF_STEP_RTOL * fine["theta_dot_rms"])
-    return changes, np.fmax.reduce(list(differences.values())) / runs.ensemble.frequency_bound[where]
+    rates = differences(fine, coarse, RATES)
+    changes |= departed & (rates["theta_dot_rms"] > HALF_STEP_RTOL * fine["theta_dot_rms"])
+    return changes, np.fmax.reduce(list(rates.values())) / runs.ensemble.frequency_bound[where]
 
 
 def _unsure(
@@ -353,7 +352,7 @@ def _label_changes(
     """Whether a label differs at half the step, or could by as much as the measurements differ."""
     tolerances = runs.settings.tolerances
     with np.errstate(all="ignore"):
-        difference = {name: np.abs(fine[name] - coarse[name]) for name in labels.LABEL_STATISTICS}
+        difference = differences(fine, coarse, labels.LABEL_STATISTICS)
         changes = _unsure(fine, difference, runs, where)
         for rate in runs.frame_rates.values():
             changes |= labels.label(coarse, tolerances, rate[where]) != labels.label(

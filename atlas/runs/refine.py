@@ -124,16 +124,16 @@ class _FineGrid:
             column[indices] = points.base[name]
         existing = indices[points.exists]
         if existing.size:
-            there = points.subset(points.exists)
+            existing_points = points.subset(points.exists)
             with np.errstate(all="ignore"):
                 prediction = theory.predict(
-                    scene.system, there.base, scene.settings.rate_tolerance, bool(scene.nudge)
+                    scene.system, existing_points.base, scene.settings.rate_tolerance, bool(scene.nudge)
                 )
             growth_rate = prediction["growth_rate"]
             self.growth_rate[existing] = growth_rate
             for name, flags in self.predicted.items():
                 flags[existing] = prediction[name]
-            growth = growth_rate * there.duration
+            growth = growth_rate * existing_points.duration
             unstable = prediction["stable"] == Stability.UNSTABLE
             self.slowly_unstable[existing] = unstable & (growth < _growth_needed(scene))
         return points.exists

@@ -32,8 +32,10 @@ def random_bodies(size: int, low: float, high: float) -> dict[str, np.ndarray]:
 
 def counts(label: np.ndarray) -> str:
     """Number of points with each label."""
-    found = np.bincount(label, minlength=len(Label))
-    return ", ".join(f"{name} {count}" for name, count in zip(Label.meanings(), found, strict=True) if count)
+    numbers = np.bincount(label, minlength=len(Label))
+    return ", ".join(
+        f"{name} {count}" for name, count in zip(Label.meanings(), numbers, strict=True) if count
+    )
 
 
 def slender(size: int, method: str) -> None:

@@ -59,9 +59,9 @@ def measured(**given):
     ],
 )  # fmt: skip
 def test_contract(given, expected):
-    found = labels.label(measured(**given), TOLERANCES)
-    assert NAMES[found[0]] == expected
-    assert found.dtype == np.int8
+    result = labels.label(measured(**given), TOLERANCES)
+    assert NAMES[result[0]] == expected
+    assert result.dtype == np.int8
 
 
 def test_inertial_label_adds_the_rate_of_the_frame():
@@ -76,7 +76,7 @@ def test_inertial_label_adds_the_rate_of_the_frame():
     st.sampled_from([0.0, 30.0]),
 )  # fmt: skip
 def test_status_is_the_first_that_applies(finite, drift, ratio, damping, growth):
-    found = labels.status(
+    result = labels.status(
         np.array([finite]),
         np.array([drift]),
         1e-5,
@@ -89,7 +89,7 @@ def test_status_is_the_first_that_applies(finite, drift, ratio, damping, growth)
         (not finite, "not_finite"), (drift > 1e-5, "drift_exceeded"),
         (ratio > 0.5 or damping > 0.1, "under_resolved"), (growth > 25.0, "roundoff_decided"), (True, "ok"),
     ]  # fmt: skip
-    assert list(Status.meanings())[found] == next(name for applies, name in order if applies)
+    assert list(Status.meanings())[result] == next(name for applies, name in order if applies)
 
 
 def satellite_cases():
@@ -107,8 +107,8 @@ def test_the_68_satellite_cases():
     ds = atlas.label_points("satellite", columns, duration=np.array([c["T"] for c in cases]))
     for i, case in enumerate(cases):
         expected = case["label_orbital"], case["label_inertial"], case["geometry"]
-        found = named(ds, "label", i), named(ds, "label_inertial", i), named(ds, "geometry", i)
-        assert found == expected, case["id"]
+        result = named(ds, "label", i), named(ds, "label_inertial", i), named(ds, "geometry", i)
+        assert result == expected, case["id"]
         assert (named(ds, "predicted", i), named(ds, "predicted_inertial", i)) == expected[:2], case["id"]
         if case["valid"]:
             assert ds.family[i] > 0

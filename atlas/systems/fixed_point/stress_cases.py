@@ -53,8 +53,8 @@ def passages() -> list[StressCase]:
 
 def unstable_rotations(n: float, seed: int, count: int = 10) -> tuple[dict[str, Array], Array]:
     """Unstable permanent rotations of random bodies at the rate n, and their growth rates."""
-    rng, found = np.random.default_rng(seed), list[dict[str, float]]()
-    while len(found) < count:
+    rng, bodies = np.random.default_rng(seed), list[dict[str, float]]()
+    while len(bodies) < count:
         parts = rng.uniform(0.3, 1.0, 3)
         body = dict(zip("ABC", parts.sum() - parts, strict=True)) | {"Mg": 1.0}
         body |= dict(zip(("x0", "y0", "z0", "l1", "l2", "l3"), rng.normal(size=6), strict=True))
@@ -64,10 +64,10 @@ def unstable_rotations(n: float, seed: int, count: int = 10) -> tuple[dict[str, 
         growth = np.where(tilted, np.nan_to_num(all_["growth_rate"]), 0.0)
         i = growth.argmax()
         if growth[i] > 0.3:
-            found.append(
+            bodies.append(
                 body | {"theta0": all_["theta"][i], "phi0": all_["phi"][i], "n": n, "growth": growth[i]}
             )
-    columns = {name: np.array([point[name] for point in found]) for name in found[0]}
+    columns = {name: np.array([body[name] for body in bodies]) for name in bodies[0]}
     return columns, columns.pop("growth")
 
 

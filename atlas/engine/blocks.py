@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import os
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from itertools import pairwise
@@ -23,7 +23,7 @@ from .sampling import quadrature
 from .statistics import Row
 from .stepsize import StepSizes
 
-# A call of the kernel takes about this many point-steps (some 0.1 s): Ctrl-C and the progress line wait for it.
+# A call of the kernel takes at most about this many point-steps (some 0.1 s): Ctrl-C and the progress line wait for it.
 CHUNK = 20_000_000
 
 
@@ -159,14 +159,29 @@ def integrate(
     rules = quadrature()
     nodes = segment.last_node - segment.first_node
     steps = np.minimum(nodes * schedule.steps_per_sample, schedule.steps) * WIDTH
+    resume = segment.resume
+    if not resume.size and (steps > CHUNK).any():
+        resume = resume_array(len(scales), state.shape[1])
 
-    def work(first: int, last: int) -> int:
+    def call(first: int, last: int, first_node: NDArray[np.int64], last_node: NDArray[np.int64]) -> None:
         kernel.integrate(
-            first, last, schedule.points, schedule.steps, schedule.steps_per_sample, segment.first_node,
-            segment.last_node, step_size, state, constants, scales, rules.node_weights, rules.first_sample,
-            rules.samples, cylinder * cylinder, segment.resume, segment.out,
+            first, last, schedule.points, schedule.steps, schedule.steps_per_sample, first_node, last_node,
+            step_size, state, constants, scales, rules.node_weights, rules.first_sample, rules.samples,
+            cylinder * cylinder, resume, segment.out,
         )  # fmt: skip
-        return int(steps[first:last].sum())
+
+    def work(first: int, last: int) -> Iterator[int]:
+        calls = min(-(-int(steps[first]) // CHUNK), int(nodes[first]))
+        if last > first + 1 or calls <= 1:
+            call(first, last, segment.first_node, segment.last_node)
+            yield int(steps[first:last].sum())
+            return
+        first_node, last_node = segment.first_node.copy(), segment.last_node.copy()
+        for i in range(calls):
+            last_node[first] = segment.first_node[first] + nodes[first] * (i + 1) // calls
+            call(first, last, first_node, last_node)
+            first_node[first] = last_node[first]
+            yield int(steps[first] * (i + 1) // calls - steps[first] * i // calls)
 
     run_in_threads(work, chunk_bounds(steps, CHUNK, 4 * (threads or available_threads())), threads, progress)
     return segment.out
@@ -184,17 +199,23 @@ def chunk_bounds(cost: NDArray[np.int64], max_cost: int, min_chunks: int) -> lis
 
 
 def run_in_threads(
-    work: Callable[[int, int], int],
+    work: Callable[[int, int], Iterable[int]],
     bounds: list[int],
     threads: int | None,
     progress: Callable[[int], None] | None,
 ) -> None:
-    """Call work(first, last) for every chunk; after an exception the chunks not begun are left out."""
+    """Do work(first, last) for every chunk; after an exception what has not begun is left out.
+
+    work is done in parts: an iterable of the amounts done.
+    """
     stop = threading.Event()
 
     def chunk(first: int, last: int) -> None:
-        if not stop.is_set():
-            done = work(first, last)
+        parts = iter(work(first, last))
+        while not stop.is_set():
+            done = next(parts, None)
+            if done is None:
+                return
             if progress is not None:
                 progress(done)
 

@@ -15,6 +15,10 @@ MAX_STEPS_PER_SAMPLE = 16
 # Share of the rate tolerance that an automatic step may spend on a motion that turns at the frequency bound.
 RATE_ERROR_BUDGET = 0.1
 ROUNDING = 1e-16
+# A run is resolved up to this step ratio and this dissipation error.
+MAX_STEP_RATIO, MAX_DISSIPATION_ERROR = 0.5, 0.1
+# Steps of a run that is not resolved. They show whether its numbers overflow; it gets no label however long it is.
+STEPS_UNRESOLVED = 64
 # Error of the interpolation between four nodes that are x radians of an oscillation apart: this times x^8.
 INTERPOLATION_ERROR = 81 / 256 / 40320
 
@@ -120,6 +124,21 @@ class StepSizes:
     def sample_spacing(self) -> NDArray[np.float64]:
         """Time between two nodes, time units."""
         return self.step_size * self.steps_per_sample
+
+    @property
+    def resolved(self) -> NDArray[np.bool_]:
+        """Whether the steps are short enough for the frequency bound."""
+        stable = self.step_ratio <= MAX_STEP_RATIO
+        return np.asarray(stable & (self.dissipation_error <= MAX_DISSIPATION_ERROR))
+
+    def without_unresolved(self) -> StepSizes:
+        """The same where they resolve the point, elsewhere STEPS_UNRESOLVED steps of the same size at most."""
+        shorter = ~self.resolved & (self.steps > STEPS_UNRESOLVED)
+        return replace(
+            self,
+            steps=np.where(shorter, STEPS_UNRESOLVED, self.steps),
+            steps_per_sample=np.where(shorter, 1, self.steps_per_sample),
+        )
 
     def subset(self, where: NDArray[np.int64]) -> StepSizes:
         """Those of some points, by their indices."""

@@ -116,8 +116,7 @@ def status(
     finite: Mask,
     integral_drift: Array,
     drift_tolerance: float,
-    step_ratio: Array,
-    dissipation_error: Array,
+    resolved: Mask,
     rounding_growth: Array,
     rounding_limit: Array | float,
     step_sensitive: Mask | bool = False,
@@ -131,10 +130,8 @@ def status(
     integral_drift : ndarray of float64
         Largest relative change of a first integral, at most drift_tolerance.
     drift_tolerance : float
-    step_ratio : ndarray of float64
-        Step times frequency bound over the stability limit, at most 1/2.
-    dissipation_error : ndarray of float64
-        Relative loss of amplitude of the fastest frequency over the run, at most 0.1.
+    resolved : ndarray of bool
+        Whether the steps are short enough for the frequency bound; see `engine.stepsize.StepSizes.resolved`.
     rounding_growth : ndarray of float64
         Growth rate times duration where the start is on an unstable motion to rounding, else 0.
     rounding_limit : ndarray of float64
@@ -150,7 +147,7 @@ def status(
     conditions = {
         Status.NOT_FINITE: ~finite,
         Status.DRIFT_EXCEEDED: integral_drift > drift_tolerance,
-        Status.UNDER_RESOLVED: ~((step_ratio <= 0.5) & (dissipation_error <= 0.1)),
+        Status.UNDER_RESOLVED: ~resolved,
         Status.STEP_SENSITIVE: step_sensitive,
         Status.ROUNDOFF_DECIDED: (rounding_growth > 0) & (rounding_growth > rounding_limit),
     }

@@ -113,15 +113,29 @@ def evaluate(
         )  # fmt: skip
         return {name: _scatter(values, exists) for name, values in columns.items()}
     runs = _prepare(system, base, points, duration, settings, specialization, nudged, halved)
+    execution = _Execution(threads, progress or (lambda points: None))
     whole_run = outputs is None or bool(WHOLE_RUN & set(outputs))
-    integration = _integrate(runs, whole_run, threads, progress)
+    integration = _integrate(runs, whole_run, execution)
     measured = integration.statistics()
-    recheck = _recheck(runs, integration, measured, threads)
+    recheck = _recheck(runs, integration, measured, execution)
     columns = _assemble(runs, integration, measured, recheck)
     for name, derived in system.derived.items():
         if outputs is not None and name in outputs:
+            execution.progress(0.0)
             columns[name] = derived.values(base, duration)
     return columns
+
+
+@dataclass(frozen=True)
+class _Execution:
+    """By how many threads points are integrated, and who is called as they are."""
+
+    threads: int | None
+    progress: Callable[[float], None]  # takes a number of points; may raise an exception to end the run
+
+    def check(self, point_steps: int) -> None:
+        """For integrations that are no progress: give `progress` its chance to end the run."""
+        self.progress(0.0)
 
 
 @dataclass(frozen=True)
@@ -203,16 +217,16 @@ def _prepare(
     )
 
 
-def _integrate(
-    runs: _Runs, whole_run: bool, threads: int | None, progress: Callable[[float], None] | None
-) -> Integration:
-    """Integrate the points, those that are certain to drift only as long as needed unless whole_run is set."""
-    settings, step_sizes = runs.settings, runs.step_sizes
+def _integrate(runs: _Runs, whole_run: bool, execution: _Execution) -> Integration:
+    """Integrate the points, those that are certain to drift only as long as needed unless whole_run is set.
+
+    Points that their steps do not resolve run for a few steps.
+    """
+    settings, step_sizes = runs.settings, runs.step_sizes.without_unresolved()
     total = int(step_sizes.steps.sum())
 
     def advance(point_steps: int) -> None:
-        if progress is not None:
-            progress(runs.duration.size * point_steps / total)
+        execution.progress(runs.duration.size * point_steps / total)
 
     stop_rate = None
     if not whole_run:
@@ -221,7 +235,7 @@ def _integrate(
             stop_rate = np.where(runs.error_amplified, np.inf, stop_rate)
     return runs.ensemble.integrate(
         runs.kernel, step_sizes, settings.cylinder,
-        early_stop_rate=stop_rate, threads=threads, progress=advance,
+        early_stop_rate=stop_rate, threads=execution.threads, progress=advance,
     )  # fmt: skip
 
 
@@ -236,8 +250,8 @@ def _status(
     with np.errstate(all="ignore"):
         limit = labels.rounding_limit(runs.residual, runs.ensemble.frequency_bound, settings.tolerances)
         return labels.status(
-            integration.finite, measured["integral_drift"], settings.drift_tolerance, step_sizes.step_ratio,
-            step_sizes.dissipation_error, rounding_growth, limit, step_sensitive,
+            integration.finite, measured["integral_drift"], settings.drift_tolerance, step_sizes.resolved,
+            rounding_growth, limit, step_sensitive,
         )  # fmt: skip
 
 
@@ -250,7 +264,7 @@ class _Recheck:
 
 
 def _recheck(
-    runs: _Runs, integration: Integration, measured: Mapping[str, Array], threads: int | None
+    runs: _Runs, integration: Integration, measured: Mapping[str, Array], execution: _Execution
 ) -> _Recheck:
     """Measure the error of some points, and integrate again those whose label an error could change."""
     settings, step_sizes, bound = runs.settings, runs.step_sizes, runs.ensemble.frequency_bound
@@ -266,11 +280,11 @@ def _recheck(
     sample = np.flatnonzero(resolved & _half_step_sample(runs.ensemble, settings.check_half_step))
     if sample.size:
         error[sample], unsure[sample] = _measured_error(
-            runs, integration, measured, sample, error[sample], threads
+            runs, integration, measured, sample, error[sample], execution
         )
     where = np.flatnonzero(resolved & ~step_sensitive & (unsure | departed))
     if where.size:
-        changes, difference = _at_half_step(runs, measured, departed[where], where, threads)
+        changes, difference = _at_half_step(runs, measured, departed[where], where, execution)
         step_sensitive[where] = changes
         error[where] = np.fmax(error[where], difference)
     return _Recheck(step_sensitive, np.fmax(error, measured["integral_drift"]))
@@ -282,7 +296,7 @@ def _measured_error(
     measured: Mapping[str, Array],
     where: np.ndarray,
     expected: Array,
-    threads: int | None,
+    execution: _Execution,
 ) -> tuple[Array, Mask]:
     """Errors of points from a second run with half as many steps, and whether a label could change within them.
 
@@ -292,7 +306,11 @@ def _measured_error(
     sizes = runs.step_sizes.subset(where)
     coarse_sizes = sizes.coarsened(method)
     coarse = runs.ensemble.subset(where).integrate(
-        runs.kernel, coarse_sizes, runs.settings.cylinder, threads=threads
+        runs.kernel,
+        coarse_sizes,
+        runs.settings.cylinder,
+        threads=execution.threads,
+        progress=execution.check,
     )
     run, values, coarse_values = integration.subset(where), _subset(measured, where), coarse.statistics()
     error = pair_error(
@@ -311,7 +329,7 @@ def _measured_error(
 
 
 def _at_half_step(
-    runs: _Runs, measured: Mapping[str, Array], departed: Mask, where: np.ndarray, threads: int | None
+    runs: _Runs, measured: Mapping[str, Array], departed: Mask, where: np.ndarray, execution: _Execution
 ) -> tuple[Mask, Array]:
     """Whether labels change at half the step, and the largest change of a rate over the frequency bound."""
     fine = (
@@ -320,7 +338,8 @@ def _at_half_step(
             runs.kernel,
             runs.step_sizes.subset(where).halved(METHODS[runs.settings.method]),
             runs.settings.cylinder,
-            threads=threads,
+            threads=execution.threads,
+            progress=execution.check,
         )
         .statistics()
     )
@@ -377,7 +396,11 @@ def _assemble(
 ) -> dict[str, np.ndarray]:
     """Every variable of the registry but the system's derived ones."""
     tolerances = runs.settings.tolerances
-    columns: dict[str, np.ndarray] = dict(measured)
+    resolved = runs.step_sizes.resolved
+    columns: dict[str, np.ndarray] = {
+        name: values if name == "integral_drift" else np.where(resolved, values, np.nan)
+        for name, values in measured.items()
+    }
     status = _status(runs, integration, measured, recheck.step_sensitive)
     cylinder = labels.in_cylinder(measured, tolerances.angle)
     with np.errstate(invalid="ignore"):
@@ -390,15 +413,15 @@ def _assemble(
             measured, steady, cylinder, tolerances.rate, tolerances.angle
         )
     for name in NEEDS_PSI:
-        columns[name] = np.where(cylinder, np.nan, measured[name])
+        columns[name] = np.where(cylinder, np.nan, columns[name])
     columns |= runs.theory
     return columns | {
         "status": status,
         "step": runs.step_sizes.step_size,
         "step_ratio": runs.step_sizes.step_ratio,
-        "error_estimate": recheck.error,
+        "error_estimate": np.where(resolved, recheck.error, np.inf),
         "condition_residual": runs.residual,
-        "end_time": np.where(integration.stopped_early, integration.duration, runs.duration),
+        "end_time": np.where(integration.stopped_early | ~resolved, integration.duration, runs.duration),
         "agreement": agreement(columns["label"], runs.theory["predicted"]),
     }
 

@@ -21,8 +21,8 @@ from .method_costs import method_lines
 from .tiles import tile_types
 from .tiling import mean_steps, step_sizes, tiling
 
-# Points that are integrated for the measurement, and their steps in all for each thread: under a second.
-CALIBRATION_POINTS, CALIBRATION_STEPS = 4096, 5e7
+# Points that are integrated for the measurement, and the steps of all lanes for each thread: some tenths of a second.
+CALIBRATION_POINTS, CALIBRATION_STEPS = 4096, 2e7
 
 
 @dataclass(frozen=True)
@@ -82,12 +82,18 @@ def dry_run(scene: Scene, *, threads: int | None = None, workers: int | None = N
     limited = _share_limited_by_max_steps(scene, sample)
     if limited > 0:
         lines.append(f"max_steps = {scene.settings.max_steps} cuts short {100 * limited:.3g} % of the points")
+    unresolved = float((~step_sizes(scene, sample).resolved[exists]).mean())
+    if unresolved > 0:
+        lines.append(
+            f"{100 * unresolved:.3g} % of the points have steps too long for their fastest frequency:"
+            " they get no label and are hardly integrated"
+        )
     return "\n".join(lines)
 
 
 def _measure(scene: Scene, sample: grid.Grid, threads: int) -> _Measurement:
     """Integrate some points of the sample three times: to compile, to time, and to trace memory."""
-    points = _calibration_points(scene, sample, threads)
+    scene, points = _calibration(scene, sample, threads)
 
     def seconds() -> float:
         started = time.perf_counter()
@@ -100,19 +106,26 @@ def _measure(scene: Scene, sample: grid.Grid, threads: int) -> _Measurement:
     peak_bytes = tracemalloc.get_traced_memory()[1]
     tracemalloc.stop()
     return _Measurement(
-        seconds_per_step=second / step_sizes(scene, points).steps.sum(),
+        seconds_per_step=second / step_sizes(scene, points).without_unresolved().steps.sum(),
         compile_seconds=max(first - second, 0.0),
         bytes_per_point=peak_bytes / points.exists.size,
     )
 
 
-def _calibration_points(scene: Scene, sample: grid.Grid, threads: int) -> grid.Grid:
-    """Points of the sample where the family exists, with durations short enough for a measurement."""
+def _calibration(scene: Scene, sample: grid.Grid, threads: int) -> tuple[Scene, grid.Grid]:
+    """The scene and some of its points, with duration and max_steps so small that a measurement is short."""
     exists = np.flatnonzero(sample.exists)
     chosen = exists[np.linspace(0, exists.size - 1, min(exists.size, CALIBRATION_POINTS)).astype(np.int64)]
-    fraction = min(1.0, CALIBRATION_STEPS * threads / (chosen.size * mean_steps(scene, sample)))
     points = sample.subset(chosen)
-    return replace(points, duration=points.duration * fraction)
+    while True:
+        schedule = blocks.schedule_of(step_sizes(scene, points).without_unresolved())
+        fraction = CALIBRATION_STEPS * min(threads, len(schedule.points)) / schedule.point_steps
+        if fraction > 0.8:  # counts of steps are rounded
+            return scene, points
+        # Both, because a limited number of steps does not depend on the duration.
+        max_steps = max(round(scene.settings.max_steps * fraction), 1)
+        scene = replace(scene, settings=replace(scene.settings, max_steps=max_steps))
+        points = replace(points, duration=points.duration * fraction)
 
 
 def _resident_bytes() -> int:

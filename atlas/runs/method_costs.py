@@ -7,7 +7,7 @@ from dataclasses import replace
 from ..engine.tableaux import METHODS
 from ..scene.grid import Grid
 from ..scene.model import Scene
-from .tiling import mean_steps
+from .tiling import step_sizes
 
 
 def relative_costs(scene: Scene, sample: Grid) -> dict[str, float]:
@@ -31,10 +31,10 @@ def relative_costs(scene: Scene, sample: Grid) -> dict[str, float]:
     settings = scene.settings
     if settings.step is not None:
         return {}
-    costs = {
-        name: method.step_cost * mean_steps(replace(scene, settings=replace(settings, method=name)), sample)
-        for name, method in METHODS.items()
-    }
+    costs = {}
+    for name, method in METHODS.items():
+        sizes = step_sizes(replace(scene, settings=replace(settings, method=name, max_steps=2**50)), sample)
+        costs[name] = method.step_cost * float(sizes.steps[sample.exists].mean())
     own = costs.pop(settings.method)
     return {name: cost / own for name, cost in costs.items()}
 

@@ -80,7 +80,7 @@ def step_sizes(scene: Scene, sample: grid.Grid) -> stepsize.StepSizes:
 
 def mean_steps(scene: Scene, sample: grid.Grid) -> float:
     """Integration steps of a point of the scene, averaged over the sample of `grid.check`."""
-    return float(step_sizes(scene, sample).steps[sample.exists].mean())
+    return float(step_sizes(scene, sample).without_unresolved().steps[sample.exists].mean())
 
 
 def tiling(scene: Scene, sample: grid.Grid) -> Tiling:

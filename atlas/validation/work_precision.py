@@ -26,7 +26,7 @@ from ..label.expected_errors import state_distance
 from ..label.pipeline import evaluate_tile, scene_kernel_hash, scene_specialization
 from ..scene import grid
 from ..scene.model import Scene, Settings
-from ..systems.base import Array
+from ..systems.base import Array, Mask
 from ..variables import variables
 from .half_step import stratified_indices
 from .reference import (
@@ -125,8 +125,9 @@ def work_precision(scene: Scene, count: int = 64, *, progress: bool = False) -> 
 
         - ``error_state``: largest difference of a component at the end of the run, angular velocities in
           units of the point's frequency bound; inf where a run is not finite;
-        - ``error_NAME``: error of one statistic; ``error_rates``: of the least accurate statistic of a
-          rate, in units of the frequency bound;
+        - ``error_NAME``: error of one statistic, nan where the steps do not resolve the point;
+          ``error_rates``: of the least accurate statistic of a rate, in units of the frequency bound, inf
+          there;
         - no error is below the uncertainty of the reference, ``reference_error`` (of the states),
           ``reference_error_rates`` and ``reference_error_NAME``, over (sample);
         - ``integral_drift``, ``step_length``, ``steps``, ``label_compared``, ``label_wrong``,
@@ -236,7 +237,7 @@ def _run_level(
     final = ensemble.final_states(
         _kernel(sample.scene, settings.method), step_sizes.steps, step_sizes.step_size
     )
-    values = _errors(sample, measured, final) | {
+    values = _errors(sample, measured, final, step_sizes.resolved) | {
         "integral_drift": measured["integral_drift"],
         "step_length": step_sizes.step_size,
         "steps": step_sizes.steps,
@@ -254,8 +255,11 @@ def _run_level(
     return _LevelResult(values, _seconds_per_point(sample, step_sizes, settings.method))
 
 
-def _errors(sample: _Sample, measured: Mapping[str, Array], final: Array) -> dict[str, Array]:
-    """Errors of the final states and of the statistics, none below the uncertainty of the reference."""
+def _errors(sample: _Sample, measured: Mapping[str, Array], final: Array, resolved: Mask) -> dict[str, Array]:
+    """Errors of the final states and of the statistics, none below the uncertainty of the reference.
+
+    resolved: points that have statistics; see `StepSizes.resolved`.
+    """
     solution = sample.reference
     with np.errstate(invalid="ignore"):
         not_finite = ~np.isfinite(final).all(0)
@@ -271,7 +275,7 @@ def _errors(sample: _Sample, measured: Mapping[str, Array], final: Array) -> dic
         worst_rate = np.fmax.reduce([errors[f"error_{name}"] for name in RATES])
         return errors | {
             "error_state": np.maximum(distance, solution.state_error),
-            "error_rates": np.where(not_finite, np.inf, worst_rate / sample.bound),
+            "error_rates": np.where(not_finite | ~resolved, np.inf, worst_rate / sample.bound),
         }
 
 

@@ -1,5 +1,7 @@
 """The kernel, compiled and as plain Python: order, exact motions, statistics, and independence of neighbours."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
@@ -194,5 +196,29 @@ def test_an_interrupted_run_has_the_bits_of_a_whole_one(module_of, method):
         segment = blocks.Segment(first, np.full_like(first, last), resume, sums)
         blocks.integrate(module, schedule, arguments[0], state, *arguments[1:], segment=segment, threads=1)
         first = segment.last_node
+    np.testing.assert_array_equal(state, whole)
+    np.testing.assert_array_equal(sums, whole_sums)
+
+
+def test_a_long_run_takes_many_short_calls(monkeypatch):
+    """Ctrl-C waits for one call, however long a run is; the bits are those of a single call."""
+    module, ensemble = kernel(SATELLITE, "rk4"), Ensemble.of(SATELLITE, satellites(40, seed=3))
+    schedule = blocks.pack_blocks(np.r_[np.full(35, 640), np.full(5, 16)], np.full(40, 2))
+    arguments = np.full(40, 0.01), ensemble.constants, ensemble.scales, 1e-5
+    whole, calls, progress = ensemble.state.copy(), [], []
+    whole_sums = blocks.integrate(module, schedule, arguments[0], whole, *arguments[1:], threads=1)
+
+    def integrate_counted(*call_arguments):
+        calls.append(call_arguments[:2])
+        module.integrate(*call_arguments)
+
+    monkeypatch.setattr(blocks, "CHUNK", 64 * blocks.WIDTH)
+    state = ensemble.state.copy()
+    sums = blocks.integrate(
+        SimpleNamespace(integrate=integrate_counted), schedule, arguments[0], state, *arguments[1:],
+        threads=2, progress=progress.append,
+    )  # fmt: skip
+    assert len(calls) == len(progress) == 2 * 10 + 1  # two blocks of 640 steps, one of 16
+    assert sum(progress) == schedule.point_steps
     np.testing.assert_array_equal(state, whole)
     np.testing.assert_array_equal(sums, whole_sums)

@@ -1,0 +1,57 @@
+"""The dry run: what it integrates to measure is little, whatever the scene."""
+
+import pytest
+
+from atlas.engine import blocks
+from atlas.runs import estimate
+from atlas.runs.estimate import CALIBRATION_STEPS, dry_run
+from atlas.runs.tiling import step_sizes
+from atlas.scene.read import scene_from
+
+FEW_LONG = {"theta0": {"from": 0.1, "to": 1.5, "count": 3}}
+MANY_LONG = {"theta0": {"from": 0.1, "to": 1.5, "count": 40}, "m": {"from": 1.0, "to": 300.0, "count": 40}}
+MANY_POINTS = {
+    "theta0": {"from": 0.1, "to": 1.5, "count": 1000},
+    "k3": {"from": 0.0, "to": 1.0, "count": 1000},
+}
+
+
+@pytest.mark.parametrize("axes", [FEW_LONG, MANY_LONG, MANY_POINTS])
+@pytest.mark.parametrize(
+    "integration",
+    [
+        {"duration": 1e5},
+        {"duration": 2e4, "max_steps": 3_000_000},
+        {"duration": 1e3, "step": 1e-7},
+        {"duration": 1e12, "tolerance": 1e-12},
+    ],
+)
+def test_a_dry_run_is_short_whatever_the_scene(monkeypatch, axes, integration):
+    """At most twice the intended point-steps (counts of steps are rounded up) in each of the three measurements."""
+    scene = scene_from(
+        {"schema": 1, "title": "long", "system": "satellite", "fixed": {"C": 1.2}, "axes": axes, "integration": integration}
+    )  # fmt: skip
+    measured = []
+
+    def evaluate_nothing(scene, points, *, threads):
+        sizes = step_sizes(scene, points).without_unresolved()
+        measured.append(blocks.schedule_of(sizes).point_steps)
+        assert points.exists.size <= estimate.CALIBRATION_POINTS
+
+    monkeypatch.setattr(estimate, "evaluate_tile", evaluate_nothing)
+    text = dry_run(scene, threads=2)
+    assert f"{scene.size} points" in text
+    assert len(measured) == 3
+    assert 0 < max(measured) <= 2 * 2 * CALIBRATION_STEPS
+
+
+def test_the_share_of_points_that_are_not_resolved_is_printed(monkeypatch):
+    scene = scene_from(
+        {
+            "schema": 1, "title": "spins", "system": "satellite", "fixed": {"C": 1.2},
+            "axes": {"theta0": {"values": [0.3]}, "m": {"values": [1.0, 1.1, 1.2, 1e9]}},
+            "integration": {"duration": 30.0, "max_steps": 100_000},
+        }
+    )  # fmt: skip
+    monkeypatch.setattr(estimate, "evaluate_tile", lambda *arguments, **options: None)
+    assert "25 % of the points have steps too long" in dry_run(scene, threads=1)

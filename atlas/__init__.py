@@ -4,6 +4,11 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
+from . import interruption as _interruption
+
+if _interruption.is_command():
+    _interruption.end_on_signal()
+
 from . import accessor as _accessor  # noqa: F401  (registers ds.atlas with xarray)
 from ._version import __version__
 

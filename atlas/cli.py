@@ -14,8 +14,9 @@ from typing import Any, NoReturn, TypeAlias
 from ._version import __version__
 from .errors import BadInput
 from .files import writable
+from .interruption import INTERRUPTED, MESSAGE, exit_process, signals_as_interrupt
 
-DONE, FAILED, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130
+DONE, FAILED, BAD_INPUT = 0, 1, 2
 FIGURES = (".png", ".pdf", ".svg")
 
 
@@ -44,13 +45,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
         Exit code: 0 done, 1 failed, 2 bad input, 130 interrupted.
     """
     try:
-        options = parser().parse_args(arguments)
-        return int(options.handler(options))
+        with signals_as_interrupt():
+            options = parser().parse_args(arguments)
+            return int(options.handler(options))
     except BadInput as error:
         print(f"atlas: {error}", file=sys.stderr)
         return BAD_INPUT
     except KeyboardInterrupt:
-        print("atlas: interrupted; finished work is kept, and no file is half written", file=sys.stderr)
+        print(MESSAGE, file=sys.stderr)
         return INTERRUPTED
     except BrokenPipeError:
         sys.stderr.close()
@@ -58,6 +60,15 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except (OSError, MemoryError) as error:
         print(f"atlas: failed: {error or type(error).__name__}", file=sys.stderr)
         return FAILED
+
+
+def command() -> NoReturn:
+    """Run the command of this process."""
+    try:
+        code = main()
+    except SystemExit as end:  # of the parser of options
+        code = int(end.code or DONE)
+    exit_process(code)
 
 
 def parser() -> argparse.ArgumentParser:

@@ -1,0 +1,98 @@
+"""Signals: commands end in order, soon, and with one exit code."""
+
+import signal
+import subprocess
+import sys
+import threading
+
+import pytest
+
+from atlas import interruption
+from atlas.interruption import INTERRUPTED, MESSAGE, signals_as_interrupt
+
+
+@pytest.mark.parametrize("number", interruption.SIGNALS)
+def test_a_signal_is_a_keyboard_interrupt_and_handlers_come_back(number):
+    before = [signal.getsignal(s) for s in interruption.SIGNALS]
+    with pytest.raises(KeyboardInterrupt), signals_as_interrupt():
+        signal.raise_signal(number)
+    assert [signal.getsignal(s) for s in interruption.SIGNALS] == before
+    timers = [thread for thread in threading.enumerate() if isinstance(thread, threading.Timer)]
+    assert all(timer.finished.is_set() for timer in timers)  # cancelled
+
+
+def test_a_process_that_does_not_end_is_ended(monkeypatch):
+    """By the timer, or by a second signal."""
+    ended = threading.Event()
+    monkeypatch.setattr(interruption, "end_process", ended.set)
+    monkeypatch.setattr(interruption, "PATIENCE", 0.0)
+    with signals_as_interrupt():
+        with pytest.raises(KeyboardInterrupt):
+            signal.raise_signal(signal.SIGINT)
+        assert ended.wait(60)
+    monkeypatch.setattr(interruption, "PATIENCE", 1e6)
+    ended.clear()
+    with signals_as_interrupt():
+        for expected in (False, True):
+            with pytest.raises(KeyboardInterrupt):
+                signal.raise_signal(signal.SIGTERM)
+            assert ended.is_set() == expected
+
+
+def test_an_ignored_signal_stays_ignored():
+    """As under nohup."""
+    previous = signal.signal(signal.SIGINT, signal.SIG_IGN)
+    try:
+        with signals_as_interrupt():
+            signal.raise_signal(signal.SIGINT)
+            assert signal.getsignal(signal.SIGINT) is signal.SIG_IGN
+    finally:
+        signal.signal(signal.SIGINT, previous)
+
+
+def test_outside_the_main_thread_nothing_changes():
+    def inside():
+        with signals_as_interrupt():
+            handlers.append(signal.getsignal(signal.SIGTERM))
+
+    handlers = []
+    thread = threading.Thread(target=inside)
+    thread.start()
+    thread.join()
+    assert handlers == [signal.getsignal(signal.SIGTERM)]
+
+
+@pytest.mark.parametrize("number", ["SIGINT", "SIGTERM"])
+def test_during_imports_the_command_ends_without_a_traceback(number):
+    """A finder of modules sends the signal when xarray is about to be imported."""
+    code = (
+        "import os, signal, sys\n"
+        "class Finder:\n"
+        "    def find_spec(self, name, path=None, target=None):\n"
+        f"        if name == 'xarray': os.kill(os.getpid(), signal.{number})\n"
+        "sys.meta_path.insert(0, Finder())\n"
+        "sys.argv = ['atlas', '--version']\n"
+        "import atlas\n"
+        "print('imported')\n"
+    )
+    result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    assert (result.returncode, result.stdout, result.stderr) == (INTERRUPTED, "", f"{MESSAGE}\n")
+
+
+def test_no_signal_changes_the_exit_code_of_a_command_that_has_ended():
+    """Not even a KeyboardInterrupt inside exec, after which Python would end itself with SIGINT."""
+    code = (
+        "import os, signal\n"
+        "from atlas.interruption import exit_process\n"
+        "try: exec('raise KeyboardInterrupt')\n"
+        "except KeyboardInterrupt: pass\n"
+        "class Late:\n"
+        "    def __del__(self): os.kill(os.getpid(), signal.SIGTERM)\n"
+        "late = Late()\n"
+        "exit_process({})\n"
+    )
+    for exit_code in (0, 2, INTERRUPTED):
+        result = subprocess.run(
+            [sys.executable, "-c", code.format(exit_code)], capture_output=True, text=True
+        )
+        assert (result.returncode, result.stderr) == (exit_code, "")

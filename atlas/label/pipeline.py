@@ -19,7 +19,7 @@ from ..scene.model import Scene, Settings
 from ..systems.base import FAMILY_TOLERANCE, Array, Flags, Mask, Points, System
 from . import labels
 from .expected_errors import differences, early_stop_rate, error_estimate, measurement_errors, pair_error
-from .theory import agreement, exact_starts, predict
+from .theory import agreement, exact_starts, predict_runs
 
 # check_half_step = "sample" measures the error of one point in so many.
 POINTS_PER_HALF_STEP = 64
@@ -28,7 +28,6 @@ POINTS_PER_HALF_STEP = 64
 HALF_STEP_RTOL = 0.05
 # Variables that only a whole run can give: a scene that asks for none of them ends its points early.
 WHOLE_RUN = frozenset(statistic.name for statistic in STATISTICS)
-MAX_LOG_GROWTH = 700.0  # exp of more overflows
 
 
 def scene_specialization(scene: Scene) -> Specialization:
@@ -184,17 +183,14 @@ def _prepare(
         step_sizes = StepSizes.of(settings, ensemble.frequency_bound, duration)
         if halved:
             step_sizes = step_sizes.halved(METHODS[settings.method])
-        residual = system.condition_residual(points)
-        nearby = residual <= FAMILY_TOLERANCE
-        pushed = ~exact_starts(system, points, nearby) if nudged else np.zeros_like(nearby)
-        theory = predict(system, base, settings.rate_tolerance, pushed)
-        growth = system.log_growth(base, theory["family"], theory["growth_rate"], duration)
-        log_growth = np.minimum(np.nan_to_num(growth, nan=0.0), MAX_LOG_GROWTH)
+        prediction = predict_runs(system, base, points, duration, settings.rate_tolerance, nudged=nudged)
+        theory, pushed, log_growth = prediction.variables, prediction.pushed, prediction.log_growth
         # The growth of an offset in one step is rounded: where that is a per cent of it or more, rounding decides.
         max_residual = np.fmax(
             labels.ROUNDING_RESIDUAL, 100.0 * labels.ROUNDOFF / (theory["growth_rate"] * step_sizes.step_size)
         )
-        exact = ~pushed if nudged else exact_starts(system, points, nearby & (log_growth > 0), max_residual)
+        candidates = (prediction.residual <= FAMILY_TOLERANCE) & (log_growth > 0)
+        exact = ~pushed if nudged else exact_starts(system, points, candidates, max_residual)
         rounding_growth = np.where(exact, log_growth, 0.0)
         about_vertical = system.growth_about_vertical(points) * duration
     frame_rates = {"label": np.zeros_like(duration)}
@@ -208,7 +204,7 @@ def _prepare(
         step_sizes=step_sizes,
         duration=duration,
         theory=theory,
-        residual=residual,
+        residual=prediction.residual,
         log_growth=log_growth,
         log_growth_exact=np.where(pushed, 0.0, log_growth),
         rounding_growth=rounding_growth,

@@ -2,11 +2,65 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from dataclasses import dataclass
+
 import numpy as np
 
 from ..flags import Agreement, Label, Stability
 from ..systems.base import FAMILY_TOLERANCE, Array, Flags, Mask, Points, System
 from .labels import ROUNDING_RESIDUAL, steady_label
+
+MAX_LOG_GROWTH = 700.0  # exp of more overflows
+
+
+@dataclass(frozen=True)
+class Prediction:
+    """What theory predicts of a set of runs; arrays of shape (points,).
+
+    Attributes
+    ----------
+    variables : mapping of str to ndarray
+        As `predict` returns them.
+    residual : ndarray of float64
+        Of the conditions of a steady motion, at the start that is integrated.
+    pushed : ndarray of bool
+        Whether a nudge moved the start off its motion.
+    log_growth : ndarray of float64
+        Growth of a distance from the motion over the run, as a logarithm; 0 where it is unknown.
+    """
+
+    variables: Mapping[str, np.ndarray]
+    residual: Array
+    pushed: Mask
+    log_growth: Array
+
+
+def predict_runs(
+    system: System, base: Points, points: Points, duration: Array, rate_tolerance: float, *, nudged: bool
+) -> Prediction:
+    """Predictions for runs of some length.
+
+    Parameters
+    ----------
+    system : System
+    base, points : mapping of str to ndarray of float64, shape (points,)
+        The starts before and after the nudge.
+    duration : ndarray of float64, shape (points,)
+        In time units.
+    rate_tolerance : float
+        Rates of at most this count as zero, rad per time unit.
+    nudged : bool
+        Whether there is a nudge. One along a family leads to another exact start.
+    """
+    with np.errstate(all="ignore"):
+        residual = system.condition_residual(points)
+        nearby = residual <= FAMILY_TOLERANCE
+        pushed = ~exact_starts(system, points, nearby) if nudged else np.zeros_like(nearby)
+        variables = predict(system, base, rate_tolerance, pushed)
+        growth = system.log_growth(base, variables["family"], variables["growth_rate"], duration)
+    log_growth = np.minimum(np.nan_to_num(growth, nan=0.0), MAX_LOG_GROWTH)
+    return Prediction(variables, residual, pushed, log_growth)
 
 
 def predict(

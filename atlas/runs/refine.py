@@ -125,17 +125,15 @@ class _FineGrid:
         existing = indices[points.exists]
         if existing.size:
             existing_points = points.subset(points.exists)
-            with np.errstate(all="ignore"):
-                prediction = theory.predict(
-                    scene.system, existing_points.base, scene.settings.rate_tolerance, bool(scene.nudge)
-                )
-            growth_rate = prediction["growth_rate"]
-            self.growth_rate[existing] = growth_rate
+            prediction = theory.predict_runs(
+                scene.system, existing_points.base, existing_points.points, existing_points.duration,
+                scene.settings.rate_tolerance, nudged=bool(scene.nudge),
+            )  # fmt: skip
+            self.growth_rate[existing] = prediction.variables["growth_rate"]
             for name, flags in self.predicted.items():
-                flags[existing] = prediction[name]
-            growth = growth_rate * existing_points.duration
-            unstable = prediction["stable"] == Stability.UNSTABLE
-            self.slowly_unstable[existing] = unstable & (growth < _growth_needed(scene))
+                flags[existing] = prediction.variables[name]
+            unstable = prediction.variables["stable"] == Stability.UNSTABLE
+            self.slowly_unstable[existing] = unstable & (prediction.log_growth < _growth_needed(scene))
         return points.exists
 
     def refine_to(self, level: int) -> None:

@@ -9,10 +9,11 @@ from hypothesis import strategies as st
 import atlas
 from atlas import BadInput, load_scene
 from atlas.analysis import summary
-from atlas.flags import Label
+from atlas.flags import Label, Stability
 from atlas.io import netcdf
 from atlas.runs import refine
 from atlas.scene.grid import Grid
+from atlas.scene.read import scene_from
 
 OBLIQUE = {
     "family": {"name": "oblique", "solve": ["psi0", "k3"]},
@@ -223,3 +224,22 @@ def test_run_refines_into_memory_or_one_file(scene_text, tmp_path, both):
     for out, options in ((tmp_path / "folder", {}), (tmp_path / "b.nc", {"workers": 1})):
         with pytest.raises(BadInput, match="one process"):
             atlas.run(scene, out, progress=False, **options)
+
+
+def test_a_nudge_along_a_family_is_predicted_as_on_the_full_grid():
+    """Turning the vertical about which a free body rotates leads to another exact start."""
+    table = {
+        "schema": 1, "title": "Free body about its middle axis", "system": "fixed_point",
+        "fixed": {"A": 1.0, "B": 1.8, "m": 1.0},
+        "axes": {"C": {"from": 1.1, "to": 2.5, "count": 5}, "theta0": {"from": 0.0, "to": 1.0, "count": 3}},
+        "nudge": {"theta0": 1e-4, "psi0": 1e-4},
+        "integration": {"duration": 12.0, "tolerance": 1e-6}, "labels": {"rate_tolerance": 1e-3},
+    }  # fmt: skip
+    ds = atlas.run(scene_from(table | {"refine": {"levels": 2}}), progress=False)
+    table["axes"]["C"]["count"], table["axes"]["theta0"]["count"] = 17, 9
+    full = atlas.run(scene_from(table), progress=False)
+    unstable = (full.stable == Stability.UNSTABLE).values
+    assert unstable.any()
+    assert (full.predicted.values[unstable] == Label.PERMANENT_ROTATION).all()
+    for name in ("predicted", "label", "status", "agreement"):
+        np.testing.assert_array_equal(ds[name], full[name], err_msg=name)

@@ -16,7 +16,7 @@ from typing import NoReturn
 INTERRUPTED = 130  # exit code
 MESSAGE = "atlas: interrupted; finished work is kept, and no file is half written"
 # Seconds after a signal when the process ends, in order or not: compilers do not react to exceptions.
-PATIENCE = 1.5
+PATIENCE = 1.2
 SIGNALS = (signal.SIGINT, signal.SIGTERM)
 
 

@@ -206,7 +206,7 @@ def _steps_per_sample(
     The motion is interpolated between nodes with an error of order 8 in their distance, which is kept below a tenth of
     the phase error.
     """
-    with np.errstate(divide="ignore"):
+    with np.errstate(divide="ignore", invalid="ignore"):
         spacing = (0.1 * dispersion_error / INTERPOLATION_ERROR) ** (1 / 8) / y  # in steps
     spacing = np.minimum(np.where(y > 0, spacing, MAX_STEPS_PER_SAMPLE), steps / (4 * MIN_INTERVALS))
     return 2 ** np.floor(np.log2(np.clip(spacing, 1, MAX_STEPS_PER_SAMPLE))).astype(np.int64)

@@ -117,6 +117,8 @@ def main() -> None:
     parser.add_argument("--only", nargs="+", default=list(COMMANDS), choices=COMMANDS, metavar="NAME")
     parser.add_argument("--seed", type=int, default=0)
     options = parser.parse_args()
+    # A process started in the background ignores Ctrl-C, and so would the commands.
+    signal.signal(signal.SIGINT, signal.default_int_handler)
     rng, bad = random.Random(options.seed), 0
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)

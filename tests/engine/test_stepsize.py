@@ -46,3 +46,17 @@ def test_half_the_step_is_that_of_twice_the_count():
         assert halved.step_size == given_half.step_size
         assert halved.dispersion_error == pytest.approx(given_half.dispersion_error)
         assert halved.dissipation_error == pytest.approx(given_half.dissipation_error)
+
+
+def test_a_run_is_resolved_where_neither_the_step_nor_the_dissipation_is_too_large():
+    settings = Settings(step=0.01, max_steps=10**9)
+    sizes = replace(
+        StepSizes.of(settings, np.ones(4), np.full(4, 4.0)),
+        step_ratio=np.array([0.4, 0.6, 0.4, np.nan]),
+        dissipation_error=np.array([0.05, 0.05, 0.2, 0.05]),
+    )
+    assert sizes.resolved.tolist() == [True, False, False, False]
+    shorter = sizes.without_unresolved()
+    assert shorter.steps.tolist() == [sizes.steps[0], 64, 64, 64]
+    np.testing.assert_array_equal(shorter.step_size, sizes.step_size)
+    assert not StepSizes.of(settings, np.array([np.nan, np.inf]), np.full(2, 4.0)).resolved.any()

@@ -5,14 +5,16 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import assume, given
 from hypothesis import strategies as st
 
 import atlas
 from atlas.engine.statistics import STATISTICS
+from atlas.engine.stepsize import StepSizes
+from atlas.engine.tableaux import METHODS
 from atlas.flags import Label, Status
-from atlas.label import labels
-from atlas.scene.model import Tolerances
+from atlas.label import expected_errors, labels
+from atlas.scene.model import Settings, Tolerances
 
 REFERENCE = Path(__file__).parents[1] / "reference"
 TOLERANCES = Tolerances(1e-5, 1e-5)
@@ -239,3 +241,44 @@ def test_label_does_not_depend_on_where_psi_and_phi_start(angle, theta0, n, m):
     ds = atlas.label_points("satellite", base | {"phi0": [0.0, angle]}, duration=5.0, tolerance=1e-6)
     assert ds.label[0] == ds.label[1]
     np.testing.assert_allclose(ds.theta_dot_rms[0], ds.theta_dot_rms[1], rtol=1e-6, atol=1e-9)
+
+
+def test_a_label_within_the_error_of_the_method_is_step_sensitive():
+    """The tolerance lies between what a step and half of it give for the rms of theta' of a pendulum that rises."""
+    speed = np.sqrt(2.0 * (1.0 + np.cos(0.3)))  # it would be upright after an infinite time
+    pendulum = {"Mg": 1.0, "z0": 1.0, "C": 1.0, "theta0": 0.3, "theta_dot0": speed}
+    options = {"duration": 8.0, "check_half_step": "none", "drift_tolerance": 1.0, "cylinder_tolerance": 1e-6}
+    coarse, fine = (
+        float(atlas.label_points("fixed_point", pendulum, step=step, **options).theta_dot_rms[0])
+        for step in (0.1, 0.05)
+    )
+    assert 1e-7 < abs(coarse - fine) / fine < 1e-3
+    for variables in (None, ["label", "status"]):
+        ds = atlas.label_points(
+            "fixed_point",
+            pendulum,
+            step=0.1,
+            rate_tolerance=0.5 * (coarse + fine),
+            variables=variables,
+            **options,
+        )
+        assert (named(ds, "label", 0), named(ds, "status", 0)) == ("unresolved", "step_sensitive")
+        ds = atlas.label_points(
+            "fixed_point", pendulum, step=0.1, rate_tolerance=0.9 * coarse, variables=variables, **options
+        )
+        assert (named(ds, "label", 0), named(ds, "status", 0)) == ("drifting", "ok")
+
+
+@given(st.floats(1e-6, 1e-1), st.floats(0.1, 100.0), st.floats(1.0, 1e4), st.floats(1e-4, 0.4))
+def test_a_run_that_ends_early_has_a_label_beyond_all_expected_errors(tolerance, bound, duration, ratio):
+    """At the rate where it ends, less the error that the measurement may have, it still drifts."""
+    step = ratio * METHODS["rk4"].stability / bound
+    settings = Settings(step=step, rate_tolerance=tolerance, max_steps=10**9)
+    sizes = StepSizes.of(settings, np.array([bound]), np.array([duration]))
+    with np.errstate(divide="ignore"):
+        rate = expected_errors.early_stop_rate(sizes, np.array([bound]), settings.tolerances)
+    assume(np.isfinite(rate).all())  # no run ends early where the error is as large as the rate
+    at_rate = measured(theta_dot_rms=rate) | {"sine_max": np.ones(1)}
+    error = expected_errors.measurement_errors(sizes, np.array([bound]), at_rate)["theta_dot_rms"]
+    assert (error > 0).all()
+    assert (rate - error >= tolerance * (1 - 1e-9)).all()

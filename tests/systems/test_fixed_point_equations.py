@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 import sympy as sp
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 from strategies import default_points, random_fixed_points, seeds
@@ -175,13 +175,16 @@ def test_relative_drift_of_every_integral_is_small():
             assert np.isnan(scale).all() or np.nanmax(np.where(np.isnan(scale), 0, drift)) < 1e-9, name
 
 
-@given(seed=seeds, symmetric=st.booleans(), spin=st.floats(0, 30))
+@given(seed=seeds, symmetric=st.booleans(), spin=st.floats(0, 30), rotor=st.sampled_from([1.0, 30.0]))
+@example(seed=0, symmetric=False, spin=0.0, rotor=30.0)
+@example(seed=0, symmetric=True, spin=0.0, rotor=30.0)
 @settings(max_examples=25, deadline=None)
-def test_frequency_bound_is_never_below_the_motion(seed, symmetric, spin):
+def test_frequency_bound_is_never_below_the_motion(seed, symmetric, spin, rotor):
     given_values = {"m": spin}
     if symmetric:
         given_values |= {"A": 1.0, "B": 1.0, "C": 1.5, "l1": 0.0, "l2": 0.0, "x0": 0.0, "y0": 0.0}
     points = random_fixed_points(np.random.default_rng(seed), 1, **given_values)
+    points |= {name: rotor * points[name] for name in ("l1", "l2", "l3")}
     bound = initial.frequency_bound(points)[0]
     constants = initial.constants(points)[:, 0]
     states = integrate(points, 4.0, 40)[:, 0]

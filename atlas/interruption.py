@@ -82,6 +82,10 @@ def signals_as_interrupt() -> Iterator[None]:
         signal.signal(number, interrupt)
     try:
         yield
+    except Exception:  # libraries turn a KeyboardInterrupt into errors of their own
+        if timers:
+            raise KeyboardInterrupt from None
+        raise
     finally:
         for number in replaced:
             signal.signal(number, previous[number])

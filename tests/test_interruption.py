@@ -39,6 +39,21 @@ def test_a_process_that_does_not_end_is_ended(monkeypatch):
             assert ended.is_set() == expected
 
 
+def test_an_error_after_a_signal_is_an_interruption():
+    """Extension modules whose import is interrupted raise ImportError."""
+
+    def interrupted_import():
+        try:
+            signal.raise_signal(signal.SIGTERM)
+        except KeyboardInterrupt:
+            raise ImportError("initialization failed") from None
+
+    with pytest.raises(KeyboardInterrupt), signals_as_interrupt():
+        interrupted_import()
+    with pytest.raises(ImportError), signals_as_interrupt():
+        raise ImportError("no signal")
+
+
 def test_an_ignored_signal_stays_ignored():
     """As under nohup."""
     previous = signal.signal(signal.SIGINT, signal.SIG_IGN)

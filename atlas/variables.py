@@ -35,6 +35,8 @@ class Variable:
         return attributes
 
 
+# Dimension of points that come from no axes.
+POINT = "point"
 # Only in refined atlases, which are not integrated at every point.
 COMPUTED = Variable(
     "computed", "int8", "1", "where the labels come from",
@@ -50,6 +52,11 @@ _ERROR_ESTIMATE = (
     " cylinder for a part of the run"
 )
 _NO_MEANING = "nan where the third axis stays inside the cylinder: psi' and phi' have no meaning there"
+
+
+def data_variables(system: System) -> dict[str, Variable]:
+    """Every data variable that a dataset of the system may have: no coordinate can have such a name."""
+    return variables(system) | {COMPUTED.name: COMPUTED}
 
 
 def variables(system: System) -> dict[str, Variable]:

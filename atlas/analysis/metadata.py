@@ -7,9 +7,9 @@ from collections.abc import Sequence
 import xarray as xr
 
 from .. import systems
-from ..errors import BadInput
+from ..errors import MAX_TEXT, BadInput, printable, shown
 from ..scene.model import Axis, Scene
-from ..scene.read import load_scene
+from ..scene.read import parse_scene
 from ..systems.base import System
 
 
@@ -23,7 +23,9 @@ def system_of(ds: xr.Dataset) -> System:
 def scene_of(ds: xr.Dataset) -> Scene | None:
     """The scene of an atlas, None for points that come from no scene."""
     text = ds.attrs.get("atlas_scene", "")
-    return load_scene(text) if text else None
+    if not isinstance(text, str):
+        raise BadInput("not an atlas: the attribute atlas_scene is no text")
+    return parse_scene(text) if text else None
 
 
 def axes_of(scene: Scene) -> dict[str, Axis]:
@@ -38,7 +40,7 @@ def is_logarithmic(scene: Scene, dim: str) -> bool:
 
 def flag_names(array: xr.DataArray) -> list[str]:
     """Names of the values 0, 1, 2, ... of a flag variable; empty for any other variable."""
-    return str(array.attrs.get("flag_meanings", "")).split()
+    return [printable(name, MAX_TEXT) for name in str(array.attrs.get("flag_meanings", "")).split()]
 
 
 def flag_variable(ds: xr.Dataset, variable: str) -> xr.DataArray:
@@ -57,5 +59,5 @@ def flag_values(ds: xr.Dataset, variable: str, names: str | Sequence[str]) -> li
     names = [names] if isinstance(names, str) else list(names)
     for name in names:
         if name not in allowed:
-            raise BadInput(f"{variable} = {name!r}: allowed: {', '.join(allowed)}")
+            raise BadInput(f"{variable} = {shown(name)}: allowed: {', '.join(allowed)}")
     return [allowed.index(name) for name in names]

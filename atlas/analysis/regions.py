@@ -8,7 +8,7 @@ import contourpy
 import numpy as np
 import xarray as xr
 
-from ..errors import BadInput
+from ..errors import BadInput, shown
 from .chunks import chunks
 from .metadata import flag_names, flag_values, flag_variable
 from .select import plane_of
@@ -19,7 +19,7 @@ def fractions(ds: xr.Dataset, variable: str, along: str | None) -> xr.DataArray:
     array = flag_variable(ds, variable)
     names, dims = flag_names(array), [str(dim) for dim in array.dims]
     if along is not None and along not in dims:
-        raise BadInput(f"along = {along!r}: not an axis of this atlas; allowed: {', '.join(dims)}")
+        raise BadInput(f"along = {shown(along)}: not an axis of this atlas; allowed: {', '.join(dims)}")
     counts = np.zeros((1 if along is None else ds.sizes[along], len(names)), np.int64)
     for box in chunks(array.sizes, dims):
         values = array.isel(box).values

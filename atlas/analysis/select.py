@@ -8,7 +8,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 import xarray as xr
 
-from ..errors import BadInput
+from ..errors import BadInput, shown
 from .chunks import chunks
 from .metadata import flag_values
 
@@ -74,7 +74,7 @@ def nearest_on_axes(ds: xr.Dataset, values: Mapping[str, float]) -> xr.Dataset:
             )
         is_number = isinstance(value, int | float | np.number) and not isinstance(value, bool)
         if not (is_number and math.isfinite(value)):
-            raise BadInput(f"{name} = {value!r}: must be a finite number")
+            raise BadInput(f"{name} = {shown(value)}: must be a finite number")
         axis = ds[name].values
         if axis.size > 1:
             edges = cell_edges(np.sort(axis))
@@ -150,12 +150,12 @@ def _plane_dims(ds: xr.Dataset, x: str | None, y: str | None) -> tuple[list[str]
     for role, dim in (("x", x), ("y", y)):
         if dim is not None and dim not in axes:
             raise BadInput(
-                f"{role} = {dim!r}: not an axis with several values here; allowed: {', '.join(axes) or 'none'}"
+                f"{role} = {shown(dim)}: not an axis with several values here; allowed: {', '.join(axes) or 'none'}"
             )
     if not axes or set(map(str, ds.dims)) - set(axes):
         raise BadInput("this dataset has no axes to draw a map over: single points, or all axes selected")
     if x is not None and x == y:
-        raise BadInput(f"x = y = {x!r}: a map needs two axes")
+        raise BadInput(f"x = y = {shown(x)}: a map needs two axes")
     by_length = sorted((d for d in axes if d not in (x, y)), key=lambda d: -ds.sizes[d])
     n_free = (x is None) + (y is None)
     chosen, others = sorted(by_length[:n_free], key=axes.index), by_length[n_free:]
@@ -166,6 +166,6 @@ def _plane_dims(ds: xr.Dataset, x: str | None, y: str | None) -> tuple[list[str]
     for dim in others:
         if len(others) > 1 or ds.sizes[dim] > MAX_PANELS:
             raise BadInput(
-                f"{dim} has {ds.sizes[dim]} values here: choose one by select = {{{dim!r}: value}}"
+                f"{dim} has {ds.sizes[dim]} values here: choose one by select = {{{shown(dim)}: value}}"
             )
     return [d for d in (x, y) if d is not None], (others[0] if others else None)

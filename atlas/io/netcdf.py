@@ -82,11 +82,12 @@ def parameter_attributes(system: System, name: str, offset: bool) -> dict[str, s
 def _axes_of_parameter(scene: Scene, name: str) -> tuple[int, ...]:
     """Axes, by number, on which a fixed or tied parameter depends."""
     axes: set[str] = set()
-    pending = [name]
+    pending, visited = [name], {name}
     while pending:
         current = pending.pop()
         if current in scene.ties:
-            pending += scene.ties[current].names
+            pending += scene.ties[current].names - visited
+            visited |= scene.ties[current].names
         elif current in scene.axes:
             axes.add(current)
     return tuple(i for i, axis in enumerate(scene.axes) if axis in axes)

@@ -120,8 +120,7 @@ def evaluate(
     columns = _assemble(runs, integration, measured, recheck)
     for name, derived in system.derived.items():
         if outputs is not None and name in outputs:
-            execution.progress(0.0)
-            columns[name] = derived.values(base, duration)
+            columns[name] = derived.values(base, duration, lambda: execution.progress(0.0))
     return columns
 
 

@@ -11,7 +11,7 @@ import xarray as xr
 
 from .. import systems
 from ..engine.specialization import Specialization, kernel_hash
-from ..errors import BadInput
+from ..errors import BadInput, shown
 from ..io import netcdf, provenance
 from ..io.progress import Progress
 from ..io.provenance import log_warnings
@@ -120,7 +120,7 @@ def _outputs(system: System, variables: Sequence[str] | None) -> list[str]:
         return [name for name in registry if name not in system.derived]
     for name in variables:
         if name not in registry:
-            raise BadInput(f"variables: {name!r} is unknown; allowed: {', '.join(registry)}")
+            raise BadInput(f"variables: {shown(name)} is unknown; allowed: {', '.join(registry)}")
     return [name for name in registry if name in variables]
 
 
@@ -134,7 +134,7 @@ def _durations(duration: Any, size: int) -> Array:
     durations = np.broadcast_to(given, (size,)).astype(np.float64)
     bad = ~(np.isfinite(durations) & (durations > 0))
     if bad.any():
-        raise BadInput(f"duration = {durations[bad][0]!r}: must be a finite number above 0")
+        raise BadInput(f"duration = {durations[bad][0]}: must be a finite number above 0")
     return durations
 
 

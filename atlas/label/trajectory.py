@@ -14,7 +14,7 @@ from ..engine import blocks
 from ..engine.ensemble import Ensemble
 from ..engine.specialization import kernel
 from ..engine.stepsize import StepSizes
-from ..errors import BadInput
+from ..errors import BadInput, shown
 from ..scene import grid
 from ..scene.model import DEFAULTS, Duration, Scene, Settings
 from ..scene.tables import point_columns
@@ -69,9 +69,9 @@ def trajectory(
     kind = systems.get(system)
     settings = Settings(method=method, step=step, tolerance=tolerance, rate_tolerance=rate_tolerance)
     if not isinstance(samples, int) or samples < 2:
-        raise BadInput(f"samples = {samples!r}: must be a whole number, at least 2")
+        raise BadInput(f"samples = {shown(samples)}: must be a whole number, at least 2")
     if not (np.isfinite(duration) and duration > 0):
-        raise BadInput(f"duration = {duration!r}: must be a finite number above 0")
+        raise BadInput(f"duration = {shown(duration)}: must be a finite number above 0")
     points, size = point_columns(kind, point)
     if size != 1:
         raise BadInput(f"point: {size} points given; a trajectory is that of one")

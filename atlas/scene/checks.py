@@ -8,21 +8,26 @@ import re
 from collections.abc import Callable, Collection, Iterable, Mapping
 from typing import Any
 
-from ..errors import BadInput
+from ..errors import BadInput, shown
 from ..systems.base import Parameter
 from .expressions import RESERVED
+
+# Characters of a name that a scene makes up.
+MAX_NAME = 60
+# Numbers in a list of a scene.
+MAX_LISTED_NUMBERS = 200_000
 
 
 def number(key: str, value: object) -> float:
     """The value as a float, if it is a finite number."""
     if isinstance(value, bool) or not isinstance(value, int | float):
-        raise BadInput(f"{key} = {value!r}: must be a number")
+        raise BadInput(f"{key} = {shown(value)}: must be a number")
     try:
         result = float(value)
     except OverflowError:
         result = math.inf
     if not math.isfinite(result):
-        raise BadInput(f"{key} = {value!r}: must be a finite number")
+        raise BadInput(f"{key} = {shown(value)}: must be a finite number")
     return result
 
 
@@ -30,7 +35,7 @@ def positive(key: str, value: object) -> float:
     """The value as a float, if it is a finite number above 0."""
     result = number(key, value)
     if result <= 0:
-        raise BadInput(f"{key} = {value!r}: must be a finite number above 0")
+        raise BadInput(f"{key} = {shown(value)}: must be a finite number above 0")
     return result
 
 
@@ -46,43 +51,46 @@ def whole_number(key: str, value: object, low: int, high: float = math.inf) -> i
     """The value, if it is an integer (not a Boolean) from low to high."""
     if isinstance(value, bool) or not isinstance(value, int) or not low <= value <= high:
         allowed = f", at least {low}" if high == math.inf else f" from {low} to {high}"
-        raise BadInput(f"{key} = {value!r}: must be a whole number{allowed}")
+        raise BadInput(f"{key} = {shown(value)}: must be a whole number{allowed}")
     return value
 
 
 def boolean(key: str, value: object) -> bool:
     """The value, if it is true or false."""
     if not isinstance(value, bool):
-        raise BadInput(f"{key} = {value!r}: must be true or false")
+        raise BadInput(f"{key} = {shown(value)}: must be true or false")
     return value
 
 
 def text(key: str, value: object) -> str:
     """The value, if it is a string."""
     if not isinstance(value, str):
-        raise BadInput(f"{key} = {value!r}: must be a string")
+        raise BadInput(f"{key} = {shown(value)}: must be a string")
     return value
 
 
 def choice(key: str, value: object, allowed: Collection[str]) -> str:
     """The value, if it is one of the allowed strings."""
     if not isinstance(value, str) or value not in allowed:
-        raise BadInput(f"{key} = {value!r}: allowed: {', '.join(allowed)}")
+        raise BadInput(f"{key} = {shown(value)}: allowed: {', '.join(allowed)}")
     return value
 
 
 def numbers(key: str, value: object) -> list[float]:
     """The values as floats, if they are a list of at least one finite number."""
     if not isinstance(value, list) or not value:
-        raise BadInput(f"{key} = {value!r}: must be a list of at least one number")
+        raise BadInput(f"{key} = {shown(value)}: must be a list of at least one number")
+    if len(value) > MAX_LISTED_NUMBERS:
+        raise BadInput(f"{key}: {len(value)} numbers; allowed: at most {MAX_LISTED_NUMBERS}")
     return [number(key, item) for item in value]
 
 
 def identifier(key: str, name: str) -> str:
     """The name, if ties can refer to it."""
-    if not re.fullmatch(r"[A-Za-z_][A-Za-z0-9_]*", name) or name in RESERVED:
+    if not re.fullmatch(r"[A-Za-z_][A-Za-z0-9_]*", name) or len(name) > MAX_NAME or name in RESERVED:
         raise BadInput(
-            f"{key}: {name!r} cannot be used as a name; allowed: letters, digits and _, not {sorted(RESERVED)}"
+            f"{key}: {shown(name)} cannot be used as a name; allowed: letters, digits and _, at most {MAX_NAME},"
+            f" not {sorted(RESERVED)}"
         )
     return name
 
@@ -90,7 +98,7 @@ def identifier(key: str, name: str) -> str:
 def mapping(key: str, value: object) -> Mapping[str, Any]:
     """The value, if it is a table."""
     if not isinstance(value, Mapping):
-        raise BadInput(f"{key} = {value!r}: must be a table, [{key}]")
+        raise BadInput(f"{key} = {shown(value)}: must be a table, [{key}]")
     return value
 
 
@@ -128,6 +136,9 @@ def interval(key: str, table: Mapping[str, Any]) -> tuple[float, float, str]:
     spacing = choice(f"{key}.spacing", table.get("spacing", "linear"), SPACINGS)
     if spacing == "log" and not (first > 0 and last > 0):
         raise BadInput(f"{key}.spacing = 'log': from and to must be above 0, found {first:g} and {last:g}")
+    extent = last / first if spacing == "log" else last - first
+    if not (math.isfinite(extent) and (extent or first == last)):
+        raise BadInput(f"{key}: from = {first:g} and to = {last:g} are too far apart")
     return first, last, spacing
 
 

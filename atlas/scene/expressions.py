@@ -5,6 +5,7 @@ from __future__ import annotations
 import ast
 import math
 import operator
+import warnings
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from graphlib import CycleError, TopologicalSorter
@@ -12,10 +13,11 @@ from typing import Any
 
 import numpy as np
 
-from ..errors import BadInput
+from ..errors import BadInput, shown
 from ..systems.base import Array
 
 MAX_LENGTH = 500  # characters
+MAX_DEPTH = 50  # of parts within parts
 _BINARY: dict[type[ast.operator], Callable[..., Any]] = {
     ast.Add: operator.add,
     ast.Sub: operator.sub,
@@ -67,9 +69,12 @@ class Expression:
         if len(text) > MAX_LENGTH:
             raise BadInput(f"{key}: the expression has {len(text)} characters; allowed: at most {MAX_LENGTH}")
         try:
-            self._tree = ast.parse(text.strip(), mode="eval").body
-        except (SyntaxError, ValueError, RecursionError, MemoryError):
-            raise BadInput(f"{key} = {text!r}: not an expression; {_ALLOWED}") from None
+            with warnings.catch_warnings():
+                warnings.simplefilter("error")  # of what is hardly Python, such as 1if
+                self._tree = ast.parse(text.strip(), mode="eval").body
+        except (SyntaxError, ValueError, RecursionError, MemoryError, Warning):
+            raise BadInput(f"{key} = {shown(text)}: not an expression; {_ALLOWED}") from None
+        self._check_depth()
         self.names = frozenset(self._names_in(self._tree))
 
     def value(self, values: Mapping[str, Array]) -> Array:
@@ -88,6 +93,14 @@ class Expression:
         with np.errstate(all="ignore"):
             return self._evaluate(self._tree, values)
 
+    def _check_depth(self) -> None:
+        """Raise BadInput for an expression that is nested more deeply than MAX_DEPTH."""
+        parts: list[ast.AST] = [self._tree]
+        for _ in range(MAX_DEPTH):
+            parts = [child for part in parts for child in ast.iter_child_nodes(part)]
+        if parts:
+            raise BadInput(f"{self.key} = {shown(self.text)}: nested more than {MAX_DEPTH} deep")
+
     def _names_in(self, node: ast.expr) -> set[str]:
         """Names in a part of the expression; BadInput if the part is not arithmetic."""
         match node:
@@ -101,7 +114,9 @@ class Expression:
                 return self._names_in(operand)
             case ast.Call(func=ast.Name(id=name), args=[argument], keywords=[]) if name in FUNCTIONS:
                 return self._names_in(argument)
-        raise BadInput(f"{self.key} = {self.text!r}: {ast.unparse(node)!r} is not arithmetic; {_ALLOWED}")
+        raise BadInput(
+            f"{self.key} = {shown(self.text)}: {shown(ast.unparse(node))} is not arithmetic; {_ALLOWED}"
+        )
 
     def _evaluate(self, node: ast.expr, values: Mapping[str, Array]) -> Array:
         """Value of a part of the expression."""
@@ -155,12 +170,14 @@ def evaluation_order(ties: Mapping[str, Tie], known: set[str]) -> list[str]:
     """
     for tie in ties.values():
         for name in sorted(tie.names - known - set(ties)):
-            raise BadInput(f"{tie.key} = {tie.text!r}: {name!r} is neither a parameter, an axis nor a tie")
+            raise BadInput(
+                f"{tie.key} = {shown(tie.text)}: {shown(name)} is neither a parameter, an axis nor a tie"
+            )
     sorter = TopologicalSorter({name: sorted(tie.names & set(ties)) for name, tie in ties.items()})
     try:
         sorter.prepare()
     except CycleError as error:
-        circle = ", ".join(f"{name} = {ties[name].text!r}" for name in error.args[1][:-1])
+        circle = ", ".join(f"{name} = {shown(ties[name].text)}" for name in error.args[1][:-1])
         raise BadInput(f"ties refer to each other in a circle: {circle}") from None
     order: list[str] = []
     while sorter.is_active():

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ..errors import BadInput
+from ..errors import BadInput, shown
 from ..systems.base import Array, Family, Mask, Points, System, on_family, shape_of
 from .checks import check_range
 from .model import Duration, Scene
@@ -80,14 +80,16 @@ def parameter_values(scene: Scene, indices: np.ndarray) -> dict[str, Array]:
     values |= {name: np.full(indices.shape, value) for name, value in scene.fixed.items()}
     for axis, index in zip(scene.axes.values(), np.unravel_index(indices, scene.shape), strict=True):
         if not axis.offset_from_family:
-            values[axis.name] = np.asarray(axis.values)[index]
+            values[axis.name] = axis.values[index]
     for name, tie in scene.ties.items():
         value = np.broadcast_to(tie.value(values), indices.shape).astype(np.float64)
         finite = np.isfinite(value)
         if not finite.all():
-            raise BadInput(f"{tie.key} = {tie.text!r}: gives {value[~finite][0]} at some point of the grid")
+            raise BadInput(
+                f"{tie.key} = {shown(tie.text)}: gives {value[~finite][0]} at some point of the grid"
+            )
         if name in parameters:
-            check_range(parameters[name], f"{tie.key} = {tie.text!r}", value.min(), value.max())
+            check_range(parameters[name], f"{tie.key} = {shown(tie.text)}", value.min(), value.max())
         values[name] = value
     return values
 
@@ -126,7 +128,7 @@ def points_at_indices(scene: Scene, indices: np.ndarray) -> Grid:
             exists &= np.isfinite(base[name])
         for axis, index in zip(scene.axes.values(), np.unravel_index(indices, scene.shape), strict=True):
             if axis.offset_from_family:
-                base[axis.name] = base[axis.name] + np.asarray(axis.values)[index]
+                base[axis.name] = base[axis.name] + axis.values[index]
         if exists.any():
             system.check({name: column[exists] for name, column in base.items()})
     start = system.as_euler_angles(base) if scene.nudges_angles else base
@@ -157,7 +159,7 @@ def points_at(scene: Scene, places: Mapping[str, np.ndarray]) -> Grid:
     axes, indices = {}, []
     for name, axis in scene.axes.items():
         values, index = np.unique(places[name], return_inverse=True)
-        axes[name] = replace(axis, values=tuple(values.tolist()))
+        axes[name] = replace(axis, values=values)
         indices.append(index)
     scene = replace(scene, axes=axes)
     return points_at_indices(scene, np.ravel_multi_index(tuple(indices), scene.shape))
@@ -177,7 +179,7 @@ def durations(system: System, duration: Duration, points: Points) -> Array:
     at_rest = ~(rate > 0)
     if at_rest.any():
         raise BadInput(
-            f"integration.duration = {str(duration)!r}: {names} = 0 at {at_rest.sum()} points, which never turn"
+            f"integration.duration = {shown(str(duration))}: {names} = 0 at {at_rest.sum()} points, which never turn"
         )
     return duration.amount * 2 * np.pi / rate
 
@@ -207,11 +209,11 @@ def check(scene: Scene) -> Grid:
     grid = points_at_indices(scene, indices)
     if scene.family is not None:
         _check_family(scene, indices, grid.exists)
-    on_grid = grid.subset(grid.exists).base
+    on_grid = grid.subset(grid.exists)
     for name, derived in scene.system.derived.items():
         if name in scene.outputs:
             try:
-                derived.check(on_grid)
+                derived.check(on_grid.base, on_grid.duration)
             except BadInput as error:
                 raise BadInput(f"outputs.variables: {name}: {error}") from None
     return grid
@@ -252,7 +254,7 @@ def _check_family(scene: Scene, indices: np.ndarray, exists: Mask) -> None:
                 raise BadInput(_no_value_text(family, name, tried))
         if not exists.any():
             raise BadInput(
-                f"family.name = {family.name!r}: {_failure_text(family, solved)} at the nearest point of the scene"
+                f"family.name = {shown(family.name)}: {_failure_text(family, solved)} at the nearest point of the scene"
             )
 
 
@@ -268,7 +270,7 @@ def _check_not_free(family: Family, name: str, points: Points) -> None:
     """Raise BadInput if the points, which differ in one parameter, are all on the family."""
     if (on_family(family, points) < ON_FAMILY).all():
         raise BadInput(
-            f"family.solve = {name!r}: the family {family.name} leaves it free here, every value is one;"
+            f"family.solve = {shown(name)}: the family {family.name} leaves it free here, every value is one;"
             " give it in [fixed], [axes] or [ties]"
         )
 
@@ -278,7 +280,7 @@ def _no_value_text(family: Family, name: str, points: Points) -> str:
     best = points[name].flat[np.argmin(on_family(family, points))]
     limits = f"; its limits: {family.exists}" if family.exists else ""
     return (
-        f"family.name = {family.name!r}: no {name} puts any point of the scene on it;"
+        f"family.name = {shown(family.name)}: no {name} puts any point of the scene on it;"
         f" {_failure_text(family, points)} at {name} = {best:g}, the best of some values tried{limits}"
     )
 

@@ -11,12 +11,15 @@ from typing import Any
 import tomli_w
 
 from ..engine.tableaux import METHODS
-from ..systems.base import System
+from ..errors import MAX_TEXT, printable
+from ..systems.base import Array, System
 from . import checks
 from .checks import checked
 from .expressions import PointColumn, Tie
 
 SCHEMA = 1
+# More steps than a processor can take in an hour.
+MAX_STEPS = 10**12
 DURATION_UNITS = ("orbits", "turns")
 HALF_STEP = ("none", "sample", "all")
 MAX_REFINEMENT_LEVELS = 8
@@ -73,7 +76,7 @@ class Settings:
     method: str = checked(partial(checks.choice, allowed=METHODS), "rk4", "integration")
     tolerance: float = checked(checks.positive, 1e-8, "integration")
     step: float | None = checked(checks.positive, None, "integration")
-    max_steps: int = checked(partial(checks.whole_number, low=1), 100_000_000, "integration")
+    max_steps: int = checked(partial(checks.whole_number, low=1, high=MAX_STEPS), 100_000_000, "integration")
     rate_tolerance: float = checked(checks.positive, 1e-5, "labels")
     cylinder_tolerance: float | None = checked(checks.positive, None, "labels")
     drift_tolerance: float = checked(checks.positive, 1e-5, "labels")
@@ -98,7 +101,7 @@ class Settings:
 DEFAULTS = Settings()
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Axis:
     """One dimension of the atlas.
 
@@ -106,8 +109,8 @@ class Axis:
     ----------
     name : str
         A parameter, or a name that ties refer to.
-    values : tuple of float
-        Values along the axis, all different.
+    values : ndarray
+        Values along the axis, all different; float64 of shape (count,).
     offset_from_family : bool
         The values are distances from what the family's formula gives.
     long_name, units : str
@@ -117,11 +120,11 @@ class Axis:
     """
 
     name: str
-    values: tuple[float, ...]
+    values: Array
     offset_from_family: bool = False
     long_name: str = ""
     units: str = ""
-    table: Mapping[str, Any] = field(default_factory=dict, compare=False)
+    table: Mapping[str, Any] = field(default_factory=dict)
 
     @property
     def dim(self) -> str:
@@ -303,14 +306,19 @@ class Scene:
 
     def __repr__(self) -> str:
         settings = self.settings
-        lines = [f"{self.title}: {self.size} points of the {self.system.name}", *map(str, self.axes.values())]
+        lines = [
+            f"{printable(self.title, MAX_TEXT)}: {self.size} points of the {self.system.name}",
+            *map(str, self.axes.values()),
+        ]
         for title, values in (("fixed", self.fixed), ("nudge", self.nudge)):
             if values:
                 lines.append(
                     f"{title}: " + ", ".join(f"{name} = {value:g}" for name, value in values.items())
                 )
         if self.ties:
-            lines.append("ties: " + ", ".join(f"{name} = {tie.text}" for name, tie in self.ties.items()))
+            lines.append(
+                "ties: " + ", ".join(f"{name} = {printable(tie.text)}" for name, tie in self.ties.items())
+            )
         if self.family is not None:
             lines.append(f"family: {self.family}, solved for {', '.join(self.solve) or 'nothing'}")
         accuracy = f"tolerance {settings.tolerance:g}" if settings.step is None else f"step {settings.step:g}"

@@ -11,16 +11,19 @@ from typing import Any
 
 import numpy as np
 
-from ..errors import BadInput
+from ..errors import BadInput, shown
 from ..systems.base import Array, System
 from . import checks, tables
 from .checks import checked
 from .expressions import PointColumn
 
 SAMPLES = ("latin_hypercube", "sobol")
-MAX_SAMPLED_POINTS = 10**7
-# Numbers of a points file that a scene takes up: they stand in the text of the resolved scene.
-MAX_LISTED_NUMBERS = 200_000
+# Points of a sample, and its numbers: points times ranges.
+MAX_SAMPLED_POINTS = MAX_SAMPLED_NUMBERS = 10**7
+# Names that get values from a table or file of points.
+MAX_COLUMNS = 100
+# Bytes of a file of points, when read.
+MAX_FILE_BYTES = 50_000_000
 
 
 @dataclass(frozen=True)
@@ -42,11 +45,11 @@ class Sample:
     sample: str = checked(partial(checks.choice, allowed=SAMPLES))
     count: int = checked(partial(checks.whole_number, low=1, high=MAX_SAMPLED_POINTS))
     ranges: Mapping[str, Any] = checked(checks.mapping)
-    seed: int = checked(partial(checks.whole_number, low=0), 0)
+    seed: int = checked(partial(checks.whole_number, low=0, high=2**63 - 1), 0)
 
 
 def read_points(
-    system: System, table: Mapping[str, Any], ties: Mapping[str, Any], folder: Path
+    system: System, table: Mapping[str, Any], ties: Mapping[str, Any], folder: Path | None
 ) -> tuple[dict[str, Any], dict[str, PointColumn]]:
     """The table [points] as the resolved scene holds it, and the columns of the points by name.
 
@@ -58,8 +61,8 @@ def read_points(
         The table [points] as TOML gives it.
     ties : mapping
         The table [ties]; a NetCDF file's coordinate is a column if a tie refers to it.
-    folder : Path
-        Folder of the scene, from which the path of a points file starts.
+    folder : Path or None
+        Folder of the scene, from which the path of a points file starts; None: no file is read.
 
     Raises
     ------
@@ -84,9 +87,15 @@ def read_points(
             for name, column in checks.mapping("points.values", table["values"]).items()
         }
     else:
-        words = {word for text in ties.values() for word in re.findall(r"\w+", str(text))}
+        if folder is None:
+            raise BadInput(
+                "points.file: only a scene file may name one; the scene of an atlas has points.values"
+            )
+        texts = [text for text in ties.values() if isinstance(text, str)]
+        words = {word for text in texts for word in re.findall(r"\w+", text)}
         path = folder / checks.text("points.file", table["file"])
-        values = tables.read(path, {*system.parameters, *words})
+        values = tables.read(path, {*system.parameters, *words}, MAX_FILE_BYTES)
+    _check_columns(values)
     columns = {name: _listed_column(system, name, column) for name, column in values.items()}
     _check_sizes({name: column.column.size for name, column in columns.items()})
     return {"values": {name: column.column.tolist() for name, column in columns.items()}}, columns
@@ -125,6 +134,12 @@ def _sampled_columns(system: System, sample: Sample) -> dict[str, PointColumn]:
         raise BadInput(
             "points.ranges: a sample needs at least one [points.ranges.NAME] table with from and to"
         )
+    _check_columns(sample.ranges)
+    if sample.count * len(sample.ranges) > MAX_SAMPLED_NUMBERS:
+        raise BadInput(
+            f"points: {sample.count} points of {len(sample.ranges)} ranges; allowed: at most"
+            f" {MAX_SAMPLED_NUMBERS} numbers in all"
+        )
     unit_cube = quasi_random(sample.sample, len(sample.ranges), sample.count, sample.seed)
     return {
         name: _stretched_column(system, name, table, fraction)
@@ -136,7 +151,7 @@ def _stretched_column(system: System, name: str, table: object, fraction: Array)
     """Numbers in [0, 1) stretched over the range of one name."""
     key = f"points.ranges.{checks.identifier('points.ranges', name)}"
     if not isinstance(table, Mapping):
-        raise BadInput(f"{key} = {table!r}: must be a table with from and to")
+        raise BadInput(f"{key} = {shown(table)}: must be a table with from and to")
     checks.check_keys(table, f"{key}.", ("from", "to", "spacing"))
     checks.check_given(key, table, ("from", "to"), "a range needs from and to")
     first, last, spacing = checks.interval(key, table)
@@ -166,6 +181,12 @@ def _listed_column(system: System, name: str, values: Any) -> PointColumn:
     return PointColumn(key, column)
 
 
+def _check_columns(columns: Mapping[str, Any]) -> None:
+    """Raise BadInput for more columns than a scene may have."""
+    if len(columns) > MAX_COLUMNS:
+        raise BadInput(f"points: {len(columns)} names; allowed: at most {MAX_COLUMNS}")
+
+
 def _check_sizes(sizes: Mapping[str, int]) -> None:
     """Raise BadInput unless there are columns, of one length, and not too many numbers."""
     if not sizes:
@@ -173,8 +194,8 @@ def _check_sizes(sizes: Mapping[str, int]) -> None:
     if len(set(sizes.values())) > 1:
         lengths = ", ".join(f"{name}: {size}" for name, size in sizes.items())
         raise BadInput(f"points: columns of different lengths ({lengths})")
-    if sum(sizes.values()) > MAX_LISTED_NUMBERS:
+    if sum(sizes.values()) > checks.MAX_LISTED_NUMBERS:
         raise BadInput(
-            f"points: {sum(sizes.values())} numbers; a scene takes at most {MAX_LISTED_NUMBERS};"
+            f"points: {sum(sizes.values())} numbers; a scene takes at most {checks.MAX_LISTED_NUMBERS};"
             " label more with atlas points or atlas.label_points"
         )

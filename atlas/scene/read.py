@@ -12,19 +12,29 @@ from typing import Any
 import numpy as np
 
 from .. import systems
-from ..errors import BadInput
+from ..errors import BadInput, shown
 from ..files import read_text
-from ..systems.base import System
-from ..variables import variables
+from ..systems.base import Array, System
+from ..variables import POINT, data_variables, variables
 from . import checks
 from .expressions import Expression, PointColumn, Tie, evaluation_order
 from .model import DURATION_UNITS, SCHEMA, Axis, Duration, Refine, Scene, Settings, optional_start_values
 from .points import read_points
 
-MAX_POINTS = 10**12
-MAX_AXIS_COUNT = 10**8
-# Points of the fine grid of a refined scene, which is held in memory.
+# Whatever a scene contains, it is read and checked within a few seconds and 500 MB. These limits see to it: they hold
+# before anything of that size is made.
+MAX_CHARACTERS = 6_000_000  # of the text
+MAX_TABLES = 2000
+MAX_JOINED_NAMES = 16  # as in a.b.c
+MAX_NAMES = 200  # that get values
+MAX_TIE_CHARACTERS = 10_000  # of all ties together
+MAX_AXES = 32
+MAX_AXIS_COUNT = 10**7
+MAX_POINTS = 10**11
+# Points of the fine grid of a refined scene, which is held in memory when it runs.
 MAX_REFINED_POINTS = 2 * 10**8
+_KEY = r"""(?:[\w-]++|"(?:[^"\\\n]|\\.)*+"|'[^'\n]*+')"""
+_JOINED_KEYS = re.compile(rf"(?<![\w-]){_KEY}(?:[ \t]*+\.[ \t]*+{_KEY}){{{MAX_JOINED_NAMES}}}")
 TABLES = ("fixed", "axes", "points", "ties", "family", "nudge", "integration", "labels", "refine", "outputs")
 KEYS = ("schema", "title", "system", *TABLES)
 
@@ -48,20 +58,47 @@ def load_scene(source: str | Path) -> Scene:
         With one line that names the key, its value and what is allowed.
     """
     if isinstance(source, str) and "\n" in source:
-        text, name, folder = source, "scene", Path()
-    else:
-        path = Path(source)
-        text, name, folder = read_text(path), path.stem, path.parent
+        return parse_scene(source, folder=Path())
+    path = Path(source)
+    return parse_scene(read_text(path), path.stem, path.parent)
+
+
+def parse_scene(text: str, name: str = "scene", folder: Path | None = None) -> Scene:
+    """Check the text of a scene.
+
+    Parameters
+    ----------
+    text : str
+        The scene as TOML.
+    name : str
+        Title of a scene that gives none.
+    folder : Path, optional
+        Folder from which the path of a points file starts. By default no file is read: the scene that an atlas
+        contains has its points in it, and such a text may come from anyone.
+
+    Returns
+    -------
+    Scene
+        The scene, with every default filled in.
+
+    Raises
+    ------
+    BadInput
+        With one line that names the key, its value and what is allowed.
+    """
+    _check_text(text, name)
     try:
         table = tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:
         raise BadInput(f"{name}: not valid TOML: {error}") from None
     except RecursionError:
         raise BadInput(f"{name}: not valid TOML: nested too deeply") from None
+    except ValueError:
+        raise BadInput(f"{name}: a number has more digits than can be read") from None
     return scene_from(table, name, folder)
 
 
-def scene_from(table: Mapping[str, Any], name: str = "scene", folder: Path = Path()) -> Scene:
+def scene_from(table: Mapping[str, Any], name: str = "scene", folder: Path | None = Path()) -> Scene:
     """Check a parsed scene.
 
     Parameters
@@ -70,8 +107,8 @@ def scene_from(table: Mapping[str, Any], name: str = "scene", folder: Path = Pat
         The scene as TOML gives it.
     name : str
         Title of a scene that gives none.
-    folder : Path
-        Folder from which the path of a points file starts.
+    folder : Path or None
+        Folder from which the path of a points file starts; None: no such file is read.
 
     Returns
     -------
@@ -85,23 +122,23 @@ def scene_from(table: Mapping[str, Any], name: str = "scene", folder: Path = Pat
     """
     _check_keys(table)
     section = {key: checks.mapping(key, table.get(key, {})) for key in TABLES}
+    _check_number_of_names(len(section["fixed"]) + len(section["axes"]) + len(section["ties"]))
     system = systems.get(checks.text("system", table["system"]))
     title = checks.text("title", table.get("title", name))
     fixed = {key: _fixed_value(system, key, value) for key, value in section["fixed"].items()}
     refine = Refine(**checks.from_table(Refine, section["refine"], "refine")) if "refine" in table else None
-    levels = 0 if refine is None else refine.levels
-    axes = {key: _axis(system, key, value, levels) for key, value in section["axes"].items()}
+    axes = _axes(system, section["axes"], refine)
     points: Mapping[str, Any] | None = None
     columns: dict[str, PointColumn] = {}
     if "points" in table:
         points, columns = read_points(system, section["points"], section["ties"], folder)
         count = next(iter(columns.values())).column.size
-        axes["point"] = Axis("point", tuple(map(float, range(count))), long_name="number of the point")
+        axes[POINT] = Axis(POINT, np.arange(count, dtype=np.float64), long_name="number of the point")
     if not axes:
         raise BadInput("axes: a scene needs at least one [axes.NAME] table")
-    if refine is not None:
-        _check_refined_size(axes)
     expressions = {key: _expression(key, value) for key, value in section["ties"].items()}
+    if (length := sum(len(tie.text) for tie in expressions.values())) > MAX_TIE_CHARACTERS:
+        raise BadInput(f"ties: {length} characters in all; allowed: at most {MAX_TIE_CHARACTERS}")
     family, solve = _family(system, section["family"]) if "family" in table else (None, ())
     ties: dict[str, Tie] = expressions | columns
     names: dict[str, Iterable[str]] = {
@@ -115,7 +152,7 @@ def scene_from(table: Mapping[str, Any], name: str = "scene", folder: Path = Pat
     _check_solved(axes, expressions, solve)
     order = evaluation_order(ties, {*system.parameters, *fixed, *axes} - set(solve))
     duration, settings = _integration(system, section["integration"], section["labels"])
-    scene = Scene(
+    return Scene(
         title=title,
         system=system,
         fixed=fixed,
@@ -130,9 +167,23 @@ def scene_from(table: Mapping[str, Any], name: str = "scene", folder: Path = Pat
         refine=refine,
         points=points,
     )
-    if scene.size > MAX_POINTS:
-        raise BadInput(f"axes: {scene.size:.3g} points in all; allowed: at most {MAX_POINTS:.0e}")
-    return scene
+
+
+def _check_text(text: str, name: str) -> None:
+    """Raise BadInput for a text that would take long to parse: far longer than any scene, or with far more tables."""
+    if len(text) > MAX_CHARACTERS:
+        raise BadInput(f"{name}: {len(text)} characters; allowed: at most {MAX_CHARACTERS}")
+    tables = text.count("{") + len(re.findall(r"^[ \t]*+\[", text, re.MULTILINE))
+    if tables > MAX_TABLES:
+        raise BadInput(f"{name}: {tables} tables; allowed: at most {MAX_TABLES}")
+    if _JOINED_KEYS.search(text):
+        raise BadInput(f"{name}: more than {MAX_JOINED_NAMES} names joined by points")
+
+
+def _check_number_of_names(count: int) -> None:
+    """Raise BadInput for more names than a scene may give values to."""
+    if count > MAX_NAMES:
+        raise BadInput(f"{count} names are given values; allowed: at most {MAX_NAMES}")
 
 
 def _check_keys(table: Mapping[str, Any]) -> None:
@@ -145,7 +196,7 @@ def _check_keys(table: Mapping[str, Any]) -> None:
         if key in table and "points" in table:
             raise BadInput(f"points and {key} are both given; a scene has one of them")
     if table["schema"] != SCHEMA or isinstance(table["schema"], bool):
-        raise BadInput(f"schema = {table['schema']!r}: allowed: {SCHEMA}")
+        raise BadInput(f"schema = {shown(table['schema'])}: allowed: {SCHEMA}")
 
 
 def _fixed_value(system: System, name: str, value: object) -> float:
@@ -159,52 +210,78 @@ def _fixed_value(system: System, name: str, value: object) -> float:
     return number
 
 
-def _axis(system: System, name: str, table: object, levels: int) -> Axis:
-    """Axis of a table [axes.NAME], whose spacing [refine] halves `levels` times."""
+_SPACED = ("from", "to", "count", "spacing")
+
+
+def _axes(system: System, tables: Mapping[str, Any], refine: Refine | None) -> dict[str, Axis]:
+    """Axes of the table [axes]; their sizes are checked before their values are made."""
+    if len(tables) > MAX_AXES:
+        raise BadInput(f"axes: {len(tables)} of them; allowed: at most {MAX_AXES}")
+    if POINT in tables:
+        raise BadInput(f"axes.{POINT}: this is the dimension of scenes with [points]; choose another name")
+    levels = 0 if refine is None else refine.levels
+    counts = {name: _axis_count(name, table, levels) for name, table in tables.items()}
+    size = math.prod(counts.values())
+    if size > MAX_POINTS:
+        raise BadInput(f"axes: {size:.3g} points in all; allowed: at most {MAX_POINTS:.0e}")
+    if refine is not None:
+        if not any(table.get("count", 1) > 1 for table in tables.values()):
+            raise BadInput(
+                "refine: no axis has from, to and a count above 1, so that there is nothing to refine"
+            )
+        if size > MAX_REFINED_POINTS:
+            raise BadInput(
+                f"refine: {size:.3g} points on the finest grid; allowed: at most {MAX_REFINED_POINTS:.0e}"
+            )
+    return {name: _axis(system, name, table, counts[name]) for name, table in tables.items()}
+
+
+def _axis_count(name: str, table: object, levels: int) -> int:
+    """Number of values of a table [axes.NAME], whose spacing [refine] halves `levels` times."""
     key = f"axes.{name}"
     checks.identifier(key, name)
     if not isinstance(table, Mapping):
-        raise BadInput(f"{key} = {table!r}: must be a table with from, to and count, or values")
-    spaced = ("from", "to", "count", "spacing")
-    checks.check_keys(table, f"{key}.", (*spaced, "values", "offset_from_family", "long_name", "units"))
+        raise BadInput(f"{key} = {shown(table)}: must be a table with from, to and count, or values")
+    checks.check_keys(table, f"{key}.", (*_SPACED, "values", "offset_from_family", "long_name", "units"))
     if "values" in table:
-        for other in spaced:
+        for other in _SPACED:
             if other in table:
                 raise BadInput(f"{key}.{other}: not together with values")
-        values = checks.numbers(f"{key}.values", table["values"])
+        return len(checks.numbers(f"{key}.values", table["values"]))
+    checks.check_given(key, table, ("from", "to", "count"), "an axis needs from, to and count, or values")
+    count = checks.whole_number(f"{key}.count", table["count"], 1, MAX_AXIS_COUNT)
+    fine_count = (count - 1) * 2**levels + 1
+    if fine_count > MAX_AXIS_COUNT:
+        raise BadInput(f"{key}.count = {count}: too many for {levels} levels of [refine]")
+    return fine_count
+
+
+def _axis(system: System, name: str, table: Mapping[str, Any], count: int) -> Axis:
+    """Axis of a table [axes.NAME] with `count` values."""
+    key = f"axes.{name}"
+    if "values" in table:
+        values = np.array(checks.numbers(f"{key}.values", table["values"]))
+        distinct = np.unique(values).size == count
     else:
-        values = _spaced_values(key, table, levels)
-    if len(set(values)) < len(values):
+        values = _spaced_values(key, table, count)
+        distinct = bool((values[1:] != values[:-1]).all())
+    if not distinct:
         raise BadInput(f"{key}.values: some values occur twice; an axis needs distinct values")
     offset = checks.boolean(f"{key}.offset_from_family", table.get("offset_from_family", False))
     if name in system.parameters and not offset:
-        checks.check_range(system.parameters[name], key, min(values), max(values))
+        checks.check_range(system.parameters[name], key, values.min(), values.max())
     long_name, units = (checks.text(f"{key}.{k}", table.get(k, "")) for k in ("long_name", "units"))
-    return Axis(name, tuple(values), offset, long_name, units, table)
+    values.flags.writeable = False
+    return Axis(name, values, offset, long_name, units, table)
 
 
-def _spaced_values(key: str, table: Mapping[str, Any], levels: int) -> list[float]:
-    """Values of an axis with from, to and count, whose spacing is halved `levels` times."""
-    checks.check_given(key, table, ("from", "to", "count"), "an axis needs from, to and count, or values")
+def _spaced_values(key: str, table: Mapping[str, Any], count: int) -> Array:
+    """`count` evenly spaced values from the number `from` to the number `to`."""
     first, last, spacing = checks.interval(key, table)
-    count = checks.whole_number(f"{key}.count", table["count"], 1, MAX_AXIS_COUNT)
-    fine_count = (count - 1) * 2**levels + 1
-    if fine_count > MAX_REFINED_POINTS:
-        raise BadInput(f"{key}.count = {count}: too many for {levels} levels of [refine]")
     if count > 1 and first == last:
         raise BadInput(f"{key}: from = to = {first:g} with count = {count}; an axis needs distinct values")
-    return (np.linspace if spacing == "linear" else np.geomspace)(first, last, fine_count).tolist()
-
-
-def _check_refined_size(axes: Mapping[str, Axis]) -> None:
-    """Raise BadInput if no axis can be refined, or the finest grid does not fit into memory."""
-    if not any(axis.can_be_refined for axis in axes.values()):
-        raise BadInput("refine: no axis has from, to and a count above 1, so that there is nothing to refine")
-    size = math.prod(len(axis.values) for axis in axes.values())
-    if size > MAX_REFINED_POINTS:
-        raise BadInput(
-            f"refine: {size:.3g} points on the finest grid; allowed: at most {MAX_REFINED_POINTS:.0e}"
-        )
+    with np.errstate(all="ignore"):  # near the largest number the logarithm of `to` may round up
+        return np.asarray((np.linspace if spacing == "linear" else np.geomspace)(first, last, count))
 
 
 def _expression(name: str, value: object) -> Expression:
@@ -212,7 +289,7 @@ def _expression(name: str, value: object) -> Expression:
     key = f"ties.{name}"
     checks.identifier(key, name)
     if not isinstance(value, str):
-        raise BadInput(f'{key} = {value!r}: must be a string of arithmetic, such as "sigma * A"')
+        raise BadInput(f'{key} = {shown(value)}: must be a string of arithmetic, such as "sigma * A"')
     return Expression(key, value)
 
 
@@ -223,24 +300,24 @@ def _family(system: System, table: Mapping[str, Any]) -> tuple[str, tuple[str, .
         raise BadInput(f"family.name is missing; allowed: {', '.join(system.families)}")
     name = checks.text("family.name", table["name"])
     if name not in system.families:
-        raise BadInput(f"family.name = {name!r}: unknown family; allowed: {', '.join(system.families)}")
+        raise BadInput(f"family.name = {shown(name)}: unknown family; allowed: {', '.join(system.families)}")
     family = system.families[name]
     solve = table.get("solve", [])
     if not isinstance(solve, list) or not all(isinstance(parameter, str) for parameter in solve):
-        raise BadInput(f"family.solve = {solve!r}: must be a list of parameter names")
+        raise BadInput(f"family.solve = {shown(solve)}: must be a list of parameter names")
     for parameter in solve:
         if parameter in family.free:
             raise BadInput(
-                f"family.solve = {parameter!r}: the family {name} leaves it free, every value is one;"
+                f"family.solve = {shown(parameter)}: the family {name} leaves it free, every value is one;"
                 " give it in [fixed], [axes] or [ties]"
             )
         if parameter not in family.solve:
             raise BadInput(
-                f"family.solve = {parameter!r}: the family {name} cannot be solved for it;"
+                f"family.solve = {shown(parameter)}: the family {name} cannot be solved for it;"
                 f" allowed: {', '.join(family.solve) or 'nothing'}"
             )
     if len(set(solve)) < len(solve):
-        raise BadInput(f"family.solve = {solve!r}: a parameter is named twice")
+        raise BadInput(f"family.solve = {shown(solve)}: a parameter is named twice")
     return name, tuple(parameter for parameter in family.solve if parameter in solve)
 
 
@@ -259,6 +336,7 @@ def _check_names(
         is_offset = where == ["axes", "solve"] and axes[name].offset_from_family
         if len(where) > 1 and not is_offset:
             raise BadInput(f"{name} is given in {' and in '.join(where)}: a name has one value")
+    _check_dataset_names(system, sections, axes)
     used = {name for tie in ties.values() for name in tie.names}
     for name, where in sections.items():
         if name not in system.parameters and name not in used:
@@ -268,6 +346,29 @@ def _check_names(
             )
 
 
+def _check_dataset_names(system: System, sections: Mapping[str, list[str]], axes: Mapping[str, Axis]) -> None:
+    """Raise BadInput for a name that the dataset of the scene would have twice: as variable, parameter or dimension.
+
+    sections: name -> sections that give it.
+    """
+    variables_of_file = data_variables(system)
+    for name, where in sections.items():
+        if name in variables_of_file:
+            raise BadInput(f"{where[0]}.{name}: an atlas has a variable of this name; choose another name")
+    dims: dict[str, str] = {}
+    for key, axis in axes.items():
+        if axis.dim != key and axis.dim in {*system.parameters, *variables_of_file}:
+            raise BadInput(
+                f"axes.{key}: its dimension would be {axis.dim}, which is a parameter or variable of the {system.name}"
+            )
+        if axis.dim in dims:
+            raise BadInput(
+                f"axes.{dims[axis.dim]} and axes.{key} would both be the dimension {axis.dim} of the atlas;"
+                f" choose another name for axes.{axis.dim}"
+            )
+        dims[axis.dim] = key
+
+
 def _check_solved(
     axes: Mapping[str, Axis], expressions: Mapping[str, Expression], solve: tuple[str, ...]
 ) -> None:
@@ -275,7 +376,7 @@ def _check_solved(
     for name, expression in expressions.items():
         for solved in sorted(expression.names & set(solve)):
             raise BadInput(
-                f"ties.{name} = {expression.text!r}: {solved} is only known once [family] has solved it"
+                f"ties.{name} = {shown(expression.text)}: {solved} is only known once [family] has solved it"
             )
     for name, axis in axes.items():
         if axis.offset_from_family and name not in solve:
@@ -313,7 +414,7 @@ def _integration(
     duration = _duration(integration["duration"]) if "duration" in integration else Duration()
     if duration.unit == "orbits" and system.frame_rate is None:
         raise BadInput(
-            f"integration.duration = {str(duration)!r}: the {system.name} has no orbit; use time units or turns"
+            f"integration.duration = {shown(str(duration))}: the {system.name} has no orbit; use time units or turns"
         )
     return duration, Settings(**values)
 
@@ -325,13 +426,13 @@ def _duration(value: object) -> Duration:
         return Duration(checks.positive(key, value))
     match = re.fullmatch(r"\s*([-+0-9.eE]+)\s+(\w+)\s*", value)
     if match is None or match[2] not in DURATION_UNITS:
-        raise BadInput(f'{key} = {value!r}: allowed: a number of time units, "20 orbits" or "50 turns"')
+        raise BadInput(f'{key} = {shown(value)}: allowed: a number of time units, "20 orbits" or "50 turns"')
     try:
         amount = float(match[1])
     except ValueError:
-        raise BadInput(f"{key} = {value!r}: {match[1]!r} is not a number") from None
+        raise BadInput(f"{key} = {shown(value)}: {shown(match[1])} is not a number") from None
     if not (math.isfinite(amount) and amount > 0):
-        raise BadInput(f"{key} = {value!r}: must be a finite number above 0")
+        raise BadInput(f"{key} = {shown(value)}: must be a finite number above 0")
     return Duration(amount, match[2])
 
 
@@ -341,8 +442,8 @@ def _outputs(system: System, table: Mapping[str, Any]) -> tuple[str, ...]:
     registry = variables(system)
     wanted = table.get("variables", [name for name in registry if name not in system.derived])
     if not isinstance(wanted, list) or not wanted:
-        raise BadInput(f"outputs.variables = {wanted!r}: must be a list of at least one variable name")
+        raise BadInput(f"outputs.variables = {shown(wanted)}: must be a list of at least one variable name")
     for name in wanted:
         if not isinstance(name, str) or name not in registry:
-            raise BadInput(f"outputs.variables: {name!r} is unknown; allowed: {', '.join(registry)}")
-    return tuple(name for name in registry if name in wanted)
+            raise BadInput(f"outputs.variables: {shown(name)} is unknown; allowed: {', '.join(registry)}")
+    return tuple(name for name in registry if name in set(wanted))

@@ -11,8 +11,8 @@ from typing import Any
 
 import numpy as np
 
-from ..errors import BadInput
-from ..files import read_text
+from ..errors import BadInput, shown
+from ..files import one_line, read_text
 from ..systems.base import Array, System
 from .checks import check_range
 
@@ -60,14 +60,22 @@ def table(source: Any, names: Collection[str]) -> dict[str, Any]:
     )
 
 
-def read(path: str | Path, names: Collection[str]) -> dict[str, Any]:
-    """Columns of a .csv or .nc file, as `table`; an empty field of a CSV file is nan."""
+def read(path: str | Path, names: Collection[str], max_bytes: float = math.inf) -> dict[str, Any]:
+    """Columns of a .csv or .nc file, as `table`; an empty field of a CSV file is nan.
+
+    max_bytes: size of the file, and of its variables in memory, beyond which it is not read.
+    """
     path = Path(path)
     if path.suffix not in FORMATS:
         raise BadInput(f"{path}: points are read from files that end in {' or '.join(FORMATS)}")
-    if not path.is_file():
-        raise BadInput(f"{path}: " + ("this is a folder" if path.is_dir() else "there is no such file"))
-    return _read_csv(path) if path.suffix == ".csv" else _read_netcdf(path, names)
+    try:
+        if not path.is_file():
+            raise BadInput(f"{path}: " + ("this is a folder" if path.is_dir() else "there is no such file"))
+        size = path.stat().st_size
+    except OSError as error:
+        raise BadInput(f"{path}: cannot be read: {error.strerror}") from None
+    _check_bytes(path, size, max_bytes)
+    return _read_csv(path) if path.suffix == ".csv" else _read_netcdf(path, names, max_bytes)
 
 
 def point_columns(system: System, points: Any) -> tuple[dict[str, Array], int]:
@@ -117,7 +125,7 @@ def number_column(name: str, values: Any) -> Array:
     try:
         column = np.asarray(values, dtype=np.float64)
     except (TypeError, ValueError):
-        raise BadInput(f"{name} = {values!r}: must be a number or a 1-D array of numbers") from None
+        raise BadInput(f"{name} = {shown(values)}: must be a number or a 1-D array of numbers") from None
     if column.ndim > 1:
         raise BadInput(f"{name} has shape {column.shape}: must be a number or a 1-D array of numbers")
     return column
@@ -179,7 +187,7 @@ def _csv_header(path: Path, fields: list[str]) -> list[str]:
         raise BadInput(f"{path}: empty; its first line must name the columns, such as C,theta0,m")
     for name in header:
         if not name or header.count(name) > 1:
-            problem = f"names {name!r} twice" if name else "leaves a column without name"
+            problem = f"names {shown(name)} twice" if name else "leaves a column without name"
             raise BadInput(f"{path}: its first line {problem}: {','.join(header)}")
     return header
 
@@ -193,24 +201,36 @@ def _csv_row(path: Path, line: int, header: list[str], fields: list[str]) -> lis
         try:
             row.append(float(field) if field.strip() else math.nan)
         except ValueError:
-            raise BadInput(f"{path}: line {line}: {name} = {field!r}: must be a number") from None
+            raise BadInput(f"{path}: line {line}: {name} = {shown(field)}: must be a number") from None
     return row
 
 
-def _read_netcdf(path: Path, names: Collection[str]) -> dict[str, Any]:
+def _check_bytes(path: Path, size: float, max_bytes: float) -> None:
+    """Raise BadInput for a file, or its variables, of more bytes than allowed."""
+    if size > max_bytes:
+        raise BadInput(
+            f"{path}: {size:.3g} bytes; a scene reads at most {max_bytes:.3g}: use atlas points or atlas.label_points"
+        )
+
+
+def _read_netcdf(path: Path, names: Collection[str], max_bytes: float) -> dict[str, Any]:
     """Columns of a NetCDF file with one dimension."""
     import xarray as xr
 
     try:
-        ds = xr.open_dataset(path, engine="netcdf4", decode_times=False)
-    except Exception as error:  # a damaged file can raise an exception of any type
-        raise BadInput(
-            f"{path}: not a NetCDF file that can be read ({' '.join(str(error).split())[:200]})"
-        ) from None
-    with ds:
-        if len(ds.dims) > 1:
-            raise BadInput(f"{path}: has the dimensions {', '.join(map(str, ds.dims))}; points need one")
-        try:
-            return table(ds.load(), names)
-        except BadInput as error:
-            raise BadInput(f"{path}: {error}") from None
+        with xr.open_dataset(path, engine="netcdf4", decode_times=False) as ds:
+            if len(ds.dims) > 1:
+                dims = ", ".join(map(str, ds.dims))
+                raise BadInput(f"{path}: has the dimensions {dims}; points need one")
+            _check_bytes(path, ds.nbytes, max_bytes)
+            ds.load()
+    except BadInput:
+        raise
+    except (
+        Exception
+    ) as error:  # a damaged file can raise an exception of any type, also while values are read
+        raise BadInput(f"{path}: not a NetCDF file that can be read ({one_line(error)})") from None
+    try:
+        return table(ds, names)
+    except BadInput as error:
+        raise BadInput(f"{path}: {error}") from None

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from ..errors import BadInput
+from ..errors import BadInput, shown
 from .base import System
 from .fixed_point import FIXED_POINT
 from .satellite import SATELLITE
@@ -17,8 +17,8 @@ def register(system: System) -> None:
 
 def get(name: str) -> System:
     """The system of that name; BadInput if there is none."""
-    if name not in SYSTEMS:
-        raise BadInput(f"system = {name!r}: there is no such system; allowed: {', '.join(SYSTEMS)}")
+    if not isinstance(name, str) or name not in SYSTEMS:
+        raise BadInput(f"system = {shown(name)}: there is no such system; allowed: {', '.join(SYSTEMS)}")
     return SYSTEMS[name]
 
 

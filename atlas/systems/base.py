@@ -103,9 +103,12 @@ class DerivedVariable:
     name: str
     unit: str
     long_name: str
-    values: Callable[[Points, Array], Array]  # (points before the nudge, duration) -> (points,)
+    # (points before the nudge, duration, pause) -> (points,). What takes longer than a second calls pause() at least
+    # once a second: it raises an exception where the run was interrupted.
+    values: Callable[[Points, Array, Callable[[], None]], Array]
     comment: str = ""
-    check: Callable[[Points], object] = lambda points: None  # raises BadInput where it has no meaning
+    # raises BadInput for points and durations where it has no meaning, or where it would take too long
+    check: Callable[[Points, Array], object] = lambda points, duration: None
 
 
 @dataclass(frozen=True, eq=False)

@@ -91,7 +91,7 @@ def test_scenes_contain_the_data_of_the_paper(body, name):
     scene = reduced(CONFIGS / f"fixed_point_paper_{name}.toml", 6)
     starts = grid.points_at_indices(scene, np.arange(6))
     spin = fast_spin.fast_spin(starts.points)
-    assert scene.axes["l"].values == fast_spin.PAPER_ROTORS
+    assert tuple(scene.axes["l"].values) == fast_spin.PAPER_ROTORS
     for i, rotor in enumerate(fast_spin.PAPER_ROTORS):
         expected = fast_spin.paper_body(body, rotor)
         for field in ("A", "C", "weight", "N", "l1", "l2", "l3", "r0", "gamma0"):
@@ -155,6 +155,42 @@ def test_errors_do_not_depend_on_the_chunk(monkeypatch):
     monkeypatch.setattr(errors, "CHUNK", 4)
     in_chunks = errors.errors(points, duration, fast_spin.first_order)
     np.testing.assert_allclose(in_chunks, expected, rtol=1e-6, atol=1e-11)
+
+
+def test_runs_too_long_for_the_errors_are_refused_and_never_integrated(monkeypatch):
+    table = tomllib.loads((CONFIGS / "first_order_error.toml").read_text())
+    table["axes"] = {"eps": {"values": [0.01]}, "rotor": {"values": [0.005]}}
+    scene = scene_from(table)
+    points = grid.check(scene)
+    long = points.duration * 2 * errors.MAX_RADIANS / errors.radians(points.base, points.duration)
+
+    def no_integration(*arguments, **options):
+        raise AssertionError("integrated")
+
+    with monkeypatch.context() as patched:
+        patched.setattr(errors, "dop853", no_integration)
+        assert np.isnan(errors.errors(points.base, long, fast_spin.first_order)).all()
+    table["integration"]["duration"] = "1000 turns"
+    with pytest.raises(atlas.BadInput, match=r"first_order_error: .* at most 1000 rad .* 1 of 1 points"):
+        grid.check(scene_from(table))
+    monkeypatch.setattr(errors, "MAX_EVALUATIONS", 100)
+    assert np.isnan(errors.errors(points.base, points.duration, fast_spin.first_order)).all()
+
+
+def test_an_interruption_ends_the_integration_for_the_errors():
+    class Interruption(Exception):
+        pass
+
+    def pause():
+        nonlocal calls
+        calls += 1
+        if calls == 50:
+            raise Interruption
+
+    calls, points = 0, paper_points("A < C")
+    with pytest.raises(Interruption):
+        errors.errors(points, np.full(6, 4 * np.pi / 1000), fast_spin.first_order, pause)
+    assert calls == 50
 
 
 @pytest.mark.parametrize(

@@ -44,7 +44,7 @@ PARAMETERS = {
     for name, unit, symbol, default, low, open_low, initial_state, meaning in _TABLE
 }
 
-_VECTORS = ("p0", "q0", "r0", "gamma10", "gamma20", "gamma30")
+VECTORS = ("p0", "q0", "r0", "gamma10", "gamma20", "gamma30")
 _ANGLES = ("theta0", "psi0", "phi0", "theta_dot0", "n", "m")
 _PAPER = ("M", "lambda", "R")
 
@@ -125,7 +125,7 @@ def as_euler_angles(points: Points) -> dict[str, Array]:
         "m": m,
     }
     euler = {name: np.where(given, values, points[name]) for name, values in euler.items()}
-    return {**points, **euler, **{name: np.where(given, np.nan, points[name]) for name in _VECTORS}}
+    return {**points, **euler, **{name: np.where(given, np.nan, points[name]) for name in VECTORS}}
 
 
 def check(points: Points) -> None:
@@ -133,7 +133,7 @@ def check(points: Points) -> None:
     check_inertia(points)
     paper = _all_or_none(points, _PAPER)
     _never_both(points, paper, "M, lambda and R", ("Mg", "N"))
-    vectors = _all_or_none(points, _VECTORS)
+    vectors = _all_or_none(points, VECTORS)
     _never_both(points, vectors, "p0 .. gamma30", _ANGLES)
     length = np.sqrt(points["gamma10"] ** 2 + points["gamma20"] ** 2 + points["gamma30"] ** 2)
     bad = np.flatnonzero(vectors & ~(np.abs(length - 1) <= 1e-9))

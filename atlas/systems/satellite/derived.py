@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from functools import lru_cache, partial
 
 import numpy as np
@@ -25,15 +26,21 @@ def _counts(names: tuple[str, ...], values: tuple[float, ...]) -> tuple[float, f
     return float(solutions["circle"].size), float((solutions["stable"] == Stability.STABLE).sum())
 
 
-def count_equilibria(points: Points, duration: Array, stable: bool = False) -> Array:
+def count_equilibria(
+    points: Points, duration: Array, pause: Callable[[], None] = lambda: None, stable: bool = False
+) -> Array:
     """Number of relative equilibria of each body, (points,); nan where some form circles or surfaces.
 
-    stable: only the linearly stable ones. About 70 ms for each body; points that differ in their start
+    stable: only the linearly stable ones. pause: see DerivedVariable. About 70 ms for each body; points that differ in their start
     alone share one search.
     """
     names = tuple(name for name, parameter in PARAMETERS.items() if not parameter.start)
     rows = np.array([points[name] for name in names]).T.tolist()
-    return np.array([_counts(names, tuple(row))[int(stable)] for row in rows])
+    counts = np.empty(len(rows))
+    for i, row in enumerate(rows):
+        pause()
+        counts[i] = _counts(names, tuple(row))[int(stable)]
+    return counts
 
 
 _COMMENT = "nan where some are not isolated; depends on body, rotor and fields alone"

@@ -6,7 +6,7 @@ import numpy as np
 import xarray as xr
 from scipy.ndimage import maximum_filter, minimum_filter
 
-from ..errors import BadInput
+from ..errors import BadInput, printable
 from ..flags import Agreement, Label, Stability
 from ..label.theory import agreement
 from ..systems.base import Array, Flags
@@ -37,11 +37,16 @@ def report(ds: xr.Dataset, worst: int = 5) -> str:
     Raises
     ------
     BadInput
-        If the atlas does not have the variables label and predicted.
+        If the atlas does not have the variables label and predicted, or holds other values than flags there.
     """
     for name in ("label", "predicted"):
         if name not in ds:
             raise BadInput(f"{name}: not in this atlas; put label and predicted into [outputs] of its scene")
+        values = ds[name].values
+        if values.dtype.kind not in "iu" or not ((values >= 0) & (values < len(Label))).all():
+            raise BadInput(f"{name}: damaged: not the flags of an atlas, 0 to {len(Label) - 1}")
+    if ds["label"].dims != ds["predicted"].dims:
+        raise BadInput("label and predicted lie along different dimensions: not an atlas")
     label, predicted = ds["label"].values, ds["predicted"].values
     result = agreement(label, predicted)
     lines = _confusion_table(label, predicted) + _agreement_lines(result)
@@ -136,7 +141,9 @@ def _worst_lines(ds: xr.Dataset, result: Flags, count: int) -> list[str]:
     for i in order:
         index = np.unravel_index(disagree[i], ds["label"].shape)
         point = ds.isel(dict(zip(dims, index, strict=True)))
-        coordinates = ", ".join(f"{dim} = {float(point[dim]):.9g}" for dim in dims if dim in point.coords)
+        coordinates = ", ".join(
+            f"{printable(str(dim))} = {float(point[dim]):.9g}" for dim in dims if dim in point.coords
+        )
         line = (
             f"  {coordinates}: theory {names[int(point['predicted'])]},"
             f" measured {names[int(point['label'])]}, unsteadiness {unsteadiness[i]:.3g}"

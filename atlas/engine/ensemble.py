@@ -147,11 +147,13 @@ class Ensemble:
                 kernel, step_sizes, cylinder, early_stop_rate, state, threads, progress
             )
         intervals = np.maximum(nodes - 1, 1)
+        with np.errstate(over="ignore"):  # of a duration near the largest number
+            duration = intervals * step_sizes.sample_spacing
         return Integration(
             final_state=state,
             sums=sums,
             intervals=intervals,
-            duration=intervals * step_sizes.sample_spacing,
+            duration=duration,
             stopped_early=nodes <= step_sizes.intervals,
         )
 

@@ -90,8 +90,9 @@ class StepSizes:
         gets the fewest steps and an infinite step ratio.
         """
         method = METHODS[settings.method]
-        finite = np.isfinite(bound) & np.isfinite(duration)
-        radians = np.where(finite, bound * duration, 0.0)
+        radians = bound * duration
+        finite = np.isfinite(radians)
+        radians = np.where(finite, radians, 0.0)
         if settings.step is None:
             steps = count_ladder(_automatic_steps(method, settings, bound, radians, finite))
         else:

@@ -14,11 +14,14 @@ from ..engine import blocks
 from ..engine.ensemble import Ensemble
 from ..engine.specialization import kernel
 from ..engine.stepsize import StepSizes
-from ..errors import BadInput, shown
-from ..scene import grid
+from ..errors import BadInput
+from ..scene import checks, grid
 from ..scene.model import DEFAULTS, Duration, Scene, Settings
 from ..scene.tables import point_columns
 from ..systems.base import Array, System
+
+# Instants of a trajectory: some gigabytes.
+MAX_SAMPLES = 10**7
 
 
 def trajectory(
@@ -68,15 +71,14 @@ def trajectory(
     """
     kind = systems.get(system)
     settings = Settings(method=method, step=step, tolerance=tolerance, rate_tolerance=rate_tolerance)
-    if not isinstance(samples, int) or samples < 2:
-        raise BadInput(f"samples = {shown(samples)}: must be a whole number, at least 2")
-    if not (np.isfinite(duration) and duration > 0):
-        raise BadInput(f"duration = {shown(duration)}: must be a finite number above 0")
+    checks.whole_number("samples", samples, 2, MAX_SAMPLES)
+    duration = checks.positive("duration", duration)
     points, size = point_columns(kind, point)
     if size != 1:
         raise BadInput(f"point: {size} points given; a trajectory is that of one")
     ensemble = Ensemble.of(kind, points)
-    step_sizes = StepSizes.of(settings, ensemble.frequency_bound, np.array([duration]))
+    with np.errstate(all="ignore"):  # numbers may overflow: the motion is then not finite
+        step_sizes = StepSizes.of(settings, ensemble.frequency_bound, np.array([duration]))
     # Whole steps between samples, never longer than those of the atlas.
     steps_per_sample = -(-int(step_sizes.steps[0]) // (samples - 1))
     step_size = np.array([duration / (steps_per_sample * (samples - 1))])
@@ -142,9 +144,10 @@ def _dataset(system: System, ensemble: Ensemble, states: Array, time: Array) -> 
     columns = {name: states[:, i] for i, name in enumerate(equations.STATE)}
     columns |= _angles(equations, states, constants, time)
     drift = np.zeros(len(time))
-    for name, scale in zip(equations.INTEGRALS, ensemble.scales, strict=True):
-        total = sum(getattr(equations, name)(states.T, constants))
-        drift = np.maximum(drift, np.abs(total - total[0]) * scale)
+    with np.errstate(all="ignore"):
+        for name, scale in zip(equations.INTEGRALS, ensemble.scales, strict=True):
+            total = sum(getattr(equations, name)(states.T, constants))
+            drift = np.maximum(drift, np.abs(total - total[0]) * scale)
     columns["integral_drift"] = drift
     return xr.Dataset(
         {name: ("time", np.asarray(values)) for name, values in columns.items()},

@@ -17,7 +17,7 @@ from ..errors import BadInput, shown
 from ..systems.base import Array
 
 MAX_LENGTH = 500  # characters
-MAX_DEPTH = 50  # of parts within parts
+MAX_DEPTH = 200  # of parts within parts
 _BINARY: dict[type[ast.operator], Callable[..., Any]] = {
     ast.Add: operator.add,
     ast.Sub: operator.sub,
@@ -65,13 +65,13 @@ class Expression:
     """
 
     def __init__(self, key: str, text: str):
-        self.key, self.text = key, text
+        self.key, self.text = key, text.strip()
         if len(text) > MAX_LENGTH:
             raise BadInput(f"{key}: the expression has {len(text)} characters; allowed: at most {MAX_LENGTH}")
         try:
             with warnings.catch_warnings():
                 warnings.simplefilter("error")  # of what is hardly Python, such as 1if
-                self._tree = ast.parse(text.strip(), mode="eval").body
+                self._tree = ast.parse(self.text, mode="eval").body
         except (SyntaxError, ValueError, RecursionError, MemoryError, Warning):
             raise BadInput(f"{key} = {shown(text)}: not an expression; {_ALLOWED}") from None
         self._check_depth()
@@ -115,7 +115,7 @@ class Expression:
             case ast.Call(func=ast.Name(id=name), args=[argument], keywords=[]) if name in FUNCTIONS:
                 return self._names_in(argument)
         raise BadInput(
-            f"{self.key} = {shown(self.text)}: {shown(ast.unparse(node))} is not arithmetic; {_ALLOWED}"
+            f"{self.key} = {shown(self.text)}: {shown(ast.get_source_segment(self.text, node))} is not arithmetic; {_ALLOWED}"
         )
 
     def _evaluate(self, node: ast.expr, values: Mapping[str, Array]) -> Array:

@@ -181,7 +181,13 @@ def durations(system: System, duration: Duration, points: Points) -> Array:
         raise BadInput(
             f"integration.duration = {shown(str(duration))}: {names} = 0 at {at_rest.sum()} points, which never turn"
         )
-    return duration.amount * 2 * np.pi / rate
+    with np.errstate(over="ignore"):
+        lengths = duration.amount * 2 * np.pi / rate
+    if not np.isfinite(lengths).all():
+        raise BadInput(
+            f"integration.duration = {shown(str(duration))}: too long at some points, whose rate is small"
+        )
+    return lengths
 
 
 def check(scene: Scene) -> Grid:

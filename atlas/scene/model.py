@@ -270,7 +270,7 @@ class Scene:
                 case []:
                     return values[pair[0]] == values[pair[1]]
                 case [name] if name in self.ties:
-                    return self.ties[name].text.strip() in pair
+                    return self.ties[name].text in pair
             return False
 
         return frozenset(zero), frozenset(filter(are_equal, self.system.equal_parameters))

@@ -169,7 +169,7 @@ def _listed_column(system: System, name: str, values: Any) -> PointColumn:
     key = f"points.values.{checks.identifier('points', name)}"
     try:
         column = np.asarray(values, np.float64)
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         raise BadInput(f"{key}: must be numbers") from None
     if column.ndim != 1 or not column.size:
         raise BadInput(f"{key}: must be one number for each point")

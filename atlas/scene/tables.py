@@ -124,7 +124,7 @@ def number_column(name: str, values: Any) -> Array:
     """A number or a 1-D array of numbers as a float64 array; BadInput for anything else."""
     try:
         column = np.asarray(values, dtype=np.float64)
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         raise BadInput(f"{name} = {shown(values)}: must be a number or a 1-D array of numbers") from None
     if column.ndim > 1:
         raise BadInput(f"{name} has shape {column.shape}: must be a number or a 1-D array of numbers")

@@ -462,7 +462,8 @@ def check_inertia(points: Points) -> None:
     Raises BadInput where no rigid body has the moments.
     """
     for a, b, c in (("A", "B", "C"), ("B", "C", "A"), ("C", "A", "B")):
-        total, largest = points[a] + points[b], points[c]
+        with np.errstate(over="ignore"):
+            total, largest = points[a] + points[b], points[c]
         bad = np.flatnonzero(~(total >= largest * (1 - 1e-12)))
         if bad.size:
             i = bad[0]

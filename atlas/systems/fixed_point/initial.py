@@ -135,7 +135,8 @@ def check(points: Points) -> None:
     _never_both(points, paper, "M, lambda and R", ("Mg", "N"))
     vectors = _all_or_none(points, VECTORS)
     _never_both(points, vectors, "p0 .. gamma30", _ANGLES)
-    length = np.sqrt(points["gamma10"] ** 2 + points["gamma20"] ** 2 + points["gamma30"] ** 2)
+    with np.errstate(over="ignore"):
+        length = np.sqrt(points["gamma10"] ** 2 + points["gamma20"] ** 2 + points["gamma30"] ** 2)
     bad = np.flatnonzero(vectors & ~(np.abs(length - 1) <= 1e-9))
     if bad.size:
         raise BadInput(
@@ -171,7 +172,8 @@ def warnings(points: Points) -> list[str]:
     """One sentence for each moment of inertia below M times the squared offset: the equations allow it, no body has it."""
     messages = []
     for moment, a, b in (("A", "y0", "z0"), ("B", "x0", "z0"), ("C", "x0", "y0")):
-        least = points["M"] * (points[a] ** 2 + points[b] ** 2)
+        with np.errstate(over="ignore", invalid="ignore"):  # offsets far beyond any body, without a mass
+            least = points["M"] * (points[a] ** 2 + points[b] ** 2)
         bad = np.flatnonzero(points[moment] < least * (1 - 1e-12))
         if bad.size:
             i = bad[0]

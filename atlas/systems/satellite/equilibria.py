@@ -15,6 +15,7 @@ from .stability import Bodies, cross_matrix, exponents
 _STARTS = 200  # orientations from which the search begins
 _ZERO_EIGENVALUE = 1e-6  # of the Hessian, relative to its scale
 _SAME = 1e-4  # distance of rotation matrices that are taken as equal
+_MAX_SCALE = 1e60  # of units, rates and torques; products of a few of them are finite
 _NAMES = ("A", "B", "C", "Omega", "k1", "k2", "k3", "mu1", "mu2", "mu3", "h1", "h3")
 
 
@@ -42,21 +43,26 @@ def equilibria(body: Mapping[str, float]) -> dict[str, NDArray]:
     Raises
     ------
     BadInput
-        Every orientation, or a surface of them, is an equilibrium.
+        Every orientation, or a surface of them, is an equilibrium; or the numbers differ so much in magnitude that
+        the search would overflow.
     RuntimeError
         The Poincare-Hopf sum cannot be met.
     """
     point = {name: np.array(float(body.get(name, PARAMETERS[name].default))) for name in _NAMES}
     rate = np.where(point["Omega"] == 0, 1.0, point["Omega"])
-    bodies = Bodies(point, rate)
-    scale = float(
-        3 * bodies.Omega[0] ** 2
-        + np.abs(bodies.k).sum()
-        + np.abs(bodies.radial).sum()
-        + np.abs(bodies.normal).sum()
-    )
+    with np.errstate(all="ignore"):
+        bodies = Bodies(point, rate)
+        scale = float(
+            3 * bodies.Omega[0] ** 2
+            + np.abs(bodies.k).sum()
+            + np.abs(bodies.radial).sum()
+            + np.abs(bodies.normal).sum()
+        )
     if scale == 0:
         raise BadInput("equilibria: without orbit and field the body can rest in any orientation")
+    units = [abs(float(value)) for value in (point["A"], point["B"], point["C"], rate)]
+    if not (min(scale, *units) > 1 / _MAX_SCALE and max(scale, *units) < _MAX_SCALE):
+        raise BadInput("equilibria: the numbers of the body differ too much in magnitude")
     frames = _search(bodies, scale)
     index, axis, degenerate = _classify(bodies, frames, scale)
     alpha, gamma = frames[:, 0], frames[:, 2]

@@ -154,15 +154,23 @@ def _error_variables(
             check(points)
         _check_length(points, duration)
 
+    def error(which: int) -> Callable[[Points, Array, Callable[[], None]], Array]:
+        """Function of the error of gamma, 0, or of p + i q, 1."""
+
+        def values(points: Points, duration: Array, pause: Callable[[], None]) -> Array:
+            return errors(points, duration, solution, pause)[which]
+
+        return values
+
     return [
         DerivedVariable(
             f"first_order_error{suffix}", "rad", f"largest error of gamma in the first-order solution (33), {form}",
-            lambda points, duration, pause=_go_on: errors(points, duration, solution, pause)[0], note, check_points,
+            error(0), note, check_points,
         ),
         DerivedVariable(
             f"first_order_rate_error{suffix}", "1",
             f"largest error of p + i q in the first-order solution (33), {form}, over its largest magnitude",
-            lambda points, duration, pause=_go_on: errors(points, duration, solution, pause)[1], note, check_points,
+            error(1), note, check_points,
         ),
     ]  # fmt: skip
 

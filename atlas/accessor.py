@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import xarray as xr
 
-from .errors import BadInput
+from .errors import MAX_MESSAGE, BadInput, printable
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -293,7 +293,8 @@ class Atlas:
         """
         from .analysis.metadata import system_of
 
-        system, attributes = system_of(self._ds), self._ds.attrs
+        system = system_of(self._ds)
+        attributes = {name: printable(str(value), MAX_MESSAGE) for name, value in self._ds.attrs.items()}
         return (
             f"Precession Atlas {attributes['atlas_version']}, kernel {attributes['atlas_kernel_hash']}"
             f" ({attributes['atlas_versions']}; {attributes['atlas_cpu']}, {attributes['atlas_platform']}).\n"

@@ -20,6 +20,14 @@ def system_of(ds: xr.Dataset) -> System:
     return systems.get(ds.attrs["atlas_system"])
 
 
+def number_attribute(ds: xr.Dataset, name: str) -> float:
+    """A global attribute of an atlas that is a number; BadInput if it is not there or none."""
+    try:
+        return float(ds.attrs[name])
+    except (KeyError, TypeError, ValueError):
+        raise BadInput(f"damaged: the attribute {name} is no number") from None
+
+
 def scene_of(ds: xr.Dataset) -> Scene | None:
     """The scene of an atlas, None for points that come from no scene."""
     text = ds.attrs.get("atlas_scene", "")

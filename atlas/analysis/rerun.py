@@ -9,7 +9,7 @@ import xarray as xr
 
 from ..errors import BadInput
 from ..label.trajectory import trajectory, trajectory_of_scene
-from .metadata import axes_of, scene_of, system_of
+from .metadata import axes_of, number_attribute, scene_of, system_of
 from .select import nearest
 
 
@@ -29,15 +29,15 @@ def nearest_trajectory(ds: xr.Dataset, coordinates: Mapping[str, float], samples
         return trajectory_of_scene(scene, values, samples=samples)
     if "point" in point.dims:
         raise BadInput("trajectory: name the point by values of its parameters")
-    system, attributes = system_of(ds), ds.attrs
+    system = system_of(ds)
     start = {name: float(point[name]) for name in system.parameters if name in point.coords}
-    step = float(attributes["atlas_step"])
+    step = number_attribute(ds, "atlas_step")
     return trajectory(
         system.name,
         {name: value for name, value in start.items() if not math.isnan(value)},
         duration=float(point["end_time"]),
         samples=samples,
-        method=attributes["atlas_method"],
-        rate_tolerance=float(attributes["atlas_rate_tolerance"]),
-        **({"step": step} if math.isfinite(step) else {"tolerance": float(attributes["atlas_tolerance"])}),
+        method=ds.attrs.get("atlas_method", ""),
+        rate_tolerance=number_attribute(ds, "atlas_rate_tolerance"),
+        **({"step": step} if math.isfinite(step) else {"tolerance": number_attribute(ds, "atlas_tolerance")}),
     )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import os
 import sys
 import time
 from collections.abc import Iterator, Mapping, Sequence
@@ -11,6 +12,7 @@ import numpy as np
 import xarray as xr
 from scipy.ndimage import maximum_filter, minimum_filter
 
+from ..errors import BadInput
 from ..flags import Stability
 from ..io import netcdf
 from ..io.provenance import provenance
@@ -65,6 +67,7 @@ def refined(
     """
     assert scene.refine is not None
     started = time.perf_counter()
+    _check_memory(scene)
     fine = _FineGrid(scene, threads)
     for level in range(scene.refine.levels + 1):
         fine.refine_to(level)
@@ -86,6 +89,20 @@ def refined(
             seconds=seconds, points=fine.n_integrated, warnings=warnings,
         ) | attributes | half_step.half_step_sample(scene, threads=threads)
     )  # fmt: skip
+
+
+def _check_memory(scene: Scene) -> None:
+    """Raise BadInput if the finest grid needs more memory than this machine has."""
+    numbers = (
+        sum(variables(scene.system)[name].flags is None for name in scene.outputs) + len(scene.solve) + 1
+    )
+    needed = scene.size * (8 * numbers + len(PREDICTED) + 5)
+    memory = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
+    if needed > memory:
+        raise BadInput(
+            f"refine: the finest grid of {scene.size} points needs {needed / 1e9:.3g} GB, this machine has"
+            f" {memory / 1e9:.3g} GB; take fewer levels or fewer [outputs]"
+        )
 
 
 class _FineGrid:

@@ -35,7 +35,7 @@ def main() -> int:
     options = parser.parse_args()
     logging.disable()
     outcomes: Counter[str] = Counter()
-    first: dict[str, str] = {}
+    failures: set[str] = set()
     kinds = {
         "check": (options.count, lambda rng: odd_scenes.try_scene(odd_scenes.scene_text(rng))),
         "run": (options.runs, lambda rng: odd_scenes.try_run(odd_scenes.scene_text(rng))),
@@ -52,15 +52,16 @@ def main() -> int:
                     place = traceback.extract_tb(error.__traceback__)[-1]
                     where = f"{Path(place.filename).name}:{place.lineno}"
                     outcome = f"{type(error).__name__} at {where}: {str(error)[:80]!r}"
-                    first.setdefault(f"{kind}: {outcome}", "".join(traceback.format_exception(error)[-4:]))
+                    if outcome not in failures:
+                        failures.add(outcome)
+                        text = "".join(traceback.format_exception(error)[-4:])
+                        print(f"{kind} {options.seed}:{case}: {outcome}\n{text}", flush=True)
                 if (seconds := time.perf_counter() - started) > SLOW:
-                    print(f"{kind} {options.seed}:{case} took {seconds:.1f} s")
+                    print(f"{kind} {options.seed}:{case} took {seconds:.1f} s", flush=True)
                 outcomes[f"{kind}: {outcome}"] += 1
     for outcome, count in sorted(outcomes.items()):
         print(f"{count:8d}  {outcome}")
-    for outcome, text in first.items():
-        print(f"\n{outcome}\n{text}")
-    return int(bool(first))
+    return int(bool(failures))
 
 
 if __name__ == "__main__":

@@ -226,6 +226,12 @@ def test_run_refines_into_memory_or_one_file(scene_text, tmp_path, both):
             atlas.run(scene, out, progress=False, **options)
 
 
+def test_a_grid_that_does_not_fit_into_memory_is_refused(scene_text, monkeypatch):
+    monkeypatch.setattr(refine.os, "sysconf", {"SC_PAGE_SIZE": 4096, "SC_PHYS_PAGES": 10}.get)
+    with pytest.raises(BadInput, match=r"points needs .* GB, this machine has 4.1e-05 GB"):
+        atlas.run(refined_scene(scene_text), progress=False)
+
+
 def test_a_nudge_along_a_family_is_predicted_as_on_the_full_grid():
     """Turning the vertical about which a free body rotates leads to another exact start."""
     table = {

@@ -1,7 +1,9 @@
 """Scenes of strangers: names that clash, limits that hold before anything is made, and text that is safe to print."""
 
+import re
 import tracemalloc
 import warnings
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -13,9 +15,10 @@ from atlas import BadInput, load_scene
 from atlas.analysis import compare, metadata
 from atlas.errors import MAX_MESSAGE, MAX_TEXT, printable, shown
 from atlas.io import netcdf
-from atlas.scene import grid, points, tables
+from atlas.scene import checks, expressions, grid, model, points, read, tables
 from atlas.scene.expressions import Expression
 from atlas.systems import SYSTEMS
+from atlas.systems.fixed_point.paper.errors import MAX_RADIANS
 from atlas.variables import COMPUTED, data_variables
 
 HEAD = 'schema = 1\nsystem = "satellite"\n'
@@ -116,7 +119,7 @@ def test_two_axes_cannot_have_one_dimension(scene_text):
             "points: 10000000 points of 2 ranges; allowed: at most 10000000 numbers in all",
         ),
         (HEAD + "[axes.m]\nvalues = [" + "0.5," * 200_001 + "]\n", "axes.m.values: 200001 numbers; allowed: at most 200000"),
-        (HEAD + axis("theta0", 3) + "[ties]\n" + "".join(f"a{i} = '{'(1+1+1+1)*' * 33}1'\n" for i in range(30)), "ties: 10920 characters"),
+        (HEAD + axis("theta0", 3) + "[ties]\n" + "".join(f"a{i} = '{'(1+1+1+1)*' * 40}1'\n" for i in range(30)), "ties: 12030 characters"),
         (HEAD + axis("theta0", 3) + "[integration]\nmax_steps = 10_000_000_000_000\n", "must be a whole number from 1 to 10"),
         (HEAD + "title = " + "9" * 5000 + "\n", "a number has more digits than can be read"),
         (HEAD + "title = 0x" + "f" * 5000 + "\n[axes.m]\nvalues = [1]\n", "title = an integer of 6021 digits: must be a string"),
@@ -131,6 +134,18 @@ def test_two_axes_cannot_have_one_dimension(scene_text):
 )  # fmt: skip
 def test_limits_hold_before_anything_is_made(text, named):
     assert named in refused(text)
+
+
+def test_the_page_lists_the_limits_in_force():
+    page = (Path(__file__).parents[2] / "docs" / "security.md").read_text()
+    limits = [
+        *(read.MAX_CHARACTERS, read.MAX_TABLES, read.MAX_JOINED_NAMES, read.MAX_NAMES, read.MAX_AXES),
+        *(read.MAX_AXIS_COUNT, read.MAX_POINTS, read.MAX_REFINED_POINTS, checks.MAX_LISTED_NUMBERS),
+        *(points.MAX_SAMPLED_NUMBERS, points.MAX_FILE_BYTES, expressions.MAX_LENGTH, read.MAX_TIE_CHARACTERS),
+        *(model.MAX_STEPS, int(MAX_RADIANS)),
+    ]
+    cells = re.findall(r"^\| .* \| ([\d ;]+) \|$", page, re.MULTILINE)
+    assert [int(number.replace(" ", "")) for cell in cells for number in cell.split(";")] == limits
 
 
 def test_large_grids_are_valid_and_their_axes_are_arrays():
@@ -250,6 +265,18 @@ def test_a_netcdf_file_of_points_with_a_text_where_a_number_belongs(tmp_path):
     ds.to_netcdf(tmp_path / "points.nc")
     with pytest.raises(BadInput, match="not a NetCDF file that can be read"):
         tables.read(tmp_path / "points.nc", [])
+
+
+def test_damaged_attributes_are_bad_input():
+    with pytest.raises(BadInput, match="attribute atlas_step is no number"):
+        metadata.number_attribute(xr.Dataset(attrs={"atlas_step": "short"}), "atlas_step")
+    ds = atlas.label_points("satellite", {"m": [0.5]}, max_steps=20).assign_attrs(
+        title="\x1b[2J", history="\n\u202e"
+    )
+    assert ds.atlas.cite().replace("\n", "").isprintable()
+    del ds.attrs["atlas_tolerance"]
+    with pytest.raises(BadInput, match="attribute atlas_tolerance is no number"):
+        ds.atlas.trajectory(m=0.5)
 
 
 @pytest.mark.parametrize("label", [np.full(3, 100), np.full(3, -1), np.array(["a", "b", "c"]), np.zeros(3)])

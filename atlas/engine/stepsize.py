@@ -196,7 +196,9 @@ def _automatic_steps(
         y = np.minimum(y, (relative_rate / method.dispersion) ** (1 / method.order))
         dissipation = relative_rate / (method.dissipation * np.maximum(radians, 1e-300))
         y = np.minimum(y, dissipation ** (1 / (method.dissipation_order - 1)))
-    return np.asarray(np.minimum(radians / y, float(settings.max_steps)))
+        # A body at rest needs no steps, also where the tolerances are so small that y underflows to 0.
+        count = np.divide(radians, y, out=np.zeros_like(radians), where=radians > 0)
+    return np.minimum(count, float(settings.max_steps))
 
 
 def _steps_per_sample(

@@ -15,7 +15,7 @@ from ..engine import blocks
 from ..io.progress import clock
 from ..label.pipeline import evaluate_tile
 from ..scene import grid
-from ..scene.model import Scene
+from ..scene.model import MAX_STEPS, Scene
 from .concurrency import tiles_in_flight
 from .method_costs import method_lines
 from .tiles import tile_types
@@ -136,6 +136,6 @@ def _resident_bytes() -> int:
 
 def _share_limited_by_max_steps(scene: Scene, sample: grid.Grid) -> float:
     """Share of the points that would get more steps without max_steps."""
-    unlimited = replace(scene, settings=replace(scene.settings, max_steps=2**50))
+    unlimited = replace(scene, settings=replace(scene.settings, max_steps=MAX_STEPS))
     limited = step_sizes(scene, sample).steps < step_sizes(unlimited, sample).steps
     return float(limited[sample.exists].mean())

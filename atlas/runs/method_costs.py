@@ -6,7 +6,7 @@ from dataclasses import replace
 
 from ..engine.tableaux import METHODS
 from ..scene.grid import Grid
-from ..scene.model import Scene
+from ..scene.model import MAX_STEPS, Scene
 from .tiling import step_sizes
 
 
@@ -33,7 +33,9 @@ def relative_costs(scene: Scene, sample: Grid) -> dict[str, float]:
         return {}
     costs = {}
     for name, method in METHODS.items():
-        sizes = step_sizes(replace(scene, settings=replace(settings, method=name, max_steps=2**50)), sample)
+        sizes = step_sizes(
+            replace(scene, settings=replace(settings, method=name, max_steps=MAX_STEPS)), sample
+        )
         costs[name] = method.step_cost * float(sizes.steps[sample.exists].mean())
     own = costs.pop(settings.method)
     return {name: cost / own for name, cost in costs.items()}

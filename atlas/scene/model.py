@@ -18,7 +18,7 @@ from .checks import checked
 from .expressions import PointColumn, Tie
 
 SCHEMA = 1
-# More steps than a processor can take in an hour.
+# Largest `max_steps`: far more steps than anybody can wait for, and their sums fit into an int64.
 MAX_STEPS = 10**12
 DURATION_UNITS = ("orbits", "turns")
 HALF_STEP = ("none", "sample", "all")

@@ -17,6 +17,7 @@ from ..engine.tableaux import METHODS
 from ..errors import BadInput
 from ..flags import Flag, Label, Status
 from ..label.pipeline import evaluate
+from ..scene import model
 from ..scene.model import Settings
 from ..systems.base import Array, Flags, Mask, Points, StressCase, System
 from ..variables import variables
@@ -138,7 +139,7 @@ def _run_job(
     settings, duration_of_job = job.settings, duration[job.indices]
     with np.errstate(all="ignore"):
         bound = system.frequency_bound(points)[job.indices]
-        unlimited = StepSizes.of(replace(settings, max_steps=2**50), bound, duration_of_job)
+        unlimited = StepSizes.of(replace(settings, max_steps=model.MAX_STEPS), bound, duration_of_job)
     # Points whose numbers overflow would take any number of steps; a few steps show the overflow.
     overflow = ~np.isfinite(bound) | (bound * duration_of_job > 1e12)
     runs = [

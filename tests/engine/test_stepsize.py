@@ -60,3 +60,13 @@ def test_a_run_is_resolved_where_neither_the_step_nor_the_dissipation_is_too_lar
     assert shorter.steps.tolist() == [sizes.steps[0], 64, 64, 64]
     np.testing.assert_array_equal(shorter.step_size, sizes.step_size)
     assert not StepSizes.of(settings, np.array([np.nan, np.inf]), np.full(2, 4.0)).resolved.any()
+
+
+def test_steps_are_counts_whatever_the_numbers():
+    """At rest with a tolerance that underflows, and where bound times duration overflows."""
+    settings = Settings(rate_tolerance=5e-324, max_steps=64)
+    with np.errstate(all="ignore"):
+        sizes = StepSizes.of(settings, np.array([0.0, 1.0, 1e200]), np.array([1e8, 1e8, 1e200]))
+    assert ((sizes.steps > 0) & (sizes.steps <= 128) & (sizes.steps_per_sample > 0)).all()
+    assert sizes.step_ratio[0] == 0
+    assert np.isinf(sizes.step_ratio[2])

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any, NoReturn, TypeAlias
 
 from ._version import __version__
-from .errors import BadInput
+from .errors import MAX_MESSAGE, MAX_TEXT, BadInput, printable
 from .files import writable
 from .interruption import INTERRUPTED, MESSAGE, exit_process, signals_as_interrupt
 
@@ -58,7 +58,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         sys.stderr.close()
         return FAILED
     except (OSError, MemoryError) as error:
-        print(f"atlas: failed: {error or type(error).__name__}", file=sys.stderr)
+        message = printable(str(error) or type(error).__name__, MAX_MESSAGE)
+        print(f"atlas: failed: {message}", file=sys.stderr)
         return FAILED
 
 
@@ -210,14 +211,14 @@ def _check(options: argparse.Namespace) -> int:
     points = grid.check(scene)
     shape = " x ".join(f"{name} {count}" for name, count in zip(scene.axes, scene.shape, strict=True))
     print(
-        f"{scene.title}\nsystem {scene.system.name}: {shape} = {scene.size} points, duration {scene.duration}"
+        f"{printable(scene.title, MAX_TEXT)}\nsystem {scene.system.name}: {shape} = {scene.size} points, duration {scene.duration}"
     )
     if not points.exists.all():
         print(f"the family {scene.family} exists at {100 * points.exists.mean():.1f} % of them")
     for line in method_lines(scene, points):
         print(line)
     for warning in scene.system.warnings(points.base):
-        print(f"warning: {warning}")
+        print(f"warning: {printable(warning, MAX_MESSAGE)}")
     return DONE
 
 

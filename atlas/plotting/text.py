@@ -8,6 +8,7 @@ import re
 import xarray as xr
 
 from ..analysis.metadata import axes_of, scene_of, system_of
+from ..errors import MAX_TEXT, printable
 from ..scene.model import Scene
 from ..systems.base import System
 from .style import SYMBOLS
@@ -67,7 +68,9 @@ def caption(ds: xr.Dataset) -> str:
         System, parameters, duration, tolerances, nudge, program, in one line.
     """
     system, scene, attributes = system_of(ds), scene_of(ds), ds.attrs
-    sentences = [f"{attributes.get('title', 'Atlas')}: {system.title}, motion in the {system.frame} frame."]
+    sentences = [
+        f"{printable(str(attributes.get('title', 'Atlas')), MAX_TEXT)}: {system.title}, motion in the {system.frame} frame."
+    ]
     if scene is not None:
         sentences += _scene_sentences(ds, scene)
     step = attributes.get("atlas_step", math.nan)

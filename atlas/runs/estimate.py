@@ -14,6 +14,7 @@ import numpy as np
 from ..engine import blocks
 from ..io.progress import clock
 from ..label.pipeline import evaluate_tile
+from ..label.theory import predict_runs
 from ..scene import grid
 from ..scene.model import MAX_STEPS, Scene
 from .concurrency import tiles_in_flight
@@ -30,6 +31,7 @@ class _Measurement:
     """Cost of some points of a scene, integrated for a part of their duration."""
 
     seconds_per_step: float  # wall-clock time of a step of one point, by all threads together
+    theory_seconds: float  # wall-clock time of what theory predicts of one point
     compile_seconds: float
     bytes_per_point: float  # peak memory of a tile
 
@@ -61,7 +63,9 @@ def dry_run(scene: Scene, *, threads: int | None = None, workers: int | None = N
     points, steps_per_point = scene.size * exists.mean(), mean_steps(scene, sample)
     cost = _measure(scene, sample, processors)
     file_bytes = scene.size * sum(np.dtype(dtype).itemsize for dtype in tile_types(scene).values())
-    seconds = points * steps_per_point * cost.seconds_per_step
+    derived_seconds = _derived_seconds(scene, sample)
+    theory_seconds = points * (cost.theory_seconds + derived_seconds)
+    seconds = points * steps_per_point * cost.seconds_per_step + theory_seconds
     tile_bytes = cost.bytes_per_point * math.prod(cut.tile)
     if workers:
         memory, processors_text = workers * (_resident_bytes() + tile_bytes), f"{workers} processes"
@@ -73,7 +77,8 @@ def dry_run(scene: Scene, *, threads: int | None = None, workers: int | None = N
         f"{scene.size} points, about {points:.0f} to integrate, {cut.count} tiles of at most {math.prod(cut.tile)}",
         f"file: at most {file_bytes / 1e6:.4g} MB before compression",
         f"time: about {clock(seconds)} on {processors_text} ({steps_per_point:.4g} steps a point,"
-        f" {1e9 * cost.seconds_per_step * processors:.3g} ns a step and processor)",
+        f" {1e9 * cost.seconds_per_step * processors:.3g} ns a step and processor), of which theory"
+        f" {clock(theory_seconds)}",
         *method_lines(scene, sample),
         f"first call of the kernel: {cost.compile_seconds:.1f} s (compiling, if it was not in the cache)",
         f"memory: about {memory / 1e6:.0f} MB",
@@ -94,6 +99,12 @@ def dry_run(scene: Scene, *, threads: int | None = None, workers: int | None = N
 def _measure(scene: Scene, sample: grid.Grid, threads: int) -> _Measurement:
     """Integrate some points of the sample three times: to compile, to time, and to trace memory."""
     scene, points = _calibration(scene, sample, threads)
+    started = time.perf_counter()
+    predict_runs(
+        scene.system, points.base, points.points, points.duration, scene.settings.rate_tolerance,
+        nudged=bool(scene.nudge),
+    )  # fmt: skip
+    theory_seconds = time.perf_counter() - started
 
     def seconds() -> float:
         started = time.perf_counter()
@@ -106,14 +117,21 @@ def _measure(scene: Scene, sample: grid.Grid, threads: int) -> _Measurement:
     peak_bytes = tracemalloc.get_traced_memory()[1]
     tracemalloc.stop()
     return _Measurement(
-        seconds_per_step=second / step_sizes(scene, points).without_unresolved().steps.sum(),
+        seconds_per_step=max(second - theory_seconds, 0.1 * second)
+        / step_sizes(scene, points).without_unresolved().steps.sum(),
+        theory_seconds=theory_seconds / points.exists.size,
         compile_seconds=max(first - second, 0.0),
         bytes_per_point=peak_bytes / points.exists.size,
     )
 
 
 def _calibration(scene: Scene, sample: grid.Grid, threads: int) -> tuple[Scene, grid.Grid]:
-    """The scene and some of its points, with duration and max_steps so small that a measurement is short."""
+    """The scene and some of its points, with duration and max_steps so small that a measurement is short.
+
+    Derived variables are left out: they may take long.
+    """
+    outputs = tuple(name for name in scene.outputs if name not in scene.system.derived)
+    scene = replace(scene, outputs=outputs)
     exists = np.flatnonzero(sample.exists)
     chosen = exists[np.linspace(0, exists.size - 1, min(exists.size, CALIBRATION_POINTS)).astype(np.int64)]
     points = sample.subset(chosen)
@@ -126,6 +144,21 @@ def _calibration(scene: Scene, sample: grid.Grid, threads: int) -> tuple[Scene, 
         max_steps = max(round(scene.settings.max_steps * fraction), 1)
         scene = replace(scene, settings=replace(scene.settings, max_steps=max_steps))
         points = replace(points, duration=points.duration * fraction)
+
+
+def _derived_seconds(scene: Scene, sample: grid.Grid) -> float:
+    """Wall-clock time of the derived variables of one point, from as many points as take a few tenths of a second."""
+    derived = [scene.system.derived[name] for name in scene.outputs if name in scene.system.derived]
+    exists = np.flatnonzero(sample.exists)
+    seconds, count = 0.0, 0
+    while derived and seconds < 0.2 and count < exists.size:
+        count = min(max(4 * count, 6), exists.size)
+        points = sample.subset(exists[np.linspace(0, exists.size - 1, count).astype(np.int64)])
+        started = time.perf_counter()
+        for variable in derived:
+            variable.values(points.base, points.duration, lambda: None)
+        seconds = time.perf_counter() - started
+    return seconds / max(count, 1)
 
 
 def _resident_bytes() -> int:

@@ -27,7 +27,7 @@ import netCDF4
 import numpy as np
 import xarray as xr
 
-from ..errors import BadInput
+from ..errors import MAX_TEXT, BadInput, printable
 from ..files import atomic_write, check_folder, disk_error
 from ..io import netcdf
 from ..io.progress import clock
@@ -35,7 +35,7 @@ from ..io.provenance import provenance
 from ..label.pipeline import scene_kernel_hash
 from ..scene import grid
 from ..scene.model import Scene
-from ..scene.read import load_scene
+from ..scene.read import parse_scene
 from .identity import identity
 from .tiles import NETCDF_LOCK, DamagedTileError, TileFiles, tile_types
 from .tiling import Tiling, tiling
@@ -67,7 +67,7 @@ class RunFolder:
         self.path = path
         self.manifest = manifest
         self.key = str(manifest["key"])
-        self.scene = load_scene(str(manifest["scene"]))
+        self.scene = parse_scene(str(manifest["scene"]))
         self.tiling = Tiling(self.scene.shape, tuple(manifest["tile"]))
         self.tiles = TileFiles(path / "tiles", self.key, self.scene, self.tiling)
 
@@ -179,7 +179,7 @@ class RunFolder:
         """State of the tiles and of the processes that compute them, as text; reads all of every tile."""
         status, tiling = self.tiles.status(), self.tiling
         lines = [
-            f"{self.scene.title}: {self.scene.size} points in {tiling.count} tiles of at most {math.prod(tiling.tile)}",
+            f"{printable(self.scene.title, MAX_TEXT)}: {self.scene.size} points in {tiling.count} tiles of at most {math.prod(tiling.tile)}",
             f"done {len(status.done)}, damaged {len(status.damaged)}, missing {len(status.missing)}",
         ]
         lines += [

@@ -1,5 +1,7 @@
 """The dry run: what it integrates to measure is little, whatever the scene."""
 
+from dataclasses import replace
+
 import pytest
 
 from atlas.engine import blocks
@@ -55,3 +57,29 @@ def test_the_share_of_points_that_are_not_resolved_is_printed(monkeypatch):
     )  # fmt: skip
     monkeypatch.setattr(estimate, "evaluate_tile", lambda *arguments, **options: None)
     assert "25 % of the points have steps too long" in dry_run(scene, threads=1)
+
+
+def test_derived_variables_are_priced_by_some_points(monkeypatch):
+    scene = scene_from(
+        {
+            "schema": 1, "title": "equilibria", "system": "satellite", "axes": MANY_LONG,
+            "integration": {"duration": 1.0}, "outputs": {"variables": ["label", "equilibrium_count"]},
+        }
+    )  # fmt: skip
+    sizes = []
+    derived = scene.system.derived["equilibrium_count"]
+
+    def values(points, duration, pause):
+        sizes.append(duration.size)
+        return derived.values({name: column[:1] for name, column in points.items()}, duration[:1], pause)
+
+    priced = dict(scene.system.derived) | {"equilibrium_count": replace(derived, values=values)}
+    monkeypatch.setattr(type(scene.system), "derived", priced)
+    monkeypatch.setattr(estimate, "evaluate_tile", lambda scene, points, **options: check_outputs(scene))
+
+    def check_outputs(scene):
+        assert scene.outputs == ("label",)
+
+    assert "of which theory" in dry_run(scene, threads=1)
+    assert sizes[0] == 6
+    assert max(sizes) <= scene.size

@@ -1,22 +1,25 @@
-"""The one place for Numba: compiler options and the cache of generated kernels.
+"""The one place for Numba: compiler options and the cache of machine code.
 
-Kernels are generated modules. Each is written into the user's cache folder under a name made from a
-hash of everything that its machine code depends on, so an edited right-hand side can never be
-answered by an old kernel (Numba's own cache does not see edits in other files).
+Kernels are generated modules. The machine code of each is kept in the user's cache folder under a name made
+from a hash of everything that it depends on, so an edited right-hand side can never be answered by an old
+kernel (Numba's own cache does not see edits in other files, and trusts whatever lies in its folder).
 """
 
 from __future__ import annotations
 
 import ast
 import hashlib
-import importlib.util
+import logging
 import os
+import pickle
 import shutil
+import stat
 import sys
 import threading
-import warnings
+from contextlib import suppress
 from pathlib import Path
 from types import ModuleType
+from typing import Any
 
 import llvmlite
 import llvmlite.binding as llvm
@@ -25,10 +28,14 @@ import platformdirs
 from llvmlite import ir
 from numba import types
 from numba.core import cgutils
+from numba.core.caching import NullCache
+from numba.core.compiler import CompileResult
+from numba.core.dispatcher import Dispatcher
+from numba.core.serialize import dumps
 from numba.extending import intrinsic
 from numba.np import arrayobj
 
-from ..files import atomic_write
+from ..files import atomic_write, one_line
 
 # contract lets LLVM fuse multiply and add; anything more (nnan above all) would lose NaN checks.
 OPTIONS = {"fastmath": {"contract"}, "error_model": "numpy", "boundscheck": False}
@@ -42,10 +49,26 @@ from atlas.engine.jit import aligned_empty, aligned_stack
 '''
 INLINE = f"@njit(forceinline=True, fastmath={OPTIONS['fastmath']!r}, error_model='numpy', boundscheck=False)"
 CALLED = INLINE.replace("forceinline=True, ", "")
-KERNEL = (
-    "@njit(nogil=True, cache=CACHE, "
-    f"fastmath={OPTIONS['fastmath']!r}, error_model='numpy', boundscheck=False)"
-)
+KERNEL = f"@njit(nogil=True, fastmath={OPTIONS['fastmath']!r}, error_model='numpy', boundscheck=False)"
+# Settings of Numba that change the machine code of a kernel. All others (threads, caches, messages, dumps, GPUs,
+# profiling of the dispatcher) leave it as it is.
+MACHINE_CODE_SETTINGS = {
+    "CPU_NAME": "processor that the code is for",
+    "CPU_FEATURES": "instructions that it may use",
+    "ENABLE_AVX": "whether it may use AVX",
+    "OPT": "level of optimisation",
+    "LOOP_VECTORIZE": "order of the sums in loops",
+    "SLP_VECTORIZE": "vectors made of scalars",
+    "DISABLE_INTEL_SVML": "library of vector functions",
+    "BOUNDSCHECK": "overrides the option of the kernels",
+    "DISABLE_JIT": "the interpreter, which does not fuse multiply and add",
+    "DEBUGINFO_DEFAULT": "debugging code is optimised less",
+    "EXTEND_VARIABLE_LIFETIMES": "moves code",
+    "LLVM_REFPRUNE_PASS": "removes code",
+    "LLVM_REFPRUNE_FLAGS": "removes code",
+}
+# The intrinsics below are compiled into every kernel, but are not in its source.
+_INTRINSICS = Path(__file__).read_bytes()
 _LOADING = threading.Lock()
 
 
@@ -87,73 +110,168 @@ def cpu() -> str:
     return str(llvm.get_host_cpu_name())
 
 
+def settings() -> dict[str, str]:
+    """Settings of Numba that change the machine code, as they are in effect, by name."""
+    numba.config.reload_config()  # the compiler does the same, and would use variables that have changed
+    return {name: str(getattr(numba.config, name, None)) for name in MACHINE_CODE_SETTINGS}
+
+
 def digest(source: str) -> str:
     """Hash of a kernel: its syntax tree (comments and layout do not count), compilers, CPU, options."""
     features = ",".join(sorted(k for k, v in llvm.get_host_cpu_features().items() if v))
-    switches = ",".join(f"{k}={v}" for k, v in sorted(os.environ.items()) if k.startswith("NUMBA_"))
     key = (
-        ast.dump(ast.parse(source)), numba.__version__, llvmlite.__version__, cpu(), features, switches,
+        ast.dump(ast.parse(source)), numba.__version__, llvmlite.__version__, cpu(), features, repr(settings()),
         f"{sys.version_info.major}.{sys.version_info.minor}",
     )  # fmt: skip
     return hashlib.sha256("\n".join(key).encode()).hexdigest()[:16]
 
 
 def cache_folder() -> Path:
-    """Folder of the generated kernels; the environment variable ATLAS_CACHE overrides the user's own."""
+    """Folder of the compiled kernels; the environment variable ATLAS_CACHE overrides the user's own."""
     return Path(os.environ.get("ATLAS_CACHE") or platformdirs.user_cache_path("precession-atlas", False))
 
 
 def load(source: str) -> ModuleType:
-    """Import the generated module, compiling at its first call; warm machine code comes from the cache."""
+    """Make the generated module; its function `integrate` is compiled, or taken from the cache, when first called."""
     with _LOADING:  # a second thread must not get a module that is only half there
-        return _load(source)
-
-
-def _load(source: str) -> ModuleType:
-    name = f"atlas_kernel_{digest(source)}"
-    if name in sys.modules:
+        name = f"atlas_kernel_{digest(source)}"
+        if name not in sys.modules:
+            module = ModuleType(name)
+            exec(compile(source, f"<{name}>", "exec"), module.__dict__)
+            compiles = isinstance(module.integrate, Dispatcher)  # not under NUMBA_DISABLE_JIT
+            if compiles:
+                module.integrate._cache = _MachineCode(name)  # what its option `cache` sets
+            sys.modules[name] = module  # Numba looks the globals of a cached kernel up by module name
         return sys.modules[name]
-    folder = cache_folder() / name
-    path = folder / "kernel.py"
-    try:
-        if not path.exists():
-            folder.mkdir(parents=True, exist_ok=True)
+
+
+class _MachineCode(NullCache):
+    """The cache of one kernel, in the place of Numba's: a file for each signature, which begins with its hash.
+
+    Nothing that goes wrong with the cache ends a computation: the kernel is then compiled in memory.
+    """
+
+    def __init__(self, name: str):
+        self.name = name
+
+    def load_overload(self, signature: Any, target_context: Any) -> CompileResult | None:
+        """The compiled function, or None if it has to be compiled."""
+        target_context.refresh()
+        path, key = self._place(signature, target_context.codegen())
+        try:
+            if _complain_unless_private(path.parent):
+                return None
+            content = _read(path)
+            payload = content[hashlib.sha256().digest_size :]
+            if content != _hashed(key, payload):
+                raise ValueError("its hash differs")
+            return CompileResult._rebuild(target_context, *pickle.loads(payload))
+        except FileNotFoundError:
+            return None
+        except Exception as error:  # whatever unpickling raises
+            logging.getLogger("atlas").warning("%s: compiling again: %s", path, one_line(error))
+            _remove(path)
+            return None
+
+    def save_overload(self, signature: Any, compiled: Any) -> None:
+        """Write a compiled function."""
+        if compiled.lifted or compiled.library.has_dynamic_globals:
+            return
+        path, key = self._place(signature, compiled.codegen)
+        payload = dumps(compiled._reduce())
+        try:
+            path.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
+            if _complain_unless_private(path.parent):
+                return
             with atomic_write(path) as temporary:
-                temporary.write_text(source.replace("cache=CACHE", "cache=True"), encoding="utf-8")
-        writable = os.access(folder, os.W_OK)
-    except OSError:
-        writable = False
-    if not writable and not (path.exists() and (folder / "__pycache__").is_dir()):
-        warnings.warn(
-            f"the kernel cache {folder.parent} cannot be written: compiling in memory", stacklevel=2
+                temporary.touch(mode=0o600)
+                temporary.write_bytes(_hashed(key, payload))
+        except OSError as error:
+            _complain(path.parent, f"cannot be written ({error.strerror or error}): compiling in memory")
+
+    def _place(self, signature: Any, codegen: Any) -> tuple[Path, bytes]:
+        """File of a signature, and what the file must be made for."""
+        key = repr((self.name, str(signature), codegen.magic_tuple())).encode()
+        return cache_folder() / f"{self.name}.{hashlib.sha256(key + _INTRINSICS).hexdigest()[:8]}", key
+
+
+def _hashed(key: bytes, payload: bytes) -> bytes:
+    """Content of a file of the cache; the hash finds damage, and files that were made for something else."""
+    return hashlib.sha256(key + payload).digest() + payload
+
+
+def _read(path: Path) -> bytes:
+    """Content of a file of the cache that nobody else can have written."""
+    # Neither follow a link nor wait for the other end of a pipe.
+    flags = os.O_RDONLY | getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_NONBLOCK", 0)
+    with open(path, "rb", opener=lambda name, _: os.open(name, flags)) as file:
+        status = os.fstat(file.fileno())
+        if not stat.S_ISREG(status.st_mode) or _danger(status):
+            raise ValueError(_danger(status) or "it is not a file")
+        return file.read()
+
+
+def _danger(status: os.stat_result) -> str | None:
+    """Why the machine code in a file or folder may be another user's, or None if it cannot."""
+    if hasattr(os, "geteuid") and status.st_uid != os.geteuid():
+        return "belongs to another user"
+    if os.name == "posix" and status.st_mode & (stat.S_IWGRP | stat.S_IWOTH):
+        return "can be written by other users"
+    return None
+
+
+def _complain_unless_private(folder: Path) -> bool:
+    """Warn, once, of a cache that other users could have filled; its machine code must not be executed."""
+    status = os.lstat(folder)
+    danger = _danger(status)
+    if stat.S_ISLNK(status.st_mode):
+        danger = "is a symbolic link"
+    elif not stat.S_ISDIR(status.st_mode):
+        danger = "is not a folder"
+    elif not danger and not os.access(folder, os.R_OK | os.X_OK):
+        danger = "cannot be read"
+    if danger:
+        _complain(
+            folder,
+            f"{danger}: nothing in it is used, compiling in memory; remove it, or set ATLAS_CACHE to a folder"
+            " that only you can write",
         )
-        module = ModuleType(name)
-        sys.modules[name] = module
-        exec(compile(source.replace("cache=CACHE", "cache=False"), f"<{name}>", "exec"), module.__dict__)
-        return module
-    spec = importlib.util.spec_from_file_location(name, path)
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    sys.modules[name] = module  # Numba looks the globals of a cached kernel up by module name
-    spec.loader.exec_module(module)
-    return module
+    return danger is not None
+
+
+_complaints: set[Path] = set()
+
+
+def _complain(folder: Path, text: str) -> None:
+    """Warn of a cache that cannot be used, once for each folder."""
+    if folder not in _complaints:
+        _complaints.add(folder)
+        logging.getLogger("atlas").warning("the kernel cache %s %s", folder, text)
+
+
+def _remove(path: Path) -> None:
+    """Remove a file of the cache, or whatever is in its place."""
+    with suppress(OSError):
+        if path.is_dir() and not path.is_symlink():
+            shutil.rmtree(path)
+        else:
+            path.unlink()
 
 
 def cached() -> list[tuple[str, int, float]]:
     """Kernels in the cache: name, bytes, time of the last change."""
-    folder = cache_folder()
     kernels = []
-    if folder.is_dir():
-        for kernel in sorted(folder.glob("atlas_kernel_*")):
-            sizes = [f.stat().st_size for f in kernel.rglob("*") if f.is_file()]
-            kernels.append((kernel.name, sum(sizes), kernel.stat().st_mtime))
+    for path in sorted(cache_folder().glob("atlas_kernel_*")):
+        files = [path, *path.rglob("*")]  # a folder: of an earlier version
+        with suppress(FileNotFoundError):  # removed in the meantime
+            size = sum(status.st_size for file in files if stat.S_ISREG((status := file.lstat()).st_mode))
+            kernels.append((path.name, size, path.lstat().st_mtime))
     return kernels
 
 
 def clear() -> int:
-    """Remove every cached kernel; returns how many there were."""
+    """Remove every cached kernel, and what killed processes left of them; returns how many there were."""
     names = [name for name, _, _ in cached()]
-    for name in names:
-        shutil.rmtree(cache_folder() / name)
+    for path in [*(cache_folder() / name for name in names), *cache_folder().glob(".atlas_kernel_*.tmp")]:
+        _remove(path)
     return len(names)

@@ -7,6 +7,7 @@ import math
 import socket
 import time
 import uuid
+import warnings
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
@@ -43,19 +44,72 @@ def check(scheduler: str) -> None:
 
 @contextmanager
 def connect(scheduler: str | None, workers: int | None) -> Iterator[Client]:
-    """A client of the scheduler at an address, or of `workers` one-thread processes on this machine."""
+    """A client of the scheduler at an address, or of `workers` one-thread processes on this machine.
+
+    Those on this machine listen to this machine only and have no dashboard.
+    """
     import distributed
 
     if scheduler is not None:
-        with distributed.Client(scheduler) as client:
+        with _client(scheduler) as client:
             yield client
         return
     cluster = distributed.LocalCluster(
         n_workers=workers, threads_per_worker=1, processes=True, memory_limit=None,
-        dashboard_address=":0", silence_logs=logging.CRITICAL,
+        host="127.0.0.1", dashboard_address=None, silence_logs=logging.CRITICAL,
     )  # fmt: skip
-    with cluster, distributed.Client(cluster) as client:
+    with cluster, _client(cluster) as client:
         yield client
+
+
+def _client(cluster: Any) -> Client:
+    """A client of a scheduler; without dask's warning of other versions, which `check_workers` refuses."""
+    import distributed
+    from distributed.versions import VersionMismatchWarning
+
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", VersionMismatchWarning)
+        return distributed.Client(cluster)
+
+
+def check_workers(client: Client, check: Callable[..., None], arguments: tuple[Any, ...]) -> None:
+    """Run a check on every worker that there is, after comparing the versions of dask everywhere.
+
+    Workers that join later are not checked.
+
+    Parameters
+    ----------
+    client : distributed.Client
+    check : callable
+        Called on each worker as check(*arguments); it raises what is wrong.
+    arguments : tuple
+
+    Raises
+    ------
+    BadInput
+        If the scheduler or a worker has another version of dask, or if a check fails.
+    """
+    different = _different_versions(client.get_versions())
+    if different:
+        raise BadInput(f"versions of dask must be the same everywhere: {different}")
+    for worker, result in client.run(check, *arguments, on_error="return").items():
+        if isinstance(result, BadInput):
+            raise result
+        if isinstance(result, Exception) and not isinstance(result, OSError):  # OSError: it has died
+            raise BadInput(f"worker {worker}: {type(result).__name__}: {one_line(result)}")
+
+
+def _different_versions(versions: Any) -> str:
+    """In `Client.get_versions()`: versions of dask that differ from those of the client, in one line."""
+    servers = {"the scheduler": versions["scheduler"]}
+    servers |= {f"worker {address}": found for address, found in versions["workers"].items()}
+    expected = versions["client"]["packages"]
+    return ", ".join(
+        f"{server} has {name} {found['packages'][name]} and this process {expected[name]}"
+        for server, found in servers.items()
+        for name in ("dask", "distributed")
+        if found["packages"][name] != expected[name]
+    )
 
 
 def for_each(

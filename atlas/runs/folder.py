@@ -36,7 +36,7 @@ from ..label.pipeline import scene_kernel_hash
 from ..scene import grid
 from ..scene.model import Scene
 from ..scene.read import parse_scene
-from .identity import identity
+from .identity import differences, identity
 from .tiles import NETCDF_LOCK, DamagedTileError, TileFiles, tile_types
 from .tiling import Tiling, tiling
 
@@ -156,16 +156,15 @@ class RunFolder:
         """Raise BadInput, listing the differences, unless this process computes the same bits for the scene."""
         stored = _flattened(tomllib.loads(self.manifest["scene"])) | self.manifest["identity"]
         current = _flattened(tomllib.loads(scene.toml())) | identity(scene)
-        differences = [
-            f"{name} ({stored.get(name, 'nothing')} there, {current.get(name, 'nothing')} here)"
-            for name in {**stored, **current}
-            if stored.get(name) != current.get(name)
-        ]
-        if differences:
+        different = differences(stored, current, "there", "here")
+        if different:
             raise BadInput(
-                f"{self.path}: holds another run; choose another name or remove it."
-                f" It differs in {', '.join(differences)}"
+                f"{self.path}: holds another run; choose another name or remove it. It differs in {different}"
             )
+
+    def key_with(self, identity: dict[str, str]) -> str:
+        """Key of this run if programs and processors of another identity computed it."""
+        return _key(self.manifest | {"identity": identity})
 
     def check_writable(self) -> None:
         """Raise BadInput unless tiles can be written."""

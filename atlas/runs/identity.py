@@ -3,21 +3,28 @@
 from __future__ import annotations
 
 import hashlib
-from importlib.metadata import version
+import os
+import platform
+import sys
+from collections.abc import Mapping
+from functools import cache
 from pathlib import Path
+from typing import Any
 
 import netCDF4
+import numpy as np
+import scipy
 
+from .. import sources
 from .._version import __version__
+from ..errors import BadInput
 from ..label.pipeline import scene_kernel_hash
 from ..scene.model import Scene
-
-# Files of the package on which the numbers of an atlas depend.
-NUMERIC_SOURCES = ("engine/**/*.py", "systems/**/*.py", "scene/**/*.py", "label/**/*.py", "flags.py")
+from ..systems.base import System
 
 
 def identity(scene: Scene) -> dict[str, str]:
-    """Everything besides its scene on which the bits of an atlas depend.
+    """Everything besides its scene on which the bits of an atlas depend, as it is in the memory of this process.
 
     Parameters
     ----------
@@ -28,18 +35,67 @@ def identity(scene: Scene) -> dict[str, str]:
     dict of str to str
         Versions of programs and libraries, hashes of this package's sources and of the kernel, and the type
         of processor.
-    """
-    from ..engine.jit import cpu
 
-    code, package = hashlib.sha256(), Path(__file__).parents[1]
-    for path in sorted(path for pattern in NUMERIC_SOURCES for path in package.glob(pattern)):
-        code.update(path.read_bytes())
-    packages = {name: version(name) for name in ("numpy", "numba", "llvmlite", "scipy", "netCDF4")}
+    Raises
+    ------
+    BadInput
+        If sources of the package were written after this process had imported it. What is loaded may then be
+        neither the old nor the new code.
+    """
+    import llvmlite
+    import numba
+
+    from ..engine import jit
+
+    kernel = scene_kernel_hash(scene)  # made from source files, so before the look whether they changed
+    changed = sources.changed()
+    if changed:
+        raise BadInput(
+            f"{sources.PACKAGE / changed[0]} was written after this process (host {platform.node()}, process"
+            f" {os.getpid()}) had imported it: start the process again"
+        )
+    versions = {module.__name__: str(module.__version__) for module in (np, numba, llvmlite, scipy, netCDF4)}
     return {
         "atlas": __version__,
-        "code": code.hexdigest()[:16],
-        "kernel": scene_kernel_hash(scene),
-        "cpu": cpu(),
-        **packages,
+        "code": sources.code(),
+        **_system_code(scene.system),
+        "kernel": kernel,
+        "cpu": jit.cpu(),
+        **{f"NUMBA_{name}": value for name, value in jit.settings().items()},
+        "numpy_simd": " ".join(np.show_config(mode="dicts")["SIMD Extensions"].get("found", ())),
+        "python": f"{sys.version_info.major}.{sys.version_info.minor}",
+        "libc": " ".join(platform.libc_ver()) or platform.release(),
+        **versions,
         "HDF5": str(netCDF4.__hdf5libversion__),
     }
+
+
+@cache
+def _system_code(system: System) -> dict[str, str]:
+    """Hash of the modules of a system that is not of this package, as they are when it is first asked for."""
+    modules = (sys.modules.get(type(system).__module__), system.equations)
+    names = [getattr(module, "__file__", None) for module in modules]  # a notebook has none
+    files = [Path(name) for name in names if name and not Path(name).is_relative_to(sources.PACKAGE)]
+    content = b"".join(file.read_bytes() for file in files)
+    return {"system_code": hashlib.sha256(content).hexdigest()[:16]} if files else {}
+
+
+def differences(expected: Mapping[str, Any], found: Mapping[str, Any], there: str, here: str) -> str:
+    """Entries that differ, in one line.
+
+    Parameters
+    ----------
+    expected, found : mapping of str to object
+    there, here : str
+        Where the expected and the found values are, such as "there" and "here".
+
+    Returns
+    -------
+    str
+        Empty if all are equal.
+    """
+    return ", ".join(
+        f"{name} ({expected.get(name, 'nothing')} {there}, {found.get(name, 'nothing')} {here})"
+        for name in {**expected, **found}
+        if expected.get(name) != found.get(name)
+    )

@@ -29,8 +29,9 @@ from ..validation import half_step
 from . import cluster, refine
 from .concurrency import Advance, for_each_tile, tiles_in_flight
 from .folder import MANIFEST, RunFolder
+from .identity import differences, identity
 from .open import open_atlas
-from .tiles import tile_types
+from .tiles import TileFiles, tile_types
 from .tiling import tiling
 
 MAX_DAMAGE_WARNINGS = 5
@@ -296,9 +297,24 @@ def _compute_on_cluster(job: _Job, bar: Progress, execution: _Execution) -> None
         bar.advance(folder.tiling.size_of(tile))
         job.remove_leftovers(tile)
 
-    arguments = ((str(folder.path), folder.key, tile) for tile in job.remaining_tiles(bar))
+    run = str(folder.path), folder.key
+    arguments = ((*run, tile) for tile in job.remaining_tiles(bar))
     with cluster.connect(execution.scheduler, execution.workers) as client:
+        cluster.check_workers(client, check_worker, run)
         cluster.for_each(client, compute_tile, arguments, on_result)
+
+
+def check_worker(path: str, key: str) -> None:
+    """Raise BadInput unless this process, a dask worker, computes the same bits as the client of a run.
+
+    Parameters
+    ----------
+    path : str
+        The run folder.
+    key : str
+        Key that the run must have; the identity of the client is part of it.
+    """
+    _open_cached(path, key)
 
 
 def compute_tile(path: str, key: str, tile: int) -> int:
@@ -309,7 +325,7 @@ def compute_tile(path: str, key: str, tile: int) -> int:
     path : str
         The run folder.
     key : str
-        Key that the run must have.
+        Key that the run must have; the identity of the client is part of it.
     tile : int
 
     Returns
@@ -320,20 +336,27 @@ def compute_tile(path: str, key: str, tile: int) -> int:
     Raises
     ------
     BadInput
-        If the folder holds another run, or this machine would compute other bits.
+        If the folder holds another run, or this process would compute other bits.
     """
-    folder = _open_cached(path, key)
+    folder, tiles = _open_cached(path, key)
     started = time.perf_counter()
     columns, computed = _compute_points(folder.scene, folder.tiling.indices(tile), 1, None)
     seconds = time.perf_counter() - started
-    folder.tiles.write(tile, columns, computed=computed, seconds=seconds, by="dask workers")
+    tiles.write(tile, columns, computed=computed, seconds=seconds, by="dask workers")
     return tile
 
 
 @lru_cache(maxsize=8)
-def _open_cached(path: str, key: str) -> RunFolder:
+def _open_cached(path: str, key: str) -> tuple[RunFolder, TileFiles]:
+    """A run whose bits this process computes, and its tiles with the key of what this process computes."""
     folder = RunFolder.open(path)
     if folder.key != key:
-        raise BadInput(f"{path}: holds another run on the machine of this worker")
-    folder.check_same(folder.scene)
-    return folder
+        raise BadInput(f"{path}: holds another run on the machine of this worker ({socket.gethostname()})")
+    own = identity(folder.scene)
+    different = differences(folder.manifest["identity"], own, "in the run", "in the worker")
+    if different:
+        raise BadInput(
+            f"{path}: a dask worker on {socket.gethostname()} would compute other bits; start it again with the"
+            f" same programs. It differs in {different}"
+        )
+    return folder, TileFiles(folder.tiles.folder, folder.key_with(own), folder.scene, folder.tiling)

@@ -1,0 +1,39 @@
+"""The source files on which the numbers of an atlas depend, as they were when this process imported the package."""
+
+from __future__ import annotations
+
+import hashlib
+from pathlib import Path
+
+PACKAGE = Path(__file__).parent
+# Everything from the scene to the tile: equations, kernels, grid, labels, the registry of variables, and which
+# points and variables a tile holds. What only reads, joins or draws finished tiles is left out.
+NUMERIC_SOURCES = (
+    "flags.py", "variables.py", "engine/**/*.py", "systems/**/*.py", "scene/**/*.py", "label/**/*.py",
+    "io/netcdf.py", "runs/runner.py", "runs/tiles.py", "runs/tiling.py",
+)  # fmt: skip
+
+
+def read() -> dict[str, tuple[int, str]]:
+    """Time of the last change, in ns, and hash of each of these files, by its name in the package."""
+    files = {}
+    for path in sorted(path for pattern in NUMERIC_SOURCES for path in PACKAGE.glob(pattern)):
+        content = hashlib.sha256(path.read_bytes()).hexdigest()
+        files[path.relative_to(PACKAGE).as_posix()] = path.stat().st_mtime_ns, content
+    return files
+
+
+# The package imports this module before any other, so that whatever is loaded later is at least as new.
+AT_IMPORT = read()
+
+
+def changed() -> list[str]:
+    """Names of the files that were written since: modules loaded before and after may not fit together."""
+    now = read()
+    return sorted(name for name in AT_IMPORT.keys() | now if AT_IMPORT.get(name) != now.get(name))
+
+
+def code() -> str:
+    """Hash of these files as they were at the import."""
+    text = "\n".join(f"{name} {content}" for name, (_, content) in AT_IMPORT.items())
+    return hashlib.sha256(text.encode()).hexdigest()[:16]

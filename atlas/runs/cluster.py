@@ -9,6 +9,7 @@ import time
 import uuid
 import warnings
 from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import CancelledError
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
 
@@ -62,14 +63,26 @@ def connect(scheduler: str | None, workers: int | None) -> Iterator[Client]:
         yield client
 
 
-def _client(cluster: Any) -> Client:
-    """A client of a scheduler; without dask's warning of other versions, which `check_workers` refuses."""
+@contextmanager
+def _client(cluster: Any) -> Iterator[Client]:
+    """A client of a scheduler; OSError if the scheduler is lost."""
     import distributed
+    from distributed.comm import CommClosedError
+    from distributed.utils import silence_logging_cmgr
     from distributed.versions import VersionMismatchWarning
 
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", VersionMismatchWarning)
-        return distributed.Client(cluster)
+    with silence_logging_cmgr(logging.CRITICAL):  # it logs what is raised here
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", VersionMismatchWarning)  # `check_workers` refuses them
+            client = distributed.Client(cluster)
+        try:
+            with client:
+                yield client
+        except (CancelledError, CommClosedError):
+            raise OSError(
+                "the dask scheduler was lost; finished tiles are kept, and the same command continues with"
+                " another scheduler"
+            ) from None
 
 
 def check_workers(client: Client, check: Callable[..., None], arguments: tuple[Any, ...]) -> None:

@@ -1,0 +1,206 @@
+"""Runs on dask under faults: schedulers, clients and workers killed at random; two clusters; prints the counts.
+
+python scripts/tools/dask_faults.py [--kills 50] [--only schedulers clients workers clusters]      (half an hour)
+
+Every part ends with a byte-by-byte comparison of the atlas with one computed in memory by one process.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import random
+import re
+import shutil
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+import uuid
+from collections import Counter
+from contextlib import ExitStack, suppress
+from pathlib import Path
+
+from faults import Trial
+
+from atlas.runs.folder import RunFolder
+
+
+class Server:
+    """A scheduler or a worker of dask in a process group of its own, which ends with the `with` statement."""
+
+    def __init__(self, *arguments: str):
+        self.process = subprocess.Popen(
+            [sys.executable, "-m", "dask", *arguments, "--no-dashboard"],
+            start_new_session=True, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
+        )  # fmt: skip
+
+    def __enter__(self) -> Server:
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        self.kill()
+
+    def kill(self) -> None:
+        """End the server and what it has started with SIGKILL."""
+        if self.process.poll() is None:
+            os.killpg(self.process.pid, signal.SIGKILL)
+            self.process.wait()
+
+
+class Scheduler(Server):
+    """A scheduler that listens to this machine only."""
+
+    def __init__(self, folder: Path):
+        file = folder / f"scheduler-{uuid.uuid4().hex}.json"
+        super().__init__("scheduler", "--host", "127.0.0.1", "--port", "0", "--scheduler-file", str(file))
+        self.address = ""
+        while not self.address:
+            time.sleep(0.05)
+            with suppress(OSError, ValueError):
+                self.address = json.loads(file.read_text())["address"]
+
+
+class Worker(Server):
+    """A worker of one thread."""
+
+    def __init__(self, address: str):
+        super().__init__("worker", address, "--nthreads", "1")
+
+
+def client(trial: Trial, run: RunFolder, address: str) -> subprocess.Popen[str]:
+    """Start `atlas run` on a scheduler."""
+    return trial.process("-o", f"{run.path.name}/", "--scheduler", address)
+
+
+def done(run: RunFolder) -> int:
+    """Number of finished tiles; a damaged one ends this script."""
+    status = run.tiles.status()
+    if status.damaged:
+        sys.exit(f"{run.path}: damaged tiles: {status.damaged}")
+    return len(status.done)
+
+
+def schedulers(trial: Trial, count: int) -> str:
+    """Kill schedulers at random; the run must end with exit 1 and one line, and go on with another scheduler."""
+    killed = rounds = compared = 0
+    exits = Counter[str]()
+    while killed < count:
+        run = trial.start(f"schedulers{rounds}")
+        rounds += 1
+        while killed < count and done(run) < run.tiling.count - 4:
+            with Scheduler(trial.folder) as scheduler, Worker(scheduler.address):
+                process = client(trial, run, scheduler.address)
+                time.sleep(random.uniform(1.5, 9.0))
+                ended = process.poll() is not None
+                scheduler.kill()
+                _, error = process.communicate()
+            if ended and process.returncode == 0:
+                continue
+            lines = error.strip().splitlines()
+            if process.returncode not in (1, 2) or len(lines) != 1 or not lines[0].startswith("atlas: "):
+                sys.exit(f"killed scheduler: exit {process.returncode}: {error}")
+            killed += 1
+            exits[f"exit {process.returncode}, {re.sub('[0-9]+', 'N', lines[0])[:90]}"] += 1
+        with Scheduler(trial.folder) as scheduler, Worker(scheduler.address):
+            trial.finish("-o", f"{run.path.name}/", "--scheduler", scheduler.address)
+        compared += trial.compared(run.path)
+    texts = "".join(f"\n    {number} times {text}" for text, number in exits.most_common())
+    return f"{killed} schedulers killed in {rounds} runs, {compared} bytes equal{texts}"
+
+
+def clients(trial: Trial, count: int) -> str:
+    """Kill clients at random; the same command, on the same scheduler and workers, must finish the run."""
+    killed = rounds = compared = 0
+    with Scheduler(trial.folder) as scheduler, Worker(scheduler.address), Worker(scheduler.address):
+        while killed < count:
+            run = trial.start(f"clients{rounds}")
+            rounds += 1
+            while killed < count and done(run) < run.tiling.count - 4:
+                process = client(trial, run, scheduler.address)
+                time.sleep(random.uniform(0.0, 5.0))
+                killed += process.poll() is None
+                process.kill()
+                process.communicate()
+            trial.finish("-o", f"{run.path.name}/", "--scheduler", scheduler.address)
+            done(run)
+            compared += trial.compared(run.path)
+    return f"{killed} clients killed in {rounds} runs, {compared} bytes equal"
+
+
+def workers(trial: Trial, count: int) -> str:
+    """Kill workers at work and replace them; the run must finish."""
+    killed = rounds = compared = 0
+    with ExitStack() as stack:
+        scheduler = stack.enter_context(Scheduler(trial.folder))
+        at_work = [stack.enter_context(Worker(scheduler.address)) for _ in range(2)]
+        while killed < count:
+            run = trial.start(f"workers{rounds}")
+            rounds += 1
+            process = client(trial, run, scheduler.address)
+            while process.poll() is None and killed < count:
+                time.sleep(random.uniform(0.5, 3.0))
+                at_work.pop(0).kill()
+                killed += 1
+                at_work.append(stack.enter_context(Worker(scheduler.address)))
+            _, error = process.communicate()
+            if process.returncode:
+                sys.exit(f"killed worker: exit {process.returncode}: {error}")
+            done(run)
+            compared += trial.compared(run.path)
+    return f"{killed} workers killed in {rounds} runs, {compared} bytes equal"
+
+
+def clusters(trial: Trial, rounds: int) -> str:
+    """Let two clusters compute one folder; in every second round one loses its scheduler."""
+    compared = lost = 0
+    for i in range(rounds):
+        run = trial.start(f"clusters{i}")
+        with (
+            Scheduler(trial.folder) as one,
+            Scheduler(trial.folder) as two,
+            Worker(one.address),
+            Worker(two.address),
+        ):
+            processes = [client(trial, run, scheduler.address) for scheduler in (one, two)]
+            if i % 2:
+                while not done(run) and processes[0].poll() is None:
+                    time.sleep(0.05)
+                one.kill()
+            for process in processes:
+                _, error = process.communicate()
+                if process.returncode and (process is processes[1] or "scheduler was lost" not in error):
+                    sys.exit(f"two clusters on one folder: exit {process.returncode}: {error}")
+                lost += process.returncode != 0
+        if done(run) != run.tiling.count:
+            sys.exit("two clusters on one folder: tiles are missing")
+        compared += trial.compared(run.path)
+    return f"{rounds} folders finished by two clusters, {lost} of them by one after the other's scheduler was killed, {compared} bytes equal"
+
+
+PARTS = {"schedulers": schedulers, "clients": clients, "workers": workers, "clusters": clusters}
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--kills", type=int, default=50)
+    parser.add_argument("--cluster-rounds", type=int, default=10)
+    parser.add_argument("--only", nargs="+", choices=PARTS, default=list(PARTS))
+    options = parser.parse_args()
+    folder = Path(tempfile.mkdtemp(prefix="atlas-dask-faults-"))
+    try:
+        trial = Trial(folder)
+        print(
+            f"{trial.scene.size} points in {trial.start('cut').tiling.count} tiles, {trial.whole.nbytes} bytes"
+        )
+        for name in options.only:
+            count = options.cluster_rounds if name == "clusters" else options.kills
+            print(f"{name}: {PARTS[name](trial, count)}", flush=True)
+    finally:
+        shutil.rmtree(folder)
+
+
+if __name__ == "__main__":
+    main()

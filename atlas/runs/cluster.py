@@ -146,8 +146,7 @@ def for_each(
     Raises
     ------
     Exception
-        What a task raised; KilledWorker if workers died under every attempt; OSError if the scheduler is
-        lost.
+        What a task raised; OSError if workers died under every attempt, or if the scheduler is lost.
     """
     source = iter(arguments)
     in_flight: dict[Future, tuple[tuple[Any, ...], int]] = {}
@@ -206,6 +205,8 @@ def _succeeded(future: Future, attempt: int) -> bool:
     if future.status != "error":
         raise OSError(f"the dask scheduler lost a task ({future.status})")
     error = future.exception()
-    if not isinstance(error, KilledWorker) or attempt == MAX_ATTEMPTS:
+    if not isinstance(error, KilledWorker):
         raise error
+    if attempt == MAX_ATTEMPTS:
+        raise OSError(f"dask workers died while they computed the same tile, {attempt} times in a row")
     return False

@@ -94,10 +94,9 @@ def schedulers(trial: Trial, count: int) -> str:
             with Scheduler(trial.folder) as scheduler, Worker(scheduler.address):
                 process = client(trial, run, scheduler.address)
                 time.sleep(random.uniform(1.5, 9.0))
-                ended = process.poll() is not None
                 scheduler.kill()
                 _, error = process.communicate()
-            if ended and process.returncode == 0:
+            if process.returncode == 0:  # the run ended before
                 continue
             lines = error.strip().splitlines()
             if process.returncode not in (1, 2) or len(lines) != 1 or not lines[0].startswith("atlas: "):

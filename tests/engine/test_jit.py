@@ -1,10 +1,15 @@
 """The cache of compiled kernels, and Numba as other libraries of the process see it."""
 
+import errno
+import os
+import pickle
 import shutil
 import subprocess
 import sys
+from contextlib import contextmanager
 from pathlib import Path
 
+import numba
 import pytest
 
 import atlas
@@ -43,23 +48,257 @@ def test_an_edited_line_is_never_answered_by_a_stale_kernel(tmp_path):
     assert changed[1] != first[1]
 
 
-def test_cache_that_cannot_be_written_compiles_in_memory(tmp_path, monkeypatch):
-    blocked = tmp_path / "file"
-    blocked.write_text("")
-    monkeypatch.setenv("ATLAS_CACHE", str(blocked))
-    source = jit.HEADER + "\n\n" + jit.KERNEL + "\ndef integrate(x):\n    return x + 1.0\n"
-    with pytest.warns(UserWarning, match="compiling in memory"):
-        module = jit.load(source)
-    assert module.integrate(1.0) == 2.0
+SOURCE = f"{jit.HEADER}\n\n{jit.KERNEL}\ndef integrate(x):\n    return x + 1.0\n"
 
 
-def test_cache_is_listed_and_cleared(tmp_path, monkeypatch):
+def fresh(source: str = SOURCE):
+    """The module of a kernel as a new process gets it."""
+    sys.modules.pop(f"atlas_kernel_{jit.digest(source)}", None)
+    return jit.load(source)
+
+
+@pytest.fixture
+def cache(tmp_path, monkeypatch):
+    """An empty cache folder that does not exist yet."""
     monkeypatch.setenv("ATLAS_CACHE", str(tmp_path / "kernels"))
-    source = jit.HEADER + "\n\n" + jit.KERNEL + "\ndef integrate(x):\n    return x + 2.0\n"
-    assert jit.load(source).integrate(1.0) == 3.0
-    assert len(jit.cached()) == 1
-    assert jit.clear() == 1
+    return tmp_path / "kernels"
+
+
+def test_machine_code_comes_from_the_cache_and_only_its_user_can_read_it(cache, caplog):
+    usual = os.umask(0)
+    try:
+        assert fresh().integrate(1.0) == 2.0
+    finally:
+        os.umask(usual)
+    (file,) = cache.iterdir()
+    assert cache.stat().st_mode & 0o777 == 0o700
+    assert file.stat().st_mode & 0o777 == 0o600
+    module = fresh()
+    assert module.integrate(1.0) == 2.0
+    assert sum(module.integrate.stats.cache_hits.values()) == 1
+    assert caplog.messages == []
+
+
+def replaced_by_a_folder(file: Path) -> None:
+    file.unlink()
+    (file / "inside").mkdir(parents=True)
+
+
+def replaced_by_a_pipe(file: Path) -> None:
+    file.unlink()
+    os.mkfifo(file)
+
+
+def replaced_by_a_link(file: Path) -> None:
+    file.rename(file.parent.parent / "elsewhere")
+    file.symlink_to(file.parent.parent / "elsewhere")
+
+
+def flipped(content: bytes, position: float) -> bytes:
+    i = int(position * len(content))
+    return content[:i] + bytes([content[i] ^ 4]) + content[i + 1 :]
+
+
+DAMAGES = {
+    "empty": lambda file: file.write_bytes(b""),
+    "truncated": lambda file: file.write_bytes(file.read_bytes()[:-20]),
+    "cut in its hash": lambda file: file.write_bytes(file.read_bytes()[:10]),
+    "zeroed": lambda file: file.write_bytes(bytes(file.stat().st_size)),
+    "bit of the hash": lambda file: file.write_bytes(flipped(file.read_bytes(), 0.0)),
+    "bit of the code": lambda file: file.write_bytes(flipped(file.read_bytes(), 0.5)),
+    "last bit": lambda file: file.write_bytes(flipped(file.read_bytes(), 0.9999)),
+    "text": lambda file: file.write_text("import os"),
+    "folder": replaced_by_a_folder,
+    "pipe": replaced_by_a_pipe,
+    "link": replaced_by_a_link,
+    "writable by others": lambda file: file.chmod(0o666),
+}
+
+
+@pytest.mark.parametrize("damage", DAMAGES)
+def test_a_damaged_file_is_compiled_again_with_one_warning_and_repaired(damage, cache, caplog):
+    assert fresh().integrate(1.0) == 2.0
+    (file,) = cache.iterdir()
+    DAMAGES[damage](file)
+    assert fresh().integrate(1.0) == 2.0
+    (message,) = caplog.messages
+    assert str(file) in message
+    assert "compiling again" in message
+    assert "\n" not in message
+    repaired = fresh()
+    assert repaired.integrate(1.0) == 2.0
+    assert sum(repaired.integrate.stats.cache_hits.values()) == 1
+    assert list(cache.iterdir()) == [file]
+    assert len(caplog.messages) == 1
+
+
+def test_the_file_of_another_kernel_is_not_used(cache, caplog):
+    other = SOURCE.replace("1.0", "5.0")
+    assert fresh().integrate(1.0) == 2.0
+    (file,) = cache.iterdir()
+    assert fresh(other).integrate(1.0) == 6.0
+    (other_file,) = set(cache.iterdir()) - {file}
+    shutil.copyfile(other_file, file)
+    assert fresh().integrate(1.0) == 2.0
+    assert len(caplog.messages) == 1
+
+
+class Planted:
+    """Creates a file when it is unpickled."""
+
+    def __init__(self, witness: Path):
+        self.witness = witness
+
+    def __reduce__(self):
+        return Path.touch, (self.witness,)
+
+
+def plant(file: Path, witness: Path) -> None:
+    """Write a file with a valid hash that runs code when it is loaded, as another user of the folder could."""
+    dispatcher = jit.load(SOURCE).integrate
+    (signature,) = dispatcher.overloads
+    _, key = dispatcher._cache._place(signature, dispatcher.overloads[signature].codegen)
+    file.write_bytes(jit._hashed(key, pickle.dumps((Planted(witness),))))
+    file.chmod(0o600)
+
+
+@pytest.mark.parametrize("danger", ["mode 777", "mode 770", "another owner", "link", "file"])
+def test_nothing_is_executed_from_a_folder_that_others_may_have_filled(danger, cache, caplog, monkeypatch):
+    assert fresh().integrate(1.0) == 2.0
+    (file,) = cache.iterdir()
+    witness = cache.parent / "executed"
+    plant(file, witness)
+    if danger.startswith("mode"):
+        cache.chmod(int(danger.removeprefix("mode "), 8))
+    elif danger == "another owner":
+        owner = os.geteuid()
+        monkeypatch.setattr(os, "geteuid", lambda: owner + 1)
+    else:
+        cache.rename(cache.parent / "real")
+        if danger == "link":
+            cache.symlink_to(cache.parent / "real")
+        else:
+            cache.write_text("")
+    before = file.read_bytes() if danger != "file" else b""
+    for source, value in ((SOURCE, 2.0), (SOURCE.replace("1.0", "7.0"), 8.0)):
+        assert fresh(source).integrate(1.0) == value
+    assert not witness.exists()
+    (message,) = caplog.messages
+    assert str(cache) in message
+    assert "compiling in memory" in message
+    assert "ATLAS_CACHE" in message
+    if danger != "file":
+        assert list(cache.iterdir()) == [file]
+        assert file.read_bytes() == before
+
+
+def test_the_planted_file_would_be_executed_in_a_private_folder(cache):
+    """So that the test before cannot pass because of a plant that does nothing."""
+    assert fresh().integrate(1.0) == 2.0
+    (file,) = cache.iterdir()
+    plant(file, cache.parent / "executed")
+    assert fresh().integrate(1.0) == 2.0
+    assert (cache.parent / "executed").exists()
+
+
+def test_a_full_or_read_only_disk_compiles_in_memory_with_one_warning(cache, caplog, monkeypatch):
+    @contextmanager
+    def full(path):
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+        yield
+
+    monkeypatch.setattr(jit, "atomic_write", full)
+    assert fresh().integrate(1.0) == 2.0
+    assert fresh().integrate(1.0) == 2.0
+    (message,) = caplog.messages
+    assert f"{cache} cannot be written (No space left on device): compiling in memory" in message
+
+
+def test_a_folder_that_vanishes_is_made_again(cache, caplog):
+    assert fresh().integrate(1.0) == 2.0
+    shutil.rmtree(cache)
+    assert fresh().integrate(1.0) == 2.0
+    assert len(list(cache.iterdir())) == 1
+    assert caplog.messages == []
+
+
+def test_processes_that_compile_at_once_all_succeed(cache):
+    code = f"from atlas.engine import jit; print(jit.load({SOURCE!r}).integrate(1.0))"
+    processes = [
+        subprocess.Popen(
+            [sys.executable, "-c", code], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+        )
+        for _ in range(3)
+    ]
+    assert [process.communicate() for process in processes] == [("2.0\n", "")] * 3
+    assert len(list(cache.iterdir())) == 1
+
+
+def test_cache_is_listed_and_cleared(cache):
+    assert fresh(SOURCE).integrate(1.0) == 2.0
+    (file,) = cache.iterdir()
+    earlier = cache / "atlas_kernel_of_an_earlier_version"
+    earlier.mkdir()
+    (earlier / "kernel.py").write_text("1234")
+    (cache / f".{file.name}.0.tmp").write_text("left by a process that was killed")
+    (cache / "mine.txt").write_text("")
+    assert [(name, size) for name, size, _ in jit.cached()] == [
+        (file.name, file.stat().st_size), (earlier.name, 4),
+    ]  # fmt: skip
+    assert jit.clear() == 2
     assert jit.cached() == []
+    assert [path.name for path in cache.iterdir()] == ["mine.txt"]
+
+
+@pytest.fixture
+def numba_variable(monkeypatch):
+    """Function that sets an environment variable of Numba; the settings in effect are restored in the end."""
+    with monkeypatch.context() as patched:
+        yield patched.setenv
+    numba.config.reload_config()
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        ("NUM_THREADS", "1"), ("CACHE_DIR", "/nowhere"), ("CACHE_LOCATOR_CLASSES", "None"), ("DEBUG_CACHE", "1"),
+        ("THREADING_LAYER", "workqueue"), ("DISABLE_PERFORMANCE_WARNINGS", "1"), ("FULL_TRACEBACKS", "1"),
+        ("OPT", "3"),
+    ],
+)  # fmt: skip
+def test_harmless_variables_of_numba_do_not_change_the_hash(name, value, numba_variable):
+    before = jit.digest(SOURCE)
+    numba_variable(f"NUMBA_{name}", value)
+    assert jit.digest(SOURCE) == before
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        ("CPU_NAME", "generic"), ("CPU_FEATURES", "-avx512f"), ("OPT", "1"), ("ENABLE_AVX", "0"),
+        ("LOOP_VECTORIZE", "0"), ("SLP_VECTORIZE", "1"), ("BOUNDSCHECK", "1"), ("DISABLE_JIT", "1"),
+        ("DEBUGINFO", "1"),
+    ],
+)  # fmt: skip
+def test_variables_of_numba_that_change_machine_code_change_the_hash(name, value, numba_variable):
+    before = jit.digest(SOURCE)
+    numba_variable(f"NUMBA_{name}", value)
+    assert jit.digest(SOURCE) != before
+
+
+def test_instructions_of_the_processor_change_the_hash(monkeypatch):
+    """Two machines of one processor name may allow other instructions."""
+    before, features = jit.digest(SOURCE), dict(jit.llvm.get_host_cpu_features())
+    some = next(name for name, has in features.items() if has)
+    monkeypatch.setattr(jit.llvm, "get_host_cpu_features", lambda: features | {some: False})
+    assert jit.digest(SOURCE) != before
+
+
+def test_the_cache_stays_in_its_folder_whatever_numba_is_told(cache, numba_variable):
+    numba_variable("NUMBA_CACHE_DIR", str(cache.parent / "other"))
+    assert fresh().integrate(1.0) == 2.0
+    assert len(list(cache.iterdir())) == 1
+    assert not (cache.parent / "other").exists()
 
 
 # Runs in a process of its own, before anything of atlas has been imported.

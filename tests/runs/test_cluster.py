@@ -1,15 +1,19 @@
 """Runs on dask schedulers and workers in processes of their own, some of which are killed."""
 
+import json
 import os
 import re
+import shutil
 import signal
 import socket
 import subprocess
 import sys
 import time
+from contextlib import suppress
 from pathlib import Path
 from types import SimpleNamespace
 
+import distributed
 import pytest
 from truth import assert_same_bytes
 
@@ -18,47 +22,72 @@ from atlas.runs import cluster
 from atlas.runs.folder import RunFolder
 
 
-def dask(*arguments, cwd):
+def dask(*arguments, cwd, **variables):
     """A process of the `dask` command, its own group so that it can be killed whole."""
     return subprocess.Popen(
-        [sys.executable, "-m", "dask", *map(str, arguments)], cwd=cwd, start_new_session=True,
-        stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True,
+        [sys.executable, "-m", "dask", *map(str, arguments), "--no-dashboard"], cwd=cwd, start_new_session=True,
+        stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, env=os.environ | variables,
     )  # fmt: skip
+
+
+def kill(process):
+    if process.poll() is None:
+        os.killpg(process.pid, signal.SIGKILL)
+    process.wait()
 
 
 @pytest.fixture
-def scheduler(tmp_path):
-    """Address of a scheduler, and a function that starts one-thread workers; all end with the test."""
-    process = dask("scheduler", "--port", "0", "--no-dashboard", cwd=tmp_path)
-    for line in process.stderr:
-        if match := re.search(r"Scheduler at:\s+(tcp://\S+)", line):
-            address = match[1]
-            break
-    processes = [process]
+def servers(tmp_path):
+    """Functions that start a scheduler, and a one-thread worker of an address; all end with the test."""
+    processes = []
 
-    def start_worker():
-        processes.append(dask("worker", address, "--nthreads", "1", "--no-dashboard", cwd=tmp_path))
+    def start(*arguments, **variables):
+        processes.append(dask(*arguments, cwd=tmp_path, **variables))
         return processes[-1]
 
-    yield address, start_worker
+    def start_scheduler():
+        file = tmp_path / f"scheduler{len(processes)}.json"
+        # One death under a task is enough for dask to give the task up.
+        process = start(
+            "scheduler", "--host", "127.0.0.1", "--port", "0", "--scheduler-file", file,
+            DASK_DISTRIBUTED__SCHEDULER__ALLOWED_FAILURES="0",
+        )  # fmt: skip
+        while True:
+            time.sleep(0.05)
+            with suppress(OSError, ValueError):
+                return process, json.loads(file.read_text())["address"]
+
+    def start_worker(address, *options, **variables):
+        return start("worker", address, "--nthreads", "1", *options, **variables)
+
+    yield start_scheduler, start_worker
     for process in reversed(processes):
-        if process.poll() is None:
-            os.killpg(process.pid, signal.SIGKILL)
-        process.communicate()
+        kill(process)
 
 
-def test_a_run_survives_a_worker_that_is_killed_in_mid_tile(longer, scheduler):
-    path, run, whole = longer
-    address, start_worker = scheduler
-    first_worker, _ = start_worker(), start_worker()
-    process = subprocess.Popen(
-        [sys.executable, "-m", "atlas", "run", "scene.toml", "-o", "run/", "--quiet", "--scheduler", address],
-        cwd=path, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+def client(folder, address, out="run/", **variables):
+    """`atlas run` on a scheduler."""
+    return subprocess.Popen(
+        [sys.executable, "-m", "atlas", "run", "scene.toml", "-o", out, "--quiet", "--scheduler", address],
+        cwd=folder, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=os.environ | variables,
     )  # fmt: skip
+
+
+def wait_for_a_tile(run, process):
     while not run.tiles.status().done and process.poll() is None:
         time.sleep(0.05)
-    os.killpg(first_worker.pid, signal.SIGKILL)
-    start_worker()
+
+
+def test_a_run_survives_a_worker_that_is_killed_in_mid_tile(longer, servers):
+    """dask gives up what the worker had, and the tiles are sent again."""
+    path, run, whole = longer
+    start_scheduler, start_worker = servers
+    _, address = start_scheduler()
+    first_worker = start_worker(address)
+    process = client(path, address)
+    wait_for_a_tile(run, process)
+    kill(first_worker)
+    start_worker(address)
     printed, errors = process.communicate(timeout=90)
     assert process.returncode == 0, errors
     assert "wrote run/" in printed
@@ -66,11 +95,162 @@ def test_a_run_survives_a_worker_that_is_killed_in_mid_tile(longer, scheduler):
     assert_same_bytes(whole, atlas.open_atlas(path / "run"))
 
 
+def test_a_run_that_loses_its_scheduler_fails_with_one_line_and_goes_on_with_another(longer, servers):
+    path, run, whole = longer
+    start_scheduler, start_worker = servers
+    scheduler, address = start_scheduler()
+    start_worker(address)
+    process = client(path, address)
+    wait_for_a_tile(run, process)
+    kill(scheduler)
+    _, errors = process.communicate(timeout=90)
+    assert process.returncode == 1, errors
+    assert errors == (
+        "atlas: failed: the dask scheduler was lost; finished tiles are kept, and the same command continues with"
+        " another scheduler\n"
+    )
+    kept = run.tiles.status()
+    assert kept.done
+    assert not kept.damaged
+    _, address = start_scheduler()
+    start_worker(address)
+    process = client(path, address)
+    _, errors = process.communicate(timeout=90)
+    assert process.returncode == 0, errors
+    assert_same_bytes(whole, atlas.open_atlas(path / "run"))
+
+
+@pytest.fixture
+def copied_package(tmp_path):
+    """A copy of the package, and the variables of processes that import it."""
+    copy = tmp_path / "copy" / "atlas"
+    shutil.copytree(Path(atlas.__file__).parent, copy, ignore=shutil.ignore_patterns("__pycache__"))
+    return copy, {"PYTHONPATH": str(copy.parent)}
+
+
+def swap_labels(package):
+    """Exchange two labels in the code; the size of the file stays."""
+    file = package / "label" / "labels.py"
+    names = {"REGULAR_PRECESSION": "PERMANENT_ROTATION", "PERMANENT_ROTATION": "REGULAR_PRECESSION"}
+    text = file.read_text()
+    swapped = re.sub("|".join(names), lambda match: names[match[0]], text)
+    assert swapped != text
+    file.write_text(swapped)
+
+
+def test_a_worker_that_started_before_an_edit_is_refused(copied_package, servers, tmp_path, small_scene):
+    folder, (package, variables) = tmp_path, copied_package
+    (folder / "scene.toml").write_text(small_scene)
+    start_scheduler, start_worker = servers
+    _, address = start_scheduler()
+    worker = start_worker(address, "--no-nanny", **variables)
+    first = client(folder, address, "first/", **variables)
+    _, errors = first.communicate(timeout=90)
+    assert first.returncode == 0, errors
+    swap_labels(package)
+    second = client(folder, address, "second/", **variables)
+    _, errors = second.communicate(timeout=90)
+    assert second.returncode == 2, errors
+    assert len(errors.splitlines()) == 1
+    assert "labels.py was written after this process" in errors
+    assert list((folder / "second" / "tiles").iterdir()) == []
+    kill(worker)
+    start_worker(address, "--no-nanny", **variables)
+    third = client(folder, address, "second/", **variables)
+    _, errors = third.communicate(timeout=90)
+    assert third.returncode == 0, errors
+
+
+def test_a_worker_of_another_copy_of_the_package_is_refused(copied_package, longer, servers):
+    (folder, run, _), (package, variables) = longer, copied_package
+    swap_labels(package)
+    start_scheduler, start_worker = servers
+    _, address = start_scheduler()
+    start_worker(address, "--no-nanny", **variables)
+    process = client(folder, address)
+    # The worker may come after the client has compared those that there are; its first tile is then refused.
+    _, errors = process.communicate(timeout=90)
+    assert process.returncode == 2, errors
+    (line,) = errors.splitlines()
+    assert re.search(
+        r"would compute other bits; .* It differs in code \([0-9a-f]{16} in the run, [0-9a-f]{16} in the worker\)$",
+        line,
+    )
+    assert list(run.tiles.folder.iterdir()) == []
+
+
+def versions(scheduler="1.0", worker="1.0"):
+    """As `Client.get_versions()` returns them."""
+
+    def packages(version):
+        return {"packages": {"python": "3.12.1", "dask": version, "distributed": version}}
+
+    return {
+        "client": packages("1.0"), "scheduler": packages(scheduler), "workers": {"tcp://w": packages(worker)},
+    }  # fmt: skip
+
+
+def a_client(found, answers=()):
+    return SimpleNamespace(get_versions=lambda: found, run=lambda check, on_error: dict(answers))
+
+
+def test_versions_of_dask_and_answers_of_workers_are_compared_when_a_run_connects():
+    cluster.check_workers(a_client(versions(), {"tcp://w": None}), print, ())
+    with pytest.raises(
+        atlas.BadInput, match=r"the scheduler has dask 2\.0 and this process 1\.0, the scheduler has d"
+    ):
+        cluster.check_workers(a_client(versions(scheduler="2.0")), print, ())
+    with pytest.raises(atlas.BadInput, match=r"worker tcp://w has dask 0\.9 and this process 1\.0"):
+        cluster.check_workers(a_client(versions(worker="0.9")), print, ())
+    with pytest.raises(atlas.BadInput, match=r"^differs$"):
+        cluster.check_workers(a_client(versions(), {"tcp://w": atlas.BadInput("differs")}), print, ())
+    with pytest.raises(atlas.BadInput, match="worker tcp://w: ModuleNotFoundError: No module"):
+        cluster.check_workers(
+            a_client(versions(), {"tcp://w": ModuleNotFoundError("No module named 'atlas'")}), print, ()
+        )
+    died = {"tcp://w": OSError("its connection is closed")}  # whatever it had is sent to the others
+    cluster.check_workers(a_client(versions(), died), print, ())
+
+
+LISTENING = """
+import psutil
+from atlas.runs import cluster
+
+if __name__ == "__main__":
+    with cluster.connect(None, 1) as client:
+        client.submit(int, 1).result()
+        processes = [psutil.Process(), *psutil.Process().children(recursive=True)]
+        sockets = [c for each in processes for c in each.net_connections("inet") if c.status == "LISTEN"]
+        print(*sorted({each.laddr.ip for each in sockets}), len(sockets) >= 2)
+"""
+
+
+def test_worker_processes_on_this_machine_listen_to_this_machine_only(tmp_path):
+    (tmp_path / "listening.py").write_text(LISTENING)
+    done = subprocess.run(
+        [sys.executable, "listening.py"], cwd=tmp_path, capture_output=True, text=True, check=False, timeout=90,
+        env=os.environ | {"PYTHONPATH": str(Path(atlas.__file__).parents[1])},
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.splitlines()[0] == "127.0.0.1 True"
+
+
 def test_a_result_that_died_with_its_worker_is_computed_again_and_a_lost_scheduler_is_an_error():
     assert cluster._succeeded(SimpleNamespace(status="finished"), 1)
     assert not cluster._succeeded(SimpleNamespace(status="lost"), cluster.MAX_ATTEMPTS)
     with pytest.raises(OSError, match="scheduler lost a task"):
         cluster._succeeded(SimpleNamespace(status="cancelled"), 1)
+
+
+def test_a_task_under_which_workers_die_is_sent_again_a_few_times():
+    killed = SimpleNamespace(status="error", exception=lambda: distributed.KilledWorker("task", None, 0))
+    for attempt in range(1, cluster.MAX_ATTEMPTS):
+        assert not cluster._succeeded(killed, attempt)
+    with pytest.raises(OSError, match="workers died while they computed the same tile, 3 times"):
+        cluster._succeeded(killed, cluster.MAX_ATTEMPTS)
+    failed = SimpleNamespace(status="error", exception=lambda: atlas.BadInput("a task's own error"))
+    with pytest.raises(atlas.BadInput, match="own error"):
+        cluster._succeeded(failed, 1)
 
 
 def test_worker_processes_on_this_machine_give_the_same_atlas(longer):

@@ -57,7 +57,8 @@ def connect(scheduler: str | None, workers: int | None) -> Iterator[Client]:
         return
     cluster = distributed.LocalCluster(
         n_workers=workers, threads_per_worker=1, processes=True, memory_limit=None,
-        host="127.0.0.1", dashboard_address=None, silence_logs=logging.CRITICAL,
+        host="127.0.0.1", dashboard_address="127.0.0.1:0", scheduler_kwargs={"dashboard": False},
+        silence_logs=logging.CRITICAL,
     )  # fmt: skip
     with cluster, _client(cluster) as client:
         yield client
@@ -65,16 +66,21 @@ def connect(scheduler: str | None, workers: int | None) -> Iterator[Client]:
 
 @contextmanager
 def _client(cluster: Any) -> Iterator[Client]:
-    """A client of a scheduler; OSError if the scheduler is lost."""
+    """A client of a scheduler; BadInput if only one of them uses TLS, OSError if the scheduler is lost."""
     import distributed
     from distributed.comm import CommClosedError
     from distributed.utils import silence_logging_cmgr
     from distributed.versions import VersionMismatchWarning
 
     with silence_logging_cmgr(logging.CRITICAL):  # it logs what is raised here
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", VersionMismatchWarning)  # `check_workers` refuses them
-            client = distributed.Client(cluster)
+        try:
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore", VersionMismatchWarning)  # `check_workers` refuses them
+                client = distributed.Client(cluster)
+        except CommClosedError:
+            raise OSError("the dask scheduler was lost while the run connected to it") from None
+        except (TypeError, RuntimeError) as error:  # what dask raises for its settings of TLS
+            raise BadInput(f"the dask scheduler cannot be used: {one_line(error)}") from None
         try:
             with client:
                 yield client

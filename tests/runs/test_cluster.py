@@ -179,6 +179,14 @@ def test_a_worker_of_another_copy_of_the_package_is_refused(copied_package, long
     assert list(run.tiles.folder.iterdir()) == []
 
 
+def test_a_scheduler_with_tls_without_a_key_is_bad_input():
+    with (
+        pytest.raises(atlas.BadInput, match="the dask scheduler cannot be used: TLS expects"),
+        cluster.connect("tls://127.0.0.1:1", None),
+    ):
+        pass
+
+
 def versions(scheduler="1.0", worker="1.0"):
     """As `Client.get_versions()` returns them."""
 
@@ -221,7 +229,8 @@ if __name__ == "__main__":
         client.submit(int, 1).result()
         processes = [psutil.Process(), *psutil.Process().children(recursive=True)]
         sockets = [c for each in processes for c in each.net_connections("inet") if c.status == "LISTEN"]
-        print(*sorted({each.laddr.ip for each in sockets}), len(sockets) >= 2)
+        ports = {each.laddr.port for each in sockets}
+        print(*sorted({each.laddr.ip for each in sockets}), len(ports) >= 2, 8787 in ports)
 """
 
 
@@ -232,7 +241,8 @@ def test_worker_processes_on_this_machine_listen_to_this_machine_only(tmp_path):
         env=os.environ | {"PYTHONPATH": str(Path(atlas.__file__).parents[1])},
     )  # fmt: skip
     assert done.returncode == 0, done.stderr
-    assert done.stdout.splitlines()[0] == "127.0.0.1 True"
+    assert done.stdout.splitlines() == ["127.0.0.1 True False"]
+    assert done.stderr == ""
 
 
 def test_a_result_that_died_with_its_worker_is_computed_again_and_a_lost_scheduler_is_an_error():
@@ -281,7 +291,7 @@ def test_a_server_that_is_no_scheduler_is_refused_after_the_timeout(monkeypatch)
 def test_examples_of_the_documentation_that_need_a_cluster_have_valid_syntax():
     text = (Path(__file__).parents[2] / "docs" / "cluster.md").read_text()
     scripts = re.findall(r"^```bash\n(.*?)^```", text, re.M | re.S)
-    assert len(scripts) == 2
+    assert len(scripts) == 3
     for script in scripts:
         assert subprocess.run(["bash", "-n"], input=script, text=True, check=False).returncode == 0
     (example,) = re.findall(r"^```py\n(.*?)^```", text, re.M | re.S)

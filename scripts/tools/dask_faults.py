@@ -83,6 +83,19 @@ def done(run: RunFolder) -> int:
     return len(status.done)
 
 
+def written(run: RunFolder) -> int:
+    """Number of tiles that are written."""
+    return len(list((run.path / "tiles").glob("[0-9]*.json")))
+
+
+def wait_for_tiles(run: RunFolder, process: subprocess.Popen[str], count: int) -> None:
+    """Wait until a client has got so many more tiles or has ended, and then for a random time."""
+    before = written(run)
+    while written(run) < before + count and process.poll() is None:
+        time.sleep(0.02)
+    time.sleep(random.uniform(0.0, 1.0))
+
+
 def schedulers(trial: Trial, count: int) -> str:
     """Kill schedulers at random; the run must end with exit 1 and one line, and go on with another scheduler."""
     killed = rounds = compared = 0
@@ -93,7 +106,10 @@ def schedulers(trial: Trial, count: int) -> str:
         while killed < count and done(run) < run.tiling.count - 4:
             with Scheduler(trial.folder) as scheduler, Worker(scheduler.address):
                 process = client(trial, run, scheduler.address)
-                time.sleep(random.uniform(1.5, 9.0))
+                if random.random() < 0.2:  # while the run starts and connects
+                    time.sleep(random.uniform(0.5, 5.0))
+                else:
+                    wait_for_tiles(run, process, random.randint(1, 3))
                 scheduler.kill()
                 _, error = process.communicate()
             if process.returncode == 0:  # the run ended before
@@ -119,7 +135,10 @@ def clients(trial: Trial, count: int) -> str:
             rounds += 1
             while killed < count and done(run) < run.tiling.count - 4:
                 process = client(trial, run, scheduler.address)
-                time.sleep(random.uniform(0.0, 5.0))
+                if random.random() < 0.2:  # while it starts and connects
+                    time.sleep(random.uniform(0.0, 4.0))
+                else:
+                    wait_for_tiles(run, process, random.randint(1, 3))
                 killed += process.poll() is None
                 process.kill()
                 process.communicate()
@@ -140,7 +159,7 @@ def workers(trial: Trial, count: int) -> str:
             rounds += 1
             process = client(trial, run, scheduler.address)
             while process.poll() is None and killed < count:
-                time.sleep(random.uniform(0.5, 3.0))
+                wait_for_tiles(run, process, random.randint(1, 3))
                 at_work.pop(0).kill()
                 killed += 1
                 at_work.append(stack.enter_context(Worker(scheduler.address)))

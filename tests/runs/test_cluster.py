@@ -88,7 +88,7 @@ def test_a_run_survives_a_worker_that_is_killed_in_mid_tile(longer, servers):
     wait_for_a_tile(run, process)
     kill(first_worker)
     start_worker(address)
-    printed, errors = process.communicate(timeout=90)
+    printed, errors = process.communicate(timeout=300)
     assert process.returncode == 0, errors
     assert "wrote run/" in printed
     assert len(run.tiles.status().done) == run.tiling.count
@@ -103,7 +103,7 @@ def test_a_run_that_loses_its_scheduler_fails_with_one_line_and_goes_on_with_ano
     process = client(path, address)
     wait_for_a_tile(run, process)
     kill(scheduler)
-    _, errors = process.communicate(timeout=90)
+    _, errors = process.communicate(timeout=300)
     assert process.returncode == 1, errors
     assert errors == (
         "atlas: failed: the dask scheduler was lost; finished tiles are kept, and the same command continues with"
@@ -115,7 +115,7 @@ def test_a_run_that_loses_its_scheduler_fails_with_one_line_and_goes_on_with_ano
     _, address = start_scheduler()
     start_worker(address)
     process = client(path, address)
-    _, errors = process.communicate(timeout=90)
+    _, errors = process.communicate(timeout=300)
     assert process.returncode == 0, errors
     assert_same_bytes(whole, atlas.open_atlas(path / "run"))
 
@@ -145,11 +145,11 @@ def test_a_worker_that_started_before_an_edit_is_refused(copied_package, servers
     _, address = start_scheduler()
     worker = start_worker(address, "--no-nanny", **variables)
     first = client(folder, address, "first/", **variables)
-    _, errors = first.communicate(timeout=90)
+    _, errors = first.communicate(timeout=300)
     assert first.returncode == 0, errors
     swap_labels(package)
     second = client(folder, address, "second/", **variables)
-    _, errors = second.communicate(timeout=90)
+    _, errors = second.communicate(timeout=300)
     assert second.returncode == 2, errors
     assert len(errors.splitlines()) == 1
     assert "labels.py was written after this process" in errors
@@ -157,7 +157,7 @@ def test_a_worker_that_started_before_an_edit_is_refused(copied_package, servers
     kill(worker)
     start_worker(address, "--no-nanny", **variables)
     third = client(folder, address, "second/", **variables)
-    _, errors = third.communicate(timeout=90)
+    _, errors = third.communicate(timeout=300)
     assert third.returncode == 0, errors
 
 
@@ -169,7 +169,7 @@ def test_a_worker_of_another_copy_of_the_package_is_refused(copied_package, long
     start_worker(address, "--no-nanny", **variables)
     process = client(folder, address)
     # The worker may come after the client has compared those that there are; its first tile is then refused.
-    _, errors = process.communicate(timeout=90)
+    _, errors = process.communicate(timeout=300)
     assert process.returncode == 2, errors
     (line,) = errors.splitlines()
     assert re.search(
@@ -237,7 +237,7 @@ if __name__ == "__main__":
 def test_worker_processes_on_this_machine_listen_to_this_machine_only(tmp_path):
     (tmp_path / "listening.py").write_text(LISTENING)
     done = subprocess.run(
-        [sys.executable, "listening.py"], cwd=tmp_path, capture_output=True, text=True, check=False, timeout=90,
+        [sys.executable, "listening.py"], cwd=tmp_path, capture_output=True, text=True, check=False, timeout=300,
         env=os.environ | {"PYTHONPATH": str(Path(atlas.__file__).parents[1])},
     )  # fmt: skip
     assert done.returncode == 0, done.stderr
@@ -267,7 +267,7 @@ def test_worker_processes_on_this_machine_give_the_same_atlas(longer):
     path, _, whole = longer
     done = subprocess.run(
         [sys.executable, "-m", "atlas", "run", "scene.toml", "-o", "run/", "--workers", "2", "--quiet"],
-        cwd=path, capture_output=True, text=True, check=False, timeout=90,
+        cwd=path, capture_output=True, text=True, check=False, timeout=300,
     )  # fmt: skip
     assert done.returncode == 0, done.stderr
     assert done.stderr == ""

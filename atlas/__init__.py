@@ -9,7 +9,7 @@ from . import interruption as _interruption
 if _interruption.is_command():
     _interruption.end_on_signal()
 
-from . import sources as _sources  # noqa: F401  (first: it hashes the files that are then loaded)
+from . import sources as _sources  # noqa: F401  (before all that it hashes is loaded)
 
 # isort: split
 from . import accessor as _accessor  # noqa: F401  (registers ds.atlas with xarray)

@@ -26,6 +26,7 @@ NO_WORKER_WARNING = 60.0  # seconds without a worker before a warning
 TASKS_PER_THREAD = 2
 # dask gives a task up when several workers died while computing it; it is submitted so many times.
 MAX_ATTEMPTS = 3
+SCHEDULER_LOST = "the dask scheduler was lost; finished tiles are kept, and the same command continues with another scheduler"
 
 
 def check(scheduler: str) -> None:
@@ -77,18 +78,20 @@ def _client(cluster: Any) -> Iterator[Client]:
             with warnings.catch_warnings():
                 warnings.simplefilter("ignore", VersionMismatchWarning)  # `check_workers` refuses them
                 client = distributed.Client(cluster)
-        except CommClosedError:
-            raise OSError("the dask scheduler was lost while the run connected to it") from None
         except (TypeError, RuntimeError) as error:  # what dask raises for its settings of TLS
             raise BadInput(f"the dask scheduler cannot be used: {one_line(error)}") from None
+        except OSError:
+            raise OSError(SCHEDULER_LOST) from None
         try:
             with client:
-                yield client
+                try:
+                    yield client
+                except OSError:
+                    if client.status == "running":  # then it is an error of a task
+                        raise
+                    raise OSError(SCHEDULER_LOST) from None
         except (CancelledError, CommClosedError):
-            raise OSError(
-                "the dask scheduler was lost; finished tiles are kept, and the same command continues with"
-                " another scheduler"
-            ) from None
+            raise OSError(SCHEDULER_LOST) from None
 
 
 def check_workers(client: Client, check: Callable[..., None], arguments: tuple[Any, ...]) -> None:

@@ -1,27 +1,41 @@
-"""Writing files so that they are whole or absent, and checks of where they go."""
+"""Writing files so that they are whole or absent, and checks of where they go.
+
+A file is written under a temporary name in its folder and then moved. The name contains that of the process, so
+that what a killed process left can be removed by any later one, and what a living process is writing cannot; see
+`remove_leftovers`.
+"""
 
 from __future__ import annotations
 
 import errno
+import hashlib
+import json
 import os
+import re
+import secrets
 import shutil
 import tempfile
-import uuid
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
 from pathlib import Path
+from typing import Any
 
+from . import process
 from .errors import BadInput
 
 # A write that fails while less than this is free, in bytes, failed because the disk is full. A tile is smaller.
 MIN_FREE_BYTES = 1 << 25
+TRIAL_BYTES = 1 << 20  # written as a trial, to find out why a write failed
+TEMPORARY = re.compile(rf"\.atlas-({process.NAME.pattern})-[0-9a-f]{{8}}\.tmp")
+# Seconds without a write after which the temporary file of another machine is a leftover.
+FOREIGN_LEFTOVER_AGE = 7 * 86400.0
 
 
 @contextmanager
 def atomic_write(path: Path, *, exclusive: bool = False) -> Iterator[Path]:
     """Write a file that appears at `path` whole or not at all, also after a power cut.
 
-    The body of the `with` statement creates and closes the file under the temporary name it is given. When
+    The body of the `with` statement writes and closes the file under the temporary name it is given. When
     the body ends, the file is flushed to the disk and moved into place; after an error it is removed.
 
     Parameters
@@ -34,27 +48,131 @@ def atomic_write(path: Path, *, exclusive: bool = False) -> Iterator[Path]:
     Yields
     ------
     Path
-        Hidden, unique name in the folder of `path`. Nothing exists there yet, so that the file gets the
-        permissions of any new file.
+        Hidden, unique, short name in the folder of `path`. It is a new, empty file with the permissions of
+        any new file, never a link that somebody else put there.
 
     Raises
     ------
     FileExistsError
         If `exclusive` is true and `path` exists.
     OSError
-        If the file cannot be flushed or moved.
+        If the file cannot be created, flushed or moved.
     """
-    temporary = path.with_name(f".{path.name}.{uuid.uuid4().hex}.tmp")
+    temporary = path.with_name(f".atlas-{process.name()}-{secrets.token_hex(4)}.tmp")
+    os.close(os.open(temporary, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW, 0o666))
     try:
         yield temporary
         _sync(temporary)
         if exclusive:
-            os.link(temporary, path)
+            _move_exclusively(temporary, path)
         else:
             os.replace(temporary, path)
         _sync(path.parent)  # the new name too must reach the disk
     finally:
         temporary.unlink(missing_ok=True)
+
+
+def _move_exclusively(temporary: Path, path: Path) -> None:
+    """Give a file the name `path`; FileExistsError if there is a file of that name."""
+    try:
+        os.link(temporary, path)
+    except FileExistsError:
+        raise
+    except OSError:  # exFAT and some network file systems have no hard links
+        _claim(temporary, path)
+
+
+def _claim(temporary: Path, path: Path) -> None:
+    """`_move_exclusively` on a file system without hard links.
+
+    A folder moved onto one that is not empty fails everywhere, so that the first process to move its folder to
+    `claim_path(path)` is the only one. Its file stays there, and every process copies it to `path`: if the first
+    one is killed in between, the next one finishes.
+    """
+    claim = claim_path(path)
+    folder = path.with_name(f".atlas-{process.name()}-{secrets.token_hex(4)}.tmp")
+    folder.mkdir()
+    try:
+        os.replace(temporary, folder / path.name)
+        if path.exists():
+            raise FileExistsError(errno.EEXIST, os.strerror(errno.EEXIST), str(path))
+        try:
+            os.rename(folder, claim)
+            first = True
+        except OSError:
+            first = False
+            if not claim.is_dir():
+                raise
+        if not path.exists():
+            with atomic_write(path) as copy:
+                copy.write_bytes((claim / path.name).read_bytes())
+        if not first:
+            raise FileExistsError(errno.EEXIST, os.strerror(errno.EEXIST), str(path))
+    finally:
+        shutil.rmtree(folder, ignore_errors=True)
+
+
+def claim_path(path: Path) -> Path:
+    """Folder that decides, where there are no hard links, which process creates `path`."""
+    return path.with_name(f".{path.name}.first")
+
+
+def remove_leftovers(folder: Path) -> None:
+    """Remove the temporary files in a folder whose writers are gone.
+
+    The file of a process that runs, or may run, is kept. On the same machine that is certain. The file of
+    another machine is removed when it was last written more than FOREIGN_LEFTOVER_AGE ago, by the clock of the
+    file system. Should its process have slept so long, it fails in one line and can be started again: what it
+    has finished is not in temporary files.
+
+    Parameters
+    ----------
+    folder : Path
+        What is not in it, or cannot be removed, is ignored.
+    """
+    with suppress(OSError), os.scandir(folder) as entries:
+        for entry in entries:
+            match = TEMPORARY.fullmatch(entry.name)
+            if match is None:
+                continue
+            running = process.is_running(match[1])
+            if running is False or (running is None and _age(Path(entry)) > FOREIGN_LEFTOVER_AGE):
+                if entry.is_dir(follow_symlinks=False):
+                    shutil.rmtree(entry, ignore_errors=True)
+                else:
+                    with suppress(OSError):
+                        os.unlink(entry)
+
+
+def _age(path: Path) -> float:
+    """Seconds since a file was written, by the clock of its file system; 0 if it cannot be known."""
+    try:
+        with tempfile.TemporaryFile(dir=path.parent) as new:
+            return os.fstat(new.fileno()).st_mtime - path.stat().st_mtime
+    except OSError:
+        return 0.0
+
+
+def is_temporary(name: str) -> bool:
+    """Whether a file has a name that `atomic_write` gives."""
+    return TEMPORARY.fullmatch(name) is not None
+
+
+def sealed(content: Mapping[str, Any]) -> str:
+    """JSON text of some entries with a checksum of them, for `unsealed`."""
+    return json.dumps({**content, "checksum": _checksum(content)}, indent=1)
+
+
+def unsealed(text: str | bytes) -> dict[str, Any]:
+    """Entries of a JSON text that `sealed` made; ValueError if it was changed."""
+    content = json.loads(text)
+    if not isinstance(content, dict) or content.pop("checksum", None) != _checksum(content):
+        raise ValueError("its checksum does not fit what it holds")
+    return content
+
+
+def _checksum(content: Mapping[str, Any]) -> str:
+    return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
 
 
 def _sync(path: Path) -> None:
@@ -68,13 +186,33 @@ def _sync(path: Path) -> None:
 
 def disk_error(error: Exception, path: Path) -> OSError:
     """Convert an error of netCDF4, which reports a full disk as an HDF or permission error, to an OSError."""
-    if shutil.disk_usage(path.parent).free < MIN_FREE_BYTES:
-        return OSError(errno.ENOSPC, f"{os.strerror(errno.ENOSPC)} ({error})", str(path))
+    reason = errno.ENOSPC if shutil.disk_usage(path.parent).free < MIN_FREE_BYTES else None
+    try:
+        with tempfile.TemporaryFile(dir=path.parent) as trial:
+            trial.write(bytes(TRIAL_BYTES))
+    except OSError as failed:  # a quota or a limit of the size of files
+        reason = reason or failed.errno
+    if reason is not None:
+        return OSError(reason, f"{os.strerror(reason)} ({one_line(error)})", str(path))
     return error if isinstance(error, OSError) else OSError(errno.EIO, str(error), str(path))
+
+
+def check_name(path: Path, inside: str = "") -> None:
+    """Raise BadInput if a name, or the path to it or to a file inside, is longer than its file system allows."""
+    for each in (path, path / inside):
+        try:
+            os.lstat(each)
+        except OSError as error:
+            if error.errno == errno.ENAMETOOLONG:
+                name = path.name if len(path.name) < 60 else f"{path.name[:60]}..."
+                raise BadInput(
+                    f"{name}: this name, or the path to it, is too long for the file system"
+                ) from None
 
 
 def check_folder(path: Path) -> None:
     """Raise BadInput unless a file can be created in the folder of `path` and `path` is not a folder."""
+    check_name(path)
     folder = path.parent
     if not folder.is_dir():
         raise BadInput(f"{path}: there is no folder {folder}")
@@ -127,6 +265,7 @@ def writable(name: str | Path, suffixes: Sequence[str], *, force: bool) -> Path:
         allowed = " or ".join(filter(None, (", ".join(suffixes[:-1]), suffixes[-1])))
         raise BadInput(f"{path}: the name must end in {allowed}")
     check_folder(path)
+    remove_leftovers(path.parent)
     if path.exists() and not force:
         raise BadInput(f"{path}: this file exists; --force (force=True) replaces it")
     return path

@@ -29,7 +29,7 @@ def write(ds: xr.Dataset, path: Path) -> None:
             flags = str(array.attrs.get("flag_meanings", "")).split()
             values = array.values.tolist()
             columns[str(name)] = [flags[value] for value in values] if flags else values
-    with atomic_write(path) as temporary, temporary.open("x", encoding="utf-8", newline="") as file:
+    with atomic_write(path) as temporary, temporary.open("w", encoding="utf-8", newline="") as file:
         writer = csv.writer(file, lineterminator="\n")
         writer.writerow(columns)
         writer.writerows(zip(*columns.values(), strict=True))

@@ -14,8 +14,10 @@ from ..scene import grid
 from ..scene.model import Scene
 from ..systems.base import System
 from ..variables import variables
+from . import checksums
 
 COMPRESSION: dict[str, Any] = {"zlib": True, "complevel": 4, "shuffle": True}
+CHECKED_COMPRESSION = COMPRESSION | {"fletcher32": True}
 # A parameter with more values than this becomes a dask array, computed chunk by chunk when it is used.
 MAX_EAGER_VALUES = 4_000_000
 
@@ -119,7 +121,7 @@ def _parameter_along_axes(
 
 
 def write(ds: xr.Dataset, path: Path) -> None:
-    """Write a Dataset as one compressed NetCDF file, which appears whole or not at all.
+    """Write a Dataset as one compressed NetCDF file with checksums, which appears whole or not at all.
 
     Parameters
     ----------
@@ -134,6 +136,7 @@ def write(ds: xr.Dataset, path: Path) -> None:
         if variable.dtype.kind == "f":
             encoding[str(name)] = {"_FillValue": np.nan if name in ds.data_vars else None}
         if variable.ndim:
-            encoding[str(name)] |= COMPRESSION
+            encoding[str(name)] |= CHECKED_COMPRESSION
     with atomic_write(path) as temporary:
         ds.to_netcdf(temporary, engine="netcdf4", format="NETCDF4", encoding=encoding)
+        checksums.add(temporary)

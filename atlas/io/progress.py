@@ -12,12 +12,16 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, TextIO
 
+from .. import process
 from ..files import atomic_write
 
 # Seconds between two plain lines, two updates of the live line, and two of the file.
 PLAIN_INTERVAL = 10.0
 LIVE_INTERVAL = 0.2
 FILE_INTERVAL = 2.0
+# Seconds after which a process of another machine that has not written its file is taken for dead.
+SILENCE = 600.0
+AT_WORK = "at work"
 
 
 class Progress:
@@ -118,11 +122,37 @@ class Progress:
             "points_per_second": speed,
             "seconds_left": seconds_left,
             "running": running,
+            "process": process.name(),
             "written": f"{datetime.now(UTC):%Y-%m-%dT%H:%M:%SZ}",
         }
         # On a full disk the run fails where it writes a tile, with a better message.
         with suppress(OSError), atomic_write(self.file) as temporary:
             temporary.write_text(json.dumps(content, indent=1), encoding="utf-8")
+
+
+def state(content: Mapping[str, Any]) -> str:
+    """Whether the process that wrote a progress file is at work.
+
+    On the same machine the process itself decides, elsewhere the age of the file.
+
+    Parameters
+    ----------
+    content : mapping
+        Content of the file.
+
+    Returns
+    -------
+    str
+        `AT_WORK`, or what became of the process.
+    """
+    if not content["running"]:
+        return "ended"
+    running = process.is_running(str(content["process"]))
+    if running is None:
+        written = datetime.fromisoformat(content["written"])
+        running = (datetime.now(UTC) - written).total_seconds() < SILENCE
+        return AT_WORK if running else f"silent for more than {SILENCE / 60:.0f} minutes"
+    return AT_WORK if running else "died"
 
 
 def clock(seconds: float) -> str:

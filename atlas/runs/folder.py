@@ -6,7 +6,8 @@
     NAME/progress.json        progress of the process that wrote it last, for people and scripts
     NAME/notes.json           attributes that only the finished run has
 
-Nothing is locked: files appear whole by a move, and a tile computed twice has the same bytes.
+Nothing is locked: files appear whole by a move, and a tile computed twice has the same bytes. Every file but
+progress.json, which nothing computed depends on, carries a checksum.
 """
 
 from __future__ import annotations
@@ -28,21 +29,34 @@ import numpy as np
 import xarray as xr
 
 from ..errors import MAX_TEXT, BadInput, printable
-from ..files import atomic_write, check_folder, disk_error
-from ..io import netcdf
-from ..io.progress import clock
+from ..files import (
+    atomic_write,
+    check_folder,
+    claim_path,
+    disk_error,
+    is_temporary,
+    one_line,
+    remove_leftovers,
+    sealed,
+    unsealed,
+)
+from ..io import checksums, netcdf, progress
+from ..io.checksums import NETCDF_LOCK
 from ..io.provenance import provenance
 from ..label.pipeline import scene_kernel_hash
 from ..scene import grid
 from ..scene.model import Scene
 from ..scene.read import parse_scene
 from .identity import differences, identity
-from .tiles import NETCDF_LOCK, DamagedTileError, TileFiles, tile_types
+from .tiles import DamagedTileError, TileFiles, tile_types
 from .tiling import Tiling, tiling
 
-FORMAT = 1
+FORMAT = 2
 MANIFEST = "manifest.json"
 FINAL_ATTRIBUTES = "notes.json"
+# As long as any file in a run folder, so that a path which is too long can be refused before the work.
+LONGEST_NAME = "tiles/" + 64 * "x"
+RESULT = "atlas_result"  # attribute of an atlas with its `result_hash`
 
 
 class RunFolder:
@@ -90,14 +104,18 @@ class RunFolder:
         path = Path(path).absolute()
         file = path / MANIFEST
         try:
-            manifest = json.loads(file.read_text(encoding="utf-8"))
+            manifest = unsealed(file.read_bytes())
         except FileNotFoundError:
             raise BadInput(f"{path}: not a run folder: there is no {MANIFEST} in it") from None
         except NotADirectoryError:
             raise BadInput(f"{path}: not a run folder but a file") from None
-        except (OSError, ValueError) as error:
-            raise BadInput(f"{file}: cannot be read: {error}") from None
-        if not isinstance(manifest, dict) or manifest.get("format") != FORMAT:
+        except ValueError as error:
+            raise BadInput(
+                f"{file}: damaged, or not of this version of atlas (format {FORMAT}): {one_line(error)}"
+            ) from None
+        except OSError as error:
+            raise BadInput(f"{file}: cannot be read: {error.strerror}") from None
+        if manifest.get("format") != FORMAT:
             raise BadInput(f"{file}: not a manifest of this version of atlas (format {FORMAT})")
         try:
             if manifest["key"] == _key(manifest):
@@ -135,9 +153,10 @@ class RunFolder:
             path.mkdir(exist_ok=True)
             # Another process may have created the manifest in the meantime; its folder is then checked below.
             with suppress(FileExistsError), atomic_write(path / MANIFEST, exclusive=True) as temporary:
-                temporary.write_text(json.dumps(manifest, indent=1), encoding="utf-8")
+                temporary.write_text(sealed(manifest), encoding="utf-8")
         run = cls.open(path)
         run.check_same(scene)
+        run.remove_leftovers()
         with suppress(OSError):
             run.tiles.folder.mkdir(exist_ok=True)
         return run
@@ -170,12 +189,22 @@ class RunFolder:
         """Raise BadInput unless tiles can be written."""
         check_folder(self.tiles.folder / "tile")
 
+    def remove_leftovers(self) -> None:
+        """Remove temporary files of processes that were killed."""
+        remove_leftovers(self.path)
+        remove_leftovers(self.tiles.folder)
+
     def is_written(self) -> bool:
         """Whether all tiles are written."""
         return all(self.tiles.is_written(tile) for tile in range(self.tiling.count))
 
     def status(self) -> str:
-        """State of the tiles and of the processes that compute them, as text; reads all of every tile."""
+        """State of the tiles and of the processes that compute them, as text; reads all of every tile.
+
+        Removes temporary files of processes that were killed, also those of joins beside the folder.
+        """
+        self.remove_leftovers()
+        remove_leftovers(self.path.parent)
         status, tiling = self.tiles.status(), self.tiling
         lines = [
             f"{printable(self.scene.title, MAX_TEXT)}: {self.scene.size} points in {tiling.count} tiles of at most {math.prod(tiling.tile)}",
@@ -188,17 +217,17 @@ class RunFolder:
         total_speed = 0.0
         for path in sorted(self.path.glob("progress*.json")):
             with suppress(OSError, ValueError, KeyError, TypeError):
-                progress = json.loads(path.read_text(encoding="utf-8"))
-                state = "at work" if progress["running"] else "ended"
+                content = json.loads(path.read_text(encoding="utf-8"))
+                state = progress.state(content)
                 lines.append(
-                    f"shard {progress['shard']} on {progress['host']}: {progress['done']} of {progress['points']}"
-                    f" points, {progress['points_per_second']:.4g} points/s, {state} when it wrote at"
-                    f" {progress['written']}"
+                    f"shard {content['shard']} on {content['host']}: {content['done']} of {content['points']}"
+                    f" points, {content['points_per_second']:.4g} points/s, {state}; written {content['written']}"
                 )
-                total_speed += progress["points_per_second"] if progress["running"] else 0.0
+                total_speed += content["points_per_second"] if state == progress.AT_WORK else 0.0
         if points_left and total_speed > 0:
             lines.append(
-                f"{points_left} points left, {clock(points_left / total_speed)} at the speed of the processes at work"
+                f"{points_left} points left, {progress.clock(points_left / total_speed)} at the speed of the"
+                " processes at work"
             )
         return "\n".join(lines)
 
@@ -232,6 +261,7 @@ class RunFolder:
         attributes = {
             name: math.nan if value is None else value for name, value in self.manifest["provenance"].items()
         }
+        attributes[RESULT] = result_hash(self.manifest["scene"], self.manifest["identity"])
         attributes["atlas_seconds"] = seconds
         attributes["atlas_points_per_second"] = points / seconds if seconds > 0 else math.nan
         attributes["atlas_run"] = f"{tiles_by.total()} of {self.tiling.count} tiles" + "".join(
@@ -242,14 +272,24 @@ class RunFolder:
     def save_final_attributes(self, attributes: dict[str, Any]) -> None:
         """Save attributes that only the finished run has; `dataset` then has them."""
         with atomic_write(self.path / FINAL_ATTRIBUTES) as temporary:
-            temporary.write_text(json.dumps(attributes, indent=1), encoding="utf-8")
+            temporary.write_text(sealed({"key": self.key, "attributes": attributes}), encoding="utf-8")
 
     def final_attributes(self) -> dict[str, Any]:
-        """Attributes saved by `save_final_attributes`, or none."""
+        """Attributes saved by `save_final_attributes`, or none; BadInput if their file is damaged."""
+        file = self.path / FINAL_ATTRIBUTES
         try:
-            return dict(json.loads((self.path / FINAL_ATTRIBUTES).read_text(encoding="utf-8")))
-        except (OSError, ValueError):
+            content = unsealed(file.read_bytes())
+            if content["key"] != self.key:
+                raise ValueError("it belongs to another run")
+            return dict(content["attributes"])
+        except FileNotFoundError:
             return {}
+        except OSError as error:
+            raise BadInput(f"{file}: cannot be read: {error.strerror}") from None
+        except (ValueError, KeyError, TypeError) as error:
+            raise BadInput(
+                f"{file}: damaged: {one_line(error)}; run the scene again, which writes it anew"
+            ) from None
 
     def join(self, out: Path) -> None:
         """Write the whole atlas as one file, tile by tile, so that memory does not grow with its size.
@@ -283,6 +323,7 @@ class RunFolder:
                 finally:
                     with NETCDF_LOCK:
                         file.close()
+                checksums.add(temporary)
             except DamagedTileError as error:
                 raise BadInput(f"{self.path}: {error}; run its scene again first") from None
             except (RuntimeError, OSError) as error:
@@ -304,7 +345,7 @@ class RunFolder:
                 if is_data and array.dtype.kind == "f":
                     options["fill_value"] = np.nan
                 if dims:
-                    options |= netcdf.COMPRESSION
+                    options |= netcdf.CHECKED_COMPRESSION
                     options["chunksizes"] = [chunk[dim] for dim in dims]
                 variable = file.createVariable(str(name), array.dtype, dims, **options)
                 variable.set_auto_maskandscale(False)
@@ -340,23 +381,32 @@ class RunFolder:
 
     def remove(self) -> None:
         """Remove the run, and its folder if nothing else is in it; the manifest last."""
-        shutil.rmtree(self.tiles.folder, ignore_errors=True)
+        for folder in (self.tiles.folder, claim_path(self.path / MANIFEST)):
+            shutil.rmtree(folder, ignore_errors=True)
         for path in [
             *self.path.glob("progress*.json"),
-            *self.path.glob(".*.tmp"),
             self.path / FINAL_ATTRIBUTES,
             self.path / MANIFEST,
         ]:
             path.unlink(missing_ok=True)
-        with suppress(OSError):
-            self.path.rmdir()
+        remove_empty(self.path)
+
+
+def remove_empty(path: Path) -> None:
+    """Remove what a removed run folder may have left: a folder with nothing but leftovers."""
+    remove_leftovers(path)
+    with suppress(OSError):
+        path.rmdir()
 
 
 def _check_new_folder(path: Path) -> None:
     """Raise BadInput unless a run folder can be created at `path`."""
     if path.exists() and not path.is_dir():
         raise BadInput(f"{path}: this is a file, not a run folder")
-    if path.exists() and any(not entry.name.startswith(f".{MANIFEST}") for entry in path.iterdir()):
+    claim = claim_path(path / MANIFEST).name
+    if path.exists() and any(
+        entry.name != claim and not is_temporary(entry.name) for entry in path.iterdir()
+    ):
         raise BadInput(f"{path}: this folder holds something else: there is no {MANIFEST} in it")
     check_folder(path / MANIFEST if path.exists() else path)
 
@@ -379,6 +429,12 @@ def _manifest(scene: Scene, sample: grid.Grid, warnings: list[str]) -> dict[str,
         },
     }
     return manifest | {"key": _key(manifest)}
+
+
+def result_hash(scene: str, programs: dict[str, str]) -> str:
+    """Hash of everything on which the bits of an atlas depend: the text of its scene, and its `identity`."""
+    content = {"scene": scene, "identity": programs}
+    return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
 
 
 def _key(manifest: dict[str, Any]) -> str:

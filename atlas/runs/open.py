@@ -8,6 +8,7 @@ import xarray as xr
 
 from ..errors import BadInput
 from ..files import one_line
+from ..io.checksums import CheckedStore
 
 
 def open_atlas(path: str | Path) -> xr.Dataset:
@@ -23,7 +24,8 @@ def open_atlas(path: str | Path) -> xr.Dataset:
     xarray.Dataset
         Flag variables are plain integers. A run folder gives dask arrays with a chunk for each tile;
         points of tiles that are missing are `not_computed` and nan. Tiles are read whenever values are
-        computed, so that tiles finished later appear in the same Dataset.
+        computed, so that tiles finished later appear in the same Dataset. Values of a file are compared with
+        their checksums when they are read, and BadInput is raised if they differ.
 
     Raises
     ------
@@ -38,7 +40,15 @@ def open_atlas(path: str | Path) -> xr.Dataset:
 
         return RunFolder.open(path).dataset()
     try:
-        ds = xr.open_dataset(path, engine="netcdf4", chunks=None)
+        store = CheckedStore.of(path)
+        try:
+            ds = xr.open_dataset(store, chunks=None)
+        except Exception:
+            store.close()
+            raise
+        ds.encoding["source"] = str(path.absolute())
+    except BadInput:
+        raise
     except Exception as error:  # a damaged file may raise any error
         raise BadInput(f"{path}: not a NetCDF file that can be read ({one_line(error)})") from None
     missing = [name for name in ("atlas_system", "atlas_version") if name not in ds.attrs]

@@ -17,8 +17,8 @@ import xarray as xr
 
 from ..engine import blocks
 from ..errors import BadInput
-from ..files import writable
-from ..io import netcdf
+from ..files import check_name, writable
+from ..io import checksums, netcdf
 from ..io.progress import Progress
 from ..io.provenance import log_warnings, provenance
 from ..label.pipeline import evaluate_tile, scene_kernel_hash
@@ -28,13 +28,14 @@ from ..scene.read import load_scene
 from ..validation import half_step
 from . import cluster, refine
 from .concurrency import Advance, for_each_tile, tiles_in_flight
-from .folder import MANIFEST, RunFolder
+from .folder import LONGEST_NAME, MANIFEST, RESULT, RunFolder, remove_empty, result_hash
 from .identity import differences, identity
 from .open import open_atlas
 from .tiles import TileFiles, tile_types
 from .tiling import tiling
 
 MAX_DAMAGE_WARNINGS = 5
+EXISTS = "this file exists; --force (force=True) replaces it"
 
 
 @dataclass(frozen=True)
@@ -88,8 +89,8 @@ def run(
         A scene from `load_scene`, or what `load_scene` reads.
     out : str or Path, optional
         NAME.nc for one file, which is computed in the run folder NAME.nc.run; the folder is joined and
-        removed in the end. Or a run folder: a name that ends in / or has no suffix. A run folder that exists
-        is continued.
+        removed in the end. If a run was killed between the two, the same call finishes it. Or a run folder: a
+        name that ends in / or has no suffix. A run folder that exists is continued.
     threads : int, optional
         Default: all processors of this process. Results do not depend on it.
     progress : bool
@@ -120,11 +121,15 @@ def run(
     if out is None and (shard or execution.on_cluster):
         raise BadInput("shard, scheduler and workers need an out that ends in / or .nc")
     execution.check()
-    path, one_file = (None, False) if out is None else _destination(out, force)
+    path, one_file = (None, False) if out is None else _destination(out)
     if shard and one_file:
         raise BadInput(f"shard: {path} is one file; shards need a run folder, a name that ends in /")
     if scene.refine is not None and (shard or execution.on_cluster or (path is not None and not one_file)):
         raise BadInput("refine: a refined scene runs in one process, into memory or one file, NAME.nc")
+    if path is not None and one_file and path.exists() and not force:
+        if not _folder_of(path).exists():
+            raise BadInput(f"{path}: {EXISTS}")
+        return _finished(scene, path)
     if scheduler:
         cluster.check(scheduler)
     sample = grid.check(scene)
@@ -134,33 +139,112 @@ def run(
         ds = refine.refined(scene, warnings, threads=threads, progress=progress)
         if path is None:
             return ds
-        netcdf.write(ds, path)
+        netcdf.write(ds.assign_attrs({RESULT: result_hash(scene.toml(), identity(scene))}), path)
         return open_atlas(path)
     if path is None:
         return _run_in_memory(scene, sample, warnings, threads, progress)
-    folder_path = path.with_name(path.name + ".run") if one_file else path
-    if one_file and force:
-        RunFolder.discard(scene, folder_path)
-    folder = RunFolder.prepare(scene, folder_path, sample, warnings)
-    _compute_tiles(folder, sample, execution, progress)
-    if not folder.final_attributes() and folder.is_written():
-        folder.save_final_attributes(half_step.half_step_sample(scene, threads=threads))
-    if not one_file:
-        return folder.dataset()
-    folder.join(path)
-    folder.remove()
-    return open_atlas(path)
+    if one_file:
+        if force:
+            RunFolder.discard(scene, _folder_of(path))
+        return _run_to_file(scene, path, sample, warnings, execution, progress)
+    folder = RunFolder.prepare(scene, path, sample, warnings)
+    _complete(folder, sample, execution, progress)
+    return folder.dataset()
 
 
-def _destination(out: str | Path, force: bool) -> tuple[Path, bool]:
+def _destination(out: str | Path) -> tuple[Path, bool]:
     """Path of an atlas, and whether it is one file; BadInput if it cannot be written."""
     path = Path(out)
+    check_name(path)
     is_folder = str(out).endswith("/") or (not path.suffix and not path.is_file())
     if not is_folder and not (path / MANIFEST).exists():
-        return writable(path, (".nc",), force=force), True
+        check_name(_folder_of(path), LONGEST_NAME)
+        return writable(path, (".nc",), force=True), True
+    check_name(path, LONGEST_NAME)
     if not path.absolute().parent.is_dir():
         raise BadInput(f"{path}: there is no folder {path.parent}")
     return path, False
+
+
+def _folder_of(path: Path) -> Path:
+    """Run folder in which an atlas of one file is computed."""
+    return path.with_name(path.name + ".run")
+
+
+def _complete(folder: RunFolder, sample: grid.Grid, execution: _Execution, progress: bool) -> None:
+    """Compute what is missing of a run folder or of one shard of it, and the attributes of the finished run."""
+    _compute_tiles(folder, sample, execution, progress)
+    try:
+        finished = bool(folder.final_attributes())
+    except BadInput as error:
+        logging.getLogger("atlas").warning("%s", error)
+        finished = False
+    if not finished and folder.is_written():
+        folder.save_final_attributes(half_step.half_step_sample(folder.scene, threads=execution.threads))
+
+
+def _run_to_file(
+    scene: Scene, path: Path, sample: grid.Grid, warnings: list[str], execution: _Execution, progress: bool
+) -> xr.Dataset:
+    """Compute an atlas in its run folder, join it, and remove the folder.
+
+    Another process may do the same at the same time. The first one to end removes the folder under the
+    other, whose error then means that the file is finished.
+    """
+    before = _stamp(path)
+    try:
+        folder = RunFolder.prepare(scene, _folder_of(path), sample, warnings)
+        if _stamp(path) == before:
+            _complete(folder, sample, execution, progress)
+        if _stamp(path) == before:
+            folder.join(path)
+            folder.remove()
+            return open_atlas(path)
+    except (BadInput, OSError):
+        if _stamp(path) == before or not _is_result(scene, path):
+            raise
+    return _finished(scene, path)
+
+
+def _stamp(path: Path) -> tuple[int, int] | None:
+    """What changes when a file is replaced; None if there is none."""
+    try:
+        status = path.stat()
+    except FileNotFoundError:
+        return None
+    return status.st_ino, status.st_mtime_ns
+
+
+def _is_result(scene: Scene, path: Path) -> bool:
+    """Whether a file is the undamaged result of running this scene by these programs."""
+    try:
+        with open_atlas(path) as ds:
+            result = ds.attrs.get(RESULT)
+    except BadInput:
+        return False
+    # What a user derives from an atlas has its attributes but no checksums.
+    return (
+        result is not None and checksums.are_in(path) and result == result_hash(scene.toml(), identity(scene))
+    )
+
+
+def _finished(scene: Scene, path: Path) -> xr.Dataset:
+    """Open a file that holds the result already, after removing its run folder; BadInput if it does not.
+
+    A run that is killed after it moved the file into place ends here when it is started again.
+    """
+    if not _is_result(scene, path):
+        raise BadInput(f"{path}: {EXISTS}")
+    folder_path = _folder_of(path)
+    try:
+        folder = RunFolder.open(folder_path)
+        folder.check_same(scene)
+    except BadInput:
+        remove_empty(folder_path)  # unless it holds something else
+    else:
+        checksums.verify(path)
+        folder.remove()
+    return open_atlas(path)
 
 
 def _compute_points(
@@ -242,11 +326,6 @@ class _Job:
             else:
                 yield tile
 
-    def remove_leftovers(self, tile: int) -> None:
-        """Remove what a process that was killed left of a tile."""
-        for path in self.status.leftovers.get(tile, ()):
-            path.unlink(missing_ok=True)
-
 
 def _compute_tiles(folder: RunFolder, sample: grid.Grid, execution: _Execution, progress: bool) -> None:
     """Compute the tiles of a run folder, or of one shard of it, that are missing or damaged."""
@@ -263,6 +342,7 @@ def _compute_tiles(folder: RunFolder, sample: grid.Grid, execution: _Execution, 
             _compute_in_threads(job, bar, sample, execution.threads)
     finally:
         bar.close()
+        folder.remove_leftovers()
 
 
 def _compute_in_threads(job: _Job, bar: Progress, sample: grid.Grid, threads: int | None) -> None:
@@ -279,7 +359,6 @@ def _compute_in_threads(job: _Job, bar: Progress, sample: grid.Grid, threads: in
             now = time.perf_counter()
             seconds, last_end = now - last_end, now
         folder.tiles.write(tile, columns, computed=computed, seconds=seconds, by=by)
-        job.remove_leftovers(tile)
         bar.skip(indices.size - computed)
 
     in_flight = tiles_in_flight(folder.scene, sample, folder.tiling, threads)
@@ -295,7 +374,6 @@ def _compute_on_cluster(job: _Job, bar: Progress, execution: _Execution) -> None
                 f"a worker wrote tile {tile}, but it is not in {folder.path}: workers must see the same files"
             )
         bar.advance(folder.tiling.size_of(tile))
-        job.remove_leftovers(tile)
 
     run = str(folder.path), folder.key
     arguments = ((*run, tile) for tile in job.remaining_tiles(bar))

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import json
 import math
 import os
 import socket
@@ -16,16 +15,13 @@ from typing import Any
 
 import netCDF4
 import numpy as np
-from xarray.backends.locks import HDF5_LOCK, NETCDFC_LOCK, combine_locks
 
-from ..files import atomic_write, disk_error
+from ..files import atomic_write, disk_error, one_line, sealed, unsealed
 from ..io import netcdf
+from ..io.checksums import NETCDF_LOCK
 from ..scene.model import Scene
 from ..variables import variables
 from .tiling import Tiling
-
-# The libraries below netCDF4 are not thread-safe; xarray reads under the same lock.
-NETCDF_LOCK = combine_locks([NETCDFC_LOCK, HDF5_LOCK])
 
 
 class DamagedTileError(Exception):
@@ -39,9 +35,6 @@ class TileStatus:
     done: list[int] = field(default_factory=list)
     missing: list[int] = field(default_factory=list)
     damaged: dict[int, str] = field(default_factory=dict)  # tile -> reason
-    leftovers: dict[int, list[Path]] = field(
-        default_factory=dict
-    )  # tile -> files of a process that was killed
 
 
 def tile_types(scene: Scene) -> dict[str, str]:
@@ -124,7 +117,7 @@ class TileFiles:
             "host": socket.gethostname(), "computed": computed, "seconds": seconds, "by": by,
         }  # fmt: skip
         with atomic_write(self.path(tile, ".json")) as temporary:
-            temporary.write_text(json.dumps(sidecar), encoding="utf-8")
+            temporary.write_text(sealed(sidecar), encoding="utf-8")
 
     def read(self, tile: int, names: Iterable[str] | None = None) -> dict[str, np.ndarray]:
         """Read variables of a tile after checking its hash, key, shape and number of computed points.
@@ -176,9 +169,6 @@ class TileFiles:
         """Check tiles (default: all), reading the whole of every file."""
         names = self._file_names()
         status = TileStatus()
-        for name in names:
-            if name.startswith(".") and name[1:9].isdigit():
-                status.leftovers.setdefault(int(name[1:9]), []).append(self.folder / name)
         written: list[int] = []
         for tile in range(self.tiling.count) if tiles is None else tiles:
             (written if f"{tile:08d}.json" in names else status.missing).append(tile)
@@ -205,10 +195,10 @@ class TileFiles:
     def _sidecar(self, tile: int) -> dict[str, Any]:
         """The sidecar of a tile; see `read` for what it raises."""
         try:
-            sidecar = json.loads(self.path(tile, ".json").read_bytes())
-        except (ValueError, IsADirectoryError):
-            raise DamagedTileError("its sidecar cannot be read") from None
-        if not isinstance(sidecar, dict) or sidecar.get("key") != self.key or sidecar.get("tile") != tile:
+            sidecar = unsealed(self.path(tile, ".json").read_bytes())
+        except (ValueError, IsADirectoryError) as error:
+            raise DamagedTileError(f"its sidecar cannot be read: {one_line(error)}") from None
+        if sidecar.get("key") != self.key or sidecar.get("tile") != tile:
             raise DamagedTileError("its sidecar is of another run or tile")
         return sidecar
 

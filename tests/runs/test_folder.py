@@ -1,5 +1,7 @@
 """Run folders after kills, damage and full disks, on a small scene; scripts/tools/faults.py does the same at length."""
 
+import errno
+import hashlib
 import json
 import os
 import shutil
@@ -8,8 +10,10 @@ import subprocess
 import sys
 import time
 import tracemalloc
+from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
+import netCDF4
 import numpy as np
 import pytest
 from hypothesis import given
@@ -21,6 +25,7 @@ from atlas import BadInput, files, load_scene
 from atlas.analysis import summary
 from atlas.flags import Label
 from atlas.io import netcdf
+from atlas.process import name as process_name
 from atlas.runs import folder, runner, tiles, tiling
 from atlas.runs.folder import RunFolder
 from atlas.runs.tiling import Tiling
@@ -128,8 +133,21 @@ def test_finished_tiles_are_not_computed_again(scene, whole, tmp_path, small_til
 
 
 def edit_sidecar(file: Path, **entries) -> None:
+    """Change entries of a sidecar, whose own checksum then fits again."""
     sidecar = file.with_suffix(".json")
-    sidecar.write_text(json.dumps(json.loads(sidecar.read_text()) | entries))
+    sidecar.write_text(files.sealed(files.unsealed(sidecar.read_text()) | entries))
+
+
+def change_one_value(file: Path) -> None:
+    """Change a number in a tile that opens as before."""
+    with netCDF4.Dataset(file, "r+") as tile:
+        tile["theta_max"][0, 0] += 1e-9
+
+
+def copy_from_another_tile(file: Path) -> None:
+    """Replace a tile by another one and its hash by the right one."""
+    shutil.copy(file.with_name("00000001.nc"), file)
+    edit_sidecar(file, sha256=hashlib.sha256(file.read_bytes()).hexdigest())
 
 
 def flip_one_bit(file: Path) -> None:
@@ -149,9 +167,15 @@ DAMAGES = {
     "another tile with its sidecar": lambda file: [
         shutil.copy(file.with_name("00000001" + s), file.with_suffix(s)) for s in (".nc", ".json")
     ],
+    "another tile with its hash": copy_from_another_tile,
+    "one changed value": change_one_value,
     "sidecar not JSON": lambda file: file.with_suffix(".json").write_text("[1"),
     "no sidecar": lambda file: file.with_suffix(".json").unlink(),
     "sidecar of another run": lambda file: edit_sidecar(file, key="0" * 64),
+    "sidecar of another tile": lambda file: edit_sidecar(file, tile=1),
+    "sidecar edited": lambda file: file.with_suffix(".json").write_text(
+        file.with_suffix(".json").read_text().replace('"seconds": 0', '"seconds": 1')
+    ),
     "points missing": lambda file: edit_sidecar(file, computed=1),
 }
 
@@ -166,9 +190,10 @@ def test_every_damaged_tile_is_reported_and_computed_again(scene, whole, tmp_pat
         status = run.tiles.status()
         assert len(status.done) == 8, name
         assert (list(status.damaged) or status.missing) == [3], name
+        (tmp_path / "joined.nc").write_text("an older atlas")
         with pytest.raises(BadInput):
             run.join(tmp_path / "joined.nc")
-        assert not (tmp_path / "joined.nc").exists()
+        assert (tmp_path / "joined.nc").read_text() == "an older atlas", name
         caplog.clear()
         ds = atlas.run(scene, out, progress=False)
         assert name == "no sidecar" or "tile 3 is computed again" in caplog.text, name
@@ -182,11 +207,11 @@ def test_a_run_of_another_scene_or_processor_is_refused_with_the_differences(sce
     before = {p: p.read_bytes() for p in tmp_path.rglob("*") if p.is_file()}
     with pytest.raises(BadInput, match=r"fixed\.m \(0\.5 there, 0\.6 here\)"):
         atlas.run(load_scene(scene_text({"fixed.m": 0.6})), out, progress=False)
-    manifest = json.loads((tmp_path / "run" / "manifest.json").read_text())
+    manifest = files.unsealed((tmp_path / "run" / "manifest.json").read_text())
     manifest["identity"]["cpu"] = "abacus"
     manifest["key"] = folder._key(manifest)
     (tmp_path / "other").mkdir()
-    (tmp_path / "other" / "manifest.json").write_text(json.dumps(manifest))
+    (tmp_path / "other" / "manifest.json").write_text(files.sealed(manifest))
     with pytest.raises(BadInput, match=r"cpu \(abacus there"):
         atlas.run(scene, f"{tmp_path}/other/", progress=False)
     assert {p: p.read_bytes() for p in before} == before
@@ -197,9 +222,10 @@ def test_a_run_of_another_scene_or_processor_is_refused_with_the_differences(sce
     [
         "",
         "[]",
-        '{"format": 99}',
-        '{"format": 1}',
-        '{"format": 1, "key": "x", "scene": 3, "identity": 1, "tile": []}',
+        '{"format": 2}',
+        files.sealed({"format": 99}),
+        files.sealed({"format": folder.FORMAT}),
+        files.sealed({"format": folder.FORMAT, "key": "x", "scene": 3, "identity": 1, "tile": []}),
     ],
 )
 def test_an_unreadable_manifest_is_refused_and_left_unchanged(scene, tmp_path, manifest):
@@ -336,19 +362,177 @@ def test_two_processes_finish_one_folder_together(longer):
     assert_same_bytes(whole, atlas.open_atlas(path / "run"))
 
 
+# The third tile never ends by itself, so that the signal always comes during the run.
+ENDLESS_THIRD_TILE = """
+import itertools, sys, time
+from atlas import cli
+from atlas.runs import runner
+
+calls, evaluate_tile = itertools.count(1), runner.evaluate_tile
+
+def endless_third(scene, points, *, threads, progress):
+    if next(calls) == 3:
+        print("at work", flush=True)
+        while True:
+            progress(0.0)
+            time.sleep(0.01)
+    return evaluate_tile(scene, points, threads=threads, progress=progress)
+
+runner.evaluate_tile = endless_third
+sys.exit(cli.main(["run", "scene.toml", "-o", "run/", "--threads", "1", "--quiet"]))
+"""
+
+
 def test_ctrl_c_keeps_finished_tiles(longer):
     path, run, whole = longer
-    process = command("run", "scene.toml", "-o", "run/", cwd=path)
-    while not run.tiles.status().done:
-        time.sleep(0.02)
+    process = subprocess.Popen(
+        [sys.executable, "-c", ENDLESS_THIRD_TILE], cwd=path, text=True,
+        stdout=subprocess.PIPE, stderr=subprocess.PIPE,
+    )  # fmt: skip
+    assert process.stdout.readline() == "at work\n"
     process.send_signal(signal.SIGINT)
-    _, errors = process.communicate(timeout=30)
-    assert process.returncode == 130
+    _, errors = process.communicate(timeout=60)
+    assert process.returncode == 130, errors
     assert errors.strip().splitlines()[-1].startswith("atlas: interrupted")
     assert not list((path / "run").rglob("*.tmp"))
     assert not json.loads((path / "run" / "progress.json").read_text())["running"]
-    assert not run.tiles.status().damaged
+    status = run.tiles.status()
+    assert len(status.done) == 2
+    assert not status.damaged
     assert_same_bytes(whole, atlas.run(run.scene, f"{path}/run/", progress=False))
+
+
+@pytest.mark.parametrize(("flushed", "unchanged"), [(0, "*"), (2, "*.json")], ids=["tile", "sidecar"])
+def test_a_tile_is_written_whole_or_not_at_all(scene, tmp_path, small_tiles, monkeypatch, flushed, unchanged):
+    run = empty_run_folder(scene, tmp_path / "run")
+    columns, computed = runner._compute_points(scene, run.tiling.indices(3), 1, None)
+    run.tiles.write(3, columns, computed=computed, seconds=1.0, by="test")
+    before = {p: p.read_bytes() for p in run.tiles.folder.glob(unchanged)}
+    fsync, calls = os.fsync, 0
+
+    def disk_full(handle):
+        nonlocal calls
+        calls += 1
+        if calls > flushed:
+            raise OSError(28, "No space left on device")
+        fsync(handle)
+
+    changed = columns | {"theta_max": columns["theta_max"] + 1}
+    monkeypatch.setattr(files.os, "fsync", disk_full)
+    with pytest.raises(OSError, match="No space"):
+        run.tiles.write(3, changed, computed=computed, seconds=1.0, by="test")
+    assert {p: p.read_bytes() for p in run.tiles.folder.glob(unchanged)} == before
+    assert len(list(run.tiles.folder.iterdir())) == 2
+
+
+def test_a_flipped_bit_of_the_manifest_is_refused_unless_it_changes_nothing(scene, tmp_path, small_tiles):
+    manifest = empty_run_folder(scene, tmp_path / "run").manifest
+    file, rng = tmp_path / "run" / "manifest.json", np.random.default_rng(3)
+    whole = file.read_bytes()
+    method = whole.index(b'"atlas_method": "rk4"') + 18
+    for place in [method, *rng.integers(0, len(whole), 300)]:
+        content = bytearray(whole)
+        content[place] ^= 1 << int(rng.integers(8))
+        file.write_bytes(content)
+        try:
+            assert RunFolder.open(tmp_path / "run").manifest == manifest, place
+        except BadInput as error:
+            assert "\n" not in str(error)  # noqa: PT017
+    file.write_bytes(whole.replace(b'"atlas_method": "rk4"', b'"atlas_method": "rk8"'))
+    with pytest.raises(BadInput, match="checksum"):
+        RunFolder.open(tmp_path / "run")
+
+
+def test_damaged_final_attributes_are_refused_and_written_anew(scene, tmp_path, small_tiles, caplog):
+    run = f"{tmp_path}/run/"
+    attributes = atlas.run(scene, run, progress=False).attrs
+    file = tmp_path / "run" / "notes.json"
+    whole = file.read_text()
+    file.write_text(whole.replace("0", "1", 1))
+    for action in (
+        lambda: atlas.open_atlas(run),
+        lambda: RunFolder.open(run).join(tmp_path / "a.nc"),
+    ):
+        with pytest.raises(BadInput, match=r"notes\.json: damaged"):
+            action()
+    assert not (tmp_path / "a.nc").exists()
+    assert atlas.run(scene, run, progress=False).attrs == attributes
+    assert "damaged" in caplog.text
+    assert file.read_text() == whole
+
+
+def test_files_that_killed_processes_left_are_removed_and_those_of_others_kept(scene, tmp_path, small_tiles):
+    run = empty_run_folder(scene, tmp_path / "run")
+    machine, boot, pid, start = process_name().split("-")
+    dead = [
+        f"{machine}-{boot}-{2**22 + 1}-5",
+        f"{machine}-{boot}-{pid}-{int(start) + 1}",
+        f"{machine}-0{boot[1:]}-1-1",
+    ]
+    alive = [process_name(), f"{'0' * 8}-{boot}-{pid}-{start}"]
+
+    def put_temporaries() -> list[set[Path]]:
+        made = []
+        for names in (dead, alive):
+            made.append(
+                {
+                    place / f".atlas-{name}-0123abcd.tmp"
+                    for name in names
+                    for place in (tmp_path, run.path, run.tiles.folder)
+                }
+            )
+            for path in made[-1]:
+                path.write_text("half a file")
+        return made
+
+    for action in (
+        lambda: run.status(),
+        lambda: atlas.run(scene, tmp_path / "run", progress=False).close(),
+        lambda: run.join(tmp_path / "a.nc"),
+        lambda: atlas.run(scene, tmp_path / "b.nc", progress=False).close(),
+    ):
+        of_dead, of_living = put_temporaries()
+        action()
+        left = set(tmp_path.rglob("*.tmp"))
+        assert of_living <= left
+        removed = {path for path in of_dead if path.parent == tmp_path}
+    assert not removed & left
+
+
+def test_a_run_folder_needs_no_hard_links(scene, whole, tmp_path, small_tiles, monkeypatch):
+    def refuse(*arguments, **options):
+        raise OSError(errno.ENOTSUP, os.strerror(errno.ENOTSUP))
+
+    monkeypatch.setattr(files.os, "link", refuse)
+    out = f"{tmp_path}/run/"
+    assert_same_bytes(whole, atlas.run(scene, out, progress=False))
+    assert_same_bytes(whole, atlas.run(scene, out, progress=False))
+    with atlas.run(scene, tmp_path / "one.nc", progress=False) as one_file:
+        assert_same_bytes(whole, one_file)
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["one.nc", "run"]
+
+
+def test_status_counts_only_processes_that_live(scene, tmp_path, small_tiles):
+    run = empty_run_folder(scene, tmp_path / "run")
+    machine, boot, pid, start = process_name().split("-")
+    now = datetime.now(UTC)
+    cases = {
+        "at work": process_name(),
+        "died": f"{machine}-{boot}-{pid}-{int(start) + 1}",
+        "at work, of another machine": f"{'0' * 8}-{boot}-{pid}-{start}",
+        "silent for more than 10 minutes": f"{'0' * 8}-{boot}-{pid}-{start}",
+        "ended": process_name(),
+    }
+    for i, (state, name) in enumerate(cases.items()):
+        written = now - timedelta(hours=1) if "silent" in state else now
+        (run.path / f"progress-{i + 1}-of-5.json").write_text(json.dumps({
+            "shard": f"{i + 1}/5", "host": "h", "points": 13, "done": 1, "points_per_second": 10.0**i,
+            "running": state != "ended", "process": name, "written": f"{written:%Y-%m-%dT%H:%M:%SZ}",
+        }))  # fmt: skip
+    lines = run.status().splitlines()
+    for line, state in zip(lines[2:7], cases, strict=True):
+        assert f", {state.partition(',')[0]}; written" in line
+    assert lines[7].startswith("63 points left, 0:01 at")  # 101 points per second
 
 
 def test_status_join_and_dry_run_on_the_command_line(tmp_path, small_scene):

@@ -1,17 +1,23 @@
 """Runs and atlas files: their content, that they are written whole or not at all, and that runs are repeatable."""
 
 import json
+import os
+import shutil
+import subprocess
+import sys
 
 import cf_xarray  # noqa: F401
 import netCDF4
 import numpy as np
 import pytest
 import xarray as xr
+from truth import assert_same_bytes
 
 import atlas
 from atlas import BadInput, files, load_scene
 from atlas.flags import Agreement, Label, Stability, Status
 from atlas.runs import runner
+from atlas.runs.folder import RunFolder
 from atlas.scene import grid
 from atlas.variables import variables
 
@@ -164,6 +170,172 @@ def test_after_an_interrupt_or_a_full_disk_only_the_run_folder_is_left(small_sce
     assert [p.name for p in tmp_path.iterdir()] == ["a.nc.run"]
     atlas.run(scene, tmp_path / "a.nc", progress=False)
     assert [p.name for p in tmp_path.iterdir()] == ["a.nc"]
+
+
+def test_the_same_command_ends_well_wherever_a_run_was_killed_after_its_join(small_scene, tmp_path):
+    scene, path, folder = load_scene(small_scene), tmp_path / "a.nc", tmp_path / "a.nc.run"
+    whole = atlas.run(scene, f"{tmp_path}/whole/", progress=False)
+    RunFolder.open(tmp_path / "whole").join(path)
+    joined = path.read_bytes()
+
+    def finish(left):
+        """Run again beside what is left of the run folder."""
+        with atlas.run(scene, path, progress=False) as ds:
+            assert_same_bytes(whole, ds)
+        assert path.read_bytes() == joined
+        assert not folder.exists(), left
+
+    with pytest.raises(BadInput, match="force"):
+        atlas.run(scene, path, progress=False)
+    for removed in ((), ("tiles",), ("tiles", "notes.json"), ("tiles", "notes.json", "manifest.json")):
+        shutil.copytree(tmp_path / "whole", folder)
+        for name in removed:
+            (shutil.rmtree if name == "tiles" else os.unlink)(folder / name)
+        (folder / "progress.json").unlink(missing_ok=True)
+        finish(removed)
+    shutil.copytree(tmp_path / "whole", folder)
+    with netCDF4.Dataset(path, "r+") as file:
+        file["theta_max"][0, 0] += 1e-9
+    with pytest.raises(BadInput, match="damaged"):
+        atlas.run(scene, path, progress=False)
+    assert (folder / "manifest.json").exists()
+
+
+def test_another_file_or_folder_in_the_way_is_kept(small_scene, scene_text, tmp_path):
+    scene, path = load_scene(small_scene), tmp_path / "a.nc"
+    other = load_scene(scene_text({"fixed.m": 0.6}))
+    atlas.run(other, path, progress=False).close()
+    with atlas.open_atlas(path) as ds:
+        ds.to_netcdf(tmp_path / "derived.nc")
+    for existing, its_scene in ((path, scene), (tmp_path / "derived.nc", other)):
+        before = existing.read_bytes()
+        with pytest.raises(BadInput, match="force"):
+            atlas.run(its_scene, existing, progress=False)
+        assert existing.read_bytes() == before
+    atlas.run(scene, f"{tmp_path}/a.nc.run/", progress=False)
+    (tmp_path / "a.nc.run" / "thesis.tex").write_text("mine")
+    with pytest.raises(BadInput, match="force"):
+        atlas.run(scene, path, progress=False)
+    atlas.run(other, path, progress=False).close()
+    assert len(list((tmp_path / "a.nc.run" / "tiles").iterdir())) == 2
+
+
+def test_a_run_whose_file_another_process_finishes_ends_well(small_scene, tmp_path, monkeypatch):
+    scene, path = load_scene(small_scene), tmp_path / "a.nc"
+    whole = atlas.run(scene, progress=False)
+    real_join, real_prepare, real_complete = RunFolder.join, RunFolder.prepare, runner._complete
+
+    def finish_first(*arguments):
+        """The other process."""
+        with monkeypatch.context() as patched:
+            patched.setattr(RunFolder, "join", real_join)
+            patched.setattr(RunFolder, "prepare", real_prepare)
+            patched.setattr(runner, "_complete", real_complete)
+            atlas.run(scene, path, progress=False, force=True).close()
+
+    def late_join(self, out):
+        finish_first()
+        real_join(self, out)
+
+    def late_prepare(*arguments):
+        finish_first()
+        monkeypatch.setattr(runner, "_complete", None)  # nothing is computed again
+        return real_prepare(*arguments)
+
+    for force in (False, True):
+        for name, late in (("join", late_join), ("prepare", late_prepare)):
+            path.unlink(missing_ok=True)
+            with monkeypatch.context() as patched:
+                patched.setattr(RunFolder, name, late)
+                with atlas.run(scene, path, progress=False, force=force) as ds:
+                    assert_same_bytes(whole, ds)
+            monkeypatch.setattr(runner, "_complete", real_complete)
+            assert [p.name for p in tmp_path.iterdir()] == ["a.nc"]
+
+
+def test_names_of_any_length_work_or_are_refused_before_the_run(small_scene, tmp_path, monkeypatch):
+    scene = load_scene(small_scene)
+    longest = os.pathconf(tmp_path, "PC_NAME_MAX")
+    for name in ("a" * 215 + ".nc", "b" * (longest - 7) + ".nc", "c" * longest + "/"):
+        atlas.run(scene, f"{tmp_path}/{name}", progress=False).close()
+    deep = tmp_path
+    while len(str(deep)) + 240 < os.pathconf(tmp_path, "PC_PATH_MAX"):
+        deep = deep / ("d" * 200)
+    os.makedirs(deep)
+    monkeypatch.setattr(runner, "evaluate_tile", None)
+    before = sorted(tmp_path.rglob("*"))
+    for out in (
+        f"{tmp_path}/{'a' * (longest - 6)}.nc",
+        f"{tmp_path}/{'c' * (longest + 1)}/",
+        f"{deep}/{'e' * 170}/",
+        f"{deep}/{'e' * 170}.nc",
+    ):
+        with pytest.raises(BadInput, match="too long") as error:
+            atlas.run(scene, out, progress=False)
+        assert len(str(error.value)) < 400
+    assert sorted(tmp_path.rglob("*")) == before
+
+
+# Runs `atlas run` in a fork, ended by SIGKILL just before its n-th change of a file or
+# folder, and again to its end.
+KILLED_AT_STEPS = """
+import os, signal
+import atlas
+
+scene = atlas.load_scene("small.toml")
+atlas.run(scene, threads=1, progress=False)  # so that every fork has the kernel
+OUT = os.open("steps.txt", os.O_RDWR | os.O_CREAT)
+
+def run(step):
+    child = os.fork()
+    if child:
+        return os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
+    steps = 0
+
+    def counted(change):
+        def change_or_die(*arguments, **options):
+            nonlocal steps
+            steps += 1
+            if steps == step:
+                os.kill(os.getpid(), signal.SIGKILL)
+            return change(*arguments, **options)
+        return change_or_die
+
+    for name in ("replace", "link", "unlink", "rmdir", "mkdir", "fsync"):
+        setattr(os, name, counted(getattr(os, name)))
+    try:
+        atlas.run(scene, "a.nc", threads=1, progress=False)
+        os.pwrite(OUT, b"%8d" % steps, 0)
+        os._exit(0)
+    finally:
+        os._exit(1)
+
+assert run(None) == 0
+steps = int(os.pread(OUT, 8, 0))
+os.unlink("steps.txt")
+for step in (*range(1, steps - 14, 5), *range(steps - 14, steps + 1)):  # faults.py tries all of them
+    os.unlink("a.nc")
+    assert run(step) == -signal.SIGKILL, step
+    assert run(None) == 0, step
+    assert sorted(os.listdir()) == ["a.nc", "small.toml"], step
+    os.link("a.nc", f"../{step}.nc")
+"""
+
+
+def test_after_a_kill_at_any_step_the_same_command_finishes(small_scene, tmp_path):
+    folder = tmp_path / "folder"
+    folder.mkdir()
+    (folder / "small.toml").write_text(small_scene)
+    whole = atlas.run(load_scene(small_scene), progress=False)
+    done = subprocess.run(
+        [sys.executable, "-c", KILLED_AT_STEPS], cwd=folder, capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 0, done.stderr
+    files_written = list(tmp_path.glob("*.nc"))
+    assert len(files_written) > 18
+    for path in files_written:
+        with atlas.open_atlas(path) as ds:
+            assert_same_bytes(whole, ds)
 
 
 def test_a_file_that_is_not_an_atlas_is_refused_in_one_line(small_atlas, tmp_path):

@@ -1,0 +1,240 @@
+"""Checksums of everything in a NetCDF file, so that damage is found and never read as data.
+
+NetCDF-4 can store a Fletcher checksum for each chunk, but none for scalars, and none for the tables in which HDF5
+looks chunks up: one flipped bit there makes a chunk read as missing, or without its filters. A group `checksums`
+therefore holds a CRC-32 of every block of every variable, as it is read, and a hash of dimensions, attributes,
+types and these numbers. The hash is compared when a file is opened, the CRC of a block whenever it is read.
+
+`crc32(block)` are the blocks of all variables, in the order of the variables and in C order; the attribute
+`block_shapes` (JSON) is the shape of a block of each variable.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import math
+import zlib
+from collections.abc import Iterator, Sequence
+from itertools import product
+from pathlib import Path
+from typing import Any
+
+import netCDF4
+import numpy as np
+import xarray as xr
+from xarray.backends import BackendArray
+from xarray.backends.locks import HDF5_LOCK, NETCDFC_LOCK, combine_locks
+from xarray.backends.netCDF4_ import NetCDF4ArrayWrapper
+from xarray.core import indexing
+
+from ..errors import BadInput
+from ..files import one_line
+
+GROUP = "checksums"
+BLOCK_VALUES = 1 << 16  # in a block of a variable that is not stored in chunks
+# The libraries below netCDF4 are not thread-safe; xarray reads under the same lock.
+NETCDF_LOCK = combine_locks([NETCDFC_LOCK, HDF5_LOCK])
+
+BlockShapes = dict[str, list[int]]
+
+
+def add(path: Path) -> None:
+    """Add checksums to a new file, of what is read back from it.
+
+    Parameters
+    ----------
+    path : Path
+        NetCDF-4 file without groups.
+    """
+    with NETCDF_LOCK, netCDF4.Dataset(path, "r+") as file:
+        file.set_auto_maskandscale(False)
+        file.set_auto_chartostring(False)
+        blocks = {name: _block_shape(variable) for name, variable in file.variables.items()}
+        crc = _crc_of_blocks(file, blocks)
+        group = file.createGroup(GROUP)
+        group.createDimension("block", len(crc))
+        group.createVariable("crc32", np.uint32, ["block"], fill_value=False)[:] = crc
+        group.setncattr("block_shapes", json.dumps(blocks))
+        group.setncattr("metadata_sha256", _metadata_hash(file))
+
+
+def are_in(path: Path) -> bool:
+    """Whether a NetCDF file has checksums; a copy by another program has none."""
+    with NETCDF_LOCK, netCDF4.Dataset(path) as file:
+        return GROUP in file.groups
+
+
+def verify(path: Path) -> None:
+    """Read all of a file that has checksums; BadInput if it is damaged."""
+    try:
+        with NETCDF_LOCK, netCDF4.Dataset(path) as file:
+            file.set_auto_maskandscale(False)
+            file.set_auto_chartostring(False)
+            group = file.groups[GROUP]
+            crc = _crc_of_blocks(file, json.loads(group.getncattr("block_shapes")))
+            damaged = not np.array_equal(crc, group.variables["crc32"][:])
+    except (RuntimeError, OSError) as error:
+        raise BadInput(f"{path}: damaged: {one_line(error)}") from None
+    if damaged:
+        raise BadInput(f"{path}: damaged: its values differ from their checksums")
+
+
+def _crc_of_blocks(file: netCDF4.Dataset, blocks: BlockShapes) -> np.ndarray:
+    """CRC of all blocks of all variables."""
+    crc = [
+        _crc(np.asarray(variable[_slices(index, blocks[name]) or ...]))
+        for name, variable in file.variables.items()
+        for index in np.ndindex(*_counts(variable.shape, blocks[name]))
+    ]
+    return np.array(crc, np.uint32)
+
+
+def _block_shape(variable: netCDF4.Variable) -> list[int]:
+    """Shape of the blocks of a variable: its chunks, or some rows of a variable without chunks."""
+    chunks = variable.chunking()
+    if chunks != "contiguous":
+        return [min(length, count) for length, count in zip(chunks, variable.shape, strict=True)]
+    block, room = list[int](), BLOCK_VALUES
+    for count in reversed(variable.shape):
+        block.insert(0, min(count, room))
+        room = max(room // count, 1)
+    return block
+
+
+def _counts(shape: Sequence[int], block: Sequence[int]) -> list[int]:
+    """Number of blocks along each axis."""
+    return [-(-count // length) for count, length in zip(shape, block, strict=True)]
+
+
+def _slices(index: Sequence[int], block: Sequence[int]) -> tuple[slice, ...]:
+    """Place of a block, given by its number along each axis."""
+    return tuple(slice(i * n, (i + 1) * n) for i, n in zip(index, block, strict=True))
+
+
+def _crc(values: np.ndarray) -> int:
+    """CRC-32 of values in C order: little-endian numbers, or texts joined by zero characters."""
+    if values.dtype.kind in "OSU":
+        return zlib.crc32("\0".join(map(str, values.ravel())).encode())
+    return zlib.crc32(np.ascontiguousarray(values, values.dtype.newbyteorder("<")).data)
+
+
+def _metadata_hash(file: netCDF4.Dataset) -> str:
+    """Hash of dimensions, attributes and types of a file, and of the checksums in it."""
+    group = file.groups[GROUP]
+    content = [
+        {name: len(dimension) for name, dimension in file.dimensions.items()},
+        _attributes(file),
+        {
+            name: [variable.dimensions, str(variable.dtype), _attributes(variable)]
+            for name, variable in file.variables.items()
+        },
+        group.getncattr("block_shapes"),
+        _crc(np.asarray(group.variables["crc32"][:])),
+    ]
+    return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
+
+
+def _attributes(owner: Any) -> dict[str, Any]:
+    """Attributes of a file or variable as lists of texts, types and exact numbers."""
+    attributes = {}
+    for name in owner.ncattrs():
+        value = np.asarray(owner.getncattr(name))
+        attributes[name] = [value.dtype.kind, value.dtype.itemsize, repr(value.tolist())]
+    return attributes
+
+
+class CheckedStore(xr.backends.NetCDF4DataStore):
+    """A NetCDF file for `xarray.open_dataset`, whose values are compared with their checksums when read.
+
+    A file without checksums, of another program, is read as it is.
+    """
+
+    checksums: dict[str, tuple[list[int], np.ndarray]] | None = None  # shape of a block, CRC of each block
+
+    @classmethod
+    def of(cls, path: Path) -> CheckedStore:
+        """Open a file; BadInput if its metadata do not fit their hash."""
+        store = cls.open(str(path))
+        file = store.ds
+        if GROUP in file.groups:
+            try:
+                with NETCDF_LOCK:
+                    store.checksums = _read_checksums(file)
+            except Exception as error:  # damaged metadata may raise any error
+                store.close()
+                raise BadInput(
+                    f"{path}: its dimensions or attributes are damaged: {one_line(error)}"
+                ) from None
+        return store
+
+    def open_store_variable(self, name: str, var: Any) -> xr.Variable:
+        """Variable of the file, read through `_CheckedArray`."""
+        variable = super().open_store_variable(name, var)
+        if self.checksums is None:
+            return variable
+        array = _CheckedArray(NetCDF4ArrayWrapper(name, self), str(self._filename), *self.checksums[name])
+        return xr.Variable(
+            variable.dims, indexing.LazilyIndexedArray(array), variable.attrs, variable.encoding
+        )
+
+
+def _read_checksums(file: netCDF4.Dataset) -> dict[str, tuple[list[int], np.ndarray]]:
+    """Shape of the blocks and CRC of each block of every variable; any error if the metadata are damaged."""
+    group = file.groups[GROUP]
+    if group.getncattr("metadata_sha256") != _metadata_hash(file):
+        raise ValueError("their hash differs")
+    blocks: BlockShapes = json.loads(group.getncattr("block_shapes"))
+    crc, checksums = np.asarray(group.variables["crc32"][:]), {}
+    for name, variable in file.variables.items():
+        counts = _counts(variable.shape, blocks[name])
+        checksums[name] = blocks[name], crc[: math.prod(counts)].reshape(counts)
+        crc = crc[math.prod(counts) :]
+    return checksums
+
+
+class _CheckedArray(BackendArray):
+    """A variable that is read block by block, and compared with the CRC of each block."""
+
+    def __init__(self, array: NetCDF4ArrayWrapper, path: str, block: list[int], crc: np.ndarray):
+        self.array, self.path, self.block, self.crc = array, path, block, crc
+        self.shape, self.dtype = array.shape, array.dtype
+
+    def __getitem__(self, key: indexing.ExplicitIndexer) -> Any:
+        return indexing.explicit_indexing_adapter(key, self.shape, indexing.IndexingSupport.BASIC, self._read)
+
+    def _read(self, key: tuple[int | slice, ...]) -> np.ndarray:
+        """Values at an integer or a slice for each axis."""
+        chosen = [range(count)[k] for count, k in zip(self.shape, key, strict=True)]
+        ranges = [c if isinstance(c, range) else range(c, c + 1) for c in chosen]
+        ascending = [r if r.step > 0 else r[::-1] for r in ranges]
+        values = np.empty([len(r) for r in ascending], self.dtype)
+        for parts in product(*map(_parts, ascending, self.block)):
+            block = self._read_block(tuple(number for number, _, _ in parts))
+            values[tuple(there for _, there, _ in parts)] = block[tuple(inside for _, _, inside in parts)]
+        order = (slice(None, None, 1 if r.step > 0 else -1) for r in ranges)
+        return values[tuple(o if isinstance(c, range) else 0 for c, o in zip(chosen, order, strict=True))]
+
+    def _read_block(self, index: tuple[int, ...]) -> np.ndarray:
+        """One block; BadInput if it differs from its CRC."""
+        name = self.array.variable_name
+        try:
+            values = np.asarray(self.array[indexing.BasicIndexer(_slices(index, self.block))])
+        except (RuntimeError, OSError) as error:
+            raise BadInput(f"{self.path}: the values of {name} are damaged: {one_line(error)}") from None
+        if _crc(values) != self.crc[index]:
+            raise BadInput(f"{self.path}: the values of {name} are damaged: their checksum differs")
+        return values
+
+
+def _parts(positions: range, length: int) -> Iterator[tuple[int, slice, slice]]:
+    """Ascending positions along an axis by blocks of this length.
+
+    Yields the number of each block, the places of its positions in the result, and those in the block.
+    """
+    place = 0
+    while place < len(positions):
+        block, first = divmod(positions[place], length)
+        end = min(place - (-(length - first) // positions.step), len(positions))
+        yield block, slice(place, end), slice(first, positions[end - 1] - block * length + 1, positions.step)
+        place = end

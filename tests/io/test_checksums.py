@@ -1,0 +1,161 @@
+"""Checksums of atlas files: what is read is what was written, or an error."""
+
+import netCDF4
+import numpy as np
+import pytest
+import xarray as xr
+from hypothesis import given
+from hypothesis import strategies as st
+from truth import assert_same_bytes
+
+import atlas
+from atlas import BadInput
+from atlas.cli import main
+from atlas.io import checksums
+
+ATTRIBUTES = {"atlas_system": "satellite", "atlas_version": "0"}
+
+
+def written(path, **variables) -> xr.Dataset:
+    """A data set written with checksums, in chunks of 3 along each axis."""
+    ds = xr.Dataset(variables, attrs=ATTRIBUTES)
+    encoding = {
+        name: {"zlib": True, "fletcher32": True, "chunksizes": [min(3, n) for n in variable.shape]}
+        for name, variable in ds.variables.items()
+        if variable.ndim and variable.dtype.kind != "O"
+    }
+    ds.to_netcdf(path, engine="netcdf4", encoding=encoding)
+    checksums.add(path)
+    return ds
+
+
+@pytest.fixture(scope="module")
+def small_file(tmp_path_factory, small_scene):
+    path = tmp_path_factory.mktemp("checksums") / "small.nc"
+    atlas.run(small_scene, path, progress=False).close()
+    return path
+
+
+@pytest.fixture(scope="module")
+def cube(tmp_path_factory):
+    path = tmp_path_factory.mktemp("cube") / "cube.nc"
+    numbers = np.random.default_rng(1).normal(size=(7, 5, 4))
+    written(path, numbers=(("x", "y", "z"), numbers)).close()
+    return path, numbers
+
+
+def indices(length: int) -> st.SearchStrategy:
+    whole = st.integers(-length, length - 1)
+    slices = st.slices(length).filter(lambda k: len(range(length)[k]) > 0)  # xarray refuses some empty ones
+    return st.one_of(whole, slices, st.lists(whole, min_size=1, max_size=4).map(np.array))
+
+
+@given(st.tuples(indices(7), indices(5), indices(4)))
+def test_any_selection_reads_the_values_that_were_written(cube, key):
+    path, numbers = cube
+    for axis, k in reversed(list(enumerate(key))):
+        numbers = numbers[(slice(None),) * axis + (k,)]
+    with atlas.open_atlas(path) as ds:
+        np.testing.assert_array_equal(ds.numbers[key].values, numbers)
+
+
+def test_texts_scalars_and_flags_are_read_as_written(tmp_path):
+    ds = written(
+        tmp_path / "a.nc",
+        texts=("x", np.array(["one", "", "three", "four"], dtype=object)),
+        number=((), 0.1),
+        flags=(("x", "y"), np.arange(20, dtype=np.int8).reshape(4, 5)),
+        plain=("long", np.arange(checksums.BLOCK_VALUES + 10.0)),
+    )
+    with atlas.open_atlas(tmp_path / "a.nc") as read:
+        xr.testing.assert_identical(read.load(), ds)
+    checksums.verify(tmp_path / "a.nc")
+
+
+def test_all_variables_have_checksums_for_other_programs_as_well(small_file):
+    with netCDF4.Dataset(small_file) as file:
+        assert all(v.filters()["fletcher32"] for v in file.variables.values() if v.dimensions)
+        assert sum(bool(v.dimensions) for v in file.variables.values()) > 20
+
+
+def change_attribute(file):
+    file["label"].long_name = "other"
+
+
+def change_provenance(file):
+    file.atlas_tolerance = 2e-5
+
+
+def change_scalar(file):
+    file["Omega"][...] = 1.5
+
+
+def change_axis(file):
+    file["theta0"][3] += 1e-9
+
+
+def change_flag(file):
+    file["label"][2, 2] = 1
+
+
+def change_number(file):
+    file["theta_max"][8, 6] += 1e-12
+
+
+def rename_variable(file):
+    file.renameVariable("theta_max", "theta_min_")
+
+
+CHANGES = (
+    change_attribute, change_provenance, change_scalar, change_axis, change_flag, change_number, rename_variable
+)  # fmt: skip
+
+
+@pytest.mark.parametrize("change", CHANGES, ids=lambda change: change.__name__)
+def test_a_changed_file_is_refused_when_it_is_opened_or_read(small_file, tmp_path, change, capsys):
+    path = tmp_path / "changed.nc"
+    path.write_bytes(small_file.read_bytes())
+    with netCDF4.Dataset(path, "r+") as file:
+        file.set_auto_maskandscale(False)
+        change(file)
+
+    def read():
+        with atlas.open_atlas(path) as ds:
+            ds.load()
+
+    with pytest.raises(BadInput, match="damaged"):
+        read()
+    if change is change_flag:
+        assert main(["compare", str(path)]) == 2
+        assert len(capsys.readouterr().err.strip().splitlines()) == 1
+        with pytest.raises(BadInput, match="damaged"):
+            checksums.verify(path)
+
+
+def test_a_flipped_bit_never_gives_other_data(small_file, tmp_path):
+    whole, path = small_file.read_bytes(), tmp_path / "flipped.nc"
+    with atlas.open_atlas(small_file) as ds:
+        truth = ds.load()
+    rng = np.random.default_rng(5)
+    # Half of the flips hit the tables of chunks and the first chunks, which are a small part of the file.
+    table = whole.index(b"TREE")
+    places = [*rng.integers(0, len(whole), 100), *rng.integers(table, table + 4000, 100)]
+    refused = 0
+    for place in places:
+        content = bytearray(whole)
+        content[place] ^= 1 << int(rng.integers(8))
+        path.write_bytes(content)
+        try:
+            with atlas.open_atlas(path) as ds:
+                assert_same_bytes(truth, ds)
+                assert repr(ds.attrs) == repr(truth.attrs)
+        except BadInput:
+            refused += 1
+    assert refused > 5
+
+
+def test_a_copy_without_checksums_can_be_opened(small_file, tmp_path):
+    with atlas.open_atlas(small_file) as ds:
+        ds.isel(sigma=slice(3)).to_netcdf(tmp_path / "part.nc")
+    with atlas.open_atlas(tmp_path / "part.nc") as part:
+        assert part.sizes["sigma"] == 3

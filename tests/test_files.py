@@ -1,0 +1,167 @@
+"""Files appear whole or not at all, under names that fit, and never through somebody else's link."""
+
+import errno
+import multiprocessing
+import os
+import subprocess
+import sys
+
+import pytest
+
+from atlas import BadInput, files, process
+from atlas.files import atomic_write, remove_leftovers
+
+
+def test_a_file_is_flushed_before_it_is_moved_and_its_folder_after(tmp_path, monkeypatch):
+    order, fsync, replace = [], os.fsync, os.replace
+
+    def noted_fsync(handle):
+        order.append(os.fstat(handle).st_ino)
+        fsync(handle)
+
+    def noted_replace(source, target):
+        order.append("moved")
+        replace(source, target)
+
+    monkeypatch.setattr(files.os, "fsync", noted_fsync)
+    monkeypatch.setattr(files.os, "replace", noted_replace)
+    with atomic_write(tmp_path / "a") as temporary:
+        temporary.write_text("whole")
+    assert order == [(tmp_path / "a").stat().st_ino, "moved", tmp_path.stat().st_ino]
+
+
+def test_a_failed_write_leaves_the_old_file_and_no_other(tmp_path):
+    (tmp_path / "a").write_text("old")
+
+    def write_half():
+        with atomic_write(tmp_path / "a") as temporary:
+            temporary.write_text("new, but")
+            raise ValueError("stop")
+
+    with pytest.raises(ValueError, match="stop"):
+        write_half()
+    assert [p.name for p in tmp_path.iterdir()] == ["a"]
+    assert (tmp_path / "a").read_text() == "old"
+
+
+def test_the_name_may_be_as_long_as_the_file_system_allows(tmp_path):
+    longest = os.pathconf(tmp_path, "PC_NAME_MAX")
+    with atomic_write(tmp_path / ("a" * longest)) as temporary:
+        temporary.write_text("whole")
+    assert (tmp_path / ("a" * longest)).read_text() == "whole"
+    with pytest.raises(BadInput, match="too long") as error:
+        files.writable(tmp_path / ("a" * longest + ".nc"), (".nc",), force=False)
+    assert "\n" not in str(error.value)
+
+
+def test_a_planted_link_is_not_followed(tmp_path, monkeypatch):
+    monkeypatch.setattr(files.secrets, "token_hex", lambda count: "0" * 2 * count)
+    victim = tmp_path / "victim"
+    victim.write_text("kept")
+    (tmp_path / f".atlas-{process.name()}-00000000.tmp").symlink_to(victim)
+    with pytest.raises(FileExistsError), atomic_write(tmp_path / "a") as temporary:
+        temporary.write_text("overwritten")
+    assert victim.read_text() == "kept"
+
+
+@pytest.mark.parametrize("links", [True, False])
+def test_exclusive_creation_keeps_the_first_file(tmp_path, monkeypatch, links):
+    if not links:
+
+        def refuse(*arguments):
+            raise OSError(errno.EPERM, os.strerror(errno.EPERM))
+
+        monkeypatch.setattr(files.os, "link", refuse)
+    contents = []
+    for content in ("first", "second"):
+        try:
+            with atomic_write(tmp_path / "a", exclusive=True) as temporary:
+                temporary.write_text(content)
+        except FileExistsError:
+            contents.append(content)
+    assert contents == ["second"]
+    assert (tmp_path / "a").read_text() == "first"
+    assert not list(tmp_path.glob("*.tmp"))
+
+
+def test_without_links_the_file_of_a_killed_creator_is_completed(tmp_path, monkeypatch):
+    def refuse(*arguments):
+        raise OSError(errno.EPERM, os.strerror(errno.EPERM))
+
+    monkeypatch.setattr(files.os, "link", refuse)
+    claim = files.claim_path(tmp_path / "a")
+    claim.mkdir()
+    (claim / "a").write_text("first")  # killed before it was copied to its place
+    with pytest.raises(FileExistsError), atomic_write(tmp_path / "a", exclusive=True) as temporary:
+        temporary.write_text("second")
+    assert (tmp_path / "a").read_text() == "first"
+
+
+def _create(folder, start, number):
+    files.os.link = lambda *arguments: (_ for _ in ()).throw(OSError(errno.EPERM, "no links"))
+    start.wait()
+    try:
+        with atomic_write(folder / "a", exclusive=True) as temporary:
+            temporary.write_text(str(number))
+    except FileExistsError:
+        sys.exit(1)
+
+
+def test_without_links_one_of_several_processes_creates_the_file(tmp_path):
+    context = multiprocessing.get_context("spawn")
+    start = context.Event()
+    creators = [context.Process(target=_create, args=(tmp_path, start, i)) for i in range(4)]
+    for creator in creators:
+        creator.start()
+    start.set()
+    for creator in creators:
+        creator.join()
+    winners = [i for i, creator in enumerate(creators) if creator.exitcode == 0]
+    assert len(winners) == 1
+    assert (tmp_path / "a").read_text() == str(winners[0])
+
+
+@pytest.fixture
+def other_process():
+    """A process that waits, and its name."""
+    code = "import sys; from atlas import process; print(process.name(), flush=True); sys.stdin.read()"
+    other = subprocess.Popen(
+        [sys.executable, "-c", code], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+    )
+    name = other.stdout.readline().strip()
+    yield other, name
+    other.kill()
+    other.communicate()
+
+
+def test_a_process_is_found_to_run_until_it_is_killed(other_process):
+    other, name = other_process
+    assert process.is_running(name) is True
+    other.kill()
+    os.waitid(os.P_PID, other.pid, os.WEXITED | os.WNOWAIT)  # it has ended, its exit status is not asked for
+    assert process.is_running(name) is False
+    other.wait()
+    assert process.is_running(name) is False
+
+
+def test_leftovers_of_killed_processes_are_removed_and_all_else_is_kept(tmp_path, other_process, monkeypatch):
+    other, name = other_process
+    machine, rest = name.split("-", 1)
+    foreign = f"{int(machine, 16) ^ 1:08x}-{rest}"
+    names = [f".atlas-{n}-0123abcd.tmp" for n in (name, foreign)] + ["mine.tmp", ".atlas-thesis.tmp"]
+    for each in names:
+        (tmp_path / each).write_text("content")
+    remove_leftovers(tmp_path)
+    assert sorted(p.name for p in tmp_path.iterdir()) == sorted(names)
+    other.kill()
+    other.wait()
+    remove_leftovers(tmp_path)
+    assert sorted(p.name for p in tmp_path.iterdir()) == sorted(names[1:])
+    week_ago = (tmp_path / "mine.tmp").stat().st_mtime - files.FOREIGN_LEFTOVER_AGE
+    os.utime(tmp_path / names[1], (week_ago + 100, week_ago + 100))
+    remove_leftovers(tmp_path)
+    assert (tmp_path / names[1]).exists()
+    os.utime(tmp_path / names[1], (week_ago - 1, week_ago - 1))
+    remove_leftovers(tmp_path)
+    assert sorted(p.name for p in tmp_path.iterdir()) == sorted(names[2:])
+    remove_leftovers(tmp_path / "no such folder")

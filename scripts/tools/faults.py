@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import logging
 import os
 import random
 import re
@@ -734,6 +735,7 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=1, help="of the random numbers (default: 1)")
     options = parser.parse_args()
     random.seed(options.seed)
+    logging.disable(logging.WARNING)  # damage is counted here
     folder = Path(tempfile.mkdtemp(prefix="atlas-faults-"))
     try:
         trial = Trial(folder)

@@ -184,7 +184,7 @@ class _MachineCode(NullCache):
             if _complain_unless_private(path.parent):
                 return
             with atomic_write(path) as temporary:
-                temporary.touch(mode=0o600)
+                temporary.chmod(0o600)
                 temporary.write_bytes(_hashed(key, payload))
         except OSError as error:
             _complain(path.parent, f"cannot be written ({error.strerror or error}): compiling in memory")

@@ -35,7 +35,7 @@ from numba.core.serialize import dumps
 from numba.extending import intrinsic
 from numba.np import arrayobj
 
-from ..files import atomic_write, one_line
+from ..files import atomic_write, one_line, remove_leftovers
 
 # contract lets LLVM fuse multiply and add; anything more (nnan above all) would lose NaN checks.
 OPTIONS = {"fastmath": {"contract"}, "error_model": "numpy", "boundscheck": False}
@@ -186,6 +186,7 @@ class _MachineCode(NullCache):
             with atomic_write(path) as temporary:
                 temporary.chmod(0o600)
                 temporary.write_bytes(_hashed(key, payload))
+            remove_leftovers(path.parent)
         except OSError as error:
             _complain(path.parent, f"cannot be written ({error.strerror or error}): compiling in memory")
 
@@ -272,6 +273,7 @@ def cached() -> list[tuple[str, int, float]]:
 def clear() -> int:
     """Remove every cached kernel, and what killed processes left of them; returns how many there were."""
     names = [name for name, _, _ in cached()]
-    for path in [*(cache_folder() / name for name in names), *cache_folder().glob(".atlas_kernel_*.tmp")]:
-        _remove(path)
+    for name in names:
+        _remove(cache_folder() / name)
+    remove_leftovers(cache_folder())
     return len(names)

@@ -3,6 +3,7 @@
 import errno
 import os
 import pickle
+import re
 import shutil
 import subprocess
 import sys
@@ -13,6 +14,7 @@ import numba
 import pytest
 
 import atlas
+from atlas import process
 from atlas.engine import jit
 
 
@@ -248,7 +250,8 @@ def test_cache_is_listed_and_cleared(cache):
     earlier = cache / "atlas_kernel_of_an_earlier_version"
     earlier.mkdir()
     (earlier / "kernel.py").write_text("1234")
-    (cache / f".{file.name}.0.tmp").write_text("left by a process that was killed")
+    ended = re.sub(r"-\d+-\d+$", "-4000000-1", process.name())
+    (cache / f".atlas-{ended}-00000000.tmp").write_text("left by a process that was killed")
     (cache / "mine.txt").write_text("")
     assert [(name, size) for name, size, _ in jit.cached()] == [
         (file.name, file.stat().st_size), (earlier.name, 4),

@@ -18,7 +18,7 @@ import tempfile
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import Any
+from typing import Any, TextIO
 
 from . import process
 from .errors import BadInput
@@ -225,10 +225,12 @@ def check_folder(path: Path) -> None:
         raise BadInput(f"{path}: this is a folder")
 
 
-def read_text(path: Path) -> str:
-    """Text of a file in UTF-8; BadInput if it cannot be read."""
+@contextmanager
+def open_text(path: Path, newline: str | None = None) -> Iterator[TextIO]:
+    """Open a file in UTF-8 for reading; BadInput if it cannot be read, also while it is. newline: as for `open`."""
     try:
-        return path.read_text(encoding="utf-8-sig")
+        with path.open(encoding="utf-8-sig", newline=newline) as file:
+            yield file
     except FileNotFoundError:
         raise BadInput(f"{path}: there is no such file") from None
     except IsADirectoryError:
@@ -237,6 +239,12 @@ def read_text(path: Path) -> str:
         raise BadInput(f"{path}: not a text file in UTF-8") from None
     except OSError as error:
         raise BadInput(f"{path}: cannot be read: {error.strerror}") from None
+
+
+def read_text(path: Path) -> str:
+    """Text of a file in UTF-8; BadInput if it cannot be read."""
+    with open_text(path) as file:
+        return file.read()
 
 
 def writable(name: str | Path, suffixes: Sequence[str], *, force: bool) -> Path:

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+import array
 import csv
-import io
 import math
 from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from ..errors import BadInput, shown
-from ..files import one_line, read_text
+from ..files import one_line, open_text
 from ..systems.base import Array, System
 from .checks import check_range
 
@@ -169,15 +169,20 @@ def _columns_of_rows(rows: Sequence[Mapping[Any, Any]]) -> dict[str, Any]:
 
 def _read_csv(path: Path) -> dict[str, Any]:
     """Columns of a CSV file whose first line names them."""
-    try:
-        reader = csv.reader(io.StringIO(read_text(path)), strict=True)
-        header = _csv_header(path, next(reader, []))
-        rows = [_csv_row(path, reader.line_num, header, row) for row in reader if row]
-    except csv.Error as error:
-        raise BadInput(f"{path}: not a CSV file: {error}") from None
-    if not rows:
+    numbers = array.array("d")  # of all rows: millions of lists would take ten times the memory
+    with open_text(path, newline="") as file:
+        try:
+            reader = csv.reader(file, strict=True)
+            header = _csv_header(path, next(reader, []))
+            for row in reader:
+                if row:
+                    numbers.extend(_csv_row(path, reader.line_num, header, row))
+        except csv.Error as error:
+            raise BadInput(f"{path}: not a CSV file: {error}") from None
+    if not numbers:
         raise BadInput(f"{path}: no points: there is only the line of names")
-    return dict(zip(header, np.array(rows).T, strict=True))
+    columns = np.frombuffer(numbers).reshape(-1, len(header))
+    return {name: columns[:, i].copy() for i, name in enumerate(header)}
 
 
 def _csv_header(path: Path, fields: list[str]) -> list[str]:

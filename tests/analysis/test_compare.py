@@ -1,13 +1,15 @@
 """Comparison with theory: agreement, confusion table and report."""
 
 import numpy as np
+import pytest
+import xarray as xr
 from hypothesis import given
 from hypothesis.extra import numpy as hnp
 
 import atlas
-from atlas import load_scene
+from atlas import BadInput, load_scene
 from atlas.analysis import compare
-from atlas.flags import Agreement, Label
+from atlas.flags import Agreement, Label, Stability
 from atlas.label import theory
 
 flags = hnp.arrays(np.int8, 30, elements={"min_value": 0, "max_value": len(Label) - 1})
@@ -70,3 +72,90 @@ def test_the_report_counts_and_lists_the_worst_disagreements(small_scene):
     coordinates = f"sigma = {float(ds.sigma[2]):.9g}, theta0 = {float(ds.theta0[3]):.9g}: theory"
     assert coordinates in compare.report(wrong, worst=99)
     assert "theory" in compare.report(wrong, worst=1).splitlines()[-1]
+
+
+def small_atlas(**changes) -> xr.Dataset:
+    """Eight points along x and two along y: stable below x = 4 and unstable from there; four disagree with theory."""
+    label = np.repeat([[2], [3]], 4, axis=0).repeat(2, axis=1)
+    predicted, stable = label.copy(), np.repeat([1, 2], 4)[:, None].repeat(2, axis=1)
+    label[0, 0] = label[3, 1] = Label.DRIFTING  # far from the boundary and near it
+    label[4, 0], label[7, 1] = Label.REGULAR_PRECESSION, Label.PERMANENT_ROTATION
+    label[7, 0] = Label.UNRESOLVED
+    rms, std = np.zeros((8, 2)), np.full((8, 2), np.nan)
+    rms[0, 0], std[3, 1], rms[4, 0], std[7, 1] = 0.25, 0.5, 0.0625, 0.125
+    growth = np.zeros((8, 2))
+    growth[4, 0], growth[7, 1] = 2.0, 1.25
+    xy = ("x", "y")
+    variables = {
+        "label": (xy, label), "predicted": (xy, predicted), "stable": (xy, stable), "growth_rate": (xy, growth),
+        "end_time": (xy, np.full((8, 2), 8.0)), "theta_dot_rms": (xy, rms), "psi_dot_std": (("y", "x"), std.T),
+    }  # fmt: skip
+    return xr.Dataset(variables | changes, coords={"x": np.arange(8.0), "y": [0.0, 5.0]})
+
+
+def test_the_report_of_a_small_atlas():
+    table, lines = np.split(np.array(compare.report(small_atlas()).splitlines()), [3])
+    assert [line.split() for line in table] == [
+        ["theory", "\\", "measured", "regular_precession", "permanent_rotation", "drifting", "unresolved"],
+        ["permanent_rotation", "0", "6", "2", "0"],
+        ["drifting", "1", "1", "5", "1"],
+    ]
+    assert len({len(line) for line in table}) == 1  # columns are aligned on the right
+    assert lines.tolist() == [
+        "compared: 15 of 16 points, 73.333 % agree",
+        "  not_compared: 1",
+        "  agree: 11",
+        "  theory_only: 2",
+        "  numerics_only: 2",
+        "linearly stable points that drift: 2, of these 1 outside a band of 2 % of the axis range around the"
+        " analytical boundary",
+        "linearly unstable points that survive: 2, of these 1 outside a band of 2 % of the axis range around the"
+        " analytical boundary",
+        "  survivors with growth_rate x duration < 12 (no time to grow): 1 of 2; largest growth_rate x duration:"
+        " 16.00",
+        "worst disagreements (unsteadiness = largest rms or std of the rates):",
+        "  x = 3, y = 5: theory permanent_rotation, measured drifting, unsteadiness 0.5, growth_rate x time = 0.00",
+        "  x = 0, y = 0: theory permanent_rotation, measured drifting, unsteadiness 0.25, growth_rate x time = 0.00",
+        "  x = 4, y = 0: theory drifting, measured regular_precession, unsteadiness 0.0625, growth_rate x time = 16.00",
+        "  x = 7, y = 5: theory drifting, measured permanent_rotation, unsteadiness 0.125, growth_rate x time = 10.00",
+    ]  # fmt: skip
+
+
+@pytest.mark.parametrize("name", ["theta_dot_rms", "psi_dot_std", "phi_dot_std", "normal_rate_std"])
+def test_the_report_uses_what_the_atlas_has(name):
+    """Without stability and time there is no line about them; any one of the rates shows what is unsteady."""
+    ds = small_atlas().drop_vars(["stable", "growth_rate", "end_time", "theta_dot_rms", "psi_dot_std"])
+    ds[name] = ds["label"] / 8.0
+    lines = compare.report(ds, worst=1).splitlines()
+    assert lines[-3] == "  numerics_only: 2"
+    assert lines[-1] == "  x = 0, y = 0: theory permanent_rotation, measured drifting, unsteadiness 0.375"
+    assert compare.report(ds, worst=0).splitlines() == lines[:-2]
+    ds["label"] = ds["predicted"]
+    assert compare.report(ds).splitlines()[-2:] == [
+        "compared: 16 of 16 points, 100.000 % agree", "  agree: 16",
+    ]  # fmt: skip
+    ds["label"] = xr.full_like(ds["label"], Label.NOT_COMPUTED)
+    assert "compared: 0 of 16 points, nothing agree" in compare.report(ds)
+
+
+def test_the_report_refuses_what_is_no_atlas():
+    ds = small_atlas()
+    for name in ("label", "predicted"):
+        with pytest.raises(BadInput, match=f"^{name}: not in this atlas"):
+            compare.report(ds.drop_vars(name))
+        for damaged in (ds[name] * 1.0, ds[name] - 4, ds[name] + 4):
+            with pytest.raises(BadInput, match=f"^{name}: damaged"):
+                compare.report(ds.assign({name: damaged}))
+    with pytest.raises(BadInput, match="different dimensions"):
+        compare.report(ds.assign(predicted=ds["predicted"].T))
+
+
+def test_the_boundary_is_near_within_a_fiftieth_of_the_axis_range():
+    """And at least at the neighbours of a point; never along an axis of one point."""
+    for count, width in ((8, 1), (51, 1), (52, 2), (201, 4), (202, 5)):
+        stable = np.full((count, 1), Stability.STABLE)
+        stable[count // 2 :] = Stability.UNSTABLE
+        near = np.flatnonzero(compare.near_boundary(stable))
+        assert near.tolist() == list(range(count // 2 - width, count // 2 + width))
+    assert compare.near_boundary(np.array([[1, 2], [1, 2]])).all()
+    assert not compare.near_boundary(np.array([1])).any()

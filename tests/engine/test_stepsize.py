@@ -6,8 +6,10 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from scipy.interpolate import KroghInterpolator
 
-from atlas.engine.stepsize import StepSizes
+from atlas.engine.sampling import MIN_INTERVALS
+from atlas.engine.stepsize import INTERPOLATION_ERROR, StepSizes, count_ladder
 from atlas.engine.tableaux import METHODS
 from atlas.scene.model import Settings
 
@@ -70,3 +72,130 @@ def test_steps_are_counts_whatever_the_numbers():
     assert ((sizes.steps > 0) & (sizes.steps <= 128) & (sizes.steps_per_sample > 0)).all()
     assert sizes.step_ratio[0] == 0
     assert np.isinf(sizes.step_ratio[2])
+
+
+def amplification(method, y):
+    """Factor by which a step of y radians multiplies x of x' = i w x: the stages worked out one by one."""
+    slopes = []
+    for row in method.a:
+        slopes.append(1j * y * (1 + sum(a * k for a, k in zip(row, slopes, strict=True))))
+    return 1 + sum(b * k for b, k in zip(method.b, slopes, strict=True))
+
+
+@pytest.mark.parametrize("method", METHODS.values(), ids=lambda method: method.name)
+def test_expected_errors_are_those_of_an_oscillation(method):
+    """Phase and loss of amplitude of x' = 2 i x after 40 time units, to leading order in the step."""
+    sizes = StepSizes.of(Settings(method=method.name, step=0.1), np.array([2.0]), np.array([40.0]))
+    steps, y = int(sizes.steps[0]), 2.0 * float(sizes.step_size[0])
+    factor = amplification(method, y)
+    phase_error, loss = abs(np.angle(factor) - y), 1 - abs(factor)
+    assert sizes.dispersion_error[0] == pytest.approx(steps * phase_error, rel=0.05)
+    assert sizes.dissipation_error[0] == pytest.approx(steps * loss, rel=0.05)
+    assert sizes.step_ratio[0] == pytest.approx(y / method.stability)
+    # a rate of 2 varies by the local error of a time unit, by its loss of amplitude and by rounding
+    assert sizes.rate_error[0] == pytest.approx(2 * (phase_error / y + steps * loss), rel=0.05)
+
+
+def test_rounding_errors_of_many_steps_add_up_as_a_random_walk():
+    sizes = StepSizes.of(Settings(method="rk8", step=1e-5), np.array([3.0]), np.array([10.0]))
+    assert sizes.rate_error[0] == pytest.approx(3.0 * 1e-16 * 1e3, rel=1e-3)
+
+
+@given(
+    st.sampled_from(list(METHODS.values())),
+    st.floats(1e-2, 1e3),
+    st.floats(1e-2, 1e3),
+    st.sampled_from([1e-3, 1e-6, 1e-9]),
+    st.sampled_from([1.0, 1e-3, 1e-6, 1e-9]),
+)
+def test_automatic_steps_keep_all_errors_within_the_tolerances_and_are_not_far_too_many(
+    method, bound, duration, tolerance, rate_tolerance
+):
+    settings = Settings(
+        method=method.name, tolerance=tolerance, rate_tolerance=rate_tolerance, max_steps=10**12
+    )
+    sizes = StepSizes.of(settings, np.array([bound]), np.array([duration]))
+    steps, budget = int(sizes.steps[0]), 0.1 * rate_tolerance
+    y = bound * duration / steps
+    phase, loss = steps * method.dispersion * y ** (method.order + 1), method.dissipation_order - 1
+    lost = steps * method.dissipation * y**method.dissipation_order
+    # each error over what is allowed of it, and the power of the step that it grows with
+    shares = [
+        (phase / tolerance, method.order),
+        (bound * method.dispersion * y**method.order / budget, method.order),
+        (bound * lost / budget, loss),
+    ]
+    assert all(share <= 1 + 1e-9 for share, _ in shares)
+    if steps >= 64:  # the next shorter count is then longer than two thirds
+        assert any(share * 1.5**power > 1 for share, power in shares)
+
+
+def test_counts_of_steps_are_multiples_of_16_a_quarter_of_an_octave_apart():
+    assert count_ladder(np.array([0.0, 1.0, 16.0, 16.1, 32.0, 32.1, 48.1])).tolist() == [
+        16, 16, 16, 32, 32, 48, 64,
+    ]  # fmt: skip
+    powers = 16.0 * 2.0 ** np.arange(30)
+    np.testing.assert_array_equal(count_ladder(powers), powers)
+    count = np.geomspace(1, 1e9, 20_001)
+    rounded = count_ladder(count)
+    assert (rounded % 16 == 0).all()
+    assert ((rounded >= count) & (rounded <= 2**0.25 * np.maximum(count, 16) + 16)).all()
+    octave = (rounded > 2**20) & (rounded <= 2**21)
+    assert np.unique(rounded[octave]).size == 4
+
+
+def test_interpolation_error_is_that_of_four_nodes_with_slopes():
+    """Of cos(t), half-way between the two inner nodes, to leading order in their distance."""
+    x = 0.3
+    nodes = x * (np.arange(4) - 1.5)
+    values = np.column_stack([np.cos(nodes), -np.sin(nodes)]).ravel()
+    error = abs(KroghInterpolator(np.repeat(nodes, 2), values)(0.0) - 1.0)
+    assert error == pytest.approx(INTERPOLATION_ERROR * x**8, rel=0.01)
+
+
+@given(
+    st.sampled_from(list(METHODS)),
+    st.floats(1e-2, 1e2),
+    st.floats(1e-1, 1e3),
+    st.sampled_from([{"tolerance": 1e-2}, {"tolerance": 1e-9}, {"step": 0.1}, {"step": 1e-4}]),
+)
+def test_nodes_are_as_far_apart_as_their_interpolation_allows(method, bound, duration, limit):
+    """The interpolation adds a tenth of the phase error at most; a short run keeps enough nodes."""
+    sizes = StepSizes.of(Settings(method=method, **limit), np.array([bound]), np.array([duration]))
+    spacing, steps = int(sizes.steps_per_sample[0]), int(sizes.steps[0])
+    y = bound * float(sizes.step_size[0])
+
+    def allowed(spacing, slack):
+        interpolation = INTERPOLATION_ERROR * (spacing * y) ** 8
+        enough = steps * slack >= 4 * MIN_INTERVALS * spacing
+        return interpolation <= 0.1 * sizes.dispersion_error[0] * slack and enough
+
+    assert spacing in (1, 2, 4, 8, 16)
+    assert steps % spacing == 0
+    # Steps are rounded up to whole intervals afterwards, hence the slack
+    assert spacing == 1 or allowed(spacing, 2.0)
+    assert spacing == 16 or not allowed(2 * spacing, 0.5)
+
+
+@pytest.mark.parametrize("method", METHODS.values(), ids=lambda method: method.name)
+def test_coarsened_step_sizes(method):
+    """Half the steps, rounded up, with the errors of steps of that length."""
+    duration = np.array([0.003, 0.004, 0.005, 0.009, 0.1])
+    bound = np.full(duration.size, 20.0)
+    settings = Settings(method=method.name, step=0.001)
+    fine = StepSizes.of(settings, bound, duration)
+    coarse = fine.coarsened(method)
+    assert coarse.steps.tolist() == [3, 3, 3, 5, fine.steps[4] // 2]
+    assert (coarse.steps % coarse.steps_per_sample == 0).all()
+    np.testing.assert_allclose(coarse.step_size * coarse.steps, duration)
+    y = bound * duration / coarse.steps
+    lost = coarse.steps * method.dissipation * y**method.dissipation_order
+    np.testing.assert_allclose(coarse.step_ratio, y / method.stability)
+    np.testing.assert_allclose(
+        coarse.dispersion_error, coarse.steps * method.dispersion * y ** (method.order + 1)
+    )
+    np.testing.assert_allclose(coarse.dissipation_error, lost)
+    # rate errors change with the order of the method
+    ratio = fine.steps / coarse.steps
+    np.testing.assert_allclose(coarse.rate_error, fine.rate_error * ratio**method.order)
+    np.testing.assert_allclose(fine.halved(method).rate_error, fine.rate_error / 2**method.order)

@@ -67,6 +67,18 @@ def test_contract(given, expected):
     assert result.dtype == np.int8
 
 
+@pytest.mark.parametrize(
+    ("given", "expected"),
+    [({name: 1e-5}, "regular_precession") for name in ("theta_dot_rms", "psi_dot_std", "phi_dot_std")]
+    + [({name: 1e-5}, "permanent_rotation") for name in ("psi_dot_mean", "phi_dot_mean")]
+    + [({"sine_max": 0.9e-5, "normal_rate_std": 1e-5}, "permanent_rotation")]
+    + [({"sine_max": 1e-5}, "regular_precession")],
+)
+def test_a_rate_as_large_as_its_tolerance_counts_as_none(given, expected):
+    """And sin theta must stay below the cylinder tolerance to be inside."""
+    assert NAMES[labels.label(measured(**given), TOLERANCES)[0]] == expected
+
+
 def test_inertial_label_adds_the_rate_of_the_frame():
     still = measured(psi_dot_mean=0.0)
     assert NAMES[labels.label(still, TOLERANCES)[0]] == "permanent_rotation"
@@ -91,6 +103,27 @@ def test_status_is_the_first_that_applies(finite, drift, resolved, growth):
         (not resolved, "under_resolved"), (growth > 25.0, "roundoff_decided"), (True, "ok"),
     ]  # fmt: skip
     assert list(Status.meanings())[result] == next(name for applies, name in order if applies)
+
+
+def test_status_at_its_limits():
+    """A drift equal to the tolerance is within it; growth counts above its limit, whatever its sign, but not none."""
+    yes = np.ones(5, bool)
+    drift, growth = np.array([1e-5, 0, 0, 0, 0]), np.array([0.0, 0.5, 0.0, 0.5, 0.5])
+    result = labels.status(yes, drift, 1e-5, yes, growth, np.array([25.0, 0.4, -1.0, 0.5, -1.0]))
+    decided = Status.ROUNDOFF_DECIDED
+    assert result.tolist() == [Status.OK, decided, Status.OK, Status.OK, decided]
+
+
+def test_rounding_limit_is_the_growth_that_brings_rounding_errors_to_a_tolerance():
+    """Of a rate, relative to the frequency bound, or of the angle: whichever is reached first."""
+    residual = np.array([0.0, np.nan, 1e-10, 1e-10])
+    bound, tolerances = np.array([2.0, 2.0, 2.0, 1e-3]), Tolerances(1e-5, 1e-3)
+    limit = labels.rounding_limit(residual, bound, tolerances)
+    error = np.array([1e-16, 1e-16, 1e-10, 1e-10]) * np.exp(limit)
+    np.testing.assert_allclose(error[:3] * bound[:3], tolerances.rate)
+    assert (error[:3] < tolerances.angle).all()
+    assert error[3] == pytest.approx(tolerances.angle)
+    assert error[3] * bound[3] < tolerances.rate
 
 
 def satellite_cases():

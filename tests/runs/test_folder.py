@@ -21,7 +21,7 @@ from hypothesis import strategies as st
 from truth import assert_same_bytes
 
 import atlas
-from atlas import BadInput, files, load_scene
+from atlas import BadInput, cli, files, load_scene
 from atlas.analysis import summary
 from atlas.flags import Label
 from atlas.io import netcdf
@@ -240,6 +240,56 @@ def test_an_unreadable_manifest_is_refused_and_left_unchanged(scene, tmp_path, m
         assert "\n" not in str(error.value)
     assert [p.name for p in (tmp_path / "run").iterdir()] == ["manifest.json"]
     assert (tmp_path / "run" / "manifest.json").read_text() == manifest
+
+
+def test_a_manifest_of_another_version_is_not_called_damaged(scene, tmp_path):
+    file = tmp_path / "run" / "manifest.json"
+    manifest = empty_run_folder(scene, file.parent).manifest
+    file.write_text(files.sealed(manifest | {"format": 99}))
+    with pytest.raises(BadInput, match="not a manifest of this version"):
+        RunFolder.open(file.parent)
+    file.write_text(files.sealed(manifest | {"scene": "schema = 99"} | {"key": ""}))
+    with pytest.raises(BadInput, match="damaged: its key"):
+        RunFolder.open(file.parent)
+
+
+def test_a_file_is_no_run_folder_and_left_unchanged(scene, tmp_path):
+    (tmp_path / "run").write_text("mine")
+    with pytest.raises(BadInput, match="this is a file"):
+        empty_run_folder(scene, tmp_path / "run")
+    with pytest.raises(BadInput, match="not a run folder but a file"):
+        RunFolder.open(tmp_path / "run")
+    assert (tmp_path / "run").read_text() == "mine"
+
+
+def test_only_the_run_of_another_scene_is_discarded(scene, scene_text, tmp_path):
+    """Its own files go, with those of dead processes; files of others stay."""
+    path, other = tmp_path / "run", load_scene(scene_text({"fixed.m": 0.6}))
+    machine, boot, pid, start = process_name().split("-")
+    of_dead = f".atlas-{machine}-{boot}-{pid}-{int(start) + 1}-0123abcd.tmp"
+    for mine in ([], ["thesis.tex"]):
+        atlas.run(scene, f"{path}/", progress=False).close()
+        for name in (of_dead, *mine):
+            (path / name).write_text("text")
+        before = {p: p.read_bytes() for p in path.rglob("*") if p.is_file()}
+        RunFolder.discard(scene, path)
+        assert {p: p.read_bytes() for p in path.rglob("*") if p.is_file()} == before
+        RunFolder.discard(other, path)
+        assert path.exists() == bool(mine)
+    assert [p.name for p in path.iterdir()] == ["thesis.tex"]
+    (path / "manifest.json").write_text("damaged")
+    RunFolder.discard(other, path)
+    assert {p.name for p in path.iterdir()} == {"thesis.tex", "manifest.json"}
+
+
+def test_the_key_of_a_run_depends_on_scene_identity_and_tiling(scene, scene_text, tmp_path, monkeypatch):
+    run = empty_run_folder(scene, tmp_path / "run")
+    assert run.key_with(run.manifest["identity"]) == run.key == run.manifest["key"]
+    keys = {run.key, run.key_with(run.manifest["identity"] | {"cpu": "abacus"})}
+    keys.add(empty_run_folder(load_scene(scene_text({"fixed.m": 0.6})), tmp_path / "other").key)
+    monkeypatch.setattr(grid, "MAX_POINTS_PER_TILE", 7)
+    keys.add(empty_run_folder(scene, tmp_path / "small").key)
+    assert len(keys) == 4
 
 
 def test_a_folder_with_other_files_is_refused_and_left_unchanged(scene, tmp_path):
@@ -485,18 +535,17 @@ def test_files_that_killed_processes_left_are_removed_and_those_of_others_kept(s
                 path.write_text("half a file")
         return made
 
-    for action in (
-        lambda: run.status(),
-        lambda: atlas.run(scene, tmp_path / "run", progress=False).close(),
-        lambda: run.join(tmp_path / "a.nc"),
-        lambda: atlas.run(scene, tmp_path / "b.nc", progress=False).close(),
+    for action, cleaned in (
+        (lambda: run.status(), (tmp_path, run.path, run.tiles.folder)),
+        (lambda: atlas.run(scene, f"{run.path}/", progress=False).close(), (run.path, run.tiles.folder)),
+        (lambda: cli.main(["join", str(run.path), "-o", f"{tmp_path}/a.nc"]), (tmp_path,)),
+        (lambda: atlas.run(scene, tmp_path / "b.nc", progress=False).close(), (tmp_path,)),
     ):
         of_dead, of_living = put_temporaries()
         action()
         left = set(tmp_path.rglob("*.tmp"))
         assert of_living <= left
-        removed = {path for path in of_dead if path.parent == tmp_path}
-    assert not removed & left
+        assert not {path for path in of_dead if path.parent in cleaned} & left
 
 
 def test_a_run_folder_needs_no_hard_links(scene, whole, tmp_path, small_tiles, monkeypatch):
@@ -533,6 +582,9 @@ def test_status_counts_only_processes_that_live(scene, tmp_path, small_tiles):
     for line, state in zip(lines[2:7], cases, strict=True):
         assert f", {state.partition(',')[0]}; written" in line
     assert lines[7].startswith("63 points left, 0:01 at")  # 101 points per second
+    for file in run.path.glob("progress-[13]-*.json"):
+        file.unlink()
+    assert "points left" not in run.status()  # nobody computes them
 
 
 def test_status_join_and_dry_run_on_the_command_line(tmp_path, small_scene):

@@ -91,6 +91,7 @@ def test_a_run_folder_and_a_joined_file_hold_the_atlas_computed_in_memory(
     with atlas.open_atlas(tmp_path / "joined.nc") as joined:
         assert_same_bytes(whole, joined)
         assert joined.attrs["atlas_scene"] == whole.attrs["atlas_scene"]
+        assert set(joined.coords) == set(whole.coords)
     assert summary.summary(ds).splitlines()[:4] == summary.summary(whole).splitlines()[:4]
     with atlas.run(scene, tmp_path / "one.nc", progress=False) as one_file:
         assert_same_bytes(whole, one_file)
@@ -250,6 +251,10 @@ def test_a_manifest_of_another_version_is_not_called_damaged(scene, tmp_path):
         RunFolder.open(file.parent)
     file.write_text(files.sealed(manifest | {"scene": "schema = 99"} | {"key": ""}))
     with pytest.raises(BadInput, match="damaged: its key"):
+        RunFolder.open(file.parent)
+    unreadable = manifest | {"scene": "schema = 99"}
+    file.write_text(files.sealed(unreadable | {"key": folder._key(unreadable)}))
+    with pytest.raises(BadInput, match=f"its scene, of atlas {atlas.__version__}, cannot be read"):
         RunFolder.open(file.parent)
 
 

@@ -135,6 +135,12 @@ def test_the_report_uses_what_the_atlas_has(name):
     assert lines[-3] == "  numerics_only: 3"
     assert lines[-1] == "  x = 0, y = 0: theory permanent_rotation, measured drifting, unsteadiness 0.375"
     assert compare.report(ds, worst=0).splitlines() == lines[:-2]
+    # a label that only theory has keeps its row
+    ds["label"] = ds["predicted"] * 0 + Label.DRIFTING
+    assert [line.split()[0] for line in compare.report(ds).splitlines()[1:3]] == [
+        "permanent_rotation",
+        "drifting",
+    ]
     ds["label"] = ds["predicted"]
     assert compare.report(ds).splitlines()[-2:] == [
         "compared: 16 of 16 points, 100.000 % agree", "  agree: 16",
@@ -148,7 +154,7 @@ def test_the_report_refuses_what_is_no_atlas():
     for name in ("label", "predicted"):
         with pytest.raises(BadInput, match=f"^{name}: not in this atlas"):
             compare.report(ds.drop_vars(name))
-        for damaged in (ds[name] * 1.0, ds[name] - 4, ds[name] + 4):
+        for damaged in (ds[name] * 1.0, ds[name] * 0 - 1, ds[name] * 0 + len(Label)):
             with pytest.raises(BadInput, match=f"^{name}: damaged"):
                 compare.report(ds.assign({name: damaged}))
     with pytest.raises(BadInput, match="different dimensions"):

@@ -49,10 +49,10 @@ def test_unsure_where_the_error_reaches_a_threshold():
     }  # fmt: skip
     no_error = dict.fromkeys(steady, 0.0)
 
-    def unsure(error, frame_rate=0.0, **changes):
+    def unsure(error, *frame_rate, **changes):
         measured = {name: np.array([value]) for name, value in (steady | changes).items()}
         errors = {name: np.array([value]) for name, value in (no_error | error).items()}
-        return bool(labels.unsure(measured, errors, Tolerances(1e-5, 1e-5), frame_rate)[0])
+        return bool(labels.unsure(measured, errors, Tolerances(1e-5, 1e-5), *frame_rate)[0])
 
     for name in ("theta_dot_rms", "psi_dot_std", "phi_dot_std"):
         assert not unsure({name: 0.9e-5})
@@ -71,9 +71,9 @@ def test_unsure_where_the_error_reaches_a_threshold():
         assert unsure({name: 5e-5}, **{name: 3e-5})
         assert unsure({name: 5e-5}, **{name: -3e-5})
     # the mean in the inertial frame counts
-    assert unsure({"psi_dot_mean": 2e-6}, frame_rate=1.0, psi_dot_mean=-1.0 + 0.9e-5)
-    assert not unsure({"psi_dot_mean": 2e-6}, frame_rate=1.0, psi_dot_mean=-1.0 + 1.3e-5)
-    assert not unsure({"psi_dot_mean": 2e-6}, frame_rate=1.0, psi_dot_mean=0.9e-5)
+    assert unsure({"psi_dot_mean": 2e-6}, 1.0, psi_dot_mean=-1.0 + 0.9e-5)
+    assert not unsure({"psi_dot_mean": 2e-6}, 1.0, psi_dot_mean=-1.0 + 1.3e-5)
+    assert not unsure({"psi_dot_mean": 2e-6}, 1.0, psi_dot_mean=0.9e-5)
     # at the edge of the cylinder both ends of theta may lie further out: it then swings by more than the radius
     edge = {"theta_min": 0.9e-5, "theta_max": 1.8e-5, "sine_max": 1.8e-5}
     assert unsure({"theta_min": 6e-7, "theta_max": 6e-7}, **edge)

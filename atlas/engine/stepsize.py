@@ -86,8 +86,8 @@ class StepSizes:
         With `settings.step` steps are at most that long. Otherwise they are so short that the phase error of an
         oscillation at the bound stays within `settings.tolerance`, and that neither its loss of amplitude nor the
         local error lets a steady rate as large as the bound vary by more than RATE_ERROR_BUDGET of the rate tolerance.
-        `settings.max_steps` is never exceeded: the errors then show what that costs. A point without finite bound
-        gets the fewest steps and an infinite step ratio.
+        `settings.max_steps` limits their number before it is rounded up: the errors show what that costs. A point
+        without finite bound gets the fewest steps and an infinite step ratio.
         """
         method = METHODS[settings.method]
         radians = bound * duration

@@ -149,6 +149,10 @@ def test_offset_axis_passes_through_the_family(small_scene):
     on_family = family.reshape(scene.shape) > 0
     assert on_family[:, :, 1].all()
     assert not on_family[:, :, [0, 2]].any()
+    # (24) of the paper with A = Omega = 1, m = 1/2; the offset is added, not subtracted
+    exact = 4 * np.cos(points.base["theta0"]) * (1 - points.base["C"]) - 0.5 * points.base["C"]
+    offset = (points.base["k3"] - exact).reshape(scene.shape)
+    np.testing.assert_allclose(offset, np.broadcast_to([-0.1, 0.0, 0.1], scene.shape), atol=1e-12)
 
 
 @pytest.mark.parametrize(

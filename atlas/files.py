@@ -25,6 +25,7 @@ from .errors import BadInput
 
 # A write that fails while less than this is free, in bytes, failed because the disk is full. A tile is smaller.
 MIN_FREE_BYTES = 1 << 25
+EXISTS = "this file exists; --force (force=True) replaces it"
 TRIAL_BYTES = 1 << 20  # written as a trial, to find out why a write failed
 TEMPORARY = re.compile(rf"\.atlas-({process.NAME.pattern})-[0-9a-f]{{8}}\.tmp")
 # Seconds without a write after which the temporary file of another machine is a leftover.
@@ -275,7 +276,7 @@ def writable(name: str | Path, suffixes: Sequence[str], *, force: bool) -> Path:
     check_folder(path)
     remove_leftovers(path.parent)
     if path.exists() and not force:
-        raise BadInput(f"{path}: this file exists; --force (force=True) replaces it")
+        raise BadInput(f"{path}: {EXISTS}")
     return path
 
 

@@ -159,7 +159,7 @@ class _MachineCode(NullCache):
         target_context.refresh()
         path, key = self._place(signature, target_context.codegen())
         try:
-            if _complain_unless_private(path.parent):
+            if _warned_of_foreign(path.parent):
                 return None
             content = _read(path)
             payload = content[hashlib.sha256().digest_size :]
@@ -181,7 +181,7 @@ class _MachineCode(NullCache):
         payload = dumps(compiled._reduce())
         try:
             path.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
-            if _complain_unless_private(path.parent):
+            if _warned_of_foreign(path.parent):
                 return
             with atomic_write(path) as temporary:
                 temporary.chmod(0o600)
@@ -221,8 +221,8 @@ def _danger(status: os.stat_result) -> str | None:
     return None
 
 
-def _complain_unless_private(folder: Path) -> bool:
-    """Warn, once, of a cache that other users could have filled; its machine code must not be executed."""
+def _warned_of_foreign(folder: Path) -> bool:
+    """Whether other users could have filled a cache, so that nothing in it may be executed; warns of it once."""
     status = os.lstat(folder)
     danger = _danger(status)
     if stat.S_ISLNK(status.st_mode):

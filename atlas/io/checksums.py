@@ -211,7 +211,7 @@ class _CheckedArray(BackendArray):
         values = np.empty([len(r) for r in ascending], self.dtype)
         for parts in product(*map(_parts, ascending, self.block)):
             block = self._read_block(tuple(number for number, _, _ in parts))
-            values[tuple(there for _, there, _ in parts)] = block[tuple(inside for _, _, inside in parts)]
+            values[tuple(place for _, place, _ in parts)] = block[tuple(inside for _, _, inside in parts)]
         order = (slice(None, None, 1 if r.step > 0 else -1) for r in ranges)
         return values[tuple(o if isinstance(c, range) else 0 for c, o in zip(chosen, order, strict=True))]
 

@@ -300,13 +300,7 @@ def _measured_error(
     bound, method = runs.ensemble.frequency_bound[where], METHODS[runs.settings.method]
     sizes = runs.step_sizes.subset(where)
     coarse_sizes = sizes.coarsened(method)
-    coarse = runs.ensemble.subset(where).integrate(
-        runs.kernel,
-        coarse_sizes,
-        runs.settings.cylinder,
-        threads=execution.threads,
-        progress=execution.check,
-    )
+    coarse = _integrate_again(runs, where, coarse_sizes, execution)
     run, values, coarse_values = integration.subset(where), _subset(measured, where), coarse.statistics()
     error = pair_error(
         runs.system,
@@ -327,22 +321,22 @@ def _at_half_step(
     runs: _Runs, measured: Mapping[str, Array], departed: Mask, where: np.ndarray, execution: _Execution
 ) -> tuple[Mask, Array]:
     """Whether labels change at half the step, and the largest change of a rate over the frequency bound."""
-    fine = (
-        runs.ensemble.subset(where)
-        .integrate(
-            runs.kernel,
-            runs.step_sizes.subset(where).halved(METHODS[runs.settings.method]),
-            runs.settings.cylinder,
-            threads=execution.threads,
-            progress=execution.check,
-        )
-        .statistics()
-    )
+    fine_sizes = runs.step_sizes.subset(where).halved(METHODS[runs.settings.method])
+    fine = _integrate_again(runs, where, fine_sizes, execution).statistics()
     coarse = _subset(measured, where)
     changes = _label_changes(coarse, fine, runs, where)
     rates = differences(fine, coarse, RATES)
     changes |= departed & (rates["theta_dot_rms"] > HALF_STEP_RTOL * fine["theta_dot_rms"])
     return changes, np.fmax.reduce(list(rates.values())) / runs.ensemble.frequency_bound[where]
+
+
+def _integrate_again(
+    runs: _Runs, where: np.ndarray, step_sizes: StepSizes, execution: _Execution
+) -> Integration:
+    """Integrate some of the points, by their indices, with other step sizes."""
+    return runs.ensemble.subset(where).integrate(
+        runs.kernel, step_sizes, runs.settings.cylinder, threads=execution.threads, progress=execution.check
+    )
 
 
 def _unsure(

@@ -124,13 +124,13 @@ def check_workers(client: Client, check: Callable[..., None], arguments: tuple[A
 def _different_versions(versions: Any) -> str:
     """In `Client.get_versions()`: versions of dask that differ from those of the client, in one line."""
     servers = {"the scheduler": versions["scheduler"]}
-    servers |= {f"worker {address}": found for address, found in versions["workers"].items()}
+    servers |= {f"worker {address}": info for address, info in versions["workers"].items()}
     expected = versions["client"]["packages"]
     return ", ".join(
-        f"{server} has {name} {found['packages'][name]} and this process {expected[name]}"
-        for server, found in servers.items()
+        f"{server} has {name} {info['packages'][name]} and this process {expected[name]}"
+        for server, info in servers.items()
         for name in ("dask", "distributed")
-        if found["packages"][name] != expected[name]
+        if info["packages"][name] != expected[name]
     )
 
 

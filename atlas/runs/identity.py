@@ -80,14 +80,16 @@ def _system_code(system: System) -> dict[str, str]:
     return {"system_code": hashlib.sha256(content).hexdigest()[:16]} if files else {}
 
 
-def differences(expected: Mapping[str, Any], found: Mapping[str, Any], there: str, here: str) -> str:
+def differences(
+    expected: Mapping[str, Any], actual: Mapping[str, Any], expected_place: str, actual_place: str
+) -> str:
     """Entries that differ, in one line.
 
     Parameters
     ----------
-    expected, found : mapping of str to object
-    there, here : str
-        Where the expected and the found values are, such as "there" and "here".
+    expected, actual : mapping of str to object
+    expected_place, actual_place : str
+        Where each of them was taken from, such as "in the run" and "in the worker".
 
     Returns
     -------
@@ -95,7 +97,7 @@ def differences(expected: Mapping[str, Any], found: Mapping[str, Any], there: st
         Empty if all are equal.
     """
     return ", ".join(
-        f"{name} ({expected.get(name, 'nothing')} {there}, {found.get(name, 'nothing')} {here})"
-        for name in {**expected, **found}
-        if expected.get(name) != found.get(name)
+        f"{name} ({expected.get(name, 'nothing')} {expected_place}, {actual.get(name, 'nothing')} {actual_place})"
+        for name in {**expected, **actual}
+        if expected.get(name) != actual.get(name)
     )

@@ -17,7 +17,7 @@ import xarray as xr
 
 from ..engine import blocks
 from ..errors import BadInput
-from ..files import check_name, writable
+from ..files import EXISTS, check_name, writable
 from ..io import checksums, netcdf
 from ..io.progress import Progress
 from ..io.provenance import log_warnings, provenance
@@ -35,7 +35,6 @@ from .tiles import TileFiles, tile_types
 from .tiling import tiling
 
 MAX_DAMAGE_WARNINGS = 5
-EXISTS = "this file exists; --force (force=True) replaces it"
 
 
 @dataclass(frozen=True)
@@ -139,7 +138,7 @@ def run(
         ds = refine.refined(scene, warnings, threads=threads, progress=progress)
         if path is None:
             return ds
-        netcdf.write(ds.assign_attrs({RESULT: result_hash(scene.toml(), identity(scene))}), path)
+        netcdf.write(ds.assign_attrs({RESULT: _own_result_hash(scene)}), path)
         return open_atlas(path)
     if path is None:
         return _run_in_memory(scene, sample, warnings, threads, progress)
@@ -223,9 +222,12 @@ def _is_result(scene: Scene, path: Path) -> bool:
     except BadInput:
         return False
     # What a user derives from an atlas has its attributes but no checksums.
-    return (
-        result is not None and checksums.are_in(path) and result == result_hash(scene.toml(), identity(scene))
-    )
+    return result is not None and checksums.are_in(path) and result == _own_result_hash(scene)
+
+
+def _own_result_hash(scene: Scene) -> str:
+    """`result_hash` of what this process computes for a scene."""
+    return result_hash(scene.toml(), identity(scene))
 
 
 def _finished(scene: Scene, path: Path) -> xr.Dataset:

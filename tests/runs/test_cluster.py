@@ -198,8 +198,8 @@ def versions(scheduler="1.0", worker="1.0"):
     }  # fmt: skip
 
 
-def a_client(found, answers=()):
-    return SimpleNamespace(get_versions=lambda: found, run=lambda check, on_error: dict(answers))
+def a_client(reported_versions, answers=()):
+    return SimpleNamespace(get_versions=lambda: reported_versions, run=lambda check, on_error: dict(answers))
 
 
 def test_versions_of_dask_and_answers_of_workers_are_compared_when_a_run_connects():

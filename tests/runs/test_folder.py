@@ -527,18 +527,18 @@ def test_files_that_killed_processes_left_are_removed_and_those_of_others_kept(s
     alive = [process_name(), f"{'0' * 8}-{boot}-{pid}-{start}"]
 
     def put_temporaries() -> list[set[Path]]:
-        made = []
+        temporary_files = []
         for names in (dead, alive):
-            made.append(
+            temporary_files.append(
                 {
                     place / f".atlas-{name}-0123abcd.tmp"
                     for name in names
                     for place in (tmp_path, run.path, run.tiles.folder)
                 }
             )
-            for path in made[-1]:
+            for path in temporary_files[-1]:
                 path.write_text("half a file")
-        return made
+        return temporary_files
 
     for action, cleaned in (
         (lambda: run.status(), (tmp_path, run.path, run.tiles.folder)),

@@ -60,8 +60,8 @@ def test_inverse_elliptic_functions(seed):
     complement = 10.0 ** rng.uniform(-20, 0)
     argument = rng.uniform(-1.9, 1.9) * float(ellipkm1(complement))
     sn, cn, _ = (float(values[0]) for values in exact.jacobi(np.array([argument]), complement))
-    again = exact.jacobi(np.array([exact.inverse_jacobi(sn, cn, complement)]), complement)
-    np.testing.assert_allclose([again[0][0], again[1][0]], [sn, cn], rtol=0, atol=1e-13)
+    round_trip = exact.jacobi(np.array([exact.inverse_jacobi(sn, cn, complement)]), complement)
+    np.testing.assert_allclose([round_trip[0][0], round_trip[1][0]], [sn, cn], rtol=0, atol=1e-13)
 
 
 @pytest.mark.parametrize("seed", range(16))

@@ -1,0 +1,85 @@
+"""The `atlas` command: parses options, calls the package, prints. It contains no physics."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Sequence
+from typing import NoReturn
+
+from .._version import __version__
+from ..errors import MAX_MESSAGE, BadInput, printable
+from ..interruption import INTERRUPTED, MESSAGE, exit_process, signals_as_interrupt
+from . import atlases, jobs, measurements, motions, papers
+from .options import BAD_INPUT, DONE, FAILED, Parser
+
+__all__ = ["BAD_INPUT", "DONE", "FAILED", "command", "main", "parser"]
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run one command.
+
+    Parameters
+    ----------
+    arguments : sequence of str, optional
+        Name of the command and its options; by default those of the process.
+
+    Returns
+    -------
+    int
+        Exit code: 0 done, 1 failed, 2 bad input, 130 interrupted.
+    """
+    try:
+        with signals_as_interrupt():
+            options = parser().parse_args(arguments)
+            return int(options.handler(options))
+    except BadInput as error:
+        print(f"atlas: {error}", file=sys.stderr)
+        return BAD_INPUT
+    except KeyboardInterrupt:
+        print(MESSAGE, file=sys.stderr)
+        return INTERRUPTED
+    except BrokenPipeError:
+        sys.stderr.close()
+        return FAILED
+    except (OSError, MemoryError) as error:
+        message = printable(str(error) or type(error).__name__, MAX_MESSAGE)
+        print(f"atlas: failed: {message}", file=sys.stderr)
+        return FAILED
+
+
+def command() -> NoReturn:
+    """Run the command of this process."""
+    try:
+        code = main()
+    except SystemExit as end:  # of the parser of options
+        code = int(end.code or DONE)
+    exit_process(code)
+
+
+def parser() -> argparse.ArgumentParser:
+    """The command line with its help; building it imports no compiler."""
+    top = Parser(
+        prog="atlas",
+        description="Where in parameter space a gyrostat precesses regularly, rotates permanently or drifts.",
+        epilog="Exit codes: 0 done, 1 failed, 2 bad input, 130 interrupted.",
+    )
+    top.add_argument("--version", action="version", version=f"atlas {__version__}")
+    commands = top.add_subparsers(title="commands", metavar="COMMAND", required=True, parser_class=Parser)
+    for add in (
+        jobs.add_run,
+        jobs.add_status,
+        jobs.add_join,
+        jobs.add_check,
+        motions.add_points,
+        atlases.add_compare,
+        atlases.add_map,
+        motions.add_trajectory,
+        measurements.add_accuracy,
+        papers.add_conditions,
+        measurements.add_stress,
+        papers.add_figures,
+        jobs.add_cache,
+    ):
+        add(commands)
+    return top

@@ -1,0 +1,153 @@
+"""Commands that run scenes: check, run, status, join, cache."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+from ..errors import MAX_MESSAGE, MAX_TEXT, BadInput, printable
+from ..files import writable
+from .options import (
+    DONE,
+    Commands,
+    add_command,
+    check_positive,
+    force_option,
+    out_option,
+    quiet_option,
+    scene_option,
+    threads_option,
+)
+
+
+def add_run(commands: Commands) -> None:
+    command = add_command(commands, "run", _run, "integrate a scene and write its labelled atlas")
+    scene_option(command)
+    out_option(
+        command,
+        "OUT",
+        "NAME.nc, or NAME/ for a run folder, which the same command continues (default: the scene's name with .nc)",
+    )
+    threads_option(command)
+    command.add_argument("--shard", metavar="I/N", help="compute part I of N of a run folder, counted from 1")
+    where = command.add_mutually_exclusive_group()
+    where.add_argument("--scheduler", metavar="ADDRESS", help="compute on the workers of this dask scheduler")
+    where.add_argument("--workers", type=int, metavar="N", help="compute in N processes of one thread each")
+    command.add_argument(
+        "--dry-run", action="store_true", help="print the expected size, time, memory and error"
+    )
+    force_option(command, "an existing atlas")
+    quiet_option(command)
+
+
+def _run(options: argparse.Namespace) -> int:
+    from ..scene.read import load_scene
+
+    check_positive("--threads", options.threads)
+    check_positive("--workers", options.workers)
+    shard = _shard(options.shard)
+    scene = load_scene(options.scene)
+    out = options.out or Path(options.scene).stem + ".nc"
+    from ..analysis.summary import summary
+    from ..runs.estimate import dry_run
+    from ..runs.runner import run
+
+    if options.dry_run:
+        print(dry_run(scene, threads=options.threads, workers=options.workers))
+        return DONE
+    ds = run(
+        scene,
+        out,
+        threads=options.threads,
+        progress=not options.quiet,
+        force=options.force,
+        shard=shard,
+        scheduler=options.scheduler,
+        workers=options.workers,
+    )
+    if shard is None:
+        print(summary(ds))
+        print(f"wrote {out}")
+    else:
+        print(f"shard {options.shard} is done; {out} holds {ds.attrs['atlas_run']}")
+    return DONE
+
+
+def _shard(text: str | None) -> tuple[int, int] | None:
+    """Number of the shard, from 1, and how many there are."""
+    if text is None:
+        return None
+    shard, slash, count = text.partition("/")
+    if not (slash and shard.isdecimal() and count.isdecimal() and 1 <= int(shard) <= int(count)):
+        raise BadInput(f"--shard {text}: must be I/N with whole numbers, 1 <= I <= N")
+    return int(shard), int(count)
+
+
+def add_status(commands: Commands) -> None:
+    command = add_command(commands, "status", _status, "print the progress of a run folder")
+    command.add_argument("folder", metavar="RUN", help="run folder")
+
+
+def _status(options: argparse.Namespace) -> int:
+    from ..runs.folder import RunFolder
+
+    print(RunFolder.open(options.folder).status())
+    return DONE
+
+
+def add_join(commands: Commands) -> None:
+    command = add_command(commands, "join", _join, "write a finished run folder as one file")
+    command.add_argument("folder", metavar="RUN", help="run folder")
+    out_option(command, "FILE", "atlas to write (.nc)", required=True)
+    force_option(command, "an existing file")
+
+
+def _join(options: argparse.Namespace) -> int:
+    from ..runs.folder import RunFolder
+
+    folder = RunFolder.open(options.folder)
+    folder.join(writable(options.out, (".nc",), force=options.force))
+    print(f"wrote {options.out}")
+    return DONE
+
+
+def add_check(commands: Commands) -> None:
+    scene_option(add_command(commands, "check", _check, "check a scene without running it"))
+
+
+def _check(options: argparse.Namespace) -> int:
+    from ..runs.method_costs import method_lines
+    from ..scene import grid
+    from ..scene.read import load_scene
+
+    scene = load_scene(options.scene)
+    points = grid.check(scene)
+    shape = " x ".join(f"{name} {count}" for name, count in zip(scene.axes, scene.shape, strict=True))
+    print(
+        f"{printable(scene.title, MAX_TEXT)}\nsystem {scene.system.name}: {shape} = {scene.size} points, duration {scene.duration}"
+    )
+    if not points.exists.all():
+        print(f"the family {scene.family} exists at {100 * points.exists.mean():.1f} % of them")
+    for line in method_lines(scene, points):
+        print(line)
+    for warning in scene.system.warnings(points.base):
+        print(f"warning: {printable(warning, MAX_MESSAGE)}")
+    return DONE
+
+
+def add_cache(commands: Commands) -> None:
+    command = add_command(commands, "cache", _cache, "list the compiled kernels")
+    command.add_argument("--clear", action="store_true", help="remove them")
+
+
+def _cache(options: argparse.Namespace) -> int:
+    from ..engine import jit
+
+    if options.clear:
+        print(f"removed {jit.clear()} kernels from {jit.cache_folder()}")
+        return DONE
+    kernels = jit.cached()
+    print(f"{jit.cache_folder()}: {len(kernels)} kernels, {sum(size for _, size, _ in kernels) / 1e6:.1f} MB")
+    for name, size, _ in kernels:
+        print(f"  {name}  {size / 1e6:.1f} MB")
+    return DONE

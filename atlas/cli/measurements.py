@@ -1,0 +1,94 @@
+"""Commands that measure errors: accuracy, stress."""
+
+from __future__ import annotations
+
+import argparse
+
+from ..files import writable
+from .options import (
+    DONE,
+    FAILED,
+    FIGURES,
+    Commands,
+    add_command,
+    check_positive,
+    force_option,
+    option_with_default,
+    out_option,
+    output_folder,
+    scene_option,
+    table,
+    threads_option,
+)
+
+
+def add_accuracy(commands: Commands) -> None:
+    command = add_command(
+        commands, "accuracy", _accuracy, "measure error against run time at some points of a scene"
+    )
+    scene_option(command)
+    kinds = ".nc for every number, .csv for the table, .png, .pdf or .svg for the figure; may be repeated"
+    out_option(command, "OUT", kinds, action="append", default=[])
+    option_with_default(command, "--points", "N", 64, "points to integrate")
+    force_option(command, "existing files")
+
+
+def _accuracy(options: argparse.Namespace) -> int:
+    from ..scene.read import load_scene
+
+    outs = [writable(out, (".nc", ".csv", *FIGURES), force=options.force) for out in options.out]
+    scene = load_scene(options.scene)
+    from ..io import netcdf
+    from ..plotting import style
+    from ..plotting.work_precision import figure
+    from ..validation import work_precision, work_precision_report
+
+    ds = work_precision.work_precision(scene, options.points, progress=True)
+    print(work_precision_report.report(ds))
+    for out in outs:
+        if out.suffix.lower() == ".nc":
+            netcdf.write(ds, out)
+        elif out.suffix.lower() == ".csv":
+            out.write_text(work_precision_report.table(ds))
+        else:
+            style.save(figure(ds), out)
+        print(f"wrote {out}")
+    return DONE
+
+
+def add_stress(commands: Commands) -> None:
+    command = add_command(
+        commands, "stress", _stress, "run stiff and extreme cases and compare every label with the true one"
+    )
+    command.add_argument("system", metavar="SYSTEM", nargs="?", help="one system (default: all)")
+    out_option(command, "FOLDER", "write SYSTEM.nc and SYSTEM.png there")
+    threads_option(command)
+    force_option(command, "existing files")
+
+
+def _stress(options: argparse.Namespace) -> int:
+    from .. import systems
+
+    check_positive("--threads", options.threads)
+    with_cases = [name for name, system in systems.SYSTEMS.items() if system.stress_cases()]
+    names = [systems.get(options.system).name] if options.system else with_cases
+    files = [f"{name}{suffix}" for name in names for suffix in (".nc", ".png")]
+    folder = output_folder(options.out, files, force=options.force) if options.out else None
+    from ..io import netcdf
+    from ..plotting.stress import figure
+    from ..plotting.style import save
+    from ..validation import limits, stress
+
+    wrong, failed = 0, False
+    for name in names:
+        ds = stress.stress(name, threads=options.threads)
+        print(f"{name}\n{stress.report(ds)}\n")
+        wrong += int(stress.mislabelled(ds).sum())
+        failed |= stress.estimate_fails(ds)
+        if folder is not None:
+            netcdf.write(ds, folder / f"{name}.nc")
+            save(figure(ds), folder / f"{name}.png")
+            print(f"wrote {folder / name}.nc and .png\n")
+    print(table(limits.limits()))
+    print(f"labels that are not true: {wrong}")
+    return FAILED if wrong or failed else DONE

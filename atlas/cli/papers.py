@@ -1,0 +1,145 @@
+"""Commands about the published equations: conditions, figures."""
+
+from __future__ import annotations
+
+import argparse
+import csv
+import json
+import sys
+import textwrap
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from .options import DONE, Commands, add_command, force_option, out_option, output_folder, table
+
+
+def add_conditions(commands: Commands) -> None:
+    command = add_command(
+        commands, "conditions", _conditions, "print the families of steady motions and their conditions"
+    )
+    command.add_argument(
+        "system", metavar="SYSTEM", nargs="?", default="satellite", help="default: satellite"
+    )
+    command.add_argument("--family", metavar="NAME", help="one family in detail")
+    command.add_argument("--errata", action="store_true", help="only the paper's equations that are wrong")
+    form = command.add_mutually_exclusive_group()
+    form.add_argument("--csv", action="store_true", help="comma-separated values, one row for each")
+    form.add_argument("--json", action="store_true", help="JSON, with every printed equation")
+
+
+def _conditions(options: argparse.Namespace) -> int:
+    from .. import systems
+    from ..analysis import catalogue
+
+    system = systems.get(options.system)
+    families = catalogue.families(system, options.family)
+    if options.json:
+        content: dict[str, object] = {"system": system.name, "reference": system.reference, "doi": system.doi}
+        if not options.errata:
+            content["families"] = families
+        content["printed"] = catalogue.published(system, options.family, options.errata)
+        print(json.dumps(content, indent=1, ensure_ascii=False))
+        return DONE
+    rows = catalogue.published(system, options.family, errata=True) if options.errata else families
+    if options.csv:
+        _print_csv(rows)
+    elif options.errata:
+        _print_errata(rows)
+        print(f"{len(rows)} equations differ; {system.reference}")
+    elif options.family is not None:
+        _print_family(rows[0])
+    else:
+        _print_catalogue(families, catalogue.published(system), system.reference)
+    return DONE
+
+
+def _print_csv(rows: Sequence[Mapping[str, Any]]) -> None:
+    """Print rows as comma-separated values, lists joined by semicolons."""
+    writer = csv.DictWriter(sys.stdout, rows[0] if rows else ["equation"], lineterminator="\n")
+    writer.writeheader()
+    writer.writerows(
+        {key: "; ".join(value) if isinstance(value, list) else value for key, value in row.items()}
+        for row in rows
+    )
+
+
+def _print_errata(rows: Sequence[Mapping[str, Any]]) -> None:
+    """Print the equations whose printed reading is not the true one."""
+    for row in rows:
+        print(f"{row['equation']}  {row['family']}".rstrip() + f": {row['verdict']}")
+        print(f"  printed: {row['printed']}\n  true:    {row['true']}")
+        if row["measure"]:
+            printed, true = _residual(row["residual_printed"]), _residual(row["residual_true"])
+            print(f"  residual as printed {printed}, as true {true}: {row['measure']}")
+        if row["effect"]:
+            print(f"  {row['effect']}")
+
+
+def _print_family(row: Mapping[str, Any]) -> None:
+    """Print every field of one family."""
+    for key, value in row.items():
+        text = _residual(value) if key.startswith("residual") else value
+        lines = text if isinstance(text, list) else textwrap.wrap(text, 100)
+        print(key.replace("_", " "), *(lines or ["-"]), sep="\n    ")
+
+
+def _print_catalogue(
+    families: Sequence[Mapping[str, Any]], published: Sequence[Mapping[str, Any]], reference: str
+) -> None:
+    """Print all families and all published equations as two tables."""
+
+    def residuals(row: Mapping[str, Any]) -> tuple[str, str]:
+        return _residual(row["residual_printed"]), _residual(row["residual_true"])
+
+    rows: list[tuple[str, ...]] = [("family", "equations", "solves for", "as printed", "as true", "motion")]
+    for row in families:
+        solves_for = " ".join(row["solves_for"]) or "-"
+        rows.append((row["family"], row["equations"], solves_for, *residuals(row), row["motion"]))
+    print(table(rows))
+    rows = [("equation", "family", "as printed", "as true", "verdict")]
+    rows += [(row["equation"], row["family"] or "-", *residuals(row), row["verdict"]) for row in published]
+    print(f"\n{reference}:\n{table(rows)}")
+    print(
+        "as printed, as true: residual of the two readings at random parameters (of a family: the largest of its"
+        " equations);\n--errata lists what differs, --family NAME gives conditions and formulas"
+    )
+
+
+def _residual(value: float | None) -> str:
+    """A residual to two digits; a dash where there is nothing to measure."""
+    return "-" if value is None else f"{value:.1e}"
+
+
+def add_figures(commands: Commands) -> None:
+    command = add_command(
+        commands, "figures", _figures, "draw figures 1-20 of Amer et al., as printed and as true"
+    )
+    out_option(command, "FOLDER", "folder of the figures (default: figures)", default="figures")
+    command.add_argument("--only", type=int, nargs="+", metavar="N", help="which figures (default: all)")
+    command.add_argument(
+        "--format", choices=("png", "pdf", "svg"), nargs="+", default=["png", "pdf"], help="default: png pdf"
+    )
+    command.add_argument(
+        "--table", action="store_true", help="print amplitudes, periods and the paper's claims; draw nothing"
+    )
+    force_option(command, "existing figures")
+
+
+def _figures(options: argparse.Namespace) -> int:
+    from ..plotting import amer2013
+    from ..plotting.style import save
+
+    if options.table:
+        rows, claims = amer2013.amplitudes_and_claims()
+        print("\n\n".join([table(rows), *claims]))
+        return DONE
+    figures = [amer2013.paper_figure(number) for number in options.only or amer2013.NUMBERS]
+    files = [f"figure_{figure.number:02d}.{kind}" for figure in figures for kind in options.format]
+    folder = output_folder(options.out, files, force=options.force)
+    for figure in figures:
+        drawn = amer2013.draw(figure.number)
+        paths = [folder / f"figure_{figure.number:02d}.{kind}" for kind in options.format]
+        for path in paths:
+            save(drawn, path)
+        print(f"wrote {' and '.join(map(str, paths))}: {figure.caption}")
+    return DONE

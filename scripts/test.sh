@@ -1,6 +1,6 @@
 #!/bin/sh
 # Set up and run the tests, one process per processor; arguments go to pytest.
-# Each process takes whole files, so that both do not compile the same kernels.
+# Each process begins with its own part of the files, so that few kernels are compiled by both.
 set -e
 cd "$(dirname "$0")/.."
 extras="[test]"

@@ -6,8 +6,8 @@ all read in chunks. Only `Atlas.map` imports Matplotlib.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
 import xarray as xr
@@ -15,7 +15,11 @@ import xarray as xr
 from .errors import MAX_MESSAGE, BadInput, printable
 
 if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.colors import Colormap
     from matplotlib.figure import Figure
+
+    from .plotting.style import Width
 
 
 @xr.register_dataset_accessor("atlas")
@@ -25,20 +29,64 @@ class Atlas:
     def __init__(self, ds: xr.Dataset) -> None:
         self._ds = ds
 
-    def map(self, variable: str | None = None, **options: Any) -> Figure:
-        """Figure of one variable over two axes.
+    def map(
+        self,
+        variable: str | None = None,
+        *,
+        x: str | None = None,
+        y: str | None = None,
+        select: Mapping[str, float] | None = None,
+        ax: Axes | None = None,
+        title: str | None = None,
+        cmap: str | Colormap | None = None,
+        colors: Mapping[str, str] | None = None,
+        labels: Mapping[str, str] | None = None,
+        boundary: bool = True,
+        legend: bool = True,
+        width: Width = "column",
+        size: tuple[float, float] | None = None,
+        dpi: float = 300,
+        caption: bool = False,
+    ) -> Figure:
+        """Figure of one variable over two axes, or of single points over two of their parameters.
 
         Parameters
         ----------
         variable : str, optional
             Default: label.
-        **options : Any
-            As in `atlas.plotting.maps.atlas_map`.
+        x, y : str, optional
+            Axes of the map; default the two longest, x the one that comes first in the atlas. For single points,
+            parameters or other coordinates along them; default the two with the most values.
+        select : mapping of str to float, optional
+            Axis -> value for other axes; the nearest value is taken.
+        ax : matplotlib.axes.Axes, optional
+            Axes to draw into, with the fonts and the size that they have; default a figure of its own.
+        title : str, optional
+            Title of the figure.
+        cmap : str or Colormap, optional
+            Colour map of a variable of numbers.
+        colors : mapping of str to str, optional
+            Name of a flag -> colour, for a variable of flags.
+        labels : mapping of str to str, optional
+            Text instead of the names of flags, of x and y, and of the variable at its colour bar.
+        boundary : bool, optional
+            Draw the borders and the exact motions that theory predicts, and mark unstable motions that had no
+            time to drift.
+        legend : bool, optional
+            Draw the legend.
+        width : {"column", "page"}, optional
+            88 mm or 180 mm.
+        size : (float, float), optional
+            Width and height in mm, instead of `width`.
+        dpi : float, optional
+            Resolution at which `savefig` writes the figure.
+        caption : bool, optional
+            Print under the map what it shows and how it was computed.
 
         Returns
         -------
         matplotlib.figure.Figure
-            As wide as a journal's column or page.
+            The figure, or that of `ax`.
 
         Raises
         ------
@@ -47,7 +95,10 @@ class Atlas:
         """
         from .plotting.maps import atlas_map
 
-        return atlas_map(self._ds, variable, **options)
+        return atlas_map(
+            self._ds, variable, x=x, y=y, select=select, ax=ax, title=title, cmap=cmap, colors=colors,
+            labels=labels, boundary=boundary, legend=legend, width=width, size=size, dpi=dpi, caption=caption,
+        )  # fmt: skip
 
     def select(self, **flags: str | Sequence[str]) -> xr.Dataset:
         """The points with the flags named.
@@ -123,39 +174,44 @@ class Atlas:
 
     def boundary(
         self,
-        label: str,
+        label: str | None = None,
         variable: str = "label",
         *,
         x: str | None = None,
         y: str | None = None,
-        select: dict[str, float] | None = None,
-    ) -> list[np.ndarray]:
-        """Border of the region where a variable has one flag, on the plane of two axes.
+        select: Mapping[str, float] | None = None,
+    ) -> xr.Dataset:
+        """Lines on the plane of two axes: the borders that theory predicts, or that of a measured region.
 
         Parameters
         ----------
-        label : str
-            Name of the flag.
+        label : str, optional
+            Name of a flag: the lines then enclose the region where the variable has it. Default: the lines of
+            theory.
         variable : str, optional
-            A flag variable; default label.
+            The flag variable; default label. For the lines of theory only its frame counts:
+            label_inertial for labels in inertial space.
         x, y : str, optional
-            Axes, as in `atlas.plotting.maps.atlas_map`.
-        select : dict, optional
+            Axes, as in `map`.
+        select : mapping of str to float, optional
             Axis -> value, for the other axes.
 
         Returns
         -------
-        list of ndarray
-            Polylines of shape (vertices, 2), float64: x and y in the units of the axes, halfway between
-            points in and out of the region. A line closes or ends at the edge of the atlas. Of axes
-            longer than `atlas.analysis.select.MAX_CELLS` every k-th value counts.
+        Dataset
+            Over the dimension "vertex", line by line: the values of the axes by their names, `line`, the number
+            of the line, and `kind`, what changes there, such as "stability limit"; the kinds of theory are
+            `atlas.analysis.theory_borders.KINDS`. Lines close or end at the edge of the atlas. Those of
+            theory reach half a cell beyond the outermost points, as maps do. Those of a region run halfway
+            between points in and out of it; of axes longer than `atlas.analysis.select.MAX_CELLS` every k-th
+            value counts.
 
         Raises
         ------
         BadInput
-            For names that are not in the atlas, and unless just two axes are left.
+            For names that are not in the atlas, if more than two axes are left, and for single points.
         """
-        from .analysis.regions import boundary
+        from .analysis.boundary import boundary
 
         return boundary(self._ds, label, variable, x, y, select or {})
 
@@ -212,7 +268,7 @@ class Atlas:
         Parameters
         ----------
         x, y : str, optional
-            Axes, as in `atlas.plotting.maps.atlas_map`.
+            Axes, as in `map`.
         select : dict, optional
             Axis -> value, for the other axes.
 
@@ -228,8 +284,9 @@ class Atlas:
             For names that are not in the atlas, where more than two axes are left, and for single points.
         """
         from .analysis.metadata import scene_of
+        from .analysis.plane import Plane
         from .analysis.select import plane_of
-        from .analysis.theory_curves import Plane, family_curves
+        from .analysis.theory_curves import family_curves
 
         scene = scene_of(self._ds)
         if scene is None:

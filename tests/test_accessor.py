@@ -231,13 +231,17 @@ def test_the_boundary_of_a_disc_is_its_circle():
         np.where(x[:, None] ** 2 + y**2 / 4 < 0.5, Label.DRIFTING, Label.PERMANENT_ROTATION)
     ).assign_coords(x0=x, x1=y)
     ds.attrs["atlas_system"] = "satellite"
-    (line,) = ds.atlas.boundary("drifting")
-    np.testing.assert_array_equal(line[0], line[-1])
-    radius = np.hypot(line[:, 0], line[:, 1] / 2)
-    assert np.abs(radius - np.sqrt(0.5)).max() < 2 / 80
-    (turned,) = ds.atlas.boundary("drifting", x="x1", y="x0")
-    np.testing.assert_allclose(np.hypot(turned[:, 1], turned[:, 0] / 2).max(), radius.max())
-    assert ds.atlas.boundary("unresolved") == []
+    line = ds.atlas.boundary("drifting")
+    assert set(line.line.values) == {0}
+    assert set(line.kind.values) == {"label = drifting"}
+    assert (float(line.x0[0]), float(line.x1[0])) == (float(line.x0[-1]), float(line.x1[-1]))
+    radius = np.hypot(line.x0, line.x1 / 2)
+    assert float(np.abs(radius - np.sqrt(0.5)).max()) < 2 / 80
+    turned = ds.atlas.boundary("drifting", x="x1", y="x0")
+    np.testing.assert_allclose(np.hypot(turned.x0, turned.x1 / 2).max(), radius.max())
+    assert ds.atlas.boundary("unresolved").sizes == {"vertex": 0}
+    with pytest.raises(BadInput, match="come from no scene"):
+        ds.atlas.boundary()
     with pytest.raises(BadInput, match="needs two axes"):
         ds.atlas.boundary("drifting", select={"x0": 0.0})
 

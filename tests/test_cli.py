@@ -7,6 +7,7 @@ import subprocess
 import sys
 import time
 
+import matplotlib.image
 import pytest
 import xarray as xr
 
@@ -48,6 +49,30 @@ def test_map_writes_png_and_pdf(folder):
     done = shell("map", "small.nc", cwd=folder)
     assert done.returncode == 2
     assert "--force" in done.stderr
+
+
+def test_map_takes_the_choices_of_a_paper(folder):
+    assert shell("run", "small.toml", cwd=folder).returncode == 0
+    options = (
+        "--title Survival --colors drifting=red permanent_rotation=#0000ff --labels drifting=falls --dpi 100"
+    )
+    done = shell("map", "small.nc", *options.split(), "--size", "100x80", "-o", "a.png", cwd=folder)
+    assert done.returncode == 0, done.stderr
+    picture = matplotlib.image.imread(folder / "a.png")
+    assert picture.shape[1] == pytest.approx(100 / 25.4 * 100, abs=1)
+    colours = {tuple(colour) for colour in picture[:, :, :3].reshape(-1, 3)}
+    assert {(1, 0, 0), (0, 0, 1)} <= colours
+    for wrong, named in (
+        (["--colors", "drifting"], "--colors drifting: must be NAME=TEXT"),
+        (["--colors", "drifting=red", "--colors", "drifting=blue"], "drifting is given twice"),
+        (["--size", "100"], "--size 100: must be WIDTHxHEIGHT in mm"),
+        (["--dpi", "0"], "dpi = 0"),
+        (["--cmap", "magma"], "cmap: label has flags"),
+    ):
+        done = shell("map", "small.nc", "-o", "b.png", *wrong, cwd=folder)
+        assert done.returncode == 2
+        assert named in done.stderr
+        assert len(done.stderr.strip().splitlines()) == 1
 
 
 @pytest.mark.parametrize(

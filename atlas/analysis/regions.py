@@ -1,17 +1,13 @@
-"""Size and borders of the regions of an atlas in which a flag variable has one value."""
+"""Size of the regions of an atlas in which a flag variable has one value."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-
-import contourpy
 import numpy as np
 import xarray as xr
 
 from ..errors import BadInput, shown
 from .chunks import chunks
-from .metadata import flag_names, flag_values, flag_variable
-from .select import plane_of
+from .metadata import flag_names, flag_variable
 
 
 def fractions(ds: xr.Dataset, variable: str, along: str | None) -> xr.DataArray:
@@ -35,20 +31,3 @@ def fractions(ds: xr.Dataset, variable: str, along: str | None) -> xr.DataArray:
         attrs={"long_name": f"share of the points by {variable}", "units": "1"},
     )
     return result.isel(all=0) if along is None else result
-
-
-def boundary(
-    ds: xr.Dataset, label: str, variable: str, x: str | None, y: str | None, select: Mapping[str, float]
-) -> list[np.ndarray]:
-    """Border of the region where a variable has one flag, on a plane of two axes; see `Atlas.boundary`."""
-    (flag,) = flag_values(ds, variable, label)
-    plane, dims, panel_dim = plane_of(ds, x, y, select)
-    if len(dims) != 2 or panel_dim is not None:
-        raise BadInput(
-            f"boundary: needs two axes, found {', '.join(map(str, plane.dims))}; use select for the others"
-        )
-    inside = (plane[variable].transpose(dims[1], dims[0]) == flag).values.astype(float)
-    generator = contourpy.contour_generator(
-        plane[dims[0]].values, plane[dims[1]].values, inside, line_type="Separate"
-    )
-    return [np.asarray(line) for line in generator.lines(0.5)]

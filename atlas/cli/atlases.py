@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import argparse
+from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
+from ..errors import BadInput
 from ..files import writable
 from .options import (
     DONE,
@@ -47,6 +50,17 @@ def add_map(commands: Commands) -> None:
         "--select", action="append", default=[], metavar="AXIS=VALUE", help="place on another axis"
     )
     command.add_argument("--width", choices=("column", "page"), default="column", help="journal width")
+    command.add_argument("--size", metavar="WIDTHxHEIGHT", help="size in mm, such as 120x90")
+    command.add_argument("--dpi", type=float, metavar="N", help="resolution (default: 600)")
+    command.add_argument("--title", metavar="TEXT", help="title of the figure")
+    command.add_argument("--cmap", metavar="NAME", help="Matplotlib's colour map for a variable of numbers")
+    several: dict[str, Any] = {"action": "extend", "nargs": "+", "default": []}
+    command.add_argument("--colors", metavar="FLAG=COLOUR", help="colours of flags", **several)
+    command.add_argument(
+        "--labels", metavar="NAME=TEXT", help="texts for flags, axes and the variable", **several
+    )
+    command.add_argument("--no-boundary", action="store_true", help="draw no theory")
+    command.add_argument("--no-legend", action="store_true", help="draw no legend")
     command.add_argument("--caption", action="store_true", help="print a caption for the figure")
     force_option(command, "existing figures")
 
@@ -61,11 +75,38 @@ def _map(options: argparse.Namespace) -> int:
     select = axis_values("--select", options.select)
     with open_atlas(options.atlas) as ds:
         figure = maps.atlas_map(
-            ds, options.variable, x=options.x, y=options.y, select=select or None, width=options.width
-        )
+            ds, options.variable, x=options.x, y=options.y, select=select or None, title=options.title,
+            cmap=options.cmap, colors=_named_texts("--colors", options.colors),
+            labels=_named_texts("--labels", options.labels), boundary=not options.no_boundary,
+            legend=not options.no_legend, width=options.width, size=_size(options.size), dpi=600 if options.dpi is None else options.dpi,
+        )  # fmt: skip
         if options.caption:
             print(text.caption(ds))
     for path in paths:
-        style.save(figure, path)
+        style.save(figure, path, options.dpi)
         print(f"wrote {path}")
     return DONE
+
+
+def _named_texts(option: str, texts: Sequence[str]) -> dict[str, str]:
+    """NAME=TEXT options as texts by name."""
+    pairs: dict[str, str] = {}
+    for text in texts:
+        name, equals, value = text.partition("=")
+        if not (name and equals):
+            raise BadInput(f"{option} {text}: must be NAME=TEXT")
+        if name in pairs:
+            raise BadInput(f"{option}: {name} is given twice")
+        pairs[name] = value
+    return pairs
+
+
+def _size(text: str | None) -> tuple[float, float] | None:
+    """Width and height in mm from WIDTHxHEIGHT."""
+    if text is None:
+        return None
+    try:
+        width, height = map(float, text.lower().split("x"))
+    except ValueError:
+        raise BadInput(f"--size {text}: must be WIDTHxHEIGHT in mm, such as 120x90") from None
+    return width, height

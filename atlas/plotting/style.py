@@ -18,8 +18,7 @@ Width = Literal["column", "page"]
 WIDTHS = {"column": 88.0, "page": 180.0}  # mm, one and two columns of a journal
 FORMATS = (".png", ".pdf", ".svg")
 STYLE: dict[Any, Any] = {
-    "font.family": "sans-serif",
-    "font.sans-serif": ["DejaVu Sans"],  # comes with matplotlib: the same everywhere
+    "font.family": ["DejaVu Sans"],  # comes with matplotlib: the same everywhere
     "mathtext.fontset": "dejavusans",
     "font.size": 8,
     "axes.labelsize": 8,
@@ -32,6 +31,7 @@ STYLE: dict[Any, Any] = {
     "pdf.fonttype": 42,
     "savefig.dpi": 600,
     "svg.hashsalt": "atlas",
+    "hatch.linewidth": 0.4,
 }
 # One colour per meaning; readers who are colour-blind and prints in grey can tell them apart.
 COLOURS = {
@@ -81,14 +81,31 @@ def flag_colours(meanings: Iterable[str]) -> dict[str, str]:
     }
 
 
+class PrintFigure(Figure):
+    """A figure that `savefig` writes in the style of this module and at the resolution of the figure."""
+
+    def savefig(self, fname: Any, **options: Any) -> None:
+        """Write the figure, with the options of Matplotlib.
+
+        Parameters
+        ----------
+        fname : str, Path or file
+            Where to write.
+        **options : Any
+            As of `matplotlib.figure.Figure.savefig`.
+        """
+        with rc_context(STYLE):
+            super().savefig(fname, **{"dpi": self.dpi} | options)
+
+
 def check_width(width: str) -> None:
     """Raise BadInput unless the width is one of WIDTHS."""
     if width not in WIDTHS:
         raise BadInput(f"width = {width!r}: allowed: {', '.join(WIDTHS)}")
 
 
-def save(figure: Figure, path: str | Path) -> None:
-    """Write a figure as PNG (600 dpi), PDF or SVG, all of it or nothing.
+def save(figure: Figure, path: str | Path, dpi: float | None = None) -> None:
+    """Write a figure as PNG, PDF or SVG, all of it or nothing.
 
     Parameters
     ----------
@@ -96,6 +113,8 @@ def save(figure: Figure, path: str | Path) -> None:
         The figure; the same figure gives the same bytes.
     path : str or Path
         File to write; its suffix is the format.
+    dpi : float, optional
+        Resolution of PNG files and of the cells in the others; default 600.
 
     Raises
     ------
@@ -107,4 +126,4 @@ def save(figure: Figure, path: str | Path) -> None:
     # no date, so that the same atlas gives the same file
     undated = {"png": {}, "pdf": {"CreationDate": None}, "svg": {"Date": None}}[kind]
     with atomic_write(path) as temporary, rc_context(STYLE):
-        figure.savefig(temporary, format=kind, metadata=undated)
+        figure.savefig(temporary, format=kind, metadata=undated, dpi=dpi or STYLE["savefig.dpi"])

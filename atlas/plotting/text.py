@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import re
+from collections.abc import Mapping
 
 import xarray as xr
 
@@ -26,12 +27,102 @@ def axis_label(ds: xr.Dataset, dim: str, *, unit: bool = True) -> str:
     elif dim != stem and stem in system.parameters and "offset from the family" in text:
         text = f"{_symbol(stem, system)}, offset from the family"
     else:
-        words = re.findall(r"[A-Za-z_]\w*", text)
-        if words and all(word in system.parameters for word in words):
-            text = re.sub(r"[A-Za-z_]\w*", lambda word: _symbol(word[0], system).strip("$"), text)
-            text = f"${text.replace('*', ' ')}$"
+        text = math_text(text, {name: p.symbol for name, p in system.parameters.items()})
     units = unit_text(str(attributes.get("units", "")))
     return f"{text} ({units})" if unit and units else text
+
+
+def math_text(text: str, symbols: Mapping[str, str]) -> str:
+    """A text with its formulas and symbols in Matplotlib's mathematical notation.
+
+    Parameters
+    ----------
+    text : str
+        Such as "C/A", "K1 = (C - A)/B" or "rotor momentum l3".
+    symbols : mapping of str to str
+        Symbols of names, such as those of parameters.
+
+    Returns
+    -------
+    str
+        One formula if all words are names or symbols; in other texts only names that can be no words: those with a
+        digit, Greek letters, and a parameter at the end. A text that has mathematics of its own is returned as it is.
+    """
+    if "$" in text:
+        return text
+    words = re.findall(_WORD, text)
+    if words and all(_formula(word, symbols) for word in words):
+        text = re.sub(_WORD, lambda word: _formula(word[0], symbols), text)
+        text = re.sub(r"\*\*\s*(\w+)", r"^{\1}", text).replace(", ", r",\ ")
+        text = re.sub(r"\s*\*\s*", r"\\,", text)
+        return f"${re.sub(_PRODUCT, _THIN, text)}$"
+    text = re.sub(_WORD, lambda word: _in_words(word[0], symbols), text)
+    last = text.rpartition(" ")[2]  # "rate of precession n": a symbol after the words that name it
+    return f"{text.removesuffix(last)}{symbols[last]}" if symbols.get(last) else text
+
+
+_WORD = r"[A-Za-z_]\w*"
+_PRODUCT, _THIN = r"(?<=[\w}]) (?=[\w\\])", r"\\,"
+_GREEK = [
+    "alpha",
+    "beta",
+    "gamma",
+    "delta",
+    "epsilon",
+    "zeta",
+    "eta",
+    "theta",
+    "iota",
+    "kappa",
+    "lambda",
+    "mu",
+    "nu",
+    "xi",
+    "pi",
+    "rho",
+    "sigma",
+    "tau",
+    "upsilon",
+    "phi",
+    "chi",
+    "psi",
+    "omega",
+    "Gamma",
+    "Delta",
+    "Theta",
+    "Lambda",
+    "Xi",
+    "Pi",
+    "Sigma",
+    "Upsilon",
+    "Phi",
+    "Psi",
+    "Omega",
+]
+_LETTERS = {name: rf"\{name}" for name in _GREEK} | {"eps": r"\epsilon", "phi": r"\varphi"}
+
+
+def _formula(word: str, symbols: Mapping[str, str]) -> str:
+    """A name in mathematical notation, empty for a word that is none."""
+    if symbols.get(word):
+        return symbols[word].strip("$")
+    match = re.fullmatch(r"([A-Za-z]+?)_?(\d*)(_dot)?(\d*)", word)
+    if match is None:
+        return ""
+    stem, index = match[1], match[2] or match[4]
+    letter = _LETTERS.get(stem, stem if len(stem) == 1 else "")
+    if not letter:
+        return ""
+    if match[3]:
+        letter = rf"\dot{{{letter}}}"
+    return f"{letter}_{{{index}}}" if index else letter
+
+
+def _in_words(word: str, symbols: Mapping[str, str]) -> str:
+    """A word of a text: a formula if it has a digit or is a Greek letter, else as it is."""
+    formula = _formula(word, symbols)
+    is_name = word in _LETTERS or any(c.isdigit() for c in word)
+    return f"${formula}$" if formula and is_name else word
 
 
 def variable_label(array: xr.DataArray) -> str:
@@ -46,7 +137,8 @@ def unit_text(unit: str) -> str:
     """A unit in UDUNITS spelling for print, with raised exponents; empty for pure numbers."""
     if unit in ("", "1"):
         return ""
-    return re.sub(r"(?<=[A-Za-z])(-?\d+)", r"$^{\1}$", unit)
+    unit = re.sub(r"(?<=[A-Za-z])(-?\d+)", r"$^{\1}$", unit)
+    return re.sub(r"\bOmega\b", r"$\\Omega$", unit)
 
 
 def _symbol(name: str, system: System) -> str:

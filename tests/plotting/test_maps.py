@@ -4,6 +4,7 @@ import ast
 import io
 import re
 from pathlib import Path
+from types import SimpleNamespace
 
 import matplotlib
 import numpy as np
@@ -17,9 +18,10 @@ from matplotlib.figure import Figure
 
 import atlas
 from atlas import BadInput, load_scene
-from atlas.analysis import metadata, select, theory_curves
+from atlas.analysis import metadata, select, theory_borders, theory_curves
+from atlas.analysis import plane as planes
 from atlas.flags import Label
-from atlas.plotting import maps, style, text, trajectory
+from atlas.plotting import content, maps, style, text, trajectory
 from atlas.scene import grid
 from atlas.systems import SYSTEMS
 from atlas.variables import variables
@@ -105,6 +107,13 @@ def test_flags_differ_in_grey_and_for_the_colour_blind(vision):
                 assert np.linalg.norm(colours[i] - colours[j], axis=1).min() > 7, variable.name
 
 
+@pytest.mark.parametrize("vision", COLOUR_VISION, ids=("full", "protan", "deutan", "tritan"))
+def test_labels_differ_clearly_for_the_colour_blind(vision):
+    colours = lab(list(style.flag_colours(Label.meanings()).values()), vision)
+    i, j = np.triu_indices(len(colours), 1)
+    assert np.linalg.norm(colours[i] - colours[j], axis=1).min() > 20
+
+
 def test_the_colour_of_a_flag_does_not_depend_on_the_others(small):
     part = small.isel(sigma=slice(0, 2))
     assert len(np.unique(part.label)) < len(np.unique(small.label))
@@ -169,7 +178,7 @@ def test_long_axes_are_thinned(small, monkeypatch):
 def test_scales_fit_the_numbers(small):
     def norm_and_figure(values):
         ds = small.assign(theta_dot_rms=small.theta_dot_rms.copy(data=values))
-        figure = maps.atlas_map(ds, "theta_dot_rms")
+        figure = maps.atlas_map(ds, "theta_dot_rms", boundary=False)
         return meshes(figure)[0].norm, figure
 
     shape = small.theta_dot_rms.shape
@@ -227,14 +236,15 @@ def test_axes_carry_symbols_and_units(small):
 
 def test_every_variable_of_an_atlas_can_be_drawn(small):
     for name in small.data_vars:
-        maps.atlas_map(small, name, theory=False).draw_without_rendering()
+        maps.atlas_map(small, name, boundary=False).draw_without_rendering()
 
 
 def test_the_legend_shows_only_what_occurs(small):
     names = list(variables(SYSTEMS["satellite"])["label"].flags)
     occurring = [names[v].replace("_", " ") for v in np.unique(small.label)]
-    assert legend(maps.atlas_map(small, theory=False)) == occurring
-    assert legend(maps.atlas_map(small)) == [*occurring, "stability limit (theory)"]
+    assert legend(maps.atlas_map(small, boundary=False)) == occurring
+    assert legend(maps.atlas_map(small)) == [*occurring, content.SLOW, "stability limit (theory)"]
+    assert legend(maps.atlas_map(small, legend=False)) == []
 
 
 def test_a_third_axis_becomes_panels(solid):
@@ -245,8 +255,9 @@ def test_a_third_axis_becomes_panels(solid):
     ]
     limits = {(m.norm.vmin, m.norm.vmax) for ax in panels for m in ax.collections}
     assert len(limits) == 1
-    assert [ax.get_xlabel() != "" for ax in panels] == [False, True, True]  # two above, one below
-    assert [ax.get_ylabel() != "" for ax in panels] == [True, False, True]
+    assert (figure.get_supxlabel(), figure.get_supylabel()) == ("$C/A$", r"$\theta_0$ (rad)")
+    numbers = [any(tick.label1.get_visible() for tick in ax.xaxis.get_major_ticks()) for ax in panels]
+    assert numbers == [False, True, True]  # two above, one below
 
 
 def test_one_axis_gives_a_strip_or_a_line(small):
@@ -279,11 +290,11 @@ def test_settings_of_the_user_are_left_alone(small):
 # Theory.
 
 
-def plane(text: str, **fixed: float) -> theory_curves.Plane:
+def plane(text: str, **fixed: float) -> planes.Plane:
     scene = load_scene(text)
     axes = metadata.axes_of(scene)
     extent = {d: (min(a.values), max(a.values)) for d, a in axes.items() if d not in fixed}
-    return theory_curves.Plane(scene, extent, fixed)
+    return planes.Plane(scene, extent, fixed)
 
 
 def test_points_at_the_coordinates_of_the_grid_are_those_of_the_grid(small_scene):
@@ -327,7 +338,7 @@ def growth_rate(sigma, theta, m):
 
 def test_the_stability_limit_separates_growth_from_none(small_scene):
     view = plane(small_scene)
-    lines = theory_curves.stability_boundary(view)
+    lines = theory_borders.stability_boundary(view)
     vertices = np.concatenate(lines)
     assert len(vertices) > 100
     steps = np.array([[0.02, 0.0], [-0.02, 0.0], [0.0, 0.02], [0.0, -0.02]])
@@ -338,16 +349,22 @@ def test_the_stability_limit_separates_growth_from_none(small_scene):
 
 
 def test_the_stability_limit_is_sharp(small_scene):
-    vertices = np.concatenate(theory_curves.stability_boundary(plane(small_scene)))
+    vertices = np.concatenate(theory_borders.stability_boundary(plane(small_scene)))
     sigma, u = vertices[:, 0], np.cos(vertices[:, 1]) ** 2
     # closed form for mu = 0: lambda^4 + P lambda^2 + Q = 0 in units of Omega
     P, Q = 7 - 6 * sigma + 9 * sigma * (sigma - 1) * u, 3 * (sigma - 1) * (3 * sigma - 4) * (1 - u)
-    off = np.min([abs(sigma - 1), abs(sigma - 4 / 3), abs(P - 2 * np.sqrt(np.maximum(Q, 0)))], 0)
+    root = np.sqrt(np.maximum(Q, 1e-300))
+    resonance = np.where(Q > 0, P - 2 * root, np.inf)
+    # the distance in the plane, because the square root is steep near Q = 0
+    along_sigma = 9 * (2 * sigma - 1) * u - 6 - 3 * (6 * sigma - 7) * (1 - u) / root
+    along_u = 9 * sigma * (sigma - 1) + 3 * (sigma - 1) * (3 * sigma - 4) / root
+    slope = np.hypot(along_sigma, along_u * np.sin(2 * vertices[:, 1]))
+    off = np.min([abs(sigma - 1), abs(sigma - 4 / 3), abs(resonance / np.maximum(1, slope))], 0)
     assert off.max() < 1e-4
 
 
 def test_the_stability_limit_on_one_axis(small_scene):
-    (first, second) = theory_curves.stability_boundary(plane(small_scene, theta0=0.5))
+    (first, second) = theory_borders.stability_boundary(plane(small_scene, theta0=0.5))
     assert (float(first[0, 0]), float(second[0, 0])) == pytest.approx((1.0, 4 / 3), abs=1e-4)
 
 
@@ -374,7 +391,7 @@ def test_family_curves_for_either_axis(scene_text, without_family):
     assert sigma.size > 100
     # k3 = 0: 4 Omega c (A - C) = C m
     np.testing.assert_allclose(4 * np.cos(theta) * (1 - sigma), 0.5 * sigma, atol=1e-9)
-    transposed = theory_curves.Plane(view.scene, dict(reversed(view.extent.items())), {})
+    transposed = planes.Plane(view.scene, dict(reversed(view.extent.items())), {})
     (transposed_curve,) = theory_curves.family_curves(transposed)["perp_velocity"]
     np.testing.assert_array_equal(transposed_curve[:, ::-1], curve)
 
@@ -387,7 +404,7 @@ def test_an_offset_axis_has_its_family_at_zero():
     assert list(view.extent) == ["theta0", "k3_offset"]
     (line,) = theory_curves.family_curves(view)["perp_velocity"]
     np.testing.assert_array_equal(line, [[0.1, 0.0], [1.5, 0.0]])
-    away = theory_curves.Plane(view.scene, view.extent | {"k3_offset": (0.1, 0.2)}, {})
+    away = planes.Plane(view.scene, view.extent | {"k3_offset": (0.1, 0.2)}, {})
     assert theory_curves.family_curves(away) == {}
     figure = maps.atlas_map(atlas.run(view.scene, progress=False))
     assert figure.axes[0].get_ylabel() == "$k_3$, offset from the family (N m s)"
@@ -407,6 +424,276 @@ def test_a_map_without_theory_where_bodies_between_its_points_cannot_exist(small
     assert meshes(figure) or figure.axes
 
 
+# Choices of the caller.
+
+
+def test_a_map_in_the_axes_of_the_caller(small):
+    figure = Figure(figsize=(4, 3))
+    left, right = figure.subplots(1, 2)
+    with matplotlib.rc_context({"font.size": 20}):
+        assert maps.atlas_map(small, ax=left, title="mine") is figure
+        maps.atlas_map(small, "theta_dot_rms", ax=right, cmap="magma", legend=False)
+    assert left.get_title() == "mine"
+    assert left.xaxis.label.get_fontsize() == 10  # as the caller made the Axes
+    assert [t.get_text() for t in left.get_legend().get_texts()][-1] == "stability limit (theory)"
+    assert right.get_legend() is None
+    (mesh,) = [c for c in right.collections if isinstance(c, QuadMesh)]
+    assert mesh.cmap.name == "magma"
+    assert figure.get_size_inches().tolist() == [4, 3]
+
+
+def test_colours_texts_and_size_can_be_chosen(small):
+    figure = maps.atlas_map(
+        small,
+        title="Where it drifts",
+        colors={"drifting": "red"},
+        labels={"drifting": "falls", "theta0": "tilt"},
+        size=(120, 90),
+    )
+    (mesh,) = meshes(figure)
+    assert mesh.cmap(mesh.norm(Label.DRIFTING)) == (1, 0, 0, 1)
+    assert mesh.cmap(mesh.norm(Label.PERMANENT_ROTATION))[:3] == to_rgb(style.COLOURS["permanent_rotation"])
+    assert "falls" in legend(figure)
+    assert "drifting" not in legend(figure)
+    assert figure.legends[0].get_title().get_text() == "Where it drifts"
+    assert figure.axes[0].get_ylabel() == "tilt"
+    assert (figure.get_size_inches() * 25.4).tolist() == pytest.approx([120, 90])
+    bar = maps.atlas_map(
+        small, "theta_dot_rms", boundary=False, title="A", labels={"theta_dot_rms": "unrest"}
+    )
+    assert bar.get_suptitle() == "A"
+    assert bar.axes[1].get_ylabel() == "unrest"
+
+
+def test_plain_savefig_writes_for_print(small, tmp_path):
+    for dpi, expected in ((None, 300), (600, 600)):
+        figure = maps.atlas_map(small, **({} if dpi is None else {"dpi": dpi}))
+        figure.savefig(tmp_path / "map.png")
+        width = matplotlib.image.imread(tmp_path / "map.png").shape[1]
+        assert width == pytest.approx(88 / 25.4 * expected, abs=2)
+    figure.savefig(tmp_path / "map.pdf")
+    assert b"/FontFile2" in (tmp_path / "map.pdf").read_bytes()  # TrueType, not drawn glyphs
+
+
+# What cannot be seen or was not computed.
+
+
+def regions(shape, **marked):
+    """A dataset like an atlas without a scene, permanent rotation but for some marked indices."""
+    values = np.full(shape, Label.PERMANENT_ROTATION, np.int8)
+    for name, index in marked.items():
+        values[index] = Label[name.upper()]
+    flags = {"flag_meanings": " ".join(Label.meanings()), "flag_values": np.arange(5, dtype=np.int8)}
+    return xr.Dataset(
+        {"label": (("x", "y"), values, flags)},
+        {"x": np.arange(shape[0], dtype=float), "y": np.arange(shape[1], dtype=float)},
+        {"atlas_system": "satellite"},
+    )
+
+
+def test_what_is_too_small_to_be_seen_is_in_a_note():
+    figure = maps.atlas_map(regions((60, 50), drifting=(slice(0, 5), 0), regular_precession=(9, 9)))
+    assert legend(figure) == ["permanent rotation", "drifting"]
+    (note,) = [t.get_text() for t in figure.texts]
+    assert " ".join(note.split()) == "Too few to be seen: regular precession, 1 of 3000 points."
+
+
+def test_white_cells_are_explained():
+    ds = regions((20, 20), not_computed=slice(0, 8))
+    assert legend(maps.atlas_map(ds)) == ["permanent rotation", content.NO_MOTION]
+    status = np.ones((20, 20), np.int8)
+    status[:4], status[4:8] = 2, 0
+    names = {"flag_meanings": "not_computed ok impossible_body", "flag_values": np.arange(3, dtype=np.int8)}
+    ds = ds.assign(status=(("x", "y"), status, names))
+    assert legend(maps.atlas_map(ds)) == ["permanent rotation", content.NO_BODY, content.NO_MOTION]
+
+
+def test_missing_tiles_of_an_unfinished_run_are_hatched(small):
+    part = small.copy(deep=True).assign_attrs(atlas_run="1 of 3 tiles; 1 by one process")
+    part["label"][3:] = Label.NOT_COMPUTED
+    part["status"][3:] = 0
+    figure = maps.atlas_map(part)
+    assert content.NOT_YET in legend(figure)
+    assert content.NO_MOTION not in legend(figure)
+    assert [t.get_text() for t in figure.texts] == ["Unfinished: 1 of 3 tiles are computed."]
+    hatched = [c for c in figure.axes[0].collections if c.get_hatch()]
+    boxes = np.concatenate([p.vertices for c in hatched for p in c.get_paths()])
+    edges = select.cell_edges(small.sigma.values)
+    assert (boxes[:, 0].min(), boxes[:, 0].max()) == pytest.approx((edges[3], edges[-1]))
+
+
+def test_slow_instabilities_are_hatched_where_growth_had_no_time(small):
+    panel = content.panel_of(small, "label", ["sigma", "theta0"], None, False)
+    assert not panel.slow.any()  # without theory
+    scene = metadata.scene_of(small)
+    slow = content.panel_of(small, "label", ["sigma", "theta0"], scene, True).slow
+    steady = (small.label != Label.DRIFTING).transpose("theta0", "sigma").values
+    unstable = (small.stable == 2).transpose("theta0", "sigma").values
+    growth = (small.growth_rate * 30.0).transpose("theta0", "sigma").values
+    np.testing.assert_array_equal(slow, steady & unstable & (growth < 12))
+    assert slow.any()
+
+
+def test_integers_have_a_colour_each(small):
+    counts = small.label.astype(float) * 3 + 2
+    ds = small.assign(theta_dot_rms=small.theta_dot_rms.copy(data=counts.values))
+    figure = maps.atlas_map(ds, "theta_dot_rms")
+    mesh, bar = meshes(figure)[0], figure.axes[1]
+    np.testing.assert_array_equal(mesh.norm.boundaries, np.arange(8, 13) - 0.5)
+    assert len(mesh.norm.boundaries) - 1 == mesh.cmap.N
+    assert all(tick == round(tick) for tick in bar.get_yticks())
+
+
+def test_refined_maps_have_no_gaps(scene_text):
+    scene = scene_text({"refine.levels": 2, "axes.sigma.count": 5, "axes.theta0.count": 5})
+    ds = atlas.run(load_scene(scene), progress=False)
+    interpolated = (ds.computed == 0).transpose("theta0", "sigma").values
+    assert np.isnan(ds.theta_dot_rms.transpose("theta0", "sigma").values[interpolated]).any()
+    figure = maps.atlas_map(ds, "theta_dot_rms", boundary=False)
+    shown = np.asarray(meshes(figure)[0].get_array()).reshape(interpolated.shape)
+    assert np.isfinite(shown).all()
+    assert set(shown[interpolated]) <= set(shown[~interpolated])
+    assert "nearest" in figure.texts[0].get_text()
+
+
+def test_neighbouring_panels_keep_their_numbers_apart(solid):
+    figure = maps.atlas_map(solid, width="page")
+    figure.draw_without_rendering()
+    boxes = [t.get_window_extent() for ax in figure.axes for t in ax.get_xticklabels() if t.get_text()]
+    boxes = [box for box in boxes if box.width > 1]
+    assert len(boxes) >= 6
+    for i, box in enumerate(boxes):
+        assert not any(box.overlaps(other) for other in boxes[:i])
+
+
+# Scatter maps.
+
+
+@pytest.fixture(scope="module")
+def sample(scene_text):
+    """64 single points, a Sobol sample of two ranges."""
+    changes = {
+        "axes": None,
+        "points": {
+            "sample": "sobol",
+            "count": 64,
+            "ranges": {"sigma": {"from": 0.3, "to": 1.7}, "theta0": {"from": 0.2, "to": 1.4}},
+        },
+    }
+    return atlas.run(load_scene(scene_text(changes)), progress=False)
+
+
+def test_single_points_become_dots(sample):
+    figure = maps.atlas_map(sample, x="theta0", y="k3")
+    (dots,) = figure.axes[0].collections
+    shown = {tuple(place) for place in dots.get_offsets()}
+    assert shown == set(zip(sample.theta0.values, sample.k3.values, strict=True))
+    assert figure.axes[0].get_xlabel() == r"$\theta_0$ (rad)"
+    by_place = dict(zip(map(tuple, dots.get_offsets()), dots.get_array(), strict=True))
+    for i in range(sample.sizes["point"]):
+        assert by_place[float(sample.theta0[i]), float(sample.k3[i])] == sample.label[i]
+    assert "drifting" in legend(figure)
+
+
+def test_scatter_axes_are_given_parameters_that_vary(sample, small):
+    ax = maps.atlas_map(sample, "theta_dot_rms").axes[0]
+    assert r"$\theta_0$ (rad)" in (ax.get_xlabel(), ax.get_ylabel())
+    chosen = small.atlas.select(label=["permanent_rotation", "drifting"])
+    figure = maps.atlas_map(chosen, x="theta0", y="sigma")
+    assert len(figure.axes[0].collections[0].get_offsets()) == chosen.sizes["point"]
+    with pytest.raises(BadInput, match="x = 'A': not a number given at each of these points; allowed: "):
+        maps.atlas_map(sample, x="A")
+
+
+# Axis names.
+
+
+@pytest.mark.parametrize(
+    ("words", "printed"),
+    [
+        ("C/A", "$C/A$"),
+        ("K1 = (C - A)/B", "$K_{1} = (C - A)/B$"),
+        ("sigma", r"$\sigma$"),
+        ("l / (A r0), l1 = l2", r"$l / (A\,r_{0}),\ l_{1} = l_{2}$"),
+        ("small parameter eps", r"small parameter $\epsilon$"),
+        ("rate of precession n", "rate of precession $n$"),
+        ("tilt of a body", "tilt of a body"),
+        ("A * sigma**2", r"$A\,\sigma^{2}$"),
+        ("$x_7$", "$x_7$"),
+    ],
+)
+def test_names_of_axes_are_mathematics(words, printed):
+    symbols = {name: p.symbol for name, p in SYSTEMS["satellite"].parameters.items()}
+    assert text.math_text(words, symbols) == printed
+    assert text.unit_text("Omega") == r"$\Omega$"
+
+
+# Borders of theory.
+
+QUICKSTART = Path(__file__).parents[2] / "configs" / "quickstart.toml"
+
+
+def test_borders_of_the_quickstart_are_those_of_the_formulas():
+    scene = load_scene(QUICKSTART)
+    view = planes.Plane(scene, {"l3": (-2.5, 2.5), "n": (-2.0, 2.0)}, {})
+    borders = theory_borders.theory_borders(view)
+    assert set(borders) == {theory_borders.STABILITY, theory_borders.LABEL}
+    l3, n = np.concatenate(borders[theory_borders.LABEL]).T
+    # there (C - A)(n^2 - N) cos theta + (C m + l3) n + Mg z0 = 0 with cos theta = 1 or -1
+    edge = np.abs(-0.6 * (n**2 - 2.0)) - np.abs((0.2 + l3) * n + 0.3)
+    assert np.abs(edge).max() < 1e-3
+    l3, n = np.concatenate(borders[theory_borders.STABILITY]).T
+    cosine = ((0.2 + l3) * n + 0.3) / (0.6 * (n**2 - 2.0))
+    # frequency squared of small nutations at constant momenta, from the reduced potential of Lagrange's case
+    spin = 0.4 * (0.5 + n * cosine) + l3
+    stiffness = (n**2 - 0.6 * 2.0) * (1 - cosine**2) + (2 * n * cosine - spin) ** 2
+    np.testing.assert_allclose(stiffness, 0, atol=1e-3)
+
+
+def test_borders_reach_the_frame_of_coarse_maps(small):
+    lines = small.atlas.boundary()
+    assert set(lines.kind.values) == {theory_borders.STABILITY}
+    edges = select.cell_edges(small.theta0.values)
+    vertical = lines.where(np.abs(lines.sigma - 1) < 1e-3, drop=True)
+    assert float(vertical.theta0.min()) == pytest.approx(edges[0], abs=1e-6)
+    assert float(vertical.theta0.max()) == pytest.approx(edges[-1], abs=1e-6)
+
+
+def test_a_strip_narrower_than_the_samples_is_followed_to_its_end(monkeypatch):
+    """Unstable between y = x / 2 and a little above, ending in a point at x = 1."""
+
+    def theory(places, inertial=False):
+        x, y = places["x"], places["y"]
+        inside = (y > 0.5 * x) & (y < 0.5 * x + 0.02 * (1 - x))
+        ones = np.ones(x.shape)
+        return planes.Theory(
+            ones.astype(bool), np.where(inside, 2, 1), np.full(x.shape, 2), {"n": ones, "m": ones}
+        )
+
+    monkeypatch.setattr(
+        theory_borders, "_coordinates", lambda plane, positions: dict(zip("xy", positions.T, strict=True))
+    )
+    monkeypatch.setattr(theory_borders, "_values", lambda plane, positions: positions)
+    strip = SimpleNamespace(
+        extent={"x": (0.0, 1.0), "y": (0.0, 1.0)}, scene=SimpleNamespace(nudge={}), theory=theory
+    )
+    line = max(theory_borders.theory_borders(strip)[theory_borders.STABILITY], key=len)
+    assert line[:, 0].max() > 0.93  # where it is a fifth of the distance between coarse samples wide
+    x, y = line[1:-1].T
+    assert np.minimum(abs(y - 0.5 * x), abs(y - 0.5 * x - 0.02 * (1 - x))).max() < 1e-4
+
+
+def test_a_rate_that_is_zero_on_a_line_is_traced_and_a_pole_is_not():
+    scene = load_scene(QUICKSTART.with_name("conical_precession_spin.toml"))
+    view = planes.Plane(scene, {"theta0": (0.05, 3.09), "n": (-2.0, 2.0)}, {})
+    lines = theory_borders.theory_borders(view)[theory_borders.ZERO_RATES["m"]]
+    theta, n = np.concatenate(lines).T
+    assert theta.size > 100
+    # m = 0: (C - A)(n^2 - N) cos theta + l3 n + Mg z0 = 0; m has a pole at n = 0
+    np.testing.assert_allclose(-0.6 * (n**2 - 2.0) * np.cos(theta) + 0.2 * n + 0.3, 0, atol=1e-3)
+    assert np.abs(n).min() > 0.3
+
+
 # Bad input.
 
 
@@ -421,6 +708,17 @@ def test_a_map_without_theory_where_bodies_between_its_points_cannot_exist(small
         ({"select": {"sigma": float("nan")}}, "must be a finite number"),
         ({"select": {"sigma": 1.0, "theta0": 1.0}}, "no axes to draw"),
         ({"width": "poster"}, "allowed: column, page"),
+        ({"size": 100}, "size = 100: must be width and height in mm"),
+        ({"size": (100, 1e9)}, "must be width and height in mm"),
+        ({"dpi": 0}, "dpi = 0: must be a number from 10 to 2400"),
+        ({"cmap": "viridis"}, "cmap: label has flags"),
+        ({"variable": "theta_dot_rms", "cmap": "rainbows"}, "no such colour map"),
+        ({"variable": "theta_dot_rms", "colors": {"drifting": "red"}}, "colors: theta_dot_rms has no flags"),
+        ({"colors": {"drift": "red"}}, "colors: 'drift': allowed: not_computed"),
+        ({"colors": {"drifting": "reddish"}}, "not a colour of Matplotlib"),
+        ({"colors": ["red"]}, "colors = ['red']: must be a mapping"),
+        ({"labels": {"k3": "x"}}, "labels: 'k3': allowed: "),
+        ({"ax": 3}, "ax = 3: must be Axes"),
     ],
 )
 def test_bad_input_is_one_line(small, options, words):
@@ -432,8 +730,10 @@ def test_bad_input_is_one_line(small, options, words):
 def test_datasets_without_a_map_are_errors(small, solid):
     with pytest.raises(BadInput, match="not an atlas"):
         maps.atlas_map(xr.Dataset())
-    with pytest.raises(BadInput, match="single points"):
-        maps.atlas_map(small.stack(point=("sigma", "theta0")).reset_index("point"))
+    with pytest.raises(BadInput, match="less than two parameters"):
+        maps.atlas_map(atlas.label_points("satellite", {"theta0": [0.1, 0.2]}, duration=1.0, step=0.1))
+    with pytest.raises(BadInput, match="single points without axes"):
+        maps.atlas_map(small.atlas.select(label="drifting"), select={"sigma": 1.0})
     with pytest.raises(BadInput, match="not a trajectory"):
         trajectory.trajectory_figure(small)
     with pytest.raises(BadInput, match=r"sigma has 9 values here: choose one by select = \{'sigma': value\}"):

@@ -1,0 +1,90 @@
+"""Borders on a plane of an atlas as data: those of theory, and those of a measured region."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import contourpy
+import numpy as np
+import xarray as xr
+
+from ..errors import BadInput
+from ..scene.model import Scene
+from .metadata import axes_of, flag_values, scene_of, system_of
+from .plane import Plane
+from .select import plane_of
+from .theory_borders import theory_borders
+
+Lines = dict[str, list[np.ndarray]]
+
+
+def boundary(
+    ds: xr.Dataset,
+    label: str | None,
+    variable: str,
+    x: str | None,
+    y: str | None,
+    select: Mapping[str, float],
+) -> xr.Dataset:
+    """Borders of theory, or of the region where a variable has one flag; see `Atlas.boundary`."""
+    system_of(ds)
+    plane, dims, panel_dim = plane_of(ds, x, y, select)
+    if panel_dim is not None or (label is not None and len(dims) != 2):
+        raise BadInput(
+            f"boundary: needs two axes, found {', '.join(map(str, plane.dims))}; use select for the others"
+        )
+    if label is None:
+        scene = scene_of(ds)
+        if scene is None:
+            raise BadInput(
+                "boundary: these points come from no scene, so that theory has no plane; name a label for the border"
+                " of its region"
+            )
+        return _dataset(theory_lines(scene, plane, dims, variable), plane, dims)
+    (flag,) = flag_values(ds, variable, label)
+    inside = (plane[variable].transpose(dims[1], dims[0]) == flag).values.astype(float)
+    generator = contourpy.contour_generator(
+        plane[dims[0]].values, plane[dims[1]].values, inside, line_type="Separate"
+    )
+    lines = [np.asarray(line) for line in generator.lines(0.5)]
+    return _dataset({f"{variable} = {label}": lines}, plane, dims)
+
+
+def theory_lines(scene: Scene, plane: xr.Dataset, dims: list[str], variable: str) -> Lines:
+    """Borders of theory on a plane of an atlas: kind -> polylines, see `theory_borders`.
+
+    Raises BadInput where the dimensions are not those of the scene.
+    """
+    _check_axes(scene, dims)
+    return theory_borders(Plane.of(scene, plane, dims), inertial=variable.endswith("_inertial"))
+
+
+def _check_axes(scene: Scene, dims: list[str]) -> None:
+    """Raise BadInput for a dimension that is no axis of the scene."""
+    for dim in dims:
+        if dim not in axes_of(scene):
+            raise BadInput(f"{dim}: not an axis of the atlas' scene; its axes: {', '.join(axes_of(scene))}")
+
+
+def _dataset(lines: Lines, plane: xr.Dataset, dims: list[str]) -> xr.Dataset:
+    """Lines as a dataset over their vertices."""
+    numbered = [(kind, line) for kind, group in lines.items() for line in group]
+    vertices = np.concatenate([line for _, line in numbered]) if numbered else np.zeros((0, len(dims)))
+    lengths = [len(line) for _, line in numbered]
+    columns = {dim: ("vertex", vertices[:, i], plane[dim].attrs) for i, dim in enumerate(dims)}
+    return xr.Dataset(
+        {
+            **columns,
+            "line": (
+                "vertex",
+                np.repeat(np.arange(len(numbered)), lengths),
+                {"long_name": "number of the line to which the vertex belongs"},
+            ),
+            "kind": (
+                "vertex",
+                np.repeat(np.array([kind for kind, _ in numbered], str), lengths),
+                {"long_name": "what changes at the line"},
+            ),
+        },
+        attrs={"title": f"borders in {str(plane.attrs.get('title', 'an atlas'))!r}"},
+    )

@@ -1,0 +1,193 @@
+"""What the panels of a map show: values, why some are missing, and what theory adds."""
+
+from __future__ import annotations
+
+import logging
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+import xarray as xr
+from scipy.ndimage import distance_transform_edt
+
+from ..analysis.boundary import theory_lines
+from ..analysis.compare import NO_TIME_TO_GROW
+from ..analysis.metadata import axes_of, flag_names
+from ..analysis.plane import Plane
+from ..analysis.theory_borders import EXISTENCE, STABILITY
+from ..analysis.theory_curves import family_curves
+from ..errors import BadInput
+from ..flags import Label, Stability
+from ..scene.model import Scene
+from ..systems.base import Mask
+
+# Why a place of a map is white.
+NO_BODY, NO_MOTION, NOT_YET, NO_VALUE = "no such body", "no such motion", "not computed yet", "no value"
+SLOW = "unstable, too slow to show in this run"
+# A share of the points below this is too small to be seen.
+MIN_VISIBLE = 1e-3
+# Flags of motions, on whose maps theory draws the borders of labels.
+MOTIONS = ("label", "predicted", "agreement", "geometry")
+
+Lines = Mapping[str, list[np.ndarray]]
+
+
+@dataclass(frozen=True)
+class Panel:
+    """Content of one panel.
+
+    Attributes
+    ----------
+    array : DataArray
+        Values over one axis, or over two with x last.
+    white : mapping of str to ndarray
+        Why there is no value -> the cells, bool of the shape of the array.
+    slow : ndarray
+        Cells of unstable motions that had no time to drift, bool of the shape of the array.
+    borders, families : mapping of str to list of ndarray
+        Kind of border, family -> lines.
+    """
+
+    array: xr.DataArray
+    white: Mapping[str, Mask]
+    slow: Mask
+    borders: Lines = field(default_factory=dict)
+    families: Lines = field(default_factory=dict)
+
+
+def panel_of(ds: xr.Dataset, name: str, dims: list[str], scene: Scene | None, boundary: bool) -> Panel:
+    """Content of a panel.
+
+    Parameters
+    ----------
+    ds : Dataset
+        The part of the atlas that the panel shows.
+    name : str
+        The variable.
+    dims : list of str
+        One or two axes, x first.
+    scene : Scene or None
+        Scene of the atlas.
+    boundary : bool
+        Whether to draw what theory predicts.
+
+    Returns
+    -------
+    Panel
+        In memory.
+    """
+    order = dims[::-1]
+    ds = (
+        ds[[n for n in _NEEDED if n in ds and set(ds[n].dims) == set(dims)] + [name]].transpose(*order).load()
+    )
+    white = _white(ds, name, dims, scene)
+    array = _without_gaps(ds, name)
+    nothing = np.zeros(array.shape, bool)
+    if not boundary or scene is None:
+        return Panel(array, white, nothing)
+    slow = _slow(ds) if scene.nudge and name.removesuffix("_inertial") in MOTIONS else nothing
+    if not set(dims) <= set(axes_of(scene)):
+        return Panel(array, white, slow)
+    try:
+        borders = theory_lines(scene, ds, dims, name)
+        families = family_curves(Plane.of(scene, ds, dims))
+    except BadInput as error:
+        # Between the points of an atlas there may be bodies that cannot exist; the map itself is sound.
+        logging.getLogger("atlas").warning("no theory on this map: %s", error)
+        return Panel(array, white, slow)
+    if name.removesuffix("_inertial") not in MOTIONS:
+        borders = {kind: borders[kind] for kind in (STABILITY, EXISTENCE) if kind in borders}
+    return Panel(array, white, slow, borders, families)
+
+
+_NEEDED = ("label", "status", "stable", "growth_rate", "end_time", "computed")
+
+
+def _white(ds: xr.Dataset, name: str, dims: list[str], scene: Scene | None) -> dict[str, Mask]:
+    """Cells without a value, by the reason."""
+    array = ds[name]
+    flags = flag_names(array)
+    if flags:
+        if name in ("status", "computed") or ("not_computed" not in flags and "label" not in ds):
+            return {}  # their flags state the reason themselves
+        source = array if "not_computed" in flags else ds["label"]
+        missing = source.values == Label.NOT_COMPUTED
+    else:
+        missing = ~np.isfinite(array.values)
+    if "computed" in ds:
+        missing &= ds["computed"].values == 1  # elsewhere the points around stand for it
+    reasons = np.full(array.shape, "", object)
+    not_computed = missing & (ds["label"].values == Label.NOT_COMPUTED if "label" in ds else bool(flags))
+    reasons[missing] = NO_VALUE
+    reasons[not_computed] = NO_MOTION
+    if "status" in ds:
+        impossible = _status(ds["status"], "impossible_body")
+        reasons[missing & (ds["status"].values == impossible)] = NO_BODY
+    if is_unfinished(ds) and scene is not None and set(dims) <= set(axes_of(scene)):
+        reasons[_has_motion(ds, dims, scene, reasons == NO_MOTION)] = NOT_YET
+    return {
+        reason: reasons == reason
+        for reason in (NO_BODY, NO_MOTION, NOT_YET, NO_VALUE)
+        if (reasons == reason).any()
+    }
+
+
+def _status(array: xr.DataArray, name: str) -> int:
+    """Value of a status by its name; -1 in files that do not have it."""
+    names = flag_names(array)
+    return names.index(name) if name in names else -1
+
+
+def is_unfinished(ds: xr.Dataset) -> bool:
+    """Whether tiles of the atlas are still missing, by the attribute atlas_run."""
+    return tiles_done(ds) is not None
+
+
+def tiles_done(ds: xr.Dataset) -> tuple[int, int] | None:
+    """Tiles written and tiles of the whole run of an unfinished atlas; None for a finished one."""
+    match = re.match(r"(\d+) of (\d+) tiles", str(ds.attrs.get("atlas_run", "")))
+    if match is None or int(match[1]) >= int(match[2]):
+        return None
+    return int(match[1]), int(match[2])
+
+
+def _has_motion(ds: xr.Dataset, dims: list[str], scene: Scene, where: Mask) -> Mask:
+    """Those of the marked cells at which the scene has a motion, so that only its tile is missing."""
+    result = np.zeros(where.shape, bool)
+    if where.any():
+        grids = np.broadcast_arrays(*np.meshgrid(*[ds[dim].values for dim in dims[::-1]], indexing="ij"))
+        columns = {dim: grid[where] for dim, grid in zip(dims[::-1], grids, strict=True)}
+        try:
+            result[where] = Plane.of(scene, ds, dims).points(columns).exists
+        except BadInput:
+            result[where] = True
+    return result
+
+
+def _without_gaps(ds: xr.Dataset, name: str) -> xr.DataArray:
+    """Values of the variable; where a refined atlas did not integrate, those of the nearest point that it did."""
+    array = ds[name]
+    if flag_names(array) or "computed" not in ds:
+        return array
+    gaps = ~np.isfinite(array.values) & (ds["computed"].values == 0)
+    if not gaps.any() or gaps.all():
+        return array
+    nearest = distance_transform_edt(gaps, return_distances=False, return_indices=True)
+    return array.copy(data=array.values[tuple(nearest)])
+
+
+def _slow(ds: xr.Dataset) -> Mask:
+    """Cells of nudged motions that theory finds unstable and that stayed steady: the run ended before they grew."""
+    shape = next(iter(ds.values())).shape
+    if not {"label", "stable", "growth_rate", "end_time"} <= set(ds):
+        return np.zeros(shape, bool)
+    label = ds["label"].values
+    steady = (label == Label.REGULAR_PRECESSION) | (label == Label.PERMANENT_ROTATION)
+    grown = ds["growth_rate"].values * ds["end_time"].values >= NO_TIME_TO_GROW
+    return steady & (ds["stable"].values == Stability.UNSTABLE) & ~grown
+
+
+def visible(mask: Mask) -> bool:
+    """Whether a region is large enough to be seen on a map."""
+    return bool(mask.mean() >= MIN_VISIBLE)

@@ -7,21 +7,40 @@ from pathlib import Path
 
 import pytest
 
+from atlas.flags import Status
+
 ROOT = Path(__file__).parent.parent
 PAGES = [
     "README.md",
     "CONTRIBUTING.md",
     *sorted(f"docs/{path.name}" for path in (ROOT / "docs").glob("*.md")),
 ]
-BLOCK = re.compile(r"^```(\w+)\n(.*?)^```", re.M | re.S)
+BLOCK = re.compile(r"^```([^\n`]+)\n(.*?)^```", re.M | re.S)
+SET_UP = ("sh", ".", "pip", "pipx")  # commands that make the environment in which the tests run
+CELL = "{code-cell} ipython3"
 
 
 def run_python(*arguments, cwd):
-    """Run Python with these arguments; an exit status other than 0 fails the test."""
+    """Run Python with these arguments and return what it prints; an exit status other than 0 fails the test."""
     process = subprocess.run(
         [sys.executable, *arguments], cwd=cwd, capture_output=True, text=True, check=False
     )
     assert process.returncode == 0, process.stdout + process.stderr
+    return process.stdout
+
+
+def run_commands(text, cwd):
+    """Run the commands of a block for the shell, as far as they are those of this package."""
+    for line in text.splitlines():
+        command = line.split("#")[0].split()
+        if command[:1] == ["atlas"]:
+            run_python("-m", *command, cwd=cwd)
+        elif command[:1] == ["python"]:
+            assert (ROOT / command[1]).is_file()
+        elif command:
+            assert command[0] in SET_UP, line
+            if command[0] == "sh":
+                assert (ROOT / command[1]).is_file()
 
 
 def test_tables_are_those_of_the_registries():
@@ -30,32 +49,67 @@ def test_tables_are_those_of_the_registries():
 
 @pytest.mark.parametrize("page", PAGES)
 def test_code_blocks_run(page, tmp_path):
-    """A TOML block is saved as the scene of the blocks after it; commands of atlas and Python run in order."""
+    """A TOML block is saved as the scene of the blocks after it; commands of atlas and Python run in order.
+
+    The cells of a notebook run in one process, at the end.
+    """
+    cells = []
     for language, text in BLOCK.findall((ROOT / page).read_text()):
         if language == "toml":
             (tmp_path / "first.toml").write_text(text)
         elif language == "python":
             if module := re.match(r"# (\w+\.py)\n", text):  # its name; a later block imports it
                 (tmp_path / module[1]).write_text(text)
-            run_python("-c", text, cwd=tmp_path)
+            printed = run_python("-c", text, cwd=tmp_path)
+            for line in re.findall(r"^# prints (.+)", text, re.M):
+                assert line in printed
         elif language == "sh":
-            for line in text.splitlines():
-                command = line.split("#")[0].split()
-                if command[:1] == ["atlas"]:
-                    run_python("-m", *command, cwd=tmp_path)
-                else:  # the set-up cannot run inside its own tests, but its scripts must exist
-                    assert command[:1] == ["sh"]
-                    assert (ROOT / command[1]).is_file()
+            run_commands(text, tmp_path)
+        elif language == CELL:
+            cells.append(text)
+    if cells:
+        run_python("-c", "".join(cells), cwd=tmp_path)
 
 
 @pytest.mark.parametrize("page", PAGES)
-def test_links_lead_to_files(page):
-    for target in re.findall(r"\]\(([^)#]+)[^)]*\)", (ROOT / page).read_text()):
-        if not target.startswith("http"):
-            assert ((ROOT / page).parent / target).exists(), target
+def test_links_lead_to_files_and_headings(page):
+    for link in re.findall(r"\]\(([^)\s]+)\)", (ROOT / page).read_text()):
+        if link.startswith("http"):
+            continue
+        name, _, anchor = link.partition("#")
+        target = (ROOT / page).parent / name if name else ROOT / page
+        assert target.exists(), link
+        if anchor:
+            assert anchor in anchors(target), link
+
+
+def anchors(page):
+    """Anchors of the headings of a page, made as GitHub and MyST make them."""
+    headings = re.findall(r"^#+ (.*)", re.sub(BLOCK, "", page.read_text()), re.M)
+    return {re.sub(r"[^\w\- ]", "", heading.lower()).replace(" ", "-") for heading in headings}
 
 
 @pytest.mark.parametrize("page", PAGES)
 def test_scripts_that_pages_name_exist(page):
     for script in re.findall(r"scripts/[\w/]+\.(?:py|sh)", (ROOT / page).read_text()):
         assert (ROOT / script).is_file(), script
+
+
+def test_every_status_has_advice():
+    advice = (ROOT / "docs/messages.md").read_text().split("| status | what to do |")[1]
+    for status in Status.meanings():
+        assert f"| `{status}` |" in advice
+
+
+def test_drawing_of_the_angles_is_drawn(tmp_path):
+    run_python("scripts/tools/draw_angles.py", "-o", str(tmp_path / "angles.svg"), cwd=ROOT)
+    assert (tmp_path / "angles.svg").stat().st_size > 10_000
+
+
+def test_warnings_that_the_page_explains_exist():
+    page = (ROOT / "docs/messages.md").read_text().split("## Warnings")[1]
+    source = "".join(path.read_text() for path in (ROOT / "atlas").rglob("*.py"))
+    warnings = re.findall(r"^\| (?!warning, or|---)(.*?) \|", page, re.M)
+    assert len(warnings) > 5
+    for warning in warnings:
+        assert max(re.split(r" ?\.\.\.:? ?|\bN\b|\d+", warning), key=len).strip() in source, warning

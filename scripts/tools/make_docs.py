@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from atlas.analysis import catalogue
+from atlas.flags import Agreement, Flag, Label, Stability, Status
 from atlas.plotting.amer2013 import amplitude_table
 from atlas.systems import SYSTEMS
 from atlas.systems.base import System
@@ -56,6 +57,13 @@ def families(system: System) -> str:
     return table(rows)
 
 
+def flags(flag: type[Flag]) -> str:
+    """Table of the values of a flag variable."""
+    return table(
+        [("value", "name", "meaning"), *((str(f.value), f"`{f.name.lower()}`", f.sentence) for f in flag)]
+    )
+
+
 def amplitudes(system: System) -> str:
     """Table of the amplitudes behind the figures of Amer et al. (2013)."""
     return table(amplitude_table(claims.figure_table()))
@@ -88,18 +96,21 @@ TABLES = {
     "parameters": parameters,
     "variables": dataset,
     "families": families,
+    "flags": flags,
     "amplitudes": amplitudes,
     "claims": claim_table,
     "printed": published_equations,
 }
 
+SUBJECTS = SYSTEMS | {flag.__name__: flag for flag in (Label, Status, Agreement, Stability)}
+
 
 def filled(text: str) -> str:
-    """The text with every <!-- NAME SYSTEM --> ... <!-- end --> replaced by its table."""
+    """The text with every <!-- NAME SUBJECT --> ... <!-- end --> replaced by its table."""
 
     def replacement(match: re.Match[str]) -> str:
-        name, system = match.groups()
-        return f"<!-- {name} {system} -->\n{TABLES[name](SYSTEMS[system])}\n<!-- end -->"
+        name, subject = match.groups()
+        return f"<!-- {name} {subject} -->\n{TABLES[name](SUBJECTS[subject])}\n<!-- end -->"
 
     return re.sub(r"<!-- (\w+) (\w+) -->\n.*?<!-- end -->", replacement, text, flags=re.S)
 

@@ -1,0 +1,169 @@
+"""Draw the frames and the angles theta, psi and phi of the glossary.
+
+python scripts/tools/draw_angles.py [-o docs/angles.svg]
+"""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+import numpy as np
+from matplotlib import rc_context
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.patches import Circle, Polygon
+
+from atlas.plotting.style import COLOURS, STYLE
+from atlas.systems.satellite.initial import directions
+
+DOCS = Path(__file__).parents[2] / "docs"
+FRAME, BODY, ANGLE, PALE = "#262626", COLOURS["regular_precession"], "#b35806", "#9a9a9a"
+PSI, THETA, PHI = np.radians([52.0, 42.0, 48.0])  # of the body that is drawn
+X, Y, Z = np.eye(3)
+
+
+class View:
+    """A drawing of points in space on the plane of an Axes, seen from far away without perspective."""
+
+    def __init__(
+        self, axes: Axes, azimuth: float, elevation: float, centre: tuple[float, float], half: float
+    ) -> None:
+        a, e = np.radians([azimuth, elevation])
+        self.axes = axes
+        self.right = np.array([-np.sin(a), np.cos(a), 0.0])
+        self.up = np.array([-np.sin(e) * np.cos(a), -np.sin(e) * np.sin(a), np.cos(e)])
+        axes.set_aspect("equal")
+        axes.set_xlim(centre[0] - half, centre[0] + half)
+        axes.set_ylim(centre[1] - half, centre[1] + half)
+        axes.axis("off")
+
+    def flat(self, points: np.ndarray) -> np.ndarray:
+        """Coordinates on the page of points of shape (..., 3)."""
+        return np.stack([points @ self.right, points @ self.up], axis=-1)
+
+    def line(self, points: np.ndarray, colour: str, **style: object) -> None:
+        """Draw a line through points in space."""
+        self.axes.plot(*self.flat(points).T, color=colour, solid_capstyle="round", **style)
+
+    def arrow(self, start: np.ndarray, end: np.ndarray, colour: str, width: float = 1.0) -> None:
+        """Draw an arrow between two points in space."""
+        style = {"arrowstyle": "-|>,head_length=0.45,head_width=0.18", "color": colour, "linewidth": width}
+        style |= {"shrinkA": 0, "shrinkB": 0}
+        self.axes.annotate("", self.flat(end), self.flat(start), arrowprops=style, annotation_clip=False)
+
+    def text(self, point: np.ndarray, text: str, colour: str, offset: tuple[float, float]) -> None:
+        """Write text at a point in space, moved by an offset in pt."""
+        style = {"color": colour, "ha": "center", "va": "center", "annotation_clip": False}
+        self.axes.annotate(text, self.flat(point), offset, textcoords="offset points", **style)
+
+    def arc(self, first: np.ndarray, second: np.ndarray, to: float, radius: float) -> np.ndarray:
+        """Draw an arrow along an arc from `first` by the angle `to` towards `second`; returns its middle."""
+        t = np.linspace(0.0, to, 60)[:, None]
+        points = radius * (np.cos(t) * first + np.sin(t) * second)
+        self.line(points[:-3], ANGLE, linewidth=1.1)
+        self.arrow(points[-6], points[-1], ANGLE, 1.1)
+        return points[len(points) // 2]
+
+    def disc(self, first: np.ndarray, second: np.ndarray, colour: str, radius: float = 1.0) -> None:
+        """Draw the disc that two unit vectors span, shaded."""
+        t = np.linspace(0.0, 2 * np.pi, 181)[:, None]
+        edge = radius * (np.cos(t) * first + np.sin(t) * second)
+        self.axes.add_patch(Polygon(self.flat(edge), facecolor=colour, alpha=0.12, edgecolor="none"))
+        self.line(edge, colour, linewidth=0.6, alpha=0.6)
+
+
+def body_axes(theta: float, psi: float, phi: float) -> np.ndarray:
+    """Unit vectors of the body axes in the frame, one in each row, from the package's own convention."""
+    alpha, gamma = directions({"theta0": np.array(theta), "psi0": np.array(psi), "phi0": np.array(phi)})
+    return np.stack([alpha, np.cross(gamma, alpha), gamma], axis=1)
+
+
+def draw_angles(axes: Axes) -> None:
+    """The frame, the body axes and the three angles."""
+    view = View(axes, azimuth=22.0, elevation=22.0, centre=(0.0, 0.25), half=1.35)
+    e1, _, e3 = body_axes(THETA, PSI, PHI)
+    node = body_axes(0.0, PSI, 0.0)[0]
+    across = np.cross(e3, node)
+    view.disc(X, Y, PALE)
+    view.disc(node, across, BODY)
+    for axis, text, offset in ((X, "$x$", (-6, -4)), (Y, "$y$", (8, 0))):
+        view.arrow(0 * Z, 1.35 * axis, FRAME)
+        view.text(1.35 * axis, text, FRAME, offset)
+    view.arrow(0 * Z, 1.35 * Z, FRAME, 1.4)
+    view.text(1.35 * Z, r"$\gamma$, the vertical", FRAME, (0, 8))
+    view.line(np.stack([-1.05 * node, 1.25 * node]), FRAME, linewidth=0.8, linestyle=(0, (4, 3)))
+    view.text(1.25 * node, "line of\nnodes", FRAME, (2, -11))
+    view.arrow(0 * Z, 1.4 * e3, BODY, 1.8)
+    view.text(1.4 * e3, "third axis $e_3$", BODY, (6, 8))
+    view.arrow(0 * Z, 1.25 * e1, BODY)
+    view.text(1.25 * e1, "$e_1$", BODY, (9, 2))
+    view.text(view.arc(X, Y, PSI, 0.62), r"$\psi$", ANGLE, (0, -8))
+    view.text(view.arc(Z, (e3 - e3[2] * Z) / np.sin(THETA), THETA, 0.75), r"$\theta$", ANGLE, (2, 8))
+    view.text(view.arc(node, across, PHI, 0.8), r"$\varphi$", ANGLE, (10, 7))
+    axes.set_title("the angles and their rates:\n" r"$\psi' = n$ about $\gamma$, $\varphi' = m$ about $e_3$")
+
+
+def draw_orbit(axes: Axes) -> None:
+    """The orbital frame of the satellite at two places of its orbit."""
+    view = View(axes, azimuth=-60.0, elevation=28.0, centre=(0.2, 0.1), half=1.45)
+    t = np.linspace(0.0, 2 * np.pi, 181)[:, None]
+    view.line(np.cos(t) * X + np.sin(t) * Y, PALE, linewidth=0.8)
+    axes.add_patch(Circle((0, 0), 0.16, facecolor="#dce9f2", edgecolor=FRAME, linewidth=0.8))
+    view.text(0 * Z, "Earth", FRAME, (0, -17))
+    names = ((r"$\alpha$, radius", (18, -7)), (r"$\beta$, velocity", (22, 5)), (r"$\gamma$, normal", (0, 7)))
+    for place, labelled in ((np.radians(-10.0), True), (np.radians(128.0), False)):
+        radius = np.cos(place) * X + np.sin(place) * Y
+        for axis, (text, offset) in zip((radius, np.cross(Z, radius), Z), names, strict=True):
+            view.arrow(radius, radius + 0.55 * axis, FRAME, 1.1)
+            if labelled:
+                view.text(radius + 0.55 * axis, text, FRAME, offset)
+        axes.plot(*view.flat(radius), "o", color=BODY, markersize=4.5)
+    middle = view.arc(X, Y, np.radians(95.0), 0.5)
+    view.text(middle, r"$\Omega$", ANGLE, (8, -3))
+    axes.set_title("satellite: the orbital frame\nturns with the orbit")
+
+
+def draw_top(axes: Axes) -> None:
+    """A top about its fixed point, with the vertical towards the attracting centre."""
+    view = View(axes, azimuth=-60.0, elevation=10.0, centre=(0.1, 0.2), half=1.35)
+    tilt = np.radians(155.0)
+    e3 = np.array([np.sin(tilt), 0.0, np.cos(tilt)])
+    gamma = -Z  # the page has its top up; theta is measured from gamma, which points down
+    axis = np.array([e3[0], 0.0, -e3[2]])
+    first, second = np.cross(axis, Y), Y
+    for height, radius in ((0.62, 0.40), (0.70, 0.40)):
+        t = np.linspace(0.0, 2 * np.pi, 121)[:, None]
+        rim = height * axis + radius * (np.cos(t) * first + np.sin(t) * second)
+        axes.add_patch(Polygon(view.flat(rim), facecolor="#dce9f2", edgecolor=BODY, linewidth=0.8))
+    view.line(np.stack([0 * Z, 0.62 * axis]), BODY, linewidth=1.8, zorder=0.5)
+    view.arrow(0.70 * axis, 1.25 * axis, BODY, 1.8)
+    view.text(1.25 * axis, "third axis $e_3$", BODY, (6, 8))
+    view.arrow(0 * Z, 0.8 * gamma, FRAME, 1.4)
+    view.text(0.8 * gamma, r"$\gamma$, towards the" "\nattracting centre", FRAME, (0, -12))
+    axes.plot(0, 0, "o", color=FRAME, markersize=4)
+    view.text(0 * Z, "fixed point", FRAME, (-30, 0))
+    view.text(view.arc(gamma, X, tilt, 0.3), r"$\theta$", ANGLE, (9, -2))
+    axes.set_title("gyrostat about a fixed point:\n" r"$\gamma$ points down")
+
+
+def drawing() -> Figure:
+    """The three panels."""
+    with rc_context({**STYLE, "axes.titlesize": 8}):
+        figure = Figure(figsize=(7.6, 3.0), layout="constrained", facecolor="white")
+        panels = figure.subplots(1, 3)
+        for panel, draw in zip(panels, (draw_angles, draw_orbit, draw_top), strict=True):
+            draw(panel)
+    return figure
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("-o", "--out", type=Path, default=DOCS / "angles.svg")
+    out = parser.parse_args().out
+    with rc_context(STYLE):
+        drawing().savefig(out, dpi=200, metadata={"Date": None} if out.suffix == ".svg" else None)
+
+
+if __name__ == "__main__":
+    main()

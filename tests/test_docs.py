@@ -106,6 +106,22 @@ def test_drawing_of_the_angles_is_drawn(tmp_path):
     assert (tmp_path / "angles.svg").stat().st_size > 10_000
 
 
+def test_the_paper_cites_what_its_bibliography_contains():
+    paper = (ROOT / "docs/paper/paper.md").read_text()
+    entries = re.findall(r"^@\w+\{(\w+),", (ROOT / "docs/paper/paper.bib").read_text(), re.M)
+    assert set(re.findall(r"(?<!\w)@(\w+)", paper)) == set(entries)
+
+
+def test_the_paper_has_the_measured_times_of_the_docs():
+    measured = (ROOT / "docs/accuracy.md").read_text()
+    table = re.findall(
+        r"^\|.*\| +([\d.]+) \| +([\d.]+) \| +([\d.]+) \|$", (ROOT / "docs/paper/paper.md").read_text(), re.M
+    )
+    assert len(table) == 7
+    for row in table:
+        assert f"| {' | '.join(row)} |" in measured
+
+
 def test_warnings_that_the_page_explains_exist():
     page = (ROOT / "docs/messages.md").read_text().split("## Warnings")[1]
     source = "".join(path.read_text() for path in (ROOT / "atlas").rglob("*.py"))

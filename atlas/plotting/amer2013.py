@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from matplotlib import rc_context
 from matplotlib.axes import Axes
+from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.ticker import MaxNLocator
@@ -138,30 +139,42 @@ def _generating(spin: FastSpin, p0: Array, tau: Array) -> Array:
 
 
 def _printed_first_order(spin: FastSpin, tau: Array) -> Array:
-    """(33) as printed in the variables (10) as printed; the derivatives by central differences."""
-    p2, gamma2 = published.to_quasilinear(spin, published.first_order(spin, tau))
-    step = tau[:, 0]
-    return np.array([p2, np.gradient(p2, step, axis=0), gamma2, np.gradient(gamma2, step, axis=0)])
+    """(33) as printed in the variables (10) as printed; the derivatives by differences of order four."""
+
+    def solution(times: Array) -> Array:
+        return np.array(published.to_quasilinear(spin, published.first_order(spin, times)))
+
+    h = 1e-3
+    near, far = (solution(tau + k * h) - solution(tau - k * h) for k in (1, 2))
+    (p2, gamma2), (p2_dot, gamma2_dot) = solution(tau), (8 * near - far) / (12 * h)
+    return np.array([p2, p2_dot, gamma2, gamma2_dot])
 
 
-# Analytical and numerical figures -> for both columns: title, source of the full and of the dashed lines.
-_PANELS = {
+# Analytical and numerical figures -> for both columns: title, and the name in `curves` and the label of each source.
+_COLUMNS = {
     False: (
-        ("as printed: (20), dashed (33)", "(20), printed", "(33), printed"),
-        ("true: from the start (18), dashed (33)", "general", "(33), true"),
+        ("as printed", {"(20), printed": "(20)", "(33), printed": "(33)"}),
+        ("corrected", {"general": "general solution, start (18)", "(33), true": "(33)"}),
     ),
     True: (
-        ("as printed: (15) by RK4", "(15), printed", None),
-        ("true: (1) by RK4, dashed (15)", "(1)", "(15), true"),
+        ("as printed", {"(15), printed": "(15) by RK4"}),
+        ("corrected", {"(1)": "full equations (1) by RK4", "(15), true": "(15) by RK4"}),
     ),
 }
+# Line width, dash and gap in points, and share of white of: a single source, the first and the second of two. The
+# second is seen on the first where they coincide.
+_SINGLE, _FIRST, _SECOND = (1.0, 8.0, 0.0, 0.0), (2.6, 8.0, 0.0, 0.55), (0.9, 3.5, 2.5, 0.0)
+# Curves closer than this share of the range of their panels are drawn as one line of alternating colours.
+COINCIDE = 3e-3
+NOTE = "Curves of different rotors that coincide are drawn as one line of alternating colours."
 
 
 def draw(number: int) -> Figure:
     """One of the figures 1-20, 180 mm wide: on the left as printed, on the right corrected.
 
     Time is tau = r0 t, p2 is in units of c sqrt(gamma0''). Below gamma2 over time is its difference from
-    M3 cos tau.
+    M3 cos tau. The phase plane of gamma2, on which all solutions coincide, is drawn once, and beside it their
+    differences from (M3 cos tau, -M3 sin tau).
 
     Parameters
     ----------
@@ -171,7 +184,7 @@ def draw(number: int) -> Figure:
     Returns
     -------
     matplotlib.figure.Figure
-        Two columns of panels.
+        Two columns of panels, or three.
 
     Raises
     ------
@@ -181,69 +194,146 @@ def draw(number: int) -> Figure:
     figure = paper_figure(number)
     tau = np.linspace(0.0, END, TIMES)
     solutions = curves(figure, tau)
-    gamma2 = figure.quantity == "gamma2"
-    with_difference = gamma2 and not figure.phase_plane
-    height = 105.0 if with_difference else 78.0 if gamma2 else 66.0
     with rc_context(STYLE):
-        drawn = Figure(figsize=(WIDTHS["page"] / 25.4, height / 25.4), layout="constrained")
-        axes = drawn.subplots(1 + with_difference, 2, sharex=True, sharey="row", squeeze=False)
-        for (title, full, dashed), column in zip(_PANELS[figure.numerical], axes.T, strict=True):
-            # stationary points of the phase plane are drawn as crosses
-            crosses = figure.phase_plane and not gamma2 and not figure.numerical
-            column[0].set_title(title.replace("dashed", "+") if crosses else title)
-            _draw_column(column, figure, tau, solutions[full], "-")
-            if dashed is not None:
-                _draw_column(column, figure, tau, solutions[dashed], "--")
-        _label_axes(axes, figure)
+        if figure.phase_plane and figure.quantity == "gamma2":
+            drawn, coincide = _gamma2_plane(figure, tau, solutions), False
+        else:
+            drawn, coincide = _two_columns(figure, tau, solutions)
         handles = [Line2D([], [], color=colour) for colour in LINES[: len(figure.rotors)]]
         names = [rf"$\ell = {l:g}\sqrt{{3}}$ N m s" if l else r"$\ell = 0$" for l in figure.rotors]
         drawn.legend(handles, names, loc="outside upper center", ncols=3, frameon=False)
         drawn.suptitle(rf"Fig. {number}: $A = B {figure.body[2:]}$", fontsize=8, x=0.01, ha="left")
+        if coincide:
+            drawn.supxlabel(NOTE, fontsize=7)
+        engine = drawn.get_layout_engine()
+        assert engine is not None
+        engine.set(wspace=0.07)  # type: ignore[call-arg]  # the last tick of a panel beside the first of the next
     return drawn
 
 
-def _draw_column(
-    column: np.ndarray, figure: PaperFigure, tau: Array, solution: Array, linestyle: str
-) -> None:
-    """Draw a solution in the phase plane or over time, and below its difference from M3 cos tau."""
+def _two_columns(figure: PaperFigure, tau: Array, solutions: dict[str, Array]) -> tuple[Figure, bool]:
+    """Printed and corrected solutions side by side, and whether any of their curves coincide."""
     row, time = ROW[figure.quantity], tau[:, None]
-    # Two numerical solutions coincide: the second one is black over the colours.
-    black = figure.numerical and linestyle == "--"
     if figure.phase_plane:
-        _draw_lines(column[0], solution[row], solution[row + 1], linestyle, black)
-        return
-    _draw_lines(column[0], time, solution[row], linestyle, black)
-    if len(column) > 1:
-        M3 = float(fast_spin.paper_body(figure.body, 0.0).M3)
-        _draw_lines(column[1], time, solution[row] - M3 * np.cos(time), linestyle, black)
+        rows = {"plane": {name: (path[row], path[row + 1]) for name, path in solutions.items()}}
+    else:
+        rows = {"value": {name: (time, path[row]) for name, path in solutions.items()}}
+    if figure.quantity == "gamma2":
+        harmonic = _M3(figure) * np.cos(time)
+        rows["difference"] = {name: (time, path[row] - harmonic) for name, path in solutions.items()}
+    drawn = Figure(figsize=(WIDTHS["page"] / 25.4, (30.0 + 44.0 * len(rows)) / 25.4), layout="constrained")
+    axes = drawn.subplots(len(rows), 2, sharex=True, sharey="row", squeeze=False)
+    coincide = False
+    for number, (panels, lines) in enumerate(zip(axes, rows.values(), strict=True)):
+        resolution = COINCIDE * np.ptp(np.concatenate([y.ravel() for _, y in lines.values()]))
+        for ax, (title, sources) in zip(panels, _COLUMNS[figure.numerical], strict=True):
+            handles, shared = _draw_sources(ax, [lines[name] for name in sources], resolution)
+            coincide |= shared
+            if number == 0:
+                _add_legend(ax, title, handles, list(sources.values()))
+    _label_axes(axes, figure)
+    return drawn, coincide
 
 
-def _draw_lines(ax: Axes, x: Array, y: Array, linestyle: str, black: bool) -> None:
-    """Draw a line for each rotor, (times, rotors)."""
-    x = np.broadcast_to(x, y.shape)
-    for i, colour in enumerate(LINES[: y.shape[1]]):
-        style: dict[str, Any] = {"color": "black" if black else colour, "linestyle": linestyle}
-        if black:
-            style["linewidth"] = 0.8
-        if np.ptp(x[:, i]) + np.ptp(y[:, i]) < 1e-3:  # a stationary point of the phase plane
-            style |= {"marker": "+", "markersize": 5, "markevery": [0]}
-        ax.plot(x[:, i], y[:, i], **style)
+def _gamma2_plane(figure: PaperFigure, tau: Array, solutions: dict[str, Array]) -> Figure:
+    """The phase plane of gamma2 once, and in the first turn the differences of the solutions from a circle."""
+    M3, time = _M3(figure), tau[:, None]
+    circle, turn = M3 * np.array([np.cos(time), -np.sin(time)]), tau <= 2 * np.pi
+    drawn = Figure(figsize=(WIDTHS["page"] / 25.4, 74.0 / 25.4), layout="constrained")
+    plane, *panels = drawn.subplots(1, 3)
+    columns = _COLUMNS[figure.numerical]
+    differences = {name: 1e3 * (path[2:] - circle)[:, turn] for name, path in solutions.items()}
+    true = next(iter(columns[1][1]))
+    _draw_sources(plane, [tuple(solutions[true][2:, turn])], 0.0)
+    distance = max(float(np.abs(path[2:] - circle).max()) for path in solutions.values())
+    plane.set_title(f"all solutions: within {100 * distance / M3:.2g} % of\na circle of radius $M_3$")
+    plane.set(xlabel=r"$\gamma_2$", ylabel=r"$\dot\gamma_2$")
+    least, most = (
+        np.array([f(path, axis=(1, 2)) for path in differences.values()]) for f in (np.min, np.max)
+    )
+    middle, half = 0.5 * (least.min(0) + most.max(0)), 0.6 * (most.max(0) - least.min(0)).max()
+    for ax, (title, sources) in zip(panels, columns, strict=True):
+        handles, _ = _draw_sources(ax, [tuple(differences[name]) for name in sources], 0.0)
+        _add_legend(ax, title, handles, list(sources.values()), columns=1)
+        ax.set_xlabel(r"$10^3\,(\gamma_2 - M_3 \cos\tau)$")
+        ax.set_ylabel(r"$10^3\,(\dot\gamma_2 + M_3 \sin\tau)$")
+        ax.set_xlim(middle[0] - half, middle[0] + half)
+        ax.set_ylim(middle[1] - half, middle[1] + half)
+    for ax in (plane, *panels):
+        ax.set_box_aspect(1)
+        ax.tick_params(length=2.5)
+        for axis in (ax.xaxis, ax.yaxis):
+            axis.set_major_locator(MaxNLocator(4))
+    return drawn
+
+
+def _M3(figure: PaperFigure) -> float:
+    """Amplitude of gamma2 without a rotor."""
+    return float(fast_spin.paper_body(figure.body, 0.0).M3)
+
+
+def _draw_sources(
+    ax: Axes, lines: Sequence[tuple[Array, ...]], resolution: float
+) -> tuple[list[Line2D], bool]:
+    """Draw x and y, (times, rotors), of one or two sources.
+
+    Returns an entry of the legend for each source, in grey, and whether curves of different rotors coincide.
+    """
+    styles = (_SINGLE,) if len(lines) == 1 else (_FIRST, _SECOND)
+    handles, coincide = [], False
+    for (x, y), style, level in zip(lines, styles, (2.0, 3.0), strict=False):
+        x = np.broadcast_to(x, y.shape)
+        point = bool((np.ptp(x, axis=0) + np.ptp(y, axis=0) < 1e-6).all())  # at rest in a phase plane
+        marker = (
+            {"linestyle": "", "marker": "o" if style is _FIRST else "+", "markersize": 6} if point else {}
+        )
+        for i in range(y.shape[1]):
+            group = [k for k in range(y.shape[1]) if np.abs(y[:, k] - y[:, i]).max() < resolution] or [i]
+            coincide |= len(group) > 1
+            shown = slice(0, 1 if point else None)
+            ax.plot(
+                x[shown, i],
+                y[shown, i],
+                zorder=level,
+                **_line(LINES[i], group.index(i), len(group), style) | marker,
+            )
+        handles.append(Line2D([], [], **_line("0.2", 0, 1, style) | marker))
+    return handles, coincide
+
+
+def _line(colour: str, place: int, size: int, style: tuple[float, float, float, float]) -> dict[str, Any]:
+    """Colour, width and dashes of a curve; of `size` coinciding ones each has its place between the others."""
+    width, dash, gap, white = style
+    line: dict[str, Any] = {"color": (1 - white) * np.array(to_rgb(colour)) + white, "linewidth": width}
+    if gap or size > 1:
+        period = size * (dash + gap)
+        # Matplotlib multiplies the dashes by the width of the line.
+        line["linestyle"] = ((period - place * (dash + gap)) / width, (dash / width, (period - dash) / width))
+    return line
+
+
+def _add_legend(ax: Axes, title: str, handles: list[Line2D], labels: list[str], columns: int = 2) -> None:
+    """Title of a column, and its sources."""
+    ax.legend(
+        handles, labels, title=title, loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=columns,
+        frameon=False, borderaxespad=0.2, handlelength=2.4, columnspacing=1.4,
+    )  # fmt: skip
 
 
 def _label_axes(axes: np.ndarray, figure: PaperFigure) -> None:
     """Ticks and labels of the panels, an array of shape (rows, 2)."""
-    symbol = SYMBOLS[figure.quantity]
     for ax in axes.ravel():
         ax.tick_params(length=2.5)
         ax.yaxis.set_major_locator(MaxNLocator(5))
+    unit = r" (units of $c\sqrt{\gamma_0''}$)" if figure.quantity == "p2" else ""
+    label = f"${SYMBOLS[figure.quantity]}${unit}"
     if figure.phase_plane:
-        axes[0, 0].set_ylabel(rf"$\dot {symbol}$" if figure.quantity == "p2" else r"$\dot\gamma_2$")
+        axes[0, 0].set_ylabel(rf"$\dot {SYMBOLS[figure.quantity]}${unit}")
         for ax in axes[-1]:
-            ax.set_xlabel(f"${symbol}$")
-            if figure.quantity == "gamma2":
-                ax.set_aspect("equal", adjustable="box")
+            ax.set_xlabel(label)
+            ax.xaxis.set_major_locator(MaxNLocator(5))
         return
-    axes[0, 0].set_ylabel(f"${symbol}$")
+    axes[0, 0].set_ylabel(label)
     for ax in axes[-1]:
         ax.set_xlabel(r"$\tau = r_0 t$")
         ax.set_xlim(0, END)

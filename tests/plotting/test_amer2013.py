@@ -2,6 +2,9 @@
 
 import numpy as np
 import pytest
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.colors import to_rgb
+from scipy.interpolate import make_interp_spline
 
 from atlas.cli import main
 from atlas.errors import BadInput
@@ -68,7 +71,7 @@ def test_curves_are_those_of_the_equations(number):
             assert np.abs(motion["(20), printed"][0, :, i] - exact[0]).max() > 0.5 * size
 
 
-@pytest.mark.parametrize(("number", "panels"), [(1, 2), (3, 4), (9, 2), (20, 2)])
+@pytest.mark.parametrize(("number", "panels"), [(1, 2), (3, 4), (9, 2), (20, 3)])
 def test_figures_are_drawn(number, panels):
     drawn = amer2013.draw(number)
     assert drawn.get_figwidth() == pytest.approx(180 / 25.4)
@@ -77,6 +80,49 @@ def test_figures_are_drawn(number, panels):
     left, right = (np.concatenate([line.get_ydata() for line in ax.lines]) for ax in drawn.axes[:2])
     assert np.isfinite(left).all()
     assert np.isfinite(right).all()
+
+
+@pytest.mark.parametrize("number", [2, 3, 8, 13, 18])
+def test_no_curve_hides_another(number):
+    """Every rotor has its colour in every panel that shows it, also where its curve coincides with others."""
+    drawn = amer2013.draw(number)
+    canvas = FigureCanvasAgg(drawn)
+    canvas.draw()
+    pixels = np.asarray(canvas.buffer_rgba())[..., :3] / 255.0
+    for ax in drawn.axes:
+        box = ax.get_window_extent()
+        rows = slice(round(pixels.shape[0] - box.y1), round(pixels.shape[0] - box.y0))
+        panel = pixels[rows, round(box.x0) : round(box.x1)]
+        for colour in amer2013.LINES[:3]:
+            # the colour or a mixture of it with white, as the edge of a line has
+            away = np.array(to_rgb(colour)) - 1
+            share = (panel - 1) @ away / (away @ away)
+            same = np.abs(panel - 1 - share[..., None] * away).max(-1) < 0.03
+            assert (same & (share > 0.3)).sum() > 50
+
+
+@pytest.mark.parametrize("number", [4, 5])
+def test_the_legend_has_every_source_as_it_is_drawn(number):
+    """Dashed, or a cross where a solution rests in the phase plane."""
+    printed, corrected = amer2013.draw(number).axes[-2:]
+    for ax, second in (printed, "+"), (corrected, "+" if number == 4 else "None"):
+        assert [text.get_text()[-4:] for text in ax.get_legend().get_texts()] in (
+            ["(20)", "(33)"],
+            ["(18)", "(33)"],
+        )
+        entries = ax.get_legend().get_lines()
+        for i, entry in enumerate(entries):
+            assert entry.get_marker() == ax.lines[i].get_marker()
+            assert entry.get_linestyle() == ax.lines[i].get_linestyle()
+        assert entries[1].get_marker() == second
+
+
+def test_derivatives_of_the_printed_solution():
+    """Of (33) as printed: against a spline through it."""
+    figure, tau = amer2013.paper_figure(3), np.linspace(0, amer2013.END, 4001)
+    path = amer2013.curves(figure, tau)["(33), printed"]
+    spline = make_interp_spline(tau, path[2], k=7)
+    np.testing.assert_allclose(path[3], spline(tau, 1), atol=1e-8)
 
 
 def test_the_table_has_six_digits():

@@ -2,72 +2,117 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import Any
 
 import numpy as np
 import xarray as xr
+from matplotlib import rc_context
+from matplotlib.axes import Axes
+from matplotlib.colors import ListedColormap
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.patches import Patch, Rectangle
 
 from ..engine.tableaux import METHODS
 from ..validation.stress import ACCURATE, LEVELS, RATIOS, Verdict, beyond_estimate
+from .style import STYLE, WIDTHS
 
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
+# Their luminances differ too, for readers who are colour-blind and for prints in grey.
 COLOURS = {
-    Verdict.RIGHT: "#59a14f",
-    Verdict.UNRESOLVED: "#e6e6e6",
-    Verdict.WRONG: "#d62728",
+    Verdict.RIGHT: "#7ab8e0",
+    Verdict.UNRESOLVED: "#e9e9e9",
+    Verdict.WRONG: "#d55e00",
     Verdict.LEFT_OUT: "#ffffff",
+}
+HATCHES = {Verdict.LEFT_OUT: "////"}
+ACCURATE_DOT: dict[str, Any] = {"marker": ".", "color": "black", "markersize": 2.0, "linestyle": ""}
+BEYOND_CROSS: dict[str, Any] = {
+    "marker": "x",
+    "color": "#d55e00",
+    "markersize": 5.0,
+    "markeredgewidth": 1.3,
+    "linestyle": "",
 }
 
 # Least height of a case in the figure, in points of the study.
-LEAST_HEIGHT = 4
+LEAST_HEIGHT = 5
 
 
 def figure(ds: xr.Dataset) -> Figure:
-    """Verdict on every point at every level, a panel for each method.
+    """Verdict on every point at every level, two panels for each method: fixed steps, and automatic ones.
 
-    A dot where the rates are accurate, too; a red one where a statistic is off by more than ten times its estimate.
+    A dot where the rates are accurate, too; a cross where a statistic is off by more than ten times its estimate.
 
     Parameters
     ----------
     ds : xarray.Dataset
         As `validation.stress.stress` returns it.
-    """
-    from matplotlib import rc_context
-    from matplotlib.colors import ListedColormap
-    from matplotlib.figure import Figure
-    from matplotlib.patches import Patch
 
+    Returns
+    -------
+    matplotlib.figure.Figure
+        180 mm wide, a row for each case.
+    """
     cases = ds["case"].values
     first = np.flatnonzero(np.r_[True, cases[1:] != cases[:-1]])  # point of each case
     # A case has at least the height of its name.
     size = np.diff(np.r_[first, cases.size])
     edges = np.r_[0.0, np.cumsum(np.repeat(np.maximum(size, LEAST_HEIGHT) / size, size))]
-    middle, beyond = 0.5 * (edges[:-1] + edges[1:]), beyond_estimate(ds)
-    with rc_context({"font.size": 7, "axes.linewidth": 0.6}):
-        drawn = Figure(figsize=(7.0, 1.5 + edges[-1] / 26), layout="constrained")
-        axes = drawn.subplots(1, len(METHODS), sharey=True)
-        for i, (ax, method) in enumerate(zip(axes, ds["method"].values, strict=True)):
-            verdict, error = ds["verdict"].values[i].T, ds["error"].values[i].T
-            colours = ListedColormap([COLOURS[flag] for flag in Verdict])
-            columns = np.arange(len(LEVELS) + 1)
-            ax.pcolormesh(columns, edges, verdict, cmap=colours, vmin=-0.5, vmax=len(Verdict) - 0.5)
-            points, levels = np.nonzero((verdict == Verdict.RIGHT) & (error < ACCURATE))
-            ax.plot(levels + 0.5, middle[points], ".", color="black", markersize=1.5)
-            points, levels = np.nonzero(beyond[i].T)
-            ax.plot(levels + 0.5, middle[points], ".", color=COLOURS[Verdict.WRONG], markersize=2.5)
-            ax.hlines(edges[first], 0, len(LEVELS), color="0.5", linewidth=0.4)
-            ax.axvline(len(RATIOS), color="black", linewidth=0.8)
-            ax.set_xticks(np.arange(len(LEVELS)) + 0.5, [level.split()[1] for level in LEVELS], rotation=90)
-            ax.set(title=method, xlabel="step over limit of stability | tolerance")
+    columns = {
+        "fixed step over\nlimit of stability": slice(0, len(RATIOS)),
+        "tolerance,\nautomatic step": slice(len(RATIOS), len(LEVELS)),
+    }
+    with rc_context(STYLE | {"hatch.linewidth": 0.3}):
+        drawn = Figure(figsize=(WIDTHS["page"] / 25.4, 1.5 + edges[-1] / 28), layout="constrained")
+        widths = [levels.stop - levels.start for levels in columns.values()] * len(METHODS)
+        axes = drawn.subplots(1, 2 * len(METHODS), sharey=True, width_ratios=widths)
+        beyond = beyond_estimate(ds)
+        for i, method in enumerate(ds["method"].values):
+            for ax, (name, levels) in zip(axes[2 * i : 2 * i + 2], columns.items(), strict=True):
+                _draw_panel(ax, ds.isel(method=i, level=levels), beyond[i, levels], edges)
+                ax.hlines(edges[first], *ax.get_xlim(), color="0.5", linewidth=0.4)
+                ticks = [level.split()[1] for level in LEVELS[levels]]
+                ax.set_xticks(np.arange(len(ticks)) + 0.5, ticks, rotation=90)
+                ax.set_xlabel(name)
+                ax.tick_params(length=2.0)
+            axes[2 * i].set_title(method, loc="left")
         axes[0].set_yticks(0.5 * (edges[first] + edges[first + size]), cases[first])
         axes[0].set_ylim(edges[-1], 0)
-        entries = [
-            Patch(
-                facecolor=COLOURS[flag], edgecolor="0.5", label=f"{name.replace('_', ' ')}: {flag.sentence}"
-            )
-            for flag, name in zip(Verdict, Verdict.meanings(), strict=True)
-        ]
-        drawn.legend(handles=entries, loc="outside lower center", ncols=2, frameon=False)
+        drawn.legend(handles=_legend(), loc="outside lower center", ncols=2, frameon=False)
     return drawn
+
+
+def _draw_panel(ax: Axes, ds: xr.Dataset, beyond: np.ndarray, edges: np.ndarray) -> None:
+    """Verdicts and marks of one method at some levels; edges of the points along the y axis."""
+    verdict, error = ds["verdict"].values.T, ds["error"].values.T
+    colours, columns = ListedColormap([COLOURS[flag] for flag in Verdict]), np.arange(verdict.shape[1] + 1)
+    ax.pcolormesh(columns, edges, verdict, cmap=colours, vmin=-0.5, vmax=len(Verdict) - 0.5, rasterized=True)
+    for flag, hatch in HATCHES.items():
+        for point, level in np.argwhere(verdict == flag):
+            corner, height = (level, edges[point]), edges[point + 1] - edges[point]
+            ax.add_patch(Rectangle(corner, 1, height, fill=False, hatch=hatch, edgecolor="0.5", linewidth=0))
+    middle = 0.5 * (edges[:-1] + edges[1:])
+    for mask, mark in (
+        ((verdict == Verdict.RIGHT) & (error < ACCURATE), ACCURATE_DOT),
+        (beyond.T, BEYOND_CROSS),
+    ):
+        points, levels = np.nonzero(mask)
+        ax.plot(levels + 0.5, middle[points], **mark)
+    ax.set_xlim(0, verdict.shape[1])
+
+
+def _legend() -> list[Patch | Line2D]:
+    """Entries of the verdicts and of the marks."""
+    patches = [
+        Patch(
+            facecolor=COLOURS[flag], edgecolor="0.5", linewidth=0.4, hatch=HATCHES.get(flag),
+            label=f"{name.replace('_', ' ')}: {flag.sentence}",
+        )
+        for flag, name in zip(Verdict, Verdict.meanings(), strict=True)
+    ]  # fmt: skip
+    accurate = f"the largest rms or standard deviation of the rates within {100 * ACCURATE:g} %, too"
+    return [
+        *patches,
+        Line2D([], [], label=accurate, **ACCURATE_DOT),
+        Line2D([], [], label="a statistic off by more than ten times error_estimate", **BEYOND_CROSS),
+    ]

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
-COLOURS, MARKERS = ("#1b6ca8", "#e0892b", "#262626", "#59a14f"), "os^D"
+COLOURS, MARKERS = ("#1b6ca8", "#e0892b", "#262626", "#8c4799"), "os^D"
 # States with larger errors have nothing to do with the motion and are not drawn.
 MAX_ERROR_DRAWN = 3.0
 

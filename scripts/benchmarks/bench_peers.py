@@ -30,6 +30,7 @@ from statistics import median
 from time import process_time
 
 import numpy as np
+from matplotlib import rc_context
 from matplotlib.figure import Figure
 from numba import cfunc, njit
 from scipy.integrate import odeint, solve_ivp
@@ -40,6 +41,7 @@ from atlas.engine.simplify import simplify
 from atlas.engine.specialization import kernel
 from atlas.engine.stepsize import StepSizes
 from atlas.engine.tableaux import METHODS
+from atlas.plotting.style import STYLE, WIDTHS
 from atlas.scene.model import Settings
 from atlas.systems import SYSTEMS
 from atlas.validation.reference import SAFETY, reference
@@ -376,25 +378,29 @@ def write_csv(results: Results, path: Path) -> None:
     path.write_text("\n".join(["engine,tolerance,median_error,microseconds_per_point", *rows]) + "\n")
 
 
-def draw(results: Results, path: Path) -> None:
+def draw(results: Results, path: Path, duration: float) -> None:
     """Draw median error against time per point, one line for each integrator."""
-    figure = Figure(figsize=(5.2, 3.2), dpi=160, layout="constrained")
-    ax = figure.add_subplot()
     names = list(dict.fromkeys(name for name, _ in results))
-    for name, mark in zip(names, "osv^Dph*X<", strict=False):
-        levels = levels_of(results, name)
-        ours = name.startswith("atlas")
-        ax.plot(
-            [level.time for level in levels],
-            [level.error for level in levels],
-            mark + ("-" if ours else "--"),
-            ms=4,
-            lw=1.8 if ours else 1,
-            label=name,
-        )
-    ax.set(xscale="log", yscale="log", xlabel="time per point and processor (µs)", ylabel="median error")
-    figure.legend(loc="outside right upper", frameon=False, fontsize=8)
-    figure.savefig(path)
+    # One colour for each method of this package, greys for the others; markers differ, too.
+    colours = {"atlas rk4": "#1b6ca8", "atlas rk8": "#d55e00"}
+    others = [name for name in names if not name.startswith("atlas")]
+    greys = dict(zip(others, np.linspace(0.0, 0.6, len(others)), strict=True))
+    with rc_context(STYLE):
+        figure = Figure(figsize=(WIDTHS["page"] / 25.4, 3.4), layout="constrained")
+        ax = figure.add_subplot()
+        for name, mark in zip(names, "osv^Dph*X<", strict=False):
+            ours, levels = name not in greys, levels_of(results, name)
+            ax.plot(
+                [level.time for level in levels], [level.error for level in levels],
+                marker=mark, markersize=4, label=name,
+                color=colours[name.removesuffix(" with statistics")] if ours else str(greys[name]),
+                linestyle="--" if name.endswith(" with statistics") else "-" if ours else ":",
+                linewidth=1.6 if ours else 1.0, markerfacecolor=None if ours else "white",
+            )  # fmt: skip
+        ax.set(xscale="log", yscale="log", ylabel="median error of the final state")
+        ax.set_xlabel(f"processor time per point to T = {duration:g} (µs)")
+        figure.legend(loc="outside right upper", frameon=False)
+        figure.savefig(path, dpi=300)
 
 
 def levels_of(results: Results, name: str) -> list[Level]:
@@ -467,7 +473,7 @@ def main() -> None:
     if options.csv:
         write_csv(results, options.csv)
     if options.figure:
-        draw(results, options.figure)
+        draw(results, options.figure, options.duration)
     report(results, options.duration)
 
 

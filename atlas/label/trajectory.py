@@ -12,16 +12,29 @@ from scipy.integrate import cumulative_simpson
 from .. import systems
 from ..engine import blocks
 from ..engine.ensemble import Ensemble
-from ..engine.specialization import kernel
+from ..engine.specialization import kernel, kernel_hash
 from ..engine.stepsize import StepSizes
 from ..errors import BadInput
+from ..io import provenance
 from ..scene import checks, grid
 from ..scene.model import DEFAULTS, Duration, Scene, Settings
 from ..scene.tables import point_columns
-from ..systems.base import Array, System
+from ..systems.base import Array, Points, System
 
 # Instants of a trajectory: some gigabytes.
 MAX_SAMPLES = 10**7
+_RATE = "rad s-1"
+# Variable -> long_name and units.
+_VARIABLES = {
+    "theta": ("nutation angle theta", "rad"),
+    "psi": ("precession angle psi", "rad"),
+    "phi": ("proper rotation phi", "rad"),
+    "theta_dot": ("nutation rate theta'", _RATE),
+    "psi_dot": ("precession rate psi'", _RATE),
+    "phi_dot": ("proper rotation rate phi'", _RATE),
+    "normal_rate": ("rate about the vertical", _RATE),
+    "integral_drift": ("change of a first integral", "1"),
+}
 
 
 def trajectory(
@@ -62,15 +75,22 @@ def trajectory(
         Over the dimension "time", float64: the state by the names of the equations; theta, psi, phi (rad; psi and phi
         unwrapped, nan on the vertical, where they do not exist); theta_dot, psi_dot, phi_dot, normal_rate (rad per time
         unit); axis_x, axis_y, axis_z (the third body axis in the frame: for the satellite along radius, velocity and
-        normal); integral_drift.
+        normal); integral_drift. Without a dimension: `step`, and the parameters (a start value that is called like one of
+        the variables has the suffix _start). The attributes are those of an atlas.
 
     Raises
     ------
     BadInput
         As `label_points`.
     """
-    kind = systems.get(system)
     settings = Settings(method=method, step=step, tolerance=tolerance, rate_tolerance=rate_tolerance)
+    return _trajectory(systems.get(system), point, duration, samples, settings, "")
+
+
+def _trajectory(
+    kind: System, point: Mapping[str, Any], duration: float, samples: int, settings: Settings, title: str
+) -> xr.Dataset:
+    """As `trajectory`, with a title."""
     checks.whole_number("samples", samples, 2, MAX_SAMPLES)
     duration = checks.positive("duration", duration)
     points, size = point_columns(kind, point)
@@ -82,8 +102,16 @@ def trajectory(
     # Whole steps between samples, never longer than those of the atlas.
     steps_per_sample = -(-int(step_sizes.steps[0]) // (samples - 1))
     step_size = np.array([duration / (steps_per_sample * (samples - 1))])
-    states = _states(kernel(kind, method), ensemble, steps_per_sample, step_size, samples)
-    return _dataset(kind, ensemble, states, np.linspace(0.0, duration, samples))
+    states = _states(kernel(kind, settings.method), ensemble, steps_per_sample, step_size, samples)
+    ds = _dataset(kind, ensemble, states, np.linspace(0.0, duration, samples))
+    _add_parameters(ds, kind, points, float(step_size[0]))
+    ds.attrs = provenance.provenance(
+        kind, settings, kernel_hash(kind, settings.method), title=title or f"trajectory of the {kind.title}",
+        scene="", seconds=0.0, points=1, warnings=kind.warnings(points),
+    )  # fmt: skip
+    for name in ("atlas_seconds", "atlas_points_per_second"):
+        del ds.attrs[name]
+    return ds
 
 
 def trajectory_of_scene(scene: Scene, places: Mapping[str, float], *, samples: int = 1001) -> xr.Dataset:
@@ -117,11 +145,9 @@ def trajectory_of_scene(scene: Scene, places: Mapping[str, float], *, samples: i
     if not located.exists[0]:
         raise BadInput(f"the family {scene.family} has no motion at this point")
     point = {name: values[0] for name, values in located.points.items() if not np.isnan(values[0])}
-    return trajectory(
-        scene.system.name, point, duration=float(located.duration[0]), samples=samples,
-        step=scene.settings.step, method=scene.settings.method, tolerance=scene.settings.tolerance,
-        rate_tolerance=scene.settings.rate_tolerance,
-    )  # fmt: skip
+    place = ", ".join(f"{name} = {value:g}" for name, value in places.items())
+    title = f"{scene.title}: trajectory at {place}"
+    return _trajectory(scene.system, point, float(located.duration[0]), samples, scene.settings, title)
 
 
 def _states(module: Any, ensemble: Ensemble, steps_per_sample: int, step_size: Array, samples: int) -> Array:
@@ -149,11 +175,38 @@ def _dataset(system: System, ensemble: Ensemble, states: Array, time: Array) -> 
             total = sum(getattr(equations, name)(states.T, constants))
             drift = np.maximum(drift, np.abs(total - total[0]) * scale)
     columns["integral_drift"] = drift
+    attributes = _attributes(system)
     return xr.Dataset(
-        {name: ("time", np.asarray(values)) for name, values in columns.items()},
+        {name: ("time", np.asarray(values), attributes[name]) for name, values in columns.items()},
         coords={"time": ("time", time, {"long_name": "time", "units": "s"})},
-        attrs={"atlas_system": system.name},
     )
+
+
+def _attributes(system: System) -> dict[str, dict[str, str]]:
+    """long_name and units of every variable over time; of a state that is no rate the units are unknown."""
+    attributes = {name: {"long_name": f"state {name}"} for name in system.equations.STATE}
+    for name in system.rate_states:
+        attributes[name]["units"] = _RATE
+    for name, axis in zip(("axis_x", "axis_y", "axis_z"), system.frame_axes, strict=True):
+        attributes[name] = {"long_name": f"third axis along {axis.strip('$')}", "units": "1"}
+    for name, (long_name, units) in _VARIABLES.items():
+        attributes[name] = {"long_name": long_name, "units": units}
+    for name in ("psi", "phi", "theta_dot", "psi_dot", "phi_dot"):
+        attributes[name]["comment"] = "nan where the third axis is exactly on the vertical"
+    return attributes
+
+
+def _add_parameters(ds: xr.Dataset, system: System, points: Points, step: float) -> None:
+    """Add the step and the parameters, as variables without a dimension.
+
+    They are no coordinates, because xarray prints scalar coordinates over every plot.
+    """
+    ds["step"] = ((), step, {"long_name": "integration step", "units": "s"})
+    for name, parameter in system.parameters.items():
+        value = float(points[name][0])
+        if not np.isnan(value):
+            attributes = {"long_name": parameter.meaning, "units": parameter.unit}
+            ds[f"{name}_start" if name in ds else name] = ((), value, attributes)
 
 
 def _angles(equations: Any, states: Array, constants: Array, time: Array) -> dict[str, Array]:

@@ -2,31 +2,41 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 import xarray as xr
 from matplotlib import rc_context
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure, SubFigure
+from matplotlib.lines import Line2D
+from matplotlib.ticker import MaxNLocator, ScalarFormatter
 
 from ..analysis.metadata import system_of
 from ..errors import BadInput
 from .style import COLOURS, STYLE, SYMBOLS, WIDTHS, Width, check_width
 from .text import unit_text
 
+FAR = 0.35  # opacity of the far side of the sphere
+START: dict[str, Any] = {"marker": "o", "color": COLOURS["drifting"], "markersize": 3.5, "linestyle": ""}
 RATES = ("theta_dot", "psi_dot", "phi_dot", "normal_rate")
 LINE_COLOURS = (COLOURS["regular_precession"], COLOURS["drifting"], "black", "#7fb9d8")
 # Rates larger than this many times their quantile 0.9 do not set the range of the panel, which then ends
 # at a smaller multiple of it.
 CLIP_ABOVE, CLIP_AT = 10, 3
+# Paths that stay within this angle of their mean direction (rad) are drawn enlarged, too; within the second angle
+# the axis is at rest but for rounding.
+SMALL, AT_REST = 0.1, 1e-12
+NOTE = SYMBOLS["normal_rate"] + ": angular velocity relative to the frame along its vertical"
 
 
 def trajectory_figure(tr: xr.Dataset, *, width: Width = "page") -> Figure:
     """Angles and rates over time, and the path of the third body axis on the unit sphere of the frame.
 
     psi and phi are shown between -pi and pi. The path is dark on the near side of the sphere and pale on
-    the far side, with a dot at its start. Rates that grow without bound near the vertical are clipped.
+    the far side, with a dot at its start. A path that stays close to a direction is drawn once more, enlarged, in
+    the plane perpendicular to that direction. Rates that grow without bound near the vertical are clipped.
 
     Parameters
     ----------
@@ -38,7 +48,7 @@ def trajectory_figure(tr: xr.Dataset, *, width: Width = "page") -> Figure:
     Returns
     -------
     matplotlib.figure.Figure
-        Three panels over time, and the sphere.
+        Three panels over time, the sphere, and where the path is small its enlargement.
 
     Raises
     ------
@@ -60,7 +70,7 @@ def trajectory_figure(tr: xr.Dataset, *, width: Width = "page") -> Figure:
         left, right = subfigures.ravel()
         _draw_time_series(left, tr)
         path = np.stack([tr[f"axis_{name}"].values for name in "xyz"], -1)
-        _draw_sphere(right.subplots(), path, system_of(tr).frame_axes)
+        _draw_path(right, path, system_of(tr).frame_axes, page)
     return figure
 
 
@@ -85,9 +95,23 @@ def _draw_time_series(figure: SubFigure, tr: xr.Dataset) -> None:
     quantile = float(np.nanquantile(magnitude, 0.9))
     if np.nanmax(magnitude) > CLIP_ABOVE * quantile > 0:
         rate_ax.set_ylim(-CLIP_AT * quantile, CLIP_AT * quantile)
+    for ax in (theta_ax, rate_ax):
+        ax.yaxis.set_major_formatter(_Formatter(useMathText=True))
+        ax.ticklabel_format(axis="y", scilimits=(-2, 4))
+    for ax in (theta_ax, angle_ax, rate_ax):
+        ax.tick_params(length=2.5)
     for ax in (angle_ax, rate_ax):
         ax.legend(loc="center left", bbox_to_anchor=(1.0, 0.5), frameon=False, handlelength=1.6)
     figure.align_ylabels()
+    figure.supxlabel(NOTE, fontsize=6.5)
+
+
+class _Formatter(ScalarFormatter):
+    """Tick labels with powers of ten, but 0.9 and not 9 x 10^-1 for what is subtracted from them."""
+
+    def format_data(self, value: float) -> str:
+        plain = 1e-3 <= abs(value) < 1e5
+        return f"{value:.9g}".replace("-", "\N{MINUS SIGN}") if plain else str(super().format_data(value))
 
 
 def _wrap_angle(angle: np.ndarray) -> np.ndarray:
@@ -97,7 +121,59 @@ def _wrap_angle(angle: np.ndarray) -> np.ndarray:
     return wrapped
 
 
-def _draw_sphere(ax: Axes, path: np.ndarray, names: Iterable[str]) -> None:
+def _draw_path(figure: SubFigure, path: np.ndarray, names: Sequence[str], page: bool) -> None:
+    """Draw a path on the unit sphere, shape (times, 3), and enlarged if it is small, with one legend."""
+    mean = path.mean(axis=0)
+    mean /= np.linalg.norm(mean) or 1.0
+    distance = float(np.linalg.norm(path - mean, axis=1).max())
+    if AT_REST < distance < SMALL:
+        if page:
+            sphere, plane = figure.subplots(2, 1, height_ratios=(1.25, 1))
+        else:
+            sphere, plane = figure.subplots(1, 2, width_ratios=(1.25, 1))
+        _draw_enlarged(plane, path - mean, mean, names)
+    else:
+        sphere = figure.subplots()
+    _draw_sphere(sphere, path, names)
+    if distance <= AT_REST:
+        sphere.set_title(f"third axis at rest within {max(distance, 1e-16):.0e} rad")
+    colour = COLOURS["regular_precession"]
+    handles = [
+        Line2D([], [], color=colour),
+        Line2D([], [], color=colour, alpha=FAR),
+        Line2D([], [], **START),
+    ]
+    figure.legend(
+        handles, ["third axis, near side", "far side", "start"], loc="outside lower center", ncols=3,
+        frameon=False, handlelength=1.6, columnspacing=1.2,
+    )  # fmt: skip
+
+
+def _draw_enlarged(ax: Axes, offset: np.ndarray, direction: np.ndarray, names: Sequence[str]) -> None:
+    """Draw the offset of a path from a direction, in the plane perpendicular to it."""
+    sine = np.hypot(direction[0], direction[1])
+    if sine < SMALL:
+        first, second, labels = np.eye(3)[0], np.eye(3)[1], [f"along {name}" for name in names[:2]]
+    else:
+        first = np.array([-direction[1], direction[0], 0.0]) / sine
+        second, labels = np.cross(direction, first), ["sideways", "upward"]
+    x, y = offset @ first, offset @ second
+    half = 0.6 * max(np.ptp(x), np.ptp(y))
+    exponent = int(np.floor(np.log10(half)))
+    x, y, half = x / 10.0**exponent, y / 10.0**exponent, half / 10.0**exponent
+    ax.plot(x, y, color=COLOURS["regular_precession"], linewidth=0.9)
+    ax.plot(x[0], y[0], **START)
+    middle = [0.5 * (v.min() + v.max()) for v in (x, y)]
+    ax.set(box_aspect=1, title="offset from the mean direction")
+    ax.set_xlim(middle[0] - half, middle[0] + half)
+    ax.set_ylim(middle[1] - half, middle[1] + half)
+    ax.tick_params(length=2.5)
+    for axis, label in zip((ax.xaxis, ax.yaxis), labels, strict=True):
+        axis.set_major_locator(MaxNLocator(4))
+        axis.set_label_text(rf"{label} ($10^{{{exponent}}}$ rad)")
+
+
+def _draw_sphere(ax: Axes, path: np.ndarray, names: Sequence[str]) -> None:
     """Orthographic picture of a path on the unit sphere, shape (times, 3), seen from above the x-y plane."""
     azimuth, elevation = np.radians(40.0), np.radians(25.0)
     toward_viewer = np.array(
@@ -112,7 +188,7 @@ def _draw_sphere(ax: Axes, path: np.ndarray, names: Iterable[str]) -> None:
     def draw(points: np.ndarray, colour: str, linewidth: float, zorder: int) -> None:
         """Draw the far part of a line pale and its near part over it."""
         near = points @ toward_viewer >= 0
-        for visible, alpha, level in ((~near, 0.35, zorder), (near, 1.0, zorder + 1)):
+        for visible, alpha, level in ((~near, FAR, zorder), (near, 1.0, zorder + 1)):
             line = project(points)
             line[~visible] = np.nan
             ax.plot(*line.T, color=colour, alpha=alpha, linewidth=linewidth, zorder=level)
@@ -123,12 +199,18 @@ def _draw_sphere(ax: Axes, path: np.ndarray, names: Iterable[str]) -> None:
     for latitude in np.radians((-60, -30, 0, 30, 60)):
         parallel = circle * np.cos(latitude) + [0, 0, np.sin(latitude)]
         draw(parallel, "0.7", 0.6 if latitude == 0 else 0.3, 1)
-    box = {"facecolor": "white", "edgecolor": "none", "pad": 0.8, "alpha": 0.8}
     for direction, name in zip(np.eye(3), names, strict=True):
         tip = project(direction)
-        ax.plot(*np.transpose([tip, 1.2 * tip]), color="0.3", linewidth=0.8, zorder=2)
-        ax.text(1.35 * tip[0], 1.35 * tip[1], name, ha="center", va="center", zorder=5, bbox=box)
+        outside = tip / np.linalg.norm(tip)  # the label is beside the disc, where no path is
+        ax.plot(*np.transpose([tip, 1.1 * outside]), color="0.3", linewidth=0.8, zorder=2)
+        x, y = 1.14 * outside
+        ax.text(x, y, name, ha=_alignment(x), va="center" if abs(x) > 0.3 else "bottom")
     draw(path, COLOURS["regular_precession"], 1.1, 3)
-    ax.plot(*project(path[0]), "o", color=COLOURS["drifting"], markersize=3.5, zorder=6)
-    ax.set(aspect="equal", xlim=(-1.3, 1.3), ylim=(-1.15, 1.35))
+    ax.plot(*project(path[0]), zorder=6, **START)
+    ax.set(aspect="equal", xlim=(-1.5, 1.5), ylim=(-1.1, 1.35))
     ax.set_axis_off()
+
+
+def _alignment(x: float) -> str:
+    """Horizontal alignment of a label beside a disc whose centre has x = 0."""
+    return "center" if abs(x) < 0.3 else "left" if x > 0 else "right"

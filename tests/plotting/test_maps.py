@@ -1,4 +1,4 @@
-"""Maps and trajectories: figures show the values of the atlas and of theory, and can be printed."""
+"""Maps: figures show the values of the atlas and of theory, and can be printed."""
 
 import ast
 import io
@@ -817,32 +817,3 @@ def test_the_caption_contains_what_was_computed(small):
     assert " ".join(printed.split()) == caption
     points = atlas.label_points("satellite", {"theta0": [0.1, 0.2]}, duration=1.0, step=0.1)
     assert "step 0.1" in text.caption(points)
-
-
-# Trajectories.
-
-
-def test_a_trajectory_figure_shows_the_motion():
-    tr = atlas.trajectory("satellite", {"theta0": 1.0, "n": 0.3, "m": 0.4}, duration=20.0, samples=201)
-    for width, mm in style.WIDTHS.items():
-        figure = trajectory.trajectory_figure(tr, width=width)
-        assert figure.get_figwidth() * 25.4 == pytest.approx(mm)
-        theta_ax, angle_ax, rate_ax, sphere_ax = figure.axes
-        np.testing.assert_array_equal(theta_ax.lines[0].get_ydata(), tr.theta)
-        psi = angle_ax.lines[0].get_ydata()
-        finite = np.isfinite(psi)
-        np.testing.assert_allclose(np.exp(1j * psi[finite]), np.exp(1j * tr.psi.values[finite]), atol=1e-12)
-        assert [t.get_text() for t in rate_ax.get_legend().get_texts()] == [
-            style.SYMBOLS[n] for n in trajectory.RATES
-        ]
-        # the near and the far part of the path are the whole path, inside the disc
-        near, far = sphere_ax.lines[-2].get_xydata(), sphere_ax.lines[-3].get_xydata()
-        assert (np.isfinite(near[:, 0]) ^ np.isfinite(far[:, 0])).all()
-        assert np.nanmax(np.hypot(*np.where(np.isfinite(near), near, far).T)) <= 1 + 1e-9
-        assert [t.get_text() for t in sphere_ax.texts] == ["radius", "velocity", "normal"]
-
-
-def test_rates_that_diverge_near_the_vertical_do_not_hide_the_others():
-    tr = atlas.trajectory("satellite", {"theta0": 1.0, "n": 0.3}, duration=20.0, samples=201)
-    tr["psi_dot"][100] = 1e6
-    assert trajectory.trajectory_figure(tr).axes[2].get_ylim()[1] < 100

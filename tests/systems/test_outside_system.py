@@ -201,6 +201,16 @@ def test_figures(ds, tmp_path):
     assert (tmp_path / "map.png").stat().st_size > 5000
 
 
+def test_a_frame_of_another_name(monkeypatch):
+    from atlas.plotting.trajectory import trajectory_figure
+
+    monkeypatch.setattr(HeavyTop, "frame", "turntable")
+    monkeypatch.setattr(HeavyTop, "frame_axes", ("east", "north", "up"))
+    tr = atlas.trajectory("heavy_top", {"tilt": 0.4, "spin": 3.0}, duration=2.0, samples=21)
+    assert tr["axis_y"].attrs["long_name"] == "third axis along north"
+    assert [text.get_text() for text in trajectory_figure(tr).axes[3].texts] == ["east", "north", "up"]
+
+
 def test_refined_scene_and_accuracy(tmp_path):
     ds = atlas.run(atlas.load_scene(SCENE + "[refine]\nlevels = 1\n"), progress=False)
     assert "computed" in ds

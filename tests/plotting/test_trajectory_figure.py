@@ -1,0 +1,95 @@
+"""Figures of trajectories: they show the motion, enlarged where it is small, and explain every mark."""
+
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+
+import atlas
+from atlas import load_scene
+from atlas.label.trajectory import trajectory_of_scene
+from atlas.plotting import style, trajectory
+
+
+def test_a_trajectory_figure_shows_the_motion():
+    tr = atlas.trajectory("satellite", {"theta0": 1.0, "n": 0.3, "m": 0.4}, duration=20.0, samples=201)
+    for width, mm in style.WIDTHS.items():
+        figure = trajectory.trajectory_figure(tr, width=width)
+        assert figure.get_figwidth() * 25.4 == pytest.approx(mm)
+        theta_ax, angle_ax, rate_ax, sphere_ax = figure.axes
+        np.testing.assert_array_equal(theta_ax.lines[0].get_ydata(), tr.theta)
+        psi = angle_ax.lines[0].get_ydata()
+        finite = np.isfinite(psi)
+        np.testing.assert_allclose(np.exp(1j * psi[finite]), np.exp(1j * tr.psi.values[finite]), atol=1e-12)
+        assert [t.get_text() for t in rate_ax.get_legend().get_texts()] == [
+            style.SYMBOLS[n] for n in trajectory.RATES
+        ]
+        # the near and the far part of the path are the whole path, inside the disc
+        near, far = sphere_ax.lines[-2].get_xydata(), sphere_ax.lines[-3].get_xydata()
+        assert (np.isfinite(near[:, 0]) ^ np.isfinite(far[:, 0])).all()
+        assert np.nanmax(np.hypot(*np.where(np.isfinite(near), near, far).T)) <= 1 + 1e-9
+        assert [t.get_text() for t in sphere_ax.texts] == ["radius", "velocity", "normal"]
+
+
+def small_motion(theta0):
+    """Librations of 1e-4 rad about a stable steady motion."""
+    scene = "stability_perp_radius" if theta0 else "stability_cylindrical"
+    scene = load_scene(Path(__file__).parents[2] / "configs" / f"{scene}.toml")
+    return trajectory_of_scene(
+        scene, {"sigma": 1.5} | ({"theta0": theta0} if theta0 else {"m": 0.4}), samples=301
+    )
+
+
+@pytest.mark.parametrize("theta0", [0.0, 0.8])
+def test_a_small_path_is_enlarged(theta0):
+    """Sideways sin(theta) dpsi, upward -dtheta; about the vertical the components in the frame."""
+    tr = small_motion(theta0)
+    figure = trajectory.trajectory_figure(tr)
+    ax = figure.axes[-1]
+    assert "10^{-4}" in ax.get_xlabel()
+    drawn = 1e-4 * ax.lines[0].get_xydata()
+    if theta0:
+        expected = [np.sin(tr.theta) * tr.psi, -tr.theta]
+        assert ax.get_ylabel().startswith("upward")
+    else:
+        expected = [tr.axis_x, tr.axis_y]
+        assert ax.get_ylabel().startswith("along velocity")
+    for offset, exact in zip(drawn.T, expected, strict=True):
+        np.testing.assert_allclose(offset - offset.mean(), exact - exact.mean(), atol=1e-7)
+    np.testing.assert_allclose(ax.lines[1].get_xydata()[0], ax.lines[0].get_xydata()[0])
+    FigureCanvasAgg(figure).draw()
+    offset = figure.axes[0].yaxis.get_offset_text().get_text()
+    assert ("10^{\N{MINUS SIGN}4}" in offset) == (theta0 == 0)
+
+
+def test_an_axis_at_rest_is_named():
+    tr = small_motion(0.8)
+    for name in "xyz":
+        tr[f"axis_{name}"][:] = tr[f"axis_{name}"][0]
+    figure = trajectory.trajectory_figure(tr)
+    assert re.fullmatch(r"third axis at rest within \de-1[56] rad", figure.axes[3].get_title())
+    assert len(figure.axes) == 4
+
+
+def test_names_of_the_axes_are_beside_the_disc():
+    figure = trajectory.trajectory_figure(small_motion(0.8))
+    for text in figure.axes[3].texts:
+        assert np.hypot(*text.get_position()) > 1.1
+
+
+def test_every_mark_of_a_trajectory_is_explained():
+    figure = trajectory.trajectory_figure(small_motion(0.8))
+    left, right = figure.subfigs
+    assert [text.get_text() for text in right.legends[0].get_texts()] == [
+        "third axis, near side", "far side", "start",
+    ]  # fmt: skip
+    assert right.legends[0].get_lines()[2].get_marker() == figure.axes[3].lines[-1].get_marker() == "o"
+    assert left.get_supxlabel().startswith(style.SYMBOLS["normal_rate"])
+
+
+def test_rates_that_diverge_near_the_vertical_do_not_hide_the_others():
+    tr = atlas.trajectory("satellite", {"theta0": 1.0, "n": 0.3}, duration=20.0, samples=201)
+    tr["psi_dot"][100] = 1e6
+    assert trajectory.trajectory_figure(tr).axes[2].get_ylim()[1] < 100

@@ -6,6 +6,7 @@ import sys
 from pathlib import Path
 
 import pytest
+from PIL import Image
 
 from atlas.flags import Status
 
@@ -129,3 +130,14 @@ def test_warnings_that_the_page_explains_exist():
     assert len(warnings) > 5
     for warning in warnings:
         assert max(re.split(r" ?\.\.\.:? ?|\bN\b|\d+", warning), key=len).strip() in source, warning
+
+
+def test_the_gallery_shows_its_pictures_with_all_their_colours():
+    page = (ROOT / "docs" / "gallery.md").read_text()
+    pictures = sorted((ROOT / "docs" / "gallery").glob("*.png"))
+    assert re.findall(r"\(gallery/(\w+\.png)\)", page)
+    assert sorted(re.findall(r"\(gallery/(\w+\.png)\)", page)) == [picture.name for picture in pictures]
+    for picture in pictures:
+        with Image.open(picture) as image:
+            assert image.mode in ("RGB", "RGBA")  # no palette
+        assert (ROOT / "configs" / f"{picture.stem}.toml").is_file()

@@ -1,86 +1,137 @@
-"""Make every figure of the gallery from its scene, and the page docs/gallery.md with times and agreement.
+"""Make every figure of the gallery from its scene; with --docs also the pictures and the page in docs/.
 
-    python scripts/tools/gallery.py [--out out/gallery] [--only NAME ...] [--force]
+    python scripts/tools/gallery.py [--out FOLDER] [--only NAME ...] [--force] [--docs]
 
-A scene whose atlas exists is not run again without --force. The whole gallery takes about ten minutes on two cores.
+Atlases, and figures as PNG and PDF, are written to FOLDER, by default out/gallery of the repository. An atlas there is
+used again if it comes from the same scene; --force computes all anew. --docs writes docs/gallery/*.png,
+docs/gallery.md and the paper's figures in docs/fixed_point.md. All scenes take about five minutes on two cores,
+most of them for the relative equilibria.
 """
 
 from __future__ import annotations
 
 import argparse
-import io
+from dataclasses import dataclass
 from pathlib import Path
 
 import xarray as xr
+from matplotlib import rc_context
 from matplotlib.figure import Figure
-from PIL import Image
 
 import atlas
 from atlas.flags import Agreement
 from atlas.label import theory
-from atlas.plotting import maps, style
+from atlas.plotting import amer2013, maps, style
 
-ROOT = Path(__file__).parents[2]
-PICTURES = ROOT / "docs" / "gallery"
-# Scene, variable of its map, and caption.
-FIGURES = [
-    (
+ROOT = Path(__file__).resolve().parents[2]
+DOCS = ROOT / "docs"
+PAPER_FIGURES = (1, 4, 11)  # those shown in docs/fixed_point.md
+DPI = 300  # of the pictures in docs
+
+
+@dataclass(frozen=True)
+class Picture:
+    """The map of one variable of one scene."""
+
+    scene: str  # file in configs/ without suffix
+    caption: str
+    variable: str = "label"
+    theory: bool = True  # draw curves from theory over the map
+
+
+SATELLITE = "Yehia and El-kenani (2021)"
+TOP = "Amer et al. (2013)"
+AT_REST = (
+    "Seen in the orbital frame n = 0, and the label is permanent rotation; seen from inertial space the axis turns with"
+    " the orbit, and `label_inertial` is regular precession."
+)
+PICTURES = (
+    Picture(
         "stability_cylindrical",
-        "label",
-        "Cylindrical rotation over C/A and spin: the classical diagram of stability.",
+        "Cylindrical motion: the third axis is along the orbit normal (theta0 = 0), and the body turns about it at the"
+        f" rate m relative to the orbital frame; (14), (22), (44) of {SATELLITE} with mu = 0. Started with theta0 and psi0"
+        " changed by 1e-4. This is the classical diagram of Thomson and Likins.",
     ),
-    (
+    Picture(
         "stability_perp_radius",
-        "label",
-        "Axis perpendicular to the radius (the paper's conical motion): stable for C > A.",
+        "The third axis at rest in the orbital frame, perpendicular to the radius and at theta0 to the orbit normal;"
+        f" (17) of {SATELLITE}, who call it conical motion. {AT_REST} The motion is stable for C > A. At small tilts near"
+        " C = A it is unstable, but grows too slowly to be seen in 20 orbits.",
     ),
-    (
+    Picture(
         "stability_perp_velocity",
-        "label",
-        "Axis perpendicular to the velocity (the paper's hyperboloidal motion).",
+        f"The same perpendicular to the velocity; (24) of {SATELLITE}, who call it hyperboloidal motion. For"
+        " 1 < C/A < 4/3 the growth rate is proportional to sin theta0, and at small tilts too small to be seen in 20"
+        " orbits, least of all near C/A = 1.14, where this change of the start contains nothing of the growing mode."
+        " Just right of C/A = 4/3 the motion is stable, but the change of the start, which alters the momentum of the"
+        " spin too, moves it by 4 (C/A - 1)/(3 C/A - 4) times itself, and the oscillation is above the tolerance.",
     ),
-    (
+    Picture(
         "gravity_gradient",
-        "label",
-        "Asymmetric body at rest in the orbital frame: Lagrange and DeBra-Delp regions.",
+        "A body with three different moments, without rotor and magnet, at rest in the orbital frame, its first axis along"
+        " the radius and its third along the orbit normal; the start changed by 1e-4. It survives in Lagrange's triangle"
+        " (C > B > A, right) and in the region of DeBra and Delp (C < A < B, left), where it is stable by gyroscopic"
+        " terms. Near borders it survives for lack of time.",
     ),
-    (
+    Picture(
         "conditions_k3",
+        f"The condition (24) of {SATELLITE} on the rotor momentum k3, with an axial magnet, is a curve and no region: the"
+        " rms of theta' over 10 orbits is zero on the line in the middle only, where k3 is exact. On the left of"
+        " theta0 = 0.45 the exact motion is unstable, and the least deviation grows; on the right it"
+        " stays in proportion. No curve of theory is drawn, because it would cover this line.",
         "theta_dot_rms",
-        "The condition on k3 is a curve: the rms of theta' is zero on that curve only.",
+        theory=False,
     ),
-    (
+    Picture(
         "equilibrium_count",
+        "How many orientations of an asymmetric body (A : B : C = 1 : 1.3 : 1.7, k3 = 0.1) can rest in the orbital frame,"
+        " over the other two components of its rotor: from 24, the number without a rotor, to 8. Near k1 = 1.1,"
+        " k2 < 0.05 a small region has 16, between two curves on each of which two pairs of equilibria appear.",
         "equilibrium_count",
-        "How many relative equilibria a body has, over the rotor components.",
     ),
-    ("asymmetric_tilt", "label", "The 60 degree motion of an asymmetric body, (19)."),
-    (
+    Picture(
+        "asymmetric_tilt",
+        "A body of any three moments with its axis at 60 degrees to the orbit normal and m = -Omega, axial magnet and"
+        f" rotor; (19) of {SATELLITE} with its misprint in k3 corrected. The start changed by 1e-4. The narrow tongues of the"
+        " border are parametric resonances: seen from the body the radius turns once per orbit.",
+    ),
+    Picture(
         "oblique",
-        "label",
-        "Oblique motions, which the paper does not give: they connect its conical and hyperboloidal ones.",
+        f"Motions that {SATELLITE} do not give: the axis at rest in the orbital frame, perpendicular neither to the radius"
+        f" nor to the velocity, held by a magnet. {AT_REST} They exist for |h1 mu3| <= 3 Omega^2 |A - C| sin theta0; outside"
+        " there is no such motion, and nothing is computed. On this border they become the motion perpendicular to the"
+        " velocity, at h1 = 0 the one perpendicular to the radius. All of them survive.",
     ),
-    ("sleeping_top_spin", "label", "Sleeping gyrostat: stability over spin and rotor."),
-    ("sleeping_top_field", "label", "Sleeping gyrostat: stability over rotor and Newtonian field."),
-    (
+    Picture(
+        "sleeping_top_spin",
+        f"A top with a rotor upright over its fixed point, in the Newtonian field of {TOP}, tilted by 1e-4 at the start:"
+        " stable where (C r0 + l3)^2 > 4 A [N (C - A) + Mg |z0|]. The rotor can replace the spin.",
+    ),
+    Picture(
+        "sleeping_top_field",
+        f"The same over rotor momentum l3 and gradient N of the field of {TOP}: as this body is slender (C < A), a strong"
+        " field holds it upright without any spin.",
+    ),
+    Picture(
         "conical_precession_spin",
-        "label",
-        "Regular precession about the vertical: where it exists and survives.",
+        "Regular precession of a symmetric gyrostat about the vertical (Lagrange's case with a Newtonian field), each point"
+        " with the spin m that the exact condition requires, the start changed by 1e-6. It exists for every rate"
+        " n but 0, and is unstable inside the curve, where the field is strong. On the curve of permanent rotations the"
+        " required spin is 0: a line without width, which the grid meets in single points only.",
     ),
-    ("first_order_error", "first_order_error", "Error of the first-order fast-spin solution."),
-]
-WIDTH = 700  # pixels of the pictures in docs
+    Picture(
+        "first_order_error",
+        f"The error of gamma in the first-order solution (33) of {TOP}, as it follows from the equations of motion, over"
+        " the two turns of their figures: of order eps^2 for every rotor. Its printed form has an error of the order of the rotor.",
+        "first_order_error",
+    ),
+)
 
 
-def small_png(figure: Figure) -> bytes:
-    """A figure as a small PNG for the page; the large one is in the output folder."""
-    large = io.BytesIO()
-    figure.savefig(large, format="png", dpi=300)
-    picture = Image.open(large).convert("RGB")
-    picture = picture.resize((WIDTH, round(WIDTH * picture.height / picture.width)), Image.Resampling.LANCZOS)
-    small = io.BytesIO()
-    picture.save(small, "PNG", optimize=True)
-    return small.getvalue()
+def write_picture(figure: Figure, path: Path) -> None:
+    """Write a figure for a page, with all its colours."""
+    with rc_context(style.STYLE):
+        figure.savefig(path, format="png", dpi=DPI, pil_kwargs={"optimize": True})
 
 
 def agreement_with_theory(ds: xr.Dataset) -> str:
@@ -95,48 +146,66 @@ def agreement_with_theory(ds: xr.Dataset) -> str:
     return f"{share:.2f} % of {compared} compared points agree with theory"
 
 
-def section(name: str, caption: str, ds: xr.Dataset) -> list[str]:
+def section(picture: Picture, ds: xr.Dataset) -> list[str]:
     """The lines of the page about one scene."""
     return [
-        f"## {ds.attrs['title']}", "", f"![{name}](gallery/{name}.png)", "", caption, "",
-        f"`configs/{name}.toml`: {ds['label'].size} points, {ds.attrs['atlas_seconds']:.0f} s,"
-        f" {agreement_with_theory(ds)}.", "",
+        f"## {ds.attrs['title']}", "", f"![{picture.scene}](gallery/{picture.scene}.png)", "",
+        picture.caption, "",
+        f"`configs/{picture.scene}.toml`: {ds['label'].size} points, {agreement_with_theory(ds)}.", "",
     ]  # fmt: skip
+
+
+def is_current(file: Path, scene: atlas.Scene) -> bool:
+    """Whether the file is an atlas of this scene."""
+    if not file.exists():
+        return False
+    with atlas.open_atlas(file) as ds:
+        return bool(ds.attrs.get("atlas_scene") == scene.toml())
+
+
+def draw(picture: Picture, out: Path, force: bool, docs: bool) -> list[str]:
+    """Compute the atlas of a picture if need be, and draw it; returns its section of the page."""
+    file = out / f"{picture.scene}.nc"
+    scene = atlas.load_scene(ROOT / "configs" / f"{picture.scene}.toml")
+    if force or not is_current(file, scene):
+        atlas.run(scene, file, force=True)
+    with atlas.open_atlas(file) as ds:
+        figure = maps.atlas_map(ds, picture.variable, theory=picture.theory)
+        for suffix in (".png", ".pdf"):
+            style.save(figure, file.with_suffix(suffix))
+        if docs:
+            write_picture(figure, DOCS / "gallery" / f"{picture.scene}.png")
+        return section(picture, ds)
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    parser.add_argument("--out", type=Path, default=ROOT / "out" / "gallery")
-    parser.add_argument("--only", nargs="*", default=None)
-    parser.add_argument("--force", action="store_true")
+    names = [picture.scene for picture in PICTURES]
+    parser.add_argument("--out", type=Path, default=ROOT / "out" / "gallery", help="default: %(default)s")
+    parser.add_argument("--only", nargs="+", metavar="NAME", choices=names, default=names)
+    parser.add_argument("--force", action="store_true", help="compute every atlas anew")
+    parser.add_argument("--docs", action="store_true", help="rewrite the pictures and the page in docs/")
     options = parser.parse_args()
     options.out.mkdir(parents=True, exist_ok=True)
-    PICTURES.mkdir(exist_ok=True)
     lines = [
         "# Gallery",
         "",
-        "Made by `python scripts/tools/gallery.py` from the scenes in `configs/`, on one machine.",
-        "Times are those of the runs; the large figures are PNG and PDF in `out/gallery/`.",
+        "Each figure is made from a scene in `configs/` by `python scripts/tools/gallery.py`, which writes it as PNG and"
+        ' PDF, and the atlas behind it, to `out/gallery/`. "Changed" starts are those of the scene\'s `[nudge]`.',
         "",
     ]
-    for name, variable, caption in FIGURES:
-        if options.only is not None and name not in options.only:
-            continue
-        file = options.out / f"{name}.nc"
-        if options.force or not file.exists():
-            print(f"{name}: running", flush=True)
-            atlas.run(atlas.load_scene(ROOT / "configs" / f"{name}.toml"), file, force=True)
-        with atlas.open_atlas(file) as ds:
-            figure = maps.atlas_map(ds, variable)
-            for suffix in (".png", ".pdf"):
-                style.save(figure, file.with_suffix(suffix))
-            (PICTURES / f"{name}.png").write_bytes(small_png(figure))
-            lines += section(name, caption, ds)
-        print(f"{name}: drawn", flush=True)
-    if options.only is None:
-        (ROOT / "docs" / "gallery.md").write_text("\n".join(lines))
+    chosen = [picture for picture in PICTURES if picture.scene in options.only]
+    for i, picture in enumerate(chosen, 1):
+        print(f"{i} of {len(chosen)}: {picture.scene}", flush=True)
+        lines += draw(picture, options.out, options.force, options.docs)
+    if options.docs:
+        for number in PAPER_FIGURES:
+            write_picture(amer2013.draw(number), DOCS / f"fixed_point_figure_{number:02d}.png")
+        if len(chosen) == len(PICTURES):
+            (DOCS / "gallery.md").write_text("\n".join(lines).rstrip() + "\n")
+    print(f"wrote {options.out}" + (f" and {DOCS}" if options.docs else ""))
 
 
 if __name__ == "__main__":

@@ -71,14 +71,14 @@ PICTURES = (
         "A body with three different moments, without rotor and magnet, at rest in the orbital frame, its first axis along"
         " the radius and its third along the orbit normal; the start changed by 1e-4. It survives in Lagrange's triangle"
         " (C > B > A, right) and in the region of DeBra and Delp (C < A < B, left), where it is stable by gyroscopic"
-        " terms. Near borders it survives for lack of time.",
+        " terms.",
     ),
     Picture(
         "conditions_k3",
         f"The condition (24) of {SATELLITE} on the rotor momentum k3, with an axial magnet, is a curve and no region: the"
         " rms of theta' over 10 orbits is zero on the line in the middle only, where k3 is exact. On the left of"
-        " theta0 = 0.45 the exact motion is unstable, and the least deviation grows; on the right it"
-        " stays in proportion. No curve of theory is drawn, because it would cover this line.",
+        " theta0 = 0.45 the exact motion is unstable, and the least deviation grows (for theta0 < 0.13 even rounding"
+        " errors do); on the right it stays in proportion. No curve of theory is drawn, because it would cover this line.",
         "theta_dot_rms",
         theory=False,
     ),
@@ -92,8 +92,9 @@ PICTURES = (
     Picture(
         "asymmetric_tilt",
         "A body of any three moments with its axis at 60 degrees to the orbit normal and m = -Omega, axial magnet and"
-        f" rotor; (19) of {SATELLITE} with its misprint in k3 corrected. The start changed by 1e-4. The narrow tongues of the"
-        " border are parametric resonances: seen from the body the radius turns once per orbit.",
+        f" rotor; (19) of {SATELLITE} with its misprint in k3 corrected. The start changed by 1e-4. The body turns"
+        " in the orbital frame, so the equations linearised about this motion have periodic coefficients; the narrow"
+        " tongues of instability are their parametric resonances.",
     ),
     Picture(
         "oblique",
@@ -116,13 +117,15 @@ PICTURES = (
         "conical_precession_spin",
         "Regular precession of a symmetric gyrostat about the vertical (Lagrange's case with a Newtonian field), each point"
         " with the spin m that the exact condition requires, the start changed by 1e-6. It exists for every rate"
-        " n but 0, and is unstable inside the curve, where the field is strong. On the curve of permanent rotations the"
-        " required spin is 0: a line without width, which the grid meets in single points only.",
+        " n but 0, and is unstable inside the border, where the field is strong. Where"
+        " (C - A)(n^2 - N) cos theta0 + l3 n + Mg z0 = 0 the required spin is 0, and the motion a permanent rotation: a line"
+        " without width, which the grid meets in single points only.",
     ),
     Picture(
         "first_order_error",
         f"The error of gamma in the first-order solution (33) of {TOP}, as it follows from the equations of motion, over"
-        " the two turns of their figures: of order eps^2 for every rotor. Its printed form has an error of the order of the rotor.",
+        " the two turns of their figures: of second order in eps and the rotor l/(A r0) together. The form as printed"
+        " (`first_order_error_printed`) is wrong by the order of the rotor.",
         "first_order_error",
     ),
 )

@@ -63,8 +63,9 @@ PICTURES = (
         f"The same perpendicular to the velocity; (24) of {SATELLITE}, who call it hyperboloidal motion. For"
         " 1 < C/A < 4/3 the growth rate is proportional to sin theta0, and at small tilts too small to be seen in 20"
         " orbits, least of all near C/A = 1.14, where this change of the start contains nothing of the growing mode."
-        " Just right of C/A = 4/3 the motion is stable, but the change of the start, which alters the momentum of the"
-        " spin too, moves it by 4 (C/A - 1)/(3 C/A - 4) times itself, and the oscillation is above the tolerance.",
+        " Just right of C/A = 4/3 the motion is stable, but the change of the start alters the momentum of the"
+        " spin too, and with it the steady motion: the start is 4 (C/A - 1)/(3 C/A - 4) times 1e-4 rad away from it, and the"
+        " oscillation is above the tolerance.",
     ),
     Picture(
         "gravity_gradient",

@@ -220,7 +220,8 @@ class Ensemble:
             )  # fmt: skip
             done[selected] = until[goes_on]
             certain = done[active] > 0  # sums of points that have not begun are undefined
-            certain &= theta_dot_squared_sum(sums)[active] > limit[active]
+            with np.errstate(invalid="ignore", over="ignore"):  # of those, and of motions that are not finite
+                certain &= theta_dot_squared_sum(sums)[active] > limit[active]
             certain &= sums[Row.SIN2_THETA_MAX, active] > min_sin2_theta
             ended = certain | (done[active] == run_nodes[active])
             if progress is not None:

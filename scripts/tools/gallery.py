@@ -36,7 +36,7 @@ class Picture:
     scene: str  # file in configs/ without suffix
     caption: str
     variable: str = "label"
-    theory: bool = True  # draw curves from theory over the map
+    boundary: bool = True  # draw borders and curves from theory over the map
 
 
 SATELLITE = "Yehia and El-kenani (2021)"
@@ -81,7 +81,7 @@ PICTURES = (
         " theta0 = 0.45 the exact motion is unstable, and the least deviation grows (for theta0 < 0.13 even rounding"
         " errors do); on the right it stays in proportion. No curve of theory is drawn, because it would cover this line.",
         "theta_dot_rms",
-        theory=False,
+        boundary=False,
     ),
     Picture(
         "equilibrium_count",
@@ -119,7 +119,7 @@ PICTURES = (
         "Regular precession of a symmetric gyrostat about the vertical (Lagrange's case with a Newtonian field), each point"
         " with the spin m that the exact condition requires, the start changed by 1e-6. It exists for every rate"
         " n but 0, and is unstable inside the border, where the field is strong. Where"
-        " (C - A)(n^2 - N) cos theta0 + l3 n + Mg z0 = 0 the required spin is 0, and the motion a permanent rotation: a line"
+        " (C - A)(n^2 - N) cos theta0 + l3 n + Mg z0 = 0 the required spin is 0, and the motion a permanent rotation (dotted): a line"
         " without width, which the grid meets in single points only.",
     ),
     Picture(
@@ -174,7 +174,7 @@ def draw(picture: Picture, out: Path, force: bool, docs: bool) -> list[str]:
     if force or not is_current(file, scene):
         atlas.run(scene, file, force=True)
     with atlas.open_atlas(file) as ds:
-        figure = maps.atlas_map(ds, picture.variable, theory=picture.theory)
+        figure = maps.atlas_map(ds, picture.variable, boundary=picture.boundary)
         for suffix in (".png", ".pdf"):
             style.save(figure, file.with_suffix(suffix))
         if docs:

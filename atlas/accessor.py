@@ -100,14 +100,14 @@ class Atlas:
             labels=labels, boundary=boundary, legend=legend, width=width, size=size, dpi=dpi, caption=caption,
         )  # fmt: skip
 
-    def select(self, **flags: str | Sequence[str]) -> xr.Dataset:
+    def select(self, **flags: str | int | Sequence[str | int]) -> xr.Dataset:
         """The points with the flags named.
 
         Parameters
         ----------
-        **flags : str or sequence of str
-            Flag variable -> one name or several, such as label="drifting", agreement=["theory_only",
-            "differ"]; of several variables all must hold.
+        **flags : str, int or sequence of them
+            Flag variable -> one name or number, or several, such as label="drifting", label=3,
+            agreement=["theory_only", "differ"]; of several variables all must hold.
 
         Returns
         -------
@@ -118,7 +118,7 @@ class Atlas:
         Raises
         ------
         BadInput
-            For names that are not in the atlas.
+            For variables and flags that are not in the atlas.
         """
         from .analysis.select import select
 
@@ -160,7 +160,7 @@ class Atlas:
         Returns
         -------
         DataArray
-            float64, the fractions of a row sum to 1. The dimension named like the variable, whose
+            float64, the fractions of a row sum to 1; nan where there are no points. The dimension named like the variable, whose
             coordinate is the names of the flags, comes after the dimension `along` if that is given.
 
         Raises
@@ -248,7 +248,7 @@ class Atlas:
         Parameters
         ----------
         worst : int, optional
-            Number of disagreements to list.
+            Number of disagreements to list, at least 0.
 
         Returns
         -------
@@ -283,11 +283,12 @@ class Atlas:
         BadInput
             For names that are not in the atlas, where more than two axes are left, and for single points.
         """
-        from .analysis.metadata import scene_of
+        from .analysis.metadata import scene_of, system_of
         from .analysis.plane import Plane
         from .analysis.select import plane_of
         from .analysis.theory_curves import family_curves
 
+        system_of(self._ds)
         scene = scene_of(self._ds)
         if scene is None:
             raise BadInput("families: these points come from no scene, so that there are no axes")
@@ -350,11 +351,14 @@ class Atlas:
         """
         from .analysis.metadata import system_of
 
-        system = system_of(self._ds)
-        attributes = {name: printable(str(value), MAX_MESSAGE) for name, value in self._ds.attrs.items()}
+        system, attributes = system_of(self._ds), self._ds.attrs
+
+        def text(name: str) -> str:
+            return printable(str(attributes.get(name, "unknown")), MAX_MESSAGE)
+
         return (
-            f"Precession Atlas {attributes['atlas_version']}, kernel {attributes['atlas_kernel_hash']}"
-            f" ({attributes['atlas_versions']}; {attributes['atlas_cpu']}, {attributes['atlas_platform']}).\n"
-            f"Equations of the {system.title}: {attributes['references']}.\n"
-            f"Atlas {attributes['title']!r}: {attributes['history']}."
+            f"Precession Atlas {text('atlas_version')}, kernel {text('atlas_kernel_hash')}"
+            f" ({text('atlas_versions')}; {text('atlas_cpu')}, {text('atlas_platform')}).\n"
+            f"Equations of the {system.title}: {text('references')}.\n"
+            f"Atlas {text('title')!r}: {text('history')}."
         )

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 import numpy as np
 import xarray as xr
 from scipy.ndimage import maximum_filter, minimum_filter
@@ -9,7 +11,9 @@ from scipy.ndimage import maximum_filter, minimum_filter
 from ..errors import BadInput, printable
 from ..flags import Agreement, Label, Stability
 from ..label.theory import agreement
+from ..scene.checks import whole_number
 from ..systems.base import Array, Flags
+from .metadata import is_numeric_axis
 
 # Near the analytical boundary growth is slow and stable motions have large amplitudes: half the width of
 # the band that counts as near, as a fraction of the axis range.
@@ -37,16 +41,24 @@ def report(ds: xr.Dataset, worst: int = 5) -> str:
     Raises
     ------
     BadInput
-        If the atlas does not have the variables label and predicted, or holds other values than flags there.
+        If the dataset does not have the variables label and predicted, or holds other values than flags
+        there; if it has no points; if `worst` is no whole number of at least 0.
     """
+    whole_number("worst", worst, 0)
     for name in ("label", "predicted"):
         if name not in ds:
-            raise BadInput(f"{name}: not in this atlas; put label and predicted into [outputs] of its scene")
+            raise BadInput(
+                f"{name}: not in this dataset; a comparison needs label and predicted, from [outputs] of the scene"
+            )
         values = ds[name].values
         if values.dtype.kind not in "iu" or not ((values >= 0) & (values < len(Label))).all():
-            raise BadInput(f"{name}: damaged: not the flags of an atlas, 0 to {len(Label) - 1}")
+            raise BadInput(
+                f"{name}: damaged, averaged or masked: not the flags of an atlas, 0 to {len(Label) - 1}"
+            )
     if ds["label"].dims != ds["predicted"].dims:
         raise BadInput("label and predicted lie along different dimensions: not an atlas")
+    if not ds["label"].size:
+        raise BadInput("label: has no values here: the dataset is empty")
     label, predicted = ds["label"].values, ds["predicted"].values
     result = agreement(label, predicted)
     lines = _confusion_table(label, predicted) + _agreement_lines(result)
@@ -140,18 +152,32 @@ def _worst_lines(ds: xr.Dataset, result: Flags, count: int) -> list[str]:
     lines = ["worst disagreements (unsteadiness = largest rms or std of the rates):"]
     for i in order:
         index = np.unravel_index(disagree[i], ds["label"].shape)
-        point = ds.isel(dict(zip(dims, index, strict=True)))
-        coordinates = ", ".join(
-            f"{printable(str(dim))} = {float(point[dim]):.9g}" for dim in dims if dim in point.coords
-        )
+        place = dict(zip(map(str, dims), map(int, index), strict=True))
+        point = ds.isel(place)
         line = (
-            f"  {coordinates}: theory {names[int(point['predicted'])]},"
+            f"  {_place_text(ds, place)}: theory {names[int(point['predicted'])]},"
             f" measured {names[int(point['label'])]}, unsteadiness {unsteadiness[i]:.3g}"
         )
         if {"growth_rate", "end_time"} <= set(ds):
             line += f", growth_rate x time = {float(point['growth_rate'] * point['end_time']):.2f}"
         lines.append(line)
     return lines
+
+
+def _place_text(ds: xr.Dataset, place: Mapping[str, int]) -> str:
+    """Values of the axes at a point; for a dimension without values its index, and the parameters that vary along it."""
+    texts = []
+    for dim, i in place.items():
+        names = [dim]
+        if not is_numeric_axis(ds, dim):
+            texts.append(f"{printable(dim)} {i}")
+            names = [
+                str(name)
+                for name, array in ds.coords.items()
+                if array.dims == (dim,) and array.dtype.kind in "iuf" and (array != array[0]).any()
+            ]
+        texts += [f"{printable(name)} = {float(ds[name][i]):.9g}" for name in names]
+    return ", ".join(texts)
 
 
 def _unsteadiness(ds: xr.Dataset) -> Array:

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
+from typing import Any
 
+import numpy as np
 import xarray as xr
 
 from .. import systems
@@ -42,30 +44,68 @@ def axes_of(scene: Scene) -> dict[str, Axis]:
 
 
 def is_logarithmic(scene: Scene, dim: str) -> bool:
-    """Is the axis of this dimension spaced evenly in its logarithm?"""
-    return axes_of(scene)[dim].table.get("spacing") == "log"
+    """Is the axis of this dimension spaced evenly in its logarithm? No for a dimension that is not of the scene."""
+    axis = axes_of(scene).get(dim)
+    return axis is not None and axis.table.get("spacing") == "log"
+
+
+def check_not_empty(ds: xr.Dataset) -> None:
+    """Raise BadInput for a dataset without points."""
+    for dim, size in ds.sizes.items():
+        if size == 0:
+            raise BadInput(f"{dim}: has no values here: the dataset is empty")
+
+
+def is_numeric_axis(ds: xr.Dataset, dim: object) -> bool:
+    """Whether a name is a dimension with a coordinate of numbers."""
+    return dim in ds.dims and dim in ds.coords and ds[dim].dtype.kind in "iuf"
 
 
 def flag_names(array: xr.DataArray) -> list[str]:
-    """Names of the values 0, 1, 2, ... of a flag variable; empty for any other variable."""
-    return [printable(name, MAX_TEXT) for name in str(array.attrs.get("flag_meanings", "")).split()]
+    """Names of the values 0, 1, 2, ... of a flag variable; empty for any other variable.
+
+    Raises BadInput for flags whose values are no longer flags, such as averages of them.
+    """
+    names = [printable(name, MAX_TEXT) for name in str(array.attrs.get("flag_meanings", "")).split()]
+    if names and array.dtype.kind not in "iu":
+        raise BadInput(
+            f"{array.name}: values of type {array.dtype} are no flags: they were averaged, interpolated or masked with"
+            " nan; choose points by select, sel or isel, or mask with where(condition, 0)"
+        )
+    if names and not np.array_equal(array.attrs.get("flag_values", range(len(names))), range(len(names))):
+        raise BadInput(
+            f"{array.name}: its flag_values are not 0 to {len(names) - 1}, as those of an atlas are"
+        )
+    return names
 
 
 def flag_variable(ds: xr.Dataset, variable: str) -> xr.DataArray:
     """The flag variable of this name; BadInput if the dataset has none."""
     if variable not in ds.data_vars or "flag_meanings" not in ds[variable].attrs:
         flags = [str(name) for name, array in ds.data_vars.items() if "flag_meanings" in array.attrs]
-        raise BadInput(
-            f"{variable}: not a flag variable of this atlas; allowed: {', '.join(flags) or 'none'}"
-        )
+        if not flags:
+            raise BadInput(
+                f"{variable}: no variable here has flag_meanings: the dataset is no atlas, or has lost its attributes"
+            )
+        raise BadInput(f"{variable}: not a flag variable of this atlas; allowed: {', '.join(flags)}")
+    flag_names(ds[variable])  # raises BadInput for averages
     return ds[variable]
 
 
-def flag_values(ds: xr.Dataset, variable: str, names: str | Sequence[str]) -> list[int]:
-    """Values of one or several flags of a variable by their names; BadInput for an unknown name."""
+def flag_values(ds: xr.Dataset, variable: str, flags: str | int | Sequence[str | int]) -> list[int]:
+    """Values of one or several flags of a variable by their names or numbers; BadInput for unknown ones."""
     allowed = flag_names(flag_variable(ds, variable))
-    names = [names] if isinstance(names, str) else list(names)
-    for name in names:
-        if name not in allowed:
-            raise BadInput(f"{variable} = {shown(name)}: allowed: {', '.join(allowed)}")
-    return [allowed.index(name) for name in names]
+    several = isinstance(flags, Iterable) and not isinstance(flags, str) and getattr(flags, "ndim", 1) != 0
+    return [_flag_value(variable, flag, allowed) for flag in (flags if several else [flags])]  # type: ignore[union-attr]
+
+
+def _flag_value(variable: str, flag: Any, allowed: list[str]) -> int:
+    """Value of one flag by its name or number."""
+    if isinstance(flag, str) and flag in allowed:
+        return allowed.index(flag)
+    number = np.asarray(flag)
+    if number.ndim == 0 and number.dtype.kind in "iu" and 0 <= number < len(allowed):
+        return int(number)
+    raise BadInput(
+        f"{variable} = {shown(flag)}: allowed: {', '.join(allowed)}, or their numbers 0 to {len(allowed) - 1}"
+    )

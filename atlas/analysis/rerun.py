@@ -18,18 +18,27 @@ def nearest_trajectory(ds: xr.Dataset, coordinates: Mapping[str, float], samples
 
     See `Atlas.trajectory`.
     """
+    system, scene = system_of(ds), scene_of(ds)
     point = nearest(ds, coordinates).squeeze()
-    scene = scene_of(ds)
     if scene is not None:
+        for dim in axes_of(scene):
+            if dim not in point.coords:
+                raise BadInput(
+                    f"{dim}: this axis of the scene is not in the dataset: it was renamed, dropped or averaged over"
+                )
         values = {
             axis.name: float(point[dim])
             for dim, axis in axes_of(scene).items()
             if dim in point.coords and point[dim].ndim == 0
         }
         return trajectory_of_scene(scene, values, samples=samples)
-    if "point" in point.dims:
+    if point.dims:
         raise BadInput("trajectory: name the point by values of its parameters")
-    system = system_of(ds)
+    if "end_time" not in point:
+        raise BadInput("end_time: not in this dataset; a trajectory needs it to end where the point did")
+    for name, parameter in system.parameters.items():
+        if name not in point.coords and not math.isnan(parameter.default):
+            raise BadInput(f"{name}: this parameter of the point is not in the dataset")
     start = {name: float(point[name]) for name in system.parameters if name in point.coords}
     step = number_attribute(ds, "atlas_step")
     return trajectory(

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
 
 import numpy as np
@@ -10,19 +9,25 @@ import xarray as xr
 
 from ..errors import BadInput, shown
 from .chunks import chunks
-from .metadata import flag_values
+from .metadata import check_not_empty, flag_values, is_numeric_axis
 
 MAX_PANELS = 12
 # More cells than the printer has dots along an axis are not drawn: every k-th one is.
 MAX_CELLS = 2000
 
 
-def select(ds: xr.Dataset, flags: Mapping[str, str | Sequence[str]]) -> xr.Dataset:
+def select(ds: xr.Dataset, flags: Mapping[str, str | int | Sequence[str | int]]) -> xr.Dataset:
     """The points with the flags named, in memory, along the dimension "point"; see `Atlas.select`."""
     wanted = {variable: flag_values(ds, variable, names) for variable, names in flags.items()}
     if not wanted:
         raise BadInput("select: name at least one flag, such as label='drifting'")
-    dims = [str(dim) for dim in ds[next(iter(wanted))].dims]
+    first, *others = wanted
+    for name in others:
+        if set(ds[name].dims) != set(ds[first].dims):
+            raise BadInput(f"{first} and {name} lie along different dimensions: not an atlas")
+    if not ds[first].dims:
+        ds = ds.expand_dims("point")
+    dims = [str(dim) for dim in ds[first].dims]
     selected: list[xr.Dataset] = []
     for box in chunks(ds.sizes, dims):
         chunk = ds.isel(box)
@@ -30,9 +35,13 @@ def select(ds: xr.Dataset, flags: Mapping[str, str | Sequence[str]]) -> xr.Datas
         for variable, values in wanted.items():
             mask &= np.isin(chunk[variable].transpose(*dims).values, values)
         if mask.any() or not selected:  # an empty first selection, too: it has the names and types
+            if selected and not selected[0].sizes["point"]:
+                selected.clear()
             indices = dict(zip(dims, np.nonzero(mask), strict=True))
             pointwise = {dim: xr.DataArray(index, dims="point") for dim, index in indices.items()}
             selected.append(chunk.isel(pointwise).load())
+    if len(selected) == 1:
+        return selected[0]
     return xr.concat(
         selected, "point", data_vars="minimal", coords="minimal", compat="override", combine_attrs="override"
     )
@@ -50,16 +59,30 @@ def nearest(ds: xr.Dataset, values: Mapping[str, float]) -> xr.Dataset:
 
 def _nearest_point(ds: xr.Dataset, values: Mapping[str, float]) -> xr.Dataset:
     """The nearest of single points; each parameter is scaled by its range over the points."""
+    check_not_empty(ds)
     distance = np.zeros(ds.sizes["point"])
+    allowed = [str(n) for n, c in ds.coords.items() if c.dims == ("point",) and c.dtype.kind in "iuf"]
     for name, value in values.items():
-        if name not in ds.coords or ds[name].dims != ("point",):
-            allowed = [str(n) for n, c in ds.coords.items() if c.dims == ("point",)]
+        if name not in allowed:
             raise BadInput(
                 f"{name}: does not vary over these points; allowed: {', '.join(allowed) or 'none'}"
             )
-        column = ds[name].values
-        distance += ((column - value) / (np.ptp(column) or 1.0)) ** 2
-    return ds.isel(point=int(distance.argmin()))
+        column, value = ds[name].values, _number(name, value)
+        known = column[np.isfinite(column)]
+        if not known.size:
+            raise BadInput(f"{name}: is not given at any of these points")
+        distance += ((column - value) / (np.ptp(known) or 1.0)) ** 2
+    if np.isnan(distance).all():
+        raise BadInput(f"{', '.join(values)}: no point has values of all of them")
+    return ds.isel(point=int(np.nanargmin(distance)))
+
+
+def _number(name: str, value: object) -> float:
+    """The value of an axis or parameter as a float; BadInput unless it is a finite number."""
+    array = np.asarray(value)
+    if array.ndim or array.dtype.kind not in "iuf" or not np.isfinite(array):
+        raise BadInput(f"{name} = {shown(value)}: must be a finite number")
+    return float(array)
 
 
 def nearest_on_axes(ds: xr.Dataset, values: Mapping[str, float]) -> xr.Dataset:
@@ -67,14 +90,13 @@ def nearest_on_axes(ds: xr.Dataset, values: Mapping[str, float]) -> xr.Dataset:
 
     Raises BadInput for a name that is no axis and for a value more than half a cell outside it.
     """
+    check_not_empty(ds)
+    axes = [str(dim) for dim in ds.dims if is_numeric_axis(ds, dim)]
     for name, value in values.items():
-        if name not in ds.dims or name not in ds.coords:
-            raise BadInput(
-                f"{name}: not an axis of this atlas; allowed: {', '.join(map(str, ds.sizes)) or 'none'}"
-            )
-        is_number = isinstance(value, int | float | np.number) and not isinstance(value, bool)
-        if not (is_number and math.isfinite(value)):
-            raise BadInput(f"{name} = {shown(value)}: must be a finite number")
+        if name not in axes:
+            problem = "has no values in this dataset" if name in ds.dims else "not an axis of this atlas"
+            raise BadInput(f"{name}: {problem}; allowed: {', '.join(axes) or 'none'}")
+        value = _number(name, value)
         axis = ds[name].values
         if axis.size > 1:
             edges = cell_edges(np.sort(axis))
@@ -138,6 +160,7 @@ def plane_of(
     BadInput
         If x, y or select name no axis, and where more axes are left.
     """
+    check_not_empty(ds)
     plane = nearest_on_axes(ds, select).squeeze()
     dims, panel_dim = _plane_dims(plane, x, y)
     plane = plane.isel({dim: slice(None, None, -(-plane.sizes[dim] // MAX_CELLS)) for dim in dims})
@@ -146,7 +169,7 @@ def plane_of(
 
 def _plane_dims(ds: xr.Dataset, x: str | None, y: str | None) -> tuple[list[str], str | None]:
     """The axes of the plane, x first, and the axis of the panels if there is one."""
-    axes = [str(d) for d in ds.dims if d in ds.coords]
+    axes = [str(d) for d in ds.dims if is_numeric_axis(ds, d)]
     for role, dim in (("x", x), ("y", y)):
         if dim is not None and dim not in axes:
             raise BadInput(

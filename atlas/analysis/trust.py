@@ -8,7 +8,7 @@ import xarray as xr
 from ..errors import BadInput
 from ..validation.half_step import upper_bound
 from .chunks import chunks
-from .metadata import flag_variable
+from .metadata import check_not_empty, flag_variable
 
 # Shorter axes count as separate maps: their cells contain no information about resolution.
 MIN_VALUES = 5
@@ -16,6 +16,7 @@ MIN_VALUES = 5
 
 def trust(ds: xr.Dataset, variable: str) -> xr.Dataset:
     """Uncertainty of a map at several resolutions and the fraction of borders it misses; see `Atlas.trust`."""
+    check_not_empty(ds)
     array = flag_variable(ds, variable)
     dims = [str(d) for d in array.dims if array.sizes[d] >= MIN_VALUES and d in ds.coords]
     if not dims:

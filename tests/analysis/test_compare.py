@@ -152,7 +152,7 @@ def test_the_report_uses_what_the_atlas_has(name):
 def test_the_report_refuses_what_is_no_atlas():
     ds = small_atlas()
     for name in ("label", "predicted"):
-        with pytest.raises(BadInput, match=f"^{name}: not in this atlas"):
+        with pytest.raises(BadInput, match=f"^{name}: not in this dataset"):
             compare.report(ds.drop_vars(name))
         for damaged in (ds[name] * 1.0, ds[name] * 0 - 1, ds[name] * 0 + len(Label)):
             with pytest.raises(BadInput, match=f"^{name}: damaged"):

@@ -1,0 +1,230 @@
+"""ds.atlas on datasets that xarray has changed: each question is answered, or refused in one line."""
+
+import numpy as np
+import pytest
+import xarray as xr
+
+import atlas
+from atlas import BadInput, load_scene
+from atlas.flags import Label
+
+SHAPE = (4, 5)
+MEANINGS = {"flag_values": np.arange(5, dtype=np.int8), "flag_meanings": " ".join(Label.meanings())}
+
+
+@pytest.fixture(scope="module")
+def ds(small_scene):
+    return atlas.run(load_scene(small_scene), progress=False)
+
+
+@pytest.fixture(scope="module")
+def three_axes(scene_text):
+    return atlas.run(
+        load_scene(scene_text({"fixed.m": None, "axes.m.values": [0.4, 0.5, 0.6], "axes.theta0.count": 5})),
+        progress=False,
+    )
+
+
+def foreign() -> xr.Dataset:
+    """A dataset that has nothing to do with atlases."""
+    return xr.Dataset({"t": (("x", "y"), np.ones(SHAPE))}, {"x": np.arange(4.0), "y": np.arange(5.0)})
+
+
+def reloaded(ds: xr.Dataset, tmp_path, **options) -> xr.Dataset:
+    """The dataset as plain xarray reads it from a file."""
+    ds.to_netcdf(tmp_path / "plain.nc")
+    return xr.open_dataset(tmp_path / "plain.nc", **options)
+
+
+# Name -> function of an atlas of two axes, one of three, and a folder.
+DATASETS = {
+    "whole": lambda ds, cube, path: ds,
+    "three axes": lambda ds, cube, path: cube,
+    "empty dataset": lambda ds, cube, path: xr.Dataset(),
+    "foreign": lambda ds, cube, path: foreign(),
+    "foreign, dimensions without values": lambda ds, cube, path: foreign().drop_vars(["x", "y"]),
+    "foreign, axis of texts": lambda ds, cube, path: foreign().assign_coords(x=list("abcd")),
+    "foreign label": lambda ds, cube, path: foreign().assign(label=(("x", "y"), np.zeros(SHAPE, np.int8))),
+    "foreign flags": lambda ds, cube, path: foreign().assign(
+        label=(("x", "y"), np.ones(SHAPE, np.int8), {"flag_values": [1, 4], "flag_meanings": "a b"})
+    ),
+    "label alone": lambda ds, cube, path: ds[["label"]],
+    "without label": lambda ds, cube, path: ds.drop_vars("label"),
+    "without attributes": lambda ds, cube, path: ds.drop_attrs(),
+    "without some attributes": lambda ds, cube, path: ds.assign_attrs(history=1).drop_attrs(deep=False)
+    .assign_attrs(atlas_system="satellite"),
+    "axis renamed": lambda ds, cube, path: ds.rename(sigma="s"),
+    "variable renamed": lambda ds, cube, path: ds.rename(label="kind"),
+    "averaged": lambda ds, cube, path: ds.mean("theta0", keep_attrs=True),
+    "averaged over one of three axes": lambda ds, cube, path: cube.mean("m", keep_attrs=True),
+    "averaged without attributes": lambda ds, cube, path: ds.mean("theta0", keep_attrs=False),
+    "coarsened": lambda ds, cube, path: ds.coarsen(sigma=2, boundary="trim").mean(keep_attrs=True),
+    "interpolated": lambda ds, cube, path: ds.interp(sigma=[0.5, 1.0, 1.5]),
+    "masked with nan": lambda ds, cube, path: ds.where(ds.label == Label.DRIFTING),
+    "masked with zero": lambda ds, cube, path: ds.where(ds.label == Label.DRIFTING, 0),
+    "cut by where": lambda ds, cube, path: ds.where(ds.sigma > 1, drop=True),
+    "reindexed": lambda ds, cube, path: ds.reindex(sigma=[0.3, 0.5]),
+    "transposed": lambda ds, cube, path: ds.transpose(),
+    "three axes transposed": lambda ds, cube, path: cube.transpose(),
+    "reversed": lambda ds, cube, path: ds.isel(sigma=slice(None, None, -1)),
+    "part": lambda ds, cube, path: ds.isel(sigma=slice(2, 5)),
+    "one value of an axis": lambda ds, cube, path: ds.isel(sigma=[2]),
+    "row": lambda ds, cube, path: ds.isel(sigma=2),
+    "scalar": lambda ds, cube, path: ds.isel(sigma=8, theta0=3),
+    "no values of an axis": lambda ds, cube, path: ds.isel(sigma=slice(0, 0)),
+    "stacked": lambda ds, cube, path: ds.stack(point=("sigma", "theta0")),
+    "two copies": lambda ds, cube, path: xr.concat([ds, ds], "copy", data_vars="all"),
+    "without parameters": lambda ds, cube, path: ds.reset_coords(drop=True),
+    "without an axis": lambda ds, cube, path: ds.drop_vars("sigma"),
+    "dask": lambda ds, cube, path: ds.chunk({"sigma": 4}),
+    "reloaded": lambda ds, cube, path: reloaded(ds, path),
+    "reloaded by dask": lambda ds, cube, path: reloaded(cube, path, chunks={}),
+    "reloaded without decoding": lambda ds, cube, path: reloaded(ds, path, decode_cf=False),
+    "points": lambda ds, cube, path: points(),
+    "points reloaded": lambda ds, cube, path: reloaded(points(), path),
+    "points without parameters": lambda ds, cube, path: points().reset_coords(drop=True),
+    "one point without parameters": lambda ds, cube, path: points().isel(point=0).reset_coords(drop=True),
+    "selection": lambda ds, cube, path: ds.atlas.select(label="drifting"),
+    "empty selection": lambda ds, cube, path: ds.atlas.select(label="unresolved"),
+    "empty selection reloaded": lambda ds, cube, path: reloaded(ds.atlas.select(label="unresolved"), path),
+}  # fmt: skip
+QUESTIONS = {
+    "select": lambda a: a.select(label="drifting"),
+    "select number": lambda a: a.select(label=Label.DRIFTING),
+    "select two": lambda a: a.select(label=3, agreement=["agree", 0]),
+    "nearest sigma": lambda a: a.nearest(sigma=1.2),
+    "nearest x": lambda a: a.nearest(x=1),
+    "nearest theta0": lambda a: a.nearest(theta0=0.5),
+    "nearest": lambda a: a.nearest(),
+    "fractions": lambda a: a.fractions(),
+    "fractions along": lambda a: a.fractions(along="sigma"),
+    "boundary": lambda a: a.boundary("drifting"),
+    "trajectory": lambda a: a.trajectory(samples=3, sigma=1.2, theta0=0.5),
+    "trajectory theta0": lambda a: a.trajectory(samples=3, theta0=0.5),
+    "trajectory here": lambda a: a.trajectory(samples=3),
+    "compare": lambda a: a.compare(),
+    "families": lambda a: a.families(),
+    "trust": lambda a: a.trust(),
+    "cite": lambda a: a.cite(),
+    "map": lambda a: a.map(),
+    "map of numbers": lambda a: a.map("theta_dot_rms"),
+}
+
+
+def points() -> xr.Dataset:
+    return atlas.label_points(
+        "satellite", {"theta0": [0.4, 0.9, 1.2], "m": [0.3, 0.2, 0.3]}, duration=5.0, step=0.05
+    )
+
+
+@pytest.mark.parametrize("dataset", DATASETS)
+def test_every_question_to_every_dataset_is_answered_or_refused_in_one_line(
+    ds, three_axes, tmp_path, dataset
+):
+    with DATASETS[dataset](ds, three_axes, tmp_path) as changed:
+        for name, question in QUESTIONS.items():
+            try:
+                question(changed.atlas)
+            except BadInput as error:
+                message = str(error)
+                assert "\n" not in message
+                assert len(message) > 20, name
+
+
+ANSWERED = {
+    **dict.fromkeys(
+        ["whole", "transposed", "reversed", "without parameters", "dask", "reloaded", "reloaded without decoding"],
+        set(QUESTIONS) - {"nearest x", "trajectory theta0", "trajectory here"},
+    ),
+    "label alone": set(QUESTIONS)
+    - {"select two", "nearest x", "trajectory theta0", "trajectory here", "compare", "map of numbers"},
+    "row": {"select", "select number", "select two", "nearest theta0", "nearest", "fractions", "trajectory theta0",
+            "compare", "families", "trust", "cite", "map", "map of numbers"},
+    "scalar": {"select", "select number", "select two", "nearest", "fractions", "trajectory here", "compare", "cite"},
+    "selection": {"select", "select number", "select two", "nearest sigma", "nearest theta0", "nearest", "fractions",
+                  "trajectory", "trajectory theta0", "compare", "cite"},
+    "empty selection": {"select", "select number", "select two", "fractions", "cite"},
+    "averaged": {"nearest sigma", "nearest", "cite", "map of numbers"},
+    "masked with nan": {"nearest sigma", "nearest theta0", "nearest", "trajectory", "families", "cite", "map of numbers"},
+    "foreign": {"nearest x", "nearest"},
+    "empty dataset": {"nearest"},
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("dataset", ANSWERED)
+def test_what_can_be_answered_is_answered(ds, three_axes, tmp_path, dataset):
+    maps = {"map", "map of numbers"}  # of single points, too, there may be maps
+    answered = set()
+    with DATASETS[dataset](ds, three_axes, tmp_path) as changed:
+        for name, question in QUESTIONS.items():
+            try:
+                question(changed.atlas)
+                answered.add(name)
+            except BadInput:
+                pass
+    if "selection" in dataset:
+        answered -= maps
+    assert answered == ANSWERED[dataset]
+
+
+@pytest.mark.parametrize("dataset", ["transposed", "reversed", "dask", "reloaded", "stacked", "two copies"])
+def test_answers_do_not_depend_on_the_form_of_the_dataset(ds, three_axes, tmp_path, dataset):
+    with DATASETS[dataset](ds, three_axes, tmp_path) as changed:
+        np.testing.assert_allclose(changed.atlas.fractions(), ds.atlas.fractions())
+        selected, expected = changed.atlas.select(label=3), ds.atlas.select(label="drifting")
+    places = {
+        (float(sigma), float(theta0)) for sigma, theta0 in zip(selected.sigma, selected.theta0, strict=True)
+    }
+    assert places == {
+        (float(sigma), float(theta0)) for sigma, theta0 in zip(expected.sigma, expected.theta0, strict=True)
+    }
+    assert selected.sizes["point"] == len(places) * (2 if dataset == "two copies" else 1)
+
+
+def test_flags_are_selected_by_names_and_numbers(ds):
+    by_name = ds.atlas.select(label="drifting")
+    for flag in (3, Label.DRIFTING, np.int8(3), np.array(3), [3], np.array([3]), ("drifting", 3), {3}):
+        assert ds.atlas.select(label=flag).identical(by_name)
+    assert ds.atlas.select(label=by_name.label[0]).identical(by_name)
+    for flag in (5, -1, 3.0, True, None, "3", [3, "drift"]):
+        with pytest.raises(BadInput, match=r"allowed: not_computed, .*, or their numbers 0 to 4"):
+            ds.atlas.select(label=flag)
+
+
+def test_averages_of_flags_are_no_flags(ds):
+    for question in (
+        lambda a: a.map(),
+        lambda a: a.fractions(),
+        lambda a: a.select(label=3),
+        lambda a: a.trust(),
+        lambda a: a.boundary("drifting"),
+    ):
+        with pytest.raises(BadInput, match="label: values of type float64 are no flags: they were averaged"):
+            question(ds.mean("theta0", keep_attrs=True).atlas)
+
+
+def test_the_nearest_of_points_without_some_parameters():
+    start = xr.Dataset(coords={"a": ("point", [np.nan, 1.0, 2.0]), "b": ("point", [0.0, np.nan, 5.0])})
+    assert float(start.atlas.nearest(a=1.1).a) == 1.0
+    assert float(start.atlas.nearest(a=1.1, b=0.0).b) == 5.0  # the only one with both
+    with pytest.raises(BadInput, match="no point has values of all of them"):
+        start.isel(point=[0, 1]).atlas.nearest(a=1.0, b=0.0)
+    with pytest.raises(BadInput, match="a: is not given at any"):
+        start.isel(point=[0]).atlas.nearest(a=1.0)
+    with pytest.raises(BadInput, match="a = 'x': must be a finite number"):
+        start.atlas.nearest(a="x")
+
+
+def test_disagreements_among_points_are_named_by_what_varies():
+    ds = xr.Dataset(
+        {
+            "label": ("point", np.array([2, 3, 3], np.int8), MEANINGS),
+            "predicted": ("point", np.array([2, 2, 3], np.int8), MEANINGS),
+        },
+        coords={"theta0": ("point", [0.1, 0.2, 0.3]), "m": ("point", [0.5, 0.5, 0.5])},
+    )
+    assert (
+        ds.atlas.compare().splitlines()[-1].startswith("  point 1, theta0 = 0.2: theory permanent_rotation")
+    )
+    with pytest.raises(BadInput, match="worst = -1: must be a whole number, at least 0"):
+        ds.atlas.compare(worst=-1)

@@ -1,0 +1,71 @@
+"""Engine "atlas" of xarray: `xr.open_dataset` opens run folders, and every atlas that `open_atlas` opens."""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any
+
+import xarray as xr
+from xarray.backends import BackendEntrypoint
+
+from ..errors import BadInput, shown
+
+
+class AtlasBackend(BackendEntrypoint):
+    """Engine of xarray for atlases.
+
+    Without `engine` xarray opens run folders by it, and files by its own engines, which do not compare values
+    with their checksums.
+    """
+
+    description = "Opens run folders and atlases of Precession Atlas"
+    open_dataset_parameters = ("filename_or_obj", "drop_variables")
+
+    def guess_can_open(self, filename_or_obj: Any) -> bool:
+        """Whether a path is that of a run folder."""
+        if not isinstance(filename_or_obj, str | os.PathLike):
+            return False
+        try:
+            manifest = json.loads((Path(filename_or_obj) / "manifest.json").read_bytes())
+        except (OSError, ValueError):
+            return False
+        return isinstance(manifest, dict) and {"scene", "identity", "tile"} <= manifest.keys()
+
+    def open_dataset(
+        self, filename_or_obj: Any, *, drop_variables: str | Iterable[str] | None = None
+    ) -> xr.Dataset:
+        """Open an atlas as `atlas.open_atlas` does.
+
+        Parameters
+        ----------
+        filename_or_obj : str or path
+            An atlas, or a run folder.
+        drop_variables : str or iterable of str, optional
+            Variables to leave out.
+
+        Returns
+        -------
+        Dataset
+            Lazy; of a run folder with chunks={} a chunk for each tile.
+
+        Raises
+        ------
+        BadInput
+            As `atlas.open_atlas`.
+        """
+        from .open import open_atlas
+
+        if not isinstance(filename_or_obj, str | os.PathLike):
+            raise BadInput(f"{shown(filename_or_obj)}: the engine atlas opens paths")
+        ds = open_atlas(Path(filename_or_obj))
+        tile = {dim: lengths[0] for dim, lengths in ds.chunksizes.items()}
+        if tile:
+            for variable in ds.variables.values():
+                variable.encoding["preferred_chunks"] = {dim: tile[dim] for dim in variable.dims}
+        names = [drop_variables] if isinstance(drop_variables, str) else list(drop_variables or ())
+        result = ds.drop_vars(names, errors="ignore")
+        result.set_close(ds.close)
+        return result

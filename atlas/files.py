@@ -73,6 +73,46 @@ def atomic_write(path: Path, *, exclusive: bool = False) -> Iterator[Path]:
         temporary.unlink(missing_ok=True)
 
 
+@contextmanager
+def atomic_folder(path: Path) -> Iterator[Path]:
+    """Write a folder that appears at `path` whole or not at all.
+
+    The body of the `with` statement fills the folder it is given, which is flushed to the disk and moved into
+    place when the body ends, and removed after an error.
+
+    Parameters
+    ----------
+    path : Path
+        Where the folder goes. An existing one is replaced: a kill in the moment between may leave none.
+
+    Yields
+    ------
+    Path
+        A new folder with a hidden, unique name beside `path`.
+
+    Raises
+    ------
+    OSError
+        If the folder cannot be created, flushed or moved.
+    """
+    temporary, old = (path.with_name(f".atlas-{process.name()}-{secrets.token_hex(4)}.tmp") for _ in range(2))
+    temporary.mkdir()
+    try:
+        yield temporary
+        for file in temporary.rglob("*"):
+            _sync(file)
+        _sync(temporary)
+        with suppress(FileNotFoundError):
+            os.rename(path, old)
+        os.rename(temporary, path)
+        _sync(path.parent)
+    finally:
+        if old.exists() and not path.exists():
+            os.rename(old, path)
+        for folder in (temporary, old):
+            shutil.rmtree(folder, ignore_errors=True)
+
+
 def _move_exclusively(temporary: Path, path: Path) -> None:
     """Give a file the name `path`; FileExistsError if there is a file of that name."""
     try:
@@ -211,8 +251,11 @@ def check_name(path: Path, inside: str = "") -> None:
                 ) from None
 
 
-def check_folder(path: Path) -> None:
-    """Raise BadInput unless a file can be created in the folder of `path` and `path` is not a folder."""
+def check_folder(path: Path, *, replace: str | None = None) -> None:
+    """Raise BadInput unless a file can be created in the folder of `path` and `path` is not a folder.
+
+    A folder with a file of the name `replace` is allowed.
+    """
     check_name(path)
     folder = path.parent
     if not folder.is_dir():
@@ -222,7 +265,7 @@ def check_folder(path: Path) -> None:
             pass
     except OSError as error:
         raise BadInput(f"{path}: cannot be written: {error.strerror}") from None
-    if path.is_dir():
+    if path.is_dir() and not (replace and (path / replace).is_file()):
         raise BadInput(f"{path}: this is a folder")
 
 
@@ -273,7 +316,7 @@ def writable(name: str | Path, suffixes: Sequence[str], *, force: bool) -> Path:
     if path.suffix.lower() not in suffixes:
         allowed = " or ".join(filter(None, (", ".join(suffixes[:-1]), suffixes[-1])))
         raise BadInput(f"{path}: the name must end in {allowed}")
-    check_folder(path)
+    check_folder(path, replace="zarr.json" if path.suffix.lower() == ".zarr" else None)
     remove_leftovers(path.parent)
     if path.exists() and not force:
         raise BadInput(f"{path}: {EXISTS}")

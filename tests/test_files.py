@@ -165,3 +165,35 @@ def test_leftovers_of_killed_processes_are_removed_and_all_else_is_kept(tmp_path
     remove_leftovers(tmp_path)
     assert sorted(p.name for p in tmp_path.iterdir()) == sorted(names[2:])
     remove_leftovers(tmp_path / "no such folder")
+
+
+def test_a_folder_appears_whole_or_not_at_all(tmp_path):
+    """After an error what was there stays, and nothing else is left."""
+    path = tmp_path / "store"
+    for content in ("first", "second"):
+        with files.atomic_folder(path) as temporary:
+            assert files.is_temporary(temporary.name)
+            (temporary / "inner").mkdir()
+            (temporary / "inner" / "file").write_text(content)
+        assert (path / "inner" / "file").read_text() == content
+
+    def write_half():
+        with files.atomic_folder(path) as temporary:
+            (temporary / "other").write_text("unfinished")
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        write_half()
+    with pytest.MonkeyPatch.context() as patch:
+        rename = os.rename
+
+        def fail(source, target):
+            if target == path and (source / "third").exists():
+                raise OSError("full")
+            rename(source, target)
+
+        patch.setattr(os, "rename", fail)
+        with pytest.raises(OSError, match="full"), files.atomic_folder(path) as temporary:
+            (temporary / "third").write_text("third")
+    assert [entry.name for entry in tmp_path.iterdir()] == ["store"]
+    assert [entry.name for entry in path.iterdir()] == ["inner"]

@@ -98,7 +98,7 @@ def _status(options: argparse.Namespace) -> int:
 def add_join(commands: Commands) -> None:
     command = add_command(commands, "join", _join, "write a finished run folder as one file")
     command.add_argument("folder", metavar="RUN", help="run folder")
-    out_option(command, "FILE", "atlas to write (.nc)", required=True)
+    out_option(command, "FILE", "atlas to write (.nc or .zarr)", required=True)
     force_option(command, "an existing file")
 
 
@@ -106,7 +106,7 @@ def _join(options: argparse.Namespace) -> int:
     from ..runs.folder import RunFolder
 
     folder = RunFolder.open(options.folder)
-    folder.join(writable(options.out, (".nc",), force=options.force))
+    folder.join(writable(options.out, (".nc", ".zarr"), force=options.force))
     print(f"wrote {options.out}")
     return DONE
 

@@ -297,12 +297,12 @@ class RunFolder:
         Parameters
         ----------
         out : Path
-            An existing file is replaced.
+            A NetCDF file, or with the suffix .zarr a Zarr store. What exists is replaced.
 
         Raises
         ------
         BadInput
-            If a tile is missing or damaged; `out` is then unchanged.
+            If a tile is missing or damaged, or the package zarr is; `out` is then unchanged.
         OSError
             If the disk is full; likewise.
         """
@@ -311,6 +311,18 @@ class RunFolder:
             raise BadInput(
                 f"{self.path}: {missing} of {self.tiling.count} tiles are missing; run its scene again first"
             )
+        try:
+            if out.suffix.lower() == ".zarr":
+                from .zarr_join import write_zarr
+
+                write_zarr(self, out)
+            else:
+                self._write_netcdf(out)
+        except DamagedTileError as error:
+            raise BadInput(f"{self.path}: {error}; run its scene again first") from None
+
+    def _write_netcdf(self, out: Path) -> None:
+        """Write the whole atlas as a NetCDF file; see `join`."""
         with atomic_write(out) as temporary:
             try:
                 with NETCDF_LOCK:
@@ -324,8 +336,6 @@ class RunFolder:
                     with NETCDF_LOCK:
                         file.close()
                 checksums.add(temporary)
-            except DamagedTileError as error:
-                raise BadInput(f"{self.path}: {error}; run its scene again first") from None
             except (RuntimeError, OSError) as error:
                 raise disk_error(error, out) from None
 

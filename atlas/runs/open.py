@@ -8,6 +8,7 @@ import xarray as xr
 
 from ..errors import BadInput
 from ..files import one_line
+from ..io import zarr_store
 from ..io.checksums import CheckedStore
 
 
@@ -17,7 +18,7 @@ def open_atlas(path: str | Path) -> xr.Dataset:
     Parameters
     ----------
     path : str or Path
-        An atlas file (NAME.nc) or a run folder, which may still be growing.
+        An atlas file (NAME.nc), a Zarr store (NAME.zarr), or a run folder, which may still be growing.
 
     Returns
     -------
@@ -35,6 +36,8 @@ def open_atlas(path: str | Path) -> xr.Dataset:
     path = Path(path)
     if not path.exists():
         raise BadInput(f"{path}: there is no such file")
+    if (path / zarr_store.METADATA).is_file():
+        return _checked(zarr_store.open_store(path), path)
     if path.is_dir():
         from .folder import RunFolder
 
@@ -51,6 +54,11 @@ def open_atlas(path: str | Path) -> xr.Dataset:
         raise
     except Exception as error:  # a damaged file may raise any error
         raise BadInput(f"{path}: not a NetCDF file that can be read ({one_line(error)})") from None
+    return _checked(ds, path)
+
+
+def _checked(ds: xr.Dataset, path: Path) -> xr.Dataset:
+    """The dataset, if it has the attributes of an atlas; else BadInput."""
     missing = [name for name in ("atlas_system", "atlas_version") if name not in ds.attrs]
     if missing:
         ds.close()

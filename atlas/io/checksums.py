@@ -90,7 +90,7 @@ def _crc_of_blocks(file: netCDF4.Dataset, blocks: BlockShapes) -> np.ndarray:
     return np.array(crc, np.uint32)
 
 
-def _block_shape(variable: netCDF4.Variable) -> list[int]:
+def _block_shape(variable: netCDF4.Variable[Any]) -> list[int]:
     """Shape of the blocks of a variable: its chunks, or some rows of a variable without chunks."""
     chunks = variable.chunking()
     if chunks != "contiguous":

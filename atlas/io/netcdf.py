@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -45,10 +45,14 @@ def dataset(scene: Scene, columns: Mapping[str, Any], chunks: Sequence[int] | No
     xarray.Dataset
         Axes as dimensions, and each parameter as a coordinate along the axes on which it depends.
     """
-    dimensions, registry = dims(scene), variables(scene.system)
+    dimensions, system = dims(scene), scene.system
     ds = xr.Dataset(
         {
-            name: (dimensions, columns[name].reshape(scene.shape), registry[name].attributes())
+            name: (
+                dimensions,
+                columns[name].reshape(scene.shape),
+                variable_attributes(system, name, scene.outputs),
+            )
             for name in scene.outputs
         }
     )
@@ -67,6 +71,15 @@ def dataset(scene: Scene, columns: Mapping[str, Any], chunks: Sequence[int] | No
             values = _parameter_along_axes(scene, name, axes, chunks)
             ds = ds.assign_coords({name: ([dimensions[i] for i in axes], values, attributes)})
     return ds
+
+
+def variable_attributes(system: System, name: str, present: Collection[str]) -> dict[str, object]:
+    """Attributes of a data variable in a dataset with some variables: those of labels name what qualifies them."""
+    attributes = variables(system)[name].attributes()
+    if name.startswith("label"):
+        ancillary = [other for other in ("status", "error_estimate") if other in present]
+        attributes |= {"ancillary_variables": " ".join(ancillary)} if ancillary else {}
+    return attributes
 
 
 def parameter_attributes(system: System, name: str, offset: bool) -> dict[str, str]:

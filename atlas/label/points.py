@@ -180,9 +180,11 @@ def _evaluate_in_tiles(
 
 def _dataset(system: System, columns: dict[str, np.ndarray], points: Points) -> xr.Dataset:
     """Variables and parameters along the dimension "point"."""
-    registry = variable_registry(system)
     ds = xr.Dataset(
-        {name: ("point", column, registry[name].attributes()) for name, column in columns.items()}
+        {
+            name: ("point", column, netcdf.variable_attributes(system, name, columns))
+            for name, column in columns.items()
+        }
     )
     for name, values in points.items():
         absent = np.isnan(system.parameters[name].default) and np.isnan(values).all()

@@ -69,7 +69,7 @@ def connect(scheduler: str | None, workers: int | None) -> Iterator[Client]:
 def _client(cluster: Any) -> Iterator[Client]:
     """A client of a scheduler; BadInput if only one of them uses TLS, OSError if the scheduler is lost."""
     import distributed
-    from distributed.comm import CommClosedError
+    from distributed.comm.core import CommClosedError
     from distributed.utils import silence_logging_cmgr
     from distributed.versions import VersionMismatchWarning
 
@@ -158,7 +158,7 @@ def for_each(
         What a task raised; OSError if workers died under every attempt, or if the scheduler is lost.
     """
     source = iter(arguments)
-    in_flight: dict[Future, tuple[tuple[Any, ...], int]] = {}
+    in_flight: dict[Future[Any], tuple[tuple[Any, ...], int]] = {}
 
     def submit(task_arguments: tuple[Any, ...], attempt: int) -> None:
         future = client.submit(task, *task_arguments, key=f"atlas-{uuid.uuid4().hex}", pure=False)
@@ -192,7 +192,7 @@ def for_each(
             future.cancel()
 
 
-def _wait_for_any(futures: Iterable[Future]) -> Iterable[Future]:
+def _wait_for_any(futures: Iterable[Future[Any]]) -> Iterable[Future[Any]]:
     """The futures that have ended, after one has, or none when the interval is over."""
     from distributed import wait
 
@@ -203,7 +203,7 @@ def _wait_for_any(futures: Iterable[Future]) -> Iterable[Future]:
         return []
 
 
-def _succeeded(future: Future, attempt: int) -> bool:
+def _succeeded(future: Future[Any], attempt: int) -> bool:
     """Whether a task gave a result; False if it has to be submitted again. Raises its error otherwise."""
     from distributed import KilledWorker
 

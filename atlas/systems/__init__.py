@@ -15,7 +15,7 @@ def register(system: System) -> None:
     SYSTEMS[system.name] = system
 
 
-def get(name: str) -> System:
+def get(name: object) -> System:
     """The system of that name; BadInput if there is none."""
     if not isinstance(name, str) or name not in SYSTEMS:
         raise BadInput(f"system = {shown(name)}: there is no such system; allowed: {', '.join(SYSTEMS)}")

@@ -6,6 +6,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence, Set
 from dataclasses import dataclass, field
 from types import MappingProxyType, ModuleType
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -297,7 +298,7 @@ class System(ABC):
 
     None: the frame is inertial.
     """
-    equilibria: Callable[[Mapping[str, float]], Mapping[str, NDArray]] | None = None
+    equilibria: Callable[[Mapping[str, float]], Mapping[str, NDArray[Any]]] | None = None
     """All relative equilibria or permanent rotations of one body: parameter -> number to arrays over them.
 
     None: they cannot be computed.

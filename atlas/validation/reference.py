@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.integrate import DOP853
@@ -306,7 +306,9 @@ def _finish_sums(sums: Array, at_start: EulerRates, theta: Array, duration: Arra
     return {name: result[name] for name in RATES}
 
 
-def _theta_range_of_step(solver, equations, constants, duration, cylinder) -> tuple[Array, Array]:
+def _theta_range_of_step(
+    solver: Any, equations: Any, constants: Array, duration: Array, cylinder: float
+) -> tuple[Array, Array]:
     """Smallest and largest theta in the solver's last step, by cubics between five instants of it."""
     times = np.linspace(solver.t_old, solver.t, 5)
     path = solver.dense_output()(times).reshape(-1, duration.size, times.size)

@@ -12,8 +12,8 @@ from types import ModuleType
 import numpy as np
 import xarray as xr
 
-from ..engine import blocks
 from ..engine.ensemble import Ensemble
+from ..engine.generated import WIDTH
 from ..engine.specialization import kernel
 from ..engine.statistics import RATES
 from ..engine.stepsize import StepSizes
@@ -294,7 +294,7 @@ def _seconds_per_point_step(
 ) -> float:
     """Processor time of a point-step in full blocks, seconds; the median of several runs."""
     size = step_sizes.steps.size
-    repeated = np.resize(np.arange(size), -(-size // blocks.WIDTH) * blocks.WIDTH)
+    repeated = np.resize(np.arange(size), -(-size // WIDTH) * WIDTH)
     ensemble = Ensemble.of(sample.scene.system, sample.grid.points).subset(repeated)
     steps = max(POINT_STEPS_TIMED // repeated.size // steps_per_sample, 1) * steps_per_sample
     timed = replace(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -86,7 +87,7 @@ class FixedPoint(System):
         flags = [names.index(name) for _, name in conditions]
         return np.select([where for where, _ in conditions], flags, names.index("conical")).astype(np.int8)
 
-    def equilibria(self, body: Mapping[str, float]) -> dict[str, NDArray]:
+    def equilibria(self, body: Mapping[str, float]) -> dict[str, NDArray[Any]]:
         """All permanent rotations of one body about the vertical at the rate n; see equilibria.equilibria."""
         points = {k: np.full(1, float(body.get(k, p.default))) for k, p in self.parameters.items()}
         solutions = equilibria.equilibria(points, float(points["n"][0]))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,7 +20,7 @@ _MAX_SCALE = 1e60  # of units, rates and torques; products of a few of them are 
 _NAMES = ("A", "B", "C", "Omega", "k1", "k2", "k3", "mu1", "mu2", "mu3", "h1", "h3")
 
 
-def equilibria(body: Mapping[str, float]) -> dict[str, NDArray]:
+def equilibria(body: Mapping[str, float]) -> dict[str, NDArray[Any]]:
     """All relative equilibria of one body: every orientation that can rest in the orbital frame.
 
     Newton's method from _STARTS orientations, doubled until no new equilibria appear and, where none

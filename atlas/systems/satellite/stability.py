@@ -333,7 +333,9 @@ def _fundamental_matrix(
     return result, log_scale
 
 
-def _propagators(harmonics: NDArray[np.complex128], period: Array, step: Array, index: NDArray) -> Array:
+def _propagators(
+    harmonics: NDArray[np.complex128], period: Array, step: Array, index: NDArray[np.int64]
+) -> Array:
     """Fundamental matrices over some steps: Magnus' series of order 6, symplectic exponentials.
 
     harmonics: mean, first and second, shape (3, points, 4, 4); index of each step; result (steps, points, 4, 4).

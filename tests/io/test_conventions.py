@@ -1,0 +1,38 @@
+"""Attributes of the variables by the CF conventions."""
+
+import numpy as np
+
+import atlas
+from atlas import load_scene
+
+
+def test_variables_are_described(small_scene):
+    ds = atlas.run(load_scene(small_scene), progress=False)
+    for name, variable in ds.variables.items():
+        assert variable.attrs["long_name"], name
+        if "flag_meanings" in variable.attrs:
+            values, meanings = variable.attrs["flag_values"], variable.attrs["flag_meanings"].split()
+            assert values.dtype == variable.dtype == np.int8
+            assert values.tolist() == list(range(len(meanings)))
+        else:
+            assert variable.attrs["units"], name
+
+
+def test_labels_name_what_qualifies_them(scene_text):
+    ds = atlas.run(load_scene(scene_text({})), progress=False)
+    for name in ("label", "label_inertial"):
+        assert ds[name].attrs["ancillary_variables"] == "status error_estimate"
+    assert [name for name in ds.variables if "ancillary_variables" in ds[name].attrs] == [
+        "label",
+        "label_inertial",
+    ]
+    some = scene_text({"outputs.variables": ["label", "status", "step"]})
+    assert atlas.run(load_scene(some), progress=False).label.attrs["ancillary_variables"] == "status"
+
+
+def test_points_have_the_attributes_of_an_atlas():
+    for variables, expected in ((None, "status error_estimate"), (["label", "step"], None)):
+        ds = atlas.label_points(
+            "satellite", {"theta0": [0.4, 0.9]}, duration=1.0, step=0.1, variables=variables
+        )
+        assert ds.label.attrs.get("ancillary_variables") == expected

@@ -67,7 +67,7 @@ def flag_names(array: xr.DataArray) -> list[str]:
     Raises BadInput for flags whose values are no longer flags, such as averages of them.
     """
     names = [printable(name, MAX_TEXT) for name in str(array.attrs.get("flag_meanings", "")).split()]
-    if names and array.dtype.kind not in "iu":
+    if is_averaged(array):
         raise BadInput(
             f"{array.name}: values of type {array.dtype} are no flags: they were averaged, interpolated or masked with"
             " nan; choose points by select, sel or isel, or mask with where(condition, 0)"
@@ -77,6 +77,11 @@ def flag_names(array: xr.DataArray) -> list[str]:
             f"{array.name}: its flag_values are not 0 to {len(names) - 1}, as those of an atlas are"
         )
     return names
+
+
+def is_averaged(array: xr.DataArray) -> bool:
+    """Whether a variable has the names of flags, but values that are none, such as averages of them."""
+    return "flag_meanings" in array.attrs and array.dtype.kind not in "iu"
 
 
 def flag_variable(ds: xr.Dataset, variable: str) -> xr.DataArray:

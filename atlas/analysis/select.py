@@ -37,6 +37,9 @@ def select(ds: xr.Dataset, flags: Mapping[str, str | int | Sequence[str | int]])
         if mask.any() or not selected:  # an empty first selection, too: it has the names and types
             if selected and not selected[0].sizes["point"]:
                 selected.clear()
+            if not mask.any():  # old versions of xarray cannot read no points from a file
+                first_point = dict.fromkeys(dims, slice(0, 1))
+                chunk, mask = chunk.isel(first_point).load(), mask[tuple(first_point.values())]
             indices = dict(zip(dims, np.nonzero(mask), strict=True))
             pointwise = {dim: xr.DataArray(index, dims="point") for dim, index in indices.items()}
             selected.append(chunk.isel(pointwise).load())

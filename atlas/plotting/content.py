@@ -13,7 +13,7 @@ from scipy.ndimage import distance_transform_edt
 
 from ..analysis.boundary import theory_lines
 from ..analysis.compare import NO_TIME_TO_GROW
-from ..analysis.metadata import axes_of, flag_names
+from ..analysis.metadata import axes_of, flag_names, is_averaged
 from ..analysis.plane import Plane
 from ..analysis.theory_borders import EXISTENCE, STABILITY
 from ..analysis.theory_curves import family_curves
@@ -78,9 +78,8 @@ def panel_of(ds: xr.Dataset, name: str, dims: list[str], scene: Scene | None, bo
         In memory.
     """
     order = dims[::-1]
-    ds = (
-        ds[[n for n in _NEEDED if n in ds and set(ds[n].dims) == set(dims)] + [name]].transpose(*order).load()
-    )
+    needed = [n for n in _NEEDED if n in ds and set(ds[n].dims) == set(dims) and not is_averaged(ds[n])]
+    ds = ds[[*needed, name]].transpose(*order).load()
     white = _white(ds, name, dims, scene)
     array = _without_gaps(ds, name)
     nothing = np.zeros(array.shape, bool)

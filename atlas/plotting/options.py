@@ -48,7 +48,7 @@ class MapOptions:
             raise BadInput(f"dpi = {shown(self.dpi)}: must be a number from {MIN_DPI:g} to {MAX_DPI:g}")
         if self.size is not None:
             try:
-                valid = len(self.size) == 2 and all(_is_number(s, MIN_SIZE, MAX_SIZE) for s in self.size)
+                valid = [_is_number(s, MIN_SIZE, MAX_SIZE) for s in self.size] == [True, True]
             except TypeError:
                 valid = False
             if not valid:

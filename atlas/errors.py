@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import difflib
 import reprlib
+from collections.abc import Collection, Iterator, Mapping
+from contextlib import contextmanager
 
 MAX_MESSAGE = 1000  # characters of a message
 MAX_TEXT = 200  # characters of a value in a message
@@ -65,6 +68,77 @@ def shown(value: object) -> str:
     """
     text = _SHORT.repr(value)
     return printable(" ".join(text.split()) if "\n" in text else text, MAX_TEXT)
+
+
+def allowed_text(given: object, names: Collection[str]) -> str:
+    """What is allowed instead of an unknown name, as the end of a message.
+
+    Parameters
+    ----------
+    given : object
+        What was found.
+    names : collection of str
+        What is allowed.
+
+    Returns
+    -------
+    str
+        Such as "did you mean 'tolerance'? allowed: tolerance, step"; without the question where no name is
+        similar.
+    """
+    similar = _most_similar(given, names)
+    question = f"did you mean {similar!r}? " if similar else ""
+    return f"{question}allowed: {', '.join(names) or 'none'}"
+
+
+def _most_similar(given: object, names: Collection[str]) -> str | None:
+    """The name most similar to what was found, None if none is similar."""
+    if not isinstance(given, str) or len(given) > MAX_TEXT:
+        return None
+    by_lower_case = {name.lower(): name for name in names}
+    similar = difflib.get_close_matches(given.lower(), by_lower_case, 1)
+    return by_lower_case[similar[0]] if similar else None
+
+
+_in_shell = False
+
+
+@contextmanager
+def messages_for_shell() -> Iterator[None]:
+    """While this context is open, `option` names options as the command line spells them."""
+    global _in_shell
+    before, _in_shell = _in_shell, True
+    try:
+        yield
+    finally:
+        _in_shell = before
+
+
+def option(name: str, value: object) -> str:
+    """An option as the user of this message writes it.
+
+    Parameters
+    ----------
+    name : str
+        Name of the argument in Python; the command has an option of the same name.
+    value : object
+        True for an option without a value; a mapping for pairs NAME=VALUE.
+
+    Returns
+    -------
+    str
+        In Python "force=True" or "select={'k3': 0.2}", in the command line "--force" or "--select k3=0.2".
+    """
+    if not _in_shell:
+        if isinstance(value, Mapping):
+            value = "{" + ", ".join(f"{key!r}: {each}" for key, each in value.items()) + "}"
+        return f"{name}={value}"
+    words = ["--" + name.replace("_", "-")]
+    if isinstance(value, Mapping):
+        words += [f"{key}={each}" for key, each in value.items()]
+    elif value is not True:
+        words.append(str(value))
+    return " ".join(words)
 
 
 class _Short(reprlib.Repr):

@@ -21,15 +21,19 @@ from pathlib import Path
 from typing import Any, TextIO
 
 from . import process
-from .errors import BadInput
+from .errors import BadInput, option
 
 # A write that fails while less than this is free, in bytes, failed because the disk is full. A tile is smaller.
 MIN_FREE_BYTES = 1 << 25
-EXISTS = "this file exists; --force (force=True) replaces it"
 TRIAL_BYTES = 1 << 20  # written as a trial, to find out why a write failed
 TEMPORARY = re.compile(rf"\.atlas-({process.NAME.pattern})-[0-9a-f]{{8}}\.tmp")
 # Seconds without a write after which the temporary file of another machine is a leftover.
 FOREIGN_LEFTOVER_AGE = 7 * 86400.0
+
+
+def exists_message(path: Path) -> str:
+    """Message about a file that would have to be replaced."""
+    return f"{path}: this file exists; {option('force', True)} replaces it"
 
 
 @contextmanager
@@ -319,7 +323,7 @@ def writable(name: str | Path, suffixes: Sequence[str], *, force: bool) -> Path:
     check_folder(path, replace="zarr.json" if path.suffix.lower() == ".zarr" else None)
     remove_leftovers(path.parent)
     if path.exists() and not force:
-        raise BadInput(f"{path}: {EXISTS}")
+        raise BadInput(exists_message(path))
     return path
 
 

@@ -41,7 +41,10 @@ class Label(Flag):
 class Status(Flag):
     """How far a label can be trusted."""
 
-    NOT_COMPUTED = 0, "not computed: the family asked for has no motion here"
+    NOT_COMPUTED = (
+        0,
+        "not computed: no motion of the family, no start or no duration is defined here",
+    )
     OK = 1, "integrated and resolved"
     NOT_FINITE = 2, "the state or a statistic overflowed or became NaN"
     DRIFT_EXCEEDED = 3, "a first integral changed by more than drift_tolerance"
@@ -51,6 +54,10 @@ class Status(Flag):
         "the label changes when the step is halved, or could by as much as the measurements did",
     )
     ROUNDOFF_DECIDED = 6, "an exact start on an unstable motion, run until rounding errors decide"
+    IMPOSSIBLE_BODY = (
+        7,
+        "not computed: no rigid body has these moments of inertia, one is larger than the sum of the others",
+    )
 
 
 class Agreement(Flag):

@@ -438,10 +438,13 @@ def try_points(rng: Random) -> str:
 
 
 def _check_columns(values: dict[str, np.ndarray], size: int) -> None:
-    """Every column has a value for each point, and no state that is not finite has a label."""
+    """Every column has a value for each point, and no state that is not finite has a label; what is not computed has none."""
     assert all(column.shape == (size,) for column in values.values())
     if "label" in values and "error_estimate" in values and "status" in values:
-        assert (values["label"][values["status"] > 1] == 4).all()
+        label, status = values["label"], values["status"]
+        not_computed = np.isin(status, (0, 7))
+        assert (label[(status > 1) & ~not_computed] == 4).all()
+        assert ((label == 0) == not_computed).all()
 
 
 def _outcome(run: Any) -> str:

@@ -157,6 +157,7 @@ def equilibria(system: str, body: Mapping[str, float]) -> xr.Dataset:
     if size != 1:
         raise BadInput(f"body: {size} bodies given; equilibria are those of one")
     description.check(columns)
+    description.check_possible(columns)
     title = f"equilibria of one body: {description.title}"
     ds = xr.Dataset(attrs={"title": title, "references": description.reference})
     for name, values in description.equilibria({k: float(v[0]) for k, v in columns.items()}).items():

@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 import xarray as xr
 
-from ..errors import BadInput, shown
+from ..errors import BadInput, option, shown
 from .chunks import chunks
 from .metadata import check_not_empty, flag_values, is_numeric_axis
 
@@ -192,6 +192,6 @@ def _plane_dims(ds: xr.Dataset, x: str | None, y: str | None) -> tuple[list[str]
     for dim in others:
         if len(others) > 1 or ds.sizes[dim] > MAX_PANELS:
             raise BadInput(
-                f"{dim} has {ds.sizes[dim]} values here: choose one by select = {{{shown(dim)}: value}}"
+                f"{dim} has {ds.sizes[dim]} values here: choose one by {option('select', {dim: 'VALUE'})}"
             )
     return [d for d in (x, y) if d is not None], (others[0] if others else None)

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from typing import NoReturn
 
 from .._version import __version__
-from ..errors import MAX_MESSAGE, BadInput, printable
+from ..errors import MAX_MESSAGE, BadInput, messages_for_shell, printable
 from ..interruption import INTERRUPTED, MESSAGE, exit_process, signals_as_interrupt
 from . import atlases, jobs, measurements, motions, papers
 from .options import BAD_INPUT, DONE, FAILED, Parser
@@ -30,7 +30,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         Exit code: 0 done, 1 failed, 2 bad input, 130 interrupted.
     """
     try:
-        with signals_as_interrupt():
+        with messages_for_shell(), signals_as_interrupt():
             options = parser().parse_args(arguments)
             return int(options.handler(options))
     except BadInput as error:

@@ -126,11 +126,9 @@ def _check(options: argparse.Namespace) -> int:
     print(
         f"{printable(scene.title, MAX_TEXT)}\nsystem {scene.system.name}: {shape} = {scene.size} points, duration {scene.duration}"
     )
-    if not points.exists.all():
-        print(f"the family {scene.family} exists at {100 * points.exists.mean():.1f} % of them")
     for line in method_lines(scene, points):
         print(line)
-    for warning in scene.system.warnings(points.base):
+    for warning in grid.warnings(scene, points):
         print(f"warning: {printable(warning, MAX_MESSAGE)}")
     return DONE
 

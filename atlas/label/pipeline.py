@@ -14,7 +14,7 @@ from ..engine.statistics import NEEDS_PSI, RATES, STATISTICS
 from ..engine.stepsize import ROUNDING, StepSizes
 from ..engine.tableaux import METHODS
 from ..flags import Label, Status
-from ..scene.grid import Grid
+from ..scene.grid import Grid, Reason, status_of
 from ..scene.model import Scene, Settings
 from ..systems.base import FAMILY_TOLERANCE, Array, Flags, Mask, Points, System
 from . import labels
@@ -51,7 +51,7 @@ def evaluate_tile(
     """`evaluate` for some points of a scene, with its outputs; other variables may be missing."""
     return evaluate(
         scene.system, tile.base, tile.points, tile.duration, scene.settings,
-        specialization=scene_specialization(scene), outputs=scene.outputs, nudged=bool(scene.nudge), exists=tile.exists,
+        specialization=scene_specialization(scene), outputs=scene.outputs, nudged=bool(scene.nudge), reason=tile.reason,
         halved=halved, threads=threads, progress=progress,
     )  # fmt: skip
 
@@ -66,7 +66,7 @@ def evaluate(
     specialization: Specialization = GENERIC,
     outputs: Collection[str] | None = None,
     nudged: bool = False,
-    exists: Mask | None = None,
+    reason: Flags | None = None,
     halved: bool = False,
     threads: int | None = None,
     progress: Callable[[float], None] | None = None,
@@ -90,8 +90,9 @@ def evaluate(
         be missing or cover a part of the run, for without them a point ends when its label is certain.
     nudged : bool
         Whether the points were moved off a family's motions.
-    exists : ndarray of bool, shape (points,), optional
-        The other points are not computed: their flags are 0, their numbers nan.
+    reason : ndarray of int8, shape (points,), optional
+        Values of `scene.grid.Reason`. Where it is not NONE, points are not computed: their flags are 0, but for the
+        status, and their numbers nan.
     halved : bool
         Integrate at half the step that the settings give.
     threads : int, optional
@@ -103,14 +104,16 @@ def evaluate(
     dict of ndarray, shape (points,)
         By the names of the registry of variables.
     """
-    if exists is not None and not exists.all():
+    if reason is not None and (reason != Reason.NONE).any():
+        exists = reason == Reason.NONE
         where = np.flatnonzero(exists)
         columns = evaluate(
             system, _subset(base, where), _subset(points, where), duration[where], settings,
             specialization=specialization, outputs=outputs, nudged=nudged, halved=halved, threads=threads,
             progress=progress,
         )  # fmt: skip
-        return {name: _scatter(values, exists) for name, values in columns.items()}
+        columns = {name: _scatter(values, exists) for name, values in columns.items()}
+        return columns | {"status": np.where(exists, columns["status"], status_of(reason))}
     runs = _prepare(system, base, points, duration, settings, specialization, nudged, halved)
     execution = _Execution(threads, progress or (lambda points: None))
     whole_run = outputs is None or bool(WHOLE_RUN & set(outputs))

@@ -17,8 +17,9 @@ from ..io.progress import Progress
 from ..io.provenance import log_warnings
 from ..scene import grid
 from ..scene.model import DEFAULTS, Duration, Settings
+from ..scene.read import check_unit, parse_duration
 from ..scene.tables import number_column, point_columns
-from ..systems.base import Array, Points, System
+from ..systems.base import Array, Flags, Mask, Points, System
 from ..variables import variables as variable_registry
 from .pipeline import evaluate
 
@@ -48,8 +49,8 @@ def label_points(
     points : mapping, list of mappings, Dataset, DataFrame or path
         Parameter -> number or 1-D array, all arrays of one length, in the units of the registry; parameters that are
         left out take their defaults. A path names a .csv or .nc file.
-    duration : float or array_like of float, shape (points,)
-        In time units.
+    duration : float, array_like of float, shape (points,), or str
+        In time units, or a text as in a scene, such as "20 orbits" or "50 turns".
     step : float, optional
         Largest step in time units, instead of `tolerance`.
     tolerance : float
@@ -79,8 +80,9 @@ def label_points(
 
     Notes
     -----
-    Moments of inertia that no body can have are an error in a scene; here, where published numbers are looked up, the
-    equations are solved all the same, with a logged warning that the attribute `atlas_warnings` repeats.
+    Points with moments of inertia that no body can have, and those of which nothing turns where the duration is a
+    number of turns, are not computed: their label is not_computed, and `status` tells the two apart. A logged warning,
+    which the attribute `atlas_warnings` repeats, counts them. It is an error if there are no other points.
     """
     kind = systems.get(system)
     for key in set(more) - set(MORE_SETTINGS):
@@ -88,15 +90,15 @@ def label_points(
     settings = Settings(method=method, tolerance=tolerance, step=step, rate_tolerance=rate_tolerance, **more)
     outputs = _outputs(kind, variables)
     full, size = point_columns(kind, points)
-    durations = _durations(duration, size)
-    warnings = _warnings(kind, full)
+    durations, unit = _durations(kind, duration, full, size)
+    reason = _reasons(kind, full, durations, unit)
+    warnings = _warnings(kind, full, reason, unit)
     log_warnings(warnings)
     began = time.perf_counter()
-    specialization = Specialization.of_points(kind, full)
+    specialization = Specialization.of_points(kind, _subset(full, reason == grid.Reason.NONE))
     columns = _evaluate_in_tiles(
         kind,
-        full,
-        durations,
+        grid.Grid(full, full, reason, durations),
         settings,
         specialization,
         outputs,
@@ -124,8 +126,12 @@ def _outputs(system: System, variables: Sequence[str] | None) -> list[str]:
     return [name for name in registry if name in variables]
 
 
-def _durations(duration: Any, size: int) -> Array:
-    """Duration of each point, checked."""
+def _durations(system: System, duration: Any, points: Points, size: int) -> tuple[Array, Duration]:
+    """Duration of each point, checked, and the text that was given; nan for turns of what rests."""
+    if isinstance(duration, str):
+        text = parse_duration(duration)
+        check_unit(system, text)
+        return grid.durations(system, text, points), text
     given = number_column("duration", duration)
     if given.ndim and given.shape != (size,):
         raise BadInput(
@@ -134,13 +140,27 @@ def _durations(duration: Any, size: int) -> Array:
     durations = np.broadcast_to(given, (size,)).astype(np.float64)
     bad = ~(np.isfinite(durations) & (durations > 0))
     if bad.any():
-        raise BadInput(f"duration = {durations[bad][0]}: must be a finite number above 0")
-    return durations
+        raise BadInput(f"duration = {durations[bad][0]:g}: must be a finite number above 0")
+    return durations, Duration()
 
 
-def _warnings(system: System, points: Points) -> list[str]:
-    """The system's warnings, and its objection to bodies that cannot exist."""
-    warnings = system.warnings(points)
+def _reasons(system: System, points: Points, durations: Array, text: Duration) -> Flags:
+    """Why points are not computed, values of grid.Reason; BadInput if none of them is."""
+    system.check_possible(points)
+    reason = grid.reasons(system, points)
+    reason[(reason == grid.Reason.NONE) & np.isnan(durations)] = grid.Reason.NO_TURN
+    if (reason != grid.Reason.NONE).all():
+        raise BadInput(
+            f"{grid.sentence(grid.Reason.NO_TURN, system, None, text)}; give a number of time units"
+        )
+    return reason
+
+
+def _warnings(system: System, points: Points, reason: Flags, text: Duration) -> list[str]:
+    """Points that are not computed, the system's warnings, and its objection to incomplete points."""
+    counts = np.bincount(reason, minlength=len(grid.Reason))
+    warnings = grid.count_lines(counts, system, None, text)
+    warnings += system.warnings(_subset(points, reason == grid.Reason.NONE))
     try:
         system.check(points)
     except BadInput as error:
@@ -148,10 +168,14 @@ def _warnings(system: System, points: Points) -> list[str]:
     return warnings
 
 
+def _subset(points: Points, where: Mask) -> dict[str, Array]:
+    """Some of the points."""
+    return {name: values[where] for name, values in points.items()}
+
+
 def _evaluate_in_tiles(
     system: System,
-    points: Points,
-    durations: Array,
+    points: grid.Grid,
     settings: Settings,
     specialization: Specialization,
     names: Sequence[str],
@@ -160,17 +184,19 @@ def _evaluate_in_tiles(
     progress: bool,
 ) -> dict[str, np.ndarray]:
     """The named variables of all points; outputs: as for `evaluate`."""
-    size = durations.size
+    size = points.duration.size
     registry = variable_registry(system)
     columns = {name: np.empty(size, registry[name].dtype) for name in names}
     bar = Progress(size) if progress else None
     for first in range(0, size, grid.MAX_POINTS_PER_TILE):
         tile = slice(first, first + grid.MAX_POINTS_PER_TILE)
-        part = {name: values[tile] for name, values in points.items()}
+        part = points.subset(tile)
         values = evaluate(
-            system, part, part, durations[tile], settings, specialization=specialization, outputs=outputs,
-            threads=threads, progress=None if bar is None else bar.advance,
+            system, part.base, part.points, part.duration, settings, specialization=specialization, outputs=outputs,
+            reason=part.reason, threads=threads, progress=None if bar is None else bar.advance,
         )  # fmt: skip
+        if bar is not None:
+            bar.skip(part.reason.size - int(part.exists.sum()))
         for name, column in columns.items():
             column[tile] = values[name]
     if bar is not None:

@@ -96,6 +96,7 @@ def _trajectory(
     points, size = point_columns(kind, point)
     if size != 1:
         raise BadInput(f"point: {size} points given; a trajectory is that of one")
+    kind.check_possible(points)
     ensemble = Ensemble.of(kind, points)
     with np.errstate(all="ignore"):  # numbers may overflow: the motion is then not finite
         step_sizes = StepSizes.of(settings, ensemble.frequency_bound, np.array([duration]))
@@ -143,7 +144,8 @@ def trajectory_of_scene(scene: Scene, places: Mapping[str, float], *, samples: i
             )
     located = grid.points_at(scene, {name: np.array([value]) for name, value in places.items()})
     if not located.exists[0]:
-        raise BadInput(f"the family {scene.family} has no motion at this point")
+        reason = grid.Reason(located.reason[0])
+        raise BadInput(f"no motion: {grid.sentence(reason, scene.system, scene.family, scene.duration)}")
     point = {name: values[0] for name, values in located.points.items() if not np.isnan(values[0])}
     place = ", ".join(f"{name} = {value:g}" for name, value in places.items())
     title = f"{scene.title}: trajectory at {place}"

@@ -75,6 +75,7 @@ def dry_run(scene: Scene, *, threads: int | None = None, workers: int | None = N
     phase_error = step_sizes(scene, sample).dispersion_error[exists].max()
     lines = [
         f"{scene.size} points, about {points:.0f} to integrate, {cut.count} tiles of at most {math.prod(cut.tile)}",
+        *grid.not_computed(scene, sample),
         f"file: at most {file_bytes / 1e6:.4g} MB before compression",
         f"time: about {clock(seconds)} on {processors_text} ({steps_per_point:.4g} steps a point,"
         f" {1e9 * cost.seconds_per_step * processors:.3g} ns a step and processor), of which theory"

@@ -126,16 +126,22 @@ class _FineGrid:
         self.growth_rate = np.full(scene.size, np.nan)
         self.predicted = {name: np.zeros(scene.size, np.int8) for name in PREDICTED if name in self.registry}
         self.slowly_unstable = np.zeros(scene.size, bool)
-        exists = np.empty(scene.size, bool)
+        reason = np.empty(scene.size, np.int8)
         for chunk in _chunks(scene.size):
-            exists[chunk] = self._predict(np.arange(chunk.start, chunk.stop))
+            reason[chunk] = self._predict(np.arange(chunk.start, chunk.stop))
+        exists = reason == grid.Reason.NONE
         self.n_existing, self.n_integrated = int(exists.sum()), 0
-        # Points without motion are computed: their flags are 0, not_computed.
+        # Points without motion are computed: their flags are 0, not_computed, but for the status.
         self.computed = ~exists.reshape(scene.shape)
-        self.flag_code = np.zeros(scene.shape, np.int16)
+        nothing = {name: np.zeros(scene.size, np.int8) for name in self.flags}
+        if "status" in nothing:
+            nothing["status"] = np.where(exists, 0, grid.status_of(reason))
+        self.flag_code = (
+            np.broadcast_to(_encode(nothing, self.flag_counts), scene.size).reshape(scene.shape).copy()
+        )
 
     def _predict(self, indices: np.ndarray) -> np.ndarray:
-        """Evaluate theory at points of the grid; returns where the family exists."""
+        """Evaluate theory at points of the grid; returns why they are not computed, values of grid.Reason."""
         scene, points = self.scene, grid.points_at_indices(self.scene, indices)
         for name, column in self.solved.items():
             column[indices] = points.base[name]
@@ -151,7 +157,7 @@ class _FineGrid:
                 flags[existing] = prediction.variables[name]
             unstable = prediction.variables["stable"] == Stability.UNSTABLE
             self.slowly_unstable[existing] = unstable & (prediction.log_growth < _growth_needed(scene))
-        return points.exists
+        return points.reason
 
     def refine_to(self, level: int) -> None:
         """Compute the grid of a level; level 0 is the coarse grid, all of which is integrated.

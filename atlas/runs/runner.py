@@ -17,7 +17,7 @@ import xarray as xr
 
 from ..engine import blocks
 from ..errors import BadInput
-from ..files import EXISTS, check_name, writable
+from ..files import check_name, exists_message, writable
 from ..io import checksums, netcdf
 from ..io.progress import Progress
 from ..io.provenance import log_warnings, provenance
@@ -112,7 +112,7 @@ def run(
     Raises
     ------
     BadInput
-        If a body is impossible, or if `out` cannot be written or holds something else. Nothing has then been
+        If no point can be computed, or if `out` cannot be written or holds something else. Nothing has then been
         computed.
     """
     scene = scene if isinstance(scene, Scene) else load_scene(scene)
@@ -127,12 +127,12 @@ def run(
         raise BadInput("refine: a refined scene runs in one process, into memory or one file, NAME.nc")
     if path is not None and one_file and path.exists() and not force:
         if not _folder_of(path).exists():
-            raise BadInput(f"{path}: {EXISTS}")
+            raise BadInput(exists_message(path))
         return _finished(scene, path)
     if scheduler:
         cluster.check(scheduler)
     sample = grid.check(scene)
-    warnings = scene.system.warnings(sample.base)
+    warnings = grid.warnings(scene, sample)
     log_warnings(warnings)
     if scene.refine is not None:
         ds = refine.refined(scene, warnings, threads=threads, progress=progress)
@@ -236,7 +236,7 @@ def _finished(scene: Scene, path: Path) -> xr.Dataset:
     A run that is killed after it moved the file into place ends here when it is started again.
     """
     if not _is_result(scene, path):
-        raise BadInput(f"{path}: {EXISTS}")
+        raise BadInput(exists_message(path))
     folder_path = _folder_of(path)
     try:
         folder = RunFolder.open(folder_path)

@@ -17,6 +17,7 @@ import netCDF4
 import numpy as np
 
 from ..files import atomic_write, disk_error, one_line, sealed, unsealed
+from ..flags import Label, Status
 from ..io import netcdf
 from ..io.checksums import NETCDF_LOCK
 from ..scene.model import Scene
@@ -161,7 +162,10 @@ class TileFiles:
             raise DamagedTileError("its shape or type is wrong")
         points = math.prod(shape)
         not_computed = points - sidecar.get("computed", -1)
-        if sidecar.get("points") != points or any((arrays[f] == 0).sum() != not_computed for f in flags):
+        missing = {"label": (Label.NOT_COMPUTED,), "status": (Status.NOT_COMPUTED, Status.IMPOSSIBLE_BODY)}
+        if sidecar.get("points") != points or any(
+            np.isin(arrays[name], missing[name]).sum() != not_computed for name in flags
+        ):
             raise DamagedTileError("it holds points that are not computed")
         return {name: arrays[name] for name in wanted}
 

@@ -4,11 +4,23 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from enum import IntEnum
 
 import numpy as np
 
 from ..errors import BadInput, shown
-from ..systems.base import Array, Family, Mask, Points, System, on_family, shape_of
+from ..flags import Status
+from ..systems.base import (
+    NO_RIGID_BODY,
+    Array,
+    Family,
+    Flags,
+    Mask,
+    Points,
+    System,
+    on_family,
+    shape_of,
+)
 from .checks import check_range
 from .model import Duration, Scene
 
@@ -16,6 +28,8 @@ from .model import Duration, Scene
 MAX_POINTS_PER_TILE = 65536
 # Bodies, and starts on a family, that are checked before a run; the others are checked with their tile.
 MAX_CHECKED_BODIES, MAX_CHECKED_STARTS = 50_000, 10_000
+# Points of which those that are not computed are counted one by one before a run, within about a tenth of a second.
+MAX_COUNTED = 2**19
 # Points at which the formulas of an impossible family are tried for an error message.
 MAX_CHECKED_FORMULAS = 100
 # Values tried for a parameter where its formula gives none; not 0, where angles have no meaning.
@@ -24,6 +38,17 @@ TRIAL_VALUES = np.array([0.5, -0.5, 1.0, -1.0, 1.5, -1.5, 2.0, -2.0, 2.5, -2.5])
 TRIAL_CHANGES = np.array([1.3, -0.6])[:, None]
 # A solved point counts as on its family if its largest condition residual is below this.
 ON_FAMILY = 1e-9
+
+
+class Reason(IntEnum):
+    """Why a point of a grid is not computed: the first that applies."""
+
+    NONE = 0  # it is computed
+    NO_VALUE = 1  # a tie has no finite value
+    IMPOSSIBLE_BODY = 2  # see System.possible_body
+    IMPOSSIBLE_START = 3  # see System.possible_start
+    NO_MOTION = 4  # the scene's family does not exist
+    NO_TURN = 5  # the duration is a number of turns or orbits, and nothing turns
 
 
 @dataclass(frozen=True)
@@ -36,23 +61,34 @@ class Grid:
         Parameter -> values before the nudge, to which theory applies; float64 of shape (points,).
     points : dict of str to ndarray
         Parameter -> values of the starts, after the nudge; float64 of shape (points,).
-    exists : ndarray
-        bool of shape (points,): whether the scene's family exists at the point.
+    reason : ndarray
+        int8 of shape (points,), values of `Reason`: why a point is not computed.
     duration : ndarray
-        Length of the run in time units; float64 of shape (points,).
+        Length of the run in time units; float64 of shape (points,), nan where nothing turns.
     """
 
     base: dict[str, Array]
     points: dict[str, Array]
-    exists: Mask
+    reason: Flags
     duration: Array
 
-    def subset(self, where: np.ndarray) -> Grid:
-        """Some of the points, by their indices or by a mask."""
+    @property
+    def exists(self) -> Mask:
+        """Which points are computed, bool of shape (points,)."""
+        return np.asarray(self.reason == Reason.NONE)
+
+    def subset(self, where: np.ndarray | slice) -> Grid:
+        """Some of the points, by their indices, a mask or a slice."""
         base, points = (
             {name: values[where] for name, values in columns.items()} for columns in (self.base, self.points)
         )
-        return Grid(base, points, self.exists[where], self.duration[where])
+        return Grid(base, points, self.reason[where], self.duration[where])
+
+
+def status_of(reason: Flags) -> Flags:
+    """Status of points that are not computed for these reasons, values of flags.Status."""
+    status = np.where(reason == Reason.IMPOSSIBLE_BODY, Status.IMPOSSIBLE_BODY, Status.NOT_COMPUTED)
+    return status.astype(np.int8)
 
 
 def parameter_values(scene: Scene, indices: np.ndarray) -> dict[str, Array]:
@@ -68,12 +104,12 @@ def parameter_values(scene: Scene, indices: np.ndarray) -> dict[str, Array]:
     Returns
     -------
     dict of str to ndarray
-        Name -> values, float64 of shape (points,).
+        Name -> values, float64 of shape (points,); inf or nan where a tie has no finite value.
 
     Raises
     ------
     BadInput
-        For a tie without a finite value, or one that leaves the range of its parameter.
+        For a tie that leaves the range of its parameter.
     """
     parameters = scene.system.parameters
     values: dict[str, Array] = {name: np.full(indices.shape, p.default) for name, p in parameters.items()}
@@ -83,13 +119,9 @@ def parameter_values(scene: Scene, indices: np.ndarray) -> dict[str, Array]:
             values[axis.name] = axis.values[index]
     for name, tie in scene.ties.items():
         value = np.broadcast_to(tie.value(values), indices.shape).astype(np.float64)
-        finite = np.isfinite(value)
-        if not finite.all():
-            raise BadInput(
-                f"{tie.key} = {shown(tie.text)}: gives {value[~finite][0]} at some point of the grid"
-            )
-        if name in parameters:
-            check_range(parameters[name], f"{tie.key} = {shown(tie.text)}", value.min(), value.max())
+        finite = value[np.isfinite(value)]
+        if name in parameters and finite.size:
+            check_range(parameters[name], f"{tie.key} = {shown(tie.text)}", finite.min(), finite.max())
         values[name] = value
     return values
 
@@ -112,28 +144,58 @@ def points_at_indices(scene: Scene, indices: np.ndarray) -> Grid:
     Raises
     ------
     BadInput
-        For an impossible body, a tie without a finite value, and a duration in turns of what rests.
+        For a tie that leaves the range of its parameter, and starts or fields given incompletely or twice.
     """
     system = scene.system
     values = parameter_values(scene, indices)
     base = {name: values[name] for name in system.parameters}
-    system.check(base)
-    exists = np.ones(indices.shape, bool)
-    if scene.family is not None:
-        family = system.families[scene.family]
-        with np.errstate(all="ignore"):
-            base = _solved(family, scene.solve, base)
-            exists = on_family(family, base) < ON_FAMILY
-        for name in scene.solve:
-            exists &= np.isfinite(base[name])
-        for axis, index in zip(scene.axes.values(), np.unravel_index(indices, scene.shape), strict=True):
-            if axis.offset_from_family:
-                base[axis.name] = base[axis.name] + axis.values[index]
-        if exists.any():
-            system.check({name: column[exists] for name, column in base.items()})
-    start = system.as_euler_angles(base) if scene.nudges_angles else base
+    no_value = np.any(
+        [np.zeros(indices.shape, bool), *(~np.isfinite(values[name]) for name in scene.ties)], axis=0
+    )
+    with np.errstate(all="ignore"):
+        no_motion = no_value
+        if scene.family is not None:
+            base, no_motion = _on_family(scene, base, indices)
+        reason = reasons(system, base, no_value, no_motion)
+        duration = durations(system, scene.duration, base)
+        reason[(reason == Reason.NONE) & np.isnan(duration)] = Reason.NO_TURN
+        given = reason != Reason.NO_VALUE
+        system.check(base if given.all() else {name: column[given] for name, column in base.items()})
+        start = system.as_euler_angles(base) if scene.nudges_angles else base
     points = {name: start[name] + scene.nudge.get(name, 0.0) for name in base}
-    return Grid(base, points, exists, durations(system, scene.duration, base))
+    return Grid(base, points, reason, duration)
+
+
+def _on_family(scene: Scene, points: Points, indices: np.ndarray) -> tuple[dict[str, Array], Mask]:
+    """The points with solved parameters and offsets, nan where no body can be on the family; where there is none."""
+    assert scene.family is not None
+    family = scene.system.families[scene.family]
+    base = _solved(family, scene.solve, points)
+    exists = on_family(family, base) < ON_FAMILY
+    possible = scene.system.possible_body(base)
+    for name in scene.solve:
+        exists &= np.isfinite(base[name])
+        base[name] = np.where(possible, base[name], np.nan)
+    for axis, index in zip(scene.axes.values(), np.unravel_index(indices, scene.shape), strict=True):
+        if axis.offset_from_family:
+            base[axis.name] = base[axis.name] + axis.values[index]
+    return base, ~exists
+
+
+def reasons(
+    system: System, points: Points, no_value: Mask | bool = False, no_motion: Mask | bool = False
+) -> Flags:
+    """Why points are not computed, but for their durations: values of `Reason`, int8 of shape (points,).
+
+    no_value, no_motion: where Reason.NO_VALUE and NO_MOTION apply.
+    """
+    conditions = {
+        Reason.NO_VALUE: no_value,
+        Reason.IMPOSSIBLE_BODY: ~system.possible_body(points),
+        Reason.IMPOSSIBLE_START: ~system.possible_start(points),
+        Reason.NO_MOTION: no_motion,
+    }
+    return np.select(list(conditions.values()), list(conditions), Reason.NONE).astype(np.int8)
 
 
 def points_at(scene: Scene, places: Mapping[str, np.ndarray]) -> Grid:
@@ -166,27 +228,23 @@ def points_at(scene: Scene, places: Mapping[str, np.ndarray]) -> Grid:
 
 
 def durations(system: System, duration: Duration, points: Points) -> Array:
-    """Length of each run in time units, float64 of shape (points,); BadInput for turns of what rests."""
-    if duration.unit == "orbits":
-        assert system.frame_rate is not None
-        names, rate = f"the rate of the {system.frame} frame", np.abs(system.frame_rate(points))
-    elif duration.unit == "turns":
-        _, n, m = system.steady_rates(points)
-        n, m = np.abs(n), np.abs(m)
-        names, rate = "n and m", np.where(n == 0, m, np.where(m == 0, n, np.fmin(n, m)))
-    else:
+    """Length of each run in time units, float64 of shape (points,); nan where it is in turns and nothing turns.
+
+    Raises BadInput for lengths that overflow.
+    """
+    if not duration.unit:
         return np.full(shape_of(points), duration.amount)
-    at_rest = ~(rate > 0)
-    if at_rest.any():
-        raise BadInput(
-            f"integration.duration = {shown(str(duration))}: {names} = 0 at {at_rest.sum()} points, which never turn"
-        )
-    with np.errstate(over="ignore"):
-        lengths = duration.amount * 2 * np.pi / rate
-    if not np.isfinite(lengths).all():
-        raise BadInput(
-            f"integration.duration = {shown(str(duration))}: too long at some points, whose rate is small"
-        )
+    with np.errstate(all="ignore"):
+        if duration.unit == "orbits":
+            assert system.frame_rate is not None
+            rate = np.abs(system.frame_rate(points))
+        else:
+            _, n, m = system.steady_rates(points)
+            n, m = np.abs(n), np.abs(m)
+            rate = np.where(n == 0, m, np.where(m == 0, n, np.fmin(n, m)))
+        lengths = np.where(rate > 0, duration.amount * 2 * np.pi / rate, np.nan)
+    if np.isinf(lengths).any():
+        raise BadInput(f"duration = {shown(str(duration))}: too long at some points, whose rate is small")
     return lengths
 
 
@@ -201,20 +259,29 @@ def check(scene: Scene) -> Grid:
     Returns
     -------
     Grid
-        At most `MAX_CHECKED_STARTS` of the points.
+        At most `MAX_CHECKED_STARTS` of the points, one of which at least is computed.
 
     Raises
     ------
     BadInput
-        For an impossible body, a tie without a finite value, a family that exists nowhere or leaves a
-        solved parameter free, and a derived variable that has no meaning.
+        If no point can be computed: for impossible bodies and starts, ties without a finite value, a family that exists
+        nowhere, and a duration in turns of what rests. For a family that leaves a solved parameter free, and a derived
+        variable that has no meaning.
     """
-    bodies = parameter_values(scene, _evenly_spaced(scene.size, MAX_CHECKED_BODIES))
-    scene.system.check({name: bodies[name] for name in scene.system.parameters})
+    possible = _possible_bodies(scene)
     indices = _evenly_spaced(scene.size, MAX_CHECKED_STARTS)
     grid = points_at_indices(scene, indices)
+    if not grid.exists.any() and possible.size:
+        indices = possible[_evenly_spaced(possible.size, MAX_CHECKED_STARTS)]
+        grid = points_at_indices(scene, indices)
+    _check_values_and_bodies(scene, indices, grid)
     if scene.family is not None:
-        _check_family(scene, indices, grid.exists)
+        _check_family(scene, indices, grid.reason)
+    if not grid.exists.any():
+        raise BadInput(
+            f"integration.duration = {shown(str(scene.duration))}: at every point {_NOTHING_TURNS[scene.duration.unit]};"
+            " give a number of time units"
+        )
     on_grid = grid.subset(grid.exists)
     for name, derived in scene.system.derived.items():
         if name in scene.outputs:
@@ -223,6 +290,86 @@ def check(scene: Scene) -> Grid:
             except BadInput as error:
                 raise BadInput(f"outputs.variables: {name}: {error}") from None
     return grid
+
+
+_NOTHING_TURNS = {"turns": "n and m are 0, and nothing turns", "orbits": "the frame does not turn"}
+
+
+def not_computed(scene: Scene, sample: Grid) -> list[str]:
+    """How many points of a scene are not computed, and why.
+
+    Parameters
+    ----------
+    scene : Scene
+    sample : Grid
+        Points of the scene, from `check`.
+
+    Returns
+    -------
+    list of str
+        A sentence for each reason that occurs, such as "1234 of 40000 points: no rigid body has these moments of
+        inertia". Up to MAX_COUNTED points are counted one by one, of larger grids the share is that of the sample.
+    """
+    if exact := scene.size <= MAX_COUNTED:
+        counts = np.zeros(len(Reason), np.int64)
+        for first in range(0, scene.size, MAX_POINTS_PER_TILE):
+            indices = np.arange(first, min(first + MAX_POINTS_PER_TILE, scene.size))
+            counts += np.bincount(points_at_indices(scene, indices).reason, minlength=len(Reason))
+    else:
+        counts = np.bincount(sample.reason, minlength=len(Reason))
+    if exact:
+        return count_lines(counts, scene.system, scene.family, scene.duration)
+    shares = {Reason(i): 100 * count / counts.sum() for i, count in enumerate(counts) if i and count}
+    return [
+        f"about {share:.2g} % of the points: {sentence(reason, scene.system, scene.family, scene.duration)}"
+        for reason, share in shares.items()
+    ]
+
+
+def count_lines(counts: np.ndarray, system: System, family: str | None, duration: Duration) -> list[str]:
+    """A sentence for each reason that occurs; counts: number of points by `Reason`, shape (len(Reason),)."""
+    return [
+        f"{count} of {counts.sum()} points: {sentence(Reason(i), system, family, duration)}"
+        for i, count in enumerate(counts)
+        if i and count
+    ]
+
+
+def sentence(reason: Reason, system: System, family: str | None, duration: Duration) -> str:
+    """Why a point of a scene with this family and duration is not computed."""
+    return {
+        Reason.NONE: "computed",
+        Reason.NO_VALUE: "a tie has no finite value",
+        Reason.IMPOSSIBLE_BODY: NO_RIGID_BODY,
+        Reason.IMPOSSIBLE_START: system.start_condition,
+        Reason.NO_MOTION: f"the family {family} has no motion here",
+        Reason.NO_TURN: f"duration = {shown(str(duration))}, but {_NOTHING_TURNS.get(duration.unit)}",
+    }[reason]
+
+
+def warnings(scene: Scene, sample: Grid) -> list[str]:
+    """What a user should be told about a scene: `not_computed`, and the system's warnings about the computed points."""
+    return not_computed(scene, sample) + scene.system.warnings(sample.subset(sample.exists).base)
+
+
+def _possible_bodies(scene: Scene) -> np.ndarray:
+    """Indices of the possible bodies among MAX_CHECKED_BODIES points; the ranges of all ties are checked there."""
+    indices = _evenly_spaced(scene.size, MAX_CHECKED_BODIES)
+    values = parameter_values(scene, indices)
+    return indices[scene.system.possible_body(values)]
+
+
+def _check_values_and_bodies(scene: Scene, indices: np.ndarray, grid: Grid) -> None:
+    """Raise BadInput if a tie has no value, or body or start are impossible, at every point. indices: of the grid."""
+    defined = grid.reason != Reason.NO_VALUE
+    if not defined.any():
+        values = parameter_values(scene, indices[:1])
+        name = next(name for name in scene.ties if not np.isfinite(values[name][0]))
+        tie = scene.ties[name]
+        raise BadInput(
+            f"{tie.key} = {shown(tie.text)}: gives {values[name][0]:g}, and no point has values of all ties"
+        )
+    scene.system.check_possible({name: column[defined] for name, column in grid.base.items()})
 
 
 def _evenly_spaced(size: int, count: int) -> np.ndarray:
@@ -238,11 +385,12 @@ def _solved(family: Family, solve: Sequence[str], points: Points) -> dict[str, A
     return solved
 
 
-def _check_family(scene: Scene, indices: np.ndarray, exists: Mask) -> None:
+def _check_family(scene: Scene, indices: np.ndarray, reason: Flags) -> None:
     """Raise BadInput if the family exists at none of the points, or leaves a solved parameter free."""
     assert scene.family is not None
     family = scene.system.families[scene.family]
-    candidates = indices[exists] if exists.any() else indices
+    exists = (reason == Reason.NONE) | (reason == Reason.NO_TURN)
+    candidates = indices[exists if exists.any() else reason == Reason.NO_MOTION]
     values = parameter_values(scene, candidates[_evenly_spaced(candidates.size, MAX_CHECKED_FORMULAS)])
     base = {name: values[name] for name in scene.system.parameters}
     with np.errstate(all="ignore"):

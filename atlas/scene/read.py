@@ -411,21 +411,40 @@ def _integration(
     values |= checks.from_table(Settings, labels, "labels")
     if "step" in values and "tolerance" in values:
         raise BadInput("integration: step and tolerance are both given; a scene has one of them")
-    duration = _duration(integration["duration"]) if "duration" in integration else Duration()
-    if duration.unit == "orbits" and system.frame_rate is None:
-        raise BadInput(
-            f"integration.duration = {shown(str(duration))}: the {system.name} has no orbit; use time units or turns"
-        )
+    duration = (
+        parse_duration(integration["duration"], "integration.duration")
+        if "duration" in integration
+        else Duration()
+    )
+    check_unit(system, duration, "integration.duration")
     return duration, Settings(**values)
 
 
-def _duration(value: object) -> Duration:
-    """Duration from a number of time units, or a string with a number and a unit."""
-    key = "integration.duration"
+def parse_duration(value: object, key: str = "duration") -> Duration:
+    """Length of runs, from a number or a text.
+
+    Parameters
+    ----------
+    value : object
+        A number of time units, or a string such as "60", "20 orbits", "1 orbit" or "50 turns".
+    key : str
+        What the message of an error begins with.
+
+    Returns
+    -------
+    Duration
+
+    Raises
+    ------
+    BadInput
+        With one line, for anything else, and for numbers that are not finite or not above 0.
+    """
     if not isinstance(value, str):
         return Duration(checks.positive(key, value))
-    match = re.fullmatch(r"\s*([-+0-9.eE]+)\s+(\w+)\s*", value)
-    if match is None or match[2] not in DURATION_UNITS:
+    match = re.fullmatch(r"(\S*\d\.?)\s*([A-Za-z]*)", value.strip())
+    unit = match[2].lower() if match else ""
+    unit = unit + "s" if f"{unit}s" in DURATION_UNITS else unit
+    if match is None or unit not in ("", *DURATION_UNITS):
         raise BadInput(f'{key} = {shown(value)}: allowed: a number of time units, "20 orbits" or "50 turns"')
     try:
         amount = float(match[1])
@@ -433,7 +452,15 @@ def _duration(value: object) -> Duration:
         raise BadInput(f"{key} = {shown(value)}: {shown(match[1])} is not a number") from None
     if not (math.isfinite(amount) and amount > 0):
         raise BadInput(f"{key} = {shown(value)}: must be a finite number above 0")
-    return Duration(amount, match[2])
+    return Duration(amount, unit)
+
+
+def check_unit(system: System, duration: Duration, key: str = "duration") -> None:
+    """Raise BadInput for a duration in orbits of a system without an orbit; key: beginning of the message."""
+    if duration.unit == "orbits" and system.frame_rate is None:
+        raise BadInput(
+            f"{key} = {shown(str(duration))}: the {system.name} has no orbit; use time units or turns"
+        )
 
 
 def _outputs(system: System, table: Mapping[str, Any]) -> tuple[str, ...]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Mapping, Sequence, Set
+from collections.abc import Callable, Iterator, Mapping, Sequence, Set
 from dataclasses import dataclass, field
 from types import MappingProxyType, ModuleType
 from typing import Any
@@ -25,6 +25,7 @@ MAX_MAGNITUDE = 1e60
 # A start whose condition residuals are at most this belongs to the family; sin theta of at most this is on the
 # vertical.
 FAMILY_TOLERANCE = 1e-10
+NO_RIGID_BODY = "no rigid body has these moments of inertia"
 _CHUNK = 16384  # points whose family is identified together, so that the arrays stay in the cache
 
 
@@ -142,7 +143,9 @@ class System(ABC):
         `equations`, `parameters`, `constants`, `integral_scales`, `frequency_bound`, `rate_states`,
         `equal_parameters`, `specialization`.
     Initial values
-        `initial_state`, `steady_rates`, `as_euler_angles`, `check`, `within_range`, `warnings`.
+        `initial_state`, `steady_rates`, `as_euler_angles`, `check`, `within_range`, `warnings`, and what is
+        physically possible: `moments_of_inertia`, `possible_body`, `possible_start`, `start_condition`,
+        `check_possible`.
     Theory
         `families`, `identify_family`, `condition_residual`, `linear_stability`, `log_growth`,
         `growth_about_vertical`, `complete`, `frame_rate`, `geometries`, `geometry`, `derived`, `equilibria`, `published`, `stress_cases`, `despun_equivalent`.
@@ -186,6 +189,8 @@ class System(ABC):
     """States that are angular velocities; their errors are measured against the frequency bound."""
     equal_parameters: tuple[tuple[str, str], ...] = ()
     """Pairs of parameters; `specialization` receives those that are equal at every point of a scene."""
+    moments_of_inertia: tuple[str, str, str] | None = None
+    """Parameters that are the principal moments of inertia of a rigid body; None: the system has no such three."""
 
     def constants(self, points: Points) -> Array:
         """Constants that the kernels read, shape (constants, points), in the order of ``equations.CONSTANTS``.
@@ -266,9 +271,50 @@ class System(ABC):
         """
         return points
 
+    start_condition: str = ""
+    """What `possible_start` tests, such as "the vertical must be a unit vector"; empty: nothing."""
+
     def check(self, points: Points) -> None:
-        """Raise BadInput with one line on points that no such system can have. The default accepts all."""
+        """Raise BadInput with one line on points that are given incompletely or twice. The default accepts all."""
         return None
+
+    def possible_body(self, points: Points) -> Mask:
+        """Where a rigid body can have the moments of inertia, bool (points,); elsewhere nothing is computed.
+
+        No principal moment of inertia is larger than the sum of the two others; equality is a flat body. Where
+        one is nan there is no answer, and the result is true.
+        """
+        possible = np.ones(shape_of(points), bool)
+        for total, largest, _ in self._triangle(points):
+            possible &= ~(total < largest * (1 - 1e-12))
+        return possible
+
+    def possible_start(self, points: Points) -> Mask:
+        """Where the start values contain no contradiction, bool (points,). The default accepts all."""
+        return np.ones(shape_of(points), bool)
+
+    def check_possible(self, points: Points) -> None:
+        """Raise BadInput with one line unless body and start are possible at one of the points at least."""
+        body = self.possible_body(points)
+        others = f", and none of {body.size} points is possible" if body.size > 1 else ""
+        if not body.any():
+            for total, largest, (a, b, c) in self._triangle(points):
+                if total.flat[0] < largest.flat[0] * (1 - 1e-12):
+                    raise BadInput(
+                        f"{a} + {b} = {total.flat[0]:g} is less than {c} = {largest.flat[0]:g}:"
+                        f" {NO_RIGID_BODY}{others}"
+                    )
+        if not (body & self.possible_start(points)).any():
+            raise BadInput(f"{self.start_condition}{others}")
+
+    def _triangle(self, points: Points) -> Iterator[tuple[Array, Array, tuple[str, str, str]]]:
+        """For each moment of inertia the sum of the other two, the moment, and the names in this order."""
+        if self.moments_of_inertia is None:
+            return
+        a, b, c = self.moments_of_inertia
+        for names in ((a, b, c), (b, c, a), (c, a, b)):
+            with np.errstate(over="ignore"):
+                yield points[names[0]] + points[names[1]], points[names[2]], names
 
     def within_range(self, points: Points) -> Mask:
         """Where no parameter is so large or small that the formulas of theory overflow, bool (points,).
@@ -455,23 +501,6 @@ def on_family(family: Family, points: Points) -> Array:
         residual = np.abs(condition.residual(points))
         worst = np.maximum(worst, np.where(np.isnan(residual), np.inf, residual))
     return worst
-
-
-def check_inertia(points: Points) -> None:
-    """Triangle inequality of the principal moments A, B and C; equality is a flat body.
-
-    Raises BadInput where no rigid body has the moments.
-    """
-    for a, b, c in (("A", "B", "C"), ("B", "C", "A"), ("C", "A", "B")):
-        with np.errstate(over="ignore"):
-            total, largest = points[a] + points[b], points[c]
-        bad = np.flatnonzero(~(total >= largest * (1 - 1e-12)))
-        if bad.size:
-            i = bad[0]
-            raise BadInput(
-                f"{a} + {b} = {total[i]:g} is less than {c} = {largest[i]:g}"
-                f" ({bad.size} of {total.size} points): no rigid body has these moments of inertia"
-            )
 
 
 def despun_about_third_axis(

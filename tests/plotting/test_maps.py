@@ -736,7 +736,7 @@ def test_datasets_without_a_map_are_errors(small, solid):
         maps.atlas_map(small.atlas.select(label="drifting"), select={"sigma": 1.0})
     with pytest.raises(BadInput, match="not a trajectory"):
         trajectory.trajectory_figure(small)
-    with pytest.raises(BadInput, match=r"sigma has 9 values here: choose one by select = \{'sigma': value\}"):
+    with pytest.raises(BadInput, match=r"sigma has 9 values here: choose one by select=\{'sigma': VALUE\}"):
         maps.atlas_map(solid.expand_dims(extra=[0.0, 1.0]), x="theta0", y="n")
 
 

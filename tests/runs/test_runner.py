@@ -389,8 +389,8 @@ def test_label_points_takes_scalars_arrays_and_datasets():
 
 
 def test_impossible_moments_of_inertia_give_a_warning(caplog):
-    ds = atlas.label_points("satellite", {"A": 1.0, "B": 1.0, "C": 2.5}, duration=1.0)
-    assert "no rigid body" in ds.attrs["atlas_warnings"]
+    ds = atlas.label_points("satellite", {"A": 1.0, "B": 1.0, "C": [2.5, 1.5]}, duration=1.0)
+    assert "1 of 2 points: no rigid body has these moments of inertia" in ds.attrs["atlas_warnings"]
     assert "no rigid body" in caplog.text
 
 

@@ -49,7 +49,7 @@ BAD = [
     ("from = 0.3\nto = 1.7\ncount = 9", "values = [1.0, 'two']", "axes.sigma.values"),
     ("from = 0.3", "from = 0.3\nvalues = [1.0]", "not together with values"),
     ("from = 0.3", "from = 0.3\nstride = 2", "axes.sigma.stride"),
-    ("to = 1.7", "to = 2.5", "no rigid body"),
+    ("from = 0.3\nto = 1.7", "from = 2.3\nto = 2.5", "no rigid body"),
     ("from = 0.3", "from = -0.3", "C > 0"),
     ('B = "A"', 'B = "3 * A"', "no rigid body"),
     ('B = "A"', 'B = "A +"', "ties.B"),

@@ -186,7 +186,7 @@ BAD = [
     (SAMPLED, "ranges.sigma", "ranges.sine", "points.sine: not a parameter"),
     (SAMPLED, 'C = "sigma * A"', 'C = "A"', "points.sigma"),
     (SAMPLED, 'C = "sigma * A"', 'C = "sigma * A"\ntheta0 = "0.3"', "theta0 is given in ties and in points"),
-    (SAMPLED, "to = 1.7", "to = 2.7", "no rigid body"),
+    (SAMPLED, "from = 0.3\nto = 1.7", "from = 2.3\nto = 2.7", "no rigid body"),
     (SAMPLED, "[ties]", "[axes.k1]\nvalues = [0.0]\n[ties]", "points and axes are both given"),
     (SAMPLED, "[ties]", "[refine]\nlevels = 2\n[ties]", "points and refine are both given"),
     (SAMPLED, SAMPLE, "[points]\nvalues = 3\n", "points.values"),

@@ -7,7 +7,7 @@ from collections.abc import Set
 import numpy as np
 
 from ...errors import BadInput
-from ..base import Array, Mask, Parameter, Points, check_inertia
+from ..base import Array, Mask, Parameter, Points
 
 _TABLE = (
     # name, unit, symbol, default, low, open_low, start, meaning
@@ -47,6 +47,8 @@ PARAMETERS = {
 VECTORS = ("p0", "q0", "r0", "gamma10", "gamma20", "gamma30")
 _ANGLES = ("theta0", "psi0", "phi0", "theta_dot0", "n", "m")
 _PAPER = ("M", "lambda", "R")
+UNIT_LENGTH = 1e-9  # by which the length of the vertical of a start may differ from 1
+START_CONDITION = f"(gamma10, gamma20, gamma30) must be a unit vector within {UNIT_LENGTH:g}"
 
 
 def fields(points: Points) -> tuple[Array, Array]:
@@ -129,20 +131,18 @@ def as_euler_angles(points: Points) -> dict[str, Array]:
 
 
 def check(points: Points) -> None:
-    """Raise BadInput on moments that no body has, and on starts or fields given incompletely or twice."""
-    check_inertia(points)
+    """Raise BadInput on starts or fields given incompletely or twice."""
     paper = _all_or_none(points, _PAPER)
     _never_both(points, paper, "M, lambda and R", ("Mg", "N"))
     vectors = _all_or_none(points, VECTORS)
     _never_both(points, vectors, "p0 .. gamma30", _ANGLES)
-    with np.errstate(over="ignore"):
-        length = np.sqrt(points["gamma10"] ** 2 + points["gamma20"] ** 2 + points["gamma30"] ** 2)
-    bad = np.flatnonzero(vectors & ~(np.abs(length - 1) <= 1e-9))
-    if bad.size:
-        raise BadInput(
-            f"(gamma10, gamma20, gamma30) has length {length.flat[bad[0]]:.12g} ({bad.size} of {length.size}"
-            " points): it must be a unit vector within 1e-9"
-        )
+
+
+def possible_start(points: Points) -> Mask:
+    """Where the vertical of a start by p0 .. gamma30 is a unit vector; true where angles give the start."""
+    with np.errstate(over="ignore", invalid="ignore"):
+        squares = points["gamma10"] ** 2 + points["gamma20"] ** 2 + points["gamma30"] ** 2
+        return np.isnan(points["gamma10"]) | (np.abs(np.sqrt(squares) - 1) <= UNIT_LENGTH)
 
 
 def _all_or_none(points: Points, names: tuple[str, ...]) -> Mask:

@@ -45,6 +45,7 @@ class FixedPoint(System):
     parameters = initial.PARAMETERS
     rate_states = ("p", "q", "r")
     equal_parameters = (("A", "B"),)
+    moments_of_inertia = ("A", "B", "C")
     constants = staticmethod(initial.constants)
     integral_scales = staticmethod(initial.integral_scales)
     frequency_bound = staticmethod(initial.frequency_bound)
@@ -54,6 +55,8 @@ class FixedPoint(System):
     steady_rates = staticmethod(families.steady_rates)
     as_euler_angles = staticmethod(initial.as_euler_angles)
     check = staticmethod(initial.check)
+    possible_start = staticmethod(initial.possible_start)
+    start_condition = initial.START_CONDITION
     warnings = staticmethod(initial.warnings)
 
     identify_family = staticmethod(families.identify_family)

@@ -13,7 +13,6 @@ from ..base import (
     Points,
     PublishedEquation,
     System,
-    check_inertia,
     despun_about_third_axis,
 )
 from . import equations, equilibria, families, initial, stability, stress_cases
@@ -43,6 +42,7 @@ class Satellite(System):
     parameters = initial.PARAMETERS
     rate_states = ("w1", "w2", "w3")
     equal_parameters = (("A", "B"),)
+    moments_of_inertia = ("A", "B", "C")
     constants = staticmethod(initial.constants)
     integral_scales = staticmethod(initial.integral_scales)
     frequency_bound = staticmethod(initial.frequency_bound)
@@ -50,7 +50,6 @@ class Satellite(System):
 
     initial_state = staticmethod(initial.initial_state)
     steady_rates = staticmethod(initial.steady_rates)
-    check = staticmethod(check_inertia)
 
     condition_residual = staticmethod(families.condition_residual)
     linear_stability = staticmethod(stability.linear_stability)
@@ -68,8 +67,8 @@ class Satellite(System):
         if not symmetric.any():
             return []
         return [
-            f"{symmetric.sum()} points have A != B but B = C or A = C: labels speak of the third axis, so a"
-            " steady motion about the body's axis of symmetry reads as drifting"
+            "at some points A != B but B = C or A = C: labels describe the motion of the third axis, so that a"
+            " steady motion about the axis of symmetry of the body is labelled as drifting"
         ]
 
     def frame_rate(self, points: Points) -> Array:

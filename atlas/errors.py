@@ -144,6 +144,12 @@ def option(name: str, value: object) -> str:
 class _Short(reprlib.Repr):
     """Short reprs that need little time for long and deeply nested values."""
 
+    def repr_instance(self, x: object, level: int) -> str:
+        """A scalar of NumPy as the number that it is."""
+        if getattr(x, "shape", None) == () and hasattr(x, "item"):
+            return repr(x.item())
+        return super().repr_instance(x, level)
+
     def repr_int(self, x: int, level: int) -> str:
         """Digits of an integer; only their approximate number where Python refuses to print them."""
         return (

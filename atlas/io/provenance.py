@@ -9,7 +9,7 @@ from importlib.metadata import version
 from typing import Any
 
 from .._version import __version__
-from ..scene.model import Settings
+from ..scene.model import NOTHING_ABOUT, About, Settings
 from ..systems.base import System
 
 
@@ -29,6 +29,7 @@ def provenance(
     seconds: float,
     points: int,
     warnings: list[str],
+    about: About = NOTHING_ABOUT,
 ) -> dict[str, Any]:
     """Global attributes of an atlas: its subject, scene, programs, tolerances and cost.
 
@@ -48,6 +49,8 @@ def provenance(
         Number of points integrated in this time.
     warnings : list of str
         Warnings about the input, kept in `atlas_warnings`.
+    about : About
+        The table [about] of the scene: attributes of ACDD-1.3.
 
     Returns
     -------
@@ -58,12 +61,16 @@ def provenance(
     from ..engine.jit import cpu
 
     packages = ("numpy", "numba", "llvmlite", "xarray", "netCDF4", "scipy")
+    now = f"{datetime.now(UTC):%Y-%m-%dT%H:%M:%SZ}"
+    reference = system.reference + (f", https://doi.org/{system.doi}" if system.doi else "")
     attributes: dict[str, Any] = {
-        "Conventions": "CF-1.12",
+        "Conventions": "CF-1.12, ACDD-1.3",
         "title": title,
         "source": f"Precession Atlas {__version__}: {system.title}, fixed-step {settings.method}",
-        "references": system.reference + (f", https://doi.org/{system.doi}" if system.doi else ""),
-        "history": f"{datetime.now(UTC):%Y-%m-%dT%H:%M:%SZ} computed by atlas {__version__}",
+        "references": "; ".join([*about.references, reference]),
+        "date_created": now,
+        "history": f"{now} computed by atlas {__version__}",
+        **about.attributes(),
         "atlas_version": __version__,
         "atlas_system": system.name,
         "atlas_scene": scene,

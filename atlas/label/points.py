@@ -11,7 +11,7 @@ import xarray as xr
 
 from .. import systems
 from ..engine.specialization import Specialization, kernel_hash
-from ..errors import BadInput, shown
+from ..errors import BadInput, allowed_text, shown
 from ..io import netcdf, provenance
 from ..io.progress import Progress
 from ..io.provenance import log_warnings
@@ -86,7 +86,7 @@ def label_points(
     """
     kind = systems.get(system)
     for key in set(more) - set(MORE_SETTINGS):
-        raise BadInput(f"{key}: unknown option of label_points; allowed: {', '.join(sorted(MORE_SETTINGS))}")
+        raise BadInput(f"{key}: unknown option of label_points; {allowed_text(key, MORE_SETTINGS)}")
     settings = Settings(method=method, tolerance=tolerance, step=step, rate_tolerance=rate_tolerance, **more)
     outputs = _outputs(kind, variables)
     full, size = point_columns(kind, points)
@@ -122,7 +122,7 @@ def _outputs(system: System, variables: Sequence[str] | None) -> list[str]:
         return [name for name in registry if name not in system.derived]
     for name in variables:
         if name not in registry:
-            raise BadInput(f"variables: {shown(name)} is unknown; allowed: {', '.join(registry)}")
+            raise BadInput(f"variables: {shown(name)} is unknown; {allowed_text(name, registry)}")
     return [name for name in registry if name in variables]
 
 
@@ -160,7 +160,7 @@ def _warnings(system: System, points: Points, reason: Flags, text: Duration) -> 
     """Points that are not computed, the system's warnings, and its objection to incomplete points."""
     counts = np.bincount(reason, minlength=len(grid.Reason))
     warnings = grid.count_lines(counts, system, None, text)
-    warnings += system.warnings(_subset(points, reason == grid.Reason.NONE))
+    warnings += grid.system_warnings(system, _subset(points, reason == grid.Reason.NONE))
     try:
         system.check(points)
     except BadInput as error:

@@ -425,7 +425,7 @@ def _manifest(scene: Scene, sample: grid.Grid, warnings: list[str]) -> dict[str,
     """Content of a new manifest."""
     attributes = provenance(
         scene.system, scene.settings, scene_kernel_hash(scene),
-        title=scene.title, scene=scene.toml(), seconds=0.0, points=scene.size, warnings=warnings,
+        title=scene.title, scene=scene.toml(), seconds=0.0, points=scene.size, warnings=warnings, about=scene.about,
     )  # fmt: skip
     manifest = {
         "format": FORMAT,

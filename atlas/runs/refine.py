@@ -86,7 +86,7 @@ def refined(
     return ds.assign_attrs(
         provenance(
             scene.system, scene.settings, scene_kernel_hash(scene), title=scene.title, scene=scene.toml(),
-            seconds=seconds, points=fine.n_integrated, warnings=warnings,
+            seconds=seconds, points=fine.n_integrated, warnings=warnings, about=scene.about,
         ) | attributes | half_step.half_step_sample(scene, threads=threads)
     )  # fmt: skip
 

@@ -283,7 +283,7 @@ def _run_in_memory(
     return netcdf.dataset(scene, columns).assign_attrs(
         provenance(
             scene.system, scene.settings, scene_kernel_hash(scene),
-            title=scene.title, scene=scene.toml(), seconds=seconds, points=scene.size, warnings=warnings,
+            title=scene.title, scene=scene.toml(), seconds=seconds, points=scene.size, warnings=warnings, about=scene.about,
         ) | half_step.half_step_sample(scene, threads=threads)
     )  # fmt: skip
 

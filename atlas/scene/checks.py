@@ -8,7 +8,7 @@ import re
 from collections.abc import Callable, Collection, Iterable, Mapping
 from typing import Any
 
-from ..errors import BadInput, shown
+from ..errors import BadInput, allowed_text, shown
 from ..systems.base import Parameter
 from .expressions import RESERVED
 
@@ -36,6 +36,14 @@ def positive(key: str, value: object) -> float:
     result = number(key, value)
     if result <= 0:
         raise BadInput(f"{key} = {shown(value)}: must be a finite number above 0")
+    return result
+
+
+def at_most_one(key: str, value: object) -> float:
+    """The value as a float, if it is a number above 0 and at most 1."""
+    result = positive(key, value)
+    if result > 1:
+        raise BadInput(f"{key} = {shown(value)}: must be above 0 and at most 1")
     return result
 
 
@@ -72,8 +80,17 @@ def text(key: str, value: object) -> str:
 def choice(key: str, value: object, allowed: Collection[str]) -> str:
     """The value, if it is one of the allowed strings."""
     if not isinstance(value, str) or value not in allowed:
-        raise BadInput(f"{key} = {shown(value)}: allowed: {', '.join(allowed)}")
+        raise BadInput(f"{key} = {shown(value)}: {allowed_text(value, allowed)}")
     return value
+
+
+def texts(key: str, value: object) -> tuple[str, ...]:
+    """The value as a tuple of strings, if it is a string or a list of strings."""
+    if isinstance(value, list | tuple) and all(isinstance(item, str) for item in value):
+        return tuple(text(key, item) for item in value)
+    if not isinstance(value, str):
+        raise BadInput(f"{key} = {shown(value)}: must be a string or a list of strings")
+    return (text(key, value),)
 
 
 def numbers(key: str, value: object) -> list[float]:
@@ -89,8 +106,8 @@ def identifier(key: str, name: str) -> str:
     """The name, if ties can refer to it."""
     if not re.fullmatch(r"[A-Za-z_][A-Za-z0-9_]*", name) or len(name) > MAX_NAME or name in RESERVED:
         raise BadInput(
-            f"{key}: {shown(name)} cannot be used as a name; allowed: letters, digits and _, at most {MAX_NAME},"
-            f" not {sorted(RESERVED)}"
+            f"{key}: {shown(name)} cannot be used as a name; allowed: ASCII letters, digits and _, at most {MAX_NAME},"
+            f" not beginning with a digit, and none of {', '.join(sorted(RESERVED))}"
         )
     return name
 
@@ -102,11 +119,11 @@ def mapping(key: str, value: object) -> Mapping[str, Any]:
     return value
 
 
-def check_keys(table: Mapping[str, Any], parent: str, allowed: Iterable[str]) -> None:
+def check_keys(table: Mapping[str, Any], parent: str, allowed: Collection[str]) -> None:
     """Raise BadInput if the table has a key that is not allowed. parent: key of the table with a dot."""
     for key in table:
         if key not in allowed:
-            raise BadInput(f"{parent}{key}: unknown key; allowed: {', '.join(allowed)}")
+            raise BadInput(f"{parent}{key}: unknown key; {allowed_text(key, allowed)}")
 
 
 def check_given(key: str, table: Mapping[str, Any], needed: Iterable[str], rule: str) -> None:

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from ..errors import BadInput, shown
+from ..errors import BadInput, allowed_text, shown
 from ..systems.base import Array
 
 MAX_LENGTH = 500  # characters
@@ -171,7 +171,8 @@ def evaluation_order(ties: Mapping[str, Tie], known: set[str]) -> list[str]:
     for tie in ties.values():
         for name in sorted(tie.names - known - set(ties)):
             raise BadInput(
-                f"{tie.key} = {shown(tie.text)}: {shown(name)} is neither a parameter, an axis nor a tie"
+                f"{tie.key} = {shown(tie.text)}: {shown(name)} is neither a parameter, an axis nor a tie;"
+                f" {allowed_text(name, sorted((known | set(ties)) - {name}))}"
             )
     sorter = TopologicalSorter({name: sorted(tie.names & set(ties)) for name, tie in ties.items()})
     try:

@@ -11,6 +11,7 @@ import numpy as np
 from ..errors import BadInput, shown
 from ..flags import Status
 from ..systems.base import (
+    MAX_MAGNITUDE,
     NO_RIGID_BODY,
     Array,
     Family,
@@ -157,7 +158,7 @@ def points_at_indices(scene: Scene, indices: np.ndarray) -> Grid:
         if scene.family is not None:
             base, no_motion = _on_family(scene, base, indices)
         reason = reasons(system, base, no_value, no_motion)
-        duration = durations(system, scene.duration, base)
+        duration = durations(system, scene.duration, base, "integration.duration")
         reason[(reason == Reason.NONE) & np.isnan(duration)] = Reason.NO_TURN
         given = reason != Reason.NO_VALUE
         system.check(base if given.all() else {name: column[given] for name, column in base.items()})
@@ -227,10 +228,10 @@ def points_at(scene: Scene, places: Mapping[str, np.ndarray]) -> Grid:
     return points_at_indices(scene, np.ravel_multi_index(tuple(indices), scene.shape))
 
 
-def durations(system: System, duration: Duration, points: Points) -> Array:
+def durations(system: System, duration: Duration, points: Points, key: str = "duration") -> Array:
     """Length of each run in time units, float64 of shape (points,); nan where it is in turns and nothing turns.
 
-    Raises BadInput for lengths that overflow.
+    Raises BadInput, whose message begins with the key, for lengths that overflow.
     """
     if not duration.unit:
         return np.full(shape_of(points), duration.amount)
@@ -244,7 +245,7 @@ def durations(system: System, duration: Duration, points: Points) -> Array:
             rate = np.where(n == 0, m, np.where(m == 0, n, np.fmin(n, m)))
         lengths = np.where(rate > 0, duration.amount * 2 * np.pi / rate, np.nan)
     if np.isinf(lengths).any():
-        raise BadInput(f"duration = {shown(str(duration))}: too long at some points, whose rate is small")
+        raise BadInput(f"{key} = {shown(str(duration))}: too long at some points, whose rate is small")
     return lengths
 
 
@@ -268,6 +269,14 @@ def check(scene: Scene) -> Grid:
         nowhere, and a duration in turns of what rests. For a family that leaves a solved parameter free, and a derived
         variable that has no meaning.
     """
+    try:
+        return _check(scene)
+    except BadInput as error:
+        raise error if scene.source is None else scene.source.located(error) from None
+
+
+def _check(scene: Scene) -> Grid:
+    """The points of `check`."""
     possible = _possible_bodies(scene)
     indices = _evenly_spaced(scene.size, MAX_CHECKED_STARTS)
     grid = points_at_indices(scene, indices)
@@ -348,8 +357,19 @@ def sentence(reason: Reason, system: System, family: str | None, duration: Durat
 
 
 def warnings(scene: Scene, sample: Grid) -> list[str]:
-    """What a user should be told about a scene: `not_computed`, and the system's warnings about the computed points."""
-    return not_computed(scene, sample) + scene.system.warnings(sample.subset(sample.exists).base)
+    """What a user should know about a scene: points that are `not_computed`, and `system_warnings` of the others."""
+    return not_computed(scene, sample) + system_warnings(scene.system, sample.subset(sample.exists).base)
+
+
+def system_warnings(system: System, points: Points) -> list[str]:
+    """Warnings of the system about points that are computed, and one about numbers of extreme size."""
+    messages = system.warnings(points)
+    if not system.within_range(points).all():
+        messages.append(
+            f"at some points a number is larger than {MAX_MAGNITUDE:g}, or one that must be positive is less than"
+            f" {1 / MAX_MAGNITUDE:g}: theory predicts nothing there, and results may overflow"
+        )
+    return messages
 
 
 def _possible_bodies(scene: Scene) -> np.ndarray:

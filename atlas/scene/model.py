@@ -16,6 +16,7 @@ from ..systems.base import Array, System
 from . import checks
 from .checks import checked
 from .expressions import PointColumn, Tie
+from .lines import Source
 
 SCHEMA = 1
 # Largest `max_steps`: far more steps than anybody can wait for, and their sums fit into an int64.
@@ -52,7 +53,8 @@ class Settings:
     method : str
         Integration method, a key of `engine.tableaux.METHODS`.
     tolerance : float
-        Phase error of the point's fastest frequency that is expected at the end of the run, in rad.
+        Phase error of the point's fastest frequency that is expected at the end of the run, in rad; at most 1,
+        beyond which the phase means nothing.
     step : float or None
         Step size in time units; overrides `tolerance`.
     max_steps : int
@@ -74,7 +76,7 @@ class Settings:
     """
 
     method: str = checked(partial(checks.choice, allowed=METHODS), "rk4", "integration")
-    tolerance: float = checked(checks.positive, 1e-8, "integration")
+    tolerance: float = checked(checks.at_most_one, 1e-8, "integration")
     step: float | None = checked(checks.positive, None, "integration")
     max_steps: int = checked(partial(checks.whole_number, low=1, high=MAX_STEPS), 100_000_000, "integration")
     rate_tolerance: float = checked(checks.positive, 1e-5, "labels")
@@ -178,6 +180,71 @@ class Refine:
     probe: float = checked(checks.fraction, 0.01)
 
 
+@dataclass(frozen=True)
+class Creator:
+    """Who is responsible for an atlas."""
+
+    name: str = checked(checks.text, "")
+    email: str = checked(checks.text, "")
+    url: str = checked(checks.text, "")
+    institution: str = checked(checks.text, "")
+
+
+NOBODY = Creator()
+
+
+def _creator(key: str, value: object) -> Creator:
+    """Creator from the table of this key."""
+    return Creator(**checks.from_table(Creator, checks.mapping(key, value), key))
+
+
+@dataclass(frozen=True)
+class About:
+    """What the global attributes of an atlas say besides its title, by the names of ACDD-1.3.
+
+    Attributes
+    ----------
+    summary : str
+        A paragraph about the content.
+    license : str
+        Such as "CC-BY-4.0".
+    keywords, references : tuple of str
+        References come before that of the system.
+    acknowledgement, comment, project, id : str
+        `id` is an identifier that is unique, such as a DOI.
+    creator : Creator
+    """
+
+    summary: str = checked(checks.text, "")
+    license: str = checked(checks.text, "")
+    keywords: tuple[str, ...] = checked(checks.texts, ())
+    references: tuple[str, ...] = checked(checks.texts, ())
+    acknowledgement: str = checked(checks.text, "")
+    comment: str = checked(checks.text, "")
+    project: str = checked(checks.text, "")
+    id: str = checked(checks.text, "")
+    creator: Creator = checked(_creator, NOBODY)
+
+    def attributes(self) -> dict[str, str]:
+        """Global attributes of ACDD-1.3 that are not empty, but for the references."""
+        attributes = {f.name: getattr(self, f.name) for f in fields(self)}
+        del attributes["references"]
+        attributes |= {f"creator_{name}": value for name, value in vars(attributes.pop("creator")).items()}
+        attributes["keywords"] = ", ".join(self.keywords)
+        return {name: value for name, value in attributes.items() if value}
+
+    def table(self) -> dict[str, Any]:
+        """The table [about] of a scene, without what is empty."""
+        table = {
+            name: list(value) if isinstance(value, tuple) else value for name, value in vars(self).items()
+        }
+        table["creator"] = {name: value for name, value in vars(self.creator).items() if value}
+        return {name: value for name, value in table.items() if value}
+
+
+NOTHING_ABOUT = About()
+
+
 @dataclass(frozen=True, repr=False)
 class Scene:
     """One job, checked: everything that decides what an atlas will hold.
@@ -210,6 +277,10 @@ class Scene:
         Refinement at borders.
     points : mapping or None
         The table [points] that stands instead of axes, with the numbers of a file in it.
+    about : About
+        What the attributes of the atlas tell its readers: summary, creator, licence and the like.
+    source : Source or None
+        The file that the scene was read from, for error messages; None: a text.
     """
 
     title: str
@@ -225,6 +296,8 @@ class Scene:
     outputs: tuple[str, ...] = ()
     refine: Refine | None = None
     points: Mapping[str, Any] | None = None
+    about: About = NOTHING_ABOUT
+    source: Source | None = field(default=None, compare=False)
 
     @property
     def shape(self) -> tuple[int, ...]:
@@ -285,6 +358,8 @@ class Scene:
             "fixed": dict(self.fixed),
             "ties": {name: tie.text for name, tie in self.ties.items() if not isinstance(tie, PointColumn)},
         }
+        if about := self.about.table():
+            table["about"] = about
         if self.points is None:
             table["axes"] = {axis.name: dict(axis.table) for axis in self.axes.values()}
         else:

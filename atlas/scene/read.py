@@ -6,19 +6,31 @@ import math
 import re
 import tomllib
 from collections.abc import Iterable, Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from .. import systems
-from ..errors import BadInput, shown
+from ..errors import BadInput, allowed_text, shown
 from ..files import read_text
 from ..systems.base import Array, System
 from ..variables import POINT, data_variables, variables
 from . import checks
 from .expressions import Expression, PointColumn, Tie, evaluation_order
-from .model import DURATION_UNITS, SCHEMA, Axis, Duration, Refine, Scene, Settings, optional_start_values
+from .lines import Source
+from .model import (
+    DURATION_UNITS,
+    SCHEMA,
+    About,
+    Axis,
+    Duration,
+    Refine,
+    Scene,
+    Settings,
+    optional_start_values,
+)
 from .points import read_points
 
 # Whatever a scene contains, it is read and checked within a few seconds and 500 MB. These limits see to it: they hold
@@ -35,17 +47,22 @@ MAX_POINTS = 10**11
 MAX_REFINED_POINTS = 2 * 10**8
 _KEY = r"""(?:[\w-]++|"(?:[^"\\\n]|\\.)*+"|'[^'\n]*+')"""
 _JOINED_KEYS = re.compile(rf"(?<![\w-]){_KEY}(?:[ \t]*+\.[ \t]*+{_KEY}){{{MAX_JOINED_NAMES}}}")
-TABLES = ("fixed", "axes", "points", "ties", "family", "nudge", "integration", "labels", "refine", "outputs")
+TABLES = (
+    *("about", "fixed", "axes", "points", "ties", "family", "nudge", "integration", "labels", "refine"),
+    "outputs",
+)
+# What NetCDF files begin with, in the HDF5 format and in the classic ones.
+NETCDF_BEGINS = (b"\x89HDF", b"CDF")
 KEYS = ("schema", "title", "system", *TABLES)
 
 
-def load_scene(source: str | Path) -> Scene:
+def load_scene(source: str | Path | Scene) -> Scene:
     """Read and check a scene.
 
     Parameters
     ----------
-    source : str or Path
-        Path of a scene file, or the text of one (any string with a line break).
+    source : str, Path or Scene
+        Path of a scene file, or the text of one (any string with a line break). A Scene is returned as it is.
 
     Returns
     -------
@@ -55,15 +72,39 @@ def load_scene(source: str | Path) -> Scene:
     Raises
     ------
     BadInput
-        With one line that names the key, its value and what is allowed.
+        With one line that names the file, the line and the key, its value and what is allowed.
     """
-    if isinstance(source, str) and "\n" in source:
+    if isinstance(source, Scene):
+        return source
+    if not isinstance(source, str | Path):
+        raise BadInput(
+            f"scene: found {shown(source)}; must be the path of a scene file, the text of one, or a Scene of"
+            " atlas.load_scene"
+        )
+    if isinstance(source, str) and ("\n" in source or "\r" in source):
         return parse_scene(source, folder=Path())
     path = Path(source)
-    return parse_scene(read_text(path), path.stem, path.parent)
+    _check_no_atlas(path)
+    return parse_scene(read_text(path), path.stem, path.parent, str(path))
 
 
-def parse_scene(text: str, name: str = "scene", folder: Path | None = None) -> Scene:
+def _check_no_atlas(path: Path) -> None:
+    """Raise BadInput for an atlas, a file or a run folder, that is given instead of a scene."""
+    try:
+        is_atlas = (path / "manifest.json").exists()
+        if path.is_file():  # a pipe could not be read again
+            with path.open("rb") as file:
+                is_atlas = file.read(4).startswith(NETCDF_BEGINS)
+    except (OSError, ValueError):
+        return  # the error of reading the text is the better one
+    if is_atlas:
+        raise BadInput(
+            f"{path}: this is an atlas, not a scene; its attribute atlas_scene is the text of the scene that it was"
+            " computed from"
+        )
+
+
+def parse_scene(text: str, name: str = "scene", folder: Path | None = None, path: str | None = None) -> Scene:
     """Check the text of a scene.
 
     Parameters
@@ -75,6 +116,8 @@ def parse_scene(text: str, name: str = "scene", folder: Path | None = None) -> S
     folder : Path, optional
         Folder from which the path of a points file starts. By default no file is read: the scene that an atlas
         contains has its points in it, and such a text may come from anyone.
+    path : str, optional
+        File of the text; error messages name it and the line.
 
     Returns
     -------
@@ -86,16 +129,23 @@ def parse_scene(text: str, name: str = "scene", folder: Path | None = None) -> S
     BadInput
         With one line that names the key, its value and what is allowed.
     """
-    _check_text(text, name)
+    text = text.removeprefix("\ufeff").replace("\r\n", "\n").replace("\r", "\n")
+    source = Source(path or name, text)
+    _check_text(text, source.path)
     try:
         table = tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:
-        raise BadInput(f"{name}: not valid TOML: {error}") from None
+        raise source.of_toml(str(error)) from None
     except RecursionError:
-        raise BadInput(f"{name}: not valid TOML: nested too deeply") from None
+        raise source.of_toml("nested too deeply") from None
     except ValueError:
-        raise BadInput(f"{name}: a number has more digits than can be read") from None
-    return scene_from(table, name, folder)
+        raise BadInput(f"{source.path}: a number has more digits than can be read") from None
+    if path is None:
+        return scene_from(table, name, folder)
+    try:
+        return replace(scene_from(table, name, folder), source=source)
+    except BadInput as error:
+        raise source.located(error) from None
 
 
 def scene_from(table: Mapping[str, Any], name: str = "scene", folder: Path | None = Path()) -> Scene:
@@ -148,9 +198,9 @@ def scene_from(table: Mapping[str, Any], name: str = "scene", folder: Path | Non
         "solve": solve,
         "points": columns,
     }
-    _check_names(system, names, axes, ties)
     _check_solved(axes, expressions, solve)
     order = evaluation_order(ties, {*system.parameters, *fixed, *axes} - set(solve))
+    _check_names(system, names, axes, ties)
     duration, settings = _integration(system, section["integration"], section["labels"])
     return Scene(
         title=title,
@@ -166,7 +216,15 @@ def scene_from(table: Mapping[str, Any], name: str = "scene", folder: Path | Non
         outputs=_outputs(system, section["outputs"]),
         refine=refine,
         points=points,
+        about=_about(section["about"]),
     )
+
+
+def _about(table: Mapping[str, Any]) -> About:
+    """The table [about]; both spellings of licence are read."""
+    if "licence" in table and "license" not in table:
+        table = {"license" if name == "licence" else name: value for name, value in table.items()}
+    return About(**checks.from_table(About, table, "about"))
 
 
 def _check_text(text: str, name: str) -> None:
@@ -297,10 +355,10 @@ def _family(system: System, table: Mapping[str, Any]) -> tuple[str, tuple[str, .
     """Name of the family, and the parameters it is solved for in the order of its formulas."""
     checks.check_keys(table, "family.", ("name", "solve"))
     if "name" not in table:
-        raise BadInput(f"family.name is missing; allowed: {', '.join(system.families)}")
+        raise BadInput(f"family.name is missing; {allowed_text(None, system.families)}")
     name = checks.text("family.name", table["name"])
     if name not in system.families:
-        raise BadInput(f"family.name = {shown(name)}: unknown family; allowed: {', '.join(system.families)}")
+        raise BadInput(f"family.name = {shown(name)}: unknown family; {allowed_text(name, system.families)}")
     family = system.families[name]
     solve = table.get("solve", [])
     if not isinstance(solve, list) or not all(isinstance(parameter, str) for parameter in solve):
@@ -314,7 +372,7 @@ def _family(system: System, table: Mapping[str, Any]) -> tuple[str, tuple[str, .
         if parameter not in family.solve:
             raise BadInput(
                 f"family.solve = {shown(parameter)}: the family {name} cannot be solved for it;"
-                f" allowed: {', '.join(family.solve) or 'nothing'}"
+                f" {allowed_text(parameter, family.solve)}"
             )
     if len(set(solve)) < len(solve):
         raise BadInput(f"family.solve = {shown(solve)}: a parameter is named twice")
@@ -342,7 +400,7 @@ def _check_names(
         if name not in system.parameters and name not in used:
             raise BadInput(
                 f"{where[0]}.{name}: not a parameter of the {system.name}, and no tie uses it;"
-                f" parameters: {', '.join(system.parameters)}"
+                f" {allowed_text(name, system.parameters)}"
             )
 
 
@@ -472,5 +530,5 @@ def _outputs(system: System, table: Mapping[str, Any]) -> tuple[str, ...]:
         raise BadInput(f"outputs.variables = {shown(wanted)}: must be a list of at least one variable name")
     for name in wanted:
         if not isinstance(name, str) or name not in registry:
-            raise BadInput(f"outputs.variables: {shown(name)} is unknown; allowed: {', '.join(registry)}")
+            raise BadInput(f"outputs.variables: {shown(name)} is unknown; {allowed_text(name, registry)}")
     return tuple(name for name in registry if name in set(wanted))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from ..errors import BadInput, shown
+from ..errors import BadInput, allowed_text, shown
 from .base import System
 from .fixed_point import FIXED_POINT
 from .satellite import SATELLITE
@@ -18,7 +18,7 @@ def register(system: System) -> None:
 def get(name: object) -> System:
     """The system of that name; BadInput if there is none."""
     if not isinstance(name, str) or name not in SYSTEMS:
-        raise BadInput(f"system = {shown(name)}: there is no such system; allowed: {', '.join(SYSTEMS)}")
+        raise BadInput(f"system = {shown(name)}: there is no such system; {allowed_text(name, SYSTEMS)}")
     return SYSTEMS[name]
 
 

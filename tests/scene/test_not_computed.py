@@ -132,9 +132,9 @@ def test_parameters_are_solved_for_possible_bodies_alone(scene_text):
 
 
 def test_a_trajectory_of_an_impossible_body_is_bad_input(computed):
-    with pytest.raises(BadInput, match="A \\+ B = 2 is less than C = 3: no rigid body"):
+    with pytest.raises(BadInput, match=r"A \+ B = 2 is less than C = 3: no rigid body"):
         atlas.trajectory("satellite", {"C": 3.0})
-    with pytest.raises(BadInput, match="no motion: no rigid body"):
+    with pytest.raises(BadInput, match=r"no motion: no rigid body"):
         computed.atlas.trajectory(b=0.1, c=2.1)
 
 
@@ -155,7 +155,7 @@ def test_a_point_where_nothing_turns_is_not_computed():
     assert (ds.end_time.where(~rest) > 0).sum() == 14
     assert "1 of 15 points: duration = '1 turns', but n and m are 0" in ds.attrs["atlas_warnings"]
     axes = {"m": {"values": [0.0]}, "n": {"values": [0.0]}}
-    with pytest.raises(BadInput, match="'1 turns': at every point n and m are 0"):
+    with pytest.raises(BadInput, match=r"'1 turns': at every point n and m are 0"):
         atlas.run(scene_from(TOP | {"axes": axes}), progress=False)
 
 
@@ -166,9 +166,9 @@ def test_durations_in_turns_and_orbits_of_points():
     np.testing.assert_allclose(ds.end_time.values[1:], [8 * np.pi, 2 * np.pi])
     ds = atlas.label_points("satellite", {"Omega": [0.5, 1.0]}, duration="1 orbit", tolerance=1e-4)
     np.testing.assert_allclose(ds.end_time.values, [4 * np.pi, 2 * np.pi])
-    with pytest.raises(BadInput, match="the fixed_point has no orbit"):
+    with pytest.raises(BadInput, match=r"the fixed_point has no orbit"):
         atlas.label_points("fixed_point", {"m": 1.0}, duration="1 orbit")
-    with pytest.raises(BadInput, match="nothing turns; give a number of time units"):
+    with pytest.raises(BadInput, match=r"nothing turns; give a number of time units"):
         atlas.label_points("satellite", {"m": [0.0, 0.0]}, duration="1 turn")
 
 
@@ -192,7 +192,7 @@ def test_starts_off_the_unit_sphere_are_not_computed():
     assert on_sphere.sum() == 1
     np.testing.assert_array_equal(ds.status.values != Status.NOT_COMPUTED, on_sphere)
     assert "17 of 18 points: (gamma10, gamma20, gamma30) must be a unit vector" in ds.attrs["atlas_warnings"]
-    with pytest.raises(BadInput, match="must be a unit vector within 1e-09, and none of 18 points"):
+    with pytest.raises(BadInput, match=r"must be a unit vector within 1e-09, and none of 18 points"):
         atlas.run(scene_from(scene | {"ties": {"gamma30": "7"}}), progress=False)
 
 

@@ -183,7 +183,7 @@ BAD = [
     (SAMPLED, "from = 0.3", "from = 0.3\ncount = 3", "points.ranges.sigma.count"),
     (SAMPLED, "from = 0.02", "from = -0.02", "spacing = 'log'"),
     (SAMPLED, 'spacing = "log"', 'spacing = "cubic"', "cubic"),
-    (SAMPLED, "ranges.sigma", "ranges.sine", "points.sine: not a parameter"),
+    (SAMPLED, "ranges.sigma", "ranges.sine", "ties.C = 'sigma * A': 'sigma' is neither"),
     (SAMPLED, 'C = "sigma * A"', 'C = "A"', "points.sigma"),
     (SAMPLED, 'C = "sigma * A"', 'C = "sigma * A"\ntheta0 = "0.3"', "theta0 is given in ties and in points"),
     (SAMPLED, "from = 0.3\nto = 1.7", "from = 2.3\nto = 2.7", "no rigid body"),

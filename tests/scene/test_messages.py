@@ -1,0 +1,150 @@
+"""Messages about scenes: file and line, the name that was meant, and the spelling of options."""
+
+import re
+
+import numpy as np
+import pytest
+import xarray as xr
+
+import atlas
+from atlas import BadInput, load_scene
+from atlas.errors import allowed_text, messages_for_shell, option, shown
+from atlas.files import exists_message
+from atlas.scene import grid
+from atlas.scene.lines import line_of
+from atlas.scene.read import parse_duration
+
+# Old text, new text, line of the small scene that is blamed, and how the message goes on.
+LOCATED = [
+    ("count = 9", "count = -1", "count = -1", "axes.sigma.count = -1: must be"),
+    ("count = 9\n", "", "[axes.sigma]", "axes.sigma.count is missing"),
+    ("A = 1.0", "A = = 1.0", "A = = 1.0", "not valid TOML: Invalid value"),
+    ("A = 1.0", "θ = 1.0", "θ = 1.0", "not valid TOML: Invalid statement; names are ASCII letters"),
+    ("A = 1.0", '"θ" = 1.0', '"θ" = 1.0', "fixed.θ: 'θ' cannot be used as a name; allowed: ASCII letters"),
+    ("from = 0.3", "from = -0.3", 'C = "sigma', "ties.C = 'sigma * A' = -0.3: allowed: C > 0"),
+    ("sigma * A", "sigm * A", 'C = "sigm', "ties.C = 'sigm * A': 'sigm' is neither .*did you mean 'sigma'?"),
+    ("tolerance = 1e-5", "tolernce = 1", "tolernce", "integration.tolernce: unknown key; did you mean 'tolerance'?"),
+    ("Omega = 1.0", "omega = 1.0", "omega = 1.0", "fixed.omega: not a parameter .* did you mean 'Omega'?"),
+    ('"satellite"', '"satelite"', "system", "system = 'satelite': .* did you mean 'satellite'?"),
+    ("perp_velocity", "perp_velocty", 'name = "perp', "family.name = 'perp_velocty': .* did you mean 'perp_velocity'?"),
+    ("[labels]", "[lables]", "[lables]", "lables: unknown key; did you mean 'labels'?"),
+    ("[labels]", '[outputs]\nvariables = ["lable"]\n[labels]', "variables", "outputs.variables: 'lable' .* 'label'?"),
+    ("tolerance = 1e-5", 'method = "RK4"', "method", "integration.method = 'RK4': did you mean 'rk4'?"),
+    ("tolerance = 1e-5", "tolerance = 10", "tolerance = 10", "integration.tolerance = 10: must be above 0 and at most 1"),
+    ("duration = 30.0", 'duration = "1 day"', "duration", "integration.duration = '1 day': allowed"),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("old", "new", "line", "message"), LOCATED, ids=[case[3][:30] for case in LOCATED])
+def test_a_message_names_file_line_and_key(small_scene, tmp_path, old, new, line, message):
+    assert old in small_scene
+    text = small_scene.replace(old, new, 1)
+    number = next(i for i, each in enumerate(text.splitlines(), 1) if each.startswith(line))
+    path = tmp_path / "first.toml"
+    path.write_text(text, encoding="utf-8")
+    with pytest.raises(BadInput) as error:
+        grid.check(load_scene(path))
+    pattern = ".*".join(re.escape(part) for part in f"{path}, line {number}: {message}".split(".*"))
+    assert re.match(pattern, str(error.value)), error.value
+
+
+def test_lines_of_keys():
+    text = '# a = 1\nb.c = 1\n\n[ x . "y" ] # d\n  k=2\n"q" = [\n  1,\n]\n[z]\nt = {u = 1}\n[p.q.r]\n'
+    lines = {"b.c": 2, "b": 2, "x.y": 4, "x": 4, "x.y.k": 5, "x.y.q": 6, "z.t.u": 10, "p": 11, "p.q.s": 11}
+    assert {key: line_of(text, key) for key in lines} == lines
+    assert line_of(text, "a") is None
+    assert line_of("", "a.b") is None
+    assert line_of("[" + " " * 10**6, "a") is None  # at once
+
+
+def test_a_scene_with_another_end_of_line_or_a_byte_order_mark(small_scene, tmp_path):
+    expected = load_scene(small_scene).toml()
+    for content in (
+        b"\xef\xbb\xbf" + small_scene.encode(),
+        small_scene.replace("\n", "\r").encode(),
+        small_scene.replace("\n", "\r\n").encode(),
+    ):
+        (tmp_path / "a.toml").write_bytes(content)
+        assert load_scene(tmp_path / "a.toml").toml() == expected
+        assert load_scene(content.decode()).toml() == expected
+    (tmp_path / "a.toml").write_bytes(small_scene.encode("utf-16"))
+    with pytest.raises(BadInput, match=r"a.toml: not a text file in UTF-8"):
+        load_scene(tmp_path / "a.toml")
+
+
+def test_what_is_no_scene(small_scene, tmp_path):
+    scene = load_scene(small_scene)
+    assert load_scene(scene) is scene
+    xr.Dataset({"label": ("m", np.zeros(2, np.int8))}).to_netcdf(tmp_path / "a.nc")
+    xr.Dataset({"label": ("m", np.zeros(2))}).to_netcdf(tmp_path / "b.nc", format="NETCDF3_CLASSIC")
+    atlas.run(scene, tmp_path / "run/", progress=False)
+    for name in ("a.nc", "b.nc", "run"):
+        with pytest.raises(BadInput, match=rf"{name}: this is an atlas, not a scene"):
+            load_scene(tmp_path / name)
+    for what in ({"schema": 1}, 3, None, ["a.toml"]):
+        with pytest.raises(BadInput, match=r"^scene: found .*; must be the path of a scene file"):
+            atlas.run(what)
+
+
+@pytest.mark.parametrize(
+    ("text", "amount", "unit"),
+    [
+        ("1 orbit", 1, "orbits"),
+        ("1 turn", 1, "turns"),
+        ("20 orbits", 20, "orbits"),
+        (" 1.5e-3  Turns ", 1.5e-3, "turns"),
+        ("2orbits", 2, "orbits"),
+        ("60", 60, ""),
+        ("2.", 2, ""),
+        (60, 60, ""),
+    ],
+)
+def test_durations_are_read(text, amount, unit):
+    duration = parse_duration(text)
+    assert (duration.amount, duration.unit) == (amount, unit)
+    assert parse_duration(str(duration)) == duration
+
+
+@pytest.mark.parametrize(
+    "text",
+    ["", "orbits", "1 day", "-1 turn", "0 turns", "nan", "1e999 turns", "1 2 turns", "5e", True, None],
+)
+def test_durations_that_are_none(text):
+    with pytest.raises(BadInput, match=r"^key = "):
+        parse_duration(text, "key")
+
+
+def test_options_are_spelled_as_their_reader_writes_them(tmp_path):
+    python = option("force", True), option("rate_tolerance", 1e-3), option("select", {"k3": 0.2})
+    assert python == ("force=True", "rate_tolerance=0.001", "select={'k3': 0.2}")
+    assert "force=True replaces it" in exists_message(tmp_path)
+    with messages_for_shell():
+        shell = option("force", True), option("rate_tolerance", 1e-3), option("select", {"k3": 0.2})
+        assert shell == ("--force", "--rate-tolerance 0.001", "--select k3=0.2")
+        assert "--force replaces it" in exists_message(tmp_path)
+    assert option("force", True) == "force=True"
+
+
+def test_names_that_are_similar_are_suggested():
+    names = ["tolerance", "step", "max_steps"]
+    assert allowed_text("Tolerence", names) == "did you mean 'tolerance'? allowed: tolerance, step, max_steps"
+    for given in ("colour", 3, None, "x" * 10**6):
+        assert allowed_text(given, names) == "allowed: tolerance, step, max_steps"
+    assert allowed_text("a", []) == "allowed: none"
+
+
+def test_numbers_of_numpy_are_shown_as_numbers():
+    assert shown(np.float64(-1.0)) == "-1.0"
+    assert shown([np.float64(0.5), np.int64(3)]) == "[0.5, 3]"
+    with pytest.raises(BadInput) as error:
+        atlas.label_points("satellite", {"m": 1.0}, tolerance=np.float64(-1.0))
+    assert str(error.value) == "tolerance = -1.0: must be a finite number above 0"
+    with pytest.raises(BadInput) as error:
+        atlas.label_points("satellite", {"m": 1.0}, duration=np.array([-1.0]))
+    assert str(error.value) == "duration = -1: must be a finite number above 0"
+
+
+def test_numbers_of_extreme_size_give_a_warning(small_scene):
+    scene = load_scene(small_scene.replace("A = 1.0", "A = 1e-320"))
+    warnings = grid.warnings(scene, grid.check(scene))
+    assert any("less than 1e-60: theory predicts nothing there" in warning for warning in warnings)

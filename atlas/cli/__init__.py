@@ -10,7 +10,7 @@ from typing import NoReturn
 from .._version import __version__
 from ..errors import MAX_MESSAGE, BadInput, messages_for_shell, printable
 from ..interruption import INTERRUPTED, MESSAGE, exit_process, signals_as_interrupt
-from . import atlases, jobs, measurements, motions, papers
+from . import atlases, jobs, measurements, motions, papers, scenes
 from .options import BAD_INPUT, DONE, FAILED, Parser
 
 __all__ = ["BAD_INPUT", "DONE", "FAILED", "command", "main", "parser"]
@@ -71,6 +71,7 @@ def parser() -> argparse.ArgumentParser:
         jobs.add_status,
         jobs.add_join,
         jobs.add_check,
+        scenes.add_schema,
         motions.add_points,
         atlases.add_compare,
         atlases.add_map,

@@ -16,11 +16,12 @@ from ..io.progress import clock
 from ..label.pipeline import evaluate_tile
 from ..label.theory import predict_runs
 from ..scene import grid
-from ..scene.model import MAX_STEPS, Scene
+from ..scene.model import Scene
 from .concurrency import tiles_in_flight
 from .method_costs import method_lines
+from .refine import expected_points
 from .tiles import tile_types
-from .tiling import mean_steps, step_sizes, tiling
+from .tiling import mean_steps, step_sizes, step_warnings, tiling
 
 # Points that are integrated for the measurement, and the steps of all lanes for each thread: some tenths of a second.
 CALIBRATION_POINTS, CALIBRATION_STEPS = 4096, 2e7
@@ -60,11 +61,13 @@ def dry_run(scene: Scene, *, threads: int | None = None, workers: int | None = N
     sample = grid.check(scene)
     cut, exists = tiling(scene, sample), sample.exists
     processors = workers or threads or blocks.available_threads()
-    points, steps_per_point = scene.size * exists.mean(), mean_steps(scene, sample)
+    existing, steps_per_point = scene.size * exists.mean(), mean_steps(scene, sample)
+    points = existing if scene.refine is None else expected_points(scene)
     cost = _measure(scene, sample, processors)
     file_bytes = scene.size * sum(np.dtype(dtype).itemsize for dtype in tile_types(scene).values())
     derived_seconds = _derived_seconds(scene, sample)
-    theory_seconds = points * (cost.theory_seconds + derived_seconds)
+    # A refined atlas has predictions at every point.
+    theory_seconds = existing * cost.theory_seconds + points * derived_seconds
     seconds = points * steps_per_point * cost.seconds_per_step + theory_seconds
     tile_bytes = cost.bytes_per_point * math.prod(cut.tile)
     if workers:
@@ -73,8 +76,11 @@ def dry_run(scene: Scene, *, threads: int | None = None, workers: int | None = N
         in_flight = tiles_in_flight(scene, sample, cut, processors)
         memory, processors_text = _resident_bytes() + in_flight * tile_bytes, f"{processors} threads"
     phase_error = step_sizes(scene, sample).dispersion_error[exists].max()
+    where = "in one process, near the borders that theory predicts"
+    if scene.refine is None:
+        where = f"{cut.count} tiles of at most {math.prod(cut.tile)}"
     lines = [
-        f"{scene.size} points, about {points:.0f} to integrate, {cut.count} tiles of at most {math.prod(cut.tile)}",
+        f"{scene.size} points, about {points:.0f} to integrate, {where}",
         *grid.not_computed(scene, sample),
         f"file: at most {file_bytes / 1e6:.4g} MB before compression",
         f"time: about {clock(seconds)} on {processors_text} ({steps_per_point:.4g} steps a point,"
@@ -85,15 +91,7 @@ def dry_run(scene: Scene, *, threads: int | None = None, workers: int | None = N
         f"memory: about {memory / 1e6:.0f} MB",
         f"expected phase error of the fastest frequency: at most {phase_error:.2g} rad",
     ]
-    limited = _share_limited_by_max_steps(scene, sample)
-    if limited > 0:
-        lines.append(f"max_steps = {scene.settings.max_steps} cuts short {100 * limited:.3g} % of the points")
-    unresolved = float((~step_sizes(scene, sample).resolved[exists]).mean())
-    if unresolved > 0:
-        lines.append(
-            f"{100 * unresolved:.3g} % of the points have steps too long for their fastest frequency:"
-            " they get no label and are hardly integrated"
-        )
+    lines += step_warnings(scene, sample)
     return "\n".join(lines)
 
 
@@ -166,10 +164,3 @@ def _resident_bytes() -> int:
     """Largest memory of this process so far."""
     unit = 1 if sys.platform == "darwin" else 1024
     return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * unit
-
-
-def _share_limited_by_max_steps(scene: Scene, sample: grid.Grid) -> float:
-    """Share of the points that would get more steps without max_steps."""
-    unlimited = replace(scene, settings=replace(scene.settings, max_steps=MAX_STEPS))
-    limited = step_sizes(scene, sample).steps < step_sizes(unlimited, sample).steps
-    return float(limited[sample.exists].mean())

@@ -7,6 +7,8 @@ import os
 import sys
 import time
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
+from typing import ClassVar
 
 import numpy as np
 import xarray as xr
@@ -33,6 +35,8 @@ BOUNDARY_WIDTH = 2
 # Expected number of nudged unstable motions that survive the run outside the points that are integrated.
 EXPECTED_MISSES = 0.05
 SEED = 0
+# Points of the grid on which the cost of a refined scene is estimated.
+MAX_PREDICTED = 2**18
 
 
 def refined(
@@ -213,7 +217,7 @@ class _FineGrid:
 
     def _near_boundary(self, code: np.ndarray) -> np.ndarray:
         """Mask of points within BOUNDARY_WIDTH of two different codes, along the axes that are refined."""
-        window = [1 + 2 * BOUNDARY_WIDTH * (factor > 1) for factor in self.scene.coarsening]
+        window = [1 + 2 * BOUNDARY_WIDTH * axis.can_be_refined for axis in self.scene.axes.values()]
         return np.asarray(maximum_filter(code, window) != minimum_filter(code, window))
 
     def _integrate(self, subgrid_indices: np.ndarray, spacing: Sequence[int]) -> None:
@@ -223,14 +227,18 @@ class _FineGrid:
         fine_indices = [index * step for index, step in zip(along_axes, spacing, strict=True)]
         indices = np.ravel_multi_index(fine_indices, self.scene.shape)
         for chunk in _chunks(indices.size):
-            points = grid.points_at_indices(self.scene, indices[chunk])
-            values = evaluate_tile(self.scene, points, threads=self.threads)
+            values = self._values(indices[chunk])
             flags = {name: values[name] for name in self.flags}
             self.flag_code.flat[indices[chunk]] = _encode(flags, self.flag_counts)
             for name, column in self.numbers.items():
                 column[indices[chunk]] = values[name]
         self.computed.flat[indices] = True
         self.n_integrated += indices.size
+
+    def _values(self, indices: np.ndarray) -> dict[str, np.ndarray]:
+        """Flags and numbers of points, by their flat indices in the finest grid."""
+        points = grid.points_at_indices(self.scene, indices)
+        return evaluate_tile(self.scene, points, threads=self.threads)
 
     def dataset(self) -> xr.Dataset:
         """The atlas without provenance."""
@@ -242,6 +250,79 @@ class _FineGrid:
         ds = netcdf.dataset(self.scene, columns)
         ds["computed"] = netcdf.dims(self.scene), self.computed.astype(np.int8), COMPUTED.attributes()
         return ds
+
+
+class _PredictedGrid(_FineGrid):
+    """A finest grid on which theory stands for every measurement, so that no point is integrated."""
+
+    # Predictions in place of the measured flags: their boundaries are the expected ones.
+    STAND_INS: ClassVar = {
+        "label": "predicted",
+        "label_inertial": "predicted_inertial",
+        "geometry": "family",
+        "status": "stable",
+    }
+
+    def __init__(self, scene: Scene):
+        super().__init__(replace(scene, outputs=tuple(n for n in scene.outputs if n in MEASURED)), threads=1)
+
+    def _values(self, indices: np.ndarray) -> dict[str, np.ndarray]:
+        nothing = np.zeros(indices.size, np.int8)
+        stand_ins = {name: self.predicted.get(self.STAND_INS[name]) for name in self.flags}
+        return {name: nothing if flags is None else flags[indices] for name, flags in stand_ins.items()}
+
+    def boundary_points(self) -> int:
+        """Number of points of the finest grid near a boundary of the flags."""
+        return int((self._near_boundary(self.flag_code) & self.computed).sum())
+
+
+def expected_points(scene: Scene) -> float:
+    """Expected number of points that `refined` integrates, from the boundaries that theory predicts.
+
+    The refinement is gone through on a grid of at most MAX_PREDICTED points, with predictions in place of
+    measurements. On each finer grid the points near boundaries grow like the length (area, ...) of these in units of
+    the spacing, and those of slow instabilities like the number of all points. A boundary that theory does not predict
+    is not counted.
+
+    Parameters
+    ----------
+    scene : Scene
+        With [refine].
+    """
+    assert scene.refine is not None
+    levels, n_axes = scene.refine.levels, sum(factor > 1 for factor in scene.coarsening)
+    finer = 0  # levels between the grid on which the refinement is gone through and the finest one
+    while scene.size / 2 ** (n_axes * finer) > MAX_PREDICTED:
+        finer += 1
+    predicted = _PredictedGrid(_coarser(scene, finer))
+    for level in range(max(levels - finer, 0) + 1):
+        predicted.refine_to(level)
+    predicted.trace_predicted_boundary()
+    near, slow = predicted.boundary_points(), int(predicted.slowly_unstable.sum())
+    existing_share = predicted.n_existing / predicted.scene.size
+    expected = float(predicted.n_integrated)
+    if finer > levels:  # not even the coarse grid is small enough
+        expected = existing_share * math.prod(
+            -(-n // f) for n, f in zip(scene.shape, scene.coarsening, strict=True)
+        )
+    new_share = 1 - 2.0**-n_axes  # of the points of a level, those that no coarser level has
+    first = max(finer - levels, 0) + 1
+    expected += new_share * near * sum(2 ** ((n_axes - 1) * i) for i in range(first, finer + 1))
+    expected += slow * (2 ** (n_axes * finer) - 1)
+    existing = existing_share * scene.size
+    return min(expected + scene.refine.probe * max(existing - expected, 0.0), existing)
+
+
+def _coarser(scene: Scene, levels: int) -> Scene:
+    """The scene with 2^levels times the spacing, which takes so many levels of refinement less, but not below 0."""
+    assert scene.refine is not None
+    axes = {
+        name: replace(axis, values=axis.values[:: 2**levels]) if axis.can_be_refined else axis
+        for name, axis in scene.axes.items()
+    }
+    return replace(
+        scene, axes=axes, refine=replace(scene.refine, levels=max(scene.refine.levels - levels, 0))
+    )
 
 
 def _growth_needed(scene: Scene) -> float:

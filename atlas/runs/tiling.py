@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from ..engine import stepsize
 from ..scene import grid
-from ..scene.model import Scene
+from ..scene.model import MAX_STEPS, Scene
 
 # Work of a tile, in points times steps: a few seconds of one processor at about 6 ns each.
 TILE_POINT_STEPS = 5e8
@@ -81,6 +81,27 @@ def step_sizes(scene: Scene, sample: grid.Grid) -> stepsize.StepSizes:
 def mean_steps(scene: Scene, sample: grid.Grid) -> float:
     """Integration steps of a point of the scene, averaged over the sample of `grid.check`."""
     return float(step_sizes(scene, sample).without_unresolved().steps[sample.exists].mean())
+
+
+def step_warnings(scene: Scene, sample: grid.Grid) -> list[str]:
+    """A sentence each on points that `max_steps` cuts short, and on points whose steps are too long for a label."""
+    exists = sample.exists
+    sizes = step_sizes(scene, sample)
+    unlimited = replace(scene, settings=replace(scene.settings, max_steps=MAX_STEPS))
+    limited = float((sizes.steps < step_sizes(unlimited, sample).steps)[exists].mean())
+    unresolved = float((~sizes.resolved)[exists].mean())
+    warnings = []
+    if limited > 0:
+        warnings.append(
+            f"max_steps = {scene.settings.max_steps} cuts short {100 * limited:.3g} % of the points, whose errors are"
+            " larger than the tolerance"
+        )
+    if unresolved > 0:
+        warnings.append(
+            f"{100 * unresolved:.3g} % of the points have steps too long for their fastest frequency: they get no label"
+            " and are hardly integrated; a shorter duration or more max_steps would help"
+        )
+    return warnings
 
 
 def tiling(scene: Scene, sample: grid.Grid) -> Tiling:

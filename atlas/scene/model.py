@@ -24,6 +24,8 @@ MAX_STEPS = 10**12
 DURATION_UNITS = ("orbits", "turns")
 HALF_STEP = ("none", "sample", "all")
 MAX_REFINEMENT_LEVELS = 8
+# Axes, parameters and ties that the text of a scene shows.
+MAX_SHOWN = 8
 
 
 @dataclass(frozen=True)
@@ -223,7 +225,7 @@ class About:
     comment: str = checked(checks.text, "")
     project: str = checked(checks.text, "")
     id: str = checked(checks.text, "")
-    creator: Creator = checked(_creator, NOBODY)
+    creator: Creator = checked(_creator, NOBODY)  # noqa: RUF009 - Creator is frozen
 
     def attributes(self) -> dict[str, str]:
         """Global attributes of ACDD-1.3 that are not empty, but for the references."""
@@ -383,23 +385,34 @@ class Scene:
         settings = self.settings
         lines = [
             f"{printable(self.title, MAX_TEXT)}: {self.size} points of the {self.system.name}",
-            *map(str, self.axes.values()),
+            *(str(axis) for axis in list(self.axes.values())[:MAX_SHOWN]),
         ]
-        for title, values in (("fixed", self.fixed), ("nudge", self.nudge)):
-            if values:
-                lines.append(
-                    f"{title}: " + ", ".join(f"{name} = {value:g}" for name, value in values.items())
-                )
-        if self.ties:
-            lines.append(
-                "ties: " + ", ".join(f"{name} = {printable(tie.text)}" for name, tie in self.ties.items())
-            )
+        if len(self.axes) > MAX_SHOWN:
+            lines.append(f"and {len(self.axes) - MAX_SHOWN} axes more")
+        columns = [name for name, tie in self.ties.items() if isinstance(tie, PointColumn)]
+        ties = [
+            f"{name} = {printable(tie.text, MAX_TEXT // 4)}"
+            for name, tie in self.ties.items()
+            if name not in columns
+        ]
+        numbers = {
+            title: [f"{name} = {value:g}" for name, value in values.items()]
+            for title, values in (("fixed", self.fixed), ("nudge", self.nudge))
+        }
+        listed = {"columns": columns} | numbers | {"ties": ties}
+        lines += [f"{title}: {_listed(items)}" for title, items in listed.items() if items]
         if self.family is not None:
             lines.append(f"family: {self.family}, solved for {', '.join(self.solve) or 'nothing'}")
         accuracy = f"tolerance {settings.tolerance:g}" if settings.step is None else f"step {settings.step:g}"
         lines.append(f"duration {self.duration}, {settings.method}, {accuracy}")
         lines.append(f"rate tolerance {settings.rate_tolerance:g}, cylinder tolerance {settings.cylinder:g}")
         return "\n  ".join(lines)
+
+
+def _listed(items: list[str]) -> str:
+    """The first few of some texts, and how many more there are."""
+    more = [f"and {len(items) - MAX_SHOWN} more"] if len(items) > MAX_SHOWN else []
+    return ", ".join([*items[:MAX_SHOWN], *more])
 
 
 def optional_start_values(system: System, names: Iterable[str]) -> list[str]:

@@ -1,5 +1,7 @@
 """Refined atlases: equal to the full grid at a share of its points, and open about what is not computed."""
 
+import re
+
 import numpy as np
 import pytest
 import xarray as xr
@@ -11,7 +13,7 @@ from atlas import BadInput, load_scene
 from atlas.analysis import summary
 from atlas.flags import Label, Stability
 from atlas.io import netcdf
-from atlas.runs import refine
+from atlas.runs import estimate, refine
 from atlas.scene.grid import Grid
 from atlas.scene.read import scene_from
 
@@ -249,3 +251,23 @@ def test_a_nudge_along_a_family_is_predicted_as_on_the_full_grid():
     assert (full.predicted.values[unstable] == Label.PERMANENT_ROTATION).all()
     for name in ("predicted", "label", "status", "agreement"):
         np.testing.assert_array_equal(ds[name], full[name], err_msg=name)
+
+
+def test_the_expected_number_of_points_is_that_of_a_run(scene_text, both, monkeypatch):
+    """Within a tenth where theory is evaluated on the whole grid, within a third where it is extrapolated."""
+    ds, _ = both
+    integrated = ds.attrs["atlas_computed_share"] * ds.label.size
+    scene = refined_scene(scene_text)
+    assert refine.expected_points(scene) == pytest.approx(integrated, rel=0.1)
+    monkeypatch.setattr(refine, "MAX_PREDICTED", 1000)
+    assert refine.expected_points(scene) == pytest.approx(integrated, rel=1 / 3)
+    monkeypatch.setattr(refine, "MAX_PREDICTED", 40)  # less than the coarse grid
+    assert refine.expected_points(scene) == pytest.approx(integrated, rel=0.7)
+
+
+def test_a_dry_run_prices_the_points_that_are_integrated(scene_text, both):
+    ds, _ = both
+    text = estimate.dry_run(refined_scene(scene_text), threads=1)
+    number = int(re.search(r"3185 points, about (\d+) to integrate, in one process, near", text)[1])
+    assert number == pytest.approx(ds.attrs["atlas_computed_share"] * 3185, rel=0.1)
+    assert "tiles" not in text

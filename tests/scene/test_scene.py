@@ -7,6 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+import atlas
 from atlas import BadInput, load_scene
 from atlas.scene import grid
 from atlas.scene.expressions import Expression, evaluation_order
@@ -184,6 +185,30 @@ def test_scene_prints_as_a_few_lines(small_scene):
         assert part in text
 
 
+def test_a_long_scene_prints_as_a_few_lines(scene_text):
+    ties = {f"ties.a{i}": " + ".join(["A"] * 30) for i in range(60)} | {
+        "ties.k1": "+".join(f"a{i}" for i in range(60))
+    }
+    text = repr(load_scene(scene_text(ties)))
+    assert len(text.splitlines()) == 9
+    assert len(text) < 1200
+    assert "and 56 more" in text
+    columns = {f"c{i}": list(range(3)) for i in range(50)}
+    points = {
+        "points.values": columns,
+        "axes": None,
+        "ties": {"C": "1.2", "m": "+".join(columns)},
+        "family": None,
+    }
+    text = repr(load_scene(scene_text(points)))
+    assert "columns: c0, c1, c2, c3, c4, c5, c6, c7, and 42 more" in text
+    assert len(text.splitlines()) < 10
+    axes = {f"b{i}": {"values": [1.0]} for i in range(30)}
+    text = repr(load_scene(scene_text({"axes": axes, "ties": {"k1": "+".join(axes)}, "family": None})))
+    assert "and 22 axes more" in text
+    assert len(text.splitlines()) < 20
+
+
 @pytest.mark.parametrize(
     ("duration", "expected"), [('"2 orbits"', 4 * np.pi), ('"3 turns"', 12 * np.pi), ("7", 7.0)]
 )
@@ -242,3 +267,65 @@ def test_ties_are_ordered():
     texts = {"a": "b + 1", "p": "d", "q": "c", "b": "c * 2", "c": "x", "d": "1"}
     ties = {name: Expression(name, text) for name, text in texts.items()}
     assert evaluation_order(ties, {"x"}) == ["c", "d", "p", "q", "b", "a"]
+
+
+# The table [about].
+
+ABOUT = {
+    "about.summary": "Where a regular precession survives",
+    "about.licence": "CC-BY-4.0",
+    "about.keywords": ["gyrostat", "precession"],
+    "about.references": "A paper, 2026",
+    "about.creator": {
+        "name": "A. Author",
+        "email": "a@example.org",
+        "url": "https://example.org",
+        "institution": "I",
+    },
+}
+
+
+def test_the_table_about_becomes_attributes_of_acdd(scene_text, tmp_path):
+    scene = load_scene(scene_text(ABOUT))
+    assert load_scene(scene.toml()).about == scene.about
+    expected = {
+        "summary": "Where a regular precession survives",
+        "license": "CC-BY-4.0",
+        "keywords": "gyrostat, precession",
+        "creator_name": "A. Author",
+        "creator_email": "a@example.org",
+        "creator_url": "https://example.org",
+        "creator_institution": "I",
+        "title": "small",
+    }
+    outs = [None, tmp_path / "a.nc", tmp_path / "run/"]
+    for ds in (atlas.run(scene, out, progress=False) for out in outs):
+        with ds:
+            assert {name: ds.attrs[name] for name in expected} == expected
+            assert ds.attrs["references"].startswith("A paper, 2026; H. M. Yehia")
+            assert "ACDD-1.3" in ds.attrs["Conventions"]
+            assert re.fullmatch(r"\d{4}-\d\d-\d\dT\d\d:\d\d:\d\dZ", ds.attrs["date_created"])
+            assert load_scene(ds.attrs["atlas_scene"]).about == scene.about
+
+
+def test_an_atlas_of_a_scene_without_about_has_none_of_its_attributes(small_scene):
+    scene = load_scene(small_scene)
+    assert "about" not in scene.toml()
+    ds = atlas.run(scene, progress=False)
+    assert not {"summary", "license", "keywords", "creator_name"} & set(ds.attrs)
+
+
+@pytest.mark.parametrize(
+    ("changes", "named"),
+    [
+        ({"about.author": "A"}, "about.author: unknown key; did you mean"),
+        ({"about.summary": 3}, "about.summary = 3: must be a string"),
+        ({"about.keywords": [1]}, r"about.keywords = \[1\]: must be a string or a list of strings"),
+        ({"about.creator": "A. Author"}, "about.creator = 'A. Author': must be a table"),
+        ({"about.creator": {"phone": "1"}}, "about.creator.phone: unknown key"),
+        ({"about.license": "a", "about.licence": "b"}, "about.licence: unknown key; did you mean 'license'"),
+    ],
+)
+def test_errors_in_the_table_about(scene_text, changes, named):
+    with pytest.raises(BadInput, match=named):
+        load_scene(scene_text(changes))

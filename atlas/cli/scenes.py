@@ -1,0 +1,34 @@
+"""Commands that help to write scenes: schema."""
+
+from __future__ import annotations
+
+import argparse
+import json
+from pathlib import Path
+
+from ..files import writable
+from .options import DONE, Commands, add_command, force_option, out_option
+
+
+def add_schema(commands: Commands) -> None:
+    command = add_command(
+        commands,
+        "schema",
+        _schema,
+        "print the JSON Schema of scenes, with which editors complete and check them",
+    )
+    out_option(command, "FILE", "write it to this file (.json)")
+    force_option(command, "an existing file")
+
+
+def _schema(options: argparse.Namespace) -> int:
+    from ..scene.schema import scene_schema
+
+    text = json.dumps(scene_schema(), indent=2, ensure_ascii=False)
+    if options.out is None:
+        print(text)
+        return DONE
+    path: Path = writable(options.out, (".json",), force=options.force)
+    path.write_text(text + "\n", encoding="utf-8")
+    print(f"wrote {path}")
+    return DONE

@@ -6,7 +6,7 @@ from enum import IntEnum
 
 
 class Flag(IntEnum):
-    """Value of a flag variable, with the sentence that says what it means.
+    """Value of a flag variable, with a sentence on what it means.
 
     The name in files and in text is the member's name in lower case.
     """
@@ -65,8 +65,8 @@ class Agreement(Flag):
 
     NOT_COMPARED = 0, "nothing to compare: unresolved, or theory makes no prediction"
     AGREE = 1, "measured label and theory agree"
-    THEORY_ONLY = 2, "theory says steady, the measured motion drifts"
-    NUMERICS_ONLY = 3, "theory says drifting, the measured motion is steady"
+    THEORY_ONLY = 2, "steady by theory, drifting as measured"
+    NUMERICS_ONLY = 3, "drifting by theory, steady as measured"
     DIFFER = 4, "both steady, with different labels"
 
 

@@ -81,7 +81,7 @@ def label_points(
     Notes
     -----
     Points with moments of inertia that no body can have, and those of which nothing turns where the duration is a
-    number of turns, are not computed: their label is not_computed, and `status` tells the two apart. A logged warning,
+    number of turns, are not computed: their label is not_computed, and the status of the former impossible_body. A logged warning,
     which the attribute `atlas_warnings` repeats, counts them. It is an error if there are no other points.
     """
     kind = systems.get(system)

@@ -26,6 +26,7 @@ HALF_STEP = ("none", "sample", "all")
 MAX_REFINEMENT_LEVELS = 8
 # Axes, parameters and ties that the text of a scene shows.
 MAX_SHOWN = 8
+MAX_TIE_SHOWN = 30  # characters
 
 
 @dataclass(frozen=True)
@@ -163,7 +164,8 @@ class Duration:
     unit: str = ""
 
     def __str__(self) -> str:
-        return f"{repr(self.amount).removesuffix('.0')} {self.unit}".strip()
+        unit = self.unit.removesuffix("s") if self.amount == 1 else self.unit
+        return f"{repr(self.amount).removesuffix('.0')} {unit}".strip()
 
 
 @dataclass(frozen=True)
@@ -202,7 +204,7 @@ def _creator(key: str, value: object) -> Creator:
 
 @dataclass(frozen=True)
 class About:
-    """What the global attributes of an atlas say besides its title, by the names of ACDD-1.3.
+    """Global attributes of an atlas besides its title, by the names of ACDD-1.3.
 
     Attributes
     ----------
@@ -280,7 +282,7 @@ class Scene:
     points : mapping or None
         The table [points] that stands instead of axes, with the numbers of a file in it.
     about : About
-        What the attributes of the atlas tell its readers: summary, creator, licence and the like.
+        Attributes of the atlas: summary, creator, licence and the like.
     source : Source or None
         The file that the scene was read from, for error messages; None: a text.
     """
@@ -391,7 +393,7 @@ class Scene:
             lines.append(f"and {len(self.axes) - MAX_SHOWN} axes more")
         columns = [name for name, tie in self.ties.items() if isinstance(tie, PointColumn)]
         ties = [
-            f"{name} = {printable(tie.text, MAX_TEXT // 4)}"
+            f"{name} = {printable(tie.text, MAX_TIE_SHOWN)}"
             for name, tie in self.ties.items()
             if name not in columns
         ]

@@ -153,9 +153,9 @@ def test_a_point_where_nothing_turns_is_not_computed():
     assert rest.sum() == 1
     np.testing.assert_array_equal((ds.status == Status.NOT_COMPUTED).values, rest.transpose(*ds.label.dims))
     assert (ds.end_time.where(~rest) > 0).sum() == 14
-    assert "1 of 15 points: duration = '1 turns', but n and m are 0" in ds.attrs["atlas_warnings"]
+    assert "1 of 15 points: duration = '1 turn', but n and m are 0" in ds.attrs["atlas_warnings"]
     axes = {"m": {"values": [0.0]}, "n": {"values": [0.0]}}
-    with pytest.raises(BadInput, match=r"'1 turns': at every point n and m are 0"):
+    with pytest.raises(BadInput, match=r"'1 turn': at every point n and m are 0"):
         atlas.run(scene_from(TOP | {"axes": axes}), progress=False)
 
 

@@ -197,7 +197,7 @@ def test_a_long_scene_prints_as_a_few_lines(scene_text):
     points = {
         "points.values": columns,
         "axes": None,
-        "ties": {"C": "1.2", "m": "+".join(columns)},
+        "ties": {"C": "1.2", "k1": "+".join(columns)},
         "family": None,
     }
     text = repr(load_scene(scene_text(points)))

@@ -15,7 +15,7 @@ from types import ModuleType
 
 import numpy as np
 
-from . import generated, jit, kernel, poles, sampling, statistics, turning
+from . import generated, jit, kernel, poles, sampling, statistics, tangent, tangent_space, turning
 from .simplify import simplify
 from .statistics import Row
 from .tableaux import METHODS, Method
@@ -34,6 +34,17 @@ INLINED = (
 )  # fmt: skip
 # Called seldom and long: inlined it would only fill the instruction cache.
 NOT_INLINED = ((poles, ("trapezoid_error_of_pole",)),)
+# Numbers of the modules that the kernels use, by kernel.
+NUMBERS = {
+    kernel.__name__: (
+        (kernel, ("MOTION", "NODES_PER_DRIFT", "QUEUE", "NEAR_END")),
+        (sampling, ("END", "LONG", "CLUSTERING", "SQUARE", "FOURTH")),
+        (poles, ("REACH", "PASSAGE_ROWS", "NEWTON_STEPS")),
+        (turning, ("TURN_ROWS", "TURN_STEPS")),
+        (statistics, ("NO_ZERO",)),
+    ),
+    tangent.__name__: ((tangent, ("LOG_GROWTH", "LOG_INTEGRAL", "MEGNO", "MEGNO_INTEGRAL", "SUMS")),),
+}
 ENUMS = {enum.__name__: enum for enum in (Row, poles.Passage, poles.Term, turning.Turn)}
 
 
@@ -68,9 +79,14 @@ class _EnumNumbers(ast.NodeTransformer):
 
 
 def source(
-    equations: ModuleType, method: str, zero: Collection[str] = (), equal: Mapping[str, str] = {}
+    equations: ModuleType,
+    method: str,
+    zero: Collection[str] = (),
+    equal: Mapping[str, str] = {},
+    *,
+    of: ModuleType = kernel,
 ) -> str:
-    """Text of the compiled kernel module of a system's equations and a method.
+    """Text of a compiled kernel module of a system's equations and a method.
 
     Parameters
     ----------
@@ -82,43 +98,44 @@ def source(
         Constants that are 0 at every point to come.
     equal : mapping of str to str
         Constants that equal another one at every point to come.
+    of : module, optional
+        `kernel` (default) or `tangent`.
     """
-    kernel_functions = functions(kernel)
-    integrate = kernel_functions.pop("integrate")
-    inlined = list(_generated_functions(equations, METHODS[method], zero, equal).values())
-    inlined += [functions(module)[name] for module, names in INLINED for name in names]
-    inlined += kernel_functions.values()
-    not_inlined = [functions(module)[name] for module, names in NOT_INLINED for name in names]
+    own_functions = functions(of)
+    integrate = own_functions.pop("integrate")
+    inlined = list(_generated_functions(equations, METHODS[method], zero, equal, of).values())
+    constants = _constants(equations, METHODS[method])
+    if of is kernel:
+        inlined += [functions(module)[name] for module, names in INLINED for name in names]
+        not_inlined = [functions(module)[name] for module, names in NOT_INLINED for name in names]
+    else:
+        not_inlined = []
+    inlined += own_functions.values()
+    constants |= {name: getattr(module, name) for module, names in NUMBERS[of.__name__] for name in names}
     parts = [f"{jit.INLINE}\n{text}" for text in inlined]
     parts += [f"{jit.CALLED}\n{text}" for text in not_inlined]
     parts.append(f"{jit.KERNEL}\n{integrate}")
-    constants = _constants(equations, METHODS[method]) | {
-        name: getattr(module, name)
-        for module, names in (
-            (kernel, ("MOTION", "NODES_PER_DRIFT", "QUEUE", "NEAR_END")),
-            (sampling, ("END", "LONG", "CLUSTERING", "SQUARE", "FOURTH")),
-            (poles, ("REACH", "PASSAGE_ROWS", "NEWTON_STEPS")),
-            (turning, ("TURN_ROWS", "TURN_STEPS")),
-            (statistics, ("NO_ZERO",)),
-        )
-        for name in names
-    }
     numbers = "\n".join(f"{name} = {value!r}" for name, value in constants.items())
     return jit.HEADER + numbers + "\n\n\n" + "\n\n\n".join(parts) + "\n"
 
 
 def plain_module(
-    equations: ModuleType, method: str, zero: Collection[str] = (), equal: Mapping[str, str] = {}
+    equations: ModuleType,
+    method: str,
+    zero: Collection[str] = (),
+    equal: Mapping[str, str] = {},
+    *,
+    of: ModuleType = kernel,
 ) -> ModuleType:
     """The same kernel as plain Python, slow; arguments as for `source`."""
-    assert kernel.__file__ is not None
-    spec = importlib.util.spec_from_file_location(f"{__package__}.plain_kernel", kernel.__file__)
+    assert of.__file__ is not None
+    spec = importlib.util.spec_from_file_location(f"{of.__name__}_plain", of.__file__)
     assert spec is not None
     assert spec.loader is not None
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
     namespace: dict[str, object] = {"np": np}
-    for name, text in _generated_functions(equations, METHODS[method], zero, equal).items():
+    for name, text in _generated_functions(equations, METHODS[method], zero, equal, of).items():
         exec(compile(text, f"<{name} of {equations.__name__}>", "exec"), namespace)
     vars(module).update(namespace, **_constants(equations, METHODS[method]))
     # Compiled code raises no floating-point warnings.
@@ -133,6 +150,7 @@ def _constants(equations: ModuleType, method: Method) -> dict[str, float]:
         "STATES": len(equations.STATE),
         "CONSTANTS": len(equations.CONSTANTS),
         "INTEGRALS": len(equations.INTEGRALS),
+        "TANGENT": tangent_space.size(equations),
         "STEP": method.kernel_step,
         # Worth its loads and stores where a step is much longer than they are.
         "STORES_SLOPE": method.stages > 4,
@@ -141,10 +159,15 @@ def _constants(equations: ModuleType, method: Method) -> dict[str, float]:
 
 
 def _generated_functions(
-    equations: ModuleType, method: Method, zero: Collection[str], equal: Mapping[str, str]
+    equations: ModuleType,
+    method: Method,
+    zero: Collection[str],
+    equal: Mapping[str, str],
+    of: ModuleType,
 ) -> dict[str, str]:
     """Source of the equations, simplified, and of the functions that `generated` declares, by name."""
     states, constants = len(equations.STATE), len(equations.CONSTANTS)
+    extended = states + tangent_space.size(equations)
     sources = {
         name: simplify(text, zero, equal, () if name == "scaled" else equations.ONES)
         for name, text in functions(equations).items()
@@ -160,7 +183,9 @@ def _generated_functions(
             f"block[{i}, l] = scales[{i}, p]{' * inverse_unit' * power}"
             for i, power in enumerate(equations.INTEGRALS.values())
         ],
-        "step(state, slope, constants)": step_lines(method, states),
+        "step(state, slope, constants)": step_lines(method, states)
+        if of is kernel
+        else step_lines(method, extended, "extended_rhs"),
         "store_integrals(block, l, state, constants)": [
             line
             for i, name in enumerate(equations.INTEGRALS)
@@ -177,9 +202,29 @@ def _generated_functions(
         ]
         + ["return largest"],
     }
+    if of is tangent:
+        sources |= tangent_space.variation(equations, sources["rhs"])
+        generated_lines |= {
+            "load_extended(block, l)": [f"return {_columns('block', extended)}"],
+            "store_extended(block, l, extended)": [f"{_columns('block', extended)} = extended"],
+            "extended_rhs(extended, constants)": _extended_lines(states, extended),
+        }
     for head, lines in generated_lines.items():
         sources[head.partition("(")[0]] = "\n    ".join([f"def {head}:", *(lines or ["pass"])])
     return sources
+
+
+def _extended_lines(states: int, extended: int) -> list[str]:
+    """Body of `extended_rhs`: the derivatives of the state, and of the tangent vector."""
+    names = [f"y{i}" for i in range(extended)]
+    slopes = [f"k{i}" for i in range(extended)]
+    return [
+        f"{', '.join(names)}, = extended",
+        f"state = ({', '.join(names[:states])},)",
+        f"{', '.join(slopes[:states])}, = rhs(state, constants)",
+        f"{', '.join(slopes[states:])}, = variation(state, constants, ({', '.join(names[states:])},))",
+        f"return ({', '.join(slopes)},)",
+    ]
 
 
 def _columns(block: str, rows: int) -> str:
@@ -194,7 +239,7 @@ def _integral_lines(equations: ModuleType, name: str) -> list[str]:
     return [f"{', '.join(terms)}, = {name}(state, constants)", f"total = {' + '.join(terms)}"]
 
 
-def step_lines(method: Method, states: int) -> list[str]:
+def step_lines(method: Method, states: int, rhs_name: str = "rhs") -> list[str]:
     """Body of `step`: one step of length method.kernel_step, unrolled to scalars.
 
     The first weight is factored out: the inner coefficients of rk4 are then 1, 2, 2, 1, which needs additions only and
@@ -207,7 +252,7 @@ def step_lines(method: Method, states: int) -> list[str]:
         moves = (_weighted_sum(method.a[stage], method.kernel_step, i) for i in range(states))
         arguments = [f"y{i} + ({move})" if move else f"y{i}" for i, move in enumerate(moves)]
         slopes = ", ".join(f"k{stage}_{i}" for i in range(states))
-        rhs = f"rhs(({', '.join(arguments)},), constants)" if stage else "slope"
+        rhs = f"{rhs_name}(({', '.join(arguments)},), constants)" if stage else "slope"
         lines.append(f"{slopes}, = {rhs}")
         weights = (0.0,) * stage + (method.b[stage] / first,)
         for i in range(states):

@@ -170,21 +170,48 @@ def integrate(
             cylinder * cylinder, resume, segment.out,
         )  # fmt: skip
 
-    def work(first: int, last: int) -> Iterator[int]:
-        calls = min(-(-int(steps[first]) // CHUNK), int(nodes[first]))
-        if last > first + 1 or calls <= 1:
-            call(first, last, segment.first_node, segment.last_node)
-            yield int(steps[first:last].sum())
-            return
-        first_node, last_node = segment.first_node.copy(), segment.last_node.copy()
-        for i in range(calls):
-            last_node[first] = segment.first_node[first] + nodes[first] * (i + 1) // calls
-            call(first, last, first_node, last_node)
-            first_node[first] = last_node[first]
-            yield int(steps[first] * (i + 1) // calls - steps[first] * i // calls)
-
-    run_in_threads(work, chunk_bounds(steps, CHUNK, 4 * (threads or available_threads())), threads, progress)
+    call_by_parts(call, steps, segment.first_node, segment.last_node, threads, progress)
     return segment.out
+
+
+def call_by_parts(
+    call: Callable[[int, int, NDArray[np.int64], NDArray[np.int64]], None],
+    point_steps: NDArray[np.int64],
+    first_node: NDArray[np.int64],
+    last_node: NDArray[np.int64],
+    threads: int | None,
+    progress: Callable[[int], None] | None,
+) -> None:
+    """Make the calls of a kernel for all blocks, in threads; a block of more than CHUNK point-steps takes several.
+
+    Parameters
+    ----------
+    call : callable
+        Takes a range of blocks, and for every block the first and the last node.
+    point_steps : ndarray of int64, shape (blocks,)
+        Steps of the blocks between these nodes, times WIDTH.
+    first_node, last_node : ndarray of int64, shape (blocks,)
+    threads, progress
+        See `integrate`.
+    """
+
+    def work(first: int, last: int) -> Iterator[int]:
+        nodes, steps = int(last_node[first] - first_node[first]), int(point_steps[first])
+        calls = min(-(-steps // CHUNK), nodes)
+        if last > first + 1 or calls <= 1:
+            call(first, last, first_node, last_node)
+            yield int(point_steps[first:last].sum())
+            return
+        begin, end = first_node.copy(), last_node.copy()
+        for i in range(calls):
+            end[first] = first_node[first] + nodes * (i + 1) // calls
+            call(first, last, begin, end)
+            begin[first] = end[first]
+            yield steps * (i + 1) // calls - steps * i // calls
+
+    run_in_threads(
+        work, chunk_bounds(point_steps, CHUNK, 4 * (threads or available_threads())), threads, progress
+    )
 
 
 def chunk_bounds(cost: NDArray[np.int64], max_cost: int, min_chunks: int) -> list[int]:

@@ -13,6 +13,7 @@ WIDTH = 32  # points of a block
 STATES = 0
 CONSTANTS = 0
 INTEGRALS = 0
+TANGENT = 0  # components of a tangent vector
 STEP = 1.0  # length of a step in the kernel's unit of time, `Method.kernel_step`
 STORES_SLOPE = False  # is the slope at a node kept for the first stage of the step after it?
 HAS_AXIS = False  # does the system have `axis_in_frame`?
@@ -89,4 +90,19 @@ def store_integrals(block, l, state, constants):
 
 def largest_change(first, scales, l, state, constants, largest):
     """The larger of `largest` and the scaled changes of the first integrals since their column l of `first`."""
+    raise NotImplementedError
+
+
+def load_extended(block, l):
+    """Column l of a block of states and tangent vectors, as one tuple."""
+    raise NotImplementedError
+
+
+def store_extended(block, l, extended):
+    """Write a state and a tangent vector into column l of a block."""
+    raise NotImplementedError
+
+
+def extended_rhs(extended, constants):
+    """Time derivatives of a state and a tangent vector."""
     raise NotImplementedError

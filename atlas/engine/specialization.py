@@ -10,7 +10,7 @@ from types import ModuleType
 import numpy as np
 
 from ..systems.base import Points, System
-from . import assemble, jit
+from . import assemble, jit, tangent
 
 
 @dataclass(frozen=True)
@@ -60,3 +60,22 @@ def kernel(system: System, method: str, specialization: Specialization = GENERIC
 def kernel_hash(system: System, method: str, specialization: Specialization = GENERIC) -> str:
     """Hash of the kernel's source, compilers and processor type, recorded in every atlas."""
     return jit.digest(_source(system, method, specialization))
+
+
+@cache
+def _tangent_source(system: System, method: str, specialization: Specialization) -> str:
+    return assemble.source(
+        system.equations, method, specialization.zero, dict(specialization.equal), of=tangent
+    )
+
+
+@cache
+def tangent_kernel(system: System, method: str, specialization: Specialization = GENERIC) -> ModuleType:
+    """The compiled module that integrates a system with a tangent vector; as `kernel`."""
+    return jit.load(_tangent_source(system, method, specialization))
+
+
+@cache
+def tangent_kernel_hash(system: System, method: str, specialization: Specialization = GENERIC) -> str:
+    """As `kernel_hash`, of the tangent kernel."""
+    return jit.digest(_tangent_source(system, method, specialization))

@@ -141,7 +141,7 @@ class System(ABC):
 
     Equations
         `equations`, `parameters`, `constants`, `integral_scales`, `frequency_bound`, `rate_states`,
-        `equal_parameters`, `specialization`.
+        `equal_parameters`, `specialization`, `rate_unit`.
     Initial values
         `initial_state`, `steady_rates`, `as_euler_angles`, `check`, `within_range`, `warnings`, and what is
         physically possible: `moments_of_inertia`, `possible_body`, `possible_start`, `start_condition`,
@@ -180,6 +180,8 @@ class System(ABC):
       ``unscaled``, with the same arguments: back from a scaled state;
     - ``frame_motion``: angular velocity of the body relative to the frame (rad per time unit) and the unit
       vector of the frame's vertical, three components each, in body axes; linear in the state;
+    - ``FRAME_VECTORS`` (optional): triples of states that are unit vectors at rest in the frame, v' = v x u with the
+      angular velocity u of ``frame_motion``; tangent vectors then have fewer components;
     - ``axis_in_frame`` (optional): components of the third body axis along the first two axes of the frame;
     - one function for each first integral: the tuple of its terms.
     """
@@ -241,6 +243,13 @@ class System(ABC):
             Constants of which the first equals the second.
         """
         return set(), set()
+
+    def rate_unit(self, points: Points) -> Array:
+        """Unit in which `rate_states` enter the norm of a tangent vector, rad per time unit, (points,).
+
+        The default is 1: a finite Lyapunov exponent depends a little on it, its limit does not.
+        """
+        return np.ones(shape_of(points))
 
     # Initial values.
 

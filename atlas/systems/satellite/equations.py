@@ -17,6 +17,8 @@ kernels use units in which most factors are 1 (`scaled`); everywhere else a and 
 """
 
 STATE = ("w1", "w2", "w3", "a1", "a2", "a3", "g1", "g2", "g3")
+# Unit vectors at rest in the orbital frame.
+FRAME_VECTORS = (("a1", "a2", "a3"), ("g1", "g2", "g3"))
 # Body and fields, then combinations of them in the right-hand side: D1 = (B - C)/A and so on, N = 3 Omega^2 for
 # an a of length 1, the reciprocal lengths of a and g (h1, Omega and h3 are divided by those lengths), and
 # components of rotor and magnet over a moment of inertia. At most 30: Numba cannot unpack a longer tuple.

@@ -71,6 +71,10 @@ class Satellite(System):
             " steady motion about the axis of symmetry of the body is labelled as drifting"
         ]
 
+    def rate_unit(self, points: Points) -> Array:
+        """The orbital rate, or 1 without an orbit."""
+        return np.where(points["Omega"] != 0, np.abs(points["Omega"]), 1.0)
+
     def frame_rate(self, points: Points) -> Array:
         """Angular velocity Omega of the orbit."""
         return points["Omega"]

@@ -1,0 +1,155 @@
+"""Indicators of chaos: mean MEGNO and the largest Lyapunov exponent of every point of an ensemble."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from types import ModuleType
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..systems.base import Array, Mask, System
+from . import blocks, tangent, tangent_space
+from .ensemble import Ensemble
+from .generated import WIDTH
+from .stepsize import count_ladder
+from .tableaux import METHODS
+
+# Instants of a run at which the tangent vector is divided by its norm and the sums are taken, at least.
+NODES = 1024
+# Steps between two of them at most: a tangent vector grows by less than e^700 in as many, so that it cannot overflow.
+MAX_STEPS_PER_NODE = 1000
+# Largest step times frequency bound for which an indicator can be trusted: longer steps make regular motions look chaotic.
+MAX_RADIANS_PER_STEP = 0.3
+# Steps of this many radians of the fastest frequency leave MEGNO right to some 0.01, by method.
+RADIANS_PER_STEP = {"rk4": 0.1, "rk8": 0.3}
+# Loss of an amplitude by dissipation during a run that steps are chosen for: it lowers MEGNO.
+DISSIPATION_ERROR = 0.01
+# Components of a step of the tangent kernel, in steps of the kernel of states.
+RELATIVE_COST = 2.0
+
+
+@dataclass(frozen=True)
+class TangentSteps:
+    """Steps of the runs with tangent vectors; arrays of shape (points,).
+
+    Attributes
+    ----------
+    steps : ndarray of int64
+    step_size : ndarray of float64
+        In time units.
+    resolved : ndarray of bool
+        Whether the steps are short enough for the indicators.
+    """
+
+    steps: NDArray[np.int64]
+    step_size: Array
+    resolved: Mask
+
+    @classmethod
+    def of(
+        cls, method: str, bound: Array, duration: Array, step: float | None, max_steps: int
+    ) -> TangentSteps:
+        """For points with these frequency bounds (rad per time unit) and durations (time units).
+
+        step : float, optional
+            Largest step in time units, instead of the one that is chosen.
+        max_steps : int
+            Largest number of steps before it is rounded up.
+        """
+        tableau = METHODS[method]
+        radians = bound * duration
+        finite = np.isfinite(radians)
+        radians = np.where(finite, radians, 0.0)
+        if step is None:
+            loss = DISSIPATION_ERROR / (tableau.dissipation * np.maximum(radians, 1e-300))
+            y = np.minimum(RADIANS_PER_STEP[method], loss ** (1 / (tableau.dissipation_order - 1)))
+            steps = count_ladder(np.minimum(radians / y, float(max_steps)))
+        else:
+            count = np.where(finite, duration, 0.0) / step
+            steps = np.ceil(np.minimum(count, float(max_steps)) - 1e-9)
+            steps = np.maximum(steps, 1).astype(np.int64)
+        y = radians / steps
+        lost = radians * tableau.dissipation * y ** (tableau.dissipation_order - 1)
+        resolved = finite & (y <= MAX_RADIANS_PER_STEP) & (lost <= 0.1)
+        return cls(steps, duration / steps, resolved)
+
+    @property
+    def nodes(self) -> NDArray[np.int64]:
+        """Instants at which the tangent vectors are divided by their norms."""
+        return np.minimum(np.maximum(NODES, -(-self.steps // MAX_STEPS_PER_NODE)), self.steps)
+
+    def subset(self, where: NDArray[np.int64]) -> TangentSteps:
+        """Those of some points, by their indices."""
+        return TangentSteps(self.steps[where], self.step_size[where], self.resolved[where])
+
+
+def indicators(
+    system: System,
+    kernel: ModuleType,
+    ensemble: Ensemble,
+    steps: TangentSteps,
+    rate_unit: Array,
+    method: str,
+    *,
+    threads: int | None = None,
+    progress: Callable[[int], None] | None = None,
+) -> tuple[Array, Array]:
+    """Mean MEGNO and the largest Lyapunov exponent at the end of each run.
+
+    Parameters
+    ----------
+    system : System
+    kernel : module
+        See `specialization.tangent_kernel`.
+    ensemble : Ensemble
+    steps : TangentSteps
+    rate_unit : ndarray of float64, shape (points,)
+        See `System.rate_unit`.
+    method : str
+        Key of tableaux.METHODS, that of the kernel.
+    threads, progress
+        See `blocks.integrate`.
+
+    Returns
+    -------
+    megno, lyapunov : ndarray of float64, shape (points,)
+        Pure number, and per time unit; nan or infinite where numbers overflow.
+    """
+    state = ensemble.state.copy()
+    with np.errstate(all="ignore"):
+        unit = steps.step_size / METHODS[method].kernel_step
+        weights = _norm_weights(system, ensemble, unit, rate_unit)
+        vectors = np.ascontiguousarray(tangent_space.start(system.equations, state) / weights)
+    schedule = blocks.pack_blocks(steps.steps, steps.nodes)
+    nodes = schedule.steps_per_sample
+    sums = np.empty((tangent.SUMS, ensemble.size))
+
+    def call(first: int, last: int, first_node: NDArray[np.int64], last_node: NDArray[np.int64]) -> None:
+        kernel.integrate(
+            first, last, schedule.points, schedule.steps, nodes, first_node, last_node, steps.step_size, state,
+            ensemble.constants, vectors, weights, sums,
+        )  # fmt: skip
+
+    blocks.call_by_parts(call, schedule.steps * WIDTH, np.zeros_like(nodes), nodes, threads, progress)
+    with np.errstate(all="ignore"):
+        megno = sums[tangent.MEGNO_INTEGRAL] / steps.steps
+        return megno, sums[tangent.LOG_GROWTH] / (steps.step_size * steps.steps)
+
+
+def _norm_weights(system: System, ensemble: Ensemble, unit: Array, rate_unit: Array) -> Array:
+    """Factors of the components of a tangent vector, in the kernel's units, in its norm: (components, points)."""
+    equations = system.equations
+    constants = equations.scaled(ensemble.state, ensemble.constants, unit)[1]
+    ones = np.ones_like(ensemble.state)
+    in_caller_units = equations.unscaled(ones, constants, unit)  # of changes by 1, for the units are factors
+    rows = [
+        in_caller_units[i]
+        / (rate_unit if equations.STATE[i] in system.rate_states else 1.0)
+        * np.ones_like(unit)
+        for i in tangent_space.own_components(equations)
+    ]
+    if tangent_space.rotates(equations):
+        rows += 3 * [np.ones_like(unit)]
+    return np.ascontiguousarray(rows)

@@ -1,0 +1,180 @@
+"""Differentials of plain arithmetic, on the syntax tree: the variational equations follow from the equations.
+
+A function of the state becomes the function of the state and a change of it that returns the change of its value to
+first order: every assignment is followed by the assignment of its differential.
+"""
+
+from __future__ import annotations
+
+import ast
+from functools import reduce
+
+PREFIX = "d_"  # of the differential of a name
+
+# Functions of one argument x -> their derivative, as text.
+_DERIVATIVES = {
+    "sqrt": "0.5 / {function}({x})",
+    "sin": "{module}cos({x})",
+    "cos": "-{module}sin({x})",
+    "tan": "1.0 + {function}({x}) * {function}({x})",
+    "exp": "{function}({x})",
+    "log": "1.0 / ({x})",
+}
+
+
+def differential(text: str, name: str) -> str:
+    """Source of the differential of a function of ``(state, constants)``.
+
+    Parameters
+    ----------
+    text : str
+        Source of the function: assignments of names, or of tuples of them, and one return of a tuple. The expressions
+        consist of + - * / **, powers with exponents that do not depend on the state, and sqrt, sin, cos, tan, exp
+        and log.
+    name : str
+        Of the new function.
+
+    Returns
+    -------
+    str
+        Source of a function of ``(state, constants, change)``, which returns the change of the value to first order in
+        `change`, a change of the state.
+
+    Raises
+    ------
+    ValueError
+        If the function contains anything else.
+    """
+    function = ast.parse(text).body[0]
+    assert isinstance(function, ast.FunctionDef)
+    active: set[str] = set()  # names that depend on the state
+    body: list[ast.stmt] = []
+    for statement in function.body:
+        match statement:
+            case ast.Assign(targets=[ast.Tuple(elts=names)], value=ast.Name(id="state")):
+                active |= {element.id for element in names if isinstance(element, ast.Name)}
+                changes = ", ".join(f"{PREFIX}{ast.unparse(element)}" for element in names)
+                body += [statement, *ast.parse(f"{changes}, = change").body]
+            case ast.Assign(targets=[target], value=value):
+                body.append(statement)
+                body += _differentials(target, value, active)
+            case ast.Return(value=ast.Tuple(elts=values)):
+                changes = ", ".join(_unparse(_differential(value, active)) for value in values)
+                body += ast.parse(f"return ({changes},)").body
+            case ast.Expr(value=ast.Constant()):  # the docstring
+                pass
+            case _:
+                raise ValueError(f"{function.name} cannot be differentiated: {ast.unparse(statement)}")
+    arguments = ast.parse("def _(state, constants, change): pass").body[0]
+    assert isinstance(arguments, ast.FunctionDef)
+    new = ast.FunctionDef(name, arguments.args, body, [], lineno=1)
+    return ast.unparse(ast.fix_missing_locations(ast.Module([new], [])))
+
+
+def _differentials(target: ast.expr, value: ast.expr, active: set[str]) -> list[ast.stmt]:
+    """Assignments of the differentials of the assigned names; marks those that depend on the state as active."""
+    if isinstance(target, ast.Tuple) and isinstance(value, ast.Tuple):
+        pairs = list(zip(target.elts, value.elts, strict=True))
+    else:
+        pairs = [(target, value)]
+    changes = {ast.unparse(name): _differential(expression, active) for name, expression in pairs}
+    for name, change in changes.items():
+        (active.discard if change is None else active.add)(name)
+    given = {f"{PREFIX}{name}": change for name, change in changes.items() if change is not None}
+    if not given:
+        return []
+    values = ", ".join(map(_unparse, given.values()))
+    return ast.parse(f"{', '.join(given)}, = {values},").body
+
+
+def _unparse(change: ast.expr | None) -> str:
+    return "0.0" if change is None else ast.unparse(change)
+
+
+def _differential(node: ast.expr, active: set[str]) -> ast.expr | None:
+    """Differential of an expression; None where it does not depend on the state."""
+    if not any(isinstance(part, ast.Name) and part.id in active for part in ast.walk(node)):
+        return None
+    match node:
+        case ast.Name(id=name):
+            return ast.Name(f"{PREFIX}{name}")
+        case ast.UnaryOp(op=ast.USub() | ast.UAdd() as sign, operand=operand):
+            return ast.UnaryOp(sign, _given(_differential(operand, active)))
+        case ast.BinOp(left=left, op=op, right=right):
+            return _of_operation(left, op, right, active)
+        case ast.Call(func=function, args=[x]):
+            return _of_call(function, x, active)
+        case _:
+            raise ValueError(f"cannot be differentiated: {ast.unparse(node)}")
+
+
+def _given(change: ast.expr | None) -> ast.expr:
+    assert change is not None
+    return change
+
+
+def _of_operation(left: ast.expr, op: ast.operator, right: ast.expr, active: set[str]) -> ast.expr:
+    """Differential of a sum, difference, product, quotient or power."""
+    dx, dy = _differential(left, active), _differential(right, active)
+    match op:
+        case ast.Add():
+            return _sum(dx, dy, ast.Add())
+        case ast.Sub():
+            return _sum(dx, dy, ast.Sub())
+        case ast.Mult():
+            return _of_product(_factors(left) + _factors(right), active)
+        case ast.Div():
+            quotient = None if dy is None else ast.BinOp(ast.BinOp(left, ast.Div(), right), ast.Mult(), dy)
+            return ast.BinOp(_sum(dx, quotient, ast.Sub()), ast.Div(), right)
+        case ast.Pow() if dy is None:
+            lower = ast.BinOp(left, ast.Pow(), ast.BinOp(right, ast.Sub(), ast.Constant(1.0)))
+            return ast.BinOp(ast.BinOp(right, ast.Mult(), lower), ast.Mult(), _given(dx))
+        case _:
+            text = ast.unparse(ast.BinOp(left, op, right))
+            raise ValueError(f"cannot be differentiated: {text}")
+
+
+def _sum(x: ast.expr | None, y: ast.expr | None, op: ast.operator) -> ast.expr:
+    """The sum or difference of two terms, of which one may be missing."""
+    if y is None:
+        return _given(x)
+    if x is None:
+        return ast.UnaryOp(ast.USub(), y) if isinstance(op, ast.Sub) else y
+    return ast.BinOp(x, op, y)
+
+
+def _of_product(factors: list[ast.expr], active: set[str]) -> ast.expr:
+    """Differential of a product; the factors that do not depend on the state stand before the sum."""
+    changes = [_differential(factor, active) for factor in factors]
+    constant = [factor for factor, change in zip(factors, changes, strict=True) if change is None]
+    variable = [
+        (factor, change) for factor, change in zip(factors, changes, strict=True) if change is not None
+    ]
+    terms = [
+        reduce(_times, [change if i == j else factor for j, (factor, _) in enumerate(variable)])
+        for i, (_, change) in enumerate(variable)
+    ]
+    return reduce(_times, [*constant, reduce(lambda x, y: ast.BinOp(x, ast.Add(), y), terms)])
+
+
+def _factors(node: ast.expr) -> list[ast.expr]:
+    if isinstance(node, ast.BinOp) and isinstance(node.op, ast.Mult):
+        return _factors(node.left) + _factors(node.right)
+    return [node]
+
+
+def _times(x: ast.expr, y: ast.expr) -> ast.expr:
+    return ast.BinOp(x, ast.Mult(), y)
+
+
+def _of_call(function: ast.expr, x: ast.expr, active: set[str]) -> ast.expr:
+    """Differential of a function of one argument, such as sin(x) or np.sin(x)."""
+    text = ast.unparse(function)
+    module, _, name = text.rpartition(".")
+    if name not in _DERIVATIVES:
+        raise ValueError(f"cannot be differentiated: {text}({ast.unparse(x)})")
+    derivative = _DERIVATIVES[name].format(
+        function=text, module=f"{module}." if module else "", x=ast.unparse(x)
+    )
+    slope = ast.parse(derivative, mode="eval").body
+    return ast.BinOp(slope, ast.Mult(), _given(_differential(x, active)))

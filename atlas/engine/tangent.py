@@ -1,0 +1,121 @@
+"""The kernel of the chaos indicators: blocks of points integrated together with one tangent vector each.
+
+Ordinary Python, as `kernel`; what depends on the system and the method stands in `generated`, the layout of the tangent
+vector in `tangent_space`. The tangent vector v is divided by its norm at NODES instants of a run or more, equally spaced
+but for the length of a step, and at its end. With L the logarithm of the growth of |v| up to an instant t,
+
+    Y(t) = 2 (L(t) - (1/t) int_0^t L ds),    mean MEGNO = (1/T) int_0^T Y dt,    Lyapunov exponent = L(T) / T
+
+(Cincotta & Simo 2000, doi 10.1051/aas:2000108; the form without derivatives of v follows by integration by parts). The
+integrals are sums by the trapezoidal rule over these instants; time is counted in steps.
+"""
+
+import numpy as np
+
+from .generated import (
+    CONSTANTS,
+    STATES,
+    STEP,
+    TANGENT,
+    WIDTH,
+    aligned_empty,
+    aligned_stack,
+    extended_rhs,
+    load_constants,
+    load_extended,
+    load_state,
+    scaled,
+    step,
+    store_constants,
+    store_extended,
+    store_state,
+    unscaled,
+)
+
+# Rows of the sums: L, its integral, Y, the integral of Y.
+LOG_GROWTH, LOG_INTEGRAL, MEGNO, MEGNO_INTEGRAL, SUMS = 0, 1, 2, 3, 4
+
+
+def integrate(
+    first_block, last_block, points, steps, nodes, first_node, last_node, step_size, state0, constants0, tangent0,
+    weights, out,
+):  # fmt: skip
+    """Integrate blocks of points and their tangent vectors over a range of nodes.
+
+    Parameters
+    ----------
+    first_block, last_block : int
+        Range of the blocks to integrate.
+    points : ndarray of int64, shape (blocks, WIDTH)
+        The points of each block.
+    steps, nodes : ndarray of int64, shape (blocks,)
+        Of the whole run of a block's points; a node is an instant at which the tangent vector is divided by its norm.
+    first_node, last_node : ndarray of int64, shape (blocks,)
+        Range of the nodes of this call; 0 begins the runs. The results are the same to the bit however a run is cut.
+    step_size : ndarray of float64, shape (points,)
+        In time units.
+    state0 : ndarray of float64, shape (STATES, points), overwritten
+        State at the start; between calls in the kernel's units, after the last node at the end of the run.
+    constants0 : ndarray of float64, shape (CONSTANTS, points)
+        Constants of the equations.
+    tangent0, weights : ndarray of float64, shape (TANGENT, points), the first overwritten
+        Tangent vector in the kernel's units, and the factors of its components in its norm.
+    out : ndarray of float64, shape (SUMS, points), overwritten
+        The sums.
+    """
+    aligned_stack()
+    extended, constants = aligned_empty((STATES + TANGENT, WIDTH)), aligned_empty((CONSTANTS, WIDTH))
+    weight, sums, norm = (
+        aligned_empty((TANGENT, WIDTH)),
+        aligned_empty((SUMS, WIDTH)),
+        aligned_empty((WIDTH,)),
+    )
+    for block in range(first_block, last_block):
+        for l in range(WIDTH):
+            p = points[block, l]
+            y, c = scaled(load_state(state0, p), load_constants(constants0, p), step_size[p] / STEP)
+            store_state(extended, l, y if first_node[block] == 0 else load_state(state0, p))
+            store_constants(constants, l, c)
+            for row in range(TANGENT):
+                extended[STATES + row, l] = tangent0[row, p]
+                weight[row, l] = weights[row, p]
+            for row in range(SUMS):
+                sums[row, l] = 0.0 if first_node[block] == 0 else out[row, p]
+        for node in range(first_node[block], last_node[block]):
+            begin = node * steps[block] // nodes[block]
+            end = (node + 1) * steps[block] // nodes[block]
+            for _ in range(begin, end):
+                for l in range(WIDTH):
+                    y, c = load_extended(extended, l), load_constants(constants, l)
+                    store_extended(extended, l, step(y, extended_rhs(y, c), c))
+            for l in range(WIDTH):
+                squared = 0.0
+                for row in range(TANGENT):
+                    component = extended[STATES + row, l] * weight[row, l]
+                    squared += component * component
+                norm[l] = np.sqrt(squared)
+            for l in range(WIDTH):
+                for row in range(TANGENT):
+                    extended[STATES + row, l] /= norm[l]
+                add_stretch(sums, l, np.log(norm[l]), end - begin, end)
+        for l in range(WIDTH):
+            p = points[block, l]
+            y = load_state(extended, l)
+            if last_node[block] == nodes[block]:
+                y = unscaled(y, load_constants(constants, l), step_size[p] / STEP)
+            store_state(state0, p, y)
+            for row in range(TANGENT):
+                tangent0[row, p] = extended[STATES + row, l]
+            for row in range(SUMS):
+                out[row, p] = sums[row, l]
+
+
+def add_stretch(sums, l, log_growth, length, time):
+    """Add a stretch of a run to the sums of lane l: logarithm of the growth in it, its length, time at its end."""
+    before = sums[LOG_GROWTH, l]
+    after = before + log_growth
+    sums[LOG_GROWTH, l] = after
+    sums[LOG_INTEGRAL, l] += 0.5 * length * (before + after)
+    megno = 2.0 * (after - sums[LOG_INTEGRAL, l] / time)
+    sums[MEGNO_INTEGRAL, l] += 0.5 * length * (sums[MEGNO, l] + megno)
+    sums[MEGNO, l] = megno

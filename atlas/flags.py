@@ -76,3 +76,14 @@ class Stability(Flag):
     UNKNOWN = 0, "linear stability unknown, or no steady motion"
     STABLE = 1, "no characteristic exponent has a positive real part"
     UNSTABLE = 2, "some characteristic exponent has a positive real part"
+
+
+class Regularity(Flag):
+    """Whether neighbouring motions separate exponentially."""
+
+    NOT_COMPUTED = 0, "not computed, or unresolved: see status"
+    STEADY = 1, "a steady motion whose neighbours stay near it for the run"
+    REGULAR = 2, "not steady, mean MEGNO below 2.5: no exponential separation during the run"
+    CHAOTIC = 3, "not steady, mean MEGNO above 5: neighbouring motions separate exponentially"
+    UNDECIDED = 4, "not steady, mean MEGNO between 2.5 and 5: the run is too short to decide"
+    HYPERBOLIC = 5, "a steady motion whose neighbours separate exponentially: unstable, not chaotic"

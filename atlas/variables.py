@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from .engine.statistics import STATISTICS
-from .flags import Agreement, Label, Stability, Status
+from .flags import Agreement, Label, Regularity, Stability, Status
 from .systems.base import System
 
 
@@ -21,6 +21,7 @@ class Variable:
     long_name: str
     flags: dict[str, str] | None = None  # flag name -> sentence, values 0, 1, 2, ...
     comment: str = ""
+    optional: bool = False  # only in the atlases of scenes that ask for it
 
     def attributes(self) -> dict[str, object]:
         """CF attributes: units or flags, long_name, comment."""
@@ -52,6 +53,15 @@ _ERROR_ESTIMATE = (
     " cylinder for a part of the run"
 )
 _NO_MEANING = "nan where the third axis stays inside the cylinder: psi' and phi' have no meaning there"
+
+
+# Variables that need a run with a tangent vector.
+CHAOS = frozenset(("megno", "lyapunov", "regularity"))
+_TANGENT = (
+    "of one tangent vector: changes of the rates (in units of the orbital rate, or 1) and a rotation, for bodies about a fixed"
+    " point the change of gamma, which begins as (5, -4, 6, 3, 4, -3), there gamma x (3, 4, -3), divided by its norm;"
+    " integrated by rk8 with at most 0.3 rad of the fastest frequency a step; nan where the status is not ok"
+)
 
 
 def data_variables(system: System) -> dict[str, Variable]:
@@ -97,10 +107,20 @@ def variables(system: System) -> dict[str, Variable]:
         Variable(s.name, "float64", s.unit, s.long_name, comment=_NO_MEANING if s.needs_psi else "")
         for s in STATISTICS
     ]
+    chaos = [
+        Variable(
+            "regularity", "int8", "1", "whether neighbouring motions separate exponentially", Regularity.meanings(),
+            "an exact start on an unstable periodic motion reads as chaotic, and chaos with an exponent below about"
+            " 10 / duration as regular", optional=True,
+        ),
+        Variable("megno", "float64", "1", "mean exponential growth factor of nearby orbits, averaged over the run", comment=_TANGENT, optional=True),
+        Variable("lyapunov", "float64", "s-1", "largest Lyapunov exponent, as measured at the end of the run", comment=_TANGENT, optional=True),
+    ]  # fmt: skip
     derived = [
-        Variable(d.name, "float64", d.unit, d.long_name, comment=d.comment) for d in system.derived.values()
+        Variable(d.name, "float64", d.unit, d.long_name, comment=d.comment, optional=True)
+        for d in system.derived.values()
     ]
-    registry = {v.name: v for v in (*flag, *measured, *numerics, *theory, *derived)}
+    registry = {v.name: v for v in (*flag, *measured, *numerics, *theory, *chaos, *derived)}
     missing: set[str] = set()
     if system.frame_rate is None:
         missing |= {"label_inertial", "predicted_inertial"}
@@ -112,3 +132,8 @@ def variables(system: System) -> dict[str, Variable]:
     if len(system.geometries) < 2:
         missing |= {"geometry"}
     return {name: variable for name, variable in registry.items() if name not in missing}
+
+
+def default_variables(system: System) -> list[str]:
+    """Names of the variables that an atlas holds unless a scene lists others, in the order of the file."""
+    return [name for name, variable in variables(system).items() if not variable.optional]

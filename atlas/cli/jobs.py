@@ -116,6 +116,7 @@ def add_check(commands: Commands) -> None:
 
 
 def _check(options: argparse.Namespace) -> int:
+    from ..label import regularity
     from ..runs.method_costs import method_lines
     from ..runs.tiling import step_warnings
     from ..scene import grid
@@ -129,7 +130,11 @@ def _check(options: argparse.Namespace) -> int:
     )
     for line in method_lines(scene, points):
         print(line)
-    for warning in [*grid.warnings(scene, points), *step_warnings(scene, points)]:
+    for warning in [
+        *grid.warnings(scene, points),
+        *step_warnings(scene, points),
+        *regularity.warnings(scene, points),
+    ]:
         print(f"warning: {printable(warning, MAX_MESSAGE)}")
     return DONE
 

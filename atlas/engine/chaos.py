@@ -20,13 +20,14 @@ from .tableaux import METHODS
 NODES = 1024
 # Steps between two of them at most: a tangent vector grows by less than e^700 in as many, so that it cannot overflow.
 MAX_STEPS_PER_NODE = 1000
-# Largest step times frequency bound for which an indicator can be trusted: longer steps make regular motions look chaotic.
+# The method of these runs, whatever the method of the others: of the two it needs the least time for a given error.
+METHOD = METHODS["rk8"]
+# Largest step times frequency bound: longer steps make regular motions look chaotic, shorter ones change MEGNO of regular
+# motions by less than 0.01.
 MAX_RADIANS_PER_STEP = 0.3
-# Steps of this many radians of the fastest frequency leave MEGNO right to some 0.01, by method.
-RADIANS_PER_STEP = {"rk4": 0.1, "rk8": 0.3}
-# Loss of an amplitude by dissipation during a run that steps are chosen for: it lowers MEGNO.
-DISSIPATION_ERROR = 0.01
-# Components of a step of the tangent kernel, in steps of the kernel of states.
+# Largest loss of an amplitude by dissipation during a run: it lowers MEGNO.
+MAX_DISSIPATION_ERROR = 0.01
+# Time of a step with a tangent vector over that of a step without, see bench_engine.py.
 RELATIVE_COST = 2.0
 
 
@@ -48,32 +49,33 @@ class TangentSteps:
     resolved: Mask
 
     @classmethod
-    def of(
-        cls, method: str, bound: Array, duration: Array, step: float | None, max_steps: int
-    ) -> TangentSteps:
-        """For points with these frequency bounds (rad per time unit) and durations (time units).
+    def of(cls, bound: Array, duration: Array, step: float | None, max_steps: int) -> TangentSteps:
+        """Step sizes of points with these frequency bounds (rad per time unit) and durations (time units).
 
-        step : float, optional
-            Largest step in time units, instead of the one that is chosen.
+        Parameters
+        ----------
+        bound, duration : ndarray of float64, shape (points,)
+        step : float or None
+            Largest step in time units, instead of one that is short enough.
         max_steps : int
             Largest number of steps before it is rounded up.
         """
-        tableau = METHODS[method]
         radians = bound * duration
         finite = np.isfinite(radians)
         radians = np.where(finite, radians, 0.0)
         if step is None:
-            loss = DISSIPATION_ERROR / (tableau.dissipation * np.maximum(radians, 1e-300))
-            y = np.minimum(RADIANS_PER_STEP[method], loss ** (1 / (tableau.dissipation_order - 1)))
+            loss = MAX_DISSIPATION_ERROR / (METHOD.dissipation * np.maximum(radians, 1e-300))
+            y = np.minimum(MAX_RADIANS_PER_STEP, loss ** (1 / (METHOD.dissipation_order - 1)))
             steps = count_ladder(np.minimum(radians / y, float(max_steps)))
         else:
             count = np.where(finite, duration, 0.0) / step
             steps = np.ceil(np.minimum(count, float(max_steps)) - 1e-9)
             steps = np.maximum(steps, 1).astype(np.int64)
         y = radians / steps
-        lost = radians * tableau.dissipation * y ** (tableau.dissipation_order - 1)
-        resolved = finite & (y <= MAX_RADIANS_PER_STEP) & (lost <= 0.1)
-        return cls(steps, duration / steps, resolved)
+        lost = radians * METHOD.dissipation * y ** (METHOD.dissipation_order - 1)
+        rounding = 1.0 + 1e-9
+        short = (y <= MAX_RADIANS_PER_STEP * rounding) & (lost <= MAX_DISSIPATION_ERROR * rounding)
+        return cls(steps, duration / steps, finite & short)
 
     @property
     def nodes(self) -> NDArray[np.int64]:
@@ -91,7 +93,6 @@ def indicators(
     ensemble: Ensemble,
     steps: TangentSteps,
     rate_unit: Array,
-    method: str,
     *,
     threads: int | None = None,
     progress: Callable[[int], None] | None = None,
@@ -107,8 +108,6 @@ def indicators(
     steps : TangentSteps
     rate_unit : ndarray of float64, shape (points,)
         See `System.rate_unit`.
-    method : str
-        Key of tableaux.METHODS, that of the kernel.
     threads, progress
         See `blocks.integrate`.
 
@@ -119,7 +118,7 @@ def indicators(
     """
     state = ensemble.state.copy()
     with np.errstate(all="ignore"):
-        unit = steps.step_size / METHODS[method].kernel_step
+        unit = steps.step_size / METHOD.kernel_step
         weights = _norm_weights(system, ensemble, unit, rate_unit)
         vectors = np.ascontiguousarray(tangent_space.start(system.equations, state) / weights)
     schedule = blocks.pack_blocks(steps.steps, steps.nodes)

@@ -10,7 +10,7 @@ from types import ModuleType
 import numpy as np
 
 from ..systems.base import Points, System
-from . import assemble, jit, tangent
+from . import assemble, chaos, jit, tangent
 
 
 @dataclass(frozen=True)
@@ -63,19 +63,18 @@ def kernel_hash(system: System, method: str, specialization: Specialization = GE
 
 
 @cache
-def _tangent_source(system: System, method: str, specialization: Specialization) -> str:
-    return assemble.source(
-        system.equations, method, specialization.zero, dict(specialization.equal), of=tangent
-    )
+def _tangent_source(system: System, specialization: Specialization) -> str:
+    zero, equal = specialization.zero, dict(specialization.equal)
+    return assemble.source(system.equations, chaos.METHOD.name, zero, equal, of=tangent)
 
 
 @cache
-def tangent_kernel(system: System, method: str, specialization: Specialization = GENERIC) -> ModuleType:
-    """The compiled module that integrates a system with a tangent vector; as `kernel`."""
-    return jit.load(_tangent_source(system, method, specialization))
+def tangent_kernel(system: System, specialization: Specialization = GENERIC) -> ModuleType:
+    """The compiled module that integrates a system with a tangent vector, for `chaos.indicators`."""
+    return jit.load(_tangent_source(system, specialization))
 
 
 @cache
-def tangent_kernel_hash(system: System, method: str, specialization: Specialization = GENERIC) -> str:
+def tangent_kernel_hash(system: System, specialization: Specialization = GENERIC) -> str:
     """As `kernel_hash`, of the tangent kernel."""
-    return jit.digest(_tangent_source(system, method, specialization))
+    return jit.digest(_tangent_source(system, specialization))

@@ -3,13 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from types import ModuleType
 
 import numpy as np
 
+from ..engine.chaos import METHOD, RELATIVE_COST, TangentSteps, indicators
 from ..engine.ensemble import Ensemble, Integration
-from ..engine.specialization import GENERIC, Specialization, kernel, kernel_hash
+from ..engine.specialization import (
+    GENERIC,
+    Specialization,
+    kernel,
+    kernel_hash,
+    tangent_kernel,
+    tangent_kernel_hash,
+)
 from ..engine.statistics import NEEDS_PSI, RATES, STATISTICS
 from ..engine.stepsize import ROUNDING, StepSizes
 from ..engine.tableaux import METHODS
@@ -17,8 +25,10 @@ from ..flags import Label, Status
 from ..scene.grid import Grid, Reason, status_of
 from ..scene.model import Scene, Settings
 from ..systems.base import FAMILY_TOLERANCE, Array, Flags, Mask, Points, System
+from ..variables import CHAOS
 from . import labels
 from .expected_errors import differences, early_stop_rate, error_estimate, measurement_errors, pair_error
+from .regularity import regularity
 from .theory import agreement, exact_starts, predict_runs
 
 # check_half_step = "sample" measures the error of one point in so many.
@@ -36,8 +46,16 @@ def scene_specialization(scene: Scene) -> Specialization:
 
 
 def scene_kernel_hash(scene: Scene) -> str:
-    """Hash of the kernel that the points of a scene are integrated with."""
-    return kernel_hash(scene.system, scene.settings.method, scene_specialization(scene))
+    """`hash_of_kernels` of a scene."""
+    return hash_of_kernels(scene.system, scene.settings.method, scene_specialization(scene), scene.outputs)
+
+
+def hash_of_kernels(
+    system: System, method: str, specialization: Specialization, outputs: Collection[str]
+) -> str:
+    """Hash of the kernel that points are integrated with; a second one follows where it is the tangent kernel as well."""
+    own = kernel_hash(system, method, specialization)
+    return f"{own}-{tangent_kernel_hash(system, specialization)}" if CHAOS & set(outputs) else own
 
 
 def evaluate_tile(
@@ -115,12 +133,16 @@ def evaluate(
         columns = {name: _scatter(values, exists) for name, values in columns.items()}
         return columns | {"status": np.where(exists, columns["status"], status_of(reason))}
     runs = _prepare(system, base, points, duration, settings, specialization, nudged, halved)
+    if outputs is not None and CHAOS & set(outputs):
+        runs = _with_tangent_steps(runs, points)
     execution = _Execution(threads, progress or (lambda points: None))
     whole_run = outputs is None or bool(WHOLE_RUN & set(outputs))
     integration = _integrate(runs, whole_run, execution)
     measured = integration.statistics()
     recheck = _recheck(runs, integration, measured, execution)
     columns = _assemble(runs, integration, measured, recheck)
+    if runs.tangent is not None:
+        columns |= _chaos(runs, runs.tangent, columns, execution)
     for name, derived in system.derived.items():
         if outputs is not None and name in outputs:
             columns[name] = derived.values(base, duration, lambda: execution.progress(0.0))
@@ -140,6 +162,15 @@ class _Execution:
 
 
 @dataclass(frozen=True)
+class _Tangent:
+    """What the runs with tangent vectors need beside the ensemble; arrays of shape (points,)."""
+
+    steps: TangentSteps
+    rate_unit: Array
+    share: float  # of the whole work
+
+
+@dataclass(frozen=True)
 class _Runs:
     """Points ready to be integrated, and what theory predicts of them; arrays of shape (points,)."""
 
@@ -156,6 +187,7 @@ class _Runs:
     rounding_growth: Array  # the same where the start is on the motion to rounding, else 0
     rounding_growth_on_vertical: Array  # the same of runs whose third axis never leaves the vertical by a bit
     frame_rates: Mapping[str, Array]  # label variable -> rate added to psi', rad per time unit
+    tangent: _Tangent | None = None
 
     @property
     def kernel(self) -> ModuleType:
@@ -215,6 +247,43 @@ def _prepare(
     )
 
 
+def _with_tangent_steps(runs: _Runs, points: Points) -> _Runs:
+    """The same, to be integrated with tangent vectors as well."""
+    settings, bound = runs.settings, runs.ensemble.frequency_bound
+    with np.errstate(all="ignore"):
+        steps = TangentSteps.of(bound, runs.duration, settings.step, settings.max_steps)
+        rate_unit = runs.system.rate_unit(points)
+    own = METHODS[settings.method].step_cost * float(runs.step_sizes.without_unresolved().steps.sum())
+    work = RELATIVE_COST * METHOD.step_cost * float(steps.steps[steps.resolved].sum())
+    return replace(runs, tangent=_Tangent(steps, rate_unit, work / (own + work)))
+
+
+def _chaos(
+    runs: _Runs, tangent: _Tangent, columns: Mapping[str, np.ndarray], execution: _Execution
+) -> dict[str, np.ndarray]:
+    """The variables of CHAOS: points whose status is ok are integrated with a tangent vector."""
+    size = runs.duration.size
+    megno, lyapunov = np.full(size, np.nan), np.full(size, np.nan)
+    where = np.flatnonzero(columns["status"] == Status.OK)
+    if where.size:
+        steps = tangent.steps.subset(where)
+        points_per_step = size * tangent.share / float(steps.steps.sum())
+        megno[where], lyapunov[where] = indicators(
+            runs.system, tangent_kernel(runs.system, runs.specialization), runs.ensemble.subset(where), steps,
+            tangent.rate_unit[where], threads=execution.threads,
+            progress=lambda point_steps: execution.progress(points_per_step * point_steps),
+        )  # fmt: skip
+    else:
+        execution.progress(size * tangent.share)
+    finite = np.isfinite(megno) & np.isfinite(lyapunov)
+    megno, lyapunov = np.where(finite, megno, np.nan), np.where(finite, lyapunov, np.nan)
+    return {
+        "megno": megno,
+        "lyapunov": lyapunov,
+        "regularity": regularity(columns["label"].astype(np.int8), megno),
+    }
+
+
 def _integrate(runs: _Runs, whole_run: bool, execution: _Execution) -> Integration:
     """Integrate the points, those that are certain to drift only as long as needed unless whole_run is set.
 
@@ -222,9 +291,10 @@ def _integrate(runs: _Runs, whole_run: bool, execution: _Execution) -> Integrati
     """
     settings, step_sizes = runs.settings, runs.step_sizes.without_unresolved()
     total = int(step_sizes.steps.sum())
+    points = runs.duration.size if runs.tangent is None else runs.duration.size * (1.0 - runs.tangent.share)
 
     def advance(point_steps: int) -> None:
-        execution.progress(runs.duration.size * point_steps / total)
+        execution.progress(points * point_steps / total)
 
     stop_rate = None
     if not whole_run:
@@ -247,8 +317,11 @@ def _status(
     settings, step_sizes = runs.settings, runs.step_sizes
     with np.errstate(all="ignore"):
         limit = labels.rounding_limit(runs.residual, runs.ensemble.frequency_bound, settings.tolerances)
+        resolved = step_sizes.resolved
+        if runs.tangent is not None:
+            resolved = resolved & runs.tangent.steps.resolved
         return labels.status(
-            integration.finite, measured["integral_drift"], settings.drift_tolerance, step_sizes.resolved,
+            integration.finite, measured["integral_drift"], settings.drift_tolerance, resolved,
             rounding_growth, limit, step_sensitive,
         )  # fmt: skip
 

@@ -10,7 +10,7 @@ import numpy as np
 import xarray as xr
 
 from .. import systems
-from ..engine.specialization import Specialization, kernel_hash
+from ..engine.specialization import Specialization
 from ..errors import BadInput, allowed_text, shown
 from ..io import netcdf, provenance
 from ..io.progress import Progress
@@ -20,8 +20,9 @@ from ..scene.model import DEFAULTS, Duration, Settings
 from ..scene.read import check_unit, parse_duration
 from ..scene.tables import number_column, point_columns
 from ..systems.base import Array, Flags, Mask, Points, System
+from ..variables import default_variables
 from ..variables import variables as variable_registry
-from .pipeline import evaluate
+from .pipeline import evaluate, hash_of_kernels
 
 MORE_SETTINGS = ("cylinder_tolerance", "drift_tolerance", "max_steps", "check_half_step")
 
@@ -108,7 +109,7 @@ def label_points(
     )
     ds = _dataset(kind, columns, full)
     ds.attrs |= provenance.provenance(
-        kind, settings, kernel_hash(kind, method, specialization),
+        kind, settings, hash_of_kernels(kind, method, specialization, outputs),
         title=f"points of the {system}", scene="", seconds=time.perf_counter() - began, points=size,
         warnings=warnings,
     )  # fmt: skip
@@ -119,7 +120,7 @@ def _outputs(system: System, variables: Sequence[str] | None) -> list[str]:
     """The variables wanted, in the order of the registry."""
     registry = variable_registry(system)
     if variables is None:
-        return [name for name in registry if name not in system.derived]
+        return default_variables(system)
     for name in variables:
         if name not in registry:
             raise BadInput(f"variables: {shown(name)} is unknown; {allowed_text(name, registry)}")

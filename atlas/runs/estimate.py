@@ -21,7 +21,7 @@ from .concurrency import tiles_in_flight
 from .method_costs import method_lines
 from .refine import expected_points
 from .tiles import tile_types
-from .tiling import mean_steps, step_sizes, step_warnings, tiling
+from .tiling import mean_steps, mean_work, step_sizes, step_warnings, tiling
 
 # Points that are integrated for the measurement, and the steps of all lanes for each thread: some tenths of a second.
 CALIBRATION_POINTS, CALIBRATION_STEPS = 4096, 2e7
@@ -68,7 +68,7 @@ def dry_run(scene: Scene, *, threads: int | None = None, workers: int | None = N
     derived_seconds = _derived_seconds(scene, sample)
     # A refined atlas has predictions at every point.
     theory_seconds = existing * cost.theory_seconds + points * derived_seconds
-    seconds = points * steps_per_point * cost.seconds_per_step + theory_seconds
+    seconds = points * mean_work(scene, sample) * cost.seconds_per_step + theory_seconds
     tile_bytes = cost.bytes_per_point * math.prod(cut.tile)
     if workers:
         memory, processors_text = workers * (_resident_bytes() + tile_bytes), f"{workers} processes"
@@ -117,7 +117,7 @@ def _measure(scene: Scene, sample: grid.Grid, threads: int) -> _Measurement:
     tracemalloc.stop()
     return _Measurement(
         seconds_per_step=max(second - theory_seconds, 0.1 * second)
-        / step_sizes(scene, points).without_unresolved().steps.sum(),
+        / (points.exists.size * mean_work(scene, points)),
         theory_seconds=theory_seconds / points.exists.size,
         compile_seconds=max(first - second, 0.0),
         bytes_per_point=peak_bytes / points.exists.size,
@@ -136,7 +136,8 @@ def _calibration(scene: Scene, sample: grid.Grid, threads: int) -> tuple[Scene, 
     points = sample.subset(chosen)
     while True:
         schedule = blocks.schedule_of(step_sizes(scene, points).without_unresolved())
-        fraction = CALIBRATION_STEPS * min(threads, len(schedule.points)) / schedule.point_steps
+        work = mean_work(scene, points) / mean_steps(scene, points) * schedule.point_steps
+        fraction = CALIBRATION_STEPS * min(threads, len(schedule.points)) / work
         if fraction > 0.8:  # counts of steps are rounded
             return scene, points
         # Both, because a limited number of steps does not depend on the duration.

@@ -27,7 +27,7 @@ from ..validation import half_step
 from ..variables import COMPUTED, variables
 
 # Measured flags whose boundaries are traced: the label always, the others where the scene asks for them.
-MEASURED = ("label", "label_inertial", "geometry", "status")
+MEASURED = ("label", "label_inertial", "geometry", "status", "regularity")
 PREDICTED = ("family", "stable", "predicted", "predicted_inertial")
 # Points on either side of a boundary that are integrated, at each level: with 2, every point of a cell
 # whose corners differ, and the cells around it.

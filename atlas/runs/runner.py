@@ -21,6 +21,7 @@ from ..files import check_name, exists_message, writable
 from ..io import checksums, netcdf
 from ..io.progress import Progress
 from ..io.provenance import log_warnings, provenance
+from ..label import regularity
 from ..label.pipeline import evaluate_tile, scene_kernel_hash
 from ..scene import grid
 from ..scene.model import Scene
@@ -132,7 +133,7 @@ def run(
     if scheduler:
         cluster.check(scheduler)
     sample = grid.check(scene)
-    warnings = grid.warnings(scene, sample)
+    warnings = [*grid.warnings(scene, sample), *regularity.warnings(scene, sample)]
     log_warnings(warnings)
     if scene.refine is not None:
         ds = refine.refined(scene, warnings, threads=threads, progress=progress)

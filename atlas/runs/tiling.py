@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ..engine import stepsize
+from ..label import regularity
 from ..scene import grid
 from ..scene.model import MAX_STEPS, Scene
 
@@ -83,6 +84,12 @@ def mean_steps(scene: Scene, sample: grid.Grid) -> float:
     return float(step_sizes(scene, sample).without_unresolved().steps[sample.exists].mean())
 
 
+def mean_work(scene: Scene, sample: grid.Grid) -> float:
+    """Integration of a point in steps of the scene's method, averaged over the sample, tangent vectors included."""
+    tangent = float(regularity.equivalent_steps(scene, sample)[sample.exists].mean())
+    return mean_steps(scene, sample) + tangent
+
+
 def step_warnings(scene: Scene, sample: grid.Grid) -> list[str]:
     """A sentence each on points that `max_steps` cuts short, and on points whose steps are too long for a label."""
     exists = sample.exists
@@ -119,6 +126,6 @@ def tiling(scene: Scene, sample: grid.Grid) -> Tiling:
     -------
     Tiling
     """
-    points = max(TILE_POINT_STEPS / mean_steps(scene, sample), MIN_POINTS_PER_TILE)
+    points = max(TILE_POINT_STEPS / mean_work(scene, sample), MIN_POINTS_PER_TILE)
     # A power of two, because the last bits of the mean may differ between machines.
     return Tiling.of(scene.shape, 2 ** round(math.log2(min(points, grid.MAX_POINTS_PER_TILE))))

@@ -16,7 +16,7 @@ from .. import systems
 from ..errors import BadInput, allowed_text, shown
 from ..files import read_text
 from ..systems.base import Array, System
-from ..variables import POINT, data_variables, variables
+from ..variables import POINT, data_variables, default_variables, variables
 from . import checks
 from .expressions import Expression, PointColumn, Tie, evaluation_order
 from .lines import Source
@@ -522,10 +522,10 @@ def check_unit(system: System, duration: Duration, key: str = "duration") -> Non
 
 
 def _outputs(system: System, table: Mapping[str, Any]) -> tuple[str, ...]:
-    """Variables of the atlas in the order of the registry; by default all but the derived ones."""
+    """Variables of the atlas in the order of the registry; by default all but the optional ones."""
     checks.check_keys(table, "outputs.", ("variables",))
     registry = variables(system)
-    wanted = table.get("variables", [name for name in registry if name not in system.derived])
+    wanted = table.get("variables", default_variables(system))
     if not isinstance(wanted, list) or not wanted:
         raise BadInput(f"outputs.variables = {shown(wanted)}: must be a list of at least one variable name")
     for name in wanted:

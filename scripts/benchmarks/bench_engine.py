@@ -35,9 +35,9 @@ from numba.extending import intrinsic
 from numba.np.unsafe.ndarray import to_fixed_tuple
 
 import atlas
-from atlas.engine import blocks, jit
+from atlas.engine import blocks, chaos, jit
 from atlas.engine.ensemble import Ensemble
-from atlas.engine.specialization import Specialization, kernel
+from atlas.engine.specialization import Specialization, kernel, tangent_kernel
 from atlas.engine.stepsize import StepSizes
 from atlas.scene.model import Settings
 from atlas.systems import SYSTEMS
@@ -323,6 +323,34 @@ def engine(points: int, rk4_steps: int, repeat: int) -> bool:
     return possible
 
 
+def tangent_cost(count: int, steps: int, repeat: int) -> None:
+    """Print the time of a step with a tangent vector over that of a step of the state alone, and of one with statistics."""
+    for name, system in SYSTEMS.items():
+        case = Case(name, chaos.METHOD.name, frozenset(), count, steps)
+        sizes = case.step_sizes
+        tangent = chaos.TangentSteps(sizes.steps, sizes.step_size, np.ones(count, bool))
+        own = tangent_kernel(system)
+        unit = np.ones(count)
+        works = {
+            "tangent": partial(chaos.indicators, system, own, case.ensemble, tangent, unit, threads=1),
+            "state": partial(
+                case.ensemble.final_states, case.kernel, sizes.steps, sizes.step_size, threads=1
+            ),
+            "statistics": partial(case.run, 1),
+        }
+        first_call = seconds(works["tangent"], time.perf_counter)
+        times: dict[str, list[float]] = {key: [] for key in works}
+        for _ in range(repeat):
+            for key, work in works.items():
+                times[key].append(seconds(work))
+        print(
+            f"{name}, {chaos.METHOD.name} with a tangent vector: {1e9 * min(times['tangent']) / (count * steps):.1f} ns per"
+            f" point and step, {ratio(times['tangent'], times['state']):.2f} times the state alone,"
+            f" {ratio(times['tangent'], times['statistics']):.2f} times the state with statistics; first call"
+            f" {first_call:.1f} s"
+        )
+
+
 def labels_only(path: Path) -> None:
     """Time a scene for all its variables against the same scene for its labels, whole runs."""
     text = path.read_text()
@@ -348,6 +376,7 @@ def main() -> int:
     )
     options = parser.parse_args()
     possible = engine(options.points, options.steps, options.repeat)
+    tangent_cost(options.points, options.steps // RK8_SHARE, options.repeat)
     labels_only(options.scene)
     if not possible:
         print(

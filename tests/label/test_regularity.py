@@ -1,0 +1,225 @@
+"""Regular or chaotic: verified cases, integrable motions, steady motions, and what a scene does with it."""
+
+import json
+from collections.abc import Sequence
+
+import numpy as np
+import pytest
+import tomli_w
+from strategies import default_points, random_fixed_points, random_satellites
+from truth import REFERENCE
+
+import atlas
+from atlas import cli
+from atlas.flags import Regularity
+from atlas.label.regularity import regularity
+from atlas.systems import SYSTEMS
+from atlas.variables import CHAOS, default_variables
+
+RANDOM = {"satellite": random_satellites, "fixed_point": random_fixed_points}
+VARIABLES = ["label", "status", "megno", "lyapunov", "regularity"]
+CASES = json.loads((REFERENCE / "chaos_cases.json").read_text())
+
+
+def labelled(system: str, points, duration, variables: Sequence[str] = VARIABLES, **options):
+    """The points with these variables.
+
+    A point that has every term of the equations goes with them, so that all calls share one kernel.
+    """
+    points = default_points(system, **points)
+    generic = RANDOM[system](np.random.default_rng(0), 1)
+    together = {name: np.append(values, generic[name]) for name, values in points.items()}
+    durations = np.append(np.broadcast_to(duration, values_of(points).shape), 1.0)
+    ds = atlas.label_points(
+        system, together, duration=durations, variables=variables, progress=False, **options
+    )
+    return ds.isel(point=slice(-1))
+
+
+def values_of(points):
+    """The values of any parameter."""
+    return next(iter(points.values()))
+
+
+def cases_of(system: str, *classes: str):
+    """Verified cases of a system, and their points as columns."""
+    cases = [case for case in CASES["cases"] if case["system"] == system and case["class"] in classes]
+    names = SYSTEMS[system].parameters
+    columns = {
+        name: np.array([case["points"].get(name, names[name].default) for case in cases]) for name in names
+    }
+    return cases, {name: column for name, column in columns.items() if not np.isnan(column).all()}
+
+
+def column(cases, key, i=None):
+    return np.array([case[key] if i is None else case[key][i] for case in cases])
+
+
+@pytest.mark.parametrize("system", SYSTEMS)
+def test_verified_regular_and_chaotic_motions(system):
+    cases, points = cases_of(system, "regular", "chaotic", "unstable_periodic")
+    for i, duration in enumerate((500.0, 2000.0)):
+        ds = labelled(system, points, duration)
+        assert (ds.status == 1).all()
+        assert (column(cases, "T", i) == duration).all()
+        kind, known = column(cases, "class"), column(cases, "class_at", i)
+        regular = (kind == "regular") & (known == "regular")
+        steady = np.isin(ds.label, (1, 2))
+        expected = np.where(steady, Regularity.STEADY, Regularity.REGULAR)
+        np.testing.assert_array_equal(ds.regularity[regular], expected[regular])
+        np.testing.assert_allclose(ds.megno[regular], column(cases, "megno", i)[regular], rtol=0, atol=0.05)
+        np.testing.assert_allclose(
+            ds.lyapunov[regular] * duration,
+            (column(cases, "lyapunov", i) * duration)[regular],
+            rtol=0,
+            atol=0.1,
+        )
+        chaotic = (kind == "chaotic") & (known == "chaotic")
+        assert chaotic.sum() > 10
+        assert (ds.regularity[chaotic] == Regularity.CHAOTIC).all()
+        low, high = np.array([case["lyapunov_range"][i] for case in cases]).T
+        assert (ds.lyapunov[chaotic] > 0.5 * low[chaotic]).all()
+        assert (ds.lyapunov[chaotic] < 2 * high[chaotic]).all()
+        periodic = kind == "unstable_periodic"
+        assert (ds.regularity[periodic] == Regularity.CHAOTIC).all()
+        if duration == 2000:
+            exponents = [case["floquet_exponent"] for case in cases if case["class"] == "unstable_periodic"]
+            np.testing.assert_allclose(ds.lyapunov[periodic], exponents, rtol=0, atol=2e-3)
+
+
+@pytest.mark.parametrize("system", SYSTEMS)
+def test_unstable_steady_motions_separate_at_their_growth_rate(system):
+    cases, points = cases_of(system, "unstable_steady")
+    growth = []
+    for i in range(2):
+        ds = labelled(system, points, column(cases, "T", i))
+        growth.append(ds.lyapunov.values * column(cases, "T", i))
+    assert (ds.regularity == Regularity.HYPERBOLIC).all()
+    measured = (growth[1] - growth[0]) / (column(cases, "T", 1) - column(cases, "T", 0))
+    np.testing.assert_allclose(measured, column(cases, "growth_measured"), rtol=1e-6)
+
+
+def test_planar_oscillations_are_unstable_in_tongues():
+    a, amplitude, exponent = np.array(CASES["planar_map"]).T
+    points = {"A": a, "B": 1.0, "C": 1.0, "psi0": amplitude, "theta0": 0.0}
+    growth = [
+        labelled("satellite", points, t, ["lyapunov"], tolerance=1e-4, rate_tolerance=1e-2).lyapunov * t
+        for t in (1000.0, 2000.0)
+    ]
+    clear = (exponent > 0.005) | (exponent < 0.002)
+    measured = (growth[1] - growth[0]) / 1000
+    np.testing.assert_array_equal(measured[clear] > 0.0035, exponent[clear] > 0.005)
+
+
+def integrable(name: str, count: int, seed: int = 0):
+    """Random bodies about a fixed point whose motion is integrable."""
+    rng = np.random.default_rng(seed)
+    given = {"theta0": rng.uniform(0.2, 2.9, count), "phi0": rng.uniform(0, 2 * np.pi, count)}
+    given |= {rate: rng.normal(size=count) for rate in ("n", "m", "theta_dot0")}
+    parts = rng.uniform(0.3, 1.0, (3, count))
+    given |= dict(zip("ABC", parts.sum(0) - parts, strict=True))
+    if name == "Joukovsky":
+        given |= {rotor: rng.normal(size=count) for rotor in ("l1", "l2", "l3")}
+    elif name == "Clebsch":
+        given |= {"N": rng.normal(size=count)}
+    elif name == "Lagrange":
+        given |= {"B": given["A"], "C": given["A"] * rng.uniform(0.3, 1.9, count), "Mg": 1.0}
+        given |= {"z0": rng.normal(size=count), "l3": rng.normal(size=count)}
+    elif name == "Kovalevskaya":
+        given |= {"A": 2.0, "B": 2.0, "C": 1.0, "Mg": 1.0}
+        given |= {"x0": rng.normal(size=count), "l3": rng.normal(size=count)}
+    return default_points("fixed_point", count, **given)
+
+
+def test_no_integrable_motion_is_chaotic():
+    names = ("Euler", "Joukovsky", "Clebsch", "Lagrange", "Kovalevskaya")
+    bodies = [integrable(name, 40) for name in names]
+    points = {name: np.concatenate([body[name] for body in bodies]) for name in bodies[0]}
+    ds = labelled("fixed_point", points, 300.0)
+    assert (ds.status == 1).all()
+    assert not (ds.regularity == Regularity.CHAOTIC).any()
+
+
+@pytest.mark.parametrize(
+    ("label", "megno", "expected"),
+    [
+        (1, 2.0, "STEADY"), (2, -0.3, "STEADY"), (2, 4.9, "STEADY"), (1, 5.1, "HYPERBOLIC"), (3, 2.4, "REGULAR"),
+        (3, -1.0, "REGULAR"), (3, 2.6, "UNDECIDED"), (3, 4.9, "UNDECIDED"), (3, 5.1, "CHAOTIC"),
+        (3, np.nan, "NOT_COMPUTED"), (4, 2.0, "NOT_COMPUTED"), (0, np.nan, "NOT_COMPUTED"),
+    ],
+)  # fmt: skip
+def test_flag(label, megno, expected):
+    flag = regularity(np.array([label], np.int8), np.array([megno]))
+    assert flag.dtype == np.int8
+    assert flag[0] == Regularity[expected]
+
+
+def scene_of(duration="100 orbits", variables=("label", "megno", "regularity"), **integration):
+    """Text of a scene of 6 x 5 satellites that librate and tumble."""
+    return tomli_w.dumps(
+        {
+            "schema": 1,
+            "system": "satellite",
+            "fixed": {"A": 1.0, "B": 1.3, "C": 1.6, "theta0": 0.1},
+            "axes": {
+                "psi0": {"from": 0.1, "to": 1.4, "count": 6},
+                "m": {"from": 0.0, "to": 0.5, "count": 5},
+            },
+            "integration": {"duration": duration} | (integration or {"tolerance": 1e-6}),
+            "outputs": {"variables": list(variables)},
+        }
+    )
+
+
+def test_other_variables_are_the_same_to_the_bit_without_it():
+    names = ("label", "status", "theta_dot_rms", "theta_max", "error_estimate")
+    plain = atlas.run(atlas.load_scene(scene_of(variables=names)), progress=False)
+    both = atlas.run(atlas.load_scene(scene_of(variables=(*names, *CHAOS))), progress=False)
+    for name in names:
+        np.testing.assert_array_equal(plain[name], both[name])
+    assert both.attrs["atlas_kernel_hash"].startswith(plain.attrs["atlas_kernel_hash"] + "-")
+    assert len(np.unique(both.regularity)) > 1
+
+
+def test_only_scenes_that_ask_for_it_have_it():
+    for system in SYSTEMS.values():
+        assert not CHAOS & set(default_variables(system))
+
+
+def test_run_folders_shards_and_threads_give_the_same(tmp_path):
+    scene = atlas.load_scene(scene_of())
+    whole = atlas.run(scene, progress=False, threads=1)
+    for shard in ((1, 2), (2, 2)):
+        atlas.run(scene, f"{tmp_path}/run/", progress=False, shard=shard)
+    with atlas.open_atlas(tmp_path / "run") as ds:
+        for name in whole.data_vars:
+            np.testing.assert_array_equal(ds[name], whole[name])
+
+
+def test_coarse_steps_fake_no_chaos():
+    """A step that resolves the labels may be too long for the indicators: no label then."""
+    points = {"A": 1.0, "B": 1.3, "C": 1.6, "psi0": np.linspace(0.5, 1.4, 4), "theta0": 0.1}
+    given = {"step": 0.15, "method": "rk8"}
+    ds = labelled("satellite", points, 100.0, **given)
+    assert (ds.regularity == 0).all()
+    assert np.isnan(ds.megno).all()
+    assert (ds.label == 4).all()
+    assert (ds.status == 4).all()
+    assert (labelled("satellite", points, 100.0, ["label"], **given).label == 3).all()
+
+
+def test_check_warns_of_runs_that_are_too_short(tmp_path, capsys):
+    for duration, words in (("20 orbits", "4 times as long"), ("80 orbits", None)):
+        (tmp_path / "scene.toml").write_text(scene_of(duration))
+        assert cli.main(["check", str(tmp_path / "scene.toml")]) == 0
+        output = capsys.readouterr().out
+        assert ("too short" in output) == (words is not None)
+        assert words is None or words in output
+
+
+def test_refinement_follows_regularity():
+    text = scene_of() + "\n[refine]\nlevels = 1\nprobe = 1.0\n"
+    refined = atlas.run(atlas.load_scene(text), progress=False)
+    assert "regularity" in refined
+    computed = refined.computed == 1
+    assert (refined.regularity.where(computed, 1) > 0).all()

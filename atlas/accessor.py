@@ -297,6 +297,73 @@ class Atlas:
             raise BadInput(f"{panel_dim} has {plane.sizes[panel_dim]} values here: choose one by select")
         return family_curves(Plane.of(scene, plane, dims))
 
+    def frequencies(
+        self, lines: int = 3, *, samples: int = 8193, trajectory: xr.Dataset | None = None, **coords: float
+    ) -> xr.Dataset:
+        """Strongest lines in the spectra of one motion, refined beyond the resolution of a Fourier transform.
+
+        Parameters
+        ----------
+        lines : int
+            Number of lines of each signal.
+        samples : int
+            Instants of the motion; their spacing must resolve its fastest line.
+        trajectory : Dataset, optional
+            A motion from `atlas.trajectory`, in place of the point's.
+        **coords : float
+            The point, as for `nearest`.
+
+        Returns
+        -------
+        Dataset
+            Over "signal" and "line", the strongest line first: frequency (rad per time unit, signed for psi and phi),
+            amplitude, and share of the variance. Signal "theta" is cos theta, "psi" and "phi" are
+            sin(theta) e^(i psi) and sin(theta) e^(i phi), in the frame, all less their means. Where there are fewer
+            lines than asked for, the others are nan.
+
+        Raises
+        ------
+        BadInput
+            As `trajectory`, and where the samples are too few.
+
+        Notes
+        -----
+        A regular motion has lines that stay the same in both halves of a run; those of a chaotic one do not.
+        """
+        from .analysis.frequencies import frequencies
+
+        return frequencies(
+            self.trajectory(samples=samples, **coords) if trajectory is None else trajectory, lines
+        )
+
+    def roughness(self, x: str | None = None, y: str | None = None) -> xr.DataArray:
+        """How roughly the range of theta varies over the grid: a picture of chaos without its cost, not a label.
+
+        Parameters
+        ----------
+        x, y : str, optional
+            Axes along which differences are taken; default: all.
+
+        Returns
+        -------
+        DataArray
+            Sum over the axes of the second differences of theta_max - theta_min between neighbouring points, rad; nan
+            at the edges. It is small where motions depend smoothly on the parameters and large where they are chaotic
+            or a border runs; draw its logarithm.
+
+        Raises
+        ------
+        BadInput
+            Without theta_min and theta_max, or without an axis of at least 3 values.
+
+        References
+        ----------
+        J. Daquin and C. Charalambous (2022): the second derivative of the diameter of orbits.
+        """
+        from .analysis.roughness import roughness
+
+        return roughness(self._ds, x, y)
+
     def trust(self, variable: str = "label") -> xr.Dataset:
         """How far a map can be trusted between its points, from the map itself.
 

@@ -1,0 +1,160 @@
+"""Frequencies of one motion: the strongest lines in the spectra of its angles.
+
+The numerical analysis of fundamental frequencies (Laskar 1993, doi 10.1016/0167-2789(93)90210-R): the maximum of the windowed
+Fourier integral is refined to far below the distance of two lines of a discrete transform, all lines found so far are
+fitted together, and what is left is searched for the next. SciPy does the numerics: the packages for this are under
+licences that a user of this one may not be able to accept.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
+from scipy.optimize import minimize_scalar
+from scipy.signal.windows import hann
+
+from ..errors import BadInput
+from ..systems.base import Array
+
+Signal = NDArray[np.complex128]
+
+# Share of the largest frequency of the samples beyond which a line may be that of a faster motion.
+MAX_SHARE_OF_NYQUIST = 0.8
+# How often all lines are refined again after a new one.
+PASSES = 2
+
+
+def frequencies(trajectory: xr.Dataset, lines: int) -> xr.Dataset:
+    """Strongest lines of a motion; see `Atlas.frequencies`.
+
+    Parameters
+    ----------
+    trajectory : Dataset
+        As `atlas.trajectory` returns it.
+    lines : int
+        Number of lines of each signal.
+
+    Returns
+    -------
+    Dataset
+        Over (signal, line), see `Atlas.frequencies`.
+
+    Raises
+    ------
+    BadInput
+        Where the samples are too few for the fastest line.
+    """
+    time = trajectory["time"].values
+    columns = {name: _signal(trajectory, name) for name in ("theta", "psi", "phi")}
+    shape = (len(columns), lines)
+    frequency, amplitude, share = (np.full(shape, np.nan) for _ in range(3))
+    nyquist = np.pi / (time[1] - time[0])
+    for i, (name, signal) in enumerate(columns.items()):
+        weight = hann(time.size)
+        weight /= weight.sum()
+        power = float(weight @ np.abs(signal - weight @ signal) ** 2)
+        found, coefficients = spectral_lines(time, signal, lines, real=name == "theta")
+        frequency[i, : len(found)], amplitude[i, : len(found)] = found, np.abs(coefficients)
+        share[i, : len(found)] = np.abs(coefficients) ** 2 / power * (0.5 if name == "theta" else 1.0)
+        if len(found) and np.abs(found[0]) > MAX_SHARE_OF_NYQUIST * nyquist:
+            raise BadInput(
+                f"samples = {time.size}: too few for a line of {name} at {found[0]:g} rad per time unit; take"
+                f" {4 * time.size}"
+            )
+    return xr.Dataset(
+        {
+            "frequency": (
+                ("signal", "line"),
+                frequency,
+                {"units": "rad s-1", "long_name": "frequency, signed"},
+            ),
+            "amplitude": (("signal", "line"), amplitude, {"units": "1", "long_name": "amplitude"}),
+            "share": (("signal", "line"), share, {"units": "1", "long_name": "share of the variance"}),
+        },
+        coords={"signal": list(columns), "line": np.arange(lines)},
+        attrs=trajectory.attrs,
+    )
+
+
+def _signal(trajectory: xr.Dataset, name: str) -> Signal:
+    """cos theta or sin theta e^(i angle)."""
+    theta = trajectory["theta"].values
+    if name == "theta":
+        signal = np.cos(theta).astype(np.complex128)
+    else:
+        angle = trajectory[name].values
+        signal = np.where(np.isnan(angle), 0.0, np.sin(theta) * np.exp(1j * np.nan_to_num(angle)))
+    return np.asarray(signal)
+
+
+def spectral_lines(time: Array, signal: Signal, count: int, *, real: bool = False) -> tuple[Array, Signal]:
+    """Strongest lines of a signal, a constant and a sum of c exp(i w t), by decreasing power as they are found.
+
+    Parameters
+    ----------
+    time : ndarray of float64, shape (samples,)
+        Evenly spaced.
+    signal : ndarray of complex128, shape (samples,)
+    count : int
+        Number of lines; fewer are returned where nothing is left.
+    real : bool
+        The signal is real: lines at w and -w are one, with w >= 0 and the amplitude of the cosine.
+
+    Returns
+    -------
+    frequency : ndarray of float64
+        In rad per unit of time.
+    coefficient : ndarray of complex128
+    """
+    weight = hann(time.size)
+    weight /= weight.sum()
+    grid = 2 * np.pi * np.fft.fftfreq(2 * time.size, time[1] - time[0])
+    frequencies: list[float] = []
+    coefficients, rest = _fit(time, signal, frequencies, weight, real)
+    scale = float(np.abs(signal).max())
+    while len(frequencies) < count:
+        spectrum = np.abs(np.fft.fft(rest * weight, 2 * time.size))
+        if real:
+            spectrum[grid < 0] = 0.0
+        highest = int(np.argmax(spectrum))
+        if spectrum[highest] <= 1e-12 * scale:
+            break
+        frequencies.append(_refined(time, rest * weight, grid[highest], grid[1]))
+        coefficients, rest = _fit(time, signal, frequencies, weight, real)
+        # Lines shift the maxima of each other: each is refined again without the others.
+        for _ in range(PASSES):
+            for i, frequency in enumerate(frequencies):
+                half = coefficients[[i]] / (2 if real else 1)  # without the line at the opposite frequency
+                alone = (rest + _waves(time, [frequency]) @ half) * weight
+                frequencies[i] = _refined(time, alone, frequency, grid[1])
+                coefficients, rest = _fit(time, signal, frequencies, weight, real)
+    return np.array(frequencies), coefficients
+
+
+def _refined(time: Array, weighted: Signal, near: float, width: float) -> float:
+    """Frequency of the maximum of the Fourier integral near a line of the discrete transform."""
+
+    def negative(frequency: float) -> float:
+        return -abs(complex(np.exp(-1j * frequency * time) @ weighted))
+
+    result = minimize_scalar(
+        negative, bounds=(near - width, near + width), method="bounded", options={"xatol": 1e-10 * width}
+    )
+    return float(result.x)
+
+
+def _waves(time: Array, frequencies: list[float]) -> Signal:
+    return np.asarray(np.exp(1j * np.outer(time, frequencies)))
+
+
+def _fit(
+    time: Array, signal: Signal, frequencies: list[float], weight: Array, real: bool
+) -> tuple[Signal, Signal]:
+    """Coefficients of all lines and a constant together, by weighted least squares, and what they leave of the signal."""
+    waves, count = _waves(time, frequencies), len(frequencies)
+    basis = np.concatenate([waves, waves.conj() if real else waves[:, :0], np.ones((time.size, 1))], axis=1)
+    weighted = basis.conj().T * weight
+    fitted: Signal = np.linalg.lstsq(weighted @ basis, weighted @ signal, rcond=1e-12)[0]
+    rest: Signal = np.asarray(signal - basis @ fitted, np.complex128)
+    return (2 * fitted[:count] if real else fitted[:count]), rest

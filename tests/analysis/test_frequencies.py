@@ -1,0 +1,68 @@
+"""Lines of a motion: sums of exponentials, a torque-free symmetric top, and what is too fast for the samples."""
+
+import numpy as np
+import pytest
+
+import atlas
+from atlas.analysis.frequencies import frequencies, spectral_lines
+
+
+def test_lines_of_a_sum_of_exponentials():
+    time = np.linspace(0, 200, 2001)
+    exact = {1.2345678: 1.0, -0.7654321: 0.5j, 2.1: -0.01}
+    signal = sum(c * np.exp(1j * w * time) for w, c in exact.items())
+    frequency, coefficient = spectral_lines(time, signal, 5)
+    np.testing.assert_allclose(frequency[:3], list(exact), atol=1e-7)
+    np.testing.assert_allclose(coefficient[:3], list(exact.values()), atol=1e-6)
+    assert np.abs(coefficient[3:]).max(initial=0) < 1e-5
+
+
+def test_lines_of_a_real_signal_are_cosines():
+    time = np.linspace(0, 150, 1501)
+    signal = (0.7 * np.cos(0.9 * time + 0.3) + 0.2 * np.cos(2.3 * time)).astype(complex)
+    frequency, coefficient = spectral_lines(time, signal, 2, real=True)
+    np.testing.assert_allclose(frequency, [0.9, 2.3], atol=1e-8)
+    np.testing.assert_allclose(np.abs(coefficient), [0.7, 0.2], atol=1e-7)
+    assert np.angle(coefficient[0]) == pytest.approx(0.3, abs=1e-6)
+
+
+def test_rates_of_a_regular_precession():
+    """phi and psi of a torque-free symmetric top in regular precession about the vertical turn at m and n."""
+    n, m, theta = 0.8, 0.3, 0.9
+    A = 1.0
+    C = A * n * np.cos(theta) / (n * np.cos(theta) + m)  # C (n cos theta + m) = A n cos theta
+    motion = atlas.trajectory(
+        "fixed_point", {"A": A, "B": A, "C": C, "theta0": theta, "n": n, "m": m, "Mg": 0.0},
+        duration=120.0, samples=2001,
+    )  # fmt: skip
+    ds = frequencies(motion, 1)
+    assert ds.frequency.sel(signal="psi").item() == pytest.approx(n, abs=1e-7)
+    assert ds.frequency.sel(signal="phi").item() == pytest.approx(m, abs=1e-7)
+    assert ds.amplitude.sel(signal="psi").item() == pytest.approx(np.sin(theta), abs=1e-6)
+    assert ds.share.sel(signal="phi").item() == pytest.approx(1.0, abs=1e-5)
+
+
+def test_small_librations_have_the_frequency_of_the_linear_equations():
+    """Third axis along the radius, second along the normal: B psi'' = -3 (A - C) psi."""
+    A, B, C = 1.3, 1.6, 1.0
+    start = {"psi0": np.pi / 2 + 1e-3, "theta0": np.pi / 2, "phi0": 0.0}
+    motion = atlas.trajectory("satellite", {"A": A, "B": B, "C": C} | start, duration=300.0, samples=3001)
+    psi = frequencies(motion, 2).sel(signal="psi")
+    expected = np.sqrt(3 * (A - C) / B)
+    np.testing.assert_allclose(np.sort(psi.frequency), [-expected, expected], atol=1e-5)
+
+
+def test_too_few_samples_are_refused():
+    motion = atlas.trajectory(
+        "fixed_point", {"Mg": 0.0, "theta0": 1.0, "n": 5.0, "m": 3.0}, duration=100.0, samples=180
+    )
+    with pytest.raises(atlas.BadInput, match="samples = 180: too few"):
+        frequencies(motion, 1)
+
+
+def test_accessor(small_scene):
+    ds = atlas.run(atlas.load_scene(small_scene), progress=False)
+    place = {dim: float(ds[dim][1]) for dim in ds.label.dims}
+    table = ds.atlas.frequencies(2, samples=1025, **place)
+    assert table.sizes == {"signal": 3, "line": 2}
+    assert table.frequency.attrs["units"] == "rad s-1"

@@ -155,6 +155,7 @@ def _fit(
     waves, count = _waves(time, frequencies), len(frequencies)
     basis = np.concatenate([waves, waves.conj() if real else waves[:, :0], np.ones((time.size, 1))], axis=1)
     weighted = basis.conj().T * weight
-    fitted: Signal = np.linalg.lstsq(weighted @ basis, weighted @ signal, rcond=1e-12)[0]
-    rest: Signal = np.asarray(signal - basis @ fitted, np.complex128)
+    solution = np.linalg.lstsq(weighted @ basis, weighted @ signal, rcond=1e-12)[0]
+    fitted = np.asarray(solution, np.complex128)
+    rest = np.asarray(signal - basis @ fitted, np.complex128)
     return (2 * fitted[:count] if real else fitted[:count]), rest

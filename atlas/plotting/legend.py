@@ -15,7 +15,7 @@ from matplotlib.patches import Patch
 from ..systems.base import Mask
 from .content import NOT_YET, SLOW, Panel, visible
 from .options import MapOptions
-from .overlay import HATCHES, border_style, family_style
+from .overlay import HATCHES, UNDECIDED, border_style, family_style
 from .style import SYMBOLS
 
 Entries = dict[str, Artist]
@@ -79,7 +79,8 @@ def _candidates(
     ]
     for value, (name, colour) in enumerate(flags.items()):
         masks = [(panel.array.values == value) & ~white for panel, white in zip(panels, taken, strict=True)]
-        yield options.text(name, name.replace("_", " ")), masks, _patch(colour)
+        sample = _hatched(name, colour) if name == UNDECIDED else _patch(colour)
+        yield options.text(name, name.replace("_", " ")), masks, sample
     for reason in whites:
         masks = [panel.white.get(reason, nothing) for panel, nothing in zip(panels, empty, strict=True)]
         yield reason, masks, _hatched(NOT_YET) if reason == NOT_YET else _patch("#ffffff")
@@ -97,9 +98,11 @@ def _patch(colour: str) -> Patch:
     return Patch(facecolor=colour, edgecolor="0.4", linewidth=0.4)
 
 
-def _hatched(what: str) -> Patch:
+def _hatched(what: str, background: str | None = None) -> Patch:
     hatch = HATCHES[what]
-    return Patch(facecolor=hatch.background, edgecolor=hatch.colour, hatch=hatch.pattern, linewidth=0.4)
+    return Patch(
+        facecolor=background or hatch.background, edgecolor=hatch.colour, hatch=hatch.pattern, linewidth=0.4
+    )
 
 
 def draw_legend(target: Figure | Axes, entries: Entries, width: float, title: str | None = None) -> None:

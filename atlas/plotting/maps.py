@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from contextlib import nullcontext
+from dataclasses import replace
 
 import xarray as xr
 from matplotlib import rc_context
@@ -17,6 +18,7 @@ from ..errors import BadInput
 from . import text
 from .cells import draw_values, edges_of, set_axis
 from .content import panel_of, tiles_done
+from .exponents import draw_exponents, exponent_scale, hatch_undecided, texts
 from .legend import map_legend
 from .options import MapOptions
 from .overlay import draw_overlay
@@ -137,6 +139,9 @@ def _draw_map(
     panels = [panel_of(part, name, dims, scene, options.boundary) for part in parts]
     flags = dict(zip(flag_names(array), _flag_colours(array, options), strict=True))
     families = list(system_of(ds).families)
+    exponents = exponent_scale(plane, name)
+    if name == "regularity":
+        options = replace(options, labels={**texts(ds), **options.labels})
     entries, notes = map_legend(panels, flags, options, families)
     if not flags and "computed" in ds:
         notes.append("Between the points that were integrated: the value of the nearest one.")
@@ -149,6 +154,9 @@ def _draw_map(
     for part, panel, ax in zip(parts, panels, axes, strict=True):
         edges = edges_of(panel.array, dims, log)
         image = draw_values(ax, panel.array, edges, scale, variable_text)
+        if name == "regularity":
+            hatch_undecided(ax, panel.array, edges)
+            image = image if exponents is None else draw_exponents(ax, part, panel.array, edges, exponents)
         for which, is_log in zip("xy", log, strict=False):
             set_axis(ax, which, is_log, inner=which == "x" and sheet.columns > 1)
         if panel.array.ndim == 2 or flags:
@@ -156,7 +164,10 @@ def _draw_map(
         if panel_dim is not None:
             ax.set_title(_panel_title(part, panel_dim))
     sheet.label_axes(axes, [options.text(dim, text.axis_label(ds, dim)) for dim in dims])
-    if image is not None and not flags:
+    if image is not None and exponents is not None:
+        label = text.variable_label(plane["lyapunov"]).replace("lyapunov", r"Lyapunov exponent $\lambda$")
+        add_color_bar(figure, axes, image, exponents, label)
+    elif image is not None and not flags:
         add_color_bar(figure, axes, image, scale, variable_text)
     return figure
 

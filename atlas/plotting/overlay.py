@@ -35,7 +35,9 @@ class Hatch:
     background: str
 
 
+UNDECIDED = "undecided"
 HATCHES = {
+    UNDECIDED: Hatch("\\\\\\\\\\\\", "0.45", "none"),
     SLOW: Hatch("//////", "#262626", "none"),
     NOT_YET: Hatch("xxxxx", "0.65", "0.92"),
 }
@@ -55,14 +57,14 @@ def draw_overlay(ax: Axes, panel: Panel, edges: list[np.ndarray], families: Sequ
     """Draw hatching and theory over the cells of a panel."""
     for what, mask in ((NOT_YET, panel.white.get(NOT_YET)), (SLOW, panel.slow)):
         if mask is not None and mask.any():
-            _draw_hatching(ax, np.atleast_2d(mask), edges, HATCHES[what])
+            draw_hatching(ax, np.atleast_2d(mask), edges, HATCHES[what])
     for kind in KINDS[::-1]:
         _draw_lines(ax, panel.borders.get(kind, []), border_style(kind))
     for name, lines in panel.families.items():
         _draw_lines(ax, lines, family_style(families.index(name)))
 
 
-def _draw_hatching(ax: Axes, mask: Mask, edges: list[np.ndarray], hatch: Hatch) -> None:
+def draw_hatching(ax: Axes, mask: Mask, edges: list[np.ndarray], hatch: Hatch) -> None:
     """Hatch the marked cells, one rectangle for each run of them along x."""
     x, y = edges[0], edges[1]
     steps = np.diff(np.pad(mask, ((0, 0), (1, 1))).astype(np.int8), axis=1)

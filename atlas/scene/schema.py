@@ -310,5 +310,7 @@ def _about() -> Schema:
 
 def _variables(system: System) -> str:
     """The variables with their meanings."""
-    meanings = "; ".join(f"{name}: {variable.long_name}" for name, variable in variables(system).items())
-    return f"variables of the atlas (default: all but {', '.join(system.derived) or 'none'}). {meanings}"
+    registry = variables(system)
+    meanings = "; ".join(f"{name}: {variable.long_name}" for name, variable in registry.items())
+    optional = [name for name, variable in registry.items() if variable.optional]
+    return f"variables of the atlas (default: all but {', '.join(optional) or 'none'}). {meanings}"

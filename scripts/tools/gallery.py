@@ -45,6 +45,7 @@ AT_REST = (
     "Seen in the orbital frame n = 0, and the label is permanent rotation; seen from inertial space the axis turns with"
     " the orbit, and `label_inertial` is regular precession."
 )
+CHAOS = " Pale motions are regular for as long as the runs last, dark ones chaotic, the darker the faster neighbours separate."
 PICTURES = (
     Picture(
         "stability_cylindrical",
@@ -128,6 +129,25 @@ PICTURES = (
         " the two turns of their figures: of second order in eps and the rotor l/(A r0) together. The form as printed"
         " (`first_order_error_printed`) is wrong by the order of the rotor.",
         "first_order_error",
+    ),
+    Picture(
+        "chaos_tumbling",
+        "An asymmetric body (A : B : C = 1 : 1.3 : 1.6) without rotor and magnet, turned by psi0 about the orbit normal and"
+        " tilted by 0.1 from it, rotating at m relative to the orbit. Small librations and fast rotations are regular."
+        + CHAOS,
+        "regularity",
+    ),
+    Picture(
+        "planar_oscillations",
+        "A symmetric body whose axis swings in the orbital plane like a pendulum. Each motion is periodic; in the tongues,"
+        " resonances with the motion out of the plane, its neighbours leave exponentially." + CHAOS,
+        "regularity",
+    ),
+    Picture(
+        "chaos_unstable",
+        f"The motion perpendicular to the velocity, (24) of {SATELLITE}, started as in stability_perp_velocity and followed"
+        " for 80 orbits: what it becomes where it is unstable." + CHAOS,
+        "regularity",
     ),
 )
 

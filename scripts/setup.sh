@@ -6,6 +6,29 @@ python=${PYTHON:-python3}
     echo "Precession Atlas needs Python 3.11 or newer; set PYTHON to one" >&2
     exit 1
 }
-[ -x .venv/bin/python ] || "$python" -m venv .venv
-echo "Installing Precession Atlas into .venv" >&2
-.venv/bin/python -m pip install --quiet --disable-pip-version-check --editable ".${extras:-}"
+if [ ! -x .venv/bin/python ]; then
+    if "$python" -c 'import ensurepip' 2>/dev/null; then
+        "$python" -m venv .venv
+    else  # Debian without python3-venv
+        "$python" -m venv --without-pip .venv
+    fi
+fi
+
+install_package() {
+    set -- install --disable-pip-version-check --progress-bar off --editable ".${extras:-}"
+    if [ -x .venv/bin/pip ]; then
+        PYTHONUNBUFFERED=1 .venv/bin/python -m pip "$@"
+    else  # the pip of the system installs into .venv
+        PYTHONUNBUFFERED=1 "$python" -m pip --python .venv/bin/python "$@"
+    fi
+}
+
+echo "Installing Precession Atlas into .venv; the first time this takes a minute or two" >&2
+# One short line for each package that pip fetches. The exit status of pip, which `sed` would hide, takes file
+# descriptor 3.
+status=$({ { install_package; echo $? >&3; } | sed -n \
+    -e '/\.metadata/d' \
+    -e 's/^ *Downloading \([^- ]*-[^- ]*\)-[^ ]*\.whl\(.*\)/  downloading \1\2/p' \
+    -e 's/^ *Using cached \([^- ]*-[^- ]*\)-[^ ]*\.whl\(.*\)/  from the cache \1\2/p' \
+    -e 's/^Installing collected packages:.*/  installing them/p' >&2; } 3>&1)
+[ "$status" = 0 ] || exit 1

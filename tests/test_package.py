@@ -43,7 +43,7 @@ def test_help_and_check_load_no_compiler(command):
         "import sys; from atlas.cli import main\n"
         "try: main(sys.argv[1:])\n"
         "except SystemExit: pass\n"
-        "sys.exit(any(name in sys.modules for name in ('numba', 'llvmlite', 'matplotlib')))"
+        "sys.exit(any(name in sys.modules for name in ('numba', 'llvmlite', 'matplotlib', 'scipy')))"
     )
     result = subprocess.run(
         [sys.executable, "-c", code, *command],

@@ -6,7 +6,6 @@ from types import ModuleType
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.integrate import solve_ivp
 
 from .base import Array
 
@@ -30,6 +29,8 @@ def earlier_start(
     dict
         The columns with other theta0, phi0, theta_dot0, n and m.
     """
+    from scipy.integrate import solve_ivp  # here, because every command imports the systems
+
     points = {
         name: np.broadcast_to(np.asarray(columns.get(name, parameter.default), float), before.shape)
         for name, parameter in initial.PARAMETERS.items()

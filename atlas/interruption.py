@@ -3,27 +3,63 @@
 from __future__ import annotations
 
 import os
+import shlex
 import signal
 import sys
 import threading
-from collections.abc import Iterator
-from contextlib import contextmanager
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
 from multiprocessing import parent_process
 from pathlib import Path
 from types import FrameType
 from typing import NoReturn
 
-INTERRUPTED = 130  # exit code
-MESSAGE = "atlas: interrupted; finished work is kept, and no file is half written"
+# Exit codes, 128 and the number of the signal, as shells and batch systems expect them.
+INTERRUPTED, TERMINATED = 130, 143
+MESSAGE = "finished work is kept, and no file is half written"
 # Seconds after a signal when the process ends, in order or not: compilers do not react to exceptions.
 PATIENCE = 1.2
 SIGNALS = (signal.SIGINT, signal.SIGTERM)
 
+_received = signal.SIGINT  # the last signal
+_kept: Callable[[], str] | None = None
 
-def end_process(*_: object) -> None:
+
+def end_process(number: int | None = None, *_: object) -> None:
     """End the process at once with the exit code of an interruption. Files appear whole by a move, so none is harmed."""
-    os.write(2, f"{MESSAGE}\n".encode())
-    os._exit(INTERRUPTED)
+    code, text = outcome(number)
+    os.write(2, f"{text}\n".encode())
+    os._exit(code)
+
+
+def outcome(number: int | None = None) -> tuple[int, str]:
+    """Exit code and message of a process that a signal ends; by default the last one that it got."""
+    code = TERMINATED if (number or _received) == signal.SIGTERM else INTERRUPTED
+    kept = ""
+    if _kept is not None:
+        with suppress(Exception):  # such as a folder that has been removed
+            kept = _kept()
+    return code, f"atlas: interrupted; {f'{kept}; `{_own_command()}` continues' if kept else MESSAGE}"
+
+
+def explain_kept(kept: Callable[[], str] | None) -> None:
+    """Let the message of an interruption state what the same command would continue.
+
+    Parameters
+    ----------
+    kept : callable or None
+        Called when a signal has come. It returns the text, or an empty one for the usual message, which None
+        brings back.
+    """
+    global _kept
+    _kept = kept
+
+
+def _own_command() -> str:
+    """The command of this process, as a shell takes it."""
+    path = Path(sys.argv[0])
+    program = ["python", "-m", "atlas"] if path.name == "__main__.py" else [path.name]
+    return shlex.join([*program, *sys.argv[1:]])
 
 
 def is_command() -> bool:
@@ -48,7 +84,7 @@ def exit_process(code: int) -> NoReturn:
     """
     for number in SIGNALS:
         signal.signal(number, signal.SIG_IGN)
-    if code == INTERRUPTED:
+    if code in (INTERRUPTED, TERMINATED):
         sys.stdout.flush()
         sys.stderr.flush()
         os._exit(code)
@@ -67,6 +103,8 @@ def signals_as_interrupt() -> Iterator[None]:
     timers: list[threading.Timer] = []
 
     def interrupt(number: int, frame: FrameType | None) -> None:
+        global _received
+        _received = signal.Signals(number)
         if timers:
             end_process()
         else:

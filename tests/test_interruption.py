@@ -8,7 +8,9 @@ import threading
 import pytest
 
 from atlas import interruption
-from atlas.interruption import INTERRUPTED, MESSAGE, signals_as_interrupt
+from atlas.interruption import INTERRUPTED, MESSAGE, TERMINATED, signals_as_interrupt
+
+EXIT_CODES = {signal.SIGINT: INTERRUPTED, signal.SIGTERM: TERMINATED}
 
 
 @pytest.mark.parametrize("number", interruption.SIGNALS)
@@ -37,6 +39,25 @@ def test_a_process_that_does_not_end_is_ended(monkeypatch):
             with pytest.raises(KeyboardInterrupt):
                 signal.raise_signal(signal.SIGTERM)
             assert ended.is_set() == expected
+
+
+@pytest.mark.parametrize("number", EXIT_CODES)
+def test_the_last_signal_decides_the_exit_code_and_what_is_kept_is_told(number, monkeypatch):
+    monkeypatch.setattr(sys, "argv", ["/bin/precession-atlas", "run", "my scene.toml"])
+    with pytest.raises(KeyboardInterrupt), signals_as_interrupt():
+        signal.raise_signal(number)
+    code = 128 + number
+    assert interruption.outcome() == (code, f"atlas: interrupted; {MESSAGE}")
+    try:
+        interruption.explain_kept(lambda: "2 of 3 tiles are in run/")
+        assert interruption.outcome() == (
+            code, "atlas: interrupted; 2 of 3 tiles are in run/; `precession-atlas run 'my scene.toml'` continues",
+        )  # fmt: skip
+        for nothing in (lambda: "", lambda: 1 / 0):
+            interruption.explain_kept(nothing)
+            assert interruption.outcome() == (code, f"atlas: interrupted; {MESSAGE}")
+    finally:
+        interruption.explain_kept(None)
 
 
 def test_an_error_after_a_signal_is_an_interruption():
@@ -77,21 +98,23 @@ def test_outside_the_main_thread_nothing_changes():
     assert handlers == [signal.getsignal(signal.SIGTERM)]
 
 
-@pytest.mark.parametrize("number", ["SIGINT", "SIGTERM"])
+@pytest.mark.parametrize("number", EXIT_CODES)
 def test_during_imports_the_command_ends_without_a_traceback(number):
     """A finder of modules sends the signal when xarray is about to be imported."""
     code = (
         "import os, signal, sys\n"
         "class Finder:\n"
         "    def find_spec(self, name, path=None, target=None):\n"
-        f"        if name == 'xarray': os.kill(os.getpid(), signal.{number})\n"
+        f"        if name == 'xarray': os.kill(os.getpid(), {int(number)})\n"
         "sys.meta_path.insert(0, Finder())\n"
         "sys.argv = ['atlas', '--version']\n"
         "import atlas\n"
         "print('imported')\n"
     )
     result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
-    assert (result.returncode, result.stdout, result.stderr) == (INTERRUPTED, "", f"{MESSAGE}\n")
+    assert (result.returncode, result.stdout, result.stderr) == (
+        EXIT_CODES[number], "", f"atlas: interrupted; {MESSAGE}\n",
+    )  # fmt: skip
 
 
 def test_no_signal_changes_the_exit_code_of_a_command_that_has_ended():
@@ -106,7 +129,7 @@ def test_no_signal_changes_the_exit_code_of_a_command_that_has_ended():
         "late = Late()\n"
         "exit_process({})\n"
     )
-    for exit_code in (0, 2, INTERRUPTED):
+    for exit_code in (0, 2, INTERRUPTED, TERMINATED):
         result = subprocess.run(
             [sys.executable, "-c", code.format(exit_code)], capture_output=True, text=True
         )

@@ -36,6 +36,7 @@ from numba.extending import intrinsic
 from numba.np import arrayobj
 
 from ..files import atomic_write, one_line, remove_leftovers
+from .compiling import compilation
 
 # contract lets LLVM fuse multiply and add; anything more (nnan above all) would lose NaN checks.
 OPTIONS = {"fastmath": {"contract"}, "error_model": "numpy", "boundscheck": False}
@@ -141,8 +142,21 @@ def load(source: str) -> ModuleType:
             compiles = isinstance(module.integrate, Dispatcher)  # not under NUMBA_DISABLE_JIT
             if compiles:
                 module.integrate._cache = _MachineCode(name)  # what its option `cache` sets
+                _report_compilation(module.integrate)
             sys.modules[name] = module  # Numba looks the globals of a cached kernel up by module name
         return sys.modules[name]
+
+
+def _report_compilation(function: Any) -> None:
+    """Measure and announce the compilation of a function, which does not happen if its code is in the cache."""
+    compiler = function._compiler
+    compile_function = compiler.compile
+
+    def reported(*arguments: Any) -> Any:
+        with compilation():
+            return compile_function(*arguments)
+
+    compiler.compile = reported
 
 
 class _MachineCode(NullCache):

@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any, TextIO
 
 from .. import process
+from ..engine import compiling
 from ..files import atomic_write
 
 # Seconds between two plain lines, two updates of the live line, and two of the file.
@@ -46,8 +47,8 @@ class Progress:
 
     Attributes
     ----------
-    started : float
-        Time of the start in seconds, as `time.perf_counter` gives it.
+    stopwatch : Stopwatch
+        Seconds since the start, without the compilation of kernels, which is announced on stderr if `show` is true.
     """
 
     def __init__(
@@ -66,12 +67,14 @@ class Progress:
         self.live = self.stream.isatty()
         self.file = file
         self.facts = dict(facts or {})
-        self.started = time.perf_counter()
-        self._last_print = self._last_save = self.started
+        self.stopwatch = compiling.Stopwatch()
+        self._last_print = self._last_save = time.perf_counter()
         self._done_at_no_cost = self._done = float(done)
         self._lock = threading.Lock()
+        if show:
+            compiling.announce(+1)
         if file is not None:
-            self._save(self.started, running=True)
+            self._save(running=True)
 
     def advance(self, points: float) -> None:
         """Add finished points; fractions too, because a tile reports after each block of its points."""
@@ -80,10 +83,10 @@ class Progress:
             now = time.perf_counter()
             if self.show and now - self._last_print >= (LIVE_INTERVAL if self.live else PLAIN_INTERVAL):
                 self._last_print = now
-                self._print(now)
+                self._print()
             if self.file is not None and now - self._last_save >= FILE_INTERVAL:
                 self._last_save = now
-                self._save(now, running=True)
+                self._save(running=True)
 
     def skip(self, points: float) -> None:
         """Add points that this process did not have to compute; they do not count for the speed."""
@@ -93,19 +96,21 @@ class Progress:
 
     def close(self) -> None:
         """Clear the live line and mark the process as ended in the file."""
-        if self.show and self.live:
-            self.stream.write("\r\x1b[K")
-            self.stream.flush()
+        if self.show:
+            compiling.announce(-1)
+            if self.live:
+                self.stream.write("\r\x1b[K")
+                self.stream.flush()
         if self.file is not None:
-            self._save(time.perf_counter(), running=False)
+            self._save(running=False)
 
-    def _speed(self, now: float) -> tuple[float, float]:
+    def _speed(self) -> tuple[float, float]:
         """Points per second, and seconds left."""
-        speed = (self._done - self._done_at_no_cost) / max(now - self.started, 1e-9)
+        speed = (self._done - self._done_at_no_cost) / max(self.stopwatch.seconds(), 1e-9)
         return speed, (self.points - self._done) / speed if speed > 0 else 0.0
 
-    def _print(self, now: float) -> None:
-        speed, seconds_left = self._speed(now)
+    def _print(self) -> None:
+        speed, seconds_left = self._speed()
         text = (
             f"{100 * self._done / self.points:5.1f} %  {self._done:.0f} of {self.points} points"
             f"  {speed:.3g} points/s  {clock(seconds_left)} left"
@@ -113,9 +118,9 @@ class Progress:
         self.stream.write(f"\r{text}\x1b[K" if self.live else f"{text}\n")
         self.stream.flush()
 
-    def _save(self, now: float, running: bool) -> None:
+    def _save(self, *, running: bool) -> None:
         assert self.file is not None
-        speed, seconds_left = self._speed(now)
+        speed, seconds_left = self._speed()
         content = self.facts | {
             "points": self.points,
             "done": round(self._done),

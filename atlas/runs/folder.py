@@ -16,6 +16,7 @@ import hashlib
 import json
 import logging
 import math
+import os
 import shutil
 import tomllib
 from collections import Counter
@@ -198,6 +199,13 @@ class RunFolder:
         """Whether all tiles are written."""
         return all(self.tiles.is_written(tile) for tile in range(self.tiling.count))
 
+    def progress_text(self) -> str:
+        """How many tiles are written, in a few words; empty if the folder is no longer there."""
+        if not self.path.is_dir():
+            return ""
+        path = os.path.relpath(self.path)
+        return f"{self.tiles.written_count()} of {self.tiling.count} tiles are in {path if path[0] != '.' else self.path}/"
+
     def status(self) -> str:
         """State of the tiles and of the processes that compute them, as text; reads all of every tile.
 
@@ -214,7 +222,7 @@ class RunFolder:
             f"tile {tile} will be computed again: {reason}" for tile, reason in sorted(status.damaged.items())
         ]
         points_left = sum(tiling.size_of(tile) for tile in [*status.missing, *status.damaged])
-        total_speed = 0.0
+        total_speed, at_work = 0.0, False
         for path in sorted(self.path.glob("progress*.json")):
             with suppress(OSError, ValueError, KeyError, TypeError):
                 content = json.loads(path.read_text(encoding="utf-8"))
@@ -223,11 +231,16 @@ class RunFolder:
                     f"shard {content['shard']} on {content['host']}: {content['done']} of {content['points']}"
                     f" points, {content['points_per_second']:.4g} points/s, {state}; written {content['written']}"
                 )
-                total_speed += content["points_per_second"] if state == progress.AT_WORK else 0.0
+                if state == progress.AT_WORK:
+                    at_work, total_speed = True, total_speed + content["points_per_second"]
         if points_left and total_speed > 0:
             lines.append(
                 f"{points_left} points left, {progress.clock(points_left / total_speed)} at the speed of the"
                 " processes at work"
+            )
+        elif points_left and not at_work:
+            lines.append(
+                f"{points_left} points left, no process is at work; `atlas run` with its scene continues"
             )
         return "\n".join(lines)
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from pathlib import Path
 
 import xarray as xr
@@ -24,9 +25,9 @@ def open_atlas(path: str | Path) -> xr.Dataset:
     -------
     xarray.Dataset
         Flag variables are plain integers. A run folder gives dask arrays with a chunk for each tile;
-        points of tiles that are missing are `not_computed` and nan. Tiles are read whenever values are
-        computed, so that tiles finished later appear in the same Dataset. Values of a file are compared with
-        their checksums when they are read, and BadInput is raised if they differ.
+        points of tiles that are missing are `not_computed` and nan, which is logged as a warning. Tiles are
+        read whenever values are computed, so that tiles finished later appear in the same Dataset. Values of
+        a file are compared with their checksums when they are read, and BadInput is raised if they differ.
 
     Raises
     ------
@@ -41,7 +42,14 @@ def open_atlas(path: str | Path) -> xr.Dataset:
     if path.is_dir():
         from .folder import RunFolder
 
-        return RunFolder.open(path).dataset()
+        folder = RunFolder.open(path)
+        missing_tiles = folder.tiling.count - folder.tiles.written_count()
+        if missing_tiles:
+            logging.getLogger("atlas").warning(
+                "%s: %d of %d tiles are missing; their points are not_computed",
+                path, missing_tiles, folder.tiling.count,
+            )  # fmt: skip
+        return folder.dataset()
     try:
         store = CheckedStore.of(path)
         try:

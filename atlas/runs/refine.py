@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 import os
 import sys
-import time
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from typing import ClassVar
@@ -14,6 +13,7 @@ import numpy as np
 import xarray as xr
 from scipy.ndimage import maximum_filter, minimum_filter
 
+from ..engine.compiling import Stopwatch
 from ..errors import BadInput
 from ..flags import Stability
 from ..io import netcdf
@@ -70,7 +70,7 @@ def refined(
         assumed.
     """
     assert scene.refine is not None
-    started = time.perf_counter()
+    stopwatch = Stopwatch()
     _check_memory(scene)
     fine = _FineGrid(scene, threads)
     for level in range(scene.refine.levels + 1):
@@ -86,11 +86,10 @@ def refined(
         "atlas_probe_missed": probe_missed,
     }
     ds = fine.dataset()
-    seconds = time.perf_counter() - started
     return ds.assign_attrs(
         provenance(
             scene.system, scene.settings, scene_kernel_hash(scene), title=scene.title, scene=scene.toml(),
-            seconds=seconds, points=fine.n_integrated, warnings=warnings, about=scene.about,
+            seconds=stopwatch.seconds(), points=fine.n_integrated, warnings=warnings, about=scene.about,
         ) | attributes | half_step.half_step_sample(scene, threads=threads)
     )  # fmt: skip
 

@@ -6,7 +6,6 @@ import logging
 import random
 import socket
 import threading
-import time
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import lru_cache
@@ -16,8 +15,10 @@ import numpy as np
 import xarray as xr
 
 from ..engine import blocks
+from ..engine.compiling import Stopwatch, announced
 from ..errors import BadInput
 from ..files import check_name, exists_message, writable
+from ..interruption import explain_kept
 from ..io import checksums, netcdf
 from ..io.progress import Progress
 from ..io.provenance import log_warnings, provenance
@@ -89,8 +90,8 @@ def run(
         A scene from `load_scene`, or what `load_scene` reads.
     out : str or Path, optional
         NAME.nc for one file, which is computed in the run folder NAME.nc.run; the folder is joined and
-        removed in the end. If a run was killed between the two, the same call finishes it. Or a run folder: a
-        name that ends in / or has no suffix. A run folder that exists is continued.
+        removed in the end. If a run was killed between the two, the same call finishes it. Or a run folder:
+        a text that ends in /, or a Path without suffix. A run folder that exists is continued.
     threads : int, optional
         Default: all processors of this process. Results do not depend on it.
     progress : bool
@@ -136,7 +137,8 @@ def run(
     warnings = [*grid.warnings(scene, sample), *regularity.warnings(scene, sample)]
     log_warnings(warnings)
     if scene.refine is not None:
-        ds = refine.refined(scene, warnings, threads=threads, progress=progress)
+        with announced(progress):
+            ds = refine.refined(scene, warnings, threads=threads, progress=progress)
         if path is None:
             return ds
         netcdf.write(ds.assign_attrs({RESULT: _own_result_hash(scene)}), path)
@@ -156,8 +158,11 @@ def _destination(out: str | Path) -> tuple[Path, bool]:
     """Path of an atlas, and whether it is one file; BadInput if it cannot be written."""
     path = Path(out)
     check_name(path)
-    is_folder = str(out).endswith("/") or (not path.suffix and not path.is_file())
-    if not is_folder and not (path / MANIFEST).exists():
+    may_be_folder = isinstance(out, Path) or path.is_dir()  # a Path cannot end in /
+    is_folder = str(out).endswith("/") or (may_be_folder and not path.suffix) or (path / MANIFEST).exists()
+    if not is_folder:
+        if path.suffix.lower() != ".nc":
+            raise BadInput(f"{path}: the name must end in .nc, for one file, or in /, for a run folder")
         check_name(_folder_of(path), LONGEST_NAME)
         return writable(path, (".nc",), force=True), True
     check_name(path, LONGEST_NAME)
@@ -173,6 +178,7 @@ def _folder_of(path: Path) -> Path:
 
 def _complete(folder: RunFolder, sample: grid.Grid, execution: _Execution, progress: bool) -> None:
     """Compute what is missing of a run folder or of one shard of it, and the attributes of the finished run."""
+    explain_kept(folder.progress_text)
     _compute_tiles(folder, sample, execution, progress)
     try:
         finished = bool(folder.final_attributes())
@@ -280,7 +286,7 @@ def _run_in_memory(
         for_each_tile(range(tiles.count), compute, bar.advance, in_flight)
     finally:
         bar.close()
-    seconds = time.perf_counter() - bar.started
+    seconds = bar.stopwatch.seconds()
     return netcdf.dataset(scene, columns).assign_attrs(
         provenance(
             scene.system, scene.settings, scene_kernel_hash(scene),
@@ -352,14 +358,14 @@ def _compute_in_threads(job: _Job, bar: Progress, sample: grid.Grid, threads: in
     folder = job.folder
     by = f"{threads or blocks.available_threads()} threads"
     by += f", shard {job.part}/{job.parts}" if job.parts > 1 else ""
-    last_end, lock = time.perf_counter(), threading.Lock()
+    stopwatch, last_end, lock = Stopwatch(), 0.0, threading.Lock()
 
     def compute(tile: int, advance: Advance) -> None:
         nonlocal last_end
         indices = folder.tiling.indices(tile)
         columns, computed = _compute_points(folder.scene, indices, threads, advance)
         with lock:  # tiles overlap: each takes the time since the one before it ended
-            now = time.perf_counter()
+            now = stopwatch.seconds()
             seconds, last_end = now - last_end, now
         folder.tiles.write(tile, columns, computed=computed, seconds=seconds, by=by)
         bar.skip(indices.size - computed)
@@ -420,10 +426,9 @@ def compute_tile(path: str, key: str, tile: int) -> int:
         If the folder holds another run, or this process would compute other bits.
     """
     folder, tiles = _open_cached(path, key)
-    started = time.perf_counter()
+    stopwatch = Stopwatch()
     columns, computed = _compute_points(folder.scene, folder.tiling.indices(tile), 1, None)
-    seconds = time.perf_counter() - started
-    tiles.write(tile, columns, computed=computed, seconds=seconds, by="dask workers")
+    tiles.write(tile, columns, computed=computed, seconds=stopwatch.seconds(), by="dask workers")
     return tile
 
 

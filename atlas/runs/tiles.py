@@ -71,6 +71,10 @@ class TileFiles:
         """Whether some process has finished writing a tile; the tile may be damaged."""
         return self.path(tile, ".json").exists()
 
+    def written_count(self) -> int:
+        """Number of the tiles that are written; some may be damaged."""
+        return sum(name.endswith(".json") and not name.startswith(".") for name in self._file_names())
+
     def is_done(self, tile: int) -> bool:
         """Whether a tile is written and not damaged; reads all of it."""
         return self._error(tile) is None

@@ -6,12 +6,13 @@ import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from statistics import median
-from time import perf_counter, process_time
+from time import process_time
 from types import ModuleType
 
 import numpy as np
 import xarray as xr
 
+from ..engine.compiling import Stopwatch
 from ..engine.ensemble import Ensemble
 from ..engine.generated import WIDTH
 from ..engine.specialization import kernel
@@ -143,23 +144,27 @@ def work_precision(scene: Scene, count: int = 64, *, progress: bool = False) -> 
     """
     if count < 2:
         raise BadInput(f"points = {count}: must be at least 2")
-    began = perf_counter()
+    stopwatch = Stopwatch()
     grid.check(scene)
     indices = _sample_indices(scene, count)
-    bar = Progress((2 + len(METHODS)) * indices.size, show=progress)
+    bar = Progress(indices.size, show=progress)
+
+    def advance(points: float) -> None:
+        bar.advance(points / (2 + len(METHODS)))  # two references, and every method
+
     try:
-        sample = _with_reference(scene, indices, bar.advance)
+        sample = _with_reference(scene, indices, advance)
         results = {
             (i, level): result
             for i, method in enumerate(METHODS)
-            for level, result in _run_method(sample, method, bar.advance)
+            for level, result in _run_method(sample, method, advance)
         }
     finally:
         bar.close()
     ds = _dataset(sample, results)
     ds.attrs = provenance.provenance(
         scene.system, scene.settings, scene_kernel_hash(scene), title=scene.title, scene=scene.toml(),
-        seconds=perf_counter() - began, points=sample.indices.size, warnings=[],
+        seconds=stopwatch.seconds(), points=sample.indices.size, warnings=[],
     ) | ds.attrs  # fmt: skip
     return ds
 

@@ -3,7 +3,7 @@
 python scripts/tools/interrupts.py [--count 20] [--only NAME ...] [--seed 0]      (some minutes)
 
 Every command is started anew, gets SIGINT or SIGTERM at a random moment, and must end within the limit with exit code 130
-(or 0 if it was already done), without a traceback. Each command is first run once to its end, or for a minute.
+or 143 (or 0 if it was already done), without a traceback. Each command is first run once to its end, or for a minute.
 """
 
 from __future__ import annotations
@@ -139,7 +139,7 @@ def main() -> None:
                 seconds, code, stderr = interrupted(folder, arguments, moment, number)
                 answers.append(seconds)
                 codes.append(code)
-                if seconds > LIMIT or code not in (0, 130) or "Traceback" in stderr:
+                if seconds > LIMIT or code not in (0, 128 + number) or "Traceback" in stderr:
                     bad += 1
                     print(
                         f"{command}: {number.name} after {moment:.2f} s: exit {code} in {seconds:.2f} s: {stderr[-300:]}"

@@ -16,6 +16,7 @@ import pytest
 import atlas
 from atlas import process
 from atlas.engine import jit
+from atlas.engine.compiling import ANNOUNCEMENT, announced
 
 
 def test_an_edited_line_is_never_answered_by_a_stale_kernel(tmp_path):
@@ -79,6 +80,15 @@ def test_machine_code_comes_from_the_cache_and_only_its_user_can_read_it(cache, 
     assert module.integrate(1.0) == 2.0
     assert sum(module.integrate.stats.cache_hits.values()) == 1
     assert caplog.messages == []
+
+
+def test_a_kernel_is_announced_when_it_is_compiled_and_not_when_it_is_cached(cache, capsys):
+    with announced(True):
+        for compiled in (True, False):
+            assert fresh().integrate(1.0) == 2.0
+            assert capsys.readouterr().err == (f"{ANNOUNCEMENT}\n" if compiled else "")
+    fresh(SOURCE.replace("1.0", "2.0")).integrate(1.0)
+    assert capsys.readouterr().err == ""
 
 
 def replaced_by_a_folder(file: Path) -> None:

@@ -1,0 +1,70 @@
+"""How long this process has compiled kernels: announced once for each, and left out of speeds. Imports no compiler."""
+
+from __future__ import annotations
+
+import sys
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+ANNOUNCEMENT = "compiling the kernel for scenes of this kind, once on this machine: about 20 s"
+
+_lock = threading.Lock()
+_finished = 0.0  # seconds of all compilations that have ended
+_began: float | None = None  # start of the one that has not; there is one at a time
+_announcers = 0
+
+
+@contextmanager
+def compilation() -> Iterator[None]:
+    """The time in which one kernel is compiled."""
+    global _began, _finished
+    with _lock:
+        _began = time.perf_counter()
+        announced = _announcers > 0
+    if announced:
+        clear_line = "\r\x1b[K" if sys.stderr.isatty() else ""
+        print(f"{clear_line}{ANNOUNCEMENT}", file=sys.stderr, flush=True)
+    try:
+        yield
+    finally:
+        with _lock:
+            _finished += time.perf_counter() - _began
+            _began = None
+
+
+def announce(change: int) -> None:
+    """Let one more (1) or one less (-1) part of the program ask for a line on stderr when a kernel is compiled."""
+    global _announcers
+    with _lock:
+        _announcers += change
+
+
+@contextmanager
+def announced(show: bool) -> Iterator[None]:
+    """Announce, if `show` is true, every kernel that is compiled inside."""
+    announce(int(show))
+    try:
+        yield
+    finally:
+        announce(-int(show))
+
+
+def _seconds(now: float) -> float:
+    """Seconds of compilation in this process until now."""
+    with _lock:
+        return _finished + (now - _began if _began is not None else 0.0)
+
+
+class Stopwatch:
+    """Seconds since it was made, without those in which this process compiled a kernel."""
+
+    def __init__(self) -> None:
+        now = time.perf_counter()
+        self._start = now - _seconds(now)
+
+    def seconds(self) -> float:
+        """Seconds until now."""
+        now = time.perf_counter()
+        return now - _seconds(now) - self._start

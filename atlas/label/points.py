@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-import time
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from typing import Any
 
 import numpy as np
 import xarray as xr
 
 from .. import systems
+from ..engine.compiling import Stopwatch
 from ..engine.specialization import Specialization
 from ..errors import BadInput, allowed_text, shown
 from ..io import netcdf, provenance
@@ -18,7 +18,7 @@ from ..io.provenance import log_warnings
 from ..scene import grid
 from ..scene.model import DEFAULTS, Duration, Settings
 from ..scene.read import check_unit, parse_duration
-from ..scene.tables import number_column, point_columns
+from ..scene.tables import kept_columns, number_column, point_columns, table
 from ..systems.base import Array, Flags, Mask, Points, System
 from ..variables import default_variables
 from ..variables import variables as variable_registry
@@ -39,6 +39,7 @@ def label_points(
     variables: Sequence[str] | None = None,
     threads: int | None = None,
     progress: bool = False,
+    keep: Sequence[str] = (),
     **more: Any,
 ) -> xr.Dataset:
     """Label points given one by one.
@@ -66,6 +67,9 @@ def label_points(
         Default: all processors.
     progress : bool
         Print progress on the standard error stream.
+    keep : sequence of str, optional
+        Columns of `points` that are no parameters, to be coordinates of the result. Columns of text, and those called
+        id, index, name, number or point, are kept anyhow.
     **more
         cylinder_tolerance, drift_tolerance, max_steps, check_half_step: as in a scene.
 
@@ -90,12 +94,15 @@ def label_points(
         raise BadInput(f"{key}: unknown option of label_points; {allowed_text(key, MORE_SETTINGS)}")
     settings = Settings(method=method, tolerance=tolerance, step=step, rate_tolerance=rate_tolerance, **more)
     outputs = _outputs(kind, variables)
-    full, size = point_columns(kind, points)
+    source = table(points, {*kind.parameters, *keep})
+    kept = kept_columns(kind, source, keep)
+    _check_names(kept, outputs)
+    full, size = point_columns(kind, source, kept)
     durations, unit = _durations(kind, duration, full, size)
     reason = _reasons(kind, full, durations, unit)
     warnings = _warnings(kind, full, reason, unit)
     log_warnings(warnings)
-    began = time.perf_counter()
+    stopwatch = Stopwatch()
     specialization = Specialization.of_points(kind, _subset(full, reason == grid.Reason.NONE))
     columns = _evaluate_in_tiles(
         kind,
@@ -107,10 +114,10 @@ def label_points(
         threads,
         progress,
     )
-    ds = _dataset(kind, columns, full)
+    ds = _dataset(kind, columns, full, kept)
     ds.attrs |= provenance.provenance(
         kind, settings, hash_of_kernels(kind, method, specialization, outputs),
-        title=f"points of the {system}", scene="", seconds=time.perf_counter() - began, points=size,
+        title=f"points of the {system}", scene="", seconds=stopwatch.seconds(), points=size,
         warnings=warnings,
     )  # fmt: skip
     return ds
@@ -205,13 +212,23 @@ def _evaluate_in_tiles(
     return columns
 
 
-def _dataset(system: System, columns: dict[str, np.ndarray], points: Points) -> xr.Dataset:
-    """Variables and parameters along the dimension "point"."""
+def _check_names(kept: Collection[str], outputs: Sequence[str]) -> None:
+    """Raise BadInput for columns that are called like a variable of the result."""
+    for name in kept:
+        if name in outputs:
+            raise BadInput(f"points: the column {name} is called like a variable of the result; rename it")
+
+
+def _dataset(
+    system: System, columns: dict[str, np.ndarray], points: Points, kept: dict[str, np.ndarray]
+) -> xr.Dataset:
+    """Variables, parameters and kept columns along the dimension "point"."""
     ds = xr.Dataset(
         {
             name: ("point", column, netcdf.variable_attributes(system, name, columns))
             for name, column in columns.items()
-        }
+        },
+        coords={name: ("point", column) for name, column in kept.items()},
     )
     for name, values in points.items():
         absent = np.isnan(system.parameters[name].default) and np.isnan(values).all()

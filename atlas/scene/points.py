@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+import tomllib
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -12,9 +13,11 @@ from typing import Any
 import numpy as np
 
 from ..errors import BadInput, shown
+from ..files import read_text
 from ..systems.base import Array, System
 from . import checks, tables
 from .checks import checked
+from .csv import CsvColumns
 from .expressions import PointColumn
 
 SAMPLES = ("latin_hypercube", "sobol")
@@ -24,6 +27,8 @@ MAX_SAMPLED_POINTS = MAX_SAMPLED_NUMBERS = 10**7
 MAX_COLUMNS = 100
 # Bytes of a file of points, when read.
 MAX_FILE_BYTES = 50_000_000
+# Fields of a CSV file, when read: those of columns that name points count as well.
+MAX_FILE_FIELDS = 5 * checks.MAX_LISTED_NUMBERS
 
 
 @dataclass(frozen=True)
@@ -94,11 +99,24 @@ def read_points(
         texts = [text for text in ties.values() if isinstance(text, str)]
         words = {word for text in texts for word in re.findall(r"\w+", text)}
         path = folder / checks.text("points.file", table["file"])
-        values = tables.read(path, {*system.parameters, *words}, MAX_FILE_BYTES)
+        values = tables.read(path, {*system.parameters, *words}, MAX_FILE_BYTES, MAX_FILE_FIELDS)
+        for name in tables.kept_columns(system, values):
+            if name not in words:
+                del values[name]
     _check_columns(values)
-    columns = {name: _listed_column(system, name, column) for name, column in values.items()}
+    place = values.place if isinstance(values, CsvColumns) else None
+    columns = {name: _listed_column(system, name, column, place) for name, column in values.items()}
     _check_sizes({name: column.column.size for name, column in columns.items()})
     return {"values": {name: column.column.tolist() for name, column in columns.items()}}, columns
+
+
+def file_of(scene: Path) -> list[Path]:
+    """The file of points that a scene file names, if any; it need not exist."""
+    try:
+        file = tomllib.loads(read_text(scene))["points"]["file"]
+    except (BadInput, ValueError, RecursionError, KeyError, TypeError):
+        return []
+    return [scene.parent / file] if isinstance(file, str) else []
 
 
 def quasi_random(kind: str, dimensions: int, count: int, seed: int) -> np.ndarray:
@@ -164,8 +182,8 @@ def _stretched_column(system: System, name: str, table: object, fraction: Array)
     return PointColumn(key, first * (last / first) ** fraction)
 
 
-def _listed_column(system: System, name: str, values: Any) -> PointColumn:
-    """One column of a file or a list, checked."""
+def _listed_column(system: System, name: str, values: Any, place: Callable[[int], str] | None) -> PointColumn:
+    """One column of a file or a list, checked; place: of a point in its file."""
     key = f"points.values.{checks.identifier('points', name)}"
     try:
         column = np.asarray(values, np.float64)
@@ -175,6 +193,9 @@ def _listed_column(system: System, name: str, values: Any) -> PointColumn:
         raise BadInput(f"{key}: must be one number for each point")
     if not np.isfinite(column).all():
         i = int(np.flatnonzero(~np.isfinite(column))[0])
+        if place is not None:
+            found = "is empty or nan" if np.isnan(column[i]) else f"= {column[i]:g}"
+            raise BadInput(f"{place(i)}: {name} {found}; must be a finite number")
         raise BadInput(f"{key}: {column[i]} at point {i} (counted from 0); must be finite numbers")
     if name in system.parameters:
         checks.check_range(system.parameters[name], key, column.min(), column.max())

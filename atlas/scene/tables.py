@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import array
-import csv
 import math
 from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
@@ -13,10 +11,12 @@ import numpy as np
 
 from ..errors import BadInput, shown
 from ..files import one_line, open_text
-from ..systems.base import Array, System
+from ..systems.base import Array, Parameter, System
+from . import csv
 from .checks import check_range
 
 FORMATS = (".csv", ".nc")
+IDENTIFIERS = ("id", "index", "name", "number", "point")  # columns that name points, in lower case
 
 
 def table(source: Any, names: Collection[str]) -> dict[str, Any]:
@@ -35,7 +35,7 @@ def table(source: Any, names: Collection[str]) -> dict[str, Any]:
     Returns
     -------
     dict
-        Name -> values as the source holds them; numbers for a CSV file.
+        Name -> values as the source holds them; arrays for a CSV file, see `csv.read`.
 
     Raises
     ------
@@ -48,6 +48,8 @@ def table(source: Any, names: Collection[str]) -> dict[str, Any]:
         return read(source, names)
     if isinstance(source, xr.Dataset):
         return _dataset_columns(source, names)
+    if isinstance(source, csv.CsvColumns):
+        return source
     if isinstance(source, Mapping):
         return {str(name): values for name, values in source.items()}
     if hasattr(source, "columns") and hasattr(source, "__getitem__"):
@@ -60,13 +62,15 @@ def table(source: Any, names: Collection[str]) -> dict[str, Any]:
     )
 
 
-def read(path: str | Path, names: Collection[str], max_bytes: float = math.inf) -> dict[str, Any]:
-    """Columns of a .csv or .nc file, as `table`; an empty field of a CSV file is nan.
+def read(
+    path: str | Path, names: Collection[str], max_bytes: float = math.inf, max_fields: float = math.inf
+) -> dict[str, Any]:
+    """Columns of a .csv or .nc file, as `table`; see `csv.read`.
 
-    max_bytes: size of the file, and of its variables in memory, beyond which it is not read.
+    max_bytes: size of the file, and of its variables in memory, beyond which it is not read; max_fields: of a CSV file.
     """
     path = Path(path)
-    if path.suffix not in FORMATS:
+    if path.suffix.lower() not in FORMATS:
         raise BadInput(f"{path}: points are read from files that end in {' or '.join(FORMATS)}")
     try:
         if not path.is_file():
@@ -75,10 +79,58 @@ def read(path: str | Path, names: Collection[str], max_bytes: float = math.inf) 
     except OSError as error:
         raise BadInput(f"{path}: cannot be read: {error.strerror}") from None
     _check_bytes(path, size, max_bytes)
-    return _read_csv(path) if path.suffix == ".csv" else _read_netcdf(path, names, max_bytes)
+    if path.suffix.lower() == ".nc":
+        return _read_netcdf(path, names, max_bytes)
+    with open_text(path) as file:
+        return csv.read(file, str(path), names, max_fields)
 
 
-def point_columns(system: System, points: Any) -> tuple[dict[str, Array], int]:
+def kept_columns(system: System, table: Mapping[str, Any], keep: Collection[str] = ()) -> dict[str, Array]:
+    """Columns of a table that are no parameters but name its points.
+
+    Parameters
+    ----------
+    system : System
+    table : mapping
+        Columns by name, from `table`.
+    keep : collection of str, optional
+        Names of further columns to keep.
+
+    Returns
+    -------
+    dict of str to ndarray
+        The columns of text, those called id, index, name, number or point, and those of `keep`. Other columns of
+        numbers are not among them, since such a name may be a mistyped parameter.
+
+    Raises
+    ------
+    BadInput
+        If a name of `keep` is a parameter or not in the table.
+    """
+    for name in keep:
+        if name in system.parameters or name not in table:
+            problem = (
+                "a parameter, which the result contains anyhow"
+                if name in table
+                else "no column of the points"
+            )
+            raise BadInput(f"keep: {shown(name)} is {problem}")
+    columns = {name: np.asarray(values) for name, values in table.items() if name not in system.parameters}
+    return {
+        name: column
+        for name, column in columns.items()
+        if column.ndim == 1 and (name in keep or name.lower() in IDENTIFIERS or _is_text(column))
+    }
+
+
+def _is_text(column: Array) -> bool:
+    """Whether a column holds text, also among missing values."""
+    return column.dtype.kind in "UT" or (
+        column.dtype.kind == "O" and any(isinstance(value, str) for value in column)
+    )
+
+
+def point_columns(system: System, points: Any, kept: Collection[str] = ()) -> tuple[dict[str, Array], int]:
     """Every parameter of the system as a column, checked.
 
     Parameters
@@ -87,6 +139,8 @@ def point_columns(system: System, points: Any) -> tuple[dict[str, Array], int]:
         The system whose parameters the points give; those left out take their defaults.
     points : mapping or other table
         Parameter -> number or 1-D array (all arrays of one length), or any other source of `table`.
+    kept : collection of str, optional
+        Names that are no parameters, from `kept_columns`; their columns must have the same length.
 
     Returns
     -------
@@ -100,24 +154,62 @@ def point_columns(system: System, points: Any) -> tuple[dict[str, Array], int]:
     BadInput
         For unknown names, columns of different lengths, and values that are not finite or out of range.
     """
+    source = table(points, system.parameters)
     given: dict[str, Array] = {}
-    for name, values in table(points, system.parameters).items():
+    for name, values in source.items():
+        if name in kept:
+            continue
         if name not in system.parameters:
             raise BadInput(
-                f"{name}: not a parameter of the {system.name}; allowed: {', '.join(system.parameters)}"
+                f"{_source_name(source)}{name}: not a parameter of the {system.name}; allowed:"
+                f" {', '.join(system.parameters)}"
             )
         given[name] = number_column(name, values)
-    size = _common_size({name: column.size for name, column in given.items() if column.ndim})
+    sizes = {name: column.size for name, column in given.items() if column.ndim}
+    size = _common_size(sizes | {name: len(source[name]) for name in kept})
     columns: dict[str, Array] = {}
     for name, parameter in system.parameters.items():
         column = given.get(name, np.asarray(parameter.default))
-        absent = np.isnan(parameter.default) & np.isnan(column)
-        if not (np.isfinite(column) | absent).all():
-            raise BadInput(f"{name}: must be finite numbers, found {column[~np.isfinite(column)].ravel()[0]}")
-        if column.size and not np.all(absent):
-            check_range(parameter, name, np.nanmin(column), np.nanmax(column))
+        _check_column(parameter, column, source)
         columns[name] = np.broadcast_to(column, (size,)).astype(np.float64)
     return columns, size
+
+
+def _check_column(parameter: Parameter, column: Array, source: Mapping[str, Any]) -> None:
+    """Raise BadInput, naming the place, for values that are out of range or not finite, as missing ones may be."""
+    name = parameter.name
+    if np.isnan(parameter.default):
+        missing = np.isnan(column)
+        if missing.all():
+            return
+    else:
+        missing = np.zeros(column.shape, bool)
+    bad = np.flatnonzero(~(np.isfinite(column) | missing))
+    if bad.size:
+        place, value = _place(source, column, bad[0]), column.ravel()[bad[0]]
+        if np.isnan(value) and isinstance(source, csv.CsvColumns):
+            raise BadInput(f"{place}{name} is empty or nan; must be a finite number")
+        raise BadInput(f"{place}{name} = {value:g}: must be a finite number")
+    if not column.size:
+        return
+    for i in (np.nanargmin(column), np.nanargmax(column)):
+        value = float(column.ravel()[i])
+        try:
+            check_range(parameter, name, value, value)
+        except BadInput as error:
+            raise BadInput(f"{_place(source, column, i)}{error}") from None
+
+
+def _place(source: Mapping[str, Any], column: Array, point: np.integer) -> str:
+    """Beginning of a complaint about a point of a column."""
+    if isinstance(source, csv.CsvColumns):
+        return f"{source.place(int(point))}: "
+    return f"point {point} (counted from 0): " if column.ndim else ""
+
+
+def _source_name(source: Mapping[str, Any]) -> str:
+    """Beginning of a complaint about a whole column."""
+    return f"{source.source}: " if isinstance(source, csv.CsvColumns) else ""
 
 
 def number_column(name: str, values: Any) -> Array:
@@ -165,49 +257,6 @@ def _columns_of_rows(rows: Sequence[Mapping[Any, Any]]) -> dict[str, Any]:
                 f"points: number {i} and number 0 differ in {', '.join(sorted(map(str, different)))}"
             )
     return {str(name): [row[name] for row in rows] for name in rows[0]}
-
-
-def _read_csv(path: Path) -> dict[str, Any]:
-    """Columns of a CSV file whose first line names them."""
-    numbers = array.array("d")  # of all rows: millions of lists would take ten times the memory
-    with open_text(path, newline="") as file:
-        try:
-            reader = csv.reader(file, strict=True)
-            header = _csv_header(path, next(reader, []))
-            for row in reader:
-                if row:
-                    numbers.extend(_csv_row(path, reader.line_num, header, row))
-        except csv.Error as error:
-            raise BadInput(f"{path}: not a CSV file: {error}") from None
-    if not numbers:
-        raise BadInput(f"{path}: no points: there is only the line of names")
-    columns = np.frombuffer(numbers).reshape(-1, len(header))
-    return {name: columns[:, i].copy() for i, name in enumerate(header)}
-
-
-def _csv_header(path: Path, fields: list[str]) -> list[str]:
-    """Names of the columns, all different."""
-    header = [name.strip() for name in fields]
-    if not any(header):
-        raise BadInput(f"{path}: empty; its first line must name the columns, such as C,theta0,m")
-    for name in header:
-        if not name or header.count(name) > 1:
-            problem = f"names {shown(name)} twice" if name else "leaves a column without name"
-            raise BadInput(f"{path}: its first line {problem}: {','.join(header)}")
-    return header
-
-
-def _csv_row(path: Path, line: int, header: list[str], fields: list[str]) -> list[float]:
-    """Numbers of one line, nan for an empty field."""
-    if len(fields) != len(header):
-        raise BadInput(f"{path}: line {line} has {len(fields)} fields; its first line names {len(header)}")
-    row = []
-    for name, field in zip(header, fields, strict=True):
-        try:
-            row.append(float(field) if field.strip() else math.nan)
-        except ValueError:
-            raise BadInput(f"{path}: line {line}: {name} = {shown(field)}: must be a number") from None
-    return row
 
 
 def _check_bytes(path: Path, size: float, max_bytes: float) -> None:

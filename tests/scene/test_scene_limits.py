@@ -15,7 +15,7 @@ from atlas import BadInput, load_scene
 from atlas.analysis import compare, metadata
 from atlas.errors import MAX_MESSAGE, MAX_TEXT, printable, shown
 from atlas.io import netcdf
-from atlas.scene import checks, expressions, grid, model, points, read, tables
+from atlas.scene import checks, csv, expressions, grid, model, points, read, tables
 from atlas.scene.expressions import Expression
 from atlas.systems import SYSTEMS
 from atlas.systems.fixed_point.paper.errors import MAX_RADIANS
@@ -141,7 +141,14 @@ def test_the_page_lists_the_limits_in_force():
     limits = [
         *(read.MAX_CHARACTERS, read.MAX_TABLES, read.MAX_JOINED_NAMES, read.MAX_NAMES, read.MAX_AXES),
         *(read.MAX_AXIS_COUNT, read.MAX_POINTS, read.MAX_REFINED_POINTS, checks.MAX_LISTED_NUMBERS),
-        *(points.MAX_SAMPLED_NUMBERS, points.MAX_FILE_BYTES, expressions.MAX_LENGTH, read.MAX_TIE_CHARACTERS),
+        *(
+            points.MAX_SAMPLED_NUMBERS,
+            points.MAX_FILE_BYTES,
+            points.MAX_FILE_FIELDS,
+            csv.MAX_LINE,
+            expressions.MAX_LENGTH,
+            read.MAX_TIE_CHARACTERS,
+        ),
         *(model.MAX_STEPS, int(MAX_RADIANS)),
     ]
     cells = re.findall(r"^\| .* \| ([\d ;]+) \|$", page, re.MULTILINE)

@@ -82,8 +82,11 @@ def test_csv_gives_back_every_bit(tmp_path_factory, rows):
     [
         ("a.csv", b"", "empty"),
         ("a.csv", b"C,m\n", "no points"),
-        ("a.csv", b"C,m\n1,2\n1\n", "line 3 has 1 fields"),
-        ("a.csv", b"C,m\n1,2\n\n1,two\n", "line 4: m = 'two'"),
+        ("a.csv", b"C,m\n1,2\n1\n", "a.csv, line 3: 1 fields, but the first line names 2 columns"),
+        ("a.csv", b"C,m\n# 1\n1,2,3\n", "a.csv, line 3: 3 fields"),
+        ("a.csv", b"C,m\n1,2\n\n1,two\n", "a.csv, line 4: m = 'two'"),
+        ("a.csv", b"C;m\n1;0,5\n", "line 2: m = '0,5': must be a number with a decimal point, not a comma"),
+        ("a.csv", b"C\n" + 1_000_001 * b"1", "line 2: more than 1000000 characters"),
         ("a.csv", b"C,C\n1,2\n", "'C' twice"),
         ("a.csv", b"C,\n1,2\n", "without name"),
         ("a.csv", b"C\n\xff\xfe\n", "UTF-8"),
@@ -99,6 +102,85 @@ def test_files_that_hold_no_points_are_refused_in_one_line(tmp_path, name, conte
     assert named in str(error.value)
     assert name in str(error.value)
     assert "\n" not in str(error.value)
+
+
+SAME_POINTS = {
+    "commas": "C,m\n0.8,0.5\n1.2,-1\n",
+    "semicolons": "C;m\n0.8;0.5\n1.2;-1\n",
+    "tabs": "C\tm\n0.8\t0.5\n1.2\t-1\n",
+    "comments": "# made by hand\nC,m\n\n  # first\n0.8,0.5\n1.2,-1",
+    "byte-order mark": "\ufeffC,m\n0.8,0.5\n1.2,-1\n",
+    "ends of old Macs": "C,m\r0.8,0.5\r1.2,-1\r",
+    "ends of Windows": "C,m\r\n0.8,0.5\r\n1.2,-1\r\n",
+    "blanks": " C , m \n 0.8 ,  0.5 \n1.2 , -1\n",
+    "quotes": '"C", "m"\n"0.8","0.5"\n1.2, "-1"\n',
+}
+
+
+@pytest.mark.parametrize("text", SAME_POINTS.values(), ids=SAME_POINTS)
+def test_csv_is_read_as_programs_write_it(tmp_path, text):
+    (tmp_path / "a.csv").write_bytes(text.encode())
+    table = tables.read(tmp_path / "a.csv", NAMES)
+    assert {name: column.tolist() for name, column in table.items()} == {"C": [0.8, 1.2], "m": [0.5, -1.0]}
+
+
+def test_columns_that_name_points_are_kept(tmp_path, monkeypatch, capsys):
+    frame = pd.DataFrame(
+        {"C": [0.8, 1.2, 1.3], "satellite": ["A, B", "#2", 'C "3"'], "ID": [7, 8, 10**17], "m": 0.5}
+    )
+    frame.index = [3, 1, 4]
+    monkeypatch.chdir(tmp_path)
+    for separator in (",", ";", "\t"):
+        frame.to_csv("in.csv", sep=separator)
+        ds = atlas.label_points("satellite", "in.csv", duration=5.0)
+        assert ds.satellite.values.tolist() == frame.satellite.tolist()
+        assert ds.ID.values.tolist() == frame.ID.tolist()
+        assert ds["index"].values.tolist() == [3, 1, 4]
+        assert set(ds.data_vars).isdisjoint(frame.columns)
+    xr.testing.assert_identical(
+        ds.drop_vars("index").drop_attrs(), atlas.label_points("satellite", frame, duration=5.0).drop_attrs()
+    )
+    for name in ("out.csv", "out.nc"):
+        assert main(["points", "satellite", "in.csv", "-o", name, "--duration", "5", "--quiet"]) == 0
+    out = pd.read_csv("out.csv")
+    assert list(out.columns[:3]) == ["index", "satellite", "ID"]
+    assert out.satellite.tolist() == frame.satellite.tolist()
+    assert out.ID.tolist() == frame.ID.tolist()
+    with atlas.open_atlas("out.nc") as again:
+        assert again.satellite.values.tolist() == frame.satellite.tolist()
+        assert (again.label.values == ds.label.values).all()
+
+
+def test_other_columns_of_numbers_are_kept_only_by_name(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    write(tmp_path / "in.csv", "C,trial,m\n0.8,1,0.5\n1.2,2,0.5\n")
+    command = ["points", "satellite", "in.csv", "-o", "out.csv", "--duration", "5", "--quiet"]
+    assert main(command) == 2  # it may be a mistyped parameter
+    assert "in.csv: trial: not a parameter of the satellite" in capsys.readouterr().err
+    assert main([*command, "--keep", "trial"]) == 0
+    assert pd.read_csv("out.csv").trial.tolist() == [1, 2]
+    for name, problem in (("m", "a parameter"), ("trail", "no column")):
+        assert main([*command, "--force", "--keep", name]) == 2
+        assert problem in capsys.readouterr().err
+    write(tmp_path / "in.csv", "C,label,m\n0.8,first,0.5\n")
+    assert main([*command, "--force"]) == 2
+    assert "the column label is called like a variable of the result" in capsys.readouterr().err
+    with pytest.raises(BadInput, match="different lengths"):
+        atlas.label_points("satellite", {"C": [0.8, 1.2], "name": ["a", "b", "c"]})
+
+
+def test_a_scene_leaves_out_columns_that_name_points(tmp_path):
+    write(tmp_path / "mine.csv", ";sigma;theta0;who\n0;0.5;0.3;a\n1;1.5;0.7;b\n")
+    scene = load_scene(write(tmp_path / "scene.toml", GIVEN))
+    np.testing.assert_array_equal(grid.points_at_indices(scene, np.arange(2)).base["theta0"], [0.3, 0.7])
+    assert "who" not in scene.toml()
+
+
+def test_a_long_header_is_read_at_once(tmp_path):
+    """Looking each name up among all others would take hours."""
+    names = ",".join(map(str, range(150_000)))
+    with pytest.raises(BadInput, match="no points"):
+        tables.read(write(tmp_path / "a.csv", names + "\n"), NAMES)
 
 
 def test_sources_that_are_no_table_of_points_are_refused(tmp_path):
@@ -217,8 +299,8 @@ def test_error_of_bad_points_in_a_scene_is_one_line_that_names_the_key(tmp_path,
 @pytest.mark.parametrize(
     ("content", "named"),
     [
-        ("sigma,theta0\n0.5,\n", "points.values.theta0: nan at point 0"),
-        ("sigma,theta0\n0.5,0.1\n0.5,inf\n", "inf at point 1"),
+        ("sigma,theta0\n0.5,\n", "mine.csv, line 2: theta0 is empty or nan"),
+        ("sigma,theta0\n0.5,0.1\n\n0.5,inf\n", "mine.csv, line 4: theta0 = inf"),
         ("sigma,theta0,colour\n0.5,0.1,3\n", "points.colour: not a parameter"),
         ("theta0\n0.5\n", "'sigma' is neither"),
         ("sigma,theta0,sin\n0.5,0.1,3\n", "'sin' cannot be used as a name"),
@@ -261,8 +343,10 @@ def test_atlas_points_labels_a_file(tmp_path, monkeypatch, capsys):
     ("content", "arguments", "named"),
     [
         ("C,sigma\n1,2\n", [], "sigma: not a parameter"),
-        ("C\nnan\n", [], "C: must be finite numbers, found nan"),
-        ("C\n-1\n", [], "C > 0"),
+        ("C\nnan\n", [], "mine.csv, line 2: C is empty or nan; must be a finite number"),
+        ("C,m\n1,1\n\n1,\n", [], "mine.csv, line 4: m is empty or nan; must be a finite number"),
+        ("C,m\n1,1\n1,-inf\n", [], "mine.csv, line 3: m = -inf: must be a finite number"),
+        ("C\n1\n-1\n", [], "mine.csv, line 3: C = -1: allowed: C > 0"),
         ("C\n1\n", ["--threads", "0"], "--threads"),
         ("C\n1\n", ["--duration", "-3"], "duration"),
         ("C\n1\n", ["--tolerance", "0"], "tolerance"),

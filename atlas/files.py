@@ -15,7 +15,7 @@ import re
 import secrets
 import shutil
 import tempfile
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any, TextIO
@@ -295,7 +295,27 @@ def read_text(path: Path) -> str:
         return file.read()
 
 
-def writable(name: str | Path, suffixes: Sequence[str], *, force: bool) -> Path:
+def check_not_input(path: Path, inputs: Iterable[str | Path]) -> None:
+    """Raise BadInput if `path` is one of the inputs, under any name, or in an input that is a folder."""
+    for each in map(Path, inputs):
+        with suppress(OSError):  # what does not exist is not replaced
+            if each.is_dir() and path.resolve().is_relative_to(each.resolve()):
+                raise BadInput(f"{path}: in {each}, which is read; choose another place")
+            if path.samefile(each):
+                raise BadInput(f"{path}: this is the input, which is never replaced; choose another name")
+
+
+def without_suffix(name: str | Path, *suffixes: str) -> Path:
+    """A path without the suffix of its kind: k3_0.5.nc becomes k3_0.5, and the folder k3_0.5/ stays as it is."""
+    path = Path(name)
+    if path.name in ("", ".."):
+        path = path.resolve()
+    return path.with_suffix("") if path.suffix.lower() in suffixes else path
+
+
+def writable(
+    name: str | Path, suffixes: Sequence[str], *, force: bool, inputs: Iterable[str | Path] = ()
+) -> Path:
     """Check the path of a file before anything is computed.
 
     Parameters
@@ -306,6 +326,8 @@ def writable(name: str | Path, suffixes: Sequence[str], *, force: bool) -> Path:
         Allowed ends of the name, in lower case.
     force : bool
         Allow a file that exists.
+    inputs : iterable of str or Path, optional
+        Files and folders that are read. They are never replaced, also under another name, such as a link.
 
     Returns
     -------
@@ -314,12 +336,14 @@ def writable(name: str | Path, suffixes: Sequence[str], *, force: bool) -> Path:
     Raises
     ------
     BadInput
-        For another suffix, a place that cannot be written, and a file that exists.
+        For another suffix, a place that cannot be written, an input, and a file that exists.
     """
     path = Path(name)
     if path.suffix.lower() not in suffixes:
         allowed = " or ".join(filter(None, (", ".join(suffixes[:-1]), suffixes[-1])))
         raise BadInput(f"{path}: the name must end in {allowed}")
+    check_name(path)
+    check_not_input(path, inputs)
     check_folder(path, replace="zarr.json" if path.suffix.lower() == ".zarr" else None)
     remove_leftovers(path.parent)
     if path.exists() and not force:

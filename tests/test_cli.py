@@ -6,6 +6,7 @@ import signal
 import subprocess
 import sys
 import time
+from pathlib import Path
 
 import matplotlib.image
 import pytest
@@ -89,6 +90,29 @@ def test_map_takes_the_choices_of_a_paper(folder):
         (["trajectory", "small.toml", "-o", "a.txt"], "must end in .nc, .png, .pdf or .svg"),
         (["trajectory", "small.toml", "-o", "no/a.nc"], "no folder no"),
         (["accuracy", "small.toml", "-o", "a.txt"], "must end in .nc, .csv, .png, .pdf or .svg"),
+        (["accuracy", "small.toml", "--points", "1"], "--points 1: must be at least 2"),
+        (["compare", "none.nc", "--worst", "-3"], "--worst -3: must be at least 0"),
+        (["trajectory", "small.toml", "--samples", "1e9"], "--samples"),
+        (["trajectory", "small.toml", "--samples", "1"], "--samples 1: must be at least 2"),
+        (["trajectory", "small.toml", "--at", "sigma=1", "sigma=2"], "--at: sigma is given twice"),
+        (
+            ["trajectory", "small.toml", "--at", "sigma=nan"],
+            "--at sigma=nan: must be AXIS=VALUE with a finite",
+        ),
+        (["map", "small.nc", "--select", "a=1", "--select", "a=2"], "--select: a is given twice"),
+        (["run", "small.toml", "-o", "okout"], "must end in .nc, for one file, or in /, for a run folder"),
+        (["run", "small.toml", "-o", "k3_0.5"], "must end in .nc, for one file, or in /, for a run folder"),
+        (["run", "small.toml", "-o", "a" * 300 + ".nc"], "too long"),
+        (["run", "a" * 300 + ".toml"], "too long"),
+        (["map", "a" * 300 + ".nc"], "too long"),
+        (["status", "a" * 300], "too long"),
+        (["stress", "satellite", "-o", "a" * 300], "too long"),
+        (["figures", "-o", "figure.png"], "must be a folder"),
+        (["figures", "--only", "1", "2", "x"], "x"),
+        (["figures", "--format", "png", "--format", "gif"], "gif"),
+        (["new", "quikstart"], "did you mean quickstart?"),
+        (["new", "quickstart", "-o", "small.toml"], "this file exists"),
+        (["new", "quickstart", "-o", "copy.txt"], "must end in .toml"),
         (["map", "none.nc", "-o", "a.txt"], "must end in .png, .pdf or .svg"),
         (["join", ".", "-o", "a.nc"], "not a run folder"),
         (["stress", "--threads", "0"], "--threads 0: must be at least 1"),
@@ -148,11 +172,56 @@ def test_existing_files_are_kept_without_force(folder, monkeypatch, capsys, argu
     for name in ("old.nc", "old.png", "figure_01.png", "satellite.png"):
         (folder / name).write_text("kept")
     assert main(arguments) == 2
-    assert re.search(r"this file exists; --force.* replaces it", capsys.readouterr().err)
+    assert re.search(r"exists?; --force.* replaces (it|them)", capsys.readouterr().err)
     assert all(path.read_text() == "kept" for path in folder.iterdir() if path.name != "small.toml")
 
 
-def test_ctrl_c_leaves_no_half_file_and_exits_130(folder, scene_text):
+@pytest.mark.parametrize(
+    ("arguments", "kept"),
+    [
+        (["points", "satellite", "in.csv", "-o", "in.csv"], "in.csv"),
+        (["points", "satellite", "in.csv", "-o", "folder/../in.csv"], "in.csv"),
+        (["points", "satellite", "in.csv", "-o", "link.csv"], "in.csv"),
+        (["points", "satellite", "link.csv", "-o", "in.csv"], "in.csv"),
+        (["run", "scene.nc"], "scene.nc"),
+        (["run", "scene.nc", "-o", "link.nc"], "scene.nc"),
+        (["run", "with_points.toml", "-o", "points.nc"], "points.nc"),
+        (["trajectory", "with_points.toml", "-o", "points.nc"], "points.nc"),
+        (["accuracy", "with_points.toml", "-o", "points.nc"], "points.nc"),
+        (["accuracy", "with_points.toml", "-o", "a.csv", "points.nc"], "points.nc"),
+        (["map", "figure.png", "-o", "figure.png"], "figure.png"),
+    ],
+    ids=" ".join,
+)
+def test_an_input_is_never_replaced(folder, monkeypatch, capsys, arguments, kept):
+    monkeypatch.chdir(folder)
+    scene = (folder / "small.toml").read_text()
+    (folder / "folder").mkdir()
+    (folder / "in.csv").write_text("m\n0.5\n")
+    (folder / "scene.nc").write_text(scene)
+    xr.Dataset({"m": ("point", [0.5])}).to_netcdf("points.nc")
+    (folder / "with_points.toml").write_text('schema = 1\nsystem = "satellite"\npoints.file = "points.nc"\n')
+    (folder / "figure.png").write_text("an atlas under a strange name")
+    (folder / "link.csv").symlink_to("in.csv")
+    (folder / "link.nc").hardlink_to("scene.nc")
+    before = (folder / kept).read_bytes()
+    assert main([*arguments, "--force"]) == 2
+    assert "the input, which is never replaced" in capsys.readouterr().err
+    assert (folder / kept).read_bytes() == before
+
+
+def test_a_tile_is_never_replaced_by_the_join(longer, monkeypatch, capsys):
+    folder, run, _ = longer
+    monkeypatch.chdir(folder)
+    assert main(["run", "scene.toml", "-o", "run/", "--quiet"]) == 0
+    before = run.tiles.path(0).read_bytes()
+    assert main(["join", "run", "-o", "run/tiles/00000000.nc", "--force"]) == 2
+    assert "which is read" in capsys.readouterr().err
+    assert run.tiles.path(0).read_bytes() == before
+
+
+@pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
+def test_a_signal_leaves_no_half_file_and_the_message_continues(folder, scene_text, number, code):
     large = {"axes.sigma.count": 900, "axes.theta0.count": 700, "integration.tolerance": 1e-9}
     (folder / "long.toml").write_text(scene_text(large))
     assert shell("run", "small.toml", cwd=folder).returncode == 0  # the kernel is warm now
@@ -161,18 +230,115 @@ def test_ctrl_c_leaves_no_half_file_and_exits_130(folder, scene_text):
         start_new_session=True,
     )  # fmt: skip
     deadline = time.monotonic() + 60
-    while not list(folder.glob("long.nc.run/*.json")) and time.monotonic() < deadline:
+    while not list(folder.glob("long.nc.run/tiles/*.json")) and time.monotonic() < deadline:
         time.sleep(0.1)
     assert process.poll() is None
-    os.killpg(process.pid, signal.SIGINT)
+    os.killpg(process.pid, number)
     _, message = process.communicate(timeout=60)
-    assert process.returncode == 130
-    assert "interrupted" in message
+    assert process.returncode == code
+    last_line = message.splitlines()[-1]
+    assert re.fullmatch(
+        r"atlas: interrupted; [1-9]\d* of \d+ tiles are in long.nc.run/; `python -m atlas run long.toml` continues",
+        last_line,
+    )
     assert "Traceback" not in message
     assert not (folder / "long.nc").exists()
     # A loaded machine may end the process while it writes; every later command removes what that leaves.
     assert shell("status", "long.nc.run", cwd=folder).returncode == 0
     assert not list(folder.rglob("*.tmp"))
+
+
+@pytest.mark.parametrize("suffix", [".nc", "/"])
+def test_names_with_points_stay_whole(folder, monkeypatch, suffix):
+    monkeypatch.chdir(folder)
+    (folder / "small.toml").rename(folder / "k3_0.5.toml")
+    assert main(["run", "k3_0.5.toml", "-o", f"k3_0.5{suffix}", "--quiet"]) == 0
+    assert main(["map", f"k3_0.5{suffix}"]) == 0
+    assert main(["trajectory", "k3_0.5.toml", "--at", "sigma=0.5", "--at", "theta0=0.7"]) == 0
+    assert {"k3_0.5.png", "k3_0.5.pdf", "k3_0.5_trajectory.png"} < {p.name for p in folder.iterdir()}
+
+
+def test_options_take_several_values_or_are_repeated():
+    def values(*arguments):
+        return vars(parser().parse_args(arguments))
+
+    for name, option in (("trajectory", "--at"), ("map", "--select")):
+        for words in (["a=1", "b=-2"], ["a=1", option, "b=-2"], [f"{option}=a=1", "b=-2"]):
+            words = words if words[0].startswith("--") else [option, *words]
+            before, after = values(name, "x", *words), values(name, *words, "x")
+            assert before == after
+            assert before[option[2:]] == ["a=1", "b=-2"]
+    for words in (["-o", "a.nc", "b.csv"], ["-o", "a.nc", "--out", "b.csv"], ["--out=a.nc", "b.csv"]):
+        assert values("accuracy", *words, "s.toml") == values("accuracy", "s.toml", *words)
+        assert values("accuracy", *words, "s.toml")["out"] == ["a.nc", "b.csv"]
+    assert values("figures", "--only", "1", "2", "--only", "3")["only"] == [1, 2, 3]
+    assert values("figures", "--format", "png", "--format", "svg", "pdf")["format"] == ["png", "svg", "pdf"]
+    assert values("trajectory", "--at", "a=1", "--", "b=2")["scene"] == "b=2"
+
+
+def test_scenes_and_points_come_from_standard_input(folder):
+    scene = (folder / "small.toml").read_text()
+    assert (
+        shell("check", "-", cwd=folder, input=scene).stdout == shell("check", "small.toml", cwd=folder).stdout
+    )
+    done = shell("run", "-", "--quiet", cwd=folder, input=scene)
+    assert done.returncode == 0
+    assert (folder / "scene.nc").exists()
+    done = shell("points", "satellite", "-", "-o", "a.csv", cwd=folder, input="C,m\n0.8,0.5\n")
+    assert done.returncode == 0, done.stderr
+    assert (folder / "a.csv").exists()
+    done = shell("points", "satellite", "-", "-o", "b.csv", cwd=folder, input="C,m\n0.8,\n")
+    assert done.returncode == 2
+    assert "standard input, line 2: m is empty" in done.stderr
+
+
+def test_examples_are_listed_and_copied(folder, monkeypatch, capsys):
+    monkeypatch.chdir(folder)
+    configs = Path(__file__).parents[1] / "configs"
+    assert main(["new"]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert [line.split()[0] for line in lines[1:-1]] == sorted(path.stem for path in configs.glob("*.toml"))
+    assert main(["new", "gravity_gradient"]) == 0
+    assert "next: atlas run gravity_gradient.toml" in capsys.readouterr().out
+    assert (folder / "gravity_gradient.toml").read_bytes() == (configs / "gravity_gradient.toml").read_bytes()
+    assert main(["check", "gravity_gradient.toml"]) == 0
+    assert main(["new", "gravity_gradient.toml", "-o", "mine.toml"]) == 0
+
+
+def test_the_second_name_is_the_name_in_messages(monkeypatch, capsys):
+    monkeypatch.setattr(sys, "argv", ["/usr/bin/precession-atlas"])
+    with pytest.raises(SystemExit):
+        main(["--help"])
+    assert "usage: precession-atlas" in capsys.readouterr().out
+    monkeypatch.setattr(sys, "argv", ["/site-packages/atlas/__main__.py"])
+    assert parser().prog == "atlas"
+
+
+def test_a_trajectory_starts_from_the_scene_in_an_atlas(folder, monkeypatch, capsys):
+    monkeypatch.chdir(folder)
+    assert main(["run", "small.toml", "--quiet"]) == 0
+    place = ["--at", "sigma=0.5", "theta0=0.7"]
+    assert main(["trajectory", "small.toml", *place, "-o", "a.nc"]) == 0
+    assert main(["trajectory", "small.nc", *place, "-o", "b.nc"]) == 0
+    with xr.open_dataset("a.nc") as a, xr.open_dataset("b.nc") as b:
+        xr.testing.assert_equal(a, b)
+    (folder / "in.csv").write_text("C,theta0\n0.8,0.3\n1.2,0.4\n")
+    assert main(["points", "satellite", "in.csv", "-o", "p.nc", "--duration", "5", "--quiet"]) == 0
+    assert main(["trajectory", "p.nc", "--at", "theta0=0.4", "-o", "c.nc"]) == 0
+    with xr.open_dataset("c.nc") as c:
+        assert float(c.theta[0]) == pytest.approx(0.4)
+
+
+def test_an_unfinished_folder_is_announced(longer, monkeypatch, caplog, capsys):
+    folder, run, _ = longer
+    monkeypatch.chdir(folder)
+    assert main(["run", "scene.toml", "-o", "run/", "--shard", "1/3", "--quiet"]) == 0
+    for command in (["map", "run"], ["compare", "run"]):
+        caplog.clear()
+        assert main(command) == 0
+        assert "12 of 18 tiles are missing" in caplog.text
+    assert main(["status", "run"]) == 0
+    assert "no process is at work" in capsys.readouterr().out
 
 
 def test_help_of_every_command_is_real(capsys):
@@ -191,6 +357,7 @@ def test_help_of_every_command_is_real(capsys):
         "join",
         "conditions",
         "cache",
+        "new",
     ]
     for name in commands:
         with pytest.raises(SystemExit) as stop:

@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 import argparse
+import os
 import sys
 from collections.abc import Sequence
 from typing import NoReturn
 
 from .._version import __version__
+from ..engine.compiling import announced
 from ..errors import MAX_MESSAGE, BadInput, messages_for_shell, printable
-from ..interruption import INTERRUPTED, MESSAGE, exit_process, signals_as_interrupt
-from . import atlases, jobs, measurements, motions, papers, scenes
-from .options import BAD_INPUT, DONE, FAILED, Parser
+from ..interruption import exit_process, explain_kept, outcome, signals_as_interrupt
+from . import atlases, examples, jobs, measurements, motions, papers, scenes
+from .options import BAD_INPUT, DONE, FAILED, Parser, program
 
 __all__ = ["BAD_INPUT", "DONE", "FAILED", "command", "main", "parser"]
 
@@ -27,18 +29,21 @@ def main(arguments: Sequence[str] | None = None) -> int:
     Returns
     -------
     int
-        Exit code: 0 done, 1 failed, 2 bad input, 130 interrupted.
+        Exit code: 0 done, 1 failed, 2 bad input, 130 interrupted, 143 terminated.
     """
+    explain_kept(None)
     try:
         with messages_for_shell(), signals_as_interrupt():
             options = parser().parse_args(arguments)
-            return int(options.handler(options))
+            with announced(not getattr(options, "quiet", False)):
+                return int(options.handler(options))
     except BadInput as error:
         print(f"atlas: {error}", file=sys.stderr)
         return BAD_INPUT
     except KeyboardInterrupt:
-        print(MESSAGE, file=sys.stderr)
-        return INTERRUPTED
+        code, message = outcome()
+        print(message, file=sys.stderr)
+        return code
     except BrokenPipeError:
         sys.stderr.close()
         return FAILED
@@ -49,7 +54,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def command() -> NoReturn:
-    """Run the command of this process."""
+    """Run the command of this process, or complete it for the shell."""
+    if "_ARGCOMPLETE" in os.environ:
+        import argcomplete  # the shell asks only where it is installed
+
+        argcomplete.autocomplete(parser())
     try:
         code = main()
     except SystemExit as end:  # of the parser of options
@@ -60,9 +69,9 @@ def command() -> NoReturn:
 def parser() -> argparse.ArgumentParser:
     """The command line with its help; building it imports no compiler."""
     top = Parser(
-        prog="atlas",
+        prog=program(),
         description="Where in parameter space a gyrostat precesses regularly, rotates permanently or drifts.",
-        epilog="Exit codes: 0 done, 1 failed, 2 bad input, 130 interrupted.",
+        epilog="Exit codes: 0 done, 1 failed, 2 bad input, 130 interrupted, 143 terminated (SIGTERM).",
     )
     top.add_argument("--version", action="version", version=f"atlas {__version__}")
     commands = top.add_subparsers(title="commands", metavar="COMMAND", required=True, parser_class=Parser)
@@ -76,6 +85,7 @@ def parser() -> argparse.ArgumentParser:
         atlases.add_compare,
         atlases.add_map,
         motions.add_trajectory,
+        examples.add_new,
         measurements.add_accuracy,
         papers.add_conditions,
         measurements.add_stress,

@@ -4,18 +4,18 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Sequence
-from pathlib import Path
-from typing import Any
 
 from ..errors import BadInput
-from ..files import writable
+from ..files import without_suffix, writable
 from .options import (
     DONE,
     FIGURES,
     Commands,
     add_command,
+    assignment_option,
     atlas_option,
     axis_values,
+    check_at_least,
     force_option,
     option_with_default,
     out_option,
@@ -34,6 +34,7 @@ def _compare(options: argparse.Namespace) -> int:
     from ..analysis.compare import report
     from ..runs.open import open_atlas
 
+    check_at_least("--worst", options.worst, 0)
     with open_atlas(options.atlas) as ds:
         print(report(ds, worst=options.worst))
     return DONE
@@ -46,18 +47,15 @@ def add_map(commands: Commands) -> None:
     command.add_argument("--variable", metavar="NAME", help="what to map (default: label)")
     command.add_argument("--x", metavar="AXIS", help="horizontal axis (default: the first)")
     command.add_argument("--y", metavar="AXIS", help="vertical axis (default: the second)")
-    command.add_argument(
-        "--select", action="append", default=[], metavar="AXIS=VALUE", help="place on another axis"
-    )
+    assignment_option(command, "--select", "AXIS=VALUE", "place on another axis")
     command.add_argument("--width", choices=("column", "page"), default="column", help="journal width")
     command.add_argument("--size", metavar="WIDTHxHEIGHT", help="size in mm, such as 120x90")
     command.add_argument("--dpi", type=float, metavar="N", help="resolution (default: 600)")
     command.add_argument("--title", metavar="TEXT", help="title of the figure")
     command.add_argument("--cmap", metavar="NAME", help="Matplotlib's colour map for a variable of numbers")
-    several: dict[str, Any] = {"action": "extend", "nargs": "+", "default": []}
-    command.add_argument("--colors", metavar="FLAG=COLOUR", help="colours of flags", **several)
-    command.add_argument(
-        "--labels", metavar="NAME=TEXT", help="texts for flags, axes and the variable", **several
+    assignment_option(command, "--colors", "FLAG=COLOUR", "colours of flags, one or several")
+    assignment_option(
+        command, "--labels", "NAME=TEXT", "texts for flags, axes and the variable, one or several"
     )
     command.add_argument("--no-boundary", action="store_true", help="draw no theory")
     command.add_argument("--no-legend", action="store_true", help="draw no legend")
@@ -69,9 +67,9 @@ def _map(options: argparse.Namespace) -> int:
     from ..plotting import maps, style, text
     from ..runs.open import open_atlas
 
-    stem = Path(options.atlas).with_suffix("")
-    names = [options.out] if options.out else [stem.with_suffix(".png"), stem.with_suffix(".pdf")]
-    paths = [writable(name, FIGURES, force=options.force) for name in names]
+    stem = without_suffix(options.atlas, ".nc", ".zarr")
+    names = [options.out] if options.out else [f"{stem}.png", f"{stem}.pdf"]
+    paths = [writable(name, FIGURES, force=options.force, inputs=[options.atlas]) for name in names]
     select = axis_values("--select", options.select)
     with open_atlas(options.atlas) as ds:
         figure = maps.atlas_map(

@@ -6,15 +6,18 @@ import argparse
 from pathlib import Path
 
 from ..errors import MAX_MESSAGE, MAX_TEXT, BadInput, printable
-from ..files import writable
+from ..files import check_not_input, writable
 from .options import (
     DONE,
     Commands,
     add_command,
-    check_positive,
+    check_at_least,
+    default_name,
     force_option,
+    input_files,
     out_option,
     quiet_option,
+    read_scene,
     scene_option,
     threads_option,
 )
@@ -41,13 +44,12 @@ def add_run(commands: Commands) -> None:
 
 
 def _run(options: argparse.Namespace) -> int:
-    from ..scene.read import load_scene
-
-    check_positive("--threads", options.threads)
-    check_positive("--workers", options.workers)
+    check_at_least("--threads", options.threads, 1)
+    check_at_least("--workers", options.workers, 1)
     shard = _shard(options.shard)
-    scene = load_scene(options.scene)
-    out = options.out or Path(options.scene).stem + ".nc"
+    scene = read_scene(options.scene)
+    out = options.out or default_name(options.scene) + ".nc"
+    check_not_input(Path(out), input_files(options.scene))
     from ..analysis.summary import summary
     from ..runs.estimate import dry_run
     from ..runs.runner import run
@@ -106,7 +108,7 @@ def _join(options: argparse.Namespace) -> int:
     from ..runs.folder import RunFolder
 
     folder = RunFolder.open(options.folder)
-    folder.join(writable(options.out, (".nc", ".zarr"), force=options.force))
+    folder.join(writable(options.out, (".nc", ".zarr"), force=options.force, inputs=[folder.tiles.folder]))
     print(f"wrote {options.out}")
     return DONE
 
@@ -120,9 +122,8 @@ def _check(options: argparse.Namespace) -> int:
     from ..runs.method_costs import method_lines
     from ..runs.tiling import step_warnings
     from ..scene import grid
-    from ..scene.read import load_scene
 
-    scene = load_scene(options.scene)
+    scene = read_scene(options.scene)
     points = grid.check(scene)
     shape = " x ".join(f"{name} {count}" for name, count in zip(scene.axes, scene.shape, strict=True))
     print(

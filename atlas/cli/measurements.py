@@ -4,18 +4,21 @@ from __future__ import annotations
 
 import argparse
 
-from ..files import writable
+from ..files import atomic_write, writable
 from .options import (
     DONE,
     FAILED,
     FIGURES,
+    FILES,
     Commands,
     add_command,
-    check_positive,
+    check_at_least,
     force_option,
+    input_files,
     option_with_default,
     out_option,
     output_folder,
+    read_scene,
     scene_option,
     table,
     threads_option,
@@ -27,17 +30,26 @@ def add_accuracy(commands: Commands) -> None:
         commands, "accuracy", _accuracy, "measure error against run time at some points of a scene"
     )
     scene_option(command)
-    kinds = ".nc for every number, .csv for the table, .png, .pdf or .svg for the figure; may be repeated"
-    out_option(command, "OUT", kinds, action="append", default=[])
+    kinds = ".nc for every number, .csv for the table, .png, .pdf or .svg for the figure; one or several"
+    command.add_several(
+        "-o",
+        "--out",
+        belongs=lambda word: word.lower().endswith(FILES),
+        default=[],
+        metavar="OUT",
+        help=kinds,
+    )
     option_with_default(command, "--points", "N", 64, "points to integrate")
     force_option(command, "existing files")
 
 
 def _accuracy(options: argparse.Namespace) -> int:
-    from ..scene.read import load_scene
-
-    outs = [writable(out, (".nc", ".csv", *FIGURES), force=options.force) for out in options.out]
-    scene = load_scene(options.scene)
+    inputs = input_files(options.scene)
+    outs = [
+        writable(out, (".nc", ".csv", *FIGURES), force=options.force, inputs=inputs) for out in options.out
+    ]
+    check_at_least("--points", options.points, 2)
+    scene = read_scene(options.scene)
     from ..io import netcdf
     from ..plotting import style
     from ..plotting.work_precision import figure
@@ -49,7 +61,8 @@ def _accuracy(options: argparse.Namespace) -> int:
         if out.suffix.lower() == ".nc":
             netcdf.write(ds, out)
         elif out.suffix.lower() == ".csv":
-            out.write_text(work_precision_report.table(ds))
+            with atomic_write(out) as temporary:
+                temporary.write_text(work_precision_report.table(ds))
         else:
             style.save(figure(ds), out)
         print(f"wrote {out}")
@@ -69,7 +82,7 @@ def add_stress(commands: Commands) -> None:
 def _stress(options: argparse.Namespace) -> int:
     from .. import systems
 
-    check_positive("--threads", options.threads)
+    check_at_least("--threads", options.threads, 1)
     with_cases = [name for name, system in systems.SYSTEMS.items() if system.stress_cases()]
     names = [systems.get(options.system).name] if options.system else with_cases
     files = [f"{name}{suffix}" for name in names for suffix in (".nc", ".png")]

@@ -3,23 +3,34 @@
 from __future__ import annotations
 
 import argparse
+import io
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 from ..files import writable
 from .options import (
     DONE,
     FIGURES,
+    FILES,
+    STANDARD_INPUT,
     Commands,
     add_command,
+    assignment_option,
     axis_values,
-    check_positive,
+    check_at_least,
+    default_name,
     force_option,
+    input_files,
     option_with_default,
     out_option,
     quiet_option,
-    scene_option,
+    read_input,
+    read_scene,
     threads_option,
 )
+
+if TYPE_CHECKING:
+    from xarray import Dataset
 
 
 def add_points(commands: Commands) -> None:
@@ -27,42 +38,68 @@ def add_points(commands: Commands) -> None:
 
     command = add_command(commands, "points", _points, "label points of a file, which names their parameters")
     command.add_argument("system", metavar="SYSTEM", help="satellite or fixed_point")
-    command.add_argument("points", metavar="POINTS", help=".csv with names in its first line, or .nc")
+    command.add_argument(
+        "points",
+        metavar="POINTS",
+        help=".csv with names in its first line, or .nc; - for CSV on standard input",
+    )
     out_option(command, "FILE", ".nc, or .csv", required=True)
-    option_with_default(command, "--duration", "T", Duration().amount, "time units")
+    option_with_default(
+        command, "--duration", "T", str(Duration()), 'time units, or as in a scene: "20 orbits", "50 turns"'
+    )
     option_with_default(command, "--method", "NAME", DEFAULTS.method, "rk4 or rk8")
     size = command.add_mutually_exclusive_group()
     option_with_default(size, "--tolerance", "E", DEFAULTS.tolerance, "as in a scene")
     size.add_argument("--step", type=float, metavar="H", help="time units")
     option_with_default(command, "--rate-tolerance", "R", DEFAULTS.rate_tolerance, "rad per time unit")
+    command.add_several(
+        "--keep", belongs=_is_column, default=[], metavar="NAME",
+        help="columns that are no parameters, to be kept; those of text, id, index, name, number and point always are",
+    )  # fmt: skip
     threads_option(command)
     force_option(command, "an existing file")
     quiet_option(command)
+
+
+def _is_column(word: str) -> bool:
+    """Whether a word after --keep is a column: neither a file nor a system."""
+    from .. import systems
+
+    return word != STANDARD_INPUT and not word.lower().endswith(FILES) and word not in systems.SYSTEMS
 
 
 def _points(options: argparse.Namespace) -> int:
     from .. import systems
     from ..io import csv as csv_file
     from ..io import netcdf
+    from ..scene import csv as csv_input
     from ..scene import tables
 
-    check_positive("--threads", options.threads)
-    out = writable(options.out, tables.FORMATS, force=options.force)
+    check_at_least("--threads", options.threads, 1)
+    from_input = options.points == STANDARD_INPUT
+    inputs = [] if from_input else [options.points]
+    out = writable(options.out, tables.FORMATS, force=options.force, inputs=inputs)
     system = systems.get(options.system)
-    columns = tables.read(options.points, system.parameters)
+    wanted = {*system.parameters, *options.keep}
+    columns: dict[str, Any]
+    if from_input:
+        columns = csv_input.read(io.StringIO(read_input()), "standard input", wanted)
+    else:
+        columns = tables.read(options.points, wanted)
     from ..analysis.summary import summary
     from ..label.points import label_points
 
     ds = label_points(
         system.name,
         columns,
-        duration=options.duration,
+        duration=_number_or_text(options.duration),
         step=options.step,
         tolerance=options.tolerance,
         method=options.method,
         rate_tolerance=options.rate_tolerance,
         threads=options.threads,
         progress=not options.quiet,
+        keep=options.keep,
     )
     (csv_file if out.suffix.lower() == ".csv" else netcdf).write(ds, out)
     print(summary(ds))
@@ -70,29 +107,35 @@ def _points(options: argparse.Namespace) -> int:
     return DONE
 
 
+def _number_or_text(text: str) -> float | str:
+    """A number of time units, or what else was given."""
+    try:
+        return float(text)
+    except ValueError:
+        return text
+
+
 def add_trajectory(commands: Commands) -> None:
     command = add_command(
         commands, "trajectory", _trajectory, "integrate one point of a scene and draw its motion"
     )
-    scene_option(command)
     command.add_argument(
-        "--at", nargs="+", default=[], metavar="AXIS=VALUE", help="place of the point, a value for every axis"
+        "scene", metavar="SCENE", help="scene file, atlas or run folder, - for standard input"
     )
-    out_option(command, "OUT", ".png, .pdf, .svg or .nc (default: SCENE_trajectory.png)")
+    assignment_option(command, "--at", "AXIS=VALUE", "place of the point, a value for every axis")
+    out_option(command, "OUT", ".png, .pdf, .svg or .nc (default: NAME_trajectory.png)")
     option_with_default(command, "--samples", "N", 1001, "instants to keep")
     force_option(command, "an existing file")
 
 
 def _trajectory(options: argparse.Namespace) -> int:
     from ..io import netcdf
-    from ..scene.read import load_scene
 
-    scene = load_scene(options.scene)
-    name = options.out or Path(options.scene).stem + "_trajectory.png"
-    out = writable(name, (".nc", *FIGURES), force=options.force)
-    from ..label.trajectory import trajectory_of_scene
-
-    tr = trajectory_of_scene(scene, axis_values("--at", options.at), samples=options.samples)
+    name = options.out or f"{default_name(options.scene)}_trajectory.png"
+    out = writable(name, (".nc", *FIGURES), force=options.force, inputs=input_files(options.scene))
+    check_at_least("--samples", options.samples, 2)
+    places = axis_values("--at", options.at)
+    tr = _motion(options.scene, places, options.samples)
     if out.suffix.lower() == ".nc":
         netcdf.write(tr, out)
     else:
@@ -102,3 +145,22 @@ def _trajectory(options: argparse.Namespace) -> int:
     low, high = float(tr["theta"].min()), float(tr["theta"].max())
     print(f"theta from {low:.9g} to {high:.9g} rad in {float(tr['time'][-1]):.9g} time units; wrote {out}")
     return DONE
+
+
+def _motion(name: str, places: dict[str, float], samples: int) -> Dataset:
+    """The trajectory of a place in a scene, or in the scene of an atlas; of an atlas without one, of the nearest point."""
+    if Path(name).suffix.lower() != ".nc" and not Path(name).is_dir():
+        scene = read_scene(name)
+    else:
+        from ..analysis.metadata import scene_of
+        from ..analysis.rerun import nearest_trajectory
+        from ..runs.open import open_atlas
+
+        with open_atlas(name) as ds:
+            scene_of_atlas = scene_of(ds)
+            if scene_of_atlas is None:
+                return nearest_trajectory(ds, places, samples)
+        scene = scene_of_atlas
+    from ..label.trajectory import trajectory_of_scene
+
+    return trajectory_of_scene(scene, places, samples=samples)

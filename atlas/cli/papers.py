@@ -10,7 +10,7 @@ import textwrap
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from .options import DONE, Commands, add_command, force_option, out_option, output_folder, table
+from .options import DONE, FIGURES, Commands, add_command, force_option, out_option, output_folder, table
 
 
 def add_conditions(commands: Commands) -> None:
@@ -115,10 +115,11 @@ def add_figures(commands: Commands) -> None:
         commands, "figures", _figures, "draw figures 1-20 of Amer et al., as printed and as true"
     )
     out_option(command, "FOLDER", "folder of the figures (default: figures)", default="figures")
-    command.add_argument("--only", type=int, nargs="+", metavar="N", help="which figures (default: all)")
-    command.add_argument(
-        "--format", choices=("png", "pdf", "svg"), nargs="+", default=["png", "pdf"], help="default: png pdf"
+    command.add_several(
+        "--only", belongs=str.isdecimal, type=int, metavar="N", help="which figures (default: all)"
     )
+    kinds = tuple(suffix.removeprefix(".") for suffix in FIGURES)
+    command.add_several("--format", belongs=kinds.__contains__, choices=kinds, help="default: png pdf")
     command.add_argument(
         "--table", action="store_true", help="print amplitudes, periods and the paper's claims; draw nothing"
     )
@@ -134,11 +135,12 @@ def _figures(options: argparse.Namespace) -> int:
         print("\n\n".join([table(rows), *claims]))
         return DONE
     figures = [amer2013.paper_figure(number) for number in options.only or amer2013.NUMBERS]
-    files = [f"figure_{figure.number:02d}.{kind}" for figure in figures for kind in options.format]
+    kinds = options.format or ["png", "pdf"]
+    files = [f"figure_{figure.number:02d}.{kind}" for figure in figures for kind in kinds]
     folder = output_folder(options.out, files, force=options.force)
     for figure in figures:
         drawn = amer2013.draw(figure.number)
-        paths = [folder / f"figure_{figure.number:02d}.{kind}" for kind in options.format]
+        paths = [folder / f"figure_{figure.number:02d}.{kind}" for kind in kinds]
         for path in paths:
             save(drawn, path)
         print(f"wrote {' and '.join(map(str, paths))}: {figure.caption}")

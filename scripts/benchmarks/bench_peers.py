@@ -12,7 +12,7 @@ integrals. All get the equations in the units that make a factor 1. Errors are m
 SciPy's DOP853 at 3e-14; times are interpolated between tolerances to the errors asked for. Integrators that are not
 installed are skipped:
 
-    pip install heyoka CyRK diffrax jax numbalsoda
+    pip install "precession-atlas[peers]"      (in a clone: pip install -e ".[peers]")
 """
 
 from __future__ import annotations
@@ -332,7 +332,7 @@ def installed(peers: dict[str, Peer], only: list[str] | None) -> dict[str, Engin
         try:
             engines[name] = peer.make()
         except ImportError as missing:
-            print(f"skipped: {name} (no module {missing.name})")
+            print(f'skipped: {name} (no module {missing.name}; pip install "precession-atlas[peers]")')
     return engines
 
 

@@ -1,0 +1,52 @@
+"""The command that copies an example scene: new."""
+
+from __future__ import annotations
+
+import argparse
+import difflib
+import tomllib
+from importlib.resources import files
+from importlib.resources.abc import Traversable
+from pathlib import Path
+
+from ..errors import BadInput
+from ..files import atomic_write, writable
+from .options import DONE, Commands, add_command, out_option, program, table
+
+
+def add_new(commands: Commands) -> None:
+    command = add_command(commands, "new", _new, "copy an example scene, to run it or to change it")
+    command.add_argument("name", metavar="NAME", nargs="?", help="which example (default: list them)")
+    out_option(command, "SCENE", "name of the copy (default: NAME.toml)")
+
+
+def _new(options: argparse.Namespace) -> int:
+    scenes = examples()
+    if options.name is None:
+        rows = [(name, tomllib.loads(scene.read_text("utf-8"))["title"]) for name, scene in scenes.items()]
+        print(table([("example", "what it shows"), *rows]))
+        print(f"{program()} new NAME copies one of them")
+        return DONE
+    name = options.name.removesuffix(".toml")
+    if name not in scenes:
+        similar = difflib.get_close_matches(name, scenes, 1)
+        question = f"did you mean {similar[0]}? " if similar else ""
+        raise BadInput(f"{options.name}: no such example; {question}{program()} new lists them")
+    out = writable(options.out or f"{name}.toml", (".toml",), force=True)
+    if out.exists():
+        raise BadInput(f"{out}: this file exists; -o gives the copy another name")
+    with atomic_write(out) as temporary:
+        temporary.write_bytes(scenes[name].read_bytes())
+    print(f"wrote {out}; next: {program()} run {out}")
+    return DONE
+
+
+def examples() -> dict[str, Traversable]:
+    """The example scenes by name: of the installed package, or the folder configs/ beside it in a repository."""
+    folder: Traversable = files("atlas") / "examples"
+    if not folder.is_dir():
+        folder = Path(__file__).parents[2] / "configs"
+    scenes = {
+        path.name.removesuffix(".toml"): path for path in folder.iterdir() if path.name.endswith(".toml")
+    }
+    return dict(sorted(scenes.items()))

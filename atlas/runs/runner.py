@@ -7,7 +7,7 @@ import random
 import socket
 import threading
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
 
@@ -346,6 +346,8 @@ def _compute_tiles(folder: RunFolder, sample: grid.Grid, execution: _Execution, 
     bar = job.open_progress(progress)
     try:
         if execution.on_cluster:
+            if execution.workers:
+                _compile_kernel(folder.scene, sample)
             _compute_on_cluster(job, bar, execution)
         else:
             _compute_in_threads(job, bar, sample, execution.threads)
@@ -372,6 +374,15 @@ def _compute_in_threads(job: _Job, bar: Progress, sample: grid.Grid, threads: in
 
     in_flight = tiles_in_flight(folder.scene, sample, folder.tiling, threads)
     for_each_tile(job.remaining_tiles(bar), compute, bar.advance, in_flight)
+
+
+def _compile_kernel(scene: Scene, sample: grid.Grid) -> None:
+    """Compile the kernel of a scene by one step at one point: each new process would compile it otherwise."""
+    outputs = tuple(name for name in scene.outputs if name not in scene.system.derived)
+    if not outputs:
+        return
+    scene = replace(scene, outputs=outputs, settings=replace(scene.settings, max_steps=1))
+    evaluate_tile(scene, sample.subset(np.flatnonzero(sample.exists)[:1]), threads=1)
 
 
 def _compute_on_cluster(job: _Job, bar: Progress, execution: _Execution) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import shlex
+import shutil
 import signal
 import sys
 import threading
@@ -55,11 +56,18 @@ def explain_kept(kept: Callable[[], str] | None) -> None:
     _kept = kept
 
 
+def called_as() -> str:
+    """The program as this process was called, to be typed again: `atlas`, or its path where no shell finds it."""
+    path = Path(sys.argv[0])
+    if path.name == "__main__.py":
+        return "python -m atlas"
+    found = shutil.which(path.name)
+    return path.name if found and path.exists() and path.samefile(found) else shlex.quote(str(path))
+
+
 def _own_command() -> str:
     """The command of this process, as a shell takes it."""
-    path = Path(sys.argv[0])
-    program = ["python", "-m", "atlas"] if path.name == "__main__.py" else [path.name]
-    return shlex.join([*program, *sys.argv[1:]])
+    return f"{called_as()} {shlex.join(sys.argv[1:])}"
 
 
 def is_command() -> bool:

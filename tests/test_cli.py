@@ -299,7 +299,7 @@ def test_examples_are_listed_and_copied(folder, monkeypatch, capsys):
     lines = capsys.readouterr().out.splitlines()
     assert [line.split()[0] for line in lines[1:-1]] == sorted(path.stem for path in configs.glob("*.toml"))
     assert main(["new", "gravity_gradient"]) == 0
-    assert "next: atlas run gravity_gradient.toml" in capsys.readouterr().out
+    assert "run gravity_gradient.toml" in capsys.readouterr().out
     assert (folder / "gravity_gradient.toml").read_bytes() == (configs / "gravity_gradient.toml").read_bytes()
     assert main(["check", "gravity_gradient.toml"]) == 0
     assert main(["new", "gravity_gradient.toml", "-o", "mine.toml"]) == 0

@@ -43,7 +43,7 @@ def test_a_process_that_does_not_end_is_ended(monkeypatch):
 
 @pytest.mark.parametrize("number", EXIT_CODES)
 def test_the_last_signal_decides_the_exit_code_and_what_is_kept_is_told(number, monkeypatch):
-    monkeypatch.setattr(sys, "argv", ["/bin/precession-atlas", "run", "my scene.toml"])
+    monkeypatch.setattr(sys, "argv", [".venv/bin/precession-atlas", "run", "my scene.toml"])
     with pytest.raises(KeyboardInterrupt), signals_as_interrupt():
         signal.raise_signal(number)
     code = 128 + number
@@ -51,13 +51,25 @@ def test_the_last_signal_decides_the_exit_code_and_what_is_kept_is_told(number, 
     try:
         interruption.explain_kept(lambda: "2 of 3 tiles are in run/")
         assert interruption.outcome() == (
-            code, "atlas: interrupted; 2 of 3 tiles are in run/; `precession-atlas run 'my scene.toml'` continues",
+            code, "atlas: interrupted; 2 of 3 tiles are in run/; `.venv/bin/precession-atlas run 'my scene.toml'` continues",
         )  # fmt: skip
         for nothing in (lambda: "", lambda: 1 / 0):
             interruption.explain_kept(nothing)
             assert interruption.outcome() == (code, f"atlas: interrupted; {MESSAGE}")
     finally:
         interruption.explain_kept(None)
+
+
+def test_a_program_on_the_path_is_called_by_its_name(tmp_path, monkeypatch):
+    program = tmp_path / "atlas"
+    program.touch(mode=0o700)
+    monkeypatch.setattr(sys, "argv", [str(program)])
+    monkeypatch.setenv("PATH", "")
+    assert interruption.called_as() == str(program)
+    monkeypatch.setenv("PATH", str(tmp_path))
+    assert interruption.called_as() == "atlas"
+    monkeypatch.setattr(sys, "argv", ["/site-packages/atlas/__main__.py"])
+    assert interruption.called_as() == "python -m atlas"
 
 
 def test_an_error_after_a_signal_is_an_interruption():

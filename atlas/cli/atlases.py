@@ -47,7 +47,7 @@ def add_map(commands: Commands) -> None:
     command.add_argument("--variable", metavar="NAME", help="what to map (default: label)")
     command.add_argument("--x", metavar="AXIS", help="horizontal axis (default: the first)")
     command.add_argument("--y", metavar="AXIS", help="vertical axis (default: the second)")
-    assignment_option(command, "--select", "AXIS=VALUE", "place on another axis")
+    assignment_option(command, "--select", "AXIS=VALUE", "places on other axes, one or several")
     command.add_argument("--width", choices=("column", "page"), default="column", help="journal width")
     command.add_argument("--size", metavar="WIDTHxHEIGHT", help="size in mm, such as 120x90")
     command.add_argument("--dpi", type=float, metavar="N", help="resolution (default: 600)")

@@ -11,7 +11,8 @@ from pathlib import Path
 
 from ..errors import BadInput
 from ..files import atomic_write, writable
-from .options import DONE, Commands, add_command, out_option, program, table
+from ..interruption import called_as
+from .options import DONE, Commands, add_command, out_option, table
 
 
 def add_new(commands: Commands) -> None:
@@ -25,19 +26,19 @@ def _new(options: argparse.Namespace) -> int:
     if options.name is None:
         rows = [(name, tomllib.loads(scene.read_text("utf-8"))["title"]) for name, scene in scenes.items()]
         print(table([("example", "what it shows"), *rows]))
-        print(f"{program()} new NAME copies one of them")
+        print(f"{called_as()} new NAME copies one of them")
         return DONE
     name = options.name.removesuffix(".toml")
     if name not in scenes:
         similar = difflib.get_close_matches(name, scenes, 1)
         question = f"did you mean {similar[0]}? " if similar else ""
-        raise BadInput(f"{options.name}: no such example; {question}{program()} new lists them")
+        raise BadInput(f"{options.name}: no such example; {question}{called_as()} new lists them")
     out = writable(options.out or f"{name}.toml", (".toml",), force=True)
     if out.exists():
         raise BadInput(f"{out}: this file exists; -o gives the copy another name")
     with atomic_write(out) as temporary:
         temporary.write_bytes(scenes[name].read_bytes())
-    print(f"wrote {out}; next: {program()} run {out}")
+    print(f"wrote {out}; next: {called_as()} run {out}")
     return DONE
 
 

@@ -116,10 +116,16 @@ def add_figures(commands: Commands) -> None:
     )
     out_option(command, "FOLDER", "folder of the figures (default: figures)", default="figures")
     command.add_several(
-        "--only", belongs=str.isdecimal, type=int, metavar="N", help="which figures (default: all)"
+        "--only",
+        belongs=str.isdecimal,
+        type=int,
+        metavar="N",
+        help="which figures, one or several (default: all)",
     )
     kinds = tuple(suffix.removeprefix(".") for suffix in FIGURES)
-    command.add_several("--format", belongs=kinds.__contains__, choices=kinds, help="default: png pdf")
+    command.add_several(
+        "--format", belongs=kinds.__contains__, choices=kinds, help="one or several (default: png pdf)"
+    )
     command.add_argument(
         "--table", action="store_true", help="print amplitudes, periods and the paper's claims; draw nothing"
     )

@@ -47,6 +47,7 @@ def test_the_last_signal_decides_the_exit_code_and_what_is_kept_is_told(number, 
     with pytest.raises(KeyboardInterrupt), signals_as_interrupt():
         signal.raise_signal(number)
     code = 128 + number
+    interruption.explain_kept(None)
     assert interruption.outcome() == (code, f"atlas: interrupted; {MESSAGE}")
     try:
         interruption.explain_kept(lambda: "2 of 3 tiles are in run/")

@@ -151,6 +151,7 @@ def run(
         return _run_to_file(scene, path, sample, warnings, execution, progress)
     folder = RunFolder.prepare(scene, path, sample, warnings)
     _complete(folder, sample, execution, progress)
+    explain_kept(None)
     return folder.dataset()
 
 
@@ -205,6 +206,7 @@ def _run_to_file(
         if _stamp(path) == before:
             folder.join(path)
             folder.remove()
+            explain_kept(None)
             return open_atlas(path)
     except (BadInput, OSError):
         if _stamp(path) == before or not _is_result(scene, path):

@@ -110,7 +110,7 @@ def test_map_takes_the_choices_of_a_paper(folder):
         (["figures", "-o", "figure.png"], "must be a folder"),
         (["figures", "--only", "1", "2", "x"], "x"),
         (["figures", "--format", "png", "--format", "gif"], "gif"),
-        (["new", "quikstart"], "did you mean quickstart?"),
+        (["new", "quikstart"], "did you mean 'quickstart'?"),
         (["new", "quickstart", "-o", "small.toml"], "this file exists"),
         (["new", "quickstart", "-o", "copy.txt"], "must end in .toml"),
         (["map", "none.nc", "-o", "a.txt"], "must end in .png, .pdf or .svg"),

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import argparse
-import difflib
 import tomllib
 from importlib.resources import files
 from importlib.resources.abc import Traversable
 from pathlib import Path
 
-from ..errors import BadInput
+from ..errors import BadInput, allowed_text
 from ..files import atomic_write, writable
 from ..interruption import called_as
 from .options import DONE, Commands, add_command, out_option, table
@@ -30,9 +29,7 @@ def _new(options: argparse.Namespace) -> int:
         return DONE
     name = options.name.removesuffix(".toml")
     if name not in scenes:
-        similar = difflib.get_close_matches(name, scenes, 1)
-        question = f"did you mean {similar[0]}? " if similar else ""
-        raise BadInput(f"{options.name}: no such example; {question}{called_as()} new lists them")
+        raise BadInput(f"{options.name}: no such example; {allowed_text(name, scenes)}")
     out = writable(options.out or f"{name}.toml", (".toml",), force=True)
     if out.exists():
         raise BadInput(f"{out}: this file exists; -o gives the copy another name")

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from ..errors import BadInput, shown
+from ..errors import BadInput, allowed_text, shown
 from ..files import one_line, open_text
 from ..systems.base import Array, Parameter, System
 from . import csv
@@ -161,8 +161,8 @@ def point_columns(system: System, points: Any, kept: Collection[str] = ()) -> tu
             continue
         if name not in system.parameters:
             raise BadInput(
-                f"{_source_name(source)}{name}: not a parameter of the {system.name}; allowed:"
-                f" {', '.join(system.parameters)}"
+                f"{_source_name(source)}{name}: not a parameter of the {system.name};"
+                f" {allowed_text(name, system.parameters)}"
             )
         given[name] = number_column(name, values)
     sizes = {name: column.size for name, column in given.items() if column.ndim}

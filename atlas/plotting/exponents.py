@@ -16,7 +16,7 @@ from .overlay import HATCHES, UNDECIDED, draw_hatching
 from .scales import ColorScale
 
 # From a weak orange to black: the darker, the faster neighbours separate.
-_COLOURS = LinearSegmentedColormap.from_list("exponents", ["#d07f25", "#8c3a0e", "#1f0500"])
+_COLOURS = LinearSegmentedColormap.from_list("exponents", ["#b86a1c", "#5e2205", "#160300"])
 MAX_DECADES = 3  # of the colour scale
 
 

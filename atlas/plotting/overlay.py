@@ -37,7 +37,7 @@ class Hatch:
 
 UNDECIDED = "undecided"
 HATCHES = {
-    UNDECIDED: Hatch("\\\\\\\\\\\\", "0.45", "none"),
+    UNDECIDED: Hatch("\\\\\\\\\\\\", "0.9", "none"),
     SLOW: Hatch("//////", "#262626", "none"),
     NOT_YET: Hatch("xxxxx", "0.65", "0.92"),
 }

@@ -153,7 +153,9 @@ def test_half_step_checks_change_no_certain_label(check_half_step):
 
 
 def test_half_step_option_is_checked(scene_text):
-    with pytest.raises(atlas.BadInput, match="check_half_step = 'some': allowed: none, sample, all"):
+    with pytest.raises(
+        atlas.BadInput, match=r"check_half_step = 'some': did you mean 'sample'\? allowed: none, sample, all"
+    ):
         atlas.label_points("satellite", {}, check_half_step="some")
     with pytest.raises(atlas.BadInput, match="check_half_step"):
         atlas.load_scene(scene_text({"integration.check_half_step": 1}))

@@ -236,3 +236,13 @@ def test_commands(tmp_path, capsys):
     assert cli.main(["map", str(tmp_path / "top.nc"), "-o", str(tmp_path / "map.png")]) == cli.DONE
     with pytest.raises(atlas.BadInput, match="equilibria"):
         atlas.equilibria("heavy_top", {})
+
+
+def test_variational_equations_follow_from_its_own():
+    """A symmetric heavy top is integrable: its neighbours separate linearly, never exponentially."""
+    points = {"tilt": np.array([0.5, 1.0, 2.5]), "precession": np.array([0.3, 0.7, 0.1]), "spin": 0.4}
+    names = ["label", "status", "megno", "regularity"]
+    ds = atlas.label_points("heavy_top", points, duration=300.0, variables=names, progress=False)
+    assert (ds.status == 1).all()
+    assert (ds.regularity == 2).all()
+    np.testing.assert_allclose(ds.megno, 2.0, atol=0.3)

@@ -54,12 +54,13 @@ def frequencies(trajectory: xr.Dataset, lines: int) -> xr.Dataset:
         weight = hann(time.size)
         weight /= weight.sum()
         power = float(weight @ np.abs(signal - weight @ signal) ** 2)
-        found, coefficients = spectral_lines(time, signal, lines, real=name == "theta")
-        frequency[i, : len(found)], amplitude[i, : len(found)] = found, np.abs(coefficients)
-        share[i, : len(found)] = np.abs(coefficients) ** 2 / power * (0.5 if name == "theta" else 1.0)
-        if len(found) and np.abs(found[0]) > MAX_SHARE_OF_NYQUIST * nyquist:
+        line_frequencies, coefficients = spectral_lines(time, signal, lines, real=name == "theta")
+        count = len(line_frequencies)
+        frequency[i, :count], amplitude[i, :count] = line_frequencies, np.abs(coefficients)
+        share[i, :count] = np.abs(coefficients) ** 2 / power * (0.5 if name == "theta" else 1.0)
+        if count and np.abs(line_frequencies[0]) > MAX_SHARE_OF_NYQUIST * nyquist:
             raise BadInput(
-                f"samples = {time.size}: too few for a line of {name} at {found[0]:g} rad per time unit; take"
+                f"samples = {time.size}: too few for a line of {name} at {line_frequencies[0]:g} rad per time unit; take"
                 f" {4 * time.size}"
             )
     return xr.Dataset(
@@ -81,11 +82,9 @@ def _signal(trajectory: xr.Dataset, name: str) -> Signal:
     """cos theta or sin theta e^(i angle)."""
     theta = trajectory["theta"].values
     if name == "theta":
-        signal = np.cos(theta).astype(np.complex128)
-    else:
-        angle = trajectory[name].values
-        signal = np.where(np.isnan(angle), 0.0, np.sin(theta) * np.exp(1j * np.nan_to_num(angle)))
-    return np.asarray(signal)
+        return np.asarray(np.cos(theta), np.complex128)
+    angle = trajectory[name].values
+    return np.where(np.isnan(angle), 0.0, np.sin(theta) * np.exp(1j * np.nan_to_num(angle)))
 
 
 def spectral_lines(time: Array, signal: Signal, count: int, *, real: bool = False) -> tuple[Array, Signal]:

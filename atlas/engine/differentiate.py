@@ -1,7 +1,7 @@
 """Differentials of plain arithmetic, on the syntax tree: the variational equations follow from the equations.
 
 A function of the state becomes the function of the state and a change of it that returns the change of its value to
-first order: every assignment is followed by the assignment of its differential.
+first order: every assignment is preceded by the assignment of its differential.
 """
 
 from __future__ import annotations
@@ -56,8 +56,8 @@ def differential(text: str, name: str) -> str:
                 changes = ", ".join(f"{PREFIX}{ast.unparse(element)}" for element in names)
                 body += [statement, *ast.parse(f"{changes}, = change").body]
             case ast.Assign(targets=[target], value=value):
-                body.append(statement)
-                body += _differentials(target, value, active)
+                # First, because the differential needs the values from before a name is assigned anew.
+                body += [*_differentials(target, value, active), statement]
             case ast.Return(value=ast.Tuple(elts=values)):
                 changes = ", ".join(_unparse(_differential(value, active)) for value in values)
                 body += ast.parse(f"return ({changes},)").body

@@ -48,6 +48,8 @@ def test_equations_of_both_systems(name, function):
         "return (np.sin(c * x * y), np.sqrt(c), np.cos(x))",
         "u, v = x * y, c * c; v, u = u + v, v; return (u * v, v)",
         "u = x; u = c; return (u * y, u)",
+        "u = x * y; u = u * u + x; return (u, u * y)",
+        "x, y = x * y, x / y; y = y * x; return (x, y)",
     ],
 )
 def test_rules(lines):

@@ -8,6 +8,7 @@ kernel (Numba's own cache does not see edits in other files, and trusts whatever
 from __future__ import annotations
 
 import ast
+import gc
 import hashlib
 import logging
 import os
@@ -16,7 +17,8 @@ import shutil
 import stat
 import sys
 import threading
-from contextlib import suppress
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -48,7 +50,11 @@ from numba import njit
 from atlas.engine.jit import aligned_empty, aligned_stack
 
 '''
-INLINE = f"@njit(forceinline=True, fastmath={OPTIONS['fastmath']!r}, error_model='numpy', boundscheck=False)"
+# Only `integrate` is called from Python; the others need no second and third version with its calling conventions.
+INLINE = (
+    "@njit(forceinline=True, no_cpython_wrapper=True, no_cfunc_wrapper=True,"
+    f" fastmath={OPTIONS['fastmath']!r}, error_model='numpy', boundscheck=False)"
+)
 CALLED = INLINE.replace("forceinline=True, ", "")
 KERNEL = f"@njit(nogil=True, fastmath={OPTIONS['fastmath']!r}, error_model='numpy', boundscheck=False)"
 # Settings of Numba that change the machine code of a kernel. All others (threads, caches, messages, dumps, GPUs,
@@ -153,10 +159,22 @@ def _report_compilation(function: Any) -> None:
     compile_function = compiler.compile
 
     def reported(*arguments: Any) -> Any:
-        with compilation():
+        with compilation(), _no_garbage_collection():
             return compile_function(*arguments)
 
     compiler.compile = reported
+
+
+@contextmanager
+def _no_garbage_collection() -> Iterator[None]:
+    """Leave cycles of objects to the next collection: a compilation makes millions of objects and few such cycles."""
+    enabled = gc.isenabled()
+    gc.disable()
+    try:
+        yield
+    finally:
+        if enabled:
+            gc.enable()
 
 
 class _MachineCode(NullCache):

@@ -169,7 +169,8 @@ def integrate(
         stride = steps_per_sample[block]
         intervals, spacing = steps[block] // stride, STEP * stride
         rule = min(intervals, LONG)
-        passage_count, turn_count = 0, 0
+        # Integers of NumPy: what is called with a literal 0 would be compiled for it as well.
+        passage_count, turn_count = np.int64(0), np.int64(0)
         for l in range(WIDTH):
             p = points[block, l]
             dt[l] = step_size[p]
@@ -234,11 +235,11 @@ def integrate(
                             passage_count += 1
                     if turn_count > QUEUE - WIDTH or last:
                         extend_to_turns(stats, turns, turn_lanes, turn_count, extremes)
-                        turn_count = 0
+                        turn_count = np.int64(0)
                     if passage_count > QUEUE - WIDTH or last:
                         correct(stats, passages, terms, lanes, first_nodes, passage_count, stride, dt, intervals,
                                 cylinder_squared)  # fmt: skip
-                        passage_count = 0
+                        passage_count = np.int64(0)
             if HAS_AXIS:
                 for l in range(WIDTH):
                     a1, a2 = axis_in_frame(load_state(state, l), load_constants(constants, l))

@@ -46,6 +46,20 @@ def small_scene() -> str:
     return SMALL_SCENE
 
 
+@pytest.fixture(scope="module")
+def whole_kernels():
+    """Integrate every point with the kernel that has all terms, whichever of them vanish at the points of a test.
+
+    That kernel is compiled once for all modules that use it; a kernel for each set of terms takes some 10 s.
+    `tests/engine/test_simplify.py` compares both kinds.
+    """
+    from atlas.engine.specialization import GENERIC, Specialization
+
+    with pytest.MonkeyPatch.context() as patched:
+        patched.setattr(Specialization, "of", classmethod(lambda cls, system, zero, equal: GENERIC))
+        yield
+
+
 @pytest.fixture
 def longer(tmp_path, scene_text, monkeypatch):
     """Folder of a scene of about a second in 18 tiles, its empty run folder, and its result computed in memory."""

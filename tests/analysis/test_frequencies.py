@@ -6,6 +6,8 @@ import pytest
 import atlas
 from atlas.analysis.frequencies import frequencies, spectral_lines
 
+pytestmark = pytest.mark.usefixtures("whole_kernels")
+
 
 def test_lines_of_a_sum_of_exponentials():
     time = np.linspace(0, 200, 2001)

@@ -6,6 +6,8 @@ import xarray as xr
 
 import atlas
 
+pytestmark = pytest.mark.usefixtures("whole_kernels")
+
 
 def grid_of(span):
     dims = ("m", "theta0")[: span.ndim]

@@ -9,6 +9,8 @@ from atlas.engine.statistics import RATES
 from atlas.flags import Status
 from atlas.systems import SYSTEMS
 
+pytestmark = pytest.mark.usefixtures("whole_kernels")
+
 RANDOM = {"satellite": random_satellites, "fixed_point": random_fixed_points}
 COUNT = 64
 

@@ -17,6 +17,8 @@ from atlas.label import expected_errors, labels
 from atlas.scene.model import Settings, Tolerances
 from atlas.systems.satellite.system import SATELLITE
 
+pytestmark = pytest.mark.usefixtures("whole_kernels")
+
 REFERENCE = Path(__file__).parents[1] / "reference"
 TOLERANCES = Tolerances(1e-5, 1e-5)
 NAMES = list(Label.meanings())

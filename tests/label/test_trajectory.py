@@ -9,6 +9,8 @@ import atlas
 from atlas.label.trajectory import trajectory_of_scene
 from atlas.systems import SYSTEMS
 
+pytestmark = pytest.mark.usefixtures("whole_kernels")
+
 POINTS = {
     "satellite": {"theta0": 0.7, "k3": 0.3, "m": 0.4},
     "fixed_point": {"theta0": 0.7, "l3": 0.3, "n": 0.2, "Mg": 1.0},

@@ -17,6 +17,8 @@ from atlas.runs import estimate, refine
 from atlas.scene.grid import Grid
 from atlas.scene.read import scene_from
 
+pytestmark = pytest.mark.usefixtures("whole_kernels")
+
 OBLIQUE = {
     "family": {"name": "oblique", "solve": ["psi0", "k3"]},
     "ties.psi0": None,

@@ -38,6 +38,8 @@ to = 1.7
 
 [points.ranges.theta0]
 from = 0.02
+
+pytestmark = pytest.mark.usefixtures("whole_kernels")
 to = 1.4
 spacing = "log"
 

@@ -14,6 +14,8 @@ from atlas.errors import BadInput
 from atlas.systems import SYSTEMS
 from atlas.systems.fixed_point import equations, initial
 
+pytestmark = pytest.mark.usefixtures("whole_kernels")
+
 
 def integrate(points, duration, samples=2):
     """State at equidistant times, shape (6, points, samples), by DOP853."""

@@ -20,6 +20,8 @@ from atlas.systems import get
 from atlas.systems.fixed_point import initial
 from atlas.systems.fixed_point.paper import errors, fast_spin, published
 
+pytestmark = pytest.mark.usefixtures("whole_kernels")
+
 CONFIGS = Path(__file__).parents[2] / "configs"
 PATHS = [p for p in sorted(CONFIGS.glob("*.toml")) if 'system = "fixed_point"' in p.read_text()]
 SYSTEM = get("fixed_point")

@@ -15,6 +15,8 @@ from atlas.systems.base import Condition, Family, Parameter, System
 from atlas.validation import stress, work_precision
 from atlas.variables import variables
 
+pytestmark = pytest.mark.usefixtures("whole_kernels")
+
 
 class HeavyTop(System):
     """Symmetric top about a fixed point in uniform gravity."""

@@ -11,6 +11,8 @@ import atlas
 from atlas.flags import Label
 from atlas.scene.read import scene_from
 
+pytestmark = pytest.mark.usefixtures("whole_kernels")
+
 CONFIGS = Path(__file__).parents[2] / "configs"
 
 

@@ -26,6 +26,8 @@ from atlas.scene.tables import point_columns
 from atlas.systems import SYSTEMS
 from atlas.variables import variables
 
+pytestmark = pytest.mark.usefixtures("whole_kernels")
+
 SATELLITE = SYSTEMS["satellite"]
 
 

@@ -15,6 +15,8 @@ from atlas.scene.read import load_scene
 from atlas.systems import SYSTEMS
 from atlas.validation import reference
 
+pytestmark = pytest.mark.usefixtures("whole_kernels")
+
 SATELLITE = SYSTEMS["satellite"]
 
 

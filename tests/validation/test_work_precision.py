@@ -18,6 +18,8 @@ from atlas.validation import half_step, reference
 from atlas.validation.work_precision import levels, scene_level, work_precision
 from atlas.validation.work_precision_report import advice, report, summary
 
+pytestmark = pytest.mark.usefixtures("whole_kernels")
+
 
 @pytest.fixture(scope="module")
 def study(scene_text):

@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from .runs.open import open_atlas as open_atlas
     from .runs.runner import run as run
     from .scene.read import load_scene as load_scene
+    from .systems import register as register
 
 # Public name -> its module, which is imported when the name is first used: reading a scene loads no compiler.
 _MODULES = {
@@ -32,6 +33,7 @@ _MODULES = {
     "open_atlas": "runs.open",
     "trajectory": "label.trajectory",
     "equilibria": "analysis.catalogue",
+    "register": "systems",
     "BadInput": "errors",
 }
 __all__ = [*_MODULES, "__version__"]

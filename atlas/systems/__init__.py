@@ -1,26 +1,127 @@
-"""The systems by name."""
+"""The systems by name: those of this package, of installed packages, and those registered in this process."""
 
 from __future__ import annotations
 
+import logging
+from typing import Any
+
 from ..errors import BadInput, allowed_text, shown
-from .base import System
+from ..files import one_line
+from . import arithmetic, plugins
+from .base import Observable, Parameter, System
+from .check import check, check_start
 from .fixed_point import FIXED_POINT
 from .satellite import SATELLITE
 
-SYSTEMS: dict[str, System] = {}
+__all__ = [
+    "BUILT_IN",
+    "SYSTEMS",
+    "Observable",
+    "Parameter",
+    "System",
+    "available",
+    "get",
+    "names",
+    "origin",
+    "register",
+]
+
+BUILT_IN = (SATELLITE.name, FIXED_POINT.name)
+# Those that were asked for or registered; the installed ones that nobody has asked for are not imported.
+SYSTEMS: dict[str, System] = {system.name: system for system in (SATELLITE, FIXED_POINT)}
+_ORIGINS: dict[System, plugins.Origin] = {}
 
 
-def register(system: System) -> None:
-    """Make a system available to scenes and functions under its name; one of the same name is replaced."""
+def register(system: System | type[System]) -> System:
+    """Make a system available to scenes and functions of this process under its name.
+
+    One that was registered under the same name before is replaced. Other processes, such as the command of the shell and
+    dask workers, find a system by the entry point `atlas.systems` of an installed package.
+
+    Parameters
+    ----------
+    system : System or subclass of System
+        A class is instantiated.
+
+    Returns
+    -------
+    System
+        The object, with completed equations.
+
+    Raises
+    ------
+    BadInput
+        With one line that names what is wrong with the system, or for the name of a system of this package.
+    """
+    return _register(system, "")
+
+
+def _register(system: Any, package: str, name: str = "") -> System:
+    """As `register`, for a system of an installed package that gives it this name."""
+    key = f"system = {shown(name)} of {package}" if package else f"register({_name_of(system)})"
+    try:
+        if isinstance(system, type) and issubclass(system, System):
+            system = system()
+        new = not hasattr(getattr(system, "equations", None), "SOURCES")  # else it was registered before
+        if new:
+            check(system)
+        if system.name in BUILT_IN and not package:
+            raise BadInput(
+                f"name = {shown(system.name)}: a system of this package has this name; choose another one"
+            )
+        if package and system.name != name:
+            raise BadInput(f"its name is {shown(system.name)}; the name of the entry point must be the same")
+        if new:
+            _ORIGINS[system] = plugins.origin(system, package)
+            _complete(system)
+        check_start(system)
+    except BadInput as error:
+        raise BadInput(f"{key}: {error}") from None
+    except Exception as error:  # of the author's code, such as its __init__
+        raise BadInput(f"{key}: {type(error).__name__}: {one_line(error)}") from None
     SYSTEMS[system.name] = system
+    return system
+
+
+def _name_of(system: object) -> str:
+    return system.__name__ if isinstance(system, type) else type(system).__name__
+
+
+def _complete(system: System) -> None:
+    """Fill in what the equations leave out, and the constant that stands for the kernels' unit of time."""
+    given = len(getattr(system.equations, "CONSTANTS", ()))
+    system.equations = arithmetic.completed(system.equations, [o.name for o in system.observables])
+    if len(system.equations.CONSTANTS) > given and type(system).constants is not System.constants:
+        vars(system)["constants"] = arithmetic.with_unit_row(system.constants)
 
 
 def get(name: object) -> System:
-    """The system of that name; BadInput if there is none."""
-    if not isinstance(name, str) or name not in SYSTEMS:
-        raise BadInput(f"system = {shown(name)}: there is no such system; {allowed_text(name, SYSTEMS)}")
-    return SYSTEMS[name]
+    """The system of that name, imported from its package if need be; BadInput if there is none, or if it is broken."""
+    if isinstance(name, str):
+        if name in SYSTEMS:
+            return SYSTEMS[name]
+        found = plugins.load(name)
+        if found is not None:
+            return _register(*found, name)
+    raise BadInput(f"system = {shown(name)}: there is no such system; {allowed_text(name, names())}")
 
 
-for _system in (SATELLITE, FIXED_POINT):
-    register(_system)
+def names() -> list[str]:
+    """Names of all systems: of this package, registered, and installed; nothing is imported."""
+    return list(dict.fromkeys([*SYSTEMS, *plugins.names()]))
+
+
+def available() -> dict[str, System]:
+    """All systems by name; those that are installed but broken are left out with a logged warning."""
+    systems = {}
+    for name in names():
+        try:
+            systems[name] = get(name)
+        except BadInput as error:
+            logging.getLogger("atlas").warning("%s", error)
+    return systems
+
+
+def origin(system: System) -> plugins.Origin | None:
+    """Where a system comes from; None for those of this package."""
+    return _ORIGINS.get(system)

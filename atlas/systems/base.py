@@ -5,7 +5,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Mapping, Sequence, Set
 from dataclasses import dataclass, field
-from types import MappingProxyType, ModuleType
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -13,6 +13,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from ..errors import BadInput
 from ..flags import Stability
+from .arithmetic import TIME_UNIT
+from .jacobian import frequency
 
 Array = NDArray[np.float64]
 Flags = NDArray[np.int8]
@@ -42,6 +44,23 @@ class Parameter:
     open_low: bool = False  # True: the value must lie strictly above low
     start: bool = False  # True: a start value, False: the body, its rotor or the fields
     symbol: str = ""  # mathematical form for axis labels, e.g. r"$\theta_0$"
+
+
+@dataclass(frozen=True)
+class Observable:
+    """A quantity whose mean, standard deviation, extremes and drift are measured along each motion.
+
+    The equations have a function of its name, of ``(state, constants)``, which returns a number; without one it is the
+    state of its name.
+    """
+
+    name: str
+    unit: str  # UDUNITS spelling; "1" for pure numbers
+    long_name: str  # what it is, in a few words
+    # Largest standard deviation with which it counts as constant, in its unit. None: the rate_tolerance of the scene; inf:
+    # its variation does not count. The table labels.tolerances of a scene comes before it.
+    tolerance: float | None = None
+    symbol: str = ""  # mathematical form for axis labels, e.g. r"$x$"
 
 
 @dataclass(frozen=True)
@@ -132,15 +151,15 @@ class StressCase:
 class System(ABC):
     """A physical system: what engine, labels, scenes and figures use of it.
 
-    A system is written as a subclass. What it must give is its names, `equations`, `parameters`,
-    `initial_state` and `frequency_bound`; every other member has a default, which stands for "this
-    system does not have it". `points` is throughout a mapping of every parameter's name to a float64
+    A system is written as a subclass. What it must give is its names, `equations`, `parameters` and
+    `initial_state`, and either the motion of a body relative to a frame (``frame_motion`` of the equations) or
+    `observables`; every other member has a default, which stands for "this system does not have it". `points` is throughout a mapping of every parameter's name to a float64
     array, all of one shape, here called ``(points,)``.
 
     Members, in three groups:
 
     Equations
-        `equations`, `parameters`, `constants`, `integral_scales`, `frequency_bound`, `rate_states`,
+        `equations`, `parameters`, `observables`, `constants`, `integral_scales`, `frequency_bound`, `rate_states`,
         `equal_parameters`, `specialization`, `rate_unit`.
     Initial values
         `initial_state`, `steady_rates`, `as_euler_angles`, `check`, `within_range`, `warnings`, and what is
@@ -168,18 +187,20 @@ class System(ABC):
 
     # Equations.
 
-    equations: ModuleType
-    """Module of plain scalar functions, whose source is pasted into the kernels; it may import nothing.
+    equations: Any
+    """Module, or class, of plain scalar functions, whose source is pasted into the kernels.
 
-    It defines the names ``STATE`` and ``CONSTANTS`` (tuples of names), ``ONES`` (constants that are 1 in
-    the units of the kernels), ``INTEGRALS`` (name of each first integral -> its power of a rate), and
-    functions of ``(state, constants)``, sequences in the order of those names:
+    It defines the names ``STATE`` and ``CONSTANTS`` (tuples of names), and functions of ``(state, constants)``,
+    sequences in the order of those names, of plain arithmetic and the functions of `arithmetic.FUNCTIONS`:
 
     - ``rhs``: time derivatives of the state;
-    - ``scaled``, with a third argument h: state and constants in units in which the time h is 1;
-      ``unscaled``, with the same arguments: back from a scaled state;
-    - ``frame_motion``: angular velocity of the body relative to the frame (rad per time unit) and the unit
-      vector of the frame's vertical, three components each, in body axes; linear in the state;
+    - ``frame_motion``, unless the system has `observables`: angular velocity of the body relative to the frame
+      (rad per time unit) and the unit vector of the frame's vertical, three components each, in body axes; linear in
+      the state;
+    - one function for each observable that is not a state;
+    - ``INTEGRALS`` (optional): name of each first integral -> its power of a rate;
+    - ``scaled`` (optional), with a third argument h: state and constants in units in which the time h is 1;
+      ``unscaled``, with the same arguments: back from a scaled state; ``ONES``: constants that are 1 in these units;
     - ``FRAME_VECTORS`` (optional): triples of states that are unit vectors at rest in the frame, v' = v x u with the
       angular velocity u of ``frame_motion``; tangent vectors then have fewer components;
     - ``axis_in_frame`` (optional): components of the third body axis along the first two axes of the frame;
@@ -187,6 +208,8 @@ class System(ABC):
     """
     parameters: Mapping[str, Parameter]
     """Parameters and start values by name, with units, defaults and allowed ranges."""
+    observables: tuple[Observable, ...] = ()
+    """What is measured of a system without ``frame_motion``: a motion is steady while none of them varies."""
     rate_states: tuple[str, ...] = ()
     """States that are angular velocities; their errors are measured against the frequency bound."""
     equal_parameters: tuple[tuple[str, str], ...] = ()
@@ -199,7 +222,9 @@ class System(ABC):
 
         The default takes each from the parameter of the same name.
         """
-        return np.array([points[name] for name in self.equations.CONSTANTS])
+        shape = shape_of(points)
+        rows = [np.ones(shape) if name == TIME_UNIT else points[name] for name in self.equations.CONSTANTS]
+        return np.reshape(np.array(rows, float), (len(rows), *shape))
 
     def integral_scales(self, points: Points) -> Mapping[str, Array]:
         """Where each first integral is conserved, and a lower bound for the magnitude it is compared with.
@@ -212,13 +237,19 @@ class System(ABC):
         """
         return {name: np.zeros(shape_of(points)) for name in self.equations.INTEGRALS}
 
-    @abstractmethod
     def frequency_bound(self, points: Points) -> Array:
         """Upper bound of the fastest frequency of each motion, rad per time unit, shape (points,).
 
         The step sizes and the check for under-resolved points depend on it, so it must hold for the whole
-        motion and not only at the start.
+        motion and not only at the start. The default is the numeric one at the start (`jacobian.frequency`), which
+        the engine raises along each motion.
         """
+        return frequency(self.equations, self.initial_state(points), self.constants(points))
+
+    @property
+    def has_numeric_bound(self) -> bool:
+        """Whether the frequency bound is found numerically."""
+        return type(self).frequency_bound is System.frequency_bound
 
     def specialization(
         self, zero: Set[str], equal: Set[tuple[str, str]]
@@ -264,8 +295,11 @@ class System(ABC):
         -------
         sin_theta, n, m : arrays (points,)
             Pure number and rad per time unit. The default computes them from the initial state; where the
-            third axis is exactly on the vertical n is 0 there and m the whole rate.
+            third axis is exactly on the vertical n is 0 there and m the whole rate. They are 0 of a system without
+            ``frame_motion``.
         """
+        if self.observables:
+            return np.zeros(shape_of(points)), np.zeros(shape_of(points)), np.zeros(shape_of(points))
         u1, u2, u3, g1, g2, g3 = self.equations.frame_motion(
             self.initial_state(points), self.constants(points)
         )
@@ -280,8 +314,8 @@ class System(ABC):
         """
         return points
 
-    start_condition: str = ""
-    """What `possible_start` tests, such as "the vertical must be a unit vector"; empty: nothing."""
+    start_condition: str = "the initial state must be finite"
+    """What `possible_start` tests, such as "the vertical must be a unit vector"."""
 
     def check(self, points: Points) -> None:
         """Raise BadInput with one line on points that are given incompletely or twice. The default accepts all."""
@@ -299,8 +333,9 @@ class System(ABC):
         return possible
 
     def possible_start(self, points: Points) -> Mask:
-        """Where the start values contain no contradiction, bool (points,). The default accepts all."""
-        return np.ones(shape_of(points), bool)
+        """Where the start values contain no contradiction, bool (points,). The default is where the state is finite."""
+        with np.errstate(all="ignore"):
+            return np.asarray(np.isfinite(self.initial_state(points)).all(axis=0))
 
     def check_possible(self, points: Points) -> None:
         """Raise BadInput with one line unless body and start are possible at one of the points at least."""

@@ -14,6 +14,7 @@ from ..base import (
     PublishedEquation,
     System,
     despun_about_third_axis,
+    shape_of,
 )
 from . import equations, equilibria, families, initial, stability, stress_cases
 from .derived import DERIVED
@@ -60,6 +61,10 @@ class Satellite(System):
     derived = DERIVED
     equilibria = staticmethod(equilibria.equilibria)
     stress_cases = staticmethod(stress_cases.cases)
+
+    def possible_start(self, points: Points) -> Mask:
+        """Everywhere: numbers that overflow get the status not_finite."""
+        return np.ones(shape_of(points), bool)
 
     def warnings(self, points: Points) -> list[str]:
         A, B, C = points["A"], points["B"], points["C"]

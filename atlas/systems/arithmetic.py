@@ -1,0 +1,271 @@
+"""Equations of a system as text: what they may contain, and what is filled in where an author leaves it out.
+
+The kernels contain the source of the equations, so that the functions may use their own names only: the state, the
+constants, what they assign, and the FUNCTIONS of one number. Everything is checked on the syntax tree, in one line for
+each mistake, before anything is compiled.
+"""
+
+from __future__ import annotations
+
+import ast
+import inspect
+import textwrap
+from collections.abc import Callable, Collection, Mapping
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+import numpy as np
+
+from ..errors import BadInput, allowed_text, shown
+
+# What equations may call -> the NumPy function of arrays and, in kernels, of numbers.
+FUNCTIONS = {
+    "sqrt": "sqrt", "sin": "sin", "cos": "cos", "tan": "tan", "asin": "arcsin", "acos": "arccos", "atan": "arctan",
+    "sinh": "sinh", "cosh": "cosh", "tanh": "tanh", "exp": "exp", "log": "log",
+}  # fmt: skip
+# Constant that is added to equations without `scaled`: the unit of time of a kernel, in time units.
+TIME_UNIT = "time_unit"
+_ALLOWED = f"allowed: the state, the constants, names assigned before, {', '.join(FUNCTIONS)}"
+_PLAIN = f"allowed: assignments and one return of + - * / **, numbers, {', '.join(FUNCTIONS)}"
+
+
+def functions(equations: Any) -> dict[str, str]:
+    """Source of every function of a module or class of equations without its docstring, by name."""
+    return {name: ast.unparse(node) for name, node in _definitions(equations).items()}
+
+
+def _definitions(equations: Any) -> dict[str, ast.FunctionDef]:
+    """Syntax tree of every function of the equations, by name, without its docstring."""
+    sources = getattr(equations, "SOURCES", None)
+    file = getattr(equations, "__file__", None)
+    if sources is not None:
+        texts = list(sources.values())
+    elif file is not None:
+        texts = [Path(file).read_text(encoding="utf-8")]
+    else:
+        members = [getattr(value, "__func__", value) for value in vars(equations).values()]
+        texts = [textwrap.dedent(inspect.getsource(f)) for f in members if inspect.isfunction(f)]
+    nodes = [node for text in texts for node in ast.parse(text).body if isinstance(node, ast.FunctionDef)]
+    for node in nodes:
+        node.decorator_list = []  # staticmethod, in a class
+        if ast.get_docstring(node) is not None:
+            node.body = node.body[1:] or [ast.Pass()]
+    return {node.name: node for node in nodes}
+
+
+def _used(equations: Any, observables: Collection[str]) -> dict[str, ast.FunctionDef]:
+    """Syntax trees of the functions that belong to the equations; a module may contain others."""
+    used = {"rhs", "frame_motion", "axis_in_frame", "scaled", "unscaled", *observables}
+    used |= {name for name in getattr(equations, "INTEGRALS", ()) if isinstance(name, str)}
+    return {name: node for name, node in _definitions(equations).items() if name in used}
+
+
+def uses_functions(sources: Mapping[str, str]) -> bool:
+    """Whether any of these sources calls one of FUNCTIONS."""
+    nodes = (node for text in sources.values() for node in ast.walk(ast.parse(text)))
+    return any(isinstance(node, ast.Name) and node.id in FUNCTIONS for node in nodes)
+
+
+def numpy_functions() -> dict[str, Callable[..., Any]]:
+    """FUNCTIONS for arrays, by their names in equations."""
+    return {name: getattr(np, numpy_name) for name, numpy_name in FUNCTIONS.items()}
+
+
+def completed(equations: Any, observables: Collection[str]) -> ModuleType:
+    """Equations with everything that the engine reads.
+
+    ONES and INTEGRALS are empty unless they are given. Without ``scaled`` and ``unscaled`` the kernels' unit of time
+    becomes one more constant, TIME_UNIT, by which the right-hand side and the angular velocity of ``frame_motion`` are
+    multiplied; the state keeps its units. The functions are evaluated anew from their source, so that those of FUNCTIONS take arrays wherever they come from.
+    """
+    nodes = _used(equations, observables)
+    names = {name: value for name, value in vars(equations).items() if name.isupper() or name == "__file__"}
+    names = {"CONSTANTS": (), "ONES": (), "INTEGRALS": {}} | names
+    if "scaled" not in nodes:
+        given = len(names["CONSTANTS"])
+        names["CONSTANTS"] = (*names["CONSTANTS"], TIME_UNIT)
+        names["ONES"], names["INTEGRALS"] = (), dict.fromkeys(names["INTEGRALS"], 0)
+        nodes = {name: _with_time_unit(node, given) for name, node in nodes.items()}
+        nodes |= _scaling(names["STATE"], names["CONSTANTS"])
+    names["SOURCES"] = {name: ast.unparse(ast.fix_missing_locations(node)) for name, node in nodes.items()}
+    module = ModuleType(getattr(equations, "__name__", "equations"), getattr(equations, "__doc__", None))
+    namespace: dict[str, Any] = dict(numpy_functions())
+    for name, text in names["SOURCES"].items():
+        exec(compile(text, f"<{name} of {module.__name__}>", "exec"), namespace)
+    vars(module).update(names | {name: namespace[name] for name in names["SOURCES"]})
+    return module
+
+
+def _with_time_unit(node: ast.FunctionDef, given: int) -> ast.FunctionDef:
+    """A function whose constants are followed by TIME_UNIT, by which rates are multiplied."""
+    rates = {"rhs": None, "frame_motion": 3}  # how many of the returned components are rates
+    unpacked = False
+    for statement in node.body:
+        match statement:
+            case ast.Assign(targets=[ast.Tuple(elts=names)], value=ast.Name(id="constants")):
+                names.append(ast.Name(TIME_UNIT, ast.Store()))
+                unpacked = True
+            case ast.Return(value=ast.Tuple(elts=values)) if node.name in rates:
+                scaled = slice(rates[node.name])
+                values[scaled] = [
+                    ast.BinOp(ast.Name(TIME_UNIT), ast.Mult(), value) for value in values[scaled]
+                ]
+    if node.name in rates and not unpacked:
+        ignored = ", ".join([*(f"unused_{i}" for i in range(given)), TIME_UNIT])
+        node.body = [*ast.parse(f"{ignored}, = constants").body, *node.body]
+    return node
+
+
+def _scaling(state: Collection[str], constants: Collection[str]) -> dict[str, ast.FunctionDef]:
+    """``scaled`` and ``unscaled`` of equations whose unit of time is their last constant."""
+    states, names = ", ".join(state), ", ".join(constants)
+    text = (
+        f"def scaled(state, constants, h):\n    {names}, = constants\n"
+        f"    return state, ({names.removesuffix(TIME_UNIT)}{TIME_UNIT} * h,)\n"
+        f"def unscaled(state, constants, h):\n    {states}, = state\n    return ({states},)\n"
+    )
+    return {node.name: node for node in ast.parse(text).body if isinstance(node, ast.FunctionDef)}
+
+
+def with_unit_row(constants: Callable[[Any], Any]) -> Callable[[Any], Any]:
+    """A method `constants` with the row of TIME_UNIT added, which is 1 in time units."""
+
+    def extended(points: Any) -> Any:
+        rows = np.asarray(constants(points))
+        shape = np.shape(next(iter(points.values())))
+        return np.concatenate([np.reshape(rows, (-1, *shape)), np.ones((1, *shape))])
+
+    return extended
+
+
+def check(key: str, equations: Any, observables: Collection[str]) -> None:
+    """Raise BadInput with one line for equations that the engine cannot use.
+
+    Parameters
+    ----------
+    key : str
+        What the message begins with.
+    equations : module or class
+        See `systems.base.System.equations`.
+    observables : collection of str
+        Names of the system's observables.
+    """
+    state, constants = (_names(key, equations, each) for each in ("STATE", "CONSTANTS"))
+    if not state:
+        raise BadInput(f"{key}: STATE is missing; allowed: a tuple of the names of the states")
+    for name in {*state, *constants}:
+        if name in FUNCTIONS or name in (TIME_UNIT, "state", "constants"):
+            raise BadInput(
+                f"{key}: {shown(name)}: this name has another meaning in equations; choose another one"
+            )
+        if [*state, *constants].count(name) > 1:
+            raise BadInput(f"{key}: {shown(name)} is named twice in STATE and CONSTANTS")
+    try:
+        nodes = _used(equations, observables)
+    except (OSError, TypeError, SyntaxError) as error:
+        raise BadInput(f"{key}: the source of the functions cannot be read ({error})") from None
+    integrals = getattr(equations, "INTEGRALS", {})
+    if "scaled" not in nodes and isinstance(integrals, tuple | list):
+        integrals = dict.fromkeys(integrals, 0)
+    if not isinstance(integrals, Mapping):
+        raise BadInput(
+            f"{key}: INTEGRALS = {shown(integrals)}; allowed: a mapping of names to powers of a rate"
+        )
+    if ("scaled" in nodes) != ("unscaled" in nodes):
+        raise BadInput(f"{key}: scaled and unscaled belong together; give both of them or none")
+    frame = () if observables else ("frame_motion",)
+    for name in ("rhs", *frame, *integrals, *(name for name in observables if name not in state)):
+        if name not in nodes:
+            more = " (or the system needs observables)" if name == "frame_motion" else ""
+            raise BadInput(f"{key}: the function {name}(state, constants) is missing{more}")
+    components = (
+        {"rhs": len(state), "frame_motion": 6} | dict.fromkeys(integrals) | dict.fromkeys(observables, 0)
+    )
+    for name, node in nodes.items():
+        arguments = ["state", "constants", *(["h"] if name in ("scaled", "unscaled") else [])]
+        given = [argument.arg for argument in node.args.args]
+        if len(given) != len(arguments) or given[:2] != arguments[:2]:
+            raise BadInput(f"{key}: {name}({', '.join(given)}): allowed: {name}({', '.join(arguments)})")
+        if name not in ("scaled", "unscaled", "axis_in_frame"):
+            _check_function(f"{key}: {name}", node, len(state), len(constants), components.get(name))
+
+
+def _names(key: str, equations: Any, which: str) -> tuple[str, ...]:
+    """STATE or CONSTANTS of the equations, checked."""
+    names = getattr(equations, which, ())
+    if not isinstance(names, tuple | list) or not all(isinstance(n, str) and n.isidentifier() for n in names):
+        raise BadInput(f"{key}: {which} = {shown(names)}; allowed: a tuple of names")
+    return tuple(names)
+
+
+def _check_function(
+    key: str, node: ast.FunctionDef, states: int, constants: int, components: int | None
+) -> None:
+    """Raise BadInput unless a function is plain arithmetic of known names with so many components; 0: a number."""
+    names, returned = {*FUNCTIONS}, None
+    targets: list[ast.expr]
+    for statement in node.body:
+        line = f"{key}: {shown(ast.unparse(statement))}"
+        match statement:
+            case ast.Assign(
+                targets=[ast.Tuple(elts=targets)], value=ast.Name(id="state" | "constants" as what)
+            ):
+                wanted = states if what == "state" else constants
+                if len(targets) != wanted:
+                    raise BadInput(
+                        f"{line}: {what} has {wanted} components, and {len(targets)} names are assigned"
+                    )
+            case ast.Assign(targets=[ast.Name() as target], value=value):
+                targets = [target]
+                _check_expression(line, value, names)
+            case ast.Assign(targets=[ast.Tuple(elts=targets)], value=ast.Tuple(elts=values)):
+                if len(targets) != len(values):
+                    raise BadInput(f"{line}: {len(targets)} names are assigned {len(values)} values")
+                for value in values:
+                    _check_expression(line, value, names)
+            case ast.Return(value=value) if value is not None and statement is node.body[-1]:
+                targets, returned = [], value
+                for each in value.elts if isinstance(value, ast.Tuple) else [value]:
+                    _check_expression(line, each, names)
+            case _:
+                raise BadInput(f"{line} is not plain arithmetic; {_PLAIN}")
+        for assigned in targets:
+            if not isinstance(assigned, ast.Name):
+                raise BadInput(f"{line}: {shown(ast.unparse(assigned))} is not a name")
+            names.add(assigned.id)
+    if returned is None:
+        raise BadInput(f"{key}: it must end with return")
+    count = len(returned.elts) if isinstance(returned, ast.Tuple) else 0
+    if components == 0 and count:
+        raise BadInput(f"{key}: it returns a tuple of {count}; allowed: one number")
+    if components and count != components:
+        raise BadInput(f"{key}: it returns {count or 1} components; allowed: a tuple of {components}")
+    if components is None and not count:
+        raise BadInput(f"{key}: it returns one number; allowed: a tuple of terms")
+
+
+def _check_expression(line: str, expression: ast.expr, names: set[str]) -> None:
+    """Raise BadInput unless an expression is arithmetic of these names and FUNCTIONS."""
+    for node in ast.walk(expression):
+        match node:
+            case ast.Name(id=name) if name not in names:
+                raise BadInput(f"{line}: the name {shown(name)} is not defined there; {_ALLOWED}")
+            case ast.Constant(value=value) if isinstance(value, bool) or not isinstance(value, int | float):
+                raise BadInput(f"{line}: {shown(value)} is no number")
+            case ast.Call(func=function, args=arguments, keywords=keywords):
+                if not isinstance(function, ast.Name) or function.id not in FUNCTIONS:
+                    called = ast.unparse(function)
+                    raise BadInput(
+                        f"{line}: {shown(called)} cannot be called; {allowed_text(called, FUNCTIONS)}"
+                    )
+                if len(arguments) != 1 or keywords:
+                    raise BadInput(f"{line}: {shown(ast.unparse(node))}: {function.id} takes one number")
+            case (
+                ast.Name() | ast.Constant() | ast.expr_context() | ast.operator() | ast.unaryop()
+                | ast.UnaryOp(op=ast.USub() | ast.UAdd())
+                | ast.BinOp(op=ast.Add() | ast.Sub() | ast.Mult() | ast.Div() | ast.Pow())
+            ):  # fmt: skip
+                pass
+            case _:
+                raise BadInput(f"{line}: {shown(ast.unparse(node))} is not plain arithmetic; {_PLAIN}")

@@ -1,0 +1,70 @@
+"""A numeric bound of frequencies: the size of a high power of the Jacobian of the equations."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+# The derivative of a function is the imaginary part of its value at x + i STEP over STEP, exact but for rounding.
+STEP = 1e-30
+# |J^POWER|^(1 / POWER) exceeds the spectral radius by at most this root of the size of the similarity that makes J
+# normal. States of very different units make that size large: with ratios of 10^6, the 64th root is 1.2, the 16th 2.4.
+SQUARINGS = 6
+POWER = 2**SQUARINGS
+CHUNK = 4096  # points whose matrices are in memory together
+
+
+def frequency(
+    equations: Any, state: NDArray[np.float64], constants: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """|J^64|^(1/64) of the Jacobian J of the right-hand side, rad per time unit.
+
+    It is at least the largest |eigenvalue| of J: the fastest frequency or rate of growth near the state.
+
+    Parameters
+    ----------
+    equations : module
+        Of a system, see `systems.base.System.equations`.
+    state, constants : ndarray of float64, shapes (states, points) and (constants, points)
+
+    Returns
+    -------
+    ndarray of float64, shape (points,)
+        nan or infinite where the Jacobian is not finite.
+    """
+    result = np.empty(state.shape[1:])
+    flat, rows = result.reshape(-1), (np.reshape(x, (len(x), -1)) for x in (state, constants))
+    states, numbers = rows
+    for first in range(0, flat.size, CHUNK):
+        chunk = slice(first, first + CHUNK)
+        flat[chunk] = _size_of_power(jacobian(equations, states[:, chunk], numbers[:, chunk]))
+    return result
+
+
+def jacobian(
+    equations: Any, state: NDArray[np.float64], constants: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Derivatives of the right-hand side by the state, shape (points, states, states); arguments as for `frequency`."""
+    matrices = np.empty((state.shape[1], len(state), len(state)))
+    with np.errstate(all="ignore"):
+        for i in range(len(state)):
+            shifted = state.astype(complex)
+            shifted[i] += 1j * STEP
+            for j, slope in enumerate(equations.rhs(shifted, constants)):
+                matrices[:, j, i] = np.imag(slope) / STEP
+    return matrices
+
+
+def _size_of_power(matrices: NDArray[np.float64]) -> NDArray[np.float64]:
+    """|J^POWER|^(1 / POWER) of matrices of shape (points, n, n), in the Frobenius norm."""
+    logarithm, power = np.zeros(len(matrices)), 1
+    with np.errstate(all="ignore"):
+        for squaring in range(SQUARINGS + 1):
+            size = np.sqrt((matrices * matrices).sum(axis=(1, 2)))
+            logarithm += np.log(size) / power
+            matrices = matrices / np.where(size > 0, size, 1.0)[:, None, None]
+            if squaring < SQUARINGS:
+                matrices, power = matrices @ matrices, 2 * power
+        return np.asarray(np.exp(logarithm))

@@ -1,0 +1,123 @@
+"""Systems that installed packages name in the group of entry points `atlas.systems`."""
+
+from __future__ import annotations
+
+import hashlib
+import inspect
+import sys
+from collections.abc import Iterator
+from dataclasses import dataclass
+from importlib.metadata import EntryPoint, entry_points
+from pathlib import Path
+from types import ModuleType
+
+from ..errors import BadInput, shown
+from .base import System
+
+GROUP = "atlas.systems"
+
+
+@dataclass(frozen=True)
+class Origin:
+    """Where a system comes from that is not of this package.
+
+    Attributes
+    ----------
+    package : str
+        Name and version of the installed package; empty: it was registered in this process.
+    code : str
+        Hash of its source files as they were when it was registered, or of its code where it has no files.
+    files : tuple of Path
+        These files.
+    """
+
+    package: str
+    code: str
+    files: tuple[Path, ...]
+
+    def changed(self) -> Path | None:
+        """One of the files that is not as it was when the system was registered, if there is one."""
+        if self.files and _hash_of_files(self.files) != self.code:
+            return self.files[0].parent if len(self.files) > 1 else self.files[0]
+        return None
+
+
+def names() -> list[str]:
+    """Names of the systems of installed packages, in alphabetical order; nothing is imported."""
+    return sorted({entry.name for entry in entry_points(group=GROUP)})
+
+
+def load(name: str) -> tuple[object, str] | None:
+    """What an installed package names as the system `name`, and the package; None if no package does.
+
+    Raises
+    ------
+    BadInput
+        With one line, if it cannot be imported, or if two packages give the name.
+    """
+    found = list(entry_points(group=GROUP, name=name))
+    if not found:
+        return None
+    packages = sorted({_package(entry) for entry in found})
+    if len(packages) > 1:
+        raise BadInput(
+            f"system = {shown(name)}: several packages have this system: {', '.join(packages)}; remove all but one"
+        )
+    try:
+        value = found[0].load()
+    except (Exception, SystemExit) as error:  # whatever its code raises
+        text = f"{type(error).__name__}: {' '.join(str(error).split())}"
+        raise BadInput(
+            f"system = {shown(name)} of {packages[0]} ({found[0].value}): cannot be imported: {text}"
+        ) from None
+    return value, packages[0]
+
+
+def _package(entry: EntryPoint) -> str:
+    return f"{entry.dist.name} {entry.dist.version}" if entry.dist is not None else entry.value
+
+
+def origin(system: System, package: str) -> Origin:
+    """Where a system comes from: its package, and the source files of the classes and equations it consists of."""
+    files = tuple(sorted(set(_files(system))))
+    if files:
+        return Origin(package, _hash_of_files(files), files)
+    return Origin(package, hashlib.sha256(_code_of(system).encode()).hexdigest()[:16], ())
+
+
+def _files(system: System) -> Iterator[Path]:
+    """Source files of a system: those of the top-level packages, or single modules, of its classes and equations."""
+    classes = type(system).__mro__[: type(system).__mro__.index(System)]
+    modules = {cls.__module__ for cls in classes}
+    equations = system.equations
+    modules.add(equations.__name__ if isinstance(equations, ModuleType) else equations.__module__)
+    for name in modules:
+        top = sys.modules.get(name.partition(".")[0])
+        module = sys.modules.get(name)
+        for folder in getattr(top, "__path__", ()):
+            yield from Path(folder).rglob("*.py")
+        file = getattr(module, "__file__", None)
+        if file is not None and not hasattr(top, "__path__"):
+            yield Path(file)
+
+
+def _hash_of_files(files: tuple[Path, ...]) -> str:
+    """Hash of the names and contents of files; those that are gone count as empty."""
+    content = hashlib.sha256()
+    for file in files:
+        content.update(file.name.encode() + b"\0" + (file.read_bytes() if file.is_file() else b"") + b"\0")
+    return content.hexdigest()[:16]
+
+
+def _code_of(system: System) -> str:
+    """Text of a system that has no files, such as one of a notebook: the source or the byte code of its functions."""
+    texts = []
+    for owner in (*type(system).__mro__[: type(system).__mro__.index(System)], system.equations):
+        for name, value in sorted(vars(owner).items()):
+            function = getattr(value, "__func__", value)
+            if inspect.isfunction(function):
+                code = function.__code__
+                texts.append(f"{name} {code.co_code.hex()} {code.co_consts!r} {code.co_names!r}")
+            elif name.isupper():
+                texts.append(f"{name} {value!r}")
+    return "\n".join(texts)

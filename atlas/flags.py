@@ -38,6 +38,16 @@ class Label(Flag):
     UNRESOLVED = 4, "the numbers cannot tell: see status"
 
 
+class Steadiness(Flag):
+    """Kind of motion of a system with observables; the numbers of `Label` where the meaning is the same."""
+
+    NOT_COMPUTED = 0, "not computed"
+    STEADY = 1, "no observable varies: all standard deviations are within their tolerances"
+    UNUSED = 2, "no such motion of this system"
+    DRIFTING = 3, "an observable varies"
+    UNRESOLVED = 4, "the numbers cannot tell: see status"
+
+
 class Status(Flag):
     """How far a label can be trusted."""
 

@@ -6,8 +6,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from .engine.observation import STATISTICS as OBSERVABLE_STATISTICS
 from .engine.statistics import STATISTICS
-from .flags import Agreement, Label, Regularity, Stability, Status
+from .errors import BadInput
+from .flags import Agreement, Label, Regularity, Stability, Status, Steadiness
 from .systems.base import System
 
 
@@ -55,6 +57,14 @@ _ERROR_ESTIMATE = (
 _NO_MEANING = "nan where the third axis stays inside the cylinder: psi' and phi' have no meaning there"
 
 
+_NUMERIC_BOUND = (
+    "the bound is numeric: |J^64|^(1/64) of the Jacobian J at the start and at instants of a preliminary run"
+)
+_INTEGRAL_DRIFT = next(
+    Variable(s.name, "float64", s.unit, s.long_name) for s in STATISTICS if s.name == "integral_drift"
+)
+
+
 # Variables that need a run with a tangent vector.
 CHAOS = frozenset(("megno", "lyapunov", "regularity"))
 _TANGENT = (
@@ -70,7 +80,29 @@ def data_variables(system: System) -> dict[str, Variable]:
 
 
 def variables(system: System) -> dict[str, Variable]:
-    """Every variable an atlas of the system can hold, by name, in the order of the file."""
+    """Every variable an atlas of the system can hold, by name, in the order of the file.
+
+    Raises
+    ------
+    BadInput
+        For a system of which a parameter or an observable is called like a variable.
+    """
+    registry = _variables_of_observables(system) if system.observables else _variables_of_body(system)
+    taken = {*registry, *_every_variable_of_body(system), COMPUTED.name, POINT, "time"}
+    for kind, names in (
+        ("parameter", system.parameters),
+        ("observable", [o.name for o in system.observables]),
+    ):
+        for name in names:
+            if name in taken:
+                raise BadInput(
+                    f"the system {system.name}: its {kind} {name} is called like a variable of the atlas; choose another name"
+                )
+    return registry
+
+
+def _every_variable_of_body(system: System) -> dict[str, Variable]:
+    """The variables of the motion of a body in a frame, those included that the system does not have."""
     families = {"none": "no family of steady motions"} | {f.name: f.title for f in system.families.values()}
     flag = [
         Variable("label", "int8", "1", f"kind of motion in the {system.frame} frame", Label.meanings()),
@@ -93,11 +125,7 @@ def variables(system: System) -> dict[str, Variable]:
         Variable("end_time", "float64", "s", "time at which the integration ended"),
     ]  # fmt: skip
     numerics = [
-        Variable("step", "float64", "s", "integration step"),
-        Variable(
-            "step_ratio", "float64", "1",
-            "step times bound of the fastest frequency over the stability limit of the method",
-        ),
+        *_steps(system),
         Variable(
             "error_estimate", "float64", "1", "estimated relative error of the final state and of every statistic",
             comment=_ERROR_ESTIMATE,
@@ -107,20 +135,11 @@ def variables(system: System) -> dict[str, Variable]:
         Variable(s.name, "float64", s.unit, s.long_name, comment=_NO_MEANING if s.needs_psi else "")
         for s in STATISTICS
     ]
-    chaos = [
-        Variable(
-            "regularity", "int8", "1", "whether neighbouring motions separate exponentially", Regularity.meanings(),
-            "an exact start on an unstable periodic motion reads as chaotic, and chaos with an exponent below about"
-            " 10 / duration as regular", optional=True,
-        ),
-        Variable("megno", "float64", "1", "mean exponential growth factor of nearby orbits, averaged over the run", comment=_TANGENT, optional=True),
-        Variable("lyapunov", "float64", "s-1", "largest Lyapunov exponent, as measured at the end of the run", comment=_TANGENT, optional=True),
-    ]  # fmt: skip
-    derived = [
-        Variable(d.name, "float64", d.unit, d.long_name, comment=d.comment, optional=True)
-        for d in system.derived.values()
-    ]
-    registry = {v.name: v for v in (*flag, *measured, *numerics, *theory, *chaos, *derived)}
+    return {v.name: v for v in (*flag, *measured, *numerics, *theory, *_chaos(_TANGENT), *_derived(system))}
+
+
+def _variables_of_body(system: System) -> dict[str, Variable]:
+    """The variables of a system that describes the motion of a body in a frame."""
     missing: set[str] = set()
     if system.frame_rate is None:
         missing |= {"label_inertial", "predicted_inertial"}
@@ -131,7 +150,76 @@ def variables(system: System) -> dict[str, Variable]:
         missing |= {"integral_drift"}
     if len(system.geometries) < 2:
         missing |= {"geometry"}
+    registry = _every_variable_of_body(system)
     return {name: variable for name, variable in registry.items() if name not in missing}
+
+
+def _steps(system: System) -> list[Variable]:
+    """The variables of the steps."""
+    bound = "numeric bound" if system.has_numeric_bound else "bound"
+    comment = _NUMERIC_BOUND if system.has_numeric_bound else ""
+    return [
+        Variable("step", "float64", "s", "integration step", comment=comment),
+        Variable(
+            "step_ratio", "float64", "1",
+            f"step times {bound} of the fastest frequency over the stability limit of the method", comment=comment,
+        ),
+    ]  # fmt: skip
+
+
+def _chaos(tangent: str) -> list[Variable]:
+    """The variables of CHAOS. tangent: what the tangent vector is."""
+    return [
+        Variable(
+            "regularity", "int8", "1", "whether neighbouring motions separate exponentially", Regularity.meanings(),
+            "an exact start on an unstable periodic motion reads as chaotic, and chaos with an exponent below about"
+            " 10 / duration as regular", optional=True,
+        ),
+        Variable("megno", "float64", "1", "mean exponential growth factor of nearby orbits, averaged over the run", comment=tangent, optional=True),
+        Variable("lyapunov", "float64", "s-1", "largest Lyapunov exponent, as measured at the end of the run", comment=tangent, optional=True),
+    ]  # fmt: skip
+
+
+def _derived(system: System) -> list[Variable]:
+    """The quantities from theory that a scene may ask for."""
+    return [
+        Variable(d.name, "float64", d.unit, d.long_name, comment=d.comment, optional=True)
+        for d in system.derived.values()
+    ]
+
+
+def _variables_of_observables(system: System) -> dict[str, Variable]:
+    """The variables of a system with observables."""
+    flag = [
+        Variable("label", "int8", "1", "whether the observables are constant", Steadiness.meanings()),
+        Variable("status", "int8", "1", "how far the label can be trusted", Status.meanings()),
+    ]
+    measured = [
+        Variable(f"{o.name}_{suffix}", "float64", o.unit, text.format(o.long_name))
+        for o in system.observables
+        for suffix, text in OBSERVABLE_STATISTICS.items()
+    ]
+    if system.equations.INTEGRALS:
+        measured.append(_INTEGRAL_DRIFT)
+    error = Variable(
+        "error_estimate", "float64", "1", "estimated relative error of the final state and of every statistic",
+        comment="of the statistics over the largest magnitude of their observable; expected from phase error, dissipation,"
+        " rounding and the change of first integrals, or measured by a second run (check_half_step)",
+    )  # fmt: skip
+    end_time = Variable("end_time", "float64", "s", "time at which the integration ended")
+    tangent = (
+        "of one tangent vector of all states in their units, which begins as (5, -4, 6, 3, 4, -3, ...), divided by its norm;"
+        " integrated by rk8 with at most 0.3 rad of the fastest frequency a step; nan where the status is not ok"
+    )
+    everything = (*flag, *measured, *_steps(system), error, end_time, *_chaos(tangent), *_derived(system))
+    registry = {variable.name: variable for variable in everything}
+    if len(registry) < len(everything):
+        names = [variable.name for variable in everything]
+        twice = next(name for name in names if names.count(name) > 1)
+        raise BadInput(
+            f"the system {system.name}: two variables of its atlases would be called {twice}; rename an observable"
+        )
+    return registry
 
 
 def default_variables(system: System) -> list[str]:

@@ -13,7 +13,7 @@ from ..flags import Agreement, Label, Stability
 from ..label.theory import agreement
 from ..scene.checks import whole_number
 from ..systems.base import Array, Flags
-from .metadata import is_numeric_axis
+from .metadata import is_numeric_axis, system_of
 
 # Near the analytical boundary growth is slow and stable motions have large amplitudes: half the width of
 # the band that counts as near, as a fraction of the axis range.
@@ -45,6 +45,10 @@ def report(ds: xr.Dataset, worst: int = 5) -> str:
         there; if it has no points; if `worst` is no whole number of at least 0.
     """
     whole_number("worst", worst, 0)
+    if "atlas_system" in ds.attrs and not system_of(ds).families:
+        raise BadInput(
+            f"theory predicts nothing of the system {system_of(ds).name}: it has no families to compare with"
+        )
     for name in ("label", "predicted"):
         if name not in ds:
             raise BadInput(

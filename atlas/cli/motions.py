@@ -65,7 +65,7 @@ def _is_column(word: str) -> bool:
     """Whether a word after --keep is a column: neither a file nor a system."""
     from .. import systems
 
-    return word != STANDARD_INPUT and not word.lower().endswith(FILES) and word not in systems.SYSTEMS
+    return word != STANDARD_INPUT and not word.lower().endswith(FILES) and word not in systems.names()
 
 
 def _points(options: argparse.Namespace) -> int:
@@ -129,6 +129,7 @@ def add_trajectory(commands: Commands) -> None:
 
 
 def _trajectory(options: argparse.Namespace) -> int:
+    from ..analysis.metadata import system_of
     from ..io import netcdf
 
     name = options.out or f"{default_name(options.scene)}_trajectory.png"
@@ -142,8 +143,12 @@ def _trajectory(options: argparse.Namespace) -> int:
         from ..plotting import style, trajectory
 
         style.save(trajectory.trajectory_figure(tr), out)
-    low, high = float(tr["theta"].min()), float(tr["theta"].max())
-    print(f"theta from {low:.9g} to {high:.9g} rad in {float(tr['time'][-1]):.9g} time units; wrote {out}")
+    shown = "theta" if "theta" in tr else system_of(tr).observables[0].name
+    low, high, unit = float(tr[shown].min()), float(tr[shown].max()), tr[shown].attrs["units"]
+    duration = f"{float(tr['time'][-1]):.9g} time units"
+    print(
+        f"{shown} from {low:.9g} to {high:.9g}{'' if unit == '1' else ' ' + unit} in {duration}; wrote {out}"
+    )
     return DONE
 
 

@@ -10,6 +10,7 @@ import textwrap
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+from ..errors import BadInput
 from .options import DONE, FIGURES, Commands, add_command, force_option, out_option, output_folder, table
 
 
@@ -33,6 +34,10 @@ def _conditions(options: argparse.Namespace) -> int:
 
     system = systems.get(options.system)
     families = catalogue.families(system, options.family)
+    if not system.families and not system.published():
+        raise BadInput(
+            f"the system {system.name} has no families of steady motions: theory predicts nothing of it"
+        )
     if options.json:
         content: dict[str, object] = {"system": system.name, "reference": system.reference, "doi": system.doi}
         if not options.errata:

@@ -15,7 +15,10 @@ from types import ModuleType
 
 import numpy as np
 
-from . import generated, jit, kernel, poles, sampling, statistics, tangent, tangent_space, turning
+from ..errors import BadInput
+from ..systems import arithmetic
+from . import generated, jit, kernel, observe, poles, sampling, statistics, tangent, tangent_space, turning
+from .differentiate import differential
 from .simplify import simplify
 from .statistics import Row
 from .tableaux import METHODS, Method
@@ -44,6 +47,24 @@ NUMBERS = {
         (statistics, ("NO_ZERO",)),
     ),
     tangent.__name__: ((tangent, ("LOG_GROWTH", "LOG_INTEGRAL", "MEGNO", "MEGNO_INTEGRAL", "SUMS")),),
+    observe.__name__: (
+        (
+            observe,
+            (
+                "CHANGE",
+                "FIRST_ROW",
+                "START",
+                "TOTAL",
+                "SQUARE",
+                "TREND",
+                "LEAST",
+                "LARGEST",
+                "ROUGHNESS",
+                "FIELDS",
+                "NODES_PER_CHANGE",
+            ),
+        ),
+    ),
 }
 ENUMS = {enum.__name__: enum for enum in (Row, poles.Passage, poles.Term, turning.Turn)}
 
@@ -99,11 +120,18 @@ def source(
     equal : mapping of str to str
         Constants that equal another one at every point to come.
     of : module, optional
-        `kernel` (default) or `tangent`.
+        `kernel` (default), `observe` or `tangent`.
+
+    Raises
+    ------
+    BadInput
+        If a first integral is called like a function of the kernel.
     """
     own_functions = functions(of)
     integrate = own_functions.pop("integrate")
-    inlined = list(_generated_functions(equations, METHODS[method], zero, equal, of).values())
+    generated_functions = _generated_functions(equations, METHODS[method], zero, equal, of)
+    _check_names(equations, {*own_functions, "integrate"})
+    inlined = list(generated_functions.values())
     constants = _constants(equations, METHODS[method])
     if of is kernel:
         inlined += [functions(module)[name] for module, names in INLINED for name in names]
@@ -115,7 +143,10 @@ def source(
     parts = [f"{jit.INLINE}\n{text}" for text in inlined]
     parts += [f"{jit.CALLED}\n{text}" for text in not_inlined]
     parts.append(f"{jit.KERNEL}\n{integrate}")
-    numbers = "\n".join(f"{name} = {value!r}" for name, value in constants.items())
+    lines = [f"{name} = {value!r}" for name, value in constants.items()]
+    if arithmetic.uses_functions(generated_functions):
+        lines += [f"{name} = np.{numpy_name}" for name, numpy_name in arithmetic.FUNCTIONS.items()]
+    numbers = "\n".join(lines)
     return jit.HEADER + numbers + "\n\n\n" + "\n\n\n".join(parts) + "\n"
 
 
@@ -134,7 +165,7 @@ def plain_module(
     assert spec.loader is not None
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
-    namespace: dict[str, object] = {"np": np}
+    namespace: dict[str, object] = {"np": np, **arithmetic.numpy_functions()}
     for name, text in _generated_functions(equations, METHODS[method], zero, equal, of).items():
         exec(compile(text, f"<{name} of {equations.__name__}>", "exec"), namespace)
     vars(module).update(namespace, **_constants(equations, METHODS[method]))
@@ -150,6 +181,7 @@ def _constants(equations: ModuleType, method: Method) -> dict[str, float]:
         "STATES": len(equations.STATE),
         "CONSTANTS": len(equations.CONSTANTS),
         "INTEGRALS": len(equations.INTEGRALS),
+        "OBSERVABLES": len(observable_names(equations)),
         "TANGENT": tangent_space.size(equations),
         "STEP": method.kernel_step,
         # Worth its loads and stores where a step is much longer than they are.
@@ -170,7 +202,7 @@ def _generated_functions(
     extended = states + tangent_space.size(equations)
     sources = {
         name: simplify(text, zero, equal, () if name == "scaled" else equations.ONES)
-        for name, text in functions(equations).items()
+        for name, text in arithmetic.functions(equations).items()
     }
     if "axis_in_frame" not in sources:
         sources["axis_in_frame"] = "def axis_in_frame(state, constants):\n    return 0.0, 0.0"
@@ -183,9 +215,9 @@ def _generated_functions(
             f"block[{i}, l] = scales[{i}, p]{' * inverse_unit' * power}"
             for i, power in enumerate(equations.INTEGRALS.values())
         ],
-        "step(state, slope, constants)": step_lines(method, states)
-        if of is kernel
-        else step_lines(method, extended, "extended_rhs"),
+        "step(state, slope, constants)": step_lines(method, extended, "extended_rhs")
+        if of is tangent
+        else step_lines(method, states),
         "store_integrals(block, l, state, constants)": [
             line
             for i, name in enumerate(equations.INTEGRALS)
@@ -209,9 +241,62 @@ def _generated_functions(
             "store_extended(block, l, extended)": [f"{_columns('block', extended)} = extended"],
             "extended_rhs(extended, constants)": _extended_lines(states, extended),
         }
+    if of is observe:
+        functions_of_observables, callers = _observable_functions(equations, sources)
+        sources |= functions_of_observables
+        generated_lines |= callers
     for head, lines in generated_lines.items():
         sources[head.partition("(")[0]] = "\n    ".join([f"def {head}:", *(lines or ["pass"])])
     return sources
+
+
+def observable_names(equations: ModuleType) -> tuple[str, ...]:
+    """Names of the observables of a system, whose equations have been completed; none of a body in a frame."""
+    return getattr(equations, "OBSERVABLES", ())
+
+
+def _check_names(equations: ModuleType, taken: Collection[str]) -> None:
+    """Raise BadInput if a function of the equations would replace one of the kernel."""
+    for name in equations.INTEGRALS:
+        if name in taken or hasattr(generated, name):
+            raise BadInput(f"INTEGRALS: {name} is the name of a function of the kernel; choose another name")
+
+
+def _observable_functions(
+    equations: ModuleType, sources: dict[str, str]
+) -> tuple[dict[str, str], dict[str, list[str]]]:
+    """Functions of the observables with their differentials, by name, and the lines of those that call them all."""
+    changes, values, slopes, lines = {}, [], [], []
+    for name in observable_names(equations):
+        text = sources.pop(name, None)
+        if text is None:
+            index = list(equations.STATE).index(name)
+            values.append(f"state[{index}]")
+            slopes.append(f"change[{index}]")
+            continue
+        function, change = f"observable_{name}", f"change_of_{name}"
+        changes[function] = text.replace(f"def {name}(", f"def {function}(", 1)
+        changes[change] = differential(_with_tuple(text), change)
+        values.append(f"{function}(state, constants)")
+        lines.append(f"d_{name}, = {change}(state, constants, change)")
+        slopes.append(f"d_{name}")
+    rows = ", ".join(f"nodes[slot, row + {k}, l]" for k in range(len(values)))
+    return changes, {
+        "observe(state, constants)": [f"return ({', '.join(values)},)"],
+        "observe_change(state, constants, change)": [*lines, f"return ({', '.join(slopes)},)"],
+        "store_values(nodes, slot, row, l, values)": [f"{rows}, = values"],
+    }
+
+
+def _with_tuple(text: str) -> str:
+    """A function that returns a number as one that returns a tuple of it."""
+    function = ast.parse(text).body[0]
+    assert isinstance(function, ast.FunctionDef)
+    last = function.body[-1]
+    assert isinstance(last, ast.Return)
+    assert last.value is not None
+    last.value = ast.Tuple([last.value], ast.Load())
+    return ast.unparse(ast.fix_missing_locations(function))
 
 
 def _extended_lines(states: int, extended: int) -> list[str]:

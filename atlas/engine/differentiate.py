@@ -17,6 +17,12 @@ _DERIVATIVES = {
     "sin": "{module}cos({x})",
     "cos": "-{module}sin({x})",
     "tan": "1.0 + {function}({x}) * {function}({x})",
+    "asin": "1.0 / {module}sqrt(1.0 - ({x}) * ({x}))",
+    "acos": "-1.0 / {module}sqrt(1.0 - ({x}) * ({x}))",
+    "atan": "1.0 / (1.0 + ({x}) * ({x}))",
+    "sinh": "{module}cosh({x})",
+    "cosh": "{module}sinh({x})",
+    "tanh": "1.0 - {function}({x}) * {function}({x})",
     "exp": "{function}({x})",
     "log": "1.0 / ({x})",
 }
@@ -29,8 +35,8 @@ def differential(text: str, name: str) -> str:
     ----------
     text : str
         Source of the function: assignments of names, or of tuples of them, and one return of a tuple. The expressions
-        consist of + - * / **, powers with exponents that do not depend on the state, and sqrt, sin, cos, tan, exp
-        and log.
+        consist of + - * / **, powers with exponents that do not depend on the state, and the functions of
+        `systems.arithmetic.FUNCTIONS`.
     name : str
         Of the new function.
 

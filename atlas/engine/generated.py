@@ -13,6 +13,7 @@ WIDTH = 32  # points of a block
 STATES = 0
 CONSTANTS = 0
 INTEGRALS = 0
+OBSERVABLES = 0
 TANGENT = 0  # components of a tangent vector
 STEP = 1.0  # length of a step in the kernel's unit of time, `Method.kernel_step`
 STORES_SLOPE = False  # is the slope at a node kept for the first stage of the step after it?
@@ -105,4 +106,19 @@ def store_extended(block, l, extended):
 
 def extended_rhs(extended, constants):
     """Time derivatives of a state and a tangent vector."""
+    raise NotImplementedError
+
+
+def observe(state, constants):
+    """Every observable, as a tuple."""
+    raise NotImplementedError
+
+
+def observe_change(state, constants, change):
+    """First-order change of every observable for a change of the state, as a tuple."""
+    raise NotImplementedError
+
+
+def store_values(nodes, slot, row, l, values):
+    """Write the values of every observable, or their derivatives, into rows `row` and following of a node."""
     raise NotImplementedError

@@ -10,7 +10,8 @@ from types import ModuleType
 import numpy as np
 
 from ..systems.base import Points, System
-from . import assemble, chaos, jit, tangent
+from . import assemble, chaos, jit, observe, tangent
+from . import kernel as kernel_of_bodies
 
 
 @dataclass(frozen=True)
@@ -47,7 +48,8 @@ GENERIC = Specialization()
 
 @cache
 def _source(system: System, method: str, specialization: Specialization) -> str:
-    return assemble.source(system.equations, method, specialization.zero, dict(specialization.equal))
+    of = observe if system.observables else kernel_of_bodies
+    return assemble.source(system.equations, method, specialization.zero, dict(specialization.equal), of=of)
 
 
 @cache

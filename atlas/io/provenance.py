@@ -8,8 +8,9 @@ from datetime import UTC, datetime
 from importlib.metadata import version
 from typing import Any
 
+from .. import systems
 from .._version import __version__
-from ..scene.model import NOTHING_ABOUT, About, Settings
+from ..scene.model import NOTHING_ABOUT, About, Settings, std_tolerances
 from ..systems.base import System
 
 
@@ -87,6 +88,17 @@ def provenance(
         "atlas_seconds": seconds,
         "atlas_points_per_second": points / seconds if seconds > 0 else float("nan"),
     }
+    origin = systems.origin(system)
+    if origin is not None:
+        attributes["atlas_system_package"] = (
+            origin.package or "registered in the process that computed the atlas"
+        )
+        attributes["atlas_system_code"] = origin.code
+    if system.has_numeric_bound:
+        attributes["atlas_frequency_bound"] = "numeric"
+    if system.observables:
+        limits = std_tolerances(system, settings)
+        attributes["atlas_std_tolerance"] = ", ".join(f"{name} {limit!r}" for name, limit in limits.items())
     if warnings:
         attributes["atlas_warnings"] = "; ".join(warnings)
     return attributes

@@ -26,13 +26,12 @@ from ..scene.grid import Grid, Reason, status_of
 from ..scene.model import Scene, Settings
 from ..systems.base import FAMILY_TOLERANCE, Array, Flags, Mask, Points, System
 from ..variables import CHAOS
-from . import labels
+from . import labels, observed
 from .expected_errors import differences, early_stop_rate, error_estimate, measurement_errors, pair_error
+from .half_steps import half_step_sample
 from .regularity import regularity
 from .theory import agreement, exact_starts, predict_runs
 
-# check_half_step = "sample" measures the error of one point in so many.
-POINTS_PER_HALF_STEP = 64
 # A start beside an unstable motion departs because of its nudge, and not of integration errors, where theta' at half the
 # step is the same within this share.
 HALF_STEP_RTOL = 0.05
@@ -132,6 +131,11 @@ def evaluate(
         )  # fmt: skip
         columns = {name: _scatter(values, exists) for name, values in columns.items()}
         return columns | {"status": np.where(exists, columns["status"], status_of(reason))}
+    if system.observables:
+        return observed.evaluate(
+            system, base, points, duration, settings, specialization=specialization, outputs=outputs, halved=halved,
+            threads=threads, progress=progress,
+        )  # fmt: skip
     runs = _prepare(system, base, points, duration, settings, specialization, nudged, halved)
     if outputs is not None and CHAOS & set(outputs):
         runs = _with_tangent_steps(runs, points)
@@ -348,7 +352,7 @@ def _recheck(
         step_sensitive = departed & (runs.residual <= ROUNDING * np.sqrt(step_sizes.steps))
         unsure = _unsure(measured, measurement_errors(step_sizes, bound, measured), runs)
         error = error_estimate(step_sizes, bound, runs.log_growth, integration, measured, settings.cylinder)
-    sample = np.flatnonzero(resolved & _half_step_sample(runs.ensemble, settings.check_half_step))
+    sample = np.flatnonzero(resolved & half_step_sample(runs.ensemble, settings.check_half_step))
     if sample.size:
         error[sample], unsure[sample] = _measured_error(
             runs, integration, measured, sample, error[sample], execution
@@ -443,17 +447,6 @@ def _label_changes(
                 fine, tolerances, rate[where]
             )
     return changes
-
-
-def _half_step_sample(ensemble: Ensemble, which: str) -> Mask:
-    """Points whose error is measured: none, all, or one in POINTS_PER_HALF_STEP, by a hash of the point."""
-    if which != "sample":
-        return np.full(ensemble.size, which == "all")
-    mixed = np.zeros(ensemble.size, np.uint64)
-    for bits in np.concatenate([ensemble.state, ensemble.constants]).view(np.uint64):
-        mixed = (mixed ^ bits) * np.uint64(0x9E3779B97F4A7C15)
-        mixed ^= mixed >> np.uint64(29)
-    return np.asarray(mixed % np.uint64(POINTS_PER_HALF_STEP) == 0)
 
 
 def _assemble(

@@ -17,14 +17,14 @@ from ..io.progress import Progress
 from ..io.provenance import log_warnings
 from ..scene import grid
 from ..scene.model import DEFAULTS, Duration, Settings
-from ..scene.read import check_unit, parse_duration
+from ..scene.read import check_std_tolerance, check_unit, parse_duration
 from ..scene.tables import kept_columns, number_column, point_columns, table
 from ..systems.base import Array, Flags, Mask, Points, System
 from ..variables import default_variables
 from ..variables import variables as variable_registry
 from .pipeline import evaluate, hash_of_kernels
 
-MORE_SETTINGS = ("cylinder_tolerance", "drift_tolerance", "max_steps", "check_half_step")
+MORE_SETTINGS = ("cylinder_tolerance", "std_tolerance", "drift_tolerance", "max_steps", "check_half_step")
 
 
 def label_points(
@@ -71,7 +71,7 @@ def label_points(
         Columns of `points` that are no parameters, to be coordinates of the result. Columns of text, and those called
         id, index, name, number or point, are kept anyhow.
     **more
-        cylinder_tolerance, drift_tolerance, max_steps, check_half_step: as in a scene.
+        cylinder_tolerance, std_tolerance, drift_tolerance, max_steps, check_half_step: as in a scene.
 
     Returns
     -------
@@ -93,6 +93,7 @@ def label_points(
     for key in set(more) - set(MORE_SETTINGS):
         raise BadInput(f"{key}: unknown option of label_points; {allowed_text(key, MORE_SETTINGS)}")
     settings = Settings(method=method, tolerance=tolerance, step=step, rate_tolerance=rate_tolerance, **more)
+    check_std_tolerance(kind, settings.std_tolerance)
     outputs = _outputs(kind, variables)
     source = table(points, {*kind.parameters, *keep})
     kept = kept_columns(kind, source, keep)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -10,10 +11,11 @@ import xarray as xr
 from scipy.integrate import cumulative_simpson
 
 from .. import systems
-from ..engine import blocks
+from ..engine import numeric_bound
 from ..engine.ensemble import Ensemble
 from ..engine.specialization import kernel, kernel_hash
 from ..engine.stepsize import StepSizes
+from ..engine.tableaux import METHODS
 from ..errors import BadInput
 from ..io import provenance
 from ..scene import checks, grid
@@ -75,7 +77,7 @@ def trajectory(
         Over the dimension "time", float64: the state by the names of the equations; theta, psi, phi (rad; psi and phi
         unwrapped, nan on the vertical, where they do not exist); theta_dot, psi_dot, phi_dot, normal_rate (rad per time
         unit); axis_x, axis_y, axis_z (the third body axis in the frame: for the satellite along radius, velocity and
-        normal); integral_drift. Without a dimension: `step`, and the parameters (a start value that is called like one of
+        normal); integral_drift. Of a system with observables: the states, the observables and integral_drift. Without a dimension: `step`, and the parameters (a start value that is called like one of
         the variables has the suffix _start). The attributes are those of an atlas.
 
     Raises
@@ -98,12 +100,19 @@ def _trajectory(
         raise BadInput(f"point: {size} points given; a trajectory is that of one")
     kind.check_possible(points)
     ensemble = Ensemble.of(kind, points)
+    module = kernel(kind, settings.method)
+    durations = np.array([duration])
     with np.errstate(all="ignore"):  # numbers may overflow: the motion is then not finite
-        step_sizes = StepSizes.of(settings, ensemble.frequency_bound, np.array([duration]))
+        bound = ensemble.frequency_bound
+        if kind.has_numeric_bound:
+            bound, _ = numeric_bound.along_runs(
+                kind, module, METHODS[settings.method], ensemble, durations, settings.max_steps, threads=1
+            )
+        step_sizes = StepSizes.of(settings, bound, durations)
     # Whole steps between samples, never longer than those of the atlas.
     steps_per_sample = -(-int(step_sizes.steps[0]) // (samples - 1))
     step_size = np.array([duration / (steps_per_sample * (samples - 1))])
-    states = _states(kernel(kind, settings.method), ensemble, steps_per_sample, step_size, samples)
+    states = _states(kind, module, ensemble, steps_per_sample, step_size, samples)
     ds = _dataset(kind, ensemble, states, np.linspace(0.0, duration, samples))
     _add_parameters(ds, kind, points, float(step_size[0]))
     ds.attrs = provenance.provenance(
@@ -152,16 +161,16 @@ def trajectory_of_scene(scene: Scene, places: Mapping[str, float], *, samples: i
     return _trajectory(scene.system, point, float(located.duration[0]), samples, scene.settings, title)
 
 
-def _states(module: Any, ensemble: Ensemble, steps_per_sample: int, step_size: Array, samples: int) -> Array:
+def _states(
+    system: System, module: Any, ensemble: Ensemble, steps_per_sample: int, step_size: Array, samples: int
+) -> Array:
     """States at evenly spaced instants, shape (samples, states)."""
-    schedule = blocks.pack_blocks(np.array([steps_per_sample]), np.array([steps_per_sample]))
-    state = ensemble.state.copy()
-    states = np.empty((samples, len(state)))
-    states[0] = state[:, 0]
+    steps = np.array([steps_per_sample])
+    states = np.empty((samples, len(ensemble.state)))
+    states[0] = ensemble.state[:, 0]
     for i in range(1, samples):
-        blocks.integrate(
-            module, schedule, step_size, state, ensemble.constants, ensemble.scales, 0.0, threads=1
-        )
+        state = numeric_bound.advanced(system, module, ensemble, steps, step_size, 1)
+        ensemble = replace(ensemble, state=state)
         states[i] = state[:, 0]
     return states
 
@@ -170,14 +179,17 @@ def _dataset(system: System, ensemble: Ensemble, states: Array, time: Array) -> 
     """The trajectory with angles, rates and the drift of the first integrals."""
     equations, constants = system.equations, ensemble.constants
     columns = {name: states[:, i] for i, name in enumerate(equations.STATE)}
-    columns |= _angles(equations, states, constants, time)
+    if system.observables:
+        columns |= _observables(system, states, constants)
+    else:
+        columns |= _angles(equations, states, constants, time)
     drift = np.zeros(len(time))
     with np.errstate(all="ignore"):
         for name, scale in zip(equations.INTEGRALS, ensemble.scales, strict=True):
             total = sum(getattr(equations, name)(states.T, constants))
             drift = np.maximum(drift, np.abs(total - total[0]) * scale)
     columns["integral_drift"] = drift
-    attributes = _attributes(system)
+    attributes = _attributes_of_observables(system) if system.observables else _attributes(system)
     return xr.Dataset(
         {name: ("time", np.asarray(values), attributes[name]) for name, values in columns.items()},
         coords={"time": ("time", time, {"long_name": "time", "units": "s"})},
@@ -196,6 +208,25 @@ def _attributes(system: System) -> dict[str, dict[str, str]]:
     for name in ("psi", "phi", "theta_dot", "psi_dot", "phi_dot"):
         attributes[name]["comment"] = "nan where the third axis is exactly on the vertical"
     return attributes
+
+
+def _attributes_of_observables(system: System) -> dict[str, dict[str, str]]:
+    """long_name and units of every variable over time of a system with observables."""
+    attributes = {name: {"long_name": f"state {name}"} for name in system.equations.STATE}
+    for o in system.observables:
+        attributes[o.name] = {"long_name": o.long_name, "units": o.unit}
+    long_name, units = _VARIABLES["integral_drift"]
+    return attributes | {"integral_drift": {"long_name": long_name, "units": units}}
+
+
+def _observables(system: System, states: Array, constants: Array) -> dict[str, Array]:
+    """Every observable that is not a state, at every instant."""
+    names = [o.name for o in system.observables if o.name not in system.equations.STATE]
+    with np.errstate(all="ignore"):
+        return {
+            name: np.broadcast_to(getattr(system.equations, name)(states.T, constants), len(states))
+            for name in names
+        }
 
 
 def _add_parameters(ds: xr.Dataset, system: System, points: Points, step: float) -> None:

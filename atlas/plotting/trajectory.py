@@ -15,6 +15,7 @@ from matplotlib.ticker import MaxNLocator, ScalarFormatter
 
 from ..analysis.metadata import system_of
 from ..errors import BadInput
+from ..systems.base import Observable
 from .style import COLOURS, STYLE, SYMBOLS, WIDTHS, Width, check_width
 from .text import unit_text
 
@@ -22,6 +23,7 @@ FAR = 0.35  # opacity of the far side of the sphere
 START: dict[str, Any] = {"marker": "o", "color": COLOURS["drifting"], "markersize": 3.5, "linestyle": ""}
 RATES = ("theta_dot", "psi_dot", "phi_dot", "normal_rate")
 LINE_COLOURS = (COLOURS["regular_precession"], COLOURS["drifting"], "black", "#7fb9d8")
+MAX_PANELS = 8  # of a system with observables
 # Rates larger than this many times their quantile 0.9 do not set the range of the panel, which then ends
 # at a smaller multiple of it.
 CLIP_ABOVE, CLIP_AT = 10, 3
@@ -33,6 +35,8 @@ NOTE = SYMBOLS["normal_rate"] + ": angular velocity relative to the frame along 
 
 def trajectory_figure(tr: xr.Dataset, *, width: Width = "page") -> Figure:
     """Angles and rates over time, and the path of the third body axis on the unit sphere of the frame.
+
+    Of a system with observables: the observables over time, a panel for each, at most MAX_PANELS.
 
     psi and phi are shown between -pi and pi. The path is dark on the near side of the sphere and pale on
     the far side, with a dot at its start. A path that stays close to a direction is drawn once more, enlarged, in
@@ -56,6 +60,8 @@ def trajectory_figure(tr: xr.Dataset, *, width: Width = "page") -> Figure:
         If the dataset is no trajectory.
     """
     check_width(width)
+    if "time" in tr.dims and "atlas_system" in tr.attrs and (observables := system_of(tr).observables):
+        return _figure_of_observables(tr, observables[:MAX_PANELS], width)
     missing = [n for n in ("theta", "psi", "phi", *RATES, "axis_x", "axis_y", "axis_z") if n not in tr]
     if missing or "time" not in tr.dims:
         raise BadInput(f"not a trajectory: {missing[0] if missing else 'time'} is missing")
@@ -71,6 +77,28 @@ def trajectory_figure(tr: xr.Dataset, *, width: Width = "page") -> Figure:
         _draw_time_series(left, tr)
         path = np.stack([tr[f"axis_{name}"].values for name in "xyz"], -1)
         _draw_path(right, path, system_of(tr).frame_axes, page)
+    return figure
+
+
+def _figure_of_observables(tr: xr.Dataset, observables: Sequence[Observable], width: Width) -> Figure:
+    """A panel over time for each observable."""
+    missing = [o.name for o in observables if o.name not in tr]
+    if missing:
+        raise BadInput(f"not a trajectory: {missing[0]} is missing")
+    with rc_context(STYLE):
+        size = WIDTHS[width] / 25.4, (14 + 26 * len(observables)) / 25.4
+        figure = Figure(figsize=size, layout="constrained")
+        panels = figure.subplots(len(observables), 1, sharex=True, squeeze=False)[:, 0]
+        for ax, observable in zip(panels, observables, strict=True):
+            ax.plot(tr["time"].values, tr[observable.name].values, color=LINE_COLOURS[0])
+            unit = "" if observable.unit == "1" else f" ({unit_text(observable.unit)})"
+            ax.set_ylabel(f"{observable.symbol or observable.name}{unit}")
+            ax.yaxis.set_major_formatter(_Formatter(useMathText=True))
+            ax.ticklabel_format(axis="y", scilimits=(-2, 4))
+            ax.tick_params(length=2.5)
+        panels[-1].set_xlabel(f"time ({unit_text(str(tr['time'].attrs.get('units', 's')))})")
+        panels[-1].set_xlim(tr["time"].values[0], tr["time"].values[-1])
+        figure.align_ylabels()
     return figure
 
 

@@ -2,20 +2,17 @@
 
 from __future__ import annotations
 
-import hashlib
 import os
 import platform
 import sys
 from collections.abc import Mapping
-from functools import cache
-from pathlib import Path
 from typing import Any
 
 import netCDF4
 import numpy as np
 import scipy
 
-from .. import sources
+from .. import sources, systems
 from .._version import __version__
 from ..errors import BadInput
 from ..label.pipeline import scene_kernel_hash
@@ -70,14 +67,18 @@ def identity(scene: Scene) -> dict[str, str]:
     }
 
 
-@cache
 def _system_code(system: System) -> dict[str, str]:
-    """Hash of the modules of a system that is not of this package, as they are when it is first asked for."""
-    modules = (sys.modules.get(type(system).__module__), system.equations)
-    names = [getattr(module, "__file__", None) for module in modules]  # a notebook has none
-    files = [Path(name) for name in names if name and not Path(name).is_relative_to(sources.PACKAGE)]
-    content = b"".join(file.read_bytes() for file in files)
-    return {"system_code": hashlib.sha256(content).hexdigest()[:16]} if files else {}
+    """Package and hash of the code of a system that is not of this package, as it was when it was registered."""
+    origin = systems.origin(system)
+    if origin is None:
+        return {}
+    changed = origin.changed()
+    if changed is not None:
+        raise BadInput(
+            f"{changed} was written after this process (host {platform.node()}, process {os.getpid()}) had imported it:"
+            " start the process again"
+        )
+    return {"system_code": origin.code, **({"system_package": origin.package} if origin.package else {})}
 
 
 def differences(

@@ -14,6 +14,7 @@ from pathlib import Path
 import numpy as np
 import xarray as xr
 
+from .. import systems
 from ..engine import blocks
 from ..engine.compiling import Stopwatch, announced
 from ..errors import BadInput
@@ -122,6 +123,12 @@ def run(
     if out is None and (shard or execution.on_cluster):
         raise BadInput("shard, scheduler and workers need an out that ends in / or .nc")
     execution.check()
+    origin = systems.origin(scene.system)
+    if execution.on_cluster and origin is not None and not origin.package:
+        raise BadInput(
+            f"the system {scene.system.name} is registered in this process alone, where dask workers cannot find it; run it in"
+            " threads, or install it as a package with an entry point in the group atlas.systems"
+        )
     path, one_file = (None, False) if out is None else _destination(out)
     if shard and one_file:
         raise BadInput(f"shard: {path} is one file; shards need a run folder, a name that ends in /")

@@ -39,6 +39,11 @@ def positive(key: str, value: object) -> float:
     return result
 
 
+def positive_numbers(key: str, value: object) -> dict[str, float]:
+    """The value as floats by name, if it is a table of finite numbers above 0."""
+    return {name: positive(f"{key}.{name}", each) for name, each in mapping(key, value).items()}
+
+
 def at_most_one(key: str, value: object) -> float:
     """The value as a float, if it is a number above 0 and at most 1."""
     result = positive(key, value)

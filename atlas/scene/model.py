@@ -68,6 +68,9 @@ class Settings:
         See `Tolerances.angle`; None stands for the number of `rate_tolerance`.
     drift_tolerance : float
         Largest relative change of a first integral of a point that is labelled.
+    std_tolerance : mapping of str to float, or None
+        Largest standard deviation with which an observable counts as constant, in its unit, by its name. None, and
+        observables that are left out: see `systems.base.Observable.tolerance`.
     check_half_step : str
         Points that are integrated again at half the step, besides those whose expected error calls for
         it: "none", "sample" or "all".
@@ -85,6 +88,7 @@ class Settings:
     rate_tolerance: float = checked(checks.positive, 1e-5, "labels")
     cylinder_tolerance: float | None = checked(checks.positive, None, "labels")
     drift_tolerance: float = checked(checks.positive, 1e-5, "labels")
+    std_tolerance: Mapping[str, float] | None = checked(checks.positive_numbers, None, "labels")
     check_half_step: str = checked(partial(checks.choice, allowed=HALF_STEP), "none", "integration")
 
     def __post_init__(self) -> None:
@@ -104,6 +108,15 @@ class Settings:
 
 
 DEFAULTS = Settings()
+
+
+def std_tolerances(system: System, settings: Settings) -> dict[str, float]:
+    """Largest standard deviation with which each observable of a system counts as constant, in its unit."""
+    result = {}
+    for observable in system.observables:
+        default = settings.rate_tolerance if observable.tolerance is None else observable.tolerance
+        result[observable.name] = float((settings.std_tolerance or {}).get(observable.name, default))
+    return result
 
 
 @dataclass(frozen=True, eq=False)
@@ -377,8 +390,10 @@ class Scene:
         table["integration"] = {"duration": str(duration) if duration.unit else duration.amount}
         table["labels"] = {}
         for f in fields(settings):
-            table[f.metadata["section"]][f.name] = getattr(settings, f.name)
-        del table["integration"]["step" if settings.step is None else "tolerance"]
+            if (value := getattr(settings, f.name)) is not None:
+                table[f.metadata["section"]][f.name] = value
+        if settings.step is not None:
+            del table["integration"]["tolerance"]
         table["labels"]["cylinder_tolerance"] = settings.cylinder
         table["outputs"] = {"variables": list(self.outputs)}
         return tomli_w.dumps(table)

@@ -475,7 +475,20 @@ def _integration(
         else Duration()
     )
     check_unit(system, duration, "integration.duration")
+    check_std_tolerance(system, values.get("std_tolerance"), "labels.std_tolerance")
     return duration, Settings(**values)
+
+
+def check_std_tolerance(
+    system: System, given: Mapping[str, float] | None, key: str = "std_tolerance"
+) -> None:
+    """Raise BadInput for a tolerance of something that is no observable of the system."""
+    names = [observable.name for observable in system.observables]
+    for name in given or ():
+        if name not in names:
+            raise BadInput(
+                f"{key}.{name}: not an observable of the {system.name}; {allowed_text(name, names)}"
+            )
 
 
 def parse_duration(value: object, key: str = "duration") -> Duration:
@@ -515,6 +528,8 @@ def parse_duration(value: object, key: str = "duration") -> Duration:
 
 def check_unit(system: System, duration: Duration, key: str = "duration") -> None:
     """Raise BadInput for a duration in orbits of a system without an orbit; key: beginning of the message."""
+    if duration.unit and system.observables:
+        raise BadInput(f"{key} = {shown(str(duration))}: nothing turns in the {system.name}; use time units")
     if duration.unit == "orbits" and system.frame_rate is None:
         raise BadInput(
             f"{key} = {shown(str(duration))}: the {system.name} has no orbit; use time units or turns"

@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 
+from .. import systems as all_systems
 from ..engine.tableaux import METHODS
-from ..systems import SYSTEMS
 from ..systems.base import Parameter, System
 from ..variables import variables
 from . import checks, points, read
@@ -28,10 +28,10 @@ def scene_schema() -> Schema:
     Returns
     -------
     dict
-        Types, ranges, units and meanings of every key, for each registered system apart. A scene that it accepts may
+        Types, ranges, units and meanings of every key, for each system apart. A scene that it accepts may
         still be refused by `load_scene`, which also looks at how keys depend on each other.
     """
-    systems = list(SYSTEMS.values())
+    systems = list(all_systems.available().values())
     return {
         "$schema": DIALECT,
         "title": "Scene of Precession Atlas",
@@ -110,6 +110,9 @@ def _properties_of(system: System) -> Schema:
     }  # fmt: skip
     if system.families:
         schema["family"] = {"oneOf": [_family(name, system) for name in system.families]}
+    if system.observables:
+        observables = [observable.name for observable in system.observables]
+        schema["labels"] = {"properties": {"std_tolerance": {"propertyNames": {"enum": observables}}}}
     return schema
 
 
@@ -248,9 +251,10 @@ def _settings(section: str) -> Schema:
         "check_half_step": {"enum": list(HALF_STEP), "description": "points that are integrated again at half the step"},
         "rate_tolerance": {"exclusiveMinimum": 0, "description": "variation of a rate that counts as none (rad per time unit)"},
         "cylinder_tolerance": {"exclusiveMinimum": 0, "description": "radius of the cap about the vertical in which the third axis counts as vertical (rad; default: the number of rate_tolerance)"},
+        "std_tolerance": {"additionalProperties": {"type": "number", "exclusiveMinimum": 0}, "description": "largest standard deviation with which an observable counts as constant, by its name, for systems with observables"},
         "drift_tolerance": {"exclusiveMinimum": 0, "description": "largest relative change of a first integral"},
     }  # fmt: skip
-    kinds = {"str": "string", "int": "integer"}
+    kinds = {"str": "string", "int": "integer", "Mapping[str, float] | None": "object"}
     keys = {
         f.name: {"type": kinds.get(str(f.type), "number")}
         | details[f.name]

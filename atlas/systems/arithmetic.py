@@ -88,6 +88,7 @@ def completed(equations: Any, observables: Collection[str]) -> ModuleType:
         names["ONES"], names["INTEGRALS"] = (), dict.fromkeys(names["INTEGRALS"], 0)
         nodes = {name: _with_time_unit(node, given) for name, node in nodes.items()}
         nodes |= _scaling(names["STATE"], names["CONSTANTS"])
+    names["OBSERVABLES"] = tuple(observables)
     names["SOURCES"] = {name: ast.unparse(ast.fix_missing_locations(node)) for name, node in nodes.items()}
     module = ModuleType(getattr(equations, "__name__", "equations"), getattr(equations, "__doc__", None))
     namespace: dict[str, Any] = dict(numpy_functions())

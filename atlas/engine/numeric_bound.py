@@ -1,0 +1,154 @@
+"""The frequency bound of systems that give none: from the Jacobian at the start and at instants of a preliminary run.
+
+At the start alone the numeric frequency of `systems.jacobian` is often too low: where a motion begins slowly. A
+preliminary run with steps as long as they may be therefore looks at it at the instants LOOKS; where it has grown, the
+point begins again with the larger bound. The result depends on the point, its duration and the settings alone.
+"""
+
+from __future__ import annotations
+
+from types import ModuleType
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..systems import jacobian
+from ..systems.base import Array, Mask, System
+from . import blocks, observation
+from .ensemble import Ensemble
+from .tableaux import Method
+
+# Instants at which the preliminary run looks at the frequency, as shares of the run.
+LOOKS = (1 / 256, 1 / 64, 1 / 16, 1 / 8, 1 / 4, 3 / 8, 1 / 2, 5 / 8, 3 / 4, 7 / 8, 1.0)
+# Turns in a run of the least bound: a motion that starts in a state with vanishing Jacobian is looked at, too.
+LEAST_TURNS = 4
+# Phase error and loss of amplitude of the preliminary run, and its largest step over the stability limit.
+ERROR, MAX_STEP_RATIO = 1e-2, 0.25
+# A bound is raised where the frequency exceeds it by this factor, and by this factor at least.
+TOLERATED, RAISE = 1.05, 1.25
+# Factor for a point that overflows, and how often it is tried: its steps may have been too long.
+RAISE_NOT_FINITE, MAX_NOT_FINITE = 4.0, 4
+MAX_ATTEMPTS = 60
+
+
+def along_runs(
+    system: System,
+    kernel: ModuleType,
+    method: Method,
+    ensemble: Ensemble,
+    duration: Array,
+    max_steps: int,
+    *,
+    threads: int | None = None,
+) -> tuple[Array, Mask]:
+    """Frequency bound of every point over its whole run.
+
+    Parameters
+    ----------
+    system : System
+        Whose `has_numeric_bound` is true.
+    kernel : module
+        See `specialization.kernel`.
+    method : Method
+        That of the kernel.
+    ensemble : Ensemble
+        Its bound is the frequency at the start.
+    duration : ndarray of float64, shape (points,)
+        In time units.
+    max_steps : int
+        A point that needs more steps than this is not looked at further.
+    threads : int, optional
+
+    Returns
+    -------
+    bound : ndarray of float64, shape (points,)
+        In rad per time unit.
+    settled : ndarray of bool, shape (points,)
+        Whether the frequency stayed below it at all instants.
+    """
+    with np.errstate(all="ignore"):
+        bound = np.fmax(ensemble.frequency_bound, 2 * np.pi * LEAST_TURNS / duration)
+    bound = np.where(np.isfinite(ensemble.frequency_bound), bound, np.inf)
+    finite_bound, not_finite = bound.copy(), np.zeros(bound.size, np.int64)
+    settled = np.zeros(bound.size, bool)
+    pending = np.arange(bound.size)
+    for _ in range(MAX_ATTEMPTS):
+        with np.errstate(all="ignore"):
+            longest = _longest_step(method, bound[pending] * duration[pending])
+            affordable = bound[pending] * duration[pending] / longest <= max_steps
+        pending, longest = pending[affordable], longest[affordable]
+        if not pending.size:
+            break
+        seen = _largest_frequency(
+            system, kernel, ensemble.subset(pending), bound[pending], duration[pending], longest, threads
+        )
+        overflowed = ~np.isfinite(seen)
+        grown = overflowed | (seen > TOLERATED * bound[pending])
+        settled[pending[~grown]] = True
+        not_finite[pending[overflowed]] += 1
+        raised = np.where(
+            overflowed, RAISE_NOT_FINITE * bound[pending], np.fmax(seen, RAISE * bound[pending])
+        )
+        bound[pending[grown]] = raised[grown]
+        finite_bound[pending[grown & ~overflowed]] = raised[grown & ~overflowed]
+        pending = pending[grown & (not_finite[pending] <= MAX_NOT_FINITE)]
+    # Where even short steps overflow, so does the motion.
+    bound = np.where(not_finite > MAX_NOT_FINITE, finite_bound, bound)
+    return bound, settled
+
+
+def _longest_step(method: Method, radians: Array) -> Array:
+    """Step of the preliminary run in rad of the bound, for runs of so many rad."""
+    radians = np.maximum(radians, 1e-300)
+    phase = (ERROR / (method.dispersion * radians)) ** (1 / method.order)
+    loss = (ERROR / (method.dissipation * radians)) ** (1 / (method.dissipation_order - 1))
+    return np.minimum(np.minimum(phase, loss), MAX_STEP_RATIO * method.stability)
+
+
+def _largest_frequency(
+    system: System,
+    kernel: ModuleType,
+    ensemble: Ensemble,
+    bound: Array,
+    duration: Array,
+    longest_step: Array,
+    threads: int | None,
+) -> Array:
+    """Frequency at the first of LOOKS at which it exceeds the bound, else the largest of all; inf: it overflowed."""
+    seen = np.zeros(ensemble.size)
+    active: NDArray[np.int64] = np.arange(ensemble.size)
+    before = 0.0
+    for share in LOOKS:
+        length = (share - before) * duration[active]
+        steps = np.maximum(np.ceil(bound[active] * length / longest_step[active]), 1.0).astype(np.int64)
+        part = ensemble.subset(active)
+        state = advanced(system, kernel, part, steps, length / steps, threads)
+        ensemble.state[:, active] = state
+        with np.errstate(all="ignore"):
+            frequency = jacobian.frequency(system.equations, state, part.constants)
+        frequency = np.where(np.isfinite(frequency) & np.isfinite(state).all(0), frequency, np.inf)
+        seen[active] = np.fmax(seen[active], frequency)
+        active = active[frequency <= TOLERATED * bound[active]]
+        before = share
+        if not active.size:
+            break
+    return seen
+
+
+def advanced(
+    system: System,
+    kernel: ModuleType,
+    ensemble: Ensemble,
+    steps: NDArray[np.int64],
+    step_size: Array,
+    threads: int | None,
+) -> Array:
+    """States after so many steps, by the kernel of the system."""
+    if system.observables:
+        return observation.final_states(kernel, ensemble, steps, step_size, threads=threads)
+    state = ensemble.state.copy()
+    blocks.integrate(
+        kernel, blocks.pack_blocks(steps, steps), step_size, state, ensemble.constants, ensemble.scales, 0.0,
+        threads=threads,
+    )  # fmt: skip
+    return state

@@ -1,0 +1,256 @@
+"""The kernel of systems with observables: blocks of points integrated, their observables averaged along each motion.
+
+Ordinary Python, as `kernel`; what depends on the system and the method stands in `generated`. An observable is evaluated
+with its derivative at the nodes, instants a few steps apart. Its integrals over a run are sums over the nodes by the
+trapezoidal rule with the corrections of `observation.end_weights` at both ends; its extremes between two nodes are those
+of the interpolation of four. With the value f0 at the start, g = f - f0 and u from -1/2 to 1/2 along the run, the sums
+are those of g, g^2 and u g: the mean, the standard deviation and the slope of the straight line fitted to f follow.
+"""
+
+import numpy as np
+
+from .generated import (
+    CONSTANTS,
+    INTEGRALS,
+    OBSERVABLES,
+    STATES,
+    STEP,
+    STORES_SLOPE,
+    WIDTH,
+    aligned_empty,
+    aligned_stack,
+    largest_change,
+    load_constants,
+    load_state,
+    observe,
+    observe_change,
+    rhs,
+    scaled,
+    step,
+    store_constants,
+    store_integrals,
+    store_scales,
+    store_state,
+    store_values,
+    unscaled,
+)
+
+# Rows of the sums: the change of first integrals, then FIELDS rows for each observable: f0, the sums, the extremes, the
+# largest distance of a node from the cubic through its two neighbours.
+CHANGE, FIRST_ROW = 0, 1
+START, TOTAL, SQUARE, TREND, LEAST, LARGEST, ROUGHNESS, FIELDS = 0, 1, 2, 3, 4, 5, 6, 7
+# First integrals change slowly: they are evaluated at every fourth node and at the end.
+NODES_PER_CHANGE = 4
+
+
+def integrate(
+    first_block, last_block, points, steps, steps_per_node, first_node, last_node, step_size, state0, constants0, scales,
+    value_weights, slope_weights, resume, out,
+):  # fmt: skip
+    """Integrate blocks of points over a range of nodes.
+
+    Parameters
+    ----------
+    first_block, last_block : int
+        Range of the blocks to integrate.
+    points : ndarray of int64, shape (blocks, WIDTH)
+        The points of each block.
+    steps, steps_per_node : ndarray of int64, shape (blocks,)
+        Of the whole run of a block's points, as in `stepsize.StepSizes`.
+    first_node, last_node : ndarray of int64, shape (blocks,)
+        Range of the nodes of this call; 0 begins the runs, that after steps / steps_per_node ends them. The results are
+        the same to the bit however a run is cut.
+    step_size : ndarray of float64, shape (points,)
+        In time units.
+    state0 : ndarray of float64, shape (STATES, points), overwritten
+        State at the start; between calls in the kernel's units, after the last node at the end of the run.
+    constants0, scales : ndarray of float64, shapes (CONSTANTS, points) and (INTEGRALS, points)
+        Constants of the equations and reciprocal scales of the first integrals.
+    value_weights, slope_weights : ndarray of float64, shape (4,)
+        See `observation.end_weights`.
+    resume : ndarray of float64, shape (8 * OBSERVABLES + INTEGRALS, points)
+        The last four nodes and the first integrals at the start, between calls.
+    out : ndarray of float64, shape (FIRST_ROW + FIELDS * OBSERVABLES, points), overwritten
+        The sums.
+    """
+    aligned_stack()
+    state, constants = aligned_empty((STATES, WIDTH)), aligned_empty((CONSTANTS, WIDTH))
+    slopes, nodes = aligned_empty((STATES, WIDTH)), aligned_empty((4, 2 * OBSERVABLES, WIDTH))
+    inverse_scales, integrals0 = aligned_empty((INTEGRALS, WIDTH)), aligned_empty((INTEGRALS, WIDTH))
+    sums, turning = aligned_empty((FIRST_ROW + FIELDS * OBSERVABLES, WIDTH)), aligned_empty((WIDTH,))
+    for block in range(first_block, last_block):
+        stride = steps_per_node[block]
+        intervals, spacing = steps[block] // stride, STEP * stride
+        for l in range(WIDTH):
+            p = points[block, l]
+            unit = step_size[p] / STEP
+            y, c = scaled(load_state(state0, p), load_constants(constants0, p), unit)
+            store_state(state, l, y)
+            store_constants(constants, l, c)
+            store_scales(inverse_scales, l, scales, p, 1.0 / unit)
+        if first_node[block] == 0:
+            for l in range(WIDTH):
+                y, c = load_state(state, l), load_constants(constants, l)
+                store_integrals(integrals0, l, y, c)
+                store_values(nodes, 0, 0, l, observe(y, c))
+            begin(sums, nodes)
+        else:
+            for l in range(WIDTH):
+                load_run(points[block, l], l, state, sums, nodes, integrals0, state0, resume, out)
+        for i in range(first_node[block], last_node[block]):
+            slot = i & 3
+            for l in range(WIDTH):
+                y, c = load_state(state, l), load_constants(constants, l)
+                slope = rhs(y, c)
+                store_state(slopes, l, slope)
+                store_values(nodes, slot, 0, l, observe(y, c))
+                store_values(nodes, slot, OBSERVABLES, l, observe_change(y, c, slope))
+            accumulate(sums, nodes, slot, i, intervals, spacing, value_weights, slope_weights)
+            if i >= 2:
+                compare_with_neighbours(sums, nodes, i, spacing)
+            if i >= 3:  # the inner interval of four nodes; at both ends of the run those beside it, too
+                for interval in range(i - 3 if i == 3 else i - 2, i if i == intervals else i - 1):
+                    extend_between(sums, nodes, turning, i, interval, spacing)
+            if (i + 1) % NODES_PER_CHANGE == 0 or i == intervals:
+                for l in range(WIDTH):
+                    y, c, change = load_state(state, l), load_constants(constants, l), sums[CHANGE, l]
+                    sums[CHANGE, l] = largest_change(integrals0, inverse_scales, l, y, c, change)
+            for k in range(stride if i < intervals else 0):
+                if STORES_SLOPE and k > 0:
+                    for l in range(WIDTH):
+                        store_state(slopes, l, rhs(load_state(state, l), load_constants(constants, l)))
+                for l in range(WIDTH):
+                    y, c = load_state(state, l), load_constants(constants, l)
+                    slope = load_state(slopes, l) if STORES_SLOPE else rhs(y, c)
+                    store_state(state, l, step(y, slope, c))
+        for l in range(WIDTH):
+            p = points[block, l]
+            if last_node[block] == intervals + 1:
+                unit = step_size[p] / STEP
+                store_state(state0, p, unscaled(load_state(state, l), load_constants(constants, l), unit))
+            else:
+                store_run(p, l, state, nodes, integrals0, state0, resume)
+            for row in range(FIRST_ROW + FIELDS * OBSERVABLES):
+                out[row, p] = sums[row, l]
+
+
+def begin(sums, nodes):
+    """Start the sums with the values at the start, which stand in slot 0."""
+    for row in range(sums.shape[0]):
+        for l in range(WIDTH):
+            sums[row, l] = 0.0
+    for k in range(OBSERVABLES):
+        row = FIRST_ROW + FIELDS * k
+        for l in range(WIDTH):
+            value = nodes[0, k, l]
+            sums[row + START, l], sums[row + LEAST, l], sums[row + LARGEST, l] = value, value, value
+
+
+def accumulate(sums, nodes, slot, i, intervals, spacing, value_weights, slope_weights):
+    """Add node i of a run to the sums, and extend the extremes to it."""
+    weight, slope_weight = 1.0, 0.0
+    if i < 4:
+        weight += value_weights[i]
+        slope_weight += slope_weights[i]
+    if intervals - i < 4:
+        weight += value_weights[intervals - i]
+        slope_weight -= slope_weights[intervals - i]
+    u, du = i / intervals - 0.5, 1.0 / intervals
+    for k in range(OBSERVABLES):
+        row = FIRST_ROW + FIELDS * k
+        for l in range(WIDTH):
+            value = nodes[slot, k, l]
+            g, slope = value - sums[row + START, l], nodes[slot, OBSERVABLES + k, l] * spacing
+            sums[row + TOTAL, l] += weight * g + slope_weight * slope
+            sums[row + SQUARE, l] += g * (weight * g + 2.0 * slope_weight * slope)
+            sums[row + TREND, l] += weight * u * g + slope_weight * (u * slope + du * g)
+            least, largest = sums[row + LEAST, l], sums[row + LARGEST, l]
+            sums[row + LEAST, l] = value if value < least else least
+            sums[row + LARGEST, l] = value if value > largest else largest
+
+
+def compare_with_neighbours(sums, nodes, i, spacing):
+    """Extend the largest distance of node i - 1 from the cubic with the values and slopes of the nodes i - 2 and i."""
+    before, middle, after = (i - 2) & 3, (i - 1) & 3, i & 3
+    for k in range(OBSERVABLES):
+        row, slope_row = FIRST_ROW + FIELDS * k + ROUGHNESS, OBSERVABLES + k
+        for l in range(WIDTH):
+            expected = 0.5 * (nodes[before, k, l] + nodes[after, k, l])
+            expected += 0.25 * spacing * (nodes[before, slope_row, l] - nodes[after, slope_row, l])
+            distance = abs(nodes[middle, k, l] - expected)
+            sums[row, l] = distance if distance > sums[row, l] else sums[row, l]
+
+
+def extend_between(sums, nodes, turning, i, interval, spacing):
+    """Extend the extremes to the turning points between two nodes; the last four are i - 3 to i."""
+    first, second = interval & 3, (interval + 1) & 3
+    for k in range(OBSERVABLES):
+        row, slope_row = FIRST_ROW + FIELDS * k, OBSERVABLES + k
+        for l in range(WIDTH):
+            f0, f1 = nodes[first, k, l], nodes[second, k, l]
+            s0, s1 = nodes[first, slope_row, l] * spacing, nodes[second, slope_row, l] * spacing
+            margin = 0.25 * (abs(s0) + abs(s1))
+            above = 1.0 if max(f0, f1) + margin > sums[row + LARGEST, l] else 0.0
+            below = 1.0 if min(f0, f1) - margin < sums[row + LEAST, l] else 0.0
+            possible = above if s0 > 0.0 else below
+            turning[l] = possible if s0 * s1 < 0.0 else 0.0
+        for l in range(WIDTH):
+            if turning[l] > 0.0:
+                x = turning_point(
+                    nodes[first, k, l], nodes[second, k, l],
+                    nodes[first, slope_row, l] * spacing, nodes[second, slope_row, l] * spacing,
+                )  # fmt: skip
+                value = interpolated(nodes, i, k, l, spacing, interval - (i - 3) + x)
+                least, largest = sums[row + LEAST, l], sums[row + LARGEST, l]
+                sums[row + LEAST, l] = value if value < least else least
+                sums[row + LARGEST, l] = value if value > largest else largest
+
+
+def turning_point(f0, f1, s0, s1):
+    """Place from 0 to 1 at which the cubic with these values and slopes at 0 and 1, of opposite signs, turns."""
+    a = 3.0 * (s0 + s1 - 2.0 * (f1 - f0))
+    b = 2.0 * (3.0 * (f1 - f0) - 2.0 * s0 - s1)
+    root = np.sqrt(max(b * b - 4.0 * a * s0, 0.0))
+    q = -0.5 * (b + (root if b > 0.0 else -root))
+    x = s0 / q if q != 0.0 else 0.5
+    if not 0.0 <= x <= 1.0:
+        x = q / a if a != 0.0 else 0.5
+    return min(max(x, 0.0), 1.0)
+
+
+def interpolated(nodes, i, k, l, spacing, x):
+    """Observable k at the place x from 0 to 3 among the nodes i - 3 to i: Hermite interpolation of degree 7."""
+    value = 0.0
+    for j in range(4):
+        slot = (i - 3 + j) & 3
+        product, inverse = 1.0, 0.0
+        for m in range(4):
+            if m != j:
+                product *= (x - m) / (j - m)
+                inverse += 1.0 / (j - m)
+        square = product * product
+        value += square * (1.0 - 2.0 * inverse * (x - j)) * nodes[slot, k, l]
+        value += square * (x - j) * nodes[slot, OBSERVABLES + k, l] * spacing
+    return value
+
+
+def load_run(p, l, state, sums, nodes, integrals0, state0, resume, out):
+    """Bring an interrupted run of point p into lane l."""
+    for row in range(STATES):
+        state[row, l] = state0[row, p]
+    for row in range(FIRST_ROW + FIELDS * OBSERVABLES):
+        sums[row, l] = out[row, p]
+    for row in range(8 * OBSERVABLES):
+        nodes[row // (2 * OBSERVABLES), row % (2 * OBSERVABLES), l] = resume[row, p]
+    for row in range(INTEGRALS):
+        integrals0[row, l] = resume[8 * OBSERVABLES + row, p]
+
+
+def store_run(p, l, state, nodes, integrals0, state0, resume):
+    """Keep what `load_run` needs beside the sums."""
+    for row in range(STATES):
+        state0[row, p] = state[row, l]
+    for row in range(8 * OBSERVABLES):
+        resume[row, p] = nodes[row // (2 * OBSERVABLES), row % (2 * OBSERVABLES), l]
+    for row in range(INTEGRALS):
+        resume[8 * OBSERVABLES + row, p] = integrals0[row, l]

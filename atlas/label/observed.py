@@ -1,0 +1,276 @@
+"""Points of a system with observables, from parameters to labels; `pipeline` does the same for bodies in a frame."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection, Mapping
+from dataclasses import dataclass, replace
+from types import ModuleType
+
+import numpy as np
+
+from ..engine import numeric_bound, observation
+from ..engine.chaos import METHOD, RELATIVE_COST, TangentSteps, indicators
+from ..engine.ensemble import Ensemble
+from ..engine.observation import Measurement
+from ..engine.specialization import Specialization, kernel, tangent_kernel
+from ..engine.stepsize import StepSizes
+from ..engine.tableaux import METHODS
+from ..flags import Status, Steadiness
+from ..scene.model import Settings, std_tolerances
+from ..systems.base import Array, Flags, Mask, Points, System
+from ..variables import CHAOS
+from . import labels
+from .expected_errors import rounding_error
+from .half_steps import half_step_sample
+from .regularity import regularity
+
+# Rounding error of a statistic in units of the largest value of its observable.
+ROUNDING = 1e-15
+
+
+@dataclass(frozen=True)
+class _Runs:
+    """Points ready to be integrated; arrays of shape (points,)."""
+
+    system: System
+    settings: Settings
+    kernel: ModuleType
+    ensemble: Ensemble
+    step_sizes: StepSizes
+    settled: Mask  # whether the frequency bound holds for the whole run, as far as is known
+    threads: int | None
+
+    def measure(self, progress: Callable[[int], None] | None = None) -> Measurement:
+        """Integrate the points; those that their steps do not resolve for a few steps only."""
+        return observation.measure(
+            self.kernel,
+            self.ensemble,
+            self.step_sizes.without_unresolved(),
+            threads=self.threads,
+            progress=progress,
+        )
+
+    def again(self, where: np.ndarray, step_sizes: StepSizes) -> Measurement:
+        """Integrate some of the points with other steps."""
+        part = self.ensemble.subset(where)
+        return observation.measure(self.kernel, part, step_sizes, threads=self.threads)
+
+
+def evaluate(
+    system: System,
+    base: Points,
+    points: Points,
+    duration: Array,
+    settings: Settings,
+    *,
+    specialization: Specialization,
+    outputs: Collection[str] | None,
+    halved: bool,
+    threads: int | None,
+    progress: Callable[[float], None] | None,
+) -> dict[str, np.ndarray]:
+    """Integrate, measure and label points of a system with observables; see `pipeline.evaluate`."""
+    advance = progress or (lambda points: None)
+    runs = _prepare(system, points, duration, settings, specialization, halved, threads)
+    tangent, share = None, 0.0
+    if outputs is not None and CHAOS & set(outputs):
+        tangent, share = _tangent_steps(runs, duration)
+    total = max(int(runs.step_sizes.without_unresolved().steps.sum()), 1)
+    measurement = runs.measure(lambda steps: advance(duration.size * (1.0 - share) * steps / total))
+    measured = measurement.statistics(system)
+    resolved = _resolved(runs, measurement)
+    if tangent is not None:
+        resolved &= tangent.resolved
+    error, step_sensitive = _recheck(runs, measurement, measured, resolved)
+    columns = _assemble(runs, measurement, measured, resolved, error, step_sensitive)
+    columns["end_time"] = np.where(runs.step_sizes.resolved, duration, _integrated(runs))
+    if tangent is not None:
+        columns |= _chaos(runs, tangent, specialization, points, columns, share, advance)
+    for name, derived in system.derived.items():
+        if outputs is not None and name in outputs:
+            columns[name] = derived.values(base, duration, lambda: advance(0.0))
+    return columns
+
+
+def _prepare(
+    system: System,
+    points: Points,
+    duration: Array,
+    settings: Settings,
+    specialization: Specialization,
+    halved: bool,
+    threads: int | None,
+) -> _Runs:
+    """The ensemble with its frequency bound, and its step sizes."""
+    ensemble, module = Ensemble.of(system, points), kernel(system, settings.method, specialization)
+    method, settled = METHODS[settings.method], np.ones(duration.shape, bool)
+    if system.has_numeric_bound:
+        bound, settled = numeric_bound.along_runs(
+            system, module, method, ensemble, duration, settings.max_steps, threads=threads
+        )
+        ensemble = replace(ensemble, frequency_bound=bound)
+    with np.errstate(all="ignore"):
+        bound = ensemble.frequency_bound
+        step_sizes = StepSizes.of(settings, bound, duration)
+        step_sizes = observation.with_dense_nodes(step_sizes, bound, method, may_halve=settings.step is None)
+        if halved:
+            step_sizes = step_sizes.halved(method)
+    return _Runs(system, settings, module, ensemble, step_sizes, settled, threads)
+
+
+def _integrated(runs: _Runs) -> Array:
+    """Time that is integrated of each point, time units."""
+    sizes = runs.step_sizes.without_unresolved()
+    with np.errstate(over="ignore"):
+        return np.asarray(sizes.steps * sizes.step_size)
+
+
+def _resolved(runs: _Runs, measurement: Measurement) -> Mask:
+    """Whether the steps are short enough for the bound, the bound holds, and no observable jumps between nodes."""
+    with np.errstate(all="ignore"):
+        radians = runs.ensemble.frequency_bound * runs.step_sizes.sample_spacing
+        smooth = ~measurement.rough(radians) | ~measurement.finite
+        return np.asarray(runs.step_sizes.resolved & runs.settled & smooth)
+
+
+def label(system: System, measured: Mapping[str, Array], settings: Settings) -> Flags:
+    """Label of each point, values of `flags.Steadiness`, whatever its status."""
+    limits = std_tolerances(system, settings)
+    varies = [measured[f"{name}_std"] > limit for name, limit in limits.items()]
+    return np.where(np.any(varies, axis=0), Steadiness.DRIFTING, Steadiness.STEADY).astype(np.int8)
+
+
+def sizes(system: System, measured: Mapping[str, Array]) -> dict[str, Array]:
+    """Largest magnitude of each observable, in its unit, by name."""
+    names = [observable.name for observable in system.observables]
+    return {n: np.maximum(np.abs(measured[f"{n}_min"]), np.abs(measured[f"{n}_max"])) for n in names}
+
+
+def _unsure(system: System, measured: Mapping[str, Array], error: Array, settings: Settings) -> Mask:
+    """Whether the label could be another one within a relative error of the statistics."""
+    labels_within = []
+    for sign in (-1.0, 1.0):
+        moved = dict(measured)
+        for name, size in sizes(system, measured).items():
+            spread = measured[f"{name}_max"] - measured[f"{name}_min"]
+            moved[f"{name}_std"] = measured[f"{name}_std"] + sign * (error * spread + ROUNDING * size)
+        labels_within.append(label(system, moved, settings))
+    return np.asarray(labels_within[0] != labels_within[1])
+
+
+def _recheck(
+    runs: _Runs, measurement: Measurement, measured: Mapping[str, Array], resolved: Mask
+) -> tuple[Array, Mask]:
+    """Relative errors, expected or measured by a second run, and where the label depends on the step."""
+    system, settings, method = runs.system, runs.settings, METHODS[runs.settings.method]
+    with np.errstate(all="ignore"):
+        error = np.maximum(runs.step_sizes.dispersion_error, runs.step_sizes.dissipation_error)
+        error = error + rounding_error(runs.step_sizes)
+        usable = resolved & measurement.finite & ~(measured["integral_drift"] > settings.drift_tolerance)
+        sample = np.flatnonzero(usable & half_step_sample(runs.ensemble, settings.check_half_step))
+        if sample.size:
+            coarser = runs.step_sizes.subset(sample).coarsened(method)
+            other = runs.again(sample, coarser)
+            change = _change(system, _subset(measured, sample), other.statistics(system))
+            state = _state_change(measurement.final_state[:, sample], other.final_state)
+            ratio = runs.step_sizes.steps[sample] / coarser.steps
+            error[sample] = np.fmax(change, state / (ratio**method.order - 1.0))
+        unsure = np.flatnonzero(usable & _unsure(system, measured, error, settings))
+        step_sensitive = np.zeros(error.shape, bool)
+        if unsure.size:
+            fine = runs.again(unsure, runs.step_sizes.subset(unsure).halved(method)).statistics(system)
+            change = _change(system, _subset(measured, unsure), fine)
+            differs = label(system, fine, settings) != label(system, _subset(measured, unsure), settings)
+            step_sensitive[unsure] = differs | _unsure(system, fine, change, settings)
+            error[unsure] = np.fmax(error[unsure], change)
+        return np.fmax(error, measured["integral_drift"]), step_sensitive
+
+
+def _change(system: System, measured: Mapping[str, Array], other: Mapping[str, Array]) -> Array:
+    """Largest difference of a statistic of two runs, over the largest magnitude of its observable."""
+    changes = []
+    for name, size in sizes(system, measured).items():
+        for suffix in observation.STATISTICS:
+            difference = np.abs(measured[f"{name}_{suffix}"] - other[f"{name}_{suffix}"])
+            changes.append(np.divide(difference, size, out=np.zeros_like(size), where=size > 0))
+    return np.asarray(np.fmax.reduce(changes))
+
+
+def _state_change(state: Array, other: Array) -> Array:
+    """Largest difference of a component of two states, over the larger of its magnitude and that of the state's mean."""
+    size = np.maximum(np.abs(state), np.abs(state).mean(axis=0))
+    change = np.divide(np.abs(state - other), size, out=np.zeros_like(size), where=size > 0)
+    return np.asarray(change.max(axis=0))
+
+
+def _assemble(
+    runs: _Runs,
+    measurement: Measurement,
+    measured: Mapping[str, Array],
+    resolved: Mask,
+    error: Array,
+    step_sensitive: Mask,
+) -> dict[str, np.ndarray]:
+    """The variables of the registry but those of chaos, the derived ones and the end of the run."""
+    nothing = np.zeros(resolved.shape)
+    status = labels.status(
+        measurement.finite, measured["integral_drift"], runs.settings.drift_tolerance, resolved, nothing, nothing,
+        step_sensitive,
+    )  # fmt: skip
+    kind = np.where(status == Status.OK, label(runs.system, measured, runs.settings), Steadiness.UNRESOLVED)
+    columns: dict[str, np.ndarray] = {
+        name: values if name == "integral_drift" else np.where(resolved, values, np.nan)
+        for name, values in measured.items()
+    }
+    return columns | {
+        "label": kind.astype(np.int8),
+        "status": status,
+        "step": runs.step_sizes.step_size,
+        "step_ratio": runs.step_sizes.step_ratio,
+        "error_estimate": np.where(resolved, error, np.inf),
+    }
+
+
+def _tangent_steps(runs: _Runs, duration: Array) -> tuple[TangentSteps, float]:
+    """Steps of the runs with tangent vectors, and their share of the whole work."""
+    with np.errstate(all="ignore"):
+        steps = TangentSteps.of(
+            runs.ensemble.frequency_bound, duration, runs.settings.step, runs.settings.max_steps
+        )
+    own = METHODS[runs.settings.method].step_cost * float(runs.step_sizes.without_unresolved().steps.sum())
+    work = RELATIVE_COST * METHOD.step_cost * float(steps.steps[steps.resolved].sum())
+    return steps, work / (own + work)
+
+
+def _chaos(
+    runs: _Runs,
+    tangent: TangentSteps,
+    specialization: Specialization,
+    points: Points,
+    columns: Mapping[str, np.ndarray],
+    share: float,
+    advance: Callable[[float], None],
+) -> dict[str, np.ndarray]:
+    """The variables of CHAOS: points whose status is ok are integrated with a tangent vector."""
+    size = len(runs.settled)
+    megno, lyapunov = np.full(size, np.nan), np.full(size, np.nan)
+    where = np.flatnonzero(columns["status"] == Status.OK)
+    if where.size:
+        steps = tangent.subset(where)
+        points_per_step = size * share / float(steps.steps.sum())
+        rate_unit = np.asarray(runs.system.rate_unit(points))[where]
+        megno[where], lyapunov[where] = indicators(
+            runs.system, tangent_kernel(runs.system, specialization), runs.ensemble.subset(where), steps, rate_unit,
+            threads=runs.threads, progress=lambda point_steps: advance(points_per_step * point_steps),
+        )  # fmt: skip
+    else:
+        advance(size * share)
+    finite = np.isfinite(megno) & np.isfinite(lyapunov)
+    megno, lyapunov = np.where(finite, megno, np.nan), np.where(finite, lyapunov, np.nan)
+    flags = regularity(columns["label"].astype(np.int8), megno)
+    return {"megno": megno, "lyapunov": lyapunov, "regularity": flags}
+
+
+def _subset(columns: Mapping[str, Array], where: np.ndarray) -> dict[str, Array]:
+    """Some of the points, by their indices."""
+    return {name: values[where] for name, values in columns.items()}

@@ -16,7 +16,7 @@ from . import accessor as _accessor  # noqa: F401  (registers ds.atlas with xarr
 from ._version import __version__
 
 if TYPE_CHECKING:
-    from .analysis.catalogue import equilibria as equilibria
+    from .analysis.equilibria import equilibria as equilibria
     from .errors import BadInput as BadInput
     from .label.points import label_points as label_points
     from .label.trajectory import trajectory as trajectory
@@ -32,7 +32,7 @@ _MODULES = {
     "label_points": "label.points",
     "open_atlas": "runs.open",
     "trajectory": "label.trajectory",
-    "equilibria": "analysis.catalogue",
+    "equilibria": "analysis.equilibria",
     "register": "systems",
     "BadInput": "errors",
 }

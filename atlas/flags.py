@@ -88,6 +88,19 @@ class Stability(Flag):
     UNSTABLE = 2, "some characteristic exponent has a positive real part"
 
 
+class Completeness(Flag):
+    """Whether the equilibria of a body are all listed."""
+
+    COMPLETE = 0, "every equilibrium is listed, and none is near a bifurcation"
+    NEAR_BIFURCATION = 1, "equilibria merge or appear near this body: their number is not certain"
+    NOT_ISOLATED = 2, "some equilibria form circles or larger sets, each of which is listed once"
+    NOT_LISTED = (
+        3,
+        "none is listed: they form surfaces, or the numbers of the body differ too much in magnitude",
+    )
+    IMPOSSIBLE_BODY = 4, "no rigid body has these moments of inertia"
+
+
 class Regularity(Flag):
     """Whether neighbouring motions separate exponentially."""
 

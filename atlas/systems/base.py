@@ -167,7 +167,8 @@ class System(ABC):
         `check_possible`.
     Theory
         `families`, `identify_family`, `condition_residual`, `linear_stability`, `log_growth`,
-        `growth_about_vertical`, `complete`, `frame_rate`, `geometries`, `geometry`, `derived`, `equilibria`, `published`, `stress_cases`, `despun_equivalent`.
+        `growth_about_vertical`, `complete`, `frame_rate`, `geometries`, `geometry`, `derived`, `equilibria`, `equilibria_of_bodies`,
+        `published`, `stress_cases`, `despun_equivalent`.
 
     Instances are compared and hashed by identity: kernels are cached by system.
     """
@@ -392,6 +393,12 @@ class System(ABC):
     """All relative equilibria or permanent rotations of one body: parameter -> number to arrays over them.
 
     None: they cannot be computed.
+    """
+    equilibria_of_bodies: Callable[[Points, Callable[[], None]], Mapping[str, NDArray[Any]]] | None = None
+    """The same of many bodies: points (bodies,) to arrays (bodies, places), with unused places at the end of each row.
+
+    The Morse index of an unused place is -1. Also `completeness`, int8 (bodies,), values of flags.Completeness. The second
+    argument is called at least once a second and raises an exception where the computation was interrupted.
     """
 
     def identify_family(self, points: Points) -> tuple[Flags, Array]:

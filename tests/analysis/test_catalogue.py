@@ -349,7 +349,6 @@ def test_equilibria_survive_a_file(tmp_path):
     ("body", "named"),
     [
         ({"A": 1.0, "B": 1.0, "C": 9.0}, "no rigid body"),
-        ({"A": [1.0, 2.0]}, "2 bodies"),
         ({"A": np.nan}, "A = nan: must be a finite number"),
         ({"A": -1.0}, "A > 0"),
         ({"mass": 1.0}, "mass: not a parameter"),

@@ -1,13 +1,19 @@
-"""All permanent rotations of one gyrostat about the vertical."""
+"""All permanent rotations of a gyrostat about the vertical, of one body or of many at once."""
 
 from __future__ import annotations
+
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ...flags import Completeness, Stability
 from ..base import Array, Mask, Points
 from .initial import bodies, length
 from .stability import ROUNDING, amended_hessian, sleeping_stability, staude_stability
+
+_PLACES = 12  # columns of permanent_rotations
+_NEAR_BIFURCATION = 1e-9  # determinant of the amended potential's Hessian, relative to its terms
 
 
 class _SecularEquation:
@@ -147,13 +153,60 @@ def equilibria(body: Points, n: float = 0.0) -> dict[str, np.ndarray]:
     g, dimension = directions[:, used, 0], dimension[used, 0]
     order = np.lexsort([g[0], np.arctan2(np.hypot(g[0], g[1]), g[2])])
     g, dimension = g[:, order], dimension[order]
+    members = {name: np.repeat(values, dimension.size) for name, values in body.items()}
+    return {
+        name: values for name, values in _described(members, g, dimension, float(n)).items() if name != "flat"
+    }
+
+
+def equilibria_of_bodies(points: Points) -> dict[str, NDArray[Any]]:
+    """All permanent rotations of many bodies about the vertical, each at its rate n.
+
+    Parameters
+    ----------
+    points : mapping
+        Every parameter, arrays of shape (bodies,).
+
+    Returns
+    -------
+    dict of arrays (bodies, 12)
+        The variables of `equilibria`, those of each body in the order of theta, with unused places at the end: nan,
+        index and dimension -1, stable 0. completeness (bodies,) int8, values of flags.Completeness.
+    """
+    count = points["A"].size
+    directions, dimensions = permanent_rotations(points, points["n"])
+    column, body = np.nonzero(dimensions >= 0)
+    g = directions[:, column, body]
+    order = np.lexsort([g[0], np.arctan2(np.hypot(g[0], g[1]), g[2]), body])
+    g, body, column = g[:, order], body[order], column[order]
+    members = {name: values[body] for name, values in points.items()}
+    described = _described(members, g, dimensions[column, body], points["n"][body])
+    place = np.arange(body.size) - np.searchsorted(body, body)
+    result: dict[str, NDArray[Any]] = {}
+    unused = {"index": -1, "dimension": -1, "stable": Stability.UNKNOWN, "flat": False}
+    for name, values in described.items():
+        result[name] = np.full((count, _PLACES), unused.get(name, np.nan), values.dtype)
+        result[name][body, place] = values
+    near = (result.pop("flat") & (result["dimension"] == 0)).any(1)
+    flags = np.where(near, Completeness.NEAR_BIFURCATION, Completeness.COMPLETE)
+    flags = np.where((result["dimension"] > 0).any(1), Completeness.NOT_ISOLATED, flags)
+    result["completeness"] = flags.astype(np.int8)
+    return result
+
+
+def _described(
+    body: Points, g: Array, dimension: NDArray[np.int8], n: Array | float
+) -> dict[str, NDArray[Any]]:
+    """Angles, index and stability of rotations about g (3, E), each of the body in the same place of body.
+
+    flat: where an eigenvalue of the amended potential's Hessian is zero but for _NEAR_BIFURCATION.
+    """
     theta, phi = np.arctan2(np.hypot(g[0], g[1]), g[2]), np.arctan2(g[0], g[1])
-    count = theta.size
-    members = {name: np.repeat(values, count) for name, values in body.items()}
+    members = dict(body)
     for name in ("p0", "q0", "r0", "gamma10", "gamma20", "gamma30"):
-        members[name] = np.full(count, np.nan)
-    members |= {"theta0": theta, "phi0": phi, "n": np.repeat(rate, count)}
-    members |= {name: np.zeros(count) for name in ("m", "theta_dot0")}
+        members[name] = np.full(theta.size, np.nan)
+    members |= {"theta0": theta, "phi0": phi, "n": np.broadcast_to(n, theta.shape)}
+    members |= {name: np.zeros(theta.size) for name in ("m", "theta_dot0")}
     upright = np.hypot(g[0], g[1]) == 0
     stable, growth = staude_stability(members)
     sleeping, sleeping_growth = sleeping_stability(members)
@@ -165,4 +218,5 @@ def equilibria(body: Points, n: float = 0.0) -> dict[str, np.ndarray]:
         "dimension": dimension, "index": index.astype(np.int8),
         "stable": np.where(upright, sleeping, stable).astype(np.int8),
         "growth_rate": np.where(upright, sleeping_growth, growth),
+        "flat": np.abs(determinant) <= _NEAR_BIFURCATION * size,
     }  # fmt: skip

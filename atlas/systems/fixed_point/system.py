@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -93,16 +93,24 @@ class FixedPoint(System):
     def equilibria(self, body: Mapping[str, float]) -> dict[str, NDArray[Any]]:
         """All permanent rotations of one body about the vertical at the rate n; see equilibria.equilibria."""
         points = {k: np.full(1, float(body.get(k, p.default))) for k, p in self.parameters.items()}
-        solutions = equilibria.equilibria(points, float(points["n"][0]))
-        gamma = np.stack([solutions.pop(name) for name in ("g1", "g2", "g3")], -1)
-        angles = {"theta0": solutions.pop("theta"), "phi0": solutions.pop("phi")}
-        return {**angles, "gamma": gamma, **solutions, "circle": solutions["dimension"] == 1}
+        return _in_vectors(equilibria.equilibria(points, float(points["n"][0])))
+
+    def equilibria_of_bodies(self, points: Points, pause: Callable[[], None]) -> dict[str, NDArray[Any]]:
+        """All permanent rotations of many bodies, each at its rate n; see equilibria.equilibria_of_bodies."""
+        return _in_vectors(equilibria.equilibria_of_bodies(points))
 
     def published(self) -> Sequence[PublishedEquation]:
         return published.PUBLISHED
 
     def despun_equivalent(self, points: Points) -> tuple[Points, Array]:
         return despun_about_third_axis(self, points, "l3", "lagrange")
+
+
+def _in_vectors(solutions: dict[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
+    """Solutions with the names of the start values, and gamma as a vector."""
+    gamma = np.stack([solutions.pop(name) for name in ("g1", "g2", "g3")], -1)
+    angles = {"theta0": solutions.pop("theta"), "phi0": solutions.pop("phi")}
+    return {**angles, "gamma": gamma, **solutions, "circle": solutions["dimension"] == 1}
 
 
 FIXED_POINT = FixedPoint()

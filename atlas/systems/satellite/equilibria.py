@@ -1,15 +1,17 @@
-"""All relative equilibria of one satellite-gyrostat."""
+"""All relative equilibria of a satellite-gyrostat, of one body or of many at once."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ...errors import BadInput
-from ..base import Array
+from ...flags import Completeness, Stability
+from ..base import Array, Points
+from . import homotopy
 from .initial import PARAMETERS
 from .stability import Bodies, cross_matrix, exponents
 
@@ -17,6 +19,7 @@ _STARTS = 200  # orientations from which the search begins
 _ZERO_EIGENVALUE = 1e-6  # of the Hessian, relative to its scale
 _SAME = 1e-4  # distance of rotation matrices that are taken as equal
 _MAX_SCALE = 1e60  # of units, rates and torques; products of a few of them are finite
+_BLOCK = 512  # bodies that are computed together
 _NAMES = ("A", "B", "C", "Omega", "k1", "k2", "k3", "mu1", "mu2", "mu3", "h1", "h3")
 
 
@@ -66,20 +69,131 @@ def equilibria(body: Mapping[str, float]) -> dict[str, NDArray[Any]]:
         raise BadInput("equilibria: the numbers of the body differ too much in magnitude")
     frames = _search(bodies, scale)
     index, axis, degenerate = _classify(bodies, frames, scale)
-    alpha, gamma = frames[:, 0], frames[:, 2]
     unit = float(max(point["A"], point["B"], point["C"])) * float(rate) ** 2
-    potential = bodies.potential(alpha, gamma) * unit
-    angles = dict(zip(("theta0", "psi0", "phi0"), _angles(frames), strict=True))
+    potential = bodies.potential(frames[:, 0], frames[:, 2]) * unit
     points = {name: np.full(len(frames), value) for name, value in point.items()}
-    points |= angles | {name: np.zeros(len(frames)) for name in ("n", "m", "theta_dot0")}
-    stable, growth = exponents(points)
-    result = {
-        **angles, "alpha": alpha, "gamma": gamma, "potential": potential,
-        "index": index, "circle": ~np.isnan(axis[:, 0]), "axis": axis,
-        "degenerate": degenerate, "stable": stable, "growth_rate": growth,
+    result = _described(points, frames, potential, index) | {
+        "circle": ~np.isnan(axis[:, 0]), "axis": axis, "degenerate": degenerate,
     }  # fmt: skip
+    result |= _stability(points, result)
     order = np.argsort(potential, kind="stable")
-    return {name: value[order] for name, value in result.items()}
+    return {name: result[name][order] for name in _VARIABLES}
+
+
+_VARIABLES = {
+    "theta0": np.nan, "psi0": np.nan, "phi0": np.nan, "alpha": np.nan, "gamma": np.nan, "potential": np.nan,
+    "index": np.int8(-1), "circle": False, "axis": np.nan, "degenerate": False,
+    "stable": np.int8(Stability.UNKNOWN), "growth_rate": np.nan,
+}  # fmt: skip
+"""Variables of equilibria, in their order, and what stands in the unused places of padded arrays."""
+
+
+def _described(points: Points, frames: Array, potential: Array, index: NDArray[Any]) -> dict[str, Any]:
+    """Orientation, potential and index of equilibria, each of the body in the same place of points."""
+    angles = dict(zip(("theta0", "psi0", "phi0"), _angles(frames), strict=True))
+    return {**angles, "alpha": frames[:, 0], "gamma": frames[:, 2], "potential": potential, "index": index}
+
+
+def _stability(points: Points, described: Mapping[str, Any]) -> dict[str, Any]:
+    """Linear stability of equilibria, each of the body in the same place of points."""
+    starts = {name: described[name] for name in ("theta0", "psi0", "phi0")}
+    starts |= {name: np.zeros(described["theta0"].size) for name in ("n", "m", "theta_dot0")}
+    stable, growth = exponents({**points, **starts})
+    return {"stable": stable, "growth_rate": growth}
+
+
+def equilibria_of_bodies(
+    points: Points, pause: Callable[[], None] = lambda: None, stability: bool = True
+) -> dict[str, NDArray[Any]]:
+    """All relative equilibria of many bodies, by homotopy continuation; see `homotopy`.
+
+    Bodies of which the continuation does not find all equilibria with certainty, those with circles of them and
+    those without an orbit are searched one by one, as `equilibria` does, in about 70 ms each.
+
+    Parameters
+    ----------
+    points : mapping
+        As of `equilibria`, arrays (bodies,).
+    pause : callable
+        Called at least once a second; it may raise an exception.
+    stability : bool
+        Whether to compute stable and growth_rate.
+
+    Returns
+    -------
+    dict of arrays (bodies, 24)
+        The variables of `equilibria`, those of each body in the order of the potential, with unused places at the end:
+        nan, index -1, stable 0. completeness (bodies,) int8, values of flags.Completeness.
+    """
+    count = points["A"].size
+    names = [name for name in _VARIABLES if stability or name not in ("stable", "growth_rate")]
+    result: dict[str, NDArray[Any]] = {}
+    for name in names:
+        shape = (count, homotopy.PATHS, 3) if name in ("alpha", "gamma", "axis") else (count, homotopy.PATHS)
+        result[name] = np.full(shape, _VARIABLES[name])
+    result["completeness"] = np.full(count, Completeness.COMPLETE, np.int8)
+    for first in range(0, count, _BLOCK):
+        pause()
+        block = {name: points[name][first : first + _BLOCK] for name in _NAMES}
+        part = {name: values[first : first + _BLOCK] for name, values in result.items()}
+        for i in np.flatnonzero(~_write_block(block, part, stability)):
+            pause()
+            _write_one({name: float(values[i]) for name, values in block.items()}, part, int(i))
+    return result
+
+
+def _write_block(points: Points, result: dict[str, NDArray[Any]], stability: bool) -> NDArray[np.bool_]:
+    """Write the equilibria of bodies of which the continuation finds all, and return which these are."""
+    rate = np.where(points["Omega"] == 0, 1.0, points["Omega"])
+    with np.errstate(all="ignore"):
+        bodies = Bodies(points, rate)
+        torques = bodies.radial, bodies.normal - bodies.Omega * bodies.k
+        units = np.stack([points[name] for name in ("A", "B", "C", "Omega")])
+        usable = ((units > 1 / _MAX_SCALE) & (units < _MAX_SCALE)).all(0)
+        usable &= (np.abs(np.concatenate([bodies.k, *torques], -1)) < _MAX_SCALE).all(-1)
+    alpha, gamma, real, complete = homotopy.solve(
+        *(np.where(usable, vectors.T, 0.0) for vectors in (bodies.inertia, *torques))
+    )
+    complete &= usable
+    body, path = np.nonzero(real.T & complete[:, None])
+    members = {name: values[body] for name, values in points.items()}
+    bodies = Bodies(members, rate[body])
+    a, g = alpha[:, path, body].T, gamma[:, path, body].T
+    _, hessian = bodies.gradient(a, g)
+    values = np.linalg.eigvalsh(0.5 * (hessian + np.swapaxes(hessian, 1, 2)))
+    scale = 3 + (np.abs(bodies.k) + np.abs(bodies.radial) + np.abs(bodies.normal)).sum(-1)
+    index = (values < 0).sum(1)
+    flat = (np.abs(values) < _ZERO_EIGENVALUE * scale[:, None]).any(1)
+    complete[body[flat]] = False
+    complete &= np.bincount(body, (-1.0) ** index, rate.size) == 0
+    unit = np.max([members[name] for name in "ABC"], axis=0) * rate[body] ** 2
+    potential = bodies.potential(a, g) * unit
+    order = np.lexsort((potential, body))
+    order = order[complete[body[order]]]
+    members = {name: values[order] for name, values in members.items()}
+    frames = np.stack([a, np.cross(g, a), g], 1)[order]
+    described = _described(members, frames, potential[order], index[order])
+    if stability:
+        described |= _stability(members, described)
+    row = body[order]
+    place = np.arange(row.size) - np.searchsorted(row, row)
+    for name, values in described.items():
+        result[name][row, place] = values
+    return complete
+
+
+def _write_one(body: Mapping[str, float], result: dict[str, NDArray[Any]], row: int) -> None:
+    """Write the equilibria of one body by the search of `equilibria`, and how complete they are."""
+    try:
+        solutions = equilibria(body)
+    except (BadInput, RuntimeError):
+        result["completeness"][row] = Completeness.NOT_LISTED
+        return
+    for name in result.keys() & solutions.keys():
+        result[name][row, : solutions[name].shape[0]] = solutions[name]
+    isolated = not solutions["circle"].any()
+    flag = Completeness.NEAR_BIFURCATION if isolated else Completeness.NOT_ISOLATED
+    result["completeness"][row] = flag
 
 
 def _search(bodies: Bodies, scale: float) -> Array:

@@ -16,8 +16,9 @@ from ..base import (
     despun_about_third_axis,
     shape_of,
 )
-from . import equations, equilibria, families, initial, stability, stress_cases
+from . import equations, families, initial, stability, stress_cases
 from .derived import DERIVED
+from .equilibria import equilibria, equilibria_of_bodies
 
 GEOMETRIES = {
     "none": "drifting or unresolved",
@@ -59,7 +60,8 @@ class Satellite(System):
     families = families.FAMILIES
     geometries = GEOMETRIES
     derived = DERIVED
-    equilibria = staticmethod(equilibria.equilibria)
+    equilibria = staticmethod(equilibria)
+    equilibria_of_bodies = staticmethod(equilibria_of_bodies)
     stress_cases = staticmethod(stress_cases.cases)
 
     def possible_start(self, points: Points) -> Mask:

@@ -60,18 +60,25 @@ def whole_kernels():
         yield
 
 
-@pytest.fixture
-def longer(tmp_path, scene_text, monkeypatch):
-    """Folder of a scene of about a second in 18 tiles, its empty run folder, and its result computed in memory."""
+@pytest.fixture(scope="session")
+def longer_atlas(scene_text):
+    """Text of a scene of about a second, and its result computed in memory."""
     import atlas
+
+    text = scene_text({"axes.sigma.count": 18, "axes.theta0.count": 48, "integration.tolerance": 1e-9})
+    return text, atlas.run(atlas.load_scene(text), progress=False)
+
+
+@pytest.fixture
+def longer(tmp_path, longer_atlas, monkeypatch):
+    """Folder of that scene in 18 tiles, its empty run folder, and its result computed in memory."""
     from atlas import load_scene
     from atlas.runs.folder import RunFolder
     from atlas.scene import grid
 
-    changes = {"axes.sigma.count": 18, "axes.theta0.count": 48, "integration.tolerance": 1e-9}
-    (tmp_path / "scene.toml").write_text(scene_text(changes))
+    text, whole = longer_atlas
+    (tmp_path / "scene.toml").write_text(text)
     scene = load_scene(tmp_path / "scene.toml")
-    whole = atlas.run(scene, progress=False)
     with monkeypatch.context() as patched:
         patched.setattr(grid, "MAX_POINTS_PER_TILE", 64)
         run = RunFolder.prepare(scene, tmp_path / "run", grid.check(scene), [])

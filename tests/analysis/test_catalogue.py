@@ -81,7 +81,9 @@ def test_rows_of_families_are_complete():
         catalogue.families(SATELLITE, "banana")
 
 
-def test_command_line_tables(capsys):
+def test_command_line_tables(capsys, monkeypatch):
+    monkeypatch.setattr(catalogue, "N_SAMPLES", 1)
+
     def output(*arguments):
         assert main(["conditions", *arguments]) == 0
         return capsys.readouterr().out

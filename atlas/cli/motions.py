@@ -37,7 +37,7 @@ def add_points(commands: Commands) -> None:
     from ..scene.model import DEFAULTS, Duration
 
     command = add_command(commands, "points", _points, "label points of a file, which names their parameters")
-    command.add_argument("system", metavar="SYSTEM", help="satellite or fixed_point")
+    command.add_argument("system", metavar="SYSTEM", help="satellite, fixed_point, or a system of your own")
     command.add_argument(
         "points",
         metavar="POINTS",

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..systems import jacobian
-from ..systems.base import Array, Mask, System
+from ..systems.base import Array, Mask, Points, System
 from . import blocks, observation
 from .ensemble import Ensemble
 from .tableaux import Method
@@ -29,6 +29,21 @@ TOLERATED, RAISE = 1.05, 1.25
 # Factor for a point that overflows, and how often it is tried: its steps may have been too long.
 RAISE_NOT_FINITE, MAX_NOT_FINITE = 4.0, 4
 MAX_ATTEMPTS = 60
+
+
+def before_run(system: System, points: Points, duration: Array) -> Array:
+    """Frequency bound as far as it is known without integrating, rad per time unit, (points,): to estimate costs.
+
+    duration: in time units, (points,).
+    """
+    bound = system.frequency_bound(points)
+    return np.fmax(bound, _least(duration)) if system.has_numeric_bound else bound
+
+
+def _least(duration: Array) -> Array:
+    """The least bound of runs of these durations."""
+    with np.errstate(all="ignore"):
+        return np.asarray(2 * np.pi * LEAST_TURNS / duration)
 
 
 def along_runs(
@@ -66,8 +81,7 @@ def along_runs(
     settled : ndarray of bool, shape (points,)
         Whether the frequency stayed below it at all instants.
     """
-    with np.errstate(all="ignore"):
-        bound = np.fmax(ensemble.frequency_bound, 2 * np.pi * LEAST_TURNS / duration)
+    bound = np.fmax(ensemble.frequency_bound, _least(duration))
     bound = np.where(np.isfinite(ensemble.frequency_bound), bound, np.inf)
     finite_bound, not_finite = bound.copy(), np.zeros(bound.size, np.int64)
     settled = np.zeros(bound.size, bool)

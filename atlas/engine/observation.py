@@ -16,7 +16,7 @@ from . import blocks, observe
 from .ensemble import Ensemble
 from .generated import WIDTH
 from .sampling import hermite_weights
-from .stepsize import StepSizes
+from .stepsize import INTERPOLATION_ERROR, StepSizes
 from .tableaux import Method
 
 # Suffix of a statistic in the atlas -> what it is, of an observable.
@@ -27,7 +27,9 @@ STATISTICS = {
     "max": "largest {}",
     "drift": "change of the {} over the run along the straight line fitted to it by least squares",
 }
-# Distance of two nodes in rad of the frequency bound: an observable may have overtones of the motion's frequencies.
+# Observables have overtones of the motion's frequencies: those up to this multiple of the bound are accounted for.
+OVERTONE = 3.0
+# Largest distance of two nodes in rad of the frequency bound.
 MAX_NODE_RADIANS = 0.4
 MAX_HALVINGS = 8  # of steps and of steps between nodes together: by 2^8 in all
 # Share of the range of an observable by which it may jump between two nodes.
@@ -90,6 +92,8 @@ class Measurement:
 def with_dense_nodes(step_sizes: StepSizes, bound: Array, method: Method, *, may_halve: bool) -> StepSizes:
     """The same steps with nodes at most MAX_NODE_RADIANS apart; longer steps are halved as often as needed.
 
+    Where a node comes after several steps, the error of the interpolation between nodes is within the phase error.
+
     Parameters
     ----------
     step_sizes : StepSizes
@@ -99,9 +103,11 @@ def with_dense_nodes(step_sizes: StepSizes, bound: Array, method: Method, *, may
     may_halve : bool
         Whether steps may be made shorter: not where the user has set them.
     """
+    finest = (np.maximum(step_sizes.dispersion_error, 1e-16) / INTERPOLATION_ERROR) ** (1 / 8) / OVERTONE
     for _ in range(MAX_HALVINGS):
-        far = bound * step_sizes.sample_spacing > MAX_NODE_RADIANS
-        several = far & (step_sizes.steps_per_sample > 1)
+        radians = bound * step_sizes.sample_spacing
+        far = radians > MAX_NODE_RADIANS
+        several = (radians > np.minimum(finest, MAX_NODE_RADIANS)) & (step_sizes.steps_per_sample > 1)
         per_node = np.where(several, step_sizes.steps_per_sample // 2, step_sizes.steps_per_sample)
         halved, halve = step_sizes.halved(method), far & ~several & may_halve & step_sizes.resolved
         step_sizes = replace(
@@ -113,6 +119,12 @@ def with_dense_nodes(step_sizes: StepSizes, bound: Array, method: Method, *, may
         )
         step_sizes = replace(step_sizes, steps_per_sample=per_node)
     return step_sizes
+
+
+def interpolation_error(step_sizes: StepSizes, bound: Array) -> Array:
+    """Relative error of statistics by the distance of the nodes, to expect of an overtone of the bound, (points,)."""
+    with np.errstate(over="ignore"):
+        return np.asarray(INTERPOLATION_ERROR * (OVERTONE * bound * step_sizes.sample_spacing) ** 8)
 
 
 def measure(

@@ -8,6 +8,7 @@ from types import ModuleType
 
 import numpy as np
 
+from ..engine import numeric_bound
 from ..engine.chaos import METHOD, RELATIVE_COST, TangentSteps, indicators
 from ..engine.ensemble import Ensemble, Integration
 from ..engine.specialization import (
@@ -136,7 +137,7 @@ def evaluate(
             system, base, points, duration, settings, specialization=specialization, outputs=outputs, halved=halved,
             threads=threads, progress=progress,
         )  # fmt: skip
-    runs = _prepare(system, base, points, duration, settings, specialization, nudged, halved)
+    runs = _prepare(system, base, points, duration, settings, specialization, nudged, halved, threads)
     if outputs is not None and CHAOS & set(outputs):
         runs = _with_tangent_steps(runs, points)
     execution = _Execution(threads, progress or (lambda points: None))
@@ -214,9 +215,16 @@ def _prepare(
     specialization: Specialization,
     nudged: bool,
     halved: bool,
+    threads: int | None,
 ) -> _Runs:
     """The ensemble, its step sizes and its theory. Parameters may overflow: such points end up unresolved."""
     ensemble = Ensemble.of(system, points)
+    if system.has_numeric_bound:
+        bound, settled = numeric_bound.along_runs(
+            system, kernel(system, settings.method, specialization), METHODS[settings.method], ensemble, duration,
+            settings.max_steps, threads=threads,
+        )  # fmt: skip
+        ensemble = replace(ensemble, frequency_bound=np.where(settled, bound, np.inf))
     with np.errstate(all="ignore"):
         step_sizes = StepSizes.of(settings, ensemble.frequency_bound, duration)
         if halved:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from ..engine import numeric_bound
 from ..engine.chaos import METHOD, RELATIVE_COST, TangentSteps
 from ..engine.tableaux import METHODS
 from ..flags import Label, Regularity
@@ -65,7 +66,8 @@ def warnings(scene: Scene, sample: Grid) -> list[str]:
     if not is_wanted(scene) or not sample.exists.any():
         return []
     points = {name: values[sample.exists] for name, values in sample.points.items()}
-    share = sample.duration[sample.exists] / min_duration(scene, points)
+    duration = sample.duration[sample.exists]
+    share = duration / min_duration(scene, points, duration)
     if not (share < 1 - 1e-9).any():
         return []
     return [
@@ -75,10 +77,10 @@ def warnings(scene: Scene, sample: Grid) -> list[str]:
     ]
 
 
-def min_duration(scene: Scene, points: dict[str, Array]) -> Array:
-    """Duration in time units below which much chaos is missed, (points,)."""
+def min_duration(scene: Scene, points: dict[str, Array], duration: Array) -> Array:
+    """Duration in time units below which much chaos is missed, (points,). duration: that of the runs, (points,)."""
     with np.errstate(all="ignore"):
-        periods = MIN_PERIODS * 2 * np.pi / scene.system.frequency_bound(points)
+        periods = MIN_PERIODS * 2 * np.pi / numeric_bound.before_run(scene.system, points, duration)
         if scene.system.frame_rate is None:
             return np.asarray(periods)
         rate = np.abs(scene.system.frame_rate(points))
@@ -90,7 +92,7 @@ def equivalent_steps(scene: Scene, sample: Grid) -> Array:
     if not is_wanted(scene):
         return np.zeros(sample.duration.shape)
     with np.errstate(all="ignore"):
-        bound = scene.system.frequency_bound(sample.points)
+        bound = numeric_bound.before_run(scene.system, sample.points, sample.duration)
         sizes = TangentSteps.of(bound, sample.duration, scene.settings.step, scene.settings.max_steps)
     cost = RELATIVE_COST * METHOD.step_cost / METHODS[scene.settings.method].step_cost
     return np.where(sizes.resolved, cost * sizes.steps, 0.0)

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ..engine import stepsize
+from ..engine import numeric_bound, stepsize
 from ..label import regularity
 from ..scene import grid
 from ..scene.model import MAX_STEPS, Scene
@@ -75,7 +75,7 @@ class Tiling:
 def step_sizes(scene: Scene, sample: grid.Grid) -> stepsize.StepSizes:
     """Step sizes of some points of the scene, and the errors to expect of them."""
     with np.errstate(all="ignore"):
-        bound = scene.system.frequency_bound(sample.points)
+        bound = numeric_bound.before_run(scene.system, sample.points, sample.duration)
         return stepsize.StepSizes.of(scene.settings, bound, sample.duration)
 
 

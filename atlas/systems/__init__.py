@@ -9,7 +9,7 @@ from ..errors import BadInput, allowed_text, shown
 from ..files import one_line
 from . import arithmetic, plugins
 from .base import Observable, Parameter, System
-from .check import check, check_start
+from .check import check, check_complete, check_start
 from .fixed_point import FIXED_POINT
 from .satellite import SATELLITE
 
@@ -61,6 +61,7 @@ def _register(system: Any, package: str, name: str = "") -> System:
     key = f"system = {shown(name)} of {package}" if package else f"register({_name_of(system)})"
     try:
         if isinstance(system, type) and issubclass(system, System):
+            check_complete(system)
             system = system()
         new = not hasattr(getattr(system, "equations", None), "SOURCES")  # else it was registered before
         if new:

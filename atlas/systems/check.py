@@ -29,9 +29,7 @@ def check(system: object) -> None:
     """
     if not isinstance(system, System):
         raise BadInput(f"found {shown(system)}: not an object of a subclass of atlas.systems.System")
-    for name in ("name", "title", "equations", "parameters"):
-        if not hasattr(system, name):
-            raise BadInput(f"{type(system).__name__}.{name} is missing")
+    check_complete(type(system), system)
     if not isinstance(system.name, str) or not NAME.fullmatch(system.name):
         raise BadInput(f"name = {shown(system.name)}: allowed: at most 60 ASCII letters, digits, _ and -")
     if not isinstance(system.title, str) or not system.title:
@@ -45,6 +43,13 @@ def check(system: object) -> None:
                 raise BadInput(
                     f"equations: the constant {name} is no parameter, and the system has no method constants"
                 )
+
+
+def check_complete(kind: type[System], system: System | None = None) -> None:
+    """Raise BadInput for the first member that a class, or an object of it, leaves out."""
+    for name in ("name", "title", "equations", "parameters", "initial_state"):
+        if not hasattr(system or kind, name) or name in kind.__abstractmethods__:
+            raise BadInput(f"{kind.__name__}.{name} is missing")
 
 
 def check_start(system: System) -> None:

@@ -1,0 +1,63 @@
+"""Installed packages with systems, as far as Python sees them: a module and its metadata in a folder of sys.path."""
+
+PENDULUM = '''
+"""A pendulum with a cubic spring: a system that no line of the package is about."""
+
+import numpy as np
+from numpy import cos, sin
+
+from atlas.systems import Observable, Parameter, System
+
+
+class Pendulum(System):
+    """x'' = -omega^2 sin x - cubic x^3."""
+
+    name = "pendulum"
+    title = "pendulum with a spring"
+
+    class equations:
+        STATE = ("x", "v")
+        CONSTANTS = ("omega", "cubic")
+        INTEGRALS = ("energy",)
+
+        def rhs(state, constants):
+            x, v = state
+            omega, cubic = constants
+            return v, -(omega**2) * sin(x) - cubic * x * x * x
+
+        def energy(state, constants):
+            x, v = state
+            omega, cubic = constants
+            return 0.5 * v * v, omega**2 * (1 - cos(x)), 0.25 * cubic * x**4
+
+        def height(state, constants):
+            x, v = state
+            return 1 - cos(x)
+
+    parameters = {
+        parameter.name: parameter
+        for parameter in (
+            Parameter("omega", "rad s-1", "frequency of small oscillations", 1.0, 0.0),
+            Parameter("cubic", "s-2", "cubic spring", 0.0, 0.0),
+            Parameter("x0", "rad", "angle at the start", 0.5, start=True),
+            Parameter("v0", "rad s-1", "rate at the start", start=True),
+        )
+    }
+    observables = (
+        Observable("x", "rad", "angle", symbol="$x$"),
+        Observable("height", "1", "height of the bob", tolerance=0.01),
+    )
+
+    def initial_state(self, points):
+        return np.array([points["x0"], points["v0"]])
+'''
+
+
+def install(folder, module, text, names, package="some-systems", version="1.2"):
+    """Write a module and the metadata of its package into a folder; names: entry point -> object."""
+    (folder / f"{module}.py").write_text(text)
+    info = folder / f"{package.replace('-', '_')}-{version}.dist-info"
+    info.mkdir(exist_ok=True)
+    (info / "METADATA").write_text(f"Metadata-Version: 2.1\nName: {package}\nVersion: {version}\n")
+    lines = [f"{name} = {value}" for name, value in names.items()]
+    (info / "entry_points.txt").write_text("\n".join(["[atlas.systems]", *lines, ""]))

@@ -1,0 +1,343 @@
+"""Systems with observables: statistics, labels and chaos against closed forms and scipy, and their atlases."""
+
+import numpy as np
+import pytest
+import xarray as xr
+from plugins import PENDULUM
+from scipy.integrate import simpson, solve_ivp
+
+import atlas
+from atlas import systems
+from atlas.engine import assemble, numeric_bound, observation, observe
+from atlas.engine.ensemble import Ensemble
+from atlas.engine.specialization import kernel
+from atlas.engine.stepsize import StepSizes
+from atlas.engine.tableaux import METHODS
+from atlas.flags import Regularity, Status, Steadiness
+from atlas.label import observed
+from atlas.scene.model import Settings
+from atlas.systems import jacobian
+from atlas.variables import variables
+
+METHOD = "rk8"
+SCENE = """
+schema = 1
+title = "A pendulum"
+system = "pendulum"
+
+[axes.omega]
+from = 0.5
+to = 2.0
+count = 12
+
+[axes.x0]
+from = 0.0
+to = 2.5
+count = 9
+
+[integration]
+duration = 20.0
+tolerance = 1e-6
+method = "rk8"
+
+[labels.std_tolerance]
+x = 0.5
+"""
+
+
+@pytest.fixture(scope="module")
+def pendulum(tmp_path_factory):
+    """The system, registered from a module file that is imported as the plug-in of a package would be."""
+    folder = tmp_path_factory.mktemp("module")
+    (folder / "observed_pendulum.py").write_text(PENDULUM)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.syspath_prepend(folder)
+        patch.setattr(systems, "SYSTEMS", dict(systems.SYSTEMS))
+        import observed_pendulum
+
+        yield atlas.register(observed_pendulum.Pendulum)
+
+
+def random_points(count):
+    rng = np.random.default_rng(3)
+    return {
+        "omega": rng.uniform(0.3, 3.0, count),
+        "cubic": rng.uniform(0.0, 2.0, count),
+        "x0": rng.uniform(-2.5, 2.5, count),
+        "v0": rng.uniform(-1.0, 1.0, count),
+    }
+
+
+def exact_motion(points, i, times):
+    omega, cubic = points["omega"][i], points["cubic"][i]
+    start = points["x0"][i], points["v0"][i]
+    return solve_ivp(
+        lambda _, y: (y[1], -(omega**2) * np.sin(y[0]) - cubic * y[0] ** 3),
+        (0, times[-1]), start, "DOP853", times, rtol=1e-12, atol=1e-12,
+    ).y  # fmt: skip
+
+
+def test_statistics_agree_with_dop853(pendulum):
+    points, duration = random_points(6), 25.0
+    ds = atlas.label_points("pendulum", points, duration=duration, method=METHOD)
+    assert (ds["status"] == Status.OK).all()
+    times = np.linspace(0.0, duration, 100_001)
+    u = times / duration - 0.5
+    for i in range(6):
+        x, _ = exact_motion(points, i, times)
+        for name, values in {"x": x, "height": 1 - np.cos(x)}.items():
+            mean = simpson(values, x=times) / duration
+            expected = {
+                "mean": mean,
+                "std": np.sqrt(simpson((values - mean) ** 2, x=times) / duration),
+                "min": values.min(),
+                "max": values.max(),
+                "drift": 12 * simpson(u * values, x=times) / duration,
+            }
+            size = np.abs(values).max()
+            for suffix, value in expected.items():
+                assert float(ds[f"{name}_{suffix}"][i]) == pytest.approx(value, abs=3e-6 * size), (
+                    name,
+                    suffix,
+                )
+    assert float(ds["integral_drift"].max()) < 1e-8
+
+
+def test_drift_of_a_free_motion(pendulum):
+    """x = x0 + v0 t: a drift of v0 T, and the standard deviation of a uniform distribution."""
+    points = {"omega": 0.0, "x0": 1.0, "v0": np.array([0.1, -2.0])}
+    ds = atlas.label_points("pendulum", points, duration=30.0, method=METHOD)
+    np.testing.assert_allclose(ds["x_drift"], 30.0 * points["v0"], rtol=1e-11)
+    np.testing.assert_allclose(ds["x_std"], 30.0 * np.abs(points["v0"]) / np.sqrt(12), rtol=1e-11)
+    np.testing.assert_allclose(ds["x_mean"], 1.0 + 15.0 * points["v0"], rtol=1e-11)
+
+
+@pytest.mark.parametrize("intervals", [3, 4, 5, 7, 12])
+def test_the_rule_is_exact_for_polynomials_of_degree_7(intervals):
+    values, slopes = observation.end_weights()
+    weights, slope_weights = np.ones(intervals + 1), np.zeros(intervals + 1)
+    for j in range(4):
+        weights[j] += values[j]
+        weights[intervals - j] += values[j]
+        slope_weights[j] += slopes[j]
+        slope_weights[intervals - j] -= slopes[j]
+    t = np.arange(intervals + 1.0)
+    errors = [
+        weights @ t**k + slope_weights @ (k * t ** max(k - 1, 0)) - intervals ** (k + 1) / (k + 1)
+        for k in range(9)
+    ]
+    relative = np.abs(errors) / [intervals ** (k + 1) / (k + 1) for k in range(9)]
+    assert relative[:8].max() < 1e-13
+    assert relative[8] > 1e-11
+
+
+def test_turning_points_of_cubics_and_the_interpolation_between_nodes(pendulum):
+    rng = np.random.default_rng(1)
+    for _ in range(50):
+        cubic = np.polynomial.Polynomial(rng.normal(size=4))
+        f0, f1, s0, s1 = cubic(0.0), cubic(1.0), cubic.deriv()(0.0), cubic.deriv()(1.0)
+        if s0 * s1 < 0:
+            x = observe.turning_point(f0, f1, s0, s1)
+            assert 0 <= x <= 1
+            assert abs(cubic.deriv()(x)) < 1e-9 * (abs(s0) + abs(s1) + abs(f0 - f1))
+    plain = assemble.plain_module(pendulum.equations, METHOD, of=observe)
+    polynomial = np.polynomial.Polynomial(rng.normal(size=8))
+    nodes, spacing, last = np.zeros((4, 4, 1)), 0.7, 6
+    for node in range(last - 3, last + 1):
+        nodes[node & 3, 1::2, 0] = polynomial(node - 3.0), polynomial.deriv()(node - 3.0) / spacing
+    for x in (0.0, 0.4, 1.7, 3.0):
+        value = plain.interpolated(nodes, last, 1, 0, spacing, x)
+        assert value == pytest.approx(polynomial(x), rel=1e-10)
+
+
+def test_the_interpreter_and_the_compiler_agree(pendulum):
+    points = {name: values[:3] for name, values in random_points(3).items()}
+    ensemble = Ensemble.of(pendulum, points)
+    sizes = StepSizes.of(Settings(method=METHOD, tolerance=1e-4), np.full(3, 3.0), np.full(3, 8.0))
+    plain = assemble.plain_module(pendulum.equations, METHOD, of=observe)
+    interpreted = observation.measure(plain, ensemble, sizes).statistics(pendulum)
+    compiled = observation.measure(kernel(pendulum, METHOD), ensemble, sizes).statistics(pendulum)
+    for name, values in compiled.items():
+        np.testing.assert_allclose(values, interpreted[name], rtol=1e-11, atol=1e-12)
+
+
+def test_labels_follow_the_tolerances(pendulum):
+    scene = atlas.load_scene(SCENE)
+    ds = atlas.run(scene, progress=False)
+    varies = (ds["x_std"] > 0.5) | (ds["height_std"] > 0.01)
+    expected = np.where(varies, Steadiness.DRIFTING, Steadiness.STEADY)
+    np.testing.assert_array_equal(ds["label"], expected)
+    assert set(np.unique(ds["label"])) == {Steadiness.DRIFTING, Steadiness.STEADY}
+    assert ds["label"].attrs["flag_meanings"].split() == list(Steadiness.meanings())
+    looser = atlas.run(atlas.load_scene(SCENE + "height = 10.0\n"), progress=False)
+    np.testing.assert_array_equal(looser["label"] == Steadiness.DRIFTING, looser["x_std"] > 0.5)
+    assert atlas.load_scene(scene.toml()).settings.std_tolerance == {"x": 0.5}
+
+
+def test_points_near_a_tolerance_are_integrated_again(pendulum):
+    points = random_points(40)
+    loose = {"duration": 20.0, "method": METHOD, "tolerance": 0.5}
+    ds = atlas.label_points("pendulum", points, **loose)
+    limit = float(ds["x_std"][0])
+    at_limit = atlas.label_points("pendulum", points, std_tolerance={"x": limit, "height": 10.0}, **loose)
+    assert at_limit["status"][0] == Status.STEP_SENSITIVE
+    assert at_limit["label"][0] == Steadiness.UNRESOLVED
+    assert (at_limit["status"][1:] == Status.OK).sum() > 30
+
+
+def test_error_estimates_cover_the_errors(pendulum):
+    points = random_points(200)
+    settings = {"duration": 20.0, "method": METHOD}
+    exact = atlas.label_points("pendulum", points, tolerance=1e-13, **settings)
+    for check in ("none", "all"):
+        ds = atlas.label_points("pendulum", points, tolerance=1e-4, check_half_step=check, **settings)
+        error = np.zeros(200)
+        for name in ("x", "height"):
+            size = np.maximum(np.abs(exact[f"{name}_min"]), np.abs(exact[f"{name}_max"]))
+            for suffix in observation.STATISTICS:
+                error = np.fmax(error, np.abs(ds[f"{name}_{suffix}"] - exact[f"{name}_{suffix}"]) / size)
+        assert (error <= ds["error_estimate"]).mean() > 0.95
+        assert (error <= 10 * ds["error_estimate"]).all()
+
+
+def test_variables_of_the_registry_and_of_the_trajectory(pendulum):
+    assert list(variables(pendulum)) == [
+        "label", "status", "x_mean", "x_std", "x_min", "x_max", "x_drift", "height_mean", "height_std", "height_min",
+        "height_max", "height_drift", "integral_drift", "step", "step_ratio", "error_estimate", "end_time", "regularity",
+        "megno", "lyapunov",
+    ]  # fmt: skip
+    tr = atlas.trajectory("pendulum", {"x0": 1.2}, duration=10.0, samples=101, method=METHOD)
+    points = {"omega": [1.0], "cubic": [0.0], "x0": [1.2], "v0": [0.0]}
+    exact = exact_motion(points, 0, tr["time"].values)
+    np.testing.assert_allclose(tr["x"], exact[0], atol=1e-7)
+    np.testing.assert_allclose(tr["height"], 1 - np.cos(exact[0]), atol=1e-7)
+    assert tr["x"].attrs == {"long_name": "angle", "units": "rad"}
+    assert float(tr["integral_drift"].max()) < 1e-8
+
+
+def test_regular_motions_of_a_pendulum_are_not_chaotic(pendulum):
+    points = {"omega": 1.0, "x0": np.array([1.5, 2.0, 3.0])}
+    names = ["label", "status", "megno", "lyapunov", "regularity"]
+    ds = atlas.label_points("pendulum", points, duration=400.0, method=METHOD, variables=names)
+    np.testing.assert_allclose(ds["megno"], 2.0, atol=0.3)
+    assert (ds["regularity"] == Regularity.REGULAR).all()
+
+
+def test_run_folders_tiles_threads_and_refinement(pendulum, tmp_path, monkeypatch):
+    from atlas.runs import tiling
+
+    whole = atlas.run(atlas.load_scene(SCENE), progress=False, threads=1)
+    monkeypatch.setattr(tiling, "TILE_POINT_STEPS", 20 * 200)
+    monkeypatch.setattr(tiling, "MIN_POINTS_PER_TILE", 20)
+    folder = atlas.run(atlas.load_scene(SCENE), f"{tmp_path}/night/", progress=False)
+    xr.testing.assert_equal(folder.load().drop_attrs(), whole.drop_attrs())
+    refined = atlas.run(atlas.load_scene(SCENE + "[refine]\nlevels = 1\n"), progress=False)
+    coarse = refined.isel(omega=slice(None, None, 2), x0=slice(None, None, 2))
+    np.testing.assert_array_equal(coarse["label"], whole["label"])
+    assert 0 < float((refined["computed"] == 1).mean()) < 1
+
+
+def test_figures(pendulum, tmp_path):
+    ds = atlas.run(atlas.load_scene(SCENE), progress=False)
+    ds.atlas.map().savefig(tmp_path / "label.png")
+    ds.atlas.map("height_std").savefig(tmp_path / "height.png")
+    from atlas.plotting.trajectory import trajectory_figure
+
+    figure = trajectory_figure(ds.atlas.trajectory(omega=1.0, x0=1.0))
+    assert [ax.get_ylabel() for ax in figure.axes] == ["$x$ (rad)", "height"]
+    assert float(ds.atlas.fractions().sum()) == pytest.approx(1.0)
+    assert ds.atlas.select(label="steady").sizes["point"] > 0
+
+
+# The numeric bound.
+
+
+def test_the_frequency_of_the_jacobian_is_its_spectral_radius_for_states_of_any_units(pendulum):
+    points = random_points(50)
+    state, constants = pendulum.initial_state(points), pendulum.constants(points)
+    matrices = jacobian.jacobian(pendulum.equations, state, constants)
+    slope = -(points["omega"] ** 2) * np.cos(points["x0"]) - 3 * points["cubic"] * points["x0"] ** 2
+    np.testing.assert_allclose(matrices[:, 0, 1], 1.0)
+    np.testing.assert_allclose(matrices[:, 1, 0], slope, rtol=1e-14)
+    radius = np.abs(np.linalg.eigvals(matrices)).max(axis=1)
+    bound = pendulum.frequency_bound(points)
+    assert (bound >= radius * (1 - 1e-12)).all()
+    assert (bound <= 1.15 * radius).all()
+
+
+def bound_along(system, points, duration, **more):
+    ensemble, size = Ensemble.of(system, points), len(points["x0"])
+    return numeric_bound.along_runs(
+        system, kernel(system, METHOD), METHODS[METHOD], ensemble, np.full(size, duration), 10**8, **more
+    )
+
+
+def test_the_bound_grows_along_motions_that_begin_slowly(pendulum):
+    """x'' = -c x^3 from x = 0: the Jacobian vanishes at the start; the frequency is largest where x is."""
+    v0 = np.array([0.5, 2.0, 30.0])
+    points = {"omega": np.zeros(3), "cubic": np.ones(3), "x0": np.zeros(3), "v0": v0}
+    assert (pendulum.frequency_bound(points) < 1e-20).all()
+    bound, settled = bound_along(pendulum, points, 50.0)
+    fastest = np.sqrt(3 * np.sqrt(2) * v0)  # x^4 = 2 v0^2 there
+    assert settled.all()
+    assert (bound > 0.6 * fastest).all()
+    assert (bound < 1.6 * fastest).all()
+    ds = atlas.label_points("pendulum", points, duration=50.0, method=METHOD)
+    assert (ds["status"] == Status.OK).all()
+    np.testing.assert_allclose(ds["x_max"], (2 * v0**2) ** 0.25, rtol=1e-5)
+
+
+def test_the_bound_of_a_point_depends_on_it_alone(pendulum):
+    points = random_points(70) | {"v0": np.linspace(0, 20, 70)}
+    bound, _ = bound_along(pendulum, points, 30.0, threads=2)
+    for i in (0, 33, 69):
+        alone = {name: values[i : i + 1] for name, values in points.items()}
+        assert bound_along(pendulum, alone, 30.0, threads=1)[0] == bound[i]
+
+
+def test_motions_that_end_are_not_resolved(pendulum, monkeypatch):
+    """With a negative spring the motion reaches infinity in a finite time."""
+    points = {"omega": np.zeros(2), "cubic": np.array([-1.0, 1.0]), "x0": np.ones(2), "v0": np.zeros(2)}
+    base = dict(points)
+    columns = observed.evaluate(
+        pendulum, base, points, np.full(2, 30.0), Settings(method=METHOD),
+        specialization=atlas.engine.specialization.GENERIC, outputs=None, halved=False, threads=1, progress=None,
+    )  # fmt: skip
+    assert columns["status"][0] in (Status.NOT_FINITE, Status.UNDER_RESOLVED)
+    assert columns["label"][0] == Steadiness.UNRESOLVED
+    assert columns["status"][1] == Status.OK
+
+
+def test_a_start_that_is_not_finite(pendulum, monkeypatch):
+    original = type(pendulum).initial_state
+
+    def start(self, points):
+        return np.where(points["omega"] > 2.0, np.inf, original(self, points))
+
+    monkeypatch.setattr(type(pendulum), "initial_state", start)
+    ds = atlas.label_points("pendulum", {"omega": np.array([1.0, 3.0])}, duration=5.0, method=METHOD)
+    assert list(ds["status"]) == [Status.OK, Status.NOT_COMPUTED]
+    with pytest.raises(atlas.BadInput, match="the initial state must be finite"):
+        atlas.label_points("pendulum", {"omega": np.array([3.0, 4.0])}, duration=5.0)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ('[labels.std_tolerance]\nX = 0.5', "labels.std_tolerance.X: not an observable of the pendulum; did you mean 'x'?"),
+        ("[labels.std_tolerance]\nx = -1", "labels.std_tolerance.x = -1: must be a finite number above 0"),
+        ("[labels]\nstd_tolerance = 3", "labels.std_tolerance = 3: must be a table"),
+    ],
+)  # fmt: skip
+def test_tolerances_of_a_scene_are_checked(pendulum, change, message):
+    text = SCENE.partition("[labels.std")[0] + change + "\n"
+    with pytest.raises(atlas.BadInput) as caught:
+        atlas.load_scene(text)
+    assert message in str(caught.value)
+    with pytest.raises(atlas.BadInput, match="nothing turns in the pendulum"):
+        atlas.load_scene(SCENE.replace("duration = 20.0", 'duration = "20 turns"'))
+
+
+def test_bodies_in_a_frame_have_no_such_tolerances():
+    with pytest.raises(atlas.BadInput, match="not an observable of the satellite"):
+        atlas.label_points("satellite", {"A": 1.0}, std_tolerance={"x": 1.0})

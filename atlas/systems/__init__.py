@@ -11,6 +11,7 @@ from . import arithmetic, plugins
 from .base import Observable, Parameter, System
 from .check import check, check_complete, check_start
 from .fixed_point import FIXED_POINT
+from .lagrangian import from_lagrangian
 from .satellite import SATELLITE
 
 __all__ = [
@@ -20,6 +21,7 @@ __all__ = [
     "Parameter",
     "System",
     "available",
+    "from_lagrangian",
     "get",
     "names",
     "origin",

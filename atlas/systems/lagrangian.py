@@ -1,0 +1,482 @@
+"""The module of equations of a mechanical system, written from its Lagrangian.
+
+With coordinates q, velocities v = q', the Lagrangian L(q, v), generalised forces Q and the dissipation function R the
+equations of motion are
+
+    M v' = f,    M_ij = d2L/dv_i dv_j,    f_i = dL/dq_i - sum_j v_j d2L/dv_i dq_j + Q_i - dR/dv_i.
+
+They are solved for v' symbolically, separately for velocities that M does not couple: by division, by the inverse of a
+matrix of two rows, and by the factors M = K D K^T of larger ones, with K lower triangular and D diagonal. The last need
+a mass matrix that is positive definite, as those of mechanics are.
+"""
+
+from __future__ import annotations
+
+import keyword
+import re
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ..errors import BadInput, shown
+from ..files import atomic_write
+from .arithmetic import FUNCTIONS, TIME_UNIT
+from .sympy_text import Block, lines_of, require_arithmetic, text
+
+# Any expression or symbol of sympy, which is imported only when it is used.
+Expression = Any
+# Names that have a meaning in the modules of equations or in the kernels that contain their functions.
+RESERVED = frozenset({"state", "constants", "rhs", "energy", TIME_UNIT, *FUNCTIONS})
+# The determinant of a mass matrix, its rows divided by their norms, below which it is singular.
+SINGULAR = 1e-9
+# Longer expressions are simplified in fast ways only.
+MAX_OPERATIONS = 70
+
+
+def from_lagrangian(
+    lagrangian: Expression,
+    coordinates: Sequence[Expression],
+    velocities: Sequence[Expression],
+    parameters: Sequence[Expression],
+    *,
+    forces: Mapping[Expression, Expression] | None = None,
+    dissipation: Expression = 0,
+    omit: Sequence[Expression] = (),
+    functions: Mapping[str, Expression | Sequence[Expression]] | None = None,
+    title: str = "Equations of motion",
+    path: str | Path | None = None,
+) -> str:
+    """Write the module of equations of a system from its Lagrangian.
+
+    All expressions are SymPy's (``pip install 'precession-atlas[lagrangian]'``) and consist of plain symbols, numbers,
+    arithmetic and the functions of `arithmetic.FUNCTIONS`. The same arguments give the same text.
+
+    Parameters
+    ----------
+    lagrangian : sympy.Expr
+        Kinetic minus potential energy, a function of coordinates, velocities and parameters, not of the time.
+    coordinates, velocities : sequence of sympy.Symbol
+        Generalised coordinates and their time derivatives, in the same order. The state consists of the coordinates,
+        then the velocities.
+    parameters : sequence of sympy.Symbol
+        Constants of the equations.
+    forces : mapping of sympy.Symbol to sympy.Expr, optional
+        Generalised forces that the Lagrangian does not contain, by coordinate.
+    dissipation : sympy.Expr, optional
+        Rayleigh's function: its derivatives by the velocities are subtracted from the forces.
+    omit : sequence of sympy.Symbol, optional
+        Cyclic coordinates that the state shall not contain; their velocities stay.
+    functions : mapping of str to sympy.Expr or sequence of sympy.Expr, optional
+        More functions of state and constants by name, such as observables or ``frame_motion``.
+    title : str, optional
+        First line of the module's docstring, without a full stop.
+    path : str or Path, optional
+        File to be written, or written anew.
+
+    Returns
+    -------
+    str
+        Source of a module with ``STATE``, ``CONSTANTS``, ``INTEGRALS`` and the functions ``rhs``, the first integrals
+        and those given. First integrals are ``energy``, unless a force does work, and ``momentum_NAME`` for every
+        coordinate on which nothing depends.
+
+    Raises
+    ------
+    BadInput
+        If SymPy is not installed; if a symbol is neither coordinate, velocity nor parameter; if an expression is not
+        arithmetic; if the mass matrix is singular; if a coordinate to be omitted is not cyclic.
+
+    References
+    ----------
+    H. Goldstein, C. Poole, J. Safko, Classical Mechanics, 3rd ed., sections 1.5, 2.6 and 2.7.
+    """
+    try:
+        import sympy  # noqa: F401
+    except ImportError:
+        raise BadInput(
+            "from_lagrangian: needs SymPy, which is not installed: pip install 'precession-atlas[lagrangian]'"
+        ) from None
+    mechanics = _Mechanics.of(
+        lagrangian, coordinates, velocities, parameters, forces or {}, dissipation, omit, functions or {}
+    )
+    source = _module(mechanics, title)
+    if path is not None:
+        with atomic_write(Path(path)) as temporary:
+            temporary.write_text(source, encoding="utf-8")
+    return source
+
+
+@dataclass(frozen=True)
+class _Mechanics:
+    """Checked arguments of `from_lagrangian`, as expressions of sympy."""
+
+    lagrangian: Expression
+    coordinates: tuple[Expression, ...]
+    velocities: tuple[Expression, ...]
+    parameters: tuple[Expression, ...]
+    forces: tuple[Expression, ...]  # of each coordinate
+    dissipation: Expression
+    omit: tuple[Expression, ...]
+    functions: Mapping[str, tuple[Expression, ...] | Expression] = field(default_factory=dict)
+
+    @classmethod
+    def of(
+        cls,
+        lagrangian: Expression,
+        coordinates: Sequence[Expression],
+        velocities: Sequence[Expression],
+        parameters: Sequence[Expression],
+        forces: Mapping[Expression, Expression],
+        dissipation: Expression,
+        omit: Sequence[Expression],
+        functions: Mapping[str, Expression | Sequence[Expression]],
+    ) -> _Mechanics:
+        """The arguments after all checks but that of the mass matrix."""
+        import sympy
+
+        q, v, p = _symbols(coordinates=coordinates, velocities=velocities, parameters=parameters)
+        if len(q) != len(v) or not q:
+            raise BadInput(
+                f"from_lagrangian: {len(q)} coordinates and {len(v)} velocities: each coordinate needs one velocity"
+            )
+        for name, keys in (("forces", forces), ("omit", omit)):
+            for coordinate in keys:
+                if coordinate not in q:
+                    raise BadInput(
+                        f"from_lagrangian: {name}: {shown(coordinate)} is not one of the coordinates"
+                    )
+        allowed = {*q, *v, *p}
+        scalar = {"lagrangian": lagrangian, "dissipation": dissipation}
+        scalar |= {f"forces[{coordinate}]": force for coordinate, force in forces.items()}
+        given = {name: _checked(name, value, allowed) for name, value in scalar.items()}
+        own = {name: _function(name, value, allowed) for name, value in functions.items()}
+        result = cls(
+            given["lagrangian"], q, v, p, tuple(given.get(f"forces[{c}]", sympy.Integer(0)) for c in q),
+            given["dissipation"], tuple(omit), own,
+        )  # fmt: skip
+        result._check_names()
+        result._check_omitted()
+        return result
+
+    def _check_names(self) -> None:
+        """Raise BadInput unless the names of functions and symbols differ and can stand in a module."""
+        names = [symbol.name for symbol in (*self.coordinates, *self.velocities, *self.parameters)]
+        names += [*self.functions, *(f"momentum_{c.name}" for c in self.coordinates)]
+        for name in names:
+            if not name.isidentifier() or keyword.iskeyword(name) or name in RESERVED:
+                raise BadInput(f"from_lagrangian: {shown(name)} cannot be a name of the equations")
+            if names.count(name) > 1:
+                raise BadInput(f"from_lagrangian: the name {name} is given twice")
+
+    def _check_omitted(self) -> None:
+        """Raise BadInput unless nothing depends on the coordinates that the state shall not contain."""
+        for i, coordinate in enumerate(self.coordinates):
+            if coordinate in self.omit and not self.is_cyclic(i):
+                raise BadInput(
+                    f"from_lagrangian: omit: {coordinate} is not cyclic: the Lagrangian or a force depends on it"
+                )
+            for name, value in self.functions.items():
+                if coordinate in self.omit and any(coordinate in e.free_symbols for e in _several(value)):
+                    raise BadInput(f"from_lagrangian: omit: the function {name} depends on {coordinate}")
+
+    @property
+    def state(self) -> tuple[Expression, ...]:
+        """The coordinates that are not omitted, then the velocities."""
+        return (*(c for c in self.coordinates if c not in self.omit), *self.velocities)
+
+    def is_cyclic(self, i: int) -> bool:
+        """Whether neither the Lagrangian nor a force depends on a coordinate."""
+        given = (self.lagrangian, self.dissipation, *self.forces)
+        return all(self.coordinates[i] not in expression.free_symbols for expression in given)
+
+    def total_forces(self) -> list[Expression]:
+        """Generalised forces with those of the dissipation."""
+        pairs = zip(self.forces, self.velocities, strict=True)
+        return [force - self.dissipation.diff(velocity) for force, velocity in pairs]
+
+    def mass_matrix(self) -> list[list[Expression]]:
+        """M, the second derivatives of the Lagrangian by the velocities; BadInput if it is singular."""
+        momenta = [self.lagrangian.diff(velocity) for velocity in self.velocities]
+        for velocity, momentum in zip(self.velocities, momenta, strict=True):
+            if momentum == 0:
+                raise BadInput(f"from_lagrangian: the velocity {velocity} does not occur in the Lagrangian")
+        n = len(momenta)
+        half = [[_simplest(momenta[i].diff(self.velocities[j])) for j in range(i + 1)] for i in range(n)]
+        matrix = [[half[max(i, j)][min(i, j)] for j in range(n)] for i in range(n)]
+        if _is_singular(matrix):
+            raise BadInput(
+                "from_lagrangian: the mass matrix, the second derivatives of the Lagrangian by the velocities, is"
+                " singular: the equations cannot be solved for the accelerations"
+            )
+        return matrix
+
+    def right_side(self, matrix: list[list[Expression]]) -> list[Expression]:
+        """f, so that M v' = f; the shorter of the forms that follow from the Lagrangian and from M."""
+        pairs = list(zip(self.coordinates, self.velocities, strict=True))
+        total = self.total_forces()
+        result = []
+        for i, (q, v) in enumerate(pairs):
+            forms = []
+            for lagrangian in (self.lagrangian, self._by_powers(matrix)):
+                momentum = lagrangian.diff(v)
+                moving = sum(velocity * momentum.diff(coordinate) for coordinate, velocity in pairs)
+                forms.append(_simplest(lagrangian.diff(q) - moving + total[i]))
+            result.append(min(forms, key=_cost))
+        return result
+
+    def _by_powers(self, matrix: list[list[Expression]]) -> Expression:
+        """The Lagrangian by powers of the velocities, with the simplified mass matrix; as given where it has others."""
+        import sympy
+
+        v = sympy.Matrix(self.velocities)
+        if sympy.Matrix(matrix).free_symbols & set(self.velocities):
+            return self.lagrangian
+        at_rest = dict.fromkeys(self.velocities, 0)
+        linear = sum(velocity * self.lagrangian.diff(velocity).subs(at_rest) for velocity in self.velocities)
+        return (v.T * sympy.Matrix(matrix) * v)[0] / 2 + linear + self.lagrangian.subs(at_rest)
+
+    def integrals(self) -> dict[str, tuple[str, list[Expression]]]:
+        """First integrals by name: what each is, and its terms, one or more for each term of the Lagrangian."""
+        import sympy
+
+        result, total = {}, self.total_forces()
+        terms = sympy.Add.make_args(sympy.expand_mul(self.lagrangian, deep=False))
+        if _simplest(sum(q * v for q, v in zip(total, self.velocities, strict=True))) == 0:
+            parts = (_energy_of_term(term, self.velocities) for term in terms)
+            result["energy"] = ("Energy, sum of v dL/dv - L", [part for part in parts if part != 0])
+        for i, (coordinate, velocity) in enumerate(zip(self.coordinates, self.velocities, strict=True)):
+            if self.is_cyclic(i) and total[i] == 0:
+                parts = (_simplest(term.diff(velocity)) for term in terms)
+                result[f"momentum_{coordinate.name}"] = (
+                    f"Momentum dL/d{velocity.name} of the cyclic coordinate {coordinate.name}",
+                    [part for part in parts if part != 0],
+                )
+        return result
+
+
+def _symbols(**groups: Sequence[Expression]) -> list[tuple[Expression, ...]]:
+    """The arguments as tuples; BadInput if one contains anything but symbols."""
+    import sympy
+
+    for name, group in groups.items():
+        for symbol in group:
+            if not isinstance(symbol, sympy.Symbol):
+                raise BadInput(
+                    f"from_lagrangian: {name}: {shown(symbol)} is not a symbol; make one by sympy.Symbol('name')"
+                )
+    return [tuple(group) for group in groups.values()]
+
+
+def _checked(name: str, value: Expression, allowed: set[Expression]) -> Expression:
+    """An expression of sympy that is arithmetic of known symbols; else BadInput."""
+    import sympy
+
+    if isinstance(value, int | float):
+        value = sympy.sympify(value)
+    if not isinstance(value, sympy.Expr):
+        raise BadInput(f"from_lagrangian: {name} = {shown(value)}: must be an expression of SymPy")
+    require_arithmetic(f"from_lagrangian: {name}", value)
+    for symbol in sorted(value.free_symbols - allowed, key=str):
+        raise BadInput(
+            f"from_lagrangian: {name} contains {symbol}, which is neither coordinate, velocity nor parameter"
+        )
+    return value
+
+
+def _function(name: str, value: Any, allowed: set[Expression]) -> Any:
+    """The checked expression, or expressions, of a function."""
+    if isinstance(value, Iterable):
+        return tuple(_checked(f"functions[{name!r}]", expression, allowed) for expression in value)
+    return _checked(f"functions[{name!r}]", value, allowed)
+
+
+def _several(value: Any) -> tuple[Expression, ...]:
+    """The expressions of a function that returns one or several."""
+    return value if isinstance(value, tuple) else (value,)
+
+
+def _is_singular(matrix: list[list[Expression]]) -> bool:
+    """Whether the determinant vanishes at three points where all numbers are different."""
+    import sympy
+
+    symbols = sorted({s for row in matrix for entry in row for s in entry.free_symbols}, key=str)
+    value = sympy.lambdify(symbols, sympy.Matrix(matrix), "numpy")
+    rng, largest = np.random.default_rng(0), 0.0
+    with np.errstate(all="ignore"):
+        for _ in range(3):
+            rows = np.array(value(*rng.uniform(0.1, 0.9, len(symbols))), float)
+            rows /= np.linalg.norm(rows, axis=1, keepdims=True)
+            if np.isfinite(rows).all():
+                largest = max(largest, abs(float(np.linalg.det(rows))))
+    return largest < SINGULAR
+
+
+def _simplest(expression: Expression) -> Expression:
+    """The form with the fewest functions, and of those the shortest; of equally short ones the first."""
+    import sympy
+
+    forms = [expression, sympy.expand(expression), sympy.factor_terms(expression)]
+    if expression.count_ops() <= MAX_OPERATIONS:
+        forms.append(sympy.factor(expression))
+        if expression.atoms(sympy.Function):
+            forms += [sympy.trigsimp(form) for form in dict.fromkeys(forms)]
+    functions = set[Expression]().union(*(form.atoms(sympy.Function) for form in forms))
+    ordered = sorted(functions, key=sympy.default_sort_key)
+    forms += [sympy.collect(sympy.expand(forms[i]), ordered, sympy.factor) for i in (0, -1)]
+    return min(dict.fromkeys(forms), key=_cost)
+
+
+def _cost(expression: Expression) -> tuple[int, int, int, int]:
+    """What a form costs, the most important first.
+
+    Numbers of functions of multiples of an angle or its tangent, of different functions, of operations where those that
+    occur several times count once, and of all operations.
+    """
+    import sympy
+
+    functions, multiples = expression.atoms(sympy.Function), 0
+    for function in functions:
+        terms = sympy.Add.make_args(function.args[0])
+        multiples += function.func is sympy.tan or any(t.as_coeff_Mul()[0] not in (1, -1) for t in terms)
+    replaced, reduced = sympy.cse(expression, order="canonical")
+    operations = int(sympy.count_ops([shared for _, shared in replaced] + reduced))
+    return multiples, len(functions), operations, int(expression.count_ops())
+
+
+def _energy_of_term(term: Expression, velocities: Sequence[Expression]) -> Expression:
+    """sum of v dT/dv - T of a term T of the Lagrangian; T or -T where it has degree 2 or 0 in v."""
+    import sympy
+
+    momentum = sum(velocity * term.diff(velocity) for velocity in velocities)
+    if momentum == 0:
+        return -term
+    if sympy.expand(momentum - 2 * term) == 0:
+        return _simplest(term)
+    return _simplest(momentum - term)
+
+
+def _coupled(matrix: list[list[Expression]]) -> list[list[int]]:
+    """Indices of the velocities that the mass matrix couples, directly or through others, group by group."""
+    groups: list[list[int]] = []
+    for i in range(len(matrix)):
+        joined = [group for group in groups if any(matrix[i][j] != 0 for j in group)]
+        groups = [group for group in groups if group not in joined]
+        groups.append(sorted([i, *(j for group in joined for j in group)]))
+    return sorted(groups)
+
+
+def _accelerations(mechanics: _Mechanics, block: Block) -> list[Expression]:
+    """v' as expressions, after the assignments of a block."""
+    import sympy
+
+    matrix = mechanics.mass_matrix()
+    right_side = mechanics.right_side(matrix)
+    result: list[Expression] = [None] * len(right_side)
+    for group in _coupled(matrix):
+        part = [[matrix[i][j] for j in group] for i in group]
+        if len(group) == 1:
+            solved = [_simplest(sympy.cancel(right_side[group[0]] / part[0][0]))]
+        else:
+            given = [block.named(f"f_{mechanics.velocities[i].name}", right_side[i]) for i in group]
+            solved = _of_two(part, given) if len(group) == 2 else _of_several(part, given, block)
+        for i, acceleration in zip(group, solved, strict=True):
+            result[i] = acceleration
+    return result
+
+
+def _of_two(matrix: list[list[Expression]], right_side: Sequence[Expression]) -> list[Expression]:
+    """Solution of two equations by the inverse of their matrix, simplified entry by entry."""
+    import sympy
+
+    (a, b), (_, c) = matrix
+    determinant = _simplest(a * c - b * b)
+    p, q, r = (_simplest(sympy.cancel(entry / determinant)) for entry in (c, -b, a))
+    f1, f2 = right_side
+    return [p * f1 + q * f2, q * f1 + r * f2]
+
+
+def _of_several(
+    matrix: list[list[Expression]], right_side: Sequence[Expression], block: Block
+) -> list[Expression]:
+    """Solution of symmetric equations by the factors K D K^T of their matrix; what is 0 is left out."""
+    import sympy
+
+    n, zero = len(matrix), sympy.Integer(0)
+    K = [[zero] * n for _ in range(n)]
+    D: list[Expression] = []
+    for j in range(n):
+        D.append(block.named(f"D{j + 1}", matrix[j][j] - sum(K[j][k] ** 2 * D[k] for k in range(j))))
+        for i in range(j + 1, n):
+            rest = matrix[i][j] - sum(K[i][k] * K[j][k] * D[k] for k in range(j))
+            K[i][j] = block.named(f"K{i + 1}{j + 1}", rest / D[j])
+    y: list[Expression] = []
+    for i in range(n):
+        y.append(block.named(f"y{i + 1}", right_side[i] - sum(K[i][k] * y[k] for k in range(i))))
+    x: list[Expression] = [zero] * n
+    for i in reversed(range(n)):
+        x[i] = block.named(f"x{i + 1}", y[i] / D[i] - sum(K[k][i] * x[k] for k in range(i + 1, n)))
+    return x
+
+
+def _module(mechanics: _Mechanics, title: str) -> str:
+    """Source of the module."""
+    integrals = mechanics.integrals()
+    functions = [_rhs(mechanics)]
+    functions += [
+        _function_text(mechanics, name, f"{meaning}; the tuple of its terms.", tuple(terms))
+        for name, (meaning, terms) in integrals.items()
+    ]
+    functions += [_function_text(mechanics, name, "", value) for name, value in mechanics.functions.items()]
+    used = sorted(name for name in FUNCTIONS if re.search(rf"\b{name}\(", "".join(functions)))
+    head = [_docstring(mechanics, title)]
+    names = [name if FUNCTIONS[name] == name else f"{FUNCTIONS[name]} as {name}" for name in used]
+    head += [f"from numpy import {', '.join(names)}\n"] if used else []
+    head.append(f"STATE = {_names(mechanics.state)}\nCONSTANTS = {_names(mechanics.parameters)}")
+    head[-1] += f"\nINTEGRALS = {_names(list(integrals))}\n"
+    return "\n".join(head) + "\n\n" + "\n\n\n".join(functions) + "\n"
+
+
+def _docstring(mechanics: _Mechanics, title: str) -> str:
+    """Docstring of the module, with the Lagrangian and the forces."""
+    lines = [f'"""{title}.', "", "Written by atlas.systems.from_lagrangian from the Lagrangian", ""]
+    lines += lines_of("    L = ", mechanics.lagrangian)
+    if mechanics.dissipation != 0:
+        lines += ["", "and the dissipation function", "", *lines_of("    R = ", mechanics.dissipation)]
+    forces = [pair for pair in zip(mechanics.coordinates, mechanics.forces, strict=True) if pair[1] != 0]
+    if forces:
+        lines += ["", "and the generalised forces", ""]
+        lines += [line for c, force in forces for line in lines_of(f"    Q_{c.name} = ", force)]
+    if mechanics.omit:
+        names = ", ".join(coordinate.name for coordinate in mechanics.omit)
+        lines += ["", f"The state does not contain the cyclic coordinates {names}."]
+    return "\n".join([*lines, '"""', ""])
+
+
+def _names(symbols: Sequence[Expression]) -> str:
+    """Text of the tuple of the names of symbols, or of these names."""
+    return "({})".format(", ".join(f'"{symbol}"' for symbol in symbols) + ("," if len(symbols) == 1 else ""))
+
+
+def _rhs(mechanics: _Mechanics) -> str:
+    """Text of the function `rhs`."""
+    block = Block(mechanics.state, mechanics.parameters)
+    slopes = []
+    for velocity, acceleration in zip(mechanics.velocities, _accelerations(mechanics, block), strict=True):
+        slopes.append((f"{velocity.name}_dot", acceleration, velocity))
+    coordinates = [
+        v for q, v in zip(mechanics.coordinates, mechanics.velocities, strict=True) if q not in mechanics.omit
+    ]
+    doc = "Time derivatives of the state"
+    if block.definitions:
+        doc += "; f is the right-hand side of M v' = f, with the mass matrix M"
+    if any(symbol.name.startswith("D1") for symbol in block.definitions):
+        doc += " = K D K^T"
+    return block.function("rhs", f"{doc}.", [text(v) for v in coordinates], slopes)
+
+
+def _function_text(mechanics: _Mechanics, name: str, doc: str, value: Any) -> str:
+    """Text of a function that returns an expression or a tuple of them."""
+    return Block(mechanics.state, mechanics.parameters).returning(name, doc, value)

@@ -1,0 +1,379 @@
+"""Expressions of SymPy as plain Python arithmetic, with names for what occurs several times."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from typing import Any
+
+from ..errors import BadInput, shown
+from .arithmetic import FUNCTIONS
+
+# Any expression or symbol of sympy, which is imported only when it is used.
+Expression = Any
+LINE_LENGTH = 110
+MAX_NAME = 30  # characters of a name made from an expression
+MAX_FACTORS = 4  # largest power that is written as a product
+_WORDS = {" + ": "_plus_", " - ": "_minus_", " * ": "_", " / ": "_over_", "**": "_to_", "-": "minus_"}
+
+
+def require_arithmetic(what: str, expression: Expression) -> None:
+    """Raise BadInput unless an expression consists of numbers, plain symbols, arithmetic and FUNCTIONS.
+
+    Parameters
+    ----------
+    what : str
+        The expression in words, for the message.
+    expression : sympy.Expr
+    """
+    import sympy
+
+    for part in sympy.preorder_traversal(expression):
+        if isinstance(part, sympy.Symbol | sympy.Add | sympy.Mul | sympy.Pow):
+            continue
+        if part.is_number and part.is_Atom and part.is_real and part.is_finite:
+            continue
+        if isinstance(part, sympy.Function) and type(part).__name__ in FUNCTIONS:
+            continue
+        hint = ""
+        if isinstance(part, sympy.core.function.AppliedUndef | sympy.Derivative):
+            hint = "; write coordinates and velocities as plain symbols, not as functions of the time"
+        raise BadInput(
+            f"{what} contains {shown(str(part))}; allowed: symbols, real numbers, + - * / **, {', '.join(FUNCTIONS)}{hint}"
+        )
+
+
+def text(expression: Expression) -> str:
+    """An expression as Python source.
+
+    Parameters
+    ----------
+    expression : sympy.Expr
+        As `require_arithmetic` allows.
+
+    Returns
+    -------
+    str
+        Small powers of symbols are products, so that kernels need no function for them.
+    """
+    if expression.is_Add:
+        first, *others = _terms(expression)
+        return " ".join([f"-{first[1]}" if first[0] == "-" else first[1], *(f"{s} {t}" for s, t in others)])
+    if expression.is_Symbol:
+        return str(expression.name)
+    if expression.is_Function:
+        return f"{type(expression).__name__}({text(expression.args[0])})"
+    return _product(expression)
+
+
+def _terms(expression: Expression) -> list[tuple[str, str]]:
+    """Sign and absolute value of each term of a sum, a positive one first where there is one."""
+    pairs = []
+    for term in expression.as_ordered_terms():
+        negative = term.as_coeff_Mul()[0].is_negative
+        pairs.append(("-" if negative else "+", text(-term if negative else term)))
+    first = next((i for i, (sign, _) in enumerate(pairs) if sign == "+"), 0)
+    return [pairs[first], *pairs[:first], *pairs[first + 1 :]]
+
+
+def _product(expression: Expression) -> str:
+    """Text of a number, power or product."""
+    coefficient, rest = expression.as_coeff_Mul()
+    above, below = _number(abs(coefficient))
+    for factor in rest.as_ordered_factors() if rest != 1 else []:
+        base, exponent = _base_and_exponent(factor)
+        if exponent.is_number and exponent.is_negative:
+            below += _power(base, -exponent)
+        else:
+            above += _power(base, exponent)
+    result = " * ".join(above) or "1.0"
+    if below:
+        result += f" / {below[0]}" if len(below) == 1 else f" / ({' * '.join(below)})"
+    return f"-{result}" if coefficient.is_negative else result
+
+
+def _number(value: Expression) -> tuple[list[str], list[str]]:
+    """A positive number as factors above and below the line; fractions that binary numbers hold as one number."""
+    if value == 1:
+        return [], []
+    if not value.is_Rational:
+        return [repr(float(value))], []
+    if value.q & (value.q - 1) == 0 and value.q <= 1024:
+        return [str(value.p) if value.q == 1 else repr(value.p / value.q)], []
+    return [str(value.p)] if value.p != 1 else [], [str(value.q)]
+
+
+def _base_and_exponent(factor: Expression) -> tuple[Expression, Expression]:
+    """Base and exponent; a function, such as exp(x), is a base."""
+    import sympy
+
+    return (factor, sympy.Integer(1)) if factor.is_Function else factor.as_base_exp()
+
+
+def _power(base: Expression, exponent: Expression) -> list[str]:
+    """A power as factors."""
+    import sympy
+
+    if base.is_number and not base.is_Rational:
+        base = sympy.Symbol(repr(float(base)))
+    body = text(base) if base.is_Symbol or base.is_Function or base.is_Integer else f"({text(base)})"
+    if exponent == 1:
+        return [body]
+    if exponent.is_Integer and exponent <= MAX_FACTORS and base.is_Symbol:
+        return [body] * int(exponent)
+    if exponent == sympy.Rational(1, 2):
+        return [f"sqrt({text(base)})"]
+    if exponent.is_Rational and exponent.q == 2:
+        return [*_power(base, exponent - sympy.Rational(1, 2)), f"sqrt({text(base)})"]
+    power = text(exponent) if exponent.is_Symbol or exponent.is_Integer else f"({text(exponent)})"
+    return [f"{body}**{power}"]
+
+
+def lines_of(start: str, expression: Expression) -> list[str]:
+    """An expression in mathematical form, in lines that are short enough if its terms are.
+
+    Parameters
+    ----------
+    start : str
+        Begins the first line; the others are indented as far.
+    expression : sympy.Expr
+
+    Returns
+    -------
+    list of str
+    """
+    lines, indent = [start.rstrip()], " " * len(start)
+    pairs = [(term.as_coeff_Mul()[0].is_negative, term) for term in expression.as_ordered_terms()]
+    for i, (negative, term) in enumerate(pairs):
+        sign = "- " if negative and i else "-" if negative else "+ " if i else ""
+        piece = f"{sign}{-term if negative else term}"
+        if i and len(lines[-1]) + 1 + len(piece) > LINE_LENGTH:
+            lines.append(indent + piece)
+        else:
+            lines[-1] += f" {piece}"
+    return lines
+
+
+class Block:
+    """Assignments of a function of ``(state, constants)`` and what it returns.
+
+    Parameters
+    ----------
+    state, constants : sequence of sympy.Symbol
+    """
+
+    def __init__(self, state: Sequence[Expression], constants: Sequence[Expression]):
+        self.state, self.constants = tuple(state), tuple(constants)
+        self.names = {symbol.name for symbol in (*state, *constants)}
+        self.definitions: dict[Expression, Expression] = {}  # name -> expression
+        self.functions: list[Expression] = []  # names of the values of functions
+
+    def named(self, name: str, expression: Expression) -> Expression:
+        """The symbol of that name, or one like it, for an expression; symbols and numbers stand for themselves.
+
+        Parameters
+        ----------
+        name : str
+        expression : sympy.Expr
+
+        Returns
+        -------
+        sympy.Expr
+        """
+        if (-expression if expression.could_extract_minus_sign() else expression).is_Atom:
+            return expression
+        symbol = self._new(name)
+        self.definitions[symbol] = expression
+        return symbol
+
+    def _new(self, name: str) -> Expression:
+        """A symbol whose name is not in use."""
+        import sympy
+
+        stem = name.rstrip("0123456789")
+        number = int(name[len(stem) :] or 1)
+        while name in self.names:
+            number += 1
+            name = f"{stem}{number}"
+        self.names.add(name)
+        return sympy.Symbol(name)
+
+    def function(
+        self,
+        name: str,
+        doc: str,
+        first: Sequence[str],
+        slopes: Sequence[tuple[str, Expression, Expression]],
+    ) -> str:
+        """Text of a function that returns some values as they stand, then named expressions.
+
+        Parameters
+        ----------
+        name, doc : str
+            Of the function.
+        first : sequence of str
+            Texts of the first values.
+        slopes : sequence of (str, sympy.Expr, sympy.Symbol)
+            Name and expression of each other value, and a state whose shape a value has that depends on no state.
+
+        Returns
+        -------
+        str
+        """
+        reduced = self._shared([expression for _, expression, _ in slopes])
+        done = set[Expression]()
+        lines = [line for symbol in self.functions for line in self._needed(symbol, done)]
+        values = list(first)
+        for (slope, _, like), expression in zip(slopes, reduced, strict=True):
+            lines += self._needed(expression, done)
+            body = self._shaped(expression, like)
+            if expression.is_Symbol:
+                values.append(body)
+            else:
+                values.append(self._new(slope).name)
+                lines += _assignment(values[-1], expression, body)
+        return self._text(name, doc, [*lines, *_returned(values)])
+
+    def returning(self, name: str, doc: str, value: Any) -> str:
+        """Text of a function that returns an expression, or a tuple of them.
+
+        Parameters
+        ----------
+        name, doc : str
+            Of the function; without `doc` it has no docstring.
+        value : sympy.Expr or tuple of sympy.Expr
+
+        Returns
+        -------
+        str
+        """
+        reduced = self._shared(list(value) if isinstance(value, tuple) else [value])
+        done = set[Expression]()
+        lines = [line for symbol in self.functions for line in self._needed(symbol, done)]
+        for expression in reduced:
+            lines += self._needed(expression, done)
+        values = [self._shaped(expression, self.state[0]) for expression in reduced]
+        if isinstance(value, tuple):
+            return self._text(name, doc, [*lines, *_returned(values)])
+        return self._text(name, doc, [*lines, *_broken("return ", reduced[0], values[0], "    ")])
+
+    def _shaped(self, expression: Expression, like: Expression) -> str:
+        """Text of an expression; one that depends on no state gets the shape of a state."""
+        if self._depends_on_state(expression):
+            return text(expression)
+        return f"0.0 * {like.name}" if expression == 0 else f"{text(expression)} + 0.0 * {like.name}"
+
+    def _depends_on_state(self, expression: Expression) -> bool:
+        """Whether a state occurs in an expression or in the definitions of its names."""
+        return any(
+            symbol in self.state
+            or (symbol in self.definitions and self._depends_on_state(self.definitions[symbol]))
+            for symbol in expression.free_symbols
+        )
+
+    def _shared(self, expressions: list[Expression]) -> list[Expression]:
+        """The expressions with names for functions and for what occurs several times, also in the definitions."""
+        import sympy
+
+        symbols, functions = [*self.definitions], dict[Expression, Expression]()
+        given = [self._with_functions(e, functions) for e in [*self.definitions.values(), *expressions]]
+        self.functions = [*functions.values()]
+        replaced, reduced = sympy.cse([*functions, *given], order="canonical", list=True)
+        new = self._names_of_shared(replaced, dict(zip(reduced, self.functions, strict=False)))
+        values = [expression.xreplace(new) for expression in reduced]
+        names = [*self.functions, *symbols]
+        self.definitions |= dict(zip(names, values, strict=False))
+        for symbol, expression in replaced:
+            if new[symbol].is_Symbol:
+                self.definitions[new[symbol]] = expression.xreplace(new)
+        return values[len(names) :]
+
+    def _names_of_shared(
+        self, replaced: Sequence[tuple[Expression, Expression]], named: dict[Expression, Expression]
+    ) -> dict[Expression, Expression]:
+        """What stands for each shared expression: a name, or the expression itself if it is one operation at most."""
+        new: dict[Expression, Expression] = {}
+        for symbol, expression in replaced:
+            expression = expression.xreplace(new)
+            if symbol in named:
+                new[symbol] = named[symbol]
+            else:
+                new[symbol] = expression if expression.count_ops() <= 1 else self._new("common1")
+        return new
+
+    def _with_functions(self, expression: Expression, named: dict[Expression, Expression]) -> Expression:
+        """The expression with a name for each value of a function and each sum that is raised to a power."""
+        import sympy
+
+        if expression.is_Atom:
+            return expression
+        new = expression.func(*(self._with_functions(part, named) for part in expression.args))
+        half = sympy.Rational(1, 2)
+        if new.is_Function:
+            return self._named_once(new, named)
+        if not new.is_Pow or not new.exp.is_Rational or new.base.is_number:
+            return new
+        if new.exp.q == 2:
+            return self._named_once(sympy.sqrt(new.base), named) ** (new.exp / half)
+        if new.exp.is_Integer and abs(new.exp) > 1 and not new.base.is_Symbol:
+            return self._named_once(new.base, named) ** new.exp
+        return new
+
+    def _named_once(self, expression: Expression, named: dict[Expression, Expression]) -> Expression:
+        """The name of an expression, made from its text where it has none yet."""
+        if expression not in named:
+            named[expression] = self._new(_name_of(expression))
+        return named[expression]
+
+    def _needed(self, expression: Expression, done: set[Expression]) -> Iterator[str]:
+        """Lines that define the names in an expression that are not defined yet, in the order of need."""
+        for symbol in sorted(expression.free_symbols, key=lambda s: s.name):
+            if symbol in self.definitions and symbol not in done:
+                definition = self.definitions[symbol]
+                yield from self._needed(definition, done)
+                done.add(symbol)
+                yield from _assignment(symbol.name, definition, text(definition))
+
+    def _text(self, name: str, doc: str, lines: Sequence[str]) -> str:
+        """The function, with the unpacking of state and constants."""
+        head = [f"def {name}(state, constants):"]
+        head += [f'    """{doc}"""'] if doc else []
+        for names, source in ((self.state, "state"), (self.constants, "constants")):
+            if names:
+                target = ", ".join(symbol.name for symbol in names) + ("," if len(names) == 1 else "")
+                head.append(f"    {target} = {source}")
+        return "\n".join([*head, *lines])
+
+
+def _name_of(expression: Expression) -> str:
+    """A name for a function's value or a sum, from its text where that is short."""
+    function = "sqrt" if expression.is_Pow else type(expression).__name__ if expression.is_Function else "sum"
+    argument = text(expression.args[0] if function != "sum" else expression)
+    for sign, word in _WORDS.items():
+        argument = argument.replace(sign, word)
+    name = argument if function == "sum" else f"{function}_{argument}"
+    return name if name.isidentifier() and len(name) <= MAX_NAME else f"{function}1"
+
+
+def _assignment(name: str, expression: Expression, body: str) -> list[str]:
+    """Lines of an assignment."""
+    return _broken(f"{name} = ", expression, body, "    ")
+
+
+def _broken(start: str, expression: Expression, body: str, indent: str) -> list[str]:
+    """A statement in one line, or in parentheses and several lines, a term or factor each."""
+    if len(indent + start + body) <= LINE_LENGTH:
+        return [indent + start + body]
+    inner = indent + "    "
+    pieces = [body]
+    if len(inner + body) > LINE_LENGTH and expression.is_Add:
+        (sign, first), *others = _terms(expression)
+        pieces = [f"-{first}" if sign == "-" else first, *(f"{s} {t}" for s, t in others)]
+    return [f"{indent}{start}(", *(inner + piece for piece in pieces), f"{indent})"]
+
+
+def _returned(values: Sequence[str]) -> list[str]:
+    """Lines that return a tuple."""
+    line = f"    return {', '.join(values)}" + ("," if len(values) == 1 else "")
+    if len(line) <= LINE_LENGTH:
+        return [f"    return ({values[0]},)" if len(values) == 1 else line]
+    return ["    return (", *(f"        {value}," for value in values), "    )"]

@@ -230,7 +230,7 @@ class Block:
                 values.append(body)
             else:
                 values.append(self._new(slope).name)
-                lines += _assignment(values[-1], expression, body)
+                lines += _broken(f"{values[-1]} = ", body)
         return self._text(name, doc, [*lines, *_returned(values)])
 
     def returning(self, name: str, doc: str, value: Any) -> str:
@@ -254,7 +254,7 @@ class Block:
         values = [self._shaped(expression, self.state[0]) for expression in reduced]
         if isinstance(value, tuple):
             return self._text(name, doc, [*lines, *_returned(values)])
-        return self._text(name, doc, [*lines, *_broken("return ", reduced[0], values[0], "    ")])
+        return self._text(name, doc, [*lines, *_broken("return ", values[0])])
 
     def _shaped(self, expression: Expression, like: Expression) -> str:
         """Text of an expression; one that depends on no state gets the shape of a state."""
@@ -331,7 +331,7 @@ class Block:
                 definition = self.definitions[symbol]
                 yield from self._needed(definition, done)
                 done.add(symbol)
-                yield from _assignment(symbol.name, definition, text(definition))
+                yield from _broken(f"{symbol.name} = ", text(definition))
 
     def _text(self, name: str, doc: str, lines: Sequence[str]) -> str:
         """The function, with the unpacking of state and constants."""
@@ -354,26 +354,35 @@ def _name_of(expression: Expression) -> str:
     return name if name.isidentifier() and len(name) <= MAX_NAME else f"{function}1"
 
 
-def _assignment(name: str, expression: Expression, body: str) -> list[str]:
-    """Lines of an assignment."""
-    return _broken(f"{name} = ", expression, body, "    ")
+def _broken(start: str, body: str) -> list[str]:
+    """A statement of a function in one line, or in parentheses and several lines, a term or factor each."""
+    if len(f"    {start}{body}") <= LINE_LENGTH:
+        return [f"    {start}{body}"]
+    return [f"    {start}(", *_indented(body, ""), "    )"]
 
 
-def _broken(start: str, expression: Expression, body: str, indent: str) -> list[str]:
-    """A statement in one line, or in parentheses and several lines, a term or factor each."""
-    if len(indent + start + body) <= LINE_LENGTH:
-        return [indent + start + body]
-    inner = indent + "    "
-    pieces = [body]
-    if len(inner + body) > LINE_LENGTH and expression.is_Add:
-        (sign, first), *others = _terms(expression)
-        pieces = [f"-{first}" if sign == "-" else first, *(f"{s} {t}" for s, t in others)]
-    return [f"{indent}{start}(", *(inner + piece for piece in pieces), f"{indent})"]
+def _indented(body: str, end: str) -> list[str]:
+    """An expression in lines of eight blanks more, one for each term or factor if it is too long, and its end."""
+    pieces = [body] if len(f"        {body}{end}") <= LINE_LENGTH else _pieces(body)
+    return [f"        {piece}" for piece in pieces[:-1]] + [f"        {pieces[-1]}{end}"]
+
+
+def _pieces(body: str) -> list[str]:
+    """The terms of an expression, or the factors if it is one term, each with its operator."""
+    for operators in ((" + ", " - "), (" * ", " / ")):
+        starts, depth = [0], 0
+        for i, character in enumerate(body):
+            depth += (character == "(") - (character == ")")
+            if depth == 0 and body[i : i + 3] in operators:
+                starts.append(i + 1)
+        if len(starts) > 1:
+            return [body[i:j].rstrip() for i, j in zip(starts, [*starts[1:], len(body)], strict=True)]
+    return [body]
 
 
 def _returned(values: Sequence[str]) -> list[str]:
     """Lines that return a tuple."""
-    line = f"    return {', '.join(values)}" + ("," if len(values) == 1 else "")
+    line = f"    return ({values[0]},)" if len(values) == 1 else f"    return {', '.join(values)}"
     if len(line) <= LINE_LENGTH:
-        return [f"    return ({values[0]},)" if len(values) == 1 else line]
-    return ["    return (", *(f"        {value}," for value in values), "    )"]
+        return [line]
+    return ["    return (", *(line for value in values for line in _indented(value, ",")), "    )"]

@@ -1,0 +1,1 @@
+"""One HTML file that shows an atlas: map, values and motions, without a server."""

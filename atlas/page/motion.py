@@ -1,0 +1,170 @@
+"""What a page needs to integrate the points of an atlas: equations, start values, constants, steps."""
+
+from __future__ import annotations
+
+import ast
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from types import ModuleType
+
+import numpy as np
+import xarray as xr
+
+from ..analysis.metadata import axes_of, number_attribute
+from ..engine import assemble
+from ..engine.ensemble import Ensemble
+from ..engine.simplify import simplify
+from ..engine.stepsize import StepSizes
+from ..engine.tableaux import METHODS
+from ..errors import BadInput
+from ..scene import grid
+from ..scene.model import Scene, Settings
+from ..systems.base import Array, System
+
+SAMPLES = 1001  # instants of a motion, as atlas.trajectory keeps by default
+# Functions of the kernel, and those of the caller's units, which may be missing.
+_KERNEL = ("rhs", "scaled", "unscaled")
+_OBSERVED = ("frame_motion", "axis_in_frame")
+
+
+@dataclass(frozen=True)
+class Motions:
+    """Start values of the points of an atlas, each array of shape (..., *points).
+
+    Attributes
+    ----------
+    parameters : dict of str to ndarray
+        Parameter -> value at the start, nan where it is not given.
+    state, constants : ndarray of float64
+        As in `engine.ensemble.Ensemble`.
+    duration : ndarray of float64
+        Length of the run in time units.
+    steps : ndarray of int64
+        Steps from one instant of the trajectory to the next.
+    reason : ndarray of int8
+        Why there is no motion, an index of `sentences`; 0 where there is one.
+    sentences : list of str
+        The reasons.
+    """
+
+    parameters: dict[str, Array]
+    state: Array
+    constants: Array
+    duration: Array
+    steps: np.ndarray
+    reason: np.ndarray
+    sentences: list[str]
+
+
+def sources(equations: ModuleType, method: str) -> dict[str, str]:
+    """Python functions that integrate a point and show its motion.
+
+    Parameters
+    ----------
+    equations : module
+        Of a system; see `systems.base.System.equations`.
+    method : str
+        A key of tableaux.METHODS.
+
+    Returns
+    -------
+    dict of str to str
+        Name -> source: `rhs`, `scaled` and `unscaled` as in the kernel, `step`, `frame_motion` and `axis_in_frame`
+        where the system has them, and the functions that these call.
+    """
+    texts = assemble.functions(equations)
+    chosen = {name: texts[name] for name in (*_KERNEL, *_OBSERVED) if name in texts}
+    queue = list(chosen.values())
+    while queue:
+        for node in ast.walk(ast.parse(queue.pop())):
+            if isinstance(node, ast.Name) and node.id in texts and node.id not in chosen:
+                chosen[node.id] = texts[node.id]
+                queue.append(texts[node.id])
+    ones = getattr(equations, "ONES", ())
+    for name in ("rhs", "unscaled"):
+        chosen[name] = simplify(chosen[name], (), {}, ones)
+    lines = assemble.step_lines(METHODS[method], len(equations.STATE))
+    chosen["step"] = "\n    ".join(["def step(state, slope, constants):", *lines])
+    return chosen
+
+
+def motions(ds: xr.Dataset, system: System, scene: Scene | None, dims: list[str]) -> Motions:
+    """The starts of all points of an atlas, as `ds.atlas.trajectory` integrates them.
+
+    Parameters
+    ----------
+    ds : Dataset
+        An atlas, or every k-th point of one.
+    system : System
+    scene : Scene or None
+        Scene of the atlas.
+    dims : list of str
+        Dimensions of the points.
+
+    Returns
+    -------
+    Motions
+
+    Raises
+    ------
+    BadInput
+        Where the atlas lacks an axis of its scene, a parameter or the duration.
+    """
+    shape = tuple(ds.sizes[dim] for dim in dims)
+    if scene is None:
+        parameters, duration, settings = _single_points(ds, system, shape)
+        reason, sentences = grid.reasons(system, parameters), []
+    else:
+        located = _points_of_scene(ds, scene, dims)
+        parameters, duration, settings = located.points, located.duration, scene.settings
+        reason = located.reason
+        sentences = [
+            grid.sentence(each, system, scene.family, scene.duration) if each else "" for each in grid.Reason
+        ]
+    ensemble = Ensemble.of(system, parameters)
+    with np.errstate(all="ignore"):
+        sizes = StepSizes.of(settings, ensemble.frequency_bound, np.where(np.isfinite(duration), duration, 0.0))
+    # As label.trajectory: whole steps between the instants, never longer than those of the atlas.
+    steps = -(-sizes.steps // (SAMPLES - 1))
+
+    def over_points(values: np.ndarray) -> np.ndarray:
+        return values.reshape(*values.shape[:-1], *shape)
+
+    return Motions(
+        {name: over_points(values) for name, values in parameters.items()},
+        over_points(ensemble.state), over_points(ensemble.constants), over_points(duration), over_points(steps),
+        over_points(reason), sentences,
+    )  # fmt: skip
+
+
+def _points_of_scene(ds: xr.Dataset, scene: Scene, dims: list[str]) -> grid.Grid:
+    """The points of a scene at the places of an atlas, in C order of its dimensions."""
+    places = {}
+    for dim, axis in axes_of(scene).items():
+        if dim not in ds.coords or not set(ds[dim].dims) <= set(dims):
+            raise BadInput(f"{dim}: this axis of the scene is not in the dataset")
+        whole = ds[dim].broadcast_like(xr.Dataset(coords={d: ds[d] for d in dims}))
+        places[axis.name] = np.asarray(whole.transpose(*dims).values, np.float64).ravel()
+    return grid.points_at(scene, places)
+
+
+def _single_points(
+    ds: xr.Dataset, system: System, shape: tuple[int, ...]
+) -> tuple[Mapping[str, Array], Array, Settings]:
+    """Parameters, durations and settings of points that come from no scene; see analysis.rerun."""
+    if "end_time" not in ds:
+        raise BadInput("end_time: not in this dataset; a trajectory needs it to end where the point did")
+    parameters = {}
+    for name, parameter in system.parameters.items():
+        if name not in ds.coords and not math.isnan(parameter.default):
+            raise BadInput(f"{name}: this parameter of the points is not in the dataset")
+        values = ds[name].values if name in ds.coords else math.nan
+        parameters[name] = np.broadcast_to(np.asarray(values, np.float64), shape).ravel()
+    step = number_attribute(ds, "atlas_step")
+    accuracy = {"step": step} if math.isfinite(step) else {"tolerance": number_attribute(ds, "atlas_tolerance")}
+    settings = Settings(
+        method=ds.attrs.get("atlas_method", ""), rate_tolerance=number_attribute(ds, "atlas_rate_tolerance"),
+        **accuracy,
+    )  # fmt: skip
+    return parameters, np.asarray(ds["end_time"].values, np.float64).ravel(), settings

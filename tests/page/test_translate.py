@@ -1,0 +1,142 @@
+"""The translated equations in Node against Python, bit for bit."""
+
+import inspect
+import json
+import math
+import shutil
+import subprocess
+import textwrap
+
+import numpy as np
+import pytest
+
+from atlas.engine import assemble
+from atlas.page import motion
+from atlas.page.translate import CannotTranslate, translate
+from atlas.systems import SYSTEMS
+
+NODE = shutil.which("node")
+needs_node = pytest.mark.skipif(NODE is None, reason="Node.js is not installed")
+
+
+def node(script: str, call: str, data: object) -> np.ndarray:
+    """Numbers that a JavaScript expression gives for some data, with all their bits."""
+    program = (
+        f"{script}\nconst data = JSON.parse(require('fs').readFileSync(0, 'utf8'));\n"
+        f"const numbers = Float64Array.from(({call}).flat(Infinity));\n"
+        "process.stdout.write(Buffer.from(numbers.buffer).toString('hex'));"
+    )
+    done = subprocess.run(
+        [NODE, "-e", program], input=json.dumps(data), capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 0, done.stderr
+    return np.frombuffer(bytes.fromhex(done.stdout), "<f8")
+
+
+def arguments(system, count, seed=5):
+    """Random states and constants of a system, positive where a moment of inertia or a length is."""
+    generator = np.random.default_rng(seed)
+    equations = system.equations
+    state = generator.normal(size=(count, len(equations.STATE)))
+    constants = generator.uniform(0.1, 2.0, size=(count, len(equations.CONSTANTS)))
+    return state, constants
+
+
+@needs_node
+@pytest.mark.parametrize("system", SYSTEMS.values(), ids=lambda s: s.name)
+def test_every_function_of_the_equations_has_the_same_bits(system):
+    """Also the first integrals, which the page does not need."""
+    equations = system.equations
+    sources = assemble.functions(equations)
+    state, constants = arguments(system, 200)
+    data = [state.tolist(), constants.tolist()]
+    for name in sources:
+        more = (0.037,) if name in ("scaled", "unscaled") else ()
+        result = getattr(equations, name)(state.T, constants.T, *more)
+        flat = [part for item in result for part in (item if isinstance(item, tuple) else (item,))]
+        expected = np.stack(np.broadcast_arrays(*flat), -1)
+        call = f"data[0].map((y, i) => {name}(y, data[1][i]{', 0.037' if more else ''}))"
+        found = node(translate(sources), call, data).reshape(expected.shape)
+        assert np.array_equal(found, expected), name
+
+
+@needs_node
+@pytest.mark.parametrize("method", ["rk4", "rk8"])
+@pytest.mark.parametrize("system", SYSTEMS.values(), ids=lambda s: s.name)
+def test_two_thousand_steps_have_the_bits_of_the_kernel_in_plain_python(system, method):
+    plain = assemble.plain_module(system.equations, method)
+    points = {name: np.array([parameter.default]) for name, parameter in system.parameters.items()}
+    points |= {"theta0": np.array([0.4]), "n": np.array([0.3]), "m": np.array([0.7]), "C": np.array([0.7])}
+    start = system.initial_state(points)[:, 0].tolist()
+    constants = system.constants(points)[:, 0].tolist()
+    unit, steps = 0.02, 2000
+    y, c = plain.scaled(start, constants, unit)
+    for _ in range(steps):
+        y = plain.step(y, plain.rhs(y, c), c)
+    expected = plain.unscaled(y, c, unit)
+    script = translate(motion.sources(system.equations, method))
+    call = (
+        f"(() => {{ let [y, c] = scaled(data[0], data[1], {unit});"
+        f" for (let i = 0; i < {steps}; i++) y = step(y, rhs(y, c), c); return unscaled(y, c, {unit}); }})()"
+    )
+    assert np.array_equal(node(script, call, [start, constants]), expected)
+
+
+def everything(state, constants):
+    """One of each construct."""
+    x, (y, z) = state[0], state[1:3]
+    new, Math = constants[-1], x if x > y and not z >= 3.0 else -y
+    x, y = y, x
+    x += 2 * new
+    total = (x**2 + y**3 / 2.0) ** 0.5 - z**-2 + (x + y) ** 5
+    if total < 0.0:
+        total = -total
+    elif total == 0.0:
+        total = 1.0
+    else:
+        total = total - 1.0
+    return (math.sqrt(abs(total)), min(x, y, z), max(x, y)), [new, Math, 1e-200, 3, 1.0 / 3.0]
+
+
+@needs_node
+def test_constructs():
+    text = textwrap.dedent(inspect.getsource(everything))
+    for state in ([0.3, -1.7, 2.0], [4.0, 0.25, 5.0], [-1.0, 8.0, 0.5]):
+        first, second = everything(state, (1.0, 0.75))
+        expected = np.array([*first, *second])
+        found = node(translate({"everything": text}), "everything(data, [1.0, 0.75])", state)
+        np.testing.assert_allclose(found, expected, rtol=4e-16)
+
+
+@needs_node
+def test_functions_agree_to_an_ulp_or_two():
+    names = ("sin", "cos", "tan", "exp", "log", "sqrt", "atan", "sinh", "cosh", "tanh")
+    text = f"def f(x):\n    return {', '.join(f'{name}(x)' for name in names)}"
+    x = np.random.default_rng(2).uniform(0.1, 6.0, 500)
+    found = node(translate({"f": text}), "data.map(f)", x.tolist()).reshape(500, -1)
+    expected = np.stack([getattr(np, {"atan": "arctan"}.get(name, name))(x) for name in names], -1)
+    np.testing.assert_array_almost_equal_nulp(found, expected, 4)
+
+
+@pytest.mark.parametrize(
+    ("text", "fault"),
+    [
+        ("def f(x):\n    for i in x:\n        pass\n    return x", "for i in x:"),
+        ("def f(x):\n    return [y for y in x]", "[y for y in x]"),
+        ("def f(x):\n    return eval(x)", "eval"),
+        ("def f(x):\n    return x.shape", "x.shape"),
+        ("def f(x):\n    return unknown * x", "unknown"),
+        ("def f(x):\n    return x[y]", "x[y]"),
+        ("def f(x):\n    return 'text'", "'text'"),
+        ("def f(x):\n    a, b = x, x, x\n    return a", "(x, x, x)"),
+        ("def f(x=1.0):\n    return x", "parameters"),
+        ("def f(x):\n    return x % 2", "x % 2"),
+        ("def f(x):\n    return sin(a=x)", "sin(a=x)"),
+        ("def f(x) return x", "f:"),
+    ],
+)
+def test_what_has_no_translation_is_named(text, fault):
+    with pytest.raises(CannotTranslate) as error:
+        translate({"f": text})
+    assert str(error.value).startswith("f: ")
+    assert fault in str(error.value)

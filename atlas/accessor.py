@@ -1,7 +1,7 @@
 """`ds.atlas`: questions to an atlas. Importing this module registers the accessor with xarray.
 
 An atlas may be larger than memory: files opened lazily, dask-chunked datasets and datasets in memory are
-all read in chunks. Only `Atlas.map` imports Matplotlib.
+all read in chunks. Only `Atlas.map` and `Atlas.page` import Matplotlib.
 """
 
 from __future__ import annotations
@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from matplotlib.colors import Colormap
     from matplotlib.figure import Figure
 
+    from .page.page import Page
     from .plotting.style import Width
 
 
@@ -99,6 +100,24 @@ class Atlas:
             self._ds, variable, x=x, y=y, select=select, ax=ax, title=title, cmap=cmap, colors=colors,
             labels=labels, boundary=boundary, legend=legend, width=width, size=size, dpi=dpi, caption=caption,
         )  # fmt: skip
+
+    def page(self) -> Page:
+        """One HTML file with maps of all variables, the values of each point, and its motion, integrated in the page.
+
+        Returns
+        -------
+        Page
+            Jupyter shows it in the cell; `page().save("map.html")` writes it. It needs no server and loads nothing.
+            Of atlases of more than `atlas.page.layout.MAX_POINTS` points it shows every k-th value along the longest axes.
+
+        Raises
+        ------
+        BadInput
+            For a dataset that is no atlas or has no axes.
+        """
+        from .page.page import atlas_page
+
+        return atlas_page(self._ds)
 
     def select(self, **flags: str | int | Sequence[str | int]) -> xr.Dataset:
         """The points with the flags named.

@@ -84,6 +84,7 @@ def parser() -> argparse.ArgumentParser:
         motions.add_points,
         atlases.add_compare,
         atlases.add_map,
+        atlases.add_page,
         motions.add_trajectory,
         examples.add_new,
         measurements.add_accuracy,

@@ -1,9 +1,10 @@
-"""Commands that read atlases: compare, map."""
+"""Commands that read atlases: compare, map, page."""
 
 from __future__ import annotations
 
 import argparse
 from collections.abc import Sequence
+from pathlib import Path
 
 from ..errors import BadInput
 from ..files import without_suffix, writable
@@ -83,6 +84,28 @@ def _map(options: argparse.Namespace) -> int:
     for path in paths:
         style.save(figure, path, options.dpi)
         print(f"wrote {path}")
+    return DONE
+
+
+def add_page(commands: Commands) -> None:
+    command = add_command(
+        commands, "page", _page, "make one HTML file of an atlas, in which points can be integrated"
+    )
+    atlas_option(command)
+    out_option(command, "FILE", ".html (default: ATLAS.html)")
+    force_option(command, "an existing file")
+
+
+def _page(options: argparse.Namespace) -> int:
+    from ..page.page import FORMATS, atlas_page
+    from ..runs.open import open_atlas
+
+    name = options.out or f"{without_suffix(options.atlas, '.nc', '.zarr')}.html"
+    out = writable(name, FORMATS, force=options.force, inputs=[options.atlas])
+    with open_atlas(options.atlas) as ds:
+        page = atlas_page(ds, file=Path(options.atlas).name)
+    page.save(out, force=options.force)
+    print(f"wrote {out}, {len(page.html.encode()) / 1e6:.1f} MB; open it in any browser")
     return DONE
 
 

@@ -19,7 +19,7 @@ from ..engine.stepsize import StepSizes
 from ..engine.tableaux import METHODS
 from ..errors import BadInput
 from ..scene import grid
-from ..scene.model import Scene, Settings
+from ..scene.model import DEFAULTS, Scene, Settings
 from ..systems.base import Array, System
 
 SAMPLES = 1001  # instants of a motion, as atlas.trajectory keeps by default
@@ -46,6 +46,8 @@ class Motions:
         Why there is no motion, an index of `sentences`; 0 where there is one.
     sentences : list of str
         The reasons.
+    method : str
+        A key of tableaux.METHODS.
     """
 
     parameters: dict[str, Array]
@@ -55,6 +57,7 @@ class Motions:
     steps: np.ndarray
     reason: np.ndarray
     sentences: list[str]
+    method: str
 
 
 def sources(equations: ModuleType, method: str) -> dict[str, str]:
@@ -124,7 +127,9 @@ def motions(ds: xr.Dataset, system: System, scene: Scene | None, dims: list[str]
         ]
     ensemble = Ensemble.of(system, parameters)
     with np.errstate(all="ignore"):
-        sizes = StepSizes.of(settings, ensemble.frequency_bound, np.where(np.isfinite(duration), duration, 0.0))
+        sizes = StepSizes.of(
+            settings, ensemble.frequency_bound, np.where(np.isfinite(duration), duration, 0.0)
+        )
     # As label.trajectory: whole steps between the instants, never longer than those of the atlas.
     steps = -(-sizes.steps // (SAMPLES - 1))
 
@@ -134,7 +139,7 @@ def motions(ds: xr.Dataset, system: System, scene: Scene | None, dims: list[str]
     return Motions(
         {name: over_points(values) for name, values in parameters.items()},
         over_points(ensemble.state), over_points(ensemble.constants), over_points(duration), over_points(steps),
-        over_points(reason), sentences,
+        over_points(reason), sentences, settings.method,
     )  # fmt: skip
 
 
@@ -162,9 +167,10 @@ def _single_points(
         values = ds[name].values if name in ds.coords else math.nan
         parameters[name] = np.broadcast_to(np.asarray(values, np.float64), shape).ravel()
     step = number_attribute(ds, "atlas_step")
-    accuracy = {"step": step} if math.isfinite(step) else {"tolerance": number_attribute(ds, "atlas_tolerance")}
     settings = Settings(
-        method=ds.attrs.get("atlas_method", ""), rate_tolerance=number_attribute(ds, "atlas_rate_tolerance"),
-        **accuracy,
-    )  # fmt: skip
+        method=ds.attrs.get("atlas_method", ""),
+        step=step if math.isfinite(step) else None,
+        tolerance=DEFAULTS.tolerance if math.isfinite(step) else number_attribute(ds, "atlas_tolerance"),
+        rate_tolerance=number_attribute(ds, "atlas_rate_tolerance"),
+    )
     return parameters, np.asarray(ds["end_time"].values, np.float64).ravel(), settings

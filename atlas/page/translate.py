@@ -34,10 +34,76 @@ _COMPARISONS = {
 }  # fmt: skip
 # Words that JavaScript reserves or that the translation uses; "$" cannot occur in a Python name.
 _RESERVED = frozenset(
-    "abstract arguments await boolean break byte case catch char class const continue debugger default delete do double"
-    " else enum eval export extends false final finally float for function goto if implements import in instanceof int"
-    " interface let long native new null package private protected public return short static super switch synchronized"
-    " this throw throws transient true try typeof undefined var void volatile while with yield Infinity Math NaN".split()
+    [
+        "abstract",
+        "arguments",
+        "await",
+        "boolean",
+        "break",
+        "byte",
+        "case",
+        "catch",
+        "char",
+        "class",
+        "const",
+        "continue",
+        "debugger",
+        "default",
+        "delete",
+        "do",
+        "double",
+        "else",
+        "enum",
+        "eval",
+        "export",
+        "extends",
+        "false",
+        "final",
+        "finally",
+        "float",
+        "for",
+        "function",
+        "goto",
+        "if",
+        "implements",
+        "import",
+        "in",
+        "instanceof",
+        "int",
+        "interface",
+        "let",
+        "long",
+        "native",
+        "new",
+        "null",
+        "package",
+        "private",
+        "protected",
+        "public",
+        "return",
+        "short",
+        "static",
+        "super",
+        "switch",
+        "synchronized",
+        "this",
+        "throw",
+        "throws",
+        "transient",
+        "true",
+        "try",
+        "typeof",
+        "undefined",
+        "var",
+        "void",
+        "volatile",
+        "while",
+        "with",
+        "yield",
+        "Infinity",
+        "Math",
+        "NaN",
+    ]
 )
 MAX_POWER = 64
 _INDENT = "  "
@@ -192,7 +258,9 @@ class _Function:
                 return _name(name)
             case ast.Name(id=name) if name in _NUMBERS:
                 return _NUMBERS[name]
-            case ast.Attribute(value=ast.Name(id=module), attr=name) if module in _MODULES and name in _NUMBERS:
+            case ast.Attribute(value=ast.Name(id=module), attr=name) if (
+                module in _MODULES and name in _NUMBERS
+            ):
                 return _NUMBERS[name]
             case ast.UnaryOp(op=ast.USub(), operand=operand):
                 return f"(-{self.expression(operand)})"
@@ -207,7 +275,9 @@ class _Function:
             case ast.BoolOp(op=op, values=values):
                 sign = " && " if isinstance(op, ast.And) else " || "
                 return f"({sign.join(map(self.expression, values))})"
-            case ast.Compare(left=left, ops=ops, comparators=others) if all(type(o) in _COMPARISONS for o in ops):
+            case ast.Compare(left=left, ops=ops, comparators=others) if all(
+                type(o) in _COMPARISONS for o in ops
+            ):
                 sides = [self.expression(side) for side in (left, *others)]
                 pairs = zip(pairwise(sides), ops, strict=True)
                 return f"({' && '.join(f'{a} {_COMPARISONS[type(op)]} {b}' for (a, b), op in pairs)})"
@@ -290,6 +360,8 @@ class _Function:
                 return _name(name)
             case ast.Name(id=name) if name in _FUNCTIONS:
                 return _FUNCTIONS[name]
-            case ast.Attribute(value=ast.Name(id=module), attr=name) if module in _MODULES and name in _FUNCTIONS:
+            case ast.Attribute(value=ast.Name(id=module), attr=name) if (
+                module in _MODULES and name in _FUNCTIONS
+            ):
                 return _FUNCTIONS[name]
         raise self.fault(node)

@@ -46,7 +46,7 @@ def map_legend(
     """
     entries, hidden = _regions(panels, flags, options)
     for kind in dict.fromkeys(kind for panel in panels for kind in panel.borders):
-        entries[f"{_as_math(kind)} (theory)"] = Line2D([], [], **border_style(kind))
+        entries[f"{as_math(kind)} (theory)"] = Line2D([], [], **border_style(kind))
     for name in dict.fromkeys(name for panel in panels for name in panel.families):
         entries[f"{name.replace('_', ' ')} (exact)"] = Line2D([], [], **family_style(families.index(name)))
     return entries, [f"Too few to be seen: {'; '.join(hidden)}."] if hidden else []
@@ -87,7 +87,7 @@ def _candidates(
     yield SLOW, [panel.slow for panel in panels], _hatched(SLOW)
 
 
-def _as_math(kind: str) -> str:
+def as_math(kind: str) -> str:
     """A kind of border with its rates as symbols."""
     for name, symbol in (("psi'", SYMBOLS["psi_dot"]), ("phi'", SYMBOLS["phi_dot"])):
         kind = kind.replace(f"{name} = 0", f"{symbol} = 0")

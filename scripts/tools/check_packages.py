@@ -19,7 +19,8 @@ SOURCES = (
 def modules() -> set[str]:
     """Files of the package in the repository."""
     files = {path.relative_to(ROOT).as_posix() for path in (ROOT / "atlas").rglob("*.py")}
-    return files | {"atlas/py.typed"}
+    page = {path.relative_to(ROOT).as_posix() for path in (ROOT / "atlas/page").iterdir() if path.is_file()}
+    return files | page | {"atlas/py.typed"}
 
 
 def missing(folder: Path) -> list[str]:

@@ -1,0 +1,376 @@
+"""What a page shows, as a table that JSON can hold."""
+
+from __future__ import annotations
+
+import math
+import shlex
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+import xarray as xr
+from matplotlib import rcParams
+from matplotlib.colors import to_hex
+
+from ..analysis.boundary import theory_lines
+from ..analysis.metadata import axes_of, flag_names, is_averaged, system_of
+from ..analysis.theory_borders import EXISTENCE, STABILITY
+from ..engine.tableaux import METHODS
+from ..errors import MAX_MESSAGE, MAX_TEXT, BadInput, printable
+from ..flags import Regularity
+from ..plotting import exponents, overlay
+from ..plotting import text as figure_text
+from ..plotting.content import MOTIONS, NO_VALUE, NOT_YET, SLOW, Panel, panel_of, tiles_done
+from ..plotting.legend import as_math
+from ..plotting.options import MapOptions
+from ..plotting.scales import ColorScale, color_scale
+from ..plotting.style import flag_colours
+from ..systems.base import System
+from ..variables import data_variables
+from . import motion
+from .layout import Layout
+from .store import Store, float_array
+from .text import plain, runs
+
+THEORY = (
+    "predicted", "predicted_inertial", "agreement", "stable", "growth_rate", "family", "condition_residual",
+)  # fmt: skip
+NUMERICS = ("status", "computed", "error_estimate", "step", "step_ratio", "integral_drift", "end_time")
+# Theory is drawn for at most this many values of the further axes together: each takes up to a second.
+MAX_SLICES = 40
+SHADES = 256
+
+
+class Content:
+    """The table of a page.
+
+    Parameters
+    ----------
+    layout : Layout
+    file : str
+        Name of the atlas file, for the commands that the page shows.
+    """
+
+    def __init__(self, layout: Layout, file: str):
+        self.layout, self.file = layout, file
+        self.ds, self.scene = layout.ds, layout.scene
+        self.system: System = system_of(layout.ds)
+        self.registry = data_variables(self.system)
+        self.store = Store(layout.shape)
+        self.notes = list(layout.notes)
+        self.shades: dict[str, list[str]] = {}
+
+    def table(self, motions: Mapping[str, Any]) -> dict[str, Any]:
+        """The whole table; motions: `motion_table`, or {"fault": why there is none}."""
+        attributes = self.ds.attrs
+        axes = self.coordinates() if self.layout.points else [self.axis(dim) for dim in self.layout.dims]
+        variables = self.variables()
+        theory = self.theory()
+        if (tiles := tiles_done(self.ds)) is not None:
+            self.notes.append(f"Unfinished: {tiles[0]} of {tiles[1]} tiles are computed.")
+        if "computed" in self.ds and not self.layout.points:
+            self.notes.append("Between the points that were integrated: the value of the nearest one.")
+        return {
+            "title": printable(str(attributes.get("title", "Atlas")), MAX_TEXT),
+            "system": self.system.title,
+            "frame": self.system.frame,
+            "reference": printable(str(attributes.get("references", "")), MAX_MESSAGE),
+            "caption": figure_text.caption(self.ds) if not self.layout.points else "",
+            "notes": [runs(note) for note in self.notes],
+            "points": self.layout.points,
+            "shape": self.layout.shape,
+            "axes": axes,
+            "map": [self.layout.axes.index(dim) if self.layout.points else self.layout.dims.index(dim)
+                    for dim in self.layout.axes],
+            "variables": variables,
+            "shades": self.shades,
+            "theory": theory,
+            "motion": motions,
+            "commands": self.commands(),
+            "arrays": self.store.packed(),
+        }  # fmt: skip
+
+    def axis(self, dim: str) -> dict[str, Any]:
+        """An axis of the atlas."""
+        label = figure_text.axis_label(self.ds, dim)[:MAX_TEXT]
+        symbol = figure_text.axis_label(self.ds, dim, unit=False)[:MAX_TEXT]
+        if dim in self.system.parameters:
+            symbol = self.system.parameters[dim].symbol or dim
+        attributes = self.ds[dim].attrs
+        return {
+            "name": dim,
+            "label": runs(label),
+            "plain": plain(label),
+            "symbol": _before_equals(runs(symbol)),
+            "text": printable(str(attributes.get("long_name", dim)), MAX_TEXT),
+            "unit": runs(figure_text.unit_text(printable(str(attributes.get("units", "")), MAX_TEXT))),
+            "values": np.asarray(self.ds[dim].values, np.float64).tolist(),
+            "log": self.layout.is_log(dim),
+        }
+
+    def coordinates(self) -> list[dict[str, Any]]:
+        """Coordinates of single points that differ among them, those of the map first."""
+        names = self.layout.axes + [
+            str(name)
+            for name, coordinate in self.ds.coords.items()
+            if coordinate.dims == ("point",) and coordinate.dtype.kind in "iuf" and name not in self.layout.axes
+            and np.unique(coordinate.values[np.isfinite(coordinate.values)]).size > 1 and name != "point"
+        ]  # fmt: skip
+        return [self.axis(name) | {"values": _finite_list(self.ds[name].values)} for name in names]
+
+    def variables(self) -> list[dict[str, Any]]:
+        """Variables of the atlas over its points, in the order of the file."""
+        shown = []
+        for name, array in self.ds.data_vars.items():
+            usable = (
+                set(array.dims) <= set(self.layout.dims)
+                and array.dtype.kind in "iuf"
+                and not is_averaged(array)
+            )
+            if usable and array.dims:
+                shown.append(self.variable(str(name)))
+        if not shown:
+            raise BadInput("page: this dataset has no variables over its axes")
+        return shown
+
+    def variable(self, name: str) -> dict[str, Any]:
+        """One variable with its values, colours and texts."""
+        array = self.ds[name]
+        flags = flag_names(array)
+        values = self.over_points(self.filled(name))
+        label = figure_text.variable_label(array)[:MAX_TEXT]
+        group = "theory" if name in THEORY else "numerics" if name in NUMERICS else "motion"
+        description: dict[str, Any] = {
+            "name": name,
+            "label": runs(label),
+            "plain": plain(label),
+            "text": printable(str(array.attrs.get("long_name", "")), MAX_TEXT),
+            "comment": printable(str(array.attrs.get("comment", "")), MAX_MESSAGE),
+            "group": group,
+            "lines": self.lines_of(name),
+        }
+        if flags:
+            return description | self.flag_values(name, flags, values)
+        scale = color_scale(array, MapOptions())
+        description |= {"values": self.store.add(float_array(values)), "scale": self.scale(scale)}
+        return description
+
+    def flag_values(self, name: str, flags: list[str], values: np.ndarray) -> dict[str, Any]:
+        """Values, colours and sentences of the flags of a variable."""
+        known = self.registry[name].flags if name in self.registry else None
+        sentences = dict(known) if known is not None and list(known) == flags else {}
+        colours = flag_colours(flags)
+        texts = exponents.texts(self.ds) if name == "regularity" else {}
+        table: dict[str, Any] = {
+            "flags": [
+                {
+                    "name": flag,
+                    "text": texts.get(flag, flag.replace("_", " ")),
+                    "sentence": sentences.get(flag, ""),
+                    "colour": to_hex(colours[flag]),
+                    "hatched": flag == overlay.UNDECIDED,
+                }
+                for flag in flags
+            ],
+            "values": self.store.add(values.astype(np.int8)),
+        }
+        scale = exponents.exponent_scale(self.ds, name)
+        if scale is not None:
+            table["shaded"] = {"flag": int(Regularity.CHAOTIC), "by": "lyapunov", "scale": self.scale(scale)}
+        return table
+
+    def filled(self, name: str) -> xr.DataArray:
+        """Values; of a refined atlas where it did not integrate, those of the nearest point, as on maps."""
+        array = self.ds[name]
+        if "computed" not in self.ds or flag_names(array) or self.layout.points:
+            return array
+        values = np.array(array.transpose(*self.layout.dims).values)
+        for place, part in self.layout.slices():
+            panel = panel_of(part, name, self.layout.axes, self.scene, False)
+            where: list[Any] = [slice(None)] * values.ndim
+            for dim, index in zip(self.layout.further, place, strict=True):
+                where[self.layout.dims.index(dim)] = index
+            left = [dim for dim in self.layout.dims if dim in self.layout.axes]
+            values[tuple(where)] = panel.array.transpose(*left).values
+        return xr.DataArray(values, dims=self.layout.dims)
+
+    def over_points(self, array: xr.DataArray) -> np.ndarray:
+        """Values of an array over some of the dimensions of the points, over all of them."""
+        points = xr.DataArray(np.zeros(self.layout.shape, np.int8), dims=self.layout.dims)
+        return np.asarray(array.broadcast_like(points).transpose(*self.layout.dims).values)
+
+    def scale(self, scale: ColorScale) -> dict[str, Any]:
+        """A colour scale: its kind, ends and shades."""
+        name = scale.colormap.name
+        if name not in self.shades or scale.integers:
+            count = scale.colormap.N if scale.integers else SHADES
+            shades = [to_hex(colour)[1:] for colour in scale.colormap(np.linspace(0.0, 1.0, count))]
+            name = f"{name} {len(self.shades)}" if scale.integers else name
+            self.shades[name] = shades
+        low, high = float(scale.norm.vmin or 0.0), float(1.0 if scale.norm.vmax is None else scale.norm.vmax)
+        kind = "integers" if scale.integers else "log" if scale.log_range is not None else "linear"
+        return {"kind": kind, "low": low, "high": high, "shades": name}
+
+    def lines_of(self, name: str) -> str:
+        """Which lines of theory belong on the map of a variable."""
+        if name.removesuffix("_inertial") not in MOTIONS:
+            return "limits"
+        return "inertial" if name.endswith("_inertial") else "frame"
+
+    def theory(self) -> dict[str, Any]:
+        """Lines of theory, slow and white points; empty for single points."""
+        if self.layout.points:
+            return {"slices": [], "styles": {}, "white": [], "hatches": _hatches()}
+        slices, panels = [], []
+        count = math.prod(self.ds.sizes[dim] for dim in self.layout.further)
+        name = "label" if "label" in self.ds else next(iter(map(str, self.ds.data_vars)))
+        for _, part in self.layout.slices():
+            panel = panel_of(part, name, self.layout.axes, self.scene, count <= MAX_SLICES)
+            panels.append(panel)
+            slices.append(self.lines(part, panel))
+        if count > MAX_SLICES and self.scene is not None:
+            self.notes.append(f"Lines of theory are left out: there are more than {MAX_SLICES} maps.")
+        whites = list(
+            dict.fromkeys(reason for panel in panels for reason in panel.white if reason != NO_VALUE)
+        )
+        reasons = [self.over_slices([panel.white.get(reason) for panel in panels]) for reason in whites]
+        code = np.zeros(self.layout.shape, np.int8)
+        for number, mask in enumerate(reasons, 1):
+            code[mask] = number
+        table = {"slices": slices, "styles": self.styles(slices), "white": whites, "hatches": _hatches()}
+        slow = self.over_slices([panel.slow for panel in panels])
+        return table | {
+            "reason": self.store.add(code),
+            "slow": self.store.add(slow.astype(np.int8)),
+            "slowText": SLOW,
+        }
+
+    def over_slices(self, masks: list[np.ndarray | None]) -> np.ndarray:
+        """Masks of the panels, over all points."""
+        whole = np.zeros(self.layout.shape, bool)
+        for (place, _), mask in zip(self.layout.slices(), masks, strict=True):
+            if mask is None:
+                continue
+            where: list[Any] = [slice(None)] * whole.ndim
+            for dim, index in zip(self.layout.further, place, strict=True):
+                where[self.layout.dims.index(dim)] = index
+            # A panel has its x axis last.
+            order = self.layout.axes[::-1]
+            left = [dim for dim in self.layout.dims if dim in order]
+            whole[tuple(where)] = np.transpose(mask, [order.index(dim) for dim in left])
+        return whole
+
+    def lines(self, part: xr.Dataset, panel: Panel) -> list[dict[str, Any]]:
+        """Lines of theory of one panel: text, where they belong, vertices."""
+        lines = [_line(kind, ["frame"], vertices) for kind, vertices in panel.borders.items()]
+        for line in lines:
+            if line["kind"] in (STABILITY, EXISTENCE):
+                line["on"].append("limits")
+        if panel.borders and self.scene is not None and "label_inertial" in self.ds:
+            inertial = theory_lines(self.scene, part, self.layout.axes, "label_inertial")
+            lines += [_line(kind, ["inertial"], vertices) for kind, vertices in inertial.items()]
+        everywhere = ["frame", "inertial", "limits"]
+        return lines + [
+            _line(name, everywhere, vertices, "exact") for name, vertices in panel.families.items()
+        ]
+
+    def styles(self, slices: list[list[dict[str, Any]]]) -> dict[str, Any]:
+        """Text, width and dashes of each kind of line."""
+        families = list(self.system.families)
+        styles: dict[str, Any] = {}
+        for line in (line for each in slices for line in each):
+            kind, exact = line["kind"], line["source"] == "exact"
+            style = overlay.family_style(families.index(kind)) if exact else overlay.border_style(kind)
+            words = kind.replace("_", " ") if exact else as_math(kind)
+            styles[kind] = {
+                "text": runs(f"{words} ({line['source']})"),
+                "width": style["linewidth"],
+                "dashes": _dashes(style["linestyle"]),
+            }
+        return styles
+
+    def motion_table(self) -> dict[str, Any]:
+        """Starts of all points, and what belongs to their equations."""
+        starts = motion.motions(self.ds, self.system, self.scene, self.layout.dims)
+        add = self.store.add
+        parameters = [
+            {
+                "name": name,
+                "symbol": runs(parameter.symbol or name),
+                "text": parameter.meaning,
+                "unit": runs(figure_text.unit_text(parameter.unit)),
+                "values": add(starts.parameters[name]),
+            }
+            for name, parameter in self.system.parameters.items()
+            if not np.isnan(starts.parameters[name]).all()
+        ]
+        return {
+            "parameters": parameters,
+            "states": list(self.system.equations.STATE),
+            "state": [add(row) for row in starts.state],
+            "constants": [add(row) for row in starts.constants],
+            "duration": add(starts.duration),
+            "steps": add(starts.steps.astype(np.int32 if starts.steps.max() < 2**31 else np.float64)),
+            "reason": add(starts.reason.astype(np.int8)),
+            "sentences": starts.sentences,
+            "samples": motion.SAMPLES,
+            "method": starts.method,
+            "stepUnit": METHODS[starts.method].kernel_step,
+            "frameAxes": [runs(axis) for axis in self.system.frame_axes],
+        }
+
+    def commands(self) -> dict[str, Any]:
+        """Beginnings of the command and of the Python line that integrate a point, and the names of its places."""
+        if self.scene is None:
+            dims = [axis for axis in self.ds.coords if self.ds[axis].dims == ("point",)]
+            names = {
+                str(n): str(n) for n in dims if self.ds[n].dtype.kind in "iuf" and n in self.system.parameters
+            }
+        else:
+            names = {dim: axis.name for dim, axis in axes_of(self.scene).items()}
+        places = []
+        for dim, name in names.items():
+            values = np.asarray(self.ds[dim].values, np.float64)
+            where = self.store.add(self.over_points(xr.DataArray(values, dims=self.ds[dim].dims)))
+            places.append({"name": name, "dim": dim, "values": where})
+        return {
+            "shell": f"atlas trajectory {shlex.quote(self.file)} --at",
+            "python": f"atlas.open_atlas({self.file!r}).atlas.trajectory",
+            "places": places,
+        }
+
+
+def _before_equals(symbol: list[dict[str, Any]]) -> list[dict[str, Any]]:
+    """The name that a formula such as K1 = (C - A)/B defines; other formulas whole."""
+    for number, run in enumerate(symbol):
+        if " = " in run["t"]:
+            return [*symbol[:number], {**run, "t": run["t"].partition(" = ")[0]}]
+    return symbol
+
+
+def _line(kind: str, on: list[str], vertices: list[np.ndarray], source: str = "theory") -> dict[str, Any]:
+    """Vertices of a line with six digits; nan cuts a curve."""
+    paths = [[[_rounded(x) for x in vertex] for vertex in line] for line in vertices]
+    return {"kind": kind, "on": on, "source": source, "paths": paths}
+
+
+def _rounded(value: float) -> float | None:
+    """Six digits of a finite number."""
+    return float(f"{value:.6g}") if math.isfinite(value) else None
+
+
+def _finite_list(values: np.ndarray) -> list[float | None]:
+    """Numbers, None where one is not finite: JSON has no nan."""
+    return [float(value) if math.isfinite(value) else None for value in values]
+
+
+def _dashes(style: Any) -> list[float]:
+    """Dashes of a line in units of its width."""
+    named = {"-": (), ":": rcParams["lines.dotted_pattern"], "--": rcParams["lines.dashed_pattern"],
+             "-.": rcParams["lines.dashdot_pattern"]}  # fmt: skip
+    return [float(length) for length in (named[style] if isinstance(style, str) else style[1])]
+
+
+def _hatches() -> dict[str, str]:
+    """Text of the regions that are hatched."""
+    return {"slow": SLOW, "undecided": overlay.UNDECIDED, "notYet": NOT_YET}

@@ -1,0 +1,188 @@
+"""One HTML file that shows an atlas, without a server and without anything from the network."""
+
+from __future__ import annotations
+
+import base64
+import hashlib
+import html
+import io
+import json
+import re
+from dataclasses import dataclass
+from importlib.resources import files
+from pathlib import Path
+from typing import Any
+
+import xarray as xr
+from matplotlib import rc_context
+
+from ..analysis.metadata import scene_of, system_of
+from ..errors import BadInput
+from ..files import atomic_write, writable
+from ..plotting.maps import atlas_map
+from ..plotting.style import STYLE
+from .content import Content
+from .layout import MAX_BYTES, MAX_POINTS, Layout, layout
+from .motion import sources
+from .translate import CannotTranslate, translate
+
+# In one scope; the last one starts the page.
+SCRIPTS = ("map.js", "point.js", "motion.js", "controls.js")
+FORMATS = (".html", ".htm")
+FALLBACK_DPI = 110
+FRAME_HEIGHT = 900  # pixels of a page in a notebook
+NO_MOTION = "null"
+
+
+@dataclass(frozen=True)
+class Page:
+    """A page about an atlas.
+
+    Attributes
+    ----------
+    html : str
+        The whole file. It loads nothing, and its content-security policy forbids it to.
+    """
+
+    html: str
+
+    def save(self, path: str | Path, *, force: bool = False) -> None:
+        """Write the page, all of it or nothing.
+
+        Parameters
+        ----------
+        path : str or Path
+            File to write, .html or .htm.
+        force : bool, optional
+            Replace an existing file.
+
+        Raises
+        ------
+        BadInput
+            For another suffix, an existing file, and a path that cannot be written.
+        """
+        path = writable(path, FORMATS, force=force)
+        with atomic_write(path) as temporary:
+            temporary.write_text(self.html, encoding="utf-8")
+
+    def _repr_html_(self) -> str:
+        """The page in a frame of its own, which can reach neither the notebook around it nor the network."""
+        return (
+            f'<iframe title="atlas" sandbox="allow-scripts" width="100%" height="{FRAME_HEIGHT}" style="border:0"'
+            f' srcdoc="{html.escape(self.html)}"></iframe>'
+        )
+
+
+def atlas_page(ds: xr.Dataset, *, file: str = "", max_points: int = MAX_POINTS) -> Page:
+    """Make the page of an atlas: its maps, and the motion of every point, integrated in the page.
+
+    Parameters
+    ----------
+    ds : Dataset
+        An atlas.
+    file : str, optional
+        Name of the atlas for the commands that the page shows; default that of the file it was opened from.
+    max_points : int, optional
+        Most points shown; of larger atlases every k-th value along the longest axes, which the page states. Fewer are
+        shown where their numbers would take more than `layout.MAX_BYTES`.
+
+    Returns
+    -------
+    Page
+
+    Raises
+    ------
+    BadInput
+        For a dataset that is no atlas, or has no axes.
+
+    Notes
+    -----
+    Variables have seven digits in the page (float32). Start values, constants, steps and the coordinates of points have all
+    their digits, so that a trajectory in the page equals that of `ds.atlas.trajectory` but for rounding: the compiled
+    kernel fuses products and sums, and a browser does not.
+    """
+    system_of(ds)
+    file = file or Path(str(ds.encoding.get("source", "atlas.nc"))).name
+    script, fault = _equations(ds)
+    count = max_points
+    while True:
+        shown = layout(ds, count)
+        content = Content(shown, file)
+        table = content.table(_motion(content, fault))
+        if content.store.nbytes <= MAX_BYTES or count < 1000:
+            break
+        count = int(count * min(0.9, MAX_BYTES / content.store.nbytes))
+    return Page(_assembled(table, script, _fallback(shown)))
+
+
+def _equations(ds: xr.Dataset) -> tuple[str, str]:
+    """The equations of an atlas in JavaScript, and why there are none."""
+    scene, system = scene_of(ds), system_of(ds)
+    method = scene.settings.method if scene is not None else str(ds.attrs.get("atlas_method", ""))
+    try:
+        texts = sources(system.equations, method)
+        return f"{translate(texts)}\nreturn {{{', '.join(texts)}}};", ""
+    except CannotTranslate as error:
+        return "", f"The equations of this system cannot be translated for this page: {error}"
+    except KeyError as error:
+        return "", f"The equations of this system lack what an integration in this page needs: {error}"
+
+
+def _motion(content: Content, fault: str) -> dict[str, Any]:
+    """What the page needs to integrate points, or why it cannot."""
+    if fault:
+        return {"fault": fault}
+    try:
+        return content.motion_table()
+    except BadInput as error:
+        return {"fault": f"No motions in this page: {error}"}
+
+
+def _fallback(shown: Layout) -> str:
+    """A picture of the map for readers without scripts, as a data address; empty where none can be drawn."""
+    middle = {dim: float(shown.ds[dim][shown.ds.sizes[dim] // 2]) for dim in shown.further}
+    name = "label" if "label" in shown.ds else next(iter(map(str, shown.ds.data_vars)))
+    try:
+        figure = atlas_map(shown.ds, name, select=middle or None, width="page")
+    except BadInput:
+        return ""
+    buffer = io.BytesIO()
+    with rc_context(STYLE):
+        figure.savefig(buffer, format="png", dpi=FALLBACK_DPI)
+    return "data:image/png;base64," + base64.b64encode(buffer.getvalue()).decode("ascii")
+
+
+def _assembled(table: dict[str, Any], equations: str, picture: str) -> str:
+    """The file: template, style, script and data, with a policy that allows these and nothing else."""
+    folder = files(__package__)
+    style = folder.joinpath("page.css").read_text(encoding="utf-8")
+    program = "\n".join(folder.joinpath(name).read_text(encoding="utf-8") for name in SCRIPTS)
+    body = f"(() => {{\n{equations}\n}})()" if equations else NO_MOTION
+    script = f'"use strict";\nconst equations = {body};\n{program}'
+    policy = (
+        f"default-src 'none'; script-src {_hash(script)}; style-src {_hash(style)}; img-src data:;"
+        " base-uri 'none'; form-action 'none'"
+    )
+    image = f'<img src="{picture}" alt="{html.escape(table["title"])}">' if picture else ""
+    parts = {
+        "policy": html.escape(policy),
+        "title": html.escape(table["title"]),
+        "style": style,
+        "script": script,
+        "data": _json(table),
+        "picture": image,
+    }
+    template = folder.joinpath("template.html").read_text(encoding="utf-8")
+    # In one pass, so that no part is searched for the names of others.
+    return re.sub(r"\{\{(\w+)\}\}", lambda match: parts[match[1]], template)
+
+
+def _hash(text: str) -> str:
+    """Source expression of a content-security policy for an element with this text."""
+    return f"'sha256-{base64.b64encode(hashlib.sha256(text.encode()).digest()).decode('ascii')}'"
+
+
+def _json(table: dict[str, Any]) -> str:
+    """JSON that cannot end the element around it."""
+    text = json.dumps(table, ensure_ascii=False, allow_nan=False, separators=(",", ":"))
+    return text.replace("<", "\\u003c").replace(">", "\\u003e").replace("&", "\\u0026")

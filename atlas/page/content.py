@@ -75,7 +75,7 @@ class Content:
             "system": self.system.title,
             "frame": self.system.frame,
             "reference": printable(str(attributes.get("references", "")), MAX_MESSAGE),
-            "caption": figure_text.caption(self.ds) if not self.layout.points else "",
+            "caption": figure_text.caption(self.layout.whole) if not self.layout.points else "",
             "notes": [runs(note) for note in self.notes],
             "points": self.layout.points,
             "shape": self.layout.shape,
@@ -322,16 +322,15 @@ class Content:
     def commands(self) -> dict[str, Any]:
         """Beginnings of the command and of the Python line that integrate a point, and the names of its places."""
         if self.scene is None:
-            dims = [axis for axis in self.ds.coords if self.ds[axis].dims == ("point",)]
-            names = {
-                str(n): str(n) for n in dims if self.ds[n].dtype.kind in "iuf" and n in self.system.parameters
-            }
+            names = {axis: axis for axis in map(str, self.ds.coords) if axis in self.system.parameters}
         else:
             names = {dim: axis.name for dim, axis in axes_of(self.scene).items()}
         places = []
         for dim, name in names.items():
             values = np.asarray(self.ds[dim].values, np.float64)
             where = self.store.add(self.over_points(xr.DataArray(values, dims=self.ds[dim].dims)))
+            if self.scene is None and not where["over"]:
+                continue  # the same at all points
             places.append({"name": name, "dim": dim, "values": where})
         return {
             "shell": f"atlas trajectory {shlex.quote(self.file)} --at",

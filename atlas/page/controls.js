@@ -92,7 +92,7 @@ function applyTheme() {
   const dark = name === "dark" || (name === "auto" && darkness.matches);
   document.documentElement.dataset.theme = dark ? "dark" : "light";
   const button = byId("theme");
-  button.textContent = `Colours: ${name}`;
+  button.textContent = `◐ ${name}`;
   button.setAttribute("aria-label", `Colours: ${name === "auto" ? "as the system" : name}`);
 }
 
@@ -275,10 +275,13 @@ function listen() {
   });
   darkness.addEventListener("change", redrawAll);
   let timer = 0;
-  window.addEventListener("resize", () => {
+  let width = byId("frame").clientWidth;
+  new ResizeObserver(() => {
+    if (byId("frame").clientWidth === width) return; // its height is set by draw()
+    width = byId("frame").clientWidth;
     clearTimeout(timer);
-    timer = setTimeout(redrawAll, 120);
-  });
+    timer = setTimeout(redrawAll, 60);
+  }).observe(byId("frame"));
 }
 
 async function begin() {

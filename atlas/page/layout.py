@@ -26,6 +26,8 @@ class Layout:
 
     Attributes
     ----------
+    whole : Dataset
+        The atlas.
     ds : Dataset
         The points that are shown, in memory, sorted along their axes.
     scene : Scene or None
@@ -42,6 +44,7 @@ class Layout:
         Sentences about what is left out.
     """
 
+    whole: xr.Dataset
     ds: xr.Dataset
     scene: Scene | None
     dims: list[str]
@@ -104,7 +107,7 @@ def layout(ds: xr.Dataset, max_points: int = MAX_POINTS) -> Layout:
     shown = shown.load()
     axes = scatter_axes(shown, None, None) if single else _longest(shown, dims)
     further = [] if single else [dim for dim in dims if dim not in axes]
-    return Layout(shown, scene, dims, axes, further, single, _stride_notes(ds, size, stride))
+    return Layout(ds, shown, scene, dims, axes, further, single, _stride_notes(ds, size, stride))
 
 
 def _longest(ds: xr.Dataset, dims: list[str]) -> list[str]:

@@ -179,7 +179,7 @@ function cellOf(sorted, value) {
 const FONT = 'system-ui, "DejaVu Sans", sans-serif';
 const map = byId("map");
 const marks = byId("marks");
-let box = { left: 0, top: 0, width: 1, height: 1 };
+let box = { left: 0, top: 0, width: 1, height: 1, right: 1 };
 
 // A canvas of the size of its element, in the units of the page.
 function prepared(canvas, width, height) {
@@ -262,11 +262,11 @@ function layOut() {
   const width = frame.clientWidth;
   const small = width < 480;
   const bar = !state.variable.flags || state.variable.shaded ? (isLine() ? 0 : small ? 62 : 78) : 0;
-  const whole = Math.min(Math.max(0.74 * (width - bar), 230), Math.max(0.66 * window.innerHeight, 260));
+  const whole = Math.min(Math.max((small ? 0.9 : 0.74) * (width - bar), 230), Math.max(0.66 * window.innerHeight, 260));
   const height = flat && !isLine() ? 130 : whole;
   frame.style.height = `${height}px`;
   const left = flat && !isLine() ? 14 : small ? 52 : 62;
-  box = { left, top: 8, width: width - left - bar - 10, height: height - 8 - 46 };
+  box = { left, top: 8, width: width - left - bar - 10, height: height - 8 - 46, right: width };
   return [width, height];
 }
 
@@ -537,7 +537,7 @@ function drawBar(context, scale) {
   });
   const other = state.variable.shaded && data.variables.find((each) => each.name === state.variable.shaded.by);
   const label = other ? [{ t: "Lyapunov exponent " }, { t: "λ", i: true }, { t: ` of chaotic points` }] : state.variable.label;
-  drawFormula(context, label, map.clientWidth - 7, box.top + box.height / 2, 12, ink, -Math.PI / 2);
+  drawFormula(context, label, box.right - 7, box.top + box.height / 2, 12, ink, -Math.PI / 2);
 }
 
 // A ring around the cell or point chosen, a thin frame around the one under the pointer.

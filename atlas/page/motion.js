@@ -106,6 +106,8 @@ async function showMotion(index) {
   section.dataset.done = "";
   byId("plots").replaceChildren();
   byId("reproduce").replaceChildren();
+  byId("motion-place").replaceChildren(...placeNodes(index));
+  lastMotion = null;
   if (!equations || data.motion.fault) {
     progress.textContent = data.motion.fault;
     showCommands(index);
@@ -113,7 +115,7 @@ async function showMotion(index) {
   }
   const reason = at(data.motion.reason, index);
   if (reason || !Number.isFinite(at(data.motion.duration, index))) {
-    progress.textContent = `none: ${data.motion.sentences[reason] || "no start or no duration"}`;
+    progress.textContent = `No motion: ${data.motion.sentences[reason] || "no start or no duration"}`;
     return;
   }
   const pause = async (share) => {
@@ -413,10 +415,10 @@ function drawEnlarged(canvas, points) {
 
 function showCommands(index) {
   const { shell, python, places: names } = data.commands;
-  if (!names.length) return;
-  const values = names.map(({ values: reference }) => at(reference, index));
-  const command = `${shell} ${names.map(({ name }, i) => `${name}=${values[i]}`).join(" ")}`;
-  const line = `${python}(${names.map(({ dim }, i) => `${dim}=${values[i]}`).join(", ")})`;
+  const given = names.map((each) => ({ ...each, value: at(each.values, index) })).filter(({ value }) => !Number.isNaN(value));
+  if (!given.length) return;
+  const command = `${shell} ${given.map(({ name, value }) => `${name}=${value}`).join(" ")}`;
+  const line = `${python}(${given.map(({ dim, value }) => `${dim}=${value}`).join(", ")})`;
   const rows = [[command, "Copy the command"], [line, "Copy the Python line"]].map(([text, label]) => {
     const code = element("code", {}, text);
     const button = element("button", { type: "button", "aria-label": label }, "Copy");

@@ -19,7 +19,7 @@ from ..engine.stepsize import StepSizes
 from ..engine.tableaux import METHODS
 from ..errors import BadInput
 from ..scene import grid
-from ..scene.model import DEFAULTS, Scene, Settings
+from ..scene.model import DEFAULTS, Duration, Scene, Settings
 from ..systems.base import Array, System
 
 SAMPLES = 1001  # instants of a motion, as atlas.trajectory keeps by default
@@ -117,14 +117,13 @@ def motions(ds: xr.Dataset, system: System, scene: Scene | None, dims: list[str]
     shape = tuple(ds.sizes[dim] for dim in dims)
     if scene is None:
         parameters, duration, settings = _single_points(ds, system, shape)
-        reason, sentences = grid.reasons(system, parameters), []
+        reason, family, unit = grid.reasons(system, parameters), None, Duration()
     else:
         located = _points_of_scene(ds, scene, dims)
         parameters, duration, settings = located.points, located.duration, scene.settings
         reason = located.reason
-        sentences = [
-            grid.sentence(each, system, scene.family, scene.duration) if each else "" for each in grid.Reason
-        ]
+        family, unit = scene.family, scene.duration
+    sentences = [grid.sentence(each, system, family, unit) if each else "" for each in grid.Reason]
     ensemble = Ensemble.of(system, parameters)
     with np.errstate(all="ignore"):
         sizes = StepSizes.of(

@@ -139,16 +139,19 @@ def _motion(content: Content, fault: str) -> dict[str, Any]:
 
 
 def _fallback(shown: Layout) -> str:
-    """A picture of the map for readers without scripts, as a data address; empty where none can be drawn."""
+    """A picture of the map for readers without scripts, as a data address; empty where none can be drawn.
+
+    Matplotlib raises errors for texts of a stranger's file that are no formulas.
+    """
     middle = {dim: float(shown.ds[dim][shown.ds.sizes[dim] // 2]) for dim in shown.further}
     name = "label" if "label" in shown.ds else next(iter(map(str, shown.ds.data_vars)))
+    buffer = io.BytesIO()
     try:
         figure = atlas_map(shown.ds, name, select=middle or None, width="page")
-    except BadInput:
+        with rc_context(STYLE):
+            figure.savefig(buffer, format="png", dpi=FALLBACK_DPI)
+    except (ValueError, RecursionError):
         return ""
-    buffer = io.BytesIO()
-    with rc_context(STYLE):
-        figure.savefig(buffer, format="png", dpi=FALLBACK_DPI)
     return "data:image/png;base64," + base64.b64encode(buffer.getvalue()).decode("ascii")
 
 

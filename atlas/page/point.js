@@ -182,6 +182,11 @@ function verdict(index) {
   return nodes;
 }
 
+// Names and values of the axes at a point.
+function placeNodes(index) {
+  return places(index).slice(0, data.points ? 4 : undefined).flatMap((runs, i) => (i ? [", ", formula(runs)] : [formula(runs)]));
+}
+
 // Show the values of a point, or those of the one chosen.
 function showPoint(index) {
   const point = index || state.chosen;
@@ -189,12 +194,10 @@ function showPoint(index) {
   byId("values").hidden = !point;
   if (!point) {
     heading.replaceChildren("Point at the map");
-    byId("verdict").replaceChildren();
+    byId("verdict").replaceChildren(element("p", { class: "sentence" }, "The values of the point appear here, and after a click its motion."));
     return;
   }
-  const all = places(point).slice(0, data.points ? 4 : undefined);
-  heading.replaceChildren();
-  all.forEach((runs, i) => heading.append(i ? ", " : "", formula(runs)));
+  heading.replaceChildren(...placeNodes(point));
   byId("verdict").replaceChildren(...verdict(point));
   for (const fill of fillers) fill(point);
 }

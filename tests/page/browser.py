@@ -20,6 +20,7 @@ OPTIONS = (
     "--headless", "--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run", "--disable-sync",
     "--disable-background-networking", "--disable-component-update", "--disable-extensions", "--mute-audio",
     "--disable-dev-shm-usage", "--remote-debugging-pipe", "--window-size=1300,900", "--force-color-profile=srgb",
+    "--disable-features=IsolateSandboxedIframes",
 )  # fmt: skip
 TIMEOUT = 60.0  # seconds for an answer
 # Chromium reads commands from descriptor 3 and writes answers to descriptor 4.
@@ -43,6 +44,8 @@ class Browser:
         Uncaught exceptions and error messages of the console.
     requests : list of str
         Addresses that pages asked for, those of the pages themselves not counted.
+    contexts : list of int
+        Contexts in which scripts run, those of frames after that of the page.
     """
 
     def __init__(self, read: int, write: int):
@@ -51,6 +54,7 @@ class Browser:
         self._number = 0
         self.errors: list[str] = []
         self.requests: list[str] = []
+        self.contexts: list[int] = []
         self._session: str | None = None
         target = self.call("Target.createTarget", url="about:blank")["targetId"]
         self._session = self.call("Target.attachToTarget", targetId=target, flatten=True)["sessionId"]
@@ -96,6 +100,8 @@ class Browser:
                 self.errors.append(details.get("exception", {}).get("description") or details["text"])
             case "Runtime.consoleAPICalled" if parameters["type"] in ("error", "warning", "assert"):
                 self.errors.append(str(parameters["args"]))
+            case "Runtime.executionContextCreated":
+                self.contexts.append(parameters["context"]["id"])
             case "Log.entryAdded" if parameters["entry"]["level"] in ("error", "warning"):
                 self.errors.append(parameters["entry"]["text"])
             case "Network.requestWillBeSent":
@@ -103,9 +109,12 @@ class Browser:
                 if parameters.get("type") != "Document" and not url.startswith(("data:", "blob:")):
                     self.requests.append(url[:200])
 
-    def evaluate(self, expression: str) -> Any:
-        """Value of a JavaScript expression, awaited if it is a promise."""
-        answer = self.call("Runtime.evaluate", expression=expression, awaitPromise=True, returnByValue=True)
+    def evaluate(self, expression: str, context: int | None = None) -> Any:
+        """Value of a JavaScript expression, awaited if it is a promise; context: one of `contexts`."""
+        where = {} if context is None else {"contextId": context}
+        answer = self.call(
+            "Runtime.evaluate", expression=expression, awaitPromise=True, returnByValue=True, **where
+        )
         if "exceptionDetails" in answer:
             details = answer["exceptionDetails"]
             raise RuntimeError(details.get("exception", {}).get("description") or details["text"])
@@ -130,10 +139,10 @@ class Browser:
         self.call("Page.navigate", url=address)
         self.wait("document.documentElement?.dataset.ready === 'yes'")
 
-    def wait(self, condition: str) -> None:
+    def wait(self, condition: str, context: int | None = None) -> None:
         """Wait until a JavaScript expression is true."""
         end = time.monotonic() + TIMEOUT
-        while not self.evaluate(condition):
+        while not self.evaluate(condition, context):
             if time.monotonic() > end:
                 raise TimeoutError(f"{condition}: still not true; errors: {self.errors}")
             time.sleep(0.02)

@@ -19,7 +19,6 @@ from atlas.engine import jit
 from atlas.engine.compiling import ANNOUNCEMENT, announced
 from atlas.systems.satellite.system import SATELLITE
 
-
 # A point at which no term of the equations vanishes: its kernel is that of many other tests.
 ALL_TERMS = {name: 1.0 + i / 50 for i, name in enumerate(SATELLITE.parameters)}
 

@@ -1,13 +1,19 @@
 """README and docs: code blocks run, tables are those of the registries, links lead to files."""
 
+import contextlib
+import importlib
+import io
 import re
 import subprocess
 import sys
 from pathlib import Path
 
+import matplotlib
 import pytest
+from matplotlib import pyplot
 from PIL import Image
 
+from atlas import cli, systems
 from atlas.flags import Status
 
 ROOT = Path(__file__).parent.parent
@@ -30,12 +36,12 @@ def run_python(*arguments, cwd):
     return process.stdout
 
 
-def run_commands(text, cwd):
+def run_commands(text):
     """Run the commands of a block for the shell, as far as they are those of this package."""
     for line in text.splitlines():
         command = line.split("#")[0].split()
         if command[:1] == ["atlas"]:
-            run_python("-m", *command, cwd=cwd)
+            assert cli.main(command[1:]) == cli.DONE, line
         elif command[:1] == ["python"]:
             assert (ROOT / command[1]).is_file()
         elif command:
@@ -48,28 +54,45 @@ def test_tables_are_those_of_the_registries():
     run_python("scripts/tools/make_docs.py", "--check", cwd=ROOT)
 
 
+@pytest.fixture
+def folder_of_reader(tmp_path, monkeypatch):
+    """Empty working folder from which modules are imported; they, their systems and their figures go afterwards."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.syspath_prepend(tmp_path)
+    known_systems = dict(systems.SYSTEMS)
+    with matplotlib.rc_context({"backend": "agg"}):
+        yield
+        pyplot.close("all")
+    systems.SYSTEMS.clear()
+    systems.SYSTEMS.update(known_systems)
+    for path in tmp_path.glob("*.py"):
+        sys.modules.pop(path.stem, None)
+
+
+@pytest.mark.usefixtures("whole_kernels", "folder_of_reader")
 @pytest.mark.parametrize("page", PAGES)
-def test_code_blocks_run(page, tmp_path):
+def test_code_blocks_run(page):
     """A TOML block is saved as the scene of the blocks after it; commands of atlas and Python run in order.
 
-    The cells of a notebook run in one process, at the end.
+    A block that begins with the name of a module is saved and imported. The cells of a notebook share their names.
     """
-    cells = []
+    cells = {"__name__": "__main__"}
     for language, text in BLOCK.findall((ROOT / page).read_text()):
         if language == "toml":
-            (tmp_path / "first.toml").write_text(text)
+            Path("first.toml").write_text(text)
         elif language == "python":
-            if module := re.match(r"# (\w+\.py)\n", text):  # its name; a later block imports it
-                (tmp_path / module[1]).write_text(text)
-            printed = run_python("-c", text, cwd=tmp_path)
+            if module := re.match(r"# (\w+)\.py\n", text):
+                Path(f"{module[1]}.py").write_text(text)
+                importlib.import_module(module[1])
+                continue
+            with contextlib.redirect_stdout(io.StringIO()) as printed:
+                exec(compile(text, page, "exec"), {"__name__": "__main__"})
             for line in re.findall(r"^# prints (.+)", text, re.M):
-                assert line in printed
+                assert line in printed.getvalue()
         elif language == "sh":
-            run_commands(text, tmp_path)
+            run_commands(text)
         elif language == CELL:
-            cells.append(text)
-    if cells:
-        run_python("-c", "".join(cells), cwd=tmp_path)
+            exec(compile(text, page, "exec"), cells)
 
 
 @pytest.mark.parametrize("page", PAGES)

@@ -63,8 +63,16 @@ _NUMERIC_BOUND = (
 _INTEGRAL_DRIFT = next(
     Variable(s.name, "float64", s.unit, s.long_name) for s in STATISTICS if s.name == "integral_drift"
 )
-
-
+# Variables that need the sums about the circle of the angular velocity in the body, in the frame and in inertial space.
+ANY_AXIS = (
+    "label_any_axis", "label_any_axis_inertial", "precession_rate", "spin_rate", "nutation",
+    "spin_axis_1", "spin_axis_2", "spin_axis_3", "precession_inclination",
+)  # fmt: skip
+_TWO_AXES = (
+    "of the motion that label_any_axis names; nan where that is neither a regular precession nor a permanent rotation."
+    " Of a permanent rotation the spin axis is the direction of the angular velocity, precession_rate and nutation are 0,"
+    " and precession_inclination is the angle of the axis of rotation to the vertical; nan for a body at rest"
+)
 # Variables that need a run with a tangent vector.
 CHAOS = frozenset(("megno", "lyapunov", "regularity"))
 _TANGENT = (
@@ -135,14 +143,51 @@ def _every_variable_of_body(system: System) -> dict[str, Variable]:
         Variable(s.name, "float64", s.unit, s.long_name, comment=_NO_MEANING if s.needs_psi else "")
         for s in STATISTICS
     ]
-    return {v.name: v for v in (*flag, *measured, *numerics, *theory, *_chaos(_TANGENT), *_derived(system))}
+    return {
+        v.name: v
+        for v in (
+            *flag,
+            *measured,
+            *numerics,
+            *theory,
+            *_any_axis(system),
+            *_chaos(_TANGENT),
+            *_derived(system),
+        )
+    }
+
+
+def _any_axis(system: System) -> list[Variable]:
+    """The motion about any axes of body and frame."""
+    return [
+        Variable(
+            "label_any_axis", "int8", "1", f"kind of motion in the {system.frame} frame, about any axes of body and frame",
+            Label.meanings(), "the same as label where that is steady", optional=True,
+        ),
+        Variable(
+            "label_any_axis_inertial", "int8", "1", "kind of motion in the inertial frame, about any axes of body and space",
+            Label.meanings(), "the same as label_inertial where that is steady", optional=True,
+        ),
+        *(
+            Variable(name, "float64", units, long_name, comment=_TWO_AXES, optional=True)
+            for name, units, long_name in (
+                ("precession_rate", "rad s-1", f"rate about the axis at rest in the {system.frame} frame, never negative"),
+                ("spin_rate", "rad s-1", "rate about the axis at rest in the body"),
+                ("nutation", "rad", "angle between the two axes"),
+                ("spin_axis_1", "1", "component of the axis at rest in the body along the first body axis"),
+                ("spin_axis_2", "1", "component of the axis at rest in the body along the second body axis"),
+                ("spin_axis_3", "1", "component of the axis at rest in the body along the third body axis, not negative"),
+                ("precession_inclination", "rad", f"angle between the axis at rest in the {system.frame} frame and the vertical"),
+            )
+        ),
+    ]  # fmt: skip
 
 
 def _variables_of_body(system: System) -> dict[str, Variable]:
     """The variables of a system that describes the motion of a body in a frame."""
     missing: set[str] = set()
     if system.frame_rate is None:
-        missing |= {"label_inertial", "predicted_inertial"}
+        missing |= {"label_inertial", "label_any_axis_inertial", "predicted_inertial"}
     if not system.families:
         missing |= {"family", "stable", "growth_rate", "condition_residual", "predicted", "agreement"}
         missing |= {"predicted_inertial"}

@@ -68,10 +68,10 @@ ANY_AXIS = (
     "label_any_axis", "label_any_axis_inertial", "precession_rate", "spin_rate", "nutation",
     "spin_axis_1", "spin_axis_2", "spin_axis_3", "precession_inclination",
 )  # fmt: skip
-_TWO_AXES = (
-    "of the motion that label_any_axis names; nan where that is neither a regular precession nor a permanent rotation."
-    " Of a permanent rotation the spin axis is the direction of the angular velocity, precession_rate and nutation are 0,"
-    " and precession_inclination is the angle of the axis of rotation to the vertical; nan for a body at rest"
+_NOT_STEADY = "nan where label_any_axis is neither regular_precession nor permanent_rotation"
+_SPIN_AXIS = (
+    "direction of the angular velocity of a permanent rotation; of a regular precession the last component above"
+    " cylinder_tolerance is positive; nan elsewhere and for a body at rest"
 )
 # Variables that need a run with a tangent vector.
 CHAOS = frozenset(("megno", "lyapunov", "regularity"))
@@ -169,15 +169,18 @@ def _any_axis(system: System) -> list[Variable]:
             Label.meanings(), "the same as label_inertial where that is steady", optional=True,
         ),
         *(
-            Variable(name, "float64", units, long_name, comment=_TWO_AXES, optional=True)
-            for name, units, long_name in (
-                ("precession_rate", "rad s-1", f"rate about the axis at rest in the {system.frame} frame, never negative"),
-                ("spin_rate", "rad s-1", "rate about the axis at rest in the body"),
-                ("nutation", "rad", "angle between the two axes"),
-                ("spin_axis_1", "1", "component of the axis at rest in the body along the first body axis"),
-                ("spin_axis_2", "1", "component of the axis at rest in the body along the second body axis"),
-                ("spin_axis_3", "1", "component of the axis at rest in the body along the third body axis, not negative"),
-                ("precession_inclination", "rad", f"angle between the axis at rest in the {system.frame} frame and the vertical"),
+            Variable(name, "float64", units, long_name, comment=comment, optional=True)
+            for name, units, long_name, comment in (
+                ("precession_rate", "rad s-1", f"rate of precession about an axis at rest in the {system.frame} frame, not negative",
+                 f"0 for a permanent rotation; {_NOT_STEADY}"),
+                ("spin_rate", "rad s-1", "rate of the body about the axis at rest in it",
+                 f"for a permanent rotation the length of the angular velocity; {_NOT_STEADY}"),
+                ("nutation", "rad", "angle between the axes at rest in the body and in the frame",
+                 f"0 for a permanent rotation; {_NOT_STEADY}, and for a body at rest"),
+                *((f"spin_axis_{i}", "1", f"component of the axis at rest in the body along the {axis} body axis", _SPIN_AXIS)
+                  for i, axis in enumerate(("first", "second", "third"), 1)),
+                ("precession_inclination", "rad", f"angle between the axis at rest in the {system.frame} frame and the vertical",
+                 f"for a permanent rotation of the angular velocity; {_NOT_STEADY}, and for a body at rest"),
             )
         ),
     ]  # fmt: skip

@@ -15,7 +15,9 @@ from ..validation import half_step
 from .chunks import chunks
 from .metadata import flag_names, scene_of
 
-FLAGS = ("label", "label_inertial", "status", "agreement", "computed")
+FLAGS = (
+    "label", "label_inertial", "label_any_axis", "label_any_axis_inertial", "status", "agreement", "computed",
+)  # fmt: skip
 # Groups of points whose expected errors are printed apart: drifting motions amplify errors, steady ones do not.
 GROUPS = {
     "steady": (Label.REGULAR_PRECESSION, Label.PERMANENT_ROTATION),

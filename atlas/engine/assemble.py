@@ -17,7 +17,19 @@ import numpy as np
 
 from ..errors import BadInput
 from ..systems import arithmetic
-from . import generated, jit, kernel, observe, poles, sampling, statistics, tangent, tangent_space, turning
+from . import (
+    circle,
+    generated,
+    jit,
+    kernel,
+    observe,
+    poles,
+    sampling,
+    statistics,
+    tangent,
+    tangent_space,
+    turning,
+)
 from .differentiate import differential
 from .simplify import simplify
 from .statistics import Row
@@ -35,6 +47,8 @@ INLINED = (
     ),
     (turning, ("newton_change", "motion_of_turn", "turning_point")),
 )  # fmt: skip
+# Only where a kernel measures circles.
+INLINED_FOR_CIRCLES = ((circle, ("load_circles", "add_to_circle", "store_circles")),)
 # Called seldom and long: inlined it would only fill the instruction cache.
 NOT_INLINED = ((poles, ("trapezoid_error_of_pole",)),)
 # Numbers of the modules that the kernels use, by kernel.
@@ -66,14 +80,20 @@ NUMBERS = {
         ),
     ),
 }
-ENUMS = {enum.__name__: enum for enum in (Row, poles.Passage, poles.Term, turning.Turn)}
+ENUMS = {
+    enum.__name__: enum for enum in (Row, circle.Axis, circle.Sum, poles.Passage, poles.Term, turning.Turn)
+}
 
 
-def functions(module: ModuleType) -> dict[str, str]:
-    """Source of every function of a module without docstrings, by name; members of ENUMS become their numbers."""
+def functions(module: ModuleType, absent: Collection[str] = ()) -> dict[str, str]:
+    """Source of every function of a module without docstrings, by name; members of ENUMS become their numbers.
+
+    absent: names whose `if name:` is left out with all that it holds.
+    """
     path = module.__file__
     assert path is not None
     tree = _EnumNumbers().visit(ast.parse(Path(path).read_text(encoding="utf-8")))
+    tree = _Without(absent).visit(tree)
     sources = {}
     for node in tree.body:
         if isinstance(node, ast.FunctionDef):
@@ -99,6 +119,19 @@ class _EnumNumbers(ast.NodeTransformer):
         return node
 
 
+class _Without(ast.NodeTransformer):
+    """Leaves out what is done only if one of some names is true."""
+
+    def __init__(self, absent: Collection[str]):
+        self.absent = absent
+
+    def visit_If(self, node: ast.If) -> ast.If | None:
+        if isinstance(node.test, ast.Name) and node.test.id in self.absent:
+            return None
+        self.generic_visit(node)
+        return node
+
+
 def source(
     equations: ModuleType,
     method: str,
@@ -106,6 +139,7 @@ def source(
     equal: Mapping[str, str] = {},
     *,
     of: ModuleType = kernel,
+    frames: int = 0,
 ) -> str:
     """Text of a compiled kernel module of a system's equations and a method.
 
@@ -121,13 +155,15 @@ def source(
         Constants that equal another one at every point to come.
     of : module, optional
         `kernel` (default), `observe` or `tangent`.
+    frames : int, optional
+        Frames in which `kernel` measures circles; see `circle`. With none the text has nothing about them.
 
     Raises
     ------
     BadInput
         If a first integral is called like a function of the kernel.
     """
-    own_functions = functions(of)
+    own_functions = functions(of, () if frames else ("FRAMES",))
     integrate = own_functions.pop("integrate")
     generated_functions = _generated_functions(equations, METHODS[method], zero, equal, of)
     _check_names(equations, {*own_functions, "integrate"})
@@ -138,6 +174,9 @@ def source(
         not_inlined = [functions(module)[name] for module, names in NOT_INLINED for name in names]
     else:
         not_inlined = []
+    if frames:
+        inlined += [functions(module)[name] for module, names in INLINED_FOR_CIRCLES for name in names]
+        constants |= {"FRAMES": frames}
     inlined += own_functions.values()
     constants |= {name: getattr(module, name) for module, names in NUMBERS[of.__name__] for name in names}
     parts = [f"{jit.INLINE}\n{text}" for text in inlined]
@@ -157,6 +196,7 @@ def plain_module(
     equal: Mapping[str, str] = {},
     *,
     of: ModuleType = kernel,
+    frames: int = 0,
 ) -> ModuleType:
     """The same kernel as plain Python, slow; arguments as for `source`."""
     assert of.__file__ is not None
@@ -168,7 +208,7 @@ def plain_module(
     namespace: dict[str, object] = {"np": np, **arithmetic.numpy_functions()}
     for name, text in _generated_functions(equations, METHODS[method], zero, equal, of).items():
         exec(compile(text, f"<{name} of {equations.__name__}>", "exec"), namespace)
-    vars(module).update(namespace, **_constants(equations, METHODS[method]))
+    vars(module).update(namespace, FRAMES=frames, **_constants(equations, METHODS[method]))
     # Compiled code raises no floating-point warnings.
     vars(module)["integrate"] = np.errstate(all="ignore")(module.integrate)
     return module

@@ -17,6 +17,7 @@ from types import ModuleType
 import numpy as np
 from numpy.typing import NDArray
 
+from .circle import Axis, Sum
 from .generated import WIDTH
 from .kernel import MOTION
 from .sampling import quadrature
@@ -116,6 +117,7 @@ def integrate(
     scales: NDArray[np.float64],
     cylinder: float,
     *,
+    axes: NDArray[np.float64] | None = None,
     segment: Segment | None = None,
     threads: int | None = None,
     progress: Callable[[int], None] | None = None,
@@ -136,6 +138,8 @@ def integrate(
         Reciprocals of the sizes with which changes of the first integrals are compared; 0: not conserved.
     cylinder : float
         Radius of the cylinder, rad.
+    axes : ndarray of float64, shape (frames * len(Axis), points), optional
+        From `circle.circle_axes`, for kernels that measure circles.
     segment : Segment, optional
         Part of the runs, default: all of them.
     threads : int, optional
@@ -145,16 +149,19 @@ def integrate(
 
     Returns
     -------
-    ndarray of float64, shape (len(Row), points)
-        The sums, for `statistics.finish`.
+    ndarray of float64, shape (len(Row) + frames * len(Sum), points)
+        The sums, for `statistics.finish` and `circle.circle_statistics`.
 
     Notes
     -----
     On KeyboardInterrupt the calls of the kernel in flight end first (a fraction of a second), then it is raised again.
     """
+    if axes is not None:
+        constants = np.concatenate([constants, axes])
     if segment is None:
         nodes = schedule.nodes
-        out = np.empty((len(Row), state.shape[1]))
+        frames = 0 if axes is None else len(axes) // len(Axis)
+        out = np.empty((len(Row) + frames * len(Sum), state.shape[1]))
         segment = Segment(np.zeros_like(nodes), nodes, np.empty((0, 0)), out)
     rules = quadrature()
     nodes = segment.last_node - segment.first_node

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from ..systems.base import Array, Mask, Points, System
 from . import blocks
+from .circle import Axis, Sum, circle_axes, circle_statistics
 from .statistics import Row, finish, theta_dot_squared_sum
 from .stepsize import StepSizes
 
@@ -29,7 +30,7 @@ class Integration:
     ----------
     final_state : ndarray of float64, shape (states, points)
         Of the points that ran to the end.
-    sums : ndarray of float64, shape (len(Row), points)
+    sums : ndarray of float64, shape (len(Row) + frames * len(Sum), points)
         Output of the kernel.
     intervals : ndarray of int64, shape (points,)
         Intervals between the nodes reached.
@@ -37,6 +38,8 @@ class Integration:
         Integrated time, time units.
     stopped_early : ndarray of bool, shape (points,)
         Whether the point was certain to drift before its end.
+    axes : ndarray of float64, shape (frames * len(Axis), points), or None
+        As in `Ensemble`.
     """
 
     final_state: Array
@@ -44,16 +47,25 @@ class Integration:
     intervals: NDArray[np.int64]
     duration: Array
     stopped_early: Mask
+    axes: Array | None = None
 
     def statistics(self) -> dict[str, Array]:
         """Means, standard deviations and extremes; see `statistics.finish`."""
-        return finish(self.sums, self.intervals, self.duration)
+        return finish(self.sums[: len(Row)], self.intervals, self.duration)
+
+    def circles(self) -> list[dict[str, Array]]:
+        """What `circle.circle_statistics` returns, for each frame in which circles were measured."""
+        if self.axes is None:
+            return []
+        sums = self.sums[len(Row) :].reshape(-1, len(Sum), self.intervals.size)
+        axes = self.axes.reshape(-1, len(Axis), self.intervals.size)
+        return [circle_statistics(*each, self.intervals) for each in zip(sums, axes, strict=True)]
 
     def subset(self, where: NDArray[np.int64]) -> Integration:
         """Some of the points, by their indices."""
         return Integration(
             self.final_state[:, where], self.sums[:, where], self.intervals[where], self.duration[where],
-            self.stopped_early[where],
+            self.stopped_early[where], None if self.axes is None else self.axes[:, where],
         )  # fmt: skip
 
     @property
@@ -82,21 +94,34 @@ class Ensemble:
         Reciprocal sizes of the first integrals; see `integral_scales`.
     frequency_bound : ndarray of float64, shape (points,)
         Upper bound of the fastest frequency, rad per time unit.
+    axes : ndarray of float64, shape (frames * len(Axis), points), C order, or None
+        For kernels that measure circles; see `circle.circle_axes`.
     """
 
     state: Array
     constants: Array
     scales: Array
     frequency_bound: Array
+    axes: Array | None = None
 
     @classmethod
-    def of(cls, system: System, points: Points) -> Ensemble:
-        """The ensemble of points of a system. Parameters that overflow make numbers that are not finite."""
+    def of(cls, system: System, points: Points, frames: int = 0) -> Ensemble:
+        """The ensemble of points of a system. Parameters that overflow make numbers that are not finite.
+
+        frames: in how many a kernel measures circles: none, the system's frame, or inertial space as well.
+        """
         with np.errstate(all="ignore"):
             state = np.ascontiguousarray(system.initial_state(points))
             constants = np.ascontiguousarray(system.constants(points))
             scales = integral_scales(system, state, constants, system.integral_scales(points))
-            return cls(state, constants, scales, system.frequency_bound(points))
+            bound = system.frequency_bound(points)
+            axes = None
+            if frames:
+                rates = [np.zeros_like(bound)]
+                if frames > 1 and system.frame_rate is not None:
+                    rates.append(system.frame_rate(points))
+                axes = circle_axes(system.equations, state, constants, np.array(rates), bound)
+            return cls(state, constants, scales, bound, axes)
 
     @property
     def size(self) -> int:
@@ -108,7 +133,8 @@ class Ensemble:
         state, constants, scales = (
             np.ascontiguousarray(rows[:, where]) for rows in (self.state, self.constants, self.scales)
         )
-        return Ensemble(state, constants, scales, self.frequency_bound[where])
+        axes = None if self.axes is None else np.ascontiguousarray(self.axes[:, where])
+        return Ensemble(state, constants, scales, self.frequency_bound[where], axes)
 
     def integrate(
         self,
@@ -131,7 +157,8 @@ class Ensemble:
             Radius of the cylinder, rad.
         early_stop_rate : ndarray of float64, shape (points,), optional
             Root mean square of theta' over the whole run, rad per time unit, beyond which a point outside the
-            cylinder is certain to drift; its run may then end early. Default: every run is whole.
+            cylinder is certain to drift; its run may then end early. Default: every run is whole, as they must be
+            where circles are measured.
         threads, progress
             See `blocks.integrate`.
         """
@@ -139,7 +166,7 @@ class Ensemble:
         if early_stop_rate is None:
             sums = blocks.integrate(
                 kernel, blocks.schedule_of(step_sizes), step_sizes.step_size, state, self.constants, self.scales,
-                cylinder, threads=threads, progress=progress,
+                cylinder, axes=self.axes, threads=threads, progress=progress,
             )  # fmt: skip
             nodes = step_sizes.intervals + 1
         else:
@@ -155,6 +182,7 @@ class Ensemble:
             intervals=intervals,
             duration=duration,
             stopped_early=nodes <= step_sizes.intervals,
+            axes=self.axes,
         )
 
     def final_states(

@@ -18,6 +18,7 @@ TANGENT = 0  # components of a tangent vector
 STEP = 1.0  # length of a step in the kernel's unit of time, `Method.kernel_step`
 STORES_SLOPE = False  # is the slope at a node kept for the first stage of the step after it?
 HAS_AXIS = False  # does the system have `axis_in_frame`?
+FRAMES = 0  # frames in which circles are measured, see `circle`; what stands under `if FRAMES:` is left out for none
 
 
 def aligned_empty(shape):

@@ -17,8 +17,10 @@ cause (`poles`) are computed for many of them side by side.
 
 import numpy as np
 
+from .circle import Axis, Sum, add_to_circle, load_circles, store_circles
 from .generated import (
     CONSTANTS,
+    FRAMES,
     HAS_AXIS,
     INTEGRALS,
     STATES,
@@ -141,15 +143,15 @@ def integrate(
         In time units.
     state0 : ndarray of float64, shape (STATES, points), overwritten
         State at the start and, after the last node, at the end.
-    constants0, scales : ndarray of float64, shapes (CONSTANTS, points) and (INTEGRALS, points)
-        Constants of the equations and reciprocal scales of the first integrals.
+    constants0, scales : ndarray of float64, shapes (CONSTANTS + FRAMES * len(Axis), points) and (INTEGRALS, points)
+        Constants of the equations, followed by those of the circles, and reciprocal scales of the first integrals.
     node_weights, first_sample, samples : ndarray
         See `sampling.Quadrature`.
     cylinder_squared : float
         Square of the cylinder tolerance.
     resume : ndarray of float64, shape (4 * 2 * MOTION + INTEGRALS, points), or (0, 0) where all runs are whole
         The last four nodes and the first integrals at the start.
-    out : ndarray of float64, shape (len(Row), points), overwritten
+    out : ndarray of float64, shape (len(Row) + FRAMES * len(Sum), points), overwritten
         The sums.
     """
     aligned_stack()
@@ -165,6 +167,8 @@ def integrate(
     lanes, first_nodes = np.zeros(QUEUE, np.int64), np.zeros(QUEUE, np.int64)
     passages[:] = 0.0
     turns[:] = 0.0
+    if FRAMES:
+        axes, sums = aligned_empty((FRAMES * len(Axis), WIDTH)), aligned_empty((FRAMES * len(Sum), WIDTH))
     for block in range(first_block, last_block):
         stride = steps_per_sample[block]
         intervals, spacing = steps[block] // stride, STEP * stride
@@ -188,6 +192,12 @@ def integrate(
         else:
             for l in range(WIDTH):
                 load_run(points[block, l], l, state, stats, nodes, integrals0, state0, resume, out)
+        if FRAMES:
+            for l in range(WIDTH):
+                begins = first_node[block] == 0
+                load_circles(
+                    FRAMES, points[block, l], l, begins, axes, sums, constants0, CONSTANTS, out, len(Row)
+                )
         for i in range(first_node[block], last_node[block]):
             slot, last = i & 3, i + 1 == last_node[block]
             weight = node_weights[rule, rule_position(i, intervals)]
@@ -240,6 +250,21 @@ def integrate(
                         correct(stats, passages, terms, lanes, first_nodes, passage_count, stride, dt, intervals,
                                 cylinder_squared)  # fmt: skip
                         passage_count = np.int64(0)
+            if FRAMES:
+                half = 0.5 if i == 0 or i == intervals else 1.0
+                for frame in range(FRAMES):
+                    for l in range(WIDTH):
+                        add_to_circle(
+                            axes,
+                            frame * len(Axis),
+                            sums,
+                            frame * len(Sum),
+                            l,
+                            nodes,
+                            slot,
+                            inverse_unit[l],
+                            half,
+                        )
             if HAS_AXIS:
                 for l in range(WIDTH):
                     a1, a2 = axis_in_frame(load_state(state, l), load_constants(constants, l))
@@ -267,6 +292,8 @@ def integrate(
                 store_run(p, l, state, nodes, integrals0, state0, resume)
             for row in range(len(Row)):
                 out[row, p] = stats[row, l]
+            if FRAMES:
+                store_circles(FRAMES, p, l, sums, out, len(Row))
 
 
 def near_vertical(nodes, first, second, l, spacing, interval, intervals):

@@ -47,21 +47,29 @@ GENERIC = Specialization()
 
 
 @cache
-def _source(system: System, method: str, specialization: Specialization) -> str:
+def _source(system: System, method: str, specialization: Specialization, frames: int) -> str:
     of = observe if system.observables else kernel_of_bodies
-    return assemble.source(system.equations, method, specialization.zero, dict(specialization.equal), of=of)
+    zero, equal = specialization.zero, dict(specialization.equal)
+    return assemble.source(system.equations, method, zero, equal, of=of, frames=frames)
 
 
 @cache
-def kernel(system: System, method: str, specialization: Specialization = GENERIC) -> ModuleType:
-    """The compiled module that integrates a system; compiled, or taken from the cache, at its first call."""
-    return jit.load(_source(system, method, specialization))
+def kernel(
+    system: System, method: str, specialization: Specialization = GENERIC, frames: int = 0
+) -> ModuleType:
+    """The compiled module that integrates a system; compiled, or taken from the cache, at its first call.
+
+    frames: in how many it measures circles, see `circle`.
+    """
+    return jit.load(_source(system, method, specialization, frames))
 
 
 @cache
-def kernel_hash(system: System, method: str, specialization: Specialization = GENERIC) -> str:
+def kernel_hash(
+    system: System, method: str, specialization: Specialization = GENERIC, frames: int = 0
+) -> str:
     """Hash of the kernel's source, compilers and processor type, recorded in every atlas."""
-    return jit.digest(_source(system, method, specialization))
+    return jit.digest(_source(system, method, specialization, frames))
 
 
 @cache

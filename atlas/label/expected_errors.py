@@ -12,6 +12,7 @@ from ..engine.stepsize import INTERPOLATION_ERROR, ROUNDING, StepSizes
 from ..engine.tableaux import Method
 from ..scene.model import Tolerances
 from ..systems.base import Array, System
+from . import any_axis
 
 
 def error_estimate(
@@ -112,7 +113,8 @@ def pair_error(
         rates = [change / bound for change in differences(fine_values, coarse_values, RATES).values()]
         angles = differences(fine_values, coarse_values, ("theta_min", "theta_max")).values()
         implied = with_statistics(state, fine_sizes, bound, fine_run, fine_values, cylinder)
-    return np.asarray(np.fmax.reduce([state, 0.3 * implied, *rates, *angles]))
+        about_any_axis = any_axis.change(fine_values, coarse_values, bound)
+    return np.asarray(np.fmax.reduce([state, 0.3 * implied, about_any_axis, *rates, *angles]))
 
 
 def differences(
@@ -170,6 +172,9 @@ def measurement_errors(
     }
     errors = {name: size + relative * measured[name] for name, size in absolute.items()}
     errors |= {"psi_dot_mean": near_vertical, "phi_dot_mean": near_vertical}
+    for name in any_axis.labels_in(measured):
+        circle = any_axis.measurement_errors(step_sizes, bound, relative, measured, name)
+        errors |= {f"{name}:{key}": error for key, error in circle.items()}
     return errors | {"theta_min": angle, "theta_max": angle, "sine_max": angle}
 
 

@@ -26,8 +26,8 @@ from ..flags import Label, Status
 from ..scene.grid import Grid, Reason, status_of
 from ..scene.model import Scene, Settings
 from ..systems.base import FAMILY_TOLERANCE, Array, Flags, Mask, Points, System
-from ..variables import CHAOS
-from . import labels, observed
+from ..variables import ANY_AXIS, CHAOS
+from . import any_axis, labels, observed
 from .expected_errors import differences, early_stop_rate, error_estimate, measurement_errors, pair_error
 from .half_steps import half_step_sample
 from .regularity import regularity
@@ -37,7 +37,7 @@ from .theory import agreement, exact_starts, predict_runs
 # step is the same within this share.
 HALF_STEP_RTOL = 0.05
 # Variables that only a whole run can give: a scene that asks for none of them ends its points early.
-WHOLE_RUN = frozenset(statistic.name for statistic in STATISTICS)
+WHOLE_RUN = frozenset((*(statistic.name for statistic in STATISTICS), *ANY_AXIS))
 
 
 def scene_specialization(scene: Scene) -> Specialization:
@@ -54,7 +54,7 @@ def hash_of_kernels(
     system: System, method: str, specialization: Specialization, outputs: Collection[str]
 ) -> str:
     """Hash of the kernel that points are integrated with; a second one follows where it is the tangent kernel as well."""
-    own = kernel_hash(system, method, specialization)
+    own = kernel_hash(system, method, specialization, any_axis.frames(system, outputs))
     return f"{own}-{tangent_kernel_hash(system, specialization)}" if CHAOS & set(outputs) else own
 
 
@@ -137,13 +137,14 @@ def evaluate(
             system, base, points, duration, settings, specialization=specialization, outputs=outputs, halved=halved,
             threads=threads, progress=progress,
         )  # fmt: skip
-    runs = _prepare(system, base, points, duration, settings, specialization, nudged, halved, threads)
+    frames = any_axis.frames(system, outputs or ())
+    runs = _prepare(system, base, points, duration, settings, specialization, nudged, halved, frames, threads)
     if outputs is not None and CHAOS & set(outputs):
         runs = _with_tangent_steps(runs, points)
     execution = _Execution(threads, progress or (lambda points: None))
     whole_run = outputs is None or bool(WHOLE_RUN & set(outputs))
     integration = _integrate(runs, whole_run, execution)
-    measured = integration.statistics()
+    measured = _measured(integration, settings)
     recheck = _recheck(runs, integration, measured, execution)
     columns = _assemble(runs, integration, measured, recheck)
     if runs.tangent is not None:
@@ -192,12 +193,13 @@ class _Runs:
     rounding_growth: Array  # the same where the start is on the motion to rounding, else 0
     rounding_growth_on_vertical: Array  # the same of runs whose third axis never leaves the vertical by a bit
     frame_rates: Mapping[str, Array]  # label variable -> rate added to psi', rad per time unit
+    frames: int = 0  # in which the kernel measures circles
     tangent: _Tangent | None = None
 
     @property
     def kernel(self) -> ModuleType:
         """The kernel that integrates the points."""
-        return kernel(self.system, self.settings.method, self.specialization)
+        return kernel(self.system, self.settings.method, self.specialization, self.frames)
 
     @property
     def error_amplified(self) -> Mask:
@@ -215,10 +217,11 @@ def _prepare(
     specialization: Specialization,
     nudged: bool,
     halved: bool,
+    frames: int,
     threads: int | None,
 ) -> _Runs:
     """The ensemble, its step sizes and its theory. Parameters may overflow: such points end up unresolved."""
-    ensemble = Ensemble.of(system, points)
+    ensemble = Ensemble.of(system, points, frames)
     if system.has_numeric_bound:
         bound, settled = numeric_bound.along_runs(
             system, kernel(system, settings.method, specialization), METHODS[settings.method], ensemble, duration,
@@ -256,6 +259,7 @@ def _prepare(
         rounding_growth=rounding_growth,
         rounding_growth_on_vertical=np.fmin(rounding_growth, about_vertical),
         frame_rates=frame_rates,
+        frames=frames,
     )
 
 
@@ -319,6 +323,12 @@ def _integrate(runs: _Runs, whole_run: bool, execution: _Execution) -> Integrati
     )  # fmt: skip
 
 
+def _measured(integration: Integration, settings: Settings) -> dict[str, Array]:
+    """Statistics of an integration, and what it gives about any axes."""
+    measured = integration.statistics()
+    return measured | any_axis.measurements(integration, measured, settings.tolerances)
+
+
 def _status(
     runs: _Runs, integration: Integration, measured: Mapping[str, Array], step_sensitive: Mask | bool
 ) -> Flags:
@@ -360,6 +370,8 @@ def _recheck(
         step_sensitive = departed & (runs.residual <= ROUNDING * np.sqrt(step_sizes.steps))
         unsure = _unsure(measured, measurement_errors(step_sizes, bound, measured), runs)
         error = error_estimate(step_sizes, bound, runs.log_growth, integration, measured, settings.cylinder)
+        rate_error = step_sizes.rate_error * np.exp(runs.log_growth)
+        error = np.fmax(error, any_axis.relative_error(rate_error, bound, measured, settings.tolerances))
     sample = np.flatnonzero(resolved & half_step_sample(runs.ensemble, settings.check_half_step))
     if sample.size:
         error[sample], unsure[sample] = _measured_error(
@@ -389,7 +401,8 @@ def _measured_error(
     sizes = runs.step_sizes.subset(where)
     coarse_sizes = sizes.coarsened(method)
     coarse = _integrate_again(runs, where, coarse_sizes, execution)
-    run, values, coarse_values = integration.subset(where), _subset(measured, where), coarse.statistics()
+    run, values = integration.subset(where), _subset(measured, where)
+    coarse_values = _measured(coarse, runs.settings)
     error = pair_error(
         runs.system,
         method,
@@ -399,7 +412,7 @@ def _measured_error(
         runs.settings.cylinder,
     )
     with np.errstate(all="ignore"):
-        difference = differences(values, coarse_values, labels.LABEL_STATISTICS)
+        difference = differences(values, coarse_values, _label_statistics(values))
         unsure = _unsure(values, difference, runs, where)
     trusted = (coarse_sizes.step_ratio < 0.5) & coarse.finite
     return np.where(trusted, error, np.fmax(error, expected)), unsure
@@ -410,10 +423,10 @@ def _at_half_step(
 ) -> tuple[Mask, Array]:
     """Whether labels change at half the step, and the largest change of a rate over the frequency bound."""
     fine_sizes = runs.step_sizes.subset(where).halved(METHODS[runs.settings.method])
-    fine = _integrate_again(runs, where, fine_sizes, execution).statistics()
+    fine = _measured(_integrate_again(runs, where, fine_sizes, execution), runs.settings)
     coarse = _subset(measured, where)
     changes = _label_changes(coarse, fine, runs, where)
-    rates = differences(fine, coarse, RATES)
+    rates = differences(fine, coarse, (*RATES, *(name for name in any_axis.RATES if name in fine)))
     changes |= departed & (rates["theta_dot_rms"] > HALF_STEP_RTOL * fine["theta_dot_rms"])
     return changes, np.fmax.reduce(list(rates.values())) / runs.ensemble.frequency_bound[where]
 
@@ -427,33 +440,52 @@ def _integrate_again(
     )
 
 
+def _label_statistics(measured: Mapping[str, Array]) -> list[str]:
+    """Names of the measurements from which the labels are decided."""
+    return [*labels.LABEL_STATISTICS, *any_axis.names_in(measured)]
+
+
+def _labels(
+    runs: _Runs, measured: Mapping[str, Array], where: np.ndarray | slice = slice(None)
+) -> dict[str, Flags]:
+    """Every label of the points, or of some of them, whatever their status."""
+    tolerances = runs.settings.tolerances
+    found = {name: labels.label(measured, tolerances, rate[where]) for name, rate in runs.frame_rates.items()}
+    for name in any_axis.labels_in(measured):
+        circle = any_axis.statistics_of(measured, name)
+        found[name] = any_axis.label(circle, found[any_axis.LABELS[name]], tolerances)
+    return found
+
+
 def _unsure(
     measured: Mapping[str, Array],
     error: Mapping[str, Array],
     runs: _Runs,
     where: np.ndarray | slice = slice(None),
 ) -> Mask:
-    """Whether a label in one of the frames could be another one within the errors."""
-    return np.logical_or.reduce(
-        [
-            labels.unsure(measured, error, runs.settings.tolerances, rate[where])
-            for rate in runs.frame_rates.values()
-        ]
-    )
+    """Whether a label could be another one within the errors of the measurements that decide it."""
+    tolerances = runs.settings.tolerances
+    own_error = {name: error[name] for name in labels.LABEL_STATISTICS}
+    found = [
+        labels.unsure(measured, own_error, tolerances, rate[where]) for rate in runs.frame_rates.values()
+    ]
+    for name in any_axis.labels_in(measured):
+        own_label = labels.label(measured, tolerances, runs.frame_rates[any_axis.LABELS[name]][where])
+        circle, errors = (any_axis.statistics_of(values, name) for values in (measured, error))
+        found.append(any_axis.unsure(circle, errors, own_label, tolerances))
+    return np.logical_or.reduce(found)
 
 
 def _label_changes(
     coarse: Mapping[str, Array], fine: Mapping[str, Array], runs: _Runs, where: np.ndarray
 ) -> Mask:
     """Whether a label differs at half the step, or could by as much as the measurements differ."""
-    tolerances = runs.settings.tolerances
     with np.errstate(all="ignore"):
-        difference = differences(fine, coarse, labels.LABEL_STATISTICS)
+        difference = differences(fine, coarse, _label_statistics(fine))
         changes = _unsure(fine, difference, runs, where)
-        for rate in runs.frame_rates.values():
-            changes |= labels.label(coarse, tolerances, rate[where]) != labels.label(
-                fine, tolerances, rate[where]
-            )
+        before, after = _labels(runs, coarse, where), _labels(runs, fine, where)
+        for name, label in before.items():
+            changes |= label != after[name]
     return changes
 
 
@@ -466,12 +498,12 @@ def _assemble(
     columns: dict[str, np.ndarray] = {
         name: values if name == "integral_drift" else np.where(resolved, values, np.nan)
         for name, values in measured.items()
+        if ":" not in name  # what decides labels about any axes
     }
     status = _status(runs, integration, measured, recheck.step_sensitive)
     cylinder = labels.in_cylinder(measured, tolerances.angle)
     with np.errstate(invalid="ignore"):
-        for name, rate in runs.frame_rates.items():
-            label = labels.label(measured, tolerances, rate)
+        for name, label in _labels(runs, measured).items():
             label[integration.stopped_early] = Label.DRIFTING
             columns[name] = np.where(status == Status.OK, label, Label.UNRESOLVED).astype(np.int8)
         steady = (status == Status.OK) & (columns["label"] != Label.DRIFTING)
@@ -480,6 +512,9 @@ def _assemble(
         )
     for name in NEEDS_PSI:
         columns[name] = np.where(cylinder, np.nan, columns[name])
+    for name in (*any_axis.RATES, *any_axis.ANGLES):
+        if name in columns:
+            columns[name] = np.where(status == Status.OK, columns[name], np.nan)
     columns |= runs.theory
     return columns | {
         "status": status,

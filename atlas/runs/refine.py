@@ -27,7 +27,9 @@ from ..validation import half_step
 from ..variables import COMPUTED, variables
 
 # Measured flags whose boundaries are traced: the label always, the others where the scene asks for them.
-MEASURED = ("label", "label_inertial", "geometry", "status", "regularity")
+MEASURED = (
+    "label", "label_inertial", "label_any_axis", "label_any_axis_inertial", "geometry", "status", "regularity",
+)  # fmt: skip
 PREDICTED = ("family", "stable", "predicted", "predicted_inertial")
 # Points on either side of a boundary that are integrated, at each level: with 2, every point of a cell
 # whose corners differ, and the cells around it.
@@ -267,7 +269,7 @@ class _PredictedGrid(_FineGrid):
 
     def _values(self, indices: np.ndarray) -> dict[str, np.ndarray]:
         nothing = np.zeros(indices.size, np.int8)
-        stand_ins = {name: self.predicted.get(self.STAND_INS[name]) for name in self.flags}
+        stand_ins = {name: self.predicted.get(self.STAND_INS.get(name, "")) for name in self.flags}
         return {name: nothing if flags is None else flags[indices] for name, flags in stand_ins.items()}
 
     def boundary_points(self) -> int:
@@ -347,10 +349,11 @@ def _chunks(size: int) -> Iterator[slice]:
 
 
 def _encode(flags: Mapping[str, Flags], counts: Sequence[int]) -> np.ndarray:
-    """Several flags of each point as one number, int16; counts: how many values each flag has."""
-    code = np.zeros(1, np.int16)
+    """Several flags of each point as one number; counts: how many values each flag has."""
+    kind = np.dtype("int16" if math.prod(counts) < 2**15 else "int32")
+    code = np.zeros(1, kind)
     for values, count in zip(flags.values(), counts, strict=True):
-        code = (code * count + values).astype(np.int16)
+        code = (code * count + values).astype(kind)
     return code
 
 

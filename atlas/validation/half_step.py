@@ -135,7 +135,7 @@ def half_step_sample(scene: Scene, *, threads: int | None = None) -> dict[str, A
 def _labels_changed(full: Mapping[str, Flags], half: Mapping[str, Flags]) -> Mask:
     """Points that have a label at the full step and another one, or none, at half the step."""
     changed = np.zeros(full["label"].shape, bool)
-    for name in ("label", "label_inertial"):
+    for name in ("label", "label_inertial", "label_any_axis", "label_any_axis_inertial"):
         if name in full:
             labelled = (full[name] != Label.NOT_COMPUTED) & (full[name] != Label.UNRESOLVED)
             changed |= labelled & (half[name] != full[name])

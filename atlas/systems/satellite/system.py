@@ -74,8 +74,9 @@ class Satellite(System):
         if not symmetric.any():
             return []
         return [
-            "at some points A != B but B = C or A = C: labels describe the motion of the third axis, so that a"
-            " steady motion about the axis of symmetry of the body is labelled as drifting"
+            "at some points A != B but B = C or A = C: label describes the motion of the third axis, so that a"
+            " steady motion about the axis of symmetry of the body is labelled as drifting; label_any_axis, a variable"
+            " for [outputs], describes motions about any axis"
         ]
 
     def rate_unit(self, points: Points) -> Array:

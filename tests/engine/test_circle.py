@@ -1,0 +1,190 @@
+"""The circle of the angular velocity in the body: against exact precessions, NumPy, and the kernel without it."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.integrate import solve_ivp
+from scipy.spatial.transform import Rotation
+from strategies import random_fixed_points, random_satellites
+
+from atlas.engine import assemble, blocks, circle
+from atlas.engine.circle import Axis, Sum
+from atlas.engine.ensemble import Ensemble
+from atlas.engine.specialization import kernel, kernel_hash
+from atlas.engine.statistics import Row
+from atlas.systems import SYSTEMS
+
+RANDOM = {"satellite": random_satellites, "fixed_point": random_fixed_points}
+
+
+def precession(s, z, n, m, duration, vertical, nodes=101):
+    """Statistics of nodes of the exact regular precession with these axes and rates, as arrays of one element."""
+    spin_vector = m * s
+    # u' = u x m s, and the vertical is at rest: equations of which the angular velocity is the state.
+    equations = SimpleNamespace(
+        rhs=lambda state, constants: np.concatenate(
+            [np.cross(state[:3], spin_vector, axis=0), np.cross(state[3:], state[:3], axis=0)]
+        ),
+        frame_motion=lambda state, constants: state,
+    )
+    u0 = n * z + spin_vector
+    bound = np.array([abs(n) + abs(m)])
+    one = np.s_[:, None]
+    spin_vector = spin_vector[one]
+    axes = circle.circle_axes(equations, np.r_[u0, vertical][one], np.empty((0, 1)), np.zeros((1, 1)), bound)
+    t = np.linspace(0, duration, nodes)
+    u = Rotation.from_rotvec(-m * np.outer(t, s)).apply(u0)
+    du = np.cross(u, m * s)
+    sums = np.zeros((len(Sum), 1))
+    for i in range(nodes):
+        node = np.concatenate([u[i], np.zeros(3), du[i], np.zeros(3)])[None, :, None]
+        circle.add_to_circle(axes, 0, sums, 0, 0, node, 0, 1.0, 0.5 if i in (0, nodes - 1) else 1.0)
+    return circle.circle_statistics(sums, axes, np.array([nodes - 1]))
+
+
+def directions(tilt, seed):
+    """Two unit vectors at this angle, and a third."""
+    turn = Rotation.random(random_state=seed)
+    other = Rotation.random(random_state=seed + 1).apply([0.0, 0.0, 1.0])
+    return turn.apply([0.0, 0.0, 1.0]), turn.apply([np.sin(tilt), 0.0, np.cos(tilt)]), other
+
+
+@given(
+    tilt=st.one_of(st.floats(1e-4, np.pi - 1e-4), st.just(np.pi / 2)),
+    n=st.floats(0.01, 10.0),
+    m=st.floats(0.01, 10.0).flatmap(lambda size: st.sampled_from([size, -size])),
+    angle=st.floats(0.05, 50.0),
+    seed=st.integers(0, 1000),
+)
+def test_exact_precessions(tilt, n, m, angle, seed):
+    """Tiny circles, parts of them of 0.05 rad, great circles: axis, rates and nutation as well as rounding allows."""
+    s, z, vertical = directions(tilt, seed)
+    found = {k: v[0] for k, v in precession(s, z, n, m, angle / abs(m), vertical).items()}
+    sign = np.sign(s @ [found[f"spin_axis_{i}"] for i in (1, 2, 3)])
+    u = np.linalg.norm(n * z + m * s)
+    radius, height = n * np.sin(tilt), m + n * np.cos(tilt)
+    # An error of the angular velocity tilts the plane of a part of the circle.
+    rounding = 1e-14 * (u + abs(m))
+    error = rounding * (1 + abs(height) / radius) * (u + abs(m)) / found["extent"]
+    axis = sign * np.array([found[f"spin_axis_{i}"] for i in (1, 2, 3)])
+    np.testing.assert_allclose(axis, s, atol=error / (u + abs(m)) + 1e-14)
+    assert found["radius"] == pytest.approx(radius, abs=error)
+    assert sign * found["height"] == pytest.approx(height, abs=error)
+    assert sign * found["spin"] == pytest.approx(m, abs=error * (1 + abs(m) / radius))
+    assert max(found["height_std"], found["radius_std"]) < 10 * error
+    assert found["spin_std"] < 10 * error * (1 + abs(m) / radius)
+    inclination = np.arctan2(np.linalg.norm(np.cross(z, vertical)), z @ vertical)
+    assert found["precession_inclination"] == pytest.approx(
+        inclination, abs=10 * error * (1 + abs(m) / radius) / n
+    )
+
+
+def test_what_is_no_circle():
+    """The angular velocity of a free body near its axis runs along an ellipse, if A = B along a circle: against NumPy."""
+    equations, rows = SYSTEMS["fixed_point"].equations, {}
+    turns = {
+        "A": 1.0,
+        "B": 1.2,
+        "C": 1.9,
+        "p0": 0.02,
+        "r0": 1.0,
+        "gamma10": 0.6,
+        "gamma20": 0.0,
+        "gamma30": 0.8,
+    }
+    for name, body in {"asymmetric": turns, "symmetric": turns | {"B": 1.0}}.items():
+        points = {k: np.array([p.default]) for k, p in SYSTEMS["fixed_point"].parameters.items()}
+        points |= {k: np.array([float(v)]) for k, v in (body | {"q0": 0.0, "Mg": 0.0}).items()}
+        ensemble = Ensemble.of(SYSTEMS["fixed_point"], points, 1)
+        t = np.linspace(0, 40, 1001)
+        constants = ensemble.constants[:, 0]
+        y = solve_ivp(
+            lambda t, y, c=constants: equations.rhs(y, c), (0, 40), ensemble.state[:, 0], "DOP853", t, rtol=1e-12, atol=1e-13
+        ).y  # fmt: skip
+        sums = np.zeros((len(Sum), 1))
+        for i in range(t.size):
+            node = np.r_[y[:, i], equations.rhs(y[:, i], constants)][None, :, None]
+            weight = 0.5 if i in (0, t.size - 1) else 1.0
+            circle.add_to_circle(ensemble.axes, 0, sums, 0, 0, node, 0, 1.0, weight)
+        rows[name] = circle.circle_statistics(sums, ensemble.axes, np.array([1000]))
+        u = y[:3]
+        _, _, plane = np.linalg.svd(u.T - u.T.mean(0), full_matrices=False)
+        distance = np.linalg.norm(u - np.outer(plane[2], plane[2] @ u), axis=0)
+        assert rows[name]["radius_std"][0] == pytest.approx(distance.std(), rel=0.02, abs=1e-10)
+        assert rows[name]["spread"][0] == pytest.approx(np.sqrt(u.var(1).sum()), rel=1e-3)
+        speed = np.linalg.norm(equations.rhs(y, constants[:, None])[:3], axis=0)
+        expected = speed.std() / np.sqrt((distance**2).mean())
+        assert rows[name]["spin_std"][0] == pytest.approx(expected, rel=0.02, abs=1e-9)
+    assert rows["asymmetric"]["spin_std"][0] > 1e-3
+    assert rows["asymmetric"]["radius_std"][0] > 1e-4
+
+
+def test_principal_axes():
+    """Against LAPACK, and where the least eigenvalue is far below rounding errors of the largest."""
+    rng = np.random.default_rng(0)
+    half = rng.normal(size=(3, 3, 50))
+    matrix = np.einsum("ikp,jkp->ijp", half, half)
+    values, vectors = circle.principal_axes(matrix)
+    expected = np.linalg.eigvalsh(np.moveaxis(matrix, 2, 0)).T
+    np.testing.assert_allclose(values, expected, rtol=1e-9, atol=1e-13)
+    np.testing.assert_allclose(
+        np.einsum("ijp,ajp->aip", matrix, vectors), values[:, None] * vectors, atol=1e-12
+    )
+    scale = np.array([1.0, 1e-5, 1e-12])
+    graded = matrix * scale[:, None, None] * scale[None, :, None]
+    # The least eigenvalue is the last pivot of a graded matrix, to leading order.
+    pivot = (
+        np.linalg.det(np.moveaxis(matrix, 2, 0)) / np.linalg.det(np.moveaxis(matrix[:2, :2], 2, 0)) * 1e-24
+    )
+    np.testing.assert_allclose(circle.principal_axes(graded)[0][0], pivot, rtol=1e-6)
+
+
+@pytest.mark.parametrize("system", SYSTEMS.values(), ids=lambda system: system.name)
+def test_kernels_that_measure_no_circles_have_nothing_of_them(system):
+    text = assemble.source(system.equations, "rk4")
+    assert "circle" not in text
+    assert "FRAMES" not in text
+    assert kernel_hash(system, "rk4") != kernel_hash(system, "rk4", frames=1)
+
+
+@pytest.mark.parametrize("method", ["rk4", "rk8"])
+@pytest.mark.parametrize("system", SYSTEMS.values(), ids=lambda system: system.name)
+def test_the_compiled_kernel_is_the_python_one(system, method):
+    """In one call and in several, and with the statistics and states of the kernel that measures no circles."""
+    frames = 1 if system.frame_rate is None else 2
+    points = RANDOM[system.name](np.random.default_rng(7), 20)
+    ensemble = Ensemble.of(system, points, frames)
+    stride = 1 if method == "rk8" else 2
+    schedule = blocks.pack_blocks(np.full(20, 48), np.full(20, stride))
+
+    def run(module, axes, lasts=None):
+        state, sums = ensemble.state.copy(), None
+        arguments = np.full(20, 2.0 / 48), state, ensemble.constants, ensemble.scales, 1e-5
+        if lasts is None:
+            sums = blocks.integrate(module, schedule, *arguments, axes=axes, threads=1)
+        else:
+            first, sums = np.zeros_like(schedule.nodes), np.empty((len(Row) + frames * len(Sum), 20))
+            resume = blocks.resume_array(len(ensemble.scales), 20)
+            for last in lasts:
+                segment = blocks.Segment(first, np.full_like(first, last), resume, sums)
+                blocks.integrate(module, schedule, *arguments, axes=axes, segment=segment, threads=1)
+                first = segment.last_node
+        return state, sums
+
+    compiled, plain = (
+        kernel(system, method, frames=frames),
+        assemble.plain_module(system.equations, method, frames=frames),
+    )
+    state, sums = run(compiled, ensemble.axes)
+    for other in (run(plain, ensemble.axes), run(compiled, ensemble.axes, (5, int(schedule.nodes[0])))):
+        np.testing.assert_allclose(other[0], state, rtol=1e-11, atol=1e-12)
+        np.testing.assert_allclose(other[1][len(Row) :], sums[len(Row) :], rtol=1e-8, atol=1e-9)
+    np.testing.assert_array_equal(other[1], sums)
+    state_without, sums_without = run(kernel(system, method), None)
+    np.testing.assert_array_equal(state_without, state)
+    np.testing.assert_array_equal(sums_without, sums[: len(Row)])
+    assert sums.shape[0] == len(Row) + frames * len(Sum)
+    assert ensemble.axes.shape[0] == frames * len(Axis)

@@ -10,7 +10,6 @@ import textwrap
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from ..errors import BadInput
 from .options import DONE, FIGURES, Commands, add_command, force_option, out_option, output_folder, table
 
 
@@ -53,6 +52,8 @@ def _conditions(options: argparse.Namespace) -> int:
         print(f"{len(rows)} equations differ; {system.reference}")
     elif options.family is not None:
         _print_family(rows[0])
+    elif not families:
+        print(f"the system {system.name} has no families of steady motions: theory predicts nothing of it")
     else:
         _print_catalogue(families, catalogue.published(system), system.reference)
     return DONE

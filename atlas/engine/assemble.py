@@ -161,11 +161,14 @@ def source(
     Raises
     ------
     BadInput
-        If a first integral is called like a function of the kernel.
+        If a first integral is called like a function of the kernel, and for equations that cannot be differentiated.
     """
     own_functions = functions(of, () if frames else ("FRAMES",))
     integrate = own_functions.pop("integrate")
-    generated_functions = _generated_functions(equations, METHODS[method], zero, equal, of)
+    try:
+        generated_functions = _generated_functions(equations, METHODS[method], zero, equal, of)
+    except ValueError as error:  # of `differential`
+        raise BadInput(f"equations: {error}") from None
     _check_names(equations, {*own_functions, "integrate"})
     inlined = list(generated_functions.values())
     constants = _constants(equations, METHODS[method])

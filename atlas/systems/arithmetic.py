@@ -162,19 +162,19 @@ def check(key: str, equations: Any, observables: Collection[str]) -> None:
             )
         if [*state, *constants].count(name) > 1:
             raise BadInput(f"{key}: {shown(name)} is named twice in STATE and CONSTANTS")
+    integrals = getattr(equations, "INTEGRALS", {})
+    if not isinstance(integrals, Mapping | tuple | list):
+        raise BadInput(
+            f"{key}: INTEGRALS = {shown(integrals)}; allowed: a mapping of names to powers of a rate"
+        )
     try:
         nodes = _used(equations, observables)
     except (OSError, TypeError, SyntaxError) as error:
         raise BadInput(f"{key}: the source of the functions cannot be read ({error})") from None
-    integrals = getattr(equations, "INTEGRALS", {})
-    if "scaled" not in nodes and isinstance(integrals, tuple | list):
-        integrals = dict.fromkeys(integrals, 0)
-    if not isinstance(integrals, Mapping):
-        raise BadInput(
-            f"{key}: INTEGRALS = {shown(integrals)}; allowed: a mapping of names to powers of a rate"
-        )
     if ("scaled" in nodes) != ("unscaled" in nodes):
         raise BadInput(f"{key}: scaled and unscaled belong together; give both of them or none")
+    if "scaled" in nodes and not isinstance(integrals, Mapping):
+        raise BadInput(f"{key}: with scaled, INTEGRALS must be a mapping of names to powers of a rate")
     frame = () if observables else ("frame_motion",)
     for name in ("rhs", *frame, *integrals, *(name for name in observables if name not in state)):
         if name not in nodes:
@@ -189,7 +189,7 @@ def check(key: str, equations: Any, observables: Collection[str]) -> None:
         if len(given) != len(arguments) or given[:2] != arguments[:2]:
             raise BadInput(f"{key}: {name}({', '.join(given)}): allowed: {name}({', '.join(arguments)})")
         if name not in ("scaled", "unscaled", "axis_in_frame"):
-            _check_function(f"{key}: {name}", node, len(state), len(constants), components.get(name))
+            _check_function(f"{key}: {name}", node, state, constants, components.get(name))
 
 
 def _names(key: str, equations: Any, which: str) -> tuple[str, ...]:
@@ -201,7 +201,11 @@ def _names(key: str, equations: Any, which: str) -> tuple[str, ...]:
 
 
 def _check_function(
-    key: str, node: ast.FunctionDef, states: int, constants: int, components: int | None
+    key: str,
+    node: ast.FunctionDef,
+    state: tuple[str, ...],
+    constants: tuple[str, ...],
+    components: int | None,
 ) -> None:
     """Raise BadInput unless a function is plain arithmetic of known names with so many components; 0: a number."""
     names, returned = {*FUNCTIONS}, None
@@ -212,11 +216,14 @@ def _check_function(
             case ast.Assign(
                 targets=[ast.Tuple(elts=targets)], value=ast.Name(id="state" | "constants" as what)
             ):
-                wanted = states if what == "state" else constants
-                if len(targets) != wanted:
+                wanted = state if what == "state" else constants
+                given = [ast.unparse(target) for target in targets]
+                if len(given) != len(wanted):
                     raise BadInput(
-                        f"{line}: {what} has {wanted} components, and {len(targets)} names are assigned"
+                        f"{line}: {what} has {len(wanted)} components, and {len(given)} names are assigned"
                     )
+                if set(given) == set(wanted) and given != list(wanted):
+                    raise BadInput(f"{line}: its order is {', '.join(wanted)}")
             case ast.Assign(targets=[ast.Name() as target], value=value):
                 targets = [target]
                 _check_expression(line, value, names)

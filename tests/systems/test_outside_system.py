@@ -72,6 +72,21 @@ class HeavyTopWithTheory(HeavyTop):
     }  # fmt: skip
 
 
+class BareEquations:
+    """Those of the heavy top, without anything that may be left out."""
+
+    STATE, CONSTANTS = equations.STATE, equations.CONSTANTS
+    rhs, frame_motion = equations.rhs, equations.frame_motion
+
+
+class BareTop(HeavyTop):
+    """A top whose author has given neither first integrals, nor units of the kernels, nor a frequency bound."""
+
+    name = "bare_top"
+    equations = BareEquations
+    frequency_bound = System.frequency_bound
+
+
 SCENE = """
 schema = 1
 title = "A top"
@@ -102,7 +117,7 @@ tolerance = 1e-6
 @pytest.fixture(autouse=True)
 def registered(monkeypatch):
     monkeypatch.setattr(systems, "SYSTEMS", dict(systems.SYSTEMS))
-    for system in (HeavyTop(), HeavyTopWithTheory()):
+    for system in (HeavyTop(), HeavyTopWithTheory(), BareTop()):
         systems.register(system)
 
 
@@ -150,6 +165,31 @@ def test_labels_of_steady_and_other_motions():
     assert (atlas.label_points("heavy_top", points, duration=20.0)["label"] == Label.DRIFTING).all()
 
 
+def test_units_and_a_bound_that_are_filled_in_give_the_same_labels():
+    points = random_points(40)
+    points["spin"][:20] = steady_spin({"transverse": np.ones(40), **points})[:20]
+    options = {"duration": 5.0, "tolerance": 1e-10, "method": "rk8"}
+    own, given = (
+        atlas.label_points("bare_top", points, **options),
+        atlas.label_points("heavy_top", points, **options),
+    )
+    assert systems.get("bare_top").has_numeric_bound
+    assert not systems.get("heavy_top").has_numeric_bound
+    assert "integral_drift" not in own
+    for name in ("label", "status"):
+        np.testing.assert_array_equal(own[name], given[name])
+    for name in ("psi_dot_mean", "phi_dot_std", "normal_rate_mean"):
+        np.testing.assert_allclose(own[name], given[name], rtol=1e-7, atol=1e-7)
+    assert own.attrs["atlas_frequency_bound"] == "numeric"
+    assert "numeric bound" in own["step_ratio"].attrs["long_name"]
+    step_of_bound = own["step_ratio"] / own["step"]
+    largest = (
+        given["step_ratio"] / given["step"]
+    )  # its author's bound holds for every motion of these energies
+    assert (step_of_bound <= 1.15 * largest).all()
+    assert (step_of_bound >= 0.3 * largest).all()
+
+
 def test_what_the_system_does_not_have_is_left_out():
     names = set(variables(systems.get("heavy_top")))
     assert {"label", "status", "theta_dot_rms", "integral_drift", "error_estimate"} <= names
@@ -190,7 +230,7 @@ def test_scene_file_and_queries(ds, tmp_path):
     assert opened.atlas.families() is not None
     assert opened.atlas.trust() is not None
     assert opened.atlas.cite()
-    with pytest.raises(atlas.BadInput, match="predicted"):
+    with pytest.raises(atlas.BadInput, match="predicts nothing"):
         opened.atlas.compare()
 
 

@@ -33,10 +33,6 @@ def _conditions(options: argparse.Namespace) -> int:
 
     system = systems.get(options.system)
     families = catalogue.families(system, options.family)
-    if not system.families and not system.published():
-        raise BadInput(
-            f"the system {system.name} has no families of steady motions: theory predicts nothing of it"
-        )
     if options.json:
         content: dict[str, object] = {"system": system.name, "reference": system.reference, "doi": system.doi}
         if not options.errata:

@@ -10,6 +10,8 @@ from scipy.integrate import solve_ivp
 
 import atlas
 from atlas import cli, systems
+from atlas.engine import numeric_bound
+from atlas.engine.tableaux import METHODS
 from atlas.flags import Agreement, Label, Status
 from atlas.systems.base import Condition, Family, Parameter, System
 from atlas.validation import stress, work_precision
@@ -182,12 +184,10 @@ def test_units_and_a_bound_that_are_filled_in_give_the_same_labels():
         np.testing.assert_allclose(own[name], given[name], rtol=1e-7, atol=1e-7)
     assert own.attrs["atlas_frequency_bound"] == "numeric"
     assert "numeric bound" in own["step_ratio"].attrs["long_name"]
-    step_of_bound = own["step_ratio"] / own["step"]
-    largest = (
-        given["step_ratio"] / given["step"]
-    )  # its author's bound holds for every motion of these energies
-    assert (step_of_bound <= 1.15 * largest).all()
-    assert (step_of_bound >= 0.3 * largest).all()
+    bound, proved = (ds["step_ratio"] / ds["step"] * METHODS["rk8"].stability for ds in (own, given))
+    least = 2 * np.pi * numeric_bound.LEAST_TURNS / 5.0
+    assert (bound <= np.fmax(1.15 * proved, least * (1 + 1e-12))).all()
+    assert (bound >= np.fmax(0.3 * proved, least * (1 - 1e-12))).all()
 
 
 def test_what_the_system_does_not_have_is_left_out():

@@ -277,6 +277,8 @@ def _generated_functions(
         ]
         + ["return largest"],
     }
+    if of is kernel:
+        sources["frame_motion_change"] = differential(sources["frame_motion"], "frame_motion_change")
     if of is tangent:
         sources |= tangent_space.variation(equations, sources["rhs"])
         generated_lines |= {

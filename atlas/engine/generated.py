@@ -50,6 +50,11 @@ def frame_motion(state, constants):
     raise NotImplementedError
 
 
+def frame_motion_change(state, constants, change):
+    """Change of `frame_motion` to first order in a change of the state."""
+    raise NotImplementedError
+
+
 def axis_in_frame(state, constants):
     """Two components of the third body axis in the frame."""
     raise NotImplementedError

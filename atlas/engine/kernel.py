@@ -31,6 +31,7 @@ from .generated import (
     aligned_stack,
     axis_in_frame,
     frame_motion,
+    frame_motion_change,
     largest_change,
     load_constants,
     load_state,
@@ -74,6 +75,12 @@ NEAR_END = 0.2
 def motion_of(state, constants, inverse_unit):
     """Angular velocity relative to the frame, in the caller's units, and the frame's vertical."""
     u1, u2, u3, g1, g2, g3 = frame_motion(state, constants)
+    return u1 * inverse_unit, u2 * inverse_unit, u3 * inverse_unit, g1, g2, g3
+
+
+def motion_change_of(state, constants, slope, inverse_unit):
+    """Time derivative of the motion, given that of the state."""
+    u1, u2, u3, g1, g2, g3 = frame_motion_change(state, constants, slope)
     return u1 * inverse_unit, u2 * inverse_unit, u3 * inverse_unit, g1, g2, g3
 
 
@@ -206,7 +213,7 @@ def integrate(
                 store_motion(nodes, slot, 0, l, motion_of(y, c, inverse_unit[l]))
                 slope = rhs(y, c)
                 store_state(slopes, l, slope)
-                store_motion(nodes, slot, MOTION, l, motion_of(slope, c, inverse_unit[l]))
+                store_motion(nodes, slot, MOTION, l, motion_change_of(y, c, slope, inverse_unit[l]))
             for l in range(WIDTH):
                 motion = motion_at(nodes, slot, l)
                 accumulate(stats, l, motion, weight, cylinder_squared)

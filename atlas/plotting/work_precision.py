@@ -20,7 +20,7 @@ MAX_ERROR_DRAWN = 3.0
 
 
 def figure(ds: xr.Dataset) -> Figure:
-    """Median errors against processor time per point, for each method: states (solid), rates (dotted).
+    """Median errors against processor time per point, for each method: states (solid), rates or observables (dotted).
 
     Parameters
     ----------
@@ -40,7 +40,7 @@ def figure(ds: xr.Dataset) -> Figure:
             time = [1e6 * r["seconds_per_point"] for r in usable]
             states, rates = [r["error_state"] for r in usable], [r["error_rates"] for r in usable]
             ax.plot(time, states, marker + "-", color=colour, markersize=3, label=f"{method}, final state")
-            ax.plot(time, rates, ":", color=colour, label=f"{method}, rates")
+            ax.plot(time, rates, ":", color=colour, label=f"{method}, {ds.attrs['measured']}")
         for row in rows:
             if row["own_setting"] and row["error_state"] < MAX_ERROR_DRAWN:
                 point = 1e6 * row["seconds_per_point"], row["error_state"]

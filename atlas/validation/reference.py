@@ -11,11 +11,14 @@ from scipy.integrate import DOP853
 
 from ..engine.statistics import RATES, Row, finish
 from ..errors import BadInput
-from ..label import labels
+from ..label import labels, observed
 from ..label.expected_errors import state_distance
 from ..scene.model import Settings
 from ..systems.base import Array, Flags, Mask, Points, System
+from . import observed_reference
+from .observed_reference import range_of_cubics
 
+# Of the motion of a body; those of a system with observables: see `statistics`.
 STATISTICS = (*RATES, "theta_min", "theta_max")
 # Sums of the rates, which are integrated beside the states, in this order.
 RATE_SUMS = (
@@ -34,7 +37,12 @@ MAX_RADIANS = 1e5
 GROUP_FACTOR = 1.5
 
 Advance = Callable[[float], None]  # called with the number of points finished since the last call
-Run = dict[str, Array]  # STATISTICS, "sine_max", all (points,), and "state" (state, points)
+Run = dict[str, Array]  # the statistics, "sine_max", all (points,), and "state" (state, points)
+
+
+def statistics(system: System) -> tuple[str, ...]:
+    """Names of the statistics that a reference has."""
+    return observed_reference.statistics(system) if system.observables else STATISTICS
 
 
 def no_progress(points: float) -> None:
@@ -50,7 +58,7 @@ class Reference:
     state : ndarray, shape (state, points)
         At the end of the run.
     statistics : dict of ndarray, shape (points,)
-        By the names of `STATISTICS`; NaN where psi' and phi' have no meaning (polar cap).
+        By the names of `statistics`; NaN where psi' and phi' have no meaning (polar cap).
     label : ndarray of int8
     label_inertial : ndarray of int8 or None
         None if the system has one frame only.
@@ -115,23 +123,27 @@ def reference(
         if failed.any():
             raise ReferenceFailureError(np.flatnonzero(failed))
         runs.append(run)
-    first, second = runs
-    closed, exact = _closed_forms(system, points, duration, settings.cylinder)
-    best = {name: np.where(exact, closed[name], first[name]) for name in first}
-    other = {name: np.where(exact, first[name], second[name]) for name in first}
+    best, other = runs
+    exact = np.zeros(duration.shape, bool)
+    if not system.observables:
+        closed, exact = _closed_forms(system, points, duration, settings.cylinder)
+        best = {name: np.where(exact, closed[name], runs[0][name]) for name in runs[0]}
+        other = {name: np.where(exact, runs[0][name], runs[1][name]) for name in runs[0]}
     label, other_label = (_labels_in_frames(system, points, run, settings) for run in (best, other))
-    for run in (best, other):
-        _mask_polar_cap(run, settings.cylinder)
+    if not system.observables:
+        for run in (best, other):
+            _mask_polar_cap(run, settings.cylinder)
     distance = state_distance(system, best["state"], other["state"], system.frequency_bound(points))
     return Reference(
         state=best["state"],
-        statistics={name: best[name] for name in STATISTICS},
+        statistics={name: best[name] for name in statistics(system)},
         label=label[0],
         label_inertial=label[1] if len(label) > 1 else None,
         exact=exact,
         state_error=np.maximum(SAFETY * distance, ROUNDING),
         statistics_error={
-            name: np.maximum(SAFETY * np.abs(best[name] - other[name]), ROUNDING) for name in STATISTICS
+            name: np.maximum(SAFETY * np.abs(best[name] - other[name]), ROUNDING)
+            for name in statistics(system)
         },
         label_certain=(label == other_label).all(0),
     )
@@ -169,6 +181,8 @@ def _closed_forms(system: System, points: Points, duration: Array, cylinder: flo
 
 def _labels_in_frames(system: System, points: Points, run: Run, settings: Settings) -> Flags:
     """Labels of a run, (frames, points)."""
+    if system.observables:
+        return observed.label(system, run, settings)[None]
     frame_rates: list[Array | float] = [0.0]
     if system.frame_rate is not None:
         frame_rates.append(system.frame_rate(points))
@@ -224,7 +238,10 @@ def _dop853(
     while groups:
         group = groups.pop()
         members = {name: values[group] for name, values in points.items()}
-        part = _integrate_group(system, members, duration[group], cylinder, rtol, advance)
+        if system.observables:
+            part = observed_reference.integrate_group(system, members, duration[group], rtol, advance)
+        else:
+            part = _integrate_group(system, members, duration[group], cylinder, rtol, advance)
         if part is None and group.size == 1:
             failed[group] = True
         elif part is None:  # halve the group until the point that fails is alone
@@ -315,12 +332,4 @@ def _theta_range_of_step(
     motion = equations.frame_motion(path[: len(equations.STATE)], constants[:, :, None])
     rates = euler_rates(motion, cylinder)
     theta, slope = rates.theta, rates.theta_dot * (duration * (times[1] - times[0]))[:, None]
-    left, right, rise = slope[:, :-1], slope[:, 1:], np.diff(theta, axis=1)
-    # theta(x) = theta + left x + b x^2 + c x^3 on 0..1 turns where its slope changes sign
-    b, c = 3 * rise - 2 * left - right, left + right - 2 * rise
-    root = np.sqrt(np.maximum(b**2 - 3 * left * c, 0.0))
-    x = -left / (b + np.where(left > 0, -root, root))
-    turning = theta[:, :-1] + x * (left + x * (b + x * c))
-    turning = np.where((left * right < 0) & (x >= 0) & (x <= 1), turning, theta[:, :-1])
-    candidates = np.concatenate([theta, turning], axis=1)
-    return candidates.min(1), candidates.max(1)
+    return range_of_cubics(theta, slope)

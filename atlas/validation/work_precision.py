@@ -12,6 +12,7 @@ from types import ModuleType
 import numpy as np
 import xarray as xr
 
+from ..engine import numeric_bound, observation
 from ..engine.compiling import Stopwatch
 from ..engine.ensemble import Ensemble
 from ..engine.generated import WIDTH
@@ -23,6 +24,7 @@ from ..errors import BadInput
 from ..flags import Label
 from ..io import provenance
 from ..io.progress import Progress
+from ..label import observed
 from ..label.expected_errors import state_distance
 from ..label.pipeline import evaluate_tile, scene_kernel_hash, scene_specialization
 from ..scene import grid
@@ -32,11 +34,11 @@ from ..variables import variables
 from .half_step import stratified_indices
 from .reference import (
     MAX_RADIANS,
-    STATISTICS,
     Advance,
     Reference,
     ReferenceFailureError,
     reference,
+    statistics,
 )
 
 # Levels: the scene's tolerance times powers of 10 within these limits, or its step times powers of 2.
@@ -57,6 +59,12 @@ VARIABLES = {
     "label_compared": (np.int8, "both the method and the reference determine the label", "1"),
     "label_wrong": (np.int8, "a label differs from the reference's", "1"),
     "label_unresolved": (np.int8, "the method gives no label", "1"),
+}  # fmt: skip
+
+# What is different of systems with observables.
+OF_OBSERVABLES = {
+    "error_state": (float, "largest error of a component of the final state", "1"),
+    "error_rates": (float, "error of the least accurate statistic of an observable, over its largest magnitude", "1"),
 }  # fmt: skip
 
 
@@ -90,9 +98,23 @@ class _Sample:
 
     @property
     def rates_uncertainty(self) -> Array:
-        """Uncertainty of the reference's least certain statistic of a rate, over the frequency bound."""
-        errors = self.reference.statistics_error
-        return np.asarray(np.fmax.reduce([errors[name] for name in RATES]) / self.bound)
+        """Uncertainty of the reference's least certain statistic of a rate or an observable, see `worst`."""
+        return self.worst(self.reference.statistics_error)
+
+    def worst(self, errors: Mapping[str, Array]) -> Array:
+        """Largest error of a statistic: of a rate over the frequency bound, of an observable over its magnitude.
+
+        errors: by the names of the statistics.
+        """
+        if not self.scene.system.observables:
+            return np.asarray(np.fmax.reduce([errors[name] for name in RATES]) / self.bound)
+        sizes = observed.sizes(self.scene.system, self.reference.statistics)
+        shares = [
+            errors[f"{name}_{suffix}"] / np.where(size > 0, size, 1.0)
+            for name, size in sizes.items()
+            for suffix in observation.STATISTICS
+        ]
+        return np.asarray(np.fmax.reduce(shares))
 
 
 @dataclass(frozen=True)
@@ -195,8 +217,29 @@ def _with_reference(scene: Scene, indices: np.ndarray, advance: Advance) -> _Sam
             if indices.size < 2:
                 raise BadInput(left_out) from None
         else:
-            bound = scene.system.frequency_bound(part.points)
+            bound = _bound_along_runs(scene, part)
             return _Sample(scene, indices, part, solution, bound, left_out)
+
+
+def _bound_along_runs(scene: Scene, part: grid.Grid) -> Array:
+    """Frequency bound of the points, raised along their motions where it is numeric, rad per time unit."""
+    system, method = scene.system, METHODS[scene.settings.method]
+    if not system.has_numeric_bound:
+        return system.frequency_bound(part.points)
+    bound, _ = numeric_bound.along_runs(
+        system, _kernel(scene, method.name), method, Ensemble.of(system, part.points), part.duration,
+        scene.settings.max_steps,
+    )  # fmt: skip
+    return bound
+
+
+def _step_sizes(sample: _Sample, settings: Settings) -> StepSizes:
+    """The steps of the points with these settings, as in an atlas."""
+    sizes = StepSizes.of(settings, sample.bound, sample.grid.duration)
+    if sample.scene.system.observables:
+        method, may_halve = METHODS[settings.method], settings.step is None
+        sizes = observation.with_dense_nodes(sizes, sample.bound, method, may_halve=may_halve)
+    return sizes
 
 
 def _run_method(sample: _Sample, method: str, advance: Advance) -> Iterator[tuple[int, _LevelResult]]:
@@ -204,7 +247,7 @@ def _run_method(sample: _Sample, method: str, advance: Advance) -> Iterator[tupl
     settings, part = sample.scene.settings, sample.grid
     name, values = levels(settings)
     at_levels = [replace(settings, method=method, **{name: value}) for value in values]  # type: ignore[arg-type]
-    step_sizes = [StepSizes.of(s, sample.bound, part.duration) for s in at_levels]
+    step_sizes = [_step_sizes(sample, s) for s in at_levels]
     own = scene_level(settings)
     selected = _levels_to_run(step_sizes, own)
     ensemble = Ensemble.of(sample.scene.system, part.points)
@@ -237,13 +280,14 @@ def _run_level(
     sample: _Sample, ensemble: Ensemble, settings: Settings, step_sizes: StepSizes
 ) -> _LevelResult:
     """Integrate the sample and compare states, statistics and labels with the reference."""
-    outputs = (*STATISTICS, "integral_drift", "label")
+    system = sample.scene.system
+    outputs = (*statistics(system), *(["integral_drift"] if system.equations.INTEGRALS else []), "label")
     measured = evaluate_tile(replace(sample.scene, settings=settings, outputs=outputs), sample.grid)
-    final = ensemble.final_states(
-        _kernel(sample.scene, settings.method), step_sizes.steps, step_sizes.step_size
+    final = numeric_bound.advanced(
+        system, _kernel(sample.scene, settings.method), ensemble, step_sizes.steps, step_sizes.step_size, None
     )
     values = _errors(sample, measured, final, step_sizes.resolved) | {
-        "integral_drift": measured["integral_drift"],
+        "integral_drift": measured.get("integral_drift", np.full(final.shape[1], np.nan)),
         "step_length": step_sizes.step_size,
         "steps": step_sizes.steps,
     }
@@ -275,12 +319,12 @@ def _errors(sample: _Sample, measured: Mapping[str, Array], final: Array, resolv
             f"error_{name}": np.maximum(
                 np.abs(measured[name] - solution.statistics[name]), solution.statistics_error[name]
             )
-            for name in STATISTICS
+            for name in statistics(sample.scene.system)
         }
-        worst_rate = np.fmax.reduce([errors[f"error_{name}"] for name in RATES])
+        worst = sample.worst({name.removeprefix("error_"): error for name, error in errors.items()})
         return errors | {
             "error_state": np.maximum(distance, solution.state_error),
-            "error_rates": np.where(not_finite | ~resolved, np.inf, worst_rate / sample.bound),
+            "error_rates": np.where(not_finite | ~resolved, np.inf, worst),
         }
 
 
@@ -310,7 +354,10 @@ def _seconds_per_point_step(
     module, times = _kernel(sample.scene, method), []
     for _ in range(6):  # the first may load or compile the kernel
         began = process_time()
-        ensemble.integrate(module, timed, sample.scene.settings.cylinder, threads=1)
+        if sample.scene.system.observables:
+            observation.measure(module, ensemble, timed, threads=1)
+        else:
+            ensemble.integrate(module, timed, sample.scene.settings.cylinder, threads=1)
         times.append(process_time() - began)
     return median(times[1:]) / (steps * repeated.size)
 
@@ -351,8 +398,12 @@ def _dataset(sample: _Sample, results: Mapping[tuple[int, int], _LevelResult]) -
     for axis, on_axis in _on_axes(scene, sample.indices).items():
         ds.coords[f"axis_{axis}"] = "sample", on_axis
     registry = variables(scene.system)
-    statistics = {f"error_{name}": (float, f"error of {name}", registry[name].units) for name in STATISTICS}
-    for variable, (dtype, long_name, units) in (statistics | VARIABLES).items():
+    errors = {
+        f"error_{name}": (float, f"error of {name}", registry[name].units)
+        for name in statistics(scene.system)
+    }
+    described = VARIABLES | (OF_OBSERVABLES if scene.system.observables else {})
+    for variable, (dtype, long_name, units) in (errors | described).items():
         column = np.full(shape, np.nan if dtype is float else 0, dtype)
         for cell, result in results.items():
             column[cell] = result.values[variable]
@@ -375,6 +426,7 @@ def _dataset(sample: _Sample, results: Mapping[tuple[int, int], _LevelResult]) -
         "ladder": name,
         "own_method": scene.settings.method,
         "own_level": scene_level(scene.settings),
+        "measured": "observables" if scene.system.observables else "rates",
     }
     if sample.left_out:
         ds.attrs["left_out"] = sample.left_out

@@ -10,7 +10,6 @@ import xarray as xr
 
 from ..systems.base import Array
 from .half_step import upper_bound
-from .reference import STATISTICS
 from .work_precision import nanmedian, points_text, uncertainty_name
 
 
@@ -41,9 +40,15 @@ def _summary_of_level(at: xr.Dataset, atlas_points: int) -> dict[str, Any]:
         "integral_drift_largest": nanmax(at["integral_drift"].values),
         "order": float(at["order"]),
     }
-    for name in STATISTICS:
+    for name in _statistics(at):
         row |= _median_and_largest(at, name)
     return row
+
+
+def _statistics(ds: xr.Dataset) -> list[str]:
+    """Names of the statistics that were compared."""
+    names = [str(name).removeprefix("error_") for name in ds.data_vars if str(name).startswith("error_")]
+    return [name for name in names if name not in ("state", "rates")]
 
 
 def _median_and_largest(at: xr.Dataset, quantity: str) -> dict[str, float]:
@@ -62,16 +67,22 @@ def table(ds: xr.Dataset) -> str:
 LEGEND = """\
 us/point: processor time of a point to the end of its run, microseconds
 state error: of the final state, median and largest over the points
-rates: median error of the least accurate mean, rms or standard deviation of a rate, over the frequency bound
+{measured}
 labels wrong: labels that differ from the reference's, of those compared (upper bound of the share, 95 % confidence)
 drift: largest relative change of a first integral; order: observed from the level before
 <=: the value is the uncertainty of the reference; *: the scene's own setting"""
+
+MEASURED = {
+    "rates": "rates: median error of the least accurate mean, rms or standard deviation of a rate, over the frequency bound",
+    "observables": "observables: median error of the least accurate statistic of an observable, over its largest magnitude",
+}
 
 
 def report(ds: xr.Dataset) -> str:
     """The study as plain text: header, table of the levels, table of the statistics, advice."""
     rows = summary(ds)
-    parts = [_header(ds), _levels_table(ds, rows), LEGEND, _statistics_table(ds, rows), advice(ds)]
+    legend = LEGEND.format(measured=MEASURED[ds.attrs["measured"]])
+    parts = [_header(ds), _levels_table(ds, rows), legend, _statistics_table(ds, rows), advice(ds)]
     return "\n\n".join(part for part in parts if part)
 
 
@@ -90,9 +101,9 @@ def _header(ds: xr.Dataset) -> str:
 
 def _levels_table(ds: xr.Dataset, rows: Sequence[Mapping[str, Any]]) -> str:
     """A line for each method and level that was run."""
-    name = ds.attrs["ladder"]
+    name, measured = ds.attrs["ladder"], ds.attrs["measured"]
     cells: list[tuple[str, ...]] = [
-        ("method", name, "steps", "us/point", "state error", "largest", "rates", "labels wrong", "drift", "order")
+        ("method", name, "steps", "us/point", "state error", "largest", measured, "labels wrong", "drift", "order")
     ]  # fmt: skip
     for row in rows:
         at = _at_row(ds, row)
@@ -119,7 +130,7 @@ def _statistics_table(ds: xr.Dataset, rows: Sequence[Mapping[str, Any]]) -> str:
         return ""
     at = _at_row(ds, own)
     cells = [("at the scene's setting", "median error", "largest", "points with a value")]
-    for name in STATISTICS:
+    for name in _statistics(ds):
         points = int(at[f"error_{name}"].notnull().sum())
         if points:
             cells.append((name, *_error_texts(at, name), str(points)))
@@ -158,16 +169,16 @@ def advice(ds: xr.Dataset) -> str:
 
     A scene with a step has no tolerance; the target is then the median error of its own setting.
     """
-    name, rows = ds.attrs["ladder"], summary(ds)
+    name, rows, measured = ds.attrs["ladder"], summary(ds), ds.attrs["measured"]
     own = _own_row(rows)
     if name == "tolerance":
         target = float(ds["tolerance"][ds.attrs["own_level"]])
-        target_text = f"a median error of {target:.3g} in states and rates"
+        target_text = f"a median error of {target:.3g} in states and {measured}"
     elif own is None:
         return "The scene's own step takes too many steps for a sample: no advice."
     else:
         target = _median_error(own)
-        target_text = f"the scene's own median error in states and rates, {target:.2g}"
+        target_text = f"the scene's own median error in states and {measured}, {target:.2g}"
     # A setting must not lose a label, nor get one wrong, that another setting gives.
     label_errors = [(row["labels_unresolved"], row["labels_wrong"]) for row in rows]
     fewest = tuple(min(numbers) for numbers in zip(*label_errors, strict=True))
@@ -187,16 +198,14 @@ def _median_error(row: Mapping[str, Any]) -> float:
 
 
 def _out_of_reach_text(ds: xr.Dataset, best: Mapping[str, Any], target: float, target_text: str) -> str:
-    name = ds.attrs["ladder"]
+    name, measured = ds.attrs["ladder"], ds.attrs["measured"]
     text = (
         f"Out of reach: {target_text}. The most accurate setting, {best['method']} with {name} = {best[name]:.3g},"
-        f" has {best['error_state']:.1e} in states and {best['error_rates']:.1e} in rates"
+        f" has {best['error_state']:.1e} in states and {best['error_rates']:.1e} in {measured}"
     )
     states, rates = (nanmedian(ds[uncertainty_name(quantity)].values) for quantity in ("state", "rates"))
     if max(states, rates) > target:
-        text += (
-            f"; the uncertainty of the reference is larger than that (states {states:.1e}, rates {rates:.1e})"
-        )
+        text += f"; the uncertainty of the reference is larger than that (states {states:.1e}, {measured} {rates:.1e})"
     return f"{text}; the largest errors are at {_points_above(ds, best, target)[1]}."
 
 
@@ -215,7 +224,7 @@ def _cheapest_text(
             f" (the scene's {own['method']} with {name} = {own[name]:.3g}:"
             f" {1e6 * own['seconds_per_point']:.3g} us, error {_median_error(own):.1e})"
         )
-    angles = max(row["error_theta_min"], row["error_theta_max"])
+    angles = max(row.get("error_theta_min", 0.0), row.get("error_theta_max", 0.0))
     if angles > target:
         text += f"; theta_min and theta_max then have a median error of {angles:.1e}"
     above, names = _points_above(ds, row, target)
@@ -228,7 +237,7 @@ def _cheapest_text(
 
 
 def _points_above(ds: xr.Dataset, row: Mapping[str, Any], target: float, most: int = 3) -> tuple[int, str]:
-    """Number of points whose error in states or rates is above the target, and the worst of them in words."""
+    """Number of points whose error in states or rates (or observables) is above the target, and the worst of them in words."""
     at = _at_row(ds, row)
     error = np.fmax(at["error_state"].values, at["error_rates"].values)
     above = np.flatnonzero(error > target)

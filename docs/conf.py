@@ -12,6 +12,7 @@ exclude_patterns = ["paper"]
 html_theme = "furo"
 html_title = f"Precession Atlas {version}"
 html_show_sphinx = False
+html_extra_path = ["../out/pages"]  # the page of the quickstart, which scripts/docs.sh makes
 
 myst_heading_anchors = 4  # links such as scenes.md#refinement-at-borders
 nb_execution_in_temp = True  # the notebook writes files

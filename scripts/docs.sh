@@ -4,5 +4,8 @@ set -e
 cd "$(dirname "$0")/.."
 extras="[docs]"
 . scripts/setup.sh
+mkdir -p out/pages
+[ -f out/quickstart.nc ] || .venv/bin/atlas run configs/quickstart.toml -o out/quickstart.nc
+.venv/bin/atlas page out/quickstart.nc -o out/pages/quickstart_page.html --force
 .venv/bin/python -m sphinx --fail-on-warning --keep-going --quiet -d out/doctrees docs out/site
 echo "Open out/site/index.html" >&2

@@ -36,8 +36,8 @@ THEORY = (
     "predicted", "predicted_inertial", "agreement", "stable", "growth_rate", "family", "condition_residual",
 )  # fmt: skip
 NUMERICS = ("status", "computed", "error_estimate", "step", "step_ratio", "integral_drift", "end_time")
-# Theory is drawn for at most this many values of the further axes together: each takes up to a second.
-MAX_SLICES = 40
+# Theory is drawn for at most this many values of the further axes together: each takes some seconds.
+MAX_SLICES = 24
 SHADES = 256
 
 

@@ -284,6 +284,13 @@ function listen() {
   }).observe(byId("frame"));
 }
 
+// The label, or the first flags that differ on the map where all labels are the same.
+function firstVariable() {
+  const label = data.variables.find((each) => each.name === "label");
+  const flags = [label, ...data.variables].filter((each) => each?.flags && each.values.over.length);
+  return flags[0] || label || data.variables[0];
+}
+
 async function begin() {
   applyTheme();
   byId("subtitle").textContent = `${data.system}, motion in the ${data.frame} frame`;
@@ -296,13 +303,14 @@ async function begin() {
     return;
   }
   arrays = await Promise.all(data.arrays.map(unpacked));
-  state.variable = data.variables.find((each) => each.name === "label") || data.variables[0];
+  state.variable = firstVariable();
   buildVariables();
   buildPlaces();
   buildSliders();
   buildValues();
   listen();
   refresh();
+  performance.mark("map drawn");
   document.documentElement.dataset.ready = "yes";
 }
 

@@ -34,7 +34,7 @@ function shown(value, digits = 6) {
   if (value === 0) return "0";
   const size = Math.abs(value);
   let text;
-  if (size >= 1e-4 && size < 1e6) {
+  if (size >= 1e-3 && size < 1e6) {
     text = String(Number(value.toPrecision(digits)));
   } else {
     const [mantissa, exponent] = value.toExponential(digits - 1).split("e");

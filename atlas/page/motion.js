@@ -194,8 +194,10 @@ function drawSeries(parent, time, values, label, clip = false) {
     canvas.remove();
     return;
   }
-  caption.append(" ", rangeText(range));
-  canvas.setAttribute("aria-label", `${letters(label)} over time, ${rangeText(range)}`);
+  const whole = plotRange(values, false);
+  const words = rangeText(whole) + (whole[0] < range[0] || whole[1] > range[1] ? ", cut in the picture" : "");
+  caption.append(" ", words);
+  canvas.setAttribute("aria-label", `${letters(label)} over time, ${words}`);
   const [width, height] = [canvas.clientWidth || 300, 138];
   canvas.style.height = `${height}px`;
   const context = prepared(canvas, width, height);
@@ -264,12 +266,12 @@ function drawFrame(context, frame, time, low, high, offset) {
   context.fillText("time", frame.left + frame.width, bottom + 5);
   context.strokeRect(frame.left, frame.top, frame.width, frame.height);
   const notes = [];
-  if (offset) notes.push(`${offset > 0 ? "+" : ""}${shown(offset, 16)}`);
-  if (factor) notes.unshift(`× 10${raised(factor)}`);
+  if (factor) notes.push(`× 10${raised(factor)}`);
+  if (offset) notes.push(`${offset > 0 ? "+" : "−"} ${shown(Math.abs(offset), 16)}`);
   context.textAlign = "left";
   context.textBaseline = "bottom";
   context.fillStyle = colour("soft");
-  if (notes.length) context.fillText(notes.join("  "), frame.left, frame.top - 2);
+  if (notes.length) context.fillText(notes.join(" "), frame.left, frame.top - 2);
 }
 
 // The sphere: a path of the third axis, seen from a direction that the reader turns.
@@ -279,9 +281,9 @@ function addSphere(parent, path) {
     "aria-label": "Path of the third body axis on the unit sphere; drag, or use the arrow keys, to turn it",
   });
   parent.append(element("figure", {}, element("figcaption", {}, "third body axis; drag to turn"), canvas));
-  const size = Math.min(canvas.clientWidth || 260, 300);
-  canvas.style.height = `${size}px`;
-  const redraw = () => drawSphere(canvas, path, canvas.clientWidth || size, size);
+  const radius = Math.min((canvas.clientWidth / 2 - sideLabels(canvas)) / 1.13, 130);
+  canvas.style.height = `${Math.round(2.56 * radius)}px`;
+  const redraw = () => drawSphere(canvas, path, radius);
   const turn = (dx, dy) => {
     view3d.azimuth -= dx;
     view3d.elevation = Math.min(Math.max(view3d.elevation + dy, -Math.PI / 2), Math.PI / 2);
@@ -300,16 +302,21 @@ function addSphere(parent, path) {
   redraw();
 }
 
-function drawSphere(canvas, path, width, height) {
+// Width that the longer name of the two horizontal directions needs beside the sphere.
+function sideLabels(canvas) {
+  const context = canvas.getContext("2d");
+  context.font = font(12);
+  return 6 + Math.max(...data.motion.frameAxes.slice(0, 2).map((name) => context.measureText(letters(name)).width));
+}
+
+function drawSphere(canvas, path, radius) {
+  const [width, height] = [canvas.clientWidth, canvas.clientHeight];
   const context = prepared(canvas, width, height);
   const { azimuth, elevation } = view3d;
   const viewer = [Math.cos(elevation) * Math.cos(azimuth), Math.cos(elevation) * Math.sin(azimuth), Math.sin(elevation)];
   const right = [-Math.sin(azimuth), Math.cos(azimuth), 0];
   const up = [-Math.sin(elevation) * Math.cos(azimuth), -Math.sin(elevation) * Math.sin(azimuth), Math.cos(elevation)];
   const dot = (a, b) => a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
-  context.font = font(12);
-  const names = data.motion.frameAxes.map((name) => context.measureText(letters(name)).width);
-  const radius = Math.min(0.4 * height, (width / 2 - Math.max(...names.slice(0, 2)) - 4) / 1.13);
   const project = (point) => [width / 2 + radius * dot(point, right), height / 2 - radius * dot(point, up)];
   const trace = (points, near, far, thick) => {
     for (const [isNear, ink] of [[false, far], [true, near]]) {

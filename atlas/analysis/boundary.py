@@ -10,6 +10,7 @@ import xarray as xr
 
 from ..errors import BadInput
 from ..scene.model import Scene
+from .count_borders import count_borders
 from .metadata import axes_of, flag_values, scene_of, system_of
 from .plane import Plane
 from .select import plane_of
@@ -51,11 +52,14 @@ def boundary(
 
 
 def theory_lines(scene: Scene, plane: xr.Dataset, dims: list[str], variable: str) -> Lines:
-    """Borders of theory on a plane of an atlas: kind -> polylines, see `theory_borders`.
+    """Borders of theory on a plane of an atlas: kind -> polylines, see `theory_borders` and, for counts, `count_borders`.
 
     Raises BadInput where the dimensions are not those of the scene.
     """
     _check_axes(scene, dims)
+    derived = scene.system.derived.get(variable)
+    if derived is not None and derived.is_count and variable in plane:
+        return count_borders(Plane.of(scene, plane, dims), plane[variable], derived)
     return theory_borders(Plane.of(scene, plane, dims), inertial=variable.endswith("_inertial"))
 
 

@@ -13,6 +13,7 @@ from scipy.ndimage import distance_transform_edt
 
 from ..analysis.boundary import theory_lines
 from ..analysis.compare import NO_TIME_TO_GROW
+from ..analysis.count_borders import CHANGE
 from ..analysis.metadata import axes_of, flag_names, is_averaged
 from ..analysis.plane import Plane
 from ..analysis.theory_borders import EXISTENCE, STABILITY
@@ -95,6 +96,8 @@ def panel_of(ds: xr.Dataset, name: str, dims: list[str], scene: Scene | None, bo
         # Between the points of an atlas there may be bodies that cannot exist; the map itself is sound.
         logging.getLogger("atlas").warning("no theory on this map: %s", error)
         return Panel(array, white, slow)
+    if CHANGE in borders:
+        return Panel(array, white, slow, borders)
     if name.removesuffix("_inertial") not in MOTIONS:
         borders = {kind: borders[kind] for kind in (STABILITY, EXISTENCE) if kind in borders}
     return Panel(array, white, slow, borders, families)

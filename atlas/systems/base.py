@@ -130,6 +130,7 @@ class DerivedVariable:
     comment: str = ""
     # raises BadInput for points and durations where it has no meaning, or where it would take too long
     check: Callable[[Points, Array], object] = lambda points, duration: None
+    is_count: bool = False  # integers, of which maps show the lines where they change
 
 
 @dataclass(frozen=True, eq=False)

@@ -24,19 +24,33 @@ def count_equilibria(
     pause: see DerivedVariable. Points that differ in their start alone share one search.
     """
     rows, inverse = np.unique(np.stack([points[name] for name in _BODY], -1), axis=0, return_inverse=True)
-    bodies = dict(zip(_BODY, rows.T, strict=True))
-    countable = ~_symmetric(bodies)
-    counts = np.full(len(rows), np.nan)
-    part = {name: values[countable] for name, values in bodies.items()}
-    result = equilibria_of_bodies(part, pause, stability=which == "stable")
+    key = rows.tobytes()
+    counts = _LAST.get(key)
+    if counts is None:
+        counts = _counts(dict(zip(_BODY, rows.T, strict=True)), pause)
+        _LAST.clear()
+        _LAST[key] = counts
+    return counts[which][inverse]
+
+
+# Counts of the bodies that were computed last: a scene asks for several counts of the same bodies.
+_LAST: dict[bytes, dict[str, Array]] = {}
+
+
+def _counts(bodies: Points, pause: Callable[[], None]) -> dict[str, Array]:
+    """Numbers of equilibria of bodies (bodies,), by the argument `which` of count_equilibria."""
+    countable = np.flatnonzero(~_symmetric(bodies))
+    found = equilibria_of_bodies({name: values[countable] for name, values in bodies.items()}, pause)
+    isolated = np.isin(found["completeness"], (Completeness.COMPLETE, Completeness.NEAR_BIFURCATION))
     counted = {
-        "all": result["index"] >= 0,
-        "stable": result.get("stable", result["index"]) == Stability.STABLE,
-        "energy_stable": (result["index"] == 0) & ~result["degenerate"],
-    }[which]
-    isolated = np.isin(result["completeness"], (Completeness.COMPLETE, Completeness.NEAR_BIFURCATION))
-    counts[countable] = np.where(isolated, counted.sum(1), np.nan)
-    return counts[inverse]
+        "all": found["index"] >= 0,
+        "stable": found["stable"] == Stability.STABLE,
+        "energy_stable": (found["index"] == 0) & ~found["degenerate"],
+    }
+    result = {which: np.full(bodies["A"].size, np.nan) for which in counted}
+    for which, where in counted.items():
+        result[which][countable] = np.where(isolated, where.sum(1), np.nan)
+    return result
 
 
 def _symmetric(p: Points) -> Mask:
@@ -52,7 +66,9 @@ def _symmetric(p: Points) -> Mask:
 
 _COMMENT = "nan where some are not isolated; depends on body, rotor and fields alone"
 DERIVED = {
-    name: DerivedVariable(name, "1", long_name, partial(count_equilibria, which=which), _COMMENT)
+    name: DerivedVariable(
+        name, "1", long_name, partial(count_equilibria, which=which), _COMMENT, is_count=True
+    )
     for name, which, long_name in (
         ("equilibrium_count", "all", "number of relative equilibria"),
         ("equilibrium_stable_count", "stable", "number of linearly stable relative equilibria"),

@@ -31,10 +31,10 @@ Three = Any  # the components of vectors: three arrays (paths,), or their stack
 PATHS = 24
 # Arbitrary; a choice that needs few steps.
 _START_INERTIA = np.array([-0.985 - 0.174j, 0.631 - 0.366j, 0.354 + 0.540j])
-# First attempt and the repetition for bodies of which two paths seem to end in one place or a path is lost:
-# largest correction by Newton's method (rad, sum over the axes) and largest step.
-_ATTEMPTS = ((0.05, 0.25), (0.01, 0.08))
-_FIRST_STEP, _MIN_STEP, _MAX_STEPS = 0.1, 1e-6, 2000
+# Largest correction by Newton's method (rad, sum over the axes) and largest step, of the first attempt and of those that
+# follow for bodies of which a path is lost, or two end in one place because one was left for the other.
+_ATTEMPTS = ((0.05, 0.25), (0.01, 0.1), (0.0005, 0.1))
+_FIRST_STEP, _MIN_STEP, _MAX_STEPS = 0.1, 1e-6, 600
 _POLISH = 6  # Newton iterations at the end
 _ROUNDING = 1e-11  # of the gradient at an end
 # A solution with imaginary parts below this is real; solutions closer to each other, or with imaginary parts between
@@ -72,9 +72,11 @@ def solve(inertia: Array, p: Array, q: Array) -> tuple[Array, Array, Mask, Mask]
     with np.errstate(all="ignore"):
         target = [np.where(scale > 0, values / scale, 0.0) for values in (inertia, p, q)]
         ends, complete = _ends(target, *_ATTEMPTS[0])
-        again = np.flatnonzero(~complete)
-        if again.size:
-            ends[:, :, again], complete[again] = _ends([values[:, again] for values in target], *_ATTEMPTS[1])
+        for attempt in _ATTEMPTS[1:]:
+            again = np.flatnonzero(~complete)
+            if again.size:
+                part = [values[:, again] for values in target]
+                ends[:, :, again], complete[again] = _ends(part, *attempt)
         real = np.abs(ends.imag).max(0) < _REAL
     return ends[:3].real, ends[3:].real, real, complete
 

@@ -60,6 +60,16 @@ def whole_kernels():
         yield
 
 
+@pytest.fixture(scope="module")
+def short_timings():
+    """Time the kernels of work-precision studies on a thirtieth of the steps."""
+    from atlas.validation import work_precision
+
+    with pytest.MonkeyPatch.context() as patched:
+        patched.setattr(work_precision, "POINT_STEPS_TIMED", work_precision.POINT_STEPS_TIMED // 30)
+        yield
+
+
 @pytest.fixture(scope="session")
 def longer_atlas(scene_text):
     """Text of a scene of about a second, and its result computed in memory."""

@@ -103,6 +103,15 @@ def functions(module: ModuleType, absent: Collection[str] = ()) -> dict[str, str
     return sources
 
 
+def _selected_functions(selected: Iterable[tuple[ModuleType, tuple[str, ...]]]) -> list[str]:
+    """Source of the named functions of some modules, each of which is parsed once."""
+    texts = []
+    for module, names in selected:
+        sources = functions(module)
+        texts += [sources[name] for name in names]
+    return texts
+
+
 class _EnumNumbers(ast.NodeTransformer):
     """Members and sizes of the enumerations as plain numbers, which the compiler needs not look up."""
 
@@ -173,8 +182,8 @@ def source(
     inlined = list(generated_functions.values())
     constants = _constants(equations, METHODS[method])
     if of is kernel:
-        inlined += [functions(module)[name] for module, names in INLINED for name in names]
-        not_inlined = [functions(module)[name] for module, names in NOT_INLINED for name in names]
+        inlined += _selected_functions(INLINED)
+        not_inlined = _selected_functions(NOT_INLINED)
     else:
         not_inlined = []
     if frames:

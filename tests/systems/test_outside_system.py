@@ -17,7 +17,7 @@ from atlas.systems.base import Condition, Family, Parameter, System
 from atlas.validation import stress, work_precision
 from atlas.variables import variables
 
-pytestmark = pytest.mark.usefixtures("whole_kernels")
+pytestmark = pytest.mark.usefixtures("whole_kernels", "short_timings")
 
 
 class HeavyTop(System):

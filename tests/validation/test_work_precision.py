@@ -18,7 +18,7 @@ from atlas.validation import half_step, reference
 from atlas.validation.work_precision import levels, scene_level, work_precision
 from atlas.validation.work_precision_report import advice, report, summary
 
-pytestmark = pytest.mark.usefixtures("whole_kernels")
+pytestmark = pytest.mark.usefixtures("whole_kernels", "short_timings")
 
 
 @pytest.fixture(scope="module")
@@ -70,7 +70,7 @@ def test_wrong_labels_are_counted_and_bounded(study):
 
 
 def test_advice_where_no_level_reaches_the_tolerance(scene_text):
-    scene = load_scene(scene_text({"integration.duration": 5.0, "integration.tolerance": 1e-17}))
+    scene = load_scene(scene_text({"integration.duration": 0.5, "integration.tolerance": 1e-17}))
     ds = work_precision(scene, 3)
     text = advice(ds)
     assert text.startswith("Out of reach: a median error of 1e-17")

@@ -20,6 +20,8 @@ from atlas.scene import grid, tables
 from atlas.scene.points import SAMPLES, quasi_random
 from atlas.systems import SYSTEMS
 
+pytestmark = pytest.mark.usefixtures("whole_kernels")
+
 NAMES = set(SYSTEMS["satellite"].parameters)
 SMALL = (Path(__file__).parents[1] / "small.toml").read_text()
 SMALL = SMALL.replace("duration = 30.0", 'duration = "3 orbits"').replace(
@@ -38,8 +40,6 @@ to = 1.7
 
 [points.ranges.theta0]
 from = 0.02
-
-pytestmark = pytest.mark.usefixtures("whole_kernels")
 to = 1.4
 spacing = "log"
 

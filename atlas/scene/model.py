@@ -390,11 +390,11 @@ class Scene:
         table["integration"] = {"duration": str(duration) if duration.unit else duration.amount}
         table["labels"] = {}
         for f in fields(settings):
-            if (value := getattr(settings, f.name)) is not None:
+            value = settings.cylinder if f.name == "cylinder_tolerance" else getattr(settings, f.name)
+            if value is not None:
                 table[f.metadata["section"]][f.name] = value
         if settings.step is not None:
             del table["integration"]["tolerance"]
-        table["labels"]["cylinder_tolerance"] = settings.cylinder
         table["outputs"] = {"variables": list(self.outputs)}
         return tomli_w.dumps(table)
 

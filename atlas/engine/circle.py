@@ -201,8 +201,8 @@ def circle_statistics(sums: Array, axes: Array, weight: NDArray[np.int64]) -> di
         `radius_std`; `spin`, rate about s of the motion that would follow it, `spin_std`; `height`, the mean component
         along s; `extent`, the standard deviation along the shorter axis in the plane; `rate_1`, `rate_2`, `rate_3`, the
         mean angular velocity in body axes. `spin_axis_1`, `spin_axis_2`, `spin_axis_3`: s in body axes, of either sign.
-        In rad: `precession_inclination` and `rotation_inclination`, angles to the vertical of the axis of precession, by
-        s and spin, and of the angular velocity, at the start.
+        In rad, at the start: `precession_inclination`, `rotation_inclination` and `tilt`, angles to the vertical of the
+        axis of precession (by s and spin), of the angular velocity and of the third axis.
     """
     with np.errstate(all="ignore"):
         mean = sums / weight
@@ -234,6 +234,7 @@ def circle_statistics(sums: Array, axes: Array, weight: NDArray[np.int64]) -> di
             "rotation_inclination": _angle(start, vertical),
         }
         in_body = axes[Axis.X1 : Axis.Z3 + 1].reshape(3, 3, -1)
+        result["tilt"] = _angle(in_body[:, 2], vertical)
         for name, vector in (("rate", start + shift), ("spin_axis", s)):
             components = (vector[:, None] * in_body).sum(0)
             result |= {f"{name}_{i + 1}": component for i, component in enumerate(components)}

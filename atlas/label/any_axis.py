@@ -171,7 +171,7 @@ def values(
     with np.errstate(all="ignore"):
         own_label = labels.label(measured, tolerances)
         found = label(circle, own_label, tolerances)
-        tilt = 0.5 * (measured["theta_min"] + measured["theta_max"])
+        tilt = circle["tilt"]
         reversed_axis = measured["psi_dot_mean"] < 0
         zero, one = np.zeros_like(tilt), np.ones_like(tilt)
         about_third_axis = {

@@ -20,7 +20,7 @@ from atlas.systems import SYSTEMS
 RANDOM = {"satellite": random_satellites, "fixed_point": random_fixed_points}
 
 
-def precession(s, z, n, m, duration, vertical, nodes=101):
+def precession(s, z, n, m, duration, vertical, nodes=41):
     """Statistics of nodes of the exact regular precession with these axes and rates, as arrays of one element."""
     spin_vector = m * s
     # u' = u x m s, and the vertical is at rest: equations of which the angular velocity is the state.
@@ -150,10 +150,10 @@ def test_kernels_that_measure_no_circles_have_nothing_of_them(system):
     assert kernel_hash(system, "rk4") != kernel_hash(system, "rk4", frames=1)
 
 
-@pytest.mark.parametrize("method", ["rk4", "rk8"])
-@pytest.mark.parametrize("system", SYSTEMS.values(), ids=lambda system: system.name)
-def test_the_compiled_kernel_is_the_python_one(system, method):
+@pytest.mark.parametrize(("name", "method"), [("satellite", "rk4"), ("fixed_point", "rk8")])
+def test_the_compiled_kernel_is_the_python_one(name, method):
     """In one call and in several, and with the statistics and states of the kernel that measures no circles."""
+    system = SYSTEMS[name]
     frames = 1 if system.frame_rate is None else 2
     points = RANDOM[system.name](np.random.default_rng(7), 20)
     ensemble = Ensemble.of(system, points, frames)

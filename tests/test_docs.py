@@ -125,9 +125,10 @@ def test_every_status_has_advice():
         assert f"| `{status}` |" in advice
 
 
-def test_drawing_of_the_angles_is_drawn(tmp_path):
-    run_python("scripts/tools/draw_angles.py", "-o", str(tmp_path / "angles.svg"), cwd=ROOT)
-    assert (tmp_path / "angles.svg").stat().st_size > 10_000
+@pytest.mark.parametrize("name", ["angles", "labels"])
+def test_drawings_are_drawn(name, tmp_path):
+    run_python(f"scripts/tools/draw_{name}.py", "-o", str(tmp_path / f"{name}.svg"), cwd=ROOT)
+    assert (tmp_path / f"{name}.svg").stat().st_size > 10_000
 
 
 def test_the_paper_cites_what_its_bibliography_contains():

@@ -25,8 +25,9 @@ if TYPE_CHECKING:
 
     Array = NDArray[np.float64]
 
-# Time over which the second derivative at the start is taken, over the period of the fastest frequency / (2 pi).
-DIFFERENCE_TIME = 1e-3
+# Time between the motions whose differences are the derivatives at the start, over the period of the fastest frequency
+# / (2 pi). On a circle the error of the second one lies in its plane.
+DIFFERENCE_TIME = 1e-2
 # Sweeps of Jacobi's method for the axes of a 3 x 3 matrix; it converges quadratically.
 SWEEPS = 6
 
@@ -157,17 +158,22 @@ def circle_axes(
     ndarray of float64, shape (frames * len(Axis), points), C order
     """
     with np.errstate(all="ignore"):
+        h = DIFFERENCE_TIME / np.where((bound > 0) & np.isfinite(bound), bound, 1.0)
         slope = np.array(equations.rhs(state, constants))
-        change = 0.5 * DIFFERENCE_TIME / bound * slope
-        after, before = (equations.rhs(state + sign * change, constants) for sign in (1.0, -1.0))
-        second = (np.array(after) - np.array(before)) * (bound / DIFFERENCE_TIME)
-        motions = [np.array(equations.frame_motion(each, constants)) for each in (state, slope, second)]
+        after, before = (np.array(equations.rhs(state + t * slope, constants)) for t in (h, -h))
+        curvature = 0.5 * h * (after - before)  # h^2 times the second derivative
+        later, now, earlier = (
+            np.array(equations.frame_motion(state + sign * h * slope + sign**2 * 0.5 * curvature, constants))
+            for sign in (1.0, 0.0, -1.0)
+        )
+        motions = now, (later - earlier) / (2.0 * h), (later - 2.0 * now + earlier) / h**2
         return np.concatenate([_axes_in_frame(rate, *motions) for rate in frame_rates])
 
 
 def _axes_in_frame(rate: Array, motion: Array, slope: Array, second: Array) -> Array:
     """Rows of `Axis` from the motion at the start and its derivatives, each of shape (6, points)."""
     u, du, ddu = (each[:3] + rate * each[3:] for each in (motion, slope, second))
+    du = np.where(np.isfinite(du), du, 0.0)  # where it overflows, the run is not resolved
     # u' = u x m s and u'' = u' x m s give u'' x u' = |u'|^2 m s.
     x, y, z = _right_handed(_cross(ddu, du))
     along = [np.array([_dot(axis, vector) for axis in (x, y, z)]) for vector in (u, du, motion[3:])]

@@ -1,6 +1,8 @@
 """Labels about any axis: thresholds, verified cases, exact precessions, and what scenes do with them."""
 
 import json
+import runpy
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -19,7 +21,7 @@ from strategies import (
 from truth import REFERENCE
 
 import atlas
-from atlas import cli
+from atlas import cli, systems
 from atlas.flags import Label, Status
 from atlas.label import any_axis
 from atlas.runs import refine
@@ -377,3 +379,20 @@ def test_every_flag_together_fits_into_the_codes_of_refinement():
     decoded = refine._decode(refine._encode(flags, counts), counts)
     for name, values in zip(names, decoded, strict=True):
         np.testing.assert_array_equal(values, flags[name])
+
+
+def test_a_system_in_euler_angles(monkeypatch):
+    """A free symmetric top whose angular velocity is no linear function of its state."""
+    path = Path(__file__).parents[2] / "docs/examples/heavy_top_euler/heavy_top_euler.py"
+    monkeypatch.setattr(systems, "SYSTEMS", dict(SYSTEMS))
+    atlas.register(runpy.run_path(str(path))["HeavyTopEuler"])
+    C, theta, n, m = np.array([0.5, 1.6]), 0.8, 0.7, np.array([1.1, -0.9])
+    points = {"A": 1.0, "C": C, "theta0": theta, "n": n, "m": m}
+    ds = atlas.label_points("heavy_top_euler", points, duration=30.0, variables=VARIABLES)
+    spin = m + n * np.cos(theta)
+    momentum = np.hypot(n * np.sin(theta), C * spin)
+    assert names(ds, "label") == 2 * ["drifting"]
+    assert names(ds) == 2 * ["regular_precession"]
+    np.testing.assert_allclose(ds.precession_rate, momentum, rtol=1e-7)
+    np.testing.assert_allclose(ds.spin_rate, (1 - C) * spin, rtol=1e-7)
+    np.testing.assert_allclose(ds.nutation, np.arccos(C * spin / momentum), rtol=1e-7)

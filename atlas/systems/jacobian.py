@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 
 # The derivative of a function is the imaginary part of its value at x + i STEP over STEP, exact but for rounding.
 STEP = 1e-30
-# |J^POWER|^(1 / POWER) exceeds the spectral radius by at most this root of the size of the similarity that makes J
-# normal. States of very different units make that size large: with ratios of 10^6, the 64th root is 1.2, the 16th 2.4.
+# |J^POWER|^(1 / POWER) exceeds the spectral radius, of random 6 x 6 matrices by 1 % (at most 6 %); where the units of the
+# states differ by factors of up to 10^6, by 14 % (at most 25 %). The 16th power would give 69 % (135 %) there.
 SQUARINGS = 6
 POWER = 2**SQUARINGS
 CHUNK = 4096  # points whose matrices are in memory together
@@ -35,8 +35,8 @@ def frequency(
         nan or infinite where the Jacobian is not finite.
     """
     result = np.empty(state.shape[1:])
-    flat, rows = result.reshape(-1), (np.reshape(x, (len(x), -1)) for x in (state, constants))
-    states, numbers = rows
+    flat = result.reshape(-1)
+    states, numbers = (np.reshape(x, (len(x), flat.size)) for x in (state, constants))
     for first in range(0, flat.size, CHUNK):
         chunk = slice(first, first + CHUNK)
         flat[chunk] = _size_of_power(jacobian(equations, states[:, chunk], numbers[:, chunk]))

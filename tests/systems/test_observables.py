@@ -265,6 +265,22 @@ def test_the_frequency_of_the_jacobian_is_its_spectral_radius_for_states_of_any_
     assert (bound <= 1.15 * radius).all()
 
 
+@pytest.mark.parametrize(("decades", "largest"), [(0, 1.08), (6, 1.3)])
+def test_the_size_of_a_power_is_near_the_spectral_radius(decades, largest):
+    rng = np.random.default_rng(0)
+    matrices, units = rng.normal(size=(500, 6, 6)), 10 ** rng.uniform(0, decades, (500, 6))
+    radius = np.abs(np.linalg.eigvals(matrices)).max(axis=1)
+
+    class Linear:
+        def rhs(state, constants):
+            in_units = np.einsum("pij,jp->ip", matrices, state / units.T)
+            return in_units * units.T
+
+    ratio = jacobian.frequency(Linear, np.ones((6, 500)), np.ones((0, 500))) / radius
+    assert ratio.min() >= 1 - 1e-12
+    assert ratio.max() < largest
+
+
 def bound_along(system, points, duration, **more):
     ensemble, size = Ensemble.of(system, points), len(points["x0"])
     return numeric_bound.along_runs(

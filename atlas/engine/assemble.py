@@ -233,12 +233,12 @@ def _constants(equations: ModuleType, method: Method) -> dict[str, float]:
         "STATES": len(equations.STATE),
         "CONSTANTS": len(equations.CONSTANTS),
         "INTEGRALS": len(equations.INTEGRALS),
-        "OBSERVABLES": len(observable_names(equations)),
         "TANGENT": tangent_space.size(equations),
         "STEP": method.kernel_step,
         # Worth its loads and stores where a step is much longer than they are.
         "STORES_SLOPE": method.stages > 4,
         "HAS_AXIS": hasattr(equations, "axis_in_frame"),
+        **({"OBSERVABLES": len(names)} if (names := observable_names(equations)) else {}),
     }
 
 

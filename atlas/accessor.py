@@ -337,7 +337,8 @@ class Atlas:
         Dataset
             Over "signal" and "line", the strongest line first: frequency (rad per time unit, signed for psi and phi),
             amplitude, and share of the variance. Signal "theta" is cos theta, "psi" and "phi" are
-            sin(theta) e^(i psi) and sin(theta) e^(i phi), in the frame, all less their means. Where there are fewer
+            sin(theta) e^(i psi) and sin(theta) e^(i phi), in the frame, all less their means; of a system with
+            observables the signals are these, with amplitudes in their units. Where there are fewer
             lines than asked for, the others are nan.
 
         Raises

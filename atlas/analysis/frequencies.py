@@ -16,6 +16,7 @@ from scipy.signal.windows import hann
 
 from ..errors import BadInput
 from ..systems.base import Array
+from .metadata import system_of
 
 Signal = NDArray[np.complex128]
 
@@ -46,7 +47,7 @@ def frequencies(trajectory: xr.Dataset, lines: int) -> xr.Dataset:
         Where the samples are too few for the fastest line.
     """
     time = trajectory["time"].values
-    columns = {name: _signal(trajectory, name) for name in ("theta", "psi", "phi")}
+    columns = _signals(trajectory)
     shape = (len(columns), lines)
     frequency, amplitude, share = (np.full(shape, np.nan) for _ in range(3))
     nyquist = np.pi / (time[1] - time[0])
@@ -54,10 +55,11 @@ def frequencies(trajectory: xr.Dataset, lines: int) -> xr.Dataset:
         weight = hann(time.size)
         weight /= weight.sum()
         power = float(weight @ np.abs(signal - weight @ signal) ** 2)
-        line_frequencies, coefficients = spectral_lines(time, signal, lines, real=name == "theta")
+        real = name not in ("psi", "phi")
+        line_frequencies, coefficients = spectral_lines(time, signal, lines, real=real)
         count = len(line_frequencies)
         frequency[i, :count], amplitude[i, :count] = line_frequencies, np.abs(coefficients)
-        share[i, :count] = np.abs(coefficients) ** 2 / power * (0.5 if name == "theta" else 1.0)
+        share[i, :count] = np.abs(coefficients) ** 2 / power * (0.5 if real else 1.0)
         if count and np.abs(line_frequencies[0]) > MAX_SHARE_OF_NYQUIST * nyquist:
             raise BadInput(
                 f"samples = {time.size}: too few for a line of {name} at {line_frequencies[0]:g} rad per time unit; take"
@@ -70,12 +72,24 @@ def frequencies(trajectory: xr.Dataset, lines: int) -> xr.Dataset:
                 frequency,
                 {"units": "rad s-1", "long_name": "frequency, signed"},
             ),
-            "amplitude": (("signal", "line"), amplitude, {"units": "1", "long_name": "amplitude"}),
+            "amplitude": (
+                ("signal", "line"),
+                amplitude,
+                {"long_name": "amplitude, in the unit of the signal"},
+            ),
             "share": (("signal", "line"), share, {"units": "1", "long_name": "share of the variance"}),
         },
         coords={"signal": list(columns), "line": np.arange(lines)},
         attrs=trajectory.attrs,
     )
+
+
+def _signals(trajectory: xr.Dataset) -> dict[str, Signal]:
+    """The signals of a motion by name: those of theta, psi and phi, or the observables of the system."""
+    observables = system_of(trajectory).observables if "atlas_system" in trajectory.attrs else ()
+    if observables:
+        return {o.name: trajectory[o.name].values.astype(np.complex128) for o in observables}
+    return {name: _signal(trajectory, name) for name in ("theta", "psi", "phi")}
 
 
 def _signal(trajectory: xr.Dataset, name: str) -> Signal:

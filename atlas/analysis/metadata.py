@@ -19,7 +19,12 @@ def system_of(ds: xr.Dataset) -> System:
     """The system of an atlas; BadInput if the dataset is none."""
     if "atlas_system" not in ds.attrs:
         raise BadInput("not an atlas: the attribute atlas_system is missing")
-    return systems.get(ds.attrs["atlas_system"])
+    name, package = ds.attrs["atlas_system"], ds.attrs.get("atlas_system_package")
+    if package is not None and name not in systems.names():
+        raise BadInput(
+            f"the atlas is of the system {shown(name)}, which is not installed here; its package was {shown(package)}"
+        )
+    return systems.get(name)
 
 
 def number_attribute(ds: xr.Dataset, name: str) -> float:

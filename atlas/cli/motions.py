@@ -143,7 +143,8 @@ def _trajectory(options: argparse.Namespace) -> int:
         from ..plotting import style, trajectory
 
         style.save(trajectory.trajectory_figure(tr), out)
-    shown = "theta" if "theta" in tr else system_of(tr).observables[0].name
+    observables = system_of(tr).observables
+    shown = observables[0].name if observables else "theta"
     low, high, unit = float(tr[shown].min()), float(tr[shown].max()), tr[shown].attrs["units"]
     duration = f"{float(tr['time'][-1]):.9g} time units"
     print(

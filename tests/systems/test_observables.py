@@ -223,6 +223,28 @@ def test_regular_motions_of_a_pendulum_are_not_chaotic(pendulum):
     assert (ds["regularity"] == Regularity.REGULAR).all()
 
 
+def test_lines_of_the_spectrum_of_an_observable(pendulum):
+    """Of small oscillations: x = x0 cos(omega t)."""
+    tr = atlas.trajectory("pendulum", {"omega": 2.0, "x0": 1e-3}, duration=100.0, samples=1001, method=METHOD)
+    lines = tr.atlas.frequencies(1, trajectory=tr)
+    assert float(lines["frequency"].sel(signal="x")[0]) == pytest.approx(2.0, rel=1e-6)
+    assert float(lines["amplitude"].sel(signal="x")[0]) == pytest.approx(1e-3, rel=1e-4)
+    assert float(lines["frequency"].sel(signal="height")[0]) == pytest.approx(4.0, rel=1e-6)
+
+
+def test_a_run_that_is_cut_has_the_same_bits(pendulum, monkeypatch):
+    from atlas.engine import blocks
+
+    points = random_points(5)
+    sizes = StepSizes.of(Settings(method=METHOD, tolerance=1e-6), np.full(5, 3.0), np.full(5, 40.0))
+    ensemble = Ensemble.of(pendulum, points)
+    whole = observation.measure(kernel(pendulum, METHOD), ensemble, sizes)
+    monkeypatch.setattr(blocks, "CHUNK", 500)
+    cut = observation.measure(kernel(pendulum, METHOD), ensemble, sizes, threads=2)
+    np.testing.assert_array_equal(cut.sums, whole.sums)
+    np.testing.assert_array_equal(cut.final_state, whole.final_state)
+
+
 def test_run_folders_tiles_threads_and_refinement(pendulum, tmp_path, monkeypatch):
     from atlas.runs import tiling
 

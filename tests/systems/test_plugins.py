@@ -6,6 +6,7 @@ import sys
 
 import numpy as np
 import pytest
+import xarray as xr
 from plugins import PENDULUM, install
 
 import atlas
@@ -168,6 +169,12 @@ def test_every_command_finds_it(pendulum, scene_file, tmp_path, capsys):
         assert ds.attrs["atlas_std_tolerance"] == "x 0.5, height 0.01"
         for name in ds.data_vars:
             np.testing.assert_array_equal(ds[name], joined[name])
+
+
+def test_an_atlas_of_a_package_that_is_not_installed(folder):
+    ds = xr.Dataset(attrs={"atlas_system": "pendulum", "atlas_system_package": "some-systems 1.2"})
+    with pytest.raises(atlas.BadInput, match=r"not installed here; its package was .some-systems 1\.2."):
+        ds.atlas.families()
 
 
 def test_an_edit_makes_another_run_and_a_stale_process_is_refused(pendulum):

@@ -465,11 +465,11 @@ def use_interpreted_kernels(monkeypatch: Any) -> None:
     """Let the pipeline integrate with kernels that are not compiled: every specialisation takes a moment only."""
     modules: dict[Any, Any] = {}
 
-    def kernel(system: Any, method: str, specialization: Any) -> Any:
-        key = (system.name, method, specialization)
+    def kernel(system: Any, method: str, specialization: Any, frames: int = 0) -> Any:
+        key = (system.name, method, specialization, frames)
         if key not in modules:
             modules[key] = assemble.plain_module(
-                system.equations, method, specialization.zero, dict(specialization.equal)
+                system.equations, method, specialization.zero, dict(specialization.equal), frames=frames
             )
         return modules[key]
 

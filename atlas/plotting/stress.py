@@ -78,7 +78,7 @@ def figure(ds: xr.Dataset) -> Figure:
             axes[2 * i].set_title(method, loc="left")
         axes[0].set_yticks(0.5 * (edges[first] + edges[first + size]), cases[first])
         axes[0].set_ylim(edges[-1], 0)
-        drawn.legend(handles=_legend(), loc="outside lower center", ncols=2, frameon=False)
+        drawn.legend(handles=_legend(ds), loc="outside lower center", ncols=2, frameon=False)
     return drawn
 
 
@@ -101,7 +101,7 @@ def _draw_panel(ax: Axes, ds: xr.Dataset, beyond: np.ndarray, edges: np.ndarray)
     ax.set_xlim(0, verdict.shape[1])
 
 
-def _legend() -> list[Patch | Line2D]:
+def _legend(ds: xr.Dataset) -> list[Patch | Line2D]:
     """Entries of the verdicts and of the marks."""
     patches = [
         Patch(
@@ -110,7 +110,7 @@ def _legend() -> list[Patch | Line2D]:
         )
         for flag, name in zip(Verdict, Verdict.meanings(), strict=True)
     ]  # fmt: skip
-    accurate = f"the largest rms or standard deviation of the rates within {100 * ACCURATE:g} %, too"
+    accurate = f"{ds['error'].attrs['long_name'].removeprefix('relative error of the ')} within {100 * ACCURATE:g} %, too"
     return [
         *patches,
         Line2D([], [], label=accurate, **ACCURATE_DOT),

@@ -19,7 +19,7 @@ CHUNK = 4096  # points whose matrices are in memory together
 def frequency(
     equations: Any, state: NDArray[np.float64], constants: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """|J^64|^(1/64) of the Jacobian J of the right-hand side, rad per time unit.
+    """|J^64|^(1/64) of the Jacobian J of the right-hand side, rad per time unit; of a body its angular velocity if larger.
 
     It is at least the largest |eigenvalue| of J: the fastest frequency or rate of growth near the state.
 
@@ -40,7 +40,21 @@ def frequency(
     for first in range(0, flat.size, CHUNK):
         chunk = slice(first, first + CHUNK)
         flat[chunk] = _size_of_power(jacobian(equations, states[:, chunk], numbers[:, chunk]))
-    return result
+    return np.fmax(result, _rate_of_turn(equations, state, constants))
+
+
+def _rate_of_turn(
+    equations: Any, state: NDArray[np.float64], constants: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Angular velocity of the body relative to the frame, rad per time unit; 0 of a system with observables.
+
+    The Jacobian does not contain it where the angle of a rotation occurs nowhere in the right-hand side.
+    """
+    if not hasattr(equations, "frame_motion"):
+        return np.zeros(state.shape[1:])
+    with np.errstate(all="ignore"):
+        u1, u2, u3, *_ = equations.frame_motion(state, constants)
+        return np.asarray(np.sqrt(u1 * u1 + u2 * u2 + u3 * u3))
 
 
 def jacobian(

@@ -21,6 +21,7 @@ from ..scene import model
 from ..scene.model import Settings
 from ..systems.base import Array, Flags, Mask, Points, StressCase, System
 from ..variables import variables
+from . import generic_cases
 from .stress_points import CasePoints, case_points
 from .stress_truth import EXACT_ACCURACY, EXACT_STATISTICS, TrueLabels, true_labels, unsteadiness
 
@@ -33,6 +34,7 @@ LEVELS = tuple(f"ratio {ratio:g}" for ratio in RATIOS) + tuple(f"tolerance {tol:
 MAX_STEPS = 10_000_000
 # The unsteadiness is accurate within this share of itself, or of the rate tolerance if that is larger.
 ACCURATE = 0.01
+RATES_TEXT = "largest rms or standard deviation of the rates"
 
 
 class Verdict(Flag):
@@ -53,7 +55,7 @@ def stress(
     ----------
     system : System or str
     cases : sequence of StressCase, optional
-        Default: all cases of the system.
+        Default: all cases of the system, or `generic_cases` where it has none.
     threads : int, optional
         Default: all available processors.
 
@@ -68,16 +70,33 @@ def stress(
     """
     if isinstance(system, str):
         system = systems.get(system)
-    parts = [case_points(system, case) for case in (system.stress_cases() if cases is None else cases)]
-    if not parts:
-        raise BadInput(f"stress: the system {system.name} has no stress cases")
+    parts, truth = _generic(system) if cases is None and not system.stress_cases() else _own(system, cases)
     points = {name: np.concatenate([part.points[name] for part in parts]) for name in system.parameters}
     duration = np.concatenate([part.duration for part in parts])
-    truth = TrueLabels.join([
-        true_labels(system, part.points, part.duration, Settings(), part.truth, part.base) for part in parts
-    ])  # fmt: skip
     results = _run_levels(system, points, duration, threads)
     return _dataset(system, parts, points, truth, results)
+
+
+def _own(system: System, cases: Sequence[StressCase] | None) -> tuple[list[CasePoints], TrueLabels]:
+    """Points of the system's cases, or of others, and their true labels."""
+    parts = [case_points(system, case) for case in (system.stress_cases() if cases is None else cases)]
+    return parts, TrueLabels.join([
+        true_labels(system, part.points, part.duration, Settings(), part.truth, part.base) for part in parts
+    ])  # fmt: skip
+
+
+def _generic(system: System) -> tuple[list[CasePoints], TrueLabels]:
+    """Points of generic cases whose true labels the reference determines, and these."""
+    parts, truths = [], []
+    for case in generic_cases.generic_cases(system):
+        part = case_points(system, case)
+        truth, known = generic_cases.true_labels(system, part, Settings())
+        if known.any():
+            parts.append(part.subset(known))
+            truths.append(truth.subset(known))
+    if not parts:
+        raise BadInput(f"stress: the reference determines no label of the generic cases of {system.name}")
+    return parts, TrueLabels.join(truths)
 
 
 @dataclass(frozen=True)
@@ -151,7 +170,9 @@ def _run_job(
         if indices.size:
             part = {name: values[indices] for name, values in points.items()}
             values = evaluate(system, part, part, duration[indices], limited, threads=1)
-            results.append((indices, values | {"unsteadiness": unsteadiness(values)}))
+            values |= {"unsteadiness": unsteadiness(system, values, settings)}
+            missing = np.full(indices.size, np.nan)  # exact motions are those of bodies
+            results.append((indices, dict.fromkeys(EXACT_STATISTICS, missing) | values))
     return results
 
 
@@ -172,7 +193,7 @@ def _dataset(
     registry, dims = variables(system), ("method", "level", "point")
     with np.errstate(invalid="ignore"):
         error = np.abs(results["unsteadiness"] - truth.unsteadiness)
-        error /= np.maximum(truth.unsteadiness, Settings().rate_tolerance)
+        error /= np.maximum(truth.unsteadiness, 1.0 if system.observables else Settings().rate_tolerance)
     statistic_attributes = {
         "long_name": "error of a statistic against the exact motion",
         "units": "1",
@@ -183,10 +204,11 @@ def _dataset(
         "flag_values": np.arange(len(Verdict), dtype=np.int8),
         "flag_meanings": " ".join(Verdict.meanings()),
     }
+    observables = "largest standard deviation of an observable over its tolerance"
     error_attributes = {
-        "long_name": "relative error of the largest rms or standard deviation of the rates",
+        "long_name": f"relative error of the {observables if system.observables else RATES_TEXT}",
         "units": "1",
-        "comment": "relative to rate_tolerance where the true value is less; nan where it is unknown, because only a"
+        "comment": "relative to the tolerance where the true value is less; nan where it is unknown, because only a"
         " part of the run was integrated by the reference or numbers overflow",
     }
     names = [(part, name) for part in parts for name in part.names]
@@ -344,7 +366,7 @@ def _accuracy_lines(ds: xr.Dataset) -> list[str]:
         accurate, known = (error < ACCURATE).sum(1), np.isfinite(error).sum(1)
         counts = " ".join(f"{n}/{k}" for n, k in zip(accurate, known, strict=True))
         lines.append(
-            f"{method}: true labels with the largest rms or standard deviation of the rates within"
+            f"{method}: true labels with {ds['error'].attrs['long_name'].removeprefix('relative error of ')} within"
             f" {100 * ACCURATE:g} %, of those for which it is known, by level: {counts}"
         )
     return lines

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from ..scene.tables import point_columns
-from ..systems.base import Array, Points, StressCase, System
+from ..systems.base import Array, Mask, Points, StressCase, System
 
 
 @dataclass(frozen=True)
@@ -21,6 +21,16 @@ class CasePoints:
     names: tuple[str, ...]  # of the points: the parameters and the duration where they vary within the case
     may_stay_unresolved: str
     truth: str  # as in StressCase
+
+    def subset(self, where: Mask) -> CasePoints:
+        """The points where a mask is true."""
+        return replace(
+            self,
+            points={name: values[where] for name, values in self.points.items()},
+            base={name: values[where] for name, values in self.base.items()},
+            duration=self.duration[where],
+            names=tuple(name for name, kept in zip(self.names, where, strict=True) if kept),
+        )
 
 
 def case_points(system: System, case: StressCase) -> CasePoints:

@@ -12,7 +12,7 @@ from scipy.integrate import solve_ivp
 from ..flags import Label
 from ..label import labels
 from ..label.theory import predict
-from ..scene.model import Settings
+from ..scene.model import Settings, std_tolerances
 from ..systems.base import Array, Flags, Mask, Points, System
 from . import exact
 from .reference import EXACT_RESIDUAL, largest_sine, reference
@@ -62,6 +62,11 @@ class TrueLabels:
             np.concatenate([part.source for part in parts]),
             {name: np.concatenate([part.statistics[name] for part in parts]) for name in EXACT_STATISTICS},
         )
+
+    def subset(self, where: Mask) -> TrueLabels:
+        """The labels where a mask is true."""
+        statistics = {name: values[where] for name, values in self.statistics.items()}
+        return TrueLabels(self.label[where], self.unsteadiness[where], self.source[where], statistics)
 
 
 def true_labels(
@@ -126,11 +131,11 @@ def true_labels(
         _require_decided("the reference", others[undecided])
         label[others], unsteadiness[others] = solved.label, solved.unsteadiness
         source[others] = solved.source
-    return TrueLabels(label, unsteadiness, source, _no_statistics(duration.size))
+    return TrueLabels(label, unsteadiness, source, no_statistics(duration.size))
 
 
-def _no_statistics(size: int) -> dict[str, Array]:
-    """Statistics that are not known."""
+def no_statistics(size: int) -> dict[str, Array]:
+    """Statistics that are not known, of so many points."""
     return {name: np.full(size, np.nan) for name in EXACT_STATISTICS}
 
 
@@ -140,8 +145,21 @@ def _require_decided(source: str, undecided: np.ndarray) -> None:
         raise ValueError(f"{source} cannot decide the labels of points {undecided}")
 
 
-def unsteadiness(measured: Mapping[str, Array]) -> Array:
-    """The largest of the statistics that make a point drift, rad per time unit."""
+def unsteadiness(system: System, measured: Mapping[str, Array], settings: Settings) -> Array:
+    """The largest of the statistics that make a point drift, rad per time unit; of observables over their tolerances.
+
+    Parameters
+    ----------
+    system : System
+    measured : mapping of str to ndarray
+        Statistics by name.
+    settings : Settings
+        Only the tolerances are used.
+    """
+    if system.observables:
+        limits = std_tolerances(system, settings)
+        shares = [measured[f"{name}_std"] / limit for name, limit in limits.items()]
+        return np.asarray(np.fmax.reduce(shares))
     rates = [measured["theta_dot_rms"], measured["psi_dot_std"], measured["phi_dot_std"]]
     in_polar_cap = np.isnan(rates[1])
     return np.where(in_polar_cap, measured["normal_rate_std"], np.fmax.reduce(rates))
@@ -163,7 +181,7 @@ def _labels_by_exact_motion(
     _require_decided("the exact motion", np.flatnonzero(undecided))
     source = np.full(duration.shape, "exact motion", "<U15")
     statistics = {name: measured[name] for name in EXACT_STATISTICS}
-    return TrueLabels(label, unsteadiness(measured), source, statistics)
+    return TrueLabels(label, unsteadiness(system, measured, settings), source, statistics)
 
 
 def _labels_by_departure(
@@ -188,7 +206,7 @@ def _labels_by_departure(
         label = labels.label(measured, settings.tolerances)
     _require_decided("the departure", np.flatnonzero(undecided))
     source = np.full(duration.shape, "departure", "<U15")
-    return TrueLabels(label, unsteadiness(measured), source, _no_statistics(duration.size))
+    return TrueLabels(label, unsteadiness(system, measured, settings), source, no_statistics(duration.size))
 
 
 def _departure(
@@ -271,5 +289,5 @@ def _labels_by_reference(
         label = labels.label(measured, tolerances)
         undecided = labels.unsure(measured, error, tolerances) | (~whole & (label != Label.DRIFTING))
     source = np.where(whole, "reference", "part of the run")
-    unsteady = np.where(whole, unsteadiness(measured), np.nan)
-    return TrueLabels(label, unsteady, source, _no_statistics(duration.size)), undecided
+    unsteady = np.where(whole, unsteadiness(system, measured, settings), np.nan)
+    return TrueLabels(label, unsteady, source, no_statistics(duration.size)), undecided

@@ -7,7 +7,7 @@ author = copyright = "The Precession Atlas developers"
 version = release = __version__
 
 extensions = ["myst_nb", "sphinx.ext.autodoc", "sphinx.ext.napoleon"]
-exclude_patterns = ["paper"]
+exclude_patterns = ["paper", "examples"]
 
 html_theme = "furo"
 html_title = f"Precession Atlas {version}"

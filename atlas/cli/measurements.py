@@ -73,7 +73,9 @@ def add_stress(commands: Commands) -> None:
     command = add_command(
         commands, "stress", _stress, "run stiff and extreme cases and compare every label with the true one"
     )
-    command.add_argument("system", metavar="SYSTEM", nargs="?", help="one system (default: all that have cases of their own)")
+    command.add_argument(
+        "system", metavar="SYSTEM", nargs="?", help="one system (default: all that have cases of their own)"
+    )
     out_option(command, "FOLDER", "write SYSTEM.nc and SYSTEM.png there")
     threads_option(command)
     force_option(command, "existing files")

@@ -197,8 +197,7 @@ class System(ABC):
 
     - ``rhs``: time derivatives of the state;
     - ``frame_motion``, unless the system has `observables`: angular velocity of the body relative to the frame
-      (rad per time unit) and the unit vector of the frame's vertical, three components each, in body axes; linear in
-      the state;
+      (rad per time unit) and the unit vector of the frame's vertical, three components each, in body axes;
     - one function for each observable that is not a state;
     - ``INTEGRALS`` (optional): name of each first integral -> its power of a rate;
     - ``scaled`` (optional), with a third argument h: state and constants in units in which the time h is 1;

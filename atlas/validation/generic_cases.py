@@ -91,13 +91,16 @@ def true_labels(system: System, part: CasePoints, settings: Settings) -> tuple[T
         start, frequency = system.initial_state(part.points), system.frequency_bound(part.points)
     usable = np.isfinite(start).all(0) & (frequency < LARGEST_FREQUENCY)
     usable &= (np.abs(start) < LARGEST_FREQUENCY).all(0)
-    for i in np.flatnonzero(usable):
-        point: Points = {name: values[[i]] for name, values in part.points.items()}
+    where = np.flatnonzero(usable)
+    while where.size:
+        points: Points = {name: values[where] for name, values in part.points.items()}
         try:
-            solution = reference(system, point, part.duration[[i]], settings)
-        except ReferenceFailureError:
-            known[i] = False
+            solution = reference(system, points, part.duration[where], settings)
+        except ReferenceFailureError as failure:
+            known[where[failure.indices]] = False
+            where = np.delete(where, failure.indices)
             continue
-        label[i], source[i], known[i] = solution.label[0], "reference", solution.label_certain[0]
-        spread[i] = unsteadiness(system, solution.statistics, settings)[0]
+        label[where], source[where], known[where] = solution.label, "reference", solution.label_certain
+        spread[where] = unsteadiness(system, solution.statistics, settings)
+        break
     return TrueLabels(label, spread, source, no_statistics(size)), known

@@ -144,16 +144,16 @@ def test_lyapunov_exponents_are_those_of_dop853():
 
 
 @pytest.mark.parametrize(
-    ("energy", "exponent"),
-    # Of another program, rk4 with a step of 0.02: 0.048 is that of three motions over 10^5, 0.130 the mean of 11 motions
-    # over 2 10^4. The spectrum (0.052, 0, 0, -0.051) that is given in places belongs to the energy 1/8, not 1/6.
-    [(1 / 8, 0.048), (1 / 6, 0.130)],
+    ("energy", "exponent", "tolerance"),
+    # Of another program (rk4 with a step of 0.05): means over 20 and 31 chaotic motions of 10^5 time units, 0.0454 +- 0.0011
+    # and 0.1255 +- 0.0012. The spectrum (0.052, 0, 0, -0.051) that is given in places belongs to the energy 1/8, not 1/6.
+    [(1 / 8, 0.0454, 0.1), (1 / 6, 0.1255, 0.05)],
 )
-def test_lyapunov_exponent_of_the_chaotic_sea(energy, exponent):
-    ds = indicators(chaotic_starts(energy), 2e4)
+def test_lyapunov_exponent_of_the_chaotic_sea(energy, exponent, tolerance):
+    ds = indicators(chaotic_starts(energy, 64), 2e4)
     chaotic = ds["regularity"].values == Regularity.CHAOTIC
-    assert chaotic.sum() > 6
-    assert ds["lyapunov"].values[chaotic].mean() == pytest.approx(exponent, rel=0.05)
+    assert chaotic.sum() > 20
+    assert ds["lyapunov"].values[chaotic].mean() == pytest.approx(exponent, rel=tolerance)
 
 
 def test_motions_of_little_energy_are_regular():

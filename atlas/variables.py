@@ -66,13 +66,15 @@ _INTEGRAL_DRIFT = next(
 # Variables that need the sums about the circle of the angular velocity in the body, in the frame and in inertial space.
 ANY_AXIS = (
     "label_any_axis", "label_any_axis_inertial", "precession_rate", "spin_rate", "nutation",
-    "spin_axis_1", "spin_axis_2", "spin_axis_3", "precession_inclination",
+    "spin_axis_1", "spin_axis_2", "spin_axis_3", "precession_inclination", "agreement_any_axis",
 )  # fmt: skip
 _NOT_STEADY = "nan where label_any_axis is neither regular_precession nor permanent_rotation"
 _SPIN_AXIS = (
     "direction of the angular velocity of a permanent rotation; of a regular precession the last component above"
     " cylinder_tolerance is positive; nan elsewhere and for a body at rest"
 )
+# Variables about any axes that follow from theory, the last from the measured label as well.
+ANY_AXIS_THEORY = ("predicted_any_axis", "predicted_any_axis_inertial", "agreement_any_axis")
 # Variables that need a run with a tangent vector.
 CHAOS = frozenset(("megno", "lyapunov", "regularity"))
 _TANGENT = (
@@ -183,6 +185,17 @@ def _any_axis(system: System) -> list[Variable]:
                  f"for a permanent rotation of the angular velocity; {_NOT_STEADY}, and for a body at rest"),
             )
         ),
+        Variable(
+            "predicted_any_axis", "int8", "1", f"kind of motion in the {system.frame} frame about any axes, from theory alone",
+            Label.meanings(), "the same as predicted where that is steady", optional=True,
+        ),
+        Variable(
+            "predicted_any_axis_inertial", "int8", "1", "kind of motion in the inertial frame about any axes, from theory alone",
+            Label.meanings(), "the same as predicted_inertial where that is steady", optional=True,
+        ),
+        Variable(
+            "agreement_any_axis", "int8", "1", "measured label about any axes against theory", Agreement.meanings(), optional=True,
+        ),
     ]  # fmt: skip
 
 
@@ -190,10 +203,15 @@ def _variables_of_body(system: System) -> dict[str, Variable]:
     """The variables of a system that describes the motion of a body in a frame."""
     missing: set[str] = set()
     if system.frame_rate is None:
-        missing |= {"label_inertial", "label_any_axis_inertial", "predicted_inertial"}
+        missing |= {
+            "label_inertial",
+            "label_any_axis_inertial",
+            "predicted_inertial",
+            "predicted_any_axis_inertial",
+        }
     if not system.families:
         missing |= {"family", "stable", "growth_rate", "condition_residual", "predicted", "agreement"}
-        missing |= {"predicted_inertial"}
+        missing |= {"predicted_inertial", *ANY_AXIS_THEORY}
     if not system.equations.INTEGRALS:
         missing |= {"integral_drift"}
     if len(system.geometries) < 2:

@@ -26,12 +26,12 @@ from ..flags import Label, Status
 from ..scene.grid import Grid, Reason, status_of
 from ..scene.model import Scene, Settings
 from ..systems.base import FAMILY_TOLERANCE, Array, Flags, Mask, Points, System
-from ..variables import ANY_AXIS, CHAOS
+from ..variables import ANY_AXIS, ANY_AXIS_THEORY, CHAOS
 from . import any_axis, labels, observed
 from .expected_errors import differences, early_stop_rate, error_estimate, measurement_errors, pair_error
 from .half_steps import half_step_sample
 from .regularity import regularity
-from .theory import agreement, exact_starts, predict_runs
+from .theory import agreement, exact_starts, predict_any_axis, predict_runs
 
 # A start beside an unstable motion departs because of its nudge, and not of integration errors, where theta' at half the
 # step is the same within this share.
@@ -149,6 +149,10 @@ def evaluate(
     columns = _assemble(runs, integration, measured, recheck)
     if runs.tangent is not None:
         columns |= _chaos(runs, runs.tangent, columns, execution)
+    if outputs is not None and set(ANY_AXIS_THEORY) & set(outputs):
+        columns |= predict_any_axis(system, base, points, columns, settings.rate_tolerance, nudged=nudged)
+    if outputs is not None and "agreement_any_axis" in outputs:
+        columns["agreement_any_axis"] = agreement(columns["label_any_axis"], columns["predicted_any_axis"])
     for name, derived in system.derived.items():
         if outputs is not None and name in outputs:
             columns[name] = derived.values(base, duration, lambda: execution.progress(0.0))

@@ -59,6 +59,7 @@ def predict_runs(
         pushed = ~exact_starts(system, points, nearby) if nudged else np.zeros_like(nearby)
         variables = predict(system, base, rate_tolerance, pushed)
         growth = system.log_growth(base, variables["family"], variables["growth_rate"], duration)
+        growth[_about_other_axes(system, variables["family"])] = 0.0  # these drift in any case
     log_growth = np.minimum(np.nan_to_num(growth, nan=0.0), MAX_LOG_GROWTH)
     return Prediction(variables, residual, pushed, log_growth)
 
@@ -95,13 +96,72 @@ def predict(
         frames["predicted_inertial"] = n + system.frame_rate(points)
     for name, rate in frames.items():
         label = steady_label(rate, m, np.abs(sine) <= FAMILY_TOLERANCE, rate_tolerance)
-        label = np.select(
-            [np.logical_not(nudged) | (stable == Stability.STABLE), stable == Stability.UNSTABLE],
-            [label, Label.DRIFTING],
-            Label.NOT_COMPUTED,
-        )
-        off = np.where(system.complete(points) & within, Label.DRIFTING, Label.NOT_COMPUTED)
-        result[name] = np.where(family > 0, label, off).astype(np.int8)
+        on = (family > 0) & ~_about_other_axes(system, family)
+        result[name] = _after_nudge(label, stable, nudged, on, system.complete(points) & within)
+    return result
+
+
+def _about_other_axes(system: System, family: Flags) -> Mask:
+    """Whether a motion is about other axes than the third and the vertical."""
+    return np.isin(family, [f.flag for f in system.families.values() if f.axes is not None])
+
+
+def _after_nudge(label: Flags, stable: Flags, nudged: Mask | bool, on: Mask, complete: Mask) -> Flags:
+    """Predicted labels: of a nudged motion, and off every family, see `predict`."""
+    label = np.select(
+        [np.logical_not(nudged) | (stable == Stability.STABLE), stable == Stability.UNSTABLE],
+        [label, Label.DRIFTING],
+        Label.NOT_COMPUTED,
+    )
+    return np.where(on, label, np.where(complete, Label.DRIFTING, Label.NOT_COMPUTED)).astype(np.int8)
+
+
+def predict_any_axis(
+    system: System,
+    base: Points,
+    points: Points,
+    theory: Mapping[str, np.ndarray],
+    rate_tolerance: float,
+    *,
+    nudged: bool,
+) -> dict[str, np.ndarray]:
+    """Labels about any axes of a set of starts from theory alone.
+
+    Parameters
+    ----------
+    system : System
+    base, points : mapping of str to ndarray of float64, shape (points,)
+        The starts before and after the nudge.
+    theory : mapping of str to ndarray
+        family and stable, as `predict` returns them.
+    rate_tolerance : float
+        Rates of at most this count as zero, rad per time unit.
+    nudged : bool
+        Whether there is a nudge. One along a family leads to another exact start.
+
+    Returns
+    -------
+    dict of ndarray, shape (points,)
+        predicted_any_axis and, where the system's frame turns, predicted_any_axis_inertial. Off every family they are
+        drifting where the system's catalogue of motions about any axes is complete, else not_computed.
+    """
+    family, stable = theory["family"], theory["stable"]
+    with np.errstate(all="ignore"):
+        other = _about_other_axes(system, family)
+        complete = system.complete_any_axis(base) & system.within_range(base)
+        pushed = np.zeros(family.shape, bool)
+        if nudged:
+            pushed = ~exact_starts(system, points, np.ones(family.shape, bool))
+        sine, n, m = system.any_axis_rates(base, family)
+        frames = {"predicted_any_axis": n}
+        if system.frame_rate is not None:
+            frames["predicted_any_axis_inertial"] = n + system.frame_rate(base)
+        result = {}
+        for name, rate in frames.items():
+            # A circle of the angular velocity that is as small as the tolerance is a point.
+            constant = (sine <= FAMILY_TOLERANCE) | (other & (np.abs(rate) * sine <= rate_tolerance))
+            label = steady_label(rate, m, constant, rate_tolerance)
+            result[name] = _after_nudge(label, stable, pushed, family > 0, complete)
     return result
 
 

@@ -6,7 +6,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Mapping, Sequence, Set
 from dataclasses import dataclass, field
 from types import MappingProxyType
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -46,6 +46,19 @@ class Parameter:
     symbol: str = ""  # mathematical form for axis labels, e.g. r"$\theta_0$"
 
 
+class TwoAxes(NamedTuple):
+    """A motion about an axis at rest in the body and an axis at rest in the frame, w' = n axis + m spin axis.
+
+    Components are those in body axes; at the start for the axis at rest in the frame. Where one of the rates is 0 or
+    the axes are parallel, it is a permanent rotation.
+    """
+
+    spin_axis: Array  # unit vector, (3, points)
+    spin_rate: Array  # m, rad per time unit, (points,)
+    fixed_axis: Array  # unit vector, (3, points)
+    precession_rate: Array  # n, rad per time unit, (points,)
+
+
 @dataclass(frozen=True)
 class Observable:
     """A quantity whose mean, standard deviation, extremes and drift are measured along each motion.
@@ -77,7 +90,7 @@ class Condition:
 
 @dataclass(frozen=True)
 class Family:
-    """A family of exact steady motions theta = theta0, psi' = n, phi' = m."""
+    """A family of exact steady motions theta = theta0, psi' = n, phi' = m, or of motions alike about other axes."""
 
     name: str
     flag: int  # value of the dataset variable `family`, from 1
@@ -96,6 +109,9 @@ class Family:
     paper_wording: str = ""
     exists: str = ""  # limits of existence beyond the conditions
     free: tuple[str, ...] = ()  # parameters that the conditions leave free
+    # points -> axes and rates of a motion about any axes, which drifts about the third axis and the vertical; None: the
+    # motion is about these two
+    axes: Callable[[Points], TwoAxes] | None = None
 
 
 @dataclass(frozen=True)
@@ -168,8 +184,8 @@ class System(ABC):
         `check_possible`.
     Theory
         `families`, `identify_family`, `condition_residual`, `linear_stability`, `log_growth`,
-        `growth_about_vertical`, `complete`, `frame_rate`, `geometries`, `geometry`, `derived`, `equilibria`, `equilibria_of_bodies`,
-        `published`, `stress_cases`, `despun_equivalent`.
+        `growth_about_vertical`, `complete`, `complete_any_axis`, `any_axis_rates`, `frame_rate`, `geometries`,
+        `geometry`, `derived`, `equilibria`, `equilibria_of_bodies`, `published`, `stress_cases`, `despun_equivalent`.
 
     Instances are compared and hashed by identity: kernels are cached by system.
     """
@@ -413,12 +429,7 @@ class System(ABC):
             are no families).
         """
         shape = shape_of(points)
-        flat = {name: np.ravel(value) for name, value in points.items()}
-        size = int(np.prod(shape))
-        flags, residual = np.zeros(size, np.int8), np.full(size, np.inf)
-        for first in range(0, size, _CHUNK):
-            chunk = slice(first, first + _CHUNK)
-            _identify(self.families, {k: v[chunk] for k, v in flat.items()}, flags[chunk], residual[chunk])
+        flags, residual = identify(self.families, {name: np.ravel(value) for name, value in points.items()})
         return flags.reshape(shape), residual.reshape(shape)
 
     def condition_residual(self, points: Points) -> Array:
@@ -475,6 +486,32 @@ class System(ABC):
         """Where the families are all steady motions, so that other starts must drift; bool (points,)."""
         return np.zeros(shape_of(points), bool)
 
+    def complete_any_axis(self, points: Points) -> Mask:
+        """Where the families are all motions about any two axes, so that other starts drift; bool (points,)."""
+        return np.zeros(shape_of(points), bool)
+
+    def any_axis_rates(self, points: Points, flags: Flags) -> tuple[Array, Array, Array]:
+        """Sine of the angle between the two axes, n and m of motions about any axes.
+
+        Parameters
+        ----------
+        flags : int8 array (points,)
+            Families, as `identify_family` gives them.
+
+        Returns
+        -------
+        sine, n, m : arrays (points,)
+            Those of `steady_rates` where the axes are the third and the vertical.
+        """
+        sine, n, m = (np.array(values) for values in self.steady_rates(points))
+        for family in self.families.values():
+            members = np.flatnonzero(flags == family.flag)
+            if family.axes is not None and members.size:
+                axes = family.axes({name: values[members] for name, values in points.items()})
+                sine[members] = np.sqrt((np.cross(axes.spin_axis, axes.fixed_axis, axis=0) ** 2).sum(0))
+                n[members], m[members] = axes.precession_rate, axes.spin_rate
+        return sine, n, m
+
     def geometry(
         self,
         measured: Mapping[str, Array],
@@ -516,6 +553,16 @@ class System(ABC):
         return points, np.zeros(shape_of(points))
 
 
+def identify(families: Mapping[str, Family], points: Points) -> tuple[Flags, Array]:
+    """Flag and residual of 1-D points among some families, see System.identify_family; (points,)."""
+    size = shape_of(points)[0]
+    flags, residual = np.zeros(size, np.int8), np.full(size, np.inf)
+    for first in range(0, size, _CHUNK):
+        chunk = slice(first, first + _CHUNK)
+        _identify(families, {k: v[chunk] for k, v in points.items()}, flags[chunk], residual[chunk])
+    return flags, residual
+
+
 def _identify(families: Mapping[str, Family], points: Points, flags: Flags, residual: Array) -> None:
     """Write flag and residual of each point, see System.identify_family, into flags (zeros) and residual (inf)."""
     computed: dict[Condition, Array] = {}  # families share conditions
@@ -552,6 +599,41 @@ def on_family(family: Family, points: Points) -> Array:
         residual = np.abs(condition.residual(points))
         worst = np.maximum(worst, np.where(np.isnan(residual), np.inf, residual))
     return worst
+
+
+def motion_about_axes(axes: TwoAxes, vector: Array, t: Array) -> tuple[Array, Array]:
+    """Angular velocity of a motion about two axes, and a vector at rest in the frame, as functions of time.
+
+    A turn of the body by n t about the axis at rest in the frame follows one by m t about the axis at rest in the body.
+
+    Parameters
+    ----------
+    axes : TwoAxes
+    vector : array (3, points)
+        In body axes at the start.
+    t : array (..., points) or (..., 1)
+        Time units.
+
+    Returns
+    -------
+    rate, vector : arrays (3, ..., points)
+        In body axes; the rate is relative to the frame.
+    """
+    s, fixed = axes.spin_axis, axes.fixed_axis
+    shape = (3, *np.broadcast_shapes(t.shape, s.shape[1:]))
+    vector, s, fixed = (
+        np.broadcast_to(v.reshape(3, *(1,) * (t.ndim - 1), -1), shape) for v in (vector, s, fixed)
+    )
+    turned = _turned(_turned(vector, fixed, -axes.precession_rate * t), s, -axes.spin_rate * t)
+    rate = axes.precession_rate * _turned(fixed, s, -axes.spin_rate * t) + axes.spin_rate * s
+    return rate, turned
+
+
+def _turned(vector: Array, axis: Array, angle: Array) -> Array:
+    """A vector after a turn about a unit vector, by Rodrigues' formula."""
+    cosine, sine = np.cos(angle), np.sin(angle)
+    along = (axis * vector).sum(0) * (1 - cosine)
+    return cosine * vector + sine * np.cross(axis, vector, axis=0) + along * axis
 
 
 def despun_about_third_axis(

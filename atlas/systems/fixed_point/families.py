@@ -61,7 +61,7 @@ def condition_residual(points: Points) -> Array:
     rate = np.array(equations.rhs(state, constants(points))[:3])
     rate -= n * m * np.array([gamma[1], -gamma[0], np.zeros_like(n)])
     scale = squared_rate(points)
-    return np.maximum(_ratio(length(rate), scale), _ratio(np.abs(theta_dot), np.sqrt(scale)))
+    return np.maximum(ratio(length(rate), scale), ratio(np.abs(theta_dot), np.sqrt(scale)))
 
 
 def identify_family(points: Points, tolerance: float = FAMILY_TOLERANCE) -> tuple[Flags, Array]:
@@ -84,7 +84,7 @@ def identify_family(points: Points, tolerance: float = FAMILY_TOLERANCE) -> tupl
 # Conditions. Each residual is an angular acceleration or rate over that of the start, or a relative difference.
 
 
-def _ratio(value: Array, scale: Array) -> Array:
+def ratio(value: Array, scale: Array) -> Array:
     """value / scale, 0 where nothing moves and nothing acts."""
     return np.divide(value, scale, out=np.zeros_like(scale), where=scale > 0)
 
@@ -96,7 +96,7 @@ def _difference(points: Points) -> Array:
 def _acceleration(points: Points, torque: Array) -> Array:
     """A torque as a residual: over the least moment and the largest squared rate."""
     least = np.minimum(np.minimum(points["A"], points["B"]), points["C"])
-    return _ratio(torque / least, squared_rate(points))
+    return ratio(torque / least, squared_rate(points))
 
 
 def _transverse_rotor(points: Points) -> Array:
@@ -109,19 +109,19 @@ def _transverse_weight(points: Points) -> Array:
 
 
 def _nutation_rate(points: Points) -> Array:
-    return _ratio(np.abs(rates(points)[0]), np.sqrt(squared_rate(points)))
+    return ratio(np.abs(rates(points)[0]), np.sqrt(squared_rate(points)))
 
 
 def _rest_of_precession(points: Points) -> Array:
-    return _ratio(np.abs(rates(points)[1]), np.sqrt(squared_rate(points)))
+    return ratio(np.abs(rates(points)[1]), np.sqrt(squared_rate(points)))
 
 
 def _rest_of_spin(points: Points) -> Array:
-    return _ratio(np.abs(rates(points)[2]), np.sqrt(squared_rate(points)))
+    return ratio(np.abs(rates(points)[2]), np.sqrt(squared_rate(points)))
 
 
 def _transverse_rate(points: Points) -> Array:
-    return _ratio(length(initial_state(points)[:2]), np.sqrt(squared_rate(points)))
+    return ratio(length(initial_state(points)[:2]), np.sqrt(squared_rate(points)))
 
 
 def _on_vertical(points: Points) -> Array:

@@ -12,7 +12,7 @@ from .initial import bodies, fields, initial_state, rates, symmetric, vertical
 ROUNDING = 1e-12
 
 
-def _decide(value: Array, size: Array, growth: Array) -> tuple[Flags, Array]:
+def decide(value: Array, size: Array, growth: Array) -> tuple[Flags, Array]:
     """Stable where value > 0, unstable where value < 0, unknown where it is rounding of terms of that size."""
     clear = np.abs(value) > ROUNDING * size
     stable = np.where(value > 0, Stability.STABLE, Stability.UNSTABLE)
@@ -42,7 +42,7 @@ def conical_stability(points: Points) -> tuple[Flags, Array]:
     That is the squared frequency of nutation; where it is negative the tilt grows at the root of its size.
     """
     value, size = nutation(points)
-    return _decide(value, size, np.sqrt(np.maximum(-value, 0.0)))
+    return decide(value, size, np.sqrt(np.maximum(-value, 0.0)))
 
 
 def sleeping_discriminant(points: Points) -> tuple[Array, Array]:
@@ -74,7 +74,7 @@ def sleeping_stability(points: Points) -> tuple[Flags, Array]:
     Other bodies: the roots of x^2 + P x + Q, x the squared exponents of the linear equations.
     """
     value, size = sleeping_discriminant(points)
-    stable, growth = _decide(value, size, np.sqrt(np.maximum(-value, 0.0)) / (2 * points["A"]))
+    stable, growth = decide(value, size, np.sqrt(np.maximum(-value, 0.0)) / (2 * points["A"]))
     state = initial_state(points)
     general = _equilibrium_stability(points, state[2] * np.sign(state[5]), state[3:])
     closed = symmetric(points)
@@ -101,7 +101,7 @@ def rest_stability(points: Points) -> tuple[Flags, Array]:
     # Free body that turns about its third axis: Euler's equations linearised, with a rotor.
     first, second = (C - A) * m + points["l3"], (C - B) * m + points["l3"]
     size = (np.abs((C - A) * m) + np.abs(points["l3"])) * (np.abs((C - B) * m) + np.abs(points["l3"]))
-    turning = _decide(first * second, size, np.sqrt(np.maximum(-first * second / (A * B), 0.0)))
+    turning = decide(first * second, size, np.sqrt(np.maximum(-first * second / (A * B), 0.0)))
     free = (m != 0) & ~symmetric(points)
     return np.where(free, turning[0], stable), np.where(free, turning[1], growth)
 

@@ -18,7 +18,7 @@ from ..base import (
     despun_about_third_axis,
     shape_of,
 )
-from . import equations, equilibria, families, initial, stress_cases
+from . import any_axis, equations, equilibria, families, initial, stress_cases
 from .paper import errors, published
 
 GEOMETRIES = {
@@ -59,9 +59,8 @@ class FixedPoint(System):
     start_condition = initial.START_CONDITION
     warnings = staticmethod(initial.warnings)
 
-    identify_family = staticmethod(families.identify_family)
     condition_residual = staticmethod(families.condition_residual)
-    families = families.FAMILIES
+    families = families.FAMILIES | any_axis.FAMILIES
     geometries = GEOMETRIES
     derived = errors.DERIVED
     stress_cases = staticmethod(stress_cases.cases)
@@ -70,7 +69,21 @@ class FixedPoint(System):
         """0: the vertical is an axis of symmetry of the fields."""
         return np.zeros(shape_of(points))
 
+    def identify_family(self, points: Points) -> tuple[Flags, Array]:
+        """Family about the third axis and the vertical, else one about any axes."""
+        flags, residual = families.identify_family(points)
+        others = np.flatnonzero(flags.ravel() == 0)
+        if others.size:
+            part = {name: np.ravel(value)[others] for name, value in points.items()}
+            with np.errstate(all="ignore"):
+                flags.flat[others], worst = any_axis.identify(part)
+            residual.flat[others] = np.minimum(residual.flat[others], worst)
+        return flags, residual
+
     def complete(self, points: Points) -> Mask:
+        return np.ones(shape_of(points), bool)
+
+    def complete_any_axis(self, points: Points) -> Mask:
         return np.ones(shape_of(points), bool)
 
     def geometry(

@@ -30,6 +30,7 @@ from numpy.typing import NDArray
 
 from ...flags import Stability
 from ..base import Array, Flags, Points, stability_by_family
+from ..floquet import magnus_propagator
 from .families import FAMILIES, classify_growth, quartic_growth
 from .initial import directions, initial_state
 
@@ -336,31 +337,18 @@ def _fundamental_matrix(
 def _propagators(
     harmonics: NDArray[np.complex128], period: Array, step: Array, index: NDArray[np.int64]
 ) -> Array:
-    """Fundamental matrices over some steps: Magnus' series of order 6, symplectic exponentials.
+    """Fundamental matrices over some steps.
 
     harmonics: mean, first and second, shape (3, points, 4, 4); index of each step; result (steps, points, 4, 4).
-    The diagonal Pade approximation keeps the multipliers of a stable motion on the unit circle; it is that of a
-    quarter of the exponent, squared twice. Blanes et al., Phys. Rep. 470 (2009) 151.
     """
     h = step[:, None, None]
-    identity = np.eye(4)
     nodes = index + 0.5 + np.sqrt(0.15) * np.array([[-1], [0], [1]])
     phases = np.exp(2j * np.pi * nodes[..., None] * (step / period))
     first, middle, last = (
         h * (harmonics[0].real + 2 * (harmonics[1] * phase + harmonics[2] * phase**2).real)
         for phase in phases[..., None, None]
     )
-    b2, b3 = np.sqrt(15) / 3 * (last - first), 10 / 3 * (last - 2 * middle + first)
-    c1 = middle @ b2 - b2 @ middle
-    inner = 2 * b3 + c1
-    c2 = (inner @ middle - middle @ inner) / 60
-    x, y = -20 * middle - b3 + c1, b2 + c2
-    z = (middle + b3 / 12 + (x @ y - y @ x) / 240) / 4
-    square = z @ z
-    even, odd = identity + square / 10, z @ (identity / 2 + square / 120)
-    quarter = np.linalg.solve(even - odd, even + odd)
-    half = quarter @ quarter
-    return half @ half
+    return magnus_propagator(first, middle, last)
 
 
 def _traces(monodromy: Array) -> NDArray[np.complex128]:

@@ -14,9 +14,11 @@ from ..base import (
     PublishedEquation,
     System,
     despun_about_third_axis,
+    identify,
     shape_of,
+    stability_by_family,
 )
-from . import equations, families, initial, stability, stress_cases
+from . import any_axis, equations, families, initial, stability, stress_cases
 from .derived import DERIVED
 from .equilibria import equilibria, equilibria_of_bodies
 
@@ -54,10 +56,8 @@ class Satellite(System):
     steady_rates = staticmethod(initial.steady_rates)
 
     condition_residual = staticmethod(families.condition_residual)
-    linear_stability = staticmethod(stability.linear_stability)
-    log_growth = staticmethod(stability.log_growth)
     growth_about_vertical = staticmethod(stability.growth_about_vertical)
-    families = families.FAMILIES
+    families = families.FAMILIES | any_axis.FAMILIES
     geometries = GEOMETRIES
     derived = DERIVED
     equilibria = staticmethod(equilibria)
@@ -86,6 +86,27 @@ class Satellite(System):
     def frame_rate(self, points: Points) -> Array:
         """Angular velocity Omega of the orbit."""
         return points["Omega"]
+
+    def identify_family(self, points: Points) -> tuple[Flags, Array]:
+        """Family about the third axis and the normal, else one about any axes."""
+        shape = shape_of(points)
+        flat = {name: np.ravel(value) for name, value in points.items()}
+        flags, residual = identify(families.FAMILIES, flat)
+        others = np.flatnonzero(flags == 0)
+        if others.size:
+            with np.errstate(all="ignore"):
+                flags[others], worst = any_axis.identify({name: v[others] for name, v in flat.items()})
+            residual[others] = np.minimum(residual[others], worst)
+        return flags.reshape(shape), residual.reshape(shape)
+
+    def linear_stability(self, points: Points, flags: Flags) -> tuple[Flags, Array]:
+        stable, growth = stability.linear_stability(points, _about_third_axis(flags))
+        other, other_growth = stability_by_family(any_axis.FAMILIES, points, flags)
+        about_other = flags > len(families.FAMILIES)
+        return np.where(about_other, other, stable), np.where(about_other, other_growth, growth)
+
+    def log_growth(self, points: Points, flags: Flags, growth_rate: Array, duration: Array) -> Array:
+        return stability.log_growth(points, _about_third_axis(flags), growth_rate, duration)
 
     def complete(self, points: Points) -> Mask:
         """Without an orbit a free or heavy body has more steady motions than the families."""
@@ -117,6 +138,11 @@ class Satellite(System):
 
     def despun_equivalent(self, points: Points) -> tuple[Points, Array]:
         return despun_about_third_axis(self, points, "k3", "axial_momentum")
+
+
+def _about_third_axis(flags: Flags) -> Flags:
+    """The flags of the families about the third axis, else 0."""
+    return np.where(flags <= len(families.FAMILIES), flags, 0).astype(np.int8)
 
 
 SATELLITE = Satellite()

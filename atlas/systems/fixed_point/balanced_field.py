@@ -1,0 +1,117 @@
+"""Regular precession about the vertical at n^2 = N, where the field and the centrifugal torque cancel.
+
+w = n g + m s with s a normal of a circular section of the ellipsoid of inertia, and with D the part of I s across s
+
+    l across s = -(m + 2 n s.g) D,   Mg r_c = -n (l + m (s.I s) s).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+
+from ..base import Array, Condition, Family, Points, TwoAxes
+from .initial import fields, length
+from .two_axes import (
+    OFFSETS,
+    ROTORS,
+    Start,
+    across_axis,
+    dot,
+    floquet_stability,
+    motion_of,
+    other_component,
+    pick,
+    section_difference,
+    unit,
+)
+
+
+def balanced_axes(points: Points) -> TwoAxes:
+    """With the sign of n of which the spin axis is nearer to a normal of a circular section."""
+    start = Start.of(points)
+    candidates = [_balanced_candidate(start, sign) for sign in (1.0, -1.0)]
+    off = [
+        np.nan_to_num(section_difference(start.inertia, axes.spin_axis), nan=np.inf) for axes in candidates
+    ]
+    first = off[0] <= off[1]
+    return TwoAxes(*(np.where(first, a, b) for a, b in zip(*candidates, strict=True)))
+
+
+def _balanced_candidate(start: Start, sign: float) -> TwoAxes:
+    n = sign * np.sqrt(start.N)
+    turn = start.w - n * start.gamma
+    return TwoAxes(unit(turn), length(turn), start.gamma, n)
+
+
+def _balanced_rotor_across(start: Start, axes: TwoAxes) -> Array:
+    """What the part of the rotor across the spin axis must be."""
+    s, m, g, n = axes
+    return -(m + 2 * n * dot(s, g)) * across_axis(start.inertia * s, s)
+
+
+def _balanced_weight(start: Start, axes: TwoAxes) -> Array:
+    """What Mg r_c must be."""
+    s, m, _, n = axes
+    return -n * (start.rotor + m * dot(start.inertia * s, s) * s)
+
+
+def _balanced_residuals(start: Start, axes: TwoAxes) -> tuple[Array, Array, Array]:
+    """Residuals of the three conditions."""
+    s = axes.spin_axis
+    across = (across_axis(start.rotor, s) - _balanced_rotor_across(start, axes)) * length(start.w)
+    torque = start.weight - _balanced_weight(start, axes)
+    return section_difference(start.inertia, s), start.residual(across), start.residual(torque)
+
+
+def _balanced(i: int) -> Callable[[Points], Array]:
+    """Residual of one of the three conditions; no motion of this family without a field."""
+
+    def residual(points: Points) -> Array:
+        value = _balanced_residuals(Start.of(points), balanced_axes(points))[i]
+        return np.where(fields(points)[1] > 0, value, np.inf)
+
+    return residual
+
+
+def _solve_balanced_offset(i: int) -> Callable[[Points], Array]:
+    """Solver of one coordinate of the centre of mass."""
+
+    def solve(points: Points) -> Array:
+        return _balanced_weight(Start.of(points), balanced_axes(points))[i] / fields(points)[0]
+
+    return solve
+
+
+def _solve_balanced_rotor(i: int) -> Callable[[Points], Array]:
+    """Solver of one component of the rotor: its part along the spin axis follows from another component."""
+
+    def solve(points: Points) -> Array:
+        start, axes = Start.of(points), balanced_axes(points)
+        across, s = _balanced_rotor_across(start, axes), axes.spin_axis
+        j = other_component(s, i)
+        return across[i] + (pick(start.rotor, j) - pick(across, j)) / pick(s, j) * s[i]
+
+    return solve
+
+
+BALANCED_FIELD = Family(
+    name="balanced_field",
+    flag=6,
+    axes=balanced_axes,
+    motion=motion_of(balanced_axes),
+    title="regular precession about the vertical at n^2 = N, where field and centrifugal torque cancel",
+    equations="derived from the equations of motion; not in the paper",
+    conditions=(
+        Condition("w = n g + m s, n^2 = N > 0, s normal to a circular section of the ellipsoid of inertia", _balanced(0)),
+        Condition("l across s = -(m + 2 n s.g) (I s across s)", _balanced(1)),
+        Condition("Mg r_c = -n (l + m (s.I s) s)", _balanced(2)),
+    ),
+    solve={
+        **{name: _solve_balanced_rotor(i) for i, name in enumerate(ROTORS)},
+        **{name: _solve_balanced_offset(i) for i, name in enumerate(OFFSETS)},
+    },
+    stability=floquet_stability(balanced_axes),
+    labels="regular precession (n, m) about the vertical, the spin axis is not principal",
+)  # fmt: skip

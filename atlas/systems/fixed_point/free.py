@@ -1,0 +1,134 @@
+"""Free bodies: no weight, and no field unless the body is spherical."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+
+from ...flags import Stability
+from ..base import Array, Condition, Family, Flags, Points, TwoAxes
+from .initial import length
+from .stability import decide
+from .two_axes import (
+    ROTORS,
+    Start,
+    axis_of_symmetry,
+    cross,
+    dot,
+    motion_of,
+    no_field,
+    other_component,
+    pick,
+    principal,
+    rotor_along,
+    symmetric_about,
+)
+
+
+def _no_weight(points: Points) -> Array:
+    start = Start.of(points)
+    return start.residual(start.weight)
+
+
+def _free_turning(points: Points) -> Array:
+    start = Start.of(points)
+    return start.residual(cross(start.inertia * start.w + start.rotor, start.w))
+
+
+def rotation_axes(points: Points) -> TwoAxes:
+    w = Start.of(points).w
+    rate = length(w)
+    axis = np.where(rate > 0, w / np.where(rate > 0, rate, 1.0), principal(np.full(rate.shape, 2)))
+    return TwoAxes(axis, rate, axis, np.zeros_like(rate))
+
+
+def _solve_turning_rotor(i: int) -> Callable[[Points], Array]:
+    """Solver of one component of the rotor: I w + l along w."""
+
+    def solve(points: Points) -> Array:
+        start = Start.of(points)
+        j = other_component(start.w, i)
+        multiple = pick(start.inertia * start.w + start.rotor, j) / pick(start.w, j)
+        return (multiple - start.inertia[i]) * start.w[i]
+
+    return solve
+
+
+def _turning_stability(points: Points) -> tuple[Flags, Array]:
+    """Euler's equations linearised: I x' = (I x) x w + (I w + l) x x has exponents 0 and +-sqrt(-P).
+
+    P is the sum of the principal minors of the matrix of the system; stable where it is positive. Where it is 0 by
+    the symmetry of the body, distances grow like t at most, which counts as stable.
+    """
+    start = Start.of(points)
+    momentum = start.inertia * start.w + start.rotor
+    columns = []
+    for j in range(3):
+        unit = np.zeros_like(momentum)
+        unit[j] = 1.0
+        turn = cross(start.inertia * unit, start.w) + cross(momentum, unit)
+        columns.append(turn / start.inertia)
+    products = np.array([columns[i][i] * columns[j][j] - columns[i][j] * columns[j][i] for i, j in _PAIRS])
+    size = np.array([np.abs(columns[i][j] * columns[j][i]) for i, j in _PAIRS]).sum(0)
+    P = products.sum(0)
+    stable, growth = decide(P, size, np.sqrt(np.maximum(-P, 0.0)))
+    return np.where(stable == Stability.UNKNOWN, Stability.STABLE, stable).astype(np.int8), growth
+
+
+_PAIRS = ((0, 1), (0, 2), (1, 2))
+
+
+def precession_axes(points: Points) -> TwoAxes:
+    """G / A is the angular velocity about the angular momentum G, ((A - C) w.s - l.s) / A that about s."""
+    start = Start.of(points)
+    s = axis_of_symmetry(start.inertia, (2, 0, 1), start.rotor)
+    momentum = start.inertia * start.w + start.rotor
+    axial = dot(start.inertia * s, s)
+    transverse = 0.5 * (start.inertia.sum(0) - axial)
+    size = length(momentum)
+    fixed = np.where(size > 0, momentum / np.where(size > 0, size, 1.0), s)
+    spin = ((transverse - axial) * dot(start.w, s) - dot(start.rotor, s)) / transverse
+    return TwoAxes(s, spin, fixed, size / transverse)
+
+
+def _always_stable(points: Points) -> tuple[Flags, Array]:
+    """Neighbours of a free precession are free precessions: distances grow like t at most."""
+    shape = np.shape(points["A"])
+    return np.full(shape, Stability.STABLE, np.int8), np.zeros(shape)
+
+
+_FREE = (
+    Condition("Mg r_c = 0", _no_weight),
+    Condition("N = 0, or A = B = C", no_field),
+)
+FREE_ROTATION = Family(
+    name="free_rotation",
+    flag=7,
+    axes=rotation_axes,
+    motion=motion_of(rotation_axes),
+    title="permanent rotation of a free body about an inclined axis",
+    equations="from the equations of motion",
+    conditions=(*_FREE, Condition("(I w + l) x w = 0", _free_turning)),
+    solve={name: _solve_turning_rotor(i) for i, name in enumerate(ROTORS)},
+    stability=_turning_stability,
+    labels="permanent rotation",
+    exists="about each principal axis of a body without rotor",
+)  # fmt: skip
+FREE_PRECESSION = Family(
+    name="free_precession",
+    flag=8,
+    axes=precession_axes,
+    motion=motion_of(precession_axes),
+    title="regular precession of a free symmetric or spherical body about its angular momentum",
+    equations="from the equations of motion",
+    conditions=(
+        *_FREE,
+        Condition("two equal moments", lambda p: symmetric_about(p, precession_axes(p).spin_axis)),
+        Condition("l along the axis of symmetry", lambda p: rotor_along(p, precession_axes(p).spin_axis)),
+    ),
+    solve={"B": lambda points: points["A"].copy()},
+    stability=_always_stable,
+    labels="regular precession (|G|/A, ((A - C) w.s - l.s)/A) about G = I w + l; permanent rotation where that"
+    " is along s or m = 0",
+)  # fmt: skip

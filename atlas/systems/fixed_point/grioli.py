@@ -1,0 +1,175 @@
+"""Grioli's regular precession of a heavy body with a rotor about an axis inclined to the vertical.
+
+The body turns at equal rates about s = w / |w|, w = Mg r_c, and about an axis nu normal to it, which is at rest in
+space. With b = s.I s
+
+    |Mg r_c| g = -(b n^2 + (l.s) n) nu + n^2 [(nu.(s x I s)) nu x s + (nu.I s) s].
+
+References
+----------
+G. Grioli, Ann. Mat. Pura Appl. 26 (1947) 271-281; with a rotor E. I. Kharlamova, Mekh. Tverd. Tela 2 (1970) 35-37.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+
+from ..base import Array, Condition, Family, Points, TwoAxes
+from .initial import length
+from .two_axes import (
+    OFFSETS,
+    ROTORS,
+    VECTORS,
+    Start,
+    across_axis,
+    cross,
+    dot,
+    floquet_stability,
+    motion_of,
+    no_field,
+    other_component,
+    pick,
+    section_difference,
+    section_normals,
+    unit,
+)
+
+
+def grioli_axes(points: Points) -> TwoAxes:
+    start = Start.of(points)
+    s = unit(start.weight)
+    n = dot(start.w, s)
+    return TwoAxes(s, n, across_axis(start.w, s) / n, n)
+
+
+def _grioli_vertical(start: Start, s: Array, nu: Array, n: Array) -> Array:
+    """Mg |r_c| times the vertical."""
+    momentum = start.inertia * s
+    along = dot(momentum, s) * n**2 + dot(start.rotor, s) * n
+    turned = dot(nu, cross(s, momentum)) * cross(nu, s) + dot(nu, momentum) * s
+    return -along * nu + n**2 * turned
+
+
+def _weight_normal_to_section(points: Points) -> Array:
+    start = Start.of(points)
+    return section_difference(start.inertia, unit(start.weight))
+
+
+def _rotor_along_weight(points: Points) -> Array:
+    start = Start.of(points)
+    return start.residual(cross(start.rotor, unit(start.weight)) * length(start.w))
+
+
+def _equal_rates(points: Points) -> Array:
+    start, axes = Start.of(points), grioli_axes(points)
+    across = length(across_axis(start.w, axes.spin_axis))
+    return (across - np.abs(axes.spin_rate)) / np.sqrt(start.squared_rate)
+
+
+def _grioli_torque(points: Points) -> Array:
+    start, axes = Start.of(points), grioli_axes(points)
+    vector = _grioli_vertical(start, axes.spin_axis, axes.fixed_axis, axes.spin_rate)
+    return start.residual(vector - length(start.weight) * start.gamma)
+
+
+def _grioli_rate(points: Points) -> Array:
+    """Largest n > 0 with (b n^2 + l n)^2 + d^2 n^4 = |Mg r_c|^2, nan where the body has no such motion."""
+    start = Start.of(points)
+    s = unit(start.weight)
+    momentum = start.inertia * s
+    b, d2, rotor = dot(momentum, s), (across_axis(momentum, s) ** 2).sum(0), dot(start.rotor, s)
+    square = (start.weight**2).sum(0)
+    n = _largest_root(b**2 + d2, 2 * b * rotor, rotor**2, -square)
+    for _ in range(2):  # Newton's steps remove the rounding errors of the eigenvalues
+        along = b * n**2 + rotor * n
+        n = n - (along**2 + d2 * n**4 - square) / (2 * along * (2 * b * n + rotor) + 4 * d2 * n**3)
+    return np.where(n > 0, n, np.nan)
+
+
+def _largest_root(a4: Array, a3: Array, a2: Array, a0: Array) -> Array:
+    """Largest real root of a4 x^4 + a3 x^3 + a2 x^2 + a0 with a0 < 0 < a4: an eigenvalue of the companion matrix."""
+    scale = np.sqrt(np.sqrt(-a0 / a4))  # of x, which makes the last coefficient -1
+    matrix = np.zeros((*a4.shape, 4, 4))
+    matrix[..., 1, 0] = matrix[..., 2, 1] = matrix[..., 3, 2] = 1.0
+    matrix[..., 0, 3], matrix[..., 2, 3], matrix[..., 3, 3] = 1.0, -a2 / (a4 * scale**2), -a3 / (a4 * scale)
+    finite = np.asarray(np.isfinite(matrix).all((-2, -1)))
+    roots = np.linalg.eigvals(np.where(finite[..., None, None], matrix, np.eye(4)))
+    real = np.where(np.abs(roots.imag) <= 1e-7 * np.abs(roots), roots.real, -np.inf).max(-1)
+    return np.where(finite, real * scale, np.nan)
+
+
+def _grioli_start(points: Points) -> Array:
+    """State (6, points) at the time at which nu lies in the plane of s and I s."""
+    start, n = Start.of(points), _grioli_rate(points)
+    s = unit(start.weight)
+    nu = unit(across_axis(start.inertia * s, s))
+    gamma = _grioli_vertical(start, s, nu, n)
+    return np.concatenate([n * (nu + s), unit(gamma)])
+
+
+def _solve_vector(i: int) -> Callable[[Points], Array]:
+    """Solver of one of p0 .. gamma30 for Grioli's start; with all six of them solved, the start is exact."""
+    return lambda points: _grioli_start(points)[i]
+
+
+def _solve_offset(i: int) -> Callable[[Points], Array]:
+    """Solver of one coordinate of the centre of mass from the largest other one; the sign given, or +, is kept."""
+
+    def solve(points: Points) -> Array:
+        normal = section_normals(Start.of(points).inertia)
+        offset = np.array([points[name] for name in OFFSETS])
+        j = other_component(normal, i)
+        return np.copysign(normal[i] * pick(offset, j) / pick(normal, j), offset[i])
+
+    return solve
+
+
+def _solve_rotor_along(i: int) -> Callable[[Points], Array]:
+    """Solver of one component of the rotor from the largest other component of the centre of mass."""
+
+    def solve(points: Points) -> Array:
+        start = Start.of(points)
+        j = other_component(start.weight, i)
+        return pick(start.rotor, j) / pick(start.weight, j) * start.weight[i]
+
+    return solve
+
+
+def _solve_grioli_weight(points: Points) -> Array:
+    """Mg > 0 from the start and the offset: Mg |r_c| is the length of the vector in the condition of the vertical."""
+    weighed = {**points, "Mg": np.ones_like(points["A"])}
+    start, axes = Start.of(weighed), grioli_axes(weighed)
+    vector = _grioli_vertical(start, axes.spin_axis, axes.fixed_axis, axes.spin_rate)
+    return length(vector) / length(start.weight)
+
+
+GRIOLI = Family(
+    name="grioli",
+    flag=5,
+    axes=grioli_axes,
+    motion=motion_of(grioli_axes),
+    title="Grioli's regular precession of an asymmetric body about an axis inclined to the vertical",
+    equations="Grioli 1947; with a rotor Kharlamova 1970",
+    conditions=(
+        Condition("N = 0", no_field),
+        Condition("r_c normal to a circular section of the ellipsoid of inertia", _weight_normal_to_section),
+        Condition("l parallel to r_c", _rotor_along_weight),
+        Condition("w = n (nu + s): equal rates about s = Mg r_c / |Mg r_c| and an axis nu normal to it", _equal_rates),
+        Condition(
+            "|Mg r_c| g = -(b n^2 + l.s n) nu + n^2 [(nu.(s x I s)) nu x s + (nu.I s) s], b = s.I s",
+            _grioli_torque,
+        ),
+    ),
+    solve={
+        **{name: _solve_offset(i) for i, name in enumerate(OFFSETS)},
+        **{name: _solve_rotor_along(i) for i, name in enumerate(ROTORS)},
+        "Mg": _solve_grioli_weight,
+        **{name: _solve_vector(i) for i, name in enumerate(VECTORS)},
+    },
+    stability=floquet_stability(grioli_axes),
+    labels="regular precession about an inclined axis; drifting about the third axis and the vertical",
+    exists="(b n^2 + l.s n)^2 + d^2 n^4 = |Mg r_c|^2, d = |s x I s|, for any body with three different moments;"
+    " p0 .. gamma30 together start the motion of the largest n",
+)  # fmt: skip

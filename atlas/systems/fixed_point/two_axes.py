@@ -1,0 +1,172 @@
+"""What the families of motions about any axes share: vectors of a start, its axes, closed form and stability."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..base import FAMILY_TOLERANCE, Array, Flags, Points, TwoAxes, motion_about_axes
+from ..floquet import growth_of_periodic_motion
+from .equations import CONSTANTS, rhs
+from .families import ratio
+from .initial import bodies, constants, initial_state, length, vertical
+
+VECTORS = ("p0", "q0", "r0", "gamma10", "gamma20", "gamma30")
+OFFSETS, ROTORS = ("x0", "y0", "z0"), ("l1", "l2", "l3")
+
+
+class Start(NamedTuple):
+    """Body, fields and state at t = 0; vectors of shape (3, points) in body axes."""
+
+    inertia: Array
+    rotor: Array
+    weight: Array
+    N: Array
+    w: Array
+    gamma: Array
+
+    @classmethod
+    def of(cls, points: Points) -> Start:
+        state = initial_state(points)
+        return cls(*bodies(points), state[:3], state[3:])
+
+    @property
+    def squared_rate(self) -> Array:
+        """Largest squared rate: |w|^2, and the torques of fields and rotor over the least moment."""
+        square, least = (self.w**2).sum(0), self.inertia.min(0)
+        gradient = np.abs(self.N) * (self.inertia.max(0) - least)
+        torque = np.maximum(length(self.weight), np.maximum(gradient, length(self.rotor) * np.sqrt(square)))
+        return np.maximum(square, torque / least)
+
+    def residual(self, torque: Array) -> Array:
+        """A torque, vector or magnitude, over the least moment and the largest squared rate."""
+        size = np.abs(torque) if torque.ndim == self.N.ndim else length(torque)
+        return ratio(size / self.inertia.min(0), self.squared_rate)
+
+
+def dot(a: Array, b: Array) -> Array:
+    return (a * b).sum(0)
+
+
+def cross(a: Array, b: Array) -> Array:
+    return np.cross(a, b, axis=0)
+
+
+def unit(vector: Array) -> Array:
+    """The vector over its length, nan where that is 0."""
+    return vector / length(vector)
+
+
+def across_axis(vector: Array, s: Array) -> Array:
+    """Part of a vector normal to the unit vector s."""
+    return vector - dot(vector, s) * s
+
+
+def principal(index: np.ndarray) -> Array:
+    """Unit vectors (3, points) of the principal axes of these numbers."""
+    return (np.arange(3).reshape(3, *(1,) * index.ndim) == index).astype(np.float64)
+
+
+def section_difference(inertia: Array, s: Array) -> Array:
+    """How far the section of the ellipsoid of inertia normal to s is from a circle, relative to the largest moment."""
+    first = unit(cross(s, principal(np.abs(s).argmin(0))))
+    second = cross(s, first)
+    difference = dot(inertia * first, first) - dot(inertia * second, second)
+    return np.hypot(difference, 2 * dot(inertia * first, second)) / inertia.max(0)
+
+
+def section_normals(inertia: Array) -> Array:
+    """Magnitudes of the components of the normals of the circular sections of the ellipsoid of inertia."""
+    order = np.argsort(inertia, axis=0, kind="stable")
+    low, middle, high = np.take_along_axis(inertia, order, 0)
+    squares = np.array([middle - low, np.zeros_like(low), high - middle]) / (high - low)
+    return np.take_along_axis(np.sqrt(squares), np.argsort(order, axis=0), 0)
+
+
+def axis_of_symmetry(inertia: Array, candidates: tuple[int, ...], otherwise: Array) -> Array:
+    """The principal axis about which the body is nearest to symmetry; a given vector for a spherical body."""
+    differences = np.array([np.abs(inertia[(i + 1) % 3] - inertia[(i + 2) % 3]) for i in candidates])
+    best = np.array(candidates)[differences.argmin(0)]
+    axis = principal(best)
+    spherical = inertia.max(0) - inertia.min(0) <= FAMILY_TOLERANCE * inertia.max(0)
+    given = length(otherwise)
+    use = spherical & (given > 0)
+    return np.where(use, otherwise / np.where(use, given, 1.0), axis)
+
+
+def other_component(vector: Array, i: int) -> NDArray[np.intp]:
+    """Index (points,) of the largest component of a vector but the i-th."""
+    magnitudes = np.abs(vector)
+    magnitudes[i] = -1.0
+    return magnitudes.argmax(0)
+
+
+def pick(vector: Array, j: NDArray[np.intp]) -> Array:
+    return np.take_along_axis(vector, j[None], 0)[0]
+
+
+# Conditions of several families.
+
+
+def no_field(points: Points) -> Array:
+    start = Start.of(points)
+    return start.residual(start.N * (start.inertia.max(0) - start.inertia.min(0)))
+
+
+def symmetric_about(points: Points, s: Array) -> Array:
+    return section_difference(Start.of(points).inertia, s)
+
+
+def rotor_along(points: Points, s: Array) -> Array:
+    start = Start.of(points)
+    return start.residual(cross(start.rotor, s) * length(start.w))
+
+
+# Closed form and stability.
+
+
+def motion_of(axes: Callable[[Points], TwoAxes]) -> Callable[[Points, Array], Array]:
+    """Closed form of a family, as Family.motion."""
+
+    def motion(points: Points, t: Array) -> Array:
+        t = np.asarray(t, float)[..., None]
+        return np.concatenate(motion_about_axes(axes(points), vertical(points), t))
+
+    return motion
+
+
+def linearised(state: Array, values: Array) -> Array:
+    """Matrix (..., points, 6, 6) of the equations of motion linearised at states (6, ..., points).
+
+    values: constants (constants, points). The equations are of second degree, so that central differences over a
+    step of 1 are exact.
+    """
+    matrix = np.empty((*state.shape[1:], 6, 6))
+    values = values.reshape(len(CONSTANTS), *(1,) * (state.ndim - 2), -1)
+    for j in range(6):
+        unit = np.zeros((6, *(1,) * (state.ndim - 1)))
+        unit[j] = 0.5
+        difference = np.array(rhs(state + unit, values)) - np.array(rhs(state - unit, values))
+        matrix[..., j] = np.moveaxis(difference, 0, -1)
+    return matrix
+
+
+def floquet_stability(axes: Callable[[Points], TwoAxes]) -> Callable[[Points], tuple[Flags, Array]]:
+    """Formula of Family.stability from the closed form of the motion."""
+
+    def stability(points: Points) -> tuple[Flags, Array]:
+        """Floquet multipliers over the period 2 pi / |m| of the motion in the body: mu + 1/mu is the trace of the
+        monodromy matrix less 4, for four multipliers are 1; stable where |mu + 1/mu| <= 2.
+        """
+        two, gamma, values = axes(points), vertical(points), constants(points)
+
+        def matrix(part: np.ndarray, t: Array) -> Array:
+            members = TwoAxes(*(value[..., part] for value in two))
+            return linearised(np.concatenate(motion_about_axes(members, gamma[:, part], t)), values[:, part])
+
+        return growth_of_periodic_motion(matrix, 2 * np.pi / np.abs(two.spin_rate))
+
+    return stability

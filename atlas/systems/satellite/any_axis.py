@@ -1,0 +1,137 @@
+"""Spherical satellites, which the gravity gradient does not turn: motions about any axis of the body and the normal.
+
+With the rotor and the magnet along an axis s of the body and without a field along the radius the body is a spherical
+top in the field along the normal: w = N g + m s with N (C m + k.s) = h3 mu.s, relative to the orbit N - Omega about the
+normal g. Without rotor and magnet every rotation is of this kind, with N = 0 and s along w: it is a permanent rotation in
+space. A rotor and any other start precess about the angular momentum, which is at rest in space but not in the orbital frame.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ...flags import Stability
+from ..base import FAMILY_TOLERANCE, Array, Condition, Family, Flags, Points, TwoAxes, motion_about_axes
+from .initial import initial_state
+
+
+def _vectors(points: Points) -> tuple[Array, Array, Array, Array]:
+    """w and gamma at the start, rotor and h3 mu, each (3, points)."""
+    state = initial_state(points)
+    rotor = np.array([points["k1"], points["k2"], points["k3"]])
+    magnet = points["h3"] * np.array([points["mu1"], points["mu2"], points["mu3"]])
+    return state[:3], state[6:], rotor, magnet
+
+
+def _length(vector: Array) -> Array:
+    return np.sqrt((vector**2).sum(0))
+
+
+def _axes(points: Points) -> TwoAxes:
+    """s is along the rotor, else the magnet, else the angular velocity."""
+    w, gamma, rotor, magnet = _vectors(points)
+    s = np.where(_length(magnet) > 0, magnet, w)
+    s = np.where(_length(rotor) > 0, rotor, s)
+    length = _length(s)
+    s = np.where(length > 0, s / np.where(length > 0, length, 1.0), gamma)
+    across = gamma - (s * gamma).sum(0) * s
+    square = (across**2).sum(0)
+    rate = np.where(square > 0, (w * across).sum(0) / np.where(square > 0, square, 1.0), 0.0)
+    spin = ((w - rate * gamma) * s).sum(0)
+    return TwoAxes(s, spin, gamma, rate - points["Omega"])
+
+
+def _scale(points: Points) -> Array:
+    """Largest squared rate of the start."""
+    w, _, rotor, _ = _vectors(points)
+    field = _length(np.array([points["mu1"], points["mu2"], points["mu3"]])) * np.hypot(
+        points["h1"], points["h3"]
+    )
+    square = np.maximum((w**2).sum(0), points["Omega"] ** 2)
+    torque = np.maximum(field, _length(rotor) * np.sqrt(square)) / points["C"]
+    return np.maximum(square, torque)
+
+
+def _ratio(value: Array, scale: Array) -> Array:
+    return np.divide(np.abs(value), scale, out=np.zeros_like(scale), where=scale > 0)
+
+
+def _unequal(points: Points) -> Array:
+    largest = np.maximum(points["A"], np.maximum(points["B"], points["C"]))
+    least = np.minimum(points["A"], np.minimum(points["B"], points["C"]))
+    return (largest - least) / largest
+
+
+def _radial_torque(points: Points) -> Array:
+    moment = _length(np.array([points["mu1"], points["mu2"], points["mu3"]]))
+    return _ratio(points["h1"] * moment / points["C"], _scale(points))
+
+
+def _not_along(points: Points) -> Array:
+    w, _, rotor, magnet = _vectors(points)
+    s, rate = _axes(points).spin_axis, _length(w)
+    torque = _length(np.cross(rotor, s, axis=0)) * rate + _length(np.cross(magnet, s, axis=0))
+    return _ratio(torque / points["C"], _scale(points))
+
+
+def _unsteady(points: Points) -> Array:
+    w, gamma, _, _ = _vectors(points)
+    s, m, _, n = _axes(points)
+    return _ratio(_length(w - (n + points["Omega"]) * gamma - m * s), np.sqrt(_scale(points)))
+
+
+def _torque(points: Points) -> Array:
+    _, gamma, rotor, magnet = _vectors(points)
+    s, m, _, n = _axes(points)
+    balance = (n + points["Omega"]) * (points["C"] * m + (rotor * s).sum(0)) - (magnet * s).sum(0)
+    return _ratio(balance * _length(np.cross(s, gamma, axis=0)) / points["C"], _scale(points))
+
+
+def _motion(points: Points, t: Array) -> Array:
+    """Closed form, see Family.motion."""
+    t, axes, start = np.asarray(t, float)[..., None], _axes(points), initial_state(points)
+    rate, alpha = motion_about_axes(axes, start[3:6], t)
+    gamma = motion_about_axes(axes, start[6:], t)[1]
+    return np.concatenate([rate + points["Omega"] * gamma, alpha, gamma])
+
+
+def _stability(points: Points) -> tuple[Flags, Array]:
+    """The squared frequency of nutation, (N sin)^2 + ((C w.s + k.s)/C - 2 N cos)^2, is never negative: always stable."""
+    shape = np.shape(points["A"])
+    return np.full(shape, Stability.STABLE, np.int8), np.zeros(shape)
+
+
+SPHERICAL_ANY_AXIS = Family(
+    name="spherical_any_axis",
+    flag=11,
+    axes=_axes,
+    motion=_motion,
+    title="spherical body turning about any axis of its own, which precesses about the normal",
+    equations="derived from (1)-(3); not in the paper",
+    conditions=(
+        Condition("A = B = C", _unequal),
+        Condition("h1 mu = 0", _radial_torque),
+        Condition("k and h3 mu along one axis s of the body, or both 0 and s along w", _not_along),
+        Condition("w = (n + Omega) gamma + m s", _unsteady),
+        Condition("(n + Omega) (C m + k.s) = h3 mu.s", _torque),
+    ),
+    solve={name: lambda points: points["A"].copy() for name in ("B", "C")},
+    stability=_stability,
+    labels="regular precession about the normal in the orbital frame at n, in space at n + Omega; permanent rotation"
+    " where that rate or m is 0",
+    exists="every start without rotor and magnet: n = -Omega, a permanent rotation in space",
+)
+FAMILIES = {SPHERICAL_ANY_AXIS.name: SPHERICAL_ANY_AXIS}
+
+
+def identify(points: Points) -> tuple[Flags, Array]:
+    """Family of the motion about any axes, and its largest condition residual; flag 0 and inf where there is none."""
+    size = points["A"].size
+    flags, residual = np.zeros(size, np.int8), np.full(size, np.inf)
+    members = np.flatnonzero(_unequal(points) <= FAMILY_TOLERANCE)
+    if members.size:
+        part = {name: values[members] for name, values in points.items()}
+        worst = np.max([condition.residual(part) for condition in SPHERICAL_ANY_AXIS.conditions], axis=0)
+        on = worst <= FAMILY_TOLERANCE
+        flags[members[on]], residual[members[on]] = SPHERICAL_ANY_AXIS.flag, worst[on]
+    return flags, residual

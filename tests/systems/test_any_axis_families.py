@@ -1,0 +1,397 @@
+"""Motions of the fixed-point system about any axes: proofs, completeness, closed forms, stability, predictions."""
+
+import numpy as np
+import pytest
+import sympy as sp
+from scipy.integrate import solve_ivp
+from strategies import default_points, fixed_points_on_family, random_fixed_points, select
+from truth import fixed_point_cases, monodromy_matrix
+
+from atlas.flags import Agreement, Label, Stability
+from atlas.label import theory
+from atlas.label.points import label_points
+from atlas.systems import floquet
+from atlas.systems.base import on_family
+from atlas.systems.fixed_point import FIXED_POINT, any_axis, equations, families, initial, two_axes
+
+FAMILIES = any_axis.FAMILIES
+VECTORS = ("p0", "q0", "r0", "gamma10", "gamma20", "gamma30")
+ROTORS = ("l1", "l2", "l3")
+MOMENTS = [
+    (1.0, 1.4, 1.9),
+    (1.9, 1.0, 1.4),
+    (1.4, 1.9, 1.0),
+    (1.9, 1.4, 1.0),
+    (1.0, 1.9, 1.4),
+    (1.4, 1.0, 1.9),
+]
+
+
+def random_moments(rng, count):
+    parts = rng.uniform(0.02, 1.0, (3, count)) ** 2
+    return dict(zip("ABC", parts.sum(0) - parts, strict=True))
+
+
+def grioli_points(rng, count, rotor=1.0, **given):
+    """Random bodies on Grioli's family: centre of mass and rotor on one of the two normals, with either sign."""
+    points = default_points("fixed_point", count, **{**random_moments(rng, count), "Mg": 1.0, **given})
+    normal = two_axes.section_normals(np.array([points[name] for name in "ABC"]))
+    normal *= rng.choice([-1.0, 1.0], (3, count))
+    along = rng.normal(size=count) * rotor
+    points |= dict(zip(("x0", "y0", "z0"), normal * rng.uniform(0.3, 1.5, count), strict=True))
+    points |= dict(zip(("l1", "l2", "l3"), normal * along, strict=True))
+    return fixed_start(points, {name: FAMILIES["grioli"].solve[name](points) for name in VECTORS})
+
+
+def fixed_start(points, start):
+    """The points that have a start, with it."""
+    points = points | start
+    return select(points, np.isfinite(points["p0"]))
+
+
+def balanced_points(rng, count):
+    """Random bodies on the family in which field and centrifugal torque cancel."""
+    points = default_points("fixed_point", count, **random_moments(rng, count), N=rng.uniform(0.3, 2, count))
+    s = two_axes.section_normals(np.array([points[name] for name in "ABC"])) * rng.choice(
+        [-1.0, 1.0], (3, count)
+    )
+    gamma = rng.normal(size=(3, count))
+    gamma /= np.sqrt((gamma**2).sum(0))
+    n = np.sqrt(points["N"]) * rng.choice([-1.0, 1.0], count)
+    rates = n * gamma + rng.uniform(0.3, 2, count) * s
+    points |= dict(zip(VECTORS, (*rates, *gamma), strict=True))
+    points["Mg"] = np.ones(count)
+    points = with_rotor(FAMILIES["balanced_field"], points, s, rng)
+    return points | {name: FAMILIES["balanced_field"].solve[name](points) for name in ("x0", "y0", "z0")}
+
+
+def with_rotor(family, points, axis, rng):
+    """Points with a random rotor along the largest component of an axis, the others by the family's formulas."""
+    given = np.abs(axis).argmax(0)
+    points = points | {
+        name: np.where(given == i, rng.normal(size=given.size), 0.0) for i, name in enumerate(ROTORS)
+    }
+    solved = {name: family.solve[name](points) for name in ROTORS}
+    return points | {name: np.where(given == i, points[name], solved[name]) for i, name in enumerate(ROTORS)}
+
+
+def free_precessions(rng, count):
+    """Symmetric bodies about one of the three axes with a rotor along it, and spherical ones with any rotor."""
+    points = random_fixed_points(rng, count, Mg=0.0, N=0.0)
+    for i in range(count):
+        if i % 4 == 3:
+            points["B"][i] = points["C"][i] = points["A"][i]
+            continue
+        names = "ABC"[i % 4 :] + "ABC"[: i % 4]
+        points[names[2]][i] = points[names[1]][i]
+        if points[names[0]][i] > 2 * points[names[1]][i]:
+            points[names[0]][i] = points[names[1]][i]
+        for j in (1, 2):
+            points[f"l{(i % 4 + j) % 3 + 1}"][i] = 0.0
+    return points
+
+
+def free_rotations(rng, count):
+    points = random_fixed_points(rng, count, Mg=0.0, N=0.0)
+    return with_rotor(FAMILIES["free_rotation"], points, initial.initial_state(points)[:3], rng)
+
+
+def other_axes(rng, count):
+    """Lagrange's case about the first or second axis, by a relabelling of the axes of points of the family conical."""
+    points = random_fixed_points(rng, count, theta_dot0=0.0, l1=0.0, l2=0.0, x0=0.0, y0=0.0)
+    points["B"] = points["A"]
+    points["C"] = np.minimum(points["C"], 2 * points["A"])
+    points["m"] = families.FAMILIES["conical"].solve["m"](points)
+    state = initial.initial_state(points)
+    turn = rng.integers(1, 3, count)
+
+    def turned(vector):
+        return np.take_along_axis(np.array(vector), (np.arange(3)[:, None] + turn) % 3, 0)
+
+    moved = {}
+    for names in ("ABC", ("l1", "l2", "l3"), ("x0", "y0", "z0")):
+        moved |= dict(zip(names, turned([points[name] for name in names]), strict=True))
+    moved |= dict(zip(VECTORS, (*turned(state[:3]), *turned(state[3:])), strict=True))
+    moved |= {name: points[name] for name in ("Mg", "N")}
+    return default_points("fixed_point", count, **moved)
+
+
+DRAWS = {
+    "grioli": grioli_points,
+    "balanced_field": balanced_points,
+    "free_rotation": free_rotations,
+    "free_precession": free_precessions,
+    "other_axis": other_axes,
+}
+
+
+# Proofs.
+
+
+def test_grioli_s_motion_satisfies_the_equations_in_axes_of_its_own():
+    """I = [[a, 0, d], [0, a, 0], [d, 0, b]], r_c and rotor along the third axis, by computer algebra."""
+    a, b, d, n, rotor, weight, angle = sp.symbols("a b d n lambda w angle", positive=True)
+    inertia = sp.Matrix([[a, 0, d], [0, a, 0], [d, 0, b]])
+    nu, s = sp.Matrix([sp.sin(angle), sp.cos(angle), 0]), sp.Matrix([0, 0, 1])
+    w = n * (nu + s)
+    inclined = sp.Matrix([sp.cos(angle) ** 2, -sp.sin(angle) * sp.cos(angle), sp.sin(angle)])
+    gamma = (-(b * n**2 + rotor * n) * nu + n**2 * d * inclined) / weight
+
+    def rate(vector):
+        return n * vector.diff(angle)
+
+    residual = inertia * rate(w) - (inertia * w + rotor * s).cross(w) - weight * s.cross(gamma)
+    assert sp.simplify(residual) == sp.zeros(3, 1)
+    assert sp.simplify(rate(gamma) - gamma.cross(w)) == sp.zeros(3, 1)
+    assert sp.simplify(rate(nu) - nu.cross(w)) == sp.zeros(3, 1)
+    length = sp.simplify(weight**2 * gamma.dot(gamma))
+    assert sp.expand(length - (b * n**2 + rotor * n) ** 2 - d**2 * n**4) == 0
+    # The formula of the module, in vectors.
+    momentum = inertia * s
+    vector = -(momentum[2] * n**2 + rotor * n) * nu
+    vector += n**2 * (nu.dot(s.cross(momentum)) * nu.cross(s) + nu.dot(momentum) * s)
+    assert sp.simplify(weight * gamma - vector) == sp.zeros(3, 1)
+
+
+def test_balanced_motion_satisfies_the_equations_in_axes_of_its_own():
+    a, b, d, n, m, l3, sine, cosine, angle = sp.symbols("a b d n m l3 sine cosine angle")
+    inertia, s = sp.Matrix([[a, 0, d], [0, a, 0], [d, 0, b]]), sp.Matrix([0, 0, 1])
+    gamma = sp.Matrix([sine * sp.sin(angle), sine * sp.cos(angle), cosine])
+    rotor = sp.Matrix([-(m + 2 * n * cosine) * d, 0, l3])
+    weight = -n * (rotor + m * b * s)
+    w = n * gamma + m * s
+    torque = (inertia * w + rotor).cross(w) + weight.cross(gamma) + n**2 * gamma.cross(inertia * gamma)
+    residual = (inertia * m * w.diff(angle) - torque).subs(sine**2, 1 - cosine**2)
+    assert sp.simplify(residual) == sp.zeros(3, 1)
+
+
+def body_matrix(n, m, theta, kappa, N, phi, psi):
+    """Equations of motion at some angles m t and n t, linear in the body: (3 angles, 12), columns I, l, Mg r_c.
+
+    The third axis is the spin axis, the vertical is inclined by kappa to the axis at rest in space.
+    """
+    sine, cosine, zero = np.sin(theta), np.cos(theta), np.zeros_like(phi)
+    nu = np.stack([sine * np.sin(phi), sine * np.cos(phi), cosine + zero], -1)
+    node = np.stack([np.cos(phi), -np.sin(phi), zero], -1)
+    across = node * np.cos(psi)[:, None] - np.cross(nu, node) * np.sin(psi)[:, None]
+    gamma = np.cos(kappa) * nu + np.sin(kappa) * across
+    e3 = np.array([0.0, 0.0, 1.0])
+    w, w_dot = n * nu + m * e3, n * m * np.cross(nu, e3)
+    columns = []
+    for i, j in ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2)):
+        inertia = np.zeros((3, 3))
+        inertia[i, j] = inertia[j, i] = 1.0
+        torque = np.cross(w @ inertia, w) + N * np.cross(gamma, gamma @ inertia)
+        columns.append(w_dot @ inertia - torque)
+    columns += [-np.cross(unit, w) for unit in np.eye(3)]
+    columns += [-np.cross(unit, gamma) for unit in np.eye(3)]
+    return np.array(columns).reshape(12, -1).T / np.sqrt(phi.size)
+
+
+def nullity(*args):
+    values = np.linalg.svd(body_matrix(*args), compute_uv=False)
+    return int((values < 1e-9).sum()), values
+
+
+# Every ratio n : m at which harmonics 2 n + a m, n + b m and c m with |a|, |b|, |c| <= 2 can coincide.
+RATIOS = sorted({s * j / k for s in (-1, 1) for k in (1, 2, 3, 4) for j in range(1, 5) if j / k <= 4})
+
+
+def test_there_are_no_other_regular_precessions():
+    """The bodies that can make a motion are a linear space: its dimension shows which families there are.
+
+    A spherical body and its rotor along s, -a m, and for N = 0 a symmetric one whose axis is s, are always in it.
+    """
+    rng = np.random.default_rng(5)
+    phi, psi = rng.uniform(0, 2 * np.pi, (2, 40))
+    time = rng.uniform(0, 24 * np.pi, 40)
+    grid = [
+        (theta, kappa, offset)
+        for theta in (0.4, 1.0, 1.5, 2.2, 2.8)
+        for kappa in (0.5, np.pi / 2, 2.4)
+        for offset in (0.0, 1.0)
+    ]
+    for theta, kappa, offset in grid:
+        for ratio in RATIOS:
+            angles = time, ratio * time + offset
+            assert nullity(ratio, 1.0, theta, kappa, 0.0, *angles)[0] == 2
+            assert nullity(ratio, 1.0, theta, kappa, 0.7, *angles)[0] == 1
+        assert nullity(0.618, 1.0, theta, kappa, 0.0, phi, psi)[0] == 2
+        assert nullity(0.618, 1.0, theta, kappa, 0.7, phi, psi)[0] == 1
+    # Grioli: n = +-m and orthogonal axes without a field, one dimension more.
+    for sign in (1.0, -1.0):
+        for kappa in (0.5, 1.4, 2.4):
+            angles = time, sign * time + 0.3
+            assert nullity(sign, 1.0, np.pi / 2, kappa, 0.0, *angles)[0] == 3
+            assert nullity(sign, 1.0, np.pi / 2, kappa, 0.7, *angles)[0] == 1
+            gaps = [nullity(sign, 1.0, np.pi / 2 + x, kappa, 0.0, *angles)[1][-3] for x in (0.01, 0.02)]
+            assert gaps[1] > 1.5 * gaps[0] > 1e-4
+    # About the vertical: Lagrange's case, and two dimensions more where n^2 = N.
+    for n in (0.5, -1.3):
+        assert nullity(n, 1.0, 0.8, 0.0, 0.0, phi, psi)[0] == 3
+        assert nullity(n, 1.0, 0.8, 0.0, n**2 + 0.2, phi, psi)[0] == 3
+        assert nullity(n, 1.0, 0.8, 0.0, n**2, phi, psi)[0] == 5
+
+
+# Conditions and closed forms.
+
+
+@pytest.mark.parametrize("name", FAMILIES)
+def test_points_of_each_family_are_identified_and_follow_its_closed_form(name):
+    points = DRAWS[name](np.random.default_rng(7), 24)
+    assert points["A"].size > 12
+    initial.check(points)
+    flags, residual = FIXED_POINT.identify_family(points)
+    assert (on_family(FAMILIES[name], points) < 1e-12).all()
+    assert (flags == FAMILIES[name].flag).mean() > 0.7  # others are on an earlier family as well
+    assert (flags > 0).all()
+    assert (residual < 1e-12).all()
+    assert (families.condition_residual(points)[flags == FAMILIES[name].flag] > 1e-9).mean() > 0.8
+    for i in range(3):
+        point = select(points, i)
+        times = np.linspace(0, 12, 5)
+        values = initial.constants(point)[:, 0]
+        start = initial.initial_state(point)[:, 0]
+        exact = solve_ivp(
+            lambda _, y, values=values: equations.rhs(y, values), (0, 12), start, "DOP853",
+            t_eval=times, rtol=1e-12, atol=1e-13,
+        ).y  # fmt: skip
+        _, growth = FAMILIES[name].stability(point)
+        size = np.exp(12 * np.nan_to_num(growth[0]))
+        np.testing.assert_allclose(FAMILIES[name].motion(point, times)[..., 0], exact, atol=1e-9 * size)
+
+
+@pytest.mark.parametrize("moments", MOMENTS)
+def test_every_formula_of_grioli_s_family_puts_a_point_on_it(moments):
+    rng = np.random.default_rng(8)
+    points = grioli_points(rng, 20, **dict(zip("ABC", moments, strict=True)))
+    family = FAMILIES["grioli"]
+    middle = "xyz"[int(np.argsort(moments)[1])]
+    assert (points[f"{middle}0"] == 0).all()
+    for name in family.solve:
+        changed = points | {name: points[name] + (0.0 if name in VECTORS else 0.1 * np.sign(points[name]))}
+        solved = changed | {name: family.solve[name](changed)}
+        found = on_family(family, solved) < 1e-11
+        # Components of the start are those of the largest root.
+        assert found.mean() > 0.9, name
+    turned = points | {"p0": -points["p0"], "q0": -points["q0"], "r0": -points["r0"]}
+    rotor = {name: -points[name] for name in ("l1", "l2", "l3")}
+    assert (on_family(family, turned | rotor) < 1e-12).all()  # reversed in time
+    assert (on_family(family, points | {"N": np.full(20, 1e-3)}) > 1e-5).all()
+
+
+def test_random_starts_are_on_no_family():
+    points = random_fixed_points(np.random.default_rng(9), 500)
+    flags, residual = FIXED_POINT.identify_family(points)
+    assert (flags == 0).all()
+    assert (residual > 1e-9).all()
+
+
+def test_starts_of_the_families_about_the_third_axis_keep_their_flags():
+    points = fixed_point_cases()
+    old, _ = families.identify_family(points)
+    new, _ = FIXED_POINT.identify_family(points)
+    np.testing.assert_array_equal(new[old > 0], old[old > 0])
+    points = random_fixed_points(np.random.default_rng(10), 9, theta_dot0=0.0, m=0.0)
+    staude = fixed_points_on_family("staude", points, "l1", "l2")
+    assert (FIXED_POINT.identify_family(staude)[0] == families.FAMILIES["staude"].flag).all()
+
+
+# Stability.
+
+
+def reference_growth(name, point):
+    """Growth rate from the monodromy matrix by DOP853, and its two multipliers that are not 1."""
+    axes = FAMILIES[name].axes(point)
+    period = 2 * np.pi / abs(axes.spin_rate[0])
+    start, values = initial.initial_state(point)[:, 0], initial.constants(point)[:, 0]
+    monodromy = monodromy_matrix(lambda y, c: np.array(equations.rhs(y, c)), start, values, period)
+    total = np.trace(monodromy) - 4
+    return np.arccosh(max(abs(total) / 2, 1.0)) / period, np.linalg.eigvals(monodromy)
+
+
+@pytest.mark.parametrize("name", ["grioli", "balanced_field"])
+def test_floquet_multipliers_against_the_monodromy_matrix(name):
+    points = DRAWS[name](np.random.default_rng(11), 120)
+    stable, growth = FAMILIES[name].stability(points)
+    assert (stable == Stability.STABLE).sum() > 10
+    unstable = np.flatnonzero(stable == Stability.UNSTABLE)
+    assert unstable.size > 2
+    for i in (*unstable[:3], *np.flatnonzero(stable == Stability.STABLE)[:2]):
+        expected, multipliers = reference_growth(name, select(points, i))
+        assert growth[i] == pytest.approx(expected, rel=1e-5, abs=1e-6)
+        if stable[i] == Stability.STABLE:
+            assert np.abs(multipliers).max() < 1 + 1e-4
+        else:
+            period = 2 * np.pi / abs(FAMILIES[name].axes(select(points, i)).spin_rate[0])
+            assert np.log(np.abs(multipliers).max()) / period == pytest.approx(growth[i], rel=1e-4)
+
+
+def test_floquet_multipliers_of_the_equation_of_mathieu():
+    """x'' + (a - 2 q cos 2 t) x = 0 beside four multipliers 1: tongues at a = 1 +- q for small q."""
+
+    def matrix(part, t):
+        values = np.zeros((*t.shape, 6, 6))
+        values[..., 0, 1] = 1.0
+        values[..., 1, 0] = -(a[part] - 2 * q * np.cos(2 * t))
+        return values
+
+    q, a = 0.05, np.array([0.9, 0.96, 1.0, 1.04, 1.1, np.nan])
+    period = np.where(np.isfinite(a), np.pi, np.nan)
+    stable, growth = floquet.growth_of_periodic_motion(matrix, period)
+    np.testing.assert_array_equal(stable, [1, 2, 2, 2, 1, 0])
+    assert growth[2] == pytest.approx(q / 2, rel=1e-2)
+    assert np.isnan(growth[5])
+
+
+def test_stability_of_free_and_of_relabelled_motions():
+    """A free body is unstable about its middle axis; Lagrange's case does not depend on the name of its axis."""
+    spins = np.eye(3)
+    gamma = np.array([0.6, 0.0, 0.8])
+    start = dict(zip(VECTORS, (*spins, *np.broadcast_to(gamma[:, None], (3, 3))), strict=True))
+    body = default_points("fixed_point", 3, A=1.0, B=1.5, C=2.2, **start)
+    stable, growth = FAMILIES["free_rotation"].stability(body)
+    np.testing.assert_array_equal(stable, [Stability.STABLE, Stability.UNSTABLE, Stability.STABLE])
+    assert growth[1] == pytest.approx(np.sqrt((1.5 - 1.0) * (2.2 - 1.5) / (1.0 * 2.2)))
+    points = other_axes(np.random.default_rng(12), 40)
+    stable, growth = FAMILIES["other_axis"].stability(points)
+    for i in np.flatnonzero(stable == Stability.UNSTABLE)[:3]:
+        expected, _ = reference_growth("other_axis", select(points, i))
+        assert growth[i] == pytest.approx(expected, rel=1e-5)
+
+
+# Predictions.
+
+
+def test_predictions_about_any_axes():
+    points = grioli_points(np.random.default_rng(13), 40)
+    result = theory.predict(FIXED_POINT, points, 1e-5, False)
+    assert (result["predicted"] == Label.DRIFTING).all()
+    exact = theory.predict_any_axis(FIXED_POINT, points, points, result, 1e-5, nudged=False)
+    assert (exact["predicted_any_axis"] == Label.REGULAR_PRECESSION).all()
+    nudged = points | {"p0": points["p0"] + 1e-4}
+    moved = theory.predict_any_axis(FIXED_POINT, points, nudged, result, 1e-3, nudged=True)
+    stable = result["stable"] == Stability.STABLE
+    assert 0 < stable.sum() < stable.size
+    expected = np.where(stable, Label.REGULAR_PRECESSION, Label.DRIFTING)
+    np.testing.assert_array_equal(moved["predicted_any_axis"], expected)
+
+
+def test_predictions_agree_about_any_axes_where_the_motion_is_about_the_third():
+    points = fixed_point_cases()
+    result = theory.predict(FIXED_POINT, points, 1e-5, False)
+    about_any = theory.predict_any_axis(FIXED_POINT, points, points, result, 1e-5, nudged=False)
+    steady = result["predicted"] != Label.DRIFTING
+    np.testing.assert_array_equal(about_any["predicted_any_axis"][steady], result["predicted"][steady])
+
+
+@pytest.mark.parametrize("name", FAMILIES)
+def test_measured_labels_about_any_axes_agree(name):
+    points = DRAWS[name](np.random.default_rng(14), 16)
+    stable = FAMILIES[name].stability(points)[0] == Stability.STABLE
+    given = {key: value for key, value in select(points, stable).items() if not np.isnan(value).all()}
+    names = ["label", "label_any_axis", "predicted_any_axis", "agreement", "agreement_any_axis", "status"]
+    ds = label_points("fixed_point", given, duration=40.0, variables=names, method="rk8")
+    assert (ds["status"] == 1).all()
+    assert (ds["agreement"] == Agreement.AGREE).all()
+    assert (ds["agreement_any_axis"] == Agreement.AGREE).all()

@@ -192,6 +192,8 @@ class _Runs:
     duration: Array
     theory: Mapping[str, np.ndarray]
     residual: Array  # of the conditions of a steady motion, at the nudged start
+    start_residual: Array  # the same, or of a motion about other axes
+    about_other_axes: Mask  # whether the next lines are about such a motion
     log_growth: Array  # growth of a distance from the family's motion over the run, as a logarithm
     log_growth_exact: Array  # the same where no nudge moved the start off the motion, else 0
     rounding_growth: Array  # the same where the start is on the motion to rounding, else 0
@@ -236,13 +238,15 @@ def _prepare(
         step_sizes = StepSizes.of(settings, ensemble.frequency_bound, duration)
         if halved:
             step_sizes = step_sizes.halved(METHODS[settings.method])
-        prediction = predict_runs(system, base, points, duration, settings.rate_tolerance, nudged=nudged)
+        prediction = predict_runs(
+            system, base, points, duration, settings.rate_tolerance, nudged=nudged, any_axis=frames > 0
+        )
         theory, pushed, log_growth = prediction.variables, prediction.pushed, prediction.log_growth
         # The growth of an offset in one step is rounded: where that is a per cent of it or more, rounding decides.
         max_residual = np.fmax(
             labels.ROUNDING_RESIDUAL, 100.0 * labels.ROUNDOFF / (theory["growth_rate"] * step_sizes.step_size)
         )
-        candidates = (prediction.residual <= FAMILY_TOLERANCE) & (log_growth > 0)
+        candidates = (prediction.start_residual <= FAMILY_TOLERANCE) & (log_growth > 0)
         exact = ~pushed if nudged else exact_starts(system, points, candidates, max_residual)
         rounding_growth = np.where(exact, log_growth, 0.0)
         about_vertical = system.growth_about_vertical(points) * duration
@@ -258,6 +262,8 @@ def _prepare(
         duration=duration,
         theory=theory,
         residual=prediction.residual,
+        start_residual=prediction.start_residual,
+        about_other_axes=prediction.about_other_axes,
         log_growth=log_growth,
         log_growth_exact=np.where(pushed, 0.0, log_growth),
         rounding_growth=rounding_growth,
@@ -342,7 +348,7 @@ def _status(
     rounding_growth = np.where(on_vertical, runs.rounding_growth_on_vertical, runs.rounding_growth)
     settings, step_sizes = runs.settings, runs.step_sizes
     with np.errstate(all="ignore"):
-        limit = labels.rounding_limit(runs.residual, runs.ensemble.frequency_bound, settings.tolerances)
+        limit = labels.rounding_limit(runs.start_residual, runs.ensemble.frequency_bound, settings.tolerances)
         resolved = step_sizes.resolved
         if runs.tangent is not None:
             resolved = resolved & runs.tangent.steps.resolved
@@ -366,12 +372,12 @@ def _recheck(
     """Measure the error of some points, and integrate again those whose label an error could change."""
     settings, step_sizes, bound = runs.settings, runs.step_sizes, runs.ensemble.frequency_bound
     with np.errstate(all="ignore"):
-        label = labels.label(measured, settings.tolerances)
+        label = _label_of_motion(runs, measured)
         resolved = (_status(runs, integration, measured, False) == Status.OK) & ~integration.stopped_early
         # A departure from an unstable motion may be caused by integration errors; it must be where the start
         # satisfies the conditions of the motion to rounding.
         departed = resolved & (measured["sine_max"] > 0.0) & runs.error_amplified & (label == Label.DRIFTING)
-        step_sensitive = departed & (runs.residual <= ROUNDING * np.sqrt(step_sizes.steps))
+        step_sensitive = departed & (runs.start_residual <= ROUNDING * np.sqrt(step_sizes.steps))
         unsure = _unsure(measured, measurement_errors(step_sizes, bound, measured), runs)
         error = error_estimate(step_sizes, bound, runs.log_growth, integration, measured, settings.cylinder)
         rate_error = step_sizes.rate_error * np.exp(runs.log_growth)
@@ -459,6 +465,12 @@ def _labels(
         circle = any_axis.statistics_of(measured, name)
         found[name] = any_axis.label(circle, found[any_axis.LABELS[name]], tolerances)
     return found
+
+
+def _label_of_motion(runs: _Runs, measured: Mapping[str, Array]) -> Flags:
+    """Label about the axes of the motion that the start is on or near, else about the third axis and the vertical."""
+    found = _labels(runs, measured)
+    return np.where(runs.about_other_axes, found.get("label_any_axis", found["label"]), found["label"])
 
 
 def _unsure(

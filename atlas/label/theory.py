@@ -24,6 +24,10 @@ class Prediction:
         As `predict` returns them.
     residual : ndarray of float64
         Of the conditions of a steady motion, at the start that is integrated.
+    start_residual : ndarray of float64
+        The same, of the conditions of a motion about any axes where `log_growth` is about such a motion.
+    about_other_axes : ndarray of bool
+        Whether `log_growth` is about a motion about other axes than the third and the vertical.
     pushed : ndarray of bool
         Whether a nudge moved the start off its motion.
     log_growth : ndarray of float64
@@ -32,12 +36,21 @@ class Prediction:
 
     variables: Mapping[str, np.ndarray]
     residual: Array
+    start_residual: Array
+    about_other_axes: Mask
     pushed: Mask
     log_growth: Array
 
 
 def predict_runs(
-    system: System, base: Points, points: Points, duration: Array, rate_tolerance: float, *, nudged: bool
+    system: System,
+    base: Points,
+    points: Points,
+    duration: Array,
+    rate_tolerance: float,
+    *,
+    nudged: bool,
+    any_axis: bool = False,
 ) -> Prediction:
     """Predictions for runs of some length.
 
@@ -52,6 +65,9 @@ def predict_runs(
         Rates of at most this count as zero, rad per time unit.
     nudged : bool
         Whether there is a nudge. One along a family leads to another exact start.
+    any_axis : bool
+        Whether labels about any axes are measured. Without them a motion about other axes than the third and the
+        vertical drifts, however it grows.
     """
     with np.errstate(all="ignore"):
         residual = system.condition_residual(points)
@@ -59,9 +75,17 @@ def predict_runs(
         pushed = ~exact_starts(system, points, nearby) if nudged else np.zeros_like(nearby)
         variables = predict(system, base, rate_tolerance, pushed)
         growth = system.log_growth(base, variables["family"], variables["growth_rate"], duration)
-        growth[_about_other_axes(system, variables["family"])] = 0.0  # these drift in any case
+        other = _about_other_axes(system, variables["family"])
+        start_residual = residual.copy()
+        if any_axis:
+            members = np.flatnonzero(other)
+            part = {name: values[members] for name, values in points.items()}
+            start_residual[members] = system.identify_family(part)[1]
+            pushed[members] = nudged & (start_residual[members] > ROUNDING_RESIDUAL)
+        else:
+            growth, other = np.where(other, 0.0, growth), np.zeros_like(other)
     log_growth = np.minimum(np.nan_to_num(growth, nan=0.0), MAX_LOG_GROWTH)
-    return Prediction(variables, residual, pushed, log_growth)
+    return Prediction(variables, residual, start_residual, other, pushed, log_growth)
 
 
 def predict(

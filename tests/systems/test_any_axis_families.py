@@ -7,7 +7,7 @@ from scipy.integrate import solve_ivp
 from strategies import default_points, fixed_points_on_family, random_fixed_points, select
 from truth import fixed_point_cases, monodromy_matrix
 
-from atlas.flags import Agreement, Label, Stability
+from atlas.flags import Agreement, Label, Stability, Status
 from atlas.label import theory
 from atlas.label.points import label_points
 from atlas.systems import floquet
@@ -395,3 +395,24 @@ def test_measured_labels_about_any_axes_agree(name):
     assert (ds["status"] == 1).all()
     assert (ds["agreement"] == Agreement.AGREE).all()
     assert (ds["agreement_any_axis"] == Agreement.AGREE).all()
+
+
+def test_rounding_errors_decide_long_runs_of_unstable_motions():
+    """An unstable motion that is started exactly: about any axes its label means nothing after a long time."""
+    points = grioli_points(np.random.default_rng(13), 40)
+    stable, growth = FAMILIES["grioli"].stability(points)
+    unstable = (stable == Stability.UNSTABLE) & (growth > 0.03)
+    assert unstable.sum() >= 1
+    given = {key: value for key, value in select(points, unstable).items() if not np.isnan(value).all()}
+    for log_growth, status in ((8.0, Status.OK), (60.0, Status.ROUNDOFF_DECIDED)):
+        duration = log_growth / growth[unstable]
+        wanted = {"method": "rk8", "tolerance": 1e-10, "duration": duration}
+        any_axis_too = label_points(
+            "fixed_point", given, variables=["label", "label_any_axis", "status"], **wanted
+        )
+        assert (any_axis_too["status"] == status).all()
+        expected = Label.REGULAR_PRECESSION if status == Status.OK else Label.UNRESOLVED
+        assert (any_axis_too["label_any_axis"] == expected).all()
+        # About the third axis and the vertical they drift in any case.
+        alone = label_points("fixed_point", given, variables=["label", "status"], **wanted)
+        assert (alone["label"] == Label.DRIFTING).all()

@@ -68,6 +68,10 @@ def test_scenes_agree_with_theory_at_reduced_counts(path):
     ds = atlas.run(scene, progress=False)
     assert set(ds.data_vars) == set(scene.outputs)
     assert (ds.status.values[ds.label.values != Label.NOT_COMPUTED] == Status.OK).all()
+    if "agreement_any_axis" in ds:
+        compared = ds.agreement_any_axis.values[ds.agreement_any_axis.values != Agreement.NOT_COMPARED]
+        assert (compared == Agreement.AGREE).mean() > (0.9 if scene.nudge else 0.999)
+        assert (ds.label_any_axis == Label.REGULAR_PRECESSION).sum() > 20
     if path.stem == "fast_spin_survival":  # no steady motion exists, but some motions are steady to tolerance
         steady = {Label.REGULAR_PRECESSION, Label.PERMANENT_ROTATION}
         assert (ds.predicted == Label.DRIFTING).all()

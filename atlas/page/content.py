@@ -34,6 +34,7 @@ from .text import plain, runs
 
 THEORY = (
     "predicted", "predicted_inertial", "agreement", "stable", "growth_rate", "family", "condition_residual",
+    "energy_stable", "frequency_1", "frequency_2", "frequency_3",
 )  # fmt: skip
 NUMERICS = ("status", "computed", "error_estimate", "step", "step_ratio", "integral_drift", "end_time")
 # Theory is drawn for at most this many values of the further axes together: each takes some seconds.
@@ -317,7 +318,19 @@ class Content:
             "method": starts.method,
             "stepUnit": METHODS[starts.method].kernel_step,
             "frameAxes": [runs(axis) for axis in self.system.frame_axes],
+            "observables": self.observables(),
         }
+
+    def observables(self) -> list[dict[str, Any]]:
+        """Observables of a system without a body in a frame: a state, or a function of the equations."""
+        states = list(self.system.equations.STATE)
+        shown = []
+        for observable in self.system.observables:
+            unit = figure_text.unit_text(observable.unit)
+            label = f"{observable.symbol or observable.name}{f' ({unit})' if unit else ''}"
+            state = states.index(observable.name) if observable.name in states else None
+            shown.append({"name": observable.name, "label": runs(label), "state": state})
+        return shown
 
     def commands(self) -> dict[str, Any]:
         """Beginnings of the command and of the Python line that integrate a point, and the names of its places."""

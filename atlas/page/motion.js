@@ -62,8 +62,12 @@ async function motionOf(index, pause = async () => true) {
   const last = states.length - 1;
   const time = states.map((_, i) => (start.duration * i) / last);
   const result = { start, time, states, perSample: last / (samples - 1) };
-  if (!equations.frame_motion) return result;
-  return { ...result, ...observed(states, start, time) };
+  if (!data.motion.observables.length) return { ...result, ...observed(states, start, time) };
+  const series = data.motion.observables.map(({ name, label, state }) => {
+    const value = (y) => (state === null ? equations[name](y, start.constants) : y[state]);
+    return { label, values: states.map(value) };
+  });
+  return { ...result, series };
 }
 
 // theta, psi' and the path of the third body axis; psi' has no value on the vertical.
@@ -143,12 +147,8 @@ function drawMotion(motion) {
   lastMotion = motion;
   const plots = byId("plots");
   plots.replaceChildren();
-  if (!motion.theta) {
-    const stack = element("div", { class: "stack" });
-    plots.append(stack);
-    data.motion.states.forEach((name, i) => {
-      drawSeries(stack, motion.time, motion.states.map((state) => state[i]), [{ t: name, i: true }]);
-    });
+  if (motion.series) {
+    for (const { label, values } of motion.series) drawSeries(plots, motion.time, values, label);
     return;
   }
   const stack = element("div", { class: "stack" });

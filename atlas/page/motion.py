@@ -6,7 +6,6 @@ import ast
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
-from types import ModuleType
 
 import numpy as np
 import xarray as xr
@@ -20,12 +19,13 @@ from ..engine.tableaux import METHODS
 from ..errors import BadInput
 from ..scene import grid
 from ..scene.model import DEFAULTS, Duration, Scene, Settings
+from ..systems import arithmetic
 from ..systems.base import Array, System
 
 SAMPLES = 1001  # instants of a motion, as atlas.trajectory keeps by default
-# Functions of the kernel, and those of the caller's units, which may be missing.
+# Functions of the kernel, and those in the caller's units that show a body, which a system need not have.
 _KERNEL = ("rhs", "scaled", "unscaled")
-_OBSERVED = ("frame_motion", "axis_in_frame")
+_OF_BODY = ("frame_motion", "axis_in_frame")
 
 
 @dataclass(frozen=True)
@@ -60,34 +60,33 @@ class Motions:
     method: str
 
 
-def sources(equations: ModuleType, method: str) -> dict[str, str]:
+def sources(system: System, method: str) -> dict[str, str]:
     """Python functions that integrate a point and show its motion.
 
     Parameters
     ----------
-    equations : module
-        Of a system; see `systems.base.System.equations`.
+    system : System
     method : str
         A key of tableaux.METHODS.
 
     Returns
     -------
     dict of str to str
-        Name -> source: `rhs`, `scaled` and `unscaled` as in the kernel, `step`, `frame_motion` and `axis_in_frame`
-        where the system has them, and the functions that these call.
+        Name -> source: `rhs`, `scaled` and `unscaled` as in the kernel, `step`, `frame_motion`, `axis_in_frame` and
+        the observables where the system has them, and the functions that these call.
     """
-    texts = assemble.functions(equations)
-    chosen = {name: texts[name] for name in (*_KERNEL, *_OBSERVED) if name in texts}
+    texts = arithmetic.functions(system.equations)
+    observables = [observable.name for observable in system.observables]
+    chosen = {name: texts[name] for name in (*_KERNEL, *_OF_BODY, *observables) if name in texts}
     queue = list(chosen.values())
     while queue:
         for node in ast.walk(ast.parse(queue.pop())):
             if isinstance(node, ast.Name) and node.id in texts and node.id not in chosen:
                 chosen[node.id] = texts[node.id]
                 queue.append(texts[node.id])
-    ones = getattr(equations, "ONES", ())
     for name in ("rhs", "unscaled"):
-        chosen[name] = simplify(chosen[name], (), {}, ones)
-    lines = assemble.step_lines(METHODS[method], len(equations.STATE))
+        chosen[name] = simplify(chosen[name], (), {}, system.equations.ONES)
+    lines = assemble.step_lines(METHODS[method], len(system.equations.STATE))
     chosen["step"] = "\n    ".join(["def step(state, slope, constants):", *lines])
     return chosen
 
@@ -129,8 +128,9 @@ def motions(ds: xr.Dataset, system: System, scene: Scene | None, dims: list[str]
         sizes = StepSizes.of(
             settings, ensemble.frequency_bound, np.where(np.isfinite(duration), duration, 0.0)
         )
+    count = _recorded_steps(ds, dims, duration, sizes.steps) if system.has_numeric_bound else sizes.steps
     # As label.trajectory: whole steps between the instants, never longer than those of the atlas.
-    steps = -(-sizes.steps // (SAMPLES - 1))
+    steps = -(-count // (SAMPLES - 1))
 
     def over_points(values: np.ndarray) -> np.ndarray:
         return values.reshape(*values.shape[:-1], *shape)
@@ -140,6 +140,18 @@ def motions(ds: xr.Dataset, system: System, scene: Scene | None, dims: list[str]
         over_points(ensemble.state), over_points(ensemble.constants), over_points(duration), over_points(steps),
         over_points(reason), sentences, settings.method,
     )  # fmt: skip
+
+
+def _recorded_steps(ds: xr.Dataset, dims: list[str], duration: Array, otherwise: np.ndarray) -> np.ndarray:
+    """Numbers of steps that the atlas took: a numeric bound of the frequency is found along each motion."""
+    if "step" not in ds:
+        raise BadInput(
+            "step: not in this dataset; the frequency bound of this system is numeric, and its steps are those recorded"
+        )
+    step = np.asarray(ds["step"].transpose(*dims).values, np.float64).ravel()
+    with np.errstate(all="ignore"):
+        recorded = np.rint(duration / step)
+    return np.where(np.isfinite(recorded) & (recorded >= 1), recorded, otherwise).astype(np.int64)
 
 
 def _points_of_scene(ds: xr.Dataset, scene: Scene, dims: list[str]) -> grid.Grid:

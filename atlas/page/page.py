@@ -120,12 +120,10 @@ def _equations(ds: xr.Dataset) -> tuple[str, str]:
     scene, system = scene_of(ds), system_of(ds)
     method = scene.settings.method if scene is not None else str(ds.attrs.get("atlas_method", ""))
     try:
-        texts = sources(system.equations, method)
+        texts = sources(system, method)
         return f"{translate(texts)}\nreturn {{{', '.join(texts)}}};", ""
     except CannotTranslate as error:
         return "", f"The equations of this system cannot be translated for this page: {error}"
-    except KeyError as error:
-        return "", f"The equations of this system lack what an integration in this page needs: {error}"
 
 
 def _motion(content: Content, fault: str) -> dict[str, Any]:

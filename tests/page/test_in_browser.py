@@ -1,12 +1,15 @@
 """Pages used in a headless browser, as a reader uses them."""
 
 import html
+import importlib
 import re
 
 import numpy as np
 import pytest
+from plugins import PENDULUM
 
 import atlas
+from atlas import systems
 from atlas.engine import assemble
 from atlas.engine.ensemble import Ensemble
 from atlas.label.trajectory import point_columns
@@ -230,6 +233,29 @@ def test_a_map_over_one_axis(browser, small_atlas, tmp_path):
     )
     browser.click(*pixel(browser, [4]))
     browser.wait(DONE)
+    assert not browser.errors
+
+
+def test_a_system_with_observables(browser, tmp_path, monkeypatch):
+    """A pendulum of another module: its angle and height over time, with the steps that the atlas recorded."""
+    (tmp_path / "pendulum_of_a_page.py").write_text(PENDULUM)
+    monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.setattr(systems, "SYSTEMS", dict(systems.SYSTEMS))
+    atlas.register(importlib.import_module("pendulum_of_a_page").Pendulum)
+    points = {"omega": np.array([0.5, 1.0, 1.5]), "x0": np.array([0.5, 1.5, 2.5]), "cubic": 0.3}
+    ds = atlas.label_points("pendulum", points, duration=20.0, tolerance=1e-6, method="rk8")
+    ds.atlas.page().save(tmp_path / "pendulum.html")
+    browser.open((tmp_path / "pendulum.html").as_uri())
+    browser.click(*pixel(browser, [1]))
+    browser.wait(DONE)
+    captions = browser.evaluate(
+        "[...document.querySelectorAll('#plots figcaption')].map(each => each.textContent)"
+    )
+    assert [caption.split()[0] for caption in captions] == ["x", "height"]
+    for i in range(3):
+        tr = ds.atlas.trajectory(omega=float(ds.omega[i]), x0=float(ds.x0[i]))
+        assert float(tr.step) == browser.evaluate(f"startOf([{i}]).stepSize")
+        np.testing.assert_allclose(states_of(browser, [i]), np.stack([tr.x, tr.v], -1), rtol=0, atol=1e-11)
     assert not browser.errors
 
 

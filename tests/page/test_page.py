@@ -8,7 +8,6 @@ import zlib
 import numpy as np
 import pytest
 import xarray as xr
-from systems import heavy_top_equations
 
 import atlas
 from atlas import cli, systems
@@ -19,7 +18,6 @@ from atlas.page.page import atlas_page
 from atlas.page.store import Store, float_array
 from atlas.page.text import plain, runs
 from atlas.page.translate import CannotTranslate
-from atlas.systems.base import Parameter, System
 
 
 def table_of(text):
@@ -130,12 +128,13 @@ def test_starts_are_those_of_the_trajectory(small_atlas, cube_atlas, sampled_atl
 
 
 def test_points_without_a_scene_have_motions(no_picture):
-    points = {"A": 1.0, "C": np.array([0.5, 1.3]), "theta0": np.array([0.3, 0.7]), "n": 0.2, "m": 0.4}
-    ds = atlas.label_points("fixed_point", points, duration=20.0)
+    points = {"C": np.array([0.5, 1.3]), "theta0": np.array([0.3, 0.7]), "k3": 0.2, "m": 0.4, "psi0": 0.1}
+    ds = atlas.label_points("satellite", points, duration=20.0)
     table = table_of(atlas_page(ds, file="points.nc").html)
     assert table["points"]
     assert "fault" not in table["motion"]
     assert {place["name"] for place in table["commands"]["places"]} == {"C", "theta0"}
+    assert table["commands"]["shell"] == "atlas trajectory points.nc --at"
 
 
 def test_large_atlases_are_strided_and_the_page_states_it(small_atlas):
@@ -148,7 +147,7 @@ def test_large_atlases_are_strided_and_the_page_states_it(small_atlas):
 
 
 def test_equations_without_translation_leave_the_map(small_atlas, monkeypatch, no_picture):
-    def fails(equations, method):
+    def fails(system, method):
         raise CannotTranslate("rhs: for i in state:")
 
     monkeypatch.setattr(page, "sources", fails)
@@ -190,37 +189,3 @@ def test_command(small_atlas, tmp_path, monkeypatch, capsys, no_picture):
     assert cli.main(["page", "small.nc"]) == 2
     assert "--force" in capsys.readouterr().err
     assert cli.main(["page", "small.nc", "-o", "small.nc"]) == 2
-
-
-class HeavyTop(System):
-    """A system written outside the package, of required members only."""
-
-    name = "heavy_top_of_a_page"
-    title = "symmetric heavy top"
-    equations = heavy_top_equations
-    parameters = {  # noqa: RUF012
-        name: Parameter(name, "1", name, default)
-        for name, default in {
-            "transverse": 1.0,
-            "axial": 0.5,
-            "weight": 1.0,
-            "tilt": 0.0,
-            "spin": 3.0,
-        }.items()
-    }
-
-    def initial_state(self, points):
-        zero = np.zeros_like(points["tilt"])
-        return np.array([zero, zero, points["spin"], zero, np.sin(points["tilt"]), np.cos(points["tilt"])])
-
-    def frequency_bound(self, points):
-        return np.abs(points["spin"]) + 5.0
-
-
-def test_a_system_written_outside_the_package(monkeypatch, no_picture):
-    monkeypatch.setattr(systems, "SYSTEMS", dict(systems.SYSTEMS))
-    systems.register(HeavyTop())
-    points = {"tilt": np.array([0.3, 0.9, 1.2]), "spin": np.array([4.0, 5.0, 6.0])}
-    table = table_of(atlas_page(atlas.label_points("heavy_top_of_a_page", points, duration=5.0)).html)
-    assert "fault" not in table["motion"]
-    assert table["motion"]["states"] == list(heavy_top_equations.STATE)

@@ -74,7 +74,7 @@ def test_two_thousand_steps_have_the_bits_of_the_kernel_in_plain_python(system, 
     for _ in range(steps):
         y = plain.step(y, plain.rhs(y, c), c)
     expected = plain.unscaled(y, c, unit)
-    script = translate(motion.sources(system.equations, method))
+    script = translate(motion.sources(system, method))
     call = (
         f"(() => {{ let [y, c] = scaled(data[0], data[1], {unit});"
         f" for (let i = 0; i < {steps}; i++) y = step(y, rhs(y, c), c); return unscaled(y, c, {unit}); }})()"

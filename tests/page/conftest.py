@@ -4,6 +4,7 @@ import pytest
 from page import browser as chromium
 
 import atlas
+from atlas.page import content, page
 from atlas.page.page import atlas_page
 
 
@@ -59,3 +60,10 @@ def _run(text, tmp_path_factory):
     path = tmp_path_factory.mktemp("scene") / "scene.toml"
     path.write_text(text)
     return atlas.run(path, progress=False)
+
+
+@pytest.fixture
+def quick_page(monkeypatch):
+    """Leave out the lines of theory and the picture for readers without scripts, which take seconds."""
+    monkeypatch.setattr(content, "MAX_SLICES", 0)
+    monkeypatch.setattr(page, "_fallback", lambda shown: "")

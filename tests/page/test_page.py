@@ -26,12 +26,6 @@ def table_of(text):
     return json.loads(data)
 
 
-@pytest.fixture
-def no_picture(monkeypatch):
-    """Leave out the picture for readers without scripts, which takes a second."""
-    monkeypatch.setattr(page, "_fallback", lambda shown: "")
-
-
 def unpacked(entry):
     """An array of the table."""
     columns = np.frombuffer(zlib.decompress(base64.b64decode(entry["data"])), np.uint8)
@@ -127,7 +121,7 @@ def test_starts_are_those_of_the_trajectory(small_atlas, cube_atlas, sampled_atl
             assert values[index] == expected, name
 
 
-def test_points_without_a_scene_have_motions(no_picture):
+def test_points_without_a_scene_have_motions(quick_page):
     points = {"C": np.array([0.5, 1.3]), "theta0": np.array([0.3, 0.7]), "k3": 0.2, "m": 0.4, "psi0": 0.1}
     ds = atlas.label_points("satellite", points, duration=20.0)
     table = table_of(atlas_page(ds, file="points.nc").html)
@@ -146,7 +140,7 @@ def test_large_atlases_are_strided_and_the_page_states_it(small_atlas):
     assert layout(small_atlas, max_points=63).notes == []
 
 
-def test_equations_without_translation_leave_the_map(small_atlas, monkeypatch, no_picture):
+def test_equations_without_translation_leave_the_map(small_atlas, monkeypatch, quick_page):
     def fails(system, method):
         raise CannotTranslate("rhs: for i in state:")
 
@@ -178,7 +172,7 @@ def test_bad_input(small_atlas, tmp_path):
     assert (tmp_path / "a.html").read_text() == "new"
 
 
-def test_command(small_atlas, tmp_path, monkeypatch, capsys, no_picture):
+def test_command(small_atlas, tmp_path, monkeypatch, capsys, quick_page):
     from atlas.io import netcdf
 
     monkeypatch.chdir(tmp_path)

@@ -49,15 +49,15 @@ def test_every_function_of_the_equations_has_the_same_bits(system):
     equations = system.equations
     sources = assemble.functions(equations)
     state, constants = arguments(system, 200)
-    data = [state.tolist(), constants.tolist()]
+    calls, expected = [], []
     for name in sources:
         more = (0.037,) if name in ("scaled", "unscaled") else ()
         result = getattr(equations, name)(state.T, constants.T, *more)
         flat = [part for item in result for part in (item if isinstance(item, tuple) else (item,))]
-        expected = np.stack(np.broadcast_arrays(*flat), -1)
-        call = f"data[0].map((y, i) => {name}(y, data[1][i]{', 0.037' if more else ''}))"
-        found = node(translate(sources), call, data).reshape(expected.shape)
-        assert np.array_equal(found, expected), name
+        expected.append(np.stack(np.broadcast_arrays(*flat), -1).ravel())
+        calls.append(f"data[0].map((y, i) => {name}(y, data[1][i]{', 0.037' if more else ''}))")
+    found = node(translate(sources), f"[{', '.join(calls)}]", [state.tolist(), constants.tolist()])
+    assert np.array_equal(found, np.concatenate(expected))
 
 
 @needs_node
@@ -101,11 +101,10 @@ def everything(state, constants):
 @needs_node
 def test_constructs():
     text = textwrap.dedent(inspect.getsource(everything))
-    for state in ([0.3, -1.7, 2.0], [4.0, 0.25, 5.0], [-1.0, 8.0, 0.5]):
-        first, second = everything(state, (1.0, 0.75))
-        expected = np.array([*first, *second])
-        found = node(translate({"everything": text}), "everything(data, [1.0, 0.75])", state)
-        np.testing.assert_allclose(found, expected, rtol=4e-16)
+    states = [0.3, -1.7, 2.0], [4.0, 0.25, 5.0], [-1.0, 8.0, 0.5]
+    expected = [[*first, *second] for first, second in (everything(state, (1.0, 0.75)) for state in states)]
+    found = node(translate({"everything": text}), "data.map((y) => everything(y, [1.0, 0.75]))", states)
+    np.testing.assert_allclose(found, np.ravel(expected), rtol=4e-16)
 
 
 @needs_node

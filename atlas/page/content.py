@@ -140,7 +140,13 @@ class Content:
         flags = flag_names(array)
         values = self.over_points(self.filled(name))
         label = figure_text.variable_label(array)[:MAX_TEXT]
-        group = "theory" if name in THEORY else "numerics" if name in NUMERICS else "motion"
+        group = (
+            "theory"
+            if name in THEORY or name in self.system.derived
+            else "numerics"
+            if name in NUMERICS
+            else "motion"
+        )
         description: dict[str, Any] = {
             "name": name,
             "label": runs(label),
@@ -355,8 +361,10 @@ class Content:
 def _before_equals(symbol: list[dict[str, Any]]) -> list[dict[str, Any]]:
     """The name that a formula such as K1 = (C - A)/B defines; other formulas whole."""
     for number, run in enumerate(symbol):
-        if " = " in run["t"]:
-            return [*symbol[:number], {**run, "t": run["t"].partition(" = ")[0]}]
+        before, equals, _ = run["t"].partition(" = ")
+        if equals:
+            name = [*symbol[:number], {**run, "t": before}]
+            return name if all(each["t"].isalnum() or not each["t"] for each in name) else symbol
     return symbol
 
 

@@ -250,6 +250,12 @@ function logTicks(low, high, count) {
   return values;
 }
 
+// Texts of values on a logarithmic axis: all of them powers of ten where one must be.
+function logTexts(values) {
+  const powers = values.some((value) => value < 1e-3 || value >= 1e6) && values.every((value) => Number.isInteger(Math.log10(value)));
+  return values.map((value) => (powers ? `10${raised(Math.log10(value))}` : shown(value, 4)));
+}
+
 const xPixel = (value) => box.left + ((value - state.view[0][0]) / (state.view[0][1] - state.view[0][0])) * box.width;
 const yPixel = (value) =>
   box.top + box.height - ((value - state.view[1][0]) / (state.view[1][1] - state.view[1][0])) * box.height;
@@ -265,7 +271,7 @@ function layOut() {
   const whole = Math.min(Math.max((small ? 0.9 : 0.74) * (width - bar), 230), Math.max(0.66 * window.innerHeight, 260));
   const height = flat && !isLine() ? 130 : whole;
   frame.style.height = `${height}px`;
-  const left = flat && !isLine() ? 14 : small ? 52 : 62;
+  const left = flat && !isLine() ? 14 : small ? 56 : 62;
   box = { left, top: 8, width: width - left - bar - 10, height: height - 8 - 46, right: width };
   return [width, height];
 }
@@ -504,7 +510,7 @@ function drawAxes(context) {
 // Values and texts of the ticks of an axis.
 function axisTicks(axis, [low, high], count) {
   const values = axis.log ? logTicks(low, high, count) : ticks(low, high, count);
-  const texts = axis.log ? values.map((value) => shown(value)) : tickTexts(values);
+  const texts = axis.log ? logTexts(values) : tickTexts(values);
   return values.map((value, i) => [value, texts[i]]);
 }
 
@@ -528,7 +534,7 @@ function drawBar(context, scale) {
   const [low, high] = whole ? [scale.low - 0.5, scale.high + 0.5] : [scale.low, scale.high];
   const values = log ? logTicks(Math.log(low), Math.log(high), 7) : ticks(low, high, 6);
   const wanted = values.filter((each) => !whole || Number.isInteger(each));
-  const texts = log ? wanted.map((value) => shown(value, 4)) : tickTexts(wanted);
+  const texts = log ? logTexts(wanted) : tickTexts(wanted);
   wanted.forEach((value, i) => {
     const part = log ? Math.log(value / low) / Math.log(high / low) : (value - low) / (high - low);
     const place = box.top + box.height * (1 - part);

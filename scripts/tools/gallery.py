@@ -239,6 +239,9 @@ def main() -> None:
         "Each figure is made from a scene in `configs/` by `python scripts/tools/gallery.py`, which writes it as PNG and"
         ' PDF, and the atlas behind it, to `out/gallery/`. "Changed" starts are those of the scene\'s `[nudge]`.',
         "",
+        "A map to point at, with the motion of every point: [`atlas page`](page.md), for instance"
+        ' <a href="quickstart_page.html">that of the quickstart</a> on the site of these pages.',
+        "",
     ]
     chosen = [picture for picture in PICTURES if picture.scene in options.only]
     for i, picture in enumerate(chosen, 1):

@@ -344,6 +344,8 @@ class Content:
             names = {axis: axis for axis in map(str, self.ds.coords) if axis in self.system.parameters}
         else:
             names = {dim: axis.name for dim, axis in axes_of(self.scene).items()}
+            if not set(names) <= set(map(str, self.ds.coords)):
+                names = {}  # an axis was renamed or dropped
         places = []
         for dim, name in names.items():
             values = np.asarray(self.ds[dim].values, np.float64)

@@ -156,6 +156,22 @@ def test_the_same_atlas_gives_the_same_page_with_a_picture(small_atlas, small_pa
     assert '<img src="data:image/png;base64,iVBOR' in small_page.html
 
 
+def test_a_renamed_axis_leaves_the_map(small_atlas, quick_page):
+    table = table_of(atlas_page(small_atlas.rename(sigma="ratio")).html)
+    assert [axis["name"] for axis in table["axes"]] == ["ratio", "theta0"]
+    assert "sigma: this axis of the scene is not in the dataset" in table["motion"]["fault"]
+    assert table["commands"]["places"] == []
+
+
+def test_selected_points_keep_their_motions(small_atlas, quick_page):
+    chosen = small_atlas.atlas.select(label="drifting")
+    table = table_of(atlas_page(chosen).html)
+    assert table["points"]
+    assert table["shape"] == [chosen.sizes["point"]]
+    assert {place["dim"] for place in table["commands"]["places"]} == {"sigma", "theta0"}
+    assert "fault" not in table["motion"]
+
+
 def test_bad_input(small_atlas, tmp_path):
     with pytest.raises(atlas.BadInput, match="atlas_system"):
         atlas_page(xr.Dataset({"a": ("x", [1.0, 2.0])}))

@@ -27,6 +27,9 @@ _UNITS = {
     "degenerate": ("1", "isolated, with a zero eigenvalue: on the bifurcation set"),
     "dimension": ("1", "dimension of the set of solutions: 0 isolated, 1 a circle, 2 every direction"),
     "growth_rate": ("rad s-1", "largest real part of the characteristic exponents"),
+    "frequency_1": ("rad s-1", "largest frequency of small oscillations"),
+    "frequency_2": ("rad s-1", "second frequency of small oscillations"),
+    "frequency_3": ("rad s-1", "third frequency of small oscillations"),
     "equilibrium_count": ("1", "number of equilibria"),
     "equilibrium_stable_count": ("1", "number of linearly stable equilibria"),
     "equilibrium_energy_stable_count": ("1", "number of minima of the amended potential"),
@@ -56,7 +59,7 @@ def equilibria(system: str, body: Any) -> xr.Dataset:
     Dataset
         Dimension "equilibrium"; a circle of equilibria is there once, by one of its members. Variables:
         theta0, phi0 and, for the satellite, psi0 (rad), gamma (equilibrium, body_axis), index, circle,
-        stable (flags), growth_rate (rad per time unit). For the satellite also alpha, axis, degenerate,
+        stable (flags), growth_rate and frequency_1 to frequency_3 (rad per time unit). For the satellite also alpha, axis, degenerate,
         potential, in the order of the potential; for the fixed_point dimension, in the order of theta0.
 
         Of many bodies: the same over the dimensions of the DataArrays, or the dimension "point" of 1-D arrays, and

@@ -9,7 +9,9 @@ from numpy.typing import NDArray
 
 from ...flags import Completeness, Stability
 from ..base import Array, Mask, Points
+from ..oscillations import FREQUENCIES
 from .initial import bodies, length
+from .oscillations import frequencies
 from .stability import ROUNDING, amended_hessian, sleeping_stability, staude_stability
 
 _PLACES = 12  # columns of permanent_rotations
@@ -145,7 +147,8 @@ def equilibria(body: Points, n: float = 0.0) -> dict[str, np.ndarray]:
     dict of arrays over the solutions, in the order of theta
         A set of solutions is represented by one member. theta, phi (rad); g1, g2, g3; dimension (0 isolated,
         1 a circle, 2 every direction); index (number of directions in which the amended potential decreases; 0
-        is stable); stable, growth_rate as System.linear_stability.
+        is stable); stable, growth_rate as System.linear_stability; frequency_1 to
+        frequency_3, see oscillations.frequencies.
     """
     rate = np.full(1, float(n))
     directions, dimension = permanent_rotations(body, rate)
@@ -211,6 +214,7 @@ def _described(
     stable, growth = staude_stability(members)
     sleeping, sleeping_growth = sleeping_stability(members)
     determinant, trace, size = amended_hessian(members, members["n"], g)
+    found = frequencies(members, np.ones(theta.size, np.int8)).T
     index = np.where(determinant < 0, 1, np.where(trace < 0, 2, 0))
     index = np.where(np.abs(determinant) <= ROUNDING * size, np.where(trace < 0, 1, 0), index)
     return {
@@ -218,5 +222,6 @@ def _described(
         "dimension": dimension, "index": index.astype(np.int8),
         "stable": np.where(upright, sleeping, stable).astype(np.int8),
         "growth_rate": np.where(upright, sleeping_growth, growth),
+        **dict(zip(FREQUENCIES, found, strict=True)),
         "flat": np.abs(determinant) <= _NEAR_BIFURCATION * size,
     }  # fmt: skip

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from ...flags import Stability
-from ..base import Array, Flags, Points
+from ..base import Array, Flags, Mask, Points
 from .initial import bodies, fields, initial_state, rates, symmetric, vertical
 
 # A discriminant below this fraction of the magnitude of its terms is rounding and does not decide stability.
@@ -137,7 +137,38 @@ def _cofactor(matrix: Array, i: int, j: int) -> Array:
 
 
 def _equilibrium_stability(points: Points, n: Array, gamma: Array) -> tuple[Flags, Array]:
-    """Linear stability of the permanent rotation w = n gamma of any body.
+    """Linear stability of the permanent rotation w = n gamma of any body."""
+    P, Q, discriminant, minimum = _quartic(points, n, gamma)
+    first, second = _squared_exponents(P, Q, discriminant)
+    real = np.sqrt(np.maximum(np.maximum(first, second), 0.0))
+    # Real part of sqrt(x) for x = -P/2 + i sqrt(4 Q - P^2)/2, whose modulus is sqrt(Q).
+    paired = np.sqrt(np.maximum(0.5 * (np.sqrt(np.maximum(Q, 0.0)) - 0.5 * P), 0.0))
+    growth = np.where(minimum, 0.0, np.where(discriminant < 0, paired, real))
+    proved = minimum | ((Q > 0) & (discriminant > 0))
+    stable = np.where(proved, Stability.STABLE, Stability.UNKNOWN)
+    return np.where(growth > 0, Stability.UNSTABLE, stable).astype(np.int8), growth
+
+
+def rotation_frequencies(points: Points, n: Array, gamma: Array) -> Array:
+    """Frequencies relative to the body about the permanent rotation w = n gamma, (2, points), the larger first.
+
+    nan for exponents that are zero or have a real part.
+    """
+    P, Q, discriminant, minimum = _quartic(points, n, gamma)
+    # At a minimum of the amended potential the squared exponents are real; rounding decides no double root.
+    squares = np.array(_squared_exponents(P, Q, discriminant))
+    squares = np.where((discriminant >= 0) | minimum, squares, np.nan)
+    return -np.sort(-np.sqrt(np.where(squares < 0, -squares, np.nan)), axis=0)
+
+
+def _squared_exponents(P: Array, Q: Array, discriminant: Array) -> tuple[Array, Array]:
+    """Roots x of x^2 + P x + Q, the one of larger magnitude first; the real part where they are complex."""
+    first = -0.5 * (P + np.copysign(np.sqrt(np.maximum(discriminant, 0.0)), P))
+    return first, np.divide(Q, first, out=np.zeros_like(Q), where=first != 0)
+
+
+def _quartic(points: Points, n: Array, gamma: Array) -> tuple[Array, Array, Array, Mask]:
+    """P, Q, P^2 - 4 Q of the permanent rotation w = n gamma, and where the amended potential has a minimum.
 
     Two of the six exponents are zero (|gamma| and the momentum about the vertical), the squares x of
     the others solve x^2 + P x + Q = 0. P comes from the trace of the squared matrix and Q from the
@@ -162,14 +193,4 @@ def _equilibrium_stability(points: Points, n: Array, gamma: Array) -> tuple[Flag
     Q = np.where(np.abs(determinant) <= ROUNDING * size, 0.0, determinant * ratio)
     discriminant = P**2 - 4 * Q
     discriminant = np.where(np.abs(discriminant) <= ROUNDING * (P**2 + 4 * np.abs(Q)), 0.0, discriminant)
-
-    first = -0.5 * (P + np.copysign(np.sqrt(np.maximum(discriminant, 0.0)), P))
-    second = np.divide(Q, first, out=np.zeros_like(Q), where=first != 0)
-    real = np.sqrt(np.maximum(np.maximum(first, second), 0.0))
-    # Real part of sqrt(x) for x = -P/2 + i sqrt(4 Q - P^2)/2, whose modulus is sqrt(Q).
-    paired = np.sqrt(np.maximum(0.5 * (np.sqrt(np.maximum(Q, 0.0)) - 0.5 * P), 0.0))
-    minimum = (Q > 0) & (trace > 0)  # of the amended potential
-    growth = np.where(minimum, 0.0, np.where(discriminant < 0, paired, real))
-    proved = minimum | ((Q > 0) & (discriminant > 0))
-    stable = np.where(proved, Stability.STABLE, Stability.UNKNOWN)
-    return np.where(growth > 0, Stability.UNSTABLE, stable).astype(np.int8), growth
+    return P, Q, discriminant, (Q > 0) & (trace > 0)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -18,7 +19,8 @@ from ..base import (
     despun_about_third_axis,
     shape_of,
 )
-from . import any_axis, equations, equilibria, families, initial, stress_cases
+from ..oscillations import frequency_variables
+from . import any_axis, equations, equilibria, families, initial, oscillations, stress_cases
 from .paper import errors, published
 
 GEOMETRIES = {
@@ -27,6 +29,14 @@ GEOMETRIES = {
     "conical": "the body turns about its third axis, which precesses about the vertical or is at rest",
     "staude": "the body turns about the vertical alone (phi' = 0) or is at rest",
 }
+
+
+_FREQUENCIES = frequency_variables(
+    lambda points: families.identify_family(points)[0],
+    oscillations.frequencies,
+    "nan for exponents that are 0 or have a real part, and off every family; of a permanent rotation relative to the body,"
+    " of a symmetric body on the vertical in space",
+)
 
 
 class FixedPoint(System):
@@ -62,7 +72,7 @@ class FixedPoint(System):
     condition_residual = staticmethod(families.condition_residual)
     families = families.FAMILIES | any_axis.FAMILIES
     geometries = GEOMETRIES
-    derived = errors.DERIVED
+    derived = MappingProxyType(errors.DERIVED | _FREQUENCIES)
     stress_cases = staticmethod(stress_cases.cases)
 
     def growth_about_vertical(self, points: Points) -> Array:

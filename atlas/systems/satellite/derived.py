@@ -8,9 +8,11 @@ from functools import partial
 import numpy as np
 
 from ...flags import Completeness, Stability
-from ..base import Array, DerivedVariable, Mask, Points
+from ..base import Array, DerivedVariable, Flags, Mask, Points
+from ..oscillations import frequency_variables
 from .equilibria import equilibria_of_bodies
 from .initial import PARAMETERS
+from .oscillations import frequencies
 
 _BODY = tuple(name for name, parameter in PARAMETERS.items() if not parameter.start)
 
@@ -64,8 +66,15 @@ def _symmetric(p: Points) -> Mask:
     return result
 
 
+def _family(points: Points) -> Flags:
+    """Families of the steady motions that the points start."""
+    from .system import SATELLITE  # which needs this module
+
+    return SATELLITE.identify_family(points)[0]
+
+
 _COMMENT = "nan where some are not isolated; depends on body, rotor and fields alone"
-DERIVED = {
+_COUNTS = {
     name: DerivedVariable(
         name, "1", long_name, partial(count_equilibria, which=which), _COMMENT, is_count=True
     )
@@ -79,3 +88,8 @@ DERIVED = {
         ),
     )
 }
+DERIVED = _COUNTS | frequency_variables(
+    _family,
+    frequencies,
+    "nan for exponents that are 0 or have a real part, off every family, and where the linear equations are periodic",
+)

@@ -11,8 +11,10 @@ from numpy.typing import NDArray
 from ...errors import BadInput
 from ...flags import Completeness, Stability
 from ..base import Array, Points
+from ..oscillations import FREQUENCIES
 from . import homotopy
 from .initial import PARAMETERS
+from .oscillations import frequencies
 from .stability import Bodies, cross_matrix, exponents
 
 _STARTS = 200  # orientations from which the search begins
@@ -42,7 +44,8 @@ def equilibria(body: Mapping[str, float]) -> dict[str, NDArray[Any]]:
         circle (E,), true where the equilibrium represents a circle of them, and axis (E, 3), the unit axis in
         the body about which the body may then be turned by any angle (nan elsewhere); degenerate (E,), true
         for an isolated one with a zero eigenvalue (on the bifurcation set: the index counts the negative
-        ones); stable (E,) int8 and growth_rate (E,), as linear_stability.
+        ones); stable (E,) int8 and growth_rate (E,), as linear_stability; frequency_1 to frequency_3 (E,), see
+        oscillations.frequencies.
 
     Raises
     ------
@@ -83,7 +86,7 @@ def equilibria(body: Mapping[str, float]) -> dict[str, NDArray[Any]]:
 _VARIABLES = {
     "theta0": np.nan, "psi0": np.nan, "phi0": np.nan, "alpha": np.nan, "gamma": np.nan, "potential": np.nan,
     "index": np.int8(-1), "circle": False, "axis": np.nan, "degenerate": False,
-    "stable": np.int8(Stability.UNKNOWN), "growth_rate": np.nan,
+    "stable": np.int8(Stability.UNKNOWN), "growth_rate": np.nan, **dict.fromkeys(FREQUENCIES, np.nan),
 }  # fmt: skip
 """Variables of equilibria, in their order, and what stands in the unused places of padded arrays."""
 
@@ -99,7 +102,8 @@ def _stability(points: Points, described: Mapping[str, Any]) -> dict[str, Any]:
     starts = {name: described[name] for name in ("theta0", "psi0", "phi0")}
     starts |= {name: np.zeros(described["theta0"].size) for name in ("n", "m", "theta_dot0")}
     stable, growth = exponents({**points, **starts})
-    return {"stable": stable, "growth_rate": growth}
+    found = frequencies({**points, **starts}, np.ones_like(stable)).T
+    return {"stable": stable, "growth_rate": growth, **dict(zip(FREQUENCIES, found, strict=True))}
 
 
 def equilibria_of_bodies(
@@ -117,7 +121,7 @@ def equilibria_of_bodies(
     pause : callable
         Called at least once a second; it may raise an exception.
     stability : bool
-        Whether to compute stable and growth_rate.
+        Whether to compute stable, growth_rate and the frequencies.
 
     Returns
     -------
@@ -126,7 +130,7 @@ def equilibria_of_bodies(
         nan, index -1, stable 0. completeness (bodies,) int8, values of flags.Completeness.
     """
     count = points["A"].size
-    names = [name for name in _VARIABLES if stability or name not in ("stable", "growth_rate")]
+    names = [name for name in _VARIABLES if stability or name not in ("stable", "growth_rate", *FREQUENCIES)]
     result: dict[str, NDArray[Any]] = {}
     for name in names:
         shape = (count, homotopy.PATHS, 3) if name in ("alpha", "gamma", "axis") else (count, homotopy.PATHS)

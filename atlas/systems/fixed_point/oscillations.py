@@ -1,0 +1,82 @@
+"""Frequencies of small oscillations about steady motions of a gyrostat with a fixed point."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ..base import FAMILY_TOLERANCE, Array, Flags, Points
+from .initial import initial_state, rates, symmetric, vertical
+from .stability import ROUNDING, nutation, rotation_frequencies, sleeping_discriminant
+
+
+def frequencies(points: Points, flags: Flags) -> Array:
+    """Frequencies of the small oscillations about steady motions.
+
+    Of a permanent rotation about the vertical, relative to the body; of a symmetric body that sleeps, relative to space;
+    of a regular precession that of the nutation, of a free body that of the polhode.
+
+    Parameters
+    ----------
+    points : mapping
+        1-D arrays of one length.
+    flags : int8 array (points,)
+        Families, as identify_family gives them; only whether there is one counts.
+
+    Returns
+    -------
+    array (points, 3)
+        rad per time unit, the largest first, at most two; nan for exponents that are 0 or have a real part, and off every
+        family.
+    """
+    result = np.full((3, flags.size), np.nan)
+    axial = symmetric(points)
+    gamma = vertical(points)
+    asleep = np.hypot(gamma[0], gamma[1]) <= FAMILY_TOLERANCE
+    turning = ~asleep & (rates(points)[2] != 0)
+    with np.errstate(all="ignore"):
+        for where, pair in (
+            (axial & asleep, _sleeping),
+            (axial & ~asleep, _nutation),
+            (~axial & turning, _free),
+            (~axial & ~turning, _rotation),
+        ):
+            members = np.flatnonzero(where & (flags > 0))
+            result[:2, members] = pair({name: values[members] for name, values in points.items()})
+    return result.T
+
+
+def _sleeping(points: Points) -> Array:
+    """(S +- sqrt D) / (2 A) with S = C r + l3 and D its discriminant."""
+    value, size = sleeping_discriminant(points)
+    spin = points["C"] * initial_state(points)[2] + points["l3"]
+    root = np.sqrt(np.where(value > ROUNDING * size, value, np.nan))
+    pair = np.abs(np.array([spin + root, spin - root])) / (2 * points["A"])
+    return -np.sort(-_without_zeros(pair, np.sqrt(size) / points["A"]), axis=0)
+
+
+def _nutation(points: Points) -> Array:
+    """Root of `stability.nutation`."""
+    value, size = nutation(points)
+    root = np.sqrt(np.where(value > ROUNDING * size, value, np.nan))
+    return np.array([root, np.full_like(root, np.nan)])
+
+
+def _free(points: Points) -> Array:
+    """Free body that turns about its third axis: Euler's equations linearised, with a rotor."""
+    A, B, C, m = points["A"], points["B"], points["C"], rates(points)[2]
+    square = ((C - A) * m + points["l3"]) * ((C - B) * m + points["l3"]) / (A * B)
+    root = np.sqrt(np.where(square > 0, square, np.nan))
+    return np.array([root, np.full_like(root, np.nan)])
+
+
+def _rotation(points: Points) -> Array:
+    """Permanent rotation about the vertical of any body."""
+    gamma = vertical(points)
+    n = (initial_state(points)[:3] * gamma).sum(0)
+    pair = rotation_frequencies(points, n, gamma)
+    return _without_zeros(pair, np.fmax.reduce(pair))
+
+
+def _without_zeros(pair: Array, scale: Array) -> Array:
+    """The frequencies, nan where they are zero but for rounding."""
+    return np.where(pair > np.sqrt(ROUNDING) * scale, pair, np.nan)

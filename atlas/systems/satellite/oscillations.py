@@ -1,0 +1,89 @@
+"""Frequencies of small oscillations about steady motions of the satellite, and their stability by energy.
+
+Both concern a body at rest in the orbital frame. A body that turns about an axis of symmetry, with rotor and magnet along
+it, is the same as one at rest with the rotor k_i + I_i u_i, u the rotation relative to the frame: the moment I_i enters the
+motion of the axis only through the constant momentum I_i w_i + k_i. Other turning bodies have periodic linear equations, whose
+frequencies are defined up to multiples of the rate of rotation: they have none here.
+
+The Jacobi integral is xi'.I xi' / 2 + W, W the amended potential (`Bodies.potential`), so that an equilibrium is stable
+by energy where the Hessian of W is positive definite (Lagrange, Dirichlet). With the momentum about an axis of symmetry as
+a second integral the condition is that on its level: xi_i is ignorable, and W is replaced by W + I_i (Omega (gamma_i - gamma_i0))^2 / 2
+(Routh, Rumyantsev). P. C. Hughes, Spacecraft Attitude Dynamics (1986), chapters 9 and 10.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ..base import Array, Flags, Mask, Points
+from .initial import initial_state
+from .stability import Bodies
+
+# Of exponents and of eigenvalues of the Hessian: below this, relative to their scale, they are zero. A double exponent 0
+# has the square root of rounding as its error.
+_ZERO = 1e-6
+
+
+def _at_rest(points: Points) -> tuple[dict[str, Array], Array, Mask]:
+    """Equivalent points at rest in the orbital frame, their axis of symmetry (-1: none), and where these exist.
+
+    The points are steady motions, in arrays (points,).
+    """
+    state = initial_state({**points, "theta_dot0": np.zeros_like(points["A"])})
+    u = state[:3] - points["Omega"] * state[6:]
+    rate = np.abs(points["Omega"]) + np.abs(points["n"]) + np.abs(points["m"])
+    small = np.abs(u) <= 1e-12 * rate
+    rest = small.all(0)
+    axis = np.full(rate.shape, -1)
+    moments = [points[name] for name in "ABC"]
+    no_field = (points["h1"] == 0) & (points["h3"] == 0)
+    result = {**points, "n": np.zeros_like(rate), "m": np.zeros_like(rate), "theta_dot0": np.zeros_like(rate)}
+    for i in (0, 1, 2):
+        j, l = (i + 1) % 3, (i + 2) % 3
+        symmetric = (moments[j] == moments[l]) & small[j] & small[l]
+        for other in (j + 1, l + 1):
+            symmetric &= (points[f"k{other}"] == 0) & ((points[f"mu{other}"] == 0) | no_field)
+        axis[symmetric & (axis < 0)] = i
+        turning = symmetric & ~small[i]
+        name = f"k{i + 1}"
+        result[name] = np.where(turning, points[name] + moments[i] * u[i], points[name])
+    return result, axis, rest | (axis >= 0)
+
+
+def _frames(points: Points) -> tuple[Bodies, Array, Array, Array]:
+    """Bodies in units of a rate, alpha and gamma (points, 3), and the rate."""
+    state = np.moveaxis(initial_state(points), 0, -1)
+    rate = np.where(points["Omega"] == 0, 1.0, points["Omega"])
+    return Bodies(points, rate), state[:, 3:6], state[:, 6:], rate
+
+
+def frequencies(points: Points, flags: Flags) -> Array:
+    """Frequencies of the small oscillations about steady motions.
+
+    Parameters
+    ----------
+    points : mapping
+        1-D arrays of one length.
+    flags : int8 array (points,)
+        Families, as identify_family gives them.
+
+    Returns
+    -------
+    array (points, 3)
+        rad per time unit, the largest first; nan for exponents that are 0 or have a real part, off every family, and
+        where the linear equations are periodic.
+    """
+    result = np.full((flags.size, 3), np.nan)
+    resting, _, exists = _at_rest(points)
+    where = np.flatnonzero(exists & (flags > 0))
+    with np.errstate(all="ignore"):
+        bodies, alpha, gamma, rate = _frames({name: values[where] for name, values in resting.items()})
+        matrix = bodies.linearised(bodies.Omega * gamma, alpha, gamma)
+    finite = np.isfinite(matrix).all((1, 2))
+    where, rate = where[finite], rate[finite]
+    exponents = np.linalg.eigvals(matrix[finite])
+    scale = np.abs(exponents).max(-1, keepdims=True)
+    oscillating = (exponents.imag > _ZERO * scale) & (np.abs(exponents.real) <= _ZERO * scale)
+    found = np.where(oscillating, exponents.imag, np.nan) * rate[:, None]
+    result[where] = -np.sort(-found, axis=-1)[:, :3]  # nan last
+    return result

@@ -88,6 +88,28 @@ class Stability(Flag):
     UNSTABLE = 2, "some characteristic exponent has a positive real part"
 
 
+class EnergyStability(Flag):
+    """Whether a steady motion is stable by the energy with the other integrals."""
+
+    UNKNOWN = 0, "not known, or the second variation is degenerate"
+    YES = 1, "the second variation of the energy is definite on the level of the other integrals: stable"
+    NO = 2, "the second variation is indefinite: unstable, or stable by gyroscopic terms alone"
+
+
+class StabilityKind(Flag):
+    """Linear stability and stability by the energy together."""
+
+    UNKNOWN = 0, "linear stability unknown, or no steady motion"
+    ENERGY_STABLE = 1, "stable by the energy: small dissipation leaves it stable"
+    GYROSCOPIC = 2, "linearly stable and not by the energy: dissipation destroys the stability"
+    MARGINAL = (
+        3,
+        "no exponent grows, but exponents coincide or the energy is degenerate: may grow like a power of time",
+    )
+    LINEARLY_STABLE = 4, "linearly stable; stability by the energy is not known"
+    UNSTABLE = 5, "some characteristic exponent has a positive real part"
+
+
 class Completeness(Flag):
     """Whether the equilibria of a body are all listed."""
 

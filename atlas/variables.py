@@ -249,9 +249,12 @@ def _chaos(tangent: str) -> list[Variable]:
 def _derived(system: System) -> list[Variable]:
     """The quantities from theory that a scene may ask for."""
     return [
-        Variable(d.name, "float64", d.unit, d.long_name, comment=d.comment, optional=True)
+        Variable(
+            d.name, "int8" if d.flags else "float64", d.unit, d.long_name, dict(d.flags) if d.flags else None,
+            comment=d.comment, optional=True,
+        )
         for d in system.derived.values()
-    ]
+    ]  # fmt: skip
 
 
 def _variables_of_observables(system: System) -> dict[str, Variable]:

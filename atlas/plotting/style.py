@@ -53,6 +53,12 @@ COLOURS = {
     "unknown": "#ffffff",
     "stable": "#a8d8f0",
     "unstable": "#e0892b",
+    "energy_stable": "#1b6ca8",
+    "gyroscopic": "#a8d8f0",
+    "marginal": "#4e1b04",
+    "linearly_stable": "#b9e3cc",
+    "yes": "#1b6ca8",
+    "no": "#e0892b",
 }
 SYMBOLS = {
     "theta": r"$\theta$",

@@ -142,11 +142,14 @@ class DerivedVariable:
     long_name: str
     # (points before the nudge, duration, pause) -> (points,). What takes longer than a second calls pause() at least
     # once a second: it raises an exception where the run was interrupted.
-    values: Callable[[Points, Array, Callable[[], None]], Array]
+    values: Callable[[Points, Array, Callable[[], None]], NDArray[Any]]
     comment: str = ""
     # raises BadInput for points and durations where it has no meaning, or where it would take too long
     check: Callable[[Points, Array], object] = lambda points, duration: None
     is_count: bool = False  # integers, of which maps show the lines where they change
+    flags: Mapping[str, str] | None = (
+        None  # name -> sentence of the values 0, 1, 2, ... of a variable of flags, int8
+    )
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,12 +1,19 @@
-"""Frequencies of small oscillations about steady motions of a gyrostat with a fixed point."""
+"""Frequencies of small oscillations about steady motions of a gyrostat with a fixed point, and stability by the energy.
+
+On the level of the momentum about the vertical a permanent rotation is stable by the energy where the Hessian of the amended
+potential is positive definite (V. V. Rumyantsev, J. Appl. Math. Mech. 30 (1966) 1090). With the momentum C r + l3 of a
+symmetric body as a further integral, and for a free body, whose momentum is constant, stability by the integrals is linear
+stability, except where exponents vanish (N. G. Chetaev, The Stability of Motion, Pergamon 1961).
+"""
 
 from __future__ import annotations
 
 import numpy as np
 
-from ..base import FAMILY_TOLERANCE, Array, Flags, Points
+from ...flags import EnergyStability, Stability
+from ..base import FAMILY_TOLERANCE, Array, Flags, Mask, Points
 from .initial import initial_state, rates, symmetric, vertical
-from .stability import ROUNDING, nutation, rotation_frequencies, sleeping_discriminant
+from .stability import ROUNDING, amended_hessian, nutation, rotation_frequencies, sleeping_discriminant
 
 
 def frequencies(points: Points, flags: Flags) -> Array:
@@ -80,3 +87,27 @@ def _rotation(points: Points) -> Array:
 def _without_zeros(pair: Array, scale: Array) -> Array:
     """The frequencies, nan where they are zero but for rounding."""
     return np.where(pair > np.sqrt(ROUNDING) * scale, pair, np.nan)
+
+
+def energy_stability(points: Points, flags: Flags, linear: Flags) -> tuple[Flags, Mask]:
+    """Whether steady motions are stable by the energy; as `systems.oscillations.stability_variables` needs it.
+
+    linear: values of flags.Stability of the motions.
+    """
+    gamma = vertical(points)
+    with np.errstate(all="ignore"):
+        n = (initial_state(points)[:3] * gamma).sum(0)
+        determinant, trace, size = amended_hessian(points, n, gamma)
+        zero = ~(np.abs(determinant) > ROUNDING * size)
+    by_potential = np.where((determinant > 0) & (trace > 0), EnergyStability.YES, EnergyStability.NO)
+    by_potential = np.where(zero, EnergyStability.UNKNOWN, by_potential)
+    by_exponents = np.select(
+        [linear == Stability.STABLE, linear == Stability.UNSTABLE],
+        [EnergyStability.YES, EnergyStability.NO],
+        0,
+    )
+    asleep = np.hypot(gamma[0], gamma[1]) <= FAMILY_TOLERANCE
+    free = ~asleep & (rates(points)[2] != 0)
+    result = np.where(symmetric(points) | free, by_exponents, by_potential)
+    result = np.where(flags > 0, result, EnergyStability.UNKNOWN).astype(np.int8)
+    return result, (flags > 0) & (result == EnergyStability.UNKNOWN)

@@ -18,8 +18,9 @@ from ..base import (
     System,
     despun_about_third_axis,
     shape_of,
+    stability_by_family,
 )
-from ..oscillations import frequency_variables
+from ..oscillations import frequency_variables, stability_variables
 from . import any_axis, equations, equilibria, families, initial, oscillations, stress_cases
 from .paper import errors, published
 
@@ -31,11 +32,27 @@ GEOMETRIES = {
 }
 
 
-_FREQUENCIES = frequency_variables(
-    lambda points: families.identify_family(points)[0],
+def _family(points: Points) -> Flags:
+    """Families of the steady motions that the points start."""
+    return families.identify_family(points)[0]
+
+
+def _linear_stability(points: Points, flags: Flags) -> tuple[Flags, Array]:
+    """Linear stability from the families' formulas."""
+    return stability_by_family(families.FAMILIES, points, flags)
+
+
+_OSCILLATIONS = frequency_variables(
+    _family,
     oscillations.frequencies,
     "nan for exponents that are 0 or have a real part, and off every family; of a permanent rotation relative to the body,"
     " of a symmetric body on the vertical in space",
+) | stability_variables(
+    _family,
+    _linear_stability,
+    oscillations.frequencies,
+    lambda points, flags: oscillations.energy_stability(points, flags, _linear_stability(points, flags)[0]),
+    "on the level of the momentum about the vertical, and of that about the axis of symmetry where there is one",
 )
 
 
@@ -72,7 +89,7 @@ class FixedPoint(System):
     condition_residual = staticmethod(families.condition_residual)
     families = families.FAMILIES | any_axis.FAMILIES
     geometries = GEOMETRIES
-    derived = MappingProxyType(errors.DERIVED | _FREQUENCIES)
+    derived = MappingProxyType(errors.DERIVED | _OSCILLATIONS)
     stress_cases = staticmethod(stress_cases.cases)
 
     def growth_about_vertical(self, points: Points) -> Array:

@@ -9,10 +9,11 @@ import numpy as np
 
 from ...flags import Completeness, Stability
 from ..base import Array, DerivedVariable, Flags, Mask, Points
-from ..oscillations import frequency_variables
+from ..oscillations import frequency_variables, stability_variables
 from .equilibria import equilibria_of_bodies
 from .initial import PARAMETERS
-from .oscillations import frequencies
+from .oscillations import energy_stability, frequencies
+from .stability import linear_stability
 
 _BODY = tuple(name for name, parameter in PARAMETERS.items() if not parameter.start)
 
@@ -88,8 +89,19 @@ _COUNTS = {
         ),
     )
 }
-DERIVED = _COUNTS | frequency_variables(
-    _family,
-    frequencies,
-    "nan for exponents that are 0 or have a real part, off every family, and where the linear equations are periodic",
+DERIVED = (
+    _COUNTS
+    | frequency_variables(
+        _family,
+        frequencies,
+        "nan for exponents that are 0 or have a real part, off every family, and where the linear equations are periodic",
+    )
+    | stability_variables(
+        _family,
+        linear_stability,
+        frequencies,
+        energy_stability,
+        "on the level of the momentum about an axis of symmetry, where there is one; unknown where the linear equations are"
+        " periodic",
+    )
 )

@@ -15,6 +15,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from ...flags import EnergyStability
 from ..base import Array, Flags, Mask, Points
 from .initial import initial_state
 from .stability import Bodies
@@ -87,3 +88,31 @@ def frequencies(points: Points, flags: Flags) -> Array:
     found = np.where(oscillating, exponents.imag, np.nan) * rate[:, None]
     result[where] = -np.sort(-found, axis=-1)[:, :3]  # nan last
     return result
+
+
+def energy_stability(points: Points, flags: Flags) -> tuple[Flags, Mask]:
+    """Whether steady motions are stable by the energy; as `systems.oscillations.stability_variables` needs it."""
+    result = np.full(flags.shape, EnergyStability.UNKNOWN, np.int8)
+    resting, axis, exists = _at_rest(points)
+    where = np.flatnonzero(exists & (flags > 0))
+    with np.errstate(all="ignore"):
+        bodies, alpha, gamma, _ = _frames({name: values[where] for name, values in resting.items()})
+        hessian = bodies.gradient(alpha, gamma)[1]
+    finite = np.isfinite(hessian).all((1, 2))
+    where, hessian, axis = where[finite], hessian[finite], axis[where[finite]]
+    hessian = 0.5 * (hessian + np.swapaxes(hessian, 1, 2))
+    scale = np.abs(hessian).max((1, 2))
+    for i in (0, 1, 2):
+        members = np.flatnonzero(axis == i)
+        tilt = np.cross(np.eye(3)[i], gamma[finite][members])  # delta gamma_i = tilt . xi
+        stiffness = (bodies.inertia[:, i] * bodies.Omega[:, 0] ** 2)[finite][members]
+        reduced = hessian[members] + stiffness[:, None, None] * tilt[:, :, None] * tilt[:, None, :]
+        reduced[:, i], reduced[:, :, i] = 0.0, 0.0
+        reduced[:, i, i] = scale[members]  # the ignorable direction
+        hessian[members] = reduced
+    least = np.linalg.eigvalsh(hessian)[:, 0]
+    decided = np.where(least > 0, EnergyStability.YES, EnergyStability.NO)
+    degenerate = np.zeros(flags.shape, bool)
+    degenerate[where] = np.abs(least) <= _ZERO * scale
+    result[where] = np.where(degenerate[where], EnergyStability.UNKNOWN, decided)
+    return result, degenerate

@@ -1,0 +1,218 @@
+"""Stability by the energy: second variations by difference quotients, and the classical diagrams."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.linalg import null_space
+from truth import default_points
+
+import atlas
+from atlas.flags import EnergyStability, Stability, StabilityKind
+from atlas.systems.fixed_point import FIXED_POINT
+from atlas.systems.oscillations import stability_kind
+from atlas.systems.satellite import SATELLITE
+
+YES, NO, UNKNOWN = EnergyStability.YES, EnergyStability.NO, EnergyStability.UNKNOWN
+
+
+def derived(system, name, points):
+    return system.derived[name].values(points, np.ones(len(points["A"])), lambda: None)
+
+
+def linear(system, points):
+    return system.linear_stability(points, system.identify_family(points)[0])[0]
+
+
+def second_differences(function, size, step=1e-3):
+    """Hessian of a function of `size` variables at 0."""
+    hessian = np.zeros((size, size))
+    for i in range(size):
+        for j in range(size):
+            e, f = np.eye(size)[i] * step, np.eye(size)[j] * step
+            ahead = function(e + f) + function(-e - f)
+            hessian[i, j] = (ahead - function(e - f) - function(f - e)) / (4 * step**2)
+    return hessian
+
+
+def jacobi_hessian(points, axial):
+    """Second variation of the Jacobi integral in the changes of w and a rotation of the body.
+
+    Where the momentum about the third axis is an integral, it is kept, and the angle about that axis is left out.
+    """
+    p = {name: value[0] for name, value in points.items()}
+    inertia = np.array([p["A"], p["B"], p["C"]])
+    k, mu = (np.array([p[f"{name}{i}"] for i in (1, 2, 3)]) for name in ("k", "mu"))
+    w, alpha, gamma = np.split(SATELLITE.initial_state(points)[:, 0], 3)
+    kept = [0, 1, 3, 4] if axial else list(range(6))
+
+    def jacobi(change):
+        full = np.zeros(6)
+        full[kept] = change
+        x, (a, b, c) = w + full[:3], full[3:]
+        hat = np.array([[0, -c, b], [c, 0, -a], [-b, a, 0]])
+        turn = np.eye(3) + hat + hat @ hat / 2 + hat @ hat @ hat / 6 + hat @ hat @ hat @ hat / 24
+        r, g = alpha @ turn, gamma @ turn
+        kinetic = 0.5 * inertia @ x**2 - p["Omega"] * g @ (inertia * x + k)
+        return kinetic + 1.5 * p["Omega"] ** 2 * inertia @ r**2 + mu @ (p["h1"] * r + p["h3"] * g)
+
+    return second_differences(jacobi, len(kept))
+
+
+def test_satellites_at_rest_have_the_second_variation_of_their_jacobi_integral():
+    rng = np.random.default_rng(0)
+    found = []
+    for _ in range(4):
+        body = dict(zip("ABC", 1 + 0.7 * rng.uniform(size=3), strict=True)) | {
+            "Omega": 0.9,
+            "h1": 0.4,
+            "h3": -0.2,
+        }
+        body |= {f"{name}{i}": 0.4 * rng.normal() for name in ("k", "mu") for i in (1, 2, 3)}
+        ds = atlas.equilibria("satellite", body)
+        for i in range(ds.sizes["equilibrium"]):
+            angles = {name: ds[name].values[i] for name in ("theta0", "psi0", "phi0")}
+            points = default_points("satellite", **body, **angles)
+            least = np.linalg.eigvalsh(jacobi_hessian(points, False))[0]
+            assert abs(least) > 1e-4
+            assert derived(SATELLITE, "energy_stable", points)[0] == (YES if least > 0 else NO)
+            found.append((derived(SATELLITE, "stability_kind", points)[0], linear(SATELLITE, points)[0]))
+    assert {kind for kind, _ in found} == {
+        StabilityKind.ENERGY_STABLE, StabilityKind.GYROSCOPIC, StabilityKind.UNSTABLE,
+    }  # fmt: skip
+    assert all((kind == StabilityKind.UNSTABLE) == (stable == Stability.UNSTABLE) for kind, stable in found)
+
+
+@pytest.mark.parametrize("psi0", [0.0, np.pi / 2])
+def test_spinning_satellites_have_it_on_the_level_of_their_momentum(psi0):
+    rng = np.random.default_rng(1)
+    found = set()
+    for _ in range(20):
+        sigma, theta, m = rng.uniform(0.2, 1.9), rng.uniform(0.2, 2.8), 2 * rng.normal()
+        factor = 1.0 if psi0 == 0.0 else 4.0
+        k3 = factor * np.cos(theta) * (1 - sigma) - sigma * m
+        points = default_points("satellite", C=sigma, theta0=theta, psi0=psi0, m=m, k3=k3)
+        assert SATELLITE.identify_family(points)[0] > 0
+        least = np.linalg.eigvalsh(jacobi_hessian(points, True))[0]
+        energy = derived(SATELLITE, "energy_stable", points)[0]
+        assert energy == (YES if least > 0 else NO)
+        found.add(energy)
+    assert len(found) == 2
+
+
+def test_the_gravity_gradient_diagram():
+    """C > B > A: by the energy; the region of DeBra and Delp: gyroscopic; elsewhere unstable."""
+    rng = np.random.default_rng(2)
+    k1, k3 = rng.uniform(-0.95, 0.95, (2, 4000))
+    A = (1 - k1) / (1 - k3)
+    points = default_points("satellite", A=A, B=np.ones(4000), C=A + k1)
+    kind = derived(SATELLITE, "stability_kind", points)
+    lagrange = (points["C"] > 1) & (A < 1)
+    with np.errstate(invalid="ignore"):
+        roll_yaw = (k1 * k3 > 0) & (1 + 3 * k1 + k1 * k3 > 4 * np.sqrt(k1 * k3)) & (k1 > k3)
+    assert (kind[lagrange] == StabilityKind.ENERGY_STABLE).all()
+    assert (kind[roll_yaw & ~lagrange] == StabilityKind.GYROSCOPIC).all()
+    assert (kind[~roll_yaw] == StabilityKind.UNSTABLE).all()
+    assert min(lagrange.sum(), (roll_yaw & ~lagrange).sum()) > 20
+
+
+def test_the_diagram_of_likins_and_thomson():
+    """b = C (1 + m/Omega)/A: by the energy where b > 1 and b + 3 C/A > 4."""
+    rng = np.random.default_rng(3)
+    sigma, b = rng.uniform(0.05, 2.0, 2000), rng.uniform(-4, 4, 2000)
+    points = default_points("satellite", C=sigma, m=b / sigma - 1)
+    energy = derived(SATELLITE, "energy_stable", points)
+    assert ((energy == YES) == ((b > 1) & (b + 3 * sigma > 4))).all()
+    kind = derived(SATELLITE, "stability_kind", points)
+    assert ((kind == StabilityKind.UNSTABLE) == (linear(SATELLITE, points) == Stability.UNSTABLE)).all()
+    assert (kind == StabilityKind.GYROSCOPIC).any()
+
+
+def test_permanent_rotations_have_the_second_variation_on_the_leaf():
+    """Of energy - n M.gamma - a gamma^2 / 2 on the tangents of |gamma| and M.gamma, M = I w + l."""
+    rng = np.random.default_rng(4)
+    found = set()
+    for _ in range(8):
+        body = dict(zip("ABC", 1 + 0.9 * rng.uniform(size=3), strict=True)) | {
+            "Mg": 1.0,
+            "N": 0.3,
+            "n": 2 * rng.normal(),
+        }
+        body |= {f"{name}0": rng.normal() for name in "xyz"} | {f"l{i}": rng.normal() for i in (1, 2, 3)}
+        ds = atlas.equilibria("fixed_point", body)
+        for i in range(ds.sizes["equilibrium"]):
+            points = default_points("fixed_point", **body, theta0=ds.theta0.values[i], phi0=ds.phi0.values[i])
+            state, constants = FIXED_POINT.initial_state(points)[:, 0], FIXED_POINT.constants(points)[:, 0]
+            inertia = np.array([body["A"], body["B"], body["C"]])
+            momentum = inertia * state[:3] + np.array([body["l1"], body["l2"], body["l3"]])
+            gamma, n = state[3:], body["n"]
+
+            def energy(change, state=state, inertia=inertia, constants=constants):
+                moved = state + np.concatenate([change[:3] / inertia, change[3:]])
+                return sum(FIXED_POINT.equations.energy(moved, constants))
+
+            gradient = np.array([(energy(1e-4 * e) - energy(-1e-4 * e)) / 2e-4 for e in np.eye(6)])
+            a = gamma @ (gradient[3:] - n * momentum)
+            np.testing.assert_allclose(gradient[3:], a * gamma + n * momentum, atol=1e-7)
+            hessian = second_differences(energy, 6)
+            hessian[:3, 3:] -= n * np.eye(3)
+            hessian[3:, :3] -= n * np.eye(3)
+            hessian[3:, 3:] -= a * np.eye(3)
+            tangent = null_space(np.array([[0, 0, 0, *gamma], [*gamma, *momentum]]))
+            least = np.linalg.eigvalsh(tangent.T @ hessian @ tangent)[0]
+            assert abs(least) > 1e-5
+            value = derived(FIXED_POINT, "energy_stable", points)[0]
+            assert value == (YES if least > 0 else NO)
+            found.add(derived(FIXED_POINT, "stability_kind", points)[0])
+    assert found == {StabilityKind.ENERGY_STABLE, StabilityKind.GYROSCOPIC, StabilityKind.UNSTABLE}
+
+
+def test_sleeping_tops_and_free_bodies():
+    spin = np.array([1.0, 5.0])
+    points = default_points("fixed_point", C=0.6, Mg=2.0, z0=-0.7, m=spin)
+    assert derived(FIXED_POINT, "energy_stable", points).tolist() == [NO, YES]
+    free = default_points(
+        "fixed_point",
+        A=np.array([1.0, 2.0, 1.0]),
+        B=np.array([1.4, 1.6, 2.0]),
+        C=np.full(3, 1.5),
+        m=1.0,
+        theta0=0.4,
+    )
+    assert derived(FIXED_POINT, "energy_stable", free).tolist() == [YES, YES, NO]
+
+
+def test_nothing_is_claimed_off_families_and_of_periodic_equations():
+    off = default_points("satellite", B=1.3, C=1.7, theta0=0.3)
+    assert derived(SATELLITE, "stability_kind", off)[0] == StabilityKind.UNKNOWN
+    tilted = default_points("satellite", B=1.3, C=1.7, theta0=np.pi / 3, psi0=np.pi / 2, m=-1.0, k3=0.6)
+    assert derived(SATELLITE, "energy_stable", tilted)[0] == UNKNOWN
+    stable = linear(SATELLITE, tilted)[0] == Stability.STABLE
+    expected = StabilityKind.LINEARLY_STABLE if stable else StabilityKind.UNSTABLE
+    assert derived(SATELLITE, "stability_kind", tilted)[0] == expected
+
+
+def test_marginal_motions():
+    """A sphere at rest has nothing but zero exponents; at b = 1 the cylindrical motion has a zero pair."""
+    sphere = default_points("satellite", C=1.0)
+    assert derived(SATELLITE, "stability_kind", sphere)[0] == StabilityKind.MARGINAL
+    border = default_points("satellite", C=1.25, m=-0.2)
+    assert derived(SATELLITE, "stability_kind", border)[0] == StabilityKind.MARGINAL
+    stable = np.full(3, Stability.STABLE)
+    frequencies = np.array([[2.0, 1.0, np.nan], [2.0, 2.0, 1.0], [2.0, 2.0, 1.0]])
+    energy = np.array([NO, NO, YES])
+    kinds = stability_kind(stable, energy, np.zeros(3, bool), frequencies)
+    assert kinds.tolist() == [StabilityKind.GYROSCOPIC, StabilityKind.MARGINAL, StabilityKind.ENERGY_STABLE]
+
+
+def test_scenes_and_points_write_flags():
+    ds = atlas.label_points(
+        "satellite",
+        {"A": 1.0, "B": 1.3, "C": 1.7},
+        duration=1.0,
+        variables=["energy_stable", "stability_kind", "frequency_1"],
+    )
+    assert ds.energy_stable.dtype == ds.stability_kind.dtype == np.int8
+    assert ds.stability_kind.attrs["flag_meanings"].split()[1:3] == ["energy_stable", "gyroscopic"]
+    assert ds.energy_stable.attrs["flag_meanings"] == "unknown yes no"
+    assert ds.stability_kind.item() == StabilityKind.ENERGY_STABLE

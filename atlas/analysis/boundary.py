@@ -10,6 +10,7 @@ import xarray as xr
 
 from ..errors import BadInput
 from ..scene.model import Scene
+from . import resonances
 from .count_borders import count_borders
 from .metadata import axes_of, flag_values, scene_of, system_of
 from .plane import Plane
@@ -52,7 +53,7 @@ def boundary(
 
 
 def theory_lines(scene: Scene, plane: xr.Dataset, dims: list[str], variable: str) -> Lines:
-    """Borders of theory on a plane of an atlas: kind -> polylines, see `theory_borders` and, for counts, `count_borders`.
+    """Borders of theory on a plane of an atlas: kind -> polylines, see `theory_borders`, `count_borders`, `resonances`.
 
     Raises BadInput where the dimensions are not those of the scene.
     """
@@ -60,7 +61,11 @@ def theory_lines(scene: Scene, plane: xr.Dataset, dims: list[str], variable: str
     derived = scene.system.derived.get(variable)
     if derived is not None and derived.is_count and variable in plane:
         return count_borders(Plane.of(scene, plane, dims), plane[variable], derived)
-    return theory_borders(Plane.of(scene, plane, dims), inertial=variable.endswith("_inertial"))
+    whole = Plane.of(scene, plane, dims)
+    borders = theory_borders(whole, inertial=variable.endswith("_inertial"))
+    if variable in resonances.VARIABLES and variable in scene.system.derived and len(dims) == 2:
+        borders |= resonances.resonance_lines(whole)
+    return borders
 
 
 def _check_axes(scene: Scene, dims: list[str]) -> None:

@@ -11,6 +11,7 @@ import numpy as np
 import xarray as xr
 from scipy.ndimage import distance_transform_edt
 
+from ..analysis import resonances
 from ..analysis.boundary import theory_lines
 from ..analysis.compare import NO_TIME_TO_GROW
 from ..analysis.count_borders import CHANGE
@@ -99,7 +100,8 @@ def panel_of(ds: xr.Dataset, name: str, dims: list[str], scene: Scene | None, bo
     if CHANGE in borders:
         return Panel(array, white, slow, borders)
     if name.removesuffix("_inertial") not in MOTIONS:
-        borders = {kind: borders[kind] for kind in (STABILITY, EXISTENCE) if kind in borders}
+        shown = (STABILITY, EXISTENCE, *resonances.KINDS)
+        borders = {kind: borders[kind] for kind in shown if kind in borders}
     return Panel(array, white, slow, borders, families)
 
 

@@ -10,6 +10,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.collections import PolyCollection
 
+from ..analysis import resonances
 from ..analysis.count_borders import CHANGE
 from ..analysis.theory_borders import EXISTENCE, KINDS, LABEL, STABILITY
 from ..systems.base import Mask
@@ -21,6 +22,10 @@ BORDERS: dict[str, dict[str, Any]] = {
     LABEL: {"linestyle": (0, (5, 1.5)), "linewidth": 1.0},
     EXISTENCE: {"linestyle": "-", "linewidth": 0.6},
     CHANGE: {"linestyle": "-", "linewidth": 0.6},
+    **{
+        kind: {"linestyle": "-", "linewidth": 0.8, "color": colour}
+        for kind, colour in zip(resonances.KINDS, ("#d62728", "#2ca02c", "#9467bd"), strict=True)
+    },
 }
 ZERO_RATE: dict[str, Any] = {"linestyle": (0, (1.5, 1.2)), "linewidth": 1.0}
 DASHES: tuple[Any, ...] = ((0, (8, 2)), ":", "-.", "--", (0, (6, 1, 1, 1, 1, 1)))
@@ -60,7 +65,7 @@ def draw_overlay(ax: Axes, panel: Panel, edges: list[np.ndarray], families: Sequ
     for what, mask in ((NOT_YET, panel.white.get(NOT_YET)), (SLOW, panel.slow)):
         if mask is not None and mask.any():
             draw_hatching(ax, np.atleast_2d(mask), edges, HATCHES[what])
-    for kind in (CHANGE, *KINDS[::-1]):
+    for kind in (CHANGE, *resonances.KINDS, *KINDS[::-1]):
         _draw_lines(ax, panel.borders.get(kind, []), border_style(kind))
     for name, lines in panel.families.items():
         _draw_lines(ax, lines, family_style(families.index(name)))

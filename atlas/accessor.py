@@ -208,8 +208,8 @@ class Atlas:
             Name of a flag: the lines then enclose the region where the variable has it. Default: the lines of
             theory.
         variable : str, optional
-            The flag variable; default label. For the lines of theory only its frame counts:
-            label_inertial for labels in inertial space.
+            The flag variable; default label. For the lines of theory its frame counts, label_inertial for labels in inertial
+            space; a number of equilibria gives the lines on which it changes, a frequency the resonances too.
         x, y : str, optional
             Axes, as in `map`.
         select : mapping of str to float, optional

@@ -4,8 +4,7 @@
 
 Atlases, and figures as PNG and PDF, are written to FOLDER, by default out/gallery of the repository. An atlas there is
 used again if it comes from the same scene; --force computes all anew. --docs writes docs/gallery/*.png,
-docs/gallery.md and the paper's figures in docs/fixed_point.md. All scenes take about five minutes on two cores,
-most of them for the relative equilibria.
+docs/gallery.md and the paper's figures in docs/fixed_point.md. All scenes take about five minutes on two cores.
 """
 
 from __future__ import annotations
@@ -76,6 +75,13 @@ PICTURES = (
         " terms.",
     ),
     Picture(
+        "gravity_gradient_energy",
+        "The same motions by theory alone. In Lagrange's triangle the energy has a minimum, and small dissipation leaves them"
+        " stable; in the region of DeBra and Delp only gyroscopic terms make them stable, and dissipation destroys it. On the"
+        " coloured lines two of the three frequencies of small oscillations are in resonance.",
+        "stability_kind",
+    ),
+    Picture(
         "conditions_k3",
         f"The condition (24) of {SATELLITE} on the rotor momentum k3, with an axial magnet, is a curve and no region: the"
         " rms of theta' over 10 orbits is zero on the line in the middle only, where k3 is exact. On the left of"
@@ -88,7 +94,8 @@ PICTURES = (
         "equilibrium_count",
         "How many orientations of an asymmetric body (A : B : C = 1 : 1.3 : 1.7, k3 = 0.1) can rest in the orbital frame,"
         " over the other two components of its rotor: from 24, the number without a rotor, to 8. Near k1 = 1.1,"
-        " k2 < 0.05 a small region has 16, between two curves on each of which two pairs of equilibria appear.",
+        " k2 < 0.05 a small region has 16, between two curves on each of which two pairs of equilibria appear. On every line"
+        " equilibria appear or vanish.",
         "equilibrium_count",
     ),
     Picture(

@@ -102,7 +102,18 @@ def atlas_map(
         For what is not in the atlas, and for options that are not allowed.
     """
     system_of(ds)
-    options = MapOptions(ax, title, cmap, colors or {}, labels or {}, boundary, legend, width, size, dpi)
+    options = MapOptions(
+        ax,
+        title and text.drawable(title),
+        cmap,
+        colors or {},
+        labels or {},
+        boundary,
+        legend,
+        width,
+        size,
+        dpi,
+    )
     name = "label" if variable is None else variable
     if name not in ds.data_vars:
         raise BadInput(f"{name}: not a variable of this atlas; allowed: {', '.join(map(str, ds.data_vars))}")

@@ -29,7 +29,18 @@ def axis_label(ds: xr.Dataset, dim: str, *, unit: bool = True) -> str:
     else:
         text = math_text(text, {name: p.symbol for name, p in system.parameters.items()})
     units = unit_text(str(attributes.get("units", "")))
-    return f"{text} ({units})" if unit and units else text
+    return drawable(f"{text} ({units})" if unit and units else text)
+
+
+def drawable(text: str) -> str:
+    """The text, with its dollar signs escaped where Matplotlib cannot read it as a formula."""
+    from matplotlib.mathtext import MathTextParser
+
+    try:
+        MathTextParser("path").parse(text)
+    except (ValueError, RecursionError):
+        return text.replace("$", r"\$")
+    return text
 
 
 def math_text(text: str, symbols: Mapping[str, str]) -> str:

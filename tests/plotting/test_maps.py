@@ -247,6 +247,18 @@ def test_the_legend_shows_only_what_occurs(small):
     assert legend(maps.atlas_map(small, legend=False)) == []
 
 
+@pytest.mark.parametrize("bad", [r"$\nonsense{$", f"${'{' * 3000}$"], ids=["unknown", "nested"])
+def test_texts_that_are_no_formulas_are_drawn_as_they_are(small, bad):
+    """A file of a stranger may contain any."""
+    ds = small.copy()
+    ds["sigma"] = ds["sigma"].assign_attrs(long_name=bad)
+    figure = ds.atlas.map(title=bad)
+    figure.savefig(io.BytesIO())
+    drawn = bad.replace("$", r"\$")
+    assert drawn in {label for ax in figure.axes for label in (ax.get_xlabel(), ax.get_ylabel())}
+    assert text.drawable("$k_3$") == "$k_3$"
+
+
 def test_a_third_axis_becomes_panels(solid):
     figure = maps.atlas_map(solid, "theta_dot_rms")
     panels = figure.axes[:3]

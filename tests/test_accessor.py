@@ -18,6 +18,8 @@ from atlas import BadInput, load_scene
 from atlas.analysis import chunks, theory_curves
 from atlas.flags import Agreement, Label
 
+pytestmark = pytest.mark.usefixtures("whole_kernels")
+
 MEANINGS = {
     "flag_values": np.arange(5, dtype=np.int8),
     "flag_meanings": "not_computed regular permanent drifting unresolved",

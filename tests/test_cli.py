@@ -13,6 +13,7 @@ import pytest
 import xarray as xr
 
 from atlas.cli import main, parser
+from atlas.systems.satellite.system import SATELLITE
 
 
 def shell(*arguments, cwd, **more):
@@ -284,7 +285,10 @@ def test_scenes_and_points_come_from_standard_input(folder):
     done = shell("run", "-", "--quiet", cwd=folder, input=scene)
     assert done.returncode == 0
     assert (folder / "scene.nc").exists()
-    done = shell("points", "satellite", "-", "-o", "a.csv", cwd=folder, input="C,m\n0.8,0.5\n")
+    # No parameter is 0, as in many tests: the kernel of this point is theirs.
+    values = [str(1.0 + i / 50) for i in range(len(SATELLITE.parameters))]
+    table = f"{','.join(SATELLITE.parameters)}\n{','.join(values)}\n"
+    done = shell("points", "satellite", "-", "-o", "a.csv", cwd=folder, input=table)
     assert done.returncode == 0, done.stderr
     assert (folder / "a.csv").exists()
     done = shell("points", "satellite", "-", "-o", "b.csv", cwd=folder, input="C,m\n0.8,\n")

@@ -13,6 +13,8 @@ from atlas.runs.estimate import dry_run
 from atlas.scene import grid
 from atlas.scene.read import scene_from
 
+pytestmark = pytest.mark.usefixtures("whole_kernels")
+
 INTEGRATION = {"duration": 6.0, "tolerance": 1e-4}
 RECTANGLE = {
     "schema": 1,

@@ -224,7 +224,7 @@ def _of_rotation(circle: Mapping[str, Array], rate: float) -> dict[str, Array]:
 def relative_error(
     rate_error: Array, bound: Array, measured: Mapping[str, Array], tolerances: Tolerances
 ) -> Array:
-    """Relative error to expect of RATES and ANGLES, (points,); 0 where they are not measured on a circle.
+    """Relative error to expect of RATES and ANGLES, (points,), at most 1; 0 where they are not measured on a circle.
 
     Parameters
     ----------
@@ -247,7 +247,8 @@ def relative_error(
             (found == Label.REGULAR_PRECESSION) & ~is_steady(own_label),
             found == Label.PERMANENT_ROTATION,
         ]
-        return np.select(conditions, [amplified / slowest, rate_error / measured["spin_rate"]], 0.0)
+        error = np.select(conditions, [amplified / slowest, rate_error / measured["spin_rate"]], 0.0)
+        return np.minimum(error, 1.0)
 
 
 def change(fine: Mapping[str, Array], coarse: Mapping[str, Array], bound: Array) -> Array:

@@ -381,6 +381,15 @@ def test_every_flag_together_fits_into_the_codes_of_refinement():
         np.testing.assert_array_equal(values, flags[name])
 
 
+def test_the_error_of_an_unstable_exact_start_is_bounded():
+    """A sleeping top whose instability multiplies errors by e^50 in the run."""
+    points = {"A": 1.0, "B": 1.0, "C": 0.5, "Mg": 1.0, "z0": -1.0, "theta0": 0.0, "m": 0.1}
+    ds = labelled("fixed_point", points, 60.0, [*VARIABLES, "growth_rate"])
+    assert names(ds) == ["permanent_rotation"]
+    assert ds.growth_rate * 60 > 50
+    assert ds.error_estimate < 1.001
+
+
 def test_a_system_in_euler_angles(monkeypatch):
     """A free symmetric top whose angular velocity is no linear function of its state."""
     path = Path(__file__).parents[2] / "docs/examples/heavy_top_euler/heavy_top_euler.py"

@@ -57,22 +57,23 @@ def _balanced_weight(start: Start, axes: TwoAxes) -> Array:
     return -n * (start.rotor + m * dot(start.inertia * s, s) * s)
 
 
-def _balanced_residuals(start: Start, axes: TwoAxes) -> tuple[Array, Array, Array]:
-    """Residuals of the three conditions."""
-    s = axes.spin_axis
-    across = (across_axis(start.rotor, s) - _balanced_rotor_across(start, axes)) * length(start.w)
-    torque = start.weight - _balanced_weight(start, axes)
-    return section_difference(start.inertia, s), start.residual(across), start.residual(torque)
+def _no_attraction(points: Points) -> Array:
+    return np.where(fields(points)[1] > 0, 0.0, np.inf)
 
 
-def _balanced(i: int) -> Callable[[Points], Array]:
-    """Residual of one of the three conditions; no motion of this family without a field."""
+def _off_normal(points: Points) -> Array:
+    return section_difference(Start.of(points).inertia, balanced_axes(points).spin_axis)
 
-    def residual(points: Points) -> Array:
-        value = _balanced_residuals(Start.of(points), balanced_axes(points))[i]
-        return np.where(fields(points)[1] > 0, value, np.inf)
 
-    return residual
+def _rotor_off(points: Points) -> Array:
+    start, axes = Start.of(points), balanced_axes(points)
+    off = across_axis(start.rotor, axes.spin_axis) - _balanced_rotor_across(start, axes)
+    return start.residual(off * length(start.w))
+
+
+def _weight_off(points: Points) -> Array:
+    start = Start.of(points)
+    return start.residual(start.weight - _balanced_weight(start, balanced_axes(points)))
 
 
 def _solve_balanced_offset(i: int) -> Callable[[Points], Array]:
@@ -104,9 +105,10 @@ BALANCED_FIELD = Family(
     title="regular precession about the vertical at n^2 = N, where field and centrifugal torque cancel",
     equations="derived from the equations of motion; not in the paper",
     conditions=(
-        Condition("w = n g + m s, n^2 = N > 0, s normal to a circular section of the ellipsoid of inertia", _balanced(0)),
-        Condition("l across s = -(m + 2 n s.g) (I s across s)", _balanced(1)),
-        Condition("Mg r_c = -n (l + m (s.I s) s)", _balanced(2)),
+        Condition("N > 0", _no_attraction),
+        Condition("w = n g + m s, n^2 = N, s normal to a circular section of the ellipsoid of inertia", _off_normal),
+        Condition("l across s = -(m + 2 n s.g) (I s across s)", _rotor_off),
+        Condition("Mg r_c = -n (l + m (s.I s) s)", _weight_off),
     ),
     solve={
         **{name: _solve_balanced_rotor(i) for i, name in enumerate(ROTORS)},

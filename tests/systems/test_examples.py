@@ -92,7 +92,7 @@ def test_the_package_names_no_example():
 
 def test_commands_with_the_scene_of_henon_and_heiles(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
-    text = scene_of("henon_heiles", y0=6, v0=5).replace("2500.0", "100.0")
+    text = scene_of("henon_heiles", y0=6, v0=5).replace("1000.0", "100.0")
     Path("scene.toml").write_text(text)
     Path("refined.toml").write_text(text.replace("[outputs]", "[refine]\nlevels = 1\n\n[outputs]"))
     for line in (
@@ -163,7 +163,7 @@ def test_motions_of_little_energy_are_regular():
 
 
 def test_accuracy_of_an_example():
-    text = scene_of("henon_heiles", y0=3, v0=3).replace("2500.0", "20.0").replace("0.125", "0.16")
+    text = scene_of("henon_heiles", y0=3, v0=3).replace("1000.0", "20.0").replace("0.125", "0.16")
     ds = work_precision(atlas.load_scene(text.replace("from = -0.5", "from = -0.1")), 4)
     own = ds.isel(level=ds.attrs["own_level"])
     assert (own["error_state"] < 1e-5).all()

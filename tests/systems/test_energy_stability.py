@@ -13,6 +13,8 @@ from atlas.systems.fixed_point import FIXED_POINT
 from atlas.systems.oscillations import stability_kind
 from atlas.systems.satellite import SATELLITE
 
+pytestmark = pytest.mark.usefixtures("whole_kernels")
+
 YES, NO, UNKNOWN = EnergyStability.YES, EnergyStability.NO, EnergyStability.UNKNOWN
 
 

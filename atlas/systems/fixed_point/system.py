@@ -33,7 +33,7 @@ GEOMETRIES = {
 
 
 def _family(points: Points) -> Flags:
-    """Families of the steady motions that the points start."""
+    """Families about the third axis or the vertical of the steady motions that the points start."""
     return families.identify_family(points)[0]
 
 
@@ -45,14 +45,15 @@ def _linear_stability(points: Points, flags: Flags) -> tuple[Flags, Array]:
 _OSCILLATIONS = frequency_variables(
     _family,
     oscillations.frequencies,
-    "nan for exponents that are 0 or have a real part, and off every family; of a permanent rotation relative to the body,"
+    "nan for exponents that are 0 or have a real part, and off conical, sleeping, staude and rest; of a permanent rotation relative to the body,"
     " of a symmetric body on the vertical in space",
 ) | stability_variables(
     _family,
     _linear_stability,
     oscillations.frequencies,
     lambda points, flags: oscillations.energy_stability(points, flags, _linear_stability(points, flags)[0]),
-    "on the level of the momentum about the vertical, and of that about the axis of symmetry where there is one",
+    "on the level of the momentum about the vertical, and of that about the axis of symmetry where there is one; unknown off"
+    " conical, sleeping, staude and rest",
 )
 
 

@@ -13,7 +13,6 @@ from ..oscillations import frequency_variables, stability_variables
 from .equilibria import equilibria_of_bodies
 from .initial import PARAMETERS
 from .oscillations import energy_stability, frequencies
-from .stability import linear_stability
 
 _BODY = tuple(name for name, parameter in PARAMETERS.items() if not parameter.start)
 
@@ -74,6 +73,13 @@ def _family(points: Points) -> Flags:
     return SATELLITE.identify_family(points)[0]
 
 
+def _linear_stability(points: Points, flags: Flags) -> tuple[Flags, Array]:
+    """Linear stability of the steady motions that the points start."""
+    from .system import SATELLITE  # which needs this module
+
+    return SATELLITE.linear_stability(points, flags)
+
+
 _COMMENT = "nan where some are not isolated; depends on body, rotor and fields alone"
 _COUNTS = {
     name: DerivedVariable(
@@ -98,7 +104,7 @@ DERIVED = (
     )
     | stability_variables(
         _family,
-        linear_stability,
+        _linear_stability,
         frequencies,
         energy_stability,
         "on the level of the momentum about an axis of symmetry, where there is one; unknown where the linear equations are"

@@ -14,6 +14,7 @@ a second integral the condition is that on its level: xi_i is ignorable, and W i
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ...flags import EnergyStability
 from ..base import Array, Flags, Mask, Points
@@ -51,6 +52,16 @@ def _at_rest(points: Points) -> tuple[dict[str, Array], Array, Mask]:
     return result, axis, rest | (axis >= 0)
 
 
+def _balanced(points: Points, candidates: Mask) -> NDArray[np.int64]:
+    """Those of the candidates at which no torque acts on the body at rest."""
+    where = np.flatnonzero(candidates)
+    with np.errstate(all="ignore"):
+        bodies, alpha, gamma, _ = _frames({name: values[where] for name, values in points.items()})
+        gradient, hessian = bodies.gradient(alpha, gamma)
+        scale = np.abs(bodies.Omega) ** 2 + np.abs(hessian).max((1, 2))[:, None]
+        return where[(np.abs(gradient) <= _ZERO * scale).all(1)]
+
+
 def _frames(points: Points) -> tuple[Bodies, Array, Array, Array]:
     """Bodies in units of a rate, alpha and gamma (points, 3), and the rate."""
     state = np.moveaxis(initial_state(points), 0, -1)
@@ -76,7 +87,7 @@ def frequencies(points: Points, flags: Flags) -> Array:
     """
     result = np.full((flags.size, 3), np.nan)
     resting, _, exists = _at_rest(points)
-    where = np.flatnonzero(exists & (flags > 0))
+    where = _balanced(resting, exists & (flags > 0))
     with np.errstate(all="ignore"):
         bodies, alpha, gamma, rate = _frames({name: values[where] for name, values in resting.items()})
         matrix = bodies.linearised(bodies.Omega * gamma, alpha, gamma)
@@ -94,7 +105,7 @@ def energy_stability(points: Points, flags: Flags) -> tuple[Flags, Mask]:
     """Whether steady motions are stable by the energy; as `systems.oscillations.stability_variables` needs it."""
     result = np.full(flags.shape, EnergyStability.UNKNOWN, np.int8)
     resting, axis, exists = _at_rest(points)
-    where = np.flatnonzero(exists & (flags > 0))
+    where = _balanced(resting, exists & (flags > 0))
     with np.errstate(all="ignore"):
         bodies, alpha, gamma, _ = _frames({name: values[where] for name, values in resting.items()})
         hessian = bodies.gradient(alpha, gamma)[1]

@@ -55,8 +55,8 @@ COLOURS = {
     "unstable": "#e0892b",
     "energy_stable": "#1b6ca8",
     "gyroscopic": "#a8d8f0",
-    "marginal": "#4e1b04",
-    "linearly_stable": "#b9e3cc",
+    "marginal": "#1c0a02",
+    "linearly_stable": "#1f4a36",
     "yes": "#1b6ca8",
     "no": "#e0892b",
 }

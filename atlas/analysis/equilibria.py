@@ -76,7 +76,7 @@ def equilibria(system: str, body: Any) -> xr.Dataset:
 
     Notes
     -----
-    10 000 satellites take about three seconds. Those with circles of equilibria, on a bifurcation, or without an orbit
+    10 000 satellites take about five seconds of one processor. Those with circles of equilibria, on a bifurcation, or without an orbit
     are computed one by one, in about 70 ms each.
     """
     description = systems.get(system)

@@ -60,6 +60,8 @@ COLOURS = {
     "yes": "#1b6ca8",
     "no": "#e0892b",
 }
+# Flags for which one colour map from blue to yellow has enough shades.
+MAX_EVEN_SHADES = 11
 SYMBOLS = {
     "theta": r"$\theta$",
     "psi": r"$\psi$",
@@ -85,8 +87,11 @@ def flag_colours(meanings: Iterable[str]) -> dict[str, str]:
         Name -> colour. Those without an entry in COLOURS get even steps of luminance; the first is white.
     """
     names = list(meanings)
-    # from white, which continues the colour map beyond its light end
-    shades = colormaps["cividis"](np.linspace(1.1, 0.0, len(names)))
+    # From white, which continues the first colour map beyond its light end; the second tells more colours apart.
+    few = len(names) <= MAX_EVEN_SHADES
+    shades = colormaps["cividis" if few else "magma"](
+        np.linspace(*((1.1, 0.0) if few else (1.06, 0.03)), len(names))
+    )
     return {
         name: COLOURS.get(name, "#ffffff" if i == 0 else to_hex(shades[i])) for i, name in enumerate(names)
     }

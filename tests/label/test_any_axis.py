@@ -29,6 +29,8 @@ from atlas.scene.model import Tolerances
 from atlas.systems import SYSTEMS
 from atlas.variables import ANY_AXIS, default_variables, variables
 
+pytestmark = pytest.mark.usefixtures("whole_kernels")
+
 CASES = json.loads((REFERENCE / "any_axis_cases.json").read_text())["cases"]
 VARIABLES = [
     "label",

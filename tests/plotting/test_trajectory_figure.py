@@ -12,6 +12,8 @@ from atlas import load_scene
 from atlas.label.trajectory import trajectory_of_scene
 from atlas.plotting import style, trajectory
 
+pytestmark = pytest.mark.usefixtures("whole_kernels")
+
 
 def test_a_trajectory_figure_shows_the_motion():
     tr = atlas.trajectory("satellite", {"theta0": 1.0, "n": 0.3, "m": 0.4}, duration=20.0, samples=201)

@@ -14,6 +14,8 @@ from atlas.systems import floquet
 from atlas.systems.base import on_family
 from atlas.systems.fixed_point import FIXED_POINT, any_axis, equations, families, initial, two_axes
 
+pytestmark = pytest.mark.usefixtures("whole_kernels")
+
 FAMILIES = any_axis.FAMILIES
 VECTORS = ("p0", "q0", "r0", "gamma10", "gamma20", "gamma30")
 ROTORS = ("l1", "l2", "l3")

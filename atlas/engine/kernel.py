@@ -240,8 +240,8 @@ def integrate(
                         if turning[l] > 0.0:
                             turn_lanes[turn_count] = l
                             slope = nodes[first, 11, l]
-                            x = interval - (i - 3) + slope / (slope - nodes[second, 11, l])
-                            store_turn(turns, turn_count, nodes, slots, l, spacing, x)
+                            x = slope / (slope - nodes[second, 11, l])
+                            store_turn(turns, turn_count, nodes, slots, l, spacing, interval - (i - 3), x)
                             turn_count += 1
                         if near[l] > 0.0:
                             lanes[passage_count], first_nodes[passage_count] = l, i - 3
@@ -340,8 +340,8 @@ def store_passage(passages, e, nodes, slots, l, spacing, duration, time, stats):
     passages[Passage.PHI_DOT_REFERENCE, e] = stats[Row.PHI_DOT_REFERENCE, l] * duration
 
 
-def store_turn(turns, e, nodes, slots, l, spacing, x):
-    """Describe a turning point of lane l in column e; x: its first approximation."""
+def store_turn(turns, e, nodes, slots, l, spacing, node, x):
+    """Describe a turning point of lane l in column e, about x after the node of this number of four."""
     for k in range(4):
         turns[Turn.G1 + k, e] = nodes[slots[k], 3, l]
         turns[Turn.G2 + k, e] = nodes[slots[k], 4, l]
@@ -349,7 +349,8 @@ def store_turn(turns, e, nodes, slots, l, spacing, x):
         turns[Turn.G1_SLOPE + k, e] = nodes[slots[k], 9, l] * spacing
         turns[Turn.G2_SLOPE + k, e] = nodes[slots[k], 10, l] * spacing
         turns[Turn.G3_SLOPE + k, e] = nodes[slots[k], 11, l] * spacing
-    turns[Turn.TIME, e] = x
+    turns[Turn.TIME, e] = node + x
+    turns[Turn.NODE, e] = node
 
 
 def extend_to_turns(stats, turns, lanes, count, extremes):

@@ -25,6 +25,7 @@ class Turn(IntEnum):
     G3 = 16
     G3_SLOPE = 20
     TIME = 24  # first approximation, counted from the first of the four nodes
+    NODE = 25  # the node before it, counted likewise
 
 
 TURN_ROWS = max(Turn) + 1
@@ -52,9 +53,12 @@ def motion_of_turn(turns, e):
 
 
 def turning_point(turns, e):
-    """Improve TIME, and return cos theta and sin^2 theta at the turning point in column e of `turns`."""
+    """cos theta and sin^2 theta at TIME, in column e of `turns`; then TIME is improved.
+
+    The derivative of theta changes its sign between two nodes, so that TIME stays there: where theta is constant but for
+    rounding errors, Newton's method would leave the four nodes.
+    """
     u, v, w = motion_of_turn(turns, e)
-    x = newton_change(u, v, w)
-    turns[Turn.TIME, e] += x
-    g1, g2, g3 = u[0] + x * (u[1] + x * u[2]), v[0] + x * (v[1] + x * v[2]), w[0] + x * (w[1] + x * w[2])
-    return g3, g1 * g1 + g2 * g2
+    before = turns[Turn.NODE, e] - turns[Turn.TIME, e]
+    turns[Turn.TIME, e] += min(max(newton_change(u, v, w), before), before + 1.0)
+    return w[0], u[0] * u[0] + v[0] * v[0]

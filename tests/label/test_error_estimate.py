@@ -6,7 +6,7 @@ from strategies import random_fixed_points, random_satellites
 
 import atlas
 from atlas.engine.statistics import RATES
-from atlas.flags import Status
+from atlas.flags import Label, Status
 from atlas.systems import SYSTEMS
 
 pytestmark = pytest.mark.usefixtures("whole_kernels")
@@ -58,3 +58,19 @@ def test_estimates_cover_the_errors_of_all_statistics(kind, system):
             assert ok.sum() > 0.9 * COUNT
             assert (ratio > 10).sum() <= 2
             assert np.median(ds.error_estimate.values[ok]) < (1e-4 if kind == "beside the vertical" else 1e-5)
+
+
+def test_extremes_of_a_constant_theta():
+    """Rounding errors alone turn theta: turning points must not be sought outside the interval of two nodes."""
+    rng = np.random.default_rng(0)
+    points = {name: np.full(COUNT, p.default) for name, p in SYSTEMS["fixed_point"].parameters.items()}
+    points |= {
+        "C": rng.uniform(0.2, 1.9, COUNT), "Mg": rng.uniform(0.2, 2.0, COUNT), "z0": np.ones(COUNT),
+        "theta0": rng.uniform(0.1, 3.0, COUNT), "n": rng.uniform(-2.0, 2.0, COUNT), "m": rng.uniform(-3.0, 3.0, COUNT),
+    }  # fmt: skip
+    points["l3"] = SYSTEMS["fixed_point"].families["conical"].solve["l3"](points)
+    ds = atlas.label_points("fixed_point", points, duration=5.0, method="rk8")
+    assert (ds.status == Status.OK).all()
+    assert (ds.label == Label.REGULAR_PRECESSION).all()
+    for extreme in (ds.theta_min, ds.theta_max):
+        assert (np.abs(extreme - points["theta0"]) < ds.error_estimate).all()

@@ -1,7 +1,7 @@
 """The frequency bound of systems that give none: from the Jacobian at the start and at instants of a preliminary run.
 
 At the start alone the numeric frequency of `systems.jacobian` is often too low: where a motion begins slowly. A
-preliminary run with steps as long as they may be therefore looks at it at the instants LOOKS; where it has grown, the
+preliminary run with steps as long as they may be therefore looks at it again and again; where it has grown, the
 point begins again with the larger bound. The result depends on the point, its duration and the settings alone.
 """
 
@@ -18,16 +18,17 @@ from . import blocks, observation
 from .ensemble import Ensemble
 from .tableaux import Method
 
-# Instants at which the preliminary run looks at the frequency, as shares of the run.
-LOOKS = (1 / 256, 1 / 64, 1 / 16, 1 / 8, 1 / 4, 3 / 8, 1 / 2, 5 / 8, 3 / 4, 7 / 8, 1.0)
+# Distance of two looks in rad of the bound: so short that a motion which becomes faster is seen before it is too fast for
+# the steps, such as a body on an eccentric orbit before it passes the centre. Long runs have MAX_LOOKS of them.
+LOOK_RADIANS, MIN_LOOKS, MAX_LOOKS = 0.5, 16, 2000
 # Turns in a run of the least bound: a motion that starts in a state with vanishing Jacobian is looked at, too.
 LEAST_TURNS = 4
 # Phase error and loss of amplitude of the preliminary run, and its largest step over the stability limit.
 ERROR, MAX_STEP_RATIO = 1e-2, 0.25
-# A bound is raised where the frequency exceeds it by this factor, and by this factor at least.
-TOLERATED, RAISE = 1.05, 1.25
-# Factor for a point that overflows, and how often it is tried: its steps may have been too long.
-RAISE_NOT_FINITE, MAX_NOT_FINITE = 4.0, 4
+# A bound is raised where the frequency exceeds it by the first factor; by the second at least and the third at most, for
+# with steps that are too long the motion is not what it seems.
+TOLERATED, RAISE, RAISE_MOST = 1.05, 1.25, 4.0
+MAX_NOT_FINITE = 4  # attempts at a point that overflows
 MAX_ATTEMPTS = 60
 
 
@@ -100,9 +101,7 @@ def along_runs(
         grown = overflowed | (seen > TOLERATED * bound[pending])
         settled[pending[~grown]] = True
         not_finite[pending[overflowed]] += 1
-        raised = np.where(
-            overflowed, RAISE_NOT_FINITE * bound[pending], np.fmax(seen, RAISE * bound[pending])
-        )
+        raised = np.clip(seen, RAISE * bound[pending], RAISE_MOST * bound[pending])
         bound[pending[grown]] = raised[grown]
         finite_bound[pending[grown & ~overflowed]] = raised[grown & ~overflowed]
         pending = pending[grown & (not_finite[pending] <= MAX_NOT_FINITE)]
@@ -128,24 +127,22 @@ def _largest_frequency(
     longest_step: Array,
     threads: int | None,
 ) -> Array:
-    """Frequency at the first of LOOKS at which it exceeds the bound, else the largest of all; inf: it overflowed."""
-    seen = np.zeros(ensemble.size)
+    """Frequency at the first look at which it exceeds the bound, else the largest of all; inf: it overflowed."""
+    seen, made = np.zeros(ensemble.size), 0
+    looks = np.clip(np.ceil(bound * duration / LOOK_RADIANS), MIN_LOOKS, MAX_LOOKS).astype(np.int64)
+    steps = np.ceil(bound * duration / (looks * longest_step)).astype(np.int64)
+    step_size = duration / (looks * steps)
     active: NDArray[np.int64] = np.arange(ensemble.size)
-    before = 0.0
-    for share in LOOKS:
-        length = (share - before) * duration[active]
-        steps = np.maximum(np.ceil(bound[active] * length / longest_step[active]), 1.0).astype(np.int64)
+    while active.size:
         part = ensemble.subset(active)
-        state = advanced(system, kernel, part, steps, length / steps, threads)
+        state = advanced(system, kernel, part, steps[active], step_size[active], threads)
         ensemble.state[:, active] = state
         with np.errstate(all="ignore"):
             frequency = jacobian.frequency(system.equations, state, part.constants)
         frequency = np.where(np.isfinite(frequency) & np.isfinite(state).all(0), frequency, np.inf)
         seen[active] = np.fmax(seen[active], frequency)
-        active = active[frequency <= TOLERATED * bound[active]]
-        before = share
-        if not active.size:
-            break
+        made += 1
+        active = active[(frequency <= TOLERATED * bound[active]) & (made < looks[active])]
     return seen
 
 

@@ -35,7 +35,7 @@ class Label(Flag):
         "theta, psi' and phi' are constant and psi' or phi' is zero, or the third axis stays on the vertical",
     )
     DRIFTING = 3, "theta, psi' or phi' varies"
-    UNRESOLVED = 4, "the numbers cannot tell: see status"
+    UNRESOLVED = 4, "not decided: see status"
 
 
 class Steadiness(Flag):
@@ -45,7 +45,7 @@ class Steadiness(Flag):
     STEADY = 1, "no observable varies: all standard deviations are within their tolerances"
     UNUSED = 2, "no such motion of this system"
     DRIFTING = 3, "an observable varies"
-    UNRESOLVED = 4, "the numbers cannot tell: see status"
+    UNRESOLVED = 4, "not decided: see status"
 
 
 class Status(Flag):

@@ -95,7 +95,7 @@ def variables(system: System) -> dict[str, Variable]:
     Raises
     ------
     BadInput
-        For a system of which a parameter or an observable is called like a variable.
+        For a system of which a parameter or an observable has the name of a variable.
     """
     registry = _variables_of_observables(system) if system.observables else _variables_of_body(system)
     taken = {*registry, *_every_variable_of_body(system), COMPUTED.name, POINT, "time"}
@@ -106,7 +106,7 @@ def variables(system: System) -> dict[str, Variable]:
         for name in names:
             if name in taken:
                 raise BadInput(
-                    f"the system {system.name}: its {kind} {name} is called like a variable of the atlas; choose another name"
+                    f"the system {system.name}: its {kind} {name} has the name of a variable of the atlas; choose another name"
                 )
     return registry
 

@@ -115,9 +115,9 @@ def _of_many(description: System, body: Mapping[str, Any]) -> xr.Dataset:
     description.check(columns)
     description.check_possible(columns)
     possible = np.flatnonzero(description.possible_body(columns))
-    found = description.equilibria_of_bodies({k: v[possible] for k, v in columns.items()}, lambda: None)
+    equilibria = description.equilibria_of_bodies({k: v[possible] for k, v in columns.items()}, lambda: None)
     ds = _dataset(description, f"equilibria of {size} bodies").assign_coords(template.coords)
-    for name, values in (dict(found) | _counts(found)).items():
+    for name, values in (dict(equilibria) | _counts(equilibria)).items():
         full = np.full((size, *values.shape[1:]), _unused(name, values.dtype), values.dtype)
         full[possible] = values
         full = full.reshape(*shape, *values.shape[1:])
@@ -151,14 +151,14 @@ def _broadcast(body: Mapping[str, Any]) -> dict[str, xr.DataArray]:
     return arrays | dict(zip(several, full, strict=True))
 
 
-def _counts(found: Mapping[str, np.ndarray]) -> dict[str, Array]:
+def _counts(equilibria: Mapping[str, np.ndarray]) -> dict[str, Array]:
     """Number of all, of linearly stable and of energy-stable equilibria of each body."""
-    isolated = found["completeness"] <= Completeness.NEAR_BIFURCATION
-    degenerate = found.get("degenerate", np.zeros(found["index"].shape, bool))
+    isolated = equilibria["completeness"] <= Completeness.NEAR_BIFURCATION
+    degenerate = equilibria.get("degenerate", np.zeros(equilibria["index"].shape, bool))
     counted = {
-        "equilibrium_count": found["index"] >= 0,
-        "equilibrium_stable_count": found["stable"] == Stability.STABLE,
-        "equilibrium_energy_stable_count": (found["index"] == 0) & ~degenerate,
+        "equilibrium_count": equilibria["index"] >= 0,
+        "equilibrium_stable_count": equilibria["stable"] == Stability.STABLE,
+        "equilibrium_energy_stable_count": (equilibria["index"] == 0) & ~degenerate,
     }
     return {name: np.where(isolated, where.sum(1), np.nan) for name, where in counted.items()}
 

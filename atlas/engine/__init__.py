@@ -1,1 +1,1 @@
-"""The engine integrates any system: it knows floats and arrays only, and imports nothing from above."""
+"""The engine integrates any system: it computes with floats and arrays only, and imports nothing from above."""

@@ -170,7 +170,7 @@ def source(
     Raises
     ------
     BadInput
-        If a first integral is called like a function of the kernel, and for equations that cannot be differentiated.
+        If a first integral has the name of a function of the kernel, and for equations that cannot be differentiated.
     """
     own_functions = functions(of, () if frames else ("FRAMES",))
     integrate = own_functions.pop("integrate")

@@ -1,8 +1,8 @@
 """The frequency bound of systems that give none: from the Jacobian at the start and at instants of a preliminary run.
 
 At the start alone the numeric frequency of `systems.jacobian` is often too low: where a motion begins slowly. A
-preliminary run with steps as long as they may be therefore looks at it again and again; where it has grown, the
-point begins again with the larger bound. The result depends on the point, its duration and the settings alone.
+preliminary run with steps as long as they may be therefore samples it along the motion; where it has grown, the
+run is repeated with the larger bound. The result depends on the point, its duration and the settings alone.
 """
 
 from __future__ import annotations
@@ -18,15 +18,15 @@ from . import blocks, observation
 from .ensemble import Ensemble
 from .tableaux import Method
 
-# Distance of two looks in rad of the bound: so short that a motion which becomes faster is seen before it is too fast for
-# the steps, such as a body on an eccentric orbit before it passes the centre. Long runs have MAX_LOOKS of them.
-LOOK_RADIANS, MIN_LOOKS, MAX_LOOKS = 0.5, 16, 2000
-# Turns in a run of the least bound: a motion that starts in a state with vanishing Jacobian is looked at, too.
+# Distance of two samples in rad of the bound: so short that a motion which becomes faster is sampled before it is too fast
+# for the steps, such as a body on an eccentric orbit before it passes the centre. Long runs have MAX_SAMPLES of them.
+SAMPLE_RADIANS, MIN_SAMPLES, MAX_SAMPLES = 0.5, 16, 2000
+# Turns in a run of the least bound: a motion that starts in a state with vanishing Jacobian is sampled, too.
 LEAST_TURNS = 4
 # Phase error and loss of amplitude of the preliminary run, and its largest step over the stability limit.
 ERROR, MAX_STEP_RATIO = 1e-2, 0.25
 # A bound is raised where the frequency exceeds it by the first factor; by the second at least and the third at most, for
-# with steps that are too long the motion is not what it seems.
+# with steps that are too long the motion is a wrong one.
 TOLERATED, RAISE, RAISE_MOST = 1.05, 1.25, 4.0
 MAX_NOT_FINITE = 4  # attempts at a point that overflows
 MAX_ATTEMPTS = 60
@@ -72,7 +72,7 @@ def along_runs(
     duration : ndarray of float64, shape (points,)
         In time units.
     max_steps : int
-        A point that needs more steps than this is not looked at further.
+        A point that needs more steps than this is not sampled further.
     threads : int, optional
 
     Returns
@@ -94,14 +94,14 @@ def along_runs(
         pending, longest = pending[affordable], longest[affordable]
         if not pending.size:
             break
-        seen = _largest_frequency(
+        largest = _largest_frequency(
             system, kernel, ensemble.subset(pending), bound[pending], duration[pending], longest, threads
         )
-        overflowed = ~np.isfinite(seen)
-        grown = overflowed | (seen > TOLERATED * bound[pending])
+        overflowed = ~np.isfinite(largest)
+        grown = overflowed | (largest > TOLERATED * bound[pending])
         settled[pending[~grown]] = True
         not_finite[pending[overflowed]] += 1
-        raised = np.clip(seen, RAISE * bound[pending], RAISE_MOST * bound[pending])
+        raised = np.clip(largest, RAISE * bound[pending], RAISE_MOST * bound[pending])
         bound[pending[grown]] = raised[grown]
         finite_bound[pending[grown & ~overflowed]] = raised[grown & ~overflowed]
         pending = pending[grown & (not_finite[pending] <= MAX_NOT_FINITE)]
@@ -127,11 +127,11 @@ def _largest_frequency(
     longest_step: Array,
     threads: int | None,
 ) -> Array:
-    """Frequency at the first look at which it exceeds the bound, else the largest of all; inf: it overflowed."""
-    seen, made = np.zeros(ensemble.size), 0
-    looks = np.clip(np.ceil(bound * duration / LOOK_RADIANS), MIN_LOOKS, MAX_LOOKS).astype(np.int64)
-    steps = np.ceil(bound * duration / (looks * longest_step)).astype(np.int64)
-    step_size = duration / (looks * steps)
+    """Frequency at the first sample at which it exceeds the bound, else the largest of all; inf: it overflowed."""
+    largest, made = np.zeros(ensemble.size), 0
+    samples = np.clip(np.ceil(bound * duration / SAMPLE_RADIANS), MIN_SAMPLES, MAX_SAMPLES).astype(np.int64)
+    steps = np.ceil(bound * duration / (samples * longest_step)).astype(np.int64)
+    step_size = duration / (samples * steps)
     active: NDArray[np.int64] = np.arange(ensemble.size)
     while active.size:
         part = ensemble.subset(active)
@@ -140,10 +140,10 @@ def _largest_frequency(
         with np.errstate(all="ignore"):
             frequency = jacobian.frequency(system.equations, state, part.constants)
         frequency = np.where(np.isfinite(frequency) & np.isfinite(state).all(0), frequency, np.inf)
-        seen[active] = np.fmax(seen[active], frequency)
+        largest[active] = np.fmax(largest[active], frequency)
         made += 1
-        active = active[(frequency <= TOLERATED * bound[active]) & (made < looks[active])]
-    return seen
+        active = active[(frequency <= TOLERATED * bound[active]) & (made < samples[active])]
+    return largest
 
 
 def advanced(

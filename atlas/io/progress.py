@@ -156,7 +156,7 @@ def state(content: Mapping[str, Any]) -> str:
     if running is None:
         written = datetime.fromisoformat(content["written"])
         running = (datetime.now(UTC) - written).total_seconds() < SILENCE
-        return AT_WORK if running else f"silent for more than {SILENCE / 60:.0f} minutes"
+        return AT_WORK if running else f"no progress for more than {SILENCE / 60:.0f} minutes"
     return AT_WORK if running else "died"
 
 

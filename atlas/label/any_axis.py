@@ -109,12 +109,12 @@ def unsure(
     error : mapping of str to ndarray of float64
         Errors of STATISTICS.
     """
-    found = []
+    moved_labels = []
     for sign in (-1.0, 0.0, 1.0):
         moved = {name: circle[name] + sign * error[name] for name in STATISTICS}
         moved["spin"] = np.maximum(np.abs(circle["spin"]) + sign * error["spin"], 0.0)
-        found.append(label(moved, own_label, tolerances))
-    lower, central, upper = found
+        moved_labels.append(label(moved, own_label, tolerances))
+    lower, central, upper = moved_labels
     return np.asarray((lower != central) | (upper != central))
 
 
@@ -170,7 +170,7 @@ def values(
     """
     with np.errstate(all="ignore"):
         own_label = labels.label(measured, tolerances)
-        found = label(circle, own_label, tolerances)
+        kind = label(circle, own_label, tolerances)
         tilt = circle["tilt"]
         reversed_axis = measured["psi_dot_mean"] < 0
         zero, one = np.zeros_like(tilt), np.ones_like(tilt)
@@ -181,8 +181,8 @@ def values(
             "precession_inclination": np.where(reversed_axis, np.pi, 0.0),
             "spin_axis_1": zero, "spin_axis_2": zero, "spin_axis_3": one,
         }  # fmt: skip
-        regular = found == Label.REGULAR_PRECESSION
-        conditions = [regular & (own_label == found), regular, found == Label.PERMANENT_ROTATION]
+        regular = kind == Label.REGULAR_PRECESSION
+        conditions = [regular & (own_label == kind), regular, kind == Label.PERMANENT_ROTATION]
         choices = (
             about_third_axis,
             _of_circle(circle, tolerances.angle),
@@ -240,12 +240,12 @@ def relative_error(
         return np.zeros_like(bound)
     with np.errstate(all="ignore"):
         own_label = labels.label(measured, tolerances)
-        found = label(statistics_of(measured, "label_any_axis"), own_label, tolerances)
+        kind = label(statistics_of(measured, "label_any_axis"), own_label, tolerances)
         amplified = rate_error * _amplification(measured, "label_any_axis", bound)
         slowest = np.fmin(bound, measured["precession_rate"])
         conditions = [
-            (found == Label.REGULAR_PRECESSION) & ~is_steady(own_label),
-            found == Label.PERMANENT_ROTATION,
+            (kind == Label.REGULAR_PRECESSION) & ~is_steady(own_label),
+            kind == Label.PERMANENT_ROTATION,
         ]
         error = np.select(conditions, [amplified / slowest, rate_error / measured["spin_rate"]], 0.0)
         return np.minimum(error, 1.0)

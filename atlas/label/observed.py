@@ -52,7 +52,7 @@ class _Runs:
             progress=progress,
         )
 
-    def again(self, where: np.ndarray, step_sizes: StepSizes) -> Measurement:
+    def repeated(self, where: np.ndarray, step_sizes: StepSizes) -> Measurement:
         """Integrate some of the points with other steps."""
         part = self.ensemble.subset(where)
         return observation.measure(self.kernel, part, step_sizes, threads=self.threads)
@@ -173,7 +173,7 @@ def _recheck(
         sample = np.flatnonzero(usable & half_step_sample(runs.ensemble, settings.check_half_step))
         if sample.size:
             coarser = runs.step_sizes.subset(sample).coarsened(method)
-            other = runs.again(sample, coarser)
+            other = runs.repeated(sample, coarser)
             change = _change(system, _subset(measured, sample), other.statistics(system))
             state = _state_change(measurement.final_state[:, sample], other.final_state)
             ratio = runs.step_sizes.steps[sample] / coarser.steps
@@ -184,7 +184,7 @@ def _recheck(
         unsure = np.flatnonzero(usable & _unsure(system, measured, error, settings))
         step_sensitive = np.zeros(error.shape, bool)
         if unsure.size:
-            fine = runs.again(unsure, runs.step_sizes.subset(unsure).halved(method)).statistics(system)
+            fine = runs.repeated(unsure, runs.step_sizes.subset(unsure).halved(method)).statistics(system)
             change = _change(system, _subset(measured, unsure), fine)
             differs = label(system, fine, settings) != label(system, _subset(measured, unsure), settings)
             step_sensitive[unsure] = differs | _unsure(system, fine, change, settings)

@@ -460,17 +460,17 @@ def _labels(
 ) -> dict[str, Flags]:
     """Every label of the points, or of some of them, whatever their status."""
     tolerances = runs.settings.tolerances
-    found = {name: labels.label(measured, tolerances, rate[where]) for name, rate in runs.frame_rates.items()}
+    kinds = {name: labels.label(measured, tolerances, rate[where]) for name, rate in runs.frame_rates.items()}
     for name in any_axis.labels_in(measured):
         circle = any_axis.statistics_of(measured, name)
-        found[name] = any_axis.label(circle, found[any_axis.LABELS[name]], tolerances)
-    return found
+        kinds[name] = any_axis.label(circle, kinds[any_axis.LABELS[name]], tolerances)
+    return kinds
 
 
 def _label_of_motion(runs: _Runs, measured: Mapping[str, Array]) -> Flags:
     """Label about the axes of the motion that the start is on or near, else about the third axis and the vertical."""
-    found = _labels(runs, measured)
-    return np.where(runs.about_other_axes, found.get("label_any_axis", found["label"]), found["label"])
+    kinds = _labels(runs, measured)
+    return np.where(runs.about_other_axes, kinds.get("label_any_axis", kinds["label"]), kinds["label"])
 
 
 def _unsure(
@@ -482,14 +482,14 @@ def _unsure(
     """Whether a label could be another one within the errors of the measurements that decide it."""
     tolerances = runs.settings.tolerances
     own_error = {name: error[name] for name in labels.LABEL_STATISTICS}
-    found = [
+    unsure = [
         labels.unsure(measured, own_error, tolerances, rate[where]) for rate in runs.frame_rates.values()
     ]
     for name in any_axis.labels_in(measured):
         own_label = labels.label(measured, tolerances, runs.frame_rates[any_axis.LABELS[name]][where])
         circle, errors = (any_axis.statistics_of(values, name) for values in (measured, error))
-        found.append(any_axis.unsure(circle, errors, own_label, tolerances))
-    return np.logical_or.reduce(found)
+        unsure.append(any_axis.unsure(circle, errors, own_label, tolerances))
+    return np.logical_or.reduce(unsure)
 
 
 def _label_changes(

@@ -214,10 +214,10 @@ def _evaluate_in_tiles(
 
 
 def _check_names(kept: Collection[str], outputs: Sequence[str]) -> None:
-    """Raise BadInput for columns that are called like a variable of the result."""
+    """Raise BadInput for columns that have the name of a variable of the result."""
     for name in kept:
         if name in outputs:
-            raise BadInput(f"points: the column {name} is called like a variable of the result; rename it")
+            raise BadInput(f"points: the column {name} has the name of a variable of the result; rename it")
 
 
 def _dataset(

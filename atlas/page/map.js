@@ -441,13 +441,13 @@ function theoryLines() {
 function drawTheory(context) {
   clipped(context, () => {
     for (const line of theoryLines()) {
-      const look = data.theory.styles[line.kind];
-      for (const path of line.paths) tracePath(context, path, look);
+      const style = data.theory.styles[line.kind];
+      for (const path of line.paths) tracePath(context, path, style);
     }
   });
 }
 
-function tracePath(context, path, look) {
+function tracePath(context, path, style) {
   context.beginPath();
   let pen = false;
   for (const vertex of path) {
@@ -463,13 +463,13 @@ function tracePath(context, path, look) {
       pen = true;
     }
   }
-  const width = 1.35 * look.width;
+  const width = 1.35 * style.width;
   context.lineWidth = width + 1.6;
   context.setLineDash([]);
   context.strokeStyle = "#ffffff";
   context.stroke();
   context.lineWidth = width;
-  context.setLineDash(look.dashes.map((length) => length * width));
+  context.setLineDash(style.dashes.map((length) => length * width));
   context.strokeStyle = "#000000";
   context.stroke();
   context.setLineDash([]);

@@ -143,7 +143,7 @@ def motions(ds: xr.Dataset, system: System, scene: Scene | None, dims: list[str]
 
 
 def _recorded_steps(ds: xr.Dataset, dims: list[str], duration: Array, otherwise: np.ndarray) -> np.ndarray:
-    """Numbers of steps that the atlas took: a numeric bound of the frequency is found along each motion."""
+    """Numbers of steps that the atlas took: a numeric bound of the frequency is computed along each motion."""
     if "step" not in ds:
         raise BadInput(
             "step: not in this dataset; the frequency bound of this system is numeric, and its steps are those recorded"

@@ -24,11 +24,11 @@ function areaSwatch(shade, hatch) {
   });
 }
 
-function lineSwatch(look) {
+function lineSwatch(style) {
   return swatch((context) => {
     context.strokeStyle = colour("ink");
-    context.lineWidth = 1.35 * look.width;
-    context.setLineDash(look.dashes.map((length) => length * context.lineWidth));
+    context.lineWidth = 1.35 * style.width;
+    context.setLineDash(style.dashes.map((length) => length * context.lineWidth));
     context.beginPath();
     context.moveTo(0, 6.5);
     context.lineTo(26, 6.5);

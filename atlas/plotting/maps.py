@@ -52,7 +52,7 @@ def atlas_map(
     Flags have one colour each in every figure. Positive numbers that span more than two decades get a
     logarithmic scale of at most `scales.MAX_DECADES`, numbers of both signs a scale centred on zero, integers
     a colour each. Axes of more than `analysis.select.MAX_CELLS` values are drawn by every k-th one. White
-    cells have no value; the legend says why. What is on the map and too small to be seen is not in the
+    cells have no value; the legend gives the reason. What is on the map and too small to be seen is not in the
     legend but in a note below the map.
 
     Parameters

@@ -87,7 +87,7 @@ def flag_colours(meanings: Iterable[str]) -> dict[str, str]:
         Name -> colour. Those without an entry in COLOURS get even steps of luminance; the first is white.
     """
     names = list(meanings)
-    # From white, which continues the first colour map beyond its light end; the second tells more colours apart.
+    # From white, which continues the first colour map beyond its light end; the second has more colours that differ.
     few = len(names) <= MAX_EVEN_SHADES
     shades = colormaps["cividis" if few else "magma"](
         np.linspace(*((1.1, 0.0) if few else (1.06, 0.03)), len(names))

@@ -68,20 +68,20 @@ def line_of(text: str, key: str) -> int | None:
     int or None
         Line of the key; if it is not there, that of the innermost table that contains it; None without any.
     """
-    found: dict[str, int] = {}
+    lines: dict[str, int] = {}
     table = ""
     for number, whole_line in enumerate(text.splitlines(), 1):
         line = whole_line[:MAX_KEY]
         if header := _HEADER.match(line):
             table = _plain(header[1])
-            found.setdefault(table, number)
+            lines.setdefault(table, number)
         elif assignment := _ASSIGNMENT.match(line):
             name = _plain(assignment[1])
-            found.setdefault(f"{table}.{name}" if table else name, number)
+            lines.setdefault(f"{table}.{name}" if table else name, number)
     while key:
-        if key in found:
-            return found[key]
-        within = [number for name, number in found.items() if name.startswith(f"{key}.")]
+        if key in lines:
+            return lines[key]
+        within = [number for name, number in lines.items() if name.startswith(f"{key}.")]
         if within:
             return min(within)
         key = key.rpartition(".")[0]

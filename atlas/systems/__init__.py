@@ -103,9 +103,9 @@ def get(name: object) -> System:
     if isinstance(name, str):
         if name in SYSTEMS:
             return SYSTEMS[name]
-        found = plugins.load(name)
-        if found is not None:
-            return _register(*found, name)
+        installed = plugins.load(name)
+        if installed is not None:
+            return _register(*installed, name)
     raise BadInput(f"system = {shown(name)}: there is no such system; {allowed_text(name, names())}")
 
 

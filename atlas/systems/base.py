@@ -268,7 +268,7 @@ class System(ABC):
 
     @property
     def has_numeric_bound(self) -> bool:
-        """Whether the frequency bound is found numerically."""
+        """Whether the frequency bound is computed numerically."""
         return type(self).frequency_bound is System.frequency_bound
 
     def specialization(

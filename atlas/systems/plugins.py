@@ -55,20 +55,20 @@ def load(name: str) -> tuple[object, str] | None:
     BadInput
         With one line, if it cannot be imported, or if two packages give the name.
     """
-    found = list(entry_points(group=GROUP, name=name))
-    if not found:
+    entries = list(entry_points(group=GROUP, name=name))
+    if not entries:
         return None
-    packages = sorted({_package(entry) for entry in found})
+    packages = sorted({_package(entry) for entry in entries})
     if len(packages) > 1:
         raise BadInput(
             f"system = {shown(name)}: several packages have this system: {', '.join(packages)}; remove all but one"
         )
     try:
-        value = found[0].load()
+        value = entries[0].load()
     except (Exception, SystemExit) as error:  # whatever its code raises
         text = f"{type(error).__name__}: {' '.join(str(error).split())}"
         raise BadInput(
-            f"system = {shown(name)} of {packages[0]} ({found[0].value}): cannot be imported: {text}"
+            f"system = {shown(name)} of {packages[0]} ({entries[0].value}): cannot be imported: {text}"
         ) from None
     return value, packages[0]
 

@@ -574,11 +574,11 @@ def test_status_counts_only_processes_that_live(scene, tmp_path, small_tiles):
         "at work": process_name(),
         "died": f"{machine}-{boot}-{pid}-{int(start) + 1}",
         "at work, of another machine": f"{'0' * 8}-{boot}-{pid}-{start}",
-        "silent for more than 10 minutes": f"{'0' * 8}-{boot}-{pid}-{start}",
+        "no progress for more than 10 minutes": f"{'0' * 8}-{boot}-{pid}-{start}",
         "ended": process_name(),
     }
     for i, (state, name) in enumerate(cases.items()):
-        written = now - timedelta(hours=1) if "silent" in state else now
+        written = now - timedelta(hours=1) if "no progress" in state else now
         (run.path / f"progress-{i + 1}-of-5.json").write_text(json.dumps({
             "shard": f"{i + 1}/5", "host": "h", "points": 13, "done": 1, "points_per_second": 10.0**i,
             "running": state != "ended", "process": name, "written": f"{written:%Y-%m-%dT%H:%M:%SZ}",

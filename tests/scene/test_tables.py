@@ -166,7 +166,7 @@ def test_other_columns_of_numbers_are_kept_only_by_name(tmp_path, monkeypatch, c
         assert problem in capsys.readouterr().err
     write(tmp_path / "in.csv", "C,label,m\n0.8,first,0.5\n")
     assert main([*command, "--force"]) == 2
-    assert "the column label is called like a variable of the result" in capsys.readouterr().err
+    assert "the column label has the name of a variable of the result" in capsys.readouterr().err
     with pytest.raises(BadInput, match="different lengths"):
         atlas.label_points("satellite", {"C": [0.8, 1.2], "name": ["a", "b", "c"]})
 

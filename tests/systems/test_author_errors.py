@@ -226,7 +226,7 @@ def parameters(*more, **changes):
         ({"parameters": parameters(Parameter("k", "1", "x", 2.0, 0.0, 1.0))}, "the default 2 is outside its range"),
         ({"parameters": parameters(Parameter("k", "1", "x", 0.0, 0.0, open_low=True))}, "allowed: above 0, at most inf"),
         ({"parameters": parameters(Parameter("k", "1", "x", 0.0, 1.0, -1.0))}, "must be numbers, low below high"),
-        ({"parameters": parameters(Parameter("step", "1", "x"))}, "parameter step is called like a variable of the atlas"),
+        ({"parameters": parameters(Parameter("step", "1", "x"))}, "parameter step has the name of a variable of the atlas"),
         ({"observables": ()}, "the function frame_motion(state, constants) is missing (or the system needs observables)"),
         ({"observables": (OBSERVABLES[0], "x")}, "must be a tuple of Observable"),
         ({"observables": (OBSERVABLES[0],) * 2}, "observables: x is named twice"),
@@ -256,14 +256,14 @@ def test_observables_that_are_called_like_a_variable(name):
         observables=(Observable(name, "1", "a quantity"),),
     )
     assert text == (
-        f"the system oscillator: its observable {name} is called like a variable of the atlas; choose another name"
+        f"the system oscillator: its observable {name} has the name of a variable of the atlas; choose another name"
     )
 
 
 def test_an_observable_that_is_called_like_a_statistic_of_another():
     observables = (Observable("x", "m", "place"), Observable("x_mean", "m", "another"))
     text = error_of(equations=equations(x_mean=named(one_component, "x_mean")), observables=observables)
-    assert "its observable x_mean is called like a variable of the atlas" in text
+    assert "its observable x_mean has the name of a variable of the atlas" in text
 
 
 def test_powers_that_cannot_be_differentiated():

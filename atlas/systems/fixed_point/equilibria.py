@@ -214,7 +214,7 @@ def _described(
     stable, growth = staude_stability(members)
     sleeping, sleeping_growth = sleeping_stability(members)
     determinant, trace, size = amended_hessian(members, members["n"], g)
-    found = frequencies(members, np.ones(theta.size, np.int8)).T
+    values = frequencies(members, np.ones(theta.size, np.int8)).T
     index = np.where(determinant < 0, 1, np.where(trace < 0, 2, 0))
     index = np.where(np.abs(determinant) <= ROUNDING * size, np.where(trace < 0, 1, 0), index)
     return {
@@ -222,6 +222,6 @@ def _described(
         "dimension": dimension, "index": index.astype(np.int8),
         "stable": np.where(upright, sleeping, stable).astype(np.int8),
         "growth_rate": np.where(upright, sleeping_growth, growth),
-        **dict(zip(FREQUENCIES, found, strict=True)),
+        **dict(zip(FREQUENCIES, values, strict=True)),
         "flat": np.abs(determinant) <= _NEAR_BIFURCATION * size,
     }  # fmt: skip

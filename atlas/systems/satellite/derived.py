@@ -42,12 +42,12 @@ _LAST: dict[bytes, dict[str, Array]] = {}
 def _counts(bodies: Points, pause: Callable[[], None]) -> dict[str, Array]:
     """Numbers of equilibria of bodies (bodies,), by the argument `which` of count_equilibria."""
     countable = np.flatnonzero(~_symmetric(bodies))
-    found = equilibria_of_bodies({name: values[countable] for name, values in bodies.items()}, pause)
-    isolated = np.isin(found["completeness"], (Completeness.COMPLETE, Completeness.NEAR_BIFURCATION))
+    equilibria = equilibria_of_bodies({name: values[countable] for name, values in bodies.items()}, pause)
+    isolated = np.isin(equilibria["completeness"], (Completeness.COMPLETE, Completeness.NEAR_BIFURCATION))
     counted = {
-        "all": found["index"] >= 0,
-        "stable": found["stable"] == Stability.STABLE,
-        "energy_stable": (found["index"] == 0) & ~found["degenerate"],
+        "all": equilibria["index"] >= 0,
+        "stable": equilibria["stable"] == Stability.STABLE,
+        "energy_stable": (equilibria["index"] == 0) & ~equilibria["degenerate"],
     }
     result = {which: np.full(bodies["A"].size, np.nan) for which in counted}
     for which, where in counted.items():

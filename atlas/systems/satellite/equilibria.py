@@ -102,8 +102,8 @@ def _stability(points: Points, described: Mapping[str, Any]) -> dict[str, Any]:
     starts = {name: described[name] for name in ("theta0", "psi0", "phi0")}
     starts |= {name: np.zeros(described["theta0"].size) for name in ("n", "m", "theta_dot0")}
     stable, growth = exponents({**points, **starts})
-    found = frequencies({**points, **starts}, np.ones_like(stable)).T
-    return {"stable": stable, "growth_rate": growth, **dict(zip(FREQUENCIES, found, strict=True))}
+    values = frequencies({**points, **starts}, np.ones_like(stable)).T
+    return {"stable": stable, "growth_rate": growth, **dict(zip(FREQUENCIES, values, strict=True))}
 
 
 def equilibria_of_bodies(

@@ -73,10 +73,10 @@ def solve(inertia: Array, p: Array, q: Array) -> tuple[Array, Array, Mask, Mask]
         target = [np.where(scale > 0, values / scale, 0.0) for values in (inertia, p, q)]
         ends, complete = _ends(target, *_ATTEMPTS[0])
         for attempt in _ATTEMPTS[1:]:
-            again = np.flatnonzero(~complete)
-            if again.size:
-                part = [values[:, again] for values in target]
-                ends[:, :, again], complete[again] = _ends(part, *attempt)
+            repeated = np.flatnonzero(~complete)
+            if repeated.size:
+                part = [values[:, repeated] for values in target]
+                ends[:, :, repeated], complete[repeated] = _ends(part, *attempt)
         real = np.abs(ends.imag).max(0) < _REAL
     return ends[:3].real, ends[3:].real, real, complete
 

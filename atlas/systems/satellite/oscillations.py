@@ -96,8 +96,8 @@ def frequencies(points: Points, flags: Flags) -> Array:
     exponents = np.linalg.eigvals(matrix[finite])
     scale = np.abs(exponents).max(-1, keepdims=True)
     oscillating = (exponents.imag > _ZERO * scale) & (np.abs(exponents.real) <= _ZERO * scale)
-    found = np.where(oscillating, exponents.imag, np.nan) * rate[:, None]
-    result[where] = -np.sort(-found, axis=-1)[:, :3]  # nan last
+    values = np.where(oscillating, exponents.imag, np.nan) * rate[:, None]
+    result[where] = -np.sort(-values, axis=-1)[:, :3]  # nan last
     return result
 
 

@@ -7,9 +7,7 @@ from atlas.systems import Parameter, System
 
 
 class Equations:
-    """theta is the angle from the downward vertical, phi that of proper rotation."""
-
-    STATE = ("theta", "phi", "theta_dot")
+    STATE = ("theta", "phi", "theta_dot")  # theta from the downward vertical; phi: proper rotation
     CONSTANTS = ("A", "C", "moment", "L_vertical", "L_axis")
 
     def rhs(state, constants):

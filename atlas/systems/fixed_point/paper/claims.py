@@ -43,7 +43,7 @@ class Row(NamedTuple):
     centre_printed: float  # (15) as printed, with its forcing
     amplitude_printed: float
     period_printed: float
-    gap_printed: float  # max |p2 of (20) - p2 of (15)| as printed, which the paper says agree
+    gap_printed: float  # max |p2 of (20) - p2 of (15)| as printed, which agree according to the paper
     p2_33: float  # max |p2| that (33) as printed leaves by (10)
     gamma2_amplitude: float  # from the full equations
     gamma2_period: float  # from the full equations
@@ -228,7 +228,7 @@ def _deviation_claim(rows: Sequence[Row]) -> Claim:
 
 
 def _phase_plane_claim(rows: Sequence[Row]) -> Claim:
-    """What an ellipse of (20) says about stability: nothing, because r0 and the field are not in it."""
+    """An ellipse of (20) contains nothing about stability, because r0 and the field are not in it."""
     spin = paper_body("A < C", 0.0)
     upright = 1 / spin.gamma0  # g1'' of the upright body, whose stability is known in closed form
     inverted = replace(spin, weight=-spin.weight)

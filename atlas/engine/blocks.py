@@ -240,8 +240,15 @@ def run_in_threads(
 ) -> None:
     """Do work(first, last) for every chunk; after an exception what has not begun is left out.
 
-    work is done in parts: an iterable of the amounts done.
+    work is done in parts: an iterable of the amounts done. threads = 0: in the thread of the caller, for work that takes
+    less time than starting a thread.
     """
+    if threads == 0:
+        for first, last in pairwise(bounds):
+            for done in work(first, last):
+                if progress is not None:
+                    progress(done)
+        return
     stop = threading.Event()
 
     def chunk(first: int, last: int) -> None:

@@ -28,6 +28,8 @@ ERROR, MAX_STEP_RATIO = 1e-2, 0.25
 # A bound is raised where the frequency exceeds it by the first factor; by the second at least and the third at most, for
 # with steps that are too long the motion is a wrong one.
 TOLERATED, RAISE, RAISE_MOST = 1.05, 1.25, 4.0
+MATRICES = 4096  # Jacobians that are computed together
+FEW_STEPS = 20000  # of all points together: fewer take less time than starting a thread
 MAX_NOT_FINITE = 4  # attempts at a point that overflows
 MAX_ATTEMPTS = 60
 
@@ -135,14 +137,25 @@ def _largest_frequency(
     active: NDArray[np.int64] = np.arange(ensemble.size)
     while active.size:
         part = ensemble.subset(active)
-        state = advanced(system, kernel, part, steps[active], step_size[active], threads)
-        ensemble.state[:, active] = state
+        # As many as before, for most bounds that are too low are exceeded early.
+        count = int(np.clip(min(MATRICES // active.size, made), 1, samples[active].max() - made))
+        states = np.empty((len(part.state), count, active.size))
+        # The first call may compile the kernel, which only threads can do without delaying an interruption.
+        in_threads = 0 if made > 0 and steps[active].sum() <= FEW_STEPS else threads
+        for k in range(count):
+            states[:, k] = advanced(system, kernel, part, steps[active], step_size[active], in_threads)
+            part.state[:] = states[:, k]
+        ensemble.state[:, active] = part.state
         with np.errstate(all="ignore"):
-            frequency = jacobian.frequency(system.equations, state, part.constants)
-        frequency = np.where(np.isfinite(frequency) & np.isfinite(state).all(0), frequency, np.inf)
-        largest[active] = np.fmax(largest[active], frequency)
-        made += 1
-        active = active[(frequency <= TOLERATED * bound[active]) & (made < samples[active])]
+            constants = np.repeat(part.constants[:, None], count, axis=1)
+            frequency = jacobian.frequency(system.equations, states, constants)
+        frequency = np.where(np.isfinite(frequency) & np.isfinite(states).all(0), frequency, np.inf)
+        sampled = made + np.arange(count)[:, None] < samples[active]
+        exceeds = sampled & (frequency > TOLERATED * bound[active])
+        sampled &= np.cumsum(exceeds, axis=0) - exceeds == 0  # none after the first
+        largest[active] = np.fmax(largest[active], np.where(sampled, frequency, 0.0).max(0))
+        made += count
+        active = active[~exceeds.any(0) & (made < samples[active])]
     return largest
 
 

@@ -126,5 +126,7 @@ def available() -> dict[str, System]:
 
 
 def origin(system: System) -> plugins.Origin | None:
-    """Where a system comes from; None for those of this package."""
+    """Where a system comes from, registered or not; None for those of this package."""
+    if system not in _ORIGINS and system not in (SATELLITE, FIXED_POINT):
+        _ORIGINS[system] = plugins.origin(system, "")
     return _ORIGINS.get(system)

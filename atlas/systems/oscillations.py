@@ -30,7 +30,8 @@ def frequency_variables(
     def variable(i: int) -> DerivedVariable:
         def values(points: Points, duration: Array, pause: Callable[[], None]) -> Array:
             pause()
-            return frequencies(points, family(points))[:, i]
+            with np.errstate(all="ignore"):
+                return frequencies(points, family(points))[:, i]
 
         order = ("largest", "second", "third")[i]
         return DerivedVariable(
@@ -73,12 +74,16 @@ def stability_variables(
 
     def energy_stable(points: Points, duration: Array, pause: Callable[[], None]) -> Flags:
         pause()
-        return energy(points, family(points))[0]
+        with np.errstate(all="ignore"):
+            return energy(points, family(points))[0]
 
     def kind(points: Points, duration: Array, pause: Callable[[], None]) -> Flags:
         pause()
-        flags = family(points)
-        return stability_kind(linear(points, flags)[0], *energy(points, flags), frequencies(points, flags))
+        with np.errstate(all="ignore"):
+            flags = family(points)
+            return stability_kind(
+                linear(points, flags)[0], *energy(points, flags), frequencies(points, flags)
+            )
 
     variables = (
         DerivedVariable(

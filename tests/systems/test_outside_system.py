@@ -201,7 +201,10 @@ def test_what_the_system_does_not_have_is_left_out():
     without_integrals = HeavyTop()
     without_integrals.equations = SimpleNamespace(INTEGRALS={})
     assert names - set(variables(without_integrals)) == {"integral_drift"}
-    assert theory == {"family", "stable", "growth_rate", "condition_residual", "predicted", "agreement"}
+    assert theory == {
+        "family", "stable", "growth_rate", "condition_residual", "predicted", "agreement",
+        "predicted_any_axis", "agreement_any_axis",
+    }  # fmt: skip
 
 
 def test_a_family_makes_predictions():

@@ -25,8 +25,9 @@ G. Grioli, Ann. Mat. Pura Appl. 26 (1947) 271-281; with a rotor E. I. Kharlamova
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 
-from ..base import FAMILY_TOLERANCE, Array, Flags, Points
+from ..base import FAMILY_TOLERANCE, Array, Flags, Mask, Points
 from .balanced_field import BALANCED_FIELD
 from .free import FREE_PRECESSION, FREE_ROTATION
 from .grioli import GRIOLI
@@ -46,12 +47,23 @@ def identify(points: Points, tolerance: float = FAMILY_TOLERANCE) -> tuple[Flags
     size = points["A"].size
     flags, residual = np.zeros(size, np.int8), np.full(size, np.inf)
     for family in FAMILIES.values():
-        members, worst = np.flatnonzero(flags == 0), np.zeros(int((flags == 0).sum()))
+        members = np.flatnonzero(flags == 0)
+        part = points if members.size == size else _subset(points, members)
+        worst = np.zeros(members.size)
         for condition in family.conditions:
+            value = np.abs(condition.residual(part))
+            worst = np.maximum(worst, np.where(np.isnan(value), np.inf, value))
+            kept = worst <= tolerance
+            if kept.all():
+                continue
+            members, worst = members[kept], worst[kept]
             if not members.size:
                 break
-            value = np.abs(condition.residual({name: column[members] for name, column in points.items()}))
-            worst = np.maximum(worst, np.where(np.isnan(value), np.inf, value))
-            members, worst = members[worst <= tolerance], worst[worst <= tolerance]
+            part = _subset(part, kept)
         flags[members], residual[members] = family.flag, worst
     return flags, residual
+
+
+def _subset(points: Points, where: NDArray[np.int64] | Mask) -> Points:
+    """Some of the points, by their indices or by whether they are among them."""
+    return {name: column[where] for name, column in points.items()}

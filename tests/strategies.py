@@ -36,8 +36,8 @@ def select(points: Points, index) -> Points:
 
 
 def random_satellites(rng: np.random.Generator, count: int, **given) -> Points:
-    """Random satellites, starts and fields without any symmetry; theta0 away from 0 and pi."""
-    points = {name: rng.normal(size=count) for name in SYSTEMS["satellite"].parameters}
+    """Random satellites, starts and fields without any symmetry and damping; theta0 away from 0 and pi."""
+    points = {name: rng.normal(size=count) for name in SYSTEMS["satellite"].parameters if name != "damping"}
     points |= {name: rng.uniform(0.8, 1.5, count) for name in ("A", "B", "C")}
     points |= {"Omega": rng.uniform(0.3, 1.5, count), "theta0": rng.uniform(0.3, 2.8, count)}
     return default_points("satellite", count, **points | given)
@@ -75,7 +75,7 @@ def fixed_points_on_family(family: str, points: Points, *names: str) -> Points:
 
 def nonzero_satellite(rng: np.random.Generator, **given) -> Points:
     """A random satellite whose parameters are of order 1 and not near 0; theta_dot0 = 0, arrays of shape (1,)."""
-    names = SYSTEMS["satellite"].parameters
+    names = [name for name in SYSTEMS["satellite"].parameters if name != "damping"]
     point = {name: rng.uniform(0.3, 1.3, 1) * rng.choice([-1.0, 1.0], 1) for name in names}
     point |= {name: rng.uniform(0.7, 1.3, 1) for name in ("A", "B", "C", "Omega")}
     point |= {"theta0": rng.uniform(-4, 4, 1), "theta_dot0": np.zeros(1)}

@@ -486,6 +486,8 @@ def motion_of(system: System, kind: str, points: Points, index: int) -> Motion:
     rotor = np.array([p[f"{'k' if satellite else 'l'}{i}"] for i in (1, 2, 3)])
     inertia = np.array([p["A"], p["B"], p["C"]])
     frame_rate = p["Omega"] if satellite else 0.0
+    if p.get("damping"):
+        raise ValueError(f"a point of the {system.name} with damping has no exact motion")
     if satellite:
         weight = -p["h3"] * np.array([p["mu1"], p["mu2"], p["mu3"]])
         others = [p["h1"] * p["mu1"], p["h1"] * p["mu2"], p["h1"] * p["mu3"], p["Omega"] * np.ptp(inertia)]

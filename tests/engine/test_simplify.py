@@ -27,6 +27,8 @@ def random_points(system, count, rng, zero=(), symmetric=False):
     }
     if "Omega" in points:
         points["Omega"] = rng.uniform(0.5, 1.5, count)
+    if "damping" in points:
+        points["damping"] = np.abs(points["damping"])
     points["theta0"] = rng.uniform(0.3, 2.8, count)
     points |= {name: np.zeros(count) for name in zero}
     return points | ({"B": points["A"]} if symmetric else {})
@@ -38,6 +40,7 @@ CASES = {
         (("mu1", "mu2", "k1", "k2"), True), (("h1", "h3", "k1", "k2"), True),
         (("mu1", "mu2", "mu3", "k1", "k2", "k3"), False), (("h1", "h3", "k1", "k2", "k3"), True),
         (("Omega",), False), (("Omega", "mu1", "mu2", "k1", "k2"), True),
+        (("damping",), False), (("damping", "mu1", "mu2", "k1", "k2"), True),
     ],
     "fixed_point": [
         (("N",), False), (("Mg",), False), (("l1", "l2", "l3"), False), (("l1", "l2", "x0", "y0"), True),

@@ -331,7 +331,7 @@ def test_atlas_points_labels_a_file(tmp_path, monkeypatch, capsys):
     assert main(["points", "satellite", "mine.csv", "-o", "out.csv", *options]) == 0
     with open("out.csv", newline="") as file:
         rows = list(csv.DictReader(file))
-    assert list(rows[0])[18:] == list(expected.data_vars)
+    assert list(rows[0])[len(NAMES) :] == list(expected.data_vars)
     assert [row["label"] for row in rows] == ["drifting", "permanent_rotation"]
     assert [float(row["theta_dot_rms"]) for row in rows] == expected.theta_dot_rms.values.tolist()
     assert [float(row["C"]) for row in rows] == [0.8, 1.2]

@@ -32,7 +32,8 @@ s, c, sy, cy, sf, cf = sp.symbols("s c sin_psi cos_psi sin_phi cos_phi")
 def symbolic_constants(*rotor):
     """The constants of the equations as symbols, with a rotor."""
     names = ("A", "B", "C", "Omega", "mu1", "mu2", "mu3", "h1", "h3", "k1", "k2", "k3")
-    return tuple(constants(dict(zip(names, (A, B, C, Omega, mu1, mu2, mu3, h1, h3, *rotor), strict=True))))
+    values = (A, B, C, Omega, mu1, mu2, mu3, h1, h3, *rotor)
+    return tuple(constants(dict(zip(names, values, strict=True)) | {"damping": 0}))
 
 
 def reduced(expression):
@@ -226,6 +227,7 @@ def test_a_point_is_recognised_if_and_only_if_it_is_steady(data):
         "k3": pick(0.0, 0.3), "theta0": pick(0.0, np.pi, np.pi / 3, 2 * np.pi / 3, np.pi / 2, 1.1, -0.7),
         "psi0": pick(0.0, np.pi / 2, -np.pi / 2, np.pi, 0.4), "phi0": pick(0.0, np.pi / 2, np.pi, 0.9),
         "theta_dot0": 0.0, "n": pick(0.0, 0.0, -1.0, 0.5, 1.0), "m": pick(0.0, 1.0, -1.0, 0.5, -0.5, 0.7),
+        "damping": pick(0.0, 0.0, 0.3),
     }  # fmt: skip
     point = {name: np.full(1, float(value)) for name, value in parameters.items()}
     if rotor == "node":

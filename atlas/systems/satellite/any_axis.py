@@ -87,6 +87,13 @@ def _torque(points: Points) -> Array:
     return _ratio(balance * _length(np.cross(s, gamma, axis=0)) / points["C"], _scale(points))
 
 
+def _damped(points: Points) -> Array:
+    w, gamma, _, _ = _vectors(points)
+    scale = np.sqrt(_scale(points))
+    turn = _length(w - points["Omega"] * gamma)
+    return _ratio(points["damping"] * turn, scale * (points["C"] * scale + points["damping"]))
+
+
 def _motion(points: Points, t: Array) -> Array:
     """Closed form, see Family.motion."""
     t, axes, start = np.asarray(t, float)[..., None], _axes(points), initial_state(points)
@@ -114,12 +121,13 @@ SPHERICAL_ANY_AXIS = Family(
         Condition("k and h3 mu along one axis s of the body, or both 0 and s along w", _not_along),
         Condition("w = (n + Omega) gamma + m s", _unsteady),
         Condition("(n + Omega) (C m + k.s) = h3 mu.s", _torque),
+        Condition("damping (w - Omega gamma) = 0", _damped),
     ),
     solve={name: lambda points: points["A"].copy() for name in ("B", "C")},
     stability=_stability,
     labels="regular precession about the normal in the orbital frame at n, in space at n + Omega; permanent rotation"
     " where that rate or m is 0",
-    exists="every start without rotor and magnet: n = -Omega, a permanent rotation in space",
+    exists="every start without rotor, magnet and damping: n = -Omega, a permanent rotation in space",
 )
 FAMILIES = {SPHERICAL_ANY_AXIS.name: SPHERICAL_ANY_AXIS}
 

@@ -100,7 +100,8 @@ DERIVED = (
     | frequency_variables(
         _family,
         frequencies,
-        "nan for exponents that are 0 or have a real part, off every family, and where the linear equations are periodic",
+        "without damping; nan for exponents that are 0 or have a real part, off every family, and where the linear equations are"
+        " periodic",
     )
     | stability_variables(
         _family,

@@ -5,8 +5,10 @@ Derived from the kinematics (1), Lagrangian (2) and potential (3) of Yehia & El-
 All vectors are given in the body's principal axes: w is the absolute angular velocity, a (alpha) the
 unit vector along the radius, g (gamma) the unit normal of the orbit; beta = gamma x alpha.
 
-    I w' = (I w + k) x w + 3 Omega^2 a x (I a) + H x mu,     H = h1 a + h3 g
-    a' = a x u,   g' = g x u,                                u = w - Omega g
+    I w' = (I w + k) x w + 3 Omega^2 a x (I a) + H x mu - damping u,     H = h1 a + h3 g
+    a' = a x u,   g' = g x u,                                             u = w - Omega g
+
+The damping is not of the paper; with it the Jacobi integral falls at the rate damping u.u.
 
 Every function takes the state and the constants as sequences in the order of STATE and CONSTANTS and
 is plain arithmetic, which holds for numbers and for arrays of one shape. The engine copies the source of the
@@ -21,11 +23,11 @@ STATE = ("w1", "w2", "w3", "a1", "a2", "a3", "g1", "g2", "g3")
 FRAME_VECTORS = (("a1", "a2", "a3"), ("g1", "g2", "g3"))
 # Body and fields, then combinations of them in the right-hand side: D1 = (B - C)/A and so on, N = 3 Omega^2 for
 # an a of length 1, the reciprocal lengths of a and g (h1, Omega and h3 are divided by those lengths), and
-# components of rotor and magnet over a moment of inertia. At most 30: Numba cannot unpack a longer tuple.
+# components of rotor and magnet and the damping over a moment of inertia.
 CONSTANTS = (
     "A", "B", "C", "Omega", "k1", "k2", "k3", "mu1", "mu2", "mu3", "h1", "h3",
     "D1", "D2", "D3", "N", "a_inv", "g_inv", "k2_A", "k3_A", "k3_B", "k1_B", "k1_C", "k2_C",
-    "mu3_A", "mu2_A", "mu1_B", "mu3_B", "mu2_C", "mu1_C",
+    "mu3_A", "mu2_A", "mu1_B", "mu3_B", "mu2_C", "mu1_C", "damping_A", "damping_B", "damping_C",
 )  # fmt: skip
 # Constants that are 1 in the kernels' units.
 ONES = ("N", "Omega")
@@ -39,13 +41,14 @@ def rhs(state, constants):
     (
         A, B, C, Omega, k1, k2, k3, mu1, mu2, mu3, h1, h3, D1, D2, D3, N, a_inv, g_inv,
         k2_A, k3_A, k3_B, k1_B, k1_C, k2_C, mu3_A, mu2_A, mu1_B, mu3_B, mu2_C, mu1_C,
+        damping_A, damping_B, damping_C,
     ) = constants  # fmt: skip
     H1, H2, H3 = h1 * a1 + h3 * g1, h1 * a2 + h3 * g2, h1 * a3 + h3 * g3
     u1, u2, u3 = w1 - Omega * g1, w2 - Omega * g2, w3 - Omega * g3
     return (
-        (D1 * w2 + k2_A) * w3 - k3_A * w2 - N * D1 * a2 * a3 + H2 * mu3_A - H3 * mu2_A,
-        (D2 * w3 + k3_B) * w1 - k1_B * w3 - N * D2 * a3 * a1 + H3 * mu1_B - H1 * mu3_B,
-        (D3 * w1 + k1_C) * w2 - k2_C * w1 - N * D3 * a1 * a2 + H1 * mu2_C - H2 * mu1_C,
+        (D1 * w2 + k2_A) * w3 - k3_A * w2 - N * D1 * a2 * a3 + H2 * mu3_A - H3 * mu2_A - damping_A * u1,
+        (D2 * w3 + k3_B) * w1 - k1_B * w3 - N * D2 * a3 * a1 + H3 * mu1_B - H1 * mu3_B - damping_B * u2,
+        (D3 * w1 + k1_C) * w2 - k2_C * w1 - N * D3 * a1 * a2 + H1 * mu2_C - H2 * mu1_C - damping_C * u3,
         a2 * u3 - a3 * u2,
         a3 * u1 - a1 * u3,
         a1 * u2 - a2 * u1,
@@ -65,6 +68,7 @@ def scaled(state, constants, h):
     (
         A, B, C, Omega, k1, k2, k3, mu1, mu2, mu3, h1, h3, D1, D2, D3, N, a_inv, g_inv,
         k2_A, k3_A, k3_B, k1_B, k1_C, k2_C, mu3_A, mu2_A, mu1_B, mu3_B, mu2_C, mu1_C,
+        damping_A, damping_B, damping_C,
     ) = constants  # fmt: skip
     a = (N * h * h + 1e-200) ** 0.5
     g = Omega * h + 1e-100
@@ -73,6 +77,7 @@ def scaled(state, constants, h):
         D1, D2, D3, N * h * h / (a * a), a_inv / a, g_inv / g,
         k2_A * h, k3_A * h, k3_B * h, k1_B * h, k1_C * h, k2_C * h,
         mu3_A * h * h, mu2_A * h * h, mu1_B * h * h, mu3_B * h * h, mu2_C * h * h, mu1_C * h * h,
+        damping_A * h, damping_B * h, damping_C * h,
     )  # fmt: skip
 
 
@@ -82,6 +87,7 @@ def unscaled(state, constants, h):
     (
         A, B, C, Omega, k1, k2, k3, mu1, mu2, mu3, h1, h3, D1, D2, D3, N, a_inv, g_inv,
         k2_A, k3_A, k3_B, k1_B, k1_C, k2_C, mu3_A, mu2_A, mu1_B, mu3_B, mu2_C, mu1_C,
+        damping_A, damping_B, damping_C,
     ) = constants  # fmt: skip
     return w1 / h, w2 / h, w3 / h, a1 * a_inv, a2 * a_inv, a3 * a_inv, g1 * g_inv, g2 * g_inv, g3 * g_inv
 
@@ -92,6 +98,7 @@ def frame_motion(state, constants):
     (
         A, B, C, Omega, k1, k2, k3, mu1, mu2, mu3, h1, h3, D1, D2, D3, N, a_inv, g_inv,
         k2_A, k3_A, k3_B, k1_B, k1_C, k2_C, mu3_A, mu2_A, mu1_B, mu3_B, mu2_C, mu1_C,
+        damping_A, damping_B, damping_C,
     ) = constants  # fmt: skip
     return w1 - Omega * g1, w2 - Omega * g2, w3 - Omega * g3, g1 * g_inv, g2 * g_inv, g3 * g_inv
 
@@ -102,6 +109,7 @@ def axis_in_frame(state, constants):
     (
         A, B, C, Omega, k1, k2, k3, mu1, mu2, mu3, h1, h3, D1, D2, D3, N, a_inv, g_inv,
         k2_A, k3_A, k3_B, k1_B, k1_C, k2_C, mu3_A, mu2_A, mu1_B, mu3_B, mu2_C, mu1_C,
+        damping_A, damping_B, damping_C,
     ) = constants  # fmt: skip
     return a3 * a_inv, (g1 * a2 - g2 * a1) * a_inv * g_inv
 
@@ -110,11 +118,12 @@ def axis_in_frame(state, constants):
 
 
 def jacobi(state, constants):
-    """Jacobi integral L2 - L0 + V of (2) and (3), written in absolute rates."""
+    """Jacobi integral L2 - L0 + V of (2) and (3), written in absolute rates; conserved without damping."""
     w1, w2, w3, a1, a2, a3, g1, g2, g3 = state
     (
         A, B, C, Omega, k1, k2, k3, mu1, mu2, mu3, h1, h3, D1, D2, D3, N, a_inv, g_inv,
         k2_A, k3_A, k3_B, k1_B, k1_C, k2_C, mu3_A, mu2_A, mu1_B, mu3_B, mu2_C, mu1_C,
+        damping_A, damping_B, damping_C,
     ) = constants  # fmt: skip
     return (
         0.5 * (A * w1 * w1 + B * w2 * w2 + C * w3 * w3),
@@ -130,6 +139,7 @@ def length_alpha(state, constants):
     (
         A, B, C, Omega, k1, k2, k3, mu1, mu2, mu3, h1, h3, D1, D2, D3, N, a_inv, g_inv,
         k2_A, k3_A, k3_B, k1_B, k1_C, k2_C, mu3_A, mu2_A, mu1_B, mu3_B, mu2_C, mu1_C,
+        damping_A, damping_B, damping_C,
     ) = constants  # fmt: skip
     a1, a2, a3 = a1 * a_inv, a2 * a_inv, a3 * a_inv
     return a1 * a1, a2 * a2, a3 * a3
@@ -141,6 +151,7 @@ def length_gamma(state, constants):
     (
         A, B, C, Omega, k1, k2, k3, mu1, mu2, mu3, h1, h3, D1, D2, D3, N, a_inv, g_inv,
         k2_A, k3_A, k3_B, k1_B, k1_C, k2_C, mu3_A, mu2_A, mu1_B, mu3_B, mu2_C, mu1_C,
+        damping_A, damping_B, damping_C,
     ) = constants  # fmt: skip
     g1, g2, g3 = g1 * g_inv, g2 * g_inv, g3 * g_inv
     return g1 * g1, g2 * g2, g3 * g3
@@ -152,16 +163,18 @@ def length_sum(state, constants):
     (
         A, B, C, Omega, k1, k2, k3, mu1, mu2, mu3, h1, h3, D1, D2, D3, N, a_inv, g_inv,
         k2_A, k3_A, k3_B, k1_B, k1_C, k2_C, mu3_A, mu2_A, mu1_B, mu3_B, mu2_C, mu1_C,
+        damping_A, damping_B, damping_C,
     ) = constants  # fmt: skip
     x, y, z = a1 * a_inv + g1 * g_inv, a2 * a_inv + g2 * g_inv, a3 * a_inv + g3 * g_inv
     return x * x, y * y, z * z
 
 
 def axial_momentum(state, constants):
-    """C w3 + k3, conserved if A = B and neither rotor nor magnet has a transverse part."""
+    """C w3 + k3, conserved without damping if A = B and neither rotor nor magnet has a transverse part."""
     w1, w2, w3, a1, a2, a3, g1, g2, g3 = state
     (
         A, B, C, Omega, k1, k2, k3, mu1, mu2, mu3, h1, h3, D1, D2, D3, N, a_inv, g_inv,
         k2_A, k3_A, k3_B, k1_B, k1_C, k2_C, mu3_A, mu2_A, mu1_B, mu3_B, mu2_C, mu1_C,
+        damping_A, damping_B, damping_C,
     ) = constants  # fmt: skip
     return C * w3, k3

@@ -22,7 +22,7 @@ _ZERO_EIGENVALUE = 1e-6  # of the Hessian, relative to its scale
 _SAME = 1e-4  # distance of rotation matrices that are taken as equal
 _MAX_SCALE = 1e60  # of units, rates and torques; products of a few of them are finite
 _BLOCK = 512  # bodies that are computed together
-_NAMES = ("A", "B", "C", "Omega", "k1", "k2", "k3", "mu1", "mu2", "mu3", "h1", "h3")
+_NAMES = ("A", "B", "C", "Omega", "k1", "k2", "k3", "mu1", "mu2", "mu3", "h1", "h3", "damping")
 
 
 def equilibria(body: Mapping[str, float]) -> dict[str, NDArray[Any]]:
@@ -34,7 +34,7 @@ def equilibria(body: Mapping[str, float]) -> dict[str, NDArray[Any]]:
     Parameters
     ----------
     body : mapping
-        A, B, C, Omega, k1..k3, mu1..mu3, h1, h3; those left out take their defaults, start values are ignored.
+        A, B, C, Omega, k1..k3, mu1..mu3, h1, h3, damping; those left out take their defaults, start values are ignored.
 
     Returns
     -------

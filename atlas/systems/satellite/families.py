@@ -13,7 +13,8 @@ a = (A + B) / 2. With n = 0 and A = B the motion is steady if and only if (m not
 The families overlap; a point belongs to the first that holds, in the order of FAMILIES. Residuals are
 divided by natural scales: largest inertia J, rate w = Omega + |n| + |m| + |theta_dot0|, momentum
 J w + |k|, torque w (J w + |k|) + |mu| |h|. With Omega = 0 every family below is still exact, but a free
-or heavy body has more steady motions than these.
+or heavy body has more steady motions than these. With damping a steady motion keeps its Jacobi integral only
+at rest in the orbital frame, w' = 0: these motions and no others are then left.
 """
 
 from __future__ import annotations
@@ -78,6 +79,12 @@ def _field(p: Points) -> tuple[Array, Array, Array]:
     return p["h1"] * cp, p["h3"] * s - p["h1"] * c * sp, p["h3"] * c + p["h1"] * s * sp
 
 
+def _turn_rate(p: Points) -> Array:
+    """|n gamma + m e3|, the rate of the rotation relative to the orbital frame."""
+    s, c = _trig(p["theta0"])
+    return np.hypot(p["n"] * s, p["n"] * c + p["m"])
+
+
 def _w3(p: Points) -> Array:
     return (p["n"] + p["Omega"]) * _trig(p["theta0"])[1] + p["m"]
 
@@ -121,6 +128,11 @@ _NO_RADIAL_TORQUE = Condition("h1 mu = 0", lambda p: _relative_to(p["h1"] * _mom
 _NO_AXIAL_RADIAL_TORQUE = Condition("h1 mu3 = 0", lambda p: _relative_to(p["h1"] * p["mu3"], _torque(p)))
 
 
+def _dissipation(p: Points) -> Array:
+    """Torque of the damping, over the scale of torques."""
+    return _relative_to(p["damping"] * _turn_rate(p), _torque(p) + p["damping"] * _rate(p))
+
+
 def _pair(p: Points, factor: Array, real: Array, imaginary: Array) -> Array:
     """|factor K - (real + i imaginary) U| over the scale of torques."""
     first = factor * p["k1"] - real * p["mu1"] + imaginary * p["mu2"]
@@ -137,6 +149,7 @@ def _node_pair(p: Points) -> Array:
     return _pair(p, p["Omega"] * _trig(p["theta0"])[0], H2, H1)
 
 
+_NO_DISSIPATION = Condition("damping (w - Omega gamma) = 0", _dissipation)
 _SPINNING_PAIR = Condition("w3 k1,2 = H3 mu1,2", _spinning_pair)
 _NODE_PAIR = Condition("Omega sin theta0 (k1 + i k2) = (H2 + i H1) (mu1 + i mu2)", _node_pair)
 
@@ -339,8 +352,7 @@ def _solve_theta_upright(p: Points) -> Array:
 
 
 def _no_rotation(p: Points) -> Array:
-    s, c = _trig(p["theta0"])
-    return _relative_to(np.hypot(p["n"] * s, p["n"] * c + p["m"]), _rate(p))
+    return _relative_to(_turn_rate(p), _rate(p))
 
 
 def _rest_torque(p: Points, with_rotor: bool = True) -> tuple[Array, Array, Array]:
@@ -773,7 +785,12 @@ _TABLE = (
     ),
 )  # fmt: skip
 
-FAMILIES: dict[str, Family] = {family.name: replace(family, motion=steady_motion) for family in _TABLE}
+# Damping leaves the motions at rest in the orbital frame, which the family "equilibrium" demands anyway.
+_UNDAMPED = {family.name: () if family.name == "equilibrium" else (_NO_DISSIPATION,) for family in _TABLE}
+FAMILIES: dict[str, Family] = {
+    family.name: replace(family, motion=steady_motion, conditions=family.conditions + _UNDAMPED[family.name])
+    for family in _TABLE
+}
 
 
 def condition_residual(points: Points) -> Array:

@@ -23,6 +23,7 @@ _TABLE = (
     ("mu3", "A m2", r"$\mu_3$", 0.0, -np.inf, False, False, "magnetic moment along the third body axis"),
     ("h1", "T", "$h_1$", 0.0, -np.inf, False, False, "magnetic field along the radius (the potential is +mu.H, as in (3))"),
     ("h3", "T", "$h_3$", 0.0, -np.inf, False, False, "magnetic field along the orbit normal (the potential is +mu.H, as in (3))"),
+    ("damping", "N m s", "$D$", 0.0, 0.0, False, False, "viscous damping, a torque of -D times the angular velocity relative to the orbital frame"),
     ("theta0", "rad", r"$\theta_0$", 0.0, -np.inf, False, True, "angle from the orbit normal to the third body axis at the start"),
     ("psi0", "rad", r"$\psi_0$", 0.0, -np.inf, False, True, "precession angle at the start, about the orbit normal from the radius"),
     ("phi0", "rad", r"$\varphi_0$", 0.0, -np.inf, False, True, "angle of proper rotation at the start"),
@@ -46,7 +47,8 @@ def constants(points: Points) -> Array:
     body = [A, B, C, Omega, k1, k2, k3, mu1, mu2, mu3, p["h1"], p["h3"]]
     rotor = [k2 / A, k3 / A, k3 / B, k1 / B, k1 / C, k2 / C]
     magnet = [mu3 / A, mu2 / A, mu1 / B, mu3 / B, mu2 / C, mu1 / C]
-    return np.array([*body, *D, 3 * Omega**2, np.ones_like(A), np.ones_like(A), *rotor, *magnet])
+    damping = [p["damping"] / A, p["damping"] / B, p["damping"] / C]
+    return np.array([*body, *D, 3 * Omega**2, np.ones_like(A), np.ones_like(A), *rotor, *magnet, *damping])
 
 
 def directions(points: Points) -> tuple[Array, Array]:
@@ -72,12 +74,13 @@ def initial_state(points: Points) -> Array:
 def integral_scales(points: Points) -> dict[str, Array]:
     """Lower bound of the magnitude of each integral, nan where it is not conserved; see System.integral_scales."""
     zero = np.zeros_like(points["A"])
-    axial = points["A"] == points["B"]
+    undamped = points["damping"] == 0
+    axial = undamped & (points["A"] == points["B"])
     for name in ("k1", "k2", "mu1", "mu2"):
         axial = axial & (points[name] == 0)
     rates = sum(np.abs(points[name]) for name in ("Omega", "n", "m", "theta_dot0"))
     return {
-        "jacobi": zero,
+        "jacobi": np.where(undamped, 0.0, np.nan),
         "length_alpha": zero,
         "length_gamma": zero,
         "length_sum": zero,
@@ -88,10 +91,11 @@ def integral_scales(points: Points) -> dict[str, Array]:
 def frequency_bound(points: Points) -> Array:
     """Upper bound of the fastest frequency of the motion, rad per time unit, shape (points,).
 
-    The Jacobi integral T + U = const, with T the kinetic energy of w' and U = V - Omega k.gamma
-    - Omega^2/2 gamma.I gamma, bounds w' through the range of U. With every |w_i| bounded, the
+    The Jacobi integral T + U, with T the kinetic energy of w' and U = V - Omega k.gamma
+    - Omega^2/2 gamma.I gamma, never grows, and bounds w' through the range of U. With every |w_i| bounded, the
     frozen linearised equations in the coordinates sqrt(I) w are bounded block by block, and the
-    Perron root of the 2 x 2 matrix of the block norms bounds their frequencies.
+    Perron root of the 2 x 2 matrix of the block norms bounds their frequencies. Damping D adds D I^-1 to the
+    block of w, whose norm is D over the least moment, and D Omega I^(-1/2) to that from gamma to w.
     """
     A, B, C, Omega = points["A"], points["B"], points["C"], np.abs(points["Omega"])
     inertia = np.array([A, B, C])
@@ -134,17 +138,18 @@ def frequency_bound(points: Points) -> Array:
         entry = np.where(symmetric & (axis != 2), 0.0, entry)
         rows[i] += entry
         columns[j] += entry
-    gyration = np.sqrt(rows.max(0) * columns.max(0))
+    damping = points["damping"] / min_inertia
+    gyration = np.sqrt(rows.max(0) * columns.max(0)) + damping
     differences = np.array([C - B, A - C, B - A])
     gradient = 3 * Omega**2 * np.sqrt((differences**2 / inertia).sum(0) / min_inertia)
-    stiffness = np.sqrt(2) * (gradient + moment * field / min_inertia)
+    stiffness = np.sqrt(2) * (gradient + moment * field / min_inertia + damping * Omega)
     kinematic = max_turn + Omega
     half = 0.5 * (gyration + kinematic)
     return half + np.sqrt((0.5 * (gyration - kinematic)) ** 2 + stiffness)
 
 
 def specialization(zero: Set[str], equal: Set[tuple[str, str]]) -> tuple[set[str], set[tuple[str, str]]]:
-    """Constants that vanish without magnet, rotor or orbit; those that are equal on an axially symmetric body.
+    """Constants that vanish without magnet, rotor, orbit or damping; those equal on an axially symmetric body.
 
     See System.specialization.
     """
@@ -155,10 +160,12 @@ def specialization(zero: Set[str], equal: Set[tuple[str, str]]) -> tuple[set[str
         zero_constants |= {"k1", "k2", "k3"}
     if "Omega" in zero:
         zero_constants |= {"Omega", "N"}
+    if "damping" in zero:
+        zero_constants |= {"damping_A", "damping_B", "damping_C"}
     equal_constants: set[tuple[str, str]] = set()
     if ("A", "B") in equal and zero | zero_constants >= {"k1", "k2", "mu1", "mu2"}:
         zero_constants |= {"k1", "k2", "mu1", "mu2", "D3"}
-        equal_constants = {("B", "A"), ("k3_B", "k3_A"), ("mu3_B", "mu3_A")}
+        equal_constants = {("B", "A"), ("k3_B", "k3_A"), ("mu3_B", "mu3_A"), ("damping_B", "damping_A")}
     # k2 / A, whose name is k2_A, vanishes with k2
     quotients = {name for name in CONSTANTS if name.split("_")[0] in zero_constants}
     return zero_constants | quotients, equal_constants

@@ -8,7 +8,8 @@ frequencies are defined up to multiples of the rate of rotation: they have none 
 The Jacobi integral is xi'.I xi' / 2 + W, W the amended potential (`Bodies.potential`), so that an equilibrium is stable
 by energy where the Hessian of W is positive definite (Lagrange, Dirichlet). With the momentum about an axis of symmetry as
 a second integral the condition is that on its level: xi_i is ignorable, and W is replaced by W + I_i (Omega (gamma_i - gamma_i0))^2 / 2
-(Routh, Rumyantsev). P. C. Hughes, Spacecraft Attitude Dynamics (1986), chapters 9 and 10.
+(Routh, Rumyantsev). Damping destroys this momentum and leaves W as it is. The frequencies are those without damping.
+P. C. Hughes, Spacecraft Attitude Dynamics (1986), chapters 9 and 10.
 """
 
 from __future__ import annotations
@@ -117,6 +118,7 @@ def energy_stability(points: Points, flags: Flags) -> tuple[Flags, Mask]:
         members = np.flatnonzero(axis == i)
         tilt = np.cross(np.eye(3)[i], gamma[finite][members])  # delta gamma_i = tilt . xi
         stiffness = (bodies.inertia[:, i] * bodies.Omega[:, 0] ** 2)[finite][members]
+        stiffness = np.where(bodies.damping[finite][members] > 0, 0.0, stiffness)
         reduced = hessian[members] + stiffness[:, None, None] * tilt[:, :, None] * tilt[:, None, :]
         reduced[:, i], reduced[:, :, i] = 0.0, 0.0
         reduced[:, i, i] = scale[members]  # the ignorable direction

@@ -72,6 +72,7 @@ class Bodies:
         mu = vectors("mu1", "mu2", "mu3")
         self.radial, self.normal = points["h1"][..., None] * mu / unit, points["h3"][..., None] * mu / unit
         self.Omega = (points["Omega"] / rate)[..., None]
+        self.damping = points["damping"] / (largest * rate)
 
     def gradient(self, alpha: Array, gamma: Array) -> tuple[Array, Array]:
         """Gradient and Hessian of the amended potential under rotations xi; the torque at rest is -gradient.
@@ -112,6 +113,12 @@ class Bodies:
         v, _, P = self._forces(w, np.zeros_like(w), alpha, gamma)
         return _hamiltonian(P, 0.5 * cross_matrix(v), self.inertia, np.eye(3))
 
+    def with_damping(self, matrix: Array) -> Array:
+        """The matrix of `linearised` with the torque -damping xi', which acts on p."""
+        damping = self.damping[..., None, None]
+        torque = np.concatenate([np.zeros_like(matrix[..., :3, :]), matrix[..., :3, :]], -2)
+        return np.where(damping > 0, matrix - damping * torque, matrix)
+
     def reduced(self, w: Array, u: Array, alpha: Array, gamma: Array) -> Array:
         """Matrix of the linear system of a turning body in the parts of (xi, p~) across u, shape (..., 4, 4).
 
@@ -148,7 +155,7 @@ def _hamiltonian(P: Array, G: Array, inertia: Array, basis: Array) -> Array:
 def linear_stability(points: Points, flags: Flags) -> tuple[Flags, Array]:
     """Spectral stability of the steady motion that each point starts.
 
-    The closed form of the family is used where it has one, else the eigenvalues at an equilibrium, else the
+    The closed form of the family is used where it has one and nothing is damped, else the eigenvalues at an equilibrium, else the
     Floquet multipliers over the period of the rotation. A motion is stable if no exponent grows beyond
     round-off, GROWTH_TOLERANCE of the rates of the point (FLOQUET_TOLERANCE times that for multipliers). The
     pair of exponents 0 of a turning body (a shift in time) is removed exactly; any other double root, which
@@ -171,6 +178,8 @@ def linear_stability(points: Points, flags: Flags) -> tuple[Flags, Array]:
         unknown.
     """
     stable, growth = stability_by_family(FAMILIES, points, flags)
+    damped = points["damping"] > 0  # the closed forms are without it
+    stable[damped], growth[damped] = Stability.UNKNOWN, np.nan
     remaining = np.flatnonzero((flags > 0) & (stable == Stability.UNKNOWN))
     for first in range(0, remaining.size, _CHUNK):
         chunk = remaining[first : first + _CHUNK]
@@ -181,13 +190,16 @@ def linear_stability(points: Points, flags: Flags) -> tuple[Flags, Array]:
 def growth_about_vertical(points: Points) -> Array:
     """Growth rate of the pitch of a body whose third axis stays on the orbit's normal, see System; (points,).
 
-    C psi'' = -U'(psi) with U = (3 Omega^2 alpha.I alpha) / 2 + h1 mu.alpha. A body that turns there has U' = 0.
+    C psi'' = -U'(psi) - damping psi' with U = (3 Omega^2 alpha.I alpha) / 2 + h1 mu.alpha. A body that turns there
+    has U' = 0 and no damping.
     """
     alpha = directions(points)[0]
     flatness = 3 * points["Omega"] ** 2 * (points["B"] - points["A"])
     magnet = points["h1"] * (points["mu1"] * alpha[0] + points["mu2"] * alpha[1])
     curvature = flatness * (alpha[0] ** 2 - alpha[1] ** 2) - magnet
-    return np.sqrt(np.maximum(-curvature / points["C"], 0.0))
+    undamped = np.sqrt(np.maximum(-curvature / points["C"], 0.0))
+    half = 0.5 * points["damping"] / points["C"]
+    return np.hypot(half, undamped) - half
 
 
 def log_growth(points: Points, flags: Flags, growth_rate: Array, duration: Array) -> Array:
@@ -223,16 +235,18 @@ def exponents(points: Points) -> tuple[Flags, Array]:
     """Stability and growth rate as linear_stability, from eigenvalues or multipliers alone; 1-D points."""
     state, rate, turn_rate = _rotation(points)
     growth = np.full(rate.shape, np.nan)
-    rest = np.flatnonzero(turn_rate <= 1e-12 * rate)
+    # With damping a steady motion is at rest but for rounding.
+    resting = (turn_rate <= 1e-12 * rate) | (points["damping"] > 0)
+    rest = np.flatnonzero(resting)
     if rest.size:
         bodies = Bodies({name: value[rest] for name, value in points.items()}, rate[rest])
         w, alpha, gamma = np.split(state[rest], 3, -1)
         w = w / rate[rest, None]
-        matrix = bodies.linearised(w, alpha, gamma)
+        matrix = bodies.with_damping(bodies.linearised(w, alpha, gamma))
         finite = np.isfinite(matrix).all((1, 2))  # squares of the smallest rates underflow
         growth[rest[finite]] = np.linalg.eigvals(matrix[finite]).real.max(-1) * rate[rest[finite]]
     stable, growth = classify_growth(growth, rate)
-    moving = np.flatnonzero(turn_rate > 1e-12 * rate)
+    moving = np.flatnonzero(~resting)
     if moving.size:
         part = {name: value[moving] for name, value in points.items()}
         floquet = _floquet_growth(part, rate[moving], turn_rate[moving])

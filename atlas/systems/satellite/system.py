@@ -109,8 +109,8 @@ class Satellite(System):
         return stability.log_growth(points, _about_third_axis(flags), growth_rate, duration)
 
     def complete(self, points: Points) -> Mask:
-        """Without an orbit a free or heavy body has more steady motions than the families."""
-        return points["Omega"] > 0
+        """Without an orbit an undamped free or heavy body has more steady motions than the families."""
+        return (points["Omega"] > 0) | (points["damping"] > 0)
 
     def geometry(
         self,

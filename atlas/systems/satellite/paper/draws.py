@@ -16,7 +16,9 @@ Measure = Callable[[np.random.Generator], float]
 
 def random_point(rng: np.random.Generator, **given: float | str) -> Point:
     """A random point of order 1 with given parameters; a name as value copies that parameter."""
-    point = {name: rng.uniform(0.4, 1.2, 1) * rng.choice([-1, 1], 1) for name in PARAMETERS}
+    names = [name for name in PARAMETERS if name != "damping"]
+    point = {name: rng.uniform(0.4, 1.2, 1) * rng.choice([-1, 1], 1) for name in names}
+    point["damping"] = np.zeros(1)  # not of the paper
     point |= {name: rng.uniform(0.7, 1.3, 1) for name in ("A", "B", "C")}
     point |= {"Omega": np.ones(1), "theta0": rng.uniform(0.4, 1.2, 1), "theta_dot0": np.zeros(1)}
     point["phi0"] = np.zeros(1)

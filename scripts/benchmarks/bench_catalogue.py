@@ -22,7 +22,8 @@ SATELLITE = get("satellite")
 def random_points(size: int, seed: int = 0) -> dict[str, np.ndarray]:
     """Random bodies and starts of order 1; a third on perp_velocity, a third on cylindrical without magnet."""
     rng = np.random.default_rng(seed)
-    points = {name: rng.uniform(0.3, 1.3, size) for name in SATELLITE.parameters}
+    names = [name for name in SATELLITE.parameters if name != "damping"]
+    points = {name: rng.uniform(0.3, 1.3, size) for name in names} | {"damping": np.zeros(size)}
     points |= {name: rng.uniform(0.7, 1.3, size) for name in "ABC"}
     tilted, upright = np.arange(size) % 3 == 1, np.arange(size) % 3 == 2
     steady = tilted | upright

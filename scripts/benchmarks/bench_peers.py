@@ -57,9 +57,10 @@ Engine = Callable[[np.ndarray, np.ndarray, float, float], np.ndarray]
 
 
 def satellites(count: int) -> dict[str, np.ndarray]:
-    """Random satellites with every term present."""
+    """Random satellites with every term of the paper present."""
     rng = np.random.default_rng(0)
-    points = {name: rng.normal(size=count) * 0.3 for name in SYSTEM.parameters}
+    names = [name for name in SYSTEM.parameters if name != "damping"]
+    points = {name: rng.normal(size=count) * 0.3 for name in names} | {"damping": np.zeros(count)}
     points |= {
         "A": rng.uniform(1, 1.4, count),
         "B": rng.uniform(1, 1.4, count),

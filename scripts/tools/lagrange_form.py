@@ -107,7 +107,8 @@ def reference(points: Points, duration: float) -> Array:
 def random_points(size: int, seed: int, **given: float | Array) -> dict[str, Array]:
     """Random bodies, rotors, magnets and starts of order 1, tilted by 0.5 to 2.6 rad."""
     rng = np.random.default_rng(seed)
-    points = {name: rng.uniform(-1, 1, size) for name in PARAMETERS}
+    names = [name for name in PARAMETERS if name != "damping"]  # not of the paper
+    points = {name: rng.uniform(-1, 1, size) for name in names} | {"damping": np.zeros(size)}
     points |= {name: rng.uniform(0.7, 1.3, size) for name in ("A", "B", "C")}
     points |= {"Omega": np.ones(size), "theta0": rng.uniform(0.5, 2.6, size)}
     return points | {name: np.broadcast_to(np.asarray(value, float), size) for name, value in given.items()}

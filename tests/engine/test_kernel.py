@@ -29,9 +29,10 @@ def module_of(request):
 
 
 def satellites(count: int, seed: int = 0, **given) -> dict[str, np.ndarray]:
-    """Random satellites in gentle motion."""
+    """Random satellites in gentle motion, without damping."""
     rng = np.random.default_rng(seed)
-    points = {name: rng.normal(size=count) * 0.4 for name in SATELLITE.parameters}
+    names = [name for name in SATELLITE.parameters if name != "damping"]
+    points = {name: rng.normal(size=count) * 0.4 for name in names} | {"damping": np.zeros(count)}
     points |= {name: rng.uniform(1, 1.4, count) for name in ("A", "B")}
     points |= {"C": rng.uniform(0.6, 1.9, count), "Omega": rng.uniform(0.5, 1.5, count)}
     points |= {"theta0": rng.uniform(0.2, 2.9, count)}

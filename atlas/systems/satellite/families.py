@@ -607,6 +607,7 @@ _TABLE = (
         labels="at rest in the orbital frame, turning with it in space: permanent rotation in both",
         exists="every orientation without torque about the normal has such a rotor, k is free along the normal;"
         " atlas.equilibria finds all orientations of a given body",
+        free=("damping",),
     ),
     Family(
         name="perp_radius",

@@ -82,6 +82,13 @@ PICTURES = (
         "stability_kind",
     ),
     Picture(
+        "gravity_gradient_damped",
+        "The first of these diagrams with viscous damping, a torque of -0.3 B Omega times the angular velocity relative to the"
+        " orbit. Motions in Lagrange's triangle return to rest. Those in the region of DeBra and Delp drift, but for 10 of 962"
+        " points next to K1 = K3 = 0, a sphere. There, and where A is small, deviations grow too slowly to be seen in 50 orbits."
+        " On the line K1 = K3 > 0 the body is symmetric (A = B): a turn about its axis neither grows nor decays.",
+    ),
+    Picture(
         "conditions_k3",
         f"The condition (24) of {SATELLITE} on the rotor momentum k3, with an axial magnet, is a curve and no region: the"
         " rms of theta' over 10 orbits is zero on the line in the middle only, where k3 is exact. On the left of"

@@ -138,10 +138,12 @@ def evaluate(
             threads=threads, progress=progress,
         )  # fmt: skip
     frames = any_axis.frames(system, outputs or ())
-    runs = _prepare(system, base, points, duration, settings, specialization, nudged, halved, frames, threads)
+    execution = _Execution(threads, progress or (lambda points: None))
+    runs = _prepare(
+        system, base, points, duration, settings, specialization, nudged, halved, frames, execution
+    )
     if outputs is not None and CHAOS & set(outputs):
         runs = _with_tangent_steps(runs, points)
-    execution = _Execution(threads, progress or (lambda points: None))
     whole_run = outputs is None or bool(WHOLE_RUN & set(outputs))
     integration = _integrate(runs, whole_run, execution)
     measured = _measured(integration, settings)
@@ -224,14 +226,14 @@ def _prepare(
     nudged: bool,
     halved: bool,
     frames: int,
-    threads: int | None,
+    execution: _Execution,
 ) -> _Runs:
     """The ensemble, its step sizes and its theory. Parameters may overflow: such points end up unresolved."""
     ensemble = Ensemble.of(system, points, frames)
     if system.has_numeric_bound:
         bound, settled = numeric_bound.along_runs(
             system, kernel(system, settings.method, specialization), METHODS[settings.method], ensemble, duration,
-            settings.max_steps, threads=threads,
+            settings.max_steps, threads=execution.threads,
         )  # fmt: skip
         ensemble = replace(ensemble, frequency_bound=np.where(settled, bound, np.inf))
     with np.errstate(all="ignore"):
@@ -239,7 +241,14 @@ def _prepare(
         if halved:
             step_sizes = step_sizes.halved(METHODS[settings.method])
         prediction = predict_runs(
-            system, base, points, duration, settings.rate_tolerance, nudged=nudged, any_axis=frames > 0
+            system,
+            base,
+            points,
+            duration,
+            settings.tolerances,
+            nudged=nudged,
+            any_axis=frames > 0,
+            pause=lambda: execution.progress(0.0),
         )
         theory, pushed, log_growth = prediction.variables, prediction.pushed, prediction.log_growth
         # The growth of an offset in one step is rounded: where that is a per cent of it or more, rounding decides.

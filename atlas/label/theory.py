@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
 
 from ..flags import Agreement, Label, Stability
+from ..scene.model import Tolerances
 from ..systems.base import FAMILY_TOLERANCE, Array, Flags, Mask, Points, System
 from .labels import ROUNDING_RESIDUAL, steady_label
+from .offsets import MAX_RESIDUAL, describes, off_family_labels
 
+# Predicted label about any axes -> about the third axis and the vertical.
+THIRD_AXIS = {"predicted_any_axis": "predicted", "predicted_any_axis_inertial": "predicted_inertial"}
 MAX_LOG_GROWTH = 700.0  # exp of more overflows
 
 
@@ -21,7 +25,8 @@ class Prediction:
     Attributes
     ----------
     variables : mapping of str to ndarray
-        As `predict` returns them.
+        As `predict` returns them, but for the predicted labels of starts that are off every family and near one: these
+        come from the linear equations, see `offsets`.
     residual : ndarray of float64
         Of the conditions of a steady motion, at the start that is integrated.
     start_residual : ndarray of float64
@@ -47,10 +52,11 @@ def predict_runs(
     base: Points,
     points: Points,
     duration: Array,
-    rate_tolerance: float,
+    tolerances: Tolerances,
     *,
     nudged: bool,
     any_axis: bool = False,
+    pause: Callable[[], None] = lambda: None,
 ) -> Prediction:
     """Predictions for runs of some length.
 
@@ -61,19 +67,22 @@ def predict_runs(
         The starts before and after the nudge.
     duration : ndarray of float64, shape (points,)
         In time units.
-    rate_tolerance : float
-        Rates of at most this count as zero, rad per time unit.
+    tolerances : Tolerances
+        Of labels.
     nudged : bool
         Whether there is a nudge. One along a family leads to another exact start.
     any_axis : bool
         Whether labels about any axes are measured. Without them a motion about other axes than the third and the
         vertical drifts, however it grows.
+    pause : callable
+        See `offsets.off_family_labels`.
     """
     with np.errstate(all="ignore"):
         residual = system.condition_residual(points)
         nearby = residual <= FAMILY_TOLERANCE
         pushed = ~exact_starts(system, points, nearby) if nudged else np.zeros_like(nearby)
-        variables = predict(system, base, rate_tolerance, pushed)
+        variables = predict(system, base, tolerances.rate, pushed)
+        variables |= _near_families(system, base, points, residual, variables, duration, tolerances, pause)
         growth = system.log_growth(base, variables["family"], variables["growth_rate"], duration)
         other = _about_other_axes(system, variables["family"])
         start_residual = residual.copy()
@@ -86,6 +95,35 @@ def predict_runs(
             growth, other = np.where(other, 0.0, growth), np.zeros_like(other)
     log_growth = np.minimum(np.nan_to_num(growth, nan=0.0), MAX_LOG_GROWTH)
     return Prediction(variables, residual, start_residual, other, pushed, log_growth)
+
+
+def _near_families(
+    system: System,
+    base: Points,
+    points: Points,
+    residual: Array,
+    theory: Mapping[str, np.ndarray],
+    duration: Array,
+    tolerances: Tolerances,
+    pause: Callable[[], None],
+) -> dict[str, np.ndarray]:
+    """Predicted labels where starts that are off every family may be near one, from the linear equations."""
+    if not describes(system):
+        return {}
+    off = (theory["family"] == 0) | _about_other_axes(system, theory["family"])
+    off &= system.complete(base) & system.within_range(base)
+    where = np.flatnonzero(off & (residual <= MAX_RESIDUAL))
+    frames = {"predicted": np.zeros(where.size)}
+    if not where.size:
+        return {}
+    if system.frame_rate is not None:
+        frames["predicted_inertial"] = system.frame_rate(base)[where]
+    part = {name: values[where] for name, values in points.items()}
+    found = off_family_labels(system, part, duration[where], tolerances, frames, pause)
+    result = {name: theory[name].copy() for name in frames}
+    for name, labels in found.items():
+        result[name][where] = labels
+    return result
 
 
 def predict(
@@ -157,7 +195,7 @@ def predict_any_axis(
     base, points : mapping of str to ndarray of float64, shape (points,)
         The starts before and after the nudge.
     theory : mapping of str to ndarray
-        family and stable, as `predict` returns them.
+        family, stable and the predicted labels, as `Prediction.variables`.
     rate_tolerance : float
         Rates of at most this count as zero, rad per time unit.
     nudged : bool
@@ -185,7 +223,10 @@ def predict_any_axis(
             # A circle of the angular velocity that is as small as the tolerance is a point.
             constant = (sine <= FAMILY_TOLERANCE) | (other & (np.abs(rate) * sine <= rate_tolerance))
             label = steady_label(rate, m, constant, rate_tolerance)
-            result[name] = _after_nudge(label, stable, pushed, family > 0, complete)
+            label = _after_nudge(label, stable, pushed, family > 0, complete)
+            # Near a family about the third axis and the vertical the label about these is that about any axes.
+            near = (family == 0) & (theory[THIRD_AXIS[name]] != Label.DRIFTING)
+            result[name] = np.where(near, theory[THIRD_AXIS[name]], label).astype(np.int8)
     return result
 
 

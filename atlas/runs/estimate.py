@@ -100,7 +100,7 @@ def _measure(scene: Scene, sample: grid.Grid, threads: int) -> _Measurement:
     scene, points = _calibration(scene, sample, threads)
     started = time.perf_counter()
     predict_runs(
-        scene.system, points.base, points.points, points.duration, scene.settings.rate_tolerance,
+        scene.system, points.base, points.points, points.duration, scene.settings.tolerances,
         nudged=bool(scene.nudge),
     )  # fmt: skip
     theory_seconds = time.perf_counter() - started

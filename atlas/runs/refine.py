@@ -155,7 +155,7 @@ class _FineGrid:
             existing_points = points.subset(points.exists)
             prediction = theory.predict_runs(
                 scene.system, existing_points.base, existing_points.points, existing_points.duration,
-                scene.settings.rate_tolerance, nudged=bool(scene.nudge),
+                scene.settings.tolerances, nudged=bool(scene.nudge),
             )  # fmt: skip
             self.growth_rate[existing] = prediction.variables["growth_rate"]
             for name, flags in self.predicted.items():

@@ -5,8 +5,8 @@ residual acceleration f(t) = F(x0) - x0'. To first order in f and in theta' of t
 
     d' = F'(x0(t)) d + f(t),    d(0) = start - x0(0),
 
-(Duhamel's principle; W. Walter, Ordinary Differential Equations, Springer 1998, section 14). The forced and the free
-oscillations, secular drifts and the growth beside an unstable motion are all parts of d.
+by variation of constants. The forced and the free oscillations, secular drifts and the growth beside an unstable motion are
+all parts of d.
 """
 
 from __future__ import annotations
@@ -126,13 +126,10 @@ class _SteadyMotions:
     def at(self, t: Array) -> Array:
         """States at times of shape (times, points), (states, times, points)."""
         equations = self.system.equations
-        shape = (len(self.state), *t.shape)
-        if not (self.n.any() or self.m.any()):
-            return np.broadcast_to(self.state[:, None], shape)
         g = np.array(equations.frame_motion(self.state, self.constants))[3:]
         third = np.zeros_like(g)
         third[2] = 1.0
-        axes, state = TwoAxes(third, self.m, g, self.n), np.zeros(shape)
+        axes, state = TwoAxes(third, self.m, g, self.n), np.zeros((len(self.state), *t.shape))
         for names in equations.FRAME_VECTORS:
             vector = _indices(self.system, names)
             u, state[vector] = motion_about_axes(axes, self.state[vector], t)
@@ -314,8 +311,9 @@ class _Sums:
             "normal_rate": np.where(used, along + u3 * g3 - self.normal_rate, 0.0),
         }
         for name, value in values.items():
-            self.sums[name] += value.sum(0)
-            self.squares[name] += (value**2).sum(0)
+            # One by one: the order of the additions in `sum` depends on the number of points.
+            self.sums[name] += np.add.accumulate(value)[-1]
+            self.squares[name] += np.add.accumulate(value**2)[-1]
         theta = np.arctan2(sine, g3)
         self.tilt["theta_min"] = np.fmin(self.tilt["theta_min"], np.where(used, theta, np.inf).min(0))
         self.tilt["theta_max"] = np.fmax(self.tilt["theta_max"], np.where(used, theta, 0.0).max(0))
@@ -336,12 +334,13 @@ class _Sums:
         error |= {"theta_min": swing, "theta_max": swing, "sine_max": swing}
         label = labels.label(measured, tolerances, frame_rate)
         unsure = labels.unsure(measured, error, tolerances, frame_rate)
-        # Terms of second order could make a steady motion drift, hardly the reverse.
+        # Terms of second order decide nothing; a motion that has left the linear range drifts if it drifted before.
         second_order = self.largest**2
         error = {
             name: value + second_order * (1.0 if name in self.tilt else self.bound)
             for name, value in error.items()
         }
         steady = label != Label.DRIFTING
-        unsure |= steady & (~self.linear | labels.unsure(measured, error, tolerances, frame_rate))
+        within = labels.unsure(measured, error, tolerances, frame_rate)
+        unsure |= np.where(self.linear, within, steady)
         return np.where(unsure, Label.NOT_COMPUTED, label).astype(np.int8)

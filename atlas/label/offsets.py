@@ -32,6 +32,9 @@ _FAR = 10.0
 _LINEAR = 1e-2
 # Relative error that is assumed of every deviation from the steady motion.
 _MARGIN = 0.1
+# Terms of second order over the squared deviation, an estimate: where linear theory gives a steady label, and where it gives
+# drift. Of 95 in 100 random offsets they are below 0.03; slow turns of x0 away from the motion cause the largest.
+_SECOND_ORDER = 0.25, 1.0
 # Of the classical Runge-Kutta method, in radians of the frequency bound. Damping in a hundred radians: 2 %.
 _STEP = 0.4
 _MIN_STEPS, _MAX_STEPS = 64, 2**16  # in a run
@@ -335,12 +338,12 @@ class _Sums:
         label = labels.label(measured, tolerances, frame_rate)
         unsure = labels.unsure(measured, error, tolerances, frame_rate)
         # Terms of second order decide nothing; a motion that has left the linear range drifts if it drifted before.
-        second_order = self.largest**2
+        steady = label != Label.DRIFTING
+        second_order = np.where(steady, *_SECOND_ORDER) * self.largest**2
         error = {
             name: value + second_order * (1.0 if name in self.tilt else self.bound)
             for name, value in error.items()
         }
-        steady = label != Label.DRIFTING
         within = labels.unsure(measured, error, tolerances, frame_rate)
         unsure |= np.where(self.linear, within, steady)
         return np.where(unsure, Label.NOT_COMPUTED, label).astype(np.int8)

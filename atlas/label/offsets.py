@@ -38,7 +38,7 @@ _SECOND_ORDER = 0.25, 1.0
 # Of the classical Runge-Kutta method, in radians of the frequency bound. Damping in a hundred radians: 2 %.
 _STEP = 0.4
 _MIN_STEPS, _MAX_STEPS = 64, 2**16  # in a run
-_TOGETHER = 4096  # matrices that are computed together, a power of two
+_TOGETHER = 16384  # matrices that are computed together, a power of two
 _RATES = ("theta_dot", "psi_dot", "phi_dot", "normal_rate")
 _BLOCK = 64  # samples that are evaluated together
 

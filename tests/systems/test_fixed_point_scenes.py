@@ -74,7 +74,10 @@ def test_scenes_agree_with_theory_at_reduced_counts(path):
         assert (ds.label_any_axis == Label.REGULAR_PRECESSION).sum() > 20
     if path.stem == "fast_spin_survival":  # no steady motion exists, but some motions are steady to tolerance
         steady = {Label.REGULAR_PRECESSION, Label.PERMANENT_ROTATION}
-        assert (ds.predicted == Label.DRIFTING).all()
+        decided = ds.predicted.values != Label.NOT_COMPUTED
+        assert decided.mean() > 0.8
+        # Some starts that are far from steady by their acceleration precess within the tolerance nevertheless.
+        assert (ds.predicted.values == ds.label.values)[decided].mean() > 0.95
         assert set(np.unique(ds.label)) == {Label.DRIFTING} | steady
     elif "agreement" in ds:
         assert np.isin(ds.agreement, (Agreement.NOT_COMPARED, Agreement.AGREE)).mean() > 0.98

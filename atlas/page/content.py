@@ -74,7 +74,7 @@ class Content:
         return {
             "title": printable(str(attributes.get("title", "Atlas")), MAX_TEXT),
             "system": self.system.title,
-            "frame": self.system.frame,
+            "frame": "" if self.system.observables else self.system.frame,
             "reference": printable(str(attributes.get("references", "")), MAX_MESSAGE),
             "caption": figure_text.caption(self.layout.whole) if not self.layout.points else "",
             "notes": [runs(note) for note in self.notes],

@@ -293,7 +293,7 @@ function firstVariable() {
 
 async function begin() {
   applyTheme();
-  byId("subtitle").textContent = `${data.system}, motion in the ${data.frame} frame`;
+  byId("subtitle").textContent = data.frame ? `${data.system}, motion in the ${data.frame} frame` : data.system;
   byId("notes").replaceChildren(...data.notes.map((runs) => element("p", {}, formula(runs))));
   const footer = [data.caption, data.caption ? "" : data.reference].filter(Boolean);
   byId("footer").replaceChildren(...footer.map((text) => element("p", {}, text)));

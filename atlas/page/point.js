@@ -165,7 +165,8 @@ function verdict(index) {
     const dot = element("i");
     dot.style.background = flag.colour;
     const frame = name === "label" ? data.frame : "inertial";
-    nodes.push(element("div", { class: "badge" }, dot, `${flag.text} (${frame} frame)`));
+    const text = frame ? `${flag.text} (${frame} frame)` : flag.text;
+    nodes.push(element("div", { class: "badge" }, dot, text));
     nodes.push(element("p", { class: "sentence" }, flag.sentence));
   }
   const status = data.variables.find((each) => each.name === "status");

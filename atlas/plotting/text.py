@@ -172,7 +172,8 @@ def caption(ds: xr.Dataset) -> str:
     """
     system, scene, attributes = system_of(ds), scene_of(ds), ds.attrs
     sentences = [
-        f"{printable(str(attributes.get('title', 'Atlas')), MAX_TEXT)}: {system.title}, motion in the {system.frame} frame."
+        f"{printable(str(attributes.get('title', 'Atlas')), MAX_TEXT)}: {system.title}"
+        + ("." if system.observables else f", motion in the {system.frame} frame.")
     ]
     if scene is not None:
         sentences += _scene_sentences(ds, scene)
@@ -182,10 +183,14 @@ def caption(ds: xr.Dataset) -> str:
         if math.isfinite(step)
         else f"phase tolerance {attributes.get('atlas_tolerance'):g} rad"
     )
+    tolerances = (
+        ""
+        if system.observables
+        else f"; rates count as constant within {attributes.get('atlas_rate_tolerance'):g} rad per time unit, the third axis"
+        f" as vertical within {attributes.get('atlas_cylinder_tolerance'):g} rad"
+    )
     sentences += [
-        f"Integrated by {attributes.get('atlas_method')}, {accuracy}; rates count as constant within"
-        f" {attributes.get('atlas_rate_tolerance'):g} rad per time unit, the third axis as vertical within"
-        f" {attributes.get('atlas_cylinder_tolerance'):g} rad.",
+        f"Integrated by {attributes.get('atlas_method')}, {accuracy}{tolerances}.",
         f"Computed with Precession Atlas {attributes.get('atlas_version')}"
         f" (kernel {attributes.get('atlas_kernel_hash')}); equations: {attributes.get('references')}.",
     ]

@@ -22,6 +22,7 @@ from . import (
     generated,
     jit,
     kernel,
+    lanes,
     observe,
     poles,
     sampling,
@@ -47,8 +48,15 @@ INLINED = (
     ),
     (turning, ("newton_change", "motion_of_turn", "turning_point")),
 )  # fmt: skip
+# Of `kernel` and `observe`; these call generated functions.
+SHARED = (
+    (
+        lanes,
+        ("load_points", "load_runs", "store_runs", "store_ends", "store_sums", "advance", "extend_changes"),
+    ),
+)
 # Only where a kernel measures circles.
-INLINED_FOR_CIRCLES = ((circle, ("load_circles", "add_to_circle", "store_circles")),)
+INLINED_FOR_CIRCLES = ((circle, ("load_circles", "add_to_circle", "add_to_circles", "store_circles")),)
 # Called seldom and long: inlined it would only fill the instruction cache.
 NOT_INLINED = ((poles, ("trapezoid_error_of_pole",)),)
 # Numbers of the modules that the kernels use, by kernel.
@@ -181,13 +189,14 @@ def source(
     _check_names(equations, {*own_functions, "integrate"})
     inlined = list(generated_functions.values())
     constants = _constants(equations, METHODS[method])
+    not_inlined = []
+    if of is not tangent:
+        inlined += _selected_functions(SHARED)
     if of is kernel:
         inlined += _selected_functions(INLINED)
         not_inlined = _selected_functions(NOT_INLINED)
-    else:
-        not_inlined = []
     if frames:
-        inlined += [functions(module)[name] for module, names in INLINED_FOR_CIRCLES for name in names]
+        inlined += _selected_functions(INLINED_FOR_CIRCLES)
         constants |= {"FRAMES": frames}
     inlined += own_functions.values()
     constants |= {name: getattr(module, name) for module, names in NUMBERS[of.__name__] for name in names}
@@ -211,19 +220,29 @@ def plain_module(
     frames: int = 0,
 ) -> ModuleType:
     """The same kernel as plain Python, slow; arguments as for `source`."""
-    assert of.__file__ is not None
-    spec = importlib.util.spec_from_file_location(f"{of.__name__}_plain", of.__file__)
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
     namespace: dict[str, object] = {"np": np, **arithmetic.numpy_functions()}
     for name, text in _generated_functions(equations, METHODS[method], zero, equal, of).items():
         exec(compile(text, f"<{name} of {equations.__name__}>", "exec"), namespace)
-    vars(module).update(namespace, FRAMES=frames, **_constants(equations, METHODS[method]))
+    namespace |= {"FRAMES": frames, **_constants(equations, METHODS[method])}
+    for shared, names in SHARED:
+        copy = _copy(shared, namespace)
+        namespace |= {name: getattr(copy, name) for name in names}
+    module = _copy(of, namespace)
     # Compiled code raises no floating-point warnings.
     vars(module)["integrate"] = np.errstate(all="ignore")(module.integrate)
     return module
+
+
+def _copy(module: ModuleType, namespace: Mapping[str, object]) -> ModuleType:
+    """A module executed again, with other values of some of its names."""
+    assert module.__file__ is not None
+    spec = importlib.util.spec_from_file_location(f"{module.__name__}_plain", module.__file__)
+    assert spec is not None
+    assert spec.loader is not None
+    copy = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(copy)
+    vars(copy).update(namespace)
+    return copy
 
 
 def _constants(equations: ModuleType, method: Method) -> dict[str, float]:

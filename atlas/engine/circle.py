@@ -90,12 +90,23 @@ class Sum(_Counted):
     SS = auto()
 
 
-def load_circles(frames, p, l, begins, axes, sums, constants0, first_axis, out, first_sum):
-    """Bring the axes of point p into lane l, and its sums, or zeros where the run begins."""
-    for row in range(frames * len(Axis)):
-        axes[row, l] = constants0[first_axis + row, p]
-    for row in range(frames * len(Sum)):
-        sums[row, l] = 0.0 if begins else out[first_sum + row, p]
+def load_circles(points, block, begins, axes, sums, constants0, first_axis, out, first_sum):
+    """Bring the axes of a block's points into its lanes, and their sums, or zeros where the runs begin."""
+    for l in range(axes.shape[1]):
+        p = points[block, l]
+        for row in range(axes.shape[0]):
+            axes[row, l] = constants0[first_axis + row, p]
+        for row in range(sums.shape[0]):
+            sums[row, l] = 0.0 if begins else out[first_sum + row, p]
+
+
+def add_to_circles(axes, sums, nodes, slot, inverse_unit, weight):
+    """Add a node to the sums of all frames."""
+    for frame in range(axes.shape[0] // len(Axis)):
+        for l in range(axes.shape[1]):
+            add_to_circle(
+                axes, frame * len(Axis), sums, frame * len(Sum), l, nodes, slot, inverse_unit[l], weight
+            )
 
 
 def add_to_circle(axes, a, sums, s, l, nodes, slot, inverse_unit, weight):
@@ -131,10 +142,11 @@ def add_to_circle(axes, a, sums, s, l, nodes, slot, inverse_unit, weight):
     sums[s + Sum.SS, l] += weight * speed * speed
 
 
-def store_circles(frames, p, l, sums, out, first_sum):
-    """Write the sums of lane l behind those of `statistics` of point p."""
-    for row in range(frames * len(Sum)):
-        out[first_sum + row, p] = sums[row, l]
+def store_circles(points, block, sums, out, first_sum):
+    """Write the sums of a block's points behind those of `statistics`."""
+    for l in range(sums.shape[1]):
+        for row in range(sums.shape[0]):
+            out[first_sum + row, points[block, l]] = sums[row, l]
 
 
 def circle_axes(

@@ -17,7 +17,7 @@ cause (`poles`) are computed for many of them side by side.
 
 import numpy as np
 
-from .circle import Axis, Sum, add_to_circle, load_circles, store_circles
+from .circle import Axis, Sum, add_to_circles, load_circles, store_circles
 from .generated import (
     CONSTANTS,
     FRAMES,
@@ -25,24 +25,26 @@ from .generated import (
     INTEGRALS,
     STATES,
     STEP,
-    STORES_SLOPE,
     WIDTH,
     aligned_empty,
     aligned_stack,
     axis_in_frame,
     frame_motion,
     frame_motion_change,
-    largest_change,
     load_constants,
     load_state,
     rhs,
-    scaled,
-    step,
-    store_constants,
     store_integrals,
-    store_scales,
     store_state,
-    unscaled,
+)
+from .lanes import (
+    advance,
+    extend_changes,
+    load_points,
+    load_runs,
+    store_ends,
+    store_runs,
+    store_sums,
 )
 from .poles import (
     NEWTON_STEPS,
@@ -175,81 +177,42 @@ def integrate(
     passages[:] = 0.0
     turns[:] = 0.0
     if FRAMES:
-        axes, sums = aligned_empty((FRAMES * len(Axis), WIDTH)), aligned_empty((FRAMES * len(Sum), WIDTH))
+        axes, circles = aligned_empty((FRAMES * len(Axis), WIDTH)), aligned_empty((FRAMES * len(Sum), WIDTH))
     for block in range(first_block, last_block):
         stride = steps_per_sample[block]
         intervals, spacing = steps[block] // stride, STEP * stride
         rule = min(intervals, LONG)
+        begins, ends = first_node[block] == 0, last_node[block] == intervals + 1
         # Integers of NumPy: what is called with a literal 0 would be compiled for it as well.
         passage_count, turn_count = np.int64(0), np.int64(0)
+        load_points(points, block, step_size, state0, constants0, scales, state, constants, inverse_scales)
         for l in range(WIDTH):
-            p = points[block, l]
-            dt[l] = step_size[p]
-            unit = dt[l] / STEP
-            inverse_unit[l] = 1.0 / unit
-            y, c = scaled(load_state(state0, p), load_constants(constants0, p), unit)
-            store_state(state, l, y)
-            store_constants(constants, l, c)
-            store_scales(inverse_scales, l, scales, p, inverse_unit[l])
-        if first_node[block] == 0:
-            for l in range(WIDTH):
-                y, c = load_state(state, l), load_constants(constants, l)
-                begin(stats, l, motion_of(y, c, inverse_unit[l]), cylinder_squared)
-                store_integrals(integrals0, l, y, c)
+            dt[l] = step_size[points[block, l]]
+            inverse_unit[l] = 1.0 / (dt[l] / STEP)
+        if begins:
+            begin_runs(stats, integrals0, state, constants, inverse_unit, cylinder_squared)
         else:
-            for l in range(WIDTH):
-                load_run(points[block, l], l, state, stats, nodes, integrals0, state0, resume, out)
+            load_runs(points, block, state, stats, nodes, integrals0, state0, resume, out)
         if FRAMES:
-            for l in range(WIDTH):
-                begins = first_node[block] == 0
-                load_circles(
-                    FRAMES, points[block, l], l, begins, axes, sums, constants0, CONSTANTS, out, len(Row)
-                )
+            load_circles(points, block, begins, axes, circles, constants0, CONSTANTS, out, len(Row))
         for i in range(first_node[block], last_node[block]):
             slot, last = i & 3, i + 1 == last_node[block]
-            weight = node_weights[rule, rule_position(i, intervals)]
-            for l in range(WIDTH):
-                y, c = load_state(state, l), load_constants(constants, l)
-                store_motion(nodes, slot, 0, l, motion_of(y, c, inverse_unit[l]))
-                slope = rhs(y, c)
-                store_state(slopes, l, slope)
-                store_motion(nodes, slot, MOTION, l, motion_change_of(y, c, slope, inverse_unit[l]))
-            for l in range(WIDTH):
-                motion = motion_at(nodes, slot, l)
-                accumulate(stats, l, motion, weight, cylinder_squared)
-                extend(stats, l, motion[5], motion[3] * motion[3] + motion[4] * motion[4])
+            evaluate_node(nodes, slot, slopes, state, constants, inverse_unit)
+            add_node(stats, nodes, slot, node_weights[rule, rule_position(i, intervals)], cylinder_squared)
             if i >= 3:  # the inner interval; at both ends of the run those beside it, too
+                slots = (i - 3) & 3, (i - 2) & 3, (i - 1) & 3, slot
                 for interval in range(i - 3 if i == 3 else i - 2, i if i == intervals else i - 1):
                     position = rule_position(interval, intervals)
-                    slots = (i - 3) & 3, (i - 2) & 3, (i - 1) & 3, slot
-                    for j in range(first_sample[rule, position], first_sample[rule, position + 1]):
-                        weights = sample_weights(samples, j, spacing)
-                        for l in range(WIDTH):
-                            motion = interpolated_motion(nodes, slots, weights, l)
-                            accumulate(stats, l, motion, samples[j, 0], cylinder_squared)
-                    first, second = interval & 3, (interval + 1) & 3
-                    for l in range(WIDTH):
-                        slope_0, slope_1 = spacing * nodes[first, 11, l], spacing * nodes[second, 11, l]
-                        turning[l] = may_extend(
-                            stats, l, nodes[first, 5, l], nodes[second, 5, l], slope_0, slope_1
-                        )
-                        near[l], instant[l] = near_vertical(
-                            nodes, first, second, l, spacing, interval, intervals
-                        )
-                    for l in range(WIDTH):
-                        if turning[l] > 0.0:
-                            turn_lanes[turn_count] = l
-                            slope = nodes[first, 11, l]
-                            x = slope / (slope - nodes[second, 11, l])
-                            store_turn(turns, turn_count, nodes, slots, l, spacing, interval - (i - 3), x)
-                            turn_count += 1
-                        if near[l] > 0.0:
-                            lanes[passage_count], first_nodes[passage_count] = l, i - 3
-                            store_passage(
-                                passages, passage_count, nodes, slots, l, spacing, stride * dt[l],
-                                interval - (i - 3) + instant[l], stats,
-                            )  # fmt: skip
-                            passage_count += 1
+                    first, stop = first_sample[rule, position], first_sample[rule, position + 1]
+                    add_samples(stats, nodes, slots, spacing, samples, first, stop, cylinder_squared)
+                    mark(turning, near, instant, stats, nodes, spacing, interval, intervals)
+                    turn_count = queue_turns(
+                        turns, turn_lanes, turn_count, turning, nodes, slots, spacing, i - 3, interval
+                    )
+                    passage_count = queue_passages(
+                        passages, lanes, first_nodes, passage_count, near, instant, stats, nodes, slots, spacing,
+                        stride, dt, i - 3, interval,
+                    )  # fmt: skip
                     if turn_count > QUEUE - WIDTH or last:
                         extend_to_turns(stats, turns, turn_lanes, turn_count, extremes)
                         turn_count = np.int64(0)
@@ -258,49 +221,109 @@ def integrate(
                                 cylinder_squared)  # fmt: skip
                         passage_count = np.int64(0)
             if FRAMES:
-                half = 0.5 if i == 0 or i == intervals else 1.0
-                for frame in range(FRAMES):
-                    for l in range(WIDTH):
-                        add_to_circle(
-                            axes,
-                            frame * len(Axis),
-                            sums,
-                            frame * len(Sum),
-                            l,
-                            nodes,
-                            slot,
-                            inverse_unit[l],
-                            half,
-                        )
+                weight = 0.5 if i == 0 or i == intervals else 1.0
+                add_to_circles(axes, circles, nodes, slot, inverse_unit, weight)
             if HAS_AXIS:
-                for l in range(WIDTH):
-                    a1, a2 = axis_in_frame(load_state(state, l), load_constants(constants, l))
-                    stats[Row.AXIS_1, l] += a1
-                    stats[Row.AXIS_2, l] += a2
+                add_axis(stats, state, constants)
             if (i + 1) % NODES_PER_DRIFT == 0 or i == intervals:
-                for l in range(WIDTH):
-                    y, c, drift = load_state(state, l), load_constants(constants, l), stats[Row.DRIFT, l]
-                    stats[Row.DRIFT, l] = largest_change(integrals0, inverse_scales, l, y, c, drift)
-            for k in range(stride if i < intervals else 0):
-                if STORES_SLOPE and k > 0:
-                    for l in range(WIDTH):
-                        store_state(slopes, l, rhs(load_state(state, l), load_constants(constants, l)))
-                for l in range(WIDTH):
-                    y, c = load_state(state, l), load_constants(constants, l)
-                    slope = load_state(slopes, l) if STORES_SLOPE else rhs(y, c)
-                    store_state(state, l, step(y, slope, c))
+                extend_changes(stats, Row.DRIFT, integrals0, inverse_scales, state, constants)
+            advance(state, slopes, constants, stride if i < intervals else 0)
+        if ends:
+            end_runs(stats, nodes, intervals & 3)
+            store_ends(points, block, step_size, state, constants, state0)
+        else:
+            store_runs(points, block, state, nodes, integrals0, state0, resume)
+        store_sums(points, block, stats, out)
+        if FRAMES:
+            store_circles(points, block, circles, out, len(Row))
+
+
+def begin_runs(stats, integrals0, state, constants, inverse_unit, cylinder_squared):
+    """Begin the statistics and the first integrals of a block."""
+    for l in range(WIDTH):
+        y, c = load_state(state, l), load_constants(constants, l)
+        begin(stats, l, motion_of(y, c, inverse_unit[l]), cylinder_squared)
+        store_integrals(integrals0, l, y, c)
+
+
+def evaluate_node(nodes, slot, slopes, state, constants, inverse_unit):
+    """Write the motion and its derivative into a node, and the derivatives of the states into `slopes`."""
+    for l in range(WIDTH):
+        y, c = load_state(state, l), load_constants(constants, l)
+        store_motion(nodes, slot, 0, l, motion_of(y, c, inverse_unit[l]))
+        slope = rhs(y, c)
+        store_state(slopes, l, slope)
+        store_motion(nodes, slot, MOTION, l, motion_change_of(y, c, slope, inverse_unit[l]))
+
+
+def add_node(stats, nodes, slot, weight, cylinder_squared):
+    """Add a node to the statistics."""
+    for l in range(WIDTH):
+        motion = motion_at(nodes, slot, l)
+        accumulate(stats, l, motion, weight, cylinder_squared)
+        extend(stats, l, motion[5], motion[3] * motion[3] + motion[4] * motion[4])
+
+
+def add_samples(stats, nodes, slots, spacing, samples, first, stop, cylinder_squared):
+    """Add the samples from `first` to the one before `stop`, which lie in one interval of four nodes."""
+    for j in range(first, stop):
+        weights = sample_weights(samples, j, spacing)
         for l in range(WIDTH):
-            p = points[block, l]
-            if last_node[block] == intervals + 1:
-                end(stats, l, motion_at(nodes, intervals & 3, l))
-                y = unscaled(load_state(state, l), load_constants(constants, l), dt[l] / STEP)
-                store_state(state0, p, y)
-            else:
-                store_run(p, l, state, nodes, integrals0, state0, resume)
-            for row in range(len(Row)):
-                out[row, p] = stats[row, l]
-            if FRAMES:
-                store_circles(FRAMES, p, l, sums, out, len(Row))
+            motion = interpolated_motion(nodes, slots, weights, l)
+            accumulate(stats, l, motion, samples[j, 0], cylinder_squared)
+
+
+def add_axis(stats, state, constants):
+    """Add the third body axis to the statistics."""
+    for l in range(WIDTH):
+        a1, a2 = axis_in_frame(load_state(state, l), load_constants(constants, l))
+        stats[Row.AXIS_1, l] += a1
+        stats[Row.AXIS_2, l] += a2
+
+
+def end_runs(stats, nodes, slot):
+    """End the statistics of a block with the last node."""
+    for l in range(WIDTH):
+        end(stats, l, motion_at(nodes, slot, l))
+
+
+def mark(turning, near, instant, stats, nodes, spacing, interval, intervals):
+    """Mark the lanes that may turn beyond their extremes in an interval by 1.0 in `turning`, and by 1.0 in `near` those that
+    may pass near the vertical, at `instant`."""
+    first, second = interval & 3, (interval + 1) & 3
+    for l in range(WIDTH):
+        slope_0, slope_1 = spacing * nodes[first, 11, l], spacing * nodes[second, 11, l]
+        turning[l] = may_extend(stats, l, nodes[first, 5, l], nodes[second, 5, l], slope_0, slope_1)
+        near[l], instant[l] = near_vertical(nodes, first, second, l, spacing, interval, intervals)
+
+
+def queue_turns(turns, lanes, count, turning, nodes, slots, spacing, first_node, interval):
+    """Append the turning points of the marked lanes to the queue; returns its length.
+
+    first_node: number of the first of the four nodes.
+    """
+    first, second = interval & 3, (interval + 1) & 3
+    for l in range(WIDTH):
+        if turning[l] > 0.0:
+            lanes[count] = l
+            slope = nodes[first, 11, l]
+            x = slope / (slope - nodes[second, 11, l])
+            store_turn(turns, count, nodes, slots, l, spacing, interval - first_node, x)
+            count += 1
+    return count
+
+
+def queue_passages(
+    passages, lanes, first_nodes, count, near, instant, stats, nodes, slots, spacing, stride, dt, first_node, interval
+):  # fmt: skip
+    """Append the passages of the marked lanes to the queue; returns its length."""
+    for l in range(WIDTH):
+        if near[l] > 0.0:
+            lanes[count], first_nodes[count] = l, first_node
+            time = interval - first_node + instant[l]
+            store_passage(passages, count, nodes, slots, l, spacing, stride * dt[l], time, stats)
+            count += 1
+    return count
 
 
 def near_vertical(nodes, first, second, l, spacing, interval, intervals):
@@ -421,25 +444,3 @@ def counts(stats, l, terms, farther, e, z, intervals, cylinder_squared):
     x2, y2 = z.real - stats[Row.ZERO_2_REAL, l], z.imag - stats[Row.ZERO_2_IMAG, l]
     corrected = x1 * x1 + y1 * y1 < same * same or x2 * x2 + y2 * y2 < same * same
     return near and not inside and not corrected
-
-
-def load_run(p, l, state, stats, nodes, integrals0, state0, resume, out):
-    """Bring an interrupted run of point p into lane l."""
-    for row in range(STATES):
-        state[row, l] = state0[row, p]
-    for row in range(len(Row)):
-        stats[row, l] = out[row, p]
-    for row in range(8 * MOTION):
-        nodes[row // (2 * MOTION), row % (2 * MOTION), l] = resume[row, p]
-    for row in range(INTEGRALS):
-        integrals0[row, l] = resume[8 * MOTION + row, p]
-
-
-def store_run(p, l, state, nodes, integrals0, state0, resume):
-    """Keep what `load_run` needs beside the sums."""
-    for row in range(STATES):
-        state0[row, p] = state[row, l]
-    for row in range(8 * MOTION):
-        resume[row, p] = nodes[row // (2 * MOTION), row % (2 * MOTION), l]
-    for row in range(INTEGRALS):
-        resume[8 * MOTION + row, p] = integrals0[row, l]

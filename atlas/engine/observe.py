@@ -15,24 +15,26 @@ from .generated import (
     OBSERVABLES,
     STATES,
     STEP,
-    STORES_SLOPE,
     WIDTH,
     aligned_empty,
     aligned_stack,
-    largest_change,
     load_constants,
     load_state,
     observe,
     observe_change,
     rhs,
-    scaled,
-    step,
-    store_constants,
     store_integrals,
-    store_scales,
     store_state,
     store_values,
-    unscaled,
+)
+from .lanes import (
+    advance,
+    extend_changes,
+    load_points,
+    load_runs,
+    store_ends,
+    store_runs,
+    store_sums,
 )
 
 # Rows of the sums: the change of first integrals, then FIELDS rows for each observable: f0, the sums, the extremes, the
@@ -81,13 +83,7 @@ def integrate(
     for block in range(first_block, last_block):
         stride = steps_per_node[block]
         intervals, spacing = steps[block] // stride, STEP * stride
-        for l in range(WIDTH):
-            p = points[block, l]
-            unit = step_size[p] / STEP
-            y, c = scaled(load_state(state0, p), load_constants(constants0, p), unit)
-            store_state(state, l, y)
-            store_constants(constants, l, c)
-            store_scales(inverse_scales, l, scales, p, 1.0 / unit)
+        load_points(points, block, step_size, state0, constants0, scales, state, constants, inverse_scales)
         if first_node[block] == 0:
             for l in range(WIDTH):
                 y, c = load_state(state, l), load_constants(constants, l)
@@ -95,8 +91,7 @@ def integrate(
                 store_values(nodes, 0, 0, l, observe(y, c))
             begin(sums, nodes)
         else:
-            for l in range(WIDTH):
-                load_run(points[block, l], l, state, sums, nodes, integrals0, state0, resume, out)
+            load_runs(points, block, state, sums, nodes, integrals0, state0, resume, out)
         for i in range(first_node[block], last_node[block]):
             slot = i & 3
             for l in range(WIDTH):
@@ -112,26 +107,13 @@ def integrate(
                 for interval in range(i - 3 if i == 3 else i - 2, i if i == intervals else i - 1):
                     extend_between(sums, nodes, turning, i, interval, spacing)
             if (i + 1) % NODES_PER_CHANGE == 0 or i == intervals:
-                for l in range(WIDTH):
-                    y, c, change = load_state(state, l), load_constants(constants, l), sums[CHANGE, l]
-                    sums[CHANGE, l] = largest_change(integrals0, inverse_scales, l, y, c, change)
-            for k in range(stride if i < intervals else 0):
-                if STORES_SLOPE and k > 0:
-                    for l in range(WIDTH):
-                        store_state(slopes, l, rhs(load_state(state, l), load_constants(constants, l)))
-                for l in range(WIDTH):
-                    y, c = load_state(state, l), load_constants(constants, l)
-                    slope = load_state(slopes, l) if STORES_SLOPE else rhs(y, c)
-                    store_state(state, l, step(y, slope, c))
-        for l in range(WIDTH):
-            p = points[block, l]
-            if last_node[block] == intervals + 1:
-                unit = step_size[p] / STEP
-                store_state(state0, p, unscaled(load_state(state, l), load_constants(constants, l), unit))
-            else:
-                store_run(p, l, state, nodes, integrals0, state0, resume)
-            for row in range(FIRST_ROW + FIELDS * OBSERVABLES):
-                out[row, p] = sums[row, l]
+                extend_changes(sums, CHANGE, integrals0, inverse_scales, state, constants)
+            advance(state, slopes, constants, stride if i < intervals else 0)
+        if last_node[block] == intervals + 1:
+            store_ends(points, block, step_size, state, constants, state0)
+        else:
+            store_runs(points, block, state, nodes, integrals0, state0, resume)
+        store_sums(points, block, sums, out)
 
 
 def begin(sums, nodes):
@@ -232,25 +214,3 @@ def interpolated(nodes, i, k, l, spacing, x):
         value += square * (1.0 - 2.0 * inverse * (x - j)) * nodes[slot, k, l]
         value += square * (x - j) * nodes[slot, OBSERVABLES + k, l] * spacing
     return value
-
-
-def load_run(p, l, state, sums, nodes, integrals0, state0, resume, out):
-    """Bring an interrupted run of point p into lane l."""
-    for row in range(STATES):
-        state[row, l] = state0[row, p]
-    for row in range(FIRST_ROW + FIELDS * OBSERVABLES):
-        sums[row, l] = out[row, p]
-    for row in range(8 * OBSERVABLES):
-        nodes[row // (2 * OBSERVABLES), row % (2 * OBSERVABLES), l] = resume[row, p]
-    for row in range(INTEGRALS):
-        integrals0[row, l] = resume[8 * OBSERVABLES + row, p]
-
-
-def store_run(p, l, state, nodes, integrals0, state0, resume):
-    """Keep what `load_run` needs beside the sums."""
-    for row in range(STATES):
-        state0[row, p] = state[row, l]
-    for row in range(8 * OBSERVABLES):
-        resume[row, p] = nodes[row // (2 * OBSERVABLES), row % (2 * OBSERVABLES), l]
-    for row in range(INTEGRALS):
-        resume[8 * OBSERVABLES + row, p] = integrals0[row, l]

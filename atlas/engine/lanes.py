@@ -1,0 +1,96 @@
+"""Blocks of points, one in each lane, in the kernels `kernel` and `observe`: into and out of a block, and its steps.
+
+Ordinary Python, as `kernel`. The arrays of a block have one column for each lane; those of all points, one for each point.
+"""
+
+from .generated import (
+    INTEGRALS,
+    STATES,
+    STEP,
+    STORES_SLOPE,
+    WIDTH,
+    largest_change,
+    load_constants,
+    load_state,
+    rhs,
+    scaled,
+    step,
+    store_constants,
+    store_scales,
+    store_state,
+    unscaled,
+)
+
+
+def load_points(points, block, step_size, state0, constants0, scales, state, constants, inverse_scales):
+    """Bring the starts of a block's points into its lanes, in the kernel's units."""
+    for l in range(WIDTH):
+        p = points[block, l]
+        unit = step_size[p] / STEP
+        y, c = scaled(load_state(state0, p), load_constants(constants0, p), unit)
+        store_state(state, l, y)
+        store_constants(constants, l, c)
+        store_scales(inverse_scales, l, scales, p, 1.0 / unit)
+
+
+def load_runs(points, block, state, sums, nodes, integrals0, state0, resume, out):
+    """Bring the interrupted runs of a block's points into its lanes, after `load_points`."""
+    rows = nodes.shape[1]
+    for l in range(WIDTH):
+        p = points[block, l]
+        for row in range(STATES):
+            state[row, l] = state0[row, p]
+        for row in range(sums.shape[0]):
+            sums[row, l] = out[row, p]
+        for row in range(4 * rows):
+            nodes[row // rows, row % rows, l] = resume[row, p]
+        for row in range(INTEGRALS):
+            integrals0[row, l] = resume[4 * rows + row, p]
+
+
+def store_runs(points, block, state, nodes, integrals0, state0, resume):
+    """Keep what `load_runs` needs beside the sums."""
+    rows = nodes.shape[1]
+    for l in range(WIDTH):
+        p = points[block, l]
+        for row in range(STATES):
+            state0[row, p] = state[row, l]
+        for row in range(4 * rows):
+            resume[row, p] = nodes[row // rows, row % rows, l]
+        for row in range(INTEGRALS):
+            resume[4 * rows + row, p] = integrals0[row, l]
+
+
+def store_ends(points, block, step_size, state, constants, state0):
+    """Write the states at the end of the runs, in the caller's units."""
+    for l in range(WIDTH):
+        p = points[block, l]
+        y = unscaled(load_state(state, l), load_constants(constants, l), step_size[p] / STEP)
+        store_state(state0, p, y)
+
+
+def store_sums(points, block, sums, out):
+    """Write the sums of a block's points."""
+    for l in range(WIDTH):
+        p = points[block, l]
+        for row in range(sums.shape[0]):
+            out[row, p] = sums[row, l]
+
+
+def advance(state, slopes, constants, steps):
+    """Take some steps; `slopes` holds the derivatives of the states before the first."""
+    for k in range(steps):
+        if STORES_SLOPE and k > 0:
+            for l in range(WIDTH):
+                store_state(slopes, l, rhs(load_state(state, l), load_constants(constants, l)))
+        for l in range(WIDTH):
+            y, c = load_state(state, l), load_constants(constants, l)
+            slope = load_state(slopes, l) if STORES_SLOPE else rhs(y, c)
+            store_state(state, l, step(y, slope, c))
+
+
+def extend_changes(sums, row, integrals0, inverse_scales, state, constants):
+    """Extend the largest changes of the first integrals, a row of the sums."""
+    for l in range(WIDTH):
+        y, c, change = load_state(state, l), load_constants(constants, l), sums[row, l]
+        sums[row, l] = largest_change(integrals0, inverse_scales, l, y, c, change)

@@ -13,7 +13,7 @@ from ..systems.base import Array, Mask, System
 from . import blocks, tangent, tangent_space
 from .ensemble import Ensemble
 from .generated import WIDTH
-from .stepsize import count_ladder
+from .stepsize import count_ladder, steps_of_length
 from .tableaux import METHODS
 
 # Instants of a run at which the tangent vector is divided by its norm and the sums are taken, at least.
@@ -68,9 +68,7 @@ class TangentSteps:
             y = np.minimum(MAX_RADIANS_PER_STEP, loss ** (1 / (METHOD.dissipation_order - 1)))
             steps = count_ladder(np.minimum(radians / y, float(max_steps)))
         else:
-            count = np.where(finite, duration, 0.0) / step
-            steps = np.ceil(np.minimum(count, float(max_steps)) - 1e-9)
-            steps = np.maximum(steps, 1).astype(np.int64)
+            steps = steps_of_length(step, np.where(finite, duration, 0.0), 1, max_steps)
         y = radians / steps
         lost = radians * METHOD.dissipation * y ** (METHOD.dissipation_order - 1)
         rounding = 1.0 + 1e-9

@@ -349,14 +349,11 @@ def store_passage(passages, e, nodes, slots, l, spacing, duration, time, stats):
 
     spacing, duration: distance of two nodes in the kernel's and in the caller's units.
     """
-    rate = spacing * duration
-    for k in range(4):
-        passages[Passage.G1 + k, e] = nodes[slots[k], 3, l]
-        passages[Passage.G2 + k, e] = nodes[slots[k], 4, l]
-        passages[Passage.U3 + k, e] = nodes[slots[k], 2, l] * duration
-        passages[Passage.G1_SLOPE + k, e] = nodes[slots[k], 9, l] * spacing
-        passages[Passage.G2_SLOPE + k, e] = nodes[slots[k], 10, l] * spacing
-        passages[Passage.U3_SLOPE + k, e] = nodes[slots[k], 8, l] * rate
+    store_component(passages, Passage.G1, Passage.G1_SLOPE, e, nodes, slots, 3, l, 1.0, spacing)
+    store_component(passages, Passage.G2, Passage.G2_SLOPE, e, nodes, slots, 4, l, 1.0, spacing)
+    store_component(
+        passages, Passage.U3, Passage.U3_SLOPE, e, nodes, slots, 2, l, duration, spacing * duration
+    )
     passages[Passage.TIME, e] = time
     passages[Passage.VERTICAL, e] = 1.0 if nodes[slots[1], 5, l] > 0.0 else -1.0
     passages[Passage.PSI_DOT_REFERENCE, e] = stats[Row.PSI_DOT_REFERENCE, l] * duration
@@ -365,15 +362,18 @@ def store_passage(passages, e, nodes, slots, l, spacing, duration, time, stats):
 
 def store_turn(turns, e, nodes, slots, l, spacing, node, x):
     """Describe a turning point of lane l in column e, about x after the node of this number of four."""
-    for k in range(4):
-        turns[Turn.G1 + k, e] = nodes[slots[k], 3, l]
-        turns[Turn.G2 + k, e] = nodes[slots[k], 4, l]
-        turns[Turn.G3 + k, e] = nodes[slots[k], 5, l]
-        turns[Turn.G1_SLOPE + k, e] = nodes[slots[k], 9, l] * spacing
-        turns[Turn.G2_SLOPE + k, e] = nodes[slots[k], 10, l] * spacing
-        turns[Turn.G3_SLOPE + k, e] = nodes[slots[k], 11, l] * spacing
+    store_component(turns, Turn.G1, Turn.G1_SLOPE, e, nodes, slots, 3, l, 1.0, spacing)
+    store_component(turns, Turn.G2, Turn.G2_SLOPE, e, nodes, slots, 4, l, 1.0, spacing)
+    store_component(turns, Turn.G3, Turn.G3_SLOPE, e, nodes, slots, 5, l, 1.0, spacing)
     turns[Turn.TIME, e] = node + x
     turns[Turn.NODE, e] = node
+
+
+def store_component(queue, row, slope_row, e, nodes, slots, component, l, unit, slope_unit):
+    """Write a component of the motion at four nodes, times `unit`, and its derivative into column e of a queue."""
+    for k in range(4):
+        queue[row + k, e] = nodes[slots[k], component, l] * unit
+        queue[slope_row + k, e] = nodes[slots[k], component + MOTION, l] * slope_unit
 
 
 def extend_to_turns(stats, turns, lanes, count, extremes):

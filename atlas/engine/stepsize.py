@@ -96,9 +96,8 @@ class StepSizes:
         if settings.step is None:
             steps = count_ladder(_automatic_steps(method, settings, bound, radians, finite))
         else:
-            count = np.where(finite, duration, 0.0) / settings.step
-            steps = np.ceil(np.minimum(count, float(settings.max_steps)) - 1e-9)
-            steps = np.maximum(steps, MIN_INTERVALS).astype(np.int64)
+            run = np.where(finite, duration, 0.0)
+            steps = steps_of_length(settings.step, run, MIN_INTERVALS, settings.max_steps)
         y = radians / steps
         steps_per_sample = _steps_per_sample(y, steps, radians * method.dispersion * y**method.order)
         steps = -(-steps // steps_per_sample) * steps_per_sample
@@ -171,6 +170,12 @@ class StepSizes:
             dissipation_error=self.dissipation_error * ratio ** (method.dissipation_order - 1),
             rate_error=self.rate_error * ratio**method.order,
         )
+
+
+def steps_of_length(length: float, duration: NDArray[np.float64], least: int, most: int) -> NDArray[np.int64]:
+    """Number of steps of at most a length, but for the least and the largest number."""
+    count = np.ceil(np.minimum(duration / length, float(most)) - 1e-9)
+    return np.maximum(count, least).astype(np.int64)
 
 
 def count_ladder(count: NDArray[np.float64]) -> NDArray[np.int64]:

@@ -9,20 +9,19 @@ from types import ModuleType
 import numpy as np
 
 from ..engine import numeric_bound, observation
-from ..engine.chaos import METHOD, RELATIVE_COST, TangentSteps, indicators
 from ..engine.ensemble import Ensemble
 from ..engine.observation import Measurement
-from ..engine.specialization import Specialization, kernel, tangent_kernel
+from ..engine.specialization import Specialization, kernel
 from ..engine.stepsize import StepSizes
 from ..engine.tableaux import METHODS
 from ..flags import Status, Steadiness
 from ..scene.model import Settings, std_tolerances
-from ..systems.base import Array, Flags, Mask, Points, System
-from ..variables import CHAOS
+from ..systems.base import Array, Flags, Mask, Points, System, subset
 from . import labels
+from .chaos import TangentRuns
 from .expected_errors import rounding_error
 from .half_steps import half_step_sample
-from .regularity import regularity
+from .regularity import has_chaos
 
 # Order in the step of the errors of statistics, at least: that of rk4; quadrature and interpolation have order 8.
 STATISTICS_ORDER = 4
@@ -75,19 +74,22 @@ def evaluate(
     advance = progress or (lambda points: None)
     runs = _prepare(system, points, duration, settings, specialization, halved, threads)
     tangent, share = None, 0.0
-    if outputs is not None and CHAOS & set(outputs):
-        tangent, share = _tangent_steps(runs, duration)
+    if has_chaos(outputs):
+        tangent = TangentRuns.of(
+            system, specialization, runs.ensemble, points, duration, settings, runs.step_sizes
+        )
+        share = tangent.share
     total = max(int(runs.step_sizes.without_unresolved().steps.sum()), 1)
     measurement = runs.measure(lambda steps: advance(duration.size * (1.0 - share) * steps / total))
     measured = measurement.statistics(system)
     resolved = _resolved(runs, measurement)
     if tangent is not None:
-        resolved &= tangent.resolved
+        resolved &= tangent.steps.resolved
     error, step_sensitive = _recheck(runs, measurement, measured, resolved)
     columns = _assemble(runs, measurement, measured, resolved, error, step_sensitive)
     columns["end_time"] = np.where(runs.step_sizes.resolved, duration, _integrated(runs))
     if tangent is not None:
-        columns |= _chaos(runs, tangent, specialization, points, columns, share, advance)
+        columns |= tangent.variables(columns, threads, advance)
     for name, derived in system.derived.items():
         if outputs is not None and name in outputs:
             columns[name] = derived.values(base, duration, lambda: advance(0.0))
@@ -174,7 +176,7 @@ def _recheck(
         if sample.size:
             coarser = runs.step_sizes.subset(sample).coarsened(method)
             other = runs.repeated(sample, coarser)
-            change = _change(system, _subset(measured, sample), other.statistics(system))
+            change = _change(system, subset(measured, sample), other.statistics(system))
             state = _state_change(measurement.final_state[:, sample], other.final_state)
             ratio = runs.step_sizes.steps[sample] / coarser.steps
             change /= ratio**STATISTICS_ORDER - 1.0
@@ -185,8 +187,8 @@ def _recheck(
         step_sensitive = np.zeros(error.shape, bool)
         if unsure.size:
             fine = runs.repeated(unsure, runs.step_sizes.subset(unsure).halved(method)).statistics(system)
-            change = _change(system, _subset(measured, unsure), fine)
-            differs = label(system, fine, settings) != label(system, _subset(measured, unsure), settings)
+            change = _change(system, subset(measured, unsure), fine)
+            differs = label(system, fine, settings) != label(system, subset(measured, unsure), settings)
             step_sensitive[unsure] = differs | _unsure(system, fine, change, settings)
             error[unsure] = np.fmax(error[unsure], change)
         return np.fmax(error, measured["integral_drift"]), step_sensitive
@@ -235,48 +237,3 @@ def _assemble(
         "step_ratio": runs.step_sizes.step_ratio,
         "error_estimate": np.where(resolved, error, np.inf),
     }
-
-
-def _tangent_steps(runs: _Runs, duration: Array) -> tuple[TangentSteps, float]:
-    """Steps of the runs with tangent vectors, and their share of the whole work."""
-    with np.errstate(all="ignore"):
-        steps = TangentSteps.of(
-            runs.ensemble.frequency_bound, duration, runs.settings.step, runs.settings.max_steps
-        )
-    own = METHODS[runs.settings.method].step_cost * float(runs.step_sizes.without_unresolved().steps.sum())
-    work = RELATIVE_COST * METHOD.step_cost * float(steps.steps[steps.resolved].sum())
-    return steps, work / (own + work)
-
-
-def _chaos(
-    runs: _Runs,
-    tangent: TangentSteps,
-    specialization: Specialization,
-    points: Points,
-    columns: Mapping[str, np.ndarray],
-    share: float,
-    advance: Callable[[float], None],
-) -> dict[str, np.ndarray]:
-    """The variables of CHAOS: points whose status is ok are integrated with a tangent vector."""
-    size = len(runs.settled)
-    megno, lyapunov = np.full(size, np.nan), np.full(size, np.nan)
-    where = np.flatnonzero(columns["status"] == Status.OK)
-    if where.size:
-        steps = tangent.subset(where)
-        points_per_step = size * share / float(steps.steps.sum())
-        rate_unit = np.asarray(runs.system.rate_unit(points))[where]
-        megno[where], lyapunov[where] = indicators(
-            runs.system, tangent_kernel(runs.system, specialization), runs.ensemble.subset(where), steps, rate_unit,
-            threads=runs.threads, progress=lambda point_steps: advance(points_per_step * point_steps),
-        )  # fmt: skip
-    else:
-        advance(size * share)
-    finite = np.isfinite(megno) & np.isfinite(lyapunov)
-    megno, lyapunov = np.where(finite, megno, np.nan), np.where(finite, lyapunov, np.nan)
-    flags = regularity(columns["label"].astype(np.int8), megno)
-    return {"megno": megno, "lyapunov": lyapunov, "regularity": flags}
-
-
-def _subset(columns: Mapping[str, Array], where: np.ndarray) -> dict[str, Array]:
-    """Some of the points, by their indices."""
-    return {name: values[where] for name, values in columns.items()}

@@ -9,14 +9,12 @@ from types import ModuleType
 import numpy as np
 
 from ..engine import numeric_bound
-from ..engine.chaos import METHOD, RELATIVE_COST, TangentSteps, indicators
 from ..engine.ensemble import Ensemble, Integration
 from ..engine.specialization import (
     GENERIC,
     Specialization,
     kernel,
     kernel_hash,
-    tangent_kernel,
     tangent_kernel_hash,
 )
 from ..engine.statistics import NEEDS_PSI, RATES, STATISTICS
@@ -25,12 +23,13 @@ from ..engine.tableaux import METHODS
 from ..flags import Label, Status
 from ..scene.grid import Grid, Reason, status_of
 from ..scene.model import Scene, Settings
-from ..systems.base import FAMILY_TOLERANCE, Array, Flags, Mask, Points, System
-from ..variables import ANY_AXIS, ANY_AXIS_THEORY, CHAOS
+from ..systems.base import FAMILY_TOLERANCE, Array, Flags, Mask, Points, System, subset
+from ..variables import ANY_AXIS, ANY_AXIS_THEORY
 from . import any_axis, labels, observed
+from .chaos import TangentRuns
 from .expected_errors import differences, early_stop_rate, error_estimate, measurement_errors, pair_error
 from .half_steps import half_step_sample
-from .regularity import regularity
+from .regularity import has_chaos
 from .theory import agreement, exact_starts, predict_any_axis, predict_runs
 
 # A start beside an unstable motion departs because of its nudge, and not of integration errors, where theta' at half the
@@ -55,7 +54,7 @@ def hash_of_kernels(
 ) -> str:
     """Hash of the kernel that points are integrated with; a second one follows where it is the tangent kernel as well."""
     own = kernel_hash(system, method, specialization, any_axis.frames(system, outputs))
-    return f"{own}-{tangent_kernel_hash(system, specialization)}" if CHAOS & set(outputs) else own
+    return f"{own}-{tangent_kernel_hash(system, specialization)}" if has_chaos(outputs) else own
 
 
 def evaluate_tile(
@@ -126,7 +125,7 @@ def evaluate(
         exists = reason == Reason.NONE
         where = np.flatnonzero(exists)
         columns = evaluate(
-            system, _subset(base, where), _subset(points, where), duration[where], settings,
+            system, subset(base, where), subset(points, where), duration[where], settings,
             specialization=specialization, outputs=outputs, nudged=nudged, halved=halved, threads=threads,
             progress=progress,
         )  # fmt: skip
@@ -142,15 +141,18 @@ def evaluate(
     runs = _prepare(
         system, base, points, duration, settings, specialization, nudged, halved, frames, execution
     )
-    if outputs is not None and CHAOS & set(outputs):
-        runs = _with_tangent_steps(runs, points)
+    if has_chaos(outputs):
+        tangent = TangentRuns.of(
+            system, specialization, runs.ensemble, points, duration, settings, runs.step_sizes
+        )
+        runs = replace(runs, tangent=tangent)
     whole_run = outputs is None or bool(WHOLE_RUN & set(outputs))
     integration = _integrate(runs, whole_run, execution)
     measured = _measured(integration, settings)
     recheck = _recheck(runs, integration, measured, execution)
     columns = _assemble(runs, integration, measured, recheck)
     if runs.tangent is not None:
-        columns |= _chaos(runs, runs.tangent, columns, execution)
+        columns |= runs.tangent.variables(columns, execution.threads, execution.progress)
     if outputs is not None and set(ANY_AXIS_THEORY) & set(outputs):
         columns |= predict_any_axis(system, base, points, columns, settings.rate_tolerance, nudged=nudged)
     if outputs is not None and "agreement_any_axis" in outputs:
@@ -174,15 +176,6 @@ class _Execution:
 
 
 @dataclass(frozen=True)
-class _Tangent:
-    """What the runs with tangent vectors need beside the ensemble; arrays of shape (points,)."""
-
-    steps: TangentSteps
-    rate_unit: Array
-    share: float  # of the whole work
-
-
-@dataclass(frozen=True)
 class _Runs:
     """Points ready to be integrated, and what theory predicts of them; arrays of shape (points,)."""
 
@@ -202,7 +195,7 @@ class _Runs:
     rounding_growth_on_vertical: Array  # the same of runs whose third axis never leaves the vertical by a bit
     frame_rates: Mapping[str, Array]  # label variable -> rate added to psi', rad per time unit
     frames: int = 0  # in which the kernel measures circles
-    tangent: _Tangent | None = None
+    tangent: TangentRuns | None = None
 
     @property
     def kernel(self) -> ModuleType:
@@ -280,43 +273,6 @@ def _prepare(
         frame_rates=frame_rates,
         frames=frames,
     )
-
-
-def _with_tangent_steps(runs: _Runs, points: Points) -> _Runs:
-    """The same, to be integrated with tangent vectors as well."""
-    settings, bound = runs.settings, runs.ensemble.frequency_bound
-    with np.errstate(all="ignore"):
-        steps = TangentSteps.of(bound, runs.duration, settings.step, settings.max_steps)
-        rate_unit = runs.system.rate_unit(points)
-    own = METHODS[settings.method].step_cost * float(runs.step_sizes.without_unresolved().steps.sum())
-    work = RELATIVE_COST * METHOD.step_cost * float(steps.steps[steps.resolved].sum())
-    return replace(runs, tangent=_Tangent(steps, rate_unit, work / (own + work)))
-
-
-def _chaos(
-    runs: _Runs, tangent: _Tangent, columns: Mapping[str, np.ndarray], execution: _Execution
-) -> dict[str, np.ndarray]:
-    """The variables of CHAOS: points whose status is ok are integrated with a tangent vector."""
-    size = runs.duration.size
-    megno, lyapunov = np.full(size, np.nan), np.full(size, np.nan)
-    where = np.flatnonzero(columns["status"] == Status.OK)
-    if where.size:
-        steps = tangent.steps.subset(where)
-        points_per_step = size * tangent.share / float(steps.steps.sum())
-        megno[where], lyapunov[where] = indicators(
-            runs.system, tangent_kernel(runs.system, runs.specialization), runs.ensemble.subset(where), steps,
-            tangent.rate_unit[where], threads=execution.threads,
-            progress=lambda point_steps: execution.progress(points_per_step * point_steps),
-        )  # fmt: skip
-    else:
-        execution.progress(size * tangent.share)
-    finite = np.isfinite(megno) & np.isfinite(lyapunov)
-    megno, lyapunov = np.where(finite, megno, np.nan), np.where(finite, lyapunov, np.nan)
-    return {
-        "megno": megno,
-        "lyapunov": lyapunov,
-        "regularity": regularity(columns["label"].astype(np.int8), megno),
-    }
 
 
 def _integrate(runs: _Runs, whole_run: bool, execution: _Execution) -> Integration:
@@ -420,7 +376,7 @@ def _measured_error(
     sizes = runs.step_sizes.subset(where)
     coarse_sizes = sizes.coarsened(method)
     coarse = _integrate_again(runs, where, coarse_sizes, execution)
-    run, values = integration.subset(where), _subset(measured, where)
+    run, values = integration.subset(where), subset(measured, where)
     coarse_values = _measured(coarse, runs.settings)
     error = pair_error(
         runs.system,
@@ -443,7 +399,7 @@ def _at_half_step(
     """Whether labels change at half the step, and the largest change of a rate over the frequency bound."""
     fine_sizes = runs.step_sizes.subset(where).halved(METHODS[runs.settings.method])
     fine = _measured(_integrate_again(runs, where, fine_sizes, execution), runs.settings)
-    coarse = _subset(measured, where)
+    coarse = subset(measured, where)
     changes = _label_changes(coarse, fine, runs, where)
     rates = differences(fine, coarse, (*RATES, *(name for name in any_axis.RATES if name in fine)))
     changes |= departed & (rates["theta_dot_rms"] > HALF_STEP_RTOL * fine["theta_dot_rms"])
@@ -550,11 +506,6 @@ def _assemble(
         "end_time": np.where(integration.stopped_early | ~resolved, integration.duration, runs.duration),
         "agreement": agreement(columns["label"], runs.theory["predicted"]),
     }
-
-
-def _subset(points: Points, where: np.ndarray) -> dict[str, Array]:
-    """Some of the points, by their indices."""
-    return {name: values[where] for name, values in points.items()}
 
 
 def _scatter(values: np.ndarray, exists: Mask) -> np.ndarray:

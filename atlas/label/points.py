@@ -19,7 +19,7 @@ from ..scene import grid
 from ..scene.model import DEFAULTS, Duration, Settings
 from ..scene.read import check_std_tolerance, check_unit, parse_duration
 from ..scene.tables import kept_columns, number_column, point_columns, table
-from ..systems.base import Array, Flags, Mask, Points, System
+from ..systems.base import Array, Flags, Points, System, subset
 from ..variables import default_variables
 from ..variables import variables as variable_registry
 from .pipeline import evaluate, hash_of_kernels
@@ -104,7 +104,7 @@ def label_points(
     warnings = _warnings(kind, full, reason, unit)
     log_warnings(warnings)
     stopwatch = Stopwatch()
-    specialization = Specialization.of_points(kind, _subset(full, reason == grid.Reason.NONE))
+    specialization = Specialization.of_points(kind, subset(full, reason == grid.Reason.NONE))
     columns = _evaluate_in_tiles(
         kind,
         grid.Grid(full, full, reason, durations),
@@ -169,17 +169,12 @@ def _warnings(system: System, points: Points, reason: Flags, text: Duration) -> 
     """Points that are not computed, the system's warnings, and its objection to incomplete points."""
     counts = np.bincount(reason, minlength=len(grid.Reason))
     warnings = grid.count_lines(counts, system, None, text)
-    warnings += grid.system_warnings(system, _subset(points, reason == grid.Reason.NONE))
+    warnings += grid.system_warnings(system, subset(points, reason == grid.Reason.NONE))
     try:
         system.check(points)
     except BadInput as error:
         warnings.append(str(error))
     return warnings
-
-
-def _subset(points: Points, where: Mask) -> dict[str, Array]:
-    """Some of the points."""
-    return {name: values[where] for name, values in points.items()}
 
 
 def _evaluate_in_tiles(

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
+
 import numpy as np
 
 from ..engine import numeric_bound
@@ -49,9 +51,9 @@ def regularity(label: Flags, megno: Array) -> Flags:
     return np.asarray(flags, np.int8)
 
 
-def is_wanted(scene: Scene) -> bool:
-    """Whether a scene asks for an indicator of chaos."""
-    return bool(CHAOS & set(scene.outputs))
+def has_chaos(outputs: Collection[str] | None) -> bool:
+    """Whether a variable of CHAOS is among these outputs; it is not among the default ones, None."""
+    return outputs is not None and not CHAOS.isdisjoint(outputs)
 
 
 def warnings(scene: Scene, sample: Grid) -> list[str]:
@@ -63,11 +65,10 @@ def warnings(scene: Scene, sample: Grid) -> list[str]:
     sample : Grid
         Points of the scene, from `grid.check`.
     """
-    if not is_wanted(scene) or not sample.exists.any():
+    if not has_chaos(scene.outputs) or not sample.exists.any():
         return []
-    points = {name: values[sample.exists] for name, values in sample.points.items()}
-    duration = sample.duration[sample.exists]
-    share = duration / min_duration(scene, points, duration)
+    existing = sample.subset(sample.exists)
+    share = existing.duration / min_duration(scene, existing)
     if not (share < 1 - 1e-9).any():
         return []
     return [
@@ -77,19 +78,20 @@ def warnings(scene: Scene, sample: Grid) -> list[str]:
     ]
 
 
-def min_duration(scene: Scene, points: dict[str, Array], duration: Array) -> Array:
-    """Duration in time units below which much chaos is missed, (points,). duration: that of the runs, (points,)."""
+def min_duration(scene: Scene, sample: Grid) -> Array:
+    """Duration in time units below which much chaos is missed, (points,)."""
     with np.errstate(all="ignore"):
-        periods = MIN_PERIODS * 2 * np.pi / numeric_bound.before_run(scene.system, points, duration)
+        bound = numeric_bound.before_run(scene.system, sample.points, sample.duration)
+        periods = MIN_PERIODS * 2 * np.pi / bound
         if scene.system.frame_rate is None:
             return np.asarray(periods)
-        rate = np.abs(scene.system.frame_rate(points))
+        rate = np.abs(scene.system.frame_rate(sample.points))
         return np.where(rate > 0, MIN_ORBITS * 2 * np.pi / rate, periods)
 
 
 def equivalent_steps(scene: Scene, sample: Grid) -> Array:
     """Steps of the scene's method that take as long as the runs with tangent vectors, (points,); 0 if none are wanted."""
-    if not is_wanted(scene):
+    if not has_chaos(scene.outputs):
         return np.zeros(sample.duration.shape)
     with np.errstate(all="ignore"):
         bound = numeric_bound.before_run(scene.system, sample.points, sample.duration)

@@ -9,7 +9,7 @@ import numpy as np
 
 from ..flags import Agreement, Label, Stability
 from ..scene.model import Tolerances
-from ..systems.base import FAMILY_TOLERANCE, Array, Flags, Mask, Points, System
+from ..systems.base import FAMILY_TOLERANCE, Array, Flags, Mask, Points, System, subset
 from .labels import ROUNDING_RESIDUAL, steady_label
 from .offsets import MAX_RESIDUAL, describes, off_family_labels
 
@@ -88,8 +88,7 @@ def predict_runs(
         start_residual = residual.copy()
         if any_axis:
             members = np.flatnonzero(other)
-            part = {name: values[members] for name, values in points.items()}
-            start_residual[members] = system.identify_family(part)[1]
+            start_residual[members] = system.identify_family(subset(points, members))[1]
             pushed[members] = nudged & (start_residual[members] > ROUNDING_RESIDUAL)
         else:
             growth, other = np.where(other, 0.0, growth), np.zeros_like(other)
@@ -118,12 +117,11 @@ def _near_families(
         return {}
     if system.frame_rate is not None:
         frames["predicted_inertial"] = system.frame_rate(base)[where]
-    part = {name: values[where] for name, values in points.items()}
-    found = off_family_labels(system, part, duration[where], tolerances, frames, pause)
-    result = {name: theory[name].copy() for name in frames}
-    for name, labels in found.items():
-        result[name][where] = labels
-    return result
+    labels = off_family_labels(system, subset(points, where), duration[where], tolerances, frames, pause)
+    predicted = {name: theory[name].copy() for name in frames}
+    for name, values in labels.items():
+        predicted[name][where] = values
+    return predicted
 
 
 def predict(
@@ -241,7 +239,7 @@ def exact_starts(
     exact = np.zeros(candidates.shape, bool)
     where = np.flatnonzero(candidates)
     if where.size:
-        flag, residual = system.identify_family({name: values[where] for name, values in points.items()})
+        flag, residual = system.identify_family(subset(points, where))
         exact[where] = (flag > 0) & (residual <= np.broadcast_to(max_residual, candidates.shape)[where])
     return exact
 

@@ -580,6 +580,11 @@ def _identify(families: Mapping[str, Family], points: Points, flags: Flags, resi
         flags[free & (worst <= FAMILY_TOLERANCE)] = family.flag
 
 
+def subset(columns: Mapping[str, Array], where: Any) -> dict[str, Array]:
+    """Some of the points, by a mask, their indices or a slice."""
+    return {name: values[where] for name, values in columns.items()}
+
+
 def shape_of(points: Points) -> tuple[int, ...]:
     """Shape of the arrays of the points."""
     return np.shape(next(iter(points.values())))

@@ -1,0 +1,95 @@
+"""The variables of CHAOS of a set of points: mean MEGNO and Lyapunov exponent from runs with a tangent vector."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from types import ModuleType
+
+import numpy as np
+
+from ..engine.chaos import METHOD, RELATIVE_COST, TangentSteps, indicators
+from ..engine.ensemble import Ensemble
+from ..engine.specialization import Specialization, tangent_kernel
+from ..engine.stepsize import StepSizes
+from ..engine.tableaux import METHODS
+from ..flags import Status
+from ..scene.model import Settings
+from ..systems.base import Array, Points, System
+from .regularity import regularity
+
+
+@dataclass(frozen=True)
+class TangentRuns:
+    """Points ready to be integrated with a tangent vector; arrays of shape (points,).
+
+    Attributes
+    ----------
+    system : System
+    kernel : module
+        See `specialization.tangent_kernel`.
+    ensemble : Ensemble
+    steps : TangentSteps
+    rate_unit : ndarray of float64
+        See `System.rate_unit`.
+    share : float
+        Of these runs in the work of all runs of the points.
+    """
+
+    system: System
+    kernel: ModuleType
+    ensemble: Ensemble
+    steps: TangentSteps
+    rate_unit: Array
+    share: float
+
+    @classmethod
+    def of(
+        cls,
+        system: System,
+        specialization: Specialization,
+        ensemble: Ensemble,
+        points: Points,
+        duration: Array,
+        settings: Settings,
+        step_sizes: StepSizes,
+    ) -> TangentRuns:
+        """The runs of points that are integrated without a tangent vector as well, with step_sizes."""
+        with np.errstate(all="ignore"):
+            steps = TangentSteps.of(ensemble.frequency_bound, duration, settings.step, settings.max_steps)
+            rate_unit = np.asarray(system.rate_unit(points))
+        own = METHODS[settings.method].step_cost * float(step_sizes.without_unresolved().steps.sum())
+        work = RELATIVE_COST * METHOD.step_cost * float(steps.steps[steps.resolved].sum())
+        kernel = tangent_kernel(system, specialization)
+        return cls(system, kernel, ensemble, steps, rate_unit, work / (own + work))
+
+    def variables(
+        self, columns: Mapping[str, np.ndarray], threads: int | None, progress: Callable[[float], None]
+    ) -> dict[str, np.ndarray]:
+        """The variables of CHAOS; nan and NOT_COMPUTED where the status is not ok.
+
+        Parameters
+        ----------
+        columns : mapping of str to ndarray
+            label and status.
+        threads : int or None
+            See `blocks.integrate`.
+        progress : callable
+            Called with points done, in all `share` of their number.
+        """
+        size = self.rate_unit.size
+        megno, lyapunov = np.full(size, np.nan), np.full(size, np.nan)
+        where = np.flatnonzero(columns["status"] == Status.OK)
+        if where.size:
+            steps = self.steps.subset(where)
+            points_per_step = size * self.share / float(steps.steps.sum())
+            megno[where], lyapunov[where] = indicators(
+                self.system, self.kernel, self.ensemble.subset(where), steps, self.rate_unit[where], threads=threads,
+                progress=lambda point_steps: progress(points_per_step * point_steps),
+            )  # fmt: skip
+        else:
+            progress(size * self.share)
+        finite = np.isfinite(megno) & np.isfinite(lyapunov)
+        megno, lyapunov = np.where(finite, megno, np.nan), np.where(finite, lyapunov, np.nan)
+        flags = regularity(columns["label"].astype(np.int8), megno)
+        return {"megno": megno, "lyapunov": lyapunov, "regularity": flags}

@@ -9,7 +9,7 @@ import contourpy
 import numpy as np
 
 from ..flags import Stability
-from ..systems.base import Array
+from ..systems.base import Array, derived_values
 from ..systems.oscillations import FREQUENCIES
 from .plane import Plane
 
@@ -41,12 +41,8 @@ def resonance_lines(plane: Plane) -> dict[str, list[Array]]:
     coordinates = dict(zip(plane.extent, (grid.ravel() for grid in grids), strict=True))
     points, theory = plane.points(coordinates), plane.theory(coordinates)
     shown = theory.exists & (theory.stable != Stability.UNSTABLE)
-    derived = plane.scene.system.derived
-    columns = [
-        np.where(shown, derived[name].values(points.base, points.duration, lambda: None), np.nan)
-        for name in FREQUENCIES
-    ]
-    frequencies = [column.reshape(_SAMPLES, _SAMPLES) for column in columns]
+    derived = derived_values(plane.scene.system, FREQUENCIES, points.base, points.duration, lambda: None)
+    frequencies = [np.where(shown, derived[name], np.nan).reshape(_SAMPLES, _SAMPLES) for name in FREQUENCIES]
     result = {}
     for ratio, kind in zip(RATIOS, KINDS, strict=True):
         trace = _crossings if ratio == 1 else _zeros

@@ -16,7 +16,7 @@ from ..engine.stepsize import StepSizes
 from ..engine.tableaux import METHODS
 from ..flags import Status, Steadiness
 from ..scene.model import Settings, std_tolerances
-from ..systems.base import Array, Flags, Mask, Points, System, subset
+from ..systems.base import Array, Flags, Mask, Points, System, derived_values, subset
 from . import labels
 from .chaos import TangentRuns
 from .expected_errors import rounding_error
@@ -90,10 +90,7 @@ def evaluate(
     columns["end_time"] = np.where(runs.step_sizes.resolved, duration, _integrated(runs))
     if tangent is not None:
         columns |= tangent.variables(columns, threads, advance)
-    for name, derived in system.derived.items():
-        if outputs is not None and name in outputs:
-            columns[name] = derived.values(base, duration, lambda: advance(0.0))
-    return columns
+    return columns | derived_values(system, outputs or (), base, duration, lambda: advance(0.0))
 
 
 def _prepare(

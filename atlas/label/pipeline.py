@@ -23,7 +23,7 @@ from ..engine.tableaux import METHODS
 from ..flags import Label, Status
 from ..scene.grid import Grid, Reason, status_of
 from ..scene.model import Scene, Settings
-from ..systems.base import FAMILY_TOLERANCE, Array, Flags, Mask, Points, System, subset
+from ..systems.base import FAMILY_TOLERANCE, Array, Flags, Mask, Points, System, derived_values, subset
 from ..variables import ANY_AXIS, ANY_AXIS_THEORY
 from . import any_axis, labels, observed
 from .chaos import TangentRuns
@@ -157,10 +157,7 @@ def evaluate(
         columns |= predict_any_axis(system, base, points, columns, settings.rate_tolerance, nudged=nudged)
     if outputs is not None and "agreement_any_axis" in outputs:
         columns["agreement_any_axis"] = agreement(columns["label_any_axis"], columns["predicted_any_axis"])
-    for name, derived in system.derived.items():
-        if outputs is not None and name in outputs:
-            columns[name] = derived.values(base, duration, lambda: execution.progress(0.0))
-    return columns
+    return columns | derived_values(system, outputs or (), base, duration, lambda: execution.progress(0.0))
 
 
 @dataclass(frozen=True)

@@ -17,6 +17,7 @@ from ..label.pipeline import evaluate_tile
 from ..label.theory import predict_runs
 from ..scene import grid
 from ..scene.model import Scene
+from ..systems.base import derived_values
 from .concurrency import tiles_in_flight
 from .method_costs import method_lines
 from .refine import expected_points
@@ -148,15 +149,14 @@ def _calibration(scene: Scene, sample: grid.Grid, threads: int) -> tuple[Scene, 
 
 def _derived_seconds(scene: Scene, sample: grid.Grid) -> float:
     """Wall-clock time of the derived variables of one point, from as many points as take a few tenths of a second."""
-    derived = [scene.system.derived[name] for name in scene.outputs if name in scene.system.derived]
+    has_derived = not scene.system.derived.keys().isdisjoint(scene.outputs)
     exists = np.flatnonzero(sample.exists)
     seconds, count = 0.0, 0
-    while derived and seconds < 0.2 and count < exists.size:
+    while has_derived and seconds < 0.2 and count < exists.size:
         count = min(max(4 * count, 6), exists.size)
         points = sample.subset(exists[np.linspace(0, exists.size - 1, count).astype(np.int64)])
         started = time.perf_counter()
-        for variable in derived:
-            variable.values(points.base, points.duration, lambda: None)
+        derived_values(scene.system, scene.outputs, points.base, points.duration, lambda: None)
         seconds = time.perf_counter() - started
     return seconds / max(count, 1)
 

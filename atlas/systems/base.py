@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterator, Mapping, Sequence, Set
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence, Set
 from dataclasses import dataclass, field
 from types import MappingProxyType
 from typing import Any, NamedTuple
@@ -133,6 +133,10 @@ class PublishedEquation:
     effect: str = ""  # consequence of the difference
 
 
+# Names of variables, points before the nudge, duration, pause -> values (points,) by these names.
+Together = Callable[[Collection[str], Points, Array, Callable[[], None]], Mapping[str, NDArray[Any]]]
+
+
 @dataclass(frozen=True)
 class DerivedVariable:
     """A quantity from theory that a scene may ask for as one more variable; computed only then."""
@@ -150,6 +154,19 @@ class DerivedVariable:
     flags: Mapping[str, str] | None = (
         None  # name -> sentence of the values 0, 1, 2, ... of a variable of flags, int8
     )
+    # As `values`, of several variables by their names: the same function for all that share intermediate results.
+    together: Together | None = None
+
+    @classmethod
+    def of_group(
+        cls, together: Together, name: str, unit: str, long_name: str, comment: str, **more: Any
+    ) -> DerivedVariable:
+        """One of the variables that a function computes together."""
+
+        def values(points: Points, duration: Array, pause: Callable[[], None]) -> NDArray[Any]:
+            return together([name], points, duration, pause)[name]
+
+        return cls(name, unit, long_name, values, comment, together=together, **more)
 
 
 @dataclass(frozen=True, eq=False)
@@ -578,6 +595,38 @@ def _identify(families: Mapping[str, Family], points: Points, flags: Flags, resi
         free = flags == 0
         residual[free] = np.minimum(residual[free], worst[free])
         flags[free & (worst <= FAMILY_TOLERANCE)] = family.flag
+
+
+def derived_values(
+    system: System, names: Collection[str], points: Points, duration: Array, pause: Callable[[], None]
+) -> dict[str, NDArray[Any]]:
+    """The derived variables of a system that are among these names; what several of them share is computed once.
+
+    Parameters
+    ----------
+    system : System
+    names : collection of str
+    points : mapping of str to ndarray of float64, shape (points,)
+        Before any nudge.
+    duration : ndarray of float64, shape (points,)
+        In time units.
+    pause : callable
+        See DerivedVariable.
+
+    Returns
+    -------
+    dict of ndarray, shape (points,)
+    """
+    variables = [variable for name, variable in system.derived.items() if name in names]
+    columns: dict[str, NDArray[Any]] = {}
+    for variable in variables:
+        if variable.together is None:
+            columns[variable.name] = variable.values(points, duration, pause)
+        elif variable.name not in columns:
+            group = [other.name for other in variables if other.together is variable.together]
+            values = variable.together(group, points, duration, pause)
+            columns |= {name: values[name] for name in group}
+    return columns
 
 
 def subset(columns: Mapping[str, Array], where: Any) -> dict[str, Array]:

@@ -2,99 +2,86 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Collection
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ..flags import EnergyStability, Stability, StabilityKind
 from .base import Array, DerivedVariable, Flags, Mask, Points
 
 FREQUENCIES = ("frequency_1", "frequency_2", "frequency_3")
-
-
-def frequency_variables(
-    family: Callable[[Points], Flags], frequencies: Callable[[Points, Flags], Array], comment: str
-) -> dict[str, DerivedVariable]:
-    """The variables frequency_1, frequency_2 and frequency_3, the largest first.
-
-    Parameters
-    ----------
-    family : callable
-        points -> flags of their families (points,).
-    frequencies : callable
-        points, flags -> array (points, 3), the largest first, nan where there is none; rad per time unit.
-    comment : str
-        Where there is none.
-    """
-
-    def variable(i: int) -> DerivedVariable:
-        def values(points: Points, duration: Array, pause: Callable[[], None]) -> Array:
-            pause()
-            with np.errstate(all="ignore"):
-                return frequencies(points, family(points))[:, i]
-
-        order = ("largest", "second", "third")[i]
-        return DerivedVariable(
-            FREQUENCIES[i],
-            "rad s-1",
-            f"{order} frequency of small oscillations about the steady motion",
-            values,
-            comment,
-        )
-
-    return {FREQUENCIES[i]: variable(i) for i in range(len(FREQUENCIES))}
-
-
 # Frequencies that differ by less than this, relative to the largest, coincide: a double root has the square root of rounding
 # as its error.
 _DOUBLE = 1e-6
 
 
-def stability_variables(
+def oscillation_variables(
     family: Callable[[Points], Flags],
     linear: Callable[[Points, Flags], tuple[Flags, Array]],
     frequencies: Callable[[Points, Flags], Array],
     energy: Callable[[Points, Flags], tuple[Flags, Mask]],
-    comment: str,
+    frequency_comment: str,
+    energy_comment: str,
 ) -> dict[str, DerivedVariable]:
-    """The variables energy_stable and stability_kind.
+    """The variables frequency_1, frequency_2 and frequency_3, the largest first, energy_stable and stability_kind.
 
     Parameters
     ----------
-    family, frequencies : callable
-        As of `frequency_variables`.
+    family : callable
+        points -> flags of their families (points,).
     linear : callable
         System.linear_stability.
+    frequencies : callable
+        points, flags -> array (points, 3), the largest first, nan where there is none; rad per time unit.
     energy : callable
         points, flags -> values of flags.EnergyStability (points,), and where these are unknown because the second variation
         is degenerate, bool (points,).
-    comment : str
-        On which level of which integrals.
+    frequency_comment : str
+        Where there is no frequency.
+    energy_comment : str
+        On which level of which integrals the energy decides.
     """
 
-    def energy_stable(points: Points, duration: Array, pause: Callable[[], None]) -> Flags:
-        pause()
-        with np.errstate(all="ignore"):
-            return energy(points, family(points))[0]
-
-    def kind(points: Points, duration: Array, pause: Callable[[], None]) -> Flags:
+    def together(
+        names: Collection[str], points: Points, duration: Array, pause: Callable[[], None]
+    ) -> dict[str, NDArray[Any]]:
+        columns: dict[str, NDArray[Any]] = {}
+        has_kind = "stability_kind" in names
         pause()
         with np.errstate(all="ignore"):
             flags = family(points)
-            return stability_kind(
-                linear(points, flags)[0], *energy(points, flags), frequencies(points, flags)
-            )
+            if has_kind or not set(FREQUENCIES).isdisjoint(names):
+                pause()
+                each = frequencies(points, flags)
+                columns |= dict(zip(FREQUENCIES, each.T, strict=True))
+            if has_kind or "energy_stable" in names:
+                pause()
+                columns["energy_stable"], degenerate = energy(points, flags)
+            if has_kind:
+                pause()
+                stable = linear(points, flags)[0]
+                columns["stability_kind"] = stability_kind(stable, columns["energy_stable"], degenerate, each)
+        return columns
 
-    variables = (
-        DerivedVariable(
-            "energy_stable", "1", "stability of the steady motion by the energy, from theory", energy_stable, comment,
-            flags=EnergyStability.meanings(),
-        ),
-        DerivedVariable(
-            "stability_kind", "1", "linear stability and stability by the energy, from theory", kind, comment,
-            flags=StabilityKind.meanings(),
-        ),
-    )  # fmt: skip
+    variables = [
+        DerivedVariable.of_group(
+            together,
+            name,
+            "rad s-1",
+            f"{order} frequency of small oscillations about the steady motion",
+            frequency_comment,
+        )
+        for name, order in zip(FREQUENCIES, ("largest", "second", "third"), strict=True)
+    ]
+    variables += [
+        DerivedVariable.of_group(together, name, "1", long_name, energy_comment, flags=flags.meanings())
+        for name, long_name, flags in (
+            ("energy_stable", "stability of the steady motion by the energy, from theory", EnergyStability),
+            ("stability_kind", "linear stability and stability by the energy, from theory", StabilityKind),
+        )
+    ]
     return {variable.name: variable for variable in variables}
 
 

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from truth import default_points
 
 import atlas
+from atlas.systems.base import derived_values
 from atlas.systems.fixed_point import FIXED_POINT
-from atlas.systems.oscillations import FREQUENCIES
+from atlas.systems.oscillations import FREQUENCIES, oscillation_variables
 from atlas.systems.satellite import SATELLITE
 
 
@@ -172,3 +175,42 @@ def test_nutation_and_polhode():
     np.testing.assert_allclose(found, [np.sqrt(square)], rtol=1e-12)
     found = frequencies(FIXED_POINT, A=1.0, B=1.3, C=1.7, m=2.0, theta0=0.6)
     np.testing.assert_allclose(found, [2.0 * np.sqrt(0.7 * 0.4 / 1.3)], rtol=1e-12)
+
+
+@pytest.mark.parametrize("system", [SATELLITE, FIXED_POINT])
+def test_variables_computed_together_are_those_computed_alone(system):
+    """To the bit, at equilibria with and without oscillations and off every family."""
+    rng = np.random.default_rng(0)
+    points = default_points(
+        system.name, A=rng.uniform(1, 2, 30), B=rng.uniform(1, 2, 30), C=rng.uniform(1, 2, 30)
+    )
+    points["theta0"][:10] = 0.3
+    names = [*FREQUENCIES, "energy_stable", "stability_kind"]
+    together = derived_values(system, names, points, np.ones(30), lambda: None)
+    assert list(together) == names
+    for name in names:
+        alone = system.derived[name].values(points, np.ones(30), lambda: None)
+        assert alone.tobytes() == together[name].tobytes()
+
+
+def test_variables_share_what_they_have_in_common():
+    calls = []
+
+    def counted(name, result):
+        return lambda *_: calls.append(name) or result
+
+    flags = np.ones(2, np.int8)
+    system = SimpleNamespace(
+        derived=oscillation_variables(
+            counted("family", flags), counted("linear", (flags, np.zeros(2))), counted("frequencies", np.ones((2, 3))),
+            counted("energy", (flags, np.zeros(2, bool))), "", "",
+        )
+    )  # fmt: skip
+    for names, expected in (
+        (FREQUENCIES, ["family", "frequencies"]),
+        (["energy_stable"], ["family", "energy"]),
+        (["stability_kind", "frequency_2", "energy_stable"], ["family", "frequencies", "energy", "linear"]),
+    ):
+        calls.clear()
+        derived_values(system, names, {}, np.ones(2), lambda: None)
+        assert calls == expected

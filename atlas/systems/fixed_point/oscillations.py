@@ -90,7 +90,7 @@ def _without_zeros(pair: Array, scale: Array) -> Array:
 
 
 def energy_stability(points: Points, flags: Flags, linear: Flags) -> tuple[Flags, Mask]:
-    """Whether steady motions are stable by the energy; as `systems.oscillations.stability_variables` needs it.
+    """Whether steady motions are stable by the energy; as `systems.oscillations.oscillation_variables` needs it.
 
     linear: values of flags.Stability of the motions.
     """

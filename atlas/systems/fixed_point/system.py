@@ -20,7 +20,7 @@ from ..base import (
     shape_of,
     stability_by_family,
 )
-from ..oscillations import frequency_variables, stability_variables
+from ..oscillations import oscillation_variables
 from . import any_axis, equations, equilibria, families, initial, oscillations, stress_cases
 from .paper import errors, published
 
@@ -42,16 +42,13 @@ def _linear_stability(points: Points, flags: Flags) -> tuple[Flags, Array]:
     return stability_by_family(families.FAMILIES, points, flags)
 
 
-_OSCILLATIONS = frequency_variables(
-    _family,
-    oscillations.frequencies,
-    "nan for exponents that are 0 or have a real part, and off conical, sleeping, staude and rest; of a permanent rotation relative to the body,"
-    " of a symmetric body on the vertical in space",
-) | stability_variables(
+_OSCILLATIONS = oscillation_variables(
     _family,
     _linear_stability,
     oscillations.frequencies,
     lambda points, flags: oscillations.energy_stability(points, flags, _linear_stability(points, flags)[0]),
+    "nan for exponents that are 0 or have a real part, and off conical, sleeping, staude and rest; of a permanent rotation relative to the body,"
+    " of a symmetric body on the vertical in space",
     "on the level of the momentum about the vertical, and of that about the axis of symmetry where there is one; unknown off"
     " conical, sleeping, staude and rest",
 )

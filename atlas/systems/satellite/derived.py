@@ -9,7 +9,7 @@ import numpy as np
 
 from ...flags import Completeness, Stability
 from ..base import Array, DerivedVariable, Flags, Mask, Points
-from ..oscillations import frequency_variables, stability_variables
+from ..oscillations import oscillation_variables
 from .equilibria import equilibria_of_bodies
 from .initial import PARAMETERS
 from .oscillations import energy_stability, frequencies
@@ -95,20 +95,13 @@ _COUNTS = {
         ),
     )
 }
-DERIVED = (
-    _COUNTS
-    | frequency_variables(
-        _family,
-        frequencies,
-        "without damping; nan for exponents that are 0 or have a real part, off every family, and where the linear equations are"
-        " periodic",
-    )
-    | stability_variables(
-        _family,
-        _linear_stability,
-        frequencies,
-        energy_stability,
-        "on the level of the momentum about an axis of symmetry, where there is one; unknown where the linear equations are"
-        " periodic",
-    )
+DERIVED = _COUNTS | oscillation_variables(
+    _family,
+    _linear_stability,
+    frequencies,
+    energy_stability,
+    "without damping; nan for exponents that are 0 or have a real part, off every family, and where the linear equations are"
+    " periodic",
+    "on the level of the momentum about an axis of symmetry, where there is one; unknown where the linear equations are"
+    " periodic",
 )

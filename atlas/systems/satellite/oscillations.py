@@ -103,7 +103,7 @@ def frequencies(points: Points, flags: Flags) -> Array:
 
 
 def energy_stability(points: Points, flags: Flags) -> tuple[Flags, Mask]:
-    """Whether steady motions are stable by the energy; as `systems.oscillations.stability_variables` needs it."""
+    """Whether steady motions are stable by the energy; as `systems.oscillations.oscillation_variables` needs it."""
     result = np.full(flags.shape, EnergyStability.UNKNOWN, np.int8)
     resting, axis, exists = _at_rest(points)
     where = _balanced(resting, exists & (flags > 0))

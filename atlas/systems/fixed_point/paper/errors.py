@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 
 import numpy as np
 
@@ -154,23 +154,22 @@ def _error_variables(
             check(points)
         _check_length(points, duration)
 
-    def error(which: int) -> Callable[[Points, Array, Callable[[], None]], Array]:
-        """Function of the error of gamma, 0, or of p + i q, 1."""
+    names = f"first_order_error{suffix}", f"first_order_rate_error{suffix}"
 
-        def values(points: Points, duration: Array, pause: Callable[[], None]) -> Array:
-            return errors(points, duration, solution, pause)[which]
-
-        return values
+    def together(
+        _: Collection[str], points: Points, duration: Array, pause: Callable[[], None]
+    ) -> dict[str, Array]:
+        return dict(zip(names, errors(points, duration, solution, pause), strict=True))
 
     return [
-        DerivedVariable(
-            f"first_order_error{suffix}", "rad", f"largest error of gamma in the first-order solution (33), {form}",
-            error(0), note, check_points,
+        DerivedVariable.of_group(
+            together, names[0], "rad", f"largest error of gamma in the first-order solution (33), {form}", note,
+            check=check_points,
         ),
-        DerivedVariable(
-            f"first_order_rate_error{suffix}", "1",
-            f"largest error of p + i q in the first-order solution (33), {form}, over its largest magnitude",
-            error(1), note, check_points,
+        DerivedVariable.of_group(
+            together, names[1], "1",
+            f"largest error of p + i q in the first-order solution (33), {form}, over its largest magnitude", note,
+            check=check_points,
         ),
     ]  # fmt: skip
 

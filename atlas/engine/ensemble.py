@@ -203,6 +203,7 @@ class Ensemble:
             self.constants,
             self.scales,
             0.0,
+            axes=self.axes,
             threads=threads,
         )
         return state

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from ..systems import jacobian
 from ..systems.base import Array, Mask, Points, System
-from . import blocks, observation
+from . import observation
 from .ensemble import Ensemble
 from .tableaux import Method
 
@@ -66,7 +66,7 @@ def along_runs(
     system : System
         Whose `has_numeric_bound` is true.
     kernel : module
-        See `specialization.kernel`.
+        See `specialization.kernel`; for as many frames as the ensemble has axes of.
     method : Method
         That of the kernel.
     ensemble : Ensemble
@@ -130,7 +130,7 @@ def _largest_frequency(
     threads: int | None,
 ) -> Array:
     """Frequency at the first sample at which it exceeds the bound, else the largest of all; inf: it overflowed."""
-    largest, made = np.zeros(ensemble.size), 0
+    largest, taken = np.zeros(ensemble.size), 0
     samples = np.clip(np.ceil(bound * duration / SAMPLE_RADIANS), MIN_SAMPLES, MAX_SAMPLES).astype(np.int64)
     steps = np.ceil(bound * duration / (samples * longest_step)).astype(np.int64)
     step_size = duration / (samples * steps)
@@ -138,10 +138,10 @@ def _largest_frequency(
     while active.size:
         part = ensemble.subset(active)
         # As many as before, for most bounds that are too low are exceeded early.
-        count = int(np.clip(min(MATRICES // active.size, made), 1, samples[active].max() - made))
+        count = int(np.clip(min(MATRICES // active.size, taken), 1, samples[active].max() - taken))
         states = np.empty((len(part.state), count, active.size))
         # The first call may compile the kernel, which only threads can do without delaying an interruption.
-        in_threads = 0 if made > 0 and steps[active].sum() <= FEW_STEPS else threads
+        in_threads = 0 if taken > 0 and steps[active].sum() <= FEW_STEPS else threads
         for k in range(count):
             states[:, k] = advanced(system, kernel, part, steps[active], step_size[active], in_threads)
             part.state[:] = states[:, k]
@@ -150,12 +150,12 @@ def _largest_frequency(
             constants = np.repeat(part.constants[:, None], count, axis=1)
             frequency = jacobian.frequency(system.equations, states, constants)
         frequency = np.where(np.isfinite(frequency) & np.isfinite(states).all(0), frequency, np.inf)
-        sampled = made + np.arange(count)[:, None] < samples[active]
+        sampled = taken + np.arange(count)[:, None] < samples[active]
         exceeds = sampled & (frequency > TOLERATED * bound[active])
         sampled &= np.cumsum(exceeds, axis=0) - exceeds == 0  # none after the first
         largest[active] = np.fmax(largest[active], np.where(sampled, frequency, 0.0).max(0))
-        made += count
-        active = active[~exceeds.any(0) & (made < samples[active])]
+        taken += count
+        active = active[~exceeds.any(0) & (taken < samples[active])]
     return largest
 
 
@@ -170,9 +170,4 @@ def advanced(
     """States after so many steps, by the kernel of the system."""
     if system.observables:
         return observation.final_states(kernel, ensemble, steps, step_size, threads=threads)
-    state = ensemble.state.copy()
-    blocks.integrate(
-        kernel, blocks.pack_blocks(steps, steps), step_size, state, ensemble.constants, ensemble.scales, 0.0,
-        threads=threads,
-    )  # fmt: skip
-    return state
+    return ensemble.final_states(kernel, steps, step_size, threads=threads)

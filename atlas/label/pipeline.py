@@ -222,8 +222,8 @@ def _prepare(
     ensemble = Ensemble.of(system, points, frames)
     if system.has_numeric_bound:
         bound, settled = numeric_bound.along_runs(
-            system, kernel(system, settings.method, specialization), METHODS[settings.method], ensemble, duration,
-            settings.max_steps, threads=execution.threads,
+            system, kernel(system, settings.method, specialization, frames), METHODS[settings.method], ensemble,
+            duration, settings.max_steps, threads=execution.threads,
         )  # fmt: skip
         ensemble = replace(ensemble, frequency_bound=np.where(settled, bound, np.inf))
     with np.errstate(all="ignore"):

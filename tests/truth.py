@@ -7,6 +7,7 @@ complex steps, and equality of data sets to the byte.
 from __future__ import annotations
 
 import json
+from collections.abc import Mapping, Sequence
 from functools import cache
 from pathlib import Path
 
@@ -15,7 +16,7 @@ import xarray as xr
 from scipy.integrate import solve_ivp
 from strategies import default_points
 
-from atlas.systems.satellite.initial import PARAMETERS as SATELLITE_PARAMETERS
+from atlas.systems import SYSTEMS
 
 REFERENCE = Path(__file__).parent / "reference"
 
@@ -200,9 +201,18 @@ def fundamental_matrix(rhs, motion, constants, duration, step=0.01):
 
 
 @cache
-def cases(system: str) -> list[dict]:
-    """The verified cases of a system as dictionaries."""
-    return json.loads((REFERENCE / f"{system}_cases.json").read_text())["cases"]
+def cases(kind: str) -> list[dict]:
+    """The verified cases of a kind, "satellite", "fixed_point" or "any_axis", as dictionaries."""
+    return json.loads((REFERENCE / f"{kind}_cases.json").read_text())["cases"]
+
+
+def columns_of(system: str, points: Sequence[Mapping[str, object]]) -> dict[str, np.ndarray]:
+    """Points, as mappings from the names of parameters among others, as columns; what is missing has its default."""
+    defaults = {name: parameter.default for name, parameter in SYSTEMS[system].parameters.items()}
+    return {
+        name: np.array([point.get(name, default) for point in points], float)
+        for name, default in defaults.items()
+    }
 
 
 def satellite_cases() -> dict[str, np.ndarray]:
@@ -211,7 +221,7 @@ def satellite_cases() -> dict[str, np.ndarray]:
     def column(value_of):
         return np.array([float(value_of(case)) for case in cases("satellite")])
 
-    points = {name: column(lambda case, name=name: case.get(name, 0.0)) for name in SATELLITE_PARAMETERS}
+    points = columns_of("satellite", cases("satellite"))
     for i in range(3):
         points[f"k{i + 1}"] = column(lambda case, i=i: case["k"][i])
         points[f"mu{i + 1}"] = column(lambda case, i=i: case["mu"][i])

@@ -1,8 +1,8 @@
 """Labels about any axis: thresholds, verified cases, exact precessions, and what scenes do with them."""
 
-import json
 import runpy
 from pathlib import Path
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -13,17 +13,15 @@ from strategies import (
     SATELLITE_SOLVED,
     default_points,
     fixed_points_on_family,
-    random_fixed_points,
-    random_satellites,
     satellite_on_family,
     symmetric_fixed_points,
 )
-from truth import REFERENCE
+from truth import cases, columns_of
 
 import atlas
 from atlas import cli, systems
 from atlas.flags import Label, Status
-from atlas.label import any_axis
+from atlas.label import any_axis, pipeline
 from atlas.runs import refine
 from atlas.scene.model import Tolerances
 from atlas.systems import SYSTEMS
@@ -31,7 +29,7 @@ from atlas.variables import ANY_AXIS, default_variables, variables
 
 pytestmark = pytest.mark.usefixtures("whole_kernels")
 
-CASES = json.loads((REFERENCE / "any_axis_cases.json").read_text())["cases"]
+CASES = cases("any_axis")  # all about a fixed point
 VARIABLES = [
     "label",
     "label_any_axis",
@@ -44,42 +42,17 @@ VARIABLES = [
 NAMES = list(Label.meanings())
 
 
-RANDOM = {"satellite": random_satellites, "fixed_point": random_fixed_points}
-
-
 def labelled(system: str, points, duration=60.0, variables=VARIABLES, **options):
-    """The points with these variables.
-
-    A point that has every term of the equations goes with them, so that all calls share one kernel.
-    """
-    points = default_points(system, **points)
-    generic = RANDOM[system](np.random.default_rng(0), 1)
-    if "p0" in points and not np.isnan(points["p0"]).any():
-        generic |= dict.fromkeys(("theta0", "psi0", "phi0", "theta_dot0", "n", "m"), 0.0)
-        start = {"p0": 0.3, "q0": 0.4, "r0": 0.5, "gamma10": 0.6, "gamma20": 0.0, "gamma30": 0.8}
-        generic |= start
-    together = {name: np.append(values, generic[name]) for name, values in points.items()}
-    durations = np.append(np.broadcast_to(duration, together["A"].size - 1), 1.0)
-    ds = atlas.label_points(
-        system, together, duration=durations, variables=variables, progress=False, **options
-    )
-    return ds.isel(point=slice(-1))
+    """The points with these variables."""
+    return atlas.label_points(system, points, duration=duration, variables=variables, **options)
 
 
 def names(ds, variable: str = "label_any_axis") -> list[str]:
     return [NAMES[flag] for flag in ds[variable].values]
 
 
-def cases():
-    """The verified cases, all about a fixed point, as columns."""
-    parameters = SYSTEMS["fixed_point"].parameters
-    return {
-        name: np.array([float(case.get(name, p.default)) for case in CASES]) for name, p in parameters.items()
-    }
-
-
 def circle(**given):
-    """A circle on which u turns at 0.3 about its axis, of radius 0.4 and nutation 1, and what is given instead."""
+    """A circle on which u turns at 0.3 about its axis, of radius 0.4 and nutation 1, but for the values given."""
     values = {
         "spread": 0.4, "height_std": 0.0, "radius_std": 0.0, "spin_std": 0.0, "spin": 0.3, "precession": 0.4 / np.sin(1.0),
         "sine": np.sin(1.0),
@@ -104,9 +77,9 @@ def circle(**given):
 )  # fmt: skip
 def test_contract(given, expected):
     drifting = np.array([Label.DRIFTING], np.int8)
-    found = any_axis.label(circle(**given), drifting, Tolerances(1e-5, 1e-5))
-    assert found.dtype == np.int8
-    assert NAMES[found[0]] == expected
+    label = any_axis.label(circle(**given), drifting, Tolerances(1e-5, 1e-5))
+    assert label.dtype == np.int8
+    assert NAMES[label[0]] == expected
     for steady in (Label.REGULAR_PRECESSION, Label.PERMANENT_ROTATION):
         own_label = np.array([steady], np.int8)
         assert any_axis.label(circle(**given), own_label, Tolerances(1e-5, 1e-5)) == own_label
@@ -114,7 +87,7 @@ def test_contract(given, expected):
 
 @pytest.mark.parametrize("method", ["rk4", "rk8"])
 def test_verified_cases(method):
-    ds = labelled("fixed_point", cases(), method=method)
+    ds = labelled("fixed_point", columns_of("fixed_point", CASES), method=method)
     assert names(ds) == [case["label"] for case in CASES]
     assert (ds.status == 1).all()
     rows = ds.to_dataframe().to_dict("records")
@@ -137,8 +110,8 @@ def test_verified_cases(method):
 
 
 def test_grioli_s_motion_lasts():
-    """Its label about the third axis is drifting; nothing of the run is left out for that."""
-    ds = labelled("fixed_point", {k: v[:2] for k, v in cases().items()}, 200.0)
+    """Its label about the third axis is drifting; the run is whole all the same."""
+    ds = labelled("fixed_point", columns_of("fixed_point", CASES[:2]), 200.0)
     assert names(ds) == 2 * ["regular_precession"]
     assert names(ds, "label") == 2 * ["drifting"]
     assert (ds.end_time == 200.0).all()
@@ -396,10 +369,15 @@ def test_a_system_in_euler_angles(monkeypatch):
     """A free symmetric top whose angular velocity is no linear function of its state."""
     path = Path(__file__).parents[2] / "docs/examples/heavy_top_euler/heavy_top_euler.py"
     monkeypatch.setattr(systems, "SYSTEMS", dict(SYSTEMS))
+    kernels = Mock(wraps=pipeline.kernel)
+    monkeypatch.setattr(pipeline, "kernel", kernels)
     atlas.register(runpy.run_path(str(path))["HeavyTopEuler"])
     C, theta, n, m = np.array([0.5, 1.6]), 0.8, 0.7, np.array([1.1, -0.9])
     points = {"A": 1.0, "C": C, "theta0": theta, "n": n, "m": m}
-    ds = atlas.label_points("heavy_top_euler", points, duration=30.0, variables=VARIABLES)
+    ds = labelled("heavy_top_euler", points, 30.0)
+    assert {call.args[3] for call in kernels.call_args_list} == {
+        1
+    }  # its frequency bound needs no kernel of its own
     spin = m + n * np.cos(theta)
     momentum = np.hypot(n * np.sin(theta), C * spin)
     assert names(ds, "label") == 2 * ["drifting"]

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from strategies import random_fixed_points, random_satellites
+from strategies import default_points, random_fixed_points, random_satellites
 
 import atlas
 from atlas.engine.statistics import RATES
@@ -46,8 +46,7 @@ def test_estimates_cover_the_errors_of_all_statistics(kind, system):
     points, duration = point_set(kind, system)
     true = atlas.label_points(system, points, duration=duration, method="rk8", tolerance=1e-13, rate_tolerance=1e-9,
                               cylinder_tolerance=1e-5)  # fmt: skip
-    defaults = {name: np.full(COUNT, p.default) for name, p in SYSTEMS[system].parameters.items()}
-    bound = SYSTEMS[system].frequency_bound(defaults | points)
+    bound = SYSTEMS[system].frequency_bound(default_points(system, **points))
     for method in ("rk4", "rk8"):
         for check in ("none", "all"):
             ds = atlas.label_points(system, points, duration=duration, method=method, check_half_step=check)
@@ -63,11 +62,10 @@ def test_estimates_cover_the_errors_of_all_statistics(kind, system):
 def test_extremes_of_a_constant_theta():
     """Rounding errors alone turn theta: turning points must not be sought outside the interval of two nodes."""
     rng = np.random.default_rng(0)
-    points = {name: np.full(COUNT, p.default) for name, p in SYSTEMS["fixed_point"].parameters.items()}
-    points |= {
-        "C": rng.uniform(0.2, 1.9, COUNT), "Mg": rng.uniform(0.2, 2.0, COUNT), "z0": np.ones(COUNT),
-        "theta0": rng.uniform(0.1, 3.0, COUNT), "n": rng.uniform(-2.0, 2.0, COUNT), "m": rng.uniform(-3.0, 3.0, COUNT),
-    }  # fmt: skip
+    points = default_points(
+        "fixed_point", C=rng.uniform(0.2, 1.9, COUNT), Mg=rng.uniform(0.2, 2.0, COUNT), z0=1.0,
+        theta0=rng.uniform(0.1, 3.0, COUNT), n=rng.uniform(-2.0, 2.0, COUNT), m=rng.uniform(-3.0, 3.0, COUNT),
+    )  # fmt: skip
     points["l3"] = SYSTEMS["fixed_point"].families["conical"].solve["l3"](points)
     ds = atlas.label_points("fixed_point", points, duration=5.0, method="rk8")
     assert (ds.status == Status.OK).all()

@@ -1,12 +1,11 @@
-"""Labels: the CONTRACT of how a point is called, on measurements made by hand and on published cases."""
-
-import json
-from pathlib import Path
+"""Labels of points, from measurements written by hand and of published cases."""
 
 import numpy as np
 import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
+from strategies import select
+from truth import cases, fixed_point_cases, satellite_cases
 
 import atlas
 from atlas.engine.statistics import STATISTICS
@@ -19,7 +18,6 @@ from atlas.systems.satellite.system import SATELLITE
 
 pytestmark = pytest.mark.usefixtures("whole_kernels")
 
-REFERENCE = Path(__file__).parents[1] / "reference"
 TOLERANCES = Tolerances(1e-5, 1e-5)
 NAMES = list(Label.meanings())
 
@@ -30,7 +28,7 @@ def named(ds, variable: str, point: int) -> str:
 
 
 def measured(**given):
-    """One steady motion at theta = 1 with psi' = 0.5, phi' = 0.3, and what is given instead."""
+    """One steady motion at theta = 1 with psi' = 0.5, phi' = 0.3, but for the values given."""
     values = {
         "theta_dot_rms": 0.0, "psi_dot_mean": 0.5, "psi_dot_std": 0.0, "phi_dot_mean": 0.3, "phi_dot_std": 0.0,
         "normal_rate_std": 0.0, "theta_min": 1.0, "theta_max": 1.0, "sine_max": np.sin(1.0),
@@ -129,22 +127,12 @@ def test_rounding_limit_is_the_growth_that_brings_rounding_errors_to_a_tolerance
     assert error[3] * bound[3] < tolerances.rate
 
 
-def satellite_cases():
-    cases = json.loads((REFERENCE / "satellite_cases.json").read_text())["cases"]
-    columns = {k: np.array([c[k] for c in cases])
-               for k in ("A", "B", "C", "Omega", "h1", "h3", "theta0", "psi0", "phi0", "n", "m")}  # fmt: skip
-    for i in range(3):
-        columns[f"k{i + 1}"] = np.array([c["k"][i] for c in cases])
-        columns[f"mu{i + 1}"] = np.array([c["mu"][i] for c in cases])
-    return cases, columns
-
-
 def test_the_68_satellite_cases(monkeypatch):
     # The body of one case cannot exist; its equations have the expected motion all the same.
     monkeypatch.setattr(type(SATELLITE), "possible_body", lambda self, points: np.ones(68, bool))
-    cases, columns = satellite_cases()
-    ds = atlas.label_points("satellite", columns, duration=np.array([c["T"] for c in cases]))
-    for i, case in enumerate(cases):
+    durations = [case["T"] for case in cases("satellite")]
+    ds = atlas.label_points("satellite", satellite_cases(), duration=durations)
+    for i, case in enumerate(cases("satellite")):
         expected = case["label_orbital"], case["label_inertial"], case["geometry"]
         result = named(ds, "label", i), named(ds, "label_inertial", i), named(ds, "geometry", i)
         assert result == expected, case["id"]
@@ -158,20 +146,10 @@ def test_the_68_satellite_cases(monkeypatch):
     assert (ds.agreement == 1).all()
 
 
-def fixed_point_cases():
-    cases = json.loads((REFERENCE / "fixed_point_cases.json").read_text())["cases"]
-    vectors = {"l": ("l1", "l2", "l3"), "rc": ("x0", "y0", "z0"), "w0": ("p0", "q0", "r0"),
-               "gamma0": ("gamma10", "gamma20", "gamma30")}  # fmt: skip
-    columns = {k: np.array([float(c[k]) for c in cases]) for k in ("A", "B", "C", "Mg", "N")}
-    for key, names in vectors.items():
-        columns |= {name: np.array([c[key][i] for c in cases]) for i, name in enumerate(names)}
-    return cases, columns
-
-
 def test_the_55_fixed_point_cases():
-    cases, columns = fixed_point_cases()
-    ds = atlas.label_points("fixed_point", columns, duration=np.array([c["T"] for c in cases]))
-    for i, case in enumerate(cases):
+    durations = [case["T"] for case in cases("fixed_point")]
+    ds = atlas.label_points("fixed_point", fixed_point_cases(), duration=durations)
+    for i, case in enumerate(cases("fixed_point")):
         assert (named(ds, "label", i), named(ds, "geometry", i)) == (case["label"], case["geometry"]), case[
             "id"
         ]
@@ -181,11 +159,8 @@ def test_the_55_fixed_point_cases():
 
 def test_nothing_grows_where_nothing_is_left_to_rounding():
     """An unstable sleeping top that is vertical to the last bit stays so: no matter how long."""
-    cases, columns = fixed_point_cases()
-    i = next(i for i, c in enumerate(cases) if c["id"] == 60)
-    ds = atlas.label_points(
-        "fixed_point", {k: v[i] for k, v in columns.items()}, duration=60.0, tolerance=1e-6
-    )
+    i = next(i for i, case in enumerate(cases("fixed_point")) if case["id"] == 60)
+    ds = atlas.label_points("fixed_point", select(fixed_point_cases(), i), duration=60.0, tolerance=1e-6)
     assert ds.growth_rate[0] * 60 > np.log(1e11)
     assert named(ds, "label", 0) == "permanent_rotation"
 
@@ -250,7 +225,7 @@ def test_exact_start_on_an_unstable_motion_run_too_long_is_left_to_roundoff():
 
 
 def test_steady_turn_about_the_node_is_no_precession():
-    """Theta' constant and not zero has standard deviation 0: rms must speak. Free spherical body, Omega = 0."""
+    """Theta' constant and not zero has standard deviation 0: the rms decides. Free spherical body, Omega = 0."""
     ds = atlas.label_points(
         "satellite", {"C": 1.0, "Omega": 0.0, "theta0": 1.0, "theta_dot0": 0.2}, duration=3.0, tolerance=1e-10
     )

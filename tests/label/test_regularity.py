@@ -6,8 +6,8 @@ from collections.abc import Sequence
 import numpy as np
 import pytest
 import tomli_w
-from strategies import default_points, random_fixed_points, random_satellites
-from truth import REFERENCE
+from strategies import default_points
+from truth import REFERENCE, columns_of
 
 import atlas
 from atlas import cli
@@ -16,39 +16,21 @@ from atlas.label.regularity import regularity
 from atlas.systems import SYSTEMS
 from atlas.variables import CHAOS, default_variables
 
-RANDOM = {"satellite": random_satellites, "fixed_point": random_fixed_points}
+pytestmark = pytest.mark.usefixtures("whole_kernels")
+
 VARIABLES = ["label", "status", "megno", "lyapunov", "regularity"]
 CASES = json.loads((REFERENCE / "chaos_cases.json").read_text())
 
 
 def labelled(system: str, points, duration, variables: Sequence[str] = VARIABLES, **options):
-    """The points with these variables.
-
-    A point that has every term of the equations goes with them, so that all calls share one kernel.
-    """
-    points = default_points(system, **points)
-    generic = RANDOM[system](np.random.default_rng(0), 1)
-    together = {name: np.append(values, generic[name]) for name, values in points.items()}
-    durations = np.append(np.broadcast_to(duration, values_of(points).shape), 1.0)
-    ds = atlas.label_points(
-        system, together, duration=durations, variables=variables, progress=False, **options
-    )
-    return ds.isel(point=slice(-1))
-
-
-def values_of(points):
-    """The values of any parameter."""
-    return next(iter(points.values()))
+    """The points with these variables."""
+    return atlas.label_points(system, points, duration=duration, variables=variables, **options)
 
 
 def cases_of(system: str, *classes: str):
     """Verified cases of a system, and their points as columns."""
     cases = [case for case in CASES["cases"] if case["system"] == system and case["class"] in classes]
-    names = SYSTEMS[system].parameters
-    columns = {
-        name: np.array([case["points"].get(name, names[name].default) for case in cases]) for name in names
-    }
-    return cases, {name: column for name, column in columns.items() if not np.isnan(column).all()}
+    return cases, columns_of(system, [case["points"] for case in cases])
 
 
 def column(cases, key, i=None):

@@ -37,11 +37,11 @@ def test_the_parameters_and_the_attributes_repeat_the_motion(system, tmp_path):
     point = {name: float(read[name]) for name in SYSTEMS[system].parameters if name in read}
     assert point.items() >= POINTS[system].items()
     attributes = read.attrs
-    again = atlas.trajectory(
+    repeated = atlas.trajectory(
         attributes["atlas_system"], point, duration=float(read.time[-1]), samples=read.sizes["time"],
         method=attributes["atlas_method"], tolerance=attributes["atlas_tolerance"],
     )  # fmt: skip
-    xr.testing.assert_equal(again, tr)
+    xr.testing.assert_equal(repeated, tr)
     assert 0 < float(read.step) <= 0.2
     atlas_attributes = atlas.label_points(system, POINTS[system], duration=2.0, progress=False).attrs
     assert set(atlas_attributes) - set(attributes) <= {"atlas_seconds", "atlas_points_per_second"}

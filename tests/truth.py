@@ -16,6 +16,7 @@ import xarray as xr
 from scipy.integrate import solve_ivp
 from strategies import default_points
 
+import atlas
 from atlas.systems import SYSTEMS
 
 REFERENCE = Path(__file__).parent / "reference"
@@ -244,6 +245,16 @@ def fixed_point_cases() -> dict[str, np.ndarray]:
     for key, names in vectors.items():
         given |= {name: column(lambda case, key=key, i=i: case[key][i]) for i, name in enumerate(names)}
     return default_points("fixed_point", **given)
+
+
+def assert_shards_and_threads_agree(scene, folder: Path) -> None:
+    """Assert that a run in one thread, and two shards in a run folder, give the same atlas."""
+    whole = atlas.run(scene, progress=False, threads=1)
+    for shard in ((1, 2), (2, 2)):
+        atlas.run(scene, f"{folder}/run/", progress=False, shard=shard)
+    with atlas.open_atlas(folder / "run") as ds:
+        for name in whole.data_vars:
+            np.testing.assert_array_equal(ds[name], whole[name])
 
 
 def assert_same_bytes(expected: xr.Dataset, dataset: xr.Dataset) -> None:

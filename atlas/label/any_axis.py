@@ -36,9 +36,9 @@ def frames(system: System, outputs: Collection[str]) -> int:
 def measurements(
     integration: Integration, measured: Mapping[str, Array], tolerances: Tolerances
 ) -> dict[str, Array]:
-    """What runs give beside the statistics `measured`, by name: nothing where no circles were measured.
+    """Statistics of the circles of runs by name, "label:statistic" for each label, and the rates and angles of `values`.
 
-    The statistics of the circle of each label, called "label:name", and the rates and angles of `values`.
+    measured: the other statistics of the runs. The result is empty where no circles were measured.
     """
     result: dict[str, Array] = {}
     for i, (name, circle) in enumerate(zip(LABELS, integration.circles(), strict=False)):
@@ -212,13 +212,13 @@ def _of_rotation(circle: Mapping[str, Array], rate: float) -> dict[str, Array]:
     components = [circle[f"rate_{i}"] for i in (1, 2, 3)]
     size = np.sqrt(sum(component**2 for component in components))
     rotates = size > rate
-    nothing = np.where(rotates, 0.0, np.nan)
+    zero_or_nan = np.where(rotates, 0.0, np.nan)
     return {
         "precession_rate": np.zeros_like(size),
         "spin_rate": size,
-        "nutation": nothing,
-        "precession_inclination": circle["rotation_inclination"] + nothing,
-    } | {f"spin_axis_{i + 1}": component / size + nothing for i, component in enumerate(components)}
+        "nutation": zero_or_nan,
+        "precession_inclination": circle["rotation_inclination"] + zero_or_nan,
+    } | {f"spin_axis_{i + 1}": component / size + zero_or_nan for i, component in enumerate(components)}
 
 
 def relative_error(

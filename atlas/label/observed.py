@@ -73,8 +73,9 @@ def evaluate(
     """Integrate, measure and label points of a system with observables; see `pipeline.evaluate`."""
     advance = progress or (lambda points: None)
     runs = _prepare(system, points, duration, settings, specialization, halved, threads)
+    names = frozenset(outputs or ())  # those sought below are no default variables
     tangent, share = None, 0.0
-    if has_chaos(outputs):
+    if has_chaos(names):
         tangent = TangentRuns.of(
             system, specialization, runs.ensemble, points, duration, settings, runs.step_sizes
         )
@@ -90,7 +91,7 @@ def evaluate(
     columns["end_time"] = np.where(runs.step_sizes.resolved, duration, _integrated(runs))
     if tangent is not None:
         columns |= tangent.variables(columns, threads, advance)
-    return columns | derived_values(system, outputs or (), base, duration, lambda: advance(0.0))
+    return columns | derived_values(system, names, base, duration, lambda: advance(0.0))
 
 
 def _prepare(
@@ -217,10 +218,10 @@ def _assemble(
     step_sensitive: Mask,
 ) -> dict[str, np.ndarray]:
     """The variables of the registry but those of chaos, the derived ones and the end of the run."""
-    nothing = np.zeros(resolved.shape)
+    no_growth = np.zeros(resolved.shape)
     status = labels.status(
-        measurement.finite, measured["integral_drift"], runs.settings.drift_tolerance, resolved, nothing, nothing,
-        step_sensitive,
+        measurement.finite, measured["integral_drift"], runs.settings.drift_tolerance, resolved, no_growth,
+        no_growth, step_sensitive,
     )  # fmt: skip
     kind = np.where(status == Status.OK, label(runs.system, measured, runs.settings), Steadiness.UNRESOLVED)
     columns: dict[str, np.ndarray] = {

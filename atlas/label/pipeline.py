@@ -103,8 +103,8 @@ def evaluate(
     specialization : Specialization
         What the kernel leaves out, the same for all points of a scene.
     outputs : collection of str, optional
-        Variables that are wanted; default: all but the system's derived variables. Statistics that are not wanted may
-        be missing or cover a part of the run, for without them a point ends when its label is certain.
+        Names of variables; default: those of `variables.default_variables`. Statistics that are not among them may be
+        missing or cover a part of the run, for without them a point ends when its label is certain.
     nudged : bool
         Whether the points were moved off a family's motions.
     reason : ndarray of int8, shape (points,), optional
@@ -136,39 +136,40 @@ def evaluate(
             system, base, points, duration, settings, specialization=specialization, outputs=outputs, halved=halved,
             threads=threads, progress=progress,
         )  # fmt: skip
-    frames = any_axis.frames(system, outputs or ())
+    names = frozenset(outputs or ())  # those sought below are no default variables
+    frames = any_axis.frames(system, names)
     execution = _Execution(threads, progress or (lambda points: None))
     runs = _prepare(
         system, base, points, duration, settings, specialization, nudged, halved, frames, execution
     )
-    if has_chaos(outputs):
+    if has_chaos(names):
         tangent = TangentRuns.of(
             system, specialization, runs.ensemble, points, duration, settings, runs.step_sizes
         )
         runs = replace(runs, tangent=tangent)
-    whole_run = outputs is None or bool(WHOLE_RUN & set(outputs))
+    whole_run = outputs is None or not WHOLE_RUN.isdisjoint(names)
     integration = _integrate(runs, whole_run, execution)
     measured = _measured(integration, settings)
     recheck = _recheck(runs, integration, measured, execution)
     columns = _assemble(runs, integration, measured, recheck)
     if runs.tangent is not None:
         columns |= runs.tangent.variables(columns, execution.threads, execution.progress)
-    if outputs is not None and set(ANY_AXIS_THEORY) & set(outputs):
+    if not names.isdisjoint(ANY_AXIS_THEORY):
         columns |= predict_any_axis(system, base, points, columns, settings.rate_tolerance, nudged=nudged)
-    if outputs is not None and "agreement_any_axis" in outputs:
+    if "agreement_any_axis" in names:
         columns["agreement_any_axis"] = agreement(columns["label_any_axis"], columns["predicted_any_axis"])
-    return columns | derived_values(system, outputs or (), base, duration, lambda: execution.progress(0.0))
+    return columns | derived_values(system, names, base, duration, lambda: execution.progress(0.0))
 
 
 @dataclass(frozen=True)
 class _Execution:
-    """By how many threads points are integrated, and who is called as they are."""
+    """By how many threads points are integrated, and the function that is called with their progress."""
 
     threads: int | None
     progress: Callable[[float], None]  # takes a number of points; may raise an exception to end the run
 
     def check(self, point_steps: int) -> None:
-        """For integrations that are no progress: give `progress` its chance to end the run."""
+        """For integrations that do not count as progress: call `progress`, which may end the run."""
         self.progress(0.0)
 
 
@@ -178,7 +179,7 @@ class _Runs:
 
     system: System
     settings: Settings
-    specialization: Specialization
+    kernel: ModuleType  # that integrates the points
     ensemble: Ensemble
     step_sizes: StepSizes
     duration: Array
@@ -191,13 +192,7 @@ class _Runs:
     rounding_growth: Array  # the same where the start is on the motion to rounding, else 0
     rounding_growth_on_vertical: Array  # the same of runs whose third axis never leaves the vertical by a bit
     frame_rates: Mapping[str, Array]  # label variable -> rate added to psi', rad per time unit
-    frames: int = 0  # in which the kernel measures circles
     tangent: TangentRuns | None = None
-
-    @property
-    def kernel(self) -> ModuleType:
-        """The kernel that integrates the points."""
-        return kernel(self.system, self.settings.method, self.specialization, self.frames)
 
     @property
     def error_amplified(self) -> Mask:
@@ -220,16 +215,16 @@ def _prepare(
 ) -> _Runs:
     """The ensemble, its step sizes and its theory. Parameters may overflow: such points end up unresolved."""
     ensemble = Ensemble.of(system, points, frames)
+    module, method = kernel(system, settings.method, specialization, frames), METHODS[settings.method]
     if system.has_numeric_bound:
         bound, settled = numeric_bound.along_runs(
-            system, kernel(system, settings.method, specialization, frames), METHODS[settings.method], ensemble,
-            duration, settings.max_steps, threads=execution.threads,
-        )  # fmt: skip
+            system, module, method, ensemble, duration, settings.max_steps, threads=execution.threads
+        )
         ensemble = replace(ensemble, frequency_bound=np.where(settled, bound, np.inf))
     with np.errstate(all="ignore"):
         step_sizes = StepSizes.of(settings, ensemble.frequency_bound, duration)
         if halved:
-            step_sizes = step_sizes.halved(METHODS[settings.method])
+            step_sizes = step_sizes.halved(method)
         prediction = predict_runs(
             system,
             base,
@@ -255,7 +250,7 @@ def _prepare(
     return _Runs(
         system=system,
         settings=settings,
-        specialization=specialization,
+        kernel=module,
         ensemble=ensemble,
         step_sizes=step_sizes,
         duration=duration,
@@ -268,7 +263,6 @@ def _prepare(
         rounding_growth=rounding_growth,
         rounding_growth_on_vertical=np.fmin(rounding_growth, about_vertical),
         frame_rates=frame_rates,
-        frames=frames,
     )
 
 
@@ -296,7 +290,7 @@ def _integrate(runs: _Runs, whole_run: bool, execution: _Execution) -> Integrati
 
 
 def _measured(integration: Integration, settings: Settings) -> dict[str, Array]:
-    """Statistics of an integration, and what it gives about any axes."""
+    """Statistics of an integration, and those of its circles."""
     measured = integration.statistics()
     return measured | any_axis.measurements(integration, measured, settings.tolerances)
 
@@ -322,7 +316,7 @@ def _status(
 
 @dataclass(frozen=True)
 class _Recheck:
-    """What integrating some of the points again with other steps shows; arrays of shape (points,)."""
+    """Errors of points, some of which are integrated again with other steps; arrays of shape (points,)."""
 
     step_sensitive: Mask
     error: Array  # relative error of states and statistics

@@ -68,7 +68,7 @@ def label_points(
     progress : bool
         Print progress on the standard error stream.
     keep : sequence of str, optional
-        Columns of `points` that are no parameters, to be coordinates of the result. Columns of text, and those called
+        Columns of `points` that are no parameters, to be coordinates of the result. Columns of text, and those named
         id, index, name, number or point, are kept anyhow.
     **more
         cylinder_tolerance, std_tolerance, drift_tolerance, max_steps, check_half_step: as in a scene.
@@ -86,27 +86,27 @@ def label_points(
     Notes
     -----
     Points with moments of inertia that no body can have, and those of which nothing turns where the duration is a
-    number of turns, are not computed: their label is not_computed, and the status of the former impossible_body. A logged warning,
-    which the attribute `atlas_warnings` repeats, counts them. It is an error if there are no other points.
+    number of turns, are not computed: their label is not_computed, and the status of the former impossible_body. A
+    logged warning, which the attribute `atlas_warnings` repeats, counts them. It is an error if no point is computed.
     """
-    kind = systems.get(system)
+    description = systems.get(system)
     for key in set(more) - set(MORE_SETTINGS):
         raise BadInput(f"{key}: unknown option of label_points; {allowed_text(key, MORE_SETTINGS)}")
     settings = Settings(method=method, tolerance=tolerance, step=step, rate_tolerance=rate_tolerance, **more)
-    check_std_tolerance(kind, settings.std_tolerance)
-    outputs = _outputs(kind, variables)
-    source = table(points, {*kind.parameters, *keep})
-    kept = kept_columns(kind, source, keep)
+    check_std_tolerance(description, settings.std_tolerance)
+    outputs = _outputs(description, variables)
+    source = table(points, {*description.parameters, *keep})
+    kept = kept_columns(description, source, keep)
     _check_names(kept, outputs)
-    full, size = point_columns(kind, source, kept)
-    durations, unit = _durations(kind, duration, full, size)
-    reason = _reasons(kind, full, durations, unit)
-    warnings = _warnings(kind, full, reason, unit)
+    full, size = point_columns(description, source, kept)
+    durations, unit = _durations(description, duration, full, size)
+    reason = _reasons(description, full, durations, unit)
+    warnings = _warnings(description, full, reason, unit)
     log_warnings(warnings)
     stopwatch = Stopwatch()
-    specialization = Specialization.of_points(kind, subset(full, reason == grid.Reason.NONE))
+    specialization = Specialization.of_points(description, subset(full, reason == grid.Reason.NONE))
     columns = _evaluate_in_tiles(
-        kind,
+        description,
         grid.Grid(full, full, reason, durations),
         settings,
         specialization,
@@ -115,9 +115,9 @@ def label_points(
         threads,
         progress,
     )
-    ds = _dataset(kind, columns, full, kept)
+    ds = _dataset(description, columns, full, kept)
     ds.attrs |= provenance.provenance(
-        kind, settings, hash_of_kernels(kind, method, specialization, outputs),
+        description, settings, hash_of_kernels(description, method, specialization, outputs),
         title=f"points of the {system}", scene="", seconds=stopwatch.seconds(), points=size,
         warnings=warnings,
     )  # fmt: skip

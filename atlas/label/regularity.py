@@ -51,9 +51,9 @@ def regularity(label: Flags, megno: Array) -> Flags:
     return np.asarray(flags, np.int8)
 
 
-def has_chaos(outputs: Collection[str] | None) -> bool:
-    """Whether a variable of CHAOS is among these outputs; it is not among the default ones, None."""
-    return outputs is not None and not CHAOS.isdisjoint(outputs)
+def has_chaos(names: Collection[str]) -> bool:
+    """Whether a variable of CHAOS is among these variables."""
+    return not CHAOS.isdisjoint(names)
 
 
 def warnings(scene: Scene, sample: Grid) -> list[str]:

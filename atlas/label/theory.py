@@ -246,9 +246,9 @@ def exact_starts(
 
 def agreement(label: Flags, predicted: Flags) -> Flags:
     """Value of flags.Agreement for each point."""
-    nothing = (predicted == Label.NOT_COMPUTED) | (label == Label.NOT_COMPUTED) | (label == Label.UNRESOLVED)
+    unknown = (predicted == Label.NOT_COMPUTED) | (label == Label.NOT_COMPUTED) | (label == Label.UNRESOLVED)
     conditions = {
-        Agreement.NOT_COMPARED: nothing,
+        Agreement.NOT_COMPARED: unknown,
         Agreement.AGREE: label == predicted,
         Agreement.THEORY_ONLY: label == Label.DRIFTING,
         Agreement.NUMERICS_ONLY: predicted == Label.DRIFTING,

@@ -77,8 +77,9 @@ def trajectory(
         Over the dimension "time", float64: the state by the names of the equations; theta, psi, phi (rad; psi and phi
         unwrapped, nan on the vertical, where they do not exist); theta_dot, psi_dot, phi_dot, normal_rate (rad per time
         unit); axis_x, axis_y, axis_z (the third body axis in the frame: for the satellite along radius, velocity and
-        normal); integral_drift. Of a system with observables: the states, the observables and integral_drift. Without a dimension: `step`, and the parameters (a start value that has the name of one of
-        the variables has the suffix _start). The attributes are those of an atlas.
+        normal); integral_drift. Of a system with observables: the states, the observables and integral_drift. Without
+        a dimension: `step`, and the parameters (a start value that has the name of one of the variables has the suffix
+        _start). The attributes are those of an atlas.
 
     Raises
     ------
@@ -90,34 +91,34 @@ def trajectory(
 
 
 def _trajectory(
-    kind: System, point: Mapping[str, Any], duration: float, samples: int, settings: Settings, title: str
+    system: System, point: Mapping[str, Any], duration: float, samples: int, settings: Settings, title: str
 ) -> xr.Dataset:
     """As `trajectory`, with a title."""
     checks.whole_number("samples", samples, 2, MAX_SAMPLES)
     duration = checks.positive("duration", duration)
-    points, size = point_columns(kind, point)
+    points, size = point_columns(system, point)
     if size != 1:
         raise BadInput(f"point: {size} points given; a trajectory is that of one")
-    kind.check_possible(points)
-    ensemble = Ensemble.of(kind, points)
-    module = kernel(kind, settings.method)
+    system.check_possible(points)
+    ensemble = Ensemble.of(system, points)
+    module = kernel(system, settings.method)
     durations = np.array([duration])
     with np.errstate(all="ignore"):  # numbers may overflow: the motion is then not finite
         bound = ensemble.frequency_bound
-        if kind.has_numeric_bound:
+        if system.has_numeric_bound:
             bound, _ = numeric_bound.along_runs(
-                kind, module, METHODS[settings.method], ensemble, durations, settings.max_steps, threads=1
+                system, module, METHODS[settings.method], ensemble, durations, settings.max_steps, threads=1
             )
         step_sizes = StepSizes.of(settings, bound, durations)
     # Whole steps between samples, never longer than those of the atlas.
     steps_per_sample = -(-int(step_sizes.steps[0]) // (samples - 1))
     step_size = np.array([duration / (steps_per_sample * (samples - 1))])
-    states = _states(kind, module, ensemble, steps_per_sample, step_size, samples)
-    ds = _dataset(kind, ensemble, states, np.linspace(0.0, duration, samples))
-    _add_parameters(ds, kind, points, float(step_size[0]))
+    states = _states(system, module, ensemble, steps_per_sample, step_size, samples)
+    ds = _dataset(system, ensemble, states, np.linspace(0.0, duration, samples))
+    _add_parameters(ds, system, points, float(step_size[0]))
     ds.attrs = provenance.provenance(
-        kind, settings, kernel_hash(kind, settings.method), title=title or f"trajectory of the {kind.title}",
-        scene="", seconds=0.0, points=1, warnings=kind.warnings(points),
+        system, settings, kernel_hash(system, settings.method), title=title or f"trajectory of the {system.title}",
+        scene="", seconds=0.0, points=1, warnings=system.warnings(points),
     )  # fmt: skip
     for name in ("atlas_seconds", "atlas_points_per_second"):
         del ds.attrs[name]

@@ -16,7 +16,7 @@ from strategies import (
     satellite_on_family,
     symmetric_fixed_points,
 )
-from truth import cases, columns_of
+from truth import assert_shards_and_threads_agree, cases, columns_of
 
 import atlas
 from atlas import cli, systems
@@ -316,12 +316,7 @@ def test_only_scenes_that_ask_for_it_have_it():
 
 def test_run_folders_shards_and_threads_give_the_same(tmp_path):
     scene = atlas.load_scene(free_scene(["label_any_axis", *any_axis.RATES, "error_estimate"]))
-    whole = atlas.run(scene, progress=False, threads=1)
-    for shard in ((1, 2), (2, 2)):
-        atlas.run(scene, f"{tmp_path}/run/", progress=False, shard=shard)
-    with atlas.open_atlas(tmp_path / "run") as ds:
-        for name in whole.data_vars:
-            np.testing.assert_array_equal(ds[name], whole[name])
+    assert_shards_and_threads_agree(scene, tmp_path)
 
 
 def test_refinement_follows_it(tmp_path, capsys):

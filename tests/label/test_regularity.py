@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import tomli_w
 from strategies import default_points
-from truth import REFERENCE, columns_of
+from truth import REFERENCE, assert_shards_and_threads_agree, columns_of
 
 import atlas
 from atlas import cli
@@ -170,12 +170,7 @@ def test_only_scenes_that_ask_for_it_have_it():
 
 def test_run_folders_shards_and_threads_give_the_same(tmp_path):
     scene = atlas.load_scene(scene_of())
-    whole = atlas.run(scene, progress=False, threads=1)
-    for shard in ((1, 2), (2, 2)):
-        atlas.run(scene, f"{tmp_path}/run/", progress=False, shard=shard)
-    with atlas.open_atlas(tmp_path / "run") as ds:
-        for name in whole.data_vars:
-            np.testing.assert_array_equal(ds[name], whole[name])
+    assert_shards_and_threads_agree(scene, tmp_path)
 
 
 def test_coarse_steps_fake_no_chaos():

@@ -221,7 +221,7 @@ def _of_rotation(circle: Mapping[str, Array], rate: float) -> dict[str, Array]:
     } | {f"spin_axis_{i + 1}": component / size + zero_or_nan for i, component in enumerate(components)}
 
 
-def relative_error(
+def error_of_values(
     rate_error: Array, bound: Array, measured: Mapping[str, Array], tolerances: Tolerances
 ) -> Array:
     """Relative error to expect of RATES and ANGLES, (points,), at most 1; 0 where they are not measured on a circle.

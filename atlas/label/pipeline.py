@@ -337,7 +337,7 @@ def _recheck(
         unsure = _unsure(measured, measurement_errors(step_sizes, bound, measured), runs)
         error = error_estimate(step_sizes, bound, runs.log_growth, integration, measured, settings.cylinder)
         rate_error = step_sizes.rate_error * np.exp(runs.log_growth)
-        error = np.fmax(error, any_axis.relative_error(rate_error, bound, measured, settings.tolerances))
+        error = np.fmax(error, any_axis.error_of_values(rate_error, bound, measured, settings.tolerances))
     sample = np.flatnonzero(resolved & half_step_sample(runs.ensemble, settings.check_half_step))
     if sample.size:
         error[sample], unsure[sample] = _measured_error(

@@ -156,8 +156,8 @@ def predict(
         frames["predicted_inertial"] = n + system.frame_rate(points)
     for name, rate in frames.items():
         label = steady_label(rate, m, np.abs(sine) <= FAMILY_TOLERANCE, rate_tolerance)
-        on = (family > 0) & ~_about_other_axes(system, family)
-        result[name] = _after_nudge(label, stable, nudged, on, system.complete(points) & within)
+        on_family = (family > 0) & ~_about_other_axes(system, family)
+        result[name] = _after_nudge(label, stable, nudged, on_family, system.complete(points) & within)
     return result
 
 
@@ -166,14 +166,14 @@ def _about_other_axes(system: System, family: Flags) -> Mask:
     return np.isin(family, [f.flag for f in system.families.values() if f.axes is not None])
 
 
-def _after_nudge(label: Flags, stable: Flags, nudged: Mask | bool, on: Mask, complete: Mask) -> Flags:
+def _after_nudge(label: Flags, stable: Flags, nudged: Mask | bool, on_family: Mask, complete: Mask) -> Flags:
     """Predicted labels: of a nudged motion, and off every family, see `predict`."""
     label = np.select(
         [np.logical_not(nudged) | (stable == Stability.STABLE), stable == Stability.UNSTABLE],
         [label, Label.DRIFTING],
         Label.NOT_COMPUTED,
     )
-    return np.where(on, label, np.where(complete, Label.DRIFTING, Label.NOT_COMPUTED)).astype(np.int8)
+    return np.where(on_family, label, np.where(complete, Label.DRIFTING, Label.NOT_COMPUTED)).astype(np.int8)
 
 
 def predict_any_axis(

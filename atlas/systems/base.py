@@ -161,7 +161,16 @@ class DerivedVariable:
     def of_group(
         cls, together: Together, name: str, unit: str, long_name: str, comment: str, **more: Any
     ) -> DerivedVariable:
-        """One of the variables that a function computes together."""
+        """One of the variables that a function computes together.
+
+        Parameters
+        ----------
+        together : callable
+            See the attribute of this name.
+        name, unit, long_name, comment : str
+        **more
+            Further attributes.
+        """
 
         def values(points: Points, duration: Array, pause: Callable[[], None]) -> NDArray[Any]:
             return together([name], points, duration, pause)[name]

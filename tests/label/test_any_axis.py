@@ -51,17 +51,17 @@ def names(ds, variable: str = "label_any_axis") -> list[str]:
     return [NAMES[flag] for flag in ds[variable].values]
 
 
-def circle(**given):
+def circle(**changes):
     """A circle on which u turns at 0.3 about its axis, of radius 0.4 and nutation 1, but for the values given."""
     values = {
         "spread": 0.4, "height_std": 0.0, "radius_std": 0.0, "spin_std": 0.0, "spin": 0.3, "precession": 0.4 / np.sin(1.0),
         "sine": np.sin(1.0),
-    } | given  # fmt: skip
+    } | changes  # fmt: skip
     return {name: np.array([value]) for name, value in values.items()}
 
 
 @pytest.mark.parametrize(
-    ("given", "expected"),
+    ("changes", "expected"),
     [
         ({}, "regular_precession"),
         ({"spread": 1e-5, "spin_std": np.nan, "spin": np.nan}, "permanent_rotation"),
@@ -75,14 +75,14 @@ def circle(**given):
         ({"sine": 1e-5}, "regular_precession"),
     ],
 )  # fmt: skip
-def test_contract(given, expected):
+def test_label_at_every_threshold(changes, expected):
     drifting = np.array([Label.DRIFTING], np.int8)
-    label = any_axis.label(circle(**given), drifting, Tolerances(1e-5, 1e-5))
+    label = any_axis.label(circle(**changes), drifting, Tolerances(1e-5, 1e-5))
     assert label.dtype == np.int8
     assert NAMES[label[0]] == expected
     for steady in (Label.REGULAR_PRECESSION, Label.PERMANENT_ROTATION):
         own_label = np.array([steady], np.int8)
-        assert any_axis.label(circle(**given), own_label, Tolerances(1e-5, 1e-5)) == own_label
+        assert any_axis.label(circle(**changes), own_label, Tolerances(1e-5, 1e-5)) == own_label
 
 
 @pytest.mark.parametrize("method", ["rk4", "rk8"])

@@ -27,17 +27,17 @@ def named(ds, variable: str, point: int) -> str:
     return ds[variable].attrs["flag_meanings"].split()[int(ds[variable][point])]
 
 
-def measured(**given):
+def measured(**changes):
     """One steady motion at theta = 1 with psi' = 0.5, phi' = 0.3, but for the values given."""
     values = {
         "theta_dot_rms": 0.0, "psi_dot_mean": 0.5, "psi_dot_std": 0.0, "phi_dot_mean": 0.3, "phi_dot_std": 0.0,
         "normal_rate_std": 0.0, "theta_min": 1.0, "theta_max": 1.0, "sine_max": np.sin(1.0),
-    } | given  # fmt: skip
+    } | changes  # fmt: skip
     return {name: np.array([value]) for name, value in values.items()}
 
 
 @pytest.mark.parametrize(
-    ("given", "expected"),
+    ("changes", "expected"),
     [
         ({}, "regular_precession"),
         ({"psi_dot_mean": 0.0}, "permanent_rotation"),
@@ -62,22 +62,22 @@ def measured(**given):
         ({"sine_max": 1.01e-5, "theta_min": 0.99e-5, "theta_max": 1.01e-5}, "regular_precession"),
     ],
 )  # fmt: skip
-def test_contract(given, expected):
-    result = labels.label(measured(**given), TOLERANCES)
+def test_label_at_every_threshold(changes, expected):
+    result = labels.label(measured(**changes), TOLERANCES)
     assert NAMES[result[0]] == expected
     assert result.dtype == np.int8
 
 
 @pytest.mark.parametrize(
-    ("given", "expected"),
+    ("changes", "expected"),
     [({name: 1e-5}, "regular_precession") for name in ("theta_dot_rms", "psi_dot_std", "phi_dot_std")]
     + [({name: 1e-5}, "permanent_rotation") for name in ("psi_dot_mean", "phi_dot_mean")]
     + [({"sine_max": 0.9e-5, "normal_rate_std": 1e-5}, "permanent_rotation")]
     + [({"sine_max": 1e-5}, "regular_precession")],
 )
-def test_a_rate_as_large_as_its_tolerance_counts_as_none(given, expected):
+def test_a_rate_as_large_as_its_tolerance_counts_as_none(changes, expected):
     """And sin theta must stay below the cylinder tolerance to be inside."""
-    assert NAMES[labels.label(measured(**given), TOLERANCES)[0]] == expected
+    assert NAMES[labels.label(measured(**changes), TOLERANCES)[0]] == expected
 
 
 def test_inertial_label_adds_the_rate_of_the_frame():

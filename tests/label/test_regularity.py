@@ -96,21 +96,21 @@ def test_planar_oscillations_are_unstable_in_tongues():
 def integrable(name: str, count: int, seed: int = 0):
     """Random bodies about a fixed point whose motion is integrable."""
     rng = np.random.default_rng(seed)
-    given = {"theta0": rng.uniform(0.2, 2.9, count), "phi0": rng.uniform(0, 2 * np.pi, count)}
-    given |= {rate: rng.normal(size=count) for rate in ("n", "m", "theta_dot0")}
+    points = {"theta0": rng.uniform(0.2, 2.9, count), "phi0": rng.uniform(0, 2 * np.pi, count)}
+    points |= {rate: rng.normal(size=count) for rate in ("n", "m", "theta_dot0")}
     parts = rng.uniform(0.3, 1.0, (3, count))
-    given |= dict(zip("ABC", parts.sum(0) - parts, strict=True))
+    points |= dict(zip("ABC", parts.sum(0) - parts, strict=True))
     if name == "Joukovsky":
-        given |= {rotor: rng.normal(size=count) for rotor in ("l1", "l2", "l3")}
+        points |= {rotor: rng.normal(size=count) for rotor in ("l1", "l2", "l3")}
     elif name == "Clebsch":
-        given |= {"N": rng.normal(size=count)}
+        points |= {"N": rng.normal(size=count)}
     elif name == "Lagrange":
-        given |= {"B": given["A"], "C": given["A"] * rng.uniform(0.3, 1.9, count), "Mg": 1.0}
-        given |= {"z0": rng.normal(size=count), "l3": rng.normal(size=count)}
+        points |= {"B": points["A"], "C": points["A"] * rng.uniform(0.3, 1.9, count), "Mg": 1.0}
+        points |= {"z0": rng.normal(size=count), "l3": rng.normal(size=count)}
     elif name == "Kovalevskaya":
-        given |= {"A": 2.0, "B": 2.0, "C": 1.0, "Mg": 1.0}
-        given |= {"x0": rng.normal(size=count), "l3": rng.normal(size=count)}
-    return default_points("fixed_point", count, **given)
+        points |= {"A": 2.0, "B": 2.0, "C": 1.0, "Mg": 1.0}
+        points |= {"x0": rng.normal(size=count), "l3": rng.normal(size=count)}
+    return default_points("fixed_point", count, **points)
 
 
 def test_no_integrable_motion_is_chaotic():
@@ -176,13 +176,13 @@ def test_run_folders_shards_and_threads_give_the_same(tmp_path):
 def test_coarse_steps_fake_no_chaos():
     """A step that resolves the labels may be too long for the indicators: no label then."""
     points = {"A": 1.0, "B": 1.3, "C": 1.6, "psi0": np.linspace(0.5, 1.4, 4), "theta0": 0.1}
-    given = {"step": 0.15, "method": "rk8"}
-    ds = labelled("satellite", points, 100.0, **given)
+    settings = {"step": 0.15, "method": "rk8"}
+    ds = labelled("satellite", points, 100.0, **settings)
     assert (ds.regularity == 0).all()
     assert np.isnan(ds.megno).all()
     assert (ds.label == 4).all()
     assert (ds.status == 4).all()
-    assert (labelled("satellite", points, 100.0, ["label"], **given).label == 3).all()
+    assert (labelled("satellite", points, 100.0, ["label"], **settings).label == 3).all()
 
 
 def test_check_warns_of_runs_that_are_too_short(tmp_path, capsys):

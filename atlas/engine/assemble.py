@@ -12,6 +12,7 @@ import importlib.util
 from collections.abc import Collection, Iterable, Mapping
 from pathlib import Path
 from types import ModuleType
+from typing import Any
 
 import numpy as np
 
@@ -23,6 +24,7 @@ from . import (
     jit,
     kernel,
     lanes,
+    losses,
     observe,
     poles,
     sampling,
@@ -178,10 +180,11 @@ def source(
     Raises
     ------
     BadInput
-        If a first integral has the name of a function of the kernel, and for equations that cannot be differentiated.
+        If a first integral or a loss has the name of a function of the kernel, and for equations that cannot be differentiated.
     """
     own_functions = functions(of, () if frames else ("FRAMES",))
     integrate = own_functions.pop("integrate")
+    equations = _with_losses(equations, zero, equal, of)
     try:
         generated_functions = _generated_functions(equations, METHODS[method], zero, equal, of)
     except ValueError as error:  # of `differential`
@@ -220,6 +223,7 @@ def plain_module(
     frames: int = 0,
 ) -> ModuleType:
     """The same kernel as plain Python, slow; arguments as for `source`."""
+    equations = _with_losses(equations, zero, equal, of)
     namespace: dict[str, object] = {"np": np, **arithmetic.numpy_functions()}
     for name, text in _generated_functions(equations, METHODS[method], zero, equal, of).items():
         exec(compile(text, f"<{name} of {equations.__name__}>", "exec"), namespace)
@@ -245,7 +249,14 @@ def _copy(module: ModuleType, namespace: Mapping[str, object]) -> ModuleType:
     return copy
 
 
-def _constants(equations: ModuleType, method: Method) -> dict[str, float]:
+def _with_losses(
+    equations: ModuleType, zero: Collection[str], equal: Mapping[str, str], of: ModuleType
+) -> ModuleType:
+    """Equations that integrate the losses of their integrals; a tangent kernel measures no integrals."""
+    return losses.with_losses(equations, {} if of is tangent else losses.losses_of(equations, zero, equal))
+
+
+def _constants(equations: ModuleType, method: Method) -> dict[str, Any]:
     """The numbers that `generated` declares."""
     return {
         "WIDTH": generated.WIDTH,
@@ -258,6 +269,7 @@ def _constants(equations: ModuleType, method: Method) -> dict[str, float]:
         "STORES_SLOPE": method.stages > 4,
         "HAS_AXIS": hasattr(equations, "axis_in_frame"),
         **({"OBSERVABLES": len(names)} if (names := observable_names(equations)) else {}),
+        **({"LOSSES": tuple(equations.LOSSES)} if equations.LOSSES else {}),
     }
 
 
@@ -272,7 +284,7 @@ def _generated_functions(
     states, constants = len(equations.STATE), len(equations.CONSTANTS)
     extended = states + tangent_space.size(equations)
     sources = {
-        name: simplify(text, zero, equal, () if name == "scaled" else equations.ONES)
+        name: simplify(text, zero, equal, () if name in ("scaled", losses.SCALED) else equations.ONES)
         for name, text in arithmetic.functions(equations).items()
     }
     if "axis_in_frame" not in sources:
@@ -330,9 +342,10 @@ def observable_names(equations: ModuleType) -> tuple[str, ...]:
 
 def _check_names(equations: ModuleType, taken: Collection[str]) -> None:
     """Raise BadInput if a function of the equations would replace one of the kernel."""
-    for name in equations.INTEGRALS:
+    names = {"INTEGRALS": equations.INTEGRALS, "LOSSES": equations.LOSSES.values()}
+    for key, name in ((key, name) for key, given in names.items() for name in given):
         if name in taken or hasattr(generated, name):
-            raise BadInput(f"INTEGRALS: {name} is the name of a function of the kernel; choose another name")
+            raise BadInput(f"{key}: {name} is the name of a function of the kernel; choose another name")
 
 
 def _observable_functions(

@@ -108,6 +108,12 @@ def resume_array(integrals: int, points: int) -> NDArray[np.float64]:
     return np.empty((8 * MOTION + integrals, points))
 
 
+def start_state(kernel: ModuleType, state: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Copy of a state of the equations, (states, points), followed by the states that only the kernel has, which are 0."""
+    more = np.zeros((kernel.STATES - len(state), state.shape[1]))
+    return np.concatenate([state, more])
+
+
 def integrate(
     kernel: ModuleType,
     schedule: BlockSchedule,
@@ -131,8 +137,8 @@ def integrate(
     schedule : BlockSchedule
     step_size : ndarray of float64, shape (points,)
         In time units.
-    state : ndarray of float64, shape (states, points), C order, overwritten
-        At the start, and afterwards at the end.
+    state : ndarray of float64, shape (kernel.STATES, points), C order, overwritten
+        At the start, see `start_state`, and afterwards at the end.
     constants : ndarray of float64, shape (constants, points)
     scales : ndarray of float64, shape (integrals, points)
         Reciprocals of the sizes with which changes of the first integrals are compared; 0: not conserved.
@@ -156,6 +162,7 @@ def integrate(
     -----
     On KeyboardInterrupt the calls of the kernel in flight end first (a fraction of a second), then it is raised again.
     """
+    assert len(state) == kernel.STATES  # the compiled kernel checks no bounds
     if axes is not None:
         constants = np.concatenate([constants, axes])
     if segment is None:

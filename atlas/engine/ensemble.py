@@ -162,7 +162,7 @@ class Ensemble:
         threads, progress
             See `blocks.integrate`.
         """
-        state = self.state.copy()
+        state = blocks.start_state(kernel, self.state)
         if early_stop_rate is None:
             sums = blocks.integrate(
                 kernel, blocks.schedule_of(step_sizes), step_sizes.step_size, state, self.constants, self.scales,
@@ -177,7 +177,7 @@ class Ensemble:
         with np.errstate(over="ignore"):  # of a duration near the largest number
             duration = intervals * step_sizes.sample_spacing
         return Integration(
-            final_state=state,
+            final_state=state[: len(self.state)],
             sums=sums,
             intervals=intervals,
             duration=duration,
@@ -194,7 +194,7 @@ class Ensemble:
         threads: int | None = None,
     ) -> Array:
         """States after so many steps of these sizes (time units), (states, points), without statistics."""
-        state = self.state.copy()
+        state = blocks.start_state(kernel, self.state)
         blocks.integrate(
             kernel,
             blocks.pack_blocks(steps, steps),
@@ -206,7 +206,7 @@ class Ensemble:
             axes=self.axes,
             threads=threads,
         )
-        return state
+        return state[: len(self.state)]
 
     def _integrate_in_segments(
         self,
@@ -271,7 +271,7 @@ def integral_scales(
 ) -> NDArray[np.float64]:
     """Reciprocal of the sum of the magnitudes of each first integral's terms at the start, (integrals, points).
 
-    floors: by integral, nan where it is not conserved (scale 0: its change does not count), else the least size. A sum
+    floors: by integral, from `System.integral_scales`; nan (scale 0): its change does not count; else the least size. A sum
     of exactly zero counts as 1.
     """
     rows = []

@@ -10,9 +10,10 @@ from __future__ import annotations
 import numpy as np
 
 WIDTH = 32  # points of a block
-STATES = 0
+STATES = 0  # of the equations, and the sums of losses
 CONSTANTS = 0
 INTEGRALS = 0
+LOSSES = ()  # integrals whose losses are the last states, see `losses`; only where there are any
 OBSERVABLES = 0
 TANGENT = 0  # components of a tangent vector
 STEP = 1.0  # length of a step in the kernel's unit of time, `Method.kernel_step`

@@ -146,11 +146,11 @@ def measure(
     threads, progress
         See `blocks.integrate`.
     """
-    state = ensemble.state.copy()
+    state = blocks.start_state(kernel, ensemble.state)
     sums = _call(
         kernel, blocks.schedule_of(step_sizes), step_sizes.step_size, state, ensemble, threads, progress
     )
-    return Measurement(state, sums, step_sizes.intervals)
+    return Measurement(state[: len(ensemble.state)], sums, step_sizes.intervals)
 
 
 def final_states(
@@ -162,9 +162,9 @@ def final_states(
     threads: int | None = None,
 ) -> Array:
     """States after so many steps of these sizes (time units), (states, points)."""
-    state = ensemble.state.copy()
+    state = blocks.start_state(kernel, ensemble.state)
     _call(kernel, blocks.pack_blocks(steps, steps), step_size, state, ensemble, threads, None)
-    return state
+    return state[: len(ensemble.state)]
 
 
 def _call(

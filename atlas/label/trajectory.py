@@ -11,7 +11,7 @@ import xarray as xr
 from scipy.integrate import cumulative_simpson
 
 from .. import systems
-from ..engine import numeric_bound
+from ..engine import blocks, numeric_bound
 from ..engine.ensemble import Ensemble
 from ..engine.specialization import kernel, kernel_hash
 from ..engine.stepsize import StepSizes
@@ -113,8 +113,8 @@ def _trajectory(
     # Whole steps between samples, never longer than those of the atlas.
     steps_per_sample = -(-int(step_sizes.steps[0]) // (samples - 1))
     step_size = np.array([duration / (steps_per_sample * (samples - 1))])
-    states = _states(system, module, ensemble, steps_per_sample, step_size, samples)
-    ds = _dataset(system, ensemble, states, np.linspace(0.0, duration, samples))
+    states, lost = _states(system, module, ensemble, steps_per_sample, step_size, samples)
+    ds = _dataset(system, ensemble, states, lost, np.linspace(0.0, duration, samples))
     _add_parameters(ds, system, points, float(step_size[0]))
     ds.attrs = provenance.provenance(
         system, settings, kernel_hash(system, settings.method), title=title or f"trajectory of the {system.title}",
@@ -164,19 +164,23 @@ def trajectory_of_scene(scene: Scene, places: Mapping[str, float], *, samples: i
 
 def _states(
     system: System, module: Any, ensemble: Ensemble, steps_per_sample: int, step_size: Array, samples: int
-) -> Array:
-    """States at evenly spaced instants, shape (samples, states)."""
-    steps = np.array([steps_per_sample])
+) -> tuple[Array, dict[str, Array]]:
+    """States at evenly spaced instants, shape (samples, states), and what was lost of first integrals until then."""
+    steps, count = np.array([steps_per_sample]), len(ensemble.state)
+    ensemble = replace(ensemble, state=blocks.start_state(module, ensemble.state))
     states = np.empty((samples, len(ensemble.state)))
     states[0] = ensemble.state[:, 0]
     for i in range(1, samples):
         state = numeric_bound.advanced(system, module, ensemble, steps, step_size, 1)
         ensemble = replace(ensemble, state=state)
         states[i] = state[:, 0]
-    return states
+    lost = getattr(module, "LOSSES", ())
+    return states[:, :count], dict(zip(lost, states[:, count:].T, strict=True))
 
 
-def _dataset(system: System, ensemble: Ensemble, states: Array, time: Array) -> xr.Dataset:
+def _dataset(
+    system: System, ensemble: Ensemble, states: Array, lost: Mapping[str, Array], time: Array
+) -> xr.Dataset:
     """The trajectory with angles, rates and the drift of the first integrals."""
     equations, constants = system.equations, ensemble.constants
     columns = {name: states[:, i] for i, name in enumerate(equations.STATE)}
@@ -187,7 +191,7 @@ def _dataset(system: System, ensemble: Ensemble, states: Array, time: Array) -> 
     drift = np.zeros(len(time))
     with np.errstate(all="ignore"):
         for name, scale in zip(equations.INTEGRALS, ensemble.scales, strict=True):
-            total = sum(getattr(equations, name)(states.T, constants))
+            total = sum(getattr(equations, name)(states.T, constants)) + lost.get(name, 0.0)
             drift = np.maximum(drift, np.abs(total - total[0]) * scale)
     columns["integral_drift"] = drift
     attributes = _attributes_of_observables(system) if system.observables else _attributes(system)

@@ -58,6 +58,7 @@ def _used(equations: Any, observables: Collection[str]) -> dict[str, ast.Functio
     """Syntax trees of the functions that belong to the equations; a module may contain others."""
     used = {"rhs", "frame_motion", "axis_in_frame", "scaled", "unscaled", *observables}
     used |= {name for name in getattr(equations, "INTEGRALS", ()) if isinstance(name, str)}
+    used |= {name for name in getattr(equations, "LOSSES", {}).values() if isinstance(name, str)}
     return {name: node for name, node in _definitions(equations).items() if name in used}
 
 
@@ -75,32 +76,39 @@ def numpy_functions() -> dict[str, Callable[..., Any]]:
 def completed(equations: Any, observables: Collection[str]) -> ModuleType:
     """Equations with everything that the engine reads.
 
-    ONES and INTEGRALS are empty unless they are given. Without ``scaled`` and ``unscaled`` the kernels' unit of time
+    ONES, INTEGRALS and LOSSES are empty unless they are given. Without ``scaled`` and ``unscaled`` the kernels' unit of time
     becomes one more constant, TIME_UNIT, by which the right-hand side and the angular velocity of ``frame_motion`` are
-    multiplied; the state keeps its units. The functions are evaluated anew from their source, so that those of FUNCTIONS take arrays wherever they come from.
+    multiplied, as are the losses; the state keeps its units. The functions are evaluated anew from their source, so that those of FUNCTIONS take arrays wherever they come from.
     """
     nodes = _used(equations, observables)
     names = {name: value for name, value in vars(equations).items() if name.isupper() or name == "__file__"}
-    names = {"CONSTANTS": (), "ONES": (), "INTEGRALS": {}} | names
+    names = {"CONSTANTS": (), "ONES": (), "INTEGRALS": {}, "LOSSES": {}} | names
     if "scaled" not in nodes:
         given = len(names["CONSTANTS"])
         names["CONSTANTS"] = (*names["CONSTANTS"], TIME_UNIT)
         names["ONES"], names["INTEGRALS"] = (), dict.fromkeys(names["INTEGRALS"], 0)
-        nodes = {name: _with_time_unit(node, given) for name, node in nodes.items()}
+        # how many of the returned components are rates
+        rates = {"rhs": None, "frame_motion": 3} | dict.fromkeys(names["LOSSES"].values())
+        nodes = {name: _with_time_unit(node, given, rates) for name, node in nodes.items()}
         nodes |= _scaling(names["STATE"], names["CONSTANTS"])
     names["OBSERVABLES"] = tuple(observables)
-    names["SOURCES"] = {name: ast.unparse(ast.fix_missing_locations(node)) for name, node in nodes.items()}
+    sources = {name: ast.unparse(ast.fix_missing_locations(node)) for name, node in nodes.items()}
+    return module_of(equations, names, sources)
+
+
+def module_of(equations: Any, names: Mapping[str, Any], sources: Mapping[str, str]) -> ModuleType:
+    """Equations with these names in capital letters and these functions, given by their source and evaluated here."""
     module = ModuleType(getattr(equations, "__name__", "equations"), getattr(equations, "__doc__", None))
     namespace: dict[str, Any] = dict(numpy_functions())
-    for name, text in names["SOURCES"].items():
+    for name, text in sources.items():
         exec(compile(text, f"<{name} of {module.__name__}>", "exec"), namespace)
-    vars(module).update(names | {name: namespace[name] for name in names["SOURCES"]})
+    functions = {name: namespace[name] for name in sources}
+    vars(module).update({**names, "SOURCES": dict(sources)} | functions)
     return module
 
 
-def _with_time_unit(node: ast.FunctionDef, given: int) -> ast.FunctionDef:
-    """A function whose constants are followed by TIME_UNIT, by which rates are multiplied."""
-    rates = {"rhs": None, "frame_motion": 3}  # how many of the returned components are rates
+def _with_time_unit(node: ast.FunctionDef, given: int, rates: Mapping[str, int | None]) -> ast.FunctionDef:
+    """A function whose constants are followed by TIME_UNIT, by which so many of its components are multiplied."""
     unpacked = False
     for statement in node.body:
         match statement:
@@ -112,6 +120,8 @@ def _with_time_unit(node: ast.FunctionDef, given: int) -> ast.FunctionDef:
                 values[scaled] = [
                     ast.BinOp(ast.Name(TIME_UNIT), ast.Mult(), value) for value in values[scaled]
                 ]
+            case ast.Return(value=ast.expr() as value) if node.name in rates:
+                statement.value = ast.BinOp(ast.Name(TIME_UNIT), ast.Mult(), value)
     if node.name in rates and not unpacked:
         ignored = ", ".join([*(f"unused_{i}" for i in range(given)), TIME_UNIT])
         node.body = [*ast.parse(f"{ignored}, = constants").body, *node.body]
@@ -167,6 +177,7 @@ def check(key: str, equations: Any, observables: Collection[str]) -> None:
         raise BadInput(
             f"{key}: INTEGRALS = {shown(integrals)}; allowed: a mapping of names to powers of a rate"
         )
+    losses = _losses(key, equations, observables)
     try:
         nodes = _used(equations, observables)
     except (OSError, TypeError, SyntaxError) as error:
@@ -176,12 +187,15 @@ def check(key: str, equations: Any, observables: Collection[str]) -> None:
     if "scaled" in nodes and not isinstance(integrals, Mapping):
         raise BadInput(f"{key}: with scaled, INTEGRALS must be a mapping of names to powers of a rate")
     frame = () if observables else ("frame_motion",)
-    for name in ("rhs", *frame, *integrals, *(name for name in observables if name not in state)):
+    others = (*losses, *(name for name in observables if name not in state))
+    for name in ("rhs", *frame, *integrals, *others):
         if name not in nodes:
             more = " (or the system needs observables)" if name == "frame_motion" else ""
             raise BadInput(f"{key}: the function {name}(state, constants) is missing{more}")
     components = (
-        {"rhs": len(state), "frame_motion": 6} | dict.fromkeys(integrals) | dict.fromkeys(observables, 0)
+        {"rhs": len(state), "frame_motion": 6}
+        | dict.fromkeys(integrals)
+        | dict.fromkeys((*losses, *observables), 0)
     )
     for name, node in nodes.items():
         arguments = ["state", "constants", *(["h"] if name in ("scaled", "unscaled") else [])]
@@ -198,6 +212,22 @@ def _names(key: str, equations: Any, which: str) -> tuple[str, ...]:
     if not isinstance(names, tuple | list) or not all(isinstance(n, str) and n.isidentifier() for n in names):
         raise BadInput(f"{key}: {which} = {shown(names)}; allowed: a tuple of names")
     return tuple(names)
+
+
+def _losses(key: str, equations: Any, observables: Collection[str]) -> tuple[str, ...]:
+    """Names of the functions that LOSSES of the equations maps first integrals to, checked."""
+    losses, integrals = getattr(equations, "LOSSES", {}), getattr(equations, "INTEGRALS", {})
+    if not isinstance(losses, Mapping) or not all(isinstance(name, str) for name in losses.values()):
+        raise BadInput(f"{key}: LOSSES = {shown(losses)}; allowed: a mapping of first integrals to functions")
+    for name in losses:
+        if name not in integrals:
+            raise BadInput(
+                f"{key}: LOSSES: {shown(name)} is no first integral; {allowed_text(name, integrals)}"
+            )
+    for name in losses.values():
+        if name in observables:  # which have the units of the caller in a kernel
+            raise BadInput(f"{key}: LOSSES: {shown(name)} is an observable; choose another function")
+    return tuple(losses.values())
 
 
 def _check_function(

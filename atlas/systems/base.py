@@ -245,6 +245,8 @@ class System(ABC):
       (rad per time unit) and the unit vector of the frame's vertical, three components each, in body axes;
     - one function for each observable that is not a state;
     - ``INTEGRALS`` (optional): name of each first integral -> its power of a rate;
+    - ``LOSSES`` (optional): name of a first integral that dissipation changes -> name of a function that returns what
+      it loses per time, a number; the integral and the sum of its losses are then constant together;
     - ``scaled`` (optional), with a third argument h: state and constants in units in which the time h is 1;
       ``unscaled``, with the same arguments: back from a scaled state; ``ONES``: constants that are 1 in these units;
     - ``FRAME_VECTORS`` (optional): triples of states that are unit vectors at rest in the frame, v' = v x u with the
@@ -273,13 +275,13 @@ class System(ABC):
         return np.reshape(np.array(rows, float), (len(rows), *shape))
 
     def integral_scales(self, points: Points) -> Mapping[str, Array]:
-        """Where each first integral is conserved, and a lower bound for the magnitude it is compared with.
+        """Where each first integral is constant, or with its losses, and a lower bound of what it is compared with.
 
         Returns
         -------
         mapping of every name in ``equations.INTEGRALS`` to an array (points,)
-            nan where the integral is not conserved; elsewhere the least value, in units of the integral,
-            that the sum of the magnitudes of its terms is given. The default is 0: conserved everywhere.
+            nan where the integral changes otherwise than by its losses; elsewhere the least value, in units of the
+            integral, that the sum of the magnitudes of its terms is given. The default is 0: constant everywhere.
         """
         return {name: np.zeros(shape_of(points)) for name in self.equations.INTEGRALS}
 
@@ -703,14 +705,14 @@ def _turned(vector: Array, axis: Array, angle: Array) -> Array:
 
 
 def despun_about_third_axis(
-    system: System, points: Points, rotor: str, integral: str
+    system: System, points: Points, rotor: str, conserved: Mask
 ) -> tuple[Points, Array]:
     """System.despun_equivalent of a body of moment C and rate of proper rotation m with a rotor along its third axis.
 
-    Where the integral C w3 + rotor is conserved, the motion of the third axis depends on spin and rotor through
-    that sum alone, and the rotor can be left out.
+    conserved: where C w3 + rotor is. There the motion of the third axis depends on spin and rotor through that sum
+    alone, and the rotor can be left out.
     """
-    conserved = ~np.isnan(system.integral_scales(points)[integral]) & np.isfinite(points[rotor])
+    conserved = conserved & np.isfinite(points[rotor])
     excess = np.where(conserved, points[rotor] / points["C"], 0.0)
     despun = {**points, rotor: np.where(conserved, 0.0, points[rotor]), "m": points["m"] + excess}
     with np.errstate(all="ignore"):

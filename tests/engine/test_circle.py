@@ -161,7 +161,7 @@ def test_the_compiled_kernel_is_the_python_one(name, method):
     schedule = blocks.pack_blocks(np.full(20, 48), np.full(20, stride))
 
     def run(module, axes, lasts=None):
-        state, sums = ensemble.state.copy(), None
+        state, sums = blocks.start_state(module, ensemble.state), None
         arguments = np.full(20, 2.0 / 48), state, ensemble.constants, ensemble.scales, 1e-5
         if lasts is None:
             sums = blocks.integrate(module, schedule, *arguments, axes=axes, threads=1)

@@ -10,7 +10,7 @@ import textwrap
 import numpy as np
 import pytest
 
-from atlas.engine import assemble
+from atlas.engine import assemble, blocks
 from atlas.page import motion
 from atlas.page.translate import CannotTranslate, translate
 from atlas.systems import SYSTEMS
@@ -67,13 +67,14 @@ def test_two_thousand_steps_have_the_bits_of_the_kernel_in_plain_python(system, 
     plain = assemble.plain_module(system.equations, method)
     points = {name: np.array([parameter.default]) for name, parameter in system.parameters.items()}
     points |= {"theta0": np.array([0.4]), "n": np.array([0.3]), "m": np.array([0.7]), "C": np.array([0.7])}
-    start = system.initial_state(points)[:, 0].tolist()
+    state = system.initial_state(points)
+    start = state[:, 0].tolist()
     constants = system.constants(points)[:, 0].tolist()
     unit, steps = 0.02, 2000
-    y, c = plain.scaled(start, constants, unit)
+    y, c = plain.scaled(blocks.start_state(plain, state)[:, 0].tolist(), constants, unit)
     for _ in range(steps):
         y = plain.step(y, plain.rhs(y, c), c)
-    expected = plain.unscaled(y, c, unit)
+    expected = plain.unscaled(y, c, unit)[: len(start)]
     script = translate(motion.sources(system, method))
     call = (
         f"(() => {{ let [y, c] = scaled(data[0], data[1], {unit});"

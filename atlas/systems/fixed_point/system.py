@@ -141,7 +141,8 @@ class FixedPoint(System):
         return published.PUBLISHED
 
     def despun_equivalent(self, points: Points) -> tuple[Points, Array]:
-        return despun_about_third_axis(self, points, "l3", "lagrange")
+        conserved = ~np.isnan(self.integral_scales(points)["lagrange"])
+        return despun_about_third_axis(self, points, "l3", conserved)
 
 
 def _in_vectors(solutions: dict[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:

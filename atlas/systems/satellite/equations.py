@@ -33,6 +33,8 @@ CONSTANTS = (
 ONES = ("N", "Omega")
 # First integrals: name of the function below, and the power of a rate in its unit.
 INTEGRALS = {"jacobi": 2, "length_alpha": 0, "length_gamma": 0, "length_sum": 0, "axial_momentum": 1}
+# What damping takes of some of them: name of the function below that returns it per time.
+LOSSES = {"jacobi": "jacobi_loss", "axial_momentum": "axial_momentum_loss"}
 
 
 def rhs(state, constants):
@@ -118,7 +120,7 @@ def axis_in_frame(state, constants):
 
 
 def jacobi(state, constants):
-    """Jacobi integral L2 - L0 + V of (2) and (3), written in absolute rates; conserved without damping."""
+    """Jacobi integral L2 - L0 + V of (2) and (3), written in absolute rates."""
     w1, w2, w3, a1, a2, a3, g1, g2, g3 = state
     (
         A, B, C, Omega, k1, k2, k3, mu1, mu2, mu3, h1, h3, D1, D2, D3, N, a_inv, g_inv,
@@ -170,7 +172,7 @@ def length_sum(state, constants):
 
 
 def axial_momentum(state, constants):
-    """C w3 + k3, conserved without damping if A = B and neither rotor nor magnet has a transverse part."""
+    """C w3 + k3; only damping changes it if A = B and neither rotor nor magnet has a transverse part."""
     w1, w2, w3, a1, a2, a3, g1, g2, g3 = state
     (
         A, B, C, Omega, k1, k2, k3, mu1, mu2, mu3, h1, h3, D1, D2, D3, N, a_inv, g_inv,
@@ -178,3 +180,29 @@ def axial_momentum(state, constants):
         damping_A, damping_B, damping_C,
     ) = constants  # fmt: skip
     return C * w3, k3
+
+
+# Losses, with one quotient of the damping, so that the balance also compares the three quotients.
+
+
+def jacobi_loss(state, constants):
+    """Loss of `jacobi` per time, damping u.u."""
+    w1, w2, w3, a1, a2, a3, g1, g2, g3 = state
+    (
+        A, B, C, Omega, k1, k2, k3, mu1, mu2, mu3, h1, h3, D1, D2, D3, N, a_inv, g_inv,
+        k2_A, k3_A, k3_B, k1_B, k1_C, k2_C, mu3_A, mu2_A, mu1_B, mu3_B, mu2_C, mu1_C,
+        damping_A, damping_B, damping_C,
+    ) = constants  # fmt: skip
+    u1, u2, u3 = w1 - Omega * g1, w2 - Omega * g2, w3 - Omega * g3
+    return A * damping_A * (u1 * u1 + u2 * u2 + u3 * u3)
+
+
+def axial_momentum_loss(state, constants):
+    """Loss of `axial_momentum` per time, damping u3."""
+    w1, w2, w3, a1, a2, a3, g1, g2, g3 = state
+    (
+        A, B, C, Omega, k1, k2, k3, mu1, mu2, mu3, h1, h3, D1, D2, D3, N, a_inv, g_inv,
+        k2_A, k3_A, k3_B, k1_B, k1_C, k2_C, mu3_A, mu2_A, mu1_B, mu3_B, mu2_C, mu1_C,
+        damping_A, damping_B, damping_C,
+    ) = constants  # fmt: skip
+    return A * damping_A * (w3 - Omega * g3)

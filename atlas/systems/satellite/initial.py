@@ -6,7 +6,7 @@ from collections.abc import Set
 
 import numpy as np
 
-from ..base import Array, Parameter, Points
+from ..base import Array, Mask, Parameter, Points
 from .equations import CONSTANTS
 
 _TABLE = (
@@ -71,16 +71,26 @@ def initial_state(points: Points) -> Array:
     return np.concatenate([w, alpha, gamma])
 
 
-def integral_scales(points: Points) -> dict[str, Array]:
-    """Lower bound of the magnitude of each integral, nan where it is not conserved; see System.integral_scales."""
-    zero = np.zeros_like(points["A"])
-    undamped = points["damping"] == 0
-    axial = undamped & (points["A"] == points["B"])
+def symmetric_about_third_axis(points: Points) -> Mask:
+    """Where A = B and neither rotor nor magnet has a transverse part, bool of shape (points,)."""
+    symmetric = points["A"] == points["B"]
     for name in ("k1", "k2", "mu1", "mu2"):
-        axial = axial & (points[name] == 0)
+        symmetric = symmetric & (points[name] == 0)
+    return symmetric
+
+
+def conserves_axial_momentum(points: Points) -> Mask:
+    """Where C w3 + k3 is conserved, bool of shape (points,)."""
+    return symmetric_about_third_axis(points) & (points["damping"] == 0)
+
+
+def integral_scales(points: Points) -> dict[str, Array]:
+    """Lower bound of the magnitude of each integral, nan where it has no balance; see System.integral_scales."""
+    zero = np.zeros_like(points["A"])
+    axial = symmetric_about_third_axis(points)
     rates = sum(np.abs(points[name]) for name in ("Omega", "n", "m", "theta_dot0"))
     return {
-        "jacobi": np.where(undamped, 0.0, np.nan),
+        "jacobi": zero,
         "length_alpha": zero,
         "length_gamma": zero,
         "length_sum": zero,
@@ -120,7 +130,7 @@ def frequency_bound(points: Points) -> Array:
 
     # Symmetric body without transverse rotor or magnet: C w3 + k3 is conserved, so w3 is constant, its
     # perturbation decouples, and the bound does not depend on C as a moment of inertia.
-    symmetric = ~np.isnan(integral_scales(points)["axial_momentum"])
+    symmetric = conserves_axial_momentum(points)
     min_inertia = np.where(symmetric, A, inertia.min(0))
     max_rates = np.sqrt(2 * energy / inertia) + Omega
     max_rates[2] = np.where(symmetric, np.abs(w[2]), max_rates[2])

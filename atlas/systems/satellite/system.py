@@ -137,7 +137,7 @@ class Satellite(System):
         return PUBLISHED
 
     def despun_equivalent(self, points: Points) -> tuple[Points, Array]:
-        return despun_about_third_axis(self, points, "k3", "axial_momentum")
+        return despun_about_third_axis(self, points, "k3", initial.conserves_axial_momentum(points))
 
 
 def _about_third_axis(flags: Flags) -> Flags:

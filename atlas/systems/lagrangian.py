@@ -81,7 +81,8 @@ def from_lagrangian(
     str
         Source of a module with ``STATE``, ``CONSTANTS``, ``INTEGRALS`` and the functions ``rhs``, the first integrals
         and those given. First integrals are ``energy``, unless a force does work, and ``momentum_NAME`` for every
-        coordinate on which nothing depends.
+        coordinate on which nothing depends and no force acts. Where the dissipation changes one of them, ``LOSSES``
+        names the function NAME_loss.
 
     Raises
     ------
@@ -165,6 +166,7 @@ class _Mechanics:
         """Raise BadInput unless the names of functions and symbols differ and can stand in a module."""
         names = [symbol.name for symbol in (*self.coordinates, *self.velocities, *self.parameters)]
         names += [*self.functions, *(f"momentum_{c.name}" for c in self.coordinates)]
+        names += ["energy_loss", *(f"momentum_{c.name}_loss" for c in self.coordinates)]
         for name in names:
             if not name.isidentifier() or keyword.iskeyword(name) or name in RESERVED:
                 raise BadInput(f"from_lagrangian: {shown(name)} cannot be a name of the equations")
@@ -242,18 +244,33 @@ class _Mechanics:
         """First integrals by name: what each is, and its terms, one or more for each term of the Lagrangian."""
         import sympy
 
-        result, total = {}, self.total_forces()
+        result, balances = {}, self.balances()
         terms = sympy.Add.make_args(sympy.expand_mul(self.lagrangian, deep=False))
-        if _simplest(sum(q * v for q, v in zip(total, self.velocities, strict=True))) == 0:
+        if "energy" in balances:
             parts = (_energy_of_term(term, self.velocities) for term in terms)
             result["energy"] = ("Energy, sum of v dL/dv - L", [part for part in parts if part != 0])
-        for i, (coordinate, velocity) in enumerate(zip(self.coordinates, self.velocities, strict=True)):
-            if self.is_cyclic(i) and total[i] == 0:
+        for coordinate, velocity in zip(self.coordinates, self.velocities, strict=True):
+            if f"momentum_{coordinate.name}" in balances:
                 parts = (_simplest(term.diff(velocity)) for term in terms)
                 result[f"momentum_{coordinate.name}"] = (
                     f"Momentum dL/d{velocity.name} of the cyclic coordinate {coordinate.name}",
                     [part for part in parts if part != 0],
                 )
+        return result
+
+    def balances(self) -> dict[str, Expression]:
+        """First integrals by name, and what the dissipation takes of each per time; 0 where it takes nothing."""
+
+        def power(forces: Sequence[Expression]) -> Expression:
+            return _simplest(sum(q * v for q, v in zip(forces, self.velocities, strict=True)))
+
+        total, result = self.total_forces(), {}
+        lost = -power(total)
+        if lost == 0 or power(self.forces) == 0:
+            result["energy"] = lost
+        for i, coordinate in enumerate(self.coordinates):
+            if self.is_cyclic(i) and 0 in (total[i], self.forces[i]):
+                result[f"momentum_{coordinate.name}"] = -total[i]
         return result
 
 
@@ -429,6 +446,11 @@ def _module(mechanics: _Mechanics, title: str) -> str:
         _function_text(mechanics, name, f"{meaning}; the tuple of its terms.", tuple(terms))
         for name, (meaning, terms) in integrals.items()
     ]
+    losses = {name: loss for name, loss in mechanics.balances().items() if loss != 0}
+    functions += [
+        _function_text(mechanics, f"{name}_loss", f"What dissipation takes of `{name}` per time.", loss)
+        for name, loss in losses.items()
+    ]
     functions += [_function_text(mechanics, name, "", value) for name, value in mechanics.functions.items()]
     used = sorted(name for name in FUNCTIONS if re.search(rf"\b{name}\(", "".join(functions)))
     head = [_docstring(mechanics, title)]
@@ -436,6 +458,8 @@ def _module(mechanics: _Mechanics, title: str) -> str:
     head += [f"from numpy import {', '.join(names)}\n"] if used else []
     head.append(f"STATE = {_names(mechanics.state)}\nCONSTANTS = {_names(mechanics.parameters)}")
     head[-1] += f"\nINTEGRALS = {_names(list(integrals))}\n"
+    if losses:
+        head[-1] += "LOSSES = {" + ", ".join(f'"{name}": "{name}_loss"' for name in losses) + "}\n"
     return "\n".join(head) + "\n\n" + "\n\n\n".join(functions) + "\n"
 
 

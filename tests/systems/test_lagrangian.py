@@ -179,7 +179,32 @@ def test_gyroscopic_forces_keep_the_energy_and_resistance_does_not():
     arguments = L, [X, Y], [U, V], [M, K]
     assert 'INTEGRALS = ("energy",)' in from_lagrangian(*arguments, forces={X: K * V, Y: -K * U})
     assert "INTEGRALS = ()" in from_lagrangian(*arguments, forces={X: -K * U})
-    assert "INTEGRALS = ()" in from_lagrangian(*arguments, dissipation=U**2)
+    assert "INTEGRALS = ()" in from_lagrangian(*arguments, forces={X: -K * U}, dissipation=V**2)
+    assert "LOSSES" not in from_lagrangian(*arguments, forces={X: K * V, Y: -K * U})
+
+
+def test_losses_by_dissipation(tmp_path):
+    """The rates of energy and momentum along the equations are those that the module returns."""
+    source = from_lagrangian(
+        M * U**2 * (1 + Y**2) / 2 + V**2 / 2 - K * Y**4, [X, Y], [U, V], [M, K],
+        forces={X: 3 * V, Y: -3 * U}, dissipation=0.3 * U**2 + K * Y**2 * V**4,
+    )  # fmt: skip
+    module = module_of(source, tmp_path)
+    assert module.INTEGRALS == ("energy",)
+    assert module.LOSSES == {"energy": "energy_loss"}
+    arguments = M * U**2 / 2 + V**2 / 2 - Y**2, [X, Y], [U, V], [M]
+    moving = module_of(from_lagrangian(*arguments, dissipation=M * U**2 * V**2), tmp_path)
+    assert moving.INTEGRALS == ("energy", "momentum_x")
+    assert moving.LOSSES == {"energy": "energy_loss", "momentum_x": "momentum_x_loss"}
+    rng = np.random.default_rng(4)
+    for each, names in ((module, [M, K]), (moving, [M])):
+        state, constants = rng.uniform(-1, 1, (4, 9)), rng.uniform(0.5, 2, (len(names), 9))
+        slopes = np.array(each.rhs(state, constants))
+        for name, loss in each.LOSSES.items():
+            step = 1e-6
+            ahead, behind = (sum(getattr(each, name)(state + s * slopes, constants)) for s in (step, -step))
+            rate = (ahead - behind) / (2 * step)
+            np.testing.assert_allclose(-getattr(each, loss)(state, constants), rate, rtol=1e-7, atol=1e-8)
 
 
 def test_a_free_particle_and_its_momenta(tmp_path):

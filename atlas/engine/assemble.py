@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import ast
 import importlib.util
+from collections import Counter
 from collections.abc import Collection, Iterable, Mapping
 from pathlib import Path
 from types import ModuleType
@@ -203,7 +204,8 @@ def source(
         constants |= {"FRAMES": frames}
     inlined += own_functions.values()
     constants |= {name: getattr(module, name) for module, names in NUMBERS[of.__name__] for name in names}
-    parts = [f"{jit.INLINE}\n{text}" for text in inlined]
+    loops = _loops_called_once([*inlined, integrate])
+    parts = [f"{jit.INLINE_LOOP if text in loops else jit.INLINE}\n{text}" for text in inlined]
     parts += [f"{jit.CALLED}\n{text}" for text in not_inlined]
     parts.append(f"{jit.KERNEL}\n{integrate}")
     lines = [f"{name} = {value!r}" for name, value in constants.items()]
@@ -211,6 +213,22 @@ def source(
         lines += [f"{name} = np.{numpy_name}" for name, numpy_name in arithmetic.FUNCTIONS.items()]
     numbers = "\n".join(lines)
     return jit.HEADER + numbers + "\n\n\n" + "\n\n\n".join(parts) + "\n"
+
+
+def _loops_called_once(texts: Collection[str]) -> set[str]:
+    """The functions with a loop that the others call at one place."""
+    trees = {text: ast.parse(text).body[0] for text in texts}
+    nodes = [node for tree in trees.values() for node in ast.walk(tree)]
+    calls = Counter(
+        node.func.id for node in nodes if isinstance(node, ast.Call) and isinstance(node.func, ast.Name)
+    )
+    return {
+        text
+        for text, tree in trees.items()
+        if isinstance(tree, ast.FunctionDef)
+        and calls[tree.name] == 1
+        and any(isinstance(node, ast.For) for node in ast.walk(tree))
+    }
 
 
 def plain_module(

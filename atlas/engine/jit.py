@@ -55,6 +55,8 @@ INLINE = (
     "@njit(forceinline=True, no_cpython_wrapper=True, no_cfunc_wrapper=True,"
     f" fastmath={OPTIONS['fastmath']!r}, error_model='numpy', boundscheck=False)"
 )
+# Inlined before types are inferred: for a loop that is called at one place, which would be optimised there once more.
+INLINE_LOOP = "@njit(inline='always')"
 CALLED = INLINE.replace("forceinline=True, ", "")
 KERNEL = f"@njit(nogil=True, fastmath={OPTIONS['fastmath']!r}, error_model='numpy', boundscheck=False)"
 # Settings of Numba that change the machine code of a kernel. All others (threads, caches, messages, dumps, GPUs,

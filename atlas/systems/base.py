@@ -459,9 +459,7 @@ class System(ABC):
             That residual, dimensionless; where there is no family, the least residual of any (inf if there
             are no families).
         """
-        shape = shape_of(points)
-        flags, residual = identify(self.families, {name: np.ravel(value) for name, value in points.items()})
-        return flags.reshape(shape), residual.reshape(shape)
+        return identify(points, self.families.values())
 
     def condition_residual(self, points: Points) -> Array:
         """How far each start is from a steady motion, dimensionless, shape (points,); 0 on an exact one.
@@ -538,7 +536,7 @@ class System(ABC):
         for family in self.families.values():
             members = np.flatnonzero(flags == family.flag)
             if family.axes is not None and members.size:
-                axes = family.axes({name: values[members] for name, values in points.items()})
+                axes = family.axes(subset(points, members))
                 sine[members] = np.sqrt((np.cross(axes.spin_axis, axes.fixed_axis, axis=0) ** 2).sum(0))
                 n[members], m[members] = axes.precession_rate, axes.spin_rate
         return sine, n, m
@@ -584,28 +582,70 @@ class System(ABC):
         return points, np.zeros(shape_of(points))
 
 
-def identify(families: Mapping[str, Family], points: Points) -> tuple[Flags, Array]:
-    """Flag and residual of 1-D points among some families, see System.identify_family; (points,)."""
-    size = shape_of(points)[0]
-    flags, residual = np.zeros(size, np.int8), np.full(size, np.inf)
-    for first in range(0, size, _CHUNK):
+def identify(
+    points: Points, families: Collection[Family], about_any_axes: Collection[Family] = ()
+) -> tuple[Flags, Array]:
+    """Flag and residual of the first family that each point belongs to, see System.identify_family.
+
+    Parameters
+    ----------
+    points : mapping of str to array, all of one shape, here (points,)
+    families : collection of Family
+        Families in the order in which they are tested. The least residual of a point without a family is among these.
+    about_any_axes : collection of Family
+        Families that are tested after these. Their conditions are computed one by one, each at the points that satisfy
+        those before, which are few as a rule.
+
+    Returns
+    -------
+    flag : int8 array (points,)
+    residual : array (points,)
+    """
+    shape = shape_of(points)
+    flags, residual = np.zeros(shape, np.int8), np.full(shape, np.inf)
+    for first in range(0, flags.size, _CHUNK):
         chunk = slice(first, first + _CHUNK)
-        _identify(families, {k: v[chunk] for k, v in points.items()}, flags[chunk], residual[chunk])
+        part = {name: np.ravel(value)[chunk] for name, value in points.items()}
+        written = flags.reshape(-1)[chunk], residual.reshape(-1)[chunk]  # views
+        _identify(part, families, *written)
+        with np.errstate(all="ignore"):
+            for family in about_any_axes:
+                _identify_members(part, family, *written)
     return flags, residual
 
 
-def _identify(families: Mapping[str, Family], points: Points, flags: Flags, residual: Array) -> None:
+def _identify(points: Points, families: Collection[Family], flags: Flags, residual: Array) -> None:
     """Write flag and residual of each point, see System.identify_family, into flags (zeros) and residual (inf)."""
     computed: dict[Condition, Array] = {}  # families share conditions
-    for family in families.values():
+    for family in families:
         for condition in family.conditions:
             if condition not in computed:
-                value = np.abs(condition.residual(points))
-                computed[condition] = np.where(np.isnan(value), np.inf, value)
+                computed[condition] = _magnitude(condition, points)
         worst = np.max([computed[condition] for condition in family.conditions], axis=0)
         free = flags == 0
         residual[free] = np.minimum(residual[free], worst[free])
         flags[free & (worst <= FAMILY_TOLERANCE)] = family.flag
+
+
+def _identify_members(points: Points, family: Family, flags: Flags, residual: Array) -> None:
+    """Write flag and residual of the points that belong to this family and to none before, whose flag is 0."""
+    members = np.flatnonzero(flags == 0)
+    worst = np.zeros(members.size)
+    part = points if members.size == flags.size else subset(points, members)
+    for condition in family.conditions:
+        worst = np.maximum(worst, _magnitude(condition, part))
+        kept = worst <= FAMILY_TOLERANCE
+        if not kept.all():
+            members, worst, part = members[kept], worst[kept], subset(part, kept)
+        if not members.size:
+            return
+    flags[members], residual[members] = family.flag, worst
+
+
+def _magnitude(condition: Condition, points: Points) -> Array:
+    """Magnitude of the residual of a condition, inf where it is nan."""
+    value = np.abs(condition.residual(points))
+    return np.where(np.isnan(value), np.inf, value)
 
 
 def derived_values(
@@ -656,17 +696,13 @@ def stability_by_family(families: Mapping[str, Family], points: Points, flags: F
     for family in families.values():
         members = np.flatnonzero(flags == family.flag)
         if members.size and family.stability is not None:
-            stable[members], growth[members] = family.stability({k: v[members] for k, v in points.items()})
+            stable[members], growth[members] = family.stability(subset(points, members))
     return stable, growth
 
 
 def on_family(family: Family, points: Points) -> Array:
     """Largest condition residual of the family at each point: 0 on it, inf where it has no such motion."""
-    worst = np.zeros(shape_of(points))
-    for condition in family.conditions:
-        residual = np.abs(condition.residual(points))
-        worst = np.maximum(worst, np.where(np.isnan(residual), np.inf, residual))
-    return worst
+    return np.max([_magnitude(condition, points) for condition in family.conditions], axis=0)
 
 
 def motion_about_axes(axes: TwoAxes, vector: Array, t: Array) -> tuple[Array, Array]:

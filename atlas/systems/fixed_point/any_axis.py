@@ -24,10 +24,6 @@ G. Grioli, Ann. Mat. Pura Appl. 26 (1947) 271-281; with a rotor E. I. Kharlamova
 
 from __future__ import annotations
 
-import numpy as np
-from numpy.typing import NDArray
-
-from ..base import FAMILY_TOLERANCE, Array, Flags, Mask, Points
 from .balanced_field import BALANCED_FIELD
 from .free import FREE_PRECESSION, FREE_ROTATION
 from .grioli import GRIOLI
@@ -36,34 +32,3 @@ from .other_axis import OTHER_AXIS
 FAMILIES = {
     family.name: family for family in (GRIOLI, BALANCED_FIELD, FREE_ROTATION, FREE_PRECESSION, OTHER_AXIS)
 }
-
-
-def identify(points: Points, tolerance: float = FAMILY_TOLERANCE) -> tuple[Flags, Array]:
-    """Family of the motion about any axes that starts at each point, and its largest condition residual.
-
-    Returns (flag, residual) of shape (points,) for 1-D points: flag 0 and inf where there is none. The conditions are
-    computed one by one at the points that satisfy those before, which are few as a rule.
-    """
-    size = points["A"].size
-    flags, residual = np.zeros(size, np.int8), np.full(size, np.inf)
-    for family in FAMILIES.values():
-        members = np.flatnonzero(flags == 0)
-        part = points if members.size == size else _subset(points, members)
-        worst = np.zeros(members.size)
-        for condition in family.conditions:
-            value = np.abs(condition.residual(part))
-            worst = np.maximum(worst, np.where(np.isnan(value), np.inf, value))
-            kept = worst <= tolerance
-            if kept.all():
-                continue
-            members, worst = members[kept], worst[kept]
-            if not members.size:
-                break
-            part = _subset(part, kept)
-        flags[members], residual[members] = family.flag, worst
-    return flags, residual
-
-
-def _subset(points: Points, where: NDArray[np.int64] | Mask) -> Points:
-    """Some of the points, by their indices or by whether they are among them."""
-    return {name: column[where] for name, column in points.items()}

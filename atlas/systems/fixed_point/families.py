@@ -19,10 +19,11 @@ a free body that turns about its third axis, in `rest`. So these four families a
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 
-from ..base import FAMILY_TOLERANCE, Array, Condition, Family, Flags, Points, on_family
+from ..base import FAMILY_TOLERANCE, Array, Condition, Family, Flags, Points, identify
 from . import equations
 from .equilibria import permanent_rotations
 from .initial import bodies, constants, fields, initial_state, length, rates, symmetric, vertical
@@ -64,23 +65,6 @@ def condition_residual(points: Points) -> Array:
     return np.maximum(ratio(length(rate), scale), ratio(np.abs(theta_dot), np.sqrt(scale)))
 
 
-def identify_family(points: Points, tolerance: float = FAMILY_TOLERANCE) -> tuple[Flags, Array]:
-    """Family of the steady motion that starts at each point and its largest condition residual.
-
-    Returns (flag, residual) of shape (points,): flag 0 and the least residual of any family where no
-    family's conditions hold within the tolerance. A motion of two families counts as sleeping, else as
-    staude or rest if m = 0, else as conical.
-    """
-    residual = {name: on_family(family, points) for name, family in FAMILIES.items()}
-    still = _rest_of_spin(points) <= tolerance
-    order = ("sleeping", "rest", "staude", "conical", "rest")
-    holds = [residual[name] <= tolerance for name in order]
-    holds[1] = holds[1] & still
-    flags = np.select(holds, [FAMILIES[name].flag for name in order], 0).astype(np.int8)
-    least = np.min(list(residual.values()), axis=0)
-    return flags, np.select(holds, [residual[name] for name in order], least)
-
-
 # Conditions. Each residual is an angular acceleration or rate over that of the start, or a relative difference.
 
 
@@ -118,6 +102,11 @@ def _rest_of_precession(points: Points) -> Array:
 
 def _rest_of_spin(points: Points) -> Array:
     return ratio(np.abs(rates(points)[2]), np.sqrt(squared_rate(points)))
+
+
+def _spinning(points: Points) -> Array:
+    """0 where m counts as 0, inf elsewhere."""
+    return np.where(_rest_of_spin(points) <= FAMILY_TOLERANCE, 0.0, np.inf)
 
 
 def _transverse_rate(points: Points) -> Array:
@@ -434,3 +423,19 @@ FAMILIES = {
         ),
     )
 }
+
+_REST = FAMILIES["rest"]
+# Order in which the families are tested. They overlap: the motions of `rest` with m = 0 come before those of `staude`,
+# the others after those of `conical`.
+ORDER = (
+    FAMILIES["sleeping"],
+    replace(_REST, conditions=(*_REST.conditions, Condition("m = 0", _spinning))),
+    FAMILIES["staude"],
+    FAMILIES["conical"],
+    _REST,
+)
+
+
+def identify_family(points: Points) -> tuple[Flags, Array]:
+    """Family about the third axis or the vertical of the motion that starts at each point, and its residual."""
+    return identify(points, ORDER)

@@ -17,6 +17,7 @@ from ..base import (
     PublishedEquation,
     System,
     despun_about_third_axis,
+    identify,
     shape_of,
     stability_by_family,
 )
@@ -96,14 +97,7 @@ class FixedPoint(System):
 
     def identify_family(self, points: Points) -> tuple[Flags, Array]:
         """Family about the third axis and the vertical, else one about any axes."""
-        flags, residual = families.identify_family(points)
-        others = np.flatnonzero(flags.ravel() == 0)
-        if others.size:
-            part = {name: np.ravel(value)[others] for name, value in points.items()}
-            with np.errstate(all="ignore"):
-                flags.flat[others], worst = any_axis.identify(part)
-            residual.flat[others] = np.minimum(residual.flat[others], worst)
-        return flags, residual
+        return identify(points, families.ORDER, any_axis.FAMILIES.values())
 
     def complete(self, points: Points) -> Mask:
         return np.ones(shape_of(points), bool)

@@ -11,7 +11,7 @@ from __future__ import annotations
 import numpy as np
 
 from ...flags import Stability
-from ..base import FAMILY_TOLERANCE, Array, Condition, Family, Flags, Points, TwoAxes, motion_about_axes
+from ..base import Array, Condition, Family, Flags, Points, TwoAxes, motion_about_axes
 from .initial import initial_state
 
 
@@ -130,16 +130,3 @@ SPHERICAL_ANY_AXIS = Family(
     exists="every start without rotor, magnet and damping: n = -Omega, a permanent rotation in space",
 )
 FAMILIES = {SPHERICAL_ANY_AXIS.name: SPHERICAL_ANY_AXIS}
-
-
-def identify(points: Points) -> tuple[Flags, Array]:
-    """Family of the motion about any axes, and its largest condition residual; flag 0 and inf where there is none."""
-    size = points["A"].size
-    flags, residual = np.zeros(size, np.int8), np.full(size, np.inf)
-    members = np.flatnonzero(_unequal(points) <= FAMILY_TOLERANCE)
-    if members.size:
-        part = {name: values[members] for name, values in points.items()}
-        worst = np.max([condition.residual(part) for condition in SPHERICAL_ANY_AXIS.conditions], axis=0)
-        on = worst <= FAMILY_TOLERANCE
-        flags[members[on]], residual[members[on]] = SPHERICAL_ANY_AXIS.flag, worst[on]
-    return flags, residual

@@ -89,15 +89,7 @@ class Satellite(System):
 
     def identify_family(self, points: Points) -> tuple[Flags, Array]:
         """Family about the third axis and the normal, else one about any axes."""
-        shape = shape_of(points)
-        flat = {name: np.ravel(value) for name, value in points.items()}
-        flags, residual = identify(families.FAMILIES, flat)
-        others = np.flatnonzero(flags == 0)
-        if others.size:
-            with np.errstate(all="ignore"):
-                flags[others], worst = any_axis.identify({name: v[others] for name, v in flat.items()})
-            residual[others] = np.minimum(residual[others], worst)
-        return flags.reshape(shape), residual.reshape(shape)
+        return identify(points, families.FAMILIES.values(), any_axis.FAMILIES.values())
 
     def linear_stability(self, points: Points, flags: Flags) -> tuple[Flags, Array]:
         stable, growth = stability.linear_stability(points, _about_third_axis(flags))

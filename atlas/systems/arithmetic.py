@@ -293,10 +293,8 @@ def _check_expression(line: str, expression: ast.expr, names: set[str]) -> None:
                 raise BadInput(f"{line}: {shown(value)} is no number")
             case ast.Call(func=function, args=arguments, keywords=keywords):
                 if not isinstance(function, ast.Name) or function.id not in FUNCTIONS:
-                    called = ast.unparse(function)
-                    raise BadInput(
-                        f"{line}: {shown(called)} cannot be called; {allowed_text(called, FUNCTIONS)}"
-                    )
+                    name = ast.unparse(function)
+                    raise BadInput(f"{line}: {shown(name)} cannot be called; {allowed_text(name, FUNCTIONS)}")
                 if len(arguments) != 1 or keywords:
                     raise BadInput(f"{line}: {shown(ast.unparse(node))}: {function.id} takes one number")
             case (

@@ -15,6 +15,7 @@ from ..errors import BadInput
 from ..flags import Stability
 from .arithmetic import TIME_UNIT
 from .jacobian import frequency
+from .vectors import cross, dot, length
 
 Array = NDArray[np.float64]
 Flags = NDArray[np.int8]
@@ -537,7 +538,7 @@ class System(ABC):
             members = np.flatnonzero(flags == family.flag)
             if family.axes is not None and members.size:
                 axes = family.axes(subset(points, members))
-                sine[members] = np.sqrt((np.cross(axes.spin_axis, axes.fixed_axis, axis=0) ** 2).sum(0))
+                sine[members] = length(cross(axes.spin_axis, axes.fixed_axis))
                 n[members], m[members] = axes.precession_rate, axes.spin_rate
         return sine, n, m
 
@@ -736,8 +737,8 @@ def motion_about_axes(axes: TwoAxes, vector: Array, t: Array) -> tuple[Array, Ar
 def _turned(vector: Array, axis: Array, angle: Array) -> Array:
     """A vector after a turn about a unit vector, by Rodrigues' formula."""
     cosine, sine = np.cos(angle), np.sin(angle)
-    along = (axis * vector).sum(0) * (1 - cosine)
-    return cosine * vector + sine * np.cross(axis, vector, axis=0) + along * axis
+    along = dot(axis, vector) * (1 - cosine)
+    return cosine * vector + sine * cross(axis, vector) + along * axis
 
 
 def despun_about_third_axis(

@@ -12,19 +12,17 @@ from collections.abc import Callable
 import numpy as np
 
 from ..base import Array, Condition, Family, Points, TwoAxes
-from .initial import fields, length
+from ..vectors import across, dot, length, unit
+from .initial import fields
 from .two_axes import (
     OFFSETS,
     ROTORS,
     Start,
-    across_axis,
-    dot,
     floquet_stability,
     motion_of,
     other_component,
     pick,
     section_difference,
-    unit,
 )
 
 
@@ -48,7 +46,7 @@ def _balanced_candidate(start: Start, sign: float) -> TwoAxes:
 def _balanced_rotor_across(start: Start, axes: TwoAxes) -> Array:
     """What the part of the rotor across the spin axis must be."""
     s, m, g, n = axes
-    return -(m + 2 * n * dot(s, g)) * across_axis(start.inertia * s, s)
+    return -(m + 2 * n * dot(s, g)) * across(start.inertia * s, s)
 
 
 def _balanced_weight(start: Start, axes: TwoAxes) -> Array:
@@ -67,7 +65,7 @@ def _off_normal(points: Points) -> Array:
 
 def _rotor_off(points: Points) -> Array:
     start, axes = Start.of(points), balanced_axes(points)
-    off = across_axis(start.rotor, axes.spin_axis) - _balanced_rotor_across(start, axes)
+    off = across(start.rotor, axes.spin_axis) - _balanced_rotor_across(start, axes)
     return start.residual(off * length(start.w))
 
 

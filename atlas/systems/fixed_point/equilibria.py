@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 from ...flags import Completeness, Stability
 from ..base import Array, Mask, Points
 from ..oscillations import FREQUENCIES
-from .initial import bodies, length
+from ..vectors import length
+from .initial import bodies
 from .oscillations import frequencies
 from .stability import ROUNDING, amended_hessian, sleeping_stability, staude_stability
 

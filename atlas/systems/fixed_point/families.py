@@ -24,9 +24,10 @@ from dataclasses import replace
 import numpy as np
 
 from ..base import FAMILY_TOLERANCE, Array, Condition, Family, Flags, Points, identify
+from ..vectors import cross, length, ratio
 from . import equations
 from .equilibria import permanent_rotations
-from .initial import bodies, constants, fields, initial_state, length, rates, symmetric, vertical
+from .initial import bodies, constants, fields, initial_state, rates, symmetric, vertical
 from .stability import conical_stability, rest_stability, sleeping_stability, staude_stability
 
 
@@ -66,11 +67,6 @@ def condition_residual(points: Points) -> Array:
 
 
 # Conditions. Each residual is an angular acceleration or rate over that of the start, or a relative difference.
-
-
-def ratio(value: Array, scale: Array) -> Array:
-    """value / scale, 0 where nothing moves and nothing acts."""
-    return np.divide(value, scale, out=np.zeros_like(scale), where=scale > 0)
 
 
 def _difference(points: Points) -> Array:
@@ -142,7 +138,7 @@ def permanent_torque(points: Points, n: Array | None = None) -> Array:
     inertia, rotor, weight, N = bodies(points)
     gamma = vertical(points)
     n = rates(points)[1] if n is None else n
-    return np.cross((n**2 - N) * inertia * gamma + n * rotor + weight, gamma, axis=0)
+    return cross((n**2 - N) * inertia * gamma + n * rotor + weight, gamma)
 
 
 def _permanent(points: Points) -> Array:

@@ -8,14 +8,12 @@ import numpy as np
 
 from ...flags import Stability
 from ..base import Array, Condition, Family, Flags, Points, TwoAxes
-from .initial import length
+from ..vectors import cross, dot, length, unit
 from .stability import decide
 from .two_axes import (
     ROTORS,
     Start,
     axis_of_symmetry,
-    cross,
-    dot,
     motion_of,
     no_field,
     other_component,
@@ -39,7 +37,7 @@ def _free_turning(points: Points) -> Array:
 def rotation_axes(points: Points) -> TwoAxes:
     w = Start.of(points).w
     rate = length(w)
-    axis = np.where(rate > 0, w / np.where(rate > 0, rate, 1.0), principal(np.full(rate.shape, 2)))
+    axis = unit(w, principal(np.full(rate.shape, 2)))
     return TwoAxes(axis, rate, axis, np.zeros_like(rate))
 
 
@@ -65,9 +63,8 @@ def _turning_stability(points: Points) -> tuple[Flags, Array]:
     momentum = start.inertia * start.w + start.rotor
     columns = []
     for j in range(3):
-        unit = np.zeros_like(momentum)
-        unit[j] = 1.0
-        turn = cross(start.inertia * unit, start.w) + cross(momentum, unit)
+        axis = principal(np.full(momentum.shape[1:], j))
+        turn = cross(start.inertia * axis, start.w) + cross(momentum, axis)
         columns.append(turn / start.inertia)
     products = np.array([columns[i][i] * columns[j][j] - columns[i][j] * columns[j][i] for i, j in _PAIRS])
     size = np.array([np.abs(columns[i][j] * columns[j][i]) for i, j in _PAIRS]).sum(0)
@@ -86,10 +83,8 @@ def precession_axes(points: Points) -> TwoAxes:
     momentum = start.inertia * start.w + start.rotor
     axial = dot(start.inertia * s, s)
     transverse = 0.5 * (start.inertia.sum(0) - axial)
-    size = length(momentum)
-    fixed = np.where(size > 0, momentum / np.where(size > 0, size, 1.0), s)
     spin = ((transverse - axial) * dot(start.w, s) - dot(start.rotor, s)) / transverse
-    return TwoAxes(s, spin, fixed, size / transverse)
+    return TwoAxes(s, spin, unit(momentum, s), length(momentum) / transverse)
 
 
 def _always_stable(points: Points) -> tuple[Flags, Array]:

@@ -17,15 +17,12 @@ from collections.abc import Callable
 import numpy as np
 
 from ..base import Array, Condition, Family, Points, TwoAxes
-from .initial import length
+from ..vectors import across, cross, dot, length, unit
+from .initial import VECTORS
 from .two_axes import (
     OFFSETS,
     ROTORS,
-    VECTORS,
     Start,
-    across_axis,
-    cross,
-    dot,
     floquet_stability,
     motion_of,
     no_field,
@@ -33,7 +30,6 @@ from .two_axes import (
     pick,
     section_difference,
     section_normals,
-    unit,
 )
 
 
@@ -41,7 +37,7 @@ def grioli_axes(points: Points) -> TwoAxes:
     start = Start.of(points)
     s = unit(start.weight)
     n = dot(start.w, s)
-    return TwoAxes(s, n, across_axis(start.w, s) / n, n)
+    return TwoAxes(s, n, across(start.w, s) / n, n)
 
 
 def _grioli_vertical(start: Start, s: Array, nu: Array, n: Array) -> Array:
@@ -64,8 +60,8 @@ def _rotor_along_weight(points: Points) -> Array:
 
 def _equal_rates(points: Points) -> Array:
     start, axes = Start.of(points), grioli_axes(points)
-    across = length(across_axis(start.w, axes.spin_axis))
-    return (across - np.abs(axes.spin_rate)) / np.sqrt(start.squared_rate)
+    transverse = length(across(start.w, axes.spin_axis))
+    return (transverse - np.abs(axes.spin_rate)) / np.sqrt(start.squared_rate)
 
 
 def _grioli_torque(points: Points) -> Array:
@@ -79,7 +75,7 @@ def _grioli_rate(points: Points) -> Array:
     start = Start.of(points)
     s = unit(start.weight)
     momentum = start.inertia * s
-    b, d2, rotor = dot(momentum, s), (across_axis(momentum, s) ** 2).sum(0), dot(start.rotor, s)
+    b, d2, rotor = dot(momentum, s), (across(momentum, s) ** 2).sum(0), dot(start.rotor, s)
     square = (start.weight**2).sum(0)
     n = _largest_root(b**2 + d2, 2 * b * rotor, rotor**2, -square)
     for _ in range(2):  # Newton's steps remove the rounding errors of the eigenvalues
@@ -104,7 +100,7 @@ def _grioli_start(points: Points) -> Array:
     """State (6, points) at the time at which nu lies in the plane of s and I s."""
     start, n = Start.of(points), _grioli_rate(points)
     s = unit(start.weight)
-    nu = unit(across_axis(start.inertia * s, s))
+    nu = unit(across(start.inertia * s, s))
     gamma = _grioli_vertical(start, s, nu, n)
     return np.concatenate([n * (nu + s), unit(gamma)])
 

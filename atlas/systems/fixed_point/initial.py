@@ -8,6 +8,7 @@ import numpy as np
 
 from ...errors import BadInput
 from ..base import Array, Mask, Parameter, Points
+from ..vectors import length
 
 _TABLE = (
     # name, unit, symbol, default, low, open_low, start, meaning
@@ -78,9 +79,9 @@ def vertical(points: Points) -> Array:
     st, ct = np.sin(points["theta0"]), np.cos(points["theta0"])
     angles = np.array([st * np.sin(points["phi0"]), st * np.cos(points["phi0"]), ct])
     vector = np.array([points["gamma10"], points["gamma20"], points["gamma30"]])
-    length = np.sqrt((vector**2).sum(0))
+    size = length(vector)
     # A vector of length 1 to rounding is not divided: that would only change its last bits.
-    vector = np.where(np.abs(length - 1) > 4e-16, vector / length, vector)
+    vector = np.where(np.abs(size - 1) > 4e-16, vector / size, vector)
     return np.where(np.isnan(points["gamma10"]), angles, vector)
 
 
@@ -197,8 +198,8 @@ def integral_scales(points: Points) -> dict[str, Array]:
     zero = np.zeros_like(points["A"])
     largest = inertia.max(0)
     # The most by which the fields can change the kinetic energy; terms that vanish at the start reach this size.
-    potential = np.sqrt((weight**2).sum(0)) + 0.5 * np.abs(N) * (largest - inertia.min(0))
-    momentum = np.sqrt(((inertia * w) ** 2).sum(0)) + np.sqrt(2 * largest * potential)
+    potential = length(weight) + 0.5 * np.abs(N) * (largest - inertia.min(0))
+    momentum = length(inertia * w) + np.sqrt(2 * largest * potential)
     no_weight, no_rotor = (weight == 0).all(0), (rotor == 0).all(0)
     no_gradient = (N == 0) | (largest == inertia.min(0))
     kovalevskaya = (inertia[0] == inertia[1]) & (inertia[0] == 2 * inertia[2]) & (N == 0) & (weight[2] == 0)
@@ -206,7 +207,7 @@ def integral_scales(points: Points) -> dict[str, Array]:
     transverse = w[0] ** 2 + w[1] ** 2 + 2 * potential / inertia[2]
     return {
         "energy": potential,
-        "area": momentum + np.sqrt((rotor**2).sum(0)),
+        "area": momentum + length(rotor),
         "length_gamma": zero,
         "lagrange": np.where(symmetric(points), momentum, np.nan),
         "clebsch": np.where(no_weight & (no_rotor | no_gradient), momentum**2 + (rotor**2).sum(0), np.nan),
@@ -227,7 +228,7 @@ def frequency_bound(points: Points) -> Array:
     state = initial_state(points)
     w, gamma = state[:3], state[3:]
     fixed = symmetric(points)
-    moment = np.sqrt((weight**2).sum(0))
+    moment = length(weight)
 
     # U - min U <= each term at the start minus its own minimum; a bound of 2 T for all or for p, q.
     quadratic = (inertia * gamma**2).sum(0)
@@ -274,8 +275,3 @@ def specialization(zero: Set[str], equal: Set[tuple[str, str]]) -> tuple[set[str
         equal_constants = {("B", "A"), ("B_inv", "A_inv"), ("NB", "NA")}
         return zero_constants | {"l1", "l2", "Mx", "My"}, equal_constants
     return zero_constants, set()
-
-
-def length(vector: Array) -> Array:
-    """Euclidean length over the first axis."""
-    return np.sqrt((vector**2).sum(0))

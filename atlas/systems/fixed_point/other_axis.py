@@ -8,15 +8,11 @@ from __future__ import annotations
 import numpy as np
 
 from ..base import Array, Condition, Family, Flags, Points, TwoAxes
-from .families import ratio
-from .initial import length
+from ..vectors import across, cross, dot, length, ratio
 from .stability import decide
 from .two_axes import (
     Start,
-    across_axis,
     axis_of_symmetry,
-    cross,
-    dot,
     motion_of,
     rotor_along,
     symmetric_about,
@@ -26,9 +22,8 @@ from .two_axes import (
 def lagrange_axes(points: Points) -> TwoAxes:
     start = Start.of(points)
     s = axis_of_symmetry(start.inertia, (0, 1), start.weight)
-    across = across_axis(start.gamma, s)
-    square = (across**2).sum(0)
-    n = np.divide(dot(start.w, across), square, out=np.zeros_like(square), where=square > 0)
+    normal = across(start.gamma, s)
+    n = ratio(dot(start.w, normal), (normal**2).sum(0))
     return TwoAxes(s, dot(start.w - n * start.gamma, s), start.gamma, n)
 
 

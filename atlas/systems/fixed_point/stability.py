@@ -6,6 +6,7 @@ import numpy as np
 
 from ...flags import Stability
 from ..base import Array, Flags, Mask, Points
+from ..vectors import cross
 from .initial import bodies, fields, initial_state, rates, symmetric, vertical
 
 # A discriminant below this fraction of the magnitude of its terms is rounding and does not decide stability.
@@ -181,10 +182,10 @@ def _quartic(points: Points, n: Array, gamma: Array) -> tuple[Array, Array, Arra
     for j in range(3):
         unit = np.zeros_like(gamma)
         unit[j] = 1.0
-        turn = np.cross(inertia * unit, w, axis=0) + np.cross(momentum, unit, axis=0)
-        tilt = np.cross(unit, force, axis=0) + np.cross(gamma, N * inertia * unit, axis=0)
-        matrix[:3, j], matrix[3:, j] = turn / inertia, np.cross(gamma, unit, axis=0)
-        matrix[:3, 3 + j], matrix[3:, 3 + j] = tilt / inertia, np.cross(unit, w, axis=0)
+        turn = cross(inertia * unit, w) + cross(momentum, unit)
+        tilt = cross(unit, force) + cross(gamma, N * inertia * unit)
+        matrix[:3, j], matrix[3:, j] = turn / inertia, cross(gamma, unit)
+        matrix[:3, 3 + j], matrix[3:, 3 + j] = tilt / inertia, cross(unit, w)
     products = matrix * np.swapaxes(matrix, 0, 1)
     P, size = -0.5 * products.sum((0, 1)), 0.5 * np.abs(products).sum((0, 1))
     P = np.where(np.abs(P) <= ROUNDING * size, 0.0, P)

@@ -10,11 +10,11 @@ from numpy.typing import NDArray
 
 from ..base import FAMILY_TOLERANCE, Array, Flags, Points, TwoAxes, motion_about_axes
 from ..floquet import growth_of_periodic_motion
-from .equations import CONSTANTS, rhs
-from .families import ratio
-from .initial import bodies, constants, initial_state, length, vertical
+from ..jacobian import jacobian
+from ..vectors import cross, dot, length, ratio, unit
+from . import equations
+from .initial import bodies, constants, initial_state, vertical
 
-VECTORS = ("p0", "q0", "r0", "gamma10", "gamma20", "gamma30")
 OFFSETS, ROTORS = ("x0", "y0", "z0"), ("l1", "l2", "l3")
 
 
@@ -47,24 +47,6 @@ class Start(NamedTuple):
         return ratio(size / self.inertia.min(0), self.squared_rate)
 
 
-def dot(a: Array, b: Array) -> Array:
-    return (a * b).sum(0)
-
-
-def cross(a: Array, b: Array) -> Array:
-    return np.cross(a, b, axis=0)
-
-
-def unit(vector: Array) -> Array:
-    """The vector over its length, nan where that is 0."""
-    return vector / length(vector)
-
-
-def across_axis(vector: Array, s: Array) -> Array:
-    """Part of a vector normal to the unit vector s."""
-    return vector - dot(vector, s) * s
-
-
 def principal(index: np.ndarray) -> Array:
     """Unit vectors (3, points) of the principal axes of these numbers."""
     return (np.arange(3).reshape(3, *(1,) * index.ndim) == index).astype(np.float64)
@@ -92,9 +74,7 @@ def axis_of_symmetry(inertia: Array, candidates: tuple[int, ...], otherwise: Arr
     best = np.array(candidates)[differences.argmin(0)]
     axis = principal(best)
     spherical = inertia.max(0) - inertia.min(0) <= FAMILY_TOLERANCE * inertia.max(0)
-    given = length(otherwise)
-    use = spherical & (given > 0)
-    return np.where(use, otherwise / np.where(use, given, 1.0), axis)
+    return np.where(spherical, unit(otherwise, axis), axis)
 
 
 def other_component(vector: Array, i: int) -> NDArray[np.intp]:
@@ -138,22 +118,6 @@ def motion_of(axes: Callable[[Points], TwoAxes]) -> Callable[[Points, Array], Ar
     return motion
 
 
-def linearised(state: Array, values: Array) -> Array:
-    """Matrix (..., points, 6, 6) of the equations of motion linearised at states (6, ..., points).
-
-    values: constants (constants, points). The equations are of second degree, so that central differences over a
-    step of 1 are exact.
-    """
-    matrix = np.empty((*state.shape[1:], 6, 6))
-    values = values.reshape(len(CONSTANTS), *(1,) * (state.ndim - 2), -1)
-    for j in range(6):
-        unit = np.zeros((6, *(1,) * (state.ndim - 1)))
-        unit[j] = 0.5
-        difference = np.array(rhs(state + unit, values)) - np.array(rhs(state - unit, values))
-        matrix[..., j] = np.moveaxis(difference, 0, -1)
-    return matrix
-
-
 def floquet_stability(axes: Callable[[Points], TwoAxes]) -> Callable[[Points], tuple[Flags, Array]]:
     """Formula of Family.stability from the closed form of the motion."""
 
@@ -165,7 +129,9 @@ def floquet_stability(axes: Callable[[Points], TwoAxes]) -> Callable[[Points], t
 
         def matrix(part: np.ndarray, t: Array) -> Array:
             members = TwoAxes(*(value[..., part] for value in two))
-            return linearised(np.concatenate(motion_about_axes(members, gamma[:, part], t)), values[:, part])
+            state = np.concatenate(motion_about_axes(members, gamma[:, part], t)).reshape(6, -1)
+            constants_at_times = np.tile(values[:, part], len(t))
+            return jacobian(equations, state, constants_at_times).reshape(*t.shape, 6, 6)
 
         return growth_of_periodic_motion(matrix, 2 * np.pi / np.abs(two.spin_rate))
 

@@ -12,6 +12,7 @@ import numpy as np
 
 from ...flags import Stability
 from ..base import Array, Condition, Family, Flags, Points, TwoAxes, motion_about_axes
+from ..vectors import across, cross, dot, length, ratio, unit
 from .initial import initial_state
 
 
@@ -23,37 +24,25 @@ def _vectors(points: Points) -> tuple[Array, Array, Array, Array]:
     return state[:3], state[6:], rotor, magnet
 
 
-def _length(vector: Array) -> Array:
-    return np.sqrt((vector**2).sum(0))
-
-
 def _axes(points: Points) -> TwoAxes:
     """s is along the rotor, else the magnet, else the angular velocity."""
     w, gamma, rotor, magnet = _vectors(points)
-    s = np.where(_length(magnet) > 0, magnet, w)
-    s = np.where(_length(rotor) > 0, rotor, s)
-    length = _length(s)
-    s = np.where(length > 0, s / np.where(length > 0, length, 1.0), gamma)
-    across = gamma - (s * gamma).sum(0) * s
-    square = (across**2).sum(0)
-    rate = np.where(square > 0, (w * across).sum(0) / np.where(square > 0, square, 1.0), 0.0)
-    spin = ((w - rate * gamma) * s).sum(0)
-    return TwoAxes(s, spin, gamma, rate - points["Omega"])
+    s = np.where(length(magnet) > 0, magnet, w)
+    s = unit(np.where(length(rotor) > 0, rotor, s), gamma)
+    normal = across(gamma, s)
+    rate = ratio(dot(w, normal), (normal**2).sum(0))
+    return TwoAxes(s, dot(w - rate * gamma, s), gamma, rate - points["Omega"])
 
 
 def _scale(points: Points) -> Array:
     """Largest squared rate of the start."""
     w, _, rotor, _ = _vectors(points)
-    field = _length(np.array([points["mu1"], points["mu2"], points["mu3"]])) * np.hypot(
+    field = length(np.array([points["mu1"], points["mu2"], points["mu3"]])) * np.hypot(
         points["h1"], points["h3"]
     )
     square = np.maximum((w**2).sum(0), points["Omega"] ** 2)
-    torque = np.maximum(field, _length(rotor) * np.sqrt(square)) / points["C"]
+    torque = np.maximum(field, length(rotor) * np.sqrt(square)) / points["C"]
     return np.maximum(square, torque)
-
-
-def _ratio(value: Array, scale: Array) -> Array:
-    return np.divide(np.abs(value), scale, out=np.zeros_like(scale), where=scale > 0)
 
 
 def _unequal(points: Points) -> Array:
@@ -63,35 +52,35 @@ def _unequal(points: Points) -> Array:
 
 
 def _radial_torque(points: Points) -> Array:
-    moment = _length(np.array([points["mu1"], points["mu2"], points["mu3"]]))
-    return _ratio(points["h1"] * moment / points["C"], _scale(points))
+    moment = length(np.array([points["mu1"], points["mu2"], points["mu3"]]))
+    return ratio(np.abs(points["h1"]) * moment / points["C"], _scale(points))
 
 
 def _not_along(points: Points) -> Array:
     w, _, rotor, magnet = _vectors(points)
-    s, rate = _axes(points).spin_axis, _length(w)
-    torque = _length(np.cross(rotor, s, axis=0)) * rate + _length(np.cross(magnet, s, axis=0))
-    return _ratio(torque / points["C"], _scale(points))
+    s, rate = _axes(points).spin_axis, length(w)
+    torque = length(cross(rotor, s)) * rate + length(cross(magnet, s))
+    return ratio(torque / points["C"], _scale(points))
 
 
 def _unsteady(points: Points) -> Array:
     w, gamma, _, _ = _vectors(points)
     s, m, _, n = _axes(points)
-    return _ratio(_length(w - (n + points["Omega"]) * gamma - m * s), np.sqrt(_scale(points)))
+    return ratio(length(w - (n + points["Omega"]) * gamma - m * s), np.sqrt(_scale(points)))
 
 
 def _torque(points: Points) -> Array:
     _, gamma, rotor, magnet = _vectors(points)
     s, m, _, n = _axes(points)
-    balance = (n + points["Omega"]) * (points["C"] * m + (rotor * s).sum(0)) - (magnet * s).sum(0)
-    return _ratio(balance * _length(np.cross(s, gamma, axis=0)) / points["C"], _scale(points))
+    balance = (n + points["Omega"]) * (points["C"] * m + dot(rotor, s)) - dot(magnet, s)
+    return ratio(np.abs(balance) * length(cross(s, gamma)) / points["C"], _scale(points))
 
 
 def _damped(points: Points) -> Array:
     w, gamma, _, _ = _vectors(points)
     scale = np.sqrt(_scale(points))
-    turn = _length(w - points["Omega"] * gamma)
-    return _ratio(points["damping"] * turn, scale * (points["C"] * scale + points["damping"]))
+    turn = length(w - points["Omega"] * gamma)
+    return ratio(points["damping"] * turn, scale * (points["C"] * scale + points["damping"]))
 
 
 def _motion(points: Points, t: Array) -> Array:

@@ -26,6 +26,7 @@ import numpy as np
 
 from ...flags import Stability
 from ..base import Array, Condition, Family, Flags, Points
+from ..vectors import cross, length
 from .equations import rhs
 from .initial import constants, directions, initial_state
 
@@ -95,14 +96,6 @@ def _vectors(p: Points) -> tuple[Array, Array, Array]:
         np.array([p[name] for name in names])
         for names in (("A", "B", "C"), ("k1", "k2", "k3"), ("mu1", "mu2", "mu3"))
     )
-
-
-def _norm(vector: Array) -> Array:
-    return np.sqrt((vector**2).sum(0))
-
-
-def _cross(a: Array, b: Array) -> Array:
-    return np.array([a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]])
 
 
 # Conditions that several families share.
@@ -321,8 +314,8 @@ def _stability_about_normal(p: Points) -> tuple[Flags, Array]:
     momentum = (along * (p["Omega"] + nu) + (k * gamma).sum(0)) / across
     second = p["Omega"] * momentum - p["Omega"] ** 2 - p["h3"] * (mu * gamma).sum(0) / across
     first = second + 3 * p["Omega"] ** 2 * (along / across - 1)
-    oblique = _relative_to(_norm(_cross(k, gamma)), _momentum(p))
-    oblique = oblique + _relative_to(p["h3"] * _norm(_cross(mu, gamma)), _torque(p))
+    oblique = _relative_to(length(cross(k, gamma)), _momentum(p))
+    oblique = oblique + _relative_to(p["h3"] * length(cross(mu, gamma)), _torque(p))
     P = np.where(np.abs(oblique) < 1e-12, first + second + (2 * p["Omega"] - momentum) ** 2, np.nan)
     return _quartic(P, first * second, np.abs(p["Omega"]) + np.abs(momentum))
 
@@ -362,7 +355,7 @@ def _rest_torque(p: Points, with_rotor: bool = True) -> tuple[Array, Array, Arra
     square = p["Omega"] ** 2
     momentum = square * inertia * gamma + (p["Omega"] * k if with_rotor else 0.0)
     H = p["h1"] * alpha + p["h3"] * gamma
-    return _cross(momentum, gamma) + 3 * square * _cross(alpha, inertia * alpha) + _cross(H, mu), alpha, gamma
+    return cross(momentum, gamma) + 3 * square * cross(alpha, inertia * alpha) + cross(H, mu), alpha, gamma
 
 
 def _normal_torque(p: Points) -> Array:
@@ -372,7 +365,7 @@ def _normal_torque(p: Points) -> Array:
 
 def _plane_torque(p: Points) -> Array:
     torque, alpha, gamma = _rest_torque(p)
-    beta = _cross(gamma, alpha)
+    beta = cross(gamma, alpha)
     return _relative_to(np.hypot((torque * alpha).sum(0), (torque * beta).sum(0)), _torque(p))
 
 
@@ -396,7 +389,7 @@ def _k_along(name: str, p: Points, base: Array, gamma: Array) -> Array:
 def _solve_k_equilibrium(name: str, p: Points) -> Array:
     torque, _, gamma = _rest_torque(p, with_rotor=False)
     return _k_along(
-        name, p, _quotient(_cross(torque, gamma), np.broadcast_to(p["Omega"], torque.shape)), gamma
+        name, p, _quotient(cross(torque, gamma), np.broadcast_to(p["Omega"], torque.shape)), gamma
     )
 
 
@@ -404,7 +397,7 @@ def _solve_h1_equilibrium(p: Points) -> Array:
     """From the torque about the normal: beta.(3 Omega^2 I alpha + h1 mu) = 0."""
     inertia, _, mu = _vectors(p)
     alpha, gamma = directions(p)
-    beta = _cross(gamma, alpha)
+    beta = cross(gamma, alpha)
     return _quotient(-3 * p["Omega"] ** 2 * (beta * inertia * alpha).sum(0), (beta * mu).sum(0))
 
 
@@ -519,19 +512,19 @@ def _symmetry_about_normal(p: Points) -> Array:
     """Deviation of gamma from an axis across which every direction has the same moment of inertia."""
     inertia, _, _ = _vectors(p)
     alpha, gamma = directions(p)
-    beta = _cross(gamma, alpha)
+    beta = cross(gamma, alpha)
     parts = (
-        _norm(_cross(inertia * gamma, gamma)),
+        length(cross(inertia * gamma, gamma)),
         (inertia * (alpha**2 - beta**2)).sum(0),
         (inertia * 2 * alpha * beta).sum(0),
     )
-    return _relative_to(_norm(np.array(parts)), _inertia(p))
+    return _relative_to(length(np.array(parts)), _inertia(p))
 
 
 def _normal_rotor(p: Points) -> Array:
     _, k, mu = _vectors(p)
     _, gamma = directions(p)
-    return _relative_to(_norm(_cross(gamma, (p["n"] + p["Omega"]) * k - p["h3"] * mu)), _torque(p))
+    return _relative_to(length(cross(gamma, (p["n"] + p["Omega"]) * k - p["h3"] * mu)), _torque(p))
 
 
 def _solve_k_other_axis(name: str, p: Points) -> Array:
@@ -809,4 +802,4 @@ def condition_residual(points: Points) -> Array:
     min_inertia = np.minimum(np.minimum(points["A"], points["B"]), points["C"])
     field = _moment(points) * np.hypot(points["h1"], points["h3"]) / min_inertia
     square = np.maximum(np.maximum(points["Omega"] ** 2, (w**2).sum(0)), field)
-    return _relative_to(_norm(residual), square)
+    return _relative_to(length(residual), square)

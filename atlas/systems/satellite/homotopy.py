@@ -38,7 +38,7 @@ _FIRST_STEP, _MIN_STEP, _MAX_STEPS = 0.1, 1e-6, 600
 _POLISH = 6  # Newton iterations at the end
 _ROUNDING = 1e-11  # of the gradient at an end
 # A solution with imaginary parts below this is real; solutions closer to each other, or with imaginary parts between
-# the two, are not told apart with certainty.
+# the two, are not certainly different or real.
 _REAL, _DISTINCT = 1e-9, 1e-5
 
 

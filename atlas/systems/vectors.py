@@ -1,0 +1,39 @@
+"""Products, lengths and quotients of arrays over points; vectors have the shape (3, points)."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+
+def dot(a: Array, b: Array) -> Array:
+    """Scalar product, (points,)."""
+    return (a * b).sum(0)
+
+
+def cross(a: Array, b: Array) -> Array:
+    """Vector product, (3, points)."""
+    return np.array([a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]])
+
+
+def length(vector: Array) -> Array:
+    """Euclidean length over the first axis."""
+    return np.sqrt((vector**2).sum(0))
+
+
+def unit(vector: Array, otherwise: Array | float = np.nan) -> Array:
+    """The vector over its length, another one where that is 0."""
+    size = length(vector)
+    return np.where(size > 0, vector / np.where(size > 0, size, 1.0), otherwise)
+
+
+def across(vector: Array, axis: Array) -> Array:
+    """Part of a vector normal to a unit vector."""
+    return vector - dot(vector, axis) * axis
+
+
+def ratio(value: Array, scale: Array) -> Array:
+    """value / scale, 0 where the scale is 0: where nothing moves and nothing acts."""
+    return np.divide(value, scale, out=np.zeros_like(scale), where=scale > 0)

@@ -1,4 +1,4 @@
-"""Installed packages with systems, as far as Python sees them: a module and its metadata in a folder of sys.path."""
+"""A system of another package and a scene of it; packages as Python finds them: a module and its metadata in a folder."""
 
 PENDULUM = '''
 """A pendulum with a cubic spring: a system that no line of the package is about."""
@@ -51,6 +51,30 @@ class Pendulum(System):
     def initial_state(self, points):
         return np.array([points["x0"], points["v0"]])
 '''
+
+PENDULUM_SCENE = """
+schema = 1
+title = "A pendulum"
+system = "pendulum"
+
+[axes.omega]
+from = 0.5
+to = 2.0
+count = 12
+
+[axes.x0]
+from = 0.0
+to = 2.5
+count = 9
+
+[integration]
+duration = 20.0
+tolerance = 1e-6
+method = "rk8"
+
+[labels.std_tolerance]
+x = 0.5
+"""
 
 
 def install(folder, module, text, names, package="some-systems", version="1.2"):

@@ -199,8 +199,8 @@ def nullity(*args):
 RATIOS = sorted({s * j / k for s in (-1, 1) for k in (1, 2, 3, 4) for j in range(1, 5) if j / k <= 4})
 
 
-def test_there_are_no_other_regular_precessions():
-    """The bodies that can make a motion are a linear space: its dimension shows which families there are.
+def test_no_other_regular_precession_exists():
+    """The bodies that can make a motion are a linear space: its dimension shows which families exist.
 
     A spherical body and its rotor along s, -a m, and for N = 0 a symmetric one whose axis is s, are always in it.
     """
@@ -273,9 +273,9 @@ def test_every_formula_of_grioli_s_family_puts_a_point_on_it(moments):
     for name in family.solve:
         changed = points | {name: points[name] + (0.0 if name in VECTORS else 0.1 * np.sign(points[name]))}
         solved = changed | {name: family.solve[name](changed)}
-        found = on_family(family, solved) < 1e-11
+        on = on_family(family, solved) < 1e-11
         # Components of the start are those of the largest root.
-        assert found.mean() > 0.9, name
+        assert on.mean() > 0.9, name
     turned = points | {"p0": -points["p0"], "q0": -points["q0"], "r0": -points["r0"]}
     rotor = {name: -points[name] for name in ("l1", "l2", "l3")}
     assert (on_family(family, turned | rotor) < 1e-12).all()  # reversed in time
@@ -291,9 +291,9 @@ def test_random_starts_are_on_no_family():
 
 def test_starts_of_the_families_about_the_third_axis_keep_their_flags():
     points = fixed_point_cases()
-    old, _ = families.identify_family(points)
-    new, _ = FIXED_POINT.identify_family(points)
-    np.testing.assert_array_equal(new[old > 0], old[old > 0])
+    third_axis, _ = families.identify_family(points)
+    all_families, _ = FIXED_POINT.identify_family(points)
+    np.testing.assert_array_equal(all_families[third_axis > 0], third_axis[third_axis > 0])
     points = random_fixed_points(np.random.default_rng(10), 9, theta_dot0=0.0, m=0.0)
     staude = fixed_points_on_family("staude", points, "l1", "l2")
     assert (FIXED_POINT.identify_family(staude)[0] == families.FAMILIES["staude"].flag).all()

@@ -250,7 +250,7 @@ def test_members(members, message):
 @pytest.mark.parametrize(
     "name", ["label", "status", "step", "integral_drift", "predicted", "computed", "time", "theta_min"]
 )
-def test_observables_that_are_called_like_a_variable(name):
+def test_observables_with_the_name_of_a_variable(name):
     text = error_of(
         equations=equations(**{name: named(one_component, name)}),
         observables=(Observable(name, "1", "a quantity"),),
@@ -260,7 +260,7 @@ def test_observables_that_are_called_like_a_variable(name):
     )
 
 
-def test_an_observable_that_is_called_like_a_statistic_of_another():
+def test_an_observable_with_the_name_of_a_statistic_of_another():
     observables = (Observable("x", "m", "place"), Observable("x_mean", "m", "another"))
     text = error_of(equations=equations(x_mean=named(one_component, "x_mean")), observables=observables)
     assert "its observable x_mean has the name of a variable of the atlas" in text

@@ -46,11 +46,11 @@ def jacobi_hessian(points, axial):
     inertia = np.array([p["A"], p["B"], p["C"]])
     k, mu = (np.array([p[f"{name}{i}"] for i in (1, 2, 3)]) for name in ("k", "mu"))
     w, alpha, gamma = np.split(SATELLITE.initial_state(points)[:, 0], 3)
-    kept = [0, 1, 3, 4] if axial else list(range(6))
+    varied = [0, 1, 3, 4] if axial else list(range(6))
 
     def jacobi(change):
         full = np.zeros(6)
-        full[kept] = change
+        full[varied] = change
         x, (a, b, c) = w + full[:3], full[3:]
         hat = np.array([[0, -c, b], [c, 0, -a], [-b, a, 0]])
         turn = np.eye(3) + hat + hat @ hat / 2 + hat @ hat @ hat / 6 + hat @ hat @ hat @ hat / 24
@@ -58,12 +58,12 @@ def jacobi_hessian(points, axial):
         kinetic = 0.5 * inertia @ x**2 - p["Omega"] * g @ (inertia * x + k)
         return kinetic + 1.5 * p["Omega"] ** 2 * inertia @ r**2 + mu @ (p["h1"] * r + p["h3"] * g)
 
-    return second_differences(jacobi, len(kept))
+    return second_differences(jacobi, len(varied))
 
 
 def test_satellites_at_rest_have_the_second_variation_of_their_jacobi_integral():
     rng = np.random.default_rng(0)
-    found = []
+    flags = []
     for _ in range(4):
         body = dict(zip("ABC", 1 + 0.7 * rng.uniform(size=3), strict=True)) | {
             "Omega": 0.9,
@@ -78,17 +78,17 @@ def test_satellites_at_rest_have_the_second_variation_of_their_jacobi_integral()
             least = np.linalg.eigvalsh(jacobi_hessian(points, False))[0]
             assert abs(least) > 1e-4
             assert derived(SATELLITE, "energy_stable", points)[0] == (YES if least > 0 else NO)
-            found.append((derived(SATELLITE, "stability_kind", points)[0], linear(SATELLITE, points)[0]))
-    assert {kind for kind, _ in found} == {
+            flags.append((derived(SATELLITE, "stability_kind", points)[0], linear(SATELLITE, points)[0]))
+    assert {kind for kind, _ in flags} == {
         StabilityKind.ENERGY_STABLE, StabilityKind.GYROSCOPIC, StabilityKind.UNSTABLE,
     }  # fmt: skip
-    assert all((kind == StabilityKind.UNSTABLE) == (stable == Stability.UNSTABLE) for kind, stable in found)
+    assert all((kind == StabilityKind.UNSTABLE) == (stable == Stability.UNSTABLE) for kind, stable in flags)
 
 
 @pytest.mark.parametrize("psi0", [0.0, np.pi / 2])
 def test_spinning_satellites_have_it_on_the_level_of_their_momentum(psi0):
     rng = np.random.default_rng(1)
-    found = set()
+    flags = set()
     for _ in range(20):
         sigma, theta, m = rng.uniform(0.2, 1.9), rng.uniform(0.2, 2.8), 2 * rng.normal()
         factor = 1.0 if psi0 == 0.0 else 4.0
@@ -98,8 +98,8 @@ def test_spinning_satellites_have_it_on_the_level_of_their_momentum(psi0):
         least = np.linalg.eigvalsh(jacobi_hessian(points, True))[0]
         energy = derived(SATELLITE, "energy_stable", points)[0]
         assert energy == (YES if least > 0 else NO)
-        found.add(energy)
-    assert len(found) == 2
+        flags.add(energy)
+    assert len(flags) == 2
 
 
 def test_the_gravity_gradient_diagram():
@@ -133,7 +133,7 @@ def test_the_diagram_of_likins_and_thomson():
 def test_permanent_rotations_have_the_second_variation_on_the_leaf():
     """Of energy - n M.gamma - a gamma^2 / 2 on the tangents of |gamma| and M.gamma, M = I w + l."""
     rng = np.random.default_rng(4)
-    found = set()
+    kinds = set()
     for _ in range(8):
         body = dict(zip("ABC", 1 + 0.9 * rng.uniform(size=3), strict=True)) | {
             "Mg": 1.0,
@@ -165,8 +165,8 @@ def test_permanent_rotations_have_the_second_variation_on_the_leaf():
             assert abs(least) > 1e-5
             value = derived(FIXED_POINT, "energy_stable", points)[0]
             assert value == (YES if least > 0 else NO)
-            found.add(derived(FIXED_POINT, "stability_kind", points)[0])
-    assert found == {StabilityKind.ENERGY_STABLE, StabilityKind.GYROSCOPIC, StabilityKind.UNSTABLE}
+            kinds.add(derived(FIXED_POINT, "stability_kind", points)[0])
+    assert kinds == {StabilityKind.ENERGY_STABLE, StabilityKind.GYROSCOPIC, StabilityKind.UNSTABLE}
 
 
 def test_sleeping_tops_and_free_bodies():

@@ -59,7 +59,7 @@ def scene_of(name, **counts):
     return text
 
 
-def test_there_are_examples():
+def test_the_folder_of_examples_is_not_empty():
     assert NAMES == ["double_pendulum", "heavy_top_euler", "henon_heiles"]
 
 

@@ -452,15 +452,15 @@ def test_stability_of_permanent_rotations_against_eigenvalues(kind):
 def test_index_of_the_amended_potential_decides_the_stability():
     """Index 0 is stable and index 1 unstable, for every permanent rotation of many bodies."""
     rng = np.random.default_rng(3)
-    seen = set()
+    kinds = set()
     for _ in range(40):
         points = random_fixed_points(rng, 1, theta_dot0=0.0)
         rotations = equilibria.equilibria(points, float(rng.normal()))
         index, stable = rotations["index"], rotations["stable"]
         assert np.all(stable[index == 0] == Stability.STABLE)
         assert np.all(stable[index == 1] == Stability.UNSTABLE)
-        seen |= set(zip(index.tolist(), stable.tolist(), strict=True))
-    assert seen >= {(0, Stability.STABLE), (1, Stability.UNSTABLE), (2, Stability.UNSTABLE)}
+        kinds |= set(zip(index.tolist(), stable.tolist(), strict=True))
+    assert kinds >= {(0, Stability.STABLE), (1, Stability.UNSTABLE), (2, Stability.UNSTABLE)}
 
 
 def sleeping_points(side, **given):

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 import xarray as xr
-from plugins import PENDULUM
+from plugins import PENDULUM, PENDULUM_SCENE
 from scipy.integrate import simpson, solve_ivp
 
 import atlas
@@ -20,29 +20,6 @@ from atlas.systems import jacobian
 from atlas.variables import variables
 
 METHOD = "rk8"
-SCENE = """
-schema = 1
-title = "A pendulum"
-system = "pendulum"
-
-[axes.omega]
-from = 0.5
-to = 2.0
-count = 12
-
-[axes.x0]
-from = 0.0
-to = 2.5
-count = 9
-
-[integration]
-duration = 20.0
-tolerance = 1e-6
-method = "rk8"
-
-[labels.std_tolerance]
-x = 0.5
-"""
 
 
 @pytest.fixture(scope="module")
@@ -162,19 +139,19 @@ def test_the_interpreter_and_the_compiler_agree(pendulum):
 
 
 def test_labels_follow_the_tolerances(pendulum):
-    scene = atlas.load_scene(SCENE)
+    scene = atlas.load_scene(PENDULUM_SCENE)
     ds = atlas.run(scene, progress=False)
     varies = (ds["x_std"] > 0.5) | (ds["height_std"] > 0.01)
     expected = np.where(varies, Steadiness.DRIFTING, Steadiness.STEADY)
     np.testing.assert_array_equal(ds["label"], expected)
     assert set(np.unique(ds["label"])) == {Steadiness.DRIFTING, Steadiness.STEADY}
     assert ds["label"].attrs["flag_meanings"].split() == list(Steadiness.meanings())
-    looser = atlas.run(atlas.load_scene(SCENE + "height = 10.0\n"), progress=False)
+    looser = atlas.run(atlas.load_scene(PENDULUM_SCENE + "height = 10.0\n"), progress=False)
     np.testing.assert_array_equal(looser["label"] == Steadiness.DRIFTING, looser["x_std"] > 0.5)
     assert atlas.load_scene(scene.toml()).settings.std_tolerance == {"x": 0.5}
 
 
-def test_points_near_a_tolerance_are_integrated_again(pendulum):
+def test_a_label_at_the_tolerance_is_step_sensitive(pendulum):
     points = random_points(40)
     loose = {"duration": 20.0, "method": METHOD, "tolerance": 0.5}
     ds = atlas.label_points("pendulum", points, **loose)
@@ -248,19 +225,19 @@ def test_a_run_that_is_cut_has_the_same_bits(pendulum, monkeypatch):
 def test_run_folders_tiles_threads_and_refinement(pendulum, tmp_path, monkeypatch):
     from atlas.runs import tiling
 
-    whole = atlas.run(atlas.load_scene(SCENE), progress=False, threads=1)
+    whole = atlas.run(atlas.load_scene(PENDULUM_SCENE), progress=False, threads=1)
     monkeypatch.setattr(tiling, "TILE_POINT_STEPS", 20 * 200)
     monkeypatch.setattr(tiling, "MIN_POINTS_PER_TILE", 20)
-    folder = atlas.run(atlas.load_scene(SCENE), f"{tmp_path}/night/", progress=False)
+    folder = atlas.run(atlas.load_scene(PENDULUM_SCENE), f"{tmp_path}/night/", progress=False)
     xr.testing.assert_equal(folder.load().drop_attrs(), whole.drop_attrs())
-    refined = atlas.run(atlas.load_scene(SCENE + "[refine]\nlevels = 1\n"), progress=False)
+    refined = atlas.run(atlas.load_scene(PENDULUM_SCENE + "[refine]\nlevels = 1\n"), progress=False)
     coarse = refined.isel(omega=slice(None, None, 2), x0=slice(None, None, 2))
     np.testing.assert_array_equal(coarse["label"], whole["label"])
     assert 0 < float((refined["computed"] == 1).mean()) < 1
 
 
 def test_figures(pendulum, tmp_path):
-    ds = atlas.run(atlas.load_scene(SCENE), progress=False)
+    ds = atlas.run(atlas.load_scene(PENDULUM_SCENE), progress=False)
     ds.atlas.map().savefig(tmp_path / "label.png")
     ds.atlas.map("height_std").savefig(tmp_path / "height.png")
     from atlas.plotting.trajectory import trajectory_figure
@@ -368,12 +345,12 @@ def test_a_start_that_is_not_finite(pendulum, monkeypatch):
     ],
 )  # fmt: skip
 def test_tolerances_of_a_scene_are_checked(pendulum, change, message):
-    text = SCENE.partition("[labels.std")[0] + change + "\n"
+    text = PENDULUM_SCENE.partition("[labels.std")[0] + change + "\n"
     with pytest.raises(atlas.BadInput) as caught:
         atlas.load_scene(text)
     assert message in str(caught.value)
     with pytest.raises(atlas.BadInput, match="nothing turns in the pendulum"):
-        atlas.load_scene(SCENE.replace("duration = 20.0", 'duration = "20 turns"'))
+        atlas.load_scene(PENDULUM_SCENE.replace("duration = 20.0", 'duration = "20 turns"'))
 
 
 def test_bodies_in_a_frame_have_no_such_tolerances():

@@ -55,8 +55,8 @@ def test_gravity_gradient(A, B, C, Omega):
     k1, k3 = (C - A) / B, (C - B) / A
     pitch = np.sqrt(3 * (B - A) / C)
     expected = np.append(of_quartic(1 + 3 * k1 + k1 * k3, 4 * k1 * k3), pitch) * Omega
-    found = frequencies(SATELLITE, A=A, B=B, C=C, Omega=Omega)
-    np.testing.assert_allclose(found, np.sort(expected)[::-1], rtol=1e-10)
+    computed = frequencies(SATELLITE, A=A, B=B, C=C, Omega=Omega)
+    np.testing.assert_allclose(computed, np.sort(expected)[::-1], rtol=1e-10)
 
 
 @pytest.mark.parametrize("m", [0.0, 0.5, -2.5, 3.0])
@@ -65,11 +65,11 @@ def test_cylindrical_motion_of_likins_and_thomson(sigma, m):
     """lambda^4 + (b^2 - 2b + 3 sigma - 1) lambda^2 + (b - 1)(b + 3 sigma - 4) with b = C (m + Omega) / (A Omega)."""
     b = sigma * (1 + m)
     P, Q = b**2 - 2 * b + 3 * sigma - 1, (b - 1) * (b + 3 * sigma - 4)
-    found = frequencies(SATELLITE, A=2.0, B=2.0, C=2.0 * sigma, m=m)
+    computed = frequencies(SATELLITE, A=2.0, B=2.0, C=2.0 * sigma, m=m)
     if P > 0 and Q > 0 and P**2 > 4 * Q:
-        np.testing.assert_allclose(found, of_quartic(P, Q), rtol=1e-8)
+        np.testing.assert_allclose(computed, of_quartic(P, Q), rtol=1e-8)
     else:
-        assert len(found) < 2
+        assert len(computed) < 2
 
 
 def test_conical_and_hyperboloidal_motions():
@@ -78,13 +78,13 @@ def test_conical_and_hyperboloidal_motions():
     s2, c = np.sin(theta) ** 2, np.cos(theta)
     for m in (0.0, 2.0):
         k3 = -c * (sigma - 1) - sigma * m
-        found = frequencies(SATELLITE, A=1.0, B=1.0, C=sigma, theta0=theta, m=m, k3=k3)
-        np.testing.assert_allclose(found, of_quartic(3 * sigma - 2, 3 * (sigma - 1) * s2), rtol=1e-8)
+        computed = frequencies(SATELLITE, A=1.0, B=1.0, C=sigma, theta0=theta, m=m, k3=k3)
+        np.testing.assert_allclose(computed, of_quartic(3 * sigma - 2, 3 * (sigma - 1) * s2), rtol=1e-8)
     sigma = 0.6
     P = 7 - 6 * sigma + 9 * sigma * (sigma - 1) * c**2
     k3 = -4 * c * (sigma - 1) - 1.3 * sigma
-    found = frequencies(SATELLITE, A=1.0, B=1.0, C=sigma, theta0=theta, psi0=np.pi / 2, m=1.3, k3=k3)
-    np.testing.assert_allclose(found, of_quartic(P, 3 * (sigma - 1) * (3 * sigma - 4) * s2), rtol=1e-8)
+    computed = frequencies(SATELLITE, A=1.0, B=1.0, C=sigma, theta0=theta, psi0=np.pi / 2, m=1.3, k3=k3)
+    np.testing.assert_allclose(computed, of_quartic(P, 3 * (sigma - 1) * (3 * sigma - 4) * s2), rtol=1e-8)
 
 
 def test_equilibria_with_rotor_and_magnet_as_the_equations_of_motion():
@@ -135,10 +135,10 @@ def test_the_two_frequencies_of_a_sleeping_gyrostat(l3):
     point = {"A": A, "B": A, "C": C, "Mg": 2.0, "z0": -0.7, "m": r, "l3": l3}
     S = C * r + l3
     root = np.sqrt(S**2 - 4 * A * 1.4)
-    found = frequencies(FIXED_POINT, **point)
-    np.testing.assert_allclose(found, [(S + root) / (2 * A), (S - root) / (2 * A)], rtol=1e-10)
+    computed = frequencies(FIXED_POINT, **point)
+    np.testing.assert_allclose(computed, [(S + root) / (2 * A), (S - root) / (2 * A)], rtol=1e-10)
     relative = of_jacobian(FIXED_POINT, default_points("fixed_point", **point), zeros=2)
-    np.testing.assert_allclose(np.sort(np.abs(found - r)), np.sort(relative), rtol=1e-6)
+    np.testing.assert_allclose(np.sort(np.abs(computed - r)), np.sort(relative), rtol=1e-6)
 
 
 def test_permanent_rotations_as_the_equations_of_motion():
@@ -169,12 +169,12 @@ def test_nutation_and_polhode():
     """A regular precession nutates, in the limit of a fast top at C r / A; Euler's free body has its polhode."""
     theta, n, A, C, Mg, z0 = 0.5, 0.4, 1.0, 0.6, 1.0, -0.7
     m = (-(C - A) * n**2 * np.cos(theta) - Mg * z0) / (C * n)
-    found = frequencies(FIXED_POINT, A=A, B=A, C=C, Mg=Mg, z0=z0, theta0=theta, n=n, m=m)
+    computed = frequencies(FIXED_POINT, A=A, B=A, C=C, Mg=Mg, z0=z0, theta0=theta, n=n, m=m)
     spin = C * (m + n * np.cos(theta)) / A
     square = (n * np.sin(theta)) ** 2 + (spin - 2 * n * np.cos(theta)) ** 2
-    np.testing.assert_allclose(found, [np.sqrt(square)], rtol=1e-12)
-    found = frequencies(FIXED_POINT, A=1.0, B=1.3, C=1.7, m=2.0, theta0=0.6)
-    np.testing.assert_allclose(found, [2.0 * np.sqrt(0.7 * 0.4 / 1.3)], rtol=1e-12)
+    np.testing.assert_allclose(computed, [np.sqrt(square)], rtol=1e-12)
+    computed = frequencies(FIXED_POINT, A=1.0, B=1.3, C=1.7, m=2.0, theta0=0.6)
+    np.testing.assert_allclose(computed, [2.0 * np.sqrt(0.7 * 0.4 / 1.3)], rtol=1e-12)
 
 
 @pytest.mark.parametrize("system", [SATELLITE, FIXED_POINT])

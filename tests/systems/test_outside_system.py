@@ -171,26 +171,26 @@ def test_units_and_a_bound_that_are_filled_in_give_the_same_labels():
     points = random_points(40)
     points["spin"][:20] = steady_spin({"transverse": np.ones(40), **points})[:20]
     options = {"duration": 5.0, "tolerance": 1e-10, "method": "rk8"}
-    own, given = (
+    bare, proved_bound = (
         atlas.label_points("bare_top", points, **options),
         atlas.label_points("heavy_top", points, **options),
     )
     assert systems.get("bare_top").has_numeric_bound
     assert not systems.get("heavy_top").has_numeric_bound
-    assert "integral_drift" not in own
+    assert "integral_drift" not in bare
     for name in ("label", "status"):
-        np.testing.assert_array_equal(own[name], given[name])
+        np.testing.assert_array_equal(bare[name], proved_bound[name])
     for name in ("psi_dot_mean", "phi_dot_std", "normal_rate_mean"):
-        np.testing.assert_allclose(own[name], given[name], rtol=1e-7, atol=1e-7)
-    assert own.attrs["atlas_frequency_bound"] == "numeric"
-    assert "numeric bound" in own["step_ratio"].attrs["long_name"]
-    bound, proved = (ds["step_ratio"] / ds["step"] * METHODS["rk8"].stability for ds in (own, given))
+        np.testing.assert_allclose(bare[name], proved_bound[name], rtol=1e-7, atol=1e-7)
+    assert bare.attrs["atlas_frequency_bound"] == "numeric"
+    assert "numeric bound" in bare["step_ratio"].attrs["long_name"]
+    bound, proved = (ds["step_ratio"] / ds["step"] * METHODS["rk8"].stability for ds in (bare, proved_bound))
     least = 2 * np.pi * numeric_bound.LEAST_TURNS / 5.0
     assert (bound <= np.fmax(1.15 * proved, least * (1 + 1e-12))).all()
     assert (bound >= np.fmax(0.3 * proved, least * (1 - 1e-12))).all()
 
 
-def test_what_the_system_does_not_have_is_left_out():
+def test_variables_that_the_system_does_not_have_are_absent():
     names = set(variables(systems.get("heavy_top")))
     assert {"label", "status", "theta_dot_rms", "integral_drift", "error_estimate"} <= names
     assert not names & {

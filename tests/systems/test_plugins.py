@@ -7,35 +7,11 @@ import sys
 import numpy as np
 import pytest
 import xarray as xr
-from plugins import PENDULUM, install
+from plugins import PENDULUM, PENDULUM_SCENE, install
 
 import atlas
 from atlas import cli, systems
 from atlas.runs.identity import identity
-
-SCENE = """
-schema = 1
-title = "A pendulum"
-system = "pendulum"
-
-[axes.omega]
-from = 0.5
-to = 2.0
-count = 6
-
-[axes.x0]
-from = 0.0
-to = 2.5
-count = 8
-
-[integration]
-duration = 20.0
-tolerance = 1e-6
-method = "rk8"
-
-[labels.std_tolerance]
-x = 0.5
-"""
 
 
 @pytest.fixture
@@ -61,7 +37,7 @@ def pendulum(folder):
 @pytest.fixture
 def scene_file(tmp_path):
     file = tmp_path / "pendulum.toml"
-    file.write_text(SCENE)
+    file.write_text(PENDULUM_SCENE)
     return file
 
 
@@ -96,7 +72,7 @@ def test_check_and_schema_find_it_without_a_compiler(pendulum, scene_file):
         [sys.executable, "-c", program], env=os.environ | {"PYTHONPATH": path}, capture_output=True, text=True
     )
     assert done.returncode == 0, done.stderr
-    assert "system pendulum: omega 6 x x0 8 = 48 points" in done.stdout
+    assert "system pendulum: omega 12 x x0 9 = 108 points" in done.stdout
     assert "height_drift" in done.stdout
 
 
@@ -178,7 +154,7 @@ def test_an_atlas_of_a_package_that_is_not_installed(folder):
 
 
 def test_an_edit_makes_another_run_and_a_stale_process_is_refused(pendulum):
-    scene = atlas.load_scene(SCENE)
+    scene = atlas.load_scene(PENDULUM_SCENE)
     before = identity(scene)
     assert before["system_package"] == "some-systems 1.2"
     file = pendulum / "pendulum_plugin.py"
@@ -190,7 +166,7 @@ def test_an_edit_makes_another_run_and_a_stale_process_is_refused(pendulum):
     import importlib
 
     importlib.invalidate_caches()
-    after = identity(atlas.load_scene(SCENE))
+    after = identity(atlas.load_scene(PENDULUM_SCENE))
     assert {name for name in before if before[name] != after[name]} == {"system_code", "kernel"}
 
 
@@ -203,7 +179,7 @@ def test_a_registered_system_runs_in_threads_only(pendulum, tmp_path):
     system = atlas.register(Mine)
     assert atlas.register(system) is system
     assert systems.origin(system).package == ""
-    text = SCENE.replace('"pendulum"', '"mine"')
+    text = PENDULUM_SCENE.replace('"pendulum"', '"mine"')
     with pytest.raises(atlas.BadInput, match="registered in this process alone"):
         atlas.run(atlas.load_scene(text), f"{tmp_path}/night/", workers=1)
     ds = atlas.run(atlas.load_scene(text), progress=False)

@@ -60,15 +60,17 @@ def test_it_is_the_force_of_the_dissipation_function_in_lagrangian_coordinates()
     half_square = sum(component**2 for component in relative_rate) / 2
     by_rates = sp.lambdify((*angles, *rates), [sp.diff(half_square, rate) for rate in rates], modules="numpy")
     points = damped_satellites(np.random.default_rng(2), 20)
-    found = np.array(rhs(initial_state(points), constants(points)))[:3]
+    w_dot = np.array(rhs(initial_state(points), constants(points)))[:3]
     for i in range(20):
         point = {name: float(values[i]) for name, values in points.items()}
         arguments = lagrangian_arguments(point)
         mass = np.array(lagrangian_functions()["mass"](*arguments), float)
-        left = np.array(lagrangian_functions()["left_sides"](*arguments), float)[:, 0]
-        accelerations = np.linalg.solve(mass, -left - point["damping"] * np.array(by_rates(*arguments[:6])))
+        left_sides = np.array(lagrangian_functions()["left_sides"](*arguments), float)[:, 0]
+        accelerations = np.linalg.solve(
+            mass, -left_sides - point["damping"] * np.array(by_rates(*arguments[:6]))
+        )
         expected = lagrangian_functions()["w_dot"](*lagrangian_arguments(point, accelerations))
-        np.testing.assert_allclose(found[:, i], np.array(expected, float)[:, 0], atol=1e-11)
+        np.testing.assert_allclose(w_dot[:, i], np.array(expected, float)[:, 0], atol=1e-11)
 
 
 def test_what_damping_takes_of_the_integrals():
@@ -160,7 +162,7 @@ def test_kernels_without_damping_have_no_term_of_it():
 
 @pytest.mark.parametrize("name", [name for name in FAMILIES if name != "equilibrium"])
 def test_damping_leaves_no_motion_that_turns_in_the_orbital_frame(name):
-    rng, found = np.random.default_rng(5), 0
+    rng, count = np.random.default_rng(5), 0
     for _ in range(40):
         point = satellite_on_family(name, rng)
         if point is None:
@@ -174,8 +176,8 @@ def test_damping_leaves_no_motion_that_turns_in_the_orbital_frame(name):
         assert SATELLITE.identify_family(damped)[1] > 1e-4
         assert condition_residual(damped) > 1e-4
         assert SATELLITE.complete(damped)
-        found += 1
-    assert found >= 5
+        count += 1
+    assert count >= 5
 
 
 def test_spherical_bodies_that_turn_about_any_axis_are_slowed_down():
@@ -299,7 +301,7 @@ def test_damped_points_have_no_exact_motion():
 
 
 def test_starts_along_the_orbit_of_random_bodies_are_not_moved_by_damping():
-    """w = Omega gamma at an equilibrium: the equations with and without damping are the same there."""
+    """w = Omega gamma at an equilibrium: it solves the equations with damping as those without."""
     body = {"A": 1.0, "B": 1.3, "C": 1.7, "k1": 0.1, "k2": 0.2}
     _, points = equilibria_of(body, 0.7)
     slopes = np.array(rhs(initial_state(points), constants(points)))

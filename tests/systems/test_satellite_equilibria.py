@@ -57,12 +57,12 @@ def complex_solutions(inertia, p, q, starts, seed):
         step = np.linalg.solve(jacobian, value[:, :, None])[:, :, 0]
         length = np.linalg.norm(step, axis=1)
         unknown = unknown - step * np.minimum(1, 1 / np.maximum(length, 1))[:, None]
-    found = unknown[(length < 1e-9) & (np.abs(unknown).max(1) < 1e3)]
-    kept = []
-    for solution in found:
-        if all(np.abs(solution[:6] - other).max() > 1e-6 for other in kept):
-            kept.append(solution[:6])
-    return np.array(kept)
+    solutions = unknown[(length < 1e-9) & (np.abs(unknown).max(1) < 1e3)]
+    distinct = []
+    for solution in solutions:
+        if all(np.abs(solution[:6] - other).max() > 1e-6 for other in distinct):
+            distinct.append(solution[:6])
+    return np.array(distinct)
 
 
 @pytest.mark.parametrize("seed", [0, 1])
@@ -79,18 +79,18 @@ def test_continuation_finds_the_solutions_of_newtons_method():
     real = real[np.abs(real.imag).max(1) < 1e-9].real
     alpha, gamma, is_real, complete = homotopy.solve(inertia[:, None], p[:, None], q[:, None])
     assert complete.all()
-    found = np.concatenate([alpha, gamma])[:, is_real[:, 0], 0].T
-    assert len(found) == len(real)
-    distance = np.abs(found[:, None] - real).max(2)
+    continued = np.concatenate([alpha, gamma])[:, is_real[:, 0], 0].T
+    assert len(continued) == len(real)
+    distance = np.abs(continued[:, None] - real).max(2)
     assert distance.min(1).max() < 1e-9
 
 
 def test_counts_of_gyrostats_are_those_of_their_curves():
     rng = np.random.default_rng(1)
     k = rng.uniform(0.04, 0.6, (3, 60))
-    found = equilibria_of_bodies(bodies(60, k1=k[0], k2=k[1], k3=k[2]), stability=False)
-    counts = (found["index"] >= 0).sum(1)
-    assert (found["completeness"] == Completeness.COMPLETE).all()
+    solutions = equilibria_of_bodies(bodies(60, k1=k[0], k2=k[1], k3=k[2]), stability=False)
+    counts = (solutions["index"] >= 0).sum(1)
+    assert (solutions["completeness"] == Completeness.COMPLETE).all()
     assert counts.tolist() == [algebraic_count(np.array([1.0, 1.3, 1.7]), k[:, i]) for i in range(60)]
     assert set(counts) >= {12, 16, 24}
 
@@ -101,9 +101,9 @@ def test_rotor_along_an_axis(k):
 
     gamma = +-e3, or alpha = +-e1, +-e2 if |k| < |C - B|, |C - A|, or beta = +-e1, +-e2 if |k| < 4 |C - B|, 4 |C - A|.
     """
-    found = equilibria_of_bodies(bodies(1, k3=k))
-    alpha, gamma = found["alpha"][0], found["gamma"][0]
-    used = found["index"][0] >= 0
+    solutions = equilibria_of_bodies(bodies(1, k3=k))
+    alpha, gamma = solutions["alpha"][0], solutions["gamma"][0]
+    used = solutions["index"][0] >= 0
     beta = np.cross(gamma, alpha)
 
     def along(vector, axis):
@@ -120,39 +120,39 @@ def test_rotor_along_an_axis(k):
 
 def test_every_equilibrium_of_random_bodies_rests_and_the_indices_sum_to_zero():
     points = random_bodies(400)
-    found = equilibria_of_bodies(points)
-    used = found["index"] >= 0
-    assert (found["completeness"] == Completeness.COMPLETE).mean() > 0.98
-    sums = np.where(used, (-1.0) ** found["index"], 0.0).sum(1)
-    isolated = found["completeness"] <= Completeness.NEAR_BIFURCATION
+    solutions = equilibria_of_bodies(points)
+    used = solutions["index"] >= 0
+    assert (solutions["completeness"] == Completeness.COMPLETE).mean() > 0.98
+    sums = np.where(used, (-1.0) ** solutions["index"], 0.0).sum(1)
+    isolated = solutions["completeness"] <= Completeness.NEAR_BIFURCATION
     assert (sums[isolated] == 0).all()
     assert isolated.all()
-    # there are at least a minimum and a maximum, and at least four critical points on the rotation group
+    # A function on the rotation group has at least four critical points, among them a minimum and a maximum.
     assert used.sum(1).min() >= 4
     body, place = np.nonzero(used)
     at_rest = {name: values[body] for name, values in points.items()}
-    at_rest |= {name: found[name][body, place] for name in ("theta0", "psi0", "phi0")}
+    at_rest |= {name: solutions[name][body, place] for name in ("theta0", "psi0", "phi0")}
     state = initial_state(at_rest)
     scale = (np.abs(state[:3]).max(0) + 1) * (1 + np.abs(constants(at_rest)).max(0))
     assert np.abs(np.array(SATELLITE.equations.rhs(state, constants(at_rest))) / scale).max() < 1e-9
-    minima = found["index"][body, place] == 0
-    assert (found["stable"][body, place][minima] == Stability.STABLE).all()
-    odd = found["index"][body, place] % 2 == 1
-    assert (found["stable"][body, place][odd] == Stability.UNSTABLE).all()
+    minima = solutions["index"][body, place] == 0
+    assert (solutions["stable"][body, place][minima] == Stability.STABLE).all()
+    odd = solutions["index"][body, place] % 2 == 1
+    assert (solutions["stable"][body, place][odd] == Stability.UNSTABLE).all()
 
 
 def test_bodies_at_once_and_one_by_one():
     points = random_bodies(12, seed=5)
-    found = equilibria_of_bodies(points)
+    solutions = equilibria_of_bodies(points)
     for i in range(12):
         one = equilibria({name: values[i] for name, values in points.items()})
         count = len(one["index"])
-        assert (found["index"][i, count:] == -1).all()
-        assert np.isnan(found["theta0"][i, count:]).all()
-        np.testing.assert_allclose(found["potential"][i, :count], one["potential"], rtol=0, atol=1e-12)
-        np.testing.assert_allclose(found["growth_rate"][i, :count], one["growth_rate"], rtol=0, atol=1e-7)
-        np.testing.assert_array_equal(found["stable"][i, :count], one["stable"])
-        np.testing.assert_array_equal(found["index"][i, :count], one["index"])
+        assert (solutions["index"][i, count:] == -1).all()
+        assert np.isnan(solutions["theta0"][i, count:]).all()
+        np.testing.assert_allclose(solutions["potential"][i, :count], one["potential"], rtol=0, atol=1e-12)
+        np.testing.assert_allclose(solutions["growth_rate"][i, :count], one["growth_rate"], rtol=0, atol=1e-7)
+        np.testing.assert_array_equal(solutions["stable"][i, :count], one["stable"])
+        np.testing.assert_array_equal(solutions["index"][i, :count], one["index"])
 
 
 def test_no_result_depends_on_the_other_bodies():
@@ -173,15 +173,15 @@ def test_bodies_without_isolated_equilibria_and_on_bifurcations():
         Omega=np.array([1.0, 1.0, 0.0, 1.0, 1.0, 1e-80]),
         k3=np.array([0.0, 0.0, 0.1, 0.4, 0.4 * (1 + 1e-4), 0.0]),
     )
-    found = equilibria_of_bodies(points)
-    assert [Completeness(flag).name for flag in found["completeness"]] == [
+    solutions = equilibria_of_bodies(points)
+    assert [Completeness(flag).name for flag in solutions["completeness"]] == [
         "NOT_ISOLATED", "NOT_LISTED", "NOT_LISTED", "NEAR_BIFURCATION", "COMPLETE", "NOT_LISTED",
     ]  # fmt: skip
-    assert found["circle"][0].sum() == 6
-    assert (found["index"][[1, 2, 5]] == -1).all()
+    assert solutions["circle"][0].sum() == 6
+    assert (solutions["index"][[1, 2, 5]] == -1).all()
     count = SATELLITE.derived["equilibrium_count"].values(points, np.ones(6), lambda: None)
     np.testing.assert_array_equal(np.isnan(count), [True, True, True, False, False, True])
-    assert count[4] == (found["index"][4] >= 0).sum()
+    assert count[4] == (solutions["index"][4] >= 0).sum()
 
 
 def test_counts_pause_and_stop():

@@ -31,11 +31,12 @@ from numpy.typing import NDArray
 from ...flags import Stability
 from ..base import Array, Flags, Points, stability_by_family
 from ..floquet import magnus_propagator
-from .families import FAMILIES, classify_growth, quartic_growth
+from .closed_stability import classify_growth, quartic_growth
+from .families import FAMILIES
 from .initial import directions, initial_state
 
 # Multipliers at 1 have the square root of the integration error as their error.
-FLOQUET_TOLERANCE = 20.0  # in units of families.GROWTH_TOLERANCE
+FLOQUET_TOLERANCE = 20.0  # in units of closed_stability.GROWTH_TOLERANCE
 _STEP = 1.4  # of the Floquet integration, over the norm of the system: errors of about 1e-7
 _MIN_STEPS, _MAX_STEPS = 64, 8192  # in a period of rotation; longer periods are not integrated but adiabatic
 # Steps and points that are computed together; the steps are fixed, so that no result depends on the other points.

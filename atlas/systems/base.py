@@ -604,9 +604,10 @@ def identify(
     """
     shape = shape_of(points)
     flags, residual = np.zeros(shape, np.int8), np.full(shape, np.inf)
+    flat = {name: np.ravel(value) for name, value in points.items()}
     for first in range(0, flags.size, _CHUNK):
         chunk = slice(first, first + _CHUNK)
-        part = {name: np.ravel(value)[chunk] for name, value in points.items()}
+        part = subset(flat, chunk)
         written = flags.reshape(-1)[chunk], residual.reshape(-1)[chunk]  # views
         _identify(part, families, *written)
         with np.errstate(all="ignore"):

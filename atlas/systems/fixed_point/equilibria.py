@@ -8,10 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...flags import Completeness, Stability
-from ..base import Array, Mask, Points
+from ..base import Array, Mask, Points, subset
 from ..oscillations import FREQUENCIES
-from ..vectors import length
-from .initial import bodies
+from ..vectors import length, unit
+from .initial import VECTORS, bodies
 from .oscillations import frequencies
 from .stability import ROUNDING, amended_hessian, sleeping_stability, staude_stability
 
@@ -35,8 +35,7 @@ class _SecularEquation:
         return (self.b**2 / (self.d - origin - shift) ** power).sum(0)
 
     def direction(self, shift: Array, origin: Array) -> Array:
-        g = -self.b / (self.d - origin - shift)
-        return g / length(g)
+        return unit(-self.b / (self.d - origin - shift))
 
     def residue(self, origin: Array) -> Array:
         return np.where(self.d == origin, np.abs(self.b), 0.0).max(0)
@@ -89,7 +88,7 @@ def permanent_rotations(
     order = np.argsort(d, axis=0, kind="stable")
     d, b = np.take_along_axis(d, order, 0), np.take_along_axis(b, order, 0)
     towards = np.ones_like(d) if towards is None else np.take_along_axis(towards, order, 0)
-    g, dimension = np.full((3, 12, *n.shape), np.nan), np.full((12, *n.shape), -1, np.int8)
+    g, dimension = np.full((3, _PLACES, *n.shape), np.nan), np.full((_PLACES, *n.shape), -1, np.int8)
     with np.errstate(all="ignore"):
         _roots_of_secular_equation(_SecularEquation(d, b), g, dimension)
         _free_components(d, b, towards, g, dimension)
@@ -125,8 +124,7 @@ def _free_components(d: Array, b: Array, towards: Array, g: Array, dimension: ND
         remainder = 1 - (fixed**2).sum(0)
         size = group.sum(0)
         inside = np.where(group, towards, 0.0)
-        inside = np.where(length(inside) > 0, inside, group)
-        inside = inside / length(inside) * np.sqrt(remainder)
+        inside = unit(np.where(length(inside) > 0, inside, group)) * np.sqrt(remainder)
         for column, side in ((6 + 2 * i, 1.0), (7 + 2 * i, -1.0)):
             exists = free & (remainder > 0) & ((size == 1) | (side > 0))
             g[:, column] = np.where(exists, fixed + side * inside, np.nan)
@@ -183,7 +181,7 @@ def equilibria_of_bodies(points: Points) -> dict[str, NDArray[Any]]:
     g = directions[:, column, body]
     order = np.lexsort([g[0], np.arctan2(np.hypot(g[0], g[1]), g[2]), body])
     g, body, column = g[:, order], body[order], column[order]
-    members = {name: values[body] for name, values in points.items()}
+    members = subset(points, body)
     described = _described(members, g, dimensions[column, body], points["n"][body])
     place = np.arange(body.size) - np.searchsorted(body, body)
     result: dict[str, NDArray[Any]] = {}
@@ -207,7 +205,7 @@ def _described(
     """
     theta, phi = np.arctan2(np.hypot(g[0], g[1]), g[2]), np.arctan2(g[0], g[1])
     members = dict(body)
-    for name in ("p0", "q0", "r0", "gamma10", "gamma20", "gamma30"):
+    for name in VECTORS:
         members[name] = np.full(theta.size, np.nan)
     members |= {"theta0": theta, "phi0": phi, "n": np.broadcast_to(n, theta.shape)}
     members |= {name: np.zeros(theta.size) for name in ("m", "theta_dot0")}

@@ -11,7 +11,8 @@ from __future__ import annotations
 import numpy as np
 
 from ...flags import EnergyStability, Stability
-from ..base import FAMILY_TOLERANCE, Array, Flags, Mask, Points
+from ..base import FAMILY_TOLERANCE, Array, Flags, Mask, Points, subset
+from ..vectors import dot
 from .initial import initial_state, rates, symmetric, vertical
 from .stability import ROUNDING, amended_hessian, nutation, rotation_frequencies, sleeping_discriminant
 
@@ -48,7 +49,7 @@ def frequencies(points: Points, flags: Flags) -> Array:
             (~axial & ~turning, _rotation),
         ):
             members = np.flatnonzero(where & (flags > 0))
-            result[:2, members] = pair({name: values[members] for name, values in points.items()})
+            result[:2, members] = pair(subset(points, members))
     return result.T
 
 
@@ -79,7 +80,7 @@ def _free(points: Points) -> Array:
 def _rotation(points: Points) -> Array:
     """Permanent rotation about the vertical of any body."""
     gamma = vertical(points)
-    n = (initial_state(points)[:3] * gamma).sum(0)
+    n = dot(initial_state(points)[:3], gamma)
     pair = rotation_frequencies(points, n, gamma)
     return _without_zeros(pair, np.fmax.reduce(pair))
 
@@ -96,7 +97,7 @@ def energy_stability(points: Points, flags: Flags, linear: Flags) -> tuple[Flags
     """
     gamma = vertical(points)
     with np.errstate(all="ignore"):
-        n = (initial_state(points)[:3] * gamma).sum(0)
+        n = dot(initial_state(points)[:3], gamma)
         determinant, trace, size = amended_hessian(points, n, gamma)
         zero = ~(np.abs(determinant) > ROUNDING * size)
     by_potential = np.where((determinant > 0) & (trace > 0), EnergyStability.YES, EnergyStability.NO)

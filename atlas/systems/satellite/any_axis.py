@@ -14,6 +14,7 @@ from ...flags import Stability
 from ..base import Array, Condition, Family, Flags, Points, TwoAxes, motion_about_axes
 from ..vectors import across, cross, dot, length, ratio, unit
 from .initial import initial_state
+from .quantities import largest_inertia, magnetic_moment
 
 
 def _vectors(points: Points) -> tuple[Array, Array, Array, Array]:
@@ -37,23 +38,21 @@ def _axes(points: Points) -> TwoAxes:
 def _scale(points: Points) -> Array:
     """Largest squared rate of the start."""
     w, _, rotor, _ = _vectors(points)
-    field = length(np.array([points["mu1"], points["mu2"], points["mu3"]])) * np.hypot(
-        points["h1"], points["h3"]
-    )
+    field = magnetic_moment(points) * np.hypot(points["h1"], points["h3"])
     square = np.maximum((w**2).sum(0), points["Omega"] ** 2)
     torque = np.maximum(field, length(rotor) * np.sqrt(square)) / points["C"]
     return np.maximum(square, torque)
 
 
 def _unequal(points: Points) -> Array:
-    largest = np.maximum(points["A"], np.maximum(points["B"], points["C"]))
+    largest = largest_inertia(points)
     least = np.minimum(points["A"], np.minimum(points["B"], points["C"]))
     return (largest - least) / largest
 
 
 def _radial_torque(points: Points) -> Array:
-    moment = length(np.array([points["mu1"], points["mu2"], points["mu3"]]))
-    return ratio(np.abs(points["h1"]) * moment / points["C"], _scale(points))
+    torque = np.abs(points["h1"]) * magnetic_moment(points)
+    return ratio(torque / points["C"], _scale(points))
 
 
 def _not_along(points: Points) -> Array:

@@ -8,7 +8,7 @@ from functools import partial
 import numpy as np
 
 from ...flags import Completeness, Stability
-from ..base import Array, DerivedVariable, Flags, Mask, Points
+from ..base import Array, DerivedVariable, Flags, Mask, Points, subset
 from ..oscillations import oscillation_variables
 from .equilibria import equilibria_of_bodies
 from .initial import PARAMETERS
@@ -42,7 +42,7 @@ _LAST: dict[bytes, dict[str, Array]] = {}
 def _counts(bodies: Points, pause: Callable[[], None]) -> dict[str, Array]:
     """Numbers of equilibria of bodies (bodies,), by the argument `which` of count_equilibria."""
     countable = np.flatnonzero(~_symmetric(bodies))
-    equilibria = equilibria_of_bodies({name: values[countable] for name, values in bodies.items()}, pause)
+    equilibria = equilibria_of_bodies(subset(bodies, countable), pause)
     isolated = np.isin(equilibria["completeness"], (Completeness.COMPLETE, Completeness.NEAR_BIFURCATION))
     counted = {
         "all": equilibria["index"] >= 0,

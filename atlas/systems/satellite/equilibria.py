@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from ...errors import BadInput
 from ...flags import Completeness, Stability
-from ..base import Array, Points
+from ..base import Array, Points, subset
 from ..oscillations import FREQUENCIES
 from . import homotopy
 from .initial import PARAMETERS
@@ -160,7 +160,7 @@ def _write_block(points: Points, result: dict[str, NDArray[Any]], stability: boo
     )
     complete &= usable
     body, path = np.nonzero(real.T & complete[:, None])
-    members = {name: values[body] for name, values in points.items()}
+    members = subset(points, body)
     bodies = Bodies(members, rate[body])
     a, g = alpha[:, path, body].T, gamma[:, path, body].T
     _, hessian = bodies.gradient(a, g)

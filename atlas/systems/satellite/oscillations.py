@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...flags import EnergyStability
-from ..base import Array, Flags, Mask, Points
+from ..base import Array, Flags, Mask, Points, subset
 from .initial import initial_state
 from .stability import Bodies
 
@@ -57,7 +57,7 @@ def _balanced(points: Points, candidates: Mask) -> NDArray[np.int64]:
     """Those of the candidates at which no torque acts on the body at rest."""
     where = np.flatnonzero(candidates)
     with np.errstate(all="ignore"):
-        bodies, alpha, gamma, _ = _frames({name: values[where] for name, values in points.items()})
+        bodies, alpha, gamma, _ = _frames(subset(points, where))
         gradient, hessian = bodies.gradient(alpha, gamma)
         scale = np.abs(bodies.Omega) ** 2 + np.abs(hessian).max((1, 2))[:, None]
         return where[(np.abs(gradient) <= _ZERO * scale).all(1)]
@@ -90,7 +90,7 @@ def frequencies(points: Points, flags: Flags) -> Array:
     resting, _, exists = _at_rest(points)
     where = _balanced(resting, exists & (flags > 0))
     with np.errstate(all="ignore"):
-        bodies, alpha, gamma, rate = _frames({name: values[where] for name, values in resting.items()})
+        bodies, alpha, gamma, rate = _frames(subset(resting, where))
         matrix = bodies.linearised(bodies.Omega * gamma, alpha, gamma)
     finite = np.isfinite(matrix).all((1, 2))
     where, rate = where[finite], rate[finite]
@@ -108,7 +108,7 @@ def energy_stability(points: Points, flags: Flags) -> tuple[Flags, Mask]:
     resting, axis, exists = _at_rest(points)
     where = _balanced(resting, exists & (flags > 0))
     with np.errstate(all="ignore"):
-        bodies, alpha, gamma, _ = _frames({name: values[where] for name, values in resting.items()})
+        bodies, alpha, gamma, _ = _frames(subset(resting, where))
         hessian = bodies.gradient(alpha, gamma)[1]
     finite = np.isfinite(hessian).all((1, 2))
     where, hessian, axis = where[finite], hessian[finite], axis[where[finite]]

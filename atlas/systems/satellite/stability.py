@@ -29,7 +29,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...flags import Stability
-from ..base import Array, Flags, Points, stability_by_family
+from ..base import Array, Flags, Points, stability_by_family, subset
 from ..floquet import magnus_propagator
 from .closed_stability import classify_growth, quartic_growth
 from .families import FAMILIES
@@ -184,7 +184,7 @@ def linear_stability(points: Points, flags: Flags) -> tuple[Flags, Array]:
     remaining = np.flatnonzero((flags > 0) & (stable == Stability.UNKNOWN))
     for first in range(0, remaining.size, _CHUNK):
         chunk = remaining[first : first + _CHUNK]
-        stable[chunk], growth[chunk] = exponents({name: value[chunk] for name, value in points.items()})
+        stable[chunk], growth[chunk] = exponents(subset(points, chunk))
     return stable, growth
 
 
@@ -213,11 +213,11 @@ def log_growth(points: Points, flags: Flags, growth_rate: Array, duration: Array
     state, rate, turn_rate = _rotation(points)
     where = np.flatnonzero((flags > 0) & (turn_rate > 1e-12 * rate) & (turn_rate * duration < 2 * np.pi))
     if where.size:
-        part = {name: value[where] for name, value in points.items()}
+        part = subset(points, where)
         where = where[stability_by_family(FAMILIES, part, flags[where])[0] == Stability.UNKNOWN]
     for first in range(0, where.size, _CHUNK):
         chunk = where[first : first + _CHUNK]
-        part = {name: value[chunk] for name, value in points.items()}
+        part = subset(points, chunk)
         phases = _floquet_growth(part, rate[chunk], turn_rate[chunk], duration[chunk]) * duration[chunk]
         result[chunk] = np.where(phases > _AMPLITUDE_GROWTH, np.fmax(result[chunk], phases), result[chunk])
     return result
@@ -240,7 +240,7 @@ def exponents(points: Points) -> tuple[Flags, Array]:
     resting = (turn_rate <= 1e-12 * rate) | (points["damping"] > 0)
     rest = np.flatnonzero(resting)
     if rest.size:
-        bodies = Bodies({name: value[rest] for name, value in points.items()}, rate[rest])
+        bodies = Bodies(subset(points, rest), rate[rest])
         w, alpha, gamma = np.split(state[rest], 3, -1)
         w = w / rate[rest, None]
         matrix = bodies.with_damping(bodies.linearised(w, alpha, gamma))
@@ -249,7 +249,7 @@ def exponents(points: Points) -> tuple[Flags, Array]:
     stable, growth = classify_growth(growth, rate)
     moving = np.flatnonzero(~resting)
     if moving.size:
-        part = {name: value[moving] for name, value in points.items()}
+        part = subset(points, moving)
         floquet = _floquet_growth(part, rate[moving], turn_rate[moving])
         stable[moving], growth[moving] = classify_growth(floquet, FLOQUET_TOLERANCE * rate[moving])
     return stable, growth

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ..base import Array, StressCase
+from ..base import Array, StressCase, subset
 from ..passages import earlier_start
 from . import equations, families, initial, stability
 
@@ -58,7 +58,7 @@ def unstable_equilibria(seed: int, count: int = 10) -> tuple[dict[str, Array], A
         points[name] = family.solve[name](points)
     growth = stability.linear_stability(points, np.full(size, family.flag, np.int8))[1]
     chosen = np.flatnonzero((growth > 0.3) & (np.abs(points["h1"]) < 5))[:count]
-    return {name: values[chosen] for name, values in points.items()}, growth[chosen]
+    return subset(points, chosen), growth[chosen]
 
 
 def departures() -> list[StressCase]:

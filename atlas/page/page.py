@@ -137,19 +137,13 @@ def _motion(content: Content, fault: str) -> dict[str, Any]:
 
 
 def _fallback(shown: Layout) -> str:
-    """A picture of the map for readers without scripts, as a data address; empty where none can be drawn.
-
-    Matplotlib raises errors for texts of a stranger's file that are no formulas.
-    """
+    """A picture of the map for readers without scripts, as a data address."""
     middle = {dim: float(shown.ds[dim][shown.ds.sizes[dim] // 2]) for dim in shown.further}
     name = "label" if "label" in shown.ds else next(iter(map(str, shown.ds.data_vars)))
     buffer = io.BytesIO()
-    try:
-        figure = atlas_map(shown.ds, name, select=middle or None, width="page")
-        with rc_context(STYLE):
-            figure.savefig(buffer, format="png", dpi=FALLBACK_DPI)
-    except (ValueError, RecursionError):
-        return ""
+    figure = atlas_map(shown.ds, name, select=middle or None, width="page")
+    with rc_context(STYLE):
+        figure.savefig(buffer, format="png", dpi=FALLBACK_DPI)
     return "data:image/png;base64," + base64.b64encode(buffer.getvalue()).decode("ascii")
 
 
@@ -164,14 +158,13 @@ def _assembled(table: dict[str, Any], equations: str, picture: str) -> str:
         f"default-src 'none'; script-src {_hash(script)}; style-src {_hash(style)}; img-src data:;"
         " base-uri 'none'; form-action 'none'"
     )
-    image = f'<img src="{picture}" alt="{html.escape(table["title"])}">' if picture else ""
     parts = {
         "policy": html.escape(policy),
         "title": html.escape(table["title"]),
         "style": style,
         "script": script,
         "data": _json(table),
-        "picture": image,
+        "picture": f'<img src="{picture}" alt="{html.escape(table["title"])}">',
     }
     template = folder.joinpath("template.html").read_text(encoding="utf-8")
     # In one pass, so that no part is searched for the names of others.

@@ -203,4 +203,4 @@ def _panel_title(panel: xr.Dataset, dim: str) -> str:
     """Symbol, value and unit of the axis of the panels."""
     value = f"{float(panel[dim]):.4g}".replace("-", "\N{MINUS SIGN}")
     unit = text.unit_text(str(panel[dim].attrs.get("units", "")))
-    return f"{text.axis_label(panel, dim, unit=False)} = {value} {unit}".strip()
+    return text.drawable(f"{text.axis_label(panel, dim, unit=False)} = {value} {unit}".strip())

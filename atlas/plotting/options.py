@@ -14,6 +14,7 @@ from matplotlib.colors import Colormap, is_color_like
 from ..analysis.metadata import flag_names
 from ..errors import BadInput, shown
 from .style import WIDTHS, Width, check_width
+from .text import drawable
 
 MIN_SIZE, MAX_SIZE = 20.0, 2000.0  # mm
 MIN_DPI, MAX_DPI = 10.0, 2400.0
@@ -90,7 +91,7 @@ class MapOptions:
 
     def text(self, name: str, default: str) -> str:
         """Text for a flag, an axis or a variable: the caller's, or the default."""
-        return str(self.labels.get(name, default))
+        return drawable(str(self.labels.get(name, default)))
 
 
 def _is_number(value: object, low: float, high: float) -> bool:

@@ -13,6 +13,7 @@ from matplotlib.figure import Figure
 from .legend import Entries, draw_legend, legend_rows
 from .options import MapOptions
 from .style import PrintFigure
+from .text import drawable
 
 LEGEND_ROW, TEXT_ROW = 4.0, 2.8  # height in mm
 
@@ -64,7 +65,7 @@ class Sheet:
         if options.ax is not None:
             return self._of_caller(options.ax, legend, notes)
         width, height = options.size_mm
-        text = textwrap.fill(" ".join(notes), int(0.78 * width)) if notes else ""
+        text = drawable(textwrap.fill(" ".join(notes), int(0.78 * width))) if notes else ""
         foot = TEXT_ROW * (text.count("\n") + 1) + 2.0 if text else 0.0
         rows = -(-self.panels // self.columns)
         if height is None:

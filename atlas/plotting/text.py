@@ -7,6 +7,7 @@ import re
 from collections.abc import Mapping
 
 import xarray as xr
+from matplotlib.mathtext import MathTextParser
 
 from ..analysis.metadata import axes_of, scene_of, system_of
 from ..errors import MAX_TEXT, printable
@@ -14,6 +15,7 @@ from ..scene.model import Scene
 from ..systems.base import System
 from .style import SYMBOLS
 
+_PARSER = MathTextParser("path")
 STATISTICS = {"mean": "mean", "rms": "rms", "std": "standard deviation of", "min": "least", "max": "largest"}
 
 
@@ -33,14 +35,20 @@ def axis_label(ds: xr.Dataset, dim: str, *, unit: bool = True) -> str:
 
 
 def drawable(text: str) -> str:
-    """The text, with its dollar signs escaped where Matplotlib cannot read it as a formula."""
-    from matplotlib.mathtext import MathTextParser
+    """The text, with the dollar signs of each line escaped that Matplotlib cannot read as one with formulas.
 
+    Texts of a file that is not trusted need this: Matplotlib raises errors where a formula is not one.
+    """
+    return "\n".join(map(_drawable_line, text.split("\n")))
+
+
+def _drawable_line(line: str) -> str:
+    """One line of `drawable`: Matplotlib sets each line of a text by itself."""
     try:
-        MathTextParser("path").parse(text)
+        _PARSER.parse(line)
     except (ValueError, RecursionError):
-        return text.replace("$", r"\$")
-    return text
+        return line.replace("$", r"\$")
+    return line
 
 
 def math_text(text: str, symbols: Mapping[str, str]) -> str:
@@ -141,7 +149,7 @@ def variable_label(array: xr.DataArray) -> str:
     name, units = str(array.name), unit_text(str(array.attrs.get("units", "")))
     stem, _, statistic = name.rpartition("_")
     text = f"{STATISTICS[statistic]} {SYMBOLS[stem]}" if stem in SYMBOLS else name.replace("_", " ")
-    return f"{text} ({units})" if units else text
+    return drawable(f"{text} ({units})" if units else text)
 
 
 def unit_text(unit: str) -> str:
@@ -149,7 +157,7 @@ def unit_text(unit: str) -> str:
     if unit in ("", "1"):
         return ""
     unit = re.sub(r"(?<=[A-Za-z])(-?\d+)", r"$^{\1}$", unit)
-    return re.sub(r"\bOmega\b", r"$\\Omega$", unit)
+    return drawable(re.sub(r"\bOmega\b", r"$\\Omega$", unit))
 
 
 def _symbol(name: str, system: System) -> str:

@@ -250,13 +250,18 @@ def test_the_legend_shows_only_what_occurs(small):
 @pytest.mark.parametrize("bad", [r"$\nonsense{$", f"${'{' * 3000}$"], ids=["unknown", "nested"])
 def test_texts_that_are_no_formulas_are_drawn_as_they_are(small, bad):
     """A file of a stranger may contain any."""
-    ds = small.copy()
+    ds = small.copy().assign_attrs(title=bad)
     ds["sigma"] = ds["sigma"].assign_attrs(long_name=bad)
-    figure = ds.atlas.map(title=bad)
-    figure.savefig(io.BytesIO())
+    ds["label"] = ds["label"].assign_attrs(flag_meanings=ds.label.flag_meanings.replace("drifting", bad))
+    ds["psi_dot_mean"] = ds["psi_dot_mean"].assign_attrs(units=bad)
     drawn = bad.replace("$", r"\$")
-    assert drawn in {label for ax in figure.axes for label in (ax.get_xlabel(), ax.get_ylabel())}
+    for variable in ("label", "psi_dot_mean"):
+        figure = ds.atlas.map(variable, title=bad, caption=True)
+        figure.savefig(io.BytesIO())
+        assert drawn in {label for ax in figure.axes for label in (ax.get_xlabel(), ax.get_ylabel())}
+    assert figure.axes[-1].get_ylabel() == rf"mean $\dot\psi$ ({drawn})"
     assert text.drawable("$k_3$") == "$k_3$"
+    assert text.drawable("$k_3$\n$\\bad$") == "$k_3$\n\\$\\bad\\$"
 
 
 def test_a_third_axis_becomes_panels(solid):

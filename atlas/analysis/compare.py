@@ -18,8 +18,9 @@ from .metadata import is_numeric_axis, system_of
 # Near the analytical boundary growth is slow and stable motions have large amplitudes: half the width of
 # the band that counts as near, as a fraction of the axis range.
 BAND = 0.02
-# An unstable motion nudged by 1e-4 and observed with a tolerance of 1e-3 may survive growth by e^12.
-NO_TIME_TO_GROW = 12.0
+# Largest growth_rate x duration that an unstable motion may survive: one nudged by 1e-4 and observed with a tolerance
+# of 1e-3 may stay within it while a disturbance grows by e^12.
+MAX_SURVIVED_GROWTH = 12.0
 
 
 def report(ds: xr.Dataset, worst: int = 5) -> str:
@@ -93,7 +94,7 @@ def _confusion_table(label: Flags, predicted: Flags) -> list[str]:
 
 
 def _agreement_lines(result: Flags) -> list[str]:
-    """How many points could be compared, and how many of them agree."""
+    """Number of points that can be compared, and of those that agree."""
     counts = np.bincount(result.ravel(), minlength=len(Agreement))
     compared = result.size - counts[Agreement.NOT_COMPARED]
     share = f"{100 * counts[Agreement.AGREE] / compared:.3f} %" if compared else "nothing"
@@ -119,8 +120,8 @@ def _stability_lines(ds: xr.Dataset) -> list[str]:
     ]
     if survive.any():
         lines.append(
-            f"  survivors with growth_rate x duration < {NO_TIME_TO_GROW:g} (no time to grow):"
-            f" {(survive & (log_growth < NO_TIME_TO_GROW)).sum()} of {survive.sum()};"
+            f"  survivors with growth_rate x duration < {MAX_SURVIVED_GROWTH:g} (no time to grow):"
+            f" {(survive & (log_growth < MAX_SURVIVED_GROWTH)).sum()} of {survive.sum()};"
             f" largest growth_rate x duration: {log_growth[survive].max():.2f}"
         )
     return lines
@@ -156,10 +157,10 @@ def _worst_lines(ds: xr.Dataset, result: Flags, count: int) -> list[str]:
     lines = ["worst disagreements (unsteadiness = largest rms or std of the rates):"]
     for i in order:
         index = np.unravel_index(disagree[i], ds["label"].shape)
-        place = dict(zip(map(str, dims), map(int, index), strict=True))
-        point = ds.isel(place)
+        indices = dict(zip(map(str, dims), map(int, index), strict=True))
+        point = ds.isel(indices)
         line = (
-            f"  {_place_text(ds, place)}: theory {names[int(point['predicted'])]},"
+            f"  {_point_text(ds, indices)}: theory {names[int(point['predicted'])]},"
             f" measured {names[int(point['label'])]}, unsteadiness {unsteadiness[i]:.3g}"
         )
         if {"growth_rate", "end_time"} <= set(ds):
@@ -168,10 +169,10 @@ def _worst_lines(ds: xr.Dataset, result: Flags, count: int) -> list[str]:
     return lines
 
 
-def _place_text(ds: xr.Dataset, place: Mapping[str, int]) -> str:
-    """Values of the axes at a point; for a dimension without values its index, and the parameters that vary along it."""
+def _point_text(ds: xr.Dataset, indices: Mapping[str, int]) -> str:
+    """Values of the axes at a point; of a dimension without values the index, and the parameters that vary along it."""
     texts = []
-    for dim, i in place.items():
+    for dim, i in indices.items():
         names = [dim]
         if not is_numeric_axis(ds, dim):
             texts.append(f"{printable(dim)} {i}")

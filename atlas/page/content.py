@@ -164,8 +164,8 @@ class Content:
 
     def flag_values(self, name: str, flags: list[str], values: np.ndarray) -> dict[str, Any]:
         """Values, colours and sentences of the flags of a variable."""
-        known = self.registry[name].flags if name in self.registry else None
-        sentences = dict(known) if known is not None and list(known) == flags else {}
+        registered = self.registry[name].flags if name in self.registry else None
+        sentences = dict(registered) if registered is not None and list(registered) == flags else {}
         colours = flag_colours(flags)
         texts = exponents.texts(self.ds) if name == "regularity" else {}
         table: dict[str, Any] = {
@@ -192,13 +192,10 @@ class Content:
         if "computed" not in self.ds or flag_names(array) or self.layout.points:
             return array
         values = np.array(array.transpose(*self.layout.dims).values)
-        for place, part in self.layout.slices():
+        axes = [dim for dim in self.layout.dims if dim in self.layout.axes]
+        for index, part in self.layout.slices():
             panel = panel_of(part, name, self.layout.axes, self.scene, False)
-            where: list[Any] = [slice(None)] * values.ndim
-            for dim, index in zip(self.layout.further, place, strict=True):
-                where[self.layout.dims.index(dim)] = index
-            left = [dim for dim in self.layout.dims if dim in self.layout.axes]
-            values[tuple(where)] = panel.array.transpose(*left).values
+            values[self.layout.points_of_slice(index)] = panel.array.transpose(*axes).values
         return xr.DataArray(values, dims=self.layout.dims)
 
     def over_points(self, array: xr.DataArray) -> np.ndarray:
@@ -237,14 +234,13 @@ class Content:
             slices.append(self.lines(part, panel))
         if count > MAX_SLICES and self.scene is not None:
             self.notes.append(f"Lines of theory are left out: there are more than {MAX_SLICES} maps.")
-        whites = list(
+        reasons = list(
             dict.fromkeys(reason for panel in panels for reason in panel.white if reason != NO_VALUE)
         )
-        reasons = [self.over_slices([panel.white.get(reason) for panel in panels]) for reason in whites]
         code = np.zeros(self.layout.shape, np.int8)
-        for number, mask in enumerate(reasons, 1):
-            code[mask] = number
-        table = {"slices": slices, "styles": self.styles(slices), "white": whites, "hatches": _hatches()}
+        for number, reason in enumerate(reasons, 1):
+            code[self.over_slices([panel.white.get(reason) for panel in panels])] = number
+        table = {"slices": slices, "styles": self.styles(slices), "white": reasons, "hatches": _hatches()}
         slow = self.over_slices([panel.slow for panel in panels])
         return table | {
             "reason": self.store.add(code),
@@ -255,16 +251,11 @@ class Content:
     def over_slices(self, masks: list[np.ndarray | None]) -> np.ndarray:
         """Masks of the panels, over all points."""
         whole = np.zeros(self.layout.shape, bool)
-        for (place, _), mask in zip(self.layout.slices(), masks, strict=True):
-            if mask is None:
-                continue
-            where: list[Any] = [slice(None)] * whole.ndim
-            for dim, index in zip(self.layout.further, place, strict=True):
-                where[self.layout.dims.index(dim)] = index
-            # A panel has its x axis last.
-            order = self.layout.axes[::-1]
-            left = [dim for dim in self.layout.dims if dim in order]
-            whole[tuple(where)] = np.transpose(mask, [order.index(dim) for dim in left])
+        order = self.layout.axes[::-1]  # a panel has its x axis last
+        axes = [order.index(dim) for dim in self.layout.dims if dim in order]
+        for (index, _), mask in zip(self.layout.slices(), masks, strict=True):
+            if mask is not None:
+                whole[self.layout.points_of_slice(index)] = np.transpose(mask, axes)
         return whole
 
     def lines(self, part: xr.Dataset, panel: Panel) -> list[dict[str, Any]]:
@@ -339,24 +330,24 @@ class Content:
         return shown
 
     def commands(self) -> dict[str, Any]:
-        """Beginnings of the command and of the Python line that integrate a point, and the names of its places."""
+        """Beginnings of the command and of the Python line that integrate a point, and the values that name it."""
         if self.scene is None:
             names = {axis: axis for axis in map(str, self.ds.coords) if axis in self.system.parameters}
         else:
             names = {dim: axis.name for dim, axis in axes_of(self.scene).items()}
             if not set(names) <= set(map(str, self.ds.coords)):
                 names = {}  # an axis was renamed or dropped
-        places = []
+        coordinates = []
         for dim, name in names.items():
             values = np.asarray(self.ds[dim].values, np.float64)
-            where = self.store.add(self.over_points(xr.DataArray(values, dims=self.ds[dim].dims)))
-            if self.scene is None and not where["over"]:
+            column = self.store.add(self.over_points(xr.DataArray(values, dims=self.ds[dim].dims)))
+            if self.scene is None and not column["over"]:
                 continue  # the same at all points
-            places.append({"name": name, "dim": dim, "values": where})
+            coordinates.append({"name": name, "dim": dim, "values": column})
         return {
             "shell": f"atlas trajectory {shlex.quote(self.file)} --at",
             "python": f"atlas.open_atlas({self.file!r}).atlas.trajectory",
-            "places": places,
+            "places": coordinates,
         }
 
 

@@ -43,7 +43,7 @@ function buildVariables() {
 }
 
 // Of single points: which coordinates the map shows.
-function buildPlaces() {
+function buildAxisMenus() {
   if (!data.points) return;
   ["x", "y"].forEach((title, which) => {
     const menu = element("select", { "aria-label": `${title} axis` });
@@ -66,7 +66,7 @@ function buildSliders() {
       type: "range", min: "0", max: String(values.length - 1), step: "1", value: String(state.index[axis]), "aria-label": plain,
     });
     const show = () => {
-      const text = shown(values[state.index[axis]]);
+      const text = numberText(values[state.index[axis]]);
       output.replaceChildren(formula(symbol), ` = ${text}`);
       slider.setAttribute("aria-valuetext", text);
     };
@@ -233,14 +233,14 @@ function neighbour(index, [dx, dy], stride) {
   }
   const [x, y] = pixelOf(index);
   let best = index;
-  let least = Infinity;
+  let smallest = Infinity;
   for (let i = 0; i < data.shape[0]; i++) {
     const [px, py] = pixelOf([i]);
     const along = (px - x) * dx - (py - y) * dy;
     const across = (px - x) * dy + (py - y) * dx;
     if (!(along > 0.5) || Math.abs(across) > 2 * along) continue;
     const distance = along + 2 * Math.abs(across);
-    if (distance < least) [best, least] = [[i], distance];
+    if (distance < smallest) [best, smallest] = [[i], distance];
   }
   return best;
 }
@@ -253,7 +253,7 @@ function showAll() {
 
 // Start.
 
-function listen() {
+function addListeners() {
   marks.addEventListener("pointerdown", onDown);
   marks.addEventListener("pointermove", onMove);
   marks.addEventListener("pointerup", onUp);
@@ -291,7 +291,7 @@ function firstVariable() {
   return flags[0] || label || data.variables[0];
 }
 
-async function begin() {
+async function start() {
   applyTheme();
   byId("subtitle").textContent = data.frame ? `${data.system}, motion in the ${data.frame} frame` : data.system;
   byId("notes").replaceChildren(...data.notes.map((runs) => element("p", {}, formula(runs))));
@@ -302,13 +302,13 @@ async function begin() {
     byId("place").textContent = "This browser is too old for this page: it has no DecompressionStream.";
     return;
   }
-  arrays = await Promise.all(data.arrays.map(unpacked));
+  arrays = await Promise.all(data.arrays.map(unpack));
   state.variable = firstVariable();
   buildVariables();
-  buildPlaces();
+  buildAxisMenus();
   buildSliders();
   buildValues();
-  listen();
+  addListeners();
   refresh();
   performance.mark("map drawn");
   document.documentElement.dataset.ready = "yes";
@@ -316,4 +316,4 @@ async function begin() {
 
 // For the console of the browser and for tests: the motion of a point by its indices along the axes.
 window.atlasPage = { data, motionOf, choose };
-begin();
+start();

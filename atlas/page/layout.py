@@ -63,9 +63,14 @@ class Layout:
         return self.scene is not None and is_logarithmic(self.scene, dim)
 
     def slices(self) -> Iterator[tuple[tuple[int, ...], xr.Dataset]]:
-        """Indices along the further axes, and the part of the atlas there."""
-        for place in np.ndindex(*(self.ds.sizes[dim] for dim in self.further)):
-            yield place, self.ds.isel(dict(zip(self.further, place, strict=True)))
+        """Each map: its indices along the further axes, and the part of the atlas that it shows."""
+        for index in np.ndindex(*(self.ds.sizes[dim] for dim in self.further)):
+            yield index, self.ds.isel(dict(zip(self.further, index, strict=True)))
+
+    def points_of_slice(self, index: tuple[int, ...]) -> tuple[int | slice, ...]:
+        """Index of the points of one map in an array over all points; index: along the further axes."""
+        along = dict(zip(self.further, index, strict=True))
+        return tuple(along.get(dim, slice(None)) for dim in self.dims)
 
 
 def layout(ds: xr.Dataset, max_points: int = MAX_POINTS) -> Layout:

@@ -28,7 +28,7 @@ const raised = (number) => [...String(number)].map((sign) => RAISED[sign]).join(
 const letters = (runs) => runs.map((run) => run.t).join("");
 
 // A number for readers, with so many digits.
-function shown(value, digits = 6) {
+function numberText(value, digits = 6) {
   if (value === null || Number.isNaN(value)) return "–";
   if (!Number.isFinite(value)) return value > 0 ? "∞" : "−∞";
   if (value === 0) return "0";
@@ -52,7 +52,7 @@ const colour = (name) => style().getPropertyValue(`--${name}`).trim();
 let arrays = [];
 const TYPES = { Int8Array, Int32Array, Float32Array, Float64Array };
 
-async function unpacked(entry) {
+async function unpack(entry) {
   const compressed = Uint8Array.from(atob(entry.data), (letter) => letter.charCodeAt(0));
   const stream = new Blob([compressed]).stream().pipeThrough(new DecompressionStream("deflate"));
   const columns = new Uint8Array(await new Response(stream).arrayBuffer());
@@ -71,18 +71,18 @@ function at(reference, index) {
   return arrays[reference.array][place];
 }
 
-// First place and distances in an array: place = first + i * distances[0] + j * distances[1].
-function steps(reference, index, axes) {
-  const distances = axes.map(() => 0);
-  let first = 0;
+// Offset and strides of two axes in an array: place = offset + i * strides[0] + j * strides[1].
+function offsetAndStrides(reference, index, axes) {
+  const strides = axes.map(() => 0);
+  let offset = 0;
   let size = 1;
   for (const axis of [...reference.over].reverse()) {
     const which = axes.indexOf(axis);
-    if (which >= 0) distances[which] = size;
-    else first += size * index[axis];
+    if (which >= 0) strides[which] = size;
+    else offset += size * index[axis];
     size *= data.shape[axis];
   }
-  return [first, distances];
+  return [offset, strides];
 }
 
 // Colours.
@@ -92,8 +92,8 @@ const packed = (hex) => {
   return ((255 << 24) | ((number & 255) << 16) | (number & 0xff00) | (number >> 16)) >>> 0;
 };
 
-// Share of a value on a colour scale, between 0 and 1.
-function share(scale, value) {
+// Position of a value on a colour scale, between 0 and 1.
+function fraction(scale, value) {
   if (scale.kind === "integers") return (value - scale.low) / Math.max(scale.high - scale.low, 1e-300);
   if (scale.kind === "log") {
     if (value <= 0) return 0;
@@ -103,12 +103,12 @@ function share(scale, value) {
 }
 
 // Function from values to packed colours, 0 where there is no value.
-function painter(scale) {
+function colourMap(scale) {
   const shades = data.shades[scale.shades].map(packed);
   const last = shades.length - 1;
   return (value) => {
     if (!Number.isFinite(value)) return 0;
-    const place = Math.floor(share(scale, value) * shades.length);
+    const place = Math.floor(fraction(scale, value) * shades.length);
     return shades[Math.min(Math.max(place, 0), last)];
   };
 }
@@ -127,12 +127,12 @@ const flat = data.map.length === 1;
 const further = data.points ? [] : data.shape.map((_, axis) => axis).filter((axis) => !data.map.includes(axis));
 const isLine = () => flat && !state.variable.flags;
 const mapAxis = (which) => data.axes[state.axes[which]];
-const drawn = (axis, value) => (axis.log ? Math.log(value) : value); // units of the drawing
-const undrawn = (axis, value) => (axis.log ? Math.exp(value) : value);
+// A value in the units of the drawing.
+const toDrawing = (axis, value) => (axis.log ? Math.log(value) : value);
 
 // Edges of the cells along an axis, in the units of the drawing.
 function edges(axis) {
-  const v = axis.values.map((value) => drawn(axis, value));
+  const v = axis.values.map((value) => toDrawing(axis, value));
   if (v.length === 1) return [v[0] - 0.5, v[0] + 0.5];
   const inner = v.slice(1).map((value, i) => 0.5 * (value + v[i]));
   return [2 * v[0] - inner[0], ...inner, 2 * v.at(-1) - inner.at(-1)];
@@ -182,7 +182,7 @@ const marks = byId("marks");
 let box = { left: 0, top: 0, width: 1, height: 1, right: 1 };
 
 // A canvas of the size of its element, in the units of the page.
-function prepared(canvas, width, height) {
+function preparedContext(canvas, width, height) {
   const ratio = window.devicePixelRatio || 1;
   canvas.width = Math.max(1, Math.round(width * ratio));
   canvas.height = Math.max(1, Math.round(height * ratio));
@@ -232,9 +232,9 @@ function ticks(low, high, count) {
 // Texts of evenly spaced values, all with the same number of decimals.
 function tickTexts(values) {
   const sizes = values.map(Math.abs).filter((size) => size > 0);
-  if (!sizes.length || Math.max(...sizes) >= 1e6 || Math.max(...sizes) < 1e-3) return values.map((value) => shown(value));
+  if (!sizes.length || Math.max(...sizes) >= 1e6 || Math.max(...sizes) < 1e-3) return values.map((value) => numberText(value));
   const decimals = Math.max(...values.map((value) => (String(value).split(".")[1] || "").length));
-  return values.map((value) => (decimals > 8 ? shown(value) : value.toFixed(decimals).replace("-", "−")));
+  return values.map((value) => (decimals > 8 ? numberText(value) : value.toFixed(decimals).replace("-", "−")));
 }
 
 // Values of ticks on a logarithmic axis between two logarithms.
@@ -253,7 +253,7 @@ function logTicks(low, high, count) {
 // Texts of values on a logarithmic axis: all of them powers of ten where one must be.
 function logTexts(values) {
   const powers = values.some((value) => value < 1e-3 || value >= 1e6) && values.every((value) => Number.isInteger(Math.log10(value)));
-  return values.map((value) => (powers ? `10${raised(Math.log10(value))}` : shown(value, 4)));
+  return values.map((value) => (powers ? `10${raised(Math.log10(value))}` : numberText(value, 4)));
 }
 
 const xPixel = (value) => box.left + ((value - state.view[0][0]) / (state.view[0][1] - state.view[0][0])) * box.width;
@@ -279,7 +279,7 @@ function layOut() {
 function draw() {
   const [width, height] = layOut();
   state.view = state.view || wholeView();
-  const context = prepared(map, width, height);
+  const context = preparedContext(map, width, height);
   context.clearRect(0, 0, width, height);
   if (data.points) drawPoints(context);
   else if (isLine()) drawLine(context);
@@ -300,34 +300,34 @@ function cells() {
   const none = packed(colour("empty"));
   const colours = new Uint32Array(nx * ny);
   const hatching = new Uint8Array(nx * ny);
-  const paint = painterOf(variable, none);
+  const paint = coloursOf(variable, none);
   const theory = data.theory;
-  const [first, [dx, dy = 0]] = steps(variable.values, state.index, axes);
+  const [offset, [dx, dy = 0]] = offsetAndStrides(variable.values, state.index, axes);
   const values = arrays[variable.values.array];
   const shading = variable.shaded && shader(variable, axes);
-  const [firstWhy, [whyX, whyY = 0]] = steps(theory.reason, state.index, axes);
-  const [firstSlow, [slowX, slowY = 0]] = steps(theory.slow, state.index, axes);
-  const why = arrays[theory.reason.array];
+  const [reasonOffset, [reasonX, reasonY = 0]] = offsetAndStrides(theory.reason, state.index, axes);
+  const [slowOffset, [slowX, slowY = 0]] = offsetAndStrides(theory.slow, state.index, axes);
+  const reasons = arrays[theory.reason.array];
   const slow = arrays[theory.slow.array];
   const notYet = theory.white.indexOf(theory.hatches.notYet) + 1;
   for (let j = 0; j < ny; j++) {
     for (let i = 0; i < nx; i++) {
       const cell = j * nx + i;
-      const value = values[first + i * dx + j * dy];
+      const value = values[offset + i * dx + j * dy];
       colours[cell] = (shading && shading(value, i, j)) || paint(value);
-      const reason = why[firstWhy + i * whyX + j * whyY];
+      const reason = reasons[reasonOffset + i * reasonX + j * reasonY];
       if (notYet && reason === notYet) hatching[cell] = 3;
       else if (variable.flags?.[value]?.hatched) hatching[cell] = 2;
-      else if (variable.lines !== "limits" && slow[firstSlow + i * slowX + j * slowY]) hatching[cell] = 1;
+      else if (variable.lines !== "limits" && slow[slowOffset + i * slowX + j * slowY]) hatching[cell] = 1;
     }
   }
   return { nx, ny, colours, hatching };
 }
 
 // Function from values of a variable to colours; white stands for what has no value.
-function painterOf(variable, none) {
+function coloursOf(variable, none) {
   if (!variable.flags) {
-    const paint = painter(variable.scale);
+    const paint = colourMap(variable.scale);
     return (value) => paint(value) || none;
   }
   const colours = variable.flags.map((flag) => (flag.colour === "#ffffff" ? none : packed(flag.colour)));
@@ -338,10 +338,10 @@ function painterOf(variable, none) {
 function shader(variable, axes) {
   const other = data.variables.find((each) => each.name === variable.shaded.by);
   if (!other) return null;
-  const paint = painter(variable.shaded.scale);
-  const [first, [dx, dy = 0]] = steps(other.values, state.index, axes);
+  const paint = colourMap(variable.shaded.scale);
+  const [offset, [dx, dy = 0]] = offsetAndStrides(other.values, state.index, axes);
   const values = arrays[other.values.array];
-  return (flag, i, j) => (flag === variable.shaded.flag ? paint(values[first + i * dx + j * dy]) : 0);
+  return (flag, i, j) => (flag === variable.shaded.flag ? paint(values[offset + i * dx + j * dy]) : 0);
 }
 
 function drawCells(context) {
@@ -374,7 +374,7 @@ function drawCells(context) {
   context.putImageData(image, Math.round(box.left * ratio), Math.round(box.top * ratio));
 }
 
-function clipped(context, drawing) {
+function drawClipped(context, drawing) {
   context.save();
   context.beginPath();
   context.rect(box.left, box.top, box.width, box.height);
@@ -389,7 +389,7 @@ function drawPoints(context) {
   const [x, y] = [mapAxis(0).values, mapAxis(1).values];
   const variable = state.variable;
   const values = arrays[variable.values.array];
-  const paint = painterOf(variable, 0);
+  const paint = coloursOf(variable, 0);
   const radius = Math.min(Math.max(0.45 * Math.sqrt((box.width * box.height) / x.length), 1.2), 5);
   const order = x.map((_, i) => i).filter((i) => x[i] !== null && y[i] !== null);
   if (variable.flags) {
@@ -397,7 +397,7 @@ function drawPoints(context) {
     for (const i of order) counts[at(variable.values, [i])] += 1;
     order.sort((a, b) => counts[at(variable.values, [b])] - counts[at(variable.values, [a])] || a - b);
   }
-  clipped(context, () => {
+  drawClipped(context, () => {
     context.lineWidth = 0.5;
     context.strokeStyle = colour("soft");
     for (const i of order) {
@@ -416,13 +416,13 @@ function drawPoints(context) {
 function drawLine(context) {
   const axis = mapAxis(0);
   const log = state.variable.scale.kind === "log";
-  clipped(context, () => {
+  drawClipped(context, () => {
     context.beginPath();
     let pen = false;
     axis.values.forEach((value, i) => {
       const height = at(state.variable.values, [i]);
       const valid = Number.isFinite(height) && (!log || height > 0);
-      if (valid) context[pen ? "lineTo" : "moveTo"](xPixel(drawn(axis, value)), yPixel(log ? Math.log(height) : height));
+      if (valid) context[pen ? "lineTo" : "moveTo"](xPixel(toDrawing(axis, value)), yPixel(log ? Math.log(height) : height));
       pen = valid;
     });
     context.strokeStyle = colour("accent");
@@ -439,7 +439,7 @@ function theoryLines() {
 }
 
 function drawTheory(context) {
-  clipped(context, () => {
+  drawClipped(context, () => {
     for (const line of theoryLines()) {
       const style = data.theory.styles[line.kind];
       for (const path of line.paths) tracePath(context, path, style);
@@ -454,11 +454,11 @@ function tracePath(context, path, style) {
     if (vertex.includes(null)) {
       pen = false;
     } else if (vertex.length === 1) {
-      const x = xPixel(drawn(mapAxis(0), vertex[0]));
+      const x = xPixel(toDrawing(mapAxis(0), vertex[0]));
       context.moveTo(x, box.top);
       context.lineTo(x, box.top + box.height);
     } else {
-      const place = [xPixel(drawn(mapAxis(0), vertex[0])), yPixel(drawn(mapAxis(1), vertex[1]))];
+      const place = [xPixel(toDrawing(mapAxis(0), vertex[0])), yPixel(toDrawing(mapAxis(1), vertex[1]))];
       context[pen ? "lineTo" : "moveTo"](...place);
       pen = true;
     }
@@ -488,7 +488,7 @@ function drawAxes(context) {
   context.textAlign = "center";
   context.textBaseline = "top";
   axisTicks(x, state.view[0], box.width / 85).forEach(([value, text]) => {
-    const place = xPixel(drawn(x, value));
+    const place = xPixel(toDrawing(x, value));
     context.fillRect(place - 0.5, bottom, 1, 4);
     context.fillText(text, place, bottom + 7);
   });
@@ -499,7 +499,7 @@ function drawAxes(context) {
   context.textAlign = "right";
   context.textBaseline = "middle";
   axisTicks(y, state.view[1], box.height / 60).forEach(([value, text]) => {
-    const place = yPixel(drawn(y, value));
+    const place = yPixel(toDrawing(y, value));
     context.fillRect(box.left - 4, place - 0.5, 4, 1);
     context.fillText(text, box.left - 7, place);
   });
@@ -533,9 +533,9 @@ function drawBar(context, scale) {
   const whole = scale.kind === "integers";
   const [low, high] = whole ? [scale.low - 0.5, scale.high + 0.5] : [scale.low, scale.high];
   const values = log ? logTicks(Math.log(low), Math.log(high), 7) : ticks(low, high, 6);
-  const wanted = values.filter((each) => !whole || Number.isInteger(each));
-  const texts = log ? logTexts(wanted) : tickTexts(wanted);
-  wanted.forEach((value, i) => {
+  const marked = values.filter((each) => !whole || Number.isInteger(each));
+  const texts = log ? logTexts(marked) : tickTexts(marked);
+  marked.forEach((value, i) => {
     const part = log ? Math.log(value / low) / Math.log(high / low) : (value - low) / (high - low);
     const place = box.top + box.height * (1 - part);
     context.fillRect(left + 12, place - 0.5, 3, 1);
@@ -548,9 +548,9 @@ function drawBar(context, scale) {
 
 // A ring around the cell or point chosen, a thin frame around the one under the pointer.
 function drawMarks() {
-  const context = prepared(marks, marks.clientWidth, marks.clientHeight);
+  const context = preparedContext(marks, marks.clientWidth, marks.clientHeight);
   context.clearRect(0, 0, marks.clientWidth, marks.clientHeight);
-  clipped(context, () => {
+  drawClipped(context, () => {
     for (const [index, strong] of [[state.hovered, false], [state.chosen, true]]) {
       if (!index) continue;
       const [x, y] = pixelOf(index);
@@ -570,10 +570,10 @@ function drawMarks() {
 function pixelOf(index) {
   const x = mapAxis(0);
   if (data.points) return [xPixel(x.values[index[0]]), yPixel(mapAxis(1).values[index[0]])];
-  const across = xPixel(drawn(x, x.values[index[data.map[0]]]));
+  const across = xPixel(toDrawing(x, x.values[index[data.map[0]]]));
   if (!flat) {
     const y = mapAxis(1);
-    return [across, yPixel(drawn(y, y.values[index[data.map[1]]]))];
+    return [across, yPixel(toDrawing(y, y.values[index[data.map[1]]]))];
   }
   if (!isLine()) return [across, box.top + box.height / 2];
   const height = at(state.variable.values, index);
@@ -600,24 +600,24 @@ function indexAt(x, y) {
 function nearestPoint(x, y) {
   const [xs, ys] = [mapAxis(0).values, mapAxis(1).values];
   let best = -1;
-  let least = 30 ** 2; // pixels
+  let smallest = 30 ** 2; // pixels
   for (let i = 0; i < xs.length; i++) {
     if (xs[i] === null || ys[i] === null) continue;
     const distance = (xPixel(xs[i]) - x) ** 2 + (yPixel(ys[i]) - y) ** 2;
-    if (distance < least) [best, least] = [i, distance];
+    if (distance < smallest) [best, smallest] = [i, distance];
   }
   return best < 0 ? null : [best];
 }
 
 // Name and value of each axis at a point, as runs.
-function places(index) {
+function coordinateRuns(index) {
   return data.axes.map((axis, number) => {
     const value = axis.values[data.points ? index[0] : index[number]];
-    return [...axis.symbol, { t: ` = ${shown(value)}` }];
+    return [...axis.symbol, { t: ` = ${numberText(value)}` }];
   });
 }
 
-const placeText = (index) =>
-  places(index).slice(0, data.points ? 2 : undefined).map(letters).join(", ");
+const coordinateText = (index) =>
+  coordinateRuns(index).slice(0, data.points ? 2 : undefined).map(letters).join(", ");
 
 const isSame = (a, b) => a !== null && b !== null && a.every((value, i) => value === b[i]);

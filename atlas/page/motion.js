@@ -4,7 +4,7 @@ const PATH_POINTS = 20000; // at most so many are drawn
 const SLICE = 25; // ms of computing before the page may react
 const SMALL = 0.1; // rad; paths that stay within it are drawn enlarged, too
 const AT_REST = 1e-12;
-let current = 0; // number of the motion asked for last
+let current = 0; // number of the motion chosen last
 const view3d = { azimuth: (40 * Math.PI) / 180, elevation: (25 * Math.PI) / 180 };
 
 // Numbers that a point is integrated from.
@@ -20,23 +20,23 @@ function startOf(index) {
 }
 
 // States at evenly spaced samples. Between two samples the kernel computes in units of the step, as in Python;
-// `record` gets some states between them as well. `pause` resolves to false where the motion is no longer wanted.
+// `record` gets some states between them as well. `pause` resolves to false where another motion has been chosen.
 async function integrate(start, samples, record, pause) {
   const unit = start.stepSize / data.motion.stepUnit;
   const parts = recordsPerSample(start.steps, samples);
   const every = start.steps / parts;
   let state = start.state;
   record(state);
-  let begun = performance.now();
+  let started = performance.now();
   for (let sample = 1; sample < samples; sample++) {
     const [scaled, constants] = equations.scaled(state, start.constants, unit);
     let y = scaled;
     for (let k = 1; k <= start.steps; k++) {
       y = equations.step(y, equations.rhs(y, constants), constants);
       if (k % every === 0 && k < start.steps) record(equations.unscaled(y, constants, unit));
-      if (k % 256 === 0 && performance.now() - begun > SLICE) {
+      if (k % 256 === 0 && performance.now() - started > SLICE) {
         if (!(await pause((sample - 1 + k / start.steps) / (samples - 1)))) return null;
-        begun = performance.now();
+        started = performance.now();
       }
     }
     state = equations.unscaled(y, constants, unit);
@@ -52,7 +52,7 @@ function recordsPerSample(steps, samples) {
   return parts;
 }
 
-// The motion of a point as columns over time; null where another one was asked for meanwhile.
+// The motion of a point as columns over time; null where another one has been chosen meanwhile.
 async function motionOf(index, pause = async () => true) {
   const start = startOf(index);
   const samples = data.motion.samples;
@@ -110,7 +110,7 @@ async function showMotion(index) {
   section.dataset.done = "";
   byId("plots").replaceChildren();
   byId("reproduce").replaceChildren();
-  byId("motion-place").replaceChildren(...placeNodes(index));
+  byId("motion-place").replaceChildren(...coordinateNodes(index));
   lastMotion = null;
   if (!equations || data.motion.fault) {
     progress.textContent = data.motion.fault;
@@ -131,9 +131,9 @@ async function showMotion(index) {
   if (motion === null) return;
   const { start } = motion;
   const count = start.steps * (data.motion.samples - 1);
-  progress.textContent = `${shown(start.duration)} time units, ${data.motion.method}, ${count} steps of ${shown(start.stepSize, 4)}`;
+  progress.textContent = `${numberText(start.duration)} time units, ${data.motion.method}, ${count} steps of ${numberText(start.stepSize, 4)}`;
   const bad = motion.states.findIndex((state) => !state.every(Number.isFinite));
-  if (bad >= 0) progress.textContent += `; not finite from t = ${shown(motion.time[bad])}`;
+  if (bad >= 0) progress.textContent += `; not finite from t = ${numberText(motion.time[bad])}`;
   drawMotion(motion);
   showCommands(index);
   section.dataset.done = index.join(",");
@@ -179,9 +179,9 @@ function plotRange(values, clip) {
 function rangeText([low, high]) {
   const size = Math.max(Math.abs(low), Math.abs(high));
   const span = high - low;
-  if (span <= 1e-13 * Math.max(size, 1)) return `${shown(low, 8)}, constant within ${shown(Math.max(span, 1e-16), 1)}`;
+  if (span <= 1e-13 * Math.max(size, 1)) return `${numberText(low, 8)}, constant within ${numberText(Math.max(span, 1e-16), 1)}`;
   const digits = Math.min(15, Math.max(4, Math.ceil(Math.log10(size / span)) + 3));
-  return `from ${shown(low, digits)} to ${shown(high, digits)}`;
+  return `from ${numberText(low, digits)} to ${numberText(high, digits)}`;
 }
 
 function drawSeries(parent, time, values, label, clip = false) {
@@ -200,7 +200,7 @@ function drawSeries(parent, time, values, label, clip = false) {
   canvas.setAttribute("aria-label", `${letters(label)} over time, ${words}`);
   const [width, height] = [canvas.clientWidth || 300, 138];
   canvas.style.height = `${height}px`;
-  const context = prepared(canvas, width, height);
+  const context = preparedContext(canvas, width, height);
   const frame = { left: 54, top: 16, width: width - 62, height: height - 40 };
   const { low, high, offset } = plotScale(range);
   const x = (value) => frame.left + (value / time.at(-1)) * frame.width;
@@ -260,14 +260,14 @@ function drawFrame(context, frame, time, low, high, offset) {
   for (const value of ticks(0, time.at(-1), frame.width / 70)) {
     const x = frame.left + (value / time.at(-1)) * frame.width;
     context.fillRect(x - 0.5, bottom, 1, 3);
-    if (x < frame.left + frame.width - 22) context.fillText(shown(value), x, bottom + 5);
+    if (x < frame.left + frame.width - 22) context.fillText(numberText(value), x, bottom + 5);
   }
   context.textAlign = "right";
   context.fillText("time", frame.left + frame.width, bottom + 5);
   context.strokeRect(frame.left, frame.top, frame.width, frame.height);
   const notes = [];
   if (factor) notes.push(`× 10${raised(factor)}`);
-  if (offset) notes.push(`${offset > 0 ? "+" : "−"} ${shown(Math.abs(offset), 16)}`);
+  if (offset) notes.push(`${offset > 0 ? "+" : "−"} ${numberText(Math.abs(offset), 16)}`);
   context.textAlign = "left";
   context.textBaseline = "bottom";
   context.fillStyle = colour("soft");
@@ -311,7 +311,7 @@ function sideLabels(canvas) {
 
 function drawSphere(canvas, path, radius) {
   const [width, height] = [canvas.clientWidth, canvas.clientHeight];
-  const context = prepared(canvas, width, height);
+  const context = preparedContext(canvas, width, height);
   const { azimuth, elevation } = view3d;
   const viewer = [Math.cos(elevation) * Math.cos(azimuth), Math.cos(elevation) * Math.sin(azimuth), Math.sin(elevation)];
   const right = [-Math.sin(azimuth), Math.cos(azimuth), 0];
@@ -323,9 +323,9 @@ function drawSphere(canvas, path, radius) {
       context.beginPath();
       let pen = false;
       for (const point of points) {
-        const wanted = dot(point, viewer) >= 0 === isNear && point.every(Number.isFinite);
-        if (wanted) context[pen ? "lineTo" : "moveTo"](...project(point));
-        pen = wanted;
+        const isVisible = dot(point, viewer) >= 0 === isNear && point.every(Number.isFinite);
+        if (isVisible) context[pen ? "lineTo" : "moveTo"](...project(point));
+        pen = isVisible;
       }
       context.strokeStyle = ink;
       context.lineWidth = thick;
@@ -380,7 +380,7 @@ function addEnlarged(parent, path) {
   const distance = away.reduce((most, each) => Math.max(most, Math.hypot(...each)), 0);
   if (distance >= SMALL) return;
   if (distance <= AT_REST) {
-    parent.append(element("p", { class: "sentence" }, `At rest within ${shown(Math.max(distance, 1e-16), 1)} rad.`));
+    parent.append(element("p", { class: "sentence" }, `At rest within ${numberText(Math.max(distance, 1e-16), 1)} rad.`));
     return;
   }
   const sine = Math.hypot(mean[0], mean[1]);
@@ -390,8 +390,8 @@ function addEnlarged(parent, path) {
   ];
   const dot = (a, b) => a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
   const points = away.map((each) => [dot(each, first), dot(each, second)]);
-  const canvas = element("canvas", { role: "img", "aria-label": `The same, enlarged: within ${shown(distance, 2)} rad of its mean` });
-  const caption = element("figcaption", {}, `the same, enlarged: within ${shown(distance, 2)} rad`);
+  const canvas = element("canvas", { role: "img", "aria-label": `The same, enlarged: within ${numberText(distance, 2)} rad of its mean` });
+  const caption = element("figcaption", {}, `the same, enlarged: within ${numberText(distance, 2)} rad`);
   parent.append(element("figure", {}, caption, canvas));
   drawEnlarged(canvas, points);
 }
@@ -400,7 +400,7 @@ function drawEnlarged(canvas, points) {
   const size = Math.min(canvas.clientWidth || 200, 170);
   canvas.style.height = `${size}px`;
   const width = canvas.clientWidth || size;
-  const context = prepared(canvas, width, size);
+  const context = preparedContext(canvas, width, size);
   const range = (k) => [points.reduce((a, p) => Math.min(a, p[k]), Infinity), points.reduce((a, p) => Math.max(a, p[k]), -Infinity)];
   const [x, y] = [range(0), range(1)];
   const scale = (0.84 * size) / Math.max(x[1] - x[0], y[1] - y[0]);
@@ -422,10 +422,10 @@ function drawEnlarged(canvas, points) {
 
 function showCommands(index) {
   const { shell, python, places: names } = data.commands;
-  const given = names.map((each) => ({ ...each, value: at(each.values, index) })).filter(({ value }) => !Number.isNaN(value));
-  if (!given.length) return;
-  const command = `${shell} ${given.map(({ name, value }) => `${name}=${value}`).join(" ")}`;
-  const line = `${python}(${given.map(({ dim, value }) => `${dim}=${value}`).join(", ")})`;
+  const coordinates = names.map((each) => ({ ...each, value: at(each.values, index) })).filter(({ value }) => !Number.isNaN(value));
+  if (!coordinates.length) return;
+  const command = `${shell} ${coordinates.map(({ name, value }) => `${name}=${value}`).join(" ")}`;
+  const line = `${python}(${coordinates.map(({ dim, value }) => `${dim}=${value}`).join(", ")})`;
   const rows = [[command, "Copy the command"], [line, "Copy the Python line"]].map(([text, label]) => {
     const code = element("code", {}, text);
     const button = element("button", { type: "button", "aria-label": label }, "Copy");

@@ -133,6 +133,7 @@ def motions(ds: xr.Dataset, system: System, scene: Scene | None, dims: list[str]
     steps = -(-count // (SAMPLES - 1))
 
     def over_points(values: np.ndarray) -> np.ndarray:
+        """An array whose last axis is that of the points, over their dimensions."""
         return values.reshape(*values.shape[:-1], *shape)
 
     return Motions(
@@ -142,8 +143,11 @@ def motions(ds: xr.Dataset, system: System, scene: Scene | None, dims: list[str]
     )  # fmt: skip
 
 
-def _recorded_steps(ds: xr.Dataset, dims: list[str], duration: Array, otherwise: np.ndarray) -> np.ndarray:
-    """Numbers of steps that the atlas took: a numeric bound of the frequency is computed along each motion."""
+def _recorded_steps(ds: xr.Dataset, dims: list[str], duration: Array, default: np.ndarray) -> np.ndarray:
+    """Numbers of steps of the runs of the atlas, which follow from a frequency bound along each motion.
+
+    default: the number where none is recorded.
+    """
     if "step" not in ds:
         raise BadInput(
             "step: not in this dataset; the frequency bound of this system is numeric, and its steps are those recorded"
@@ -151,18 +155,18 @@ def _recorded_steps(ds: xr.Dataset, dims: list[str], duration: Array, otherwise:
     step = np.asarray(ds["step"].transpose(*dims).values, np.float64).ravel()
     with np.errstate(all="ignore"):
         recorded = np.rint(duration / step)
-    return np.where(np.isfinite(recorded) & (recorded >= 1), recorded, otherwise).astype(np.int64)
+    return np.where(np.isfinite(recorded) & (recorded >= 1), recorded, default).astype(np.int64)
 
 
 def _points_of_scene(ds: xr.Dataset, scene: Scene, dims: list[str]) -> grid.Grid:
-    """The points of a scene at the places of an atlas, in C order of its dimensions."""
-    places = {}
+    """The points of a scene at the coordinates of an atlas, in C order of its dimensions."""
+    coordinates = {}
     for dim, axis in axes_of(scene).items():
         if dim not in ds.coords or not set(ds[dim].dims) <= set(dims):
             raise BadInput(f"{dim}: this axis of the scene is not in the dataset")
         whole = ds[dim].broadcast_like(xr.Dataset(coords={d: ds[d] for d in dims}))
-        places[axis.name] = np.asarray(whole.transpose(*dims).values, np.float64).ravel()
-    return grid.points_at(scene, places)
+        coordinates[axis.name] = np.asarray(whole.transpose(*dims).values, np.float64).ravel()
+    return grid.points_at(scene, coordinates)
 
 
 def _single_points(

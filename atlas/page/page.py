@@ -116,7 +116,7 @@ def atlas_page(ds: xr.Dataset, *, file: str = "", max_points: int = MAX_POINTS) 
 
 
 def _equations(ds: xr.Dataset) -> tuple[str, str]:
-    """The equations of an atlas in JavaScript, and why there are none."""
+    """The equations of an atlas in JavaScript, and why there are none; one of the two texts is empty."""
     scene, system = scene_of(ds), system_of(ds)
     method = scene.settings.method if scene is not None else str(ds.attrs.get("atlas_method", ""))
     try:
@@ -127,7 +127,7 @@ def _equations(ds: xr.Dataset) -> tuple[str, str]:
 
 
 def _motion(content: Content, fault: str) -> dict[str, Any]:
-    """What the page needs to integrate points, or why it cannot."""
+    """The table from which the page integrates points, or one that states why it cannot."""
     if fault:
         return {"fault": fault}
     try:

@@ -4,7 +4,7 @@
 
 function swatch(paint, isLineSample = false) {
   const canvas = element("canvas", { "aria-hidden": "true", class: isLineSample ? "line" : "area" });
-  const context = prepared(canvas, 26, 13);
+  const context = preparedContext(canvas, 26, 13);
   paint(context);
   return canvas;
 }
@@ -113,7 +113,7 @@ function valueTable(rows, caption) {
 function variableRow(variable) {
   const value = (index) => {
     const number = at(variable.values, index);
-    if (!variable.flags) return [shown(number)];
+    if (!variable.flags) return [numberText(number)];
     const flag = variable.flags[number];
     return [flag ? flag.text : String(number)];
   };
@@ -141,7 +141,7 @@ function buildValues() {
   const parameters = (data.motion.parameters || []).map((parameter) => ({
     label: [...parameter.symbol, ...(parameter.unit.length ? [{ t: " (" }, ...parameter.unit, { t: ")" }] : [])],
     title: `${parameter.name}: ${parameter.text}`,
-    value: (index) => [shown(at(parameter.values, index), 8)],
+    value: (index) => [numberText(at(parameter.values, index), 8)],
     varies: parameter.values.over.length > 0,
   }));
   const first = element("div");
@@ -184,8 +184,8 @@ function verdict(index) {
 }
 
 // Names and values of the axes at a point.
-function placeNodes(index) {
-  return places(index).slice(0, data.points ? 4 : undefined).flatMap((runs, i) => (i ? [", ", formula(runs)] : [formula(runs)]));
+function coordinateNodes(index) {
+  return coordinateRuns(index).slice(0, data.points ? 4 : undefined).flatMap((runs, i) => (i ? [", ", formula(runs)] : [formula(runs)]));
 }
 
 // Show the values of a point, or those of the one chosen.
@@ -198,7 +198,7 @@ function showPoint(index) {
     byId("verdict").replaceChildren(element("p", { class: "sentence" }, "The values of the point appear here, and after a click its motion."));
     return;
   }
-  heading.replaceChildren(...placeNodes(point));
+  heading.replaceChildren(...coordinateNodes(point));
   byId("verdict").replaceChildren(...verdict(point));
   for (const fill of fillers) fill(point);
 }
@@ -207,6 +207,6 @@ function showPoint(index) {
 function announce(index) {
   const variable = state.variable;
   const value = at(variable.values, index);
-  const text = variable.flags ? variable.flags[value]?.text ?? value : `${variable.plain} ${shown(value)}`;
-  byId("announcement").textContent = `${placeText(index)}: ${text}`;
+  const text = variable.flags ? variable.flags[value]?.text ?? value : `${variable.plain} ${numberText(value)}`;
+  byId("announcement").textContent = `${coordinateText(index)}: ${text}`;
 }

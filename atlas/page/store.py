@@ -31,7 +31,7 @@ class Store:
         self.shape = shape
         self.nbytes = 0
         self._arrays: list[np.ndarray] = []
-        self._known: dict[tuple[str, bytes], int] = {}
+        self._numbers: dict[tuple[str, bytes], int] = {}
 
     def add(self, values: np.ndarray) -> dict[str, Any]:
         """Keep an array over the points.
@@ -57,11 +57,11 @@ class Store:
                 over.append(axis)
         bits = np.ascontiguousarray(bits).ravel()
         key = values.dtype.name, bits.tobytes()
-        if key not in self._known:
-            self._known[key] = len(self._arrays)
+        if key not in self._numbers:
+            self._numbers[key] = len(self._arrays)
             self._arrays.append(bits.view(values.dtype))
             self.nbytes += bits.nbytes
-        return {"array": self._known[key], "over": over}
+        return {"array": self._numbers[key], "over": over}
 
     def packed(self) -> list[dict[str, Any]]:
         """The arrays as entries of a table.

@@ -6,6 +6,8 @@ import re
 import unicodedata
 from typing import Any
 
+from ..plotting.text import GREEK
+
 Run = dict[str, Any]
 
 _COMMANDS = {
@@ -19,14 +21,10 @@ _COMMANDS = {
     "pm": "\N{PLUS-MINUS SIGN}",
     "infty": "\N{INFINITY}",
 }
-# LAMDA is the spelling of Unicode.
-for _name in (
-    "alpha", "beta", "gamma", "delta", "zeta", "eta", "theta", "iota", "kappa", "lambda", "mu", "nu", "xi", "pi", "rho",
-    "sigma", "tau", "upsilon", "chi", "psi", "omega", "Gamma", "Delta", "Theta", "Lambda", "Xi", "Pi", "Sigma", "Upsilon",
-    "Phi", "Psi", "Omega",
-):  # fmt: skip
+for _name in GREEK:
     _case = "CAPITAL" if _name[0].isupper() else "SMALL"
-    _COMMANDS[_name] = unicodedata.lookup(f"GREEK {_case} LETTER {_name.upper().replace('LAMBDA', 'LAMDA')}")
+    _letter = _name.upper().replace("LAMBDA", "LAMDA")  # the spelling of Unicode
+    _COMMANDS.setdefault(_name, unicodedata.lookup(f"GREEK {_case} LETTER {_letter}"))
 _SPACES = {",": "\u2009", " ": " ", ";": "\u2005", ":": "\u2005", "!": "", "quad": "\u2003"}
 _ACCENTS = {
     "dot": "\u0307",
@@ -55,7 +53,7 @@ def runs(text: str) -> list[Run]:
     -------
     list of dict
         Each with "t", the letters, and where they are not plain "i" (italic, true) and "s" (1 raised, -1 lowered).
-        Commands without a meaning here are set as their names.
+        A command that has no letter in `_COMMANDS` is set as its name.
     """
     parts = text.split("$")
     if len(parts) % 2 == 0:  # an unpaired dollar sign is one

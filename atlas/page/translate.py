@@ -33,78 +33,15 @@ _COMPARISONS = {
     ast.Lt: "<", ast.LtE: "<=", ast.Gt: ">", ast.GtE: ">=", ast.Eq: "===", ast.NotEq: "!=="
 }  # fmt: skip
 # Words that JavaScript reserves or that the translation uses; "$" cannot occur in a Python name.
-_RESERVED = frozenset(
-    [
-        "abstract",
-        "arguments",
-        "await",
-        "boolean",
-        "break",
-        "byte",
-        "case",
-        "catch",
-        "char",
-        "class",
-        "const",
-        "continue",
-        "debugger",
-        "default",
-        "delete",
-        "do",
-        "double",
-        "else",
-        "enum",
-        "eval",
-        "export",
-        "extends",
-        "false",
-        "final",
-        "finally",
-        "float",
-        "for",
-        "function",
-        "goto",
-        "if",
-        "implements",
-        "import",
-        "in",
-        "instanceof",
-        "int",
-        "interface",
-        "let",
-        "long",
-        "native",
-        "new",
-        "null",
-        "package",
-        "private",
-        "protected",
-        "public",
-        "return",
-        "short",
-        "static",
-        "super",
-        "switch",
-        "synchronized",
-        "this",
-        "throw",
-        "throws",
-        "transient",
-        "true",
-        "try",
-        "typeof",
-        "undefined",
-        "var",
-        "void",
-        "volatile",
-        "while",
-        "with",
-        "yield",
-        "Infinity",
-        "Math",
-        "NaN",
-    ]
-)
+_RESERVED = frozenset((
+    "abstract", "arguments", "await", "boolean", "break", "byte", "case", "catch", "char", "class", "const",
+    "continue", "debugger", "default", "delete", "do", "double", "else", "enum", "eval", "export", "extends",
+    "false", "final", "finally", "float", "for", "function", "goto", "if", "implements", "import", "in",
+    "instanceof", "int", "interface", "let", "long", "native", "new", "null", "package", "private", "protected",
+    "public", "return", "short", "static", "super", "switch", "synchronized", "this", "throw", "throws",
+    "transient", "true", "try", "typeof", "undefined", "var", "void", "volatile", "while", "with", "yield",
+    "Infinity", "Math", "NaN",
+))  # fmt: skip
 MAX_POWER = 64
 _INDENT = "  "
 
@@ -144,12 +81,12 @@ def _name(name: str) -> str:
 class _Function:
     """Translation of one function."""
 
-    def __init__(self, name: str, text: str, known: frozenset[str]):
+    def __init__(self, name: str, text: str, functions: frozenset[str]):
         try:
             (self.node,) = ast.parse(text).body
         except SyntaxError as error:
             raise CannotTranslate(f"{name}: {error.msg}") from None
-        self.name, self.known = name, known
+        self.name, self.functions = name, functions
         self.temporaries = 0
         self.parameters: list[str] = []
         self.locals: dict[str, None] = {}  # in the order of their first assignment
@@ -248,7 +185,7 @@ class _Function:
         return f"t${self.temporaries - 1}"
 
     def expression(self, node: ast.expr) -> str:
-        """An expression, in parentheses where it is composed."""
+        """An expression, in parentheses unless it is one name, number or call."""
         match node:
             case ast.Constant(value=bool() as value):
                 return str(value).lower()
@@ -338,8 +275,8 @@ class _Function:
             lower = self.bound(node, index.lower, "0")
             upper = self.bound(node, index.upper, "")
             return f"{text}.slice({lower}{', ' if upper else ''}{upper})"
-        place = self.bound(node, index, "")
-        return f"{text}.at({place})" if place.startswith("-") else f"{text}[{place}]"
+        position = self.bound(node, index, "")
+        return f"{text}.at({position})" if position.startswith("-") else f"{text}[{position}]"
 
     def bound(self, node: ast.expr, index: ast.expr | None, missing: str) -> str:
         """A constant index."""
@@ -356,7 +293,7 @@ class _Function:
     def function(self, node: ast.expr) -> str:
         """The function of a call."""
         match node:
-            case ast.Name(id=name) if name in self.known:
+            case ast.Name(id=name) if name in self.functions:
                 return _name(name)
             case ast.Name(id=name) if name in _FUNCTIONS:
                 return _FUNCTIONS[name]

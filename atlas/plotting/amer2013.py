@@ -51,7 +51,22 @@ class PaperFigure:
 
 
 def paper_figure(number: int) -> PaperFigure:
-    """Figure 1 to 20 by its caption; BadInput for any other number."""
+    """Content of a figure of the paper, by its caption.
+
+    Parameters
+    ----------
+    number : int
+        1 to 20.
+
+    Returns
+    -------
+    PaperFigure
+
+    Raises
+    ------
+    BadInput
+        For any other number.
+    """
     if number not in NUMBERS:
         raise BadInput(f"figure {number}: the paper has figures {NUMBERS[0]} to {NUMBERS[-1]}")
     half, remainder = divmod(number - 1, 10)
@@ -150,7 +165,7 @@ def _printed_first_order(spin: FastSpin, tau: Array) -> Array:
     return np.array([p2, p2_dot, gamma2, gamma2_dot])
 
 
-# Analytical and numerical figures -> for both columns: title, and the name in `curves` and the label of each source.
+# Whether a figure is numerical -> two columns, each with its title and the label of each source in `curves`.
 _COLUMNS = {
     False: (
         ("as printed", {"(20), printed": "(20)", "(33), printed": "(33)"}),
@@ -161,8 +176,8 @@ _COLUMNS = {
         ("corrected", {"(1)": "full equations (1) by RK4", "(15), true": "(15) by RK4"}),
     ),
 }
-# Line width, dash and gap in points, and share of white of: a single source, the first and the second of two. The
-# second is seen on the first where they coincide.
+# Line width, dash and gap in points, and share of white: of a single source, of the first and of the second of two. The
+# second is dashed and narrower, so that both are visible where they coincide.
 _SINGLE, _FIRST, _SECOND = (1.0, 8.0, 0.0, 0.0), (2.6, 8.0, 0.0, 0.55), (0.9, 3.5, 2.5, 0.0)
 # Curves closer than this share of the range of their panels are drawn as one line of alternating colours.
 COINCIDE = 3e-3
@@ -196,19 +211,19 @@ def draw(number: int) -> Figure:
     solutions = curves(figure, tau)
     with rc_context(STYLE):
         if figure.phase_plane and figure.quantity == "gamma2":
-            drawn, coincide = _gamma2_plane(figure, tau, solutions), False
+            fig, coincide = _gamma2_plane(figure, tau, solutions), False
         else:
-            drawn, coincide = _two_columns(figure, tau, solutions)
+            fig, coincide = _two_columns(figure, tau, solutions)
         handles = [Line2D([], [], color=colour) for colour in LINES[: len(figure.rotors)]]
         names = [rf"$\ell = {l:g}\sqrt{{3}}$ N m s" if l else r"$\ell = 0$" for l in figure.rotors]
-        drawn.legend(handles, names, loc="outside upper center", ncols=3, frameon=False)
-        drawn.suptitle(rf"Fig. {number}: $A = B {figure.body[2:]}$", fontsize=8, x=0.01, ha="left")
+        fig.legend(handles, names, loc="outside upper center", ncols=3, frameon=False)
+        fig.suptitle(rf"Fig. {number}: $A = B {figure.body[2:]}$", fontsize=8, x=0.01, ha="left")
         if coincide:
-            drawn.supxlabel(NOTE, fontsize=7)
-        engine = drawn.get_layout_engine()
+            fig.supxlabel(NOTE, fontsize=7)
+        engine = fig.get_layout_engine()
         assert engine is not None
         engine.set(wspace=0.07)  # type: ignore[call-arg]  # the last tick of a panel beside the first of the next
-    return drawn
+    return fig
 
 
 def _two_columns(figure: PaperFigure, tau: Array, solutions: dict[str, Array]) -> tuple[Figure, bool]:
@@ -221,8 +236,8 @@ def _two_columns(figure: PaperFigure, tau: Array, solutions: dict[str, Array]) -
     if figure.quantity == "gamma2":
         harmonic = _M3(figure) * np.cos(time)
         rows["difference"] = {name: (time, path[row] - harmonic) for name, path in solutions.items()}
-    drawn = Figure(figsize=(WIDTHS["page"] / 25.4, (30.0 + 44.0 * len(rows)) / 25.4), layout="constrained")
-    axes = drawn.subplots(len(rows), 2, sharex=True, sharey="row", squeeze=False)
+    fig = Figure(figsize=(WIDTHS["page"] / 25.4, (30.0 + 44.0 * len(rows)) / 25.4), layout="constrained")
+    axes = fig.subplots(len(rows), 2, sharex=True, sharey="row", squeeze=False)
     coincide = False
     for number, (panels, lines) in enumerate(zip(axes, rows.values(), strict=True)):
         resolution = COINCIDE * np.ptp(np.concatenate([y.ravel() for _, y in lines.values()]))
@@ -232,15 +247,15 @@ def _two_columns(figure: PaperFigure, tau: Array, solutions: dict[str, Array]) -
             if number == 0:
                 _add_legend(ax, title, handles, list(sources.values()))
     _label_axes(axes, figure)
-    return drawn, coincide
+    return fig, coincide
 
 
 def _gamma2_plane(figure: PaperFigure, tau: Array, solutions: dict[str, Array]) -> Figure:
     """The phase plane of gamma2 once, and in the first turn the differences of the solutions from a circle."""
     M3, time = _M3(figure), tau[:, None]
     circle, turn = M3 * np.array([np.cos(time), -np.sin(time)]), tau <= 2 * np.pi
-    drawn = Figure(figsize=(WIDTHS["page"] / 25.4, 74.0 / 25.4), layout="constrained")
-    plane, *panels = drawn.subplots(1, 3)
+    fig = Figure(figsize=(WIDTHS["page"] / 25.4, 74.0 / 25.4), layout="constrained")
+    plane, *panels = fig.subplots(1, 3)
     columns = _COLUMNS[figure.numerical]
     differences = {name: 1e3 * (path[2:] - circle)[:, turn] for name, path in solutions.items()}
     true = next(iter(columns[1][1]))
@@ -248,10 +263,8 @@ def _gamma2_plane(figure: PaperFigure, tau: Array, solutions: dict[str, Array]) 
     distance = max(float(np.abs(path[2:] - circle).max()) for path in solutions.values())
     plane.set_title(f"all solutions: within {100 * distance / M3:.2g} % of\na circle of radius $M_3$")
     plane.set(xlabel=r"$\gamma_2$", ylabel=r"$\dot\gamma_2$")
-    least, most = (
-        np.array([f(path, axis=(1, 2)) for path in differences.values()]) for f in (np.min, np.max)
-    )
-    middle, half = 0.5 * (least.min(0) + most.max(0)), 0.6 * (most.max(0) - least.min(0)).max()
+    low, high = (np.array([f(path, axis=(1, 2)) for path in differences.values()]) for f in (np.min, np.max))
+    middle, half = 0.5 * (low.min(0) + high.max(0)), 0.6 * (high.max(0) - low.min(0)).max()
     for ax, (title, sources) in zip(panels, columns, strict=True):
         handles, _ = _draw_sources(ax, [tuple(differences[name]) for name in sources], 0.0)
         _add_legend(ax, title, handles, list(sources.values()), columns=1)
@@ -264,7 +277,7 @@ def _gamma2_plane(figure: PaperFigure, tau: Array, solutions: dict[str, Array]) 
         ax.tick_params(length=2.5)
         for axis in (ax.xaxis, ax.yaxis):
             axis.set_major_locator(MaxNLocator(4))
-    return drawn
+    return fig
 
 
 def _M3(figure: PaperFigure) -> float:
@@ -302,7 +315,7 @@ def _draw_sources(
 
 
 def _line(colour: str, place: int, size: int, style: tuple[float, float, float, float]) -> dict[str, Any]:
-    """Colour, width and dashes of a curve; of `size` coinciding ones each has its place between the others."""
+    """Colour, width and dashes of a curve; the dashes of `size` coinciding curves fill each other's gaps, by `place`."""
     width, dash, gap, white = style
     line: dict[str, Any] = {"color": (1 - white) * np.array(to_rgb(colour)) + white, "linewidth": width}
     if gap or size > 1:

@@ -13,7 +13,7 @@ from scipy.ndimage import distance_transform_edt
 
 from ..analysis import resonances
 from ..analysis.boundary import theory_lines
-from ..analysis.compare import NO_TIME_TO_GROW
+from ..analysis.compare import MAX_SURVIVED_GROWTH
 from ..analysis.count_borders import CHANGE
 from ..analysis.metadata import axes_of, flag_names, is_averaged
 from ..analysis.plane import Plane
@@ -24,10 +24,10 @@ from ..flags import Label, Stability
 from ..scene.model import Scene
 from ..systems.base import Mask
 
-# Why a place of a map is white.
+# Why a cell of a map is white.
 NO_BODY, NO_MOTION, NOT_YET, NO_VALUE = "no such body", "no such motion", "not computed yet", "no value"
 SLOW = "unstable, too slow to show in this run"
-# A share of the points below this is too small to be seen.
+# A region with a smaller share of the points is not visible.
 MIN_VISIBLE = 1e-3
 # Flags of motions, on whose maps theory draws the borders of labels.
 MOTIONS = ("label", "predicted", "agreement", "geometry")
@@ -94,7 +94,7 @@ def panel_of(ds: xr.Dataset, name: str, dims: list[str], scene: Scene | None, bo
         borders = theory_lines(scene, ds, dims, name)
         families = family_curves(Plane.of(scene, ds, dims))
     except BadInput as error:
-        # Between the points of an atlas there may be bodies that cannot exist; the map itself is sound.
+        # Between the points of an atlas there may be bodies that cannot exist; the map itself needs none of them.
         logging.getLogger("atlas").warning("no theory on this map: %s", error)
         return Panel(array, white, slow)
     if CHANGE in borders:
@@ -114,13 +114,13 @@ def _white(ds: xr.Dataset, name: str, dims: list[str], scene: Scene | None) -> d
     flags = flag_names(array)
     if flags:
         if name in ("status", "computed") or ("not_computed" not in flags and "label" not in ds):
-            return {}  # their flags state the reason themselves
+            return {}  # the flags of these variables state the reason
         source = array if "not_computed" in flags else ds["label"]
         missing = source.values == Label.NOT_COMPUTED
     else:
         missing = ~np.isfinite(array.values)
     if "computed" in ds:
-        missing &= ds["computed"].values == 1  # elsewhere the points around stand for it
+        missing &= ds["computed"].values == 1  # elsewhere the value of the nearest point is drawn
     reasons = np.full(array.shape, "", object)
     not_computed = missing & (ds["label"].values == Label.NOT_COMPUTED if "label" in ds else bool(flags))
     reasons[missing] = NO_VALUE
@@ -182,16 +182,16 @@ def _without_gaps(ds: xr.Dataset, name: str) -> xr.DataArray:
 
 
 def _slow(ds: xr.Dataset) -> Mask:
-    """Cells of nudged motions that theory finds unstable and that stayed steady: the run ended before they grew."""
+    """Cells of nudged motions that are unstable by theory and stayed steady: the run ended before the nudge grew."""
     shape = next(iter(ds.values())).shape
     if not {"label", "stable", "growth_rate", "end_time"} <= set(ds):
         return np.zeros(shape, bool)
     label = ds["label"].values
     steady = (label == Label.REGULAR_PRECESSION) | (label == Label.PERMANENT_ROTATION)
-    grown = ds["growth_rate"].values * ds["end_time"].values >= NO_TIME_TO_GROW
+    grown = ds["growth_rate"].values * ds["end_time"].values >= MAX_SURVIVED_GROWTH
     return steady & (ds["stable"].values == Stability.UNSTABLE) & ~grown
 
 
 def visible(mask: Mask) -> bool:
-    """Whether a region is large enough to be seen on a map."""
+    """Whether a region is large enough to be visible on a map."""
     return bool(mask.mean() >= MIN_VISIBLE)

@@ -15,7 +15,7 @@ from ..flags import Regularity
 from .overlay import HATCHES, UNDECIDED, draw_hatching
 from .scales import ColorScale
 
-# From a weak orange to black: the darker, the faster neighbours separate.
+# From a weak orange to black: darker where neighbouring motions separate faster.
 _COLOURS = LinearSegmentedColormap.from_list("exponents", ["#b86a1c", "#5e2205", "#160300"])
 MAX_DECADES = 3  # of the colour scale
 
@@ -35,7 +35,7 @@ def exponent_scale(ds: xr.Dataset, name: str) -> ColorScale | None:
 def draw_exponents(
     ax: Axes, part: xr.Dataset, array: xr.DataArray, edges: list[np.ndarray], scale: ColorScale
 ) -> ScalarMappable:
-    """Draw the exponents of the chaotic cells over those of the map, and hatch the undecided ones."""
+    """Draw the exponents of the chaotic cells over the cells of the map; returns them for a colour bar."""
     exponents = part["lyapunov"].transpose(*array.dims).values
     chaotic = np.where(array.values == Regularity.CHAOTIC, exponents, np.nan)
     return ax.pcolormesh(
@@ -51,7 +51,7 @@ def hatch_undecided(ax: Axes, array: xr.DataArray, edges: list[np.ndarray]) -> N
 
 
 def texts(ds: xr.Dataset) -> Mapping[str, str]:
-    """Entries of the legend, which state how long the runs were."""
+    """Texts of the legend for "regular" and "chaotic", which state the length of the runs; empty without a scene."""
     scene = scene_of(ds)
     if scene is None:
         return {}

@@ -1,4 +1,4 @@
-"""Legend of a map: what can be seen on it; what cannot is stated in a note."""
+"""Legend of a map: the regions and lines that are visible; a note lists the others."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ Entries = dict[str, Artist]
 def map_legend(
     panels: Sequence[Panel], flags: Mapping[str, str], options: MapOptions, families: Sequence[str]
 ) -> tuple[Entries, list[str]]:
-    """Entries of a legend, and notes about what is on the map and cannot be seen.
+    """Entries of a legend, and notes about regions that are too small to be visible.
 
     Parameters
     ----------
@@ -44,44 +44,44 @@ def map_legend(
     notes : list of str
         Sentences.
     """
-    entries, hidden = _regions(panels, flags, options)
+    entries, too_small = _regions(panels, flags, options)
     for kind in dict.fromkeys(kind for panel in panels for kind in panel.borders):
         entries[f"{as_math(kind)} (theory)"] = Line2D([], [], **border_style(kind))
     for name in dict.fromkeys(name for panel in panels for name in panel.families):
         entries[f"{name.replace('_', ' ')} (exact)"] = Line2D([], [], **family_style(families.index(name)))
-    return entries, [f"Too few to be seen: {'; '.join(hidden)}."] if hidden else []
+    return entries, [f"Too few to be seen: {'; '.join(too_small)}."] if too_small else []
 
 
 def _regions(
     panels: Sequence[Panel], flags: Mapping[str, str], options: MapOptions
 ) -> tuple[Entries, list[str]]:
-    """Entries of the regions that can be seen, and how many points the others have."""
+    """Entries of the visible regions, and sentences with the number of points of the others."""
     total = sum(panel.array.size for panel in panels)
     entries: Entries = {}
-    hidden = []
+    too_small = []
     for text, masks, sample in _candidates(panels, flags, options):
         count = sum(int(mask.sum()) for mask in masks)
         if any(visible(mask) for mask in masks):
             entries[text] = sample
         elif count and text != SLOW:
-            hidden.append(f"{text}, {count} of {total} points")
-    return entries, hidden
+            too_small.append(f"{text}, {count} of {total} points")
+    return entries, too_small
 
 
 def _candidates(
     panels: Sequence[Panel], flags: Mapping[str, str], options: MapOptions
 ) -> Iterable[tuple[str, list[Mask], Artist]]:
     """Text, cells in each panel and sample of every region that a map may have."""
-    whites = list(dict.fromkeys(reason for panel in panels for reason in panel.white))
+    reasons = list(dict.fromkeys(reason for panel in panels for reason in panel.white))
     empty = [np.zeros(panel.array.shape, bool) for panel in panels]
-    taken = [
+    white = [
         np.any([*panel.white.values(), nothing], axis=0) for panel, nothing in zip(panels, empty, strict=True)
     ]
     for value, (name, colour) in enumerate(flags.items()):
-        masks = [(panel.array.values == value) & ~white for panel, white in zip(panels, taken, strict=True)]
+        masks = [(panel.array.values == value) & ~mask for panel, mask in zip(panels, white, strict=True)]
         sample = _hatched(name, colour) if name == UNDECIDED else _patch(colour)
         yield options.text(name, name.replace("_", " ")), masks, sample
-    for reason in whites:
+    for reason in reasons:
         masks = [panel.white.get(reason, nothing) for panel, nothing in zip(panels, empty, strict=True)]
         yield reason, masks, _hatched(NOT_YET) if reason == NOT_YET else _patch("#ffffff")
     yield SLOW, [panel.slow for panel in panels], _hatched(SLOW)
@@ -95,11 +95,13 @@ def as_math(kind: str) -> str:
 
 
 def _patch(colour: str) -> Patch:
+    """Sample of a colour."""
     return Patch(facecolor=colour, edgecolor="0.4", linewidth=0.4)
 
 
-def _hatched(what: str, background: str | None = None) -> Patch:
-    hatch = HATCHES[what]
+def _hatched(region: str, background: str | None = None) -> Patch:
+    """Sample of the hatching of a region, a key of HATCHES."""
+    hatch = HATCHES[region]
     return Patch(
         facecolor=background or hatch.background, edgecolor=hatch.colour, hatch=hatch.pattern, linewidth=0.4
     )
@@ -113,7 +115,7 @@ def draw_legend(target: Figure | Axes, entries: Entries, width: float, title: st
             handles, texts, loc="outside upper center", ncols=legend_columns(entries, width), frameon=False,
             handlelength=1.8, columnspacing=1.4, borderaxespad=0.2, title=title, title_fontsize=9,
         )  # fmt: skip
-    else:  # Axes of the caller, around which there may be no room
+    else:  # there may be no room around the Axes of the caller
         target.legend(handles, texts, loc="upper right", fontsize="small", framealpha=0.85)
 
 

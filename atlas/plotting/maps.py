@@ -52,7 +52,7 @@ def atlas_map(
     Flags have one colour each in every figure. Positive numbers that span more than two decades get a
     logarithmic scale of at most `scales.MAX_DECADES`, numbers of both signs a scale centred on zero, integers
     a colour each. Axes of more than `analysis.select.MAX_CELLS` values are drawn by every k-th one. White
-    cells have no value; the legend gives the reason. What is on the map and too small to be seen is not in the
+    cells have no value; the legend gives the reason. Regions that are too small to be visible are not in the
     legend but in a note below the map.
 
     Parameters
@@ -190,7 +190,7 @@ def _flag_colours(array: xr.DataArray, options: MapOptions) -> list[str]:
 
 
 def _notes(ds: xr.Dataset, caption: bool, select: Mapping[str, float]) -> list[str]:
-    """Sentences at the foot of a map: what is missing, and the caption if it is wanted."""
+    """Sentences at the foot of a map: which tiles are missing, and the caption if `caption` is true."""
     notes = []
     if (tiles := tiles_done(ds)) is not None:
         notes.append(f"Unfinished: {tiles[0]} of {tiles[1]} tiles are computed.")

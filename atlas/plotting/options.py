@@ -1,4 +1,4 @@
-"""What a caller may choose about a map."""
+"""Options of a map."""
 
 from __future__ import annotations
 
@@ -22,12 +22,12 @@ MIN_DPI, MAX_DPI = 10.0, 2400.0
 
 @dataclass(frozen=True)
 class MapOptions:
-    """Choices of a caller, as `atlas.plotting.maps.atlas_map` describes them.
+    """Options of a map, as `atlas.plotting.maps.atlas_map` describes them.
 
     Raises
     ------
     BadInput
-        For a value that is not allowed whatever the variable is.
+        For a value that is allowed for no variable.
     """
 
     ax: Axes | None = None
@@ -72,9 +72,9 @@ class MapOptions:
         """Width of the figure in mm, and its height if the caller chose one."""
         return self.size if self.size is not None else (WIDTHS[self.width], None)
 
-    def check_for(self, array: xr.DataArray, places: Iterable[str]) -> None:
+    def check_for(self, array: xr.DataArray, axes: Iterable[str]) -> None:
         """Raise BadInput for options that a variable over some axes does not have."""
-        flags, places = flag_names(array), list(places)
+        flags = flag_names(array)
         if flags and self.cmap is not None:
             raise BadInput(
                 f"cmap: {array.name} has flags, each with a colour of its own; choose them by colors"
@@ -83,7 +83,7 @@ class MapOptions:
             raise BadInput(f"colors: {array.name} has no flags; choose its colours by cmap")
         for option, names, allowed in (
             ("colors", self.colors, flags),
-            ("labels", self.labels, [*flags, *places, str(array.name)]),
+            ("labels", self.labels, [*flags, *axes, str(array.name)]),
         ):
             for name in names:
                 if name not in allowed:

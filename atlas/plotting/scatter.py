@@ -19,7 +19,7 @@ from .scales import MIN_LOG_RATIO, ColorScale, add_color_bar, color_scale
 from .sheet import Sheet
 from .style import flag_colours
 
-# Area of a dot in square points: all dots together would cover the panel about once, within limits.
+# Area of a dot in square points: within limits that with which all dots together cover the panel about once.
 PANEL_AREA, MIN_DOT, MAX_DOT = 6000.0, 0.5, 14.0
 
 
@@ -27,9 +27,9 @@ def draw_scatter(
     ds: xr.Dataset, name: str, x: str | None, y: str | None, options: MapOptions, caption: str
 ) -> Figure:
     """Draw a variable of single points as dots, see `atlas.plotting.maps.atlas_map`."""
-    places = scatter_axes(ds, x, y)
-    options.check_for(ds[name], places)
-    ds = ds[[name, *places]].load() if not caption else ds
+    axes = scatter_axes(ds, x, y)
+    options.check_for(ds[name], axes)
+    ds = ds[[name, *axes]].load() if not caption else ds
     array = ds[name].load()
     flags = flag_colours(flag_names(array)) | dict(options.colors)
     families = list(system_of(ds).families)
@@ -38,23 +38,38 @@ def draw_scatter(
     entries, notes = map_legend([panel], flags, options, families)
     sheet = Sheet(options, 1)
     figure, (ax,) = sheet.figure(entries, [*notes, caption] if caption else notes)
-    columns = [np.asarray(ds[place].values, float) for place in places]
+    columns = [np.asarray(ds[axis].values, float) for axis in axes]
     log = [_is_logarithmic(column) for column in columns]
     scale = color_scale(array, options)
     image = _draw_dots(ax, columns, array, scale)
     for which, is_log in zip("xy", log, strict=True):
         set_axis(ax, which, is_log, inner=False)
     ax.margins(0.03)
-    sheet.label_axes([ax], [options.text(place, text.axis_label(ds, place)) for place in places])
+    sheet.label_axes([ax], [options.text(axis, text.axis_label(ds, axis)) for axis in axes])
     if not flags:
         add_color_bar(figure, [ax], image, scale, options.text(name, text.variable_label(array)))
     return figure
 
 
 def scatter_axes(ds: xr.Dataset, x: str | None, y: str | None) -> list[str]:
-    """Two coordinates along the points; where none is named those with the most different values, given ones first.
+    """The two coordinates along the points that are the axes of a scatter map.
 
-    Raises BadInput for a name that is none of them.
+    Parameters
+    ----------
+    ds : Dataset
+        Single points.
+    x, y : str or None
+        Names of coordinates; None: the one with the most different values, of several those that the scene varies.
+
+    Returns
+    -------
+    list of str
+        Two names, x first.
+
+    Raises
+    ------
+    BadInput
+        For a name that is no such coordinate, and where fewer than two of them vary.
     """
     allowed = [
         str(name)
@@ -69,19 +84,20 @@ def scatter_axes(ds: xr.Dataset, x: str | None, y: str | None) -> list[str]:
             )
     if x is not None and x == y:
         raise BadInput(f"x = y = {shown(x)}: a map needs two axes")
-    given = _given_names(ds)
-    varied = {name: np.unique(ds[name].values).size for name in allowed if name not in (x, y)}
-    most = sorted(
-        (name for name, count in varied.items() if count > 1), key=lambda n: (-varied[n], n not in given)
+    varied_by_scene = _names_varied_by_scene(ds)
+    counts = {name: np.unique(ds[name].values).size for name in allowed if name not in (x, y)}
+    candidates = sorted(
+        (name for name, count in counts.items() if count > 1),
+        key=lambda n: (-counts[n], n not in varied_by_scene),
     )
-    chosen = [name if name is not None else (most.pop(0) if most else None) for name in (x, y)]
+    chosen = [name if name is not None else (candidates.pop(0) if candidates else None) for name in (x, y)]
     if None in chosen:
-        raise BadInput("these single points differ in less than two parameters: no map can be drawn")
+        raise BadInput("these single points differ in fewer than two parameters: no map can be drawn")
     return [str(name) for name in chosen]
 
 
-def _given_names(ds: xr.Dataset) -> set[str]:
-    """Names that the scene of the points varies itself: not through ties and families."""
+def _names_varied_by_scene(ds: xr.Dataset) -> set[str]:
+    """Names with a range or a column in the scene of the points, not those that ties and families compute."""
     scene = scene_of(ds)
     if scene is None:
         return set()

@@ -107,12 +107,9 @@ class Sheet:
             return 0.6 * width / self.columns
         if self.flat:
             return 18.0
-        wide = self.panels == 1 and width >= 130
-        if wide:
-            return 0.5 * width
-        return 0.72 * width / self.columns + (
-            6.0 if self.panels > 1 else 0.0
-        )  # a title above each of several
+        if self.panels == 1:
+            return (0.5 if width >= 130 else 0.72) * width
+        return 0.72 * width / self.columns + 6.0  # with a title above each panel
 
     def label_axes(self, axes: list[Axes], labels: list[str]) -> None:
         """Label the axes: of a single panel its own, of several panels once for all of them."""

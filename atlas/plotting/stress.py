@@ -17,7 +17,7 @@ from ..engine.tableaux import METHODS
 from ..validation.stress import ACCURATE, LEVELS, RATIOS, Verdict, beyond_estimate
 from .style import STYLE, WIDTHS
 
-# Their luminances differ too, for readers who are colour-blind and for prints in grey.
+# Their luminances differ as well, so that colour-blind readers and prints in grey keep them apart.
 COLOURS = {
     Verdict.RIGHT: "#7ab8e0",
     Verdict.UNRESOLVED: "#e9e9e9",
@@ -35,13 +35,13 @@ BEYOND_CROSS: dict[str, Any] = {
 }
 
 # Least height of a case in the figure, in points of the study.
-LEAST_HEIGHT = 5
+MIN_HEIGHT = 5
 
 
 def figure(ds: xr.Dataset) -> Figure:
     """Verdict on every point at every level, two panels for each method: fixed steps, and automatic ones.
 
-    A dot where the rates are accurate, too; a cross where a statistic is off by more than ten times its estimate.
+    A dot marks accurate rates; a cross marks a statistic that is off by more than ten times its estimate.
 
     Parameters
     ----------
@@ -57,15 +57,15 @@ def figure(ds: xr.Dataset) -> Figure:
     first = np.flatnonzero(np.r_[True, cases[1:] != cases[:-1]])  # point of each case
     # A case has at least the height of its name.
     size = np.diff(np.r_[first, cases.size])
-    edges = np.r_[0.0, np.cumsum(np.repeat(np.maximum(size, LEAST_HEIGHT) / size, size))]
+    edges = np.r_[0.0, np.cumsum(np.repeat(np.maximum(size, MIN_HEIGHT) / size, size))]
     columns = {
         "fixed step over\nlimit of stability": slice(0, len(RATIOS)),
         "tolerance,\nautomatic step": slice(len(RATIOS), len(LEVELS)),
     }
     with rc_context(STYLE | {"hatch.linewidth": 0.3}):
-        drawn = Figure(figsize=(WIDTHS["page"] / 25.4, 1.5 + edges[-1] / 28), layout="constrained")
+        fig = Figure(figsize=(WIDTHS["page"] / 25.4, 1.5 + edges[-1] / 28), layout="constrained")
         widths = [levels.stop - levels.start for levels in columns.values()] * len(METHODS)
-        axes = drawn.subplots(1, 2 * len(METHODS), sharey=True, width_ratios=widths)
+        axes = fig.subplots(1, 2 * len(METHODS), sharey=True, width_ratios=widths)
         beyond = beyond_estimate(ds)
         for i, method in enumerate(ds["method"].values):
             for ax, (name, levels) in zip(axes[2 * i : 2 * i + 2], columns.items(), strict=True):
@@ -78,8 +78,8 @@ def figure(ds: xr.Dataset) -> Figure:
             axes[2 * i].set_title(method, loc="left")
         axes[0].set_yticks(0.5 * (edges[first] + edges[first + size]), cases[first])
         axes[0].set_ylim(edges[-1], 0)
-        drawn.legend(handles=_legend(ds), loc="outside lower center", ncols=2, frameon=False)
-    return drawn
+        fig.legend(handles=_legend(ds), loc="outside lower center", ncols=2, frameon=False)
+    return fig
 
 
 def _draw_panel(ax: Axes, ds: xr.Dataset, beyond: np.ndarray, edges: np.ndarray) -> None:

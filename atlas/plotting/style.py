@@ -33,7 +33,7 @@ STYLE: dict[Any, Any] = {
     "svg.hashsalt": "atlas",
     "hatch.linewidth": 0.4,
 }
-# One colour per meaning; readers who are colour-blind and prints in grey can tell them apart.
+# One colour per meaning; colour-blind readers and prints in grey keep them apart.
 COLOURS = {
     "not_computed": "#ffffff",
     "permanent_rotation": "#a8d8f0",
@@ -87,7 +87,7 @@ def flag_colours(meanings: Iterable[str]) -> dict[str, str]:
         Name -> colour. Those without an entry in COLOURS get even steps of luminance; the first is white.
     """
     names = list(meanings)
-    # From white, which continues the first colour map beyond its light end; the second has more colours that differ.
+    # Both begin with white, beyond the light end of the colour map; the second map has more distinct colours.
     few = len(names) <= MAX_EVEN_SHADES
     shades = colormaps["cividis" if few else "magma"](
         np.linspace(*((1.1, 0.0) if few else (1.06, 0.03)), len(names))
@@ -139,7 +139,7 @@ def save(figure: Figure, path: str | Path, dpi: float | None = None) -> None:
     """
     path = writable(path, FORMATS, force=True)
     kind = path.suffix.lower()[1:]
-    # no date, so that the same atlas gives the same file
+    # No date in the file, so that the same atlas gives the same bytes.
     undated = {"png": {}, "pdf": {"CreationDate": None}, "svg": {"Date": None}}[kind]
     with atomic_write(path) as temporary, rc_context(STYLE):
         figure.savefig(temporary, format=kind, metadata=undated, dpi=dpi or STYLE["savefig.dpi"])

@@ -82,43 +82,12 @@ def math_text(text: str, symbols: Mapping[str, str]) -> str:
 
 _WORD = r"[A-Za-z_]\w*"
 _PRODUCT, _THIN = r"(?<=[\w}]) (?=[\w\\])", r"\\,"
-_GREEK = [
-    "alpha",
-    "beta",
-    "gamma",
-    "delta",
-    "epsilon",
-    "zeta",
-    "eta",
-    "theta",
-    "iota",
-    "kappa",
-    "lambda",
-    "mu",
-    "nu",
-    "xi",
-    "pi",
-    "rho",
-    "sigma",
-    "tau",
-    "upsilon",
-    "phi",
-    "chi",
-    "psi",
-    "omega",
-    "Gamma",
-    "Delta",
-    "Theta",
-    "Lambda",
-    "Xi",
-    "Pi",
-    "Sigma",
-    "Upsilon",
-    "Phi",
-    "Psi",
-    "Omega",
-]
-_LETTERS = {name: rf"\{name}" for name in _GREEK} | {"eps": r"\epsilon", "phi": r"\varphi"}
+GREEK = (
+    "alpha", "beta", "gamma", "delta", "epsilon", "zeta", "eta", "theta", "iota", "kappa", "lambda", "mu", "nu",
+    "xi", "pi", "rho", "sigma", "tau", "upsilon", "phi", "chi", "psi", "omega", "Gamma", "Delta", "Theta", "Lambda",
+    "Xi", "Pi", "Sigma", "Upsilon", "Phi", "Psi", "Omega",
+)  # fmt: skip
+_LETTERS = {name: rf"\{name}" for name in GREEK} | {"eps": r"\epsilon", "phi": r"\varphi"}
 
 
 def _formula(word: str, symbols: Mapping[str, str]) -> str:

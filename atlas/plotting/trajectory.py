@@ -19,16 +19,21 @@ from ..systems.base import Observable
 from .style import COLOURS, STYLE, SYMBOLS, WIDTHS, Width, check_width
 from .text import unit_text
 
-FAR = 0.35  # opacity of the far side of the sphere
-START: dict[str, Any] = {"marker": "o", "color": COLOURS["drifting"], "markersize": 3.5, "linestyle": ""}
+FAR_OPACITY = 0.35  # of paths on the far side of the sphere
+START_MARKER: dict[str, Any] = {
+    "marker": "o",
+    "color": COLOURS["drifting"],
+    "markersize": 3.5,
+    "linestyle": "",
+}
 RATES = ("theta_dot", "psi_dot", "phi_dot", "normal_rate")
 LINE_COLOURS = (COLOURS["regular_precession"], COLOURS["drifting"], "black", "#7fb9d8")
 MAX_PANELS = 8  # of a system with observables
 # Rates larger than this many times their quantile 0.9 do not set the range of the panel, which then ends
 # at a smaller multiple of it.
 CLIP_ABOVE, CLIP_AT = 10, 3
-# Paths that stay within this angle of their mean direction (rad) are drawn enlarged, too; within the second angle
-# the axis is at rest but for rounding.
+# Paths within the first angle (rad) of their mean direction are also drawn enlarged; within the second angle the axis
+# is at rest but for rounding.
 SMALL, AT_REST = 0.1, 1e-12
 NOTE = SYMBOLS["normal_rate"] + ": angular velocity relative to the frame along its vertical"
 
@@ -135,9 +140,10 @@ def _draw_time_series(figure: SubFigure, tr: xr.Dataset) -> None:
 
 
 class _Formatter(ScalarFormatter):
-    """Tick labels with powers of ten, but 0.9 and not 9 x 10^-1 for what is subtracted from them."""
+    """Tick labels with powers of ten, and offsets such as 0.9 instead of 9 x 10^-1."""
 
     def format_data(self, value: float) -> str:
+        """The offset of an axis without a power of ten, where it is of moderate size."""
         plain = 1e-3 <= abs(value) < 1e5
         return f"{value:.9g}".replace("-", "\N{MINUS SIGN}") if plain else str(super().format_data(value))
 
@@ -168,8 +174,8 @@ def _draw_path(figure: SubFigure, path: np.ndarray, names: Sequence[str], page: 
     colour = COLOURS["regular_precession"]
     handles = [
         Line2D([], [], color=colour),
-        Line2D([], [], color=colour, alpha=FAR),
-        Line2D([], [], **START),
+        Line2D([], [], color=colour, alpha=FAR_OPACITY),
+        Line2D([], [], **START_MARKER),
     ]
     figure.legend(
         handles, ["third axis, near side", "far side", "start"], loc="outside lower center", ncols=3,
@@ -190,7 +196,7 @@ def _draw_enlarged(ax: Axes, offset: np.ndarray, direction: np.ndarray, names: S
     exponent = int(np.floor(np.log10(half)))
     x, y, half = x / 10.0**exponent, y / 10.0**exponent, half / 10.0**exponent
     ax.plot(x, y, color=COLOURS["regular_precession"], linewidth=0.9)
-    ax.plot(x[0], y[0], **START)
+    ax.plot(x[0], y[0], **START_MARKER)
     middle = [0.5 * (v.min() + v.max()) for v in (x, y)]
     ax.set(box_aspect=1, title="offset from the mean direction")
     ax.set_xlim(middle[0] - half, middle[0] + half)
@@ -216,7 +222,7 @@ def _draw_sphere(ax: Axes, path: np.ndarray, names: Sequence[str]) -> None:
     def draw(points: np.ndarray, colour: str, linewidth: float, zorder: int) -> None:
         """Draw the far part of a line pale and its near part over it."""
         near = points @ toward_viewer >= 0
-        for visible, alpha, level in ((~near, FAR, zorder), (near, 1.0, zorder + 1)):
+        for visible, alpha, level in ((~near, FAR_OPACITY, zorder), (near, 1.0, zorder + 1)):
             line = project(points)
             line[~visible] = np.nan
             ax.plot(*line.T, color=colour, alpha=alpha, linewidth=linewidth, zorder=level)
@@ -234,7 +240,7 @@ def _draw_sphere(ax: Axes, path: np.ndarray, names: Sequence[str]) -> None:
         x, y = 1.14 * outside
         ax.text(x, y, name, ha=_alignment(x), va="center" if abs(x) > 0.3 else "bottom")
     draw(path, COLOURS["regular_precession"], 1.1, 3)
-    ax.plot(*project(path[0]), zorder=6, **START)
+    ax.plot(*project(path[0]), zorder=6, **START_MARKER)
     ax.set(aspect="equal", xlim=(-1.5, 1.5), ylim=(-1.1, 1.35))
     ax.set_axis_off()
 

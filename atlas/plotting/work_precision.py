@@ -2,20 +2,17 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import xarray as xr
+from matplotlib import rc_context
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
 from ..validation.work_precision import nanmedian
 from ..validation.work_precision_report import summary
 
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
-
-
 COLOURS, MARKERS = ("#1b6ca8", "#e0892b", "#262626", "#8c4799"), "os^D"
-# States with larger errors have nothing to do with the motion and are not drawn.
+# Errors above this are those of states unrelated to the motion; they are not drawn.
 MAX_ERROR_DRAWN = 3.0
 
 
@@ -26,14 +23,16 @@ def figure(ds: xr.Dataset) -> Figure:
     ----------
     ds : xarray.Dataset
         As `validation.work_precision.work_precision` returns it.
-    """
-    from matplotlib import rc_context
-    from matplotlib.figure import Figure
 
+    Returns
+    -------
+    matplotlib.figure.Figure
+        With one panel, 3.5 inches wide.
+    """
     rows = summary(ds)
     with rc_context({"font.size": 8, "legend.fontsize": 7, "axes.linewidth": 0.6}):
-        drawn = Figure(figsize=(3.5, 2.8), layout="constrained")
-        ax = drawn.add_subplot()
+        fig = Figure(figsize=(3.5, 2.8), layout="constrained")
+        ax = fig.add_subplot()
         for method, colour, marker in zip(ds["method"].values, COLOURS, MARKERS, strict=False):
             usable = [r for r in rows if r["method"] == method and r["error_state"] < MAX_ERROR_DRAWN]
             usable = usable or rows[-1:]
@@ -47,13 +46,12 @@ def figure(ds: xr.Dataset) -> Figure:
                 ax.plot(*point, "o", mfc="none", mec="black", ms=8, label="the scene's setting")
         _set_axes(ax)
         _shade_uncertainty(ax, nanmedian(ds["reference_error"].values))
-        drawn.legend(loc="outside lower center", ncols=2, frameon=False)
-    return drawn
+        fig.legend(loc="outside lower center", ncols=2, frameon=False)
+    return fig
 
 
 def _set_axes(ax: Axes) -> None:
-    from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
-
+    """Scales, labels and ticks of the panel."""
     ax.set(xscale="log", yscale="log", xlabel="time per point and processor (µs)", ylabel="median error")
     ax.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
     ax.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))

@@ -747,7 +747,7 @@ def test_bad_input_is_one_line(small, options, words):
 def test_datasets_without_a_map_are_errors(small, solid):
     with pytest.raises(BadInput, match="not an atlas"):
         maps.atlas_map(xr.Dataset())
-    with pytest.raises(BadInput, match="less than two parameters"):
+    with pytest.raises(BadInput, match="fewer than two parameters"):
         maps.atlas_map(atlas.label_points("satellite", {"theta0": [0.1, 0.2]}, duration=1.0, step=0.1))
     with pytest.raises(BadInput, match="single points without axes"):
         maps.atlas_map(small.atlas.select(label="drifting"), select={"sigma": 1.0})

@@ -25,8 +25,8 @@ def chunks(
         The dimensions to cut, in the order of the array.
     cell_side : int, optional
         0: every point is in one box. Else boxes consist of whole cells with sides of so many points,
-        and share the points on their borders with their neighbours; what is left at the end of an
-        axis, shorter than a cell, is in no box.
+        and share the points on their borders with their neighbours; points at the end of an axis that do
+        not fill a cell are in no box.
 
     Yields
     ------

@@ -25,7 +25,7 @@ def count_borders(plane: Plane, counts: xr.DataArray, derived: DerivedVariable) 
     plane : Plane
         The plane of the atlas.
     counts : DataArray
-        The counts of the atlas over the axes of the plane; regions narrower than its cells are not seen.
+        The counts of the atlas over the axes of the plane; regions narrower than its cells are missed.
     derived : DerivedVariable
         The count, which is computed between neighbouring points that differ.
 
@@ -33,7 +33,7 @@ def count_borders(plane: Plane, counts: xr.DataArray, derived: DerivedVariable) 
     -------
     dict
         CHANGE -> polylines of shape (vertices, axes of the plane), float64, in the units of the axes; empty without a line.
-        A line at which two values are passed at once is there twice.
+        Where the count skips values that it has elsewhere, the line is returned once for each change.
     """
     values = counts.transpose(*plane.extent).values
     axes = [counts[dim].values for dim in plane.extent]
@@ -44,20 +44,23 @@ def count_borders(plane: Plane, counts: xr.DataArray, derived: DerivedVariable) 
         return {}
 
     def count_at(positions: Array) -> Array:
-        places = [np.interp(p, np.arange(axis.size), axis) for p, axis in zip(positions.T, axes, strict=True)]
-        points = plane.points(dict(zip(plane.extent, places, strict=True)))
+        """The count at positions (vertices, axes)."""
+        points = plane.points(dict(zip(plane.extent, _values(positions, axes).T, strict=True)))
         return derived.values(points.base, points.duration, lambda: None)
 
     vertices = np.concatenate([line for _, line in lines])
     level_of = np.concatenate([np.full(len(line), level) for level, line in lines])
-    bisected = _bisected(count_at, vertices, level_of)
-    placed = np.stack(
-        [np.interp(p, np.arange(axis.size), axis) for p, axis in zip(bisected.T, axes, strict=True)], -1
-    )
-    return {CHANGE: np.split(placed, np.cumsum([len(line) for _, line in lines])[:-1])}
+    values_on_axes = _values(_bisected(count_at, vertices, level_of), axes)
+    return {CHANGE: np.split(values_on_axes, np.cumsum([len(line) for _, line in lines])[:-1])}
 
 
 # Positions are indices of the points along each axis, and fractions between them.
+
+
+def _values(positions: Array, axes: list[Array]) -> Array:
+    """Axis values at positions (vertices, axes)."""
+    columns = [np.interp(p, np.arange(axis.size), axis) for p, axis in zip(positions.T, axes, strict=True)]
+    return np.stack(columns, -1)
 
 
 def _contours(values: Array, level: float) -> list[Array]:
@@ -72,18 +75,18 @@ def _contours(values: Array, level: float) -> list[Array]:
 
 
 def _changes(values: Array, level: float) -> list[Array]:
-    """Places halfway between neighbours on one axis of which one is above a level, as lines of one vertex."""
+    """Positions halfway between neighbours on one axis of which one is above a level, as lines of one vertex."""
     finite = np.isfinite(values[1:]) & np.isfinite(values[:-1])
     changes = np.flatnonzero(finite & ((values[1:] > level) != (values[:-1] > level)))
     return [np.array([[index + 0.5]]) for index in changes]
 
 
 def _bisected(count_at: Callable[[Array], Array], vertices: Array, level: Array) -> Array:
-    """Vertices moved to the place between their two neighbours at which the count passes the level."""
+    """Vertices moved to where the count passes the level between their two neighbours."""
     low, high = np.floor(vertices + 0.25), np.ceil(vertices - 0.25)
     above_at_low = count_at(low) > level
     for _ in range(_BISECTIONS):
         middle = 0.5 * (low + high)
-        same = ((count_at(middle) > level) == above_at_low)[:, np.newaxis]
-        low, high = np.where(same, middle, low), np.where(same, high, middle)
+        is_low = ((count_at(middle) > level) == above_at_low)[:, np.newaxis]
+        low, high = np.where(is_low, middle, low), np.where(is_low, high, middle)
     return 0.5 * (low + high)

@@ -22,7 +22,7 @@ _UNITS = {
     "gamma": ("1", "unit vector along the vertical, in body axes"),
     "potential": ("J", "amended potential"),
     "index": ("1", "Morse index: number of directions in which the amended potential falls"),
-    "circle": ("1", "does the solution stand for a circle of them?"),
+    "circle": ("1", "whether the solution represents a circle of equilibria"),
     "axis": ("1", "unit axis in the body about which the body may be turned; nan where isolated"),
     "degenerate": ("1", "isolated, with a zero eigenvalue: on the bifurcation set"),
     "dimension": ("1", "dimension of the set of solutions: 0 isolated, 1 a circle, 2 every direction"),
@@ -57,7 +57,7 @@ def equilibria(system: str, body: Any) -> xr.Dataset:
     Returns
     -------
     Dataset
-        Dimension "equilibrium"; a circle of equilibria is there once, by one of its members. Variables:
+        Dimension "equilibrium"; a circle of equilibria is listed once, by one of its members. Variables:
         theta0, phi0 and, for the satellite, psi0 (rad), gamma (equilibrium, body_axis), index, circle,
         stable (flags), growth_rate and frequency_1 to frequency_3 (rad per time unit). For the satellite also alpha, axis, degenerate,
         potential, in the order of the potential; for the fixed_point dimension, in the order of theta0.
@@ -83,12 +83,12 @@ def equilibria(system: str, body: Any) -> xr.Dataset:
     if description.equilibria is None:
         raise BadInput(f"equilibria: the system {system} has no function that computes them")
     if isinstance(body, xr.Dataset):
-        own = [name for name in body.variables if name not in body.dims or name in description.parameters]
-        body = {str(name): body[name] for name in own}
+        names = [name for name in body.variables if name not in body.dims or name in description.parameters]
+        body = {str(name): body[name] for name in names}
     else:
         body = table(body, description.parameters)
     if any(np.ndim(value) for value in body.values()):
-        return _of_many(description, body)
+        return _equilibria_of_bodies(description, body)
     columns, _ = point_columns(description, body)
     description.check(columns)
     description.check_possible(columns)
@@ -99,18 +99,18 @@ def equilibria(system: str, body: Any) -> xr.Dataset:
     return _with_constants(description, ds, constants)
 
 
-def _of_many(description: System, body: Mapping[str, Any]) -> xr.Dataset:
+def _equilibria_of_bodies(description: System, body: Mapping[str, Any]) -> xr.Dataset:
     """Equilibria of the bodies that arrays give."""
     if description.equilibria_of_bodies is None:
         raise BadInput(
             f"body: arrays given; the system {description.name} has equilibria of one body at a time only"
         )
-    given = _broadcast(body)
-    template = next(array for array in given.values() if array.ndim)
+    arrays = _broadcast(body)
+    template = next(array for array in arrays.values() if array.ndim)
     dims, shape = template.dims, template.shape
     columns, size = point_columns(
         description,
-        {name: array.values.ravel() if array.ndim else array.item() for name, array in given.items()},
+        {name: array.values.ravel() if array.ndim else array.item() for name, array in arrays.items()},
     )
     description.check(columns)
     description.check_possible(columns)
@@ -121,9 +121,11 @@ def _of_many(description: System, body: Mapping[str, Any]) -> xr.Dataset:
         full = np.full((size, *values.shape[1:]), _unused(name, values.dtype), values.dtype)
         full[possible] = values
         full = full.reshape(*shape, *values.shape[1:])
-        own = ("equilibrium", "body_axis")[: values.ndim - 1]
-        ds[name] = ((*dims, *own), full, _attributes(name))
-    return _with_constants(description, ds, {k: given.get(k, xr.DataArray(v[0])) for k, v in columns.items()})
+        further = ("equilibrium", "body_axis")[: values.ndim - 1]
+        ds[name] = ((*dims, *further), full, _attributes(name))
+    return _with_constants(
+        description, ds, {k: arrays.get(k, xr.DataArray(v[0])) for k, v in columns.items()}
+    )
 
 
 def _broadcast(body: Mapping[str, Any]) -> dict[str, xr.DataArray]:
@@ -144,27 +146,27 @@ def _broadcast(body: Mapping[str, Any]) -> dict[str, xr.DataArray]:
     if reserved:
         raise BadInput(f"body: the dimension {min(reserved)} is one of the result; rename it")
     try:
-        several = [name for name, array in arrays.items() if array.ndim]
-        full = xr.broadcast(*xr.align(*(arrays[name] for name in several), join="exact"))
+        names = [name for name, array in arrays.items() if array.ndim]
+        full = xr.broadcast(*xr.align(*(arrays[name] for name in names), join="exact"))
     except ValueError as error:
         raise BadInput(f"body: arrays of different bodies: {' '.join(str(error).split())}") from None
-    return arrays | dict(zip(several, full, strict=True))
+    return arrays | dict(zip(names, full, strict=True))
 
 
 def _counts(equilibria: Mapping[str, np.ndarray]) -> dict[str, Array]:
     """Number of all, of linearly stable and of energy-stable equilibria of each body."""
     isolated = equilibria["completeness"] <= Completeness.NEAR_BIFURCATION
     degenerate = equilibria.get("degenerate", np.zeros(equilibria["index"].shape, bool))
-    counted = {
+    masks = {
         "equilibrium_count": equilibria["index"] >= 0,
         "equilibrium_stable_count": equilibria["stable"] == Stability.STABLE,
         "equilibrium_energy_stable_count": (equilibria["index"] == 0) & ~degenerate,
     }
-    return {name: np.where(isolated, where.sum(1), np.nan) for name, where in counted.items()}
+    return {name: np.where(isolated, mask.sum(1), np.nan) for name, mask in masks.items()}
 
 
 def _unused(name: str, dtype: np.dtype[Any]) -> Any:
-    """What a variable holds of a body that cannot exist."""
+    """Value of a variable for a body that cannot exist, and for an equilibrium that a body does not have."""
     if name == "completeness":
         return Completeness.IMPOSSIBLE_BODY
     if name in ("index", "dimension"):

@@ -2,8 +2,8 @@
 
 The numerical analysis of fundamental frequencies (Laskar 1993, doi 10.1016/0167-2789(93)90210-R): the maximum of the windowed
 Fourier integral is refined to far below the distance of two lines of a discrete transform, all lines found so far are
-fitted together, and what is left is searched for the next. SciPy does the numerics: the packages for this are under
-licences that a user of this one may not be able to accept.
+fitted together, and the next one is looked for in the residual. The packages for this
+method have licences that a user of this one may not be able to accept, so that it is written here on top of SciPy.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ Signal = NDArray[np.complex128]
 
 # Share of the largest frequency of the samples beyond which a line may be that of a faster motion.
 MAX_SHARE_OF_NYQUIST = 0.8
-# How often all lines are refined again after a new one.
+# How often all lines are refined after each new one.
 PASSES = 2
 
 
@@ -110,7 +110,7 @@ def spectral_lines(time: Array, signal: Signal, count: int, *, real: bool = Fals
         Evenly spaced.
     signal : ndarray of complex128, shape (samples,)
     count : int
-        Number of lines; fewer are returned where nothing is left.
+        Number of lines; fewer are returned where the residual is rounding.
     real : bool
         The signal is real: lines at w and -w are one, with w >= 0 and the amplitude of the cosine.
 
@@ -124,51 +124,53 @@ def spectral_lines(time: Array, signal: Signal, count: int, *, real: bool = Fals
     weight /= weight.sum()
     grid = 2 * np.pi * np.fft.fftfreq(2 * time.size, time[1] - time[0])
     frequencies: list[float] = []
-    coefficients, rest = _fit(time, signal, frequencies, weight, real)
+    coefficients, residual = _fit(time, signal, frequencies, weight, real)
     scale = float(np.abs(signal).max())
     while len(frequencies) < count:
-        spectrum = np.abs(np.fft.fft(rest * weight, 2 * time.size))
+        spectrum = np.abs(np.fft.fft(residual * weight, 2 * time.size))
         if real:
             spectrum[grid < 0] = 0.0
         highest = int(np.argmax(spectrum))
         if spectrum[highest] <= 1e-12 * scale:
             break
-        frequencies.append(_refined(time, rest * weight, grid[highest], grid[1]))
-        coefficients, rest = _fit(time, signal, frequencies, weight, real)
+        frequencies.append(_refined(time, residual * weight, grid[highest], grid[1]))
+        coefficients, residual = _fit(time, signal, frequencies, weight, real)
         # Lines shift the maxima of each other: each is refined again without the others.
         for _ in range(PASSES):
             for i, frequency in enumerate(frequencies):
                 half = coefficients[[i]] / (2 if real else 1)  # without the line at the opposite frequency
-                alone = (rest + _waves(time, [frequency]) @ half) * weight
-                frequencies[i] = _refined(time, alone, frequency, grid[1])
-                coefficients, rest = _fit(time, signal, frequencies, weight, real)
+                single = (residual + _waves(time, [frequency]) @ half) * weight
+                frequencies[i] = _refined(time, single, frequency, grid[1])
+                coefficients, residual = _fit(time, signal, frequencies, weight, real)
     return np.array(frequencies), coefficients
 
 
-def _refined(time: Array, weighted: Signal, near: float, width: float) -> float:
-    """Frequency of the maximum of the Fourier integral near a line of the discrete transform."""
+def _refined(time: Array, weighted: Signal, guess: float, width: float) -> float:
+    """Frequency of the maximum of the Fourier integral within `width` of a guess."""
 
     def negative(frequency: float) -> float:
+        """Magnitude of the Fourier integral, with the sign for a minimiser."""
         return -abs(complex(np.exp(-1j * frequency * time) @ weighted))
 
     result = minimize_scalar(
-        negative, bounds=(near - width, near + width), method="bounded", options={"xatol": 1e-10 * width}
+        negative, bounds=(guess - width, guess + width), method="bounded", options={"xatol": 1e-10 * width}
     )
     return float(result.x)
 
 
 def _waves(time: Array, frequencies: list[float]) -> Signal:
+    """exp(i w t), of shape (samples, frequencies)."""
     return np.asarray(np.exp(1j * np.outer(time, frequencies)))
 
 
 def _fit(
     time: Array, signal: Signal, frequencies: list[float], weight: Array, real: bool
 ) -> tuple[Signal, Signal]:
-    """Coefficients of all lines and a constant together, by weighted least squares, and what they leave of the signal."""
+    """Coefficients of all lines, fitted with a constant by weighted least squares, and the residual of the signal."""
     waves, count = _waves(time, frequencies), len(frequencies)
     basis = np.concatenate([waves, waves.conj() if real else waves[:, :0], np.ones((time.size, 1))], axis=1)
     weighted = basis.conj().T * weight
     solution = np.linalg.lstsq(weighted @ basis, weighted @ signal, rcond=1e-12)[0]
     fitted = np.asarray(solution, np.complex128)
-    rest = np.asarray(signal - basis @ fitted, np.complex128)
-    return (2 * fitted[:count] if real else fitted[:count]), rest
+    residual = np.asarray(signal - basis @ fitted, np.complex128)
+    return (2 * fitted[:count] if real else fitted[:count]), residual

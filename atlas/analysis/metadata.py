@@ -28,7 +28,7 @@ def system_of(ds: xr.Dataset) -> System:
 
 
 def number_attribute(ds: xr.Dataset, name: str) -> float:
-    """A global attribute of an atlas that is a number; BadInput if it is not there or none."""
+    """A global attribute of an atlas that is a number; BadInput if it is missing or no number."""
     try:
         return float(ds.attrs[name])
     except (KeyError, TypeError, ValueError):
@@ -49,7 +49,7 @@ def axes_of(scene: Scene) -> dict[str, Axis]:
 
 
 def is_logarithmic(scene: Scene, dim: str) -> bool:
-    """Is the axis of this dimension spaced evenly in its logarithm? No for a dimension that is not of the scene."""
+    """Whether the axis of this dimension is spaced evenly in its logarithm; false for a dimension not of the scene."""
     axis = axes_of(scene).get(dim)
     return axis is not None and axis.table.get("spacing") == "log"
 
@@ -105,8 +105,8 @@ def flag_variable(ds: xr.Dataset, variable: str) -> xr.DataArray:
 def flag_values(ds: xr.Dataset, variable: str, flags: str | int | Sequence[str | int]) -> list[int]:
     """Values of one or several flags of a variable by their names or numbers; BadInput for unknown ones."""
     allowed = flag_names(flag_variable(ds, variable))
-    several = isinstance(flags, Iterable) and not isinstance(flags, str) and getattr(flags, "ndim", 1) != 0
-    return [_flag_value(variable, flag, allowed) for flag in (flags if several else [flags])]  # type: ignore[union-attr]
+    is_list = isinstance(flags, Iterable) and not isinstance(flags, str) and getattr(flags, "ndim", 1) != 0
+    return [_flag_value(variable, flag, allowed) for flag in (flags if is_list else [flags])]  # type: ignore[union-attr]
 
 
 def _flag_value(variable: str, flag: Any, allowed: list[str]) -> int:

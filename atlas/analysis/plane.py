@@ -24,7 +24,7 @@ ZERO_RATE = 1e-9
 
 @dataclass(frozen=True)
 class Theory:
-    """What theory predicts at some places of a plane; arrays of shape (places,).
+    """What theory predicts at some points of a plane; arrays of shape (points,).
 
     Attributes
     ----------
@@ -83,7 +83,7 @@ class Plane:
         return plane
 
     def _extended(self, dim: str, low: float, high: float) -> Plane:
-        """The plane with wider limits along an axis, each where the scene has points there."""
+        """The plane with wider limits along an axis, each only if the scene has points at it."""
         parameter = self.scene.system.parameters.get(dim)
         plane = self
         for side, value in enumerate((low, high)):
@@ -120,14 +120,14 @@ class Plane:
         Parameters
         ----------
         coordinates : mapping of str to ndarray
-            Dimension -> values of one shape (places,).
+            Dimension -> values of one shape (points,).
         inertial : bool, optional
             Labels and rates in inertial space, if the frame of the system turns.
 
         Returns
         -------
         Theory
-            Also at places without a motion, where only `exists` has a meaning.
+            Also at points without a motion, where only `exists` has a meaning.
         """
         system, points = self.scene.system, self.points(coordinates)
         with np.errstate(all="ignore"):

@@ -33,7 +33,7 @@ def nearest_trajectory(ds: xr.Dataset, coordinates: Mapping[str, float], samples
         }
         return trajectory_of_scene(scene, values, samples=samples)
     if point.dims:
-        raise BadInput("trajectory: name the point by values of its parameters")
+        raise BadInput("trajectory: these are several points; name the point by values of its parameters")
     if "end_time" not in point:
         raise BadInput("end_time: not in this dataset; a trajectory needs it to end where the point did")
     for name, parameter in system.parameters.items():

@@ -40,9 +40,11 @@ def resonance_lines(plane: Plane) -> dict[str, list[Array]]:
     grids = np.meshgrid(*axes, indexing="ij")
     coordinates = dict(zip(plane.extent, (grid.ravel() for grid in grids), strict=True))
     points, theory = plane.points(coordinates), plane.theory(coordinates)
-    shown = theory.exists & (theory.stable != Stability.UNSTABLE)
+    not_unstable = theory.exists & (theory.stable != Stability.UNSTABLE)
     derived = derived_values(plane.scene.system, FREQUENCIES, points.base, points.duration, lambda: None)
-    frequencies = [np.where(shown, derived[name], np.nan).reshape(_SAMPLES, _SAMPLES) for name in FREQUENCIES]
+    frequencies = [
+        np.where(not_unstable, derived[name], np.nan).reshape(_SAMPLES, _SAMPLES) for name in FREQUENCIES
+    ]
     result = {}
     for ratio, kind in zip(RATIOS, KINDS, strict=True):
         trace = _crossings if ratio == 1 else _zeros

@@ -12,16 +12,16 @@ from .chunks import chunks
 from .metadata import check_not_empty, flag_values, is_numeric_axis
 
 MAX_PANELS = 12
-# More cells than the printer has dots along an axis are not drawn: every k-th one is.
+# Cells drawn along an axis; of more every k-th one is, since a printer has no more dots.
 MAX_CELLS = 2000
 
 
 def select(ds: xr.Dataset, flags: Mapping[str, str | int | Sequence[str | int]]) -> xr.Dataset:
     """The points with the flags named, in memory, along the dimension "point"; see `Atlas.select`."""
-    wanted = {variable: flag_values(ds, variable, names) for variable, names in flags.items()}
-    if not wanted:
+    flag_numbers = {variable: flag_values(ds, variable, names) for variable, names in flags.items()}
+    if not flag_numbers:
         raise BadInput("select: name at least one flag, such as label='drifting'")
-    first, *others = wanted
+    first, *others = flag_numbers
     for name in others:
         if set(ds[name].dims) != set(ds[first].dims):
             raise BadInput(f"{first} and {name} lie along different dimensions: not an atlas")
@@ -32,9 +32,11 @@ def select(ds: xr.Dataset, flags: Mapping[str, str | int | Sequence[str | int]])
     for box in chunks(ds.sizes, dims):
         chunk = ds.isel(box)
         mask = np.ones([chunk.sizes[dim] for dim in dims], bool)
-        for variable, values in wanted.items():
+        for variable, values in flag_numbers.items():
             mask &= np.isin(chunk[variable].transpose(*dims).values, values)
-        if mask.any() or not selected:  # an empty first selection, too: it has the names and types
+        if (
+            mask.any() or not selected
+        ):  # the first selection is kept even if empty: it has the names and types
             if selected and not selected[0].sizes["point"]:
                 selected.clear()
             if not mask.any():  # old versions of xarray cannot read no points from a file
@@ -71,10 +73,10 @@ def _nearest_point(ds: xr.Dataset, values: Mapping[str, float]) -> xr.Dataset:
                 f"{name}: does not vary over these points; allowed: {', '.join(allowed) or 'none'}"
             )
         column, value = ds[name].values, _number(name, value)
-        known = column[np.isfinite(column)]
-        if not known.size:
+        finite = column[np.isfinite(column)]
+        if not finite.size:
             raise BadInput(f"{name}: is not given at any of these points")
-        distance += ((column - value) / (np.ptp(known) or 1.0)) ** 2
+        distance += ((column - value) / (np.ptp(finite) or 1.0)) ** 2
     if np.isnan(distance).all():
         raise BadInput(f"{', '.join(values)}: no point has values of all of them")
     return ds.isel(point=int(np.nanargmin(distance)))
@@ -119,7 +121,7 @@ def cell_edges(values: np.ndarray, log: bool = False) -> np.ndarray:
     values : ndarray
         Increasing, float64 of shape (n,).
     log : bool, optional
-        Are the edges midway on a logarithmic scale?
+        Whether the edges are midway on a logarithmic scale.
 
     Returns
     -------

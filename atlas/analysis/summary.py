@@ -1,4 +1,4 @@
-"""The end of a run in a few lines of text."""
+"""Summary of a run in a few lines of text."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ BINS_PER_DECADE, LOWEST_DECADE, BINS = 4, -20, 161
 
 
 def summary(ds: xr.Dataset) -> str:
-    """Summary of an atlas for the end of its run.
+    """Summary of an atlas, printed at the end of its run.
 
     Parameters
     ----------
@@ -69,16 +69,16 @@ def _error_lines(ds: xr.Dataset) -> list[str]:
     """The median and the largest expected error, of steady and of drifting points, and the largest drift."""
     lines = []
     if "error_estimate" in ds and "label" in ds:
-        parts, unknown = [], ""
+        parts, remark = [], ""
         for name, labels in GROUPS.items():
             largest, median = _largest_and_median(ds.error_estimate, ds.label, labels)
             if not math.isnan(largest):
                 parts.append(f"at {name} points {median:.0e} (median) to {largest:.2g} (largest)")
             if largest > 1:
-                unknown = "; above 1 an instability has amplified errors until the final state is unknown, and labels are tested by themselves"
+                remark = "; above 1 an instability has amplified errors until the final state is unknown, and labels are tested by themselves"
         if parts:
             lines.append(
-                f"expected relative error of the motion (error_estimate): {', '.join(parts)}{unknown}"
+                f"expected relative error of the motion (error_estimate): {', '.join(parts)}{remark}"
             )
     if "integral_drift" in ds:
         drift = ds.integral_drift

@@ -27,7 +27,7 @@ EXISTENCE = "edge of existence"
 ZERO_RATES = {"n": "permanent rotation: psi' = 0", "m": "permanent rotation: phi' = 0"}
 KINDS = (STABILITY, LABEL, EXISTENCE, *ZERO_RATES.values())
 
-# Classes of places: 1 and 2 on the two sides of a line, 0 where there is no line.
+# Classes of points: 1 and 2 on the two sides of a line, 0 where there is no line.
 Classes = dict[str, Flags]
 
 
@@ -47,16 +47,17 @@ def theory_borders(plane: Plane, *, inertial: bool = False) -> dict[str, list[np
         Kind of line, one of KINDS, -> polylines of shape (vertices, axes of the plane), float64, in the units of
         the axes. Between linearly stable and unstable motions; between regular precession and permanent rotation,
         both of some extent; where a regular precession has psi' = 0 or phi' = 0, so that it is a permanent rotation
-        on that line alone; and between places with a motion and without. Kinds without a line are missing.
+        on that line alone; and between points with a motion and without. Kinds without a line are missing.
 
     Notes
     -----
     Samples on COARSE_SAMPLES values along each axis are refined where a line crosses a cell, and around it as far
-    as the line continues, so that regions wider than 1 / (COARSE_SAMPLES * DIVISION**LEVELS) of an axis are followed
-    to their ends once a sample has met them. Vertices are then bisected.
+    as the line continues, so that a region wider than 1 / (COARSE_SAMPLES * DIVISION**LEVELS) of an axis is followed
+    to its ends if one sample is inside it. Vertices are then bisected.
     """
 
     def classes(positions: Array) -> Classes:
+        """Classes at positions (points, axes)."""
         return _classes(plane, plane.theory(_coordinates(plane, positions), inertial=inertial))
 
     if len(plane.extent) == 1:
@@ -96,12 +97,12 @@ def stability_boundary(plane: Plane) -> list[np.ndarray]:
 
 
 def _coordinates(plane: Plane, positions: Array) -> dict[str, Array]:
-    """Axis values by dimension at positions (places, axes)."""
+    """Axis values by dimension at positions (points, axes)."""
     return dict(zip(plane.extent, _values(plane, positions).T, strict=True))
 
 
 def _values(plane: Plane, positions: Array) -> Array:
-    """Axis values at positions (places, axes)."""
+    """Axis values at positions (points, axes)."""
     columns = []
     for i, (dim, (low, high)) in enumerate(plane.extent.items()):
         if is_logarithmic(plane.scene, dim):
@@ -112,9 +113,9 @@ def _values(plane: Plane, positions: Array) -> Array:
 
 
 def _classes(plane: Plane, theory: Theory) -> Classes:
-    """Classes of some places for each kind of line."""
+    """Classes of some points for each kind of line."""
     regular = theory.exists & (theory.label == Label.REGULAR_PRECESSION)
-    # What a nudge drives away from its motion has no label that a line could divide.
+    # A nudged unstable motion has no label of its own, so that no line divides such points.
     kept = regular & ((theory.stable != Stability.UNSTABLE) | (not plane.scene.nudge))
     permanent = theory.exists & (theory.label == Label.PERMANENT_ROTATION)
     columns = {
@@ -143,13 +144,13 @@ def _refined_samples(classes: Callable[[Array], Classes]) -> Classes:
         evaluated = np.zeros((count, count), bool)
         evaluated[::DIVISION, ::DIVISION] = coarse
         while True:
-            wanted = _samples_of_cells(_cells_with_a_change(samples, known)) & ~evaluated
-            if not wanted.any():
+            missing = _samples_of_cells(_cells_with_a_change(samples, known)) & ~evaluated
+            if not missing.any():
                 break
-            for kind, column in classes(np.argwhere(wanted) / (count - 1)).items():
-                samples[kind][wanted] = column
-            evaluated |= wanted
-            known |= wanted
+            for kind, column in classes(np.argwhere(missing) / (count - 1)).items():
+                samples[kind][missing] = column
+            evaluated |= missing
+            known |= missing
     return samples
 
 
@@ -169,7 +170,7 @@ def _cells_with_a_change(fine: Classes, known: Mask) -> Mask:
 
 
 def _over_cells(column: np.ndarray, reduce: np.ufunc) -> np.ndarray:
-    """Least or largest sample of each coarse cell, the samples on its edges included; (cells, cells)."""
+    """Smallest or largest sample of each coarse cell, the samples on its edges included; (cells, cells)."""
     for axis in (0, 1):
         moved = np.moveaxis(column, axis, 0)
         parts = [moved[i : len(moved) - DIVISION + i : DIVISION] for i in range(DIVISION)]
@@ -189,7 +190,7 @@ def _samples_of_cells(cells: Mask) -> Mask:
 
 
 def _changes(column: Flags) -> list[Array]:
-    """Places halfway between samples of class 1 and 2 on one axis, as lines of one vertex (1, 1)."""
+    """Positions halfway between samples of class 1 and 2 on one axis, as lines of one vertex (1, 1)."""
     changes = np.flatnonzero((column[1:] != column[:-1]) & (column[1:] > 0) & (column[:-1] > 0))
     return [np.array([[(index + 0.5) / (len(column) - 1)]]) for index in changes]
 
@@ -206,6 +207,7 @@ def _trace(column: Flags) -> list[Array]:
 
 
 def _is_closed(line: Array) -> bool:
+    """Whether a line ends where it begins."""
     return bool((line[0] == line[-1]).all())
 
 
@@ -225,8 +227,8 @@ def _bisected(
     class_at_low = classes(low)[kind]
     for _ in range(bisections):
         middle = 0.5 * (low + high)
-        same = (classes(middle)[kind] == class_at_low)[:, np.newaxis]
-        low, high = np.where(same, middle, low), np.where(same, high, middle)
+        is_low = (classes(middle)[kind] == class_at_low)[:, np.newaxis]
+        low, high = np.where(is_low, middle, low), np.where(is_low, high, middle)
     return np.split(0.5 * (low + high), np.cumsum([len(line) for line, _ in edges])[:-1])
 
 
@@ -234,7 +236,7 @@ def _without_poles(
     plane: Plane, kind: str, edges: list[tuple[Array, Array]], lines: list[Array], inertial: bool
 ) -> list[Array]:
     """The parts of lines on which a rate changes its sign through zero, not through infinity."""
-    (name,) = (rate for rate, its_kind in ZERO_RATES.items() if its_kind == kind)
+    (name,) = (rate for rate, zero_kind in ZERO_RATES.items() if zero_kind == kind)
 
     def size(positions: Array) -> Array:
         """Magnitude of the rate."""

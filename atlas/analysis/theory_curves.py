@@ -9,7 +9,7 @@ from ..systems.base import Array, Family, on_family
 from .metadata import axes_of
 from .plane import SAMPLES, Plane
 
-# Values from which a family's formula is solved, and at most so many ends of its curve are resampled.
+# Number of values from which a family's formula is solved, and most ends of its curve that are resampled.
 STARTS, MAX_ENDS = 17, 8
 
 
@@ -38,7 +38,7 @@ def family_curves(plane: Plane) -> dict[str, list[np.ndarray]]:
     curves = {}
     for name in [scene.family] if scene.family is not None else list(scene.system.families):
         family = scene.system.families[name]
-        # Whichever axis gives the longer curve: solved for the other one it may be a single point.
+        # Of the axes that the family is solved for, the one with the longer curve: the other may give a single point.
         longest = max((_solution_curves(plane, family, dim) for dim in plane.extent), key=_n_vertices)
         if _n_vertices(longest):
             curves[name] = longest
@@ -46,6 +46,7 @@ def family_curves(plane: Plane) -> dict[str, list[np.ndarray]]:
 
 
 def _n_vertices(curves: list[Array]) -> int:
+    """Number of vertices of some curves, those that cut a curve left out."""
     return sum(int(np.isfinite(curve).all(1).sum()) for curve in curves)
 
 

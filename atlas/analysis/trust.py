@@ -10,7 +10,7 @@ from ..validation.half_step import upper_bound
 from .chunks import chunks
 from .metadata import check_not_empty, flag_variable
 
-# Shorter axes count as separate maps: their cells contain no information about resolution.
+# Values of an axis with cells; shorter axes count as separate maps, since they contain no information about resolution.
 MIN_VALUES = 5
 
 
@@ -55,7 +55,7 @@ def _uncertain_fraction(array: xr.DataArray, dims: list[str], side: int) -> floa
 
 
 def _count_missed(array: xr.DataArray, dims: list[str]) -> tuple[int, int]:
-    """Number of cells of side 2 with equal corners, and how many of them have another value inside."""
+    """Number of cells of side 2 with equal corners, and of those among them with another value inside."""
     n_uniform = n_missed = 0
     for box in chunks(array.sizes, dims, cell_side=2):
         values = array.isel(box).values
@@ -66,7 +66,7 @@ def _count_missed(array: xr.DataArray, dims: list[str]) -> tuple[int, int]:
 
 
 def _exponent(sides: np.ndarray, uncertain: np.ndarray) -> float:
-    """Slope of log(uncertain) over log(side) by least squares; nan with less than two fractions above 0."""
+    """Slope of log(uncertain) over log(side) by least squares; nan with fewer than two fractions above 0."""
     positive = uncertain > 0
     if positive.sum() < 2:
         return np.nan
@@ -74,10 +74,10 @@ def _exponent(sides: np.ndarray, uncertain: np.ndarray) -> float:
 
 
 def _differ(values: np.ndarray, n_axes: int, offsets: tuple[int, ...], *, step: int) -> np.ndarray:
-    """Do the points of a cell differ? One bool for each cell along the last axes of an array.
+    """Whether the points of a cell differ, one bool for each cell along the last axes of an array.
 
-    Cells begin every `step` points; those of their points count that are `offsets` from their beginning
-    along each axis.
+    Cells begin every `step` points; their points are those at the distances `offsets` from the beginning along each
+    axis.
     """
     low = high = values
     for axis in range(values.ndim - n_axes, values.ndim):

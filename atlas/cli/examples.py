@@ -11,20 +11,23 @@ from pathlib import Path
 from ..errors import BadInput, allowed_text
 from ..files import atomic_write, writable
 from ..interruption import called_as
-from .options import DONE, Commands, add_command, out_option, table
+from ..validation.text_table import text_table
+from .options import DONE, Commands, add_command, out_option
 
 
 def add_new(commands: Commands) -> None:
+    """Add the command `new`."""
     command = add_command(commands, "new", _new, "copy an example scene, to run it or to change it")
     command.add_argument("name", metavar="NAME", nargs="?", help="which example (default: list them)")
     out_option(command, "SCENE", "name of the copy (default: NAME.toml)")
 
 
 def _new(options: argparse.Namespace) -> int:
+    """Run the command `new`; returns its exit code."""
     scenes = examples()
     if options.name is None:
         rows = [(name, tomllib.loads(scene.read_text("utf-8"))["title"]) for name, scene in scenes.items()]
-        print(table([("example", "what it shows"), *rows]))
+        print(text_table([("example", "what it shows"), *rows]))
         print(f"{called_as()} new NAME copies one of them")
         return DONE
     name = options.name.removesuffix(".toml")

@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 
 from ..files import atomic_write, writable
+from ..validation.text_table import text_table
 from .options import (
     DONE,
     FAILED,
@@ -20,12 +21,12 @@ from .options import (
     output_folder,
     read_scene,
     scene_option,
-    table,
     threads_option,
 )
 
 
 def add_accuracy(commands: Commands) -> None:
+    """Add the command `accuracy`."""
     command = add_command(
         commands, "accuracy", _accuracy, "measure error against run time at some points of a scene"
     )
@@ -44,6 +45,7 @@ def add_accuracy(commands: Commands) -> None:
 
 
 def _accuracy(options: argparse.Namespace) -> int:
+    """Run the command `accuracy`; returns its exit code."""
     inputs = input_files(options.scene)
     outs = [
         writable(out, (".nc", ".csv", *FIGURES), force=options.force, inputs=inputs) for out in options.out
@@ -70,6 +72,7 @@ def _accuracy(options: argparse.Namespace) -> int:
 
 
 def add_stress(commands: Commands) -> None:
+    """Add the command `stress`."""
     command = add_command(
         commands, "stress", _stress, "run stiff and extreme cases and compare every label with the true one"
     )
@@ -82,6 +85,7 @@ def add_stress(commands: Commands) -> None:
 
 
 def _stress(options: argparse.Namespace) -> int:
+    """Run the command `stress`; returns its exit code."""
     from .. import systems
 
     check_at_least("--threads", options.threads, 1)
@@ -105,6 +109,6 @@ def _stress(options: argparse.Namespace) -> int:
             save(figure(ds), folder / f"{name}.png")
             print(f"wrote {folder / name}.nc and .png\n")
     if set(names) & set(with_cases):
-        print(table(limits.limits()))
+        print(text_table(limits.limits()))
     print(f"labels that are not true: {wrong}")
     return FAILED if wrong or failed else DONE

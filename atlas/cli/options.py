@@ -42,6 +42,7 @@ class Parser(argparse.ArgumentParser):
         self._several |= dict.fromkeys(names, belongs)
 
     def parse_known_args(self, args: Any = None, namespace: Any = None) -> Any:
+        """Parse the words of a command line, as `argparse.ArgumentParser`."""
         return super().parse_known_args(self._repeated(sys.argv[1:] if args is None else args), namespace)
 
     def _repeated(self, words: Sequence[str]) -> list[str]:
@@ -65,6 +66,7 @@ class Parser(argparse.ArgumentParser):
         return repeated
 
     def error(self, message: str) -> NoReturn:
+        """Print a message in one line and exit with the code of bad input."""
         self.exit(BAD_INPUT, f"{self.prog}: {message} (see {self.prog} --help)\n")
 
 
@@ -82,6 +84,7 @@ def program() -> str:
 
 
 def scene_option(command: argparse.ArgumentParser) -> None:
+    """The positional argument SCENE."""
     command.add_argument("scene", metavar="SCENE", help="scene file (TOML), - for standard input")
 
 
@@ -113,6 +116,7 @@ def input_files(scene: str) -> list[Path]:
 
 
 def atlas_option(command: argparse.ArgumentParser) -> None:
+    """The positional argument ATLAS."""
     command.add_argument("atlas", metavar="ATLAS", help="atlas file (.nc) or run folder")
 
 
@@ -122,6 +126,7 @@ def assignment_option(command: Parser, name: str, metavar: str, text: str) -> No
 
 
 def out_option(command: argparse.ArgumentParser, metavar: str, text: str, **more: Any) -> None:
+    """The option for the output."""
     command.add_argument("-o", "--out", metavar=metavar, help=text, **more)
 
 
@@ -135,14 +140,17 @@ def option_with_default(
 
 
 def threads_option(command: argparse.ArgumentParser) -> None:
+    """The option for the number of processors."""
     command.add_argument("--threads", type=int, metavar="N", help="processors to use (default: all)")
 
 
 def force_option(command: argparse.ArgumentParser, what: str) -> None:
+    """The option that allows to replace files; what: their description in the help."""
     command.add_argument("--force", action="store_true", help=f"replace {what}")
 
 
 def quiet_option(command: argparse.ArgumentParser) -> None:
+    """The option that switches the progress off."""
     command.add_argument("--quiet", action="store_true", help="print no progress")
 
 
@@ -153,7 +161,7 @@ def output_folder(name: str, files: Sequence[str], *, force: bool) -> Path:
     if folder.exists() and not folder.is_dir():
         raise BadInput(f"{folder}: not a folder")
     if folder.suffix.lower() in FILES and not folder.is_dir():
-        raise BadInput(f"{folder}: must be a folder, and its name ends like that of a file")
+        raise BadInput(f"{folder}: must be a folder, but its name ends like that of a file")
     existing = [file for file in files if (folder / file).exists()]
     if existing and not force:
         raise BadInput(f"{folder}: these files exist; --force replaces them: {', '.join(existing)}")
@@ -183,12 +191,3 @@ def axis_values(option: str, texts: Sequence[str]) -> dict[str, float]:
         if not math.isfinite(values[name]):
             raise BadInput(f"{option} {text}: must be AXIS=VALUE with a finite number")
     return values
-
-
-def table(rows: Sequence[Sequence[str]]) -> str:
-    """Rows of text, the first one the heading, as columns of equal width."""
-    widths = [max(len(row[i]) for row in rows) for i in range(len(rows[0]))]
-    lines = [
-        "  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip() for row in rows
-    ]
-    return "\n".join(lines)

@@ -10,10 +10,12 @@ import textwrap
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from .options import DONE, FIGURES, Commands, add_command, force_option, out_option, output_folder, table
+from ..validation.text_table import text_table
+from .options import DONE, FIGURES, Commands, add_command, force_option, out_option, output_folder
 
 
 def add_conditions(commands: Commands) -> None:
+    """Add the command `conditions`."""
     command = add_command(
         commands, "conditions", _conditions, "print the families of steady motions and their conditions"
     )
@@ -28,6 +30,7 @@ def add_conditions(commands: Commands) -> None:
 
 
 def _conditions(options: argparse.Namespace) -> int:
+    """Run the command `conditions`; returns its exit code."""
     from .. import systems
     from ..analysis import catalogue
 
@@ -66,7 +69,7 @@ def _print_csv(rows: Sequence[Mapping[str, Any]]) -> None:
 
 
 def _print_errata(rows: Sequence[Mapping[str, Any]]) -> None:
-    """Print the equations whose printed reading is not the true one."""
+    """Print the equations that are wrong as printed."""
     for row in rows:
         print(f"{row['equation']}  {row['family']}".rstrip() + f": {row['verdict']}")
         print(f"  printed: {row['printed']}\n  true:    {row['true']}")
@@ -97,10 +100,10 @@ def _print_catalogue(
     for row in families:
         solves_for = " ".join(row["solves_for"]) or "-"
         rows.append((row["family"], row["equations"], solves_for, *residuals(row), row["motion"]))
-    print(table(rows))
+    print(text_table(rows))
     rows = [("equation", "family", "as printed", "as true", "verdict")]
     rows += [(row["equation"], row["family"] or "-", *residuals(row), row["verdict"]) for row in published]
-    print(f"\n{reference}:\n{table(rows)}")
+    print(f"\n{reference}:\n{text_table(rows)}")
     print(
         "as printed, as true: residual of the two readings at random parameters (of a family: the largest of its"
         " equations);\n--errata lists what differs, --family NAME gives conditions and formulas"
@@ -113,6 +116,7 @@ def _residual(value: float | None) -> str:
 
 
 def add_figures(commands: Commands) -> None:
+    """Add the command `figures`."""
     command = add_command(
         commands, "figures", _figures, "draw figures 1-20 of Amer et al., as printed and as true"
     )
@@ -135,21 +139,22 @@ def add_figures(commands: Commands) -> None:
 
 
 def _figures(options: argparse.Namespace) -> int:
+    """Run the command `figures`; returns its exit code."""
     from ..plotting import amer2013
     from ..plotting.style import save
 
     if options.table:
         rows, claims = amer2013.amplitudes_and_claims()
-        print("\n\n".join([table(rows), *claims]))
+        print("\n\n".join([text_table(rows), *claims]))
         return DONE
     figures = [amer2013.paper_figure(number) for number in options.only or amer2013.NUMBERS]
     kinds = options.format or ["png", "pdf"]
     files = [f"figure_{figure.number:02d}.{kind}" for figure in figures for kind in kinds]
     folder = output_folder(options.out, files, force=options.force)
     for figure in figures:
-        drawn = amer2013.draw(figure.number)
+        fig = amer2013.draw(figure.number)
         paths = [folder / f"figure_{figure.number:02d}.{kind}" for kind in kinds]
         for path in paths:
-            save(drawn, path)
+            save(fig, path)
         print(f"wrote {' and '.join(map(str, paths))}: {figure.caption}")
     return DONE

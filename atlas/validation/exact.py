@@ -1,12 +1,12 @@
-"""Exact motions of rigid bodies and gyrostats, by elliptic functions, and the exact statistics of their runs.
+"""Exact motions of rigid bodies and gyrostats, by elliptic functions.
 
 - `SymmetricTop`: the heavy symmetric gyrostat (Lagrange's top), the free symmetric gyrostat, the free sphere;
 - `FreeGyrostat`: the torque-free asymmetric body (Euler, Poinsot), also with a rotor along a principal axis
   (Joukovsky, Volterra);
 - `PlanarLibration`: libration and rotation of a satellite in the plane of its orbit.
 
-Nothing here uses the equations or the statistics of the engine: these motions are a check of both. A motion is made
-for one point and called with an array of times. The angles are Euler's: gamma = (sin theta sin phi, sin theta cos phi,
+Nothing here uses the equations or the statistics of the engine, so that these motions check both. A motion is made
+for one point and called with an array of times; `exact_statistics` integrates its rates. The angles are Euler's: gamma = (sin theta sin phi, sin theta cos phi,
 cos theta) is the vertical in body axes, and w' = psi' gamma + phi' e3 + theta' (cos phi, -sin phi, 0) the angular
 velocity. Any consistent units; angles in rad.
 """
@@ -20,10 +20,6 @@ from scipy.special import ellipkm1, elliprf
 
 from ..systems.base import Array, Points, System
 
-# Points and weights of an interval of the quadrature. Intervals are halved until the sum over the halves differs by
-# no more than this share of the integral; no motion needs so many intervals.
-GAUSS_POINTS, GAUSS_WEIGHTS = np.polynomial.legendre.leggauss(16)
-QUADRATURE_RTOL, MAX_INTERVALS = 1e-13, 100_000
 # Samples, over one period, of the precession of a free body about its angular momentum.
 FOURIER_SAMPLES = 1024
 
@@ -101,7 +97,7 @@ def jacobi(argument: Array, complement: float) -> tuple[Array, Array, Array]:
 
 
 def inverse_jacobi(sn: float, cn: float, complement: float) -> float:
-    """The argument, between -2 K and 2 K, of given sn and cn."""
+    """The argument, between -2 K and 2 K, at which sn and cn have these values."""
     quarter = float(ellipkm1(complement))
     first = float(sn * elliprf(cn**2, cn**2 + complement * sn**2, sn**2 + cn**2))
     return first if cn >= 0 else float(np.copysign(2 * quarter, sn)) - first
@@ -169,9 +165,9 @@ class SymmetricTop:
     def _find_range(
         self, beta: float, kinetic: float, low: float, high: float, a: float, upper: float, lower: float
     ) -> None:
-        """Least x = 1 - u and y = 1 + u of the motion, from the cubics in x and in y, and modulus and frequency."""
+        """Smallest x = 1 - u and y = 1 + u of the motion, from the cubics in x and in y, modulus and frequency."""
         e_plus, e_minus = kinetic + beta * low, kinetic - beta * high
-        # u'^2 in powers of x; all roots are real and none is below the one wanted: Laguerre's steps ascend to it.
+        # u'^2 in powers of x; all roots are real, and Laguerre's steps ascend from 0 to the smallest.
         cubic = np.array([-(upper**2), 2 * e_plus - 2 * a * upper, -e_plus - 2 * beta - a**2, beta])
         x = 0.0
         for _ in range(100):
@@ -475,6 +471,10 @@ def motion_of(system: System, kind: str, points: Points, index: int) -> Motion:
     index : int
         Which of the points.
 
+    Returns
+    -------
+    Motion
+
     Raises
     ------
     ValueError
@@ -494,12 +494,12 @@ def motion_of(system: System, kind: str, points: Points, index: int) -> Motion:
     else:
         weight = p["Mg"] * np.array([p["x0"], p["y0"], p["z0"]])
         others = [p["N"] * np.ptp(inertia)]
-    turning = not any(others)  # under no torque but that of the weight
-    if kind == "symmetric top" and turning and p["A"] == p["B"] and not any([*rotor[:2], *weight[:2]]):
+    only_weight = not any(others)  # no other torque acts
+    if kind == "symmetric top" and only_weight and p["A"] == p["B"] and not any([*rotor[:2], *weight[:2]]):
         return SymmetricTop(
             p["A"], p["C"], float(rotor[2]), float(weight[2]), p["theta0"], p["theta_dot0"], p["n"], p["m"], frame_rate
         )  # fmt: skip
-    if kind == "free gyrostat" and turning and not any(weight):
+    if kind == "free gyrostat" and only_weight and not any(weight):
         state, constants = system.initial_state(points), system.constants(points)
         motion = np.array(system.equations.frame_motion(state, constants))[:, 0]
         return FreeGyrostat(inertia, rotor, motion[:3] + frame_rate * motion[3:], motion[3:], frame_rate)
@@ -507,94 +507,3 @@ def motion_of(system: System, kind: str, points: Points, index: int) -> Motion:
     if kind == "planar libration" and upright and not any(others[:3]):
         return PlanarLibration(p["A"], p["B"], p["C"], p["Omega"], p["psi0"] + p["phi0"], p["n"] + p["m"])
     raise ValueError(f"a point of the {system.name} has no exact motion of the kind {kind!r}")
-
-
-def statistics(motion: Motion, duration: float) -> dict[str, float]:
-    """Exact statistics of a run over [0, duration], not only over whole periods.
-
-    Parameters
-    ----------
-    motion : Motion
-    duration : float
-        In time units.
-
-    Returns
-    -------
-    dict of float
-        theta_dot_rms, theta_dot_std, psi_dot_mean, psi_dot_std, phi_dot_mean, phi_dot_std, normal_rate_mean,
-        normal_rate_std (rad per time unit), theta_min and theta_max (rad), as the registry of variables defines them;
-        nan for psi' and phi' on the vertical.
-    """
-    turns = int(duration // motion.period)
-    first = motion.period if turns else duration
-    time, weight = _quadrature(motion, first)
-    theta = _theta_at_turns(motion, np.concatenate([[0.0], time, [first]]))
-    if turns:  # every whole period counts alike; then the rest
-        rest = _quadrature(motion, duration - turns * motion.period)
-        time, weight = np.concatenate([time, rest[0]]), np.concatenate([turns * weight, rest[1]])
-    result = moments(motion(time), weight / duration)
-    return result | {"theta_min": float(theta.min()), "theta_max": float(theta.max())}
-
-
-def moments(now: EulerMotion, weight: Array) -> dict[str, float]:
-    """Rms, standard deviations and means of the rates of a run, without the mean of theta'.
-
-    Parameters
-    ----------
-    now : EulerMotion
-        At the nodes of a quadrature, shape (nodes,).
-    weight : ndarray, shape (nodes,)
-        Weights of the nodes; their sum is 1.
-
-    Returns
-    -------
-    dict of float
-        As `statistics`, without theta_min and theta_max.
-    """
-    result = {"theta_dot_rms": float(np.sqrt(weight @ now.theta_dot**2))}
-    for name in ("theta_dot", "psi_dot", "phi_dot", "normal_rate"):
-        rate = getattr(now, name)
-        mean = float(weight @ rate)
-        result |= {f"{name}_mean": mean, f"{name}_std": float(np.sqrt(weight @ (rate - mean) ** 2))}
-    del result["theta_dot_mean"]
-    return result
-
-
-def _quadrature(motion: Motion, duration: float) -> tuple[Array, Array]:
-    """Times in ascending order, and weights, that integrate the rates and their squares over [0, duration]."""
-    edges = np.linspace(0.0, duration, 9 + int(motion.rate * duration))
-    while edges.size <= MAX_INTERVALS:
-        middle = 0.5 * (edges[:-1] + edges[1:])
-        halves = np.sort(np.concatenate([edges, middle]))
-        whole, parts = _integrals(motion, edges), _integrals(motion, halves)
-        parts = parts[:, ::2] + parts[:, 1::2]
-        # Rates are compared with the fastest one; a variation of 1e-6 of that is still measured.
-        scale = parts.sum(1) + (1e-6 * motion.rate) ** 2 * duration
-        scale[:4] = motion.rate * duration
-        bad = (np.abs(whole - parts) > QUADRATURE_RTOL * scale[:, None]).any(0)
-        if not bad.any():
-            length = np.diff(halves)
-            time = halves[:-1, None] + 0.5 * length[:, None] * (1 + GAUSS_POINTS)
-            return time.ravel(), (0.5 * length[:, None] * GAUSS_WEIGHTS).ravel()
-        edges = np.sort(np.concatenate([edges, middle[bad]]))
-    raise ValueError("the quadrature over an exact motion does not converge")
-
-
-def _integrals(motion: Motion, edges: Array) -> Array:
-    """Integrals of the four rates and of their squares between neighbouring edges, (8, intervals)."""
-    half = 0.5 * np.diff(edges)
-    now = motion(edges[:-1, None] + half[:, None] * (1 + GAUSS_POINTS))
-    rates = np.nan_to_num([now.theta_dot, now.psi_dot, now.phi_dot, now.normal_rate])
-    return np.concatenate([rates, rates**2]) @ GAUSS_WEIGHTS * half
-
-
-def _theta_at_turns(motion: Motion, time: Array) -> Array:
-    """theta at both ends of the times and where it has an extreme between two neighbouring times."""
-    slope = motion(time).cos_theta_dot
-    turns = np.flatnonzero(slope[:-1] * slope[1:] < 0)
-    low, high, sign = time[turns], time[turns + 1], slope[turns]
-    for _ in range(60):
-        middle = 0.5 * (low + high)
-        before = motion(middle).cos_theta_dot * sign > 0
-        low, high = np.where(before, middle, low), np.where(before, high, middle)
-    return motion(np.concatenate([time[[0, -1]], 0.5 * (low + high)])).theta

@@ -17,10 +17,10 @@ from .stress_truth import TrueLabels, no_statistics, unsteadiness
 # Powers of 10 by which a parameter is multiplied, and a start value is.
 POWERS, POWERS_OF_STARTS = np.array([-6, -4, -2, -1, 1, 2, 4, 6]), np.array([-12, -6, -3, -1, 0])
 HUGE = 1e200
-# Start values whose default is 0 have this value beside the one that varies, so that something moves.
+# Value of the other start values whose default is 0, so that the state changes.
 START = 0.1
-# A run lasts for so many radians of its frequency at the start, and no longer than this, in time units.
-RADIANS, LONGEST = 60.0, 1e3
+# Length of a run in radians of its frequency at the start, and its limit in time units.
+RADIANS, MAX_DURATION = 60.0, 1e3
 
 
 def generic_cases(system: System) -> list[StressCase]:
@@ -32,14 +32,18 @@ def generic_cases(system: System) -> list[StressCase]:
     Parameters
     ----------
     system : System
+
+    Returns
+    -------
+    list of StressCase
     """
-    usual = {name: _usual(p) for name, p in system.parameters.items() if np.isfinite(p.default)}
-    cases = [_case(system, name, usual | {name: _values(system.parameters[name])}) for name in usual]
-    return [_case(system, "defaults", {}), _case(system, "beside the defaults", usual), *cases]
+    moderate = {name: _moderate_value(p) for name, p in system.parameters.items() if np.isfinite(p.default)}
+    cases = [_case(system, name, moderate | {name: _values(system.parameters[name])}) for name in moderate]
+    return [_case(system, "defaults", {}), _case(system, "beside the defaults", moderate), *cases]
 
 
-def _usual(parameter: Parameter) -> float:
-    """A value at which something moves: the default, and of a start value that is 0 a small one."""
+def _moderate_value(parameter: Parameter) -> float:
+    """The default, or START for a start value whose default is 0, so that the state changes."""
     if not parameter.start or parameter.default != 0:
         return parameter.default
     return START if parameter.low <= START <= parameter.high else parameter.default
@@ -58,20 +62,21 @@ def _values(parameter: Parameter) -> Array:
 
 
 def _case(system: System, name: str, columns: Mapping[str, float | Array]) -> StressCase:
+    """A case of some columns, each run with a duration that follows from its frequency at the start."""
     meaning = system.parameters[name].meaning if name in system.parameters else "one motion"
     case = StressCase(name, meaning, 1.0, columns)
     points = case_points(system, case).points
     with np.errstate(all="ignore"):
         frequency = numeric_bound.before_run(
-            system, points, np.full_like(next(iter(points.values())), LONGEST)
+            system, points, np.full_like(next(iter(points.values())), MAX_DURATION)
         )
-        duration = np.fmin(RADIANS / frequency, LONGEST)
+        duration = np.fmin(RADIANS / frequency, MAX_DURATION)
     usable = np.isfinite(duration) & (duration > 1e-300)
     return StressCase(name, meaning, np.where(usable, duration, 1.0), columns)
 
 
 def true_labels(system: System, part: CasePoints, settings: Settings) -> tuple[TrueLabels, Mask]:
-    """True labels of the points of a generic case by the reference integrator, and where they are known.
+    """True labels of the points of a generic case by the reference integrator, and a mask of those that are known.
 
     Points whose state or frequency is not finite at the start have no label.
 
@@ -81,23 +86,28 @@ def true_labels(system: System, part: CasePoints, settings: Settings) -> tuple[T
     part : CasePoints
     settings : Settings
         Only the tolerances of the labels are used.
+
+    Returns
+    -------
+    labels : TrueLabels
+    known : ndarray of bool
     """
     size = part.duration.size
-    label, spread = np.full(size, Label.UNRESOLVED, np.int8), np.full(size, np.nan)
+    label, largest = np.full(size, Label.UNRESOLVED, np.int8), np.full(size, np.nan)
     source, known = np.full(size, "overflow", "<U15"), np.ones(size, bool)
     with np.errstate(all="ignore"):
         start, frequency = system.initial_state(part.points), system.frequency_bound(part.points)
     usable = np.isfinite(start).all(0) & np.isfinite(frequency)
-    where = np.flatnonzero(usable)
-    while where.size:
-        points: Points = {name: values[where] for name, values in part.points.items()}
+    indices = np.flatnonzero(usable)
+    while indices.size:
+        points: Points = {name: values[indices] for name, values in part.points.items()}
         try:
-            solution = reference(system, points, part.duration[where], settings)
+            solution = reference(system, points, part.duration[indices], settings)
         except ReferenceFailureError as failure:
-            known[where[failure.indices]] = False
-            where = np.delete(where, failure.indices)
+            known[indices[failure.indices]] = False
+            indices = np.delete(indices, failure.indices)
             continue
-        label[where], source[where], known[where] = solution.label, "reference", solution.label_certain
-        spread[where] = unsteadiness(system, solution.statistics, settings)
+        label[indices], source[indices], known[indices] = solution.label, "reference", solution.label_certain
+        largest[indices] = unsteadiness(system, solution.statistics, settings)
         break
-    return TrueLabels(label, spread, source, no_statistics(size)), known
+    return TrueLabels(label, largest, source, no_statistics(size)), known

@@ -1,4 +1,4 @@
-"""Integrate a sample of a scene's points again at half the step and count what that changes."""
+"""A sample of a scene's points integrated again at half the step, and the changes that this makes."""
 
 from __future__ import annotations
 
@@ -158,7 +158,7 @@ def half_step_text(attributes: Mapping[str, Any]) -> str:
         f" the step, {a['atlas_half_step_changed']} changed their label"
     )
     if "atlas_half_step_median" in a:
-        text += f"; largest change of a mean, rms or standard deviation of the rates: {a['atlas_half_step_median']:.2g} (median)"
+        text += f"; largest change of a mean, rms or standard deviation of the rates: {a['atlas_half_step_median']:.2g} (median of all points)"
     if "atlas_half_step_difference" in a:
         text += f", {a['atlas_half_step_difference']:.2g} (largest at steady points)"
     if a.get("atlas_half_step_beyond"):

@@ -11,7 +11,7 @@ from scipy.integrate import DOP853
 from ..engine.observation import STATISTICS
 from ..systems.base import Array, Points, System
 
-# Step of the derivative of an observable along the motion, which is the imaginary part of a complex change of the state.
+# Imaginary change of the state from which the derivative of an observable along the motion is computed.
 COMPLEX_STEP = 1e-30
 
 
@@ -66,7 +66,7 @@ def integrate_group(
     count = len(first)
     tolerance = np.repeat([rtol, 1e2 * rtol], [states * size, 3 * count * size])
     initial = np.concatenate([start.ravel(), np.zeros(3 * count * size)])
-    least = largest = first
+    lowest = highest = first
     with np.errstate(all="ignore"):
         solver = DOP853(slope, 0.0, initial, 1.0, rtol=tolerance, atol=tolerance)
         while solver.status == "running":
@@ -74,17 +74,17 @@ def integrate_group(
             if solver.status == "failed" or not np.isfinite(solver.y).all():
                 return None
             low, high = _range_of_step(solver, system, constants, duration)
-            least, largest = np.minimum(least, low), np.maximum(largest, high)
+            lowest, highest = np.minimum(lowest, low), np.maximum(highest, high)
             advance(size * (solver.t - solver.t_old))
     final = solver.y.reshape(-1, size)
     total, square, trend = final[states:].reshape(3, count, size)
     deviation = np.sqrt(np.maximum(square - total**2, 0.0))
-    columns = np.stack([first + total, deviation, least, largest, 12.0 * trend], axis=1)
+    columns = np.stack([first + total, deviation, lowest, highest, 12.0 * trend], axis=1)
     return dict(zip(statistics(system), columns.reshape(-1, size), strict=True)) | {"state": final[:states]}
 
 
 def _range_of_step(solver: Any, system: System, constants: Array, duration: Array) -> tuple[Array, Array]:
-    """Least and largest value of each observable in the solver's last step, by cubics between five instants of it."""
+    """Smallest and largest value of each observable in the solver's last step, by cubics between five instants of it."""
     times = np.linspace(solver.t_old, solver.t, 5)
     path = solver.dense_output()(times).reshape(-1, duration.size, times.size)[: len(system.equations.STATE)]
     wide = constants[:, :, None]
@@ -96,12 +96,17 @@ def _range_of_step(solver: Any, system: System, constants: Array, duration: Arra
 
 
 def range_of_cubics(value: Array, slope: Array) -> tuple[Array, Array]:
-    """Least and largest value of the cubics between instants, along the last axis.
+    """Smallest and largest value of the cubics between instants, along the last axis.
 
     Parameters
     ----------
     value, slope : ndarray
         At the instants, whose distance is 1.
+
+    Returns
+    -------
+    low, high : ndarray
+        Of the shape of `value` without its last axis.
     """
     left, right, rise = slope[..., :-1], slope[..., 1:], np.diff(value, axis=-1)
     # value + left x + b x^2 + c x^3 on 0..1 turns where its slope changes sign

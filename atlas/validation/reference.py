@@ -18,7 +18,7 @@ from ..systems.base import Array, Flags, Mask, Points, System
 from . import observed_reference
 from .observed_reference import range_of_cubics
 
-# Of the motion of a body; those of a system with observables: see `statistics`.
+# Statistics of the motion of a body; those of a system with observables: see `statistics`.
 STATISTICS = (*RATES, "theta_min", "theta_max")
 # Sums of the rates, which are integrated beside the states, in this order.
 RATE_SUMS = (
@@ -112,6 +112,10 @@ def reference(
     advance : callable, optional
         Called with the progress of the runs, 2 for each point in all.
 
+    Returns
+    -------
+    Reference
+
     Raises
     ------
     ReferenceFailureError
@@ -156,7 +160,7 @@ def largest_sine(theta_min: Array, theta_max: Array) -> Array:
 
 
 def _closed_forms(system: System, points: Points, duration: Array, cylinder: float) -> tuple[Run, Mask]:
-    """The steady motion of each start by the family's closed form, and which starts are exactly on one."""
+    """The steady motion of each start by the family's closed form, and a mask of the starts exactly on a family."""
     flags, _ = system.identify_family(points)
     motions = {f.flag: f.motion for f in system.families.values() if f.motion is not None}
     exact = (system.condition_residual(points) <= EXACT_RESIDUAL) & np.isin(flags, list(motions))
@@ -228,7 +232,7 @@ def euler_rates(motion: Sequence[Array], cylinder: float) -> EulerRates:
 def _dop853(
     system: System, points: Points, duration: Array, cylinder: float, rtol: float, advance: Advance
 ) -> tuple[Run, Mask]:
-    """Integrate every point by DOP853; also returns where that failed (NaN in the run)."""
+    """Integrate every point by DOP853; returns the run, NaN at the points where that fails, and a mask of these."""
     with np.errstate(all="ignore"):
         radians = system.frequency_bound(points) * duration
         usable = np.isfinite(system.initial_state(points)).all(0) & (radians <= MAX_RADIANS)
@@ -280,12 +284,12 @@ def _integrate_group(
     def slope(time: float, flat: Array) -> Array:
         """Slopes of the states, then of the sums in the order of RATE_SUMS."""
         state = flat.reshape(-1, size)[:states]
-        now = euler_rates(equations.frame_motion(state, constants), cylinder)
-        normal_rate = now.normal_rate - at_start.normal_rate
-        psi_dot = (now.psi_dot - at_start.psi_dot) * now.outside
-        phi_dot = (now.phi_dot - at_start.phi_dot) * now.outside
+        rates = euler_rates(equations.frame_motion(state, constants), cylinder)
+        normal_rate = rates.normal_rate - at_start.normal_rate
+        psi_dot = (rates.psi_dot - at_start.psi_dot) * rates.outside
+        phi_dot = (rates.phi_dot - at_start.phi_dot) * rates.outside
         rows = [duration * rate for rate in equations.rhs(state, constants)]
-        rows += [now.theta_dot, now.theta_dot**2, now.outside, psi_dot, psi_dot**2, phi_dot, phi_dot**2]
+        rows += [rates.theta_dot, rates.theta_dot**2, rates.outside, psi_dot, psi_dot**2, phi_dot, phi_dot**2]
         return np.concatenate([*rows, normal_rate, normal_rate**2])
 
     sums = len(RATE_SUMS)

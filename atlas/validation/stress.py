@@ -24,6 +24,7 @@ from ..variables import variables
 from . import generic_cases
 from .stress_points import CasePoints, case_points
 from .stress_truth import EXACT_ACCURACY, EXACT_STATISTICS, TrueLabels, true_labels, unsteadiness
+from .text_table import text_table
 
 # The levels, coarse to fine: fixed steps as a share of the stability limit at the frequency bound, then
 # the automatic step at tolerances down to the default one.
@@ -70,23 +71,29 @@ def stress(
     """
     if isinstance(system, str):
         system = systems.get(system)
-    parts, truth = _generic(system) if cases is None and not system.stress_cases() else _own(system, cases)
+    parts, truth = (
+        _points_of_generic_cases(system)
+        if cases is None and not system.stress_cases()
+        else _points_of_cases(system, cases)
+    )
     points = {name: np.concatenate([part.points[name] for part in parts]) for name in system.parameters}
     duration = np.concatenate([part.duration for part in parts])
     results = _run_levels(system, points, duration, threads)
     return _dataset(system, parts, points, truth, results)
 
 
-def _own(system: System, cases: Sequence[StressCase] | None) -> tuple[list[CasePoints], TrueLabels]:
-    """Points of the system's cases, or of others, and their true labels."""
+def _points_of_cases(
+    system: System, cases: Sequence[StressCase] | None
+) -> tuple[list[CasePoints], TrueLabels]:
+    """Points of the given cases (None: those of the system), and their true labels."""
     parts = [case_points(system, case) for case in (system.stress_cases() if cases is None else cases)]
     return parts, TrueLabels.join([
         true_labels(system, part.points, part.duration, Settings(), part.truth, part.base) for part in parts
     ])  # fmt: skip
 
 
-def _generic(system: System) -> tuple[list[CasePoints], TrueLabels]:
-    """Points of generic cases whose true labels the reference determines, and these."""
+def _points_of_generic_cases(system: System) -> tuple[list[CasePoints], TrueLabels]:
+    """Points of generic cases whose true labels the reference determines, and these labels."""
     parts, truths = [], []
     for case in generic_cases.generic_cases(system):
         part = case_points(system, case)
@@ -190,6 +197,7 @@ def _dataset(
     truth: TrueLabels,
     results: Mapping[str, np.ndarray],
 ) -> xr.Dataset:
+    """The results of `stress` with their attributes."""
     registry, dims = variables(system), ("method", "level", "point")
     with np.errstate(invalid="ignore"):
         error = np.abs(results["unsteadiness"] - truth.unsteadiness)
@@ -304,7 +312,7 @@ def report(ds: xr.Dataset) -> str:
     counts = np.bincount(ds["verdict"].values.ravel(), minlength=len(Verdict))
     return "\n".join(
         [
-            *_case_table(ds),
+            _case_table(ds),
             LEGEND,
             *_point_lines(ds, "label not true", mislabelled(ds)),
             *_point_lines(ds, "unresolved at an automatic step", unresolved(ds)),
@@ -315,15 +323,8 @@ def report(ds: xr.Dataset) -> str:
     )
 
 
-def _columns(rows: Sequence[Sequence[str]]) -> list[str]:
-    """Rows of a table as lines with aligned columns."""
-    widths = [max(len(row[i]) for row in rows) for i in range(len(rows[0]))]
-    return [
-        "  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip() for row in rows
-    ]
-
-
-def _case_table(ds: xr.Dataset) -> list[str]:
+def _case_table(ds: xr.Dataset) -> str:
+    """A row for each case, with a sign for each method and level."""
     meanings = list(Label.meanings())
     rows = [("case", "points", "true label", "determined by", *ds["method"].values)]
     for case in dict.fromkeys(ds["case"].values):
@@ -332,7 +333,7 @@ def _case_table(ds: xr.Dataset) -> list[str]:
         source = ", ".join(dict.fromkeys(part["known_from"].values))
         signs = ["".join(_sign(level) for level in method) for method in part["verdict"].values]
         rows.append((str(case), str(part.sizes["point"]), truth, source, *signs))
-    return _columns(rows)
+    return text_table(rows)
 
 
 def _sign(verdict: Array) -> str:
@@ -350,16 +351,16 @@ def _point_lines(ds: xr.Dataset, text: str, selected: Mask) -> list[str]:
     """A line for each selected point, method and level."""
     label, status, lines = list(Label.meanings()), list(Status.meanings()), []
     for index in np.argwhere(selected):
-        at = ds.isel(dict(zip(ds["verdict"].dims, index, strict=True)))
+        run = ds.isel(dict(zip(ds["verdict"].dims, index, strict=True)))
         lines.append(
-            f"{text}: {at['case'].item()}, {at['name'].item()}; {at['method'].item()}, {at['level'].item()}:"
-            f" {label[int(at['label'])]} ({status[int(at['status'])]}), true {label[int(at['truth'])]}"
+            f"{text}: {run['case'].item()}, {run['name'].item()}; {run['method'].item()}, {run['level'].item()}:"
+            f" {label[int(run['label'])]} ({status[int(run['status'])]}), true {label[int(run['truth'])]}"
         )
     return lines
 
 
 def _accuracy_lines(ds: xr.Dataset) -> list[str]:
-    """For each method and level: how many true labels come with an accurate unsteadiness, and of how many."""
+    """For each method and level: the number of true labels with an accurate unsteadiness, and with a known one."""
     lines = []
     for i, method in enumerate(ds["method"].values):
         error = np.where(ds["verdict"].values[i] == Verdict.RIGHT, ds["error"].values[i], np.nan)
@@ -389,18 +390,18 @@ def _statistics_table(ds: xr.Dataset) -> list[str]:
             row.append(f"{beyond[i][:, members].sum()}/{estimated[i][:, members].sum()}")
         rows.append(row)
     total = [
-        f"{name}: {bad.sum()} of {all_.sum()}"
-        for name, bad, all_ in zip(ds["method"].values, beyond, estimated, strict=True)
+        f"{name}: {failed.sum()} of {compared.sum()}"
+        for name, failed, compared in zip(ds["method"].values, beyond, estimated, strict=True)
     ]
     return [
         "errors of the statistics against exact motions: of a rate in units of the frequency bound, of an angle in rad",
-        *_columns(rows),
+        text_table(rows),
         f"runs with a statistic off by more than ten times error_estimate: {', '.join(total)}",
     ]
 
 
 def _error_cells(ds: xr.Dataset) -> list[str]:
-    """Largest error of a statistic, of which one, and the largest ratio of an error to the estimate."""
+    """Largest error of a statistic, the name of that statistic, and the largest ratio of an error to the estimate."""
     resolved = ds["status"].values == Status.OK
     error = np.where(resolved, ds["statistic_error"].values, np.nan)
     if np.isnan(error).all():

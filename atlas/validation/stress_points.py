@@ -18,7 +18,9 @@ class CasePoints:
     points: Points
     base: Points  # before the additions of the case
     duration: Array  # time units
-    names: tuple[str, ...]  # of the points: the parameters and the duration where they vary within the case
+    names: tuple[
+        str, ...
+    ]  # of the points: values of the parameters, and of the duration, that vary within the case
     may_stay_unresolved: str
     truth: str  # as in StressCase
 

@@ -14,11 +14,11 @@ from ..label import labels
 from ..label.theory import predict
 from ..scene.model import Settings, std_tolerances
 from ..systems.base import Array, Flags, Mask, Points, System
-from . import exact
+from . import exact, exact_statistics
 from .reference import EXACT_RESIDUAL, largest_sine, reference
 
-# A run of at most so many radians at the frequency bound is integrated whole by the reference; of a longer
-# run this much.
+# The reference integrates a run of at most MAX_RADIANS_WHOLE radians at the frequency bound whole, of a longer run the
+# first RADIANS_OF_PART.
 MAX_RADIANS_WHOLE, RADIANS_OF_PART = 170.0, 40.0
 # Statistics of an exact motion that are compared, and the accuracy of their values (of a rate: in units of the frequency
 # bound).
@@ -27,7 +27,7 @@ EXACT_STATISTICS = (
     "normal_rate_mean", "normal_rate_std", "theta_min", "theta_max",
 )  # fmt: skip
 EXACT_ACCURACY = 1e-12
-# An offset from an equilibrium is known within the rounding of the state.
+# Uncertainty of an offset from an equilibrium: the rounding of the state.
 STATE_ROUNDING = 3e-16
 
 
@@ -77,7 +77,7 @@ def true_labels(
     truth: str = "",
     base: Points | None = None,
 ) -> TrueLabels:
-    """True label of each point and how unsteady its motion is.
+    """True label of each point, and the unsteadiness of its motion.
 
     Exact starts have the label that theory predicts, or none where growth_rate x duration is so large
     that rounding decides. The labels of other points come from a reference solution of the despun
@@ -97,10 +97,14 @@ def true_labels(
     base : dict of ndarray, optional
         For "departure": the equilibria from which the points are offset.
 
+    Returns
+    -------
+    TrueLabels
+
     Raises
     ------
     ValueError
-        If the label of a point cannot be decided: such a point is no use as a stress case.
+        If the label of a point cannot be decided, so that it cannot be a stress case.
     """
     if truth == "departure":
         return _labels_by_departure(system, points if base is None else base, points, duration, settings)
@@ -135,7 +139,7 @@ def true_labels(
 
 
 def no_statistics(size: int) -> dict[str, Array]:
-    """Statistics that are not known, of so many points."""
+    """Statistics of `size` points for which none is known: nan."""
     return {name: np.full(size, np.nan) for name in EXACT_STATISTICS}
 
 
@@ -170,7 +174,8 @@ def _labels_by_exact_motion(
 ) -> TrueLabels:
     """Labels and statistics of points that follow an exact motion."""
     runs = [
-        exact.statistics(exact.motion_of(system, kind, points, i), duration[i]) for i in range(duration.size)
+        exact_statistics.statistics(exact.motion_of(system, kind, points, i), duration[i])
+        for i in range(duration.size)
     ]
     measured = {name: np.array([run[name] for run in runs]) for name in EXACT_STATISTICS}
     measured["sine_max"] = largest_sine(measured["theta_min"], measured["theta_max"])
@@ -215,11 +220,12 @@ def _departure(
     """Statistics of a run that starts at a tiny offset from an equilibrium.
 
     With the state x + e d (x: equilibrium, e: size of the offset) the equations, whose right-hand side is quadratic in
-    the state and 0 at x, become d' = J d + e Q(d), which loses nothing however small e is.
+    the state and 0 at x, become d' = J d + e Q(d), without cancellation for any size of e.
     """
     rhs, size = system.equations.rhs, float(np.abs(offset).max())
 
     def slope(_: float, d: Array) -> Array:
+        """d' at d."""
         linear = np.array(rhs(rest + 1e-30j * d, constants)).imag / 1e-30
         return linear + 0.5 * size * (np.array(rhs(d, constants)) + np.array(rhs(-d, constants)))
 
@@ -229,15 +235,15 @@ def _departure(
     if not run.success:
         raise ValueError("the departure from an equilibrium cannot be integrated")
     length = np.diff(run.t)[:, None]
-    time = (run.t[:-1, None] + 0.5 * length * (1 + exact.GAUSS_POINTS)).ravel()
-    weight = (0.5 * length * exact.GAUSS_WEIGHTS).ravel() / duration
+    time = (run.t[:-1, None] + 0.5 * length * (1 + exact_statistics.GAUSS_NODES)).ravel()
+    weight = (0.5 * length * exact_statistics.GAUSS_WEIGHTS).ravel() / duration
     u1, u2, u3, g1, g2, g3 = system.equations.frame_motion(
         rest[:, None] + size * run.sol(time), constants[:, None]
     )
-    now = exact.euler_motion(np.array([u1, u2, u3]), np.array([g1, g2, g3]))
-    return exact.moments(now, weight) | {
-        "theta_min": float(now.theta.min()),
-        "theta_max": float(now.theta.max()),
+    motion = exact.euler_motion(np.array([u1, u2, u3]), np.array([g1, g2, g3]))
+    return exact_statistics.moments(motion, weight) | {
+        "theta_min": float(motion.theta.min()),
+        "theta_max": float(motion.theta.max()),
     }
 
 
@@ -258,6 +264,7 @@ def _growth_along(system: System, motion: Any, point: Points, duration: float) -
     size, constants = len(system.equations.STATE), system.constants(point)
 
     def slope(time: float, flat: Array) -> Array:
+        """Slope of the columns of the fundamental matrix."""
         state = motion(point, np.array([time])).reshape(size, 1)
         columns = system.equations.rhs(state + 1e-30j * flat.reshape(size, size), constants)
         return (np.array(columns).imag / 1e-30).ravel()
@@ -269,9 +276,9 @@ def _growth_along(system: System, motion: Any, point: Points, duration: float) -
 def _labels_by_reference(
     system: System, despun: Points, excess: Array, duration: Array, radians: Array, settings: Settings
 ) -> tuple[TrueLabels, Mask]:
-    """Labels from a reference solution of the despun points, and where it leaves them undecided.
+    """Labels from a reference solution of the despun points, and a mask of those that it leaves undecided.
 
-    excess: by how much phi' of the despun points is larger. Of a run of more than MAX_RADIANS_WHOLE only
+    excess: phi' of the despun points less that of the points. Of a run of more than MAX_RADIANS_WHOLE only
     the first part is integrated. A mean square over the run is at least part / whole times the one over
     the part, so that what drifts in the part by sqrt(whole / part) times the tolerance drifts in the whole.
     """

@@ -61,7 +61,7 @@ VARIABLES = {
     "label_unresolved": (np.int8, "the method gives no label", "1"),
 }  # fmt: skip
 
-# What is different of systems with observables.
+# Variables with another meaning for systems with observables.
 OF_OBSERVABLES = {
     "error_state": (float, "largest error of a component of the final state", "1"),
     "error_rates": (float, "error of the least accurate statistic of an observable, over its largest magnitude", "1"),
@@ -243,7 +243,7 @@ def _step_sizes(sample: _Sample, settings: Settings) -> StepSizes:
 
 
 def _run_method(sample: _Sample, method: str, advance: Advance) -> Iterator[tuple[int, _LevelResult]]:
-    """Index and result of each level of one method that is worth running, coarse to fine."""
+    """Index and result of the levels of one method, coarse to fine, until smaller steps no longer reduce the error."""
     settings, part = sample.scene.settings, sample.grid
     name, values = levels(settings)
     at_levels = [replace(settings, method=method, **{name: value}) for value in values]  # type: ignore[arg-type]
@@ -266,7 +266,7 @@ def _run_method(sample: _Sample, method: str, advance: Advance) -> Iterator[tupl
 
 
 def _levels_to_run(step_sizes: Sequence[StepSizes], own: int) -> list[int]:
-    """One level for each distinct set of steps (the scene's own or else the finest), without too long ones."""
+    """One level for each distinct set of steps (the scene's own, or else the finest), without those that take too long."""
     selected = []
     for level, sizes in enumerate(step_sizes):
         equal = [k for k, other in enumerate(step_sizes) if (other.steps == sizes.steps).all()]
@@ -331,11 +331,11 @@ def _errors(sample: _Sample, measured: Mapping[str, Array], final: Array, resolv
 def _seconds_per_point(sample: _Sample, step_sizes: StepSizes, method: str) -> float:
     """Mean processor time of a point to the end of its run.
 
-    Each number of steps per sample is timed, because samples cost the more, the closer they are.
+    Each number of steps per sample is timed, because samples that are closer together cost more.
     """
-    strides = step_sizes.steps_per_sample.tolist()
-    seconds = {stride: _seconds_per_point_step(sample, step_sizes, method, stride) for stride in set(strides)}
-    return float((np.array([seconds[stride] for stride in strides]) * step_sizes.steps).mean())
+    counts = step_sizes.steps_per_sample.tolist()
+    seconds = {count: _seconds_per_point_step(sample, step_sizes, method, count) for count in set(counts)}
+    return float((np.array([seconds[count] for count in counts]) * step_sizes.steps).mean())
 
 
 def _seconds_per_point_step(
@@ -375,7 +375,7 @@ def _on_axes(scene: Scene, indices: np.ndarray) -> dict[str, Array]:
 
 
 def points_text(on_axes: Mapping[str, Array], most: int) -> str:
-    """The first points by the values on their axes, in words."""
+    """The values on the axes of at most `most` points, and the number of the others, in words."""
     texts = [
         ", ".join(f"{name} = {value:.6g}" for name, value in zip(on_axes, point, strict=True))
         for point in zip(*on_axes.values(), strict=True)
@@ -402,8 +402,8 @@ def _dataset(sample: _Sample, results: Mapping[tuple[int, int], _LevelResult]) -
         f"error_{name}": (float, f"error of {name}", registry[name].units)
         for name in statistics(scene.system)
     }
-    described = VARIABLES | (OF_OBSERVABLES if scene.system.observables else {})
-    for variable, (dtype, long_name, units) in (errors | described).items():
+    descriptions = VARIABLES | (OF_OBSERVABLES if scene.system.observables else {})
+    for variable, (dtype, long_name, units) in (errors | descriptions).items():
         column = np.full(shape, np.nan if dtype is float else 0, dtype)
         for cell, result in results.items():
             column[cell] = result.values[variable]

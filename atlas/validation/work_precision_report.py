@@ -10,6 +10,7 @@ import xarray as xr
 
 from ..systems.base import Array
 from .half_step import upper_bound
+from .text_table import text_table
 from .work_precision import nanmedian, points_text, uncertainty_name
 
 
@@ -27,6 +28,7 @@ def summary(ds: xr.Dataset) -> list[dict[str, Any]]:
 
 
 def _summary_of_level(at: xr.Dataset, atlas_points: int) -> dict[str, Any]:
+    """Medians, largest values and counts of one method at one level."""
     compared, wrong = int(at["label_compared"].sum()), int(at["label_wrong"].sum())
     row = {
         "steps": float(at["steps"].mean()),
@@ -52,6 +54,7 @@ def _statistics(ds: xr.Dataset) -> list[str]:
 
 
 def _median_and_largest(at: xr.Dataset, quantity: str) -> dict[str, float]:
+    """Median and largest error of the states, the rates or a statistic, by the names of the table."""
     values = at[f"error_{quantity}"].values
     return {f"error_{quantity}": nanmedian(values), f"error_{quantity}_largest": nanmax(values)}
 
@@ -87,6 +90,7 @@ def report(ds: xr.Dataset) -> str:
 
 
 def _header(ds: xr.Dataset) -> str:
+    """Lines about the sample, the processor and the reference."""
     exact, uncertainty = int(ds["reference_exact"].sum()), ds["reference_error"].values
     lines = [
         f"{ds.attrs['title']}: {ds.sizes['sample']} of {ds.attrs['atlas_points']} points;"
@@ -120,7 +124,7 @@ def _levels_table(ds: xr.Dataset, rows: Sequence[Mapping[str, Any]]) -> str:
                 "-" if np.isnan(row["order"]) else f"{row['order']:.2f}",
             )
         )
-    return _align(cells)
+    return text_table(cells, right=True)
 
 
 def _statistics_table(ds: xr.Dataset, rows: Sequence[Mapping[str, Any]]) -> str:
@@ -134,10 +138,11 @@ def _statistics_table(ds: xr.Dataset, rows: Sequence[Mapping[str, Any]]) -> str:
         points = int(at[f"error_{name}"].notnull().sum())
         if points:
             cells.append((name, *_error_texts(at, name), str(points)))
-    return _align(cells)
+    return text_table(cells, right=True)
 
 
 def _own_row(rows: Sequence[Mapping[str, Any]]) -> Mapping[str, Any] | None:
+    """The row of the scene's own setting, None if that was not run."""
     return next((row for row in rows if row["own_setting"]), None)
 
 
@@ -156,12 +161,6 @@ def _error_texts(at: xr.Dataset, quantity: str) -> tuple[str, str]:
         resolved = statistic(error) > 3 * statistic(uncertainty)
         texts.append(("" if resolved else "<= ") + f"{statistic(error):.1e}")
     return texts[0], texts[1]
-
-
-def _align(rows: Sequence[Sequence[str]]) -> str:
-    """Columns of equal width, aligned on the right."""
-    widths = [max(len(row[i]) for row in rows) for i in range(len(rows[0]))]
-    return "\n".join("  ".join(cell.rjust(w) for cell, w in zip(row, widths, strict=True)) for row in rows)
 
 
 def advice(ds: xr.Dataset) -> str:
@@ -194,10 +193,12 @@ def advice(ds: xr.Dataset) -> str:
 
 
 def _median_error(row: Mapping[str, Any]) -> float:
+    """The larger one of the median errors of states and rates."""
     return max(row["error_state"], row["error_rates"])
 
 
 def _out_of_reach_text(ds: xr.Dataset, best: Mapping[str, Any], target: float, target_text: str) -> str:
+    """Advice where no setting reaches the target: the most accurate one."""
     name, measured = ds.attrs["ladder"], ds.attrs["measured"]
     text = (
         f"Out of reach: {target_text}. The most accurate setting, {best['method']} with {name} = {best[name]:.3g},"
@@ -212,6 +213,7 @@ def _out_of_reach_text(ds: xr.Dataset, best: Mapping[str, Any], target: float, t
 def _cheapest_text(
     ds: xr.Dataset, row: Mapping[str, Any], own: Mapping[str, Any] | None, target: float, target_text: str
 ) -> str:
+    """Advice where some settings reach the target: the cheapest one."""
     name = ds.attrs["ladder"]
     text = (
         f"Cheapest for {target_text}: {row['method']} with {name} = {row[name]:.3g},"

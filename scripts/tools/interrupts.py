@@ -1,4 +1,4 @@
-"""Commands interrupted at random moments: how soon they answer, and with what exit code.
+"""Commands interrupted at random moments: how soon they end, and with what exit code.
 
 python scripts/tools/interrupts.py [--count 20] [--only NAME ...] [--seed 0]      (some minutes)
 
@@ -145,8 +145,8 @@ def main() -> None:
                         f"{command}: {number.name} after {moment:.2f} s: exit {code} in {seconds:.2f} s: {stderr[-300:]}"
                     )
             counts = ", ".join(f"{codes.count(code)} exit {code}" for code in sorted(set(codes)))
-            print(f"{command}: {counts}; answered within {max(answers):.2f} s", flush=True)
-    sys.exit(f"{bad} answers too late or wrong" if bad else 0)
+            print(f"{command}: {counts}; ended within {max(answers):.2f} s", flush=True)
+    sys.exit(f"{bad} commands ended too late or wrongly" if bad else 0)
 
 
 if __name__ == "__main__":

@@ -9,7 +9,7 @@ from atlas.flags import Status
 from atlas.label.pipeline import evaluate
 from atlas.scene.model import Settings
 from atlas.systems import SYSTEMS
-from atlas.validation import exact, limits, stress, stress_truth
+from atlas.validation import exact, exact_statistics, limits, stress, stress_truth
 from atlas.validation.stress_points import case_points
 
 # Cases that take a fraction of a second each; `atlas stress` runs all of them.
@@ -91,7 +91,7 @@ def test_exact_cases_pass_beside_the_vertical(system):
             part = case_points(SYSTEMS[system], case)
             for i, sine in enumerate((1e-4, 1e-3, 1e-2, 1e-1)):
                 motion = exact.motion_of(SYSTEMS[system], case.truth, part.points, i)
-                theta = exact.statistics(motion, part.duration[i])["theta_min"]
+                theta = exact_statistics.statistics(motion, part.duration[i])["theta_min"]
                 assert theta == pytest.approx(sine, rel=1e-6)
 
 

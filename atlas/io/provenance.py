@@ -10,7 +10,7 @@ from typing import Any
 
 from .. import systems
 from .._version import __version__
-from ..scene.model import NOTHING_ABOUT, About, Settings, std_tolerances
+from ..scene.model import EMPTY_ABOUT, About, Settings, std_tolerances
 from ..systems.base import System
 
 
@@ -30,7 +30,7 @@ def provenance(
     seconds: float,
     points: int,
     warnings: list[str],
-    about: About = NOTHING_ABOUT,
+    about: About = EMPTY_ABOUT,
 ) -> dict[str, Any]:
     """Global attributes of an atlas: its subject, scene, programs, tolerances and cost.
 

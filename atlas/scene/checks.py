@@ -132,7 +132,7 @@ def check_keys(table: Mapping[str, Any], parent: str, allowed: Collection[str]) 
 
 
 def check_given(key: str, table: Mapping[str, Any], needed: Iterable[str], rule: str) -> None:
-    """Raise BadInput, which ends with the rule, if a key that is needed is not in the table under `key`."""
+    """Raise BadInput, which ends with the rule, if a needed name is missing in the table under `key`."""
     for name in needed:
         if name not in table:
             raise BadInput(f"{key}.{name} is missing: {rule}")

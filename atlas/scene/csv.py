@@ -1,8 +1,8 @@
 """Points from CSV files, as spreadsheets and pandas write them.
 
 Fields are separated by commas, semicolons or tabs; empty lines and lines that begin with # are skipped. Python's own
-reader is used instead of that of pandas, which neither counts the fields of a line nor names the line of a complaint,
-and whose numbers are exact to the last bit only in some versions.
+reader is used instead of that of pandas, which neither counts the fields of a line nor names the line of an error, and
+whose numbers are exact to the last bit only in some versions.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ MAX_LINE = 1_000_000  # characters; a file that is no table may be one line
 
 
 class CsvColumns(dict[str, Any]):
-    """Columns of a CSV file by name, which know the lines of their values.
+    """Columns of a CSV file by name, with the line of the file for each point.
 
     Attributes
     ----------
@@ -39,13 +39,13 @@ class CsvColumns(dict[str, Any]):
         self.source = source
         self.lines = lines
 
-    def place(self, point: int) -> str:
+    def location(self, point: int) -> str:
         """File and line of a point."""
         return f"{self.source}, line {self.lines[point]}"
 
 
 def read(
-    lines: Iterable[str], source: str, wanted: Collection[str], max_fields: float = math.inf
+    lines: Iterable[str], source: str, numeric: Collection[str], max_fields: float = math.inf
 ) -> CsvColumns:
     """Columns of a CSV file whose first line names them.
 
@@ -54,8 +54,8 @@ def read(
     lines : iterable of str
         The lines of the file, each with its end.
     source : str
-        Name of the file, for complaints.
-    wanted : collection of str
+        Name of the file, for error messages.
+    numeric : collection of str
         Names whose columns must be numbers; an empty field is nan. Other columns may hold text.
     max_fields : float, optional
         Number of fields that are read at most.
@@ -63,7 +63,7 @@ def read(
     Returns
     -------
     CsvColumns
-        Arrays of float64; columns that are not wanted may be of int64 or, where they do not hold numbers, of str.
+        Arrays of float64; those of other columns than `numeric` may be of int64, or of str where not all fields are numbers.
 
     Raises
     ------
@@ -76,8 +76,8 @@ def read(
     line_numbers = array.array("q")
     try:
         header = _header(source, next(_reader([first], separator), []))
-        columns: dict[str, Any] = {name: array.array("d") if name in wanted else [] for name in header}
-        cells = [(columns[name].append, _number if name in wanted else str.strip) for name in header]
+        columns: dict[str, Any] = {name: array.array("d") if name in numeric else [] for name in header}
+        cells = [(columns[name].append, _number if name in numeric else str.strip) for name in header]
         max_rows = max_fields / len(header)
         for row in _reader(content, separator):
             if len(row) != len(header):
@@ -96,7 +96,7 @@ def read(
                     append(convert(field))
             except ValueError:
                 raise BadInput(
-                    f"{source}, line {content.number}: {_first_bad(header, row, wanted)}"
+                    f"{source}, line {content.number}: {_field_error(header, row, numeric)}"
                 ) from None
     except csv.Error as error:
         raise BadInput(f"{source}, line {content.number}: not a CSV file: {error}") from None
@@ -104,7 +104,7 @@ def read(
         raise BadInput(f"{source}: no points: there is only the line of names")
     return CsvColumns(
         {
-            name: np.frombuffer(values) if name in wanted else _numbers_if_possible(values)
+            name: np.frombuffer(values) if name in numeric else _numbers_if_possible(values)
             for name, values in columns.items()
         },
         source,
@@ -113,7 +113,7 @@ def read(
 
 
 class _Lines:
-    """The lines of a file but empty ones and comments, and the number of the last one."""
+    """The lines of a file without empty ones and comments, and the number of the last line read."""
 
     def __init__(self, lines: Iterable[str], source: str):
         self.number = 0
@@ -134,6 +134,7 @@ class _Lines:
 
 
 def _reader(lines: Iterable[str], separator: str) -> Iterator[list[str]]:
+    """Fields of each line."""
     return csv.reader(lines, delimiter=separator, skipinitialspace=True, strict=True)
 
 
@@ -144,12 +145,12 @@ def _header(source: str, fields: list[str]) -> list[str]:
         raise BadInput(f"{source}: empty; its first line must name the columns, such as C,theta0,m")
     if not header[0] and INDEX not in header:
         header[0] = INDEX
-    seen: set[str] = set()
+    earlier: set[str] = set()
     for name in header:
-        if not name or name in seen:
+        if not name or name in earlier:
             problem = f"names {shown(name)} twice" if name else "leaves a column without name"
             raise BadInput(f"{source}: its first line {problem}: {','.join(header)}")
-        seen.add(name)
+        earlier.add(name)
     return header
 
 
@@ -158,11 +159,11 @@ def _number(field: str) -> float:
     return float(field.strip() or "nan")
 
 
-def _first_bad(header: list[str], row: list[str], wanted: Collection[str]) -> str:
-    """Complaint about the first field of a line that should be a number and is none."""
+def _field_error(header: list[str], row: list[str], numeric: Collection[str]) -> str:
+    """Error message about the first field of a line that must be a number and is none."""
     for name, field in zip(header, row, strict=True):
         try:
-            if name in wanted:
+            if name in numeric:
                 _number(field)
         except ValueError:
             comma = re.fullmatch(r"\s*[-+]?\d+,\d+\s*", field)

@@ -49,7 +49,7 @@ class Expression:
     Parameters
     ----------
     key : str
-        Where the expression stands in the scene, such as "ties.C"; error messages begin with it.
+        Key of the expression in the scene, such as "ties.C"; error messages begin with it.
     text : str
         The expression: numbers, names, pi, + - * / ** and the functions of `FUNCTIONS`.
 
@@ -70,7 +70,7 @@ class Expression:
             raise BadInput(f"{key}: the expression has {len(text)} characters; allowed: at most {MAX_LENGTH}")
         try:
             with warnings.catch_warnings():
-                warnings.simplefilter("error")  # of what is hardly Python, such as 1if
+                warnings.simplefilter("error")  # Python only warns of texts such as 1if
                 self._tree = ast.parse(self.text, mode="eval").body
         except (SyntaxError, ValueError, RecursionError, MemoryError, Warning):
             raise BadInput(f"{key} = {shown(text)}: not an expression; {_ALLOWED}") from None
@@ -140,12 +140,12 @@ class Expression:
 
 @dataclass(frozen=True, eq=False)
 class PointColumn:
-    """One value of a name for each point of a scene with [points]: a tie to the number of the point.
+    """A value for each point of a scene with [points], as a tie that depends on the number of the point.
 
     Attributes
     ----------
     key : str
-        Where the values stand in the scene, such as "points.values.C".
+        Key of the values in the scene, such as "points.values.C".
     column : ndarray
         The values, float64 of shape (points,).
     """
@@ -182,7 +182,7 @@ def evaluation_order(ties: Mapping[str, Tie], known: set[str]) -> list[str]:
         raise BadInput(f"ties refer to each other in a circle: {circle}") from None
     order: list[str] = []
     while sorter.is_active():
-        # The order of the scene decides between ties that are ready together: a resolved scene reads alike.
+        # Of ties that are ready together the order is that of the scene, so that a resolved scene keeps it.
         ready = sorted(sorter.get_ready(), key=list(ties).index)
         order += ready
         sorter.done(*ready)

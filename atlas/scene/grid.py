@@ -25,7 +25,7 @@ from ..systems.base import (
 from .checks import check_range
 from .model import Duration, Scene
 
-# Points per tile: a constant, so that results never depend on how a run was cut.
+# Points of a tile: a constant, so that results never depend on the tiles.
 MAX_POINTS_PER_TILE = 65536
 # Bodies, and starts on a family, that are checked before a run; the others are checked with their tile.
 MAX_CHECKED_BODIES, MAX_CHECKED_STARTS = 50_000, 10_000
@@ -160,15 +160,17 @@ def points_at_indices(scene: Scene, indices: np.ndarray) -> Grid:
         reason = reasons(system, base, no_value, no_motion)
         duration = durations(system, scene.duration, base, "integration.duration")
         reason[(reason == Reason.NONE) & np.isnan(duration)] = Reason.NO_TURN
-        given = reason != Reason.NO_VALUE
-        system.check(base if given.all() else {name: column[given] for name, column in base.items()})
+        has_values = reason != Reason.NO_VALUE
+        system.check(
+            base if has_values.all() else {name: column[has_values] for name, column in base.items()}
+        )
         start = system.as_euler_angles(base) if scene.nudges_angles else base
     points = {name: start[name] + scene.nudge.get(name, 0.0) for name in base}
     return Grid(base, points, reason, duration)
 
 
 def _on_family(scene: Scene, points: Points, indices: np.ndarray) -> tuple[dict[str, Array], Mask]:
-    """The points with solved parameters and offsets, nan where no body can be on the family; where there is none."""
+    """The points with solved parameters and offsets, nan where no body can be on the family; a mask of those off it."""
     assert scene.family is not None
     family = scene.system.families[scene.family]
     base = _solved(family, scene.solve, points)
@@ -199,20 +201,20 @@ def reasons(
     return np.select(list(conditions.values()), list(conditions), Reason.NONE).astype(np.int8)
 
 
-def points_at(scene: Scene, places: Mapping[str, np.ndarray]) -> Grid:
-    """Points of a scene at any places along its axes, not only those of its grid.
+def points_at(scene: Scene, coordinates: Mapping[str, np.ndarray]) -> Grid:
+    """Points of a scene at any values along its axes, not only those of its grid.
 
     Parameters
     ----------
     scene : Scene
         The scene.
-    places : mapping of str to ndarray
+    coordinates : mapping of str to ndarray
         Name of each axis of the scene -> values of shape (points,).
 
     Returns
     -------
     Grid
-        The points in the order of the places.
+        The points in the order of the values.
 
     Raises
     ------
@@ -221,7 +223,7 @@ def points_at(scene: Scene, places: Mapping[str, np.ndarray]) -> Grid:
     """
     axes, indices = {}, []
     for name, axis in scene.axes.items():
-        values, index = np.unique(places[name], return_inverse=True)
+        values, index = np.unique(coordinates[name], return_inverse=True)
         axes[name] = replace(axis, values=values)
         indices.append(index)
     scene = replace(scene, axes=axes)
@@ -305,7 +307,7 @@ _NOTHING_TURNS = {"turns": "n and m are 0, and nothing turns", "orbits": "the fr
 
 
 def not_computed(scene: Scene, sample: Grid) -> list[str]:
-    """How many points of a scene are not computed, and why.
+    """Number of the points of a scene that are not computed, and the reasons.
 
     Parameters
     ----------
@@ -357,12 +359,12 @@ def sentence(reason: Reason, system: System, family: str | None, duration: Durat
 
 
 def warnings(scene: Scene, sample: Grid) -> list[str]:
-    """What a user should know about a scene: points that are `not_computed`, and `system_warnings` of the others."""
+    """Warnings about a scene: points that are `not_computed`, and `system_warnings` of the others."""
     return not_computed(scene, sample) + system_warnings(scene.system, sample.subset(sample.exists).base)
 
 
 def system_warnings(system: System, points: Points) -> list[str]:
-    """Warnings of the system about points that are computed, and one about numbers of extreme size."""
+    """Warnings of the system about points that are computed, and one about numbers of extreme magnitude."""
     messages = system.warnings(points)
     if not system.within_range(points).all():
         messages.append(
@@ -420,12 +422,12 @@ def _check_family(scene: Scene, indices: np.ndarray, reason: Flags) -> None:
                 changed = _with_values(family, scene.solve[:i], solved, name, solved[name] + TRIAL_CHANGES)
                 _check_not_free(family, name, changed)
             else:
-                tried = _with_values(
+                trials = _with_values(
                     family, scene.solve[:i], base, name, np.zeros_like(base[name]) + TRIAL_VALUES
                 )
-                tried = _solved(family, scene.solve[i + 1 :], tried)
-                _check_not_free(family, name, tried)
-                raise BadInput(_no_value_text(family, name, tried))
+                trials = _solved(family, scene.solve[i + 1 :], trials)
+                _check_not_free(family, name, trials)
+                raise BadInput(_no_value_text(family, name, trials))
         if not exists.any():
             raise BadInput(
                 f"family.name = {shown(family.name)}: {_failure_text(family, solved)} at the nearest point of the scene"
@@ -450,7 +452,7 @@ def _check_not_free(family: Family, name: str, points: Points) -> None:
 
 
 def _no_value_text(family: Family, name: str, points: Points) -> str:
-    """Error for a parameter whose formula gives no value: what fails at the best of the values tried."""
+    """Error for a parameter whose formula gives no value: the condition that fails at the best of the trial values."""
     best = points[name].flat[np.argmin(on_family(family, points))]
     limits = f"; its limits: {family.exists}" if family.exists else ""
     return (
@@ -460,7 +462,7 @@ def _no_value_text(family: Family, name: str, points: Points) -> str:
 
 
 def _failure_text(family: Family, points: Points) -> str:
-    """Which condition fails by how much at the point nearest to the family."""
+    """The condition that fails most at the point nearest to the family, and by how much."""
     residual = on_family(family, points)
     nearest = np.unravel_index(np.argmin(residual), residual.shape)
     if not np.isfinite(residual[nearest]):

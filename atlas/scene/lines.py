@@ -1,4 +1,4 @@
-"""Where a key stands in the text of a scene, for error messages that name file and line."""
+"""Line of a key in the text of a scene, for error messages that name file and line."""
 
 from __future__ import annotations
 
@@ -66,7 +66,7 @@ def line_of(text: str, key: str) -> int | None:
     Returns
     -------
     int or None
-        Line of the key; if it is not there, that of the innermost table that contains it; None without any.
+        Line of the key; if it is missing, that of the innermost table that contains it; None without any.
     """
     lines: dict[str, int] = {}
     table = ""

@@ -19,7 +19,7 @@ from .expressions import PointColumn, Tie
 from .lines import Source
 
 SCHEMA = 1
-# Largest `max_steps`: far more steps than anybody can wait for, and their sums fit into an int64.
+# Largest `max_steps`: more steps than a run can take in practice, and their sums fit into an int64.
 MAX_STEPS = 10**12
 DURATION_UNITS = ("orbits", "turns")
 HALF_STEP = ("none", "sample", "all")
@@ -31,7 +31,7 @@ MAX_TIE_SHOWN = 30  # characters
 
 @dataclass(frozen=True)
 class Tolerances:
-    """What a motion may vary by and still count as steady.
+    """Largest variations of a motion that counts as steady.
 
     Attributes
     ----------
@@ -207,7 +207,7 @@ class Creator:
     institution: str = checked(checks.text, "")
 
 
-NOBODY = Creator()
+EMPTY_CREATOR = Creator()
 
 
 def _creator(key: str, value: object) -> Creator:
@@ -240,7 +240,7 @@ class About:
     comment: str = checked(checks.text, "")
     project: str = checked(checks.text, "")
     id: str = checked(checks.text, "")
-    creator: Creator = checked(_creator, NOBODY)  # noqa: RUF009 - Creator is frozen
+    creator: Creator = checked(_creator, EMPTY_CREATOR)  # noqa: RUF009 - Creator is frozen
 
     def attributes(self) -> dict[str, str]:
         """Global attributes of ACDD-1.3 that are not empty, but for the references."""
@@ -259,12 +259,12 @@ class About:
         return {name: value for name, value in table.items() if value}
 
 
-NOTHING_ABOUT = About()
+EMPTY_ABOUT = About()
 
 
 @dataclass(frozen=True, repr=False)
 class Scene:
-    """One job, checked: everything that decides what an atlas will hold.
+    """One job, checked: everything that decides on the content of an atlas.
 
     Attributes
     ----------
@@ -313,7 +313,7 @@ class Scene:
     outputs: tuple[str, ...] = ()
     refine: Refine | None = None
     points: Mapping[str, Any] | None = None
-    about: About = NOTHING_ABOUT
+    about: About = EMPTY_ABOUT
     source: Source | None = field(default=None, compare=False)
 
     @property
@@ -338,7 +338,7 @@ class Scene:
         return tuple(2**self.refine.levels if axis.can_be_refined else 1 for axis in self.axes.values())
 
     def zero_and_equal_parameters(self) -> tuple[frozenset[str], frozenset[tuple[str, str]]]:
-        """What is the same at every point, so that the kernels can leave out terms.
+        """Parameters that are zero or equal at every point, so that the kernels can leave out terms.
 
         Returns
         -------

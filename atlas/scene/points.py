@@ -25,9 +25,9 @@ SAMPLES = ("latin_hypercube", "sobol")
 MAX_SAMPLED_POINTS = MAX_SAMPLED_NUMBERS = 10**7
 # Names that get values from a table or file of points.
 MAX_COLUMNS = 100
-# Bytes of a file of points, when read.
+# Bytes of a file of points that a scene reads.
 MAX_FILE_BYTES = 50_000_000
-# Fields of a CSV file, when read: those of columns that name points count as well.
+# Fields of a CSV file that a scene reads, those of columns that name points included.
 MAX_FILE_FIELDS = 5 * checks.MAX_LISTED_NUMBERS
 
 
@@ -56,7 +56,7 @@ class Sample:
 def read_points(
     system: System, table: Mapping[str, Any], ties: Mapping[str, Any], folder: Path | None
 ) -> tuple[dict[str, Any], dict[str, PointColumn]]:
-    """The table [points] as the resolved scene holds it, and the columns of the points by name.
+    """The table [points] as the resolved scene contains it, and the columns of the points by name.
 
     Parameters
     ----------
@@ -69,6 +69,11 @@ def read_points(
     folder : Path or None
         Folder of the scene, from which the path of a points file starts; None: no file is read.
 
+    Returns
+    -------
+    table : dict
+    columns : dict of str to PointColumn
+
     Raises
     ------
     BadInput
@@ -77,8 +82,8 @@ def read_points(
     checks.check_keys(table, "points.", ("sample", "count", "seed", "ranges", "file", "values"))
     sources = [key for key in ("sample", "file", "values") if key in table]
     if len(sources) != 1:
-        given = " and ".join(sources) or "none"
-        raise BadInput(f"points: needs one of sample, file and values, found {given}")
+        found = " and ".join(sources) or "none"
+        raise BadInput(f"points: needs one of sample, file and values, found {found}")
     if sources == ["sample"]:
         sample = Sample(**checks.from_table(Sample, table, "points"))
         return vars(sample), _sampled_columns(system, sample)
@@ -104,8 +109,8 @@ def read_points(
             if name not in words:
                 del values[name]
     _check_columns(values)
-    place = values.place if isinstance(values, CsvColumns) else None
-    columns = {name: _listed_column(system, name, column, place) for name, column in values.items()}
+    location = values.location if isinstance(values, CsvColumns) else None
+    columns = {name: _listed_column(system, name, column, location) for name, column in values.items()}
     _check_sizes({name: column.column.size for name, column in columns.items()})
     return {"values": {name: column.column.tolist() for name, column in columns.items()}}, columns
 
@@ -182,8 +187,10 @@ def _stretched_column(system: System, name: str, table: object, fraction: Array)
     return PointColumn(key, first * (last / first) ** fraction)
 
 
-def _listed_column(system: System, name: str, values: Any, place: Callable[[int], str] | None) -> PointColumn:
-    """One column of a file or a list, checked; place: of a point in its file."""
+def _listed_column(
+    system: System, name: str, values: Any, location: Callable[[int], str] | None
+) -> PointColumn:
+    """One column of a file or a list, checked; location: file and line of a point."""
     key = f"points.values.{checks.identifier('points', name)}"
     try:
         column = np.asarray(values, np.float64)
@@ -193,9 +200,9 @@ def _listed_column(system: System, name: str, values: Any, place: Callable[[int]
         raise BadInput(f"{key}: must be one number for each point")
     if not np.isfinite(column).all():
         i = int(np.flatnonzero(~np.isfinite(column))[0])
-        if place is not None:
-            found = "is empty or nan" if np.isnan(column[i]) else f"= {column[i]:g}"
-            raise BadInput(f"{place(i)}: {name} {found}; must be a finite number")
+        if location is not None:
+            problem = "is empty or nan" if np.isnan(column[i]) else f"= {column[i]:g}"
+            raise BadInput(f"{location(i)}: {name} {problem}; must be a finite number")
         raise BadInput(f"{key}: {column[i]} at point {i} (counted from 0); must be finite numbers")
     if name in system.parameters:
         checks.check_range(system.parameters[name], key, column.min(), column.max())

@@ -1,4 +1,4 @@
-"""A TOML job file becomes a checked Scene; every error in it is one line that names the key."""
+"""Reading a TOML scene file into a checked Scene; every error is one line that names the key."""
 
 from __future__ import annotations
 
@@ -33,8 +33,8 @@ from .model import (
 )
 from .points import read_points
 
-# Whatever a scene contains, it is read and checked within a few seconds and 500 MB. These limits see to it: they hold
-# before anything of that size is made.
+# With these limits any text is read and checked as a scene within a few seconds and 500 MB. They are checked before
+# anything of that size is allocated.
 MAX_CHARACTERS = 6_000_000  # of the text
 MAX_TABLES = 2000
 MAX_JOINED_NAMES = 16  # as in a.b.c
@@ -51,7 +51,7 @@ TABLES = (
     *("about", "fixed", "axes", "points", "ties", "family", "nudge", "integration", "labels", "refine"),
     "outputs",
 )
-# What NetCDF files begin with, in the HDF5 format and in the classic ones.
+# First bytes of NetCDF files, in the HDF5 format and in the classic ones.
 NETCDF_BEGINS = (b"\x89HDF", b"CDF")
 KEYS = ("schema", "title", "system", *TABLES)
 
@@ -96,7 +96,7 @@ def _check_no_atlas(path: Path) -> None:
             with path.open("rb") as file:
                 is_atlas = file.read(4).startswith(NETCDF_BEGINS)
     except (OSError, ValueError):
-        return  # the error of reading the text is the better one
+        return  # reading the text raises the better error
     if is_atlas:
         raise BadInput(
             f"{path}: this is an atlas, not a scene; its attribute atlas_scene is the text of the scene that it was"
@@ -384,22 +384,22 @@ def _check_names(
 ) -> None:
     """Raise BadInput for a name that two sections give, and for one that nothing uses.
 
-    names: section -> names that it gives. An axis of distances from a family is given there and solved.
+    names: section -> names that it gives. Only an axis of distances from a family is given in two sections.
     """
     sections: dict[str, list[str]] = {}
-    for section, given in names.items():
-        for name in given:
+    for section, section_names in names.items():
+        for name in section_names:
             sections.setdefault(name, []).append(section)
-    for name, where in sections.items():
-        is_offset = where == ["axes", "solve"] and axes[name].offset_from_family
-        if len(where) > 1 and not is_offset:
-            raise BadInput(f"{name} is given in {' and in '.join(where)}: a name has one value")
+    for name, given_in in sections.items():
+        is_offset = given_in == ["axes", "solve"] and axes[name].offset_from_family
+        if len(given_in) > 1 and not is_offset:
+            raise BadInput(f"{name} is given in {' and in '.join(given_in)}: a name has one value")
     _check_dataset_names(system, sections, axes)
     used = {name for tie in ties.values() for name in tie.names}
-    for name, where in sections.items():
+    for name, given_in in sections.items():
         if name not in system.parameters and name not in used:
             raise BadInput(
-                f"{where[0]}.{name}: not a parameter of the {system.name}, and no tie uses it;"
+                f"{given_in[0]}.{name}: not a parameter of the {system.name}, and no tie uses it;"
                 f" {allowed_text(name, system.parameters)}"
             )
 
@@ -410,9 +410,9 @@ def _check_dataset_names(system: System, sections: Mapping[str, list[str]], axes
     sections: name -> sections that give it.
     """
     variables_of_file = data_variables(system)
-    for name, where in sections.items():
+    for name, given_in in sections.items():
         if name in variables_of_file:
-            raise BadInput(f"{where[0]}.{name}: an atlas has a variable of this name; choose another name")
+            raise BadInput(f"{given_in[0]}.{name}: an atlas has a variable of this name; choose another name")
     dims: dict[str, str] = {}
     for key, axis in axes.items():
         if axis.dim != key and axis.dim in {*system.parameters, *variables_of_file}:
@@ -499,7 +499,7 @@ def parse_duration(value: object, key: str = "duration") -> Duration:
     value : object
         A number of time units, or a string such as "60", "20 orbits", "1 orbit" or "50 turns".
     key : str
-        What the message of an error begins with.
+        Beginning of an error message.
 
     Returns
     -------
@@ -540,10 +540,10 @@ def _outputs(system: System, table: Mapping[str, Any]) -> tuple[str, ...]:
     """Variables of the atlas in the order of the registry; by default all but the optional ones."""
     checks.check_keys(table, "outputs.", ("variables",))
     registry = variables(system)
-    wanted = table.get("variables", default_variables(system))
-    if not isinstance(wanted, list) or not wanted:
-        raise BadInput(f"outputs.variables = {shown(wanted)}: must be a list of at least one variable name")
-    for name in wanted:
+    names = table.get("variables", default_variables(system))
+    if not isinstance(names, list) or not names:
+        raise BadInput(f"outputs.variables = {shown(names)}: must be a list of at least one variable name")
+    for name in names:
         if not isinstance(name, str) or name not in registry:
             raise BadInput(f"outputs.variables: {shown(name)} is unknown; {allowed_text(name, registry)}")
-    return tuple(name for name in registry if name in set(wanted))
+    return tuple(name for name in registry if name in set(names))

@@ -1,4 +1,4 @@
-"""Points of one's own as columns by name: from files, data frames, datasets and mappings."""
+"""Points of a user as columns by name: from files, data frames, datasets and mappings."""
 
 from __future__ import annotations
 
@@ -29,8 +29,8 @@ def table(source: Any, names: Collection[str]) -> dict[str, Any]:
         Dataset, a mapping name -> values, a list with one mapping for each point, or any object with
         `columns` and [name], such as a pandas.DataFrame.
     names : collection of str
-        Names that are wanted: the coordinate that numbers the points of a Dataset is a column only if
-        its name is among them.
+        Names of columns: the coordinate that numbers the points of a Dataset is a column only if its
+        name is among them.
 
     Returns
     -------
@@ -176,7 +176,7 @@ def point_columns(system: System, points: Any, kept: Collection[str] = ()) -> tu
 
 
 def _check_column(parameter: Parameter, column: Array, source: Mapping[str, Any]) -> None:
-    """Raise BadInput, naming the place, for values that are out of range or not finite, as missing ones may be."""
+    """Raise BadInput with the location of a value that is out of range, or not finite and not allowed to be missing."""
     name = parameter.name
     if np.isnan(parameter.default):
         missing = np.isnan(column)
@@ -186,10 +186,10 @@ def _check_column(parameter: Parameter, column: Array, source: Mapping[str, Any]
         missing = np.zeros(column.shape, bool)
     bad = np.flatnonzero(~(np.isfinite(column) | missing))
     if bad.size:
-        place, value = _place(source, column, bad[0]), column.ravel()[bad[0]]
+        location, value = _location(source, column, bad[0]), column.ravel()[bad[0]]
         if np.isnan(value) and isinstance(source, csv.CsvColumns):
-            raise BadInput(f"{place}{name} is empty or nan; must be a finite number")
-        raise BadInput(f"{place}{name} = {value:g}: must be a finite number")
+            raise BadInput(f"{location}{name} is empty or nan; must be a finite number")
+        raise BadInput(f"{location}{name} = {value:g}: must be a finite number")
     if not column.size:
         return
     for i in (np.nanargmin(column), np.nanargmax(column)):
@@ -197,18 +197,18 @@ def _check_column(parameter: Parameter, column: Array, source: Mapping[str, Any]
         try:
             check_range(parameter, name, value, value)
         except BadInput as error:
-            raise BadInput(f"{_place(source, column, i)}{error}") from None
+            raise BadInput(f"{_location(source, column, i)}{error}") from None
 
 
-def _place(source: Mapping[str, Any], column: Array, point: np.integer) -> str:
-    """Beginning of a complaint about a point of a column."""
+def _location(source: Mapping[str, Any], column: Array, point: np.integer) -> str:
+    """Beginning of an error message about a point of a column."""
     if isinstance(source, csv.CsvColumns):
-        return f"{source.place(int(point))}: "
+        return f"{source.location(int(point))}: "
     return f"point {point} (counted from 0): " if column.ndim else ""
 
 
 def _source_name(source: Mapping[str, Any]) -> str:
-    """Beginning of a complaint about a whole column."""
+    """Beginning of an error message about a whole column."""
     return f"{source.source}: " if isinstance(source, csv.CsvColumns) else ""
 
 
@@ -235,7 +235,7 @@ def _common_size(sizes: Mapping[str, int]) -> int:
 
 
 def _dataset_columns(ds: Any, names: Collection[str]) -> dict[str, Any]:
-    """Variables of a Dataset, with those coordinates of its dimension that are wanted."""
+    """Variables of a Dataset, with the coordinate of its dimension only if its name is among `names`."""
     columns = {}
     for name in ds.variables:
         if name in ds.dims and name not in names:
@@ -280,9 +280,7 @@ def _read_netcdf(path: Path, names: Collection[str], max_bytes: float) -> dict[s
             ds.load()
     except BadInput:
         raise
-    except (
-        Exception
-    ) as error:  # a damaged file can raise an exception of any type, also while values are read
+    except Exception as error:  # reading a damaged file, also its values, may raise any error
         raise BadInput(f"{path}: not a NetCDF file that can be read ({one_line(error)})") from None
     try:
         return table(ds, names)

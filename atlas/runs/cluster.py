@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from distributed import Client, Future
 
 CONNECT_TIMEOUT = 5.0  # seconds to wait for a scheduler
-POLL_INTERVAL = 5.0  # seconds between two looks at the number of workers
+POLL_INTERVAL = 5.0  # seconds between two counts of the workers
 NO_WORKER_WARNING = 60.0  # seconds without a worker before a warning
 # Tasks in flight for each thread of the workers, so that a thread has the next one when one ends.
 TASKS_PER_THREAD = 2
@@ -36,19 +36,21 @@ def check(scheduler: str) -> None:
     try:
         scheme, address = parse_address(scheduler)
         with socket.create_connection(parse_host_port(address), CONNECT_TIMEOUT) as connection:
-            # A dask server sends first. Without this check its client would wait for ever for another server.
+            # A dask server sends first. Without this check the client of dask would wait for ever for any other server.
             if scheme == "tcp" and not connection.recv(1):
-                raise OSError("something else is there")
+                raise OSError("this is no dask server")
     except (OSError, ValueError) as error:
         reason = one_line(error) or type(error).__name__
-        raise BadInput(f"--scheduler {scheduler}: no scheduler answers there ({reason})") from None
+        raise BadInput(
+            f"--scheduler {scheduler}: no dask scheduler answers at this address ({reason})"
+        ) from None
 
 
 @contextmanager
 def connect(scheduler: str | None, workers: int | None) -> Iterator[Client]:
     """A client of the scheduler at an address, or of `workers` one-thread processes on this machine.
 
-    Those on this machine listen to this machine only and have no dashboard.
+    Processes on this machine accept connections from this machine only and have no dashboard.
     """
     import distributed
 
@@ -95,7 +97,7 @@ def _client(cluster: Any) -> Iterator[Client]:
 
 
 def check_workers(client: Client, check: Callable[..., None], arguments: tuple[Any, ...]) -> None:
-    """Run a check on every worker that there is, after comparing the versions of dask everywhere.
+    """Run a check on every worker, after comparing the versions of dask everywhere.
 
     Workers that join later are not checked.
 
@@ -103,7 +105,7 @@ def check_workers(client: Client, check: Callable[..., None], arguments: tuple[A
     ----------
     client : distributed.Client
     check : callable
-        Called on each worker as check(*arguments); it raises what is wrong.
+        Called on each worker as check(*arguments); raises BadInput if something is wrong.
     arguments : tuple
 
     Raises
@@ -117,7 +119,7 @@ def check_workers(client: Client, check: Callable[..., None], arguments: tuple[A
     for worker, result in client.run(check, *arguments, on_error="return").items():
         if isinstance(result, BadInput):
             raise result
-        if isinstance(result, Exception) and not isinstance(result, OSError):  # OSError: it has died
+        if isinstance(result, Exception) and not isinstance(result, OSError):  # OSError: the worker has died
             raise BadInput(f"worker {worker}: {type(result).__name__}: {one_line(result)}")
 
 
@@ -165,16 +167,16 @@ def for_each(
         in_flight[future] = task_arguments, attempt
 
     try:
-        exhausted, worker_seen = False, time.monotonic()
+        exhausted, last_worker = False, time.monotonic()
         while not exhausted or in_flight:
             threads = sum(client.nthreads().values())
             if threads:
-                worker_seen = time.monotonic()
-            elif time.monotonic() - worker_seen > NO_WORKER_WARNING:
+                last_worker = time.monotonic()
+            elif time.monotonic() - last_worker > NO_WORKER_WARNING:
                 logging.getLogger("atlas").warning(
                     "no dask worker for %.0f s: still waiting", NO_WORKER_WARNING
                 )
-                worker_seen = math.inf  # no second warning before a worker appears
+                last_worker = math.inf  # no second warning before a worker appears
             while not exhausted and len(in_flight) < max(TASKS_PER_THREAD * threads, 1):
                 task_arguments = next(source, None)
                 if task_arguments is None:
@@ -209,7 +211,7 @@ def _succeeded(future: Future[Any], attempt: int) -> bool:
 
     if future.status == "finished":
         return True
-    if future.status == "lost":  # its worker died before the result left it
+    if future.status == "lost":  # its worker died before it sent the result
         return False
     if future.status != "error":
         raise OSError(f"the dask scheduler lost a task ({future.status})")

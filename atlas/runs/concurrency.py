@@ -30,6 +30,10 @@ def tiles_in_flight(scene: Scene, sample: grid.Grid, tiling: Tiling, threads: in
     tiling : Tiling
     threads : int or None
         Threads of the kernel; None for all processors of this process.
+
+    Returns
+    -------
+    int
     """
     threads = threads or blocks.available_threads()
     if threads == 1:

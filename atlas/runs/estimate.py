@@ -30,7 +30,7 @@ CALIBRATION_POINTS, CALIBRATION_STEPS = 4096, 2e7
 
 @dataclass(frozen=True)
 class _Measurement:
-    """Cost of some points of a scene, integrated for a part of their duration."""
+    """Measured cost of some points of a scene, integrated for a part of their duration."""
 
     seconds_per_step: float  # wall-clock time of a step of one point, by all threads together
     theory_seconds: float  # wall-clock time of what theory predicts of one point
@@ -60,7 +60,7 @@ def dry_run(scene: Scene, *, threads: int | None = None, workers: int | None = N
         As `run` does.
     """
     sample = grid.check(scene)
-    cut, exists = tiling(scene, sample), sample.exists
+    tiles, exists = tiling(scene, sample), sample.exists
     processors = workers or threads or blocks.available_threads()
     existing, steps_per_point = scene.size * exists.mean(), mean_steps(scene, sample)
     points = existing if scene.refine is None else expected_points(scene)
@@ -70,18 +70,18 @@ def dry_run(scene: Scene, *, threads: int | None = None, workers: int | None = N
     # A refined atlas has predictions at every point.
     theory_seconds = existing * cost.theory_seconds + points * derived_seconds
     seconds = points * mean_work(scene, sample) * cost.seconds_per_step + theory_seconds
-    tile_bytes = cost.bytes_per_point * math.prod(cut.tile)
+    tile_bytes = cost.bytes_per_point * math.prod(tiles.tile)
     if workers:
         memory, processors_text = workers * (_resident_bytes() + tile_bytes), f"{workers} processes"
     else:
-        in_flight = tiles_in_flight(scene, sample, cut, processors)
+        in_flight = tiles_in_flight(scene, sample, tiles, processors)
         memory, processors_text = _resident_bytes() + in_flight * tile_bytes, f"{processors} threads"
     phase_error = step_sizes(scene, sample).dispersion_error[exists].max()
-    where = "in one process, near the borders that theory predicts"
+    division = "in one process, near the borders that theory predicts"
     if scene.refine is None:
-        where = f"{cut.count} tiles of at most {math.prod(cut.tile)}"
+        division = f"{tiles.count} tiles of at most {math.prod(tiles.tile)}"
     lines = [
-        f"{scene.size} points, about {points:.0f} to integrate, {where}",
+        f"{scene.size} points, about {points:.0f} to integrate, {division}",
         *grid.not_computed(scene, sample),
         f"file: at most {file_bytes / 1e6:.4g} MB before compression",
         f"time: about {clock(seconds)} on {processors_text} ({steps_per_point:.4g} steps a point,"
@@ -107,6 +107,7 @@ def _measure(scene: Scene, sample: grid.Grid, threads: int) -> _Measurement:
     theory_seconds = time.perf_counter() - started
 
     def seconds() -> float:
+        """Wall-clock time of integrating the points."""
         started = time.perf_counter()
         evaluate_tile(scene, points, threads=threads)
         return time.perf_counter() - started

@@ -55,7 +55,7 @@ from .tiling import Tiling, tiling
 FORMAT = 2
 MANIFEST = "manifest.json"
 FINAL_ATTRIBUTES = "notes.json"
-# As long as any file in a run folder, so that a path which is too long can be refused before the work.
+# As long as the longest name in a run folder, so that a path that is too long is refused before anything is computed.
 LONGEST_NAME = "tiles/" + 64 * "x"
 RESULT = "atlas_result"  # attribute of an atlas with its `result_hash`
 
@@ -126,7 +126,7 @@ class RunFolder:
             raise BadInput(f"{file}: its scene, of atlas {version}, cannot be read: {error}") from None
         except (KeyError, TypeError, ValueError, AttributeError):
             pass
-        raise BadInput(f"{file}: damaged: its key does not fit what it holds")
+        raise BadInput(f"{file}: damaged: its key does not match its content")
 
     @classmethod
     def prepare(cls, scene: Scene, path: Path, sample: grid.Grid, warnings: list[str]) -> RunFolder:
@@ -176,7 +176,7 @@ class RunFolder:
         """Raise BadInput, listing the differences, unless this process computes the same bits for the scene."""
         stored = _flattened(tomllib.loads(self.manifest["scene"])) | self.manifest["identity"]
         current = _flattened(tomllib.loads(scene.toml())) | identity(scene)
-        different = differences(stored, current, "there", "here")
+        different = differences(stored, current, "in the folder", "now")
         if different:
             raise BadInput(
                 f"{self.path}: holds another run; choose another name or remove it. It differs in {different}"
@@ -200,7 +200,7 @@ class RunFolder:
         return all(self.tiles.is_written(tile) for tile in range(self.tiling.count))
 
     def progress_text(self) -> str:
-        """How many tiles are written, in a few words; empty if the folder is no longer there."""
+        """Number of the tiles that are written, as text; empty if the folder has been removed."""
         if not self.path.is_dir():
             return ""
         path = os.path.relpath(self.path)
@@ -222,7 +222,7 @@ class RunFolder:
             f"tile {tile} will be computed again: {reason}" for tile, reason in sorted(status.damaged.items())
         ]
         points_left = sum(tiling.size_of(tile) for tile in [*status.missing, *status.damaged])
-        total_speed, at_work = 0.0, False
+        total_speed, is_running = 0.0, False
         for path in sorted(self.path.glob("progress*.json")):
             with suppress(OSError, ValueError, KeyError, TypeError):
                 content = json.loads(path.read_text(encoding="utf-8"))
@@ -232,13 +232,13 @@ class RunFolder:
                     f" points, {content['points_per_second']:.4g} points/s, {state}; written {content['written']}"
                 )
                 if state == progress.AT_WORK:
-                    at_work, total_speed = True, total_speed + content["points_per_second"]
+                    is_running, total_speed = True, total_speed + content["points_per_second"]
         if points_left and total_speed > 0:
             lines.append(
                 f"{points_left} points left, {progress.clock(points_left / total_speed)} at the speed of the"
                 " processes at work"
             )
-        elif points_left and not at_work:
+        elif points_left and not is_running:
             lines.append(
                 f"{points_left} points left, no process is at work; `atlas run` with its scene continues"
             )
@@ -393,6 +393,7 @@ class RunFolder:
                     file[str(name)][slices] = values
 
     def _copy_tiles(self, file: netCDF4.Dataset) -> None:
+        """Write the variables of all tiles."""
         for tile in range(self.tiling.count):
             try:
                 arrays = self.tiles.read(tile)
@@ -416,7 +417,7 @@ class RunFolder:
 
 
 def remove_empty(path: Path) -> None:
-    """Remove what a removed run folder may have left: a folder with nothing but leftovers."""
+    """Remove the folder of a run that was removed, if it contains nothing but temporary files."""
     remove_leftovers(path)
     with suppress(OSError):
         path.rmdir()
@@ -430,7 +431,7 @@ def _check_new_folder(path: Path) -> None:
     if path.exists() and any(
         entry.name != claim and not is_temporary(entry.name) for entry in path.iterdir()
     ):
-        raise BadInput(f"{path}: this folder holds something else: there is no {MANIFEST} in it")
+        raise BadInput(f"{path}: this folder contains something else: there is no {MANIFEST} in it")
     check_folder(path / MANIFEST if path.exists() else path)
 
 
@@ -461,6 +462,7 @@ def result_hash(scene: str, programs: dict[str, str]) -> str:
 
 
 def _key(manifest: dict[str, Any]) -> str:
+    """Hash of the scene, the programs and the tiling of a manifest."""
     content = {name: manifest[name] for name in ("format", "scene", "identity", "tile")}
     return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
 

@@ -21,7 +21,7 @@ from ..systems.base import System
 
 
 def identity(scene: Scene) -> dict[str, str]:
-    """Everything besides its scene on which the bits of an atlas depend, as it is in the memory of this process.
+    """Programs and processor on which the bits of an atlas depend, as they are in the memory of this process.
 
     Parameters
     ----------
@@ -44,7 +44,9 @@ def identity(scene: Scene) -> dict[str, str]:
 
     from ..engine import jit
 
-    kernel = scene_kernel_hash(scene)  # made from source files, so before the look whether they changed
+    kernel = scene_kernel_hash(
+        scene
+    )  # computed from source files, so before the check whether these have changed
     changed = sources.changed()
     if changed:
         raise BadInput(

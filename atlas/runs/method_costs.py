@@ -1,4 +1,4 @@
-"""What the integration methods cost in comparison with each other, at the same tolerance."""
+"""Costs of the integration methods relative to each other, at the same tolerance."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ def relative_costs(scene: Scene, sample: Grid) -> dict[str, float]:
 
 
 def method_lines(scene: Scene, sample: Grid) -> list[str]:
-    """A sentence for each other method on what it would cost; none where the scene sets a step."""
+    """A sentence on the cost of each other method; none where the scene sets a step."""
     return [
         f'method: {scene.settings.method}; method = "{name}" would integrate in about {ratio:.2g}'
         f" {'of' if ratio < 1 else 'times'} the time at the same tolerance"

@@ -60,7 +60,7 @@ def open_atlas(path: str | Path) -> xr.Dataset:
         ds.encoding["source"] = str(path.absolute())
     except BadInput:
         raise
-    except Exception as error:  # a damaged file may raise any error
+    except Exception as error:  # reading a damaged file may raise any error
         raise BadInput(f"{path}: not a NetCDF file that can be read ({one_line(error)})") from None
     return _checked(ds, path)
 

@@ -50,7 +50,7 @@ def refined(
     of two points with different flags are integrated, until every boundary runs between integrated points.
     On the finest grid two more sets of points are integrated, and boundaries that appear there are traced in
     the same way: first the points near boundaries of what theory predicts (it is evaluated at every point),
-    and those where an instability has hardly time to show; then the probe, a random share of all others.
+    and those where an instability has hardly time to grow; then the probe, a random share of all others.
 
     Parameters
     ----------
@@ -138,11 +138,11 @@ class _FineGrid:
         self.n_existing, self.n_integrated = int(exists.sum()), 0
         # Points without motion are computed: their flags are 0, not_computed, but for the status.
         self.computed = ~exists.reshape(scene.shape)
-        nothing = {name: np.zeros(scene.size, np.int8) for name in self.flags}
-        if "status" in nothing:
-            nothing["status"] = np.where(exists, 0, grid.status_of(reason))
+        initial = {name: np.zeros(scene.size, np.int8) for name in self.flags}
+        if "status" in initial:
+            initial["status"] = np.where(exists, 0, grid.status_of(reason))
         self.flag_code = (
-            np.broadcast_to(_encode(nothing, self.flag_counts), scene.size).reshape(scene.shape).copy()
+            np.broadcast_to(_encode(initial, self.flag_counts), scene.size).reshape(scene.shape).copy()
         )
 
     def _predict(self, indices: np.ndarray) -> np.ndarray:
@@ -206,8 +206,9 @@ class _FineGrid:
 
         Returns the number of points of the probe, and of those with other flags than assumed.
         """
-        rest = np.flatnonzero(~self.computed)
-        chosen = np.random.default_rng(SEED).choice(rest, math.ceil(share * rest.size), replace=False)
+        not_computed = np.flatnonzero(~self.computed)
+        count = math.ceil(share * not_computed.size)
+        chosen = np.random.default_rng(SEED).choice(not_computed, count, replace=False)
         chosen.sort()
         assumed = self.flag_code.flat[chosen]
         finest = [1] * len(self.scene.shape)
@@ -254,10 +255,10 @@ class _FineGrid:
 
 
 class _PredictedGrid(_FineGrid):
-    """A finest grid on which theory stands for every measurement, so that no point is integrated."""
+    """A finest grid with predictions in place of all measurements, so that no point is integrated."""
 
-    # Predictions in place of the measured flags: their boundaries are the expected ones.
-    STAND_INS: ClassVar = {
+    # Measured flag -> the prediction in its place, whose boundaries are the expected ones.
+    PREDICTIONS: ClassVar = {
         "label": "predicted",
         "label_inertial": "predicted_inertial",
         "geometry": "family",
@@ -268,9 +269,10 @@ class _PredictedGrid(_FineGrid):
         super().__init__(replace(scene, outputs=tuple(n for n in scene.outputs if n in MEASURED)), threads=1)
 
     def _values(self, indices: np.ndarray) -> dict[str, np.ndarray]:
-        nothing = np.zeros(indices.size, np.int8)
-        stand_ins = {name: self.predicted.get(self.STAND_INS.get(name, "")) for name in self.flags}
-        return {name: nothing if flags is None else flags[indices] for name, flags in stand_ins.items()}
+        """Predictions in place of the measured flags; 0 where theory predicts nothing of a flag."""
+        zero = np.zeros(indices.size, np.int8)
+        predictions = {name: self.predicted.get(self.PREDICTIONS.get(name, "")) for name in self.flags}
+        return {name: zero if flags is None else flags[indices] for name, flags in predictions.items()}
 
     def boundary_points(self) -> int:
         """Number of points of the finest grid near a boundary of the flags."""
@@ -280,7 +282,7 @@ class _PredictedGrid(_FineGrid):
 def expected_points(scene: Scene) -> float:
     """Expected number of points that `refined` integrates, from the boundaries that theory predicts.
 
-    The refinement is gone through on a grid of at most MAX_PREDICTED points, with predictions in place of
+    The refinement is simulated on a grid of at most MAX_PREDICTED points, with predictions in place of
     measurements. On each finer grid the points near boundaries grow like the length (area, ...) of these in units of
     the spacing, and those of slow instabilities like the number of all points. A boundary that theory does not predict
     is not counted.
@@ -289,10 +291,14 @@ def expected_points(scene: Scene) -> float:
     ----------
     scene : Scene
         With [refine].
+
+    Returns
+    -------
+    float
     """
     assert scene.refine is not None
     levels, n_axes = scene.refine.levels, sum(factor > 1 for factor in scene.coarsening)
-    finer = 0  # levels between the grid on which the refinement is gone through and the finest one
+    finer = 0  # levels between the grid of the simulation and the finest one
     while scene.size / 2 ** (n_axes * finer) > MAX_PREDICTED:
         finer += 1
     predicted = _PredictedGrid(_coarser(scene, finer))
@@ -330,8 +336,8 @@ def _growth_needed(scene: Scene) -> float:
     """Product of growth rate and duration above which all nudged unstable points but EXPECTED_MISSES drift.
 
     A nudge survives if its component along the unstable motion is a smaller share of it than
-    rate_tolerance / nudge * exp(-growth). Starts of which that is true are this share of all points, in
-    needles thinner than the grid. Without a nudge there are none: -inf.
+    rate_tolerance / nudge * exp(-growth). That is the share of such starts among all points, in regions
+    narrower than the spacing of the grid. Without a nudge no point drifts: -inf.
     """
     nudge = max(map(abs, scene.nudge.values()), default=0.0)
     if nudge == 0:
@@ -340,10 +346,12 @@ def _growth_needed(scene: Scene) -> float:
 
 
 def _subgrid(spacing: Sequence[int]) -> tuple[slice, ...]:
+    """Slices of the points of the finest grid with this spacing."""
     return tuple(slice(None, None, step) for step in spacing)
 
 
 def _chunks(size: int) -> Iterator[slice]:
+    """Slices that cut a range of indices into pieces of at most grid.MAX_POINTS_PER_TILE."""
     for first in range(0, size, grid.MAX_POINTS_PER_TILE):
         yield slice(first, min(first + grid.MAX_POINTS_PER_TILE, size))
 

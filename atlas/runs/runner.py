@@ -42,7 +42,7 @@ MAX_DAMAGE_WARNINGS = 5
 
 @dataclass(frozen=True)
 class _Execution:
-    """Who computes which tiles; see `run`."""
+    """Processes and threads that compute the tiles, and the shard that they compute; see `run`."""
 
     threads: int | None
     shard: tuple[int, int] | None
@@ -51,6 +51,7 @@ class _Execution:
 
     @property
     def on_cluster(self) -> bool:
+        """Whether dask workers compute the tiles."""
         return bool(self.scheduler or self.workers)
 
     def check(self) -> None:
@@ -115,8 +116,8 @@ def run(
     Raises
     ------
     BadInput
-        If no point can be computed, or if `out` cannot be written or holds something else. Nothing has then been
-        computed.
+        If no point can be computed, or if `out` cannot be written or contains something else. Nothing has then
+        been computed.
     """
     scene = scene if isinstance(scene, Scene) else load_scene(scene)
     execution = _Execution(threads, shard, scheduler, workers)
@@ -185,7 +186,7 @@ def _folder_of(path: Path) -> Path:
 
 
 def _complete(folder: RunFolder, sample: grid.Grid, execution: _Execution, progress: bool) -> None:
-    """Compute what is missing of a run folder or of one shard of it, and the attributes of the finished run."""
+    """Compute the missing tiles of a run folder or of one shard of it, and the attributes of the finished run."""
     explain_kept(folder.progress_text)
     _compute_tiles(folder, sample, execution, progress)
     try:
@@ -222,7 +223,7 @@ def _run_to_file(
 
 
 def _stamp(path: Path) -> tuple[int, int] | None:
-    """What changes when a file is replaced; None if there is none."""
+    """Number and time of a file, which change when it is replaced; None if there is no file."""
     try:
         status = path.stat()
     except FileNotFoundError:
@@ -237,7 +238,7 @@ def _is_result(scene: Scene, path: Path) -> bool:
             result = ds.attrs.get(RESULT)
     except BadInput:
         return False
-    # What a user derives from an atlas has its attributes but no checksums.
+    # A dataset that a user derives from an atlas has its attributes but no checksums.
     return result is not None and checksums.are_in(path) and result == _own_result_hash(scene)
 
 
@@ -279,6 +280,7 @@ def _compute_points(
 def _run_in_memory(
     scene: Scene, sample: grid.Grid, warnings: list[str], threads: int | None, progress: bool
 ) -> xr.Dataset:
+    """Compute an atlas without a run folder."""
     columns = {name: np.empty(scene.size, dtype) for name, dtype in tile_types(scene).items()}
     tiles = tiling(scene, sample)
     bar = Progress(scene.size, show=progress)
@@ -315,6 +317,7 @@ class _Job:
         self.unfinished = sorted([*self.status.missing, *self.status.damaged])
 
     def warn_of_damage(self) -> None:
+        """Log a warning for each damaged tile, at most MAX_DAMAGE_WARNINGS of them."""
         logger = logging.getLogger("atlas")
         for tile, reason in list(self.status.damaged.items())[:MAX_DAMAGE_WARNINGS]:
             logger.warning("%s: tile %d is computed again: %s", self.folder.path, tile, reason)
@@ -322,6 +325,7 @@ class _Job:
             logger.warning("... and %d damaged tiles more", len(self.status.damaged) - MAX_DAMAGE_WARNINGS)
 
     def open_progress(self, show: bool) -> Progress:
+        """Progress of the job, which also writes its progress file."""
         size_of = self.folder.tiling.size_of
         name = "progress.json" if self.parts == 1 else f"progress-{self.part}-of-{self.parts}.json"
         return Progress(
@@ -366,6 +370,7 @@ def _compute_tiles(folder: RunFolder, sample: grid.Grid, execution: _Execution, 
 
 
 def _compute_in_threads(job: _Job, bar: Progress, sample: grid.Grid, threads: int | None) -> None:
+    """Compute the tiles of a job in threads of this process."""
     folder = job.folder
     by = f"{threads or blocks.available_threads()} threads"
     by += f", shard {job.part}/{job.parts}" if job.parts > 1 else ""
@@ -395,6 +400,7 @@ def _compile_kernel(scene: Scene, sample: grid.Grid) -> None:
 
 
 def _compute_on_cluster(job: _Job, bar: Progress, execution: _Execution) -> None:
+    """Compute the tiles of a job on dask workers."""
     folder = job.folder
 
     def on_result(tile: int) -> None:

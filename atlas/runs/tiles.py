@@ -39,7 +39,7 @@ class TileStatus:
 
 
 def tile_types(scene: Scene) -> dict[str, str]:
-    """Names and types of what a tile holds: its variables, and the parameters the family was solved for."""
+    """Names and types of the columns of a tile: its variables, and the parameters the family is solved for."""
     registry = variables(scene.system)
     return {name: registry[name].dtype for name in scene.outputs} | dict.fromkeys(scene.solve, "float64")
 
@@ -153,13 +153,13 @@ class TileFiles:
         if hashlib.sha256(content).hexdigest() != sidecar.get("sha256"):
             raise DamagedTileError("its hash differs")
         flags = [name for name in ("label", "status") if name in self.types]
-        wanted = list(self.types if names is None else names)
+        selected = list(self.types if names is None else names)
         try:
             with NETCDF_LOCK, netCDF4.Dataset("tile.nc", memory=content) as file:
                 file.set_auto_maskandscale(False)
                 if (file.getncattr("atlas_key"), file.getncattr("atlas_tile")) != (self.key, tile):
                     raise DamagedTileError("it is a tile of another run or place")
-                arrays = {name: np.asarray(file[name][...]) for name in {*wanted, *flags}}
+                arrays = {name: np.asarray(file[name][...]) for name in {*selected, *flags}}
         except (OSError, RuntimeError, AttributeError, IndexError) as error:
             raise DamagedTileError(f"it does not open: {error}") from None
         if any(array.shape != shape or array.dtype != self.types[name] for name, array in arrays.items()):
@@ -170,8 +170,8 @@ class TileFiles:
         if sidecar.get("points") != points or any(
             np.isin(arrays[name], missing[name]).sum() != not_computed for name in flags
         ):
-            raise DamagedTileError("it holds points that are not computed")
-        return {name: arrays[name] for name in wanted}
+            raise DamagedTileError("it contains points that are not computed")
+        return {name: arrays[name] for name in selected}
 
     def status(self, tiles: Iterable[int] | None = None) -> TileStatus:
         """Check tiles (default: all), reading the whole of every file."""
@@ -198,6 +198,7 @@ class TileFiles:
                     yield self._sidecar(int(name[:8]))
 
     def _file_names(self) -> set[str]:
+        """Names of the files in the folder."""
         return {entry.name for entry in os.scandir(self.folder)} if self.folder.is_dir() else set()
 
     def _sidecar(self, tile: int) -> dict[str, Any]:

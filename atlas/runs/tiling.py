@@ -14,7 +14,7 @@ from ..scene.model import MAX_STEPS, Scene
 
 # Work of a tile, in points times steps: a few seconds of one processor at about 6 ns each.
 TILE_POINT_STEPS = 5e8
-# Fewer points would leave lanes of the kernel empty.
+# With fewer points the blocks of the kernel would not be full.
 MIN_POINTS_PER_TILE = 512
 
 
@@ -36,10 +36,10 @@ class Tiling:
     @classmethod
     def of(cls, shape: tuple[int, ...], max_points: int) -> Tiling:
         """Cut a grid evenly into tiles of at most so many points."""
-        tile, room = [], max_points
+        tile, remaining = [], max_points
         for count in reversed(shape):
-            tile.append(math.ceil(count / math.ceil(count / min(count, max(room, 1)))))
-            room //= count
+            tile.append(math.ceil(count / math.ceil(count / min(count, max(remaining, 1)))))
+            remaining //= count
         return cls(shape, tuple(reversed(tile)))
 
     @property
@@ -112,9 +112,9 @@ def step_warnings(scene: Scene, sample: grid.Grid) -> list[str]:
 
 
 def tiling(scene: Scene, sample: grid.Grid) -> Tiling:
-    """Cut the grid of a scene into tiles of similar work.
+    """The tiles of a scene, of similar work.
 
-    The tiles depend on the scene alone, never on timing or the number of processors.
+    They depend on the scene alone, never on timing or the number of processors.
 
     Parameters
     ----------

@@ -80,11 +80,11 @@ def _read_box(run: RunFolder, box: tuple[slice, ...]) -> dict[str, Any]:
             slice(max(a.start, b.start), min(a.stop, b.stop))
             for a, b in zip(box, run.tiling.slices(tile), strict=True)
         ]
-        here = tuple(slice(c.start - b.start, c.stop - b.start) for c, b in zip(common, box, strict=True))
-        there = tuple(
+        in_box = tuple(slice(c.start - b.start, c.stop - b.start) for c, b in zip(common, box, strict=True))
+        in_tile = tuple(
             slice(c.start - t.start, c.stop - t.start)
             for c, t in zip(common, run.tiling.slices(tile), strict=True)
         )
         for name, array in arrays.items():
-            values[name][here] = array[there]
+            values[name][in_box] = array[in_tile]
     return values

@@ -206,14 +206,14 @@ def test_a_run_of_another_scene_or_processor_is_refused_with_the_differences(sce
     out = f"{tmp_path}/run/"
     atlas.run(scene, out, progress=False)
     before = {p: p.read_bytes() for p in tmp_path.rglob("*") if p.is_file()}
-    with pytest.raises(BadInput, match=r"fixed\.m \(0\.5 there, 0\.6 here\)"):
+    with pytest.raises(BadInput, match=r"fixed\.m \(0\.5 in the folder, 0\.6 now\)"):
         atlas.run(load_scene(scene_text({"fixed.m": 0.6})), out, progress=False)
     manifest = files.unsealed((tmp_path / "run" / "manifest.json").read_text())
     manifest["identity"]["cpu"] = "abacus"
     manifest["key"] = folder._key(manifest)
     (tmp_path / "other").mkdir()
     (tmp_path / "other" / "manifest.json").write_text(files.sealed(manifest))
-    with pytest.raises(BadInput, match=r"cpu \(abacus there"):
+    with pytest.raises(BadInput, match=r"cpu \(abacus in the folder"):
         atlas.run(scene, f"{tmp_path}/other/", progress=False)
     assert {p: p.read_bytes() for p in before} == before
 

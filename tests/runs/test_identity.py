@@ -58,7 +58,7 @@ def test_a_run_is_not_continued_by_other_code(name, run, scene, package, monkeyp
     with open(package / name, "a") as file:
         file.write("\n")
     monkeypatch.setattr(sources, "AT_IMPORT", sources.read())  # a process that starts after the edit
-    with pytest.raises(BadInput, match=r"differs in code \([0-9a-f]{16} there, [0-9a-f]{16} here\)$"):
+    with pytest.raises(BadInput, match=r"differs in code \([0-9a-f]{16} in the folder, [0-9a-f]{16} now\)$"):
         run.check_same(scene)
 
 
@@ -126,7 +126,7 @@ def test_a_run_is_not_continued_where_one_program_or_the_processor_differs(
     run.check_same(scene)
     monkeypatch.setattr(numba.config, "reload_config", lambda: None)
     monkeypatch.setattr(owner, attribute, value)
-    with pytest.raises(BadInput, match=rf"It differs in {name} \([^()]+ there, [^()]+ here\)$"):
+    with pytest.raises(BadInput, match=rf"It differs in {name} \([^()]+ in the folder, [^()]+ now\)$"):
         run.check_same(scene)
 
 

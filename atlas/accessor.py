@@ -160,7 +160,7 @@ class Atlas:
         Raises
         ------
         BadInput
-            For names that are not there and for values outside the axes.
+            For names that the atlas does not have and for values outside its axes.
         """
         from .analysis.select import nearest
 
@@ -385,7 +385,7 @@ class Atlas:
         return roughness(self._ds, x, y)
 
     def trust(self, variable: str = "label") -> xr.Dataset:
-        """How far a map can be trusted between its points, from the map itself.
+        """Reliability of a map between its points, estimated from the map itself.
 
         Cells of side s have their corners s points apart, along the axes of at least
         `atlas.analysis.trust.MIN_VALUES` values; shorter axes count as separate maps.
@@ -402,7 +402,7 @@ class Atlas:
               1: the fraction of the map in which a border runs.
             - exponent: least-squares slope of log(uncertain) over log(side), for sides with a fraction
               above 0 [1]_: 1 for smooth borders, towards 0 for fractal ones, which finer grids hardly
-              sharpen; nan with less than two such sides. The dimension of the borders is the number of
+              sharpen; nan with fewer than two such sides. The dimension of the borders is the number of
               axes less the exponent.
             - missed: fraction of the cells of side 2 with equal corners that have another value on the
               points between them, such as an island or a thin tongue.
@@ -424,12 +424,12 @@ class Atlas:
         return trust(self._ds, variable)
 
     def cite(self) -> str:
-        """What a result from this atlas rests on.
+        """Text that names the program, the equations and the computation behind a result from this atlas.
 
         Returns
         -------
         str
-            Program, equations, and how the atlas was computed.
+            Three lines.
 
         Raises
         ------

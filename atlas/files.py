@@ -212,11 +212,12 @@ def unsealed(text: str | bytes) -> dict[str, Any]:
     """Entries of a JSON text that `sealed` made; ValueError if it was changed."""
     content = json.loads(text)
     if not isinstance(content, dict) or content.pop("checksum", None) != _checksum(content):
-        raise ValueError("its checksum does not fit what it holds")
+        raise ValueError("its checksum does not match its content")
     return content
 
 
 def _checksum(content: Mapping[str, Any]) -> str:
+    """Hash of some entries of a JSON text."""
     return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
 
 

@@ -1,4 +1,4 @@
-"""Values of the flag variables: names, numbers and what they mean."""
+"""Values of the flag variables: names, numbers and meanings."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from enum import IntEnum
 
 
 class Flag(IntEnum):
-    """Value of a flag variable, with a sentence on what it means.
+    """Value of a flag variable, with a sentence on its meaning.
 
     The name in files and in text is the member's name in lower case.
     """

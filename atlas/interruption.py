@@ -1,4 +1,4 @@
-"""SIGINT (Ctrl-C) and SIGTERM: the command ends in order, and soon."""
+"""SIGINT (Ctrl-C) and SIGTERM: the command ends within GRACE_PERIOD, with its files whole."""
 
 from __future__ import annotations
 
@@ -18,8 +18,8 @@ from typing import NoReturn
 # Exit codes, 128 and the number of the signal, as shells and batch systems expect them.
 INTERRUPTED, TERMINATED = 130, 143
 MESSAGE = "finished work is kept, and no file is half written"
-# Seconds after a signal when the process ends, in order or not: compilers do not react to exceptions.
-PATIENCE = 1.2
+# Seconds from a signal to the end of the process, also where it does not react to exceptions, as in a compiler.
+GRACE_PERIOD = 1.2
 SIGNALS = (signal.SIGINT, signal.SIGTERM)
 
 _received = signal.SIGINT  # the last signal
@@ -44,13 +44,13 @@ def outcome(number: int | None = None) -> tuple[int, str]:
 
 
 def explain_kept(kept: Callable[[], str] | None) -> None:
-    """Let the message of an interruption state what the same command would continue.
+    """Make the message of an interruption state the work that the same command would continue.
 
     Parameters
     ----------
     kept : callable or None
-        Called when a signal has come. It returns the text, or an empty one for the usual message, which None
-        brings back.
+        Called after a signal. It returns the text, or an empty one for the usual message. None restores the usual
+        message.
     """
     global _kept
     _kept = kept
@@ -79,14 +79,14 @@ def is_command() -> bool:
 
 
 def end_on_signal() -> None:
-    """Let a signal end the process while it imports: there is nothing to keep, and a traceback would help nobody."""
+    """Make a signal end the process at once, without a traceback: for the time of its imports."""
     for number in SIGNALS:
         if signal.getsignal(number) in (signal.SIG_DFL, signal.default_int_handler):
             signal.signal(number, end_process)
 
 
 def exit_process(code: int) -> NoReturn:
-    """Exit with the code of a command that has ended: no signal that comes now changes it.
+    """Exit with the code of a command that has ended; later signals do not change it.
 
     After a KeyboardInterrupt, also one that was handled, Python may end itself with SIGINT instead.
     """
@@ -101,7 +101,7 @@ def exit_process(code: int) -> NoReturn:
 
 @contextmanager
 def signals_as_interrupt() -> Iterator[None]:
-    """Make SIGINT and SIGTERM raise KeyboardInterrupt, and end the process if it goes on for PATIENCE or at a second one.
+    """Make SIGINT and SIGTERM raise KeyboardInterrupt, and end the process if it goes on for GRACE_PERIOD or at a second one.
 
     A signal that the process was started to ignore stays ignored. Does nothing outside the main thread.
     """
@@ -116,7 +116,7 @@ def signals_as_interrupt() -> Iterator[None]:
         if timers:
             end_process()
         else:
-            timer = threading.Timer(PATIENCE, end_process)
+            timer = threading.Timer(GRACE_PERIOD, end_process)
             timer.daemon = True
             timer.start()
             timers.append(timer)

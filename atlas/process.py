@@ -1,4 +1,4 @@
-"""Which process wrote a file, and whether it still runs.
+"""Names of processes, from which it can be decided whether the writer of a file still runs.
 
 A process is named by its machine, the start of that machine, its number and its start: machine-boot-pid-start.
 On the same machine this decides exactly whether it runs, because a number that is used again belongs to a
@@ -30,7 +30,11 @@ def is_running(process: str) -> bool | None:
     Parameters
     ----------
     process : str
-        Its name, as `name` gave it there.
+        Its name, from `name` in that process.
+
+    Returns
+    -------
+    bool or None
     """
     match = NAME.fullmatch(process)
     if match is None or match[1] != _machine():
@@ -79,4 +83,5 @@ def _start(pid: int) -> int | None:
 
 
 def _short_hash(text: str) -> str:
+    """Eight hexadecimal digits of a hash."""
     return hashlib.sha256(text.encode()).hexdigest()[:8]

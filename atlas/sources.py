@@ -7,7 +7,7 @@ from pathlib import Path
 
 PACKAGE = Path(__file__).parent
 # Everything from the scene to the tile: equations, kernels, grid, labels, the registry of variables, and which
-# points and variables a tile holds. What only reads, joins or draws finished tiles is left out.
+# points and variables a tile contains. Modules that only read, join or draw finished tiles are left out.
 NUMERIC_SOURCES = (
     "flags.py", "variables.py", "engine/**/*.py", "systems/**/*.py", "scene/**/*.py", "label/**/*.py",
     "io/netcdf.py", "runs/runner.py", "runs/tiles.py", "runs/tiling.py",
@@ -28,7 +28,7 @@ AT_IMPORT = read()
 
 
 def changed() -> list[str]:
-    """Names of the files that were written since: modules loaded before and after may not fit together."""
+    """Names of the files written since the import: modules loaded before and after may not fit together."""
     now = read()
     return sorted(name for name in AT_IMPORT.keys() | now if AT_IMPORT.get(name) != now.get(name))
 

@@ -98,13 +98,13 @@ def variables(system: System) -> dict[str, Variable]:
         For a system of which a parameter or an observable has the name of a variable.
     """
     registry = _variables_of_observables(system) if system.observables else _variables_of_body(system)
-    taken = {*registry, *_every_variable_of_body(system), COMPUTED.name, POINT, "time"}
+    reserved = {*registry, *_every_variable_of_body(system), COMPUTED.name, POINT, "time"}
     for kind, names in (
         ("parameter", system.parameters),
         ("observable", [o.name for o in system.observables]),
     ):
         for name in names:
-            if name in taken:
+            if name in reserved:
                 raise BadInput(
                     f"the system {system.name}: its {kind} {name} has the name of a variable of the atlas; choose another name"
                 )
@@ -284,9 +284,9 @@ def _variables_of_observables(system: System) -> dict[str, Variable]:
     registry = {variable.name: variable for variable in everything}
     if len(registry) < len(everything):
         names = [variable.name for variable in everything]
-        twice = next(name for name in names if names.count(name) > 1)
+        repeated = next(name for name in names if names.count(name) > 1)
         raise BadInput(
-            f"the system {system.name}: two variables of its atlases would be called {twice}; rename an observable"
+            f"the system {system.name}: two variables of its atlases would be called {repeated}; rename an observable"
         )
     return registry
 

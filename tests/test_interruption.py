@@ -27,12 +27,12 @@ def test_a_process_that_does_not_end_is_ended(monkeypatch):
     """By the timer, or by a second signal."""
     ended = threading.Event()
     monkeypatch.setattr(interruption, "end_process", ended.set)
-    monkeypatch.setattr(interruption, "PATIENCE", 0.0)
+    monkeypatch.setattr(interruption, "GRACE_PERIOD", 0.0)
     with signals_as_interrupt():
         with pytest.raises(KeyboardInterrupt):
             signal.raise_signal(signal.SIGINT)
         assert ended.wait(60)
-    monkeypatch.setattr(interruption, "PATIENCE", 1e6)
+    monkeypatch.setattr(interruption, "GRACE_PERIOD", 1e6)
     ended.clear()
     with signals_as_interrupt():
         for expected in (False, True):

@@ -75,7 +75,7 @@ def _error_lines(ds: xr.Dataset) -> list[str]:
             if not math.isnan(largest):
                 parts.append(f"at {name} points {median:.0e} (median) to {largest:.2g} (largest)")
             if largest > 1:
-                remark = "; above 1 an instability has amplified errors until the final state is unknown, and labels are tested by themselves"
+                remark = "; above 1 an instability has amplified errors until the final state is unknown; the labels have checks of their own"
         if parts:
             lines.append(
                 f"expected relative error of the motion (error_estimate): {', '.join(parts)}{remark}"

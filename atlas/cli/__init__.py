@@ -61,7 +61,7 @@ def command() -> NoReturn:
         argcomplete.autocomplete(parser())
     try:
         code = main()
-    except SystemExit as end:  # of the parser of options
+    except SystemExit as end:  # raised by the parser of the options
         code = int(end.code or DONE)
     exit_process(code)
 

@@ -24,6 +24,7 @@ from .options import (
 
 
 def add_compare(commands: Commands) -> None:
+    """Add the command `compare`."""
     command = add_command(
         commands, "compare", _compare, "print an atlas beside theory: confusion table, worst disagreements"
     )
@@ -32,6 +33,7 @@ def add_compare(commands: Commands) -> None:
 
 
 def _compare(options: argparse.Namespace) -> int:
+    """Run the command `compare`; returns its exit code."""
     from ..analysis.compare import report
     from ..runs.open import open_atlas
 
@@ -42,13 +44,14 @@ def _compare(options: argparse.Namespace) -> int:
 
 
 def add_map(commands: Commands) -> None:
+    """Add the command `map`."""
     command = add_command(commands, "map", _map, "draw a map of an atlas")
     atlas_option(command)
     out_option(command, "FIGURE", ".png, .pdf or .svg (default: ATLAS.png and ATLAS.pdf)")
     command.add_argument("--variable", metavar="NAME", help="what to map (default: label)")
     command.add_argument("--x", metavar="AXIS", help="horizontal axis (default: the first)")
     command.add_argument("--y", metavar="AXIS", help="vertical axis (default: the second)")
-    assignment_option(command, "--select", "AXIS=VALUE", "places on other axes, one or several")
+    assignment_option(command, "--select", "AXIS=VALUE", "values of the other axes, one or several")
     command.add_argument("--width", choices=("column", "page"), default="column", help="journal width")
     command.add_argument("--size", metavar="WIDTHxHEIGHT", help="size in mm, such as 120x90")
     command.add_argument("--dpi", type=float, metavar="N", help="resolution (default: 600)")
@@ -65,6 +68,7 @@ def add_map(commands: Commands) -> None:
 
 
 def _map(options: argparse.Namespace) -> int:
+    """Run the command `map`; returns its exit code."""
     from ..plotting import maps, style, text
     from ..runs.open import open_atlas
 
@@ -88,6 +92,7 @@ def _map(options: argparse.Namespace) -> int:
 
 
 def add_page(commands: Commands) -> None:
+    """Add the command `page`."""
     command = add_command(
         commands, "page", _page, "make one HTML file of an atlas, in which points can be integrated"
     )
@@ -97,6 +102,7 @@ def add_page(commands: Commands) -> None:
 
 
 def _page(options: argparse.Namespace) -> int:
+    """Run the command `page`; returns its exit code."""
     from ..page.page import FORMATS, atlas_page
     from ..runs.open import open_atlas
 

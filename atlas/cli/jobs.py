@@ -24,6 +24,7 @@ from .options import (
 
 
 def add_run(commands: Commands) -> None:
+    """Add the command `run`."""
     command = add_command(commands, "run", _run, "integrate a scene and write its labelled atlas")
     scene_option(command)
     out_option(
@@ -44,6 +45,7 @@ def add_run(commands: Commands) -> None:
 
 
 def _run(options: argparse.Namespace) -> int:
+    """Run the command `run`; returns its exit code."""
     check_at_least("--threads", options.threads, 1)
     check_at_least("--workers", options.workers, 1)
     shard = _shard(options.shard)
@@ -86,11 +88,13 @@ def _shard(text: str | None) -> tuple[int, int] | None:
 
 
 def add_status(commands: Commands) -> None:
+    """Add the command `status`."""
     command = add_command(commands, "status", _status, "print the progress of a run folder")
     command.add_argument("folder", metavar="RUN", help="run folder")
 
 
 def _status(options: argparse.Namespace) -> int:
+    """Run the command `status`; returns its exit code."""
     from ..runs.folder import RunFolder
 
     print(RunFolder.open(options.folder).status())
@@ -98,6 +102,7 @@ def _status(options: argparse.Namespace) -> int:
 
 
 def add_join(commands: Commands) -> None:
+    """Add the command `join`."""
     command = add_command(commands, "join", _join, "write a finished run folder as one file")
     command.add_argument("folder", metavar="RUN", help="run folder")
     out_option(command, "FILE", "atlas to write (.nc or .zarr)", required=True)
@@ -105,6 +110,7 @@ def add_join(commands: Commands) -> None:
 
 
 def _join(options: argparse.Namespace) -> int:
+    """Run the command `join`; returns its exit code."""
     from ..runs.folder import RunFolder
 
     folder = RunFolder.open(options.folder)
@@ -114,10 +120,12 @@ def _join(options: argparse.Namespace) -> int:
 
 
 def add_check(commands: Commands) -> None:
+    """Add the command `check`."""
     scene_option(add_command(commands, "check", _check, "check a scene without running it"))
 
 
 def _check(options: argparse.Namespace) -> int:
+    """Run the command `check`; returns its exit code."""
     from ..label import regularity
     from ..runs.method_costs import method_lines
     from ..runs.tiling import step_warnings
@@ -141,11 +149,13 @@ def _check(options: argparse.Namespace) -> int:
 
 
 def add_cache(commands: Commands) -> None:
+    """Add the command `cache`."""
     command = add_command(commands, "cache", _cache, "list the compiled kernels")
     command.add_argument("--clear", action="store_true", help="remove them")
 
 
 def _cache(options: argparse.Namespace) -> int:
+    """Run the command `cache`; returns its exit code."""
     from ..engine import jit
 
     if options.clear:

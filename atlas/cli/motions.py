@@ -34,6 +34,7 @@ if TYPE_CHECKING:
 
 
 def add_points(commands: Commands) -> None:
+    """Add the command `points`."""
     from ..scene.model import DEFAULTS, Duration
 
     command = add_command(commands, "points", _points, "label points of a file, which names their parameters")
@@ -69,6 +70,7 @@ def _is_column(word: str) -> bool:
 
 
 def _points(options: argparse.Namespace) -> int:
+    """Run the command `points`; returns its exit code."""
     from .. import systems
     from ..io import csv as csv_file
     from ..io import netcdf
@@ -80,12 +82,12 @@ def _points(options: argparse.Namespace) -> int:
     inputs = [] if from_input else [options.points]
     out = writable(options.out, tables.FORMATS, force=options.force, inputs=inputs)
     system = systems.get(options.system)
-    wanted = {*system.parameters, *options.keep}
+    numeric = {*system.parameters, *options.keep}
     columns: dict[str, Any]
     if from_input:
-        columns = csv_input.read(io.StringIO(read_input()), "standard input", wanted)
+        columns = csv_input.read(io.StringIO(read_input()), "standard input", numeric)
     else:
-        columns = tables.read(options.points, wanted)
+        columns = tables.read(options.points, numeric)
     from ..analysis.summary import summary
     from ..label.points import label_points
 
@@ -108,7 +110,7 @@ def _points(options: argparse.Namespace) -> int:
 
 
 def _number_or_text(text: str) -> float | str:
-    """A number of time units, or what else was given."""
+    """The number of a text, or else the text."""
     try:
         return float(text)
     except ValueError:
@@ -116,27 +118,29 @@ def _number_or_text(text: str) -> float | str:
 
 
 def add_trajectory(commands: Commands) -> None:
+    """Add the command `trajectory`."""
     command = add_command(
         commands, "trajectory", _trajectory, "integrate one point of a scene and draw its motion"
     )
     command.add_argument(
         "scene", metavar="SCENE", help="scene file, atlas or run folder, - for standard input"
     )
-    assignment_option(command, "--at", "AXIS=VALUE", "place of the point, a value for every axis")
+    assignment_option(command, "--at", "AXIS=VALUE", "the point, by a value for every axis")
     out_option(command, "OUT", ".png, .pdf, .svg or .nc (default: NAME_trajectory.png)")
     option_with_default(command, "--samples", "N", 1001, "instants to keep")
     force_option(command, "an existing file")
 
 
 def _trajectory(options: argparse.Namespace) -> int:
+    """Run the command `trajectory`; returns its exit code."""
     from ..analysis.metadata import system_of
     from ..io import netcdf
 
     name = options.out or f"{default_name(options.scene)}_trajectory.png"
     out = writable(name, (".nc", *FIGURES), force=options.force, inputs=input_files(options.scene))
     check_at_least("--samples", options.samples, 2)
-    places = axis_values("--at", options.at)
-    tr = _motion(options.scene, places, options.samples)
+    coordinates = axis_values("--at", options.at)
+    tr = _motion(options.scene, coordinates, options.samples)
     if out.suffix.lower() == ".nc":
         netcdf.write(tr, out)
     else:
@@ -144,17 +148,17 @@ def _trajectory(options: argparse.Namespace) -> int:
 
         style.save(trajectory.trajectory_figure(tr), out)
     observables = system_of(tr).observables
-    shown = observables[0].name if observables else "theta"
-    low, high, unit = float(tr[shown].min()), float(tr[shown].max()), tr[shown].attrs["units"]
+    variable = observables[0].name if observables else "theta"
+    low, high, unit = float(tr[variable].min()), float(tr[variable].max()), tr[variable].attrs["units"]
     duration = f"{float(tr['time'][-1]):.9g} time units"
     print(
-        f"{shown} from {low:.9g} to {high:.9g}{'' if unit == '1' else ' ' + unit} in {duration}; wrote {out}"
+        f"{variable} from {low:.9g} to {high:.9g}{'' if unit == '1' else ' ' + unit} in {duration}; wrote {out}"
     )
     return DONE
 
 
-def _motion(name: str, places: dict[str, float], samples: int) -> Dataset:
-    """The trajectory of a place in a scene, or in the scene of an atlas; of an atlas without one, of the nearest point."""
+def _motion(name: str, coordinates: dict[str, float], samples: int) -> Dataset:
+    """The trajectory at some coordinates of a scene or of the scene of an atlas, or of an atlas' nearest single point."""
     if Path(name).suffix.lower() != ".nc" and not Path(name).is_dir():
         scene = read_scene(name)
     else:
@@ -165,8 +169,8 @@ def _motion(name: str, places: dict[str, float], samples: int) -> Dataset:
         with open_atlas(name) as ds:
             scene_of_atlas = scene_of(ds)
             if scene_of_atlas is None:
-                return nearest_trajectory(ds, places, samples)
+                return nearest_trajectory(ds, coordinates, samples)
         scene = scene_of_atlas
     from ..label.trajectory import trajectory_of_scene
 
-    return trajectory_of_scene(scene, places, samples=samples)
+    return trajectory_of_scene(scene, coordinates, samples=samples)

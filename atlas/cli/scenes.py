@@ -11,6 +11,7 @@ from .options import DONE, Commands, add_command, force_option, out_option
 
 
 def add_schema(commands: Commands) -> None:
+    """Add the command `schema`."""
     command = add_command(
         commands,
         "schema",
@@ -22,6 +23,7 @@ def add_schema(commands: Commands) -> None:
 
 
 def _schema(options: argparse.Namespace) -> int:
+    """Run the command `schema`; returns its exit code."""
     from ..scene.schema import scene_schema
 
     text = json.dumps(scene_schema(), indent=2, ensure_ascii=False)

@@ -10,7 +10,7 @@ from typing import Any
 
 from .. import systems
 from .._version import __version__
-from ..scene.model import EMPTY_ABOUT, About, Settings, std_tolerances
+from ..scene.model import EMPTY_ABOUT, About, Scene, Settings, std_tolerances
 from ..systems.base import System
 
 
@@ -18,6 +18,27 @@ def log_warnings(warnings: list[str]) -> None:
     """Log warnings about the input under the name "atlas"."""
     for warning in warnings:
         logging.getLogger("atlas").warning(warning)
+
+
+def scene_provenance(
+    scene: Scene, kernel_hash: str, *, seconds: float, points: int, warnings: list[str]
+) -> dict[str, Any]:
+    """Global attributes of the atlas of a scene.
+
+    Parameters
+    ----------
+    scene : Scene
+    kernel_hash, seconds, points, warnings
+        As for `provenance`.
+
+    Returns
+    -------
+    dict
+    """
+    return provenance(
+        scene.system, scene.settings, kernel_hash, title=scene.title, scene=scene.toml(), seconds=seconds,
+        points=points, warnings=warnings, about=scene.about,
+    )  # fmt: skip
 
 
 def provenance(

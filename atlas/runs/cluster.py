@@ -42,7 +42,7 @@ def check(scheduler: str) -> None:
     except (OSError, ValueError) as error:
         reason = one_line(error) or type(error).__name__
         raise BadInput(
-            f"--scheduler {scheduler}: no dask scheduler answers at this address ({reason})"
+            f"--scheduler {scheduler}: no scheduler answers at this address ({reason})"
         ) from None
 
 

@@ -43,7 +43,7 @@ from ..files import (
 )
 from ..io import checksums, netcdf, progress
 from ..io.checksums import NETCDF_LOCK
-from ..io.provenance import provenance
+from ..io.provenance import scene_provenance
 from ..label.pipeline import scene_kernel_hash
 from ..scene import grid
 from ..scene.model import Scene
@@ -437,10 +437,9 @@ def _check_new_folder(path: Path) -> None:
 
 def _manifest(scene: Scene, sample: grid.Grid, warnings: list[str]) -> dict[str, Any]:
     """Content of a new manifest."""
-    attributes = provenance(
-        scene.system, scene.settings, scene_kernel_hash(scene),
-        title=scene.title, scene=scene.toml(), seconds=0.0, points=scene.size, warnings=warnings, about=scene.about,
-    )  # fmt: skip
+    attributes = scene_provenance(
+        scene, scene_kernel_hash(scene), seconds=0.0, points=scene.size, warnings=warnings
+    )
     manifest = {
         "format": FORMAT,
         "scene": scene.toml(),

@@ -17,7 +17,7 @@ from ..engine.compiling import Stopwatch
 from ..errors import BadInput
 from ..flags import Stability
 from ..io import netcdf
-from ..io.provenance import provenance
+from ..io.provenance import scene_provenance
 from ..label import theory
 from ..label.pipeline import evaluate_tile, scene_kernel_hash
 from ..scene import grid
@@ -82,18 +82,19 @@ def refined(
             print(f"{line} ({100 * fine.n_integrated / fine.n_existing:.2f} %)", file=sys.stderr)
     fine.trace_predicted_boundary()
     probe_points, probe_missed = fine.probe(scene.refine.probe)
-    attributes = {
+    ds = fine.dataset()
+    attributes = scene_provenance(
+        scene,
+        scene_kernel_hash(scene),
+        seconds=stopwatch.seconds(),
+        points=fine.n_integrated,
+        warnings=warnings,
+    ) | {
         "atlas_computed_share": fine.n_integrated / fine.n_existing,
         "atlas_probe_points": probe_points,
         "atlas_probe_missed": probe_missed,
     }
-    ds = fine.dataset()
-    return ds.assign_attrs(
-        provenance(
-            scene.system, scene.settings, scene_kernel_hash(scene), title=scene.title, scene=scene.toml(),
-            seconds=stopwatch.seconds(), points=fine.n_integrated, warnings=warnings, about=scene.about,
-        ) | attributes | half_step.half_step_sample(scene, threads=threads)
-    )  # fmt: skip
+    return ds.assign_attrs(attributes | half_step.half_step_sample(scene, threads=threads))
 
 
 def _check_memory(scene: Scene) -> None:

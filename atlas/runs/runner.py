@@ -22,7 +22,7 @@ from ..files import check_name, exists_message, writable
 from ..interruption import explain_kept
 from ..io import checksums, netcdf
 from ..io.progress import Progress
-from ..io.provenance import log_warnings, provenance
+from ..io.provenance import log_warnings, scene_provenance
 from ..label import regularity
 from ..label.pipeline import evaluate_tile, scene_kernel_hash
 from ..scene import grid
@@ -298,12 +298,11 @@ def _run_in_memory(
     finally:
         bar.close()
     seconds = bar.stopwatch.seconds()
-    return netcdf.dataset(scene, columns).assign_attrs(
-        provenance(
-            scene.system, scene.settings, scene_kernel_hash(scene),
-            title=scene.title, scene=scene.toml(), seconds=seconds, points=scene.size, warnings=warnings, about=scene.about,
-        ) | half_step.half_step_sample(scene, threads=threads)
-    )  # fmt: skip
+    attributes = scene_provenance(
+        scene, scene_kernel_hash(scene), seconds=seconds, points=scene.size, warnings=warnings
+    )
+    attributes |= half_step.half_step_sample(scene, threads=threads)
+    return netcdf.dataset(scene, columns).assign_attrs(attributes)
 
 
 class _Job:

@@ -100,7 +100,7 @@ class Case:
         self.sampling = f"a sample every {per_sample} steps" if per_sample > 1 else "a sample every step"
         self.kernel = kernel(system, method, Specialization.of_points(system, points))
         self.point_steps = count * steps
-        self.first_call = seconds(partial(self.run, 1), time.perf_counter)
+        self.first_call = seconds(partial(self.run, 1))
 
     def run(self, threads: int) -> None:
         """Integrate all points."""
@@ -338,7 +338,7 @@ def tangent_cost(count: int, steps: int, repeat: int) -> None:
             ),
             "statistics": partial(case.run, 1),
         }
-        first_call = seconds(works["tangent"], time.perf_counter)
+        first_call = seconds(works["tangent"])
         times: dict[str, list[float]] = {key: [] for key in works}
         for _ in range(repeat):
             for key, work in works.items():

@@ -59,7 +59,8 @@ class Atlas:
             Axes of the map; default the two longest, x the one that comes first in the atlas. For single points,
             parameters or other coordinates along them; default the two with the most values.
         select : mapping of str to float, optional
-            Axis -> value for other axes; the nearest value is taken.
+            Axis -> value for other axes; the nearest value is taken. One more axis of at most
+            `atlas.analysis.select.MAX_PANELS` values becomes a row of panels.
         ax : matplotlib.axes.Axes, optional
             Axes to draw into, with the fonts and the size that they have; default a figure of its own.
         title : str, optional
@@ -71,8 +72,8 @@ class Atlas:
         labels : mapping of str to str, optional
             Text instead of the names of flags, of x and y, and of the variable at its colour bar.
         boundary : bool, optional
-            Draw the borders and the exact motions that theory predicts, and mark unstable motions that had no
-            time to drift.
+            Draw the borders and the curves of exact steady motions that theory predicts from the scene of the
+            atlas, and hatch unstable motions that had no time to drift.
         legend : bool, optional
             Draw the legend.
         width : {"column", "page"}, optional
@@ -87,7 +88,7 @@ class Atlas:
         Returns
         -------
         matplotlib.figure.Figure
-            The figure, or that of `ax`.
+            With one panel, or one for each value of a third axis; the figure of `ax` if that is given.
 
         Raises
         ------

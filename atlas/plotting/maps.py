@@ -59,42 +59,13 @@ def atlas_map(
     ----------
     ds : Dataset
         An atlas. If it has one axis, the map is a strip or a line; if it has single points, a scatter map.
-    variable : str, optional
-        Default: label.
-    x, y : str, optional
-        Axes of the map; default the two longest, x the one that comes first in the atlas. For single points,
-        parameters or other coordinates along them; default the two with the most values.
-    select : mapping of str to float, optional
-        Axis -> value for other axes; the nearest value is taken. One more axis of at most
-        `analysis.select.MAX_PANELS` values becomes a row of panels.
-    ax : Axes, optional
-        Axes to draw into, with the fonts and the size that they have; default a figure of its own.
-    title : str, optional
-        Title of the figure.
-    cmap : str or Colormap, optional
-        Colour map of a variable of numbers.
-    colors : mapping of str to str, optional
-        Name of a flag -> colour, for a variable of flags.
-    labels : mapping of str to str, optional
-        Text instead of the names of flags, of x and y, and of the variable at its colour bar.
-    boundary : bool, optional
-        Draw the borders and the curves of exact steady motions that theory predicts from the scene of the
-        atlas, and hatch unstable motions that had no time to drift.
-    legend : bool, optional
-        Draw the legend.
-    width : {"column", "page"}, optional
-        88 mm or 180 mm.
-    size : (float, float), optional
-        Width and height in mm, instead of `width`.
-    dpi : float, optional
-        Resolution at which `savefig` writes the figure.
-    caption : bool, optional
-        Print `text.caption` under the map.
+    variable, x, y, select, ax, title, cmap, colors, labels, boundary, legend, width, size, dpi, caption
+        As for `atlas.accessor.Atlas.map`.
 
     Returns
     -------
     matplotlib.figure.Figure
-        With one panel, or one for each value of a third axis; the figure of `ax` if that is given.
+        As `atlas.accessor.Atlas.map` returns it.
 
     Raises
     ------

@@ -41,9 +41,7 @@ def check(scheduler: str) -> None:
                 raise OSError("this is no dask server")
     except (OSError, ValueError) as error:
         reason = one_line(error) or type(error).__name__
-        raise BadInput(
-            f"--scheduler {scheduler}: no scheduler answers at this address ({reason})"
-        ) from None
+        raise BadInput(f"--scheduler {scheduler}: no scheduler answers at this address ({reason})") from None
 
 
 @contextmanager

@@ -70,13 +70,13 @@ def shown(value: object) -> str:
     return printable(" ".join(text.split()) if "\n" in text else text, MAX_TEXT)
 
 
-def allowed_text(given: object, names: Collection[str]) -> str:
+def allowed_text(value: object, names: Collection[str]) -> str:
     """What is allowed instead of an unknown name, as the end of a message.
 
     Parameters
     ----------
-    given : object
-        What was found.
+    value : object
+        The unknown name, or any other value that was found.
     names : collection of str
         What is allowed.
 
@@ -86,17 +86,17 @@ def allowed_text(given: object, names: Collection[str]) -> str:
         Such as "did you mean 'tolerance'? allowed: tolerance, step"; without the question where no name is
         similar.
     """
-    similar = _most_similar(given, names)
+    similar = _most_similar(value, names)
     question = f"did you mean {similar!r}? " if similar else ""
     return f"{question}allowed: {', '.join(names) or 'none'}"
 
 
-def _most_similar(given: object, names: Collection[str]) -> str | None:
+def _most_similar(value: object, names: Collection[str]) -> str | None:
     """The name most similar to what was found, None if none is similar."""
-    if not isinstance(given, str) or len(given) > MAX_TEXT:
+    if not isinstance(value, str) or len(value) > MAX_TEXT:
         return None
     by_lower_case = {name.lower(): name for name in names}
-    similar = difflib.get_close_matches(given.lower(), by_lower_case, 1)
+    similar = difflib.get_close_matches(value.lower(), by_lower_case, 1)
     return by_lower_case[similar[0]] if similar else None
 
 

@@ -61,8 +61,8 @@ def called_as() -> str:
     path = Path(sys.argv[0])
     if path.name == "__main__.py":
         return "python -m atlas"
-    found = shutil.which(path.name)
-    return path.name if found and path.exists() and path.samefile(found) else shlex.quote(str(path))
+    in_shell = shutil.which(path.name)
+    return path.name if in_shell and path.exists() and path.samefile(in_shell) else shlex.quote(str(path))
 
 
 def _own_command() -> str:

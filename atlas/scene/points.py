@@ -82,8 +82,8 @@ def read_points(
     checks.check_keys(table, "points.", ("sample", "count", "seed", "ranges", "file", "values"))
     sources = [key for key in ("sample", "file", "values") if key in table]
     if len(sources) != 1:
-        found = " and ".join(sources) or "none"
-        raise BadInput(f"points: needs one of sample, file and values, found {found}")
+        present = " and ".join(sources) or "none"
+        raise BadInput(f"points: needs one of sample, file and values, found {present}")
     if sources == ["sample"]:
         sample = Sample(**checks.from_table(Sample, table, "points"))
         return vars(sample), _sampled_columns(system, sample)

@@ -443,14 +443,14 @@ def _check_solved(
             )
 
 
-def _nudge(system: System, table: Mapping[str, Any], given: set[str]) -> dict[str, float]:
-    """Amounts added to start values. given: names to which the scene gives a value."""
+def _nudge(system: System, table: Mapping[str, Any], names: set[str]) -> dict[str, float]:
+    """Amounts added to start values. names: those to which the scene gives a value."""
     starts = [parameter.name for parameter in system.parameters.values() if parameter.start]
     checks.check_keys(table, "nudge.", starts)
     nudge = {name: checks.number(f"nudge.{name}", value) for name, value in table.items()}
     optional = optional_start_values(system, nudge)
     for name in optional:
-        if name not in given:
+        if name not in names:
             raise BadInput(
                 f"nudge.{name}: the scene gives no {name} to which it could be added; nudge theta0 .. m"
             )
@@ -480,11 +480,11 @@ def _integration(
 
 
 def check_std_tolerance(
-    system: System, given: Mapping[str, float] | None, key: str = "std_tolerance"
+    system: System, tolerances: Mapping[str, float] | None, key: str = "std_tolerance"
 ) -> None:
     """Raise BadInput for a tolerance of something that is no observable of the system."""
     names = [observable.name for observable in system.observables]
-    for name in given or ():
+    for name in tolerances or ():
         if name not in names:
             raise BadInput(
                 f"{key}.{name}: not an observable of the {system.name}; {allowed_text(name, names)}"

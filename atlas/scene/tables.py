@@ -155,7 +155,7 @@ def point_columns(system: System, points: Any, kept: Collection[str] = ()) -> tu
         For unknown names, columns of different lengths, and values that are not finite or out of range.
     """
     source = table(points, system.parameters)
-    given: dict[str, Array] = {}
+    arrays: dict[str, Array] = {}
     for name, values in source.items():
         if name in kept:
             continue
@@ -164,12 +164,12 @@ def point_columns(system: System, points: Any, kept: Collection[str] = ()) -> tu
                 f"{_source_name(source)}{name}: not a parameter of the {system.name};"
                 f" {allowed_text(name, system.parameters)}"
             )
-        given[name] = number_column(name, values)
-    sizes = {name: column.size for name, column in given.items() if column.ndim}
+        arrays[name] = number_column(name, values)
+    sizes = {name: column.size for name, column in arrays.items() if column.ndim}
     size = _common_size(sizes | {name: len(source[name]) for name in kept})
     columns: dict[str, Array] = {}
     for name, parameter in system.parameters.items():
-        column = given.get(name, np.asarray(parameter.default))
+        column = arrays.get(name, np.asarray(parameter.default))
         _check_column(parameter, column, source)
         columns[name] = np.broadcast_to(column, (size,)).astype(np.float64)
     return columns, size

@@ -23,7 +23,7 @@ from collections import Counter
 from contextlib import ExitStack, suppress
 from pathlib import Path
 
-from faults import Trial
+from fault_trial import Trial
 
 from atlas.runs.folder import RunFolder
 

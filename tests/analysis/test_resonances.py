@@ -37,9 +37,9 @@ def test_frequencies_on_the_lines_have_the_ratio(lines, ratio):
     vertices = np.concatenate(lines[f"resonance {ratio}:1"])
     # Near the limits of stability, where a frequency vanishes, one cell changes it by more than a few per cent.
     k1, k3 = vertices[(np.abs(vertices) > 0.07).all(1) & (np.abs(vertices[:, 0] - vertices[:, 1]) > 0.07)].T
-    found = frequencies(k1, k3)
+    measured = frequencies(k1, k3)
     pairs = [(0, 1), (1, 0), (0, 2), (2, 0), (1, 2)]
-    misses = np.abs(np.stack([found[:, i] / (ratio * found[:, j]) - 1 for i, j in pairs])).min(0)
+    misses = np.abs(np.stack([measured[:, i] / (ratio * measured[:, j]) - 1 for i, j in pairs])).min(0)
     assert k1.size > 50
     assert np.median(misses) < 3e-4
     # Vertices are linear interpolations; a cell, 0.009 wide, changes frequencies near a limit of stability by per cents.

@@ -62,22 +62,22 @@ def directions(tilt, seed):
 def test_exact_precessions(tilt, n, m, angle, seed):
     """Tiny circles, parts of them of 0.05 rad, great circles: axis, rates and nutation as well as rounding allows."""
     s, z, vertical = directions(tilt, seed)
-    found = {k: v[0] for k, v in precession(s, z, n, m, angle / abs(m), vertical).items()}
-    sign = np.sign(s @ [found[f"spin_axis_{i}"] for i in (1, 2, 3)])
+    statistics = {k: v[0] for k, v in precession(s, z, n, m, angle / abs(m), vertical).items()}
+    sign = np.sign(s @ [statistics[f"spin_axis_{i}"] for i in (1, 2, 3)])
     u = np.linalg.norm(n * z + m * s)
     radius, height = n * np.sin(tilt), m + n * np.cos(tilt)
     # An error of the angular velocity tilts the plane of a part of the circle.
     rounding = 1e-14 * (u + abs(m))
-    error = rounding * (1 + abs(height) / radius) * (u + abs(m)) / found["extent"]
-    axis = sign * np.array([found[f"spin_axis_{i}"] for i in (1, 2, 3)])
+    error = rounding * (1 + abs(height) / radius) * (u + abs(m)) / statistics["extent"]
+    axis = sign * np.array([statistics[f"spin_axis_{i}"] for i in (1, 2, 3)])
     np.testing.assert_allclose(axis, s, atol=error / (u + abs(m)) + 1e-14)
-    assert found["radius"] == pytest.approx(radius, abs=error)
-    assert sign * found["height"] == pytest.approx(height, abs=error)
-    assert sign * found["spin"] == pytest.approx(m, abs=error * (1 + abs(m) / radius))
-    assert max(found["height_std"], found["radius_std"]) < 10 * error
-    assert found["spin_std"] < 10 * error * (1 + abs(m) / radius)
+    assert statistics["radius"] == pytest.approx(radius, abs=error)
+    assert sign * statistics["height"] == pytest.approx(height, abs=error)
+    assert sign * statistics["spin"] == pytest.approx(m, abs=error * (1 + abs(m) / radius))
+    assert max(statistics["height_std"], statistics["radius_std"]) < 10 * error
+    assert statistics["spin_std"] < 10 * error * (1 + abs(m) / radius)
     inclination = np.arctan2(np.linalg.norm(np.cross(z, vertical)), z @ vertical)
-    assert found["precession_inclination"] == pytest.approx(
+    assert statistics["precession_inclination"] == pytest.approx(
         inclination, abs=10 * error * (1 + abs(m) / radius) / n
     )
 

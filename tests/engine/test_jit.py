@@ -356,15 +356,15 @@ before = snapshot()
 import atlas.engine.jit
 
 source, empty_cache, point = sys.argv[1:]
-found = changes("after the import")
+all_changes = changes("after the import")
 usual_cache, os.environ["ATLAS_CACHE"] = os.environ["ATLAS_CACHE"], empty_cache
 assert atlas.engine.jit.load(source).integrate(1.0) == 2.0
 os.environ["ATLAS_CACHE"] = usual_cache
-found += changes("after a compilation")
+all_changes += changes("after a compilation")
 import atlas
 
 atlas.label_points("satellite", ast.literal_eval(point), duration=1.0, tolerance=1e-4)
-print("\\n".join(found + changes("after a run")))
+print("\\n".join(all_changes + changes("after a run")))
 """
 
 

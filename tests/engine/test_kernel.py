@@ -152,9 +152,9 @@ def test_results_do_not_depend_on_threads_blocks_or_neighbours(module_of):
     statistics, state = integrate(module, points, steps, 3.0)
     for threads, order in ((2, np.arange(40)), (1, np.arange(40)[::-1]), (3, np.arange(0, 40, 7))):
         subset = {name: values[order] for name, values in points.items()}
-        again, final = integrate(module, subset, steps[order], 3.0, threads=threads)
+        repeated, final = integrate(module, subset, steps[order], 3.0, threads=threads)
         np.testing.assert_array_equal(final, state[:, order])
-        for name, values in again.items():
+        for name, values in repeated.items():
             np.testing.assert_array_equal(values, statistics[name][order], err_msg=name)
 
 

@@ -82,8 +82,8 @@ def test_click_draws_the_motion_and_the_lines_to_copy(browser, address, small_at
     assert lines[0].startswith("atlas trajectory small.nc --at sigma=")
     assert [float(number) for number in re.findall(r"=([\d.e-]+)", lines[0])] == [sigma, theta0]
     (arguments,) = re.findall(r"trajectory\((.*)\)", lines[1])
-    again = eval(f"small.atlas.trajectory({arguments})", {"small": small_atlas})
-    assert again.identical(tr) or np.array_equal(again.theta, tr.theta)
+    repeated = eval(f"small.atlas.trajectory({arguments})", {"small": small_atlas})
+    assert repeated.identical(tr) or np.array_equal(repeated.theta, tr.theta)
     before = painted_bytes(browser, "document.querySelector('#plots .turn')")
     browser.evaluate("document.querySelector('#plots .turn').focus()")
     browser.press("ArrowLeft")

@@ -56,8 +56,8 @@ def test_every_function_of_the_equations_has_the_same_bits(system):
         flat = [part for item in result for part in (item if isinstance(item, tuple) else (item,))]
         expected.append(np.stack(np.broadcast_arrays(*flat), -1).ravel())
         calls.append(f"data[0].map((y, i) => {name}(y, data[1][i]{', 0.037' if more else ''}))")
-    found = node(translate(sources), f"[{', '.join(calls)}]", [state.tolist(), constants.tolist()])
-    assert np.array_equal(found, np.concatenate(expected))
+    values = node(translate(sources), f"[{', '.join(calls)}]", [state.tolist(), constants.tolist()])
+    assert np.array_equal(values, np.concatenate(expected))
 
 
 @needs_node
@@ -104,8 +104,8 @@ def test_constructs():
     text = textwrap.dedent(inspect.getsource(everything))
     states = [0.3, -1.7, 2.0], [4.0, 0.25, 5.0], [-1.0, 8.0, 0.5]
     expected = [[*first, *second] for first, second in (everything(state, (1.0, 0.75)) for state in states)]
-    found = node(translate({"everything": text}), "data.map((y) => everything(y, [1.0, 0.75]))", states)
-    np.testing.assert_allclose(found, np.ravel(expected), rtol=4e-16)
+    values = node(translate({"everything": text}), "data.map((y) => everything(y, [1.0, 0.75]))", states)
+    np.testing.assert_allclose(values, np.ravel(expected), rtol=4e-16)
 
 
 @needs_node
@@ -113,9 +113,9 @@ def test_functions_agree_to_an_ulp_or_two():
     names = ("sin", "cos", "tan", "exp", "log", "sqrt", "atan", "sinh", "cosh", "tanh")
     text = f"def f(x):\n    return {', '.join(f'{name}(x)' for name in names)}"
     x = np.random.default_rng(2).uniform(0.1, 6.0, 500)
-    found = node(translate({"f": text}), "data.map(f)", x.tolist()).reshape(500, -1)
+    results = node(translate({"f": text}), "data.map(f)", x.tolist()).reshape(500, -1)
     expected = np.stack([getattr(np, {"atan": "arctan"}.get(name, name))(x) for name in names], -1)
-    np.testing.assert_array_almost_equal_nulp(found, expected, 4)
+    np.testing.assert_array_almost_equal_nulp(results, expected, 4)
 
 
 @pytest.mark.parametrize(

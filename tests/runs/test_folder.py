@@ -69,8 +69,8 @@ def test_tiles_cover_a_grid_once_as_contiguous_boxes(shape, points):
 
 
 def test_tiling_depends_on_the_scene_alone_and_follows_its_cost(scene, scene_text):
-    again = load_scene(scene.toml())
-    assert tiling.tiling(scene, grid.check(scene)) == tiling.tiling(again, grid.check(again))
+    reloaded = load_scene(scene.toml())
+    assert tiling.tiling(scene, grid.check(scene)) == tiling.tiling(reloaded, grid.check(reloaded))
     large = {"axes.sigma.count": 900, "axes.theta0.count": 700}
     cheap = load_scene(scene_text(large))
     expensive = load_scene(scene_text(large | {"integration.tolerance": 1e-12}))
@@ -548,9 +548,9 @@ def test_files_that_killed_processes_left_are_removed_and_those_of_others_kept(s
     ):
         of_dead, of_living = put_temporaries()
         action()
-        left = set(tmp_path.rglob("*.tmp"))
-        assert of_living <= left
-        assert not {path for path in of_dead if path.parent in cleaned} & left
+        remaining = set(tmp_path.rglob("*.tmp"))
+        assert of_living <= remaining
+        assert not {path for path in of_dead if path.parent in cleaned} & remaining
 
 
 def test_a_run_folder_needs_no_hard_links(scene, whole, tmp_path, small_tiles, monkeypatch):

@@ -180,8 +180,8 @@ def test_islands_that_the_probe_hits_are_traced_and_counted(monkeypatch):
     assert (ds.label == Label.PERMANENT_ROTATION).sum() > 4 * missed
     computed = ds.computed.values == 1
     np.testing.assert_array_equal(ds.label.values[computed], expected[computed])
-    again = refine.refined(plane(9, 3, 0.1), [], progress=False)
-    np.testing.assert_array_equal(again.computed, ds.computed)
+    repeated = refine.refined(plane(9, 3, 0.1), [], progress=False)
+    np.testing.assert_array_equal(repeated.computed, ds.computed)
 
 
 def test_progress_is_printed(monkeypatch, capsys):

@@ -90,10 +90,10 @@ def test_theory_and_measurement_agree_away_from_the_boundary(small_atlas):
 def test_the_same_scene_gives_the_same_values_for_other_tiles_and_threads(small_atlas, tmp_path, monkeypatch):
     path, ds = small_atlas
     monkeypatch.setattr(grid, "MAX_POINTS_PER_TILE", 10)
-    again = atlas.run(load_scene(ds.attrs["atlas_scene"]), tmp_path / "again.nc", threads=2, progress=False)
+    rerun = atlas.run(load_scene(ds.attrs["atlas_scene"]), tmp_path / "again.nc", threads=2, progress=False)
     for name in ds.data_vars:
-        np.testing.assert_array_equal(ds[name].values, again[name].values, err_msg=name)
-    assert again.attrs["atlas_kernel_hash"] == ds.attrs["atlas_kernel_hash"]
+        np.testing.assert_array_equal(ds[name].values, rerun[name].values, err_msg=name)
+    assert rerun.attrs["atlas_kernel_hash"] == ds.attrs["atlas_kernel_hash"]
 
 
 def test_a_point_of_the_atlas_equals_the_same_point_labelled_alone(small_atlas):

@@ -148,9 +148,9 @@ def test_columns_that_name_points_are_kept(tmp_path, monkeypatch, capsys):
     assert list(out.columns[:3]) == ["index", "satellite", "ID"]
     assert out.satellite.tolist() == frame.satellite.tolist()
     assert out.ID.tolist() == frame.ID.tolist()
-    with atlas.open_atlas("out.nc") as again:
-        assert again.satellite.values.tolist() == frame.satellite.tolist()
-        assert (again.label.values == ds.label.values).all()
+    with atlas.open_atlas("out.nc") as reopened:
+        assert reopened.satellite.values.tolist() == frame.satellite.tolist()
+        assert (reopened.label.values == ds.label.values).all()
 
 
 def test_other_columns_of_numbers_are_kept_only_by_name(tmp_path, monkeypatch, capsys):

@@ -41,10 +41,11 @@ CASES = {
         (("mu1", "mu2", "mu3", "k1", "k2", "k3"), False), (("h1", "h3", "k1", "k2", "k3"), True),
         (("Omega",), False), (("Omega", "mu1", "mu2", "k1", "k2"), True),
         (("damping",), False), (("damping", "mu1", "mu2", "k1", "k2"), True),
+        (("damping", "mu1", "mu2", "mu3", "h1", "h3", "k1", "k2"), True),
     ],
     "fixed_point": [
-        (("N",), False), (("Mg",), False), (("l1", "l2", "l3"), False), (("l1", "l2", "x0", "y0"), True),
-        (("l1", "l2", "Mg"), True), (("N", "l1", "l2", "l3", "x0", "y0"), True),
+        (("N",), False), (("Mg",), False), (("l1", "l2", "l3"), False),
+        (("l1", "l2", "Mg"), True), (("N", "l1", "l2", "l3", "x0", "y0"), True), (("l1", "l2", "x0", "y0"), True),
     ],
 }  # fmt: skip
 
@@ -129,8 +130,9 @@ def test_the_units_of_the_kernels_change_no_motion(system_name, h):
 
 @pytest.mark.parametrize("system_name", SYSTEMS)
 def test_specialised_and_whole_kernels_agree_on_labels_and_rates(system_name):
+    """With the kernels of the small scene and of the quickstart, which other tests compile as well."""
     system = SYSTEMS[system_name]
-    zero, symmetric = CASES[system_name][4]
+    zero, symmetric = CASES[system_name][-1]
     points = random_points(system, 64, np.random.default_rng(2), zero, symmetric)
     duration = np.full(64, 6.0)
     options = Settings(tolerance=1e-6)

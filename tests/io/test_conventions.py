@@ -1,9 +1,12 @@
 """Attributes of the variables by the CF conventions."""
 
 import numpy as np
+import pytest
 
 import atlas
 from atlas import load_scene
+
+pytestmark = pytest.mark.usefixtures("whole_kernels")
 
 
 def test_variables_are_described(small_scene):

@@ -19,6 +19,8 @@ from atlas.page.store import Store, float_array
 from atlas.page.text import plain, runs
 from atlas.page.translate import CannotTranslate
 
+pytestmark = pytest.mark.usefixtures("whole_kernels")
+
 
 def table_of(text):
     """The table in the file."""

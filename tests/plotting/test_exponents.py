@@ -7,6 +7,8 @@ import xarray as xr
 import atlas
 from atlas.plotting.maps import atlas_map
 
+pytestmark = pytest.mark.usefixtures("whole_kernels")
+
 FLAGS = {"regular": 2, "chaotic": 3, "undecided": 4, "steady": 1}
 
 

@@ -26,6 +26,8 @@ from atlas.scene import grid
 from atlas.systems import SYSTEMS
 from atlas.variables import variables
 
+pytestmark = pytest.mark.usefixtures("whole_kernels")
+
 CURVE_SCENE = """
 schema = 1
 system = "satellite"

@@ -13,6 +13,8 @@ from atlas.runs.estimate import dry_run
 from atlas.runs.method_costs import method_lines, relative_costs
 from atlas.scene import grid
 
+pytestmark = pytest.mark.usefixtures("whole_kernels")
+
 
 def lines_and_sample(text):
     """The lines on the other methods of a scene, its sample and itself."""

@@ -7,7 +7,7 @@ import xarray as xr
 import atlas
 from atlas import BadInput, load_scene
 from atlas.analysis.summary import summary
-from atlas.flags import Label, Status
+from atlas.flags import Agreement, Label, Status
 from atlas.runs import refine
 from atlas.runs.estimate import dry_run
 from atlas.scene import grid
@@ -207,3 +207,20 @@ def test_a_few_possible_bodies_among_many_points_are_found():
     sample = grid.check(scene_from(scene | {"points": {"values": {"C": C.tolist()}}}))
     assert sample.base["C"].tolist() == [1.5, 1.5]
     assert sample.exists.all()
+
+
+def test_points_where_the_family_does_not_exist_are_not_computed(scene_text):
+    oblique = {"family": {"name": "oblique", "solve": ["psi0", "k3"]}, "ties.psi0": None}
+    ds = atlas.run(load_scene(scene_text(oblique | {"fixed.mu3": 1.0, "fixed.h1": 0.5})), progress=False)
+    not_computed = ds.label.values == Label.NOT_COMPUTED
+    assert 0 < not_computed.sum() < not_computed.size
+    assert (ds.status.values[not_computed] == Status.NOT_COMPUTED).all()
+    assert np.isnan(ds.theta_dot_rms.values[not_computed]).all()
+    assert (ds.agreement.values[not_computed] == Agreement.NOT_COMPARED).all()
+    assert (ds.label.values[~not_computed] != Label.NOT_COMPUTED).all()
+
+
+def test_impossible_moments_of_inertia_give_a_warning(caplog):
+    ds = atlas.label_points("satellite", {"A": 1.0, "B": 1.0, "C": [2.5, 1.5]}, duration=1.0)
+    assert "1 of 2 points: no rigid body has these moments of inertia" in ds.attrs["atlas_warnings"]
+    assert "no rigid body" in caplog.text

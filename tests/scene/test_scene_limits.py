@@ -21,6 +21,8 @@ from atlas.systems import SYSTEMS
 from atlas.systems.fixed_point.paper.errors import MAX_RADIANS
 from atlas.variables import COMPUTED, data_variables
 
+pytestmark = pytest.mark.usefixtures("whole_kernels")
+
 HEAD = 'schema = 1\nsystem = "satellite"\n'
 
 

@@ -17,6 +17,8 @@ from atlas.flags import Regularity, Status
 from atlas.validation import stress
 from atlas.validation.work_precision import work_precision
 
+pytestmark = pytest.mark.usefixtures("whole_kernels")
+
 ROOT = Path(__file__).parents[2]
 EXAMPLES = ROOT / "docs" / "examples"
 NAMES = sorted(path.name for path in EXAMPLES.iterdir() if (path / "pyproject.toml").is_file())

@@ -19,6 +19,8 @@ from atlas.scene.model import Settings
 from atlas.systems import jacobian
 from atlas.variables import variables
 
+pytestmark = pytest.mark.usefixtures("whole_kernels")
+
 METHOD = "rk8"
 
 

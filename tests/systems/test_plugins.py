@@ -131,7 +131,7 @@ def test_every_command_finds_it(pendulum, scene_file, tmp_path, capsys):
     assert cli.main(["map", str(out), "-o", str(tmp_path / "map.png")]) == cli.DONE
     motion = ["trajectory", scene, "--at", "omega=1", "x0=1", "-o"]
     assert cli.main([*motion, str(tmp_path / "motion.nc")]) == cli.DONE
-    (tmp_path / "points.csv").write_text("omega,x0\n1.0,0.5\n2.0,0.1\n")
+    (tmp_path / "points.csv").write_text("omega,cubic,x0\n1.0,0.1,0.5\n2.0,0.1,0.1\n")
     points = ["points", "pendulum", str(tmp_path / "points.csv"), "--method", "rk8", "--quiet"]
     assert cli.main([*points, "-o", str(tmp_path / "labels.csv")]) == cli.DONE
     capsys.readouterr()

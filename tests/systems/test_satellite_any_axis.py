@@ -11,6 +11,8 @@ from atlas.label.points import label_points
 from atlas.systems.base import on_family
 from atlas.systems.satellite import SATELLITE, any_axis, equations, families, initial
 
+pytestmark = pytest.mark.usefixtures("whole_kernels")
+
 FAMILY = any_axis.SPHERICAL_ANY_AXIS
 
 

@@ -19,6 +19,8 @@ from atlas.scene.read import load_scene
 from atlas.systems import SYSTEMS
 from atlas.validation import half_step
 
+pytestmark = pytest.mark.usefixtures("whole_kernels")
+
 
 @given(st.integers(1, 10**12), st.integers(1, 300))
 def test_stratified_indices_take_one_of_each_part(size, count):

@@ -34,6 +34,11 @@ def changed_scene(changes: Mapping[str, object]) -> str:
     return tomli_w.dumps(table)
 
 
+def pytest_collection_modifyitems(items):
+    """Begin with the module whose fixtures take longest: idle processes take over the last tests of the others."""
+    items.sort(key=lambda item: item.path.name != "test_stress.py")
+
+
 @pytest.fixture(scope="session")
 def scene_text() -> Callable[[Mapping[str, object]], str]:
     """Function that returns the text of the small scene after changes: scene_text({"fixed.m": 0.6})."""

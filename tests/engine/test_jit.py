@@ -44,8 +44,9 @@ def test_an_edited_line_is_never_answered_by_a_stale_kernel(tmp_path):
     path = tmp_path / "atlas" / "systems" / "satellite" / "equations.py"
     original = path.read_text()
     first = result()
-    assert result() == first
-    path.write_text(original.replace("H1, H2, H3 =", "# a comment\n    H1, H2, H3 =", 1))
+    commented = original.replace("H1, H2, H3 =", "# a comment\n    H1, H2, H3 =", 1)
+    assert commented != original
+    path.write_text(commented)
     assert result() == first
     edited = original.replace("- N * D1 * a2 * a3", "+ N * D1 * a2 * a3", 1)
     assert edited != original

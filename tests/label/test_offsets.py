@@ -20,6 +20,8 @@ from atlas.label.offsets import MAX_RESIDUAL, describes, off_family_labels
 from atlas.scene.model import Tolerances
 from atlas.systems import SYSTEMS
 
+pytestmark = pytest.mark.usefixtures("whole_kernels")
+
 FIXED_POINT, SATELLITE = SYSTEMS["fixed_point"], SYSTEMS["satellite"]
 TOLERANCES = Tolerances(1e-5, 1e-5)
 OFFSETS = {

@@ -1,5 +1,6 @@
 """The command line as a user meets it: real processes, exit codes, one-line errors, no file left half written."""
 
+import io
 import os
 import re
 import signal
@@ -42,24 +43,25 @@ def test_run_compare_and_the_files_they_leave(folder):
     assert "theory \\ measured" in done.stdout
 
 
-def test_map_writes_png_and_pdf(folder):
-    assert shell("run", "small.toml", cwd=folder).returncode == 0
+def test_map_writes_png_and_pdf(folder, monkeypatch, capsys):
+    monkeypatch.chdir(folder)
+    assert main(["run", "small.toml", "--quiet"]) == 0
     done = shell("map", "small.nc", cwd=folder)
     assert done.returncode == 0, done.stderr
     assert (folder / "small.png").read_bytes().startswith(b"\x89PNG")
     assert (folder / "small.pdf").read_bytes().startswith(b"%PDF")
-    done = shell("map", "small.nc", cwd=folder)
-    assert done.returncode == 2
-    assert "--force" in done.stderr
+    assert main(["map", "small.nc"]) == 2
+    assert "--force" in capsys.readouterr().err
 
 
-def test_map_takes_the_choices_of_a_paper(folder):
-    assert shell("run", "small.toml", cwd=folder).returncode == 0
+def test_map_takes_the_choices_of_a_paper(folder, monkeypatch, capsys):
+    monkeypatch.chdir(folder)
+    assert main(["run", "small.toml", "--quiet"]) == 0
     options = (
         "--title Survival --colors drifting=red permanent_rotation=#0000ff --labels drifting=falls --dpi 100"
     )
-    done = shell("map", "small.nc", *options.split(), "--size", "100x80", "-o", "a.png", cwd=folder)
-    assert done.returncode == 0, done.stderr
+    assert main(["map", "small.nc", *options.split(), "--size", "100x80", "-o", "a.png"]) == 0
+    capsys.readouterr()
     picture = matplotlib.image.imread(folder / "a.png")
     assert picture.shape[1] == pytest.approx(100 / 25.4 * 100, abs=1)
     colours = {tuple(colour) for colour in picture[:, :, :3].reshape(-1, 3)}
@@ -71,10 +73,10 @@ def test_map_takes_the_choices_of_a_paper(folder):
         (["--dpi", "0"], "dpi = 0"),
         (["--cmap", "magma"], "cmap: label has flags"),
     ):
-        done = shell("map", "small.nc", "-o", "b.png", *wrong, cwd=folder)
-        assert done.returncode == 2
-        assert named in done.stderr
-        assert len(done.stderr.strip().splitlines()) == 1
+        assert main(["map", "small.nc", "-o", "b.png", *wrong]) == 2
+        message = capsys.readouterr().err
+        assert named in message
+        assert len(message.strip().splitlines()) == 1
 
 
 @pytest.mark.parametrize(
@@ -222,10 +224,13 @@ def test_a_tile_is_never_replaced_by_the_join(longer, monkeypatch, capsys):
 
 
 @pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
-def test_a_signal_leaves_no_half_file_and_the_message_continues(folder, scene_text, number, code):
+def test_a_signal_leaves_no_half_file_and_the_message_continues(
+    folder, scene_text, number, code, monkeypatch
+):
+    monkeypatch.chdir(folder)
     large = {"axes.sigma.count": 900, "axes.theta0.count": 700, "integration.tolerance": 1e-9}
     (folder / "long.toml").write_text(scene_text(large))
-    assert shell("run", "small.toml", cwd=folder).returncode == 0  # the kernel is warm now
+    assert main(["run", "small.toml", "--quiet"]) == 0  # the kernel is warm now
     process = subprocess.Popen(
         [sys.executable, "-m", "atlas", "run", "long.toml"], cwd=folder, stderr=subprocess.PIPE, text=True,
         start_new_session=True,
@@ -245,7 +250,7 @@ def test_a_signal_leaves_no_half_file_and_the_message_continues(folder, scene_te
     assert "Traceback" not in message
     assert not (folder / "long.nc").exists()
     # A loaded machine may end the process while it writes; every later command removes what that leaves.
-    assert shell("status", "long.nc.run", cwd=folder).returncode == 0
+    assert main(["status", "long.nc.run"]) == 0
     assert not list(folder.rglob("*.tmp"))
 
 
@@ -277,23 +282,27 @@ def test_options_take_several_values_or_are_repeated():
     assert values("trajectory", "--at", "a=1", "--", "b=2")["scene"] == "b=2"
 
 
-def test_scenes_and_points_come_from_standard_input(folder):
+def test_scenes_and_points_come_from_standard_input(folder, monkeypatch, capsys):
+    def run_with_input(text, *arguments):
+        monkeypatch.setattr(sys, "stdin", io.TextIOWrapper(io.BytesIO(text.encode())))
+        code = main(arguments)
+        return code, capsys.readouterr()
+
+    monkeypatch.chdir(folder)
     scene = (folder / "small.toml").read_text()
-    assert (
-        shell("check", "-", cwd=folder, input=scene).stdout == shell("check", "small.toml", cwd=folder).stdout
-    )
+    assert run_with_input(scene, "check", "-") == run_with_input("", "check", "small.toml")
     done = shell("run", "-", "--quiet", cwd=folder, input=scene)
     assert done.returncode == 0
     assert (folder / "scene.nc").exists()
     # No parameter is 0, as in many tests: the kernel of this point is theirs.
     values = [str(1.0 + i / 50) for i in range(len(SATELLITE.parameters))]
     table = f"{','.join(SATELLITE.parameters)}\n{','.join(values)}\n"
-    done = shell("points", "satellite", "-", "-o", "a.csv", cwd=folder, input=table)
-    assert done.returncode == 0, done.stderr
+    code, printed = run_with_input(table, "points", "satellite", "-", "-o", "a.csv")
+    assert code == 0, printed.err
     assert (folder / "a.csv").exists()
-    done = shell("points", "satellite", "-", "-o", "b.csv", cwd=folder, input="C,m\n0.8,\n")
-    assert done.returncode == 2
-    assert "standard input, line 2: m is empty" in done.stderr
+    code, printed = run_with_input("C,m\n0.8,\n", "points", "satellite", "-", "-o", "b.csv")
+    assert code == 2
+    assert "standard input, line 2: m is empty" in printed.err
 
 
 def test_examples_are_listed_and_copied(folder, monkeypatch, capsys):

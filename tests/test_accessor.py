@@ -18,7 +18,7 @@ from atlas import BadInput, load_scene
 from atlas.analysis import chunks, theory_curves
 from atlas.flags import Agreement, Label
 
-pytestmark = pytest.mark.usefixtures("whole_kernels")
+pytestmark = pytest.mark.usefixtures("whole_kernels", "borders_once")
 
 MEANINGS = {
     "flag_values": np.arange(5, dtype=np.int8),

@@ -20,7 +20,11 @@ def written(path, **variables) -> xr.Dataset:
     """A data set written with checksums, in chunks of 3 along each axis, or in eight of a long one."""
     ds = xr.Dataset(variables, attrs=ATTRIBUTES)
     encoding = {
-        name: {"zlib": True, "fletcher32": True, "chunksizes": [min(n, max(3, n // 8)) for n in variable.shape]}
+        name: {
+            "zlib": True,
+            "fletcher32": True,
+            "chunksizes": [min(n, max(3, n // 8)) for n in variable.shape],
+        }
         for name, variable in ds.variables.items()
         if variable.ndim and variable.dtype.kind != "O"
     }

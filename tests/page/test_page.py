@@ -19,7 +19,7 @@ from atlas.page.store import Store, float_array
 from atlas.page.text import plain, runs
 from atlas.page.translate import CannotTranslate
 
-pytestmark = pytest.mark.usefixtures("whole_kernels")
+pytestmark = pytest.mark.usefixtures("whole_kernels", "borders_once")
 
 
 def table_of(text):

@@ -26,7 +26,7 @@ from atlas.scene import grid
 from atlas.systems import SYSTEMS
 from atlas.variables import variables
 
-pytestmark = pytest.mark.usefixtures("whole_kernels")
+pytestmark = pytest.mark.usefixtures("whole_kernels", "borders_once")
 
 CURVE_SCENE = """
 schema = 1

@@ -74,7 +74,7 @@ def client(folder, address, out="run/", **variables):
 
 
 def wait_for_a_tile(run, process):
-    while not run.tiles.status().done and process.poll() is None:
+    while not run.tiles.written_count() and process.poll() is None:
         time.sleep(0.05)
 
 

@@ -21,6 +21,7 @@ from ..errors import BadInput
 from ..systems import arithmetic
 from . import (
     circle,
+    deviation,
     generated,
     jit,
     kernel,
@@ -72,6 +73,10 @@ NUMBERS = {
         (statistics, ("NO_ZERO",)),
     ),
     tangent.__name__: ((tangent, ("LOG_GROWTH", "LOG_INTEGRAL", "MEGNO", "MEGNO_INTEGRAL", "SUMS")),),
+    deviation.__name__: (
+        (deviation, ("COSINE", "SINE", "HALF_COSINE", "HALF_SINE", "TURNS")),
+        (deviation, ("LIMIT", "STRETCH", "WEIGHTS", "ADVANCES")),
+    ),
     observe.__name__: (
         (
             observe,
@@ -92,8 +97,11 @@ NUMBERS = {
     ),
 }
 ENUMS = {
-    enum.__name__: enum for enum in (Row, circle.Axis, circle.Sum, poles.Passage, poles.Term, turning.Turn)
-}
+    enum.__name__: enum
+    for enum in (
+        Row, circle.Axis, circle.Sum, deviation.Deviation, deviation.Given, poles.Passage, poles.Term, turning.Turn
+    )
+}  # fmt: skip
 
 
 def functions(module: ModuleType, absent: Collection[str] = ()) -> dict[str, str]:
@@ -174,7 +182,7 @@ def source(
     equal : mapping of str to str
         Constants that equal another one at every point to come.
     of : module, optional
-        `kernel` (default), `observe` or `tangent`.
+        `kernel` (default), `observe`, `tangent` or `deviation`; the last keeps the units of the caller.
     frames : int, optional
         Frames in which `kernel` measures circles; see `circle`. With none the text has nothing about them.
 
@@ -270,8 +278,9 @@ def _copy(module: ModuleType, namespace: Mapping[str, object]) -> ModuleType:
 def _with_losses(
     equations: ModuleType, zero: Collection[str], equal: Mapping[str, str], of: ModuleType
 ) -> ModuleType:
-    """Equations that integrate the losses of their integrals; a tangent kernel measures no integrals."""
-    return losses.with_losses(equations, {} if of is tangent else losses.losses_of(equations, zero, equal))
+    """Equations that integrate the losses of their integrals, which tangent and deviation kernels do not measure."""
+    measured = {} if of in (tangent, deviation) else losses.losses_of(equations, zero, equal)
+    return losses.with_losses(equations, measured)
 
 
 def _constants(equations: ModuleType, method: Method) -> dict[str, Any]:
@@ -301,9 +310,11 @@ def _generated_functions(
     """Source of the equations, simplified, and of the functions that `generated` declares, by name."""
     states, constants = len(equations.STATE), len(equations.CONSTANTS)
     extended = states + tangent_space.size(equations)
+    texts = arithmetic.functions(equations)
+    in_any_units = texts if of is deviation else ("scaled", losses.SCALED)
     sources = {
-        name: simplify(text, zero, equal, () if name in ("scaled", losses.SCALED) else equations.ONES)
-        for name, text in arithmetic.functions(equations).items()
+        name: simplify(text, zero, equal, () if name in in_any_units else equations.ONES)
+        for name, text in texts.items()
     }
     if "axis_in_frame" not in sources:
         sources["axis_in_frame"] = "def axis_in_frame(state, constants):\n    return 0.0, 0.0"
@@ -344,6 +355,9 @@ def _generated_functions(
             "store_extended(block, l, extended)": [f"{_columns('block', extended)} = extended"],
             "extended_rhs(extended, constants)": _extended_lines(states, extended),
         }
+    if of is deviation:
+        sources["rhs_change"] = differential(sources["rhs"], "rhs_change")
+        generated_lines |= _deviation_lines(equations)
     if of is observe:
         functions_of_observables, callers = _observable_functions(equations, sources)
         sources |= functions_of_observables
@@ -351,6 +365,33 @@ def _generated_functions(
     for head, lines in generated_lines.items():
         sources[head.partition("(")[0]] = "\n    ".join([f"def {head}:", *(lines or ["pass"])])
     return sources
+
+
+def _deviation_lines(equations: ModuleType) -> dict[str, list[str]]:
+    """Functions of a kernel of deviations, of bodies whose states are an angular velocity and vectors of the frame."""
+    names = list(equations.STATE)
+    turned, lines = ["0.0"] * len(names), []
+    for i, vector in enumerate(tangent_space.frame_vectors(equations)):
+        x, y, z = (names.index(name) for name in vector)
+        for j in range(3):
+            constant, cosine, sine = (f"block[{9 * i + 3 * part + j}, l]" for part in range(3))
+            lines.append(f"v{j} = {constant} + {cosine} * cosine_n + {sine} * sine_n")
+        lines.append(f"y{x}, y{y}, y{z} = v0 * cosine_m + v1 * sine_m, v1 * cosine_m - v0 * sine_m, v2")
+        for row in (x, y, z):
+            turned[row] = f"y{row}"
+    rates = [row for row, value in enumerate(turned) if value == "0.0"]
+    added = [
+        f"state[{row}]" + (f" + r{rates.index(row)}" if row in rates else "") for row in range(len(names))
+    ]
+    moved = [f"state[{row}] + factor * change[{row}]" for row in range(len(names))]
+    return {
+        "vectors_of_frame(block, l, cosine_n, sine_n, cosine_m, sine_m)": [
+            *lines,
+            f"return ({', '.join(turned)},)",
+        ],
+        "add_to_rates(state, r0, r1, r2)": [f"return ({', '.join(added)},)"],
+        "add_to_state(state, factor, change)": [f"return ({', '.join(moved)},)"],
+    }
 
 
 def observable_names(equations: ModuleType) -> tuple[str, ...]:

@@ -73,6 +73,12 @@ def pack_blocks(steps: NDArray[np.int64], steps_per_sample: NDArray[np.int64]) -
     return BlockSchedule(np.concatenate(points), *np.ascontiguousarray(np.concatenate(rows, axis=1)))
 
 
+def sorted_blocks(steps: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Points (points,) in blocks (blocks, WIDTH), those of the most steps first; an incomplete block repeats its last."""
+    order = np.argsort(-steps, kind="stable")
+    return np.r_[order, np.full(-order.size % WIDTH, order[-1])].reshape(-1, WIDTH)
+
+
 def schedule_of(step_sizes: StepSizes, where: NDArray[np.int64] | None = None) -> BlockSchedule:
     """The blocks of an ensemble, or of some of its points by their indices."""
     if where is None:

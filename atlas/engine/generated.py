@@ -36,6 +36,11 @@ def rhs(state, constants):
     raise NotImplementedError
 
 
+def rhs_change(state, constants, change):
+    """Change of the time derivatives to first order in a change of the state."""
+    raise NotImplementedError
+
+
 def scaled(state, constants, unit):
     """State and constants in units in which the time `unit` is 1."""
     raise NotImplementedError
@@ -128,4 +133,19 @@ def observe_change(state, constants, change):
 
 def store_values(nodes, slot, row, l, values):
     """Write the values of every observable, or their derivatives, into rows `row` and following of a node."""
+    raise NotImplementedError
+
+
+def vectors_of_frame(block, l, cosine_n, sine_n, cosine_m, sine_m):
+    """The vectors at rest in the frame as a state whose rates are 0; block, of column l: see `deviation.integrate`."""
+    raise NotImplementedError
+
+
+def add_to_rates(state, r0, r1, r2):
+    """A state with these numbers added to the components of the angular velocity."""
+    raise NotImplementedError
+
+
+def add_to_state(state, factor, change):
+    """A state with a change of it, times a factor, added."""
     raise NotImplementedError

@@ -10,7 +10,7 @@ from types import ModuleType
 import numpy as np
 
 from ..systems.base import Points, System
-from . import assemble, chaos, jit, observe, tangent
+from . import assemble, chaos, deviation, jit, observe, tangent
 from . import kernel as kernel_of_bodies
 
 
@@ -88,3 +88,9 @@ def tangent_kernel(system: System, specialization: Specialization = GENERIC) -> 
 def tangent_kernel_hash(system: System, specialization: Specialization = GENERIC) -> str:
     """As `kernel_hash`, of the tangent kernel."""
     return jit.digest(_tangent_source(system, specialization))
+
+
+@cache
+def deviation_kernel(system: System) -> ModuleType:
+    """The compiled module of linear deviations from given motions of a system, see `deviation`."""
+    return jit.load(assemble.source(system.equations, "rk4", of=deviation))

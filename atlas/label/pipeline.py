@@ -234,6 +234,7 @@ def _prepare(
             nudged=nudged,
             any_axis=frames > 0,
             pause=lambda: execution.progress(0.0),
+            threads=execution.threads,
         )
         theory, pushed, log_growth = prediction.variables, prediction.pushed, prediction.log_growth
         # The growth of an offset in one step is rounded: where that is a per cent of it or more, rounding decides.

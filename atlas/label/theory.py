@@ -57,6 +57,7 @@ def predict_runs(
     nudged: bool,
     any_axis: bool = False,
     pause: Callable[[], None] = lambda: None,
+    threads: int | None = None,
 ) -> Prediction:
     """Predictions for runs of some length.
 
@@ -74,7 +75,7 @@ def predict_runs(
     any_axis : bool
         Whether labels about any axes are measured. Without them a motion about other axes than the third and the
         vertical drifts, however it grows.
-    pause : callable
+    pause, threads
         See `offsets.off_family_labels`.
     """
     with np.errstate(all="ignore"):
@@ -82,7 +83,9 @@ def predict_runs(
         nearby = residual <= FAMILY_TOLERANCE
         pushed = ~exact_starts(system, points, nearby) if nudged else np.zeros_like(nearby)
         variables = predict(system, base, tolerances.rate, pushed)
-        variables |= _near_families(system, base, points, residual, variables, duration, tolerances, pause)
+        variables |= _near_families(
+            system, base, points, residual, variables, duration, tolerances, pause, threads
+        )
         growth = system.log_growth(base, variables["family"], variables["growth_rate"], duration)
         other = _about_other_axes(system, variables["family"])
         start_residual = residual.copy()
@@ -105,6 +108,7 @@ def _near_families(
     duration: Array,
     tolerances: Tolerances,
     pause: Callable[[], None],
+    threads: int | None,
 ) -> dict[str, np.ndarray]:
     """Predicted labels where starts that are off every family may be near one, from the linear equations."""
     if not describes(system):
@@ -117,7 +121,8 @@ def _near_families(
         return {}
     if system.frame_rate is not None:
         frames["predicted_inertial"] = system.frame_rate(base)[where]
-    labels = off_family_labels(system, subset(points, where), duration[where], tolerances, frames, pause)
+    near = subset(points, where)
+    labels = off_family_labels(system, near, duration[where], tolerances, frames, pause, threads)
     predicted = {name: theory[name].copy() for name in frames}
     for name, values in labels.items():
         predicted[name][where] = values

@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ..engine import blocks
+from ..engine.compiling import Stopwatch
 from ..io.progress import clock
 from ..label.pipeline import evaluate_tile
 from ..label.theory import predict_runs
@@ -99,12 +100,12 @@ def dry_run(scene: Scene, *, threads: int | None = None, workers: int | None = N
 def _measure(scene: Scene, sample: grid.Grid, threads: int) -> _Measurement:
     """Integrate some points of the sample three times: to compile, to time, and to trace memory."""
     scene, points = _calibration(scene, sample, threads)
-    started = time.perf_counter()
+    stopwatch = Stopwatch()  # without the time in which a kernel is compiled
     predict_runs(
         scene.system, points.base, points.points, points.duration, scene.settings.tolerances,
-        nudged=bool(scene.nudge),
+        nudged=bool(scene.nudge), threads=threads,
     )  # fmt: skip
-    theory_seconds = time.perf_counter() - started
+    theory_seconds = stopwatch.seconds()
 
     def seconds() -> float:
         """Wall-clock time of integrating the points."""

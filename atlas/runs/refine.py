@@ -156,7 +156,7 @@ class _FineGrid:
             existing_points = points.subset(points.exists)
             prediction = theory.predict_runs(
                 scene.system, existing_points.base, existing_points.points, existing_points.duration,
-                scene.settings.tolerances, nudged=bool(scene.nudge),
+                scene.settings.tolerances, nudged=bool(scene.nudge), threads=self.threads,
             )  # fmt: skip
             self.growth_rate[existing] = prediction.variables["growth_rate"]
             for name, flags in self.predicted.items():

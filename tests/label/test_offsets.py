@@ -138,8 +138,8 @@ def test_a_prediction_does_not_depend_on_the_other_points(system):
         assert alone["predicted"] == together[i]
 
 
-def test_starts_far_from_every_family_are_not_looked_at(monkeypatch):
-    """They cost nothing, and drift."""
+def test_starts_far_from_every_family_need_no_linear_equations(monkeypatch):
+    """They drift, and cost nothing."""
     monkeypatch.setattr(theory, "off_family_labels", None)
     points = random_satellites(np.random.default_rng(2), 200)
     assert (SATELLITE.condition_residual(points) > MAX_RESIDUAL).all()

@@ -170,12 +170,9 @@ def integrate(
     stats, nodes = aligned_empty((len(Row), WIDTH)), aligned_empty((4, 2 * MOTION, WIDTH))
     slopes = aligned_empty((STATES, WIDTH))
     turning, near, instant = aligned_empty((WIDTH,)), aligned_empty((WIDTH,)), aligned_empty((WIDTH,))
-    turns, extremes = aligned_empty((TURN_ROWS, QUEUE)), aligned_empty((2, QUEUE))
-    turn_lanes = np.zeros(QUEUE, np.int64)
-    passages, terms = aligned_empty((PASSAGE_ROWS, QUEUE)), aligned_empty((2, len(Term), QUEUE))
+    turns, extremes, turn_lanes = empty_queue(TURN_ROWS), aligned_empty((2, QUEUE)), np.zeros(QUEUE, np.int64)
+    passages, terms = empty_queue(PASSAGE_ROWS), aligned_empty((2, len(Term), QUEUE))
     lanes, first_nodes = np.zeros(QUEUE, np.int64), np.zeros(QUEUE, np.int64)
-    passages[:] = 0.0
-    turns[:] = 0.0
     if FRAMES:
         axes, circles = aligned_empty((FRAMES * len(Axis), WIDTH)), aligned_empty((FRAMES * len(Sum), WIDTH))
     for block in range(first_block, last_block):
@@ -186,9 +183,7 @@ def integrate(
         # Integers of NumPy: what is called with a literal 0 would be compiled for it as well.
         passage_count, turn_count = np.int64(0), np.int64(0)
         load_points(points, block, step_size, state0, constants0, scales, state, constants, inverse_scales)
-        for l in range(WIDTH):
-            dt[l] = step_size[points[block, l]]
-            inverse_unit[l] = 1.0 / (dt[l] / STEP)
+        load_step_sizes(points, block, step_size, dt, inverse_unit)
         if begins:
             begin_runs(stats, integrals0, state, constants, inverse_unit, cylinder_squared)
         else:
@@ -236,6 +231,20 @@ def integrate(
         store_sums(points, block, stats, out)
         if FRAMES:
             store_circles(points, block, circles, out, len(Row))
+
+
+def empty_queue(rows):
+    """Queue of zeros: the columns that are not in use are computed as the others are."""
+    queue = aligned_empty((rows, QUEUE))
+    queue[:] = 0.0
+    return queue
+
+
+def load_step_sizes(points, block, step_size, dt, inverse_unit):
+    """Bring the step sizes of a block's points into its lanes, and the reciprocal of the kernel's unit of time."""
+    for l in range(WIDTH):
+        dt[l] = step_size[points[block, l]]
+        inverse_unit[l] = 1.0 / (dt[l] / STEP)
 
 
 def begin_runs(stats, integrals0, state, constants, inverse_unit, cylinder_squared):

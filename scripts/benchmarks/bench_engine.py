@@ -73,16 +73,15 @@ class Instructions:
         return self.products + self.sums
 
 
-def random_points(system: str, count: int) -> dict[str, np.ndarray]:
-    """Random points of a system with every term present."""
-    rng = np.random.default_rng(0)
+def random_points(system: str, count: int, rng: np.random.Generator) -> dict[str, np.ndarray]:
+    """Random points of a system with every term present but damping."""
     points = {}
     for name, parameter in SYSTEMS[system].parameters.items():
         optional = np.isnan(parameter.default)
         points[name] = np.full(count, np.nan) if optional else rng.normal(size=count) * 0.3
     points |= {"A": rng.uniform(1, 1.4, count), "B": rng.uniform(1, 1.4, count)}
     points |= {"C": rng.uniform(0.6, 1.9, count), "theta0": rng.uniform(0.2, 2.9, count)}
-    return points | ({"Omega": np.ones(count)} if system == "satellite" else {})
+    return points | ({"Omega": np.ones(count), "damping": np.zeros(count)} if system == "satellite" else {})
 
 
 class Case:
@@ -90,7 +89,9 @@ class Case:
 
     def __init__(self, name: str, method: str, zero: frozenset[str], count: int, steps: int):
         system = SYSTEMS[name]
-        points = random_points(name, count) | {parameter: np.zeros(count) for parameter in zero}
+        points = random_points(name, count, np.random.default_rng(0)) | {
+            parameter: np.zeros(count) for parameter in zero
+        }
         self.ensemble = Ensemble.of(system, points)
         # The step size and the sampling of a typical point at the default tolerance.
         settings = Settings(method=method, rate_tolerance=1e30)

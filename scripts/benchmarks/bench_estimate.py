@@ -12,6 +12,7 @@ import argparse
 from collections.abc import Iterator
 
 import numpy as np
+from bench_engine import random_points
 
 import atlas
 from atlas.engine.statistics import RATES
@@ -21,15 +22,6 @@ from atlas.systems import SYSTEMS
 NAMES = (*RATES, "theta_min", "theta_max")
 COLUMNS = (("rk4", "none"), ("rk8", "none"), ("rk4", "all"), ("rk8", "all"))
 ONE_AXIS = ("k1", "k2", "mu1", "mu2", "l1", "l2", "x0", "y0")
-
-
-def random_points(system: str, rng: np.random.Generator, count: int) -> dict[str, np.ndarray]:
-    """Points with every term of a system."""
-    required = {k: p for k, p in SYSTEMS[system].parameters.items() if not np.isnan(p.default)}
-    points = {name: rng.normal(size=count) * 0.3 for name in required}
-    points |= {name: rng.uniform(1, 1.4, count) for name in ("A", "B")}
-    points |= {"C": rng.uniform(0.6, 1.9, count), "theta0": rng.uniform(0.2, 2.9, count)}
-    return points | ({"Omega": np.ones(count)} if system == "satellite" else {})
 
 
 def point_sets(

@@ -25,6 +25,7 @@ from ..engine.tableaux import METHODS
 from ..flags import Label
 from ..scene.model import Tolerances
 from ..systems.base import Array, Flags, Mask, Points, System
+from ..systems.vectors import length
 from . import labels
 
 # Starts with larger residuals are far from every steady motion and drift; no linear equations are integrated.
@@ -164,14 +165,9 @@ def _near(start: _SteadyMotions, bound: Array, duration: Array, tolerances: Tole
     An oscillation of a frequency of at most the bound that begins with an acceleration f changes rates by |f| / bound
     or more. Inside the cylinder only the rate about the vertical counts.
     """
-    g, acceleration = start.vertical, _length(start.acceleration())
-    change = np.fmax(acceleration * np.fmin(1.0 / bound, duration), _length(start.offset))
+    g, acceleration = start.vertical, length(start.acceleration())
+    change = np.fmax(acceleration * np.fmin(1.0 / bound, duration), length(start.offset))
     return np.asarray((change <= _FAR * tolerances.rate) | (np.hypot(g[0], g[1]) < tolerances.angle))
-
-
-def _length(vector: Array) -> Array:
-    """Euclidean length over the first axis."""
-    return np.asarray(np.sqrt((vector**2).sum(0)))
 
 
 def _steps(motions: _SteadyMotions, bound: Array, duration: Array, angle: float) -> NDArray[np.int64]:
@@ -185,7 +181,7 @@ def _steps(motions: _SteadyMotions, bound: Array, duration: Array, angle: float)
     sine = np.hypot(g[0], g[1])
     turn = np.where(sine < angle, 1.0, sine)  # an angle over this is one of the direction of the tilt
     leaves = np.fmin(
-        np.sqrt(2 * limit * turn / _length(motions.acceleration())), limit * turn / _length(motions.offset)
+        np.sqrt(2 * limit * turn / length(motions.acceleration())), limit * turn / length(motions.offset)
     )
     more = np.fmin(_NODES_IN_RANGE * duration / leaves, np.fmin(_MAX_REFINEMENT * steps, _MAX_STEPS))
     return np.fmax(steps, np.ceil(more)).astype(np.int64)

@@ -184,8 +184,9 @@ def test_the_compiled_kernel_is_the_python_one(system, method):
 
 
 @pytest.mark.parametrize("method", METHODS)
-def test_an_interrupted_run_has_the_bits_of_a_whole_one(module_of, method):
-    points = satellites(5, seed=8)
+@pytest.mark.parametrize("damping", [0.0, 0.3])
+def test_an_interrupted_run_has_the_bits_of_a_whole_one(module_of, method, damping):
+    points = satellites(5, seed=8, damping=damping)
     ensemble, module = Ensemble.of(SATELLITE, points), module_of(SATELLITE, method)
     schedule = blocks.pack_blocks(np.full(5, 32), np.ones(5, np.int64))
     arguments = np.full(5, 0.05), ensemble.constants, ensemble.scales, 1e-5
@@ -200,6 +201,7 @@ def test_an_interrupted_run_has_the_bits_of_a_whole_one(module_of, method):
         first = segment.last_node
     np.testing.assert_array_equal(state, whole)
     np.testing.assert_array_equal(sums, whole_sums)
+    assert np.all((whole[9] > 0) == (damping > 0))  # what the Jacobi integral has lost
 
 
 def test_a_long_run_takes_many_short_calls(monkeypatch):

@@ -15,7 +15,6 @@ import atlas
 from atlas import systems
 from atlas.engine import assemble, blocks, losses, tangent
 from atlas.engine.ensemble import Ensemble
-from atlas.engine.kernel import MOTION
 from atlas.engine.specialization import kernel
 from atlas.engine.statistics import Row
 from atlas.engine.tableaux import METHODS
@@ -171,26 +170,6 @@ def test_the_scale_is_that_of_the_start_however_much_is_lost():
     assert 0.5 * state[2, 0] ** 2 == pytest.approx(2e-3, rel=1e-3)
     assert longer[2, 0] ** 2 < 1e-25
     assert later[0] == pytest.approx(drift[0], rel=2e-3)
-
-
-@pytest.mark.parametrize("method", METHODS)
-def test_a_run_that_is_cut_has_the_same_bits(method):
-    points = damped_satellites(5, seed=5)
-    ensemble, module = Ensemble.of(SATELLITE, points), kernel(SATELLITE, method)
-    schedule = blocks.pack_blocks(np.full(5, 32), np.ones(5, np.int64))
-    arguments = np.full(5, 0.05), ensemble.constants, ensemble.scales, 1e-5
-    whole = blocks.start_state(module, ensemble.state)
-    whole_sums = blocks.integrate(module, schedule, arguments[0], whole, *arguments[1:], threads=1)
-    state, sums = blocks.start_state(module, ensemble.state), np.empty((len(Row), 5))
-    resume = np.empty((8 * MOTION + len(ensemble.scales), 5))
-    first = np.zeros_like(schedule.nodes)
-    for last in (1, 3, 4, 21, int(schedule.nodes[0])):
-        segment = blocks.Segment(first, np.full_like(first, last), resume, sums)
-        blocks.integrate(module, schedule, arguments[0], state, *arguments[1:], segment=segment, threads=1)
-        first = segment.last_node
-    np.testing.assert_array_equal(state, whole)
-    np.testing.assert_array_equal(sums, whole_sums)
-    assert whole[9].min() > 0
 
 
 def test_a_point_has_the_same_bits_in_any_company():

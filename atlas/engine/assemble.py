@@ -52,7 +52,8 @@ INLINED = (
     ),
     (turning, ("newton_change", "motion_of_turn", "turning_point")),
 )  # fmt: skip
-# Of `kernel` and `observe`; these call generated functions.
+# Kernels that measure the change of first integrals, and functions that they share; these call generated functions.
+MEASURING = (kernel, observe)
 SHARED = (
     (
         lanes,
@@ -202,7 +203,7 @@ def source(
     inlined = list(generated_functions.values())
     constants = _constants(equations, METHODS[method])
     not_inlined = []
-    if of is not tangent:
+    if of in MEASURING:
         inlined += _selected_functions(SHARED)
     if of is kernel:
         inlined += _selected_functions(INLINED)
@@ -278,8 +279,8 @@ def _copy(module: ModuleType, namespace: Mapping[str, object]) -> ModuleType:
 def _with_losses(
     equations: ModuleType, zero: Collection[str], equal: Mapping[str, str], of: ModuleType
 ) -> ModuleType:
-    """Equations that integrate the losses of their integrals, which tangent and deviation kernels do not measure."""
-    measured = {} if of in (tangent, deviation) else losses.losses_of(equations, zero, equal)
+    """Equations that integrate the losses of their integrals, for the kernels that measure these."""
+    measured = losses.losses_of(equations, zero, equal) if of in MEASURING else {}
     return losses.with_losses(equations, measured)
 
 

@@ -211,8 +211,9 @@ def _integrate(
     def call(first: int, last: int, *_: NDArray[np.int64]) -> None:
         kernel.integrate(first, last, points, constants, harmonics, given, start, scales, angle, sums)
 
-    cost, once = WIDTH * steps[points[:, 0]], np.ones(len(points), np.int64)
-    blocks.call_by_parts(call, cost, 0 * once, once, threads, lambda _: pause())
+    # A block is integrated by one call; its first point takes the most steps.
+    begin, end = np.zeros(len(points), np.int64), np.ones(len(points), np.int64)
+    blocks.call_by_parts(call, WIDTH * steps[points[:, 0]], begin, end, threads, lambda _: pause())
     return sums
 
 

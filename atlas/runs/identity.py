@@ -44,9 +44,8 @@ def identity(scene: Scene) -> dict[str, str]:
 
     from ..engine import jit
 
-    kernel = scene_kernel_hash(
-        scene
-    )  # computed from source files, so before the check whether these have changed
+    # The hash is computed from source files, so before the check whether these have changed.
+    kernel = scene_kernel_hash(scene)
     changed = sources.changed()
     if changed:
         raise BadInput(

@@ -100,7 +100,7 @@ def flips(trial: Trial, scale: float) -> str:
     }
     report = []
     for kind, (number, choose, read) in kinds.items():
-        found = same = other = 0
+        refused = same = other = 0
         for _ in range(max(round(number * scale), 1)):
             file = choose()
             whole = file.read_bytes()
@@ -111,11 +111,11 @@ def flips(trial: Trial, scale: float) -> str:
                 else:
                     other += 1
             except BadInput as error:
-                found += 1
+                refused += 1
                 if len(str(error).splitlines()) != 1:
                     sys.exit(f"{kind}: not one line: {error}")
             file.write_bytes(whole)
-        report.append(f"{kind}: {found} found, {same} same data, {other} other data")
+        report.append(f"{kind}: {refused} found, {same} same data, {other} other data")
         if other:
             sys.exit("; ".join(report))
     return "; ".join(report) + f"; {trial.compared(run.path)} bytes equal"
@@ -133,8 +133,8 @@ def swaps(trial: Trial, scale: float) -> str:
             first.rename(between)
             second.rename(first)
             between.rename(second)
-    found = len(run.tiles.status().damaged)
-    if found != len(order):
-        sys.exit(f"{found} of {len(order)} swapped tiles found")
+    damaged = len(run.tiles.status().damaged)
+    if damaged != len(order):
+        sys.exit(f"{damaged} of {len(order)} swapped tiles found")
     trial.finish("-o", "swaps/")
     return f"{len(order) // 2} pairs of tiles swapped, all found, {trial.compared(run.path)} bytes equal"

@@ -80,17 +80,17 @@ def test_an_offset_from_an_unstable_motion_drifts_once_it_has_grown(duration):
 
 def satellites(rng, each):
     """Some satellites on every family."""
-    found = []
+    members = []
     for name in SATELLITE_FAMILIES:
         drawn = (satellite_on_family(name, rng) for _ in iter(int, 1))
         exist = (point for point in drawn if point is not None)
-        found += [next(exist) for _ in range(each)]
-    return {name: np.concatenate([np.ravel(point[name]) for point in found]) for name in found[0]}
+        members += [next(exist) for _ in range(each)]
+    return {name: np.concatenate([np.ravel(point[name]) for point in members]) for name in members[0]}
 
 
 def fixed_points(rng, each):
     """Some bodies on every family about the third axis or the vertical."""
-    found = [
+    members = [
         fixed_points_on_family("conical", symmetric_fixed_points(rng, each), "l3"),
         fixed_points_on_family("sleeping", random_fixed_points(rng, each), "theta0", "l1", "l2"),
         fixed_points_on_family("sleeping", symmetric_fixed_points(rng, each), "theta0"),
@@ -99,7 +99,7 @@ def fixed_points(rng, each):
         ),
         fixed_points_on_family("rest", symmetric_fixed_points(rng, 3 * each, n=0.0), "theta0"),
     ]
-    return {name: np.concatenate([points[name] for points in found]) for name in found[0]}
+    return {name: np.concatenate([points[name] for points in members]) for name in members[0]}
 
 
 def near_families(system, rng, each):

@@ -55,6 +55,14 @@ def test_help_and_check_load_no_compiler(command):
     assert result.returncode == 0, result.stderr
 
 
+def test_no_import_of_the_systems_loads_a_paper():
+    code = (
+        "import sys, atlas, atlas.systems, atlas.label.pipeline, atlas.runs.runner\n"
+        "sys.exit(any(name.startswith('atlas.papers') for name in sys.modules))"
+    )
+    assert subprocess.run([sys.executable, "-c", code], cwd=PACKAGE.parent, check=False).returncode == 0
+
+
 @pytest.mark.parametrize("system", SYSTEMS.values(), ids=lambda s: s.name)
 def test_every_variable_is_described(system):
     for name, variable in variables(system).items():

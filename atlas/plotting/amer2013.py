@@ -15,10 +15,10 @@ from matplotlib.lines import Line2D
 from matplotlib.ticker import MaxNLocator
 
 from ..errors import BadInput
+from ..papers.amer2013 import claims, fast_spin, published
+from ..papers.amer2013.claims import Row
+from ..papers.amer2013.fast_spin import FastSpin
 from ..systems.base import Array
-from ..systems.fixed_point.paper import claims, fast_spin, published
-from ..systems.fixed_point.paper.claims import Row
-from ..systems.fixed_point.paper.fast_spin import FastSpin
 from .style import COLOURS, STYLE, WIDTHS
 
 NUMBERS = range(1, 21)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence, Set
 from dataclasses import dataclass, field
+from importlib import import_module
 from types import MappingProxyType
 from typing import Any, NamedTuple
 
@@ -232,6 +233,8 @@ class System(ABC):
     """Citation of the paper that the system comes from."""
     doi: str = ""
     """DOI of that paper."""
+    paper: str = ""
+    """Name of a package whose module ``published`` holds the equations of that paper, ``PUBLISHED``; imported when asked for."""
 
     # Equations.
 
@@ -567,8 +570,11 @@ class System(ABC):
         return np.zeros(steady.shape, np.int8)
 
     def published(self) -> Sequence[PublishedEquation]:
-        """Equations of the system's paper, as printed and as true."""
-        return ()
+        """Equations of the system's paper, as printed and as true: those of the package `paper`, if it is named."""
+        if not self.paper:
+            return ()
+        rows: Sequence[PublishedEquation] = import_module(f"{self.paper}.published").PUBLISHED
+        return rows
 
     def stress_cases(self) -> Sequence[StressCase]:
         """Stiff and extreme points for the command `atlas stress`."""

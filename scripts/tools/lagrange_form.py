@@ -17,11 +17,11 @@ from collections.abc import Callable
 import numpy as np
 from scipy.integrate import solve_ivp
 
+from atlas.papers.yehia2021 import lagrange
 from atlas.systems.base import Array, Points
 from atlas.systems.satellite import equations
 from atlas.systems.satellite.families import FAMILIES, steady_motion
 from atlas.systems.satellite.initial import PARAMETERS, constants, initial_state
-from atlas.systems.satellite.paper import lagrange
 
 ANGLES = ("psi0", "theta0", "phi0", "n", "theta_dot0", "m")
 TURN, DRIFT, HALVED = 0.3, 1e-5, 1e-3

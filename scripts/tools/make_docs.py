@@ -13,10 +13,10 @@ import numpy as np
 
 from atlas.analysis import catalogue
 from atlas.flags import Agreement, Flag, Label, Stability, Status
+from atlas.papers.amer2013 import claims
 from atlas.plotting.amer2013 import amplitude_table
 from atlas.systems import SYSTEMS
 from atlas.systems.base import System
-from atlas.systems.fixed_point.paper import claims
 from atlas.variables import variables
 
 DOCS = Path(__file__).parents[2] / "docs"

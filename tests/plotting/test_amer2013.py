@@ -8,8 +8,8 @@ from scipy.interpolate import make_interp_spline
 
 from atlas.cli import main
 from atlas.errors import BadInput
+from atlas.papers.amer2013 import claims, fast_spin
 from atlas.plotting import amer2013
-from atlas.systems.fixed_point.paper import claims, fast_spin
 
 # The captions of the paper: number -> quantity, phase plane, |l| / sqrt(3), for A = B < C, analytical.
 CAPTIONS = {

@@ -8,8 +8,8 @@ from scipy.integrate import cumulative_simpson
 from strategies import default_points
 
 from atlas.errors import BadInput
+from atlas.papers.amer2013 import claims, fast_spin, published
 from atlas.systems.fixed_point import equations, initial
-from atlas.systems.fixed_point.paper import claims, fast_spin, published
 
 ROTORS = [(0.0, 0.0, 0.0), (10.0, 0.0, 0.0), (0.0, 10.0, 0.0), (0.0, 0.0, 10.0), (10.0, 10.0, 10.0)]
 TAU = np.linspace(0, 2 * np.pi, 101)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import sympy as sp
 
-from atlas.systems.fixed_point.paper import draws, fast_spin, published, reduction
+from atlas.papers.amer2013 import draws, fast_spin, published, reduction
 
 ROWS = {row.number: row for row in published.PUBLISHED}
 EXPANSIONS = (

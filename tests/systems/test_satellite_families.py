@@ -11,11 +11,11 @@ from scipy.integrate import solve_ivp
 from strategies import nonzero_satellite, random_satellites, satellite_on_family, seeds
 from truth import cases, satellite_cases
 
+from atlas.papers.yehia2021.published import PUBLISHED, residual
 from atlas.systems.base import on_family
 from atlas.systems.satellite import SATELLITE, equations
 from atlas.systems.satellite.families import FAMILIES, condition_residual, steady_motion
 from atlas.systems.satellite.initial import PARAMETERS, constants, initial_state
-from atlas.systems.satellite.paper.published import PUBLISHED, residual
 from atlas.systems.satellite.stability import linear_stability
 
 NAMES = ("cylindrical", "equilibrium", "perp_radius", "perp_velocity", "oblique", "transverse_magnet",

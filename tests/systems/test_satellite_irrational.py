@@ -5,12 +5,20 @@ import pytest
 import sympy as sp
 from truth import BODY_NAMES, lagrangian_arguments, lagrangian_functions, paper_vectors, satellite_symbols
 
-from atlas.systems.satellite.paper import irrational
-from atlas.systems.satellite.paper.draws import random_point
-from atlas.systems.satellite.paper.published import PUBLISHED
+from atlas.papers.yehia2021.published import (
+    ENTRIES,
+    PUBLISHED,
+    determinant_quotient,
+    instant,
+    left_side,
+    parts,
+    random_point,
+    true_left_side,
+)
 
 NUMBERS = [f"({i})" for i in range(32, 44)]
 TRUE = {"(35)", "(39)", "(43)"}
+FORMS = [number for number in NUMBERS if number not in TRUE]
 
 
 def left_sides(point, t):
@@ -23,17 +31,19 @@ def ratios(number, printed, count=20):
     """Left side of an equation of section 4.2 over each of Lagrange's three, at times of one point: (3, count)."""
     rng = np.random.default_rng(1)
     point = random_point(rng)
-    form, _ = irrational.FORMS[number]
     quotients = []
     for _ in range(count):
-        t, i = irrational.time_of(number)(rng, point)
-        quotients.append(form(irrational.parts(point, t, i), printed) / left_sides(point, t)[:, 0])
+        at = instant(ENTRIES[number], rng, point)
+        reading = "printed" if printed else "true"
+        quotients.append(
+            left_side(ENTRIES[number], reading, parts(point | at)) / left_sides(point, at["t"])[:, 0]
+        )
     return np.array(quotients).T
 
 
-@pytest.mark.parametrize("number", irrational.FORMS)
+@pytest.mark.parametrize("number", FORMS)
 def test_the_true_reading_is_lagrange_s_equation_and_the_printed_one_is_no_multiple_of_any(number):
-    _, index = irrational.FORMS[number]
+    index = ENTRIES[number]["left_side"] - 5
     np.testing.assert_allclose(ratios(number, printed=False)[index], 1, rtol=1e-9)
     spread = np.ptp(ratios(number, printed=True), axis=1)
     assert spread.min() > 1e-2
@@ -66,13 +76,10 @@ def test_harmonics_of_the_true_readings_by_computer_algebra():
         equation = sum(sp.diff(momentum, q) * v for q, v in ((psi, psi_dot), (phi, phi_dot)))
         function = sp.lambdify((psi, phi), (equation - sp.diff(lagrangian, angle)).subs(numbers))
         expected = np.linalg.solve(basis, [function(x[0], a) for a in angles])
-        form, _ = irrational.FORMS[number]
-        q = irrational.parts(point, 0.0)
-        q.psi = x
+        entry, values = ENTRIES[number], parts(point | {"t": 0.0}) | {"psi": x}
 
-        def value(a, form=form, q=q):
-            q.mt = a
-            return form(q, False)[0]
+        def value(a, entry=entry, values=values):
+            return left_side(entry, "true", values | {"mt": a})[0]
 
         np.testing.assert_allclose(np.linalg.solve(basis, [value(a) for a in angles]), expected, atol=1e-12)
 
@@ -80,7 +87,7 @@ def test_harmonics_of_the_true_readings_by_computer_algebra():
 def test_the_determinant_is_256_times_the_product_of_sines():
     rng = np.random.default_rng(2)
     for _ in range(5):
-        assert irrational.determinant_quotient(rng.uniform(0, 2 * np.pi, 5)) == pytest.approx(256, rel=1e-6)
+        assert determinant_quotient(rng.uniform(0, 2 * np.pi, 5)) == pytest.approx(256, rel=1e-6)
 
 
 def test_the_determinant_by_computer_algebra():
@@ -107,8 +114,7 @@ def test_a_bracket_before_omega_makes_37_true():
     """The print lacks one bracket; without it k2 has the rate n - Omega."""
     rng = np.random.default_rng(3)
     point = random_point(rng)
-    t, i = irrational.time_35(rng, point)
-    q = irrational.parts(point, t, i)
-    form, index = irrational.FORMS["(37)"]
-    change = form(q, True) - irrational.true_left_side(point, t, index)
-    np.testing.assert_allclose(change, 2 * q.n * q.u1 * q.k2 * q.even, atol=1e-13)
+    at = instant(ENTRIES["(37)"], rng, point)
+    q = parts(point | at)
+    change = left_side(ENTRIES["(37)"], "printed", q) - true_left_side(point, at["t"], 6)
+    np.testing.assert_allclose(change, 2 * q["n"] * q["u1"] * q["k2"] * q["even"], atol=1e-13)

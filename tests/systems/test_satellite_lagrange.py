@@ -8,9 +8,9 @@ from scipy.integrate import solve_ivp
 from strategies import random_satellites
 from truth import lagrangian_arguments, lagrangian_functions
 
+from atlas.papers.yehia2021 import lagrange
 from atlas.systems.satellite import equations
 from atlas.systems.satellite.initial import constants, initial_state
-from atlas.systems.satellite.paper import lagrange
 
 
 def states(points):

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from types import MappingProxyType
 from typing import Any
 
@@ -14,7 +14,6 @@ from ..base import (
     Flags,
     Mask,
     Points,
-    PublishedEquation,
     System,
     despun_about_third_axis,
     identify,
@@ -22,8 +21,7 @@ from ..base import (
     stability_by_family,
 )
 from ..oscillations import oscillation_variables
-from . import any_axis, equations, equilibria, families, initial, oscillations, stress_cases
-from .paper import errors, published
+from . import any_axis, equations, equilibria, families, first_order, initial, oscillations, stress_cases
 
 GEOMETRIES = {
     "none": "drifting or unresolved",
@@ -66,6 +64,7 @@ class FixedPoint(System):
         "T. S. Amer, Y. M. Abo Essa, I. A. Ibrahim, W. S. Amer, Int. J. Engineering Research and Applications"
         " 3(5) (2013) 655-671"
     )
+    paper = first_order.PAPER
 
     equations = equations
     parameters = initial.PARAMETERS
@@ -88,7 +87,7 @@ class FixedPoint(System):
     condition_residual = staticmethod(families.condition_residual)
     families = families.FAMILIES | any_axis.FAMILIES
     geometries = GEOMETRIES
-    derived = MappingProxyType(errors.DERIVED | _OSCILLATIONS)
+    derived = MappingProxyType(first_order.DERIVED | _OSCILLATIONS)
     stress_cases = staticmethod(stress_cases.cases)
 
     def growth_about_vertical(self, points: Points) -> Array:
@@ -130,9 +129,6 @@ class FixedPoint(System):
     def equilibria_of_bodies(self, points: Points, pause: Callable[[], None]) -> dict[str, NDArray[Any]]:
         """All permanent rotations of many bodies, each at its rate n; see equilibria.equilibria_of_bodies."""
         return _in_vectors(equilibria.equilibria_of_bodies(points))
-
-    def published(self) -> Sequence[PublishedEquation]:
-        return published.PUBLISHED
 
     def despun_equivalent(self, points: Points) -> tuple[Points, Array]:
         conserved = ~np.isnan(self.integral_scales(points)["lagrange"])

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 
 import numpy as np
 
@@ -11,7 +11,6 @@ from ..base import (
     Flags,
     Mask,
     Points,
-    PublishedEquation,
     System,
     despun_about_third_axis,
     identify,
@@ -41,6 +40,7 @@ class Satellite(System):
     frame_axes = ("radius", "velocity", "normal")
     reference = "H. M. Yehia, H. N. El-kenani, J. Appl. Comput. Mech. 7(4) (2021) 2120-2128"
     doi = "10.22055/JACM.2021.37913.3113"
+    paper = "atlas.papers.yehia2021"
 
     equations = equations
     parameters = initial.PARAMETERS
@@ -122,11 +122,6 @@ class Satellite(System):
         ]
         flags = [names.index(name) for _, name in conditions]
         return np.select([where for where, _ in conditions], flags, names.index("oblique")).astype(np.int8)
-
-    def published(self) -> Sequence[PublishedEquation]:
-        from .paper.published import PUBLISHED  # only tables of the catalogue need it
-
-        return PUBLISHED
 
     def despun_equivalent(self, points: Points) -> tuple[Points, Array]:
         return despun_about_third_axis(self, points, "k3", initial.conserves_axial_momentum(points))

@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ...base import Array
+from ...systems.base import Array
 from . import published
 from .fast_spin import (
     PAPER_BODIES,

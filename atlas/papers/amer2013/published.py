@@ -7,16 +7,17 @@ the units of its namesake in `fast_spin`. X and what depends on it need A1 != 0.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
 
-from ....errors import BadInput
-from ...base import Array, PublishedEquation
+from ...errors import BadInput
+from ...systems.base import Array, PublishedEquation
+from .. import Measure, Readings, load, row
 from . import fast_spin, reduction
-from .draws import Measure, paper_spin, random_spin, true_acceleration, true_rate
+from .draws import paper_spin, random_spin, true_acceleration, true_rate
 from .fast_spin import FastSpin
 
 
@@ -374,137 +375,46 @@ def _period_33(correction: Callable[[FastSpin], Array]) -> Measure:
     return measured
 
 
-_MOTION = "component of (1) at a random state, less the equations of motion"
-_SOLUTION = "error against the full equations with the paper's data, over the size of the forced part"
-
-PUBLISHED: tuple[PublishedEquation, ...] = (
-    PublishedEquation(
-        "(1), second equation", "", "eps/b (z0' g1 + a B1 g1 g1'')", "eps/b (z0' g1 + k a B1 g1 g1'')", "misprint",
-        _MOTION, _of_motion(1, rhs), _of_motion(1, fast_spin.rhs), "the Newtonian torque has no k",
+READINGS: dict[str, Readings] = {
+    "(1), second equation": (_of_motion(1, rhs), _of_motion(1, fast_spin.rhs)),
+    "(3), S1": (_constancy(integrals), _constancy(fast_spin.integrals)),
+    "(4)": (_of_motion(0, rhs), _of_motion(0, fast_spin.rhs)),
+    "(7), (15)": (_turning_square(frequency_squared), _turning_square(lambda spin: spin.Omega**2)),
+    "(9)": (_direction_cosine(-1), _direction_cosine(1)),
+    "(10), chi1 and nu": (
+        _coupling(lambda spin: coefficients(spin)[1:3]),
+        _coupling(lambda spin: (spin.chi1, spin.nu)),
     ),
-    PublishedEquation(
-        "(3), S1", "", "a { .. + k [ .. + (1 - g1''^2)]}", "a { .. } with k (1 - g1''^2) outside the factor a",
-        "misprint", "change of r1^2 - eps^2 S1 along the motion, over 2 pi",
-        _constancy(integrals), _constancy(fast_spin.integrals), "r1^2 - eps^2 S1 is not constant",
+    "(10), chi": (
+        _constant_10(lambda spin: coefficients(spin).chi),
+        _constant_10(lambda spin: np.zeros(())),
     ),
-    PublishedEquation(
-        "(4)", "", "k = N / c^2", "k = N gamma0'' / c^2", "misprint", _MOTION,
-        _of_motion(0, rhs), _of_motion(0, fast_spin.rhs), "invisible with the paper's data (k = 1e-4)",
+    "(15), second equation": (
+        _reduced(3, lambda spin, x: quasilinear(spin, x, x)),
+        _reduced(3, fast_spin.quasilinear),
     ),
-    reduction.SIX,
-    PublishedEquation(
-        "(7), (15)", "", "omega'^2 = A1^2 - 2 A1 l3 / (A r0)", "Omega^2 = (A1 + l3 / (A r0))^2", "false",
-        "less the square of the rate at which p1 + i q1 turns by the equations of motion",
-        _turning_square(frequency_squared), _turning_square(lambda spin: spin.Omega**2),
-        "wrong sign: frequencies shift the wrong way with l3, and omega' may become imaginary",
-    ),
-    reduction.SEVEN,
-    reduction.EIGHT,
-    PublishedEquation(
-        "(9)", "", "g1' = (g1-dot - eps q1 g1'') / r1", "g1' = (g1-dot + eps q1 g1'') / r1", "misprint",
-        "right side at a random state, less g1'", _direction_cosine(-1), _direction_cosine(1),
-        "(11) has the right sign",
-    ),
-    PublishedEquation(
-        "(10), chi1 and nu", "", "divided by 1 - omega'^2", "chi1 = -G0 / (1 + Omega), nu = 1 / (1 + Omega)", "false",
-        "by how much w = eps chi1 G fails to turn with G, and G = eps nu w with w (l1 = l2 = 0)",
-        _coupling(lambda spin: coefficients(spin)[1:3]), _coupling(lambda spin: (spin.chi1, spin.nu)),
-        "with omega' a pole at omega' = 1; none with Omega but at C r0 + l3 = 0",
-    ),
-    PublishedEquation(
-        "(10), chi", "", "y2^2 l1 / (C r0 A1 A^2 omega'^2)", "0", "false",
-        "less what A1 (q1 l1 - p1 l2) q1 / (C r0) of (7) leaves on the forced motion p1 + i q1 = mu / Omega",
-        _constant_10(lambda spin: coefficients(spin).chi), _constant_10(lambda spin: np.zeros(())),
-        "q1 l1 - p1 l2 vanishes on the forced solution",
-    ),
-    reduction.ELEVEN,
-    *reduction.THIRTEEN,
-    reduction.FOURTEEN,
-    PublishedEquation(
-        "(15), second equation", "", "l1 / (A r0)", "l1 / (C r0 + l3)", "false",
-        "error of gamma2'' at r0 = 1e5, over the forced term; the true one falls with eps",
-        _reduced(3, lambda spin, x: quasilinear(spin, x, x)), _reduced(3, fast_spin.quasilinear),
-        "Phi1 lacks a term of the same order",
-    ),
-    PublishedEquation(
-        "(16), (27)-(33)", "", "A^-1 y2", "C A^-1 y2", "misprint",
-        "relative change of (y2 X / A)^2 of (33) when the unit of mass is halved",
+    "(16), (27)-(33)": (
         _in_other_units(lambda spin: (spin.y[1] * coefficients(spin).X / spin.A) ** 2),
         _in_other_units(lambda spin: (spin.C * spin.y[1] * coefficients(spin).X / spin.A) ** 2),
-        "dimensionally inconsistent as printed; (11) and (13) have C",
     ),
-    reduction.SEVENTEEN,
-    PublishedEquation(
-        "(18)", "", "gamma2(0, eps) = 0", "gamma2-dot(0, eps) = 0", "misprint",
-        "value at tau = 0 of what is to vanish, on (20)", _start_18(0), _start_18(1), "(22) has the right condition",
+    "(18)": (_start_18(0), _start_18(1)),
+    "(19), (20), (25)": (_reduced(1, _without_forcing), _reduced(1, fast_spin.quasilinear)),
+    "(24), h_k": (
+        _kernel_24(lambda spin: np.sqrt(frequency_squared(spin))),
+        _kernel_24(lambda spin: np.ones(())),
     ),
-    PublishedEquation(
-        "(19), (20), (25)", "", "p2'' + omega'^2 p2 = 0", "p2'' + Omega^2 p2 = Omega mu1", "false",
-        "error of p2'' at r0 = 1e5, over the forcing Omega mu1",
-        _reduced(1, _without_forcing), _reduced(1, fast_spin.quasilinear),
-        "fatal: the forced part mu1/Omega of p1, not small, is lost",
-    ),
-    PublishedEquation(
-        "(24), h_k", "", "sin omega'(tau - t1)", "sin(tau - t1)", "misprint",
-        "h'' + h - 1 at a random time, for the integral h of Phi = 1",
-        _kernel_24(lambda spin: np.sqrt(frequency_squared(spin))), _kernel_24(lambda spin: np.ones(())),
-        "gamma2 has frequency 1",
-    ),
-    *reduction.GENERATING,
-    PublishedEquation(
-        "(32)", "", "W1 > 0", "W1 < 0", "false", "by how much W1 has the other sign, with the paper's data",
-        _sign_32(1), _sign_32(-1), "sign-definite all the same: the argument survives",
-    ),
-    PublishedEquation(
-        "(33), p1", "", "eps [chi + chi1 M3 cos tau]", "mu1/Omega + eps chi1 M3 cos tau", "false", _SOLUTION,
-        _of_solution(0, first_order), _of_solution(0, fast_spin.first_order),
-        "p1 is wrong by its whole size wherever l1 != 0",
-    ),
-    PublishedEquation(
-        "(33), q1", "", "C X y2 / A + ..", "mu2/Omega - eps chi1 M3 sin tau", "false", _SOLUTION,
-        _of_solution(1, first_order), _of_solution(1, fast_spin.first_order),
-        "X is 1/Omega to first order in l3 only",
-    ),
-    PublishedEquation(
-        "(33), r1", "", "1 - eps^2 k M3 a l3 sin tau / (A A1 r0)",
-        "1 + eps^3 (a M3 G0 / (1 + Omega)) [mu1 (1 - cos tau) + mu2 sin tau]", "false",
-        "error against the full equations with the paper's data, over eps^2 a |mu / Omega|^2",
-        _of_solution(2, first_order), _of_solution(2, fast_spin.first_order),
-        "the lost forced part swings r1 by eps^2; where it is kept, r1 is 1 to order eps^3",
-    ),
-    PublishedEquation(
-        "(33), g1", "", "M3 cos tau + ..", "M3 cos tau + eps (mu1/Omega) (1 - cos tau)", "false", _SOLUTION,
-        _of_solution(3, first_order), _of_solution(3, fast_spin.first_order),
-        "its term of first order is lost with p2 and with the forcing of gamma2 in (15)",
-    ),
-    PublishedEquation(
-        "(33), g1'", "", "-M3 sin tau + l2 / (A A1 r0) + ..", "-M3 sin tau + eps [(mu1/Omega) sin tau + mu2/Omega]", "false",
-        _SOLUTION, _of_solution(4, first_order), _of_solution(4, fast_spin.first_order),
-        "the term in mu1 is lost as in g1; l2 / (A A1 r0) is eps mu2/Omega to first order in l3 only",
-    ),
-    PublishedEquation(
-        "(33), g1''", "", "y1 (1 - cos tau) + y2 sin tau - ..", "[mu1 (1 - cos tau) + mu2 sin tau] / Omega", "false",
-        _SOLUTION, _of_solution(5, first_order), _of_solution(5, fast_spin.first_order),
-        "wrong by a factor of order C / (C - A)",
-    ),
-    PublishedEquation(
-        "(33), alpha", "", "-eps pi n [ .. ]", "-2 pi n eps^2 [G0/(1 + Omega) + |mu|^2 / (2 Omega^2)]", "false",
-        "relative error against the period of the full equations, r0 = 1e3",
-        _period_33(period_correction), _period_33(fast_spin.period_correction), "too large by 1/eps; the bracket is wrong where l1 or l2 != 0",
-    ),
-    PublishedEquation(
-        "theta after (34)", "", "y1, y2", "mu1/Omega, mu2/Omega", "false", _SOLUTION,
-        _of_angle(0, angles), _of_angle(0, fast_spin.angles),
-        "the swing is wrong by a factor of order (C - A) / C",
-    ),
-    PublishedEquation(
-        "psi after (34)", "", "half the secular rate, a secular term in l2^2, no mu1 sin r0 t",
-        "-(Mg z0 - N (C - A) cos theta0) / (C r0 + l3)", "false", _SOLUTION,
-        _of_angle(1, angles), _of_angle(1, fast_spin.angles),
-        "precession at half its rate, or far off where l2 != 0",
-    ),
-    PublishedEquation(
-        "section VI, data", "", "A = 22.49 or 50.32 with M = 30, z0 = 5", "A >= M z0^2 = 750", "false",
-        effect="no real body has these moments about the fixed point",
-    ),
-)  # fmt: skip
+    "(32)": (_sign_32(1), _sign_32(-1)),
+    **{
+        f"(33), {name}": (_of_solution(index, first_order), _of_solution(index, fast_spin.first_order))
+        for index, name in enumerate(("p1", "q1", "r1", "g1", "g1'", "g1''"))
+    },
+    "(33), alpha": (_period_33(period_correction), _period_33(fast_spin.period_correction)),
+    "theta after (34)": (_of_angle(0, angles), _of_angle(0, fast_spin.angles)),
+    "psi after (34)": (_of_angle(1, angles), _of_angle(1, fast_spin.angles)),
+    "section VI, data": (None, None),
+    **reduction.READINGS,
+}
+
+PUBLISHED: Sequence[PublishedEquation] = tuple(
+    row(entry, READINGS[entry["number"]]) for entry in load("amer2013")["equation"]
+)

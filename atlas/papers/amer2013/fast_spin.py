@@ -23,9 +23,9 @@ from typing import Any
 
 import numpy as np
 
-from ....errors import BadInput
-from ...base import Array, Mask, Points
-from ..initial import bodies, initial_state
+from ...errors import BadInput
+from ...systems.base import Array, Mask, Points
+from ...systems.fixed_point.initial import bodies, initial_state
 
 # Data of section VI: moments of the two bodies, and the rest in SI units.
 PAPER_BODIES = {"A < C": (22.49, 35.6), "A > C": (50.32, 33.4)}

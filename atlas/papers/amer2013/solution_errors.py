@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection
+from collections.abc import Callable
 
 import numpy as np
 
-from ....errors import BadInput
-from ...base import Array, DerivedVariable, Mask, Points
-from ..initial import VECTORS, frequency_bound
+from ...errors import BadInput
+from ...systems.base import Array, Mask, Points
+from ...systems.fixed_point.first_order import MAX_RADIANS
+from ...systems.fixed_point.initial import VECTORS, frequency_bound
 from . import published
 from .fast_spin import FastSpin, dimensional, dop853, fast_spin, first_order, rhs
 
@@ -16,12 +17,11 @@ SAMPLES = 201  # instants of a run at which the errors are taken
 CHUNK = (
     512  # points integrated together: enough to share the overhead of a step, few enough for little memory
 )
-# Longest run that is integrated, in radians of its fastest frequency: some seconds for a chunk.
-MAX_RADIANS = 1000.0
 # Evaluations of the equations for a chunk; more than twice what a run of MAX_RADIANS needs.
 MAX_EVALUATIONS = 200_000
 
 Solution = Callable[[FastSpin, Array], Array]
+SOLUTIONS: dict[str, Solution] = {"true": first_order, "printed": published.first_order}
 
 
 def _go_on() -> None:
@@ -128,8 +128,12 @@ def _full(spin: FastSpin, y0: Array, end: Array, pause: Callable[[], None]) -> A
     return np.moveaxis(solution.y.reshape(*shape, SAMPLES), -1, 1)
 
 
-def _check_length(points: Points, duration: Array) -> None:
-    """Raise BadInput for runs too long to be integrated to these errors."""
+def check(points: Points, duration: Array, form: str) -> None:
+    """Raise BadInput for points without the solution in this form, and for runs too long to be integrated to its errors."""
+    with np.errstate(all="ignore"):
+        spin = fast_spin(points)
+        if form == "printed":
+            published.coefficients(spin)
     length = radians(points, duration)
     too_long = ~(length <= MAX_RADIANS)
     if too_long.any():
@@ -137,49 +141,3 @@ def _check_length(points: Points, duration: Array) -> None:
             f"the full equations are integrated for at most {MAX_RADIANS:g} rad of their fastest frequency, and"
             f" {too_long.sum()} of {too_long.size} points turn by up to {length.max():.3g}; shorten the duration"
         )
-
-
-def _error_variables(
-    form: str, solution: Solution, check: Callable[[Points], object]
-) -> list[DerivedVariable]:
-    """Errors of the solution in one form, "true" or "printed", as variables of an atlas."""
-    suffix = "" if form == "true" else f"_{form}"
-    note = (
-        "against the full equations from the formula's own start, with r0 and gamma0'' of the point; over the"
-        f" duration of the run; nan beyond {MAX_RADIANS:g} rad of the fastest frequency"
-    )
-
-    def check_points(points: Points, duration: Array) -> None:
-        with np.errstate(all="ignore"):
-            check(points)
-        _check_length(points, duration)
-
-    names = f"first_order_error{suffix}", f"first_order_rate_error{suffix}"
-
-    def together(
-        _: Collection[str], points: Points, duration: Array, pause: Callable[[], None]
-    ) -> dict[str, Array]:
-        return dict(zip(names, errors(points, duration, solution, pause), strict=True))
-
-    return [
-        DerivedVariable.of_group(
-            together, names[0], "rad", f"largest error of gamma in the first-order solution (33), {form}", note,
-            check=check_points,
-        ),
-        DerivedVariable.of_group(
-            together, names[1], "1",
-            f"largest error of p + i q in the first-order solution (33), {form}, over its largest magnitude", note,
-            check=check_points,
-        ),
-    ]  # fmt: skip
-
-
-DERIVED = {
-    variable.name: variable
-    for variable in (
-        *_error_variables("true", first_order, fast_spin),
-        *_error_variables(
-            "printed", published.first_order, lambda points: published.coefficients(fast_spin(points))
-        ),
-    )
-}

@@ -11,7 +11,7 @@ equations.py, and are plain arithmetic but for sin and cos, the only names they 
 
 from numpy import cos, sin
 
-from ..equations import CONSTANTS as CONSTANTS
+from ...systems.satellite.equations import CONSTANTS as CONSTANTS
 
 STATE = ("psi", "theta", "phi", "psi_dot", "theta_dot", "phi_dot")
 

@@ -2,16 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import numpy as np
 
-from ...base import Array
-from .. import equations, initial
+from ...systems.base import Array
+from ...systems.fixed_point import equations, initial
 from . import fast_spin
 from .fast_spin import FastSpin
-
-Measure = Callable[[np.random.Generator], float]
 
 
 def random_spin(rng: np.random.Generator, **given: float) -> FastSpin:

@@ -14,9 +14,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ...base import Array, PublishedEquation
+from ...systems.base import Array
+from .. import Measure
 from . import fast_spin
-from .draws import Measure, random_spin, true_acceleration
+from .draws import random_spin, true_acceleration
 from .fast_spin import FastSpin
 
 # errors of the printed and of the true reading at the same random parameters
@@ -326,13 +327,8 @@ def _generating_27(rng: np.random.Generator) -> tuple[Array, Array]:
     return Phi1_of_27(spin, tau, True) - exact, Phi1_of_27(spin, tau, False) - exact
 
 
-_UNIT = "over the difference of the two readings"
-
-
-def _row(
-    number: str, printed: str, true: str, verdict: str, measure: str, errors: Pair, effect: str
-) -> PublishedEquation:
-    """Row of an equation of which errors gives the errors of the two readings at the same random parameters."""
+def _over_difference(errors: Pair) -> tuple[Measure, Measure]:
+    """Measures of the two readings of which `errors` gives the errors at the same random parameters."""
 
     def residual(index: int) -> Measure:
         def measured(rng: np.random.Generator) -> float:
@@ -341,62 +337,22 @@ def _row(
 
         return measured
 
-    return PublishedEquation(
-        number, "", printed, true, verdict, f"{measure}, {_UNIT}", residual(0), residual(1), effect
-    )
+    return residual(0), residual(1)
 
 
-SIX = _row(
-    "(6)", "1/2 eps^2 [S1 + 2 z0' (1 - g1'') - k (1 - g1''^2)]", "1/2 eps^2 S1, in r1 and in g1''", "false",
-    "error of r1 at a random state that satisfies (2)", _expansion(_spin_rate_6),
-    "S1 of (3) contains both terms; (7) and (14) keep the error",
-)  # fmt: skip
-SEVEN = _row(
-    "(7), forcing and first order",
-    "C A1 y1 / A; eps {A1 (q1 l1 - p1 l2) q1 / (C r0) + .. z0 (1 - A1) g1 / a .. + (z0' / a + k A1) g1 l3 / (A r0)}",
-    "C (A1 + l3 / (A r0)) y1 / A; eps {(q1 l1 - p1 l2) (C y2 / A - A1 q1) / (C r0) + .. z0' (1 - A1) g1 / a .. "
-    "+ (-z0' / a + k A1) g1 l3 / (A r0)}",
-    "false", "error of p1'' at a random state, the frequency of the row above corrected", _seven_errors,
-    "chi of (10) and the forcing of (15) follow from it",
-)  # fmt: skip
-EIGHT = _row(
-    "(8)", "+eps^3 (z0' / a - 2 k A1) g1 S2", "-eps^3 (z0' / a - 2 k A1) g1 S2 - eps^2 l3 p1 S2 / (A r0)", "misprint",
-    "error of g1'' at a random state", _eight_errors, "of third order: (33) does not contain it",
-)  # fmt: skip
-ELEVEN = _row(
-    "(11), q1", "eps X (A r0)^-1 l2 S11; eps^2 X (k A1 - z0' / a) nu p2-dot",
-    "eps X^2 (A r0)^-1 l2 (k A1 - z0' / a); eps^2 X (k A1 - z0' / a) nu2 p2-dot", "misprint",
-    "error of q1 at a random state that satisfies (2)", _expansion(_rate_11), "of second order: (33) does not contain it",
-)  # fmt: skip
-SEVENTEEN = _row(
-    "(17)", "no term in g2-dot^2 S11", "-eps^2 g2-dot^2 S11; and (X l2 / (A r0))^2, neglected in print", "misprint",
-    "error of |gamma|^2 at a random state that satisfies (2)", _expansion(_length_error_17),
-    "of second order: (30) does not contain it",
-)  # fmt: skip
-THIRTEEN = (
-    _row("(13), S12", "-C X^2 A^-1 chi2 y2 (g2-dot(0) - g2-dot)", "-a C X^2 A^-1 chi2 y2 (..)", "misprint",
-         "error of S1 = S11 + 2 eps S12 at a random state that satisfies (2)", _expansion(_energy_13),
-         "(26) has it too: r1 is wrong in its third order"),
-    _row("(13), S21", "-X [.. - X (A r0)^-1 l2 (..)]; y2 (1 - a X C A^-1)",
-         "-X [.. + X (A r0)^-1 l2 (..)]; y2 (1 + a X C A^-1)", "misprint",
-         "error of S2 = S21 + eps S22 at a random state that satisfies (2)", _expansion(_area_13), "(26) has both signs right"),
-    _row("(13), S22", ".. + y2 (p2-dot(0) - p2-dot)", ".. + y2 nu2 (p2-dot(0) - p2-dot)", "misprint",
-         "error of S2 = S21 + eps S22 at a random state that satisfies (2)", _expansion(_area_13_second),
-         "(26) lacks nu2 too: g1'' is wrong in its second order"),
-)  # fmt: skip
-FOURTEEN = _row(
-    "(14)", "eps^3 [S12 + (k - z0') S21] in r1, minus the same in g1''",
-    "eps^3 S12 in r1; in g1'' also -1/2 eps^3 S11 S21 and what S2 has at that order", "false",
-    "error of r1 at a random state that satisfies (2)", _expansion(_spin_rate_14),
-    "S12 contains (z0' - k) S21, which the printed term cancels",
-)  # fmt: skip
-GENERATING = (
-    _row("(26), S11", "1/2 (X^2 omega'^2 - 1) [1 - cos 2(omega' tau - eta)]; 2 k a M3 l3 (A A1 r0)^-1 sin tau",
-         "-1/2 (X^2 omega'^2 + 1) + 1/2 (X^2 omega'^2 - 1) cos 2(omega' tau - eta); 2 k a M3 l2 (A A1 r0)^-1 sin tau",
-         "misprint", "less S11 of (13) on (25) at a random time", _generating_26,
-         "does not vanish at tau = 0 as printed; r1, g1' and g1'' of (33) have l3 for l2 too"),
-    _row("(27), Phi1", "y2 {1 + A^-1 [a X C - (A1 C r0)^-1 l1]} M3 sin tau",
-         "l1 (A r0)^-1 [y1 (1 - cos tau) + y2 sin tau] M3", "false",
-         "less Phi1 of (16), corrected, on (20) with M1 = M2 = 0 at a random time", _generating_27,
-         "(29) keeps the error, so that alpha of (33) is of order eps instead of eps^2"),
-)  # fmt: skip
+READINGS = {
+    number: _over_difference(errors)
+    for number, errors in {
+        "(6)": _expansion(_spin_rate_6),
+        "(7), forcing and first order": _seven_errors,
+        "(8)": _eight_errors,
+        "(11), q1": _expansion(_rate_11),
+        "(13), S12": _expansion(_energy_13),
+        "(13), S21": _expansion(_area_13),
+        "(13), S22": _expansion(_area_13_second),
+        "(14)": _expansion(_spin_rate_14),
+        "(17)": _expansion(_length_error_17),
+        "(26), S11": _generating_26,
+        "(27), Phi1": _generating_27,
+    }.items()
+}

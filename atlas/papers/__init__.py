@@ -1,0 +1,35 @@
+"""Papers held against the equations of motion: their equations as printed and as true, with measured residuals.
+
+A folder here is a paper. Its `equations.toml` contains the texts and, where it can, both readings as expressions;
+`published.PUBLISHED` are the rows of the catalogue. A system names its paper in `System.paper`, so that no run loads one.
+"""
+
+from __future__ import annotations
+
+import tomllib
+from collections.abc import Callable, Mapping
+from importlib import resources
+from typing import Any
+
+import numpy as np
+
+from ..systems.base import PublishedEquation
+
+Measure = Callable[[np.random.Generator], float]
+# measures of a row as printed and as true
+Readings = tuple[Measure | None, Measure | None]
+
+TEXTS = ("number", "family", "printed", "true", "verdict", "measure", "effect")
+
+
+def load(folder: str) -> dict[str, Any]:
+    """The content of the equations.toml of a paper."""
+    return tomllib.loads(
+        resources.files(f"{__name__}.{folder}").joinpath("equations.toml").read_text("utf-8")
+    )
+
+
+def row(entry: Mapping[str, Any], readings: Readings, measure: str = "") -> PublishedEquation:
+    """The row of the catalogue of an equation of a paper, with the description of its measure if it has none."""
+    texts = {"family": "", "measure": measure} | {key: entry[key] for key in TEXTS if key in entry}
+    return PublishedEquation(**texts, residual_printed=readings[0], residual_true=readings[1])

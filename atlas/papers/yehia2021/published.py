@@ -1,0 +1,286 @@
+"""The equations of Yehia & El-kenani 2021, doi 10.22055/JACM.2021.37913.3113, with residuals of both readings.
+
+`equations.toml` contains the readings and describes its keys.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from ...scene.expressions import Expression
+from ...systems.base import Array, PublishedEquation
+from ...systems.satellite.equations import rhs
+from ...systems.satellite.families import FAMILIES, steady_motion
+from ...systems.satellite.initial import PARAMETERS, constants, directions
+from .. import Measure, Readings, load, row
+from . import lagrange
+
+Point = dict[str, Array]
+Values = Mapping[str, float | str]
+
+CONTENT = load("yehia2021")
+
+
+def random_point(rng: np.random.Generator) -> Point:
+    """A random point of order 1, with Omega = 1."""
+    names = [name for name in PARAMETERS if name != "damping"]
+    point = {name: rng.uniform(0.4, 1.2, 1) * rng.choice([-1, 1], 1) for name in names}
+    point["damping"] = np.zeros(1)  # not of the paper
+    point |= {name: rng.uniform(0.7, 1.3, 1) for name in ("A", "B", "C")}
+    point |= {"Omega": np.ones(1), "theta0": rng.uniform(0.4, 1.2, 1), "theta_dot0": np.zeros(1)}
+    return point | {"phi0": np.zeros(1)}
+
+
+def with_values(point: Mapping[str, Any], values: Values) -> dict[str, Any]:
+    """The point with further values: numbers, or expressions in what stands before them."""
+    point = dict(point)
+    for name, value in values.items():
+        point[name] = Expression(name, str(value)).value(point) + np.zeros(1)
+    return point
+
+
+def euler_state(point: Point) -> list[Array]:
+    """psi, theta, phi and their rates at the start, in the order of lagrange.STATE."""
+    return [point[name] for name in ("psi0", "theta0", "phi0", "n", "theta_dot0", "m")]
+
+
+# Conditions: the residual is that of the motion.
+
+
+def residual(point: Point) -> float:
+    """Largest error of the acceleration over 13 times of the steady motion w' = n gamma + m e3 of one point."""
+    t = np.linspace(0.0, 13.0, 13)
+    state = steady_motion(point, t)
+    rates = np.array(rhs(state, constants(point)[:, None]))
+    zero = np.zeros_like(state[6])
+    needed = (point["n"] + point["Omega"]) * point["m"] * np.array([state[7], -state[6], zero])
+    return float(np.abs(rates[:3] - needed).max())
+
+
+def _condition(entry: Mapping[str, Any], reading: str) -> Measure:
+    starts = entry["start"] if isinstance(entry["start"], list) else [entry["start"]]
+
+    def measured(rng: np.random.Generator) -> float:
+        point = random_point(rng)
+        return max(residual(with_values(point, start | entry.get(f"as_{reading}", {}))) for start in starts)
+
+    return measured
+
+
+def _beyond(entry: Mapping[str, Any]) -> Readings:
+    """By how much a true motion breaks the printed limits, and its residual."""
+
+    def drawn(rng: np.random.Generator) -> Point:
+        point = with_values(random_point(rng), entry["start"])
+        for name in entry.get("solve", ()):
+            point[name] = FAMILIES[entry["family"]].solve[name](point)
+        return point
+
+    breaks = Expression("breaks", entry["breaks"])
+    return lambda rng: float(np.abs(breaks.value(drawn(rng)))[0]), lambda rng: residual(drawn(rng))
+
+
+# Closed forms.
+
+
+def _form_residual(point: Point, form: Mapping[str, Any]) -> float:
+    """Largest error of the rates, and of beta = gamma x alpha, along a closed form of the motion."""
+    t = np.linspace(0.0, 13.0, 13)
+
+    def evaluate(time: Any) -> list[Array]:
+        values = point | {"t": time}
+        alpha, beta, gamma, turn = (
+            np.array([Expression(name, str(entry)).value(values) + 0 * time for entry in entries])
+            for name, entries in {**form, "turn": [0, 0, form["turn"]]}.items()
+        )
+        return [turn + point["Omega"] * gamma, alpha, gamma, beta]
+
+    w, alpha, gamma, beta = evaluate(t)
+    # A derivative by a complex step is exact to round-off.
+    slopes = [part.imag / 1e-30 for part in evaluate(t + 1e-30j)[:3]]
+    rates = np.array(rhs(np.concatenate([w, alpha, gamma]), constants(point)))
+    orientation = np.abs(beta - np.cross(gamma, alpha, axis=0)).max()
+    return float(max(np.abs(np.concatenate(slopes) - rates).max(), orientation))
+
+
+def _closed_form(entry: Mapping[str, Any], reading: str) -> Measure:
+    form = entry["form"] | (entry.get("form_true", {}) if reading == "true" else {})
+    return lambda rng: _form_residual(with_values(random_point(rng), entry["start"]), form)
+
+
+# Lagrange's equations on theta = theta0, psi = psi0 + n t, phi = m t: (8)-(13), and section 4.2, n/m irrational.
+
+
+def instant(entry: Mapping[str, Any], rng: np.random.Generator, point: Point) -> dict[str, Any]:
+    """t, at which an equation is stated, and `even`, (-1)^i of (35) or (-1)^j of (39)."""
+    if "time" not in entry:
+        return {"t": rng.uniform(0.5, 5.0), "even": 1}
+    if entry["time"] == 35:
+        i = int(rng.integers(1, 11))
+        return {"t": np.pi * i / point["m"], "even": (-1) ** i}
+    j = int(rng.integers(0, 10))
+    return {"t": np.pi / (2 * point["m"]) + np.pi * j / point["m"], "even": (-1) ** j}
+
+
+def parts(point: Mapping[str, Any]) -> dict[str, Any]:
+    """A point at an instant, and the abbreviations of section 4."""
+    return with_values(point, CONTENT["abbreviations"])
+
+
+def left_side(entry: Mapping[str, Any], reading: str, values: Mapping[str, Any]) -> Array:
+    """Sum of the terms of an equation in one reading."""
+    terms = entry[f"terms_{reading}"]
+    if isinstance(terms, str):
+        terms = ENTRIES[terms]["terms_true"]
+    return np.sum([Expression(entry["number"], term).value(values) for term in terms], axis=0)
+
+
+def true_left_side(point: Point, t: Any, number: int) -> Array:
+    """Left side of (5), (6) or (7), corrected, on the precession."""
+    moved = {**point, "psi0": point["psi0"] + point["n"] * t, "phi0": point["m"] * t}
+    zero = np.zeros(1)
+    return lagrange.equations(euler_state(moved), (zero, zero, zero), constants(moved))[number - 5]
+
+
+def _equation_on_motion(entry: Mapping[str, Any], reading: str) -> Measure:
+    def measured(rng: np.random.Generator) -> float:
+        point = random_point(rng)
+        at = instant(entry, rng, point)
+        left = left_side(entry, reading, parts(point | at))
+        return float(np.abs(left - true_left_side(point, at["t"], entry["left_side"]))[0])
+
+    return measured
+
+
+def _vanishing(entry: Mapping[str, Any]) -> Measure:
+    def measured(rng: np.random.Generator) -> float:
+        point = random_point(rng)
+        values = point | instant(entry, rng, point)
+        return max(float(np.abs(Expression("vanish", text).value(values)).max()) for text in entry["vanish"])
+
+    return measured
+
+
+# What no expression says: the Lagrangian, Lagrange's equations at any state, the determinant (43), the apex of a cone.
+
+
+def _free(rng: np.random.Generator) -> Point:
+    """A random state of any body with sin theta not small."""
+    rate, angle = rng.uniform(0.4, 1.2, 1), rng.uniform(0, 2 * np.pi, 1)
+    return {**random_point(rng), "theta_dot0": rate, "phi0": angle}
+
+
+def _lagrangian_terms(p: Point, sign: float) -> Array:
+    """(4) with its two questionable signs; sign = 1 as printed, -1 as they follow from (2) and (3)."""
+    psi, theta, phi, psi_dot, theta_dot, phi_dot = euler_state(p)
+    s, c, sf, cf, sp, cp = np.sin(theta), np.cos(theta), np.sin(phi), np.cos(phi), np.sin(psi), np.cos(psi)
+    rate = psi_dot + p["Omega"]
+    w1, w2, w3 = rate * s * sf + theta_dot * cf, rate * s * cf - theta_dot * sf, phi_dot + rate * c
+    kinetic = 0.5 * (p["A"] * w1**2 + p["B"] * w2**2 + p["C"] * w3**2)
+    rotor = p["k1"] * w1 + p["k2"] * w2 + p["k3"] * w3
+    first, second = cp * cf - c * sf * sp, cp * sf + c * cf * sp
+    gravity = p["A"] * first**2 - sign * p["B"] * second**2 + p["C"] * s**2 * sp**2
+    magnet = p["mu1"] * (p["h1"] * first + p["h3"] * s * sf)
+    magnet = magnet + p["mu2"] * (sign * p["h1"] * second + p["h3"] * s * cf)
+    magnet = magnet + p["mu3"] * (p["h1"] * s * sp + p["h3"] * c)
+    return kinetic + rotor - 1.5 * p["Omega"] ** 2 * gravity - magnet
+
+
+def _lagrangian(p: Point) -> Array:
+    """(2) with (3), by the vectors of (1)."""
+    alpha, gamma = directions(p)
+    inertia, k, mu = (
+        np.array([p[i] for i in names.split()]) for names in ("A B C", "k1 k2 k3", "mu1 mu2 mu3")
+    )
+    node = np.array([np.cos(p["phi0"]), -np.sin(p["phi0"]), np.zeros(1)])
+    w = (p["n"] + p["Omega"]) * gamma + p["theta_dot0"] * node + p["m"] * np.array([[0.0], [0.0], [1.0]])
+    potential = 1.5 * p["Omega"] ** 2 * inertia * alpha**2 + mu * (p["h1"] * alpha + p["h3"] * gamma)
+    return (0.5 * inertia * w**2 + k * w - potential).sum(0)
+
+
+def _lagrangian_error(reading: str) -> Measure:
+    def measured(rng: np.random.Generator) -> float:
+        point = _free(rng)
+        terms = _lagrangian_terms(point, 1.0 if reading == "printed" else -1.0)
+        return float(np.abs(terms - _lagrangian(point))[0])
+
+    return measured
+
+
+def _equation_of_motion(number: str, reading: str) -> Measure:
+    equations = lagrange.equations_printed if reading == "printed" else lagrange.equations
+    index = int(number[1]) - 5
+
+    def measured(rng: np.random.Generator) -> float:
+        point = _free(rng)
+        accelerations = lagrange.rhs(euler_state(point), constants(point))[3:]
+        return float(np.abs(equations(euler_state(point), accelerations, constants(point))[index])[0])
+
+    return measured
+
+
+def determinant_quotient(angles: Array) -> float:
+    """The determinant of (43) over the product of sines on its right, which is to be c_*."""
+    columns = [np.cos(2 * angles), np.sin(2 * angles), np.cos(angles), np.sin(angles), np.ones(5)]
+    pairs = [np.sin((angles[j] - angles[i]) / 2) for i in range(5) for j in range(i + 1, 5)]
+    return float(np.linalg.det(np.array(columns).T) / np.prod(pairs))
+
+
+def _determinant(rng: np.random.Generator) -> float:
+    """Relative difference of c_* of (43) between two random sets of angles, none of them close together."""
+    first, second = (
+        determinant_quotient(2 * np.pi / 5 * (np.arange(5) + rng.uniform(0, 0.7, 5))) for _ in range(2)
+    )
+    return abs(first / second - 1)
+
+
+def _apex_distance(psi0: float) -> Measure:
+    """Least distance of the line along e3 through the satellite from the Earth's normal, over the orbit's radius."""
+
+    def measured(rng: np.random.Generator) -> float:
+        p = with_values(random_point(rng), {"psi0": psi0, "n": 0})
+        alpha, gamma = directions(p)
+        across = np.array([alpha[2, 0], -np.sin(p["theta0"][0]) * np.cos(psi0)])
+        along = -across[0] / (across @ across)
+        return float(np.hypot(1 + along * across[0], along * across[1]))
+
+    return measured
+
+
+def _published(entry: Mapping[str, Any]) -> PublishedEquation:
+    """The row of an entry of equations.toml."""
+    measured: Readings
+    match entry:
+        case {"function": "lagrangian"}:
+            measure = "L at a random state, less (2) with (3)"
+            measured = _lagrangian_error("printed"), _lagrangian_error("true")
+        case {"function": "lagrange", "number": number}:
+            measure = "left side at a random state and its true accelerations"
+            measured = _equation_of_motion(number, "printed"), _equation_of_motion(number, "true")
+        case {"function": "determinant", "measure": measure}:
+            measured = _determinant, _determinant
+        case {"function": "apex_distance", "measure": measure}:
+            measured = _apex_distance(0.0), _apex_distance(np.pi / 2)
+        case {"left_side": equation}:
+            measure = f"left side at a random time, less that of ({equation}), corrected, on the precession"
+            measured = _equation_on_motion(entry, "printed"), _equation_on_motion(entry, "true")
+        case {"vanish": _}:
+            measure = "what is to vanish at a random one of these times"
+            measured = _vanishing(entry), _vanishing(entry)
+        case {"form": _}:
+            measure = "largest |rate - right-hand side| of the closed form, or |beta - gamma x alpha|"
+            measured = _closed_form(entry, "printed"), _closed_form(entry, "true")
+        case {"breaks": _}:
+            measure = "by how much a true motion breaks the printed limits; its defect"
+            measured = _beyond(entry)
+        case _:
+            measure = "largest |rate - right-hand side| along the motion under the condition"
+            measured = _condition(entry, "printed"), _condition(entry, "true")
+    return row(entry, measured, measure)
+
+
+ENTRIES: dict[str, Mapping[str, Any]] = {entry["number"]: entry for entry in CONTENT["equation"]}
+PUBLISHED: Sequence[PublishedEquation] = tuple(map(_published, ENTRIES.values()))

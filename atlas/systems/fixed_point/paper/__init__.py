@@ -1,1 +1,0 @@
-"""What Amer, Abo Essa, Ibrahim & Amer (2013) print, beside what is true."""

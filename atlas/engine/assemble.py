@@ -9,141 +9,103 @@ from __future__ import annotations
 
 import ast
 import importlib.util
+import sys
 from collections import Counter
 from collections.abc import Collection, Iterable, Mapping
+from enum import IntEnum
 from pathlib import Path
-from types import ModuleType
+from types import FunctionType, ModuleType
 from typing import Any
 
 import numpy as np
 
 from ..errors import BadInput
 from ..systems import arithmetic
-from . import (
-    circle,
-    deviation,
-    generated,
-    jit,
-    kernel,
-    lanes,
-    losses,
-    observe,
-    poles,
-    sampling,
-    statistics,
-    tangent,
-    tangent_space,
-    turning,
-)
+from . import deviation, generated, jit, kernel, losses, observe, tangent, tangent_space
 from .differentiate import differential
 from .simplify import simplify
-from .statistics import Row
 from .tableaux import METHODS, Method
 
-INLINED = (
-    (sampling, ("sample", "rule_position", "end_stretch", "stretched")),
-    (statistics, ("begin", "accumulate", "extend", "may_extend", "end")),
-    (
-        poles,
-        (
-            "turns_near_vertical", "complex_inverse", "square_root", "divided_differences", "horner", "polynomial", "difference",
-            "differences_of", "zeta_differences", "approximate_zero", "improve_zero", "pole_terms", "sum_errors",
-        ),
-    ),
-    (turning, ("newton_change", "motion_of_turn", "turning_point")),
-)  # fmt: skip
-# Kernels that measure the change of first integrals, and functions that they share; these call generated functions.
+# Kernels that measure the change of first integrals.
 MEASURING = (kernel, observe)
-SHARED = (
-    (
-        lanes,
-        ("load_points", "load_runs", "store_runs", "store_ends", "store_sums", "advance", "extend_changes"),
-    ),
-)
-# Only where a kernel measures circles.
-INLINED_FOR_CIRCLES = ((circle, ("load_circles", "add_to_circle", "add_to_circles", "store_circles")),)
-# Called seldom and long: inlined it would only fill the instruction cache.
-NOT_INLINED = ((poles, ("trapezoid_error_of_pole",)),)
-# Numbers of the modules that the kernels use, by kernel.
-NUMBERS = {
-    kernel.__name__: (
-        (kernel, ("MOTION", "NODES_PER_DRIFT", "QUEUE", "NEAR_END")),
-        (sampling, ("END", "LONG", "CLUSTERING", "SQUARE", "FOURTH")),
-        (poles, ("REACH", "PASSAGE_ROWS", "NEWTON_STEPS")),
-        (turning, ("TURN_ROWS", "TURN_STEPS")),
-        (statistics, ("NO_ZERO",)),
-    ),
-    tangent.__name__: ((tangent, ("LOG_GROWTH", "LOG_INTEGRAL", "MEGNO", "MEGNO_INTEGRAL", "SUMS")),),
-    deviation.__name__: (
-        (deviation, ("COSINE", "SINE", "HALF_COSINE", "HALF_SINE", "TURNS")),
-        (deviation, ("LIMIT", "STRETCH", "WEIGHTS", "ADVANCES")),
-    ),
-    observe.__name__: (
-        (
-            observe,
-            (
-                "CHANGE",
-                "FIRST_ROW",
-                "START",
-                "TOTAL",
-                "SQUARE",
-                "TREND",
-                "LEAST",
-                "LARGEST",
-                "ROUGHNESS",
-                "FIELDS",
-                "NODES_PER_CHANGE",
-            ),
-        ),
-    ),
-}
-ENUMS = {
-    enum.__name__: enum
-    for enum in (
-        Row, circle.Axis, circle.Sum, deviation.Deviation, deviation.Given, poles.Passage, poles.Term, turning.Turn
-    )
-}  # fmt: skip
 
 
 def functions(module: ModuleType, absent: Collection[str] = ()) -> dict[str, str]:
-    """Source of every function of a module without docstrings, by name; members of ENUMS become their numbers.
+    """Source of every function of a module without docstrings and decorators, by name; members of enumerations as numbers.
 
     absent: names whose `if name:` is left out with all that it holds.
     """
+    return {node.name: ast.unparse(node) for node in _functions(module, absent)}
+
+
+def _functions(module: ModuleType, absent: Collection[str]) -> list[ast.FunctionDef]:
+    """The functions of `functions` as syntax trees."""
     path = module.__file__
     assert path is not None
-    tree = _EnumNumbers().visit(ast.parse(Path(path).read_text(encoding="utf-8")))
-    tree = _Without(absent).visit(tree)
-    sources = {}
-    for node in tree.body:
-        if isinstance(node, ast.FunctionDef):
-            if ast.get_docstring(node) is not None:
-                node.body = node.body[1:] or [ast.Pass()]
-            sources[node.name] = ast.unparse(ast.fix_missing_locations(node))
-    return sources
+    tree = _EnumNumbers(vars(module)).visit(ast.parse(Path(path).read_text(encoding="utf-8")))
+    nodes = [node for node in _Without(absent).visit(tree).body if isinstance(node, ast.FunctionDef)]
+    for node in nodes:
+        node.decorator_list = []
+        if ast.get_docstring(node) is not None:
+            node.body = node.body[1:] or [ast.Pass()]
+    return [ast.fix_missing_locations(node) for node in nodes]
 
 
-def _selected_functions(selected: Iterable[tuple[ModuleType, tuple[str, ...]]]) -> list[str]:
-    """Source of the named functions of some modules, each of which is parsed once."""
-    texts = []
-    for module, names in selected:
-        sources = functions(module)
-        texts += [sources[name] for name in names]
-    return texts
+def _reachable(
+    of: ModuleType, absent: Collection[str]
+) -> tuple[dict[str, Any], dict[str, str], dict[str, Any]]:
+    """What `integrate` of a kernel needs of ordinary modules, by name: functions, their sources, and numbers.
+
+    Functions stand after those that they call; `integrate` is the last.
+    """
+    trees: dict[str, dict[str, ast.FunctionDef]] = {}
+    objects: dict[str, Any] = {}
+    sources: dict[str, str] = {}
+    numbers: dict[str, Any] = {}
+
+    def visit(function: Any) -> None:
+        module = sys.modules[function.__module__]
+        if module.__name__ not in trees:
+            trees[module.__name__] = {node.name: node for node in _functions(module, absent)}
+        node = trees[module.__name__][function.__name__]
+        objects[function.__name__] = function
+        for name in dict.fromkeys(part.id for part in ast.walk(node) if isinstance(part, ast.Name)):
+            value = vars(module).get(name)
+            if name in objects or hasattr(generated, name):
+                continue
+            if isinstance(value, FunctionType):
+                visit(value)
+            elif isinstance(value, int | float | tuple):
+                numbers[name] = value
+        sources[function.__name__] = ast.unparse(node)
+
+    visit(of.integrate)
+    return objects, sources, numbers
 
 
 class _EnumNumbers(ast.NodeTransformer):
-    """Members and sizes of the enumerations as plain numbers, which the compiler needs not look up."""
+    """Members and sizes of the enumerations of a module as plain numbers, which the compiler needs not look up."""
+
+    def __init__(self, namespace: Mapping[str, Any]):
+        self.enums = {
+            name: value
+            for name, value in namespace.items()
+            if isinstance(value, type) and issubclass(value, IntEnum)
+        }
 
     def visit_Attribute(self, node: ast.Attribute) -> ast.expr:
-        if isinstance(node.value, ast.Name) and node.value.id in ENUMS:
-            return ast.Constant(int(ENUMS[node.value.id][node.attr]))
+        if isinstance(node.value, ast.Name) and node.value.id in self.enums:
+            return ast.Constant(int(self.enums[node.value.id][node.attr]))
         self.generic_visit(node)
         return node
 
     def visit_Call(self, node: ast.Call) -> ast.expr:
-        if isinstance(node.func, ast.Name) and node.func.id == "len" and ast.unparse(node.args[0]) in ENUMS:
-            return ast.Constant(len(ENUMS[ast.unparse(node.args[0])]))
+        if (
+            isinstance(node.func, ast.Name)
+            and node.func.id == "len"
+            and ast.unparse(node.args[0]) in self.enums
+        ):
+            return ast.Constant(len(self.enums[ast.unparse(node.args[0])]))
         self.generic_visit(node)
         return node
 
@@ -192,36 +154,25 @@ def source(
     BadInput
         If a first integral or a loss has the name of a function of the kernel, and for equations that cannot be differentiated.
     """
-    own_functions = functions(of, () if frames else ("FRAMES",))
-    integrate = own_functions.pop("integrate")
+    objects, sources, numbers = _reachable(of, () if frames else ("FRAMES",))
     equations = _with_losses(equations, zero, equal, of)
     try:
         generated_functions = _generated_functions(equations, METHODS[method], zero, equal, of)
     except ValueError as error:  # of `differential`
         raise BadInput(f"equations: {error}") from None
-    _check_names(equations, {*own_functions, "integrate"})
-    inlined = list(generated_functions.values())
-    constants = _constants(equations, METHODS[method])
-    not_inlined = []
-    if of in MEASURING:
-        inlined += _selected_functions(SHARED)
-    if of is kernel:
-        inlined += _selected_functions(INLINED)
-        not_inlined = _selected_functions(NOT_INLINED)
-    if frames:
-        inlined += _selected_functions(INLINED_FOR_CIRCLES)
-        constants |= {"FRAMES": frames}
-    inlined += own_functions.values()
-    constants |= {name: getattr(module, name) for module, names in NUMBERS[of.__name__] for name in names}
-    loops = _loops_called_once([*inlined, integrate])
-    parts = [f"{jit.INLINE_LOOP if text in loops else jit.INLINE}\n{text}" for text in inlined]
-    parts += [f"{jit.CALLED}\n{text}" for text in not_inlined]
-    parts.append(f"{jit.KERNEL}\n{integrate}")
+    _check_names(equations, sources)
+    constants = _constants(equations, METHODS[method]) | ({"FRAMES": frames} if frames else {}) | numbers
+    loops = _loops_called_once([*generated_functions.values(), *sources.values()])
+    decorators = {name: jit.CALLED for name in objects if hasattr(objects[name], "called_seldom")}
+    decorators["integrate"] = jit.KERNEL
+    parts = [
+        f"{decorators.get(name, jit.INLINE_LOOP if text in loops else jit.INLINE)}\n{text}"
+        for name, text in (generated_functions | sources).items()
+    ]
     lines = [f"{name} = {value!r}" for name, value in constants.items()]
     if arithmetic.uses_functions(generated_functions):
         lines += [f"{name} = np.{numpy_name}" for name, numpy_name in arithmetic.FUNCTIONS.items()]
-    numbers = "\n".join(lines)
-    return jit.HEADER + numbers + "\n\n\n" + "\n\n\n".join(parts) + "\n"
+    return jit.HEADER + "\n".join(lines) + "\n\n\n" + "\n\n\n".join(parts) + "\n"
 
 
 def _loops_called_once(texts: Collection[str]) -> set[str]:
@@ -255,9 +206,14 @@ def plain_module(
     for name, text in _generated_functions(equations, METHODS[method], zero, equal, of).items():
         exec(compile(text, f"<{name} of {equations.__name__}>", "exec"), namespace)
     namespace |= {"FRAMES": frames, **_constants(equations, METHODS[method])}
-    for shared, names in SHARED:
-        copy = _copy(shared, namespace)
-        namespace |= {name: getattr(copy, name) for name in names}
+    objects, _, _ = _reachable(of, ())
+    for shared in {function.__module__ for function in objects.values()} - {of.__name__}:
+        if any(
+            getattr(value, "__module__", "") == generated.__name__
+            for value in vars(sys.modules[shared]).values()
+        ):
+            copy = _copy(sys.modules[shared], namespace)
+            namespace |= {name: getattr(copy, name) for name in objects if objects[name].__module__ == shared}
     module = _copy(of, namespace)
     # Compiled code raises no floating-point warnings.
     vars(module)["integrate"] = np.errstate(all="ignore")(module.integrate)

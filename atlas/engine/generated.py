@@ -22,6 +22,12 @@ HAS_AXIS = False  # does the system have `axis_in_frame`?
 FRAMES = 0  # frames in which circles are measured, see `circle`; what stands under `if FRAMES:` is left out for none
 
 
+def called_seldom(function):
+    """Marks a long function that is called seldom: inlined it would only fill the instruction cache."""
+    function.called_seldom = True
+    return function
+
+
 def aligned_empty(shape):
     """Uninitialised array of float64, aligned to cache lines where it is compiled."""
     return np.empty(shape)

@@ -17,6 +17,8 @@ from enum import IntEnum
 
 import numpy as np
 
+from .generated import called_seldom
+
 # Beyond this distance from the real axis a pole does no harm: exp(-8 pi).
 REACH = 4.0
 # Steps of Newton's method for its position.
@@ -191,6 +193,7 @@ def sum_errors(terms, farther, e, simple, double, vertical):
     return 2.0 * theta, vertical * simple.imag, square + 2.0 * psi, -simple.imag, square + 2.0 * phi
 
 
+@called_seldom
 def trapezoid_error_of_pole(tau, slope):
     """Excess of the weighted sums of 1 / (t - z) and 1 / (t - z)^2 over their integrals.
 

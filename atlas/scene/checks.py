@@ -1,4 +1,4 @@
-"""Checks of single input values: each returns the value or raises BadInput with one line."""
+"""Checks of single input values: each returns the value or raises BadInput with one line; some know their JSON Schema."""
 
 from __future__ import annotations
 
@@ -6,7 +6,8 @@ import dataclasses
 import math
 import re
 from collections.abc import Callable, Collection, Iterable, Mapping
-from typing import Any
+from functools import partial
+from typing import Any, Generic, TypeVar
 
 from ..errors import BadInput, allowed_text, shown
 from ..systems.base import Parameter
@@ -17,7 +18,26 @@ MAX_NAME = 60
 # Numbers in a list of a scene.
 MAX_LISTED_NUMBERS = 200_000
 
+T = TypeVar("T")
 
+
+@dataclasses.dataclass(frozen=True)
+class Check(Generic[T]):
+    """A check with the JSON Schema of the values that it accepts."""
+
+    read: Callable[[str, Any], T]
+    schema: dict[str, Any]
+
+    def __call__(self, key: str, value: object) -> T:
+        return self.read(key, value)
+
+
+def accepts(**schema: Any) -> Callable[[Callable[[str, Any], T]], Check[T]]:
+    """Decorator that makes a function a check with this schema."""
+    return lambda read: Check(read, schema)
+
+
+@accepts(type="number")
 def number(key: str, value: object) -> float:
     """The value as a float, if it is a finite number."""
     if isinstance(value, bool) or not isinstance(value, int | float):
@@ -31,6 +51,7 @@ def number(key: str, value: object) -> float:
     return result
 
 
+@accepts(type="number", exclusiveMinimum=0)
 def positive(key: str, value: object) -> float:
     """The value as a float, if it is a finite number above 0."""
     result = number(key, value)
@@ -39,11 +60,13 @@ def positive(key: str, value: object) -> float:
     return result
 
 
+@accepts(type="object", additionalProperties=positive.schema)
 def positive_numbers(key: str, value: object) -> dict[str, float]:
     """The value as floats by name, if it is a table of finite numbers above 0."""
     return {name: positive(f"{key}.{name}", each) for name, each in mapping(key, value).items()}
 
 
+@accepts(type="number", exclusiveMinimum=0, maximum=1)
 def at_most_one(key: str, value: object) -> float:
     """The value as a float, if it is a number above 0 and at most 1."""
     result = positive(key, value)
@@ -52,6 +75,7 @@ def at_most_one(key: str, value: object) -> float:
     return result
 
 
+@accepts(type="number", minimum=0, maximum=1)
 def fraction(key: str, value: object) -> float:
     """The value as a float, if it is a number from 0 to 1."""
     result = number(key, value)
@@ -68,6 +92,13 @@ def whole_number(key: str, value: object, low: int, high: float = math.inf) -> i
     return value
 
 
+def whole(low: int, high: int) -> Check[int]:
+    """Check for `whole_number` within these limits."""
+    schema = {"type": "integer", "minimum": low, "maximum": high}
+    return Check(partial(whole_number, low=low, high=high), schema)
+
+
+@accepts(type="boolean")
 def boolean(key: str, value: object) -> bool:
     """The value, if it is true or false."""
     if not isinstance(value, bool):
@@ -75,6 +106,7 @@ def boolean(key: str, value: object) -> bool:
     return value
 
 
+@accepts(type="string")
 def text(key: str, value: object) -> str:
     """The value, if it is a string."""
     if not isinstance(value, str):
@@ -89,6 +121,12 @@ def choice(key: str, value: object, allowed: Collection[str]) -> str:
     return value
 
 
+def one_of(allowed: Collection[str]) -> Check[str]:
+    """Check for a `choice` among these strings."""
+    return Check(partial(choice, allowed=allowed), {"type": "string", "enum": list(allowed)})
+
+
+@accepts(anyOf=[text.schema, {"type": "array", "items": text.schema}])
 def texts(key: str, value: object) -> tuple[str, ...]:
     """The value as a tuple of strings, if it is a string or a list of strings."""
     if isinstance(value, list | tuple) and all(isinstance(item, str) for item in value):
@@ -117,6 +155,7 @@ def identifier(key: str, name: str) -> str:
     return name
 
 
+@accepts(type="object")
 def mapping(key: str, value: object) -> Mapping[str, Any]:
     """The value, if it is a table."""
     if not isinstance(value, Mapping):
@@ -164,19 +203,35 @@ def interval(key: str, table: Mapping[str, Any]) -> tuple[float, float, str]:
     return first, last, spacing
 
 
-def checked(check: Callable[[str, Any], Any], default: Any = dataclasses.MISSING, section: str = "") -> Any:
-    """Field of a dataclass that is read from a table of a scene.
+def checked(
+    check: Check[Any], default: Any = dataclasses.MISSING, section: str = "", description: str = ""
+) -> Any:
+    """Field of a dataclass that is read from a table of a scene; without a default the key is needed.
 
-    Parameters
-    ----------
-    check : callable
-        (key, value) -> value; raises BadInput.
-    default : optional
-        Value if the table does not give the key; without a default the key is needed.
-    section : str
-        Key of the table, for a class that is read from more than one.
+    section: key of the table, for a class that is read from more than one.
     """
-    return dataclasses.field(default=default, metadata={"check": check, "section": section})
+    metadata = {"check": check, "section": section, "description": description}
+    return dataclasses.field(default=default, metadata=metadata)
+
+
+def _fields(cls: type, section: str) -> dict[str, dataclasses.Field[Any]]:
+    """The fields of a class with `checked` fields that are keys of the table `section`."""
+    return {f.name: f for f in dataclasses.fields(cls) if f.metadata["section"] in ("", section)}
+
+
+def table_schema(cls: type, section: str = "") -> dict[str, Any]:
+    """JSON Schema of the table that `from_table` reads."""
+    fields = _fields(cls, section)
+    keys = {}
+    for name, field in fields.items():
+        keys[name] = dict(field.metadata["check"].schema)
+        if field.metadata["description"]:
+            keys[name]["description"] = field.metadata["description"]
+        if isinstance(field.default, int | float | str) and field.default != "":
+            keys[name]["default"] = field.default
+    needed = [name for name, field in fields.items() if field.default is dataclasses.MISSING]
+    required = {"required": needed} if needed else {}
+    return {"type": "object", "additionalProperties": False, "properties": keys} | required
 
 
 def from_table(
@@ -205,7 +260,7 @@ def from_table(
     BadInput
         For an unknown key, a missing one, and a value that does not pass the check of its field.
     """
-    fields = {f.name: f for f in dataclasses.fields(cls) if f.metadata["section"] in ("", section)}
+    fields = _fields(cls, section)
     check_keys(table, f"{section}.", [*also, *fields])
     needed = [name for name, field in fields.items() if field.default is dataclasses.MISSING]
     check_given(section, table, needed, f"[{section}] needs {', '.join(needed)}")

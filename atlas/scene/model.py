@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, fields
-from functools import partial
 from typing import Any
 
 import tomli_w
@@ -49,47 +48,40 @@ class Tolerances:
 
 @dataclass(frozen=True)
 class Settings:
-    """How points are integrated and labelled; durations come with the points.
+    """How points are integrated and labelled; durations come with the points. BadInput for a value out of range."""
 
-    Attributes
-    ----------
-    method : str
-        Integration method, a key of `engine.tableaux.METHODS`.
-    tolerance : float
-        Phase error of the point's fastest frequency that is expected at the end of the run, in rad; at most 1,
-        beyond which the phase means nothing.
-    step : float or None
-        Step size in time units; overrides `tolerance`.
-    max_steps : int
-        Largest number of steps of a run.
-    rate_tolerance : float
-        See `Tolerances.rate`.
-    cylinder_tolerance : float or None
-        See `Tolerances.angle`; None stands for the number of `rate_tolerance`.
-    drift_tolerance : float
-        Largest relative change of a first integral of a point that is labelled.
-    std_tolerance : mapping of str to float, or None
-        Largest standard deviation with which an observable counts as constant, in its unit, by its name. None, and
-        observables that are left out: see `systems.base.Observable.tolerance`.
-    check_half_step : str
-        Points that are integrated again at half the step, besides those whose expected error calls for
-        it: "none", "sample" or "all".
-
-    Raises
-    ------
-    BadInput
-        For a value of the wrong type or out of range.
-    """
-
-    method: str = checked(partial(checks.choice, allowed=METHODS), "rk4", "integration")
-    tolerance: float = checked(checks.at_most_one, 1e-8, "integration")
-    step: float | None = checked(checks.positive, None, "integration")
-    max_steps: int = checked(partial(checks.whole_number, low=1, high=MAX_STEPS), 100_000_000, "integration")
-    rate_tolerance: float = checked(checks.positive, 1e-5, "labels")
-    cylinder_tolerance: float | None = checked(checks.positive, None, "labels")
-    drift_tolerance: float = checked(checks.positive, 1e-5, "labels")
-    std_tolerance: Mapping[str, float] | None = checked(checks.positive_numbers, None, "labels")
-    check_half_step: str = checked(partial(checks.choice, allowed=HALF_STEP), "none", "integration")
+    method: str = checked(checks.one_of(METHODS), "rk4", "integration", "Runge-Kutta method")
+    # Beyond a phase error of 1 the phase means nothing.
+    tolerance: float = checked(
+        checks.at_most_one, 1e-8, "integration",
+        "expected phase error of the fastest frequency at the end of the run (rad)",
+    )  # fmt: skip
+    step: float | None = checked(
+        checks.positive, None, "integration", "step size in time units, instead of tolerance"
+    )
+    max_steps: int = checked(
+        checks.whole(1, MAX_STEPS), 100_000_000, "integration", "largest number of steps of a run"
+    )
+    rate_tolerance: float = checked(
+        checks.positive, 1e-5, "labels", "variation of a rate that counts as none (rad per time unit)"
+    )
+    cylinder_tolerance: float | None = checked(
+        checks.positive, None, "labels",
+        "radius of the cap about the vertical in which the third axis counts as vertical (rad; default: the number of"
+        " rate_tolerance)",
+    )  # fmt: skip
+    drift_tolerance: float = checked(
+        checks.positive, 1e-5, "labels", "largest relative change of a first integral"
+    )
+    # None, and observables that are left out: see `systems.base.Observable.tolerance`.
+    std_tolerance: Mapping[str, float] | None = checked(
+        checks.positive_numbers, None, "labels",
+        "largest standard deviation with which an observable counts as constant, by its name, for systems with"
+        " observables",
+    )  # fmt: skip
+    check_half_step: str = checked(
+        checks.one_of(HALF_STEP), "none", "integration", "points that are integrated again at half the step"
+    )
 
     def __post_init__(self) -> None:
         for f in fields(self):
@@ -183,18 +175,15 @@ class Duration:
 
 @dataclass(frozen=True)
 class Refine:
-    """Refinement at the borders of labels on grids of half, a quarter, ... the spacing.
+    """Refinement at the borders of labels on grids of half, a quarter, ... the spacing."""
 
-    Attributes
-    ----------
-    levels : int
-        How often the spacing is halved; the axes of the scene hold the finest grid.
-    probe : float
-        Fraction of the points not integrated that are integrated in the end, at random.
-    """
-
-    levels: int = checked(partial(checks.whole_number, low=1, high=MAX_REFINEMENT_LEVELS))
-    probe: float = checked(checks.fraction, 0.01)
+    # The axes of the scene hold the finest grid.
+    levels: int = checked(
+        checks.whole(1, MAX_REFINEMENT_LEVELS), description="how often the spacing is halved"
+    )
+    probe: float = checked(
+        checks.fraction, 0.01, description="share of the other points that are integrated at random"
+    )
 
 
 @dataclass(frozen=True)
@@ -210,7 +199,8 @@ class Creator:
 EMPTY_CREATOR = Creator()
 
 
-def _creator(key: str, value: object) -> Creator:
+@checks.accepts(**checks.table_schema(Creator))
+def creator(key: str, value: object) -> Creator:
     """Creator from the table of this key."""
     return Creator(**checks.from_table(Creator, checks.mapping(key, value), key))
 
@@ -240,7 +230,7 @@ class About:
     comment: str = checked(checks.text, "")
     project: str = checked(checks.text, "")
     id: str = checked(checks.text, "")
-    creator: Creator = checked(_creator, EMPTY_CREATOR)  # noqa: RUF009 - Creator is frozen
+    creator: Creator = checked(creator, EMPTY_CREATOR)  # noqa: RUF009 - Creator is frozen
 
     def attributes(self) -> dict[str, str]:
         """Global attributes of ACDD-1.3 that are not empty, but for the references."""

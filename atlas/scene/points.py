@@ -6,7 +6,6 @@ import re
 import tomllib
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -47,10 +46,12 @@ class Sample:
         Seed of the random numbers.
     """
 
-    sample: str = checked(partial(checks.choice, allowed=SAMPLES))
-    count: int = checked(partial(checks.whole_number, low=1, high=MAX_SAMPLED_POINTS))
+    sample: str = checked(
+        checks.one_of(SAMPLES), description="quasi-random points that fill the ranges evenly"
+    )
+    count: int = checked(checks.whole(1, MAX_SAMPLED_POINTS), description="number of points")
     ranges: Mapping[str, Any] = checked(checks.mapping)
-    seed: int = checked(partial(checks.whole_number, low=0, high=2**63 - 1), 0)
+    seed: int = checked(checks.whole(0, 2**63 - 1), 0)
 
 
 def read_points(

@@ -2,18 +2,16 @@
 
 from __future__ import annotations
 
-from dataclasses import MISSING, fields
 from typing import Any
 
 import numpy as np
 
 from .. import systems as all_systems
-from ..engine.tableaux import METHODS
 from ..systems.base import Parameter, System
 from ..variables import variables
 from . import checks, points, read
 from .expressions import RESERVED
-from .model import HALF_STEP, MAX_REFINEMENT_LEVELS, MAX_STEPS, SCHEMA, About, Creator, Settings
+from .model import SCHEMA, About, Refine, Settings
 
 DIALECT = "https://json-schema.org/draft/2020-12/schema"
 NAME = f"^(?!({'|'.join(sorted(RESERVED))})$)[A-Za-z_][A-Za-z0-9_]*$"
@@ -84,15 +82,15 @@ def _properties(systems: list[System]) -> Schema:
             "description": "added to start values after solving",
             "additionalProperties": _NUMBER,
         },
-        "integration": _settings("integration"),
-        "labels": _settings("labels"),
-        "refine": _refine(),
+        "integration": _integration(),
+        "labels": checks.table_schema(Settings, "labels"),
+        "refine": checks.table_schema(Refine)
+        | {"description": "integrate a finer grid near the borders of labels only"},
         "outputs": {"type": "object", "additionalProperties": False, "properties": {"variables": {"type": "array"}}},
     }  # fmt: skip
 
 
-_NUMBER: Schema = {"type": "number"}
-_TEXTS: Schema = {"anyOf": [{"type": "string"}, {"type": "array", "items": {"type": "string"}}]}
+_NUMBER = checks.number.schema
 
 
 def _properties_of(system: System) -> Schema:
@@ -165,12 +163,7 @@ def _axis(parameter: Parameter | None) -> Schema:
     keys = {
         "from": _NUMBER | {"description": "first value"},
         "to": _NUMBER | {"description": "last value"},
-        "count": {
-            "type": "integer",
-            "minimum": 1,
-            "maximum": read.MAX_AXIS_COUNT,
-            "description": "number of values",
-        },
+        "count": checks.whole(1, read.MAX_AXIS_COUNT).schema | {"description": "number of values"},
         "spacing": {"enum": list(checks.SPACINGS), "default": "linear"},
         "values": {
             "type": "array",
@@ -218,9 +211,7 @@ def _points() -> Schema:
     }
     numbers = {"type": "array", "items": _NUMBER, "minItems": 1}
     keys = {
-        "sample": {"enum": list(points.SAMPLES), "description": "quasi-random points that fill the ranges evenly"},
-        "count": {"type": "integer", "minimum": 1, "maximum": points.MAX_SAMPLED_POINTS, "description": "number of points"},
-        "seed": {"type": "integer", "minimum": 0, "default": 0},
+        **checks.table_schema(points.Sample)["properties"],
         "ranges": {"type": "object", "minProperties": 1, "additionalProperties": ranges},
         "file": {"type": "string", "description": ".csv with names in its first line, or .nc; a path from the scene's folder"},
         "values": {"type": "object", "minProperties": 1, "additionalProperties": numbers},
@@ -237,79 +228,22 @@ def _points() -> Schema:
     }  # fmt: skip
 
 
-def _settings(section: str) -> Schema:
-    """The table [integration] or [labels]: the settings with their defaults."""
-    details: Schema = {
-        "method": {"enum": list(METHODS), "description": "Runge-Kutta method"},
-        "tolerance": {
-            "exclusiveMinimum": 0,
-            "maximum": 1,
-            "description": "expected phase error of the fastest frequency at the end of the run (rad)",
-        },
-        "step": {"exclusiveMinimum": 0, "description": "step size in time units, instead of tolerance"},
-        "max_steps": {"minimum": 1, "maximum": MAX_STEPS, "description": "largest number of steps of a run"},
-        "check_half_step": {"enum": list(HALF_STEP), "description": "points that are integrated again at half the step"},
-        "rate_tolerance": {"exclusiveMinimum": 0, "description": "variation of a rate that counts as none (rad per time unit)"},
-        "cylinder_tolerance": {"exclusiveMinimum": 0, "description": "radius of the cap about the vertical in which the third axis counts as vertical (rad; default: the number of rate_tolerance)"},
-        "std_tolerance": {"additionalProperties": {"type": "number", "exclusiveMinimum": 0}, "description": "largest standard deviation with which an observable counts as constant, by its name, for systems with observables"},
-        "drift_tolerance": {"exclusiveMinimum": 0, "description": "largest relative change of a first integral"},
-    }  # fmt: skip
-    kinds = {"str": "string", "int": "integer", "Mapping[str, float] | None": "object"}
-    keys = {
-        f.name: {"type": kinds.get(str(f.type), "number")}
-        | details[f.name]
-        | ({} if f.default in (None, MISSING) else {"default": f.default})
-        for f in fields(Settings)
-        if f.metadata["section"] == section
+def _integration() -> Schema:
+    """The table [integration]."""
+    table = checks.table_schema(Settings, "integration")
+    table["properties"]["duration"] = {
+        "anyOf": [checks.positive.schema, {"type": "string", "pattern": DURATION}],
+        "default": 60.0,
+        "description": 'time units, or "20 orbits" (satellite), "50 turns" (of n or m, whichever is slower)',
     }
-    table: Schema = {"type": "object", "additionalProperties": False, "properties": keys}
-    if section == "integration":
-        keys["duration"] = {
-            "anyOf": [{"type": "number", "exclusiveMinimum": 0}, {"type": "string", "pattern": DURATION}],
-            "default": 60.0,
-            "description": 'time units, or "20 orbits" (satellite), "50 turns" (of n or m, whichever is slower)',
-        }
-        table["not"] = {"required": ["step", "tolerance"]}
-    return table
-
-
-def _refine() -> Schema:
-    """The table [refine]."""
-    return {
-        "type": "object",
-        "description": "integrate a finer grid near the borders of labels only",
-        "additionalProperties": False,
-        "required": ["levels"],
-        "properties": {
-            "levels": {
-                "type": "integer",
-                "minimum": 1,
-                "maximum": MAX_REFINEMENT_LEVELS,
-                "description": "how often the spacing is halved",
-            },
-            "probe": {
-                "type": "number",
-                "minimum": 0,
-                "maximum": 1,
-                "default": 0.01,
-                "description": "share of the other points that are integrated at random",
-            },
-        },
-    }
+    return table | {"not": {"required": ["step", "tolerance"]}}
 
 
 def _about() -> Schema:
     """The table [about]."""
-    lists = {f.name for f in fields(About) if f.default == ()}
-    keys: Schema = {f.name: _TEXTS if f.name in lists else {"type": "string"} for f in fields(About)}
-    keys["licence"] = keys["license"]
-    keys["creator"] = {
-        "type": "object",
-        "additionalProperties": False,
-        "properties": {f.name: {"type": "string"} for f in fields(Creator)},
-    }
-    description = "attributes of the atlas, by the names of ACDD-1.3"
-    return {"type": "object", "description": description, "additionalProperties": False, "properties": keys}
+    table = checks.table_schema(About) | {"description": "attributes of the atlas, by the names of ACDD-1.3"}
+    table["properties"]["licence"] = table["properties"]["license"]
+    return table
 
 
 def _variables(system: System) -> str:

@@ -12,7 +12,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 import xarray as xr
 
-from .errors import MAX_MESSAGE, BadInput, printable
+from .errors import MAX_MESSAGE, BadInput, attribute_text, shown
+from .scene.checks import typed, whole_number
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -22,8 +23,11 @@ if TYPE_CHECKING:
     from .page.page import Page
     from .plotting.style import Width
 
+MAX_LINES = 1000  # of the spectrum of a signal
+
 
 @xr.register_dataset_accessor("atlas")
+@typed
 class Atlas:
     """Questions to a dataset made by `atlas.run`, `atlas.open_atlas` or `atlas.label_points`."""
 
@@ -54,7 +58,8 @@ class Atlas:
         Parameters
         ----------
         variable : str, optional
-            Default: label.
+            Default: what the scene names by `map` in [outputs], else the first flags of the atlas that are not the same at
+            all points, else label.
         x, y : str, optional
             Axes of the map; default the two longest, x the one that comes first in the atlas. For single points,
             parameters or other coordinates along them; default the two with the most values.
@@ -150,8 +155,8 @@ class Atlas:
         Parameters
         ----------
         **coords : float
-            Axis or parameter -> value. Among single points each distance is divided by the range of the
-            parameter over the points.
+            Axis or parameter -> value. Along an axis the point is the one in whose cell of the map the value lies. Among
+            single points each distance is divided by the range of the parameter over the points.
 
         Returns
         -------
@@ -194,7 +199,7 @@ class Atlas:
 
     def boundary(
         self,
-        label: str | None = None,
+        label: str | int | None = None,
         variable: str = "label",
         *,
         x: str | None = None,
@@ -205,8 +210,8 @@ class Atlas:
 
         Parameters
         ----------
-        label : str, optional
-            Name of a flag: the lines then enclose the region where the variable has it. Default: the lines of
+        label : str or int, optional
+            Name or number of a flag: the lines then enclose the region where the variable has it. Default: the lines of
             theory.
         variable : str, optional
             The flag variable; default label. For the lines of theory its frame counts, label_inertial for labels in inertial
@@ -223,7 +228,7 @@ class Atlas:
             of the line, and `kind`, what changes there, such as "stability limit"; the kinds of theory are
             `atlas.analysis.theory_borders.KINDS`. Lines close or end at the edge of the atlas. Those of
             theory reach half a cell beyond the outermost points, as maps do. Those of a region run halfway
-            between points in and out of it; of axes longer than `atlas.analysis.select.MAX_CELLS` every k-th
+            between points in and out of it, on a logarithmic axis in the logarithm; of axes longer than `atlas.analysis.select.MAX_CELLS` every k-th
             value counts.
 
         Raises
@@ -281,7 +286,7 @@ class Atlas:
         return report(self._ds, worst)
 
     def families(
-        self, *, x: str | None = None, y: str | None = None, select: dict[str, float] | None = None
+        self, *, x: str | None = None, y: str | None = None, select: Mapping[str, float] | None = None
     ) -> dict[str, list[np.ndarray]]:
         """Curves of exact steady motions on the plane of one or two axes, from theory.
 
@@ -289,7 +294,7 @@ class Atlas:
         ----------
         x, y : str, optional
             Axes, as in `map`.
-        select : dict, optional
+        select : mapping of str to float, optional
             Axis -> value, for the other axes.
 
         Returns
@@ -353,6 +358,9 @@ class Atlas:
         """
         from .analysis.frequencies import frequencies
 
+        whole_number("lines", lines, 1, MAX_LINES)
+        if trajectory is not None and "time" not in getattr(trajectory, "dims", ()):
+            raise BadInput(f"trajectory = {shown(trajectory)}: must be a dataset from atlas.trajectory")
         return frequencies(
             self.trajectory(samples=samples, **coords) if trajectory is None else trajectory, lines
         )
@@ -442,7 +450,7 @@ class Atlas:
         system, attributes = system_of(self._ds), self._ds.attrs
 
         def text(name: str) -> str:
-            return printable(str(attributes.get(name, "unknown")), MAX_MESSAGE)
+            return attribute_text(attributes, name, "unknown", MAX_MESSAGE)
 
         return (
             f"Precession Atlas {text('atlas_version')}, kernel {text('atlas_kernel_hash')}"

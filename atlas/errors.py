@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import difflib
+import logging
 import reprlib
+import sys
 from collections.abc import Collection, Iterator, Mapping
 from contextlib import contextmanager
+from typing import TextIO
 
 MAX_MESSAGE = 1000  # characters of a message
 MAX_TEXT = 200  # characters of a value in a message
@@ -51,6 +54,37 @@ def _shortened(text: str, limit: int) -> str:
         return text
     tail = (limit - 5) // 3
     return f"{text[: limit - 5 - tail]} ... {text[len(text) - tail :]}"
+
+
+def say(*lines: str, file: TextIO | None = None) -> None:
+    """Print lines, to stdout unless `file` is another stream; each argument is one line, whatever it contains.
+
+    The commands print nothing by any other function.
+    """
+    stream = file or sys.stdout
+    text = "\n".join(map(printable, lines))
+    encoding = getattr(stream, "encoding", None) or "utf-8"
+    print(text.encode(encoding, "backslashreplace").decode(encoding), file=stream)
+
+
+def attribute_text(
+    attributes: Mapping[str, object], name: str, default: str = "", limit: int = MAX_TEXT
+) -> str:
+    """An attribute of a dataset or a variable as one `printable` line; all texts of attributes are read by this."""
+    value = attributes.get(name, default)
+    return printable(value, limit) if isinstance(value, str) else shown(value)
+
+
+class _Printable(logging.Filter):
+    """Makes messages of the log printable lines: they quote names of files and texts of libraries."""
+
+    def filter(self, record: logging.LogRecord) -> bool:
+        """Replace the message of a record; no record is left out."""
+        record.msg, record.args = printable(record.getMessage(), MAX_MESSAGE), ()
+        return True
+
+
+logging.getLogger("atlas").addFilter(_Printable())
 
 
 def shown(value: object) -> str:

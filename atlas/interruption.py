@@ -15,6 +15,8 @@ from pathlib import Path
 from types import FrameType
 from typing import NoReturn
 
+from .errors import printable
+
 # Exit codes, 128 and the number of the signal, as shells and batch systems expect them.
 INTERRUPTED, TERMINATED = 130, 143
 MESSAGE = "finished work is kept, and no file is half written"
@@ -40,7 +42,9 @@ def outcome(number: int | None = None) -> tuple[int, str]:
     if _kept is not None:
         with suppress(Exception):  # such as a folder that has been removed
             kept = _kept()
-    return code, f"atlas: interrupted; {f'{kept}; `{_own_command()}` continues' if kept else MESSAGE}"
+    return code, printable(
+        f"atlas: interrupted; {f'{kept}; `{_own_command()}` continues' if kept else MESSAGE}"
+    )
 
 
 def explain_kept(kept: Callable[[], str] | None) -> None:

@@ -5,6 +5,7 @@ import re
 import subprocess
 import sys
 import tracemalloc
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -16,6 +17,7 @@ from hypothesis.extra.numpy import array_shapes, arrays
 import atlas
 from atlas import BadInput, load_scene
 from atlas.analysis import chunks, theory_curves
+from atlas.analysis.metadata import map_variable
 from atlas.flags import Agreement, Label
 
 pytestmark = pytest.mark.usefixtures("whole_kernels", "borders_once")
@@ -256,6 +258,78 @@ def test_nearest_is_the_nearest(files, sigma, theta0):
     assert abs(float(point.sigma) - sigma) == np.abs(ds.sigma - sigma).min()
     assert abs(float(point.theta0) - theta0) == np.abs(ds.theta0 - theta0).min()
     assert ds.atlas.nearest(sigma=sigma).sizes == {"theta0": 7}
+
+
+def test_cells_of_logarithmic_axes_are_those_of_maps(scene_text):
+    ds = atlas.run(
+        load_scene(scene_text({"axes.sigma.spacing": "log", "axes.sigma.count": 5})), progress=False
+    )
+    inner = np.sqrt(ds.sigma.values[1:] * ds.sigma.values[:-1])
+    vertices = np.unique(ds.atlas.boundary("drifting").sigma)
+    between = [v for v in vertices if np.abs(ds.sigma - v).min() > 1e-9]
+    assert len(between) > 0
+    np.testing.assert_allclose([np.abs(inner / v - 1).min() for v in between], 0, atol=1e-12)
+    for edge, low, high in zip(inner, ds.sigma.values, ds.sigma.values[1:], strict=False):
+        assert float(ds.atlas.nearest(sigma=edge * (1 - 1e-9)).sigma) == low
+        assert float(ds.atlas.nearest(sigma=edge * (1 + 1e-9)).sigma) == high
+    first, last = ds.atlas.map(boundary=False).axes[0].get_xlim()
+    assert float(ds.atlas.nearest(sigma=first * (1 + 1e-9)).sigma) == ds.sigma[0]
+    for value in (first * (1 - 1e-9), last * (1 + 1e-9), -1.0):
+        with pytest.raises(BadInput, match="outside the atlas"):
+            ds.atlas.nearest(sigma=value)
+
+
+# Flags.
+
+
+def test_booleans_are_flags_and_differences_of_flags_are_none(files):
+    _, small = files
+    drifts = small.label == Label.DRIFTING
+    share = float(drifts.mean())
+    ds = small.assign(
+        drifts=drifts,
+        number=drifts.astype("int8"),
+        difference=small.label - small.label_inertial,
+        same=small.label - small.label,
+        mean=small.label.mean("sigma"),
+        copy=small.label.assign_attrs(long_name="another label"),
+    )
+    assert ds.atlas.fractions("drifts").to_series().to_dict() == pytest.approx(
+        {"false": 1 - share, "true": share}
+    )
+    assert ds.atlas.select(drifts="true").sizes["point"] == round(share * small.label.size)
+    lines = ds.atlas.boundary("true", "drifts"), ds.atlas.boundary("drifting")
+    np.testing.assert_array_equal(lines[0].sigma, lines[1].sigma)
+    xr.testing.assert_equal(
+        ds.atlas.fractions("copy").drop_vars("copy").rename(copy="label"),
+        ds.atlas.fractions().drop_vars("label"),
+    )
+    for name in ("number", "difference", "same"):
+        with pytest.raises(BadInput, match=f"{name}: not a flag variable"):
+            ds.atlas.fractions(name)
+        assert not ds.atlas.map(name, boundary=False).legends
+    figure = ds.atlas.map("drifts", boundary=False)
+    assert [text.get_text() for text in figure.legends[0].get_texts()] == ["false", "true"]
+    with pytest.raises(BadInput, match="label: values of type float"):
+        ds.assign(label=ds["mean"]).atlas.map("label")
+
+
+def test_a_map_shows_what_the_scene_is_about(files):
+    _, small = files
+    assert map_variable(small) == "label"
+    uniform = small.assign(label=small.label.where(False, Label.DRIFTING))
+    assert map_variable(uniform) == "label_inertial"
+    assert map_variable(uniform.drop_vars(["label_inertial", "geometry"])) == "stable"
+    nothing = uniform[["label", "theta_dot_rms"]]
+    assert map_variable(nothing) == "label"
+    assert map_variable(nothing.assign(drifts=small.label == Label.DRIFTING)) == "drifts"
+    scene = load_scene(small.attrs["atlas_scene"])
+    text = replace(scene, map="growth_rate").toml()
+    assert load_scene(text).toml() == text
+    named = small.assign_attrs(atlas_scene=text)
+    assert map_variable(named) == "growth_rate"
+    assert map_variable(named.drop_vars("growth_rate")) == "label"
+    assert named.atlas.map(boundary=False).axes[1].get_ylabel() == "growth rate (rad s$^{-1}$)"
 
 
 def test_a_trajectory_is_that_of_the_atlas(small, files):

@@ -312,7 +312,9 @@ def test_examples_are_listed_and_copied(folder, monkeypatch, capsys):
     lines = capsys.readouterr().out.splitlines()
     assert [line.split()[0] for line in lines[1:-1]] == sorted(path.stem for path in configs.glob("*.toml"))
     assert main(["new", "gravity_gradient"]) == 0
-    assert "run gravity_gradient.toml" in capsys.readouterr().out
+    printed = capsys.readouterr().out
+    assert "run gravity_gradient.toml, then " in printed
+    assert printed.endswith(" map gravity_gradient.nc\n")
     assert (folder / "gravity_gradient.toml").read_bytes() == (configs / "gravity_gradient.toml").read_bytes()
     assert main(["check", "gravity_gradient.toml"]) == 0
     assert main(["new", "gravity_gradient.toml", "-o", "mine.toml"]) == 0

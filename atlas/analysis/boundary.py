@@ -8,11 +8,11 @@ import contourpy
 import numpy as np
 import xarray as xr
 
-from ..errors import BadInput
+from ..errors import BadInput, attribute_text
 from ..scene.model import Scene
 from . import resonances
 from .count_borders import count_borders
-from .metadata import axes_of, flag_values, scene_of, system_of
+from .metadata import axes_of, flag_values, is_logarithmic, scene_of, system_of
 from .plane import Plane
 from .select import plane_of
 from .theory_borders import theory_borders
@@ -22,7 +22,7 @@ Lines = dict[str, list[np.ndarray]]
 
 def boundary(
     ds: xr.Dataset,
-    label: str | None,
+    label: str | int | None,
     variable: str,
     x: str | None,
     y: str | None,
@@ -35,8 +35,8 @@ def boundary(
         raise BadInput(
             f"boundary: needs two axes, found {', '.join(map(str, plane.dims))}; use select for the others"
         )
+    scene = scene_of(ds)
     if label is None:
-        scene = scene_of(ds)
         if scene is None:
             raise BadInput(
                 "boundary: these points come from no scene, so that theory has no plane; name a label for the border"
@@ -45,10 +45,15 @@ def boundary(
         return _dataset(theory_lines(scene, plane, dims, variable), plane, dims)
     (flag,) = flag_values(ds, variable, label)
     inside = (plane[variable].transpose(dims[1], dims[0]) == flag).values.astype(float)
-    generator = contourpy.contour_generator(
-        plane[dims[0]].values, plane[dims[1]].values, inside, line_type="Separate"
+    log = np.array([is_logarithmic(scene, dim, plane[dim].values) for dim in dims])
+    along, across = (
+        np.log(plane[dim].values) if is_log else plane[dim].values
+        for dim, is_log in zip(dims, log, strict=True)
     )
+    generator = contourpy.contour_generator(along, across, inside, line_type="Separate")
     lines = [np.asarray(line) for line in generator.lines(0.5)]
+    for line in lines:
+        line[:, log] = np.exp(line[:, log])
     return _dataset({f"{variable} = {label}": lines}, plane, dims)
 
 
@@ -95,5 +100,5 @@ def _dataset(lines: Lines, plane: xr.Dataset, dims: list[str]) -> xr.Dataset:
                 {"long_name": "what changes at the line"},
             ),
         },
-        attrs={"title": f"borders in {str(plane.attrs.get('title', 'an atlas'))!r}"},
+        attrs={"title": f"borders in {attribute_text(plane.attrs, 'title', 'an atlas')!r}"},
     )

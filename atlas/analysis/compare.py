@@ -21,6 +21,8 @@ BAND = 0.02
 # Largest growth_rate x duration that an unstable motion may survive: one nudged by 1e-4 and observed with a tolerance
 # of 1e-3 may stay within it while a disturbance grows by e^12.
 MAX_SURVIVED_GROWTH = 12.0
+# Variations of the rates, of which the largest is the unsteadiness of a point.
+RATES = ("theta_dot_rms", "psi_dot_std", "phi_dot_std", "normal_rate_std")
 
 
 def report(ds: xr.Dataset, worst: int = 5) -> str:
@@ -62,6 +64,10 @@ def report(ds: xr.Dataset, worst: int = 5) -> str:
             )
     if ds["label"].dims != ds["predicted"].dims:
         raise BadInput("label and predicted lie along different dimensions: not an atlas")
+    for name in ("stable", "growth_rate", "end_time", *RATES):
+        if name in ds and set(ds[name].dims) != set(ds["label"].dims):
+            raise BadInput(f"label and {name} lie along different dimensions: not an atlas")
+    ds = ds.transpose(..., *ds["label"].dims)
     if not ds["label"].size:
         raise BadInput("label: has no values here: the dataset is empty")
     label, predicted = ds["label"].values, ds["predicted"].values
@@ -188,7 +194,7 @@ def _point_text(ds: xr.Dataset, indices: Mapping[str, int]) -> str:
 def _unsteadiness(ds: xr.Dataset) -> Array:
     """Largest rms or standard deviation of a rate at each point, flat; of those that the atlas has."""
     largest = np.zeros(ds["label"].size)
-    for name in ("theta_dot_rms", "psi_dot_std", "phi_dot_std", "normal_rate_std"):
+    for name in RATES:
         if name in ds:
-            largest = np.fmax(largest, ds[name].transpose(*ds["label"].dims).values.ravel())
+            largest = np.fmax(largest, ds[name].values.ravel())
     return largest

@@ -3,20 +3,28 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
+from contextlib import suppress
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
 import xarray as xr
+from numpy.typing import ArrayLike
 
 from .. import systems
 from ..errors import MAX_TEXT, BadInput, printable, shown
 from ..scene.model import Axis, Scene
 from ..scene.read import parse_scene
 from ..systems.base import System
+from ..variables import data_variables
+from .chunks import chunks
+
+MAX_FLAGS = 128  # of a variable, as many as int8 has numbers from 0 on
+TRUE_FALSE = ["false", "true"]  # flags of a variable of Booleans
 
 
 def system_of(ds: xr.Dataset) -> System:
-    """The system of an atlas; BadInput if the dataset is none."""
+    """The system of an atlas; BadInput if the dataset is none, or has texts where an atlas has numbers."""
     if "atlas_system" not in ds.attrs:
         raise BadInput("not an atlas: the attribute atlas_system is missing")
     name, package = ds.attrs["atlas_system"], ds.attrs.get("atlas_system_package")
@@ -24,7 +32,11 @@ def system_of(ds: xr.Dataset) -> System:
         raise BadInput(
             f"the atlas is of the system {shown(name)}, which is not installed here; its package was {shown(package)}"
         )
-    return systems.get(name)
+    system = systems.get(name)
+    for variable in ds.data_vars.keys() & data_variables(system):
+        if ds[variable].dtype.kind not in "biuf":
+            raise BadInput(f"{variable}: values of type {ds[variable].dtype}; an atlas has numbers there")
+    return system
 
 
 def number_attribute(ds: xr.Dataset, name: str) -> float:
@@ -48,10 +60,13 @@ def axes_of(scene: Scene) -> dict[str, Axis]:
     return {axis.dim: axis for axis in scene.axes.values()}
 
 
-def is_logarithmic(scene: Scene, dim: str) -> bool:
-    """Whether the axis of this dimension is spaced evenly in its logarithm; false for a dimension not of the scene."""
-    axis = axes_of(scene).get(dim)
-    return axis is not None and axis.table.get("spacing") == "log"
+def is_logarithmic(scene: Scene | None, dim: str, values: ArrayLike) -> bool:
+    """Whether the scene spaces the axis of this dimension evenly in its logarithm, and the values have logarithms.
+
+    Cells, borders, nearest points and scales of maps all follow this rule.
+    """
+    axis = None if scene is None else axes_of(scene).get(dim)
+    return axis is not None and axis.table.get("spacing") == "log" and bool(np.min(np.asarray(values)) > 0)
 
 
 def check_not_empty(ds: xr.Dataset) -> None:
@@ -66,33 +81,66 @@ def is_numeric_axis(ds: xr.Dataset, dim: object) -> bool:
     return dim in ds.dims and dim in ds.coords and ds[dim].dtype.kind in "iuf"
 
 
+@lru_cache
+def _registered_flags(system: System) -> dict[str, str]:
+    """Names of the flag variables of a system with their long_name; none of a system that can have no atlas."""
+    with suppress(BadInput):
+        return {name: v.long_name for name, v in data_variables(system).items() if v.flags is not None}
+    return {}
+
+
+def has_flags(array: xr.DataArray) -> bool:
+    """Whether a variable is one of flags: Booleans, or flags by their name or by a long_name of their own.
+
+    Differences and comparisons of flags have the attributes of flags too: an array under another name than that of the
+    variable whose long_name it has counts as numbers.
+    """
+    if array.dtype.kind == "b":
+        return True
+    registered = [_registered_flags(system) for system in systems.SYSTEMS.values()]
+    return "flag_meanings" in array.attrs and (
+        any(array.name in flags for flags in registered)
+        or (
+            "long_name" in array.attrs
+            and not any(array.attrs["long_name"] in flags.values() for flags in registered)
+        )
+    )
+
+
 def flag_names(array: xr.DataArray) -> list[str]:
     """Names of the values 0, 1, 2, ... of a flag variable; empty for any other variable.
 
     Raises BadInput for flags whose values are no longer flags, such as averages of them.
     """
-    names = [printable(name, MAX_TEXT) for name in str(array.attrs.get("flag_meanings", "")).split()]
+    if array.dtype.kind == "b":
+        return TRUE_FALSE
+    if not has_flags(array):
+        return []
     if is_averaged(array):
         raise BadInput(
             f"{array.name}: values of type {array.dtype} are no flags: they were averaged, interpolated or masked with"
             " nan; choose points by select, sel or isel, or mask with where(condition, 0)"
         )
-    if names and not np.array_equal(array.attrs.get("flag_values", range(len(names))), range(len(names))):
+    names = [printable(name, MAX_TEXT) for name in str(array.attrs["flag_meanings"]).split()]
+    if len(names) > MAX_FLAGS or not np.array_equal(
+        array.attrs.get("flag_values", range(len(names))), range(len(names))
+    ):
         raise BadInput(
-            f"{array.name}: its flag_values are not 0 to {len(names) - 1}, as those of an atlas are"
+            f"{array.name}: its flag_values are not 0 to {len(names) - 1}, as those of an atlas are, of which there are"
+            f" at most {MAX_FLAGS}"
         )
     return names
 
 
 def is_averaged(array: xr.DataArray) -> bool:
     """Whether a variable has the names of flags, but values that are none, such as averages of them."""
-    return "flag_meanings" in array.attrs and array.dtype.kind not in "iu"
+    return has_flags(array) and array.dtype.kind not in "biu"
 
 
 def flag_variable(ds: xr.Dataset, variable: str) -> xr.DataArray:
     """The flag variable of this name; BadInput if the dataset has none."""
-    if variable not in ds.data_vars or "flag_meanings" not in ds[variable].attrs:
-        flags = [str(name) for name, array in ds.data_vars.items() if "flag_meanings" in array.attrs]
+    flags = [str(name) for name, array in ds.data_vars.items() if has_flags(array)]
+    if variable not in flags:
         if not flags:
             raise BadInput(
                 f"{variable}: no variable here has flag_meanings: the dataset is no atlas, or has lost its attributes"
@@ -100,6 +148,28 @@ def flag_variable(ds: xr.Dataset, variable: str) -> xr.DataArray:
         raise BadInput(f"{variable}: not a flag variable of this atlas; allowed: {', '.join(flags)}")
     flag_names(ds[variable])  # raises BadInput for averages
     return ds[variable]
+
+
+def map_variable(ds: xr.Dataset) -> str:
+    """What a map shows unless a variable is named: what the scene names, else the first flags that differ, else the label."""
+    scene = scene_of(ds)
+    rank = max((array.ndim for array in ds.data_vars.values()), default=0)
+    flags = [
+        str(name)
+        for name, array in ds.data_vars.items()
+        if array.ndim == rank and has_flags(array) and not is_averaged(array)
+    ]
+    if scene is not None and scene.map in ds.data_vars:
+        return scene.map
+    default = "label" if "label" in ds or not ds.data_vars else str(next(iter(ds.data_vars)))
+    return next((name for name in flags if _differs(ds[name])), default)
+
+
+def _differs(array: xr.DataArray) -> bool:
+    """Whether an array has two different values; it is read in chunks, to the first difference."""
+    values = (array.isel(box).values.ravel() for box in chunks(array.sizes, array.dims))
+    first = next(values)
+    return bool((first != first[:1]).any()) or any((each != first[:1]).any() for each in values)
 
 
 def flag_values(ds: xr.Dataset, variable: str, flags: str | int | Sequence[str | int]) -> list[int]:

@@ -78,7 +78,8 @@ class Plane:
                 fixed[dim] = float(ds[dim].item())
         plane = Plane(scene, extent, fixed)
         for dim in extent:
-            edges = cell_edges(np.unique(ds[dim].values), is_logarithmic(scene, dim))
+            values = np.unique(ds[dim].values)
+            edges = cell_edges(values, is_logarithmic(scene, dim, values))
             plane = plane._extended(dim, float(edges[0]), float(edges[-1]))
         return plane
 
@@ -102,7 +103,7 @@ class Plane:
 
     def samples(self, dim: str, count: int = SAMPLES) -> Array:
         """Values evenly spaced along an axis, on a logarithmic axis in their logarithm, (count,)."""
-        spaced = np.geomspace if is_logarithmic(self.scene, dim) else np.linspace
+        spaced = np.geomspace if is_logarithmic(self.scene, dim, self.extent[dim]) else np.linspace
         return spaced(*self.extent[dim], count)
 
     def points(self, coordinates: Mapping[str, Array]) -> grid.Grid:

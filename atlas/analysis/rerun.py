@@ -7,7 +7,7 @@ from collections.abc import Mapping
 
 import xarray as xr
 
-from ..errors import BadInput
+from ..errors import BadInput, attribute_text
 from ..label.trajectory import trajectory, trajectory_of_scene
 from .metadata import axes_of, number_attribute, scene_of, system_of
 from .select import nearest
@@ -46,7 +46,7 @@ def nearest_trajectory(ds: xr.Dataset, coordinates: Mapping[str, float], samples
         {name: value for name, value in start.items() if not math.isnan(value)},
         duration=float(point["end_time"]),
         samples=samples,
-        method=ds.attrs.get("atlas_method", ""),
+        method=attribute_text(ds.attrs, "atlas_method"),
         rate_tolerance=number_attribute(ds, "atlas_rate_tolerance"),
         **({"step": step} if math.isfinite(step) else {"tolerance": number_attribute(ds, "atlas_tolerance")}),
     )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 
 import numpy as np
@@ -9,7 +10,7 @@ import xarray as xr
 
 from ..errors import BadInput, option, shown
 from .chunks import chunks
-from .metadata import check_not_empty, flag_values, is_numeric_axis
+from .metadata import check_not_empty, flag_values, is_logarithmic, is_numeric_axis, scene_of
 
 MAX_PANELS = 12
 # Cells drawn along an axis; of more every k-th one is, since a printer has no more dots.
@@ -93,10 +94,11 @@ def _number(name: str, value: object) -> float:
 def nearest_on_axes(ds: xr.Dataset, values: Mapping[str, float]) -> xr.Dataset:
     """The part of an atlas nearest to values of some axes.
 
-    Raises BadInput for a name that is no axis and for a value more than half a cell outside it.
+    Raises BadInput for a name that is no axis and for a value outside the cells that maps draw around its points.
     """
     check_not_empty(ds)
     axes = [str(dim) for dim in ds.dims if is_numeric_axis(ds, dim)]
+    scene = scene_of(ds) if values else None
     for name, value in values.items():
         if name not in axes:
             problem = "has no values in this dataset" if name in ds.dims else "not an axis of this atlas"
@@ -104,11 +106,13 @@ def nearest_on_axes(ds: xr.Dataset, values: Mapping[str, float]) -> xr.Dataset:
         value = _number(name, value)
         axis = ds[name].values
         if axis.size > 1:
-            edges = cell_edges(np.sort(axis))
-            if not min(edges) <= value <= max(edges):
+            log = is_logarithmic(scene, name, axis)
+            edges = cell_edges(np.sort(axis), log)
+            if not edges[0] <= value <= edges[-1]:
                 raise BadInput(
                     f"{name} = {value:g}: outside the atlas; allowed: {axis.min():g} to {axis.max():g}"
                 )
+            axis, value = (np.log(axis), math.log(value)) if log else (axis, value)
         ds = ds.isel({name: int(np.abs(axis - value).argmin())})
     return ds
 
@@ -168,6 +172,9 @@ def plane_of(
     check_not_empty(ds)
     plane = nearest_on_axes(ds, select).squeeze()
     dims, panel_dim = _plane_dims(plane, x, y)
+    for dim in dims:
+        if not 0 < np.ptp(plane[dim].values) < np.inf:
+            raise BadInput(f"{dim}: its values are equal or not finite: no axis to draw a map over")
     plane = plane.isel({dim: slice(None, None, -(-plane.sizes[dim] // MAX_CELLS)) for dim in dims})
     return plane.sortby(dims + ([panel_dim] if panel_dim else [])), dims, panel_dim
 

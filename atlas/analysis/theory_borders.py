@@ -105,7 +105,7 @@ def _values(plane: Plane, positions: Array) -> Array:
     """Axis values at positions (points, axes)."""
     columns = []
     for i, (dim, (low, high)) in enumerate(plane.extent.items()):
-        if is_logarithmic(plane.scene, dim):
+        if is_logarithmic(plane.scene, dim, (low, high)):
             columns.append(low * (high / low) ** positions[:, i])
         else:
             columns.append(low + (high - low) * positions[:, i])

@@ -10,7 +10,7 @@ from typing import NoReturn
 
 from .._version import __version__
 from ..engine.compiling import announced
-from ..errors import MAX_MESSAGE, BadInput, messages_for_shell, printable
+from ..errors import MAX_MESSAGE, BadInput, messages_for_shell, printable, say
 from ..interruption import exit_process, explain_kept, outcome, signals_as_interrupt
 from . import atlases, examples, jobs, measurements, motions, papers, scenes
 from .options import BAD_INPUT, DONE, FAILED, Parser, program
@@ -38,18 +38,18 @@ def main(arguments: Sequence[str] | None = None) -> int:
             with announced(not getattr(options, "quiet", False)):
                 return int(options.handler(options))
     except BadInput as error:
-        print(f"atlas: {error}", file=sys.stderr)
+        say(f"atlas: {error}", file=sys.stderr)
         return BAD_INPUT
     except KeyboardInterrupt:
         code, message = outcome()
-        print(message, file=sys.stderr)
+        say(message, file=sys.stderr)
         return code
     except BrokenPipeError:
         sys.stderr.close()
         return FAILED
     except (OSError, MemoryError) as error:
         message = printable(str(error) or type(error).__name__, MAX_MESSAGE)
-        print(f"atlas: failed: {message}", file=sys.stderr)
+        say(f"atlas: failed: {message}", file=sys.stderr)
         return FAILED
 
 

@@ -6,7 +6,7 @@ import argparse
 from collections.abc import Sequence
 from pathlib import Path
 
-from ..errors import BadInput
+from ..errors import BadInput, say
 from ..files import without_suffix, writable
 from .options import (
     DONE,
@@ -39,7 +39,7 @@ def _compare(options: argparse.Namespace) -> int:
 
     check_at_least("--worst", options.worst, 0)
     with open_atlas(options.atlas) as ds:
-        print(report(ds, worst=options.worst))
+        say(*report(ds, worst=options.worst).split("\n"))
     return DONE
 
 
@@ -48,7 +48,7 @@ def add_map(commands: Commands) -> None:
     command = add_command(commands, "map", _map, "draw a map of an atlas")
     atlas_option(command)
     out_option(command, "FIGURE", ".png, .pdf or .svg (default: ATLAS.png and ATLAS.pdf)")
-    command.add_argument("--variable", metavar="NAME", help="what to map (default: label)")
+    command.add_argument("--variable", metavar="NAME", help="what to map (default: what the scene is about)")
     command.add_argument("--x", metavar="AXIS", help="horizontal axis (default: the first)")
     command.add_argument("--y", metavar="AXIS", help="vertical axis (default: the second)")
     assignment_option(command, "--select", "AXIS=VALUE", "values of the other axes, one or several")
@@ -84,10 +84,10 @@ def _map(options: argparse.Namespace) -> int:
             legend=not options.no_legend, width=options.width, size=_size(options.size), dpi=600 if options.dpi is None else options.dpi,
         )  # fmt: skip
         if options.caption:
-            print(text.caption(ds))
+            say(text.caption(ds))
     for path in paths:
         style.save(figure, path, options.dpi)
-        print(f"wrote {path}")
+        say(f"wrote {path}")
     return DONE
 
 
@@ -111,7 +111,7 @@ def _page(options: argparse.Namespace) -> int:
     with open_atlas(options.atlas) as ds:
         page = atlas_page(ds, file=Path(options.atlas).name)
     page.save(out, force=options.force)
-    print(f"wrote {out}, {len(page.html.encode()) / 1e6:.1f} MB; open it in any browser")
+    say(f"wrote {out}, {len(page.html.encode()) / 1e6:.1f} MB; open it in any browser")
     return DONE
 
 

@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 import argparse
+import re
+import shlex
 import tomllib
 from importlib.resources import files
 from importlib.resources.abc import Traversable
 from pathlib import Path
 
-from ..errors import BadInput, allowed_text
+from ..errors import BadInput, allowed_text, say
 from ..files import atomic_write, writable
 from ..interruption import called_as
 from ..validation.text_table import text_table
-from .options import DONE, Commands, add_command, out_option
+from .options import DONE, Commands, add_command, default_name, out_option
 
 
 def add_new(commands: Commands) -> None:
@@ -27,8 +29,8 @@ def _new(options: argparse.Namespace) -> int:
     scenes = examples()
     if options.name is None:
         rows = [(name, tomllib.loads(scene.read_text("utf-8"))["title"]) for name, scene in scenes.items()]
-        print(text_table([("example", "what it shows"), *rows]))
-        print(f"{called_as()} new NAME copies one of them")
+        say(*text_table([("example", "what it shows"), *rows]).split("\n"))
+        say(f"{called_as()} new NAME copies one of them")
         return DONE
     name = options.name.removesuffix(".toml")
     if name not in scenes:
@@ -38,8 +40,16 @@ def _new(options: argparse.Namespace) -> int:
         raise BadInput(f"{out}: this file exists; -o gives the copy another name")
     with atomic_write(out) as temporary:
         temporary.write_bytes(scenes[name].read_bytes())
-    print(f"wrote {out}; next: {called_as()} run {out}")
+    figure = figure_options(scenes[name].read_text("utf-8"))
+    atlas, command = shlex.quote(f"{default_name(str(out))}.nc"), called_as()
+    say(f"wrote {out}; next: {command} run {shlex.quote(str(out))}, then {command} map {atlas}{figure}")
     return DONE
+
+
+def figure_options(scene: str) -> str:
+    """Options of `atlas map` for the figure of an example, after a blank: those of its comment "Figure: --option"."""
+    match = re.search(r"^# Figure:((?: --[\w-]+)+)", scene, re.MULTILINE)
+    return match[1] if match else ""
 
 
 def examples() -> dict[str, Traversable]:

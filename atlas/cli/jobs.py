@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import argparse
+import re
 from pathlib import Path
 
-from ..errors import MAX_MESSAGE, MAX_TEXT, BadInput, printable
+from ..errors import MAX_MESSAGE, MAX_TEXT, BadInput, attribute_text, printable, say
 from ..files import check_not_input, writable
 from .options import (
     DONE,
@@ -57,7 +58,7 @@ def _run(options: argparse.Namespace) -> int:
     from ..runs.runner import run
 
     if options.dry_run:
-        print(dry_run(scene, threads=options.threads, workers=options.workers))
+        say(*dry_run(scene, threads=options.threads, workers=options.workers).split("\n"))
         return DONE
     ds = run(
         scene,
@@ -70,10 +71,11 @@ def _run(options: argparse.Namespace) -> int:
         workers=options.workers,
     )
     if shard is None:
-        print(summary(ds))
-        print(f"wrote {out}")
+        say(*summary(ds).split("\n"), f"wrote {out}")
     else:
-        print(f"shard {options.shard} is done; {out} holds {ds.attrs['atlas_run']}")
+        say(
+            f"shard {options.shard} is done; {out} holds {attribute_text(ds.attrs, 'atlas_run', limit=MAX_MESSAGE)}"
+        )
     return DONE
 
 
@@ -81,10 +83,11 @@ def _shard(text: str | None) -> tuple[int, int] | None:
     """Number of the shard, from 1, and how many there are."""
     if text is None:
         return None
-    shard, slash, count = text.partition("/")
-    if not (slash and shard.isdecimal() and count.isdecimal() and 1 <= int(shard) <= int(count)):
-        raise BadInput(f"--shard {text}: must be I/N with whole numbers, 1 <= I <= N")
-    return int(shard), int(count)
+    match = re.fullmatch("([0-9]{1,9})/([0-9]{1,9})", text)
+    shard, count = map(int, match.groups()) if match else (0, 0)
+    if not 1 <= shard <= count:
+        raise BadInput(f"--shard {text}: must be I/N with whole numbers, 1 <= I <= N < 10^9")
+    return shard, count
 
 
 def add_status(commands: Commands) -> None:
@@ -97,7 +100,7 @@ def _status(options: argparse.Namespace) -> int:
     """Run the command `status`; returns its exit code."""
     from ..runs.folder import RunFolder
 
-    print(RunFolder.open(options.folder).status())
+    say(*RunFolder.open(options.folder).status().split("\n"))
     return DONE
 
 
@@ -115,7 +118,7 @@ def _join(options: argparse.Namespace) -> int:
 
     folder = RunFolder.open(options.folder)
     folder.join(writable(options.out, (".nc", ".zarr"), force=options.force, inputs=[folder.tiles.folder]))
-    print(f"wrote {options.out}")
+    say(f"wrote {options.out}")
     return DONE
 
 
@@ -134,17 +137,17 @@ def _check(options: argparse.Namespace) -> int:
     scene = read_scene(options.scene)
     points = grid.check(scene)
     shape = " x ".join(f"{name} {count}" for name, count in zip(scene.axes, scene.shape, strict=True))
-    print(
-        f"{printable(scene.title, MAX_TEXT)}\nsystem {scene.system.name}: {shape} = {scene.size} points, duration {scene.duration}"
+    say(
+        printable(scene.title, MAX_TEXT),
+        f"system {scene.system.name}: {shape} = {scene.size} points, duration {scene.duration}",
+        *method_lines(scene, points),
     )
-    for line in method_lines(scene, points):
-        print(line)
     for warning in [
         *grid.warnings(scene, points),
         *step_warnings(scene, points),
         *regularity.warnings(scene, points),
     ]:
-        print(f"warning: {printable(warning, MAX_MESSAGE)}")
+        say(f"warning: {printable(warning, MAX_MESSAGE)}")
     return DONE
 
 
@@ -159,10 +162,10 @@ def _cache(options: argparse.Namespace) -> int:
     from ..engine import jit
 
     if options.clear:
-        print(f"removed {jit.clear()} kernels from {jit.cache_folder()}")
+        say(f"removed {jit.clear()} kernels from {jit.cache_folder()}")
         return DONE
     kernels = jit.cached()
-    print(f"{jit.cache_folder()}: {len(kernels)} kernels, {sum(size for _, size, _ in kernels) / 1e6:.1f} MB")
+    say(f"{jit.cache_folder()}: {len(kernels)} kernels, {sum(size for _, size, _ in kernels) / 1e6:.1f} MB")
     for name, size, _ in kernels:
-        print(f"  {name}  {size / 1e6:.1f} MB")
+        say(f"  {name}  {size / 1e6:.1f} MB")
     return DONE

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 
+from ..errors import say
 from ..files import atomic_write, writable
 from ..validation.text_table import text_table
 from .options import (
@@ -58,7 +59,7 @@ def _accuracy(options: argparse.Namespace) -> int:
     from ..validation import work_precision, work_precision_report
 
     ds = work_precision.work_precision(scene, options.points, progress=True)
-    print(work_precision_report.report(ds))
+    say(*work_precision_report.report(ds).split("\n"))
     for out in outs:
         if out.suffix.lower() == ".nc":
             netcdf.write(ds, out)
@@ -67,7 +68,7 @@ def _accuracy(options: argparse.Namespace) -> int:
                 temporary.write_text(work_precision_report.table(ds))
         else:
             style.save(figure(ds), out)
-        print(f"wrote {out}")
+        say(f"wrote {out}")
     return DONE
 
 
@@ -101,14 +102,14 @@ def _stress(options: argparse.Namespace) -> int:
     wrong, failed = 0, False
     for name in names:
         ds = stress.stress(name, threads=options.threads)
-        print(f"{name}\n{stress.report(ds)}\n")
+        say(name, *stress.report(ds).split("\n"), "")
         wrong += int(stress.mislabelled(ds).sum())
         failed |= stress.estimate_fails(ds)
         if folder is not None:
             netcdf.write(ds, folder / f"{name}.nc")
             save(figure(ds), folder / f"{name}.png")
-            print(f"wrote {folder / name}.nc and .png\n")
+            say(f"wrote {folder / name}.nc and .png", "")
     if set(names) & set(with_cases):
-        print(text_table(limits.limits()))
-    print(f"labels that are not true: {wrong}")
+        say(*text_table(limits.limits()).split("\n"))
+    say(f"labels that are not true: {wrong}")
     return FAILED if wrong or failed else DONE

@@ -7,6 +7,7 @@ import io
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from ..errors import say
 from ..files import writable
 from .options import (
     DONE,
@@ -104,8 +105,7 @@ def _points(options: argparse.Namespace) -> int:
         keep=options.keep,
     )
     (csv_file if out.suffix.lower() == ".csv" else netcdf).write(ds, out)
-    print(summary(ds))
-    print(f"wrote {out}")
+    say(*summary(ds).split("\n"), f"wrote {out}")
     return DONE
 
 
@@ -151,7 +151,7 @@ def _trajectory(options: argparse.Namespace) -> int:
     variable = observables[0].name if observables else "theta"
     low, high, unit = float(tr[variable].min()), float(tr[variable].max()), tr[variable].attrs["units"]
     duration = f"{float(tr['time'][-1]):.9g} time units"
-    print(
+    say(
         f"{variable} from {low:.9g} to {high:.9g}{'' if unit == '1' else ' ' + unit} in {duration}; wrote {out}"
     )
     return DONE

@@ -9,7 +9,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn, TypeAlias
 
-from ..errors import BadInput
+from ..errors import MAX_MESSAGE, BadInput, printable, say
 from ..files import check_name, without_suffix, writable
 
 if TYPE_CHECKING:
@@ -66,8 +66,9 @@ class Parser(argparse.ArgumentParser):
         return repeated
 
     def error(self, message: str) -> NoReturn:
-        """Print a message in one line and exit with the code of bad input."""
-        self.exit(BAD_INPUT, f"{self.prog}: {message} (see {self.prog} --help)\n")
+        """Print a message, which may quote any argument, in one line and exit with the code of bad input."""
+        say(printable(f"{self.prog}: {message} (see {self.prog} --help)", MAX_MESSAGE), file=sys.stderr)
+        self.exit(BAD_INPUT)
 
 
 def add_command(commands: Commands, name: str, handler: Handler, text: str) -> Parser:

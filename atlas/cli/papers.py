@@ -10,6 +10,7 @@ import textwrap
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+from ..errors import say
 from ..validation.text_table import text_table
 from .options import DONE, FIGURES, Commands, add_command, force_option, out_option, output_folder
 
@@ -41,18 +42,18 @@ def _conditions(options: argparse.Namespace) -> int:
         if not options.errata:
             content["families"] = families
         content["printed"] = catalogue.published(system, options.family, options.errata)
-        print(json.dumps(content, indent=1, ensure_ascii=False))
+        say(*json.dumps(content, indent=1).split("\n"))
         return DONE
     rows = catalogue.published(system, options.family, errata=True) if options.errata else families
     if options.csv:
         _print_csv(rows)
     elif options.errata:
         _print_errata(rows)
-        print(f"{len(rows)} equations differ; {system.reference}")
+        say(f"{len(rows)} equations differ; {system.reference}")
     elif options.family is not None:
         _print_family(rows[0])
     elif not families:
-        print(f"the system {system.name} has no families of steady motions: theory predicts nothing of it")
+        say(f"the system {system.name} has no families of steady motions: theory predicts nothing of it")
     else:
         _print_catalogue(families, catalogue.published(system), system.reference)
     return DONE
@@ -71,13 +72,13 @@ def _print_csv(rows: Sequence[Mapping[str, Any]]) -> None:
 def _print_errata(rows: Sequence[Mapping[str, Any]]) -> None:
     """Print the equations that are wrong as printed."""
     for row in rows:
-        print(f"{row['equation']}  {row['family']}".rstrip() + f": {row['verdict']}")
-        print(f"  printed: {row['printed']}\n  true:    {row['true']}")
+        say(f"{row['equation']}  {row['family']}".rstrip() + f": {row['verdict']}")
+        say(f"  printed: {row['printed']}", f"  true:    {row['true']}")
         if row["measure"]:
             printed, true = _residual(row["residual_printed"]), _residual(row["residual_true"])
-            print(f"  residual as printed {printed}, as true {true}: {row['measure']}")
+            say(f"  residual as printed {printed}, as true {true}: {row['measure']}")
         if row["effect"]:
-            print(f"  {row['effect']}")
+            say(f"  {row['effect']}")
 
 
 def _print_family(row: Mapping[str, Any]) -> None:
@@ -85,7 +86,7 @@ def _print_family(row: Mapping[str, Any]) -> None:
     for key, value in row.items():
         text = _residual(value) if key.startswith("residual") else value
         lines = text if isinstance(text, list) else textwrap.wrap(text, 100)
-        print(key.replace("_", " "), *(lines or ["-"]), sep="\n    ")
+        say(key.replace("_", " "), *(f"    {line}" for line in lines or ["-"]))
 
 
 def _print_catalogue(
@@ -100,13 +101,14 @@ def _print_catalogue(
     for row in families:
         solves_for = " ".join(row["solves_for"]) or "-"
         rows.append((row["family"], row["equations"], solves_for, *residuals(row), row["motion"]))
-    print(text_table(rows))
+    say(*text_table(rows).split("\n"))
     rows = [("equation", "family", "as printed", "as true", "verdict")]
     rows += [(row["equation"], row["family"] or "-", *residuals(row), row["verdict"]) for row in published]
-    print(f"\n{reference}:\n{text_table(rows)}")
-    print(
+    say("", f"{reference}:", *text_table(rows).split("\n"))
+    say(
         "as printed, as true: residual of the two readings at random parameters (of a family: the largest of its"
-        " equations);\n--errata lists what differs, --family NAME gives conditions and formulas"
+        " equations);",
+        "--errata lists what differs, --family NAME gives conditions and formulas",
     )
 
 
@@ -145,7 +147,7 @@ def _figures(options: argparse.Namespace) -> int:
 
     if options.table:
         rows, claims = amer2013.amplitudes_and_claims()
-        print("\n\n".join([text_table(rows), *claims]))
+        say(*"\n\n".join([text_table(rows), *claims]).split("\n"))
         return DONE
     figures = [amer2013.paper_figure(number) for number in options.only or amer2013.NUMBERS]
     kinds = options.format or ["png", "pdf"]
@@ -156,5 +158,5 @@ def _figures(options: argparse.Namespace) -> int:
         paths = [folder / f"figure_{figure.number:02d}.{kind}" for kind in kinds]
         for path in paths:
             save(fig, path)
-        print(f"wrote {' and '.join(map(str, paths))}: {figure.caption}")
+        say(f"wrote {' and '.join(map(str, paths))}: {figure.caption}")
     return DONE

@@ -6,6 +6,7 @@ import argparse
 import json
 from pathlib import Path
 
+from ..errors import say
 from ..files import writable
 from .options import DONE, Commands, add_command, force_option, out_option
 
@@ -26,11 +27,11 @@ def _schema(options: argparse.Namespace) -> int:
     """Run the command `schema`; returns its exit code."""
     from ..scene.schema import scene_schema
 
-    text = json.dumps(scene_schema(), indent=2, ensure_ascii=False)
+    text = json.dumps(scene_schema(), indent=2)
     if options.out is None:
-        print(text)
+        say(*text.split("\n"))
         return DONE
     path: Path = writable(options.out, (".json",), force=options.force)
     path.write_text(text + "\n", encoding="utf-8")
-    print(f"wrote {path}")
+    say(f"wrote {path}")
     return DONE

@@ -16,6 +16,7 @@ from ..io import netcdf, provenance
 from ..io.progress import Progress
 from ..io.provenance import log_warnings
 from ..scene import grid
+from ..scene.checks import MAX_THREADS, texts, typed, whole_number
 from ..scene.model import DEFAULTS, Duration, Settings
 from ..scene.read import check_std_tolerance, check_unit, parse_duration
 from ..scene.tables import kept_columns, number_column, point_columns, table
@@ -27,6 +28,7 @@ from .pipeline import evaluate, hash_of_kernels
 MORE_SETTINGS = ("cylinder_tolerance", "std_tolerance", "drift_tolerance", "max_steps", "check_half_step")
 
 
+@typed
 def label_points(
     system: str,
     points: Any,
@@ -94,7 +96,8 @@ def label_points(
         raise BadInput(f"{key}: unknown option of label_points; {allowed_text(key, MORE_SETTINGS)}")
     settings = Settings(method=method, tolerance=tolerance, step=step, rate_tolerance=rate_tolerance, **more)
     check_std_tolerance(description, settings.std_tolerance)
-    outputs = _outputs(description, variables)
+    whole_number("threads", 1 if threads is None else threads, 1, MAX_THREADS)
+    outputs, keep = _outputs(description, variables), texts("keep", keep)
     source = table(points, {*description.parameters, *keep})
     kept = kept_columns(description, source, keep)
     _check_names(kept, outputs)
@@ -129,7 +132,7 @@ def _outputs(system: System, variables: Sequence[str] | None) -> list[str]:
     registry = variable_registry(system)
     if variables is None:
         return default_variables(system)
-    for name in variables:
+    for name in (variables := texts("variables", variables)):
         if name not in registry:
             raise BadInput(f"variables: {shown(name)} is unknown; {allowed_text(name, registry)}")
     return [name for name in registry if name in variables]

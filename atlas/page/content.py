@@ -13,10 +13,10 @@ from matplotlib import rcParams
 from matplotlib.colors import to_hex
 
 from ..analysis.boundary import theory_lines
-from ..analysis.metadata import axes_of, flag_names, is_averaged, system_of
+from ..analysis.metadata import axes_of, flag_names, is_averaged, map_variable, system_of
 from ..analysis.theory_borders import EXISTENCE, STABILITY
 from ..engine.tableaux import METHODS
-from ..errors import MAX_MESSAGE, MAX_TEXT, BadInput, printable
+from ..errors import MAX_MESSAGE, MAX_TEXT, BadInput, attribute_text, printable
 from ..flags import Regularity
 from ..plotting import exponents, overlay
 from ..plotting import text as figure_text
@@ -72,15 +72,16 @@ class Content:
         if "computed" in self.ds and not self.layout.points:
             self.notes.append("Between the points that were integrated: the value of the nearest one.")
         return {
-            "title": printable(str(attributes.get("title", "Atlas")), MAX_TEXT),
+            "title": attribute_text(attributes, "title", "Atlas"),
             "system": self.system.title,
             "frame": "" if self.system.observables else self.system.frame,
-            "reference": printable(str(attributes.get("references", "")), MAX_MESSAGE),
+            "reference": attribute_text(attributes, "references", limit=MAX_MESSAGE),
             "caption": figure_text.caption(self.layout.whole) if not self.layout.points else "",
             "notes": [runs(note) for note in self.notes],
             "points": self.layout.points,
             "shape": self.layout.shape,
             "axes": axes,
+            "variable": map_variable(self.layout.whole),
             "map": [self.layout.axes.index(dim) if self.layout.points else self.layout.dims.index(dim)
                     for dim in self.layout.axes],
             "variables": variables,
@@ -93,8 +94,8 @@ class Content:
 
     def axis(self, dim: str) -> dict[str, Any]:
         """An axis of the atlas."""
-        label = figure_text.axis_label(self.ds, dim)[:MAX_TEXT]
-        symbol = figure_text.axis_label(self.ds, dim, unit=False)[:MAX_TEXT]
+        label = figure_text.axis_label(self.ds, dim)
+        symbol = figure_text.axis_label(self.ds, dim, unit=False)
         if dim in self.system.parameters:
             symbol = self.system.parameters[dim].symbol or dim
         attributes = self.ds[dim].attrs
@@ -103,8 +104,8 @@ class Content:
             "label": runs(label),
             "plain": plain(label),
             "symbol": _before_equals(runs(symbol)),
-            "text": printable(str(attributes.get("long_name", dim)), MAX_TEXT),
-            "unit": runs(figure_text.unit_text(printable(str(attributes.get("units", "")), MAX_TEXT))),
+            "text": attribute_text(attributes, "long_name", dim),
+            "unit": runs(figure_text.unit_text(attribute_text(attributes, "units"))),
             "values": np.asarray(self.ds[dim].values, np.float64).tolist(),
             "log": self.layout.is_log(dim),
         }
@@ -115,6 +116,7 @@ class Content:
             str(name)
             for name, coordinate in self.ds.coords.items()
             if coordinate.dims == ("point",) and coordinate.dtype.kind in "iuf" and name not in self.layout.axes
+            and printable(str(name), MAX_TEXT) == name
             and np.unique(coordinate.values[np.isfinite(coordinate.values)]).size > 1 and name != "point"
         ]  # fmt: skip
         return [self.axis(name) | {"values": _finite_list(self.ds[name].values)} for name in names]
@@ -125,8 +127,9 @@ class Content:
         for name, array in self.ds.data_vars.items():
             usable = (
                 set(array.dims) <= set(self.layout.dims)
-                and array.dtype.kind in "iuf"
+                and array.dtype.kind in "biuf"
                 and not is_averaged(array)
+                and printable(str(name), MAX_TEXT) == name
             )
             if usable and array.dims:
                 shown.append(self.variable(str(name)))
@@ -139,7 +142,7 @@ class Content:
         array = self.ds[name]
         flags = flag_names(array)
         values = self.over_points(self.filled(name))
-        label = figure_text.variable_label(array)[:MAX_TEXT]
+        label = figure_text.variable_label(array)
         group = (
             "theory"
             if name in THEORY or name in self.system.derived
@@ -151,8 +154,8 @@ class Content:
             "name": name,
             "label": runs(label),
             "plain": plain(label),
-            "text": printable(str(array.attrs.get("long_name", "")), MAX_TEXT),
-            "comment": printable(str(array.attrs.get("comment", "")), MAX_MESSAGE),
+            "text": attribute_text(array.attrs, "long_name"),
+            "comment": attribute_text(array.attrs, "comment", limit=MAX_MESSAGE),
             "group": group,
             "lines": self.lines_of(name),
         }

@@ -284,13 +284,6 @@ function addListeners() {
   }).observe(byId("frame"));
 }
 
-// The label, or the first flags that differ on the map where all labels are the same.
-function firstVariable() {
-  const label = data.variables.find((each) => each.name === "label");
-  const flags = [label, ...data.variables].filter((each) => each?.flags && each.values.over.length);
-  return flags[0] || label || data.variables[0];
-}
-
 async function start() {
   applyTheme();
   byId("subtitle").textContent = data.frame ? `${data.system}, motion in the ${data.frame} frame` : data.system;
@@ -303,7 +296,7 @@ async function start() {
     return;
   }
   arrays = await Promise.all(data.arrays.map(unpack));
-  state.variable = firstVariable();
+  state.variable = data.variables.find((each) => each.name === data.variable) || data.variables[0];
   buildVariables();
   buildAxisMenus();
   buildSliders();

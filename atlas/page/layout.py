@@ -60,7 +60,7 @@ class Layout:
 
     def is_log(self, dim: str) -> bool:
         """Whether an axis is spaced evenly in its logarithm."""
-        return self.scene is not None and is_logarithmic(self.scene, dim)
+        return is_logarithmic(self.scene, dim, self.ds[dim].values)
 
     def slices(self) -> Iterator[tuple[tuple[int, ...], xr.Dataset]]:
         """Each map: its indices along the further axes, and the part of the atlas that it shows."""

@@ -16,7 +16,7 @@ from ..engine.ensemble import Ensemble
 from ..engine.simplify import simplify
 from ..engine.stepsize import StepSizes
 from ..engine.tableaux import METHODS
-from ..errors import BadInput
+from ..errors import BadInput, attribute_text
 from ..scene import grid
 from ..scene.model import DEFAULTS, Duration, Scene, Settings
 from ..systems import arithmetic
@@ -183,7 +183,7 @@ def _single_points(
         parameters[name] = np.broadcast_to(np.asarray(values, np.float64), shape).ravel()
     step = number_attribute(ds, "atlas_step")
     settings = Settings(
-        method=ds.attrs.get("atlas_method", ""),
+        method=attribute_text(ds.attrs, "atlas_method"),
         step=step if math.isfinite(step) else None,
         tolerance=DEFAULTS.tolerance if math.isfinite(step) else number_attribute(ds, "atlas_tolerance"),
         rate_tolerance=number_attribute(ds, "atlas_rate_tolerance"),

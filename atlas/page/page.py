@@ -16,11 +16,13 @@ from typing import Any
 import xarray as xr
 from matplotlib import rc_context
 
-from ..analysis.metadata import scene_of, system_of
-from ..errors import BadInput
+from ..analysis.metadata import map_variable, scene_of, system_of
+from ..engine.tableaux import METHODS
+from ..errors import BadInput, attribute_text
 from ..files import atomic_write, writable
 from ..plotting.maps import atlas_map
 from ..plotting.style import STYLE
+from ..scene import checks
 from .content import Content
 from .layout import MAX_BYTES, MAX_POINTS, Layout, layout
 from .motion import sources
@@ -118,7 +120,8 @@ def atlas_page(ds: xr.Dataset, *, file: str = "", max_points: int = MAX_POINTS) 
 def _equations(ds: xr.Dataset) -> tuple[str, str]:
     """The equations of an atlas in JavaScript, and why there are none; one of the two texts is empty."""
     scene, system = scene_of(ds), system_of(ds)
-    method = scene.settings.method if scene is not None else str(ds.attrs.get("atlas_method", ""))
+    method = attribute_text(ds.attrs, "atlas_method") if scene is None else scene.settings.method
+    checks.choice("damaged: the attribute atlas_method", method, METHODS)
     try:
         texts = sources(system, method)
         return f"{translate(texts)}\nreturn {{{', '.join(texts)}}};", ""
@@ -139,9 +142,8 @@ def _motion(content: Content, fault: str) -> dict[str, Any]:
 def _fallback(shown: Layout) -> str:
     """A picture of the map for readers without scripts, as a data address."""
     middle = {dim: float(shown.ds[dim][shown.ds.sizes[dim] // 2]) for dim in shown.further}
-    name = "label" if "label" in shown.ds else next(iter(map(str, shown.ds.data_vars)))
     buffer = io.BytesIO()
-    figure = atlas_map(shown.ds, name, select=middle or None, width="page")
+    figure = atlas_map(shown.ds, map_variable(shown.whole), select=middle or None, width="page")
     with rc_context(STYLE):
         figure.savefig(buffer, format="png", dpi=FALLBACK_DPI)
     return "data:image/png;base64," + base64.b64encode(buffer.getvalue()).decode("ascii")

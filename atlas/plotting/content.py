@@ -19,7 +19,7 @@ from ..analysis.metadata import axes_of, flag_names, is_averaged
 from ..analysis.plane import Plane
 from ..analysis.theory_borders import EXISTENCE, STABILITY
 from ..analysis.theory_curves import family_curves
-from ..errors import BadInput
+from ..errors import BadInput, attribute_text
 from ..flags import Label, Stability
 from ..scene.model import Scene
 from ..systems.base import Mask
@@ -80,7 +80,11 @@ def panel_of(ds: xr.Dataset, name: str, dims: list[str], scene: Scene | None, bo
         In memory.
     """
     order = dims[::-1]
-    needed = [n for n in _NEEDED if n in ds and set(ds[n].dims) == set(dims) and not is_averaged(ds[n])]
+    needed = [
+        n
+        for n in _NEEDED
+        if n in ds and set(ds[n].dims) == set(dims) and not is_averaged(ds[n]) and ds[n].dtype != bool
+    ]
     ds = ds[[*needed, name]].transpose(*order).load()
     white = _white(ds, name, dims, scene)
     array = _without_gaps(ds, name)
@@ -113,7 +117,11 @@ def _white(ds: xr.Dataset, name: str, dims: list[str], scene: Scene | None) -> d
     array = ds[name]
     flags = flag_names(array)
     if flags:
-        if name in ("status", "computed") or ("not_computed" not in flags and "label" not in ds):
+        if (
+            array.dtype == bool
+            or name in ("status", "computed")
+            or ("not_computed" not in flags and "label" not in ds)
+        ):
             return {}  # the flags of these variables state the reason
         source = array if "not_computed" in flags else ds["label"]
         missing = source.values == Label.NOT_COMPUTED
@@ -150,7 +158,7 @@ def is_unfinished(ds: xr.Dataset) -> bool:
 
 def tiles_done(ds: xr.Dataset) -> tuple[int, int] | None:
     """Tiles written and tiles of the whole run of an unfinished atlas; None for a finished one."""
-    match = re.match(r"(\d+) of (\d+) tiles", str(ds.attrs.get("atlas_run", "")))
+    match = re.match(r"(\d+) of (\d+) tiles", attribute_text(ds.attrs, "atlas_run"))
     if match is None or int(match[1]) >= int(match[2]):
         return None
     return int(match[1]), int(match[2])

@@ -12,9 +12,9 @@ from matplotlib.axes import Axes
 from matplotlib.colors import Colormap
 from matplotlib.figure import Figure
 
-from ..analysis.metadata import flag_names, is_logarithmic, scene_of, system_of
+from ..analysis.metadata import flag_names, is_logarithmic, map_variable, scene_of, system_of
 from ..analysis.select import nearest_on_axes, plane_of
-from ..errors import BadInput
+from ..errors import BadInput, attribute_text
 from . import text
 from .cells import draw_values, edges_of, set_axis
 from .content import panel_of, tiles_done
@@ -85,8 +85,8 @@ def atlas_map(
         size,
         dpi,
     )
-    name = "label" if variable is None else variable
-    if name not in ds.data_vars:
+    name = map_variable(ds) if variable is None else variable
+    if name not in list(ds.data_vars):
         raise BadInput(f"{name}: not a variable of this atlas; allowed: {', '.join(map(str, ds.data_vars))}")
     style = nullcontext() if ax is not None else rc_context(STYLE)
     with style:
@@ -109,6 +109,7 @@ def _draw_map(
     caption: bool,
 ) -> Figure:
     """Draw a variable over its axes."""
+    ds = ds.drop_dims(set(ds.dims) - set(ds[name].dims))  # over which the variable was averaged
     plane, dims, panel_dim = plane_of(ds, x, y, select)
     options.check_for(ds[name], dims)
     if panel_dim is not None and options.ax is not None:
@@ -132,7 +133,7 @@ def _draw_map(
     figure, axes = sheet.figure(entries, notes)
     scale, image = color_scale(array, options), None
     variable_text = options.text(name, text.variable_label(array))
-    log = [scene is not None and is_logarithmic(scene, dim) for dim in dims]
+    log = [is_logarithmic(scene, dim, plane[dim].values) for dim in dims]
     for part, panel, ax in zip(parts, panels, axes, strict=True):
         edges = edges_of(panel.array, dims, log)
         image = draw_values(ax, panel.array, edges, scale, variable_text)
@@ -173,5 +174,5 @@ def _notes(ds: xr.Dataset, caption: bool, select: Mapping[str, float]) -> list[s
 def _panel_title(panel: xr.Dataset, dim: str) -> str:
     """Symbol, value and unit of the axis of the panels."""
     value = f"{float(panel[dim]):.4g}".replace("-", "\N{MINUS SIGN}")
-    unit = text.unit_text(str(panel[dim].attrs.get("units", "")))
+    unit = text.unit_text(attribute_text(panel[dim].attrs, "units"))
     return text.drawable(f"{text.axis_label(panel, dim, unit=False)} = {value} {unit}".strip())

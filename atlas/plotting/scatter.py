@@ -115,7 +115,7 @@ def _is_logarithmic(column: np.ndarray) -> bool:
 
 def _draw_dots(ax: Axes, columns: list[np.ndarray], array: xr.DataArray, scale: ColorScale) -> ScalarMappable:
     """Draw the points, those with rare flags above the others."""
-    values = array.values
+    values = array.values.astype(np.int8) if array.dtype == bool else array.values
     order = np.arange(values.size)
     if flag_names(array):
         order = np.argsort(-np.bincount(values, minlength=1)[values], kind="stable")

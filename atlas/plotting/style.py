@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Iterable
 from pathlib import Path
 from typing import Any, Literal
@@ -11,14 +12,15 @@ from matplotlib import colormaps, rc_context
 from matplotlib.colors import to_hex
 from matplotlib.figure import Figure
 
-from ..errors import BadInput
 from ..files import atomic_write, writable
+from ..scene.checks import choice
 
 Width = Literal["column", "page"]
 WIDTHS = {"column": 88.0, "page": 180.0}  # mm, one and two columns of a journal
 FORMATS = (".png", ".pdf", ".svg")
+FONT = "DejaVu Sans"  # comes with Matplotlib: the same everywhere
 STYLE: dict[Any, Any] = {
-    "font.family": ["DejaVu Sans"],  # comes with matplotlib: the same everywhere
+    "font.family": [FONT],
     "mathtext.fontset": "dejavusans",
     "font.size": 8,
     "axes.labelsize": 8,
@@ -59,6 +61,8 @@ COLOURS = {
     "linearly_stable": "#1f4a36",
     "yes": "#1b6ca8",
     "no": "#e0892b",
+    "false": "#a8d8f0",
+    "true": "#1b6ca8",
 }
 # Flags for which one colour map from blue to yellow has enough shades.
 MAX_EVEN_SHADES = 11
@@ -101,7 +105,7 @@ class PrintFigure(Figure):
     """A figure that `savefig` writes in the style of this module and at the resolution of the figure."""
 
     def savefig(self, fname: Any, **options: Any) -> None:
-        """Write the figure, with the options of Matplotlib.
+        """Write the figure, with the options of Matplotlib; letters that FONT does not have are drawn as boxes.
 
         Parameters
         ----------
@@ -110,14 +114,14 @@ class PrintFigure(Figure):
         **options : Any
             As of `matplotlib.figure.Figure.savefig`.
         """
-        with rc_context(STYLE):
+        with rc_context(STYLE), warnings.catch_warnings():
+            warnings.filterwarnings("ignore", "Glyph .* missing from")
             super().savefig(fname, **{"dpi": self.dpi} | options)
 
 
 def check_width(width: str) -> None:
     """Raise BadInput unless the width is one of WIDTHS."""
-    if width not in WIDTHS:
-        raise BadInput(f"width = {width!r}: allowed: {', '.join(WIDTHS)}")
+    choice("width", width, WIDTHS)
 
 
 def save(figure: Figure, path: str | Path, dpi: float | None = None) -> None:

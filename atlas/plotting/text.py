@@ -7,13 +7,14 @@ import re
 from collections.abc import Mapping
 
 import xarray as xr
+from matplotlib.font_manager import findfont, get_font
 from matplotlib.mathtext import MathTextParser
 
-from ..analysis.metadata import axes_of, scene_of, system_of
-from ..errors import MAX_TEXT, printable
+from ..analysis.metadata import axes_of, number_attribute, scene_of, system_of
+from ..errors import MAX_MESSAGE, attribute_text, printable
 from ..scene.model import Scene
 from ..systems.base import System
-from .style import SYMBOLS
+from .style import FONT, SYMBOLS
 
 _PARSER = MathTextParser("path")
 STATISTICS = {"mean": "mean", "rms": "rms", "std": "standard deviation of", "min": "least", "max": "largest"}
@@ -22,7 +23,7 @@ STATISTICS = {"mean": "mean", "rms": "rms", "std": "standard deviation of", "min
 def axis_label(ds: xr.Dataset, dim: str, *, unit: bool = True) -> str:
     """Symbol and unit of an axis: those of the registry, or the long_name and units that the scene gave."""
     system, attributes = system_of(ds), ds[dim].attrs
-    text = str(attributes.get("long_name", dim))
+    text = attribute_text(attributes, "long_name", dim)
     stem = dim.removesuffix("_offset")
     if dim in system.parameters and text == system.parameters[dim].meaning:
         text = _symbol(dim, system)
@@ -30,25 +31,31 @@ def axis_label(ds: xr.Dataset, dim: str, *, unit: bool = True) -> str:
         text = f"{_symbol(stem, system)}, offset from the family"
     else:
         text = math_text(text, {name: p.symbol for name, p in system.parameters.items()})
-    units = unit_text(str(attributes.get("units", "")))
+    units = unit_text(attribute_text(attributes, "units"))
     return drawable(f"{text} ({units})" if unit and units else text)
 
 
 def drawable(text: str) -> str:
-    """The text, with the dollar signs of each line escaped that Matplotlib cannot read as one with formulas.
+    """A text as a figure draws it; every text that is not the program's own passes this function.
 
-    Texts of a file that is not trusted need this: Matplotlib raises errors where a formula is not one.
+    Its lines are `printable` and at most MAX_MESSAGE characters long, and the dollar signs of a line are escaped that
+    Matplotlib cannot read as one with formulas: it raises errors where a formula is not one.
     """
-    return "\n".join(map(_drawable_line, text.split("\n")))
+    return "\n".join(_drawable_line(printable(line, MAX_MESSAGE)) for line in text.split("\n"))
 
 
 def _drawable_line(line: str) -> str:
     """One line of `drawable`: Matplotlib sets each line of a text by itself."""
+    if "$" not in line:
+        return line
+    font = get_font(findfont(FONT))
     try:
-        _PARSER.parse(line)
+        if all(font.get_char_index(ord(letter)) for letter in line):
+            _PARSER.parse(line)
+            return line
     except (ValueError, RecursionError):
-        return line.replace("$", r"\$")
-    return line
+        pass
+    return line.replace("$", r"\$")
 
 
 def math_text(text: str, symbols: Mapping[str, str]) -> str:
@@ -115,7 +122,7 @@ def _in_words(word: str, symbols: Mapping[str, str]) -> str:
 
 def variable_label(array: xr.DataArray) -> str:
     """Short name and unit of a variable: a statistic of a symbol, or the words of its name."""
-    name, units = str(array.name), unit_text(str(array.attrs.get("units", "")))
+    name, units = str(array.name), unit_text(attribute_text(array.attrs, "units"))
     stem, _, statistic = name.rpartition("_")
     text = f"{STATISTICS[statistic]} {SYMBOLS[stem]}" if stem in SYMBOLS else name.replace("_", " ")
     return drawable(f"{text} ({units})" if units else text)
@@ -149,29 +156,30 @@ def caption(ds: xr.Dataset) -> str:
     """
     system, scene, attributes = system_of(ds), scene_of(ds), ds.attrs
     sentences = [
-        f"{printable(str(attributes.get('title', 'Atlas')), MAX_TEXT)}: {system.title}"
+        f"{attribute_text(attributes, 'title', 'Atlas')}: {system.title}"
         + ("." if system.observables else f", motion in the {system.frame} frame.")
     ]
     if scene is not None:
         sentences += _scene_sentences(ds, scene)
-    step = attributes.get("atlas_step", math.nan)
+    step = number_attribute(ds, "atlas_step")
     accuracy = (
         f"step {step:g}"
         if math.isfinite(step)
-        else f"phase tolerance {attributes.get('atlas_tolerance'):g} rad"
+        else f"phase tolerance {number_attribute(ds, 'atlas_tolerance'):g} rad"
     )
     tolerances = (
         ""
         if system.observables
-        else f"; rates count as constant within {attributes.get('atlas_rate_tolerance'):g} rad per time unit, the third axis"
-        f" as vertical within {attributes.get('atlas_cylinder_tolerance'):g} rad"
+        else f"; rates count as constant within {number_attribute(ds, 'atlas_rate_tolerance'):g} rad per time unit, the third axis"
+        f" as vertical within {number_attribute(ds, 'atlas_cylinder_tolerance'):g} rad"
     )
     sentences += [
-        f"Integrated by {attributes.get('atlas_method')}, {accuracy}{tolerances}.",
-        f"Computed with Precession Atlas {attributes.get('atlas_version')}"
-        f" (kernel {attributes.get('atlas_kernel_hash')}); equations: {attributes.get('references')}.",
+        f"Integrated by {attribute_text(attributes, 'atlas_method')}, {accuracy}{tolerances}.",
+        f"Computed with Precession Atlas {attribute_text(attributes, 'atlas_version')}"
+        f" (kernel {attribute_text(attributes, 'atlas_kernel_hash')});"
+        f" equations: {attribute_text(attributes, 'references', limit=MAX_MESSAGE)}.",
     ]
-    return " ".join(sentences)
+    return printable(" ".join(sentences))
 
 
 def _scene_sentences(ds: xr.Dataset, scene: Scene) -> list[str]:

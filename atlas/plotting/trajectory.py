@@ -14,7 +14,7 @@ from matplotlib.lines import Line2D
 from matplotlib.ticker import MaxNLocator, ScalarFormatter
 
 from ..analysis.metadata import system_of
-from ..errors import BadInput
+from ..errors import BadInput, attribute_text
 from ..systems.base import Observable
 from .style import COLOURS, STYLE, SYMBOLS, WIDTHS, Width, check_width
 from .text import unit_text
@@ -101,7 +101,7 @@ def _figure_of_observables(tr: xr.Dataset, observables: Sequence[Observable], wi
             ax.yaxis.set_major_formatter(_Formatter(useMathText=True))
             ax.ticklabel_format(axis="y", scilimits=(-2, 4))
             ax.tick_params(length=2.5)
-        panels[-1].set_xlabel(f"time ({unit_text(str(tr['time'].attrs.get('units', 's')))})")
+        panels[-1].set_xlabel(f"time ({unit_text(attribute_text(tr['time'].attrs, 'units', 's'))})")
         panels[-1].set_xlim(tr["time"].values[0], tr["time"].values[-1])
         figure.align_ylabels()
     return figure
@@ -122,7 +122,7 @@ def _draw_time_series(figure: SubFigure, tr: xr.Dataset) -> None:
     for name, colour, dashes in zip(RATES, LINE_COLOURS, ("-", "--", ":", "-."), strict=True):
         rate_ax.plot(time, tr[name].values, color=colour, linestyle=dashes, label=SYMBOLS[name])
     rate_ax.set_ylabel("rates (rad s$^{-1}$)")
-    rate_ax.set_xlabel(f"time ({unit_text(str(tr['time'].attrs.get('units', 's')))})")
+    rate_ax.set_xlabel(f"time ({unit_text(attribute_text(tr['time'].attrs, 'units', 's'))})")
     rate_ax.set_xlim(time[0], time[-1])
     magnitude = np.abs(np.concatenate([tr[name].values for name in RATES]))
     quantile = float(np.nanquantile(magnitude, 0.9))

@@ -29,7 +29,7 @@ import netCDF4
 import numpy as np
 import xarray as xr
 
-from ..errors import MAX_TEXT, BadInput, printable
+from ..errors import MAX_MESSAGE, MAX_TEXT, BadInput, printable
 from ..files import (
     atomic_write,
     check_folder,
@@ -242,7 +242,7 @@ class RunFolder:
             lines.append(
                 f"{points_left} points left, no process is at work; `atlas run` with its scene continues"
             )
-        return "\n".join(lines)
+        return "\n".join(printable(line, MAX_MESSAGE) for line in lines)
 
     def dataset(self) -> xr.Dataset:
         """The atlas as far as it is computed.

@@ -11,8 +11,10 @@ from ..errors import BadInput
 from ..files import one_line
 from ..io import zarr_store
 from ..io.checksums import CheckedStore
+from ..scene.checks import typed
 
 
+@typed
 def open_atlas(path: str | Path) -> xr.Dataset:
     """Open an atlas lazily.
 

@@ -14,7 +14,7 @@ import xarray as xr
 from scipy.ndimage import maximum_filter, minimum_filter
 
 from ..engine.compiling import Stopwatch
-from ..errors import BadInput
+from ..errors import BadInput, say
 from ..flags import Stability
 from ..io import netcdf
 from ..io.provenance import scene_provenance
@@ -79,7 +79,7 @@ def refined(
         fine.refine_to(level)
         if progress:
             line = f"level {level} of {scene.refine.levels}: {fine.n_integrated} of {fine.n_existing} points"
-            print(f"{line} ({100 * fine.n_integrated / fine.n_existing:.2f} %)", file=sys.stderr)
+            say(f"{line} ({100 * fine.n_integrated / fine.n_existing:.2f} %)", file=sys.stderr)
     fine.trace_predicted_boundary()
     probe_points, probe_missed = fine.probe(scene.refine.probe)
     ds = fine.dataset()

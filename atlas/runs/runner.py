@@ -17,7 +17,7 @@ import xarray as xr
 from .. import systems
 from ..engine import blocks
 from ..engine.compiling import Stopwatch, announced
-from ..errors import BadInput
+from ..errors import BadInput, shown
 from ..files import check_name, exists_message, writable
 from ..interruption import explain_kept
 from ..io import checksums, netcdf
@@ -26,6 +26,7 @@ from ..io.provenance import log_warnings, scene_provenance
 from ..label import regularity
 from ..label.pipeline import evaluate_tile, scene_kernel_hash
 from ..scene import grid
+from ..scene.checks import MAX_THREADS, typed, whole_number
 from ..scene.model import Scene
 from ..scene.read import load_scene
 from ..validation import half_step
@@ -60,16 +61,16 @@ class _Execution:
             raise BadInput("threads are for a run without scheduler and workers, which run one thread each")
         if self.scheduler and self.workers:
             raise BadInput("scheduler and workers are both given; a run has one of them")
-        if self.workers is not None and self.workers < 1:
-            raise BadInput(f"workers = {self.workers}: must be at least 1")
-        if self.shard is not None and not 1 <= self.shard[0] <= self.shard[1]:
-            part, parts = self.shard
-            parts_allowed = max(parts, 1)
-            raise BadInput(
-                f"shard {part}/{parts}: allowed: 1/{parts_allowed} to {parts_allowed}/{parts_allowed}"
-            )
+        for name, value in (("threads", self.threads), ("workers", self.workers)):
+            if value is not None:
+                whole_number(name, value, 1, MAX_THREADS)
+        if self.shard is not None:
+            if len(self.shard) != 2:
+                raise BadInput(f"shard = {shown(self.shard)}: must be (i, n)")
+            whole_number("shard: i", self.shard[0], 1, whole_number("shard: n", self.shard[1], 1))
 
 
+@typed
 def run(
     scene: Scene | str | Path,
     out: str | Path | None = None,

@@ -3,11 +3,17 @@
 from __future__ import annotations
 
 import dataclasses
+import functools
+import inspect
 import math
+import os
 import re
 from collections.abc import Callable, Collection, Iterable, Mapping
 from functools import partial
+from numbers import Integral, Real
 from typing import Any, Generic, TypeVar
+
+import numpy as np
 
 from ..errors import BadInput, allowed_text, shown
 from ..systems.base import Parameter
@@ -15,6 +21,7 @@ from .expressions import RESERVED
 
 # Characters of a name that a scene makes up.
 MAX_NAME = 60
+MAX_THREADS = 1024  # and processes, of a run
 # Numbers in a list of a scene.
 MAX_LISTED_NUMBERS = 200_000
 
@@ -86,10 +93,10 @@ def fraction(key: str, value: object) -> float:
 
 def whole_number(key: str, value: object, low: int, high: float = math.inf) -> int:
     """The value, if it is an integer (not a Boolean) from low to high."""
-    if isinstance(value, bool) or not isinstance(value, int) or not low <= value <= high:
+    if isinstance(value, bool) or not isinstance(value, int | np.integer) or not low <= value <= high:
         allowed = f", at least {low}" if high == math.inf else f" from {low} to {high}"
         raise BadInput(f"{key} = {shown(value)}: must be a whole number{allowed}")
-    return value
+    return int(value)
 
 
 def whole(low: int, high: int) -> Check[int]:
@@ -129,7 +136,7 @@ def one_of(allowed: Collection[str]) -> Check[str]:
 @accepts(anyOf=[text.schema, {"type": "array", "items": text.schema}])
 def texts(key: str, value: object) -> tuple[str, ...]:
     """The value as a tuple of strings, if it is a string or a list of strings."""
-    if isinstance(value, list | tuple) and all(isinstance(item, str) for item in value):
+    if isinstance(value, list | tuple | set | frozenset) and all(isinstance(item, str) for item in value):
         return tuple(text(key, item) for item in value)
     if not isinstance(value, str):
         raise BadInput(f"{key} = {shown(value)}: must be a string or a list of strings")
@@ -186,6 +193,53 @@ def check_range(parameter: Parameter, key: str, low: float, high: float) -> None
         raise BadInput(
             f"{key} = {low if below else high:g}: allowed: {parameter.name} {limit} ({parameter.meaning})"
         )
+
+
+# Types in the annotations of public functions: the classes of their values, and the name for a message.
+_TYPES: dict[str, tuple[tuple[type, ...], str]] = {
+    "None": ((type(None),), "None"),
+    "str": ((str,), "a text"),
+    "bool": ((bool, np.bool_), "true or false"),
+    "int": ((Integral,), "a whole number"),
+    "float": ((Real,), "a number"),
+    "Mapping": ((Mapping,), "a mapping"),
+    "dict": ((Mapping,), "a mapping"),
+    "tuple": ((tuple, list), "a tuple"),
+    "Path": ((os.PathLike,), "a path"),
+}
+Annotated = TypeVar("Annotated", bound=Callable[..., Any])
+
+
+def typed(target: Annotated) -> Annotated:
+    """A public function, or a class with all of its public methods, that raises BadInput for arguments of wrong types.
+
+    Arguments whose annotation has another type than _TYPES are left to the function.
+    """
+    if isinstance(target, type):
+        for name, method in vars(target).copy().items():
+            if inspect.isfunction(method) and not name.startswith("_"):
+                setattr(target, name, typed(method))
+        return target
+    signature = inspect.signature(target)
+    allowed = {}
+    for name, parameter in signature.parameters.items():
+        types = re.sub(r"\[.*\]", "", str(parameter.annotation)).split(" | ")
+        if parameter.kind is not parameter.VAR_KEYWORD and set(types) <= set(_TYPES):
+            allowed[name] = [_TYPES[each] for each in types]
+
+    @functools.wraps(target)
+    def checked_function(*arguments: Any, **more: Any) -> Any:
+        for name, value in signature.bind(*arguments, **more).arguments.items():
+            kinds = allowed.get(name)
+            if kinds and not any(
+                isinstance(value, classes) and (bool in classes or not isinstance(value, bool))
+                for classes, _ in kinds
+            ):
+                words = " or ".join(words for _, words in kinds if words != "None")
+                raise BadInput(f"{name} = {shown(value)}: must be {words}")
+        return target(*arguments, **more)
+
+    return checked_function  # type: ignore[return-value]
 
 
 SPACINGS = ("linear", "log")

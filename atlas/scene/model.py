@@ -86,7 +86,7 @@ class Settings:
     def __post_init__(self) -> None:
         for f in fields(self):
             if (value := getattr(self, f.name)) is not None or f.default is not None:
-                f.metadata["check"](f.name, value)
+                object.__setattr__(self, f.name, f.metadata["check"](f.name, value))
 
     @property
     def cylinder(self) -> float:
@@ -280,6 +280,8 @@ class Scene:
         Integration and labels.
     outputs : tuple of str
         Variables that the atlas holds.
+    map : str
+        The one of them that its map and its page show unless another is named; empty: see `analysis.metadata.map_variable`.
     refine : Refine or None
         Refinement at borders.
     points : mapping or None
@@ -301,6 +303,7 @@ class Scene:
     duration: Duration = Duration()
     settings: Settings = DEFAULTS
     outputs: tuple[str, ...] = ()
+    map: str = ""
     refine: Refine | None = None
     points: Mapping[str, Any] | None = None
     about: About = EMPTY_ABOUT
@@ -385,7 +388,7 @@ class Scene:
                 table[f.metadata["section"]][f.name] = value
         if settings.step is not None:
             del table["integration"]["tolerance"]
-        table["outputs"] = {"variables": list(self.outputs)}
+        table["outputs"] = {"variables": list(self.outputs)} | ({"map": self.map} if self.map else {})
         return tomli_w.dumps(table)
 
     def __repr__(self) -> str:

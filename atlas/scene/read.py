@@ -202,6 +202,7 @@ def scene_from(table: Mapping[str, Any], name: str = "scene", folder: Path | Non
     order = evaluation_order(ties, {*system.parameters, *fixed, *axes} - set(solve))
     _check_names(system, names, axes, ties)
     duration, settings = _integration(system, section["integration"], section["labels"])
+    outputs = _outputs(system, section["outputs"])
     return Scene(
         title=title,
         system=system,
@@ -213,7 +214,10 @@ def scene_from(table: Mapping[str, Any], name: str = "scene", folder: Path | Non
         nudge=_nudge(system, section["nudge"], {*fixed, *axes, *ties}),
         duration=duration,
         settings=settings,
-        outputs=_outputs(system, section["outputs"]),
+        outputs=outputs,
+        map=checks.choice("outputs.map", section["outputs"]["map"], outputs)
+        if "map" in section["outputs"]
+        else "",
         refine=refine,
         points=points,
         about=_about(section["about"]),
@@ -538,7 +542,7 @@ def check_unit(system: System, duration: Duration, key: str = "duration") -> Non
 
 def _outputs(system: System, table: Mapping[str, Any]) -> tuple[str, ...]:
     """Variables of the atlas in the order of the registry; by default all but the optional ones."""
-    checks.check_keys(table, "outputs.", ("variables",))
+    checks.check_keys(table, "outputs.", ("variables", "map"))
     registry = variables(system)
     names = table.get("variables", default_variables(system))
     if not isinstance(names, list) or not names:

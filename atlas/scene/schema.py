@@ -86,7 +86,7 @@ def _properties(systems: list[System]) -> Schema:
         "labels": checks.table_schema(Settings, "labels"),
         "refine": checks.table_schema(Refine)
         | {"description": "integrate a finer grid near the borders of labels only"},
-        "outputs": {"type": "object", "additionalProperties": False, "properties": {"variables": {"type": "array"}}},
+        "outputs": {"type": "object", "additionalProperties": False, "properties": {"variables": {"type": "array"}, "map": {"type": "string"}}},
     }  # fmt: skip
 
 
@@ -104,7 +104,12 @@ def _properties_of(system: System) -> Schema:
         "axes": {"properties": {p.name: _axis(p) for p in parameters}},
         "ties": {"properties": {p.name: {"type": "string", "description": _described(p)} for p in parameters}},
         "nudge": {"properties": starts, "additionalProperties": False},
-        "outputs": {"properties": {"variables": {"items": names, "minItems": 1, "description": _variables(system)}}},
+        "outputs": {
+            "properties": {
+                "variables": {"items": names, "minItems": 1, "description": _variables(system)},
+                "map": names | {"description": "the variable that the map and the page show first"},
+            }
+        },
     }  # fmt: skip
     if system.families:
         schema["family"] = {"oneOf": [_family(name, system) for name in system.families]}

@@ -102,7 +102,8 @@ def module_of(equations: Any, names: Mapping[str, Any], sources: Mapping[str, st
     namespace: dict[str, Any] = dict(numpy_functions())
     for name, text in sources.items():
         exec(compile(text, f"<{name} of {module.__name__}>", "exec"), namespace)
-    functions = {name: namespace[name] for name in sources}
+    # A state outside the domain of a function gives nan, which the status of its point states.
+    functions = {name: np.errstate(all="ignore")(namespace[name]) for name in sources}
     vars(module).update({**names, "SOURCES": dict(sources)} | functions)
     return module
 

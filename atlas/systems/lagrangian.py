@@ -29,9 +29,13 @@ from .sympy_text import Block, lines_of, require_arithmetic, text
 # Any expression or symbol of sympy, which is imported only when it is used.
 Expression = Any
 # Names that have a meaning in the modules of equations or in the kernels that contain their functions.
-RESERVED = frozenset({"state", "constants", "rhs", "energy", TIME_UNIT, *FUNCTIONS})
-# The determinant of a mass matrix, its rows divided by their norms, below which it is singular.
-SINGULAR = 1e-9
+RESERVED = frozenset(
+    {"state", "constants", "rhs", "energy", TIME_UNIT, *FUNCTIONS}
+    | {"STATE", "CONSTANTS", "ONES", "INTEGRALS", "LOSSES", "OBSERVABLES", "SOURCES"}
+)
+# The determinant of a mass matrix, its rows divided by their norms, below which it is singular: of floats, which have
+# rounding errors of 1e-16, and of exact numbers.
+SINGULAR, SINGULAR_EXACT, DIGITS = 1e-13, 1e-30, 50
 # Longer expressions are simplified in fast ways only.
 MAX_OPERATIONS = 70
 
@@ -138,11 +142,16 @@ class _Mechanics:
         """The arguments after all checks but that of the mass matrix."""
         import sympy
 
-        q, v, p = _symbols(coordinates=coordinates, velocities=velocities, parameters=parameters)
+        q, v, p, omit = _symbols(
+            coordinates=coordinates, velocities=velocities, parameters=parameters, omit=omit
+        )
         if len(q) != len(v) or not q:
             raise BadInput(
                 f"from_lagrangian: {len(q)} coordinates and {len(v)} velocities: each coordinate needs one velocity"
             )
+        for name, table in (("forces", forces), ("functions", functions)):
+            if not isinstance(table, Mapping):
+                raise BadInput(f"from_lagrangian: {name} = {shown(table)}: must be a mapping")
         for name, keys in (("forces", forces), ("omit", omit)):
             for coordinate in keys:
                 if coordinate not in q:
@@ -156,7 +165,7 @@ class _Mechanics:
         own = {name: _function(name, value, allowed) for name, value in functions.items()}
         result = cls(
             given["lagrangian"], q, v, p, tuple(given.get(f"forces[{c}]", sympy.Integer(0)) for c in q),
-            given["dissipation"], tuple(omit), own,
+            given["dissipation"], omit, own,
         )  # fmt: skip
         result._check_names()
         result._check_omitted()
@@ -168,7 +177,11 @@ class _Mechanics:
         names += [*self.functions, *(f"momentum_{c.name}" for c in self.coordinates)]
         names += ["energy_loss", *(f"momentum_{c.name}_loss" for c in self.coordinates)]
         for name in names:
-            if not name.isidentifier() or keyword.iskeyword(name) or name in RESERVED:
+            if (
+                not (isinstance(name, str) and name.isidentifier())
+                or keyword.iskeyword(name)
+                or name in RESERVED
+            ):
                 raise BadInput(f"from_lagrangian: {shown(name)} cannot be a name of the equations")
             if names.count(name) > 1:
                 raise BadInput(f"from_lagrangian: the name {name} is given twice")
@@ -279,6 +292,8 @@ def _symbols(**groups: Sequence[Expression]) -> list[tuple[Expression, ...]]:
     import sympy
 
     for name, group in groups.items():
+        if not isinstance(group, Iterable):
+            raise BadInput(f"from_lagrangian: {name} = {shown(group)}: must be a sequence of symbols")
         for symbol in group:
             if not isinstance(symbol, sympy.Symbol):
                 raise BadInput(
@@ -316,19 +331,27 @@ def _several(value: Any) -> tuple[Expression, ...]:
 
 
 def _is_singular(matrix: list[list[Expression]]) -> bool:
-    """Whether the determinant vanishes at three points where all numbers are different."""
+    """Whether the determinant vanishes at three points where all numbers are different.
+
+    They are complex, so that no root or logarithm is without a value there: a determinant that vanishes for all real
+    values vanishes for all complex ones.
+    """
+    import mpmath
     import sympy
 
-    symbols = sorted({s for row in matrix for entry in row for s in entry.free_symbols}, key=str)
-    value = sympy.lambdify(symbols, sympy.Matrix(matrix), "numpy")
-    rng, largest = np.random.default_rng(0), 0.0
-    with np.errstate(all="ignore"):
+    whole = sympy.Matrix(matrix)
+    symbols = sorted(whole.free_symbols, key=str)
+    value = sympy.lambdify(symbols, whole, "mpmath")
+    limit = SINGULAR if whole.has(sympy.Float) else SINGULAR_EXACT
+    rng = np.random.default_rng(0)
+    with mpmath.workdps(DIGITS):
         for _ in range(3):
-            rows = np.array(value(*rng.uniform(0.1, 0.9, len(symbols))), float)
-            rows /= np.linalg.norm(rows, axis=1, keepdims=True)
-            if np.isfinite(rows).all():
-                largest = max(largest, abs(float(np.linalg.det(rows))))
-    return largest < SINGULAR
+            parts = rng.uniform(0.1, 0.9, (len(symbols), 2))
+            rows = value(*(mpmath.mpc(*part) for part in parts))
+            norms = [mpmath.norm(rows[i, :]) for i in range(len(matrix))]
+            if all(norms) and abs(mpmath.det(rows)) > limit * mpmath.fprod(norms):
+                return False
+    return True
 
 
 def _simplest(expression: Expression) -> Expression:

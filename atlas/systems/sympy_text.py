@@ -32,10 +32,11 @@ def require_arithmetic(what: str, expression: Expression) -> None:
             continue
         if part.is_number and part.is_Atom and part.is_real and part.is_finite:
             continue
-        if isinstance(part, sympy.Function) and type(part).__name__ in FUNCTIONS:
+        undefined = isinstance(part, sympy.core.function.AppliedUndef)
+        if isinstance(part, sympy.Function) and type(part).__name__ in FUNCTIONS and not undefined:
             continue
         hint = ""
-        if isinstance(part, sympy.core.function.AppliedUndef | sympy.Derivative):
+        if undefined or isinstance(part, sympy.Derivative):
             hint = "; write coordinates and velocities as plain symbols, not as functions of the time"
         raise BadInput(
             f"{what} contains {shown(str(part))}; allowed: symbols, real numbers, + - * / **, {', '.join(FUNCTIONS)}{hint}"

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
+from ..errors import attribute_text
 from ..systems.base import Array
 from .half_step import upper_bound
 from .text_table import text_table
@@ -93,7 +94,7 @@ def _header(ds: xr.Dataset) -> str:
     """Lines about the sample, the processor and the reference."""
     exact, uncertainty = int(ds["reference_exact"].sum()), ds["reference_error"].values
     lines = [
-        f"{ds.attrs['title']}: {ds.sizes['sample']} of {ds.attrs['atlas_points']} points;"
+        f"{attribute_text(ds.attrs, 'title')}: {ds.sizes['sample']} of {ds.attrs['atlas_points']} points;"
         f" processor {ds.attrs['atlas_cpu']}, atlas {ds.attrs['atlas_version']}",
         f"reference: closed form at {exact} points, DOP853 at {ds.sizes['sample'] - exact};"
         f" uncertainty of its final states {nanmedian(uncertainty):.1e} (median), {uncertainty.max():.1e} (largest)",

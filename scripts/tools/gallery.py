@@ -18,6 +18,7 @@ from matplotlib import rc_context
 from matplotlib.figure import Figure
 
 import atlas
+from atlas.cli.examples import figure_options
 from atlas.flags import Agreement
 from atlas.label import theory
 from atlas.plotting import amer2013, maps, style
@@ -30,12 +31,20 @@ DPI = 300  # of the pictures in docs
 
 @dataclass(frozen=True)
 class Picture:
-    """The map of one variable of one scene."""
+    """The map of one scene, as `atlas map` draws it."""
 
     scene: str  # file in configs/ without suffix
     caption: str
-    variable: str = "label"
-    boundary: bool = True  # draw borders and curves from theory over the map
+
+    @property
+    def file(self) -> Path:
+        """The scene."""
+        return ROOT / "configs" / f"{self.scene}.toml"
+
+    @property
+    def options(self) -> str:
+        """Options of `atlas map` for the figure."""
+        return figure_options(self.file.read_text("utf-8"))
 
 
 SATELLITE = "Yehia and El-kenani (2021)"
@@ -79,7 +88,6 @@ PICTURES = (
         "The same motions by theory alone. In Lagrange's triangle the energy has a minimum, and small dissipation leaves them"
         " stable; in the region of DeBra and Delp only gyroscopic terms make them stable, and dissipation destroys it. On the"
         " coloured lines two of the three frequencies of small oscillations are in resonance.",
-        "stability_kind",
     ),
     Picture(
         "gravity_gradient_damped",
@@ -94,8 +102,6 @@ PICTURES = (
         " rms of theta' over 10 orbits is zero on the line in the middle only, where k3 is exact. On the left of"
         " theta0 = 0.45 the exact motion is unstable, and the least deviation grows (for theta0 < 0.13 even rounding"
         " errors do); on the right it stays in proportion. No curve of theory is drawn, because it would cover this line.",
-        "theta_dot_rms",
-        boundary=False,
     ),
     Picture(
         "equilibrium_count",
@@ -103,7 +109,6 @@ PICTURES = (
         " over the other two components of its rotor: from 24, the number without a rotor, to 8. Near k1 = 1.1,"
         " k2 < 0.05 a small region has 16, between two curves on each of which two pairs of equilibria appear. On every line"
         " equilibria appear or vanish.",
-        "equilibrium_count",
     ),
     Picture(
         "asymmetric_tilt",
@@ -144,7 +149,6 @@ PICTURES = (
         " a circular section of the ellipsoid of inertia. Every exact start is measured as regular about its two axes"
         " (`label_any_axis`), and drifts about the third axis and the vertical. The growth rate follows from Floquet"
         " multipliers; the tongues are parametric resonances, which become narrower than the grid for small d.",
-        "growth_rate",
     ),
     Picture(
         "grioli_nudged",
@@ -152,33 +156,28 @@ PICTURES = (
         " It is stable but in two tongues. Below the upper tongue, and in places above it, stable motions read as drifting:"
         " near the border the oscillation that the change excites is more than 20 times as large as the change, by the"
         " same factor for a change by 1e-8. At the ends of the tongues the growth is too slow for 400 time units.",
-        "label_any_axis",
     ),
     Picture(
         "first_order_error",
         f"The error of gamma in the first-order solution (33) of {TOP}, as it follows from the equations of motion, over"
         " the two turns of their figures: of second order in eps and the rotor l/(A r0) together. The form as printed"
         " (`first_order_error_printed`) is wrong by the order of the rotor.",
-        "first_order_error",
     ),
     Picture(
         "chaos_tumbling",
         "An asymmetric body (A : B : C = 1 : 1.3 : 1.6) without rotor and magnet, turned by psi0 about the orbit normal and"
         " tilted by 0.1 from it, rotating at m relative to the orbit. Small librations and fast rotations are regular."
         + CHAOS,
-        "regularity",
     ),
     Picture(
         "planar_oscillations",
         "A symmetric body whose axis swings in the orbital plane like a pendulum. Each motion is periodic; in the tongues,"
         " resonances with the motion out of the plane, its neighbours leave exponentially." + CHAOS,
-        "regularity",
     ),
     Picture(
         "chaos_unstable",
         f"The motion perpendicular to the velocity, (24) of {SATELLITE}, started as in stability_perp_velocity and followed"
         " for 80 orbits: what it becomes where it is unstable." + CHAOS,
-        "regularity",
     ),
 )
 
@@ -210,7 +209,15 @@ def section(picture: Picture, ds: xr.Dataset) -> list[str]:
         f"## {ds.attrs['title']}", "", f"![{picture.scene}](gallery/{picture.scene}.png)", "",
         picture.caption, "",
         f"`configs/{picture.scene}.toml`: {ds['label'].size} points, {agreement_with_theory(ds)}.", "",
+        *commands(picture), "",
     ]  # fmt: skip
+
+
+def commands(picture: Picture) -> list[str]:
+    """The commands that make the figure, as a block."""
+    name = picture.scene
+    lines = [f"atlas new {name}", f"atlas run {name}.toml", f"atlas map {name}.nc{picture.options}"]
+    return ["```", *lines, "```"]
 
 
 def is_current(file: Path, scene: atlas.Scene) -> bool:
@@ -224,11 +231,11 @@ def is_current(file: Path, scene: atlas.Scene) -> bool:
 def draw(picture: Picture, out: Path, force: bool, docs: bool) -> list[str]:
     """Compute the atlas of a picture if need be, and draw it; returns its section of the page."""
     file = out / f"{picture.scene}.nc"
-    scene = atlas.load_scene(ROOT / "configs" / f"{picture.scene}.toml")
+    scene = atlas.load_scene(picture.file)
     if force or not is_current(file, scene):
         atlas.run(scene, file, force=True)
     with atlas.open_atlas(file) as ds:
-        figure = maps.atlas_map(ds, picture.variable, boundary=picture.boundary)
+        figure = maps.atlas_map(ds, boundary="--no-boundary" not in picture.options)
         for suffix in (".png", ".pdf"):
             style.save(figure, file.with_suffix(suffix))
         if docs:

@@ -20,6 +20,7 @@ import atlas
 from atlas import BadInput, load_scene
 from atlas.analysis import metadata, select, theory_borders, theory_curves
 from atlas.analysis import plane as planes
+from atlas.errors import MAX_TEXT, printable
 from atlas.flags import Label
 from atlas.plotting import content, maps, style, text, trajectory
 from atlas.scene import grid
@@ -256,7 +257,7 @@ def test_texts_that_are_no_formulas_are_drawn_as_they_are(small, bad):
     ds["sigma"] = ds["sigma"].assign_attrs(long_name=bad)
     ds["label"] = ds["label"].assign_attrs(flag_meanings=ds.label.flag_meanings.replace("drifting", bad))
     ds["psi_dot_mean"] = ds["psi_dot_mean"].assign_attrs(units=bad)
-    drawn = bad.replace("$", r"\$")
+    drawn = printable(bad, MAX_TEXT).replace("$", r"\$")
     for variable in ("label", "psi_dot_mean"):
         figure = ds.atlas.map(variable, title=bad, caption=True)
         figure.savefig(io.BytesIO())

@@ -29,6 +29,7 @@ LOCATED = [
     ("perp_velocity", "perp_velocty", 'name = "perp', "family.name = 'perp_velocty': .* did you mean 'perp_velocity'?"),
     ("[labels]", "[lables]", "[lables]", "lables: unknown key; did you mean 'labels'?"),
     ("[labels]", '[outputs]\nvariables = ["lable"]\n[labels]', "variables", "outputs.variables: 'lable' .* 'label'?"),
+    ("[labels]", '[outputs]\nmap = "lable"\n[labels]', "map", "outputs.map = 'lable': did you mean 'label'?"),
     ("tolerance = 1e-5", 'method = "RK4"', "method", "integration.method = 'RK4': did you mean 'rk4'?"),
     ("tolerance = 1e-5", "tolerance = 10", "tolerance = 10", "integration.tolerance = 10: must be above 0 and at most 1"),
     ("duration = 30.0", 'duration = "1 day"', "duration", "integration.duration = '1 day': allowed"),

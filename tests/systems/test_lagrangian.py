@@ -12,8 +12,9 @@ from scipy.integrate import solve_ivp
 from sympy.physics.mechanics import LagrangesMethod, dynamicsymbols
 
 import atlas
+from atlas.systems import arithmetic
 from atlas.systems.fixed_point import equations as fixed_point
-from atlas.systems.lagrangian import from_lagrangian
+from atlas.systems.lagrangian import _is_singular, from_lagrangian
 from atlas.systems.sympy_text import text
 
 THETA, PSI, PHI, THETA_DOT, PSI_DOT, PHI_DOT = sp.symbols("theta psi phi theta_dot psi_dot phi_dot")
@@ -266,12 +267,47 @@ def test_written_file_is_the_text_and_is_replaced(tmp_path):
         ((OSCILLATOR, [X], [U], [M, K]), {"omit": [X]}, "x is not cyclic"),
         ((M * U**2, [X], [U], [M]), {"omit": [X], "functions": {"height": X}}, "the function height depends on x"),
         ((OSCILLATOR, [X], [U], [M, K]), {"functions": {"rhs": X}}, "'rhs' cannot be a name"),
+        *(((OSCILLATOR, [X], [U], [M, K]), {"functions": {name: X}}, f"'{name}' cannot be a name")
+          for name in ("STATE", "CONSTANTS", "INTEGRALS", "LOSSES", "ONES")),
+        ((U**2 + sp.Function("sin")(X), [X], [U], []), {}, r"contains 'sin\(x\)'; allowed"),
+        ((U**2 + sp.Function("sin")(X, U), [X], [U], []), {}, r"contains 'sin\(x, u\)'; allowed"),
+        ((U**2, X, [U], []), {}, "coordinates = x: must be a sequence"),
+        ((U**2, [X], [U], []), {"omit": X}, "omit = x: must be a sequence"),
+        ((U**2, [X], [U], []), {"forces": [X]}, "forces = .x.: must be a mapping"),
+        ((0.3 * (U + 0.1 * V) ** 2 - X * Y, [X, Y], [U, V], []), {}, "is singular"),
     ],
 )  # fmt: skip
 def test_bad_input_is_one_line(arguments, options, message):
     with pytest.raises(atlas.BadInput, match=message) as error:
         from_lagrangian(*arguments, **options)
     assert "\n" not in str(error.value)
+
+
+def test_regular_mass_matrices_are_not_called_singular():
+    """Some have no value at small numbers, or a determinant of 1e-10; the others vanish for all values."""
+    W, R, C = sp.symbols("w r c")
+    velocities = (U, V, W)
+    regular = (
+        sp.sqrt(1 - (U**2 + V**2 + W**2) / C**2),
+        sp.sqrt((1 - 2 * M / R) - U**2 / (1 - 2 * M / R) - R**2 * V**2) + W**2,
+        sp.sqrt(X - 1) * (U**2 + V**2 + W**2),
+        (U + V) ** 2 / 2 + 1e-10 * V**2 / 2 + W**2,
+        (U + V) ** 2 / 2 + sp.Rational(1, 10**20) * V**2 / 2 + W**2,
+    )
+    singular = (
+        sp.sqrt(U**2 + V**2 + W**2),
+        (U * sp.cos(X) + V * sp.sin(Y) + W) ** 2 + M * (U - V) ** 2,
+        0.3 * (U + 0.1 * V) ** 2 + W**2,
+    )
+    for lagrangians, expected in ((regular, False), (singular, True)):
+        for lagrangian in lagrangians:
+            assert _is_singular(sp.hessian(lagrangian, velocities).tolist()) == expected
+
+
+def test_functions_without_a_value_give_no_warning(tmp_path):
+    source = from_lagrangian(U**2 / 2 + sp.sqrt(1 - 3 * X**2), [X], [U], [])
+    equations = arithmetic.completed(module_of(source, tmp_path), [])
+    assert np.isnan(sum(equations.energy((1.0, 1.0), (1.0,))))
 
 
 def test_sympy_is_needed(monkeypatch):

@@ -1,0 +1,215 @@
+"""Texts of files, folders and command lines: one printable line wherever they are printed or drawn."""
+
+import ast
+import io
+import json
+import logging
+from pathlib import Path
+
+import numpy as np
+import pytest
+from matplotlib.text import Text
+
+import atlas
+from atlas import BadInput, load_scene
+from atlas.cli import main
+from atlas.errors import MAX_MESSAGE, MAX_TEXT
+from atlas.page import page
+from atlas.runs.folder import RunFolder
+
+pytestmark = pytest.mark.usefixtures("whole_kernels", "borders_once")
+
+PACKAGE = Path(atlas.__file__).parent
+# A screen is cleared, a line is forged, writing turns round, half a character; longer than a text may be.
+HOSTILE = "\x1b[2J\ndone\u202e\udcff" + "<b>A</b>" * 100
+FORMULAS = {
+    "control characters": HOSTILE,
+    "no formula": r"$\nonsense{$" + HOSTILE,
+    "long formula": f"${'A' * 3_000_000}$",
+    "nested formula": f"${'{' * 3000}{'}' * 3000}$",
+    "letters without a glyph": "$\u4e2d_0$ \u4e2d",
+    "a number": 3,
+    "numbers": np.arange(5.0),
+}
+
+
+@pytest.fixture(scope="module")
+def ds(small_scene):
+    return atlas.run(load_scene(small_scene), progress=False)
+
+
+def changed(ds, value, keep=("atlas_system", "atlas_scene")):
+    """The atlas with this value in every text attribute but some."""
+    ds = ds.copy()
+    for owner in (ds, *ds.variables.values()):
+        owner.attrs = {
+            name: value if isinstance(old, str) and name not in (*keep, "flag_meanings") else old
+            for name, old in owner.attrs.items()
+        }
+    return ds
+
+
+def is_clean(text):
+    return all(line.isprintable() and len(line) <= MAX_MESSAGE + len("atlas: ") for line in text.split("\n"))
+
+
+@pytest.mark.parametrize("value", FORMULAS.values(), ids=FORMULAS)
+def test_attributes_of_any_kind_are_drawn_and_printed_in_clean_lines(ds, value, caplog):
+    hostile = changed(ds, value)
+    figure = hostile.atlas.map("psi_dot_mean", caption=True, boundary=False)
+    figure.savefig(svg := io.BytesIO(), format="svg")  # a warning of Matplotlib is an error here
+    assert "\x1b" not in svg.getvalue().decode()
+    texts = [text.get_text() for text in figure.findobj(Text)]
+    assert all(map(is_clean, texts))
+    assert max(map(len, texts)) > MAX_TEXT
+    assert is_clean(hostile.atlas.compare())
+    lines = hostile.atlas.cite().split("\n")
+    assert len(lines) == 3
+    assert all(map(str.isprintable, lines))
+    assert not caplog.records
+
+
+def test_pages_hold_clean_texts(ds, monkeypatch):
+    monkeypatch.setattr(page, "_fallback", lambda shown: "data:,")
+    monkeypatch.setattr(page, "_assembled", lambda table, *_: table)
+    hostile = changed(ds, HOSTILE).assign({HOSTILE[:40]: ds.theta_dot_rms})
+    text = json.dumps(hostile.atlas.page().html, ensure_ascii=False)
+    assert not {"\u202e", "\udcff"} & set(text)
+    assert not any(f"\\u{i:04x}" in text for i in range(32))
+    assert "\\\\x1b[2J\\\\ndone\\\\u202e\\\\udcff<b>" in text
+
+
+def test_attributes_are_read_by_the_functions_that_clean_them():
+    """A text that is read in another way could reach a terminal or a figure."""
+    rooms = ("analysis", "cli", "page", "plotting")
+    files = [PACKAGE / "accessor.py", *(path for room in rooms for path in (PACKAGE / room).rglob("*.py"))]
+    for path in files:
+        if path.name == "metadata.py":
+            continue
+        for node in ast.walk(ast.parse(path.read_text())):
+            read = None
+            match node:
+                case ast.Subscript(value=ast.Attribute(attr="attrs"), slice=ast.Constant(value=name)):
+                    read = name
+                case ast.Call(func=ast.Attribute(value=ast.Attribute(attr="attrs"), attr="get")):
+                    read = "get"
+            # numbers of the program itself, printed at the end of its own run, and units of its own trajectory
+            assert read is None or path.name in (
+                "summary.py",
+                "motions.py",
+                "work_precision.py",
+                "stress.py",
+            ), path
+
+
+@pytest.mark.parametrize(
+    ("attributes", "words"),
+    [
+        ({"atlas_step": "a"}, "the attribute atlas_step is no number"),
+        ({"atlas_rate_tolerance": [1, 2]}, "the attribute atlas_rate_tolerance is no number"),
+        ({"atlas_scene": 3}, "atlas_scene is no text"),
+        ({"atlas_scene": "", "atlas_method": "\x1b"}, "attribute atlas_method = '\\\\x1b'"),
+    ],
+)
+def test_attributes_of_a_wrong_type_are_refused(ds, attributes, words):
+    damaged = ds.assign_attrs(attributes)
+    with pytest.raises(BadInput, match=words.replace("\\\\", "\\\\\\\\")):
+        damaged.atlas.map(caption=True) if "atlas_method" not in attributes else damaged.atlas.page()
+
+
+def test_variables_of_a_wrong_type_or_shape_are_refused(ds):
+    texts = ds.assign(label=ds.label.astype(str))
+    for question in (texts.atlas.page, texts.atlas.map, texts.atlas.compare):
+        with pytest.raises(BadInput, match="label: values of type <U"):
+            question()
+    with pytest.raises(BadInput, match="label and growth_rate lie along different dimensions"):
+        ds.assign(growth_rate=ds.growth_rate.mean("sigma")).atlas.compare()
+    row = ds.assign(theta_dot_rms=ds.theta_dot_rms.mean("sigma"))
+    assert row.atlas.map("theta_dot_rms").axes[0].get_xlabel() == r"$\theta_0$ (rad)"
+    equal = ds.assign_coords(sigma=np.ones(ds.sigma.size))
+    with pytest.raises(BadInput, match="sigma: its values are equal or not finite"):
+        equal.atlas.map()
+
+
+@pytest.mark.parametrize(
+    ("question", "words"),
+    [
+        (lambda ds: ds.atlas.map(title=3), "title = 3: must be a text"),
+        (lambda ds: ds.atlas.map(size=1.5), "size = 1.5: must be a tuple"),
+        (lambda ds: ds.atlas.map(select=...), "select = Ellipsis: must be a mapping"),
+        (lambda ds: ds.atlas.map(x=np.ones(2)), "x = .*: must be a text"),
+        (lambda ds: ds.atlas.fractions([]), r"variable = \[\]: must be a text"),
+        (lambda ds: ds.atlas.boundary(["drifting"]), "label = .*: must be a text or a whole number"),
+        (lambda ds: ds.atlas.nearest(sigma=...), "sigma = Ellipsis: must be a finite number"),
+        (lambda ds: ds.atlas.frequencies("a"), "lines = 'a': must be a whole number"),
+        (lambda ds: ds.atlas.frequencies(trajectory=3), "trajectory = 3: must be a dataset"),
+        (lambda ds: atlas.open_atlas(3), "path = 3: must be a text or a path"),
+        (lambda ds: atlas.run(ds.atlas_scene, threads="a"), "threads = 'a': must be a whole number"),
+        (lambda ds: atlas.run(ds.atlas_scene, "r/", shard=np.ones(2)), "shard = .*: must be a tuple"),
+        (lambda ds: atlas.run(ds.atlas_scene, "r/", shard=(2, 1)), "shard: i = 2: must be a whole number from 1 to 1"),
+        (lambda ds: atlas.label_points("satellite", {"m": 1.0}, threads=-1), "threads = -1: must be a whole number"),
+        (lambda ds: atlas.label_points("satellite", {"m": 1.0}, keep=3), "keep = 3: must be a string or a list"),
+    ],
+)  # fmt: skip
+def test_arguments_of_a_wrong_type_are_refused(ds, question, words):
+    with pytest.raises(BadInput, match=words):
+        question(ds)
+
+
+# The command line.
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ["compare", "a.nc", HOSTILE],
+        ["compare", HOSTILE[:40] + ".nc"],
+        ["map", "a.nc", "--colors", HOSTILE],
+        ["trajectory", "a.nc", "--at", HOSTILE],
+        ["run", "none.toml", "-o", "r/", "--shard", f"1/{'9' * 4400}"],
+        ["run", "none.toml", "--threads", "9" * 5000],
+        [HOSTILE],
+    ],
+)
+def test_a_wrong_argument_is_answered_in_one_clean_line(arguments, capsys, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    try:
+        code = main(arguments)
+    except SystemExit as stop:
+        code = stop.code
+    printed = capsys.readouterr()
+    assert (code, printed.out) == (2, "")
+    assert printed.err.endswith("\n")
+    assert is_clean(printed.err[:-1])
+    assert "\n" not in printed.err[:-1]
+
+
+def test_names_of_files_are_printed_clean(capsys, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    assert main(["new", "conditions_k3", "-o", "a\x1b[2J\nb.toml"]) == 0
+    (line,) = capsys.readouterr().out.splitlines()
+    assert line.startswith(r"wrote a\x1b[2J\nb.toml; next: ")
+    assert line.endswith(r" map 'a\x1b[2J\nb.nc' --no-boundary")
+
+
+def test_messages_of_the_log_are_clean(caplog):
+    logging.getLogger("atlas").warning("%s", HOSTILE)
+    (record,) = caplog.records
+    assert is_clean(record.getMessage())
+
+
+def test_a_hostile_progress_file_is_printed_in_its_line(longer):
+    _, run, _ = longer
+    facts = {
+        "shard": HOSTILE,
+        "host": HOSTILE,
+        "written": HOSTILE,
+        "done": 1,
+        "points": 2,
+        "points_per_second": 3.0,
+    }
+    (run.path / "progress.json").write_text(json.dumps(facts | {"running": False, "process": HOSTILE}))
+    text = RunFolder.open(run.path).status()
+    assert is_clean(text)
+    assert len(text.splitlines()) == 4
+    assert r"shard \x1b[2J\ndone\u202e\udcff<b>A" in text

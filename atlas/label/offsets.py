@@ -28,8 +28,9 @@ from ..systems.base import Array, Flags, Mask, Points, System
 from ..systems.vectors import length
 from . import labels
 
-# A start is far from every steady motion where its rates change at first by more than this, in units of the rate tolerance.
-_FAR = 10.0
+# A start is far from every steady motion where its rates change at first by more than this, in units of the rate tolerance:
+# where linear theory describes the motion for a while, and where its angles soon change by a share of _REACH of the limit.
+_FAR, _FAR_BEYOND, _REACH = 10.0, 2.0, 0.25
 # Relative error that is assumed of every deviation from the steady motion.
 _MARGIN = 0.1
 # Terms of second order over the squared deviation, an estimate: where linear theory gives a steady label, and where it gives
@@ -197,8 +198,9 @@ def _near(
     g, time = start.vertical, np.fmin(1.0 / bound, duration)
     change = np.fmax(length(start.acceleration()) * time, length(start.offset))
     rms = change * np.where(damping > 0, np.sqrt(time / duration), 1.0)
+    far = np.where(change * time > _REACH * deviation.LIMIT, _FAR_BEYOND, _FAR)
     inside = np.hypot(g[0], g[1]) < tolerances.angle
-    return np.asarray((rms <= _FAR * tolerances.rate) | (inside & (change * time <= _FAR * tolerances.angle)))
+    return np.asarray((rms <= far * tolerances.rate) | (inside & (change * time <= _FAR * tolerances.angle)))
 
 
 def _steps(motions: _SteadyMotions, bound: Array, duration: Array, angle: float) -> NDArray[np.int64]:

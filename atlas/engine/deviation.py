@@ -57,6 +57,7 @@ class Deviation(IntEnum):
     LEAST_COTANGENT = 9  # of theta
     LARGEST_COTANGENT = 10
     LARGEST_SINE = 11
+    NODES = 12  # that are in the sums
 
 
 # Rows of the turns of x0: cosines and sines of n t and m t, and of their changes in half a step.
@@ -246,3 +247,4 @@ def add_sample(sums, x, d, size, scale, given, constants, angle, k):
         sums[Deviation.LARGEST_COTANGENT, l] = cotangent if used and cotangent > largest else largest
         largest = sums[Deviation.LARGEST_SINE, l]
         sums[Deviation.LARGEST_SINE, l] = sine if used and sine > largest else largest
+        sums[Deviation.NODES, l] += 1.0 if used else 0.0

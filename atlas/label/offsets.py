@@ -12,7 +12,7 @@ all parts of d. The kernel of `engine.deviation` integrates it.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,10 +28,9 @@ from ..systems.base import Array, Flags, Mask, Points, System
 from ..systems.vectors import length
 from . import labels
 
-# Starts with larger residuals are far from every steady motion and drift; no linear equations are integrated.
-MAX_RESIDUAL = 1e-2
-# A start is far, too, where its rates change at first by more than this, in units of the rate tolerance.
-_FAR = 10.0
+# A start is far from every steady motion where its rates change at first by more than this, in units of the rate tolerance:
+# where linear theory describes the motion for a while, and where its angles soon change by a share of _REACH of the limit.
+_FAR, _FAR_BEYOND, _REACH = 10.0, 2.0, 0.25
 # Relative error that is assumed of every deviation from the steady motion.
 _MARGIN = 0.1
 # Terms of second order over the squared deviation, an estimate: where linear theory gives a steady label, and where it gives
@@ -41,6 +40,8 @@ _SECOND_ORDER = 0.25, 1.0
 _STEP, _MAX_DAMPING = 0.4, 0.03
 _MIN_STEPS, _MAX_STEPS = 64, 2**18  # in a run
 _NODES_IN_RANGE, _MAX_REFINEMENT = 4.0, 8.0
+# Size of some rounding errors of a start.
+_ROUNDING = 1e-15
 
 
 def describes(system: System) -> bool:
@@ -82,23 +83,35 @@ def off_family_labels(
     -------
     dict of ndarray of int8, shape (points,)
         For each frame values of `flags.Label`: not_computed where a change of a tenth, or terms of second order, could
-        change the label, and where the run is too long for the linear equations.
+        change the label, where rounding errors cause the drift, and where the run is too long for the linear equations.
     """
     result = {name: np.full(duration.shape, Label.DRIFTING, np.int8) for name in frames}
     with np.errstate(all="ignore"):
         bound = system.frequency_bound(points)
         start = _SteadyMotions.of(system, points)
-        near = np.flatnonzero(_near(start, bound, duration, tolerances))
+        near = np.flatnonzero(_near(start, bound, duration, tolerances, points.get("damping", 0.0)))
         for name in frames:
             result[name][near] = Label.NOT_COMPUTED
         steps = _steps(start.subset(near), bound[near], duration[near], tolerances.angle)
         near, steps = near[steps <= _MAX_STEPS], steps[steps <= _MAX_STEPS]
         if near.size:
             motions, step_size = start.subset(near), duration[near] / steps
-            sums = _integrate(motions, bound[near], steps, step_size, tolerances.angle, threads, pause)
-            deviations = _Deviations(motions, bound[near], sums, sums / (steps + 1))
+            # In a run of less than a radian of the bound a rate turns by less than it does at the bound.
+            unit = np.fmax(bound[near], 1.0 / duration[near])
+            options = tolerances.angle, threads, pause
+            size = length(motions.offset) / unit + length(motions.acceleration()) / unit**2
+            sums = _integrate(motions, unit, steps, step_size, *options, change=np.fmax(_ROUNDING, size**2))
+            deviations = _Deviations(motions, unit, steps, sums)
             for name, rate in frames.items():
                 result[name][near] = deviations.label(tolerances, rate[near])
+            drifts = np.flatnonzero(
+                np.any([label[near] == Label.DRIFTING for label in result.values()], axis=0)
+            )
+            if drifts.size:
+                part = motions.subset(drifts), unit[drifts], steps[drifts], step_size[drifts]
+                other_terms = _differ(sums[:, drifts], _integrate(*part, *options))
+                for label in result.values():
+                    label[near[drifts[other_terms]]] = Label.NOT_COMPUTED
     return result
 
 
@@ -153,21 +166,41 @@ class _SteadyMotions:
         result[1] += turn * g[0]
         return result
 
+    @property
+    def rate(self) -> Array:
+        """Largest rate of what is of second order in angles: of turns, and by which they change the acceleration."""
+        system, changes = self.system, []
+        for axis in np.eye(3):
+            turn = np.zeros_like(self.state)
+            for names in system.equations.FRAME_VECTORS:
+                vector = _indices(system, names)
+                turn[vector] = np.cross(axis[:, np.newaxis], self.state[vector], axis=0)
+            sides = [replace(self, state=self.state + side * turn).acceleration() for side in (-0.5, 0.5)]
+            changes.append(length(sides[1] - sides[0]))
+        turns = length(self.state[_indices(system, system.rate_states)])
+        return np.asarray(turns + np.sqrt(np.max(changes, axis=0)))
+
 
 def _indices(system: System, names: Iterable[str]) -> list[int]:
     """Indices of states."""
     return [system.equations.STATE.index(name) for name in names]
 
 
-def _near(start: _SteadyMotions, bound: Array, duration: Array, tolerances: Tolerances) -> Mask:
+def _near(
+    start: _SteadyMotions, bound: Array, duration: Array, tolerances: Tolerances, damping: Array | float = 0.0
+) -> Mask:
     """Whether the rates of a start change so slowly that the motion may count as steady.
 
     An oscillation of a frequency of at most the bound that begins with an acceleration f changes rates by |f| / bound
-    or more. Inside the cylinder only the rate about the vertical counts.
+    or more, and in a radian of the bound angles by these rates. Damping may take that away in such a time. Inside the
+    cylinder the angles count.
     """
-    g, acceleration = start.vertical, length(start.acceleration())
-    change = np.fmax(acceleration * np.fmin(1.0 / bound, duration), length(start.offset))
-    return np.asarray((change <= _FAR * tolerances.rate) | (np.hypot(g[0], g[1]) < tolerances.angle))
+    g, time = start.vertical, np.fmin(1.0 / bound, duration)
+    change = np.fmax(length(start.acceleration()) * time, length(start.offset))
+    rms = change * np.where(damping > 0, np.sqrt(time / duration), 1.0)
+    far = np.where(change * time > _REACH * deviation.LIMIT, _FAR_BEYOND, _FAR)
+    inside = np.hypot(g[0], g[1]) < tolerances.angle
+    return np.asarray((rms <= far * tolerances.rate) | (inside & (change * time <= _FAR * tolerances.angle)))
 
 
 def _steps(motions: _SteadyMotions, bound: Array, duration: Array, angle: float) -> NDArray[np.int64]:
@@ -189,21 +222,23 @@ def _steps(motions: _SteadyMotions, bound: Array, duration: Array, angle: float)
 
 def _integrate(
     motions: _SteadyMotions,
-    bound: Array,
+    unit: Array,
     steps: NDArray[np.int64],
     step_size: Array,
     angle: float,
     threads: int | None,
     pause: Callable[[], None],
+    change: Array | float = 0.0,
 ) -> Array:
-    """Sums over the nodes of x0 + d of some runs, (len(Deviation), points)."""
+    """Sums over the nodes of x0 + d of some runs, (len(Deviation), points); change: that of d at the start, its size."""
     g, rates = motions.vertical, _indices(motions.system, motions.system.rate_states)
     sine = np.hypot(g[0], g[1])
     # psi' and phi' depend on the direction of the tilt, except inside the cylinder, where they do not count.
     direction = np.where(sine < angle, 0.0, 1.0 / sine**2)
     given = np.array([motions.n, motions.m, steps, step_size, direction])
     start, scales = np.zeros(motions.state.shape), np.ones(motions.state.shape)
-    start[rates], scales[rates] = motions.offset, 1.0 / bound
+    start[rates], scales[rates] = motions.offset, 1.0 / unit
+    start += change / scales * np.cos(np.arange(len(start)))[:, np.newaxis]
     constants, harmonics = np.ascontiguousarray(motions.constants), motions.harmonics()
     points, sums = blocks.sorted_blocks(steps), np.empty((len(Deviation), steps.size))
     kernel = deviation_kernel(motions.system)
@@ -217,18 +252,27 @@ def _integrate(
     return sums
 
 
+def _differ(sums: Array, other: Array) -> Mask:
+    """Whether deviations grow otherwise: whether their sizes differ, or the times at which they leave the linear range."""
+    ratio = sums[Deviation.LARGEST_SQUARE] / other[Deviation.LARGEST_SQUARE]
+    linear = (sums[Deviation.LINEAR] > 0) & (other[Deviation.LINEAR] > 0)
+    nodes = np.abs(sums[Deviation.NODES] - other[Deviation.NODES])
+    return np.asarray(np.where(linear, np.abs(ratio - 1.0) > _MARGIN, nodes > 1))
+
+
 @dataclass(frozen=True)
 class _Deviations:
-    """Sums and means over the nodes of some motions x0 + d; as long as d is small, (len(Deviation), points)."""
+    """Some motions x0 + d, as long as d is small; arrays of shape (points,)."""
 
     motions: _SteadyMotions
-    bound: Array
-    sums: Array
-    mean: Array
+    unit: Array  # of rates, rad per time unit
+    steps: NDArray[np.int64]
+    sums: Array  # (len(Deviation), points)
 
     def label(self, tolerances: Tolerances, frame_rate: Array) -> Flags:
         """Values of flags.Label; not_computed where the linear equations do not decide."""
-        sums, mean = self.sums, self.mean
+        sums = self.sums
+        mean = sums / (self.steps + 1)
         rows = {
             "psi_dot": Deviation.PSI_DOT,
             "phi_dot": Deviation.PHI_DOT,
@@ -253,9 +297,12 @@ class _Deviations:
         # Terms of second order decide nothing; a motion that has left the linear range drifts if it drifted before.
         steady = label != Label.DRIFTING
         second_order = np.where(steady, *_SECOND_ORDER) * sums[Deviation.LARGEST_SQUARE]
+        largest_rate = np.max(
+            [measured[name] for name in ("theta_dot_rms", *(f"{n}_std" for n in rows))], axis=0
+        )
+        unit = np.fmin(self.unit, self.motions.rate + largest_rate / np.sqrt(sums[Deviation.LARGEST_SQUARE]))
         error = {
-            name: value + second_order * (1.0 if name in tilt else self.bound)
-            for name, value in error.items()
+            name: value + second_order * (1.0 if name in tilt else unit) for name, value in error.items()
         }
         within = labels.unsure(measured, error, tolerances, frame_rate)
         unsure |= np.where(sums[Deviation.LINEAR] > 0, within, steady)

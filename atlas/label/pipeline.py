@@ -30,7 +30,7 @@ from .chaos import TangentRuns
 from .expected_errors import differences, early_stop_rate, error_estimate, measurement_errors, pair_error
 from .half_steps import half_step_sample
 from .regularity import has_chaos
-from .theory import agreement, exact_starts, predict_any_axis, predict_runs
+from .theory import agreement, predict_any_axis, predict_runs
 
 # A start beside an unstable motion departs because of its nudge, and not of integration errors, where theta' at half the
 # step is the same within this share.
@@ -155,7 +155,10 @@ def evaluate(
     if runs.tangent is not None:
         columns |= runs.tangent.variables(columns, execution.threads, execution.progress)
     if not names.isdisjoint(ANY_AXIS_THEORY):
-        columns |= predict_any_axis(system, base, points, columns, settings.rate_tolerance, nudged=nudged)
+        columns |= predict_any_axis(
+            system, base, points, columns, settings.rate_tolerance,
+            nudged=nudged, cylinder_tolerance=settings.cylinder,
+        )  # fmt: skip
     if "agreement_any_axis" in names:
         columns["agreement_any_axis"] = agreement(columns["label_any_axis"], columns["predicted_any_axis"])
     return columns | derived_values(system, names, base, duration, lambda: execution.progress(0.0))
@@ -241,8 +244,8 @@ def _prepare(
         max_residual = np.fmax(
             labels.ROUNDING_RESIDUAL, 100.0 * labels.ROUNDOFF / (theory["growth_rate"] * step_sizes.step_size)
         )
-        candidates = (prediction.start_residual <= FAMILY_TOLERANCE) & (log_growth > 0)
-        exact = ~pushed if nudged else exact_starts(system, points, candidates, max_residual)
+        near = prediction.start_residual <= FAMILY_TOLERANCE
+        exact = ~pushed if nudged else near & (prediction.family_residual <= max_residual)
         rounding_growth = np.where(exact, log_growth, 0.0)
         about_vertical = system.growth_about_vertical(points) * duration
     frame_rates = {"label": np.zeros_like(duration)}

@@ -6,15 +6,14 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ..flags import Agreement, Label, Stability
 from ..scene.model import Tolerances
-from ..systems.base import FAMILY_TOLERANCE, Array, Flags, Mask, Points, System, subset
+from ..systems.base import FAMILY_TOLERANCE, Array, Flags, Mask, Points, System, shape_of, subset
 from .labels import ROUNDING_RESIDUAL, steady_label
-from .offsets import MAX_RESIDUAL, describes, off_family_labels
+from .offsets import describes, off_family_labels
 
-# Predicted label about any axes -> about the third axis and the vertical.
-THIRD_AXIS = {"predicted_any_axis": "predicted", "predicted_any_axis_inertial": "predicted_inertial"}
 MAX_LOG_GROWTH = 700.0  # exp of more overflows
 
 
@@ -25,12 +24,14 @@ class Prediction:
     Attributes
     ----------
     variables : mapping of str to ndarray
-        As `predict` returns them, but for the predicted labels of starts that are off every family and near one: these
-        come from the linear equations, see `offsets`.
+        As `predict` returns them, but for the predicted labels of starts near a steady motion that are not on it to
+        rounding: these come from the linear equations, see `offsets`.
     residual : ndarray of float64
         Of the conditions of a steady motion, at the start that is integrated.
+    family_residual : ndarray of float64
+        Of the conditions of the family, at the start before the nudge.
     start_residual : ndarray of float64
-        The same, of the conditions of a motion about any axes where `log_growth` is about such a motion.
+        As `residual`, of the conditions of a motion about any axes where `log_growth` is about such a motion.
     about_other_axes : ndarray of bool
         Whether `log_growth` is about a motion about other axes than the third and the vertical.
     pushed : ndarray of bool
@@ -41,6 +42,7 @@ class Prediction:
 
     variables: Mapping[str, np.ndarray]
     residual: Array
+    family_residual: Array
     start_residual: Array
     about_other_axes: Mask
     pushed: Mask
@@ -82,12 +84,15 @@ def predict_runs(
         residual = system.condition_residual(points)
         nearby = residual <= FAMILY_TOLERANCE
         pushed = ~exact_starts(system, points, nearby) if nudged else np.zeros_like(nearby)
-        variables = predict(system, base, tolerances.rate, pushed)
-        variables |= _near_families(
-            system, base, points, residual, variables, duration, tolerances, pause, threads
-        )
-        growth = system.log_growth(base, variables["family"], variables["growth_rate"], duration)
-        other = _about_other_axes(system, variables["family"])
+        family, family_residual = _identify(system, base)
+        other = _about_other_axes(system, family)
+        variables = _predict(system, base, family, tolerances, pushed)
+        off = ((family == 0) | other) & system.complete(base)
+        if not nudged:
+            off |= (family > 0) & (family_residual > ROUNDING_RESIDUAL)
+        where = np.flatnonzero(off & system.within_range(base))
+        _predict_from_offsets(variables, where, system, points, duration, tolerances, pause, threads)
+        growth = system.log_growth(base, family, variables["growth_rate"], duration)
         start_residual = residual.copy()
         if any_axis:
             members = np.flatnonzero(other)
@@ -96,41 +101,35 @@ def predict_runs(
         else:
             growth, other = np.where(other, 0.0, growth), np.zeros_like(other)
     log_growth = np.minimum(np.nan_to_num(growth, nan=0.0), MAX_LOG_GROWTH)
-    return Prediction(variables, residual, start_residual, other, pushed, log_growth)
+    return Prediction(variables, residual, family_residual, start_residual, other, pushed, log_growth)
 
 
-def _near_families(
+def _predict_from_offsets(
+    variables: dict[str, np.ndarray],
+    where: NDArray[np.int64],
     system: System,
-    base: Points,
     points: Points,
-    residual: Array,
-    theory: Mapping[str, np.ndarray],
     duration: Array,
     tolerances: Tolerances,
     pause: Callable[[], None],
     threads: int | None,
-) -> dict[str, np.ndarray]:
-    """Predicted labels where starts that are off every family may be near one, from the linear equations."""
-    if not describes(system):
-        return {}
-    off = (theory["family"] == 0) | _about_other_axes(system, theory["family"])
-    off &= system.complete(base) & system.within_range(base)
-    where = np.flatnonzero(off & (residual <= MAX_RESIDUAL))
-    frames = {"predicted": np.zeros(where.size)}
-    if not where.size:
-        return {}
-    if system.frame_rate is not None:
-        frames["predicted_inertial"] = system.frame_rate(base)[where]
+) -> None:
+    """Overwrite the predicted labels of some starts by those of the linear equations, if these describe the system."""
+    if not where.size or not describes(system):
+        return
     near = subset(points, where)
+    frames = _frame_rates(system, near)
     labels = off_family_labels(system, near, duration[where], tolerances, frames, pause, threads)
-    predicted = {name: theory[name].copy() for name in frames}
     for name, values in labels.items():
-        predicted[name][where] = values
-    return predicted
+        variables[name][where] = values
 
 
 def predict(
-    system: System, points: Points, rate_tolerance: float, nudged: Mask | bool
+    system: System,
+    points: Points,
+    rate_tolerance: float,
+    nudged: Mask | bool,
+    cylinder_tolerance: float | None = None,
 ) -> dict[str, np.ndarray]:
     """Labels of a set of starts from theory alone.
 
@@ -144,6 +143,8 @@ def predict(
     nudged : ndarray of bool or bool
         Whether a nudge moved the start off its motion. It is then predicted to keep the label of its family where the
         motion is linearly stable and to drift where it is unstable.
+    cylinder_tolerance : float, optional
+        A third axis nearer to the vertical than this counts as on it, rad. Default: the number of rate_tolerance.
 
     Returns
     -------
@@ -151,19 +152,42 @@ def predict(
         family, stable, growth_rate, predicted and, where the system's frame turns, predicted_inertial. Off every family
         `predicted` is drifting where the system's catalogue is complete, else not_computed.
     """
-    within = system.within_range(points)
-    family = np.where(within, system.identify_family(points)[0], 0).astype(np.int8)
+    tolerances = _tolerances(rate_tolerance, cylinder_tolerance)
+    return _predict(system, points, _identify(system, points)[0], tolerances, nudged)
+
+
+def _tolerances(rate: float, cylinder: float | None) -> Tolerances:
+    """Tolerances of labels, that of the cylinder being the number of the rate's unless it is given."""
+    return Tolerances(rate, rate if cylinder is None else cylinder)
+
+
+def _identify(system: System, points: Points) -> tuple[Flags, Array]:
+    """Family of each start and the residual of its conditions, as System.identify_family; none beyond its range."""
+    family, residual = system.identify_family(points)
+    return np.where(system.within_range(points), family, 0).astype(np.int8), residual
+
+
+def _predict(
+    system: System, points: Points, family: Flags, tolerances: Tolerances, nudged: Mask | bool
+) -> dict[str, np.ndarray]:
+    """See `predict`."""
     stable, growth = system.linear_stability(points, family)
     sine, n, m = system.steady_rates(points)
     result: dict[str, np.ndarray] = {"family": family, "stable": stable, "growth_rate": growth}
-    frames = {"predicted": n}
-    if system.frame_rate is not None:
-        frames["predicted_inertial"] = n + system.frame_rate(points)
-    for name, rate in frames.items():
-        label = steady_label(rate, m, np.abs(sine) <= FAMILY_TOLERANCE, rate_tolerance)
-        on_family = (family > 0) & ~_about_other_axes(system, family)
-        result[name] = _after_nudge(label, stable, nudged, on_family, system.complete(points) & within)
+    on_family = (family > 0) & ~_about_other_axes(system, family)
+    complete = system.complete(points) & system.within_range(points)
+    for name, frame_rate in _frame_rates(system, points).items():
+        label = steady_label(n + frame_rate, m, np.abs(sine) < tolerances.angle, tolerances.rate)
+        result[name] = _after_nudge(label, stable, nudged, on_family, complete)
     return result
+
+
+def _frame_rates(system: System, points: Points) -> dict[str, Array]:
+    """Rate of each frame, which is added to psi', by the names of the predicted labels."""
+    rates = {"predicted": np.zeros(shape_of(points))}
+    if system.frame_rate is not None:
+        rates["predicted_inertial"] = system.frame_rate(points)
+    return rates
 
 
 def _about_other_axes(system: System, family: Flags) -> Mask:
@@ -189,6 +213,7 @@ def predict_any_axis(
     rate_tolerance: float,
     *,
     nudged: bool,
+    cylinder_tolerance: float | None = None,
 ) -> dict[str, np.ndarray]:
     """Labels about any axes of a set of starts from theory alone.
 
@@ -203,6 +228,8 @@ def predict_any_axis(
         Rates of at most this count as zero, rad per time unit.
     nudged : bool
         Whether there is a nudge. One along a family leads to another exact start.
+    cylinder_tolerance : float, optional
+        Axes nearer to one another than this count as parallel, rad. Default: the number of rate_tolerance.
 
     Returns
     -------
@@ -211,25 +238,22 @@ def predict_any_axis(
         drifting where the system's catalogue of motions about any axes is complete, else not_computed.
     """
     family, stable = theory["family"], theory["stable"]
+    tolerances = _tolerances(rate_tolerance, cylinder_tolerance)
     with np.errstate(all="ignore"):
         other = _about_other_axes(system, family)
         complete = system.complete_any_axis(base) & system.within_range(base)
-        pushed = np.zeros(family.shape, bool)
-        if nudged:
-            pushed = ~exact_starts(system, points, np.ones(family.shape, bool))
+        pushed = other & ~exact_starts(system, points, other) if nudged else False
         sine, n, m = system.any_axis_rates(base, family)
-        frames = {"predicted_any_axis": n}
-        if system.frame_rate is not None:
-            frames["predicted_any_axis_inertial"] = n + system.frame_rate(base)
         result = {}
-        for name, rate in frames.items():
+        for own, frame_rate in _frame_rates(system, base).items():
+            rate = n + frame_rate
             # A circle of the angular velocity that is as small as the tolerance is a point.
-            constant = (sine <= FAMILY_TOLERANCE) | (other & (np.abs(rate) * sine <= rate_tolerance))
-            label = steady_label(rate, m, constant, rate_tolerance)
-            label = _after_nudge(label, stable, pushed, family > 0, complete)
-            # Near a family about the third axis and the vertical the label about these is that about any axes.
-            near = (family == 0) & (theory[THIRD_AXIS[name]] != Label.DRIFTING)
-            result[name] = np.where(near, theory[THIRD_AXIS[name]], label).astype(np.int8)
+            constant = (sine < tolerances.angle) | (np.abs(rate) * sine <= tolerances.rate)
+            label = steady_label(rate, m, constant, tolerances.rate)
+            label = _after_nudge(label, stable, pushed, other, complete)
+            # On and near a motion about the third axis and the vertical the label about these is that about any axes.
+            kept = ~other & ((family > 0) | (theory[own] != Label.DRIFTING))
+            result[own.replace("predicted", "predicted_any_axis")] = np.where(kept, theory[own], label)
     return result
 
 

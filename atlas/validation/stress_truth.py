@@ -111,7 +111,7 @@ def true_labels(
     if truth:
         return _labels_by_exact_motion(system, points, duration, settings, truth)
     with np.errstate(all="ignore"):
-        theory = predict(system, points, settings.rate_tolerance, nudged=False)
+        theory = predict(system, points, settings.rate_tolerance, False, settings.cylinder)
         residual, bound = system.condition_residual(points), system.frequency_bound(points)
         is_exact = (theory["family"] > 0) & (residual <= EXACT_RESIDUAL)
         growth = system.log_growth(points, theory["family"], theory["growth_rate"], duration)

@@ -21,9 +21,9 @@ from truth import assert_shards_and_threads_agree, cases, columns_of
 import atlas
 from atlas import cli, systems
 from atlas.flags import Label, Status
-from atlas.label import any_axis, pipeline
+from atlas.label import any_axis, pipeline, theory
 from atlas.runs import refine
-from atlas.scene.model import Tolerances
+from atlas.scene.model import Settings, Tolerances
 from atlas.systems import SYSTEMS
 from atlas.variables import ANY_AXIS, default_variables, variables
 
@@ -380,3 +380,32 @@ def test_a_system_in_euler_angles(monkeypatch):
     np.testing.assert_allclose(ds.precession_rate, momentum, rtol=1e-7)
     np.testing.assert_allclose(ds.spin_rate, (1 - C) * spin, rtol=1e-7)
     np.testing.assert_allclose(ds.nutation, np.arccos(C * spin / momentum), rtol=1e-7)
+
+
+def test_a_nudge_along_free_rotations_leads_to_another_and_one_across_does_not():
+    """About the middle axis of inertia, which is unstable: a turn of the vertical, and a turn of the body."""
+    given = {"A": 1.0, "B": 1.3, "C": 1.7, "p0": 0.0, "q0": 0.9, "r0": 0.0, "gamma20": 0.0}
+    base = default_points("fixed_point", gamma10=[0.6, 0.6], gamma30=0.8, **given)
+    nudged = base | {
+        "gamma10": np.array([0.8, 0.6]),
+        "gamma30": np.array([0.6, 0.8]),
+        "p0": np.array([0.0, 1e-4]),
+    }
+    system, tolerances = SYSTEMS["fixed_point"], Tolerances(1e-3, 1e-3)
+    prediction = theory.predict_runs(
+        system, base, nudged, np.full(2, 300.0), tolerances, nudged=True, any_axis=True
+    )
+    variables = dict(prediction.variables)
+    assert prediction.about_other_axes.all()
+    assert prediction.pushed.tolist() == [False, True]
+    # m^2 = q0^2 (C - B)(B - A) / (A C)
+    np.testing.assert_allclose(prediction.log_growth, 300.0 * 0.9 * np.sqrt(0.4 * 0.3 / 1.7), rtol=1e-6)
+    about_any = theory.predict_any_axis(system, base, nudged, variables, 1e-3, nudged=True)
+    assert list(about_any["predicted_any_axis"]) == [Label.PERMANENT_ROTATION, Label.DRIFTING]
+    settings = Settings(rate_tolerance=1e-3, tolerance=1e-6)
+    columns = pipeline.evaluate(
+        system, base, nudged, np.full(2, 300.0), settings, outputs=["label_any_axis"], nudged=True
+    )
+    # The first is left to rounding, the growth of the second is that of its nudge.
+    assert list(columns["status"]) == [Status.ROUNDOFF_DECIDED, Status.OK]
+    assert list(columns["label_any_axis"]) == [Label.UNRESOLVED, Label.DRIFTING]

@@ -679,6 +679,17 @@ def test_borders_reach_the_frame_of_coarse_maps(small):
     assert float(vertical.theta0.max()) == pytest.approx(edges[-1], abs=1e-6)
 
 
+def drawn_plane(monkeypatch, theory, dims):
+    """A plane of a nudged scene, with axes from 0 to 1, of which theory is a function of the coordinates."""
+    monkeypatch.setattr(
+        theory_borders, "_coordinates", lambda plane, positions: dict(zip(dims, positions.T, strict=True))
+    )
+    monkeypatch.setattr(theory_borders, "_values", lambda plane, positions: positions)
+    return SimpleNamespace(
+        extent=dict.fromkeys(dims, (0.0, 1.0)), scene=SimpleNamespace(nudge={"m": 1e-4}), theory=theory
+    )
+
+
 def test_a_strip_narrower_than_the_samples_is_followed_to_its_end(monkeypatch):
     """Unstable between y = x / 2 and a little above, ending in a point at x = 1."""
 
@@ -690,17 +701,32 @@ def test_a_strip_narrower_than_the_samples_is_followed_to_its_end(monkeypatch):
             ones.astype(bool), np.where(inside, 2, 1), np.full(x.shape, 2), {"n": ones, "m": ones}
         )
 
-    monkeypatch.setattr(
-        theory_borders, "_coordinates", lambda plane, positions: dict(zip("xy", positions.T, strict=True))
-    )
-    monkeypatch.setattr(theory_borders, "_values", lambda plane, positions: positions)
-    strip = SimpleNamespace(
-        extent={"x": (0.0, 1.0), "y": (0.0, 1.0)}, scene=SimpleNamespace(nudge={}), theory=theory
-    )
+    strip = drawn_plane(monkeypatch, theory, "xy")
     line = max(theory_borders.theory_borders(strip)[theory_borders.STABILITY], key=len)
     assert line[:, 0].max() > 0.93  # where it is a fifth of the distance between coarse samples wide
     x, y = line[1:-1].T
     assert np.minimum(abs(y - 0.5 * x), abs(y - 0.5 * x - 0.02 * (1 - x))).max() < 1e-4
+
+
+def test_only_precessions_and_rotations_have_a_limit_between_them(monkeypatch):
+    """Fifths of an axis: precessions, unstable ones, starts that drift, rotations, precessions; m is 0 in the second."""
+
+    def theory(places, inertial=False):
+        x = places["x"]
+        fifth = np.minimum((5 * x).astype(int), 4)
+        labels = [Label.REGULAR_PRECESSION] * 2 + [
+            Label.DRIFTING, Label.PERMANENT_ROTATION, Label.REGULAR_PRECESSION
+        ]  # fmt: skip
+        rates = {"n": x - 0.11, "m": x - 0.31}
+        return planes.Theory(x >= 0, np.where(fifth == 1, 2, 1), np.array(labels)[fifth], rates)
+
+    lines = theory_borders.theory_borders(drawn_plane(monkeypatch, theory, "x"))
+    positions = {kind: [float(line[0, 0]) for line in kinds] for kind, kinds in lines.items()}
+    assert positions == {
+        theory_borders.STABILITY: pytest.approx([0.2, 0.4], abs=1e-4),
+        theory_borders.LABEL: pytest.approx([0.8], abs=1e-4),
+        theory_borders.ZERO_RATES["n"]: pytest.approx([0.11], abs=1e-4),
+    }
 
 
 def test_a_rate_that_is_zero_on_a_line_is_traced_and_a_pole_is_not():

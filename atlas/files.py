@@ -14,6 +14,7 @@ import os
 import re
 import secrets
 import shutil
+import stat
 import tempfile
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
@@ -26,6 +27,10 @@ from .errors import BadInput, option
 # A write that fails while less than this is free, in bytes, failed because the disk is full. A tile is smaller.
 MIN_FREE_BYTES = 1 << 25
 TRIAL_BYTES = 1 << 20  # written as a trial, to find out why a write failed
+# Limits of what a file that is read may claim: bytes of JSON, and bytes of numbers for each byte stored. Compression
+# makes at most 3000 of one; less than MIN_CLAIM bytes are allowed in any case.
+MAX_JSON_BYTES = 100_000_000
+MAX_RATIO, MIN_CLAIM = 4_000, 1_000_000_000
 TEMPORARY = re.compile(rf"\.atlas-({process.NAME.pattern})-[0-9a-f]{{8}}\.tmp")
 # Seconds without a write after which the temporary file of another machine is a leftover.
 FOREIGN_LEFTOVER_AGE = 7 * 86400.0
@@ -210,10 +215,41 @@ def sealed(content: Mapping[str, Any]) -> str:
 
 def unsealed(text: str | bytes) -> dict[str, Any]:
     """Entries of a JSON text that `sealed` made; ValueError if it was changed."""
-    content = json.loads(text)
-    if not isinstance(content, dict) or content.pop("checksum", None) != _checksum(content):
-        raise ValueError("its checksum does not match its content")
+    try:
+        content = json.loads(text)
+        if not isinstance(content, dict) or content.pop("checksum", None) != _checksum(content):
+            raise ValueError("its checksum does not match its content")
+    except RecursionError:
+        raise ValueError("it is nested too deeply") from None
     return content
+
+
+def read_bytes(path: Path) -> bytes:
+    """Content of a JSON file; ValueError if it is longer than MAX_JSON_BYTES, or no regular file."""
+    if not stat.S_ISREG(path.stat().st_mode):
+        raise ValueError("it is no regular file")
+    with path.open("rb") as file:
+        content = file.read(MAX_JSON_BYTES + 1)
+    if len(content) > MAX_JSON_BYTES:
+        raise ValueError(f"more than {MAX_JSON_BYTES} bytes")
+    return content
+
+
+def read_json(path: Path) -> dict[str, Any]:
+    """Entries of a JSON file; ValueError if it is damaged or too large."""
+    try:
+        content = json.loads(read_bytes(path))
+    except RecursionError:
+        raise ValueError("it is nested too deeply") from None
+    if not isinstance(content, dict):
+        raise ValueError("it is no table")
+    return content
+
+
+def check_claim(claimed: int, stored: int) -> None:
+    """Raise ValueError if a file claims so many bytes of numbers that its own cannot hold them."""
+    if claimed > max(MIN_CLAIM, MAX_RATIO * stored):
+        raise ValueError(f"it claims {claimed:.3g} bytes of numbers, more than {stored} bytes can hold")
 
 
 def _checksum(content: Mapping[str, Any]) -> str:

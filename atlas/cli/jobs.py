@@ -6,7 +6,7 @@ import argparse
 from pathlib import Path
 
 from ..errors import MAX_MESSAGE, MAX_TEXT, BadInput, printable
-from ..files import check_not_input, writable
+from ..files import check_not_input
 from .options import (
     DONE,
     Commands,
@@ -111,10 +111,13 @@ def add_join(commands: Commands) -> None:
 
 def _join(options: argparse.Namespace) -> int:
     """Run the command `join`; returns its exit code."""
+    from ..io import netcdf
     from ..runs.folder import RunFolder
 
     folder = RunFolder.open(options.folder)
-    folder.join(writable(options.out, (".nc", ".zarr"), force=options.force, inputs=[folder.tiles.folder]))
+    folder.join(
+        netcdf.writable(options.out, (".nc", ".zarr"), force=options.force, inputs=[folder.tiles.folder])
+    )
     print(f"wrote {options.out}")
     return DONE
 

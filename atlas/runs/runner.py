@@ -18,7 +18,7 @@ from .. import systems
 from ..engine import blocks
 from ..engine.compiling import Stopwatch, announced
 from ..errors import BadInput
-from ..files import check_name, exists_message, writable
+from ..files import check_name, exists_message
 from ..interruption import explain_kept
 from ..io import checksums, netcdf
 from ..io.progress import Progress
@@ -173,8 +173,9 @@ def _destination(out: str | Path) -> tuple[Path, bool]:
         if path.suffix.lower() != ".nc":
             raise BadInput(f"{path}: the name must end in .nc, for one file, or in /, for a run folder")
         check_name(_folder_of(path), LONGEST_NAME)
-        return writable(path, (".nc",), force=True), True
+        return netcdf.writable(path, (".nc",), force=True), True
     check_name(path, LONGEST_NAME)
+    checksums.check_path(path)
     if not path.absolute().parent.is_dir():
         raise BadInput(f"{path}: there is no folder {path.parent}")
     return path, False

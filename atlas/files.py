@@ -68,7 +68,7 @@ def atomic_write(path: Path, *, exclusive: bool = False) -> Iterator[Path]:
     OSError
         If the file cannot be created, flushed or moved.
     """
-    temporary = path.with_name(f".atlas-{process.name()}-{secrets.token_hex(4)}.tmp")
+    temporary = temporary_path(path)
     os.close(os.open(temporary, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW, 0o666))
     try:
         yield temporary
@@ -104,7 +104,7 @@ def atomic_folder(path: Path) -> Iterator[Path]:
     OSError
         If the folder cannot be created, flushed or moved.
     """
-    temporary, old = (path.with_name(f".atlas-{process.name()}-{secrets.token_hex(4)}.tmp") for _ in range(2))
+    temporary, old = temporary_path(path), temporary_path(path)
     temporary.mkdir()
     try:
         yield temporary
@@ -140,7 +140,7 @@ def _claim(temporary: Path, path: Path) -> None:
     one is killed in between, the next one finishes.
     """
     claim = claim_path(path)
-    folder = path.with_name(f".atlas-{process.name()}-{secrets.token_hex(4)}.tmp")
+    folder = temporary_path(path)
     folder.mkdir()
     try:
         os.replace(temporary, folder / path.name)
@@ -203,6 +203,11 @@ def _age(path: Path) -> float:
         return 0.0
 
 
+def temporary_path(path: Path) -> Path:
+    """A new name in the folder of `path`, by which `remove_leftovers` recognises what this process leaves there."""
+    return path.with_name(f".atlas-{process.name()}-{secrets.token_hex(4)}.tmp")
+
+
 def is_temporary(name: str) -> bool:
     """Whether a file has a name that `atomic_write` gives."""
     return TEMPORARY.fullmatch(name) is not None
@@ -244,6 +249,17 @@ def read_json(path: Path) -> dict[str, Any]:
     if not isinstance(content, dict):
         raise ValueError("it is no table")
     return content
+
+
+def check_types(content: Mapping[str, Any], types: Mapping[str, Any]) -> None:
+    """Raise ValueError unless a table has entries of these types: no bool, no number of 1e18 or more, texts in UTF-8."""
+    for name, kind in types.items():
+        value = content.get(name)
+        is_number = isinstance(value, int | float)
+        if not isinstance(value, kind) or isinstance(value, bool) or (is_number and not abs(value) < 1e18):
+            raise ValueError(f"its entry {name} is missing or no value that is allowed")
+        if isinstance(value, str):
+            value.encode()  # raises UnicodeEncodeError, a ValueError
 
 
 def check_claim(claimed: int, stored: int) -> None:

@@ -10,7 +10,7 @@ PACKAGE = Path(__file__).parent
 # points and variables a tile contains. Modules that only read, join or draw finished tiles are left out.
 NUMERIC_SOURCES = (
     "flags.py", "variables.py", "engine/**/*.py", "systems/**/*.py", "scene/**/*.py", "label/**/*.py",
-    "io/netcdf.py", "runs/runner.py", "runs/tiles.py", "runs/tiling.py",
+    "io/netcdf.py", "runs/runner.py", "runs/tiles.py", "runs/tiling.py", "validation/half_step.py",
 )  # fmt: skip
 
 

@@ -54,6 +54,7 @@ def _run(options: argparse.Namespace) -> int:
     check_not_input(Path(out), input_files(options.scene))
     from ..analysis.summary import summary
     from ..runs.estimate import dry_run
+    from ..runs.folder import TALLY
     from ..runs.runner import run
 
     if options.dry_run:
@@ -70,7 +71,7 @@ def _run(options: argparse.Namespace) -> int:
         workers=options.workers,
     )
     if shard is None:
-        print(summary(ds))
+        print(summary(ds, ds.encoding.get(TALLY)))
         print(f"wrote {out}")
     else:
         print(f"shard {options.shard} is done; {out} holds {ds.attrs['atlas_run']}")

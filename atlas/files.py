@@ -14,6 +14,7 @@ import os
 import re
 import secrets
 import shutil
+import stat
 import tempfile
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
@@ -26,6 +27,10 @@ from .errors import BadInput, option
 # A write that fails while less than this is free, in bytes, failed because the disk is full. A tile is smaller.
 MIN_FREE_BYTES = 1 << 25
 TRIAL_BYTES = 1 << 20  # written as a trial, to find out why a write failed
+# Limits of what a file that is read may claim: bytes of JSON, and bytes of numbers for each byte stored. Compression
+# makes at most 3000 of one; less than MIN_CLAIM bytes are allowed in any case.
+MAX_JSON_BYTES = 100_000_000
+MAX_RATIO, MIN_CLAIM = 4_000, 1_000_000_000
 TEMPORARY = re.compile(rf"\.atlas-({process.NAME.pattern})-[0-9a-f]{{8}}\.tmp")
 # Seconds without a write after which the temporary file of another machine is a leftover.
 FOREIGN_LEFTOVER_AGE = 7 * 86400.0
@@ -63,7 +68,7 @@ def atomic_write(path: Path, *, exclusive: bool = False) -> Iterator[Path]:
     OSError
         If the file cannot be created, flushed or moved.
     """
-    temporary = path.with_name(f".atlas-{process.name()}-{secrets.token_hex(4)}.tmp")
+    temporary = temporary_path(path)
     os.close(os.open(temporary, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW, 0o666))
     try:
         yield temporary
@@ -99,7 +104,7 @@ def atomic_folder(path: Path) -> Iterator[Path]:
     OSError
         If the folder cannot be created, flushed or moved.
     """
-    temporary, old = (path.with_name(f".atlas-{process.name()}-{secrets.token_hex(4)}.tmp") for _ in range(2))
+    temporary, old = temporary_path(path), temporary_path(path)
     temporary.mkdir()
     try:
         yield temporary
@@ -135,7 +140,7 @@ def _claim(temporary: Path, path: Path) -> None:
     one is killed in between, the next one finishes.
     """
     claim = claim_path(path)
-    folder = path.with_name(f".atlas-{process.name()}-{secrets.token_hex(4)}.tmp")
+    folder = temporary_path(path)
     folder.mkdir()
     try:
         os.replace(temporary, folder / path.name)
@@ -198,6 +203,11 @@ def _age(path: Path) -> float:
         return 0.0
 
 
+def temporary_path(path: Path) -> Path:
+    """A new name in the folder of `path`, by which `remove_leftovers` recognises what this process leaves there."""
+    return path.with_name(f".atlas-{process.name()}-{secrets.token_hex(4)}.tmp")
+
+
 def is_temporary(name: str) -> bool:
     """Whether a file has a name that `atomic_write` gives."""
     return TEMPORARY.fullmatch(name) is not None
@@ -210,10 +220,52 @@ def sealed(content: Mapping[str, Any]) -> str:
 
 def unsealed(text: str | bytes) -> dict[str, Any]:
     """Entries of a JSON text that `sealed` made; ValueError if it was changed."""
-    content = json.loads(text)
-    if not isinstance(content, dict) or content.pop("checksum", None) != _checksum(content):
-        raise ValueError("its checksum does not match its content")
+    try:
+        content = json.loads(text)
+        if not isinstance(content, dict) or content.pop("checksum", None) != _checksum(content):
+            raise ValueError("its checksum does not match its content")
+    except RecursionError:
+        raise ValueError("it is nested too deeply") from None
     return content
+
+
+def read_bytes(path: Path) -> bytes:
+    """Content of a JSON file; ValueError if it is longer than MAX_JSON_BYTES, or no regular file."""
+    if not stat.S_ISREG(path.stat().st_mode):
+        raise ValueError("it is no regular file")
+    with path.open("rb") as file:
+        content = file.read(MAX_JSON_BYTES + 1)
+    if len(content) > MAX_JSON_BYTES:
+        raise ValueError(f"more than {MAX_JSON_BYTES} bytes")
+    return content
+
+
+def read_json(path: Path) -> dict[str, Any]:
+    """Entries of a JSON file; ValueError if it is damaged or too large."""
+    try:
+        content = json.loads(read_bytes(path))
+    except RecursionError:
+        raise ValueError("it is nested too deeply") from None
+    if not isinstance(content, dict):
+        raise ValueError("it is no table")
+    return content
+
+
+def check_types(content: Mapping[str, Any], types: Mapping[str, Any]) -> None:
+    """Raise ValueError unless a table has entries of these types: no bool, no number of 1e18 or more, texts in UTF-8."""
+    for name, kind in types.items():
+        value = content.get(name)
+        is_number = isinstance(value, int | float)
+        if not isinstance(value, kind) or isinstance(value, bool) or (is_number and not abs(value) < 1e18):
+            raise ValueError(f"its entry {name} is missing or no value that is allowed")
+        if isinstance(value, str):
+            value.encode()  # raises UnicodeEncodeError, a ValueError
+
+
+def check_claim(claimed: int, stored: int) -> None:
+    """Raise ValueError if a file claims so many bytes of numbers that its own cannot hold them."""
+    if claimed > max(MIN_CLAIM, MAX_RATIO * stored):
+        raise ValueError(f"it claims {claimed:.3g} bytes of numbers, more than {stored} bytes can hold")
 
 
 def _checksum(content: Mapping[str, Any]) -> str:

@@ -11,6 +11,7 @@ PACKAGE = Path(__file__).parent
 NUMERIC_SOURCES = (
     "flags.py", "variables.py", "engine/**/*.py", "systems/**/*.py", "scene/**/*.py", "label/**/*.py",
     "papers/**/*.py", "io/netcdf.py", "runs/runner.py", "runs/tiles.py", "runs/tiling.py",
+    "validation/half_step.py",
 )  # fmt: skip
 
 

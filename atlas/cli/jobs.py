@@ -7,7 +7,7 @@ import re
 from pathlib import Path
 
 from ..errors import MAX_MESSAGE, MAX_TEXT, BadInput, attribute_text, printable, say
-from ..files import check_not_input, writable
+from ..files import check_not_input
 from .options import (
     DONE,
     Commands,
@@ -55,6 +55,7 @@ def _run(options: argparse.Namespace) -> int:
     check_not_input(Path(out), input_files(options.scene))
     from ..analysis.summary import summary
     from ..runs.estimate import dry_run
+    from ..runs.folder import TALLY
     from ..runs.runner import run
 
     if options.dry_run:
@@ -71,7 +72,7 @@ def _run(options: argparse.Namespace) -> int:
         workers=options.workers,
     )
     if shard is None:
-        say(*summary(ds).split("\n"), f"wrote {out}")
+        say(*summary(ds, ds.encoding.get(TALLY)).split("\n"), f"wrote {out}")
     else:
         say(
             f"shard {options.shard} is done; {out} holds {attribute_text(ds.attrs, 'atlas_run', limit=MAX_MESSAGE)}"
@@ -114,10 +115,13 @@ def add_join(commands: Commands) -> None:
 
 def _join(options: argparse.Namespace) -> int:
     """Run the command `join`; returns its exit code."""
+    from ..io import netcdf
     from ..runs.folder import RunFolder
 
     folder = RunFolder.open(options.folder)
-    folder.join(writable(options.out, (".nc", ".zarr"), force=options.force, inputs=[folder.tiles.folder]))
+    folder.join(
+        netcdf.writable(options.out, (".nc", ".zarr"), force=options.force, inputs=[folder.tiles.folder])
+    )
     say(f"wrote {options.out}")
     return DONE
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 
 from ..errors import say
-from ..files import atomic_write, writable
+from ..files import atomic_write
 from ..validation.text_table import text_table
 from .options import (
     DONE,
@@ -47,13 +47,15 @@ def add_accuracy(commands: Commands) -> None:
 
 def _accuracy(options: argparse.Namespace) -> int:
     """Run the command `accuracy`; returns its exit code."""
+    from ..io import netcdf
+
     inputs = input_files(options.scene)
     outs = [
-        writable(out, (".nc", ".csv", *FIGURES), force=options.force, inputs=inputs) for out in options.out
+        netcdf.writable(out, (".nc", ".csv", *FIGURES), force=options.force, inputs=inputs)
+        for out in options.out
     ]
     check_at_least("--points", options.points, 2)
     scene = read_scene(options.scene)
-    from ..io import netcdf
     from ..plotting import style
     from ..plotting.work_precision import figure
     from ..validation import work_precision, work_precision_report

@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from ..errors import say
-from ..files import writable
 from .options import (
     DONE,
     FIGURES,
@@ -81,7 +80,7 @@ def _points(options: argparse.Namespace) -> int:
     check_at_least("--threads", options.threads, 1)
     from_input = options.points == STANDARD_INPUT
     inputs = [] if from_input else [options.points]
-    out = writable(options.out, tables.FORMATS, force=options.force, inputs=inputs)
+    out = netcdf.writable(options.out, tables.FORMATS, force=options.force, inputs=inputs)
     system = systems.get(options.system)
     numeric = {*system.parameters, *options.keep}
     columns: dict[str, Any]
@@ -137,7 +136,7 @@ def _trajectory(options: argparse.Namespace) -> int:
     from ..io import netcdf
 
     name = options.out or f"{default_name(options.scene)}_trajectory.png"
-    out = writable(name, (".nc", *FIGURES), force=options.force, inputs=input_files(options.scene))
+    out = netcdf.writable(name, (".nc", *FIGURES), force=options.force, inputs=input_files(options.scene))
     check_at_least("--samples", options.samples, 2)
     coordinates = axis_values("--at", options.at)
     tr = _motion(options.scene, coordinates, options.samples)

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn, TypeAlias
 
 from ..errors import MAX_MESSAGE, BadInput, printable, say
-from ..files import check_name, without_suffix, writable
+from ..files import check_name, without_suffix
 
 if TYPE_CHECKING:
     from ..scene.model import Scene
@@ -167,8 +167,10 @@ def output_folder(name: str, files: Sequence[str], *, force: bool) -> Path:
     if existing and not force:
         raise BadInput(f"{folder}: these files exist; --force replaces them: {', '.join(existing)}")
     folder.mkdir(parents=True, exist_ok=True)
+    from ..io import netcdf
+
     for file in files:
-        writable(folder / file, (Path(file).suffix,), force=True)
+        netcdf.writable(folder / file, (Path(file).suffix,), force=True)
     return folder
 
 

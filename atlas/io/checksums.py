@@ -14,6 +14,7 @@ from __future__ import annotations
 import hashlib
 import json
 import math
+import os
 import zlib
 from collections.abc import Iterator, Sequence
 from itertools import product
@@ -29,7 +30,7 @@ from xarray.backends.netCDF4_ import NetCDF4ArrayWrapper
 from xarray.core import indexing
 
 from ..errors import BadInput
-from ..files import one_line
+from ..files import check_claim, one_line
 
 GROUP = "checksums"
 BLOCK_VALUES = 1 << 16  # in a block of a variable that is not stored in chunks
@@ -63,6 +64,15 @@ def are_in(path: Path) -> bool:
     """Whether a NetCDF file has checksums; a copy by another program has none."""
     with NETCDF_LOCK, netCDF4.Dataset(path) as file:
         return GROUP in file.groups
+
+
+def check_path(path: Path) -> None:
+    """Raise BadInput for a path that the NetCDF library takes for another one, or cannot take."""
+    whole = os.path.abspath(path)
+    if "\\" in whole or any("\ud800" <= character <= "\udfff" for character in whole):
+        raise BadInput(
+            f"{path}: the NetCDF library opens no path with a backslash or with bytes that are not UTF-8 ({whole})"
+        )
 
 
 def verify(path: Path) -> None:
@@ -154,18 +164,17 @@ class CheckedStore(xr.backends.NetCDF4DataStore):
 
     @classmethod
     def of(cls, path: Path) -> CheckedStore:
-        """Open a file; BadInput if its metadata do not fit their hash."""
+        """Open a file; BadInput if its metadata do not fit their hash, or claim more than the file can hold."""
+        check_path(path)
         store = cls.open(str(path))
         file = store.ds
-        if GROUP in file.groups:
-            try:
-                with NETCDF_LOCK:
-                    store.checksums = _read_checksums(file)
-            except Exception as error:  # damaged metadata may raise any error
-                store.close()
-                raise BadInput(
-                    f"{path}: its dimensions or attributes are damaged: {one_line(error)}"
-                ) from None
+        try:
+            with NETCDF_LOCK:
+                check_claim(_claimed_bytes(file), path.stat().st_size)
+                store.checksums = _read_checksums(file)
+        except Exception as error:  # damaged metadata may raise any error
+            store.close()
+            raise BadInput(f"{path}: its dimensions or attributes are damaged: {one_line(error)}") from None
         return store
 
     def open_store_variable(self, name: str, var: Any) -> xr.Variable:
@@ -179,9 +188,26 @@ class CheckedStore(xr.backends.NetCDF4DataStore):
         )
 
 
-def _read_checksums(file: netCDF4.Dataset) -> dict[str, tuple[list[int], np.ndarray]]:
-    """Shape of the blocks and CRC of each block of every variable; any error if the metadata are damaged."""
-    group = file.groups[GROUP]
+def _claimed_bytes(file: netCDF4.Dataset) -> int:
+    """Bytes of memory of all variables of a file and its groups."""
+    return sum(
+        math.prod(variable.shape) * getattr(variable.dtype, "itemsize", 8)
+        for group in (file, *file.groups.values())
+        for variable in group.variables.values()
+    )
+
+
+def _read_checksums(file: netCDF4.Dataset) -> dict[str, tuple[list[int], np.ndarray]] | None:
+    """Shape of the blocks and CRC of each block of every variable, None if the file has no checksums.
+
+    Any error if the metadata are damaged.
+    """
+    group = file.groups.get(GROUP)
+    if group is None:
+        # A copy by another program has no groups; a flipped bit of the name must not make the file look like one.
+        if any("crc32" in each.variables or "block" in each.dimensions for each in file.groups.values()):
+            raise ValueError(f"the group {GROUP} has another name")
+        return None
     if group.getncattr("metadata_sha256") != _metadata_hash(file):
         raise ValueError("their hash differs")
     blocks: BlockShapes = json.loads(group.getncattr("block_shapes"))

@@ -2,19 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
+import netCDF4
 import numpy as np
 import xarray as xr
 
-from ..files import atomic_write
+from .. import files
+from ..errors import BadInput
+from ..files import atomic_write, disk_error
 from ..scene import grid
 from ..scene.model import Scene
 from ..systems.base import System
 from ..variables import variables
-from . import checksums
+from . import checksums, zarr_store
 
 COMPRESSION: dict[str, Any] = {"zlib": True, "complevel": 4, "shuffle": True}
 CHECKED_COMPRESSION = COMPRESSION | {"fletcher32": True}
@@ -151,5 +155,32 @@ def write(ds: xr.Dataset, path: Path) -> None:
         if variable.ndim:
             encoding[str(name)] |= CHECKED_COMPRESSION
     with atomic_write(path) as temporary:
-        ds.to_netcdf(temporary, engine="netcdf4", format="NETCDF4", encoding=encoding)
-        checksums.add(temporary)
+        try:
+            ds.to_netcdf(temporary, engine="netcdf4", format="NETCDF4", encoding=encoding)
+            checksums.add(temporary)
+        except (RuntimeError, OSError) as error:
+            raise disk_error(error, path) from None
+
+
+def writable(
+    name: str | Path, suffixes: Sequence[str], *, force: bool, inputs: Iterable[str | Path] = ()
+) -> Path:
+    """Check the path of a file as `files.writable` does, and that no data of another program are there.
+
+    A NetCDF file that has neither checksums nor the attribute `atlas_version`, and a Zarr store that `is_whole` does not
+    know, are refused with BadInput.
+    """
+    path = files.writable(name, suffixes, force=force, inputs=inputs)
+    is_own = True
+    if path.suffix.lower() == ".nc":
+        checksums.check_path(path)
+        with suppress(OSError, RuntimeError), checksums.NETCDF_LOCK, netCDF4.Dataset(path) as file:
+            is_own = checksums.GROUP in file.groups or "atlas_version" in file.ncattrs()
+    elif path.is_dir():
+        is_own = zarr_store.is_whole(path)
+    if not is_own:
+        raise BadInput(
+            f"{path}: holds something else than an atlas, or is damaged; it is not replaced: remove it or choose"
+            " another name"
+        )
+    return path

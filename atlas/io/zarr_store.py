@@ -2,7 +2,8 @@
 
 A Zarr chunk that is missing reads as its fill value, and metadata have no checksums. The attribute CHECKSUM of a store
 therefore holds a hash of all metadata and of names and sizes of all other files, which is compared when the store is
-opened. Every chunk ends in a CRC-32C, which Zarr compares whenever it is read.
+opened. Every chunk ends in a CRC-32C, which Zarr compares whenever it is read. The attribute CHUNKS binds these to
+their array and place; it is compared before an array is read.
 """
 
 from __future__ import annotations
@@ -10,6 +11,8 @@ from __future__ import annotations
 import hashlib
 import json
 import math
+import os
+import zlib
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -21,10 +24,11 @@ from xarray.backends.zarr import ZarrStore
 from xarray.core import indexing
 
 from ..errors import BadInput
-from ..files import one_line
+from ..files import check_claim, one_line, read_json
 
 METADATA = "zarr.json"
 CHECKSUM = "atlas_checksum"
+CHUNKS = "atlas_chunks"  # JSON text: name of an array -> `_crc_of_chunks`
 CHUNKS_PER_SHARD = 16  # chunks in one file
 COMPRESSION_LEVEL = 3
 
@@ -105,16 +109,24 @@ def _plain(attributes: Mapping[Any, Any]) -> dict[str, Any]:
 
 
 def add_checksum(path: Path) -> None:
-    """Add the checksum to a store when all is written."""
+    """Add the checksums to a store when all is written."""
     file = path / METADATA
     metadata = json.loads(file.read_bytes())
-    metadata["attributes"][CHECKSUM] = _checksum(path, metadata)
+    arrays = _arrays(path)
+    metadata["attributes"][CHUNKS] = json.dumps({name: _crc_of_chunks(path / name) for name in arrays})
+    metadata["attributes"][CHECKSUM] = _checksum(path, metadata["attributes"])
     file.write_text(json.dumps(metadata, indent=2))
 
 
-def _checksum(path: Path, metadata: dict[str, Any]) -> str:
+def _arrays(path: Path) -> dict[str, dict[str, Any]]:
+    """Metadata of the arrays of a store by their names."""
+    nodes = {file.parent.name: read_json(file) for file in path.glob(f"*/{METADATA}")}
+    return {name: node for name, node in nodes.items() if node["node_type"] == "array"}
+
+
+def _checksum(path: Path, attributes: Mapping[str, Any]) -> str:
     """Hash of the metadata of a store, and of names and sizes of its other files."""
-    attributes = {name: value for name, value in metadata["attributes"].items() if name != CHECKSUM}
+    attributes = {name: value for name, value in attributes.items() if name != CHECKSUM}
     digest = hashlib.sha256(json.dumps(attributes, sort_keys=True).encode())
     for file in sorted(path.rglob("*")):
         if file.is_file() and file != path / METADATA:
@@ -122,6 +134,47 @@ def _checksum(path: Path, metadata: dict[str, Any]) -> str:
             content = file.read_bytes() if file.name == METADATA else b"%d" % file.stat().st_size
             digest.update(b"%s %d %s" % (name.encode(), len(content), content))
     return digest.hexdigest()
+
+
+def _crc_of_chunks(folder: Path) -> int:
+    """CRC-32 of the places of all chunks of an array, and of the CRC-32C in which each of them ends."""
+    array, crc = read_json(folder / METADATA), 0
+    codec = array["codecs"][0]
+    for file in sorted(file for file in folder.rglob("*") if file.is_file() and file.name != METADATA):
+        with file.open("rb") as opened:
+            if codec["name"] == "sharding_indexed":
+                shapes = array["chunk_grid"]["configuration"], codec["configuration"]
+                in_file, in_chunk = (math.prod(shape["chunk_shape"]) for shape in shapes)
+                opened.seek(-16 * (in_file // in_chunk) - 4, os.SEEK_END)
+                content = opened.read()
+                for place, length in np.frombuffer(content[:-4], "<u8").reshape(-1, 2).tolist():
+                    if length < 1 << 63:  # a chunk beyond the end of the array is not stored
+                        opened.seek(place + length - 4)
+                        content += opened.read(4)
+            else:
+                opened.seek(-4, os.SEEK_END)
+                content = opened.read()
+        crc = zlib.crc32(file.relative_to(folder).as_posix().encode() + content, crc)
+    return crc
+
+
+def _claimed_bytes(arrays: Mapping[str, Any]) -> int:
+    """Bytes of memory of the values of all arrays, each at least a chunk long."""
+    claimed = 0
+    for array in arrays.values():
+        lengths = array["chunk_grid"]["configuration"]["chunk_shape"]
+        size = 1 if array["data_type"] in ("int8", "bool") else 8
+        claimed += size * math.prod(map(max, array["shape"], lengths))
+    return claimed
+
+
+def is_whole(path: Path) -> bool:
+    """Whether a folder is a store with checksum that holds exactly the files that were written."""
+    try:
+        attributes = read_json(path / METADATA)["attributes"]
+        return bool(attributes[CHECKSUM] == _checksum(path, attributes))
+    except (OSError, LookupError, TypeError, ValueError):
+        return False
 
 
 def open_store(path: Path) -> xr.Dataset:
@@ -139,19 +192,20 @@ def open_store(path: Path) -> xr.Dataset:
     Raises
     ------
     BadInput
-        If the package zarr is missing, or the store is damaged. Damaged values are found when they are read.
+        If the package zarr is missing, if the store is damaged, or if its arrays are larger than its files can hold.
+        Damaged values are found when they are read.
     """
     zarr_package()
     try:
-        metadata = json.loads((path / METADATA).read_bytes())
-        if CHECKSUM in metadata["attributes"] and metadata["attributes"][CHECKSUM] != _checksum(
-            path, metadata
-        ):
+        attributes = read_json(path / METADATA)["attributes"]
+        if {CHECKSUM, CHUNKS} & attributes.keys() and attributes.get(CHECKSUM) != _checksum(path, attributes):
             raise ValueError("files were changed, added or lost since it was written")
+        check_claim(_claimed_bytes(_arrays(path)), sum(file.stat().st_size for file in path.rglob("*")))
         ds = xr.open_dataset(_CheckedStore.open_group(str(path), consolidated=False))
     except Exception as error:  # damaged metadata may raise any error
         raise BadInput(f"{path}: not a Zarr store that can be read ({one_line(error)})") from None
-    ds.attrs.pop(CHECKSUM, None)
+    for name in (CHECKSUM, CHUNKS):
+        ds.attrs.pop(name, None)
     return ds
 
 
@@ -164,21 +218,24 @@ class _CheckedStore(ZarrStore):
         attributes = dict(variable.attrs)
         if "flag_values" in attributes:
             attributes["flag_values"] = np.array(attributes["flag_values"], variable.dtype)
-        array = _CheckedArray(
-            variable._data.array, f"{self.zarr_group.store}: the values of {name} are damaged"
-        )
+        crc = json.loads(self.zarr_group.attrs.get(CHUNKS, "{}")).get(name)
+        array = _CheckedArray(variable._data.array, self.zarr_group.store.root / name, crc)
         return xr.Variable(variable.dims, indexing.LazilyIndexedArray(array), attributes, variable.encoding)
 
 
 class _CheckedArray(BackendArray):
     """A Zarr array whose damaged chunks raise BadInput."""
 
-    def __init__(self, array: Any, message: str):
-        self.array, self.message = array, message
+    def __init__(self, array: Any, folder: Path, crc: int | None):
+        self.array, self.folder, self.crc = array, folder, crc
         self.shape, self.dtype = array.shape, array.dtype
 
     def __getitem__(self, key: indexing.ExplicitIndexer) -> Any:
         try:
+            if self.crc is not None and self.crc != _crc_of_chunks(self.folder):
+                raise ValueError("its chunks are not those that were written, or not in their places")
+            self.crc = None  # compared once
             return self.array[key]
         except (ValueError, RuntimeError, OSError) as error:
-            raise BadInput(f"{self.message}: {one_line(error)}") from None
+            path, name = self.folder.parent, self.folder.name
+            raise BadInput(f"{path}: the values of {name} are damaged: {one_line(error)}") from None

@@ -59,6 +59,8 @@ class Content:
         self.registry = data_variables(self.system)
         self.store = Store(layout.shape)
         self.notes = list(layout.notes)
+        if "atlas_scene" not in self.ds.attrs:
+            self.notes.append("The scene of this atlas is missing: motions start without its nudge.")
         self.shades: dict[str, list[str]] = {}
 
     def table(self, motions: Mapping[str, Any]) -> dict[str, Any]:

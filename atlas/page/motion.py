@@ -115,7 +115,7 @@ def motions(ds: xr.Dataset, system: System, scene: Scene | None, dims: list[str]
     """
     shape = tuple(ds.sizes[dim] for dim in dims)
     if scene is None:
-        parameters, duration, settings = _single_points(ds, system, shape)
+        parameters, duration, settings = _single_points(ds, system, dims)
         reason, family, unit = grid.reasons(system, parameters), None, Duration()
     else:
         located = _points_of_scene(ds, scene, dims)
@@ -152,7 +152,7 @@ def _recorded_steps(ds: xr.Dataset, dims: list[str], duration: Array, default: n
         raise BadInput(
             "step: not in this dataset; the frequency bound of this system is numeric, and its steps are those recorded"
         )
-    step = np.asarray(ds["step"].transpose(*dims).values, np.float64).ravel()
+    step = _over_points(ds, "step", dims)
     with np.errstate(all="ignore"):
         recorded = np.rint(duration / step)
     return np.where(np.isfinite(recorded) & (recorded >= 1), recorded, default).astype(np.int64)
@@ -164,23 +164,31 @@ def _points_of_scene(ds: xr.Dataset, scene: Scene, dims: list[str]) -> grid.Grid
     for dim, axis in axes_of(scene).items():
         if dim not in ds.coords or not set(ds[dim].dims) <= set(dims):
             raise BadInput(f"{dim}: this axis of the scene is not in the dataset")
-        whole = ds[dim].broadcast_like(xr.Dataset(coords={d: ds[d] for d in dims}))
-        coordinates[axis.name] = np.asarray(whole.transpose(*dims).values, np.float64).ravel()
+        coordinates[axis.name] = _over_points(ds, dim, dims)
     return grid.points_at(scene, coordinates)
 
 
+def _over_points(ds: xr.Dataset, name: str, dims: list[str]) -> Array:
+    """Values of a variable at every point, in C order of the dimensions of the points."""
+    array = ds[name]
+    whole = array.expand_dims({dim: ds.sizes[dim] for dim in dims if dim not in array.dims})
+    return np.asarray(whole.transpose(*dims).values, np.float64).ravel()
+
+
 def _single_points(
-    ds: xr.Dataset, system: System, shape: tuple[int, ...]
+    ds: xr.Dataset, system: System, dims: list[str]
 ) -> tuple[Mapping[str, Array], Array, Settings]:
     """Parameters, durations and settings of points that come from no scene; see analysis.rerun."""
     if "end_time" not in ds:
         raise BadInput("end_time: not in this dataset; a trajectory needs it to end where the point did")
     parameters = {}
     for name, parameter in system.parameters.items():
-        if name not in ds.coords and not math.isnan(parameter.default):
+        if name in ds.coords:
+            parameters[name] = _over_points(ds, name, dims)
+        elif math.isnan(parameter.default):
+            parameters[name] = np.full(math.prod(ds.sizes[dim] for dim in dims), math.nan)
+        else:
             raise BadInput(f"{name}: this parameter of the points is not in the dataset")
-        values = ds[name].values if name in ds.coords else math.nan
-        parameters[name] = np.broadcast_to(np.asarray(values, np.float64), shape).ravel()
     step = number_attribute(ds, "atlas_step")
     settings = Settings(
         method=attribute_text(ds.attrs, "atlas_method"),
@@ -188,4 +196,4 @@ def _single_points(
         tolerance=DEFAULTS.tolerance if math.isfinite(step) else number_attribute(ds, "atlas_tolerance"),
         rate_tolerance=number_attribute(ds, "atlas_rate_tolerance"),
     )
-    return parameters, np.asarray(ds["end_time"].values, np.float64).ravel(), settings
+    return parameters, _over_points(ds, "end_time", dims), settings

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import warnings
 from collections.abc import Iterable
 from pathlib import Path
@@ -145,5 +146,8 @@ def save(figure: Figure, path: str | Path, dpi: float | None = None) -> None:
     kind = path.suffix.lower()[1:]
     # No date in the file, so that the same atlas gives the same bytes.
     undated = {"png": {}, "pdf": {"CreationDate": None}, "svg": {"Date": None}}[kind]
-    with atomic_write(path) as temporary, rc_context(STYLE):
-        figure.savefig(temporary, format=kind, metadata=undated, dpi=dpi or STYLE["savefig.dpi"])
+    content = io.BytesIO()  # Matplotlib raises odd errors where it cannot write a file
+    with rc_context(STYLE):
+        figure.savefig(content, format=kind, metadata=undated, dpi=dpi or STYLE["savefig.dpi"])
+    with atomic_write(path) as temporary:
+        temporary.write_bytes(content.getbuffer())

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 from collections.abc import Iterable
 from pathlib import Path
@@ -12,6 +11,7 @@ import xarray as xr
 from xarray.backends import BackendEntrypoint
 
 from ..errors import BadInput, shown
+from ..files import read_json
 
 
 class AtlasBackend(BackendEntrypoint):
@@ -29,10 +29,9 @@ class AtlasBackend(BackendEntrypoint):
         if not isinstance(filename_or_obj, str | os.PathLike):
             return False
         try:
-            manifest = json.loads((Path(filename_or_obj) / "manifest.json").read_bytes())
+            return {"scene", "identity", "tile"} <= read_json(Path(filename_or_obj) / "manifest.json").keys()
         except (OSError, ValueError):
             return False
-        return isinstance(manifest, dict) and {"scene", "identity", "tile"} <= manifest.keys()
 
     def open_dataset(
         self, filename_or_obj: Any, *, drop_variables: str | Iterable[str] | None = None

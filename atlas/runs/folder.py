@@ -17,9 +17,11 @@ import json
 import logging
 import math
 import os
+import re
 import shutil
 import tomllib
 from collections import Counter
+from collections.abc import Iterator
 from contextlib import suppress
 from datetime import UTC, datetime
 from pathlib import Path
@@ -29,16 +31,21 @@ import netCDF4
 import numpy as np
 import xarray as xr
 
+from .. import process
 from ..errors import MAX_MESSAGE, MAX_TEXT, BadInput, printable
 from ..files import (
     atomic_write,
     check_folder,
+    check_types,
     claim_path,
     disk_error,
     is_temporary,
     one_line,
+    read_bytes,
+    read_json,
     remove_leftovers,
     sealed,
+    temporary_path,
     unsealed,
 )
 from ..io import checksums, netcdf, progress
@@ -49,14 +56,19 @@ from ..scene import grid
 from ..scene.model import Scene
 from ..scene.read import parse_scene
 from .identity import differences, identity
-from .tiles import DamagedTileError, TileFiles, tile_types
+from .tiles import DamagedTileError, Tally, TileFiles, tile_types
 from .tiling import Tiling, tiling
+from .zarr_join import boxes, read_box
 
 FORMAT = 2
 MANIFEST = "manifest.json"
 FINAL_ATTRIBUTES = "notes.json"
 # As long as the longest name in a run folder, so that a path that is too long is refused before anything is computed.
 LONGEST_NAME = "tiles/" + 64 * "x"
+PROGRESS = re.compile(r"progress(-\d+-of-\d+)?\.json")
+ATTRIBUTE = str | int | float  # types of the attributes of an atlas
+MANIFEST_TYPES = {"key": str, "scene": str, "identity": dict, "tile": list, "provenance": dict}
+TALLY = "tally"  # entry of the encoding of a dataset of a whole run folder
 RESULT = "atlas_result"  # attribute of an atlas with its `result_hash`
 
 
@@ -84,6 +96,7 @@ class RunFolder:
         self.key = str(manifest["key"])
         self.scene = parse_scene(str(manifest["scene"]))
         self.tiling = Tiling(self.scene.shape, tuple(manifest["tile"]))
+        self.tiling.check()
         self.tiles = TileFiles(path / "tiles", self.key, self.scene, self.tiling)
 
     def __reduce__(self) -> Any:
@@ -105,7 +118,7 @@ class RunFolder:
         path = Path(path).absolute()
         file = path / MANIFEST
         try:
-            manifest = unsealed(file.read_bytes())
+            manifest = unsealed(read_bytes(file))
         except FileNotFoundError:
             raise BadInput(f"{path}: not a run folder: there is no {MANIFEST} in it") from None
         except NotADirectoryError:
@@ -119,14 +132,17 @@ class RunFolder:
         if manifest.get("format") != FORMAT:
             raise BadInput(f"{file}: not a manifest of this version of atlas (format {FORMAT})")
         try:
-            if manifest["key"] == _key(manifest):
-                return cls(path, manifest)
+            check_types(manifest, MANIFEST_TYPES)
+            check_types(manifest["identity"], dict.fromkeys(manifest["identity"], str))
+            check_types(manifest["provenance"], dict.fromkeys(manifest["provenance"], ATTRIBUTE | None))
+            if manifest["key"] != _key(manifest):
+                raise ValueError("its key does not match its content")
+            return cls(path, manifest)
         except BadInput as error:
             version = manifest["identity"].get("atlas")
             raise BadInput(f"{file}: its scene, of atlas {version}, cannot be read: {error}") from None
-        except (KeyError, TypeError, ValueError, AttributeError):
-            pass
-        raise BadInput(f"{file}: damaged: its key does not match its content")
+        except ValueError as error:
+            raise BadInput(f"{file}: damaged: {one_line(error)}") from None
 
     @classmethod
     def prepare(cls, scene: Scene, path: Path, sample: grid.Grid, warnings: list[str]) -> RunFolder:
@@ -164,13 +180,21 @@ class RunFolder:
 
     @classmethod
     def discard(cls, scene: Scene, path: Path) -> None:
-        """Remove the run folder at `path` if it holds another scene, or a run of another version."""
-        if (path / MANIFEST).exists():
-            try:
-                cls.open(path).check_same(scene)
-            except BadInput:
-                with suppress(BadInput):
-                    cls.open(path).remove()
+        """Remove the run folder at `path` if it holds another scene, or a run of another version.
+
+        BadInput if a process computes it.
+        """
+        if not (path / MANIFEST).exists():
+            return
+        try:
+            run = cls.open(path)
+        except BadInput:
+            return  # `prepare` refuses it
+        try:
+            run.check_same(scene)
+        except BadInput:
+            run.check_idle()
+            run.remove()
 
     def check_same(self, scene: Scene) -> None:
         """Raise BadInput, listing the differences, unless this process computes the same bits for the scene."""
@@ -181,6 +205,34 @@ class RunFolder:
             raise BadInput(
                 f"{self.path}: holds another run; choose another name or remove it. It differs in {different}"
             )
+
+    def check_idle(self) -> None:
+        """Raise BadInput if a process is at work in this folder."""
+        for content, state in self._processes():
+            match = process.NAME.fullmatch(str(content["process"]))
+            if match is not None and state == progress.AT_WORK:
+                raise BadInput(
+                    f"{self.path}: is computed by process {match[3]} on {content.get('host')}; wait for it, end it, or choose"
+                    " another name"
+                )
+
+    def check_kept(self) -> None:
+        """Raise OSError if another process has removed the run, or replaced it by another one."""
+        try:
+            kept = unsealed(read_bytes(self.path / MANIFEST)).get("key") == self.key
+        except (OSError, ValueError):
+            kept = False
+        if not kept:
+            raise OSError(
+                f"{self.path}: another process has removed this run while it was computed; run its scene again"
+            )
+
+    def _processes(self) -> Iterator[tuple[dict[str, Any], str]]:
+        """Content of each progress file that can be read, and the state of its process."""
+        for path in sorted(self.path.glob("progress*.json")):
+            with suppress(OSError, ValueError, KeyError, TypeError):
+                content = read_json(path)
+                yield content, progress.state(content)
 
     def key_with(self, identity: dict[str, str]) -> str:
         """Key of this run if programs and processors of another identity computed it."""
@@ -197,7 +249,7 @@ class RunFolder:
 
     def is_written(self) -> bool:
         """Whether all tiles are written."""
-        return all(self.tiles.is_written(tile) for tile in range(self.tiling.count))
+        return not self.tiles.missing()
 
     def progress_text(self) -> str:
         """Number of the tiles that are written, as text; empty if the folder has been removed."""
@@ -223,10 +275,8 @@ class RunFolder:
         ]
         points_left = sum(tiling.size_of(tile) for tile in [*status.missing, *status.damaged])
         total_speed, is_running = 0.0, False
-        for path in sorted(self.path.glob("progress*.json")):
-            with suppress(OSError, ValueError, KeyError, TypeError):
-                content = json.loads(path.read_text(encoding="utf-8"))
-                state = progress.state(content)
+        for content, state in self._processes():
+            with suppress(ValueError, KeyError, TypeError):
                 lines.append(
                     f"shard {content['shard']} on {content['host']}: {content['done']} of {content['points']}"
                     f" points, {content['points_per_second']:.4g} points/s, {state}; written {content['written']}"
@@ -262,15 +312,26 @@ class RunFolder:
             for name, dtype in tile_types(self.scene).items()
         }
         ds = netcdf.dataset(self.scene, arrays, self.tiling.tile)
-        return ds.assign_attrs(self._provenance() | self.final_attributes())
+        provenance, tally = self._provenance()
+        if tally is not None:
+            ds.encoding[TALLY] = tally
+        return ds.assign_attrs(provenance | self.final_attributes())
 
-    def _provenance(self) -> dict[str, Any]:
-        """Provenance of the tiles that are written; seconds and speed are those of all processes together."""
+    def _provenance(self) -> tuple[dict[str, Any], Tally | None]:
+        """Provenance of the tiles that are written, and the tally of all points if they are.
+
+        Seconds and speed are those of all processes together.
+        """
         points, seconds, tiles_by = 0, 0.0, Counter[str]()
+        tally: Tally | None = Tally()
         for sidecar in self.tiles.sidecars():
-            with suppress(KeyError):
-                points, seconds = points + sidecar["points"], seconds + sidecar["seconds"]
-                tiles_by[sidecar["by"]] += 1
+            points, seconds = points + sidecar["points"], seconds + sidecar["seconds"]
+            tiles_by[sidecar["by"]] += 1
+            if tally is not None:
+                try:
+                    tally.add(Tally(sidecar["tally"]))
+                except (LookupError, TypeError, ValueError, AttributeError):
+                    tally = None  # a sidecar of an older version
         attributes = {
             name: math.nan if value is None else value for name, value in self.manifest["provenance"].items()
         }
@@ -280,10 +341,11 @@ class RunFolder:
         attributes["atlas_run"] = f"{tiles_by.total()} of {self.tiling.count} tiles" + "".join(
             f"; {count} by {by}" for by, count in sorted(tiles_by.items())
         )
-        return attributes
+        return attributes, tally if points == self.scene.size else None
 
     def save_final_attributes(self, attributes: dict[str, Any]) -> None:
         """Save attributes that only the finished run has; `dataset` then has them."""
+        self.check_kept()
         with atomic_write(self.path / FINAL_ATTRIBUTES) as temporary:
             temporary.write_text(sealed({"key": self.key, "attributes": attributes}), encoding="utf-8")
 
@@ -291,7 +353,9 @@ class RunFolder:
         """Attributes saved by `save_final_attributes`, or none; BadInput if their file is damaged."""
         file = self.path / FINAL_ATTRIBUTES
         try:
-            content = unsealed(file.read_bytes())
+            content = unsealed(read_bytes(file))
+            check_types(content, {"key": str, "attributes": dict})
+            check_types(content["attributes"], dict.fromkeys(content["attributes"], ATTRIBUTE))
             if content["key"] != self.key:
                 raise ValueError("it belongs to another run")
             return dict(content["attributes"])
@@ -299,7 +363,7 @@ class RunFolder:
             return {}
         except OSError as error:
             raise BadInput(f"{file}: cannot be read: {error.strerror}") from None
-        except (ValueError, KeyError, TypeError) as error:
+        except ValueError as error:
             raise BadInput(
                 f"{file}: damaged: {one_line(error)}; run the scene again, which writes it anew"
             ) from None
@@ -319,7 +383,7 @@ class RunFolder:
         OSError
             If the disk is full; likewise.
         """
-        missing = sum(not self.tiles.is_written(tile) for tile in range(self.tiling.count))
+        missing = len(self.tiles.missing())
         if missing:
             raise BadInput(
                 f"{self.path}: {missing} of {self.tiling.count} tiles are missing; run its scene again first"
@@ -393,19 +457,24 @@ class RunFolder:
                     file[str(name)][slices] = values
 
     def _copy_tiles(self, file: netCDF4.Dataset) -> None:
-        """Write the variables of all tiles."""
-        for tile in range(self.tiling.count):
-            try:
-                arrays = self.tiles.read(tile)
-            except (FileNotFoundError, DamagedTileError) as error:
-                raise DamagedTileError(f"tile {tile}: {error}") from None
+        """Write the variables of all tiles, in boxes of whole tiles of about the points of a chunk."""
+        chunk = Tiling.of(self.scene.shape, grid.MAX_POINTS_PER_TILE).tile
+        lengths = tuple(t * max(c // t, 1) for t, c in zip(self.tiling.tile, chunk, strict=True))
+        for box in boxes(self.scene.shape, lengths):
+            values = read_box(self, box)
             with NETCDF_LOCK:
-                for name, values in arrays.items():
-                    file[name][self.tiling.slices(tile)] = values
+                for name, array in values.items():
+                    file[name][box] = array
 
     def remove(self) -> None:
-        """Remove the run, and its folder if nothing else is in it; the manifest last."""
-        for folder in (self.tiles.folder, claim_path(self.path / MANIFEST)):
+        """Remove the run, and its folder if nothing else is in it; the manifest last.
+
+        The tiles go by one move, so that a process which still computes some cannot leave any behind.
+        """
+        removed = temporary_path(self.path / MANIFEST)
+        with suppress(OSError):
+            os.rename(self.tiles.folder, removed)
+        for folder in (removed, claim_path(self.path / MANIFEST)):
             shutil.rmtree(folder, ignore_errors=True)
         for path in [
             *self.path.glob("progress*.json"),
@@ -429,7 +498,8 @@ def _check_new_folder(path: Path) -> None:
         raise BadInput(f"{path}: this is a file, not a run folder")
     claim = claim_path(path / MANIFEST).name
     if path.exists() and any(
-        entry.name != claim and not is_temporary(entry.name) for entry in path.iterdir()
+        entry.name != claim and not is_temporary(entry.name) and not PROGRESS.fullmatch(entry.name)
+        for entry in path.iterdir()
     ):
         raise BadInput(f"{path}: this folder contains something else: there is no {MANIFEST} in it")
     check_folder(path / MANIFEST if path.exists() else path)

@@ -18,7 +18,7 @@ from .. import systems
 from ..engine import blocks
 from ..engine.compiling import Stopwatch, announced
 from ..errors import BadInput, shown
-from ..files import check_name, exists_message, writable
+from ..files import check_name, exists_message
 from ..interruption import explain_kept
 from ..io import checksums, netcdf
 from ..io.progress import Progress
@@ -159,7 +159,7 @@ def run(
             RunFolder.discard(scene, _folder_of(path))
         return _run_to_file(scene, path, sample, warnings, execution, progress)
     folder = RunFolder.prepare(scene, path, sample, warnings)
-    _complete(folder, sample, execution, progress)
+    _complete(folder, sample, execution, progress).close()
     explain_kept(None)
     return folder.dataset()
 
@@ -174,8 +174,9 @@ def _destination(out: str | Path) -> tuple[Path, bool]:
         if path.suffix.lower() != ".nc":
             raise BadInput(f"{path}: the name must end in .nc, for one file, or in /, for a run folder")
         check_name(_folder_of(path), LONGEST_NAME)
-        return writable(path, (".nc",), force=True), True
+        return netcdf.writable(path, (".nc",), force=True), True
     check_name(path, LONGEST_NAME)
+    checksums.check_path(path)
     if not path.absolute().parent.is_dir():
         raise BadInput(f"{path}: there is no folder {path.parent}")
     return path, False
@@ -186,17 +187,35 @@ def _folder_of(path: Path) -> Path:
     return path.with_name(path.name + ".run")
 
 
-def _complete(folder: RunFolder, sample: grid.Grid, execution: _Execution, progress: bool) -> None:
-    """Compute the missing tiles of a run folder or of one shard of it, and the attributes of the finished run."""
+def _complete(folder: RunFolder, sample: grid.Grid, execution: _Execution, progress: bool) -> Progress:
+    """Compute the missing tiles of a run folder or of one shard of it, and the attributes of the finished run.
+
+    Returns the progress, which says that this process is at work until it is closed.
+    """
     explain_kept(folder.progress_text)
-    _compute_tiles(folder, sample, execution, progress)
+    job = _Job(folder, execution.shard or (1, 1))
+    job.warn_of_damage()
+    if job.unfinished:
+        folder.check_writable()
+    bar = job.open_progress(progress and bool(job.unfinished))
     try:
-        finished = bool(folder.final_attributes())
-    except BadInput as error:
-        logging.getLogger("atlas").warning("%s", error)
-        finished = False
-    if not finished and folder.is_written():
-        folder.save_final_attributes(half_step.half_step_sample(folder.scene, threads=execution.threads))
+        if job.unfinished:
+            _compute_tiles(job, bar, sample, execution)
+        try:
+            finished = bool(folder.final_attributes())
+        except BadInput as error:
+            logging.getLogger("atlas").warning("%s", error)
+            finished = False
+        if not finished and folder.is_written():
+            folder.save_final_attributes(half_step.half_step_sample(folder.scene, threads=execution.threads))
+    except OSError:
+        bar.close()
+        folder.check_kept()
+        raise
+    except BaseException:
+        bar.close()
+        raise
+    return bar
 
 
 def _run_to_file(
@@ -207,11 +226,11 @@ def _run_to_file(
     Another process may do the same at the same time. The first one to end removes the folder under the
     other, whose error then means that the file is finished.
     """
-    before = _stamp(path)
+    before, bar, folder = _stamp(path), None, None
     try:
         folder = RunFolder.prepare(scene, _folder_of(path), sample, warnings)
         if _stamp(path) == before:
-            _complete(folder, sample, execution, progress)
+            bar = _complete(folder, sample, execution, progress)
         if _stamp(path) == before:
             folder.join(path)
             folder.remove()
@@ -219,7 +238,12 @@ def _run_to_file(
             return open_atlas(path)
     except (BadInput, OSError):
         if _stamp(path) == before or not _is_result(scene, path):
+            if folder is not None:
+                folder.check_kept()
             raise
+    finally:
+        if bar is not None:
+            bar.close()
     return _finished(scene, path)
 
 
@@ -349,24 +373,17 @@ class _Job:
                 yield tile
 
 
-def _compute_tiles(folder: RunFolder, sample: grid.Grid, execution: _Execution, progress: bool) -> None:
-    """Compute the tiles of a run folder, or of one shard of it, that are missing or damaged."""
-    job = _Job(folder, execution.shard or (1, 1))
-    job.warn_of_damage()
-    if not job.unfinished:
-        return
-    folder.check_writable()
-    bar = job.open_progress(progress)
+def _compute_tiles(job: _Job, bar: Progress, sample: grid.Grid, execution: _Execution) -> None:
+    """Compute the tiles of a job that are missing or damaged."""
     try:
         if execution.on_cluster:
             if execution.workers:
-                _compile_kernel(folder.scene, sample)
+                _compile_kernel(job.folder.scene, sample)
             _compute_on_cluster(job, bar, execution)
         else:
             _compute_in_threads(job, bar, sample, execution.threads)
     finally:
-        bar.close()
-        folder.remove_leftovers()
+        job.folder.remove_leftovers()
 
 
 def _compute_in_threads(job: _Job, bar: Progress, sample: grid.Grid, threads: int | None) -> None:
@@ -383,6 +400,7 @@ def _compute_in_threads(job: _Job, bar: Progress, sample: grid.Grid, threads: in
         with lock:  # tiles overlap: each takes the time since the one before it ended
             now = stopwatch.seconds()
             seconds, last_end = now - last_end, now
+        folder.check_kept()
         folder.tiles.write(tile, columns, computed=computed, seconds=seconds, by=by)
         bar.skip(indices.size - computed)
 
@@ -454,6 +472,7 @@ def compute_tile(path: str, key: str, tile: int) -> int:
     folder, tiles = _open_cached(path, key)
     stopwatch = Stopwatch()
     columns, computed = _compute_points(folder.scene, folder.tiling.indices(tile), 1, None)
+    folder.check_kept()
     tiles.write(tile, columns, computed=computed, seconds=stopwatch.seconds(), by="dask workers")
     return tile
 

@@ -2,27 +2,47 @@
 
 from __future__ import annotations
 
+import errno
 import hashlib
+import json
 import math
 import os
 import socket
-from collections.abc import Iterable, Iterator
+from collections import Counter
+from collections.abc import Iterable, Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from dataclasses import dataclass, field
+from itertools import chain
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import netCDF4
 import numpy as np
 
-from ..files import atomic_write, disk_error, one_line, sealed, unsealed
+from ..files import atomic_write, check_types, disk_error, one_line, read_bytes, sealed, unsealed
 from ..flags import Label, Status
 from ..io import netcdf
 from ..io.checksums import NETCDF_LOCK
 from ..scene.model import Scene
 from ..variables import variables
 from .tiling import Tiling
+
+# Below this number of points the tables of a NetCDF-4 file take more room and time than its compression saves.
+MIN_COMPRESSED_POINTS = 4096
+STATUS_BATCH = 64  # tiles that a thread checks at a time
+SIDECAR_TYPES = {"points": int, "computed": int, "seconds": (int, float), "by": str}
+
+COUNTED = (
+    "label", "label_inertial", "label_any_axis", "label_any_axis_inertial", "status", "agreement", "computed",
+)  # fmt: skip
+# Groups of points whose expected errors are printed apart: drifting motions amplify errors, steady ones do not.
+GROUPS = {
+    "steady": (Label.REGULAR_PRECESSION, Label.PERMANENT_ROTATION),
+    "drifting": (Label.DRIFTING,),
+}
+# Histogram of errors: quarters of a decade from 1e-20 on.
+BINS_PER_DECADE, LOWEST_DECADE, BINS = 4, -20, 161
 
 
 class DamagedTileError(Exception):
@@ -42,6 +62,59 @@ def tile_types(scene: Scene) -> dict[str, str]:
     """Names and types of the columns of a tile: its variables, and the parameters the family is solved for."""
     registry = variables(scene.system)
     return {name: registry[name].dtype for name in scene.outputs} | dict.fromkeys(scene.solve, "float64")
+
+
+class Tally:
+    """What the summary of a run prints of its points: numbers that are added or compared, tile by tile.
+
+    Attributes
+    ----------
+    counts : dict of str to Counter
+        Name of a flag variable, or of a group of GROUPS -> number of points with each flag, or in each bin of errors;
+        flags and bins as texts, because JSON has no other keys.
+    largest : dict of str to float
+        Largest error_estimate of each group, and the largest integral_drift.
+    """
+
+    def __init__(self, entries: Mapping[str, Any] | None = None):
+        entries = entries or {"counts": {}, "largest": {}}
+        self.counts = {
+            str(name): Counter({str(value): int(count) for value, count in counts.items()})
+            for name, counts in entries["counts"].items()
+        }
+        self.largest = {str(name): float(value) for name, value in entries["largest"].items()}
+
+    @classmethod
+    def of(cls, columns: Mapping[str, np.ndarray]) -> Tally:
+        """Tally of some points, whose variables are of the same shape; others than those counted are ignored."""
+        tally = cls()
+        for name in COUNTED:
+            if name in columns:
+                tally._count(name, columns[name])
+        if "error_estimate" in columns and "label" in columns:
+            for name, labels in GROUPS.items():
+                values = columns["error_estimate"][np.isin(columns["label"], labels)]
+                values = values[~np.isnan(values)]
+                if values.size:
+                    with np.errstate(divide="ignore"):
+                        bins = np.ceil(BINS_PER_DECADE * (np.log10(np.fmax(values, 0.0)) - LOWEST_DECADE))
+                    tally._count(name, np.clip(bins, 0, BINS - 1).astype(np.int64))
+                    tally.largest[name] = float(values.max())
+        if "integral_drift" in columns:
+            tally.largest["integral_drift"] = float(np.nanmax(columns["integral_drift"], initial=0.0))
+        return tally
+
+    def _count(self, name: str, values: np.ndarray) -> None:
+        """Count values."""
+        unique, counts = np.unique(values, return_counts=True)
+        self.counts[name] = Counter(dict(zip(map(str, unique.tolist()), counts.tolist(), strict=True)))
+
+    def add(self, other: Tally) -> None:
+        """Add the tally of other points."""
+        for name, counts in other.counts.items():
+            self.counts.setdefault(name, Counter()).update(counts)
+        for name, value in other.largest.items():
+            self.largest[name] = max(self.largest.get(name, value), value)
 
 
 class TileFiles:
@@ -99,27 +172,40 @@ class TileFiles:
         Raises
         ------
         OSError
-            If the disk is full or cannot be written.
+            If the disk is full or cannot be written, or if what is read back is not what was computed.
         """
         path, shape = self.path(tile), self.tiling.shape_of(tile)
+        points = math.prod(shape)
+        small = points < MIN_COMPRESSED_POINTS
+        kind: Literal["NETCDF3_64BIT_OFFSET", "NETCDF4"] = "NETCDF3_64BIT_OFFSET" if small else "NETCDF4"
+        # Filled first, because the library leaves the bytes between variables as they are in memory otherwise.
+        options = {"fill_value": None} if small else {"fill_value": False, **netcdf.COMPRESSION}
         with atomic_write(path) as temporary:
             try:
                 # Made in memory and written when closed: such a file, unlike others, has no time stamp inside.
-                with NETCDF_LOCK, netCDF4.Dataset(temporary, "w", diskless=True, persist=True) as file:
+                with (
+                    NETCDF_LOCK,
+                    netCDF4.Dataset(temporary, "w", format=kind, diskless=True, persist=True) as file,
+                ):
                     file.setncatts({"atlas_key": self.key, "atlas_tile": tile})
                     for name, length in zip(self.dims, shape, strict=True):
                         file.createDimension(name, length)
                     for name, dtype in self.types.items():
-                        variable = file.createVariable(
-                            name, dtype, self.dims, fill_value=False, **netcdf.COMPRESSION
-                        )
+                        variable = file.createVariable(name, dtype, self.dims, **options)
                         variable[:] = columns[name].astype(dtype, copy=False).reshape(shape)
-                sha256 = hashlib.sha256(temporary.read_bytes()).hexdigest()
+                content = temporary.read_bytes()
             except (RuntimeError, OSError) as error:
                 raise disk_error(error, path) from None
+            try:
+                self._arrays(tile, content, computed, ())
+            except DamagedTileError as error:
+                raise OSError(
+                    errno.EIO, f"read back otherwise than it was computed: {error}", str(path)
+                ) from None
         sidecar = {
-            "key": self.key, "tile": tile, "sha256": sha256, "points": math.prod(shape),
-            "host": socket.gethostname(), "computed": computed, "seconds": seconds, "by": by,
+            "key": self.key, "tile": tile, "points": points, "computed": computed,
+            "hash": self._hash(tile, content, computed), "tally": vars(Tally.of(columns)),
+            "host": socket.gethostname(), "seconds": seconds, "by": by,
         }  # fmt: skip
         with atomic_write(self.path(tile, ".json")) as temporary:
             temporary.write_text(sealed(sidecar), encoding="utf-8")
@@ -145,33 +231,59 @@ class TileFiles:
         DamagedTileError
             If it is, but fails a check.
         """
-        sidecar, shape = self._sidecar(tile), self.tiling.shape_of(tile)
+        sidecar = self._sidecar(tile)
+        content = self._content(tile, sidecar)
+        return self._arrays(tile, content, sidecar["computed"], self.types if names is None else names)
+
+    def _content(self, tile: int, sidecar: Mapping[str, Any]) -> bytes:
+        """Content of the file of a tile, if it has the hash of the sidecar; see `read` for what it raises."""
         try:
             content = self.path(tile).read_bytes()
         except (FileNotFoundError, IsADirectoryError):
             raise DamagedTileError("its file is missing") from None
-        if hashlib.sha256(content).hexdigest() != sidecar.get("sha256"):
+        if "hash" in sidecar:
+            differs = sidecar["hash"] != self._hash(tile, content, sidecar["computed"])
+        else:  # of version 0.1.0 before its sidecars had tallies
+            differs = sidecar.get("sha256") != hashlib.sha256(content).hexdigest()
+        if differs:
             raise DamagedTileError("its hash differs")
+        return content
+
+    def _hash(self, tile: int, content: bytes, computed: int) -> str:
+        """SHA-256 of a file together with its run, its place in the grid and the number of computed points."""
+        digest = hashlib.sha256(json.dumps([self.key, tile, computed]).encode())
+        digest.update(content)
+        return digest.hexdigest()
+
+    def _arrays(
+        self, tile: int, content: bytes, computed: int, names: Iterable[str]
+    ) -> dict[str, np.ndarray]:
+        """Variables of the file of a tile; DamagedTileError unless key, shape and number of computed points are right."""
+        shape, selected = self.tiling.shape_of(tile), list(names)
         flags = [name for name in ("label", "status") if name in self.types]
-        selected = list(self.types if names is None else names)
         try:
             with NETCDF_LOCK, netCDF4.Dataset("tile.nc", memory=content) as file:
-                file.set_auto_maskandscale(False)
                 if (file.getncattr("atlas_key"), file.getncattr("atlas_tile")) != (self.key, tile):
                     raise DamagedTileError("it is a tile of another run or place")
-                arrays = {name: np.asarray(file[name][...]) for name in {*selected, *flags}}
-        except (OSError, RuntimeError, AttributeError, IndexError) as error:
+                variables = {name: file.variables[name] for name in {*selected, *flags}}
+                if any(variable.shape != shape for variable in variables.values()):
+                    raise DamagedTileError("its shape or type is wrong")
+                file.set_auto_maskandscale(False)
+                arrays = {name: np.asarray(variable[...]) for name, variable in variables.items()}
+        except (OSError, RuntimeError, AttributeError, LookupError) as error:
             raise DamagedTileError(f"it does not open: {error}") from None
-        if any(array.shape != shape or array.dtype != self.types[name] for name, array in arrays.items()):
+        if any(array.dtype != self.types[name] for name, array in arrays.items()):
             raise DamagedTileError("its shape or type is wrong")
-        points = math.prod(shape)
-        not_computed = points - sidecar.get("computed", -1)
+        not_computed = math.prod(shape) - computed
         missing = {"label": (Label.NOT_COMPUTED,), "status": (Status.NOT_COMPUTED, Status.IMPOSSIBLE_BODY)}
-        if sidecar.get("points") != points or any(
-            np.isin(arrays[name], missing[name]).sum() != not_computed for name in flags
-        ):
+        if any(np.isin(arrays[name], missing[name]).sum() != not_computed for name in flags):
             raise DamagedTileError("it contains points that are not computed")
         return {name: arrays[name] for name in selected}
+
+    def missing(self) -> list[int]:
+        """Tiles that are not written."""
+        names = self._file_names()
+        return [tile for tile in range(self.tiling.count) if f"{tile:08d}.json" not in names]
 
     def status(self, tiles: Iterable[int] | None = None) -> TileStatus:
         """Check tiles (default: all), reading the whole of every file."""
@@ -180,8 +292,10 @@ class TileFiles:
         written: list[int] = []
         for tile in range(self.tiling.count) if tiles is None else tiles:
             (written if f"{tile:08d}.json" in names else status.missing).append(tile)
+        batches = [written[first : first + STATUS_BATCH] for first in range(0, len(written), STATUS_BATCH)]
         with ThreadPoolExecutor(4) as pool:
-            for tile, error in zip(written, pool.map(self._error, written), strict=True):
+            errors = chain.from_iterable(pool.map(self._errors, batches))
+            for tile, error in zip(written, errors, strict=True):
                 if error is None:
                     status.done.append(tile)
                 elif isinstance(error, DamagedTileError):
@@ -204,17 +318,30 @@ class TileFiles:
     def _sidecar(self, tile: int) -> dict[str, Any]:
         """The sidecar of a tile; see `read` for what it raises."""
         try:
-            sidecar = unsealed(self.path(tile, ".json").read_bytes())
-        except (ValueError, IsADirectoryError) as error:
+            sidecar = unsealed(read_bytes(self.path(tile, ".json")))
+            check_types(sidecar, SIDECAR_TYPES)
+        except ValueError as error:
             raise DamagedTileError(f"its sidecar cannot be read: {one_line(error)}") from None
         if sidecar.get("key") != self.key or sidecar.get("tile") != tile:
             raise DamagedTileError("its sidecar is of another run or tile")
+        if sidecar["points"] != self.tiling.size_of(tile):
+            raise DamagedTileError("it contains points that are not computed")
         return sidecar
 
+    def _errors(self, tiles: Iterable[int]) -> list[Exception | None]:
+        """Error on reading each of some tiles, if any."""
+        return [self._error(tile) for tile in tiles]
+
     def _error(self, tile: int) -> Exception | None:
-        """Error on reading a tile, if any."""
+        """Error on reading a tile, if any.
+
+        A file that has its hash is the one that `write` has read back, and need not be opened.
+        """
         try:
-            self.read(tile, ())
+            sidecar = self._sidecar(tile)
+            content = self._content(tile, sidecar)
+            if "hash" not in sidecar:
+                self._arrays(tile, content, sidecar["computed"], ())
         except (FileNotFoundError, DamagedTileError) as error:
             return error
         return None

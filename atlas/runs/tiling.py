@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ..engine import numeric_bound, stepsize
+from ..errors import shown
 from ..label import regularity
 from ..scene import grid
 from ..scene.model import MAX_STEPS, Scene
@@ -16,6 +17,8 @@ from ..scene.model import MAX_STEPS, Scene
 TILE_POINT_STEPS = 5e8
 # With fewer points the blocks of the kernel would not be full.
 MIN_POINTS_PER_TILE = 512
+# Limits of what a run folder may claim. The tiles of the largest grid, cut evenly, are half as many.
+MAX_TILES, MAX_TILE_POINTS = 8_000_000, 1_000_000
 
 
 @dataclass(frozen=True)
@@ -41,6 +44,24 @@ class Tiling:
             tile.append(math.ceil(count / math.ceil(count / min(count, max(remaining, 1)))))
             remaining //= count
         return cls(shape, tuple(reversed(tile)))
+
+    def check(self) -> None:
+        """Raise ValueError unless these are boxes as `of` makes them, and not too many or too large."""
+        if len(self.tile) != len(self.shape) or not all(type(length) is int for length in self.tile):
+            raise ValueError(
+                f"tile = {shown(self.tile)}: must be a whole number for each of {len(self.shape)} axes"
+            )
+        cut = next((i for i, length in enumerate(self.tile) if length > 1), len(self.tile))
+        if (
+            not all(1 <= length <= count for length, count in zip(self.tile, self.shape, strict=True))
+            or self.tile[cut + 1 :] != self.shape[cut + 1 :]
+            or math.prod(self.tile) > MAX_TILE_POINTS
+            or self.count > MAX_TILES
+        ):
+            raise ValueError(
+                f"tile = {shown(self.tile)}: allowed: some rows of a grid of {shown(self.shape)}, at most"
+                f" {MAX_TILE_POINTS} points in each and {MAX_TILES} tiles"
+            )
 
     @property
     def counts(self) -> tuple[int, ...]:
@@ -126,6 +147,6 @@ def tiling(scene: Scene, sample: grid.Grid) -> Tiling:
     -------
     Tiling
     """
-    points = max(TILE_POINT_STEPS / mean_work(scene, sample), MIN_POINTS_PER_TILE)
+    points = max(TILE_POINT_STEPS / mean_work(scene, sample), MIN_POINTS_PER_TILE, 3 * scene.size / MAX_TILES)
     # A power of two, because the last bits of the mean may differ between machines.
     return Tiling.of(scene.shape, 2 ** round(math.log2(min(points, grid.MAX_POINTS_PER_TILE))))

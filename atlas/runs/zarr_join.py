@@ -48,13 +48,13 @@ def write_zarr(run: RunFolder, out: Path) -> None:
         for name, array in arrays.items():  # parameters too large for memory
             lengths = tuple(shard[str(dim)] for dim in ds[name].dims)
             ds[name].data.rechunk(lengths).store(array, lock=False, scheduler="synchronous")
-        for box in _boxes(run.scene.shape, tuple(shard.values())):
-            for name, values in _read_box(run, box).items():
+        for box in boxes(run.scene.shape, tuple(shard.values())):
+            for name, values in read_box(run, box).items():
                 from_tiles[name][box] = values
         zarr_store.add_checksum(temporary)
 
 
-def _boxes(shape: Sequence[int], lengths: Sequence[int]) -> Iterator[tuple[slice, ...]]:
+def boxes(shape: Sequence[int], lengths: Sequence[int]) -> Iterator[tuple[slice, ...]]:
     """Boxes of some lengths that cover a grid, each the points of one file."""
     counts = [-(-size // length) for size, length in zip(shape, lengths, strict=True)]
     for index in np.ndindex(*counts):
@@ -64,7 +64,7 @@ def _boxes(shape: Sequence[int], lengths: Sequence[int]) -> Iterator[tuple[slice
         )
 
 
-def _read_box(run: RunFolder, box: tuple[slice, ...]) -> dict[str, Any]:
+def read_box(run: RunFolder, box: tuple[slice, ...]) -> dict[str, Any]:
     """Values of all variables of the tiles in a box."""
     shape = [part.stop - part.start for part in box]
     values = {name: np.empty(shape, dtype) for name, dtype in tile_types(run.scene).items()}

@@ -1,17 +1,23 @@
 """Checksums of atlas files: what is read is what was written, or an error."""
 
+import os
+from contextlib import nullcontext
+from pathlib import Path
+
 import netCDF4
 import numpy as np
 import pytest
 import xarray as xr
 from hypothesis import given
 from hypothesis import strategies as st
+from matplotlib.figure import Figure
 from truth import assert_same_bytes
 
 import atlas
-from atlas import BadInput
+from atlas import BadInput, files
 from atlas.cli import main
-from atlas.io import checksums
+from atlas.io import checksums, netcdf
+from atlas.plotting import style
 
 ATTRIBUTES = {"atlas_system": "satellite", "atlas_version": "0"}
 
@@ -110,7 +116,12 @@ def rename_variable(file):
     file.renameVariable("theta_max", "theta_min_")
 
 
+def rename_group(file):
+    file.renameGroup(checksums.GROUP, "checksumt")
+
+
 CHANGES = (
+    rename_group,
     change_attribute, change_provenance, change_scalar, change_axis, change_flag, change_number, rename_variable
 )  # fmt: skip
 
@@ -156,6 +167,50 @@ def test_a_flipped_bit_never_gives_other_data(small_file, tmp_path):
         except BadInput:
             refused += 1
     assert refused > 5
+
+
+def test_a_file_that_claims_more_than_it_can_hold_is_refused(tmp_path):
+    """In its variables, or in a group; chunks that are not stored take no room."""
+    for place in ("/", "other"):
+        with netCDF4.Dataset(tmp_path / "bomb.nc", "w") as file:
+            file.setncatts(ATTRIBUTES)
+            group = file if place == "/" else file.createGroup(place)
+            group.createDimension("x", 10**12)
+            group.createVariable("x", "i1", ("x",), zlib=True, chunksizes=[1000])
+        with pytest.raises(BadInput, match=r"claims 1e\+12 bytes of numbers"):
+            atlas.open_atlas(tmp_path / "bomb.nc")
+
+
+def test_paths_that_the_library_takes_for_others_are_refused(small_file, small_scene, tmp_path):
+    for name in ("back\\slash", os.fsdecode(b"\xff")):
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "a.nc").write_bytes(small_file.read_bytes())
+        for action in (
+            lambda path: atlas.open_atlas(path / "a.nc"),
+            lambda path: netcdf.writable(path / "b.nc", (".nc",), force=False),
+            lambda path: atlas.run(small_scene, path / "run"),
+        ):
+            with pytest.raises(BadInput, match="the NetCDF library opens no path") as error:
+                action(tmp_path / name)
+            assert str(error.value).isprintable()
+
+
+def test_a_full_disk_is_named_and_nothing_is_left(tmp_path, monkeypatch):
+    """Of one-shot files and figures, for which the libraries raise errors of other kinds."""
+
+    def fail(*arguments, **options):
+        raise RuntimeError("NetCDF: HDF error")
+
+    monkeypatch.setattr(xr.Dataset, "to_netcdf", fail)
+    monkeypatch.setattr(files, "MIN_FREE_BYTES", 1 << 62)
+    with pytest.raises(OSError, match=r"No space left on device \(NetCDF: HDF error\)"):
+        netcdf.write(xr.Dataset({"a": 1}), tmp_path / "a.nc")
+    assert not list(tmp_path.iterdir())
+    for name in ("a.png", "a.pdf", "a.svg"):
+        with monkeypatch.context() as patched:
+            patched.setattr(style, "atomic_write", lambda path: nullcontext(Path("/dev/full")))
+            with pytest.raises(OSError, match="No space left"):
+                style.save(Figure(), tmp_path / name)
 
 
 def test_a_copy_without_checksums_can_be_opened(small_file, tmp_path):

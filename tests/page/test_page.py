@@ -133,6 +133,24 @@ def test_points_without_a_scene_have_motions(quick_page):
     assert table["commands"]["shell"] == "atlas trajectory points.nc --at"
 
 
+def test_each_point_of_a_grid_without_a_scene_has_its_own_motion(small_atlas, quick_page):
+    """Labelled points put on a grid, and an atlas that has lost its scene: the starts are the coordinates, by name."""
+    C, m = np.repeat([0.5, 1.0, 1.3], 2), np.tile([0.1, 0.4], 3)
+    labelled = atlas.label_points("satellite", {"C": C, "m": m, "theta0": 0.3}, duration=np.arange(2.0, 8.0))
+    table = labelled.set_index(point=["C", "m"]).unstack("point")
+    lost = small_atlas.drop_attrs(deep=False).assign_attrs(small_atlas.attrs)
+    del lost.attrs["atlas_scene"]
+    for ds in (table, table.transpose("m", "C"), table.isel(C=slice(2)), lost):
+        assert "fault" not in table_of(atlas_page(ds).html)["motion"]
+        shown = layout(ds)
+        starts = motions(shown.ds, systems.get("satellite"), None, shown.dims)
+        for name, values in {**starts.parameters, "end_time": starts.duration}.items():
+            expected = ds.get(name, xr.DataArray(np.nan)).broadcast_like(ds.label).transpose(*shown.dims)
+            np.testing.assert_array_equal(values, expected, name)
+    texts = ["".join(run["t"] for run in note) for note in table_of(atlas_page(lost).html)["notes"]]
+    assert texts == ["The scene of this atlas is missing: motions start without its nudge."]
+
+
 def test_large_atlases_are_strided_and_the_page_states_it(small_atlas):
     shown = layout(small_atlas, max_points=20)
     assert shown.shape == (5, 4)

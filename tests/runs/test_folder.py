@@ -10,6 +10,7 @@ import subprocess
 import sys
 import time
 import tracemalloc
+from contextlib import suppress
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
@@ -27,6 +28,7 @@ from atlas.flags import Label
 from atlas.io import netcdf
 from atlas.process import name as process_name
 from atlas.runs import folder, runner, tiles, tiling
+from atlas.runs.backend import AtlasBackend
 from atlas.runs.folder import RunFolder
 from atlas.runs.tiling import Tiling
 from atlas.scene import grid
@@ -92,7 +94,8 @@ def test_a_run_folder_and_a_joined_file_hold_the_atlas_computed_in_memory(
         assert_same_bytes(whole, joined)
         assert joined.attrs["atlas_scene"] == whole.attrs["atlas_scene"]
         assert set(joined.coords) == set(whole.coords)
-    assert summary.summary(ds).splitlines()[:4] == summary.summary(whole).splitlines()[:4]
+    counted = [summary.summary(ds, tally).splitlines()[:-2] for tally in (None, ds.encoding[folder.TALLY])]
+    assert counted == 2 * [summary.summary(whole).splitlines()[:-2]]
     with atlas.run(scene, tmp_path / "one.nc", progress=False) as one_file:
         assert_same_bytes(whole, one_file)
     assert sorted(p.name for p in tmp_path.iterdir()) == ["joined.nc", "one.nc", "run"]
@@ -202,6 +205,61 @@ def test_every_damaged_tile_is_reported_and_computed_again(scene, whole, tmp_pat
     assert_same_bytes(whole, ds)
 
 
+def test_a_finished_folder_is_read_once(scene, whole, tmp_path, small_tiles, monkeypatch, capsys):
+    """Status, resume and summary hash every tile and open none; a join opens each once."""
+    (tmp_path / "small.toml").write_text(scene.toml())
+    out, opened, arrays = f"{tmp_path}/run/", [], tiles.TileFiles._arrays
+    atlas.run(scene, out, progress=False)
+
+    def counted(self, tile, *arguments):
+        opened.append(tile)
+        return arrays(self, tile, *arguments)
+
+    monkeypatch.setattr(tiles.TileFiles, "_arrays", counted)
+    assert cli.main(["status", out]) == 0
+    assert cli.main(["run", f"{tmp_path}/small.toml", "-o", out, "--quiet"]) == 0
+    assert opened == []
+    assert summary.summary(whole).splitlines()[0] in capsys.readouterr().out
+    RunFolder.open(out).join(tmp_path / "joined.nc")
+    assert sorted(opened) == list(range(9))
+
+
+def test_a_tile_forged_with_its_hash_is_not_joined(scene, tmp_path, small_tiles):
+    """Its hash shows that the file is the one that was written; its content is checked again when it is read."""
+    atlas.run(scene, f"{tmp_path}/run/", progress=False)
+    run = RunFolder.open(tmp_path / "run")
+    file = run.tiles.path(3)
+    for forged, computed in ((run.tiles.path(1).read_bytes(), 7), (file.read_bytes(), 6)):
+        file.write_bytes(forged)
+        edit_sidecar(file, computed=computed, hash=run.tiles._hash(3, forged, computed))
+        with pytest.raises(BadInput, match="tile 3: it "):
+            run.join(tmp_path / "joined.nc")
+        assert not (tmp_path / "joined.nc").exists()
+        assert np.isnan(atlas.open_atlas(run.path).theta_max.values.ravel()[21:28]).all()
+
+
+def test_a_folder_with_plain_hashes_is_read(scene, whole, tmp_path, small_tiles):
+    """As version 0.1.0 wrote it before hashes were bound to their tile: NetCDF-4 tiles, no tallies."""
+    out = f"{tmp_path}/run/"
+    with pytest.MonkeyPatch.context() as patched:
+        patched.setattr(tiles, "MIN_COMPRESSED_POINTS", 0)
+        atlas.run(scene, out, progress=False)
+    run = RunFolder.open(out)
+    for tile in range(9):
+        file = run.tiles.path(tile)
+        sidecar = files.unsealed(file.with_suffix(".json").read_bytes())
+        del sidecar["hash"], sidecar["tally"]
+        sidecar["sha256"] = hashlib.sha256(file.read_bytes()).hexdigest()
+        file.with_suffix(".json").write_text(files.sealed(sidecar))
+    assert run.tiles.status().done == list(range(9))
+    ds = atlas.open_atlas(out)
+    assert_same_bytes(whole, ds)
+    assert folder.TALLY not in ds.encoding
+    shutil.copy(run.tiles.path(1), run.tiles.path(3))
+    edit_sidecar(run.tiles.path(3), sha256=hashlib.sha256(run.tiles.path(1).read_bytes()).hexdigest())
+    assert run.tiles.status().damaged == {3: "it is a tile of another run or place"}
+
+
 def test_a_run_of_another_scene_or_processor_is_refused_with_the_differences(scene, scene_text, tmp_path):
     out = f"{tmp_path}/run/"
     atlas.run(scene, out, progress=False)
@@ -241,6 +299,50 @@ def test_an_unreadable_manifest_is_refused_and_left_unchanged(scene, tmp_path, m
         assert "\n" not in str(error.value)
     assert [p.name for p in (tmp_path / "run").iterdir()] == ["manifest.json"]
     assert (tmp_path / "run" / "manifest.json").read_text() == manifest
+
+
+@pytest.mark.parametrize(
+    ("entry", "value"),
+    [
+        ("tile", [0, 0]), ("tile", [1]), ("tile", ["a", "b"]), ("tile", [-1, 5]), ("tile", [1, True]), ("tile", [3, 5]),
+        ("tile", {}), ("tile", [10, 7]), ("provenance", ["a"]), ("provenance", None), ("provenance", {"a": {}}),
+        ("provenance", {"a": 10**400}), ("provenance", {"a": "\ud800"}), ("identity", {"cpu": 1}), ("scene", 3), ("key", 3),
+    ],
+)  # fmt: skip
+def test_a_manifest_with_values_of_other_kinds_is_refused_in_one_line(
+    scene, tmp_path, entry, value, small_tiles
+):
+    file = tmp_path / "run" / "manifest.json"
+    manifest = empty_run_folder(scene, file.parent).manifest | {entry: value}
+    manifest["key"] = folder._key(manifest) if entry != "key" else value
+    file.write_text(files.sealed(manifest))
+    with pytest.raises(BadInput, match=r"manifest\.json: damaged: ") as error:
+        RunFolder.open(file.parent)
+    assert str(error.value).isprintable()
+
+
+def test_what_a_run_folder_claims_is_limited(scene_text, tmp_path):
+    """Before anything of that size is made: tiles of the largest grid, points of a tile, nested and endless files."""
+    large = {"axes.sigma.count": 10**7, "axes.theta0.count": 10**4}
+    run = empty_run_folder(load_scene(scene_text(large)), tmp_path / "run")
+    assert run.tiling.count < tiling.MAX_TILES
+    file = run.path / "manifest.json"
+    for tile in ([1, 1], [10**3, 10**4]):
+        manifest = run.manifest | {"tile": tile}
+        file.write_text(files.sealed(manifest | {"key": folder._key(manifest)}))
+        tracemalloc.start()
+        with pytest.raises(BadInput, match="at most 1000000 points in each and 8000000 tiles"):
+            RunFolder.open(run.path)
+        assert tracemalloc.get_traced_memory()[1] < 2**28
+        tracemalloc.stop()
+    file.write_text("[" * 10**5)
+    with pytest.raises(BadInput, match="nested too deeply"):
+        RunFolder.open(run.path)
+    assert not AtlasBackend().guess_can_open(run.path)
+    file.unlink()
+    file.symlink_to("/dev/zero")
+    with pytest.raises(BadInput, match="no regular file"):
+        RunFolder.open(run.path)
 
 
 def test_a_manifest_of_another_version_is_not_called_damaged(scene, tmp_path):
@@ -285,6 +387,82 @@ def test_only_the_run_of_another_scene_is_discarded(scene, scene_text, tmp_path)
     (path / "manifest.json").write_text("damaged")
     RunFolder.discard(other, path)
     assert {p.name for p in path.iterdir()} == {"thesis.tex", "manifest.json"}
+
+
+def progress_file(path, **entries):
+    """A progress file in a run folder, of this process at work."""
+    now = f"{datetime.now(UTC):%Y-%m-%dT%H:%M:%SZ}"
+    content = {"shard": "1/1", "host": "h", "points": 63, "done": 1, "points_per_second": 1.0}
+    content |= {"running": True, "process": process_name(), "written": now}
+    (path / "progress.json").write_text(json.dumps(content | entries))
+
+
+def test_the_folder_of_a_process_at_work_is_never_removed(scene, scene_text, tmp_path):
+    other, path = load_scene(scene_text({"fixed.m": 0.6})), tmp_path / "a.nc.run"
+    empty_run_folder(scene, path)
+    machine, boot, pid, start = process_name().split("-")
+    for process in (process_name(), f"{'0' * 8}-{boot}-{pid}-{start}"):
+        progress_file(path, process=process)
+        before = {p: p.read_bytes() for p in tmp_path.rglob("*") if p.is_file()}
+        with pytest.raises(BadInput, match=rf"a\.nc\.run: is computed by process {pid} on h; wait for it"):
+            atlas.run(other, tmp_path / "a.nc", progress=False, force=True)
+        assert {p: p.read_bytes() for p in tmp_path.rglob("*") if p.is_file()} == before
+    for entries in (
+        {"running": False},
+        {"process": f"{machine}-{boot}-{pid}-{int(start) + 1}"},
+        {"process": 3},
+    ):
+        empty_run_folder(scene, path)
+        progress_file(path, **entries)
+        atlas.run(other, tmp_path / "a.nc", progress=False, force=True).close()
+        assert [p.name for p in tmp_path.iterdir()] == ["a.nc"]
+
+
+def test_a_process_is_at_work_until_its_file_is_in_its_place(scene, scene_text, tmp_path, monkeypatch):
+    other, join = load_scene(scene_text({"fixed.m": 0.6})), RunFolder.join
+
+    def late_join(self, out):
+        with pytest.raises(BadInput, match="is computed by process"):
+            RunFolder.discard(other, self.path)
+        join(self, out)
+
+    monkeypatch.setattr(RunFolder, "join", late_join)
+    for _ in range(2):  # the second time all tiles are written
+        with monkeypatch.context() as patched:
+            patched.setattr(RunFolder, "remove", lambda self: None)
+            atlas.run(scene, tmp_path / "a.nc", progress=False).close()
+        (tmp_path / "a.nc").unlink()
+    RunFolder.discard(other, tmp_path / "a.nc.run")
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("out", ["run/", "a.nc"])
+def test_a_process_whose_folder_is_removed_says_so(
+    scene, scene_text, tmp_path, monkeypatch, small_tiles, out
+):
+    """Removed or replaced by another run, in which it writes nothing; the removal leaves nothing without a manifest."""
+    path = tmp_path / ("run" if out == "run/" else "a.nc.run")
+    evaluate_tile, rmtree = runner.evaluate_tile, shutil.rmtree
+
+    def remove_first(*arguments, **options):
+        run = RunFolder.open(path)
+        run.remove()
+        if replaced:
+            empty_run_folder(load_scene(scene_text({"fixed.m": 0.6})), path)
+        return evaluate_tile(*arguments, **options)
+
+    def tile_in_between(folder, **options):
+        with suppress(FileNotFoundError):
+            (path / "tiles" / "00000012.nc").write_text("a tile of a process at work")
+        rmtree(folder, **options)
+
+    monkeypatch.setattr(runner, "evaluate_tile", remove_first)
+    monkeypatch.setattr(folder.shutil, "rmtree", tile_in_between)
+    for replaced in (False, True):
+        with pytest.raises(OSError, match="another process has removed this run while it was computed"):
+            atlas.run(scene, f"{tmp_path}/{out}", progress=False, threads=1)
+        assert path.exists() == replaced
+        assert not list(path.glob("tiles/*"))
 
 
 def test_the_key_of_a_run_depends_on_scene_identity_and_tiling(scene, scene_text, tmp_path, monkeypatch):
@@ -587,6 +765,13 @@ def test_status_counts_only_processes_that_live(scene, tmp_path, small_tiles):
     for line, state in zip(lines[2:7], cases, strict=True):
         assert f", {state.partition(',')[0]}; written" in line
     assert lines[7].startswith("63 points left, 0:01 at")  # 101 points per second
+    progress_file(run.path, points_per_second=1e-310)
+    for file in run.path.glob("progress-*.json"):
+        file.unlink()
+    assert run.status().splitlines()[-1].startswith("63 points left, 277777:46:40 at")
+    for text in ("[" * 10**5, "[]", "3"):
+        (run.path / "progress.json").write_text(text)
+        assert "no process is at work" in run.status()
     for file in run.path.glob("progress-[13]-*.json"):
         file.unlink()
     assert run.status().splitlines()[-1].startswith("63 points left, no process is at work;")

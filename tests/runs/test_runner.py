@@ -128,6 +128,12 @@ def test_an_existing_file_is_kept_without_force(small_scene, tmp_path):
     assert path.read_text() == "mine"
     atlas.run(scene, path, progress=False, force=True)
     assert atlas.open_atlas(path).sizes == {"sigma": 9, "theta0": 7}
+    xr.Dataset({"temperature": 290.0}).to_netcdf(tmp_path / "air.nc")
+    before = (tmp_path / "air.nc").read_bytes()
+    for force in (False, True):
+        with pytest.raises(BadInput, match="holds something else than an atlas"):
+            atlas.run(scene, tmp_path / "air.nc", progress=False, force=force)
+    assert (tmp_path / "air.nc").read_bytes() == before
 
 
 @pytest.mark.parametrize("name", ["no/such/folder/a.nc", "a.txt", "folder.nc"])

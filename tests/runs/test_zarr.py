@@ -110,6 +110,53 @@ def test_damage_is_found(store):
         atlas.open_atlas(store)
 
 
+def test_chunks_are_bound_to_their_array_and_place(store):
+    """Files of equal size in each other's place, and a file of an older store; an attribute with another name."""
+    one, other = (store / name / "c" / "0" / "0" for name in ("label", "predicted"))
+    content = one.read_bytes(), other.read_bytes()
+    equal = [file for file in store.rglob("c*/0") if file.stat().st_size == len(content[0])]
+    for source in (other, *equal):
+        if (changed := source.read_bytes()) == content[0] or len(changed) != len(content[0]):
+            continue
+        one.write_bytes(changed)
+        with atlas.open_atlas(store) as ds, pytest.raises(BadInput, match="the values of label are damaged"):
+            ds.label.load()
+    one.write_bytes(content[0])
+    scalars = [store / name / "c" for name in ("A", "mu1")]
+    for file, changed in zip(scalars, [file.read_bytes() for file in reversed(scalars)], strict=True):
+        file.write_bytes(changed)
+    with pytest.raises(BadInput, match="the values of A are damaged"), atlas.open_atlas(store) as ds:
+        ds.A.load()
+    text = (store / "zarr.json").read_text()
+    for name in (zarr_store.CHECKSUM, zarr_store.CHUNKS):
+        (store / "zarr.json").write_text(text.replace(f'"{name}"', f'"{name[:-1]}z"'))
+        with pytest.raises(BadInput, match="files were changed, added or lost"):
+            atlas.open_atlas(store)
+
+
+def test_a_store_without_the_places_of_its_chunks_can_be_read(store, run):
+    """As version 0.1.0 wrote it before it bound chunks to their places."""
+    file = store / "zarr.json"
+    metadata = json.loads(file.read_text())
+    del metadata["attributes"][zarr_store.CHUNKS]
+    metadata["attributes"][zarr_store.CHECKSUM] = zarr_store._checksum(store, metadata["attributes"])
+    file.write_text(json.dumps(metadata, indent=2))
+    with atlas.open_atlas(store) as ds:
+        np.testing.assert_array_equal(ds.label, run[1].label)
+    assert zarr_store.is_whole(store)
+
+
+def test_a_store_that_claims_more_than_its_files_can_hold_is_refused(store):
+    metadata = json.loads((store / "zarr.json").read_text())
+    for name in (zarr_store.CHECKSUM, zarr_store.CHUNKS):
+        del metadata["attributes"][name]
+    (store / "zarr.json").write_text(json.dumps(metadata))
+    axis = json.loads((store / "sigma" / "zarr.json").read_text())
+    (store / "sigma" / "zarr.json").write_text(json.dumps(axis | {"shape": [10**12]}))
+    with pytest.raises(BadInput, match=r"claims 8e\+12 bytes of numbers"):
+        atlas.open_atlas(store)
+
+
 def test_a_join_that_fails_leaves_what_was_there(run, store, monkeypatch):
     folder, _ = run
     before = (store / "zarr.json").read_bytes()
@@ -148,3 +195,14 @@ def test_the_command_join_writes_stores(run, tmp_path, capsys):
     (tmp_path / "other.zarr").mkdir()
     assert main(["join", str(folder.path), "-o", str(tmp_path / "other.zarr"), "--force"]) == 2
     assert "this is a folder" in capsys.readouterr().err
+    (tmp_path / "other.zarr" / "zarr.json").write_text('{"attributes": {}}')
+    for place in ("other.zarr", "a.zarr", "a.zarr/label"):
+        (tmp_path / place / "thesis.txt").write_text("mine")
+        before = sorted(tmp_path.rglob("*"))
+        assert (
+            main(["join", str(folder.path), "-o", str(tmp_path / place[:10].partition("/")[0]), "--force"])
+            == 2
+        )
+        assert "holds something else than an atlas" in capsys.readouterr().err
+        assert sorted(tmp_path.rglob("*")) == before
+        (tmp_path / place / "thesis.txt").unlink()

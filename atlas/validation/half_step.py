@@ -8,7 +8,7 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from scipy.stats import beta
+from scipy.special import betaincinv
 
 from ..engine.statistics import RATES
 from ..flags import Label
@@ -43,7 +43,7 @@ def upper_bound(events: int, draws: int, population: int | None = None) -> float
     """
     if draws == population:
         return events / draws
-    return 1.0 if events >= draws else float(beta.ppf(CONFIDENCE, events + 1, draws - events))
+    return 1.0 if events >= draws else float(betaincinv(events + 1, draws - events, CONFIDENCE))
 
 
 def stratified_indices(size: int, count: int) -> np.ndarray:

@@ -1,6 +1,6 @@
 """What the labels about any axis cost the scenes that ask for them.
 
-    python scripts/benchmarks/bench_any_axis.py [--points 1024] [--rounds 9]
+    python scripts/benchmarks/bench_any_axis.py [--points 1024] [--rounds 9] [--systems satellite] [--methods rk4]
 
 Random points with all terms are integrated by the kernel that measures no circles, and by those that measure them in one
 frame and in two. Times are processor time of one thread; a ratio is the median over rounds in which all run in turn.
@@ -19,6 +19,7 @@ from atlas.engine.ensemble import Ensemble
 from atlas.engine.specialization import kernel
 from atlas.engine.statistics import Row
 from atlas.engine.stepsize import StepSizes
+from atlas.engine.tableaux import METHODS
 from atlas.scene.model import Settings
 from atlas.systems import SYSTEMS
 from atlas.systems.base import Points, System
@@ -67,10 +68,12 @@ def main() -> None:
     )
     parser.add_argument("--points", type=int, default=1024)
     parser.add_argument("--rounds", type=int, default=9)
+    parser.add_argument("--systems", nargs="+", choices=SYSTEMS, default=list(SYSTEMS))
+    parser.add_argument("--methods", nargs="+", choices=METHODS, default=list(METHODS))
     options = parser.parse_args()
-    for system in SYSTEMS.values():
-        for method in ("rk4", "rk8"):
-            measure(system, method, options.points, options.rounds)
+    for system in options.systems:
+        for method in options.methods:
+            measure(SYSTEMS[system], method, options.points, options.rounds)
 
 
 if __name__ == "__main__":

@@ -66,7 +66,7 @@ def no_orbit(size: int, method: str) -> None:
           f" {np.quantile(change, 0.99):.1e} (99 %)")  # fmt: skip
 
 
-if __name__ == "__main__":
+def main() -> None:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
@@ -75,3 +75,7 @@ if __name__ == "__main__":
     arguments = parser.parse_args()
     slender(arguments.points, arguments.method)
     no_orbit(arguments.points, arguments.method)
+
+
+if __name__ == "__main__":
+    main()

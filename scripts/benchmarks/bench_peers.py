@@ -1,16 +1,16 @@
-"""Time per point to T = 50 at equal error, beside other integrators, as ratios measured in one run.
+"""Time per point at equal error, beside other integrators, as ratios measured in one run.
 
-    python scripts/benchmarks/bench_peers.py [--rounds 3] [--duration 50] [--bodies slender]
-                                             [--only heyoka ...] [--csv FILE] [--figure FILE]
+    python scripts/benchmarks/bench_peers.py [--rounds 3] [--only heyoka ...] [--docs .]
 
-The points are random satellites with Omega = 1, magnet and rotor; or slender ones, whose spin is fast for short
-times, where one step size for the whole run costs most in comparison with integrators that adapt it. Every
-integrator runs the same points on one processor, in the best way that its documentation gives, at a series of
-tolerances; all integrators take turns, and processor time is measured. The others return the final state alone;
-this package is measured for the final state alone and with all means, standard deviations, extremes and first
-integrals. All get the equations in the units that make a factor 1. Errors are medians over the first points against
-SciPy's DOP853 at 3e-14; times are interpolated between tolerances to the errors asked for. Integrators that are not
-installed are skipped:
+The points are random satellites with Omega = 1, magnet and rotor, to T = 50, and slender ones to T = 5, whose spin is
+fast for short times, where one step size for the whole run costs most in comparison with integrators that adapt it.
+Every integrator runs the same points on one processor, in the best way that its documentation gives, at a series of
+tolerances. All take turns; times are processor time, the best of all rounds, because disturbances only ever slow an
+integrator down. The others return the final state alone; this package is measured for the final state alone and with
+all means, standard deviations, extremes and first integrals. All get the equations without damping, in the units that
+make a factor 1. Errors are medians over the first points against SciPy's DOP853 at 3e-14; times are interpolated between
+tolerances to the errors asked for. --docs writes the tables, the figure and the sentence of the README below a folder.
+Integrators that are not installed are skipped:
 
     pip install "precession-atlas[peers]"      (in a clone: pip install -e ".[peers]")
 """
@@ -21,12 +21,15 @@ import argparse
 import importlib.metadata
 import os
 import platform
-from collections.abc import Callable
+import re
+import sys
+import textwrap
+from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
-from functools import partial
+from functools import cache, partial
 from itertools import pairwise
 from pathlib import Path
-from statistics import median
 from time import process_time
 
 import numpy as np
@@ -38,7 +41,7 @@ from scipy.integrate import odeint, solve_ivp
 from atlas.engine import assemble, jit
 from atlas.engine.ensemble import Ensemble
 from atlas.engine.simplify import simplify
-from atlas.engine.specialization import kernel
+from atlas.engine.specialization import Specialization, kernel
 from atlas.engine.stepsize import StepSizes
 from atlas.engine.tableaux import METHODS
 from atlas.plotting.style import STYLE, WIDTHS
@@ -49,9 +52,11 @@ from atlas.validation.reference import SAFETY, reference
 SYSTEM = SYSTEMS["satellite"]
 EQUATIONS = SYSTEM.equations
 STATES, CONSTANTS = len(EQUATIONS.STATE), len(EQUATIONS.CONSTANTS)
-TARGETS = (1e-6, 1e-8, 1e-10)
-COMPARED = 64  # points whose errors are measured; slow integrators run no others
-POINTS = 8192
+# Terms without damping, which all integrators leave out.
+UNDAMPED = Specialization.of(SYSTEM, {"damping"}, frozenset())
+DRAWN = 8192  # points, of which --points takes the first: the same ones for any number
+WIDTH = 118  # of the lines of pages
+COMPARED = 64  # points at most whose errors are measured
 # (state, constants, duration, tolerance) -> final states; arrays of shape (rows, points)
 Engine = Callable[[np.ndarray, np.ndarray, float, float], np.ndarray]
 
@@ -78,7 +83,7 @@ def slender(count: int) -> dict[str, np.ndarray]:
 
 def atlas_engine(method: str, points: dict[str, np.ndarray], statistics: bool) -> Engine:
     """This package with its own step sizes; the points must be those of the calls."""
-    module, ensemble = kernel(SYSTEM, method), Ensemble.of(SYSTEM, points)
+    module, ensemble = kernel(SYSTEM, method, UNDAMPED), Ensemble.of(SYSTEM, points)
 
     def run(state, constants, duration, tolerance):
         part = ensemble.subset(np.arange(state.shape[1]))
@@ -92,35 +97,32 @@ def atlas_engine(method: str, points: dict[str, np.ndarray], statistics: bool) -
 
 
 def right_hand_side() -> Callable:
-    """The equations without the factors that `scaled` makes 1, as the kernels here get them."""
+    """The equations as the kernels here get them: without damping and the factors that `scaled` makes 1."""
     space: dict = {}
-    exec(simplify(assemble.functions(EQUATIONS)["rhs"], (), {}, EQUATIONS.ONES), space)
+    exec(simplify(assemble.functions(EQUATIONS)["rhs"], UNDAMPED.zero, {}, EQUATIONS.ONES), space)
     return space["rhs"]
 
 
+@cache
 def derivative_into() -> Callable:
     """The right-hand side as a Numba function that writes its result into d, from arrays or pointers."""
-    rhs = njit(right_hand_side())
-
-    @njit
-    def into(d, y, c):
-        state = (y[0], y[1], y[2], y[3], y[4], y[5], y[6], y[7], y[8])
-        constants = (
-            c[0], c[1], c[2], c[3], c[4], c[5], c[6], c[7], c[8], c[9], c[10], c[11], c[12], c[13], c[14],
-            c[15], c[16], c[17], c[18], c[19], c[20], c[21], c[22], c[23], c[24], c[25], c[26], c[27], c[28], c[29],
-        )  # fmt: skip
-        d[0], d[1], d[2], d[3], d[4], d[5], d[6], d[7], d[8] = rhs(state, constants)
-
-    return into
+    slope, state, constants = (
+        ", ".join(f"{name}[{i}]" for i in range(size))
+        for name, size in (("d", STATES), ("y", STATES), ("c", CONSTANTS))
+    )
+    space = {"rhs": njit(right_hand_side())}
+    exec(f"def into(d, y, c):\n    {slope} = rhs(({state}), ({constants}))", space)
+    return njit(space["into"])
 
 
+@cache
 def derivative() -> Callable:
     """The right-hand side as a Numba function of (t, y, constants) that returns an array."""
     into = derivative_into()
 
     @njit
     def derivative_of(t, y, c):
-        d = np.empty(9)
+        d = np.empty(STATES)
         into(d, y, c)
         return d
 
@@ -237,16 +239,18 @@ def heyoka_batch() -> Engine:
 
     def run(state, constants, duration, tolerance):
         if tolerance not in built:
-            built[tolerance] = hy.taylor_adaptive_batch(
-                system, np.zeros((STATES, width)), pars=np.zeros((CONSTANTS, width)), tol=tolerance
-            )
+            built[tolerance] = hy.taylor_adaptive_batch(system, np.zeros((STATES, width)), tol=tolerance)
         taylor, final = built[tolerance], np.empty_like(state)
         for first in range(0, state.shape[1], width):
             part = slice(first, first + width)
+            lanes = slice(0, final[:, part].shape[1])
             taylor.set_time(0.0)
-            taylor.state[:], taylor.pars[:] = state[:, part], constants[:, part]
+            taylor.state[:, lanes], taylor.pars[:, lanes] = (
+                state[:, part],
+                constants[: len(taylor.pars), part],
+            )
             taylor.propagate_until(duration)
-            final[:, part] = taylor.state
+            final[:, part] = taylor.state[:, lanes]
         return final
 
     return run
@@ -284,7 +288,23 @@ class Peer:
 
     make: Callable[[], Engine]
     tolerances: list[float]
-    points: int
+    share: int  # of the points: all of them over this
+
+
+@dataclass(frozen=True)
+class Study:
+    """Points, the length of their runs, and the errors at which times are compared."""
+
+    points: Callable[[int], dict[str, np.ndarray]]
+    duration: float
+    targets: tuple[float, ...]
+    peers: tuple[str, ...]  # parts of the names of the integrators
+
+
+STUDIES = {
+    "random": Study(satellites, 50.0, (1e-6, 1e-8, 1e-10), ("",)),
+    "slender": Study(slender, 5.0, (1e-8, 1e-10), ("heyoka",)),
+}
 
 
 @dataclass
@@ -296,44 +316,50 @@ class Level:
 
     @property
     def time(self) -> float:
-        return median(self.microseconds[1:])
+        return min(self.microseconds[1:])
 
 
-Results = dict[tuple[str, float], Level]
+Results = dict[str, list[Level]]
 
 
 def all_peers(points: dict[str, np.ndarray]) -> dict[str, Peer]:
     """This package and the others, by name."""
     decades = [10.0**-k for k in range(5, 14)]
-    own = [10.0**-k for k in range(11)]
-    scipy_tolerances = [1e-6, 1e-8, 1e-10, 1e-12, 1e-13]
+    own = [10.0**-k for k in range(10)]
+    scipy_tolerances = [1e-8, 1e-10, 1e-12, 1e-13]
     atlas_peers = {
         f"atlas {method}" + (" with statistics" if statistics else ""): Peer(
-            partial(atlas_engine, method, points, statistics), own, POINTS
+            partial(atlas_engine, method, points, statistics), own, 1
         )
         for method in METHODS
         for statistics in (False, True)
     }
     return atlas_peers | {
-        "heyoka batch": Peer(heyoka_batch, [1e-6, 1e-8, 1e-9, 1e-10, 1e-11, 1e-12, 1e-13], 2048),
-        "numbalsoda dop853": Peer(numbalsoda_dop853, decades, 512),
-        "CyRK DOP853": Peer(cyrk_dop853, decades, 256),
-        "diffrax vmap Dopri8": Peer(diffrax_vmap, decades[::2], 256),
-        "SciPy DOP853": Peer(scipy_dop853, scipy_tolerances, COMPARED),
-        "SciPy odeint": Peer(scipy_odeint, scipy_tolerances, COMPARED),
+        "heyoka batch": Peer(heyoka_batch, [1e-6, *decades[3:]], 1),
+        "numbalsoda dop853": Peer(numbalsoda_dop853, decades, 4),
+        "CyRK DOP853": Peer(cyrk_dop853, decades, 8),
+        "diffrax vmap Dopri8": Peer(diffrax_vmap, decades[::2], 8),
+        "SciPy DOP853": Peer(scipy_dop853, scipy_tolerances, 32),
+        "SciPy odeint": Peer(scipy_odeint, [*scipy_tolerances, 3e-14], 32),
     }
 
 
-def installed(peers: dict[str, Peer], only: list[str] | None) -> dict[str, Engine]:
-    """The integrators that are installed and asked for; this package always."""
+def installed(peers: dict[str, Peer], parts: Sequence[str], required: bool) -> dict[str, Engine]:
+    """The integrators that are installed and whose names contain one of some parts; this package always.
+
+    required: whether one that is missing ends this script.
+    """
     engines: dict[str, Engine] = {}
     for name, peer in peers.items():
-        if only is not None and not any(part in name for part in ["atlas", *only]):
+        if not any(part in name for part in ["atlas", *parts]):
             continue
         try:
             engines[name] = peer.make()
         except ImportError as missing:
-            print(f'skipped: {name} (no module {missing.name}; pip install "precession-atlas[peers]")')
+            text = f'{name}: no module {missing.name}; pip install "precession-atlas[peers]"'
+            if required:
+                sys.exit(text)
+            print(f"skipped {text}")
     return engines
 
 
@@ -348,49 +374,41 @@ def measure_all(
     state = np.ascontiguousarray(SYSTEM.initial_state(points))
     constants = np.ascontiguousarray(SYSTEM.constants(points))
     compared = {name: values[:COMPARED] for name, values in points.items()}
-    truth = reference(SYSTEM, compared, np.full(COMPARED, duration), Settings())
+    truth = reference(SYSTEM, compared, np.full(compared["A"].size, duration), Settings())
     floor = truth.state_error / SAFETY  # medians need no margin
-    print(f"reference: median error {np.median(floor):.1e}; median of {rounds} rounds")
-    results: Results = {}
+    print(f"reference to T = {duration:g}: median error {np.median(floor):.1e}", flush=True)
+    results: Results = {name: [Level(np.nan, []) for _ in peers[name].tolerances] for name in engines}
     for _ in range(rounds + 1):
         for name, run in engines.items():
-            size, foreign = peers[name].points, not name.startswith("atlas")
+            size = max(state.shape[1] // peers[name].share, 1)
             start, data = state[:, :size], constants[:, :size]
+            foreign = not name.startswith("atlas")
             if foreign:
                 start, data = map(np.array, EQUATIONS.scaled(start, data, 1.0))
             start, data = np.ascontiguousarray(start), np.ascontiguousarray(data)
-            for tolerance in peers[name].tolerances:
+            for tolerance, level in zip(peers[name].tolerances, results[name], strict=True):
                 began = process_time()
                 final = run(start, data, duration, tolerance)
-                seconds = process_time() - began
+                level.microseconds.append(1e6 * (process_time() - began) / size)
                 if foreign:
-                    final = np.array(EQUATIONS.unscaled(final, data[:, : final.shape[1]], 1.0))
-                error = np.maximum(np.abs(final[:, :COMPARED] - truth.state).max(0), floor)
-                level = results.setdefault((name, tolerance), Level(float(np.median(error)), []))
-                level.microseconds.append(1e6 * seconds / size)
+                    final = np.array(EQUATIONS.unscaled(final, data, 1.0))
+                both = min(size, COMPARED)
+                error = np.abs(final[:, :both] - truth.state[:, :both]).max(0)
+                level.error = float(np.median(np.maximum(error, floor[:both])))
     return results
-
-
-def write_csv(results: Results, path: Path) -> None:
-    """Write every integrator at every tolerance as a table."""
-    rows = [
-        f"{name},{tolerance!r},{level.error!r},{level.time!r}" for (name, tolerance), level in results.items()
-    ]
-    path.write_text("\n".join(["engine,tolerance,median_error,microseconds_per_point", *rows]) + "\n")
 
 
 def draw(results: Results, path: Path, duration: float) -> None:
     """Draw median error against time per point, one line for each integrator."""
-    names = list(dict.fromkeys(name for name, _ in results))
     # One colour for each method of this package, greys for the others; markers differ, too.
     colours = {"atlas rk4": "#1b6ca8", "atlas rk8": "#d55e00"}
-    others = [name for name in names if not name.startswith("atlas")]
+    others = [name for name in results if not name.startswith("atlas")]
     greys = dict(zip(others, np.linspace(0.0, 0.6, len(others)), strict=True))
     with rc_context(STYLE):
         figure = Figure(figsize=(WIDTHS["page"] / 25.4, 3.4), layout="constrained")
         ax = figure.add_subplot()
-        for name, mark in zip(names, "osv^Dph*X<", strict=False):
-            ours, levels = name not in greys, levels_of(results, name)
+        for (name, levels), mark in zip(results.items(), "osv^Dph*X<", strict=False):
+            ours = name not in greys
             ax.plot(
                 [level.time for level in levels], [level.error for level in levels],
                 marker=mark, markersize=4, label=name,
@@ -404,11 +422,6 @@ def draw(results: Results, path: Path, duration: float) -> None:
         figure.savefig(path, dpi=300)
 
 
-def levels_of(results: Results, name: str) -> list[Level]:
-    """The levels of one integrator, in the order of its tolerances."""
-    return [level for (owner, _), level in results.items() if owner == name]
-
-
 def time_at(levels: list[Level], target: float) -> float:
     """Least time at an error, between neighbouring levels on the log-log line; nan outside it."""
     logs = np.log([(level.error, level.time) for level in levels])
@@ -419,34 +432,52 @@ def time_at(levels: list[Level], target: float) -> float:
     return min(times, default=np.nan)
 
 
-def version(package: str) -> str:
-    """Version of an installed package, "" if there is none."""
-    try:
-        return importlib.metadata.version(package)
-    except importlib.metadata.PackageNotFoundError:
-        return ""
+def table(results: Results, targets: Sequence[float]) -> tuple[str, str]:
+    """Markdown table of the time of every integrator at the errors asked for; the same in words at the error 1e-8."""
+    times = {name: np.array([time_at(levels, e) for e in targets]) for name, levels in results.items()}
+    rows = {name: [f"{t:.1f}" if t > 0 else "" for t in row] for name, row in times.items()}
+    others = [name for name in times if not name.startswith("atlas")]
+    words = ""
+    if others:
+        best_other, at = np.fmin.reduce([times[name] for name in others]), targets.index(1e-8)
+        for words in ("", " with statistics"):
+            here = np.fmin.reduce([times[f"atlas {method}{words}"] for method in METHODS])
+            rows[f"best other / best here{words}"] = [f"{r:.2f}" for r in best_other / here]
+        first = min(others, key=lambda name: np.nan_to_num(times[name][at], nan=np.inf))
+        words = (
+            f"{rows['atlas rk8'][at]} µs a point with `rk8` ({rows['atlas rk8 with statistics'][at]} µs with all"
+            f" statistics) where the fastest other, {first}, takes {rows[first][at]} µs"
+        )
+    heading = ["µs per point, at a median error of", *(f"{target:.0e}" for target in targets)]
+    lines = [heading, ["---"] * len(heading), *([name, *row] for name, row in rows.items())]
+    return "\n".join(f"| {' | '.join(line)} |" for line in lines), words
 
 
-def report(results: Results, duration: float) -> None:
-    """Print time per point at the errors asked for, and the best of this package beside the best other."""
-    packages = ("scipy", "heyoka", "numbalsoda", "CyRK", "diffrax", "jax")
-    versions = [f"{package} {version(package)}" for package in packages if version(package)]
-    print(f"processor {jit.cpu()}, one used; Python {platform.python_version()}, {', '.join(versions)}")
-    print(f"us of processor time per point to T = {duration:g} at a median error of")
-    print(f"{'':26}" + "".join(f"{target:>10.0e}" for target in TARGETS))
-    names = dict.fromkeys(name for name, _ in results)
-    times = {name: [time_at(levels_of(results, name), target) for target in TARGETS] for name in names}
-    for name, row in times.items():
-        print(f"{name:26}" + "".join(f"{t:10.1f}" if np.isfinite(t) else f"{'-':>10}" for t in row))
-    here = np.fmin.reduce([row for name, row in times.items() if name.startswith("atlas")])
-    print(f"{'best here':26}" + "".join(f"{t:10.1f}" for t in here))
-    others = [row for name, row in times.items() if not name.startswith("atlas")]
-    if not others:
-        print("none of the other integrators asked for is installed")
-        return
-    peers = np.fmin.reduce(others)
-    print(f"{'best peer':26}" + "".join(f"{t:10.1f}" for t in peers))
-    print(f"{'peer / here':26}" + "".join(f"{r:10.2f}" for r in peers / here))
+def machine(rounds: int) -> str:
+    """What was measured with, in words."""
+    packages = ("numba", "scipy", "heyoka", "numbalsoda", "CyRK", "diffrax", "jax")
+    versions = [f"Python {platform.python_version()}"]
+    for package in packages:
+        with suppress(importlib.metadata.PackageNotFoundError):
+            versions.append(f"{package} {importlib.metadata.version(package)}")
+    load = ", ".join(f"{value:.1f}" for value in os.getloadavg())
+    return (
+        f"best of {rounds} rounds on one `{jit.cpu()}` processor of {os.cpu_count()}, load average {load};"
+        f" {', '.join(versions)}"
+    )
+
+
+def fill(path: Path, mark: str, text: str) -> None:
+    """Write a text between <!-- mark --> and <!-- end --> of a page."""
+    start = f"<!-- {mark} -->\n"
+    page, count = re.subn(
+        f"({start}).*?(<!-- end -->)",
+        lambda match: f"{match[1]}{text}\n{match[2]}",
+        path.read_text(),
+        flags=re.S,
+    )
+    assert count == 1, f"{path}: {count} places for {mark}"
+    path.write_text(page)
 
 
 def main() -> None:
@@ -454,28 +485,34 @@ def main() -> None:
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("--rounds", type=int, default=3)
-    parser.add_argument("--duration", type=float, default=50.0)
-    parser.add_argument("--bodies", choices=("random", "slender"), default="random")
+    parser.add_argument("--points", type=int, default=2048, help="of the fastest; others run a part of them")
+    parser.add_argument("--duration", type=float, help="default: that of the points, 50 and 5")
     parser.add_argument(
-        "--only", nargs="*", help="integrators whose names contain one of these, beside this package"
+        "--only", nargs="+", help="integrators whose names contain one of these, beside this package"
     )
-    parser.add_argument("--csv", metavar="FILE", type=Path, help="write every tolerance as a table")
-    parser.add_argument(
-        "--figure", metavar="FILE", type=Path, help="draw median error against time per point"
-    )
+    parser.add_argument("--docs", metavar="FOLDER", type=Path, help="write README.md, docs/ of this folder")
     options = parser.parse_args()
     # One processor for all, also for libraries with threads of their own.
     if hasattr(os, "sched_setaffinity"):
         os.sched_setaffinity(0, {max(os.sched_getaffinity(0))})
-    points = {"random": satellites, "slender": slender}[options.bodies](POINTS)
-    peers = all_peers(points)
-    engines = installed(peers, options.only)
-    results = measure_all(engines, peers, points, options.duration, options.rounds)
-    if options.csv:
-        write_csv(results, options.csv)
-    if options.figure:
-        draw(results, options.figure, options.duration)
-    report(results, options.duration)
+    for bodies, study in STUDIES.items():
+        points = {name: values[: options.points] for name, values in study.points(DRAWN).items()}
+        duration = options.duration or study.duration
+        peers = all_peers(points)
+        required = options.docs is not None and options.only is None
+        engines = installed(peers, options.only or study.peers, required)
+        results = measure_all(engines, peers, points, duration, options.rounds)
+        text, words = table(results, study.targets)
+        caption = f"{bodies.capitalize()} bodies to T = {duration:g}, {machine(options.rounds)}."
+        print(f"{text}\n{caption}", flush=True)
+        if options.docs:
+            docs = options.docs / "docs"
+            fill(docs / "accuracy.md", f"peers_{bodies}", f"{text}\n\n*{textwrap.fill(caption, WIDTH)}*")
+            if bodies == "random":
+                draw(results, docs / "peers.png", duration)
+                fill(docs / "paper" / "paper.md", "peers_table", text)
+                words = f"For random satellites to T = {duration:g}, with a median error of 1e-8, this is {words}."
+                fill(options.docs / "README.md", "peers_words", textwrap.fill(words, WIDTH))
 
 
 if __name__ == "__main__":

@@ -1,12 +1,13 @@
 """Cost over the number of points, tiles and workers; overhead of a tile, speed of join, memory of 10^9 points.
 
-python scripts/benchmarks/bench_scaling.py [MAX_POINTS]      (default 3e7)
+python scripts/benchmarks/bench_scaling.py [MAX_POINTS] [--only points tiles workers billion]      (default 3e7, all)
 
 Points take a few hundred steps of rk4 only, so that the cost of everything but integration shows.
 """
 
 from __future__ import annotations
 
+import argparse
 import os
 import signal
 import subprocess
@@ -45,9 +46,11 @@ variables = ["label", "status", "theta_dot_rms"]
 """
 
 
-def scene(folder: Path, rows: int, columns: int, layers: int = 1) -> Scene:
-    """The scene with these numbers of points along its axes, saved in the folder."""
-    (folder / "scene.toml").write_text(SCENE.format(rows=rows, columns=columns, layers=layers))
+def scene(folder: Path, count: int, layers: int = 1) -> Scene:
+    """The scene with so many points in each layer, saved in the folder."""
+    columns = min(count // 10, 1000)
+    text = SCENE.format(rows=count // columns, columns=columns, layers=layers)
+    (folder / "scene.toml").write_text(text)
     return atlas.load_scene(folder / "scene.toml")
 
 
@@ -65,12 +68,11 @@ def command(folder: Path, *arguments: str) -> tuple[float, float]:
 
 
 def points(folder: Path, max_points: int) -> None:
-    """Time and memory of a run and of its join, from 10^4 points on."""
+    """Time and memory of a run and of its join, from 10^4 points on, or from fewer if those are too many."""
     print("points, tiles, run s, points/s, MB of memory, join s, MB/s joined, MB of memory")
-    count = 10_000
+    count = min(10_000, max_points)
     while count <= max_points:
-        rows = count // 1000
-        case = scene(folder, rows, 1000)
+        case = scene(folder, count)
         name = f"points{count}"
         run = RunFolder.prepare(case, folder / name, grid.check(case), [])
         seconds, memory = command(folder, "run", "scene.toml", "-o", f"{name}/", "--quiet")
@@ -86,10 +88,11 @@ def points(folder: Path, max_points: int) -> None:
         count *= 10 if count * 10 <= max_points else max(2, max_points // count)
 
 
-def tiles(folder: Path, count: int = 1_000_000) -> None:
+def tiles(folder: Path, max_points: int) -> None:
     """Overhead of a tile: the same points in more and more tiles."""
+    count = min(1_000_000, max_points)
     print(f"tiles for {count} points, run s, ms for each tile beyond the fewest")
-    case, usual, fewest = scene(folder, count // 1000, 1000), grid.MAX_POINTS_PER_TILE, None
+    case, usual, fewest = scene(folder, count), grid.MAX_POINTS_PER_TILE, None
     for points in (usual, 8192, 1024):
         grid.MAX_POINTS_PER_TILE = points
         run = RunFolder.prepare(case, folder / f"tiles{points}", grid.check(case), [])
@@ -104,19 +107,20 @@ def tiles(folder: Path, count: int = 1_000_000) -> None:
         run.remove()
 
 
-def workers(folder: Path, count: int = 2_000_000) -> None:
+def workers(folder: Path, max_points: int) -> None:
     """Time of the same run with threads and with dask workers."""
+    count = min(2_000_000, max_points)
     print(f"workers for {count} points, run s")
-    scene(folder, count // 1000, 1000)
+    scene(folder, count)
     for options in (["--threads", "1"], ["--threads", "2"], ["--workers", "1"], ["--workers", "2"]):
         seconds, _ = command(folder, "run", "scene.toml", "-o", "workers/", "--quiet", *options)
         print(f"{' '.join(options)}, {seconds:.2f}", flush=True)
         RunFolder.open(folder / "workers").remove()
 
 
-def billion(folder: Path, seconds: float = 30.0) -> None:
+def billion(folder: Path, max_points: int, seconds: float = 30.0) -> None:
     """Start a run of 10^9 points, interrupt it, open it, and extrapolate."""
-    case = scene(folder, 1000, 1000, 1000)
+    case = scene(folder, 1_000_000, 1000)
     process = subprocess.Popen(
         [sys.executable, "-m", "atlas", "run", "scene.toml", "-o", "billion/"],
         cwd=folder,
@@ -150,14 +154,17 @@ def billion(folder: Path, seconds: float = 30.0) -> None:
     run.remove()
 
 
+PARTS = {"points": points, "tiles": tiles, "workers": workers, "billion": billion}
+
+
 def main() -> None:
-    max_points = int(float(sys.argv[1])) if len(sys.argv) > 1 else 30_000_000
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("max_points", nargs="?", type=lambda text: int(float(text)), default=30_000_000)
+    parser.add_argument("--only", nargs="+", choices=PARTS, default=list(PARTS))
+    options = parser.parse_args()
     with tempfile.TemporaryDirectory(prefix="atlas-scaling-") as name:
-        folder = Path(name)
-        points(folder, max_points)
-        tiles(folder)
-        workers(folder)
-        billion(folder)
+        for part in options.only:
+            PARTS[part](Path(name), options.max_points)
 
 
 if __name__ == "__main__":

@@ -47,7 +47,11 @@ def missing(folder: Path) -> list[str]:
     return problems
 
 
+def main() -> int:
+    problems = missing(Path(sys.argv[1]))
+    print("\n".join(problems) or "wheel and source distribution are complete")
+    return int(bool(problems))
+
+
 if __name__ == "__main__":
-    found = missing(Path(sys.argv[1]))
-    print("\n".join(found) or "wheel and source distribution are complete")
-    sys.exit(bool(found))
+    sys.exit(main())

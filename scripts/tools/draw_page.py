@@ -1,6 +1,6 @@
 """Draw docs/page.png: the page of an atlas in a browser, with the motion of one point; needs Chromium.
 
-python scripts/tools/draw_page.py ATLAS          (docs/page.png: the atlas of configs/gravity_gradient.toml)
+python scripts/tools/draw_page.py ATLAS [PICTURE]     (docs/page.png: the atlas of configs/gravity_gradient.toml)
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ def main() -> None:
         indices = f"atlasPage.data.shape.map((size, axis) => Math.floor(size * {list(PLACE)}[axis]))"
         tab.evaluate(f"atlasPage.choose({indices})")
         tab.wait("(document.getElementById('motion-section').dataset.done || '') !== ''")
-        tab.screenshot(ROOT / "docs" / "page.png")
+        tab.screenshot(sys.argv[2] if len(sys.argv) > 2 else ROOT / "docs" / "page.png")
 
 
 if __name__ == "__main__":

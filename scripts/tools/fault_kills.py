@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import os
 import random
-import re
 import shutil
 import signal
 import sys
 import time
 
-from fault_trial import Trial, change_times, dask, dying, in_fork
+from fault_trial import Trial, change_times, dying, in_fork
 
 import atlas
 from atlas import files
@@ -48,44 +47,6 @@ def kills(trial: Trial, scale: float) -> str:
         recomputed += sum(change_times(run)[name] != stamp for name, stamp in before.items())
         compared += trial.compared(run.path)
     return f"{killed} kills in {rounds} runs survived, {recomputed} finished tiles computed again, {compared} bytes equal"
-
-
-def worker_kills(trial: Trial, scale: float) -> str:
-    """Kill dask workers at work and replace them; the run must finish."""
-    count = max(round(50 * scale), 1)
-    scheduler = dask("scheduler", "--port", "0", "--no-dashboard")
-    assert scheduler.stderr is not None
-    address = ""
-    while not address:
-        match = re.search(r"Scheduler at:\s+(tcp://\S+)", scheduler.stderr.readline())
-        address = match[1] if match else ""
-    workers = [dask("worker", address, "--nthreads", "1", "--no-dashboard") for _ in range(2)]
-    killed = rounds = compared = 0
-    try:
-        while killed < count:
-            run = trial.start(f"workers{rounds}")
-            rounds += 1
-            process = trial.process("-o", f"{run.path.name}/", "--scheduler", address)
-            done = 0
-            while process.poll() is None and killed < count:
-                now = len(list((run.path / "tiles").glob("*.json")))
-                if now > done:
-                    done = now + 3
-                    victim = workers.pop(0)
-                    os.killpg(victim.pid, signal.SIGKILL)
-                    victim.communicate()
-                    killed += 1
-                    workers.append(dask("worker", address, "--nthreads", "1", "--no-dashboard"))
-                time.sleep(0.05)
-            _, error = process.communicate()
-            if process.returncode:
-                sys.exit(f"a run on dask failed: {error}")
-            compared += trial.compared(run.path)
-    finally:
-        for each in [*workers, scheduler]:
-            os.killpg(each.pid, signal.SIGKILL)
-            each.communicate()
-    return f"{killed} dask workers killed in {rounds} runs, {compared} bytes equal"
 
 
 def step_kills(trial: Trial, scale: float) -> str:
@@ -214,7 +175,9 @@ def shifted_shards(trial: Trial, scale: float) -> str:
     for shard in (1, 3, 5, 2, 4):
         process = trial.process("-o", "shards5/", "--shard", f"{shard}/5")
         if shard in (2, 4):
-            while len(run.tiles.status().done) < 36 + killed and process.poll() is None:
+            while (
+                len(run.tiles.status().done) < 3 * run.tiling.count // 5 + killed and process.poll() is None
+            ):
                 time.sleep(0.01)
             process.send_signal(signal.SIGKILL)
             killed += 1

@@ -8,27 +8,27 @@ import subprocess
 import sys
 import tomllib
 from collections.abc import Callable
+from contextlib import redirect_stdout
 from pathlib import Path
 from typing import Any
 
 import atlas
-from atlas import BadInput
+from atlas import BadInput, cli
 from atlas.runs.folder import RunFolder
 from atlas.scene import grid
 from atlas.scene.read import scene_from
 
 SMALL_SCENE = Path(__file__).parents[2] / "tests" / "small.toml"
-
-TILE = 64
+TILE = 64  # points
 
 
 class Trial:
     """A scene in a folder of its own, the atlas expected of it, and empty run folders for it."""
 
-    def __init__(self, folder: Path):
+    def __init__(self, folder: Path, tiles: int):
         self.folder = folder
         table = tomllib.loads(SMALL_SCENE.read_text())
-        table["axes"]["sigma"]["count"], table["axes"]["theta0"]["count"] = 60, 64
+        table["axes"]["sigma"]["count"], table["axes"]["theta0"]["count"] = tiles, TILE
         table["integration"]["tolerance"] = 1e-10
         (folder / "scene.toml").write_text(scene_from(table).toml())
         self.scene = atlas.load_scene(folder / "scene.toml")
@@ -55,11 +55,17 @@ class Trial:
         )  # fmt: skip
 
     def finish(self, *arguments: str) -> None:
-        """Run the scene to its end; an error ends this script."""
-        process = self.process(*arguments)
-        _, error = process.communicate()
-        if process.returncode:
-            sys.exit(f"{' '.join(arguments)}: exit {process.returncode}: {error}")
+        """Run the scene to its end, in a fork, which need not import the package again; an error ends this script."""
+
+        def run() -> None:
+            os.chdir(self.folder)
+            with open(os.devnull, "w") as nothing, redirect_stdout(nothing):
+                if cli.main(["run", "scene.toml", "--quiet", *arguments]):
+                    raise RuntimeError("the reason is above")
+
+        code, message = in_fork(run)
+        if code:
+            sys.exit(f"{' '.join(arguments)}: exit {code}: {message}")
 
     def compared(self, path: Path) -> int:
         """Compare all variables with those expected, byte by byte; returns the number of bytes."""
@@ -78,14 +84,6 @@ def change_times(run: RunFolder) -> dict[str, int]:
     """Times of the last change of the files of finished tiles, by name."""
     names = [f"{tile:08d}.nc" for tile in run.tiles.status().done]
     return {name: (run.path / "tiles" / name).stat().st_mtime_ns for name in names}
-
-
-def dask(*arguments: str) -> subprocess.Popen[str]:
-    """Start a scheduler or a worker of dask in a process group of its own."""
-    return subprocess.Popen(
-        [sys.executable, "-m", "dask", *arguments], start_new_session=True, text=True,
-        stdout=subprocess.DEVNULL, stderr=subprocess.PIPE,
-    )  # fmt: skip
 
 
 def in_fork(action: Callable[[], object]) -> tuple[int, str]:

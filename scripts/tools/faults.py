@@ -1,6 +1,6 @@
 """Run folders and atlas files under faults; prints the counts and ends with an error at the first wrong result.
 
-python scripts/tools/faults.py                          (all parts, about half an hour on two processors)
+python scripts/tools/faults.py                          (all parts, about an hour on two processors)
 python scripts/tools/faults.py --only "full disk" flips --scale 0.1
 
 Every part ends with a byte-by-byte comparison of the atlas with one computed in memory by one process. Some parts
@@ -13,12 +13,13 @@ from __future__ import annotations
 import argparse
 import logging
 import random
-import shutil
 import tempfile
 from collections.abc import Callable
 from pathlib import Path
 
+import dask.array  # before forks, each of which would import it
 from fault_damage import damages, flips, swaps
+from fault_dask import clients, clusters, schedulers, workers
 from fault_disks import clock_back, full_disk, permissions, read_only
 from fault_kills import (
     creation_kills,
@@ -28,7 +29,6 @@ from fault_kills import (
     shifted_shards,
     step_kills,
     two_processes,
-    worker_kills,
 )
 from fault_trial import Trial
 
@@ -38,7 +38,6 @@ PARTS: dict[str, Callable[[Trial, float], str]] = {
     "step kills": step_kills,
     "join kills": join_kills,
     "creation kills": creation_kills,
-    "worker kills": worker_kills,
     "damage": damages,
     "flips": flips,
     "swaps": swaps,
@@ -48,6 +47,10 @@ PARTS: dict[str, Callable[[Trial, float], str]] = {
     "clock back": clock_back,
     "shifted shards": shifted_shards,
     "two processes": two_processes,
+    "dask schedulers": schedulers,
+    "dask clients": clients,
+    "dask workers": workers,
+    "dask clusters": clusters,
 }
 
 
@@ -59,19 +62,21 @@ def main() -> None:
     parser.add_argument(
         "--scale", type=float, default=1.0, help="share of the usual number of faults (default: 1)"
     )
+    parser.add_argument("--tiles", type=int, default=60, help="of a run (default: 60)")
     parser.add_argument("--seed", type=int, default=1, help="of the random numbers (default: 1)")
     options = parser.parse_args()
     random.seed(options.seed)
     logging.disable(logging.WARNING)  # damage is counted here
-    folder = Path(tempfile.mkdtemp(prefix="atlas-faults-"))
-    try:
-        trial = Trial(folder)
+    # A process with threads cannot be forked.
+    with (
+        tempfile.TemporaryDirectory(prefix="atlas-faults-") as folder,
+        dask.config.set(scheduler="synchronous"),
+    ):
+        trial = Trial(Path(folder), options.tiles)
         tiles = trial.start("cut").tiling.count
         print(f"{trial.scene.size} points in {tiles} tiles, {trial.whole.nbytes} bytes", flush=True)
         for name in options.only:
             print(f"{name}: {PARTS[name](trial, options.scale)}", flush=True)
-    finally:
-        shutil.rmtree(folder)
 
 
 if __name__ == "__main__":

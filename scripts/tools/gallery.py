@@ -1,6 +1,6 @@
 """Make every figure of the gallery from its scene; with --docs also the pictures and the page in docs/.
 
-    python scripts/tools/gallery.py [--out FOLDER] [--only NAME ...] [--force] [--docs]
+    python scripts/tools/gallery.py [--out FOLDER] [--only NAME ...] [--force] [--docs [DOCS]] [--count N]
 
 Atlases, and figures as PNG and PDF, are written to FOLDER, by default out/gallery of the repository. An atlas there is
 used again if it comes from the same scene; --force computes all anew. --docs writes docs/gallery/*.png,
@@ -10,6 +10,7 @@ docs/gallery.md and the paper's figures in docs/fixed_point.md. All scenes take 
 from __future__ import annotations
 
 import argparse
+import tomllib
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -22,6 +23,7 @@ from atlas.cli.examples import figure_options
 from atlas.flags import Agreement
 from atlas.label import theory
 from atlas.plotting import amer2013, maps, style
+from atlas.scene.read import scene_from
 
 ROOT = Path(__file__).resolve().parents[2]
 DOCS = ROOT / "docs"
@@ -228,10 +230,13 @@ def is_current(file: Path, scene: atlas.Scene) -> bool:
         return bool(ds.attrs.get("atlas_scene") == scene.toml())
 
 
-def draw(picture: Picture, out: Path, force: bool, docs: bool) -> list[str]:
+def draw(picture: Picture, out: Path, force: bool, docs: Path | None, count: int | None) -> list[str]:
     """Compute the atlas of a picture if need be, and draw it; returns its section of the page."""
     file = out / f"{picture.scene}.nc"
-    scene = atlas.load_scene(picture.file)
+    table = tomllib.loads(picture.file.read_text())
+    if count:
+        table["axes"] = {name: axis | {"count": count} for name, axis in table["axes"].items()}
+    scene = scene_from(table, picture.scene)
     if force or not is_current(file, scene):
         atlas.run(scene, file, force=True)
     with atlas.open_atlas(file) as ds:
@@ -239,7 +244,7 @@ def draw(picture: Picture, out: Path, force: bool, docs: bool) -> list[str]:
         for suffix in (".png", ".pdf"):
             style.save(figure, file.with_suffix(suffix))
         if docs:
-            write_picture(figure, DOCS / "gallery" / f"{picture.scene}.png")
+            write_picture(figure, docs / "gallery" / f"{picture.scene}.png")
         return section(picture, ds)
 
 
@@ -251,7 +256,10 @@ def main() -> None:
     parser.add_argument("--out", type=Path, default=ROOT / "out" / "gallery", help="default: %(default)s")
     parser.add_argument("--only", nargs="+", metavar="NAME", choices=names, default=names)
     parser.add_argument("--force", action="store_true", help="compute every atlas anew")
-    parser.add_argument("--docs", action="store_true", help="rewrite the pictures and the page in docs/")
+    parser.add_argument("--count", type=int, help="points of each axis (default: those of the scene)")
+    parser.add_argument(
+        "--docs", nargs="?", type=Path, const=DOCS, help="rewrite the pictures and the page in docs/"
+    )
     options = parser.parse_args()
     options.out.mkdir(parents=True, exist_ok=True)
     lines = [
@@ -267,13 +275,13 @@ def main() -> None:
     chosen = [picture for picture in PICTURES if picture.scene in options.only]
     for i, picture in enumerate(chosen, 1):
         print(f"{i} of {len(chosen)}: {picture.scene}", flush=True)
-        lines += draw(picture, options.out, options.force, options.docs)
+        lines += draw(picture, options.out, options.force, options.docs, options.count)
     if options.docs:
         for number in PAPER_FIGURES:
-            write_picture(amer2013.draw(number), DOCS / f"fixed_point_figure_{number:02d}.png")
+            write_picture(amer2013.draw(number), options.docs / f"fixed_point_figure_{number:02d}.png")
         if len(chosen) == len(PICTURES):
-            (DOCS / "gallery.md").write_text("\n".join(lines).rstrip() + "\n")
-    print(f"wrote {options.out}" + (f" and {DOCS}" if options.docs else ""))
+            (options.docs / "gallery.md").write_text("\n".join(lines).rstrip() + "\n")
+    print(f"wrote {options.out}" + (f" and {options.docs}" if options.docs else ""))
 
 
 if __name__ == "__main__":

@@ -1,6 +1,6 @@
 """Error and cost of RK4 for Lagrange's and Euler-Poisson's equations of the satellite, at equal steps in NumPy.
 
-    python scripts/tools/lagrange_form.py
+    python scripts/tools/lagrange_form.py [--points 200] [--steps 200 400 800 1600]
 
 Random motions are compared with DOP853 at its smallest tolerance, motions of the catalogue with their closed
 forms. The error is the largest difference of a component of (w in units of the largest rate, alpha, gamma)
@@ -11,6 +11,7 @@ integral drifted by more than DRIFT or if half as many steps end more than HALVE
 
 from __future__ import annotations
 
+import argparse
 import time
 from collections.abc import Callable
 
@@ -122,7 +123,7 @@ def tilted(tilts: Array, psi0: float, family: str, **given: float) -> dict[str, 
     return points | {"k3": FAMILIES[family].solve["k3"](points)}
 
 
-def cost(form: str, size: int = 4096, steps: int = 40) -> float:
+def cost(form: str, size: int, steps: int = 40) -> float:
     """Nanoseconds for each point and step."""
     points = random_points(size, 2)
     run(points, 0.2, 2, form)
@@ -131,17 +132,20 @@ def cost(form: str, size: int = 4096, steps: int = 40) -> float:
     return (time.perf_counter() - began) / size / steps * 1e9
 
 
-def compare_random(words: str, points: Points, duration: float) -> None:
+def compare_random(words: str, points: Points, duration: float, counts: list[int]) -> None:
     """Print errors and unresolved shares of both forms for random motions, for several numbers of steps."""
     exact = reference(points, duration)
-    for steps in (200, 400, 800, 1600):
+    for steps in counts:
         runs = [integrate(points, duration, steps, form) for form in FORMS]
         both = np.logical_and.reduce([resolved for _, resolved in runs])
         errors = [error(points, state, exact) for state, _ in runs]
         print(f"{words}, {duration:g} time units, {steps} steps")
-        largest = [e[resolved].max() for e, (_, resolved) in zip(errors, runs, strict=True)]
+        largest = [e[resolved].max(initial=0.0) for e, (_, resolved) in zip(errors, runs, strict=True)]
         for quantity, values in (
-            ("  median error where both are resolved", [np.median(e[both]) for e in errors]),
+            (
+                "  median error where both are resolved",
+                [np.median(e[both]) if both.any() else np.nan for e in errors],
+            ),
             ("  largest error of resolved runs", largest),
             ("  share unresolved", [1 - resolved.mean() for _, resolved in runs]),
         ):
@@ -164,11 +168,20 @@ def compare_exact(family: str, psi0: float, duration: float) -> None:
 
 
 def main() -> None:
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--points", type=int, default=200, help="random motions (default: %(default)s)")
+    parser.add_argument("--steps", type=int, nargs="+", default=[200, 400, 800, 1600])
+    options = parser.parse_args()
+    count = options.points
     print(f"{'':40s}" + "".join(f"{form:>16s}" for form in FORMS))
-    print(f"{'ns for each point and step':40s}" + "".join(f"{cost(form):16.0f}" for form in FORMS))
-    near_pole = {"theta0": 10.0 ** np.random.default_rng(0).uniform(-8, 0, 200)}
-    compare_random("random motions", random_points(200, 1), 10.0)
-    compare_random("from tilts of 1e-8 to 1", random_points(200, 2, **near_pole), 10.0)
+    print(
+        f"{'ns for each point and step':40s}" + "".join(f"{cost(form, 20 * count):16.0f}" for form in FORMS)
+    )
+    near_pole = {"theta0": 10.0 ** np.random.default_rng(0).uniform(-8, 0, count)}
+    compare_random("random motions", random_points(count, 1), 10.0, options.steps)
+    compare_random("from tilts of 1e-8 to 1", random_points(count, 2, **near_pole), 10.0, options.steps)
     compare_exact("perp_radius", 0.0, 10.0)
     compare_exact("perp_velocity", np.pi / 2, 10.0)
 

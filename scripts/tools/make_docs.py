@@ -1,10 +1,11 @@
 """Write the tables of the pages in docs from the registries and from theory; --check compares only.
 
-python scripts/tools/make_docs.py [--check]
+python scripts/tools/make_docs.py [--check] [--docs FOLDER]
 """
 
 from __future__ import annotations
 
+import argparse
 import re
 import sys
 from pathlib import Path
@@ -116,15 +117,19 @@ def filled(text: str) -> str:
 
 
 def main() -> int:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--check", action="store_true", help="write nothing; exit code 1 if a page is stale")
+    parser.add_argument("--docs", type=Path, default=DOCS, help="folder of the pages (default: docs)")
+    options = parser.parse_args()
     stale = []
-    for path in sorted(DOCS.glob("*.md")):
+    for path in sorted(options.docs.glob("*.md")):
         text = path.read_text()
         if filled(text) != text:
             stale.append(path.name)
-            if "--check" not in sys.argv:
+            if not options.check:
                 path.write_text(filled(text))
-    print(f"{'stale' if '--check' in sys.argv else 'written'}: {', '.join(stale) or 'nothing'}")
-    return int(bool(stale) and "--check" in sys.argv)
+    print(f"{'stale' if options.check else 'written'}: {', '.join(stale) or 'nothing'}")
+    return int(bool(stale) and options.check)
 
 
 if __name__ == "__main__":

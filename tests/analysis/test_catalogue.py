@@ -413,9 +413,3 @@ def test_lagrange_form_reports_where_it_is_not_resolved():
         if coarser is not None:
             assert np.log2(coarser / errors) == pytest.approx(4, abs=0.4)
         coarser = errors
-
-
-def test_benchmark_runs(capsys, monkeypatch):
-    monkeypatch.setattr("sys.argv", ["bench_catalogue.py", "--points", "3000"])
-    script("benchmarks/bench_catalogue.py").main()
-    assert "perp_velocity: 1000 points" in capsys.readouterr().out

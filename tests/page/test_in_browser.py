@@ -3,6 +3,8 @@
 import html
 import importlib
 import re
+from contextlib import nullcontext
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -16,6 +18,7 @@ from atlas.label.trajectory import point_columns
 from atlas.page import motion
 from atlas.page.page import atlas_page
 
+ROOT = Path(__file__).parents[2]
 DONE = "(document.getElementById('motion-section').dataset.done || '') !== ''"
 
 
@@ -317,3 +320,20 @@ def test_in_a_notebook(browser, small_page, tmp_path):
     )
     assert not browser.errors
     assert not browser.requests
+
+
+def test_scripts_that_need_a_browser_run(browser, small_scene, quick_page, tmp_path, monkeypatch, capsys):
+    (tmp_path / "small.toml").write_text(small_scene)
+    file, picture = str(tmp_path / "small.nc"), tmp_path / "page.png"
+    atlas.run(tmp_path / "small.toml", file, progress=False).close()
+    for folder, name, arguments in (
+        ("benchmarks", "bench_page", ()),
+        ("tools", "draw_page", (str(picture),)),
+    ):
+        monkeypatch.syspath_prepend(ROOT / "scripts" / folder)
+        script = importlib.import_module(name)
+        monkeypatch.setattr(script.browser, "launched", lambda: nullcontext(browser))
+        monkeypatch.setattr("sys.argv", [name, file, *arguments])
+        script.main()
+    assert re.search(r"^\| small \| 9 x 7 \| \d+ \|", capsys.readouterr().out, re.M)
+    assert picture.stat().st_size > 10_000

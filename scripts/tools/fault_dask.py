@@ -1,22 +1,14 @@
-"""Runs on dask under faults: schedulers, clients and workers killed at random; two clusters; prints the counts.
-
-python scripts/tools/dask_faults.py [--kills 50] [--only schedulers clients workers clusters]      (half an hour)
-
-Every part ends with a byte-by-byte comparison of the atlas with one computed in memory by one process.
-"""
+"""Runs on dask under faults: schedulers, clients and workers killed at random; two clusters on one folder."""
 
 from __future__ import annotations
 
-import argparse
 import json
 import os
 import random
 import re
-import shutil
 import signal
 import subprocess
 import sys
-import tempfile
 import time
 import uuid
 from collections import Counter
@@ -96,9 +88,9 @@ def wait_for_tiles(run: RunFolder, process: subprocess.Popen[str], count: int) -
     time.sleep(random.uniform(0.0, 1.0))
 
 
-def schedulers(trial: Trial, count: int) -> str:
+def schedulers(trial: Trial, scale: float) -> str:
     """Kill schedulers at random; the run must end with exit 1 and one line, and go on with another scheduler."""
-    killed = rounds = compared = 0
+    killed, rounds, compared, count = 0, 0, 0, max(round(50 * scale), 1)
     exits = Counter[str]()
     while killed < count:
         run = trial.start(f"schedulers{rounds}")
@@ -126,9 +118,9 @@ def schedulers(trial: Trial, count: int) -> str:
     return f"{killed} schedulers killed in {rounds} runs, {compared} bytes equal{texts}"
 
 
-def clients(trial: Trial, count: int) -> str:
+def clients(trial: Trial, scale: float) -> str:
     """Kill clients at random; the same command, on the same scheduler and workers, must finish the run."""
-    killed = rounds = compared = 0
+    killed, rounds, compared, count = 0, 0, 0, max(round(50 * scale), 1)
     with Scheduler(trial.folder) as scheduler, Worker(scheduler.address), Worker(scheduler.address):
         while killed < count:
             run = trial.start(f"clients{rounds}")
@@ -148,9 +140,9 @@ def clients(trial: Trial, count: int) -> str:
     return f"{killed} clients killed in {rounds} runs, {compared} bytes equal"
 
 
-def workers(trial: Trial, count: int) -> str:
+def workers(trial: Trial, scale: float) -> str:
     """Kill workers at work and replace them; the run must finish."""
-    killed = rounds = compared = 0
+    killed, rounds, compared, count = 0, 0, 0, max(round(50 * scale), 1)
     with ExitStack() as stack:
         scheduler = stack.enter_context(Scheduler(trial.folder))
         at_work = [stack.enter_context(Worker(scheduler.address)) for _ in range(2)]
@@ -171,9 +163,9 @@ def workers(trial: Trial, count: int) -> str:
     return f"{killed} workers killed in {rounds} runs, {compared} bytes equal"
 
 
-def clusters(trial: Trial, rounds: int) -> str:
+def clusters(trial: Trial, scale: float) -> str:
     """Let two clusters compute one folder; in every second round one loses its scheduler."""
-    compared = lost = 0
+    compared, lost, rounds = 0, 0, max(round(10 * scale), 1)
     for i in range(rounds):
         run = trial.start(f"clusters{i}")
         with (
@@ -196,29 +188,3 @@ def clusters(trial: Trial, rounds: int) -> str:
             sys.exit("two clusters on one folder: tiles are missing")
         compared += trial.compared(run.path)
     return f"{rounds} folders finished by two clusters, {lost} of them by one after the other's scheduler was killed, {compared} bytes equal"
-
-
-PARTS = {"schedulers": schedulers, "clients": clients, "workers": workers, "clusters": clusters}
-
-
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--kills", type=int, default=50)
-    parser.add_argument("--cluster-rounds", type=int, default=10)
-    parser.add_argument("--only", nargs="+", choices=PARTS, default=list(PARTS))
-    options = parser.parse_args()
-    folder = Path(tempfile.mkdtemp(prefix="atlas-dask-faults-"))
-    try:
-        trial = Trial(folder)
-        print(
-            f"{trial.scene.size} points in {trial.start('cut').tiling.count} tiles, {trial.whole.nbytes} bytes"
-        )
-        for name in options.only:
-            count = options.cluster_rounds if name == "clusters" else options.kills
-            print(f"{name}: {PARTS[name](trial, count)}", flush=True)
-    finally:
-        shutil.rmtree(folder)
-
-
-if __name__ == "__main__":
-    main()

@@ -1,0 +1,179 @@
+"""Every script of scripts/benchmarks and scripts/tools runs, here with small arguments."""
+
+import logging
+import os
+import re
+import shutil
+import tarfile
+import zipfile
+from importlib import import_module
+from pathlib import Path
+
+import pytest
+from numba import njit
+
+from atlas import cli
+
+ROOT = Path(__file__).parent.parent
+FOLDERS = [ROOT / "scripts" / "benchmarks", ROOT / "scripts" / "tools"]
+SMALL = ROOT / "tests" / "small.toml"
+# Arguments, in which FOLDER is an empty folder, and what the script then prints.
+SCRIPTS = {
+    "bench_any_axis": ("--points 2 --rounds 1 --systems fixed_point --methods rk8", r"the same to the bit"),
+    "bench_catalogue": ("--points 30", r"together .*(?s:.*)multipliers"),
+    "bench_engine": (f"--points 8 --steps 64 --repeat 1 --scene {SMALL}", r"small.toml: .* for labels only"),
+    "bench_estimate": ("--points 2 --systems fixed_point", r"fixed_point: symmetric bodies \| \d"),
+    "bench_label_checks": ("--points 20", r"labels of the fixed point differ at 0"),
+    "bench_long_runs": ("--orbits 2", r"cylindrical +4 of 4 labels right"),
+    "bench_methods": (f"{SMALL} --points 8 --rounds 1", r"small \| .*0 of 8 \| 0, 0"),
+    "bench_refine": (f"{SMALL} --count 5 --levels 1", r"small: 9 x 9 points, .* 0 labels differ"),
+    "bench_scaling": ("100 --only points tiles", r"(?s)100, 1, .*tiles for 100 points"),
+    "bench_start": (str(SMALL), r"first steps, .*small.toml: 0?\d+\.\d+ s"),
+    "draw": ("--out FOLDER", r""),
+    "faults": ("--tiles 2 --only damage", r"damage: 2 tiles damaged .* each detected"),
+    "fuzz_scenes": ("--count 5 --runs 1 --points 1", r"check: ok"),
+    "gallery": ("--out FOLDER --docs FOLDER --only first_order_error --count 3", r"wrote FOLDER"),
+    "interrupts": ("--count 1 --only start", r"start: 1 exit"),
+    "lagrange_form": ("--points 2 --steps 200", r"share unresolved"),
+    "make_docs": ("--docs FOLDER", r"written: scenes.md"),
+}
+OTHERS = {
+    "bench_page": "tests/page/test_in_browser.py",
+    "bench_peers": "below",
+    "check_packages": "below",
+    "draw_page": "tests/page/test_in_browser.py",
+}
+PEERS = {
+    "SciPy DOP853": "scipy",
+    "SciPy odeint": "scipy",
+    "heyoka batch": "heyoka",
+    "numbalsoda dop853": "numbalsoda",
+    "CyRK DOP853": "CyRK",
+    "diffrax vmap Dopri8": "diffrax",
+}
+
+pytestmark = pytest.mark.usefixtures("whole_kernels", "script_folders")
+
+
+@pytest.fixture
+def script_folders(monkeypatch):
+    """Import scripts by their names, each with its own folder as Python does; none chooses a processor."""
+    for folder in FOLDERS:
+        monkeypatch.syspath_prepend(folder)
+    monkeypatch.delattr(os, "sched_setaffinity", raising=False)
+
+
+def start(name, arguments, monkeypatch):
+    """Run a script in this process."""
+    monkeypatch.setattr("sys.argv", [name, *map(str, arguments)])
+    code = None
+    try:
+        code = import_module(name).main()
+    except SystemExit as end:
+        code = end.code
+    finally:
+        logging.disable(logging.NOTSET)
+    assert not code
+
+
+def test_every_script_is_run():
+    files = {
+        path.stem for folder in FOLDERS for path in folder.glob("*.py") if "__main__" in path.read_text()
+    }
+    assert files == SCRIPTS.keys() | OTHERS.keys()
+
+
+@pytest.fixture
+def less_work(script_folders, monkeypatch, tmp_path):
+    """What would take seconds and is no matter of the scripts."""
+
+    def command(folder, *arguments):
+        monkeypatch.chdir(folder)
+        assert cli.main(arguments) == cli.DONE
+        return 1.0, 1.0
+
+    def finish(trial, *arguments):
+        command(trial.folder, "run", "scene.toml", "--quiet", *arguments)
+
+    def assembly(case):
+        multiplied = njit("f8[::1](f8[::1], f8[::1])", fastmath=True)(lambda a, b: a * b + a)
+        return next(iter(multiplied.inspect_asm().values()))
+
+    monkeypatch.setattr("bench_scaling.command", command)
+    monkeypatch.setattr("fault_trial.Trial.finish", finish)
+    monkeypatch.setattr("fault_trial.TILE", 8)
+    monkeypatch.setattr("bench_engine.Case.assembly", assembly)
+    monkeypatch.setattr("bench_engine.PEAK_ROUNDS", 100)
+    monkeypatch.setattr("bench_engine.CASES", import_module("bench_engine").CASES[::5])
+    monkeypatch.setattr("bench_start.PROCESSES", 1)
+    monkeypatch.setattr("gallery.PAPER_FIGURES", (4,))
+    monkeypatch.setattr("gallery.DPI", 50)
+    (tmp_path / "gallery").mkdir()
+    pages = (ROOT / "docs" / "scenes.md").read_text()
+    (tmp_path / "scenes.md").write_text(
+        re.sub(r"(<!-- parameters satellite -->).*?(<!-- end)", r"\1\n\2", pages, flags=re.S)
+    )
+
+
+@pytest.mark.usefixtures("less_work")
+@pytest.mark.parametrize("name", SCRIPTS)
+def test_script(name, monkeypatch, tmp_path, capfd):
+    arguments, printed = SCRIPTS[name]
+    start(name, arguments.replace("FOLDER", str(tmp_path)).split(), monkeypatch)
+    assert re.search(printed, capfd.readouterr().out.replace(str(tmp_path), "FOLDER"))
+    if name == "draw":
+        assert all((tmp_path / f"{each}.svg").stat().st_size > 10_000 for each in ("angles", "labels"))
+    if name == "gallery":
+        for file in ("first_order_error.pdf", "gallery/first_order_error.png", "fixed_point_figure_04.png"):
+            assert (tmp_path / file).is_file()
+    if name == "make_docs":
+        assert (tmp_path / "scenes.md").read_text() == (ROOT / "docs" / "scenes.md").read_text()
+
+
+def test_tables_are_those_of_the_registries(monkeypatch):
+    start("make_docs", ["--check"], monkeypatch)
+
+
+def test_the_packages_are_checked(tmp_path, monkeypatch, capsys):
+    tool = import_module("check_packages")
+    scripts = "atlas = atlas.cli:command\nprecession-atlas = atlas.cli:command\n[xarray.backends]\n"
+    with zipfile.ZipFile(tmp_path / "a.whl", "w") as wheel:
+        for file in tool.modules():
+            wheel.writestr(file, "")
+        wheel.writestr("precession_atlas-1.dist-info/entry_points.txt", scripts)
+    with tarfile.open(tmp_path / "a.tar.gz", "w") as source:
+        for file in {*tool.modules(), *tool.SOURCES} - {"README.md"}:
+            source.add(ROOT / file, f"a/{file}")
+    monkeypatch.setattr("sys.argv", ["check_packages.py", str(tmp_path)])
+    assert tool.main() == 1
+    assert capsys.readouterr().out == "a.tar.gz: README.md is missing\n"
+
+
+@pytest.mark.parametrize("name", PEERS)
+def test_a_peer_integrates_the_same_motions(name):
+    pytest.importorskip(PEERS[name], reason=f"{name} is of the extra `peers`")
+    bench = import_module("bench_peers")
+    points = bench.satellites(2)
+    peers = bench.all_peers(points)
+    results = bench.measure_all({name: peers[name].make()}, peers, points, 0.5, 1)
+    assert min(level.error for level in results[name]) < 1e-12
+
+
+def test_times_of_peers_are_written_into_the_pages(tmp_path, monkeypatch):
+    pages = ["README.md", "docs/accuracy.md", "docs/paper/paper.md"]
+    (tmp_path / "docs" / "paper").mkdir(parents=True)
+    for page in pages:
+        shutil.copy(ROOT / page, tmp_path / page)
+    start(
+        "bench_peers",
+        ["--points", 2, "--rounds", 1, "--duration", 1, "--only", "DOP853", "--docs", tmp_path],
+        monkeypatch,
+    )
+    readme, accuracy, paper = ((tmp_path / page).read_text() for page in pages)
+    (table,) = re.findall(r"<!-- peers_table -->\n(.*?\n)<!-- end -->", paper, re.S)
+    assert table in accuracy
+    assert "with `rk8`" in readme
+    assert "Slender bodies to T = 1, best of 1 rounds" in accuracy
+    for text, page in zip((readme, accuracy, paper), pages, strict=True):
+        assert text != (ROOT / page).read_text()
+    assert (tmp_path / "docs" / "peers.png").is_file()

@@ -59,6 +59,7 @@ SHARED = (
         lanes,
         ("load_points", "load_runs", "store_runs", "store_ends", "store_sums", "advance", "extend_changes"),
     ),
+    (turning, ("cubic_slope", "turns_twice", "place_of_turn")),
 )
 # Only where a kernel measures circles.
 INLINED_FOR_CIRCLES = ((circle, ("load_circles", "add_to_circle", "add_to_circles", "store_circles")),)
@@ -93,6 +94,7 @@ NUMBERS = {
                 "ROUGHNESS",
                 "FIELDS",
                 "NODES_PER_CHANGE",
+                "ROUNDING",
             ),
         ),
     ),

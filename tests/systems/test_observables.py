@@ -212,6 +212,8 @@ def test_lines_of_the_spectrum_of_an_observable(pendulum):
     assert float(lines["frequency"].sel(signal="x")[0]) == pytest.approx(2.0, rel=1e-6)
     assert float(lines["amplitude"].sel(signal="x")[0]) == pytest.approx(1e-3, rel=1e-4)
     assert float(lines["frequency"].sel(signal="height")[0]) == pytest.approx(4.0, rel=1e-6)
+    with pytest.raises(atlas.BadInput, match=r"samples = 48: too few for a line of height at (4|3\.9999)"):
+        tr.atlas.frequencies(1, trajectory=tr.isel(time=slice(None, None, 21)))
 
 
 def test_a_run_that_is_cut_has_the_same_bits(pendulum, monkeypatch):

@@ -332,9 +332,9 @@ class Atlas:
         lines : int
             Number of lines of each signal.
         samples : int
-            Instants of the motion; their spacing must resolve its fastest line.
+            Instants of the motion; where a line is too fast for them, more are taken.
         trajectory : Dataset, optional
-            A motion from `atlas.trajectory`, in place of the point's.
+            A motion from `atlas.trajectory`, in place of the point's; its samples must resolve the lines.
         **coords : float
             The point, as for `nearest`.
 
@@ -350,20 +350,20 @@ class Atlas:
         Raises
         ------
         BadInput
-            As `trajectory`, and where the samples are too few.
+            As `trajectory`, and where the samples of the motion given are too few for a line.
 
         Notes
         -----
         A regular motion has lines that stay the same in both halves of a run; those of a chaotic one do not.
         """
-        from .analysis.frequencies import frequencies
+        from .analysis.frequencies import frequencies, of_point
 
         whole_number("lines", lines, 1, MAX_LINES)
-        if trajectory is not None and "time" not in getattr(trajectory, "dims", ()):
+        if trajectory is None:
+            return of_point(lambda count: self.trajectory(samples=count, **coords), lines, samples)
+        if "time" not in getattr(trajectory, "dims", ()):
             raise BadInput(f"trajectory = {shown(trajectory)}: must be a dataset from atlas.trajectory")
-        return frequencies(
-            self.trajectory(samples=samples, **coords) if trajectory is None else trajectory, lines
-        )
+        return frequencies(trajectory, lines)
 
     def roughness(self, x: str | None = None, y: str | None = None) -> xr.DataArray:
         """How roughly the range of theta varies over the grid: a picture of chaos without its cost, not a label.

@@ -8,6 +8,9 @@ method have licences that a user of this one may not be able to accept, so that 
 
 from __future__ import annotations
 
+import math
+from collections.abc import Callable
+
 import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
@@ -15,13 +18,16 @@ from scipy.optimize import minimize_scalar
 from scipy.signal.windows import hann
 
 from ..errors import BadInput
-from ..systems.base import Array
+from ..label.trajectory import MAX_SAMPLES
+from ..systems.base import Array, System
 from .metadata import system_of
 
 Signal = NDArray[np.complex128]
 
 # Share of the largest frequency of the samples beyond which a line may be that of a faster motion.
 MAX_SHARE_OF_NYQUIST = 0.8
+# Amplitude, over the largest value of the signal, from which a line is compared with its derivative.
+MIN_AMPLITUDE = 1e-5
 # How often all lines are refined after each new one.
 PASSES = 2
 
@@ -46,12 +52,40 @@ def frequencies(trajectory: xr.Dataset, lines: int) -> xr.Dataset:
     BadInput
         Where the samples are too few for the fastest line.
     """
+    ds, (name, fastest) = _lines(trajectory, lines)
+    if fastest:
+        raise BadInput(
+            f"samples = {trajectory.sizes['time']}: too few for a line of {name} at {fastest:g} rad per time unit; take"
+            f" {_samples_for(trajectory, fastest)}"
+        )
+    return ds
+
+
+def of_point(trajectory: Callable[[int], xr.Dataset], lines: int, samples: int) -> xr.Dataset:
+    """As `frequencies`, of a motion that is sampled anew, by the function given, until the samples resolve its lines."""
+    while True:
+        motion = trajectory(samples)
+        ds, (_, fastest) = _lines(motion, lines)
+        needed = _samples_for(motion, fastest) if fastest else samples
+        if needed <= samples or needed > MAX_SAMPLES:
+            return ds if not fastest else frequencies(motion, lines)
+        samples = needed
+
+
+def _samples_for(trajectory: xr.Dataset, frequency: float) -> int:
+    """Samples of a motion for which a frequency lies well below the largest that they resolve."""
+    duration = float(trajectory["time"][-1] - trajectory["time"][0])
+    return 1 + math.ceil(1.25 * frequency * duration / (MAX_SHARE_OF_NYQUIST * np.pi))
+
+
+def _lines(trajectory: xr.Dataset, lines: int) -> tuple[xr.Dataset, tuple[str, float]]:
+    """Strongest lines of a motion, and the signal and the frequency (else 0) of the fastest that its samples miss."""
     time = trajectory["time"].values
     columns = _signals(trajectory)
     shape = (len(columns), lines)
     frequency, amplitude, share = (np.full(shape, np.nan) for _ in range(3))
-    nyquist = np.pi / (time[1] - time[0])
-    for i, (name, signal) in enumerate(columns.items()):
+    nyquist, missed = np.pi / (time[1] - time[0]), ("", 0.0)
+    for i, (name, (signal, slope)) in enumerate(columns.items()):
         weight = hann(time.size)
         weight /= weight.sum()
         power = float(weight @ np.abs(signal - weight @ signal) ** 2)
@@ -60,12 +94,11 @@ def frequencies(trajectory: xr.Dataset, lines: int) -> xr.Dataset:
         count = len(line_frequencies)
         frequency[i, :count], amplitude[i, :count] = line_frequencies, np.abs(coefficients)
         share[i, :count] = np.abs(coefficients) ** 2 / power * (0.5 if real else 1.0)
-        if count and np.abs(line_frequencies[0]) > MAX_SHARE_OF_NYQUIST * nyquist:
-            raise BadInput(
-                f"samples = {time.size}: too few for a line of {name} at {line_frequencies[0]:g} rad per time unit; take"
-                f" {4 * time.size}"
-            )
-    return xr.Dataset(
+        true = _true_frequencies(time, signal, slope, line_frequencies, weight, real)
+        fastest = max(np.abs(true).max(), np.abs(line_frequencies[:1]).max(initial=0.0))
+        if fastest > max(MAX_SHARE_OF_NYQUIST * nyquist, missed[1]):
+            missed = name, float(fastest)
+    ds = xr.Dataset(
         {
             "frequency": (
                 ("signal", "line"),
@@ -82,23 +115,56 @@ def frequencies(trajectory: xr.Dataset, lines: int) -> xr.Dataset:
         coords={"signal": list(columns), "line": np.arange(lines)},
         attrs=trajectory.attrs,
     )
+    return ds, missed
 
 
-def _signals(trajectory: xr.Dataset) -> dict[str, Signal]:
-    """The signals of a motion by name: those of theta, psi and phi, or the observables of the system."""
-    observables = system_of(trajectory).observables if "atlas_system" in trajectory.attrs else ()
-    if observables:
-        return {o.name: trajectory[o.name].values.astype(np.complex128) for o in observables}
-    return {name: _signal(trajectory, name) for name in ("theta", "psi", "phi")}
+def _true_frequencies(
+    time: Array, signal: Signal, slope: Signal, frequencies: Array, weight: Array, real: bool
+) -> Array:
+    """Frequencies of the lines, and of the constant, by their amplitudes in the derivative of the signal.
+
+    A line that is too fast for the samples appears at another frequency, or as a constant, but the derivative has its
+    own. Where a line is so weak that errors may be larger, its frequency counts as true.
+    """
+    given = [*frequencies, 0.0]
+    lines, slopes = (_fit(time, each, given, weight, real)[0] for each in (signal, slope))
+    strong = np.abs(lines) > MIN_AMPLITUDE * np.abs(signal).max()
+    return np.divide(slopes, 1j * lines, out=np.array(given, complex), where=strong).real
 
 
-def _signal(trajectory: xr.Dataset, name: str) -> Signal:
-    """cos theta or sin theta e^(i angle)."""
-    theta = trajectory["theta"].values
-    if name == "theta":
-        return np.asarray(np.cos(theta), np.complex128)
-    angle = trajectory[name].values
-    return np.where(np.isnan(angle), 0.0, np.sin(theta) * np.exp(1j * np.nan_to_num(angle)))
+def _signals(trajectory: xr.Dataset) -> dict[str, tuple[Signal, Signal]]:
+    """The signals of a motion by name, with their derivatives: those of theta, psi and phi, or the observables."""
+    system = system_of(trajectory) if "atlas_system" in trajectory.attrs else None
+    if system is not None and system.observables:
+        return _observables(trajectory, system)
+    theta, theta_dot = trajectory["theta"].values, np.nan_to_num(trajectory["theta_dot"].values)
+    signals = {"theta": (np.cos(theta) + 0j, -np.sin(theta) * theta_dot + 0j)}
+    for name in ("psi", "phi"):
+        # On the vertical there is no angle, and sin theta is 0.
+        angle, rate = (np.nan_to_num(trajectory[key].values) for key in (name, f"{name}_dot"))
+        turn = np.exp(1j * angle)
+        signals[name] = np.sin(theta) * turn, (np.cos(theta) * theta_dot + 1j * np.sin(theta) * rate) * turn
+    return signals
+
+
+def _observables(trajectory: xr.Dataset, system: System) -> dict[str, tuple[Signal, Signal]]:
+    """The observables of a motion, and their derivatives by differences along its slope."""
+    points = {
+        name: np.array([float(trajectory.get(f"{name}_start", trajectory.get(name, np.nan)))])
+        for name in system.parameters
+    }
+    equations, constants = system.equations, system.constants(points)
+    state = np.array([trajectory[name].values for name in equations.STATE])
+    time = 1e-5 * float(trajectory["step"])
+    change = time * np.array(np.broadcast_arrays(*equations.rhs(state, constants)))
+    signals = {}
+    for o in system.observables:
+        low, high = (
+            moved[equations.STATE.index(o.name)] if o.name in equations.STATE else getattr(equations, o.name)(moved, constants)
+            for moved in (state - change, state + change)
+        )  # fmt: skip
+        signals[o.name] = trajectory[o.name].values + 0j, (high - low) / (2 * time) + 0j
+    return signals
 
 
 def spectral_lines(time: Array, signal: Signal, count: int, *, real: bool = False) -> tuple[Array, Signal]:

@@ -62,7 +62,7 @@ from .poles import (
 )
 from .sampling import END, LONG, rule_position, stretched
 from .statistics import Row, accumulate, begin, end, extend, may_extend
-from .turning import TURN_ROWS, TURN_STEPS, Turn, turning_point
+from .turning import TURN_ROWS, TURN_STEPS, Turn, place_of_turn, turning_point
 
 # Components of the motion, u1, u2, u3, g1, g2, g3: rows of a node, followed by those of their derivatives.
 MOTION = 6
@@ -315,8 +315,8 @@ def queue_turns(turns, lanes, count, turning, nodes, slots, spacing, first_node,
     for l in range(WIDTH):
         if turning[l] > 0.0:
             lanes[count] = l
-            slope = nodes[first, 11, l]
-            x = slope / (slope - nodes[second, 11, l])
+            slope_0, slope_1 = spacing * nodes[first, 11, l], spacing * nodes[second, 11, l]
+            x = place_of_turn(nodes[first, 5, l], nodes[second, 5, l], slope_0, slope_1)
             store_turn(turns, count, nodes, slots, l, spacing, interval - first_node, x)
             count += 1
     return count

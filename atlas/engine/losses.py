@@ -1,4 +1,4 @@
-"""Equations that integrate the losses of first integrals together with the motion.
+"""Equations with more states: the losses of first integrals, or a direction at rest in the frame.
 
 Where dissipation changes a first integral I at the rate -R, the equations name R in LOSSES. A kernel then has one more
 state for I, the sum L of what was lost, with L' = R and L = 0 at the start. I + L is a first integral of the equations
@@ -9,7 +9,8 @@ sums L come from the same Runge-Kutta steps as the motion and have errors of the
 from __future__ import annotations
 
 import ast
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Iterable, Mapping
+from functools import cache
 from types import ModuleType
 
 from ..systems import arithmetic
@@ -50,13 +51,40 @@ def with_losses(equations: ModuleType, losses: Mapping[str, str]) -> ModuleType:
     sources = {name: text for name, text in arithmetic.functions(equations).items() if name not in unused}
     names = {name: value for name, value in vars(equations).items() if name.isupper()} | {"LOSSES": losses}
     if losses:
-        sums = _new_names(losses, sources)
+        sum_names = _new_names([f"{integral}_lost" for integral in losses], sources)
+        sums = dict(zip(losses, sum_names, strict=True))
         names["STATE"] = (*equations.STATE, *sums.values())
         powers = [equations.INTEGRALS[integral] for integral in losses]
-        scaling = {name: sources.pop(name) for name in ("scaled", "unscaled")}
-        sources = {name: _with_sums(text, losses, sums) for name, text in sources.items()}
-        sources |= _scaling(scaling, len(equations.STATE), powers)
+        sources = _with_states(sources, len(equations.STATE), losses, sums, powers)
     return arithmetic.module_of(equations, names, sources)
+
+
+@cache
+def with_frame_vector(equations: ModuleType) -> ModuleType:
+    """Equations of a body with `axis_in_frame`.
+
+    Where they have none, the components x1, x2, x3 of the first axis of the frame in body axes are three more states,
+    x' = x x u with the angular velocity u of ``frame_motion``. Unlike psi they are regular everywhere.
+    """
+    sources = arithmetic.functions(equations)
+    if "axis_in_frame" in sources:
+        return equations
+    names = _new_names(["x1", "x2", "x3"], sources)
+    x1, x2, x3 = names
+    state, motion = ", ".join(equations.STATE), "u1, u2, u3, g1, g2, g3 = frame_motion(state, constants)"
+    rates = {x1: f"{x2} * u3 - {x3} * u2", x2: f"{x3} * u1 - {x1} * u3", x3: f"{x1} * u2 - {x2} * u1"}
+    texts = {f"{name}_rate": rate for name, rate in rates.items()}
+    texts["axis_in_frame"] = f"{x3}, g1 * {x2} - g2 * {x1}"
+    for name, text in texts.items():
+        sources[name] = (
+            f"def {name}(state, constants):\n    {state}, = state\n    {motion}\n    return {text}"
+        )
+    functions, keys = {name: f"{name}_rate" for name in names}, dict(zip(names, names, strict=True))
+    sources = _with_states(sources, len(equations.STATE), functions, keys, [0, 0, 0])
+    capitals = {name: value for name, value in vars(equations).items() if name.isupper()}
+    return arithmetic.module_of(
+        equations, capitals | {"STATE": (*equations.STATE, *names), "LOSSES": {}}, sources
+    )
 
 
 def _is_zero(text: str) -> bool:
@@ -69,16 +97,31 @@ def _is_zero(text: str) -> bool:
     return False
 
 
-def _new_names(losses: Mapping[str, str], sources: Mapping[str, str]) -> dict[str, str]:
-    """Integral -> name of the sum of its losses, which no function uses."""
+def _new_names(names: Iterable[str], sources: Mapping[str, str]) -> list[str]:
+    """These names, with underscores where a function uses them."""
     nodes = (node for text in sources.values() for node in ast.walk(ast.parse(text)))
-    used, result = {node.id for node in nodes if isinstance(node, ast.Name)}, {}
-    for integral in losses:
-        name = f"{integral}_lost"
+    used, result = {node.id for node in nodes if isinstance(node, ast.Name)}, []
+    for name in names:
         while name in used:
             name += "_"
-        result[integral] = name
+        result.append(name)
     return result
+
+
+def _with_states(
+    sources: Mapping[str, str],
+    states: int,
+    rates: Mapping[str, str],
+    names: Mapping[str, str],
+    powers: list[int],
+) -> dict[str, str]:
+    """The functions of so many states with more of them.
+
+    rates: key of each new state -> function; names: key -> its name; powers of a rate in their units.
+    """
+    scaling = {name: sources[name] for name in ("scaled", "unscaled")}
+    extended = {name: _with_sums(text, rates, names) for name, text in sources.items() if name not in scaling}
+    return extended | _scaling(scaling, states, powers)
 
 
 def _with_sums(text: str, losses: Mapping[str, str], sums: Mapping[str, str]) -> str:

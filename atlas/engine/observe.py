@@ -7,8 +7,6 @@ of the interpolation of four. With the value f0 at the start, g = f - f0 and u f
 are those of g, g^2 and u g: the mean, the standard deviation and the slope of the straight line fitted to f follow.
 """
 
-import numpy as np
-
 from .generated import (
     CONSTANTS,
     INTEGRALS,
@@ -36,6 +34,7 @@ from .lanes import (
     store_runs,
     store_sums,
 )
+from .turning import place_of_turn, turns_twice
 
 # Rows of the sums: the change of first integrals, then FIELDS rows for each observable: f0, the sums, the extremes, the
 # largest distance of a node from the cubic through its two neighbours.
@@ -43,6 +42,8 @@ CHANGE, FIRST_ROW = 0, 1
 START, TOTAL, SQUARE, TREND, LEAST, LARGEST, ROUGHNESS, FIELDS = 0, 1, 2, 3, 4, 5, 6, 7
 # First integrals change slowly: they are evaluated at every fourth node and at the end.
 NODES_PER_CHANGE = 4
+# Relative change of an observable that may be rounding.
+ROUNDING = 1e-14
 
 
 def integrate(
@@ -175,10 +176,11 @@ def extend_between(sums, nodes, turning, i, interval, spacing):
             above = 1.0 if max(f0, f1) + margin > sums[row + LARGEST, l] else 0.0
             below = 1.0 if min(f0, f1) - margin < sums[row + LEAST, l] else 0.0
             possible = above if s0 > 0.0 else below
-            turning[l] = possible if s0 * s1 < 0.0 else 0.0
+            twice = turns_twice(f0, f1, s0, s1, ROUNDING * (abs(f0) + abs(f1))) * max(above, below)
+            turning[l] = possible if s0 * s1 < 0.0 else twice
         for l in range(WIDTH):
             if turning[l] > 0.0:
-                x = turning_point(
+                x = place_of_turn(
                     nodes[first, k, l], nodes[second, k, l],
                     nodes[first, slope_row, l] * spacing, nodes[second, slope_row, l] * spacing,
                 )  # fmt: skip
@@ -186,18 +188,6 @@ def extend_between(sums, nodes, turning, i, interval, spacing):
                 least, largest = sums[row + LEAST, l], sums[row + LARGEST, l]
                 sums[row + LEAST, l] = value if value < least else least
                 sums[row + LARGEST, l] = value if value > largest else largest
-
-
-def turning_point(f0, f1, s0, s1):
-    """Place from 0 to 1 at which the cubic with these values and slopes at 0 and 1, of opposite signs, turns."""
-    a = 3.0 * (s0 + s1 - 2.0 * (f1 - f0))
-    b = 2.0 * (3.0 * (f1 - f0) - 2.0 * s0 - s1)
-    root = np.sqrt(max(b * b - 4.0 * a * s0, 0.0))
-    q = -0.5 * (b + (root if b > 0.0 else -root))
-    x = s0 / q if q != 0.0 else 0.5
-    if not 0.0 <= x <= 1.0:
-        x = q / a if a != 0.0 else 0.5
-    return min(max(x, 0.0), 1.0)
 
 
 def interpolated(nodes, i, k, l, spacing, x):

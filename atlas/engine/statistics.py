@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from .sampling import sample
+from .turning import turns_twice
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -167,7 +168,8 @@ def may_extend(stats, l, cos_0, cos_1, slope_0, slope_1):
     above = 1.0 if max(cos_0, cos_1) + margin > stats[Row.COS_THETA_MAX, l] else 0.0
     below = 1.0 if min(cos_0, cos_1) - margin < stats[Row.COS_THETA_MIN, l] else 0.0
     possible = above if slope_0 > 0.0 else below
-    return possible if slope_0 * slope_1 < 0.0 else 0.0
+    twice = turns_twice(cos_0, cos_1, slope_0, slope_1, 1e-12) * max(above, below)
+    return possible if slope_0 * slope_1 < 0.0 else twice
 
 
 def end(stats, l, motion):

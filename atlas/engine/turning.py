@@ -1,10 +1,12 @@
-"""Turning points of theta, on the polynomials of seventh degree through four nodes of the vertical.
+"""Turning points between two nodes: of a cubic, and of theta on the polynomials of seventh degree through four nodes.
 
 The unit of time is the distance of two nodes. The functions are plain arithmetic on scalars and one column of an array:
 the kernel calls them for several turning points side by side, compiled or not.
 """
 
 from enum import IntEnum
+
+import numpy as np
 
 from .poles import differences_of, polynomial
 
@@ -29,6 +31,32 @@ class Turn(IntEnum):
 
 
 TURN_ROWS = max(Turn) + 1
+
+
+def cubic_slope(f0, f1, s0, s1):
+    """The coefficients a and b of the derivative a x^2 + b x + s0 of the cubic with these values and slopes at 0 and 1."""
+    return 3.0 * (s0 + s1 - 2.0 * (f1 - f0)), 2.0 * (3.0 * (f1 - f0) - 2.0 * s0 - s1)
+
+
+def turns_twice(f0, f1, s0, s1, rounding):
+    """Whether that cubic, with slopes not of opposite signs, turns twice from 0 to 1, 1.0 or 0.0.
+
+    So does a motion that starts at rest if it turns back once. rounding: of the values; less is no turn.
+    """
+    a, b = cubic_slope(f0, f1, s0, s1)
+    inside = 1.0 if abs(a + b) + rounding < abs(a) else 0.0  # the vertex of the derivative
+    return inside if a * (s0 + s1) > 0.0 and b * b > 4.0 * a * s0 else 0.0
+
+
+def place_of_turn(f0, f1, s0, s1):
+    """Place from 0 to 1 at which that cubic turns; where it does so twice, the one farther from both nodes."""
+    a, b = cubic_slope(f0, f1, s0, s1)
+    root = np.sqrt(max(b * b - 4.0 * a * s0, 0.0))
+    q = -0.5 * (b + (root if b > 0.0 else -root))
+    x = s0 / q if q != 0.0 else 0.5
+    y = q / a if a != 0.0 else x
+    x = y if min(y, 1.0 - y) > min(x, 1.0 - x) else x
+    return min(max(x, 0.0), 1.0)
 
 
 def newton_change(g1, g2, g3):

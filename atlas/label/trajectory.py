@@ -3,19 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 import xarray as xr
-from scipy.integrate import cumulative_simpson
+from numpy.typing import NDArray
 
 from .. import systems
 from ..engine import blocks, numeric_bound
 from ..engine.ensemble import Ensemble
+from ..engine.losses import with_frame_vector
 from ..engine.specialization import kernel, kernel_hash
 from ..engine.stepsize import StepSizes
-from ..engine.tableaux import METHODS
+from ..engine.tableaux import METHODS, Method
 from ..errors import BadInput
 from ..io import provenance
 from ..scene import checks, grid
@@ -25,6 +26,14 @@ from ..systems.base import Array, Points, System
 
 # Instants of a trajectory: some gigabytes.
 MAX_SAMPLES = 10**7
+# The turns of psi and phi are followed from one node to the next, for so many nodes side by side. A node is an instant of the
+# trajectory or, where these are fewer than the first number and more than the second apart in steps, of its parts.
+NODES, STEPS_PER_NODE, SIDE_BY_SIDE = 1000, 64, 4096
+# A part of a step in which the axis passes the vertical is halved until it does so within the first distance, which is
+# rounding, or until the body turns by less than the second angle (rad) and the vertical moves in the body by less than
+# the sum of its distances from the third axis over the third number.
+AT_VERTICAL, LARGEST_TURN, MARGIN = 1e-13, 1.5, 1.5
+MAX_HALVINGS = 60
 _RATE = "rad s-1"
 # Variable -> long_name and units.
 _VARIABLES = {
@@ -74,8 +83,7 @@ def trajectory(
     Returns
     -------
     xarray.Dataset
-        Over the dimension "time", float64: the state by the names of the equations; theta, psi, phi (rad; psi and phi
-        unwrapped, nan on the vertical, where they do not exist); theta_dot, psi_dot, phi_dot, normal_rate (rad per time
+        Over the dimension "time", float64: the state by the names of the equations; theta, psi, phi (rad); theta_dot, psi_dot, phi_dot, normal_rate (rad per time
         unit); axis_x, axis_y, axis_z (the third body axis in the frame: for the satellite along radius, velocity and
         normal); integral_drift. Of a system with observables: the states, the observables and integral_drift. Without
         a dimension: `step`, and the parameters (a start value that has the name of one of the variables has the suffix
@@ -85,6 +93,14 @@ def trajectory(
     ------
     BadInput
         As `label_points`.
+
+    Notes
+    -----
+    psi and phi begin at psi0 and phi0 (of a system without such parameters psi begins at 0) and are unwrapped along the
+    steps of the integration, so that they and the axis do not depend on `samples`. The axis comes from a vector at rest in
+    the frame, which is integrated with the motion and is regular on the vertical. There psi and phi do not exist and are
+    nan. Where the axis passes it, each turns by half a turn, so that psi + phi is continuous (psi - phi at theta = pi);
+    where it passes exactly through it, phi turns forward.
     """
     settings = Settings(method=method, step=step, tolerance=tolerance, rate_tolerance=rate_tolerance)
     return _trajectory(systems.get(system), point, duration, samples, settings, "")
@@ -111,10 +127,20 @@ def _trajectory(
             )
         step_sizes = StepSizes.of(settings, bound, durations)
     # Whole steps between samples, never longer than those of the atlas.
-    steps_per_sample = -(-int(step_sizes.steps[0]) // (samples - 1))
-    step_size = np.array([duration / (steps_per_sample * (samples - 1))])
-    states, lost = _states(system, module, ensemble, steps_per_sample, step_size, samples)
-    ds = _dataset(system, ensemble, states, lost, np.linspace(0.0, duration, samples))
+    steps = -(-int(step_sizes.steps[0]) // (samples - 1))
+    parts = 1 if system.observables else max(1, min(steps // STEPS_PER_NODE, NODES // (samples - 1)))
+    nodes, steps = parts * (samples - 1), -(-steps // parts)
+    step_size = np.array([duration / (steps * nodes)])
+    states, lost = _states(system, module, ensemble, steps, step_size, nodes + 1)
+    path = {}
+    if not system.observables:
+        with np.errstate(all="ignore"):
+            equations = with_frame_vector(system.equations)
+            motion = _Motion(equations, METHODS[settings.method], ensemble.constants, float(step_size[0]))
+            path = _path(system, points, motion, states, steps)
+    at_samples = slice(None, None, parts)
+    path, lost = ({name: values[at_samples] for name, values in each.items()} for each in (path, lost))
+    ds = _dataset(system, ensemble, states[at_samples], lost, path, np.linspace(0.0, duration, samples))
     _add_parameters(ds, system, points, float(step_size[0]))
     ds.attrs = provenance.provenance(
         system, settings, kernel_hash(system, settings.method), title=title or f"trajectory of the {system.title}",
@@ -179,7 +205,12 @@ def _states(
 
 
 def _dataset(
-    system: System, ensemble: Ensemble, states: Array, lost: Mapping[str, Array], time: Array
+    system: System,
+    ensemble: Ensemble,
+    states: Array,
+    lost: Mapping[str, Array],
+    path: Mapping[str, Array],
+    time: Array,
 ) -> xr.Dataset:
     """The trajectory with angles, rates and the drift of the first integrals."""
     equations, constants = system.equations, ensemble.constants
@@ -187,7 +218,7 @@ def _dataset(
     if system.observables:
         columns |= _observables(system, states, constants)
     else:
-        columns |= _angles(equations, states, constants, time)
+        columns |= _angles(equations, states, constants, path)
     drift = np.zeros(len(time))
     with np.errstate(all="ignore"):
         for name, scale in zip(equations.INTEGRALS, ensemble.scales, strict=True):
@@ -247,29 +278,146 @@ def _add_parameters(ds: xr.Dataset, system: System, points: Points, step: float)
             ds[f"{name}_start" if name in ds else name] = ((), value, attributes)
 
 
-def _angles(equations: Any, states: Array, constants: Array, time: Array) -> dict[str, Array]:
-    """Euler angles, their rates and the third body axis in the frame, at every instant."""
+def _angles(equations: Any, states: Array, constants: Array, path: Mapping[str, Array]) -> dict[str, Array]:
+    """Euler angles, their rates and the third body axis in the frame, at every instant; path: as `_path` returns."""
     u1, u2, u3, g1, g2, g3 = equations.frame_motion(states.T, constants)
     with np.errstate(all="ignore"):
         sine = np.hypot(g1, g2)
         psi_dot = (u1 * g1 + u2 * g2) / sine**2
-        phi = np.unwrap(np.arctan2(g1, g2))
-        if hasattr(equations, "axis_in_frame"):
-            x, y = equations.axis_in_frame(states.T, constants)
-            psi = np.unwrap(np.arctan2(x, -y))
-        else:
-            psi = np.r_[0.0, cumulative_simpson(psi_dot, x=time)]
-            x, y = sine * np.sin(psi), -sine * np.cos(psi)
-        on_vertical = sine == 0.0
         return {
             "theta": np.arctan2(sine, g3),
-            "phi": np.where(on_vertical, np.nan, phi),
+            "phi": np.where(sine == 0.0, np.nan, path["phi"]),
             "theta_dot": (u1 * g2 - u2 * g1) / sine,
             "psi_dot": psi_dot,
             "phi_dot": u3 - psi_dot * g3,
             "normal_rate": u1 * g1 + u2 * g2 + u3 * g3,
-            "psi": np.where(on_vertical, np.nan, psi),
-            "axis_x": x,
-            "axis_y": y,
+            "psi": np.where(sine == 0.0, np.nan, path["psi"]),
+            "axis_x": path["axis_x"],
+            "axis_y": path["axis_y"],
             "axis_z": g3,
         }
+
+
+def _path(system: System, points: Points, motion: _Motion, states: Array, steps: int) -> dict[str, Array]:
+    """psi and phi, unwrapped along the steps, and the third axis along the frame's first two axes, at every node.
+
+    states: those of the system at the nodes, of shape (nodes, states); steps: from a node to the next.
+    """
+    state = states.T
+    vertical = np.array(system.equations.frame_motion(state, motion.constants)[3:])
+    if motion.equations is system.equations:
+        turns, _ = motion.turns(state[:, :-1], steps)
+    else:
+        # The motions from all nodes are computed side by side, with three vectors that are known at each: the first is
+        # horizontal, and the vector of the frame is a sum of all, for its equation is linear.
+        unit = vertical / np.linalg.norm(vertical, axis=0)
+        body_axis = np.argmin(np.abs(unit), axis=0)
+        first = np.eye(3)[:, body_axis] - unit * np.take_along_axis(unit, body_axis[None], 0)
+        first /= np.linalg.norm(first, axis=0)
+        basis = [first, np.cross(unit, first, axis=0), unit]
+        runs = [motion.turns(np.concatenate([state, vector])[:, :-1], steps) for vector in basis]
+        turns, ends = runs[0][0], [end[-3:] for _, end in runs]
+        maps = sum(end.T[:, :, None] * vector.T[:-1, None] for end, vector in zip(ends, basis, strict=True))
+        vectors = [frame_vector(system, points, states[:1].T, motion.constants)[:, 0]]
+        for each in maps:
+            vectors.append(each @ vectors[-1])
+        state = np.concatenate([state, np.array(vectors).T])
+    axis, *_ = motion.axis_and_vertical(state)
+    result = {"axis_x": axis.real, "axis_y": axis.imag}
+    angles = np.array([np.arctan2(axis.real, -axis.imag), np.arctan2(vertical[0], vertical[1])])
+    for name, angle, turn in zip(("psi", "phi"), angles, turns, strict=True):
+        start = _branch(angle[0], float(np.ravel(points.get(f"{name}0", 0.0))[0]))
+        result[name] = _branch(angle, np.cumsum(np.r_[start, turn]))
+    return result
+
+
+def frame_vector(system: System, points: Points, state: Array, constants: Array) -> Array:
+    """The first axis of the frame in body axes, from which psi = psi0 is counted, (3, points), at the start.
+
+    On the vertical phi is phi0. Without parameters of these names they are 0.
+    """
+    g1, g2, g3 = system.equations.frame_motion(state, constants)[3:]
+    theta0, psi, phi0 = (points.get(name, np.zeros_like(g3)) for name in ("theta0", "psi0", "phi0"))
+    psi = psi + np.where(np.sin(theta0) < 0.0, np.pi, 0.0)  # theta is positive
+    sine = np.hypot(g1, g2)
+    with np.errstate(invalid="ignore"):
+        sf, cf = np.where(sine == 0.0, [np.sin(phi0), np.cos(phi0)], np.array([g1, g2]) / sine)
+    return np.array([
+        np.cos(psi) * cf - g3 * sf * np.sin(psi), -np.cos(psi) * sf - g3 * cf * np.sin(psi), sine * np.sin(psi)
+    ])  # fmt: skip
+
+
+def _branch(angle: Any, near: Any) -> Any:
+    """The angle with the multiple of a turn added that brings it nearest to another."""
+    return angle + 2 * np.pi * np.rint((near - angle) / (2 * np.pi))
+
+
+@dataclass(frozen=True)
+class _Motion:
+    """Many motions of one body side by side: equations with `axis_in_frame`, a method, constants (constants, 1), a step size."""
+
+    equations: Any
+    method: Method
+    constants: Array
+    step_size: float
+
+    def axis_and_vertical(self, state: Array) -> tuple[Array, Array, Array, Array]:
+        """sin(theta) e^(i psi) / i, sin(theta) e^(i phi), cos(theta), and the rates of the second and of the body."""
+        u1, u2, u3, g1, g2, g3 = self.equations.frame_motion(state, self.constants)
+        x, y = self.equations.axis_in_frame(state, self.constants)
+        speed = np.hypot(g2 * u3 - g3 * u2, g3 * u1 - g1 * u3)
+        return x + 1j * y, g2 + 1j * g1, g3, np.array([speed, np.sqrt(u1 * u1 + u2 * u2 + u3 * u3)])
+
+    def step(self, state: Array) -> Array:
+        """The states, (states, motions), after one step."""
+        slopes: list[Array] = []
+        for row in (*self.method.a, self.method.b):
+            change = sum((a * slope for a, slope in zip(row, slopes, strict=True) if a), 0.0)
+            moved = state + self.step_size * change
+            if len(slopes) < self.method.stages:
+                slopes.append(np.array(np.broadcast_arrays(*self.equations.rhs(moved, self.constants))))
+        return moved
+
+    def turns(self, state: Array, steps: int) -> tuple[Array, Array]:
+        """Changes of psi and phi, (2, motions), in so many steps, and the states at their end."""
+        if state.shape[1] > SIDE_BY_SIDE:
+            parts = np.array_split(state, -(-state.shape[1] // SIDE_BY_SIDE), axis=1)
+            results = zip(*(self.turns(part, steps) for part in parts), strict=True)
+            turns, ends = (np.concatenate(each, axis=1) for each in results)
+            return turns, ends
+        turns, pending = np.zeros((2, state.shape[1])), []
+        for _ in range(steps):
+            new = self.step(state)
+            pending.append(self._add_turns(turns, state, new, np.arange(state.shape[1])))
+            state = new
+        before, after, motions = (np.concatenate(each, axis=-1) for each in zip(*pending, strict=True))
+        part = self
+        for _ in range(MAX_HALVINGS):
+            if not motions.size:
+                break
+            part = replace(part, step_size=0.5 * part.step_size)
+            middle = part.step(before)
+            halves = np.concatenate([before, middle], axis=1), np.concatenate([middle, after], axis=1)
+            before, after, motions = part._add_turns(turns, *halves, np.tile(motions, 2))
+        return turns, state
+
+    def _add_turns(
+        self, turns: Array, before: Array, after: Array, motions: NDArray[np.int64]
+    ) -> tuple[Array, Array, NDArray[np.int64]]:
+        """Add the changes of psi and phi in a step to those of some motions; returns what of it is too long for that.
+
+        Near the vertical psi + phi is regular, near its opposite psi - phi.
+        """
+        w0, z0, g3, rates0 = self.axis_and_vertical(before)
+        w1, z1, _, rates1 = self.axis_and_vertical(after)
+        distance, (path, angle) = np.abs(z0) + np.abs(z1), self.step_size * np.maximum(rates0, rates1)
+        too_long = ((distance <= MARGIN * path) | (angle >= LARGEST_TURN)) & (distance >= AT_VERTICAL)
+        turn = z1 * z0.conj()
+        phi = np.angle(turn)
+        # Half a turn is left where the axis passes exactly through the vertical: forward, whatever rounding may be.
+        phi = np.where(phi < 0.1 - np.pi, phi + 2 * np.pi, phi)
+        regular = np.angle(w1 * w0.conj() * np.where(g3 > 0.0, turn, turn.conj()))
+        psi = np.where(g3 > 0.0, regular - phi, regular + phi)
+        for total, change in zip(turns, (psi, phi), strict=True):
+            np.add.at(total, motions[~too_long], change[~too_long])
+        return before[:, too_long], after[:, too_long], motions[too_long]

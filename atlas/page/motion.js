@@ -75,30 +75,8 @@ function observed(states, start, time) {
   const motions = states.map((state) => equations.frame_motion(state, start.constants));
   const theta = motions.map(([, , , g1, g2, g3]) => Math.atan2(Math.hypot(g1, g2), g3));
   const psiDot = motions.map(([u1, u2, , g1, g2]) => (u1 * g1 + u2 * g2) / (g1 * g1 + g2 * g2));
-  let path;
-  if (equations.axis_in_frame) {
-    path = motions.map((each, i) => [...equations.axis_in_frame(states[i], start.constants), each[5]]);
-  } else {
-    const psi = integral(psiDot, time[1] - time[0]);
-    path = motions.map(([, , , g1, g2, g3], i) => {
-      const sine = Math.hypot(g1, g2);
-      return sine === 0 ? [0, 0, g3] : [sine * Math.sin(psi[i]), -sine * Math.cos(psi[i]), g3];
-    });
-  }
+  const path = motions.map((each, i) => [...equations.axis_in_frame(states[i], start.constants), each[5]]);
   return { theta, psiDot, path };
-}
-
-// Integral of evenly spaced values from the first to each, by parabolas through three of them.
-function integral(values, distance) {
-  const f = values.map((value) => (Number.isFinite(value) ? value : 0));
-  const sums = [0];
-  for (let i = 1; i < f.length; i++) {
-    const j = i % 2 === 1 && i + 1 < f.length ? i : i - 1; // middle of the parabola
-    const part =
-      j === i ? 5 * f[i - 1] + 8 * f[i] - f[i + 1] : j === 0 ? 6 * (f[0] + f[1]) : -f[i - 2] + 8 * f[i - 1] + 5 * f[i];
-    sums.push(sums[i - 1] + (distance / 12) * part);
-  }
-  return sums;
 }
 
 // Integrate the point chosen and show its motion.

@@ -6,6 +6,7 @@ import ast
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import xarray as xr
@@ -13,10 +14,12 @@ import xarray as xr
 from ..analysis.metadata import axes_of, number_attribute
 from ..engine import assemble
 from ..engine.ensemble import Ensemble
+from ..engine.losses import with_frame_vector
 from ..engine.simplify import simplify
 from ..engine.stepsize import StepSizes
 from ..engine.tableaux import METHODS
 from ..errors import BadInput, attribute_text
+from ..label.trajectory import frame_vector
 from ..scene import grid
 from ..scene.model import DEFAULTS, Duration, Scene, Settings
 from ..systems import arithmetic
@@ -37,7 +40,8 @@ class Motions:
     parameters : dict of str to ndarray
         Parameter -> value at the start, nan where it is not given.
     state, constants : ndarray of float64
-        As in `engine.ensemble.Ensemble`.
+        As in `engine.ensemble.Ensemble`; of a body whose equations have no `axis_in_frame` the state is followed by the
+        first axis of the frame.
     duration : ndarray of float64
         Length of the run in time units.
     steps : ndarray of int64
@@ -72,10 +76,11 @@ def sources(system: System, method: str) -> dict[str, str]:
     Returns
     -------
     dict of str to str
-        Name -> source: `rhs`, `scaled` and `unscaled` as in the kernel, `step`, `frame_motion`, `axis_in_frame` and
-        the observables where the system has them, and the functions that these call.
+        Name -> source: `rhs`, `scaled` and `unscaled` as in the kernel, `step`, `frame_motion` and `axis_in_frame`, or
+        the observables, and the functions that these call. The states are those of `Motions`.
     """
-    texts = arithmetic.functions(system.equations)
+    equations = _equations(system)
+    texts = arithmetic.functions(equations)
     observables = [observable.name for observable in system.observables]
     chosen = {name: texts[name] for name in (*_KERNEL, *_OF_BODY, *observables) if name in texts}
     queue = list(chosen.values())
@@ -85,10 +90,15 @@ def sources(system: System, method: str) -> dict[str, str]:
                 chosen[node.id] = texts[node.id]
                 queue.append(texts[node.id])
     for name in ("rhs", "unscaled"):
-        chosen[name] = simplify(chosen[name], (), {}, system.equations.ONES)
-    lines = assemble.step_lines(METHODS[method], len(system.equations.STATE))
+        chosen[name] = simplify(chosen[name], (), {}, equations.ONES)
+    lines = assemble.step_lines(METHODS[method], len(equations.STATE))
     chosen["step"] = "\n    ".join(["def step(state, slope, constants):", *lines])
     return chosen
+
+
+def _equations(system: System) -> Any:
+    """The equations with what shows a body in its frame."""
+    return system.equations if system.observables else with_frame_vector(system.equations)
 
 
 def motions(ds: xr.Dataset, system: System, scene: Scene | None, dims: list[str]) -> Motions:
@@ -124,6 +134,9 @@ def motions(ds: xr.Dataset, system: System, scene: Scene | None, dims: list[str]
         family, unit = scene.family, scene.duration
     sentences = [grid.sentence(each, system, family, unit) if each else "" for each in grid.Reason]
     ensemble = Ensemble.of(system, parameters)
+    state = ensemble.state
+    if _equations(system) is not system.equations:
+        state = np.concatenate([state, frame_vector(system, parameters, state, ensemble.constants)])
     with np.errstate(all="ignore"):
         sizes = StepSizes.of(
             settings, ensemble.frequency_bound, np.where(np.isfinite(duration), duration, 0.0)
@@ -138,7 +151,7 @@ def motions(ds: xr.Dataset, system: System, scene: Scene | None, dims: list[str]
 
     return Motions(
         {name: over_points(values) for name, values in parameters.items()},
-        over_points(ensemble.state), over_points(ensemble.constants), over_points(duration), over_points(steps),
+        over_points(state), over_points(ensemble.constants), over_points(duration), over_points(steps),
         over_points(reason), sentences, settings.method,
     )  # fmt: skip
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import atlas
-from atlas.analysis.frequencies import frequencies, spectral_lines
+from atlas.analysis.frequencies import frequencies, of_point, spectral_lines
 
 pytestmark = pytest.mark.usefixtures("whole_kernels")
 
@@ -60,6 +60,21 @@ def test_too_few_samples_are_refused():
     )
     with pytest.raises(atlas.BadInput, match="samples = 180: too few"):
         frequencies(motion, 1)
+
+
+@pytest.mark.parametrize("rate", [50.6, 2 * np.pi * 100 / 12.6])
+def test_lines_that_are_too_fast_for_the_samples(rate):
+    """The vertical turns in a spherical body at its rate; the second has one phase at every sample, as a constant has."""
+    m = np.sqrt(rate**2 - (1.3 * np.sin(0.5)) ** 2) - 1.3 * np.cos(0.5)
+
+    def sampled(samples):
+        point = {"A": 1.0, "B": 1.0, "C": 1.0, "theta0": 0.5, "m": m, "n": 0.3}
+        return atlas.trajectory("satellite", point, duration=12.6, samples=samples, method="rk8")
+
+    with pytest.raises(atlas.BadInput, match="samples = 101: too few for a line of") as error:
+        frequencies(sampled(101), 1)
+    for lines in (frequencies(sampled(int(str(error.value).split()[-1])), 1), of_point(sampled, 1, 101)):
+        assert float(lines.frequency.sel(signal="phi")[0]) == pytest.approx(rate, abs=1e-3)
 
 
 def test_accessor(small_scene):

@@ -1,5 +1,7 @@
 """`error_estimate` against the true errors of all statistics, expected and measured by a second run."""
 
+from functools import partial
+
 import numpy as np
 import pytest
 from strategies import default_points, random_fixed_points, random_satellites
@@ -57,6 +59,20 @@ def test_estimates_cover_the_errors_of_all_statistics(kind, system):
             assert ok.sum() > 0.9 * COUNT
             assert (ratio > 10).sum() <= 2
             assert np.median(ds.error_estimate.values[ok]) < (1e-4 if kind == "beside the vertical" else 1e-5)
+
+
+@pytest.mark.parametrize("system", SYSTEMS)
+def test_extremes_of_starts_at_rest_beside_the_vertical(system):
+    """theta turns at the start, and may turn back before the next node."""
+    rng = np.random.default_rng(5)
+    points = {k: v for k, v in RANDOM[system](rng, 400).items() if not np.isnan(v).any()}
+    points |= {"theta0": 10.0 ** rng.uniform(-4, -0.5, 400), "theta_dot0": np.zeros(400)}
+    points["theta0"][::2] = np.pi - points["theta0"][::2]
+    run = partial(atlas.label_points, system, points, duration=3.0, method="rk8")
+    true, ds = run(step=2e-3), run(tolerance=1e-9)
+    error = np.maximum(np.abs(ds.theta_min - true.theta_min), np.abs(ds.theta_max - true.theta_max))
+    assert (ds.status == Status.OK).all()
+    assert (error > 10 * ds.error_estimate).sum() <= 4
 
 
 def test_extremes_of_a_constant_theta():

@@ -1,9 +1,13 @@
-"""The dataset of a trajectory explains itself: units, parameters, provenance."""
+"""The dataset of a trajectory: its angles against another integration; units, parameters, provenance."""
+
+from functools import cache
 
 import matplotlib
 import numpy as np
 import pytest
 import xarray as xr
+from scipy.integrate import solve_ivp
+from scipy.spatial.transform import Rotation
 
 import atlas
 from atlas.label.trajectory import trajectory_of_scene
@@ -15,6 +19,82 @@ POINTS = {
     "satellite": {"theta0": 0.7, "k3": 0.3, "m": 0.4},
     "fixed_point": {"theta0": 0.7, "l3": 0.3, "n": 0.2, "Mg": 1.0},
 }
+# Motions that pass near the vertical: of a smooth motion, a sum over a few samples may be near the truth by chance.
+MOTIONS = {
+    "satellite": {
+        "theta0": 1.0, "psi0": 1.0, "phi0": 4.0, "theta_dot0": -1.0, "n": 0.01, "m": 5.0, "k3": -7.0, "B": 1.1
+    },
+    "fixed_point": {
+        "theta0": 1.0, "psi0": -4.0, "phi0": 1.0, "theta_dot0": -1.0, "n": 0.01, "m": 0.1, "Mg": 1.0, "z0": 1.0
+    },
+}  # fmt: skip
+DURATION = 12.0
+
+
+@cache
+def euler_angles(name):
+    """theta, psi and phi of the motion of a system over time, by DOP853 in these angles and the angular velocity."""
+    system = SYSTEMS[name]
+    given = MOTIONS[name]
+    points = {key: np.array([given.get(key, each.default)]) for key, each in system.parameters.items()}
+    constants, start = system.constants(points)[:, 0], system.initial_state(points)[:, 0]
+
+    def slope(time, y):
+        theta, psi, phi = y[3:]
+        attitude = Rotation.from_euler("ZXZ", [psi, theta, phi]).as_matrix()
+        state = [*y[:3], *attitude[[0, 2] if len(start) == 9 else [2]].ravel()]
+        u1, u2, u3, *_ = system.equations.frame_motion(state, constants)
+        psi_dot = (u1 * np.sin(phi) + u2 * np.cos(phi)) / np.sin(theta)
+        theta_dot = u1 * np.cos(phi) - u2 * np.sin(phi)
+        rates = system.equations.rhs(state, constants)[:3]
+        return [*rates, theta_dot, psi_dot, u3 - psi_dot * np.cos(theta)]
+
+    angles = [given[key] for key in ("theta0", "psi0", "phi0")]
+    return solve_ivp(
+        slope, (0, DURATION), [*start[:3], *angles], "DOP853", rtol=1e-9, atol=1e-10, dense_output=True
+    ).sol
+
+
+@pytest.mark.parametrize("samples", [2, 7, 301])
+@pytest.mark.parametrize("system", SYSTEMS)
+def test_angles_are_those_of_another_integration_for_any_number_of_samples(system, samples):
+    tr = atlas.trajectory(
+        system, MOTIONS[system], duration=DURATION, samples=samples, method="rk8", tolerance=1e-9
+    )
+    theta, psi, phi = euler_angles(system)(tr.time.values)[3:]
+    assert np.sin(theta).min() < 0.05 or samples < 300
+    for name in ("psi", "phi"):
+        assert float(tr[name][0]) == pytest.approx(MOTIONS[system][f"{name}0"], abs=1e-14)
+    for name, expected in (("theta", theta), ("psi", psi), ("phi", phi)):
+        np.testing.assert_allclose(tr[name], expected, atol=1e-6)
+    attitude = Rotation.from_euler("ZXZ", np.stack([psi, theta, phi], -1)).as_matrix()
+    np.testing.assert_allclose(np.stack([tr[f"axis_{i}"] for i in "xyz"], -1), attitude[:, :, 2], atol=1e-6)
+    np.testing.assert_allclose(np.stack([tr[f"g{i}"] for i in "123"], -1), attitude[:, 2], atol=1e-6)
+
+
+def test_passages_of_the_vertical():
+    """A top that falls through it turns by the same in both directions beside it, and half a turn exactly through it."""
+    top = {"A": 1.0, "B": 1.0, "C": 0.6, "Mg": 1.0, "z0": 1.0, "theta0": 1.0, "theta_dot0": 1.0}
+    for samples in (5, 61):
+        one, other, through = (
+            atlas.trajectory("fixed_point", top | {"n": n}, duration=30.0, samples=samples)
+            for n in (1e-4, -1e-4, 0.0)
+        )
+        np.testing.assert_allclose(one.psi, -other.psi, atol=1e-8)
+        np.testing.assert_allclose(one.phi, -other.phi, atol=1e-8)
+        assert float(one.psi[-1]) == pytest.approx(8 * np.pi, abs=2e-3)
+        assert float(through.psi[-1]) == pytest.approx(-8 * np.pi, abs=1e-12)
+        np.testing.assert_allclose(through.psi + through.phi, 0.0, atol=1e-12)
+
+
+@pytest.mark.parametrize("system", SYSTEMS)
+def test_rates_are_the_derivatives_of_the_angles(system):
+    point = POINTS[system] | {"theta_dot0": 0.2, "n": 0.3, "m": 0.4}
+    tr = atlas.trajectory(system, point, duration=1.0, samples=101)
+    for name in ("theta", "psi", "phi"):
+        assert np.abs(tr[f"{name}_dot"]).max() > 0.1
+        derivative = np.gradient(tr[name], tr.time, edge_order=2)
+        np.testing.assert_allclose(derivative, tr[f"{name}_dot"], atol=2e-3)
 
 
 @pytest.mark.parametrize("system", SYSTEMS)

@@ -10,7 +10,10 @@ import textwrap
 import numpy as np
 import pytest
 
+import atlas
 from atlas.engine import assemble, blocks
+from atlas.engine.losses import with_frame_vector
+from atlas.label.trajectory import frame_vector
 from atlas.page import motion
 from atlas.page.translate import CannotTranslate, translate
 from atlas.systems import SYSTEMS
@@ -63,13 +66,16 @@ def test_every_function_of_the_equations_has_the_same_bits(system):
 @needs_node
 @pytest.mark.parametrize("method", ["rk4", "rk8"])
 @pytest.mark.parametrize("system", SYSTEMS.values(), ids=lambda s: s.name)
-def test_two_thousand_steps_have_the_bits_of_the_kernel_in_plain_python(system, method):
-    plain = assemble.plain_module(system.equations, method)
-    points = {name: np.array([parameter.default]) for name, parameter in system.parameters.items()}
-    points |= {"theta0": np.array([0.4]), "n": np.array([0.3]), "m": np.array([0.7]), "C": np.array([0.7])}
-    state = system.initial_state(points)
-    start = state[:, 0].tolist()
-    constants = system.constants(points)[:, 0].tolist()
+def test_two_thousand_steps_have_the_bits_of_the_kernel_in_plain_python(system, method, whole_kernels):
+    """And their path is that of `atlas.trajectory`."""
+    equations = with_frame_vector(system.equations)
+    plain = assemble.plain_module(equations, method)
+    given = {"theta0": 0.4, "psi0": 2.0, "n": 0.3, "m": 0.7, "C": 0.7}
+    points = {name: np.array([given.get(name, each.default)]) for name, each in system.parameters.items()}
+    state, constants = system.initial_state(points), system.constants(points)
+    if equations is not system.equations:
+        state = np.concatenate([state, frame_vector(system, points, state, constants)])
+    start, constants = state[:, 0].tolist(), constants[:, 0].tolist()
     unit, steps = 0.02, 2000
     y, c = plain.scaled(blocks.start_state(plain, state)[:, 0].tolist(), constants, unit)
     for _ in range(steps):
@@ -80,7 +86,11 @@ def test_two_thousand_steps_have_the_bits_of_the_kernel_in_plain_python(system, 
         f"(() => {{ let [y, c] = scaled(data[0], data[1], {unit});"
         f" for (let i = 0; i < {steps}; i++) y = step(y, rhs(y, c), c); return unscaled(y, c, {unit}); }})()"
     )
-    assert np.array_equal(node(script, call, [start, constants]), expected)
+    end = node(script, f"((y) => [y, axis_in_frame(y, data[1])])({call})", [start, constants])
+    assert np.array_equal(end[:-2], expected)
+    step = unit * plain.STEP
+    tr = atlas.trajectory(system.name, given, duration=steps * step, samples=41, step=step, method=method)
+    assert [float(tr.axis_x[-1]), float(tr.axis_y[-1])] == pytest.approx(end[-2:], abs=1e-10)
 
 
 def everything(state, constants):

@@ -155,6 +155,12 @@ def test_trajectories_agree_with_dop853_and_conserve_energy():
     energy = sum(equations.energy(state, constants))
     np.testing.assert_allclose(energy, energy[0], rtol=1e-10)
     assert tr["integral_drift"].max() < 1e-10
+    turn = solve_ivp(  # psi' = w.g / sin^2 theta less the part along the axis
+        lambda t, y: [*equations.rhs(y[:6], constants), (y[0] * y[3] + y[1] * y[4]) / (y[3] ** 2 + y[4] ** 2)],
+        (0, 10), [*state[:, 0], 0.0], "DOP853", rtol=1e-11, atol=1e-11,
+    ).y[6, -1]  # fmt: skip
+    assert float(tr.psi[0]) == 0.0
+    assert float(tr.psi[-1]) == pytest.approx(turn, abs=1e-8)
 
 
 def test_labels_of_steady_and_other_motions():

@@ -27,7 +27,7 @@ _TABLE = (
     ("lambda", "m3 s-2", r"$\lambda$", np.nan, 0.0, False, False, "coefficient of attraction of the centre, g = lambda / R^2"),
     ("R", "m", "$R$", np.nan, 0.0, True, False, "distance from the fixed point to the attracting centre"),
     ("theta0", "rad", r"$\theta_0$", 0.0, -np.inf, False, True, "angle from the vertical (towards the attracting centre) to the third body axis at the start"),
-    ("psi0", "rad", r"$\psi_0$", 0.0, -np.inf, False, True, "precession angle at the start; the motion does not depend on it"),
+    ("psi0", "rad", r"$\psi_0$", 0.0, -np.inf, False, True, "precession angle at the start; it turns the motion about the vertical and changes nothing else"),
     ("phi0", "rad", r"$\varphi_0$", 0.0, -np.inf, False, True, "angle of proper rotation at the start"),
     ("theta_dot0", "rad s-1", r"$\dot\theta_0$", 0.0, -np.inf, False, True, "rate of the start about the line of nodes"),
     ("n", "rad s-1", "$n$", 0.0, -np.inf, False, True, "precession rate of the start, about the vertical"),

@@ -73,7 +73,12 @@ NUMBERS = {
         (turning, ("TURN_ROWS", "TURN_STEPS")),
         (statistics, ("NO_ZERO",)),
     ),
-    tangent.__name__: ((tangent, ("LOG_GROWTH", "LOG_INTEGRAL", "MEGNO", "MEGNO_INTEGRAL", "SUMS")),),
+    tangent.__name__: (
+        (
+            tangent,
+            ("LOG_GROWTH", "LOG_INTEGRAL", "MEGNO", "MEGNO_INTEGRAL", "HIGHEST", "DRAWDOWN", "SUMS"),
+        ),
+    ),
     deviation.__name__: (
         (deviation, ("COSINE", "SINE", "HALF_COSINE", "HALF_SINE", "TURNS")),
         (deviation, ("LIMIT", "STRETCH", "WEIGHTS", "ADVANCES")),

@@ -130,5 +130,8 @@ class Regularity(Flag):
     STEADY = 1, "a steady motion whose neighbours stay near it for the run"
     REGULAR = 2, "not steady, mean MEGNO below 2.5: no exponential separation during the run"
     CHAOTIC = 3, "not steady, mean MEGNO above 5: neighbouring motions separate exponentially"
-    UNDECIDED = 4, "not steady, mean MEGNO between 2.5 and 5: the run is too short to decide"
+    UNDECIDED = (
+        4,
+        "not steady, mean MEGNO between 2.5 and 5, or growth that one passage of an unstable motion explains",
+    )
     HYPERBOLIC = 5, "a steady motion whose neighbours separate exponentially: unstable, not chaotic"

@@ -79,8 +79,7 @@ ANY_AXIS_THEORY = ("predicted_any_axis", "predicted_any_axis_inertial", "agreeme
 CHAOS = frozenset(("megno", "lyapunov", "regularity"))
 _TANGENT = (
     "of one tangent vector: changes of the rates (in units of the orbital rate, or 1) and a rotation, for bodies about a fixed"
-    " point the change of gamma, which begins as (5, -4, 6, 3, 4, -3), there gamma x (3, 4, -3), divided by its norm;"
-    " integrated by rk8 with at most 0.3 rad of the fastest frequency a step; nan where the status is not ok"
+    " point the change of gamma, which begins as (5, -4, 6, 3, 4, -3), there gamma x (3, 4, -3), divided by its norm"
 )
 
 
@@ -235,14 +234,18 @@ def _steps(system: System) -> list[Variable]:
 
 def _chaos(tangent: str) -> list[Variable]:
     """The variables of CHAOS. tangent: what the tangent vector is."""
+    comment = (
+        f"{tangent}; integrated by rk8 with at most 0.3 rad of the fastest frequency a step; nan where the status is not ok, and"
+        " where the growth may come from one passage of an unstable motion or from rounding errors there"
+    )
     return [
         Variable(
             "regularity", "int8", "1", "whether neighbouring motions separate exponentially", Regularity.meanings(),
             "an exact start on an unstable periodic motion reads as chaotic, and chaos with an exponent below about"
             " 10 / duration as regular", optional=True,
         ),
-        Variable("megno", "float64", "1", "mean exponential growth factor of nearby orbits, averaged over the run", comment=tangent, optional=True),
-        Variable("lyapunov", "float64", "s-1", "largest Lyapunov exponent, as measured at the end of the run", comment=tangent, optional=True),
+        Variable("megno", "float64", "1", "mean exponential growth factor of nearby orbits, averaged over the run", comment=comment, optional=True),
+        Variable("lyapunov", "float64", "s-1", "largest Lyapunov exponent, as measured at the end of the run", comment=comment, optional=True),
     ]  # fmt: skip
 
 
@@ -276,10 +279,7 @@ def _variables_of_observables(system: System) -> dict[str, Variable]:
         " rounding and the change of first integrals, or measured by a second run (check_half_step)",
     )  # fmt: skip
     end_time = Variable("end_time", "float64", "s", "time at which the integration ended")
-    tangent = (
-        "of one tangent vector of all states in their units, which begins as (5, -4, 6, 3, 4, -3, ...), divided by its norm;"
-        " integrated by rk8 with at most 0.3 rad of the fastest frequency a step; nan where the status is not ok"
-    )
+    tangent = "of one tangent vector of all states in their units, which begins as (5, -4, 6, 3, 4, -3, ...), divided by its norm"
     everything = (*flag, *measured, *_steps(system), error, end_time, *_chaos(tangent), *_derived(system))
     registry = {variable.name: variable for variable in everything}
     if len(registry) < len(everything):

@@ -32,8 +32,8 @@ from .generated import (
     unscaled,
 )
 
-# Rows of the sums: L, its integral, Y, the integral of Y.
-LOG_GROWTH, LOG_INTEGRAL, MEGNO, MEGNO_INTEGRAL, SUMS = 0, 1, 2, 3, 4
+# Rows of the sums: L, its integral, Y, the integral of Y, the largest L, and the drawdown, the largest decrease of L.
+LOG_GROWTH, LOG_INTEGRAL, MEGNO, MEGNO_INTEGRAL, HIGHEST, DRAWDOWN, SUMS = 0, 1, 2, 3, 4, 5, 6
 
 
 def integrate(
@@ -119,3 +119,5 @@ def add_stretch(sums, l, log_growth, length, time):
     megno = 2.0 * (after - sums[LOG_INTEGRAL, l] / time)
     sums[MEGNO_INTEGRAL, l] += 0.5 * length * (sums[MEGNO, l] + megno)
     sums[MEGNO, l] = megno
+    sums[HIGHEST, l] = max(sums[HIGHEST, l], after)
+    sums[DRAWDOWN, l] = max(sums[DRAWDOWN, l], sums[HIGHEST, l] - after)

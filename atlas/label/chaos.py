@@ -8,12 +8,12 @@ from types import ModuleType
 
 import numpy as np
 
-from ..engine.chaos import METHOD, RELATIVE_COST, TangentSteps, indicators
+from ..engine.chaos import METHOD, RELATIVE_COST, Separation, TangentSteps
 from ..engine.ensemble import Ensemble
 from ..engine.specialization import Specialization, tangent_kernel
 from ..engine.stepsize import StepSizes
 from ..engine.tableaux import METHODS
-from ..flags import Status
+from ..flags import Regularity, Status
 from ..scene.model import Settings
 from ..systems.base import Array, Points, System
 from .regularity import regularity
@@ -79,17 +79,27 @@ class TangentRuns:
         """
         size = self.rate_unit.size
         megno, lyapunov = np.full(size, np.nan), np.full(size, np.nan)
+        flags = np.full(size, Regularity.NOT_COMPUTED, np.int8)
         where = np.flatnonzero(columns["status"] == Status.OK)
-        if where.size:
-            steps = self.steps.subset(where)
-            points_per_step = size * self.share / float(steps.steps.sum())
-            megno[where], lyapunov[where] = indicators(
-                self.system, self.kernel, self.ensemble.subset(where), steps, self.rate_unit[where], threads=threads,
-                progress=lambda point_steps: progress(points_per_step * point_steps),
-            )  # fmt: skip
-        else:
+        if not where.size:
             progress(size * self.share)
-        finite = np.isfinite(megno) & np.isfinite(lyapunov)
-        megno, lyapunov = np.where(finite, megno, np.nan), np.where(finite, lyapunov, np.nan)
-        flags = regularity(columns["label"].astype(np.int8), megno)
+            return {"megno": megno, "lyapunov": lyapunov, "regularity": flags}
+        steps = self.steps.subset(where)
+        points_per_step = size * self.share / float(steps.steps.sum())
+        separation = Separation(
+            self.system, self.kernel, self.ensemble.subset(where), steps, self.rate_unit[where]
+        )
+        separation.integrate(
+            threads=threads, progress=lambda point_steps: progress(points_per_step * point_steps)
+        )
+        values = np.array([separation.megno, separation.lyapunov])
+        values[:, ~np.isfinite(values).all(0)] = np.nan
+        kind = regularity(columns["label"][where].astype(np.int8), values[0])
+        drifting = np.isin(kind, (Regularity.REGULAR, Regularity.CHAOTIC, Regularity.UNDECIDED))
+        values[:, drifting & separation.passes_unstable_motion] = np.nan
+        chaotic = np.flatnonzero(kind == Regularity.CHAOTIC)
+        sustained = separation.is_sustained(chaotic, threads=threads, progress=lambda steps: progress(0.0))
+        kind[chaotic[~sustained]] = Regularity.UNDECIDED
+        values[:, chaotic[~sustained]] = np.nan
+        (megno[where], lyapunov[where]), flags[where] = values, kind
         return {"megno": megno, "lyapunov": lyapunov, "regularity": flags}

@@ -324,6 +324,11 @@ def engine(points: int, rk4_steps: int, repeat: int) -> bool:
     return possible
 
 
+def tangent_run(*arguments) -> None:
+    """Runs with tangent vectors, from their preparation to the end."""
+    chaos.Separation(*arguments).integrate(threads=1)
+
+
 def tangent_cost(count: int, steps: int, repeat: int) -> None:
     """Print the time of a step with a tangent vector over that of a step of the state alone, and of one with statistics."""
     for name, system in SYSTEMS.items():
@@ -333,7 +338,7 @@ def tangent_cost(count: int, steps: int, repeat: int) -> None:
         own = tangent_kernel(system)
         unit = np.ones(count)
         works = {
-            "tangent": partial(chaos.indicators, system, own, case.ensemble, tangent, unit, threads=1),
+            "tangent": partial(tangent_run, system, own, case.ensemble, tangent, unit),
             "state": partial(
                 case.ensemble.final_states, case.kernel, sizes.steps, sizes.step_size, threads=1
             ),

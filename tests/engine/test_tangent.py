@@ -19,7 +19,9 @@ def indicators(name, points, duration, *, kernel=None, threads=1, step=None):
     durations = np.full(ensemble.size, duration)
     steps = chaos.TangentSteps.of(ensemble.frequency_bound, durations, step, 10**9)
     kernel = kernel or tangent_kernel(system)
-    return chaos.indicators(system, kernel, ensemble, steps, system.rate_unit(points), threads=threads)
+    separation = chaos.Separation(system, kernel, ensemble, steps, system.rate_unit(points))
+    separation.integrate(threads=threads)
+    return separation.megno, separation.lyapunov
 
 
 def cross(a, b):
@@ -161,6 +163,27 @@ def test_results_do_not_depend_on_threads_neighbours_or_how_a_run_is_cut(monkeyp
     np.testing.assert_array_equal(np.array(alone)[:, 0], np.array(whole)[:, 41])
     monkeypatch.setattr(blocks, "CHUNK", 1000)
     np.testing.assert_array_equal(indicators("satellite", points, 20.0, threads=2), whole)
+
+
+def test_the_drawdown_is_the_largest_decrease():
+    sums = np.zeros((tangent.SUMS, 1))
+    for i, log_growth in enumerate((1.0, 2.0, -3.0, 1.5, -2.0, 4.0)):
+        tangent.add_stretch(sums, 0, log_growth, 1, i + 1)
+    assert sums[[tangent.LOG_GROWTH, tangent.HIGHEST, tangent.DRAWDOWN], 0].tolist() == [3.5, 3.5, 3.5]
+
+
+def test_runs_go_on_where_they_ended():
+    points, system = random_satellites(np.random.default_rng(8), 20), SYSTEMS["satellite"]
+    ensemble, unit = Ensemble.of(system, points), system.rate_unit(points)
+    steps = chaos.TangentSteps.of(ensemble.frequency_bound, np.full(20, 15.0), None, 10**9)
+    separation = chaos.Separation(system, tangent_kernel(system), ensemble, steps, unit)
+    separation.integrate()
+    first = separation.lyapunov
+    separation.integrate(np.arange(0, 20, 2))
+    np.testing.assert_array_equal(separation.lyapunov[1::2], first[1::2])
+    expected = indicators("satellite", points, 30.0)
+    for actual, values in zip((separation.megno, separation.lyapunov), expected, strict=True):
+        np.testing.assert_allclose(actual[::2], values[::2], rtol=1e-3, atol=1e-5)
 
 
 def test_terms_that_vanish_may_be_left_out():

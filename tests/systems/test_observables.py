@@ -203,6 +203,15 @@ def test_regular_motions_of_a_pendulum_are_not_chaotic(pendulum):
     ds = atlas.label_points("pendulum", points, duration=400.0, method=METHOD, variables=names)
     np.testing.assert_allclose(ds["megno"], 2.0, atol=0.3)
     assert (ds["regularity"] == Regularity.REGULAR).all()
+    # Beside the separatrix, from the upright position and from below.
+    points = {
+        "omega": 1.0,
+        "x0": [np.pi - 1e-11, np.pi - 1e-7, 0.0, 0.0],
+        "v0": [0.0, 0.0, 2 - 1e-12, 2 + 1e-9],
+    }
+    ds = atlas.label_points("pendulum", points, duration=100.0, method=METHOD, variables=names)
+    assert (ds["regularity"] == Regularity.UNDECIDED).all()
+    assert np.isnan(ds["megno"]).all()
 
 
 def test_lines_of_the_spectrum_of_an_observable(pendulum):

@@ -8,7 +8,7 @@ from hypothesis.extra import numpy as hnp
 
 import atlas
 from atlas import BadInput, load_scene
-from atlas.analysis import compare
+from atlas.analysis import compare, summary
 from atlas.flags import Agreement, Label, Stability
 from atlas.label import theory
 
@@ -170,3 +170,15 @@ def test_the_boundary_is_near_within_a_fiftieth_of_the_axis_range():
         assert near.tolist() == list(range(count // 2 - width, count // 2 + width))
     assert compare.near_boundary(np.array([[1, 2], [1, 2]])).all()
     assert not compare.near_boundary(np.array([1])).any()
+
+
+@pytest.mark.parametrize("count", [1, 2, 3, 10])
+def test_the_summary_reads_the_median_of_some_labels_to_a_quarter_of_a_decade(count):
+    values = 10.0 ** np.random.default_rng(count).uniform(-9, 0, count)
+    estimates = xr.DataArray([*values, np.nan, 7.0], dims="point")
+    labels = [Label.DRIFTING] * (count + 1) + [Label.REGULAR_PRECESSION]
+    label = xr.DataArray(np.array(labels, np.int8), dims="point")
+    largest, median = summary._largest_and_median(estimates, label, (Label.DRIFTING,))
+    middle = np.sort(values)[(count - 1) // 2]
+    assert largest == values.max()
+    assert middle <= median <= middle * 10**0.25

@@ -1,11 +1,14 @@
-"""Quadrature errors of passages near the vertical."""
+"""Passages near the vertical: their quadrature errors, and which of them count; turning points of theta."""
 
 import numpy as np
 import pytest
+from numpy.polynomial import Polynomial
 from scipy.integrate import quad
 
-from atlas.engine import poles, sampling
+from atlas.engine import kernel, poles, sampling, turning
 from atlas.engine.poles import Passage, Term
+from atlas.engine.statistics import NO_ZERO, Row
+from atlas.engine.turning import Turn
 
 
 @pytest.mark.parametrize("intervals", [9, 30])
@@ -91,3 +94,92 @@ def test_nothing_is_divided_by_zero():
                 poles.approximate_zero(passages, 0, farther)
                 poles.improve_zero(passages, 0)
                 poles.pole_terms(passages, 0, terms, int(farther))
+
+
+@pytest.mark.parametrize(
+    ("zero", "size", "interval", "expected"),
+    [
+        (0.3 + 1j, 0.4, 7, (1, 0.3)), (0.3 - 1j, 0.4, 0, (1, 0.3)), (0.9 + 3.9j, 0.1, 19, (1, 0.9)),
+        # Too far from the real axis, and turning beside the interval.
+        (0.3 + 4.1j, 0.1, 7, (0, None)), (-0.3 + 1j, 0.1, 7, (0, None)), (1.3 + 1j, 0.1, 7, (0, None)),
+        # At an end of the run that is near the vertical: |0.4 zeta|^2 = 0.17 at the nearer node, 0.43 at the other.
+        (-0.3 + 1j, 0.4, 0, (1, 0.0)), (1.3 + 1j, 0.4, 0, (0, None)),
+        (1.3 + 1j, 0.4, 19, (1, 1.0)), (-0.3 + 1j, 0.4, 19, (0, None)), (1.3 + 1j, 0.4, 18, (0, None)),
+    ],
+)  # fmt: skip
+def test_where_a_straight_path_of_the_axis_comes_near_the_vertical(zero, size, interval, expected):
+    """zeta = size exp(0.7 i) (t - zero): sin^2 theta is a parabola whose zeros are `zero` and its conjugate."""
+    spacing, nodes = 0.7, np.full((4, 12, 1), np.nan)
+    slope = size * np.exp(0.7j)
+    rates = np.array([slope.real, slope.imag]) / spacing
+    for t in (0, 1):
+        zeta = slope * (t - zero)
+        nodes[(interval + t) & 3, [3, 4, 9, 10], 0] = zeta.real, zeta.imag, *rates
+    first, second = interval & 3, (interval + 1) & 3
+    near, instant = kernel.near_vertical(nodes, first, second, 0, spacing, interval, 20)
+    assert near == expected[0]
+    if near:
+        assert instant == pytest.approx(expected[1], abs=1e-14)
+
+
+@pytest.mark.parametrize(
+    ("counts", "passage"),
+    [
+        (True, {}),
+        # Beside the four nodes, where it may be the farther the higher the zero lies, and far from the real axis.
+        (True, {"place": 3.24}), (False, {"place": 3.26}), (True, {"place": -0.24}), (False, {"place": -0.26}),
+        (True, {"z": 9 + 4.9j}), (False, {"z": 9 - 5.1j}),
+        # Newton's method has not converged.
+        (True, {"change": 0.2e-4}), (False, {"change": 0.3e-4}),
+        # Inside the cylinder, where psi' and phi' are not sampled during the run.
+        (False, {"sine": 1e-4}), (True, {"sine": 1e-4, "z": -0.1 + 0.5j}), (True, {"sine": 1e-4, "z": 20.1 + 0.5j}),
+        # The last or the last but one that was corrected for.
+        (False, {"zero_1": 9.04 + 0.5j}), (False, {"zero_1": 9 + 0.54j}), (True, {"zero_1": 9.04 + 0.54j}),
+        (False, {"zero_2": 8.96 + 0.5j}), (False, {"zero_2": 9 + 0.46j}), (True, {"zero_2": 8.96 + 0.46j}),
+    ],
+)  # fmt: skip
+def test_which_passages_are_corrected_for(counts, passage):
+    given = {"place": 1.5, "z": 9 + 0.5j, "change": 0.0, "sine": 0.1, "zero_1": NO_ZERO, "zero_2": NO_ZERO}
+    place, z, change, sine, zero_1, zero_2 = (given | passage).values()
+    terms, stats = np.full((2, len(Term), 1), np.nan), np.zeros((len(Row), 1))
+    terms[1, [Term.Z_REAL, Term.CHANGE, Term.SIN2_THETA], 0] = place, change, sine**2
+    stats[[Row.ZERO_1_REAL, Row.ZERO_1_IMAG], 0] = zero_1.real, zero_1.imag
+    stats[[Row.ZERO_2_REAL, Row.ZERO_2_IMAG], 0] = zero_2.real, zero_2.imag
+    assert kernel.counts(stats, 0, terms, 1, 0, complex(z), 20, 1e-3**2) == counts
+
+
+def test_turning_points_are_roots_of_the_derivative_of_theta():
+    """Random cubic paths of the vertical, of any length, against NumPy's polynomials and their roots."""
+    rng = np.random.default_rng(2)
+    clipped = roots = 0
+    for _ in range(40):
+        path = [Polynomial(rng.normal(size=4)) for _ in range(3)]
+        u, v, w = path
+        sin2_theta = u**2 + v**2
+        numerator = sin2_theta * w.deriv() - w * 0.5 * sin2_theta.deriv()  # of -theta' sin theta
+        for x in (0.2, 1.7, 2.9):
+            values = [(p(x), p.deriv()(x), 0.5 * p.deriv(2)(x)) for p in path]
+            change = -numerator(x) / numerator.deriv()(x)
+            assert turning.newton_change(*values) == pytest.approx(np.clip(change, -0.5, 0.5), rel=1e-9)
+            clipped += abs(change) > 0.5
+        turns, nodes = np.zeros((turning.TURN_ROWS, 1)), np.arange(4.0)
+        for row, p in zip((Turn.G1, Turn.G2, Turn.G3), path, strict=True):
+            turns[row : row + 8, 0] = np.r_[p(nodes), p.deriv()(nodes)]
+            poles.difference(turns, row, 0)
+        for root in numerator.roots():
+            simple = abs(numerator.deriv(2)(root)) < 10 * abs(numerator.deriv()(root))
+            if abs(root.imag) > 1e-9 or not 1.0 < root.real < 1.95 or not simple:
+                continue
+            root, roots = root.real, roots + 1
+            turns[Turn.TIME, 0], turns[Turn.NODE, 0] = root + 0.05, 1.0
+            for _ in range(turning.TURN_STEPS):
+                turning.turning_point(turns, 0)
+            x = turns[Turn.TIME, 0]
+            assert x == pytest.approx(root, abs=1e-7)
+            assert turning.turning_point(turns, 0) == pytest.approx((w(x), sin2_theta(x)), abs=1e-11)
+        turns[Turn.TIME, 0], turns[Turn.NODE, 0] = 1.5, 1.0
+        for _ in range(turning.TURN_STEPS):
+            turning.turning_point(turns, 0)
+            assert 1.0 <= turns[Turn.TIME, 0] <= 2.0
+    assert 20 < clipped < 100
+    assert roots > 10

@@ -66,6 +66,20 @@ def test_a_long_run_is_uniform_but_for_its_ends():
     assert MIN_INTERVALS == 3
 
 
+@pytest.mark.parametrize("theta", [0.0, 1e-3, 0.1, 2.0, np.pi - 1e-3])
+def test_rates_are_those_of_the_euler_angles(theta):
+    """Inside the cylinder, and on the vertical, psi' and phi' are 0 and the others finite."""
+    psi_dot, phi_dot, theta_dot, phi = 0.7, -1.1, 0.4, 2.3
+    g = np.array([np.sin(theta) * np.sin(phi), np.sin(theta) * np.cos(phi), np.cos(theta)])
+    u = psi_dot * g + [theta_dot * np.cos(phi), -theta_dot * np.sin(phi), phi_dot]
+    rates = sample((*u, *g), 0.01**2)
+    outside = float(np.sin(theta) > 0.01)
+    expected = [psi_dot, phi_dot] if outside else [0.0, 0.0]
+    assert rates[0] == pytest.approx(theta_dot if theta else 0.0, rel=1e-12)
+    assert rates[1:3] == pytest.approx(expected, rel=1e-12)
+    assert rates[3:] == pytest.approx((u @ g, np.sin(theta) ** 2, outside), rel=1e-12)
+
+
 @given(st.floats(0, np.pi))
 def test_theta_comes_back_at_both_poles_and_at_the_equator(theta):
     g = np.array([np.sin(theta), 0.0, np.cos(theta)])

@@ -5,6 +5,8 @@ import pytest
 
 import atlas
 from atlas import load_scene
+from atlas.io import netcdf
+from atlas.scene.read import scene_from
 
 pytestmark = pytest.mark.usefixtures("whole_kernels")
 
@@ -19,6 +21,20 @@ def test_variables_are_described(small_scene):
             assert values.tolist() == list(range(len(meanings)))
         else:
             assert variable.attrs["units"], name
+
+
+def test_parameters_without_a_default_are_coordinates_where_a_scene_gives_them():
+    """Fixed or tied; of the others, as here gamma10, a column would hold nan alone."""
+    scene = scene_from({
+        "schema": 1, "system": "fixed_point", "fixed": {"q0": 0.2, "m": 0.0, "n": 0.0},
+        "axes": {"r0": {"from": 1.0, "to": 2.0, "count": 3}}, "ties": {"p0": "r0 + q0"},
+        "integration": {"duration": 1.0}, "outputs": {"variables": ["label"]},
+    })  # fmt: skip
+    ds = netcdf.dataset(scene, {"label": np.zeros(3, np.int8)})
+    np.testing.assert_array_equal(ds.p0, ds.r0 + 0.2)
+    assert ds.p0.dims == ("r0",)
+    assert ds.q0 == 0.2
+    assert "gamma10" not in ds.coords
 
 
 def test_labels_name_what_qualifies_them(scene_text):

@@ -344,6 +344,9 @@ def test_floquet_multipliers_of_the_equation_of_mathieu():
     np.testing.assert_array_equal(stable, [1, 2, 2, 2, 1, 0])
     assert growth[2] == pytest.approx(q / 2, rel=1e-2)
     assert np.isnan(growth[5])
+    # More steps than are computed together.
+    _, over_many_periods = floquet.growth_of_periodic_motion(matrix, np.where(a == 1.0, 256 * np.pi, np.nan))
+    assert over_many_periods[2] == pytest.approx(growth[2], rel=1e-5)
 
 
 def test_stability_of_free_and_of_relabelled_motions():

@@ -9,6 +9,7 @@ from scipy.integrate import solve_ivp
 from strategies import (
     default_points,
     fixed_points_on_family,
+    in_other_units,
     random_fixed_points,
     select,
     symmetric_fixed_points,
@@ -272,6 +273,17 @@ def test_a_parameter_without_effect_keeps_its_value_or_has_no_solution():
     assert np.isnan(FAMILIES["conical"].solve["m"](heavy)[0])
 
 
+@pytest.mark.parametrize(
+    ("name", "C", "exists"), [("A", 1.9, 1), ("A", 2.1, 0), ("C", 1.9, 1), ("C", 2.1, 0), ("C", -0.1, 0)]
+)
+def test_solved_moments_of_inertia_are_those_of_bodies(name, C, exists):
+    """C at most A + B, here 2 A, and positive."""
+    top = default_points("fixed_point", A=1.0, B=1.0, C=C, Mg=1.0, theta0=0.6, n=1.3, m=0.8, l3=0.4)
+    top["z0"] = -families.precession(top)
+    solved = FAMILIES["conical"].solve[name](top | {name: np.full(1, 0.7)})
+    np.testing.assert_allclose(solved, top[name] if exists else np.nan, rtol=1e-12)
+
+
 def test_the_same_motion_given_by_vectors_is_recognised():
     for kind, points in exact_starts().items():
         state = initial.initial_state(points)
@@ -286,6 +298,24 @@ def test_a_start_with_a_rate_about_the_node_is_on_no_family():
     points = exact_starts()["conical"] | {"theta_dot0": np.full(12, 1e-6)}
     assert np.all(families.identify_family(points)[0] == 0)
     assert np.all(families.condition_residual(points) > 1e-8)
+
+
+def test_weight_and_rotor_do_not_replace_each_other_where_the_resting_body_turns():
+    """Each would have to vanish: they act along axes that turn with the body and along one that does not."""
+    turning = default_points(
+        "fixed_point", A=1.0, B=1.0, C=1.4, Mg=1.0, x0=0.5, l1=1.0, m=0.5, theta0=np.pi / 2, phi0=np.pi / 2
+    )
+    assert on_family(FAMILIES["rest"], turning)[0] > 0.1
+
+
+def test_residuals_do_not_depend_on_the_units():
+    points = random_fixed_points(np.random.default_rng(8), 6)
+    other, _ = in_other_units(points)
+    np.testing.assert_array_equal(families.condition_residual(other), families.condition_residual(points))
+    for family in FAMILIES.values():
+        for condition in family.conditions:
+            residuals = [condition.residual(p) for p in (other, points)]
+            np.testing.assert_array_equal(*residuals, err_msg=condition.text)
 
 
 # All permanent rotations.
@@ -449,6 +479,18 @@ def test_stability_of_permanent_rotations_against_eigenvalues(kind):
     assert {Stability.STABLE, Stability.UNSTABLE} == set(stable)
 
 
+@pytest.mark.parametrize("kind", exact_starts())
+def test_stability_does_not_depend_on_the_units(kind):
+    points, family = exact_starts(7, 20)[kind], FAMILIES[kind.split(",")[0]]
+    other, time = in_other_units(points)
+    (stable, growth), (expected, expected_growth) = (family.stability(p) for p in (other, points))
+    np.testing.assert_array_equal(stable, expected)
+    np.testing.assert_array_equal(growth, expected_growth / time)
+    np.testing.assert_array_equal(stability.nutation(other), np.array(stability.nutation(points)) / time**2)
+    threshold = stability.sleeping_at_threshold(points) * 16.0 / time**2
+    np.testing.assert_array_equal(stability.sleeping_at_threshold(other), threshold)
+
+
 def test_index_of_the_amended_potential_decides_the_stability():
     """Index 0 is stable and index 1 unstable, for every permanent rotation of many bodies."""
     rng = np.random.default_rng(3)
@@ -474,18 +516,18 @@ def sleeping_points(side, **given):
 @pytest.mark.parametrize("l3", [0.0, 0.7, -0.7])
 def test_sleeping_threshold(side, l3):
     """Rate at which the discriminant vanishes, both sides of it, and the closed form against eigenvalues."""
-    points = sleeping_points(side, l3=l3, Mg=-side * 1.1)
-    threshold = np.sqrt(4 * (0.3 * 0.4 + 1.1))
+    points = sleeping_points(side, A=0.5, B=0.5, C=0.7, l3=l3, Mg=-side * 1.1)
+    threshold = np.sqrt(4 * 0.5 * (0.3 * 0.2 + 1.1))
     expected = {0.99: Stability.UNSTABLE, 1.01: Stability.STABLE, 1.0: Stability.UNKNOWN}
     for factor, stability_flag in expected.items():
-        m = (threshold * factor - l3) / 1.4
+        m = (threshold * factor - l3) / 0.7
         stable, growth = FAMILIES["sleeping"].stability(points | {"m": np.full(1, m)})
         assert stable[0] == stability_flag
         by_eigenvalues = stability._equilibrium_stability(
             points, np.full(1, m * side), np.array([[0.0], [0.0], [float(side)]])
         )
         assert (by_eigenvalues[0][0], by_eigenvalues[1][0]) == (stable[0], pytest.approx(growth[0], abs=1e-6))
-    discriminant, _ = stability.sleeping_discriminant(points | {"m": np.full(1, (threshold - l3) / 1.4)})
+    discriminant, _ = stability.sleeping_discriminant(points | {"m": np.full(1, (threshold - l3) / 0.7)})
     assert abs(discriminant[0]) < 1e-13
 
 

@@ -8,7 +8,7 @@ import sympy as sp
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
-from strategies import nonzero_satellite, random_satellites, satellite_on_family, seeds
+from strategies import in_other_units, nonzero_satellite, random_satellites, satellite_on_family, seeds
 from truth import cases, satellite_cases
 
 from atlas.papers.yehia2021.published import PUBLISHED, residual
@@ -191,6 +191,23 @@ def test_every_formula_restores_its_parameter(name, parameter):
         assert on_family(FAMILIES[name], off | {parameter: value})[0] < 1e-11
         count += 1
     assert count >= 5
+
+
+def test_both_tilts_of_an_asymmetric_body():
+    formula = FAMILIES["asymmetric_tilt"].solve["theta0"]
+    tilts = formula({"theta0": np.array([-0.4, 1.5, 1.7, 4.0])})
+    np.testing.assert_allclose(tilts, np.pi / 3 * np.array([1, 1, 2, 2]), rtol=1e-15)
+
+
+def test_residuals_do_not_depend_on_the_units():
+    points = random_satellites(np.random.default_rng(5), 5, damping=0.3)
+    points["n"][:2] = -points["Omega"][:2]  # slower than the orbital frame
+    other, _ = in_other_units(points)
+    np.testing.assert_array_equal(condition_residual(other), condition_residual(points))
+    for family in FAMILIES.values():
+        for condition in family.conditions:
+            residuals = [condition.residual(p) for p in (other, points)]
+            np.testing.assert_array_equal(*residuals, err_msg=condition.text)
 
 
 def test_formulas_give_nan_where_a_family_does_not_exist():

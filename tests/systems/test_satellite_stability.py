@@ -7,7 +7,14 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
-from strategies import default_points, satellite_for_family, satellite_on_family, seeds, select
+from strategies import (
+    default_points,
+    in_other_units,
+    satellite_for_family,
+    satellite_on_family,
+    seeds,
+    select,
+)
 from truth import fundamental_matrix, jacobian_matrices, monodromy_matrix
 
 from atlas.errors import BadInput
@@ -195,6 +202,7 @@ def test_growth_over_a_part_of_a_period_is_that_of_the_equations_of_motion(name)
     result = log_growth(points, flags, growth, duration)
     mean = np.nan_to_num(growth * duration)
     assert (np.nan_to_num(result) >= mean).all()
+    assert np.isnan(log_growth(points, np.zeros_like(flags), np.full(12, np.nan), duration)).all()
     for i in range(12):
         _, log_scale = matrix_along_the_motion(name, select(points, i), duration[i])
         # the entries of the two matrices have other units
@@ -211,6 +219,17 @@ def test_exponents_do_not_depend_on_the_other_points(slower):
     for part in (slice(0, 1), slice(3, 20), slice(7, None)):
         _, alone = exponents({name: values[part] for name, values in points.items()})
         np.testing.assert_array_equal(alone, together[part])
+
+
+@pytest.mark.parametrize("name", FAMILIES)
+def test_exponents_do_not_depend_on_the_units(name):
+    points = points_of_family(name, 4, min_rate=0.0)
+    other, time = in_other_units(points)
+    flags = np.full(4, FAMILIES[name].flag)
+    for function in (exponents, lambda p: linear_stability(p, flags)):
+        (stable, growth), (expected, expected_growth) = (function(p) for p in (other, points))
+        np.testing.assert_array_equal(stable, expected)
+        np.testing.assert_allclose(growth, expected_growth / time, rtol=1e-12)
 
 
 def test_no_family_is_unknown_and_the_slowest_rotations_are_not():

@@ -11,10 +11,11 @@ import tomli_w
 import xarray as xr
 
 import atlas
-from atlas import BadInput, load_scene
+from atlas import BadInput, files, load_scene
 from atlas.analysis import compare, metadata
 from atlas.errors import MAX_MESSAGE, MAX_TEXT, printable, shown
 from atlas.io import netcdf
+from atlas.runs import tiling
 from atlas.scene import checks, csv, expressions, grid, model, points, read, tables
 from atlas.scene.expressions import Expression
 from atlas.systems import SYSTEMS
@@ -155,6 +156,21 @@ def test_the_page_lists_the_limits_in_force():
     ]
     cells = re.findall(r"^\| .* \| ([\d ;]+) \|$", page, re.MULTILINE)
     assert [int(number.replace(" ", "")) for cell in cells for number in cell.split(";")] == limits
+
+
+def test_the_page_lists_the_limits_of_what_atlases_claim():
+    page = (Path(__file__).parents[2] / "docs" / "security.md").read_text()
+    section = page.split("## Reading the atlas of a stranger")[1].split("##")[0]
+    numbers = {int(number.replace(" ", "")) for number in re.findall(r"\d[\d ]*\d{3}", section)}
+    limits = {
+        files.MAX_RATIO,
+        3000,
+        files.MIN_CLAIM,
+        files.MAX_JSON_BYTES,
+        tiling.MAX_TILES,
+        tiling.MAX_TILE_POINTS,
+    }
+    assert numbers == limits
 
 
 def test_large_grids_are_valid_and_their_axes_are_arrays():

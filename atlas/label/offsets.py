@@ -272,7 +272,9 @@ class _Deviations:
     def label(self, tolerances: Tolerances, frame_rate: Array) -> Flags:
         """Values of flags.Label; not_computed where the linear equations do not decide."""
         sums = self.sums
-        mean = sums / (self.steps + 1)
+        mean = sums / sums[Deviation.NODES]
+        # Of a part of the run. Those of the whole one are not smaller than the root of its share times these.
+        share = sums[Deviation.NODES] / (self.steps + 1)
         rows = {
             "psi_dot": Deviation.PSI_DOT,
             "phi_dot": Deviation.PHI_DOT,
@@ -283,9 +285,9 @@ class _Deviations:
             "theta_max": np.arctan2(1.0, sums[Deviation.LEAST_COTANGENT]),
             "sine_max": sums[Deviation.LARGEST_SINE],
         }
-        measured = {"theta_dot_rms": np.sqrt(mean[Deviation.THETA_DOT_SQUARE])}
+        measured = {"theta_dot_rms": np.sqrt(share * mean[Deviation.THETA_DOT_SQUARE])}
         for name, row in rows.items():
-            measured[f"{name}_std"] = np.sqrt(np.maximum(mean[row + 1] - mean[row] ** 2, 0.0))
+            measured[f"{name}_std"] = np.sqrt(share * np.maximum(mean[row + 1] - mean[row] ** 2, 0.0))
         error = {name: _MARGIN * value for name, value in measured.items()}
         for name, rate in (("psi_dot", self.motions.n), ("phi_dot", self.motions.m)):
             measured[f"{name}_mean"] = rate + mean[rows[name]]

@@ -51,14 +51,15 @@ COMPUTED = Variable(
 _ERROR_ESTIMATE = (
     "differences of rates over the bound of the fastest frequency, of angles in rad; expected from phase error, dissipation,"
     " rounding and interpolation, the growth of an unstable family, the distance of the third axis from the vertical and the"
-    " change of first integrals, or measured by a second run (check_half_step); at least 1 where the axis was in the"
+    " change of first integrals, or measured by a second run (check_half_step; always where the bound is numeric); at least 1 where the axis was in the"
     " cylinder for a part of the run"
 )
 _NO_MEANING = "nan where the third axis stays inside the cylinder: psi' and phi' have no meaning there"
 
 
 _NUMERIC_BOUND = (
-    "the bound is numeric: |J^64|^(1/64) of the Jacobian J at the start and at instants of a preliminary run"
+    "the bound is numeric: |J^64|^(1/64) of the Jacobian J at the start and at instants of a preliminary run, or half of"
+    " what a derivative of a state by time is over the one before"
 )
 _INTEGRAL_DRIFT = next(
     Variable(s.name, "float64", s.unit, s.long_name) for s in STATISTICS if s.name == "integral_drift"
@@ -276,7 +277,7 @@ def _variables_of_observables(system: System) -> dict[str, Variable]:
     error = Variable(
         "error_estimate", "float64", "1", "estimated relative error of the final state and of every statistic",
         comment="of the statistics over the largest magnitude of their observable; expected from phase error, dissipation,"
-        " rounding and the change of first integrals, or measured by a second run (check_half_step)",
+        " rounding and the change of first integrals, or measured by a second run (check_half_step; always where the bound is numeric)",
     )  # fmt: skip
     end_time = Variable("end_time", "float64", "s", "time at which the integration ended")
     tangent = "of one tangent vector of all states in their units, which begins as (5, -4, 6, 3, 4, -3, ...), divided by its norm"

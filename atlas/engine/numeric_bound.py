@@ -2,7 +2,8 @@
 
 At the start alone the numeric frequency of `systems.jacobian` is often too low: where a motion begins slowly. A
 preliminary run with steps as long as they may be therefore samples it along the motion; where it has grown, the
-run is repeated with the larger bound. The result depends on the point, its duration and the settings alone.
+run is repeated with the larger bound. A forcing by time, itself a state, is not in the Jacobian's powers: the run shows it in
+the derivatives of the states. The result depends on the point, its duration and the settings alone.
 """
 
 from __future__ import annotations
@@ -28,6 +29,9 @@ ERROR, MAX_STEP_RATIO = 1e-2, 0.25
 # A bound is raised where the frequency exceeds it by the first factor; by the second at least and the third at most, for
 # with steps that are too long the motion is a wrong one.
 TOLERATED, RAISE, RAISE_MOST = 1.05, 1.25, 4.0
+# The largest n-th derivative of a state over its largest (n - 1)-th, n = 2 and 3, is at most OVERTONE bounds. Derivatives that are
+# smaller than this share of the state, with the bound as the unit of rates, are rounding errors.
+OVERTONE, NEGLIGIBLE = 2.0, 1e-8
 MATRICES = 4096  # Jacobians that are computed together
 FEW_STEPS = 20000  # of all points together: fewer take less time than starting a thread
 MAX_NOT_FINITE = 4  # attempts at a point that overflows
@@ -129,8 +133,9 @@ def _largest_frequency(
     longest_step: Array,
     threads: int | None,
 ) -> Array:
-    """Frequency at the first sample at which it exceeds the bound, else the largest of all; inf: it overflowed."""
+    """Frequency at the first sample at which it exceeds the bound, else the largest of the run; inf: it overflowed."""
     largest, taken = np.zeros(ensemble.size), 0
+    sizes = np.zeros((4, *ensemble.state.shape))  # the largest of each state and derivative
     samples = np.clip(np.ceil(bound * duration / SAMPLE_RADIANS), MIN_SAMPLES, MAX_SAMPLES).astype(np.int64)
     steps = np.ceil(bound * duration / (samples * longest_step)).astype(np.int64)
     step_size = duration / (samples * steps)
@@ -149,14 +154,21 @@ def _largest_frequency(
         with np.errstate(all="ignore"):
             constants = np.repeat(part.constants[:, None], count, axis=1)
             frequency = jacobian.frequency(system.equations, states, constants)
+            rate = np.repeat(bound[None, active], count, axis=0)
+            derivatives = np.abs(jacobian.derivatives(system.equations, states, constants, rate))
         frequency = np.where(np.isfinite(frequency) & np.isfinite(states).all(0), frequency, np.inf)
         sampled = taken + np.arange(count)[:, None] < samples[active]
         exceeds = sampled & (frequency > TOLERATED * bound[active])
         sampled &= np.cumsum(exceeds, axis=0) - exceeds == 0  # none after the first
         largest[active] = np.fmax(largest[active], np.where(sampled, frequency, 0.0).max(0))
+        derivatives = np.fmax.reduce(np.where(sampled, derivatives, 0.0), axis=2)
+        sizes[:, :, active] = np.fmax(sizes[:, :, active], derivatives)
         taken += count
         active = active[~exceeds.any(0) & (taken < samples[active])]
-    return largest
+    with np.errstate(all="ignore"):
+        ratios = np.fmax.reduce(sizes[2:] / np.fmax(sizes[1:3], NEGLIGIBLE * sizes[0]), axis=(0, 1))
+        of_slopes = np.where(largest > TOLERATED * bound, 0.0, bound * ratios / OVERTONE)
+    return np.fmax(largest, of_slopes)
 
 
 def advanced(

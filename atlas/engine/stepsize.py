@@ -19,6 +19,7 @@ ROUNDING = 1e-16
 MAX_STEP_RATIO, MAX_DISSIPATION_ERROR = 0.5, 0.1
 # Steps of a run that is not resolved. They show whether its numbers overflow; it gets no label however long it is.
 STEPS_UNRESOLVED = 64
+GOLDEN_SECTION = 0.5 * (5**0.5 - 1.0)
 # Error of the interpolation between four nodes that are x radians of an oscillation apart: this times x^8.
 INTERPOLATION_ERROR = 81 / 256 / 40320
 
@@ -146,24 +147,32 @@ class StepSizes:
 
     def halved(self, method: Method) -> StepSizes:
         """Twice as many steps of half the size, with twice as many nodes."""
-        return replace(
-            self,
-            steps=2 * self.steps,
-            step_size=self.step_size / 2,
-            step_ratio=self.step_ratio / 2,
-            dispersion_error=self.dispersion_error / 2**method.order,
-            dissipation_error=self.dissipation_error / 2 ** (method.dissipation_order - 1),
-            rate_error=self.rate_error / 2**method.order,
-        )
+        return self._in_steps(2 * self.steps, self.steps_per_sample, method)
 
     def coarsened(self, method: Method) -> StepSizes:
         """Half as many steps, rounded up, of twice the size."""
         steps = np.maximum(-(-self.steps // 2), MIN_INTERVALS)
+        return self._in_steps(steps, np.gcd(steps, self.steps_per_sample), method)
+
+    def incommensurate(self, method: Method) -> StepSizes:
+        """Fewer steps, about the golden section, whose nodes coincide with hardly any of these.
+
+        What is faster than the steps and looks slow at these instants looks different at those of the others: no number
+        is farther from all fractions with small denominators than the golden section.
+        """
+        fewer = (GOLDEN_SECTION * self.intervals).astype(np.int64) | 1
+        intervals = np.where(fewer >= MIN_INTERVALS, fewer, 2 * self.intervals - 1)
+        return self._in_steps(intervals * self.steps_per_sample, self.steps_per_sample, method)
+
+    def _in_steps(
+        self, steps: NDArray[np.int64], steps_per_sample: NDArray[np.int64], method: Method
+    ) -> StepSizes:
+        """The same runs in other numbers of steps."""
         ratio = self.steps / steps
         return replace(
             self,
             steps=steps,
-            steps_per_sample=np.gcd(steps, self.steps_per_sample),
+            steps_per_sample=steps_per_sample,
             step_size=self.step_size * ratio,
             step_ratio=self.step_ratio * ratio,
             dispersion_error=self.dispersion_error * ratio**method.order,

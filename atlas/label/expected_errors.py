@@ -109,7 +109,7 @@ def pair_error(
     with np.errstate(all="ignore"):
         ratio = fine_sizes.steps / coarse_sizes.steps
         state = state_distance(system, fine_run.final_state, coarse_run.final_state, bound)
-        state = np.fmax(state / (ratio**method.order - 1.0), rounding_error(fine_sizes))
+        state = np.fmax(state / np.abs(ratio**method.order - 1.0), rounding_error(fine_sizes))
         rates = [change / bound for change in differences(fine_values, coarse_values, RATES).values()]
         angles = differences(fine_values, coarse_values, ("theta_min", "theta_max")).values()
         implied = with_statistics(state, fine_sizes, bound, fine_run, fine_values, cylinder)

@@ -20,7 +20,7 @@ from ..systems.base import Array, Flags, Mask, Points, System, derived_values, s
 from . import labels
 from .chaos import TangentRuns
 from .expected_errors import rounding_error
-from .half_steps import half_step_sample
+from .half_steps import measured_points, second_steps
 from .regularity import has_chaos
 
 # Order in the step of the errors of statistics, at least: that of rk4; quadrature and interpolation have order 8.
@@ -40,8 +40,9 @@ class _Runs:
     step_sizes: StepSizes
     settled: Mask  # whether the frequency bound holds for the whole run, as far as is known
     threads: int | None
+    advance: Callable[[float], None]  # takes a number of points; may raise an exception to end the run
 
-    def measure(self, progress: Callable[[int], None] | None = None) -> Measurement:
+    def measure(self, progress: Callable[[int], None]) -> Measurement:
         """Integrate the points; those that their steps do not resolve for a few steps only."""
         return observation.measure(
             self.kernel,
@@ -53,8 +54,13 @@ class _Runs:
 
     def repeated(self, where: np.ndarray, step_sizes: StepSizes) -> Measurement:
         """Integrate some of the points with other steps."""
-        part = self.ensemble.subset(where)
-        return observation.measure(self.kernel, part, step_sizes, threads=self.threads)
+        return observation.measure(
+            self.kernel,
+            self.ensemble.subset(where),
+            step_sizes,
+            threads=self.threads,
+            progress=lambda steps: self.advance(0.0),
+        )
 
 
 def evaluate(
@@ -72,7 +78,7 @@ def evaluate(
 ) -> dict[str, np.ndarray]:
     """Integrate, measure and label points of a system with observables; see `pipeline.evaluate`."""
     advance = progress or (lambda points: None)
-    runs = _prepare(system, points, duration, settings, specialization, halved, threads)
+    runs = _prepare(system, points, duration, settings, specialization, halved, threads, advance)
     names = frozenset(outputs or ())  # those sought below are no default variables
     tangent, share = None, 0.0
     if has_chaos(names):
@@ -102,6 +108,7 @@ def _prepare(
     specialization: Specialization,
     halved: bool,
     threads: int | None,
+    advance: Callable[[float], None],
 ) -> _Runs:
     """The ensemble with its frequency bound, and its step sizes."""
     ensemble, module = Ensemble.of(system, points), kernel(system, settings.method, specialization)
@@ -117,7 +124,7 @@ def _prepare(
         step_sizes = observation.with_dense_nodes(step_sizes, bound, method, may_halve=settings.step is None)
         if halved:
             step_sizes = step_sizes.halved(method)
-    return _Runs(system, settings, module, ensemble, step_sizes, settled, threads)
+    return _Runs(system, settings, module, ensemble, step_sizes, settled, threads, advance)
 
 
 def _integrated(runs: _Runs) -> Array:
@@ -170,18 +177,20 @@ def _recheck(
         error = error + rounding_error(runs.step_sizes)
         error += observation.interpolation_error(runs.step_sizes, runs.ensemble.frequency_bound)
         usable = resolved & measurement.finite & ~(measured["integral_drift"] > settings.drift_tolerance)
-        sample = np.flatnonzero(usable & half_step_sample(runs.ensemble, settings.check_half_step))
+        overflows = np.zeros(error.shape, bool)
+        sample = np.flatnonzero(usable & measured_points(system, runs.ensemble, settings.check_half_step))
         if sample.size:
-            coarser = runs.step_sizes.subset(sample).coarsened(method)
+            coarser = second_steps(system, runs.step_sizes.subset(sample), method)
             other = runs.repeated(sample, coarser)
             change = _change(system, subset(measured, sample), other.statistics(system))
             state = _state_change(measurement.final_state[:, sample], other.final_state)
             ratio = runs.step_sizes.steps[sample] / coarser.steps
-            change /= ratio**STATISTICS_ORDER - 1.0
-            state /= ratio**method.order - 1.0
+            change /= np.abs(ratio**STATISTICS_ORDER - 1.0)
+            state /= np.abs(ratio**method.order - 1.0)
             # Two runs may agree by chance.
             error[sample] = np.fmax.reduce([change, state, 0.3 * error[sample]])
-        unsure = np.flatnonzero(usable & _unsure(system, measured, error, settings))
+            overflows[sample] = ~other.finite
+        unsure = np.flatnonzero(usable & (overflows | _unsure(system, measured, error, settings)))
         step_sensitive = np.zeros(error.shape, bool)
         if unsure.size:
             fine = runs.repeated(unsure, runs.step_sizes.subset(unsure).halved(method)).statistics(system)

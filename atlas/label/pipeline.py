@@ -28,7 +28,7 @@ from ..variables import ANY_AXIS, ANY_AXIS_THEORY
 from . import any_axis, labels, observed
 from .chaos import TangentRuns
 from .expected_errors import differences, early_stop_rate, error_estimate, measurement_errors, pair_error
-from .half_steps import half_step_sample
+from .half_steps import measured_points, second_steps
 from .regularity import has_chaos
 from .theory import agreement, predict_any_axis, predict_runs
 
@@ -342,7 +342,7 @@ def _recheck(
         error = error_estimate(step_sizes, bound, runs.log_growth, integration, measured, settings.cylinder)
         rate_error = step_sizes.rate_error * np.exp(runs.log_growth)
         error = np.fmax(error, any_axis.error_of_values(rate_error, bound, measured, settings.tolerances))
-    sample = np.flatnonzero(resolved & half_step_sample(runs.ensemble, settings.check_half_step))
+    sample = np.flatnonzero(resolved & measured_points(runs.system, runs.ensemble, settings.check_half_step))
     if sample.size:
         error[sample], unsure[sample] = _measured_error(
             runs, integration, measured, sample, error[sample], execution
@@ -363,13 +363,13 @@ def _measured_error(
     expected: Array,
     execution: _Execution,
 ) -> tuple[Array, Mask]:
-    """Errors of points from a second run with half as many steps, and whether a label could change within them.
+    """Errors of points from a second run with fewer steps, and whether a label could change within them.
 
-    Where the second run is not resolved, the expected error counts if it is larger.
+    Where the second run is not resolved, the expected error counts if it is larger; where it overflows, a label could change.
     """
     bound, method = runs.ensemble.frequency_bound[where], METHODS[runs.settings.method]
     sizes = runs.step_sizes.subset(where)
-    coarse_sizes = sizes.coarsened(method)
+    coarse_sizes = second_steps(runs.system, sizes, method)
     coarse = _integrate_again(runs, where, coarse_sizes, execution)
     run, values = integration.subset(where), subset(measured, where)
     coarse_values = _measured(coarse, runs.settings)
@@ -385,7 +385,7 @@ def _measured_error(
         difference = differences(values, coarse_values, _label_statistics(values))
         unsure = _unsure(values, difference, runs, where)
     trusted = (coarse_sizes.step_ratio < 0.5) & coarse.finite
-    return np.where(trusted, error, np.fmax(error, expected)), unsure
+    return np.where(trusted, error, np.fmax(error, expected)), unsure | ~coarse.finite
 
 
 def _at_half_step(

@@ -185,6 +185,19 @@ def test_nodes_are_as_far_apart_as_their_interpolation_allows(method, limit):
 
 
 @pytest.mark.parametrize("method", METHODS.values(), ids=lambda method: method.name)
+def test_incommensurate_step_sizes_share_no_node(method):
+    duration = np.geomspace(0.1, 1e4, 200)
+    sizes = StepSizes.of(Settings(method=method.name, tolerance=1e-4), np.full(200, 20.0), duration)
+    other = sizes.incommensurate(method)
+    np.testing.assert_allclose(other.step_size * other.steps, duration)
+    assert (other.steps % other.steps_per_sample == 0).all()
+    assert (np.gcd(sizes.intervals, other.intervals) <= 3).all()
+    assert (np.abs(other.steps / sizes.steps - 0.618) < 0.03).all()
+    few = StepSizes.of(Settings(method=method.name, step=1.0), np.ones(1), np.array([3.0]))
+    assert few.incommensurate(method).intervals.tolist() == [5]
+
+
+@pytest.mark.parametrize("method", METHODS.values(), ids=lambda method: method.name)
 def test_coarsened_step_sizes(method):
     """Half the steps, rounded up, with the errors of steps of that length."""
     duration = np.array([0.003, 0.004, 0.005, 0.009, 0.1])

@@ -184,6 +184,8 @@ def test_units_and_a_bound_that_are_filled_in_give_the_same_labels():
     assert systems.get("bare_top").has_numeric_bound
     assert not systems.get("heavy_top").has_numeric_bound
     assert "integral_drift" not in bare
+    checked = atlas.label_points("bare_top", points, check_half_step="all", **options)
+    np.testing.assert_array_equal(checked["error_estimate"], bare["error_estimate"])
     for name in ("label", "status"):
         np.testing.assert_array_equal(bare[name], proved_bound[name])
     for name in ("psi_dot_mean", "phi_dot_std", "normal_rate_mean"):

@@ -90,15 +90,8 @@ logging.getLogger("atlas").addFilter(_Printable())
 def shown(value: object) -> str:
     """A value as a message shows it: its repr, shortened.
 
-    Parameters
-    ----------
-    value : object
-        Any value of a scene file or an argument, however long or deeply nested.
-
-    Returns
-    -------
-    str
-        One printable line of at most MAX_TEXT characters.
+    value: any value of a scene file or an argument, however long or deeply nested. Returns one printable line
+    of at most MAX_TEXT characters.
     """
     text = _SHORT.repr(value)
     return printable(" ".join(text.split()) if "\n" in text else text, MAX_TEXT)
@@ -107,18 +100,8 @@ def shown(value: object) -> str:
 def allowed_text(value: object, names: Collection[str]) -> str:
     """What is allowed instead of an unknown name, as the end of a message.
 
-    Parameters
-    ----------
-    value : object
-        The unknown name, or any other value that was found.
-    names : collection of str
-        What is allowed.
-
-    Returns
-    -------
-    str
-        Such as "did you mean 'tolerance'? allowed: tolerance, step"; without the question where no name is
-        similar.
+    value: the unknown name, or any other value that was found; names: what is allowed. Returns such as "did
+    you mean 'tolerance'? allowed: tolerance, step"; without the question where no name is similar.
     """
     similar = _most_similar(value, names)
     question = f"did you mean {similar!r}? " if similar else ""
@@ -151,17 +134,9 @@ def messages_for_shell() -> Iterator[None]:
 def option(name: str, value: object) -> str:
     """An option as the user of this message writes it.
 
-    Parameters
-    ----------
-    name : str
-        Name of the argument in Python; the command has an option of the same name.
-    value : object
-        True for an option without a value; a mapping for pairs NAME=VALUE.
-
-    Returns
-    -------
-    str
-        In Python "force=True" or "select={'k3': 0.2}", in the command line "--force" or "--select k3=0.2".
+    name: name of the argument in Python; the command has an option of the same name. value: true for an
+    option without a value; a mapping for pairs NAME=VALUE. Returns in Python "force=True" or "select={'k3':
+    0.2}", in the command line "--force" or "--select k3=0.2".
     """
     if not _in_shell:
         if isinstance(value, Mapping):

@@ -48,25 +48,11 @@ def atomic_write(path: Path, *, exclusive: bool = False) -> Iterator[Path]:
     The body of the `with` statement writes and closes the file under the temporary name it is given. When
     the body ends, the file is flushed to the disk and moved into place; after an error it is removed.
 
-    Parameters
-    ----------
-    path : Path
-        Where the file goes; an existing file is replaced.
-    exclusive : bool
-        Keep an existing file and raise FileExistsError instead.
-
-    Yields
-    ------
-    Path
-        Hidden, unique, short name in the folder of `path`. It is a new, empty file with the permissions of
-        any new file, never a link that somebody else put there.
-
-    Raises
-    ------
-    FileExistsError
-        If `exclusive` is true and `path` exists.
-    OSError
-        If the file cannot be created, flushed or moved.
+    path: where the file goes; an existing file is replaced. exclusive: keep an existing file and raise
+    FileExistsError instead. Returns hidden, unique, short name in the folder of `path`. It is a new, empty
+    file with the permissions of any new file, never a link that somebody else put there. Raises
+    FileExistsError if `exclusive` is true and `path` exists. Raises OSError if the file cannot be created,
+    flushed or moved.
     """
     temporary = temporary_path(path)
     os.close(os.open(temporary, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW, 0o666))
@@ -89,20 +75,9 @@ def atomic_folder(path: Path) -> Iterator[Path]:
     The body of the `with` statement fills the folder it is given, which is flushed to the disk and moved into
     place when the body ends, and removed after an error.
 
-    Parameters
-    ----------
-    path : Path
-        Where the folder goes. An existing one is replaced: a kill in the moment between may leave none.
-
-    Yields
-    ------
-    Path
-        A new folder with a hidden, unique name beside `path`.
-
-    Raises
-    ------
-    OSError
-        If the folder cannot be created, flushed or moved.
+    path: where the folder goes. An existing one is replaced: a kill in the moment between may leave none.
+    Returns a new folder with a hidden, unique name beside `path`. Raises OSError if the folder cannot be
+    created, flushed or moved.
     """
     temporary, old = temporary_path(path), temporary_path(path)
     temporary.mkdir()
@@ -175,10 +150,7 @@ def remove_leftovers(folder: Path) -> None:
     file system. Should its process have slept so long, it fails in one line and can be started again: what it
     has finished is not in temporary files.
 
-    Parameters
-    ----------
-    folder : Path
-        What is not in it, or cannot be removed, is ignored.
+    folder: what is not in it, or cannot be removed, is ignored.
     """
     with suppress(OSError), os.scandir(folder) as entries:
         for entry in entries:
@@ -371,25 +343,10 @@ def writable(
 ) -> Path:
     """Check the path of a file before anything is computed.
 
-    Parameters
-    ----------
-    name : str or Path
-        The file, in a folder that can be written.
-    suffixes : sequence of str
-        Allowed ends of the name, in lower case.
-    force : bool
-        Allow a file that exists.
-    inputs : iterable of str or Path, optional
-        Files and folders that are read. They are never replaced, also under another name, such as a link.
-
-    Returns
-    -------
-    Path
-
-    Raises
-    ------
-    BadInput
-        For another suffix, a place that cannot be written, an input, and a file that exists.
+    name: the file, in a folder that can be written; suffixes: allowed ends of the name, in lower case; force:
+    allow a file that exists. inputs: files and folders that are read. They are never replaced, also under
+    another name, such as a link. Raises BadInput for another suffix, a place that cannot be written, an
+    input, and a file that exists.
     """
     path = Path(name)
     if path.suffix.lower() not in suffixes:

@@ -50,11 +50,8 @@ def outcome(number: int | None = None) -> tuple[int, str]:
 def explain_kept(kept: Callable[[], str] | None) -> None:
     """Make the message of an interruption state the work that the same command would continue.
 
-    Parameters
-    ----------
-    kept : callable or None
-        Called after a signal. It returns the text, or an empty one for the usual message. None restores the usual
-        message.
+    kept: called after a signal. It returns the text, or an empty one for the usual message. None restores the
+    usual message.
     """
     global _kept
     _kept = kept

@@ -27,14 +27,7 @@ def name() -> str:
 def is_running(process: str) -> bool | None:
     """Whether a process runs; None if that cannot be known, because it belongs to another machine.
 
-    Parameters
-    ----------
-    process : str
-        Its name, from `name` in that process.
-
-    Returns
-    -------
-    bool or None
+    process: its name, from `name` in that process.
     """
     match = NAME.fullmatch(process)
     if match is None or match[1] != _machine():

@@ -17,21 +17,10 @@ def chunks(
 ) -> Iterator[dict[Hashable, slice]]:
     """Slices that cut dimensions into boxes of about MAX_POINTS points, in C order.
 
-    Parameters
-    ----------
-    sizes : mapping of dimension to int
-        Length of every dimension; those that are not in `dims` stay whole.
-    dims : sequence of dimensions
-        The dimensions to cut, in the order of the array.
-    cell_side : int, optional
-        0: every point is in one box. Else boxes consist of whole cells with sides of so many points,
-        and share the points on their borders with their neighbours; points at the end of an axis that do
-        not fill a cell are in no box.
-
-    Yields
-    ------
-    dict
-        Dimension -> slice, for the dimensions to cut.
+    sizes: length of every dimension; those that are not in `dims` stay whole. dims: the dimensions to cut, in
+    the order of the array. cell_side: 0: every point is in one box. Else boxes consist of whole cells with
+    sides of so many points, and share the points on their borders with their neighbours; points at the end of
+    an axis that do not fill a cell are in no box. Returns dimension -> slice, for the dimensions to cut.
     """
     step = max(cell_side, 1)
     counts = [(sizes[dim] - 1) // step if cell_side else max(sizes[dim], 1) for dim in dims]

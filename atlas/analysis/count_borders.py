@@ -20,20 +20,11 @@ _BISECTIONS = 6  # of the distance between two neighbouring points of the atlas
 def count_borders(plane: Plane, counts: xr.DataArray, derived: DerivedVariable) -> dict[str, list[Array]]:
     """Lines between the regions of a plane where a count has different values.
 
-    Parameters
-    ----------
-    plane : Plane
-        The plane of the atlas.
-    counts : DataArray
-        The counts of the atlas over the axes of the plane; regions narrower than its cells are missed.
-    derived : DerivedVariable
-        The count, which is computed between neighbouring points that differ.
-
-    Returns
-    -------
-    dict
-        CHANGE -> polylines of shape (vertices, axes of the plane), float64, in the units of the axes; empty without a line.
-        Where the count skips values that it has elsewhere, the line is returned once for each change.
+    plane: the plane of the atlas. counts: the counts of the atlas over the axes of the plane; regions
+    narrower than its cells are missed. derived: the count, which is computed between neighbouring points that
+    differ. Returns CHANGE -> polylines of shape (vertices, axes of the plane), float64, in the units of the
+    axes; empty without a line. Where the count skips values that it has elsewhere, the line is returned once
+    for each change.
     """
     values = counts.transpose(*plane.extent).values
     axes = [counts[dim].values for dim in plane.extent]

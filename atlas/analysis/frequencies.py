@@ -170,21 +170,9 @@ def _observables(trajectory: xr.Dataset, system: System) -> dict[str, tuple[Sign
 def spectral_lines(time: Array, signal: Signal, count: int, *, real: bool = False) -> tuple[Array, Signal]:
     """Strongest lines of a signal, a constant and a sum of c exp(i w t), by decreasing power as they are found.
 
-    Parameters
-    ----------
-    time : ndarray of float64, shape (samples,)
-        Evenly spaced.
-    signal : ndarray of complex128, shape (samples,)
-    count : int
-        Number of lines; fewer are returned where the residual is rounding.
-    real : bool
-        The signal is real: lines at w and -w are one, with w >= 0 and the amplitude of the cosine.
-
-    Returns
-    -------
-    frequency : ndarray of float64
-        In rad per unit of time.
-    coefficient : ndarray of complex128
+    time: evenly spaced, (samples,); signal: (samples,). count: number of lines; fewer are returned where the
+    residual is rounding. real: the signal is real: lines at w and -w are one, with w >= 0 and the amplitude
+    of the cosine. Returns frequency, in rad per unit of time.
     """
     weight = hann(time.size)
     weight /= weight.sum()

@@ -24,43 +24,21 @@ ZERO_RATE = 1e-9
 
 @dataclass(frozen=True)
 class Theory:
-    """What theory predicts at some points of a plane; arrays of shape (points,).
+    """What theory predicts at some points of a plane; arrays of shape (points,)."""
 
-    Attributes
-    ----------
-    exists : ndarray of bool
-        Whether the scene has a motion there.
-    stable : ndarray of int8
-        Linear stability, values of Stability.
-    label : ndarray of int8
-        Label of the exact motion, values of Label.
-    rates : mapping of str to ndarray of float64
-        psi' and phi' of the motion by the names "n" and "m", rad per time unit.
-    """
-
-    exists: Mask
-    stable: np.ndarray
-    label: np.ndarray
-    rates: Mapping[str, Array]
+    exists: Mask  # whether the scene has a motion there
+    stable: np.ndarray  # linear stability, values of Stability
+    label: np.ndarray  # label of the exact motion, values of Label
+    rates: Mapping[str, Array]  # psi' and phi' of the motion by the names "n" and "m", rad per time unit
 
 
 @dataclass(frozen=True)
 class Plane:
-    """Part of a scene's parameter space that a map shows: one or two axes, the others with one value.
+    """Part of a scene's parameter space that a map shows: one or two axes, the others with one value."""
 
-    Attributes
-    ----------
-    scene : Scene
-        The scene of the atlas.
-    extent : mapping of str to (float, float)
-        Dimension of the atlas -> lowest and highest value, x first.
-    fixed : mapping of str to float
-        Dimension -> value, for all others.
-    """
-
-    scene: Scene
-    extent: Mapping[str, tuple[float, float]]
-    fixed: Mapping[str, float]
+    scene: Scene  # the scene of the atlas
+    extent: Mapping[str, tuple[float, float]]  # dimension of the atlas -> lowest and highest value, x first
+    fixed: Mapping[str, float]  # dimension -> value, for all others
 
     @staticmethod
     def of(scene: Scene, ds: xr.Dataset, dims: Iterable[str]) -> Plane:
@@ -118,17 +96,9 @@ class Plane:
     def theory(self, coordinates: Mapping[str, Array], *, inertial: bool = False) -> Theory:
         """What theory predicts of the exact motions at some coordinates in the plane.
 
-        Parameters
-        ----------
-        coordinates : mapping of str to ndarray
-            Dimension -> values of one shape (points,).
-        inertial : bool, optional
-            Labels and rates in inertial space, if the frame of the system turns.
-
-        Returns
-        -------
-        Theory
-            Also at points without a motion, where only `exists` has a meaning.
+        coordinates: dimension -> values of one shape (points,); inertial: labels and rates in inertial space,
+        if the frame of the system turns. Returns also at points without a motion, where only `exists` has a
+        meaning.
         """
         system, points = self.scene.system, self.points(coordinates)
         with np.errstate(all="ignore"):

@@ -25,16 +25,9 @@ _CURVATURE = 0.5
 def resonance_lines(plane: Plane) -> dict[str, list[Array]]:
     """Lines at which the ratio of two frequencies of a motion that is not unstable is 1, 2 or 3.
 
-    Parameters
-    ----------
-    plane : Plane
-        With two axes, of a system that has the variables of `systems.oscillations`.
-
-    Returns
-    -------
-    dict
-        Kind of line, one of KINDS, -> polylines of shape (vertices, 2), float64, in the units of the axes. A resonance 1:1 at
-        which stability ends is a stability limit, and is not among them. Kinds without a line are missing.
+    plane: with two axes, of a system that has the variables of `systems.oscillations`. Returns kind of line,
+    one of KINDS, -> polylines of shape (vertices, 2), float64, in the units of the axes. A resonance 1:1 at
+    which stability ends is a stability limit, and is not among them. Kinds without a line are missing.
     """
     axes = [plane.samples(dim, _SAMPLES) for dim in plane.extent]
     grids = np.meshgrid(*axes, indexing="ij")

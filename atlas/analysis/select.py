@@ -120,17 +120,8 @@ def nearest_on_axes(ds: xr.Dataset, values: Mapping[str, float]) -> xr.Dataset:
 def cell_edges(values: np.ndarray, log: bool = False) -> np.ndarray:
     """Edges of the cells around the values of an axis.
 
-    Parameters
-    ----------
-    values : ndarray
-        Increasing, float64 of shape (n,).
-    log : bool, optional
-        Whether the edges are midway on a logarithmic scale.
-
-    Returns
-    -------
-    ndarray
-        Shape (n + 1,): midway between neighbours; the outer cells are as wide outwards as inwards.
+    values: increasing, float64 of shape (n,); log: whether the edges are midway on a logarithmic scale.
+    Returns shape (n + 1,): midway between neighbours; the outer cells are as wide outwards as inwards.
     """
     v = np.log(values) if log else np.asarray(values, float)
     if v.size == 1:
@@ -146,28 +137,10 @@ def plane_of(
 ) -> tuple[xr.Dataset, list[str], str | None]:
     """The plane of an atlas that a map shows; nothing is loaded.
 
-    Parameters
-    ----------
-    ds : Dataset
-        The atlas.
-    x, y : str or None
-        Its axes; where None, the longest of the others, x the one that comes first in the atlas.
-    select : mapping of str to float
-        Axis -> value, for the other axes.
-
-    Returns
-    -------
-    plane : Dataset
-        Sorted along its axes; of axes longer than MAX_CELLS every k-th value.
-    dims : list of str
-        One or two axes, x first.
-    panel_dim : str or None
-        One more axis of at most MAX_PANELS values.
-
-    Raises
-    ------
-    BadInput
-        If x, y or select name no axis, and where more axes are left.
+    ds: the atlas. x, y: its axes; where None, the longest of the others, x the one that comes first in the
+    atlas. select: axis -> value, for the other axes. Returns plane, sorted along its axes; of axes longer
+    than MAX_CELLS every k-th value; dims, one or two axes, x first; panel_dim, one more axis of at most
+    MAX_PANELS values. Raises BadInput if x, y or select name no axis, and where more axes are left.
     """
     check_not_empty(ds)
     plane = nearest_on_axes(ds, select).squeeze()

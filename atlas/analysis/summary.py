@@ -18,19 +18,11 @@ from .metadata import flag_names, scene_of
 def summary(ds: xr.Dataset, tally: Tally | None = None) -> str:
     """Summary of an atlas, printed at the end of its run.
 
-    Parameters
-    ----------
-    ds : Dataset
-        An atlas; it may be larger than memory.
-    tally : Tally, optional
-        Of all its points, where it is known; by default they are read.
-
-    Returns
-    -------
-    str
-        Lines with the counts of labels, status and agreement with theory, the number of points that are not
-        computed and why, the median and the largest expected error, labels that may change at half the step, time
-        and speed, and, where the points are those of a scene with a tolerance, what the other method would cost.
+    ds: an atlas; it may be larger than memory. tally: of all its points, where it is known; by default they
+    are read. Returns lines with the counts of labels, status and agreement with theory, the number of points
+    that are not computed and why, the median and the largest expected error, labels that may change at half
+    the step, time and speed, and, where the points are those of a scene with a tolerance, what the other
+    method would cost.
     """
     tally = tally or _tally(ds)
     lines = [f"{name}: {_flag_counts(ds[name], tally)}" for name in COUNTED if name in ds]

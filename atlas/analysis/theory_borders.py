@@ -34,23 +34,13 @@ Classes = dict[str, Flags]
 def theory_borders(plane: Plane, *, inertial: bool = False) -> dict[str, list[np.ndarray]]:
     """Lines at which theory predicts a change in a plane.
 
-    Parameters
-    ----------
-    plane : Plane
-        Where to look for lines.
-    inertial : bool, optional
-        Of labels in inertial space, if the frame of the system turns.
+    plane: where to look for lines; inertial: of labels in inertial space, if the frame of the system turns.
+    Returns kind of line, one of KINDS, -> polylines of shape (vertices, axes of the plane), float64, in the
+    units of the axes. Between linearly stable and unstable motions; between regular precession and permanent
+    rotation, both of some extent; where a regular precession has psi' = 0 or phi' = 0, so that it is a
+    permanent rotation on that line alone; and between points with a motion and without. Kinds without a line
+    are missing.
 
-    Returns
-    -------
-    dict
-        Kind of line, one of KINDS, -> polylines of shape (vertices, axes of the plane), float64, in the units of
-        the axes. Between linearly stable and unstable motions; between regular precession and permanent rotation,
-        both of some extent; where a regular precession has psi' = 0 or phi' = 0, so that it is a permanent rotation
-        on that line alone; and between points with a motion and without. Kinds without a line are missing.
-
-    Notes
-    -----
     Samples on COARSE_SAMPLES values along each axis are refined where a line crosses a cell, and around it as far
     as the line continues, so that a region wider than 1 / (COARSE_SAMPLES * DIVISION**LEVELS) of an axis is followed
     to its ends if one sample is inside it. Vertices are then bisected.
@@ -80,15 +70,8 @@ def theory_borders(plane: Plane, *, inertial: bool = False) -> dict[str, list[np
 def stability_boundary(plane: Plane) -> list[np.ndarray]:
     """Lines between linearly stable and unstable motions in a plane, see `theory_borders`.
 
-    Parameters
-    ----------
-    plane : Plane
-        Where to look for the boundary.
-
-    Returns
-    -------
-    list of ndarray
-        Polylines of shape (vertices, axes of the plane), float64, in the units of the axes.
+    plane: where to look for the boundary. Returns polylines of shape (vertices, axes of the plane), float64,
+    in the units of the axes.
     """
     return theory_borders(plane).get(STABILITY, [])
 

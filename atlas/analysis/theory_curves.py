@@ -20,16 +20,8 @@ def family_curves(plane: Plane) -> dict[str, list[np.ndarray]]:
     one if the scene names none. Where a scene solves its points onto a family only an axis offset from
     the family has a curve: its zero.
 
-    Parameters
-    ----------
-    plane : Plane
-        Where to look for exact motions.
-
-    Returns
-    -------
-    dict
-        Family -> curves of shape (vertices, axes of the plane), float64, in the units of the axes; rows
-        of nan cut a curve.
+    plane: where to look for exact motions. Returns family -> curves of shape (vertices, axes of the plane),
+    float64, in the units of the axes; rows of nan cut a curve.
     """
     scene = plane.scene
     if scene.solve:

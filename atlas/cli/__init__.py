@@ -21,15 +21,8 @@ __all__ = ["BAD_INPUT", "DONE", "FAILED", "command", "main", "parser"]
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run one command.
 
-    Parameters
-    ----------
-    arguments : sequence of str, optional
-        Name of the command and its options; by default those of the process.
-
-    Returns
-    -------
-    int
-        Exit code: 0 done, 1 failed, 2 bad input, 130 interrupted, 143 terminated.
+    arguments: name of the command and its options; by default those of the process. Returns exit code: 0
+    done, 1 failed, 2 bad input, 130 interrupted, 143 terminated.
     """
     explain_kept(None)
     try:

@@ -134,25 +134,12 @@ def source(
 ) -> str:
     """Text of a compiled kernel module of a system's equations and a method.
 
-    Parameters
-    ----------
-    equations : module
-        Of a system; see `systems.base.System.equations`.
-    method : str
-        A key of tableaux.METHODS.
-    zero : collection of str
-        Constants that are 0 at every point to come.
-    equal : mapping of str to str
-        Constants that equal another one at every point to come.
-    of : module, optional
-        `kernel` (default), `observe`, `tangent` or `deviation`; the last keeps the units of the caller.
-    frames : int, optional
-        Frames in which `kernel` measures circles; see `circle`. With none the text has nothing about them.
-
-    Raises
-    ------
-    BadInput
-        If a first integral or a loss has the name of a function of the kernel, and for equations that cannot be differentiated.
+    equations: of a system; see `systems.base.System.equations`. method: a key of tableaux.METHODS; zero:
+    constants that are 0 at every point to come; equal: constants that equal another one at every point to
+    come. of: `kernel` (default), `observe`, `tangent` or `deviation`; the last keeps the units of the caller.
+    frames: frames in which `kernel` measures circles; see `circle`. With none the text has nothing about
+    them. Raises BadInput if a first integral or a loss has the name of a function of the kernel, and for
+    equations that cannot be differentiated.
     """
     objects, sources, numbers = _reachable(of, () if frames else ("FRAMES",))
     equations = _with_losses(equations, zero, equal, of)

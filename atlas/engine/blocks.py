@@ -30,19 +30,12 @@ CHUNK = 20_000_000
 
 @dataclass(frozen=True)
 class BlockSchedule:
-    """Blocks of points with equal numbers of steps and nodes.
+    """Blocks of points with equal numbers of steps and nodes."""
 
-    Attributes
-    ----------
-    points : ndarray of int64, shape (blocks, WIDTH)
-        Indices of the points of each block; an incomplete block repeats its last point.
-    steps, steps_per_sample : ndarray of int64, shape (blocks,)
-        As in StepSizes.
-    """
-
+    # Indices of the points of each block; an incomplete block repeats its last point, (blocks, WIDTH)
     points: NDArray[np.int64]
-    steps: NDArray[np.int64]
-    steps_per_sample: NDArray[np.int64]
+    steps: NDArray[np.int64]  # as in StepSizes, (blocks,)
+    steps_per_sample: NDArray[np.int64]  # as in StepSizes, (blocks,)
 
     @property
     def point_steps(self) -> int:
@@ -98,19 +91,12 @@ def available_threads() -> int:
 
 @dataclass(frozen=True)
 class Segment:
-    """Part of the runs of a schedule; see the arguments of `kernel.integrate` of the same names.
+    """Part of the runs of a schedule; see the arguments of `kernel.integrate` of the same names."""
 
-    Attributes
-    ----------
-    first_node, last_node : ndarray of int64, shape (blocks,)
-    resume : ndarray of float64
-    out : ndarray of float64, shape (len(Row), points)
-    """
-
-    first_node: NDArray[np.int64]
-    last_node: NDArray[np.int64]
+    first_node: NDArray[np.int64]  # (blocks,)
+    last_node: NDArray[np.int64]  # (blocks,)
     resume: NDArray[np.float64]
-    out: NDArray[np.float64]
+    out: NDArray[np.float64]  # (len(Row), points)
 
 
 def resume_array(integrals: int, points: int) -> NDArray[np.float64]:
@@ -140,37 +126,17 @@ def integrate(
 ) -> NDArray[np.float64]:
     """Integrate every point of a schedule.
 
-    Parameters
-    ----------
-    kernel : module
-        As `assemble.source` makes it, loaded.
-    schedule : BlockSchedule
-    step_size : ndarray of float64, shape (points,)
-        In time units.
-    state : ndarray of float64, shape (kernel.STATES, points), C order, overwritten
-        At the start, see `start_state`, and afterwards at the end.
-    constants : ndarray of float64, shape (constants, points)
-    scales : ndarray of float64, shape (integrals, points)
-        Reciprocals of the sizes with which changes of the first integrals are compared; 0: not conserved.
-    cylinder : float
-        Radius of the cylinder, rad.
-    axes : ndarray of float64, shape (frames * len(Axis), points), optional
-        From `circle.circle_axes`, for kernels that measure circles.
-    segment : Segment, optional
-        Part of the runs, default: all of them.
-    threads : int, optional
-        Default: all processors.
-    progress : callable, optional
-        Called from worker threads with the point-steps done since the last call.
+    kernel: as `assemble.source` makes it, loaded; step_size: in time units; state: at the start, see
+    `start_state`, and afterwards at the end, (kernel.STATES, points); constants: (constants, points). scales:
+    reciprocals of the sizes with which changes of the first integrals are compared; 0: not conserved,
+    (integrals, points). cylinder: radius of the cylinder, rad; axes: from `circle.circle_axes`, for kernels
+    that measure circles, (frames * len(Axis), points). segment: part of the runs, default: all of them.
+    threads: default: all processors. progress: called from worker threads with the point-steps done since the
+    last call. Returns the sums, for `statistics.finish` and `circle.circle_statistics`, (len(Row) + frames *
+    len(Sum), points).
 
-    Returns
-    -------
-    ndarray of float64, shape (len(Row) + frames * len(Sum), points)
-        The sums, for `statistics.finish` and `circle.circle_statistics`.
-
-    Notes
-    -----
-    On KeyboardInterrupt the calls of the kernel in flight end first (a fraction of a second), then it is raised again.
+    On KeyboardInterrupt the calls of the kernel in flight end first (a fraction of a second), then it is
+    raised again.
     """
     assert len(state) == kernel.STATES  # the compiled kernel checks no bounds
     if axes is not None:
@@ -208,15 +174,9 @@ def call_by_parts(
 ) -> None:
     """Make the calls of a kernel for all blocks, in threads; a block of more than CHUNK point-steps takes several.
 
-    Parameters
-    ----------
-    call : callable
-        Takes a range of blocks, and for every block the first and the last node.
-    point_steps : ndarray of int64, shape (blocks,)
-        Steps of the blocks between these nodes, times WIDTH.
-    first_node, last_node : ndarray of int64, shape (blocks,)
-    threads, progress
-        See `integrate`.
+    call: takes a range of blocks, and for every block the first and the last node; point_steps: steps of the
+    blocks between these nodes, times WIDTH, (blocks,); first_node, last_node: (blocks,); threads, progress:
+    see `integrate`.
     """
 
     def work(first: int, last: int) -> Iterator[int]:

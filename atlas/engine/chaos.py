@@ -42,32 +42,18 @@ MAX_DURATIONS = 16
 
 @dataclass(frozen=True)
 class TangentSteps:
-    """Steps of the runs with tangent vectors; arrays of shape (points,).
-
-    Attributes
-    ----------
-    steps : ndarray of int64
-    step_size : ndarray of float64
-        In time units.
-    resolved : ndarray of bool
-        Whether the steps are short enough for the indicators.
-    """
+    """Steps of the runs with tangent vectors; arrays of shape (points,)."""
 
     steps: NDArray[np.int64]
-    step_size: Array
-    resolved: Mask
+    step_size: Array  # in time units
+    resolved: Mask  # whether the steps are short enough for the indicators
 
     @classmethod
     def of(cls, bound: Array, duration: Array, step: float | None, max_steps: int) -> TangentSteps:
         """Step sizes of points with these frequency bounds (rad per time unit) and durations (time units).
 
-        Parameters
-        ----------
-        bound, duration : ndarray of float64, shape (points,)
-        step : float or None
-            Largest step in time units, instead of one that is short enough.
-        max_steps : int
-            Largest number of steps before it is rounded up.
+        step: largest step in time units, instead of one that is short enough; max_steps: largest number of
+        steps before it is rounded up.
         """
         radians = bound * duration
         finite = np.isfinite(radians)
@@ -97,15 +83,7 @@ class TangentSteps:
 class Separation:
     """Tangent vectors of an ensemble, integrated with it for its durations and, where that does not decide, for longer.
 
-    Parameters
-    ----------
-    system : System
-    kernel : module
-        See `specialization.tangent_kernel`.
-    ensemble : Ensemble
-    steps : TangentSteps
-    rate_unit : ndarray of float64, shape (points,)
-        See `System.rate_unit`.
+    kernel: see `specialization.tangent_kernel`; rate_unit: see `System.rate_unit`.
     """
 
     def __init__(

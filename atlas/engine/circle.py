@@ -154,20 +154,10 @@ def circle_axes(
 ) -> Array:
     """Rows of `Axis` of points for each frame.
 
-    Parameters
-    ----------
-    equations : module
-        Of a system; see `systems.base.System.equations`.
-    state, constants : ndarray of float64, shapes (states, points) and (constants, points)
-        At the start.
-    frame_rates : ndarray of float64, shape (frames, points)
-        The angular velocity of each frame is that of the system's frame plus this times the vertical, rad per time unit.
-    bound : ndarray of float64, shape (points,)
-        Bound of the fastest frequency, rad per time unit.
-
-    Returns
-    -------
-    ndarray of float64, shape (frames * len(Axis), points), C order
+    equations: of a system; see `systems.base.System.equations`. state, constants: at the start; frame_rates:
+    the angular velocity of each frame is that of the system's frame plus this times the vertical, rad per
+    time unit, (frames, points); bound: bound of the fastest frequency, rad per time unit. Returns (frames *
+    len(Axis), points).
     """
     with np.errstate(all="ignore"):
         h = DIFFERENCE_TIME / np.where((bound > 0) & np.isfinite(bound), bound, 1.0)
@@ -205,22 +195,14 @@ def _right_handed(direction: Array) -> tuple[Array, Array, Array]:
 def circle_statistics(sums: Array, axes: Array, weight: NDArray[np.int64]) -> dict[str, Array]:
     """How far the angular velocities of runs in one frame are from one circle, and which one.
 
-    Parameters
-    ----------
-    sums, axes : ndarray of float64, shapes (len(Sum), points) and (len(Axis), points)
-    weight : ndarray of int64, shape (points,)
-        Of all nodes together.
-
-    Returns
-    -------
-    dict of ndarray of float64, shape (points,)
-        In rad per time unit: `spread`, the standard deviation of the angular velocity; `height_std`, that of its
-        component along the normal s of the plane that fits best; `radius`, root mean square of its distance from s, and
-        `radius_std`; `spin`, rate about s of the motion that would follow it, `spin_std`; `height`, the mean component
-        along s; `extent`, the standard deviation along the shorter axis in the plane; `rate_1`, `rate_2`, `rate_3`, the
-        mean angular velocity in body axes. `spin_axis_1`, `spin_axis_2`, `spin_axis_3`: s in body axes, of either sign.
-        In rad, at the start: `precession_inclination`, `rotation_inclination` and `tilt`, angles to the vertical of the
-        axis of precession (by s and spin), of the angular velocity and of the third axis.
+    weight: of all nodes together. Returns in rad per time unit: `spread`, the standard deviation of the
+    angular velocity; `height_std`, that of its component along the normal s of the plane that fits best;
+    `radius`, root mean square of its distance from s, and `radius_std`; `spin`, rate about s of the motion
+    that would follow it, `spin_std`; `height`, the mean component along s; `extent`, the standard deviation
+    along the shorter axis in the plane; `rate_1`, `rate_2`, `rate_3`, the mean angular velocity in body axes.
+    `spin_axis_1`, `spin_axis_2`, `spin_axis_3`: s in body axes, of either sign. In rad, at the start:
+    `precession_inclination`, `rotation_inclination` and `tilt`, angles to the vertical of the axis of
+    precession (by s and spin), of the angular velocity and of the third axis.
     """
     with np.errstate(all="ignore"):
         mean = sums / weight
@@ -265,14 +247,7 @@ def principal_axes(matrix: Array) -> tuple[Array, Array]:
     Small eigenvalues of matrices that are nearly diagonal are accurate relative to themselves, unlike LAPACK's:
     J. Demmel and K. Veselic, SIAM J. Matrix Anal. Appl. 13 (1992) 1204-1245.
 
-    Parameters
-    ----------
-    matrix : ndarray of float64, shape (3, 3, points)
-
-    Returns
-    -------
-    values, vectors : ndarray of float64, shapes (3, points) and (3, 3, points)
-        vectors[i] belongs to values[i].
+    matrix: (3, 3, points). Returns values, vectors, vectors[i] belongs to values[i].
     """
     a = matrix.copy()
     vectors = np.broadcast_to(np.eye(3)[:, :, None], a.shape).copy()

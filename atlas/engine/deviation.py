@@ -76,24 +76,12 @@ def integrate(
 ):  # fmt: skip
     """Integrate the deviations of blocks of points over their runs.
 
-    Parameters
-    ----------
-    first_block, last_block : int
-        Range of the blocks to integrate.
-    points : ndarray of int64, shape (blocks, WIDTH)
-        The points of each block.
-    constants0 : ndarray of float64, shape (CONSTANTS, points)
-        Constants of the equations.
-    harmonics : ndarray of float64, shape (9 * vectors, points)
-        The vectors at rest in the frame before the turn about the third axis: of each the constant parts of its
-        components, then the coefficients of cos n t and sin n t.
-    given0 : ndarray of float64, shape (len(Given), points)
-    start, scales : ndarray of float64, shape (STATES, points)
-        The deviations at the start, and the factors of their components in their size.
-    angle : float
-        Where sin theta is smaller, psi' and phi' do not count.
-    out : ndarray of float64, shape (len(Deviation), points), overwritten
-        The sums.
+    first_block, last_block: range of the blocks to integrate; points: the points of each block, (blocks,
+    WIDTH); constants0: constants of the equations, (CONSTANTS, points). harmonics: the vectors at rest in the
+    frame before the turn about the third axis: of each the constant parts of its components, then the
+    coefficients of cos n t and sin n t, (9 * vectors, points). given0: (len(Given), points); start, scales:
+    the deviations at the start, and the factors of their components in their size, (STATES, points); angle:
+    where sin theta is smaller, psi' and phi' do not count; out: the sums, (len(Deviation), points).
     """
     aligned_stack()
     constants, harmonic = aligned_empty((CONSTANTS, WIDTH)), aligned_empty((len(harmonics), WIDTH))

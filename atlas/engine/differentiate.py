@@ -31,25 +31,11 @@ _DERIVATIVES = {
 def differential(text: str, name: str) -> str:
     """Source of the differential of a function of ``(state, constants)``.
 
-    Parameters
-    ----------
-    text : str
-        Source of the function: assignments of names, or of tuples of them, and one return of a tuple. The expressions
-        consist of + - * / **, powers with exponents that do not depend on the state, and the functions of
-        `systems.arithmetic.FUNCTIONS`.
-    name : str
-        Of the new function.
-
-    Returns
-    -------
-    str
-        Source of a function of ``(state, constants, change)``, which returns the change of the value to first order in
-        `change`, a change of the state.
-
-    Raises
-    ------
-    ValueError
-        If the function contains anything else.
+    text: source of the function: assignments of names, or of tuples of them, and one return of a tuple. The
+    expressions consist of + - * / **, powers with exponents that do not depend on the state, and the
+    functions of `systems.arithmetic.FUNCTIONS`. name: of the new function. Returns source of a function of
+    ``(state, constants, change)``, which returns the change of the value to first order in `change`, a change
+    of the state. Raises ValueError if the function contains anything else.
     """
     function = ast.parse(text).body[0]
     assert isinstance(function, ast.FunctionDef)

@@ -24,30 +24,14 @@ MIN_NODES = 8
 
 @dataclass(frozen=True)
 class Integration:
-    """What came of integrating an ensemble.
+    """What came of integrating an ensemble."""
 
-    Attributes
-    ----------
-    final_state : ndarray of float64, shape (states, points)
-        Of the points that ran to the end.
-    sums : ndarray of float64, shape (len(Row) + frames * len(Sum), points)
-        Output of the kernel.
-    intervals : ndarray of int64, shape (points,)
-        Intervals between the nodes reached.
-    duration : ndarray of float64, shape (points,)
-        Integrated time, time units.
-    stopped_early : ndarray of bool, shape (points,)
-        Whether the point was certain to drift before its end.
-    axes : ndarray of float64, shape (frames * len(Axis), points), or None
-        As in `Ensemble`.
-    """
-
-    final_state: Array
-    sums: Array
-    intervals: NDArray[np.int64]
-    duration: Array
-    stopped_early: Mask
-    axes: Array | None = None
+    final_state: Array  # of the points that ran to the end, (states, points)
+    sums: Array  # output of the kernel, (len(Row) + frames * len(Sum), points)
+    intervals: NDArray[np.int64]  # intervals between the nodes reached
+    duration: Array  # integrated time, time units
+    stopped_early: Mask  # whether the point was certain to drift before its end
+    axes: Array | None = None  # as in `Ensemble`, (frames * len(Axis), points)
 
     def statistics(self) -> dict[str, Array]:
         """Means, standard deviations and extremes; see `statistics.finish`."""
@@ -82,26 +66,13 @@ class Integration:
 
 @dataclass(frozen=True)
 class Ensemble:
-    """Initial states and constants of a set of points.
+    """Initial states and constants of a set of points."""
 
-    Attributes
-    ----------
-    state : ndarray of float64, shape (states, points), C order
-        Initial state.
-    constants : ndarray of float64, shape (constants, points), C order
-        Constants of the equations.
-    scales : ndarray of float64, shape (integrals, points), C order
-        Reciprocal sizes of the first integrals; see `integral_scales`.
-    frequency_bound : ndarray of float64, shape (points,)
-        Upper bound of the fastest frequency, rad per time unit.
-    axes : ndarray of float64, shape (frames * len(Axis), points), C order, or None
-        For kernels that measure circles; see `circle.circle_axes`.
-    """
-
-    state: Array
-    constants: Array
-    scales: Array
-    frequency_bound: Array
+    state: Array  # initial state, (states, points)
+    constants: Array  # constants of the equations, (constants, points)
+    scales: Array  # reciprocal sizes of the first integrals; see `integral_scales`, (integrals, points)
+    frequency_bound: Array  # upper bound of the fastest frequency, rad per time unit
+    # For kernels that measure circles; see `circle.circle_axes`, (frames * len(Axis), points)
     axes: Array | None = None
 
     @classmethod
@@ -148,19 +119,10 @@ class Ensemble:
     ) -> Integration:
         """Integrate every point.
 
-        Parameters
-        ----------
-        kernel : module
-            See `specialization.kernel`.
-        step_sizes : StepSizes
-        cylinder : float
-            Radius of the cylinder, rad.
-        early_stop_rate : ndarray of float64, shape (points,), optional
-            Root mean square of theta' over the whole run, rad per time unit, beyond which a point outside the
-            cylinder is certain to drift; its run may then end early. Default: every run is whole, as they must be
-            where circles are measured.
-        threads, progress
-            See `blocks.integrate`.
+        kernel: see `specialization.kernel`; cylinder: radius of the cylinder, rad. early_stop_rate: root mean
+        square of theta' over the whole run, rad per time unit, beyond which a point outside the cylinder is
+        certain to drift; its run may then end early. Default: every run is whole, as they must be where
+        circles are measured. threads, progress: see `blocks.integrate`.
         """
         state = blocks.start_state(kernel, self.state)
         if early_stop_rate is None:

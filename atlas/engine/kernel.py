@@ -136,32 +136,16 @@ def integrate(
 ):  # fmt: skip
     """Integrate blocks of points over a range of nodes.
 
-    Parameters
-    ----------
-    first_block, last_block : int
-        Range of the blocks to integrate.
-    points : ndarray of int64, shape (blocks, WIDTH)
-        The points of each block.
-    steps, steps_per_sample : ndarray of int64, shape (blocks,)
-        Of the whole run of a block's points, as in `stepsize.StepSizes`.
-    first_node, last_node : ndarray of int64, shape (blocks,)
-        Range of the nodes of this call; 0 begins the runs, that after steps / steps_per_sample ends them. Between
-        calls the state lies in `state0` in the kernel's units, the sums in `out`, the rest in `resume`; the results
-        are the same to the bit as those of a single call.
-    step_size : ndarray of float64, shape (points,)
-        In time units.
-    state0 : ndarray of float64, shape (STATES, points), overwritten
-        State at the start and, after the last node, at the end.
-    constants0, scales : ndarray of float64, shapes (CONSTANTS + FRAMES * len(Axis), points) and (INTEGRALS, points)
-        Constants of the equations, followed by those of the circles, and reciprocal scales of the first integrals.
-    node_weights, first_sample, samples : ndarray
-        See `sampling.Quadrature`.
-    cylinder_squared : float
-        Square of the cylinder tolerance.
-    resume : ndarray of float64, shape (4 * 2 * MOTION + INTEGRALS, points), or (0, 0) where all runs are whole
-        The last four nodes and the first integrals at the start.
-    out : ndarray of float64, shape (len(Row) + FRAMES * len(Sum), points), overwritten
-        The sums.
+    first_block, last_block: range of the blocks to integrate; points: the points of each block, (blocks,
+    WIDTH); steps, steps_per_sample: of the whole run of a block's points, as in `stepsize.StepSizes`,
+    (blocks,). first_node, last_node: range of the nodes of this call; 0 begins the runs, that after steps /
+    steps_per_sample ends them. Between calls the state lies in `state0` in the kernel's units, the sums in
+    `out`, the rest in `resume`; the results are the same to the bit as those of a single call, (blocks,).
+    step_size: in time units; state0: state at the start and, after the last node, at the end, (STATES,
+    points); constants0, scales: constants of the equations, followed by those of the circles, and reciprocal
+    scales of the first integrals; node_weights, first_sample, samples: see `sampling.Quadrature`;
+    cylinder_squared: square of the cylinder tolerance; resume: the last four nodes and the first integrals at
+    the start, (4 * 2 * MOTION + INTEGRALS, points); out: the sums, (len(Row) + FRAMES * len(Sum), points).
     """
     aligned_stack()
     state, constants = aligned_empty((STATES, WIDTH)), aligned_empty((CONSTANTS, WIDTH))

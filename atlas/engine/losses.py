@@ -23,12 +23,7 @@ SCALED, UNSCALED = "scaled_motion", "unscaled_motion"
 def losses_of(equations: ModuleType, zero: Collection[str], equal: Mapping[str, str]) -> dict[str, str]:
     """First integrals that lose anything, and the functions that return their losses.
 
-    Parameters
-    ----------
-    equations : module
-        See `systems.base.System.equations`.
-    zero, equal
-        As for `assemble.source`.
+    equations: see `systems.base.System.equations`; zero, equal: as for `assemble.source`.
     """
     given, sources = getattr(equations, "LOSSES", {}), arithmetic.functions(equations)
     return {
@@ -41,11 +36,7 @@ def losses_of(equations: ModuleType, zero: Collection[str], equal: Mapping[str, 
 def with_losses(equations: ModuleType, losses: Mapping[str, str]) -> ModuleType:
     """Equations with a state for the loss of each of these integrals, and without the functions of other losses.
 
-    Parameters
-    ----------
-    equations : module
-    losses : mapping of str to str
-        First integral -> function; a part of ``equations.LOSSES``.
+    losses: first integral -> function; a part of ``equations.LOSSES``.
     """
     unused = {*getattr(equations, "LOSSES", {}).values()} - {*losses.values()}
     sources = {name: text for name, text in arithmetic.functions(equations).items() if name not in unused}

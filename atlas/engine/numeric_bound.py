@@ -65,28 +65,10 @@ def along_runs(
 ) -> tuple[Array, Mask]:
     """Frequency bound of every point over its whole run.
 
-    Parameters
-    ----------
-    system : System
-        Whose `has_numeric_bound` is true.
-    kernel : module
-        See `specialization.kernel`; for as many frames as the ensemble has axes of.
-    method : Method
-        That of the kernel.
-    ensemble : Ensemble
-        Its bound is the frequency at the start.
-    duration : ndarray of float64, shape (points,)
-        In time units.
-    max_steps : int
-        A point that needs more steps than this is not sampled further.
-    threads : int, optional
-
-    Returns
-    -------
-    bound : ndarray of float64, shape (points,)
-        In rad per time unit.
-    settled : ndarray of bool, shape (points,)
-        Whether the frequency stayed below it at all instants.
+    system: whose `has_numeric_bound` is true. kernel: see `specialization.kernel`; for as many frames as the
+    ensemble has axes of. method: that of the kernel; ensemble: its bound is the frequency at the start;
+    duration: in time units; max_steps: a point that needs more steps than this is not sampled further.
+    Returns bound, in rad per time unit; settled, whether the frequency stayed below it at all instants.
     """
     bound = np.fmax(ensemble.frequency_bound, _least(duration))
     bound = np.where(np.isfinite(ensemble.frequency_bound), bound, np.inf)

@@ -40,19 +40,11 @@ _EULER_MACLAURIN = (1 / 12, -1 / 720, 1 / 30240, -1 / 1209600)
 
 @dataclass(frozen=True)
 class Measurement:
-    """What came of integrating an ensemble of a system with observables.
+    """What came of integrating an ensemble of a system with observables."""
 
-    Attributes
-    ----------
-    final_state : ndarray of float64, shape (states, points)
-    sums : ndarray of float64, shape (rows of `observe`, points)
-    intervals : ndarray of int64, shape (points,)
-        Intervals between the nodes.
-    """
-
-    final_state: Array
-    sums: Array
-    intervals: NDArray[np.int64]
+    final_state: Array  # (states, points)
+    sums: Array  # (rows of `observe`, points)
+    intervals: NDArray[np.int64]  # intervals between the nodes
 
     @property
     def finite(self) -> Mask:
@@ -94,14 +86,8 @@ def with_dense_nodes(step_sizes: StepSizes, bound: Array, method: Method, *, may
 
     Where a node comes after several steps, the error of the interpolation between nodes is within the phase error.
 
-    Parameters
-    ----------
-    step_sizes : StepSizes
-    bound : ndarray of float64, shape (points,)
-        Frequency bound, rad per time unit.
-    method : Method
-    may_halve : bool
-        Whether steps may be made shorter: not where the user has set them.
+    bound: frequency bound, rad per time unit. may_halve: whether steps may be made shorter: not where the
+    user has set them.
     """
     finest = (np.maximum(step_sizes.dispersion_error, 1e-16) / INTERPOLATION_ERROR) ** (1 / 8) / OVERTONE
     for _ in range(MAX_HALVINGS):
@@ -137,14 +123,8 @@ def measure(
 ) -> Measurement:
     """Integrate every point to its end.
 
-    Parameters
-    ----------
-    kernel : module
-        See `specialization.kernel`, of a system with observables.
-    ensemble : Ensemble
-    step_sizes : StepSizes
-    threads, progress
-        See `blocks.integrate`.
+    kernel: see `specialization.kernel`, of a system with observables; threads, progress: see
+    `blocks.integrate`.
     """
     state = blocks.start_state(kernel, ensemble.state)
     sums = _call(
@@ -201,11 +181,8 @@ def end_weights() -> tuple[Array, Array]:
     half, and B_2k / (2k)! times the odd derivatives at the start less those at the end. The derivatives are those of the
     Hermite interpolation of four nodes, so that the rule is exact for polynomials of degree 7.
 
-    Returns
-    -------
-    values, slopes : ndarray of float64, shape (4,)
-        For values and derivatives by the number of the node; the half of the first node is in the first value. At the
-        end of a run the slopes count with the opposite sign.
+    Returns values, slopes, for values and derivatives by the number of the node; the half of the first node
+    is in the first value. At the end of a run the slopes count with the opposite sign, (4,).
     """
     x = np.linspace(0.0, 3.0, 8)
     basis = [Polynomial.fit(x, column, 7, domain=[-1, 1]) for column in hermite_weights(x).T]

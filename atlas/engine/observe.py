@@ -52,29 +52,15 @@ def integrate(
 ):  # fmt: skip
     """Integrate blocks of points over a range of nodes.
 
-    Parameters
-    ----------
-    first_block, last_block : int
-        Range of the blocks to integrate.
-    points : ndarray of int64, shape (blocks, WIDTH)
-        The points of each block.
-    steps, steps_per_node : ndarray of int64, shape (blocks,)
-        Of the whole run of a block's points, as in `stepsize.StepSizes`.
-    first_node, last_node : ndarray of int64, shape (blocks,)
-        Range of the nodes of this call; 0 begins the runs, that after steps / steps_per_node ends them. The results are
-        the same to the bit however a run is cut.
-    step_size : ndarray of float64, shape (points,)
-        In time units.
-    state0 : ndarray of float64, shape (STATES, points), overwritten
-        State at the start; between calls in the kernel's units, after the last node at the end of the run.
-    constants0, scales : ndarray of float64, shapes (CONSTANTS, points) and (INTEGRALS, points)
-        Constants of the equations and reciprocal scales of the first integrals.
-    value_weights, slope_weights : ndarray of float64, shape (4,)
-        See `observation.end_weights`.
-    resume : ndarray of float64, shape (8 * OBSERVABLES + INTEGRALS, points)
-        The last four nodes and the first integrals at the start, between calls.
-    out : ndarray of float64, shape (FIRST_ROW + FIELDS * OBSERVABLES, points), overwritten
-        The sums.
+    first_block, last_block: range of the blocks to integrate; points: the points of each block, (blocks,
+    WIDTH); steps, steps_per_node: of the whole run of a block's points, as in `stepsize.StepSizes`,
+    (blocks,). first_node, last_node: range of the nodes of this call; 0 begins the runs, that after steps /
+    steps_per_node ends them. The results are the same to the bit however a run is cut, (blocks,). step_size:
+    in time units. state0: state at the start; between calls in the kernel's units, after the last node at the
+    end of the run, (STATES, points). constants0, scales: constants of the equations and reciprocal scales of
+    the first integrals; value_weights, slope_weights: see `observation.end_weights`, (4,); resume: the last
+    four nodes and the first integrals at the start, between calls, (8 * OBSERVABLES + INTEGRALS, points);
+    out: the sums, (FIRST_ROW + FIELDS * OBSERVABLES, points).
     """
     aligned_stack()
     state, constants = aligned_empty((STATES, WIDTH)), aligned_empty((CONSTANTS, WIDTH))

@@ -68,20 +68,9 @@ class Term(IntEnum):
 def turns_near_vertical(sin2_theta, slope_0, slope_1):
     """Instant between two nodes at which sin^2 theta is least, and whether zeta may have a zero near.
 
-    Parameters
-    ----------
-    sin2_theta : float
-        sin^2 theta at the first node.
-    slope_0, slope_1 : float
-        Half its derivative at both nodes.
-
-    Returns
-    -------
-    near : float
-        1.0 if sin^2 theta is least between the nodes and the zero of a parabola is within REACH of the real axis, else
-        0.0.
-    instant : float
-        Counted from the first node.
+    sin2_theta: sin^2 theta at the first node; slope_0, slope_1: half its derivative at both nodes. Returns
+    near, 1.0 if sin^2 theta is least between the nodes and the zero of a parabola is within REACH of the real
+    axis, else 0.0; instant, counted from the first node.
     """
     rises = 1.0 if slope_1 >= 0.0 else 0.0
     turns = rises if slope_0 < 0.0 else 0.0
@@ -197,12 +186,8 @@ def sum_errors(terms, farther, e, simple, double, vertical):
 def trapezoid_error_of_pole(tau, slope):
     """Excess of the weighted sums of 1 / (t - z) and 1 / (t - z)^2 over their integrals.
 
-    Parameters
-    ----------
-    tau : complex
-        The variable in which the samples are uniform, at z; see `sampling.stretched`.
-    slope : complex
-        Its derivative by t there.
+    tau: the variable in which the samples are uniform, at z; see `sampling.stretched`. slope: its derivative
+    by t there.
     """
     above = tau.imag > 0.0
     q = np.exp(2j * np.pi * (tau if above else tau.conjugate()))

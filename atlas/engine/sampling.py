@@ -33,20 +33,10 @@ SAME_AS_NODE = 1e-11
 def sample(motion, cylinder_squared):
     """Euler rates and tilt of one instant.
 
-    Parameters
-    ----------
-    motion : tuple of six floats
-        Angular velocity relative to the frame, u1, u2, u3, and the frame's vertical, g1, g2, g3, in body axes.
-    cylinder_squared : float
-        Square of the cylinder tolerance: where sin^2 theta is below it, psi' and phi' have no meaning.
-
-    Returns
-    -------
-    theta_dot, psi_dot, phi_dot, normal_rate : float
-        Rates in the units of u; psi' and phi' are 0 inside the cylinder.
-    sin2_theta : float
-    outside : float
-        1.0 outside the cylinder, 0.0 inside.
+    motion: angular velocity relative to the frame, u1, u2, u3, and the frame's vertical, g1, g2, g3, in body
+    axes. cylinder_squared: square of the cylinder tolerance: where sin^2 theta is below it, psi' and phi'
+    have no meaning. Returns theta_dot, psi_dot, phi_dot, normal_rate, rates in the units of u; psi' and phi'
+    are 0 inside the cylinder; outside, 1.0 outside the cylinder, 0.0 inside.
     """
     u1, u2, u3, g1, g2, g3 = motion
     sin2_theta = g1 * g1 + g2 * g2
@@ -66,20 +56,14 @@ def rule_position(i, intervals):
 
 @dataclass(frozen=True)
 class Quadrature:
-    """The rules of all runs, by the number of intervals, LONG and above being one.
+    """The rules of all runs, by the number of intervals, LONG and above being one."""
 
-    Attributes
-    ----------
-    node_weights : ndarray of float64, shape (LONG + 1, LONG + 1)
-        Weight of each node; see `rule_position`.
-    first_sample : ndarray of int64, shape (LONG + 1, LONG + 1)
-        Samples first_sample[n, i] to first_sample[n, i + 1] are between the nodes i and i + 1.
-    samples : ndarray of float64, shape (samples, 9)
-        Weight of a sample, then the weights of `hermite_weights` that interpolate the motion there.
-    """
-
-    node_weights: NDArray[np.float64]
+    node_weights: NDArray[np.float64]  # weight of each node; see `rule_position`, (LONG + 1, LONG + 1)
+    # Samples first_sample[n, i] to first_sample[n, i + 1] are between the nodes i and i + 1, (LONG + 1, LONG
+    # + 1)
     first_sample: NDArray[np.int64]
+    # Weight of a sample, then the weights of `hermite_weights` that interpolate the motion there, (samples,
+    # 9)
     samples: NDArray[np.float64]
 
 
@@ -154,14 +138,7 @@ def hermite_weights(x: NDArray[np.float64]) -> NDArray[np.float64]:
 
     Hermite interpolation, exact for polynomials of degree 7.
 
-    Parameters
-    ----------
-    x : ndarray of float64, shape (samples,)
-
-    Returns
-    -------
-    ndarray of float64, shape (samples, 8)
-        Four weights of values, four of derivatives.
+    x: (samples,). Returns four weights of values, four of derivatives, (samples, 8).
     """
     nodes = np.arange(4.0)
     weights = np.empty((x.size, 8))

@@ -15,19 +15,8 @@ from functools import reduce
 def simplify(text: str, zero: Collection[str], equal: Mapping[str, str], ones: Collection[str] = ()) -> str:
     """Leave out of a function what vanishes when some of its names have known values.
 
-    Parameters
-    ----------
-    text : str
-        Source of the function.
-    zero, ones : collection of str
-        Names that are 0 and names that are 1. A name in both is 0.
-    equal : mapping of str to str
-        Names that equal another one, which replaces them.
-
-    Returns
-    -------
-    str
-        Source of the simplified function.
+    text: source of the function. zero, ones: names that are 0 and names that are 1. A name in both is 0.
+    equal: names that equal another one, which replaces them. Returns source of the simplified function.
     """
     tree = ast.parse(text)
     simplifier = _Simplifier(set(zero), dict(equal), set(ones))

@@ -16,17 +16,10 @@ from . import kernel as kernel_of_bodies
 
 @dataclass(frozen=True)
 class Specialization:
-    """Terms that the kernel of a whole scene may leave out.
+    """Terms that the kernel of a whole scene may leave out."""
 
-    Attributes
-    ----------
-    zero : frozenset of str
-        Constants of the equations that are 0 at every point.
-    equal : frozenset of pairs of str
-        Constants of which the first equals the second at every point.
-    """
-
-    zero: frozenset[str] = frozenset()
+    zero: frozenset[str] = frozenset()  # constants of the equations that are 0 at every point
+    # Constants of which the first equals the second at every point
     equal: frozenset[tuple[str, str]] = frozenset()
 
     @classmethod

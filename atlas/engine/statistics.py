@@ -71,24 +71,12 @@ class Row(IntEnum):
 
 @dataclass(frozen=True)
 class Statistic:
-    """A measured variable of the atlas.
+    """A measured variable of the atlas."""
 
-    Attributes
-    ----------
-    name : str
-        Name in the atlas and in the result of `finish`.
-    unit : str
-        UDUNITS spelling.
-    long_name : str
-        Meaning, in a few words.
-    needs_psi : bool
-        Has no meaning where the third axis stays inside the cylinder.
-    """
-
-    name: str
-    unit: str
-    long_name: str
-    needs_psi: bool = False
+    name: str  # name in the atlas and in the result of `finish`
+    unit: str  # UDUNITS spelling
+    long_name: str  # meaning, in a few words
+    needs_psi: bool = False  # has no meaning where the third axis stays inside the cylinder
 
 
 _RATE = "rad s-1"
@@ -189,21 +177,10 @@ def finish(
 ) -> dict[str, NDArray[np.float64]]:
     """Means, standard deviations and extremes from the kernel's output.
 
-    Parameters
-    ----------
-    out : ndarray of float64, shape (len(Row), points)
-        Output of the kernel.
-    intervals : ndarray of int64, shape (points,)
-        Nodes less one.
-    duration : ndarray of float64, shape (points,)
-        In time units.
-
-    Returns
-    -------
-    dict of ndarray of float64, shape (points,)
-        Every name of STATISTICS; the means and standard deviations of psi' and phi' are over the time outside the
-        cylinder, nan if there is none. Also `sine_max`, the largest sin theta, and `axis_1`, `axis_2`, means of the
-        system's `axis_in_frame`.
+    out: output of the kernel, (len(Row), points); intervals: nodes less one; duration: in time units. Returns
+    every name of STATISTICS; the means and standard deviations of psi' and phi' are over the time outside the
+    cylinder, nan if there is none. Also `sine_max`, the largest sin theta, and `axis_1`, `axis_2`, means of
+    the system's `axis_in_frame`.
     """
     with np.errstate(all="ignore"):
         # np.maximum returns nan for nan: a run that overflowed stays visible.

@@ -50,32 +50,16 @@ class StepSizeSettings(Protocol):
 
 @dataclass(frozen=True)
 class StepSizes:
-    """Step sizes of an ensemble and the errors to expect from them.
+    """Step sizes of an ensemble and the errors to expect from them."""
 
-    Attributes
-    ----------
-    steps : ndarray of int64, shape (points,)
-        Number of steps.
-    steps_per_sample : ndarray of int64, shape (points,)
-        Steps between two nodes of the statistics.
-    step_size : ndarray of float64, shape (points,)
-        In time units.
-    step_ratio : ndarray of float64, shape (points,)
-        step_size times frequency bound, over the stability limit of the method.
-    dispersion_error : ndarray of float64, shape (points,)
-        Phase error of an oscillation at the frequency bound at the end of the run, rad.
-    dissipation_error : ndarray of float64, shape (points,)
-        Relative loss of its amplitude by then.
-    rate_error : ndarray of float64, shape (points,)
-        Expected variation of a steady rate as large as the bound, rad per time unit.
-    """
-
-    steps: NDArray[np.int64]
-    steps_per_sample: NDArray[np.int64]
-    step_size: NDArray[np.float64]
-    step_ratio: NDArray[np.float64]
+    steps: NDArray[np.int64]  # number of steps
+    steps_per_sample: NDArray[np.int64]  # steps between two nodes of the statistics
+    step_size: NDArray[np.float64]  # in time units
+    step_ratio: NDArray[np.float64]  # step_size times frequency bound, over the stability limit of the method
+    # Phase error of an oscillation at the frequency bound at the end of the run, rad
     dispersion_error: NDArray[np.float64]
-    dissipation_error: NDArray[np.float64]
+    dissipation_error: NDArray[np.float64]  # relative loss of its amplitude by then
+    # Expected variation of a steady rate as large as the bound, rad per time unit
     rate_error: NDArray[np.float64]
 
     @classmethod

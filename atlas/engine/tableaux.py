@@ -10,41 +10,23 @@ from fractions import Fraction
 class Method:
     """A fixed-step explicit Runge-Kutta method and its errors on x' = i w x with y = w h.
 
-    Attributes
-    ----------
-    name : str
-    order : int
-        Global order.
-    a : tuple of tuples of float
-        Rows of the Butcher tableau below the diagonal.
-    b : tuple of float
-        Weights of the stages.
-    dispersion : float
-        The phase error of a step is dispersion * y^(order + 1) to leading order.
-    dissipation, dissipation_order : float, int
-        The relative loss of amplitude of a step is dissipation * y^dissipation_order to leading order.
-    stability : float
-        Largest stable y.
-    kernel_step : float
-        Length of the step in the kernel's unit of time: most coefficients times it are 1.
-    step_cost : float
-        Processor time of a step, samples included, in units of a step of rk4, as bench_methods.py measures it.
-
-    Raises
-    ------
-    ValueError
-        Where the tableau has the wrong shape or fails the conditions of the first and second order.
+    Raises ValueError where the tableau has the wrong shape or fails the conditions of the first and second
+    order.
     """
 
     name: str
-    order: int
-    a: tuple[tuple[float, ...], ...]
-    b: tuple[float, ...]
-    dispersion: float
+    order: int  # global order
+    a: tuple[tuple[float, ...], ...]  # rows of the Butcher tableau below the diagonal
+    b: tuple[float, ...]  # weights of the stages
+    dispersion: float  # the phase error of a step is dispersion * y^(order + 1) to leading order
+    # The relative loss of amplitude of a step is dissipation * y^dissipation_order to leading order
     dissipation: float
+    # The relative loss of amplitude of a step is dissipation * y^dissipation_order to leading order
     dissipation_order: int
-    stability: float
+    stability: float  # largest stable y
+    # Length of the step in the kernel's unit of time: most coefficients times it are 1
     kernel_step: float = 1.0
+    # Processor time of a step, samples included, in units of a step of rk4, as bench_methods.py measures it
     step_cost: float = 1.0
 
     def __post_init__(self) -> None:

@@ -42,26 +42,14 @@ def integrate(
 ):  # fmt: skip
     """Integrate blocks of points and their tangent vectors over a range of nodes.
 
-    Parameters
-    ----------
-    first_block, last_block : int
-        Range of the blocks to integrate.
-    points : ndarray of int64, shape (blocks, WIDTH)
-        The points of each block.
-    steps, nodes : ndarray of int64, shape (blocks,)
-        Of the whole run of a block's points; a node is an instant at which the tangent vector is divided by its norm.
-    first_node, last_node : ndarray of int64, shape (blocks,)
-        Range of the nodes of this call; 0 begins the runs. The results are the same to the bit however a run is cut.
-    step_size : ndarray of float64, shape (points,)
-        In time units.
-    state0 : ndarray of float64, shape (STATES, points), overwritten
-        State at the start; between calls in the kernel's units, after the last node at the end of the run.
-    constants0 : ndarray of float64, shape (CONSTANTS, points)
-        Constants of the equations.
-    tangent0, weights : ndarray of float64, shape (TANGENT, points), the first overwritten
-        Tangent vector in the kernel's units, and the factors of its components in its norm.
-    out : ndarray of float64, shape (SUMS, points), overwritten
-        The sums.
+    first_block, last_block: range of the blocks to integrate; points: the points of each block, (blocks,
+    WIDTH). steps, nodes: of the whole run of a block's points; a node is an instant at which the tangent
+    vector is divided by its norm, (blocks,). first_node, last_node: range of the nodes of this call; 0 begins
+    the runs. The results are the same to the bit however a run is cut, (blocks,). step_size: in time units.
+    state0: state at the start; between calls in the kernel's units, after the last node at the end of the
+    run, (STATES, points). constants0: constants of the equations, (CONSTANTS, points); tangent0, weights:
+    tangent vector in the kernel's units, and the factors of its components in its norm, (TANGENT, points);
+    out: the sums, (SUMS, points).
     """
     aligned_stack()
     extended, constants = aligned_empty((STATES + TANGENT, WIDTH)), aligned_empty((CONSTANTS, WIDTH))

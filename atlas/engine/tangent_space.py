@@ -49,18 +49,9 @@ def size(equations: ModuleType) -> int:
 def variation(equations: ModuleType, rhs: str) -> dict[str, str]:
     """Source of the variational equations, by name.
 
-    Parameters
-    ----------
-    equations : module
-        See `systems.base.System.equations`.
-    rhs : str
-        Source of their right-hand side.
-
-    Returns
-    -------
-    dict of str
-        ``rhs_change(state, constants, change)``, and ``variation(state, constants, tangent)``, the time derivative of
-        the tangent vector.
+    equations: see `systems.base.System.equations`; rhs: source of their right-hand side. Returns
+    ``rhs_change(state, constants, change)``, and ``variation(state, constants, tangent)``, the time
+    derivative of the tangent vector.
     """
     own, names = own_components(equations), list(equations.STATE)
     changes = [f"t{j}" for j in range(len(own))]
@@ -92,10 +83,7 @@ def start(equations: ModuleType, state: Array) -> Array:
 
     A single vector of the frame changes by its product with the start of the rotation, so that it stays a unit vector.
 
-    Parameters
-    ----------
-    equations : module
-    state : ndarray of float64, shape (states, points)
+    state: (states, points).
     """
     names, own = list(equations.STATE), own_components(equations)
     pattern = (*START, *START_OF_ROTATION)

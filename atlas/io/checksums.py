@@ -43,10 +43,7 @@ BlockShapes = dict[str, list[int]]
 def add(path: Path) -> None:
     """Add checksums to a new file, of what is read back from it.
 
-    Parameters
-    ----------
-    path : Path
-        NetCDF-4 file without groups.
+    path: netCDF-4 file without groups.
     """
     with NETCDF_LOCK, netCDF4.Dataset(path, "r+") as file:
         file.set_auto_maskandscale(False)

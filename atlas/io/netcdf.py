@@ -34,20 +34,10 @@ def dims(scene: Scene) -> tuple[str, ...]:
 def dataset(scene: Scene, columns: Mapping[str, Any], chunks: Sequence[int] | None = None) -> xr.Dataset:
     """Assemble the atlas of a scene, without provenance.
 
-    Parameters
-    ----------
-    scene : Scene
-    columns : mapping of str to array
-        The scene's outputs and the parameters that it solves for, NumPy or dask arrays of the scene's shape
-        or flat. Other columns are left out.
-    chunks : sequence of int, optional
-        Length of a chunk along each axis. If given, parameters of more than MAX_EAGER_VALUES values become
-        dask arrays of such chunks.
-
-    Returns
-    -------
-    xarray.Dataset
-        Axes as dimensions, and each parameter as a coordinate along the axes on which it depends.
+    columns: the scene's outputs and the parameters that it solves for, NumPy or dask arrays of the scene's
+    shape or flat. Other columns are left out. chunks: length of a chunk along each axis. If given, parameters
+    of more than MAX_EAGER_VALUES values become dask arrays of such chunks. Returns axes as dimensions, and
+    each parameter as a coordinate along the axes on which it depends.
     """
     dimensions, system = dims(scene), scene.system
     ds = xr.Dataset(
@@ -140,12 +130,8 @@ def _parameter_along_axes(
 def write(ds: xr.Dataset, path: Path) -> None:
     """Write a Dataset as one compressed NetCDF file with checksums, which appears whole or not at all.
 
-    Parameters
-    ----------
-    ds : xarray.Dataset
-        Data variables of type float get the fill value nan; flags and coordinates get none.
-    path : Path
-        An existing file is replaced.
+    ds: data variables of type float get the fill value nan; flags and coordinates get none. path: an existing
+    file is replaced.
     """
     encoding: dict[str, dict[str, Any]] = {}
     for name, variable in ds.variables.items():

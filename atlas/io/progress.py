@@ -30,25 +30,12 @@ class Progress:
 
     All methods may be called from any thread.
 
-    Parameters
-    ----------
-    points : int
-        Number of points of the run.
-    stream : TextIO, optional
-        Where to print; default stderr.
-    done : int
-        Points that earlier runs have finished; they do not count for the speed.
-    show : bool
-        Print to `stream`.
-    file : Path, optional
-        JSON file that is kept up to date. It is for people and scripts; no computation reads it.
-    facts : mapping, optional
-        Entries added to the file.
+    points: number of points of the run. stream: where to print; default stderr. done: points that earlier
+    runs have finished; they do not count for the speed. show: print to `stream`. file: JSON file that is kept
+    up to date. It is for people and scripts; no computation reads it. facts: entries added to the file.
 
-    Attributes
-    ----------
-    stopwatch : Stopwatch
-        Seconds since the start, without the compilation of kernels, which is announced on stderr if `show` is true.
+    stopwatch: seconds since the start, without the compilation of kernels, which is announced on stderr if
+    `show` is true.
     """
 
     def __init__(
@@ -140,15 +127,7 @@ def state(content: Mapping[str, Any]) -> str:
 
     On the same machine the process itself decides, elsewhere the age of the file.
 
-    Parameters
-    ----------
-    content : mapping
-        Content of the file.
-
-    Returns
-    -------
-    str
-        `AT_WORK`, or what became of the process.
+    content: content of the file. Returns `AT_WORK`, or what became of the process.
     """
     if not content["running"]:
         return "ended"

@@ -25,15 +25,7 @@ def scene_provenance(
 ) -> dict[str, Any]:
     """Global attributes of the atlas of a scene.
 
-    Parameters
-    ----------
-    scene : Scene
-    kernel_hash, seconds, points, warnings
-        As for `provenance`.
-
-    Returns
-    -------
-    dict
+    kernel_hash, seconds, points, warnings: as for `provenance`.
     """
     return provenance(
         scene.system, scene.settings, kernel_hash, title=scene.title, scene=scene.toml(), seconds=seconds,
@@ -55,30 +47,12 @@ def provenance(
 ) -> dict[str, Any]:
     """Global attributes of an atlas: its subject, scene, programs, tolerances and cost.
 
-    Parameters
-    ----------
-    system : System
-    settings : Settings
-        How the points were integrated and labelled.
-    kernel_hash : str
-        Hash of the kernel that integrated them.
-    title : str
-    scene : str
-        TOML text of the resolved scene, empty where points were given directly.
-    seconds : float
-        Wall-clock time of the computation.
-    points : int
-        Number of points integrated in this time.
-    warnings : list of str
-        Warnings about the input, kept in `atlas_warnings`.
-    about : About
-        The table [about] of the scene: attributes of ACDD-1.3.
-
-    Returns
-    -------
-    dict
-        CF attributes, and the program's own, whose names begin with `atlas_`. A number that does not
-        apply is nan: `atlas_tolerance` where a step was given, `atlas_step` where it was not.
+    settings: how the points were integrated and labelled; kernel_hash: hash of the kernel that integrated
+    them; scene: TOML text of the resolved scene, empty where points were given directly; seconds: wall-clock
+    time of the computation; points: number of points integrated in this time; warnings: warnings about the
+    input, kept in `atlas_warnings`. about: the table [about] of the scene: attributes of ACDD-1.3. Returns CF
+    attributes, and the program's own, whose names begin with `atlas_`. A number that does not apply is nan:
+    `atlas_tolerance` where a step was given, `atlas_step` where it was not.
     """
     from ..engine.jit import cpu
 

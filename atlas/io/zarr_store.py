@@ -56,19 +56,8 @@ def shard_lengths(sizes: Mapping[str, int], chunk: Mapping[str, int]) -> dict[st
 def create(path: Path, ds: xr.Dataset, chunk: Mapping[str, int]) -> dict[str, Any]:
     """Create a store with everything but the values of dask arrays.
 
-    Parameters
-    ----------
-    path : Path
-        An empty folder.
-    ds : Dataset
-        Its variables in memory are written.
-    chunk : mapping of str to int
-        Length of a chunk along each dimension.
-
-    Returns
-    -------
-    dict
-        Name -> Zarr array, of the variables that are dask arrays.
+    path: an empty folder; ds: its variables in memory are written; chunk: length of a chunk along each
+    dimension. Returns name -> Zarr array, of the variables that are dask arrays.
     """
     zarr = zarr_package()
     coordinates = " ".join(str(name) for name in ds.coords if name not in ds.dims)
@@ -180,20 +169,9 @@ def is_whole(path: Path) -> bool:
 def open_store(path: Path) -> xr.Dataset:
     """Open a store lazily.
 
-    Parameters
-    ----------
-    path : Path
-        A folder with a file METADATA. A store of another program, without checksum, is read as it is.
-
-    Returns
-    -------
-    Dataset
-
-    Raises
-    ------
-    BadInput
-        If the package zarr is missing, if the store is damaged, or if its arrays are larger than its files can hold.
-        Damaged values are found when they are read.
+    path: a folder with a file METADATA. A store of another program, without checksum, is read as it is.
+    Raises BadInput if the package zarr is missing, if the store is damaged, or if its arrays are larger than
+    its files can hold. Damaged values are found when they are read.
     """
     zarr_package()
     try:

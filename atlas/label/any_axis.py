@@ -74,18 +74,8 @@ def is_steady(label: Flags) -> Mask:
 def label(circle: Mapping[str, Array], own_label: Flags, tolerances: Tolerances) -> Flags:
     """Label of each point about any axis, whatever its status.
 
-    Parameters
-    ----------
-    circle : mapping of str to ndarray of float64
-        STATISTICS, as `measurements` returns them.
-    own_label : ndarray of int8
-        Label about the third axis and the vertical, values of `flags.Label`. A steady one stays.
-    tolerances : Tolerances
-
-    Returns
-    -------
-    ndarray of int8
-        Values of `flags.Label`.
+    circle: STATISTICS, as `measurements` returns them. own_label: label about the third axis and the
+    vertical, values of `flags.Label`. A steady one stays. Returns values of `flags.Label`.
     """
     rate = tolerances.rate
     constant = circle["spread"] <= rate
@@ -102,12 +92,7 @@ def unsure(
 ) -> Mask:
     """Whether the label could be another one, were every statistic off by as much as its error.
 
-    Parameters
-    ----------
-    circle, own_label, tolerances
-        As for `label`.
-    error : mapping of str to ndarray of float64
-        Errors of STATISTICS.
+    circle, own_label, tolerances: as for `label`; error: errors of STATISTICS.
     """
     moved_labels = []
     for sign in (-1.0, 0.0, 1.0):
@@ -123,17 +108,8 @@ def measurement_errors(
 ) -> dict[str, Array]:
     """Expected errors of STATISTICS of a label, in their units, (points,) each.
 
-    Parameters
-    ----------
-    step_sizes : StepSizes
-    bound : ndarray of float64, shape (points,)
-        Frequency bound, rad per time unit.
-    relative_error : ndarray of float64, shape (points,)
-        Of a standard deviation.
-    measured : mapping of str to ndarray
-        Result of `measurements`.
-    name : str
-        A key of LABELS.
+    bound: frequency bound, rad per time unit; relative_error: of a standard deviation; measured: result of
+    `measurements`; name: a key of LABELS.
     """
     circle = statistics_of(measured, name)
     rounding = bound * ROUNDING * np.sqrt(step_sizes.steps)
@@ -160,13 +136,7 @@ def values(
 
     Of a point whose own label is regular_precession they are those of its third axis and the vertical.
 
-    Parameters
-    ----------
-    circle : mapping of str to ndarray of float64
-        See `measurements`.
-    measured : mapping of str to ndarray of float64
-        As for `labels.label`.
-    tolerances : Tolerances
+    circle: see `measurements`; measured: as for `labels.label`.
     """
     with np.errstate(all="ignore"):
         own_label = labels.label(measured, tolerances)
@@ -226,15 +196,8 @@ def error_of_values(
 ) -> Array:
     """Relative error to expect of RATES and ANGLES, (points,), at most 1; 0 where they are not measured on a circle.
 
-    Parameters
-    ----------
-    rate_error : ndarray of float64, shape (points,)
-        Error of a steady angular velocity, rad per time unit.
-    bound : ndarray of float64, shape (points,)
-        Frequency bound, rad per time unit, the unit of errors of rates.
-    measured : mapping of str to ndarray
-        Result of `measurements`, and of `statistics.finish`.
-    tolerances : Tolerances
+    rate_error: error of a steady angular velocity, rad per time unit; bound: frequency bound, rad per time
+    unit, the unit of errors of rates; measured: result of `measurements`, and of `statistics.finish`.
     """
     if "label_any_axis:spread" not in measured:
         return np.zeros_like(bound)

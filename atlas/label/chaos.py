@@ -21,27 +21,14 @@ from .regularity import regularity
 
 @dataclass(frozen=True)
 class TangentRuns:
-    """Points ready to be integrated with a tangent vector; arrays of shape (points,).
-
-    Attributes
-    ----------
-    system : System
-    kernel : module
-        See `specialization.tangent_kernel`.
-    ensemble : Ensemble
-    steps : TangentSteps
-    rate_unit : ndarray of float64
-        See `System.rate_unit`.
-    share : float
-        Of these runs in the work of all runs of the points.
-    """
+    """Points ready to be integrated with a tangent vector; arrays of shape (points,)."""
 
     system: System
-    kernel: ModuleType
+    kernel: ModuleType  # see `specialization.tangent_kernel`
     ensemble: Ensemble
     steps: TangentSteps
-    rate_unit: Array
-    share: float
+    rate_unit: Array  # see `System.rate_unit`
+    share: float  # of these runs in the work of all runs of the points
 
     @classmethod
     def of(
@@ -68,14 +55,8 @@ class TangentRuns:
     ) -> dict[str, np.ndarray]:
         """The variables of CHAOS; nan and NOT_COMPUTED where the status is not ok.
 
-        Parameters
-        ----------
-        columns : mapping of str to ndarray
-            label and status.
-        threads : int or None
-            See `blocks.integrate`.
-        progress : callable
-            Called with points done, in all `share` of their number.
+        columns: label and status; threads: see `blocks.integrate`; progress: called with points done, in all
+        `share` of their number.
         """
         size = self.rate_unit.size
         megno, lyapunov = np.full(size, np.nan), np.full(size, np.nan)

@@ -28,18 +28,8 @@ def error_estimate(
     That of the states is the error of an oscillation at the frequency bound, amplified by the instability of the motion
     (to 1 at most); see `with_statistics` for the rest.
 
-    Parameters
-    ----------
-    step_sizes : StepSizes
-    bound : ndarray of float64, shape (points,)
-        Frequency bound, rad per time unit.
-    log_growth : ndarray of float64, shape (points,)
-        Growth rate of the family's motion times duration.
-    integration : Integration
-    measured : mapping of str to ndarray
-        Statistics of the integration.
-    cylinder : float
-        Radius of the cylinder, rad.
+    bound: frequency bound, rad per time unit; log_growth: growth rate of the family's motion times duration;
+    measured: statistics of the integration; cylinder: radius of the cylinder, rad.
     """
     error = np.maximum(step_sizes.dispersion_error, step_sizes.dissipation_error) + rounding_error(step_sizes)
     with np.errstate(all="ignore"):
@@ -94,16 +84,8 @@ def pair_error(
     statistics have no clean order: their differences are taken as they are, and count at least three tenths of what the
     error of the states implies, because two runs may agree by chance.
 
-    Parameters
-    ----------
-    system : System
-    method : Method
-    bound : ndarray of float64, shape (points,)
-        Frequency bound, rad per time unit.
-    fine, coarse : tuple of StepSizes, Integration and mapping of str to ndarray
-        Step sizes, integration and statistics of both runs.
-    cylinder : float
-        Radius of the cylinder, rad.
+    bound: frequency bound, rad per time unit; fine, coarse: step sizes, integration and statistics of both
+    runs; cylinder: radius of the cylinder, rad.
     """
     (fine_sizes, fine_run, fine_values), (coarse_sizes, coarse_run, coarse_values) = fine, coarse
     with np.errstate(all="ignore"):
@@ -128,16 +110,8 @@ def differences(
 def state_distance(system: System, state: Array, other: Array, bound: Array) -> Array:
     """Largest difference of a component of two states.
 
-    Parameters
-    ----------
-    system : System
-    state, other : ndarray, shape (state, points)
-    bound : ndarray, shape (points,)
-        Frequency bound, rad per time unit; the unit of the differences of angular velocities.
-
-    Returns
-    -------
-    ndarray, shape (points,)
+    state, other: (state, points). bound: frequency bound, rad per time unit; the unit of the differences of
+    angular velocities.
     """
     difference = np.abs(state - other)
     difference[[name in system.rate_states for name in system.equations.STATE]] /= bound

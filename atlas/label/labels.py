@@ -25,18 +25,9 @@ LABEL_STATISTICS = (
 def label(measured: Mapping[str, Array], tolerances: Tolerances, frame_rate: Array | float = 0.0) -> Flags:
     """Label of each point, whatever its status.
 
-    Parameters
-    ----------
-    measured : mapping of str to ndarray of float64
-        LABEL_STATISTICS as `engine.statistics.finish` returns them, all of one shape.
-    tolerances : Tolerances
-    frame_rate : ndarray or float
-        Added to the mean of psi', rad per time unit: the rate of the orbital frame, for the label in the inertial frame.
-
-    Returns
-    -------
-    ndarray of int8
-        Values of `flags.Label`.
+    measured: LABEL_STATISTICS as `engine.statistics.finish` returns them, all of one shape. frame_rate: added
+    to the mean of psi', rad per time unit: the rate of the orbital frame, for the label in the inertial
+    frame. Returns values of `flags.Label`.
     """
     rate = tolerances.rate
     cylinder = in_cylinder(measured, tolerances.angle)
@@ -75,12 +66,8 @@ def unsure(
 ) -> Mask:
     """Whether the label could be another one, were every measurement off by as much as its error.
 
-    Parameters
-    ----------
-    measured, tolerances, frame_rate
-        As for `label`.
-    error : mapping of str to ndarray of float64
-        Errors of the measurements that `label` reads, by their names and in their units.
+    measured, tolerances, frame_rate: as for `label`; error: errors of the measurements that `label` reads, by
+    their names and in their units.
     """
     labels = []
     for sign in (-1.0, 0.0, 1.0):
@@ -100,13 +87,8 @@ def rounding_limit(residual: Array, frequency_bound: Array, tolerances: Toleranc
 
     Rounding errors of rates are relative to the frequency bound, those of angles to 1.
 
-    Parameters
-    ----------
-    residual : ndarray of float64
-        Residual of the conditions of the steady motion at the start, dimensionless.
-    frequency_bound : ndarray of float64
-        In rad per time unit.
-    tolerances : Tolerances
+    residual: residual of the conditions of the steady motion at the start, dimensionless; frequency_bound: in
+    rad per time unit.
     """
     tolerance = np.minimum(tolerances.rate / frequency_bound, tolerances.angle)
     return np.asarray(np.log(tolerance / np.fmax(residual, ROUNDOFF)))
@@ -123,26 +105,12 @@ def status(
 ) -> Flags:
     """Status of each computed point: the first that applies, in the order of `flags.Status`.
 
-    Parameters
-    ----------
-    finite : ndarray of bool
-        Whether state and statistics are finite.
-    integral_drift : ndarray of float64
-        Largest relative change of a first integral, at most drift_tolerance.
-    drift_tolerance : float
-    resolved : ndarray of bool
-        Whether the steps are short enough for the frequency bound; see `engine.stepsize.StepSizes.resolved`.
-    rounding_growth : ndarray of float64
-        Growth rate times duration where the start is on an unstable motion to rounding, else 0.
-    rounding_limit : ndarray of float64
-        As the function of that name returns it.
-    step_sensitive : ndarray of bool
-        Whether the label changes, or could, when the step is halved.
-
-    Returns
-    -------
-    ndarray of int8
-        Values of `flags.Status`.
+    finite: whether state and statistics are finite; integral_drift: largest relative change of a first
+    integral, at most drift_tolerance. resolved: whether the steps are short enough for the frequency bound;
+    see `engine.stepsize.StepSizes.resolved`. rounding_growth: growth rate times duration where the start is
+    on an unstable motion to rounding, else 0; rounding_limit: as the function of that name returns it;
+    step_sensitive: whether the label changes, or could, when the step is halved. Returns values of
+    `flags.Status`.
     """
     conditions = {
         Status.NOT_FINITE: ~finite,

@@ -63,27 +63,12 @@ def off_family_labels(
 ) -> dict[str, Flags]:
     """Labels of starts that are on no family's motion and may be near one, from linear theory.
 
-    Parameters
-    ----------
-    system : System
-        A body in a frame, see `describes`.
-    points : mapping of str to ndarray of float64, shape (points,)
-        The points that are integrated.
-    duration : ndarray of float64, shape (points,)
-        In time units.
-    tolerances : Tolerances
-    frames : mapping of str to ndarray of float64, shape (points,)
-        Rate of each frame, which is added to psi', rad per time unit.
-    pause : callable
-        Called again and again, from any thread; it raises an exception where the run was interrupted.
-    threads : int, optional
-        Default: all processors. Labels do not depend on it.
-
-    Returns
-    -------
-    dict of ndarray of int8, shape (points,)
-        For each frame values of `flags.Label`: not_computed where a change of a tenth, or terms of second order, could
-        change the label, where rounding errors cause the drift, and where the run is too long for the linear equations.
+    system: a body in a frame, see `describes`; points: the points that are integrated; duration: in time
+    units; frames: rate of each frame, which is added to psi', rad per time unit. pause: called again and
+    again, from any thread; it raises an exception where the run was interrupted. threads: default: all
+    processors. Labels do not depend on it. Returns for each frame values of `flags.Label`: not_computed where
+    a change of a tenth, or terms of second order, could change the label, where rounding errors cause the
+    drift, and where the run is too long for the linear equations.
     """
     result = {name: np.full(duration.shape, Label.DRIFTING, np.int8) for name in frames}
     with np.errstate(all="ignore"):

@@ -90,36 +90,14 @@ def evaluate(
 ) -> dict[str, np.ndarray]:
     """Integrate, measure, label and compare points.
 
-    Parameters
-    ----------
-    system : System
-    base : mapping of str to ndarray of float64, shape (points,)
-        The points before the nudge, for theory.
-    points : mapping of str to ndarray of float64, shape (points,)
-        The points to integrate.
-    duration : ndarray of float64, shape (points,)
-        In time units.
-    settings : Settings
-    specialization : Specialization
-        What the kernel leaves out, the same for all points of a scene.
-    outputs : collection of str, optional
-        Names of variables; default: those of `variables.default_variables`. Statistics that are not among them may be
-        missing or cover a part of the run, for without them a point ends when its label is certain.
-    nudged : bool
-        Whether the points were moved off a family's motions.
-    reason : ndarray of int8, shape (points,), optional
-        Values of `scene.grid.Reason`. Where it is not NONE, points are not computed: their flags are 0, but for the
-        status, and their numbers nan.
-    halved : bool
-        Integrate at half the step that the settings give.
-    threads : int, optional
-    progress : callable, optional
-        Called with the points done since the last call, fractions included.
-
-    Returns
-    -------
-    dict of ndarray, shape (points,)
-        By the names of the registry of variables.
+    base: the points before the nudge, for theory; points: the points to integrate; duration: in time units;
+    specialization: what the kernel leaves out, the same for all points of a scene. outputs: names of
+    variables; default: those of `variables.default_variables`. Statistics that are not among them may be
+    missing or cover a part of the run, for without them a point ends when its label is certain. nudged:
+    whether the points were moved off a family's motions. reason: values of `scene.grid.Reason`. Where it is
+    not NONE, points are not computed: their flags are 0, but for the status, and their numbers nan. halved:
+    integrate at half the step that the settings give; progress: called with the points done since the last
+    call, fractions included. Returns by the names of the registry of variables.
     """
     if reason is not None and (reason != Reason.NONE).any():
         exists = reason == Reason.NONE

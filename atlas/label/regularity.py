@@ -25,17 +25,8 @@ MIN_ORBITS, MIN_PERIODS = 80, 400
 def regularity(label: Flags, megno: Array) -> Flags:
     """Flag of each point.
 
-    Parameters
-    ----------
-    label : ndarray of int8
-        Values of flags.Label, unresolved where the status is not ok.
-    megno : ndarray of float64
-        Mean MEGNO at the end of the run; nan: not computed.
-
-    Returns
-    -------
-    ndarray of int8
-        Values of flags.Regularity.
+    label: values of flags.Label, unresolved where the status is not ok. megno: mean MEGNO at the end of the
+    run; nan: not computed. Returns values of flags.Regularity.
     """
     steady = np.isin(label, (Label.REGULAR_PRECESSION, Label.PERMANENT_ROTATION))
     drifting = label == Label.DRIFTING
@@ -59,11 +50,7 @@ def has_chaos(names: Collection[str]) -> bool:
 def warnings(scene: Scene, sample: Grid) -> list[str]:
     """One sentence if the runs of a scene are too short to tell regular motions from chaotic ones.
 
-    Parameters
-    ----------
-    scene : Scene
-    sample : Grid
-        Points of the scene, from `grid.check`.
+    sample: points of the scene, from `grid.check`.
     """
     if not has_chaos(scene.outputs) or not sample.exists.any():
         return []

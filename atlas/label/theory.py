@@ -19,33 +19,19 @@ MAX_LOG_GROWTH = 700.0  # exp of more overflows
 
 @dataclass(frozen=True)
 class Prediction:
-    """What theory predicts of a set of runs; arrays of shape (points,).
+    """What theory predicts of a set of runs; arrays of shape (points,)."""
 
-    Attributes
-    ----------
-    variables : mapping of str to ndarray
-        As `predict` returns them, but for the predicted labels of starts near a steady motion that are not on it to
-        rounding: these come from the linear equations, see `offsets`.
-    residual : ndarray of float64
-        Of the conditions of a steady motion, at the start that is integrated.
-    family_residual : ndarray of float64
-        Of the conditions of the family, at the start before the nudge.
-    start_residual : ndarray of float64
-        As `residual`, of the conditions of a motion about any axes where `log_growth` is about such a motion.
-    about_other_axes : ndarray of bool
-        Whether `log_growth` is about a motion about other axes than the third and the vertical.
-    pushed : ndarray of bool
-        Whether a nudge moved the start off its motion.
-    log_growth : ndarray of float64
-        Growth of a distance from the motion over the run, as a logarithm; 0 where it is unknown.
-    """
-
+    # As `predict` returns them, but for the predicted labels of starts near a steady motion that are not on
+    # it to rounding: these come from the linear equations, see `offsets`
     variables: Mapping[str, np.ndarray]
-    residual: Array
-    family_residual: Array
+    residual: Array  # of the conditions of a steady motion, at the start that is integrated
+    family_residual: Array  # of the conditions of the family, at the start before the nudge
+    # As `residual`, of the conditions of a motion about any axes where `log_growth` is about such a motion
     start_residual: Array
+    # Whether `log_growth` is about a motion about other axes than the third and the vertical
     about_other_axes: Mask
-    pushed: Mask
+    pushed: Mask  # whether a nudge moved the start off its motion
+    # Growth of a distance from the motion over the run, as a logarithm; 0 where it is unknown
     log_growth: Array
 
 
@@ -63,22 +49,10 @@ def predict_runs(
 ) -> Prediction:
     """Predictions for runs of some length.
 
-    Parameters
-    ----------
-    system : System
-    base, points : mapping of str to ndarray of float64, shape (points,)
-        The starts before and after the nudge.
-    duration : ndarray of float64, shape (points,)
-        In time units.
-    tolerances : Tolerances
-        Of labels.
-    nudged : bool
-        Whether there is a nudge. One along a family leads to another exact start.
-    any_axis : bool
-        Whether labels about any axes are measured. Without them a motion about other axes than the third and the
-        vertical drifts, however it grows.
-    pause, threads
-        See `offsets.off_family_labels`.
+    base, points: the starts before and after the nudge; duration: in time units; tolerances: of labels.
+    nudged: whether there is a nudge. One along a family leads to another exact start. any_axis: whether
+    labels about any axes are measured. Without them a motion about other axes than the third and the vertical
+    drifts, however it grows. pause, threads: see `offsets.off_family_labels`.
     """
     with np.errstate(all="ignore"):
         residual = system.condition_residual(points)
@@ -133,24 +107,12 @@ def predict(
 ) -> dict[str, np.ndarray]:
     """Labels of a set of starts from theory alone.
 
-    Parameters
-    ----------
-    system : System
-    points : mapping of str to ndarray of float64, shape (points,)
-        The starts before any nudge.
-    rate_tolerance : float
-        Rates of at most this count as zero, rad per time unit.
-    nudged : ndarray of bool or bool
-        Whether a nudge moved the start off its motion. It is then predicted to keep the label of its family where the
-        motion is linearly stable and to drift where it is unstable.
-    cylinder_tolerance : float, optional
-        A third axis nearer to the vertical than this counts as on it, rad. Default: the number of rate_tolerance.
-
-    Returns
-    -------
-    dict of ndarray, shape (points,)
-        family, stable, growth_rate, predicted and, where the system's frame turns, predicted_inertial. Off every family
-        `predicted` is drifting where the system's catalogue is complete, else not_computed.
+    points: the starts before any nudge; rate_tolerance: rates of at most this count as zero, rad per time
+    unit. nudged: whether a nudge moved the start off its motion. It is then predicted to keep the label of
+    its family where the motion is linearly stable and to drift where it is unstable. cylinder_tolerance: a
+    third axis nearer to the vertical than this counts as on it, rad. Default: the number of rate_tolerance.
+    Returns family, stable, growth_rate, predicted and, where the system's frame turns, predicted_inertial.
+    Off every family `predicted` is drifting where the system's catalogue is complete, else not_computed.
     """
     tolerances = _tolerances(rate_tolerance, cylinder_tolerance)
     return _predict(system, points, _identify(system, points)[0], tolerances, nudged)
@@ -217,25 +179,12 @@ def predict_any_axis(
 ) -> dict[str, np.ndarray]:
     """Labels about any axes of a set of starts from theory alone.
 
-    Parameters
-    ----------
-    system : System
-    base, points : mapping of str to ndarray of float64, shape (points,)
-        The starts before and after the nudge.
-    theory : mapping of str to ndarray
-        family, stable and the predicted labels, as `Prediction.variables`.
-    rate_tolerance : float
-        Rates of at most this count as zero, rad per time unit.
-    nudged : bool
-        Whether there is a nudge. One along a family leads to another exact start.
-    cylinder_tolerance : float, optional
-        Axes nearer to one another than this count as parallel, rad. Default: the number of rate_tolerance.
-
-    Returns
-    -------
-    dict of ndarray, shape (points,)
-        predicted_any_axis and, where the system's frame turns, predicted_any_axis_inertial. Off every family they are
-        drifting where the system's catalogue of motions about any axes is complete, else not_computed.
+    base, points: the starts before and after the nudge; theory: family, stable and the predicted labels, as
+    `Prediction.variables`; rate_tolerance: rates of at most this count as zero, rad per time unit. nudged:
+    whether there is a nudge. One along a family leads to another exact start. cylinder_tolerance: axes nearer
+    to one another than this count as parallel, rad. Default: the number of rate_tolerance. Returns
+    predicted_any_axis and, where the system's frame turns, predicted_any_axis_inertial. Off every family they
+    are drifting where the system's catalogue of motions about any axes is complete, else not_computed.
     """
     family, stable = theory["family"], theory["stable"]
     tolerances = _tolerances(rate_tolerance, cylinder_tolerance)

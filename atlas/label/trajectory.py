@@ -154,23 +154,9 @@ def _trajectory(
 def trajectory_of_scene(scene: Scene, places: Mapping[str, float], *, samples: int = 1001) -> xr.Dataset:
     """Motion of one point of a scene, with the scene's start, nudge, duration and step.
 
-    Parameters
-    ----------
-    scene : Scene
-    places : mapping of str to float
-        A value of every axis, on the grid or off it.
-    samples : int
-        As for `trajectory`.
-
-    Returns
-    -------
-    xarray.Dataset
-        As `trajectory`.
-
-    Raises
-    ------
-    BadInput
-        For an axis that is missing or unknown, and where the scene's family has no motion.
+    places: a value of every axis, on the grid or off it; samples: as for `trajectory`. Returns as
+    `trajectory`. Raises BadInput for an axis that is missing or unknown, and where the scene's family has no
+    motion.
     """
     for name in (*scene.axes, *places):
         if name not in places or name not in scene.axes:

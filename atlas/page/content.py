@@ -45,11 +45,7 @@ SHADES = 256
 class Content:
     """The table of a page.
 
-    Parameters
-    ----------
-    layout : Layout
-    file : str
-        Name of the atlas file, for the commands that the page shows.
+    file: name of the atlas file, for the commands that the page shows.
     """
 
     def __init__(self, layout: Layout, file: str):

@@ -22,36 +22,16 @@ MAX_BYTES = 12_000_000
 
 @dataclass(frozen=True)
 class Layout:
-    """Axes and points of a page.
+    """Axes and points of a page."""
 
-    Attributes
-    ----------
-    whole : Dataset
-        The atlas.
-    ds : Dataset
-        The points that are shown, in memory, sorted along their axes.
-    scene : Scene or None
-        Scene of the atlas.
-    dims : list of str
-        Dimensions of the points, in the order of the atlas.
-    axes : list of str
-        One or two axes of the map, x first, or two coordinates of single points.
-    further : list of str
-        The other dimensions.
-    points : bool
-        Whether these are single points without axes.
-    notes : list of str
-        Sentences about what is left out.
-    """
-
-    whole: xr.Dataset
-    ds: xr.Dataset
-    scene: Scene | None
-    dims: list[str]
-    axes: list[str]
-    further: list[str]
-    points: bool
-    notes: list[str]
+    whole: xr.Dataset  # the atlas
+    ds: xr.Dataset  # the points that are shown, in memory, sorted along their axes
+    scene: Scene | None  # scene of the atlas
+    dims: list[str]  # dimensions of the points, in the order of the atlas
+    axes: list[str]  # one or two axes of the map, x first, or two coordinates of single points
+    further: list[str]  # the other dimensions
+    points: bool  # whether these are single points without axes
+    notes: list[str]  # sentences about what is left out
 
     @property
     def shape(self) -> tuple[int, ...]:
@@ -76,21 +56,8 @@ class Layout:
 def layout(ds: xr.Dataset, max_points: int = MAX_POINTS) -> Layout:
     """What a page shows of an atlas.
 
-    Parameters
-    ----------
-    ds : Dataset
-        An atlas.
-    max_points : int, optional
-        Of the longest axis every k-th value is shown until there are no more points than this.
-
-    Returns
-    -------
-    Layout
-
-    Raises
-    ------
-    BadInput
-        For a dataset without points, and with a dimension that is no axis.
+    ds: an atlas; max_points: of the longest axis every k-th value is shown until there are no more points
+    than this. Raises BadInput for a dataset without points, and with a dimension that is no axis.
     """
     check_not_empty(ds)
     scene = scene_of(ds)

@@ -33,51 +33,28 @@ _OF_BODY = ("frame_motion", "axis_in_frame")
 
 @dataclass(frozen=True)
 class Motions:
-    """Start values of the points of an atlas, each array of shape (..., *points).
+    """Start values of the points of an atlas, each array of shape (..., *points)."""
 
-    Attributes
-    ----------
-    parameters : dict of str to ndarray
-        Parameter -> value at the start, nan where it is not given.
-    state, constants : ndarray of float64
-        As in `engine.ensemble.Ensemble`; of a body whose equations have no `axis_in_frame` the state is followed by the
-        first axis of the frame.
-    duration : ndarray of float64
-        Length of the run in time units.
-    steps : ndarray of int64
-        Steps from one instant of the trajectory to the next.
-    reason : ndarray of int8
-        Why there is no motion, an index of `sentences`; 0 where there is one.
-    sentences : list of str
-        The reasons.
-    method : str
-        A key of tableaux.METHODS.
-    """
-
-    parameters: dict[str, Array]
+    parameters: dict[str, Array]  # parameter -> value at the start, nan where it is not given
+    # As in `engine.ensemble.Ensemble`; of a body whose equations have no `axis_in_frame` the state is
+    # followed by the first axis of the frame
     state: Array
+    # As in `engine.ensemble.Ensemble`; of a body whose equations have no `axis_in_frame` the state is
+    # followed by the first axis of the frame
     constants: Array
-    duration: Array
-    steps: np.ndarray
-    reason: np.ndarray
-    sentences: list[str]
-    method: str
+    duration: Array  # length of the run in time units
+    steps: np.ndarray  # steps from one instant of the trajectory to the next
+    reason: np.ndarray  # why there is no motion, an index of `sentences`; 0 where there is one
+    sentences: list[str]  # the reasons
+    method: str  # a key of tableaux.METHODS
 
 
 def sources(system: System, method: str) -> dict[str, str]:
     """Python functions that integrate a point and show its motion.
 
-    Parameters
-    ----------
-    system : System
-    method : str
-        A key of tableaux.METHODS.
-
-    Returns
-    -------
-    dict of str to str
-        Name -> source: `rhs`, `scaled` and `unscaled` as in the kernel, `step`, `frame_motion` and `axis_in_frame`, or
-        the observables, and the functions that these call. The states are those of `Motions`.
+    method: a key of tableaux.METHODS. Returns name -> source: `rhs`, `scaled` and `unscaled` as in the
+    kernel, `step`, `frame_motion` and `axis_in_frame`, or the observables, and the functions that these call.
+    The states are those of `Motions`.
     """
     equations = _equations(system)
     texts = arithmetic.functions(equations)
@@ -104,24 +81,8 @@ def _equations(system: System) -> Any:
 def motions(ds: xr.Dataset, system: System, scene: Scene | None, dims: list[str]) -> Motions:
     """The starts of all points of an atlas, as `ds.atlas.trajectory` integrates them.
 
-    Parameters
-    ----------
-    ds : Dataset
-        An atlas, or every k-th point of one.
-    system : System
-    scene : Scene or None
-        Scene of the atlas.
-    dims : list of str
-        Dimensions of the points.
-
-    Returns
-    -------
-    Motions
-
-    Raises
-    ------
-    BadInput
-        Where the atlas lacks an axis of its scene, a parameter or the duration.
+    ds: an atlas, or every k-th point of one; scene: scene of the atlas; dims: dimensions of the points.
+    Raises BadInput where the atlas lacks an axis of its scene, a parameter or the duration.
     """
     shape = tuple(ds.sizes[dim] for dim in dims)
     if scene is None:

@@ -78,27 +78,11 @@ class Page:
 def atlas_page(ds: xr.Dataset, *, file: str = "", max_points: int = MAX_POINTS) -> Page:
     """Make the page of an atlas: its maps, and the motion of every point, integrated in the page.
 
-    Parameters
-    ----------
-    ds : Dataset
-        An atlas.
-    file : str, optional
-        Name of the atlas for the commands that the page shows; default that of the file it was opened from.
-    max_points : int, optional
-        Most points shown; of larger atlases every k-th value along the longest axes, which the page states. Fewer are
-        shown where their numbers would take more than `layout.MAX_BYTES`.
+    ds: an atlas. file: name of the atlas for the commands that the page shows; default that of the file it
+    was opened from. max_points: most points shown; of larger atlases every k-th value along the longest axes,
+    which the page states. Fewer are shown where their numbers would take more than `layout.MAX_BYTES`. Raises
+    BadInput for a dataset that is no atlas, or has no axes.
 
-    Returns
-    -------
-    Page
-
-    Raises
-    ------
-    BadInput
-        For a dataset that is no atlas, or has no axes.
-
-    Notes
-    -----
     Variables have seven digits in the page (float32). Start values, constants, steps and the coordinates of points have all
     their digits, so that a trajectory in the page equals that of `ds.atlas.trajectory` but for rounding: the compiled
     kernel fuses products and sums, and a browser does not.

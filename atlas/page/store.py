@@ -16,15 +16,9 @@ _LEVEL = 9
 class Store:
     """Arrays over the points of an atlas, each stored once.
 
-    Parameters
-    ----------
-    shape : tuple of int
-        Shape of the points.
+    shape: shape of the points.
 
-    Attributes
-    ----------
-    nbytes : int
-        Bytes of the arrays before compression.
+    nbytes: bytes of the arrays before compression.
     """
 
     def __init__(self, shape: tuple[int, ...]):
@@ -36,15 +30,8 @@ class Store:
     def add(self, values: np.ndarray) -> dict[str, Any]:
         """Keep an array over the points.
 
-        Parameters
-        ----------
-        values : ndarray
-            Of a type of `_TYPES` and of the shape of the points.
-
-        Returns
-        -------
-        dict
-            "array", the number of its entry, and "over", the axes along which it varies, in C order.
+        values: of a type of `_TYPES` and of the shape of the points. Returns "array", the number of its
+        entry, and "over", the axes along which it varies, in C order.
         """
         over = []
         bits = np.broadcast_to(values, self.shape)
@@ -66,11 +53,8 @@ class Store:
     def packed(self) -> list[dict[str, Any]]:
         """The arrays as entries of a table.
 
-        Returns
-        -------
-        list of dict
-            For each array its "type" in JavaScript, its "size" and its "data": the bytes, all first ones before all
-            second ones and so on, compressed by zlib, in base64.
+        Returns for each array its "type" in JavaScript, its "size" and its "data": the bytes, all first ones
+        before all second ones and so on, compressed by zlib, in base64.
         """
         return [_packed(array) for array in self._arrays]
 

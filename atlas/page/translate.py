@@ -53,22 +53,11 @@ class CannotTranslate(ValueError):
 def translate(sources: Mapping[str, str]) -> str:
     """JavaScript of some Python functions.
 
-    Parameters
-    ----------
-    sources : mapping of str to str
-        Name -> source of a function with positional parameters. It may contain assignments (also of tuples), `if`, and
-        a return; the expressions are arithmetic, comparisons, conditional expressions, tuples, subscripts and slices
-        with constant bounds, and calls of the functions of `math` and of each other.
-
-    Returns
-    -------
-    str
-        One JavaScript function for each, of the same name; tuples are arrays.
-
-    Raises
-    ------
-    CannotTranslate
-        For anything else.
+    sources: name -> source of a function with positional parameters. It may contain assignments (also of
+    tuples), `if`, and a return; the expressions are arithmetic, comparisons, conditional expressions, tuples,
+    subscripts and slices with constant bounds, and calls of the functions of `math` and of each other.
+    Returns one JavaScript function for each, of the same name; tuples are arrays. Raises CannotTranslate for
+    anything else.
     """
     return "\n".join(_Function(name, text, frozenset(sources)).script() for name, text in sources.items())
 

@@ -53,19 +53,7 @@ class PaperFigure:
 def paper_figure(number: int) -> PaperFigure:
     """Content of a figure of the paper, by its caption.
 
-    Parameters
-    ----------
-    number : int
-        1 to 20.
-
-    Returns
-    -------
-    PaperFigure
-
-    Raises
-    ------
-    BadInput
-        For any other number.
+    number: 1 to 20. Raises BadInput for any other number.
     """
     if number not in NUMBERS:
         raise BadInput(f"figure {number}: the paper has figures {NUMBERS[0]} to {NUMBERS[-1]}")
@@ -79,19 +67,8 @@ def paper_figure(number: int) -> PaperFigure:
 def rk4(rate: Callable[[Array], Array], y0: Array, tau: Array) -> Array:
     """Classical Runge-Kutta method with one step between successive times.
 
-    Parameters
-    ----------
-    rate : callable
-        y -> dy/dtau, of the shape of y.
-    y0 : ndarray
-        Initial state, shape (state, ...).
-    tau : ndarray
-        Times, shape (k,).
-
-    Returns
-    -------
-    ndarray
-        States, shape (state, k, ...).
+    rate: y -> dy/dtau, of the shape of y; y0: initial state, shape (state, ...); tau: times, shape (k,).
+    Returns states, shape (state, k, ...).
     """
     path = [y0]
     for h in np.diff(tau):
@@ -109,19 +86,10 @@ def curves(figure: PaperFigure, tau: Array) -> dict[str, Array]:
 
     All but "(33), true" start at (18): p2 = C A1 y1 / A, p2' = gamma2' = 0.
 
-    Parameters
-    ----------
-    figure : PaperFigure
-        Its body and rotors.
-    tau : ndarray
-        Times, shape (k,).
-
-    Returns
-    -------
-    dict
-        Source -> (p2, p2', gamma2, gamma2') of shape (4, k, rotors). The sources of an analytical figure
-        are (20) and (33) as printed, the two-frequency solution with the start (18), and (33) corrected;
-        of a numerical one, by RK4, (15) as printed, the full equations (1), and (15) corrected.
+    figure: its body and rotors; tau: times, shape (k,). Returns source -> (p2, p2', gamma2, gamma2') of shape
+    (4, k, rotors). The sources of an analytical figure are (20) and (33) as printed, the two-frequency
+    solution with the start (18), and (33) corrected; of a numerical one, by RK4, (15) as printed, the full
+    equations (1), and (15) corrected.
     """
     spin = fast_spin.paper_body(figure.body, np.array(figure.rotors))
     y0 = fast_spin.paper_start(spin)
@@ -191,20 +159,8 @@ def draw(number: int) -> Figure:
     M3 cos tau. The phase plane of gamma2, on which all solutions coincide, is drawn once, and beside it their
     differences from (M3 cos tau, -M3 sin tau).
 
-    Parameters
-    ----------
-    number : int
-        1 to 20.
-
-    Returns
-    -------
-    matplotlib.figure.Figure
-        Two columns of panels, or three.
-
-    Raises
-    ------
-    BadInput
-        For a number that the paper does not have.
+    number: 1 to 20. Returns two columns of panels, or three. Raises BadInput for a number that the paper does
+    not have.
     """
     figure = paper_figure(number)
     tau = np.linspace(0.0, END, TIMES)

@@ -37,47 +37,20 @@ Lines = Mapping[str, list[np.ndarray]]
 
 @dataclass(frozen=True)
 class Panel:
-    """Content of one panel.
+    """Content of one panel."""
 
-    Attributes
-    ----------
-    array : DataArray
-        Values over one axis, or over two with x last.
-    white : mapping of str to ndarray
-        Why there is no value -> the cells, bool of the shape of the array.
-    slow : ndarray
-        Cells of unstable motions that had no time to drift, bool of the shape of the array.
-    borders, families : mapping of str to list of ndarray
-        Kind of border, family -> lines.
-    """
-
-    array: xr.DataArray
-    white: Mapping[str, Mask]
-    slow: Mask
-    borders: Lines = field(default_factory=dict)
-    families: Lines = field(default_factory=dict)
+    array: xr.DataArray  # values over one axis, or over two with x last
+    white: Mapping[str, Mask]  # why there is no value -> the cells, bool of the shape of the array
+    slow: Mask  # cells of unstable motions that had no time to drift, bool of the shape of the array
+    borders: Lines = field(default_factory=dict)  # kind of border, family -> lines
+    families: Lines = field(default_factory=dict)  # kind of border, family -> lines
 
 
 def panel_of(ds: xr.Dataset, name: str, dims: list[str], scene: Scene | None, boundary: bool) -> Panel:
     """Content of a panel.
 
-    Parameters
-    ----------
-    ds : Dataset
-        The part of the atlas that the panel shows.
-    name : str
-        The variable.
-    dims : list of str
-        One or two axes, x first.
-    scene : Scene or None
-        Scene of the atlas.
-    boundary : bool
-        Whether to draw what theory predicts.
-
-    Returns
-    -------
-    Panel
-        In memory.
+    ds: the part of the atlas that the panel shows; name: the variable; dims: one or two axes, x first; scene:
+    scene of the atlas; boundary: whether to draw what theory predicts. Returns in memory.
     """
     order = dims[::-1]
     needed = [

@@ -26,23 +26,9 @@ def map_legend(
 ) -> tuple[Entries, list[str]]:
     """Entries of a legend, and notes about regions that are too small to be visible.
 
-    Parameters
-    ----------
-    panels : sequence of Panel
-        Content of the map.
-    flags : mapping of str to str
-        Flags of the variable, in the order of their values, and their colours.
-    options : MapOptions
-        Choices of the caller.
-    families : sequence of str
-        All families of the system, in order.
-
-    Returns
-    -------
-    entries : dict
-        Text -> sample of the colour, hatching or line.
-    notes : list of str
-        Sentences.
+    panels: content of the map; flags: flags of the variable, in the order of their values, and their colours;
+    options: choices of the caller; families: all families of the system, in order. Returns entries, text ->
+    sample of the colour, hatching or line; notes, sentences.
     """
     entries, too_small = _regions(panels, flags, options)
     for kind in dict.fromkeys(kind for panel in panels for kind in panel.borders):

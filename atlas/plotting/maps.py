@@ -55,22 +55,10 @@ def atlas_map(
     cells have no value; the legend gives the reason. Regions that are too small to be visible are not in the
     legend but in a note below the map.
 
-    Parameters
-    ----------
-    ds : Dataset
-        An atlas. If it has one axis, the map is a strip or a line; if it has single points, a scatter map.
-    variable, x, y, select, ax, title, cmap, colors, labels, boundary, legend, width, size, dpi, caption
-        As for `atlas.accessor.Atlas.map`.
-
-    Returns
-    -------
-    matplotlib.figure.Figure
-        As `atlas.accessor.Atlas.map` returns it.
-
-    Raises
-    ------
-    BadInput
-        For what is not in the atlas, and for options that are not allowed.
+    ds: an atlas. If it has one axis, the map is a strip or a line; if it has single points, a scatter map.
+    variable, x, y, select, ax, title, cmap, colors, labels, boundary, legend, width, size, dpi, caption: as
+    for `atlas.accessor.Atlas.map`. Returns as `atlas.accessor.Atlas.map` returns it. Raises BadInput for what
+    is not in the atlas, and for options that are not allowed.
     """
     system_of(ds)
     options = MapOptions(

@@ -24,10 +24,7 @@ MIN_DPI, MAX_DPI = 10.0, 2400.0
 class MapOptions:
     """Options of a map, as `atlas.plotting.maps.atlas_map` describes them.
 
-    Raises
-    ------
-    BadInput
-        For a value that is allowed for no variable.
+    Raises BadInput for a value that is allowed for no variable.
     """
 
     ax: Axes | None = None

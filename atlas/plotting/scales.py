@@ -24,25 +24,13 @@ MAX_INTEGERS = 40  # integers in a range up to this get one colour each
 
 @dataclass(frozen=True)
 class ColorScale:
-    """Colours of a variable.
+    """Colours of a variable."""
 
-    Attributes
-    ----------
-    colormap, norm : Colormap, Normalize
-        As Matplotlib uses them.
-    extend : str
-        Ends of the colour bar beyond which there are values: "neither" or "min".
-    log_range : (float, float) or None
-        Lowest and highest value of a logarithmic scale.
-    integers : bool
-        Whether each integer has a colour of its own.
-    """
-
-    colormap: Colormap
-    norm: Normalize
-    extend: str = "neither"
-    log_range: tuple[float, float] | None = None
-    integers: bool = False
+    colormap: Colormap  # as Matplotlib uses them
+    norm: Normalize  # as Matplotlib uses them
+    extend: str = "neither"  # ends of the colour bar beyond which there are values: "neither" or "min"
+    log_range: tuple[float, float] | None = None  # lowest and highest value of a logarithmic scale
+    integers: bool = False  # whether each integer has a colour of its own
 
     def shown(self, values: np.ndarray) -> np.ndarray:
         """Values as they are drawn: zero, which has no logarithm, has the colour below a logarithmic scale."""

@@ -54,22 +54,9 @@ def draw_scatter(
 def scatter_axes(ds: xr.Dataset, x: str | None, y: str | None) -> list[str]:
     """The two coordinates along the points that are the axes of a scatter map.
 
-    Parameters
-    ----------
-    ds : Dataset
-        Single points.
-    x, y : str or None
-        Names of coordinates; None: the one with the most different values, of several those that the scene varies.
-
-    Returns
-    -------
-    list of str
-        Two names, x first.
-
-    Raises
-    ------
-    BadInput
-        For a name that is no such coordinate, and where fewer than two of them vary.
+    ds: single points. x, y: names of coordinates; None: the one with the most different values, of several
+    those that the scene varies. Returns two names, x first. Raises BadInput for a name that is no such
+    coordinate, and where fewer than two of them vary.
     """
     allowed = [
         str(name)

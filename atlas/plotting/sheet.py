@@ -20,24 +20,12 @@ LEGEND_ROW, TEXT_ROW = 4.0, 2.8  # height in mm
 
 @dataclass(frozen=True)
 class Sheet:
-    """A figure with panels in rows, or the Axes of the caller.
+    """A figure with panels in rows, or the Axes of the caller."""
 
-    Attributes
-    ----------
-    options : MapOptions
-        Choices of the caller.
-    panels : int
-        How many panels.
-    flat : bool
-        Whether the panels are strips, with one axis.
-    line : bool
-        Whether they are lines over one axis.
-    """
-
-    options: MapOptions
-    panels: int
-    flat: bool = False
-    line: bool = False
+    options: MapOptions  # choices of the caller
+    panels: int  # how many panels
+    flat: bool = False  # whether the panels are strips, with one axis
+    line: bool = False  # whether they are lines over one axis
 
     @property
     def columns(self) -> int:
@@ -47,18 +35,8 @@ class Sheet:
     def figure(self, legend: Entries, notes: Sequence[str]) -> tuple[Figure, list[Axes]]:
         """The figure with empty panels, and with its legend, title and notes.
 
-        Parameters
-        ----------
-        legend : dict
-            Entries of the legend.
-        notes : sequence of str
-            Sentences at the foot of the figure; where the Axes are the caller's they go to the log.
-
-        Returns
-        -------
-        figure : Figure
-        axes : list of Axes
-            One for each panel.
+        legend: entries of the legend. notes: sentences at the foot of the figure; where the Axes are the
+        caller's they go to the log. Returns axes, one for each panel.
         """
         options = self.options
         legend = legend if options.legend else {}

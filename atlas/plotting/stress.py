@@ -43,15 +43,7 @@ def figure(ds: xr.Dataset) -> Figure:
 
     A dot marks accurate rates; a cross marks a statistic that is off by more than ten times its estimate.
 
-    Parameters
-    ----------
-    ds : xarray.Dataset
-        As `validation.stress.stress` returns it.
-
-    Returns
-    -------
-    matplotlib.figure.Figure
-        180 mm wide, a row for each case.
+    ds: as `validation.stress.stress` returns it. Returns 180 mm wide, a row for each case.
     """
     cases = ds["case"].values
     first = np.flatnonzero(np.r_[True, cases[1:] != cases[:-1]])  # point of each case

@@ -81,15 +81,8 @@ SYMBOLS = {
 def flag_colours(meanings: Iterable[str]) -> dict[str, str]:
     """Colours of the flags of a variable, the same in every figure.
 
-    Parameters
-    ----------
-    meanings : iterable of str
-        Names of the flags in the order of their values.
-
-    Returns
-    -------
-    dict
-        Name -> colour. Those without an entry in COLOURS get even steps of luminance; the first is white.
+    meanings: names of the flags in the order of their values. Returns name -> colour. Those without an entry
+    in COLOURS get even steps of luminance; the first is white.
     """
     names = list(meanings)
     # Both begin with white, beyond the light end of the colour map; the second map has more distinct colours.
@@ -108,12 +101,7 @@ class PrintFigure(Figure):
     def savefig(self, fname: Any, **options: Any) -> None:
         """Write the figure, with the options of Matplotlib; letters that FONT does not have are drawn as boxes.
 
-        Parameters
-        ----------
-        fname : str, Path or file
-            Where to write.
-        **options : Any
-            As of `matplotlib.figure.Figure.savefig`.
+        fname: where to write; options: as of `matplotlib.figure.Figure.savefig`.
         """
         with rc_context(STYLE), warnings.catch_warnings():
             warnings.filterwarnings("ignore", "Glyph .* missing from")
@@ -128,19 +116,9 @@ def check_width(width: str) -> None:
 def save(figure: Figure, path: str | Path, dpi: float | None = None) -> None:
     """Write a figure as PNG, PDF or SVG, all of it or nothing.
 
-    Parameters
-    ----------
-    figure : matplotlib.figure.Figure
-        The figure; the same figure gives the same bytes.
-    path : str or Path
-        File to write; its suffix is the format.
-    dpi : float, optional
-        Resolution of PNG files and of the cells in the others; default 600.
-
-    Raises
-    ------
-    BadInput
-        For another suffix, and for a path that cannot be written.
+    figure: the figure; the same figure gives the same bytes. path: file to write; its suffix is the format.
+    dpi: resolution of PNG files and of the cells in the others; default 600. Raises BadInput for another
+    suffix, and for a path that cannot be written.
     """
     path = writable(path, FORMATS, force=True)
     kind = path.suffix.lower()[1:]

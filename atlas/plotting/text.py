@@ -61,18 +61,10 @@ def _drawable_line(line: str) -> str:
 def math_text(text: str, symbols: Mapping[str, str]) -> str:
     """A text with its formulas and symbols in Matplotlib's mathematical notation.
 
-    Parameters
-    ----------
-    text : str
-        Such as "C/A", "K1 = (C - A)/B" or "rotor momentum l3".
-    symbols : mapping of str to str
-        Symbols of names, such as those of parameters.
-
-    Returns
-    -------
-    str
-        One formula if all words are names or symbols; in other texts only names that can be no words: those with a
-        digit, Greek letters, and a parameter at the end. A text that has mathematics of its own is returned as it is.
+    text: such as "C/A", "K1 = (C - A)/B" or "rotor momentum l3"; symbols: symbols of names, such as those of
+    parameters. Returns one formula if all words are names or symbols; in other texts only names that can be
+    no words: those with a digit, Greek letters, and a parameter at the end. A text that has mathematics of
+    its own is returned as it is.
     """
     if "$" in text:
         return text
@@ -144,15 +136,8 @@ def _symbol(name: str, system: System) -> str:
 def caption(ds: xr.Dataset) -> str:
     """What a figure of an atlas shows and how it was computed.
 
-    Parameters
-    ----------
-    ds : Dataset
-        An atlas, or the part of it that the figure shows.
-
-    Returns
-    -------
-    str
-        System, parameters, duration, tolerances, nudge, program, in one line.
+    ds: an atlas, or the part of it that the figure shows. Returns system, parameters, duration, tolerances,
+    nudge, program, in one line.
     """
     system, scene, attributes = system_of(ds), scene_of(ds), ds.attrs
     sentences = [

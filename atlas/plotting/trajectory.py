@@ -47,22 +47,8 @@ def trajectory_figure(tr: xr.Dataset, *, width: Width = "page") -> Figure:
     the far side, with a dot at its start. A path that stays close to a direction is drawn once more, enlarged, in
     the plane perpendicular to that direction. Rates that grow without bound near the vertical are clipped.
 
-    Parameters
-    ----------
-    tr : Dataset
-        As `atlas.trajectory` returns it.
-    width : {"page", "column"}, optional
-        180 mm or 88 mm.
-
-    Returns
-    -------
-    matplotlib.figure.Figure
-        Three panels over time, the sphere, and where the path is small its enlargement.
-
-    Raises
-    ------
-    BadInput
-        If the dataset is no trajectory.
+    tr: as `atlas.trajectory` returns it; width: 180 mm or 88 mm. Returns three panels over time, the sphere,
+    and where the path is small its enlargement. Raises BadInput if the dataset is no trajectory.
     """
     check_width(width)
     if "time" in tr.dims and "atlas_system" in tr.attrs and (observables := system_of(tr).observables):

@@ -19,15 +19,7 @@ MAX_ERROR_DRAWN = 3.0
 def figure(ds: xr.Dataset) -> Figure:
     """Median errors against processor time per point, for each method: states (solid), rates or observables (dotted).
 
-    Parameters
-    ----------
-    ds : xarray.Dataset
-        As `validation.work_precision.work_precision` returns it.
-
-    Returns
-    -------
-    matplotlib.figure.Figure
-        With one panel, 3.5 inches wide.
+    ds: as `validation.work_precision.work_precision` returns it. Returns with one panel, 3.5 inches wide.
     """
     rows = summary(ds)
     with rc_context({"font.size": 8, "legend.fontsize": 7, "axes.linewidth": 0.6}):

@@ -38,22 +38,8 @@ class AtlasBackend(BackendEntrypoint):
     ) -> xr.Dataset:
         """Open an atlas as `atlas.open_atlas` does.
 
-        Parameters
-        ----------
-        filename_or_obj : str or path
-            An atlas, or a run folder.
-        drop_variables : str or iterable of str, optional
-            Variables to leave out.
-
-        Returns
-        -------
-        Dataset
-            Lazy; of a run folder with chunks={} a chunk for each tile.
-
-        Raises
-        ------
-        BadInput
-            As `atlas.open_atlas`.
+        filename_or_obj: an atlas, or a run folder; drop_variables: variables to leave out. Returns lazy; of a
+        run folder with chunks={} a chunk for each tile. Raises BadInput as `atlas.open_atlas`.
         """
         from .open import open_atlas
 

@@ -99,17 +99,8 @@ def check_workers(client: Client, check: Callable[..., None], arguments: tuple[A
 
     Workers that join later are not checked.
 
-    Parameters
-    ----------
-    client : distributed.Client
-    check : callable
-        Called on each worker as check(*arguments); raises BadInput if something is wrong.
-    arguments : tuple
-
-    Raises
-    ------
-    BadInput
-        If the scheduler or a worker has another version of dask, or if a check fails.
+    check: called on each worker as check(*arguments); raises BadInput if something is wrong. Raises BadInput
+    if the scheduler or a worker has another version of dask, or if a check fails.
     """
     different = _different_versions(client.get_versions())
     if different:
@@ -142,20 +133,10 @@ def for_each(
 ) -> None:
     """Call a task on the workers for each tuple of arguments.
 
-    Parameters
-    ----------
-    client : distributed.Client
-    task : callable
-        Called as task(*arguments). It must be harmless to run twice.
-    arguments : iterable of tuple
-        The next one is taken when a worker is free.
-    on_result : callable
-        Called in this process with each result, in the order in which the tasks end.
-
-    Raises
-    ------
-    Exception
-        What a task raised; OSError if workers died under every attempt, or if the scheduler is lost.
+    task: called as task(*arguments). It must be harmless to run twice. arguments: the next one is taken when
+    a worker is free; on_result: called in this process with each result, in the order in which the tasks end.
+    Raises Exception: what a task raised; OSError if workers died under every attempt, or if the scheduler is
+    lost.
     """
     source = iter(arguments)
     in_flight: dict[Future[Any], tuple[tuple[Any, ...], int]] = {}

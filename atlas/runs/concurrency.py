@@ -22,18 +22,8 @@ def tiles_in_flight(scene: Scene, sample: grid.Grid, tiling: Tiling, threads: in
     Usually two, so that the processors stay busy while one tile is prepared or written; more where a tile
     is too small to give every thread a call of the kernel; one on a single processor.
 
-    Parameters
-    ----------
-    scene : Scene
-    sample : Grid
-        Points of the scene, from `grid.check`.
-    tiling : Tiling
-    threads : int or None
-        Threads of the kernel; None for all processors of this process.
-
-    Returns
-    -------
-    int
+    sample: points of the scene, from `grid.check`. threads: threads of the kernel; None for all processors of
+    this process.
     """
     threads = threads or blocks.available_threads()
     if threads == 1:
@@ -51,16 +41,9 @@ def for_each_tile(
 ) -> None:
     """Compute tiles in threads; after an error or Ctrl-C abandon those in flight and raise it.
 
-    Parameters
-    ----------
-    tiles : iterable of int
-        Tiles to compute; the next one is taken when a thread is free.
-    compute : callable
-        Called as compute(tile, advance); it must call advance(points) as its points are finished.
-    advance : callable
-        Called with the number of finished points.
-    in_flight : int
-        Tiles computed at a time.
+    tiles: tiles to compute; the next one is taken when a thread is free. compute: called as compute(tile,
+    advance); it must call advance(points) as its points are finished. advance: called with the number of
+    finished points; in_flight: tiles computed at a time.
     """
     source, lock, stop = iter(tiles), threading.Lock(), threading.Event()
 

@@ -78,16 +78,8 @@ class RunFolder:
     Made by `RunFolder.prepare` (to compute) or `RunFolder.open` (to read). May be sent to other processes,
     which open the folder themselves.
 
-    Attributes
-    ----------
-    path : Path
-    manifest : dict
-        Content of manifest.json.
-    key : str
-        Hash of the scene, the programs and the tiling; every tile carries it.
-    scene : Scene
-    tiling : Tiling
-    tiles : TileFiles
+    manifest: content of manifest.json. key: hash of the scene, the programs and the tiling; every tile
+    carries it.
     """
 
     def __init__(self, path: Path, manifest: dict[str, Any]):
@@ -106,14 +98,7 @@ class RunFolder:
     def open(cls, path: str | Path) -> RunFolder:
         """Open an existing run folder.
 
-        Parameters
-        ----------
-        path : str or Path
-
-        Raises
-        ------
-        BadInput
-            If the path is not a run folder, its manifest is damaged, or another version wrote it.
+        Raises BadInput if the path is not a run folder, its manifest is damaged, or another version wrote it.
         """
         path = Path(path).absolute()
         file = path / MANIFEST
@@ -148,20 +133,9 @@ class RunFolder:
     def prepare(cls, scene: Scene, path: Path, sample: grid.Grid, warnings: list[str]) -> RunFolder:
         """Create the run folder of a scene, or open it to be continued.
 
-        Parameters
-        ----------
-        scene : Scene
-        path : Path
-        sample : Grid
-            Points of the scene, from `grid.check`.
-        warnings : list of str
-            Warnings about the scene, for the attributes of the atlas.
-
-        Raises
-        ------
-        BadInput
-            If the folder holds another run (the message lists the differences) or anything else; the folder
-            is then unchanged.
+        sample: points of the scene, from `grid.check`; warnings: warnings about the scene, for the attributes
+        of the atlas. Raises BadInput if the folder holds another run (the message lists the differences) or
+        anything else; the folder is then unchanged.
         """
         path = path.absolute()
         if not (path / MANIFEST).exists():
@@ -297,10 +271,7 @@ class RunFolder:
     def dataset(self) -> xr.Dataset:
         """The atlas as far as it is computed.
 
-        Returns
-        -------
-        xarray.Dataset
-            With dask arrays that have a chunk for each tile; missing points are `not_computed` and nan.
+        Returns with dask arrays that have a chunk for each tile; missing points are `not_computed` and nan.
         """
         import dask.array as da
 
@@ -371,17 +342,9 @@ class RunFolder:
     def join(self, out: Path) -> None:
         """Write the whole atlas as one file, tile by tile, so that memory does not grow with its size.
 
-        Parameters
-        ----------
-        out : Path
-            A NetCDF file, or with the suffix .zarr a Zarr store. What exists is replaced.
-
-        Raises
-        ------
-        BadInput
-            If a tile is missing or damaged, or the package zarr is; `out` is then unchanged.
-        OSError
-            If the disk is full; likewise.
+        out: a NetCDF file, or with the suffix .zarr a Zarr store. What exists is replaced. Raises BadInput if
+        a tile is missing or damaged, or the package zarr is; `out` is then unchanged. Raises OSError if the
+        disk is full; likewise.
         """
         missing = len(self.tiles.missing())
         if missing:

@@ -23,21 +23,9 @@ from ..systems.base import System
 def identity(scene: Scene) -> dict[str, str]:
     """Programs and processor on which the bits of an atlas depend, as they are in the memory of this process.
 
-    Parameters
-    ----------
-    scene : Scene
-
-    Returns
-    -------
-    dict of str to str
-        Versions of programs and libraries, hashes of this package's sources and of the kernel, and the type
-        of processor.
-
-    Raises
-    ------
-    BadInput
-        If sources of the package were written after this process had imported it. What is loaded may then be
-        neither the old nor the new code.
+    Returns versions of programs and libraries, hashes of this package's sources and of the kernel, and the
+    type of processor. Raises BadInput if sources of the package were written after this process had imported
+    it. What is loaded may then be neither the old nor the new code.
     """
     import llvmlite
     import numba
@@ -87,16 +75,8 @@ def differences(
 ) -> str:
     """Entries that differ, in one line.
 
-    Parameters
-    ----------
-    expected, actual : mapping of str to object
-    expected_place, actual_place : str
-        Where each of them was taken from, such as "in the run" and "in the worker".
-
-    Returns
-    -------
-    str
-        Empty if all are equal.
+    expected_place, actual_place: where each of them was taken from, such as "in the run" and "in the worker".
+    Returns empty if all are equal.
     """
     return ", ".join(
         f"{name} ({expected.get(name, 'nothing')} {expected_place}, {actual.get(name, 'nothing')} {actual_place})"

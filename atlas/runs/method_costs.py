@@ -16,17 +16,9 @@ def relative_costs(scene: Scene, sample: Grid) -> dict[str, float]:
     It is the number of steps that a method takes at the points of the sample times the cost of a step; compiling and the
     prediction of theory are not part of it.
 
-    Parameters
-    ----------
-    scene : Scene
-    sample : Grid
-        Points of the scene, from `grid.check`.
-
-    Returns
-    -------
-    dict of str to float
-        Name of a method -> its time over that of the scene's method, for runs that go on to the end. Empty where
-        the scene sets a step: with the same step, methods have different errors.
+    sample: points of the scene, from `grid.check`. Returns name of a method -> its time over that of the
+    scene's method, for runs that go on to the end. Empty where the scene sets a step: with the same step,
+    methods have different errors.
     """
     settings = scene.settings
     if settings.step is not None:

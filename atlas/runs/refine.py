@@ -52,24 +52,12 @@ def refined(
     the same way: first the points near boundaries of what theory predicts (it is evaluated at every point),
     and those where an instability has hardly time to grow; then the probe, a random share of all others.
 
-    Parameters
-    ----------
-    scene : Scene
-    warnings : list of str
-        Warnings about the scene, for the attributes.
-    threads : int, optional
-        Default: all processors of this process.
-    progress : bool
-        Print a line to stderr after each level.
-
-    Returns
-    -------
-    xarray.Dataset
-        As from `run`, with the flag variable `computed`. Where it is `interpolated`, measured flags are
-        those of neighbouring points and measured numbers are nan. Attributes: atlas_computed_share, the
-        share of points integrated among those where the family exists; atlas_probe_points and
-        atlas_probe_missed, the number of points of the probe and how many of them had other flags than
-        assumed.
+    warnings: warnings about the scene, for the attributes. threads: default: all processors of this process.
+    progress: print a line to stderr after each level. Returns as from `run`, with the flag variable
+    `computed`. Where it is `interpolated`, measured flags are those of neighbouring points and measured
+    numbers are nan. Attributes: atlas_computed_share, the share of points integrated among those where the
+    family exists; atlas_probe_points and atlas_probe_missed, the number of points of the probe and how many
+    of them had other flags than assumed.
     """
     assert scene.refine is not None
     stopwatch = Stopwatch()
@@ -288,14 +276,7 @@ def expected_points(scene: Scene) -> float:
     the spacing, and those of slow instabilities like the number of all points. A boundary that theory does not predict
     is not counted.
 
-    Parameters
-    ----------
-    scene : Scene
-        With [refine].
-
-    Returns
-    -------
-    float
+    scene: with [refine].
     """
     assert scene.refine is not None
     levels, n_axes = scene.refine.levels, sum(factor > 1 for factor in scene.coarsening)

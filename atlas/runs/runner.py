@@ -438,12 +438,7 @@ def _compute_on_cluster(job: _Job, bar: Progress, execution: _Execution) -> None
 def check_worker(path: str, key: str) -> None:
     """Raise BadInput unless this process, a dask worker, computes the same bits as the client of a run.
 
-    Parameters
-    ----------
-    path : str
-        The run folder.
-    key : str
-        Key that the run must have; the identity of the client is part of it.
+    path: the run folder. key: key that the run must have; the identity of the client is part of it.
     """
     _open_cached(path, key)
 
@@ -451,23 +446,8 @@ def check_worker(path: str, key: str) -> None:
 def compute_tile(path: str, key: str, tile: int) -> int:
     """Compute and write one tile of a run folder with one thread: the task of a dask worker.
 
-    Parameters
-    ----------
-    path : str
-        The run folder.
-    key : str
-        Key that the run must have; the identity of the client is part of it.
-    tile : int
-
-    Returns
-    -------
-    int
-        The tile.
-
-    Raises
-    ------
-    BadInput
-        If the folder holds another run, or this process would compute other bits.
+    path: the run folder. key: key that the run must have; the identity of the client is part of it. Returns
+    the tile. Raises BadInput if the folder holds another run, or this process would compute other bits.
     """
     folder, tiles = _open_cached(path, key)
     stopwatch = Stopwatch()

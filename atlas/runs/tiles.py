@@ -67,13 +67,9 @@ def tile_types(scene: Scene) -> dict[str, str]:
 class Tally:
     """What the summary of a run prints of its points: numbers that are added or compared, tile by tile.
 
-    Attributes
-    ----------
-    counts : dict of str to Counter
-        Name of a flag variable, or of a group of GROUPS -> number of points with each flag, or in each bin of errors;
-        flags and bins as texts, because JSON has no other keys.
-    largest : dict of str to float
-        Largest error_estimate of each group, and the largest integral_drift.
+    counts: name of a flag variable, or of a group of GROUPS -> number of points with each flag, or in each
+    bin of errors; flags and bins as texts, because JSON has no other keys. largest: largest error_estimate of
+    each group, and the largest integral_drift.
     """
 
     def __init__(self, entries: Mapping[str, Any] | None = None):
@@ -120,13 +116,7 @@ class Tally:
 class TileFiles:
     """The tiles of one run, in one folder.
 
-    Parameters
-    ----------
-    folder : Path
-    key : str
-        Key of the run, written into every file.
-    scene : Scene
-    tiling : Tiling
+    key: key of the run, written into every file.
     """
 
     def __init__(self, folder: Path, key: str, scene: Scene, tiling: Tiling):
@@ -157,22 +147,10 @@ class TileFiles:
     ) -> None:
         """Write a tile and then its sidecar, which marks the tile as written.
 
-        Parameters
-        ----------
-        tile : int
-        columns : dict of str to array
-            Everything that `tile_types` names, each of shape (points of the tile,).
-        computed : int
-            Points where the family exists; all others are `not_computed` for good.
-        seconds : float
-            Wall-clock time that the tile took.
-        by : str
-            What computed it, such as "16 threads".
-
-        Raises
-        ------
-        OSError
-            If the disk is full or cannot be written, or if what is read back is not what was computed.
+        columns: everything that `tile_types` names, each of shape (points of the tile,). computed: points
+        where the family exists; all others are `not_computed` for good. seconds: wall-clock time that the
+        tile took; by: what computed it, such as "16 threads". Raises OSError if the disk is full or cannot be
+        written, or if what is read back is not what was computed.
         """
         path, shape = self.path(tile), self.tiling.shape_of(tile)
         points = math.prod(shape)
@@ -213,23 +191,8 @@ class TileFiles:
     def read(self, tile: int, names: Iterable[str] | None = None) -> dict[str, np.ndarray]:
         """Read variables of a tile after checking its hash, key, shape and number of computed points.
 
-        Parameters
-        ----------
-        tile : int
-        names : iterable of str, optional
-            Default: all variables.
-
-        Returns
-        -------
-        dict of str to array
-            Each of the shape of the tile.
-
-        Raises
-        ------
-        FileNotFoundError
-            If the tile is not written.
-        DamagedTileError
-            If it is, but fails a check.
+        names: default: all variables. Returns each of the shape of the tile. Raises FileNotFoundError if the
+        tile is not written. Raises DamagedTileError if it is, but fails a check.
         """
         sidecar = self._sidecar(tile)
         content = self._content(tile, sidecar)

@@ -25,12 +25,8 @@ MAX_TILES, MAX_TILE_POINTS = 8_000_000, 1_000_000
 class Tiling:
     """A grid cut into equal boxes, each a contiguous range of flat C-order indices.
 
-    Parameters
-    ----------
-    shape : tuple of int
-        Shape of the grid.
-    tile : tuple of int
-        Shape of a tile: 1, ..., 1, some rows, then whole axes. Tiles at the end of an axis may be shorter.
+    shape: shape of the grid. tile: shape of a tile: 1, ..., 1, some rows, then whole axes. Tiles at the end
+    of an axis may be shorter.
     """
 
     shape: tuple[int, ...]
@@ -137,15 +133,7 @@ def tiling(scene: Scene, sample: grid.Grid) -> Tiling:
 
     They depend on the scene alone, never on timing or the number of processors.
 
-    Parameters
-    ----------
-    scene : Scene
-    sample : Grid
-        Points of the scene, from `grid.check`.
-
-    Returns
-    -------
-    Tiling
+    sample: points of the scene, from `grid.check`.
     """
     points = max(TILE_POINT_STEPS / mean_work(scene, sample), MIN_POINTS_PER_TILE, 3 * scene.size / MAX_TILES)
     # A power of two, because the last bits of the mean may differ between machines.

@@ -21,21 +21,9 @@ if TYPE_CHECKING:
 def write_zarr(run: RunFolder, out: Path) -> None:
     """Write the atlas of a run folder as a Zarr store, which appears whole or not at all.
 
-    Parameters
-    ----------
-    run : RunFolder
-        With all tiles written.
-    out : Path
-        An existing store is replaced.
-
-    Raises
-    ------
-    DamagedTileError
-        If a tile is missing or damaged; `out` is then unchanged.
-    BadInput
-        If the package zarr is missing.
-    OSError
-        If the disk is full.
+    run: with all tiles written; out: an existing store is replaced. Raises DamagedTileError if a tile is
+    missing or damaged; `out` is then unchanged. Raises BadInput if the package zarr is missing. Raises
+    OSError if the disk is full.
     """
     zarr_store.zarr_package()
     ds = run.dataset()

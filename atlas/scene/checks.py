@@ -293,26 +293,10 @@ def from_table(
 ) -> dict[str, Any]:
     """Arguments of a dataclass with `checked` fields, from the table under the key `section`.
 
-    Parameters
-    ----------
-    cls : type
-        The dataclass; the names of its fields are the keys of the table.
-    table : mapping
-        The table as TOML gives it.
-    section : str
-        Key of the table. Fields that name another section are left out.
-    also : collection of str
-        Keys of the table that the caller reads.
-
-    Returns
-    -------
-    dict
-        Field -> checked value, for the keys that the table gives.
-
-    Raises
-    ------
-    BadInput
-        For an unknown key, a missing one, and a value that does not pass the check of its field.
+    cls: the dataclass; the names of its fields are the keys of the table. table: the table as TOML gives it.
+    section: key of the table. Fields that name another section are left out. also: keys of the table that the
+    caller reads. Returns field -> checked value, for the keys that the table gives. Raises BadInput for an
+    unknown key, a missing one, and a value that does not pass the check of its field.
     """
     fields = _fields(cls, section)
     check_keys(table, f"{section}.", [*also, *fields])

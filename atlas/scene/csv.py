@@ -26,12 +26,7 @@ MAX_LINE = 1_000_000  # characters; a file that is no table may be one line
 class CsvColumns(dict[str, Any]):
     """Columns of a CSV file by name, with the line of the file for each point.
 
-    Attributes
-    ----------
-    source : str
-        Name of the file.
-    lines : sequence of int
-        Line of each point, counted from 1.
+    source: name of the file; lines: line of each point, counted from 1.
     """
 
     def __init__(self, columns: dict[str, Any], source: str, lines: array.array[int]):
@@ -49,26 +44,11 @@ def read(
 ) -> CsvColumns:
     """Columns of a CSV file whose first line names them.
 
-    Parameters
-    ----------
-    lines : iterable of str
-        The lines of the file, each with its end.
-    source : str
-        Name of the file, for error messages.
-    numeric : collection of str
-        Names whose columns must be numbers; an empty field is nan. Other columns may hold text.
-    max_fields : float, optional
-        Number of fields that are read at most.
-
-    Returns
-    -------
-    CsvColumns
-        Arrays of float64; those of other columns than `numeric` may be of int64, or of str where not all fields are numbers.
-
-    Raises
-    ------
-    BadInput
-        With one line that names the file and the line.
+    lines: the lines of the file, each with its end; source: name of the file, for error messages. numeric:
+    names whose columns must be numbers; an empty field is nan. Other columns may hold text. max_fields:
+    number of fields that are read at most. Returns arrays of float64; those of other columns than `numeric`
+    may be of int64, or of str where not all fields are numbers. Raises BadInput with one line that names the
+    file and the line.
     """
     content = _Lines(lines, source)
     first = next(content, "")

@@ -46,22 +46,11 @@ _ALLOWED = f"allowed: + - * / **, {', '.join(FUNCTIONS)}, pi, numbers and other 
 class Expression:
     """Arithmetic in names, parsed once and evaluated on arrays.
 
-    Parameters
-    ----------
-    key : str
-        Key of the expression in the scene, such as "ties.C"; error messages begin with it.
-    text : str
-        The expression: numbers, names, pi, + - * / ** and the functions of `FUNCTIONS`.
+    key: key of the expression in the scene, such as "ties.C"; error messages begin with it. text: the
+    expression: numbers, names, pi, + - * / ** and the functions of `FUNCTIONS`. Raises BadInput if the text
+    is anything but arithmetic, or longer than `MAX_LENGTH`.
 
-    Attributes
-    ----------
-    names : frozenset of str
-        The names that the expression refers to.
-
-    Raises
-    ------
-    BadInput
-        If the text is anything but arithmetic, or longer than `MAX_LENGTH`.
+    names: the names that the expression refers to.
     """
 
     def __init__(self, key: str, text: str):
@@ -80,15 +69,8 @@ class Expression:
     def value(self, values: Mapping[str, Array]) -> Array:
         """Value for given values of the names.
 
-        Parameters
-        ----------
-        values : mapping of str to ndarray
-            Value of each of `names`, float64, of shapes that broadcast.
-
-        Returns
-        -------
-        ndarray
-            float64 of the broadcast shape; inf or nan where the arithmetic has no finite value.
+        values: value of each of `names`, float64, of shapes that broadcast. Returns float64 of the broadcast
+        shape; inf or nan where the arithmetic has no finite value.
         """
         with np.errstate(all="ignore"):
             return self._evaluate(self._tree, values)
@@ -140,18 +122,10 @@ class Expression:
 
 @dataclass(frozen=True, eq=False)
 class PointColumn:
-    """A value for each point of a scene with [points], as a tie that depends on the number of the point.
+    """A value for each point of a scene with [points], as a tie that depends on the number of the point."""
 
-    Attributes
-    ----------
-    key : str
-        Key of the values in the scene, such as "points.values.C".
-    column : ndarray
-        The values, float64 of shape (points,).
-    """
-
-    key: str
-    column: Array
+    key: str  # key of the values in the scene, such as "points.values.C"
+    column: Array  # the values, float64 of shape (points,)
     text = "one value for each point"
     names = frozenset({"point"})
 

@@ -54,24 +54,13 @@ class Reason(IntEnum):
 
 @dataclass(frozen=True)
 class Grid:
-    """Some points of a scene.
+    """Some points of a scene."""
 
-    Attributes
-    ----------
-    base : dict of str to ndarray
-        Parameter -> values before the nudge, to which theory applies; float64 of shape (points,).
-    points : dict of str to ndarray
-        Parameter -> values of the starts, after the nudge; float64 of shape (points,).
-    reason : ndarray
-        int8 of shape (points,), values of `Reason`: why a point is not computed.
-    duration : ndarray
-        Length of the run in time units; float64 of shape (points,), nan where nothing turns.
-    """
-
+    # Parameter -> values before the nudge, to which theory applies; float64 of shape (points,)
     base: dict[str, Array]
-    points: dict[str, Array]
-    reason: Flags
-    duration: Array
+    points: dict[str, Array]  # parameter -> values of the starts, after the nudge; float64 of shape (points,)
+    reason: Flags  # int8 of shape (points,), values of `Reason`: why a point is not computed
+    duration: Array  # length of the run in time units; float64 of shape (points,), nan where nothing turns
 
     @property
     def exists(self) -> Mask:
@@ -95,22 +84,9 @@ def status_of(reason: Flags) -> Flags:
 def parameter_values(scene: Scene, indices: np.ndarray) -> dict[str, Array]:
     """Value of every parameter, axis and tie, before the family is solved.
 
-    Parameters
-    ----------
-    scene : Scene
-        The scene.
-    indices : ndarray
-        Flat indices of points in C order, integers of shape (points,).
-
-    Returns
-    -------
-    dict of str to ndarray
-        Name -> values, float64 of shape (points,); inf or nan where a tie has no finite value.
-
-    Raises
-    ------
-    BadInput
-        For a tie that leaves the range of its parameter.
+    scene: the scene; indices: flat indices of points in C order, integers of shape (points,). Returns name ->
+    values, float64 of shape (points,); inf or nan where a tie has no finite value. Raises BadInput for a tie
+    that leaves the range of its parameter.
     """
     parameters = scene.system.parameters
     values: dict[str, Array] = {name: np.full(indices.shape, p.default) for name, p in parameters.items()}
@@ -130,22 +106,9 @@ def parameter_values(scene: Scene, indices: np.ndarray) -> dict[str, Array]:
 def points_at_indices(scene: Scene, indices: np.ndarray) -> Grid:
     """Points of the scene's grid: ties evaluated, family solved, offsets and nudge added.
 
-    Parameters
-    ----------
-    scene : Scene
-        The scene.
-    indices : ndarray
-        Flat indices of points in C order, integers of shape (points,).
-
-    Returns
-    -------
-    Grid
-        The points in the order of the indices.
-
-    Raises
-    ------
-    BadInput
-        For a tie that leaves the range of its parameter, and starts or fields given incompletely or twice.
+    scene: the scene; indices: flat indices of points in C order, integers of shape (points,). Returns the
+    points in the order of the indices. Raises BadInput for a tie that leaves the range of its parameter, and
+    starts or fields given incompletely or twice.
     """
     system = scene.system
     values = parameter_values(scene, indices)
@@ -204,22 +167,8 @@ def reasons(
 def points_at(scene: Scene, coordinates: Mapping[str, np.ndarray]) -> Grid:
     """Points of a scene at any values along its axes, not only those of its grid.
 
-    Parameters
-    ----------
-    scene : Scene
-        The scene.
-    coordinates : mapping of str to ndarray
-        Name of each axis of the scene -> values of shape (points,).
-
-    Returns
-    -------
-    Grid
-        The points in the order of the values.
-
-    Raises
-    ------
-    BadInput
-        As `points_at_indices`.
+    scene: the scene; coordinates: name of each axis of the scene -> values of shape (points,). Returns the
+    points in the order of the values. Raises BadInput as `points_at_indices`.
     """
     axes, indices = {}, []
     for name, axis in scene.axes.items():
@@ -254,22 +203,10 @@ def durations(system: System, duration: Duration, points: Points, key: str = "du
 def check(scene: Scene) -> Grid:
     """Check a scene at points evenly spaced over its grid.
 
-    Parameters
-    ----------
-    scene : Scene
-        The scene.
-
-    Returns
-    -------
-    Grid
-        At most `MAX_CHECKED_STARTS` of the points, one of which at least is computed.
-
-    Raises
-    ------
-    BadInput
-        If no point can be computed: for impossible bodies and starts, ties without a finite value, a family that exists
-        nowhere, and a duration in turns of what rests. For a family that leaves a solved parameter free, and a derived
-        variable that has no meaning.
+    scene: the scene. Returns at most `MAX_CHECKED_STARTS` of the points, one of which at least is computed.
+    Raises BadInput if no point can be computed: for impossible bodies and starts, ties without a finite
+    value, a family that exists nowhere, and a duration in turns of what rests. For a family that leaves a
+    solved parameter free, and a derived variable that has no meaning.
     """
     try:
         return _check(scene)
@@ -309,17 +246,9 @@ _NOTHING_TURNS = {"turns": "n and m are 0, and nothing turns", "orbits": "the fr
 def not_computed(scene: Scene, sample: Grid) -> list[str]:
     """Number of the points of a scene that are not computed, and the reasons.
 
-    Parameters
-    ----------
-    scene : Scene
-    sample : Grid
-        Points of the scene, from `check`.
-
-    Returns
-    -------
-    list of str
-        A sentence for each reason that occurs, such as "1234 of 40000 points: no rigid body has these moments of
-        inertia". Up to MAX_COUNTED points are counted one by one, of larger grids the share is that of the sample.
+    sample: points of the scene, from `check`. Returns a sentence for each reason that occurs, such as "1234
+    of 40000 points: no rigid body has these moments of inertia". Up to MAX_COUNTED points are counted one by
+    one, of larger grids the share is that of the sample.
     """
     if exact := scene.size <= MAX_COUNTED:
         counts = np.zeros(len(Reason), np.int64)

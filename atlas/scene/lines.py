@@ -16,16 +16,9 @@ _TOML_POSITION = re.compile(r" \(at (?:line (\d+), column \d+|end of document)\)
 
 @dataclass(frozen=True)
 class Source:
-    """The file that a scene was read from.
+    """The file that a scene was read from."""
 
-    Attributes
-    ----------
-    path : str
-        As the user named it.
-    text : str
-    """
-
-    path: str
+    path: str  # as the user named it
     text: str
 
     def located(self, error: BadInput) -> BadInput:
@@ -56,17 +49,8 @@ class Source:
 def line_of(text: str, key: str) -> int | None:
     """Line of a dotted key in a TOML text, counted from 1.
 
-    Parameters
-    ----------
-    text : str
-        The text, valid TOML.
-    key : str
-        Such as "axes.k3.count".
-
-    Returns
-    -------
-    int or None
-        Line of the key; if it is missing, that of the innermost table that contains it; None without any.
+    text: the text, valid TOML; key: such as "axes.k3.count". Returns line of the key; if it is missing, that
+    of the innermost table that contains it; None without any.
     """
     lines: dict[str, int] = {}
     table = ""

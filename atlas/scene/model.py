@@ -30,19 +30,13 @@ MAX_TIE_SHOWN = 30  # characters
 
 @dataclass(frozen=True)
 class Tolerances:
-    """Largest variations of a motion that counts as steady.
+    """Largest variations of a motion that counts as steady."""
 
-    Attributes
-    ----------
-    rate : float
-        Largest root mean square of theta' and standard deviation of psi' and phi', rad per time unit;
-        a mean rate up to this size counts as zero.
-    angle : float
-        Radius in rad of the polar cap, called cylinder in scenes: while sin(theta) is below it, the third
-        axis counts as vertical.
-    """
-
+    # Largest root mean square of theta' and standard deviation of psi' and phi', rad per time unit; a mean
+    # rate up to this size counts as zero
     rate: float
+    # Radius in rad of the polar cap, called cylinder in scenes: while sin(theta) is below it, the third axis
+    # counts as vertical
     angle: float
 
 
@@ -113,28 +107,14 @@ def std_tolerances(system: System, settings: Settings) -> dict[str, float]:
 
 @dataclass(frozen=True, eq=False)
 class Axis:
-    """One dimension of the atlas.
+    """One dimension of the atlas."""
 
-    Attributes
-    ----------
-    name : str
-        A parameter, or a name that ties refer to.
-    values : ndarray
-        Values along the axis, all different; float64 of shape (count,).
-    offset_from_family : bool
-        The values are distances from what the family's formula gives.
-    long_name, units : str
-        Attributes of the coordinate in the atlas; empty for those of the parameter.
-    table : mapping
-        The table of the scene that describes the axis.
-    """
-
-    name: str
-    values: Array
-    offset_from_family: bool = False
-    long_name: str = ""
-    units: str = ""
-    table: Mapping[str, Any] = field(default_factory=dict)
+    name: str  # a parameter, or a name that ties refer to
+    values: Array  # values along the axis, all different; float64 of shape (count,)
+    offset_from_family: bool = False  # the values are distances from what the family's formula gives
+    long_name: str = ""  # attributes of the coordinate in the atlas; empty for those of the parameter
+    units: str = ""  # attributes of the coordinate in the atlas; empty for those of the parameter
+    table: Mapping[str, Any] = field(default_factory=dict)  # the table of the scene that describes the axis
 
     @property
     def dim(self) -> str:
@@ -155,18 +135,10 @@ class Axis:
 
 @dataclass(frozen=True)
 class Duration:
-    """Length of the runs.
+    """Length of the runs."""
 
-    Attributes
-    ----------
-    amount : float
-        How many units.
-    unit : str
-        "" for time units, "orbits", or "turns" of the slower of n and m.
-    """
-
-    amount: float = 60.0
-    unit: str = ""
+    amount: float = 60.0  # how many units
+    unit: str = ""  # "" for time units, "orbits", or "turns" of the slower of n and m
 
     def __str__(self) -> str:
         unit = self.unit.removesuffix("s") if self.amount == 1 else self.unit
@@ -207,29 +179,16 @@ def creator(key: str, value: object) -> Creator:
 
 @dataclass(frozen=True)
 class About:
-    """Global attributes of an atlas besides its title, by the names of ACDD-1.3.
+    """Global attributes of an atlas besides its title, by the names of ACDD-1.3."""
 
-    Attributes
-    ----------
-    summary : str
-        A paragraph about the content.
-    license : str
-        Such as "CC-BY-4.0".
-    keywords, references : tuple of str
-        References come before that of the system.
-    acknowledgement, comment, project, id : str
-        `id` is an identifier that is unique, such as a DOI.
-    creator : Creator
-    """
-
-    summary: str = checked(checks.text, "")
-    license: str = checked(checks.text, "")
-    keywords: tuple[str, ...] = checked(checks.texts, ())
-    references: tuple[str, ...] = checked(checks.texts, ())
-    acknowledgement: str = checked(checks.text, "")
-    comment: str = checked(checks.text, "")
-    project: str = checked(checks.text, "")
-    id: str = checked(checks.text, "")
+    summary: str = checked(checks.text, "")  # a paragraph about the content
+    license: str = checked(checks.text, "")  # such as "CC-BY-4.0"
+    keywords: tuple[str, ...] = checked(checks.texts, ())  # references come before that of the system
+    references: tuple[str, ...] = checked(checks.texts, ())  # references come before that of the system
+    acknowledgement: str = checked(checks.text, "")  # `id` is an identifier that is unique, such as a DOI
+    comment: str = checked(checks.text, "")  # `id` is an identifier that is unique, such as a DOI
+    project: str = checked(checks.text, "")  # `id` is an identifier that is unique, such as a DOI
+    id: str = checked(checks.text, "")  # `id` is an identifier that is unique, such as a DOI
     creator: Creator = checked(creator, EMPTY_CREATOR)  # noqa: RUF009 - Creator is frozen
 
     def attributes(self) -> dict[str, str]:
@@ -254,59 +213,28 @@ EMPTY_ABOUT = About()
 
 @dataclass(frozen=True, repr=False)
 class Scene:
-    """One job, checked: everything that decides on the content of an atlas.
+    """One job, checked: everything that decides on the content of an atlas."""
 
-    Attributes
-    ----------
-    title : str
-        Free text, kept in the atlas.
-    system : System
-        Equations, parameters and families.
-    fixed : mapping of str to float
-        Parameters, and names that ties refer to, with one value.
-    axes : mapping of str to Axis
-        The dimensions of the atlas in order; the single axis "point" for a scene with [points].
-    ties : mapping of str to Tie
-        Names computed from other names, in an order in which they can be evaluated.
-    family : str or None
-        Family of steady motions on which every point starts.
-    solve : tuple of str
-        Parameters from the family's formulas, in the order in which these are used.
-    nudge : mapping of str to float
-        Added to start values after solving.
-    duration : Duration
-        Length of the runs.
-    settings : Settings
-        Integration and labels.
-    outputs : tuple of str
-        Variables that the atlas holds.
-    map : str
-        The one of them that its map and its page show unless another is named; empty: see `analysis.metadata.map_variable`.
-    refine : Refine or None
-        Refinement at borders.
-    points : mapping or None
-        The table [points] that stands instead of axes, with the numbers of a file in it.
-    about : About
-        Attributes of the atlas: summary, creator, licence and the like.
-    source : Source or None
-        The file that the scene was read from, for error messages; None: a text.
-    """
-
-    title: str
-    system: System
-    fixed: Mapping[str, float]
+    title: str  # free text, kept in the atlas
+    system: System  # equations, parameters and families
+    fixed: Mapping[str, float]  # parameters, and names that ties refer to, with one value
+    # The dimensions of the atlas in order; the single axis "point" for a scene with [points]
     axes: Mapping[str, Axis]
-    ties: Mapping[str, Tie]
-    family: str | None = None
-    solve: tuple[str, ...] = ()
-    nudge: Mapping[str, float] = field(default_factory=dict)
-    duration: Duration = Duration()
-    settings: Settings = DEFAULTS
-    outputs: tuple[str, ...] = ()
+    ties: Mapping[str, Tie]  # names computed from other names, in an order in which they can be evaluated
+    family: str | None = None  # family of steady motions on which every point starts
+    solve: tuple[str, ...] = ()  # parameters from the family's formulas, in the order in which these are used
+    nudge: Mapping[str, float] = field(default_factory=dict)  # added to start values after solving
+    duration: Duration = Duration()  # length of the runs
+    settings: Settings = DEFAULTS  # integration and labels
+    outputs: tuple[str, ...] = ()  # variables that the atlas holds
+    # The one of them that its map and its page show unless another is named; empty: see
+    # `analysis.metadata.map_variable`
     map: str = ""
-    refine: Refine | None = None
+    refine: Refine | None = None  # refinement at borders
+    # The table [points] that stands instead of axes, with the numbers of a file in it
     points: Mapping[str, Any] | None = None
-    about: About = EMPTY_ABOUT
+    about: About = EMPTY_ABOUT  # attributes of the atlas: summary, creator, licence and the like
+    # The file that the scene was read from, for error messages; None: a text
     source: Source | None = field(default=None, compare=False)
 
     @property
@@ -333,12 +261,8 @@ class Scene:
     def zero_and_equal_parameters(self) -> tuple[frozenset[str], frozenset[tuple[str, str]]]:
         """Parameters that are zero or equal at every point, so that the kernels can leave out terms.
 
-        Returns
-        -------
-        zero : frozenset of str
-            Parameters that are 0 or absent at every point.
-        equal : frozenset of pairs of str
-            Those of the system's `equal_parameters` whose two values are equal at every point.
+        Returns zero, parameters that are 0 or absent at every point; equal, those of the system's
+        `equal_parameters` whose two values are equal at every point.
         """
         varying = {*self.axes, *self.ties, *self.solve}
         values = {name: p.default for name, p in self.system.parameters.items()} | dict(self.fixed)

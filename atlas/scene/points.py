@@ -32,26 +32,15 @@ MAX_FILE_FIELDS = 5 * checks.MAX_LISTED_NUMBERS
 
 @dataclass(frozen=True)
 class Sample:
-    """Quasi-random points.
-
-    Attributes
-    ----------
-    sample : str
-        Kind of the sample, "latin_hypercube" or "sobol".
-    count : int
-        Number of points.
-    ranges : mapping of str to mapping
-        Name -> table with from, to and spacing.
-    seed : int
-        Seed of the random numbers.
-    """
+    """Quasi-random points."""
 
     sample: str = checked(
         checks.one_of(SAMPLES), description="quasi-random points that fill the ranges evenly"
-    )
+    )  # kind of the sample, "latin_hypercube" or "sobol"
+    # Number of points
     count: int = checked(checks.whole(1, MAX_SAMPLED_POINTS), description="number of points")
-    ranges: Mapping[str, Any] = checked(checks.mapping)
-    seed: int = checked(checks.whole(0, 2**63 - 1), 0)
+    ranges: Mapping[str, Any] = checked(checks.mapping)  # name -> table with from, to and spacing
+    seed: int = checked(checks.whole(0, 2**63 - 1), 0)  # seed of the random numbers
 
 
 def read_points(
@@ -59,26 +48,10 @@ def read_points(
 ) -> tuple[dict[str, Any], dict[str, PointColumn]]:
     """The table [points] as the resolved scene contains it, and the columns of the points by name.
 
-    Parameters
-    ----------
-    system : System
-        The system of the scene.
-    table : mapping
-        The table [points] as TOML gives it.
-    ties : mapping
-        The table [ties]; a NetCDF file's coordinate is a column if a tie refers to it.
-    folder : Path or None
-        Folder of the scene, from which the path of a points file starts; None: no file is read.
-
-    Returns
-    -------
-    table : dict
-    columns : dict of str to PointColumn
-
-    Raises
-    ------
-    BadInput
-        For a bad table, a file that cannot be read, and values out of range.
+    system: the system of the scene; table: the table [points] as TOML gives it. ties: the table [ties]; a
+    NetCDF file's coordinate is a column if a tie refers to it. folder: folder of the scene, from which the
+    path of a points file starts; None: no file is read. Raises BadInput for a bad table, a file that cannot
+    be read, and values out of range.
     """
     checks.check_keys(table, "points.", ("sample", "count", "seed", "ranges", "file", "values"))
     sources = [key for key in ("sample", "file", "values") if key in table]
@@ -128,19 +101,9 @@ def file_of(scene: Path) -> list[Path]:
 def quasi_random(kind: str, dimensions: int, count: int, seed: int) -> np.ndarray:
     """Quasi-random numbers that fill the unit cube evenly.
 
-    Parameters
-    ----------
-    kind : str
-        One of `SAMPLES`; "sobol" is scrambled, and best where count is a power of two.
-    dimensions, count : int
-        Number of coordinates and of points.
-    seed : int
-        The numbers depend on the arguments and the version of SciPy alone.
-
-    Returns
-    -------
-    ndarray
-        float64 in [0, 1), of shape (dimensions, count).
+    kind: one of `SAMPLES`; "sobol" is scrambled, and best where count is a power of two. dimensions, count:
+    number of coordinates and of points; seed: the numbers depend on the arguments and the version of SciPy
+    alone. Returns float64 in [0, 1), of shape (dimensions, count).
     """
     from scipy.stats import qmc
 

@@ -107,27 +107,11 @@ def _check_no_atlas(path: Path) -> None:
 def parse_scene(text: str, name: str = "scene", folder: Path | None = None, path: str | None = None) -> Scene:
     """Check the text of a scene.
 
-    Parameters
-    ----------
-    text : str
-        The scene as TOML.
-    name : str
-        Title of a scene that gives none.
-    folder : Path, optional
-        Folder from which the path of a points file starts. By default no file is read: the scene that an atlas
-        contains has its points in it, and such a text may come from anyone.
-    path : str, optional
-        File of the text; error messages name it and the line.
-
-    Returns
-    -------
-    Scene
-        The scene, with every default filled in.
-
-    Raises
-    ------
-    BadInput
-        With one line that names the key, its value and what is allowed.
+    text: the scene as TOML; name: title of a scene that gives none. folder: folder from which the path of a
+    points file starts. By default no file is read: the scene that an atlas contains has its points in it, and
+    such a text may come from anyone. path: file of the text; error messages name it and the line. Returns the
+    scene, with every default filled in. Raises BadInput with one line that names the key, its value and what
+    is allowed.
     """
     text = text.removeprefix("\ufeff").replace("\r\n", "\n").replace("\r", "\n")
     source = Source(path or name, text)
@@ -151,24 +135,9 @@ def parse_scene(text: str, name: str = "scene", folder: Path | None = None, path
 def scene_from(table: Mapping[str, Any], name: str = "scene", folder: Path | None = Path()) -> Scene:
     """Check a parsed scene.
 
-    Parameters
-    ----------
-    table : mapping
-        The scene as TOML gives it.
-    name : str
-        Title of a scene that gives none.
-    folder : Path or None
-        Folder from which the path of a points file starts; None: no such file is read.
-
-    Returns
-    -------
-    Scene
-        The scene, with every default filled in.
-
-    Raises
-    ------
-    BadInput
-        With one line that names the key, its value and what is allowed.
+    table: the scene as TOML gives it; name: title of a scene that gives none. folder: folder from which the
+    path of a points file starts; None: no such file is read. Returns the scene, with every default filled in.
+    Raises BadInput with one line that names the key, its value and what is allowed.
     """
     _check_keys(table)
     section = {key: checks.mapping(key, table.get(key, {})) for key in TABLES}
@@ -498,21 +467,9 @@ def check_std_tolerance(
 def parse_duration(value: object, key: str = "duration") -> Duration:
     """Length of runs, from a number or a text.
 
-    Parameters
-    ----------
-    value : object
-        A number of time units, or a string such as "60", "20 orbits", "1 orbit" or "50 turns".
-    key : str
-        Beginning of an error message.
-
-    Returns
-    -------
-    Duration
-
-    Raises
-    ------
-    BadInput
-        With one line, for anything else, and for numbers that are not finite or not above 0.
+    value: a number of time units, or a string such as "60", "20 orbits", "1 orbit" or "50 turns"; key:
+    beginning of an error message. Raises BadInput with one line, for anything else, and for numbers that are
+    not finite or not above 0.
     """
     if not isinstance(value, str):
         return Duration(checks.positive(key, value))

@@ -22,25 +22,12 @@ IDENTIFIERS = ("id", "index", "name", "number", "point")  # columns that name po
 def table(source: Any, names: Collection[str]) -> dict[str, Any]:
     """Columns by name from anything that holds points.
 
-    Parameters
-    ----------
-    source : path, Dataset, mapping, sequence of mappings or data frame
-        A file (.csv with names in its first line, or .nc with variables along one dimension), an xarray
-        Dataset, a mapping name -> values, a list with one mapping for each point, or any object with
-        `columns` and [name], such as a pandas.DataFrame.
-    names : collection of str
-        Names of columns: the coordinate that numbers the points of a Dataset is a column only if its
-        name is among them.
-
-    Returns
-    -------
-    dict
-        Name -> values as the source holds them; arrays for a CSV file, see `csv.read`.
-
-    Raises
-    ------
-    BadInput
-        With one line, if the source cannot be read or holds no points.
+    source: a file (.csv with names in its first line, or .nc with variables along one dimension), an xarray
+    Dataset, a mapping name -> values, a list with one mapping for each point, or any object with `columns`
+    and [name], such as a pandas.DataFrame. names: names of columns: the coordinate that numbers the points of
+    a Dataset is a column only if its name is among them. Returns name -> values as the source holds them;
+    arrays for a CSV file, see `csv.read`. Raises BadInput with one line, if the source cannot be read or
+    holds no points.
     """
     import xarray as xr
 
@@ -88,24 +75,10 @@ def read(
 def kept_columns(system: System, table: Mapping[str, Any], keep: Collection[str] = ()) -> dict[str, Array]:
     """Columns of a table that are no parameters but name its points.
 
-    Parameters
-    ----------
-    system : System
-    table : mapping
-        Columns by name, from `table`.
-    keep : collection of str, optional
-        Names of further columns to keep.
-
-    Returns
-    -------
-    dict of str to ndarray
-        The columns of text, those called id, index, name, number or point, and those of `keep`. Other columns of
-        numbers are not among them, since such a name may be a mistyped parameter.
-
-    Raises
-    ------
-    BadInput
-        If a name of `keep` is a parameter or not in the table.
+    table: columns by name, from `table`; keep: names of further columns to keep. Returns the columns of text,
+    those called id, index, name, number or point, and those of `keep`. Other columns of numbers are not among
+    them, since such a name may be a mistyped parameter. Raises BadInput if a name of `keep` is a parameter or
+    not in the table.
     """
     for name in keep:
         if name in system.parameters or name not in table:
@@ -133,26 +106,12 @@ def _is_text(column: Array) -> bool:
 def point_columns(system: System, points: Any, kept: Collection[str] = ()) -> tuple[dict[str, Array], int]:
     """Every parameter of the system as a column, checked.
 
-    Parameters
-    ----------
-    system : System
-        The system whose parameters the points give; those left out take their defaults.
-    points : mapping or other table
-        Parameter -> number or 1-D array (all arrays of one length), or any other source of `table`.
-    kept : collection of str, optional
-        Names that are no parameters, from `kept_columns`; their columns must have the same length.
-
-    Returns
-    -------
-    columns : dict of str to ndarray
-        Every parameter, float64 of shape (points,); nan for an optional start value that is not given.
-    size : int
-        Number of points.
-
-    Raises
-    ------
-    BadInput
-        For unknown names, columns of different lengths, and values that are not finite or out of range.
+    system: the system whose parameters the points give; those left out take their defaults. points: parameter
+    -> number or 1-D array (all arrays of one length), or any other source of `table`. kept: names that are no
+    parameters, from `kept_columns`; their columns must have the same length. Returns columns, every
+    parameter, float64 of shape (points,); nan for an optional start value that is not given; size, number of
+    points. Raises BadInput for unknown names, columns of different lengths, and values that are not finite or
+    out of range.
     """
     source = table(points, system.parameters)
     arrays: dict[str, Array] = {}

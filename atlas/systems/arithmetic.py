@@ -154,14 +154,8 @@ def with_unit_row(constants: Callable[[Any], Any]) -> Callable[[Any], Any]:
 def check(key: str, equations: Any, observables: Collection[str]) -> None:
     """Raise BadInput with one line for equations that the engine cannot use.
 
-    Parameters
-    ----------
-    key : str
-        What the message begins with.
-    equations : module or class
-        See `systems.base.System.equations`.
-    observables : collection of str
-        Names of the system's observables.
+    key: what the message begins with; equations: see `systems.base.System.equations`; observables: names of
+    the system's observables.
     """
     state, constants = (_names(key, equations, each) for each in ("STATE", "CONSTANTS"))
     if not state:

@@ -594,19 +594,9 @@ def identify(
 ) -> tuple[Flags, Array]:
     """Flag and residual of the first family that each point belongs to, see System.identify_family.
 
-    Parameters
-    ----------
-    points : mapping of str to array, all of one shape, here (points,)
-    families : collection of Family
-        Families in the order in which they are tested. The least residual of a point without a family is among these.
-    about_any_axes : collection of Family
-        Families that are tested after these. Their conditions are computed one by one, each at the points that satisfy
-        those before, which are few as a rule.
-
-    Returns
-    -------
-    flag : int8 array (points,)
-    residual : array (points,)
+    families: families in the order in which they are tested. The least residual of a point without a family
+    is among these. about_any_axes: families that are tested after these. Their conditions are computed one by
+    one, each at the points that satisfy those before, which are few as a rule.
     """
     shape = shape_of(points)
     flags, residual = np.zeros(shape, np.int8), np.full(shape, np.inf)
@@ -661,20 +651,7 @@ def derived_values(
 ) -> dict[str, NDArray[Any]]:
     """The derived variables of a system that are among these names; what several of them share is computed once.
 
-    Parameters
-    ----------
-    system : System
-    names : collection of str
-    points : mapping of str to ndarray of float64, shape (points,)
-        Before any nudge.
-    duration : ndarray of float64, shape (points,)
-        In time units.
-    pause : callable
-        See DerivedVariable.
-
-    Returns
-    -------
-    dict of ndarray, shape (points,)
+    points: before any nudge; duration: in time units; pause: see DerivedVariable.
     """
     variables = [variable for name, variable in system.derived.items() if name in names]
     columns: dict[str, NDArray[Any]] = {}
@@ -718,18 +695,8 @@ def motion_about_axes(axes: TwoAxes, vector: Array, t: Array) -> tuple[Array, Ar
 
     A turn of the body by n t about the axis at rest in the frame follows one by m t about the axis at rest in the body.
 
-    Parameters
-    ----------
-    axes : TwoAxes
-    vector : array (3, points)
-        In body axes at the start.
-    t : array (..., points) or (..., 1)
-        Time units.
-
-    Returns
-    -------
-    rate, vector : arrays (3, ..., points)
-        In body axes; the rate is relative to the frame.
+    vector: in body axes at the start, (3, points); t: time units, (..., points). Returns rate, vector, in
+    body axes; the rate is relative to the frame.
     """
     s, fixed = axes.spin_axis, axes.fixed_axis
     shape = (3, *np.broadcast_shapes(t.shape, s.shape[1:]))

@@ -22,10 +22,7 @@ MAX_NAME = 60
 def check(system: object) -> None:
     """Raise BadInput with one line unless an object is a system that the package can use.
 
-    Parameters
-    ----------
-    system : object
-        What somebody else has written: an instance of `base.System`.
+    system: what somebody else has written: an instance of `base.System`.
     """
     if not isinstance(system, System):
         raise BadInput(f"found {shown(system)}: not an object of a subclass of atlas.systems.System")

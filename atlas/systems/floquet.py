@@ -27,23 +27,11 @@ def growth_of_periodic_motion(
     mu and 1/mu, so that the trace of the monodromy matrix is 4 + mu + 1/mu; this is exact where the eigenvalues
     are not, because those at 1 are defective.
 
-    Parameters
-    ----------
-    matrix : callable
-        (indices of points, times of shape (steps, points)) -> matrices of the linear system, (steps, points, 6, 6).
-    period : array (points,)
-        Time units; nan where there is no motion.
-
-    Returns
-    -------
-    stable : int8 array (points,)
-        Values of flags.Stability: STABLE where |mu| = 1. Unknown where there is no motion.
-    growth_rate : array (points,)
-        log |mu| / period, rad per time unit; 0 where stable, nan where unknown.
-
-    References
-    ----------
-    S. Blanes et al., Phys. Rep. 470 (2009) 151, for Magnus' series of order 6.
+    matrix: (indices of points, times of shape (steps, points)) -> matrices of the linear system, (steps,
+    points, 6, 6). period: time units; nan where there is no motion. Returns stable, values of
+    flags.Stability: STABLE where |mu| = 1. Unknown where there is no motion; growth_rate, log |mu| / period,
+    rad per time unit; 0 where stable, nan where unknown. S. Blanes et al., Phys. Rep. 470 (2009) 151, for
+    Magnus' series of order 6.
     """
     stable, growth = np.full(period.shape, Stability.UNKNOWN, np.int8), np.full(period.shape, np.nan)
     where = np.flatnonzero(np.isfinite(period))
@@ -80,16 +68,10 @@ def _monodromy(
 def magnus_propagator(first: Array, middle: Array, last: Array) -> Array:
     """Fundamental matrices over a step by Magnus' series of order 6, symplectic where the system is Hamiltonian.
 
-    Parameters
-    ----------
-    first, middle, last : arrays (..., size, size)
-        The matrices of the linear system at the three Gauss nodes of the step, times its length.
-
-    Returns
-    -------
-    array (..., size, size)
-        The exponential is the diagonal Pade approximation of that of a quarter, squared twice, which keeps the multipliers
-        of a stable motion on the unit circle. Blanes et al., Phys. Rep. 470 (2009) 151.
+    first, middle, last: the matrices of the linear system at the three Gauss nodes of the step, times its
+    length. Returns the exponential is the diagonal Pade approximation of that of a quarter, squared twice,
+    which keeps the multipliers of a stable motion on the unit circle. Blanes et al., Phys. Rep. 470 (2009)
+    151, (..., size, size).
     """
     identity = np.eye(middle.shape[-1])
     b2, b3 = np.sqrt(15) / 3 * (last - first), 10 / 3 * (last - 2 * middle + first)

@@ -25,16 +25,8 @@ def frequency(
 
     It is at least the largest |eigenvalue| of J: the fastest frequency or rate of growth near the state.
 
-    Parameters
-    ----------
-    equations : module
-        Of a system, see `systems.base.System.equations`.
-    state, constants : ndarray of float64, shapes (states, points) and (constants, points)
-
-    Returns
-    -------
-    ndarray of float64, shape (points,)
-        nan or infinite where the Jacobian is not finite.
+    equations: of a system, see `systems.base.System.equations`. Returns nan or infinite where the Jacobian is
+    not finite.
     """
     result = np.empty(state.shape[1:])
     flat = result.reshape(-1)
@@ -52,17 +44,8 @@ def derivatives(
 
     The third contains what the Jacobian cannot: the rate at which the equations themselves change in time.
 
-    Parameters
-    ----------
-    equations, state, constants
-        As for `frequency`.
-    rate : ndarray of float64, shape (points,)
-        In 1 / time unit, such as a bound of the frequency.
-
-    Returns
-    -------
-    ndarray of float64, shape (4, states, points)
-        The first derivative is exact, the others are within DISTANCE^2.
+    equations, state, constants: as for `frequency`; rate: in 1 / time unit, such as a bound of the frequency.
+    Returns the first derivative is exact, the others are within DISTANCE^2, (4, states, points).
     """
 
     def first(at: NDArray[Any]) -> NDArray[Any]:

@@ -27,21 +27,11 @@ def oscillation_variables(
 ) -> dict[str, DerivedVariable]:
     """The variables frequency_1, frequency_2 and frequency_3, the largest first, energy_stable and stability_kind.
 
-    Parameters
-    ----------
-    family : callable
-        points -> flags of their families (points,).
-    linear : callable
-        System.linear_stability.
-    frequencies : callable
-        points, flags -> array (points, 3), the largest first, nan where there is none; rad per time unit.
-    energy : callable
-        points, flags -> values of flags.EnergyStability (points,), and where these are unknown because the second variation
-        is degenerate, bool (points,).
-    frequency_comment : str
-        Where there is no frequency.
-    energy_comment : str
-        On which level of which integrals the energy decides.
+    family: points -> flags of their families (points,); linear: system.linear_stability. frequencies: points,
+    flags -> array (points, 3), the largest first, nan where there is none; rad per time unit. energy: points,
+    flags -> values of flags.EnergyStability (points,), and where these are unknown because the second
+    variation is degenerate, bool (points,); frequency_comment: where there is no frequency; energy_comment:
+    on which level of which integrals the energy decides.
     """
 
     def together(

@@ -15,19 +15,9 @@ def earlier_start(
 ) -> dict[str, ArrayLike]:
     """Columns of the same motions from a moment `before` the given start (negative: after it).
 
-    Parameters
-    ----------
-    equations, initial : module
-        Of a system.
-    columns : dict
-        Parameters and start values by name; the others take their defaults. psi0 has no effect on the motion.
-    before : ndarray, shape (points,)
-        In time units.
-
-    Returns
-    -------
-    dict
-        The columns with other theta0, phi0, theta_dot0, n and m.
+    equations, initial: of a system. columns: parameters and start values by name; the others take their
+    defaults. psi0 has no effect on the motion. before: in time units. Returns the columns with other theta0,
+    phi0, theta_dot0, n and m.
     """
     from scipy.integrate import solve_ivp  # here, because every command imports the systems
 

@@ -19,21 +19,12 @@ GROUP = "atlas.systems"
 
 @dataclass(frozen=True)
 class Origin:
-    """Where a system comes from that is not of this package.
+    """Where a system comes from that is not of this package."""
 
-    Attributes
-    ----------
-    package : str
-        Name and version of the installed package; empty: it was registered in this process.
-    code : str
-        Hash of its source files as they were when it was registered, or of its code where it has no files.
-    files : tuple of Path
-        These files.
-    """
-
-    package: str
+    package: str  # name and version of the installed package; empty: it was registered in this process
+    # Hash of its source files as they were when it was registered, or of its code where it has no files
     code: str
-    files: tuple[Path, ...]
+    files: tuple[Path, ...]  # these files
 
     def changed(self) -> Path | None:
         """One of the files that is not as it was when the system was registered, if there is one."""
@@ -50,10 +41,7 @@ def names() -> list[str]:
 def load(name: str) -> tuple[object, str] | None:
     """What an installed package names as the system `name`, and the package; None if no package does.
 
-    Raises
-    ------
-    BadInput
-        With one line, if it cannot be imported, or if two packages give the name.
+    Raises BadInput with one line, if it cannot be imported, or if two packages give the name.
     """
     entries = list(entry_points(group=GROUP, name=name))
     if not entries:

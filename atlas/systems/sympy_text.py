@@ -19,11 +19,7 @@ _WORDS = {" + ": "_plus_", " - ": "_minus_", " * ": "_", " / ": "_over_", "**": 
 def require_arithmetic(what: str, expression: Expression) -> None:
     """Raise BadInput unless an expression consists of numbers, plain symbols, arithmetic and FUNCTIONS.
 
-    Parameters
-    ----------
-    what : str
-        The expression in words, for the message.
-    expression : sympy.Expr
+    what: the expression in words, for the message.
     """
     import sympy
 
@@ -46,15 +42,8 @@ def require_arithmetic(what: str, expression: Expression) -> None:
 def text(expression: Expression) -> str:
     """An expression as Python source.
 
-    Parameters
-    ----------
-    expression : sympy.Expr
-        As `require_arithmetic` allows.
-
-    Returns
-    -------
-    str
-        Small powers of symbols are products, so that kernels need no function for them.
+    expression: as `require_arithmetic` allows. Returns small powers of symbols are products, so that kernels
+    need no function for them.
     """
     if expression.is_Add:
         first, *others = _terms(expression)
@@ -132,15 +121,7 @@ def _power(base: Expression, exponent: Expression) -> list[str]:
 def lines_of(start: str, expression: Expression) -> list[str]:
     """An expression in mathematical form, in lines that are short enough if its terms are.
 
-    Parameters
-    ----------
-    start : str
-        Begins the first line; the others are indented as far.
-    expression : sympy.Expr
-
-    Returns
-    -------
-    list of str
+    start: begins the first line; the others are indented as far.
     """
     lines, indent = [start.rstrip()], " " * len(start)
     pairs = [(term.as_coeff_Mul()[0].is_negative, term) for term in expression.as_ordered_terms()]
@@ -155,12 +136,7 @@ def lines_of(start: str, expression: Expression) -> list[str]:
 
 
 class Block:
-    """Assignments of a function of ``(state, constants)`` and what it returns.
-
-    Parameters
-    ----------
-    state, constants : sequence of sympy.Symbol
-    """
+    """Assignments of a function of ``(state, constants)`` and what it returns."""
 
     def __init__(self, state: Sequence[Expression], constants: Sequence[Expression]):
         self.state, self.constants = tuple(state), tuple(constants)
@@ -169,17 +145,7 @@ class Block:
         self.functions: list[Expression] = []  # names of the values of functions
 
     def named(self, name: str, expression: Expression) -> Expression:
-        """The symbol of that name, or one like it, for an expression; symbols and numbers stand for themselves.
-
-        Parameters
-        ----------
-        name : str
-        expression : sympy.Expr
-
-        Returns
-        -------
-        sympy.Expr
-        """
+        """The symbol of that name, or one like it, for an expression; symbols and numbers stand for themselves."""
         if (-expression if expression.could_extract_minus_sign() else expression).is_Atom:
             return expression
         symbol = self._new(name)
@@ -207,18 +173,8 @@ class Block:
     ) -> str:
         """Text of a function that returns some values as they stand, then named expressions.
 
-        Parameters
-        ----------
-        name, doc : str
-            Of the function.
-        first : sequence of str
-            Texts of the first values.
-        slopes : sequence of (str, sympy.Expr, sympy.Symbol)
-            Name and expression of each other value, and a state whose shape a value has that depends on no state.
-
-        Returns
-        -------
-        str
+        name, doc: of the function; first: texts of the first values; slopes: name and expression of each
+        other value, and a state whose shape a value has that depends on no state.
         """
         reduced = self._shared([expression for _, expression, _ in slopes])
         done = set[Expression]()
@@ -237,15 +193,7 @@ class Block:
     def returning(self, name: str, doc: str, value: Any) -> str:
         """Text of a function that returns an expression, or a tuple of them.
 
-        Parameters
-        ----------
-        name, doc : str
-            Of the function; without `doc` it has no docstring.
-        value : sympy.Expr or tuple of sympy.Expr
-
-        Returns
-        -------
-        str
+        name, doc: of the function; without `doc` it has no docstring.
         """
         reduced = self._shared(list(value) if isinstance(value, tuple) else [value])
         done = set[Expression]()

@@ -36,18 +36,10 @@ class EulerMotion(NamedTuple):
 
 
 class Motion(Protocol):
-    """An exact motion of one body from one start.
+    """An exact motion of one body from one start."""
 
-    Attributes
-    ----------
-    rate : float
-        About the fastest angular frequency, rad per time unit.
-    period : float
-        Period of theta and of all rates, time units; inf if there is none.
-    """
-
-    rate: float
-    period: float
+    rate: float  # about the fastest angular frequency, rad per time unit
+    period: float  # period of theta and of all rates, time units; inf if there is none
 
     def __call__(self, time: Array) -> EulerMotion:
         """Angles and rates at the times."""
@@ -59,20 +51,8 @@ class Motion(Protocol):
 def jacobi(argument: Array, complement: float) -> tuple[Array, Array, Array]:
     """Jacobi's elliptic functions sn, cn and dn.
 
-    Parameters
-    ----------
-    argument : ndarray
-        Pure numbers.
-    complement : float
-        1 - m, with m the square of the modulus; above 0, at most 1.
-
-    Returns
-    -------
-    sn, cn, dn : ndarray
-
-    References
-    ----------
-    R. Bulirsch, Numer. Math. 7 (1965) 78-90: descending Landen transformations.
+    argument: pure numbers. complement: 1 - m, with m the square of the modulus; above 0, at most 1. R.
+    Bulirsch, Numer. Math. 7 (1965) 78-90: descending Landen transformations.
     """
     if not 0 < complement <= 1:
         raise ValueError(f"complement = {complement!r}: must be above 0 and at most 1")
@@ -113,22 +93,11 @@ class SymmetricTop:
     so that u runs between two roots of a cubic: u = u2 - (u2 - u1) sn^2(lambda t + delta). Distances from the vertical
     are computed as 1 - u and 1 + u, which keeps their digits.
 
-    Parameters
-    ----------
-    A, C : float
-        Moments of inertia, transverse and axial.
-    rotor : float
-        Gyrostatic momentum l along the axis of symmetry.
-    weight : float
-        Mg z0: the potential is -Mg z0 cos theta.
-    theta0, theta_dot0, n, m : float
-        Start: angle (0 to pi), its rate, psi' and phi'. The motion must not be a steady one.
-    frame_rate : float
-        Rate of the frame about the vertical, relative to which psi' is given and returned.
-
-    References
-    ----------
-    E. T. Whittaker, Analytical Dynamics, 4th ed., sections 71-73.
+    A, C: moments of inertia, transverse and axial; rotor: gyrostatic momentum l along the axis of symmetry.
+    weight: mg z0: the potential is -Mg z0 cos theta. theta0, theta_dot0, n, m: start: angle (0 to pi), its
+    rate, psi' and phi'. The motion must not be a steady one. frame_rate: rate of the frame about the
+    vertical, relative to which psi' is given and returned. E. T. Whittaker, Analytical Dynamics, 4th ed.,
+    sections 71-73.
     """
 
     def __init__(
@@ -230,20 +199,11 @@ class FreeGyrostat:
     with P Weierstrass' function, here by Jacobi's. About the fixed angular momentum the body turns by an angle whose
     rate is a periodic function of r alone: its Fourier series is integrated term by term.
 
-    Parameters
-    ----------
-    inertia : ndarray, shape (3,)
-        Principal moments; the two across the rotor's axis (without a rotor: the third axis) must differ.
-    rotor : ndarray, shape (3,)
-        Gyrostatic momentum; at most one component is not 0.
-    w, gamma : ndarray, shape (3,)
-        Angular velocity and vertical in body axes at the start; the motion must not be a steady one.
-    frame_rate : float
-        Rate of the frame about the vertical, relative to which psi' is returned.
-
-    References
-    ----------
-    V. Volterra, Acta Math. 22 (1899) 201-357; E. T. Whittaker and G. N. Watson, A Course of Modern Analysis, 20.6.
+    inertia: principal moments; the two across the rotor's axis (without a rotor: the third axis) must differ,
+    (3,). rotor: gyrostatic momentum; at most one component is not 0, (3,). w, gamma: angular velocity and
+    vertical in body axes at the start; the motion must not be a steady one, (3,). frame_rate: rate of the
+    frame about the vertical, relative to which psi' is returned. V. Volterra, Acta Math. 22 (1899) 201-357;
+    E. T. Whittaker and G. N. Watson, A Course of Modern Analysis, 20.6.
     """
 
     def __init__(self, inertia: Array, rotor: Array, w: Array, gamma: Array, frame_rate: float = 0.0):
@@ -387,16 +347,8 @@ class FreeGyrostat:
 def euler_motion(w: Array, gamma: Array, frame_rate: float = 0.0) -> EulerMotion:
     """Angles and rates of a body that turns at w about the vertical gamma of a frame.
 
-    Parameters
-    ----------
-    w, gamma : ndarray, shape (3, ...)
-        Angular velocity and vertical in body axes, the axis not on the vertical.
-    frame_rate : float
-        Rate of the frame about the vertical, contained in w and taken off psi'.
-
-    Returns
-    -------
-    EulerMotion
+    w, gamma: angular velocity and vertical in body axes, the axis not on the vertical, (3, ...); frame_rate:
+    rate of the frame about the vertical, contained in w and taken off psi'.
     """
     sine = np.hypot(gamma[0], gamma[1])
     cos_theta_dot = w[1] * gamma[0] - w[0] * gamma[1]
@@ -414,18 +366,9 @@ def euler_motion(w: Array, gamma: Array, frame_rate: float = 0.0) -> EulerMotion
 class PlanarLibration:
     """Satellite whose third axis stays on the orbit normal: C x'' = -3 Omega^2 (B - A) sin x cos x, x = psi + phi.
 
-    Parameters
-    ----------
-    A, B, C : float
-        Principal moments, A and B different; a rotor along the third axis has no effect.
-    Omega : float
-        Rate of the orbit.
-    angle, rate : float
-        x and x' at the start.
-
-    References
-    ----------
-    V. V. Beletsky, Motion of an Artificial Satellite about its Center of Mass (1966), chapter 1.
+    A, B, C: principal moments, A and B different; a rotor along the third axis has no effect. Omega: rate of
+    the orbit; angle, rate: x and x' at the start. V. V. Beletsky, Motion of an Artificial Satellite about its
+    Center of Mass (1966), chapter 1.
     """
 
     def __init__(self, A: float, B: float, C: float, Omega: float, angle: float, rate: float):
@@ -460,25 +403,9 @@ class PlanarLibration:
 def motion_of(system: System, kind: str, points: Points, index: int) -> Motion:
     """The exact motion of a point.
 
-    Parameters
-    ----------
-    system : System
-        The satellite (free, or spherical where the orbit turns) or the gyrostat about a fixed point.
-    kind : str
-        "symmetric top", "free gyrostat" or "planar libration".
-    points : dict of ndarray, shape (points,)
-        Parameters by name.
-    index : int
-        Which of the points.
-
-    Returns
-    -------
-    Motion
-
-    Raises
-    ------
-    ValueError
-        If the point has no such motion.
+    system: the satellite (free, or spherical where the orbit turns) or the gyrostat about a fixed point;
+    kind: "symmetric top", "free gyrostat" or "planar libration"; points: parameters by name; index: which of
+    the points. Raises ValueError if the point has no such motion.
     """
     points = system.as_euler_angles({name: values[index : index + 1] for name, values in points.items()})
     p = {name: float(values[0]) for name, values in points.items()}

@@ -19,18 +19,9 @@ QUADRATURE_RTOL, MAX_INTERVALS = 1e-13, 100_000
 def statistics(motion: Motion, duration: float) -> dict[str, float]:
     """Exact statistics of a run over [0, duration], not only over whole periods.
 
-    Parameters
-    ----------
-    motion : Motion
-    duration : float
-        In time units.
-
-    Returns
-    -------
-    dict of float
-        theta_dot_rms, theta_dot_std, psi_dot_mean, psi_dot_std, phi_dot_mean, phi_dot_std, normal_rate_mean,
-        normal_rate_std (rad per time unit), theta_min and theta_max (rad), as the registry of variables defines them;
-        nan for psi' and phi' on the vertical.
+    duration: in time units. Returns theta_dot_rms, theta_dot_std, psi_dot_mean, psi_dot_std, phi_dot_mean,
+    phi_dot_std, normal_rate_mean, normal_rate_std (rad per time unit), theta_min and theta_max (rad), as the
+    registry of variables defines them; nan for psi' and phi' on the vertical.
     """
     turns = int(duration // motion.period)
     first = motion.period if turns else duration
@@ -46,17 +37,8 @@ def statistics(motion: Motion, duration: float) -> dict[str, float]:
 def moments(motion: EulerMotion, weight: Array) -> dict[str, float]:
     """Rms, standard deviations and means of the rates of a run, without the mean of theta'.
 
-    Parameters
-    ----------
-    motion : EulerMotion
-        At the nodes of a quadrature, shape (nodes,).
-    weight : ndarray, shape (nodes,)
-        Quadrature weights; their sum is 1.
-
-    Returns
-    -------
-    dict of float
-        As `statistics`, without theta_min and theta_max.
+    motion: at the nodes of a quadrature, shape (nodes,). weight: quadrature weights; their sum is 1,
+    (nodes,). Returns as `statistics`, without theta_min and theta_max.
     """
     result = {"theta_dot_rms": float(np.sqrt(weight @ motion.theta_dot**2))}
     for name in ("theta_dot", "psi_dot", "phi_dot", "normal_rate"):

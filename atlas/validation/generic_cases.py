@@ -28,14 +28,6 @@ def generic_cases(system: System) -> list[StressCase]:
 
     Values outside the range of a parameter are left out. The length of each run follows from its frequency at the
     start, so that stiff runs are short.
-
-    Parameters
-    ----------
-    system : System
-
-    Returns
-    -------
-    list of StressCase
     """
     moderate = {name: _moderate_value(p) for name, p in system.parameters.items() if np.isfinite(p.default)}
     cases = [_case(system, name, moderate | {name: _values(system.parameters[name])}) for name in moderate]
@@ -80,17 +72,7 @@ def true_labels(system: System, part: CasePoints, settings: Settings) -> tuple[T
 
     Points whose state or frequency is not finite at the start have no label.
 
-    Parameters
-    ----------
-    system : System
-    part : CasePoints
-    settings : Settings
-        Only the tolerances of the labels are used.
-
-    Returns
-    -------
-    labels : TrueLabels
-    known : ndarray of bool
+    settings: only the tolerances of the labels are used.
     """
     size = part.duration.size
     label, largest = np.full(size, Label.UNRESOLVED, np.int8), np.full(size, np.nan)

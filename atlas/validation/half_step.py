@@ -25,21 +25,9 @@ MIN_SAMPLE, MAX_SAMPLE, POINTS_PER_SAMPLE = 64, 1000, 300
 def upper_bound(events: int, draws: int, population: int | None = None) -> float:
     """Upper confidence bound (95 %) of the probability of an event.
 
-    Parameters
-    ----------
-    events, draws : int
-        The event was observed `events` times in `draws` random draws.
-    population : int, optional
-        Number of items to draw from. If all of them were drawn, the result is the observed share itself.
-
-    Returns
-    -------
-    float
-        Probability, 0 to 1.
-
-    References
-    ----------
-    C. J. Clopper and E. S. Pearson, Biometrika 26 (1934) 404-413.
+    events, draws: the event was observed `events` times in `draws` random draws. population: number of items
+    to draw from. If all of them were drawn, the result is the observed share itself. Returns probability, 0
+    to 1. C. J. Clopper and E. S. Pearson, Biometrika 26 (1934) 404-413.
     """
     if draws == population:
         return events / draws
@@ -52,17 +40,8 @@ def stratified_indices(size: int, count: int) -> np.ndarray:
     The position within a part is a hash (SplitMix64) of the part's number, so that the sample does not
     follow a period of the grid.
 
-    Parameters
-    ----------
-    size : int
-        Number of items to draw from.
-    count : int
-        Number of parts; at most `size` are used.
-
-    Returns
-    -------
-    ndarray of int64, shape (min(size, count),)
-        Ascending indices.
+    size: number of items to draw from. count: number of parts; at most `size` are used. Returns ascending
+    indices, (min(size, count),).
     """
     count = min(size, count)
     part = np.arange(count, dtype=np.uint64)
@@ -81,29 +60,24 @@ def half_step_sample(scene: Scene, *, threads: int | None = None) -> dict[str, A
     The sample depends on the number of points of the scene alone and costs about 1 % of a run. The
     points get the same bits as in the run itself.
 
-    Parameters
-    ----------
-    scene : Scene
-    threads : int, optional
-        Default: all available processors.
+    threads: default: all available processors.
 
-    Returns
-    -------
-    dict
-        Attributes for the atlas:
+    Returns, by name:
 
-        - ``atlas_half_step_points``: size of the sample;
-        - ``atlas_half_step_changed``: points of the sample whose label becomes another one or none;
-        - ``atlas_labels_may_change``: upper bound (95 %) of the number of such points in the whole atlas,
-          or the number itself if the sample is the atlas;
-        - ``atlas_points``: number of points of the scene;
-        - ``atlas_half_step_median``: median over the points of the largest change of a mean, rms or
-          standard deviation of a rate, rad per time unit;
-        - ``atlas_half_step_difference``: the largest such change of a steady point. Drifting points are
-          left out, because their motion may be chaotic or have a peak of psi' near the vertical;
-        - ``atlas_half_step_beyond``: points where that change is larger than `error_estimate`.
+    Attributes for the atlas:
 
-        The last three are present only if the scene's outputs contain the variables compared.
+    - ``atlas_half_step_points``: size of the sample;
+    - ``atlas_half_step_changed``: points of the sample whose label becomes another one or none;
+    - ``atlas_labels_may_change``: upper bound (95 %) of the number of such points in the whole atlas,
+      or the number itself if the sample is the atlas;
+    - ``atlas_points``: number of points of the scene;
+    - ``atlas_half_step_median``: median over the points of the largest change of a mean, rms or
+      standard deviation of a rate, rad per time unit;
+    - ``atlas_half_step_difference``: the largest such change of a steady point. Drifting points are
+      left out, because their motion may be chaotic or have a peak of psi' near the vertical;
+    - ``atlas_half_step_beyond``: points where that change is larger than `error_estimate`.
+
+    The last three are present only if the scene's outputs contain the variables compared.
     """
     indices = stratified_indices(
         scene.size, min(max(MIN_SAMPLE, scene.size // POINTS_PER_SAMPLE), MAX_SAMPLE)

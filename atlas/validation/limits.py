@@ -24,16 +24,8 @@ def observed_stability(method: Method, steps: int = 16_000) -> dict[str, float]:
     A free spherical body: gamma turns in it at |w| ("turning"). A spherical body with a rotor and small w: w
     turns about the rotor at l3 / A ("nutation"). The values of y are on a grid of relative distance 1e-4.
 
-    Parameters
-    ----------
-    method : Method
-    steps : int
-        A y is stable if the amplitude has not grown after so many steps.
-
-    Returns
-    -------
-    dict
-        y by "turning" and "nutation", rad; in theory both are `method.stability`.
+    steps: a y is stable if the amplitude has not grown after so many steps. Returns y by "turning" and
+    "nutation", rad; in theory both are `method.stability`.
     """
     system = systems.get("fixed_point")
     y = method.stability * np.linspace(0.95, 1.05, 1025)
@@ -66,19 +58,8 @@ def constraint_bound(method: Method, y: float, steps: int) -> float:
 def constraint_change(system: System, method: Method, points: Points, y: float, steps: int) -> Array:
     """Largest change of the constraints of the state over a run.
 
-    Parameters
-    ----------
-    system : System
-    method : Method
-    points : dict of ndarray, shape (points,)
-    y : float
-        Length of a step times the frequency bound of the point, rad.
-    steps : int
-
-    Returns
-    -------
-    ndarray, shape (points,)
-        Largest of abs(|gamma| - 1) and, for the satellite, abs(|alpha| - 1) and abs(alpha.gamma).
+    y: length of a step times the frequency bound of the point, rad. Returns largest of abs(|gamma| - 1) and,
+    for the satellite, abs(|alpha| - 1) and abs(alpha.gamma).
     """
     state = _final_states(system, method.name, points, y / system.frequency_bound(points), steps)
     unit = state[3:].reshape(-1, 3, state.shape[1])
@@ -91,10 +72,7 @@ def constraint_change(system: System, method: Method, points: Points, y: float, 
 def limits(*, steps: int = 10_000_000) -> list[tuple[str, ...]]:
     """Limits of every method in theory and as observed in runs of `steps` steps.
 
-    Returns
-    -------
-    list of tuple of str
-        Rows of a table, the first one its heading.
+    Returns rows of a table, the first one its heading.
     """
     satellite = systems.get("satellite")
     tumbling, _ = point_columns(satellite, {"A": 0.9, "B": 1.1, "k1": 0.2, "theta0": 0.7, "n": 0.5, "m": 0.9})

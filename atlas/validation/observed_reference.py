@@ -37,20 +37,8 @@ def integrate_group(
 ) -> dict[str, Array] | None:
     """Integrate the points as one system of equations in the time t / duration; None if a step fails.
 
-    Parameters
-    ----------
-    system : System
-    points : dict of ndarray, shape (points,)
-    duration : ndarray, shape (points,)
-    rtol : float
-        Relative and absolute tolerance of the states.
-    advance : callable
-        Called with the number of points finished since the last call.
-
-    Returns
-    -------
-    dict of ndarray or None
-        By the names of `statistics`, (points,), and "state", (states, points).
+    rtol: relative and absolute tolerance of the states; advance: called with the number of points finished
+    since the last call. Returns by the names of `statistics`, (points,), and "state", (states, points).
     """
     equations, constants, start = system.equations, system.constants(points), system.initial_state(points)
     states, size = start.shape
@@ -98,15 +86,8 @@ def _range_of_step(solver: Any, system: System, constants: Array, duration: Arra
 def range_of_cubics(value: Array, slope: Array) -> tuple[Array, Array]:
     """Smallest and largest value of the cubics between instants, along the last axis.
 
-    Parameters
-    ----------
-    value, slope : ndarray
-        At the instants, whose distance is 1.
-
-    Returns
-    -------
-    low, high : ndarray
-        Of the shape of `value` without its last axis.
+    value, slope: at the instants, whose distance is 1. Returns low, high, of the shape of `value` without its
+    last axis.
     """
     left, right, rise = slope[..., :-1], slope[..., 1:], np.diff(value, axis=-1)
     # value + left x + b x^2 + c x^3 on 0..1 turns where its slope changes sign

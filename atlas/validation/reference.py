@@ -51,35 +51,17 @@ def no_progress(points: float) -> None:
 
 @dataclass(frozen=True)
 class Reference:
-    """Reference solution of some points and its uncertainty.
+    """Reference solution of some points and its uncertainty."""
 
-    Attributes
-    ----------
-    state : ndarray, shape (state, points)
-        At the end of the run.
-    statistics : dict of ndarray, shape (points,)
-        By the names of `statistics`; NaN where psi' and phi' have no meaning (polar cap).
-    label : ndarray of int8
-    label_inertial : ndarray of int8 or None
-        None if the system has one frame only.
-    exact : ndarray of bool
-        True where the closed form of a family is used.
-    state_error : ndarray, shape (points,)
-        Uncertainty of the state as `state_distance` measures it.
-    statistics_error : dict of ndarray
-        Uncertainty of each statistic, in its own units.
-    label_certain : ndarray of bool
-        True where both determinations give the same labels.
-    """
-
-    state: Array
+    state: Array  # at the end of the run, (state, points)
+    # By the names of `statistics`; NaN where psi' and phi' have no meaning (polar cap)
     statistics: dict[str, Array]
     label: Flags
-    label_inertial: Flags | None
-    exact: Mask
-    state_error: Array
-    statistics_error: dict[str, Array]
-    label_certain: Mask
+    label_inertial: Flags | None  # none if the system has one frame only
+    exact: Mask  # true where the closed form of a family is used
+    state_error: Array  # uncertainty of the state as `state_distance` measures it
+    statistics_error: dict[str, Array]  # uncertainty of each statistic, in its own units
+    label_certain: Mask  # true where both determinations give the same labels
 
 
 class ReferenceFailureError(BadInput):
@@ -100,26 +82,9 @@ def reference(
     the closed form and the first run: where the motion is unstable, rounding of an exact start grows, so
     that the closed form is no more certain than that difference.
 
-    Parameters
-    ----------
-    system : System
-    points : dict of ndarray, shape (points,)
-        Parameters by name.
-    duration : ndarray, shape (points,)
-        Length of the runs, time units.
-    settings : Settings
-        Only the tolerances of the labels are used.
-    advance : callable, optional
-        Called with the progress of the runs, 2 for each point in all.
-
-    Returns
-    -------
-    Reference
-
-    Raises
-    ------
-    ReferenceFailureError
-        (a BadInput) With the indices of the points where a run fails.
+    points: parameters by name; duration: length of the runs, time units; settings: only the tolerances of the
+    labels are used; advance: called with the progress of the runs, 2 for each point in all. Raises
+    ReferenceFailureError: (a BadInput) With the indices of the points where a run fails.
     """
     runs = []
     for rtol in (REFERENCE_RTOL, SECOND_RTOL):

@@ -52,22 +52,12 @@ def stress(
 ) -> xr.Dataset:
     """Run stress cases by every method at every level and compare each label with the true one.
 
-    Parameters
-    ----------
-    system : System or str
-    cases : sequence of StressCase, optional
-        Default: all cases of the system, or `generic_cases` where it has none.
-    threads : int, optional
-        Default: all available processors.
-
-    Returns
-    -------
-    xarray.Dataset
-        Over (method, level, point): ``label``, ``status``, ``step_ratio``, ``error_estimate``, ``verdict`` and the
-        relative ``error`` of the unsteadiness. Over (method, level, statistic, point): ``statistic_error``, for
-        points that follow an exact motion. Over (point): ``truth`` (the true label), ``known_from`` (how it was
-        determined), ``case``, ``name``, ``may_stay_unresolved`` (a reason, or empty), ``duration`` and the
-        parameters.
+    cases: default: all cases of the system, or `generic_cases` where it has none. threads: default: all
+    available processors. Returns over (method, level, point): ``label``, ``status``, ``step_ratio``,
+    ``error_estimate``, ``verdict`` and the relative ``error`` of the unsteadiness. Over (method, level,
+    statistic, point): ``statistic_error``, for points that follow an exact motion. Over (point): ``truth``
+    (the true label), ``known_from`` (how it was determined), ``case``, ``name``, ``may_stay_unresolved`` (a
+    reason, or empty), ``duration`` and the parameters.
     """
     if isinstance(system, str):
         system = systems.get(system)

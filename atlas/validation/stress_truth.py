@@ -33,25 +33,15 @@ STATE_ROUNDING = 3e-16
 
 @dataclass(frozen=True)
 class TrueLabels:
-    """True labels of some points; arrays of shape (points,).
+    """True labels of some points; arrays of shape (points,)."""
 
-    Attributes
-    ----------
-    label : ndarray of int8
-        `Label.UNRESOLVED` where rounding decides or numbers overflow.
-    unsteadiness : ndarray
-        Largest rms or standard deviation of the rates, rad per time unit; NaN where unknown.
-    source : ndarray of str
-        How the label was determined: "theory", "exact motion", "departure", "reference", "part of the run" or
-        "overflow".
-    statistics : dict of ndarray
-        EXACT_STATISTICS by name; NaN but for exact motions.
-    """
-
-    label: Flags
+    label: Flags  # `Label.UNRESOLVED` where rounding decides or numbers overflow
+    # Largest rms or standard deviation of the rates, rad per time unit; NaN where unknown
     unsteadiness: Array
+    # How the label was determined: "theory", "exact motion", "departure", "reference", "part of the run" or
+    # "overflow"
     source: np.ndarray
-    statistics: dict[str, Array]
+    statistics: dict[str, Array]  # EXACT_STATISTICS by name; NaN but for exact motions
 
     @classmethod
     def join(cls, parts: Sequence[TrueLabels]) -> TrueLabels:
@@ -83,28 +73,10 @@ def true_labels(
     that rounding decides. The labels of other points come from a reference solution of the despun
     equivalent, see `_labels_by_reference`. Points whose numbers overflow have no label.
 
-    Parameters
-    ----------
-    system : System
-    points : dict of ndarray, shape (points,)
-        Parameters by name.
-    duration : ndarray, shape (points,)
-        Length of the runs, time units.
-    settings : Settings
-        Only the tolerances of the labels are used.
-    truth : str
-        The kind of exact motion, or "departure", as in `StressCase`.
-    base : dict of ndarray, optional
-        For "departure": the equilibria from which the points are offset.
-
-    Returns
-    -------
-    TrueLabels
-
-    Raises
-    ------
-    ValueError
-        If the label of a point cannot be decided, so that it cannot be a stress case.
+    points: parameters by name; duration: length of the runs, time units; settings: only the tolerances of the
+    labels are used; truth: the kind of exact motion, or "departure", as in `StressCase`. base: for
+    "departure": the equilibria from which the points are offset. Raises ValueError if the label of a point
+    cannot be decided, so that it cannot be a stress case.
     """
     if truth == "departure":
         return _labels_by_departure(system, points if base is None else base, points, duration, settings)
@@ -152,13 +124,7 @@ def _require_decided(source: str, undecided: np.ndarray) -> None:
 def unsteadiness(system: System, measured: Mapping[str, Array], settings: Settings) -> Array:
     """The largest of the statistics that make a point drift, rad per time unit; of observables over their tolerances.
 
-    Parameters
-    ----------
-    system : System
-    measured : mapping of str to ndarray
-        Statistics by name.
-    settings : Settings
-        Only the tolerances are used.
+    measured: statistics by name; settings: only the tolerances are used.
     """
     if system.observables:
         limits = std_tolerances(system, settings)

@@ -8,16 +8,7 @@ from collections.abc import Sequence
 def text_table(rows: Sequence[Sequence[str]], *, right: bool = False) -> str:
     """Rows of text as lines with columns of equal width.
 
-    Parameters
-    ----------
-    rows : sequence of sequence of str
-        The cells, all rows with the same number.
-    right : bool, optional
-        Align the cells on the right.
-
-    Returns
-    -------
-    str
+    rows: the cells, all rows with the same number; right: align the cells on the right.
     """
     widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
     lines = [

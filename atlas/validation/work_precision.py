@@ -132,37 +132,25 @@ def work_precision(scene: Scene, count: int = 64, *, progress: bool = False) -> 
     that take too many steps, that take the same steps as a finer one or as the scene's own, or that are
     finer than the level from which on errors do not fall any more.
 
-    Parameters
-    ----------
-    scene : Scene
-    count : int
-        Size of the sample, at least 2. Points without a reference solution are left out and named in the
-        attribute `left_out`.
-    progress : bool
-        Print the progress on stderr.
+    count: size of the sample, at least 2. Points without a reference solution are left out and named in the
+    attribute `left_out`. progress: print the progress on stderr. Raises BadInput if count is below 2, if the
+    scene's family exists at none of the points tried, or if fewer than 2 points have a reference solution.
 
-    Returns
-    -------
-    xarray.Dataset
-        Over the dimensions (method, level, sample):
+    Returns, by name:
 
-        - ``error_state``: largest difference of a component at the end of the run, angular velocities in
-          units of the point's frequency bound; inf where a run is not finite;
-        - ``error_NAME``: error of one statistic, nan where the steps do not resolve the point;
-          ``error_rates``: of the least accurate statistic of a rate, in units of the frequency bound, inf
-          there;
-        - no error is below the uncertainty of the reference, ``reference_error`` (of the states),
-          ``reference_error_rates`` and ``reference_error_NAME``, over (sample);
-        - ``integral_drift``, ``step_length``, ``steps``, ``label_compared``, ``label_wrong``,
-          ``label_unresolved``;
-        - over (method, level): ``seconds_per_point``, processor time to the end of the run in full blocks
-          of points, from the measured time of a point-step; ``order``, the observed order.
+    Over the dimensions (method, level, sample):
 
-    Raises
-    ------
-    BadInput
-        If count is below 2, if the scene's family exists at none of the points tried, or if fewer than 2
-        points have a reference solution.
+    - ``error_state``: largest difference of a component at the end of the run, angular velocities in
+      units of the point's frequency bound; inf where a run is not finite;
+    - ``error_NAME``: error of one statistic, nan where the steps do not resolve the point;
+      ``error_rates``: of the least accurate statistic of a rate, in units of the frequency bound, inf
+      there;
+    - no error is below the uncertainty of the reference, ``reference_error`` (of the states),
+      ``reference_error_rates`` and ``reference_error_NAME``, over (sample);
+    - ``integral_drift``, ``step_length``, ``steps``, ``label_compared``, ``label_wrong``,
+      ``label_unresolved``;
+    - over (method, level): ``seconds_per_point``, processor time to the end of the run in full blocks
+      of points, from the measured time of a point-step; ``order``, the observed order.
     """
     if count < 2:
         raise BadInput(f"points = {count}: must be at least 2")

@@ -42,25 +42,10 @@ def errors(
     0.1 ms per point and turn; the points of a chunk share their steps, so that the digits of an error near
     1e-12 depend on the other points.
 
-    Parameters
-    ----------
-    duration : array (points,)
-        Time units.
-    solution : callable
-        (spin, tau) -> y, as `fast_spin.first_order`.
-    pause : callable
-        Called at every step; an exception that it raises ends the integration.
-
-    Returns
-    -------
-    angle, rate : arrays (points,)
-        Error of gamma, a unit vector (rad while small), and of p + i q relative to the largest |p + i q| of
-        the run. nan where the run, from there or from the point's own start, is longer than MAX_RADIANS.
-
-    Raises
-    ------
-    BadInput
-        As `fast_spin.fast_spin`.
+    duration: time units; solution: (spin, tau) -> y, as `fast_spin.first_order`. pause: called at every step;
+    an exception that it raises ends the integration. Returns angle, rate, error of gamma, a unit vector (rad
+    while small), and of p + i q relative to the largest |p + i q| of the run. nan where the run, from there
+    or from the point's own start, is longer than MAX_RADIANS. Raises BadInput as `fast_spin.fast_spin`.
     """
     angle, rate = np.full(duration.shape, np.nan), np.full(duration.shape, np.nan)
     with np.errstate(all="ignore"):

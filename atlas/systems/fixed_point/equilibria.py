@@ -69,19 +69,10 @@ def permanent_rotations(
     sum b_i^2 / (d_i - L)^2 = 1, which has one root outside each end pole and none or two between
     neighbours; a component with b_i = 0 also allows L = d_i with g_i free.
 
-    Parameters
-    ----------
-    n : array (points,)
-        Rate in rad per time unit; 0 gives the positions of rest.
-    towards : array (3, points), optional
-        Direction that selects the member of a circle of solutions.
-
-    Returns
-    -------
-    g : array (3, 12, points)
-        Directions, nan in unused columns. There are 2, 4 or 6 isolated ones unless some family is degenerate.
-    dimension : int8 array (12, points)
-        Dimension of the set that each belongs to: 0 isolated, 1 a circle, 2 every direction, -1 unused.
+    n: rate in rad per time unit; 0 gives the positions of rest. towards: direction that selects the member of
+    a circle of solutions, (3, points). Returns g, directions, nan in unused columns. There are 2, 4 or 6
+    isolated ones unless some family is degenerate, (3, 12, points); dimension, dimension of the set that each
+    belongs to: 0 isolated, 1 a circle, 2 every direction, -1 unused, (12, points).
     """
     inertia, rotor, weight, N = bodies(points)
     d, b = (n**2 - N) * inertia, n * rotor + weight
@@ -134,20 +125,10 @@ def _free_components(d: Array, b: Array, towards: Array, g: Array, dimension: ND
 def equilibria(body: Points, n: float = 0.0) -> dict[str, np.ndarray]:
     """All permanent rotations of one body about the vertical at the rate n (0: positions of rest).
 
-    Parameters
-    ----------
-    body : mapping
-        Every parameter, arrays of shape (1,).
-    n : float
-        Rate in rad per time unit.
-
-    Returns
-    -------
-    dict of arrays over the solutions, in the order of theta
-        A set of solutions is represented by one member. theta, phi (rad); g1, g2, g3; dimension (0 isolated,
-        1 a circle, 2 every direction); index (number of directions in which the amended potential decreases; 0
-        is stable); stable, growth_rate as System.linear_stability; frequency_1 to
-        frequency_3, see oscillations.frequencies.
+    body: every parameter, arrays of shape (1,); n: rate in rad per time unit. Returns a set of solutions is
+    represented by one member. theta, phi (rad); g1, g2, g3; dimension (0 isolated, 1 a circle, 2 every
+    direction); index (number of directions in which the amended potential decreases; 0 is stable); stable,
+    growth_rate as System.linear_stability; frequency_1 to frequency_3, see oscillations.frequencies.
     """
     rate = np.full(1, float(n))
     directions, dimension = permanent_rotations(body, rate)
@@ -164,16 +145,9 @@ def equilibria(body: Points, n: float = 0.0) -> dict[str, np.ndarray]:
 def equilibria_of_bodies(points: Points) -> dict[str, NDArray[Any]]:
     """All permanent rotations of many bodies about the vertical, each at its rate n.
 
-    Parameters
-    ----------
-    points : mapping
-        Every parameter, arrays of shape (bodies,).
-
-    Returns
-    -------
-    dict of arrays (bodies, 12)
-        The variables of `equilibria`, those of each body in the order of theta, with unused places at the end: nan,
-        index and dimension -1, stable 0. completeness (bodies,) int8, values of flags.Completeness.
+    points: every parameter, arrays of shape (bodies,). Returns the variables of `equilibria`, those of each
+    body in the order of theta, with unused places at the end: nan, index and dimension -1, stable 0.
+    completeness (bodies,) int8, values of flags.Completeness.
     """
     count = points["A"].size
     directions, dimensions = permanent_rotations(points, points["n"])

@@ -23,18 +23,9 @@ def frequencies(points: Points, flags: Flags) -> Array:
     Of a permanent rotation about the vertical, relative to the body; of a symmetric body that sleeps, relative to space;
     of a regular precession that of the nutation, of a free body that of the polhode.
 
-    Parameters
-    ----------
-    points : mapping
-        1-D arrays of one length.
-    flags : int8 array (points,)
-        Families, as identify_family gives them; only whether there is one counts.
-
-    Returns
-    -------
-    array (points, 3)
-        rad per time unit, the largest first, at most two; nan for exponents that are 0 or have a real part, and off every
-        family.
+    points: 1-D arrays of one length. flags: families, as identify_family gives them; only whether there is
+    one counts. Returns rad per time unit, the largest first, at most two; nan for exponents that are 0 or
+    have a real part, and off every family, (points, 3).
     """
     result = np.full((3, flags.size), np.nan)
     axial = symmetric(points)

@@ -31,29 +31,16 @@ def equilibria(body: Mapping[str, float]) -> dict[str, NDArray[Any]]:
     Newton's method from _STARTS orientations, doubled until no new equilibria appear and, where none
     is degenerate, the isolated ones satisfy the Poincare-Hopf sum (-1)^index = 0 of SO(3).
 
-    Parameters
-    ----------
-    body : mapping
-        A, B, C, Omega, k1..k3, mu1..mu3, h1, h3, damping; those left out take their defaults, start values are ignored.
-
-    Returns
-    -------
-    dict of arrays over the E equilibria, in the order of the potential
-        theta0, psi0, phi0 (E,) rad; alpha, gamma (E, 3), radius and normal in body axes; potential (E,),
-        V - Omega k.gamma - Omega^2 gamma.I gamma / 2; index (E,), the Morse index of that potential;
-        circle (E,), true where the equilibrium represents a circle of them, and axis (E, 3), the unit axis in
-        the body about which the body may then be turned by any angle (nan elsewhere); degenerate (E,), true
-        for an isolated one with a zero eigenvalue (on the bifurcation set: the index counts the negative
-        ones); stable (E,) int8 and growth_rate (E,), as linear_stability; frequency_1 to frequency_3 (E,), see
-        oscillations.frequencies.
-
-    Raises
-    ------
-    BadInput
-        Every orientation, or a surface of them, is an equilibrium; or the numbers differ so much in magnitude that
-        the search would overflow.
-    RuntimeError
-        The Poincare-Hopf sum cannot be met.
+    body: A, B, C, Omega, k1..k3, mu1..mu3, h1, h3, damping; those left out take their defaults, start values
+    are ignored. Returns theta0, psi0, phi0 (E,) rad; alpha, gamma (E, 3), radius and normal in body axes;
+    potential (E,), V - Omega k.gamma - Omega^2 gamma.I gamma / 2; index (E,), the Morse index of that
+    potential; circle (E,), true where the equilibrium represents a circle of them, and axis (E, 3), the unit
+    axis in the body about which the body may then be turned by any angle (nan elsewhere); degenerate (E,),
+    true for an isolated one with a zero eigenvalue (on the bifurcation set: the index counts the negative
+    ones); stable (E,) int8 and growth_rate (E,), as linear_stability; frequency_1 to frequency_3 (E,), see
+    oscillations.frequencies. Raises BadInput: every orientation, or a surface of them, is an equilibrium; or
+    the numbers differ so much in magnitude that the search would overflow. Raises RuntimeError: the
+    Poincare-Hopf sum cannot be met.
     """
     point = {name: np.array(float(body.get(name, PARAMETERS[name].default))) for name in _NAMES}
     rate = np.where(point["Omega"] == 0, 1.0, point["Omega"])
@@ -114,20 +101,10 @@ def equilibria_of_bodies(
     Bodies of which the continuation does not find all equilibria with certainty, those with circles of them and
     those without an orbit are searched one by one, as `equilibria` does, in about 70 ms each.
 
-    Parameters
-    ----------
-    points : mapping
-        As of `equilibria`, arrays (bodies,).
-    pause : callable
-        Called at least once a second; it may raise an exception.
-    stability : bool
-        Whether to compute stable, growth_rate and the frequencies.
-
-    Returns
-    -------
-    dict of arrays (bodies, 24)
-        The variables of `equilibria`, those of each body in the order of the potential, with unused places at the end:
-        nan, index -1, stable 0. completeness (bodies,) int8, values of flags.Completeness.
+    points: as of `equilibria`, arrays (bodies,). pause: called at least once a second; it may raise an
+    exception. stability: whether to compute stable, growth_rate and the frequencies. Returns the variables of
+    `equilibria`, those of each body in the order of the potential, with unused places at the end: nan, index
+    -1, stable 0. completeness (bodies,) int8, values of flags.Completeness.
     """
     count = points["A"].size
     names = [name for name in _VARIABLES if stability or name not in ("stable", "growth_rate", *FREQUENCIES)]

@@ -53,19 +53,10 @@ def _principal_orientations() -> tuple[Array, Array]:
 def solve(inertia: Array, p: Array, q: Array) -> tuple[Array, Array, Mask, Mask]:
     """Critical points of W of some bodies.
 
-    Parameters
-    ----------
-    inertia, p, q : arrays (3, bodies)
-        In one unit for all three; a common multiple of (1, 1, 1) in the inertia has no effect.
-
-    Returns
-    -------
-    alpha, gamma : arrays (3, 24, bodies)
-        Unit vectors, of the critical points that are real.
-    real : bool array (24, bodies)
-        Which are; each once.
-    complete : bool array (bodies,)
-        Where all 24 complex solutions were found, all different, each of them clearly real or clearly not.
+    inertia, p, q: in one unit for all three; a common multiple of (1, 1, 1) in the inertia has no effect.
+    Returns alpha, gamma, unit vectors, of the critical points that are real; real, which are; each once, (24,
+    bodies); complete, where all 24 complex solutions were found, all different, each of them clearly real or
+    clearly not, (bodies,).
     """
     inertia = inertia - inertia.mean(0)
     scale = np.max([np.abs(inertia).max(0), np.abs(p).max(0), 0.3 * np.abs(q).max(0)], axis=0)

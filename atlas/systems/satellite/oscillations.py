@@ -73,18 +73,9 @@ def _frames(points: Points) -> tuple[Bodies, Array, Array, Array]:
 def frequencies(points: Points, flags: Flags) -> Array:
     """Frequencies of the small oscillations about steady motions.
 
-    Parameters
-    ----------
-    points : mapping
-        1-D arrays of one length.
-    flags : int8 array (points,)
-        Families, as identify_family gives them.
-
-    Returns
-    -------
-    array (points, 3)
-        rad per time unit, the largest first; nan for exponents that are 0 or have a real part, off every family, and
-        where the linear equations are periodic.
+    points: 1-D arrays of one length; flags: families, as identify_family gives them. Returns rad per time
+    unit, the largest first; nan for exponents that are 0 or have a real part, off every family, and where the
+    linear equations are periodic, (points, 3).
     """
     result = np.full((flags.size, 3), np.nan)
     resting, _, exists = _at_rest(points)

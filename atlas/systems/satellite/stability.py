@@ -163,20 +163,9 @@ def linear_stability(points: Points, flags: Flags) -> tuple[Flags, Array]:
     grows like a power of t, counts as stable. Rotations of which a period contains more oscillations than are
     integrated have the adiabatic growth rate; their stability is unknown where it is close to a boundary.
 
-    Parameters
-    ----------
-    points : mapping
-        1-D arrays of one length.
-    flags : int8 array (points,)
-        Families, as identify_family gives them.
-
-    Returns
-    -------
-    stable : int8 array (points,)
-        Values of flags.Stability; unknown off every family.
-    growth_rate : array (points,)
-        Largest real part of the characteristic exponents, rad per time unit; exactly 0 if stable, nan if
-        unknown.
+    points: 1-D arrays of one length; flags: families, as identify_family gives them. Returns stable, values
+    of flags.Stability; unknown off every family; growth_rate, largest real part of the characteristic
+    exponents, rad per time unit; exactly 0 if stable, nan if unknown.
     """
     stable, growth = stability_by_family(FAMILIES, points, flags)
     damped = points["damping"] > 0  # the closed forms are without it

@@ -66,6 +66,9 @@ FINAL_ATTRIBUTES = "notes.json"
 # As long as the longest name in a run folder, so that a path that is too long is refused before anything is computed.
 LONGEST_NAME = "tiles/" + 64 * "x"
 PROGRESS = re.compile(r"progress(-\d+-of-\d+)?\.json")
+PROGRESS_TYPES = dict.fromkeys(("shard", "host", "process", "written"), str) | dict.fromkeys(
+    ("points", "done", "points_per_second"), int | float
+)
 ATTRIBUTE = str | int | float  # types of the attributes of an atlas
 MANIFEST_TYPES = {"key": str, "scene": str, "identity": dict, "tile": list, "provenance": dict}
 TALLY = "tally"  # entry of the encoding of a dataset of a whole run folder
@@ -183,10 +186,10 @@ class RunFolder:
     def check_idle(self) -> None:
         """Raise BadInput if a process is at work in this folder."""
         for content, state in self._processes():
-            match = process.NAME.fullmatch(str(content["process"]))
+            match = process.NAME.fullmatch(content["process"])
             if match is not None and state == progress.AT_WORK:
                 raise BadInput(
-                    f"{self.path}: is computed by process {match[3]} on {content.get('host')}; wait for it, end it, or choose"
+                    f"{self.path}: is computed by process {match[3]} on {content['host']}; wait for it, end it, or choose"
                     " another name"
                 )
 
@@ -204,8 +207,10 @@ class RunFolder:
     def _processes(self) -> Iterator[tuple[dict[str, Any], str]]:
         """Content of each progress file that can be read, and the state of its process."""
         for path in sorted(self.path.glob("progress*.json")):
+            # KeyError and TypeError: no entry `running`, or a time without a zone
             with suppress(OSError, ValueError, KeyError, TypeError):
                 content = read_json(path)
+                check_types(content, PROGRESS_TYPES)
                 yield content, progress.state(content)
 
     def key_with(self, identity: dict[str, str]) -> str:
@@ -250,13 +255,12 @@ class RunFolder:
         points_left = sum(tiling.size_of(tile) for tile in [*status.missing, *status.damaged])
         total_speed, is_running = 0.0, False
         for content, state in self._processes():
-            with suppress(ValueError, KeyError, TypeError):
-                lines.append(
-                    f"shard {content['shard']} on {content['host']}: {content['done']} of {content['points']}"
-                    f" points, {content['points_per_second']:.4g} points/s, {state}; written {content['written']}"
-                )
-                if state == progress.AT_WORK:
-                    is_running, total_speed = True, total_speed + content["points_per_second"]
+            lines.append(
+                f"shard {content['shard']} on {content['host']}: {content['done']} of {content['points']}"
+                f" points, {content['points_per_second']:.4g} points/s, {state}; written {content['written']}"
+            )
+            if state == progress.AT_WORK:
+                is_running, total_speed = True, total_speed + content["points_per_second"]
         if points_left and total_speed > 0:
             lines.append(
                 f"{points_left} points left, {progress.clock(points_left / total_speed)} at the speed of the"

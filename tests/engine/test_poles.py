@@ -43,8 +43,9 @@ def motion(t, zeros, rotation):
 
 
 @pytest.mark.parametrize("zeros", [(1.4 + 0.2j,), (1.6 - 0.7j,), (1.2 + 0.3j, 1.9 - 0.4j)])
-def test_corrected_sums_are_integrals(zeros):
+def test_corrected_sums_are_integrals(zeros, monkeypatch):
     """Sums of phi'^2, theta'^2 and psi'^2 of a passage, less their errors, against quadrature; one or two zeros near."""
+    monkeypatch.setattr(kernel, "QUEUE", 1)
     rotation, u3 = 0.3, 0.4
     first = 20
 
@@ -62,8 +63,6 @@ def test_corrected_sums_are_integrals(zeros):
     passages[Passage.G2_SLOPE : Passage.G2_SLOPE + 4, 0] = slope.imag
     passages[Passage.U3 : Passage.U3 + 4, 0] = u3
     passages[Passage.TIME, 0], passages[Passage.VERTICAL, 0] = 1.5, 1.0
-    for row in (Passage.G1, Passage.G2, Passage.U3):
-        poles.difference(passages, row, 0)
     # Over an interval at whose ends the rule is exact: the trapezoidal rule of a periodic continuation is not needed,
     # because the end corrections of both sums below are the same.
     inner = np.arange(first - 8, first + 12.0)
@@ -72,16 +71,18 @@ def test_corrected_sums_are_integrals(zeros):
     fine_sum = (rates(fine).sum(1) - 0.5 * (rates(fine[0]) + rates(fine[-1]))) / 64
     slopes = np.array([(rates(x + 1e-4) - rates(x - 1e-4)) / 2e-4 for x in (inner[0], inner[-1])])
     expected = coarse_sum - fine_sum - (slopes[1] - slopes[0]) / 12 * (1 - 1 / 64**2)
-    errors = np.zeros(5)
-    for farther in range(len(zeros)):
-        poles.approximate_zero(passages, 0, farther == 1)
-        for _ in range(poles.NEWTON_STEPS):
-            poles.improve_zero(passages, 0)
-        z = complex(passages[Passage.Z_REAL, 0], passages[Passage.Z_IMAG, 0])
-        assert min(abs(z - zero) for zero in zeros) < 1e-4
-        poles.pole_terms(passages, 0, terms, int(farther))
-        errors += poles.sum_errors(terms, farther, 0, *poles.trapezoid_error_of_pole(z, 1.0 + 0.0j), 1.0)
-    np.testing.assert_allclose(errors, expected, rtol=2e-3, atol=2e-4)
+    stats = np.zeros((len(Row), 1))
+    stats[[Row.ZERO_1_REAL, Row.ZERO_2_REAL], 0] = NO_ZERO
+    lane, stride, dt = np.zeros(1, int), 2, np.array([0.25])
+    kernel.correct(stats, passages, terms, lane, np.array([first]), 1, stride, dt, 60, 1e-12)
+    corrected = (
+        stats[[Row.ZERO_2_REAL, Row.ZERO_1_REAL], 0] + 1j * stats[[Row.ZERO_2_IMAG, Row.ZERO_1_IMAG], 0]
+    )
+    expected_zeros = (*[NO_ZERO] * (2 - len(zeros)), *(first + z for z in zeros))
+    np.testing.assert_allclose(corrected, expected_zeros, atol=1e-4)
+    errors = stats[Row.THETA_DOT_SQUARED_ERROR : Row.PHI_DOT_SQUARED_ERROR + 1, 0]
+    units = (stride * dt) ** np.array([2, 1, 2, 1, 2])
+    np.testing.assert_allclose(errors * units, expected, rtol=2e-3, atol=2e-4)
 
 
 def test_nothing_is_divided_by_zero():

@@ -213,6 +213,9 @@ def test_marginal_motions():
     energy = np.array([NO, NO, YES])
     kinds = stability_kind(stable, energy, np.zeros(3, bool), frequencies)
     assert kinds.tolist() == [StabilityKind.GYROSCOPIC, StabilityKind.MARGINAL, StabilityKind.ENERGY_STABLE]
+    partly_known = np.array([Stability.STABLE, Stability.UNKNOWN, Stability.UNSTABLE])
+    kinds = stability_kind(partly_known, np.array([UNKNOWN, NO, NO]), np.zeros(3, bool), frequencies)
+    assert kinds.tolist() == [StabilityKind.LINEARLY_STABLE, StabilityKind.UNKNOWN, StabilityKind.UNSTABLE]
 
 
 def test_scenes_and_points_write_flags():

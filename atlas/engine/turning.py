@@ -33,24 +33,21 @@ class Turn(IntEnum):
 TURN_ROWS = max(Turn) + 1
 
 
-def cubic_slope(f0, f1, s0, s1):
-    """The coefficients a and b of the derivative a x^2 + b x + s0 of the cubic with these values and slopes at 0 and 1."""
-    return 3.0 * (s0 + s1 - 2.0 * (f1 - f0)), 2.0 * (3.0 * (f1 - f0) - 2.0 * s0 - s1)
-
-
 def turns_twice(f0, f1, s0, s1, rounding):
-    """Whether that cubic, with slopes not of opposite signs, turns twice from 0 to 1, 1.0 or 0.0.
+    """Whether the cubic with these values and slopes at 0 and 1, not of opposite signs, turns twice between, 1.0 or 0.0.
 
     So does a motion that starts at rest if it turns back once. rounding: of the values; less is no turn.
     """
-    a, b = cubic_slope(f0, f1, s0, s1)
-    inside = 1.0 if abs(a + b) + rounding < abs(a) else 0.0  # the vertex of the derivative
-    return inside if a * (s0 + s1) > 0.0 and b * b > 4.0 * a * s0 else 0.0
+    both = s0 + s1
+    excess = both - 3.0 * (f1 - f0)
+    may = 1.0 if excess * both > 0.0 else 0.0
+    return may if excess * excess > s0 * s1 + rounding * rounding else 0.0
 
 
 def place_of_turn(f0, f1, s0, s1):
     """Place from 0 to 1 at which that cubic turns; where it does so twice, the one farther from both nodes."""
-    a, b = cubic_slope(f0, f1, s0, s1)
+    a = 3.0 * (s0 + s1 - 2.0 * (f1 - f0))  # the slope of the cubic is a x^2 + b x + s0
+    b = 2.0 * (3.0 * (f1 - f0) - 2.0 * s0 - s1)
     root = np.sqrt(max(b * b - 4.0 * a * s0, 0.0))
     q = -0.5 * (b + (root if b > 0.0 else -root))
     x = s0 / q if q != 0.0 else 0.5

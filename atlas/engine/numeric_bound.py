@@ -117,6 +117,10 @@ def _largest_frequency(
 ) -> Array:
     """Frequency at the first sample at which it exceeds the bound, else the largest of the run; inf: it overflowed."""
     largest, taken = np.zeros(ensemble.size), 0
+    # Time as a state depends on no state. Without one the Jacobian shows every frequency, and derivatives of steady motions
+    # would be rounding errors.
+    matrices = jacobian.jacobian(system.equations, ensemble.state, ensemble.constants)
+    has_time = (matrices == 0).all(2).any(1)
     sizes = np.zeros((4, *ensemble.state.shape))  # the largest of each state and derivative
     samples = np.clip(np.ceil(bound * duration / SAMPLE_RADIANS), MIN_SAMPLES, MAX_SAMPLES).astype(np.int64)
     steps = np.ceil(bound * duration / (samples * longest_step)).astype(np.int64)
@@ -149,7 +153,7 @@ def _largest_frequency(
         active = active[~exceeds.any(0) & (taken < samples[active])]
     with np.errstate(all="ignore"):
         ratios = np.fmax.reduce(sizes[2:] / np.fmax(sizes[1:3], NEGLIGIBLE * sizes[0]), axis=(0, 1))
-        of_slopes = np.where(largest > TOLERATED * bound, 0.0, bound * ratios / OVERTONE)
+        of_slopes = np.where(has_time & ~(largest > TOLERATED * bound), bound * ratios / OVERTONE, 0.0)
     return np.fmax(largest, of_slopes)
 
 

@@ -145,6 +145,8 @@ class StepSizes:
         is farther from all fractions with small denominators than the golden section.
         """
         fewer = (GOLDEN_SECTION * self.intervals).astype(np.int64) | 1
+        for _ in range(3):  # the next odd numbers, where both have a common factor
+            fewer = np.where(np.gcd(fewer, self.intervals) > 3, fewer + 2, fewer)
         intervals = np.where(fewer >= MIN_INTERVALS, fewer, 2 * self.intervals - 1)
         return self._in_steps(intervals * self.steps_per_sample, self.steps_per_sample, method)
 

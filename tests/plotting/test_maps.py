@@ -832,8 +832,8 @@ def test_a_figure_that_fails_leaves_the_older_file(small, tmp_path, monkeypatch)
     path = tmp_path / "map.png"
     path.write_bytes(b"older")
 
-    def fail(name, **_):
-        Path(name).write_bytes(b"half")
+    def fail(file, **_):
+        file.write(b"half")
         raise OSError("no space")
 
     monkeypatch.setattr(figure, "savefig", fail)

@@ -62,7 +62,9 @@ def theory_lines(scene: Scene, plane: xr.Dataset, dims: list[str], variable: str
 
     Raises BadInput where the dimensions are not those of the scene.
     """
-    _check_axes(scene, dims)
+    for dim in dims:
+        if dim not in axes_of(scene):
+            raise BadInput(f"{dim}: not an axis of the atlas' scene; its axes: {', '.join(axes_of(scene))}")
     derived = scene.system.derived.get(variable)
     if derived is not None and derived.is_count and variable in plane:
         return count_borders(Plane.of(scene, plane, dims), plane[variable], derived)
@@ -71,13 +73,6 @@ def theory_lines(scene: Scene, plane: xr.Dataset, dims: list[str], variable: str
     if variable in resonances.VARIABLES and variable in scene.system.derived and len(dims) == 2:
         borders |= resonances.resonance_lines(whole)
     return borders
-
-
-def _check_axes(scene: Scene, dims: list[str]) -> None:
-    """Raise BadInput for a dimension that is no axis of the scene."""
-    for dim in dims:
-        if dim not in axes_of(scene):
-            raise BadInput(f"{dim}: not an axis of the atlas' scene; its axes: {', '.join(axes_of(scene))}")
 
 
 def _dataset(lines: Lines, plane: xr.Dataset, dims: list[str]) -> xr.Dataset:

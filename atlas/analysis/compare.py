@@ -12,7 +12,7 @@ from ..errors import BadInput, printable
 from ..flags import Agreement, Label, Stability
 from ..label.theory import agreement
 from ..scene.checks import whole_number
-from ..systems.base import Array, Flags
+from ..systems.base import Flags
 from .metadata import is_numeric_axis, system_of
 
 # Near the analytical boundary growth is slow and stable motions have large amplitudes: half the width of
@@ -59,7 +59,14 @@ def report(ds: xr.Dataset, worst: int = 5) -> str:
         raise BadInput("label: has no values here: the dataset is empty")
     label, predicted = ds["label"].values, ds["predicted"].values
     result = agreement(label, predicted)
-    lines = _confusion_table(label, predicted) + _agreement_lines(result)
+    table, names = confusion(label, predicted), list(Label.meanings())
+    columns = [i for i in range(len(names)) if table[i].any() or table[:, i].any()]
+    width = max(len(names[i]) for i in columns) + 2
+    rows = ["theory \\ measured".ljust(width + 4) + "".join(names[i].rjust(width) for i in columns)]
+    for i in columns:
+        if table[i].any():
+            rows.append(names[i].ljust(width + 4) + "".join(f"{table[i, j]:{width}d}" for j in columns))
+    lines = rows + _agreement_lines(result)
     if {"stable", "growth_rate", "end_time"} <= set(ds):
         lines += _stability_lines(ds)
     lines += _worst_lines(ds, result.ravel(), worst)
@@ -72,18 +79,6 @@ def confusion(label: Flags, predicted: Flags) -> np.ndarray:
     return np.bincount(
         np.ravel(predicted).astype(np.int64) * size + np.ravel(label), minlength=size * size
     ).reshape(size, size)
-
-
-def _confusion_table(label: Flags, predicted: Flags) -> list[str]:
-    """The labels that occur: measured ones in columns, predicted ones in rows."""
-    table, names = confusion(label, predicted), list(Label.meanings())
-    columns = [i for i in range(len(names)) if table[i].any() or table[:, i].any()]
-    width = max(len(names[i]) for i in columns) + 2
-    rows = ["theory \\ measured".ljust(width + 4) + "".join(names[i].rjust(width) for i in columns)]
-    for i in columns:
-        if table[i].any():
-            rows.append(names[i].ljust(width + 4) + "".join(f"{table[i, j]:{width}d}" for j in columns))
-    return rows
 
 
 def _agreement_lines(result: Flags) -> list[str]:
@@ -135,7 +130,11 @@ def _worst_lines(ds: xr.Dataset, result: Flags, count: int) -> list[str]:
     disagree = np.flatnonzero(result > Agreement.AGREE)
     if not disagree.size or not count:
         return []
-    unsteadiness = _unsteadiness(ds)[disagree]
+    largest = np.zeros(ds["label"].size)
+    for name in RATES:
+        if name in ds:
+            largest = np.fmax(largest, ds[name].values.ravel())
+    unsteadiness = largest[disagree]
     theory_steady = result[disagree] == Agreement.THEORY_ONLY
     order = np.argsort(np.where(theory_steady, -unsteadiness, unsteadiness), kind="stable")[:count]
     names, dims = list(Label.meanings()), ds["label"].dims
@@ -168,12 +167,3 @@ def _point_text(ds: xr.Dataset, indices: Mapping[str, int]) -> str:
             ]
         texts += [f"{printable(name)} = {float(ds[name][i]):.9g}" for name in names]
     return ", ".join(texts)
-
-
-def _unsteadiness(ds: xr.Dataset) -> Array:
-    """Largest rms or standard deviation of a rate at each point, flat; of those that the atlas has."""
-    largest = np.zeros(ds["label"].size)
-    for name in RATES:
-        if name in ds:
-            largest = np.fmax(largest, ds[name].values.ravel())
-    return largest

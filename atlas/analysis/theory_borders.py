@@ -186,12 +186,7 @@ def _trace(column: Flags) -> list[Array]:
     generator = contourpy.contour_generator(z=masked, corner_mask=False, line_type="Separate")
     lines = cast("list[Array]", generator.lines(1.5))
     # A ring of up to six vertices contains one or two samples: the tip of a cusp, cut off by the sampling.
-    return [line / (len(column) - 1) for line in lines if len(line) > 7 or not _is_closed(line)]
-
-
-def _is_closed(line: Array) -> bool:
-    """Whether a line ends where it begins."""
-    return bool((line[0] == line[-1]).all())
+    return [line / (len(column) - 1) for line in lines if len(line) > 7 or (line[0] != line[-1]).any()]
 
 
 def _edges(line: Array, count: int) -> tuple[Array, Array]:

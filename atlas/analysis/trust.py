@@ -26,7 +26,12 @@ def trust(ds: xr.Dataset, variable: str) -> xr.Dataset:
     while 4 * sides[-1] < min(array.sizes[d] for d in dims):
         sides.append(2 * sides[-1])
     uncertain = np.array([_uncertain_fraction(array, dims, side) for side in sides])
-    n_uniform, n_missed = _count_missed(array, dims)
+    n_uniform = n_missed = 0
+    for box in chunks(array.sizes, dims, cell_side=2):
+        values = array.isel(box).values
+        uniform = ~_differ(values, len(dims), (0, 2), step=2)
+        n_uniform += int(uniform.sum())
+        n_missed += int((uniform & _differ(values, len(dims), (0, 1, 2), step=2)).sum())
     missed = n_missed / n_uniform if n_uniform else np.nan
     return xr.Dataset(
         {
@@ -52,17 +57,6 @@ def _uncertain_fraction(array: xr.DataArray, dims: list[str], side: int) -> floa
         differ = _differ(coarse.isel(box).values, len(dims), (0, 1), step=1)
         n_cells, n_different = n_cells + differ.size, n_different + int(differ.sum())
     return n_different / n_cells
-
-
-def _count_missed(array: xr.DataArray, dims: list[str]) -> tuple[int, int]:
-    """Number of cells of side 2 with equal corners, and of those among them with another value inside."""
-    n_uniform = n_missed = 0
-    for box in chunks(array.sizes, dims, cell_side=2):
-        values = array.isel(box).values
-        uniform = ~_differ(values, len(dims), (0, 2), step=2)
-        n_uniform += int(uniform.sum())
-        n_missed += int((uniform & _differ(values, len(dims), (0, 1, 2), step=2)).sum())
-    return n_uniform, n_missed
 
 
 def _exponent(sides: np.ndarray, uncertain: np.ndarray) -> float:

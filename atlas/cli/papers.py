@@ -46,7 +46,12 @@ def _conditions(options: argparse.Namespace) -> int:
         return DONE
     rows = catalogue.published(system, options.family, errata=True) if options.errata else families
     if options.csv:
-        _print_csv(rows)
+        writer = csv.DictWriter(sys.stdout, rows[0] if rows else ["equation"], lineterminator="\n")
+        writer.writeheader()
+        writer.writerows(
+            {key: "; ".join(value) if isinstance(value, list) else value for key, value in row.items()}
+            for row in rows
+        )
     elif options.errata:
         _print_errata(rows)
         say(f"{len(rows)} equations differ; {system.reference}")
@@ -57,16 +62,6 @@ def _conditions(options: argparse.Namespace) -> int:
     else:
         _print_catalogue(families, catalogue.published(system), system.reference)
     return DONE
-
-
-def _print_csv(rows: Sequence[Mapping[str, Any]]) -> None:
-    """Print rows as comma-separated values, lists joined by semicolons."""
-    writer = csv.DictWriter(sys.stdout, rows[0] if rows else ["equation"], lineterminator="\n")
-    writer.writeheader()
-    writer.writerows(
-        {key: "; ".join(value) if isinstance(value, list) else value for key, value in row.items()}
-        for row in rows
-    )
 
 
 def _print_errata(rows: Sequence[Mapping[str, Any]]) -> None:

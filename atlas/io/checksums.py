@@ -167,7 +167,12 @@ class CheckedStore(xr.backends.NetCDF4DataStore):
         file = store.ds
         try:
             with NETCDF_LOCK:
-                check_claim(_claimed_bytes(file), path.stat().st_size)
+                claimed = sum(
+                    math.prod(variable.shape) * getattr(variable.dtype, "itemsize", 8)
+                    for group in (file, *file.groups.values())
+                    for variable in group.variables.values()
+                )
+                check_claim(claimed, path.stat().st_size)
                 store.checksums = _read_checksums(file)
         except Exception as error:  # damaged metadata may raise any error
             store.close()
@@ -183,15 +188,6 @@ class CheckedStore(xr.backends.NetCDF4DataStore):
         return xr.Variable(
             variable.dims, indexing.LazilyIndexedArray(array), variable.attrs, variable.encoding
         )
-
-
-def _claimed_bytes(file: netCDF4.Dataset) -> int:
-    """Bytes of memory of all variables of a file and its groups."""
-    return sum(
-        math.prod(variable.shape) * getattr(variable.dtype, "itemsize", 8)
-        for group in (file, *file.groups.values())
-        for variable in group.variables.values()
-    )
 
 
 def _read_checksums(file: netCDF4.Dataset) -> dict[str, tuple[list[int], np.ndarray]] | None:

@@ -147,16 +147,6 @@ def _crc_of_chunks(folder: Path) -> int:
     return crc
 
 
-def _claimed_bytes(arrays: Mapping[str, Any]) -> int:
-    """Bytes of memory of the values of all arrays, each at least a chunk long."""
-    claimed = 0
-    for array in arrays.values():
-        lengths = array["chunk_grid"]["configuration"]["chunk_shape"]
-        size = 1 if array["data_type"] in ("int8", "bool") else 8
-        claimed += size * math.prod(map(max, array["shape"], lengths))
-    return claimed
-
-
 def is_whole(path: Path) -> bool:
     """Whether a folder is a store with checksum that holds exactly the files that were written."""
     try:
@@ -178,7 +168,12 @@ def open_store(path: Path) -> xr.Dataset:
         attributes = read_json(path / METADATA)["attributes"]
         if {CHECKSUM, CHUNKS} & attributes.keys() and attributes.get(CHECKSUM) != _checksum(path, attributes):
             raise ValueError("files were changed, added or lost since it was written")
-        check_claim(_claimed_bytes(_arrays(path)), sum(file.stat().st_size for file in path.rglob("*")))
+        claimed = 0
+        for array in _arrays(path).values():
+            lengths = array["chunk_grid"]["configuration"]["chunk_shape"]
+            size = 1 if array["data_type"] in ("int8", "bool") else 8
+            claimed += size * math.prod(map(max, array["shape"], lengths))
+        check_claim(claimed, sum(file.stat().st_size for file in path.rglob("*")))
         ds = xr.open_dataset(_CheckedStore.open_group(str(path), consolidated=False))
     except Exception as error:  # damaged metadata may raise any error
         raise BadInput(f"{path}: not a Zarr store that can be read ({one_line(error)})") from None

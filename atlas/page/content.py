@@ -364,13 +364,11 @@ def _before_equals(symbol: list[dict[str, Any]]) -> list[dict[str, Any]]:
 
 def _line(kind: str, on: list[str], vertices: list[np.ndarray], source: str = "theory") -> dict[str, Any]:
     """Vertices of a line with six digits; nan cuts a curve."""
-    paths = [[[_rounded(x) for x in vertex] for vertex in line] for line in vertices]
+    paths = [
+        [[float(f"{x:.6g}") if math.isfinite(x) else None for x in vertex] for vertex in line]
+        for line in vertices
+    ]
     return {"kind": kind, "on": on, "source": source, "paths": paths}
-
-
-def _rounded(value: float) -> float | None:
-    """Six digits of a finite number."""
-    return float(f"{value:.6g}") if math.isfinite(value) else None
 
 
 def _finite_list(values: np.ndarray) -> list[float | None]:

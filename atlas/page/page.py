@@ -144,12 +144,14 @@ def _assembled(table: dict[str, Any], equations: str, picture: str) -> str:
         f"default-src 'none'; script-src {_hash(script)}; style-src {_hash(style)}; img-src data:;"
         " base-uri 'none'; form-action 'none'"
     )
+    # The text cannot end the element around it.
+    text = json.dumps(table, ensure_ascii=False, allow_nan=False, separators=(",", ":"))
     parts = {
         "policy": html.escape(policy),
         "title": html.escape(table["title"]),
         "style": style,
         "script": script,
-        "data": _json(table),
+        "data": text.replace("<", "\\u003c").replace(">", "\\u003e").replace("&", "\\u0026"),
         "picture": f'<img src="{picture}" alt="{html.escape(table["title"])}">',
     }
     template = folder.joinpath("template.html").read_text(encoding="utf-8")
@@ -160,9 +162,3 @@ def _assembled(table: dict[str, Any], equations: str, picture: str) -> str:
 def _hash(text: str) -> str:
     """Source expression of a content-security policy for an element with this text."""
     return f"'sha256-{base64.b64encode(hashlib.sha256(text.encode()).digest()).decode('ascii')}'"
-
-
-def _json(table: dict[str, Any]) -> str:
-    """JSON that cannot end the element around it."""
-    text = json.dumps(table, ensure_ascii=False, allow_nan=False, separators=(",", ":"))
-    return text.replace("<", "\\u003c").replace(">", "\\u003e").replace("&", "\\u0026")

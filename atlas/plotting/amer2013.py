@@ -102,23 +102,21 @@ def curves(figure: PaperFigure, tau: Array) -> dict[str, Array]:
             "(15), true": rk4(lambda x: fast_spin.quasilinear(spin, x), x0, tau),
         }
     times = tau[:, None]
+    p0 = x0[0]
+    slow = np.sqrt(published.frequency_squared(spin))
     return {
-        "(20), printed": _generating(spin, x0[0], times),
+        "(20), printed": np.array(
+            np.broadcast_arrays(
+                p0 * np.cos(slow * times),
+                -slow * p0 * np.sin(slow * times),
+                spin.M3 * np.cos(times),
+                -spin.M3 * np.sin(times),
+            )
+        ),
         "(33), printed": _printed_first_order(spin, times),
         "general": fast_spin.to_quasilinear(spin, fast_spin.general(spin, y0, times)),
         "(33), true": fast_spin.to_quasilinear(spin, fast_spin.first_order(spin, times)),
     }
-
-
-def _generating(spin: FastSpin, p0: Array, tau: Array) -> Array:
-    """(20) with M1 and M3 from (18) and (30), M2 = 0."""
-    slow = np.sqrt(published.frequency_squared(spin))
-    return np.array(
-        np.broadcast_arrays(
-            p0 * np.cos(slow * tau), -slow * p0 * np.sin(slow * tau),
-            spin.M3 * np.cos(tau), -spin.M3 * np.sin(tau),
-        )
-    )  # fmt: skip
 
 
 def _printed_first_order(spin: FastSpin, tau: Array) -> Array:

@@ -107,7 +107,8 @@ def _white(ds: xr.Dataset, name: str, dims: list[str], scene: Scene | None) -> d
     reasons[missing] = NO_VALUE
     reasons[not_computed] = NO_MOTION
     if "status" in ds:
-        impossible = _status(ds["status"], "impossible_body")
+        names = flag_names(ds["status"])
+        impossible = names.index("impossible_body") if "impossible_body" in names else -1
         reasons[missing & (ds["status"].values == impossible)] = NO_BODY
     if is_unfinished(ds) and scene is not None and set(dims) <= set(axes_of(scene)):
         reasons[_has_motion(ds, dims, scene, reasons == NO_MOTION)] = NOT_YET
@@ -116,12 +117,6 @@ def _white(ds: xr.Dataset, name: str, dims: list[str], scene: Scene | None) -> d
         for reason in (NO_BODY, NO_MOTION, NOT_YET, NO_VALUE)
         if (reasons == reason).any()
     }
-
-
-def _status(array: xr.DataArray, name: str) -> int:
-    """Value of a status by its name; -1 in files that do not have it."""
-    names = flag_names(array)
-    return names.index(name) if name in names else -1
 
 
 def is_unfinished(ds: xr.Dataset) -> bool:

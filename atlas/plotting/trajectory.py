@@ -100,7 +100,8 @@ def _draw_time_series(figure: SubFigure, tr: xr.Dataset) -> None:
     theta_ax.plot(time, tr["theta"].values, color=LINE_COLOURS[0])
     theta_ax.set_ylabel(r"$\theta$ (rad)")
     for name, colour, dashes in zip(("psi", "phi"), LINE_COLOURS, ("-", "--"), strict=False):
-        angle = _wrap_angle(tr[name].values)
+        angle = (tr[name].values + np.pi) % (2 * np.pi) - np.pi
+        angle[1:][np.abs(np.diff(angle)) > np.pi] = np.nan  # no line is drawn across a jump
         angle_ax.plot(time, angle, color=colour, linestyle=dashes, label=SYMBOLS[name])
     angle_ax.set_ylim(-np.pi, np.pi)
     angle_ax.set_yticks([-np.pi, 0, np.pi], [r"$-\pi$", "0", r"$\pi$"])
@@ -132,13 +133,6 @@ class _Formatter(ScalarFormatter):
         """The offset of an axis without a power of ten, where it is of moderate size."""
         plain = 1e-3 <= abs(value) < 1e5
         return f"{value:.9g}".replace("-", "\N{MINUS SIGN}") if plain else str(super().format_data(value))
-
-
-def _wrap_angle(angle: np.ndarray) -> np.ndarray:
-    """Angle between -pi and pi, with nan where it jumps so that no line is drawn there."""
-    wrapped = (angle + np.pi) % (2 * np.pi) - np.pi
-    wrapped[1:][np.abs(np.diff(wrapped)) > np.pi] = np.nan
-    return wrapped
 
 
 def _draw_path(figure: SubFigure, path: np.ndarray, names: Sequence[str], page: bool) -> None:
@@ -224,13 +218,9 @@ def _draw_sphere(ax: Axes, path: np.ndarray, names: Sequence[str]) -> None:
         outside = tip / np.linalg.norm(tip)  # the label is beside the disc, where no path is
         ax.plot(*np.transpose([tip, 1.1 * outside]), color="0.3", linewidth=0.8, zorder=2)
         x, y = 1.14 * outside
-        ax.text(x, y, name, ha=_alignment(x), va="center" if abs(x) > 0.3 else "bottom")
+        side = "center" if abs(x) < 0.3 else "left" if x > 0 else "right"
+        ax.text(x, y, name, ha=side, va="center" if abs(x) > 0.3 else "bottom")
     draw(path, COLOURS["regular_precession"], 1.1, 3)
     ax.plot(*project(path[0]), zorder=6, **START_MARKER)
     ax.set(aspect="equal", xlim=(-1.5, 1.5), ylim=(-1.1, 1.35))
     ax.set_axis_off()
-
-
-def _alignment(x: float) -> str:
-    """Horizontal alignment of a label beside a disc whose centre has x = 0."""
-    return "center" if abs(x) < 0.3 else "left" if x > 0 else "right"

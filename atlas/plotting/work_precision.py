@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import xarray as xr
 from matplotlib import rc_context
-from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
@@ -36,22 +35,13 @@ def figure(ds: xr.Dataset) -> Figure:
             if row["own_setting"] and row["error_state"] < MAX_ERROR_DRAWN:
                 point = 1e6 * row["seconds_per_point"], row["error_state"]
                 ax.plot(*point, "o", mfc="none", mec="black", ms=8, label="the scene's setting")
-        _set_axes(ax)
-        _shade_uncertainty(ax, nanmedian(ds["reference_error"].values))
+        ax.set(xscale="log", yscale="log", xlabel="time per point and processor (µs)", ylabel="median error")
+        ax.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+        ax.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+        ax.xaxis.set_minor_formatter(NullFormatter())
+        uncertainty = nanmedian(ds["reference_error"].values)
+        bottom = min(ax.get_ylim()[0], uncertainty / 2)
+        ax.set_ylim(bottom=bottom)
+        ax.axhspan(bottom, uncertainty, color="0.9", zorder=0, label="uncertainty of reference")
         fig.legend(loc="outside lower center", ncols=2, frameon=False)
     return fig
-
-
-def _set_axes(ax: Axes) -> None:
-    """Scales, labels and ticks of the panel."""
-    ax.set(xscale="log", yscale="log", xlabel="time per point and processor (µs)", ylabel="median error")
-    ax.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
-    ax.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
-    ax.xaxis.set_minor_formatter(NullFormatter())
-
-
-def _shade_uncertainty(ax: Axes, uncertainty: float) -> None:
-    """Shade the errors below the uncertainty of the reference."""
-    bottom = min(ax.get_ylim()[0], uncertainty / 2)
-    ax.set_ylim(bottom=bottom)
-    ax.axhspan(bottom, uncertainty, color="0.9", zorder=0, label="uncertainty of reference")

@@ -356,7 +356,12 @@ def _check_family(scene: Scene, indices: np.ndarray, reason: Flags) -> None:
                 )
                 trials = _solved(family, scene.solve[i + 1 :], trials)
                 _check_not_free(family, name, trials)
-                raise BadInput(_no_value_text(family, name, trials))
+                best = trials[name].flat[np.argmin(on_family(family, trials))]
+                limits = f"; its limits: {family.exists}" if family.exists else ""
+                raise BadInput(
+                    f"family.name = {shown(family.name)}: no {name} puts any point of the scene on it;"
+                    f" {_failure_text(family, trials)} at {name} = {best:g}, the best of some values tried{limits}"
+                )
         if not exists.any():
             raise BadInput(
                 f"family.name = {shown(family.name)}: {_failure_text(family, solved)} at the nearest point of the scene"
@@ -378,16 +383,6 @@ def _check_not_free(family: Family, name: str, points: Points) -> None:
             f"family.solve = {shown(name)}: the family {family.name} leaves it free here, every value is one;"
             " give it in [fixed], [axes] or [ties]"
         )
-
-
-def _no_value_text(family: Family, name: str, points: Points) -> str:
-    """Error for a parameter whose formula gives no value: the condition that fails at the best of the trial values."""
-    best = points[name].flat[np.argmin(on_family(family, points))]
-    limits = f"; its limits: {family.exists}" if family.exists else ""
-    return (
-        f"family.name = {shown(family.name)}: no {name} puts any point of the scene on it;"
-        f" {_failure_text(family, points)} at {name} = {best:g}, the best of some values tried{limits}"
-    )
 
 
 def _failure_text(family: Family, points: Points) -> str:

@@ -115,7 +115,14 @@ def parse_scene(text: str, name: str = "scene", folder: Path | None = None, path
     """
     text = text.removeprefix("\ufeff").replace("\r\n", "\n").replace("\r", "\n")
     source = Source(path or name, text)
-    _check_text(text, source.path)
+    # A text far longer than any scene, or with far more tables, would take long to parse.
+    if len(text) > MAX_CHARACTERS:
+        raise BadInput(f"{source.path}: {len(text)} characters; allowed: at most {MAX_CHARACTERS}")
+    tables = text.count("{") + len(re.findall(r"^[ \t]*+\[", text, re.MULTILINE))
+    if tables > MAX_TABLES:
+        raise BadInput(f"{source.path}: {tables} tables; allowed: at most {MAX_TABLES}")
+    if _JOINED_KEYS.search(text):
+        raise BadInput(f"{source.path}: more than {MAX_JOINED_NAMES} names joined by points")
     try:
         table = tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:
@@ -198,17 +205,6 @@ def _about(table: Mapping[str, Any]) -> About:
     if "licence" in table and "license" not in table:
         table = {"license" if name == "licence" else name: value for name, value in table.items()}
     return About(**checks.from_table(About, table, "about"))
-
-
-def _check_text(text: str, name: str) -> None:
-    """Raise BadInput for a text that would take long to parse: far longer than any scene, or with far more tables."""
-    if len(text) > MAX_CHARACTERS:
-        raise BadInput(f"{name}: {len(text)} characters; allowed: at most {MAX_CHARACTERS}")
-    tables = text.count("{") + len(re.findall(r"^[ \t]*+\[", text, re.MULTILINE))
-    if tables > MAX_TABLES:
-        raise BadInput(f"{name}: {tables} tables; allowed: at most {MAX_TABLES}")
-    if _JOINED_KEYS.search(text):
-        raise BadInput(f"{name}: more than {MAX_JOINED_NAMES} names joined by points")
 
 
 def _check_number_of_names(count: int) -> None:

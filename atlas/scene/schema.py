@@ -53,6 +53,12 @@ def _properties(systems: list[System]) -> Schema:
     """The keys of a scene, as far as they are the same for every system."""
     text = {"type": "string", "description": "free text, kept in the atlas; the title of its figures"}
     names = {"type": "object", "propertyNames": {"pattern": NAME, "maxLength": checks.MAX_NAME}}
+    integration = checks.table_schema(Settings, "integration")
+    integration["properties"]["duration"] = {
+        "anyOf": [checks.positive.schema, {"type": "string", "pattern": DURATION}],
+        "default": 60.0,
+        "description": 'time units, or "20 orbits" (satellite), "50 turns" (of n or m, whichever is slower)',
+    }
     return {
         "schema": {"const": SCHEMA, "description": "version of the format"},
         "title": text,
@@ -79,7 +85,7 @@ def _properties(systems: list[System]) -> Schema:
             "description": "added to start values after solving",
             "additionalProperties": _NUMBER,
         },
-        "integration": _integration(),
+        "integration": integration | {"not": {"required": ["step", "tolerance"]}},
         "labels": checks.table_schema(Settings, "labels"),
         "refine": checks.table_schema(Refine)
         | {"description": "integrate a finer grid near the borders of labels only"},
@@ -96,6 +102,9 @@ def _properties_of(system: System) -> Schema:
     values = {p.name: _value(p) for p in parameters}
     starts = {p.name: _NUMBER | {"description": _described(p)} for p in parameters if p.start}
     names = {"type": "string", "enum": list(variables(system))}
+    registry = variables(system)
+    meanings = "; ".join(f"{name}: {variable.long_name}" for name, variable in registry.items())
+    optional = [name for name, variable in registry.items() if variable.optional]
     schema = {
         "fixed": {"properties": values},
         "axes": {"properties": {p.name: _axis(p) for p in parameters}},
@@ -103,7 +112,7 @@ def _properties_of(system: System) -> Schema:
         "nudge": {"properties": starts, "additionalProperties": False},
         "outputs": {
             "properties": {
-                "variables": {"items": names, "minItems": 1, "description": _variables(system)},
+                "variables": {"items": names, "minItems": 1, "description": f"variables of the atlas (default: all but {', '.join(optional) or 'none'}). {meanings}"},
                 "map": names | {"description": "the variable that the map and the page show first"},
             }
         },
@@ -230,27 +239,8 @@ def _points() -> Schema:
     }  # fmt: skip
 
 
-def _integration() -> Schema:
-    """The table [integration]."""
-    table = checks.table_schema(Settings, "integration")
-    table["properties"]["duration"] = {
-        "anyOf": [checks.positive.schema, {"type": "string", "pattern": DURATION}],
-        "default": 60.0,
-        "description": 'time units, or "20 orbits" (satellite), "50 turns" (of n or m, whichever is slower)',
-    }
-    return table | {"not": {"required": ["step", "tolerance"]}}
-
-
 def _about() -> Schema:
     """The table [about]."""
     table = checks.table_schema(About) | {"description": "attributes of the atlas, by the names of ACDD-1.3"}
     table["properties"]["licence"] = table["properties"]["license"]
     return table
-
-
-def _variables(system: System) -> str:
-    """The variables with their meanings."""
-    registry = variables(system)
-    meanings = "; ".join(f"{name}: {variable.long_name}" for name, variable in registry.items())
-    optional = [name for name, variable in registry.items() if variable.optional]
-    return f"variables of the atlas (default: all but {', '.join(optional) or 'none'}). {meanings}"

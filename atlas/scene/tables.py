@@ -42,7 +42,14 @@ def table(source: Any, names: Collection[str]) -> dict[str, Any]:
     if hasattr(source, "columns") and hasattr(source, "__getitem__"):
         return {str(name): np.asarray(source[name]) for name in source.columns}
     if isinstance(source, Sequence) and all(isinstance(point, Mapping) for point in source):
-        return _columns_of_rows(source)
+        if not source:
+            raise BadInput("points: there are none")
+        for i, row in enumerate(source):
+            if different := set(row) ^ set(source[0]):
+                raise BadInput(
+                    f"points: number {i} and number 0 differ in {', '.join(sorted(map(str, different)))}"
+                )
+        return {str(name): [row[name] for row in source] for name in source[0]}
     raise BadInput(
         f"points: {type(source).__name__} cannot be read; allowed: a mapping of columns, a list of mappings,"
         " a Dataset, a DataFrame, the name of a .csv or .nc file"
@@ -204,18 +211,6 @@ def _dataset_columns(ds: Any, names: Collection[str]) -> dict[str, Any]:
             raise BadInput(f"{name} lies along {dims}: points need one dimension")
         columns[str(name)] = ds[name].values
     return columns
-
-
-def _columns_of_rows(rows: Sequence[Mapping[Any, Any]]) -> dict[str, Any]:
-    """Columns of points that are given one by one."""
-    if not rows:
-        raise BadInput("points: there are none")
-    for i, row in enumerate(rows):
-        if different := set(row) ^ set(rows[0]):
-            raise BadInput(
-                f"points: number {i} and number 0 differ in {', '.join(sorted(map(str, different)))}"
-            )
-    return {str(name): [row[name] for row in rows] for name in rows[0]}
 
 
 def _check_bytes(path: Path, size: float, max_bytes: float) -> None:

@@ -203,7 +203,14 @@ def _dop853(
         usable = np.isfinite(system.initial_state(points)).all(0) & (radians <= MAX_RADIANS)
     failed = ~usable
     run: Run = {}
-    groups = _groups_of_similar_length(radians, np.flatnonzero(usable))
+    # Points of a group need about the same number of steps.
+    groups = []
+    indices = np.flatnonzero(usable)
+    indices = indices[np.argsort(radians[indices], kind="stable")]
+    while indices.size:
+        similar = radians[indices] <= GROUP_FACTOR * radians[indices[0]]
+        groups.append(indices[similar])
+        indices = indices[~similar]
     while groups:
         group = groups.pop()
         members = {name: values[group] for name, values in points.items()}
@@ -220,17 +227,6 @@ def _dop853(
                 whole = run.setdefault(name, np.full((*values.shape[:-1], radians.size), np.nan))
                 whole[..., group] = values
     return run, failed
-
-
-def _groups_of_similar_length(radians: Array, indices: np.ndarray) -> list[np.ndarray]:
-    """Split indices into groups of points that need about the same number of steps, the shortest first."""
-    groups = []
-    indices = indices[np.argsort(radians[indices], kind="stable")]
-    while indices.size:
-        similar = radians[indices] <= GROUP_FACTOR * radians[indices[0]]
-        groups.append(indices[similar])
-        indices = indices[~similar]
-    return groups
 
 
 def _integrate_group(

@@ -61,8 +61,8 @@ def add_map(commands: Commands) -> None:
     assignment_option(
         command, "--labels", "NAME=TEXT", "texts for flags, axes and the variable, one or several"
     )
-    command.add_argument("--no-boundary", action="store_true", help="draw no theory")
-    command.add_argument("--no-legend", action="store_true", help="draw no legend")
+    command.add_argument("--no-boundary", dest="boundary", action="store_false", help="draw no theory")
+    command.add_argument("--no-legend", dest="legend", action="store_false", help="draw no legend")
     command.add_argument("--caption", action="store_true", help="print a caption for the figure")
     force_option(command, "existing figures")
 
@@ -75,14 +75,15 @@ def _map(options: argparse.Namespace) -> int:
     stem = without_suffix(options.atlas, ".nc", ".zarr")
     names = [options.out] if options.out else [f"{stem}.png", f"{stem}.pdf"]
     paths = [writable(name, FIGURES, force=options.force, inputs=[options.atlas]) for name in names]
+    given = {
+        name: getattr(options, name) for name in ("x", "y", "title", "cmap", "boundary", "legend", "width")
+    }
+    for name in ("colors", "labels"):
+        given[name] = _named_texts(f"--{name}", getattr(options, name))
     select = axis_values("--select", options.select)
+    size, dpi = _size(options.size), 600 if options.dpi is None else options.dpi
     with open_atlas(options.atlas) as ds:
-        figure = maps.atlas_map(
-            ds, options.variable, x=options.x, y=options.y, select=select or None, title=options.title,
-            cmap=options.cmap, colors=_named_texts("--colors", options.colors),
-            labels=_named_texts("--labels", options.labels), boundary=not options.no_boundary,
-            legend=not options.no_legend, width=options.width, size=_size(options.size), dpi=600 if options.dpi is None else options.dpi,
-        )  # fmt: skip
+        figure = maps.atlas_map(ds, options.variable, select=select, size=size, dpi=dpi, **given)
         if options.caption:
             say(text.caption(ds))
     for path in paths:

@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from contextlib import nullcontext
 from dataclasses import replace
+from typing import Any
 
 import xarray as xr
 from matplotlib import rc_context
-from matplotlib.axes import Axes
-from matplotlib.colors import Colormap
 from matplotlib.figure import Figure
 
-from ..analysis.metadata import flag_names, is_logarithmic, map_variable, scene_of, system_of
+from ..analysis.metadata import is_logarithmic, map_variable, scene_of, system_of
 from ..analysis.select import nearest_on_axes, plane_of
 from ..errors import BadInput, attribute_text
 from . import text
@@ -25,28 +23,10 @@ from .overlay import draw_overlay
 from .scales import add_color_bar, color_scale
 from .scatter import draw_scatter
 from .sheet import Sheet
-from .style import STYLE, Width, flag_colours
+from .style import STYLE
 
 
-def atlas_map(
-    ds: xr.Dataset,
-    variable: str | None = None,
-    *,
-    x: str | None = None,
-    y: str | None = None,
-    select: Mapping[str, float] | None = None,
-    ax: Axes | None = None,
-    title: str | None = None,
-    cmap: str | Colormap | None = None,
-    colors: Mapping[str, str] | None = None,
-    labels: Mapping[str, str] | None = None,
-    boundary: bool = True,
-    legend: bool = True,
-    width: Width = "column",
-    size: tuple[float, float] | None = None,
-    dpi: float = 300,
-    caption: bool = False,
-) -> Figure:
+def atlas_map(ds: xr.Dataset, variable: str | None = None, **options: Any) -> Figure:
     """Map of one variable of an atlas over two of its axes, with theory drawn over it.
 
     Flags have one colour each in every figure. Positive numbers that span more than two decades get a
@@ -55,50 +35,32 @@ def atlas_map(
     cells have no value; the legend gives the reason. Regions that are too small to be visible are not in the
     legend but in a note below the map.
 
-    ds: an atlas. If it has one axis, the map is a strip or a line; if it has single points, a scatter map.
-    variable, x, y, select, ax, title, cmap, colors, labels, boundary, legend, width, size, dpi, caption: as
-    for `atlas.accessor.Atlas.map`. Returns as `atlas.accessor.Atlas.map` returns it. Raises BadInput for what
-    is not in the atlas, and for options that are not allowed.
+    ds: an atlas. If it has one axis, the map is a strip or a line; if it has single points, a scatter map. options: fields
+    of `MapOptions`. Returns as `atlas.accessor.Atlas.map` returns it. Raises BadInput for what is not in the atlas, and
+    for options that are not allowed.
     """
     system_of(ds)
-    options = MapOptions(
-        ax,
-        title and text.drawable(title),
-        cmap,
-        colors or {},
-        labels or {},
-        boundary,
-        legend,
-        width,
-        size,
-        dpi,
-    )
+    chosen = MapOptions(**options)
+    if chosen.title:
+        chosen = replace(chosen, title=text.drawable(chosen.title))
     name = map_variable(ds) if variable is None else variable
     if name not in list(ds.data_vars):
         raise BadInput(f"{name}: not a variable of this atlas; allowed: {', '.join(map(str, ds.data_vars))}")
-    style = nullcontext() if ax is not None else rc_context(STYLE)
-    with style:
-        if ds[name].dims == ("point",):
-            if select:
-                raise BadInput(
-                    "select: these are single points without axes; choose some by ds.atlas.select or ds.sel"
-                )
-            return draw_scatter(ds, name, x, y, options, text.caption(ds) if caption else "")
-        return _draw_map(ds, name, x, y, select or {}, options, caption)
+    with nullcontext() if chosen.ax is not None else rc_context(STYLE):
+        if ds[name].dims != ("point",):
+            return _draw_map(ds, name, chosen)
+        if chosen.select:
+            raise BadInput(
+                "select: these are single points without axes; choose some by ds.atlas.select or ds.sel"
+            )
+        return draw_scatter(ds, name, chosen)
 
 
-def _draw_map(
-    ds: xr.Dataset,
-    name: str,
-    x: str | None,
-    y: str | None,
-    select: Mapping[str, float],
-    options: MapOptions,
-    caption: bool,
-) -> Figure:
+def _draw_map(ds: xr.Dataset, name: str, options: MapOptions) -> Figure:
     """Draw a variable over its axes."""
     ds = ds.drop_dims(set(ds.dims) - set(ds[name].dims))  # over which the variable was averaged
-    plane, dims, panel_dim = plane_of(ds, x, y, select)
+    select = options.select or {}
+    plane, dims, panel_dim = plane_of(ds, options.x, options.y, select)
     options.check_for(ds[name], dims)
     if panel_dim is not None and options.ax is not None:
         raise BadInput(
@@ -108,15 +70,18 @@ def _draw_map(
     parts = [plane] if panel_dim is None else [plane.isel({panel_dim: i}) for i in range(len(array))]
     scene = scene_of(ds)
     panels = [panel_of(part, name, dims, scene, options.boundary) for part in parts]
-    flags = dict(zip(flag_names(array), _flag_colours(array, options), strict=True))
+    flags = options.flag_colours(array)
     families = list(system_of(ds).families)
     exponents = exponent_scale(plane, name)
     if name == "regularity":
-        options = replace(options, labels={**texts(ds), **options.labels})
+        options = replace(options, labels={**texts(ds), **(options.labels or {})})
     entries, notes = map_legend(panels, flags, options, families)
     if not flags and "computed" in ds:
         notes.append("Between the points that were integrated: the value of the nearest one.")
-    notes += _notes(ds, caption, select)
+    if (tiles := tiles_done(ds)) is not None:
+        notes.append(f"Unfinished: {tiles[0]} of {tiles[1]} tiles are computed.")
+    if options.caption:
+        notes.append(text.caption(nearest_on_axes(ds, select)))
     sheet = Sheet(options, len(panels), len(dims) == 1, len(dims) == 1 and not flags)
     figure, axes = sheet.figure(entries, notes)
     scale, image = color_scale(array, options), None
@@ -141,22 +106,6 @@ def _draw_map(
     elif image is not None and not flags:
         add_color_bar(figure, axes, image, scale, variable_text)
     return figure
-
-
-def _flag_colours(array: xr.DataArray, options: MapOptions) -> list[str]:
-    """Colours of the flags of a variable in the order of their values."""
-    colours = flag_colours(flag_names(array)) | dict(options.colors)
-    return list(colours.values())
-
-
-def _notes(ds: xr.Dataset, caption: bool, select: Mapping[str, float]) -> list[str]:
-    """Sentences at the foot of a map: which tiles are missing, and the caption if `caption` is true."""
-    notes = []
-    if (tiles := tiles_done(ds)) is not None:
-        notes.append(f"Unfinished: {tiles[0]} of {tiles[1]} tiles are computed.")
-    if caption:
-        notes.append(text.caption(nearest_on_axes(ds, select)))
-    return notes
 
 
 def _panel_title(panel: xr.Dataset, dim: str) -> str:

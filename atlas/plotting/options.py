@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 import xarray as xr
@@ -13,7 +13,7 @@ from matplotlib.colors import Colormap, is_color_like
 
 from ..analysis.metadata import flag_names
 from ..errors import BadInput, shown
-from .style import WIDTHS, Width, check_width
+from .style import WIDTHS, Width, check_width, flag_colours
 from .text import drawable
 
 MIN_SIZE, MAX_SIZE = 20.0, 2000.0  # mm
@@ -22,21 +22,25 @@ MIN_DPI, MAX_DPI = 10.0, 2400.0
 
 @dataclass(frozen=True)
 class MapOptions:
-    """Options of a map, as `atlas.plotting.maps.atlas_map` describes them.
+    """Options of a map, as `atlas.accessor.Atlas.map` describes them.
 
     Raises BadInput for a value that is allowed for no variable.
     """
 
+    x: str | None = None
+    y: str | None = None
+    select: Mapping[str, float] | None = None
     ax: Axes | None = None
     title: str | None = None
     cmap: str | Colormap | None = None
-    colors: Mapping[str, str] = field(default_factory=dict)
-    labels: Mapping[str, str] = field(default_factory=dict)
+    colors: Mapping[str, str] | None = None
+    labels: Mapping[str, str] | None = None
     boundary: bool = True
     legend: bool = True
     width: Width = "column"
     size: tuple[float, float] | None = None
     dpi: float = 300
+    caption: bool = False
 
     def __post_init__(self) -> None:
         check_width(self.width)
@@ -58,9 +62,9 @@ class MapOptions:
         if self.cmap is not None and not isinstance(self.cmap, str | Colormap):
             raise BadInput(f"cmap = {shown(self.cmap)}: must be a colour map of Matplotlib or its name")
         for name in ("colors", "labels"):
-            if not isinstance(getattr(self, name), Mapping):
+            if not isinstance(getattr(self, name) or {}, Mapping):
                 raise BadInput(f"{name} = {shown(getattr(self, name))}: must be a mapping")
-        for flag, colour in self.colors.items():
+        for flag, colour in (self.colors or {}).items():
             if not is_color_like(colour):
                 raise BadInput(f"colors: {shown(flag)} = {shown(colour)}: not a colour of Matplotlib")
 
@@ -82,13 +86,17 @@ class MapOptions:
             ("colors", self.colors, flags),
             ("labels", self.labels, [*flags, *axes, str(array.name)]),
         ):
-            for name in names:
+            for name in names or {}:
                 if name not in allowed:
                     raise BadInput(f"{option}: {shown(name)}: allowed: {', '.join(allowed)}")
 
     def text(self, name: str, default: str) -> str:
         """Text for a flag, an axis or a variable: the caller's, or the default."""
-        return drawable(str(self.labels.get(name, default)))
+        return drawable(str((self.labels or {}).get(name, default)))
+
+    def flag_colours(self, array: xr.DataArray) -> dict[str, str]:
+        """Colours of the flags of a variable in the order of their values; empty for a variable of numbers."""
+        return flag_colours(flag_names(array)) | dict(self.colors or {})
 
 
 def _is_number(value: object, low: float, high: float) -> bool:

@@ -13,9 +13,7 @@ from matplotlib.colors import BoundaryNorm, Colormap, ListedColormap, LogNorm, N
 from matplotlib.figure import Figure
 from matplotlib.ticker import FixedLocator, MaxNLocator, NullLocator
 
-from ..analysis.metadata import flag_names
 from .options import MapOptions
-from .style import flag_colours
 
 MAX_DECADES = 10  # of a logarithmic colour scale
 MIN_LOG_RATIO = 100  # positive numbers that span more get a logarithmic colour scale
@@ -41,11 +39,9 @@ class ColorScale:
 
 def color_scale(array: xr.DataArray, options: MapOptions) -> ColorScale:
     """Colour scale of a variable by its values, with the colours that the caller chose."""
-    names = flag_names(array)
-    if names:
-        colours = flag_colours(names) | dict(options.colors)
-        edges = np.arange(len(names) + 1) - 0.5
-        return ColorScale(ListedColormap(list(colours.values())), BoundaryNorm(edges, len(names)))
+    if colours := list(options.flag_colours(array).values()):
+        edges = np.arange(len(colours) + 1) - 0.5
+        return ColorScale(ListedColormap(colours), BoundaryNorm(edges, len(colours)))
     colormap = colormaps.get_cmap("viridis" if options.cmap is None else options.cmap)
     finite = array.values[np.isfinite(array.values)]
     if not finite.size:

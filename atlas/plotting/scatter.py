@@ -17,27 +17,25 @@ from .legend import map_legend
 from .options import MapOptions
 from .scales import MIN_LOG_RATIO, ColorScale, add_color_bar, color_scale
 from .sheet import Sheet
-from .style import flag_colours
 
 # Area of a dot in square points: within limits that with which all dots together cover the panel about once.
 PANEL_AREA, MIN_DOT, MAX_DOT = 6000.0, 0.5, 14.0
 
 
-def draw_scatter(
-    ds: xr.Dataset, name: str, x: str | None, y: str | None, options: MapOptions, caption: str
-) -> Figure:
+def draw_scatter(ds: xr.Dataset, name: str, options: MapOptions) -> Figure:
     """Draw a variable of single points as dots, see `atlas.plotting.maps.atlas_map`."""
-    axes = scatter_axes(ds, x, y)
+    axes = scatter_axes(ds, options.x, options.y)
     options.check_for(ds[name], axes)
-    ds = ds[[name, *axes]].load() if not caption else ds
-    array = ds[name].load()
-    flags = flag_colours(flag_names(array)) | dict(options.colors)
+    caption = [text.caption(ds)] if options.caption else []
+    ds = ds[[name, *axes]].load()
+    array = ds[name]
+    flags = options.flag_colours(array)
     families = list(system_of(ds).families)
     white = {} if flags else {"no value": ~np.isfinite(array.values)}
     panel = Panel(array, {k: v for k, v in white.items() if v.any()}, np.zeros(array.shape, bool))
     entries, notes = map_legend([panel], flags, options, families)
     sheet = Sheet(options, 1)
-    figure, (ax,) = sheet.figure(entries, [*notes, caption] if caption else notes)
+    figure, (ax,) = sheet.figure(entries, notes + caption)
     columns = [np.asarray(ds[axis].values, float) for axis in axes]
     log = [_is_logarithmic(column) for column in columns]
     scale = color_scale(array, options)

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Mapping, Sequence
+import math
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeAlias
 
 import netCDF4
 import numpy as np
@@ -19,11 +20,14 @@ from ..scene.model import Scene
 from ..systems.base import System
 from ..variables import variables
 from . import checksums, zarr_store
+from .checksums import NETCDF_LOCK
 
 COMPRESSION: dict[str, Any] = {"zlib": True, "complevel": 4, "shuffle": True}
 CHECKED_COMPRESSION = COMPRESSION | {"fletcher32": True}
 # A parameter with more values than this becomes a dask array, computed chunk by chunk when it is used.
 MAX_EAGER_VALUES = 4_000_000
+# Points in a box of the grid: the box, and the values of some variables by their names.
+Block: TypeAlias = tuple[tuple[slice, ...], Mapping[str, np.ndarray]]
 
 
 def dims(scene: Scene) -> tuple[str, ...]:
@@ -148,6 +152,56 @@ def write(ds: xr.Dataset, path: Path) -> None:
             raise disk_error(error, path) from None
 
 
+def write_blocks(
+    ds: xr.Dataset, chunk: Mapping[str, int], names: Collection[str], blocks: Iterator[Block], path: Path
+) -> None:
+    """Write an atlas larger than memory as one NetCDF file, which appears whole or not at all.
+
+    ds: the atlas; its dask arrays are written chunk by chunk, but those of `names` from the blocks. chunk: length of a
+    chunk along each dimension. blocks: all points in boxes, with the values of `names`. path: an existing file is replaced.
+    Raises OSError if the disk is full.
+    """
+    coordinates = " ".join(str(name) for name in ds.coords if name not in ds.dims)
+    with atomic_write(path) as temporary:
+        try:
+            with NETCDF_LOCK:
+                file = netCDF4.Dataset(temporary, "w", format="NETCDF4")
+            try:
+                with NETCDF_LOCK:
+                    file.setncatts(ds.attrs)
+                    for dim, length in ds.sizes.items():
+                        file.createDimension(str(dim), length)
+                for name, array in ds.variables.items():
+                    is_data, dimensions = name in ds.data_vars, [str(dim) for dim in array.dims]
+                    options: dict[str, Any] = {"fill_value": False}
+                    if is_data and array.dtype.kind == "f":
+                        options["fill_value"] = np.nan
+                    if dimensions:
+                        options |= CHECKED_COMPRESSION | {"chunksizes": [chunk[dim] for dim in dimensions]}
+                    with NETCDF_LOCK:
+                        variable = file.createVariable(str(name), array.dtype, dimensions, **options)
+                        variable.set_auto_maskandscale(False)
+                        variable.setncatts(array.attrs | ({"coordinates": coordinates} if is_data else {}))
+                        if dimensions:
+                            size = 2 * math.prod(variable.chunking()) * array.dtype.itemsize
+                            variable.set_var_chunk_cache(size=size)
+                        if array.chunks is None:
+                            variable[...] = array.values
+                for name, array in ds.variables.items():  # parameters too large for memory
+                    if array.chunks is not None and name not in names:
+                        array.data.store(file[str(name)], lock=NETCDF_LOCK, scheduler="synchronous")
+                for box, values in blocks:
+                    with NETCDF_LOCK:
+                        for name, part in values.items():
+                            file[name][box] = part
+            finally:
+                with NETCDF_LOCK:
+                    file.close()
+            checksums.add(temporary)
+        except (RuntimeError, OSError) as error:
+            raise disk_error(error, path) from None
+
+
 def writable(
     name: str | Path, suffixes: Sequence[str], *, force: bool, inputs: Iterable[str | Path] = ()
 ) -> Path:
@@ -160,7 +214,7 @@ def writable(
     is_own = True
     if path.suffix.lower() == ".nc":
         checksums.check_path(path)
-        with suppress(OSError, RuntimeError), checksums.NETCDF_LOCK, netCDF4.Dataset(path) as file:
+        with suppress(OSError, RuntimeError), NETCDF_LOCK, netCDF4.Dataset(path) as file:
             is_own = checksums.GROUP in file.groups or "atlas_version" in file.ncattrs()
     elif path.is_dir():
         is_own = zarr_store.is_whole(path)

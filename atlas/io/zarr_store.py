@@ -13,7 +13,7 @@ import json
 import math
 import os
 import zlib
-from collections.abc import Mapping
+from collections.abc import Collection, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -24,7 +24,7 @@ from xarray.backends.zarr import ZarrStore
 from xarray.core import indexing
 
 from ..errors import BadInput
-from ..files import check_claim, one_line, read_json
+from ..files import atomic_folder, check_claim, one_line, read_json
 
 METADATA = "zarr.json"
 CHECKSUM = "atlas_checksum"
@@ -53,40 +53,46 @@ def shard_lengths(sizes: Mapping[str, int], chunk: Mapping[str, int]) -> dict[st
     return shard
 
 
-def create(path: Path, ds: xr.Dataset, chunk: Mapping[str, int]) -> dict[str, Any]:
-    """Create a store with everything but the values of dask arrays.
+def write_blocks(
+    ds: xr.Dataset, chunk: Mapping[str, int], names: Collection[str], blocks: Iterator[Any], path: Path
+) -> None:
+    """Write an atlas larger than memory as a Zarr store, which appears whole or not at all.
 
-    path: an empty folder; ds: its variables in memory are written; chunk: length of a chunk along each
-    dimension. Returns name -> Zarr array, of the variables that are dask arrays.
+    The arguments are those of `netcdf.write_blocks`; the boxes are those of `shard_lengths`, each the points of one file.
     """
     zarr = zarr_package()
     coordinates = " ".join(str(name) for name in ds.coords if name not in ds.dims)
     shard = shard_lengths({str(dim): size for dim, size in ds.sizes.items()}, chunk)
-    root = zarr.create_group(str(path), zarr_format=3, attributes=_plain(ds.attrs))
-    unwritten = {}
-    for name, variable in ds.variables.items():
-        dims = [str(dim) for dim in variable.dims]
-        attributes = variable.attrs | ({"coordinates": coordinates} if name in ds.data_vars else {})
-        array = root.create_array(
-            str(name),
-            shape=variable.shape,
-            dtype=variable.dtype,
-            chunks=tuple(chunk[dim] for dim in dims),
-            shards=tuple(shard[dim] for dim in dims) or None,
-            compressors=[
-                zarr.codecs.BloscCodec(cname="zstd", clevel=COMPRESSION_LEVEL, shuffle="shuffle"),
-                zarr.codecs.Crc32cCodec(),
-            ],
-            fill_value=math.nan if variable.dtype.kind == "f" else 0,
-            dimension_names=dims,
-            attributes=_plain(attributes),
-            config={"write_empty_chunks": True},  # so that a missing file is always a loss
-        )
-        if variable.chunks is None:
-            array[...] = variable.values
-        else:
-            unwritten[str(name)] = array
-    return unwritten
+    with atomic_folder(path) as temporary:
+        root = zarr.create_group(str(temporary), zarr_format=3, attributes=_plain(ds.attrs))
+        arrays = {}
+        for name, variable in ds.variables.items():
+            dims = [str(dim) for dim in variable.dims]
+            attributes = variable.attrs | ({"coordinates": coordinates} if name in ds.data_vars else {})
+            lengths = tuple(shard[dim] for dim in dims)
+            array = arrays[name] = root.create_array(
+                str(name),
+                shape=variable.shape,
+                dtype=variable.dtype,
+                chunks=tuple(chunk[dim] for dim in dims),
+                shards=lengths or None,
+                compressors=[
+                    zarr.codecs.BloscCodec(cname="zstd", clevel=COMPRESSION_LEVEL, shuffle="shuffle"),
+                    zarr.codecs.Crc32cCodec(),
+                ],
+                fill_value=math.nan if variable.dtype.kind == "f" else 0,
+                dimension_names=dims,
+                attributes=_plain(attributes),
+                config={"write_empty_chunks": True},  # so that a missing file is always a loss
+            )
+            if variable.chunks is None:
+                array[...] = variable.values
+            elif name not in names:  # a parameter too large for memory
+                variable.data.rechunk(lengths).store(array, lock=False, scheduler="synchronous")
+        for box, values in blocks:
+            for name, part in values.items():
+                arrays[name][box] = part
+        _add_checksum(temporary)
 
 
 def _plain(attributes: Mapping[Any, Any]) -> dict[str, Any]:
@@ -97,7 +103,7 @@ def _plain(attributes: Mapping[Any, Any]) -> dict[str, Any]:
     }
 
 
-def add_checksum(path: Path) -> None:
+def _add_checksum(path: Path) -> None:
     """Add the checksums to a store when all is written."""
     file = path / METADATA
     metadata = json.loads(file.read_bytes())

@@ -27,7 +27,6 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
-import netCDF4
 import numpy as np
 import xarray as xr
 
@@ -38,7 +37,6 @@ from ..files import (
     check_folder,
     check_types,
     claim_path,
-    disk_error,
     is_temporary,
     one_line,
     read_bytes,
@@ -48,8 +46,8 @@ from ..files import (
     temporary_path,
     unsealed,
 )
-from ..io import checksums, netcdf, progress
-from ..io.checksums import NETCDF_LOCK
+from ..io import netcdf, progress, zarr_store
+from ..io.netcdf import Block
 from ..io.provenance import scene_provenance
 from ..label.pipeline import scene_kernel_hash
 from ..scene import grid
@@ -58,7 +56,6 @@ from ..scene.read import parse_scene
 from .identity import differences, identity
 from .tiles import DamagedTileError, Tally, TileFiles, tile_types
 from .tiling import Tiling, tiling
-from .zarr_join import boxes, read_box
 
 FORMAT = 2
 MANIFEST = "manifest.json"
@@ -355,83 +352,46 @@ class RunFolder:
             raise BadInput(
                 f"{self.path}: {missing} of {self.tiling.count} tiles are missing; run its scene again first"
             )
+        names, shape = tuple(tile_types(self.scene)), self.scene.shape
+        # Chunks as long as tiles of the cheapest scene: many small tiles would make a slow file.
+        lengths = Tiling.of(shape, grid.MAX_POINTS_PER_TILE).tile
+        chunk = dict(zip(netcdf.dims(self.scene), lengths, strict=True))
         try:
             if out.suffix.lower() == ".zarr":
-                from .zarr_join import write_zarr
-
-                write_zarr(self, out)
+                zarr_store.zarr_package()
+                sizes = dict(zip(chunk, shape, strict=True))
+                blocks = self._blocks(tuple(zarr_store.shard_lengths(sizes, chunk).values()))
+                zarr_store.write_blocks(self.dataset(), chunk, names, blocks, out)
             else:
-                self._write_netcdf(out)
+                whole = (t * max(c // t, 1) for t, c in zip(self.tiling.tile, lengths, strict=True))
+                netcdf.write_blocks(self.dataset(), chunk, names, self._blocks(tuple(whole)), out)
         except DamagedTileError as error:
             raise BadInput(f"{self.path}: {error}; run its scene again first") from None
 
-    def _write_netcdf(self, out: Path) -> None:
-        """Write the whole atlas as a NetCDF file; see `join`."""
-        with atomic_write(out) as temporary:
-            try:
-                with NETCDF_LOCK:
-                    file = netCDF4.Dataset(temporary, "w", format="NETCDF4")
+    def _blocks(self, lengths: tuple[int, ...]) -> Iterator[Block]:
+        """All points in boxes of these lengths, with the values of all variables of the tiles."""
+        boxes = Tiling(self.scene.shape, lengths)
+        for box in map(boxes.slices, range(boxes.count)):
+            values = {
+                name: np.empty([part.stop - part.start for part in box], dtype)
+                for name, dtype in tile_types(self.scene).items()
+            }
+            first = [part.start // length for part, length in zip(box, self.tiling.tile, strict=True)]
+            last = [(part.stop - 1) // length for part, length in zip(box, self.tiling.tile, strict=True)]
+            for offset in np.ndindex(*[b - a + 1 for a, b in zip(first, last, strict=True)]):
+                tile = int(np.ravel_multi_index(tuple(np.add(first, offset)), self.tiling.counts))
                 try:
-                    ds = self.dataset()
-                    self._create_variables(file, ds)
-                    self._copy_lazy_parameters(file, ds)
-                    self._copy_tiles(file)
-                finally:
-                    with NETCDF_LOCK:
-                        file.close()
-                checksums.add(temporary)
-            except (RuntimeError, OSError) as error:
-                raise disk_error(error, out) from None
-
-    def _create_variables(self, file: netCDF4.Dataset, ds: xr.Dataset) -> None:
-        """Create everything of a joined file, and write the variables that are in memory."""
-        # Chunks as long as tiles of the cheapest scene: many small tiles would make a slow file.
-        chunk_shape = Tiling.of(self.scene.shape, grid.MAX_POINTS_PER_TILE).tile
-        chunk = dict(zip(netcdf.dims(self.scene), chunk_shape, strict=True))
-        coordinates = " ".join(str(name) for name in ds.coords if name not in ds.dims)
-        with NETCDF_LOCK:
-            file.setncatts(ds.attrs)
-            for dim, length in ds.sizes.items():
-                file.createDimension(str(dim), length)
-            for name, array in ds.variables.items():
-                is_data, dims = name in ds.data_vars, [str(dim) for dim in array.dims]
-                options: dict[str, Any] = {"fill_value": False}
-                if is_data and array.dtype.kind == "f":
-                    options["fill_value"] = np.nan
-                if dims:
-                    options |= netcdf.CHECKED_COMPRESSION
-                    options["chunksizes"] = [chunk[dim] for dim in dims]
-                variable = file.createVariable(str(name), array.dtype, dims, **options)
-                variable.set_auto_maskandscale(False)
-                variable.setncatts(array.attrs | ({"coordinates": coordinates} if is_data else {}))
-                if dims:
-                    variable.set_var_chunk_cache(
-                        size=2 * math.prod(variable.chunking()) * array.dtype.itemsize
-                    )
-                if array.chunks is None:
-                    variable[...] = array.values
-
-    def _copy_lazy_parameters(self, file: netCDF4.Dataset, ds: xr.Dataset) -> None:
-        """Write parameters that are dask arrays and not in the tiles, chunk by chunk."""
-        for name, array in ds.coords.items():
-            if array.chunks is None or name in self.scene.solve:
-                continue
-            for index in np.ndindex(*array.data.numblocks):
-                values = array.data.blocks[index].compute(scheduler="synchronous")
-                first = [sum(lengths[:i]) for lengths, i in zip(array.chunks, index, strict=True)]
-                slices = tuple(slice(i, i + n) for i, n in zip(first, values.shape, strict=True))
-                with NETCDF_LOCK:
-                    file[str(name)][slices] = values
-
-    def _copy_tiles(self, file: netCDF4.Dataset) -> None:
-        """Write the variables of all tiles, in boxes of whole tiles of about the points of a chunk."""
-        chunk = Tiling.of(self.scene.shape, grid.MAX_POINTS_PER_TILE).tile
-        lengths = tuple(t * max(c // t, 1) for t, c in zip(self.tiling.tile, chunk, strict=True))
-        for box in boxes(self.scene.shape, lengths):
-            values = read_box(self, box)
-            with NETCDF_LOCK:
-                for name, array in values.items():
-                    file[name][box] = array
+                    arrays = self.tiles.read(tile)
+                except (FileNotFoundError, DamagedTileError) as error:
+                    raise DamagedTileError(f"tile {tile}: {error}") from None
+                in_box, in_tile = [], []
+                for a, b in zip(box, self.tiling.slices(tile), strict=True):
+                    start, stop = max(a.start, b.start), min(a.stop, b.stop)
+                    in_box.append(slice(start - a.start, stop - a.start))
+                    in_tile.append(slice(start - b.start, stop - b.start))
+                for name, array in arrays.items():
+                    values[name][tuple(in_box)] = array[tuple(in_tile)]
+            yield box, values
 
     def remove(self) -> None:
         """Remove the run, and its folder if nothing else is in it; the manifest last.

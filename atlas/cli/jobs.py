@@ -168,8 +168,12 @@ def _cache(options: argparse.Namespace) -> int:
     if options.clear:
         say(f"removed {jit.clear()} kernels from {jit.cache_folder()}")
         return DONE
-    kernels = jit.cached()
-    say(f"{jit.cache_folder()}: {len(kernels)} kernels, {sum(size for _, size, _ in kernels) / 1e6:.1f} MB")
-    for name, size, _ in kernels:
+    files = jit.cached()
+    kernels = [(name, size) for name, size, _ in files if jit.is_kernel(name)]
+    say(
+        f"{jit.cache_folder()}: {len(kernels)} kernels, {len(files) - len(kernels)} functions that they share,"
+        f" {sum(size for _, size, _ in files) / 1e6:.1f} MB"
+    )
+    for name, size in kernels:
         say(f"  {name}  {size / 1e6:.1f} MB")
     return DONE

@@ -127,9 +127,14 @@ def settings() -> dict[str, str]:
 
 def digest(source: str) -> str:
     """Hash of a kernel: its syntax tree (comments and layout do not count), compilers, CPU, options."""
+    return _hash(ast.dump(ast.parse(source)))
+
+
+def _hash(tree: str) -> str:
+    """Hash of a syntax tree, compilers, CPU, options."""
     features = ",".join(sorted(k for k, v in llvm.get_host_cpu_features().items() if v))
     key = (
-        ast.dump(ast.parse(source)), numba.__version__, llvmlite.__version__, cpu(), features, repr(settings()),
+        tree, numba.__version__, llvmlite.__version__, cpu(), features, repr(settings()),
         f"{sys.version_info.major}.{sys.version_info.minor}",
     )  # fmt: skip
     return hashlib.sha256("\n".join(key).encode()).hexdigest()[:16]
@@ -151,8 +156,40 @@ def load(source: str) -> ModuleType:
             if compiles:
                 module.integrate._cache = _MachineCode(name)  # what its option `cache` sets
                 _report_compilation(module.integrate)
+                _share_functions(source, module)
             sys.modules[name] = module  # Numba looks the globals of a cached kernel up by module name
         return sys.modules[name]
+
+
+def _share_functions(source: str, module: ModuleType) -> None:
+    """Cache each function of a kernel by what it depends on, so that only what is new in another kernel is compiled.
+
+    The name of its machine code is a hash of its text, of the functions that it calls and of the numbers that these use.
+    """
+    definitions: dict[str, ast.stmt] = {}
+    for node in ast.parse(source).body:
+        if isinstance(node, ast.FunctionDef):
+            definitions[node.name] = node
+        elif isinstance(node, ast.Assign) and isinstance(node.targets[0], ast.Name):
+            definitions[node.targets[0].id] = node
+    texts = {name: ast.dump(node) for name, node in definitions.items()}
+    uses = {
+        name: {n.id for n in ast.walk(node) if isinstance(n, ast.Name)} & definitions.keys()
+        for name, node in definitions.items()
+    }
+    dispatchers: dict[str, Any] = {k: v for k, v in vars(module).items() if isinstance(v, Dispatcher)}
+    for name, function in dispatchers.items():
+        if name != "integrate" and "inline" not in function.targetoptions:
+            needed, queue = {name}, [name]
+            while queue:
+                new = uses[queue.pop()] - needed
+                needed |= new
+                queue += new
+            shared = f"atlas_function_{name}_{_hash(repr([texts[each] for each in sorted(needed)]))}"
+            # Numba looks the globals of cached code up by module name, and a module of this kernel may not be there.
+            function.py_func.__module__ = shared
+            sys.modules.setdefault(shared, ModuleType(shared))
+            function._cache = _MachineCode(shared)
 
 
 def _report_compilation(function: Any) -> None:
@@ -294,9 +331,9 @@ def _remove(path: Path) -> None:
 
 
 def cached() -> list[tuple[str, int, float]]:
-    """Kernels in the cache: name, bytes, time of the last change."""
+    """Kernels, and functions that they share, in the cache: name, bytes, time of the last change."""
     kernels = []
-    for path in sorted(cache_folder().glob("atlas_kernel_*")):
+    for path in sorted(cache_folder().glob("atlas_[fk]*")):
         files = [path, *path.rglob("*")]  # a folder: of an earlier version
         with suppress(FileNotFoundError):  # removed in the meantime
             size = sum(status.st_size for file in files if stat.S_ISREG((status := file.lstat()).st_mode))
@@ -305,9 +342,14 @@ def cached() -> list[tuple[str, int, float]]:
 
 
 def clear() -> int:
-    """Remove every cached kernel, and what killed processes left of them; returns how many there were."""
+    """Remove all of the cache, and what killed processes left of it; returns how many kernels there were."""
     names = [name for name, _, _ in cached()]
     for name in names:
         _remove(cache_folder() / name)
     remove_leftovers(cache_folder())
-    return len(names)
+    return sum(map(is_kernel, names))
+
+
+def is_kernel(name: str) -> bool:
+    """Whether a file of the cache is a kernel, not a function that kernels share."""
+    return name.startswith("atlas_kernel_")

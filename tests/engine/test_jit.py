@@ -87,6 +87,20 @@ def test_machine_code_comes_from_the_cache_and_only_its_user_can_read_it(cache, 
     assert caplog.messages == []
 
 
+def test_kernels_share_the_machine_code_of_equal_functions(cache):
+    text = f"{jit.HEADER}\nK = 2.0\n\n\n{jit.INLINE}\ndef scaled(x):\n    return K * x\n\n\n{jit.INLINE}\n"
+    text += f"def shifted(x):\n    return scaled(x) + 1.0\n\n\n{jit.KERNEL}\ndef integrate(x):\n    return shifted(x)\n"
+    other = text.replace("return shifted(x)", "return shifted(x) + scaled(x)")
+    for source, result, hits in ((text, 7.0, 0), (other, 13.0, 1), (text.replace("2.0", "5.0"), 16.0, 0)):
+        module = fresh(source)
+        assert module.integrate(3.0) == result
+        assert sum(module.shifted.stats.cache_hits.values()) == hits
+    kernels = [jit.is_kernel(name) for name, _, _ in jit.cached()]
+    assert (kernels.count(True), kernels.count(False)) == (3, 4)
+    assert jit.clear() == 3
+    assert jit.cached() == []
+
+
 def test_a_kernel_is_announced_when_it_is_compiled_and_not_when_it_is_cached(cache, capsys):
     with announced(True):
         for compiled in (True, False):

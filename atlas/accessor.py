@@ -114,7 +114,7 @@ class Atlas:
         -------
         Page
             Jupyter shows it in the cell; `page().save("map.html")` writes it. It needs no server and loads nothing.
-            Of atlases of more than `atlas.page.layout.MAX_POINTS` points it shows every k-th value along the longest axes.
+            Of atlases of more than `atlas.page.content.MAX_POINTS` points it shows every k-th value along the longest axes.
 
         Raises
         ------
@@ -193,7 +193,7 @@ class Atlas:
         BadInput
             If the variable has no flags, or `along` is no axis.
         """
-        from .analysis.regions import fractions
+        from .analysis.trust import fractions
 
         return fractions(self._ds, variable, along)
 
@@ -226,7 +226,7 @@ class Atlas:
         Dataset
             Over the dimension "vertex", line by line: the values of the axes by their names, `line`, the number
             of the line, and `kind`, what changes there, such as "stability limit"; the kinds of theory are
-            `atlas.analysis.theory_borders.KINDS`. Lines close or end at the edge of the atlas. Those of
+            `atlas.analysis.boundary.KINDS`. Lines close or end at the edge of the atlas. Those of
             theory reach half a cell beyond the outermost points, as maps do. Those of a region run halfway
             between points in and out of it, on a logarithmic axis in the logarithm; of axes longer than `atlas.analysis.select.MAX_CELLS` every k-th
             value counts.
@@ -263,7 +263,7 @@ class Atlas:
         BadInput
             As `nearest`, for axes without a value, and where the scene's family has no motion.
         """
-        from .analysis.rerun import nearest_trajectory
+        from .analysis.select import nearest_trajectory
 
         return nearest_trajectory(self._ds, coords, samples)
 
@@ -301,7 +301,7 @@ class Atlas:
         -------
         dict
             Family -> curves of shape (vertices, axes), x first; rows of nan cut a curve. Which families
-            have curves: see `atlas.analysis.theory_curves.family_curves`.
+            have curves: see `atlas.analysis.plane.family_curves`.
 
         Raises
         ------
@@ -309,9 +309,8 @@ class Atlas:
             For names that are not in the atlas, where more than two axes are left, and for single points.
         """
         from .analysis.metadata import scene_of, system_of
-        from .analysis.plane import Plane
+        from .analysis.plane import Plane, family_curves
         from .analysis.select import plane_of
-        from .analysis.theory_curves import family_curves
 
         system_of(self._ds)
         scene = scene_of(self._ds)
@@ -389,7 +388,7 @@ class Atlas:
         ----------
         J. Daquin and C. Charalambous (2022): the second derivative of the diameter of orbits.
         """
-        from .analysis.roughness import roughness
+        from .analysis.trust import roughness
 
         return roughness(self._ds, x, y)
 

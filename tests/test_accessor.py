@@ -16,7 +16,7 @@ from hypothesis.extra.numpy import array_shapes, arrays
 
 import atlas
 from atlas import BadInput, load_scene
-from atlas.analysis import chunks, theory_curves
+from atlas.analysis import metadata, plane
 from atlas.analysis.metadata import map_variable
 from atlas.flags import Agreement, Label
 
@@ -38,7 +38,7 @@ def files(tmp_path_factory, small_scene):
 def small(files, request, monkeypatch):
     path, ds = files
     if request.param == "chunks":
-        monkeypatch.setattr(chunks, "MAX_POINTS", 10)
+        monkeypatch.setattr(metadata, "MAX_POINTS", 10)
     if request.param in ("memory", "chunks"):
         yield ds
         return
@@ -120,9 +120,9 @@ def test_fractions_are_counts(small, files):
 def test_chunks_cover_every_point_once(label, max_points):
     ds = labelled(label)
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(chunks, "MAX_POINTS", max_points)
+        patch.setattr(metadata, "MAX_POINTS", max_points)
         visits = np.zeros(label.shape, int)
-        for box in chunks.chunks(ds.sizes, list(ds.dims)):
+        for box in metadata.chunks(ds.sizes, list(ds.dims)):
             slices = tuple(box.values())
             visits[slices] += 1
             assert visits[slices].size <= max_points
@@ -157,7 +157,7 @@ def count_uncertain(label: np.ndarray, stride: int, step: int, inner: bool) -> t
 )
 def test_trust_counts_cells(label, max_points):
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(chunks, "MAX_POINTS", max_points)
+        patch.setattr(metadata, "MAX_POINTS", max_points)
         trust = labelled(label).atlas.trust()
     for stride, share in zip(trust.stride.values, trust.uncertain.values, strict=True):
         cells, differ = count_uncertain(label, int(stride), 1, True)
@@ -203,7 +203,7 @@ def test_short_axes_are_separate_maps():
 
 
 def test_an_atlas_larger_than_a_chunk_is_never_loaded_whole(tmp_path, monkeypatch):
-    monkeypatch.setattr(chunks, "MAX_POINTS", 250_000)
+    monkeypatch.setattr(metadata, "MAX_POINTS", 250_000)
     size = 4000  # 16 MB of labels
     label = np.full((size, size), Label.PERMANENT_ROTATION, np.int8)
     label[1501:, 77] = Label.DRIFTING
@@ -361,10 +361,8 @@ def test_families_and_maps_are_those_of_analysis_and_plotting(scene_text):
     scene = load_scene(scene_text(changes | {"axes.n.values": [0.0, 0.1]}))
     ds = atlas.run(scene, progress=False)
     curves = ds.atlas.families(select={"n": 0.0})
-    plane = theory_curves.Plane.of(scene, ds.sel(n=0.0), ["sigma", "theta0"])
-    np.testing.assert_array_equal(
-        curves["perp_velocity"][0], theory_curves.family_curves(plane)["perp_velocity"][0]
-    )
+    view = plane.Plane.of(scene, ds.sel(n=0.0), ["sigma", "theta0"])
+    np.testing.assert_array_equal(curves["perp_velocity"][0], plane.family_curves(view)["perp_velocity"][0])
     assert "perp_velocity" not in ds.atlas.families(select={"n": 0.1})
     assert ds.atlas.map("theta_dot_rms", select={"n": 0.0}).axes
     with pytest.raises(BadInput, match="n has 2 values here"):

@@ -2,20 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+from functools import partial
+from itertools import combinations, pairwise
+from typing import cast
 
 import contourpy
 import numpy as np
 import xarray as xr
 
 from ..errors import BadInput, attribute_text
+from ..flags import Label, Stability
 from ..scene.model import Scene
-from . import resonances
-from .count_borders import count_borders
+from ..systems.base import Array, DerivedVariable, Flags, Mask, derived_values
+from ..systems.oscillations import FREQUENCIES
 from .metadata import axes_of, flag_values, is_logarithmic, scene_of, system_of
-from .plane import Plane
+from .plane import SAMPLES, Plane, Theory
 from .select import plane_of
-from .theory_borders import theory_borders
 
 Lines = dict[str, list[np.ndarray]]
 
@@ -70,8 +73,8 @@ def theory_lines(scene: Scene, plane: xr.Dataset, dims: list[str], variable: str
         return count_borders(Plane.of(scene, plane, dims), plane[variable], derived)
     whole = Plane.of(scene, plane, dims)
     borders = theory_borders(whole, inertial=variable.endswith("_inertial"))
-    if variable in resonances.VARIABLES and variable in scene.system.derived and len(dims) == 2:
-        borders |= resonances.resonance_lines(whole)
+    if variable in RESONANCE_VARIABLES and variable in scene.system.derived and len(dims) == 2:
+        borders |= resonance_lines(whole)
     return borders
 
 
@@ -97,3 +100,325 @@ def _dataset(lines: Lines, plane: xr.Dataset, dims: list[str]) -> xr.Dataset:
         },
         attrs={"title": f"borders in {attribute_text(plane.attrs, 'title', 'an atlas')!r}"},
     )
+
+
+# Samples along each axis before refinement: even, as SAMPLES.
+COARSE_SAMPLES = 150
+# Cells that a line crosses are divided into 3 x 3, so often. An odd number leaves the middle of an extent, where
+# special values such as 0 often are, between two samples.
+DIVISION, LEVELS = 3, 2
+# Bisections of a vertex: on two axes to about 1e-5 of each, on one axis to less.
+BISECTIONS, LINE_BISECTIONS = 5, 17
+
+STABILITY = "stability limit"
+LABEL = "precession limit"
+EXISTENCE = "edge of existence"
+ZERO_RATES = {"n": "permanent rotation: psi' = 0", "m": "permanent rotation: phi' = 0"}
+KINDS = (STABILITY, LABEL, EXISTENCE, *ZERO_RATES.values())
+
+# Classes of points: 1 and 2 on the two sides of a line, 0 where there is no line.
+Classes = dict[str, Flags]
+
+
+def theory_borders(plane: Plane, *, inertial: bool = False) -> dict[str, list[np.ndarray]]:
+    """Lines at which theory predicts a change in a plane.
+
+    plane: where to look for lines; inertial: of labels in inertial space, if the frame of the system turns.
+    Returns kind of line, one of KINDS, -> polylines of shape (vertices, axes of the plane), float64, in the
+    units of the axes. Between linearly stable and unstable motions; between regular precession and permanent
+    rotation, both of some extent; where a regular precession has psi' = 0 or phi' = 0, so that it is a
+    permanent rotation on that line alone; and between points with a motion and without. Kinds without a line
+    are missing.
+
+    Samples on COARSE_SAMPLES values along each axis are refined where a line crosses a cell, and around it as far
+    as the line continues, so that a region wider than 1 / (COARSE_SAMPLES * DIVISION**LEVELS) of an axis is followed
+    to its ends if one sample is inside it. Vertices are then bisected.
+    """
+
+    def classes(positions: Array) -> Classes:
+        """Classes at positions (points, axes)."""
+        return _classes(plane, plane.theory(_coordinates(plane, positions), inertial=inertial))
+
+    if len(plane.extent) == 1:
+        samples, bisections = classes(np.linspace(0, 1, SAMPLES)[:, np.newaxis]), LINE_BISECTIONS
+    else:
+        samples, bisections = _refined_samples(classes), BISECTIONS
+    result = {}
+    for kind, column in samples.items():
+        lines = _lines_at(np.where(column > 0, column, np.nan), 1.5)
+        if not lines:
+            continue
+        positions, cells = np.concatenate(lines), len(column) - 1
+        low, high = np.floor(positions + 0.25) / cells, np.ceil(positions - 0.25) / cells
+        is_low = partial(_has_class, classes, kind, classes(low)[kind])
+        vertices = _bisected(is_low, low, high, bisections)
+        ends = np.cumsum([len(line) for line in lines])[:-1]
+        lines = np.split(vertices, ends)
+        if kind in ZERO_RATES.values():
+            edges = zip(np.split(low, ends), np.split(high, ends), strict=True)
+            lines = _without_poles(plane, kind, list(edges), lines, inertial)
+        if lines:
+            result[kind] = [_values(plane, line) for line in lines]
+    return result
+
+
+def _has_class(classes: Callable[[Array], Classes], kind: str, expected: Flags, positions: Array) -> Mask:
+    """Whether positions have a class that is given for each."""
+    return classes(positions)[kind] == expected
+
+
+def stability_boundary(plane: Plane) -> list[np.ndarray]:
+    """Lines between linearly stable and unstable motions in a plane, see `theory_borders`.
+
+    plane: where to look for the boundary. Returns polylines of shape (vertices, axes of the plane), float64,
+    in the units of the axes.
+    """
+    return theory_borders(plane).get(STABILITY, [])
+
+
+# Positions of theory's lines are fractions of the extent of each axis.
+
+
+def _coordinates(plane: Plane, positions: Array) -> dict[str, Array]:
+    """Axis values by dimension at positions (points, axes)."""
+    return dict(zip(plane.extent, _values(plane, positions).T, strict=True))
+
+
+def _values(plane: Plane, positions: Array) -> Array:
+    """Axis values at positions (points, axes)."""
+    columns = []
+    for i, (dim, (low, high)) in enumerate(plane.extent.items()):
+        if is_logarithmic(plane.scene, dim, (low, high)):
+            columns.append(low * (high / low) ** positions[:, i])
+        else:
+            columns.append(low + (high - low) * positions[:, i])
+    return np.stack(columns, -1)
+
+
+def _classes(plane: Plane, theory: Theory) -> Classes:
+    """Classes of some points for each kind of line."""
+    regular = theory.exists & (theory.label == Label.REGULAR_PRECESSION)
+    # A nudged unstable motion has no label of its own, so that no line divides such points.
+    kept = regular & ((theory.stable != Stability.UNSTABLE) | (not plane.scene.nudge))
+    permanent = theory.exists & (theory.label == Label.PERMANENT_ROTATION)
+    columns = {
+        STABILITY: np.where(theory.exists, theory.stable, Stability.UNKNOWN),
+        LABEL: np.select([regular, permanent], [1, 2], 0),
+        EXISTENCE: np.where(theory.exists, 1, 2),
+    }
+    for name, kind in ZERO_RATES.items():
+        if name not in plane.extent:  # the zero of an axis needs no line
+            columns[kind] = np.where(kept, np.where(theory.rates[name] < 0, 1, 2), 0)
+    return {kind: column.astype(np.int8) for kind, column in columns.items()}
+
+
+def _refined_samples(classes: Callable[[Array], Classes]) -> Classes:
+    """Classes on a fine grid over two axes, evaluated only where they change, (samples, samples)."""
+    count = COARSE_SAMPLES
+    samples = {kind: column.reshape(count, count) for kind, column in classes(_grid_positions(count)).items()}
+    evaluated = np.ones((count, count), bool)
+    for _ in range(LEVELS):
+        # Each fine sample begins with the class of the coarse one next to it, which holds unless a line is near.
+        count = DIVISION * (count - 1) + 1
+        nearest = np.rint(np.arange(count) / DIVISION).astype(int)
+        samples = {kind: column[np.ix_(nearest, nearest)] for kind, column in samples.items()}
+        known, coarse = np.zeros((count, count), bool), evaluated
+        known[::DIVISION, ::DIVISION] = True
+        evaluated = np.zeros((count, count), bool)
+        evaluated[::DIVISION, ::DIVISION] = coarse
+        while True:
+            missing = _samples_of_cells(_cells_with_a_change(samples, known)) & ~evaluated
+            if not missing.any():
+                break
+            for kind, column in classes(np.argwhere(missing) / (count - 1)).items():
+                samples[kind][missing] = column
+            evaluated |= missing
+            known |= missing
+    return samples
+
+
+def _grid_positions(count: int) -> Array:
+    """Positions of a whole grid, (count**2, 2)."""
+    steps = np.linspace(0, 1, count)
+    return np.stack(np.meshgrid(steps, steps, indexing="ij"), -1).reshape(-1, 2)
+
+
+def _cells_with_a_change(fine: Classes, known: Mask) -> Mask:
+    """Coarse cells of which two known samples have different classes, edges included; (cells, cells)."""
+    result = np.zeros(2 * [(len(known) - 1) // DIVISION], bool)
+    for column in fine.values():
+        low, high = np.where(known, column, 127), np.where(known, column, -1)
+        result |= _over_cells(low, np.minimum) != _over_cells(high, np.maximum)
+    return result
+
+
+def _over_cells(column: np.ndarray, reduce: np.ufunc) -> np.ndarray:
+    """Smallest or largest sample of each coarse cell, the samples on its edges included; (cells, cells)."""
+    for axis in (0, 1):
+        moved = np.moveaxis(column, axis, 0)
+        parts = [moved[i : len(moved) - DIVISION + i : DIVISION] for i in range(DIVISION)]
+        column = np.moveaxis(reduce.reduce([*parts, moved[DIVISION::DIVISION]]), 0, axis)
+    return column
+
+
+def _samples_of_cells(cells: Mask) -> Mask:
+    """Fine samples of some coarse cells, those on their edges included; (samples, samples)."""
+    count = DIVISION * len(cells) + 1
+    result = np.zeros((count, count), bool)
+    blocks = np.repeat(np.repeat(cells, DIVISION, 0), DIVISION, 1)
+    for x in (0, 1):
+        for y in (0, 1):
+            result[x : count - 1 + x, y : count - 1 + y] |= blocks
+    return result
+
+
+def _without_poles(
+    plane: Plane, kind: str, edges: list[tuple[Array, Array]], lines: list[Array], inertial: bool
+) -> list[Array]:
+    """The parts of lines on which a rate changes its sign through zero, not through infinity."""
+    (name,) = (rate for rate, zero_kind in ZERO_RATES.items() if zero_kind == kind)
+
+    def size(positions: Array) -> Array:
+        """Magnitude of the rate."""
+        return np.abs(plane.theory(_coordinates(plane, positions), inertial=inertial).rates[name])
+
+    parts = []
+    for (low, high), line in zip(edges, lines, strict=True):
+        through_zero = size(line) < np.maximum(size(low), size(high))
+        indices = np.split(np.arange(len(line)), np.flatnonzero(np.diff(through_zero)) + 1)
+        parts += [line[part] for part in indices if through_zero[part[0]]]
+    return parts
+
+
+CHANGE = "change of the number"
+COUNT_BISECTIONS = 6  # of the distance between two neighbouring points of the atlas
+
+
+def count_borders(plane: Plane, counts: xr.DataArray, derived: DerivedVariable) -> dict[str, list[Array]]:
+    """Lines between the regions of a plane where a count has different values.
+
+    plane: the plane of the atlas. counts: the counts of the atlas over the axes of the plane; regions
+    narrower than its cells are missed. derived: the count, which is computed between neighbouring points that
+    differ. Returns CHANGE -> polylines of shape (vertices, axes of the plane), float64, in the units of the
+    axes; empty without a line. Where the count skips values that it has elsewhere, the line is returned once
+    for each change.
+    """
+    values = counts.transpose(*plane.extent).values
+    axes = [counts[dim].values for dim in plane.extent]
+    levels = [0.5 * (a + b) for a, b in pairwise(np.unique(values[np.isfinite(values)]))]
+    lines = [(level, line) for level in levels for line in _lines_at(values, level)]
+    if not lines:
+        return {}
+
+    def count_at(positions: Array) -> Array:
+        """The count at positions (vertices, axes)."""
+        points = plane.points(dict(zip(plane.extent, _interpolated(positions, axes).T, strict=True)))
+        return derived.values(points.base, points.duration, lambda: None)
+
+    vertices = np.concatenate([line for _, line in lines])
+    level_of = np.concatenate([np.full(len(line), level) for level, line in lines])
+    low, high = np.floor(vertices + 0.25), np.ceil(vertices - 0.25)
+    above_at_low = count_at(low) > level_of
+    vertices = _bisected(
+        lambda middle: (count_at(middle) > level_of) == above_at_low, low, high, COUNT_BISECTIONS
+    )
+    return {CHANGE: np.split(_interpolated(vertices, axes), np.cumsum([len(line) for _, line in lines])[:-1])}
+
+
+def _interpolated(positions: Array, axes: list[Array]) -> Array:
+    """Axis values at positions (vertices, axes) that are indices of values, or fractions between them."""
+    columns = [np.interp(p, np.arange(axis.size), axis) for p, axis in zip(positions.T, axes, strict=True)]
+    return np.stack(columns, -1)
+
+
+def _lines_at(values: Array, level: float) -> list[Array]:
+    """Lines halfway between neighbours of which one is above a level, as indices (vertices, axes); none beside nan."""
+    above = np.where(np.isfinite(values), np.where(values > level, 1.0, 0.0), np.nan)
+    if values.ndim == 1:
+        return [np.array([[index + 0.5]]) for index in np.flatnonzero(np.abs(np.diff(above)) == 1)]
+    # A ring of up to six vertices contains one or two points, as many of a region narrower than the cells do.
+    return [line for line in _contours(above, 0.5) if len(line) > 7 or (line[0] != line[-1]).any()]
+
+
+def _contours(values: Array, level: float) -> list[Array]:
+    """Contour lines of values on two axes, as indices (vertices, 2); nan where there are none."""
+    generator = contourpy.contour_generator(
+        z=np.ma.masked_invalid(values.T), corner_mask=False, line_type="Separate"
+    )
+    return cast("list[Array]", generator.lines(level))
+
+
+def _bisected(at_low: Callable[[Array], Mask], low: Array, high: Array, count: int) -> Array:
+    """Positions between low and high (vertices, axes), up to which `at_low` is what it is at low."""
+    for _ in range(count):
+        middle = 0.5 * (low + high)
+        is_low = at_low(middle)[:, np.newaxis]
+        low, high = np.where(is_low, middle, low), np.where(is_low, high, middle)
+    return 0.5 * (low + high)
+
+
+RESONANCE_RATIOS = (1, 2, 3)
+RESONANCES = tuple(f"resonance {ratio}:1" for ratio in RESONANCE_RATIOS)
+# Variables on whose maps the lines are drawn.
+RESONANCE_VARIABLES = (*FREQUENCIES, "stability_kind")
+RESONANCE_SAMPLES = 200  # along each axis
+# By how much the difference of two frequencies, continued linearly from two samples, may miss the third where they cross.
+_CURVATURE = 0.5
+
+
+def resonance_lines(plane: Plane) -> dict[str, list[Array]]:
+    """Lines at which the ratio of two frequencies of a motion that is not unstable is 1, 2 or 3.
+
+    plane: with two axes, of a system that has the variables of `systems.oscillations`. Returns kind of line,
+    one of RESONANCES, -> polylines of shape (vertices, 2), float64, in the units of the axes. A resonance 1:1 at
+    which stability ends is a stability limit, and is not among them. Kinds without a line are missing.
+    """
+    axes = [plane.samples(dim, RESONANCE_SAMPLES) for dim in plane.extent]
+    grids = np.meshgrid(*axes, indexing="ij")
+    coordinates = dict(zip(plane.extent, (grid.ravel() for grid in grids), strict=True))
+    points, theory = plane.points(coordinates), plane.theory(coordinates)
+    not_unstable = theory.exists & (theory.stable != Stability.UNSTABLE)
+    derived = derived_values(plane.scene.system, FREQUENCIES, points.base, points.duration, lambda: None)
+    frequencies = [
+        np.where(not_unstable, derived[name], np.nan).reshape(RESONANCE_SAMPLES, RESONANCE_SAMPLES)
+        for name in FREQUENCIES
+    ]
+    result = {}
+    for ratio, kind in zip(RESONANCE_RATIOS, RESONANCES, strict=True):
+        differences = [large - ratio * small for large, small in combinations(frequencies, 2)]
+        traced = [_crossings(each) if ratio == 1 else _contours(each, 0.0) for each in differences]
+        if lines := [_interpolated(line, axes) for each in traced for line in each]:
+            result[kind] = lines
+    return result
+
+
+def _crossings(difference: Array) -> list[Array]:
+    """Segments on which two frequencies cross: their difference, the larger less the smaller, has a kink at 0.
+
+    It crosses between two samples where its continuation from one side of them is the negative of its value on the other.
+    """
+    along_x = _crossed_edges(difference)
+    along_y = _crossed_edges(difference.T).T
+    lines = []
+    count = difference.shape[0] - 1
+    marked = np.isfinite(along_x)[:, :-1] | np.isfinite(along_x)[:, 1:]
+    marked = marked | np.isfinite(along_y)[:-1] | np.isfinite(along_y)[1:]
+    for i, j in np.argwhere(marked[:count, :count]):
+        ends = [(i + along_x[i, j + side], j + side) for side in (0, 1)]
+        ends += [(i + side, j + along_y[i + side, j]) for side in (0, 1)]
+        ends = [end for end in ends if np.isfinite(end).all()]
+        if len(ends) == 2:
+            lines.append(np.array(ends, float))
+    return lines
+
+
+def _crossed_edges(difference: Array) -> Array:
+    """Fraction at which the difference vanishes between samples i and i + 1 of the first axis; nan where it does not."""
+    fraction = np.full((difference.shape[0] - 1, difference.shape[1]), np.nan)
+    before, low, high, after = difference[:-3], difference[1:-2], difference[2:-1], difference[3:]
+    with np.errstate(invalid="ignore", divide="ignore"):
+        size = low + high
+        crossed = (np.abs(2 * low - before + high) < _CURVATURE * size) & (low < before)
+        crossed &= (np.abs(2 * high - after + low) < _CURVATURE * size) & (high < after)
+        fraction[1:-1] = np.where(crossed, low / size, np.nan)
+    return fraction

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+import math
+from collections.abc import Hashable, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from functools import lru_cache
 from typing import Any
@@ -13,11 +14,11 @@ from numpy.typing import ArrayLike
 
 from .. import systems
 from ..errors import MAX_TEXT, BadInput, printable, shown
+from ..runs.tiling import Tiling
 from ..scene.model import Axis, Scene
 from ..scene.read import parse_scene
 from ..systems.base import System
 from ..variables import data_variables
-from .chunks import chunks
 
 MAX_FLAGS = 128  # of a variable, as many as int8 has numbers from 0 on
 TRUE_FALSE = ["false", "true"]  # flags of a variable of Booleans
@@ -189,3 +190,28 @@ def _flag_value(variable: str, flag: Any, allowed: list[str]) -> int:
     raise BadInput(
         f"{variable} = {shown(flag)}: allowed: {', '.join(allowed)}, or their numbers 0 to {len(allowed) - 1}"
     )
+
+
+# Points read at a time.
+MAX_POINTS = 4_000_000
+
+
+def chunks(
+    sizes: Mapping[Any, int], dims: Sequence[Hashable], cell_side: int = 0
+) -> Iterator[dict[Hashable, slice]]:
+    """Slices that cut dimensions into boxes of about MAX_POINTS points, in C order.
+
+    sizes: length of every dimension; those that are not in `dims` stay whole. dims: the dimensions to cut, in
+    the order of the array. cell_side: 0: every point is in one box. Else boxes consist of whole cells with
+    sides of so many points, and share the points on their borders with their neighbours; points at the end of
+    an axis that do not fill a cell are in no box. Returns dimension -> slice, for the dimensions to cut.
+    """
+    step = max(cell_side, 1)
+    counts = [(sizes[dim] - 1) // step if cell_side else max(sizes[dim], 1) for dim in dims]
+    points_per_count = step ** len(dims) * math.prod(n for dim, n in sizes.items() if dim not in dims)
+    tiling = Tiling.of(tuple(counts), MAX_POINTS // points_per_count)
+    for tile in range(tiling.count):
+        yield {
+            dim: slice(step * part.start, step * part.stop + (cell_side > 0))
+            for dim, part in zip(dims, tiling.slices(tile), strict=True)
+        }

@@ -11,8 +11,7 @@ from ..runs.method_costs import method_lines
 from ..runs.tiles import BINS, BINS_PER_DECADE, COUNTED, GROUPS, LOWEST_DECADE, Tally
 from ..scene import grid
 from ..validation import half_step
-from .chunks import chunks
-from .metadata import flag_names, scene_of
+from .metadata import chunks, flag_names, scene_of
 
 
 def summary(ds: xr.Dataset, tally: Tally | None = None) -> str:

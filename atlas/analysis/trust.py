@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import xarray as xr
 
-from ..errors import BadInput
+from ..errors import BadInput, shown
 from ..validation.half_step import upper_bound
-from .chunks import chunks
-from .metadata import check_not_empty, flag_variable
+from ..variables import POINT
+from .metadata import check_not_empty, chunks, flag_names, flag_variable
 
 # Values of an axis with cells; shorter axes count as separate maps, since they contain no information about resolution.
 MIN_VALUES = 5
@@ -79,3 +79,52 @@ def _differ(values: np.ndarray, n_axes: int, offsets: tuple[int, ...], *, step: 
         low = np.minimum.reduce([low.take(first + offset, axis) for offset in offsets])
         high = np.maximum.reduce([high.take(first + offset, axis) for offset in offsets])
     return low != high
+
+
+def roughness(ds: xr.Dataset, x: str | None, y: str | None) -> xr.DataArray:
+    """Second differences of theta_max - theta_min; see `Atlas.roughness`."""
+    for name in ("theta_min", "theta_max"):
+        if name not in ds:
+            raise BadInput(f"{name}: not in this dataset; list theta_min and theta_max in outputs.variables")
+    span = ds["theta_max"] - ds["theta_min"]
+    dims = [str(dim) for dim in span.dims if dim != POINT and span.sizes[dim] > 2]
+    chosen = [dim for dim in (x, y) if dim is not None] or dims
+    for dim in chosen:
+        if dim not in dims:
+            raise BadInput(f"{dim}: not an axis of at least 3 values; allowed: {', '.join(dims) or 'none'}")
+    if not chosen:
+        raise BadInput("roughness: needs an axis of at least 3 values")
+    total = xr.zeros_like(span)
+    for dim in chosen:
+        neighbours = span.shift({dim: 1}) + span.shift({dim: -1})
+        total = total + np.abs(neighbours - 2 * span)
+    return total.rename("roughness").assign_attrs(
+        long_name="second differences of the range of theta", units="rad"
+    )
+
+
+def fractions(ds: xr.Dataset, variable: str, along: str | None) -> xr.DataArray:
+    """Fraction of the points with each flag of a variable; see `Atlas.fractions`."""
+    array = flag_variable(ds, variable)
+    names, dims = flag_names(array), [str(dim) for dim in array.dims]
+    if along is not None and along not in dims:
+        raise BadInput(
+            f"along = {shown(along)}: not an axis of this atlas; allowed: {', '.join(dims) or 'none'}"
+        )
+    counts = np.zeros((1 if along is None else ds.sizes[along], len(names)), np.int64)
+    for box in chunks(array.sizes, dims):
+        values = array.isel(box).values
+        rows = slice(None) if along is None else box[along]
+        table = values[np.newaxis] if along is None else np.moveaxis(values, dims.index(along), 0)
+        for flag in range(len(names)):
+            counts[rows, flag] += (table == flag).sum(tuple(range(1, table.ndim)))
+    with np.errstate(invalid="ignore"):
+        shares = counts / counts.sum(1, keepdims=True)  # nan where there are no points
+    result = xr.DataArray(
+        shares,
+        dims=(along or "all", variable),
+        coords={variable: names} | ({along: ds[along]} if along in ds.coords else {}),
+        name="fraction",
+        attrs={"long_name": f"share of the points by {variable}", "units": "1"},
+    )
+    return result.isel(all=0) if along is None else result

@@ -12,7 +12,7 @@ from .._version import __version__
 from ..engine.compiling import announced
 from ..errors import MAX_MESSAGE, BadInput, messages_for_shell, printable, say
 from ..interruption import exit_process, explain_kept, outcome, signals_as_interrupt
-from . import atlases, examples, jobs, measurements, motions, papers, scenes
+from . import atlases, jobs, measurements, motions, papers, scenes
 from .options import BAD_INPUT, DONE, FAILED, Parser, program
 
 __all__ = ["BAD_INPUT", "DONE", "FAILED", "command", "main", "parser"]
@@ -79,7 +79,7 @@ def parser() -> argparse.ArgumentParser:
         atlases.add_map,
         atlases.add_page,
         motions.add_trajectory,
-        examples.add_new,
+        scenes.add_new,
         measurements.add_accuracy,
         papers.add_conditions,
         measurements.add_stress,

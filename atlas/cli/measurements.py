@@ -99,7 +99,7 @@ def _stress(options: argparse.Namespace) -> int:
     from ..io import netcdf
     from ..plotting.stress import figure
     from ..plotting.style import save
-    from ..validation import limits, stress
+    from ..validation import stress
 
     wrong, failed = 0, False
     for name in names:
@@ -112,6 +112,6 @@ def _stress(options: argparse.Namespace) -> int:
             save(figure(ds), folder / f"{name}.png")
             say(f"wrote {folder / name}.nc and .png", "")
     if set(names) & set(with_cases):
-        say(*text_table(limits.limits()).split("\n"))
+        say(*text_table(stress.limits()).split("\n"))
     say(f"labels that are not true: {wrong}")
     return FAILED if wrong or failed else DONE

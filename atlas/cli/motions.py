@@ -74,7 +74,6 @@ def _points(options: argparse.Namespace) -> int:
     from .. import systems
     from ..io import csv as csv_file
     from ..io import netcdf
-    from ..scene import csv as csv_input
     from ..scene import tables
 
     check_at_least("--threads", options.threads, 1)
@@ -85,7 +84,7 @@ def _points(options: argparse.Namespace) -> int:
     numeric = {*system.parameters, *options.keep}
     columns: dict[str, Any]
     if from_input:
-        columns = csv_input.read(io.StringIO(read_input()), "standard input", numeric)
+        columns = tables.read_csv(io.StringIO(read_input()), "standard input", numeric)
     else:
         columns = tables.read(options.points, numeric)
     from ..analysis.summary import summary
@@ -162,7 +161,7 @@ def _motion(name: str, coordinates: dict[str, float], samples: int) -> Dataset:
         scene = read_scene(name)
     else:
         from ..analysis.metadata import scene_of
-        from ..analysis.rerun import nearest_trajectory
+        from ..analysis.select import nearest_trajectory
         from ..runs.open import open_atlas
 
         with open_atlas(name) as ds:

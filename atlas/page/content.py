@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import base64
 import math
 import shlex
-from collections.abc import Mapping
+import zlib
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -12,24 +15,33 @@ import xarray as xr
 from matplotlib import rcParams
 from matplotlib.colors import to_hex
 
-from ..analysis.boundary import theory_lines
-from ..analysis.metadata import axes_of, flag_names, is_averaged, map_variable, system_of
-from ..analysis.theory_borders import EXISTENCE, STABILITY
+from ..analysis.boundary import EXISTENCE, STABILITY, theory_lines
+from ..analysis.metadata import (
+    axes_of,
+    check_not_empty,
+    flag_names,
+    is_averaged,
+    is_logarithmic,
+    is_numeric_axis,
+    map_variable,
+    scene_of,
+    system_of,
+)
 from ..engine.tableaux import METHODS
 from ..errors import MAX_MESSAGE, MAX_TEXT, BadInput, attribute_text, printable
 from ..flags import Regularity
-from ..plotting import exponents, overlay
+from ..plotting import cells, text
 from ..plotting import text as figure_text
+from ..plotting.cells import ColorScale, color_scale
 from ..plotting.content import MOTIONS, NO_VALUE, NOT_YET, SLOW, Panel, panel_of, tiles_done
-from ..plotting.legend import as_math
+from ..plotting.maps import scatter_axes
 from ..plotting.options import MapOptions
-from ..plotting.scales import ColorScale, color_scale
+from ..plotting.sheet import as_math
 from ..plotting.style import flag_colours
+from ..scene.model import Scene
 from ..systems.base import System
-from ..variables import data_variables
+from ..variables import POINT, data_variables
 from . import motion
-from .layout import Layout
-from .store import Store, float_array
 from .text import plain, runs
 
 THEORY = (
@@ -168,7 +180,7 @@ class Content:
         registered = self.registry[name].flags if name in self.registry else None
         sentences = dict(registered) if registered is not None and list(registered) == flags else {}
         colours = flag_colours(flags)
-        texts = exponents.texts(self.ds) if name == "regularity" else {}
+        texts = cells.texts(self.ds) if name == "regularity" else {}
         table: dict[str, Any] = {
             "flags": [
                 {
@@ -176,13 +188,13 @@ class Content:
                     "text": texts.get(flag, flag.replace("_", " ")),
                     "sentence": sentences.get(flag, ""),
                     "colour": to_hex(colours[flag]),
-                    "hatched": flag == overlay.UNDECIDED,
+                    "hatched": flag == cells.UNDECIDED,
                 }
                 for flag in flags
             ],
             "values": self.store.add(values.astype(np.int8)),
         }
-        scale = exponents.exponent_scale(self.ds, name)
+        scale = cells.exponent_scale(self.ds, name)
         if scale is not None:
             table["shaded"] = {"flag": int(Regularity.CHAOTIC), "by": "lyapunov", "scale": self.scale(scale)}
         return table
@@ -279,7 +291,7 @@ class Content:
         styles: dict[str, Any] = {}
         for line in (line for each in slices for line in each):
             kind, exact = line["kind"], line["source"] == "exact"
-            style = overlay.family_style(families.index(kind)) if exact else overlay.border_style(kind)
+            style = cells.family_style(families.index(kind)) if exact else cells.border_style(kind)
             words = kind.replace("_", " ") if exact else as_math(kind)
             styles[kind] = {
                 "text": runs(f"{words} ({line['source']})"),
@@ -385,4 +397,168 @@ def _dashes(style: Any) -> list[float]:
 
 def _hatches() -> dict[str, str]:
     """Text of the regions that are hatched."""
-    return {"slow": SLOW, "undecided": overlay.UNDECIDED, "notYet": NOT_YET}
+    return {"slow": SLOW, "undecided": cells.UNDECIDED, "notYet": NOT_YET}
+
+
+# Types of JavaScript's typed arrays, by their names there.
+_TYPES = {"int8": "Int8Array", "int32": "Int32Array", "float32": "Float32Array", "float64": "Float64Array"}
+_LEVEL = 9
+
+
+class Store:
+    """Arrays over the points of an atlas, each stored once.
+
+    shape: shape of the points.
+
+    nbytes: bytes of the arrays before compression.
+    """
+
+    def __init__(self, shape: tuple[int, ...]):
+        self.shape = shape
+        self.nbytes = 0
+        self._arrays: list[np.ndarray] = []
+        self._numbers: dict[tuple[str, bytes], int] = {}
+
+    def add(self, values: np.ndarray) -> dict[str, Any]:
+        """Keep an array over the points.
+
+        values: of a type of `_TYPES` and of the shape of the points. Returns "array", the number of its
+        entry, and "over", the axes along which it varies, in C order.
+        """
+        over = []
+        bits = np.broadcast_to(values, self.shape)
+        bits = np.ascontiguousarray(bits).view(f"u{values.dtype.itemsize}")
+        for axis in range(len(self.shape)):
+            first = bits.take([0], axis)
+            if bits.shape[axis] > 1 and (bits == first).all():
+                bits = first
+            elif bits.shape[axis] > 1:
+                over.append(axis)
+        bits = np.ascontiguousarray(bits).ravel()
+        key = values.dtype.name, bits.tobytes()
+        if key not in self._numbers:
+            self._numbers[key] = len(self._arrays)
+            self._arrays.append(bits.view(values.dtype))
+            self.nbytes += bits.nbytes
+        return {"array": self._numbers[key], "over": over}
+
+    def packed(self) -> list[dict[str, Any]]:
+        """The arrays as entries of a table.
+
+        Returns for each array its "type" in JavaScript, its "size" and its "data": the bytes, all first ones
+        before all second ones and so on, compressed by zlib, in base64.
+        """
+        return [_packed(array) for array in self._arrays]
+
+
+def float_array(values: np.ndarray) -> np.ndarray:
+    """Numbers as float32, seven digits; as float64 where their magnitudes need it."""
+    values = np.asarray(values, np.float64)
+    size = np.abs(values[np.isfinite(values) & (values != 0.0)])
+    fits = not size.size or bool(size.max() < 1e38 and size.min() > 1e-37)
+    return values.astype(np.float32) if fits else values
+
+
+def _packed(array: np.ndarray) -> dict[str, Any]:
+    """One entry of a store."""
+    little = array.astype(array.dtype.newbyteorder("<"))
+    columns = little.view(np.uint8).reshape(array.size, array.itemsize).T
+    compressed = zlib.compress(np.ascontiguousarray(columns).tobytes(), _LEVEL)
+    return {
+        "type": _TYPES[array.dtype.name],
+        "size": array.size,
+        "data": base64.b64encode(compressed).decode("ascii"),
+    }
+
+
+MAX_POINTS = 120_000
+# Bytes of numbers before compression: about as many in the page, because base64 loses what compression gains.
+MAX_BYTES = 12_000_000
+
+
+@dataclass(frozen=True)
+class Layout:
+    """Axes and points of a page."""
+
+    whole: xr.Dataset  # the atlas
+    ds: xr.Dataset  # the points that are shown, in memory, sorted along their axes
+    scene: Scene | None  # scene of the atlas
+    dims: list[str]  # dimensions of the points, in the order of the atlas
+    axes: list[str]  # one or two axes of the map, x first, or two coordinates of single points
+    further: list[str]  # the other dimensions
+    points: bool  # whether these are single points without axes
+    notes: list[str]  # sentences about what is left out
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """Shape of the points."""
+        return tuple(self.ds.sizes[dim] for dim in self.dims)
+
+    def is_log(self, dim: str) -> bool:
+        """Whether an axis is spaced evenly in its logarithm."""
+        return is_logarithmic(self.scene, dim, self.ds[dim].values)
+
+    def slices(self) -> Iterator[tuple[tuple[int, ...], xr.Dataset]]:
+        """Each map: its indices along the further axes, and the part of the atlas that it shows."""
+        for index in np.ndindex(*(self.ds.sizes[dim] for dim in self.further)):
+            yield index, self.ds.isel(dict(zip(self.further, index, strict=True)))
+
+    def points_of_slice(self, index: tuple[int, ...]) -> tuple[int | slice, ...]:
+        """Index of the points of one map in an array over all points; index: along the further axes."""
+        along = dict(zip(self.further, index, strict=True))
+        return tuple(along.get(dim, slice(None)) for dim in self.dims)
+
+
+def layout(ds: xr.Dataset, max_points: int = MAX_POINTS) -> Layout:
+    """What a page shows of an atlas.
+
+    ds: an atlas; max_points: of the longest axis every k-th value is shown until there are no more points
+    than this. Raises BadInput for a dataset without points, and with a dimension that is no axis.
+    """
+    check_not_empty(ds)
+    scene = scene_of(ds)
+    single = POINT in ds.dims
+    dims = (
+        [POINT] if single else [str(dim) for dim in ds.dims if ds.sizes[dim] > 1 and is_numeric_axis(ds, dim)]
+    )
+    ds = ds.isel({dim: 0 for dim in ds.dims if ds.sizes[dim] == 1 and str(dim) not in dims})
+    if not dims or set(map(str, ds.dims)) - set(dims):
+        raise BadInput("page: this dataset has no axes to draw a map over")
+    size = {dim: ds.sizes[dim] for dim in dims}
+    stride = dict.fromkeys(dims, 1)
+    while np.prod([-(-size[dim] // stride[dim]) for dim in dims]) > max_points:
+        longest = max(dims, key=lambda dim: -(-size[dim] // stride[dim]))
+        stride[longest] += 1
+    shown = ds.isel({dim: slice(None, None, stride[dim]) for dim in dims})
+    if not single:
+        shown = shown.sortby(dims)
+    shown = shown.load()
+    axes = scatter_axes(shown, None, None) if single else _longest(shown, dims)
+    further = [] if single else [dim for dim in dims if dim not in axes]
+    return Layout(ds, shown, scene, dims, axes, further, single, _stride_notes(ds, size, stride))
+
+
+def _longest(ds: xr.Dataset, dims: list[str]) -> list[str]:
+    """The two longest axes, in the order of the atlas."""
+    longest = sorted(dims, key=lambda dim: -ds.sizes[dim])[:2]
+    return [dim for dim in dims if dim in longest]
+
+
+def _stride_notes(ds: xr.Dataset, size: dict[str, int], stride: dict[str, int]) -> list[str]:
+    """A sentence about the points that are left out."""
+    left_out = {dim: k for dim, k in stride.items() if k > 1}
+    if not left_out:
+        return []
+    shown = int(np.prod([-(-size[dim] // stride[dim]) for dim in size]))
+    total = int(np.prod(list(size.values())))
+    which = " and ".join(
+        f"{_ordinal(k)} {'point' if dim == POINT else f'value of {text.axis_label(ds, dim, unit=False)}'}"
+        for dim, k in left_out.items()
+    )
+    return [f"This page shows every {which}: {shown} of {total} points."]
+
+
+def _ordinal(number: int) -> str:
+    """2nd, 3rd, 4th, 11th, 22nd."""
+    ending = "th" if number % 100 in (11, 12, 13) else {1: "st", 2: "nd", 3: "rd"}.get(number % 10, "th")
+    return f"{number}{ending}"

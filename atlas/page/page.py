@@ -23,8 +23,7 @@ from ..files import atomic_write, writable
 from ..plotting.maps import atlas_map
 from ..plotting.style import STYLE
 from ..scene import checks
-from .content import Content
-from .layout import MAX_BYTES, MAX_POINTS, Layout, layout
+from .content import MAX_BYTES, MAX_POINTS, Content, Layout, layout
 from .motion import sources
 from .translate import CannotTranslate, translate
 

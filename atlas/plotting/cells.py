@@ -2,15 +2,34 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
 import numpy as np
 import xarray as xr
+from matplotlib import colormaps
 from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable
-from matplotlib.ticker import LogLocator, MaxNLocator, NullFormatter
+from matplotlib.collections import PolyCollection
+from matplotlib.colors import (
+    BoundaryNorm,
+    Colormap,
+    LinearSegmentedColormap,
+    ListedColormap,
+    LogNorm,
+    Normalize,
+)
+from matplotlib.figure import Figure
+from matplotlib.ticker import FixedLocator, LogLocator, MaxNLocator, NullFormatter, NullLocator
 
-from ..analysis.metadata import flag_names
+from ..analysis.boundary import CHANGE, EXISTENCE, KINDS, LABEL, RESONANCES, STABILITY
+from ..analysis.metadata import flag_names, scene_of
 from ..analysis.select import cell_edges
-from .scales import ColorScale
+from ..flags import Regularity
+from ..systems.base import Mask
+from .content import NOT_YET, SLOW, Panel
+from .options import MapOptions
 from .style import COLOURS
 
 
@@ -60,3 +79,205 @@ def set_axis(ax: Axes, which: str, log: bool, *, inner: bool) -> None:
             MaxNLocator(4 if inner else 6, steps=[1, 2, 2.5, 5, 10], prune="both" if inner else None)
         )
     ax.tick_params(axis="x" if which == "x" else "y", direction="out", length=2.5)
+
+
+MAX_DECADES = 10  # of a logarithmic colour scale
+MIN_LOG_RATIO = 100  # positive numbers that span more get a logarithmic colour scale
+MAX_INTEGERS = 40  # integers in a range up to this get one colour each
+
+
+@dataclass(frozen=True)
+class ColorScale:
+    """Colours of a variable."""
+
+    colormap: Colormap  # as Matplotlib uses them
+    norm: Normalize  # as Matplotlib uses them
+    extend: str = "neither"  # ends of the colour bar beyond which there are values: "neither" or "min"
+    log_range: tuple[float, float] | None = None  # lowest and highest value of a logarithmic scale
+    integers: bool = False  # whether each integer has a colour of its own
+
+    def shown(self, values: np.ndarray) -> np.ndarray:
+        """Values as they are drawn: zero, which has no logarithm, has the colour below a logarithmic scale."""
+        if self.log_range is None:
+            return values
+        return np.where(values <= 0, 0.5 * self.log_range[0], values)
+
+
+def color_scale(array: xr.DataArray, options: MapOptions) -> ColorScale:
+    """Colour scale of a variable by its values, with the colours that the caller chose."""
+    if colours := list(options.flag_colours(array).values()):
+        edges = np.arange(len(colours) + 1) - 0.5
+        return ColorScale(ListedColormap(colours), BoundaryNorm(edges, len(colours)))
+    colormap = colormaps.get_cmap("viridis" if options.cmap is None else options.cmap)
+    finite = array.values[np.isfinite(array.values)]
+    if not finite.size:
+        return ColorScale(colormap, Normalize(0, 1))
+    low, high = float(finite.min()), float(finite.max())
+    if high - low <= MAX_INTEGERS and (finite == np.rint(finite)).all() and (high > low or low != 0):
+        edges = np.arange(low, high + 2) - 0.5
+        shades = colormap(np.linspace(0, 1, max(len(edges) - 1, 2)))[: len(edges) - 1]
+        return ColorScale(ListedColormap(shades), BoundaryNorm(edges, len(edges) - 1), integers=True)
+    if low < 0 < high:
+        # Cividis is blue below, grey at and yellow above its middle, and its luminance shows the sign.
+        bound = max(-low, high)
+        signed = colormaps["cividis"] if options.cmap is None else colormap
+        return ColorScale(signed, Normalize(-bound, bound))
+    if high > 0:
+        min_positive = float(finite[finite > 0].min())
+        if high > MIN_LOG_RATIO * min_positive:
+            floor = max(min_positive, high * 10.0**-MAX_DECADES)
+            extend = "min" if low < floor else "neither"
+            return ColorScale(colormap, LogNorm(floor, high), extend, (floor, high))
+    if low == high:
+        low, high = low - 0.5, high + 0.5
+    return ColorScale(colormap, Normalize(low, high))
+
+
+def add_color_bar(
+    figure: Figure, axes: list[Axes], image: ScalarMappable, scale: ColorScale, label: str
+) -> None:
+    """Colour bar to the right of the panels."""
+    bar = figure.colorbar(image, ax=axes, pad=0.02, extend=scale.extend, aspect=25)
+    bar.set_label(label)
+    if scale.integers:
+        assert isinstance(scale.norm, BoundaryNorm)
+        low, high = scale.norm.boundaries[0] + 0.5, scale.norm.boundaries[-1] - 0.5
+        ticks = MaxNLocator(10, integer=True, steps=[1, 2, 5, 10]).tick_values(low, high)
+        bar.locator = FixedLocator([tick for tick in ticks if low <= tick <= high and tick == round(tick)])
+        bar.minorlocator = NullLocator()
+        bar.update_ticks()
+    bar.ax.tick_params(length=2.5)
+    bar.outline.set_linewidth(0.6)
+
+
+# From a weak orange to black: darker where neighbouring motions separate faster.
+_COLOURS = LinearSegmentedColormap.from_list("exponents", ["#b86a1c", "#5e2205", "#160300"])
+MAX_EXPONENT_DECADES = 3  # of the colour scale
+
+
+def exponent_scale(ds: xr.Dataset, name: str) -> ColorScale | None:
+    """Colours of the exponents of the chaotic points of a map of regularity; None where there are none to draw."""
+    if name != "regularity" or "lyapunov" not in ds or ds["lyapunov"].dims != ds[name].dims:
+        return None
+    values = ds["lyapunov"].values[ds[name].values == Regularity.CHAOTIC]
+    values = values[values > 0]
+    if not values.size or values.max() == values.min():
+        return None
+    low, high = (
+        max(float(values.min()), 10.0**-MAX_EXPONENT_DECADES * float(values.max())),
+        float(values.max()),
+    )
+    return ColorScale(_COLOURS, LogNorm(low, high), "min" if low > values.min() else "neither", (low, high))
+
+
+def draw_exponents(
+    ax: Axes, part: xr.Dataset, array: xr.DataArray, edges: list[np.ndarray], scale: ColorScale
+) -> ScalarMappable:
+    """Draw the exponents of the chaotic cells over the cells of the map; returns them for a colour bar."""
+    exponents = part["lyapunov"].transpose(*array.dims).values
+    chaotic = np.where(array.values == Regularity.CHAOTIC, exponents, np.nan)
+    return ax.pcolormesh(
+        *edges, np.atleast_2d(chaotic), cmap=scale.colormap, norm=scale.norm, rasterized=True, zorder=1.1
+    )
+
+
+def hatch_undecided(ax: Axes, array: xr.DataArray, edges: list[np.ndarray]) -> None:
+    """Hatch the undecided cells of a map of regularity."""
+    undecided = np.atleast_2d(array.values == Regularity.UNDECIDED)
+    if undecided.any():
+        draw_hatching(ax, undecided, edges, HATCHES[UNDECIDED])
+
+
+def texts(ds: xr.Dataset) -> Mapping[str, str]:
+    """Texts of the legend for "regular" and "chaotic", which state the length of the runs; empty without a scene."""
+    scene = scene_of(ds)
+    if scene is None:
+        return {}
+    return {name: f"{name} up to {scene.duration}" for name in ("regular", "chaotic")}
+
+
+# Dashes of borders and of families, in the order of their names.
+BORDERS: dict[str, dict[str, Any]] = {
+    STABILITY: {"linestyle": "-", "linewidth": 1.2},
+    LABEL: {"linestyle": (0, (5, 1.5)), "linewidth": 1.0},
+    EXISTENCE: {"linestyle": "-", "linewidth": 0.6},
+    CHANGE: {"linestyle": "-", "linewidth": 0.6},
+    **{
+        kind: {"linestyle": "-", "linewidth": 0.8, "color": colour}
+        for kind, colour in zip(RESONANCES, ("#d62728", "#2ca02c", "#9467bd"), strict=True)
+    },
+}
+ZERO_RATE: dict[str, Any] = {"linestyle": (0, (1.5, 1.2)), "linewidth": 1.0}
+DASHES: tuple[Any, ...] = ((0, (8, 2)), ":", "-.", "--", (0, (6, 1, 1, 1, 1, 1)))
+# The halo keeps lines visible on dark colours; it must not hide a strip of cells beside the line.
+HALO = 0.35  # points on each side
+
+
+@dataclass(frozen=True)
+class Hatch:
+    """Hatching of a region."""
+
+    pattern: str
+    colour: str
+    background: str
+
+
+UNDECIDED = "undecided"
+HATCHES = {
+    UNDECIDED: Hatch("\\\\\\\\\\\\", "0.9", "none"),
+    SLOW: Hatch("//////", "#262626", "none"),
+    NOT_YET: Hatch("xxxxx", "0.65", "0.92"),
+}
+
+
+def border_style(kind: str) -> dict[str, Any]:
+    """Line of a kind of border, one of `atlas.analysis.boundary.KINDS`."""
+    return {"color": "black"} | BORDERS.get(kind, ZERO_RATE)
+
+
+def family_style(number: int) -> dict[str, Any]:
+    """Line of the family with this number among those of the system."""
+    return {"color": "black", "linestyle": DASHES[number % len(DASHES)], "linewidth": 1.0}
+
+
+def draw_overlay(ax: Axes, panel: Panel, edges: list[np.ndarray], families: Sequence[str]) -> None:
+    """Draw hatching and theory over the cells of a panel."""
+    for what, mask in ((NOT_YET, panel.white.get(NOT_YET)), (SLOW, panel.slow)):
+        if mask is not None and mask.any():
+            draw_hatching(ax, np.atleast_2d(mask), edges, HATCHES[what])
+    for kind in (CHANGE, *RESONANCES, *KINDS[::-1]):
+        _draw_lines(ax, panel.borders.get(kind, []), border_style(kind))
+    for name, lines in panel.families.items():
+        _draw_lines(ax, lines, family_style(families.index(name)))
+
+
+def draw_hatching(ax: Axes, mask: Mask, edges: list[np.ndarray], hatch: Hatch) -> None:
+    """Hatch the marked cells, one rectangle for each run of them along x."""
+    x, y = edges[0], edges[1]
+    steps = np.diff(np.pad(mask, ((0, 0), (1, 1))).astype(np.int8), axis=1)
+    row, start = np.nonzero(steps == 1)
+    stop = np.nonzero(steps == -1)[1]
+    left, right, bottom, top = x[start], x[stop], y[row], y[row + 1]
+    corners = np.stack([left, bottom, right, bottom, right, top, left, top], -1).reshape(-1, 4, 2)
+    ax.add_collection(
+        PolyCollection(
+            list(corners), facecolors=hatch.background, edgecolors=hatch.colour, hatch=hatch.pattern,
+            linewidths=0, zorder=1.5, rasterized=True,
+        ),
+        autolim=False,
+    )  # fmt: skip
+
+
+def _draw_lines(ax: Axes, lines: list[np.ndarray], line: dict[str, Any]) -> None:
+    """Draw lines over dark and bright colours alike.
+
+    The halo is white: beside the line, in the gaps of a dashed one, and below every line so that none is cut where
+    they cross.
+    """
+    halo = line | {"color": "white", "linestyle": "-", "linewidth": line["linewidth"] + 2 * HALO}
+    for vertices in lines:
+        for zorder, style in ((2.0, halo), (2.1, line)):
+            if vertices.shape[1] == 1:
+                ax.axvline(float(vertices[0, 0]), zorder=zorder, **style)
+            else:
+                ax.plot(vertices[:, 0], vertices[:, 1], zorder=zorder, scalex=False, scaley=False, **style)

@@ -11,14 +11,10 @@ import numpy as np
 import xarray as xr
 from scipy.ndimage import distance_transform_edt
 
-from ..analysis import resonances
-from ..analysis.boundary import theory_lines
+from ..analysis.boundary import CHANGE, EXISTENCE, RESONANCES, STABILITY, theory_lines
 from ..analysis.compare import MAX_SURVIVED_GROWTH
-from ..analysis.count_borders import CHANGE
 from ..analysis.metadata import axes_of, flag_names, is_averaged
-from ..analysis.plane import Plane
-from ..analysis.theory_borders import EXISTENCE, STABILITY
-from ..analysis.theory_curves import family_curves
+from ..analysis.plane import Plane, family_curves
 from ..errors import BadInput, attribute_text
 from ..flags import Label, Stability
 from ..scene.model import Scene
@@ -77,7 +73,7 @@ def panel_of(ds: xr.Dataset, name: str, dims: list[str], scene: Scene | None, bo
     if CHANGE in borders:
         return Panel(array, white, slow, borders)
     if name.removesuffix("_inertial") not in MOTIONS:
-        shown = (STABILITY, EXISTENCE, *resonances.KINDS)
+        shown = (STABILITY, EXISTENCE, *RESONANCES)
         borders = {kind: borders[kind] for kind in shown if kind in borders}
     return Panel(array, white, slow, borders, families)
 

@@ -16,8 +16,8 @@ from ..files import read_text
 from ..systems.base import Array, System
 from . import checks, tables
 from .checks import checked
-from .csv import CsvColumns
 from .expressions import PointColumn
+from .tables import CsvColumns
 
 SAMPLES = ("latin_hypercube", "sobol")
 # Points of a sample, and its numbers: points times ranges.

@@ -19,7 +19,6 @@ from ..systems.base import Array, System
 from ..variables import POINT, data_variables, default_variables, variables
 from . import checks
 from .expressions import Expression, PointColumn, Tie, evaluation_order
-from .lines import Source
 from .model import (
     DURATION_UNITS,
     SCHEMA,
@@ -29,6 +28,7 @@ from .model import (
     Refine,
     Scene,
     Settings,
+    Source,
     optional_start_values,
 )
 from .points import read_points

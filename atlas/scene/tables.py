@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import array
+import csv
 import math
-from collections.abc import Collection, Mapping, Sequence
+import re
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +15,6 @@ import numpy as np
 from ..errors import BadInput, allowed_text, shown
 from ..files import one_line, open_text
 from ..systems.base import Array, Parameter, System
-from . import csv
 from .checks import check_range
 
 FORMATS = (".csv", ".nc")
@@ -26,7 +28,7 @@ def table(source: Any, names: Collection[str]) -> dict[str, Any]:
     Dataset, a mapping name -> values, a list with one mapping for each point, or any object with `columns`
     and [name], such as a pandas.DataFrame. names: names of columns: the coordinate that numbers the points of
     a Dataset is a column only if its name is among them. Returns name -> values as the source holds them;
-    arrays for a CSV file, see `csv.read`. Raises BadInput with one line, if the source cannot be read or
+    arrays for a CSV file, see `read_csv`. Raises BadInput with one line, if the source cannot be read or
     holds no points.
     """
     import xarray as xr
@@ -35,7 +37,7 @@ def table(source: Any, names: Collection[str]) -> dict[str, Any]:
         return read(source, names)
     if isinstance(source, xr.Dataset):
         return _dataset_columns(source, names)
-    if isinstance(source, csv.CsvColumns):
+    if isinstance(source, CsvColumns):
         return source
     if isinstance(source, Mapping):
         return {str(name): values for name, values in source.items()}
@@ -59,7 +61,7 @@ def table(source: Any, names: Collection[str]) -> dict[str, Any]:
 def read(
     path: str | Path, names: Collection[str], max_bytes: float = math.inf, max_fields: float = math.inf
 ) -> dict[str, Any]:
-    """Columns of a .csv or .nc file, as `table`; see `csv.read`.
+    """Columns of a .csv or .nc file, as `table`; see `read_csv`.
 
     max_bytes: size of the file, and of its variables in memory, beyond which it is not read; max_fields: of a CSV file.
     """
@@ -76,7 +78,7 @@ def read(
     if path.suffix.lower() == ".nc":
         return _read_netcdf(path, names, max_bytes)
     with open_text(path) as file:
-        return csv.read(file, str(path), names, max_fields)
+        return read_csv(file, str(path), names, max_fields)
 
 
 def kept_columns(system: System, table: Mapping[str, Any], keep: Collection[str] = ()) -> dict[str, Array]:
@@ -153,7 +155,7 @@ def _check_column(parameter: Parameter, column: Array, source: Mapping[str, Any]
     bad = np.flatnonzero(~(np.isfinite(column) | missing))
     if bad.size:
         location, value = _location(source, column, bad[0]), column.ravel()[bad[0]]
-        if np.isnan(value) and isinstance(source, csv.CsvColumns):
+        if np.isnan(value) and isinstance(source, CsvColumns):
             raise BadInput(f"{location}{name} is empty or nan; must be a finite number")
         raise BadInput(f"{location}{name} = {value:g}: must be a finite number")
     if not column.size:
@@ -168,14 +170,14 @@ def _check_column(parameter: Parameter, column: Array, source: Mapping[str, Any]
 
 def _location(source: Mapping[str, Any], column: Array, point: np.integer) -> str:
     """Beginning of an error message about a point of a column."""
-    if isinstance(source, csv.CsvColumns):
+    if isinstance(source, CsvColumns):
         return f"{source.location(int(point))}: "
     return f"point {point} (counted from 0): " if column.ndim else ""
 
 
 def _source_name(source: Mapping[str, Any]) -> str:
     """Beginning of an error message about a whole column."""
-    return f"{source.source}: " if isinstance(source, csv.CsvColumns) else ""
+    return f"{source.source}: " if isinstance(source, CsvColumns) else ""
 
 
 def number_column(name: str, values: Any) -> Array:
@@ -240,3 +242,146 @@ def _read_netcdf(path: Path, names: Collection[str], max_bytes: float) -> dict[s
         return table(ds, names)
     except BadInput as error:
         raise BadInput(f"{path}: {error}") from None
+
+
+SEPARATORS = ("\t", ";", ",")  # the first one in the line of names
+INDEX = "index"  # name of a first column without name, as pandas writes it
+MAX_LINE = 1_000_000  # characters; a file that is no table may be one line
+
+
+class CsvColumns(dict[str, Any]):
+    """Columns of a CSV file by name, with the line of the file for each point.
+
+    source: name of the file; lines: line of each point, counted from 1.
+    """
+
+    def __init__(self, columns: dict[str, Any], source: str, lines: array.array[int]):
+        super().__init__(columns)
+        self.source = source
+        self.lines = lines
+
+    def location(self, point: int) -> str:
+        """File and line of a point."""
+        return f"{self.source}, line {self.lines[point]}"
+
+
+def read_csv(
+    lines: Iterable[str], source: str, numeric: Collection[str], max_fields: float = math.inf
+) -> CsvColumns:
+    """Columns of a CSV file whose first line names them.
+
+    lines: the lines of the file, each with its end; source: name of the file, for error messages. numeric:
+    names whose columns must be numbers; an empty field is nan. Other columns may hold text. max_fields:
+    number of fields that are read at most. Returns arrays of float64; those of other columns than `numeric`
+    may be of int64, or of str where not all fields are numbers. Raises BadInput with one line that names the
+    file and the line.
+    """
+    content = _Lines(lines, source)
+    first = next(content, "")
+    separator = next((each for each in SEPARATORS if each in first), ",")
+    line_numbers = array.array("q")
+    try:
+        header = _header(source, next(_reader([first], separator), []))
+        columns: dict[str, Any] = {name: array.array("d") if name in numeric else [] for name in header}
+        cells = [(columns[name].append, _number if name in numeric else str.strip) for name in header]
+        max_rows = max_fields / len(header)
+        for row in _reader(content, separator):
+            if len(row) != len(header):
+                raise BadInput(
+                    f"{source}, line {content.number}: {len(row)} fields, but the first line names"
+                    f" {len(header)} columns"
+                )
+            line_numbers.append(content.number)
+            if len(line_numbers) > max_rows:
+                raise BadInput(
+                    f"{source}: more than {max_fields:.0f} fields; label more with atlas points or"
+                    " atlas.label_points"
+                )
+            try:
+                for (append, convert), field in zip(cells, row, strict=True):
+                    append(convert(field))
+            except ValueError:
+                raise BadInput(
+                    f"{source}, line {content.number}: {_field_error(header, row, numeric)}"
+                ) from None
+    except csv.Error as error:
+        raise BadInput(f"{source}, line {content.number}: not a CSV file: {error}") from None
+    if not line_numbers:
+        raise BadInput(f"{source}: no points: there is only the line of names")
+    return CsvColumns(
+        {
+            name: np.frombuffer(values) if name in numeric else _numbers_if_possible(values)
+            for name, values in columns.items()
+        },
+        source,
+        line_numbers,
+    )
+
+
+class _Lines:
+    """The lines of a file without empty ones and comments, and the number of the last line read."""
+
+    def __init__(self, lines: Iterable[str], source: str):
+        self.number = 0
+        self._lines = iter(lines)
+        self._source = source
+
+    def __iter__(self) -> Iterator[str]:
+        return self
+
+    def __next__(self) -> str:
+        for line in self._lines:
+            self.number += 1
+            if len(line) > MAX_LINE:
+                raise BadInput(f"{self._source}, line {self.number}: more than {MAX_LINE} characters")
+            if line.strip() and not line.lstrip().startswith("#"):
+                return line
+        raise StopIteration
+
+
+def _reader(lines: Iterable[str], separator: str) -> Iterator[list[str]]:
+    """Fields of each line."""
+    return csv.reader(lines, delimiter=separator, skipinitialspace=True, strict=True)
+
+
+def _header(source: str, fields: list[str]) -> list[str]:
+    """Names of the columns, all different."""
+    header = [name.strip() for name in fields]
+    if not any(header):
+        raise BadInput(f"{source}: empty; its first line must name the columns, such as C,theta0,m")
+    if not header[0] and INDEX not in header:
+        header[0] = INDEX
+    earlier: set[str] = set()
+    for name in header:
+        if not name or name in earlier:
+            problem = f"names {shown(name)} twice" if name else "leaves a column without name"
+            raise BadInput(f"{source}: its first line {problem}: {','.join(header)}")
+        earlier.add(name)
+    return header
+
+
+def _number(field: str) -> float:
+    """The number in a field, nan if it is empty."""
+    return float(field.strip() or "nan")
+
+
+def _field_error(header: list[str], row: list[str], numeric: Collection[str]) -> str:
+    """Error message about the first field of a line that must be a number and is none."""
+    for name, field in zip(header, row, strict=True):
+        try:
+            if name in numeric:
+                _number(field)
+        except ValueError:
+            comma = re.fullmatch(r"\s*[-+]?\d+,\d+\s*", field)
+            return f"{name} = {shown(field)}: must be a number{' with a decimal point, not a comma' if comma else ''}"
+    raise AssertionError("every field is a number")
+
+
+def _numbers_if_possible(texts: list[str]) -> np.ndarray:
+    """The texts of a column, as numbers if all are."""
+    if all(text.isdecimal() and len(text) < 19 for text in texts):
+        return np.array([int(text) for text in texts])
+    try:
+        return np.array([float(text) if text else math.nan for text in texts])
+    except ValueError:
+        return np.array(texts)

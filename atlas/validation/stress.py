@@ -10,20 +10,28 @@ import numpy as np
 import xarray as xr
 
 from .. import systems
-from ..engine import blocks
+from ..engine import blocks, numeric_bound
+from ..engine.ensemble import Ensemble
 from ..engine.specialization import kernel
 from ..engine.stepsize import StepSizes
-from ..engine.tableaux import METHODS
+from ..engine.tableaux import METHODS, Method
 from ..errors import BadInput
 from ..flags import Flag, Label, Status
 from ..label.pipeline import evaluate
 from ..scene import model
 from ..scene.model import Settings
-from ..systems.base import Array, Flags, Mask, Points, StressCase, System
+from ..scene.tables import point_columns
+from ..systems.base import Array, Flags, Mask, Parameter, Points, StressCase, System
 from ..variables import variables
-from . import generic_cases
-from .stress_points import CasePoints, case_points
-from .stress_truth import EXACT_ACCURACY, EXACT_STATISTICS, TrueLabels, true_labels, unsteadiness
+from .reference import ReferenceFailureError, reference
+from .stress_truth import (
+    EXACT_ACCURACY,
+    EXACT_STATISTICS,
+    TrueLabels,
+    no_statistics,
+    true_labels,
+    unsteadiness,
+)
 from .text_table import text_table
 
 # The levels, coarse to fine: fixed steps as a share of the stability limit at the frequency bound, then
@@ -85,9 +93,9 @@ def _points_of_cases(
 def _points_of_generic_cases(system: System) -> tuple[list[CasePoints], TrueLabels]:
     """Points of generic cases whose true labels the reference determines, and these labels."""
     parts, truths = [], []
-    for case in generic_cases.generic_cases(system):
+    for case in generic_cases(system):
         part = case_points(system, case)
-        truth, known = generic_cases.true_labels(system, part, Settings())
+        truth, known = generic_true_labels(system, part, Settings())
         if known.any():
             parts.append(part.subset(known))
             truths.append(truth.subset(known))
@@ -400,3 +408,210 @@ def _error_cells(ds: xr.Dataset) -> list[str]:
     estimate = np.maximum(ds["error_estimate"].values, EXACT_ACCURACY)
     ratio = np.nanmax(np.where(resolved, np.nanmax(error, axis=0, initial=0.0) / estimate, np.nan))
     return [f"{worst.max():.1e}", str(ds["statistic"].values[worst.argmax()]), f"{ratio:.2g}"]
+
+
+@dataclass(frozen=True)
+class CasePoints:
+    """A stress case as arrays of shape (points,)."""
+
+    name: str  # of the case
+    points: Points
+    base: Points  # before the additions of the case
+    duration: Array  # time units
+    names: tuple[
+        str, ...
+    ]  # of the points: values of the parameters, and of the duration, that vary within the case
+    may_stay_unresolved: str
+    truth: str  # as in StressCase
+
+    def subset(self, where: Mask) -> CasePoints:
+        """The points where a mask is true."""
+        return replace(
+            self,
+            points={name: values[where] for name, values in self.points.items()},
+            base={name: values[where] for name, values in self.base.items()},
+            duration=self.duration[where],
+            names=tuple(name for name, kept in zip(self.names, where, strict=True) if kept),
+        )
+
+
+def case_points(system: System, case: StressCase) -> CasePoints:
+    """Points of a case: columns and defaults, the parameter of the family solved, then the additions."""
+    varying = {k: np.asarray(v, float) for k, v in {**case.columns, **case.additions}.items() if np.ndim(v)}
+    size = max((values.size for values in varying.values()), default=1)
+    points, _ = point_columns(
+        system, {name: np.broadcast_to(values, (size,)) for name, values in case.columns.items()}
+    )
+    if case.solve is not None:
+        family, parameter = case.solve
+        points[parameter] = system.families[family].solve[parameter](points)
+    base = dict(points)
+    for name, amount in case.additions.items():
+        points[name] = points[name] + np.asarray(amount, float)
+    varying |= {"duration": np.asarray(case.duration, float)} if np.ndim(case.duration) else {}
+    names = [", ".join(f"{k} = {v[i]:.4g}" for k, v in varying.items() if v.any()) for i in range(size)]
+    duration = np.broadcast_to(np.asarray(case.duration, float), (size,)).copy()
+    return CasePoints(case.name, points, base, duration, tuple(names), case.may_stay_unresolved, case.truth)
+
+
+# Powers of 10 by which a parameter is multiplied, and a start value is.
+POWERS, POWERS_OF_STARTS = np.array([-6, -4, -2, -1, 1, 2, 4, 6]), np.array([-12, -6, -3, -1, 0])
+HUGE = 1e200
+# Value of the other start values whose default is 0, so that the state changes.
+START = 0.1
+# Length of a run in radians of its frequency at the start, and its limit in time units.
+RADIANS, MAX_DURATION = 60.0, 1e3
+
+
+def generic_cases(system: System) -> list[StressCase]:
+    """A case for each parameter: its default times powers of 10, its range, and a huge value.
+
+    Values outside the range of a parameter are left out. The length of each run follows from its frequency at the
+    start, so that stiff runs are short.
+    """
+    moderate = {name: _moderate_value(p) for name, p in system.parameters.items() if np.isfinite(p.default)}
+    cases = [_case(system, name, moderate | {name: _values(system.parameters[name])}) for name in moderate]
+    return [_case(system, "defaults", {}), _case(system, "beside the defaults", moderate), *cases]
+
+
+def _moderate_value(parameter: Parameter) -> float:
+    """The default, or START for a start value whose default is 0, so that the state changes."""
+    if not parameter.start or parameter.default != 0:
+        return parameter.default
+    return START if parameter.low <= START <= parameter.high else parameter.default
+
+
+def _values(parameter: Parameter) -> Array:
+    """Small, large and huge values of a parameter within its range."""
+    scale = parameter.default if parameter.default != 0 else 1.0
+    values = scale * 10.0 ** (POWERS_OF_STARTS if parameter.start else POWERS)
+    values = np.concatenate([values, -values, [HUGE, -HUGE]])
+    if np.isfinite(parameter.low) and np.isfinite(parameter.high):
+        values = np.concatenate([values, np.linspace(parameter.low, parameter.high, 5)])
+    inside = (values >= parameter.low) & (values <= parameter.high)
+    inside &= (values > parameter.low) | (not parameter.open_low)
+    return np.unique(values[inside])
+
+
+def _case(system: System, name: str, columns: Mapping[str, float | Array]) -> StressCase:
+    """A case of some columns, each run with a duration that follows from its frequency at the start."""
+    meaning = system.parameters[name].meaning if name in system.parameters else "one motion"
+    case = StressCase(name, meaning, 1.0, columns)
+    points = case_points(system, case).points
+    with np.errstate(all="ignore"):
+        frequency = numeric_bound.before_run(
+            system, points, np.full_like(next(iter(points.values())), MAX_DURATION)
+        )
+        duration = np.fmin(RADIANS / frequency, MAX_DURATION)
+    usable = np.isfinite(duration) & (duration > 1e-300)
+    return StressCase(name, meaning, np.where(usable, duration, 1.0), columns)
+
+
+def generic_true_labels(system: System, part: CasePoints, settings: Settings) -> tuple[TrueLabels, Mask]:
+    """True labels of the points of a generic case by the reference integrator, and a mask of those that are known.
+
+    Points whose state or frequency is not finite at the start have no label.
+
+    settings: only the tolerances of the labels are used.
+    """
+    size = part.duration.size
+    label, largest = np.full(size, Label.UNRESOLVED, np.int8), np.full(size, np.nan)
+    source, known = np.full(size, "overflow", "<U15"), np.ones(size, bool)
+    with np.errstate(all="ignore"):
+        start, frequency = system.initial_state(part.points), system.frequency_bound(part.points)
+    usable = np.isfinite(start).all(0) & np.isfinite(frequency)
+    indices = np.flatnonzero(usable)
+    while indices.size:
+        points: Points = {name: values[indices] for name, values in part.points.items()}
+        try:
+            solution = reference(system, points, part.duration[indices], settings)
+        except ReferenceFailureError as failure:
+            known[indices[failure.indices]] = False
+            indices = np.delete(indices, failure.indices)
+            continue
+        label[indices], source[indices], known[indices] = solution.label, "reference", solution.label_certain
+        largest[indices] = unsteadiness(system, solution.statistics, settings)
+        break
+    return TrueLabels(label, largest, source, no_statistics(size)), known
+
+
+def _final_states(system: System, method: str, points: Points, step_size: Array, steps: int) -> Array:
+    """States after so many steps, (states, points)."""
+    count = np.full(step_size.size, steps)
+    return Ensemble.of(system, points).final_states(kernel(system, method), count, step_size)
+
+
+def observed_stability(method: Method, steps: int = 16_000) -> dict[str, float]:
+    """Largest stable y = (angular frequency) x (step) of two motions that contain one frequency each.
+
+    A free spherical body: gamma turns in it at |w| ("turning"). A spherical body with a rotor and small w: w
+    turns about the rotor at l3 / A ("nutation"). The values of y are on a grid of relative distance 1e-4.
+
+    steps: a y is stable if the amplitude has not grown after so many steps. Returns y by "turning" and
+    "nutation", rad; in theory both are `method.stability`.
+    """
+    system = systems.get("fixed_point")
+    y = method.stability * np.linspace(0.95, 1.05, 1025)
+    body = {"A": 1.0, "B": 1.0, "C": 1.0, "theta0": 1.0, "phi0": np.zeros(y.size)}
+    starts = {
+        # parameters, rows of the state that turn, their amplitude
+        "turning": ({"m": 1.0}, slice(3, None), 1.0),
+        "nutation": ({"l3": 1.0, "theta_dot0": 1e-9}, slice(2), 1e-9),
+    }
+    largest = {}
+    for name, (start, rows, amplitude) in starts.items():
+        points, _ = point_columns(system, body | start)
+        with np.errstate(all="ignore"):
+            vector = _final_states(system, method.name, points, y, steps)[rows] / amplitude
+            stable = (vector**2).sum(0) <= 1.0
+        largest[name] = float(y[stable].max())
+    return largest
+
+
+def constraint_bound(method: Method, y: float, steps: int) -> float:
+    """Largest expected change of |gamma| over a run of a body that turns by y radians a step.
+
+    A turn at constant rate multiplies the turning part by |R(i y)| each step, with R the stability function
+    of the method: 1 - dissipation y^p to leading order (rk4: y^6 / 144). Rounding adds at most one unit of the
+    last place a step.
+    """
+    return steps * (method.dissipation * y**method.dissipation_order + 2.0**-53)
+
+
+def constraint_change(system: System, method: Method, points: Points, y: float, steps: int) -> Array:
+    """Largest change of the constraints of the state over a run.
+
+    y: length of a step times the frequency bound of the point, rad. Returns largest of abs(|gamma| - 1) and,
+    for the satellite, abs(|alpha| - 1) and abs(alpha.gamma).
+    """
+    state = _final_states(system, method.name, points, y / system.frequency_bound(points), steps)
+    unit = state[3:].reshape(-1, 3, state.shape[1])
+    changes = [np.abs(np.sqrt((vector**2).sum(0)) - 1) for vector in unit]
+    if len(unit) == 2:
+        changes.append(np.abs((unit[0] * unit[1]).sum(0)))
+    return np.asarray(np.max(changes, axis=0))
+
+
+def limits(*, steps: int = 10_000_000) -> list[tuple[str, ...]]:
+    """Limits of every method in theory and as observed in runs of `steps` steps.
+
+    Returns rows of a table, the first one its heading.
+    """
+    satellite = systems.get("satellite")
+    tumbling, _ = point_columns(satellite, {"A": 0.9, "B": 1.1, "k1": 0.2, "theta0": 0.7, "n": 0.5, "m": 0.9})
+    turning, _ = point_columns(satellite, {"C": 1.0, "Omega": 0.0, "theta0": 1.0, "m": 1.0})
+    turning_bound = float(satellite.frequency_bound(turning)[0])  # the body turns at rate 1
+    rows: list[tuple[str, ...]] = [
+        ("method", "largest stable y, theory", "turning", "nutation", f"loss of |gamma| in {steps:.0e} steps of",
+         "theory", "free turn", "tumbling satellite")
+    ]  # fmt: skip
+    for method in METHODS.values():
+        observed = observed_stability(method)
+        y = 0.02 if method.order == 4 else 0.2
+        rows.append((
+            method.name, f"{method.stability:.5f}", f"{observed['turning']:.4f}", f"{observed['nutation']:.4f}",
+            f"y = {y:g}", f"{constraint_bound(method, y, steps):.1e}",
+            f"{constraint_change(satellite, method, turning, y * turning_bound, steps)[0]:.1e}",
+            f"{constraint_change(satellite, method, tumbling, y, steps)[0]:.1e}",
+        ))  # fmt: skip
+    return rows

@@ -14,7 +14,7 @@ from ..label import labels
 from ..label.theory import predict
 from ..scene.model import Settings, std_tolerances
 from ..systems.base import Array, Flags, Mask, Points, System
-from . import exact, exact_statistics
+from . import exact
 from .reference import EXACT_RESIDUAL, largest_sine, reference
 
 # The reference integrates a run of at most MAX_RADIANS_WHOLE radians at the frequency bound whole, of a longer run the
@@ -140,8 +140,7 @@ def _labels_by_exact_motion(
 ) -> TrueLabels:
     """Labels and statistics of points that follow an exact motion."""
     runs = [
-        exact_statistics.statistics(exact.motion_of(system, kind, points, i), duration[i])
-        for i in range(duration.size)
+        exact.statistics(exact.motion_of(system, kind, points, i), duration[i]) for i in range(duration.size)
     ]
     measured = {name: np.array([run[name] for run in runs]) for name in EXACT_STATISTICS}
     measured["sine_max"] = largest_sine(measured["theta_min"], measured["theta_max"])
@@ -201,13 +200,13 @@ def _departure(
     if not run.success:
         raise ValueError("the departure from an equilibrium cannot be integrated")
     length = np.diff(run.t)[:, None]
-    time = (run.t[:-1, None] + 0.5 * length * (1 + exact_statistics.GAUSS_NODES)).ravel()
-    weight = (0.5 * length * exact_statistics.GAUSS_WEIGHTS).ravel() / duration
+    time = (run.t[:-1, None] + 0.5 * length * (1 + exact.GAUSS_NODES)).ravel()
+    weight = (0.5 * length * exact.GAUSS_WEIGHTS).ravel() / duration
     u1, u2, u3, g1, g2, g3 = system.equations.frame_motion(
         rest[:, None] + size * run.sol(time), constants[:, None]
     )
     motion = exact.euler_motion(np.array([u1, u2, u3]), np.array([g1, g2, g3]))
-    return exact_statistics.moments(motion, weight) | {
+    return exact.moments(motion, weight) | {
         "theta_min": float(motion.theta.min()),
         "theta_max": float(motion.theta.max()),
     }

@@ -16,7 +16,7 @@ from atlas import label_points
 from atlas.flags import Label
 from atlas.scene.tables import point_columns
 from atlas.systems import get
-from atlas.validation import exact, exact_statistics
+from atlas.validation import exact
 
 SATELLITE = get("satellite")
 SPIN = np.linspace(0.2, 1.1, 4)
@@ -33,10 +33,7 @@ def true_rates(name: str, points: dict[str, np.ndarray], duration: float) -> dic
     """Mean and standard deviation of the rate about the normal, by closed form."""
     if name == "planar libration":
         size = points["A"].size
-        runs = [
-            exact_statistics.statistics(exact.motion_of(SATELLITE, name, points, i), duration)
-            for i in range(size)
-        ]
+        runs = [exact.statistics(exact.motion_of(SATELLITE, name, points, i), duration) for i in range(size)]
         return {key: np.array([run[key] for run in runs]) for key in ("normal_rate_mean", "normal_rate_std")}
     mean = points["n"] + points["m"] * np.cos(points["theta0"])
     return {"normal_rate_mean": mean, "normal_rate_std": np.zeros_like(mean)}

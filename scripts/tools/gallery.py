@@ -19,7 +19,7 @@ from matplotlib import rc_context
 from matplotlib.figure import Figure
 
 import atlas
-from atlas.cli.examples import figure_options
+from atlas.cli.scenes import figure_options
 from atlas.flags import Agreement
 from atlas.label import theory
 from atlas.plotting import amer2013, maps, style

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import atlas
-from atlas.analysis.count_borders import CHANGE
+from atlas.analysis.boundary import CHANGE
 from atlas.analysis.metadata import scene_of
 from atlas.plotting.content import panel_of
 from atlas.scene.read import scene_from

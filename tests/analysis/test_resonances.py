@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from atlas.analysis import resonances
+from atlas.analysis import boundary
 from atlas.analysis.plane import Plane
 from atlas.scene.read import scene_from
 
@@ -29,10 +29,10 @@ def frequencies(k1, k3):
 @pytest.fixture(scope="module")
 def lines():
     plane = Plane(scene_from(SCENE), {"K1": (-0.9, 0.9), "K3": (-0.9, 0.9)}, {})
-    return resonances.resonance_lines(plane)
+    return boundary.resonance_lines(plane)
 
 
-@pytest.mark.parametrize("ratio", resonances.RATIOS)
+@pytest.mark.parametrize("ratio", boundary.RESONANCE_RATIOS)
 def test_frequencies_on_the_lines_have_the_ratio(lines, ratio):
     vertices = np.concatenate(lines[f"resonance {ratio}:1"])
     # Near the limits of stability, where a frequency vanishes, one cell changes it by more than a few per cent.
@@ -60,6 +60,6 @@ def test_the_line_1_to_1_is_where_pitch_crosses(lines):
 
 
 def test_lines_are_inside_the_stable_regions(lines):
-    for kind in resonances.KINDS:
+    for kind in boundary.RESONANCES:
         k1, k3 = np.concatenate(lines[kind]).T
         assert ((k1 > k3 - 0.01) & (k1 * k3 > -0.01)).all()

@@ -12,10 +12,9 @@ import xarray as xr
 import atlas
 from atlas import cli, systems
 from atlas.page import page
-from atlas.page.layout import layout
+from atlas.page.content import Store, float_array, layout
 from atlas.page.motion import motions
 from atlas.page.page import atlas_page
-from atlas.page.store import Store, float_array
 from atlas.page.text import plain, runs
 from atlas.page.translate import CannotTranslate
 

@@ -18,7 +18,7 @@ from matplotlib.figure import Figure
 
 import atlas
 from atlas import BadInput, load_scene
-from atlas.analysis import metadata, select, theory_borders, theory_curves
+from atlas.analysis import boundary, metadata, select
 from atlas.analysis import plane as planes
 from atlas.errors import MAX_TEXT, printable
 from atlas.flags import Label
@@ -358,7 +358,7 @@ def growth_rate(sigma, theta, m):
 
 def test_the_stability_limit_separates_growth_from_none(small_scene):
     view = plane(small_scene)
-    lines = theory_borders.stability_boundary(view)
+    lines = boundary.stability_boundary(view)
     vertices = np.concatenate(lines)
     assert len(vertices) > 100
     steps = np.array([[0.02, 0.0], [-0.02, 0.0], [0.0, 0.02], [0.0, -0.02]])
@@ -369,7 +369,7 @@ def test_the_stability_limit_separates_growth_from_none(small_scene):
 
 
 def test_the_stability_limit_is_sharp(small_scene):
-    vertices = np.concatenate(theory_borders.stability_boundary(plane(small_scene)))
+    vertices = np.concatenate(boundary.stability_boundary(plane(small_scene)))
     sigma, u = vertices[:, 0], np.cos(vertices[:, 1]) ** 2
     # closed form for mu = 0: lambda^4 + P lambda^2 + Q = 0 in units of Omega
     P, Q = 7 - 6 * sigma + 9 * sigma * (sigma - 1) * u, 3 * (sigma - 1) * (3 * sigma - 4) * (1 - u)
@@ -384,7 +384,7 @@ def test_the_stability_limit_is_sharp(small_scene):
 
 
 def test_the_stability_limit_on_one_axis(small_scene):
-    (first, second) = theory_borders.stability_boundary(plane(small_scene, theta0=0.5))
+    (first, second) = boundary.stability_boundary(plane(small_scene, theta0=0.5))
     assert (float(first[0, 0]), float(second[0, 0])) == pytest.approx((1.0, 4 / 3), abs=1e-4)
 
 
@@ -394,7 +394,7 @@ def test_the_stability_limit_on_one_axis(small_scene):
 )
 def test_family_curves_are_exact_motions(m, C, mu3):
     view = plane(CURVE_SCENE.format(m=m, C=C, mu3=mu3))
-    curves = theory_curves.family_curves(view)
+    curves = planes.family_curves(view)
     assert "perp_velocity" in curves
     for lines in curves.values():
         for line in lines:
@@ -406,13 +406,13 @@ def test_family_curves_are_exact_motions(m, C, mu3):
 
 def test_family_curves_for_either_axis(scene_text, without_family):
     view = plane(scene_text(without_family))
-    (curve,) = theory_curves.family_curves(view)["perp_velocity"]  # only theta0 can be solved for
+    (curve,) = planes.family_curves(view)["perp_velocity"]  # only theta0 can be solved for
     sigma, theta = curve[np.isfinite(curve).all(1)].T
     assert sigma.size > 100
     # k3 = 0: 4 Omega c (A - C) = C m
     np.testing.assert_allclose(4 * np.cos(theta) * (1 - sigma), 0.5 * sigma, atol=1e-9)
     transposed = planes.Plane(view.scene, dict(reversed(view.extent.items())), {})
-    (transposed_curve,) = theory_curves.family_curves(transposed)["perp_velocity"]
+    (transposed_curve,) = planes.family_curves(transposed)["perp_velocity"]
     np.testing.assert_array_equal(transposed_curve[:, ::-1], curve)
 
 
@@ -422,17 +422,17 @@ def test_an_offset_axis_has_its_family_at_zero():
     )
     view = plane(scene + '[family]\nname = "perp_velocity"\nsolve = ["k3"]\n')
     assert list(view.extent) == ["theta0", "k3_offset"]
-    (line,) = theory_curves.family_curves(view)["perp_velocity"]
+    (line,) = planes.family_curves(view)["perp_velocity"]
     np.testing.assert_array_equal(line, [[0.1, 0.0], [1.5, 0.0]])
     away = planes.Plane(view.scene, view.extent | {"k3_offset": (0.1, 0.2)}, {})
-    assert theory_curves.family_curves(away) == {}
+    assert planes.family_curves(away) == {}
     figure = maps.atlas_map(atlas.run(view.scene, progress=False))
     assert figure.axes[0].get_ylabel() == "$k_3$, offset from the family (N m s)"
     assert "perp velocity (exact)" in legend(figure)
 
 
 def test_a_plane_that_lies_on_a_family_has_no_curve(small_scene):
-    assert theory_curves.family_curves(plane(small_scene)) == {}
+    assert planes.family_curves(plane(small_scene)) == {}
 
 
 def test_a_map_without_theory_where_bodies_between_its_points_cannot_exist(small, caplog):
@@ -656,13 +656,13 @@ QUICKSTART = Path(__file__).parents[2] / "configs" / "quickstart.toml"
 def test_borders_of_the_quickstart_are_those_of_the_formulas():
     scene = load_scene(QUICKSTART)
     view = planes.Plane(scene, {"l3": (-2.5, 2.5), "n": (-2.0, 2.0)}, {})
-    borders = theory_borders.theory_borders(view)
-    assert set(borders) == {theory_borders.STABILITY, theory_borders.LABEL}
-    l3, n = np.concatenate(borders[theory_borders.LABEL]).T
+    borders = boundary.theory_borders(view)
+    assert set(borders) == {boundary.STABILITY, boundary.LABEL}
+    l3, n = np.concatenate(borders[boundary.LABEL]).T
     # there (C - A)(n^2 - N) cos theta + (C m + l3) n + Mg z0 = 0 with cos theta = 1 or -1
     edge = np.abs(-0.6 * (n**2 - 2.0)) - np.abs((0.2 + l3) * n + 0.3)
     assert np.abs(edge).max() < 1e-3
-    l3, n = np.concatenate(borders[theory_borders.STABILITY]).T
+    l3, n = np.concatenate(borders[boundary.STABILITY]).T
     cosine = ((0.2 + l3) * n + 0.3) / (0.6 * (n**2 - 2.0))
     # frequency squared of small nutations at constant momenta, from the reduced potential of Lagrange's case
     spin = 0.4 * (0.5 + n * cosine) + l3
@@ -672,7 +672,7 @@ def test_borders_of_the_quickstart_are_those_of_the_formulas():
 
 def test_borders_reach_the_frame_of_coarse_maps(small):
     lines = small.atlas.boundary()
-    assert set(lines.kind.values) == {theory_borders.STABILITY}
+    assert set(lines.kind.values) == {boundary.STABILITY}
     edges = select.cell_edges(small.theta0.values)
     vertical = lines.where(np.abs(lines.sigma - 1) < 1e-3, drop=True)
     assert float(vertical.theta0.min()) == pytest.approx(edges[0], abs=1e-6)
@@ -682,9 +682,9 @@ def test_borders_reach_the_frame_of_coarse_maps(small):
 def drawn_plane(monkeypatch, theory, dims):
     """A plane of a nudged scene, with axes from 0 to 1, of which theory is a function of the coordinates."""
     monkeypatch.setattr(
-        theory_borders, "_coordinates", lambda plane, positions: dict(zip(dims, positions.T, strict=True))
+        boundary, "_coordinates", lambda plane, positions: dict(zip(dims, positions.T, strict=True))
     )
-    monkeypatch.setattr(theory_borders, "_values", lambda plane, positions: positions)
+    monkeypatch.setattr(boundary, "_values", lambda plane, positions: positions)
     return SimpleNamespace(
         extent=dict.fromkeys(dims, (0.0, 1.0)), scene=SimpleNamespace(nudge={"m": 1e-4}), theory=theory
     )
@@ -702,7 +702,7 @@ def test_a_strip_narrower_than_the_samples_is_followed_to_its_end(monkeypatch):
         )
 
     strip = drawn_plane(monkeypatch, theory, "xy")
-    line = max(theory_borders.theory_borders(strip)[theory_borders.STABILITY], key=len)
+    line = max(boundary.theory_borders(strip)[boundary.STABILITY], key=len)
     assert line[:, 0].max() > 0.93  # where it is a fifth of the distance between coarse samples wide
     x, y = line[1:-1].T
     assert np.minimum(abs(y - 0.5 * x), abs(y - 0.5 * x - 0.02 * (1 - x))).max() < 1e-4
@@ -720,19 +720,19 @@ def test_only_precessions_and_rotations_have_a_limit_between_them(monkeypatch):
         rates = {"n": x - 0.11, "m": x - 0.31}
         return planes.Theory(x >= 0, np.where(fifth == 1, 2, 1), np.array(labels)[fifth], rates)
 
-    lines = theory_borders.theory_borders(drawn_plane(monkeypatch, theory, "x"))
+    lines = boundary.theory_borders(drawn_plane(monkeypatch, theory, "x"))
     positions = {kind: [float(line[0, 0]) for line in kinds] for kind, kinds in lines.items()}
     assert positions == {
-        theory_borders.STABILITY: pytest.approx([0.2, 0.4], abs=1e-4),
-        theory_borders.LABEL: pytest.approx([0.8], abs=1e-4),
-        theory_borders.ZERO_RATES["n"]: pytest.approx([0.11], abs=1e-4),
+        boundary.STABILITY: pytest.approx([0.2, 0.4], abs=1e-4),
+        boundary.LABEL: pytest.approx([0.8], abs=1e-4),
+        boundary.ZERO_RATES["n"]: pytest.approx([0.11], abs=1e-4),
     }
 
 
 def test_a_rate_that_is_zero_on_a_line_is_traced_and_a_pole_is_not():
     scene = load_scene(QUICKSTART.with_name("conical_precession_spin.toml"))
     view = planes.Plane(scene, {"theta0": (0.05, 3.09), "n": (-2.0, 2.0)}, {})
-    lines = theory_borders.theory_borders(view)[theory_borders.ZERO_RATES["m"]]
+    lines = boundary.theory_borders(view)[boundary.ZERO_RATES["m"]]
     theta, n = np.concatenate(lines).T
     assert theta.size > 100
     # m = 0: (C - A)(n^2 - N) cos theta + l3 n + Mg z0 = 0; m has a pole at n = 0

@@ -11,7 +11,7 @@ from atlas import BadInput, load_scene
 from atlas.errors import allowed_text, messages_for_shell, option, shown
 from atlas.files import exists_message
 from atlas.scene import grid
-from atlas.scene.lines import line_of
+from atlas.scene.model import line_of
 from atlas.scene.read import parse_duration
 
 # Old text, new text, line of the small scene that is blamed, and how the message goes on.

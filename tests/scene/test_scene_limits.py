@@ -16,7 +16,7 @@ from atlas.analysis import compare, metadata
 from atlas.errors import MAX_MESSAGE, MAX_TEXT, printable, shown
 from atlas.io import netcdf
 from atlas.runs import tiling
-from atlas.scene import checks, csv, expressions, grid, model, points, read, tables
+from atlas.scene import checks, expressions, grid, model, points, read, tables
 from atlas.scene.expressions import Expression
 from atlas.systems import SYSTEMS
 from atlas.systems.fixed_point.first_order import MAX_RADIANS
@@ -148,7 +148,7 @@ def test_the_page_lists_the_limits_in_force():
             points.MAX_SAMPLED_NUMBERS,
             points.MAX_FILE_BYTES,
             points.MAX_FILE_FIELDS,
-            csv.MAX_LINE,
+            tables.MAX_LINE,
             expressions.MAX_LENGTH,
             read.MAX_TIE_CHARACTERS,
         ),

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import sympy as sp
 
-from atlas.papers.amer2013 import draws, fast_spin, published, reduction
+from atlas.papers.amer2013 import fast_spin, published, reduction
 
 ROWS = {row.number: row for row in published.PUBLISHED}
 EXPANSIONS = (
@@ -48,7 +48,7 @@ def second_derivative(name, order, **given):
 def random_numbers(seed):
     """A random body, state, S1 and S2, and the values of SYMBOLS there; r and g3 are not needed."""
     rng = np.random.default_rng(seed)
-    spin = draws.random_spin(rng, r0=1.0, weight=1.0)
+    spin = fast_spin.random_spin(rng, r0=1.0, weight=1.0)
     y, S1, S2 = rng.normal(size=6), *rng.normal(size=2)
     values = [
         y[0], y[1], 1, y[3], y[4], 1, spin.eps, spin.A1, spin.a, spin.k, spin.z, spin.mu.real, spin.mu.imag,
@@ -88,7 +88,7 @@ def test_8_is_the_series_of_g1():
 
 def test_random_states_have_the_energy_and_area_of_their_start():
     rng = np.random.default_rng(0)
-    spin = draws.random_spin(rng, r0=100.0)
+    spin = fast_spin.random_spin(rng, r0=100.0)
     y0, y = reduction.random_states(rng, spin)
     start, state = (fast_spin.integrals(spin, point)[:2] for point in (y0, y))
     np.testing.assert_allclose(state, start, rtol=1e-14)
@@ -97,17 +97,19 @@ def test_random_states_have_the_energy_and_area_of_their_start():
 
 def test_accelerations_are_those_of_the_motion():
     rng = np.random.default_rng(1)
-    spin, y = draws.random_spin(rng), rng.normal(size=6)
+    spin, y = fast_spin.random_spin(rng), rng.normal(size=6)
     h = 1e-4
     ahead, behind = (fast_spin.integrate(spin, y, np.array([0.0, side * h]))[:, -1] for side in (1, -1))
     numeric = (ahead - 2 * y + behind) / h**2
-    np.testing.assert_allclose(draws.true_acceleration(spin, y), numeric, atol=1e-5 * np.abs(numeric).max())
+    np.testing.assert_allclose(
+        fast_spin.true_acceleration(spin, y), numeric, atol=1e-5 * np.abs(numeric).max()
+    )
 
 
 def errors_along_a_motion(seed, r0, printed):
     """Errors of r1, q1 and |gamma|^2 by (14), (11) and (17) over eps^3, eps^2, eps^2, on the full equations."""
     rng = np.random.default_rng(seed)
-    spin = draws.random_spin(rng, r0=r0)
+    spin = fast_spin.random_spin(rng, r0=r0)
     y0 = rng.normal(size=6)
     y0[[2, 5]] = 1.0
     y = fast_spin.integrate(spin, y0, np.array([0.0, 2.0]))[:, -1]
@@ -134,7 +136,7 @@ def test_expansions_hold_along_a_motion():
 def test_each_sign_in_S21_is_wrong_as_printed(signs):
     for seed in range(3):
         rng = np.random.default_rng(seed)
-        spin = draws.random_spin(rng, r0=1e4)
+        spin = fast_spin.random_spin(rng, r0=1e4)
         y0, y = reduction.random_states(rng, spin)
         x0, x = (fast_spin.to_quasilinear(spin, state) for state in (y0, y))
         S2 = reduction.S1_S2(spin, y0, y)[1] - spin.eps * reduction.S22(spin, x0, x)
@@ -146,7 +148,7 @@ def test_each_sign_in_S21_is_wrong_as_printed(signs):
 def test_Phi1_is_what_8_has_at_first_order_in_the_rotor():
     for seed in range(3):
         rng = np.random.default_rng(seed)
-        spin = draws.random_spin(rng, r0=1e5)
+        spin = fast_spin.random_spin(rng, r0=1e5)
         y0, y = reduction.random_states(rng, spin)
         x0, x = (fast_spin.to_quasilinear(spin, state) for state in (y0, y))
         torque = (y[1] * spin.l1 - y[0] * spin.l2) / (spin.C * spin.r0)
@@ -155,7 +157,7 @@ def test_Phi1_is_what_8_has_at_first_order_in_the_rotor():
 
 
 def test_the_generating_S11_vanishes_at_the_start_only_when_corrected():
-    spin = draws.random_spin(np.random.default_rng(2))
+    spin = fast_spin.random_spin(np.random.default_rng(2))
     true, printed = (
         float(reduction.S11_of_26(spin, 1.0, 0.7, np.asarray(0.0), reading)) for reading in (False, True)
     )

@@ -14,7 +14,7 @@ from atlas.engine import numeric_bound
 from atlas.engine.tableaux import METHODS
 from atlas.flags import Agreement, Label, Status
 from atlas.systems.base import Condition, Family, Parameter, System
-from atlas.validation import generic_cases, stress, work_precision
+from atlas.validation import stress, work_precision
 from atlas.variables import variables
 
 pytestmark = pytest.mark.usefixtures("whole_kernels", "short_timings")
@@ -275,12 +275,12 @@ def test_refined_scene_and_accuracy(tmp_path):
 def test_stress_study_makes_its_own_cases(monkeypatch):
     system = systems.get("heavy_top")
     assert system.stress_cases() == ()
-    cases = generic_cases.generic_cases(system)
+    cases = stress.generic_cases(system)
     assert [case.name for case in cases] == ["defaults", "beside the defaults", *system.parameters]
     for case in cases:
         for name, values in case.columns.items():
             assert (np.asarray(values) >= system.parameters[name].low).all()
-    monkeypatch.setattr(generic_cases, "generic_cases", lambda system: [cases[1], cases[4]])
+    monkeypatch.setattr(stress, "generic_cases", lambda system: [cases[1], cases[4]])
     ds = stress.stress(system)
     assert set(ds["known_from"].values) == {"reference"}
     assert not stress.mislabelled(ds).any()

@@ -7,7 +7,7 @@ from scipy.integrate import quad, solve_ivp
 from scipy.special import ellipkm1
 from truth import gyrostat_run, gyrostat_start
 
-from atlas.validation import exact, exact_statistics
+from atlas.validation import exact
 
 # What DOP853 at 1e-13 leaves of states and statistics, relative to the larger of 1 and the value.
 ACCURATE = 2e-11
@@ -22,7 +22,7 @@ def assert_same_motion(motion, run, expected, duration, tolerance=ACCURATE):
     np.testing.assert_allclose(now.cos_theta_dot, q * g1 - p * g2, rtol=0, atol=tolerance)
     np.testing.assert_allclose(now.psi_dot + now.phi_dot * g3, now.normal_rate, rtol=1e-9, atol=1e-9)
     np.testing.assert_allclose(now.phi_dot, r - (p * g1 + q * g2) / sine**2 * g3, rtol=1e-9, atol=1e-9)
-    measured = exact_statistics.statistics(motion, duration)
+    measured = exact.statistics(motion, duration)
     assert measured.keys() == expected.keys()
     for name, value in expected.items():
         # A deviation of 0 is the root of a rounding error in the quadratures of the integrator.
@@ -115,7 +115,7 @@ def test_free_gyrostat_beside_the_vertical(sine, rotor):
 def test_free_sphere(theta_dot):
     """A free sphere turns about a fixed w: its third axis by Rodrigues' formula, psi from its direction."""
     theta0, n, m, duration = 1e-3, 0.5, -0.5, 2.0
-    measured = exact_statistics.statistics(exact.SymmetricTop(1, 1, 0, 0, theta0, theta_dot, n, m), duration)
+    measured = exact.statistics(exact.SymmetricTop(1, 1, 0, 0, theta0, theta_dot, n, m), duration)
     # In space, with the node along x: gamma = z, e3 = (0, -sin theta, cos theta), w = n z + m e3 + theta' x.
     axis = np.array([0.0, -np.sin(theta0), np.cos(theta0)])
     w = np.array([theta_dot, 0.0, n]) + m * axis
@@ -196,7 +196,7 @@ def test_planar_libration(seed):
     motion = exact.PlanarLibration(A, B, C, Omega, angle, rate)
     time = np.linspace(0, duration, 101)
     np.testing.assert_allclose(motion(time).normal_rate, run.sol(time)[1], rtol=0, atol=ACCURATE)
-    measured, mean = exact_statistics.statistics(motion, duration), (run.y[0, -1] - angle) / duration
+    measured, mean = exact.statistics(motion, duration), (run.y[0, -1] - angle) / duration
     assert measured["normal_rate_mean"] == pytest.approx(mean, abs=ACCURATE)
     assert measured["normal_rate_std"] == pytest.approx(
         np.sqrt(run.y[2, -1] / duration - mean**2), abs=ACCURATE
@@ -229,9 +229,9 @@ def test_whole_periods_count_alike(kind):
     now, later = motion(time), motion(time + motion.period)
     np.testing.assert_allclose(later, now, rtol=0, atol=1e-12)
     duration = 3.3 * motion.period
-    whole = exact_statistics.statistics(motion, duration)
-    nodes, weight = exact_statistics._quadrature(motion, duration)
-    for name, value in exact_statistics.moments(motion(nodes), weight / duration).items():
+    whole = exact.statistics(motion, duration)
+    nodes, weight = exact._quadrature(motion, duration)
+    for name, value in exact.moments(motion(nodes), weight / duration).items():
         assert whole[name] == pytest.approx(value, rel=1e-12, abs=1e-12, nan_ok=True)
 
 

@@ -9,8 +9,8 @@ from atlas.flags import Status
 from atlas.label.pipeline import evaluate
 from atlas.scene.model import Settings
 from atlas.systems import SYSTEMS
-from atlas.validation import exact, exact_statistics, limits, stress, stress_truth
-from atlas.validation.stress_points import case_points
+from atlas.validation import exact, stress, stress_truth
+from atlas.validation.stress import case_points
 
 # Cases that take a fraction of a second each; `atlas stress` runs all of them.
 QUICK = {
@@ -96,7 +96,7 @@ def test_exact_cases_pass_beside_the_vertical(system):
             part = case_points(SYSTEMS[system], case)
             for i, sine in enumerate((1e-4, 1e-3, 1e-2, 1e-1)):
                 motion = exact.motion_of(SYSTEMS[system], case.truth, part.points, i)
-                theta = exact_statistics.statistics(motion, part.duration[i])["theta_min"]
+                theta = exact.statistics(motion, part.duration[i])["theta_min"]
                 assert theta == pytest.approx(sine, rel=1e-6)
 
 
@@ -163,7 +163,7 @@ def test_a_wrong_label_is_reported_and_fails_the_command(studies, monkeypatch, c
     ds["verdict"][:] = stress.Verdict.RIGHT
     ds["verdict"][0, -1, 0] = stress.Verdict.WRONG
     monkeypatch.setattr(stress, "stress", lambda name, **options: ds)
-    monkeypatch.setattr(limits, "limits", lambda: [("method",), ("rk4",)])
+    monkeypatch.setattr(stress, "limits", lambda: [("method",), ("rk4",)])
     assert cli.main(["stress", "satellite"]) == cli.FAILED
     output = capsys.readouterr().out
     assert "label not true: near 0, theta0 = 0.01; rk4, tolerance 1e-08" in output
@@ -176,7 +176,7 @@ def test_estimates_beyond_ten_times_fail_the_command(studies, monkeypatch):
     ds = studies["fixed_point"].copy(deep=True)
     ds["verdict"][:] = stress.Verdict.RIGHT
     monkeypatch.setattr(stress, "stress", lambda name, **options: ds)
-    monkeypatch.setattr(limits, "limits", lambda: [("method",), ("rk4",)])
+    monkeypatch.setattr(stress, "limits", lambda: [("method",), ("rk4",)])
     assert cli.main(["stress", "fixed_point"]) == cli.DONE
     ds["error_estimate"][:] = 1e-30
     assert stress.estimate_fails(ds)
@@ -185,7 +185,7 @@ def test_estimates_beyond_ten_times_fail_the_command(studies, monkeypatch):
 
 def test_files_of_the_command(studies, monkeypatch, tmp_path):
     monkeypatch.setattr(stress, "stress", lambda name, **options: studies[name])
-    monkeypatch.setattr(limits, "limits", lambda: [("method",), ("rk4",)])
+    monkeypatch.setattr(stress, "limits", lambda: [("method",), ("rk4",)])
     assert cli.main(["stress", "-o", str(tmp_path / "out")]) == cli.DONE
     assert {p.name for p in (tmp_path / "out").iterdir()} == {
         f"{name}{suffix}" for name in SYSTEMS for suffix in (".nc", ".png")

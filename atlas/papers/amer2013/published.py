@@ -17,8 +17,7 @@ from ...errors import BadInput
 from ...systems.base import Array, PublishedEquation
 from .. import Measure, Readings, load, row
 from . import fast_spin, reduction
-from .draws import paper_spin, random_spin, true_acceleration, true_rate
-from .fast_spin import FastSpin
+from .fast_spin import FastSpin, paper_spin, random_spin, true_acceleration, true_rate
 
 
 def k(spin: FastSpin) -> Array:

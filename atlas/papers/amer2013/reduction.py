@@ -17,8 +17,7 @@ import numpy as np
 from ...systems.base import Array
 from .. import Measure
 from . import fast_spin
-from .draws import random_spin, true_acceleration
-from .fast_spin import FastSpin
+from .fast_spin import FastSpin, random_spin, true_acceleration
 
 # errors of the printed and of the true reading at the same random parameters
 Pair = Callable[[np.random.Generator], tuple[Array, Array]]

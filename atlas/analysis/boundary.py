@@ -167,15 +167,6 @@ def _has_class(classes: Callable[[Array], Classes], kind: str, expected: Flags, 
     return classes(positions)[kind] == expected
 
 
-def stability_boundary(plane: Plane) -> list[np.ndarray]:
-    """Lines between linearly stable and unstable motions in a plane, see `theory_borders`.
-
-    plane: where to look for the boundary. Returns polylines of shape (vertices, axes of the plane), float64,
-    in the units of the axes.
-    """
-    return theory_borders(plane).get(STABILITY, [])
-
-
 # Positions of theory's lines are fractions of the extent of each axis.
 
 

@@ -358,7 +358,7 @@ def growth_rate(sigma, theta, m):
 
 def test_the_stability_limit_separates_growth_from_none(small_scene):
     view = plane(small_scene)
-    lines = boundary.stability_boundary(view)
+    lines = boundary.theory_borders(view)[boundary.STABILITY]
     vertices = np.concatenate(lines)
     assert len(vertices) > 100
     steps = np.array([[0.02, 0.0], [-0.02, 0.0], [0.0, 0.02], [0.0, -0.02]])
@@ -369,7 +369,7 @@ def test_the_stability_limit_separates_growth_from_none(small_scene):
 
 
 def test_the_stability_limit_is_sharp(small_scene):
-    vertices = np.concatenate(boundary.stability_boundary(plane(small_scene)))
+    vertices = np.concatenate(boundary.theory_borders(plane(small_scene))[boundary.STABILITY])
     sigma, u = vertices[:, 0], np.cos(vertices[:, 1]) ** 2
     # closed form for mu = 0: lambda^4 + P lambda^2 + Q = 0 in units of Omega
     P, Q = 7 - 6 * sigma + 9 * sigma * (sigma - 1) * u, 3 * (sigma - 1) * (3 * sigma - 4) * (1 - u)
@@ -384,7 +384,7 @@ def test_the_stability_limit_is_sharp(small_scene):
 
 
 def test_the_stability_limit_on_one_axis(small_scene):
-    (first, second) = boundary.stability_boundary(plane(small_scene, theta0=0.5))
+    (first, second) = boundary.theory_borders(plane(small_scene, theta0=0.5))[boundary.STABILITY]
     assert (float(first[0, 0]), float(second[0, 0])) == pytest.approx((1.0, 4 / 3), abs=1e-4)
 
 

@@ -14,7 +14,6 @@ from .. import systems
 from ..engine import blocks, numeric_bound
 from ..engine.ensemble import Ensemble
 from ..engine.losses import with_frame_vector
-from ..engine.specialization import kernel, kernel_hash
 from ..engine.stepsize import StepSizes
 from ..engine.tableaux import METHODS, Method
 from ..errors import BadInput
@@ -23,6 +22,7 @@ from ..scene import checks, grid
 from ..scene.model import DEFAULTS, Duration, Scene, Settings
 from ..scene.tables import point_columns
 from ..systems.base import Array, Points, System
+from .plan import Plan
 
 # Instants of a trajectory: some gigabytes.
 MAX_SAMPLES = 10**7
@@ -117,13 +117,19 @@ def _trajectory(
         raise BadInput(f"point: {size} points given; a trajectory is that of one")
     system.check_possible(points)
     ensemble = Ensemble.of(system, points)
-    module = kernel(system, settings.method)
+    plan = Plan(system, settings)
     durations = np.array([duration])
     with np.errstate(all="ignore"):  # numbers may overflow: the motion is then not finite
         bound = ensemble.frequency_bound
         if system.has_numeric_bound:
             bound, _ = numeric_bound.along_runs(
-                system, module, METHODS[settings.method], ensemble, durations, settings.max_steps, threads=1
+                system,
+                plan.kernel,
+                METHODS[settings.method],
+                ensemble,
+                durations,
+                settings.max_steps,
+                threads=1,
             )
         step_sizes = StepSizes.of(settings, bound, durations)
     # Whole steps between samples, never longer than those of the atlas.
@@ -131,7 +137,7 @@ def _trajectory(
     parts = 1 if system.observables else max(1, min(steps // STEPS_PER_NODE, NODES // (samples - 1)))
     nodes, steps = parts * (samples - 1), -(-steps // parts)
     step_size = np.array([duration / (steps * nodes)])
-    states, lost = _states(system, module, ensemble, steps, step_size, nodes + 1)
+    states, lost = _states(plan.kernel, ensemble, steps, step_size, nodes + 1)
     path = {}
     if not system.observables:
         with np.errstate(all="ignore"):
@@ -143,7 +149,7 @@ def _trajectory(
     ds = _dataset(system, ensemble, states[at_samples], lost, path, np.linspace(0.0, duration, samples))
     _add_parameters(ds, system, points, float(step_size[0]))
     ds.attrs = provenance.provenance(
-        system, settings, kernel_hash(system, settings.method), title=title or f"trajectory of the {system.title}",
+        system, settings, plan.kernel_hash, title=title or f"trajectory of the {system.title}",
         scene="", seconds=0.0, points=1, warnings=system.warnings(points),
     )  # fmt: skip
     for name in ("atlas_seconds", "atlas_points_per_second"):
@@ -175,7 +181,7 @@ def trajectory_of_scene(scene: Scene, places: Mapping[str, float], *, samples: i
 
 
 def _states(
-    system: System, module: Any, ensemble: Ensemble, steps_per_sample: int, step_size: Array, samples: int
+    module: Any, ensemble: Ensemble, steps_per_sample: int, step_size: Array, samples: int
 ) -> tuple[Array, dict[str, Array]]:
     """States at evenly spaced instants, shape (samples, states), and what was lost of first integrals until then."""
     steps, count = np.array([steps_per_sample]), len(ensemble.state)
@@ -183,7 +189,7 @@ def _states(
     states = np.empty((samples, len(ensemble.state)))
     states[0] = ensemble.state[:, 0]
     for i in range(1, samples):
-        state = numeric_bound.advanced(system, module, ensemble, steps, step_size, 1)
+        state = ensemble.final_states(module, steps, step_size, threads=1)
         ensemble = replace(ensemble, state=state)
         states[i] = state[:, 0]
     lost = getattr(module, "LOSSES", ())

@@ -10,9 +10,10 @@ from ..engine import numeric_bound
 from ..flags import Label
 from ..scene.model import Settings
 from ..systems.base import Array, Mask, Parameter, Points, StressCase, System
+from ..variables import main_instrument
 from .reference import ReferenceFailureError, reference
 from .stress_points import CasePoints, case_points
-from .stress_truth import TrueLabels, no_statistics, unsteadiness
+from .stress_truth import TrueLabels, no_statistics
 
 # Powers of 10 by which a parameter is multiplied, and a start value is.
 POWERS, POWERS_OF_STARTS = np.array([-6, -4, -2, -1, 1, 2, 4, 6]), np.array([-12, -6, -3, -1, 0])
@@ -90,6 +91,6 @@ def true_labels(system: System, part: CasePoints, settings: Settings) -> tuple[T
             indices = np.delete(indices, failure.indices)
             continue
         label[indices], source[indices], known[indices] = solution.label, "reference", solution.label_certain
-        largest[indices] = unsteadiness(system, solution.statistics, settings)
+        largest[indices] = main_instrument(system).unsteadiness(system, solution.statistics, settings)
         break
     return TrueLabels(label, largest, source, no_statistics(size)), known

@@ -8,16 +8,11 @@ from typing import Any
 import numpy as np
 from scipy.integrate import DOP853
 
-from ..engine.observation import STATISTICS
 from ..systems.base import Array, Points, System
+from ..variables import main_instrument
 
 # Imaginary change of the state from which the derivative of an observable along the motion is computed.
 COMPLEX_STEP = 1e-30
-
-
-def statistics(system: System) -> tuple[str, ...]:
-    """Names of the statistics of all observables."""
-    return tuple(f"{observable.name}_{suffix}" for observable in system.observables for suffix in STATISTICS)
 
 
 def observe(system: System, state: Array, constants: Array) -> Array:
@@ -38,7 +33,7 @@ def integrate_group(
     """Integrate the points as one system of equations in the time t / duration; None if a step fails.
 
     rtol: relative and absolute tolerance of the states; advance: called with the number of points finished
-    since the last call. Returns by the names of `statistics`, (points,), and "state", (states, points).
+    since the last call. Returns by the names of the statistics, (points,), and "state", (states, points).
     """
     equations, constants, start = system.equations, system.constants(points), system.initial_state(points)
     states, size = start.shape
@@ -68,7 +63,9 @@ def integrate_group(
     total, square, trend = final[states:].reshape(3, count, size)
     deviation = np.sqrt(np.maximum(square - total**2, 0.0))
     columns = np.stack([first + total, deviation, lowest, highest, 12.0 * trend], axis=1)
-    return dict(zip(statistics(system), columns.reshape(-1, size), strict=True)) | {"state": final[:states]}
+    return dict(zip(main_instrument(system).statistics(system), columns.reshape(-1, size), strict=True)) | {
+        "state": final[:states]
+    }
 
 
 def _range_of_step(solver: Any, system: System, constants: Array, duration: Array) -> tuple[Array, Array]:

@@ -17,13 +17,15 @@ from ..engine.tableaux import METHODS
 from ..errors import BadInput
 from ..flags import Flag, Label, Status
 from ..label.pipeline import evaluate
+from ..label.plan import Plan
 from ..scene import model
+from ..scene.grid import Grid
 from ..scene.model import Settings
 from ..systems.base import Array, Flags, Mask, Points, StressCase, System
-from ..variables import variables
+from ..variables import main_instrument, variables
 from . import generic_cases
 from .stress_points import CasePoints, case_points
-from .stress_truth import EXACT_ACCURACY, EXACT_STATISTICS, TrueLabels, true_labels, unsteadiness
+from .stress_truth import EXACT_ACCURACY, EXACT_STATISTICS, TrueLabels, true_labels
 from .text_table import text_table
 
 # The levels, coarse to fine: fixed steps as a share of the stability limit at the frequency bound, then
@@ -166,8 +168,9 @@ def _run_job(
     for limited, indices in runs:
         if indices.size:
             part = {name: values[indices] for name, values in points.items()}
-            values = evaluate(system, part, part, duration[indices], limited, threads=1)
-            values |= {"unsteadiness": unsteadiness(system, values, settings)}
+            none = np.zeros(indices.size, np.int8)
+            values = evaluate(Plan(system, limited), Grid(part, part, none, duration[indices]), threads=1)
+            values |= {"unsteadiness": main_instrument(system).unsteadiness(system, values, settings)}
             missing = np.full(indices.size, np.nan)  # exact motions are those of bodies
             results.append((indices, dict.fromkeys(EXACT_STATISTICS, missing) | values))
     return results

@@ -114,10 +114,10 @@ def labels_of_region(inside, x, y):
 
 
 def replace_integration(monkeypatch, inside):
-    def evaluate(scene, points: Grid, *, threads=None):
+    def evaluate(plan, points: Grid, *, threads=None):
         return {"label": labels_of_region(inside, points.base["h1"], points.base["h3"])}
 
-    monkeypatch.setattr(refine, "evaluate_tile", evaluate)
+    monkeypatch.setattr(refine, "evaluate", evaluate)
 
 
 def plane(count, levels, probe):

@@ -11,7 +11,7 @@ import ast
 import importlib.util
 import sys
 from collections import Counter
-from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from enum import IntEnum
 from pathlib import Path
 from types import FunctionType, ModuleType
@@ -308,9 +308,12 @@ def _generated_functions(
     if of is kernel:
         sources["frame_motion_change"] = differential(sources["frame_motion"], "frame_motion_change")
     if plugs:
-        generated_lines["add_to_plugged(plugged, given, nodes, i, intervals, spacing, inverse_unit)"] = [
-            line for lines in _plug_lines(plugs) for line in lines
-        ]
+        lines, row, first = [], 0, 0
+        for plug in plugs:
+            arguments = f"plugged, {row}, given, {first}, l, nodes, i, intervals, spacing, inverse_unit[l]"
+            lines += ["for l in range(WIDTH):", f"    {plug.add_node.__name__}({arguments})"]
+            row, first = row + plug.sums, first + plug.given
+        generated_lines["add_to_plugged(plugged, given, nodes, i, intervals, spacing, inverse_unit)"] = lines
     if of is tangent:
         sources |= tangent_space.variation(equations, sources["rhs"])
         generated_lines |= {
@@ -328,15 +331,6 @@ def _generated_functions(
     for head, lines in generated_lines.items():
         sources[head.partition("(")[0]] = "\n    ".join([f"def {head}:", *(lines or ["pass"])])
     return sources
-
-
-def _plug_lines(plugs: Sequence[Plug]) -> Iterator[list[str]]:
-    """Lines that add a node to the sums of each instrument."""
-    row = first = 0
-    for plug in plugs:
-        arguments = f"plugged, {row}, given, {first}, l, nodes, i, intervals, spacing, inverse_unit[l]"
-        yield ["for l in range(WIDTH):", f"    {plug.add_node.__name__}({arguments})"]
-        row, first = row + plug.sums, first + plug.given
 
 
 def _deviation_lines(equations: ModuleType) -> dict[str, list[str]]:

@@ -41,8 +41,12 @@ def evaluate(
     points done since the last call, fractions included. Returns by the names of the registry of variables.
     """
     if not tile.exists.all():
-        columns = evaluate(plan, tile.subset(tile.exists), halved=halved, threads=threads, progress=progress)
-        columns = {name: _scatter(values, tile.exists) for name, values in columns.items()}
+        columns = {}
+        some = evaluate(plan, tile.subset(tile.exists), halved=halved, threads=threads, progress=progress)
+        for name, values in some.items():
+            empty = np.nan if values.dtype.kind == "f" else 0
+            columns[name] = np.full(tile.exists.shape, empty, values.dtype)
+            columns[name][tile.exists] = values
         return columns | {"status": np.where(tile.exists, columns["status"], status_of(tile.reason))}
     runs = _prepare(plan, tile, halved, _Execution(threads, progress or (lambda points: None)))
     run = runs.integrate()
@@ -93,7 +97,7 @@ class _Runs:
             self.plan.kernel, step_sizes, settings.cylinder, early_stop_rate=stop_rate, threads=self.execution.threads,
             progress=lambda point_steps: self.execution.progress(points * point_steps / total),
         )  # fmt: skip
-        rates, growth = self.theory.frame_rates, self.theory.log_growth
+        rates, growth = self.theory.frame_rates, self.theory.prediction.log_growth
         return Run(
             self.plan.system, settings, self.plan.instruments, self.ensemble, self.step_sizes, rates, growth, integration
         ).measure()  # fmt: skip
@@ -160,7 +164,9 @@ def _recheck(runs: _Runs, run: Run) -> tuple[Array, Mask]:
         # A departure from an unstable motion may be caused by integration errors; it must be where the start
         # satisfies the conditions of the motion to rounding.
         departed = usable & theory.departed(run)
-        step_sensitive = departed & (theory.start_residual <= ROUNDING * np.sqrt(run.step_sizes.steps))
+        step_sensitive = departed & (
+            theory.prediction.start_residual <= ROUNDING * np.sqrt(run.step_sizes.steps)
+        )
         errors, error = run.errors()
         unsure = run.unsure(errors)
         sample = np.flatnonzero(usable & _measured_points(run))
@@ -225,12 +231,12 @@ def _assemble(runs: _Runs, run: Run, error: Array, step_sensitive: Mask) -> dict
     for instrument in run.instruments:
         columns |= instrument.columns(run, columns)
     ended = integration.stopped_early | ~run.step_sizes.resolved
-    columns |= runs.theory.variables
+    columns |= runs.theory.prediction.variables
     columns |= {
         "step": run.step_sizes.step_size,
         "step_ratio": run.step_sizes.step_ratio,
         "error_estimate": np.where(resolved, error, np.inf),
-        "condition_residual": runs.theory.residual,
+        "condition_residual": runs.theory.prediction.residual,
         "end_time": np.where(ended, integration.duration, runs.tile.duration),
     }
     return columns
@@ -255,10 +261,3 @@ def _additions(runs: _Runs, columns: Mapping[str, np.ndarray]) -> dict[str, np.n
                 columns["label_any_axis"], predicted["predicted_any_axis"]
             )
     return result | derived_values(plan.system, plan.names, tile.base, tile.duration, execution.check)
-
-
-def _scatter(values: np.ndarray, exists: Mask) -> np.ndarray:
-    """Values of the points that exist among all points; the others get 0 or nan."""
-    full = np.full(exists.shape, np.nan if values.dtype.kind == "f" else 0, values.dtype)
-    full[exists] = values
-    return full

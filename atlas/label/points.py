@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -101,7 +101,9 @@ def label_points(
     outputs, keep = _outputs(description, variables), texts("keep", keep)
     source = table(points, {*description.parameters, *keep})
     kept = kept_columns(description, source, keep)
-    _check_names(kept, outputs)
+    for name in kept:
+        if name in outputs:
+            raise BadInput(f"points: the column {name} has the name of a variable of the result; rename it")
     full, size = point_columns(description, source, kept)
     durations, unit = _durations(description, duration, full, size)
     reason = _reasons(description, full, durations, unit)
@@ -190,13 +192,6 @@ def _evaluate_in_tiles(
     if bar is not None:
         bar.close()
     return columns
-
-
-def _check_names(kept: Collection[str], outputs: Sequence[str]) -> None:
-    """Raise BadInput for columns that have the name of a variable of the result."""
-    for name in kept:
-        if name in outputs:
-            raise BadInput(f"points: the column {name} has the name of a variable of the result; rename it")
 
 
 def _dataset(

@@ -93,14 +93,11 @@ def predict_runs(
 class Theory:
     """What theory says of runs; arrays of shape (points,). Of systems without theory nothing grows."""
 
-    variables: Mapping[str, np.ndarray]
-    residual: Array  # as in `Prediction`, as are the next three
-    start_residual: Array
-    about_other_axes: Mask
-    log_growth: Array
-    log_growth_exact: Array  # log_growth where no nudge moved the start off the motion, else 0
-    rounding_growth: Array  # the same where the start is on the motion to rounding, else 0
-    rounding_growth_on_vertical: Array  # the same of runs whose third axis never leaves the vertical by a bit
+    prediction: Prediction
+    rounding_growth: Array  # log_growth where the start is on the motion to rounding, else 0
+    growth_about_vertical: (
+        Array  # as a logarithm, of runs whose third axis never leaves the vertical by a bit
+    )
     frame_rates: Mapping[str, Array]  # label variable -> rate added to psi', rad per time unit
 
     @classmethod
@@ -108,46 +105,43 @@ class Theory:
         """Theory of the points of a plan; options: pause and threads of `predict_runs`."""
         system, zero = plan.system, np.zeros(ensemble.size)
         if not plan.instruments[0].has_theory:
-            return cls({}, zero, zero, zero > 0, zero, zero, zero, zero, {"label": zero})
+            nothing = Prediction({}, zero, zero, zero, zero > 0, zero > 0, zero)
+            return cls(nothing, zero, zero, {"label": zero})
         prediction = predict_runs(plan, tile, **options)
-        theory, pushed, log_growth = prediction.variables, prediction.pushed, prediction.log_growth
         # The growth of an offset in one step is rounded: where that is a per cent of it or more, rounding decides.
-        max_residual = np.fmax(
-            ROUNDING_RESIDUAL, 100.0 * ROUNDOFF / (theory["growth_rate"] * step_sizes.step_size)
-        )
+        growth_in_step = prediction.variables["growth_rate"] * step_sizes.step_size
+        max_residual = np.fmax(ROUNDING_RESIDUAL, 100.0 * ROUNDOFF / growth_in_step)
         near = prediction.start_residual <= FAMILY_TOLERANCE
-        exact = ~pushed if plan.nudged else near & (prediction.family_residual <= max_residual)
-        rounding_growth = np.where(exact, log_growth, 0.0)
+        exact = ~prediction.pushed if plan.nudged else near & (prediction.family_residual <= max_residual)
         about_vertical = system.growth_about_vertical(tile.points) * tile.duration
-        frame_rates = _frame_rates(system, tile.points)
+        rates = _frame_rates(system, tile.points)
         return cls(
-            variables=theory,
-            residual=prediction.residual,
-            start_residual=prediction.start_residual,
-            about_other_axes=prediction.about_other_axes,
-            log_growth=log_growth,
-            log_growth_exact=np.where(pushed, 0.0, log_growth),
-            rounding_growth=rounding_growth,
-            rounding_growth_on_vertical=np.fmin(rounding_growth, about_vertical),
-            frame_rates={name.replace("predicted", "label"): rate for name, rate in frame_rates.items()},
+            prediction,
+            np.where(exact, prediction.log_growth, 0.0),
+            about_vertical,
+            {name.replace("predicted", "label"): rate for name, rate in rates.items()},
         )
 
     def error_amplified(self, step_sizes: StepSizes, settings: Settings) -> Mask:
         """Whether an unstable motion amplifies the method's own error beyond the rate tolerance."""
-        amplified = step_sizes.rate_error * np.exp(self.log_growth_exact) > settings.rate_tolerance
-        return np.asarray(amplified & (self.log_growth_exact > 0))
+        growth = np.where(self.prediction.pushed, 0.0, self.prediction.log_growth)
+        amplified = step_sizes.rate_error * np.exp(growth) > settings.rate_tolerance
+        return np.asarray(amplified & (growth > 0))
 
     def rounding(self, run: Run) -> tuple[Array, Array]:
         """Growth of rounding errors in a run, and that by which they reach a tolerance, as logarithms."""
         # No tilt can grow where the third axis never left the vertical by a bit.
         on_vertical = run.measured.get("sine_max", np.ones(run.ensemble.size)) == 0.0
-        growth = np.where(on_vertical, self.rounding_growth_on_vertical, self.rounding_growth)
-        return growth, rounding_limit(self.start_residual, run.bound, run.settings.tolerances)
+        least = np.fmin(self.rounding_growth, self.growth_about_vertical)
+        growth = np.where(on_vertical, least, self.rounding_growth)
+        return growth, rounding_limit(self.prediction.start_residual, run.bound, run.settings.tolerances)
 
     def departed(self, run: Run) -> Mask:
         """Which drifting motions may have left an unstable one by integration errors."""
         kinds = run.labels()
-        kind = np.where(self.about_other_axes, kinds.get("label_any_axis", kinds["label"]), kinds["label"])
+        kind = np.where(
+            self.prediction.about_other_axes, kinds.get("label_any_axis", kinds["label"]), kinds["label"]
+        )
         tilted = run.measured.get("sine_max", np.ones(run.ensemble.size)) > 0.0
         return tilted & self.error_amplified(run.step_sizes, run.settings) & (kind == Label.DRIFTING)
 

@@ -178,6 +178,9 @@ class Instrument:
     # Whether theory predicts its labels. Asked of a main instrument, as are the next ones.
     has_theory = False
 
+    quantity = ""  # what it measures, in one word
+    unsteadiness_text = ""  # what `unsteadiness` is
+
     def statistics(self, system: System) -> tuple[str, ...]:
         """Names of its statistics."""
         return ()
@@ -185,6 +188,10 @@ class Instrument:
     def unsteadiness(self, system: System, measured: Measured, settings: Any) -> Array:
         """The largest of the statistics that make a point drift; of settings only the tolerances are used."""
         raise NotImplementedError
+
+    def steady_below(self, settings: Any) -> float:
+        """The least unsteadiness of a drifting point."""
+        return 1.0
 
     def largest(self, system: System, measured: Measured, errors: Measured, bound: Array) -> Array:
         """The largest of the errors of its statistics, relative; bound: of the fastest frequency."""

@@ -42,6 +42,9 @@ ROUNDING = 1e-15
 class Observables(Instrument):
     """The main instrument of a system with observables."""
 
+    quantity = "observables"
+    unsteadiness_text = "largest standard deviation of an observable over its tolerance"
+
     def variables(self, system: System) -> tuple[Variable, ...]:
         """None of a system without observables."""
         if not system.observables:
@@ -92,9 +95,19 @@ class Observables(Instrument):
         return with_dense_nodes(step_sizes, bound, METHODS[settings.method], may_halve=settings.step is None)
 
     def resolved(self, run: Run) -> Mask:
-        """Where no observable jumps between nodes."""
-        radians = run.bound * run.step_sizes.sample_spacing
-        return ~rough(run, radians) | ~run.integration.finite
+        """Where no observable jumps between nodes, because the steps are too long for the motion.
+
+        An oscillation at the bound is at most radians^4 / 24 of its amplitude away from the cubic through the neighbours of
+        a node.
+        """
+        sums, radians = run.integration.sums, run.bound * run.step_sizes.sample_spacing
+        allowed = MAX_ROUGHNESS + radians**4 / 12
+        rough = np.zeros(run.ensemble.size, bool)
+        for first in range(observe.FIRST_ROW, len(sums), observe.FIELDS):
+            least, largest, distance = sums[first + observe.LEAST : first + observe.FIELDS]
+            rounding = 1e-9 * np.maximum(np.abs(least), np.abs(largest))
+            rough |= distance > np.maximum(allowed * (largest - least), rounding)
+        return ~rough | ~run.integration.finite
 
     def measurements(self, run: Run, measured: Measured) -> dict[str, Array]:
         """Every statistic of every observable, as `name_mean`, and `integral_drift`; arrays (points,)."""
@@ -179,22 +192,6 @@ def sizes(system: System, measured: Measured) -> dict[str, Array]:
     """Largest magnitude of each observable, in its unit, by name."""
     names = [observable.name for observable in system.observables]
     return {n: np.maximum(np.abs(measured[f"{n}_min"]), np.abs(measured[f"{n}_max"])) for n in names}
-
-
-def rough(run: Run, radians: Array) -> Mask:
-    """Where an observable jumps between nodes, bool (points,): the steps are too long for the motion.
-
-    radians: distance of two nodes times the frequency bound, (points,). An oscillation at the bound is at most
-    radians^4 / 24 of its amplitude away from the cubic through the neighbours of a node.
-    """
-    sums = run.integration.sums
-    allowed = MAX_ROUGHNESS + radians**4 / 12
-    rough = np.zeros(run.integration.intervals.shape, bool)
-    for first in range(observe.FIRST_ROW, len(sums), observe.FIELDS):
-        least, largest, distance = sums[first + observe.LEAST : first + observe.FIELDS]
-        rounding = 1e-9 * np.maximum(np.abs(least), np.abs(largest))
-        rough |= distance > np.maximum(allowed * (largest - least), rounding)
-    return rough
 
 
 def with_dense_nodes(step_sizes: StepSizes, bound: Array, method: Method, *, may_halve: bool) -> StepSizes:

@@ -87,7 +87,8 @@ class Rates(Instrument):
         """None of a system that describes no body in a frame."""
         return () if system.observables else existing(system, self.every_variable(system))
 
-    has_theory = True
+    has_theory, quantity = True, "rates"
+    unsteadiness_text = "largest rms or standard deviation of the rates"
 
     def statistics(self, system: System) -> tuple[str, ...]:
         """Of the rates, and the extremes of theta."""
@@ -98,6 +99,10 @@ class Rates(Instrument):
         rates = [measured["theta_dot_rms"], measured["psi_dot_std"], measured["phi_dot_std"]]
         in_polar_cap = np.isnan(rates[1])
         return np.where(in_polar_cap, measured["normal_rate_std"], np.fmax.reduce(rates))
+
+    def steady_below(self, settings: Any) -> float:
+        """The rate that counts as none."""
+        return float(settings.rate_tolerance)
 
     def largest(self, system: System, measured: Measured, errors: Measured, bound: Array) -> Array:
         """Of the rates, over the frequency bound."""

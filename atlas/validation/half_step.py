@@ -15,7 +15,7 @@ from ..label.pipeline import evaluate
 from ..label.plan import Plan
 from ..scene import grid
 from ..scene.model import Scene
-from ..systems.base import Array, Flags, Mask
+from ..systems.base import Flags, Mask
 
 CONFIDENCE = 0.95
 # Size of the sample: one point in POINTS_PER_SAMPLE (about 1 % of the cost of a run), within these limits.
@@ -98,7 +98,9 @@ def half_step_sample(scene: Scene, plan: Plan | None = None, *, threads: int | N
     if np.isfinite(change).any():
         attributes["atlas_half_step_median"] = float(np.nanmedian(change))
         if "error_estimate" in scene.outputs:
-            attributes["atlas_half_step_beyond"] = _count_beyond_estimate(scene, part, full, change)
+            with np.errstate(all="ignore"):
+                beyond = change > full["error_estimate"] * scene.system.frequency_bound(part.points)
+            attributes["atlas_half_step_beyond"] = int(beyond.sum())
     unsteady = (full["label"] == Label.DRIFTING) | (full["label"] == Label.UNRESOLVED)
     steady_change = change[part.exists & ~changed & ~unsteady]
     if np.isfinite(steady_change).any():
@@ -114,13 +116,6 @@ def _labels_changed(full: Mapping[str, Flags], half: Mapping[str, Flags]) -> Mas
             labelled = (full[name] != Label.NOT_COMPUTED) & (full[name] != Label.UNRESOLVED)
             changed |= labelled & (half[name] != full[name])
     return changed
-
-
-def _count_beyond_estimate(scene: Scene, part: grid.Grid, full: Mapping[str, Array], change: Array) -> int:
-    """Number of points where a rate changes by more than the error estimate times the frequency bound."""
-    with np.errstate(all="ignore"):
-        bound = scene.system.frequency_bound(part.points)
-    return int((change > full["error_estimate"] * bound).sum())
 
 
 def half_step_text(attributes: Mapping[str, Any]) -> str:

@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from scipy.integrate import DOP853
 
-from ..engine.statistics import RATES, Row, finish
+from ..engine.statistics import NEEDS_PSI, RATES, Row, finish
 from ..errors import BadInput
 from ..measure import observables, rates
 from ..measure.rates import state_distance
@@ -96,7 +96,8 @@ def reference(
     label, other_label = (_labels_in_frames(system, points, run, settings) for run in (best, other))
     if main.has_theory:
         for run in (best, other):
-            _mask_polar_cap(run, settings.cylinder)
+            inside = rates.in_cylinder(run, settings.cylinder)  # psi' and phi' have no meaning there
+            run |= {name: np.where(inside, np.nan, run[name]) for name in NEEDS_PSI}
     distance = state_distance(system, best["state"], other["state"], system.frequency_bound(points))
     return Reference(
         state=best["state"],
@@ -152,13 +153,6 @@ def _labels_in_frames(system: System, points: Points, run: Run, settings: Settin
         frame_rates.append(system.frame_rate(points))
     with np.errstate(invalid="ignore"):
         return np.array([rates.label(run, settings.tolerances, rate) for rate in frame_rates])
-
-
-def _mask_polar_cap(run: Run, cylinder: float) -> None:
-    """Set psi' and phi' to NaN, in place, where the axis stays in the polar cap sin(theta) < cylinder."""
-    inside = rates.in_cylinder(run, cylinder)
-    for name in ("psi_dot_mean", "psi_dot_std", "phi_dot_mean", "phi_dot_std"):
-        run[name] = np.where(inside, np.nan, run[name])
 
 
 class EulerRates(NamedTuple):

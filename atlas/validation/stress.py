@@ -21,7 +21,7 @@ from ..label.plan import Plan
 from ..scene import model
 from ..scene.grid import Grid
 from ..scene.model import Settings
-from ..systems.base import Array, Flags, Mask, Points, StressCase, System
+from ..systems.base import Array, Mask, Points, StressCase, System
 from ..variables import main_instrument, variables
 from . import generic_cases
 from .stress_points import CasePoints, case_points
@@ -37,7 +37,6 @@ LEVELS = tuple(f"ratio {ratio:g}" for ratio in RATIOS) + tuple(f"tolerance {tol:
 MAX_STEPS = 10_000_000
 # The unsteadiness is accurate within this share of itself, or of the rate tolerance if that is larger.
 ACCURATE = 0.01
-RATES_TEXT = "largest rms or standard deviation of the rates"
 
 
 class Verdict(Flag):
@@ -176,13 +175,6 @@ def _run_job(
     return results
 
 
-def _verdicts(label: Flags, truth: Flags) -> Flags:
-    """Verdict on each label, (method, level, point), given the true labels, (point,)."""
-    conditions = [label == Label.NOT_COMPUTED, label == Label.UNRESOLVED, label == truth]
-    values = [Verdict.LEFT_OUT, Verdict.UNRESOLVED, Verdict.RIGHT]
-    return np.select(conditions, values, Verdict.WRONG).astype(np.int8)
-
-
 def _dataset(
     system: System,
     parts: Sequence[CasePoints],
@@ -191,10 +183,15 @@ def _dataset(
     results: Mapping[str, np.ndarray],
 ) -> xr.Dataset:
     """The results of `stress` with their attributes."""
-    registry, dims = variables(system), ("method", "level", "point")
+    registry, dims, label = variables(system), ("method", "level", "point"), results["label"]
+    verdict = np.select(
+        [label == Label.NOT_COMPUTED, label == Label.UNRESOLVED, label == truth.label],
+        [Verdict.LEFT_OUT, Verdict.UNRESOLVED, Verdict.RIGHT],
+        Verdict.WRONG,
+    )
     with np.errstate(invalid="ignore"):
         error = np.abs(results["unsteadiness"] - truth.unsteadiness)
-        error /= np.maximum(truth.unsteadiness, 1.0 if system.observables else Settings().rate_tolerance)
+        error /= np.maximum(truth.unsteadiness, main_instrument(system).steady_below(Settings()))
     statistic_attributes = {
         "long_name": "error of a statistic against the exact motion",
         "units": "1",
@@ -205,9 +202,8 @@ def _dataset(
         "flag_values": np.arange(len(Verdict), dtype=np.int8),
         "flag_meanings": " ".join(Verdict.meanings()),
     }
-    observables = "largest standard deviation of an observable over its tolerance"
     error_attributes = {
-        "long_name": f"relative error of the {observables if system.observables else RATES_TEXT}",
+        "long_name": f"relative error of the {main_instrument(system).unsteadiness_text}",
         "units": "1",
         "comment": "relative to the tolerance where the true value is less; nan where it is unknown, because only a"
         " part of the run was integrated by the reference or numbers overflow",
@@ -225,7 +221,7 @@ def _dataset(
                 statistic_attributes,
             ),
             "error": (dims, error, error_attributes),
-            "verdict": (dims, _verdicts(results["label"], truth.label), verdict_attributes),
+            "verdict": (dims, verdict.astype(np.int8), verdict_attributes),
             "truth": ("point", truth.label, registry["label"].attributes() | {"long_name": "true label"}),
             "duration": (
                 "point",

@@ -365,12 +365,12 @@ def _dataset(sample: _Sample, results: Mapping[tuple[int, int], _LevelResult]) -
     )
     for axis, on_axis in _on_axes(scene, sample.indices).items():
         ds.coords[f"axis_{axis}"] = "sample", on_axis
-    registry = variables(scene.system)
+    registry, main = variables(scene.system), main_instrument(scene.system)
     errors = {
         f"error_{name}": (float, f"error of {name}", registry[name].units)
-        for name in main_instrument(scene.system).statistics(scene.system)
+        for name in main.statistics(scene.system)
     }
-    descriptions = VARIABLES | (OF_OBSERVABLES if scene.system.observables else {})
+    descriptions = VARIABLES | (OF_OBSERVABLES if main.quantity == "observables" else {})
     for variable, (dtype, long_name, units) in (errors | descriptions).items():
         column = np.full(shape, np.nan if dtype is float else 0, dtype)
         for cell, result in results.items():
@@ -394,7 +394,7 @@ def _dataset(sample: _Sample, results: Mapping[tuple[int, int], _LevelResult]) -
         "ladder": name,
         "own_method": scene.settings.method,
         "own_level": scene_level(scene.settings),
-        "measured": "observables" if scene.system.observables else "rates",
+        "measured": main.quantity,
     }
     if sample.left_out:
         ds.attrs["left_out"] = sample.left_out

@@ -381,13 +381,13 @@ def test_only_the_run_of_another_scene_is_discarded(scene, scene_text, tmp_path)
         for name in (of_dead, *mine):
             (path / name).write_text("text")
         before = {p: p.read_bytes() for p in path.rglob("*") if p.is_file()}
-        RunFolder.discard(scene, path)
+        RunFolder.discard(ScenePlan.of(scene), path)
         assert {p: p.read_bytes() for p in path.rglob("*") if p.is_file()} == before
-        RunFolder.discard(other, path)
+        RunFolder.discard(ScenePlan.of(other), path)
         assert path.exists() == bool(mine)
     assert [p.name for p in path.iterdir()] == ["thesis.tex"]
     (path / "manifest.json").write_text("damaged")
-    RunFolder.discard(other, path)
+    RunFolder.discard(ScenePlan.of(other), path)
     assert {p.name for p in path.iterdir()} == {"thesis.tex", "manifest.json"}
 
 
@@ -425,7 +425,7 @@ def test_a_process_is_at_work_until_its_file_is_in_its_place(scene, scene_text, 
 
     def late_join(self, out):
         with pytest.raises(BadInput, match="is computed by process"):
-            RunFolder.discard(other, self.path)
+            RunFolder.discard(ScenePlan.of(other), self.path)
         join(self, out)
 
     monkeypatch.setattr(RunFolder, "join", late_join)
@@ -434,7 +434,7 @@ def test_a_process_is_at_work_until_its_file_is_in_its_place(scene, scene_text, 
             patched.setattr(RunFolder, "remove", lambda self: None)
             atlas.run(scene, tmp_path / "a.nc", progress=False).close()
         (tmp_path / "a.nc").unlink()
-    RunFolder.discard(other, tmp_path / "a.nc.run")
+    RunFolder.discard(ScenePlan.of(other), tmp_path / "a.nc.run")
     assert not list(tmp_path.iterdir())
 
 

@@ -1,8 +1,8 @@
 """Statistics of a run: their sums in the kernel, their final formulas, and what they are called in an atlas.
 
-A statistic is added here alone: a row of the sums (`Row`), a line in `begin` and in `accumulate`, its formula in
-`finish`, and its entry in STATISTICS, from which the registry of dataset variables takes name, unit and meaning.
-No trajectory is kept. `begin` and `accumulate` are plain arithmetic on scalars and one lane of the sums: the kernel
+A statistic that every atlas has is added here alone: a row of the sums (`Row`), a line in `begin` and in `accumulate`, its
+formula in `finish`, and its entry in STATISTICS, from which the registry of dataset variables takes name, unit and meaning.
+Others are instruments (`measure.instrument`), of which a kernel has those that a scene asks for. No trajectory is kept. `begin` and `accumulate` are plain arithmetic on scalars and one lane of the sums: the kernel
 calls them, compiled or not.
 """
 

@@ -110,6 +110,7 @@ def longer(tmp_path, longer_atlas, monkeypatch):
     """Folder of that scene in 18 tiles, its empty run folder, and its result computed in memory."""
     from atlas import load_scene
     from atlas.runs.folder import RunFolder
+    from atlas.runs.plan import ScenePlan
     from atlas.scene import grid
 
     text, whole = longer_atlas
@@ -117,6 +118,6 @@ def longer(tmp_path, longer_atlas, monkeypatch):
     scene = load_scene(tmp_path / "scene.toml")
     with monkeypatch.context() as patched:
         patched.setattr(grid, "MAX_POINTS_PER_TILE", 64)
-        run = RunFolder.prepare(scene, tmp_path / "run", grid.check(scene), [])
+        run = RunFolder.prepare(ScenePlan.of(scene), tmp_path / "run", [])
     assert run.tiling.count == 18
     return tmp_path, run, whole

@@ -20,7 +20,8 @@ from atlas.engine import assemble
 from atlas.errors import MAX_MESSAGE
 from atlas.io import netcdf
 from atlas.label import pipeline
-from atlas.runs.method_costs import method_lines
+from atlas.label.plan import Plan
+from atlas.runs.plan import ScenePlan
 from atlas.scene import grid
 from atlas.systems import SYSTEMS
 from atlas.variables import variables
@@ -388,7 +389,7 @@ def try_scene(text: str) -> str:
         assert load_scene(scene.toml()).toml() == scene.toml()
         sample = grid.check(scene)
         assert repr(scene).replace("\n", "").isprintable()
-        method_lines(scene, sample)
+        ScenePlan(scene, sample).method_lines()
         scene.system.warnings(sample.base)
 
     return _outcome(check)
@@ -405,7 +406,7 @@ def try_run(text: str) -> str:
         scene = load_scene(tomli_w.dumps(table))
         grid.check(scene)
         tile = grid.points_at_indices(scene, np.arange(min(scene.size, 3)))
-        values = pipeline.evaluate_tile(scene, tile, threads=1)
+        values = pipeline.evaluate(Plan.of(scene), tile, threads=1)
         _check_columns(values, tile.exists.size)
         if scene.size <= 30:
             columns = {name: np.zeros(scene.size) for name in (*scene.outputs, *scene.solve)}
@@ -465,12 +466,13 @@ def use_interpreted_kernels(monkeypatch: Any) -> None:
     """Let the pipeline integrate with kernels that are not compiled: every specialisation takes a moment only."""
     modules: dict[Any, Any] = {}
 
-    def kernel(system: Any, method: str, specialization: Any, frames: int = 0) -> Any:
-        key = (system.name, method, specialization, frames)
+    def kernel(plan: Plan) -> Any:
+        terms = plan.specialization
+        key = (plan.system.name, plan.settings.method, terms, plan.plugs)
         if key not in modules:
             modules[key] = assemble.plain_module(
-                system.equations, method, specialization.zero, dict(specialization.equal), frames=frames
+                plan.system.equations, plan.settings.method, terms.zero, dict(terms.equal), plugs=plan.plugs
             )
         return modules[key]
 
-    monkeypatch.setattr(pipeline, "kernel", kernel)
+    monkeypatch.setattr(Plan, "kernel", property(kernel))

@@ -9,6 +9,9 @@ from __future__ import annotations
 import numpy as np
 from hypothesis import strategies as st
 
+from atlas.label import pipeline
+from atlas.label.plan import Plan
+from atlas.scene.grid import Grid
 from atlas.systems import SYSTEMS
 from atlas.systems.fixed_point.families import FAMILIES as FIXED_POINT_FAMILIES
 from atlas.systems.satellite.families import FAMILIES as SATELLITE_FAMILIES
@@ -150,3 +153,14 @@ def satellite_on_family(name: str, rng: np.random.Generator, slower: float = 1.0
             return None
         point[parameter] = value
     return point
+
+
+def tile_of(base, points, duration):
+    """Points that start at `points`, and would start at `base` without a nudge."""
+    return Grid(base, points, np.zeros(len(duration), np.int8), duration)
+
+
+def evaluate(system, base, points, duration, settings, *, halved=False, threads=None, **plan):
+    """The variables of a `tile_of` these; plan: further fields of a Plan."""
+    tile = tile_of(base, points, duration)
+    return pipeline.evaluate(Plan(system, settings, **plan), tile, halved=halved, threads=threads)

@@ -7,7 +7,7 @@ from collections import Counter
 import numpy as np
 import xarray as xr
 
-from ..runs.method_costs import method_lines
+from ..runs.plan import ScenePlan
 from ..runs.tiles import BINS, BINS_PER_DECADE, COUNTED, GROUPS, LOWEST_DECADE, Tally
 from ..scene import grid
 from ..validation import half_step
@@ -34,7 +34,7 @@ def summary(ds: xr.Dataset, tally: Tally | None = None) -> str:
         lines.append(half_step.half_step_text(ds.attrs))
     lines.append(f"{ds.attrs['atlas_seconds']:.1f} s, {ds.attrs['atlas_points_per_second']:.4g} points/s")
     if scene is not None and sample is not None:
-        lines += method_lines(scene, sample)
+        lines += ScenePlan(scene, sample).method_lines()
     return "\n".join(lines)
 
 

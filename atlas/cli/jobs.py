@@ -133,23 +133,21 @@ def add_check(commands: Commands) -> None:
 
 def _check(options: argparse.Namespace) -> int:
     """Run the command `check`; returns its exit code."""
-    from ..label import regularity
-    from ..runs.method_costs import method_lines
-    from ..runs.tiling import step_warnings
+    from ..runs.plan import ScenePlan
     from ..scene import grid
 
     scene = read_scene(options.scene)
-    points = grid.check(scene)
+    plan = ScenePlan.of(scene)
     shape = " x ".join(f"{name} {count}" for name, count in zip(scene.axes, scene.shape, strict=True))
     say(
         printable(scene.title, MAX_TEXT),
         f"system {scene.system.name}: {shape} = {scene.size} points, duration {scene.duration}",
-        *method_lines(scene, points),
+        *plan.method_lines(),
     )
     for warning in [
-        *grid.warnings(scene, points),
-        *step_warnings(scene, points),
-        *regularity.warnings(scene, points),
+        *grid.warnings(scene, plan.sample),
+        *plan.step_warnings(),
+        *plan.chaos_warnings(),
     ]:
         say(f"warning: {printable(warning, MAX_MESSAGE)}")
     return DONE

@@ -11,7 +11,7 @@ import ast
 import importlib.util
 import sys
 from collections import Counter
-from collections.abc import Collection, Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from enum import IntEnum
 from pathlib import Path
 from types import FunctionType, ModuleType
@@ -23,7 +23,9 @@ from ..errors import BadInput
 from ..systems import arithmetic
 from . import deviation, generated, jit, kernel, losses, observe, tangent, tangent_space
 from .differentiate import differential
+from .ensemble import Plug
 from .simplify import simplify
+from .statistics import Row
 from .tableaux import METHODS, Method
 
 # Kernels that measure the change of first integrals.
@@ -52,9 +54,9 @@ def _functions(module: ModuleType, absent: Collection[str]) -> list[ast.Function
 
 
 def _reachable(
-    of: ModuleType, absent: Collection[str]
+    of: ModuleType, plugs: Sequence[Plug] = (), absent: Collection[str] = ()
 ) -> tuple[dict[str, Any], dict[str, str], dict[str, Any]]:
-    """What `integrate` of a kernel needs of ordinary modules, by name: functions, their sources, and numbers.
+    """What `integrate` of a kernel with plugs needs of ordinary modules, by name: functions, their sources, and numbers.
 
     Functions stand after those that they call; `integrate` is the last.
     """
@@ -79,7 +81,8 @@ def _reachable(
                 numbers[name] = value
         sources[function.__name__] = ast.unparse(node)
 
-    visit(of.integrate)
+    for function in (*dict.fromkeys(plug.add_node for plug in plugs), of.integrate):
+        visit(function)
     return objects, sources, numbers
 
 
@@ -94,8 +97,9 @@ class _EnumNumbers(ast.NodeTransformer):
         }
 
     def visit_Attribute(self, node: ast.Attribute) -> ast.expr:
-        if isinstance(node.value, ast.Name) and node.value.id in self.enums:
-            return ast.Constant(int(self.enums[node.value.id][node.attr]))
+        members = getattr(self.enums.get(ast.unparse(node.value)), "__members__", {})
+        if node.attr in members:
+            return ast.Constant(int(members[node.attr]))
         self.generic_visit(node)
         return node
 
@@ -130,25 +134,24 @@ def source(
     equal: Mapping[str, str] = {},
     *,
     of: ModuleType = kernel,
-    frames: int = 0,
+    plugs: Sequence[Plug] = (),
 ) -> str:
     """Text of a compiled kernel module of a system's equations and a method.
 
     equations: of a system; see `systems.base.System.equations`. method: a key of tableaux.METHODS; zero:
     constants that are 0 at every point to come; equal: constants that equal another one at every point to
     come. of: `kernel` (default), `observe`, `tangent` or `deviation`; the last keeps the units of the caller.
-    frames: frames in which `kernel` measures circles; see `circle`. With none the text has nothing about
-    them. Raises BadInput if a first integral or a loss has the name of a function of the kernel, and for
+    plugs: instruments that `kernel` serves beside its own statistics; the text has nothing about others. Raises BadInput if a first integral or a loss has the name of a function of the kernel, and for
     equations that cannot be differentiated.
     """
-    objects, sources, numbers = _reachable(of, () if frames else ("FRAMES",))
+    objects, sources, numbers = _reachable(of, plugs, () if plugs else ("PLUGGED",))
     equations = _with_losses(equations, zero, equal, of)
     try:
-        generated_functions = _generated_functions(equations, METHODS[method], zero, equal, of)
+        generated_functions = _generated_functions(equations, METHODS[method], zero, equal, of, plugs)
     except ValueError as error:  # of `differential`
         raise BadInput(f"equations: {error}") from None
     _check_names(equations, sources)
-    constants = _constants(equations, METHODS[method]) | ({"FRAMES": frames} if frames else {}) | numbers
+    constants = _constants(equations, METHODS[method], of, plugs) | numbers
     loops = _loops_called_once([*generated_functions.values(), *sources.values()])
     decorators = {name: jit.CALLED for name in objects if hasattr(objects[name], "called_seldom")}
     decorators["integrate"] = jit.KERNEL
@@ -185,15 +188,16 @@ def plain_module(
     equal: Mapping[str, str] = {},
     *,
     of: ModuleType = kernel,
-    frames: int = 0,
+    plugs: Sequence[Plug] = (),
 ) -> ModuleType:
     """The same kernel as plain Python, slow; arguments as for `source`."""
     equations = _with_losses(equations, zero, equal, of)
     namespace: dict[str, object] = {"np": np, **arithmetic.numpy_functions()}
-    for name, text in _generated_functions(equations, METHODS[method], zero, equal, of).items():
+    for name, text in _generated_functions(equations, METHODS[method], zero, equal, of, plugs).items():
         exec(compile(text, f"<{name} of {equations.__name__}>", "exec"), namespace)
-    namespace |= {"FRAMES": frames, **_constants(equations, METHODS[method])}
-    objects, _, _ = _reachable(of, ())
+    objects, _, _ = _reachable(of, plugs)
+    namespace |= {plug.add_node.__name__: plug.add_node for plug in plugs}
+    namespace |= _constants(equations, METHODS[method], of, plugs)
     for shared in {function.__module__ for function in objects.values()} - {of.__name__}:
         if any(
             getattr(value, "__module__", "") == generated.__name__
@@ -227,8 +231,18 @@ def _with_losses(
     return losses.with_losses(equations, measured)
 
 
-def _constants(equations: ModuleType, method: Method) -> dict[str, Any]:
+def _constants(
+    equations: ModuleType, method: Method, of: ModuleType, plugs: Sequence[Plug]
+) -> dict[str, Any]:
     """The numbers that `generated` declares."""
+    plugged, observables = sum(plug.sums for plug in plugs), len(observable_names(equations))
+    measured = {
+        "OBSERVABLES": observables,
+        "PLUGGED": plugged,
+        "PLUGGED_GIVEN": sum(plug.given for plug in plugs),
+        "NODE_ROWS": 2 * (observables if of is observe else kernel.MOTION),
+        "SUMS": observe.FIRST_ROW + observe.FIELDS * observables if of is observe else len(Row) + plugged,
+    }
     return {
         "WIDTH": generated.WIDTH,
         "STATES": len(equations.STATE),
@@ -239,7 +253,7 @@ def _constants(equations: ModuleType, method: Method) -> dict[str, Any]:
         # Worth its loads and stores where a step is much longer than they are.
         "STORES_SLOPE": method.stages > 4,
         "HAS_AXIS": hasattr(equations, "axis_in_frame"),
-        **({"OBSERVABLES": len(names)} if (names := observable_names(equations)) else {}),
+        **(measured if of in MEASURING else {}),
         **({"LOSSES": tuple(equations.LOSSES)} if equations.LOSSES else {}),
     }
 
@@ -250,6 +264,7 @@ def _generated_functions(
     zero: Collection[str],
     equal: Mapping[str, str],
     of: ModuleType,
+    plugs: Sequence[Plug],
 ) -> dict[str, str]:
     """Source of the equations, simplified, and of the functions that `generated` declares, by name."""
     states, constants = len(equations.STATE), len(equations.CONSTANTS)
@@ -292,6 +307,13 @@ def _generated_functions(
     }
     if of is kernel:
         sources["frame_motion_change"] = differential(sources["frame_motion"], "frame_motion_change")
+    if plugs:
+        lines, row, first = [], 0, 0
+        for plug in plugs:
+            arguments = f"plugged, {row}, given, {first}, l, nodes, i, intervals, spacing, inverse_unit[l]"
+            lines += ["for l in range(WIDTH):", f"    {plug.add_node.__name__}({arguments})"]
+            row, first = row + plug.sums, first + plug.given
+        generated_lines["add_to_plugged(plugged, given, nodes, i, intervals, spacing, inverse_unit)"] = lines
     if of is tangent:
         sources |= tangent_space.variation(equations, sources["rhs"])
         generated_lines |= {

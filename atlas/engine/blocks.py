@@ -8,34 +8,33 @@ from __future__ import annotations
 
 import os
 import threading
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, replace
+from functools import partial
 from itertools import pairwise
 from types import ModuleType
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from .circle import Axis, Sum
 from .generated import WIDTH
-from .kernel import MOTION
-from .sampling import quadrature
-from .statistics import Row
+from .sampling import EndWeights, Quadrature
 from .stepsize import StepSizes
 
 # A call of the kernel takes at most about this many point-steps (some 0.1 s): Ctrl-C and the progress line wait for it.
 CHUNK = 20_000_000
+Array = NDArray[np.float64]
+Counts = NDArray[np.int64]
 
 
-@dataclass(frozen=True)
-class BlockSchedule:
+class BlockSchedule(NamedTuple):
     """Blocks of points with equal numbers of steps and nodes."""
 
     # Indices of the points of each block; an incomplete block repeats its last point, (blocks, WIDTH)
-    points: NDArray[np.int64]
-    steps: NDArray[np.int64]  # as in StepSizes, (blocks,)
-    steps_per_sample: NDArray[np.int64]  # as in StepSizes, (blocks,)
+    points: Counts
+    steps: Counts  # as in StepSizes, (blocks,)
+    steps_per_sample: Counts  # as in StepSizes, (blocks,)
 
     @property
     def point_steps(self) -> int:
@@ -81,7 +80,7 @@ def schedule_of(step_sizes: StepSizes, where: NDArray[np.int64] | None = None) -
     if where is None:
         return pack_blocks(step_sizes.steps, step_sizes.steps_per_sample)
     packed = pack_blocks(step_sizes.steps[where], step_sizes.steps_per_sample[where])
-    return replace(packed, points=where[packed.points])
+    return packed._replace(points=where[packed.points])
 
 
 def available_threads() -> int:
@@ -89,113 +88,100 @@ def available_threads() -> int:
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
-@dataclass(frozen=True)
-class Segment:
-    """Part of the runs of a schedule; see the arguments of `kernel.integrate` of the same names."""
+class Arrays(NamedTuple):
+    """What a kernel reads and writes of its points; between calls for parts of a run, `state` is in the kernel's units."""
 
-    first_node: NDArray[np.int64]  # (blocks,)
-    last_node: NDArray[np.int64]  # (blocks,)
-    resume: NDArray[np.float64]
-    out: NDArray[np.float64]  # (len(Row), points)
+    step_size: Array  # in time units
+    state: Array  # at the start, see `start_state`, and afterwards at the end, (kernel.STATES, points)
+    constants: Array  # of the equations, (constants, points)
+    scales: Array  # reciprocals of the sizes that changes of the first integrals are compared with; 0: not conserved
+    given: Array  # to the plugged instruments, (kernel.PLUGGED_GIVEN, points)
+    rule: Quadrature | EndWeights
+    cylinder_squared: float  # square of the radius of the cylinder, rad^2
+    resume: Array  # between calls: the last four nodes and the first integrals at the start, (rows, points)
+    sums: Array  # (kernel.SUMS, points)
 
 
-def resume_array(integrals: int, points: int) -> NDArray[np.float64]:
-    """What the kernel keeps of runs in segments beside states and sums, uninitialised."""
-    return np.empty((8 * MOTION + integrals, points))
-
-
-def start_state(kernel: ModuleType, state: NDArray[np.float64]) -> NDArray[np.float64]:
+def start_state(kernel: ModuleType, state: Array) -> Array:
     """Copy of a state of the equations, (states, points), followed by the states that only the kernel has, which are 0."""
     more = np.zeros((kernel.STATES - len(state), state.shape[1]))
     return np.concatenate([state, more])
 
 
+def resumable(kernel: ModuleType, arrays: Arrays) -> Arrays:
+    """With room for what the kernel keeps of runs between calls."""
+    rows = 4 * kernel.NODE_ROWS + len(arrays.scales)
+    return arrays._replace(resume=np.empty((rows, arrays.state.shape[1])))
+
+
 def integrate(
     kernel: ModuleType,
     schedule: BlockSchedule,
-    step_size: NDArray[np.float64],
-    state: NDArray[np.float64],
-    constants: NDArray[np.float64],
-    scales: NDArray[np.float64],
-    cylinder: float,
+    arrays: Arrays,
     *,
-    axes: NDArray[np.float64] | None = None,
-    segment: Segment | None = None,
+    segment: tuple[Counts, Counts] | None = None,
     threads: int | None = None,
     progress: Callable[[int], None] | None = None,
-) -> NDArray[np.float64]:
-    """Integrate every point of a schedule.
+) -> None:
+    """Integrate every point of a schedule; states and sums are written into the arrays.
 
-    kernel: as `assemble.source` makes it, loaded; step_size: in time units; state: at the start, see
-    `start_state`, and afterwards at the end, (kernel.STATES, points); constants: (constants, points). scales:
-    reciprocals of the sizes with which changes of the first integrals are compared; 0: not conserved,
-    (integrals, points). cylinder: radius of the cylinder, rad; axes: from `circle.circle_axes`, for kernels
-    that measure circles, (frames * len(Axis), points). segment: part of the runs, default: all of them.
-    threads: default: all processors. progress: called from worker threads with the point-steps done since the
-    last call. Returns the sums, for `statistics.finish` and `circle.circle_statistics`, (len(Row) + frames *
-    len(Sum), points).
+    kernel: as `assemble.source` makes it, loaded; segment: first and last node of each block, default: whole runs. threads:
+    default: all processors. progress: called from worker threads with the point-steps done since the last call.
 
     On KeyboardInterrupt the calls of the kernel in flight end first (a fraction of a second), then it is
     raised again.
     """
-    assert len(state) == kernel.STATES  # the compiled kernel checks no bounds
-    if axes is not None:
-        constants = np.concatenate([constants, axes])
-    if segment is None:
-        nodes = schedule.nodes
-        frames = 0 if axes is None else len(axes) // len(Axis)
-        out = np.empty((len(Row) + frames * len(Sum), state.shape[1]))
-        segment = Segment(np.zeros_like(nodes), nodes, np.empty((0, 0)), out)
-    rules = quadrature()
-    nodes = segment.last_node - segment.first_node
-    steps = np.minimum(nodes * schedule.steps_per_sample, schedule.steps) * WIDTH
-    resume = segment.resume
-    if not resume.size and (steps > CHUNK).any():
-        resume = resume_array(len(scales), state.shape[1])
-
-    def call(first: int, last: int, first_node: NDArray[np.int64], last_node: NDArray[np.int64]) -> None:
-        kernel.integrate(
-            first, last, schedule.points, schedule.steps, schedule.steps_per_sample, first_node, last_node,
-            step_size, state, constants, scales, rules.node_weights, rules.first_sample, rules.samples,
-            cylinder * cylinder, resume, segment.out,
-        )  # fmt: skip
-
-    call_by_parts(call, steps, segment.first_node, segment.last_node, threads, progress)
-    return segment.out
+    assert len(arrays.state) == kernel.STATES  # the compiled kernel checks no bounds
+    assert len(arrays.given) == kernel.PLUGGED_GIVEN
+    first, last = segment or (np.zeros_like(schedule.nodes), schedule.nodes)
+    steps = np.minimum((last - first) * schedule.steps_per_sample, schedule.steps) * WIDTH
+    if not arrays.resume.size and (steps > CHUNK).any():
+        arrays = resumable(kernel, arrays)
+    call_by_parts(partial(kernel.integrate, schedule, arrays), steps, first, last, threads, progress)
 
 
 def call_by_parts(
-    call: Callable[[int, int, NDArray[np.int64], NDArray[np.int64]], None],
-    point_steps: NDArray[np.int64],
-    first_node: NDArray[np.int64],
-    last_node: NDArray[np.int64],
+    call: Callable[[int, int, Counts, Counts], None],
+    point_steps: Counts,
+    first_node: Counts,
+    last_node: Counts,
     threads: int | None,
     progress: Callable[[int], None] | None,
 ) -> None:
     """Make the calls of a kernel for all blocks, in threads; a block of more than CHUNK point-steps takes several.
 
     call: takes a range of blocks, and for every block the first and the last node; point_steps: steps of the
-    blocks between these nodes, times WIDTH, (blocks,); first_node, last_node: (blocks,); threads, progress:
-    see `integrate`.
+    blocks between these nodes, times WIDTH, (blocks,); first_node, last_node: (blocks,); progress: see `integrate`.
+    threads = 0: in the thread of the caller, for work that takes less time than starting a thread. After an exception
+    what has not begun is left out.
     """
+    bounds, stop = chunk_bounds(point_steps, CHUNK, 4 * (threads or available_threads())), threading.Event()
 
-    def work(first: int, last: int) -> Iterator[int]:
-        nodes, steps = int(last_node[first] - first_node[first]), int(point_steps[first])
-        calls = min(-(-steps // CHUNK), nodes)
-        if last > first + 1 or calls <= 1:
-            call(first, last, first_node, last_node)
-            yield int(point_steps[first:last].sum())
-            return
-        begin, end = first_node.copy(), last_node.copy()
+    def chunk(first: int, last: int) -> None:
+        nodes, steps = int(last_node[first] - first_node[first]), int(point_steps[first:last].sum())
+        calls = max(min(-(-steps // CHUNK), nodes), 1) if last == first + 1 else 1
+        begin, end = (first_node, last_node) if calls == 1 else (first_node.copy(), last_node.copy())
         for i in range(calls):
-            end[first] = first_node[first] + nodes * (i + 1) // calls
+            if stop.is_set():
+                return
+            if calls > 1:
+                begin[first] = first_node[first] + nodes * i // calls
+                end[first] = first_node[first] + nodes * (i + 1) // calls
             call(first, last, begin, end)
-            begin[first] = end[first]
-            yield steps * (i + 1) // calls - steps * i // calls
+            if progress is not None:
+                progress(steps * (i + 1) // calls - steps * i // calls)
 
-    run_in_threads(
-        work, chunk_bounds(point_steps, CHUNK, 4 * (threads or available_threads())), threads, progress
-    )
+    if threads == 0:
+        for first, last in pairwise(bounds):
+            chunk(first, last)
+        return
+    with ThreadPoolExecutor(threads or available_threads()) as pool:
+        jobs = [pool.submit(chunk, first, last) for first, last in pairwise(bounds)]
+        try:
+            for job in jobs:
+                job.result()
+        finally:
+            stop.set()
 
 
 def chunk_bounds(cost: NDArray[np.int64], max_cost: int, min_chunks: int) -> list[int]:
@@ -207,40 +193,3 @@ def chunk_bounds(cost: NDArray[np.int64], max_cost: int, min_chunks: int) -> lis
         done = total[bounds[-1] - 1] if bounds[-1] else 0
         bounds.append(max(bounds[-1] + 1, int(np.searchsorted(total, done + max_cost))))
     return bounds
-
-
-def run_in_threads(
-    work: Callable[[int, int], Iterable[int]],
-    bounds: list[int],
-    threads: int | None,
-    progress: Callable[[int], None] | None,
-) -> None:
-    """Do work(first, last) for every chunk; after an exception what has not begun is left out.
-
-    work is done in parts: an iterable of the amounts done. threads = 0: in the thread of the caller, for work that takes
-    less time than starting a thread.
-    """
-    if threads == 0:
-        for first, last in pairwise(bounds):
-            for done in work(first, last):
-                if progress is not None:
-                    progress(done)
-        return
-    stop = threading.Event()
-
-    def chunk(first: int, last: int) -> None:
-        parts = iter(work(first, last))
-        while not stop.is_set():
-            done = next(parts, None)
-            if done is None:
-                return
-            if progress is not None:
-                progress(done)
-
-    with ThreadPoolExecutor(threads or available_threads()) as pool:
-        jobs = [pool.submit(chunk, first, last) for first, last in pairwise(bounds)]
-        try:
-            for job in jobs:
-                job.result()
-        finally:
-            stop.set()

@@ -10,6 +10,7 @@ over its nodes are those of x0 + d. Everything is in the units of the caller.
 """
 
 from enum import IntEnum
+from typing import NamedTuple
 
 import numpy as np
 
@@ -71,19 +72,24 @@ WEIGHTS = (1 / 6, 1 / 3, 1 / 3, 1 / 6)
 ADVANCES = (0.5, 0.5, 1.0, 0.0)
 
 
-def integrate(
-    first_block, last_block, points, constants0, harmonics, given0, start, scales, angle, out,
-):  # fmt: skip
-    """Integrate the deviations of blocks of points over their runs.
+class DeviationArrays(NamedTuple):
+    """What the kernel reads and writes of its points, all arrays (rows, points)."""
 
-    first_block, last_block: range of the blocks to integrate; points: the points of each block, (blocks,
-    WIDTH); constants0: constants of the equations, (CONSTANTS, points). harmonics: the vectors at rest in the
-    frame before the turn about the third axis: of each the constant parts of its components, then the
-    coefficients of cos n t and sin n t, (9 * vectors, points). given0: (len(Given), points); start, scales:
-    the deviations at the start, and the factors of their components in their size, (STATES, points); angle:
-    where sin theta is smaller, psi' and phi' do not count; out: the sums, (len(Deviation), points).
-    """
+    constants: np.ndarray  # of the equations
+    # The vectors at rest in the frame before the turn about the third axis: of each the constant parts of its components, then
+    # the coefficients of cos n t and sin n t
+    harmonics: np.ndarray
+    given: np.ndarray  # (len(Given), points)
+    start: np.ndarray  # the deviations at the start, (STATES, points)
+    scales: np.ndarray  # factors of their components in their size, (STATES, points)
+    angle: float  # where sin theta is smaller, psi' and phi' do not count
+    sums: np.ndarray  # (len(Deviation), points)
+
+
+def integrate(points, arrays, first_block, last_block, first_node, last_node):
+    """Integrate the deviations of blocks of points, (blocks, WIDTH), over their whole runs: no call ends at a node."""
     aligned_stack()
+    constants0, harmonics, given0, start, scales, angle, out = arrays
     constants, harmonic = aligned_empty((CONSTANTS, WIDTH)), aligned_empty((len(harmonics), WIDTH))
     given, scale = aligned_empty((len(Given), WIDTH)), aligned_empty((STATES, WIDTH))
     turns, sums = aligned_empty((TURNS, WIDTH)), aligned_empty((len(Deviation), WIDTH))

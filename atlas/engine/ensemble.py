@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from types import ModuleType
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..systems.base import Array, Mask, Points, System
 from . import blocks
-from .circle import Axis, Sum, circle_axes, circle_statistics
-from .statistics import Row, finish, theta_dot_squared_sum
+from .sampling import end_weights, quadrature
+from .statistics import Row, theta_dot_squared_sum
 from .stepsize import StepSizes
 
 # Where runs are interrupted to leave out the points that are certain to drift, as shares of their nodes. Most drifting
@@ -22,46 +23,47 @@ SEGMENTS = (1 / 256, 1 / 64, 1 / 16, 1 / 4, 1 / 2, 1.0)
 MIN_NODES = 8
 
 
+class Plug(Protocol):
+    """An instrument that adds every node of the motion of a body to sums of its own, which are 0 at the start."""
+
+    @property
+    def sums(self) -> int:
+        """Number of its sums."""
+
+    @property
+    def given(self) -> int:
+        """Number of constants of a point that it is given."""
+
+    @property
+    def add_node(self) -> Callable[..., None]:
+        """Function (sums, s, given, g, l, nodes, i, intervals, spacing, inverse_unit) of lane l, pasted into the kernel.
+
+        Its sums begin at row s and its constants at row g. Node i of the intervals + 1, `spacing` apart in the kernel's unit of
+        time, is in slot i & 3 of `nodes`, after the three before it: see `kernel.motion_at`; slopes are per 1 / inverse_unit.
+        """
+
+    def constants(self, system: System, points: Points, start: Ensemble) -> Array:
+        """The constants, (given, points)."""
+
+
 @dataclass(frozen=True)
 class Integration:
-    """What came of integrating an ensemble."""
+    """Result of integrating an ensemble; arrays (points,)."""
 
     final_state: Array  # of the points that ran to the end, (states, points)
-    sums: Array  # output of the kernel, (len(Row) + frames * len(Sum), points)
+    sums: Array  # output of the kernel, (kernel.SUMS, points)
     intervals: NDArray[np.int64]  # intervals between the nodes reached
     duration: Array  # integrated time, time units
     stopped_early: Mask  # whether the point was certain to drift before its end
-    axes: Array | None = None  # as in `Ensemble`, (frames * len(Axis), points)
-
-    def statistics(self) -> dict[str, Array]:
-        """Means, standard deviations and extremes; see `statistics.finish`."""
-        return finish(self.sums[: len(Row)], self.intervals, self.duration)
-
-    def circles(self) -> list[dict[str, Array]]:
-        """What `circle.circle_statistics` returns, for each frame in which circles were measured."""
-        if self.axes is None:
-            return []
-        sums = self.sums[len(Row) :].reshape(-1, len(Sum), self.intervals.size)
-        axes = self.axes.reshape(-1, len(Axis), self.intervals.size)
-        return [circle_statistics(*each, self.intervals) for each in zip(sums, axes, strict=True)]
 
     def subset(self, where: NDArray[np.int64]) -> Integration:
         """Some of the points, by their indices."""
-        return Integration(
-            self.final_state[:, where], self.sums[:, where], self.intervals[where], self.duration[where],
-            self.stopped_early[where], None if self.axes is None else self.axes[:, where],
-        )  # fmt: skip
+        return Integration(*(each[..., where] for each in vars(self).values()))
 
     @property
     def finite(self) -> Mask:
         """Whether state and sums are finite, bool of shape (points,)."""
         return np.asarray(np.isfinite(self.final_state).all(0) & np.isfinite(self.sums).all(0))
-
-    @property
-    def crossed_cylinder(self) -> Mask:
-        """Whether the axis was in the cylinder for a part of the run, bool of shape (points,)."""
-        outside = self.sums[Row.OUTSIDE]
-        return np.asarray((outside > 0.0) & (outside < self.intervals * (1.0 - 1e-10)))
 
 
 @dataclass(frozen=True)
@@ -72,27 +74,19 @@ class Ensemble:
     constants: Array  # constants of the equations, (constants, points)
     scales: Array  # reciprocal sizes of the first integrals; see `integral_scales`, (integrals, points)
     frequency_bound: Array  # upper bound of the fastest frequency, rad per time unit
-    # For kernels that measure circles; see `circle.circle_axes`, (frames * len(Axis), points)
-    axes: Array | None = None
+    given: Array  # constants of the plugged instruments, (rows, points)
 
     @classmethod
-    def of(cls, system: System, points: Points, frames: int = 0) -> Ensemble:
-        """The ensemble of points of a system. Parameters that overflow make numbers that are not finite.
-
-        frames: in how many a kernel measures circles: none, the system's frame, or inertial space as well.
-        """
+    def of(cls, system: System, points: Points, plugs: Sequence[Plug] = ()) -> Ensemble:
+        """The ensemble of points of a system. Parameters that overflow make numbers that are not finite."""
         with np.errstate(all="ignore"):
             state = np.ascontiguousarray(system.initial_state(points))
             constants = np.ascontiguousarray(system.constants(points))
             scales = integral_scales(system, state, constants, system.integral_scales(points))
-            bound = system.frequency_bound(points)
-            axes = None
-            if frames:
-                rates = [np.zeros_like(bound)]
-                if frames > 1 and system.frame_rate is not None:
-                    rates.append(system.frame_rate(points))
-                axes = circle_axes(system.equations, state, constants, np.array(rates), bound)
-            return cls(state, constants, scales, bound, axes)
+            none = np.empty((0, state.shape[1]))
+            start = cls(state, constants, scales, system.frequency_bound(points), none)
+            given = [plug.constants(system, points, start) for plug in plugs]
+            return cls(state, constants, scales, start.frequency_bound, np.concatenate([none, *given]))
 
     @property
     def size(self) -> int:
@@ -101,97 +95,72 @@ class Ensemble:
 
     def subset(self, where: NDArray[np.int64]) -> Ensemble:
         """Some of the points, by their indices."""
-        state, constants, scales = (
-            np.ascontiguousarray(rows[:, where]) for rows in (self.state, self.constants, self.scales)
-        )
-        axes = None if self.axes is None else np.ascontiguousarray(self.axes[:, where])
-        return Ensemble(state, constants, scales, self.frequency_bound[where], axes)
+        return Ensemble(*(np.ascontiguousarray(each[..., where]) for each in vars(self).values()))
+
+    def arrays(self, kernel: ModuleType, step_size: Array, cylinder: float = 0.0) -> blocks.Arrays:
+        """What a kernel integrates these points with; cylinder: see `integrate`."""
+        rule = end_weights() if kernel.OBSERVABLES else quadrature()
+        sums = np.empty((kernel.SUMS, self.size))
+        return blocks.Arrays(
+            step_size, blocks.start_state(kernel, self.state), self.constants, self.scales, self.given, rule,
+            cylinder * cylinder, np.empty((0, 0)), sums,
+        )  # fmt: skip
 
     def integrate(
         self,
         kernel: ModuleType,
         step_sizes: StepSizes,
-        cylinder: float,
+        cylinder: float = 0.0,
         *,
         early_stop_rate: Array | None = None,
-        threads: int | None = None,
-        progress: Callable[[int], None] | None = None,
+        **options: Any,
     ) -> Integration:
         """Integrate every point.
 
         kernel: see `specialization.kernel`; cylinder: radius of the cylinder, rad. early_stop_rate: root mean
         square of theta' over the whole run, rad per time unit, beyond which a point outside the cylinder is
         certain to drift; its run may then end early. Default: every run is whole, as they must be where
-        circles are measured. threads, progress: see `blocks.integrate`.
+        more than rates is measured. options: threads and progress of `blocks.integrate`.
         """
-        state = blocks.start_state(kernel, self.state)
+        arrays, nodes = self.arrays(kernel, step_sizes.step_size, cylinder), step_sizes.intervals + 1
         if early_stop_rate is None:
-            sums = blocks.integrate(
-                kernel, blocks.schedule_of(step_sizes), step_sizes.step_size, state, self.constants, self.scales,
-                cylinder, axes=self.axes, threads=threads, progress=progress,
-            )  # fmt: skip
-            nodes = step_sizes.intervals + 1
+            blocks.integrate(kernel, blocks.schedule_of(step_sizes), arrays, **options)
         else:
-            sums, nodes = self._integrate_in_segments(
-                kernel, step_sizes, cylinder, early_stop_rate, state, threads, progress
-            )
+            nodes = self._integrate_in_segments(kernel, step_sizes, arrays, early_stop_rate, **options)
         intervals = np.maximum(nodes - 1, 1)
         with np.errstate(over="ignore"):  # of a duration near the largest number
             duration = intervals * step_sizes.sample_spacing
         return Integration(
-            final_state=state[: len(self.state)],
-            sums=sums,
-            intervals=intervals,
-            duration=duration,
-            stopped_early=nodes <= step_sizes.intervals,
-            axes=self.axes,
+            arrays.state[: len(self.state)], arrays.sums, intervals, duration, nodes <= step_sizes.intervals
         )
 
     def final_states(
-        self,
-        kernel: ModuleType,
-        steps: NDArray[np.int64],
-        step_size: Array,
-        *,
-        threads: int | None = None,
+        self, kernel: ModuleType, steps: NDArray[np.int64], step_size: Array, *, threads: int | None = None
     ) -> Array:
         """States after so many steps of these sizes (time units), (states, points), without statistics."""
-        state = blocks.start_state(kernel, self.state)
-        blocks.integrate(
-            kernel,
-            blocks.pack_blocks(steps, steps),
-            step_size,
-            state,
-            self.constants,
-            self.scales,
-            0.0,
-            axes=self.axes,
-            threads=threads,
-        )
-        return state[: len(self.state)]
+        arrays = self.arrays(kernel, step_size)
+        blocks.integrate(kernel, blocks.pack_blocks(steps, steps), arrays, threads=threads)
+        return arrays.state[: len(self.state)]
 
     def _integrate_in_segments(
         self,
         kernel: ModuleType,
         step_sizes: StepSizes,
-        cylinder: float,
+        arrays: blocks.Arrays,
         early_stop_rate: Array,
-        state: Array,
-        threads: int | None,
-        progress: Callable[[int], None] | None,
-    ) -> tuple[Array, NDArray[np.int64]]:
-        """Sums, and how many nodes each point took.
+        threads: int | None = None,
+        progress: Callable[[int], None] | None = None,
+    ) -> NDArray[np.int64]:
+        """How many nodes each point took.
 
         The weights of all samples are positive, so that the sum of theta'^2 only grows: once it exceeds the limit of
         the whole run outside the cylinder, no later motion can bring the label back. A passage of the vertical takes
         away at most one sample beside it. Points that run to the end have the same bits as in a single call.
         """
-        run_nodes = step_sizes.intervals + 1
-        sums = np.empty((len(Row), self.size))
-        resume = blocks.resume_array(len(self.scales), self.size)
+        run_nodes, arrays = step_sizes.intervals + 1, blocks.resumable(kernel, arrays)
         with np.errstate(over="ignore"):
             limit = early_stop_rate * early_stop_rate * step_sizes.intervals * (1.0 + 1e-6)
-        min_sin2_theta = cylinder * cylinder * (1.0 + 1e-9)
+        min_sin2_theta = arrays.cylinder_squared * (1.0 + 1e-9)
         done = np.zeros_like(run_nodes)
         active, packed, schedule = np.arange(self.size), np.empty(0, np.int64), None
         for share in SEGMENTS:
@@ -203,23 +172,19 @@ class Ensemble:
             if schedule is None or not np.array_equal(selected, packed):
                 schedule, packed = blocks.schedule_of(step_sizes, selected), selected
             first_points = schedule.points[:, 0]  # all points of a block have the same history
-            last_node = _segment_end(share, schedule.nodes)
-            segment = blocks.Segment(done[first_points], last_node, resume, sums)
-            blocks.integrate(
-                kernel, schedule, step_sizes.step_size, state, self.constants, self.scales, cylinder,
-                segment=segment, threads=threads, progress=progress,
-            )  # fmt: skip
+            segment = done[first_points], _segment_end(share, schedule.nodes)
+            blocks.integrate(kernel, schedule, arrays, segment=segment, threads=threads, progress=progress)
             done[selected] = until[goes_on]
             certain = done[active] > 0  # sums of points that have not begun are undefined
             with np.errstate(invalid="ignore", over="ignore"):  # of those, and of motions that are not finite
-                certain &= theta_dot_squared_sum(sums)[active] > limit[active]
-            certain &= sums[Row.SIN2_THETA_MAX, active] > min_sin2_theta
+                certain &= theta_dot_squared_sum(arrays.sums)[active] > limit[active]
+            certain &= arrays.sums[Row.SIN2_THETA_MAX, active] > min_sin2_theta
             ended = certain | (done[active] == run_nodes[active])
             if progress is not None:
                 left_out = (run_nodes[active] - done[active]) * step_sizes.steps_per_sample[active]
                 progress(int(left_out[ended].sum()))
             active = active[~ended]
-        return sums, done
+        return done
 
 
 def _segment_end(share: float, nodes: NDArray[np.int64]) -> NDArray[np.int64]:

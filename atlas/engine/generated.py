@@ -19,7 +19,9 @@ TANGENT = 0  # components of a tangent vector
 STEP = 1.0  # length of a step in the kernel's unit of time, `Method.kernel_step`
 STORES_SLOPE = False  # is the slope at a node kept for the first stage of the step after it?
 HAS_AXIS = False  # does the system have `axis_in_frame`?
-FRAMES = 0  # frames in which circles are measured, see `circle`; what stands under `if FRAMES:` is left out for none
+# Sums of the plugged instruments, see `ensemble.Plug`, and what they are given; without them what stands under `if PLUGGED:`
+# is left out.
+PLUGGED, PLUGGED_GIVEN = 0, 0
 
 
 def called_seldom(function):
@@ -109,6 +111,11 @@ def store_integrals(block, l, state, constants):
 
 def largest_change(first, scales, l, state, constants, largest):
     """The larger of `largest` and the scaled changes of the first integrals since their column l of `first`."""
+    raise NotImplementedError
+
+
+def add_to_plugged(plugged, given, nodes, i, intervals, spacing, inverse_unit):
+    """Add node i to the sums of every plugged instrument."""
     raise NotImplementedError
 
 

@@ -17,15 +17,16 @@ cause (`poles`) are computed for many of them side by side.
 
 import numpy as np
 
-from .circle import Axis, Sum, add_to_circles, load_circles, store_circles
 from .generated import (
     CONSTANTS,
-    FRAMES,
     HAS_AXIS,
     INTEGRALS,
+    PLUGGED,
+    PLUGGED_GIVEN,
     STATES,
     STEP,
     WIDTH,
+    add_to_plugged,
     aligned_empty,
     aligned_stack,
     axis_in_frame,
@@ -40,9 +41,11 @@ from .generated import (
 from .lanes import (
     advance,
     extend_changes,
+    load_plugged,
     load_points,
     load_runs,
     store_ends,
+    store_plugged,
     store_runs,
     store_sums,
 )
@@ -130,24 +133,17 @@ def sample_weights(samples, j, spacing):
     return w[1], w[2], w[3], w[4], w[5] * spacing, w[6] * spacing, w[7] * spacing, w[8] * spacing
 
 
-def integrate(
-    first_block, last_block, points, steps, steps_per_sample, first_node, last_node, step_size, state0, constants0,
-    scales, node_weights, first_sample, samples, cylinder_squared, resume, out,
-):  # fmt: skip
+def integrate(schedule, arrays, first_block, last_block, first_node, last_node):
     """Integrate blocks of points over a range of nodes.
 
-    first_block, last_block: range of the blocks to integrate; points: the points of each block, (blocks,
-    WIDTH); steps, steps_per_sample: of the whole run of a block's points, as in `stepsize.StepSizes`,
-    (blocks,). first_node, last_node: range of the nodes of this call; 0 begins the runs, that after steps /
-    steps_per_sample ends them. Between calls the state lies in `state0` in the kernel's units, the sums in
-    `out`, the rest in `resume`; the results are the same to the bit as those of a single call, (blocks,).
-    step_size: in time units; state0: state at the start and, after the last node, at the end, (STATES,
-    points); constants0, scales: constants of the equations, followed by those of the circles, and reciprocal
-    scales of the first integrals; node_weights, first_sample, samples: see `sampling.Quadrature`;
-    cylinder_squared: square of the cylinder tolerance; resume: the last four nodes and the first integrals at
-    the start, (4 * 2 * MOTION + INTEGRALS, points); out: the sums, (len(Row) + FRAMES * len(Sum), points).
+    schedule, arrays: see `blocks.BlockSchedule` and `blocks.Arrays`, whose rule is a `sampling.Quadrature`; first_block,
+    last_block: range of the blocks to integrate. first_node, last_node: range of the nodes of this call; 0 begins the runs,
+    that after steps / steps_per_sample ends them, (blocks,). The results are the same to the bit however a run is cut.
     """
     aligned_stack()
+    points, steps, steps_per_sample = schedule
+    step_size, state0, constants0, scales, given0, rules, cylinder_squared, resume, out = arrays
+    node_weights, first_sample, samples = rules
     state, constants = aligned_empty((STATES, WIDTH)), aligned_empty((CONSTANTS, WIDTH))
     dt, inverse_unit = aligned_empty((WIDTH,)), aligned_empty((WIDTH,))
     inverse_scales, integrals0 = aligned_empty((INTEGRALS, WIDTH)), aligned_empty((INTEGRALS, WIDTH))
@@ -157,8 +153,8 @@ def integrate(
     turns, extremes, turn_lanes = empty_queue(TURN_ROWS), aligned_empty((2, QUEUE)), np.zeros(QUEUE, np.int64)
     passages, terms = empty_queue(PASSAGE_ROWS), aligned_empty((2, len(Term), QUEUE))
     lanes, first_nodes = np.zeros(QUEUE, np.int64), np.zeros(QUEUE, np.int64)
-    if FRAMES:
-        axes, circles = aligned_empty((FRAMES * len(Axis), WIDTH)), aligned_empty((FRAMES * len(Sum), WIDTH))
+    if PLUGGED:
+        given, plugged = aligned_empty((PLUGGED_GIVEN, WIDTH)), aligned_empty((PLUGGED, WIDTH))
     for block in range(first_block, last_block):
         stride = steps_per_sample[block]
         intervals, spacing = steps[block] // stride, STEP * stride
@@ -172,8 +168,8 @@ def integrate(
             begin_runs(stats, integrals0, state, constants, inverse_unit, cylinder_squared)
         else:
             load_runs(points, block, state, stats, nodes, integrals0, state0, resume, out)
-        if FRAMES:
-            load_circles(points, block, begins, axes, circles, constants0, CONSTANTS, out, len(Row))
+        if PLUGGED:
+            load_plugged(points, block, begins, given, plugged, given0, out, len(Row))
         for i in range(first_node[block], last_node[block]):
             slot, last = i & 3, i + 1 == last_node[block]
             evaluate_node(nodes, slot, slopes, state, constants, inverse_unit)
@@ -199,9 +195,8 @@ def integrate(
                         correct(stats, passages, terms, lanes, first_nodes, passage_count, stride, dt, intervals,
                                 cylinder_squared)  # fmt: skip
                         passage_count = np.int64(0)
-            if FRAMES:
-                weight = 0.5 if i == 0 or i == intervals else 1.0
-                add_to_circles(axes, circles, nodes, slot, inverse_unit, weight)
+            if PLUGGED:
+                add_to_plugged(plugged, given, nodes, i, intervals, spacing, inverse_unit)
             if HAS_AXIS:
                 add_axis(stats, state, constants)
             if (i + 1) % NODES_PER_DRIFT == 0 or i == intervals:
@@ -213,8 +208,8 @@ def integrate(
         else:
             store_runs(points, block, state, nodes, integrals0, state0, resume)
         store_sums(points, block, stats, out)
-        if FRAMES:
-            store_circles(points, block, circles, out, len(Row))
+        if PLUGGED:
+            store_plugged(points, block, plugged, out, len(Row))
 
 
 def empty_queue(rows):

@@ -77,6 +77,23 @@ def store_sums(points, block, sums, out):
             out[row, p] = sums[row, l]
 
 
+def load_plugged(points, block, begins, given, plugged, given0, out, first_row):
+    """Bring what the plugged instruments are given into the lanes, and their sums, or zeros where the runs begin."""
+    for l in range(WIDTH):
+        p = points[block, l]
+        for row in range(given.shape[0]):
+            given[row, l] = given0[row, p]
+        for row in range(plugged.shape[0]):
+            plugged[row, l] = 0.0 if begins else out[first_row + row, p]
+
+
+def store_plugged(points, block, plugged, out, first_row):
+    """Write the sums of the plugged instruments behind those of the kernel."""
+    for l in range(WIDTH):
+        for row in range(plugged.shape[0]):
+            out[first_row + row, points[block, l]] = plugged[row, l]
+
+
 def advance(state, slopes, constants, steps):
     """Take some steps; `slopes` holds the derivatives of the states before the first."""
     for k in range(steps):

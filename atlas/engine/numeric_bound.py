@@ -15,7 +15,6 @@ from numpy.typing import NDArray
 
 from ..systems import jacobian
 from ..systems.base import Array, Mask, Points, System
-from . import observation
 from .ensemble import Ensemble
 from .tableaux import Method
 
@@ -134,7 +133,7 @@ def _largest_frequency(
         # The first call may compile the kernel, which only threads can do without delaying an interruption.
         in_threads = 0 if taken > 0 and steps[active].sum() <= FEW_STEPS else threads
         for k in range(count):
-            states[:, k] = advanced(system, kernel, part, steps[active], step_size[active], in_threads)
+            states[:, k] = part.final_states(kernel, steps[active], step_size[active], threads=in_threads)
             part.state[:] = states[:, k]
         ensemble.state[:, active] = part.state
         with np.errstate(all="ignore"):
@@ -155,17 +154,3 @@ def _largest_frequency(
         ratios = np.fmax.reduce(sizes[2:] / np.fmax(sizes[1:3], NEGLIGIBLE * sizes[0]), axis=(0, 1))
         of_slopes = np.where(has_time & ~(largest > TOLERATED * bound), bound * ratios / OVERTONE, 0.0)
     return np.fmax(largest, of_slopes)
-
-
-def advanced(
-    system: System,
-    kernel: ModuleType,
-    ensemble: Ensemble,
-    steps: NDArray[np.int64],
-    step_size: Array,
-    threads: int | None,
-) -> Array:
-    """States after so many steps, by the kernel of the system."""
-    if system.observables:
-        return observation.final_states(kernel, ensemble, steps, step_size, threads=threads)
-    return ensemble.final_states(kernel, steps, step_size, threads=threads)

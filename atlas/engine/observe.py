@@ -2,7 +2,7 @@
 
 Ordinary Python, as `kernel`; what depends on the system and the method stands in `generated`. An observable is evaluated
 with its derivative at the nodes, instants a few steps apart. Its integrals over a run are sums over the nodes by the
-trapezoidal rule with the corrections of `observation.end_weights` at both ends; its extremes between two nodes are those
+trapezoidal rule with the corrections of `sampling.end_weights` at both ends; its extremes between two nodes are those
 of the interpolation of four. With the value f0 at the start, g = f - f0 and u from -1/2 to 1/2 along the run, the sums
 are those of g, g^2 and u g: the mean, the standard deviation and the slope of the straight line fitted to f follow.
 """
@@ -46,23 +46,12 @@ NODES_PER_CHANGE = 4
 ROUNDING = 1e-14
 
 
-def integrate(
-    first_block, last_block, points, steps, steps_per_node, first_node, last_node, step_size, state0, constants0, scales,
-    value_weights, slope_weights, resume, out,
-):  # fmt: skip
-    """Integrate blocks of points over a range of nodes.
-
-    first_block, last_block: range of the blocks to integrate; points: the points of each block, (blocks,
-    WIDTH); steps, steps_per_node: of the whole run of a block's points, as in `stepsize.StepSizes`,
-    (blocks,). first_node, last_node: range of the nodes of this call; 0 begins the runs, that after steps /
-    steps_per_node ends them. The results are the same to the bit however a run is cut, (blocks,). step_size:
-    in time units. state0: state at the start; between calls in the kernel's units, after the last node at the
-    end of the run, (STATES, points). constants0, scales: constants of the equations and reciprocal scales of
-    the first integrals; value_weights, slope_weights: see `observation.end_weights`, (4,); resume: the last
-    four nodes and the first integrals at the start, between calls, (8 * OBSERVABLES + INTEGRALS, points);
-    out: the sums, (FIRST_ROW + FIELDS * OBSERVABLES, points).
-    """
+def integrate(schedule, arrays, first_block, last_block, first_node, last_node):
+    """Integrate blocks of points over a range of nodes, as `kernel.integrate`; the rule is a `sampling.EndWeights`."""
     aligned_stack()
+    points, steps, steps_per_node = schedule
+    step_size, state0, constants0, scales, given0, rule, cylinder_squared, resume, out = arrays
+    value_weights, slope_weights = rule
     state, constants = aligned_empty((STATES, WIDTH)), aligned_empty((CONSTANTS, WIDTH))
     slopes, nodes = aligned_empty((STATES, WIDTH)), aligned_empty((4, 2 * OBSERVABLES, WIDTH))
     inverse_scales, integrals0 = aligned_empty((INTEGRALS, WIDTH)), aligned_empty((INTEGRALS, WIDTH))

@@ -10,10 +10,11 @@ for a smooth one. (The trapezoidal rule after such a change of variable: H. Taka
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from functools import cache
+from typing import NamedTuple
 
 import numpy as np
+from numpy.polynomial import Polynomial
 from numpy.typing import NDArray
 
 # tau(t) = t + CLUSTERING log(1 - exp(-p(t))), p(t) = t / CLUSTERING + (t / SQUARE)^2 + (t / FOURTH)^4. Seen from beyond the end
@@ -23,6 +24,8 @@ SQUARE, FOURTH = 5.0, 9.0
 # Intervals from an end in which tau(t) differs from t, and the shortest run that has both ends to themselves.
 END = 18
 LONG = 2 * END
+# Terms of the Euler-Maclaurin formula: B_2k / (2k)! of the derivatives of the orders 1, 3, 5, 7.
+_EULER_MACLAURIN = (1 / 12, -1 / 720, 1 / 30240, -1 / 1209600)
 # Nodes are interpolated by fours.
 MIN_INTERVALS = 3
 # The sample nearest to an end is about this far from it; what lies beyond is added to the weight of the end itself.
@@ -54,8 +57,7 @@ def rule_position(i, intervals):
     return i - min(max(intervals - LONG, 0), max(i - END, 0))
 
 
-@dataclass(frozen=True)
-class Quadrature:
+class Quadrature(NamedTuple):
     """The rules of all runs, by the number of intervals, LONG and above being one."""
 
     node_weights: NDArray[np.float64]  # weight of each node; see `rule_position`, (LONG + 1, LONG + 1)
@@ -148,3 +150,30 @@ def hermite_weights(x: NDArray[np.float64]) -> NDArray[np.float64]:
         weights[:, k] = (1.0 - 2.0 * np.sum(1.0 / (k - others)) * (x - k)) * square
         weights[:, 4 + k] = (x - k) * square
     return weights
+
+
+class EndWeights(NamedTuple):
+    """What is added to the weights of the trapezoidal rule at the first four nodes, those of a run's end mirrored."""
+
+    values: NDArray[np.float64]  # by the number of the node; the half of the first node is in the first, (4,)
+    slopes: NDArray[np.float64]  # of the derivatives, (4,); at the end of a run with the opposite sign
+
+
+@cache
+def end_weights() -> EndWeights:
+    """The weights for any run.
+
+    By the Euler-Maclaurin formula the integral over a run is the sum over the nodes, in which the first and the last count
+    half, and B_2k / (2k)! times the odd derivatives at the start less those at the end. The derivatives are those of the
+    Hermite interpolation of four nodes, so that the rule is exact for polynomials of degree 7.
+    """
+    x = np.linspace(0.0, 3.0, 8)
+    basis = [Polynomial.fit(x, column, 7, domain=[-1, 1]) for column in hermite_weights(x).T]
+    weights = np.array(
+        [
+            sum(factor * polynomial.deriv(2 * k + 1)(0.0) for k, factor in enumerate(_EULER_MACLAURIN))
+            for polynomial in basis
+        ]
+    )
+    weights[0] -= 0.5
+    return EndWeights(weights[:4].copy(), weights[4:].copy())

@@ -10,8 +10,9 @@ from types import ModuleType
 import numpy as np
 
 from ..systems.base import Points, System
-from . import assemble, chaos, deviation, jit, observe, tangent
+from . import assemble, deviation, jit, observe, tangent
 from . import kernel as kernel_of_bodies
+from .ensemble import Plug
 
 
 @dataclass(frozen=True)
@@ -40,47 +41,42 @@ GENERIC = Specialization()
 
 
 @cache
-def _source(system: System, method: str, specialization: Specialization, frames: int) -> str:
-    of = observe if system.observables else kernel_of_bodies
+def source(
+    system: System,
+    method: str,
+    specialization: Specialization = GENERIC,
+    plugs: tuple[Plug, ...] = (),
+    of: ModuleType | None = None,
+) -> str:
+    """Text of the kernel of a system; plugs, of: see `assemble.source`."""
+    of = of or (observe if system.observables else kernel_of_bodies)
     zero, equal = specialization.zero, dict(specialization.equal)
-    return assemble.source(system.equations, method, zero, equal, of=of, frames=frames)
+    return assemble.source(system.equations, method, zero, equal, of=of, plugs=plugs)
 
 
 @cache
 def kernel(
-    system: System, method: str, specialization: Specialization = GENERIC, frames: int = 0
+    system: System, method: str, specialization: Specialization = GENERIC, plugs: tuple[Plug, ...] = ()
 ) -> ModuleType:
-    """The compiled module that integrates a system; compiled, or taken from the cache, at its first call.
-
-    frames: in how many it measures circles, see `circle`.
-    """
-    return jit.load(_source(system, method, specialization, frames))
+    """The compiled module that integrates a system; compiled, or taken from the cache, at its first call."""
+    return jit.load(source(system, method, specialization, plugs))
 
 
-@cache
-def kernel_hash(
-    system: System, method: str, specialization: Specialization = GENERIC, frames: int = 0
-) -> str:
-    """Hash of the kernel's source, compilers and processor type, recorded in every atlas."""
-    return jit.digest(_source(system, method, specialization, frames))
-
-
-@cache
-def _tangent_source(system: System, specialization: Specialization) -> str:
-    zero, equal = specialization.zero, dict(specialization.equal)
-    return assemble.source(system.equations, chaos.METHOD.name, zero, equal, of=tangent)
+def tangent_source(system: System, specialization: Specialization = GENERIC) -> str:
+    """Text of the kernel that integrates a system with a tangent vector."""
+    return source(system, tangent.METHOD.name, specialization, of=tangent)
 
 
 @cache
 def tangent_kernel(system: System, specialization: Specialization = GENERIC) -> ModuleType:
-    """The compiled module that integrates a system with a tangent vector, for `chaos.indicators`."""
-    return jit.load(_tangent_source(system, specialization))
+    """The compiled module of `tangent_source`."""
+    return jit.load(tangent_source(system, specialization))
 
 
 @cache
-def tangent_kernel_hash(system: System, specialization: Specialization = GENERIC) -> str:
-    """As `kernel_hash`, of the tangent kernel."""
-    return jit.digest(_tangent_source(system, specialization))
+def kernel_hash(*sources: str) -> str:
+    """Hashes of sources with compilers and processor type, recorded in every atlas."""
+    return "-".join(map(jit.digest, sources))
 
 
 @cache

@@ -1,8 +1,8 @@
 """Statistics of a run: their sums in the kernel, their final formulas, and what they are called in an atlas.
 
-A statistic is added here alone: a row of the sums (`Row`), a line in `begin` and in `accumulate`, its formula in
-`finish`, and its entry in STATISTICS, from which the registry of dataset variables takes name, unit and meaning.
-No trajectory is kept. `begin` and `accumulate` are plain arithmetic on scalars and one lane of the sums: the kernel
+A statistic that every atlas has is added here alone: a row of the sums (`Row`), a line in `begin` and in `accumulate`, its
+formula in `finish`, and its entry in STATISTICS, from which the registry of dataset variables takes name, unit and meaning.
+Others are instruments (`measure.instrument`), of which a kernel has those that a scene asks for. No trajectory is kept. `begin` and `accumulate` are plain arithmetic on scalars and one lane of the sums: the kernel
 calls them, compiled or not.
 """
 
@@ -186,7 +186,9 @@ def finish(
         # np.maximum returns nan for nan: a run that overflowed stays visible.
         square = np.maximum(theta_dot_squared_sum(out) / intervals, 0.0)
         # theta' jumps where the axis passes the vertical; elsewhere the sums cancel where theta' is constant.
-        passed = (out[Row.ZERO_1_REAL] > NO_ZERO) | (_least_sin2_theta(out) < 0.01)
+        passed = (out[Row.ZERO_1_REAL] > NO_ZERO) | (
+            np.minimum(out[Row.SIN2_THETA_MIN_ABOVE], out[Row.SIN2_THETA_MIN_BELOW]) < 0.01
+        )
         mean = np.where(
             passed, (out[Row.LAST_THETA] - out[Row.FIRST_THETA]) / duration, out[Row.THETA_DOT] / intervals
         )
@@ -217,11 +219,6 @@ def finish(
 def theta_dot_squared_sum(out: NDArray[np.float64]) -> NDArray[np.float64]:
     """Sum of theta'^2 over the samples of output of the kernel, corrected for passages near the vertical."""
     return np.asarray(out[Row.THETA_DOT_SQUARED] - out[Row.THETA_DOT_SQUARED_ERROR])
-
-
-def _least_sin2_theta(out: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Least sin^2 theta of output of the kernel."""
-    return np.asarray(np.minimum(out[Row.SIN2_THETA_MIN_ABOVE], out[Row.SIN2_THETA_MIN_BELOW]))
 
 
 def _tilt_extremes(out: NDArray[np.float64]) -> dict[str, NDArray[np.float64]]:

@@ -31,27 +31,23 @@ from .generated import (
     store_state,
     unscaled,
 )
+from .tableaux import METHODS
 
+# The method of these runs, whatever the method of the others: of the two it needs the least time for a given error.
+METHOD = METHODS["rk8"]
 # Rows of the sums: L, its integral, Y, the integral of Y, the largest L, and the drawdown, the largest decrease of L.
 LOG_GROWTH, LOG_INTEGRAL, MEGNO, MEGNO_INTEGRAL, HIGHEST, DRAWDOWN, SUMS = 0, 1, 2, 3, 4, 5, 6
 
 
-def integrate(
-    first_block, last_block, points, steps, nodes, first_node, last_node, step_size, state0, constants0, tangent0,
-    weights, out,
-):  # fmt: skip
-    """Integrate blocks of points and their tangent vectors over a range of nodes.
+def integrate(schedule, arrays, first_block, last_block, first_node, last_node):
+    """Integrate blocks of points and their tangent vectors over a range of nodes, as `kernel.integrate`.
 
-    first_block, last_block: range of the blocks to integrate; points: the points of each block, (blocks,
-    WIDTH). steps, nodes: of the whole run of a block's points; a node is an instant at which the tangent
-    vector is divided by its norm, (blocks,). first_node, last_node: range of the nodes of this call; 0 begins
-    the runs. The results are the same to the bit however a run is cut, (blocks,). step_size: in time units.
-    state0: state at the start; between calls in the kernel's units, after the last node at the end of the
-    run, (STATES, points). constants0: constants of the equations, (CONSTANTS, points); tangent0, weights:
-    tangent vector in the kernel's units, and the factors of its components in its norm, (TANGENT, points);
-    out: the sums, (SUMS, points).
+    A node is an instant at which the tangent vector is divided by its norm; schedule: with the number of nodes of the whole run
+    instead of the steps between them; arrays: see `chaos.TangentArrays`.
     """
     aligned_stack()
+    points, steps, nodes = schedule
+    step_size, state0, constants0, tangent0, weights, out = arrays
     extended, constants = aligned_empty((STATES + TANGENT, WIDTH)), aligned_empty((CONSTANTS, WIDTH))
     weight, sums, norm = (
         aligned_empty((TANGENT, WIDTH)),

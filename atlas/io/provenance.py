@@ -10,7 +10,8 @@ from typing import Any
 
 from .. import systems
 from .._version import __version__
-from ..scene.model import EMPTY_ABOUT, About, Scene, Settings, std_tolerances
+from ..measure.observables import std_tolerances
+from ..scene.model import EMPTY_ABOUT, About, Scene, Settings
 from ..systems.base import System
 
 

@@ -13,20 +13,21 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..engine import blocks, deviation
-from ..engine.deviation import Deviation
+from ..engine.deviation import Deviation, DeviationArrays
 from ..engine.generated import WIDTH
 from ..engine.specialization import deviation_kernel
 from ..engine.tableaux import METHODS
 from ..flags import Label
-from ..scene.model import Tolerances
+from ..measure import rates
+from ..measure.instrument import Tolerances, could_change
 from ..systems.base import Array, Flags, Mask, Points, System
 from ..systems.vectors import length
-from . import labels
 
 # A start is far from every steady motion where its rates change at first by more than this, in units of the rate tolerance:
 # where linear theory describes the motion for a while, and where its angles soon change by a share of _REACH of the limit.
@@ -226,11 +227,8 @@ def _integrate(
     start += change / scales * np.cos(np.arange(len(start)))[:, np.newaxis]
     constants, harmonics = np.ascontiguousarray(motions.constants), motions.harmonics()
     points, sums = blocks.sorted_blocks(steps), np.empty((len(Deviation), steps.size))
-    kernel = deviation_kernel(motions.system)
-
-    def call(first: int, last: int, *_: NDArray[np.int64]) -> None:
-        kernel.integrate(first, last, points, constants, harmonics, given, start, scales, angle, sums)
-
+    arrays = DeviationArrays(constants, harmonics, given, start, scales, angle, sums)
+    call = partial(deviation_kernel(motions.system).integrate, points, arrays)
     # A block is integrated by one call; its first point takes the most steps.
     begin, end = np.zeros(len(points), np.int64), np.ones(len(points), np.int64)
     blocks.call_by_parts(call, WIDTH * steps[points[:, 0]], begin, end, threads, lambda _: pause())
@@ -279,8 +277,9 @@ class _Deviations:
             error[f"{name}_mean"] = _MARGIN * np.abs(mean[rows[name]])
         measured |= tilt
         error |= dict.fromkeys(tilt, _MARGIN * (tilt["theta_max"] - tilt["theta_min"]))
-        label = labels.label(measured, tolerances, frame_rate)
-        unsure = labels.unsure(measured, error, tolerances, frame_rate)
+        rule = rates.rule(tolerances, frame_rate)
+        label = rule.label(measured)
+        unsure = could_change(rule, measured, error)
         # Terms of second order decide nothing; a motion that has left the linear range drifts if it drifted before.
         steady = label != Label.DRIFTING
         second_order = np.where(steady, *_SECOND_ORDER) * sums[Deviation.LARGEST_SQUARE]
@@ -291,6 +290,6 @@ class _Deviations:
         error = {
             name: value + second_order * (1.0 if name in tilt else unit) for name, value in error.items()
         }
-        within = labels.unsure(measured, error, tolerances, frame_rate)
+        within = could_change(rule, measured, error)
         unsure |= np.where(sums[Deviation.LINEAR] > 0, within, steady)
         return np.where(unsure, Label.NOT_COMPUTED, label).astype(np.int8)

@@ -2,144 +2,56 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
-from types import ModuleType
 
 import numpy as np
 
 from ..engine import numeric_bound
-from ..engine.ensemble import Ensemble, Integration
-from ..engine.specialization import (
-    GENERIC,
-    Specialization,
-    kernel,
-    kernel_hash,
-    tangent_kernel_hash,
-)
-from ..engine.statistics import NEEDS_PSI, RATES, STATISTICS
+from ..engine.ensemble import Ensemble
 from ..engine.stepsize import ROUNDING, StepSizes
 from ..engine.tableaux import METHODS
 from ..flags import Label, Status
-from ..scene.grid import Grid, Reason, status_of
-from ..scene.model import Scene, Settings
-from ..systems.base import FAMILY_TOLERANCE, Array, Flags, Mask, Points, System, derived_values, subset
-from ..variables import ANY_AXIS, ANY_AXIS_THEORY
-from . import any_axis, labels, observed
-from .chaos import TangentRuns
-from .expected_errors import differences, early_stop_rate, error_estimate, measurement_errors, pair_error
-from .half_steps import measured_points, second_steps
-from .regularity import has_chaos
-from .theory import agreement, predict_any_axis, predict_runs
+from ..measure.chaos import TangentRuns
+from ..measure.circle import ANY_AXIS_THEORY
+from ..measure.instrument import Run
+from ..scene.grid import Grid, status_of
+from ..systems.base import Array, Flags, Mask, derived_values
+from . import labels
+from .plan import Plan
+from .theory import Theory, agreement, departure_changes, predict_any_axis
 
-# A start beside an unstable motion departs because of its nudge, and not of integration errors, where theta' at half the
-# step is the same within this share.
-HALF_STEP_RTOL = 0.05
-# Variables that only a whole run can give: a scene that asks for none of them ends its points early.
-WHOLE_RUN = frozenset((*(statistic.name for statistic in STATISTICS), *ANY_AXIS))
+# check_half_step = "sample" measures the error of one point in so many.
+POINTS_PER_HALF_STEP = 64
 
 
-def scene_specialization(scene: Scene) -> Specialization:
-    """What the kernel of a scene leaves out."""
-    return Specialization.of(scene.system, *scene.zero_and_equal_parameters())
-
-
-def scene_kernel_hash(scene: Scene) -> str:
-    """`hash_of_kernels` of a scene."""
-    return hash_of_kernels(scene.system, scene.settings.method, scene_specialization(scene), scene.outputs)
-
-
-def hash_of_kernels(
-    system: System, method: str, specialization: Specialization, outputs: Collection[str]
-) -> str:
-    """Hash of the kernel that points are integrated with; a second one follows where it is the tangent kernel as well."""
-    own = kernel_hash(system, method, specialization, any_axis.frames(system, outputs))
-    return f"{own}-{tangent_kernel_hash(system, specialization)}" if has_chaos(outputs) else own
-
-
-def evaluate_tile(
-    scene: Scene,
+def evaluate(
+    plan: Plan,
     tile: Grid,
     *,
     halved: bool = False,
     threads: int | None = None,
     progress: Callable[[float], None] | None = None,
 ) -> dict[str, np.ndarray]:
-    """`evaluate` for some points of a scene, with its outputs; other variables may be missing."""
-    return evaluate(
-        scene.system, tile.base, tile.points, tile.duration, scene.settings,
-        specialization=scene_specialization(scene), outputs=scene.outputs, nudged=bool(scene.nudge), reason=tile.reason,
-        halved=halved, threads=threads, progress=progress,
-    )  # fmt: skip
-
-
-def evaluate(
-    system: System,
-    base: Points,
-    points: Points,
-    duration: Array,
-    settings: Settings,
-    *,
-    specialization: Specialization = GENERIC,
-    outputs: Collection[str] | None = None,
-    nudged: bool = False,
-    reason: Flags | None = None,
-    halved: bool = False,
-    threads: int | None = None,
-    progress: Callable[[float], None] | None = None,
-) -> dict[str, np.ndarray]:
     """Integrate, measure, label and compare points.
 
-    base: the points before the nudge, for theory; points: the points to integrate; duration: in time units;
-    specialization: what the kernel leaves out, the same for all points of a scene. outputs: names of
-    variables; default: those of `variables.default_variables`. Statistics that are not among them may be
-    missing or cover a part of the run, for without them a point ends when its label is certain. nudged:
-    whether the points were moved off a family's motions. reason: values of `scene.grid.Reason`. Where it is
-    not NONE, points are not computed: their flags are 0, but for the status, and their numbers nan. halved:
-    integrate at half the step that the settings give; progress: called with the points done since the last
-    call, fractions included. Returns by the names of the registry of variables.
+    plan: of these points; statistics that it does not want may be missing or cover a part of the run, for without them a
+    point ends when its label is certain. tile: the points. Those with a reason are not computed: their flags are 0, but for
+    the status, and their numbers nan. halved: integrate at half the step that the settings give; progress: called with the
+    points done since the last call, fractions included. Returns by the names of the registry of variables.
     """
-    if reason is not None and (reason != Reason.NONE).any():
-        exists = reason == Reason.NONE
-        where = np.flatnonzero(exists)
-        columns = evaluate(
-            system, subset(base, where), subset(points, where), duration[where], settings,
-            specialization=specialization, outputs=outputs, nudged=nudged, halved=halved, threads=threads,
-            progress=progress,
-        )  # fmt: skip
-        columns = {name: _scatter(values, exists) for name, values in columns.items()}
-        return columns | {"status": np.where(exists, columns["status"], status_of(reason))}
-    if system.observables:
-        return observed.evaluate(
-            system, base, points, duration, settings, specialization=specialization, outputs=outputs, halved=halved,
-            threads=threads, progress=progress,
-        )  # fmt: skip
-    names = frozenset(outputs or ())  # those sought below are no default variables
-    frames = any_axis.frames(system, names)
-    execution = _Execution(threads, progress or (lambda points: None))
-    runs = _prepare(
-        system, base, points, duration, settings, specialization, nudged, halved, frames, execution
-    )
-    if has_chaos(names):
-        tangent = TangentRuns.of(
-            system, specialization, runs.ensemble, points, duration, settings, runs.step_sizes
-        )
-        runs = replace(runs, tangent=tangent)
-    whole_run = outputs is None or not WHOLE_RUN.isdisjoint(names)
-    integration = _integrate(runs, whole_run, execution)
-    measured = _measured(integration, settings)
-    recheck = _recheck(runs, integration, measured, execution)
-    columns = _assemble(runs, integration, measured, recheck)
-    if runs.tangent is not None:
-        columns |= runs.tangent.variables(columns, execution.threads, execution.progress)
-    if not names.isdisjoint(ANY_AXIS_THEORY):
-        columns |= predict_any_axis(
-            system, base, points, columns, settings.rate_tolerance,
-            nudged=nudged, cylinder_tolerance=settings.cylinder,
-        )  # fmt: skip
-    if "agreement_any_axis" in names:
-        columns["agreement_any_axis"] = agreement(columns["label_any_axis"], columns["predicted_any_axis"])
-    return columns | derived_values(system, names, base, duration, lambda: execution.progress(0.0))
+    if not tile.exists.all():
+        columns = {}
+        some = evaluate(plan, tile.subset(tile.exists), halved=halved, threads=threads, progress=progress)
+        for name, values in some.items():
+            empty = np.nan if values.dtype.kind == "f" else 0
+            columns[name] = np.full(tile.exists.shape, empty, values.dtype)
+            columns[name][tile.exists] = values
+        return columns | {"status": np.where(tile.exists, columns["status"], status_of(tile.reason))}
+    runs = _prepare(plan, tile, halved, _Execution(threads, progress or (lambda points: None)))
+    run = runs.integrate()
+    columns = _assemble(runs, run, *_recheck(runs, run))
+    return columns | _additions(runs, columns)
 
 
 @dataclass(frozen=True)
@@ -149,8 +61,8 @@ class _Execution:
     threads: int | None
     progress: Callable[[float], None]  # takes a number of points; may raise an exception to end the run
 
-    def check(self, point_steps: int) -> None:
-        """For integrations that do not count as progress: call `progress`, which may end the run."""
+    def check(self, point_steps: int = 0) -> None:
+        """For what does not count as progress: call `progress`, which may end the run."""
         self.progress(0.0)
 
 
@@ -158,331 +70,194 @@ class _Execution:
 class _Runs:
     """Points ready to be integrated, and what theory predicts of them; arrays of shape (points,)."""
 
-    system: System
-    settings: Settings
-    kernel: ModuleType  # that integrates the points
+    plan: Plan
+    tile: Grid
     ensemble: Ensemble
     step_sizes: StepSizes
-    duration: Array
-    theory: Mapping[str, np.ndarray]
-    residual: Array  # of the conditions of a steady motion, at the nudged start
-    start_residual: Array  # the same, or of a motion about other axes
-    about_other_axes: Mask  # whether the next lines are about such a motion
-    log_growth: Array  # growth of a distance from the family's motion over the run, as a logarithm
-    log_growth_exact: Array  # the same where no nudge moved the start off the motion, else 0
-    rounding_growth: Array  # the same where the start is on the motion to rounding, else 0
-    rounding_growth_on_vertical: Array  # the same of runs whose third axis never leaves the vertical by a bit
-    frame_rates: Mapping[str, Array]  # label variable -> rate added to psi', rad per time unit
-    tangent: TangentRuns | None = None
+    settled: Mask  # whether the frequency bound holds for the whole run, as far as is known
+    theory: Theory
+    tangent: TangentRuns | None
+    execution: _Execution
 
-    @property
-    def error_amplified(self) -> Mask:
-        """Whether an unstable motion amplifies the method's own error beyond the rate tolerance."""
-        amplified = self.step_sizes.rate_error * np.exp(self.log_growth_exact) > self.settings.rate_tolerance
-        return np.asarray(amplified & (self.log_growth_exact > 0))
+    def integrate(self) -> Run:
+        """Integrate the points, those that are certain to drift only as long as needed if the plan allows it.
+
+        Points that their steps do not resolve run for a few steps.
+        """
+        step_sizes, settings = self.step_sizes.without_unresolved(), self.plan.settings
+        total = max(int(step_sizes.steps.sum()), 1)
+        points = self.ensemble.size * (1.0 - (self.tangent.share if self.tangent else 0.0))
+        stop_rate = None
+        if self.plan.may_stop_early:
+            with np.errstate(all="ignore"):
+                bound, main = self.ensemble.frequency_bound, self.plan.instruments[0]
+                stop_rate = main.early_stop_rate(bound, step_sizes, settings.tolerances)
+                stop_rate = np.where(self.theory.error_amplified(step_sizes, settings), np.inf, stop_rate)
+        integration = self.ensemble.integrate(
+            self.plan.kernel, step_sizes, settings.cylinder, early_stop_rate=stop_rate, threads=self.execution.threads,
+            progress=lambda point_steps: self.execution.progress(points * point_steps / total),
+        )  # fmt: skip
+        rates, growth = self.theory.frame_rates, self.theory.prediction.log_growth
+        return Run(
+            self.plan.system, settings, self.plan.instruments, self.ensemble, self.step_sizes, rates, growth, integration
+        ).measure()  # fmt: skip
+
+    def again(self, run: Run, step_sizes: StepSizes) -> Run:
+        """Integrate the points of a run with other steps."""
+        integration = run.ensemble.integrate(
+            self.plan.kernel, step_sizes, run.settings.cylinder, threads=self.execution.threads, progress=self.execution.check
+        )  # fmt: skip
+        return replace(run, step_sizes=step_sizes, integration=integration).measure()
+
+    def resolved(self, run: Run) -> Mask:
+        """Whether the steps are short enough for the bound and for tangent vectors, and the bound holds."""
+        with np.errstate(all="ignore"):
+            resolved = self.step_sizes.resolved & self.settled & run.instruments[0].resolved(run)
+            return resolved if self.tangent is None else resolved & self.tangent.steps.resolved
+
+    def status(self, run: Run, step_sensitive: Mask | bool) -> Flags:
+        """Status of the points."""
+        with np.errstate(all="ignore"):
+            return labels.status(
+                run.integration.finite, run.measured["integral_drift"], run.settings.drift_tolerance,
+                self.resolved(run), *self.theory.rounding(run), step_sensitive,
+            )  # fmt: skip
 
 
-def _prepare(
-    system: System,
-    base: Points,
-    points: Points,
-    duration: Array,
-    settings: Settings,
-    specialization: Specialization,
-    nudged: bool,
-    halved: bool,
-    frames: int,
-    execution: _Execution,
-) -> _Runs:
+def _prepare(plan: Plan, tile: Grid, halved: bool, execution: _Execution) -> _Runs:
     """The ensemble, its step sizes and its theory. Parameters may overflow: such points end up unresolved."""
-    ensemble = Ensemble.of(system, points, frames)
-    module, method = kernel(system, settings.method, specialization, frames), METHODS[settings.method]
+    system, settings, main = plan.system, plan.settings, plan.instruments[0]
+    ensemble, method = Ensemble.of(system, tile.points, plan.plugs), METHODS[settings.method]
+    settled = np.ones(ensemble.size, bool)
     if system.has_numeric_bound:
         bound, settled = numeric_bound.along_runs(
-            system, module, method, ensemble, duration, settings.max_steps, threads=execution.threads
-        )
-        ensemble = replace(ensemble, frequency_bound=np.where(settled, bound, np.inf))
-    with np.errstate(all="ignore"):
-        step_sizes = StepSizes.of(settings, ensemble.frequency_bound, duration)
-        if halved:
-            step_sizes = step_sizes.halved(method)
-        prediction = predict_runs(
             system,
-            base,
-            points,
-            duration,
-            settings.tolerances,
-            nudged=nudged,
-            any_axis=frames > 0,
-            pause=lambda: execution.progress(0.0),
+            plan.kernel,
+            method,
+            ensemble,
+            tile.duration,
+            settings.max_steps,
             threads=execution.threads,
         )
-        theory, pushed, log_growth = prediction.variables, prediction.pushed, prediction.log_growth
-        # The growth of an offset in one step is rounded: where that is a per cent of it or more, rounding decides.
-        max_residual = np.fmax(
-            labels.ROUNDING_RESIDUAL, 100.0 * labels.ROUNDOFF / (theory["growth_rate"] * step_sizes.step_size)
-        )
-        near = prediction.start_residual <= FAMILY_TOLERANCE
-        exact = ~pushed if nudged else near & (prediction.family_residual <= max_residual)
-        rounding_growth = np.where(exact, log_growth, 0.0)
-        about_vertical = system.growth_about_vertical(points) * duration
-    frame_rates = {"label": np.zeros_like(duration)}
-    if system.frame_rate is not None:
-        frame_rates["label_inertial"] = system.frame_rate(points)
-    return _Runs(
-        system=system,
-        settings=settings,
-        kernel=module,
-        ensemble=ensemble,
-        step_sizes=step_sizes,
-        duration=duration,
-        theory=theory,
-        residual=prediction.residual,
-        start_residual=prediction.start_residual,
-        about_other_axes=prediction.about_other_axes,
-        log_growth=log_growth,
-        log_growth_exact=np.where(pushed, 0.0, log_growth),
-        rounding_growth=rounding_growth,
-        rounding_growth_on_vertical=np.fmin(rounding_growth, about_vertical),
-        frame_rates=frame_rates,
-    )
+        ensemble = replace(ensemble, frequency_bound=main.bound(bound, settled))
+    with np.errstate(all="ignore"):
+        step_sizes = main.step_sizes(settings, ensemble.frequency_bound, tile.duration)
+        if halved:
+            step_sizes = step_sizes.halved(method)
+        theory = Theory.of(plan, tile, ensemble, step_sizes, pause=execution.check, threads=execution.threads)
+        tangent = None
+        if plan.has_chaos:
+            tangent = TangentRuns.of(
+                system, plan.tangent_kernel, ensemble, tile.points, tile.duration, settings, step_sizes
+            )
+    return _Runs(plan, tile, ensemble, step_sizes, settled, theory, tangent, execution)
 
 
-def _integrate(runs: _Runs, whole_run: bool, execution: _Execution) -> Integration:
-    """Integrate the points, those that are certain to drift only as long as needed unless whole_run is set.
+def _recheck(runs: _Runs, run: Run) -> tuple[Array, Mask]:
+    """Relative errors of states and statistics, some of them measured by a second run, and where labels depend on the step.
 
-    Points that their steps do not resolve run for a few steps.
+    Points whose label an error could change are integrated again at half the step.
     """
-    settings, step_sizes = runs.settings, runs.step_sizes.without_unresolved()
-    total = int(step_sizes.steps.sum())
-    points = runs.duration.size if runs.tangent is None else runs.duration.size * (1.0 - runs.tangent.share)
-
-    def advance(point_steps: int) -> None:
-        execution.progress(points * point_steps / total)
-
-    stop_rate = None
-    if not whole_run:
-        with np.errstate(all="ignore"):
-            stop_rate = early_stop_rate(step_sizes, runs.ensemble.frequency_bound, settings.tolerances)
-            stop_rate = np.where(runs.error_amplified, np.inf, stop_rate)
-    return runs.ensemble.integrate(
-        runs.kernel, step_sizes, settings.cylinder,
-        early_stop_rate=stop_rate, threads=execution.threads, progress=advance,
-    )  # fmt: skip
-
-
-def _measured(integration: Integration, settings: Settings) -> dict[str, Array]:
-    """Statistics of an integration, and those of its circles."""
-    measured = integration.statistics()
-    return measured | any_axis.measurements(integration, measured, settings.tolerances)
-
-
-def _status(
-    runs: _Runs, integration: Integration, measured: Mapping[str, Array], step_sensitive: Mask | bool
-) -> Flags:
-    """Status of the points."""
-    # No tilt can grow where the third axis never left the vertical by a bit.
-    on_vertical = measured["sine_max"] == 0.0
-    rounding_growth = np.where(on_vertical, runs.rounding_growth_on_vertical, runs.rounding_growth)
-    settings, step_sizes = runs.settings, runs.step_sizes
+    method, theory = METHODS[run.settings.method], runs.theory
     with np.errstate(all="ignore"):
-        limit = labels.rounding_limit(runs.start_residual, runs.ensemble.frequency_bound, settings.tolerances)
-        resolved = step_sizes.resolved
-        if runs.tangent is not None:
-            resolved = resolved & runs.tangent.steps.resolved
-        return labels.status(
-            integration.finite, measured["integral_drift"], settings.drift_tolerance, resolved,
-            rounding_growth, limit, step_sensitive,
-        )  # fmt: skip
-
-
-@dataclass(frozen=True)
-class _Recheck:
-    """Errors of points, some of which are integrated again with other steps; arrays of shape (points,)."""
-
-    step_sensitive: Mask
-    error: Array  # relative error of states and statistics
-
-
-def _recheck(
-    runs: _Runs, integration: Integration, measured: Mapping[str, Array], execution: _Execution
-) -> _Recheck:
-    """Measure the error of some points, and integrate again those whose label an error could change."""
-    settings, step_sizes, bound = runs.settings, runs.step_sizes, runs.ensemble.frequency_bound
-    with np.errstate(all="ignore"):
-        label = _label_of_motion(runs, measured)
-        resolved = (_status(runs, integration, measured, False) == Status.OK) & ~integration.stopped_early
+        usable = (runs.status(run, False) == Status.OK) & ~run.integration.stopped_early
         # A departure from an unstable motion may be caused by integration errors; it must be where the start
         # satisfies the conditions of the motion to rounding.
-        departed = resolved & (measured["sine_max"] > 0.0) & runs.error_amplified & (label == Label.DRIFTING)
-        step_sensitive = departed & (runs.start_residual <= ROUNDING * np.sqrt(step_sizes.steps))
-        unsure = _unsure(measured, measurement_errors(step_sizes, bound, measured), runs)
-        error = error_estimate(step_sizes, bound, runs.log_growth, integration, measured, settings.cylinder)
-        rate_error = step_sizes.rate_error * np.exp(runs.log_growth)
-        error = np.fmax(error, any_axis.error_of_values(rate_error, bound, measured, settings.tolerances))
-    sample = np.flatnonzero(resolved & measured_points(runs.system, runs.ensemble, settings.check_half_step))
-    if sample.size:
-        error[sample], unsure[sample] = _measured_error(
-            runs, integration, measured, sample, error[sample], execution
+        departed = usable & theory.departed(run)
+        step_sensitive = departed & (
+            theory.prediction.start_residual <= ROUNDING * np.sqrt(run.step_sizes.steps)
         )
-    where = np.flatnonzero(resolved & ~step_sensitive & (unsure | departed))
-    if where.size:
-        changes, difference = _at_half_step(runs, measured, departed[where], where, execution)
-        step_sensitive[where] = changes
-        error[where] = np.fmax(error[where], difference)
-    return _Recheck(step_sensitive, np.fmax(error, measured["integral_drift"]))
+        errors, error = run.errors()
+        unsure = run.unsure(errors)
+        sample = np.flatnonzero(usable & _measured_points(run))
+        if sample.size:
+            error[sample], unsure[sample] = _measured_error(runs, run.subset(sample), error[sample])
+        where = np.flatnonzero(usable & ~step_sensitive & (unsure | departed))
+        if where.size:
+            part = run.subset(where)
+            fine = runs.again(part, part.step_sizes.halved(method))
+            change = np.fmax.reduce([each.rate_change(part, fine) for each in run.instruments])
+            changes = fine.unsure(run.instruments[0].differences(fine, part, change))
+            before, after = part.labels(), fine.labels()
+            changes |= np.any([before[name] != after[name] for name in before], axis=0)
+            changes |= departed[where] & departure_changes(part, fine)
+            step_sensitive[where] = changes
+            error[where] = np.fmax(error[where], change)
+        return np.fmax(error, run.measured["integral_drift"]), step_sensitive
 
 
-def _measured_error(
-    runs: _Runs,
-    integration: Integration,
-    measured: Mapping[str, Array],
-    where: np.ndarray,
-    expected: Array,
-    execution: _Execution,
-) -> tuple[Array, Mask]:
+def _measured_points(run: Run) -> Mask:
+    """Points whose error is measured: none, all, or one in POINTS_PER_HALF_STEP, by a hash of the point.
+
+    What a numeric bound has not seen the expected error cannot contain: then all points are measured.
+    """
+    which, ensemble = run.settings.check_half_step, run.ensemble
+    if which != "sample" or run.system.has_numeric_bound:
+        return np.full(ensemble.size, which == "all" or run.system.has_numeric_bound)
+    mixed = np.zeros(ensemble.size, np.uint64)
+    for bits in np.concatenate([ensemble.state, ensemble.constants]).view(np.uint64):
+        mixed = (mixed ^ bits) * np.uint64(0x9E3779B97F4A7C15)
+        mixed ^= mixed >> np.uint64(29)
+    return np.asarray(mixed % np.uint64(POINTS_PER_HALF_STEP) == 0)
+
+
+def _measured_error(runs: _Runs, run: Run, expected: Array) -> tuple[Array, Mask]:
     """Errors of points from a second run with fewer steps, and whether a label could change within them.
 
-    Where the second run is not resolved, the expected error counts if it is larger; where it overflows, a label could change.
+    Where the second run overflows, a label could change.
     """
-    bound, method = runs.ensemble.frequency_bound[where], METHODS[runs.settings.method]
-    sizes = runs.step_sizes.subset(where)
-    coarse_sizes = second_steps(runs.system, sizes, method)
-    coarse = _integrate_again(runs, where, coarse_sizes, execution)
-    run, values = integration.subset(where), subset(measured, where)
-    coarse_values = _measured(coarse, runs.settings)
-    error = pair_error(
-        runs.system,
-        method,
-        bound,
-        (sizes, run, values),
-        (coarse_sizes, coarse, coarse_values),
-        runs.settings.cylinder,
-    )
-    with np.errstate(all="ignore"):
-        difference = differences(values, coarse_values, _label_statistics(values))
-        unsure = _unsure(values, difference, runs, where)
-    trusted = (coarse_sizes.step_ratio < 0.5) & coarse.finite
-    return np.where(trusted, error, np.fmax(error, expected)), unsure | ~coarse.finite
+    sizes, method = run.step_sizes, METHODS[run.settings.method]
+    coarser = sizes.incommensurate(method) if run.system.has_numeric_bound else sizes.coarsened(method)
+    coarse = runs.again(run, coarser)
+    error = np.fmax.reduce([each.pair_error(run, coarse, expected) for each in run.instruments])
+    unsure = run.unsure(run.instruments[0].differences(run, coarse, error))
+    return error, unsure | ~coarse.integration.finite
 
 
-def _at_half_step(
-    runs: _Runs, measured: Mapping[str, Array], departed: Mask, where: np.ndarray, execution: _Execution
-) -> tuple[Mask, Array]:
-    """Whether labels change at half the step, and the largest change of a rate over the frequency bound."""
-    fine_sizes = runs.step_sizes.subset(where).halved(METHODS[runs.settings.method])
-    fine = _measured(_integrate_again(runs, where, fine_sizes, execution), runs.settings)
-    coarse = subset(measured, where)
-    changes = _label_changes(coarse, fine, runs, where)
-    rates = differences(fine, coarse, (*RATES, *(name for name in any_axis.RATES if name in fine)))
-    changes |= departed & (rates["theta_dot_rms"] > HALF_STEP_RTOL * fine["theta_dot_rms"])
-    return changes, np.fmax.reduce(list(rates.values())) / runs.ensemble.frequency_bound[where]
-
-
-def _integrate_again(
-    runs: _Runs, where: np.ndarray, step_sizes: StepSizes, execution: _Execution
-) -> Integration:
-    """Integrate some of the points, by their indices, with other step sizes."""
-    return runs.ensemble.subset(where).integrate(
-        runs.kernel, step_sizes, runs.settings.cylinder, threads=execution.threads, progress=execution.check
-    )
-
-
-def _label_statistics(measured: Mapping[str, Array]) -> list[str]:
-    """Names of the measurements from which the labels are decided."""
-    return [*labels.LABEL_STATISTICS, *any_axis.names_in(measured)]
-
-
-def _labels(
-    runs: _Runs, measured: Mapping[str, Array], where: np.ndarray | slice = slice(None)
-) -> dict[str, Flags]:
-    """Every label of the points, or of some of them, whatever their status."""
-    tolerances = runs.settings.tolerances
-    kinds = {name: labels.label(measured, tolerances, rate[where]) for name, rate in runs.frame_rates.items()}
-    for name in any_axis.labels_in(measured):
-        circle = any_axis.statistics_of(measured, name)
-        kinds[name] = any_axis.label(circle, kinds[any_axis.LABELS[name]], tolerances)
-    return kinds
-
-
-def _label_of_motion(runs: _Runs, measured: Mapping[str, Array]) -> Flags:
-    """Label about the axes of the motion that the start is on or near, else about the third axis and the vertical."""
-    kinds = _labels(runs, measured)
-    return np.where(runs.about_other_axes, kinds.get("label_any_axis", kinds["label"]), kinds["label"])
-
-
-def _unsure(
-    measured: Mapping[str, Array],
-    error: Mapping[str, Array],
-    runs: _Runs,
-    where: np.ndarray | slice = slice(None),
-) -> Mask:
-    """Whether a label could be another one within the errors of the measurements that decide it."""
-    tolerances = runs.settings.tolerances
-    own_error = {name: error[name] for name in labels.LABEL_STATISTICS}
-    unsure = [
-        labels.unsure(measured, own_error, tolerances, rate[where]) for rate in runs.frame_rates.values()
-    ]
-    for name in any_axis.labels_in(measured):
-        own_label = labels.label(measured, tolerances, runs.frame_rates[any_axis.LABELS[name]][where])
-        circle, errors = (any_axis.statistics_of(values, name) for values in (measured, error))
-        unsure.append(any_axis.unsure(circle, errors, own_label, tolerances))
-    return np.logical_or.reduce(unsure)
-
-
-def _label_changes(
-    coarse: Mapping[str, Array], fine: Mapping[str, Array], runs: _Runs, where: np.ndarray
-) -> Mask:
-    """Whether a label differs at half the step, or could by as much as the measurements differ."""
-    with np.errstate(all="ignore"):
-        difference = differences(fine, coarse, _label_statistics(fine))
-        changes = _unsure(fine, difference, runs, where)
-        before, after = _labels(runs, coarse, where), _labels(runs, fine, where)
-        for name, label in before.items():
-            changes |= label != after[name]
-    return changes
-
-
-def _assemble(
-    runs: _Runs, integration: Integration, measured: Mapping[str, Array], recheck: _Recheck
-) -> dict[str, np.ndarray]:
-    """Every variable of the registry but the system's derived ones."""
-    tolerances = runs.settings.tolerances
-    resolved = runs.step_sizes.resolved
+def _assemble(runs: _Runs, run: Run, error: Array, step_sensitive: Mask) -> dict[str, np.ndarray]:
+    """Every variable of the registry but the additions."""
+    integration, main = run.integration, run.instruments[0]
+    resolved = main.shown(run, runs.resolved(run))
     columns: dict[str, np.ndarray] = {
         name: values if name == "integral_drift" else np.where(resolved, values, np.nan)
-        for name, values in measured.items()
-        if ":" not in name  # what decides labels about any axes
+        for name, values in run.measured.items()
+        if ":" not in name  # what decides labels
     }
-    status = _status(runs, integration, measured, recheck.step_sensitive)
-    cylinder = labels.in_cylinder(measured, tolerances.angle)
+    columns["status"] = status = runs.status(run, step_sensitive)
     with np.errstate(invalid="ignore"):
-        for name, label in _labels(runs, measured).items():
+        for name, label in run.labels().items():
             label[integration.stopped_early] = Label.DRIFTING
             columns[name] = np.where(status == Status.OK, label, Label.UNRESOLVED).astype(np.int8)
-        steady = (status == Status.OK) & (columns["label"] != Label.DRIFTING)
-        columns["geometry"] = runs.system.geometry(
-            measured, steady, cylinder, tolerances.rate, tolerances.angle
-        )
-    for name in NEEDS_PSI:
-        columns[name] = np.where(cylinder, np.nan, columns[name])
-    for name in (*any_axis.RATES, *any_axis.ANGLES):
-        if name in columns:
-            columns[name] = np.where(status == Status.OK, columns[name], np.nan)
-    columns |= runs.theory
-    return columns | {
-        "status": status,
-        "step": runs.step_sizes.step_size,
-        "step_ratio": runs.step_sizes.step_ratio,
-        "error_estimate": np.where(resolved, recheck.error, np.inf),
-        "condition_residual": runs.residual,
-        "end_time": np.where(integration.stopped_early | ~resolved, integration.duration, runs.duration),
-        "agreement": agreement(columns["label"], runs.theory["predicted"]),
+    for instrument in run.instruments:
+        columns |= instrument.columns(run, columns)
+    ended = integration.stopped_early | ~run.step_sizes.resolved
+    columns |= runs.theory.prediction.variables
+    columns |= {
+        "step": run.step_sizes.step_size,
+        "step_ratio": run.step_sizes.step_ratio,
+        "error_estimate": np.where(resolved, error, np.inf),
+        "condition_residual": runs.theory.prediction.residual,
+        "end_time": np.where(ended, integration.duration, runs.tile.duration),
     }
+    return columns
 
 
-def _scatter(values: np.ndarray, exists: Mask) -> np.ndarray:
-    """Values of the points that exist among all points; the others get 0 or nan."""
-    full = np.full(exists.shape, np.nan if values.dtype.kind == "f" else 0, values.dtype)
-    full[exists] = values
-    return full
+def _additions(runs: _Runs, columns: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
+    """What follows from the other variables, from theory, and from runs with tangent vectors."""
+    plan, tile, execution = runs.plan, runs.tile, runs.execution
+    result: dict[str, np.ndarray] = {}
+    if "predicted" in columns:
+        result["agreement"] = agreement(columns["label"], columns["predicted"])
+    if runs.tangent is not None:
+        result |= runs.tangent.variables(columns, execution.threads, execution.progress)
+    if not frozenset(plan.names).isdisjoint(ANY_AXIS_THEORY):
+        predicted = predict_any_axis(
+            plan.system, tile.base, tile.points, columns, plan.settings.rate_tolerance,
+            nudged=plan.nudged, cylinder_tolerance=plan.settings.cylinder,
+        )  # fmt: skip
+        result |= predicted
+        if "agreement_any_axis" in plan.names:
+            result["agreement_any_axis"] = agreement(
+                columns["label_any_axis"], predicted["predicted_any_axis"]
+            )
+    return result | derived_values(plan.system, plan.names, tile.base, tile.duration, execution.check)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -23,7 +23,8 @@ from ..scene.tables import kept_columns, number_column, point_columns, table
 from ..systems.base import Array, Flags, Points, System, subset
 from ..variables import default_variables
 from ..variables import variables as variable_registry
-from .pipeline import evaluate, hash_of_kernels
+from .pipeline import evaluate
+from .plan import Plan
 
 MORE_SETTINGS = ("cylinder_tolerance", "std_tolerance", "drift_tolerance", "max_steps", "check_half_step")
 
@@ -100,7 +101,9 @@ def label_points(
     outputs, keep = _outputs(description, variables), texts("keep", keep)
     source = table(points, {*description.parameters, *keep})
     kept = kept_columns(description, source, keep)
-    _check_names(kept, outputs)
+    for name in kept:
+        if name in outputs:
+            raise BadInput(f"points: the column {name} has the name of a variable of the result; rename it")
     full, size = point_columns(description, source, kept)
     durations, unit = _durations(description, duration, full, size)
     reason = _reasons(description, full, durations, unit)
@@ -108,21 +111,12 @@ def label_points(
     log_warnings(warnings)
     stopwatch = Stopwatch()
     specialization = Specialization.of_points(description, subset(full, reason == grid.Reason.NONE))
-    columns = _evaluate_in_tiles(
-        description,
-        grid.Grid(full, full, reason, durations),
-        settings,
-        specialization,
-        outputs,
-        None if variables is None else outputs,
-        threads,
-        progress,
-    )
+    plan = Plan(description, settings, None if variables is None else outputs, specialization)
+    columns = _evaluate_in_tiles(plan, grid.Grid(full, full, reason, durations), outputs, threads, progress)
     ds = _dataset(description, columns, full, kept)
     ds.attrs |= provenance.provenance(
-        description, settings, hash_of_kernels(description, method, specialization, outputs),
-        title=f"points of the {system}", scene="", seconds=stopwatch.seconds(), points=size,
-        warnings=warnings,
+        description, settings, plan.kernel_hash, title=f"points of the {system}", scene="", seconds=stopwatch.seconds(),
+        points=size, warnings=warnings,
     )  # fmt: skip
     return ds
 
@@ -181,27 +175,16 @@ def _warnings(system: System, points: Points, reason: Flags, text: Duration) -> 
 
 
 def _evaluate_in_tiles(
-    system: System,
-    points: grid.Grid,
-    settings: Settings,
-    specialization: Specialization,
-    names: Sequence[str],
-    outputs: Sequence[str] | None,
-    threads: int | None,
-    progress: bool,
+    plan: Plan, points: grid.Grid, names: Sequence[str], threads: int | None, progress: bool
 ) -> dict[str, np.ndarray]:
-    """The named variables of all points; outputs: as for `evaluate`."""
-    size = points.duration.size
-    registry = variable_registry(system)
+    """The named variables of all points."""
+    size, registry = points.duration.size, variable_registry(plan.system)
     columns = {name: np.empty(size, registry[name].dtype) for name in names}
     bar = Progress(size) if progress else None
     for first in range(0, size, grid.MAX_POINTS_PER_TILE):
         tile = slice(first, first + grid.MAX_POINTS_PER_TILE)
         part = points.subset(tile)
-        values = evaluate(
-            system, part.base, part.points, part.duration, settings, specialization=specialization, outputs=outputs,
-            reason=part.reason, threads=threads, progress=None if bar is None else bar.advance,
-        )  # fmt: skip
+        values = evaluate(plan, part, threads=threads, progress=None if bar is None else bar.advance)
         if bar is not None:
             bar.skip(part.reason.size - int(part.exists.sum()))
         for name, column in columns.items():
@@ -209,13 +192,6 @@ def _evaluate_in_tiles(
     if bar is not None:
         bar.close()
     return columns
-
-
-def _check_names(kept: Collection[str], outputs: Sequence[str]) -> None:
-    """Raise BadInput for columns that have the name of a variable of the result."""
-    for name in kept:
-        if name in outputs:
-            raise BadInput(f"points: the column {name} has the name of a variable of the result; rename it")
 
 
 def _dataset(

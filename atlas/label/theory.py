@@ -4,17 +4,27 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ..engine.ensemble import Ensemble
+from ..engine.stepsize import StepSizes
 from ..flags import Agreement, Label, Stability
-from ..scene.model import Tolerances
+from ..measure.circle import CIRCLES
+from ..measure.instrument import Run, Tolerances
+from ..measure.rates import steady_label
+from ..scene.grid import Grid
+from ..scene.model import Settings
 from ..systems.base import FAMILY_TOLERANCE, Array, Flags, Mask, Points, System, shape_of, subset
-from .labels import ROUNDING_RESIDUAL, steady_label
+from .labels import ROUNDING_RESIDUAL, ROUNDOFF, rounding_limit
 from .offsets import describes, off_family_labels
+from .plan import Plan
 
 MAX_LOG_GROWTH = 700.0  # exp of more overflows
+# A start beside an unstable motion departs because of its nudge, and not of integration errors, where theta' at half the
+# step is the same within this share.
+HALF_STEP_RTOL = 0.05
 
 
 @dataclass(frozen=True)
@@ -36,24 +46,19 @@ class Prediction:
 
 
 def predict_runs(
-    system: System,
-    base: Points,
-    points: Points,
-    duration: Array,
-    tolerances: Tolerances,
+    plan: Plan,
+    tile: Grid,
     *,
-    nudged: bool,
-    any_axis: bool = False,
     pause: Callable[[], None] = lambda: None,
     threads: int | None = None,
 ) -> Prediction:
-    """Predictions for runs of some length.
+    """Predictions for the runs of a plan.
 
-    base, points: the starts before and after the nudge; duration: in time units; tolerances: of labels.
-    nudged: whether there is a nudge. One along a family leads to another exact start. any_axis: whether
-    labels about any axes are measured. Without them a motion about other axes than the third and the vertical
-    drifts, however it grows. pause, threads: see `offsets.off_family_labels`.
+    A nudge along a family leads to another exact start. Where no labels about any axes are measured, a motion about other
+    axes than the third and the vertical drifts, however it grows. pause, threads: see `offsets.off_family_labels`.
     """
+    system, base, points, duration = plan.system, tile.base, tile.points, tile.duration
+    tolerances, nudged = plan.settings.tolerances, plan.nudged
     with np.errstate(all="ignore"):
         residual = system.condition_residual(points)
         nearby = residual <= FAMILY_TOLERANCE
@@ -65,10 +70,16 @@ def predict_runs(
         if not nudged:
             off |= (family > 0) & (family_residual > ROUNDING_RESIDUAL)
         where = np.flatnonzero(off & system.within_range(base))
-        _predict_from_offsets(variables, where, system, points, duration, tolerances, pause, threads)
+        if where.size and describes(system):
+            # Overwrite the labels of these starts by those of the linear equations.
+            near = subset(points, where)
+            frames = _frame_rates(system, near)
+            off_labels = off_family_labels(system, near, duration[where], tolerances, frames, pause, threads)
+            for name, values in off_labels.items():
+                variables[name][where] = values
         growth = system.log_growth(base, family, variables["growth_rate"], duration)
         start_residual = residual.copy()
-        if any_axis:
+        if CIRCLES[0] in plan.instruments:
             members = np.flatnonzero(other)
             start_residual[members] = system.identify_family(subset(points, members))[1]
             pushed[members] = nudged & (start_residual[members] > ROUNDING_RESIDUAL)
@@ -78,24 +89,67 @@ def predict_runs(
     return Prediction(variables, residual, family_residual, start_residual, other, pushed, log_growth)
 
 
-def _predict_from_offsets(
-    variables: dict[str, np.ndarray],
-    where: NDArray[np.int64],
-    system: System,
-    points: Points,
-    duration: Array,
-    tolerances: Tolerances,
-    pause: Callable[[], None],
-    threads: int | None,
-) -> None:
-    """Overwrite the predicted labels of some starts by those of the linear equations, if these describe the system."""
-    if not where.size or not describes(system):
-        return
-    near = subset(points, where)
-    frames = _frame_rates(system, near)
-    labels = off_family_labels(system, near, duration[where], tolerances, frames, pause, threads)
-    for name, values in labels.items():
-        variables[name][where] = values
+@dataclass(frozen=True)
+class Theory:
+    """What theory says of runs; arrays of shape (points,). Of systems without theory nothing grows."""
+
+    prediction: Prediction
+    rounding_growth: Array  # log_growth where the start is on the motion to rounding, else 0
+    growth_about_vertical: (
+        Array  # as a logarithm, of runs whose third axis never leaves the vertical by a bit
+    )
+    frame_rates: Mapping[str, Array]  # label variable -> rate added to psi', rad per time unit
+
+    @classmethod
+    def of(cls, plan: Plan, tile: Grid, ensemble: Ensemble, step_sizes: StepSizes, **options: Any) -> Theory:
+        """Theory of the points of a plan; options: pause and threads of `predict_runs`."""
+        system, zero = plan.system, np.zeros(ensemble.size)
+        if not plan.instruments[0].has_theory:
+            nothing = Prediction({}, zero, zero, zero, zero > 0, zero > 0, zero)
+            return cls(nothing, zero, zero, {"label": zero})
+        prediction = predict_runs(plan, tile, **options)
+        # The growth of an offset in one step is rounded: where that is a per cent of it or more, rounding decides.
+        growth_in_step = prediction.variables["growth_rate"] * step_sizes.step_size
+        max_residual = np.fmax(ROUNDING_RESIDUAL, 100.0 * ROUNDOFF / growth_in_step)
+        near = prediction.start_residual <= FAMILY_TOLERANCE
+        exact = ~prediction.pushed if plan.nudged else near & (prediction.family_residual <= max_residual)
+        about_vertical = system.growth_about_vertical(tile.points) * tile.duration
+        rates = _frame_rates(system, tile.points)
+        return cls(
+            prediction,
+            np.where(exact, prediction.log_growth, 0.0),
+            about_vertical,
+            {name.replace("predicted", "label"): rate for name, rate in rates.items()},
+        )
+
+    def error_amplified(self, step_sizes: StepSizes, settings: Settings) -> Mask:
+        """Whether an unstable motion amplifies the method's own error beyond the rate tolerance."""
+        growth = np.where(self.prediction.pushed, 0.0, self.prediction.log_growth)
+        amplified = step_sizes.rate_error * np.exp(growth) > settings.rate_tolerance
+        return np.asarray(amplified & (growth > 0))
+
+    def rounding(self, run: Run) -> tuple[Array, Array]:
+        """Growth of rounding errors in a run, and that by which they reach a tolerance, as logarithms."""
+        # No tilt can grow where the third axis never left the vertical by a bit.
+        on_vertical = run.measured.get("sine_max", np.ones(run.ensemble.size)) == 0.0
+        least = np.fmin(self.rounding_growth, self.growth_about_vertical)
+        growth = np.where(on_vertical, least, self.rounding_growth)
+        return growth, rounding_limit(self.prediction.start_residual, run.bound, run.settings.tolerances)
+
+    def departed(self, run: Run) -> Mask:
+        """Which drifting motions may have left an unstable one by integration errors."""
+        kinds = run.labels()
+        kind = np.where(
+            self.prediction.about_other_axes, kinds.get("label_any_axis", kinds["label"]), kinds["label"]
+        )
+        tilted = run.measured.get("sine_max", np.ones(run.ensemble.size)) > 0.0
+        return tilted & self.error_amplified(run.step_sizes, run.settings) & (kind == Label.DRIFTING)
+
+
+def departure_changes(run: Run, fine: Run) -> Mask | bool:
+    """Whether a motion leaves an unstable one otherwise at half the step."""
+    rms, fine_rms = (each.measured.get("theta_dot_rms", np.zeros(1)) for each in (run, fine))
+    return np.asarray(np.abs(fine_rms - rms) > HALF_STEP_RTOL * fine_rms)
 
 
 def predict(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Set
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -14,7 +14,6 @@ from .. import systems
 from ..engine import blocks, numeric_bound
 from ..engine.ensemble import Ensemble
 from ..engine.losses import with_frame_vector
-from ..engine.specialization import kernel, kernel_hash
 from ..engine.stepsize import StepSizes
 from ..engine.tableaux import METHODS, Method
 from ..errors import BadInput
@@ -23,6 +22,8 @@ from ..scene import checks, grid
 from ..scene.model import DEFAULTS, Duration, Scene, Settings
 from ..scene.tables import point_columns
 from ..systems.base import Array, Points, System
+from ..variables import main_instrument
+from .plan import Plan
 
 # Instants of a trajectory: some gigabytes.
 MAX_SAMPLES = 10**7
@@ -117,23 +118,30 @@ def _trajectory(
         raise BadInput(f"point: {size} points given; a trajectory is that of one")
     system.check_possible(points)
     ensemble = Ensemble.of(system, points)
-    module = kernel(system, settings.method)
+    plan = Plan(system, settings)
     durations = np.array([duration])
     with np.errstate(all="ignore"):  # numbers may overflow: the motion is then not finite
         bound = ensemble.frequency_bound
         if system.has_numeric_bound:
             bound, _ = numeric_bound.along_runs(
-                system, module, METHODS[settings.method], ensemble, durations, settings.max_steps, threads=1
+                system,
+                plan.kernel,
+                METHODS[settings.method],
+                ensemble,
+                durations,
+                settings.max_steps,
+                threads=1,
             )
         step_sizes = StepSizes.of(settings, bound, durations)
     # Whole steps between samples, never longer than those of the atlas.
     steps = -(-int(step_sizes.steps[0]) // (samples - 1))
-    parts = 1 if system.observables else max(1, min(steps // STEPS_PER_NODE, NODES // (samples - 1)))
+    has_angles = main_instrument(system).has_theory
+    parts = max(1, min(steps // STEPS_PER_NODE, NODES // (samples - 1))) if has_angles else 1
     nodes, steps = parts * (samples - 1), -(-steps // parts)
     step_size = np.array([duration / (steps * nodes)])
-    states, lost = _states(system, module, ensemble, steps, step_size, nodes + 1)
+    states, lost = _states(plan.kernel, ensemble, steps, step_size, nodes + 1)
     path = {}
-    if not system.observables:
+    if has_angles:
         with np.errstate(all="ignore"):
             equations = with_frame_vector(system.equations)
             motion = _Motion(equations, METHODS[settings.method], ensemble.constants, float(step_size[0]))
@@ -143,7 +151,7 @@ def _trajectory(
     ds = _dataset(system, ensemble, states[at_samples], lost, path, np.linspace(0.0, duration, samples))
     _add_parameters(ds, system, points, float(step_size[0]))
     ds.attrs = provenance.provenance(
-        system, settings, kernel_hash(system, settings.method), title=title or f"trajectory of the {system.title}",
+        system, settings, plan.kernel_hash, title=title or f"trajectory of the {system.title}",
         scene="", seconds=0.0, points=1, warnings=system.warnings(points),
     )  # fmt: skip
     for name in ("atlas_seconds", "atlas_points_per_second"):
@@ -175,7 +183,7 @@ def trajectory_of_scene(scene: Scene, places: Mapping[str, float], *, samples: i
 
 
 def _states(
-    system: System, module: Any, ensemble: Ensemble, steps_per_sample: int, step_size: Array, samples: int
+    module: Any, ensemble: Ensemble, steps_per_sample: int, step_size: Array, samples: int
 ) -> tuple[Array, dict[str, Array]]:
     """States at evenly spaced instants, shape (samples, states), and what was lost of first integrals until then."""
     steps, count = np.array([steps_per_sample]), len(ensemble.state)
@@ -183,7 +191,7 @@ def _states(
     states = np.empty((samples, len(ensemble.state)))
     states[0] = ensemble.state[:, 0]
     for i in range(1, samples):
-        state = numeric_bound.advanced(system, module, ensemble, steps, step_size, 1)
+        state = ensemble.final_states(module, steps, step_size, threads=1)
         ensemble = replace(ensemble, state=state)
         states[i] = state[:, 0]
     lost = getattr(module, "LOSSES", ())
@@ -201,54 +209,39 @@ def _dataset(
     """The trajectory with angles, rates and the drift of the first integrals."""
     equations, constants = system.equations, ensemble.constants
     columns = {name: states[:, i] for i, name in enumerate(equations.STATE)}
-    if system.observables:
-        columns |= _observables(system, states, constants)
-    else:
+    if path:
         columns |= _angles(equations, states, constants, path)
+    for name in (o.name for o in system.observables if o.name not in columns):
+        with np.errstate(all="ignore"):
+            columns[name] = np.broadcast_to(getattr(equations, name)(states.T, constants), len(states))
     drift = np.zeros(len(time))
     with np.errstate(all="ignore"):
         for name, scale in zip(equations.INTEGRALS, ensemble.scales, strict=True):
             total = sum(getattr(equations, name)(states.T, constants)) + lost.get(name, 0.0)
             drift = np.maximum(drift, np.abs(total - total[0]) * scale)
     columns["integral_drift"] = drift
-    attributes = _attributes_of_observables(system) if system.observables else _attributes(system)
+    attributes = _attributes(system, _VARIABLES.keys() if path else {"integral_drift"})
     return xr.Dataset(
         {name: ("time", np.asarray(values), attributes[name]) for name, values in columns.items()},
         coords={"time": ("time", time, {"long_name": "time", "units": "s"})},
     )
 
 
-def _attributes(system: System) -> dict[str, dict[str, str]]:
-    """long_name and units of every variable over time; of a state that is no rate the units are unknown."""
+def _attributes(system: System, names: Set[str]) -> dict[str, dict[str, str]]:
+    """long_name and units of the states, of variables of these names and of observables; of a state that is no rate the units are unknown."""
     attributes = {name: {"long_name": f"state {name}"} for name in system.equations.STATE}
     for name in system.rate_states:
         attributes[name]["units"] = _RATE
     for name, axis in zip(("axis_x", "axis_y", "axis_z"), system.frame_axes, strict=True):
         attributes[name] = {"long_name": f"third axis along {axis.strip('$')}", "units": "1"}
-    for name, (long_name, units) in _VARIABLES.items():
+    described = {name: _VARIABLES[name] for name in names} | {
+        o.name: (o.long_name, o.unit) for o in system.observables
+    }
+    for name, (long_name, units) in described.items():
         attributes[name] = {"long_name": long_name, "units": units}
-    for name in ("psi", "phi", "theta_dot", "psi_dot", "phi_dot"):
+    for name in names & {"psi", "phi", "theta_dot", "psi_dot", "phi_dot"}:
         attributes[name]["comment"] = "nan where the third axis is exactly on the vertical"
     return attributes
-
-
-def _attributes_of_observables(system: System) -> dict[str, dict[str, str]]:
-    """long_name and units of every variable over time of a system with observables."""
-    attributes = {name: {"long_name": f"state {name}"} for name in system.equations.STATE}
-    for o in system.observables:
-        attributes[o.name] = {"long_name": o.long_name, "units": o.unit}
-    long_name, units = _VARIABLES["integral_drift"]
-    return attributes | {"integral_drift": {"long_name": long_name, "units": units}}
-
-
-def _observables(system: System, states: Array, constants: Array) -> dict[str, Array]:
-    """Every observable that is not a state, at every instant."""
-    names = [o.name for o in system.observables if o.name not in system.equations.STATE]
-    with np.errstate(all="ignore"):
-        return {
-            name: np.broadcast_to(getattr(system.equations, name)(states.T, constants), len(states))
-            for name in names
-        }
 
 
 def _add_parameters(ds: xr.Dataset, system: System, points: Points, step: float) -> None:

@@ -9,27 +9,24 @@ from concurrent.futures import ThreadPoolExecutor, as_completed
 from contextlib import suppress
 
 from ..engine import blocks
-from ..scene import grid
-from ..scene.model import Scene
-from .tiling import Tiling, mean_steps
+from .plan import ScenePlan
 
 Advance = Callable[[float], None]  # takes a number of finished points
 
 
-def tiles_in_flight(scene: Scene, sample: grid.Grid, tiling: Tiling, threads: int | None) -> int:
+def tiles_in_flight(plan: ScenePlan, threads: int | None) -> int:
     """Number of tiles to compute at a time.
 
     Usually two, so that the processors stay busy while one tile is prepared or written; more where a tile
     is too small to give every thread a call of the kernel; one on a single processor.
 
-    sample: points of the scene, from `grid.check`. threads: threads of the kernel; None for all processors of
-    this process.
+    threads: threads of the kernel; None for all processors of this process.
     """
     threads = threads or blocks.available_threads()
     if threads == 1:
         return 1
-    calls_per_tile = math.prod(tiling.tile) * mean_steps(scene, sample) / blocks.CHUNK
-    return min(1 + math.ceil(threads / max(calls_per_tile, 1.0)), threads + 1, tiling.count)
+    calls_per_tile = math.prod(plan.tiling.tile) * plan.mean_steps / blocks.CHUNK
+    return min(1 + math.ceil(threads / max(calls_per_tile, 1.0)), threads + 1, plan.tiling.count)
 
 
 class _StoppedError(Exception):

@@ -14,16 +14,15 @@ import numpy as np
 from ..engine import blocks
 from ..engine.compiling import Stopwatch
 from ..io.progress import clock
-from ..label.pipeline import evaluate_tile
+from ..label.pipeline import evaluate
 from ..label.theory import predict_runs
 from ..scene import grid
 from ..scene.model import Scene
 from ..systems.base import derived_values
 from .concurrency import tiles_in_flight
-from .method_costs import method_lines
+from .plan import ScenePlan
 from .refine import expected_points
 from .tiles import tile_types
-from .tiling import mean_steps, mean_work, step_sizes, step_warnings, tiling
 
 # Points that are integrated for the measurement, and the steps of all lanes for each thread: some tenths of a second.
 CALIBRATION_POINTS, CALIBRATION_STEPS = 4096, 2e7
@@ -46,93 +45,88 @@ def dry_run(scene: Scene, *, threads: int | None = None, workers: int | None = N
     other method would cost, memory, expected phase error, and the share of points that `max_steps` gives
     fewer steps than the tolerance asks for, if any. Raises BadInput as `run` does.
     """
-    sample = grid.check(scene)
-    tiles, exists = tiling(scene, sample), sample.exists
+    plan = ScenePlan.of(scene)
+    tiles, exists = plan.tiling, plan.sample.exists
     processors = workers or threads or blocks.available_threads()
-    existing, steps_per_point = scene.size * exists.mean(), mean_steps(scene, sample)
-    points = existing if scene.refine is None else expected_points(scene)
-    cost = _measure(scene, sample, processors)
+    existing = scene.size * exists.mean()
+    points = existing if scene.refine is None else expected_points(plan)
+    cost = _measure(plan, processors)
     file_bytes = scene.size * sum(np.dtype(dtype).itemsize for dtype in tile_types(scene).values())
-    derived_seconds = _derived_seconds(scene, sample)
+    derived_seconds = _derived_seconds(scene, plan.sample)
     # A refined atlas has predictions at every point.
     theory_seconds = existing * cost.theory_seconds + points * derived_seconds
-    seconds = points * mean_work(scene, sample) * cost.seconds_per_step + theory_seconds
+    seconds = points * plan.mean_work * cost.seconds_per_step + theory_seconds
     tile_bytes = cost.bytes_per_point * math.prod(tiles.tile)
     if workers:
         memory, processors_text = workers * (_resident_bytes() + tile_bytes), f"{workers} processes"
     else:
-        in_flight = tiles_in_flight(scene, sample, tiles, processors)
+        in_flight = tiles_in_flight(plan, processors)
         memory, processors_text = _resident_bytes() + in_flight * tile_bytes, f"{processors} threads"
-    phase_error = step_sizes(scene, sample).dispersion_error[exists].max()
+    phase_error = plan.step_sizes.dispersion_error[exists].max()
     division = "in one process, near the borders that theory predicts"
     if scene.refine is None:
         division = f"{tiles.count} tiles of at most {math.prod(tiles.tile)}"
     lines = [
         f"{scene.size} points, about {points:.0f} to integrate, {division}",
-        *grid.not_computed(scene, sample),
+        *grid.not_computed(scene, plan.sample),
         f"file: at most {file_bytes / 1e6:.4g} MB before compression",
-        f"time: about {clock(seconds)} on {processors_text} ({steps_per_point:.4g} steps a point,"
+        f"time: about {clock(seconds)} on {processors_text} ({plan.mean_steps:.4g} steps a point,"
         f" {1e9 * cost.seconds_per_step * processors:.3g} ns a step and processor), of which theory"
         f" {clock(theory_seconds)}",
-        *method_lines(scene, sample),
+        *plan.method_lines(),
         f"first call of the kernel: {cost.compile_seconds:.1f} s (compiling, if it was not in the cache)",
         f"memory: about {memory / 1e6:.0f} MB",
         f"expected phase error of the fastest frequency: at most {phase_error:.2g} rad",
     ]
-    lines += step_warnings(scene, sample)
-    return "\n".join(lines)
+    return "\n".join([*lines, *plan.step_warnings()])
 
 
-def _measure(scene: Scene, sample: grid.Grid, threads: int) -> _Measurement:
+def _measure(plan: ScenePlan, threads: int) -> _Measurement:
     """Integrate some points of the sample three times: to compile, to time, and to trace memory."""
-    scene, points = _calibration(scene, sample, threads)
+    plan = _calibration(plan, threads)
+    points = plan.sample
     stopwatch = Stopwatch()  # without the time in which a kernel is compiled
-    predict_runs(
-        scene.system, points.base, points.points, points.duration, scene.settings.tolerances,
-        nudged=bool(scene.nudge), threads=threads,
-    )  # fmt: skip
+    predict_runs(plan.points, points, threads=threads)
     theory_seconds = stopwatch.seconds()
 
     def seconds() -> float:
         """Wall-clock time of integrating the points."""
         started = time.perf_counter()
-        evaluate_tile(scene, points, threads=threads)
+        evaluate(plan.points, points, threads=threads)
         return time.perf_counter() - started
 
     first, second = seconds(), seconds()
     tracemalloc.start()
-    evaluate_tile(scene, points, threads=threads)
+    evaluate(plan.points, points, threads=threads)
     peak_bytes = tracemalloc.get_traced_memory()[1]
     tracemalloc.stop()
     return _Measurement(
-        seconds_per_step=max(second - theory_seconds, 0.1 * second)
-        / (points.exists.size * mean_work(scene, points)),
+        seconds_per_step=max(second - theory_seconds, 0.1 * second) / (points.exists.size * plan.mean_work),
         theory_seconds=theory_seconds / points.exists.size,
         compile_seconds=max(first - second, 0.0),
         bytes_per_point=peak_bytes / points.exists.size,
     )
 
 
-def _calibration(scene: Scene, sample: grid.Grid, threads: int) -> tuple[Scene, grid.Grid]:
-    """The scene and some of its points, with duration and max_steps so small that a measurement is short.
+def _calibration(plan: ScenePlan, threads: int) -> ScenePlan:
+    """The plan for some of its points, with duration and max_steps so small that a measurement is short.
 
     Derived variables are left out: they may take long.
     """
-    outputs = tuple(name for name in scene.outputs if name not in scene.system.derived)
-    scene = replace(scene, outputs=outputs)
-    exists = np.flatnonzero(sample.exists)
+    outputs = tuple(name for name in plan.scene.outputs if name not in plan.scene.system.derived)
+    exists = np.flatnonzero(plan.sample.exists)
     chosen = exists[np.linspace(0, exists.size - 1, min(exists.size, CALIBRATION_POINTS)).astype(np.int64)]
-    points = sample.subset(chosen)
+    plan = ScenePlan(replace(plan.scene, outputs=outputs), plan.sample.subset(chosen))
     while True:
-        schedule = blocks.schedule_of(step_sizes(scene, points).without_unresolved())
-        work = mean_work(scene, points) / mean_steps(scene, points) * schedule.point_steps
+        schedule = blocks.schedule_of(plan.step_sizes.without_unresolved())
+        work = plan.mean_work / plan.mean_steps * schedule.point_steps
         fraction = CALIBRATION_STEPS * min(threads, len(schedule.points)) / work
         if fraction > 0.8:  # counts of steps are rounded
-            return scene, points
+            return plan
         # Both, because a limited number of steps does not depend on the duration.
-        max_steps = max(round(scene.settings.max_steps * fraction), 1)
-        scene = replace(scene, settings=replace(scene.settings, max_steps=max_steps))
-        points = replace(points, duration=points.duration * fraction)
+        settings = plan.limited(max(round(plan.scene.settings.max_steps * fraction), 1))
+        sample = replace(plan.sample, duration=plan.sample.duration * fraction)
+        plan = ScenePlan(replace(plan.scene, settings=settings), sample)
 
 
 def _derived_seconds(scene: Scene, sample: grid.Grid) -> float:

@@ -49,13 +49,12 @@ from ..files import (
 from ..io import netcdf, progress, zarr_store
 from ..io.netcdf import Block
 from ..io.provenance import scene_provenance
-from ..label.pipeline import scene_kernel_hash
 from ..scene import grid
-from ..scene.model import Scene
 from ..scene.read import parse_scene
 from .identity import differences, identity
+from .plan import ScenePlan
 from .tiles import DamagedTileError, Tally, TileFiles, tile_types
-from .tiling import Tiling, tiling
+from .tiling import Tiling
 
 FORMAT = 2
 MANIFEST = "manifest.json"
@@ -130,30 +129,29 @@ class RunFolder:
             raise BadInput(f"{file}: damaged: {one_line(error)}") from None
 
     @classmethod
-    def prepare(cls, scene: Scene, path: Path, sample: grid.Grid, warnings: list[str]) -> RunFolder:
+    def prepare(cls, plan: ScenePlan, path: Path, warnings: list[str]) -> RunFolder:
         """Create the run folder of a scene, or open it to be continued.
 
-        sample: points of the scene, from `grid.check`; warnings: warnings about the scene, for the attributes
-        of the atlas. Raises BadInput if the folder holds another run (the message lists the differences) or
+        warnings: warnings about the scene, for the attributes of the atlas. Raises BadInput if the folder holds another run (the message lists the differences) or
         anything else; the folder is then unchanged.
         """
         path = path.absolute()
         if not (path / MANIFEST).exists():
             _check_new_folder(path)
-            manifest = _manifest(scene, sample, warnings)
+            manifest = _manifest(plan, warnings)
             path.mkdir(exist_ok=True)
             # Another process may have created the manifest in the meantime; its folder is then checked below.
             with suppress(FileExistsError), atomic_write(path / MANIFEST, exclusive=True) as temporary:
                 temporary.write_text(sealed(manifest), encoding="utf-8")
         run = cls.open(path)
-        run.check_same(scene)
+        run.check_same(plan)
         run.remove_leftovers()
         with suppress(OSError):
             run.tiles.folder.mkdir(exist_ok=True)
         return run
 
     @classmethod
-    def discard(cls, scene: Scene, path: Path) -> None:
+    def discard(cls, plan: ScenePlan, path: Path) -> None:
         """Remove the run folder at `path` if it holds another scene, or a run of another version.
 
         BadInput if a process computes it.
@@ -165,15 +163,15 @@ class RunFolder:
         except BadInput:
             return  # `prepare` refuses it
         try:
-            run.check_same(scene)
+            run.check_same(plan)
         except BadInput:
             run.check_idle()
             run.remove()
 
-    def check_same(self, scene: Scene) -> None:
+    def check_same(self, plan: ScenePlan) -> None:
         """Raise BadInput, listing the differences, unless this process computes the same bits for the scene."""
         stored = _flattened(tomllib.loads(self.manifest["scene"])) | self.manifest["identity"]
-        current = _flattened(tomllib.loads(scene.toml())) | identity(scene)
+        current = _flattened(tomllib.loads(plan.scene.toml())) | identity(plan.points)
         different = differences(stored, current, "in the folder", "now")
         if different:
             raise BadInput(
@@ -432,16 +430,15 @@ def _check_new_folder(path: Path) -> None:
     check_folder(path / MANIFEST if path.exists() else path)
 
 
-def _manifest(scene: Scene, sample: grid.Grid, warnings: list[str]) -> dict[str, Any]:
+def _manifest(plan: ScenePlan, warnings: list[str]) -> dict[str, Any]:
     """Content of a new manifest."""
-    attributes = scene_provenance(
-        scene, scene_kernel_hash(scene), seconds=0.0, points=scene.size, warnings=warnings
-    )
+    scene, kernel = plan.scene, plan.points.kernel_hash
+    attributes = scene_provenance(scene, kernel, seconds=0.0, points=scene.size, warnings=warnings)
     manifest = {
         "format": FORMAT,
         "scene": scene.toml(),
-        "identity": identity(scene),
-        "tile": tiling(scene, sample).tile,
+        "identity": identity(plan.points),
+        "tile": plan.tiling.tile,
         "created": f"{datetime.now(UTC):%Y-%m-%dT%H:%M:%SZ}",
         "provenance": {  # JSON has no nan
             name: None if isinstance(value, float) and math.isnan(value) else value

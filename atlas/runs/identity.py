@@ -15,12 +15,11 @@ import scipy
 from .. import sources, systems
 from .._version import __version__
 from ..errors import BadInput
-from ..label.pipeline import scene_kernel_hash
-from ..scene.model import Scene
+from ..label.plan import Plan
 from ..systems.base import System
 
 
-def identity(scene: Scene) -> dict[str, str]:
+def identity(plan: Plan) -> dict[str, str]:
     """Programs and processor on which the bits of an atlas depend, as they are in the memory of this process.
 
     Returns versions of programs and libraries, hashes of this package's sources and of the kernel, and the
@@ -33,7 +32,7 @@ def identity(scene: Scene) -> dict[str, str]:
     from ..engine import jit
 
     # The hash is computed from source files, so before the check whether these have changed.
-    kernel = scene_kernel_hash(scene)
+    kernel = plan.kernel_hash
     changed = sources.changed()
     if changed:
         raise BadInput(
@@ -44,7 +43,7 @@ def identity(scene: Scene) -> dict[str, str]:
     return {
         "atlas": __version__,
         "code": sources.code(),
-        **_system_code(scene.system),
+        **_system_code(plan.system),
         "kernel": kernel,
         "cpu": jit.cpu(),
         **{f"NUMBA_{name}": value for name, value in jit.settings().items()},

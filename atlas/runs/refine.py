@@ -19,12 +19,13 @@ from ..flags import Stability
 from ..io import netcdf
 from ..io.provenance import scene_provenance
 from ..label import theory
-from ..label.pipeline import evaluate_tile, scene_kernel_hash
+from ..label.pipeline import evaluate
 from ..scene import grid
 from ..scene.model import Scene
 from ..systems.base import Flags
 from ..validation import half_step
 from ..variables import COMPUTED, variables
+from .plan import ScenePlan
 
 # Measured flags whose boundaries are traced: the label always, the others where the scene asks for them.
 MEASURED = (
@@ -42,7 +43,7 @@ MAX_PREDICTED = 2**18
 
 
 def refined(
-    scene: Scene, warnings: list[str], *, threads: int | None = None, progress: bool = True
+    plan: ScenePlan, warnings: list[str], *, threads: int | None = None, progress: bool = True
 ) -> xr.Dataset:
     """Compute the atlas of a scene that has [refine], on its finest grid.
 
@@ -59,10 +60,11 @@ def refined(
     family exists; atlas_probe_points and atlas_probe_missed, the number of points of the probe and how many
     of them had other flags than assumed.
     """
+    scene = plan.scene
     assert scene.refine is not None
     stopwatch = Stopwatch()
     _check_memory(scene)
-    fine = _FineGrid(scene, threads)
+    fine = _FineGrid(plan, threads)
     for level in range(scene.refine.levels + 1):
         fine.refine_to(level)
         if progress:
@@ -73,7 +75,7 @@ def refined(
     ds = fine.dataset()
     attributes = scene_provenance(
         scene,
-        scene_kernel_hash(scene),
+        plan.points.kernel_hash,
         seconds=stopwatch.seconds(),
         points=fine.n_integrated,
         warnings=warnings,
@@ -82,7 +84,7 @@ def refined(
         "atlas_probe_points": probe_points,
         "atlas_probe_missed": probe_missed,
     }
-    return ds.assign_attrs(attributes | half_step.half_step_sample(scene, threads=threads))
+    return ds.assign_attrs(attributes | half_step.half_step_sample(scene, plan.points, threads=threads))
 
 
 def _check_memory(scene: Scene) -> None:
@@ -106,8 +108,9 @@ class _FineGrid:
     (integrated, or without motion), assumed elsewhere. A spacing is a number of fine points for each axis.
     """
 
-    def __init__(self, scene: Scene, threads: int | None):
-        self.scene, self.threads = scene, threads
+    def __init__(self, plan: ScenePlan, threads: int | None):
+        self.scene, self.plan, self.threads = plan.scene, plan.points, threads
+        scene = plan.scene
         self.registry = variables(scene.system)
         self.flags = [name for name in MEASURED if name == "label" or name in scene.outputs]
         self.flag_counts = [len(self.registry[name].flags or ()) for name in self.flags]
@@ -141,11 +144,9 @@ class _FineGrid:
             column[indices] = points.base[name]
         existing = indices[points.exists]
         if existing.size:
-            existing_points = points.subset(points.exists)
-            prediction = theory.predict_runs(
-                scene.system, existing_points.base, existing_points.points, existing_points.duration,
-                scene.settings.tolerances, nudged=bool(scene.nudge), threads=self.threads,
-            )  # fmt: skip
+            # How long a motion about other axes lasts does not count here.
+            plan = replace(self.plan, outputs=())
+            prediction = theory.predict_runs(plan, points.subset(points.exists), threads=self.threads)
             self.growth_rate[existing] = prediction.variables["growth_rate"]
             for name, flags in self.predicted.items():
                 flags[existing] = prediction.variables[name]
@@ -229,7 +230,7 @@ class _FineGrid:
     def _values(self, indices: np.ndarray) -> dict[str, np.ndarray]:
         """Flags and numbers of points, by their flat indices in the finest grid."""
         points = grid.points_at_indices(self.scene, indices)
-        return evaluate_tile(self.scene, points, threads=self.threads)
+        return evaluate(self.plan, points, threads=self.threads)
 
     def dataset(self) -> xr.Dataset:
         """The atlas without provenance."""
@@ -254,8 +255,9 @@ class _PredictedGrid(_FineGrid):
         "status": "stable",
     }
 
-    def __init__(self, scene: Scene):
-        super().__init__(replace(scene, outputs=tuple(n for n in scene.outputs if n in MEASURED)), threads=1)
+    def __init__(self, plan: ScenePlan):
+        scene = replace(plan.scene, outputs=tuple(n for n in plan.scene.outputs if n in MEASURED))
+        super().__init__(replace(plan, scene=scene), threads=1)
 
     def _values(self, indices: np.ndarray) -> dict[str, np.ndarray]:
         """Predictions in place of the measured flags; 0 where theory predicts nothing of a flag."""
@@ -268,7 +270,7 @@ class _PredictedGrid(_FineGrid):
         return int((self._near_boundary(self.flag_code) & self.computed).sum())
 
 
-def expected_points(scene: Scene) -> float:
+def expected_points(plan: ScenePlan) -> float:
     """Expected number of points that `refined` integrates, from the boundaries that theory predicts.
 
     The refinement is simulated on a grid of at most MAX_PREDICTED points, with predictions in place of
@@ -276,14 +278,15 @@ def expected_points(scene: Scene) -> float:
     the spacing, and those of slow instabilities like the number of all points. A boundary that theory does not predict
     is not counted.
 
-    scene: with [refine].
+    plan: of a scene with [refine].
     """
+    scene = plan.scene
     assert scene.refine is not None
     levels, n_axes = scene.refine.levels, sum(factor > 1 for factor in scene.coarsening)
     finer = 0  # levels between the grid of the simulation and the finest one
     while scene.size / 2 ** (n_axes * finer) > MAX_PREDICTED:
         finer += 1
-    predicted = _PredictedGrid(_coarser(scene, finer))
+    predicted = _PredictedGrid(replace(plan, scene=_coarser(scene, finer)))
     for level in range(max(levels - finer, 0) + 1):
         predicted.refine_to(level)
     predicted.trace_predicted_boundary()

@@ -23,8 +23,8 @@ from ..interruption import explain_kept
 from ..io import checksums, netcdf
 from ..io.progress import Progress
 from ..io.provenance import log_warnings, scene_provenance
-from ..label import regularity
-from ..label.pipeline import evaluate_tile, scene_kernel_hash
+from ..label.pipeline import evaluate
+from ..label.plan import Plan
 from ..scene import grid
 from ..scene.checks import MAX_THREADS, typed, whole_number
 from ..scene.model import Scene
@@ -35,8 +35,8 @@ from .concurrency import Advance, for_each_tile, tiles_in_flight
 from .folder import LONGEST_NAME, MANIFEST, RESULT, RunFolder, remove_empty, result_hash
 from .identity import differences, identity
 from .open import open_atlas
+from .plan import ScenePlan
 from .tiles import TileFiles, tile_types
-from .tiling import tiling
 
 MAX_DAMAGE_WARNINGS = 5
 
@@ -139,27 +139,27 @@ def run(
     if path is not None and one_file and path.exists() and not force:
         if not _folder_of(path).exists():
             raise BadInput(exists_message(path))
-        return _finished(scene, path)
+        return _finished(ScenePlan.of(scene), path)
     if scheduler:
         cluster.check(scheduler)
-    sample = grid.check(scene)
-    warnings = [*grid.warnings(scene, sample), *regularity.warnings(scene, sample)]
+    plan = ScenePlan.of(scene)
+    warnings = [*grid.warnings(scene, plan.sample), *plan.chaos_warnings()]
     log_warnings(warnings)
     if scene.refine is not None:
         with announced(progress):
-            ds = refine.refined(scene, warnings, threads=threads, progress=progress)
+            ds = refine.refined(plan, warnings, threads=threads, progress=progress)
         if path is None:
             return ds
-        netcdf.write(ds.assign_attrs({RESULT: _own_result_hash(scene)}), path)
+        netcdf.write(ds.assign_attrs({RESULT: _own_result_hash(plan)}), path)
         return open_atlas(path)
     if path is None:
-        return _run_in_memory(scene, sample, warnings, threads, progress)
+        return _run_in_memory(plan, warnings, threads, progress)
     if one_file:
         if force:
-            RunFolder.discard(scene, _folder_of(path))
-        return _run_to_file(scene, path, sample, warnings, execution, progress)
-    folder = RunFolder.prepare(scene, path, sample, warnings)
-    _complete(folder, sample, execution, progress).close()
+            RunFolder.discard(plan, _folder_of(path))
+        return _run_to_file(plan, path, warnings, execution, progress)
+    folder = RunFolder.prepare(plan, path, warnings)
+    _complete(folder, plan, execution, progress).close()
     explain_kept(None)
     return folder.dataset()
 
@@ -187,7 +187,7 @@ def _folder_of(path: Path) -> Path:
     return path.with_name(path.name + ".run")
 
 
-def _complete(folder: RunFolder, sample: grid.Grid, execution: _Execution, progress: bool) -> Progress:
+def _complete(folder: RunFolder, plan: ScenePlan, execution: _Execution, progress: bool) -> Progress:
     """Compute the missing tiles of a run folder or of one shard of it, and the attributes of the finished run.
 
     Returns the progress, which says that this process is at work until it is closed.
@@ -200,14 +200,16 @@ def _complete(folder: RunFolder, sample: grid.Grid, execution: _Execution, progr
     bar = job.open_progress(progress and bool(job.unfinished))
     try:
         if job.unfinished:
-            _compute_tiles(job, bar, sample, execution)
+            _compute_tiles(job, bar, plan, execution)
         try:
             finished = bool(folder.final_attributes())
         except BadInput as error:
             logging.getLogger("atlas").warning("%s", error)
             finished = False
         if not finished and folder.is_written():
-            folder.save_final_attributes(half_step.half_step_sample(folder.scene, threads=execution.threads))
+            folder.save_final_attributes(
+                half_step.half_step_sample(plan.scene, plan.points, threads=execution.threads)
+            )
     except OSError:
         bar.close()
         folder.check_kept()
@@ -219,7 +221,7 @@ def _complete(folder: RunFolder, sample: grid.Grid, execution: _Execution, progr
 
 
 def _run_to_file(
-    scene: Scene, path: Path, sample: grid.Grid, warnings: list[str], execution: _Execution, progress: bool
+    plan: ScenePlan, path: Path, warnings: list[str], execution: _Execution, progress: bool
 ) -> xr.Dataset:
     """Compute an atlas in its run folder, join it, and remove the folder.
 
@@ -228,23 +230,23 @@ def _run_to_file(
     """
     before, bar, folder = _stamp(path), None, None
     try:
-        folder = RunFolder.prepare(scene, _folder_of(path), sample, warnings)
+        folder = RunFolder.prepare(plan, _folder_of(path), warnings)
         if _stamp(path) == before:
-            bar = _complete(folder, sample, execution, progress)
+            bar = _complete(folder, plan, execution, progress)
         if _stamp(path) == before:
             folder.join(path)
             folder.remove()
             explain_kept(None)
             return open_atlas(path)
     except (BadInput, OSError):
-        if _stamp(path) == before or not _is_result(scene, path):
+        if _stamp(path) == before or not _is_result(plan, path):
             if folder is not None:
                 folder.check_kept()
             raise
     finally:
         if bar is not None:
             bar.close()
-    return _finished(scene, path)
+    return _finished(plan, path)
 
 
 def _stamp(path: Path) -> tuple[int, int] | None:
@@ -256,7 +258,7 @@ def _stamp(path: Path) -> tuple[int, int] | None:
     return status.st_ino, status.st_mtime_ns
 
 
-def _is_result(scene: Scene, path: Path) -> bool:
+def _is_result(plan: ScenePlan, path: Path) -> bool:
     """Whether a file is the undamaged result of running this scene by these programs."""
     try:
         with open_atlas(path) as ds:
@@ -264,25 +266,25 @@ def _is_result(scene: Scene, path: Path) -> bool:
     except BadInput:
         return False
     # A dataset that a user derives from an atlas has its attributes but no checksums.
-    return result is not None and checksums.are_in(path) and result == _own_result_hash(scene)
+    return result is not None and checksums.are_in(path) and result == _own_result_hash(plan)
 
 
-def _own_result_hash(scene: Scene) -> str:
+def _own_result_hash(plan: ScenePlan) -> str:
     """`result_hash` of what this process computes for a scene."""
-    return result_hash(scene.toml(), identity(scene))
+    return result_hash(plan.scene.toml(), identity(plan.points))
 
 
-def _finished(scene: Scene, path: Path) -> xr.Dataset:
+def _finished(plan: ScenePlan, path: Path) -> xr.Dataset:
     """Open a file that holds the result already, after removing its run folder; BadInput if it does not.
 
     A run that is killed after it moved the file into place ends here when it is started again.
     """
-    if not _is_result(scene, path):
+    if not _is_result(plan, path):
         raise BadInput(exists_message(path))
     folder_path = _folder_of(path)
     try:
         folder = RunFolder.open(folder_path)
-        folder.check_same(scene)
+        folder.check_same(plan)
     except BadInput:
         remove_empty(folder_path)  # unless it holds something else
     else:
@@ -291,42 +293,28 @@ def _finished(scene: Scene, path: Path) -> xr.Dataset:
     return open_atlas(path)
 
 
-def _compute_points(
-    scene: Scene, indices: np.ndarray, threads: int | None, progress: Advance | None
-) -> tuple[dict[str, np.ndarray], int]:
-    """Columns of a tile by name, and the number of its points where the family exists."""
-    points = grid.points_at_indices(scene, indices)
-    values = evaluate_tile(scene, points, threads=threads, progress=progress)
-    columns = {name: values[name] for name in scene.outputs}
-    columns |= {name: points.base[name] for name in scene.solve}
-    return columns, int(points.exists.sum())
-
-
-def _run_in_memory(
-    scene: Scene, sample: grid.Grid, warnings: list[str], threads: int | None, progress: bool
-) -> xr.Dataset:
+def _run_in_memory(plan: ScenePlan, warnings: list[str], threads: int | None, progress: bool) -> xr.Dataset:
     """Compute an atlas without a run folder."""
+    scene, tiles = plan.scene, plan.tiling
     columns = {name: np.empty(scene.size, dtype) for name, dtype in tile_types(scene).items()}
-    tiles = tiling(scene, sample)
     bar = Progress(scene.size, show=progress)
 
     def compute(tile: int, advance: Advance) -> None:
         indices = tiles.indices(tile)
-        values, computed = _compute_points(scene, indices, threads, advance)
+        points = grid.points_at_indices(scene, indices)
+        values = evaluate(plan.points, points, threads=threads, progress=advance) | points.base
         for name, column in columns.items():
             column[indices] = values[name]
-        bar.skip(indices.size - computed)
+        bar.skip(indices.size - int(points.exists.sum()))
 
     try:
-        in_flight = tiles_in_flight(scene, sample, tiles, threads)
-        for_each_tile(range(tiles.count), compute, bar.advance, in_flight)
+        for_each_tile(range(tiles.count), compute, bar.advance, tiles_in_flight(plan, threads))
     finally:
         bar.close()
-    seconds = bar.stopwatch.seconds()
     attributes = scene_provenance(
-        scene, scene_kernel_hash(scene), seconds=seconds, points=scene.size, warnings=warnings
+        scene, plan.points.kernel_hash, seconds=bar.stopwatch.seconds(), points=scene.size, warnings=warnings
     )
-    attributes |= half_step.half_step_sample(scene, threads=threads)
+    attributes |= half_step.half_step_sample(plan.scene, plan.points, threads=threads)
     return netcdf.dataset(scene, columns).assign_attrs(attributes)
 
 
@@ -373,20 +361,20 @@ class _Job:
                 yield tile
 
 
-def _compute_tiles(job: _Job, bar: Progress, sample: grid.Grid, execution: _Execution) -> None:
+def _compute_tiles(job: _Job, bar: Progress, plan: ScenePlan, execution: _Execution) -> None:
     """Compute the tiles of a job that are missing or damaged."""
     try:
         if execution.on_cluster:
             if execution.workers:
-                _compile_kernel(job.folder.scene, sample)
+                _compile_kernel(plan)
             _compute_on_cluster(job, bar, execution)
         else:
-            _compute_in_threads(job, bar, sample, execution.threads)
+            _compute_in_threads(job, bar, plan, execution.threads)
     finally:
         job.folder.remove_leftovers()
 
 
-def _compute_in_threads(job: _Job, bar: Progress, sample: grid.Grid, threads: int | None) -> None:
+def _compute_in_threads(job: _Job, bar: Progress, plan: ScenePlan, threads: int | None) -> None:
     """Compute the tiles of a job in threads of this process."""
     folder = job.folder
     by = f"{threads or blocks.available_threads()} threads"
@@ -395,26 +383,31 @@ def _compute_in_threads(job: _Job, bar: Progress, sample: grid.Grid, threads: in
 
     def compute(tile: int, advance: Advance) -> None:
         nonlocal last_end
-        indices = folder.tiling.indices(tile)
-        columns, computed = _compute_points(folder.scene, indices, threads, advance)
+        columns, computed = _tile_columns(plan.points, folder, tile, threads, advance)
         with lock:  # tiles overlap: each takes the time since the one before it ended
             now = stopwatch.seconds()
             seconds, last_end = now - last_end, now
         folder.check_kept()
         folder.tiles.write(tile, columns, computed=computed, seconds=seconds, by=by)
-        bar.skip(indices.size - computed)
+        bar.skip(folder.tiling.size_of(tile) - computed)
 
-    in_flight = tiles_in_flight(folder.scene, sample, folder.tiling, threads)
-    for_each_tile(job.remaining_tiles(bar), compute, bar.advance, in_flight)
+    for_each_tile(job.remaining_tiles(bar), compute, bar.advance, tiles_in_flight(plan, threads))
 
 
-def _compile_kernel(scene: Scene, sample: grid.Grid) -> None:
+def _tile_columns(
+    plan: Plan, folder: RunFolder, tile: int, threads: int | None, progress: Advance | None
+) -> tuple[dict[str, np.ndarray], int]:
+    """Columns of a tile by name, and the number of its points where the family exists."""
+    points = grid.points_at_indices(folder.scene, folder.tiling.indices(tile))
+    values = evaluate(plan, points, threads=threads, progress=progress) | points.base
+    return {name: values[name] for name in folder.tiles.types}, int(points.exists.sum())
+
+
+def _compile_kernel(plan: ScenePlan) -> None:
     """Compile the kernel of a scene by one step at one point: each new process would compile it otherwise."""
-    outputs = tuple(name for name in scene.outputs if name not in scene.system.derived)
-    if not outputs:
-        return
-    scene = replace(scene, outputs=outputs, settings=replace(scene.settings, max_steps=1))
-    evaluate_tile(scene, sample.subset(np.flatnonzero(sample.exists)[:1]), threads=1)
+    points = replace(plan.points.without_derived(), settings=plan.limited(1))
+    if points.outputs:
+        evaluate(points, plan.sample.subset(np.flatnonzero(plan.sample.exists)[:1]), threads=1)
 
 
 def _compute_on_cluster(job: _Job, bar: Progress, execution: _Execution) -> None:
@@ -449,25 +442,26 @@ def compute_tile(path: str, key: str, tile: int) -> int:
     path: the run folder. key: key that the run must have; the identity of the client is part of it. Returns
     the tile. Raises BadInput if the folder holds another run, or this process would compute other bits.
     """
-    folder, tiles = _open_cached(path, key)
+    folder, tiles, plan = _open_cached(path, key)
     stopwatch = Stopwatch()
-    columns, computed = _compute_points(folder.scene, folder.tiling.indices(tile), 1, None)
+    columns, computed = _tile_columns(plan, folder, tile, 1, None)
     folder.check_kept()
     tiles.write(tile, columns, computed=computed, seconds=stopwatch.seconds(), by="dask workers")
     return tile
 
 
 @lru_cache(maxsize=8)
-def _open_cached(path: str, key: str) -> tuple[RunFolder, TileFiles]:
-    """A run whose bits this process computes, and its tiles with the key of what this process computes."""
+def _open_cached(path: str, key: str) -> tuple[RunFolder, TileFiles, Plan]:
+    """A run whose bits this process computes, its tiles with the key of what this process computes, and its plan."""
     folder = RunFolder.open(path)
     if folder.key != key:
         raise BadInput(f"{path}: holds another run on the machine of this worker ({socket.gethostname()})")
-    own = identity(folder.scene)
+    plan = Plan.of(folder.scene)
+    own = identity(plan)
     different = differences(folder.manifest["identity"], own, "in the run", "in the worker")
     if different:
         raise BadInput(
             f"{path}: a dask worker on {socket.gethostname()} would compute other bits; start it again with the"
             f" same programs. It differs in {different}"
         )
-    return folder, TileFiles(folder.tiles.folder, folder.key_with(own), folder.scene, folder.tiling)
+    return folder, TileFiles(folder.tiles.folder, folder.key_with(own), folder.scene, folder.tiling), plan

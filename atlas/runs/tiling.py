@@ -3,15 +3,11 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
-from ..engine import numeric_bound, stepsize
 from ..errors import shown
-from ..label import regularity
-from ..scene import grid
-from ..scene.model import MAX_STEPS, Scene
 
 # Work of a tile, in points times steps: a few seconds of one processor at about 6 ns each.
 TILE_POINT_STEPS = 5e8
@@ -87,54 +83,3 @@ class Tiling:
         """Flat indices of the points of a tile, int64 of shape (points,)."""
         first = int(np.ravel_multi_index(tuple(s.start for s in self.slices(tile)), self.shape))
         return np.arange(first, first + self.size_of(tile))
-
-
-def step_sizes(scene: Scene, sample: grid.Grid) -> stepsize.StepSizes:
-    """Step sizes of some points of the scene, and the errors to expect of them."""
-    with np.errstate(all="ignore"):
-        bound = numeric_bound.before_run(scene.system, sample.points, sample.duration)
-        return stepsize.StepSizes.of(scene.settings, bound, sample.duration)
-
-
-def mean_steps(scene: Scene, sample: grid.Grid) -> float:
-    """Integration steps of a point of the scene, averaged over the sample of `grid.check`."""
-    return float(step_sizes(scene, sample).without_unresolved().steps[sample.exists].mean())
-
-
-def mean_work(scene: Scene, sample: grid.Grid) -> float:
-    """Integration of a point in steps of the scene's method, averaged over the sample, tangent vectors included."""
-    tangent = float(regularity.equivalent_steps(scene, sample)[sample.exists].mean())
-    return mean_steps(scene, sample) + tangent
-
-
-def step_warnings(scene: Scene, sample: grid.Grid) -> list[str]:
-    """A sentence each on points that `max_steps` cuts short, and on points whose steps are too long for a label."""
-    exists = sample.exists
-    sizes = step_sizes(scene, sample)
-    unlimited = replace(scene, settings=replace(scene.settings, max_steps=MAX_STEPS))
-    limited = float((sizes.steps < step_sizes(unlimited, sample).steps)[exists].mean())
-    unresolved = float((~sizes.resolved)[exists].mean())
-    warnings = []
-    if limited > 0:
-        warnings.append(
-            f"max_steps = {scene.settings.max_steps} cuts short {100 * limited:.3g} % of the points, whose errors are"
-            " larger than the tolerance"
-        )
-    if unresolved > 0:
-        warnings.append(
-            f"{100 * unresolved:.3g} % of the points have steps too long for their fastest frequency: they get no label"
-            " and are hardly integrated; a shorter duration or more max_steps would help"
-        )
-    return warnings
-
-
-def tiling(scene: Scene, sample: grid.Grid) -> Tiling:
-    """The tiles of a scene, of similar work.
-
-    They depend on the scene alone, never on timing or the number of processors.
-
-    sample: points of the scene, from `grid.check`.
-    """
-    points = max(TILE_POINT_STEPS / mean_work(scene, sample), MIN_POINTS_PER_TILE, 3 * scene.size / MAX_TILES)
-    # A power of two, because the last bits of the mean may differ between machines.
-    return Tiling.of(scene.shape, 2 ** round(math.log2(min(points, grid.MAX_POINTS_PER_TILE))))

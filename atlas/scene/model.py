@@ -12,6 +12,7 @@ import tomli_w
 
 from ..engine.tableaux import METHODS
 from ..errors import MAX_TEXT, BadInput, printable
+from ..measure.instrument import Tolerances
 from ..systems.base import Array, System
 from . import checks
 from .checks import checked
@@ -26,18 +27,6 @@ MAX_REFINEMENT_LEVELS = 8
 # Axes, parameters and ties that the text of a scene shows.
 MAX_SHOWN = 8
 MAX_TIE_SHOWN = 30  # characters
-
-
-@dataclass(frozen=True)
-class Tolerances:
-    """Largest variations of a motion that counts as steady."""
-
-    # Largest root mean square of theta' and standard deviation of psi' and phi', rad per time unit; a mean
-    # rate up to this size counts as zero
-    rate: float
-    # Radius in rad of the polar cap, called cylinder in scenes: while sin(theta) is below it, the third axis
-    # counts as vertical
-    angle: float
 
 
 @dataclass(frozen=True)
@@ -94,15 +83,6 @@ class Settings:
 
 
 DEFAULTS = Settings()
-
-
-def std_tolerances(system: System, settings: Settings) -> dict[str, float]:
-    """Largest standard deviation with which each observable of a system counts as constant, in its unit."""
-    result = {}
-    for observable in system.observables:
-        default = settings.rate_tolerance if observable.tolerance is None else observable.tolerance
-        result[observable.name] = float((settings.std_tolerance or {}).get(observable.name, default))
-    return result
 
 
 @dataclass(frozen=True, eq=False)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -12,10 +11,11 @@ from scipy.special import betaincinv
 
 from ..engine.statistics import RATES
 from ..flags import Label
-from ..label.pipeline import evaluate_tile
+from ..label.pipeline import evaluate
+from ..label.plan import Plan
 from ..scene import grid
 from ..scene.model import Scene
-from ..systems.base import Array, Flags, Mask
+from ..systems.base import Flags, Mask
 
 CONFIDENCE = 0.95
 # Size of the sample: one point in POINTS_PER_SAMPLE (about 1 % of the cost of a run), within these limits.
@@ -54,13 +54,13 @@ def stratified_indices(size: int, count: int) -> np.ndarray:
     return np.asarray(first + np.minimum((fraction * width).astype(np.int64), width - 1), np.int64)
 
 
-def half_step_sample(scene: Scene, *, threads: int | None = None) -> dict[str, Any]:
+def half_step_sample(scene: Scene, plan: Plan | None = None, *, threads: int | None = None) -> dict[str, Any]:
     """Integrate a sample of a scene's points at the scene's step and at half of it, and compare.
 
     The sample depends on the number of points of the scene alone and costs about 1 % of a run. The
     points get the same bits as in the run itself.
 
-    threads: default: all available processors.
+    plan: that of the scene, if it is made already; threads: default: all available processors.
 
     Returns, by name:
 
@@ -83,8 +83,8 @@ def half_step_sample(scene: Scene, *, threads: int | None = None) -> dict[str, A
         scene.size, min(max(MIN_SAMPLE, scene.size // POINTS_PER_SAMPLE), MAX_SAMPLE)
     )
     part = grid.points_at_indices(scene, indices)
-    scene = replace(scene, outputs=tuple(name for name in scene.outputs if name not in scene.system.derived))
-    full, half = (evaluate_tile(scene, part, halved=halved, threads=threads) for halved in (False, True))
+    plan = (plan or Plan.of(scene)).without_derived()
+    full, half = (evaluate(plan, part, halved=halved, threads=threads) for halved in (False, True))
     changed = _labels_changed(full, half)
     bound = upper_bound(int(changed.sum()), indices.size, scene.size)
     attributes: dict[str, Any] = {
@@ -98,7 +98,9 @@ def half_step_sample(scene: Scene, *, threads: int | None = None) -> dict[str, A
     if np.isfinite(change).any():
         attributes["atlas_half_step_median"] = float(np.nanmedian(change))
         if "error_estimate" in scene.outputs:
-            attributes["atlas_half_step_beyond"] = _count_beyond_estimate(scene, part, full, change)
+            with np.errstate(all="ignore"):
+                beyond = change > full["error_estimate"] * scene.system.frequency_bound(part.points)
+            attributes["atlas_half_step_beyond"] = int(beyond.sum())
     unsteady = (full["label"] == Label.DRIFTING) | (full["label"] == Label.UNRESOLVED)
     steady_change = change[part.exists & ~changed & ~unsteady]
     if np.isfinite(steady_change).any():
@@ -114,13 +116,6 @@ def _labels_changed(full: Mapping[str, Flags], half: Mapping[str, Flags]) -> Mas
             labelled = (full[name] != Label.NOT_COMPUTED) & (full[name] != Label.UNRESOLVED)
             changed |= labelled & (half[name] != full[name])
     return changed
-
-
-def _count_beyond_estimate(scene: Scene, part: grid.Grid, full: Mapping[str, Array], change: Array) -> int:
-    """Number of points where a rate changes by more than the error estimate times the frequency bound."""
-    with np.errstate(all="ignore"):
-        bound = scene.system.frequency_bound(part.points)
-    return int((change > full["error_estimate"] * bound).sum())
 
 
 def half_step_text(attributes: Mapping[str, Any]) -> str:

@@ -9,16 +9,14 @@ from typing import Any, NamedTuple
 import numpy as np
 from scipy.integrate import DOP853
 
-from ..engine import observation
-from ..engine.statistics import RATES, Row, finish
+from ..engine.statistics import NEEDS_PSI, RATES, Row, finish
 from ..errors import BadInput
-from ..label import labels, observed
-from ..label.expected_errors import state_distance
+from ..measure import observables, rates
+from ..measure.rates import state_distance
 from ..scene.model import Settings
 from ..systems.base import Array, Flags, Mask, Points, System
+from ..variables import main_instrument
 
-# Statistics of the motion of a body; those of a system with observables: see `statistics`.
-STATISTICS = (*RATES, "theta_min", "theta_max")
 # Sums of the rates, which are integrated beside the states, in this order.
 RATE_SUMS = (
     Row.THETA_DOT, Row.THETA_DOT_SQUARED, Row.OUTSIDE, Row.PSI_DOT, Row.PSI_DOT_SQUARED, Row.PHI_DOT, Row.PHI_DOT_SQUARED,
@@ -39,11 +37,6 @@ Advance = Callable[[float], None]  # called with the number of points finished s
 Run = dict[str, Array]  # the statistics, "sine_max", all (points,), and "state" (state, points)
 
 
-def statistics(system: System) -> tuple[str, ...]:
-    """Names of the statistics that a reference has."""
-    return observed_statistics(system) if system.observables else STATISTICS
-
-
 def no_progress(points: float) -> None:
     """An Advance that does nothing."""
 
@@ -53,7 +46,7 @@ class Reference:
     """Reference solution of some points and its uncertainty."""
 
     state: Array  # at the end of the run, (state, points)
-    # By the names of `statistics`; NaN where psi' and phi' have no meaning (polar cap)
+    # By the names of the main instrument; NaN where psi' and phi' have no meaning (polar cap)
     statistics: dict[str, Array]
     label: Flags
     label_inertial: Flags | None  # none if the system has one frame only
@@ -93,25 +86,27 @@ def reference(
         runs.append(run)
     best, other = runs
     exact = np.zeros(duration.shape, bool)
-    if not system.observables:
+    main = main_instrument(system)
+    if main.has_theory:
         closed, exact = _closed_forms(system, points, duration, settings.cylinder)
         best = {name: np.where(exact, closed[name], runs[0][name]) for name in runs[0]}
         other = {name: np.where(exact, runs[0][name], runs[1][name]) for name in runs[0]}
     label, other_label = (_labels_in_frames(system, points, run, settings) for run in (best, other))
-    if not system.observables:
+    if main.has_theory:
         for run in (best, other):
-            _mask_polar_cap(run, settings.cylinder)
+            inside = rates.in_cylinder(run, settings.cylinder)  # psi' and phi' have no meaning there
+            run |= {name: np.where(inside, np.nan, run[name]) for name in NEEDS_PSI}
     distance = state_distance(system, best["state"], other["state"], system.frequency_bound(points))
     return Reference(
         state=best["state"],
-        statistics={name: best[name] for name in statistics(system)},
+        statistics={name: best[name] for name in main.statistics(system)},
         label=label[0],
         label_inertial=label[1] if len(label) > 1 else None,
         exact=exact,
         state_error=np.maximum(SAFETY * distance, ROUNDING),
         statistics_error={
             name: np.maximum(SAFETY * np.abs(best[name] - other[name]), ROUNDING)
-            for name in statistics(system)
+            for name in main.statistics(system)
         },
         label_certain=(label == other_label).all(0),
     )
@@ -149,20 +144,13 @@ def _closed_forms(system: System, points: Points, duration: Array, cylinder: flo
 
 def _labels_in_frames(system: System, points: Points, run: Run, settings: Settings) -> Flags:
     """Labels of a run, (frames, points)."""
-    if system.observables:
-        return observed.label(system, run, settings)[None]
+    if not main_instrument(system).has_theory:
+        return observables.label(run, observables.std_tolerances(system, settings))[None]
     frame_rates: list[Array | float] = [0.0]
     if system.frame_rate is not None:
         frame_rates.append(system.frame_rate(points))
     with np.errstate(invalid="ignore"):
-        return np.array([labels.label(run, settings.tolerances, rate) for rate in frame_rates])
-
-
-def _mask_polar_cap(run: Run, cylinder: float) -> None:
-    """Set psi' and phi' to NaN, in place, where the axis stays in the polar cap sin(theta) < cylinder."""
-    inside = labels.in_cylinder(run, cylinder)
-    for name in ("psi_dot_mean", "psi_dot_std", "phi_dot_mean", "phi_dot_std"):
-        run[name] = np.where(inside, np.nan, run[name])
+        return np.array([rates.label(run, settings.tolerances, rate) for rate in frame_rates])
 
 
 class EulerRates(NamedTuple):
@@ -213,10 +201,10 @@ def _dop853(
     while groups:
         group = groups.pop()
         members = {name: values[group] for name, values in points.items()}
-        if system.observables:
-            part = integrate_observed_group(system, members, duration[group], rtol, advance)
-        else:
+        if main_instrument(system).has_theory:
             part = _integrate_group(system, members, duration[group], cylinder, rtol, advance)
+        else:
+            part = integrate_observed_group(system, members, duration[group], rtol, advance)
         if part is None and group.size == 1:
             failed[group] = True
         elif part is None:  # halve the group until the point that fails is alone
@@ -303,15 +291,6 @@ def _theta_range_of_step(
 COMPLEX_STEP = 1e-30
 
 
-def observed_statistics(system: System) -> tuple[str, ...]:
-    """Names of the statistics of all observables."""
-    return tuple(
-        f"{observable.name}_{suffix}"
-        for observable in system.observables
-        for suffix in observation.STATISTICS
-    )
-
-
 def observe(system: System, state: Array, constants: Array) -> Array:
     """Values of the observables, shape (observables, *points)."""
     equations = system.equations
@@ -330,7 +309,7 @@ def integrate_observed_group(
     """Integrate the points as one system of equations in the time t / duration; None if a step fails.
 
     rtol: relative and absolute tolerance of the states; advance: called with the number of points finished
-    since the last call. Returns by the names of `statistics`, (points,), and "state", (states, points).
+    since the last call. Returns by the names of the statistics, (points,), and "state", (states, points).
     """
     equations, constants, start = system.equations, system.constants(points), system.initial_state(points)
     states, size = start.shape
@@ -360,7 +339,8 @@ def integrate_observed_group(
     total, square, trend = final[states:].reshape(3, count, size)
     deviation = np.sqrt(np.maximum(square - total**2, 0.0))
     columns = np.stack([first + total, deviation, lowest, highest, 12.0 * trend], axis=1)
-    return dict(zip(statistics(system), columns.reshape(-1, size), strict=True)) | {"state": final[:states]}
+    names = main_instrument(system).statistics(system)
+    return dict(zip(names, columns.reshape(-1, size), strict=True)) | {"state": final[:states]}
 
 
 def _range_of_step(solver: Any, system: System, constants: Array, duration: Array) -> tuple[Array, Array]:

@@ -18,20 +18,15 @@ from ..engine.tableaux import METHODS, Method
 from ..errors import BadInput
 from ..flags import Flag, Label, Status
 from ..label.pipeline import evaluate
+from ..label.plan import Plan
 from ..scene import model
+from ..scene.grid import Grid
 from ..scene.model import Settings
 from ..scene.tables import point_columns
-from ..systems.base import Array, Flags, Mask, Parameter, Points, StressCase, System
-from ..variables import variables
+from ..systems.base import Array, Mask, Parameter, Points, StressCase, System
+from ..variables import main_instrument, variables
 from .reference import ReferenceFailureError, reference
-from .stress_truth import (
-    EXACT_ACCURACY,
-    EXACT_STATISTICS,
-    TrueLabels,
-    no_statistics,
-    true_labels,
-    unsteadiness,
-)
+from .stress_truth import EXACT_ACCURACY, EXACT_STATISTICS, TrueLabels, no_statistics, true_labels
 from .text_table import text_table
 
 # The levels, coarse to fine: fixed steps as a share of the stability limit at the frequency bound, then
@@ -43,7 +38,6 @@ LEVELS = tuple(f"ratio {ratio:g}" for ratio in RATIOS) + tuple(f"tolerance {tol:
 MAX_STEPS = 10_000_000
 # The unsteadiness is accurate within this share of itself, or of the rate tolerance if that is larger.
 ACCURATE = 0.01
-RATES_TEXT = "largest rms or standard deviation of the rates"
 
 
 class Verdict(Flag):
@@ -174,18 +168,12 @@ def _run_job(
     for limited, indices in runs:
         if indices.size:
             part = {name: values[indices] for name, values in points.items()}
-            values = evaluate(system, part, part, duration[indices], limited, threads=1)
-            values |= {"unsteadiness": unsteadiness(system, values, settings)}
+            none = np.zeros(indices.size, np.int8)
+            values = evaluate(Plan(system, limited), Grid(part, part, none, duration[indices]), threads=1)
+            values |= {"unsteadiness": main_instrument(system).unsteadiness(system, values, settings)}
             missing = np.full(indices.size, np.nan)  # exact motions are those of bodies
             results.append((indices, dict.fromkeys(EXACT_STATISTICS, missing) | values))
     return results
-
-
-def _verdicts(label: Flags, truth: Flags) -> Flags:
-    """Verdict on each label, (method, level, point), given the true labels, (point,)."""
-    conditions = [label == Label.NOT_COMPUTED, label == Label.UNRESOLVED, label == truth]
-    values = [Verdict.LEFT_OUT, Verdict.UNRESOLVED, Verdict.RIGHT]
-    return np.select(conditions, values, Verdict.WRONG).astype(np.int8)
 
 
 def _dataset(
@@ -196,10 +184,15 @@ def _dataset(
     results: Mapping[str, np.ndarray],
 ) -> xr.Dataset:
     """The results of `stress` with their attributes."""
-    registry, dims = variables(system), ("method", "level", "point")
+    registry, dims, label = variables(system), ("method", "level", "point"), results["label"]
+    verdict = np.select(
+        [label == Label.NOT_COMPUTED, label == Label.UNRESOLVED, label == truth.label],
+        [Verdict.LEFT_OUT, Verdict.UNRESOLVED, Verdict.RIGHT],
+        Verdict.WRONG,
+    )
     with np.errstate(invalid="ignore"):
         error = np.abs(results["unsteadiness"] - truth.unsteadiness)
-        error /= np.maximum(truth.unsteadiness, 1.0 if system.observables else Settings().rate_tolerance)
+        error /= np.maximum(truth.unsteadiness, main_instrument(system).steady_below(Settings()))
     statistic_attributes = {
         "long_name": "error of a statistic against the exact motion",
         "units": "1",
@@ -210,9 +203,8 @@ def _dataset(
         "flag_values": np.arange(len(Verdict), dtype=np.int8),
         "flag_meanings": " ".join(Verdict.meanings()),
     }
-    observables = "largest standard deviation of an observable over its tolerance"
     error_attributes = {
-        "long_name": f"relative error of the {observables if system.observables else RATES_TEXT}",
+        "long_name": f"relative error of the {main_instrument(system).unsteadiness_text}",
         "units": "1",
         "comment": "relative to the tolerance where the true value is less; nan where it is unknown, because only a"
         " part of the run was integrated by the reference or numbers overflow",
@@ -230,7 +222,7 @@ def _dataset(
                 statistic_attributes,
             ),
             "error": (dims, error, error_attributes),
-            "verdict": (dims, _verdicts(results["label"], truth.label), verdict_attributes),
+            "verdict": (dims, verdict.astype(np.int8), verdict_attributes),
             "truth": ("point", truth.label, registry["label"].attributes() | {"long_name": "true label"}),
             "duration": (
                 "point",
@@ -530,7 +522,7 @@ def generic_true_labels(system: System, part: CasePoints, settings: Settings) ->
             indices = np.delete(indices, failure.indices)
             continue
         label[indices], source[indices], known[indices] = solution.label, "reference", solution.label_certain
-        largest[indices] = unsteadiness(system, solution.statistics, settings)
+        largest[indices] = main_instrument(system).unsteadiness(system, solution.statistics, settings)
         break
     return TrueLabels(label, largest, source, no_statistics(size)), known
 

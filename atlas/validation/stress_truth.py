@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -10,10 +10,13 @@ import numpy as np
 from scipy.integrate import solve_ivp
 
 from ..flags import Label
-from ..label import labels
+from ..label.labels import rounding_limit
 from ..label.theory import predict
-from ..scene.model import Settings, std_tolerances
+from ..measure.instrument import could_change
+from ..measure.rates import LABEL_STATISTICS, rule
+from ..scene.model import Settings
 from ..systems.base import Array, Flags, Mask, Points, System
+from ..variables import main_instrument
 from . import exact
 from .reference import EXACT_RESIDUAL, largest_sine, reference
 
@@ -87,7 +90,7 @@ def true_labels(
         residual, bound = system.condition_residual(points), system.frequency_bound(points)
         is_exact = (theory["family"] > 0) & (residual <= EXACT_RESIDUAL)
         growth = system.log_growth(points, theory["family"], theory["growth_rate"], duration)
-        limit = labels.rounding_limit(residual, bound, settings.tolerances)
+        limit = rounding_limit(residual, bound, settings.tolerances)
         despun, excess = system.despun_equivalent(points)
         radians = system.frequency_bound(despun) * duration
     tilted = np.abs(system.steady_rates(points)[0]) > 0
@@ -121,20 +124,6 @@ def _require_decided(source: str, undecided: np.ndarray) -> None:
         raise ValueError(f"{source} cannot decide the labels of points {undecided}")
 
 
-def unsteadiness(system: System, measured: Mapping[str, Array], settings: Settings) -> Array:
-    """The largest of the statistics that make a point drift, rad per time unit; of observables over their tolerances.
-
-    measured: statistics by name; settings: only the tolerances are used.
-    """
-    if system.observables:
-        limits = std_tolerances(system, settings)
-        shares = [measured[f"{name}_std"] / limit for name, limit in limits.items()]
-        return np.asarray(np.fmax.reduce(shares))
-    rates = [measured["theta_dot_rms"], measured["psi_dot_std"], measured["phi_dot_std"]]
-    in_polar_cap = np.isnan(rates[1])
-    return np.where(in_polar_cap, measured["normal_rate_std"], np.fmax.reduce(rates))
-
-
 def _labels_by_exact_motion(
     system: System, points: Points, duration: Array, settings: Settings, kind: str
 ) -> TrueLabels:
@@ -144,14 +133,16 @@ def _labels_by_exact_motion(
     ]
     measured = {name: np.array([run[name] for run in runs]) for name in EXACT_STATISTICS}
     measured["sine_max"] = largest_sine(measured["theta_min"], measured["theta_max"])
-    error = {name: np.full(duration.shape, EXACT_ACCURACY) for name in labels.LABEL_STATISTICS}
+    error = {name: np.full(duration.shape, EXACT_ACCURACY) for name in LABEL_STATISTICS}
     with np.errstate(invalid="ignore"):
-        undecided = labels.unsure(measured, error, settings.tolerances)
-        label = labels.label(measured, settings.tolerances)
+        undecided = could_change(rule(settings.tolerances), measured, error)
+        label = rule(settings.tolerances).label(measured)
     _require_decided("the exact motion", np.flatnonzero(undecided))
     source = np.full(duration.shape, "exact motion", "<U15")
     statistics = {name: measured[name] for name in EXACT_STATISTICS}
-    return TrueLabels(label, unsteadiness(system, measured, settings), source, statistics)
+    return TrueLabels(
+        label, main_instrument(system).unsteadiness(system, measured, settings), source, statistics
+    )
 
 
 def _labels_by_departure(
@@ -169,14 +160,19 @@ def _labels_by_departure(
     relative = 1e-3 + STATE_ROUNDING / np.abs(offset).max(0)
     error = {
         name: np.abs(measured[name]) * np.where(name.endswith(("rms", "std")), relative, 1e-12)
-        for name in labels.LABEL_STATISTICS
+        for name in LABEL_STATISTICS
     }
     with np.errstate(invalid="ignore"):
-        undecided = labels.unsure(measured, error, settings.tolerances)
-        label = labels.label(measured, settings.tolerances)
+        undecided = could_change(rule(settings.tolerances), measured, error)
+        label = rule(settings.tolerances).label(measured)
     _require_decided("the departure", np.flatnonzero(undecided))
     source = np.full(duration.shape, "departure", "<U15")
-    return TrueLabels(label, unsteadiness(system, measured, settings), source, no_statistics(duration.size))
+    return TrueLabels(
+        label,
+        main_instrument(system).unsteadiness(system, measured, settings),
+        source,
+        no_statistics(duration.size),
+    )
 
 
 def _departure(
@@ -258,8 +254,8 @@ def _labels_by_reference(
     error = solution.statistics_error | {"sine_max": solution.statistics_error["theta_max"]}
     tolerances = settings.tolerances
     with np.errstate(invalid="ignore"):
-        label = labels.label(measured, tolerances)
-        undecided = labels.unsure(measured, error, tolerances) | (~whole & (label != Label.DRIFTING))
+        label = rule(tolerances).label(measured)
+        undecided = could_change(rule(tolerances), measured, error) | (~whole & (label != Label.DRIFTING))
     source = np.where(whole, "reference", "part of the run")
-    unsteady = np.where(whole, unsteadiness(system, measured, settings), np.nan)
+    unsteady = np.where(whole, main_instrument(system).unsteadiness(system, measured, settings), np.nan)
     return TrueLabels(label, unsteady, source, no_statistics(duration.size)), undecided

@@ -12,25 +12,24 @@ from types import ModuleType
 import numpy as np
 import xarray as xr
 
-from ..engine import numeric_bound, observation
+from ..engine import numeric_bound
 from ..engine.compiling import Stopwatch
 from ..engine.ensemble import Ensemble
 from ..engine.generated import WIDTH
 from ..engine.specialization import kernel
-from ..engine.statistics import RATES
 from ..engine.stepsize import StepSizes
 from ..engine.tableaux import METHODS
 from ..errors import BadInput
 from ..flags import Label
 from ..io import provenance
 from ..io.progress import Progress
-from ..label import observed
-from ..label.expected_errors import state_distance
-from ..label.pipeline import evaluate_tile, scene_kernel_hash, scene_specialization
+from ..label.pipeline import evaluate
+from ..label.plan import Plan
+from ..measure.rates import state_distance
 from ..scene import grid
 from ..scene.model import Scene, Settings
 from ..systems.base import Array, Mask
-from ..variables import variables
+from ..variables import main_instrument, variables
 from .half_step import stratified_indices
 from .reference import (
     MAX_RADIANS,
@@ -38,7 +37,6 @@ from .reference import (
     Reference,
     ReferenceFailureError,
     reference,
-    statistics,
 )
 
 # Levels: the scene's tolerance times powers of 10 within these limits, or its step times powers of 2.
@@ -106,15 +104,8 @@ class _Sample:
 
         errors: by the names of the statistics.
         """
-        if not self.scene.system.observables:
-            return np.asarray(np.fmax.reduce([errors[name] for name in RATES]) / self.bound)
-        sizes = observed.sizes(self.scene.system, self.reference.statistics)
-        shares = [
-            errors[f"{name}_{suffix}"] / np.where(size > 0, size, 1.0)
-            for name, size in sizes.items()
-            for suffix in observation.STATISTICS
-        ]
-        return np.asarray(np.fmax.reduce(shares))
+        system = self.scene.system
+        return main_instrument(system).largest(system, self.reference.statistics, errors, self.bound)
 
 
 @dataclass(frozen=True)
@@ -173,7 +164,7 @@ def work_precision(scene: Scene, count: int = 64, *, progress: bool = False) -> 
         bar.close()
     ds = _dataset(sample, results)
     ds.attrs = provenance.provenance(
-        scene.system, scene.settings, scene_kernel_hash(scene), title=scene.title, scene=scene.toml(),
+        scene.system, scene.settings, Plan.of(scene).kernel_hash, title=scene.title, scene=scene.toml(),
         seconds=stopwatch.seconds(), points=sample.indices.size, warnings=[],
     ) | ds.attrs  # fmt: skip
     return ds
@@ -221,21 +212,13 @@ def _bound_along_runs(scene: Scene, part: grid.Grid) -> Array:
     return bound
 
 
-def _step_sizes(sample: _Sample, settings: Settings) -> StepSizes:
-    """The steps of the points with these settings, as in an atlas."""
-    sizes = StepSizes.of(settings, sample.bound, sample.grid.duration)
-    if sample.scene.system.observables:
-        method, may_halve = METHODS[settings.method], settings.step is None
-        sizes = observation.with_dense_nodes(sizes, sample.bound, method, may_halve=may_halve)
-    return sizes
-
-
 def _run_method(sample: _Sample, method: str, advance: Advance) -> Iterator[tuple[int, _LevelResult]]:
     """Index and result of the levels of one method, coarse to fine, until smaller steps no longer reduce the error."""
     settings, part = sample.scene.settings, sample.grid
     name, values = levels(settings)
     at_levels = [replace(settings, method=method, **{name: value}) for value in values]  # type: ignore[arg-type]
-    step_sizes = [_step_sizes(sample, s) for s in at_levels]
+    main = main_instrument(sample.scene.system)
+    step_sizes = [main.step_sizes(s, sample.bound, part.duration) for s in at_levels]
     own = scene_level(settings)
     selected = _levels_to_run(step_sizes, own)
     ensemble = Ensemble.of(sample.scene.system, part.points)
@@ -269,11 +252,11 @@ def _run_level(
 ) -> _LevelResult:
     """Integrate the sample and compare states, statistics and labels with the reference."""
     system = sample.scene.system
-    outputs = (*statistics(system), *(["integral_drift"] if system.equations.INTEGRALS else []), "label")
-    measured = evaluate_tile(replace(sample.scene, settings=settings, outputs=outputs), sample.grid)
-    final = numeric_bound.advanced(
-        system, _kernel(sample.scene, settings.method), ensemble, step_sizes.steps, step_sizes.step_size, None
-    )
+    statistics = main_instrument(system).statistics(system)
+    outputs = (*statistics, *(["integral_drift"] if system.equations.INTEGRALS else []), "label")
+    measured = evaluate(replace(Plan.of(sample.scene), settings=settings, outputs=outputs), sample.grid)
+    module = _kernel(sample.scene, settings.method)
+    final = ensemble.final_states(module, step_sizes.steps, step_sizes.step_size)
     values = _errors(sample, measured, final, step_sizes.resolved) | {
         "integral_drift": measured.get("integral_drift", np.full(final.shape[1], np.nan)),
         "step_length": step_sizes.step_size,
@@ -307,7 +290,7 @@ def _errors(sample: _Sample, measured: Mapping[str, Array], final: Array, resolv
             f"error_{name}": np.maximum(
                 np.abs(measured[name] - solution.statistics[name]), solution.statistics_error[name]
             )
-            for name in statistics(sample.scene.system)
+            for name in main_instrument(sample.scene.system).statistics(sample.scene.system)
         }
         worst = sample.worst({name.removeprefix("error_"): error for name, error in errors.items()})
         return errors | {
@@ -342,17 +325,14 @@ def _seconds_per_point_step(
     module, times = _kernel(sample.scene, method), []
     for _ in range(6):  # the first may load or compile the kernel
         began = process_time()
-        if sample.scene.system.observables:
-            observation.measure(module, ensemble, timed, threads=1)
-        else:
-            ensemble.integrate(module, timed, sample.scene.settings.cylinder, threads=1)
+        ensemble.integrate(module, timed, sample.scene.settings.cylinder, threads=1)
         times.append(process_time() - began)
     return median(times[1:]) / (steps * repeated.size)
 
 
 def _kernel(scene: Scene, method: str) -> ModuleType:
     """The kernel that the points of a scene get with a method."""
-    return kernel(scene.system, method, scene_specialization(scene))
+    return kernel(scene.system, method, Plan.of(scene).specialization)
 
 
 def _on_axes(scene: Scene, indices: np.ndarray) -> dict[str, Array]:
@@ -385,12 +365,12 @@ def _dataset(sample: _Sample, results: Mapping[tuple[int, int], _LevelResult]) -
     )
     for axis, on_axis in _on_axes(scene, sample.indices).items():
         ds.coords[f"axis_{axis}"] = "sample", on_axis
-    registry = variables(scene.system)
+    registry, main = variables(scene.system), main_instrument(scene.system)
     errors = {
         f"error_{name}": (float, f"error of {name}", registry[name].units)
-        for name in statistics(scene.system)
+        for name in main.statistics(scene.system)
     }
-    descriptions = VARIABLES | (OF_OBSERVABLES if scene.system.observables else {})
+    descriptions = VARIABLES | (OF_OBSERVABLES if main.quantity == "observables" else {})
     for variable, (dtype, long_name, units) in (errors | descriptions).items():
         column = np.full(shape, np.nan if dtype is float else 0, dtype)
         for cell, result in results.items():
@@ -414,7 +394,7 @@ def _dataset(sample: _Sample, results: Mapping[tuple[int, int], _LevelResult]) -
         "ladder": name,
         "own_method": scene.settings.method,
         "own_level": scene_level(scene.settings),
-        "measured": "observables" if scene.system.observables else "rates",
+        "measured": main.quantity,
     }
     if sample.left_out:
         ds.attrs["left_out"] = sample.left_out

@@ -20,6 +20,7 @@ from atlas.engine.specialization import kernel
 from atlas.engine.statistics import Row
 from atlas.engine.stepsize import StepSizes
 from atlas.engine.tableaux import METHODS
+from atlas.measure.circle import CIRCLES
 from atlas.scene.model import Settings
 from atlas.systems import SYSTEMS
 from atlas.systems.base import Points, System
@@ -39,8 +40,8 @@ def measure(system: System, method: str, count: int, rounds: int) -> None:
     """Print the ratios of a system and a method."""
     points, settings = random_points(system, count), Settings(method=method)
     choices = (0, 1) if system.frame_rate is None else (0, 1, 2)
-    ensembles = [Ensemble.of(system, points, frames) for frames in choices]
-    kernels = [kernel(system, method, frames=frames) for frames in choices]
+    ensembles = [Ensemble.of(system, points, CIRCLES[:frames]) for frames in choices]
+    kernels = [kernel(system, method, plugs=CIRCLES[:frames]) for frames in choices]
     sizes = StepSizes.of(settings, ensembles[0].frequency_bound, np.full(count, 60.0))
     seconds: list[list[float]] = [[] for _ in choices]
     runs = []

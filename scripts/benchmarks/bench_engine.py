@@ -35,10 +35,12 @@ from numba.extending import intrinsic
 from numba.np.unsafe.ndarray import to_fixed_tuple
 
 import atlas
-from atlas.engine import blocks, chaos, jit
+from atlas.engine import blocks, jit
 from atlas.engine.ensemble import Ensemble
 from atlas.engine.specialization import Specialization, kernel, tangent_kernel
 from atlas.engine.stepsize import StepSizes
+from atlas.engine.tangent import METHOD
+from atlas.measure import chaos
 from atlas.scene.model import Settings
 from atlas.systems import SYSTEMS
 
@@ -332,7 +334,7 @@ def tangent_run(*arguments) -> None:
 def tangent_cost(count: int, steps: int, repeat: int) -> None:
     """Print the time of a step with a tangent vector over that of a step of the state alone, and of one with statistics."""
     for name, system in SYSTEMS.items():
-        case = Case(name, chaos.METHOD.name, frozenset(), count, steps)
+        case = Case(name, METHOD.name, frozenset(), count, steps)
         sizes = case.step_sizes
         tangent = chaos.TangentSteps(sizes.steps, sizes.step_size, np.ones(count, bool))
         own = tangent_kernel(system)
@@ -350,7 +352,7 @@ def tangent_cost(count: int, steps: int, repeat: int) -> None:
             for key, work in works.items():
                 times[key].append(seconds(work))
         print(
-            f"{name}, {chaos.METHOD.name} with a tangent vector: {1e9 * min(times['tangent']) / (count * steps):.1f} ns per"
+            f"{name}, {METHOD.name} with a tangent vector: {1e9 * min(times['tangent']) / (count * steps):.1f} ns per"
             f" point and step, {ratio(times['tangent'], times['state']):.2f} times the state alone,"
             f" {ratio(times['tangent'], times['statistics']):.2f} times the state with statistics; first call"
             f" {first_call:.1f} s"

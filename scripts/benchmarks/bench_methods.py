@@ -24,11 +24,9 @@ import numpy as np
 
 import atlas
 from atlas.engine.ensemble import Ensemble
-from atlas.engine.specialization import kernel
 from atlas.flags import Label
-from atlas.label.pipeline import evaluate_tile, scene_specialization
-from atlas.runs.method_costs import relative_costs
-from atlas.runs.tiling import step_sizes
+from atlas.label.pipeline import evaluate
+from atlas.runs.plan import ScenePlan
 from atlas.scene import grid
 from atlas.scene.model import Scene
 
@@ -49,20 +47,21 @@ class Comparison:
         self.points = points.subset(points.exists)
         self.size = self.points.duration.size
         scenes = [replace(scene, settings=replace(scene.settings, method=method)) for method in METHODS]
-        self.estimate = relative_costs(scenes[0], self.points)["rk8"]
-        sizes = [step_sizes(each, self.points) for each in scenes]
+        plans = [ScenePlan(each, self.points) for each in scenes]
+        self.estimate = plans[0].relative_costs()["rk8"]
+        sizes = [plan.step_sizes for plan in plans]
         ensemble = Ensemble.of(scene.system, self.points.points)
         integrations = [
             partial(
                 ensemble.integrate,
-                kernel(scene.system, method, scene_specialization(scene)), size, scene.settings.cylinder, threads=1,
+                plan.points.kernel, size, scene.settings.cylinder, threads=1,
             )
-            for method, size in zip(METHODS, sizes, strict=True)
+            for plan, size in zip(plans, sizes, strict=True)
         ]  # fmt: skip
         for integrate in integrations:
             integrate()  # may compile
         self.seconds, _ = seconds_in_turn(integrations, rounds)
-        tiles = [partial(evaluate_tile, each, self.points, threads=1) for each in scenes]
+        tiles = [partial(evaluate, plan.points, self.points, threads=1) for plan in plans]
         self.tile_seconds, columns = seconds_in_turn(tiles, rounds)
         labels = np.array([values["label"] for values in columns])
         unresolved = labels == Label.UNRESOLVED

@@ -13,6 +13,7 @@ import tomllib
 from pathlib import Path
 
 import atlas
+from atlas.runs.plan import ScenePlan
 from atlas.runs.refine import refined
 from atlas.scene.read import scene_from
 
@@ -30,7 +31,7 @@ def main() -> None:
         table["axes"] = {name: axis | {"count": options.count} for name, axis in table["axes"].items()}
         scene = scene_from(table | {"refine": {"levels": options.levels}}, path.stem)
         began = time.perf_counter()
-        ds = refined(scene, [], progress=False)
+        ds = refined(ScenePlan.of(scene), [], progress=False)
         refined_seconds = time.perf_counter() - began
         for name, count in zip(scene.axes, scene.shape, strict=True):
             table["axes"][name]["count"] = count

@@ -18,7 +18,7 @@ from pathlib import Path
 
 import atlas
 from atlas.runs.folder import RunFolder
-from atlas.runs.tiling import mean_steps
+from atlas.runs.plan import ScenePlan
 from atlas.scene import grid
 from atlas.scene.model import Scene
 
@@ -74,7 +74,7 @@ def points(folder: Path, max_points: int) -> None:
     while count <= max_points:
         case = scene(folder, count)
         name = f"points{count}"
-        run = RunFolder.prepare(case, folder / name, grid.check(case), [])
+        run = RunFolder.prepare(ScenePlan.of(case), folder / name, [])
         seconds, memory = command(folder, "run", "scene.toml", "-o", f"{name}/", "--quiet")
         joined, join_memory = command(folder, "join", name, "-o", f"{name}.nc")
         size = (folder / f"{name}.nc").stat().st_size / 1e6
@@ -95,7 +95,7 @@ def tiles(folder: Path, max_points: int) -> None:
     case, usual, fewest = scene(folder, count), grid.MAX_POINTS_PER_TILE, None
     for points in (usual, 8192, 1024):
         grid.MAX_POINTS_PER_TILE = points
-        run = RunFolder.prepare(case, folder / f"tiles{points}", grid.check(case), [])
+        run = RunFolder.prepare(ScenePlan.of(case), folder / f"tiles{points}", [])
         grid.MAX_POINTS_PER_TILE = usual
         seconds, _ = command(folder, "run", "scene.toml", "-o", f"tiles{points}/", "--quiet")
         fewest = fewest or (run.tiling.count, seconds)
@@ -148,7 +148,7 @@ def billion(folder: Path, max_points: int, seconds: float = 30.0) -> None:
     for total in (case.size, 10 * case.size):
         print(
             f"  all {total:.0e}: {total / rate / 3600:.1f} h here, {run.tiling.count * total // case.size} tiles,"
-            f" {run.tiling.count * total / case.size * size / 1e9:.1f} GB at {mean_steps(case, grid.check(case)):.0f} steps"
+            f" {run.tiling.count * total / case.size * size / 1e9:.1f} GB at {ScenePlan.of(case).mean_steps:.0f} steps"
             " a point and three variables"
         )
     run.remove()

@@ -15,7 +15,6 @@ PROCESSES = 5  # one may have to compile the kernel, which does not alter the me
 # A process that ends itself after the first block of the first tile.
 CODE = """
 import os, sys, time
-from dataclasses import fields, replace
 import atlas
 from atlas.engine import blocks
 from atlas.runs import runner
@@ -24,7 +23,7 @@ scene = atlas.load_scene(sys.argv[1])
 integrate = blocks.integrate
 
 def first_block(kernel, schedule, *arguments, **options):
-    one = replace(schedule, **{f.name: getattr(schedule, f.name)[:1] for f in fields(schedule)})
+    one = type(schedule)(*(each[:1] for each in schedule))
     integrate(kernel, one, *arguments, **options)
     os.write(1, f"{time.perf_counter() - began}\\n".encode())  # two tiles may get here at once
     os._exit(0)

@@ -14,7 +14,7 @@ from fault_trial import Trial, change_times, dying, in_fork
 import atlas
 from atlas import files
 from atlas.runs.folder import RunFolder
-from atlas.scene import grid
+from atlas.runs.plan import ScenePlan
 
 
 def kills(trial: Trial, scale: float) -> str:
@@ -123,14 +123,14 @@ def join_kills(trial: Trial, scale: float) -> str:
 def creation_kills(trial: Trial, scale: float) -> str:
     """Kill the creation of a run folder at random moments and at every step, with and without hard links."""
     place, counts = trial.folder / "created", trial.folder / "counts"
-    sample = grid.check(trial.scene)
+    plan = ScenePlan.of(trial.scene)
     link, count, leftovers, manifests = os.link, 0, 0, 0
 
     def no_link(*arguments: object) -> None:
         raise OSError(95, "Operation not supported")
 
     def create() -> None:
-        RunFolder.prepare(trial.scene, place, sample, [])
+        RunFolder.prepare(plan, place, [])
 
     for os.link in (link, no_link):
         if in_fork(dying(create, None, counts))[0]:

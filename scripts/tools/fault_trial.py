@@ -15,6 +15,7 @@ from typing import Any
 import atlas
 from atlas import BadInput, cli
 from atlas.runs.folder import RunFolder
+from atlas.runs.plan import ScenePlan
 from atlas.scene import grid
 from atlas.scene.read import scene_from
 
@@ -39,7 +40,7 @@ class Trial:
         """Prepare a run folder of many small tiles, which its manifest lists for every process."""
         usual, grid.MAX_POINTS_PER_TILE = grid.MAX_POINTS_PER_TILE, TILE
         try:
-            return RunFolder.prepare(self.scene, self.folder / name, grid.check(self.scene), [])
+            return RunFolder.prepare(ScenePlan.of(self.scene), self.folder / name, [])
         finally:
             grid.MAX_POINTS_PER_TILE = usual
 

@@ -10,11 +10,12 @@ from scipy.integrate import solve_ivp
 from scipy.spatial.transform import Rotation
 from strategies import random_fixed_points, random_satellites
 
-from atlas.engine import assemble, blocks, circle
-from atlas.engine.circle import Axis, Sum
+from atlas.engine import assemble, blocks
 from atlas.engine.ensemble import Ensemble
-from atlas.engine.specialization import kernel, kernel_hash
+from atlas.engine.specialization import kernel
 from atlas.engine.statistics import Row
+from atlas.measure import circle
+from atlas.measure.circle import CIRCLES, Axis, Sum
 from atlas.systems import SYSTEMS
 
 RANDOM = {"satellite": random_satellites, "fixed_point": random_fixed_points}
@@ -34,14 +35,14 @@ def precession(s, z, n, m, duration, vertical, nodes=41):
     bound = np.array([abs(n) + abs(m)])
     one = np.s_[:, None]
     spin_vector = spin_vector[one]
-    axes = circle.circle_axes(equations, np.r_[u0, vertical][one], np.empty((0, 1)), np.zeros((1, 1)), bound)
+    axes = circle.circle_axes(equations, np.r_[u0, vertical][one], np.empty((0, 1)), np.zeros(1), bound)
     t = np.linspace(0, duration, nodes)
     u = Rotation.from_rotvec(-m * np.outer(t, s)).apply(u0)
     du = np.cross(u, m * s)
     sums = np.zeros((len(Sum), 1))
     for i in range(nodes):
-        node = np.concatenate([u[i], np.zeros(3), du[i], np.zeros(3)])[None, :, None]
-        circle.add_to_circle(axes, 0, sums, 0, 0, node, 0, 1.0, 0.5 if i in (0, nodes - 1) else 1.0)
+        node = np.concatenate([u[i], np.zeros(3), du[i], np.zeros(3)])[:, None]
+        circle.add_to_circle(sums, 0, axes, 0, 0, np.array(4 * [node]), i, nodes - 1, 1.0, 1.0)
     return circle.circle_statistics(sums, axes, np.array([nodes - 1]))
 
 
@@ -98,7 +99,7 @@ def test_what_is_no_circle():
     for name, body in {"asymmetric": turns, "symmetric": turns | {"B": 1.0}}.items():
         points = {k: np.array([p.default]) for k, p in SYSTEMS["fixed_point"].parameters.items()}
         points |= {k: np.array([float(v)]) for k, v in (body | {"q0": 0.0, "Mg": 0.0}).items()}
-        ensemble = Ensemble.of(SYSTEMS["fixed_point"], points, 1)
+        ensemble = Ensemble.of(SYSTEMS["fixed_point"], points, CIRCLES[:1])
         t = np.linspace(0, 40, 1001)
         constants = ensemble.constants[:, 0]
         y = solve_ivp(
@@ -106,10 +107,9 @@ def test_what_is_no_circle():
         ).y  # fmt: skip
         sums = np.zeros((len(Sum), 1))
         for i in range(t.size):
-            node = np.r_[y[:, i], equations.rhs(y[:, i], constants)][None, :, None]
-            weight = 0.5 if i in (0, t.size - 1) else 1.0
-            circle.add_to_circle(ensemble.axes, 0, sums, 0, 0, node, 0, 1.0, weight)
-        rows[name] = circle.circle_statistics(sums, ensemble.axes, np.array([1000]))
+            node = np.r_[y[:, i], equations.rhs(y[:, i], constants)][:, None]
+            circle.add_to_circle(sums, 0, ensemble.given, 0, 0, np.array(4 * [node]), i, t.size - 1, 1.0, 1.0)
+        rows[name] = circle.circle_statistics(sums, ensemble.given, np.array([1000]))
         u = y[:3]
         _, _, plane = np.linalg.svd(u.T - u.T.mean(0), full_matrices=False)
         distance = np.linalg.norm(u - np.outer(plane[2], plane[2] @ u), axis=0)
@@ -146,8 +146,8 @@ def test_principal_axes():
 def test_kernels_that_measure_no_circles_have_nothing_of_them(system):
     text = assemble.source(system.equations, "rk4")
     assert "circle" not in text
-    assert "FRAMES" not in text
-    assert kernel_hash(system, "rk4") != kernel_hash(system, "rk4", frames=1)
+    assert "plugged" not in text
+    assert assemble.source(system.equations, "rk4", plugs=CIRCLES[:1]) != text
 
 
 @pytest.mark.parametrize(("name", "method"), [("satellite", "rk4"), ("fixed_point", "rk8")])
@@ -156,35 +156,29 @@ def test_the_compiled_kernel_is_the_python_one(name, method):
     system = SYSTEMS[name]
     frames = 1 if system.frame_rate is None else 2
     points = RANDOM[system.name](np.random.default_rng(7), 20)
-    ensemble = Ensemble.of(system, points, frames)
+    plugs = CIRCLES[:frames]
+    ensemble = Ensemble.of(system, points, plugs)
     stride = 1 if method == "rk8" else 2
     schedule = blocks.pack_blocks(np.full(20, 48), np.full(20, stride))
 
-    def run(module, axes, lasts=None):
-        state, sums = blocks.start_state(module, ensemble.state), None
-        arguments = np.full(20, 2.0 / 48), state, ensemble.constants, ensemble.scales, 1e-5
-        if lasts is None:
-            sums = blocks.integrate(module, schedule, *arguments, axes=axes, threads=1)
-        else:
-            first, sums = np.zeros_like(schedule.nodes), np.empty((len(Row) + frames * len(Sum), 20))
-            resume = blocks.resume_array(len(ensemble.scales), 20)
-            for last in lasts:
-                segment = blocks.Segment(first, np.full_like(first, last), resume, sums)
-                blocks.integrate(module, schedule, *arguments, axes=axes, segment=segment, threads=1)
-                first = segment.last_node
-        return state, sums
+    def run(module, ensemble, lasts=(int(schedule.nodes[0]),)):
+        arrays = blocks.resumable(module, ensemble.arrays(module, np.full(20, 2.0 / 48), 1e-5))
+        first = np.zeros_like(schedule.nodes)
+        for last in lasts:
+            segment = first, np.full_like(first, last)
+            blocks.integrate(module, schedule, arrays, segment=segment, threads=1)
+            first = segment[1]
+        return arrays.state, arrays.sums
 
-    compiled, plain = (
-        kernel(system, method, frames=frames),
-        assemble.plain_module(system.equations, method, frames=frames),
-    )
-    state, sums = run(compiled, ensemble.axes)
-    for other in (run(plain, ensemble.axes), run(compiled, ensemble.axes, (5, int(schedule.nodes[0])))):
+    compiled = kernel(system, method, plugs=plugs)
+    plain = assemble.plain_module(system.equations, method, plugs=plugs)
+    state, sums = run(compiled, ensemble)
+    for other in (run(plain, ensemble), run(compiled, ensemble, (5, int(schedule.nodes[0])))):
         np.testing.assert_allclose(other[0], state, rtol=1e-11, atol=1e-12)
         np.testing.assert_allclose(other[1][len(Row) :], sums[len(Row) :], rtol=1e-8, atol=1e-9)
     np.testing.assert_array_equal(other[1], sums)
-    state_without, sums_without = run(kernel(system, method), None)
+    state_without, sums_without = run(kernel(system, method), Ensemble.of(system, points))
     np.testing.assert_array_equal(state_without, state)
     np.testing.assert_array_equal(sums_without, sums[: len(Row)])
     assert sums.shape[0] == len(Row) + frames * len(Sum)
-    assert ensemble.axes.shape[0] == frames * len(Axis)
+    assert ensemble.given.shape[0] == frames * len(Axis)

@@ -29,9 +29,9 @@ def test_an_edited_line_is_never_answered_by_a_stale_kernel(tmp_path):
         Path(atlas.__file__).parent, tmp_path / "atlas", ignore=shutil.ignore_patterns("__pycache__")
     )
     code = (
-        "import atlas; from atlas.engine.specialization import kernel_hash; from atlas.systems import SYSTEMS\n"
+        "import atlas; from atlas.engine.specialization import kernel_hash, source; from atlas.systems import SYSTEMS\n"
         f"ds = atlas.label_points('satellite', {ALL_TERMS}, duration=5.0, tolerance=1e-6)\n"
-        "print(kernel_hash(SYSTEMS['satellite'], 'rk4'), float(ds.theta_dot_rms[0]).hex())"
+        "print(kernel_hash(source(SYSTEMS['satellite'], 'rk4')), float(ds.theta_dot_rms[0]).hex())"
     )
 
     def result() -> list[str]:

@@ -10,9 +10,8 @@ from strategies import random_fixed_points, random_satellites
 
 from atlas.engine import assemble, blocks
 from atlas.engine.ensemble import Ensemble
-from atlas.engine.kernel import MOTION
 from atlas.engine.specialization import kernel
-from atlas.engine.statistics import Row, finish
+from atlas.engine.statistics import finish
 from atlas.engine.tableaux import METHODS
 from atlas.systems import SYSTEMS
 
@@ -46,19 +45,10 @@ def integrate(
     ensemble = Ensemble.of(system, points)
     steps = np.broadcast_to(steps, (ensemble.size,)).astype(np.int64)
     schedule = blocks.pack_blocks(steps, np.full(ensemble.size, steps_per_sample))
-    state = blocks.start_state(module, ensemble.state)
-    sums = blocks.integrate(
-        module,
-        schedule,
-        duration / steps,
-        state,
-        ensemble.constants,
-        ensemble.scales,
-        cylinder,
-        threads=threads,
-    )
-    measured = finish(sums, steps // steps_per_sample, np.full(ensemble.size, duration))
-    return measured, state[: len(ensemble.state)]
+    arrays = ensemble.arrays(module, duration / steps, cylinder)
+    blocks.integrate(module, schedule, arrays, threads=threads)
+    measured = finish(arrays.sums, steps // steps_per_sample, np.full(ensemble.size, duration))
+    return measured, arrays.state[: len(ensemble.state)]
 
 
 def reference(points, i, duration):
@@ -189,40 +179,34 @@ def test_an_interrupted_run_has_the_bits_of_a_whole_one(module_of, method, dampi
     points = satellites(5, seed=8, damping=damping)
     ensemble, module = Ensemble.of(SATELLITE, points), module_of(SATELLITE, method)
     schedule = blocks.pack_blocks(np.full(5, 32), np.ones(5, np.int64))
-    arguments = np.full(5, 0.05), ensemble.constants, ensemble.scales, 1e-5
-    whole = blocks.start_state(module, ensemble.state)
-    whole_sums = blocks.integrate(module, schedule, arguments[0], whole, *arguments[1:], threads=1)
-    state, sums = blocks.start_state(module, ensemble.state), np.empty((len(Row), 5))
-    resume = np.empty((8 * MOTION + len(ensemble.scales), 5))
-    first = np.zeros_like(schedule.nodes)
+    whole, cut = (ensemble.arrays(module, np.full(5, 0.05), 1e-5) for _ in range(2))
+    blocks.integrate(module, schedule, whole, threads=1)
+    first, cut = np.zeros_like(schedule.nodes), blocks.resumable(module, cut)
     for last in (1, 2, 5, 20, int(schedule.nodes[0])):
-        segment = blocks.Segment(first, np.full_like(first, last), resume, sums)
-        blocks.integrate(module, schedule, arguments[0], state, *arguments[1:], segment=segment, threads=1)
-        first = segment.last_node
-    np.testing.assert_array_equal(state, whole)
-    np.testing.assert_array_equal(sums, whole_sums)
-    assert np.all((whole[9] > 0) == (damping > 0))  # what the Jacobi integral has lost
+        segment = first, np.full_like(first, last)
+        blocks.integrate(module, schedule, cut, segment=segment, threads=1)
+        first = segment[1]
+    np.testing.assert_array_equal(cut.state, whole.state)
+    np.testing.assert_array_equal(cut.sums, whole.sums)
+    assert np.all((whole.state[9] > 0) == (damping > 0))  # what the Jacobi integral has lost
 
 
 def test_a_long_run_takes_many_short_calls(monkeypatch):
     """Ctrl-C waits for one call, however long a run is; the bits are those of a single call."""
     module, ensemble = kernel(SATELLITE, "rk4"), Ensemble.of(SATELLITE, satellites(40, seed=3))
     schedule = blocks.pack_blocks(np.r_[np.full(35, 640), np.full(5, 16)], np.full(40, 2))
-    arguments = np.full(40, 0.01), ensemble.constants, ensemble.scales, 1e-5
-    whole, calls, progress = blocks.start_state(module, ensemble.state), [], []
-    whole_sums = blocks.integrate(module, schedule, arguments[0], whole, *arguments[1:], threads=1)
+    whole, arrays = (ensemble.arrays(module, np.full(40, 0.01), 1e-5) for _ in range(2))
+    calls, progress = [], []
+    blocks.integrate(module, schedule, whole, threads=1)
 
     def integrate_counted(*call_arguments):
-        calls.append(call_arguments[:2])
+        calls.append(call_arguments[2:4])
         module.integrate(*call_arguments)
 
     monkeypatch.setattr(blocks, "CHUNK", 64 * blocks.WIDTH)
-    state = blocks.start_state(module, ensemble.state)
-    sums = blocks.integrate(
-        SimpleNamespace(integrate=integrate_counted, STATES=module.STATES), schedule, arguments[0], state, *arguments[1:],
-        threads=2, progress=progress.append,
-    )  # fmt: skip
+    counted = SimpleNamespace(**{**vars(module), "integrate": integrate_counted})
+    blocks.integrate(counted, schedule, arrays, threads=2, progress=progress.append)
     assert len(calls) == len(progress) == 2 * 10 + 1  # two blocks of 640 steps, one of 16
     assert sum(progress) == schedule.point_steps
-    np.testing.assert_array_equal(state, whole)
-    np.testing.assert_array_equal(sums, whole_sums)
+    np.testing.assert_array_equal(arrays.state, whole.state)
+    np.testing.assert_array_equal(arrays.sums, whole.sums)

@@ -20,6 +20,7 @@ from atlas.engine.statistics import Row
 from atlas.engine.tableaux import METHODS
 from atlas.errors import BadInput
 from atlas.flags import Status
+from atlas.measure.circle import CIRCLES
 from atlas.systems import arithmetic
 from atlas.systems.satellite import SATELLITE, equations
 
@@ -37,11 +38,7 @@ def integrated(points, steps, duration, method="rk8", *, module=None, change=Non
     """State with the sums of losses, and integral_drift; change: of the constants; integral: the only one that counts."""
     ensemble = Ensemble.of(SATELLITE, points)
     module = module or kernel(SATELLITE, method)
-    state, values, scales = (
-        blocks.start_state(module, ensemble.state),
-        ensemble.constants.copy(),
-        ensemble.scales,
-    )
+    values, scales = ensemble.constants.copy(), ensemble.scales
     for name, factor in (change or {}).items():
         values[equations.CONSTANTS.index(name)] *= factor
     if integral is not None:
@@ -50,9 +47,10 @@ def integrated(points, steps, duration, method="rk8", *, module=None, change=Non
             list(equations.INTEGRALS).index(integral)
         ]
     schedule = blocks.pack_blocks(np.full(ensemble.size, steps), np.ones(ensemble.size, np.int64))
-    step_size = np.full(ensemble.size, duration / steps)
-    sums = blocks.integrate(module, schedule, step_size, state, values, scales, 1e-5, threads=1)
-    return state, sums[Row.DRIFT]
+    arrays = ensemble.arrays(module, np.full(ensemble.size, duration / steps), 1e-5)
+    arrays = arrays._replace(constants=values, scales=scales)
+    blocks.integrate(module, schedule, arrays, threads=1)
+    return arrays.state, arrays.sums[Row.DRIFT]
 
 
 def without_losses():
@@ -69,10 +67,10 @@ def without_losses():
 def test_the_text_of_kernels_without_damping_has_nothing_of_losses(method, more):
     zero, equal = SATELLITE.specialization({"damping"} | more, {("A", "B")})
     for frames in (0, 2):
-        text = assemble.source(equations, method, zero, dict(equal), frames=frames)
+        text = assemble.source(equations, method, zero, dict(equal), plugs=CIRCLES[:frames])
         assert "lost" not in text
         assert "loss" not in text.lower()
-        assert text == assemble.source(without_losses(), method, zero, dict(equal), frames=frames)
+        assert text == assemble.source(without_losses(), method, zero, dict(equal), plugs=CIRCLES[:frames])
     damped = assemble.source(equations, method)
     assert damped != assemble.source(without_losses(), method)
     assert "LOSSES = ('jacobi', 'axial_momentum')" in damped

@@ -7,12 +7,12 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from strategies import evaluate
 
 import atlas
 from atlas.engine.simplify import simplify
 from atlas.engine.specialization import GENERIC, Specialization
 from atlas.flags import Label, Status
-from atlas.label.pipeline import evaluate
 from atlas.scene.model import Settings
 from atlas.scene.read import load_scene
 from atlas.systems import SYSTEMS

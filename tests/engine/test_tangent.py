@@ -5,9 +5,10 @@ import pytest
 from scipy.integrate import solve_ivp
 from strategies import random_fixed_points, random_satellites, select
 
-from atlas.engine import assemble, blocks, chaos, tangent, tangent_space
+from atlas.engine import assemble, blocks, tangent, tangent_space
 from atlas.engine.ensemble import Ensemble
 from atlas.engine.specialization import Specialization, tangent_kernel
+from atlas.measure import chaos
 from atlas.systems import SYSTEMS
 
 RANDOM = {"satellite": random_satellites, "fixed_point": random_fixed_points}

@@ -15,17 +15,21 @@ from strategies import (
     fixed_points_on_family,
     satellite_on_family,
     symmetric_fixed_points,
+    tile_of,
 )
 from truth import assert_shards_and_threads_agree, cases, columns_of
 
 import atlas
 from atlas import cli, systems
+from atlas.engine import specialization
 from atlas.flags import Label, Status
-from atlas.label import any_axis, pipeline, theory
+from atlas.label import pipeline, theory
+from atlas.label.plan import Plan
+from atlas.measure import circle as any_axis
 from atlas.runs import refine
 from atlas.scene.model import Settings, Tolerances
 from atlas.systems import SYSTEMS
-from atlas.variables import ANY_AXIS, default_variables, variables
+from atlas.variables import default_variables, variables
 
 pytestmark = pytest.mark.usefixtures("whole_kernels")
 
@@ -237,8 +241,8 @@ def test_precessions_about_the_vertical_have_the_same_rates_by_their_circle():
     assert np.isin(own.precession_inclination[ok], (0.0, np.pi)).all()
     with pytest.MonkeyPatch.context() as patched:
         patched.setattr(
-            any_axis.labels,
-            "label",
+            any_axis,
+            "label_of_third_axis",
             lambda measured, *_: np.full(measured["theta_min"].shape, Label.DRIFTING, np.int8),
         )
         by_circle = labelled("fixed_point", points, 5.0)
@@ -306,12 +310,12 @@ def test_other_variables_are_the_same_to_the_bit_without_it():
 
 def test_only_scenes_that_ask_for_it_have_it():
     for system in SYSTEMS.values():
-        assert not set(ANY_AXIS) & set(default_variables(system))
-        assert any_axis.frames(system, default_variables(system)) == 0
-        assert any_axis.frames(system, ["nutation"]) == 1
-    assert any_axis.frames(SYSTEMS["satellite"], ["label_any_axis_inertial"]) == 2
-    outside = {name for name in ANY_AXIS if name in variables(SYSTEMS["fixed_point"])}
-    assert outside == set(ANY_AXIS) - {"label_any_axis_inertial"}
+        assert not set(any_axis.ANY_AXIS) & set(default_variables(system))
+        assert not Plan(system, Settings(), default_variables(system)).plugs
+        assert Plan(system, Settings(), ["nutation"]).plugs == any_axis.CIRCLES[:1]
+    assert Plan(SYSTEMS["satellite"], Settings(), ["label_any_axis_inertial"]).plugs == any_axis.CIRCLES
+    outside = {name for name in any_axis.ANY_AXIS if name in variables(SYSTEMS["fixed_point"])}
+    assert outside == set(any_axis.ANY_AXIS) - {"label_any_axis_inertial"}
 
 
 def test_run_folders_shards_and_threads_give_the_same(tmp_path):
@@ -364,15 +368,14 @@ def test_a_system_in_euler_angles(monkeypatch):
     """A free symmetric top whose angular velocity is no linear function of its state."""
     path = Path(__file__).parents[2] / "docs/examples/heavy_top_euler/heavy_top_euler.py"
     monkeypatch.setattr(systems, "SYSTEMS", dict(SYSTEMS))
-    kernels = Mock(wraps=pipeline.kernel)
-    monkeypatch.setattr(pipeline, "kernel", kernels)
+    kernels = Mock(wraps=specialization.kernel)
+    monkeypatch.setattr(specialization, "kernel", kernels)
     atlas.register(runpy.run_path(str(path))["HeavyTopEuler"])
     C, theta, n, m = np.array([0.5, 1.6]), 0.8, 0.7, np.array([1.1, -0.9])
     points = {"A": 1.0, "C": C, "theta0": theta, "n": n, "m": m}
     ds = labelled("heavy_top_euler", points, 30.0)
-    assert {call.args[3] for call in kernels.call_args_list} == {
-        1
-    }  # its frequency bound needs no kernel of its own
+    # its frequency bound needs no kernel of its own
+    assert {call.args[3] for call in kernels.call_args_list} == {any_axis.CIRCLES[:1]}
     spin = m + n * np.cos(theta)
     momentum = np.hypot(n * np.sin(theta), C * spin)
     assert names(ds, "label") == 2 * ["drifting"]
@@ -391,10 +394,13 @@ def test_a_nudge_along_free_rotations_leads_to_another_and_one_across_does_not()
         "gamma30": np.array([0.6, 0.8]),
         "p0": np.array([0.0, 1e-4]),
     }
-    system, tolerances = SYSTEMS["fixed_point"], Tolerances(1e-3, 1e-3)
-    prediction = theory.predict_runs(
-        system, base, nudged, np.full(2, 300.0), tolerances, nudged=True, any_axis=True
+    system = SYSTEMS["fixed_point"]
+    settings = Settings(rate_tolerance=1e-3, tolerance=1e-6)
+    plan, tile = (
+        Plan(system, settings, ["label_any_axis"], nudged=True),
+        tile_of(base, nudged, np.full(2, 300.0)),
     )
+    prediction = theory.predict_runs(plan, tile)
     variables = dict(prediction.variables)
     assert prediction.about_other_axes.all()
     assert prediction.pushed.tolist() == [False, True]
@@ -402,10 +408,7 @@ def test_a_nudge_along_free_rotations_leads_to_another_and_one_across_does_not()
     np.testing.assert_allclose(prediction.log_growth, 300.0 * 0.9 * np.sqrt(0.4 * 0.3 / 1.7), rtol=1e-6)
     about_any = theory.predict_any_axis(system, base, nudged, variables, 1e-3, nudged=True)
     assert list(about_any["predicted_any_axis"]) == [Label.PERMANENT_ROTATION, Label.DRIFTING]
-    settings = Settings(rate_tolerance=1e-3, tolerance=1e-6)
-    columns = pipeline.evaluate(
-        system, base, nudged, np.full(2, 300.0), settings, outputs=["label_any_axis"], nudged=True
-    )
+    columns = pipeline.evaluate(plan, tile)
     # The first is left to rounding, the growth of the second is that of its nudge.
     assert list(columns["status"]) == [Status.ROUNDOFF_DECIDED, Status.OK]
     assert list(columns["label_any_axis"]) == [Label.UNRESOLVED, Label.DRIFTING]

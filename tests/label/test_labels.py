@@ -1,5 +1,7 @@
 """Labels of points, from measurements written by hand and of published cases."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from hypothesis import assume, given
@@ -12,7 +14,8 @@ from atlas.engine.statistics import STATISTICS
 from atlas.engine.stepsize import StepSizes
 from atlas.engine.tableaux import METHODS
 from atlas.flags import Label, Status
-from atlas.label import expected_errors, labels
+from atlas.label import labels
+from atlas.measure import rates
 from atlas.scene.model import Settings, Tolerances
 from atlas.systems.satellite.system import SATELLITE
 
@@ -63,7 +66,7 @@ def measured(**changes):
     ],
 )  # fmt: skip
 def test_label_at_every_threshold(changes, expected):
-    result = labels.label(measured(**changes), TOLERANCES)
+    result = rates.label(measured(**changes), TOLERANCES)
     assert NAMES[result[0]] == expected
     assert result.dtype == np.int8
 
@@ -77,14 +80,14 @@ def test_label_at_every_threshold(changes, expected):
 )
 def test_a_rate_as_large_as_its_tolerance_counts_as_none(changes, expected):
     """And sin theta must stay below the cylinder tolerance to be inside."""
-    assert NAMES[labels.label(measured(**changes), TOLERANCES)[0]] == expected
+    assert NAMES[rates.label(measured(**changes), TOLERANCES)[0]] == expected
 
 
 def test_inertial_label_adds_the_rate_of_the_frame():
     still = measured(psi_dot_mean=0.0)
-    assert NAMES[labels.label(still, TOLERANCES)[0]] == "permanent_rotation"
-    assert NAMES[labels.label(still, TOLERANCES, 1.0)[0]] == "regular_precession"
-    assert NAMES[labels.label(measured(psi_dot_mean=-1.0), TOLERANCES, 1.0)[0]] == "permanent_rotation"
+    assert NAMES[rates.label(still, TOLERANCES)[0]] == "permanent_rotation"
+    assert NAMES[rates.label(still, TOLERANCES, 1.0)[0]] == "regular_precession"
+    assert NAMES[rates.label(measured(psi_dot_mean=-1.0), TOLERANCES, 1.0)[0]] == "permanent_rotation"
 
 
 @given(
@@ -289,9 +292,10 @@ def test_a_run_that_ends_early_has_a_label_beyond_all_expected_errors(tolerance,
     settings = Settings(step=step, rate_tolerance=tolerance, max_steps=10**9)
     sizes = StepSizes.of(settings, np.array([bound]), np.array([duration]))
     with np.errstate(divide="ignore"):
-        rate = expected_errors.early_stop_rate(sizes, np.array([bound]), settings.tolerances)
+        rate = rates.Rates().early_stop_rate(np.array([bound]), sizes, settings.tolerances)
     assume(np.isfinite(rate).all())  # no run ends early where the error is as large as the rate
     at_rate = measured(theta_dot_rms=rate) | {"sine_max": np.ones(1)}
-    error = expected_errors.measurement_errors(sizes, np.array([bound]), at_rate)["theta_dot_rms"]
+    run = SimpleNamespace(step_sizes=sizes, bound=np.array([bound]), measured=at_rate)
+    error = rates.Rates().errors(run, np.zeros(1))["theta_dot_rms"]
     assert (error > 0).all()
     assert (rate - error >= tolerance * (1 - 1e-9)).all()

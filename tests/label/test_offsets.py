@@ -11,19 +11,21 @@ from strategies import (
     satellite_on_family,
     select,
     symmetric_fixed_points,
+    tile_of,
 )
 
 import atlas
 from atlas.flags import Agreement, Label, Status
 from atlas.label import offsets, theory
 from atlas.label.offsets import describes, off_family_labels
-from atlas.scene.model import Tolerances
+from atlas.label.plan import Plan
+from atlas.scene.model import Settings, Tolerances
 from atlas.systems import SYSTEMS
 
 pytestmark = pytest.mark.usefixtures("whole_kernels")
 
 FIXED_POINT, SATELLITE = SYSTEMS["fixed_point"], SYSTEMS["satellite"]
-TOLERANCES = Tolerances(1e-5, 1e-5)
+TOLERANCES, SETTINGS = Tolerances(1e-5, 1e-5), Settings()
 OFFSETS = {
     "satellite": ("theta0", "psi0", "phi0", "theta_dot0", "n", "m", "k1", "k3", "A", "h1", "h3", "mu1"),
     "fixed_point": ("theta0", "phi0", "theta_dot0", "n", "m", "l1", "l3", "A", "C", "x0", "z0", "N"),
@@ -54,7 +56,7 @@ def pendulum(side: float, **offset):
 def labels_of(points, duration):
     """Predicted labels of points of the fixed-point system, the start being its own motion before the nudge."""
     duration = np.broadcast_to(float(duration), points["A"].shape)
-    prediction = theory.predict_runs(FIXED_POINT, points, points, duration, TOLERANCES, nudged=False)
+    prediction = theory.predict_runs(Plan(FIXED_POINT, SETTINGS), tile_of(points, points, duration))
     return list(prediction.variables["predicted"])
 
 
@@ -173,7 +175,7 @@ def test_starts_far_from_every_family_need_no_linear_equations(monkeypatch):
     """They drift, and cost nothing."""
     monkeypatch.setattr(offsets, "_integrate", None)
     points = random_satellites(np.random.default_rng(2), 200)
-    prediction = theory.predict_runs(SATELLITE, points, points, np.full(200, 9.0), TOLERANCES, nudged=False)
+    prediction = theory.predict_runs(Plan(SATELLITE, SETTINGS), tile_of(points, points, np.full(200, 9.0)))
     assert (prediction.variables["predicted"] == Label.DRIFTING).all()
     assert (prediction.variables["predicted_inertial"] == Label.DRIFTING).all()
 
@@ -187,14 +189,14 @@ def test_a_run_that_is_too_long_for_the_linear_equations_has_no_prediction():
 def test_an_incomplete_catalogue_predicts_nothing_near_its_families():
     points = satellite_on_family("spherical", np.random.default_rng(4))
     points = points | {"Omega": np.zeros(1), "k3": points["k3"] + 1e-8}
-    prediction = theory.predict_runs(SATELLITE, points, points, np.full(1, 9.0), TOLERANCES, nudged=False)
+    prediction = theory.predict_runs(Plan(SATELLITE, SETTINGS), tile_of(points, points, np.full(1, 9.0)))
     assert prediction.variables["predicted"] == Label.NOT_COMPUTED
 
 
 def test_labels_about_any_axes_are_those_about_the_third_near_its_families():
     points = pendulum(1.0, theta_dot0=SHARES * np.sqrt(2) * TOLERANCES.rate)
     duration = np.full(SHARES.shape, 3 * 2 * np.pi / np.sqrt(0.9 * 0.7 / 1.3))
-    variables = theory.predict_runs(FIXED_POINT, points, points, duration, TOLERANCES, nudged=False).variables
+    variables = theory.predict_runs(Plan(FIXED_POINT, SETTINGS), tile_of(points, points, duration)).variables
     about_any = theory.predict_any_axis(FIXED_POINT, points, points, variables, TOLERANCES.rate, nudged=False)
     np.testing.assert_array_equal(about_any["predicted_any_axis"], variables["predicted"])
 

@@ -130,7 +130,7 @@ def copied_package(tmp_path):
 
 def swap_labels(package):
     """Exchange two labels in the code; the size of the file stays."""
-    file = package / "label" / "labels.py"
+    file = package / "measure" / "rates.py"
     names = {"REGULAR_PRECESSION": "PERMANENT_ROTATION", "PERMANENT_ROTATION": "REGULAR_PRECESSION"}
     text = file.read_text()
     swapped = re.sub("|".join(names), lambda match: names[match[0]], text)
@@ -152,7 +152,7 @@ def test_a_worker_that_started_before_an_edit_is_refused(copied_package, servers
     _, errors = second.communicate(timeout=300)
     assert second.returncode == 2, errors
     assert len(errors.splitlines()) == 1
-    assert "labels.py was written after this process" in errors
+    assert "rates.py was written after this process" in errors
     assert list((folder / "second" / "tiles").iterdir()) == []
     kill(worker)
     start_worker(address, "--no-nanny", **variables)

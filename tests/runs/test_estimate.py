@@ -7,7 +7,7 @@ import pytest
 from atlas.engine import blocks
 from atlas.runs import estimate
 from atlas.runs.estimate import CALIBRATION_STEPS, dry_run
-from atlas.runs.tiling import step_sizes
+from atlas.runs.plan import ScenePlan
 from atlas.scene.read import scene_from
 
 FEW_LONG = {"theta0": {"from": 0.1, "to": 1.5, "count": 3}}
@@ -35,12 +35,12 @@ def test_a_dry_run_is_short_whatever_the_scene(monkeypatch, axes, integration):
     )  # fmt: skip
     measured = []
 
-    def evaluate_nothing(scene, points, *, threads):
-        sizes = step_sizes(scene, points).without_unresolved()
+    def evaluate_nothing(plan, points, *, threads):
+        sizes = ScenePlan(replace(scene, settings=plan.settings), points).step_sizes.without_unresolved()
         measured.append(blocks.schedule_of(sizes).point_steps)
         assert points.exists.size <= estimate.CALIBRATION_POINTS
 
-    monkeypatch.setattr(estimate, "evaluate_tile", evaluate_nothing)
+    monkeypatch.setattr(estimate, "evaluate", evaluate_nothing)
     text = dry_run(scene, threads=2)
     assert f"{scene.size} points" in text
     assert len(measured) == 3
@@ -55,7 +55,7 @@ def test_the_share_of_points_that_are_not_resolved_is_printed(monkeypatch):
             "integration": {"duration": 30.0, "max_steps": 100_000},
         }
     )  # fmt: skip
-    monkeypatch.setattr(estimate, "evaluate_tile", lambda *arguments, **options: None)
+    monkeypatch.setattr(estimate, "evaluate", lambda *arguments, **options: None)
     assert "25 % of the points have steps too long" in dry_run(scene, threads=1)
 
 
@@ -75,10 +75,10 @@ def test_derived_variables_are_priced_by_some_points(monkeypatch):
 
     priced = dict(scene.system.derived) | {"equilibrium_count": replace(derived, values=values)}
     monkeypatch.setattr(type(scene.system), "derived", priced)
-    monkeypatch.setattr(estimate, "evaluate_tile", lambda scene, points, **options: check_outputs(scene))
+    monkeypatch.setattr(estimate, "evaluate", lambda plan, points, **options: check_outputs(plan))
 
-    def check_outputs(scene):
-        assert scene.outputs == ("label",)
+    def check_outputs(plan):
+        assert plan.outputs == ("label",)
 
     assert "of which theory" in dry_run(scene, threads=1)
     assert sizes[0] == 6

@@ -26,10 +26,12 @@ from atlas import BadInput, cli, files, load_scene
 from atlas.analysis import summary
 from atlas.flags import Label
 from atlas.io import netcdf
+from atlas.label.plan import Plan
 from atlas.process import name as process_name
 from atlas.runs import folder, runner, tiles, tiling
 from atlas.runs.backend import AtlasBackend
 from atlas.runs.folder import RunFolder
+from atlas.runs.plan import ScenePlan
 from atlas.runs.tiling import Tiling
 from atlas.scene import grid
 
@@ -53,7 +55,7 @@ def small_tiles(monkeypatch):
 
 def empty_run_folder(scene, path) -> RunFolder:
     """A run folder without tiles; its manifest fixes the tiling for every process that continues it."""
-    return RunFolder.prepare(scene, Path(path), grid.check(scene), [])
+    return RunFolder.prepare(ScenePlan.of(scene), Path(path), [])
 
 
 @given(st.lists(st.integers(1, 9), min_size=1, max_size=4).map(tuple), st.integers(1, 500))
@@ -72,11 +74,11 @@ def test_tiles_cover_a_grid_once_as_contiguous_boxes(shape, points):
 
 def test_tiling_depends_on_the_scene_alone_and_follows_its_cost(scene, scene_text):
     reloaded = load_scene(scene.toml())
-    assert tiling.tiling(scene, grid.check(scene)) == tiling.tiling(reloaded, grid.check(reloaded))
+    assert ScenePlan.of(scene).tiling == ScenePlan.of(reloaded).tiling
     large = {"axes.sigma.count": 900, "axes.theta0.count": 700}
     cheap = load_scene(scene_text(large))
     expensive = load_scene(scene_text(large | {"integration.tolerance": 1e-12}))
-    cuts = [tiling.tiling(s, grid.check(s)) for s in (cheap, expensive)]
+    cuts = [ScenePlan.of(s).tiling for s in (cheap, expensive)]
     assert cuts[0].count < cuts[1].count
     assert 30_000 < np.prod(cuts[0].tile) <= grid.MAX_POINTS_PER_TILE
     assert 512 <= np.prod(cuts[1].tile) <= 4096
@@ -113,16 +115,16 @@ def test_tiles_of_two_runs_have_the_same_bytes(scene, tmp_path, small_tiles):
 def test_finished_tiles_are_not_computed_again(scene, whole, tmp_path, small_tiles, monkeypatch):
     out = f"{tmp_path}/run/"
     run = empty_run_folder(scene, out)
-    calls, evaluate_tile = 0, runner.evaluate_tile
+    calls, evaluate = 0, runner.evaluate
 
     def interrupted_at_the_sixth_call(*arguments, **options):
         nonlocal calls
         calls += 1
         if calls == 6:
             raise KeyboardInterrupt
-        return evaluate_tile(*arguments, **options)
+        return evaluate(*arguments, **options)
 
-    monkeypatch.setattr(runner, "evaluate_tile", interrupted_at_the_sixth_call)
+    monkeypatch.setattr(runner, "evaluate", interrupted_at_the_sixth_call)
     with pytest.raises(KeyboardInterrupt):
         atlas.run(scene, out, progress=False, threads=1)
     kept = run.tiles.status().done
@@ -379,13 +381,13 @@ def test_only_the_run_of_another_scene_is_discarded(scene, scene_text, tmp_path)
         for name in (of_dead, *mine):
             (path / name).write_text("text")
         before = {p: p.read_bytes() for p in path.rglob("*") if p.is_file()}
-        RunFolder.discard(scene, path)
+        RunFolder.discard(ScenePlan.of(scene), path)
         assert {p: p.read_bytes() for p in path.rglob("*") if p.is_file()} == before
-        RunFolder.discard(other, path)
+        RunFolder.discard(ScenePlan.of(other), path)
         assert path.exists() == bool(mine)
     assert [p.name for p in path.iterdir()] == ["thesis.tex"]
     (path / "manifest.json").write_text("damaged")
-    RunFolder.discard(other, path)
+    RunFolder.discard(ScenePlan.of(other), path)
     assert {p.name for p in path.iterdir()} == {"thesis.tex", "manifest.json"}
 
 
@@ -423,7 +425,7 @@ def test_a_process_is_at_work_until_its_file_is_in_its_place(scene, scene_text, 
 
     def late_join(self, out):
         with pytest.raises(BadInput, match="is computed by process"):
-            RunFolder.discard(other, self.path)
+            RunFolder.discard(ScenePlan.of(other), self.path)
         join(self, out)
 
     monkeypatch.setattr(RunFolder, "join", late_join)
@@ -432,7 +434,7 @@ def test_a_process_is_at_work_until_its_file_is_in_its_place(scene, scene_text, 
             patched.setattr(RunFolder, "remove", lambda self: None)
             atlas.run(scene, tmp_path / "a.nc", progress=False).close()
         (tmp_path / "a.nc").unlink()
-    RunFolder.discard(other, tmp_path / "a.nc.run")
+    RunFolder.discard(ScenePlan.of(other), tmp_path / "a.nc.run")
     assert not list(tmp_path.iterdir())
 
 
@@ -442,21 +444,21 @@ def test_a_process_whose_folder_is_removed_says_so(
 ):
     """Removed or replaced by another run, in which it writes nothing; the removal leaves nothing without a manifest."""
     path = tmp_path / ("run" if out == "run/" else "a.nc.run")
-    evaluate_tile, rmtree = runner.evaluate_tile, shutil.rmtree
+    evaluate, rmtree = runner.evaluate, shutil.rmtree
 
     def remove_first(*arguments, **options):
         run = RunFolder.open(path)
         run.remove()
         if replaced:
             empty_run_folder(load_scene(scene_text({"fixed.m": 0.6})), path)
-        return evaluate_tile(*arguments, **options)
+        return evaluate(*arguments, **options)
 
     def tile_in_between(folder, **options):
         with suppress(FileNotFoundError):
             (path / "tiles" / "00000012.nc").write_text("a tile of a process at work")
         rmtree(folder, **options)
 
-    monkeypatch.setattr(runner, "evaluate_tile", remove_first)
+    monkeypatch.setattr(runner, "evaluate", remove_first)
     monkeypatch.setattr(folder.shutil, "rmtree", tile_in_between)
     for replaced in (False, True):
         with pytest.raises(OSError, match="another process has removed this run while it was computed"):
@@ -601,17 +603,17 @@ import itertools, sys, time
 from atlas import cli
 from atlas.runs import runner
 
-calls, evaluate_tile = itertools.count(1), runner.evaluate_tile
+calls, evaluate = itertools.count(1), runner.evaluate
 
-def endless_third(scene, points, *, threads, progress):
+def endless_third(plan, points, *, threads, progress):
     if next(calls) == 3:
         print("at work", flush=True)
         while True:
             progress(0.0)
             time.sleep(0.01)
-    return evaluate_tile(scene, points, threads=threads, progress=progress)
+    return evaluate(plan, points, threads=threads, progress=progress)
 
-runner.evaluate_tile = endless_third
+runner.evaluate = endless_third
 sys.exit(cli.main(["run", "scene.toml", "-o", "run/", "--threads", "1", "--quiet"]))
 """
 
@@ -638,7 +640,7 @@ def test_ctrl_c_keeps_finished_tiles(longer):
 @pytest.mark.parametrize(("flushed", "unchanged"), [(0, "*"), (2, "*.json")], ids=["tile", "sidecar"])
 def test_a_tile_is_written_whole_or_not_at_all(scene, tmp_path, small_tiles, monkeypatch, flushed, unchanged):
     run = empty_run_folder(scene, tmp_path / "run")
-    columns, computed = runner._compute_points(scene, run.tiling.indices(3), 1, None)
+    columns, computed = runner._tile_columns(Plan.of(scene), run, 3, 1, None)
     run.tiles.write(3, columns, computed=computed, seconds=1.0, by="test")
     before = {p: p.read_bytes() for p in run.tiles.folder.glob(unchanged)}
     fsync, calls = os.fsync, 0
@@ -796,7 +798,7 @@ def test_status_join_and_dry_run_on_the_command_line(tmp_path, small_scene, monk
         assert ds.sizes == {"sigma": 9, "theta0": 7}
 
 
-def test_a_grid_of_a_billion_points_opens_and_starts_in_little_memory(tmp_path, scene_text):
+def test_a_grid_of_a_billion_points_opens_and_starts_in_little_memory(tmp_path, scene_text, monkeypatch):
     scene = load_scene(
         scene_text(
             {
@@ -818,7 +820,9 @@ def test_a_grid_of_a_billion_points_opens_and_starts_in_little_memory(tmp_path, 
     point = ds.isel(sigma=7, theta0=8, m=9)
     assert float(point.phi0) == float(point.sigma * point.theta0 * point.m)
     tile = run.tiling.count // 2
-    columns, computed = runner._compute_points(scene, run.tiling.indices(tile)[:1], 1, None)
+    indices = run.tiling.indices(tile)[:1]
+    monkeypatch.setattr(Tiling, "indices", lambda *_: indices)
+    columns, computed = runner._tile_columns(Plan.of(scene), run, tile, 1, None)
     assert computed == 1
     assert set(columns) == set(tiles.tile_types(scene))
 

@@ -17,9 +17,10 @@ import scipy
 import atlas
 from atlas import BadInput, sources
 from atlas.engine import jit
+from atlas.label.plan import Plan
 from atlas.runs import identity, runner
 from atlas.runs.folder import RunFolder
-from atlas.scene import grid
+from atlas.runs.plan import ScenePlan
 
 
 @pytest.fixture(scope="module")
@@ -30,7 +31,7 @@ def scene(small_scene):
 @pytest.fixture
 def run(scene, tmp_path):
     """An empty run folder."""
-    return RunFolder.prepare(scene, tmp_path / "run", grid.check(scene), [])
+    return RunFolder.prepare(ScenePlan.of(scene), tmp_path / "run", [])
 
 
 @pytest.fixture
@@ -44,14 +45,14 @@ def package(tmp_path, monkeypatch):
 
 
 def test_the_copy_of_the_package_is_the_same_code(run, scene, package):
-    run.check_same(scene)
+    run.check_same(ScenePlan.of(scene))
 
 
 @pytest.mark.parametrize(
     "name",
     [
         "flags.py", "variables.py", "engine/stepsize.py", "systems/satellite/families.py", "scene/grid.py",
-        "label/labels.py", "io/netcdf.py", "runs/tiles.py", "runs/tiling.py", "runs/runner.py",
+        "label/labels.py", "measure/rates.py", "io/netcdf.py", "runs/tiles.py", "runs/tiling.py", "runs/runner.py",
     ],
 )  # fmt: skip
 def test_a_run_is_not_continued_by_other_code(name, run, scene, package, monkeypatch):
@@ -59,13 +60,13 @@ def test_a_run_is_not_continued_by_other_code(name, run, scene, package, monkeyp
         file.write("\n")
     monkeypatch.setattr(sources, "AT_IMPORT", sources.read())  # a process that starts after the edit
     with pytest.raises(BadInput, match=r"differs in code \([0-9a-f]{16} in the folder, [0-9a-f]{16} now\)$"):
-        run.check_same(scene)
+        run.check_same(ScenePlan.of(scene))
 
 
 def test_code_that_no_number_of_a_tile_depends_on_may_be_edited(run, scene, package, monkeypatch):
     (package / "plotting" / "style.py").write_text("")
     monkeypatch.setattr(sources, "AT_IMPORT", sources.read())
-    run.check_same(scene)
+    run.check_same(ScenePlan.of(scene))
 
 
 def edit(file):
@@ -93,14 +94,14 @@ def test_a_process_whose_files_changed_after_the_import_is_refused(change, run, 
     with pytest.raises(
         BadInput, match=r"labels\.py was written after this process .* had imported it"
     ) as refused:
-        run.check_same(scene)
+        run.check_same(ScenePlan.of(scene))
     assert len(str(refused.value).splitlines()) == 1
 
 
 def test_a_file_that_appears_after_the_import_is_noticed(scene, package):
     (package / "engine" / "new.py").write_text("")
     with pytest.raises(BadInput, match=r"new\.py was written after"):
-        identity.identity(scene)
+        identity.identity(Plan.of(scene))
 
 
 @pytest.mark.parametrize(
@@ -108,7 +109,7 @@ def test_a_file_that_appears_after_the_import_is_noticed(scene, package):
     [
         ("atlas", identity, "__version__", "9.9"),
         ("cpu", jit, "cpu", lambda: "another"),
-        ("kernel", identity, "scene_kernel_hash", lambda scene: "0" * 16),
+        ("kernel", Plan, "kernel_hash", "0" * 16),
         ("NUMBA_SLP_VECTORIZE", numba.config, "SLP_VECTORIZE", 1),
         ("numpy", np, "__version__", "9.9"),
         ("numba", numba, "__version__", "9.9"),
@@ -123,16 +124,16 @@ def test_a_file_that_appears_after_the_import_is_noticed(scene, package):
 def test_a_run_is_not_continued_where_one_program_or_the_processor_differs(
     name, owner, attribute, value, run, scene, monkeypatch
 ):
-    run.check_same(scene)
+    run.check_same(ScenePlan.of(scene))
     monkeypatch.setattr(numba.config, "reload_config", lambda: None)
     monkeypatch.setattr(owner, attribute, value)
     with pytest.raises(BadInput, match=rf"It differs in {name} \([^()]+ in the folder, [^()]+ now\)$"):
-        run.check_same(scene)
+        run.check_same(ScenePlan.of(scene))
 
 
 def test_a_worker_that_computes_other_bits_writes_nothing(run, scene, monkeypatch):
-    other = identity.identity(scene) | {"code": "0" * 16}
-    monkeypatch.setattr(runner, "identity", lambda scene: other)
+    other = identity.identity(Plan.of(scene)) | {"code": "0" * 16}
+    monkeypatch.setattr(runner, "identity", lambda plan: other)
     runner._open_cached.cache_clear()
     refused = rf"would compute other bits; .* It differs in code \({run.manifest['identity']['code']} in the run, 0+ in"
     for refusing in (
@@ -147,8 +148,8 @@ def test_a_worker_that_computes_other_bits_writes_nothing(run, scene, monkeypatc
 
 def test_a_tile_carries_the_key_of_what_computed_it_and_is_refused_in_another_run(run, scene, monkeypatch):
     """Even if a worker of other code were let through, what it writes would not be taken for a tile of the run."""
-    other = identity.identity(scene) | {"code": "0" * 16}
-    monkeypatch.setattr(runner, "identity", lambda scene: other)
+    other = identity.identity(Plan.of(scene)) | {"code": "0" * 16}
+    monkeypatch.setattr(runner, "identity", lambda plan: other)
     monkeypatch.setattr(runner, "differences", lambda *arguments: "")
     runner._open_cached.cache_clear()
     runner.compute_tile(str(run.path), run.key, 0)
@@ -174,7 +175,7 @@ def test_the_code_of_a_system_of_ones_own_is_part_of_the_identity(scene, tmp_pat
         module = importlib.util.module_from_spec(spec)
         monkeypatch.setitem(sys.modules, "my_system", module)
         spec.loader.exec_module(module)
-        return identity.identity(replace(scene, system=module.Mine()))
+        return identity.identity(Plan.of(replace(scene, system=module.Mine())))
 
     text = "from atlas.systems.satellite import SATELLITE\nclass Mine(type(SATELLITE)):\n    pass\n"
     first = identity_with(text)
@@ -182,7 +183,7 @@ def test_the_code_of_a_system_of_ones_own_is_part_of_the_identity(scene, tmp_pat
         text + "    def frequency_bound(self, points):\n        return 7.0 + 0.0 * points['A']\n"
     )
     assert {name for name in changed if changed[name] != first.get(name)} == {"system_code"}
-    assert "system_code" not in identity.identity(scene)
+    assert "system_code" not in identity.identity(Plan.of(scene))
 
 
 def test_differences_name_what_is_missing_on_one_side():

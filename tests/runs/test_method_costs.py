@@ -10,17 +10,19 @@ from atlas.analysis.summary import summary
 from atlas.cli import main
 from atlas.engine.tableaux import METHODS
 from atlas.runs.estimate import dry_run
-from atlas.runs.method_costs import method_lines, relative_costs
-from atlas.scene import grid
+from atlas.runs.plan import ScenePlan
 
 pytestmark = pytest.mark.usefixtures("whole_kernels")
 
 
+def relative_costs(scene, sample):
+    return ScenePlan(scene, sample).relative_costs()
+
+
 def lines_and_sample(text):
     """The lines on the other methods of a scene, its sample and itself."""
-    scene = load_scene(text)
-    sample = grid.check(scene)
-    return method_lines(scene, sample), sample, scene
+    plan = ScenePlan.of(load_scene(text))
+    return plan.method_lines(), plan.sample, plan.scene
 
 
 @pytest.mark.parametrize(("method", "other", "words"), [("rk4", "rk8", "of"), ("rk8", "rk4", "times")])

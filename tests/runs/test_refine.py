@@ -14,6 +14,7 @@ from atlas.analysis import summary
 from atlas.flags import Label, Stability
 from atlas.io import netcdf
 from atlas.runs import estimate, refine
+from atlas.runs.plan import ScenePlan
 from atlas.scene.grid import Grid
 from atlas.scene.read import scene_from
 
@@ -43,7 +44,7 @@ def both(scene_text):
     """A refined atlas, and the same on the full grid."""
     scene = refined_scene(scene_text)
     full = full_scene(scene_text, scene.shape)
-    return refine.refined(scene, [], progress=False), atlas.run(full, progress=False)
+    return refine.refined(ScenePlan.of(scene), [], progress=False), atlas.run(full, progress=False)
 
 
 def test_flags_and_parameters_are_those_of_the_full_grid(both):
@@ -89,7 +90,7 @@ def test_axes_given_by_values_are_not_refined(scene_text):
     axes = {"axes.k1.values": [0.0], "axes.h3.values": [0.0, 0.2]}
     scene = refined_scene(scene_text, (5, 4), axes, {"levels": 2, "probe": 0.0})
     assert scene.shape == (17, 13, 1, 2)
-    ds = refine.refined(scene, [], progress=False)
+    ds = refine.refined(ScenePlan.of(scene), [], progress=False)
     assert ds.label.dims == ("sigma", "theta0", "k1", "h3")
     full = atlas.run(full_scene(scene_text, (17, 13), axes), progress=False)
     np.testing.assert_array_equal(ds.label, full.label)
@@ -98,7 +99,7 @@ def test_axes_given_by_values_are_not_refined(scene_text):
 
 def test_points_without_motion_are_not_computed_and_their_boundary_is_traced(scene_text):
     scene = refined_scene(scene_text, (5, 4), OBLIQUE)
-    ds = refine.refined(scene, [], progress=False)
+    ds = refine.refined(ScenePlan.of(scene), [], progress=False)
     full = atlas.run(full_scene(scene_text, scene.shape, OBLIQUE), progress=False)
     without_motion = full.label.values == Label.NOT_COMPUTED
     assert 0 < without_motion.sum() < without_motion.size
@@ -114,10 +115,10 @@ def labels_of_region(inside, x, y):
 
 
 def replace_integration(monkeypatch, inside):
-    def evaluate(scene, points: Grid, *, threads=None):
+    def evaluate(plan, points: Grid, *, threads=None):
         return {"label": labels_of_region(inside, points.base["h1"], points.base["h3"])}
 
-    monkeypatch.setattr(refine, "evaluate_tile", evaluate)
+    monkeypatch.setattr(refine, "evaluate", evaluate)
 
 
 def plane(count, levels, probe):
@@ -153,7 +154,7 @@ def test_any_ellipse_that_contains_a_coarse_point_is_exact(x0, y0, semi_axis, ra
 
     with pytest.MonkeyPatch.context() as patch:
         replace_integration(patch, inside)
-        ds = refine.refined(plane(9, 3, 0.0), [], progress=False)
+        ds = refine.refined(ScenePlan.of(plane(9, 3, 0.0)), [], progress=False)
     if (ds.label == Label.PERMANENT_ROTATION).any():
         # on the finest grid a thinner ellipse is a row of separate islands
         if semi_axis * ratio > 2 / 64:
@@ -168,10 +169,10 @@ def test_islands_that_the_probe_hits_are_traced_and_counted(monkeypatch):
         return (abs((8 * x) % 1 - 0.5) < 0.2) & (abs((8 * y) % 1 - 0.5) < 0.2)
 
     replace_integration(monkeypatch, islands)
-    without_probe = refine.refined(plane(9, 3, 0.0), [], progress=False)
+    without_probe = refine.refined(ScenePlan.of(plane(9, 3, 0.0)), [], progress=False)
     assert (without_probe.label == Label.DRIFTING).all()
     assert without_probe.attrs["atlas_computed_share"] == 81 / 65**2
-    ds = refine.refined(plane(9, 3, 0.1), [], progress=False)
+    ds = refine.refined(ScenePlan.of(plane(9, 3, 0.1)), [], progress=False)
     probed, missed = ds.attrs["atlas_probe_points"], ds.attrs["atlas_probe_missed"]
     assert probed == np.ceil(0.1 * (65**2 - 81))
     expected = expected_labels(ds, islands)
@@ -180,13 +181,13 @@ def test_islands_that_the_probe_hits_are_traced_and_counted(monkeypatch):
     assert (ds.label == Label.PERMANENT_ROTATION).sum() > 4 * missed
     computed = ds.computed.values == 1
     np.testing.assert_array_equal(ds.label.values[computed], expected[computed])
-    repeated = refine.refined(plane(9, 3, 0.1), [], progress=False)
+    repeated = refine.refined(ScenePlan.of(plane(9, 3, 0.1)), [], progress=False)
     np.testing.assert_array_equal(repeated.computed, ds.computed)
 
 
 def test_progress_is_printed(monkeypatch, capsys):
     replace_integration(monkeypatch, lambda x, y: x + y < 0.7)
-    refine.refined(plane(5, 2, 0.01), [], progress=True)
+    refine.refined(ScenePlan.of(plane(5, 2, 0.01)), [], progress=True)
     assert "level 2 of 2" in capsys.readouterr().err
 
 
@@ -260,11 +261,11 @@ def test_the_expected_number_of_points_is_that_of_a_run(scene_text, both, monkey
     ds, _ = both
     integrated = ds.attrs["atlas_computed_share"] * ds.label.size
     scene = refined_scene(scene_text)
-    assert refine.expected_points(scene) == pytest.approx(integrated, rel=0.1)
+    assert refine.expected_points(ScenePlan.of(scene)) == pytest.approx(integrated, rel=0.1)
     monkeypatch.setattr(refine, "MAX_PREDICTED", 1000)
-    assert refine.expected_points(scene) == pytest.approx(integrated, rel=1 / 3)
+    assert refine.expected_points(ScenePlan.of(scene)) == pytest.approx(integrated, rel=1 / 3)
     monkeypatch.setattr(refine, "MAX_PREDICTED", 40)  # less than the coarse grid
-    assert refine.expected_points(scene) == pytest.approx(integrated, rel=0.7)
+    assert refine.expected_points(ScenePlan.of(scene)) == pytest.approx(integrated, rel=0.7)
 
 
 def test_a_dry_run_prices_the_points_that_are_integrated(scene_text, both):

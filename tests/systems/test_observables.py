@@ -6,16 +6,18 @@ import xarray as xr
 from numpy import cos
 from plugins import PENDULUM, PENDULUM_SCENE
 from scipy.integrate import simpson, solve_ivp
+from strategies import evaluate
 
 import atlas
 from atlas import systems
-from atlas.engine import assemble, numeric_bound, observation, observe, turning
+from atlas.engine import assemble, numeric_bound, observe, sampling, turning
 from atlas.engine.ensemble import Ensemble
 from atlas.engine.specialization import kernel
 from atlas.engine.stepsize import StepSizes
 from atlas.engine.tableaux import METHODS
 from atlas.flags import Regularity, Status, Steadiness
-from atlas.label import observed
+from atlas.measure import observables
+from atlas.measure.instrument import Run
 from atlas.scene.model import Settings
 from atlas.systems import jacobian
 from atlas.variables import variables
@@ -141,7 +143,7 @@ def test_drift_of_a_free_motion(pendulum):
 
 @pytest.mark.parametrize("intervals", [3, 4, 5, 7, 12])
 def test_the_rule_is_exact_for_polynomials_of_degree_7(intervals):
-    values, slopes = observation.end_weights()
+    values, slopes = sampling.end_weights()
     weights, slope_weights = np.ones(intervals + 1), np.zeros(intervals + 1)
     for j in range(4):
         weights[j] += values[j]
@@ -185,8 +187,11 @@ def test_the_interpreter_and_the_compiler_agree(pendulum):
     ensemble = Ensemble.of(pendulum, points)
     sizes = StepSizes.of(Settings(method=METHOD, tolerance=1e-4), np.full(3, 3.0), np.full(3, 8.0))
     plain = assemble.plain_module(pendulum.equations, METHOD, of=observe)
-    interpreted = observation.measure(plain, ensemble, sizes).statistics(pendulum)
-    compiled = observation.measure(kernel(pendulum, METHOD), ensemble, sizes).statistics(pendulum)
+    runs = [
+        Run(pendulum, None, (), ensemble, sizes, {}, np.zeros(3), ensemble.integrate(module, sizes))
+        for module in (plain, kernel(pendulum, METHOD))
+    ]
+    interpreted, compiled = (observables.Observables().measurements(run, {}) for run in runs)
     for name, values in compiled.items():
         np.testing.assert_allclose(values, interpreted[name], rtol=1e-11, atol=1e-12)
 
@@ -228,7 +233,7 @@ def test_error_estimates_cover_the_errors(pendulum, monkeypatch, bound, check):
     error = np.zeros(200)
     for name in ("x", "height"):
         size = np.maximum(np.abs(exact[f"{name}_min"]), np.abs(exact[f"{name}_max"]))
-        for suffix in observation.STATISTICS:
+        for suffix in observables.STATISTICS:
             error = np.fmax(error, np.abs(ds[f"{name}_{suffix}"] - exact[f"{name}_{suffix}"]) / size)
     assert (error <= ds["error_estimate"]).mean() > 0.95
     assert (error <= 10 * ds["error_estimate"]).all()
@@ -283,9 +288,9 @@ def test_a_run_that_is_cut_has_the_same_bits(pendulum, monkeypatch):
     points = random_points(5)
     sizes = StepSizes.of(Settings(method=METHOD, tolerance=1e-6), np.full(5, 3.0), np.full(5, 40.0))
     ensemble = Ensemble.of(pendulum, points)
-    whole = observation.measure(kernel(pendulum, METHOD), ensemble, sizes)
+    whole = ensemble.integrate(kernel(pendulum, METHOD), sizes)
     monkeypatch.setattr(blocks, "CHUNK", 500)
-    cut = observation.measure(kernel(pendulum, METHOD), ensemble, sizes, threads=2)
+    cut = ensemble.integrate(kernel(pendulum, METHOD), sizes, threads=2)
     np.testing.assert_array_equal(cut.sums, whole.sums)
     np.testing.assert_array_equal(cut.final_state, whole.final_state)
 
@@ -398,10 +403,7 @@ def test_motions_that_end_are_not_resolved(pendulum, monkeypatch):
     """With a negative spring the motion reaches infinity in a finite time."""
     points = {"omega": np.zeros(2), "cubic": np.array([-1.0, 1.0]), "x0": np.ones(2), "v0": np.zeros(2)}
     base = dict(points)
-    columns = observed.evaluate(
-        pendulum, base, points, np.full(2, 30.0), Settings(method=METHOD),
-        specialization=atlas.engine.specialization.GENERIC, outputs=None, halved=False, threads=1, progress=None,
-    )  # fmt: skip
+    columns = evaluate(pendulum, base, points, np.full(2, 30.0), Settings(method=METHOD), threads=1)
     assert columns["status"][0] in (Status.NOT_FINITE, Status.UNDER_RESOLVED)
     assert columns["label"][0] == Steadiness.UNRESOLVED
     assert columns["status"][1] == Status.OK

@@ -11,6 +11,7 @@ from plugins import PENDULUM, PENDULUM_SCENE, install
 
 import atlas
 from atlas import cli, systems
+from atlas.label.plan import Plan
 from atlas.runs.identity import identity
 
 
@@ -155,18 +156,18 @@ def test_an_atlas_of_a_package_that_is_not_installed(folder):
 
 def test_an_edit_makes_another_run_and_a_stale_process_is_refused(pendulum):
     scene = atlas.load_scene(PENDULUM_SCENE)
-    before = identity(scene)
+    before = identity(Plan.of(scene))
     assert before["system_package"] == "some-systems 1.2"
     file = pendulum / "pendulum_plugin.py"
     file.write_text(PENDULUM.replace("omega**2", "omega**4"))
     with pytest.raises(atlas.BadInput, match=r"pendulum_plugin.py was written after this process"):
-        identity(scene)
+        identity(Plan.of(scene))
     systems.SYSTEMS.pop("pendulum")
     del sys.modules["pendulum_plugin"]
     import importlib
 
     importlib.invalidate_caches()
-    after = identity(atlas.load_scene(PENDULUM_SCENE))
+    after = identity(Plan.of(atlas.load_scene(PENDULUM_SCENE)))
     assert {name for name in before if before[name] != after[name]} == {"system_code", "kernel"}
 
 

@@ -7,13 +7,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from scipy.stats import binom
-from strategies import default_points
+from strategies import default_points, evaluate
 
 from atlas.engine.statistics import RATES
 from atlas.engine.stepsize import StepSizes
 from atlas.engine.tableaux import METHODS
 from atlas.flags import Label
-from atlas.label.pipeline import evaluate
 from atlas.scene.model import Settings
 from atlas.scene.read import load_scene
 from atlas.systems import SYSTEMS
@@ -43,7 +42,7 @@ def test_upper_bound_is_the_exact_binomial_one(events, draws):
 def test_half_step_sample_counts_what_changes(scene_text, monkeypatch):
     """With an engine whose labels and rates depend on the step in a known way."""
 
-    def labels_by_step(scene, tile, *, halved, threads):
+    def labels_by_step(plan, tile, *, halved, threads):
         label = np.full(tile.duration.size, Label.PERMANENT_ROTATION, np.int8)
         label[0], label[1] = Label.NOT_COMPUTED, Label.UNRESOLVED
         if halved:
@@ -52,7 +51,7 @@ def test_half_step_sample_counts_what_changes(scene_text, monkeypatch):
         estimate = np.where(np.arange(label.size) < 7, 0.0, 1.0)
         return {"label": label, "label_inertial": label.copy(), "error_estimate": estimate, **rates}
 
-    monkeypatch.setattr(half_step, "evaluate_tile", labels_by_step)
+    monkeypatch.setattr(half_step, "evaluate", labels_by_step)
     fixed_step = {"integration.tolerance": None, "integration.step": 0.1}
     attributes = half_step.half_step_sample(load_scene(scene_text(fixed_step)))
     # All points were tried, so the bound is the count. The two points without a label cannot change it.

@@ -6,6 +6,7 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from strategies import (
     SATELLITE_SOLVED,
+    evaluate,
     fixed_points_on_family,
     random_fixed_points,
     satellite_on_family,
@@ -18,9 +19,10 @@ from atlas.engine.specialization import GENERIC
 from atlas.engine.stepsize import StepSizes
 from atlas.engine.tableaux import METHODS
 from atlas.flags import Label, Stability, Status
-from atlas.label import labels
-from atlas.label.pipeline import evaluate
+from atlas.label import theory
 from atlas.label.theory import predict
+from atlas.measure.instrument import could_change
+from atlas.measure.rates import rule
 from atlas.scene.model import Settings, Tolerances
 from atlas.scene.tables import point_columns
 from atlas.systems import SYSTEMS
@@ -54,7 +56,7 @@ def test_unsure_where_the_error_reaches_a_threshold():
     def unsure(error, *frame_rate, **changes):
         measured = {name: np.array([value]) for name, value in (steady | changes).items()}
         errors = {name: np.array([value]) for name, value in (no_error | error).items()}
-        return bool(labels.unsure(measured, errors, Tolerances(1e-5, 1e-5), *frame_rate)[0])
+        return bool(could_change(rule(Tolerances(1e-5, 1e-5), *frame_rate), measured, errors)[0])
 
     for name in ("theta_dot_rms", "psi_dot_std", "phi_dot_std"):
         assert not unsure({name: 0.9e-5})
@@ -109,7 +111,7 @@ def test_the_automatic_step_resolves_the_rate_tolerance():
 
 
 def test_an_exact_start_that_leaves_is_step_sensitive_before_rounding_is_expected_to_decide(monkeypatch):
-    monkeypatch.setattr(labels, "rounding_limit", lambda *_: np.inf)
+    monkeypatch.setattr(theory, "rounding_limit", lambda *_: np.inf)
     results = set()
     for m in np.linspace(29.0, 30.0, 12):  # the last bits decide which of them leave
         for duration in (50.0, 90.0):

@@ -2,13 +2,12 @@
 
 import numpy as np
 import pytest
-from strategies import default_points
+from strategies import default_points, evaluate
 
 import atlas
 from atlas.engine.statistics import RATES
 from atlas.engine.tableaux import METHODS
 from atlas.flags import Label
-from atlas.label.pipeline import evaluate
 from atlas.scene import grid
 from atlas.scene.model import Settings
 from atlas.scene.read import load_scene

@@ -2,11 +2,10 @@
 
 import numpy as np
 import pytest
-from strategies import default_points
+from strategies import default_points, evaluate
 
 from atlas import cli
 from atlas.flags import Status
-from atlas.label.pipeline import evaluate
 from atlas.scene.model import Settings
 from atlas.systems import SYSTEMS
 from atlas.validation import exact, stress, stress_truth

@@ -1,27 +1,30 @@
-"""Indicators of chaos: mean MEGNO and the largest Lyapunov exponent of every point of an ensemble."""
+"""Indicators of chaos, mean MEGNO and the largest Lyapunov exponent, from runs with a tangent vector; regular or chaotic."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from functools import partial
 from types import ModuleType
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ..systems.base import Array, Mask, System
-from . import blocks, tangent, tangent_space
-from .ensemble import Ensemble
-from .generated import WIDTH
-from .stepsize import count_ladder, steps_of_length
-from .tableaux import METHODS
+from ..engine import blocks, tangent, tangent_space
+from ..engine.ensemble import Ensemble
+from ..engine.generated import WIDTH
+from ..engine.stepsize import StepSizes, count_ladder, steps_of_length
+from ..engine.tableaux import METHODS
+from ..engine.tangent import METHOD
+from ..flags import Label, Regularity, Status
+from ..systems.base import Array, Flags, Mask, Points, System
+from .instrument import Instrument, Variable
 
 # Instants of a run at which the tangent vector is divided by its norm and the sums are taken, at least.
 NODES = 1024
 # Steps between two of them at most: a tangent vector grows by less than e^700 in as many, so that it cannot overflow.
 MAX_STEPS_PER_NODE = 1000
-# The method of these runs, whatever the method of the others: of the two it needs the least time for a given error.
-METHOD = METHODS["rk8"]
 # Largest step times frequency bound: longer steps make regular motions look chaotic, shorter ones change MEGNO of regular
 # motions by less than 0.01.
 MAX_RADIANS_PER_STEP = 0.3
@@ -36,8 +39,17 @@ RELATIVE_COST = 1.5
 MAX_DRAWDOWN = 10.0
 # Until it returns, L grows by ln(1/d^2) or less, where rounding errors of 1e-16 are the least d^2: 39 was measured.
 MAX_PASSAGE_GROWTH = 50.0
+# Mean MEGNO below the first is regular, above the second chaotic. It tends to 2 or less, or grows as lambda T / 2.
+MAX_REGULAR, MIN_CHAOTIC = 2.5, 5.0
 # Durations for which a run goes on at most until it has passed one of these two limits.
 MAX_DURATIONS = 16
+
+
+_TANGENT = (
+    "of one tangent vector: changes of the rates (in units of the orbital rate, or 1) and a rotation, for bodies about a fixed"
+    " point the change of gamma, which begins as (5, -4, 6, 3, 4, -3), there gamma x (3, 4, -3), divided by its norm"
+)
+_TANGENT_OF_STATES = "of one tangent vector of all states in their units, which begins as (5, -4, 6, 3, 4, -3, ...), divided by its norm"
 
 
 @dataclass(frozen=True)
@@ -78,6 +90,17 @@ class TangentSteps:
     def subset(self, where: NDArray[np.int64]) -> TangentSteps:
         """Those of some points, by their indices."""
         return TangentSteps(self.steps[where], self.step_size[where], self.resolved[where])
+
+
+class TangentArrays(NamedTuple):
+    """What the tangent kernel reads and writes, as `blocks.Arrays`."""
+
+    step_size: Array
+    state: Array
+    constants: Array
+    vectors: Array  # in the kernel's units, (kernel.TANGENT, points)
+    weights: Array  # factors of their components in their norm, (kernel.TANGENT, points)
+    sums: Array  # (tangent.SUMS, points)
 
 
 class Separation:
@@ -128,12 +151,11 @@ class Separation:
         points, nodes = where[schedule.points], schedule.steps_per_sample
         first_node = self.durations[points[:, 0]] * nodes
 
-        def call(first: int, last: int, begin: NDArray[np.int64], end: NDArray[np.int64]) -> None:
-            self.kernel.integrate(
-                first, last, points, MAX_DURATIONS * schedule.steps, MAX_DURATIONS * nodes, begin, end,
-                self.steps.step_size, self.state, self.constants, self.vectors, self.weights, self.sums,
-            )  # fmt: skip
-
+        longest = blocks.BlockSchedule(points, MAX_DURATIONS * schedule.steps, MAX_DURATIONS * nodes)
+        arrays = TangentArrays(
+            self.steps.step_size, self.state, self.constants, self.vectors, self.weights, self.sums
+        )
+        call = partial(self.kernel.integrate, longest, arrays)
         blocks.call_by_parts(call, schedule.steps * WIDTH, first_node, first_node + nodes, threads, progress)
         self.durations[where] += 1
 
@@ -178,3 +200,111 @@ def _norm_weights(system: System, ensemble: Ensemble, unit: Array, rate_unit: Ar
     if tangent_space.rotates(equations):
         rows += 3 * [np.ones_like(unit)]
     return np.ascontiguousarray(rows)
+
+
+@dataclass(frozen=True)
+class Chaos(Instrument):
+    """Runs with a tangent vector, of bodies and of systems with observables."""
+
+    def every_variable(self, system: System) -> tuple[Variable, ...]:
+        """The indicators and the flag."""
+        tangent = _TANGENT_OF_STATES if system.observables else _TANGENT
+        comment = (
+            f"{tangent}; integrated by rk8 with at most 0.3 rad of the fastest frequency a step; nan where the status is not ok, and"
+            " where the growth may come from one passage of an unstable motion or from rounding errors there"
+        )
+        return (
+            Variable(
+                "regularity", "int8", "1", "whether neighbouring motions separate exponentially", Regularity.meanings(),
+                "an exact start on an unstable periodic motion reads as chaotic, and chaos with an exponent below about"
+                " 10 / duration as regular", optional=True,
+            ),
+            Variable("megno", "float64", "1", "mean exponential growth factor of nearby orbits, averaged over the run", comment=comment, optional=True),
+            Variable("lyapunov", "float64", "s-1", "largest Lyapunov exponent, as measured at the end of the run", comment=comment, optional=True),
+        )  # fmt: skip
+
+
+@dataclass(frozen=True)
+class TangentRuns:
+    """Points ready to be integrated with a tangent vector; arrays of shape (points,)."""
+
+    system: System
+    kernel: ModuleType  # see `specialization.tangent_kernel`
+    ensemble: Ensemble
+    steps: TangentSteps
+    rate_unit: Array  # see `System.rate_unit`
+    share: float  # of these runs in the work of all runs of the points
+
+    @classmethod
+    def of(
+        cls,
+        system: System,
+        kernel: ModuleType,
+        ensemble: Ensemble,
+        points: Points,
+        duration: Array,
+        settings: Any,
+        step_sizes: StepSizes,
+    ) -> TangentRuns:
+        """The runs of points that are integrated without a tangent vector as well, with step_sizes."""
+        with np.errstate(all="ignore"):
+            steps = TangentSteps.of(ensemble.frequency_bound, duration, settings.step, settings.max_steps)
+            rate_unit = np.asarray(system.rate_unit(points))
+        own = METHODS[settings.method].step_cost * float(step_sizes.without_unresolved().steps.sum())
+        work = RELATIVE_COST * METHOD.step_cost * float(steps.steps[steps.resolved].sum())
+        return cls(system, kernel, ensemble, steps, rate_unit, work / (own + work))
+
+    def variables(
+        self, columns: Mapping[str, np.ndarray], threads: int | None, progress: Callable[[float], None]
+    ) -> dict[str, np.ndarray]:
+        """The variables of CHAOS; nan and NOT_COMPUTED where the status is not ok.
+
+        columns: label and status; threads: see `blocks.integrate`; progress: called with points done, in all
+        `share` of their number.
+        """
+        size = self.rate_unit.size
+        megno, lyapunov = np.full(size, np.nan), np.full(size, np.nan)
+        flags = np.full(size, Regularity.NOT_COMPUTED, np.int8)
+        where = np.flatnonzero(columns["status"] == Status.OK)
+        if not where.size:
+            progress(size * self.share)
+            return {"megno": megno, "lyapunov": lyapunov, "regularity": flags}
+        steps = self.steps.subset(where)
+        points_per_step = size * self.share / float(steps.steps.sum())
+        separation = Separation(
+            self.system, self.kernel, self.ensemble.subset(where), steps, self.rate_unit[where]
+        )
+        separation.integrate(
+            threads=threads, progress=lambda point_steps: progress(points_per_step * point_steps)
+        )
+        values = np.array([separation.megno, separation.lyapunov])
+        values[:, ~np.isfinite(values).all(0)] = np.nan
+        kind = regularity(columns["label"][where].astype(np.int8), values[0])
+        drifting = np.isin(kind, (Regularity.REGULAR, Regularity.CHAOTIC, Regularity.UNDECIDED))
+        values[:, drifting & separation.passes_unstable_motion] = np.nan
+        chaotic = np.flatnonzero(kind == Regularity.CHAOTIC)
+        sustained = separation.is_sustained(chaotic, threads=threads, progress=lambda steps: progress(0.0))
+        kind[chaotic[~sustained]] = Regularity.UNDECIDED
+        values[:, chaotic[~sustained]] = np.nan
+        (megno[where], lyapunov[where]), flags[where] = values, kind
+        return {"megno": megno, "lyapunov": lyapunov, "regularity": flags}
+
+
+def regularity(label: Flags, megno: Array) -> Flags:
+    """Flag of each point.
+
+    label: values of flags.Label, unresolved where the status is not ok. megno: mean MEGNO at the end of the
+    run; nan: not computed. Returns values of flags.Regularity.
+    """
+    steady = np.isin(label, (Label.REGULAR_PRECESSION, Label.PERMANENT_ROTATION))
+    drifting = label == Label.DRIFTING
+    conditions = {
+        Regularity.NOT_COMPUTED: np.isnan(megno),
+        Regularity.HYPERBOLIC: steady & (megno > MIN_CHAOTIC),
+        Regularity.STEADY: steady,
+        Regularity.CHAOTIC: drifting & (megno > MIN_CHAOTIC),
+        Regularity.REGULAR: drifting & (megno < MAX_REGULAR),
+        Regularity.UNDECIDED: drifting,
+    }
+    flags = np.select(list(conditions.values()), list(conditions), Regularity.NOT_COMPUTED)
+    return np.asarray(flags, np.int8)

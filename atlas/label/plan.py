@@ -1,0 +1,87 @@
+"""A plan: how points are integrated and measured, made once from system, settings and variables wanted, and carried along."""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+from dataclasses import dataclass, replace
+from functools import cached_property
+from types import ModuleType
+
+from ..engine import specialization
+from ..engine.specialization import GENERIC, Specialization
+from ..measure.chaos import Chaos
+from ..measure.instrument import Instrument
+from ..scene.model import Scene, Settings
+from ..systems.base import System
+from ..variables import INSTRUMENTS, main_instrument
+
+
+@dataclass(frozen=True)
+class Plan:
+    """The instruments and the kernels of a set of points, which is the same for all points of a scene."""
+
+    system: System
+    settings: Settings
+    outputs: Collection[str] | None = (
+        None  # variables that are wanted; None: those of `variables.default_variables`
+    )
+    specialization: Specialization = GENERIC  # what the kernels leave out
+    nudged: bool = False  # whether points were moved off a family's motions
+
+    @classmethod
+    def of(cls, scene: Scene) -> Plan:
+        """The plan of a scene."""
+        terms = Specialization.of(scene.system, *scene.zero_and_equal_parameters())
+        return cls(scene.system, scene.settings, scene.outputs, terms, bool(scene.nudge))
+
+    def without_derived(self) -> Plan:
+        """The same without the variables from theory alone, which may take long."""
+        names = None if self.outputs is None else [n for n in self.outputs if n not in self.system.derived]
+        return replace(self, outputs=names)
+
+    @property
+    def names(self) -> Collection[str]:
+        """The variables that are wanted by name: what is sought among them is no default variable."""
+        return self.outputs or ()
+
+    @cached_property
+    def instruments(self) -> tuple[Instrument, ...]:
+        """What is measured, by the main instrument first."""
+        main = main_instrument(self.system)
+        more = (each for each in INSTRUMENTS if each.wanted(self.system, self.names))
+        return main, *(each for each in more if each != main)
+
+    @property
+    def plugs(self) -> tuple[Instrument, ...]:
+        """The instruments that add to the sums of the kernel."""
+        return tuple(each for each in self.instruments if each.sums)
+
+    @property
+    def has_chaos(self) -> bool:
+        """Whether the points are integrated with tangent vectors as well."""
+        return Chaos() in self.instruments
+
+    @property
+    def may_stop_early(self) -> bool:
+        """Whether a run may end once its label is certain."""
+        return (
+            self.outputs is not None and not self.plugs and self.instruments[0].may_stop_early(self.outputs)
+        )
+
+    @property
+    def kernel(self) -> ModuleType:
+        """The compiled module that integrates the points."""
+        return specialization.kernel(self.system, self.settings.method, self.specialization, self.plugs)
+
+    @property
+    def tangent_kernel(self) -> ModuleType:
+        """The compiled module that integrates them with tangent vectors."""
+        return specialization.tangent_kernel(self.system, self.specialization)
+
+    @property
+    def kernel_hash(self) -> str:
+        """Hash of the kernel; a second one follows where points are integrated with tangent vectors as well."""
+        sources = [specialization.source(self.system, self.settings.method, self.specialization, self.plugs)]
+        if self.has_chaos:
+            sources.append(specialization.tangent_source(self.system, self.specialization))
+        return specialization.kernel_hash(*sources)

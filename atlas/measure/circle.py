@@ -1,0 +1,520 @@
+"""The angular velocity in the body: is it constant, or does it turn on a circle, as in a regular precession about any axis?
+
+A body that turns at the rate m about an axis s at rest in it, while s turns at the rate n about an axis z at rest in the
+frame, has the angular velocity u = n z + m s. In the body z turns about s at the rate -m, so that u moves on a circle
+about s at constant speed: u' = -m s x u. The converse holds as well. From the radius of the circle, n sin(nutation), the
+height of its plane, u . s = m + n cos(nutation), and the speed follow m, n and the nutation, the angle of s and z.
+
+Sums over the nodes give the plane through the angular velocities that fits best, and how far they are from a circle in
+it. So that no digits cancel, the sums are about the start, and along axes of which the third is the one about which the
+angular velocity turns at the start: on a circle all components along it vanish but for rounding errors. These axes do
+not change the result otherwise. The functions of lanes are plain arithmetic that the kernel calls, compiled or not.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass
+from enum import IntEnum, auto
+from types import ModuleType
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..engine.ensemble import Ensemble
+from ..engine.stepsize import ROUNDING
+from ..flags import Agreement, Label, Status
+from ..systems.base import Array, Flags, Mask, Points, System
+from ..systems.vectors import cross, dot
+from .instrument import Instrument, Measured, Rule, Run, Tolerances, Variable
+from .rates import existing, relative_error, steady_label
+from .rates import label as label_of_third_axis
+
+# Time between the motions whose differences are the derivatives at the start, over the period of the fastest frequency
+# / (2 pi). On a circle the error of the second one lies in its plane.
+DIFFERENCE_TIME = 1e-2
+# Sweeps of Jacobi's method for the axes of a 3 x 3 matrix; it converges quadratically.
+SWEEPS = 6
+
+
+class _Counted(IntEnum):
+    """Enumeration whose values count from 0."""
+
+    @staticmethod
+    def _generate_next_value_(name: str, start: int, count: int, last_values: list[int]) -> int:
+        return count
+
+
+class Axis(_Counted):
+    """Constants of a point in one frame: axes x, y, z in the body, and the motion at the start."""
+
+    FRAME_RATE = auto()  # the angular velocity is u + FRAME_RATE g
+    X1 = auto()
+    X2 = auto()
+    X3 = auto()
+    Y1 = auto()
+    Y2 = auto()
+    Y3 = auto()
+    Z1 = auto()
+    Z2 = auto()
+    Z3 = auto()
+    START_X = auto()  # the angular velocity along x, y and z
+    START_Y = auto()
+    START_Z = auto()
+    START_SPEED_SQUARED = auto()  # square of its derivative
+    SLOPE_X = auto()  # its derivative
+    SLOPE_Y = auto()
+    SLOPE_Z = auto()
+    VERTICAL_X = auto()  # the vertical of the frame
+    VERTICAL_Y = auto()
+    VERTICAL_Z = auto()
+
+
+class Sum(_Counted):
+    """Sums over the nodes, those at both ends counting half.
+
+    Of the change x, y, z of the angular velocity since the start and its products, of the change l of the square of its
+    length, and of the change s of the square of its speed.
+    """
+
+    X = auto()
+    Y = auto()
+    Z = auto()
+    XX = auto()
+    XY = auto()
+    YY = auto()
+    XZ = auto()
+    YZ = auto()
+    ZZ = auto()
+    L = auto()
+    LL = auto()
+    LX = auto()
+    LY = auto()
+    LZ = auto()
+    S = auto()
+    SS = auto()
+
+
+def add_to_circle(sums, s, axes, a, l, nodes, i, intervals, spacing, inverse_unit):
+    """Add a node to the sums of lane l, see `engine.ensemble.Plug`."""
+    slot, weight = i & 3, 0.5 if i == 0 or i == intervals else 1.0
+    rate = axes[a + Axis.FRAME_RATE, l]
+    u1 = nodes[slot, 0, l] + rate * nodes[slot, 3, l]
+    u2 = nodes[slot, 1, l] + rate * nodes[slot, 4, l]
+    u3 = nodes[slot, 2, l] + rate * nodes[slot, 5, l]
+    d1 = (nodes[slot, 6, l] + rate * nodes[slot, 9, l]) * inverse_unit
+    d2 = (nodes[slot, 7, l] + rate * nodes[slot, 10, l]) * inverse_unit
+    d3 = (nodes[slot, 8, l] + rate * nodes[slot, 11, l]) * inverse_unit
+    x0, y0, z0 = axes[a + Axis.START_X, l], axes[a + Axis.START_Y, l], axes[a + Axis.START_Z, l]
+    x = axes[a + Axis.X1, l] * u1 + axes[a + Axis.X2, l] * u2 + axes[a + Axis.X3, l] * u3 - x0
+    y = axes[a + Axis.Y1, l] * u1 + axes[a + Axis.Y2, l] * u2 + axes[a + Axis.Y3, l] * u3 - y0
+    z = axes[a + Axis.Z1, l] * u1 + axes[a + Axis.Z2, l] * u2 + axes[a + Axis.Z3, l] * u3 - z0
+    length = x * (x + 2.0 * x0) + y * (y + 2.0 * y0) + z * (z + 2.0 * z0)
+    speed = d1 * d1 + d2 * d2 + d3 * d3 - axes[a + Axis.START_SPEED_SQUARED, l]
+    sums[s + Sum.X, l] += weight * x
+    sums[s + Sum.Y, l] += weight * y
+    sums[s + Sum.Z, l] += weight * z
+    sums[s + Sum.XX, l] += weight * x * x
+    sums[s + Sum.XY, l] += weight * x * y
+    sums[s + Sum.YY, l] += weight * y * y
+    sums[s + Sum.XZ, l] += weight * x * z
+    sums[s + Sum.YZ, l] += weight * y * z
+    sums[s + Sum.ZZ, l] += weight * z * z
+    sums[s + Sum.L, l] += weight * length
+    sums[s + Sum.LL, l] += weight * length * length
+    sums[s + Sum.LX, l] += weight * length * x
+    sums[s + Sum.LY, l] += weight * length * y
+    sums[s + Sum.LZ, l] += weight * length * z
+    sums[s + Sum.S, l] += weight * speed
+    sums[s + Sum.SS, l] += weight * speed * speed
+
+
+def circle_axes(
+    equations: ModuleType, state: Array, constants: Array, frame_rate: Array, bound: Array
+) -> Array:
+    """Rows of `Axis` of points, (len(Axis), points).
+
+    equations: of a system; see `systems.base.System.equations`. state, constants: at the start; frame_rate:
+    the angular velocity of the frame is that of the system's frame plus this times the vertical, rad per
+    time unit; bound: bound of the fastest frequency, rad per time unit.
+    """
+    with np.errstate(all="ignore"):
+        h = DIFFERENCE_TIME / np.where((bound > 0) & np.isfinite(bound), bound, 1.0)
+        slope = np.array(equations.rhs(state, constants))
+        after, before = (np.array(equations.rhs(state + t * slope, constants)) for t in (h, -h))
+        curvature = 0.5 * h * (after - before)  # h^2 times the second derivative
+        later, now, earlier = (
+            np.array(equations.frame_motion(state + sign * h * slope + sign**2 * 0.5 * curvature, constants))
+            for sign in (1.0, 0.0, -1.0)
+        )
+        motions = now, (later - earlier) / (2.0 * h), (later - 2.0 * now + earlier) / h**2
+        return _axes_in_frame(frame_rate, *motions)
+
+
+def _axes_in_frame(rate: Array, motion: Array, slope: Array, second: Array) -> Array:
+    """Rows of `Axis` from the motion at the start and its derivatives, each of shape (6, points)."""
+    u, du, ddu = (each[:3] + rate * each[3:] for each in (motion, slope, second))
+    du = np.where(np.isfinite(du), du, 0.0)  # where it overflows, the run is not resolved
+    # u' = u x m s and u'' = u' x m s give u'' x u' = |u'|^2 m s.
+    x, y, z = _right_handed(cross(ddu, du))
+    along = [np.array([dot(axis, vector) for axis in (x, y, z)]) for vector in (u, du, motion[3:])]
+    return np.concatenate([[rate], x, y, z, along[0], [dot(du, du)], along[1], along[2]])
+
+
+def _right_handed(direction: Array) -> tuple[Array, Array, Array]:
+    """Right-handed frames with z along `direction`, (3, points) each; arbitrary where it vanishes."""
+    size = np.sqrt(dot(direction, direction))
+    exists = np.isfinite(size) & (size > 0)
+    z = np.where(exists, direction / size, np.array([[0.0], [0.0], [1.0]]))
+    x = cross(np.eye(3)[np.argmin(np.abs(z), axis=0)].T, z)
+    x = x / np.sqrt(dot(x, x))
+    return x, cross(z, x), z
+
+
+def circle_statistics(sums: Array, axes: Array, weight: NDArray[np.int64]) -> dict[str, Array]:
+    """How far the angular velocities of runs in one frame are from one circle, and which one.
+
+    weight: of all nodes together. Returns in rad per time unit: `spread`, the standard deviation of the
+    angular velocity; `height_std`, that of its component along the normal s of the plane that fits best;
+    `radius`, root mean square of its distance from s, and `radius_std`; `spin`, rate about s of the motion
+    that would follow it, `spin_std`; `height`, the mean component along s; `extent`, the standard deviation
+    along the shorter axis in the plane; `rate_1`, `rate_2`, `rate_3`, the mean angular velocity in body axes.
+    `spin_axis_1`, `spin_axis_2`, `spin_axis_3`: s in body axes, of either sign. In rad, at the start:
+    `precession_inclination`, `rotation_inclination` and `tilt`, angles to the vertical of the axis of
+    precession (by s and spin), of the angular velocity and of the third axis.
+    """
+    with np.errstate(all="ignore"):
+        mean = sums / weight
+        shift = mean[[Sum.X, Sum.Y, Sum.Z]]
+        products = mean[[[Sum.XX, Sum.XY, Sum.XZ], [Sum.XY, Sum.YY, Sum.YZ], [Sum.XZ, Sum.YZ, Sum.ZZ]]]
+        variances, directions = principal_axes(products - shift[:, None] * shift)
+        start = axes[[Axis.START_X, Axis.START_Y, Axis.START_Z]]
+        along = np.array([dot(direction, start + shift) for direction in directions])
+        s, height = directions[0], along[0]
+        radius = np.sqrt(variances[1] + variances[2] + along[1] ** 2 + along[2] ** 2)
+        with_length = mean[[Sum.LX, Sum.LY, Sum.LZ]] - mean[Sum.L] * shift
+        of_length = mean[Sum.LL] - mean[Sum.L] ** 2
+        of_distance = of_length - 4.0 * height * dot(s, with_length) + 4.0 * height**2 * variances[0]
+        speed = np.sqrt(mean[Sum.S] + axes[Axis.START_SPEED_SQUARED])
+        speed_std = np.sqrt(np.maximum(mean[Sum.SS] - mean[Sum.S] ** 2, 0.0)) / (2.0 * speed)
+        slope = axes[[Axis.SLOPE_X, Axis.SLOPE_Y, Axis.SLOPE_Z]]
+        spin = np.copysign(speed / radius, -dot(s, cross(start, slope)))
+        vertical = axes[[Axis.VERTICAL_X, Axis.VERTICAL_Y, Axis.VERTICAL_Z]]
+        result = {
+            "spread": np.sqrt(np.maximum(variances.sum(0), 0.0)),
+            "height_std": np.sqrt(np.maximum(variances[0], 0.0)),
+            "radius": radius,
+            "radius_std": np.sqrt(np.maximum(of_distance, 0.0)) / (2.0 * radius),
+            "spin": spin,
+            "spin_std": speed_std / radius,
+            "height": height,
+            "extent": np.sqrt(np.maximum(variances[1], 0.0)),
+            "precession_inclination": _angle(start - spin * s, vertical),
+            "rotation_inclination": _angle(start, vertical),
+        }
+        in_body = axes[Axis.X1 : Axis.Z3 + 1].reshape(3, 3, -1)
+        result["tilt"] = _angle(in_body[:, 2], vertical)
+        for name, vector in (("rate", start + shift), ("spin_axis", s)):
+            components = (vector[:, None] * in_body).sum(0)
+            result |= {f"{name}_{i + 1}": component for i, component in enumerate(components)}
+    return result
+
+
+def principal_axes(matrix: Array) -> tuple[Array, Array]:
+    """Eigenvalues of symmetric matrices, ascending, and unit eigenvectors, by Jacobi's method.
+
+    Small eigenvalues of matrices that are nearly diagonal are accurate relative to themselves, unlike LAPACK's:
+    J. Demmel and K. Veselic, SIAM J. Matrix Anal. Appl. 13 (1992) 1204-1245.
+
+    matrix: (3, 3, points). Returns values, vectors, vectors[i] belongs to values[i].
+    """
+    a = matrix.copy()
+    vectors = np.broadcast_to(np.eye(3)[:, :, None], a.shape).copy()
+    for _ in range(SWEEPS):
+        for p, q in ((0, 1), (0, 2), (1, 2)):
+            with np.errstate(all="ignore"):  # of elements that are 0 already
+                _rotate(a, vectors, p, q)
+    values = np.array([a[0, 0], a[1, 1], a[2, 2]])
+    order = np.argsort(values, axis=0, kind="stable")
+    return np.take_along_axis(values, order, 0), np.take_along_axis(vectors, order[:, None], 0)
+
+
+def _rotate(a: Array, vectors: Array, p: int, q: int) -> None:
+    """Turn the axes p and q of symmetric matrices so that their element (p, q) vanishes."""
+    r = 3 - p - q
+    ratio = (a[q, q] - a[p, p]) / (2.0 * a[p, q])
+    tangent = np.copysign(1.0, ratio) / (np.abs(ratio) + np.sqrt(1.0 + ratio * ratio))
+    tangent = np.where(a[p, q] == 0.0, 0.0, tangent)
+    cosine = 1.0 / np.sqrt(1.0 + tangent * tangent)
+    sine = tangent * cosine
+    a[p, p], a[q, q] = a[p, p] - tangent * a[p, q], a[q, q] + tangent * a[p, q]
+    a[p, q] = a[q, p] = 0.0
+    a[r, p], a[r, q] = cosine * a[r, p] - sine * a[r, q], sine * a[r, p] + cosine * a[r, q]
+    a[p, r], a[q, r] = a[r, p], a[r, q]
+    vectors[p], vectors[q] = cosine * vectors[p] - sine * vectors[q], sine * vectors[p] + cosine * vectors[q]
+
+
+def _angle(a: Array, b: Array) -> Array:
+    """Angles of vectors, rad."""
+    perpendicular = cross(a, b)
+    return np.asarray(np.arctan2(np.sqrt(dot(perpendicular, perpendicular)), dot(a, b)))
+
+
+# Label about any axis -> label about the third axis and the vertical.
+LABELS = {"label_any_axis": "label", "label_any_axis_inertial": "label_inertial"}
+RATES = ("precession_rate", "spin_rate")
+ANGLES = ("nutation", "precession_inclination", "spin_axis_1", "spin_axis_2", "spin_axis_3")
+# The measurements of a circle from which a label is decided.
+STATISTICS = ("spread", "height_std", "radius_std", "spin_std", "spin", "precession", "sine")
+# Variables that need the sums about the circle of the angular velocity in the body, in the frame and in inertial space.
+ANY_AXIS = (
+    "label_any_axis", "label_any_axis_inertial", "precession_rate", "spin_rate", "nutation",
+    "spin_axis_1", "spin_axis_2", "spin_axis_3", "precession_inclination", "agreement_any_axis",
+)  # fmt: skip
+# Those of them that follow from theory, the last from the measured label as well.
+ANY_AXIS_THEORY = ("predicted_any_axis", "predicted_any_axis_inertial", "agreement_any_axis")
+_NOT_STEADY = "nan where label_any_axis is neither regular_precession nor permanent_rotation"
+_SPIN_AXIS = (
+    "direction of the angular velocity of a permanent rotation; of a regular precession the last component above"
+    " cylinder_tolerance is positive; nan elsewhere and for a body at rest"
+)
+
+
+@dataclass(frozen=True)
+class Circle(Instrument):
+    """Labels, axes and rates of motions about any axis of the body and any axis of a frame.
+
+    A point keeps its label about the third axis and the vertical where that is steady. Elsewhere its angular velocity in the body
+    decides: constant, it belongs to a permanent rotation, on a circle at constant speed to a regular precession. The rates and
+    angles are those in the system's frame.
+    """
+
+    name: str = "label_any_axis"  # a key of LABELS
+
+    sums, given, add_node = len(Sum), len(Axis), staticmethod(add_to_circle)
+
+    @property
+    def inertial(self) -> bool:
+        """Whether the frame is inertial space instead of the system's frame."""
+        return self.name == "label_any_axis_inertial"
+
+    def every_variable(self, system: System) -> tuple[Variable, ...]:
+        """Those of both frames, of the instrument of the system's frame."""
+        if self.inertial:
+            return ()
+        return (
+            Variable(
+                "label_any_axis", "int8", "1", f"kind of motion in the {system.frame} frame, about any axes of body and frame",
+                Label.meanings(), "the same as label where that is steady", optional=True,
+            ),
+            Variable(
+                "label_any_axis_inertial", "int8", "1", "kind of motion in the inertial frame, about any axes of body and space",
+                Label.meanings(), "the same as label_inertial where that is steady", optional=True,
+            ),
+            *(
+                Variable(name, "float64", units, long_name, comment=comment, optional=True)
+                for name, units, long_name, comment in (
+                    ("precession_rate", "rad s-1", f"rate of precession about an axis at rest in the {system.frame} frame, not negative",
+                     f"0 for a permanent rotation; {_NOT_STEADY}"),
+                    ("spin_rate", "rad s-1", "rate of the body about the axis at rest in it",
+                     f"for a permanent rotation the length of the angular velocity; {_NOT_STEADY}"),
+                    ("nutation", "rad", "angle between the axes at rest in the body and in the frame",
+                     f"0 for a permanent rotation; {_NOT_STEADY}, and for a body at rest"),
+                    *((f"spin_axis_{i}", "1", f"component of the axis at rest in the body along the {axis} body axis", _SPIN_AXIS)
+                      for i, axis in enumerate(("first", "second", "third"), 1)),
+                    ("precession_inclination", "rad", f"angle between the axis at rest in the {system.frame} frame and the vertical",
+                     f"for a permanent rotation of the angular velocity; {_NOT_STEADY}, and for a body at rest"),
+                )
+            ),
+            Variable(
+                "predicted_any_axis", "int8", "1", f"kind of motion in the {system.frame} frame about any axes, from theory alone",
+                Label.meanings(), "the same as predicted where that is steady", optional=True,
+            ),
+            Variable(
+                "predicted_any_axis_inertial", "int8", "1", "kind of motion in the inertial frame about any axes, from theory alone",
+                Label.meanings(), "the same as predicted_inertial where that is steady", optional=True,
+            ),
+            Variable(
+                "agreement_any_axis", "int8", "1", "measured label about any axes against theory", Agreement.meanings(), optional=True,
+            ),
+        )  # fmt: skip
+
+    def variables(self, system: System) -> tuple[Variable, ...]:
+        """None of a system that describes no body in a frame."""
+        return () if system.observables else existing(system, self.every_variable(system))
+
+    def wanted(self, system: System, outputs: Collection[str]) -> bool:
+        """Whether one of these variables needs the sums."""
+        if self.inertial:
+            return self.name in outputs and system.frame_rate is not None
+        return not system.observables and not set(ANY_AXIS).isdisjoint(outputs)
+
+    def constants(self, system: System, points: Points, start: Ensemble) -> Array:
+        """Rows of `Axis`."""
+        bound = start.frequency_bound
+        rate = system.frame_rate(points) if self.inertial and system.frame_rate else np.zeros_like(bound)
+        return circle_axes(system.equations, start.state, start.constants, rate, bound)
+
+    def measurements(self, run: Run, measured: Measured) -> dict[str, Array]:
+        """Statistics of the circles by name, "label:statistic", and RATES and ANGLES."""
+        circle = circle_statistics(*run.plugged(self), run.integration.intervals)
+        with np.errstate(all="ignore"):
+            circle["precession"] = np.hypot(circle["radius"], circle["height"] - circle["spin"])
+            circle["sine"] = circle["radius"] / circle["precession"]
+        own = {} if self.inertial else values(circle, measured, run.settings.tolerances)
+        return own | {f"{self.name}:{key}": value for key, value in circle.items()}
+
+    def rules(self, run: Run, rules: Mapping[str, Rule]) -> dict[str, Rule]:
+        """The label about any axis; that about the third axis and the vertical is taken as certain."""
+        own_label = rules[LABELS[self.name]].label(run.measured)
+
+        def label_of(measured: Measured) -> Flags:
+            return label(self._statistics(measured), own_label, run.settings.tolerances)
+
+        names = tuple(f"{self.name}:{key}" for key in STATISTICS)
+        return {self.name: Rule(label_of, names, {f"{self.name}:spin": 0.0})}
+
+    def _statistics(self, measured: Measured) -> dict[str, Array]:
+        """STATISTICS."""
+        return {key: measured[f"{self.name}:{key}"] for key in STATISTICS}
+
+    def errors(self, run: Run, relative: Array) -> dict[str, Array]:
+        """Expected errors of STATISTICS, in their units, (points,) each."""
+        step_sizes, bound, circle = run.step_sizes, run.bound, self._statistics(run.measured)
+        share = np.minimum(relative_error(step_sizes, bound), 1.0)
+        rounding = bound * ROUNDING * np.sqrt(step_sizes.steps)
+        # The smaller the circle, or the part of it that is run through, the less sure are its axis and its spin.
+        spin = step_sizes.rate_error + rounding * self._amplification(run)
+        absolute = dict.fromkeys(("spread", "height_std", "radius_std"), step_sizes.rate_error)
+        errors = {key: size + share * circle[key] for key, size in (absolute | {"spin_std": spin}).items()}
+        errors |= {"spin": spin, "precession": spin, "sine": spin / circle["precession"]}
+        return {f"{self.name}:{key}": error for key, error in errors.items()}
+
+    def _amplification(self, run: Run) -> Array:
+        """Errors of the rates about the axes of a circle over those of the angular velocity, (points,)."""
+        radius, height, extent = (
+            run.measured[f"{self.name}:{key}"] for key in ("radius", "height", "extent")
+        )
+        return np.asarray((1.0 + np.abs(height) / radius) * run.bound / extent)
+
+    def relative_error(self, run: Run) -> Array:
+        """That of RATES and ANGLES, at most 1; 0 where they are not measured on a circle."""
+        if self.inertial:
+            return np.zeros_like(run.bound)
+        measured, rate_error = run.measured, run.step_sizes.rate_error * np.exp(run.log_growth)
+        with np.errstate(all="ignore"):
+            own_label, kind = (run.rules[name].label(measured) for name in ("label", self.name))
+            slowest = np.fmin(run.bound, measured["precession_rate"])
+            conditions = [
+                (kind == Label.REGULAR_PRECESSION) & ~is_steady(own_label),
+                kind == Label.PERMANENT_ROTATION,
+            ]
+            amplified = rate_error * self._amplification(run)
+            error = np.select(conditions, [amplified / slowest, rate_error / measured["spin_rate"]], 0.0)
+            return np.minimum(error, 1.0)
+
+    def rate_change(self, run: Run, other: Run) -> Array:
+        """Largest difference of one of RATES over the bound."""
+        return self._change(run, other, RATES) / run.bound
+
+    def pair_error(self, run: Run, coarse: Run, expected: Array) -> Array:
+        """Largest difference of one of ANGLES, or of RATES over the bound."""
+        return np.fmax(self._change(run, coarse, RATES) / run.bound, self._change(run, coarse, ANGLES))
+
+    def _change(self, run: Run, other: Run, names: Collection[str]) -> Array:
+        """Largest difference of one of these values; 0 where it has none."""
+        changes = [np.abs(run.measured[name] - other.measured[name]) for name in names if not self.inertial]
+        return np.asarray(np.fmax.reduce([np.zeros_like(run.bound), *changes]))
+
+    def columns(self, run: Run, columns: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+        """RATES and ANGLES where the status is ok."""
+        ok = columns["status"] == Status.OK
+        names = () if self.inertial else (*RATES, *ANGLES)
+        return {name: np.where(ok, columns[name], np.nan) for name in names}
+
+
+# Of the system's frame, and of inertial space: the first is wanted where the second is.
+CIRCLES = (Circle(), Circle("label_any_axis_inertial"))
+
+
+def is_steady(label: Flags) -> Mask:
+    """Whether a label names a steady motion."""
+    return np.isin(label, (Label.REGULAR_PRECESSION, Label.PERMANENT_ROTATION))
+
+
+def label(circle: Mapping[str, Array], own_label: Flags, tolerances: Tolerances) -> Flags:
+    """Label of each point about any axis, whatever its status.
+
+    circle: STATISTICS, as `measurements` returns them. own_label: label about the third axis and the
+    vertical, values of `flags.Label`. A steady one stays. Returns values of `flags.Label`.
+    """
+    rate = tolerances.rate
+    constant = circle["spread"] <= rate
+    varies = (
+        (circle["height_std"] > rate) | (circle["radius_std"] > rate) | (circle["spin_std"] > rate)
+    ) & ~constant
+    constant |= circle["sine"] < tolerances.angle
+    by_circle = steady_label(circle["precession"], circle["spin"], constant, rate, varies)
+    return np.where(is_steady(own_label), own_label, by_circle).astype(np.int8)
+
+
+def values(
+    circle: Mapping[str, Array], measured: Mapping[str, Array], tolerances: Tolerances
+) -> dict[str, Array]:
+    """RATES and ANGLES of each point; nan where the label about any axis in the system's frame is not steady.
+
+    Of a point whose own label is regular_precession they are those of its third axis and the vertical.
+
+    circle: see `Circle.measurements`; measured: as for `rates.label`.
+    """
+    with np.errstate(all="ignore"):
+        own_label = label_of_third_axis(measured, tolerances)
+        kind = label(circle, own_label, tolerances)
+        tilt = circle["tilt"]
+        reversed_axis = measured["psi_dot_mean"] < 0
+        zero, one = np.zeros_like(tilt), np.ones_like(tilt)
+        about_third_axis = {
+            "precession_rate": np.abs(measured["psi_dot_mean"]),
+            "spin_rate": measured["phi_dot_mean"],
+            "nutation": np.where(reversed_axis, np.pi - tilt, tilt),
+            "precession_inclination": np.where(reversed_axis, np.pi, 0.0),
+            "spin_axis_1": zero, "spin_axis_2": zero, "spin_axis_3": one,
+        }  # fmt: skip
+        regular = kind == Label.REGULAR_PRECESSION
+        conditions = [regular & (own_label == kind), regular, kind == Label.PERMANENT_ROTATION]
+        choices = (
+            about_third_axis,
+            _of_circle(circle, tolerances.angle),
+            _of_rotation(circle, tolerances.rate),
+        )
+        return {
+            name: np.select(conditions, [choice[name] for choice in choices], np.nan)
+            for name in (*RATES, *ANGLES)
+        }
+
+
+def _of_circle(circle: Mapping[str, Array], angle: float) -> dict[str, Array]:
+    """Rates and angles of regular precessions: the last component of the spin axis above `angle` is positive."""
+    s = [circle[f"spin_axis_{i}"] for i in (1, 2, 3)]
+    last = np.select([np.abs(s[2]) > angle, np.abs(s[1]) > angle], [s[2], s[1]], s[0])
+    sign = np.copysign(1.0, last)
+    return {
+        "precession_rate": circle["precession"],
+        "spin_rate": sign * circle["spin"],
+        "nutation": np.arctan2(circle["radius"], sign * (circle["height"] - circle["spin"])),
+        "precession_inclination": circle["precession_inclination"],
+    } | {f"spin_axis_{i + 1}": sign * component + 0.0 for i, component in enumerate(s)}  # no -0.0
+
+
+def _of_rotation(circle: Mapping[str, Array], rate: float) -> dict[str, Array]:
+    """Rates and angles of permanent rotations: about the mean angular velocity, which a body at rest has not."""
+    components = [circle[f"rate_{i}"] for i in (1, 2, 3)]
+    size = np.sqrt(sum(component**2 for component in components))
+    rotates = size > rate
+    zero_or_nan = np.where(rotates, 0.0, np.nan)
+    return {
+        "precession_rate": np.zeros_like(size),
+        "spin_rate": size,
+        "nutation": zero_or_nan,
+        "precession_inclination": circle["rotation_inclination"] + zero_or_nan,
+    } | {f"spin_axis_{i + 1}": component / size + zero_or_nan for i, component in enumerate(components)}

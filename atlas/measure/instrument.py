@@ -1,0 +1,273 @@
+"""What an instrument is: variables, sums in the kernel, their final formulas, errors, and the rules by which labels follow.
+
+An instrument is a frozen object of a class derived from `Instrument`; every member has a default, which stands for "this
+instrument has nothing of it". One of a plan's instruments (`measure.plan`) is the main one, whose kernel integrates the points;
+the others add to its sums (`engine.ensemble.Plug`), or run a kernel of their own.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection, Mapping
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..engine.ensemble import Ensemble, Integration
+from ..engine.statistics import Row
+from ..engine.stepsize import StepSizes
+from ..systems.base import Array, Flags, Mask, Points, System, subset
+
+Measured = Mapping[
+    str, Array
+]  # measurements by name, (points,) each; a colon is in the names of those that no atlas holds
+
+
+@dataclass(frozen=True)
+class Variable:
+    """One variable of an atlas; every one has the dimensions of the atlas' points."""
+
+    name: str
+    dtype: str  # NumPy dtype in the file
+    units: str  # UDUNITS
+    long_name: str
+    flags: dict[str, str] | None = None  # flag name -> sentence, values 0, 1, 2, ...
+    comment: str = ""
+    optional: bool = False  # only in the atlases of scenes that ask for it
+
+    def attributes(self) -> dict[str, object]:
+        """CF attributes: units or flags, long_name, comment."""
+        attributes: dict[str, object] = {"long_name": self.long_name}
+        if self.flags is None:
+            attributes["units"] = self.units
+        else:
+            attributes["flag_values"] = np.arange(len(self.flags), dtype=self.dtype)
+            attributes["flag_meanings"] = " ".join(self.flags)
+        if self.comment:
+            attributes["comment"] = self.comment
+        return attributes
+
+
+@dataclass(frozen=True)
+class Tolerances:
+    """Largest variations of a motion that counts as steady."""
+
+    # Largest root mean square of theta' and standard deviation of psi' and phi', rad per time unit; a mean
+    # rate up to this size counts as zero
+    rate: float
+    # Radius in rad of the polar cap, called cylinder in scenes: while sin(theta) is below it, the third axis
+    # counts as vertical
+    angle: float
+
+
+@dataclass(frozen=True)
+class Rule:
+    """How a label follows from measurements."""
+
+    label: Callable[[Measured], Flags]  # whatever the status
+    statistics: tuple[str, ...]  # the measurements that it reads, and that may be wrong
+    # Those of them whose magnitude counts, after this rate is added
+    means: Mapping[str, Array | float] = field(default_factory=dict)
+
+
+def could_change(rule: Rule, measured: Measured, error: Measured) -> Mask:
+    """Whether the label could be another one, were every measurement off by as much as its error, in its unit."""
+    labels = []
+    for sign in (-1.0, 0.0, 1.0):
+        moved = dict(measured)
+        for name in rule.statistics:
+            change = sign * error[name]
+            if name in rule.means:
+                mean = measured[name] + rule.means[name]
+                size = np.maximum(np.abs(mean) + change, 0.0)
+                moved[name] = np.copysign(size, mean) - rule.means[name]
+            else:
+                moved[name] = measured[name] + (-change if name == "theta_min" else change)
+        labels.append(rule.label(moved))
+    lower, central, upper = labels
+    return np.asarray((lower != central) | (upper != central))
+
+
+@dataclass(frozen=True)
+class Run:
+    """Points and what instruments measured of them by steps of some sizes; arrays (points,)."""
+
+    system: System
+    settings: Any  # see `scene.model.Settings`
+    instruments: tuple[Instrument, ...]  # the main one first
+    ensemble: Ensemble
+    step_sizes: StepSizes
+    frame_rates: Mapping[str, Array]  # label variable -> rate added to psi', rad per time unit
+    # Growth of a distance from the family's motion over the run, as a logarithm; 0 where it is unknown
+    log_growth: Array
+    integration: Integration
+    measured: Measured = field(default_factory=dict)  # by all instruments
+
+    @property
+    def bound(self) -> Array:
+        """Bound of the fastest frequency, rad per time unit."""
+        return self.ensemble.frequency_bound
+
+    def measure(self) -> Run:
+        """The same with what its instruments measured."""
+        measured: dict[str, Array] = {}
+        for instrument in self.instruments:
+            measured |= instrument.measurements(self, measured)
+        return replace(self, measured=measured)
+
+    @cached_property
+    def rules(self) -> dict[str, Rule]:
+        """Rules of all labels by the names of their variables."""
+        rules: dict[str, Rule] = {}
+        for instrument in self.instruments:
+            rules |= instrument.rules(self, rules)
+        return rules
+
+    def plugged(self, instrument: Instrument) -> tuple[Array, Array]:
+        """The sums of an instrument that adds to those of the kernel, and the constants that it was given."""
+        before = self.instruments[: self.instruments.index(instrument)]
+        row, first = len(Row) + sum(each.sums for each in before), sum(each.given for each in before)
+        sums, given = self.integration.sums[row:], self.ensemble.given[first:]
+        return sums[: instrument.sums], given[: instrument.given]
+
+    def labels(self) -> dict[str, Flags]:
+        """Every label, whatever the status."""
+        return {name: rule.label(self.measured) for name, rule in self.rules.items()}
+
+    def unsure(self, error: Measured) -> Mask:
+        """Whether a label could be another one within the errors of the measurements that decide it."""
+        return np.logical_or.reduce(
+            [could_change(rule, self.measured, error) for rule in self.rules.values()]
+        )
+
+    def errors(self) -> tuple[dict[str, Array], Array]:
+        """Expected errors of the measurements that decide labels, in their units, and the relative one of states and values."""
+        errors: dict[str, Array] = {}
+        relative = np.zeros(self.ensemble.size)
+        for instrument in self.instruments:
+            relative = np.fmax(relative, instrument.relative_error(self))
+            errors |= instrument.errors(self, relative)
+        return errors, relative
+
+    def subset(self, where: NDArray[np.int64]) -> Run:
+        """Some of the points, by their indices."""
+        return replace(
+            self,
+            ensemble=self.ensemble.subset(where),
+            step_sizes=self.step_sizes.subset(where),
+            frame_rates=subset(self.frame_rates, where),
+            log_growth=self.log_growth[where],
+            integration=self.integration.subset(where),
+            measured=subset(self.measured, where),
+        )
+
+
+class Instrument:
+    """A measurement."""
+
+    # Of instruments that add to the sums of the kernel: see `engine.ensemble.Plug`.
+    sums, given = 0, 0
+    add_node: Callable[..., None]
+
+    def may_stop_early(self, outputs: Collection[str]) -> bool:
+        """Whether a run with these outputs may end once its label is certain. Asked of a main instrument."""
+        return False
+
+    # Whether theory predicts its labels. Asked of a main instrument, as are the next ones.
+    has_theory = False
+
+    quantity = ""  # what it measures, in one word
+    unsteadiness_text = ""  # what `unsteadiness` is
+
+    def statistics(self, system: System) -> tuple[str, ...]:
+        """Names of its statistics."""
+        return ()
+
+    def unsteadiness(self, system: System, measured: Measured, settings: Any) -> Array:
+        """The largest of the statistics that make a point drift; of settings only the tolerances are used."""
+        raise NotImplementedError
+
+    def steady_below(self, settings: Any) -> float:
+        """The least unsteadiness of a drifting point."""
+        return 1.0
+
+    def largest(self, system: System, measured: Measured, errors: Measured, bound: Array) -> Array:
+        """The largest of the errors of its statistics, relative; bound: of the fastest frequency."""
+        raise NotImplementedError
+
+    def bound(self, bound: Array, settled: Mask) -> Array:
+        """Frequency bound with which points are integrated that have a numeric one; settled: where it holds for the whole run."""
+        return bound
+
+    def early_stop_rate(self, bound: Array, step_sizes: StepSizes, tolerances: Tolerances) -> Array:
+        """See `engine.ensemble.Ensemble.integrate`; asked of one that may stop early."""
+        raise NotImplementedError
+
+    def step_sizes(self, settings: Any, bound: Array, duration: Array) -> StepSizes:
+        """Steps of runs with these frequency bounds."""
+        return StepSizes.of(settings, bound, duration)
+
+    def resolved(self, run: Run) -> Mask | bool:
+        """Where the nodes show the motion."""
+        return True
+
+    def shown(self, run: Run, resolved: Mask) -> Mask:
+        """Where the measurements are shown; resolved: where the steps are short enough for them and for tangent vectors."""
+        return resolved
+
+    def every_variable(self, system: System) -> tuple[Variable, ...]:
+        """The variables that it makes, those included that the system does not have: no parameter may have such a name."""
+        return ()
+
+    def variables(self, system: System) -> tuple[Variable, ...]:
+        """The variables that it makes of a system; none of one that it cannot measure."""
+        return self.every_variable(system)
+
+    def wanted(self, system: System, outputs: Collection[str]) -> bool:
+        """Whether a scene with these outputs needs it."""
+        return not {variable.name for variable in self.variables(system)}.isdisjoint(outputs)
+
+    def measurements(self, run: Run, measured: Measured) -> dict[str, Array]:
+        """What the sums of a run say; measured: by the instruments before it."""
+        return {}
+
+    def rules(self, run: Run, rules: Mapping[str, Rule]) -> dict[str, Rule]:
+        """Rules of its labels; rules: of the instruments before it."""
+        return {}
+
+    def errors(self, run: Run, relative: Array) -> dict[str, Array]:
+        """Expected errors of the statistics of its rules; relative: `relative_error` of all instruments so far."""
+        return {}
+
+    def relative_error(self, run: Run) -> Array:
+        """Relative error to expect of its values, (points,)."""
+        return np.zeros(run.ensemble.size)
+
+    def differences(self, run: Run, other: Run, relative: Array) -> dict[str, Array]:
+        """Differences of the statistics of all rules in two runs of the same points; relative: the relative one.
+
+        Asked of the main instrument.
+        """
+        return {
+            name: np.abs(run.measured[name] - other.measured[name])
+            for rule in run.rules.values()
+            for name in rule.statistics
+        }
+
+    def rate_change(self, run: Run, other: Run) -> Array:
+        """Largest relative difference of a rate, or of what decides a label, in two runs of the same points, (points,)."""
+        return np.zeros(run.ensemble.size)
+
+    def pair_error(self, run: Run, coarse: Run, expected: Array) -> Array:
+        """Relative error of its values by a second run with fewer steps, (points,); expected: without that run."""
+        return np.zeros(run.ensemble.size)
+
+    def columns(self, run: Run, columns: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+        """Its variables where they differ from the measurements; columns: of the instruments before it, and the status."""
+        return {}
+
+    def constants(self, system: System, points: Points, start: Ensemble) -> Array:
+        """See `engine.ensemble.Plug`."""
+        return np.empty((0, start.size))

@@ -1,0 +1,220 @@
+"""Statistics of observables: their names, their final formulas, their errors, and whether they are constant."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, fields, replace
+from functools import partial
+from typing import Any
+
+import numpy as np
+
+from ..engine import observe
+from ..engine.stepsize import INTERPOLATION_ERROR, StepSizes
+from ..engine.tableaux import METHODS, Method
+from ..flags import Status, Steadiness
+from ..systems.base import Array, Flags, Mask, System
+from .instrument import Instrument, Measured, Rule, Run, Variable
+from .rates import INTEGRAL_DRIFT, rounding_error, step_variables
+
+# Suffix of a statistic in the atlas -> what it is, of an observable.
+STATISTICS = {
+    "mean": "mean of the {}",
+    "std": "standard deviation of the {}",
+    "min": "least {}",
+    "max": "largest {}",
+    "drift": "change of the {} over the run along the straight line fitted to it by least squares",
+}
+# Observables have overtones of the motion's frequencies: those up to this multiple of the bound are accounted for.
+OVERTONE = 3.0
+# Largest distance of two nodes in rad of the frequency bound.
+MAX_NODE_RADIANS = 0.4
+MAX_HALVINGS = 8  # of steps and of steps between nodes together: by 2^8 in all
+# Share of the range of an observable by which it may jump between two nodes.
+MAX_ROUGHNESS = 0.3
+# Order in the step of the errors of statistics, at least: that of rk4; quadrature and interpolation have order 8.
+STATISTICS_ORDER = 4
+# Rounding error of a statistic in units of the largest value of its observable.
+ROUNDING = 1e-15
+
+
+@dataclass(frozen=True)
+class Observables(Instrument):
+    """The main instrument of a system with observables."""
+
+    quantity = "observables"
+    unsteadiness_text = "largest standard deviation of an observable over its tolerance"
+
+    def variables(self, system: System) -> tuple[Variable, ...]:
+        """None of a system without observables."""
+        if not system.observables:
+            return ()
+        flag = [
+            Variable("label", "int8", "1", "whether the observables are constant", Steadiness.meanings()),
+            Variable("status", "int8", "1", "how far the label can be trusted", Status.meanings()),
+        ]
+        measured = [
+            Variable(f"{o.name}_{suffix}", "float64", o.unit, text.format(o.long_name))
+            for o in system.observables
+            for suffix, text in STATISTICS.items()
+        ]
+        if system.equations.INTEGRALS:
+            measured.append(INTEGRAL_DRIFT)
+        error = Variable(
+            "error_estimate", "float64", "1", "estimated relative error of the final state and of every statistic",
+            comment="of the statistics over the largest magnitude of their observable; expected from phase error, dissipation,"
+            " rounding and the change of first integrals, or measured by a second run (check_half_step; always where the bound is numeric)",
+        )  # fmt: skip
+        end_time = Variable("end_time", "float64", "s", "time at which the integration ended")
+        return (*flag, *measured, *step_variables(system), error, end_time)
+
+    def statistics(self, system: System) -> tuple[str, ...]:
+        """Of every observable."""
+        return tuple(
+            f"{observable.name}_{suffix}" for observable in system.observables for suffix in STATISTICS
+        )
+
+    def unsteadiness(self, system: System, measured: Measured, settings: Any) -> Array:
+        """Over the tolerance."""
+        limits = std_tolerances(system, settings)
+        shares = [measured[f"{name}_std"] / limit for name, limit in limits.items()]
+        return np.asarray(np.fmax.reduce(shares))
+
+    def largest(self, system: System, measured: Measured, errors: Measured, bound: Array) -> Array:
+        """Over the largest magnitude of the observable."""
+        shares = [
+            errors[f"{name}_{suffix}"] / np.where(size > 0, size, 1.0)
+            for name, size in sizes(system, measured).items()
+            for suffix in STATISTICS
+        ]
+        return np.asarray(np.fmax.reduce(shares))
+
+    def step_sizes(self, settings: Any, bound: Array, duration: Array) -> StepSizes:
+        """With nodes so dense that extremes are found."""
+        step_sizes = StepSizes.of(settings, bound, duration)
+        return with_dense_nodes(step_sizes, bound, METHODS[settings.method], may_halve=settings.step is None)
+
+    def resolved(self, run: Run) -> Mask:
+        """Where no observable jumps between nodes, because the steps are too long for the motion.
+
+        An oscillation at the bound is at most radians^4 / 24 of its amplitude away from the cubic through the neighbours of
+        a node.
+        """
+        sums, radians = run.integration.sums, run.bound * run.step_sizes.sample_spacing
+        allowed = MAX_ROUGHNESS + radians**4 / 12
+        rough = np.zeros(run.ensemble.size, bool)
+        for first in range(observe.FIRST_ROW, len(sums), observe.FIELDS):
+            least, largest, distance = sums[first + observe.LEAST : first + observe.FIELDS]
+            rounding = 1e-9 * np.maximum(np.abs(least), np.abs(largest))
+            rough |= distance > np.maximum(allowed * (largest - least), rounding)
+        return ~rough | ~run.integration.finite
+
+    def measurements(self, run: Run, measured: Measured) -> dict[str, Array]:
+        """Every statistic of every observable, as `name_mean`, and `integral_drift`; arrays (points,)."""
+        sums, intervals = run.integration.sums, run.integration.intervals
+        result = {}
+        with np.errstate(all="ignore"):
+            for k, observable in enumerate(run.system.observables):
+                first = observe.FIRST_ROW + observe.FIELDS * k
+                start, total, square, trend, least, largest, _ = sums[first : first + observe.FIELDS]
+                shift = total / intervals
+                variance = np.maximum(square / intervals - shift * shift, 0.0)
+                values = (start + shift, np.sqrt(variance), least, largest, 12.0 * trend / intervals)
+                for suffix, column in zip(STATISTICS, values, strict=True):
+                    result[f"{observable.name}_{suffix}"] = column
+        result["integral_drift"] = sums[observe.CHANGE].copy()
+        return result
+
+    def rules(self, run: Run, rules: Mapping[str, Rule]) -> dict[str, Rule]:
+        """Whether all observables are constant."""
+        limits = std_tolerances(run.system, run.settings)
+        return {"label": Rule(partial(label, limits=limits), tuple(f"{name}_std" for name in limits))}
+
+    def relative_error(self, run: Run) -> Array:
+        """That of states and statistics, over the largest magnitude of their observable."""
+        step_sizes = run.step_sizes
+        error = np.maximum(step_sizes.dispersion_error, step_sizes.dissipation_error)
+        error = error + rounding_error(step_sizes)
+        with np.errstate(over="ignore"):
+            # Of an overtone of the bound, by the distance of the nodes.
+            error += INTERPOLATION_ERROR * (OVERTONE * run.bound * step_sizes.sample_spacing) ** 8
+        return error
+
+    def errors(self, run: Run, relative: Array) -> dict[str, Array]:
+        """Errors of the standard deviations, which are those of their observables' ranges."""
+        errors, measured = {}, run.measured
+        for name, size in sizes(run.system, measured).items():
+            spread = measured[f"{name}_max"] - measured[f"{name}_min"]
+            errors[f"{name}_std"] = relative * spread + ROUNDING * size
+        return errors
+
+    def differences(self, run: Run, other: Run, relative: Array) -> dict[str, Array]:
+        """As `errors`."""
+        return self.errors(run, relative)
+
+    def rate_change(self, run: Run, other: Run) -> Array:
+        """Largest difference of a statistic, over the largest magnitude of its observable."""
+        changes = []
+        for name, size in sizes(run.system, run.measured).items():
+            for suffix in STATISTICS:
+                statistic = f"{name}_{suffix}"
+                difference = np.abs(run.measured[statistic] - other.measured[statistic])
+                changes.append(np.divide(difference, size, out=np.zeros_like(size), where=size > 0))
+        return np.asarray(np.fmax.reduce(changes))
+
+    def pair_error(self, run: Run, coarse: Run, expected: Array) -> Array:
+        """Three tenths of the expected error count at least, because two runs may agree by chance."""
+        ratio = run.step_sizes.steps / coarse.step_sizes.steps
+        state, other = run.integration.final_state, coarse.integration.final_state
+        size = np.maximum(np.abs(state), np.abs(state).mean(axis=0))
+        change = np.divide(np.abs(state - other), size, out=np.zeros_like(size), where=size > 0).max(axis=0)
+        change /= np.abs(ratio ** METHODS[run.settings.method].order - 1.0)
+        statistics = self.rate_change(run, coarse) / np.abs(ratio**STATISTICS_ORDER - 1.0)
+        return np.asarray(np.fmax.reduce([statistics, change, 0.3 * expected]))
+
+
+def std_tolerances(system: System, settings: Any) -> dict[str, float]:
+    """Largest standard deviation with which each observable of a system counts as constant, in its unit."""
+    result = {}
+    for observable in system.observables:
+        default = settings.rate_tolerance if observable.tolerance is None else observable.tolerance
+        result[observable.name] = float((settings.std_tolerance or {}).get(observable.name, default))
+    return result
+
+
+def label(measured: Measured, limits: Mapping[str, float]) -> Flags:
+    """Label of each point, values of `flags.Steadiness`, whatever its status; limits: see `std_tolerances`."""
+    varies = [measured[f"{name}_std"] > limit for name, limit in limits.items()]
+    return np.where(np.any(varies, axis=0), Steadiness.DRIFTING, Steadiness.STEADY).astype(np.int8)
+
+
+def sizes(system: System, measured: Measured) -> dict[str, Array]:
+    """Largest magnitude of each observable, in its unit, by name."""
+    names = [observable.name for observable in system.observables]
+    return {n: np.maximum(np.abs(measured[f"{n}_min"]), np.abs(measured[f"{n}_max"])) for n in names}
+
+
+def with_dense_nodes(step_sizes: StepSizes, bound: Array, method: Method, *, may_halve: bool) -> StepSizes:
+    """The same steps with nodes at most MAX_NODE_RADIANS apart; longer steps are halved as often as needed.
+
+    Where a node comes after several steps, the error of the interpolation between nodes is within the phase error.
+
+    bound: frequency bound, rad per time unit. may_halve: whether steps may be made shorter: not where the
+    user has set them.
+    """
+    finest = (np.maximum(step_sizes.dispersion_error, 1e-16) / INTERPOLATION_ERROR) ** (1 / 8) / OVERTONE
+    for _ in range(MAX_HALVINGS):
+        radians = bound * step_sizes.sample_spacing
+        far = radians > MAX_NODE_RADIANS
+        several = (radians > np.minimum(finest, MAX_NODE_RADIANS)) & (step_sizes.steps_per_sample > 1)
+        per_node = np.where(several, step_sizes.steps_per_sample // 2, step_sizes.steps_per_sample)
+        halved, halve = step_sizes.halved(method), far & ~several & may_halve & step_sizes.resolved
+        step_sizes = replace(
+            step_sizes,
+            **{
+                field.name: np.where(halve, getattr(halved, field.name), getattr(step_sizes, field.name))
+                for field in fields(step_sizes)
+            },
+        )
+        step_sizes = replace(step_sizes, steps_per_sample=per_node)
+    return step_sizes

@@ -1,0 +1,336 @@
+"""The rates of the body's third axis: labels about it and the frame's vertical, and their errors.
+
+The sums and the final formulas of the statistics are in `engine.statistics`. The errors of the states and statistics of a run
+are expected from its step sizes, or measured by a second run.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass
+from functools import partial
+from typing import Any
+
+import numpy as np
+
+from ..engine.statistics import NEEDS_PSI, RATES, STATISTICS, Row, finish
+from ..engine.stepsize import INTERPOLATION_ERROR, ROUNDING, StepSizes
+from ..engine.tableaux import METHODS
+from ..flags import Agreement, Label, Stability, Status
+from ..systems.base import Array, Flags, Mask, System
+from .instrument import Instrument, Measured, Rule, Run, Tolerances, Variable
+
+# The measurements from which a label is decided.
+LABEL_STATISTICS = (
+    "theta_dot_rms", "psi_dot_mean", "psi_dot_std", "phi_dot_mean", "phi_dot_std", "normal_rate_std",
+    "theta_min", "theta_max", "sine_max",
+)  # fmt: skip
+_ERROR_ESTIMATE = (
+    "differences of rates over the bound of the fastest frequency, of angles in rad; expected from phase error, dissipation,"
+    " rounding and interpolation, the growth of an unstable family, the distance of the third axis from the vertical and the"
+    " change of first integrals, or measured by a second run (check_half_step; always where the bound is numeric); at least 1 where the axis was in the"
+    " cylinder for a part of the run"
+)
+INTEGRAL_DRIFT = next(
+    Variable(s.name, "float64", s.unit, s.long_name) for s in STATISTICS if s.name == "integral_drift"
+)
+_NO_MEANING = "nan where the third axis stays inside the cylinder: psi' and phi' have no meaning there"
+_NUMERIC_BOUND = (
+    "the bound is numeric: |J^64|^(1/64) of the Jacobian J at the start and at instants of a preliminary run, or half of"
+    " what a derivative of a state by time is over the one before"
+)
+
+
+@dataclass(frozen=True)
+class Rates(Instrument):
+    """The main instrument of a body in a frame."""
+
+    def every_variable(self, system: System) -> tuple[Variable, ...]:
+        """Those included that the system does not have."""
+        families = {"none": "no family of steady motions"} | {
+            f.name: f.title for f in system.families.values()
+        }
+        flag = [
+            Variable("label", "int8", "1", f"kind of motion in the {system.frame} frame", Label.meanings()),
+            Variable("label_inertial", "int8", "1", "kind of motion in the inertial frame", Label.meanings()),
+            Variable("geometry", "int8", "1", "geometry of the measured motion", dict(system.geometries)),
+            Variable("status", "int8", "1", "how far the label can be trusted", Status.meanings()),
+            Variable("family", "int8", "1", "family of exact steady motions the start belongs to", families),
+            Variable("stable", "int8", "1", "linear stability of the steady motion, from theory", Stability.meanings()),
+            Variable("predicted", "int8", "1", f"kind of motion in the {system.frame} frame, from theory alone", Label.meanings()),
+            Variable("predicted_inertial", "int8", "1", "kind of motion in the inertial frame, from theory alone", Label.meanings()),
+            Variable("agreement", "int8", "1", "measured label against theory", Agreement.meanings()),
+        ]  # fmt: skip
+        theory = [
+            Variable("condition_residual", "float64", "1", "how far the start is from a steady motion, 0 on an exact one"),
+            Variable(
+                "growth_rate", "float64", "rad s-1",
+                "largest real part of the characteristic exponents of the steady motion, from theory",
+                comment="nan where theory has no steady motion or no exponent",
+            ),
+            Variable("end_time", "float64", "s", "time at which the integration ended"),
+        ]  # fmt: skip
+        numerics = [
+            *step_variables(system),
+            Variable(
+                "error_estimate", "float64", "1", "estimated relative error of the final state and of every statistic",
+                comment=_ERROR_ESTIMATE,
+            ),
+        ]  # fmt: skip
+        measured = [
+            Variable(s.name, "float64", s.unit, s.long_name, comment=_NO_MEANING if s.needs_psi else "")
+            for s in STATISTICS
+        ]
+        return (*flag, *measured, *numerics, *theory)
+
+    def variables(self, system: System) -> tuple[Variable, ...]:
+        """None of a system that describes no body in a frame."""
+        return () if system.observables else existing(system, self.every_variable(system))
+
+    has_theory, quantity = True, "rates"
+    unsteadiness_text = "largest rms or standard deviation of the rates"
+
+    def statistics(self, system: System) -> tuple[str, ...]:
+        """Of the rates, and the extremes of theta."""
+        return (*RATES, "theta_min", "theta_max")
+
+    def unsteadiness(self, system: System, measured: Measured, settings: Any) -> Array:
+        """In rad per time unit."""
+        rates = [measured["theta_dot_rms"], measured["psi_dot_std"], measured["phi_dot_std"]]
+        in_polar_cap = np.isnan(rates[1])
+        return np.where(in_polar_cap, measured["normal_rate_std"], np.fmax.reduce(rates))
+
+    def steady_below(self, settings: Any) -> float:
+        """The rate that counts as none."""
+        return float(settings.rate_tolerance)
+
+    def largest(self, system: System, measured: Measured, errors: Measured, bound: Array) -> Array:
+        """Of the rates, over the frequency bound."""
+        return np.asarray(np.fmax.reduce([errors[name] for name in RATES]) / bound)
+
+    def bound(self, bound: Array, settled: Mask) -> Array:
+        """Infinite where it does not hold."""
+        return np.where(settled, bound, np.inf)
+
+    def shown(self, run: Run, resolved: Mask) -> Mask:
+        """Whether or not tangent vectors are resolved."""
+        return run.step_sizes.resolved
+
+    def may_stop_early(self, outputs: Collection[str]) -> bool:
+        """Whether a run may end once its label is certain: only a whole run gives the statistics."""
+        return {statistic.name for statistic in STATISTICS}.isdisjoint(outputs)
+
+    def early_stop_rate(self, bound: Array, step_sizes: StepSizes, tolerances: Tolerances) -> Array:
+        """Rate beyond which no expected error can bring a drifting label back, (points,), rad per time unit."""
+        absolute = step_sizes.rate_error + bound * ROUNDING * np.sqrt(step_sizes.steps) / tolerances.angle
+        return np.asarray(
+            (tolerances.rate + absolute) / (1.0 - np.minimum(relative_error(step_sizes, bound), 1.0))
+        )
+
+    def measurements(self, run: Run, measured: Measured) -> dict[str, Array]:
+        """Means, standard deviations and extremes."""
+        integration = run.integration
+        return finish(integration.sums[: len(Row)], integration.intervals, integration.duration)
+
+    def rules(self, run: Run, rules: Mapping[str, Rule]) -> dict[str, Rule]:
+        """Labels in the system's frame and, if that turns, in inertial space."""
+        return {name: rule(run.settings.tolerances, rate) for name, rate in run.frame_rates.items()}
+
+    def errors(self, run: Run, relative: Array) -> dict[str, Array]:
+        """Expected error of each measurement that decides a label, in its unit, (points,) each."""
+        step_sizes, bound, measured = run.step_sizes, run.bound, run.measured
+        share = np.minimum(relative_error(step_sizes, bound), 1.0)
+        # psi' and phi' divide by sin theta: rounding counts the more, the nearer the vertical.
+        near_vertical = step_sizes.rate_error + bound * ROUNDING * np.sqrt(step_sizes.steps) / np.maximum(
+            _least_sine(measured), 1e-300
+        )
+        angle = (measured["theta_max"] - measured["theta_min"]) * share
+        angle += measured["sine_max"] * np.where(bound > 0, step_sizes.rate_error / bound, 0.0)
+        absolute = {
+            "theta_dot_rms": step_sizes.rate_error,
+            "normal_rate_std": step_sizes.rate_error,
+            "psi_dot_std": near_vertical,
+            "phi_dot_std": near_vertical,
+        }
+        errors = {name: size + share * measured[name] for name, size in absolute.items()}
+        errors |= {"psi_dot_mean": near_vertical, "phi_dot_mean": near_vertical}
+        return errors | {"theta_min": angle, "theta_max": angle, "sine_max": angle}
+
+    def relative_error(self, run: Run) -> Array:
+        """That of the states is the error of an oscillation at the frequency bound, amplified by the instability of the motion.
+
+        It is amplified to 1 at most; see `_with_statistics` for the rest.
+        """
+        step_sizes, log_growth = run.step_sizes, run.log_growth
+        error = np.maximum(step_sizes.dispersion_error, step_sizes.dissipation_error)
+        error = error + rounding_error(step_sizes)
+        with np.errstate(all="ignore"):
+            amplified = np.minimum(error * np.exp(log_growth), np.maximum(error, 1.0))
+            error = np.where(log_growth > 0, amplified, error)
+        return _with_statistics(error, run)
+
+    def rate_change(self, run: Run, other: Run) -> Array:
+        """Largest difference of a rate over the frequency bound."""
+        return np.asarray(np.fmax.reduce(_differences(run, other, RATES)) / run.bound)
+
+    def pair_error(self, run: Run, coarse: Run, expected: Array) -> Array:
+        """The difference of the final states is as many times the error of the finer as the order of the method implies.
+
+        The statistics have no clean order: their differences are taken as they are, and count at least three tenths of what
+        the error of the states implies, because two runs may agree by chance. Where the second run is not resolved, the
+        expected error counts if it is larger.
+        """
+        order = METHODS[run.settings.method].order
+        with np.errstate(all="ignore"):
+            ratio = run.step_sizes.steps / coarse.step_sizes.steps
+            final = run.integration.final_state, coarse.integration.final_state
+            state = state_distance(run.system, *final, run.bound)
+            state = np.fmax(state / np.abs(ratio**order - 1.0), rounding_error(run.step_sizes))
+            rates = [change / run.bound for change in _differences(run, coarse, RATES)]
+            angles = _differences(run, coarse, ("theta_min", "theta_max"))
+            error = np.fmax.reduce([state, 0.3 * _with_statistics(state, run), *rates, *angles])
+        trusted = (coarse.step_sizes.step_ratio < 0.5) & coarse.integration.finite
+        return np.where(trusted, error, np.fmax(error, expected))
+
+    def columns(self, run: Run, columns: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+        """The geometry, and psi' and phi' where they have a meaning."""
+        tolerances, ok = run.settings.tolerances, columns["status"] == Status.OK
+        cylinder = in_cylinder(run.measured, tolerances.angle)
+        steady = ok & (columns["label"] != Label.DRIFTING)
+        with np.errstate(invalid="ignore"):
+            geometry = run.system.geometry(run.measured, steady, cylinder, tolerances.rate, tolerances.angle)
+        return {"geometry": geometry} | {
+            name: np.where(cylinder, np.nan, columns[name]) for name in NEEDS_PSI
+        }
+
+
+def existing(system: System, variables: tuple[Variable, ...]) -> tuple[Variable, ...]:
+    """Those of the variables of a body that the system has."""
+    missing = {"integral_drift"} if not system.equations.INTEGRALS else set()
+    if len(system.geometries) < 2:
+        missing |= {"geometry"}
+    if not system.families:
+        missing |= {"family", "stable", "growth_rate", "condition_residual"}
+    return tuple(
+        variable
+        for variable in variables
+        if variable.name not in missing
+        and (system.frame_rate is not None or not variable.name.endswith("_inertial"))
+        and (system.families or not variable.name.startswith(("predicted", "agreement")))
+    )
+
+
+def step_variables(system: System) -> list[Variable]:
+    """The variables of the steps."""
+    bound = "numeric bound" if system.has_numeric_bound else "bound"
+    comment = _NUMERIC_BOUND if system.has_numeric_bound else ""
+    return [
+        Variable("step", "float64", "s", "integration step", comment=comment),
+        Variable(
+            "step_ratio", "float64", "1",
+            f"step times {bound} of the fastest frequency over the stability limit of the method", comment=comment,
+        ),
+    ]  # fmt: skip
+
+
+def label(measured: Mapping[str, Array], tolerances: Tolerances, frame_rate: Array | float = 0.0) -> Flags:
+    """Label of each point, whatever its status.
+
+    measured: LABEL_STATISTICS as `engine.statistics.finish` returns them, all of one shape. frame_rate: added
+    to the mean of psi', rad per time unit: the rate of the orbital frame, for the label in the inertial
+    frame. Returns values of `flags.Label`.
+    """
+    rate = tolerances.rate
+    cylinder = in_cylinder(measured, tolerances.angle)
+    nutates = measured["theta_dot_rms"] > rate
+    # A run that enters or leaves the cylinder has no usable psi' there: theta decides.
+    entered = np.minimum(np.sin(measured["theta_min"]), np.sin(measured["theta_max"])) < tolerances.angle
+    # psi' is then measured on a small part of the run, so the rate about the vertical must be steady as well.
+    swings = measured["theta_max"] - measured["theta_min"] > tolerances.angle
+    crossing = entered & (swings | (measured["normal_rate_std"] > rate))
+    unsteady = (measured["psi_dot_std"] > rate) | (measured["phi_dot_std"] > rate)
+    drifting = np.where(cylinder, measured["normal_rate_std"] > rate, nutates | crossing | unsteady)
+    return steady_label(
+        measured["psi_dot_mean"] + frame_rate, measured["phi_dot_mean"], cylinder, rate, drifting
+    )
+
+
+def rule(tolerances: Tolerances, frame_rate: Array | float = 0.0) -> Rule:
+    """The rule of `label`."""
+    of_rates = partial(label, tolerances=tolerances, frame_rate=frame_rate)
+    return Rule(of_rates, LABEL_STATISTICS, {"psi_dot_mean": frame_rate, "phi_dot_mean": 0.0})
+
+
+def steady_label(
+    n: Array, m: Array, cylinder: Mask, tolerance: float, drifting: Mask | bool = False
+) -> Flags:
+    """Label of a steady motion with rates n = psi' and m = phi'; rates of at most the tolerance count as zero."""
+    zero_rate = (np.abs(n) <= tolerance) | (np.abs(m) <= tolerance)
+    steady = np.where(cylinder | zero_rate, Label.PERMANENT_ROTATION, Label.REGULAR_PRECESSION)
+    return np.where(drifting, Label.DRIFTING, steady).astype(np.int8)
+
+
+def in_cylinder(measured: Measured, cylinder_tolerance: float) -> Mask:
+    """Whether sin theta stayed below the tolerance (rad) through the run."""
+    return np.asarray(measured["sine_max"] < cylinder_tolerance)
+
+
+def _least_sine(measured: Measured) -> Array:
+    """Least sin theta of the run."""
+    return np.minimum(np.sin(measured["theta_min"]), np.sin(measured["theta_max"]))
+
+
+def _with_statistics(state_error: Array, run: Run) -> Array:
+    """Relative error of states and statistics from that of the states, (points,).
+
+    The interpolation between nodes adds to the error of the angles. That of psi' and phi' grows as the third axis comes
+    near the vertical, and is as large as they are where it was in the cylinder for a part of the run.
+    """
+    measured, bound, cylinder, integration = run.measured, run.bound, run.settings.cylinder, run.integration
+    with np.errstate(all="ignore"):
+        angle = state_error + _interpolation_error(run.step_sizes, bound)
+        sine = _least_sine(measured)
+        spread = np.fmax(measured["psi_dot_std"], measured["phi_dot_std"]) / bound
+        rates = np.fmax(angle, angle * (1.0 + (2.0 + 6.0 * spread) / np.maximum(sine, 1e-300)))
+        # The peak of psi' of an axis that leaves the cylinder at the frequency bound.
+        peak = np.sqrt(0.5 * np.pi / (cylinder * bound * integration.duration))
+        undefined = np.fmax.reduce([np.ones_like(rates), spread, rates, peak])
+    outside = integration.sums[Row.OUTSIDE]
+    inside = outside == 0.0  # psi' and phi' are missing
+    partly = (outside > 0.0) & (outside < integration.intervals * (1.0 - 1e-10))
+    crossed = ~inside & (partly | (sine < 2.0 * cylinder))
+    return np.asarray(np.select([inside, crossed], [angle, undefined], rates))
+
+
+def _differences(run: Run, other: Run, names: Collection[str]) -> list[Array]:
+    """Sizes of the differences of the statistics of two runs."""
+    with np.errstate(invalid="ignore"):
+        return [np.abs(run.measured[name] - other.measured[name]) for name in names]
+
+
+def rounding_error(step_sizes: StepSizes) -> Array:
+    """Relative error of the states by rounding, (points,)."""
+    return np.asarray(4.0 * ROUNDING * np.sqrt(step_sizes.steps))
+
+
+def state_distance(system: System, state: Array, other: Array, bound: Array) -> Array:
+    """Largest difference of a component of two states.
+
+    state, other: (state, points). bound: frequency bound, rad per time unit; the unit of the differences of
+    angular velocities.
+    """
+    difference = np.abs(state - other)
+    difference[[name in system.rate_states for name in system.equations.STATE]] /= bound
+    return np.asarray(difference.max(0))
+
+
+def relative_error(step_sizes: StepSizes, bound: Array) -> Array:
+    """Relative error of a standard deviation: dispersion, dissipation and interpolation error."""
+    interpolation = _interpolation_error(step_sizes, bound)
+    return np.asarray(step_sizes.dispersion_error + step_sizes.dissipation_error + interpolation)
+
+
+def _interpolation_error(step_sizes: StepSizes, bound: Array) -> Array:
+    """Relative error of the motion between nodes, for an oscillation at the frequency bound."""
+    with np.errstate(over="ignore"):
+        return np.asarray(INTERPOLATION_ERROR * (bound * step_sizes.sample_spacing) ** 8)

@@ -1,0 +1,161 @@
+"""The plan of a scene: a sample of its points, their steps, the work and the tiles, made once and carried. Imports no compiler."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from ..engine import numeric_bound
+from ..engine.stepsize import StepSizes
+from ..engine.tableaux import METHODS
+from ..engine.tangent import METHOD as TANGENT_METHOD
+from ..measure.chaos import RELATIVE_COST, Chaos, TangentSteps
+from ..scene import grid
+from ..scene.model import MAX_STEPS, Scene, Settings
+from ..systems.base import Array
+from . import tiling
+
+if TYPE_CHECKING:
+    from ..label.plan import Plan
+
+# Shortest run that shows most chaos: revolutions of the frame, or, where the frame does not turn, periods of the bound
+# of the fastest frequency.
+MIN_ORBITS, MIN_PERIODS = 80, 400
+
+
+@dataclass(frozen=True, eq=False)
+class ScenePlan:
+    """How a scene is run."""
+
+    scene: Scene
+    sample: grid.Grid  # points of the scene, from `grid.check`
+
+    @classmethod
+    def of(cls, scene: Scene) -> ScenePlan:
+        """The plan of a scene; BadInput if no point can be computed."""
+        return cls(scene, grid.check(scene))
+
+    @cached_property
+    def points(self) -> Plan:
+        """How its points are integrated."""
+        from ..label.plan import Plan
+
+        return Plan.of(self.scene)
+
+    def limited(self, max_steps: int) -> Settings:
+        """The settings of the scene with another largest number of steps."""
+        return replace(self.scene.settings, max_steps=max_steps)
+
+    @cached_property
+    def _bound(self) -> Array:
+        """Frequency bound of the sample as far as it is known without integrating."""
+        with np.errstate(all="ignore"):
+            return numeric_bound.before_run(self.scene.system, self.sample.points, self.sample.duration)
+
+    def step_sizes_by(self, settings: Settings) -> StepSizes:
+        """Step sizes of the sample by these settings, and the errors to expect of them."""
+        with np.errstate(all="ignore"):
+            return StepSizes.of(settings, self._bound, self.sample.duration)
+
+    @cached_property
+    def step_sizes(self) -> StepSizes:
+        """Those of the scene."""
+        return self.step_sizes_by(self.scene.settings)
+
+    @cached_property
+    def mean_steps(self) -> float:
+        """Integration steps of a point, averaged over the sample."""
+        return float(self.step_sizes.without_unresolved().steps[self.sample.exists].mean())
+
+    @cached_property
+    def has_chaos(self) -> bool:
+        """Whether points are integrated with tangent vectors as well."""
+        return Chaos().wanted(self.scene.system, self.scene.outputs)
+
+    @cached_property
+    def mean_work(self) -> float:
+        """Integration of a point in steps of the scene's method, averaged over the sample, tangent vectors included."""
+        if not self.has_chaos:
+            return self.mean_steps
+        settings = self.scene.settings
+        with np.errstate(all="ignore"):
+            sizes = TangentSteps.of(self._bound, self.sample.duration, settings.step, settings.max_steps)
+        cost = RELATIVE_COST * TANGENT_METHOD.step_cost / METHODS[settings.method].step_cost
+        tangent = np.where(sizes.resolved, cost * sizes.steps, 0.0)
+        return self.mean_steps + float(tangent[self.sample.exists].mean())
+
+    @cached_property
+    def tiling(self) -> tiling.Tiling:
+        """The tiles, of similar work. They depend on the scene alone, never on timing or the number of processors."""
+        least = max(tiling.MIN_POINTS_PER_TILE, 3 * self.scene.size / tiling.MAX_TILES)
+        points = max(tiling.TILE_POINT_STEPS / self.mean_work, least)
+        # A power of two, because the last bits of the mean may differ between machines.
+        return tiling.Tiling.of(
+            self.scene.shape, 2 ** round(math.log2(min(points, grid.MAX_POINTS_PER_TILE)))
+        )
+
+    def step_warnings(self) -> list[str]:
+        """A sentence each on points that `max_steps` cuts short, and on points whose steps are too long for a label."""
+        exists, sizes = self.sample.exists, self.step_sizes
+        limited = float((sizes.steps < self.step_sizes_by(self.limited(MAX_STEPS)).steps)[exists].mean())
+        unresolved = float((~sizes.resolved)[exists].mean())
+        warnings = []
+        if limited > 0:
+            warnings.append(
+                f"max_steps = {self.scene.settings.max_steps} cuts short {100 * limited:.3g} % of the points, whose errors are"
+                " larger than the tolerance"
+            )
+        if unresolved > 0:
+            warnings.append(
+                f"{100 * unresolved:.3g} % of the points have steps too long for their fastest frequency: they get no label"
+                " and are hardly integrated; a shorter duration or more max_steps would help"
+            )
+        return warnings
+
+    def chaos_warnings(self) -> list[str]:
+        """One sentence if the runs are too short to tell regular motions from chaotic ones."""
+        exists, system = self.sample.exists, self.scene.system
+        if not self.has_chaos or not exists.any():
+            return []
+        with np.errstate(all="ignore"):
+            least = MIN_PERIODS * 2 * np.pi / self._bound
+            if system.frame_rate is not None:
+                rate = np.abs(system.frame_rate(self.sample.points))
+                least = np.where(rate > 0, MIN_ORBITS * 2 * np.pi / rate, least)
+            share = (self.sample.duration / least)[exists]
+        if not (share < 1 - 1e-9).any():
+            return []
+        return [
+            f"megno, lyapunov and regularity: {100 * (share < 1 - 1e-9).mean():.3g} % of the runs are too short to show most"
+            f" chaos (exponents below 10 / duration are invisible); take a duration {1 / share.min():.3g} times as long,"
+            " which takes as many times the time"
+        ]
+
+    def relative_costs(self) -> dict[str, float]:
+        """Expected processor time of the integration by the other methods, at the tolerance of the scene.
+
+        It is the number of steps that a method takes at the points of the sample times the cost of a step; compiling and the
+        prediction of theory are not part of it. Returns name of a method -> its time over that of the
+        scene's method, for runs that go on to the end. Empty where the scene sets a step: with the same step,
+        methods have different errors.
+        """
+        if self.scene.settings.step is not None:
+            return {}
+        costs = {}
+        for name, method in METHODS.items():
+            sizes = self.step_sizes_by(replace(self.limited(MAX_STEPS), method=name))
+            costs[name] = method.step_cost * float(sizes.steps[self.sample.exists].mean())
+        own = costs.pop(self.scene.settings.method)
+        return {name: cost / own for name, cost in costs.items()}
+
+    def method_lines(self) -> list[str]:
+        """A sentence on the cost of each other method; none where the scene sets a step."""
+        return [
+            f'method: {self.scene.settings.method}; method = "{name}" would integrate in about {ratio:.2g}'
+            f" {'of' if ratio < 1 else 'times'} the time at the same tolerance"
+            for name, ratio in self.relative_costs().items()
+        ]

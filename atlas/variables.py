@@ -90,10 +90,7 @@ def data_variables(system: System) -> dict[str, Variable]:
 
 
 def variables(system: System) -> dict[str, Variable]:
-    """Every variable an atlas of the system can hold, by name, in the order of the file.
-
-    Raises BadInput for a system of which a parameter or an observable has the name of a variable.
-    """
+    """Variables that an atlas of the system can hold, in the order of the file; BadInput if names clash."""
     registry = _variables_of_observables(system) if system.observables else _variables_of_body(system)
     reserved = {*registry, *_every_variable_of_body(system), COMPUTED.name, POINT, "time"}
     for kind, names in (

@@ -50,12 +50,7 @@ class Motions:
 
 
 def sources(system: System, method: str) -> dict[str, str]:
-    """Python functions that integrate a point and show its motion.
-
-    method: a key of tableaux.METHODS. Returns name -> source: `rhs`, `scaled` and `unscaled` as in the
-    kernel, `step`, `frame_motion` and `axis_in_frame`, or the observables, and the functions that these call.
-    The states are those of `Motions`.
-    """
+    """Sources of the Python functions that integrate a point and show its motion; states as in `Motions`."""
     equations = _equations(system)
     texts = arithmetic.functions(equations)
     observables = [observable.name for observable in system.observables]
@@ -81,7 +76,6 @@ def _equations(system: System) -> Any:
 def motions(ds: xr.Dataset, system: System, scene: Scene | None, dims: list[str]) -> Motions:
     """The starts of all points of an atlas, as `ds.atlas.trajectory` integrates them.
 
-    ds: an atlas, or every k-th point of one; scene: scene of the atlas; dims: dimensions of the points.
     Raises BadInput where the atlas lacks an axis of its scene, a parameter or the duration.
     """
     shape = tuple(ds.sizes[dim] for dim in dims)
@@ -118,10 +112,7 @@ def motions(ds: xr.Dataset, system: System, scene: Scene | None, dims: list[str]
 
 
 def _recorded_steps(ds: xr.Dataset, dims: list[str], duration: Array, default: np.ndarray) -> np.ndarray:
-    """Numbers of steps of the runs of the atlas, which follow from a frequency bound along each motion.
-
-    default: the number where none is recorded.
-    """
+    """Numbers of steps in the atlas, which follow from a frequency bound along each motion, or `default`."""
     if "step" not in ds:
         raise BadInput(
             "step: not in this dataset; the frequency bound of this system is numeric, and its steps are those recorded"

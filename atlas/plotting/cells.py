@@ -269,10 +269,10 @@ def draw_hatching(ax: Axes, mask: Mask, edges: list[np.ndarray], hatch: Hatch) -
 
 
 def _draw_lines(ax: Axes, lines: list[np.ndarray], line: dict[str, Any]) -> None:
-    """Draw lines over dark and bright colours alike.
+    """Draw lines over dark and bright colours alike, with a white halo.
 
-    The halo is white: beside the line, in the gaps of a dashed one, and below every line so that none is cut where
-    they cross.
+    The halo also fills the gaps of dashed lines, and is below every line so that none is cut where they
+    cross.
     """
     halo = line | {"color": "white", "linestyle": "-", "linewidth": line["linewidth"] + 2 * HALO}
     for vertices in lines:

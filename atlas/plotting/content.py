@@ -43,11 +43,7 @@ class Panel:
 
 
 def panel_of(ds: xr.Dataset, name: str, dims: list[str], scene: Scene | None, boundary: bool) -> Panel:
-    """Content of a panel.
-
-    ds: the part of the atlas that the panel shows; name: the variable; dims: one or two axes, x first; scene:
-    scene of the atlas; boundary: whether to draw what theory predicts. Returns in memory.
-    """
+    """Content of a panel over one or two axes (x first), in memory."""
     order = dims[::-1]
     needed = [
         n

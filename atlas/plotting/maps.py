@@ -38,17 +38,13 @@ from .style import STYLE
 
 
 def atlas_map(ds: xr.Dataset, variable: str | None = None, **options: Any) -> Figure:
-    """Map of one variable of an atlas over two of its axes, with theory drawn over it.
+    """Map of one variable of an atlas over two of its axes, with theory drawn over it, as `Atlas.map`.
 
     Flags have one colour each in every figure. Positive numbers that span more than two decades get a
     logarithmic scale of at most `scales.MAX_DECADES`, numbers of both signs a scale centred on zero, integers
-    a colour each. Axes of more than `analysis.select.MAX_CELLS` values are drawn by every k-th one. White
-    cells have no value; the legend gives the reason. Regions that are too small to be visible are not in the
-    legend but in a note below the map.
-
-    ds: an atlas. If it has one axis, the map is a strip or a line; if it has single points, a scatter map. options: fields
-    of `MapOptions`. Returns as `atlas.accessor.Atlas.map` returns it. Raises BadInput for what is not in the atlas, and
-    for options that are not allowed.
+    a colour each. White cells have no value. Regions that are too small to be visible are not in the legend
+    but in a note below the map. A single axis gives a strip or a line, single points a scatter map. Raises
+    BadInput for wrong options.
     """
     system_of(ds)
     chosen = MapOptions(**options)
@@ -158,11 +154,9 @@ def draw_scatter(ds: xr.Dataset, name: str, options: MapOptions) -> Figure:
 
 
 def scatter_axes(ds: xr.Dataset, x: str | None, y: str | None) -> list[str]:
-    """The two coordinates along the points that are the axes of a scatter map.
+    """The two coordinates of a scatter map, x first; default the scene's with the most different values.
 
-    ds: single points. x, y: names of coordinates; None: the one with the most different values, of several
-    those that the scene varies. Returns two names, x first. Raises BadInput for a name that is no such
-    coordinate, and where fewer than two of them vary.
+    Raises BadInput for other names, and where fewer than two coordinates vary.
     """
     allowed = [
         str(name)

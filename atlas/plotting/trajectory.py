@@ -41,14 +41,10 @@ NOTE = SYMBOLS["normal_rate"] + ": angular velocity relative to the frame along 
 def trajectory_figure(tr: xr.Dataset, *, width: Width = "page") -> Figure:
     """Angles and rates over time, and the path of the third body axis on the unit sphere of the frame.
 
-    Of a system with observables: the observables over time, a panel for each, at most MAX_PANELS.
-
-    psi and phi are shown between -pi and pi. The path is dark on the near side of the sphere and pale on
-    the far side, with a dot at its start. A path that stays close to a direction is drawn once more, enlarged, in
-    the plane perpendicular to that direction. Rates that grow without bound near the vertical are clipped.
-
-    tr: as `atlas.trajectory` returns it; width: 180 mm or 88 mm. Returns three panels over time, the sphere,
-    and where the path is small its enlargement. Raises BadInput if the dataset is no trajectory.
+    Or the observables of the system, at most MAX_PANELS. psi and phi are shown between -pi and pi. The path
+    is dark on the near side of the sphere and pale on the far side, with a dot at its start; one that stays
+    close to a direction is also drawn enlarged, in the plane perpendicular to it. Rates that grow without
+    bound near the vertical are clipped. Raises BadInput if the dataset is no trajectory.
     """
     check_width(width)
     if "time" in tr.dims and "atlas_system" in tr.attrs and (observables := system_of(tr).observables):

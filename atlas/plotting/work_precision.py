@@ -16,10 +16,7 @@ MAX_ERROR_DRAWN = 3.0
 
 
 def figure(ds: xr.Dataset) -> Figure:
-    """Median errors against processor time per point, for each method: states (solid), rates or observables (dotted).
-
-    ds: as `validation.work_precision.work_precision` returns it. Returns with one panel, 3.5 inches wide.
-    """
+    """Median errors against time per point, by method: states (solid), rates or observables (dotted)."""
     rows = summary(ds)
     with rc_context({"font.size": 8, "legend.fontsize": 7, "axes.linewidth": 0.6}):
         fig = Figure(figsize=(3.5, 2.8), layout="constrained")

@@ -40,12 +40,7 @@ class _Measurement:
 
 
 def dry_run(scene: Scene, *, threads: int | None = None, workers: int | None = None) -> str:
-    """Estimate what running a scene takes, from a short run of some of its points.
-
-    threads, workers: as for `run`. Returns lines of text: points and tiles, size of the file, time, what the
-    other method would cost, memory, expected phase error, and the share of points that `max_steps` gives
-    fewer steps than the tolerance asks for, if any. Raises BadInput as `run` does.
-    """
+    """Estimate what running a scene takes, from a short run of some points, as text; BadInput as `run`."""
     sample = grid.check(scene)
     tiles, exists = tiling(scene, sample), sample.exists
     processors = workers or threads or blocks.available_threads()

@@ -21,11 +21,10 @@ from ..systems.base import System
 
 
 def identity(scene: Scene) -> dict[str, str]:
-    """Programs and processor on which the bits of an atlas depend, as they are in the memory of this process.
+    """Versions and hashes of the programs, as loaded in this process, and the processor: bits depend on them.
 
-    Returns versions of programs and libraries, hashes of this package's sources and of the kernel, and the
-    type of processor. Raises BadInput if sources of the package were written after this process had imported
-    it. What is loaded may then be neither the old nor the new code.
+    Raises BadInput if sources changed after the import: the loaded code may be neither the old nor the new
+    one.
     """
     import llvmlite
     import numba
@@ -73,11 +72,7 @@ def _system_code(system: System) -> dict[str, str]:
 def differences(
     expected: Mapping[str, Any], actual: Mapping[str, Any], expected_place: str, actual_place: str
 ) -> str:
-    """Entries that differ, in one line.
-
-    expected_place, actual_place: where each of them was taken from, such as "in the run" and "in the worker".
-    Returns empty if all are equal.
-    """
+    """Entries that differ, in one line with the places, such as "in the run" and "in the worker"."""
     return ", ".join(
         f"{name} ({expected.get(name, 'nothing')} {expected_place}, {actual.get(name, 'nothing')} {actual_place})"
         for name in {**expected, **actual}

@@ -11,14 +11,10 @@ from .tiling import step_sizes
 
 
 def relative_costs(scene: Scene, sample: Grid) -> dict[str, float]:
-    """Expected processor time of the integration by the other methods, at the tolerance of a scene.
+    """Processor time of the integration by the other methods over the time of the scene's, for complete runs.
 
-    It is the number of steps that a method takes at the points of the sample times the cost of a step; compiling and the
-    prediction of theory are not part of it.
-
-    sample: points of the scene, from `grid.check`. Returns name of a method -> its time over that of the
-    scene's method, for runs that go on to the end. Empty where the scene sets a step: with the same step,
-    methods have different errors.
+    It is the number of steps that a method takes at the points times the cost of a step; compiling and theory
+    are not part of it. Empty where the scene sets a step: with the same step, methods have different errors.
     """
     settings = scene.settings
     if settings.step is not None:

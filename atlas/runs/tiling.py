@@ -23,14 +23,10 @@ MAX_TILES, MAX_TILE_POINTS = 8_000_000, 1_000_000
 
 @dataclass(frozen=True)
 class Tiling:
-    """A grid cut into equal boxes, each a contiguous range of flat C-order indices.
-
-    shape: shape of the grid. tile: shape of a tile: 1, ..., 1, some rows, then whole axes. Tiles at the end
-    of an axis may be shorter.
-    """
+    """A grid cut into boxes, each a contiguous range of flat C-order indices; the last may be shorter."""
 
     shape: tuple[int, ...]
-    tile: tuple[int, ...]
+    tile: tuple[int, ...]  # 1, ..., 1, some rows, then whole axes
 
     @classmethod
     def of(cls, shape: tuple[int, ...], max_points: int) -> Tiling:
@@ -129,12 +125,7 @@ def step_warnings(scene: Scene, sample: grid.Grid) -> list[str]:
 
 
 def tiling(scene: Scene, sample: grid.Grid) -> Tiling:
-    """The tiles of a scene, of similar work.
-
-    They depend on the scene alone, never on timing or the number of processors.
-
-    sample: points of the scene, from `grid.check`.
-    """
+    """Tiles of similar work, which depend on the scene alone, never on timing or the number of processors."""
     points = max(TILE_POINT_STEPS / mean_work(scene, sample), MIN_POINTS_PER_TILE, 3 * scene.size / MAX_TILES)
     # A power of two, because the last bits of the mean may differ between machines.
     return Tiling.of(scene.shape, 2 ** round(math.log2(min(points, grid.MAX_POINTS_PER_TILE))))

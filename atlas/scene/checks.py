@@ -211,10 +211,7 @@ Annotated = TypeVar("Annotated", bound=Callable[..., Any])
 
 
 def typed(target: Annotated) -> Annotated:
-    """A public function, or a class with all of its public methods, that raises BadInput for arguments of wrong types.
-
-    Arguments whose annotation has another type than _TYPES are left to the function.
-    """
+    """Make a function, or a class's public methods, raise BadInput for arguments of wrong types in _TYPES."""
     if isinstance(target, type):
         for name, method in vars(target).copy().items():
             if inspect.isfunction(method) and not name.startswith("_"):
@@ -260,10 +257,7 @@ def interval(key: str, table: Mapping[str, Any]) -> tuple[float, float, str]:
 def checked(
     check: Check[Any], default: Any = dataclasses.MISSING, section: str = "", description: str = ""
 ) -> Any:
-    """Field of a dataclass that is read from a table of a scene; without a default the key is needed.
-
-    section: key of the table, for a class that is read from more than one.
-    """
+    """Field read from the table `section`, for a class with more than one; no default: the key is needed."""
     metadata = {"check": check, "section": section, "description": description}
     return dataclasses.field(default=default, metadata=metadata)
 
@@ -291,12 +285,9 @@ def table_schema(cls: type, section: str = "") -> dict[str, Any]:
 def from_table(
     cls: type, table: Mapping[str, Any], section: str, also: Collection[str] = ()
 ) -> dict[str, Any]:
-    """Arguments of a dataclass with `checked` fields, from the table under the key `section`.
+    """Checked arguments of a dataclass from its table; BadInput for unknown, missing or bad keys.
 
-    cls: the dataclass; the names of its fields are the keys of the table. table: the table as TOML gives it.
-    section: key of the table. Fields that name another section are left out. also: keys of the table that the
-    caller reads. Returns field -> checked value, for the keys that the table gives. Raises BadInput for an
-    unknown key, a missing one, and a value that does not pass the check of its field.
+    Fields of another section are left out; the keys `also` are known to the caller.
     """
     fields = _fields(cls, section)
     check_keys(table, f"{section}.", [*also, *fields])

@@ -44,13 +44,9 @@ _ALLOWED = f"allowed: + - * / **, {', '.join(FUNCTIONS)}, pi, numbers and other 
 
 
 class Expression:
-    """Arithmetic in names, parsed once and evaluated on arrays.
+    """Arithmetic in names (numbers, pi, + - * / ** and FUNCTIONS), parsed once and evaluated on arrays.
 
-    key: key of the expression in the scene, such as "ties.C"; error messages begin with it. text: the
-    expression: numbers, names, pi, + - * / ** and the functions of `FUNCTIONS`. Raises BadInput if the text
-    is anything but arithmetic, or longer than `MAX_LENGTH`.
-
-    names: the names that the expression refers to.
+    Raises BadInput, which begins with `key`, for any other text, and for one longer than `MAX_LENGTH`.
     """
 
     def __init__(self, key: str, text: str):
@@ -67,11 +63,7 @@ class Expression:
         self.names = frozenset(self._names_in(self._tree))
 
     def value(self, values: Mapping[str, Array]) -> Array:
-        """Value for given values of the names.
-
-        values: value of each of `names`, float64, of shapes that broadcast. Returns float64 of the broadcast
-        shape; inf or nan where the arithmetic has no finite value.
-        """
+        """Value for values of the names; inf or nan where the arithmetic has no finite one."""
         with np.errstate(all="ignore"):
             return self._evaluate(self._tree, values)
 
@@ -138,10 +130,7 @@ Tie = Expression | PointColumn
 
 
 def evaluation_order(ties: Mapping[str, Tie], known: set[str]) -> list[str]:
-    """Names of the ties in an order in which each uses only known names and earlier ties.
-
-    Raises BadInput for a tie that refers to a name without a value, and for ties that form a circle.
-    """
+    """Ties so ordered that each uses known names and earlier ties; BadInput for circles and unknown names."""
     for tie in ties.values():
         for name in sorted(tie.names - known - set(ties)):
             raise BadInput(

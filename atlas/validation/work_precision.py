@@ -102,10 +102,7 @@ class _Sample:
         return self.worst(self.reference.statistics_error)
 
     def worst(self, errors: Mapping[str, Array]) -> Array:
-        """Largest error of a statistic: of a rate over the frequency bound, of an observable over its magnitude.
-
-        errors: by the names of the statistics.
-        """
+        """Largest error: of a rate over the frequency bound, of an observable over its magnitude."""
         if not self.scene.system.observables:
             return np.asarray(np.fmax.reduce([errors[name] for name in RATES]) / self.bound)
         sizes = observed.sizes(self.scene.system, self.reference.statistics)
@@ -128,29 +125,22 @@ class _LevelResult:
 def work_precision(scene: Scene, count: int = 64, *, progress: bool = False) -> xr.Dataset:
     """Errors and run times of a sample of a scene's points, by every method at many levels.
 
-    A level is a value of the tolerance, or of the step if the scene gives one. Levels are not run (NaN)
-    that take too many steps, that take the same steps as a finer one or as the scene's own, or that are
-    finer than the level from which on errors do not fall any more.
+    A level is a value of the tolerance, or of the step if the scene gives one. A level is not run (NaN) if it
+    takes too many steps, has the steps of a finer level or of the scene, or is finer than the level from
+    which on errors do not fall any more. Points without a reference solution are named in the attribute
+    `left_out`. Raises BadInput for fewer than 2 points with a reference solution, or if the family exists at
+    none of the points tried.
 
-    count: size of the sample, at least 2. Points without a reference solution are left out and named in the
-    attribute `left_out`. progress: print the progress on stderr. Raises BadInput if count is below 2, if the
-    scene's family exists at none of the points tried, or if fewer than 2 points have a reference solution.
-
-    Returns, by name:
-
-    Over the dimensions (method, level, sample):
+    Over the dimensions (method, level, sample), never below the uncertainty of the reference, which is
+    ``reference_error`` (of the states), ``reference_error_rates`` and ``reference_error_NAME`` over (sample):
 
     - ``error_state``: largest difference of a component at the end of the run, angular velocities in
       units of the point's frequency bound; inf where a run is not finite;
     - ``error_NAME``: error of one statistic, nan where the steps do not resolve the point;
-      ``error_rates``: of the least accurate statistic of a rate, in units of the frequency bound, inf
-      there;
-    - no error is below the uncertainty of the reference, ``reference_error`` (of the states),
-      ``reference_error_rates`` and ``reference_error_NAME``, over (sample);
-    - ``integral_drift``, ``step_length``, ``steps``, ``label_compared``, ``label_wrong``,
-      ``label_unresolved``;
-    - over (method, level): ``seconds_per_point``, processor time to the end of the run in full blocks
-      of points, from the measured time of a point-step; ``order``, the observed order.
+    - ``error_rates``: of the least accurate statistic of a rate, in units of the frequency bound, inf there.
+
+    Over (method, level): ``seconds_per_point``, processor time to the end of the run in full blocks of
+    points, from the measured time of a point-step; ``order``, the observed order.
     """
     if count < 2:
         raise BadInput(f"points = {count}: must be at least 2")
@@ -293,10 +283,7 @@ def _run_level(
 
 
 def _errors(sample: _Sample, measured: Mapping[str, Array], final: Array, resolved: Mask) -> dict[str, Array]:
-    """Errors of the final states and of the statistics, none below the uncertainty of the reference.
-
-    resolved: points that have statistics; see `StepSizes.resolved`.
-    """
+    """Errors of the final states and of the statistics, none below the uncertainty of the reference."""
     solution = sample.reference
     with np.errstate(invalid="ignore"):
         not_finite = ~np.isfinite(final).all(0)

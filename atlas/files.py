@@ -1,8 +1,7 @@
 """Writing files so that they are whole or absent, and checks of where they go.
 
-A file is written under a temporary name in its folder and then moved. The name contains the name of the
-process, so that a later process can remove what a killed one left, but not what a living one is writing; see
-`remove_leftovers`.
+A file is written under a temporary name in its folder and then moved. The name names the process, so that a
+later one can remove what a killed one left, but not what a living one is writing; see `remove_leftovers`.
 """
 
 from __future__ import annotations

@@ -106,7 +106,7 @@ def variables(system: System) -> dict[str, Variable]:
 
 
 def _every_variable_of_body(system: System) -> dict[str, Variable]:
-    """The variables of the motion of a body in a frame, those included that the system does not have."""
+    """The variables of the motion of a body in a frame, whether or not the system has them."""
     families = {"none": "no family of steady motions"} | {f.name: f.title for f in system.families.values()}
     flag = [
         Variable("label", "int8", "1", f"kind of motion in the {system.frame} frame", Label.meanings()),

@@ -1,4 +1,4 @@
-"""Borders on a plane of an atlas as data: those of theory, and those of a measured region."""
+"""Borders on a plane of an atlas as data: of theory, and of measured regions."""
 
 from __future__ import annotations
 
@@ -251,7 +251,7 @@ def _over_cells(column: np.ndarray, reduce: np.ufunc) -> np.ndarray:
 
 
 def _samples_of_cells(cells: Mask) -> Mask:
-    """Fine samples of some coarse cells, those on their edges included; (samples, samples)."""
+    """Fine samples of some coarse cells with their edges; (samples, samples)."""
     count = DIVISION * len(cells) + 1
     result = np.zeros((count, count), bool)
     blocks = np.repeat(np.repeat(cells, DIVISION, 0), DIVISION, 1)
@@ -286,8 +286,7 @@ COUNT_BISECTIONS = 6  # of the distance between two neighbouring points of the a
 def count_borders(plane: Plane, counts: xr.DataArray, derived: DerivedVariable) -> dict[str, list[Array]]:
     """Lines, under CHANGE, between the regions of a plane where a count has different values.
 
-    Regions narrower than a cell are missed. Where the count skips values that it has elsewhere, the line is
-    returned once for each change.
+    Regions narrower than a cell are missed; each change of a count that skips values gives its own line.
     """
     values = counts.transpose(*plane.extent).values
     axes = [counts[dim].values for dim in plane.extent]
@@ -318,7 +317,9 @@ def _interpolated(positions: Array, axes: list[Array]) -> Array:
 
 
 def _lines_at(values: Array, level: float) -> list[Array]:
-    """Lines halfway between neighbours of which one is above a level, as indices (vertices, axes); none beside nan."""
+    """Lines halfway between neighbours on both sides of a level, as indices (vertices, axes), away from
+    nan.
+    """
     above = np.where(np.isfinite(values), np.where(values > level, 1.0, 0.0), np.nan)
     if values.ndim == 1:
         return [np.array([[index + 0.5]]) for index in np.flatnonzero(np.abs(np.diff(above)) == 1)]
@@ -377,11 +378,9 @@ def resonance_lines(plane: Plane) -> dict[str, list[Array]]:
 
 
 def _crossings(difference: Array) -> list[Array]:
-    """Segments on which two frequencies cross: their difference, the larger less the smaller, has a kink at
-    0.
+    """Segments on which two frequencies cross: their difference, larger less smaller, has a kink at 0.
 
-    It crosses between two samples where its continuation from one side is the negative of its value on the
-    other.
+    There its continuation from one side is the negative of its value on the other.
     """
     along_x = _crossed_edges(difference)
     along_y = _crossed_edges(difference.T).T

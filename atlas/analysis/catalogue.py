@@ -15,11 +15,7 @@ N_SAMPLES = 5  # random parameters behind each residual, from the seeds 0, 1, ..
 
 
 def families(system: System, name: str | None = None) -> list[dict[str, Any]]:
-    """Rows on the families of exact steady motions; residuals are the largest of the published equations, or
-    None.
-
-    Raises BadInput if the system has no family of this name.
-    """
+    """Rows on the families of exact steady motions, with the largest residuals of published equations."""
     if name is not None and name not in system.families:
         raise BadInput(f"family {name}: unknown; allowed: {', '.join(system.families)}")
     return [_family(system, family) for family in system.families.values() if name in (None, family.name)]
@@ -50,11 +46,9 @@ def _family(system: System, family: Family) -> dict[str, Any]:
 
 
 def published(system: System, family: str | None = None, errata: bool = False) -> list[dict[str, Any]]:
-    """Rows on the published equations of the system's paper, as printed and as true; `errata` omits true
-    ones.
+    """Rows on the published equations of the system's paper, as printed and as true, or on its errata.
 
-    Residuals are the largest at N_SAMPLES random parameters, the same in every call; None where nothing is
-    measured.
+    Residuals are the largest at N_SAMPLES random parameters, the same in every call, or None.
     """
     return [
         {

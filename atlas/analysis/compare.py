@@ -26,11 +26,7 @@ RATES = ("theta_dot_rms", "psi_dot_std", "phi_dot_std", "normal_rate_std")
 
 
 def report(ds: xr.Dataset, worst: int = 5) -> str:
-    """Confusion table of an atlas with theory, survivors near and far from the stability boundary, `worst`
-    points.
-
-    Raises BadInput without points or the flags label and predicted, which are loaded whole.
-    """
+    """Confusion table of an atlas with theory, survivors near and far from boundaries, and `worst` points."""
     whole_number("worst", worst, 0)
     if "atlas_system" in ds.attrs and not system_of(ds).families:
         raise BadInput(
@@ -79,7 +75,7 @@ def confusion(label: Flags, predicted: Flags) -> np.ndarray:
 
 
 def _agreement_lines(result: Flags) -> list[str]:
-    """Number of points that can be compared, and of those that agree."""
+    """Number of points that can be compared, and of the ones that agree."""
     counts = np.bincount(result.ravel(), minlength=len(Agreement))
     compared = result.size - counts[Agreement.NOT_COMPARED]
     share = f"{100 * counts[Agreement.AGREE] / compared:.3f} %" if compared else "nothing"
@@ -113,7 +109,7 @@ def _stability_lines(ds: xr.Dataset) -> list[str]:
 
 
 def near_boundary(stable: Flags) -> np.ndarray:
-    """Points within BAND of the axis range of another linear stability; no point of a list is."""
+    """Points within BAND of the axis range of a point of other linear stability; none in a list."""
     window = [1 + 2 * max(1, int(np.ceil(BAND * (count - 1)))) if count > 1 else 1 for count in stable.shape]
     return np.asarray(maximum_filter(stable, window) != minimum_filter(stable, window))
 

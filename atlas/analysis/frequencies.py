@@ -24,7 +24,7 @@ from .metadata import system_of
 
 Signal = NDArray[np.complex128]
 
-# Share of the largest frequency of the samples beyond which a line may be that of a faster motion.
+# Share of the largest frequency of the samples beyond which a line may belong to a faster motion.
 MAX_SHARE_OF_NYQUIST = 0.8
 # Amplitude, over the largest value of the signal, from which a line is compared with its derivative.
 MIN_AMPLITUDE = 1e-5
@@ -115,7 +115,7 @@ def _true_frequencies(
 
 
 def _signals(trajectory: xr.Dataset) -> dict[str, tuple[Signal, Signal]]:
-    """The signals of a motion by name, with their derivatives: those of theta, psi and phi, or the observables."""
+    """The signals of a motion (of theta, psi and phi, or the observables) by name, with their derivatives."""
     system = system_of(trajectory) if "atlas_system" in trajectory.attrs else None
     if system is not None and system.observables:
         return _observables(trajectory, system)
@@ -152,8 +152,7 @@ def _observables(trajectory: xr.Dataset, system: System) -> dict[str, tuple[Sign
 def spectral_lines(time: Array, signal: Signal, count: int, *, real: bool = False) -> tuple[Array, Signal]:
     """Frequencies (rad per unit of time) and amplitudes of a sum c exp(i w t), in the order of extraction.
 
-    Fewer than `count` where the residual is rounding. A `real` signal has w >= 0 and the amplitudes of
-    cosines.
+    Fewer than `count` where the residual is rounding. A `real` signal has w >= 0 and amplitudes of cosines.
     """
     weight = hann(time.size)
     weight /= weight.sum()

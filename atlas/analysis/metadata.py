@@ -62,10 +62,7 @@ def axes_of(scene: Scene) -> dict[str, Axis]:
 
 
 def is_logarithmic(scene: Scene | None, dim: str, values: ArrayLike) -> bool:
-    """Whether the scene spaces this axis logarithmically and its values are positive.
-
-    Cells, borders, nearest points and scales of maps all follow this rule.
-    """
+    """Whether the scene spaces this axis logarithmically and all values are positive; maps do the same."""
     axis = None if scene is None else axes_of(scene).get(dim)
     return axis is not None and axis.table.get("spacing") == "log" and bool(np.min(np.asarray(values)) > 0)
 
@@ -93,8 +90,7 @@ def _registered_flags(system: System) -> dict[str, str]:
 def has_flags(array: xr.DataArray) -> bool:
     """Whether a variable is one of flags: Booleans, or flags by their name or by a long_name of their own.
 
-    Differences of flags inherit their attributes: under another name with a flag variable's long_name they
-    are numbers.
+    Differences of flags inherit their attributes: a flag's long_name under another name means numbers.
     """
     if array.dtype.kind == "b":
         return True

@@ -111,9 +111,8 @@ STARTS, MAX_ENDS = 17, 8
 def family_curves(plane: Plane) -> dict[str, list[np.ndarray]]:
     """Curves by family where exact steady motions cross a plane; rows of nan cut a curve.
 
-    A family has a curve if it can be solved for an axis of the plane: the family of the scene, or every one
-    if the scene names none. Where a scene solves its points onto a family only an axis offset from the family
-    has a curve: its zero.
+    A family has a curve if it can be solved for an axis of the plane: the scene's family, or any if it names
+    none. Where a scene solves its points onto a family only an axis offset from it has a curve, at zero.
     """
     scene = plane.scene
     if scene.solve:
@@ -130,7 +129,7 @@ def family_curves(plane: Plane) -> dict[str, list[np.ndarray]]:
 
 
 def _n_vertices(curves: list[Array]) -> int:
-    """Number of vertices of some curves, those that cut a curve left out."""
+    """Number of vertices of some curves, without the rows that cut them."""
     return sum(int(np.isfinite(curve).all(1).sum()) for curve in curves)
 
 

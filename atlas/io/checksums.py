@@ -4,8 +4,7 @@ NetCDF-4 can store a Fletcher checksum for each chunk, but none for scalars, and
 HDF5 looks chunks up: one flipped bit there makes a chunk read as missing, or without its filters. A group
 `checksums` therefore holds a CRC-32 of every block of every variable, compared whenever it is read, and a
 hash of dimensions, attributes, types and these numbers, compared when the file is opened. `crc32(block)` has
-the blocks of all variables, in C order; the attribute `block_shapes` (JSON) is the shape of a block of each
-variable.
+the blocks of all variables, in C order; the attribute `block_shapes` (JSON) has their shape by variable.
 """
 
 from __future__ import annotations

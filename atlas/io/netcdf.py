@@ -36,11 +36,7 @@ def dims(scene: Scene) -> tuple[str, ...]:
 
 
 def dataset(scene: Scene, columns: Mapping[str, Any], chunks: Sequence[int] | None = None) -> xr.Dataset:
-    """Assemble the atlas of a scene from its outputs and solved parameters, without provenance.
-
-    With `chunks` parameters of more than MAX_EAGER_VALUES values become dask arrays. Each parameter is a
-    coordinate along the axes on which it depends.
-    """
+    """The atlas of a scene from its outputs and solved parameters; `chunks` make large ones dask arrays."""
     dimensions, system = dims(scene), scene.system
     ds = xr.Dataset(
         {
@@ -70,7 +66,7 @@ def dataset(scene: Scene, columns: Mapping[str, Any], chunks: Sequence[int] | No
 
 
 def variable_attributes(system: System, name: str, present: Collection[str]) -> dict[str, object]:
-    """Attributes of a data variable in a dataset with some variables: those of labels name what qualifies them."""
+    """Attributes of a data variable in a dataset with some variables; labels name what qualifies them."""
     attributes = variables(system)[name].attributes()
     if name.startswith("label"):
         ancillary = [other for other in ("status", "error_estimate") if other in present]
@@ -146,11 +142,7 @@ def write(ds: xr.Dataset, path: Path) -> None:
 def write_blocks(
     ds: xr.Dataset, chunk: Mapping[str, int], names: Collection[str], blocks: Iterator[Block], path: Path
 ) -> None:
-    """Write an atlas larger than memory as one NetCDF file, which appears whole or not at all.
-
-    Dask arrays are written chunk by chunk, but the variables `names` from the blocks, which are all points in
-    boxes. Raises OSError if the disk is full.
-    """
+    """Write an atlas larger than memory as one NetCDF file, whole or not at all; blocks hold `names`."""
     coordinates = " ".join(str(name) for name in ds.coords if name not in ds.dims)
     with atomic_write(path) as temporary:
         try:
@@ -195,11 +187,7 @@ def write_blocks(
 def writable(
     name: str | Path, suffixes: Sequence[str], *, force: bool, inputs: Iterable[str | Path] = ()
 ) -> Path:
-    """Check a path as `files.writable`; BadInput also if it holds data of another program.
-
-    These are a NetCDF file that has neither checksums nor the attribute `atlas_version`, and a Zarr store
-    that `is_whole` does not know.
-    """
+    """Check a path as `files.writable`; BadInput also if it holds data of another program."""
     path = files.writable(name, suffixes, force=force, inputs=inputs)
     is_own = True
     if path.suffix.lower() == ".nc":

@@ -44,9 +44,8 @@ def provenance(
 ) -> dict[str, Any]:
     """CF and ACDD-1.3 attributes of an atlas, and the program's own, which begin with `atlas_`.
 
-    `points` were integrated in `seconds` of wall-clock time. The scene is TOML, empty where points were given
-    directly. A number that does not apply is nan: `atlas_tolerance` where a step was given, `atlas_step`
-    where it was not.
+    `points` were integrated in `seconds` of wall-clock time; `scene` is empty where points were given.
+    `atlas_tolerance` is nan where a step was given, `atlas_step` where it was not.
     """
     from ..engine.jit import cpu
 

@@ -162,8 +162,7 @@ def is_whole(path: Path) -> bool:
 def open_store(path: Path) -> xr.Dataset:
     """Open a store lazily; BadInput without the package zarr, or if it is damaged or too large for its files.
 
-    A store of another program, without checksum, is read as it is. Damaged values are found when they are
-    read.
+    A store of another program, without checksum, is read as it is. Reading finds damaged values.
     """
     zarr_package()
     try:

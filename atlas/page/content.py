@@ -118,7 +118,7 @@ class Content:
         }
 
     def coordinates(self) -> list[dict[str, Any]]:
-        """Coordinates of single points that differ among them, those of the map first."""
+        """Coordinates of single points that differ among them, axes of the map first."""
         names = self.layout.axes + [
             str(name)
             for name, coordinate in self.ds.coords.items()
@@ -197,7 +197,7 @@ class Content:
         return table
 
     def filled(self, name: str) -> xr.DataArray:
-        """Values; of a refined atlas where it did not integrate, those of the nearest point, as on maps."""
+        """Values; where a refined atlas did not integrate, of the nearest point, as on maps."""
         array = self.ds[name]
         if "computed" not in self.ds or flag_names(array) or self.layout.points:
             return array
@@ -494,10 +494,7 @@ class Layout:
 
 
 def layout(ds: xr.Dataset, max_points: int = MAX_POINTS) -> Layout:
-    """What a page shows of an atlas: every k-th value of the longest axis until max_points are left.
-
-    Raises BadInput for a dataset without points, and with a dimension that is no axis.
-    """
+    """What a page shows: every k-th value of the longest axes, at most max_points; BadInput without axes."""
     check_not_empty(ds)
     scene = scene_of(ds)
     single = POINT in ds.dims

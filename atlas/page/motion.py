@@ -26,7 +26,7 @@ from ..systems import arithmetic
 from ..systems.base import Array, System
 
 SAMPLES = 1001  # instants of a motion, as atlas.trajectory keeps by default
-# Functions of the kernel, and those in the caller's units that show a body, which a system need not have.
+# Functions of the kernel, and optional ones in the caller's units that show a body.
 _KERNEL = ("rhs", "scaled", "unscaled")
 _OF_BODY = ("frame_motion", "axis_in_frame")
 
@@ -74,10 +74,7 @@ def _equations(system: System) -> Any:
 
 
 def motions(ds: xr.Dataset, system: System, scene: Scene | None, dims: list[str]) -> Motions:
-    """The starts of all points of an atlas, as `ds.atlas.trajectory` integrates them.
-
-    Raises BadInput where the atlas lacks an axis of its scene, a parameter or the duration.
-    """
+    """Starts of all points, as `ds.atlas.trajectory` integrates them; BadInput where a value is missing."""
     shape = tuple(ds.sizes[dim] for dim in dims)
     if scene is None:
         parameters, duration, settings = _single_points(ds, system, dims)
@@ -97,11 +94,11 @@ def motions(ds: xr.Dataset, system: System, scene: Scene | None, dims: list[str]
             settings, ensemble.frequency_bound, np.where(np.isfinite(duration), duration, 0.0)
         )
     count = _recorded_steps(ds, dims, duration, sizes.steps) if system.has_numeric_bound else sizes.steps
-    # As label.trajectory: whole steps between the instants, never longer than those of the atlas.
+    # As label.trajectory: whole steps between the instants, never longer than in the atlas.
     steps = -(-count // (SAMPLES - 1))
 
     def over_points(values: np.ndarray) -> np.ndarray:
-        """An array whose last axis is that of the points, over their dimensions."""
+        """An array with the points along its last axis, over their dimensions."""
         return values.reshape(*values.shape[:-1], *shape)
 
     return Motions(

@@ -44,8 +44,7 @@ RAISED, LOWERED = 1, -1
 def runs(text: str) -> list[Run]:
     r"""Runs of equal style of a text such as "$\theta_0$ (rad s$^{-1}$)", in Matplotlib's notation.
 
-    "t" are the letters, "i" is italic, "s" 1 raised or -1 lowered. A command without a letter in `_COMMANDS`
-    is its name.
+    "t" are the letters, "i" is italic, "s" 1 raised or -1 lowered. Unknown commands become their names.
     """
     parts = text.split("$")
     if len(parts) % 2 == 0:  # an unpaired dollar sign is one

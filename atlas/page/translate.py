@@ -1,8 +1,8 @@
 """Equations as JavaScript: plain Python arithmetic, translated on the syntax tree.
 
-Sums, products, quotients and square roots are correctly rounded in both languages, so that the translated functions
-return the same bits. sin, cos and the other functions of mathematical libraries may differ in the last bit. Integer
-powers become products, in the order in which Numba multiplies.
+Sums, products, quotients and square roots are correctly rounded in both languages, so that the translated
+functions return the same bits. sin, cos and the other functions of mathematical libraries may differ in the
+last bit. Integer powers become products, in the order in which Numba multiplies.
 """
 
 from __future__ import annotations

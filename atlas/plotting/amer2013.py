@@ -144,7 +144,7 @@ def draw(number: int) -> Figure:
     """One of the figures 1-20, 180 mm wide: on the left as printed, on the right corrected.
 
     Time is tau = r0 t, p2 is in units of c sqrt(gamma0''). Below gamma2 over time is its difference from M3
-    cos tau. The phase plane of gamma2, on which all solutions coincide, is drawn only there, next to the
+    cos tau. The phase plane of gamma2, on which all solutions coincide, is drawn once, next to the
     differences from (M3 cos tau, -M3 sin tau).
     """
     figure = paper_figure(number)
@@ -163,7 +163,7 @@ def draw(number: int) -> Figure:
             fig.supxlabel(NOTE, fontsize=7)
         engine = fig.get_layout_engine()
         assert engine is not None
-        engine.set(wspace=0.07)  # type: ignore[call-arg]  # the last tick of a panel beside the first of the next
+        engine.set(wspace=0.07)  # type: ignore[call-arg]  # the last tick of a panel is near the next
     return fig
 
 

@@ -138,7 +138,7 @@ def _has_motion(ds: xr.Dataset, dims: list[str], scene: Scene, where: Mask) -> M
 
 
 def _without_gaps(ds: xr.Dataset, name: str) -> xr.DataArray:
-    """Values of the variable; where a refined atlas did not integrate, those of the nearest point that it did."""
+    """Values of the variable; where a refined atlas did not integrate, of the nearest integrated point."""
     array = ds[name]
     if flag_names(array) or "computed" not in ds:
         return array

@@ -154,10 +154,7 @@ def draw_scatter(ds: xr.Dataset, name: str, options: MapOptions) -> Figure:
 
 
 def scatter_axes(ds: xr.Dataset, x: str | None, y: str | None) -> list[str]:
-    """The two coordinates of a scatter map, x first; default the scene's with the most different values.
-
-    Raises BadInput for other names, and where fewer than two coordinates vary.
-    """
+    """Axes of a scatter map, x first, by default the most varied coordinates; BadInput without two."""
     allowed = [
         str(name)
         for name, coord in ds.coords.items()
@@ -184,7 +181,7 @@ def scatter_axes(ds: xr.Dataset, x: str | None, y: str | None) -> list[str]:
 
 
 def _names_varied_by_scene(ds: xr.Dataset) -> set[str]:
-    """Names with a range or a column in the scene of the points, not those that ties and families compute."""
+    """Names with a range or a column in the scene of the points, not computed by ties and families."""
     scene = scene_of(ds)
     if scene is None:
         return set()
@@ -201,7 +198,7 @@ def _is_logarithmic(column: np.ndarray) -> bool:
 
 
 def _draw_dots(ax: Axes, columns: list[np.ndarray], array: xr.DataArray, scale: ColorScale) -> ScalarMappable:
-    """Draw the points, those with rare flags above the others."""
+    """Draw the points, rare flags on top."""
     values = array.values.astype(np.int8) if array.dtype == bool else array.values
     order = np.arange(values.size)
     if flag_names(array):

@@ -21,7 +21,7 @@ STATISTICS = {"mean": "mean", "rms": "rms", "std": "standard deviation of", "min
 
 
 def axis_label(ds: xr.Dataset, dim: str, *, unit: bool = True) -> str:
-    """Symbol and unit of an axis: those of the registry, or the long_name and units that the scene gave."""
+    """Symbol and unit of an axis from the registry, or the long_name and units in the scene."""
     system, attributes = system_of(ds), ds[dim].attrs
     text = attribute_text(attributes, "long_name", dim)
     stem = dim.removesuffix("_offset")
@@ -38,8 +38,7 @@ def axis_label(ds: xr.Dataset, dim: str, *, unit: bool = True) -> str:
 def drawable(text: str) -> str:
     """A text as a figure draws it; every text that is not the program's own passes this function.
 
-    Its lines are `printable` and at most MAX_MESSAGE long, and their dollar signs are escaped unless
-    Matplotlib can read them as formulas.
+    Lines are `printable` and of limited length, with dollar signs escaped where Matplotlib finds no formula.
     """
     return "\n".join(_drawable_line(printable(line, MAX_MESSAGE)) for line in text.split("\n"))
 

@@ -211,7 +211,7 @@ def _draw_sphere(ax: Axes, path: np.ndarray, names: Sequence[str]) -> None:
         draw(parallel, "0.7", 0.6 if latitude == 0 else 0.3, 1)
     for direction, name in zip(np.eye(3), names, strict=True):
         tip = project(direction)
-        outside = tip / np.linalg.norm(tip)  # the label is beside the disc, where no path is
+        outside = tip / np.linalg.norm(tip)  # the label is outside the disc, where no path is
         ax.plot(*np.transpose([tip, 1.1 * outside]), color="0.3", linewidth=0.8, zorder=2)
         x, y = 1.14 * outside
         side = "center" if abs(x) < 0.3 else "left" if x > 0 else "right"

@@ -11,7 +11,7 @@ from ..validation.work_precision import nanmedian
 from ..validation.work_precision_report import summary
 
 COLOURS, MARKERS = ("#1b6ca8", "#e0892b", "#262626", "#8c4799"), "os^D"
-# Errors above this are those of states unrelated to the motion; they are not drawn.
+# States with larger errors are unrelated to the motion; they are not drawn.
 MAX_ERROR_DRAWN = 3.0
 
 

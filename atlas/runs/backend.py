@@ -21,7 +21,7 @@ class AtlasBackend(BackendEntrypoint):
     open_dataset_parameters = ("filename_or_obj", "drop_variables")
 
     def guess_can_open(self, filename_or_obj: Any) -> bool:
-        """Whether a path is that of a run folder."""
+        """Whether a path leads to a run folder."""
         if not isinstance(filename_or_obj, str | os.PathLike):
             return False
         try:

@@ -107,7 +107,7 @@ def check_workers(client: Client, check: Callable[..., None], arguments: tuple[A
 
 
 def _different_versions(versions: Any) -> str:
-    """In `Client.get_versions()`: versions of dask that differ from those of the client, in one line."""
+    """Versions of dask in `Client.get_versions()` that differ from the client's, in one line."""
     servers = {"the scheduler": versions["scheduler"]}
     servers |= {f"worker {address}": info for address, info in versions["workers"].items()}
     expected = versions["client"]["packages"]
@@ -125,10 +125,10 @@ def for_each(
     arguments: Iterable[tuple[Any, ...]],
     on_result: Callable[[Any], None],
 ) -> None:
-    """Call a task on the workers for each tuple of arguments, and `on_result` here with results as they come.
+    """Call a task on the workers for each tuple of arguments, and `on_result` here as results come.
 
-    A task may run twice. An error of a task is raised; OSError if workers died under every attempt, or the
-    scheduler is lost.
+    It must be harmless to run a task twice. Raises a task's error, or OSError if each attempt lost its
+    worker.
     """
     source = iter(arguments)
     in_flight: dict[Future[Any], tuple[tuple[Any, ...], int]] = {}

@@ -109,10 +109,7 @@ def _measure(scene: Scene, sample: grid.Grid, threads: int) -> _Measurement:
 
 
 def _calibration(scene: Scene, sample: grid.Grid, threads: int) -> tuple[Scene, grid.Grid]:
-    """The scene and some of its points, with duration and max_steps so small that a measurement is short.
-
-    Derived variables are left out: they may take long.
-    """
+    """Scene and points of a short measurement, with small duration and max_steps, without slow variables."""
     outputs = tuple(name for name in scene.outputs if name not in scene.system.derived)
     scene = replace(scene, outputs=outputs)
     exists = np.flatnonzero(sample.exists)

@@ -217,10 +217,7 @@ class RunFolder:
         return f"{self.tiles.written_count()} of {self.tiling.count} tiles are in {path if path[0] != '.' else self.path}/"
 
     def status(self) -> str:
-        """State of the tiles, all of which are read, and of the processes that compute them, as text.
-
-        Removes temporary files of processes that were killed, also of joins next to the folder.
-        """
+        """State of processes and tiles, all of which are read; removes files of killed processes."""
         self.remove_leftovers()
         remove_leftovers(self.path.parent)
         status, tiling = self.tiles.status(), self.tiling
@@ -317,11 +314,9 @@ class RunFolder:
             ) from None
 
     def join(self, out: Path) -> None:
-        """Write the atlas as a NetCDF file or .zarr store, tile by tile, so that memory does not grow with
-        it.
+        """Write the atlas as a NetCDF file or .zarr store, tile by tile, in memory of constant size.
 
-        `out` is replaced, but unchanged after BadInput (a tile or the package zarr is missing) or OSError
-        (disk full).
+        `out` is replaced, or kept after BadInput (a tile or the package zarr is missing) and OSError.
         """
         missing = len(self.tiles.missing())
         if missing:

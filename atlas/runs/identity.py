@@ -21,11 +21,7 @@ from ..systems.base import System
 
 
 def identity(scene: Scene) -> dict[str, str]:
-    """Versions and hashes of the programs, as loaded in this process, and the processor: bits depend on them.
-
-    Raises BadInput if sources changed after the import: the loaded code may be neither the old nor the new
-    one.
-    """
+    """Versions, hashes and processor on which bits depend; BadInput if sources changed since the import."""
     import llvmlite
     import numba
 

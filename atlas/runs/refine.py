@@ -186,7 +186,7 @@ class _FineGrid:
         self.trace_boundary(finest)
 
     def probe(self, share: float) -> tuple[int, int]:
-        """Integrate a random share of the other points; the numbers of them and of unexpected flags."""
+        """Integrate a random share of the rest and trace boundaries; the numbers of points and surprises."""
         not_computed = np.flatnonzero(~self.computed)
         count = math.ceil(share * not_computed.size)
         chosen = np.random.default_rng(SEED).choice(not_computed, count, replace=False)
@@ -284,7 +284,7 @@ def expected_points(scene: Scene) -> float:
         expected = existing_share * math.prod(
             -(-n // f) for n, f in zip(scene.shape, scene.coarsening, strict=True)
         )
-    new_share = 1 - 2.0**-n_axes  # of the points of a level, those that no coarser level has
+    new_share = 1 - 2.0**-n_axes  # share of the points of a level that no coarser level has
     first = max(finer - levels, 0) + 1
     expected += new_share * near * sum(2 ** ((n_axes - 1) * i) for i in range(first, finer + 1))
     expected += slow * (2 ** (n_axes * finer) - 1)

@@ -220,8 +220,7 @@ def _run_to_file(
 ) -> xr.Dataset:
     """Compute an atlas in its run folder, join it, and remove the folder.
 
-    If another process does the same, the first one to end removes the folder under the other, whose error
-    then means that the file is finished.
+    If another process did the same, it may have removed the folder; the error then means a finished file.
     """
     before, bar, folder = _stamp(path), None, None
     try:

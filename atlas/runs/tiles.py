@@ -77,7 +77,7 @@ class Tally:
 
     @classmethod
     def of(cls, columns: Mapping[str, np.ndarray]) -> Tally:
-        """Tally of some points, whose variables are of the same shape; others than those counted are ignored."""
+        """Tally of some points, whose variables are of the same shape; other variables are ignored."""
         tally = cls()
         for name in COUNTED:
             if name in columns:
@@ -137,10 +137,9 @@ class TileFiles:
     def write(
         self, tile: int, columns: dict[str, np.ndarray], *, computed: int, seconds: float, by: str
     ) -> None:
-        """Write a tile, then its sidecar, which marks it as written; `computed` counts points of the family.
+        """Write a tile, then the sidecar that marks it as written.
 
-        Raises OSError if the disk is full or cannot be written, or if what is read back is not what was
-        computed.
+        `computed` counts the points where the family exists. Raises OSError if the tile reads back otherwise.
         """
         path, shape = self.path(tile), self.tiling.shape_of(tile)
         points = math.prod(shape)
@@ -254,7 +253,7 @@ class TileFiles:
         return status
 
     def sidecars(self) -> Iterator[dict[str, Any]]:
-        """Sidecars of all tiles that are written, those that cannot be read left out."""
+        """Readable sidecars of all tiles that are written."""
         for name in self._file_names():
             if name.endswith(".json") and not name.startswith("."):
                 with suppress(FileNotFoundError, DamagedTileError):

@@ -211,7 +211,7 @@ Annotated = TypeVar("Annotated", bound=Callable[..., Any])
 
 
 def typed(target: Annotated) -> Annotated:
-    """Make a function, or a class's public methods, raise BadInput for arguments of wrong types in _TYPES."""
+    """Make a function or a class's public methods raise BadInput for wrong types, where _TYPES has them."""
     if isinstance(target, type):
         for name, method in vars(target).copy().items():
             if inspect.isfunction(method) and not name.startswith("_"):
@@ -257,7 +257,7 @@ def interval(key: str, table: Mapping[str, Any]) -> tuple[float, float, str]:
 def checked(
     check: Check[Any], default: Any = dataclasses.MISSING, section: str = "", description: str = ""
 ) -> Any:
-    """Field read from the table `section`, for a class with more than one; no default: the key is needed."""
+    """Dataclass field read from a table (`section`, if of several); without a default its key is needed."""
     metadata = {"check": check, "section": section, "description": description}
     return dataclasses.field(default=default, metadata=metadata)
 
@@ -285,10 +285,7 @@ def table_schema(cls: type, section: str = "") -> dict[str, Any]:
 def from_table(
     cls: type, table: Mapping[str, Any], section: str, also: Collection[str] = ()
 ) -> dict[str, Any]:
-    """Checked arguments of a dataclass from its table; BadInput for unknown, missing or bad keys.
-
-    Fields of another section are left out; the keys `also` are known to the caller.
-    """
+    """Checked arguments of a dataclass from a table; BadInput for bad, missing and other keys than `also`."""
     fields = _fields(cls, section)
     check_keys(table, f"{section}.", [*also, *fields])
     needed = [name for name, field in fields.items() if field.default is dataclasses.MISSING]

@@ -44,10 +44,7 @@ _ALLOWED = f"allowed: + - * / **, {', '.join(FUNCTIONS)}, pi, numbers and other 
 
 
 class Expression:
-    """Arithmetic in names (numbers, pi, + - * / ** and FUNCTIONS), parsed once and evaluated on arrays.
-
-    Raises BadInput, which begins with `key`, for any other text, and for one longer than `MAX_LENGTH`.
-    """
+    """Arithmetic in names, numbers, pi, + - * / ** and FUNCTIONS, parsed once; else BadInput at `key`."""
 
     def __init__(self, key: str, text: str):
         self.key, self.text = key, text.strip()
@@ -145,7 +142,7 @@ def evaluation_order(ties: Mapping[str, Tie], known: set[str]) -> list[str]:
         raise BadInput(f"ties refer to each other in a circle: {circle}") from None
     order: list[str] = []
     while sorter.is_active():
-        # Of ties that are ready together the order is that of the scene, so that a resolved scene keeps it.
+        # Ties that are ready together stay in the order of the scene, so that a resolved scene keeps it.
         ready = sorted(sorter.get_ready(), key=list(ties).index)
         order += ready
         sorter.done(*ready)

@@ -29,7 +29,7 @@ from .model import Duration, Scene
 MAX_POINTS_PER_TILE = 65536
 # Bodies, and starts on a family, that are checked before a run; the others are checked with their tile.
 MAX_CHECKED_BODIES, MAX_CHECKED_STARTS = 50_000, 10_000
-# Points of which those that are not computed are counted one by one before a run, within about a tenth of a second.
+# Points checked one by one before a run, in about a tenth of a second, to count the ones not computed.
 MAX_COUNTED = 2**19
 # Points at which the formulas of an impossible family are tried for an error message.
 MAX_CHECKED_FORMULAS = 100
@@ -126,7 +126,7 @@ def points_at_indices(scene: Scene, indices: np.ndarray) -> Grid:
 
 
 def _on_family(scene: Scene, points: Points, indices: np.ndarray) -> tuple[dict[str, Array], Mask]:
-    """The points with solved parameters and offsets, nan where no body can be on the family; a mask of those off it."""
+    """Points with solved parameters and offsets, nan for impossible bodies, and where they are off the family."""
     assert scene.family is not None
     family = scene.system.families[scene.family]
     base = _solved(family, scene.solve, points)
@@ -186,9 +186,8 @@ def durations(system: System, duration: Duration, points: Points, key: str = "du
 def check(scene: Scene) -> Grid:
     """At most MAX_CHECKED_STARTS points, evenly spaced over the grid, at least one of which is computed.
 
-    Raises BadInput if none can be: for impossible bodies and starts, ties without a finite value, a family
-    that exists nowhere or leaves a solved parameter free, a duration in turns of a body at rest, and a
-    derived variable without meaning.
+    Raises BadInput if no body, start, tie, family or duration makes sense at any point, for a solved
+    parameter that the family leaves free, and for a derived variable without meaning.
     """
     try:
         return _check(scene)
@@ -226,10 +225,7 @@ _NOTHING_TURNS = {"turns": "n and m are 0, and nothing turns", "orbits": "the fr
 
 
 def not_computed(scene: Scene, sample: Grid) -> list[str]:
-    """A sentence with the number of points not computed for each reason.
-
-    Up to MAX_COUNTED points are counted one by one, of larger grids the share is the one in the sample.
-    """
+    """Sentences on the points not computed, by reason, counted or (beyond MAX_COUNTED) from the sample."""
     if exact := scene.size <= MAX_COUNTED:
         counts = np.zeros(len(Reason), np.int64)
         for first in range(0, scene.size, MAX_POINTS_PER_TILE):
@@ -351,7 +347,7 @@ def _check_family(scene: Scene, indices: np.ndarray, reason: Flags) -> None:
 def _with_values(
     family: Family, solve: Sequence[str], points: Points, name: str, values: Array
 ) -> dict[str, Array]:
-    """The points with values of shape (trials, points) for one parameter, those of `solve` solved again."""
+    """Points with values (trials, points) of one parameter, for which `solve` is solved again."""
     repeated = {key: np.broadcast_to(column, values.shape) for key, column in points.items()}
     return _solved(family, solve, repeated) | {name: values}
 

@@ -112,8 +112,8 @@ class Axis:
     name: str  # a parameter, or a name that ties refer to
     values: Array  # values along the axis, all different; float64 of shape (count,)
     offset_from_family: bool = False  # the values are distances from what the family's formula gives
-    long_name: str = ""  # attributes of the coordinate in the atlas; empty for those of the parameter
-    units: str = ""  # attributes of the coordinate in the atlas; empty for those of the parameter
+    long_name: str = ""  # attribute of the coordinate in the atlas; empty: the parameter's
+    units: str = ""  # attribute of the coordinate in the atlas; empty: the parameter's
     table: Mapping[str, Any] = field(default_factory=dict)  # the table of the scene that describes the axis
 
     @property
@@ -179,7 +179,7 @@ def creator(key: str, value: object) -> Creator:
 
 @dataclass(frozen=True)
 class About:
-    """Global attributes of an atlas besides its title, by the names of ACDD-1.3."""
+    """Global attributes of an atlas but its title, by the names of ACDD-1.3."""
 
     summary: str = checked(checks.text, "")  # a paragraph about the content
     license: str = checked(checks.text, "")  # such as "CC-BY-4.0"

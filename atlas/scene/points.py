@@ -26,7 +26,7 @@ MAX_SAMPLED_POINTS = MAX_SAMPLED_NUMBERS = 10**7
 MAX_COLUMNS = 100
 # Bytes of a file of points that a scene reads.
 MAX_FILE_BYTES = 50_000_000
-# Fields of a CSV file that a scene reads, those of columns that name points included.
+# Fields of a CSV file that a scene reads, including columns that name points.
 MAX_FILE_FIELDS = 5 * checks.MAX_LISTED_NUMBERS
 
 
@@ -96,10 +96,7 @@ def file_of(scene: Path) -> list[Path]:
 
 
 def quasi_random(kind: str, dimensions: int, count: int, seed: int) -> np.ndarray:
-    """Numbers that fill the unit cube evenly, (dimensions, count); "sobol" is best for a power of two.
-
-    They depend on the arguments and the version of SciPy alone.
-    """
+    """Numbers that fill the unit cube, (dimensions, count), of this SciPy; "sobol" suits powers of two."""
     from scipy.stats import qmc
 
     if kind == "latin_hypercube":

@@ -107,8 +107,7 @@ def _check_no_atlas(path: Path) -> None:
 def parse_scene(text: str, name: str = "scene", folder: Path | None = None, path: str | None = None) -> Scene:
     """Read the text of a scene, `path`, titled `name`; BadInput with one line that names file, line and key.
 
-    By default no points file is read: an atlas contains the points of its scene, and its text may come from
-    anyone.
+    Without a folder no points file is read: an atlas contains its points, and its text may come from anyone.
     """
     text = text.removeprefix("\ufeff").replace("\r\n", "\n").replace("\r", "\n")
     source = Source(path or name, text)
@@ -399,7 +398,7 @@ def _check_solved(
 
 
 def _nudge(system: System, table: Mapping[str, Any], names: set[str]) -> dict[str, float]:
-    """Amounts added to start values. names: those to which the scene gives a value."""
+    """Amounts added to start values; `names` have a value in the scene."""
     starts = [parameter.name for parameter in system.parameters.values() if parameter.start]
     checks.check_keys(table, "nudge.", starts)
     nudge = {name: checks.number(f"nudge.{name}", value) for name, value in table.items()}

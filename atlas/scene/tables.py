@@ -24,8 +24,7 @@ IDENTIFIERS = ("id", "index", "name", "number", "point")  # columns that name po
 def table(source: Any, names: Collection[str]) -> dict[str, Any]:
     """Columns by name from a .csv or .nc file, a Dataset, a mapping, a list of mappings or a DataFrame.
 
-    The coordinate that numbers the points of a Dataset is a column only if it is in `names`. BadInput if the
-    source cannot be read or holds no points.
+    The coordinate that numbers the points of a Dataset is a column only if `names` contains it.
     """
     import xarray as xr
 
@@ -75,7 +74,7 @@ def read(
 
 
 def kept_columns(system: System, table: Mapping[str, Any], keep: Collection[str] = ()) -> dict[str, Array]:
-    """Columns that name the points: of text, called as in IDENTIFIERS, or in `keep`; else BadInput.
+    """Columns that name the points: texts, IDENTIFIERS and `keep` (BadInput for parameters and unknowns).
 
     Other columns of numbers are not kept, since such a name may be a mistyped parameter.
     """
@@ -103,11 +102,7 @@ def _is_text(column: Array) -> bool:
 
 
 def point_columns(system: System, points: Any, kept: Collection[str] = ()) -> tuple[dict[str, Array], int]:
-    """Every parameter as a column, nan for an optional start that is absent, and the number of points.
-
-    Raises BadInput for names that are neither parameters nor in `kept`, unequal lengths and values out of
-    range.
-    """
+    """Checked columns of every parameter, nan for an absent optional start, and the number of points."""
     source = table(points, system.parameters)
     arrays: dict[str, Array] = {}
     for name, values in source.items():
@@ -251,10 +246,7 @@ class CsvColumns(dict[str, Any]):
 def read_csv(
     lines: Iterable[str], source: str, numeric: Collection[str], max_fields: float = math.inf
 ) -> CsvColumns:
-    """Columns of a CSV file whose first line names them; BadInput names file and line.
-
-    An empty field of a `numeric` column is nan; others are integers or text where not all fields are numbers.
-    """
+    """Columns of a CSV file with names first, nan for empty `numeric` fields; BadInput with file and line."""
     content = _Lines(lines, source)
     first = next(content, "")
     separator = next((each for each in SEPARATORS if each in first), ",")

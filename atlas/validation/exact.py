@@ -44,8 +44,7 @@ class Motion(Protocol):
 
 
 def jacobi(argument: Array, complement: float) -> tuple[Array, Array, Array]:
-    """Jacobi's elliptic functions sn, cn and dn of the squared modulus m = 1 - complement, complement in (0,
-    1].
+    """Jacobi's elliptic functions sn, cn and dn of the squared modulus m = 1 - complement, complement > 0.
 
     R. Bulirsch, Numer. Math. 7 (1965) 78-90: descending Landen transformations.
     """
@@ -81,8 +80,7 @@ def inverse_jacobi(sn: float, cn: float, complement: float) -> float:
 class SymmetricTop:
     """Heavy symmetric gyrostat about a fixed point: cos theta by Jacobi's functions, psi' and phi' from it.
 
-    With u = cos theta, a = (C r + l) / A and b = (angular momentum about the vertical) / A, which are
-    constant,
+    With u = cos theta and the constants a = (C r + l) / A and b = (angular momentum about the vertical) / A,
 
         u'^2 = (1 - u^2) (e + beta u) - (b - a u)^2,  psi' = (b - a u) / (1 - u^2),  phi' = r - psi' u
 
@@ -181,8 +179,7 @@ class SymmetricTop:
 
 
 class FreeGyrostat:
-    """Torque-free gyrostat with a rotor along one principal axis; without a rotor the body of Euler and
-    Poinsot.
+    """Torque-free gyrostat with a rotor along one principal axis, or the body of Euler and Poinsot.
 
     With the rotor's axis as the third one, energy and magnitude of the angular momentum give A (A - B) w1^2
     and B (B - A) w2^2 as quadratics of r = w3, and r'^2 = f(r) as a quartic. From a root s of it
@@ -335,7 +332,7 @@ class FreeGyrostat:
 
 
 def euler_motion(w: Array, gamma: Array, frame_rate: float = 0.0) -> EulerMotion:
-    """Angles and rates of a body, off the vertical gamma; the rate of the frame is part of w, not of psi'."""
+    """Angles and rates of a body whose axis is off gamma; the frame's rate is part of w, not of psi'."""
     sine = np.hypot(gamma[0], gamma[1])
     cos_theta_dot = w[1] * gamma[0] - w[0] * gamma[1]
     psi_dot = (w[0] * gamma[0] + w[1] * gamma[1]) / sine**2
@@ -350,16 +347,15 @@ def euler_motion(w: Array, gamma: Array, frame_rate: float = 0.0) -> EulerMotion
 
 
 class PlanarLibration:
-    """Satellite whose third axis stays on the orbit normal: C x'' = -3 Omega^2 (B - A) sin x cos x, x = psi +
-    phi.
+    """Satellite whose third axis stays on the orbit normal: C x'' = -3 Omega^2 (B - A) sin x cos x.
 
-    A rotor along the third axis has no effect. V. V. Beletsky, Motion of an Artificial Satellite about its
-    Center of Mass (1966), chapter 1.
+    x = psi + phi; a rotor along the third axis has no effect. V. V. Beletsky, Motion of an Artificial
+    Satellite about its Center of Mass (1966), chapter 1.
     """
 
     def __init__(self, A: float, B: float, C: float, Omega: float, angle: float, rate: float):
         self.stiffness = Omega * np.sqrt(3 * abs(B - A) / C)
-        # Counted from the stable direction; its sine and cosine keep their digits beside the unstable one.
+        # Counted from the stable direction; its sine and cosine keep their digits near the unstable one.
         sine, cosine = (np.sin(angle), np.cos(angle)) if B > A else (-np.cos(angle), np.sin(angle))
         energy = rate**2 + (self.stiffness * sine) ** 2
         barrier = (self.stiffness * cosine) ** 2 - rate**2

@@ -23,8 +23,7 @@ MIN_SAMPLE, MAX_SAMPLE, POINTS_PER_SAMPLE = 64, 1000, 300
 
 
 def upper_bound(events: int, draws: int, population: int | None = None) -> float:
-    """Upper 95 % confidence bound of an event's probability; the observed share if the whole population is
-    drawn.
+    """Upper 95 % confidence bound of a probability; the observed share if the whole population is drawn.
 
     C. J. Clopper and E. S. Pearson, Biometrika 26 (1934) 404-413.
     """
@@ -34,11 +33,9 @@ def upper_bound(events: int, draws: int, population: int | None = None) -> float
 
 
 def stratified_indices(size: int, count: int) -> np.ndarray:
-    """One index from each of `count` equal parts of range(size), ascending and a function of `size` and
-    `count`.
+    """One index from each of `count` equal parts of range(size), ascending, the same for the same size.
 
-    The position within a part is a hash (SplitMix64) of its number, so that the sample follows no period of
-    the grid.
+    A hash (SplitMix64) gives the position in a part, so that the sample follows no period of the grid.
     """
     count = min(size, count)
     part = np.arange(count, dtype=np.uint64)
@@ -54,19 +51,17 @@ def stratified_indices(size: int, count: int) -> np.ndarray:
 def half_step_sample(scene: Scene, *, threads: int | None = None) -> dict[str, Any]:
     """Integrate a sample of a scene's points at the scene's step and at half of it, and compare.
 
-    The sample depends on the number of points alone, has the bits of the run and costs about 1 % of it.
-    Attributes:
+    The sample depends on the number of points alone, has the bits of the run and costs about 1 % of it:
 
     - ``atlas_half_step_points``, ``atlas_points``: points of the sample and of the scene;
     - ``atlas_half_step_changed``: points of the sample whose label becomes another one or none;
     - ``atlas_labels_may_change``: upper bound (95 %) of the number of such points in the whole atlas,
       or the number itself if the sample is the atlas.
 
-    Where the outputs contain the statistics of rates, with the largest change of a point's in rad per time
-    unit:
+    Of each point's largest change of a statistic of a rate (rad per time unit), if the outputs contain any:
 
     - ``atlas_half_step_median``: its median over the points;
-    - ``atlas_half_step_difference``: its maximum over steady points, because drifting motion may be chaotic or
+    - ``atlas_half_step_difference``: its maximum over steady points, as drifting motion may be chaotic or
       have a peak of psi' near the vertical;
     - ``atlas_half_step_beyond``: points where it is larger than `error_estimate`.
     """

@@ -17,9 +17,9 @@ from ..label.expected_errors import state_distance
 from ..scene.model import Settings
 from ..systems.base import Array, Flags, Mask, Points, System
 
-# Statistics of the motion of a body; those of a system with observables: see `statistics`.
+# Statistics of the motion of a body; for observables see `statistics`.
 STATISTICS = (*RATES, "theta_min", "theta_max")
-# Sums of the rates, which are integrated beside the states, in this order.
+# Sums of the rates, which are integrated with the states, in this order.
 RATE_SUMS = (
     Row.THETA_DOT, Row.THETA_DOT_SQUARED, Row.OUTSIDE, Row.PSI_DOT, Row.PSI_DOT_SQUARED, Row.PHI_DOT, Row.PHI_DOT_SQUARED,
     Row.NORMAL_RATE, Row.NORMAL_RATE_SQUARED,

@@ -82,7 +82,7 @@ def stress(
 def _points_of_cases(
     system: System, cases: Sequence[StressCase] | None
 ) -> tuple[list[CasePoints], TrueLabels]:
-    """Points of the given cases (None: those of the system), and their true labels."""
+    """Points of the given cases (None: all of the system), and their true labels."""
     parts = [case_points(system, case) for case in (system.stress_cases() if cases is None else cases)]
     return parts, TrueLabels.join([
         true_labels(system, part.points, part.duration, Settings(), part.truth, part.base) for part in parts
@@ -175,7 +175,7 @@ def _run_job(
             part = {name: values[indices] for name, values in points.items()}
             values = evaluate(system, part, part, duration[indices], limited, threads=1)
             values |= {"unsteadiness": unsteadiness(system, values, settings)}
-            missing = np.full(indices.size, np.nan)  # exact motions are those of bodies
+            missing = np.full(indices.size, np.nan)  # only bodies have exact motions
             results.append((indices, dict.fromkeys(EXACT_STATISTICS, missing) | values))
     return results
 
@@ -280,7 +280,7 @@ def unresolved(ds: xr.Dataset) -> Mask:
 def beyond_estimate(ds: xr.Dataset) -> Mask:
     """Where a statistic of a resolved exact motion is off by more than ten times `error_estimate`.
 
-    More than 1 % of the points that are compared is a failure of the estimate.
+    More than 1 % of the compared points is a failure of the estimate.
     """
     error = ds["statistic_error"].max("statistic").values
     return np.asarray(_estimated(ds) & (error > 10 * ds["error_estimate"].values + EXACT_ACCURACY))
@@ -463,10 +463,9 @@ RADIANS, MAX_DURATION = 60.0, 1e3
 
 
 def generic_cases(system: System) -> list[StressCase]:
-    """For each parameter a case of its default times powers of 10, its bounds and a huge value, within its
-    range.
+    """For each parameter its default times powers of 10, its bounds and a huge value, as far as in range.
 
-    The length of each run follows from its frequency at the start, so that stiff runs are short.
+    The length of a run follows from its frequency at the start, so that stiff runs are short.
     """
     moderate = {name: _moderate_value(p) for name, p in system.parameters.items() if np.isfinite(p.default)}
     cases = [_case(system, name, moderate | {name: _values(system.parameters[name])}) for name in moderate]
@@ -507,11 +506,7 @@ def _case(system: System, name: str, columns: Mapping[str, float | Array]) -> St
 
 
 def generic_true_labels(system: System, part: CasePoints, settings: Settings) -> tuple[TrueLabels, Mask]:
-    """Labels of the points of a generic case by the reference integrator, and the mask of points that have
-    one.
-
-    Points whose state or frequency is not finite at the start have none.
-    """
+    """Labels by the reference integrator, and where they are known: not where the start is not finite."""
     size = part.duration.size
     label, largest = np.full(size, Label.UNRESOLVED, np.int8), np.full(size, np.nan)
     source, known = np.full(size, "overflow", "<U15"), np.ones(size, bool)
@@ -540,12 +535,10 @@ def _final_states(system: System, method: str, points: Points, step_size: Array,
 
 
 def observed_stability(method: Method, steps: int = 16_000) -> dict[str, float]:
-    """Largest y = (angular frequency) x (step), on a grid of relative distance 1e-4, without growth of the
-    amplitude.
+    """Largest y = (angular frequency) x (step), to 1e-4, at which the amplitude does not grow.
 
     The motions contain one frequency each: a free sphere, whose gamma turns at |w| ("turning"), and a sphere
-    with a rotor, whose small w turns about it at l3 / A ("nutation"). In theory both values are
-    `method.stability`.
+    with a rotor, whose small w turns about it at l3 / A ("nutation"). In theory y is `method.stability`.
     """
     system = systems.get("fixed_point")
     y = method.stability * np.linspace(0.95, 1.05, 1025)
@@ -568,9 +561,8 @@ def observed_stability(method: Method, steps: int = 16_000) -> dict[str, float]:
 def constraint_bound(method: Method, y: float, steps: int) -> float:
     """Largest expected change of |gamma| over a run of a body that turns by y radians a step.
 
-    A turn at constant rate multiplies the turning part by |R(i y)| each step, with R the stability function
-    of the method: 1 - dissipation y^p to leading order (rk4: y^6 / 144). Rounding adds at most one unit of
-    the last place a step.
+    A turn at constant rate multiplies the turning part by |R(i y)| each step, with R the method's stability
+    function: 1 - dissipation y^p to leading order (rk4: y^6 / 144). Rounding adds at most one ulp a step.
     """
     return steps * (method.dissipation * y**method.dissipation_order + 2.0**-53)
 

@@ -49,7 +49,7 @@ POINT_STEPS_TIMED = 6_000_000  # point-steps of one timing
 # Points tried for each point of the sample, because a family need not exist at every point.
 CANDIDATES_PER_POINT = 16
 
-# Variables over (method, level, sample) beside error_NAME of every statistic: type, long name and units.
+# Variables over (method, level, sample) but for error_NAME of statistics: type, long name and units.
 VARIABLES = {
     "error_state": (float, "largest error of a component of the final state, angular velocities over the frequency bound", "1"),
     "error_rates": (float, "error of the least accurate mean, rms or standard deviation of a rate, over the frequency bound", "1"),
@@ -179,7 +179,7 @@ def _sample_indices(scene: Scene, count: int) -> np.ndarray:
 
 
 def _with_reference(scene: Scene, indices: np.ndarray, advance: Advance) -> _Sample:
-    """The points with their reference solution, without those that have none; BadInput if fewer than 2 remain."""
+    """The points that have a reference solution, with it; BadInput if there are fewer than 2."""
     left_out = ""
     while True:
         part = grid.points_at_indices(scene, indices)
@@ -244,7 +244,7 @@ def _run_method(sample: _Sample, method: str, advance: Advance) -> Iterator[tupl
 
 
 def _levels_to_run(step_sizes: Sequence[StepSizes], own: int) -> list[int]:
-    """One level for each distinct set of steps (the scene's own, or else the finest), without those that take too long."""
+    """One level for each distinct set of steps, the scene's own or else the finest, unless it takes long."""
     selected = []
     for level, sizes in enumerate(step_sizes):
         equal = [k for k, other in enumerate(step_sizes) if (other.steps == sizes.steps).all()]
@@ -419,7 +419,7 @@ def _orders(ds: xr.Dataset, state_uncertainty: Array) -> Array:
     order = np.full(error.shape[:2], np.nan)
     with np.errstate(all="ignore"):
         ratio = np.log(error[:, :-1] / error[:, 1:]) / np.log(step[:, :-1] / step[:, 1:])
-    # Errors near the uncertainty of the reference, and those of a run far from converged, show no order.
+    # Errors near the uncertainty of the reference, or of a run far from convergence, show no order.
     usable = (error[:, 1:] > 10 * state_uncertainty) & (error[:, :-1] < 1e-2) & np.isfinite(ratio)
     for i, j in np.argwhere(usable.sum(2) >= max(2, error.shape[2] / 2)):
         order[i, j + 1] = np.median(ratio[i, j][usable[i, j]])

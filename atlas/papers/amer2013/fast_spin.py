@@ -235,11 +235,10 @@ def first_order(spin: FastSpin, tau: Array) -> Array:
 
 
 def general(spin: FastSpin, y0: Array, tau: Array) -> Array:
-    """The solution from any start with r1 = g1'' = 1, to first order in eps, for tau of order 1.
+    """The solution from any start with r1 = g1'' = 1, to first order in eps, for tau of order 1; (6, ...).
 
-    w = mu/Omega + W exp(i Omega tau) + eps chi1 M exp(-i tau) and
-    G = M exp(-i tau) + eps (mu/Omega + nu W exp(i Omega tau)), with W and M from the start.
-    y0: (6, ...); tau broadcasts with the fields of spin; returns y of shape (6, ...).
+    w = mu/Omega + W exp(i Omega tau) + eps chi1 M exp(-i tau) and G = M exp(-i tau) + eps (mu/Omega + nu W
+    exp(i Omega tau)), with W and M from the start.
     """
     eps, Omega, f = spin.eps, spin.Omega, spin.forced
     u, v = y0[0] + 1j * y0[1] - f, y0[3] + 1j * y0[4] - eps * f

@@ -41,8 +41,7 @@ def errors(
     the run is longer than MAX_RADIANS. The full equations are integrated from the initial value of the
     solution, with r0 and gamma0'' from the point, so that the error is due to the formula. DOP853 with a
     relative tolerance of 1e-13 takes about 0.1 ms per point and turn; the points of a chunk share their
-    steps, so that the digits of an error near 1e-12 depend on the other points. Raises BadInput as
-    `fast_spin.fast_spin`.
+    steps, so that the digits of an error near 1e-12 depend on the other points.
     """
     angle, rate = np.full(duration.shape, np.nan), np.full(duration.shape, np.nan)
     with np.errstate(all="ignore"):

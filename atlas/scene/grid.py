@@ -126,7 +126,7 @@ def points_at_indices(scene: Scene, indices: np.ndarray) -> Grid:
 
 
 def _on_family(scene: Scene, points: Points, indices: np.ndarray) -> tuple[dict[str, Array], Mask]:
-    """Points with solved parameters and offsets, nan for impossible bodies, and where they are off the family."""
+    """Points with solved parameters and offsets, nan for impossible bodies; where the family is missing."""
     assert scene.family is not None
     family = scene.system.families[scene.family]
     base = _solved(family, scene.solve, points)

@@ -15,32 +15,14 @@ MAX_TEXT = 200  # characters of a value in a message
 
 
 class BadInput(ValueError):
-    """Invalid input of the user, in one line: which key, what was found, what is allowed.
-
-    Keys and values may come from a stranger's file: the message is made `printable` and at most MAX_MESSAGE
-    characters long.
-    """
+    """Invalid input, maybe of a stranger: one printable line on the key, its value and what is allowed."""
 
     def __init__(self, message: object = "") -> None:
         super().__init__(printable(str(message), MAX_MESSAGE))
 
 
 def printable(text: str, limit: int | None = None) -> str:
-    """Text in one line without control characters.
-
-    Parameters
-    ----------
-    text : str
-        Any text, also of a file that is not trusted.
-    limit : int, optional
-        Largest length of the result: a longer text loses its middle.
-
-    Returns
-    -------
-    str
-        Line breaks, escape sequences, marks that change the direction of writing and all else that
-        is not printable are replaced by their escapes, such as ``\\n`` and ``\\x1b``.
-    """
+    """Text in one line of at most `limit` characters; what is not printable is escaped, as in `\\x1b`."""
     if limit is not None:
         text = _shortened(text, limit)
     if not text.isprintable():
@@ -57,10 +39,7 @@ def _shortened(text: str, limit: int) -> str:
 
 
 def say(*lines: str, file: TextIO | None = None) -> None:
-    """Print lines, to stdout unless `file` is another stream; each argument is one line, whatever it contains.
-
-    The commands print nothing by any other function.
-    """
+    """Print each argument as one line, whatever it contains; the commands print by no other function."""
     stream = file or sys.stdout
     text = "\n".join(map(printable, lines))
     encoding = getattr(stream, "encoding", None) or "utf-8"
@@ -88,21 +67,13 @@ logging.getLogger("atlas").addFilter(_Printable())
 
 
 def shown(value: object) -> str:
-    """A value as a message shows it: its repr, shortened.
-
-    value: any value of a scene file or an argument, however long or deeply nested. Returns one printable line
-    of at most MAX_TEXT characters.
-    """
+    """A value, however long or nested, as a message shows it: its repr in at most MAX_TEXT characters."""
     text = _SHORT.repr(value)
     return printable(" ".join(text.split()) if "\n" in text else text, MAX_TEXT)
 
 
 def allowed_text(value: object, names: Collection[str]) -> str:
-    """What is allowed instead of an unknown name, as the end of a message.
-
-    value: the unknown name, or any other value that was found; names: what is allowed. Returns such as "did
-    you mean 'tolerance'? allowed: tolerance, step"; without the question where no name is similar.
-    """
+    """End of a message: "did you mean 'tolerance'? allowed: tolerance, step", or without the question."""
     similar = _most_similar(value, names)
     question = f"did you mean {similar!r}? " if similar else ""
     return f"{question}allowed: {', '.join(names) or 'none'}"
@@ -132,12 +103,7 @@ def messages_for_shell() -> Iterator[None]:
 
 
 def option(name: str, value: object) -> str:
-    """An option as the user of this message writes it.
-
-    name: name of the argument in Python; the command has an option of the same name. value: true for an
-    option without a value; a mapping for pairs NAME=VALUE. Returns in Python "force=True" or "select={'k3':
-    0.2}", in the command line "--force" or "--select k3=0.2".
-    """
+    """An option as the user writes it: in Python "select={'k3': 0.2}", in the shell "--select k3=0.2"."""
     if not _in_shell:
         if isinstance(value, Mapping):
             value = "{" + ", ".join(f"{key!r}: {each}" for key, each in value.items()) + "}"

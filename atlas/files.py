@@ -1,8 +1,7 @@
 """Writing files so that they are whole or absent, and checks of where they go.
 
-A file is written under a temporary name in its folder and then moved. The name contains that of the process, so
-that what a killed process left can be removed by any later one, and what a living process is writing cannot; see
-`remove_leftovers`.
+A file is written under a temporary name in its folder and then moved. The name names the process, so that a
+later one can remove what a killed one left, but not what a living one is writing; see `remove_leftovers`.
 """
 
 from __future__ import annotations
@@ -43,16 +42,10 @@ def exists_message(path: Path) -> str:
 
 @contextmanager
 def atomic_write(path: Path, *, exclusive: bool = False) -> Iterator[Path]:
-    """Write a file that appears at `path` whole or not at all, also after a power cut.
+    """Give a temporary name, whose file appears at `path` whole or not at all, also after a power cut.
 
-    The body of the `with` statement writes and closes the file under the temporary name it is given. When
-    the body ends, the file is flushed to the disk and moved into place; after an error it is removed.
-
-    path: where the file goes; an existing file is replaced. exclusive: keep an existing file and raise
-    FileExistsError instead. Returns hidden, unique, short name in the folder of `path`. It is a new, empty
-    file with the permissions of any new file, never a link that somebody else put there. Raises
-    FileExistsError if `exclusive` is true and `path` exists. Raises OSError if the file cannot be created,
-    flushed or moved.
+    It is a new, empty file in the folder of `path` with the permissions of any new file, never a link that
+    somebody else put there. An existing `path` is replaced, or if `exclusive` kept with FileExistsError.
     """
     temporary = temporary_path(path)
     os.close(os.open(temporary, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW, 0o666))
@@ -70,14 +63,9 @@ def atomic_write(path: Path, *, exclusive: bool = False) -> Iterator[Path]:
 
 @contextmanager
 def atomic_folder(path: Path) -> Iterator[Path]:
-    """Write a folder that appears at `path` whole or not at all.
+    """Give a temporary folder, which appears at `path` whole or not at all.
 
-    The body of the `with` statement fills the folder it is given, which is flushed to the disk and moved into
-    place when the body ends, and removed after an error.
-
-    path: where the folder goes. An existing one is replaced: a kill in the moment between may leave none.
-    Returns a new folder with a hidden, unique name beside `path`. Raises OSError if the folder cannot be
-    created, flushed or moved.
+    An existing one is replaced: a kill in the moment between may leave none.
     """
     temporary, old = temporary_path(path), temporary_path(path)
     temporary.mkdir()
@@ -110,9 +98,9 @@ def _move_exclusively(temporary: Path, path: Path) -> None:
 def _claim(temporary: Path, path: Path) -> None:
     """`_move_exclusively` on a file system without hard links.
 
-    A folder moved onto one that is not empty fails everywhere, so that the first process to move its folder to
-    `claim_path(path)` is the only one. Its file stays there, and every process copies it to `path`: if the first
-    one is killed in between, the next one finishes.
+    A folder moved onto one that is not empty fails everywhere, so that the first process to move its folder
+    to `claim_path(path)` is the only one. Its file stays there, and every process copies it to `path`: if the
+    first one is killed in between, the next one finishes.
     """
     claim = claim_path(path)
     folder = temporary_path(path)
@@ -143,14 +131,12 @@ def claim_path(path: Path) -> Path:
 
 
 def remove_leftovers(folder: Path) -> None:
-    """Remove the temporary files in a folder whose writers are gone.
+    """Remove the temporary files in a folder whose writers are gone; errors are ignored.
 
-    The file of a process that runs, or may run, is kept. On the same machine that is certain. The file of
-    another machine is removed when it was last written more than FOREIGN_LEFTOVER_AGE ago, by the clock of the
-    file system. Should its process have slept so long, it fails in one line and can be started again: what it
-    has finished is not in temporary files.
-
-    folder: what is not in it, or cannot be removed, is ignored.
+    The file of a process that runs, or may run, is kept; on the same machine this is certain. The file of
+    another machine goes FOREIGN_LEFTOVER_AGE after it was last written, by the clock of the file system.
+    Should its process have slept so long, it fails in one line and can be started again: what it has finished
+    is not in temporary files.
     """
     with suppress(OSError), os.scandir(folder) as entries:
         for entry in entries:
@@ -281,10 +267,7 @@ def check_name(path: Path, inside: str = "") -> None:
 
 
 def check_folder(path: Path, *, replace: str | None = None) -> None:
-    """Raise BadInput unless a file can be created in the folder of `path` and `path` is not a folder.
-
-    A folder with a file of the name `replace` is allowed.
-    """
+    """Raise BadInput unless `path` can be created and is no folder, but for one with a file `replace`."""
     check_name(path)
     folder = path.parent
     if not folder.is_dir():
@@ -343,10 +326,8 @@ def writable(
 ) -> Path:
     """Check the path of a file before anything is computed.
 
-    name: the file, in a folder that can be written; suffixes: allowed ends of the name, in lower case; force:
-    allow a file that exists. inputs: files and folders that are read. They are never replaced, also under
-    another name, such as a link. Raises BadInput for another suffix, a place that cannot be written, an
-    input, and a file that exists.
+    Raises BadInput for another suffix, a place that cannot be written, an existing file without `force`, and
+    one of the inputs, which are never replaced, also not under another name, such as a link.
     """
     path = Path(name)
     if path.suffix.lower() not in suffixes:

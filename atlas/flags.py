@@ -6,10 +6,7 @@ from enum import IntEnum
 
 
 class Flag(IntEnum):
-    """Value of a flag variable, with a sentence on its meaning.
-
-    The name in files and in text is the member's name in lower case.
-    """
+    """Value of a flag variable, whose name in files is the member's in lower case, and its meaning."""
 
     sentence: str
 

@@ -48,11 +48,7 @@ def outcome(number: int | None = None) -> tuple[int, str]:
 
 
 def explain_kept(kept: Callable[[], str] | None) -> None:
-    """Make the message of an interruption state the work that the same command would continue.
-
-    kept: called after a signal. It returns the text, or an empty one for the usual message. None restores the
-    usual message.
-    """
+    """Make the message of an interruption state what `kept` returns: the work that would be continued."""
     global _kept
     _kept = kept
 
@@ -102,7 +98,7 @@ def exit_process(code: int) -> NoReturn:
 
 @contextmanager
 def signals_as_interrupt() -> Iterator[None]:
-    """Make SIGINT and SIGTERM raise KeyboardInterrupt, and end the process if it goes on for GRACE_PERIOD or at a second one.
+    """Turn SIGINT and SIGTERM into KeyboardInterrupt; a second one, or GRACE_PERIOD, ends the process.
 
     A signal that the process was started to ignore stays ignored. Does nothing outside the main thread.
     """

@@ -1,9 +1,9 @@
 """Names of processes, from which it can be decided whether the writer of a file still runs.
 
-A process is named by its machine, the start of that machine, its number and its start: machine-boot-pid-start.
-On the same machine this decides exactly whether it runs, because a number that is used again belongs to a
-process with another start, and a machine that was started again has no process of before. A container counts as
-a machine of its own, because the processes of another one cannot be seen. Of another machine nothing is known.
+A name is machine-boot-pid-start. On the same machine it decides exactly, because a number that is used again
+belongs to a process with another start, and a machine that was started again has no process of before. A
+container counts as a machine of its own, because it cannot see the processes of another one. Of another
+machine nothing is known.
 """
 
 from __future__ import annotations
@@ -25,10 +25,7 @@ def name() -> str:
 
 
 def is_running(process: str) -> bool | None:
-    """Whether a process runs; None if that cannot be known, because it belongs to another machine.
-
-    process: its name, from `name` in that process.
-    """
+    """Whether a process runs, by its `name`; None for one of another machine, where this cannot be known."""
     match = NAME.fullmatch(process)
     if match is None or match[1] != _machine():
         return None
@@ -63,10 +60,7 @@ def _boot() -> str:
 
 
 def _start(pid: int) -> int | None:
-    """When a process started, in ticks since the start of the machine.
-
-    -1 if it has ended and only its parent has not asked for its exit status; None if it cannot be read.
-    """
+    """Start of a process, in ticks since the machine's; -1 for a zombie, None if it cannot be read."""
     try:
         stat = Path(f"/proc/{pid}/stat").read_text(encoding="ascii", errors="replace")
         fields = stat.rpartition(")")[2].split()  # the name of the program, in brackets, may contain blanks

@@ -35,10 +35,7 @@ def data_variables(system: System) -> dict[str, Variable]:
 
 
 def variables(system: System) -> dict[str, Variable]:
-    """Every variable an atlas of the system can hold, by name, in the order of the file.
-
-    Raises BadInput for a system of which a parameter or an observable has the name of a variable.
-    """
+    """Variables that an atlas of the system can hold, in the order of the file; BadInput if names clash."""
     listed = [variable for each in INSTRUMENTS for variable in each.variables(system)] + [
         Variable(
             d.name, "int8" if d.flags else "float64", d.unit, d.long_name, dict(d.flags) if d.flags else None,

@@ -1,4 +1,4 @@
-"""Borders on a plane of an atlas as data: those of theory, and those of a measured region."""
+"""Borders on a plane of an atlas as data: of theory, and of measured regions."""
 
 from __future__ import annotations
 
@@ -61,10 +61,7 @@ def boundary(
 
 
 def theory_lines(scene: Scene, plane: xr.Dataset, dims: list[str], variable: str) -> Lines:
-    """Borders of theory on a plane of an atlas: kind -> polylines, see `theory_borders`, `count_borders`, `resonances`.
-
-    Raises BadInput where the dimensions are not those of the scene.
-    """
+    """Borders of theory on a plane of an atlas by kind; BadInput if its dimensions are not the scene's."""
     for dim in dims:
         if dim not in axes_of(scene):
             raise BadInput(f"{dim}: not an axis of the atlas' scene; its axes: {', '.join(axes_of(scene))}")
@@ -121,18 +118,14 @@ Classes = dict[str, Flags]
 
 
 def theory_borders(plane: Plane, *, inertial: bool = False) -> dict[str, list[np.ndarray]]:
-    """Lines at which theory predicts a change in a plane.
+    """Polylines, by KINDS, at which theory predicts a change in a plane, in the units of its axes.
 
-    plane: where to look for lines; inertial: of labels in inertial space, if the frame of the system turns.
-    Returns kind of line, one of KINDS, -> polylines of shape (vertices, axes of the plane), float64, in the
-    units of the axes. Between linearly stable and unstable motions; between regular precession and permanent
-    rotation, both of some extent; where a regular precession has psi' = 0 or phi' = 0, so that it is a
-    permanent rotation on that line alone; and between points with a motion and without. Kinds without a line
-    are missing.
-
-    Samples on COARSE_SAMPLES values along each axis are refined where a line crosses a cell, and around it as far
-    as the line continues, so that a region wider than 1 / (COARSE_SAMPLES * DIVISION**LEVELS) of an axis is followed
-    to its ends if one sample is inside it. Vertices are then bisected.
+    They separate linearly stable from unstable motions, regular precession from permanent rotation, and
+    points with a motion from points without; and a regular precession has psi' = 0 or phi' = 0 on them, so
+    that it is a permanent rotation on the line alone. Samples on COARSE_SAMPLES values along each axis are
+    refined where a line crosses a cell, and around it as far as the line continues, so that a region wider
+    than 1 / (COARSE_SAMPLES * DIVISION**LEVELS) of an axis is followed to its ends if one sample is inside
+    it. Vertices are then bisected.
     """
 
     def classes(positions: Array) -> Classes:
@@ -253,7 +246,7 @@ def _over_cells(column: np.ndarray, reduce: np.ufunc) -> np.ndarray:
 
 
 def _samples_of_cells(cells: Mask) -> Mask:
-    """Fine samples of some coarse cells, those on their edges included; (samples, samples)."""
+    """Fine samples of some coarse cells with their edges; (samples, samples)."""
     count = DIVISION * len(cells) + 1
     result = np.zeros((count, count), bool)
     blocks = np.repeat(np.repeat(cells, DIVISION, 0), DIVISION, 1)
@@ -286,13 +279,9 @@ COUNT_BISECTIONS = 6  # of the distance between two neighbouring points of the a
 
 
 def count_borders(plane: Plane, counts: xr.DataArray, derived: DerivedVariable) -> dict[str, list[Array]]:
-    """Lines between the regions of a plane where a count has different values.
+    """Lines, under CHANGE, between the regions of a plane where a count has different values.
 
-    plane: the plane of the atlas. counts: the counts of the atlas over the axes of the plane; regions
-    narrower than its cells are missed. derived: the count, which is computed between neighbouring points that
-    differ. Returns CHANGE -> polylines of shape (vertices, axes of the plane), float64, in the units of the
-    axes; empty without a line. Where the count skips values that it has elsewhere, the line is returned once
-    for each change.
+    Regions narrower than a cell are missed; each change of a count that skips values gives its own line.
     """
     values = counts.transpose(*plane.extent).values
     axes = [counts[dim].values for dim in plane.extent]
@@ -323,7 +312,7 @@ def _interpolated(positions: Array, axes: list[Array]) -> Array:
 
 
 def _lines_at(values: Array, level: float) -> list[Array]:
-    """Lines halfway between neighbours of which one is above a level, as indices (vertices, axes); none beside nan."""
+    """Lines halfway between neighbours on both sides of a level, as indices (vertices, axes); not at nan."""
     above = np.where(np.isfinite(values), np.where(values > level, 1.0, 0.0), np.nan)
     if values.ndim == 1:
         return [np.array([[index + 0.5]]) for index in np.flatnonzero(np.abs(np.diff(above)) == 1)]
@@ -358,11 +347,9 @@ _CURVATURE = 0.5
 
 
 def resonance_lines(plane: Plane) -> dict[str, list[Array]]:
-    """Lines at which the ratio of two frequencies of a motion that is not unstable is 1, 2 or 3.
+    """Lines, by RESONANCES, where two frequencies of a motion that is not unstable have the ratio 1, 2 or 3.
 
-    plane: with two axes, of a system that has the variables of `systems.oscillations`. Returns kind of line,
-    one of RESONANCES, -> polylines of shape (vertices, 2), float64, in the units of the axes. A resonance 1:1 at
-    which stability ends is a stability limit, and is not among them. Kinds without a line are missing.
+    A resonance 1:1 at which stability ends is a stability limit and is left out.
     """
     axes = [plane.samples(dim, RESONANCE_SAMPLES) for dim in plane.extent]
     grids = np.meshgrid(*axes, indexing="ij")
@@ -384,9 +371,9 @@ def resonance_lines(plane: Plane) -> dict[str, list[Array]]:
 
 
 def _crossings(difference: Array) -> list[Array]:
-    """Segments on which two frequencies cross: their difference, the larger less the smaller, has a kink at 0.
+    """Segments on which two frequencies cross: their difference, larger less smaller, has a kink at 0.
 
-    It crosses between two samples where its continuation from one side of them is the negative of its value on the other.
+    There its continuation from one side is the negative of its value on the other.
     """
     along_x = _crossed_edges(difference)
     along_y = _crossed_edges(difference.T).T

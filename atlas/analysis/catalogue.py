@@ -15,13 +15,7 @@ N_SAMPLES = 5  # random parameters behind each residual, from the seeds 0, 1, ..
 
 
 def families(system: System, name: str | None = None) -> list[dict[str, Any]]:
-    """Families of exact steady motions.
-
-    system: the system that has the families; name: only this one. Returns one row for each family: texts,
-    lists of texts and numbers. residual_printed and residual_true are the largest of the published equations
-    that belong to the family, None if there is none. Raises BadInput if the system has no family of this
-    name.
-    """
+    """Rows on the families of exact steady motions, with the largest residuals of published equations."""
     if name is not None and name not in system.families:
         raise BadInput(f"family {name}: unknown; allowed: {', '.join(system.families)}")
     return [_family(system, family) for family in system.families.values() if name in (None, family.name)]
@@ -52,11 +46,9 @@ def _family(system: System, family: Family) -> dict[str, Any]:
 
 
 def published(system: System, family: str | None = None, errata: bool = False) -> list[dict[str, Any]]:
-    """Published equations of the system's paper, as printed and as true.
+    """Rows on the published equations of the system's paper, as printed and as true, or on its errata.
 
-    system: the system of the paper; family: only those that belong to this family; errata: only those whose
-    verdict is not "true". Returns one row for each equation: texts and numbers. The residuals are the largest
-    at N_SAMPLES random parameters, the same in every call; None where nothing is measured.
+    Residuals are the largest at N_SAMPLES random parameters, the same in every call, or None.
     """
     return [
         {

@@ -26,14 +26,7 @@ RATES = ("theta_dot_rms", "psi_dot_std", "phi_dot_std", "normal_rate_std")
 
 
 def report(ds: xr.Dataset, worst: int = 5) -> str:
-    """The comparison of an atlas with theory as text.
-
-    ds: an atlas with the variables label and predicted, which are loaded whole. Its variables stable,
-    growth_rate, end_time and the rates are used if it has them. worst: number of disagreements to list.
-    Returns confusion table, agreement, survivors near and far from the stability boundary, worst points.
-    Raises BadInput if the dataset does not have the variables label and predicted, or holds other values than
-    flags there; if it has no points; if `worst` is no whole number of at least 0.
-    """
+    """Confusion table of an atlas with theory, survivors near and far from boundaries, and `worst` points."""
     whole_number("worst", worst, 0)
     if "atlas_system" in ds.attrs and not system_of(ds).families:
         raise BadInput(
@@ -82,7 +75,7 @@ def confusion(label: Flags, predicted: Flags) -> np.ndarray:
 
 
 def _agreement_lines(result: Flags) -> list[str]:
-    """Number of points that can be compared, and of those that agree."""
+    """Number of points that can be compared, and of the ones that agree."""
     counts = np.bincount(result.ravel(), minlength=len(Agreement))
     compared = result.size - counts[Agreement.NOT_COMPARED]
     share = f"{100 * counts[Agreement.AGREE] / compared:.3f} %" if compared else "nothing"
@@ -116,11 +109,7 @@ def _stability_lines(ds: xr.Dataset) -> list[str]:
 
 
 def near_boundary(stable: Flags) -> np.ndarray:
-    """Points near a change of linear stability.
-
-    stable: values of Stability on a grid of any rank. Returns true within BAND of the axis range of a point
-    with another value. Always False on a list of points, which has neighbours only by chance.
-    """
+    """Points within BAND of the axis range of a point of other linear stability; none in a list."""
     window = [1 + 2 * max(1, int(np.ceil(BAND * (count - 1)))) if count > 1 else 1 for count in stable.shape]
     return np.asarray(maximum_filter(stable, window) != minimum_filter(stable, window))
 

@@ -1,9 +1,9 @@
 """Frequencies of one motion: the strongest lines in the spectra of its angles.
 
-The numerical analysis of fundamental frequencies (Laskar 1993, doi 10.1016/0167-2789(93)90210-R): the maximum of the windowed
-Fourier integral is refined to far below the distance of two lines of a discrete transform, all lines found so far are
-fitted together, and the next one is looked for in the residual. The packages for this
-method have licences that a user of this one may not be able to accept, so that it is written here on top of SciPy.
+The numerical analysis of fundamental frequencies (Laskar 1993, doi 10.1016/0167-2789(93)90210-R): the maximum
+of the windowed Fourier integral is refined to far below the distance of two lines of a discrete transform,
+all lines so far are fitted together, and the next one is sought in the residual. Packages for this method
+have licences that a user of this one may not be able to accept, so that it is written here on top of SciPy.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from .metadata import system_of
 
 Signal = NDArray[np.complex128]
 
-# Share of the largest frequency of the samples beyond which a line may be that of a faster motion.
+# Share of the largest frequency of the samples beyond which a line may belong to a faster motion.
 MAX_SHARE_OF_NYQUIST = 0.8
 # Amplitude, over the largest value of the signal, from which a line is compared with its derivative.
 MIN_AMPLITUDE = 1e-5
@@ -33,25 +33,7 @@ PASSES = 2
 
 
 def frequencies(trajectory: xr.Dataset, lines: int) -> xr.Dataset:
-    """Strongest lines of a motion; see `Atlas.frequencies`.
-
-    Parameters
-    ----------
-    trajectory : Dataset
-        As `atlas.trajectory` returns it.
-    lines : int
-        Number of lines of each signal.
-
-    Returns
-    -------
-    Dataset
-        Over (signal, line), see `Atlas.frequencies`.
-
-    Raises
-    ------
-    BadInput
-        Where the samples are too few for the fastest line.
-    """
+    """Strongest lines of each signal of a motion, see `Atlas.frequencies`; BadInput for too few samples."""
     ds, (name, fastest) = _lines(trajectory, lines)
     if fastest:
         raise BadInput(
@@ -123,8 +105,8 @@ def _true_frequencies(
 ) -> Array:
     """Frequencies of the lines, and of the constant, by their amplitudes in the derivative of the signal.
 
-    A line that is too fast for the samples appears at another frequency, or as a constant, but the derivative has its
-    own. Where a line is so weak that errors may be larger, its frequency counts as true.
+    A line that is too fast for the samples appears at another frequency, or as a constant, but the derivative
+    has its own. Where a line is so weak that errors may be larger, its frequency counts as true.
     """
     given = [*frequencies, 0.0]
     lines, slopes = (_fit(time, each, given, weight, real)[0] for each in (signal, slope))
@@ -133,7 +115,7 @@ def _true_frequencies(
 
 
 def _signals(trajectory: xr.Dataset) -> dict[str, tuple[Signal, Signal]]:
-    """The signals of a motion by name, with their derivatives: those of theta, psi and phi, or the observables."""
+    """The signals of a motion (of theta, psi and phi, or the observables) by name, with their derivatives."""
     system = system_of(trajectory) if "atlas_system" in trajectory.attrs else None
     if system is not None and system.observables:
         return _observables(trajectory, system)
@@ -168,11 +150,9 @@ def _observables(trajectory: xr.Dataset, system: System) -> dict[str, tuple[Sign
 
 
 def spectral_lines(time: Array, signal: Signal, count: int, *, real: bool = False) -> tuple[Array, Signal]:
-    """Strongest lines of a signal, a constant and a sum of c exp(i w t), by decreasing power as they are found.
+    """Frequencies (rad per unit of time) and amplitudes of a sum c exp(i w t), in the order of extraction.
 
-    time: evenly spaced, (samples,); signal: (samples,). count: number of lines; fewer are returned where the
-    residual is rounding. real: the signal is real: lines at w and -w are one, with w >= 0 and the amplitude
-    of the cosine. Returns frequency, in rad per unit of time.
+    Fewer than `count` where the residual is rounding. A `real` signal has w >= 0 and amplitudes of cosines.
     """
     weight = hann(time.size)
     weight /= weight.sum()

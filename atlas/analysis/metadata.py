@@ -62,10 +62,7 @@ def axes_of(scene: Scene) -> dict[str, Axis]:
 
 
 def is_logarithmic(scene: Scene | None, dim: str, values: ArrayLike) -> bool:
-    """Whether the scene spaces the axis of this dimension evenly in its logarithm, and the values have logarithms.
-
-    Cells, borders, nearest points and scales of maps all follow this rule.
-    """
+    """Whether the scene spaces this axis logarithmically and all values are positive; maps do the same."""
     axis = None if scene is None else axes_of(scene).get(dim)
     return axis is not None and axis.table.get("spacing") == "log" and bool(np.min(np.asarray(values)) > 0)
 
@@ -93,8 +90,7 @@ def _registered_flags(system: System) -> dict[str, str]:
 def has_flags(array: xr.DataArray) -> bool:
     """Whether a variable is one of flags: Booleans, or flags by their name or by a long_name of their own.
 
-    Differences and comparisons of flags have the attributes of flags too: an array under another name than that of the
-    variable whose long_name it has counts as numbers.
+    Differences of flags inherit their attributes: a flag's long_name under another name means numbers.
     """
     if array.dtype.kind == "b":
         return True
@@ -109,10 +105,7 @@ def has_flags(array: xr.DataArray) -> bool:
 
 
 def flag_names(array: xr.DataArray) -> list[str]:
-    """Names of the values 0, 1, 2, ... of a flag variable; empty for any other variable.
-
-    Raises BadInput for flags whose values are no longer flags, such as averages of them.
-    """
+    """Names of the values 0, 1, 2, ... of a flag variable, else empty; BadInput for averages of flags."""
     if array.dtype.kind == "b":
         return TRUE_FALSE
     if not has_flags(array):
@@ -199,12 +192,10 @@ MAX_POINTS = 4_000_000
 def chunks(
     sizes: Mapping[Any, int], dims: Sequence[Hashable], cell_side: int = 0
 ) -> Iterator[dict[Hashable, slice]]:
-    """Slices that cut dimensions into boxes of about MAX_POINTS points, in C order.
+    """Slices that cut `dims` into boxes of about MAX_POINTS points, in C order.
 
-    sizes: length of every dimension; those that are not in `dims` stay whole. dims: the dimensions to cut, in
-    the order of the array. cell_side: 0: every point is in one box. Else boxes consist of whole cells with
-    sides of so many points, and share the points on their borders with their neighbours; points at the end of
-    an axis that do not fill a cell are in no box. Returns dimension -> slice, for the dimensions to cut.
+    With a cell_side boxes consist of whole cells and share the points on their borders; points at the end of
+    an axis that do not fill a cell are in no box.
     """
     step = max(cell_side, 1)
     counts = [(sizes[dim] - 1) // step if cell_side else max(sizes[dim], 1) for dim in dims]

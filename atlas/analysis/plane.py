@@ -42,10 +42,9 @@ class Plane:
 
     @staticmethod
     def of(scene: Scene, ds: xr.Dataset, dims: Iterable[str]) -> Plane:
-        """The plane of some dimensions of an atlas whose other axes have one value each.
+        """The plane of some dimensions of an atlas; BadInput if another axis has several values.
 
-        It reaches to the outer edges of the atlas' cells, half a cell beyond its outermost points, except
-        on sides where the scene has no points. Raises BadInput for another axis with several values.
+        It reaches half a cell beyond the outermost points, except on sides where the scene has no points.
         """
         extent = {dim: (float(ds[dim].min()), float(ds[dim].max())) for dim in dims}
         fixed = {}
@@ -94,12 +93,7 @@ class Plane:
         return grid.points_at(scene, {axes[dim].name: column for dim, column in values.items()})
 
     def theory(self, coordinates: Mapping[str, Array], *, inertial: bool = False) -> Theory:
-        """What theory predicts of the exact motions at some coordinates in the plane.
-
-        coordinates: dimension -> values of one shape (points,); inertial: labels and rates in inertial space,
-        if the frame of the system turns. Returns also at points without a motion, where only `exists` has a
-        meaning.
-        """
+        """Predictions for exact motions in the plane; without a motion only `exists` has a meaning."""
         system, points = self.scene.system, self.points(coordinates)
         with np.errstate(all="ignore"):
             predicted = predict(system, points.base, ZERO_RATE, False)
@@ -115,14 +109,10 @@ STARTS, MAX_ENDS = 17, 8
 
 
 def family_curves(plane: Plane) -> dict[str, list[np.ndarray]]:
-    """Where exact steady motions cross a plane.
+    """Curves by family where exact steady motions cross a plane; rows of nan cut a curve.
 
-    A family has a curve if it can be solved for an axis of the plane: the family of the scene, or every
-    one if the scene names none. Where a scene solves its points onto a family only an axis offset from
-    the family has a curve: its zero.
-
-    plane: where to look for exact motions. Returns family -> curves of shape (vertices, axes of the plane),
-    float64, in the units of the axes; rows of nan cut a curve.
+    A family has a curve if it can be solved for an axis of the plane: the scene's family, or any if it names
+    none. Where a scene solves its points onto a family only an axis offset from it has a curve, at zero.
     """
     scene = plane.scene
     if scene.solve:
@@ -139,7 +129,7 @@ def family_curves(plane: Plane) -> dict[str, list[np.ndarray]]:
 
 
 def _n_vertices(curves: list[Array]) -> int:
-    """Number of vertices of some curves, those that cut a curve left out."""
+    """Number of vertices of some curves, without the rows that cut them."""
     return sum(int(np.isfinite(curve).all(1).sum()) for curve in curves)
 
 
@@ -191,7 +181,7 @@ def _sampled_branches(plane: Plane, family: Family, dim: str) -> tuple[Array, Ar
 
 
 def _branches(plane: Plane, family: Family, dim: str, abscissa: Array) -> Array:
-    """The family solved for one axis, from STARTS values of it at each value of the other; nan off the family.
+    """The family solved for one axis, from STARTS values of it at each abscissa; nan off the family.
 
     Formulas with several branches give the one near the value that they start from.
     """

@@ -64,10 +64,7 @@ def select(ds: xr.Dataset, flags: Mapping[str, str | int | Sequence[str | int]])
 
 
 def nearest(ds: xr.Dataset, values: Mapping[str, float]) -> xr.Dataset:
-    """The part of an atlas nearest to values of some axes, or of single points the nearest to some parameters.
-
-    See `Atlas.nearest`.
-    """
+    """The part of an atlas nearest to values of axes, or of parameters of points; see `Atlas.nearest`."""
     if "point" in ds.dims and values:
         return _nearest_point(ds, values)
     return nearest_on_axes(ds, values)
@@ -102,10 +99,7 @@ def _number(name: str, value: object) -> float:
 
 
 def nearest_on_axes(ds: xr.Dataset, values: Mapping[str, float]) -> xr.Dataset:
-    """The part of an atlas nearest to values of some axes.
-
-    Raises BadInput for a name that is no axis and for a value outside the cells that maps draw around its points.
-    """
+    """The part nearest to values of axes; BadInput for other names and values outside the cells of maps."""
     check_not_empty(ds)
     axes = [str(dim) for dim in ds.dims if is_numeric_axis(ds, dim)]
     scene = scene_of(ds) if values else None
@@ -128,11 +122,7 @@ def nearest_on_axes(ds: xr.Dataset, values: Mapping[str, float]) -> xr.Dataset:
 
 
 def cell_edges(values: np.ndarray, log: bool = False) -> np.ndarray:
-    """Edges of the cells around the values of an axis.
-
-    values: increasing, float64 of shape (n,); log: whether the edges are midway on a logarithmic scale.
-    Returns shape (n + 1,): midway between neighbours; the outer cells are as wide outwards as inwards.
-    """
+    """Edges midway between increasing values, (n + 1,); the outer cells are as wide outwards as inwards."""
     v = np.log(values) if log else np.asarray(values, float)
     if v.size == 1:
         edges = np.array([v[0] - 0.5, v[0] + 0.5])
@@ -145,12 +135,10 @@ def cell_edges(values: np.ndarray, log: bool = False) -> np.ndarray:
 def plane_of(
     ds: xr.Dataset, x: str | None, y: str | None, select: Mapping[str, float]
 ) -> tuple[xr.Dataset, list[str], str | None]:
-    """The plane of an atlas that a map shows; nothing is loaded.
+    """The plane that a map shows, not loaded: the sorted plane, its axes (x first), and the axis of panels.
 
-    ds: the atlas. x, y: its axes; where None, the longest of the others, x the one that comes first in the
-    atlas. select: axis -> value, for the other axes. Returns plane, sorted along its axes; of axes longer
-    than MAX_CELLS every k-th value; dims, one or two axes, x first; panel_dim, one more axis of at most
-    MAX_PANELS values. Raises BadInput if x, y or select name no axis, and where more axes are left.
+    Axes that are not given are the longest; of one longer than MAX_CELLS every k-th value is shown. Raises
+    BadInput for names that are no axes, and where more axes are left.
     """
     check_not_empty(ds)
     plane = nearest_on_axes(ds, select).squeeze()
@@ -190,10 +178,7 @@ def _plane_dims(ds: xr.Dataset, x: str | None, y: str | None) -> tuple[list[str]
 
 
 def nearest_trajectory(ds: xr.Dataset, coordinates: Mapping[str, float], samples: int) -> xr.Dataset:
-    """Motion of the point of an atlas nearest to some values, integrated as the atlas was.
-
-    See `Atlas.trajectory`.
-    """
+    """Motion of the point of an atlas nearest to some values, integrated as the atlas was."""
     system, scene = system_of(ds), scene_of(ds)
     point = nearest(ds, coordinates).squeeze()
     if scene is not None:

@@ -15,14 +15,7 @@ from .metadata import chunks, flag_names, scene_of
 
 
 def summary(ds: xr.Dataset, tally: Tally | None = None) -> str:
-    """Summary of an atlas, printed at the end of its run.
-
-    ds: an atlas; it may be larger than memory. tally: of all its points, where it is known; by default they
-    are read. Returns lines with the counts of labels, status and agreement with theory, the number of points
-    that are not computed and why, the median and the largest expected error, labels that may change at half
-    the step, time and speed, and, where the points are those of a scene with a tolerance, what the other
-    method would cost.
-    """
+    """Summary of an atlas at the end of its run, as text; without a tally all points are read."""
     tally = tally or _tally(ds)
     lines = [f"{name}: {_flag_counts(ds[name], tally)}" for name in COUNTED if name in ds]
     scene = scene_of(ds)

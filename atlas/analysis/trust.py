@@ -68,11 +68,7 @@ def _exponent(sides: np.ndarray, uncertain: np.ndarray) -> float:
 
 
 def _differ(values: np.ndarray, n_axes: int, offsets: tuple[int, ...], *, step: int) -> np.ndarray:
-    """Whether the points of a cell differ, one bool for each cell along the last axes of an array.
-
-    Cells begin every `step` points; their points are those at the distances `offsets` from the beginning along each
-    axis.
-    """
+    """Whether the points of each cell, which are at `offsets` from every `step`-th point, differ."""
     low = high = values
     for axis in range(values.ndim - n_axes, values.ndim):
         first = np.arange((values.shape[axis] - 1) // step) * step

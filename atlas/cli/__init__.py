@@ -19,11 +19,7 @@ __all__ = ["BAD_INPUT", "DONE", "FAILED", "command", "main", "parser"]
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run one command.
-
-    arguments: name of the command and its options; by default those of the process. Returns exit code: 0
-    done, 1 failed, 2 bad input, 130 interrupted, 143 terminated.
-    """
+    """Run a command; exit code 0 done, 1 failed, 2 bad input, 130 interrupted, 143 terminated."""
     explain_kept(None)
     try:
         with messages_for_shell(), signals_as_interrupt():

@@ -33,10 +33,9 @@ class Parser(argparse.ArgumentParser):
         self._several: dict[str, Callable[[str], bool]] = {}
 
     def add_several(self, *names: str, belongs: Callable[[str], bool], **more: Any) -> None:
-        """Add an option for any number of values: `--at a=1 b=2` and `--at a=1 --at b=2` are the same.
+        """Add an option for several words that `belongs` accepts: `--at a=1 b=2`, or `--at a=1 --at b=2`.
 
-        belongs: whether a further word is a value. Other words are not taken from the positional arguments, as
-        argparse would.
+        Other words are not taken from the positional arguments, as argparse would.
         """
         self.add_argument(*names, action="append", **more)
         self._several |= dict.fromkeys(names, belongs)

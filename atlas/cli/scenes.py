@@ -74,13 +74,13 @@ def _new(options: argparse.Namespace) -> int:
 
 
 def figure_options(scene: str) -> str:
-    """Options of `atlas map` for the figure of an example, after a blank: those of its comment "Figure: --option"."""
+    """Options of `atlas map` in the comment "Figure: --option" of an example, after a blank."""
     match = re.search(r"^# Figure:((?: --[\w-]+)+)", scene, re.MULTILINE)
     return match[1] if match else ""
 
 
 def examples() -> dict[str, Traversable]:
-    """The example scenes by name: of the installed package, or the folder configs/ beside it in a repository."""
+    """Example scenes by name: of the installed package, or of the folder configs/ next to it."""
     folder: Traversable = files("atlas") / "examples"
     if not folder.is_dir():
         folder = Path(__file__).parents[2] / "configs"

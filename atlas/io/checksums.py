@@ -1,12 +1,10 @@
 """Checksums of everything in a NetCDF file, so that damage is found and never read as data.
 
-NetCDF-4 can store a Fletcher checksum for each chunk, but none for scalars, and none for the tables in which HDF5
-looks chunks up: one flipped bit there makes a chunk read as missing, or without its filters. A group `checksums`
-therefore holds a CRC-32 of every block of every variable, as it is read, and a hash of dimensions, attributes,
-types and these numbers. The hash is compared when a file is opened, the CRC of a block whenever it is read.
-
-`crc32(block)` are the blocks of all variables, in the order of the variables and in C order; the attribute
-`block_shapes` (JSON) is the shape of a block of each variable.
+NetCDF-4 can store a Fletcher checksum for each chunk, but none for scalars, and none for the tables in which
+HDF5 looks chunks up: one flipped bit there makes a chunk read as missing, or without its filters. A group
+`checksums` therefore holds a CRC-32 of every block of every variable, compared whenever it is read, and a
+hash of dimensions, attributes, types and these numbers, compared when the file is opened. `crc32(block)` has
+the blocks of all variables, in C order; the attribute `block_shapes` (JSON) has their shape by variable.
 """
 
 from __future__ import annotations
@@ -41,10 +39,7 @@ BlockShapes = dict[str, list[int]]
 
 
 def add(path: Path) -> None:
-    """Add checksums to a new file, of what is read back from it.
-
-    path: netCDF-4 file without groups.
-    """
+    """Add checksums, of what is read back, to a new netCDF-4 file without groups."""
     with NETCDF_LOCK, netCDF4.Dataset(path, "r+") as file:
         file.set_auto_maskandscale(False)
         file.set_auto_chartostring(False)
@@ -152,10 +147,7 @@ def _attributes(owner: Any) -> dict[str, Any]:
 
 
 class CheckedStore(xr.backends.NetCDF4DataStore):
-    """A NetCDF file for `xarray.open_dataset`, whose values are compared with their checksums when read.
-
-    A file without checksums, of another program, is read as it is.
-    """
+    """A NetCDF file for xarray, whose values are checked when read; without checksums it is read as it is."""
 
     checksums: dict[str, tuple[list[int], np.ndarray]] | None = None  # shape of a block, CRC of each block
 
@@ -191,10 +183,7 @@ class CheckedStore(xr.backends.NetCDF4DataStore):
 
 
 def _read_checksums(file: netCDF4.Dataset) -> dict[str, tuple[list[int], np.ndarray]] | None:
-    """Shape of the blocks and CRC of each block of every variable, None if the file has no checksums.
-
-    Any error if the metadata are damaged.
-    """
+    """Shape and CRCs of the blocks of every variable, or None without checksums; any error if damaged."""
     group = file.groups.get(GROUP)
     if group is None:
         # A copy by another program has no groups; a flipped bit of the name must not make the file look like one.
@@ -247,10 +236,7 @@ class _CheckedArray(BackendArray):
 
 
 def _parts(positions: range, length: int) -> Iterator[tuple[int, slice, slice]]:
-    """Ascending positions along an axis by blocks of this length.
-
-    Yields the number of each block, the places of its positions in the result, and those in the block.
-    """
+    """For each block along an axis its number, and the places of its positions in the result and in it."""
     place = 0
     while place < len(positions):
         block, first = divmod(positions[place], length)

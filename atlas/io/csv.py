@@ -12,11 +12,7 @@ from ..files import atomic_write
 
 
 def write(ds: xr.Dataset, path: Path) -> None:
-    """Write labelled points as a CSV file, whole or not at all.
-
-    ds: result of `label_points`: variables along the dimension "point". The columns are its coordinates and
-    then its variables, flags by their names. path: the file; one that exists is replaced.
-    """
+    """Write the coordinates, then the variables of labelled points as a CSV file, whole or not at all."""
     columns: dict[str, list[Any]] = {}
     for name in [*ds.coords, *ds.data_vars]:
         array = ds[name]

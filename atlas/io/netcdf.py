@@ -36,13 +36,7 @@ def dims(scene: Scene) -> tuple[str, ...]:
 
 
 def dataset(scene: Scene, columns: Mapping[str, Any], chunks: Sequence[int] | None = None) -> xr.Dataset:
-    """Assemble the atlas of a scene, without provenance.
-
-    columns: the scene's outputs and the parameters that it solves for, NumPy or dask arrays of the scene's
-    shape or flat. Other columns are left out. chunks: length of a chunk along each axis. If given, parameters
-    of more than MAX_EAGER_VALUES values become dask arrays of such chunks. Returns axes as dimensions, and
-    each parameter as a coordinate along the axes on which it depends.
-    """
+    """The atlas of a scene from its outputs and solved parameters; `chunks` make large ones dask arrays."""
     dimensions, system = dims(scene), scene.system
     ds = xr.Dataset(
         {
@@ -72,7 +66,7 @@ def dataset(scene: Scene, columns: Mapping[str, Any], chunks: Sequence[int] | No
 
 
 def variable_attributes(system: System, name: str, present: Collection[str]) -> dict[str, object]:
-    """Attributes of a data variable in a dataset with some variables: those of labels name what qualifies them."""
+    """Attributes of a data variable in a dataset with some variables; labels name what qualifies them."""
     attributes = variables(system)[name].attributes()
     if name.startswith("label"):
         ancillary = [other for other in ("status", "error_estimate") if other in present]
@@ -81,10 +75,7 @@ def variable_attributes(system: System, name: str, present: Collection[str]) -> 
 
 
 def parameter_attributes(system: System, name: str, offset: bool) -> dict[str, str]:
-    """long_name and units of a parameter, or of its offset from a family.
-
-    An axis that is not a parameter has its own name as long_name.
-    """
+    """long_name and units of a parameter or its offset; an axis that is no parameter keeps its own name."""
     if name not in system.parameters:
         return {"long_name": name, "units": "1"}
     parameter = system.parameters[name]
@@ -132,11 +123,7 @@ def _parameter_along_axes(
 
 
 def write(ds: xr.Dataset, path: Path) -> None:
-    """Write a Dataset as one compressed NetCDF file with checksums, which appears whole or not at all.
-
-    ds: data variables of type float get the fill value nan; flags and coordinates get none. path: an existing
-    file is replaced.
-    """
+    """Write a Dataset as one compressed NetCDF file with checksums, which appears whole or not at all."""
     encoding: dict[str, dict[str, Any]] = {}
     for name, variable in ds.variables.items():
         encoding[str(name)] = {"_FillValue": None}
@@ -155,12 +142,7 @@ def write(ds: xr.Dataset, path: Path) -> None:
 def write_blocks(
     ds: xr.Dataset, chunk: Mapping[str, int], names: Collection[str], blocks: Iterator[Block], path: Path
 ) -> None:
-    """Write an atlas larger than memory as one NetCDF file, which appears whole or not at all.
-
-    ds: the atlas; its dask arrays are written chunk by chunk, but those of `names` from the blocks. chunk: length of a
-    chunk along each dimension. blocks: all points in boxes, with the values of `names`. path: an existing file is replaced.
-    Raises OSError if the disk is full.
-    """
+    """Write an atlas larger than memory as one NetCDF file, whole or not at all; blocks hold `names`."""
     coordinates = " ".join(str(name) for name in ds.coords if name not in ds.dims)
     with atomic_write(path) as temporary:
         try:
@@ -205,11 +187,7 @@ def write_blocks(
 def writable(
     name: str | Path, suffixes: Sequence[str], *, force: bool, inputs: Iterable[str | Path] = ()
 ) -> Path:
-    """Check the path of a file as `files.writable` does, and that no data of another program are there.
-
-    A NetCDF file that has neither checksums nor the attribute `atlas_version`, and a Zarr store that `is_whole` does not
-    know, are refused with BadInput.
-    """
+    """Check a path as `files.writable`; BadInput also if it holds data of another program."""
     path = files.writable(name, suffixes, force=force, inputs=inputs)
     is_own = True
     if path.suffix.lower() == ".nc":

@@ -26,16 +26,10 @@ AT_WORK = "at work"
 
 
 class Progress:
-    """Counter of finished points that reports points per second and the time left.
+    """Counter of finished points, for any thread, that reports points per second and the time left.
 
-    All methods may be called from any thread.
-
-    points: number of points of the run. stream: where to print; default stderr. done: points that earlier
-    runs have finished; they do not count for the speed. show: print to `stream`. file: JSON file that is kept
-    up to date. It is for people and scripts; no computation reads it. facts: entries added to the file.
-
-    stopwatch: seconds since the start, without the compilation of kernels, which is announced on stderr if
-    `show` is true.
+    Points `done` by earlier runs do not count for the speed, and `stopwatch` does not count the compilation
+    of kernels. The JSON `file` is for people and scripts; no computation reads it.
     """
 
     def __init__(
@@ -123,12 +117,7 @@ class Progress:
 
 
 def state(content: Mapping[str, Any]) -> str:
-    """Whether the process that wrote a progress file is at work.
-
-    On the same machine the process itself decides, elsewhere the age of the file.
-
-    content: content of the file. Returns `AT_WORK`, or what became of the process.
-    """
+    """AT_WORK or why the writer of a progress file ended; on other machines the file's age decides."""
     if not content["running"]:
         return "ended"
     running = process.is_running(str(content["process"]))

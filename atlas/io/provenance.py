@@ -24,10 +24,7 @@ def log_warnings(warnings: list[str]) -> None:
 def scene_provenance(
     scene: Scene, kernel_hash: str, *, seconds: float, points: int, warnings: list[str]
 ) -> dict[str, Any]:
-    """Global attributes of the atlas of a scene.
-
-    kernel_hash, seconds, points, warnings: as for `provenance`.
-    """
+    """Global attributes of the atlas of a scene, see `provenance`."""
     return provenance(
         scene.system, scene.settings, kernel_hash, title=scene.title, scene=scene.toml(), seconds=seconds,
         points=points, warnings=warnings, about=scene.about,
@@ -46,14 +43,10 @@ def provenance(
     warnings: list[str],
     about: About = EMPTY_ABOUT,
 ) -> dict[str, Any]:
-    """Global attributes of an atlas: its subject, scene, programs, tolerances and cost.
+    """CF and ACDD-1.3 attributes of an atlas, and the program's own, which begin with `atlas_`.
 
-    settings: how the points were integrated and labelled; kernel_hash: hash of the kernel that integrated
-    them; scene: TOML text of the resolved scene, empty where points were given directly; seconds: wall-clock
-    time of the computation; points: number of points integrated in this time; warnings: warnings about the
-    input, kept in `atlas_warnings`. about: the table [about] of the scene: attributes of ACDD-1.3. Returns CF
-    attributes, and the program's own, whose names begin with `atlas_`. A number that does not apply is nan:
-    `atlas_tolerance` where a step was given, `atlas_step` where it was not.
+    `points` were integrated in `seconds` of wall-clock time; `scene` is empty where points were given.
+    `atlas_tolerance` is nan where a step was given, `atlas_step` where it was not.
     """
     from ..engine.jit import cpu
 

@@ -1,9 +1,9 @@
 """Zarr stores of atlases, in version 3 of the format.
 
-A Zarr chunk that is missing reads as its fill value, and metadata have no checksums. The attribute CHECKSUM of a store
-therefore holds a hash of all metadata and of names and sizes of all other files, which is compared when the store is
-opened. Every chunk ends in a CRC-32C, which Zarr compares whenever it is read. The attribute CHUNKS binds these to
-their array and place; it is compared before an array is read.
+A Zarr chunk that is missing reads as its fill value, and metadata have no checksums. The attribute CHECKSUM
+of a store therefore holds a hash of all metadata and of names and sizes of all other files, which is compared
+when the store is opened. Every chunk ends in a CRC-32C, which Zarr compares whenever it is read. The
+attribute CHUNKS binds these to their array and place; it is compared before an array is read.
 """
 
 from __future__ import annotations
@@ -56,10 +56,7 @@ def shard_lengths(sizes: Mapping[str, int], chunk: Mapping[str, int]) -> dict[st
 def write_blocks(
     ds: xr.Dataset, chunk: Mapping[str, int], names: Collection[str], blocks: Iterator[Any], path: Path
 ) -> None:
-    """Write an atlas larger than memory as a Zarr store, which appears whole or not at all.
-
-    The arguments are those of `netcdf.write_blocks`; the boxes are those of `shard_lengths`, each the points of one file.
-    """
+    """Write an atlas as a Zarr store, as `netcdf.write_blocks`; boxes are of `shard_lengths`, a file each."""
     zarr = zarr_package()
     coordinates = " ".join(str(name) for name in ds.coords if name not in ds.dims)
     shard = shard_lengths({str(dim): size for dim, size in ds.sizes.items()}, chunk)
@@ -163,11 +160,9 @@ def is_whole(path: Path) -> bool:
 
 
 def open_store(path: Path) -> xr.Dataset:
-    """Open a store lazily.
+    """Open a store lazily; BadInput without the package zarr, or if it is damaged or too large for its files.
 
-    path: a folder with a file METADATA. A store of another program, without checksum, is read as it is.
-    Raises BadInput if the package zarr is missing, if the store is damaged, or if its arrays are larger than
-    its files can hold. Damaged values are found when they are read.
+    A store of another program, without checksum, is read as it is. Reading finds damaged values.
     """
     zarr_package()
     try:

@@ -55,10 +55,7 @@ SHADES = 256
 
 
 class Content:
-    """The table of a page.
-
-    file: name of the atlas file, for the commands that the page shows.
-    """
+    """The table of a page; `file` is the atlas in the commands that the page shows."""
 
     def __init__(self, layout: Layout, file: str):
         self.layout, self.file = layout, file
@@ -121,7 +118,7 @@ class Content:
         }
 
     def coordinates(self) -> list[dict[str, Any]]:
-        """Coordinates of single points that differ among them, those of the map first."""
+        """Coordinates of single points that differ among them, axes of the map first."""
         names = self.layout.axes + [
             str(name)
             for name, coordinate in self.ds.coords.items()
@@ -200,7 +197,7 @@ class Content:
         return table
 
     def filled(self, name: str) -> xr.DataArray:
-        """Values; of a refined atlas where it did not integrate, those of the nearest point, as on maps."""
+        """Values; where a refined atlas did not integrate, of the nearest point, as on maps."""
         array = self.ds[name]
         if "computed" not in self.ds or flag_names(array) or self.layout.points:
             return array
@@ -406,12 +403,7 @@ _LEVEL = 9
 
 
 class Store:
-    """Arrays over the points of an atlas, each stored once.
-
-    shape: shape of the points.
-
-    nbytes: bytes of the arrays before compression.
-    """
+    """Arrays over the points of an atlas, each stored once; nbytes is their size before compression."""
 
     def __init__(self, shape: tuple[int, ...]):
         self.shape = shape
@@ -420,11 +412,7 @@ class Store:
         self._numbers: dict[tuple[str, bytes], int] = {}
 
     def add(self, values: np.ndarray) -> dict[str, Any]:
-        """Keep an array over the points.
-
-        values: of a type of `_TYPES` and of the shape of the points. Returns "array", the number of its
-        entry, and "over", the axes along which it varies, in C order.
-        """
+        """Keep an array over the points: the number of its entry, and the axes along which it varies."""
         over = []
         bits = np.broadcast_to(values, self.shape)
         bits = np.ascontiguousarray(bits).view(f"u{values.dtype.itemsize}")
@@ -443,11 +431,7 @@ class Store:
         return {"array": self._numbers[key], "over": over}
 
     def packed(self) -> list[dict[str, Any]]:
-        """The arrays as entries of a table.
-
-        Returns for each array its "type" in JavaScript, its "size" and its "data": the bytes, all first ones
-        before all second ones and so on, compressed by zlib, in base64.
-        """
+        """Type in JavaScript, size and data of each array: in base64, by zlib, all first bytes first."""
         return [_packed(array) for array in self._arrays]
 
 
@@ -510,11 +494,7 @@ class Layout:
 
 
 def layout(ds: xr.Dataset, max_points: int = MAX_POINTS) -> Layout:
-    """What a page shows of an atlas.
-
-    ds: an atlas; max_points: of the longest axis every k-th value is shown until there are no more points
-    than this. Raises BadInput for a dataset without points, and with a dimension that is no axis.
-    """
+    """What a page shows: every k-th value of the longest axes, at most max_points; BadInput without axes."""
     check_not_empty(ds)
     scene = scene_of(ds)
     single = POINT in ds.dims

@@ -26,7 +26,7 @@ from ..systems import arithmetic
 from ..systems.base import Array, System
 
 SAMPLES = 1001  # instants of a motion, as atlas.trajectory keeps by default
-# Functions of the kernel, and those in the caller's units that show a body, which a system need not have.
+# Functions of the kernel, and optional ones in the caller's units that show a body.
 _KERNEL = ("rhs", "scaled", "unscaled")
 _OF_BODY = ("frame_motion", "axis_in_frame")
 
@@ -50,12 +50,7 @@ class Motions:
 
 
 def sources(system: System, method: str) -> dict[str, str]:
-    """Python functions that integrate a point and show its motion.
-
-    method: a key of tableaux.METHODS. Returns name -> source: `rhs`, `scaled` and `unscaled` as in the
-    kernel, `step`, `frame_motion` and `axis_in_frame`, or the observables, and the functions that these call.
-    The states are those of `Motions`.
-    """
+    """Sources of the Python functions that integrate a point and show its motion; states as in `Motions`."""
     equations = _equations(system)
     texts = arithmetic.functions(equations)
     observables = [observable.name for observable in system.observables]
@@ -79,11 +74,7 @@ def _equations(system: System) -> Any:
 
 
 def motions(ds: xr.Dataset, system: System, scene: Scene | None, dims: list[str]) -> Motions:
-    """The starts of all points of an atlas, as `ds.atlas.trajectory` integrates them.
-
-    ds: an atlas, or every k-th point of one; scene: scene of the atlas; dims: dimensions of the points.
-    Raises BadInput where the atlas lacks an axis of its scene, a parameter or the duration.
-    """
+    """Starts of all points, as `ds.atlas.trajectory` integrates them; BadInput where a value is missing."""
     shape = tuple(ds.sizes[dim] for dim in dims)
     if scene is None:
         parameters, duration, settings = _single_points(ds, system, dims)
@@ -103,11 +94,11 @@ def motions(ds: xr.Dataset, system: System, scene: Scene | None, dims: list[str]
             settings, ensemble.frequency_bound, np.where(np.isfinite(duration), duration, 0.0)
         )
     count = _recorded_steps(ds, dims, duration, sizes.steps) if system.has_numeric_bound else sizes.steps
-    # As label.trajectory: whole steps between the instants, never longer than those of the atlas.
+    # As label.trajectory: whole steps between the instants, never longer than in the atlas.
     steps = -(-count // (SAMPLES - 1))
 
     def over_points(values: np.ndarray) -> np.ndarray:
-        """An array whose last axis is that of the points, over their dimensions."""
+        """An array with the points along its last axis, over their dimensions."""
         return values.reshape(*values.shape[:-1], *shape)
 
     return Motions(
@@ -118,10 +109,7 @@ def motions(ds: xr.Dataset, system: System, scene: Scene | None, dims: list[str]
 
 
 def _recorded_steps(ds: xr.Dataset, dims: list[str], duration: Array, default: np.ndarray) -> np.ndarray:
-    """Numbers of steps of the runs of the atlas, which follow from a frequency bound along each motion.
-
-    default: the number where none is recorded.
-    """
+    """Numbers of steps in the atlas, which follow from a frequency bound along each motion, or `default`."""
     if "step" not in ds:
         raise BadInput(
             "step: not in this dataset; the frequency bound of this system is numeric, and its steps are those recorded"

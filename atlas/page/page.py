@@ -77,14 +77,11 @@ class Page:
 def atlas_page(ds: xr.Dataset, *, file: str = "", max_points: int = MAX_POINTS) -> Page:
     """Make the page of an atlas: its maps, and the motion of every point, integrated in the page.
 
-    ds: an atlas. file: name of the atlas for the commands that the page shows; default that of the file it
-    was opened from. max_points: most points shown; of larger atlases every k-th value along the longest axes,
-    which the page states. Fewer are shown where their numbers would take more than `layout.MAX_BYTES`. Raises
-    BadInput for a dataset that is no atlas, or has no axes.
-
-    Variables have seven digits in the page (float32). Start values, constants, steps and the coordinates of points have all
-    their digits, so that a trajectory in the page equals that of `ds.atlas.trajectory` but for rounding: the compiled
-    kernel fuses products and sums, and a browser does not.
+    `file` is the name of the atlas in the commands of the page. Of larger atlases than max_points or
+    `layout.MAX_BYTES` every k-th value along the longest axes is shown. Raises BadInput for a dataset that is
+    no atlas, or has no axes. Variables have seven digits in the page (float32); starts, constants, steps and
+    coordinates have all, so that a trajectory equals `ds.atlas.trajectory` but for rounding: the compiled
+    kernel fuses products and sums, a browser does not.
     """
     system_of(ds)
     file = file or Path(str(ds.encoding.get("source", "atlas.nc"))).name

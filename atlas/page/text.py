@@ -42,11 +42,9 @@ RAISED, LOWERED = 1, -1
 
 
 def runs(text: str) -> list[Run]:
-    r"""Runs of equal style of a text with formulas between dollar signs.
+    r"""Runs of equal style of a text such as "$\theta_0$ (rad s$^{-1}$)", in Matplotlib's notation.
 
-    text: such as "$\theta_0$ (rad s$^{-1}$)", in the part of Matplotlib's notation that the figures use.
-    Returns each with "t", the letters, and where they are not plain "i" (italic, true) and "s" (1 raised, -1
-    lowered). A command that has no letter in `_COMMANDS` is set as its name.
+    "t" are the letters, "i" is italic, "s" 1 raised or -1 lowered. Unknown commands become their names.
     """
     parts = text.split("$")
     if len(parts) % 2 == 0:  # an unpaired dollar sign is one

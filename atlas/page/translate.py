@@ -1,8 +1,8 @@
 """Equations as JavaScript: plain Python arithmetic, translated on the syntax tree.
 
-Sums, products, quotients and square roots are correctly rounded in both languages, so that the translated functions
-return the same bits. sin, cos and the other functions of mathematical libraries may differ in the last bit. Integer
-powers become products, in the order in which Numba multiplies.
+Sums, products, quotients and square roots are correctly rounded in both languages, so that the translated
+functions return the same bits. sin, cos and the other functions of mathematical libraries may differ in the
+last bit. Integer powers become products, in the order in which Numba multiplies.
 """
 
 from __future__ import annotations
@@ -51,13 +51,10 @@ class CannotTranslate(ValueError):
 
 
 def translate(sources: Mapping[str, str]) -> str:
-    """JavaScript of some Python functions.
+    """JavaScript functions, of the same names, of Python functions; else CannotTranslate.
 
-    sources: name -> source of a function with positional parameters. It may contain assignments (also of
-    tuples), `if`, and a return; the expressions are arithmetic, comparisons, conditional expressions, tuples,
-    subscripts and slices with constant bounds, and calls of the functions of `math` and of each other.
-    Returns one JavaScript function for each, of the same name; tuples are arrays. Raises CannotTranslate for
-    anything else.
+    They may contain assignments, `if` and return; arithmetic, comparisons, conditional expressions, tuples
+    (arrays in JavaScript), subscripts and slices with constant bounds, and calls of `math` and of each other.
     """
     return "\n".join(_Function(name, text, frozenset(sources)).script() for name, text in sources.items())
 

@@ -1,7 +1,7 @@
-"""Papers held against the equations of motion: their equations as printed and as true, with measured residuals.
+"""Papers held against the equations of motion: equations as printed and as true, with residuals.
 
-A folder here is a paper. Its `equations.toml` contains the texts and, where it can, both readings as expressions;
-`published.PUBLISHED` are the rows of the catalogue. A system names its paper in `System.paper`, so that no run loads one.
+A folder here is a paper. Its `equations.toml` contains the texts and, where it can, both readings as
+expressions; `published.PUBLISHED` has the rows of the catalogue. `System.paper` names it: no run loads one.
 """
 
 from __future__ import annotations

@@ -51,10 +51,7 @@ class PaperFigure:
 
 
 def paper_figure(number: int) -> PaperFigure:
-    """Content of a figure of the paper, by its caption.
-
-    number: 1 to 20. Raises BadInput for any other number.
-    """
+    """Content of a figure of the paper, by its caption; BadInput for a number that is not in 1 to 20."""
     if number not in NUMBERS:
         raise BadInput(f"figure {number}: the paper has figures {NUMBERS[0]} to {NUMBERS[-1]}")
     half, remainder = divmod(number - 1, 10)
@@ -65,11 +62,7 @@ def paper_figure(number: int) -> PaperFigure:
 
 
 def rk4(rate: Callable[[Array], Array], y0: Array, tau: Array) -> Array:
-    """Classical Runge-Kutta method with one step between successive times.
-
-    rate: y -> dy/dtau, of the shape of y; y0: initial state, shape (state, ...); tau: times, shape (k,).
-    Returns states, shape (state, k, ...).
-    """
+    """States (state, times, ...) by the classical Runge-Kutta method, one step between successive times."""
     path = [y0]
     for h in np.diff(tau):
         y = path[-1]
@@ -82,14 +75,11 @@ def rk4(rate: Callable[[Array], Array], y0: Array, tau: Array) -> Array:
 
 
 def curves(figure: PaperFigure, tau: Array) -> dict[str, Array]:
-    """The solutions that a figure compares.
+    """Solutions (p2, p2', gamma2, gamma2') by source, (4, times, rotors).
 
-    All but "(33), true" start at (18): p2 = C A1 y1 / A, p2' = gamma2' = 0.
-
-    figure: its body and rotors; tau: times, shape (k,). Returns source -> (p2, p2', gamma2, gamma2') of shape
-    (4, k, rotors). The sources of an analytical figure are (20) and (33) as printed, the two-frequency
-    solution with the start (18), and (33) corrected; of a numerical one, by RK4, (15) as printed, the full
-    equations (1), and (15) corrected.
+    All but "(33), true" start at (18): p2 = C A1 y1 / A, p2' = gamma2' = 0. Sources of an analytical figure
+    are (20) and (33) as printed, the two-frequency solution from (18), and (33) corrected; of a numerical
+    one, by RK4, (15) as printed, the full equations (1), and (15) corrected.
     """
     spin = fast_spin.paper_body(figure.body, np.array(figure.rotors))
     y0 = fast_spin.paper_start(spin)
@@ -153,12 +143,9 @@ NOTE = "Curves of different rotors that coincide are drawn as one line of altern
 def draw(number: int) -> Figure:
     """One of the figures 1-20, 180 mm wide: on the left as printed, on the right corrected.
 
-    Time is tau = r0 t, p2 is in units of c sqrt(gamma0''). Below gamma2 over time is its difference from
-    M3 cos tau. The phase plane of gamma2, on which all solutions coincide, is drawn once, and beside it their
+    Time is tau = r0 t, p2 is in units of c sqrt(gamma0''). Below gamma2 over time is its difference from M3
+    cos tau. The phase plane of gamma2, on which all solutions coincide, is drawn once, next to the
     differences from (M3 cos tau, -M3 sin tau).
-
-    number: 1 to 20. Returns two columns of panels, or three. Raises BadInput for a number that the paper does
-    not have.
     """
     figure = paper_figure(number)
     tau = np.linspace(0.0, END, TIMES)
@@ -176,7 +163,7 @@ def draw(number: int) -> Figure:
             fig.supxlabel(NOTE, fontsize=7)
         engine = fig.get_layout_engine()
         assert engine is not None
-        engine.set(wspace=0.07)  # type: ignore[call-arg]  # the last tick of a panel beside the first of the next
+        engine.set(wspace=0.07)  # type: ignore[call-arg]  # the last tick of a panel is near the next
     return fig
 
 
@@ -242,10 +229,7 @@ def _M3(figure: PaperFigure) -> float:
 def _draw_sources(
     ax: Axes, lines: Sequence[tuple[Array, ...]], resolution: float
 ) -> tuple[list[Line2D], bool]:
-    """Draw x and y, (times, rotors), of one or two sources.
-
-    Returns an entry of the legend for each source, in grey, and whether curves of different rotors coincide.
-    """
+    """Draw one or two sources; grey legend entries, and whether curves of different rotors coincide."""
     styles = (_SINGLE,) if len(lines) == 1 else (_FIRST, _SECOND)
     handles, coincide = [], False
     for (x, y), style, level in zip(lines, styles, (2.0, 3.0), strict=False):

@@ -209,7 +209,7 @@ BORDERS: dict[str, dict[str, Any]] = {
 }
 ZERO_RATE: dict[str, Any] = {"linestyle": (0, (1.5, 1.2)), "linewidth": 1.0}
 DASHES: tuple[Any, ...] = ((0, (8, 2)), ":", "-.", "--", (0, (6, 1, 1, 1, 1, 1)))
-# The halo keeps lines visible on dark colours; it must not hide a strip of cells beside the line.
+# The halo keeps lines visible on dark colours; it must not hide a strip of cells along the line.
 HALO = 0.35  # points on each side
 
 
@@ -236,7 +236,7 @@ def border_style(kind: str) -> dict[str, Any]:
 
 
 def family_style(number: int) -> dict[str, Any]:
-    """Line of the family with this number among those of the system."""
+    """Line of the family with this number in the system."""
     return {"color": "black", "linestyle": DASHES[number % len(DASHES)], "linewidth": 1.0}
 
 
@@ -269,10 +269,9 @@ def draw_hatching(ax: Axes, mask: Mask, edges: list[np.ndarray], hatch: Hatch) -
 
 
 def _draw_lines(ax: Axes, lines: list[np.ndarray], line: dict[str, Any]) -> None:
-    """Draw lines over dark and bright colours alike.
+    """Draw lines over dark and bright colours alike, with a white halo.
 
-    The halo is white: beside the line, in the gaps of a dashed one, and below every line so that none is cut where
-    they cross.
+    It also fills the gaps of dashed lines, and is below every line so that none is cut where they cross.
     """
     halo = line | {"color": "white", "linestyle": "-", "linewidth": line["linewidth"] + 2 * HALO}
     for vertices in lines:

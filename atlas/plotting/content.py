@@ -43,11 +43,7 @@ class Panel:
 
 
 def panel_of(ds: xr.Dataset, name: str, dims: list[str], scene: Scene | None, boundary: bool) -> Panel:
-    """Content of a panel.
-
-    ds: the part of the atlas that the panel shows; name: the variable; dims: one or two axes, x first; scene:
-    scene of the atlas; boundary: whether to draw what theory predicts. Returns in memory.
-    """
+    """Content of a panel over one or two axes (x first), in memory."""
     order = dims[::-1]
     needed = [
         n
@@ -142,7 +138,7 @@ def _has_motion(ds: xr.Dataset, dims: list[str], scene: Scene, where: Mask) -> M
 
 
 def _without_gaps(ds: xr.Dataset, name: str) -> xr.DataArray:
-    """Values of the variable; where a refined atlas did not integrate, those of the nearest point that it did."""
+    """Values of the variable; where a refined atlas did not integrate, of the nearest integrated point."""
     array = ds[name]
     if flag_names(array) or "computed" not in ds:
         return array

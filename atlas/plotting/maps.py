@@ -38,17 +38,13 @@ from .style import STYLE
 
 
 def atlas_map(ds: xr.Dataset, variable: str | None = None, **options: Any) -> Figure:
-    """Map of one variable of an atlas over two of its axes, with theory drawn over it.
+    """Map of one variable of an atlas over two of its axes, with theory drawn over it, as `Atlas.map`.
 
     Flags have one colour each in every figure. Positive numbers that span more than two decades get a
     logarithmic scale of at most `scales.MAX_DECADES`, numbers of both signs a scale centred on zero, integers
-    a colour each. Axes of more than `analysis.select.MAX_CELLS` values are drawn by every k-th one. White
-    cells have no value; the legend gives the reason. Regions that are too small to be visible are not in the
-    legend but in a note below the map.
-
-    ds: an atlas. If it has one axis, the map is a strip or a line; if it has single points, a scatter map. options: fields
-    of `MapOptions`. Returns as `atlas.accessor.Atlas.map` returns it. Raises BadInput for what is not in the atlas, and
-    for options that are not allowed.
+    a colour each. White cells have no value. Regions that are too small to be visible are not in the legend
+    but in a note below the map. A single axis gives a strip or a line, single points a scatter map. Raises
+    BadInput for wrong options.
     """
     system_of(ds)
     chosen = MapOptions(**options)
@@ -158,12 +154,7 @@ def draw_scatter(ds: xr.Dataset, name: str, options: MapOptions) -> Figure:
 
 
 def scatter_axes(ds: xr.Dataset, x: str | None, y: str | None) -> list[str]:
-    """The two coordinates along the points that are the axes of a scatter map.
-
-    ds: single points. x, y: names of coordinates; None: the one with the most different values, of several
-    those that the scene varies. Returns two names, x first. Raises BadInput for a name that is no such
-    coordinate, and where fewer than two of them vary.
-    """
+    """Axes of a scatter map, x first, by default the most varied coordinates; BadInput without two."""
     allowed = [
         str(name)
         for name, coord in ds.coords.items()
@@ -190,7 +181,7 @@ def scatter_axes(ds: xr.Dataset, x: str | None, y: str | None) -> list[str]:
 
 
 def _names_varied_by_scene(ds: xr.Dataset) -> set[str]:
-    """Names with a range or a column in the scene of the points, not those that ties and families compute."""
+    """Names with a range or a column in the scene of the points, not computed by ties and families."""
     scene = scene_of(ds)
     if scene is None:
         return set()
@@ -207,7 +198,7 @@ def _is_logarithmic(column: np.ndarray) -> bool:
 
 
 def _draw_dots(ax: Axes, columns: list[np.ndarray], array: xr.DataArray, scale: ColorScale) -> ScalarMappable:
-    """Draw the points, those with rare flags above the others."""
+    """Draw the points, rare flags on top."""
     values = array.values.astype(np.int8) if array.dtype == bool else array.values
     order = np.arange(values.size)
     if flag_names(array):

@@ -22,10 +22,7 @@ MIN_DPI, MAX_DPI = 10.0, 2400.0
 
 @dataclass(frozen=True)
 class MapOptions:
-    """Options of a map, as `atlas.accessor.Atlas.map` describes them.
-
-    Raises BadInput for a value that is allowed for no variable.
-    """
+    """Options of a map, see `atlas.accessor.Atlas.map`; BadInput for a value that suits no variable."""
 
     x: str | None = None
     y: str | None = None

@@ -40,11 +40,7 @@ class Sheet:
         return min(self.panels, 2 if self.options.size_mm[0] < 130 else 4)
 
     def figure(self, legend: Entries, notes: Sequence[str]) -> tuple[Figure, list[Axes]]:
-        """The figure with empty panels, and with its legend, title and notes.
-
-        legend: entries of the legend. notes: sentences at the foot of the figure; where the Axes are the
-        caller's they go to the log. Returns axes, one for each panel.
-        """
+        """The figure with empty panels, legend, title and notes; notes on the caller's Axes are logged."""
         options = self.options
         legend = legend if options.legend else {}
         if options.ax is not None:
@@ -117,12 +113,7 @@ Entries = dict[str, Artist]
 def map_legend(
     panels: Sequence[Panel], flags: Mapping[str, str], options: MapOptions, families: Sequence[str]
 ) -> tuple[Entries, list[str]]:
-    """Entries of a legend, and notes about regions that are too small to be visible.
-
-    panels: content of the map; flags: flags of the variable, in the order of their values, and their colours;
-    options: choices of the caller; families: all families of the system, in order. Returns entries, text ->
-    sample of the colour, hatching or line; notes, sentences.
-    """
+    """Legend (text -> sample of colour, hatching or line), and notes about regions too small to see."""
     entries, too_small = _regions(panels, flags, options)
     for kind in dict.fromkeys(kind for panel in panels for kind in panel.borders):
         entries[f"{as_math(kind)} (theory)"] = Line2D([], [], **border_style(kind))

@@ -42,8 +42,6 @@ def figure(ds: xr.Dataset) -> Figure:
     """Verdict on every point at every level, two panels for each method: fixed steps, and automatic ones.
 
     A dot marks accurate rates; a cross marks a statistic that is off by more than ten times its estimate.
-
-    ds: as `validation.stress.stress` returns it. Returns 180 mm wide, a row for each case.
     """
     cases = ds["case"].values
     first = np.flatnonzero(np.r_[True, cases[1:] != cases[:-1]])  # point of each case

@@ -79,11 +79,7 @@ SYMBOLS = {
 
 
 def flag_colours(meanings: Iterable[str]) -> dict[str, str]:
-    """Colours of the flags of a variable, the same in every figure.
-
-    meanings: names of the flags in the order of their values. Returns name -> colour. Those without an entry
-    in COLOURS get even steps of luminance; the first is white.
-    """
+    """Colours of flags, in order of value: COLOURS, then even steps of luminance from white."""
     names = list(meanings)
     # Both begin with white, beyond the light end of the colour map; the second map has more distinct colours.
     few = len(names) <= MAX_EVEN_SHADES
@@ -99,10 +95,7 @@ class PrintFigure(Figure):
     """A figure that `savefig` writes in the style of this module and at the resolution of the figure."""
 
     def savefig(self, fname: Any, **options: Any) -> None:
-        """Write the figure, with the options of Matplotlib; letters that FONT does not have are drawn as boxes.
-
-        fname: where to write; options: as of `matplotlib.figure.Figure.savefig`.
-        """
+        """Write the figure as Matplotlib does; letters that FONT does not have are drawn as boxes."""
         with rc_context(STYLE), warnings.catch_warnings():
             warnings.filterwarnings("ignore", "Glyph .* missing from")
             super().savefig(fname, **{"dpi": self.dpi} | options)
@@ -114,12 +107,7 @@ def check_width(width: str) -> None:
 
 
 def save(figure: Figure, path: str | Path, dpi: float | None = None) -> None:
-    """Write a figure as PNG, PDF or SVG, all of it or nothing.
-
-    figure: the figure; the same figure gives the same bytes. path: file to write; its suffix is the format.
-    dpi: resolution of PNG files and of the cells in the others; default 600. Raises BadInput for another
-    suffix, and for a path that cannot be written.
-    """
+    """Write a figure as PNG, PDF or SVG (else BadInput), with reproducible bytes, all of it or nothing."""
     path = writable(path, FORMATS, force=True)
     kind = path.suffix.lower()[1:]
     # No date in the file, so that the same atlas gives the same bytes.

@@ -21,7 +21,7 @@ STATISTICS = {"mean": "mean", "rms": "rms", "std": "standard deviation of", "min
 
 
 def axis_label(ds: xr.Dataset, dim: str, *, unit: bool = True) -> str:
-    """Symbol and unit of an axis: those of the registry, or the long_name and units that the scene gave."""
+    """Symbol and unit of an axis from the registry, or the long_name and units in the scene."""
     system, attributes = system_of(ds), ds[dim].attrs
     text = attribute_text(attributes, "long_name", dim)
     stem = dim.removesuffix("_offset")
@@ -38,8 +38,7 @@ def axis_label(ds: xr.Dataset, dim: str, *, unit: bool = True) -> str:
 def drawable(text: str) -> str:
     """A text as a figure draws it; every text that is not the program's own passes this function.
 
-    Its lines are `printable` and at most MAX_MESSAGE characters long, and the dollar signs of a line are escaped that
-    Matplotlib cannot read as one with formulas: it raises errors where a formula is not one.
+    Lines are `printable` and of limited length, with dollar signs escaped where Matplotlib finds no formula.
     """
     return "\n".join(_drawable_line(printable(line, MAX_MESSAGE)) for line in text.split("\n"))
 
@@ -61,10 +60,8 @@ def _drawable_line(line: str) -> str:
 def math_text(text: str, symbols: Mapping[str, str]) -> str:
     """A text with its formulas and symbols in Matplotlib's mathematical notation.
 
-    text: such as "C/A", "K1 = (C - A)/B" or "rotor momentum l3"; symbols: symbols of names, such as those of
-    parameters. Returns one formula if all words are names or symbols; in other texts only names that can be
-    no words: those with a digit, Greek letters, and a parameter at the end. A text that has mathematics of
-    its own is returned as it is.
+    One formula if all words are names or symbols; else only names that can be no words: with a digit, Greek
+    letters, and a parameter at the end. A text that has mathematics of its own is returned as it is.
     """
     if "$" in text:
         return text
@@ -134,11 +131,7 @@ def _symbol(name: str, system: System) -> str:
 
 
 def caption(ds: xr.Dataset) -> str:
-    """What a figure of an atlas shows and how it was computed.
-
-    ds: an atlas, or the part of it that the figure shows. Returns system, parameters, duration, tolerances,
-    nudge, program, in one line.
-    """
+    """What a figure of an atlas shows and how it was computed, in one line."""
     system, scene, attributes = system_of(ds), scene_of(ds), ds.attrs
     sentences = [
         f"{attribute_text(attributes, 'title', 'Atlas')}: {system.title}"

@@ -41,14 +41,10 @@ NOTE = SYMBOLS["normal_rate"] + ": angular velocity relative to the frame along 
 def trajectory_figure(tr: xr.Dataset, *, width: Width = "page") -> Figure:
     """Angles and rates over time, and the path of the third body axis on the unit sphere of the frame.
 
-    Of a system with observables: the observables over time, a panel for each, at most MAX_PANELS.
-
-    psi and phi are shown between -pi and pi. The path is dark on the near side of the sphere and pale on
-    the far side, with a dot at its start. A path that stays close to a direction is drawn once more, enlarged, in
-    the plane perpendicular to that direction. Rates that grow without bound near the vertical are clipped.
-
-    tr: as `atlas.trajectory` returns it; width: 180 mm or 88 mm. Returns three panels over time, the sphere,
-    and where the path is small its enlargement. Raises BadInput if the dataset is no trajectory.
+    Or the observables of the system, at most MAX_PANELS. psi and phi are shown between -pi and pi. The path
+    is dark on the near side of the sphere and pale on the far side, with a dot at its start; one that stays
+    close to a direction is also drawn enlarged, in the plane perpendicular to it. Rates that grow without
+    bound near the vertical are clipped. Raises BadInput if the dataset is no trajectory.
     """
     check_width(width)
     if "time" in tr.dims and "atlas_system" in tr.attrs and (observables := system_of(tr).observables):
@@ -215,7 +211,7 @@ def _draw_sphere(ax: Axes, path: np.ndarray, names: Sequence[str]) -> None:
         draw(parallel, "0.7", 0.6 if latitude == 0 else 0.3, 1)
     for direction, name in zip(np.eye(3), names, strict=True):
         tip = project(direction)
-        outside = tip / np.linalg.norm(tip)  # the label is beside the disc, where no path is
+        outside = tip / np.linalg.norm(tip)  # the label is outside the disc, where no path is
         ax.plot(*np.transpose([tip, 1.1 * outside]), color="0.3", linewidth=0.8, zorder=2)
         x, y = 1.14 * outside
         side = "center" if abs(x) < 0.3 else "left" if x > 0 else "right"

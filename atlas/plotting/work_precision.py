@@ -11,15 +11,12 @@ from ..validation.work_precision import nanmedian
 from ..validation.work_precision_report import summary
 
 COLOURS, MARKERS = ("#1b6ca8", "#e0892b", "#262626", "#8c4799"), "os^D"
-# Errors above this are those of states unrelated to the motion; they are not drawn.
+# States with larger errors are unrelated to the motion; they are not drawn.
 MAX_ERROR_DRAWN = 3.0
 
 
 def figure(ds: xr.Dataset) -> Figure:
-    """Median errors against processor time per point, for each method: states (solid), rates or observables (dotted).
-
-    ds: as `validation.work_precision.work_precision` returns it. Returns with one panel, 3.5 inches wide.
-    """
+    """Median errors against time per point, by method: states (solid), rates or observables (dotted)."""
     rows = summary(ds)
     with rc_context({"font.size": 8, "legend.fontsize": 7, "axes.linewidth": 0.6}):
         fig = Figure(figsize=(3.5, 2.8), layout="constrained")

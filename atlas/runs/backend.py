@@ -15,17 +15,13 @@ from ..files import read_json
 
 
 class AtlasBackend(BackendEntrypoint):
-    """Engine of xarray for atlases.
-
-    Without `engine` xarray opens run folders by it, and files by its own engines, which do not compare values
-    with their checksums.
-    """
+    """Engine of xarray for atlases, which compares values with their checksums, as its own engines do not."""
 
     description = "Opens run folders and atlases of Precession Atlas"
     open_dataset_parameters = ("filename_or_obj", "drop_variables")
 
     def guess_can_open(self, filename_or_obj: Any) -> bool:
-        """Whether a path is that of a run folder."""
+        """Whether a path leads to a run folder."""
         if not isinstance(filename_or_obj, str | os.PathLike):
             return False
         try:
@@ -36,11 +32,7 @@ class AtlasBackend(BackendEntrypoint):
     def open_dataset(
         self, filename_or_obj: Any, *, drop_variables: str | Iterable[str] | None = None
     ) -> xr.Dataset:
-        """Open an atlas as `atlas.open_atlas` does.
-
-        filename_or_obj: an atlas, or a run folder; drop_variables: variables to leave out. Returns lazy; of a
-        run folder with chunks={} a chunk for each tile. Raises BadInput as `atlas.open_atlas`.
-        """
+        """Open an atlas as `atlas.open_atlas` does; of a run folder chunks={} gives a chunk for each tile."""
         from .open import open_atlas
 
         if not isinstance(filename_or_obj, str | os.PathLike):

@@ -95,13 +95,7 @@ def _client(cluster: Any) -> Iterator[Client]:
 
 
 def check_workers(client: Client, check: Callable[..., None], arguments: tuple[Any, ...]) -> None:
-    """Run a check on every worker, after comparing the versions of dask everywhere.
-
-    Workers that join later are not checked.
-
-    check: called on each worker as check(*arguments); raises BadInput if something is wrong. Raises BadInput
-    if the scheduler or a worker has another version of dask, or if a check fails.
-    """
+    """Raise BadInput if a worker has another dask or fails `check`, except workers that join later."""
     different = _different_versions(client.get_versions())
     if different:
         raise BadInput(f"versions of dask must be the same everywhere: {different}")
@@ -113,7 +107,7 @@ def check_workers(client: Client, check: Callable[..., None], arguments: tuple[A
 
 
 def _different_versions(versions: Any) -> str:
-    """In `Client.get_versions()`: versions of dask that differ from those of the client, in one line."""
+    """Versions of dask in `Client.get_versions()` that differ from the client's, in one line."""
     servers = {"the scheduler": versions["scheduler"]}
     servers |= {f"worker {address}": info for address, info in versions["workers"].items()}
     expected = versions["client"]["packages"]
@@ -131,12 +125,10 @@ def for_each(
     arguments: Iterable[tuple[Any, ...]],
     on_result: Callable[[Any], None],
 ) -> None:
-    """Call a task on the workers for each tuple of arguments.
+    """Call a task on the workers for each tuple of arguments, and `on_result` here as results come.
 
-    task: called as task(*arguments). It must be harmless to run twice. arguments: the next one is taken when
-    a worker is free; on_result: called in this process with each result, in the order in which the tasks end.
-    Raises Exception: what a task raised; OSError if workers died under every attempt, or if the scheduler is
-    lost.
+    It must be harmless to run a task twice. Raises a task's error, or OSError if each attempt lost its
+    worker.
     """
     source = iter(arguments)
     in_flight: dict[Future[Any], tuple[tuple[Any, ...], int]] = {}

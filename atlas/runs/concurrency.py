@@ -17,10 +17,8 @@ Advance = Callable[[float], None]  # takes a number of finished points
 def tiles_in_flight(plan: ScenePlan, threads: int | None) -> int:
     """Number of tiles to compute at a time.
 
-    Usually two, so that the processors stay busy while one tile is prepared or written; more where a tile
-    is too small to give every thread a call of the kernel; one on a single processor.
-
-    threads: threads of the kernel; None for all processors of this process.
+    Usually two, so that the processors stay busy while one tile is prepared or written; more where a tile is
+    too small to give every thread a call of the kernel; one on a single processor.
     """
     threads = threads or blocks.available_threads()
     if threads == 1:
@@ -36,12 +34,7 @@ class _StoppedError(Exception):
 def for_each_tile(
     tiles: Iterable[int], compute: Callable[[int, Advance], None], advance: Advance, in_flight: int
 ) -> None:
-    """Compute tiles in threads; after an error or Ctrl-C abandon those in flight and raise it.
-
-    tiles: tiles to compute; the next one is taken when a thread is free. compute: called as compute(tile,
-    advance); it must call advance(points) as its points are finished. advance: called with the number of
-    finished points; in_flight: tiles computed at a time.
-    """
+    """Call compute(tile, advance) in threads; after an error or Ctrl-C abandon tiles and raise it."""
     source, lock, stop = iter(tiles), threading.Lock(), threading.Event()
 
     def advance_or_stop(points: float) -> None:

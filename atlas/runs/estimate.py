@@ -39,12 +39,7 @@ class _Measurement:
 
 
 def dry_run(scene: Scene, *, threads: int | None = None, workers: int | None = None) -> str:
-    """Estimate what running a scene takes, from a short run of some of its points.
-
-    threads, workers: as for `run`. Returns lines of text: points and tiles, size of the file, time, what the
-    other method would cost, memory, expected phase error, and the share of points that `max_steps` gives
-    fewer steps than the tolerance asks for, if any. Raises BadInput as `run` does.
-    """
+    """Estimate what running a scene takes, from a short run of some points, as text; BadInput as `run`."""
     plan = ScenePlan.of(scene)
     tiles, exists = plan.tiling, plan.sample.exists
     processors = workers or threads or blocks.available_threads()
@@ -109,10 +104,7 @@ def _measure(plan: ScenePlan, threads: int) -> _Measurement:
 
 
 def _calibration(plan: ScenePlan, threads: int) -> ScenePlan:
-    """The plan for some of its points, with duration and max_steps so small that a measurement is short.
-
-    Derived variables are left out: they may take long.
-    """
+    """Scene and points of a short measurement, with small duration and max_steps, without slow variables."""
     outputs = tuple(name for name in plan.scene.outputs if name not in plan.scene.system.derived)
     exists = np.flatnonzero(plan.sample.exists)
     chosen = exists[np.linspace(0, exists.size - 1, min(exists.size, CALIBRATION_POINTS)).astype(np.int64)]

@@ -72,19 +72,12 @@ RESULT = "atlas_result"  # attribute of an atlas with its `result_hash`
 
 
 class RunFolder:
-    """One run on disk.
-
-    Made by `RunFolder.prepare` (to compute) or `RunFolder.open` (to read). May be sent to other processes,
-    which open the folder themselves.
-
-    manifest: content of manifest.json. key: hash of the scene, the programs and the tiling; every tile
-    carries it.
-    """
+    """One run on disk, which other processes open themselves when it is sent to them."""
 
     def __init__(self, path: Path, manifest: dict[str, Any]):
         self.path = path
         self.manifest = manifest
-        self.key = str(manifest["key"])
+        self.key = str(manifest["key"])  # hash of scene, programs and tiling; every tile carries it
         self.scene = parse_scene(str(manifest["scene"]))
         self.tiling = Tiling(self.scene.shape, tuple(manifest["tile"]))
         self.tiling.check()
@@ -95,10 +88,7 @@ class RunFolder:
 
     @classmethod
     def open(cls, path: str | Path) -> RunFolder:
-        """Open an existing run folder.
-
-        Raises BadInput if the path is not a run folder, its manifest is damaged, or another version wrote it.
-        """
+        """Open a run folder; BadInput if it is none, its manifest is damaged, or another version wrote it."""
         path = Path(path).absolute()
         file = path / MANIFEST
         try:
@@ -130,11 +120,7 @@ class RunFolder:
 
     @classmethod
     def prepare(cls, plan: ScenePlan, path: Path, warnings: list[str]) -> RunFolder:
-        """Create the run folder of a scene, or open it to be continued.
-
-        warnings: warnings about the scene, for the attributes of the atlas. Raises BadInput if the folder holds another run (the message lists the differences) or
-        anything else; the folder is then unchanged.
-        """
+        """Create the run folder of a scene, or open it to be continued; BadInput for anything else in it."""
         path = path.absolute()
         if not (path / MANIFEST).exists():
             _check_new_folder(path)
@@ -152,10 +138,7 @@ class RunFolder:
 
     @classmethod
     def discard(cls, plan: ScenePlan, path: Path) -> None:
-        """Remove the run folder at `path` if it holds another scene, or a run of another version.
-
-        BadInput if a process computes it.
-        """
+        """Remove a folder with another scene's or version's run; BadInput if a process computes it."""
         if not (path / MANIFEST).exists():
             return
         try:
@@ -233,10 +216,7 @@ class RunFolder:
         return f"{self.tiles.written_count()} of {self.tiling.count} tiles are in {path if path[0] != '.' else self.path}/"
 
     def status(self) -> str:
-        """State of the tiles and of the processes that compute them, as text; reads all of every tile.
-
-        Removes temporary files of processes that were killed, also those of joins beside the folder.
-        """
+        """State of processes and tiles, all of which are read; removes files of killed processes."""
         self.remove_leftovers()
         remove_leftovers(self.path.parent)
         status, tiling = self.tiles.status(), self.tiling
@@ -268,10 +248,7 @@ class RunFolder:
         return "\n".join(printable(line, MAX_MESSAGE) for line in lines)
 
     def dataset(self) -> xr.Dataset:
-        """The atlas as far as it is computed.
-
-        Returns with dask arrays that have a chunk for each tile; missing points are `not_computed` and nan.
-        """
+        """The atlas so far, with a dask chunk for each tile; missing points are `not_computed` and nan."""
         import dask.array as da
 
         chunks = da.core.normalize_chunks(self.tiling.tile, self.scene.shape)
@@ -288,10 +265,7 @@ class RunFolder:
         return ds.assign_attrs(provenance | self.final_attributes())
 
     def _provenance(self) -> tuple[dict[str, Any], Tally | None]:
-        """Provenance of the tiles that are written, and the tally of all points if they are.
-
-        Seconds and speed are those of all processes together.
-        """
+        """Provenance of the written tiles, summed over processes, and the tally if all are written."""
         points, seconds, tiles_by = 0, 0.0, Counter[str]()
         tally: Tally | None = Tally()
         for sidecar in self.tiles.sidecars():
@@ -339,11 +313,9 @@ class RunFolder:
             ) from None
 
     def join(self, out: Path) -> None:
-        """Write the whole atlas as one file, tile by tile, so that memory does not grow with its size.
+        """Write the atlas as a NetCDF file or .zarr store, tile by tile, in memory of constant size.
 
-        out: a NetCDF file, or with the suffix .zarr a Zarr store. What exists is replaced. Raises BadInput if
-        a tile is missing or damaged, or the package zarr is; `out` is then unchanged. Raises OSError if the
-        disk is full; likewise.
+        `out` is replaced, or kept after BadInput (a tile or the package zarr is missing) and OSError.
         """
         missing = len(self.tiles.missing())
         if missing:

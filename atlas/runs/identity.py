@@ -20,12 +20,7 @@ from ..systems.base import System
 
 
 def identity(plan: Plan) -> dict[str, str]:
-    """Programs and processor on which the bits of an atlas depend, as they are in the memory of this process.
-
-    Returns versions of programs and libraries, hashes of this package's sources and of the kernel, and the
-    type of processor. Raises BadInput if sources of the package were written after this process had imported
-    it. What is loaded may then be neither the old nor the new code.
-    """
+    """Versions, hashes and processor on which bits depend; BadInput if sources changed since the import."""
     import llvmlite
     import numba
 
@@ -72,11 +67,7 @@ def _system_code(system: System) -> dict[str, str]:
 def differences(
     expected: Mapping[str, Any], actual: Mapping[str, Any], expected_place: str, actual_place: str
 ) -> str:
-    """Entries that differ, in one line.
-
-    expected_place, actual_place: where each of them was taken from, such as "in the run" and "in the worker".
-    Returns empty if all are equal.
-    """
+    """Entries that differ, in one line with the places, such as "in the run" and "in the worker"."""
     return ", ".join(
         f"{name} ({expected.get(name, 'nothing')} {expected_place}, {actual.get(name, 'nothing')} {actual_place})"
         for name in {**expected, **actual}

@@ -47,18 +47,16 @@ def refined(
 ) -> xr.Dataset:
     """Compute the atlas of a scene that has [refine], on its finest grid.
 
-    The coarse grid is integrated. At each level the spacing is halved and the points within BOUNDARY_WIDTH
-    of two points with different flags are integrated, until every boundary runs between integrated points.
-    On the finest grid two more sets of points are integrated, and boundaries that appear there are traced in
+    The coarse grid is integrated. At each level the spacing is halved and the points within BOUNDARY_WIDTH of
+    two points with different flags are integrated, until every boundary runs between integrated points. On
+    the finest grid two more sets of points are integrated, and boundaries that appear in them are traced in
     the same way: first the points near boundaries of what theory predicts (it is evaluated at every point),
-    and those where an instability has hardly time to grow; then the probe, a random share of all others.
+    and the points where an instability has hardly time to grow; then the probe, a random share of all others.
 
-    warnings: warnings about the scene, for the attributes. threads: default: all processors of this process.
-    progress: print a line to stderr after each level. Returns as from `run`, with the flag variable
-    `computed`. Where it is `interpolated`, measured flags are those of neighbouring points and measured
-    numbers are nan. Attributes: atlas_computed_share, the share of points integrated among those where the
-    family exists; atlas_probe_points and atlas_probe_missed, the number of points of the probe and how many
-    of them had other flags than assumed.
+    Where the variable `computed` is `interpolated`, measured flags are copied from neighbours and measured
+    numbers are nan. Attributes: atlas_computed_share, the share of points integrated among the points where
+    the family exists; atlas_probe_points and atlas_probe_missed, the size of the probe and how many of its
+    points had unexpected flags.
     """
     scene = plan.scene
     assert scene.refine is not None
@@ -155,10 +153,7 @@ class _FineGrid:
         return points.reason
 
     def refine_to(self, level: int) -> None:
-        """Compute the grid of a level; level 0 is the coarse grid, all of which is integrated.
-
-        At the others each new point is first assumed to have the flags of a neighbour.
-        """
+        """Compute all of the grid at level 0; later, new points first assume the flags of a neighbour."""
         coarsening = self.scene.coarsening
         spacing = [max(factor >> level, 1) for factor in coarsening]
         subgrid = _subgrid(spacing)
@@ -192,10 +187,7 @@ class _FineGrid:
         self.trace_boundary(finest)
 
     def probe(self, share: float) -> tuple[int, int]:
-        """Integrate a random share of the points not computed, then trace boundaries.
-
-        Returns the number of points of the probe, and of those with other flags than assumed.
-        """
+        """Integrate a random share of the rest and trace boundaries; the numbers of points and surprises."""
         not_computed = np.flatnonzero(~self.computed)
         count = math.ceil(share * not_computed.size)
         chosen = np.random.default_rng(SEED).choice(not_computed, count, replace=False)
@@ -274,11 +266,9 @@ def expected_points(plan: ScenePlan) -> float:
     """Expected number of points that `refined` integrates, from the boundaries that theory predicts.
 
     The refinement is simulated on a grid of at most MAX_PREDICTED points, with predictions in place of
-    measurements. On each finer grid the points near boundaries grow like the length (area, ...) of these in units of
-    the spacing, and those of slow instabilities like the number of all points. A boundary that theory does not predict
-    is not counted.
-
-    plan: of a scene with [refine].
+    measurements. On each finer grid the points near boundaries grow like the length (area, ...) of the
+    boundaries in units of the spacing, and the points of slow instabilities like the number of all points. A
+    boundary that theory does not predict is not counted.
     """
     scene = plan.scene
     assert scene.refine is not None
@@ -297,7 +287,7 @@ def expected_points(plan: ScenePlan) -> float:
         expected = existing_share * math.prod(
             -(-n // f) for n, f in zip(scene.shape, scene.coarsening, strict=True)
         )
-    new_share = 1 - 2.0**-n_axes  # of the points of a level, those that no coarser level has
+    new_share = 1 - 2.0**-n_axes  # share of the points of a level that no coarser level has
     first = max(finer - levels, 0) + 1
     expected += new_share * near * sum(2 ** ((n_axes - 1) * i) for i in range(first, finer + 1))
     expected += slow * (2 ** (n_axes * finer) - 1)
@@ -320,9 +310,9 @@ def _coarser(scene: Scene, levels: int) -> Scene:
 def _growth_needed(scene: Scene) -> float:
     """Product of growth rate and duration above which all nudged unstable points but EXPECTED_MISSES drift.
 
-    A nudge survives if its component along the unstable motion is a smaller share of it than
-    rate_tolerance / nudge * exp(-growth). That is the share of such starts among all points, in regions
-    narrower than the spacing of the grid. Without a nudge no point drifts: -inf.
+    A nudge survives if its component along the unstable motion is a smaller share of it than rate_tolerance /
+    nudge * exp(-growth). This is the share of such starts among all points, in regions narrower than the
+    spacing of the grid. Without a nudge no point drifts: -inf.
     """
     nudge = max(map(abs, scene.nudge.values()), default=0.0)
     if nudge == 0:

@@ -188,10 +188,7 @@ def _folder_of(path: Path) -> Path:
 
 
 def _complete(folder: RunFolder, plan: ScenePlan, execution: _Execution, progress: bool) -> Progress:
-    """Compute the missing tiles of a run folder or of one shard of it, and the attributes of the finished run.
-
-    Returns the progress, which says that this process is at work until it is closed.
-    """
+    """Compute the missing tiles of a folder or shard; the progress is at work until it is closed."""
     explain_kept(folder.progress_text)
     job = _Job(folder, execution.shard or (1, 1))
     job.warn_of_damage()
@@ -225,8 +222,7 @@ def _run_to_file(
 ) -> xr.Dataset:
     """Compute an atlas in its run folder, join it, and remove the folder.
 
-    Another process may do the same at the same time. The first one to end removes the folder under the
-    other, whose error then means that the file is finished.
+    If another process did the same, it may have removed the folder; the error then means a finished file.
     """
     before, bar, folder = _stamp(path), None, None
     try:
@@ -349,10 +345,7 @@ class _Job:
         )
 
     def remaining_tiles(self, bar: Progress) -> Iterator[int]:
-        """Unfinished tiles one by one, without those that another process has finished in the meantime.
-
-        They begin at a random tile, so that processes which run at the same time share the work.
-        """
+        """Unfinished tiles one by one, from a random one on, so that parallel processes share the work."""
         first = random.randrange(len(self.unfinished))
         for tile in self.unfinished[first:] + self.unfinished[:first]:
             if tile not in self.status.damaged and self.folder.tiles.is_done(tile):
@@ -429,19 +422,12 @@ def _compute_on_cluster(job: _Job, bar: Progress, execution: _Execution) -> None
 
 
 def check_worker(path: str, key: str) -> None:
-    """Raise BadInput unless this process, a dask worker, computes the same bits as the client of a run.
-
-    path: the run folder. key: key that the run must have; the identity of the client is part of it.
-    """
+    """Raise BadInput unless this worker computes the same bits as the client of a run, which made the key."""
     _open_cached(path, key)
 
 
 def compute_tile(path: str, key: str, tile: int) -> int:
-    """Compute and write one tile of a run folder with one thread: the task of a dask worker.
-
-    path: the run folder. key: key that the run must have; the identity of the client is part of it. Returns
-    the tile. Raises BadInput if the folder holds another run, or this process would compute other bits.
-    """
+    """Compute and write one tile with one thread, the task of a dask worker; BadInput as `check_worker`."""
     folder, tiles, plan = _open_cached(path, key)
     stopwatch = Stopwatch()
     columns, computed = _tile_columns(plan, folder, tile, 1, None)

@@ -65,16 +65,11 @@ def tile_types(scene: Scene) -> dict[str, str]:
 
 
 class Tally:
-    """What the summary of a run prints of its points: numbers that are added or compared, tile by tile.
-
-    counts: name of a flag variable, or of a group of GROUPS -> number of points with each flag, or in each
-    bin of errors; flags and bins as texts, because JSON has no other keys. largest: largest error_estimate of
-    each group, and the largest integral_drift.
-    """
+    """What the summary of a run prints of its points: numbers that are added or compared, tile by tile."""
 
     def __init__(self, entries: Mapping[str, Any] | None = None):
         entries = entries or {"counts": {}, "largest": {}}
-        self.counts = {
+        self.counts = {  # points by flag variable and flag, or by group of GROUPS and bin of errors
             str(name): Counter({str(value): int(count) for value, count in counts.items()})
             for name, counts in entries["counts"].items()
         }
@@ -82,7 +77,7 @@ class Tally:
 
     @classmethod
     def of(cls, columns: Mapping[str, np.ndarray]) -> Tally:
-        """Tally of some points, whose variables are of the same shape; others than those counted are ignored."""
+        """Tally of some points, whose variables are of the same shape; other variables are ignored."""
         tally = cls()
         for name in COUNTED:
             if name in columns:
@@ -114,10 +109,7 @@ class Tally:
 
 
 class TileFiles:
-    """The tiles of one run, in one folder.
-
-    key: key of the run, written into every file.
-    """
+    """The tiles of one run, in one folder."""
 
     def __init__(self, folder: Path, key: str, scene: Scene, tiling: Tiling):
         self.folder = folder
@@ -145,12 +137,9 @@ class TileFiles:
     def write(
         self, tile: int, columns: dict[str, np.ndarray], *, computed: int, seconds: float, by: str
     ) -> None:
-        """Write a tile and then its sidecar, which marks the tile as written.
+        """Write a tile, then the sidecar that marks it as written.
 
-        columns: everything that `tile_types` names, each of shape (points of the tile,). computed: points
-        where the family exists; all others are `not_computed` for good. seconds: wall-clock time that the
-        tile took; by: what computed it, such as "16 threads". Raises OSError if the disk is full or cannot be
-        written, or if what is read back is not what was computed.
+        `computed` counts the points where the family exists. Raises OSError if the tile reads back otherwise.
         """
         path, shape = self.path(tile), self.tiling.shape_of(tile)
         points = math.prod(shape)
@@ -189,11 +178,7 @@ class TileFiles:
             temporary.write_text(sealed(sidecar), encoding="utf-8")
 
     def read(self, tile: int, names: Iterable[str] | None = None) -> dict[str, np.ndarray]:
-        """Read variables of a tile after checking its hash, key, shape and number of computed points.
-
-        names: default: all variables. Returns each of the shape of the tile. Raises FileNotFoundError if the
-        tile is not written. Raises DamagedTileError if it is, but fails a check.
-        """
+        """Checked variables of a tile, default all; FileNotFoundError, DamagedTileError if a check fails."""
         sidecar = self._sidecar(tile)
         content = self._content(tile, sidecar)
         return self._arrays(tile, content, sidecar["computed"], self.types if names is None else names)
@@ -268,7 +253,7 @@ class TileFiles:
         return status
 
     def sidecars(self) -> Iterator[dict[str, Any]]:
-        """Sidecars of all tiles that are written, those that cannot be read left out."""
+        """Readable sidecars of all tiles that are written."""
         for name in self._file_names():
             if name.endswith(".json") and not name.startswith("."):
                 with suppress(FileNotFoundError, DamagedTileError):
@@ -296,10 +281,7 @@ class TileFiles:
         return [self._error(tile) for tile in tiles]
 
     def _error(self, tile: int) -> Exception | None:
-        """Error on reading a tile, if any.
-
-        A file that has its hash is the one that `write` has read back, and need not be opened.
-        """
+        """Error on reading a tile, if any; a file that has its hash was read back by `write`."""
         try:
             sidecar = self._sidecar(tile)
             content = self._content(tile, sidecar)

@@ -19,14 +19,10 @@ MAX_TILES, MAX_TILE_POINTS = 8_000_000, 1_000_000
 
 @dataclass(frozen=True)
 class Tiling:
-    """A grid cut into equal boxes, each a contiguous range of flat C-order indices.
-
-    shape: shape of the grid. tile: shape of a tile: 1, ..., 1, some rows, then whole axes. Tiles at the end
-    of an axis may be shorter.
-    """
+    """A grid cut into boxes, each a contiguous range of flat C-order indices; the last may be shorter."""
 
     shape: tuple[int, ...]
-    tile: tuple[int, ...]
+    tile: tuple[int, ...]  # 1, ..., 1, some rows, then whole axes
 
     @classmethod
     def of(cls, shape: tuple[int, ...], max_points: int) -> Tiling:

@@ -211,10 +211,7 @@ Annotated = TypeVar("Annotated", bound=Callable[..., Any])
 
 
 def typed(target: Annotated) -> Annotated:
-    """A public function, or a class with all of its public methods, that raises BadInput for arguments of wrong types.
-
-    Arguments whose annotation has another type than _TYPES are left to the function.
-    """
+    """Make a function or a class's public methods raise BadInput for wrong types, where _TYPES has them."""
     if isinstance(target, type):
         for name, method in vars(target).copy().items():
             if inspect.isfunction(method) and not name.startswith("_"):
@@ -260,10 +257,7 @@ def interval(key: str, table: Mapping[str, Any]) -> tuple[float, float, str]:
 def checked(
     check: Check[Any], default: Any = dataclasses.MISSING, section: str = "", description: str = ""
 ) -> Any:
-    """Field of a dataclass that is read from a table of a scene; without a default the key is needed.
-
-    section: key of the table, for a class that is read from more than one.
-    """
+    """Dataclass field read from a table (`section`, if of several); without a default its key is needed."""
     metadata = {"check": check, "section": section, "description": description}
     return dataclasses.field(default=default, metadata=metadata)
 
@@ -291,13 +285,7 @@ def table_schema(cls: type, section: str = "") -> dict[str, Any]:
 def from_table(
     cls: type, table: Mapping[str, Any], section: str, also: Collection[str] = ()
 ) -> dict[str, Any]:
-    """Arguments of a dataclass with `checked` fields, from the table under the key `section`.
-
-    cls: the dataclass; the names of its fields are the keys of the table. table: the table as TOML gives it.
-    section: key of the table. Fields that name another section are left out. also: keys of the table that the
-    caller reads. Returns field -> checked value, for the keys that the table gives. Raises BadInput for an
-    unknown key, a missing one, and a value that does not pass the check of its field.
-    """
+    """Checked arguments of a dataclass from a table; BadInput for bad, missing and other keys than `also`."""
     fields = _fields(cls, section)
     check_keys(table, f"{section}.", [*also, *fields])
     needed = [name for name, field in fields.items() if field.default is dataclasses.MISSING]

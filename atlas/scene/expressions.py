@@ -44,14 +44,7 @@ _ALLOWED = f"allowed: + - * / **, {', '.join(FUNCTIONS)}, pi, numbers and other 
 
 
 class Expression:
-    """Arithmetic in names, parsed once and evaluated on arrays.
-
-    key: key of the expression in the scene, such as "ties.C"; error messages begin with it. text: the
-    expression: numbers, names, pi, + - * / ** and the functions of `FUNCTIONS`. Raises BadInput if the text
-    is anything but arithmetic, or longer than `MAX_LENGTH`.
-
-    names: the names that the expression refers to.
-    """
+    """Arithmetic in names, numbers, pi, + - * / ** and FUNCTIONS, parsed once; else BadInput at `key`."""
 
     def __init__(self, key: str, text: str):
         self.key, self.text = key, text.strip()
@@ -67,11 +60,7 @@ class Expression:
         self.names = frozenset(self._names_in(self._tree))
 
     def value(self, values: Mapping[str, Array]) -> Array:
-        """Value for given values of the names.
-
-        values: value of each of `names`, float64, of shapes that broadcast. Returns float64 of the broadcast
-        shape; inf or nan where the arithmetic has no finite value.
-        """
+        """Value for values of the names; inf or nan where the arithmetic has no finite one."""
         with np.errstate(all="ignore"):
             return self._evaluate(self._tree, values)
 
@@ -138,10 +127,7 @@ Tie = Expression | PointColumn
 
 
 def evaluation_order(ties: Mapping[str, Tie], known: set[str]) -> list[str]:
-    """Names of the ties in an order in which each uses only known names and earlier ties.
-
-    Raises BadInput for a tie that refers to a name without a value, and for ties that form a circle.
-    """
+    """Ties so ordered that each uses known names and earlier ties; BadInput for circles and unknown names."""
     for tie in ties.values():
         for name in sorted(tie.names - known - set(ties)):
             raise BadInput(
@@ -156,7 +142,7 @@ def evaluation_order(ties: Mapping[str, Tie], known: set[str]) -> list[str]:
         raise BadInput(f"ties refer to each other in a circle: {circle}") from None
     order: list[str] = []
     while sorter.is_active():
-        # Of ties that are ready together the order is that of the scene, so that a resolved scene keeps it.
+        # Ties that are ready together stay in the order of the scene, so that a resolved scene keeps it.
         ready = sorted(sorter.get_ready(), key=list(ties).index)
         order += ready
         sorter.done(*ready)

@@ -29,7 +29,7 @@ from .model import Duration, Scene
 MAX_POINTS_PER_TILE = 65536
 # Bodies, and starts on a family, that are checked before a run; the others are checked with their tile.
 MAX_CHECKED_BODIES, MAX_CHECKED_STARTS = 50_000, 10_000
-# Points of which those that are not computed are counted one by one before a run, within about a tenth of a second.
+# Points checked one by one before a run, in about a tenth of a second, to count the ones not computed.
 MAX_COUNTED = 2**19
 # Points at which the formulas of an impossible family are tried for an error message.
 MAX_CHECKED_FORMULAS = 100
@@ -82,12 +82,7 @@ def status_of(reason: Flags) -> Flags:
 
 
 def parameter_values(scene: Scene, indices: np.ndarray) -> dict[str, Array]:
-    """Value of every parameter, axis and tie, before the family is solved.
-
-    scene: the scene; indices: flat indices of points in C order, integers of shape (points,). Returns name ->
-    values, float64 of shape (points,); inf or nan where a tie has no finite value. Raises BadInput for a tie
-    that leaves the range of its parameter.
-    """
+    """Values of every parameter, axis and tie, before the family is solved; a tie may be inf or nan."""
     parameters = scene.system.parameters
     values: dict[str, Array] = {name: np.full(indices.shape, p.default) for name, p in parameters.items()}
     values |= {name: np.full(indices.shape, value) for name, value in scene.fixed.items()}
@@ -104,11 +99,9 @@ def parameter_values(scene: Scene, indices: np.ndarray) -> dict[str, Array]:
 
 
 def points_at_indices(scene: Scene, indices: np.ndarray) -> Grid:
-    """Points of the scene's grid: ties evaluated, family solved, offsets and nudge added.
+    """Points at flat C-order indices of the grid: ties evaluated, family solved, offsets and nudge added.
 
-    scene: the scene; indices: flat indices of points in C order, integers of shape (points,). Returns the
-    points in the order of the indices. Raises BadInput for a tie that leaves the range of its parameter, and
-    starts or fields given incompletely or twice.
+    Raises BadInput for ties out of range, and for starts or fields given incompletely or twice.
     """
     system = scene.system
     values = parameter_values(scene, indices)
@@ -133,7 +126,7 @@ def points_at_indices(scene: Scene, indices: np.ndarray) -> Grid:
 
 
 def _on_family(scene: Scene, points: Points, indices: np.ndarray) -> tuple[dict[str, Array], Mask]:
-    """The points with solved parameters and offsets, nan where no body can be on the family; a mask of those off it."""
+    """Points with solved parameters and offsets, nan for impossible bodies; where the family is missing."""
     assert scene.family is not None
     family = scene.system.families[scene.family]
     base = _solved(family, scene.solve, points)
@@ -151,10 +144,7 @@ def _on_family(scene: Scene, points: Points, indices: np.ndarray) -> tuple[dict[
 def reasons(
     system: System, points: Points, no_value: Mask | bool = False, no_motion: Mask | bool = False
 ) -> Flags:
-    """Why points are not computed, but for their durations: values of `Reason`, int8 of shape (points,).
-
-    no_value, no_motion: where Reason.NO_VALUE and NO_MOTION apply.
-    """
+    """Why points are not computed, their durations apart: values of `Reason`."""
     conditions = {
         Reason.NO_VALUE: no_value,
         Reason.IMPOSSIBLE_BODY: ~system.possible_body(points),
@@ -165,11 +155,7 @@ def reasons(
 
 
 def points_at(scene: Scene, coordinates: Mapping[str, np.ndarray]) -> Grid:
-    """Points of a scene at any values along its axes, not only those of its grid.
-
-    scene: the scene; coordinates: name of each axis of the scene -> values of shape (points,). Returns the
-    points in the order of the values. Raises BadInput as `points_at_indices`.
-    """
+    """Points of a scene at any values along its axes, also off its grid; BadInput as `points_at_indices`."""
     axes, indices = {}, []
     for name, axis in scene.axes.items():
         values, index = np.unique(coordinates[name], return_inverse=True)
@@ -180,10 +166,7 @@ def points_at(scene: Scene, coordinates: Mapping[str, np.ndarray]) -> Grid:
 
 
 def durations(system: System, duration: Duration, points: Points, key: str = "duration") -> Array:
-    """Length of each run in time units, float64 of shape (points,); nan where it is in turns and nothing turns.
-
-    Raises BadInput, whose message begins with the key, for lengths that overflow.
-    """
+    """Lengths of runs, in time units; nan for turns where nothing turns. BadInput where they overflow."""
     if not duration.unit:
         return np.full(shape_of(points), duration.amount)
     with np.errstate(all="ignore"):
@@ -201,12 +184,10 @@ def durations(system: System, duration: Duration, points: Points, key: str = "du
 
 
 def check(scene: Scene) -> Grid:
-    """Check a scene at points evenly spaced over its grid.
+    """At most MAX_CHECKED_STARTS points, evenly spaced over the grid, at least one of which is computed.
 
-    scene: the scene. Returns at most `MAX_CHECKED_STARTS` of the points, one of which at least is computed.
-    Raises BadInput if no point can be computed: for impossible bodies and starts, ties without a finite
-    value, a family that exists nowhere, and a duration in turns of what rests. For a family that leaves a
-    solved parameter free, and a derived variable that has no meaning.
+    Raises BadInput if no body, start, tie, family or duration makes sense at any point, for a solved
+    parameter that the family leaves free, and for a derived variable without meaning.
     """
     try:
         return _check(scene)
@@ -244,12 +225,7 @@ _NOTHING_TURNS = {"turns": "n and m are 0, and nothing turns", "orbits": "the fr
 
 
 def not_computed(scene: Scene, sample: Grid) -> list[str]:
-    """Number of the points of a scene that are not computed, and the reasons.
-
-    sample: points of the scene, from `check`. Returns a sentence for each reason that occurs, such as "1234
-    of 40000 points: no rigid body has these moments of inertia". Up to MAX_COUNTED points are counted one by
-    one, of larger grids the share is that of the sample.
-    """
+    """Sentences on the points not computed, by reason, counted or (beyond MAX_COUNTED) from the sample."""
     if exact := scene.size <= MAX_COUNTED:
         counts = np.zeros(len(Reason), np.int64)
         for first in range(0, scene.size, MAX_POINTS_PER_TILE):
@@ -371,7 +347,7 @@ def _check_family(scene: Scene, indices: np.ndarray, reason: Flags) -> None:
 def _with_values(
     family: Family, solve: Sequence[str], points: Points, name: str, values: Array
 ) -> dict[str, Array]:
-    """The points with values of shape (trials, points) for one parameter, those of `solve` solved again."""
+    """Points with values (trials, points) of one parameter, for which `solve` is solved again."""
     repeated = {key: np.broadcast_to(column, values.shape) for key, column in points.items()}
     return _solved(family, solve, repeated) | {name: values}
 

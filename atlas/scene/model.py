@@ -92,8 +92,8 @@ class Axis:
     name: str  # a parameter, or a name that ties refer to
     values: Array  # values along the axis, all different; float64 of shape (count,)
     offset_from_family: bool = False  # the values are distances from what the family's formula gives
-    long_name: str = ""  # attributes of the coordinate in the atlas; empty for those of the parameter
-    units: str = ""  # attributes of the coordinate in the atlas; empty for those of the parameter
+    long_name: str = ""  # attribute of the coordinate in the atlas; empty: the parameter's
+    units: str = ""  # attribute of the coordinate in the atlas; empty: the parameter's
     table: Mapping[str, Any] = field(default_factory=dict)  # the table of the scene that describes the axis
 
     @property
@@ -159,7 +159,7 @@ def creator(key: str, value: object) -> Creator:
 
 @dataclass(frozen=True)
 class About:
-    """Global attributes of an atlas besides its title, by the names of ACDD-1.3."""
+    """Global attributes of an atlas but its title, by the names of ACDD-1.3."""
 
     summary: str = checked(checks.text, "")  # a paragraph about the content
     license: str = checked(checks.text, "")  # such as "CC-BY-4.0"
@@ -239,11 +239,7 @@ class Scene:
         return tuple(2**self.refine.levels if axis.can_be_refined else 1 for axis in self.axes.values())
 
     def zero_and_equal_parameters(self) -> tuple[frozenset[str], frozenset[tuple[str, str]]]:
-        """Parameters that are zero or equal at every point, so that the kernels can leave out terms.
-
-        Returns zero, parameters that are 0 or absent at every point; equal, those of the system's
-        `equal_parameters` whose two values are equal at every point.
-        """
+        """Parameters that are 0 or absent, and pairs equal, at every point: kernels leave terms out."""
         varying = {*self.axes, *self.ties, *self.solve}
         values = {name: p.default for name, p in self.system.parameters.items()} | dict(self.fixed)
         zero = {
@@ -374,11 +370,7 @@ class Source:
 
 
 def line_of(text: str, key: str) -> int | None:
-    """Line of a dotted key in a TOML text, counted from 1.
-
-    text: the text, valid TOML; key: such as "axes.k3.count". Returns line of the key; if it is missing, that
-    of the innermost table that contains it; None without any.
-    """
+    """Line, from 1, of a dotted key in a TOML text, or of the innermost table that contains it, or None."""
     lines: dict[str, int] = {}
     table = ""
     for number, whole_line in enumerate(text.splitlines(), 1):

@@ -26,7 +26,7 @@ MAX_SAMPLED_POINTS = MAX_SAMPLED_NUMBERS = 10**7
 MAX_COLUMNS = 100
 # Bytes of a file of points that a scene reads.
 MAX_FILE_BYTES = 50_000_000
-# Fields of a CSV file that a scene reads, those of columns that name points included.
+# Fields of a CSV file that a scene reads, including columns that name points.
 MAX_FILE_FIELDS = 5 * checks.MAX_LISTED_NUMBERS
 
 
@@ -46,12 +46,9 @@ class Sample:
 def read_points(
     system: System, table: Mapping[str, Any], ties: Mapping[str, Any], folder: Path | None
 ) -> tuple[dict[str, Any], dict[str, PointColumn]]:
-    """The table [points] as the resolved scene contains it, and the columns of the points by name.
+    """The table [points] as the resolved scene contains it, and its columns by name; BadInput if it is bad.
 
-    system: the system of the scene; table: the table [points] as TOML gives it. ties: the table [ties]; a
-    NetCDF file's coordinate is a column if a tie refers to it. folder: folder of the scene, from which the
-    path of a points file starts; None: no file is read. Raises BadInput for a bad table, a file that cannot
-    be read, and values out of range.
+    A NetCDF file's coordinate is a column if a tie refers to it. Without a folder no file is read.
     """
     checks.check_keys(table, "points.", ("sample", "count", "seed", "ranges", "file", "values"))
     sources = [key for key in ("sample", "file", "values") if key in table]
@@ -99,12 +96,7 @@ def file_of(scene: Path) -> list[Path]:
 
 
 def quasi_random(kind: str, dimensions: int, count: int, seed: int) -> np.ndarray:
-    """Quasi-random numbers that fill the unit cube evenly.
-
-    kind: one of `SAMPLES`; "sobol" is scrambled, and best where count is a power of two. dimensions, count:
-    number of coordinates and of points; seed: the numbers depend on the arguments and the version of SciPy
-    alone. Returns float64 in [0, 1), of shape (dimensions, count).
-    """
+    """Numbers that fill the unit cube, (dimensions, count), of this SciPy; "sobol" suits powers of two."""
     from scipy.stats import qmc
 
     if kind == "latin_hypercube":

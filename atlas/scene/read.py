@@ -105,13 +105,9 @@ def _check_no_atlas(path: Path) -> None:
 
 
 def parse_scene(text: str, name: str = "scene", folder: Path | None = None, path: str | None = None) -> Scene:
-    """Check the text of a scene.
+    """Read the text of a scene, `path`, titled `name`; BadInput with one line that names file, line and key.
 
-    text: the scene as TOML; name: title of a scene that gives none. folder: folder from which the path of a
-    points file starts. By default no file is read: the scene that an atlas contains has its points in it, and
-    such a text may come from anyone. path: file of the text; error messages name it and the line. Returns the
-    scene, with every default filled in. Raises BadInput with one line that names the key, its value and what
-    is allowed.
+    Without a folder no points file is read: an atlas contains its points, and its text may come from anyone.
     """
     text = text.removeprefix("\ufeff").replace("\r\n", "\n").replace("\r", "\n")
     source = Source(path or name, text)
@@ -140,12 +136,7 @@ def parse_scene(text: str, name: str = "scene", folder: Path | None = None, path
 
 
 def scene_from(table: Mapping[str, Any], name: str = "scene", folder: Path | None = Path()) -> Scene:
-    """Check a parsed scene.
-
-    table: the scene as TOML gives it; name: title of a scene that gives none. folder: folder from which the
-    path of a points file starts; None: no such file is read. Returns the scene, with every default filled in.
-    Raises BadInput with one line that names the key, its value and what is allowed.
-    """
+    """The scene of a parsed TOML text, as `parse_scene`."""
     _check_keys(table)
     section = {key: checks.mapping(key, table.get(key, {})) for key in TABLES}
     _check_number_of_names(len(section["fixed"]) + len(section["axes"]) + len(section["ties"]))
@@ -351,10 +342,7 @@ def _family(system: System, table: Mapping[str, Any]) -> tuple[str, tuple[str, .
 def _check_names(
     system: System, names: Mapping[str, Iterable[str]], axes: Mapping[str, Axis], ties: Mapping[str, Tie]
 ) -> None:
-    """Raise BadInput for a name that two sections give, and for one that nothing uses.
-
-    names: section -> names that it gives. Only an axis of distances from a family is given in two sections.
-    """
+    """Raise BadInput for a name without a use, or in two sections, except an axis offset from a family."""
     sections: dict[str, list[str]] = {}
     for section, section_names in names.items():
         for name in section_names:
@@ -374,10 +362,7 @@ def _check_names(
 
 
 def _check_dataset_names(system: System, sections: Mapping[str, list[str]], axes: Mapping[str, Axis]) -> None:
-    """Raise BadInput for a name that the dataset of the scene would have twice: as variable, parameter or dimension.
-
-    sections: name -> sections that give it.
-    """
+    """Raise BadInput for a name that is two of variable, parameter and dimension in the scene's dataset."""
     variables_of_file = data_variables(system)
     for name, given_in in sections.items():
         if name in variables_of_file:
@@ -413,7 +398,7 @@ def _check_solved(
 
 
 def _nudge(system: System, table: Mapping[str, Any], names: set[str]) -> dict[str, float]:
-    """Amounts added to start values. names: those to which the scene gives a value."""
+    """Amounts added to start values; `names` have a value in the scene."""
     starts = [parameter.name for parameter in system.parameters.values() if parameter.start]
     checks.check_keys(table, "nudge.", starts)
     nudge = {name: checks.number(f"nudge.{name}", value) for name, value in table.items()}
@@ -461,12 +446,7 @@ def check_std_tolerance(
 
 
 def parse_duration(value: object, key: str = "duration") -> Duration:
-    """Length of runs, from a number or a text.
-
-    value: a number of time units, or a string such as "60", "20 orbits", "1 orbit" or "50 turns"; key:
-    beginning of an error message. Raises BadInput with one line, for anything else, and for numbers that are
-    not finite or not above 0.
-    """
+    """Length of runs, from time units or a text such as "60", "20 orbits" or "50 turns"; else BadInput."""
     if not isinstance(value, str):
         return Duration(checks.positive(key, value))
     match = re.fullmatch(r"(\S*\d\.?)\s*([A-Za-z]*)", value.strip())

@@ -21,11 +21,7 @@ Schema = dict[str, Any]
 
 
 def scene_schema() -> Schema:
-    """JSON Schema (draft 2020-12) of scene files.
-
-    Returns types, ranges, units and meanings of every key, for each system apart. A scene that it accepts may
-    still be refused by `load_scene`, which also looks at how keys depend on each other.
-    """
+    """JSON Schema (draft 2020-12) of scene files; only `load_scene` checks how keys depend on each other."""
     systems = list(all_systems.available().values())
     return {
         "$schema": DIALECT,

@@ -22,14 +22,9 @@ IDENTIFIERS = ("id", "index", "name", "number", "point")  # columns that name po
 
 
 def table(source: Any, names: Collection[str]) -> dict[str, Any]:
-    """Columns by name from anything that holds points.
+    """Columns by name from a .csv or .nc file, a Dataset, a mapping, a list of mappings or a DataFrame.
 
-    source: a file (.csv with names in its first line, or .nc with variables along one dimension), an xarray
-    Dataset, a mapping name -> values, a list with one mapping for each point, or any object with `columns`
-    and [name], such as a pandas.DataFrame. names: names of columns: the coordinate that numbers the points of
-    a Dataset is a column only if its name is among them. Returns name -> values as the source holds them;
-    arrays for a CSV file, see `read_csv`. Raises BadInput with one line, if the source cannot be read or
-    holds no points.
+    The coordinate that numbers the points of a Dataset is a column only if `names` contains it.
     """
     import xarray as xr
 
@@ -61,10 +56,7 @@ def table(source: Any, names: Collection[str]) -> dict[str, Any]:
 def read(
     path: str | Path, names: Collection[str], max_bytes: float = math.inf, max_fields: float = math.inf
 ) -> dict[str, Any]:
-    """Columns of a .csv or .nc file, as `table`; see `read_csv`.
-
-    max_bytes: size of the file, and of its variables in memory, beyond which it is not read; max_fields: of a CSV file.
-    """
+    """Columns of a .csv or .nc file, as `table`; BadInput beyond the limits on bytes and CSV fields."""
     path = Path(path)
     if path.suffix.lower() not in FORMATS:
         raise BadInput(f"{path}: points are read from files that end in {' or '.join(FORMATS)}")
@@ -82,12 +74,9 @@ def read(
 
 
 def kept_columns(system: System, table: Mapping[str, Any], keep: Collection[str] = ()) -> dict[str, Array]:
-    """Columns of a table that are no parameters but name its points.
+    """Columns that name the points: texts, IDENTIFIERS and `keep` (BadInput for parameters and unknowns).
 
-    table: columns by name, from `table`; keep: names of further columns to keep. Returns the columns of text,
-    those called id, index, name, number or point, and those of `keep`. Other columns of numbers are not among
-    them, since such a name may be a mistyped parameter. Raises BadInput if a name of `keep` is a parameter or
-    not in the table.
+    Other columns of numbers are not kept, since such a name may be a mistyped parameter.
     """
     for name in keep:
         if name in system.parameters or name not in table:
@@ -113,15 +102,7 @@ def _is_text(column: Array) -> bool:
 
 
 def point_columns(system: System, points: Any, kept: Collection[str] = ()) -> tuple[dict[str, Array], int]:
-    """Every parameter of the system as a column, checked.
-
-    system: the system whose parameters the points give; those left out take their defaults. points: parameter
-    -> number or 1-D array (all arrays of one length), or any other source of `table`. kept: names that are no
-    parameters, from `kept_columns`; their columns must have the same length. Returns columns, every
-    parameter, float64 of shape (points,); nan for an optional start value that is not given; size, number of
-    points. Raises BadInput for unknown names, columns of different lengths, and values that are not finite or
-    out of range.
-    """
+    """Checked columns of every parameter, nan for an absent optional start, and the number of points."""
     source = table(points, system.parameters)
     arrays: dict[str, Array] = {}
     for name, values in source.items():
@@ -250,10 +231,7 @@ MAX_LINE = 1_000_000  # characters; a file that is no table may be one line
 
 
 class CsvColumns(dict[str, Any]):
-    """Columns of a CSV file by name, with the line of the file for each point.
-
-    source: name of the file; lines: line of each point, counted from 1.
-    """
+    """Columns of a CSV file by name, with its name and the line, from 1, of each point."""
 
     def __init__(self, columns: dict[str, Any], source: str, lines: array.array[int]):
         super().__init__(columns)
@@ -268,14 +246,7 @@ class CsvColumns(dict[str, Any]):
 def read_csv(
     lines: Iterable[str], source: str, numeric: Collection[str], max_fields: float = math.inf
 ) -> CsvColumns:
-    """Columns of a CSV file whose first line names them.
-
-    lines: the lines of the file, each with its end; source: name of the file, for error messages. numeric:
-    names whose columns must be numbers; an empty field is nan. Other columns may hold text. max_fields:
-    number of fields that are read at most. Returns arrays of float64; those of other columns than `numeric`
-    may be of int64, or of str where not all fields are numbers. Raises BadInput with one line that names the
-    file and the line.
-    """
+    """Columns of a CSV file with names first, nan for empty `numeric` fields; BadInput with file and line."""
     content = _Lines(lines, source)
     first = next(content, "")
     separator = next((each for each in SEPARATORS if each in first), ",")

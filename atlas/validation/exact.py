@@ -1,14 +1,9 @@
 """Exact motions of rigid bodies and gyrostats, by elliptic functions.
 
-- `SymmetricTop`: the heavy symmetric gyrostat (Lagrange's top), the free symmetric gyrostat, the free sphere;
-- `FreeGyrostat`: the torque-free asymmetric body (Euler, Poinsot), also with a rotor along a principal axis
-  (Joukovsky, Volterra);
-- `PlanarLibration`: libration and rotation of a satellite in the plane of its orbit.
-
-Nothing here uses the equations or the statistics of the engine, so that these motions check both. A motion is made
-for one point and called with an array of times; `exact_statistics` integrates its rates. The angles are Euler's: gamma = (sin theta sin phi, sin theta cos phi,
-cos theta) is the vertical in body axes, and w' = psi' gamma + phi' e3 + theta' (cos phi, -sin phi, 0) the angular
-velocity. Any consistent units; angles in rad.
+Nothing here uses the equations or the statistics of the engine, so that these motions check both. A motion is
+made for one point and called with an array of times. The angles are Euler's: gamma = (sin theta sin phi, sin
+theta cos phi, cos theta) is the vertical in body axes, and w' = psi' gamma + phi' e3 + theta' (cos phi, -sin
+phi, 0) the angular velocity. Any consistent units; angles in rad.
 """
 
 from __future__ import annotations
@@ -49,10 +44,9 @@ class Motion(Protocol):
 
 
 def jacobi(argument: Array, complement: float) -> tuple[Array, Array, Array]:
-    """Jacobi's elliptic functions sn, cn and dn.
+    """Jacobi's elliptic functions sn, cn and dn of the squared modulus m = 1 - complement, complement > 0.
 
-    argument: pure numbers. complement: 1 - m, with m the square of the modulus; above 0, at most 1. R.
-    Bulirsch, Numer. Math. 7 (1965) 78-90: descending Landen transformations.
+    R. Bulirsch, Numer. Math. 7 (1965) 78-90: descending Landen transformations.
     """
     if not 0 < complement <= 1:
         raise ValueError(f"complement = {complement!r}: must be above 0 and at most 1")
@@ -86,18 +80,14 @@ def inverse_jacobi(sn: float, cn: float, complement: float) -> float:
 class SymmetricTop:
     """Heavy symmetric gyrostat about a fixed point: cos theta by Jacobi's functions, psi' and phi' from it.
 
-    With u = cos theta, a = (C r + l) / A and b = (angular momentum about the vertical) / A, which are constant,
+    With u = cos theta and the constants a = (C r + l) / A and b = (angular momentum about the vertical) / A,
 
         u'^2 = (1 - u^2) (e + beta u) - (b - a u)^2,  psi' = (b - a u) / (1 - u^2),  phi' = r - psi' u
 
-    so that u runs between two roots of a cubic: u = u2 - (u2 - u1) sn^2(lambda t + delta). Distances from the vertical
-    are computed as 1 - u and 1 + u, which keeps their digits.
-
-    A, C: moments of inertia, transverse and axial; rotor: gyrostatic momentum l along the axis of symmetry.
-    weight: mg z0: the potential is -Mg z0 cos theta. theta0, theta_dot0, n, m: start: angle (0 to pi), its
-    rate, psi' and phi'. The motion must not be a steady one. frame_rate: rate of the frame about the
-    vertical, relative to which psi' is given and returned. E. T. Whittaker, Analytical Dynamics, 4th ed.,
-    sections 71-73.
+    so that u runs between two roots of a cubic: u = u2 - (u2 - u1) sn^2(lambda t + delta). Distances from the
+    vertical are computed as 1 - u and 1 + u, which keeps their digits. The potential is -weight cos theta, n
+    and m are psi' and phi' at the start, and psi' is relative to a frame that turns at frame_rate. The motion
+    must not be a steady one. E. T. Whittaker, Analytical Dynamics, 4th ed., sections 71-73.
     """
 
     def __init__(
@@ -189,21 +179,18 @@ class SymmetricTop:
 
 
 class FreeGyrostat:
-    """Torque-free gyrostat with a rotor along one principal axis; without a rotor the body of Euler and Poinsot.
+    """Torque-free gyrostat with a rotor along one principal axis, or the body of Euler and Poinsot.
 
-    With the rotor's axis as the third one, energy and magnitude of the angular momentum give A (A - B) w1^2 and
-    B (B - A) w2^2 as quadratics of r = w3, and r'^2 = f(r) as a quartic. From a root s of it
+    With the rotor's axis as the third one, energy and magnitude of the angular momentum give A (A - B) w1^2
+    and B (B - A) w2^2 as quadratics of r = w3, and r'^2 = f(r) as a quartic. From a root s of it
 
         r = s + f'(s) / 4 / (P(t) - f''(s) / 24)
 
-    with P Weierstrass' function, here by Jacobi's. About the fixed angular momentum the body turns by an angle whose
-    rate is a periodic function of r alone: its Fourier series is integrated term by term.
-
-    inertia: principal moments; the two across the rotor's axis (without a rotor: the third axis) must differ,
-    (3,). rotor: gyrostatic momentum; at most one component is not 0, (3,). w, gamma: angular velocity and
-    vertical in body axes at the start; the motion must not be a steady one, (3,). frame_rate: rate of the
-    frame about the vertical, relative to which psi' is returned. V. Volterra, Acta Math. 22 (1899) 201-357;
-    E. T. Whittaker and G. N. Watson, A Course of Modern Analysis, 20.6.
+    with P Weierstrass' function, here by Jacobi's. About the fixed angular momentum the body turns by an
+    angle whose rate is a periodic function of r alone: its Fourier series is integrated term by term. The
+    moments across the rotor's axis (without a rotor: across the third axis) must differ, and the motion must
+    not be a steady one. psi' is relative to a frame that turns at frame_rate. V. Volterra, Acta Math. 22
+    (1899) 201-357; E. T. Whittaker and G. N. Watson, A Course of Modern Analysis, 20.6.
     """
 
     def __init__(self, inertia: Array, rotor: Array, w: Array, gamma: Array, frame_rate: float = 0.0):
@@ -345,11 +332,7 @@ class FreeGyrostat:
 
 
 def euler_motion(w: Array, gamma: Array, frame_rate: float = 0.0) -> EulerMotion:
-    """Angles and rates of a body that turns at w about the vertical gamma of a frame.
-
-    w, gamma: angular velocity and vertical in body axes, the axis not on the vertical, (3, ...); frame_rate:
-    rate of the frame about the vertical, contained in w and taken off psi'.
-    """
+    """Angles and rates of a body whose axis is off gamma; the frame's rate is part of w, not of psi'."""
     sine = np.hypot(gamma[0], gamma[1])
     cos_theta_dot = w[1] * gamma[0] - w[0] * gamma[1]
     psi_dot = (w[0] * gamma[0] + w[1] * gamma[1]) / sine**2
@@ -364,16 +347,15 @@ def euler_motion(w: Array, gamma: Array, frame_rate: float = 0.0) -> EulerMotion
 
 
 class PlanarLibration:
-    """Satellite whose third axis stays on the orbit normal: C x'' = -3 Omega^2 (B - A) sin x cos x, x = psi + phi.
+    """Satellite whose third axis stays on the orbit normal: C x'' = -3 Omega^2 (B - A) sin x cos x.
 
-    A, B, C: principal moments, A and B different; a rotor along the third axis has no effect. Omega: rate of
-    the orbit; angle, rate: x and x' at the start. V. V. Beletsky, Motion of an Artificial Satellite about its
-    Center of Mass (1966), chapter 1.
+    x = psi + phi; a rotor along the third axis has no effect. V. V. Beletsky, Motion of an Artificial
+    Satellite about its Center of Mass (1966), chapter 1.
     """
 
     def __init__(self, A: float, B: float, C: float, Omega: float, angle: float, rate: float):
         self.stiffness = Omega * np.sqrt(3 * abs(B - A) / C)
-        # Counted from the stable direction; its sine and cosine keep their digits beside the unstable one.
+        # Counted from the stable direction; its sine and cosine keep their digits near the unstable one.
         sine, cosine = (np.sin(angle), np.cos(angle)) if B > A else (-np.cos(angle), np.sin(angle))
         energy = rate**2 + (self.stiffness * sine) ** 2
         barrier = (self.stiffness * cosine) ** 2 - rate**2
@@ -401,12 +383,7 @@ class PlanarLibration:
 
 
 def motion_of(system: System, kind: str, points: Points, index: int) -> Motion:
-    """The exact motion of a point.
-
-    system: the satellite (free, or spherical where the orbit turns) or the gyrostat about a fixed point;
-    kind: "symmetric top", "free gyrostat" or "planar libration"; points: parameters by name; index: which of
-    the points. Raises ValueError if the point has no such motion.
-    """
+    """Exact motion of a point: "symmetric top", "free gyrostat" or "planar libration"; else ValueError."""
     points = system.as_euler_angles({name: values[index : index + 1] for name, values in points.items()})
     p = {name: float(values[0]) for name, values in points.items()}
     satellite = system.name == "satellite"
@@ -443,12 +420,7 @@ QUADRATURE_RTOL, MAX_INTERVALS = 1e-13, 100_000
 
 
 def statistics(motion: Motion, duration: float) -> dict[str, float]:
-    """Exact statistics of a run over [0, duration], not only over whole periods.
-
-    duration: in time units. Returns theta_dot_rms, theta_dot_std, psi_dot_mean, psi_dot_std, phi_dot_mean,
-    phi_dot_std, normal_rate_mean, normal_rate_std (rad per time unit), theta_min and theta_max (rad), as the
-    registry of variables defines them; nan for psi' and phi' on the vertical.
-    """
+    """Exact statistics over [0, duration], also of incomplete periods; nan for psi', phi' on the vertical."""
     turns = int(duration // motion.period)
     first = motion.period if turns else duration
     time, weight = _quadrature(motion, first)
@@ -461,11 +433,7 @@ def statistics(motion: Motion, duration: float) -> dict[str, float]:
 
 
 def moments(motion: EulerMotion, weight: Array) -> dict[str, float]:
-    """Rms, standard deviations and means of the rates of a run, without the mean of theta'.
-
-    motion: at the nodes of a quadrature, shape (nodes,). weight: quadrature weights; their sum is 1,
-    (nodes,). Returns as `statistics`, without theta_min and theta_max.
-    """
+    """Rms, deviations and means of the rates by a quadrature of unit weight, without the mean of theta'."""
     result = {"theta_dot_rms": float(np.sqrt(weight @ motion.theta_dot**2))}
     for name in ("theta_dot", "psi_dot", "phi_dot", "normal_rate"):
         rate = getattr(motion, name)

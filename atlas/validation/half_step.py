@@ -23,11 +23,9 @@ MIN_SAMPLE, MAX_SAMPLE, POINTS_PER_SAMPLE = 64, 1000, 300
 
 
 def upper_bound(events: int, draws: int, population: int | None = None) -> float:
-    """Upper confidence bound (95 %) of the probability of an event.
+    """Upper 95 % confidence bound of a probability; the observed share if the whole population is drawn.
 
-    events, draws: the event was observed `events` times in `draws` random draws. population: number of items
-    to draw from. If all of them were drawn, the result is the observed share itself. Returns probability, 0
-    to 1. C. J. Clopper and E. S. Pearson, Biometrika 26 (1934) 404-413.
+    C. J. Clopper and E. S. Pearson, Biometrika 26 (1934) 404-413.
     """
     if draws == population:
         return events / draws
@@ -35,13 +33,9 @@ def upper_bound(events: int, draws: int, population: int | None = None) -> float
 
 
 def stratified_indices(size: int, count: int) -> np.ndarray:
-    """One index from each of `count` equal parts of range(size); the same size gives the same indices.
+    """One index from each of `count` equal parts of range(size), ascending, the same for the same size.
 
-    The position within a part is a hash (SplitMix64) of the part's number, so that the sample does not
-    follow a period of the grid.
-
-    size: number of items to draw from. count: number of parts; at most `size` are used. Returns ascending
-    indices, (min(size, count),).
+    A hash (SplitMix64) gives the position in a part, so that the sample follows no period of the grid.
     """
     count = min(size, count)
     part = np.arange(count, dtype=np.uint64)
@@ -57,27 +51,19 @@ def stratified_indices(size: int, count: int) -> np.ndarray:
 def half_step_sample(scene: Scene, plan: Plan | None = None, *, threads: int | None = None) -> dict[str, Any]:
     """Integrate a sample of a scene's points at the scene's step and at half of it, and compare.
 
-    The sample depends on the number of points of the scene alone and costs about 1 % of a run. The
-    points get the same bits as in the run itself.
+    The sample depends on the number of points alone, has the bits of the run and costs about 1 % of it:
 
-    plan: that of the scene, if it is made already; threads: default: all available processors.
-
-    Returns, by name:
-
-    Attributes for the atlas:
-
-    - ``atlas_half_step_points``: size of the sample;
+    - ``atlas_half_step_points``, ``atlas_points``: points of the sample and of the scene;
     - ``atlas_half_step_changed``: points of the sample whose label becomes another one or none;
     - ``atlas_labels_may_change``: upper bound (95 %) of the number of such points in the whole atlas,
-      or the number itself if the sample is the atlas;
-    - ``atlas_points``: number of points of the scene;
-    - ``atlas_half_step_median``: median over the points of the largest change of a mean, rms or
-      standard deviation of a rate, rad per time unit;
-    - ``atlas_half_step_difference``: the largest such change of a steady point. Drifting points are
-      left out, because their motion may be chaotic or have a peak of psi' near the vertical;
-    - ``atlas_half_step_beyond``: points where that change is larger than `error_estimate`.
+      or the number itself if the sample is the atlas.
 
-    The last three are present only if the scene's outputs contain the variables compared.
+    Of each point's largest change of a statistic of a rate (rad per time unit), if the outputs contain any:
+
+    - ``atlas_half_step_median``: its median over the points;
+    - ``atlas_half_step_difference``: its maximum over steady points, as drifting motion may be chaotic or
+      have a peak of psi' near the vertical;
+    - ``atlas_half_step_beyond``: points where it is larger than `error_estimate`.
     """
     indices = stratified_indices(
         scene.size, min(max(MIN_SAMPLE, scene.size // POINTS_PER_SAMPLE), MAX_SAMPLE)

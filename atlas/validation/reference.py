@@ -70,13 +70,9 @@ def reference(
     """Final states and statistics: the closed form where a start is exactly on a family, else DOP853.
 
     SciPy's DOP853 runs at the relative tolerances REFERENCE_RTOL and SECOND_RTOL, with the statistics as
-    quadratures beside the states. The uncertainty is SAFETY times the difference of the two runs, or of
-    the closed form and the first run: where the motion is unstable, rounding of an exact start grows, so
-    that the closed form is no more certain than that difference.
-
-    points: parameters by name; duration: length of the runs, time units; settings: only the tolerances of the
-    labels are used; advance: called with the progress of the runs, 2 for each point in all. Raises
-    ReferenceFailureError: (a BadInput) With the indices of the points where a run fails.
+    quadratures. The uncertainty is SAFETY times the difference of the two runs, or of the closed form and the
+    first run: where the motion is unstable, rounding of an exact start grows, so that the closed form is no
+    more certain than this difference. Raises ReferenceFailureError with the points where a run fails.
     """
     runs = []
     for rtol in (REFERENCE_RTOL, SECOND_RTOL):
@@ -306,11 +302,7 @@ def observe(system: System, state: Array, constants: Array) -> Array:
 def integrate_observed_group(
     system: System, points: Points, duration: Array, rtol: float, advance: Callable[[float], None]
 ) -> dict[str, Array] | None:
-    """Integrate the points as one system of equations in the time t / duration; None if a step fails.
-
-    rtol: relative and absolute tolerance of the states; advance: called with the number of points finished
-    since the last call. Returns by the names of the statistics, (points,), and "state", (states, points).
-    """
+    """Integrate the points as one system of equations in the time t / duration; None if a step fails."""
     equations, constants, start = system.equations, system.constants(points), system.initial_state(points)
     states, size = start.shape
     first = observe(system, start, constants)
@@ -356,11 +348,7 @@ def _range_of_step(solver: Any, system: System, constants: Array, duration: Arra
 
 
 def range_of_cubics(value: Array, slope: Array) -> tuple[Array, Array]:
-    """Smallest and largest value of the cubics between instants, along the last axis.
-
-    value, slope: at the instants, whose distance is 1. Returns low, high, of the shape of `value` without its
-    last axis.
-    """
+    """Smallest and largest value of cubics between instants at unit distance, along the last axis."""
     left, right, rise = slope[..., :-1], slope[..., 1:], np.diff(value, axis=-1)
     # value + left x + b x^2 + c x^3 on 0..1 turns where its slope changes sign
     b, c = 3 * rise - 2 * left - right, left + right - 2 * rise

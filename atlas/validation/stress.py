@@ -54,12 +54,11 @@ def stress(
 ) -> xr.Dataset:
     """Run stress cases by every method at every level and compare each label with the true one.
 
-    cases: default: all cases of the system, or `generic_cases` where it has none. threads: default: all
-    available processors. Returns over (method, level, point): ``label``, ``status``, ``step_ratio``,
-    ``error_estimate``, ``verdict`` and the relative ``error`` of the unsteadiness. Over (method, level,
-    statistic, point): ``statistic_error``, for points that follow an exact motion. Over (point): ``truth``
-    (the true label), ``known_from`` (how it was determined), ``case``, ``name``, ``may_stay_unresolved`` (a
-    reason, or empty), ``duration`` and the parameters.
+    A system without cases has `generic_cases`. Over (method, level, point): ``label``, ``status``,
+    ``step_ratio``, ``error_estimate``, ``verdict`` and the relative ``error`` of the unsteadiness. Over
+    (method, level, statistic, point): ``statistic_error``, for exact motions. Over (point): ``truth`` (the
+    true label), ``known_from`` (its source), ``case``, ``name``, ``may_stay_unresolved`` (a reason, or
+    empty), ``duration`` and the parameters.
     """
     if isinstance(system, str):
         system = systems.get(system)
@@ -77,7 +76,7 @@ def stress(
 def _points_of_cases(
     system: System, cases: Sequence[StressCase] | None
 ) -> tuple[list[CasePoints], TrueLabels]:
-    """Points of the given cases (None: those of the system), and their true labels."""
+    """Points of the given cases (None: all of the system), and their true labels."""
     parts = [case_points(system, case) for case in (system.stress_cases() if cases is None else cases)]
     return parts, TrueLabels.join([
         true_labels(system, part.points, part.duration, Settings(), part.truth, part.base) for part in parts
@@ -271,9 +270,9 @@ def unresolved(ds: xr.Dataset) -> Mask:
 
 
 def beyond_estimate(ds: xr.Dataset) -> Mask:
-    """Where a statistic of a resolved point is off by more than ten times `error_estimate`, as `mislabelled`.
+    """Where a statistic of a resolved exact motion is off by more than ten times `error_estimate`.
 
-    Only points that follow an exact motion are compared; more than 1 % of them is a failure of the estimate.
+    More than 1 % of the compared points is a failure of the estimate.
     """
     error = ds["statistic_error"].max("statistic").values
     return np.asarray(_estimated(ds) & (error > 10 * ds["error_estimate"].values + EXACT_ACCURACY))
@@ -456,10 +455,9 @@ RADIANS, MAX_DURATION = 60.0, 1e3
 
 
 def generic_cases(system: System) -> list[StressCase]:
-    """A case for each parameter: its default times powers of 10, its range, and a huge value.
+    """For each parameter its default times powers of 10, its bounds and a huge value, as far as in range.
 
-    Values outside the range of a parameter are left out. The length of each run follows from its frequency at the
-    start, so that stiff runs are short.
+    The length of a run follows from its frequency at the start, so that stiff runs are short.
     """
     moderate = {name: _moderate_value(p) for name, p in system.parameters.items() if np.isfinite(p.default)}
     cases = [_case(system, name, moderate | {name: _values(system.parameters[name])}) for name in moderate]
@@ -500,12 +498,7 @@ def _case(system: System, name: str, columns: Mapping[str, float | Array]) -> St
 
 
 def generic_true_labels(system: System, part: CasePoints, settings: Settings) -> tuple[TrueLabels, Mask]:
-    """True labels of the points of a generic case by the reference integrator, and a mask of those that are known.
-
-    Points whose state or frequency is not finite at the start have no label.
-
-    settings: only the tolerances of the labels are used.
-    """
+    """Labels by the reference integrator, and where they are known: not where the start is not finite."""
     size = part.duration.size
     label, largest = np.full(size, Label.UNRESOLVED, np.int8), np.full(size, np.nan)
     source, known = np.full(size, "overflow", "<U15"), np.ones(size, bool)
@@ -534,13 +527,10 @@ def _final_states(system: System, method: str, points: Points, step_size: Array,
 
 
 def observed_stability(method: Method, steps: int = 16_000) -> dict[str, float]:
-    """Largest stable y = (angular frequency) x (step) of two motions that contain one frequency each.
+    """Largest y = (angular frequency) x (step), to 1e-4, at which the amplitude does not grow.
 
-    A free spherical body: gamma turns in it at |w| ("turning"). A spherical body with a rotor and small w: w
-    turns about the rotor at l3 / A ("nutation"). The values of y are on a grid of relative distance 1e-4.
-
-    steps: a y is stable if the amplitude has not grown after so many steps. Returns y by "turning" and
-    "nutation", rad; in theory both are `method.stability`.
+    The motions contain one frequency each: a free sphere, whose gamma turns at |w| ("turning"), and a sphere
+    with a rotor, whose small w turns about it at l3 / A ("nutation"). In theory y is `method.stability`.
     """
     system = systems.get("fixed_point")
     y = method.stability * np.linspace(0.95, 1.05, 1025)
@@ -563,19 +553,14 @@ def observed_stability(method: Method, steps: int = 16_000) -> dict[str, float]:
 def constraint_bound(method: Method, y: float, steps: int) -> float:
     """Largest expected change of |gamma| over a run of a body that turns by y radians a step.
 
-    A turn at constant rate multiplies the turning part by |R(i y)| each step, with R the stability function
-    of the method: 1 - dissipation y^p to leading order (rk4: y^6 / 144). Rounding adds at most one unit of the
-    last place a step.
+    A turn at constant rate multiplies the turning part by |R(i y)| each step, with R the method's stability
+    function: 1 - dissipation y^p to leading order (rk4: y^6 / 144). Rounding adds at most one ulp a step.
     """
     return steps * (method.dissipation * y**method.dissipation_order + 2.0**-53)
 
 
 def constraint_change(system: System, method: Method, points: Points, y: float, steps: int) -> Array:
-    """Largest change of the constraints of the state over a run.
-
-    y: length of a step times the frequency bound of the point, rad. Returns largest of abs(|gamma| - 1) and,
-    for the satellite, abs(|alpha| - 1) and abs(alpha.gamma).
-    """
+    """Largest change of |gamma| and, of the satellite, |alpha| and alpha.gamma, for y radians a step."""
     state = _final_states(system, method.name, points, y / system.frequency_bound(points), steps)
     unit = state[3:].reshape(-1, 3, state.shape[1])
     changes = [np.abs(np.sqrt((vector**2).sum(0)) - 1) for vector in unit]
@@ -585,10 +570,7 @@ def constraint_change(system: System, method: Method, points: Points, y: float, 
 
 
 def limits(*, steps: int = 10_000_000) -> list[tuple[str, ...]]:
-    """Limits of every method in theory and as observed in runs of `steps` steps.
-
-    Returns rows of a table, the first one its heading.
-    """
+    """Table of the limits of every method, in theory and as observed in runs of `steps` steps."""
     satellite = systems.get("satellite")
     tumbling, _ = point_columns(satellite, {"A": 0.9, "B": 1.1, "k1": 0.2, "theta0": 0.7, "n": 0.5, "m": 0.9})
     turning, _ = point_columns(satellite, {"C": 1.0, "Omega": 0.0, "theta0": 1.0, "m": 1.0})

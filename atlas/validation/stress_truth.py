@@ -72,14 +72,11 @@ def true_labels(
 ) -> TrueLabels:
     """True label of each point, and the unsteadiness of its motion.
 
-    Exact starts have the label that theory predicts, or none where growth_rate x duration is so large
-    that rounding decides. The labels of other points come from a reference solution of the despun
-    equivalent, see `_labels_by_reference`. Points whose numbers overflow have no label.
-
-    points: parameters by name; duration: length of the runs, time units; settings: only the tolerances of the
-    labels are used; truth: the kind of exact motion, or "departure", as in `StressCase`. base: for
-    "departure": the equilibria from which the points are offset. Raises ValueError if the label of a point
-    cannot be decided, so that it cannot be a stress case.
+    Exact starts have the label that theory predicts, or none where growth_rate x duration is so large that
+    rounding decides. The labels of other points come from the exact motion `truth` (a "departure" is an
+    offset from `base`) or from a reference solution of the despun equivalent, see `_labels_by_reference`.
+    Points whose numbers overflow have no label. Raises ValueError for a label that cannot be decided: such a
+    point is no stress case.
     """
     if truth == "departure":
         return _labels_by_departure(system, points if base is None else base, points, duration, settings)
@@ -180,8 +177,8 @@ def _departure(
 ) -> dict[str, float]:
     """Statistics of a run that starts at a tiny offset from an equilibrium.
 
-    With the state x + e d (x: equilibrium, e: size of the offset) the equations, whose right-hand side is quadratic in
-    the state and 0 at x, become d' = J d + e Q(d), without cancellation for any size of e.
+    With the state x + e d (x: equilibrium, e: size of the offset) the equations, whose right-hand side is
+    quadratic in the state and 0 at x, become d' = J d + e Q(d), without cancellation for any size of e.
     """
     rhs, size = system.equations.rhs, float(np.abs(offset).max())
 
@@ -237,11 +234,11 @@ def _growth_along(system: System, motion: Any, point: Points, duration: float) -
 def _labels_by_reference(
     system: System, despun: Points, excess: Array, duration: Array, radians: Array, settings: Settings
 ) -> tuple[TrueLabels, Mask]:
-    """Labels from a reference solution of the despun points, and a mask of those that it leaves undecided.
+    """Labels from a reference solution of the despun points, and a mask of the undecided ones.
 
-    excess: phi' of the despun points less that of the points. Of a run of more than MAX_RADIANS_WHOLE only
-    the first part is integrated. A mean square over the run is at least part / whole times the one over
-    the part, so that what drifts in the part by sqrt(whole / part) times the tolerance drifts in the whole.
+    phi' of the despun points is larger by `excess`. Of a run of more than MAX_RADIANS_WHOLE only the first
+    part is integrated. A mean square over the run is at least part / whole times its value over the part, so
+    that a drift in the part by sqrt(whole / part) times the tolerance is a drift in the whole.
     """
     whole = radians <= MAX_RADIANS_WHOLE
     share = np.where(whole, 1.0, RADIANS_OF_PART / np.maximum(radians, 1e-300))

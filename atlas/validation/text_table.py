@@ -6,10 +6,7 @@ from collections.abc import Sequence
 
 
 def text_table(rows: Sequence[Sequence[str]], *, right: bool = False) -> str:
-    """Rows of text as lines with columns of equal width.
-
-    rows: the cells, all rows with the same number; right: align the cells on the right.
-    """
+    """Rows of cells as lines with columns of equal width."""
     widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
     lines = [
         "  ".join(

@@ -47,7 +47,7 @@ POINT_STEPS_TIMED = 6_000_000  # point-steps of one timing
 # Points tried for each point of the sample, because a family need not exist at every point.
 CANDIDATES_PER_POINT = 16
 
-# Variables over (method, level, sample) beside error_NAME of every statistic: type, long name and units.
+# Variables over (method, level, sample) but for error_NAME of statistics: type, long name and units.
 VARIABLES = {
     "error_state": (float, "largest error of a component of the final state, angular velocities over the frequency bound", "1"),
     "error_rates": (float, "error of the least accurate mean, rms or standard deviation of a rate, over the frequency bound", "1"),
@@ -100,10 +100,7 @@ class _Sample:
         return self.worst(self.reference.statistics_error)
 
     def worst(self, errors: Mapping[str, Array]) -> Array:
-        """Largest error of a statistic: of a rate over the frequency bound, of an observable over its magnitude.
-
-        errors: by the names of the statistics.
-        """
+        """Largest error: of a rate over the frequency bound, of an observable over its magnitude."""
         system = self.scene.system
         return main_instrument(system).largest(system, self.reference.statistics, errors, self.bound)
 
@@ -119,29 +116,22 @@ class _LevelResult:
 def work_precision(scene: Scene, count: int = 64, *, progress: bool = False) -> xr.Dataset:
     """Errors and run times of a sample of a scene's points, by every method at many levels.
 
-    A level is a value of the tolerance, or of the step if the scene gives one. Levels are not run (NaN)
-    that take too many steps, that take the same steps as a finer one or as the scene's own, or that are
-    finer than the level from which on errors do not fall any more.
+    A level is a value of the tolerance, or of the step if the scene gives one. A level is not run (NaN) if it
+    takes too many steps, has the steps of a finer level or of the scene, or is finer than the level from
+    which on errors do not fall any more. Points without a reference solution are named in the attribute
+    `left_out`. Raises BadInput for fewer than 2 points with a reference solution, or if the family exists at
+    none of the points tried.
 
-    count: size of the sample, at least 2. Points without a reference solution are left out and named in the
-    attribute `left_out`. progress: print the progress on stderr. Raises BadInput if count is below 2, if the
-    scene's family exists at none of the points tried, or if fewer than 2 points have a reference solution.
-
-    Returns, by name:
-
-    Over the dimensions (method, level, sample):
+    Over the dimensions (method, level, sample), never below the uncertainty of the reference, which is
+    ``reference_error`` (of the states), ``reference_error_rates`` and ``reference_error_NAME`` over (sample):
 
     - ``error_state``: largest difference of a component at the end of the run, angular velocities in
       units of the point's frequency bound; inf where a run is not finite;
     - ``error_NAME``: error of one statistic, nan where the steps do not resolve the point;
-      ``error_rates``: of the least accurate statistic of a rate, in units of the frequency bound, inf
-      there;
-    - no error is below the uncertainty of the reference, ``reference_error`` (of the states),
-      ``reference_error_rates`` and ``reference_error_NAME``, over (sample);
-    - ``integral_drift``, ``step_length``, ``steps``, ``label_compared``, ``label_wrong``,
-      ``label_unresolved``;
-    - over (method, level): ``seconds_per_point``, processor time to the end of the run in full blocks
-      of points, from the measured time of a point-step; ``order``, the observed order.
+    - ``error_rates``: of the least accurate statistic of a rate, in units of the frequency bound, inf there.
+
+    Over (method, level): ``seconds_per_point``, processor time to the end of the run in full blocks of
+    points, from the measured time of a point-step; ``order``, the observed order.
     """
     if count < 2:
         raise BadInput(f"points = {count}: must be at least 2")
@@ -180,7 +170,7 @@ def _sample_indices(scene: Scene, count: int) -> np.ndarray:
 
 
 def _with_reference(scene: Scene, indices: np.ndarray, advance: Advance) -> _Sample:
-    """The points with their reference solution, without those that have none; BadInput if fewer than 2 remain."""
+    """The points that have a reference solution, with it; BadInput if there are fewer than 2."""
     left_out = ""
     while True:
         part = grid.points_at_indices(scene, indices)
@@ -237,7 +227,7 @@ def _run_method(sample: _Sample, method: str, advance: Advance) -> Iterator[tupl
 
 
 def _levels_to_run(step_sizes: Sequence[StepSizes], own: int) -> list[int]:
-    """One level for each distinct set of steps (the scene's own, or else the finest), without those that take too long."""
+    """One level for each distinct set of steps, the scene's own or else the finest, unless it takes long."""
     selected = []
     for level, sizes in enumerate(step_sizes):
         equal = [k for k, other in enumerate(step_sizes) if (other.steps == sizes.steps).all()]
@@ -276,10 +266,7 @@ def _run_level(
 
 
 def _errors(sample: _Sample, measured: Mapping[str, Array], final: Array, resolved: Mask) -> dict[str, Array]:
-    """Errors of the final states and of the statistics, none below the uncertainty of the reference.
-
-    resolved: points that have statistics; see `StepSizes.resolved`.
-    """
+    """Errors of the final states and of the statistics, none below the uncertainty of the reference."""
     solution = sample.reference
     with np.errstate(invalid="ignore"):
         not_finite = ~np.isfinite(final).all(0)
@@ -412,7 +399,7 @@ def _orders(ds: xr.Dataset, state_uncertainty: Array) -> Array:
     order = np.full(error.shape[:2], np.nan)
     with np.errstate(all="ignore"):
         ratio = np.log(error[:, :-1] / error[:, 1:]) / np.log(step[:, :-1] / step[:, 1:])
-    # Errors near the uncertainty of the reference, and those of a run far from converged, show no order.
+    # Errors near the uncertainty of the reference, or of a run far from convergence, show no order.
     usable = (error[:, 1:] > 10 * state_uncertainty) & (error[:, :-1] < 1e-2) & np.isfinite(ratio)
     for i, j in np.argwhere(usable.sum(2) >= max(2, error.shape[2] / 2)):
         order[i, j + 1] = np.median(ratio[i, j][usable[i, j]])

@@ -36,10 +36,7 @@ PAPER_DATA = {"r0": 1000.0, "R": 2000.0, "lambda": 0.6, "M": 30.0, "z0": 5.0, "g
 
 @dataclass(frozen=True, eq=False)
 class FastSpin:
-    """A body of the paper and its dimensionless numbers (4), (5), (10), (30); fields of shapes that broadcast.
-
-    Raises BadInput where a formula is undefined.
-    """
+    """A body of the paper and its numbers (4), (5), (10), (30); BadInput where a formula is undefined."""
 
     A: Array  # = B, kg m2
     C: Array  # kg m2
@@ -220,10 +217,7 @@ def period_correction(spin: FastSpin, turns: int = 1) -> Array:
 
 
 def first_order(spin: FastSpin, tau: Array) -> Array:
-    """The periodic solution (33) to first order in eps, with the period of `period_correction`.
-
-    tau: an array that broadcasts with the fields of spin; returns y of shape (6, ...).
-    """
+    """The periodic solution (33) to first order in eps, with the period of `period_correction`; (6, ...)."""
     T = (1 + frequency_shift(spin)) * tau
     eps, M3, f = spin.eps, spin.M3, spin.forced
     cosine, sine = np.cos(T), np.sin(T)
@@ -241,11 +235,10 @@ def first_order(spin: FastSpin, tau: Array) -> Array:
 
 
 def general(spin: FastSpin, y0: Array, tau: Array) -> Array:
-    """The solution from any start with r1 = g1'' = 1, to first order in eps, for tau of order 1.
+    """The solution from any start with r1 = g1'' = 1, to first order in eps, for tau of order 1; (6, ...).
 
-    w = mu/Omega + W exp(i Omega tau) + eps chi1 M exp(-i tau) and
-    G = M exp(-i tau) + eps (mu/Omega + nu W exp(i Omega tau)), with W and M from the start.
-    y0: (6, ...); tau broadcasts with the fields of spin; returns y of shape (6, ...).
+    w = mu/Omega + W exp(i Omega tau) + eps chi1 M exp(-i tau) and G = M exp(-i tau) + eps (mu/Omega + nu W
+    exp(i Omega tau)), with W and M from the start.
     """
     eps, Omega, f = spin.eps, spin.Omega, spin.forced
     u, v = y0[0] + 1j * y0[1] - f, y0[3] + 1j * y0[4] - eps * f
@@ -261,7 +254,7 @@ def general(spin: FastSpin, y0: Array, tau: Array) -> Array:
 
 
 def angles(spin: FastSpin, t: Array, h: float = 0.0, psi0: float = 0.0) -> Array:
-    """theta, psi and phi of `first_order` at times t (in 1/r0's unit), (34) and what follows it, shape (3, ...).
+    """theta, psi and phi of `first_order` at times t (in 1/r0's unit), by (34) and what follows it.
 
     Errors of order eps^2 for tau = r0 t of order 1, and of order eps^3 in the secular rates. h shifts the
     phase: theta starts at theta0, psi at psi0 and phi at pi/2 + r0 h but for terms of order eps.

@@ -1,10 +1,10 @@
-"""(6)-(8), (11), (13), (14), (17), (26) and (27) of Amer, Abo Essa, Ibrahim & Amer, as printed and as true, with residuals.
+"""Reduction (6)-(8), (11), (13), (14), (17), (26), (27) of Amer, Abo Essa, Ibrahim & Amer, printed and true.
 
-These are the steps from the equations of motion to the solution (33). Each row changes its own equation alone: k,
-the frequency and chi, chi1, nu, X are the true ones (X = 1 / Omega, chi = 0) in both readings. S1 and S2 are those of
-(2), or of (3) with its own misprint corrected. Residuals are in units of the difference of the two readings; where an
-equation is an expansion in eps, the true one is of order eps. Terms with l2 / (A r0), which is of order eps, in S12,
-S22 and Phi1 are of higher order and left out.
+These are the steps from the equations of motion to the solution (33), with residuals. Each row changes its
+own equation alone: k, the frequency and chi, chi1, nu, X are the true ones (X = 1 / Omega, chi = 0) in both
+readings. S1 and S2 are from (2), or from (3) with its own misprint corrected. Residuals are in units of the
+difference of the two readings; where an equation is an expansion in eps, the true one is of order eps. Terms
+with l2 / (A r0), which is of order eps, in S12, S22 and Phi1 are of higher order and left out.
 """
 
 from __future__ import annotations
@@ -52,7 +52,7 @@ def random_states(rng: np.random.Generator, spin: FastSpin) -> tuple[Array, Arra
 
 
 class Differences(NamedTuple):
-    """Values at the start less those at x = (p2, p2', gamma2, gamma2'), which (13) is written in."""
+    """Values at the start less the values at x = (p2, p2', gamma2, gamma2'), the variables of (13)."""
 
     p: Array
     pp: Array
@@ -189,7 +189,7 @@ def q1_of_11(spin: FastSpin, x0: Array, x: Array, printed: bool) -> Array:
 
 
 def _rate_11(spin: FastSpin, y0: Array, y: Array, x0: Array, x: Array, printed: bool) -> Array:
-    """q1 of (11) less that of the state."""
+    """q1 of (11) less q1 of the state."""
     return q1_of_11(spin, x0, x, printed) - y[1]
 
 
@@ -251,7 +251,7 @@ def eight(spin: FastSpin, y: Array, S1: Array, S2: Array, printed: bool) -> Arra
 
 
 def _seven_errors(rng: np.random.Generator) -> tuple[Array, Array]:
-    """p1'' by (7) less that of the motion."""
+    """p1'' by (7) less p1'' of the motion."""
     spin = random_spin(rng, r0=1e4)
     y, S1, _ = _random_motion(rng, spin)
     exact = true_acceleration(spin, y)[0]
@@ -259,7 +259,7 @@ def _seven_errors(rng: np.random.Generator) -> tuple[Array, Array]:
 
 
 def _eight_errors(rng: np.random.Generator) -> tuple[Array, Array]:
-    """g1'' by (8) less that of the motion."""
+    """g1'' by (8) less g1'' of the motion."""
     spin = random_spin(rng, r0=1e3)  # eps^3 far above rounding errors
     y, S1, S2 = _random_motion(rng, spin)
     exact = true_acceleration(spin, y)[3]

@@ -35,17 +35,13 @@ class _TooManyEvaluationsError(Exception):
 def errors(
     points: Points, duration: Array, solution: Solution, pause: Callable[[], None] = _go_on
 ) -> tuple[Array, Array]:
-    """Largest errors of a solution of (1) over a run, each of shape (points,).
+    """Largest errors over a run of a solution (spin, tau) -> y of (1): of gamma, and of p + i q.
 
-    The full equations are integrated from the initial value of the solution, with r0 and gamma0'' from the
-    point, so that the error is that of the formula. DOP853 with a relative tolerance of 1e-13 takes about
-    0.1 ms per point and turn; the points of a chunk share their steps, so that the digits of an error near
-    1e-12 depend on the other points.
-
-    duration: time units; solution: (spin, tau) -> y, as `fast_spin.first_order`. pause: called at every step;
-    an exception that it raises ends the integration. Returns angle, rate, error of gamma, a unit vector (rad
-    while small), and of p + i q relative to the largest |p + i q| of the run. nan where the run, from there
-    or from the point's own start, is longer than MAX_RADIANS. Raises BadInput as `fast_spin.fast_spin`.
+    gamma is a unit vector (rad while small), p + i q relative to the largest |p + i q| of the run; nan where
+    the run is longer than MAX_RADIANS. The full equations are integrated from the initial value of the
+    solution, with r0 and gamma0'' from the point, so that the error is due to the formula. DOP853 with a
+    relative tolerance of 1e-13 takes about 0.1 ms per point and turn; the points of a chunk share their
+    steps, so that the digits of an error near 1e-12 depend on the other points.
     """
     angle, rate = np.full(duration.shape, np.nan), np.full(duration.shape, np.nan)
     with np.errstate(all="ignore"):

@@ -1,12 +1,11 @@
 """Lagrange's equations (5)-(7) of the satellite in Euler angles, corrected, and as printed.
 
-The corrected ones are the equations of the Lagrangian (2), (3) of Yehia & El-kenani 2021
-(doi 10.22055/JACM.2021.37913.3113); `tests/systems/test_satellite_lagrange.py` derives them. They
-give the accelerations of the Euler-Poisson equations of equations.py except at sin theta = 0, where the matrix of
-the second derivatives, of determinant A B C sin^2 theta, is singular and the result not finite.
-
-The functions take state and constants as sequences in the order of STATE and CONSTANTS, as in
-equations.py, and are plain arithmetic but for sin and cos, the only names they take from elsewhere.
+The corrected ones are the equations of the Lagrangian (2), (3) of Yehia & El-kenani 2021 (doi
+10.22055/JACM.2021.37913.3113); `tests/systems/test_satellite_lagrange.py` derives them. They give the
+accelerations of the Euler-Poisson equations of equations.py except at sin theta = 0, where the matrix of the
+second derivatives, of determinant A B C sin^2 theta, is singular and the result not finite. State and
+constants are in the order of STATE and CONSTANTS, as in equations.py; sin and cos are the only names from
+elsewhere.
 """
 
 from numpy import cos, sin

@@ -1,7 +1,4 @@
-"""The equations of Yehia & El-kenani 2021, doi 10.22055/JACM.2021.37913.3113, with residuals of both readings.
-
-`equations.toml` contains the readings and describes its keys.
-"""
+"""Equations of Yehia & El-kenani 2021, doi 10.22055/JACM.2021.37913.3113, with residuals of both readings."""
 
 from __future__ import annotations
 
@@ -47,7 +44,7 @@ def euler_state(point: Point) -> list[Array]:
     return [point[name] for name in ("psi0", "theta0", "phi0", "n", "theta_dot0", "m")]
 
 
-# Conditions: the residual is that of the motion.
+# Conditions: the residual is measured on the motion.
 
 
 def residual(point: Point) -> float:

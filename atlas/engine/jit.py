@@ -78,7 +78,9 @@ MACHINE_CODE_SETTINGS = {
 }
 # The intrinsics below are compiled into every kernel, but are not in its source.
 _INTRINSICS = Path(__file__).read_bytes()
-_LOADING = threading.Lock()
+# A second thread must not get a module that is only half there, nor parse while another does: Python 3.11 keeps one depth of
+# recursion for all threads, and raises SystemError where two conversions of syntax trees overlap.
+PARSING = threading.RLock()
 
 
 @intrinsic
@@ -127,7 +129,9 @@ def settings() -> dict[str, str]:
 
 def digest(source: str) -> str:
     """Hash of a kernel: its syntax tree (comments and layout do not count), compilers, CPU, options."""
-    return _hash(ast.dump(ast.parse(source)))
+    with PARSING:
+        tree = ast.parse(source)
+    return _hash(ast.dump(tree))
 
 
 def _hash(tree: str) -> str:
@@ -147,7 +151,7 @@ def cache_folder() -> Path:
 
 def load(source: str) -> ModuleType:
     """Make the generated module; its function `integrate` is compiled, or taken from the cache, when first called."""
-    with _LOADING:  # a second thread must not get a module that is only half there
+    with PARSING:
         name = f"atlas_kernel_{digest(source)}"
         if name not in sys.modules:
             module = ModuleType(name)

@@ -51,7 +51,8 @@ def source(
     """Text of the kernel of a system; plugs, of: see `assemble.source`."""
     of = of or (observe if system.observables else kernel_of_bodies)
     zero, equal = specialization.zero, dict(specialization.equal)
-    return assemble.source(system.equations, method, zero, equal, of=of, plugs=plugs)
+    with jit.PARSING:
+        return assemble.source(system.equations, method, zero, equal, of=of, plugs=plugs)
 
 
 @cache
@@ -82,4 +83,4 @@ def kernel_hash(*sources: str) -> str:
 @cache
 def deviation_kernel(system: System) -> ModuleType:
     """The compiled module of linear deviations from given motions of a system, see `deviation`."""
-    return jit.load(assemble.source(system.equations, "rk4", of=deviation))
+    return jit.load(source(system, "rk4", of=deviation))

@@ -27,7 +27,7 @@ def tiles_in_flight(plan: ScenePlan, threads: int | None) -> int:
     return min(1 + math.ceil(threads / max(calls_per_tile, 1.0)), threads + 1, plan.tiling.count)
 
 
-class _StoppedError(Exception):
+class _Stopped(Exception):
     """Ends a tile in flight after another one failed or the user pressed Ctrl-C."""
 
 
@@ -39,11 +39,11 @@ def for_each_tile(
 
     def advance_or_stop(points: float) -> None:
         if stop.is_set():
-            raise _StoppedError
+            raise _Stopped
         advance(points)
 
     def worker() -> None:
-        with suppress(_StoppedError):
+        with suppress(_Stopped):
             while not stop.is_set():
                 with lock:
                     tile = next(source, None)

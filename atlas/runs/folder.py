@@ -53,7 +53,7 @@ from ..scene import grid
 from ..scene.read import parse_scene
 from .identity import differences, identity
 from .plan import ScenePlan
-from .tiles import DamagedTileError, Tally, TileFiles, tile_types
+from .tiles import DamagedTile, Tally, TileFiles, tile_types
 from .tiling import Tiling
 
 FORMAT = 2
@@ -335,7 +335,7 @@ class RunFolder:
             else:
                 whole = (t * max(c // t, 1) for t, c in zip(self.tiling.tile, lengths, strict=True))
                 netcdf.write_blocks(self.dataset(), chunk, names, self._blocks(tuple(whole)), out)
-        except DamagedTileError as error:
+        except DamagedTile as error:
             raise BadInput(f"{self.path}: {error}; run its scene again first") from None
 
     def _blocks(self, lengths: tuple[int, ...]) -> Iterator[Block]:
@@ -352,8 +352,8 @@ class RunFolder:
                 tile = int(np.ravel_multi_index(tuple(np.add(first, offset)), self.tiling.counts))
                 try:
                     arrays = self.tiles.read(tile)
-                except (FileNotFoundError, DamagedTileError) as error:
-                    raise DamagedTileError(f"tile {tile}: {error}") from None
+                except (FileNotFoundError, DamagedTile) as error:
+                    raise DamagedTile(f"tile {tile}: {error}") from None
                 in_box, in_tile = [], []
                 for a, b in zip(box, self.tiling.slices(tile), strict=True):
                     start, stop = max(a.start, b.start), min(a.stop, b.stop)
@@ -439,7 +439,7 @@ def _read_chunk(run: RunFolder, name: str, block_id: tuple[int, ...]) -> np.ndar
         return run.tiles.read(tile, (name,))[name]
     except FileNotFoundError:
         pass
-    except DamagedTileError as error:
+    except DamagedTile as error:
         logging.getLogger("atlas").warning("%s: tile %d is damaged: %s", run.path, tile, error)
     dtype = np.dtype(tile_types(run.scene)[name])
     return np.full(run.tiling.shape_of(tile), 0 if dtype.kind == "i" else np.nan, dtype)

@@ -45,7 +45,7 @@ GROUPS = {
 BINS_PER_DECADE, LOWEST_DECADE, BINS = 4, -20, 161
 
 
-class DamagedTileError(Exception):
+class DamagedTile(Exception):
     """A tile that exists but cannot be used; the message gives the reason."""
 
 
@@ -165,7 +165,7 @@ class TileFiles:
                 raise disk_error(error, path) from None
             try:
                 self._arrays(tile, content, computed, ())
-            except DamagedTileError as error:
+            except DamagedTile as error:
                 raise OSError(
                     errno.EIO, f"read back otherwise than it was computed: {error}", str(path)
                 ) from None
@@ -178,7 +178,7 @@ class TileFiles:
             temporary.write_text(sealed(sidecar), encoding="utf-8")
 
     def read(self, tile: int, names: Iterable[str] | None = None) -> dict[str, np.ndarray]:
-        """Checked variables of a tile, default all; FileNotFoundError, DamagedTileError if a check fails."""
+        """Checked variables of a tile, default all; FileNotFoundError, DamagedTile if a check fails."""
         sidecar = self._sidecar(tile)
         content = self._content(tile, sidecar)
         return self._arrays(tile, content, sidecar["computed"], self.types if names is None else names)
@@ -188,13 +188,13 @@ class TileFiles:
         try:
             content = self.path(tile).read_bytes()
         except (FileNotFoundError, IsADirectoryError):
-            raise DamagedTileError("its file is missing") from None
+            raise DamagedTile("its file is missing") from None
         if "hash" in sidecar:
             differs = sidecar["hash"] != self._hash(tile, content, sidecar["computed"])
         else:  # of version 0.1.0 before its sidecars had tallies
             differs = sidecar.get("sha256") != hashlib.sha256(content).hexdigest()
         if differs:
-            raise DamagedTileError("its hash differs")
+            raise DamagedTile("its hash differs")
         return content
 
     def _hash(self, tile: int, content: bytes, computed: int) -> str:
@@ -206,26 +206,26 @@ class TileFiles:
     def _arrays(
         self, tile: int, content: bytes, computed: int, names: Iterable[str]
     ) -> dict[str, np.ndarray]:
-        """Variables of the file of a tile; DamagedTileError unless key, shape and number of computed points are right."""
+        """Variables of the file of a tile; DamagedTile unless key, shape and number of computed points are right."""
         shape, selected = self.tiling.shape_of(tile), list(names)
         flags = [name for name in ("label", "status") if name in self.types]
         try:
             with NETCDF_LOCK, netCDF4.Dataset("tile.nc", memory=content) as file:
                 if (file.getncattr("atlas_key"), file.getncattr("atlas_tile")) != (self.key, tile):
-                    raise DamagedTileError("it is a tile of another run or place")
+                    raise DamagedTile("it is a tile of another run or place")
                 variables = {name: file.variables[name] for name in {*selected, *flags}}
                 if any(variable.shape != shape for variable in variables.values()):
-                    raise DamagedTileError("its shape or type is wrong")
+                    raise DamagedTile("its shape or type is wrong")
                 file.set_auto_maskandscale(False)
                 arrays = {name: np.asarray(variable[...]) for name, variable in variables.items()}
         except (OSError, RuntimeError, AttributeError, LookupError) as error:
-            raise DamagedTileError(f"it does not open: {error}") from None
+            raise DamagedTile(f"it does not open: {error}") from None
         if any(array.dtype != self.types[name] for name, array in arrays.items()):
-            raise DamagedTileError("its shape or type is wrong")
+            raise DamagedTile("its shape or type is wrong")
         not_computed = math.prod(shape) - computed
         missing = {"label": (Label.NOT_COMPUTED,), "status": (Status.NOT_COMPUTED, Status.IMPOSSIBLE_BODY)}
         if any(np.isin(arrays[name], missing[name]).sum() != not_computed for name in flags):
-            raise DamagedTileError("it contains points that are not computed")
+            raise DamagedTile("it contains points that are not computed")
         return {name: arrays[name] for name in selected}
 
     def missing(self) -> list[int]:
@@ -246,7 +246,7 @@ class TileFiles:
             for tile, error in zip(written, errors, strict=True):
                 if error is None:
                     status.done.append(tile)
-                elif isinstance(error, DamagedTileError):
+                elif isinstance(error, DamagedTile):
                     status.damaged[tile] = str(error)
                 else:  # removed in the meantime
                     status.missing.append(tile)
@@ -256,7 +256,7 @@ class TileFiles:
         """Readable sidecars of all tiles that are written."""
         for name in self._file_names():
             if name.endswith(".json") and not name.startswith("."):
-                with suppress(FileNotFoundError, DamagedTileError):
+                with suppress(FileNotFoundError, DamagedTile):
                     yield self._sidecar(int(name[:8]))
 
     def _file_names(self) -> set[str]:
@@ -269,11 +269,11 @@ class TileFiles:
             sidecar = unsealed(read_bytes(self.path(tile, ".json")))
             check_types(sidecar, SIDECAR_TYPES)
         except ValueError as error:
-            raise DamagedTileError(f"its sidecar cannot be read: {one_line(error)}") from None
+            raise DamagedTile(f"its sidecar cannot be read: {one_line(error)}") from None
         if sidecar.get("key") != self.key or sidecar.get("tile") != tile:
-            raise DamagedTileError("its sidecar is of another run or tile")
+            raise DamagedTile("its sidecar is of another run or tile")
         if sidecar["points"] != self.tiling.size_of(tile):
-            raise DamagedTileError("it contains points that are not computed")
+            raise DamagedTile("it contains points that are not computed")
         return sidecar
 
     def _errors(self, tiles: Iterable[int]) -> list[Exception | None]:
@@ -287,6 +287,6 @@ class TileFiles:
             content = self._content(tile, sidecar)
             if "hash" not in sidecar:
                 self._arrays(tile, content, sidecar["computed"], ())
-        except (FileNotFoundError, DamagedTileError) as error:
+        except (FileNotFoundError, DamagedTile) as error:
             return error
         return None

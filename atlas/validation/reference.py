@@ -56,7 +56,7 @@ class Reference:
     label_certain: Mask  # true where both determinations give the same labels
 
 
-class ReferenceFailureError(BadInput):
+class ReferenceFailure(BadInput):
     """The reference cannot be computed for the points at these indices."""
 
     def __init__(self, indices: np.ndarray):
@@ -72,13 +72,13 @@ def reference(
     SciPy's DOP853 runs at the relative tolerances REFERENCE_RTOL and SECOND_RTOL, with the statistics as
     quadratures. The uncertainty is SAFETY times the difference of the two runs, or of the closed form and the
     first run: where the motion is unstable, rounding of an exact start grows, so that the closed form is no
-    more certain than this difference. Raises ReferenceFailureError with the points where a run fails.
+    more certain than this difference. Raises ReferenceFailure with the points where a run fails.
     """
     runs = []
     for rtol in (REFERENCE_RTOL, SECOND_RTOL):
         run, failed = _dop853(system, points, duration, settings.cylinder, rtol, advance)
         if failed.any():
-            raise ReferenceFailureError(np.flatnonzero(failed))
+            raise ReferenceFailure(np.flatnonzero(failed))
         runs.append(run)
     best, other = runs
     exact = np.zeros(duration.shape, bool)

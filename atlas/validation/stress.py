@@ -25,7 +25,7 @@ from ..scene.model import Settings
 from ..scene.tables import point_columns
 from ..systems.base import Array, Mask, Parameter, Points, StressCase, System
 from ..variables import main_instrument, variables
-from .reference import ReferenceFailureError, reference
+from .reference import ReferenceFailure, reference
 from .stress_truth import EXACT_ACCURACY, EXACT_STATISTICS, TrueLabels, no_statistics, true_labels
 from .text_table import text_table
 
@@ -510,7 +510,7 @@ def generic_true_labels(system: System, part: CasePoints, settings: Settings) ->
         points: Points = {name: values[indices] for name, values in part.points.items()}
         try:
             solution = reference(system, points, part.duration[indices], settings)
-        except ReferenceFailureError as failure:
+        except ReferenceFailure as failure:
             known[indices[failure.indices]] = False
             indices = np.delete(indices, failure.indices)
             continue

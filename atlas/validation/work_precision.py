@@ -35,7 +35,7 @@ from .reference import (
     MAX_RADIANS,
     Advance,
     Reference,
-    ReferenceFailureError,
+    ReferenceFailure,
     reference,
 )
 
@@ -176,7 +176,7 @@ def _with_reference(scene: Scene, indices: np.ndarray, advance: Advance) -> _Sam
         part = grid.points_at_indices(scene, indices)
         try:
             solution = reference(scene.system, part.points, part.duration, scene.settings, advance)
-        except ReferenceFailureError as failure:
+        except ReferenceFailure as failure:
             failed = indices[failure.indices]
             left_out = (
                 f"the reference fails at {failed.size} of {indices.size} points, where the motion is not finite"

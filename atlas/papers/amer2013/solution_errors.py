@@ -28,7 +28,7 @@ def _go_on() -> None:
     """No interruption."""
 
 
-class _TooManyEvaluationsError(Exception):
+class _TooManyEvaluations(Exception):
     """Ends an integration that takes far more steps than the frequencies of its points explain."""
 
 
@@ -94,7 +94,7 @@ def _full(spin: FastSpin, y0: Array, end: Array, pause: Callable[[], None]) -> A
         nonlocal evaluations
         evaluations += 1
         if evaluations > MAX_EVALUATIONS:
-            raise _TooManyEvaluationsError
+            raise _TooManyEvaluations
         pause()
         return (end * rhs(spin, y.reshape(shape))).ravel()
 
@@ -102,7 +102,7 @@ def _full(spin: FastSpin, y0: Array, end: Array, pause: Callable[[], None]) -> A
     unknown = np.full((shape[0], SAMPLES, shape[1]), np.nan)
     try:
         solution = dop853(rate, (0.0, 1.0), y0.ravel(), atol=1e-14 * size.ravel(), t_eval=instants)
-    except _TooManyEvaluationsError:
+    except _TooManyEvaluations:
         return unknown
     if not solution.success:
         return unknown

@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 
 from .. import systems
 from ..errors import MAX_TEXT, BadInput, printable, shown
-from ..runs.tiling import Tiling
+from ..runs.tiles import Tiling
 from ..scene.model import Axis, Scene
 from ..scene.read import parse_scene
 from ..systems.base import System

@@ -57,19 +57,19 @@ def _accuracy(options: argparse.Namespace) -> int:
     check_at_least("--points", options.points, 2)
     scene = read_scene(options.scene)
     from ..plotting import style
-    from ..plotting.work_precision import figure
-    from ..validation import work_precision, work_precision_report
+    from ..plotting.stress import work_precision_figure
+    from ..validation import work_precision
 
     ds = work_precision.work_precision(scene, options.points, progress=True)
-    say(*work_precision_report.report(ds).split("\n"))
+    say(*work_precision.report(ds).split("\n"))
     for out in outs:
         if out.suffix.lower() == ".nc":
             netcdf.write(ds, out)
         elif out.suffix.lower() == ".csv":
             with atomic_write(out) as temporary:
-                temporary.write_text(work_precision_report.table(ds))
+                temporary.write_text(work_precision.table(ds))
         else:
-            style.save(figure(ds), out)
+            style.save(work_precision_figure(ds), out)
         say(f"wrote {out}")
     return DONE
 
@@ -97,7 +97,7 @@ def _stress(options: argparse.Namespace) -> int:
     files = [f"{name}{suffix}" for name in names for suffix in (".nc", ".png")]
     folder = output_folder(options.out, files, force=options.force) if options.out else None
     from ..io import netcdf
-    from ..plotting.stress import figure
+    from ..plotting.stress import stress_figure
     from ..plotting.style import save
     from ..validation import stress
 
@@ -109,7 +109,7 @@ def _stress(options: argparse.Namespace) -> int:
         failed |= stress.estimate_fails(ds)
         if folder is not None:
             netcdf.write(ds, folder / f"{name}.nc")
-            save(figure(ds), folder / f"{name}.png")
+            save(stress_figure(ds), folder / f"{name}.png")
             say(f"wrote {folder / name}.nc and .png", "")
     if set(names) & set(with_cases):
         say(*text_table(stress.limits()).split("\n"))

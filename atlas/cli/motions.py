@@ -72,7 +72,6 @@ def _is_column(word: str) -> bool:
 def _points(options: argparse.Namespace) -> int:
     """Run the command `points`; returns its exit code."""
     from .. import systems
-    from ..io import csv as csv_file
     from ..io import netcdf
     from ..scene import tables
 
@@ -102,7 +101,7 @@ def _points(options: argparse.Namespace) -> int:
         progress=not options.quiet,
         keep=options.keep,
     )
-    (csv_file if out.suffix.lower() == ".csv" else netcdf).write(ds, out)
+    (netcdf.write_csv if out.suffix.lower() == ".csv" else netcdf.write)(ds, out)
     say(*summary(ds).split("\n"), f"wrote {out}")
     return DONE
 

@@ -12,9 +12,9 @@ from .. import systems
 from ..engine.compiling import Stopwatch
 from ..engine.specialization import Specialization
 from ..errors import BadInput, allowed_text, shown
-from ..io import netcdf, provenance
+from ..io import netcdf
+from ..io.netcdf import log_warnings
 from ..io.progress import Progress
-from ..io.provenance import log_warnings
 from ..scene import grid
 from ..scene.checks import MAX_THREADS, texts, typed, whole_number
 from ..scene.model import DEFAULTS, Duration, Settings
@@ -114,7 +114,7 @@ def label_points(
     plan = Plan(description, settings, None if variables is None else outputs, specialization)
     columns = _evaluate_in_tiles(plan, grid.Grid(full, full, reason, durations), outputs, threads, progress)
     ds = _dataset(description, columns, full, kept)
-    ds.attrs |= provenance.provenance(
+    ds.attrs |= netcdf.provenance(
         description, settings, plan.kernel_hash, title=f"points of the {system}", scene="", seconds=stopwatch.seconds(),
         points=size, warnings=warnings,
     )  # fmt: skip

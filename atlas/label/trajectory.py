@@ -17,7 +17,7 @@ from ..engine.losses import with_frame_vector
 from ..engine.stepsize import StepSizes
 from ..engine.tableaux import METHODS, Method
 from ..errors import BadInput
-from ..io import provenance
+from ..io import netcdf
 from ..scene import checks, grid
 from ..scene.model import DEFAULTS, Duration, Scene, Settings
 from ..scene.tables import point_columns
@@ -150,7 +150,7 @@ def _trajectory(
     path, lost = ({name: values[at_samples] for name, values in each.items()} for each in (path, lost))
     ds = _dataset(system, ensemble, states[at_samples], lost, path, np.linspace(0.0, duration, samples))
     _add_parameters(ds, system, points, float(step_size[0]))
-    ds.attrs = provenance.provenance(
+    ds.attrs = netcdf.provenance(
         system, settings, plan.kernel_hash, title=title or f"trajectory of the {system.title}",
         scene="", seconds=0.0, points=1, warnings=system.warnings(points),
     )  # fmt: skip

@@ -6,6 +6,7 @@ import ast
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -159,3 +160,282 @@ def _single_points(
         rate_tolerance=number_attribute(ds, "atlas_rate_tolerance"),
     )
     return parameters, _over_points(ds, "end_time", dims), settings
+
+
+# Functions of numbers, by their Python names without the module.
+_FUNCTIONS = {
+    name: f"Math.{name}"
+    for name in (
+        "sqrt", "cbrt", "exp", "expm1", "log", "log1p", "log2", "log10", "hypot", "floor", "ceil",
+        "sin", "cos", "tan", "asin", "acos", "atan", "atan2", "sinh", "cosh", "tanh", "asinh", "acosh", "atanh",
+        "abs", "min", "max",
+    )
+}  # fmt: skip
+# NumPy's names of the same functions.
+_FUNCTIONS |= {
+    "fabs": "Math.abs", "absolute": "Math.abs", "minimum": "Math.min", "maximum": "Math.max",
+    "arcsin": "Math.asin", "arccos": "Math.acos", "arctan": "Math.atan", "arctan2": "Math.atan2",
+    "arcsinh": "Math.asinh", "arccosh": "Math.acosh", "arctanh": "Math.atanh",
+}  # fmt: skip
+_MODULES = ("math", "np", "numpy")
+_NUMBERS = {"pi": "Math.PI", "e": "Math.E", "inf": "Infinity", "nan": "NaN"}
+_OPERATORS = {ast.Add: "+", ast.Sub: "-", ast.Mult: "*", ast.Div: "/"}
+_COMPARISONS = {
+    ast.Lt: "<", ast.LtE: "<=", ast.Gt: ">", ast.GtE: ">=", ast.Eq: "===", ast.NotEq: "!=="
+}  # fmt: skip
+# Words that JavaScript reserves or that the translation uses; "$" cannot occur in a Python name.
+_RESERVED = frozenset((
+    "abstract", "arguments", "await", "boolean", "break", "byte", "case", "catch", "char", "class", "const",
+    "continue", "debugger", "default", "delete", "do", "double", "else", "enum", "eval", "export", "extends",
+    "false", "final", "finally", "float", "for", "function", "goto", "if", "implements", "import", "in",
+    "instanceof", "int", "interface", "let", "long", "native", "new", "null", "package", "private", "protected",
+    "public", "return", "short", "static", "super", "switch", "synchronized", "this", "throw", "throws",
+    "transient", "true", "try", "typeof", "undefined", "var", "void", "volatile", "while", "with", "yield",
+    "Infinity", "Math", "NaN",
+))  # fmt: skip
+MAX_POWER = 64
+_INDENT = "  "
+
+
+class CannotTranslate(ValueError):
+    """A function contains something that has no translation; the message names it."""
+
+
+def translate(sources: Mapping[str, str]) -> str:
+    """JavaScript functions, of the same names, of Python functions; else CannotTranslate.
+
+    They may contain assignments, `if` and return; arithmetic, comparisons, conditional expressions, tuples
+    (arrays in JavaScript), subscripts and slices with constant bounds, and calls of `math` and of each other.
+    """
+    return "\n".join(_Function(name, text, frozenset(sources)).script() for name, text in sources.items())
+
+
+def _name(name: str) -> str:
+    """A Python name in JavaScript."""
+    return f"{name}$" if name in _RESERVED else name
+
+
+class _Function:
+    """Translation of one function."""
+
+    def __init__(self, name: str, text: str, functions: frozenset[str]):
+        try:
+            (self.node,) = ast.parse(text).body
+        except SyntaxError as error:
+            raise CannotTranslate(f"{name}: {error.msg}") from None
+        self.name, self.functions = name, functions
+        self.temporaries = 0
+        self.parameters: list[str] = []
+        self.locals: dict[str, None] = {}  # in the order of their first assignment
+
+    def script(self) -> str:
+        """The function in JavaScript."""
+        node = self.node
+        if not isinstance(node, ast.FunctionDef):
+            raise self.fault(node)
+        arguments = node.args
+        if arguments.vararg or arguments.kwarg or arguments.kwonlyargs or arguments.defaults:
+            raise CannotTranslate(f"{self.name}: parameters other than positional ones")
+        self.parameters = [argument.arg for argument in (*arguments.posonlyargs, *arguments.args)]
+        body = self.block(node.body, _INDENT)
+        names = [_name(name) for name in self.locals if name not in self.parameters]
+        names += [f"t${i}" for i in range(self.temporaries)]
+        declared = [f"{_INDENT}let {', '.join(names)};"] if names else []
+        head = f"function {_name(self.name)}({', '.join(map(_name, self.parameters))}) {{"
+        return "\n".join([head, *declared, *body, "}"])
+
+    def fault(self, node: ast.AST) -> CannotTranslate:
+        """The exception for a node without translation."""
+        try:
+            text = ast.unparse(node).partition("\n")[0]
+        except (AttributeError, ValueError, RecursionError):
+            text = ""
+        return CannotTranslate(f"{self.name}: {text or type(node).__name__}")
+
+    def block(self, statements: list[ast.stmt], indent: str) -> list[str]:
+        """Lines of some statements."""
+        return [line for statement in statements for line in self.statement(statement, indent)]
+
+    def statement(self, node: ast.stmt, indent: str) -> list[str]:
+        """Lines of one statement."""
+        match node:
+            case ast.Expr(value=ast.Constant()) | ast.Pass():
+                return []  # a docstring
+            case ast.Return(value=ast.expr() as value):
+                return [f"{indent}return {self.expression(value)};"]
+            case ast.Assign(targets=[target], value=value):
+                return [indent + line for line in self.assignment(target, value)]
+            case ast.AnnAssign(target=ast.Name() as target, value=ast.expr() as value):
+                return [indent + line for line in self.assignment(target, value)]
+            case ast.AugAssign(target=ast.Name(id=name) as target, op=op, value=value):
+                total = ast.BinOp(ast.Name(name, ast.Load()), op, value)
+                return [indent + line for line in self.assignment(target, total)]
+            case ast.If(test=test, body=body, orelse=orelse):
+                lines = [f"{indent}if ({self.expression(test)}) {{", *self.block(body, indent + _INDENT)]
+                if orelse:
+                    lines += [f"{indent}}} else {{", *self.block(orelse, indent + _INDENT)]
+                return [*lines, f"{indent}}}"]
+        raise self.fault(node)
+
+    def assignment(self, target: ast.expr, value: ast.expr) -> list[str]:
+        """Lines that assign a value to a name, or the items of a tuple to several at once."""
+        match target:
+            case ast.Name(id=name):
+                text = self.expression(value)
+                self.locals[name] = None
+                return [f"{_name(name)} = {text};"]
+            case ast.Tuple(elts=targets) | ast.List(elts=targets):
+                items: list[str]
+                if isinstance(value, ast.Tuple | ast.List):
+                    if len(value.elts) != len(targets):
+                        raise self.fault(value)
+                    items = [self.temporary() for _ in targets]
+                    lines = [
+                        f"{item} = {self.expression(element)};"
+                        for item, element in zip(items, value.elts, strict=True)
+                    ]
+                else:
+                    whole = self.temporary()
+                    lines = [f"{whole} = {self.expression(value)};"]
+                    items = [f"{whole}[{i}]" for i in range(len(targets))]
+                for each, item in zip(targets, items, strict=True):
+                    lines += self.assigned_item(each, item)
+                return lines
+        raise self.fault(target)
+
+    def assigned_item(self, target: ast.expr, text: str) -> list[str]:
+        """Lines that assign translated text to a name, or to a tuple of names."""
+        if isinstance(target, ast.Name):
+            self.locals[target.id] = None
+            return [f"{_name(target.id)} = {text};"]
+        if isinstance(target, ast.Tuple | ast.List):
+            return [
+                line
+                for i, each in enumerate(target.elts)
+                for line in self.assigned_item(each, f"{text}[{i}]")
+            ]
+        raise self.fault(target)
+
+    def temporary(self) -> str:
+        """A new name that no Python name equals."""
+        self.temporaries += 1
+        return f"t${self.temporaries - 1}"
+
+    def expression(self, node: ast.expr) -> str:
+        """An expression, in parentheses unless it is one name, number or call."""
+        match node:
+            case ast.Constant(value=bool() as value):
+                return str(value).lower()
+            case ast.Constant(value=int() | float() as value):
+                return self.number(float(value))
+            case ast.Name(id=name) if name in self.locals or name in self.parameters:
+                return _name(name)
+            case ast.Name(id=name) if name in _NUMBERS:
+                return _NUMBERS[name]
+            case ast.Attribute(value=ast.Name(id=module), attr=name) if (
+                module in _MODULES and name in _NUMBERS
+            ):
+                return _NUMBERS[name]
+            case ast.UnaryOp(op=ast.USub(), operand=operand):
+                return f"(-{self.expression(operand)})"
+            case ast.UnaryOp(op=ast.UAdd(), operand=operand):
+                return self.expression(operand)
+            case ast.UnaryOp(op=ast.Not(), operand=operand):
+                return f"(!{self.expression(operand)})"
+            case ast.BinOp(left=base, op=ast.Pow(), right=exponent):
+                return self.power(base, exponent)
+            case ast.BinOp(left=left, op=op, right=right) if type(op) in _OPERATORS:
+                return f"({self.expression(left)} {_OPERATORS[type(op)]} {self.expression(right)})"
+            case ast.BoolOp(op=op, values=values):
+                sign = " && " if isinstance(op, ast.And) else " || "
+                return f"({sign.join(map(self.expression, values))})"
+            case ast.Compare(left=left, ops=ops, comparators=others) if all(
+                type(o) in _COMPARISONS for o in ops
+            ):
+                sides = [self.expression(side) for side in (left, *others)]
+                pairs = zip(pairwise(sides), ops, strict=True)
+                return f"({' && '.join(f'{a} {_COMPARISONS[type(op)]} {b}' for (a, b), op in pairs)})"
+            case ast.IfExp(test=test, body=body, orelse=orelse):
+                return f"({self.expression(test)} ? {self.expression(body)} : {self.expression(orelse)})"
+            case ast.Tuple(elts=elements) | ast.List(elts=elements):
+                return f"[{', '.join(map(self.expression, elements))}]"
+            case ast.Subscript(value=value, slice=index):
+                return self.subscript(node, value, index)
+            case ast.Call(func=function, args=arguments, keywords=[]):
+                return f"{self.function(function)}({', '.join(map(self.expression, arguments))})"
+        raise self.fault(node)
+
+    def number(self, value: float) -> str:
+        """A number with the same 64 bits."""
+        return {"inf": "Infinity", "nan": "NaN"}.get(repr(value), repr(value))
+
+    def power(self, base: ast.expr, exponent: ast.expr) -> str:
+        """A power: a product, a square root, or Math.pow, which may differ in the last bit."""
+        sign = 1.0
+        if isinstance(exponent, ast.UnaryOp) and isinstance(exponent.op, ast.USub):
+            sign, exponent = -1.0, exponent.operand
+        if not isinstance(exponent, ast.Constant) or not isinstance(exponent.value, int | float):
+            if sign < 0:
+                exponent = ast.UnaryOp(ast.USub(), exponent)
+            return f"Math.pow({self.expression(base)}, {self.expression(exponent)})"
+        number = sign * exponent.value
+        text = self.expression(base)
+        if number == 0.5:
+            return f"Math.sqrt({text})"
+        if number != int(number) or not 1 <= abs(number) <= MAX_POWER:
+            return f"Math.pow({text}, {self.number(number)})"
+        product = self.product(base, text, int(abs(number)))
+        return product if number > 0 else f"(1.0 / {product})"
+
+    def product(self, base: ast.expr, text: str, count: int) -> str:
+        """A whole power by repeated squaring."""
+        if count == 1:
+            return text
+        if not isinstance(base, ast.Name | ast.Constant):
+            return f"((x) => {self.product(ast.Name('x'), 'x', count)})({text})"
+        factors, square = [], text
+        while count:
+            if count & 1:
+                factors.append(square)
+            square, count = f"({square} * {square})", count >> 1
+        result = factors[0]
+        for factor in factors[1:]:
+            result = f"({result} * {factor})"
+        return result
+
+    def subscript(self, node: ast.expr, value: ast.expr, index: ast.expr) -> str:
+        """An item or a slice with constant bounds."""
+        text = self.expression(value)
+        if isinstance(index, ast.Slice):
+            if index.step is not None:
+                raise self.fault(node)
+            lower = self.bound(node, index.lower, "0")
+            upper = self.bound(node, index.upper, "")
+            return f"{text}.slice({lower}{', ' if upper else ''}{upper})"
+        position = self.bound(node, index, "")
+        return f"{text}.at({position})" if position.startswith("-") else f"{text}[{position}]"
+
+    def bound(self, node: ast.expr, index: ast.expr | None, missing: str) -> str:
+        """A constant index."""
+        if index is None:
+            return missing
+        try:
+            value = ast.literal_eval(index)
+        except ValueError:
+            raise self.fault(node) from None
+        if not isinstance(value, int) or isinstance(value, bool):
+            raise self.fault(node)
+        return str(value)
+
+    def function(self, node: ast.expr) -> str:
+        """The function of a call."""
+        match node:
+            case ast.Name(id=name) if name in self.functions:
+                return _name(name)
+            case ast.Name(id=name) if name in _FUNCTIONS:
+                return _FUNCTIONS[name]
+            case ast.Attribute(value=ast.Name(id=module), attr=name) if (
+                module in _MODULES and name in _FUNCTIONS
+            ):
+                return _FUNCTIONS[name]
+        raise self.fault(node)

@@ -24,8 +24,7 @@ from ..plotting.maps import atlas_map
 from ..plotting.style import STYLE
 from ..scene import checks
 from .content import MAX_BYTES, MAX_POINTS, Content, Layout, layout
-from .motion import sources
-from .translate import CannotTranslate, translate
+from .motion import CannotTranslate, sources, translate
 
 # In one scope; the last one starts the page.
 SCRIPTS = ("map.js", "point.js", "motion.js", "controls.js")

@@ -12,13 +12,15 @@ from matplotlib.colors import ListedColormap
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch, Rectangle
+from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
 from ..engine.tableaux import METHODS
 from ..validation.stress import ACCURATE, LEVELS, RATIOS, Verdict, beyond_estimate
+from ..validation.work_precision import nanmedian, summary
 from .style import STYLE, WIDTHS
 
 # Their luminances differ as well, so that colour-blind readers and prints in grey keep them apart.
-COLOURS = {
+VERDICT_COLOURS = {
     Verdict.RIGHT: "#7ab8e0",
     Verdict.UNRESOLVED: "#e9e9e9",
     Verdict.WRONG: "#d55e00",
@@ -38,7 +40,7 @@ BEYOND_CROSS: dict[str, Any] = {
 MIN_HEIGHT = 5
 
 
-def figure(ds: xr.Dataset) -> Figure:
+def stress_figure(ds: xr.Dataset) -> Figure:
     """Verdict on every point at every level, two panels for each method: fixed steps, and automatic ones.
 
     A dot marks accurate rates; a cross marks a statistic that is off by more than ten times its estimate.
@@ -75,7 +77,10 @@ def figure(ds: xr.Dataset) -> Figure:
 def _draw_panel(ax: Axes, ds: xr.Dataset, beyond: np.ndarray, edges: np.ndarray) -> None:
     """Verdicts and marks of one method at some levels; edges of the points along the y axis."""
     verdict, error = ds["verdict"].values.T, ds["error"].values.T
-    colours, columns = ListedColormap([COLOURS[flag] for flag in Verdict]), np.arange(verdict.shape[1] + 1)
+    colours, columns = (
+        ListedColormap([VERDICT_COLOURS[flag] for flag in Verdict]),
+        np.arange(verdict.shape[1] + 1),
+    )
     ax.pcolormesh(columns, edges, verdict, cmap=colours, vmin=-0.5, vmax=len(Verdict) - 0.5, rasterized=True)
     for flag, hatch in HATCHES.items():
         for point, level in np.argwhere(verdict == flag):
@@ -95,7 +100,7 @@ def _legend(ds: xr.Dataset) -> list[Patch | Line2D]:
     """Entries of the verdicts and of the marks."""
     patches = [
         Patch(
-            facecolor=COLOURS[flag], edgecolor="0.5", linewidth=0.4, hatch=HATCHES.get(flag),
+            facecolor=VERDICT_COLOURS[flag], edgecolor="0.5", linewidth=0.4, hatch=HATCHES.get(flag),
             label=f"{name.replace('_', ' ')}: {flag.sentence}",
         )
         for flag, name in zip(Verdict, Verdict.meanings(), strict=True)
@@ -106,3 +111,37 @@ def _legend(ds: xr.Dataset) -> list[Patch | Line2D]:
         Line2D([], [], label=accurate, **ACCURATE_DOT),
         Line2D([], [], label="a statistic off by more than ten times error_estimate", **BEYOND_CROSS),
     ]
+
+
+COLOURS, MARKERS = ("#1b6ca8", "#e0892b", "#262626", "#8c4799"), "os^D"
+# States with larger errors are unrelated to the motion; they are not drawn.
+MAX_ERROR_DRAWN = 3.0
+
+
+def work_precision_figure(ds: xr.Dataset) -> Figure:
+    """Median errors against time per point, by method: states (solid), rates or observables (dotted)."""
+    rows = summary(ds)
+    with rc_context({"font.size": 8, "legend.fontsize": 7, "axes.linewidth": 0.6}):
+        fig = Figure(figsize=(3.5, 2.8), layout="constrained")
+        ax = fig.add_subplot()
+        for method, colour, marker in zip(ds["method"].values, COLOURS, MARKERS, strict=False):
+            usable = [r for r in rows if r["method"] == method and r["error_state"] < MAX_ERROR_DRAWN]
+            usable = usable or rows[-1:]
+            time = [1e6 * r["seconds_per_point"] for r in usable]
+            states, rates = [r["error_state"] for r in usable], [r["error_rates"] for r in usable]
+            ax.plot(time, states, marker + "-", color=colour, markersize=3, label=f"{method}, final state")
+            ax.plot(time, rates, ":", color=colour, label=f"{method}, {ds.attrs['measured']}")
+        for row in rows:
+            if row["own_setting"] and row["error_state"] < MAX_ERROR_DRAWN:
+                point = 1e6 * row["seconds_per_point"], row["error_state"]
+                ax.plot(*point, "o", mfc="none", mec="black", ms=8, label="the scene's setting")
+        ax.set(xscale="log", yscale="log", xlabel="time per point and processor (µs)", ylabel="median error")
+        ax.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+        ax.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+        ax.xaxis.set_minor_formatter(NullFormatter())
+        uncertainty = nanmedian(ds["reference_error"].values)
+        bottom = min(ax.get_ylim()[0], uncertainty / 2)
+        ax.set_ylim(bottom=bottom)
+        ax.axhspan(bottom, uncertainty, color="0.9", zorder=0, label="uncertainty of reference")
+        fig.legend(loc="outside lower center", ncols=2, frameon=False)
+    return fig

@@ -47,14 +47,12 @@ from ..files import (
     unsealed,
 )
 from ..io import netcdf, progress, zarr_store
-from ..io.netcdf import Block
-from ..io.provenance import scene_provenance
+from ..io.netcdf import Block, scene_provenance
 from ..scene import grid
 from ..scene.read import parse_scene
 from .identity import differences, identity
 from .plan import ScenePlan
-from .tiles import DamagedTile, Tally, TileFiles, tile_types
-from .tiling import Tiling
+from .tiles import DamagedTile, Tally, TileFiles, Tiling, tile_types
 
 FORMAT = 2
 MANIFEST = "manifest.json"

@@ -17,7 +17,7 @@ from ..measure.chaos import RELATIVE_COST, Chaos, TangentSteps
 from ..scene import grid
 from ..scene.model import MAX_STEPS, Scene, Settings
 from ..systems.base import Array
-from . import tiling
+from . import tiles
 
 if TYPE_CHECKING:
     from ..label.plan import Plan
@@ -89,14 +89,12 @@ class ScenePlan:
         return self.mean_steps + float(tangent[self.sample.exists].mean())
 
     @cached_property
-    def tiling(self) -> tiling.Tiling:
+    def tiling(self) -> tiles.Tiling:
         """The tiles, of similar work. They depend on the scene alone, never on timing or the number of processors."""
-        least = max(tiling.MIN_POINTS_PER_TILE, 3 * self.scene.size / tiling.MAX_TILES)
-        points = max(tiling.TILE_POINT_STEPS / self.mean_work, least)
+        least = max(tiles.MIN_POINTS_PER_TILE, 3 * self.scene.size / tiles.MAX_TILES)
+        points = max(tiles.TILE_POINT_STEPS / self.mean_work, least)
         # A power of two, because the last bits of the mean may differ between machines.
-        return tiling.Tiling.of(
-            self.scene.shape, 2 ** round(math.log2(min(points, grid.MAX_POINTS_PER_TILE)))
-        )
+        return tiles.Tiling.of(self.scene.shape, 2 ** round(math.log2(min(points, grid.MAX_POINTS_PER_TILE))))
 
     def step_warnings(self) -> list[str]:
         """A sentence each on points that `max_steps` cuts short, and on points whose steps are too long for a label."""

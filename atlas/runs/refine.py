@@ -17,7 +17,7 @@ from ..engine.compiling import Stopwatch
 from ..errors import BadInput, say
 from ..flags import Stability
 from ..io import netcdf
-from ..io.provenance import scene_provenance
+from ..io.netcdf import scene_provenance
 from ..label import theory
 from ..label.pipeline import evaluate
 from ..scene import grid

@@ -21,8 +21,8 @@ from ..errors import BadInput, shown
 from ..files import check_name, exists_message
 from ..interruption import explain_kept
 from ..io import checksums, netcdf
+from ..io.netcdf import log_warnings, scene_provenance
 from ..io.progress import Progress
-from ..io.provenance import log_warnings, scene_provenance
 from ..label.pipeline import evaluate
 from ..label.plan import Plan
 from ..scene import grid

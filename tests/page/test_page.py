@@ -13,10 +13,9 @@ import atlas
 from atlas import cli, systems
 from atlas.page import page
 from atlas.page.content import Store, float_array, layout
-from atlas.page.motion import motions
+from atlas.page.motion import CannotTranslate, motions
 from atlas.page.page import atlas_page
 from atlas.page.text import plain, runs
-from atlas.page.translate import CannotTranslate
 
 pytestmark = pytest.mark.usefixtures("whole_kernels", "borders_once")
 

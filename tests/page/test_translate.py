@@ -15,7 +15,7 @@ from atlas.engine import assemble, blocks
 from atlas.engine.losses import with_frame_vector
 from atlas.label.trajectory import frame_vector
 from atlas.page import motion
-from atlas.page.translate import CannotTranslate, translate
+from atlas.page.motion import CannotTranslate, translate
 from atlas.systems import SYSTEMS
 
 NODE = shutil.which("node")

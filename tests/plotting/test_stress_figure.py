@@ -22,7 +22,7 @@ def study():
 
 
 def test_each_panel_has_one_scale_and_all_points(study):
-    axes = stress_figure.figure(study).axes
+    axes = stress_figure.stress_figure(study).axes
     assert [ax.get_title("left") for ax in axes] == ["rk4", "", "rk8", ""]
     for i, ax in enumerate(axes):
         levels = slice(0, len(stress.RATIOS)) if i % 2 == 0 else slice(len(stress.RATIOS), None)
@@ -36,14 +36,14 @@ def test_each_panel_has_one_scale_and_all_points(study):
 
 
 def test_names_do_not_touch(study):
-    figure = stress_figure.figure(study)
+    figure = stress_figure.stress_figure(study)
     figure.canvas.draw()
     boxes = [label.get_window_extent() for label in figure.axes[0].get_yticklabels()]
     assert all(upper.y0 > lower.y1 for upper, lower in pairwise(boxes))
 
 
 def test_every_mark_is_in_the_legend(study):
-    figure = stress_figure.figure(study)
+    figure = stress_figure.stress_figure(study)
     (legend,) = figure.legends
     texts = [text.get_text() for text in legend.get_texts()]
     assert [text.split(":")[0] for text in texts[:4]] == ["right", "unresolved", "wrong", "left out"]
@@ -52,5 +52,7 @@ def test_every_mark_is_in_the_legend(study):
 
 
 def test_verdicts_differ_in_luminance():
-    grey = [np.dot(to_rgb(colour), (0.2126, 0.7152, 0.0722)) for colour in stress_figure.COLOURS.values()]
+    grey = [
+        np.dot(to_rgb(colour), (0.2126, 0.7152, 0.0722)) for colour in stress_figure.VERDICT_COLOURS.values()
+    ]
     assert np.diff(np.sort(grey)).min() > 0.08

@@ -28,11 +28,11 @@ from atlas.flags import Label
 from atlas.io import netcdf
 from atlas.label.plan import Plan
 from atlas.process import name as process_name
-from atlas.runs import folder, runner, tiles, tiling
+from atlas.runs import folder, runner, tiles
 from atlas.runs.backend import AtlasBackend
 from atlas.runs.folder import RunFolder
 from atlas.runs.plan import ScenePlan
-from atlas.runs.tiling import Tiling
+from atlas.runs.tiles import Tiling
 from atlas.scene import grid
 
 
@@ -327,7 +327,7 @@ def test_what_a_run_folder_claims_is_limited(scene_text, tmp_path):
     """Before anything of that size is made: tiles of the largest grid, points of a tile, nested and endless files."""
     large = {"axes.sigma.count": 10**7, "axes.theta0.count": 10**4}
     run = empty_run_folder(load_scene(scene_text(large)), tmp_path / "run")
-    assert run.tiling.count < tiling.MAX_TILES
+    assert run.tiling.count < tiles.MAX_TILES
     file = run.path / "manifest.json"
     for tile in ([1, 1], [10**3, 10**4]):
         manifest = run.manifest | {"tile": tile}

@@ -52,7 +52,7 @@ def test_the_copy_of_the_package_is_the_same_code(run, scene, package):
     "name",
     [
         "flags.py", "variables.py", "engine/stepsize.py", "systems/satellite/families.py", "scene/grid.py",
-        "label/labels.py", "measure/rates.py", "io/netcdf.py", "runs/tiles.py", "runs/tiling.py", "runs/runner.py",
+        "label/labels.py", "measure/rates.py", "io/netcdf.py", "runs/tiles.py", "runs/runner.py",
     ],
 )  # fmt: skip
 def test_a_run_is_not_continued_by_other_code(name, run, scene, package, monkeypatch):

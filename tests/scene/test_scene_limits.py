@@ -15,7 +15,7 @@ from atlas import BadInput, files, load_scene
 from atlas.analysis import compare, metadata
 from atlas.errors import MAX_MESSAGE, MAX_TEXT, printable, shown
 from atlas.io import netcdf
-from atlas.runs import tiling
+from atlas.runs import tiles
 from atlas.scene import checks, expressions, grid, model, points, read, tables
 from atlas.scene.expressions import Expression
 from atlas.systems import SYSTEMS
@@ -167,8 +167,8 @@ def test_the_page_lists_the_limits_of_what_atlases_claim():
         3000,
         files.MIN_CLAIM,
         files.MAX_JSON_BYTES,
-        tiling.MAX_TILES,
-        tiling.MAX_TILE_POINTS,
+        tiles.MAX_TILES,
+        tiles.MAX_TILE_POINTS,
     }
     assert numbers == limits
 

@@ -296,11 +296,11 @@ def test_a_run_that_is_cut_has_the_same_bits(pendulum, monkeypatch):
 
 
 def test_run_folders_tiles_threads_and_refinement(pendulum, tmp_path, monkeypatch):
-    from atlas.runs import tiling
+    from atlas.runs import tiles
 
     whole = atlas.run(atlas.load_scene(PENDULUM_SCENE), progress=False, threads=1)
-    monkeypatch.setattr(tiling, "TILE_POINT_STEPS", 20 * 200)
-    monkeypatch.setattr(tiling, "MIN_POINTS_PER_TILE", 20)
+    monkeypatch.setattr(tiles, "TILE_POINT_STEPS", 20 * 200)
+    monkeypatch.setattr(tiles, "MIN_POINTS_PER_TILE", 20)
     folder = atlas.run(atlas.load_scene(PENDULUM_SCENE), f"{tmp_path}/night/", progress=False)
     xr.testing.assert_equal(folder.load().drop_attrs(), whole.drop_attrs())
     refined = atlas.run(atlas.load_scene(PENDULUM_SCENE + "[refine]\nlevels = 1\n"), progress=False)

@@ -15,8 +15,7 @@ from atlas.errors import BadInput
 from atlas.scene.model import Settings
 from atlas.scene.read import load_scene
 from atlas.validation import half_step, reference
-from atlas.validation.work_precision import levels, scene_level, work_precision
-from atlas.validation.work_precision_report import advice, report, summary
+from atlas.validation.work_precision import advice, levels, report, scene_level, summary, work_precision
 
 pytestmark = pytest.mark.usefixtures("whole_kernels", "short_timings")
 

@@ -135,7 +135,7 @@ def evaluate(
     if not names.isdisjoint(ANY_AXIS_THEORY):
         columns |= predict_any_axis(
             system, base, points, columns, settings.rate_tolerance,
-            nudged=nudged, cylinder_tolerance=settings.cylinder,
+            nudged=nudged, cylinder_tolerance=settings.cylinder, duration=duration,
         )  # fmt: skip
     if "agreement_any_axis" in names:
         columns["agreement_any_axis"] = agreement(columns["label_any_axis"], columns["predicted_any_axis"])

@@ -26,12 +26,14 @@ from ..engine.tableaux import METHODS
 from ..flags import Label
 from ..measure import rates
 from ..measure.instrument import Tolerances, could_change
+from ..systems import jacobian
 from ..systems.base import Array, Flags, Mask, Points, System
 from ..systems.vectors import length
 
 # A start is far from every steady motion where its rates change at first by more than this, in units of the rate tolerance:
 # where linear theory describes the motion for a while, and where its angles soon change by a share of _REACH of the limit.
-_FAR, _FAR_BEYOND, _REACH = 10.0, 2.0, 0.25
+# There a uniform change in three directions has standard deviations of a sixth of it.
+_FAR, _FAR_BEYOND, _REACH = 10.0, 6.0, 0.25
 # Relative error that is assumed of every deviation from the steady motion.
 _MARGIN = 0.1
 # Terms of second order over the squared deviation, an estimate: where linear theory gives a steady label, and where it gives
@@ -187,6 +189,24 @@ def _near(
     far = np.where(change * time > _REACH * deviation.LIMIT, _FAR_BEYOND, _FAR)
     inside = np.hypot(g[0], g[1]) < tolerances.angle
     return np.asarray((rms <= far * tolerances.rate) | (inside & (change * time <= _FAR * tolerances.angle)))
+
+
+def near_circle(system: System, points: Points, duration: Array | float, rate_tolerance: float) -> Mask:
+    """Whether the angular velocity of a start may stay on a circle in the body, as it does along steady motions about any axes.
+
+    These have no linear theory. A start is far from all of them where in a radian of the bound the angular velocity changes by
+    more than it is allowed to, and deviates as much from the circle of its first derivatives: there v.v' = 0 and
+    v'' = -(|v'| / |v|)^2 v for v, the derivative of the angular velocity.
+    """
+    bound = system.frequency_bound(points)
+    state, constants = system.initial_state(points), system.constants(points)
+    derivatives = jacobian.derivatives(system.equations, state, constants, bound)
+    v, first, second = derivatives[1:, _indices(system, system.rate_states)]
+    time, size = np.fmin(1.0, bound * duration), length(v)
+    change = size * time + length(first) * time**2 / 2
+    speed = np.abs((v * first).sum(0)) / size * time**2 / 2
+    bend = length(second + (length(first) / size) ** 2 * v) * time**3 / 6
+    return np.asarray(~(np.fmin(change, np.fmax(speed, bend)) > _FAR * rate_tolerance))
 
 
 def _steps(motions: _SteadyMotions, bound: Array, duration: Array, angle: float) -> NDArray[np.int64]:

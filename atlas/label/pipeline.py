@@ -253,7 +253,7 @@ def _additions(runs: _Runs, columns: Mapping[str, np.ndarray]) -> dict[str, np.n
     if not frozenset(plan.names).isdisjoint(ANY_AXIS_THEORY):
         predicted = predict_any_axis(
             plan.system, tile.base, tile.points, columns, plan.settings.rate_tolerance,
-            nudged=plan.nudged, cylinder_tolerance=plan.settings.cylinder,
+            nudged=plan.nudged, cylinder_tolerance=plan.settings.cylinder, duration=tile.duration,
         )  # fmt: skip
         result |= predicted
         if "agreement_any_axis" in plan.names:

@@ -18,7 +18,7 @@ from ..scene.grid import Grid
 from ..scene.model import Settings
 from ..systems.base import FAMILY_TOLERANCE, Array, Flags, Mask, Points, System, shape_of, subset
 from .labels import ROUNDING_RESIDUAL, ROUNDOFF, rounding_limit
-from .offsets import describes, off_family_labels
+from .offsets import describes, near_circle, off_family_labels
 from .plan import Plan
 
 MAX_LOG_GROWTH = 700.0  # exp of more overflows
@@ -230,32 +230,37 @@ def predict_any_axis(
     *,
     nudged: bool,
     cylinder_tolerance: float | None = None,
+    duration: Array | float = np.inf,
 ) -> dict[str, np.ndarray]:
     """Labels about any axes of a set of starts from theory alone.
 
     base, points: the starts before and after the nudge; theory: family, stable and the predicted labels, as
     `Prediction.variables`; rate_tolerance: rates of at most this count as zero, rad per time unit. nudged:
     whether there is a nudge. One along a family leads to another exact start. cylinder_tolerance: axes nearer
-    to one another than this count as parallel, rad. Default: the number of rate_tolerance. Returns
-    predicted_any_axis and, where the system's frame turns, predicted_any_axis_inertial. Off every family they
-    are drifting where the system's catalogue of motions about any axes is complete, else not_computed.
+    to one another than this count as parallel, rad. Default: the number of rate_tolerance. duration: in time
+    units. Returns predicted_any_axis and, where the system's frame turns, predicted_any_axis_inertial. Off every family they
+    are drifting where the system's catalogue of motions about any axes is complete and the start is far from all of them, else
+    not_computed.
     """
     family, stable = theory["family"], theory["stable"]
     tolerances = _tolerances(rate_tolerance, cylinder_tolerance)
     with np.errstate(all="ignore"):
         other = _about_other_axes(system, family)
         complete = system.complete_any_axis(base) & system.within_range(base)
+        complete &= ~near_circle(system, points, duration, tolerances.rate)
         pushed = other & ~exact_starts(system, points, other) if nudged else False
         sine, n, m = system.any_axis_rates(base, family)
         result = {}
         for own, frame_rate in _frame_rates(system, base).items():
             rate = n + frame_rate
-            # A circle of the angular velocity that is as small as the tolerance is a point.
-            constant = (sine < tolerances.angle) | (np.abs(rate) * sine <= tolerances.rate)
+            # The angular velocity runs along an arc of m T on its circle; one that is as small as the tolerance is a point.
+            spread = np.sqrt(1.0 - np.nan_to_num(np.sinc(m * duration / (2.0 * np.pi))) ** 2)
+            constant = (sine < tolerances.angle) | (np.abs(rate) * sine * spread <= tolerances.rate)
             label = steady_label(rate, m, constant, tolerances.rate)
             label = _after_nudge(label, stable, pushed, other, complete)
             # On and near a motion about the third axis and the vertical the label about these is that about any axes.
-            kept = ~other & ((family > 0) | (theory[own] != Label.DRIFTING))
+            steady = np.isin(theory[own], (Label.REGULAR_PRECESSION, Label.PERMANENT_ROTATION))
+            kept = steady | ~other & ((family > 0) | (theory[own] != Label.DRIFTING))
             result[own.replace("predicted", "predicted_any_axis")] = np.where(kept, theory[own], label)
     return result
 

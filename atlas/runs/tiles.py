@@ -241,7 +241,9 @@ class TileFiles:
         for tile in range(self.tiling.count) if tiles is None else tiles:
             (written if f"{tile:08d}.json" in names else status.missing).append(tile)
         batches = [written[first : first + STATUS_BATCH] for first in range(0, len(written), STATUS_BATCH)]
-        with ThreadPoolExecutor(4) as pool:
+        # Threads that read small files take turns, at up to four times the processor time.
+        small = self.tiling.size_of(0) < MIN_COMPRESSED_POINTS
+        with ThreadPoolExecutor(1 if small else 4) as pool:
             errors = chain.from_iterable(pool.map(self._errors, batches))
             for tile, error in zip(written, errors, strict=True):
                 if error is None:

@@ -13,6 +13,7 @@ from strategies import (
     SATELLITE_SOLVED,
     default_points,
     fixed_points_on_family,
+    random_fixed_points,
     satellite_on_family,
     symmetric_fixed_points,
     tile_of,
@@ -412,3 +413,22 @@ def test_a_nudge_along_free_rotations_leads_to_another_and_one_across_does_not()
     # The first is left to rounding, the growth of the second is that of its nudge.
     assert list(columns["status"]) == [Status.ROUNDOFF_DECIDED, Status.OK]
     assert list(columns["label_any_axis"]) == [Label.UNRESOLVED, Label.DRIFTING]
+
+
+def test_no_prediction_about_any_axes_contradicts_a_label():
+    """Slow bodies, which are near motions about axes of which no family knows, and spheres in short runs."""
+    rng, count = np.random.default_rng(41), 150
+    sphere, slow = np.arange(count) < 30, 10 ** rng.uniform(-6, -1, count)
+    points = random_fixed_points(rng, count)
+    points |= {name: points[name] * slow for name in ("n", "m", "theta_dot0", "l1", "l2", "l3")}
+    points |= {name: points[name] * np.where(sphere, 0.0, slow**2) for name in ("Mg", "N")}
+    points |= {name: np.where(sphere, 0.7, points[name]) for name in "ABC"}
+    names = ["label_any_axis", "predicted_any_axis", "status"]
+    duration = np.minimum(
+        10 ** rng.uniform(-0.5, 2.3, count), 1e3 / SYSTEMS["fixed_point"].frequency_bound(points)
+    )
+    ds = labelled("fixed_point", points, duration, names, method="rk8", rate_tolerance=1e-5)
+    decided = (ds.status.values == Status.OK) & (ds.predicted_any_axis.values != Label.NOT_COMPUTED)
+    predicted = ds.predicted_any_axis.values[decided]
+    np.testing.assert_array_equal(predicted, ds.label_any_axis.values[decided])
+    assert (np.bincount(predicted)[1:] > 9).all()

@@ -194,11 +194,13 @@ def test_an_incomplete_catalogue_predicts_nothing_near_its_families():
 
 
 def test_labels_about_any_axes_are_those_about_the_third_near_its_families():
-    points = pendulum(1.0, theta_dot0=SHARES * np.sqrt(2) * TOLERANCES.rate)
-    duration = np.full(SHARES.shape, 3 * 2 * np.pi / np.sqrt(0.9 * 0.7 / 1.3))
+    """Where these are steady. What swings by about the tolerance may be as steady about other axes, by twenty it is not."""
+    points = pendulum(1.0, theta_dot0=np.append(SHARES, 20.0) * np.sqrt(2) * TOLERANCES.rate)
+    duration = np.full(SHARES.size + 1, 3 * 2 * np.pi / np.sqrt(0.9 * 0.7 / 1.3))
     variables = theory.predict_runs(Plan(FIXED_POINT, SETTINGS), tile_of(points, points, duration)).variables
+    assert list(variables["predicted"]) == [REST, REST, OPEN, DRIFTS, DRIFTS, DRIFTS]
     about_any = theory.predict_any_axis(FIXED_POINT, points, points, variables, TOLERANCES.rate, nudged=False)
-    np.testing.assert_array_equal(about_any["predicted_any_axis"], variables["predicted"])
+    assert list(about_any["predicted_any_axis"]) == [REST, REST, OPEN, OPEN, OPEN, DRIFTS]
 
 
 def test_both_systems_are_described_by_an_angular_velocity_and_vectors_at_rest():

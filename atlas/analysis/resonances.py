@@ -10,7 +10,7 @@ import numpy as np
 
 from ..flags import Stability
 from ..systems.base import Array, derived_values
-from ..systems.oscillations import FREQUENCIES
+from ..systems.gyrostat.variables import FREQUENCIES
 from .plane import Plane
 
 RATIOS = (1, 2, 3)
@@ -25,7 +25,7 @@ _CURVATURE = 0.5
 def resonance_lines(plane: Plane) -> dict[str, list[Array]]:
     """Lines at which the ratio of two frequencies of a motion that is not unstable is 1, 2 or 3.
 
-    plane: with two axes, of a system that has the variables of `systems.oscillations`. Returns kind of line,
+    plane: with two axes, of a system that has the variables of `systems.gyrostat.variables`. Returns kind of line,
     one of KINDS, -> polylines of shape (vertices, 2), float64, in the units of the axes. A resonance 1:1 at
     which stability ends is a stability limit, and is not among them. Kinds without a line are missing.
     """

@@ -477,7 +477,10 @@ class System(ABC):
     def linear_stability(self, points: Points, flags: Flags) -> tuple[Flags, Array]:
         """Linear stability of the steady motions.
 
-        The default uses the formula of each family that has one.
+        A motion is stable where every characteristic exponent is imaginary and simple, or the energy has a minimum; unstable
+        where one has a positive real part. Exponents that are 0 along neighbouring steady motions, of other momenta or turned
+        about a symmetry, do not count. Where others are 0 or coincide but for rounding, a distance may grow like a power of
+        time: the stability is unknown and the growth rate 0. The default uses the formula of each family that has one.
 
         Parameters
         ----------

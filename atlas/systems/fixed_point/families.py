@@ -24,10 +24,10 @@ from dataclasses import replace
 import numpy as np
 
 from ..base import FAMILY_TOLERANCE, Array, Condition, Family, Flags, Points, identify
+from ..gyrostat import secular
 from ..vectors import cross, length, ratio
 from . import equations
-from .equilibria import permanent_rotations
-from .initial import bodies, constants, fields, initial_state, rates, symmetric, vertical
+from .initial import bodies, body, constants, fields, initial_state, rates, symmetric, vertical
 from .stability import conical_stability, rest_stability, sleeping_stability, staude_stability
 
 
@@ -269,7 +269,7 @@ def _solve_direction(angle: str, resting: bool) -> Callable[[Points], Array]:
     def solve(points: Points) -> Array:
         gamma = vertical(points)
         n = np.zeros_like(points["A"]) if resting else rates(points)[1]
-        rotations, _ = permanent_rotations(points, n, gamma)
+        rotations, _ = secular.directions(body(points)._replace(turn=n), gamma)
         distance = np.where(np.isnan(rotations[0]), np.inf, -(rotations * gamma[:, None]).sum(0))
         if angle == "phi0":
             distance = np.where(np.abs(rotations[2] - gamma[2]) <= 1e-9, distance, np.inf)

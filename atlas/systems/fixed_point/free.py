@@ -69,8 +69,7 @@ def _turning_stability(points: Points) -> tuple[Flags, Array]:
     products = np.array([columns[i][i] * columns[j][j] - columns[i][j] * columns[j][i] for i, j in _PAIRS])
     size = np.array([np.abs(columns[i][j] * columns[j][i]) for i, j in _PAIRS]).sum(0)
     P = products.sum(0)
-    stable, growth = decide(P, size, np.sqrt(np.maximum(-P, 0.0)))
-    return np.where(stable == Stability.UNKNOWN, Stability.STABLE, stable).astype(np.int8), growth
+    return decide(P, size, np.sqrt(np.maximum(-P, 0.0)))
 
 
 _PAIRS = ((0, 1), (0, 2), (1, 2))

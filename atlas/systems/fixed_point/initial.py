@@ -8,6 +8,7 @@ import numpy as np
 
 from ...errors import BadInput
 from ..base import Array, Mask, Parameter, Points
+from ..gyrostat import Body, Direction
 from ..vectors import length
 
 _TABLE = (
@@ -66,6 +67,15 @@ def bodies(points: Points) -> tuple[Array, Array, Array, Array]:
     inertia = np.array([points["A"], points["B"], points["C"]])
     rotor = np.array([points["l1"], points["l2"], points["l3"]])
     return inertia, rotor, Mg * np.array([points["x0"], points["y0"], points["z0"]]), N
+
+
+def body(points: Points) -> Body:
+    """The body in space: field gradient N and weight along the vertical."""
+    inertia, rotor, weight, N = bodies(points)
+    zero = np.zeros_like(N)
+    vertical = Direction(N, -np.moveaxis(weight, 0, -1))
+    none = Direction(zero, np.zeros((*N.shape, 3)))
+    return Body(np.moveaxis(inertia, 0, -1), np.moveaxis(rotor, 0, -1), zero, none, vertical, zero)
 
 
 def constants(points: Points) -> Array:
@@ -129,6 +139,11 @@ def as_euler_angles(points: Points) -> dict[str, Array]:
     }
     euler = {name: np.where(given, values, points[name]) for name, values in euler.items()}
     return {**points, **euler, **{name: np.where(given, np.nan, points[name]) for name in VECTORS}}
+
+
+def without_vectors(points: Points) -> dict[str, Array]:
+    """The points without starts by p0 .. gamma30."""
+    return {**points, **{name: np.full_like(points["A"], np.nan) for name in VECTORS}}
 
 
 def check(points: Points) -> None:

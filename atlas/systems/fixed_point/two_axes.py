@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..base import FAMILY_TOLERANCE, Array, Flags, Points, TwoAxes, motion_about_axes
-from ..floquet import growth_of_periodic_motion
+from ..gyrostat.floquet import growth_of_periodic_motion
 from ..jacobian import jacobian
 from ..vectors import cross, dot, length, ratio, unit
 from . import equations

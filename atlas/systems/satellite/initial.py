@@ -7,6 +7,7 @@ from collections.abc import Set
 import numpy as np
 
 from ..base import Array, Mask, Parameter, Points
+from ..gyrostat import Body, Direction
 from .equations import CONSTANTS
 
 _TABLE = (
@@ -49,6 +50,18 @@ def constants(points: Points) -> Array:
     magnet = [mu3 / A, mu2 / A, mu1 / B, mu3 / B, mu2 / C, mu1 / C]
     damping = [p["damping"] / A, p["damping"] / B, p["damping"] / C]
     return np.array([*body, *D, 3 * Omega**2, np.ones_like(A), np.ones_like(A), *rotor, *magnet, *damping])
+
+
+def body(points: Points) -> Body:
+    """The body on its orbit: gravity gradient 3 Omega^2 and field h1 mu along the radius, field h3 mu along the normal."""
+    inertia, rotor, magnet = (
+        np.stack([points[name] for name in names], -1)
+        for names in (("A", "B", "C"), ("k1", "k2", "k3"), ("mu1", "mu2", "mu3"))
+    )
+    Omega = points["Omega"]
+    radius = Direction(3 * Omega**2, points["h1"][..., None] * magnet)
+    normal = Direction(np.zeros_like(Omega), points["h3"][..., None] * magnet)
+    return Body(inertia, rotor, Omega, radius, normal, points["damping"])
 
 
 def directions(points: Points) -> tuple[Array, Array]:
@@ -179,6 +192,21 @@ def specialization(zero: Set[str], equal: Set[tuple[str, str]]) -> tuple[set[str
     # k2 / A, whose name is k2_A, vanishes with k2
     quotients = {name for name in CONSTANTS if name.split("_")[0] in zero_constants}
     return zero_constants | quotients, equal_constants
+
+
+def growth_about_vertical(points: Points) -> Array:
+    """Growth rate of the pitch of a body whose third axis stays on the orbit's normal, see System; (points,).
+
+    C psi'' = -U'(psi) - damping psi' with U = (3 Omega^2 alpha.I alpha) / 2 + h1 mu.alpha. A body that turns there
+    has U' = 0 and no damping.
+    """
+    alpha = directions(points)[0]
+    flatness = 3 * points["Omega"] ** 2 * (points["B"] - points["A"])
+    magnet = points["h1"] * (points["mu1"] * alpha[0] + points["mu2"] * alpha[1])
+    curvature = flatness * (alpha[0] ** 2 - alpha[1] ** 2) - magnet
+    undamped = np.sqrt(np.maximum(-curvature / points["C"], 0.0))
+    half = 0.5 * points["damping"] / points["C"]
+    return np.hypot(half, undamped) - half
 
 
 def steady_rates(points: Points) -> tuple[Array, Array, Array]:

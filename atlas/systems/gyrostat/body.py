@@ -103,6 +103,29 @@ class Body(NamedTuple):
             hessian = hessian + cross_matrix(slope) @ hat - square
         return gradient, hessian
 
+    def frequency_bound(self, w: Array, alpha: Array, gamma: Array) -> Array:
+        """Upper bound of the fastest frequency of the motion with this start, rad per time unit, (...,).
+
+        The energy u.I u / 2 + W of the rotation u relative to the frame never grows, and bounds u through the range of W, the sum
+        of the ranges of its terms. With every |w_i| bounded, the frozen linearised equations in the coordinates sqrt(I) w
+        are bounded block by block, and the Perron root of the 2 x 2 matrix of the block norms bounds their frequencies.
+        """
+        inertia, turn, least = self.inertia.T, np.abs(self.turn), self.inertia.min(-1)
+        energy = (self.inertia * (w - self.turn[..., None] * gamma) ** 2).sum(-1)
+        for d, v in zip(self.amended(), (alpha, gamma), strict=True):
+            square = (self.inertia * v**2).sum(-1)
+            gain = np.where(d.gradient > 0, square - least, self.inertia.max(-1) - square)
+            energy = energy + np.abs(d.gradient) * gain + 2 * (length(d.field) + (d.field * v).sum(-1))
+        energy = np.maximum(energy, 0.0)
+        rates = np.sqrt(energy / inertia) + turn
+        damping = self.damping / least
+        size = np.sqrt((((np.roll(inertia, 1, 0) - np.roll(inertia, -1, 0)) ** 2) / inertia).sum(0) / least)
+        forces = [np.abs(d.gradient) * size + length(d.field) / least for d in (self.alpha, self.gamma)]
+        stiffness = np.sqrt(2) * (np.hypot(*forces) + damping * turn)
+        return perron_root(
+            gyration(inertia, self.rotor.T, rates) + damping, np.sqrt(energy / least) + turn, stiffness
+        )
+
     def gyroscopic(self, w: Array) -> Array:
         """The vector k + 2 I w - tr(I) w, of which the matrix D = hat(v) is that of the rates in the linear system."""
         return self.rotor + (2 * self.inertia - self.inertia.sum(-1, keepdims=True)) * w
@@ -131,6 +154,26 @@ class Body(NamedTuple):
 
         shift, shift_dot = symmetric(0.5 * np.cross(v, along)), symmetric(0.5 * np.cross(v_dot, along))
         return _hamiltonian(P + shift_dot, 0.5 * cross_matrix(v) - shift, self.inertia, across)
+
+
+def gyration(inertia: Array, rotor: Array, max_rates: Array, third_alone: Mask | bool = False) -> Array:
+    """Bound of the norm of sqrt(I) I^-1 ((I w + k) x . - w x I .) sqrt(I)^-1, sqrt(norm_1 norm_inf); arrays (3, ...).
+
+    third_alone: where the rotation about the third axis alone counts.
+    """
+    rows, columns = np.zeros_like(inertia), np.zeros_like(inertia)
+    for i, j, axis in ((0, 1, 2), (1, 0, 2), (0, 2, 1), (2, 0, 1), (1, 2, 0), (2, 1, 0)):
+        entry = np.abs(inertia[axis] - inertia[j]) * max_rates[axis] + np.abs(rotor[axis])
+        entry = entry / np.sqrt(inertia[i] * inertia[j])
+        entry = np.where(third_alone & (axis != 2), 0.0, entry)
+        rows[i] += entry
+        columns[j] += entry
+    return np.sqrt(rows.max(0) * columns.max(0))
+
+
+def perron_root(first: Array, second: Array, product: Array) -> Array:
+    """Largest eigenvalue of 2 x 2 matrices of this diagonal and this product of the other entries, all positive."""
+    return 0.5 * (first + second) + np.sqrt((0.5 * (first - second)) ** 2 + product)
 
 
 def length(v: Array) -> Array:

@@ -41,9 +41,14 @@ class Gyrostat(System):
     def body(self, points: Points) -> Body:
         """The body, the frame and what acts, with vectors of shape (points, 3)."""
 
-    def start(self, points: Points) -> tuple[Array, Array, Array]:
-        """w, alpha and gamma at the start of the steady motions, each (points, 3) in body axes."""
-        if "theta_dot0" in points:
+    def frequency_bound(self, points: Points) -> Array:
+        """From the energy, see Body.frequency_bound."""
+        w, alpha, gamma = self.start(points, steady=False)
+        return self.body(points).frequency_bound(w, alpha, gamma)
+
+    def start(self, points: Points, steady: bool = True) -> tuple[Array, Array, Array]:
+        """w, alpha and gamma at the start, each (points, 3) in body axes; steady: with theta_dot0 = 0."""
+        if steady and "theta_dot0" in points:
             points = {**points, "theta_dot0": np.zeros_like(points["theta_dot0"])}
         state = dict(zip(self.equations.STATE, self.initial_state(points), strict=True))
         *others, gamma = (

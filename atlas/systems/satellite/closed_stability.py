@@ -6,19 +6,12 @@ import numpy as np
 
 from ...flags import Stability
 from ..base import Array, Flags, Points
+from ..gyrostat.equation import quotient, relative_to
 from ..gyrostat.floquet import quartic_growth
 from ..gyrostat.oscillations import GROWTH_TOLERANCE
 from ..vectors import cross, length
+from .conditions import axial_rate, body_vectors, momentum_scale, node, tilt, torque_scale
 from .initial import directions
-from .quantities import (
-    axial_rate,
-    body_vectors,
-    momentum_scale,
-    quotient,
-    relative_to,
-    sine_cosine,
-    torque_scale,
-)
 
 # Ratio of squared exponents below which they are zero or coincide but for rounding.
 _ROUNDING = 1e-12
@@ -44,8 +37,8 @@ def stability_tilted(p: Points) -> tuple[Flags, Array]:
     U = -Omega^2 s^2/2 - Omega p c + (3/2) D Omega^2 s^2 sin^2 psi + mu3 (h1 s sin psi + h3 c) / a,
     D = C/a - 1, P = U_tt + U_pp / s^2 + (2 Omega c - p)^2 and Q = (U_tt U_pp - U_tp^2) / s^2.
     """
-    s, c = sine_cosine(p["theta0"])
-    sp, cp = sine_cosine(p["psi0"])
+    s, c = tilt(p)
+    sp, cp = node(p)
     a, square = 0.5 * (p["A"] + p["B"]), p["Omega"] ** 2
     momentum = (p["C"] * axial_rate(p) + p["k3"]) / a
     D = p["C"] / a - 1

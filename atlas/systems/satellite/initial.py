@@ -8,6 +8,9 @@ import numpy as np
 
 from ..base import Array, Mask, Parameter, Points
 from ..gyrostat import Body, Direction
+from ..gyrostat.body import gyration, perron_root
+from ..gyrostat.motions import angular_velocity
+from ..gyrostat.motions import directions as directions
 from .equations import CONSTANTS
 
 _TABLE = (
@@ -64,24 +67,10 @@ def body(points: Points) -> Body:
     return Body(inertia, rotor, Omega, radius, normal, points["damping"])
 
 
-def directions(points: Points) -> tuple[Array, Array]:
-    """alpha and gamma in body axes at the start, each of shape (3, points); (1) of the paper."""
-    st, ct = np.sin(points["theta0"]), np.cos(points["theta0"])
-    sp, cp = np.sin(points["psi0"]), np.cos(points["psi0"])
-    sf, cf = np.sin(points["phi0"]), np.cos(points["phi0"])
-    alpha = np.array([cp * cf - ct * sf * sp, -cp * sf - ct * cf * sp, st * sp])
-    gamma = np.array([st * sf, st * cf, ct])
-    return alpha, gamma
-
-
 def initial_state(points: Points) -> Array:
     """State at t = 0, shape (9, points): w' = n gamma + m e3 + theta_dot0 about the node, w = w' + Omega gamma."""
     alpha, gamma = directions(points)
-    w = (points["n"] + points["Omega"]) * gamma
-    w[0] += points["theta_dot0"] * np.cos(points["phi0"])
-    w[1] -= points["theta_dot0"] * np.sin(points["phi0"])
-    w[2] += points["m"]
-    return np.concatenate([w, alpha, gamma])
+    return np.concatenate([angular_velocity(points, points["n"] + points["Omega"], gamma), alpha, gamma])
 
 
 def symmetric_about_third_axis(points: Points) -> Mask:
@@ -153,22 +142,11 @@ def frequency_bound(points: Points) -> Array:
         np.sqrt(2 * energy / min_inertia),
     )
 
-    # Entries of sqrt(I) I^-1 ((I w + k) x . - w x I .) sqrt(I)^-1; sqrt(norm_1 norm_inf) >= norm_2.
-    rows, columns = np.zeros_like(inertia), np.zeros_like(inertia)
-    for i, j, axis in ((0, 1, 2), (1, 0, 2), (0, 2, 1), (2, 0, 1), (1, 2, 0), (2, 1, 0)):
-        entry = np.abs(inertia[axis] - inertia[j]) * max_rates[axis] + np.abs(k[axis])
-        entry = entry / np.sqrt(inertia[i] * inertia[j])
-        entry = np.where(symmetric & (axis != 2), 0.0, entry)
-        rows[i] += entry
-        columns[j] += entry
     damping = points["damping"] / min_inertia
-    gyration = np.sqrt(rows.max(0) * columns.max(0)) + damping
     differences = np.array([C - B, A - C, B - A])
     gradient = 3 * Omega**2 * np.sqrt((differences**2 / inertia).sum(0) / min_inertia)
     stiffness = np.sqrt(2) * (gradient + moment * field / min_inertia + damping * Omega)
-    kinematic = max_turn + Omega
-    half = 0.5 * (gyration + kinematic)
-    return half + np.sqrt((0.5 * (gyration - kinematic)) ** 2 + stiffness)
+    return perron_root(gyration(inertia, k, max_rates, symmetric) + damping, max_turn + Omega, stiffness)
 
 
 def specialization(zero: Set[str], equal: Set[tuple[str, str]]) -> tuple[set[str], set[tuple[str, str]]]:

@@ -15,7 +15,7 @@ from ..errors import BadInput, attribute_text
 from ..flags import Label, Stability
 from ..scene.model import Scene
 from ..systems.base import Array, DerivedVariable, Flags, Mask, derived_values
-from ..systems.oscillations import FREQUENCIES
+from ..systems.gyrostat.variables import FREQUENCIES
 from .metadata import axes_of, flag_values, is_logarithmic, scene_of, system_of
 from .plane import SAMPLES, Plane, Theory
 from .select import plane_of

@@ -80,8 +80,6 @@ def equilibria(system: str, body: Any) -> xr.Dataset:
     are computed one by one, in about 70 ms each.
     """
     description = systems.get(system)
-    if description.equilibria is None:
-        raise BadInput(f"equilibria: the system {system} has no function that computes them")
     if isinstance(body, xr.Dataset):
         names = [name for name in body.variables if name not in body.dims or name in description.parameters]
         body = {str(name): body[name] for name in names}
@@ -101,10 +99,6 @@ def equilibria(system: str, body: Any) -> xr.Dataset:
 
 def _equilibria_of_bodies(description: System, body: Mapping[str, Any]) -> xr.Dataset:
     """Equilibria of the bodies that arrays give."""
-    if description.equilibria_of_bodies is None:
-        raise BadInput(
-            f"body: arrays given; the system {description.name} has equilibria of one body at a time only"
-        )
     arrays = _broadcast(body)
     template = next(array for array in arrays.values() if array.ndim)
     dims, shape = template.dims, template.shape

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence, Set
-from dataclasses import dataclass, field
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence, Set
+from dataclasses import dataclass, field, replace
 from importlib import import_module
 from types import MappingProxyType
 from typing import Any, NamedTuple
@@ -95,10 +95,10 @@ class Family:
     """A family of exact steady motions theta = theta0, psi' = n, phi' = m, or of motions alike about other axes."""
 
     name: str
-    flag: int  # value of the dataset variable `family`, from 1
-    title: str
-    equations: str  # numbers in the paper, or where it was derived
-    conditions: tuple[Condition, ...]
+    flag: int = 0  # value of the dataset variable `family`, from 1; see numbered
+    title: str = ""
+    equations: str = ""  # numbers in the paper, or where it was derived
+    conditions: tuple[Condition, ...] = ()
     # parameter -> formula that puts a point on the family, nan where the family does not exist; in the order in
     # which the formulas may be used together
     solve: Mapping[str, Callable[[Points], Array]] = field(default_factory=dict)
@@ -114,6 +114,11 @@ class Family:
     # points -> axes and rates of a motion about any axes, which drifts about the third axis and the vertical; None: the
     # motion is about these two
     axes: Callable[[Points], TwoAxes] | None = None
+
+
+def numbered(families: Iterable[Family], after: Collection[str] = ()) -> dict[str, Family]:
+    """Families by name, their flags counted from 1 in this order, or from those that come before."""
+    return {family.name: replace(family, flag=i) for i, family in enumerate(families, 1 + len(after))}
 
 
 @dataclass(frozen=True)
@@ -440,17 +445,43 @@ class System(ABC):
 
     None: the frame is inertial.
     """
-    equilibria: Callable[[Mapping[str, float]], Mapping[str, NDArray[Any]]] | None = None
-    """All relative equilibria or permanent rotations of one body: parameter -> number to arrays over them.
 
-    None: they cannot be computed.
-    """
-    equilibria_of_bodies: Callable[[Points, Callable[[], None]], Mapping[str, NDArray[Any]]] | None = None
-    """The same of many bodies: points (bodies,) to arrays (bodies, places), with unused places at the end of each row.
+    def equilibria(self, body: Mapping[str, float]) -> Mapping[str, NDArray[Any]]:
+        """All relative equilibria or permanent rotations of one body, by default BadInput: they cannot be computed.
 
-    The Morse index of an unused place is -1. Also `completeness`, int8 (bodies,), values of flags.Completeness. The second
-    argument is called at least once a second and raises an exception where the computation was interrupted.
-    """
+        Parameters
+        ----------
+        body : mapping of str to float
+            Parameters of the body; those left out take their defaults.
+
+        Returns
+        -------
+        mapping of str to array
+            Arrays over the equilibria.
+        """
+        raise BadInput(f"equilibria: the system {self.name} has no function that computes them")
+
+    def equilibria_of_bodies(self, points: Points, pause: Callable[[], None]) -> Mapping[str, NDArray[Any]]:
+        """The same of many bodies.
+
+        Parameters
+        ----------
+        points : mapping of str to array (bodies,)
+            Every parameter.
+        pause : callable
+            Called at least once a second; it raises an exception where the computation was interrupted.
+
+        Returns
+        -------
+        mapping of str to array (bodies, places)
+            With unused places at the end of each row, of which the Morse index is -1. Also `completeness`, int8 (bodies,),
+            values of flags.Completeness.
+        """
+        if type(self).equilibria is System.equilibria:
+            self.equilibria({})
+        raise BadInput(
+            f"body: arrays given; the system {self.name} has equilibria of one body at a time only"
+        )
 
     def identify_family(self, points: Points) -> tuple[Flags, Array]:
         """Family of the steady motion that starts at each point.
@@ -477,7 +508,10 @@ class System(ABC):
     def linear_stability(self, points: Points, flags: Flags) -> tuple[Flags, Array]:
         """Linear stability of the steady motions.
 
-        The default uses the formula of each family that has one.
+        A motion is stable where every characteristic exponent is imaginary and simple, or the energy has a minimum; unstable
+        where one has a positive real part. Exponents that are 0 along neighbouring steady motions, of other momenta or turned
+        about a symmetry, do not count. Where others are 0 or coincide but for rounding, a distance may grow like a power of
+        time: the stability is unknown and the growth rate 0. The default uses the formula of each family that has one.
 
         Parameters
         ----------
@@ -701,7 +735,8 @@ def motion_about_axes(axes: TwoAxes, vector: Array, t: Array) -> tuple[Array, Ar
     s, fixed = axes.spin_axis, axes.fixed_axis
     shape = (3, *np.broadcast_shapes(t.shape, s.shape[1:]))
     vector, s, fixed = (
-        np.broadcast_to(v.reshape(3, *(1,) * (t.ndim - 1), -1), shape) for v in (vector, s, fixed)
+        np.broadcast_to(v.reshape(3, *(1,) * (len(shape) - v.ndim), *v.shape[1:]), shape)
+        for v in (vector, s, fixed)
     )
     turned = _turned(_turned(vector, fixed, -axes.precession_rate * t), s, -axes.spin_rate * t)
     rate = axes.precession_rate * _turned(fixed, s, -axes.spin_rate * t) + axes.spin_rate * s

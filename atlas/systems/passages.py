@@ -2,20 +2,16 @@
 
 from __future__ import annotations
 
-from types import ModuleType
-
 import numpy as np
 from numpy.typing import ArrayLike
 
-from .base import Array
+from .base import Array, System
 
 
-def earlier_start(
-    equations: ModuleType, initial: ModuleType, columns: dict[str, ArrayLike], before: Array
-) -> dict[str, ArrayLike]:
+def earlier_start(system: System, columns: dict[str, ArrayLike], before: Array) -> dict[str, ArrayLike]:
     """Columns of the same motions from a moment `before` the given start (negative: after it).
 
-    equations, initial: of a system. columns: parameters and start values by name; the others take their
+    columns: parameters and start values by name; the others take their
     defaults. psi0 has no effect on the motion. before: in time units. Returns the columns with other theta0,
     phi0, theta_dot0, n and m.
     """
@@ -23,16 +19,16 @@ def earlier_start(
 
     points = {
         name: np.broadcast_to(np.asarray(columns.get(name, parameter.default), float), before.shape)
-        for name, parameter in initial.PARAMETERS.items()
+        for name, parameter in system.parameters.items()
     }
-    constants, start = initial.constants(points), initial.initial_state(points)
+    constants, start = system.constants(points), system.initial_state(points)
 
     def slope(_: float, flat: Array) -> Array:
-        return (-before * np.array(equations.rhs(flat.reshape(start.shape), constants))).ravel()
+        return (-before * np.array(system.equations.rhs(flat.reshape(start.shape), constants))).ravel()
 
     run = solve_ivp(slope, (0.0, 1.0), start.ravel(), "DOP853", rtol=1e-13, atol=1e-15)
     state = run.y[:, -1].reshape(start.shape)
-    u1, u2, u3, g1, g2, g3 = equations.frame_motion(state, constants)
+    u1, u2, u3, g1, g2, g3 = system.equations.frame_motion(state, constants)
     sine = np.hypot(g1, g2)
     n = (u1 * g1 + u2 * g2) / sine**2
     return columns | {

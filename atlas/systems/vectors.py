@@ -37,3 +37,8 @@ def across(vector: Array, axis: Array) -> Array:
 def ratio(value: Array, scale: Array) -> Array:
     """value / scale, 0 where the scale is 0: where nothing moves and nothing acts."""
     return np.divide(value, scale, out=np.zeros_like(scale), where=scale > 0)
+
+
+def principal(index: NDArray[np.intp]) -> Array:
+    """Unit vectors (3, points) of the principal axes of these numbers."""
+    return (np.arange(3).reshape(3, *(1,) * index.ndim) == index).astype(np.float64)

@@ -14,7 +14,6 @@ import time
 import numpy as np
 
 from atlas.systems import get
-from atlas.systems.satellite.stability import linear_stability
 
 SATELLITE = get("satellite")
 
@@ -53,7 +52,7 @@ def main() -> None:
     SATELLITE.condition_residual(points)
     print(f"condition_residual    {time.perf_counter() - began:7.2f} s")
     began = time.perf_counter()
-    stable, _ = linear_stability(points, flags)
+    stable, _ = SATELLITE.linear_stability(points, flags)
     print(
         f"linear_stability      {time.perf_counter() - began:7.2f} s, {np.bincount(stable, minlength=3)} unknown, stable, unstable"
     )
@@ -75,7 +74,7 @@ def print_numeric_stability(count: int) -> None:
     for name, case in (("eigenvalues", resting), ("multipliers", turning)):
         flags, _ = SATELLITE.identify_family(case)
         began = time.perf_counter()
-        linear_stability(case, flags)
+        SATELLITE.linear_stability(case, flags)
         each = (time.perf_counter() - began) / flags.size
         print(
             f"{name}           {1e3 * each:7.3f} ms for each of {flags.size} points ({(flags > 0).sum()} steady)"

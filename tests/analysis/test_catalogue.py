@@ -27,7 +27,6 @@ from atlas.scene import grid
 from atlas.systems.base import on_family
 from atlas.systems.satellite import equations, initial
 from atlas.systems.satellite.families import FAMILIES as SATELLITE_FAMILIES
-from atlas.systems.satellite.stability import linear_stability
 
 ROOT = Path(__file__).parents[2]
 SATELLITE, FIXED_POINT = systems.get("satellite"), systems.get("fixed_point")
@@ -371,7 +370,7 @@ def test_gravity_gradient_diagram_is_the_classical_one():
     scene = load_scene(ROOT / "configs" / "gravity_gradient.toml")
     base = grid.points_at_indices(scene, np.arange(0, scene.size, 37)).base
     flags, _ = SATELLITE.identify_family(base)
-    stable, _ = linear_stability(base, flags)
+    stable, _ = SATELLITE.linear_stability(base, flags)
     A, B, C = (base[name] for name in "ABC")
     K1, K3 = (C - A) / B, (C - B) / A
     above = 1 + 3 * K1 + K1 * K3 - 4 * np.sqrt(np.maximum(K1 * K3, 0))

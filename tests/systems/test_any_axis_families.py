@@ -10,9 +10,9 @@ from truth import fixed_point_cases, monodromy_matrix
 from atlas.flags import Agreement, Label, Stability, Status
 from atlas.label import theory
 from atlas.label.points import label_points
-from atlas.systems import floquet
 from atlas.systems.base import on_family
 from atlas.systems.fixed_point import FIXED_POINT, any_axis, equations, families, initial, two_axes
+from atlas.systems.gyrostat import floquet
 
 pytestmark = pytest.mark.usefixtures("whole_kernels")
 

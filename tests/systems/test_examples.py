@@ -13,7 +13,9 @@ from scipy.integrate import solve_ivp
 
 import atlas
 from atlas import cli, systems
-from atlas.flags import Regularity, Status
+from atlas.analysis import catalogue
+from atlas.flags import EnergyStability, Label, Regularity, Stability, Status
+from atlas.systems.jacobian import jacobian
 from atlas.validation import stress
 from atlas.validation.work_precision import work_precision
 
@@ -62,7 +64,7 @@ def scene_of(name, **counts):
 
 
 def test_the_folder_of_examples_is_not_empty():
-    assert NAMES == ["double_pendulum", "heavy_top_euler", "henon_heiles"]
+    assert NAMES == ["double_pendulum", "heavy_top_euler", "henon_heiles", "two_field_top"]
 
 
 @pytest.mark.parametrize("name", NAMES)
@@ -226,3 +228,69 @@ def test_labels_of_the_heavy_top_are_those_of_the_package():
     np.testing.assert_array_equal(euler["label"], own["label"])
     for name in ("theta_dot_rms", "psi_dot_mean", "psi_dot_std", "phi_dot_mean", "phi_dot_std"):
         np.testing.assert_allclose(euler[name], own[name], atol=1e-6)
+
+
+def two_field_tops(count):
+    """Random tops without any symmetry, by parameters of the example."""
+    rng, top = np.random.default_rng(1), systems.get("two_field_top")
+    points = {name: rng.normal(size=count) for name in top.parameters}
+    points |= {name: rng.uniform(0.8, 1.5, count) for name in "ABC"}
+    return top, points
+
+
+def test_two_field_top_has_the_theory_of_the_gyrostat():
+    """Frequencies, growth, energy and bound against the Jacobian of its equations at the equilibria of random bodies."""
+    top, points = two_field_tops(6)
+    seen = set()
+    for i in range(6):
+        body = {name: values[i] for name, values in points.items()}
+        rest = atlas.equilibria("two_field_top", body)
+        columns = {name: np.full(rest.sizes["equilibrium"], value) for name, value in body.items()}
+        columns |= {name: rest[name].values for name in ("theta0", "psi0", "phi0")}
+        columns |= {name: np.zeros(rest.sizes["equilibrium"]) for name in ("n", "m", "theta_dot0")}
+        assert (top.identify_family(columns)[0] == 1).all()
+        jacobians = jacobian(top.equations, top.initial_state(columns), top.constants(columns))
+        exponents = np.linalg.eigvals(jacobians)
+        np.testing.assert_allclose(rest["growth_rate"], exponents.real.max(1), atol=1e-6)
+        assert (np.abs(exponents).max(1) <= top.frequency_bound(columns)).all()
+        largest = np.where(np.abs(exponents.real) < 1e-6, exponents.imag, 0).max(1)
+        np.testing.assert_allclose(
+            np.nan_to_num(rest["frequency_1"]), np.where(largest > 1e-6, largest, 0), rtol=1e-9
+        )
+        energy = top.energy_stability(columns, np.ones(len(exponents), np.int8))
+        np.testing.assert_array_equal(energy == EnergyStability.YES, rest["index"] == 0)
+        seen |= set(rest["stable"].values)
+    assert seen == {Stability.STABLE, Stability.UNSTABLE}
+
+
+def test_two_field_top_is_stable_where_it_spins_fast():
+    """As a top against the resultant F of the fields: stable for (C m + l3)^2 > 4 A F; nudged, the labels agree."""
+    m = np.linspace(0.2, 6.0, 12)
+    points = {"theta0": 0.9, "psi0": np.pi / 2, "C": 0.6, "x3": 1.0, "l3": 0.2, "mu3": -0.5, "m": m}
+    top = systems.get("two_field_top")
+    columns = {
+        k: np.broadcast_to(points.get(k, p.default), 12).astype(float) for k, p in top.parameters.items()
+    }
+    columns["Mg"] = top.families["axial"].solve["Mg"](columns)
+    flags, _ = top.identify_family(columns)
+    stable, growth = top.linear_stability(columns, flags)
+    discriminant = (0.6 * m + 0.2) ** 2 - 4 * 0.5 / np.sin(0.9)
+    assert (flags == 2).all()
+    np.testing.assert_array_equal(stable == Stability.STABLE, discriminant > 0)
+    np.testing.assert_allclose(growth, np.sqrt(np.maximum(-discriminant, 0)) / 2, atol=1e-12)
+    names = ["label", "predicted", "agreement", "status"]
+    nudged = columns | {"theta0": columns["theta0"] + 1e-4}
+    ds = atlas.label_points(
+        "two_field_top", nudged, duration=30.0, rate_tolerance=1e-2, variables=names, progress=False
+    )
+    # slower growth does not show in the run
+    ok = (ds["status"].values == Status.OK) & ((stable == Stability.STABLE) | (growth * 30.0 > 12))
+    assert ok.sum() > 8
+    np.testing.assert_array_equal(ds["label"].values[ok] == Label.DRIFTING, (discriminant < 0)[ok])
+
+
+def test_catalogue_of_the_two_field_top():
+    rows = catalogue.families(systems.get("two_field_top"))
+    assert [row["family"] for row in rows] == ["rest", "axial"]
+    assert rows[0]["conditions"] == ["n = theta_dot0 = 0", "m = 0", "Mg r x g + mu x a = 0"]
+    assert rows[1]["solves_for"] == ["Mg", "x3", "mu3"]

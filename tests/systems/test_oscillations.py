@@ -11,7 +11,7 @@ from truth import default_points
 import atlas
 from atlas.systems.base import derived_values
 from atlas.systems.fixed_point import FIXED_POINT
-from atlas.systems.oscillations import FREQUENCIES, oscillation_variables
+from atlas.systems.gyrostat.variables import FREQUENCIES, oscillation_variables
 from atlas.systems.satellite import SATELLITE
 
 
@@ -201,11 +201,11 @@ def test_variables_share_what_they_have_in_common():
 
     flags = np.ones(2, np.int8)
     system = SimpleNamespace(
-        derived=oscillation_variables(
-            counted("family", flags), counted("linear", (flags, np.zeros(2))), counted("frequencies", np.ones((2, 3))),
-            counted("energy", (flags, np.zeros(2, bool))), "", "",
-        )
+        oscillation_families=counted("family", flags), linear_stability=counted("linear", (flags, np.zeros(2))),
+        frequencies=counted("frequencies", np.ones((2, 3))), frequency_comment="", energy_comment="",
+        energy_stability=counted("energy", flags),
     )  # fmt: skip
+    system.derived = oscillation_variables(system)
     for names, expected in (
         (FREQUENCIES, ["family", "frequencies"]),
         (["energy_stable"], ["family", "energy"]),

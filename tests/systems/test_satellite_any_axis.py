@@ -13,7 +13,7 @@ from atlas.systems.satellite import SATELLITE, any_axis, equations, families, in
 
 pytestmark = pytest.mark.usefixtures("whole_kernels")
 
-FAMILY = any_axis.SPHERICAL_ANY_AXIS
+FAMILY = any_axis.FAMILIES["spherical_any_axis"]
 
 
 def start(points, w, alpha, gamma):

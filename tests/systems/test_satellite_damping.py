@@ -25,8 +25,12 @@ from atlas.systems.arithmetic import functions
 from atlas.systems.satellite import SATELLITE, equations
 from atlas.systems.satellite.equations import rhs
 from atlas.systems.satellite.families import FAMILIES, condition_residual
-from atlas.systems.satellite.initial import constants, frequency_bound, initial_state
-from atlas.systems.satellite.stability import growth_about_vertical
+from atlas.systems.satellite.initial import (
+    constants,
+    frequency_bound,
+    growth_about_vertical,
+    initial_state,
+)
 from atlas.validation import exact
 
 pytestmark = pytest.mark.usefixtures("whole_kernels")

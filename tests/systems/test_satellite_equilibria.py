@@ -8,8 +8,8 @@ from test_satellite_stability import algebraic_count
 from truth import default_points
 
 from atlas.flags import Completeness, Stability
-from atlas.systems.satellite import SATELLITE, homotopy
-from atlas.systems.satellite.equilibria import equilibria, equilibria_of_bodies
+from atlas.systems.gyrostat import homotopy
+from atlas.systems.satellite import SATELLITE
 from atlas.systems.satellite.initial import PARAMETERS, constants, initial_state
 
 BODY = {"A": 1.0, "B": 1.3, "C": 1.7, "Omega": 1.0}
@@ -88,7 +88,7 @@ def test_continuation_finds_the_solutions_of_newtons_method():
 def test_counts_of_gyrostats_are_those_of_their_curves():
     rng = np.random.default_rng(1)
     k = rng.uniform(0.04, 0.6, (3, 60))
-    solutions = equilibria_of_bodies(bodies(60, k1=k[0], k2=k[1], k3=k[2]), stability=False)
+    solutions = SATELLITE.equilibria_of_bodies(bodies(60, k1=k[0], k2=k[1], k3=k[2]), stability=False)
     counts = (solutions["index"] >= 0).sum(1)
     assert (solutions["completeness"] == Completeness.COMPLETE).all()
     assert counts.tolist() == [algebraic_count(np.array([1.0, 1.3, 1.7]), k[:, i]) for i in range(60)]
@@ -101,7 +101,7 @@ def test_rotor_along_an_axis(k):
 
     gamma = +-e3, or alpha = +-e1, +-e2 if |k| < |C - B|, |C - A|, or beta = +-e1, +-e2 if |k| < 4 |C - B|, 4 |C - A|.
     """
-    solutions = equilibria_of_bodies(bodies(1, k3=k))
+    solutions = SATELLITE.equilibria_of_bodies(bodies(1, k3=k))
     alpha, gamma = solutions["alpha"][0], solutions["gamma"][0]
     used = solutions["index"][0] >= 0
     beta = np.cross(gamma, alpha)
@@ -120,7 +120,7 @@ def test_rotor_along_an_axis(k):
 
 def test_every_equilibrium_of_random_bodies_rests_and_the_indices_sum_to_zero():
     points = random_bodies(400)
-    solutions = equilibria_of_bodies(points)
+    solutions = SATELLITE.equilibria_of_bodies(points)
     used = solutions["index"] >= 0
     assert (solutions["completeness"] == Completeness.COMPLETE).mean() > 0.98
     sums = np.where(used, (-1.0) ** solutions["index"], 0.0).sum(1)
@@ -143,9 +143,9 @@ def test_every_equilibrium_of_random_bodies_rests_and_the_indices_sum_to_zero():
 
 def test_bodies_at_once_and_one_by_one():
     points = random_bodies(12, seed=5)
-    solutions = equilibria_of_bodies(points)
+    solutions = SATELLITE.equilibria_of_bodies(points)
     for i in range(12):
-        one = equilibria({name: values[i] for name, values in points.items()})
+        one = SATELLITE.equilibria({name: values[i] for name, values in points.items()})
         count = len(one["index"])
         assert (solutions["index"][i, count:] == -1).all()
         assert np.isnan(solutions["theta0"][i, count:]).all()
@@ -157,9 +157,9 @@ def test_bodies_at_once_and_one_by_one():
 
 def test_no_result_depends_on_the_other_bodies():
     points = random_bodies(40, seed=2)
-    together = equilibria_of_bodies(points)
+    together = SATELLITE.equilibria_of_bodies(points)
     for part in (slice(0, 1), slice(7, 24)):
-        alone = equilibria_of_bodies({name: values[part] for name, values in points.items()})
+        alone = SATELLITE.equilibria_of_bodies({name: values[part] for name, values in points.items()})
         for name, values in alone.items():
             np.testing.assert_array_equal(values, together[name][part], name)
 
@@ -173,7 +173,7 @@ def test_bodies_without_isolated_equilibria_and_on_bifurcations():
         Omega=np.array([1.0, 1.0, 0.0, 1.0, 1.0, 1e-80]),
         k3=np.array([0.0, 0.0, 0.1, 0.4, 0.4 * (1 + 1e-4), 0.0]),
     )
-    solutions = equilibria_of_bodies(points)
+    solutions = SATELLITE.equilibria_of_bodies(points)
     assert [Completeness(flag).name for flag in solutions["completeness"]] == [
         "NOT_ISOLATED", "NOT_LISTED", "NOT_LISTED", "NEAR_BIFURCATION", "COMPLETE", "NOT_LISTED",
     ]  # fmt: skip

@@ -24,11 +24,13 @@ G. Grioli, Ann. Mat. Pura Appl. 26 (1947) 271-281; with a rotor E. I. Kharlamova
 
 from __future__ import annotations
 
+from ..base import numbered
+from . import families
 from .balanced_field import BALANCED_FIELD
 from .free import FREE_PRECESSION, FREE_ROTATION
 from .grioli import GRIOLI
 from .other_axis import OTHER_AXIS
 
-FAMILIES = {
-    family.name: family for family in (GRIOLI, BALANCED_FIELD, FREE_ROTATION, FREE_PRECESSION, OTHER_AXIS)
-}
+FAMILIES = numbered(
+    (GRIOLI, BALANCED_FIELD, FREE_ROTATION, FREE_PRECESSION, OTHER_AXIS), after=families.FAMILIES
+)

@@ -7,21 +7,19 @@ w = n g + m s with s a normal of a circular section of the ellipsoid of inertia,
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import numpy as np
 
 from ..base import Array, Condition, Family, Points, TwoAxes
+from ..gyrostat.equation import each, linear
 from ..vectors import across, dot, length, unit
 from .initial import fields
 from .two_axes import (
     OFFSETS,
     ROTORS,
     Start,
+    about,
+    along,
     floquet_stability,
-    motion_of,
-    other_component,
-    pick,
     section_difference,
 )
 
@@ -69,48 +67,32 @@ def _rotor_off(points: Points) -> Array:
     return start.residual(off * length(start.w))
 
 
-def _weight_off(points: Points) -> Array:
+def _weight(points: Points) -> Array:
     start = Start.of(points)
-    return start.residual(start.weight - _balanced_weight(start, balanced_axes(points)))
+    return start.weight - _balanced_weight(start, balanced_axes(points))
 
 
-def _solve_balanced_offset(i: int) -> Callable[[Points], Array]:
-    """Solver of one coordinate of the centre of mass."""
-
-    def solve(points: Points) -> Array:
-        return _balanced_weight(Start.of(points), balanced_axes(points))[i] / fields(points)[0]
-
-    return solve
-
-
-def _solve_balanced_rotor(i: int) -> Callable[[Points], Array]:
-    """Solver of one component of the rotor: its part along the spin axis follows from another component."""
-
-    def solve(points: Points) -> Array:
-        start, axes = Start.of(points), balanced_axes(points)
-        across, s = _balanced_rotor_across(start, axes), axes.spin_axis
-        j = other_component(s, i)
-        return across[i] + (pick(start.rotor, j) - pick(across, j)) / pick(s, j) * s[i]
-
-    return solve
+def _rotor(name: str, points: Points) -> Array:
+    """One component of the rotor: its part along the spin axis follows from another component."""
+    start, axes = Start.of(points), balanced_axes(points)
+    return along(ROTORS.index(name), start.rotor, _balanced_rotor_across(start, axes), axes.spin_axis)
 
 
 BALANCED_FIELD = Family(
     name="balanced_field",
-    flag=6,
     axes=balanced_axes,
-    motion=motion_of(balanced_axes),
+    motion=about(balanced_axes),
     title="regular precession about the vertical at n^2 = N, where field and centrifugal torque cancel",
     equations="derived from the equations of motion; not in the paper",
     conditions=(
         Condition("N > 0", _no_attraction),
         Condition("w = n g + m s, n^2 = N, s normal to a circular section of the ellipsoid of inertia", _off_normal),
         Condition("l across s = -(m + 2 n s.g) (I s across s)", _rotor_off),
-        Condition("Mg r_c = -n (l + m (s.I s) s)", _weight_off),
+        Condition("Mg r_c = -n (l + m (s.I s) s)", lambda p: Start.of(p).residual(_weight(p))),
     ),
     solve={
-        **{name: _solve_balanced_rotor(i) for i, name in enumerate(ROTORS)},
-        **{name: _solve_balanced_offset(i) for i, name in enumerate(OFFSETS)},
+        **each(_rotor, *ROTORS),
+        **linear(_weight, *OFFSETS),
     },
     stability=floquet_stability(balanced_axes),
     labels="regular precession (n, m) about the vertical, the spin axis is not principal",

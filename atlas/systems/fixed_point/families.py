@@ -18,16 +18,17 @@ a free body that turns about its third axis, in `rest`. So these four families a
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
 
-from ..base import FAMILY_TOLERANCE, Array, Condition, Family, Flags, Points, identify
-from ..vectors import cross, length, ratio
+from ..base import FAMILY_TOLERANCE, Array, Condition, Family, Flags, Points, TwoAxes, identify, numbered
+from ..gyrostat import secular
+from ..gyrostat.equation import Equation, Solver, linear
+from ..gyrostat.motions import motion_of
+from ..vectors import cross, length, principal, ratio
 from . import equations
-from .equilibria import permanent_rotations
-from .initial import bodies, constants, fields, initial_state, rates, symmetric, vertical
+from .initial import bodies, body, constants, fields, initial_state, rates, symmetric, vertical
 from .stability import conical_stability, rest_stability, sleeping_stability, staude_stability
 
 
@@ -66,71 +67,34 @@ def condition_residual(points: Points) -> Array:
     return np.maximum(ratio(length(rate), scale), ratio(np.abs(theta_dot), np.sqrt(scale)))
 
 
-# Conditions. Each residual is an angular acceleration or rate over that of the start, or a relative difference.
+# What vanishes on the families.
 
 
-def _difference(points: Points) -> Array:
-    return (points["A"] - points["B"]) / points["A"]
+def _least(points: Points) -> Array:
+    """Least moment of inertia."""
+    return np.minimum(np.minimum(points["A"], points["B"]), points["C"])
 
 
-def _acceleration(points: Points, torque: Array) -> Array:
-    """A torque as a residual: over the least moment and the largest squared rate."""
-    least = np.minimum(np.minimum(points["A"], points["B"]), points["C"])
-    return ratio(torque / least, squared_rate(points))
+def _rate(points: Points) -> Array:
+    """Unit of rates: that of the start."""
+    return np.sqrt(squared_rate(points))
 
 
-def _transverse_rotor(points: Points) -> Array:
-    turn = length(initial_state(points)[:3])
-    return _acceleration(points, np.hypot(points["l1"], points["l2"]) * turn)
+def _torque(points: Points) -> Array:
+    """Unit of torques: least moment times squared rate of the start."""
+    return _least(points) * squared_rate(points)
 
 
-def _transverse_weight(points: Points) -> Array:
-    return _acceleration(points, fields(points)[0] * np.hypot(points["x0"], points["y0"]))
-
-
-def _nutation_rate(points: Points) -> Array:
-    return ratio(np.abs(rates(points)[0]), np.sqrt(squared_rate(points)))
-
-
-def _rest_of_precession(points: Points) -> Array:
-    return ratio(np.abs(rates(points)[1]), np.sqrt(squared_rate(points)))
-
-
-def _rest_of_spin(points: Points) -> Array:
-    return ratio(np.abs(rates(points)[2]), np.sqrt(squared_rate(points)))
-
-
-def _spinning(points: Points) -> Array:
-    """0 where m counts as 0, inf elsewhere."""
-    return np.where(_rest_of_spin(points) <= FAMILY_TOLERANCE, 0.0, np.inf)
-
-
-def _transverse_rate(points: Points) -> Array:
-    return ratio(length(initial_state(points)[:2]), np.sqrt(squared_rate(points)))
-
-
-def _on_vertical(points: Points) -> Array:
-    gamma = vertical(points)
-    return np.hypot(gamma[0], gamma[1])
-
-
-def precession(points: Points, **replaced: Array | float) -> Array:
+def precession(points: Points, n: Array | float | None = None, cosine: Array | float | None = None) -> Array:
     """(C - A)(n^2 - N) cos theta + (C m + l3) n + Mg z0, the torque that vanishes on a conical motion.
 
-    Any of A, C, N, Mg, z0, l3, n, m and cosine may be replaced.
+    n and cosine replace those of the points.
     """
     Mg, N = fields(points)
-    _, n, m = rates(points)
-    value: dict[str, Array | float] = {
-        "A": points["A"], "C": points["C"], "N": N, "Mg": Mg, "z0": points["z0"], "l3": points["l3"],
-        "n": n, "m": m, "cosine": vertical(points)[2],
-    }  # fmt: skip
-    A, C, N, Mg, z0, l3, n, m, c = (np.asarray(replaced.get(name, value[name])) for name in value)
-    return (C - A) * (n**2 - N) * c + (C * m + l3) * n + Mg * z0
-
-
-def _conical(points: Points) -> Array:
-    return _acceleration(points, precession(points))
+    _, own, m = rates(points)
+    n, c = own if n is None else n, vertical(points)[2] if cosine is None else cosine
+    A, C = points["A"], points["C"]
+    return (C - A) * (n**2 - N) * c + (C * m + points["l3"]) * n + Mg * points["z0"]
 
 
 def permanent_torque(points: Points, n: Array | None = None) -> Array:
@@ -141,72 +105,52 @@ def permanent_torque(points: Points, n: Array | None = None) -> Array:
     return cross((n**2 - N) * inertia * gamma + n * rotor + weight, gamma)
 
 
-def _permanent(points: Points) -> Array:
-    return _acceleration(points, length(permanent_torque(points)))
-
-
 def _upright(points: Points) -> Array:
     """Transverse torque of rotor and weight on the body that stands on the vertical."""
     _, rotor, weight, _ = bodies(points)
     state = initial_state(points)
-    transverse = state[2] * rotor[:2] + np.sign(state[5]) * weight[:2]
-    return _acceleration(points, np.hypot(*transverse))
+    return state[2] * rotor[:2] + np.sign(state[5]) * weight[:2]
 
 
-def _resting(points: Points) -> Array:
-    return _acceleration(points, length(permanent_torque(points, np.zeros_like(points["A"]))))
-
-
-def _resting_while_turning(points: Points) -> Array:
+def _turning_torque(points: Points) -> Array:
     """Torques that disturb the resting third axis as phi takes every value; 0 if m = 0."""
     inertia, rotor, weight, N = bodies(points)
     _, _, m = rates(points)
     gradient = N * np.abs(inertia[0] - inertia[1])
     torque = np.abs(gradient) + np.hypot(*weight[:2]) + np.abs(m) * np.hypot(*rotor[:2])
-    return np.where(m == 0, 0.0, _acceleration(points, torque))
+    return np.where(m == 0, 0.0, torque)
 
 
 # Solutions for one parameter each.
 
 
-def _linear(slope: Array, offset: Array, current: Array) -> Array:
-    """The x of slope x + offset = 0; where both vanish, any x is a solution and the current one is kept."""
-    with np.errstate(divide="ignore", invalid="ignore"):
-        x = -offset / slope
-    return np.where(slope == 0, np.where(offset == 0, current, np.nan), x)
+def _solve_precession(*names: str, resting: bool = False) -> dict[str, Solver]:
+    """Solvers of precession = 0; resting: with n = 0 in place of the given n."""
+    return linear(lambda p: precession(p, 0.0 if resting else None), *names, keep=True)
 
 
-def _solve_precession(name: str, resting: bool = False) -> Callable[[Points], Array]:
-    """Solver of precession = 0 for a parameter in which it is linear; resting: with n = 0 in place of the given n."""
+def _possible_moment(name: str, resting: bool) -> dict[str, Solver]:
+    """The solver of a moment of inertia, nan where no symmetric body has it."""
+    root = _solve_precession(name, resting=resting)[name]
 
     def solve(points: Points) -> Array:
-        Mg, N = fields(points)
-        _, n, m = rates(points)
-        n = np.zeros_like(n) if resting else n
-        A, C, c = points["A"], points["C"], vertical(points)[2]
-        K = n**2 - N
-        slope = {
-            "A": -K * c, "C": K * c + m * n, "m": C * n, "l3": n, "N": (A - C) * c, "Mg": points["z0"], "z0": Mg,
-        }[name]  # fmt: skip
-        x = _linear(slope, precession(points, n=n, **{name: np.zeros_like(n)}), points[name])
-        if name in ("A", "C"):
-            A, C = (x, C) if name == "A" else (A, x)
-            x = np.where((x > 0) & (C <= 2 * A), x, np.nan)
-        return x
+        x = root(points)
+        body = {**points, name: x}
+        return np.where((x > 0) & (body["C"] <= 2 * body["A"]), x, np.nan)
 
-    return solve
+    return {name: solve}
 
 
-def _solve_theta(resting: bool) -> Callable[[Points], Array]:
+def _solve_theta(resting: bool) -> Solver:
     """Solver of precession = 0 for theta0, in [0, pi]."""
 
     def solve(points: Points) -> Array:
         n = np.zeros_like(points["A"]) if resting else rates(points)[1]
-        offset = precession(points, n=n, cosine=0.0)
+        offset = precession(points, n, 0.0)
         slope = (points["C"] - points["A"]) * (n**2 - fields(points)[1])
-        cosine = _linear(slope, offset, np.cos(points["theta0"]))
-        with np.errstate(invalid="ignore"):
-            return np.arccos(cosine)
+        held = np.where(offset == 0, np.cos(points["theta0"]), np.nan)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            return np.arccos(np.where(slope == 0, held, -offset / slope))
 
     return solve
 
@@ -224,21 +168,7 @@ def _solve_n(points: Points) -> Array:
     return np.where(np.isfinite(nearer), nearer, np.nan)
 
 
-def _solve_upright(name: str, axis: int) -> Callable[[Points], Array]:
-    """Solver of r l_i + cos(theta) Mg r_i = 0 for one component of the rotor or of the centre of mass."""
-
-    def solve(points: Points) -> Array:
-        Mg = fields(points)[0]
-        w, sign = initial_state(points)[2], np.sign(vertical(points)[2])
-        rotor, offset = (("l1", "x0"), ("l2", "y0"))[axis]
-        if name == rotor:
-            return _linear(w, sign * Mg * points[offset], points[name])
-        return _linear(sign * Mg, w * points[rotor], points[name])
-
-    return solve
-
-
-def _solve_permanent(name: str) -> Callable[[Points], Array]:
+def _solve_permanent(name: str) -> dict[str, Solver]:
     """Solver of the permanent rotation for one parameter.
 
     l1, x0 and l2, y0 are taken from the second and the first component of the torque, so that one of
@@ -246,20 +176,18 @@ def _solve_permanent(name: str) -> Callable[[Points], Array]:
     others from all three, nan where these contradict each other.
     """
     component = {"l1": 1, "x0": 1, "l2": 0, "y0": 0}.get(name)
+    if component is not None:
+        return linear(lambda p: permanent_torque(p)[component], name, keep=True)
+    root = linear(permanent_torque, name, keep=True)[name]
 
     def solve(points: Points) -> Array:
-        offset = permanent_torque({**points, name: np.zeros_like(points[name])})
-        slope = permanent_torque({**points, name: np.ones_like(points[name])}) - offset
-        if component is not None:
-            return _linear(slope[component], offset[component], points[name])
-        x = _linear((slope**2).sum(0), (slope * offset).sum(0), points[name])
-        rest = _permanent({**points, name: x})
-        return np.where(rest <= 1e-9, x, np.nan)
+        x = root(points)
+        return np.where(PERMANENT.residual({**points, name: x}) <= 1e-9, x, np.nan)
 
-    return solve
+    return {name: solve}
 
 
-def _solve_direction(angle: str, resting: bool) -> Callable[[Points], Array]:
+def _solve_direction(angle: str, resting: bool) -> Solver:
     """theta0 or phi0 of the permanent rotation nearest to the start, by the angle between the verticals.
 
     phi0 prefers the rotations whose theta is theta0 already, so that theta0 and phi0 may be solved
@@ -269,7 +197,7 @@ def _solve_direction(angle: str, resting: bool) -> Callable[[Points], Array]:
     def solve(points: Points) -> Array:
         gamma = vertical(points)
         n = np.zeros_like(points["A"]) if resting else rates(points)[1]
-        rotations, _ = permanent_rotations(points, n, gamma)
+        rotations, _ = secular.directions(body(points)._replace(turn=n), gamma)
         distance = np.where(np.isnan(rotations[0]), np.inf, -(rotations * gamma[:, None]).sum(0))
         if angle == "phi0":
             distance = np.where(np.abs(rotations[2] - gamma[2]) <= 1e-9, distance, np.inf)
@@ -284,7 +212,7 @@ def _solve_direction(angle: str, resting: bool) -> Callable[[Points], Array]:
     return solve
 
 
-def _solve_rest(angle: str) -> Callable[[Points], Array]:
+def _solve_rest(angle: str) -> Solver:
     """theta0 or phi0 of a resting third axis: closed form if the body is symmetric about it, else the nearest."""
     nearest, inclined = _solve_direction(angle, True), _solve_theta(True)
 
@@ -297,52 +225,39 @@ def _solve_rest(angle: str) -> Callable[[Points], Array]:
     return solve
 
 
-def motion(points: Points, t: Array) -> Array:
-    """Closed form of every steady motion: g turns about the third axis at -m, w = n g + m e3.
-
-    t: any shape, time units; returns the state, shape (6, *t.shape, *points.shape).
-    """
+def third_axis(points: Points) -> TwoAxes:
+    """e3 and the vertical."""
     gamma = vertical(points)
     _, n, m = rates(points)
-    angle = np.asarray(t, float)[..., None] * m
-    cosine, sine = np.cos(angle), np.sin(angle)
-    g = np.array(
-        [
-            gamma[0] * cosine + gamma[1] * sine,
-            gamma[1] * cosine - gamma[0] * sine,
-            np.broadcast_to(gamma[2], angle.shape),
-        ]
-    )
-    w = n * g
-    w[2] += m
-    return np.concatenate([w, g])
+    return TwoAxes(principal(np.full(m.shape, 2)), m, gamma, n)
 
 
-_STILL = Condition("theta' = 0", _nutation_rate)
-_PRECESSION = "(C - A)(n^2 - N) cos theta0 + (C m + l3) n + Mg z0 = 0"
-FAMILIES = {
-    family.name: family
-    for family in (
+_STILL = Equation("theta' = 0", lambda p: rates(p)[0], _rate)
+_NO_SPIN = Equation("m = 0", lambda p: rates(p)[2], _rate)
+PERMANENT = Equation("((n^2 - N) I g + n l + Mg r_c) x g = 0", permanent_torque, _torque)
+FAMILIES = numbered(
+    (
         Family(
             name="conical",
-            flag=1,
             title="regular precession about the vertical, or turning about a resting inclined axis (n = 0)",
             equations="from (1) of the paper with A = B, l = (0, 0, l3)",
             conditions=(
-                Condition("A = B", _difference),
-                Condition("l1 = l2 = 0", _transverse_rotor),
-                Condition("Mg x0 = Mg y0 = 0", _transverse_weight),
+                Equation("A = B", lambda p: p["A"] - p["B"], lambda p: p["A"]),
+                Equation("l1 = l2 = 0", lambda p: bodies(p)[1][:2] * length(initial_state(p)[:3]), _torque),
+                Equation("Mg x0 = Mg y0 = 0", lambda p: bodies(p)[2][:2], _torque),
                 _STILL,
-                Condition(_PRECESSION, _conical),
+                Equation("(C - A)(n^2 - N) cos theta0 + (C m + l3) n + Mg z0 = 0", precession, _torque),
             ),
             solve={
-                **{name: _solve_precession(name) for name in ("m", "l3", "Mg", "z0", "N", "C", "A")},
+                **_solve_precession("m", "l3", "Mg", "z0", "N"),
+                **_possible_moment("C", False),
+                **_possible_moment("A", False),
                 "B": lambda points: points["A"].copy(),
                 "theta0": _solve_theta(False),
                 "n": _solve_n,
             },
             stability=conical_stability,
-            motion=motion,
+            motion=motion_of(third_axis, lambda p: (vertical(p),)),
             geometry="conical",
             paper_wording="Lagrange's case",
             labels="regular precession (n, m); permanent rotation where one of the two rates is 0",
@@ -351,23 +266,22 @@ FAMILIES = {
         ),
         Family(
             name="sleeping",
-            flag=2,
             title="the third axis stands on the vertical and the body turns about it",
             equations="from the equations of motion",
             conditions=(
-                Condition("sin theta0 = 0", _on_vertical),
-                Condition("p = q = 0", _transverse_rate),
-                Condition("r l1 + cos(theta0) Mg x0 = r l2 + cos(theta0) Mg y0 = 0", _upright),
+                Equation("sin theta0 = 0", lambda p: vertical(p)[:2]),
+                Equation("p = q = 0", lambda p: initial_state(p)[:2], _rate),
+                Equation("r l1 + cos(theta0) Mg x0 = r l2 + cos(theta0) Mg y0 = 0", _upright, _torque),
             ),
             solve={
                 "theta0": lambda points: np.where(np.cos(points["theta0"]) < 0, np.pi, 0.0),
-                **{
-                    name: _solve_upright(name, axis)
-                    for name, axis in (("l1", 0), ("l2", 1), ("x0", 0), ("y0", 1))
-                },
+                **linear(lambda p: _upright(p)[0], "l1", keep=True),
+                **linear(lambda p: _upright(p)[1], "l2", keep=True),
+                **linear(lambda p: _upright(p)[0], "x0", keep=True),
+                **linear(lambda p: _upright(p)[1], "y0", keep=True),
             },
             stability=sleeping_stability,
-            motion=motion,
+            motion=motion_of(third_axis, lambda p: (vertical(p),)),
             geometry="sleeping",
             paper_wording="permanent rotation with spin r0 about the z axis",
             labels="permanent rotation about the vertical at n +- m",
@@ -375,21 +289,23 @@ FAMILIES = {
         ),
         Family(
             name="staude",
-            flag=3,
             title="permanent rotation of any body about the vertical",
             equations="from the equations of motion: (n^2 - N) I g + n l + Mg r_c parallel to g",
             conditions=(
-                Condition("m = 0", _rest_of_spin),
+                _NO_SPIN,
                 _STILL,
-                Condition("((n^2 - N) I g + n l + Mg r_c) x g = 0", _permanent),
+                PERMANENT,
             ),
             solve={
                 "theta0": _solve_direction("theta0", False),
                 "phi0": _solve_direction("phi0", False),
-                **{name: _solve_permanent(name) for name in ("l1", "l2", "x0", "y0", "l3", "z0", "Mg", "N")},
+                **dict(
+                    _solve_permanent(name).popitem()
+                    for name in ("l1", "l2", "x0", "y0", "l3", "z0", "Mg", "N")
+                ),
             },
             stability=staude_stability,
-            motion=motion,
+            motion=motion_of(third_axis, lambda p: (vertical(p),)),
             geometry="staude",
             labels="permanent rotation about the vertical at n",
             exists="2, 4 or 6 directions of a body off special ones, and sets of them for these;"
@@ -398,29 +314,38 @@ FAMILIES = {
         ),
         Family(
             name="rest",
-            flag=4,
             title="the third axis is at rest (n = 0); if the body turns about it, it is symmetric or free",
             equations="from the equations of motion",
             conditions=(
-                Condition("n = 0", _rest_of_precession),
+                Equation("n = 0", lambda p: rates(p)[1], _rate),
                 _STILL,
-                Condition("(Mg r_c - N I g) x g = 0", _resting),
-                Condition("m = 0, or N (A - B) = Mg x0 = Mg y0 = l1 = l2 = 0", _resting_while_turning),
+                Equation(
+                    "(Mg r_c - N I g) x g = 0", lambda p: permanent_torque(p, np.zeros_like(p["A"])), _torque
+                ),
+                Equation("m = 0, or N (A - B) = Mg x0 = Mg y0 = l1 = l2 = 0", _turning_torque, _torque),
             ),
             solve={
                 "theta0": _solve_rest("theta0"),
                 "phi0": _solve_rest("phi0"),
-                **{name: _solve_precession(name, True) for name in ("N", "Mg", "z0", "C")},
+                **_solve_precession("N", "Mg", "z0", resting=True),
+                **_possible_moment("C", True),
             },
             stability=rest_stability,
-            motion=motion,
+            motion=motion_of(third_axis, lambda p: (vertical(p),)),
             labels="permanent rotation: at rest, or turning at m about the resting third axis",
             free=("psi0",),
         ),
     )
-}
+)
 
 _REST = FAMILIES["rest"]
+
+
+def _spinning(points: Points) -> Array:
+    """0 where m counts as 0, inf elsewhere."""
+    return np.where(np.abs(_NO_SPIN.residual(points)) <= FAMILY_TOLERANCE, 0.0, np.inf)
+
+
 # Order in which the families are tested. They overlap: the motions of `rest` with m = 0 come before those of `staude`,
 # the others after those of `conical`.
 ORDER = (

@@ -2,23 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import numpy as np
 
 from ...flags import Stability
 from ..base import Array, Condition, Family, Flags, Points, TwoAxes
-from ..vectors import cross, dot, length, unit
+from ..gyrostat.equation import each
+from ..vectors import cross, dot, length, principal, unit
 from .stability import decide
 from .two_axes import (
     ROTORS,
     Start,
+    about,
+    along,
     axis_of_symmetry,
-    motion_of,
     no_field,
-    other_component,
-    pick,
-    principal,
     rotor_along,
     symmetric_about,
 )
@@ -41,16 +38,10 @@ def rotation_axes(points: Points) -> TwoAxes:
     return TwoAxes(axis, rate, axis, np.zeros_like(rate))
 
 
-def _solve_turning_rotor(i: int) -> Callable[[Points], Array]:
-    """Solver of one component of the rotor: I w + l along w."""
-
-    def solve(points: Points) -> Array:
-        start = Start.of(points)
-        j = other_component(start.w, i)
-        multiple = pick(start.inertia * start.w + start.rotor, j) / pick(start.w, j)
-        return (multiple - start.inertia[i]) * start.w[i]
-
-    return solve
+def _turning_rotor(name: str, points: Points) -> Array:
+    """One component of the rotor: I w + l along w."""
+    start = Start.of(points)
+    return along(ROTORS.index(name), start.rotor, -start.inertia * start.w, start.w)
 
 
 def _turning_stability(points: Points) -> tuple[Flags, Array]:
@@ -69,8 +60,7 @@ def _turning_stability(points: Points) -> tuple[Flags, Array]:
     products = np.array([columns[i][i] * columns[j][j] - columns[i][j] * columns[j][i] for i, j in _PAIRS])
     size = np.array([np.abs(columns[i][j] * columns[j][i]) for i, j in _PAIRS]).sum(0)
     P = products.sum(0)
-    stable, growth = decide(P, size, np.sqrt(np.maximum(-P, 0.0)))
-    return np.where(stable == Stability.UNKNOWN, Stability.STABLE, stable).astype(np.int8), growth
+    return decide(P, size, np.sqrt(np.maximum(-P, 0.0)))
 
 
 _PAIRS = ((0, 1), (0, 2), (1, 2))
@@ -99,22 +89,20 @@ _FREE = (
 )
 FREE_ROTATION = Family(
     name="free_rotation",
-    flag=7,
     axes=rotation_axes,
-    motion=motion_of(rotation_axes),
+    motion=about(rotation_axes),
     title="permanent rotation of a free body about an inclined axis",
     equations="from the equations of motion",
     conditions=(*_FREE, Condition("(I w + l) x w = 0", _free_turning)),
-    solve={name: _solve_turning_rotor(i) for i, name in enumerate(ROTORS)},
+    solve=each(_turning_rotor, *ROTORS),
     stability=_turning_stability,
     labels="permanent rotation",
     exists="about each principal axis of a body without rotor",
 )  # fmt: skip
 FREE_PRECESSION = Family(
     name="free_precession",
-    flag=8,
     axes=precession_axes,
-    motion=motion_of(precession_axes),
+    motion=about(precession_axes),
     title="regular precession of a free symmetric or spherical body about its angular momentum",
     equations="from the equations of motion",
     conditions=(

@@ -12,22 +12,20 @@ G. Grioli, Ann. Mat. Pura Appl. 26 (1947) 271-281; with a rotor E. I. Kharlamova
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import numpy as np
 
 from ..base import Array, Condition, Family, Points, TwoAxes
+from ..gyrostat.equation import each
 from ..vectors import across, cross, dot, length, unit
 from .initial import VECTORS
 from .two_axes import (
     OFFSETS,
     ROTORS,
     Start,
+    about,
+    along,
     floquet_stability,
-    motion_of,
     no_field,
-    other_component,
-    pick,
     section_difference,
     section_normals,
 )
@@ -105,32 +103,22 @@ def _grioli_start(points: Points) -> Array:
     return np.concatenate([n * (nu + s), unit(gamma)])
 
 
-def _solve_vector(i: int) -> Callable[[Points], Array]:
-    """Solver of one of p0 .. gamma30 for Grioli's start; with all six of them solved, the start is exact."""
-    return lambda points: _grioli_start(points)[i]
+def _start(name: str, points: Points) -> Array:
+    """One of p0 .. gamma30 of Grioli's start; with all six of them solved, the start is exact."""
+    return _grioli_start(points)[VECTORS.index(name)]
 
 
-def _solve_offset(i: int) -> Callable[[Points], Array]:
-    """Solver of one coordinate of the centre of mass from the largest other one; the sign given, or +, is kept."""
-
-    def solve(points: Points) -> Array:
-        normal = section_normals(Start.of(points).inertia)
-        offset = np.array([points[name] for name in OFFSETS])
-        j = other_component(normal, i)
-        return np.copysign(normal[i] * pick(offset, j) / pick(normal, j), offset[i])
-
-    return solve
+def _offset(name: str, points: Points) -> Array:
+    """One coordinate of the centre of mass from the largest other one; the sign given, or +, is kept."""
+    offset = np.array([points[name] for name in OFFSETS])
+    value = along(OFFSETS.index(name), offset, 0.0, section_normals(Start.of(points).inertia))
+    return np.copysign(value, points[name])
 
 
-def _solve_rotor_along(i: int) -> Callable[[Points], Array]:
-    """Solver of one component of the rotor from the largest other component of the centre of mass."""
-
-    def solve(points: Points) -> Array:
-        start = Start.of(points)
-        j = other_component(start.weight, i)
-        return pick(start.rotor, j) / pick(start.weight, j) * start.weight[i]
-
-    return solve
+def _rotor_along(name: str, points: Points) -> Array:
+    """One component of the rotor from the largest other component of the centre of mass."""
+    start = Start.of(points)
+    return along(ROTORS.index(name), start.rotor, 0.0, start.weight)
 
 
 def _solve_grioli_weight(points: Points) -> Array:
@@ -143,9 +131,8 @@ def _solve_grioli_weight(points: Points) -> Array:
 
 GRIOLI = Family(
     name="grioli",
-    flag=5,
     axes=grioli_axes,
-    motion=motion_of(grioli_axes),
+    motion=about(grioli_axes),
     title="Grioli's regular precession of an asymmetric body about an axis inclined to the vertical",
     equations="Grioli 1947; with a rotor Kharlamova 1970",
     conditions=(
@@ -159,10 +146,10 @@ GRIOLI = Family(
         ),
     ),
     solve={
-        **{name: _solve_offset(i) for i, name in enumerate(OFFSETS)},
-        **{name: _solve_rotor_along(i) for i, name in enumerate(ROTORS)},
+        **each(_offset, *OFFSETS),
+        **each(_rotor_along, *ROTORS),
         "Mg": _solve_grioli_weight,
-        **{name: _solve_vector(i) for i, name in enumerate(VECTORS)},
+        **each(_start, *VECTORS),
     },
     stability=floquet_stability(grioli_axes),
     labels="regular precession about an inclined axis; drifting about the third axis and the vertical",

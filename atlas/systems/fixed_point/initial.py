@@ -8,6 +8,9 @@ import numpy as np
 
 from ...errors import BadInput
 from ..base import Array, Mask, Parameter, Points
+from ..gyrostat import Body, Direction
+from ..gyrostat.body import gyration, perron_root
+from ..gyrostat.motions import angular_velocity, directions
 from ..vectors import length
 
 _TABLE = (
@@ -68,6 +71,15 @@ def bodies(points: Points) -> tuple[Array, Array, Array, Array]:
     return inertia, rotor, Mg * np.array([points["x0"], points["y0"], points["z0"]]), N
 
 
+def body(points: Points) -> Body:
+    """The body in space: field gradient N and weight along the vertical."""
+    inertia, rotor, weight, N = bodies(points)
+    zero = np.zeros_like(N)
+    vertical = Direction(N, -np.moveaxis(weight, 0, -1))
+    none = Direction(zero, np.zeros((*N.shape, 3)))
+    return Body(np.moveaxis(inertia, 0, -1), np.moveaxis(rotor, 0, -1), zero, none, vertical, zero)
+
+
 def constants(points: Points) -> Array:
     """Constants of the equations, shape (constants, points), in the order of equations.CONSTANTS."""
     inertia, rotor, weight, N = bodies(points)
@@ -76,8 +88,7 @@ def constants(points: Points) -> Array:
 
 def vertical(points: Points) -> Array:
     """gamma in body axes at the start, shape (3, points)."""
-    st, ct = np.sin(points["theta0"]), np.cos(points["theta0"])
-    angles = np.array([st * np.sin(points["phi0"]), st * np.cos(points["phi0"]), ct])
+    angles = directions(points)[1]
     vector = np.array([points["gamma10"], points["gamma20"], points["gamma30"]])
     size = length(vector)
     # A vector of length 1 to rounding is not divided: that would only change its last bits.
@@ -105,10 +116,7 @@ def rates(points: Points) -> tuple[Array, Array, Array]:
 def initial_state(points: Points) -> Array:
     """State at t = 0, shape (6, points): p0, q0, r0 or w = n gamma + m e3 + theta_dot0 about the node."""
     gamma = vertical(points)
-    w = points["n"] * gamma
-    w[0] += points["theta_dot0"] * np.cos(points["phi0"])
-    w[1] -= points["theta_dot0"] * np.sin(points["phi0"])
-    w[2] += points["m"]
+    w = angular_velocity(points, points["n"], gamma)
     vector = np.array([points["p0"], points["q0"], points["r0"]])
     return np.concatenate([np.where(np.isnan(vector[0]), w, vector), gamma])
 
@@ -129,6 +137,11 @@ def as_euler_angles(points: Points) -> dict[str, Array]:
     }
     euler = {name: np.where(given, values, points[name]) for name, values in euler.items()}
     return {**points, **euler, **{name: np.where(given, np.nan, points[name]) for name in VECTORS}}
+
+
+def without_vectors(points: Points) -> dict[str, Array]:
+    """The points without starts by p0 .. gamma30."""
+    return {**points, **{name: np.full_like(points["A"], np.nan) for name in VECTORS}}
 
 
 def check(points: Points) -> None:
@@ -242,20 +255,12 @@ def frequency_bound(points: Points) -> Array:
     min_inertia = np.where(fixed, A, inertia.min(0))
     max_turn = np.where(fixed, np.hypot(transverse, w[2]), np.sqrt(energy / min_inertia))
 
-    # Entries of sqrt(I) I^-1 ((I w + l) x . - w x I .) sqrt(I)^-1; sqrt(norm_1 norm_inf) >= norm_2.
-    rows, columns = np.zeros_like(inertia), np.zeros_like(inertia)
-    for i, j, axis in ((0, 1, 2), (1, 0, 2), (0, 2, 1), (2, 0, 1), (1, 2, 0), (2, 1, 0)):
-        entry = np.abs(inertia[axis] - inertia[j]) * max_rates[axis] + np.abs(rotor[axis])
-        entry = entry / np.sqrt(inertia[i] * inertia[j])
-        rows[i] += entry
-        columns[j] += entry
     # Where C r + l3 is conserved, r and its perturbation are constant and the coefficient is exact.
-    gyration = np.where(fixed, np.abs((C - A) * w[2] + rotor[2]) / A, np.sqrt(rows.max(0) * columns.max(0)))
+    own = np.where(fixed, np.abs((C - A) * w[2] + rotor[2]) / A, gyration(inertia, rotor, max_rates))
     differences = np.array([C - B, A - C, B - A])
     newtonian = np.where(fixed, np.abs(C - A) / A, np.sqrt((differences**2 / inertia).sum(0) / min_inertia))
     stiffness = np.abs(N) * newtonian + moment / min_inertia
-    half = 0.5 * (gyration + max_turn)
-    return half + np.sqrt((0.5 * (gyration - max_turn)) ** 2 + stiffness)
+    return perron_root(own, max_turn, stiffness)
 
 
 def specialization(zero: Set[str], equal: Set[tuple[str, str]]) -> tuple[set[str], set[tuple[str, str]]]:

@@ -12,8 +12,8 @@ from ..vectors import across, cross, dot, length, ratio
 from .stability import decide
 from .two_axes import (
     Start,
+    about,
     axis_of_symmetry,
-    motion_of,
     rotor_along,
     symmetric_about,
 )
@@ -71,9 +71,8 @@ def _lagrange_stability(points: Points) -> tuple[Flags, Array]:
 
 OTHER_AXIS = Family(
     name="other_axis",
-    flag=9,
     axes=lagrange_axes,
-    motion=motion_of(lagrange_axes),
+    motion=about(lagrange_axes),
     title="Lagrange's case about another axis of symmetry than the third, and turning about it at rest",
     equations="as conical and rest, about the first or second axis, or the axis of a spherical body",
     conditions=(

@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ..base import Array, StressCase
+from ..gyrostat import Gyrostat
 from ..passages import earlier_start
-from . import equations, equilibria, initial
 
 OVERFLOW = "the numbers overflow"
 GROWN = "the method's own error grows with the motion before rounding does"
@@ -34,7 +34,7 @@ BODIES: Mapping[str, tuple[str, Mapping[str, float]]] = {
 }
 
 
-def passages() -> list[StressCase]:
+def passages(system: Gyrostat) -> list[StressCase]:
     """Exact motions that start, end or pass beside the vertical."""
     result = []
     for body, (truth, columns) in BODIES.items():
@@ -46,36 +46,37 @@ def passages() -> list[StressCase]:
             nearest |= {"n": SPEED / sine, "m": 0.5 - SPEED / sine * np.cos(sine)}
             result.append(
                 StressCase(f"{body} {part}", f"it {part} beside the vertical", duration,
-                           earlier_start(equations, initial, nearest, before), truth=truth)
+                           earlier_start(system, nearest, before), truth=truth)
             )  # fmt: skip
     return result
 
 
-def unstable_rotations(n: float, seed: int, count: int = 10) -> tuple[dict[str, Array], Array]:
+def unstable_rotations(
+    system: Gyrostat, n: float, seed: int, count: int = 10
+) -> tuple[dict[str, Array], Array]:
     """Unstable permanent rotations of random bodies at the rate n, and their growth rates."""
     rng, bodies = np.random.default_rng(seed), list[dict[str, float]]()
     while len(bodies) < count:
         parts = rng.uniform(0.3, 1.0, 3)
         body = dict(zip("ABC", parts.sum() - parts, strict=True)) | {"Mg": 1.0}
         body |= dict(zip(("x0", "y0", "z0", "l1", "l2", "l3"), rng.normal(size=6), strict=True))
-        points = {name: np.full(1, body.get(name, p.default)) for name, p in initial.PARAMETERS.items()}
-        all_ = equilibria.equilibria(points, n)
-        tilted = np.minimum(all_["theta"], np.pi - all_["theta"]) > 0.2
+        all_ = system.equilibria(body | {"n": n})
+        tilted = np.minimum(all_["theta0"], np.pi - all_["theta0"]) > 0.2
         growth = np.where(tilted, np.nan_to_num(all_["growth_rate"]), 0.0)
         i = growth.argmax()
         if growth[i] > 0.3:
             bodies.append(
-                body | {"theta0": all_["theta"][i], "phi0": all_["phi"][i], "n": n, "growth": growth[i]}
+                body | {"theta0": all_["theta0"][i], "phi0": all_["phi0"][i], "n": n, "growth": growth[i]}
             )
     columns = {name: np.array([body[name] for body in bodies]) for name in bodies[0]}
     return columns, columns.pop("growth")
 
 
-def departures() -> list[StressCase]:
+def departures(system: Gyrostat) -> list[StressCase]:
     """Unstable positions of rest and permanent rotations with offsets of 1e-15 to 3e-11 rad."""
     result = []
     for name, n, seed in (("unstable rest", 0.0, 1), ("unstable rotation", 0.7, 2)):
-        columns, growth = unstable_rotations(n, seed)
+        columns, growth = unstable_rotations(system, n, seed)
         offset, logarithm = np.geomspace(1e-15, 3e-11, growth.size), np.linspace(20.0, 25.0, growth.size)
         result.append(
             StressCase(f"{name}, offset", "offsets that grow by exp(20) to exp(25)", logarithm / growth, columns,
@@ -84,7 +85,7 @@ def departures() -> list[StressCase]:
     return result
 
 
-def cases() -> tuple[StressCase, ...]:
+def cases(system: Gyrostat) -> tuple[StressCase, ...]:
     """The cases, see System.stress_cases."""
     heavy = {"Mg": 1.0, "z0": 0.5, "N": 0.1}
     tilted = {"theta0": 0.6, "m": 0.5, "n": 0.2} | heavy
@@ -150,5 +151,5 @@ def cases() -> tuple[StressCase, ...]:
                     "m": [0.0, 1e300, 0.0, 0.0], "Mg": [0.0, 0.0, 1e300, 0.0], "x0": [0.0, 0.0, 1e300, 0.0],
                     "n": [0.0, 0.0, 0.0, 1e160]},
                    may_stay_unresolved=OVERFLOW),
-        *departures(), *passages(),
+        *departures(system), *passages(system),
     )  # fmt: skip

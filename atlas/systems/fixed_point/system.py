@@ -14,14 +14,13 @@ from ..base import (
     Flags,
     Mask,
     Points,
-    System,
+    StressCase,
     despun_about_third_axis,
     identify,
     shape_of,
-    stability_by_family,
 )
-from ..oscillations import oscillation_variables
-from . import any_axis, equations, equilibria, families, first_order, initial, oscillations, stress_cases
+from ..gyrostat import Gyrostat, secular
+from . import any_axis, equations, families, first_order, initial, stress_cases
 
 GEOMETRIES = {
     "none": "drifting or unresolved",
@@ -31,29 +30,7 @@ GEOMETRIES = {
 }
 
 
-def _family(points: Points) -> Flags:
-    """Families about the third axis or the vertical of the steady motions that the points start."""
-    return families.identify_family(points)[0]
-
-
-def _linear_stability(points: Points, flags: Flags) -> tuple[Flags, Array]:
-    """Linear stability from the families' formulas."""
-    return stability_by_family(families.FAMILIES, points, flags)
-
-
-_OSCILLATIONS = oscillation_variables(
-    _family,
-    _linear_stability,
-    oscillations.frequencies,
-    lambda points, flags: oscillations.energy_stability(points, flags, _linear_stability(points, flags)[0]),
-    "nan for exponents that are 0 or have a real part, and off conical, sleeping, staude and rest; of a permanent rotation relative to the body,"
-    " of a symmetric body on the vertical in space",
-    "on the level of the momentum about the vertical, and of that about the axis of symmetry where there is one; unknown off"
-    " conical, sleeping, staude and rest",
-)
-
-
-class FixedPoint(System):
+class FixedPoint(Gyrostat):
     """Heavy gyrostat about a fixed point, attracted by a distant centre."""
 
     name = "fixed_point"
@@ -70,7 +47,6 @@ class FixedPoint(System):
     parameters = initial.PARAMETERS
     rate_states = ("p", "q", "r")
     equal_parameters = (("A", "B"),)
-    moments_of_inertia = ("A", "B", "C")
     constants = staticmethod(initial.constants)
     integral_scales = staticmethod(initial.integral_scales)
     frequency_bound = staticmethod(initial.frequency_bound)
@@ -87,8 +63,16 @@ class FixedPoint(System):
     condition_residual = staticmethod(families.condition_residual)
     families = families.FAMILIES | any_axis.FAMILIES
     geometries = GEOMETRIES
-    derived = MappingProxyType(first_order.DERIVED | _OSCILLATIONS)
-    stress_cases = staticmethod(stress_cases.cases)
+    derived = MappingProxyType(first_order.DERIVED)
+    body = staticmethod(initial.body)
+    frequency_comment = (
+        "nan for exponents that are 0 or have a real part, and off conical, sleeping, staude and rest; of a permanent rotation"
+        " relative to the body, of a symmetric body on the vertical in space"
+    )
+    energy_comment = (
+        "on the level of the momentum about the vertical, and of that about the axis of symmetry where there is one; unknown off"
+        " conical, sleeping, staude and rest"
+    )
 
     def growth_about_vertical(self, points: Points) -> Array:
         """0: the vertical is an axis of symmetry of the fields."""
@@ -97,6 +81,13 @@ class FixedPoint(System):
     def identify_family(self, points: Points) -> tuple[Flags, Array]:
         """Family about the third axis and the vertical, else one about any axes."""
         return identify(points, families.ORDER, any_axis.FAMILIES.values())
+
+    def oscillation_families(self, points: Points) -> Flags:
+        """Families about the third axis or the vertical."""
+        return families.identify_family(points)[0]
+
+    def stress_cases(self) -> tuple[StressCase, ...]:
+        return stress_cases.cases(self)
 
     def complete(self, points: Points) -> Mask:
         return np.ones(shape_of(points), bool)
@@ -122,24 +113,19 @@ class FixedPoint(System):
         return np.select([where for where, _ in conditions], flags, names.index("conical")).astype(np.int8)
 
     def equilibria(self, body: Mapping[str, float]) -> dict[str, NDArray[Any]]:
-        """All permanent rotations of one body about the vertical at the rate n; see equilibria.equilibria."""
-        points = {k: np.full(1, float(body.get(k, p.default))) for k, p in self.parameters.items()}
-        return _in_vectors(equilibria.equilibria(points, float(points["n"][0])))
+        """All permanent rotations of one body about the vertical at the rate n; see secular.rotations."""
+        solutions = secular.rotations(self, initial.without_vectors(self.with_defaults(body)))
+        return {name: values for name, values in solutions.items() if name not in ("row", "flat")}
 
-    def equilibria_of_bodies(self, points: Points, pause: Callable[[], None]) -> dict[str, NDArray[Any]]:
-        """All permanent rotations of many bodies, each at its rate n; see equilibria.equilibria_of_bodies."""
-        return _in_vectors(equilibria.equilibria_of_bodies(points))
+    def equilibria_of_bodies(
+        self, points: Points, pause: Callable[[], None] = lambda: None, stability: bool = True
+    ) -> dict[str, NDArray[Any]]:
+        """All permanent rotations of many bodies, each at its rate n; see secular.rotations_of_bodies."""
+        return secular.rotations_of_bodies(self, initial.without_vectors(points))
 
     def despun_equivalent(self, points: Points) -> tuple[Points, Array]:
         conserved = ~np.isnan(self.integral_scales(points)["lagrange"])
         return despun_about_third_axis(self, points, "l3", conserved)
-
-
-def _in_vectors(solutions: dict[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
-    """Solutions with the names of the start values, and gamma as a vector."""
-    gamma = np.stack([solutions.pop(name) for name in ("g1", "g2", "g3")], -1)
-    angles = {"theta0": solutions.pop("theta"), "phi0": solutions.pop("phi")}
-    return {**angles, "gamma": gamma, **solutions, "circle": solutions["dimension"] == 1}
 
 
 FIXED_POINT = FixedPoint()

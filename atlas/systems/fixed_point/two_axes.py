@@ -6,12 +6,12 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ..base import FAMILY_TOLERANCE, Array, Flags, Points, TwoAxes, motion_about_axes
-from ..floquet import growth_of_periodic_motion
+from ..gyrostat.floquet import growth_of_periodic_motion
+from ..gyrostat.motions import motion_of
 from ..jacobian import jacobian
-from ..vectors import cross, dot, length, ratio, unit
+from ..vectors import cross, dot, length, principal, ratio, unit
 from . import equations
 from .initial import bodies, constants, initial_state, vertical
 
@@ -47,11 +47,6 @@ class Start(NamedTuple):
         return ratio(size / self.inertia.min(0), self.squared_rate)
 
 
-def principal(index: np.ndarray) -> Array:
-    """Unit vectors (3, points) of the principal axes of these numbers."""
-    return (np.arange(3).reshape(3, *(1,) * index.ndim) == index).astype(np.float64)
-
-
 def section_difference(inertia: Array, s: Array) -> Array:
     """How far the section of the ellipsoid of inertia normal to s is from a circle, relative to the largest moment."""
     first = unit(cross(s, principal(np.abs(s).argmin(0))))
@@ -77,17 +72,6 @@ def axis_of_symmetry(inertia: Array, candidates: tuple[int, ...], otherwise: Arr
     return np.where(spherical, unit(otherwise, axis), axis)
 
 
-def other_component(vector: Array, i: int) -> NDArray[np.intp]:
-    """Index (points,) of the largest component of a vector but the i-th."""
-    magnitudes = np.abs(vector)
-    magnitudes[i] = -1.0
-    return magnitudes.argmax(0)
-
-
-def pick(vector: Array, j: NDArray[np.intp]) -> Array:
-    return np.take_along_axis(vector, j[None], 0)[0]
-
-
 # Conditions of several families.
 
 
@@ -108,14 +92,20 @@ def rotor_along(points: Points, s: Array) -> Array:
 # Closed form and stability.
 
 
-def motion_of(axes: Callable[[Points], TwoAxes]) -> Callable[[Points, Array], Array]:
+def along(i: int, vector: Array, base: Array | float, direction: Array) -> Array:
+    """Component i of a vector = base + lambda direction, lambda from the component of the largest other one of direction."""
+    magnitudes = np.abs(direction)
+    magnitudes[i] = -1.0
+    base = np.broadcast_to(base, direction.shape)
+    vector, others, slope = (
+        np.take_along_axis(v, magnitudes.argmax(0)[None], 0)[0] for v in (vector, base, direction)
+    )
+    return base[i] + (vector - others) / slope * direction[i]
+
+
+def about(axes: Callable[[Points], TwoAxes]) -> Callable[[Points, Array], Array]:
     """Closed form of a family, as Family.motion."""
-
-    def motion(points: Points, t: Array) -> Array:
-        t = np.asarray(t, float)[..., None]
-        return np.concatenate(motion_about_axes(axes(points), vertical(points), t))
-
-    return motion
+    return motion_of(axes, lambda points: (vertical(points),))
 
 
 def floquet_stability(axes: Callable[[Points], TwoAxes]) -> Callable[[Points], tuple[Flags, Array]]:

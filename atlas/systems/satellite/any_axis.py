@@ -11,10 +11,12 @@ from __future__ import annotations
 import numpy as np
 
 from ...flags import Stability
-from ..base import Array, Condition, Family, Flags, Points, TwoAxes, motion_about_axes
+from ..base import Array, Condition, Family, Flags, Points, TwoAxes, numbered
+from ..gyrostat.motions import motion_of
 from ..vectors import across, cross, dot, length, ratio, unit
-from .initial import initial_state
-from .quantities import largest_inertia, magnetic_moment
+from . import families
+from .conditions import largest_inertia, magnetic_moment
+from .initial import directions, initial_state
 
 
 def _vectors(points: Points) -> tuple[Array, Array, Array, Array]:
@@ -82,14 +84,6 @@ def _damped(points: Points) -> Array:
     return ratio(points["damping"] * turn, scale * (points["C"] * scale + points["damping"]))
 
 
-def _motion(points: Points, t: Array) -> Array:
-    """Closed form, see Family.motion."""
-    t, axes, start = np.asarray(t, float)[..., None], _axes(points), initial_state(points)
-    rate, alpha = motion_about_axes(axes, start[3:6], t)
-    gamma = motion_about_axes(axes, start[6:], t)[1]
-    return np.concatenate([rate + points["Omega"] * gamma, alpha, gamma])
-
-
 def _stability(points: Points) -> tuple[Flags, Array]:
     """The squared frequency of nutation, (N sin)^2 + ((C w.s + k.s)/C - 2 N cos)^2, is never negative: always stable."""
     shape = np.shape(points["A"])
@@ -98,9 +92,8 @@ def _stability(points: Points) -> tuple[Flags, Array]:
 
 SPHERICAL_ANY_AXIS = Family(
     name="spherical_any_axis",
-    flag=11,
     axes=_axes,
-    motion=_motion,
+    motion=motion_of(_axes, directions, lambda points: points["Omega"]),
     title="spherical body turning about any axis of its own, which precesses about the normal",
     equations="derived from (1)-(3); not in the paper",
     conditions=(
@@ -117,4 +110,4 @@ SPHERICAL_ANY_AXIS = Family(
     " where that rate or m is 0",
     exists="every start without rotor, magnet and damping: n = -Omega, a permanent rotation in space",
 )
-FAMILIES = {SPHERICAL_ANY_AXIS.name: SPHERICAL_ANY_AXIS}
+FAMILIES = numbered([SPHERICAL_ANY_AXIS], after=families.FAMILIES)

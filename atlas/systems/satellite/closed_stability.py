@@ -6,47 +6,28 @@ import numpy as np
 
 from ...flags import Stability
 from ..base import Array, Flags, Points
+from ..gyrostat.equation import quotient, relative_to
+from ..gyrostat.floquet import quartic_growth
+from ..gyrostat.oscillations import GROWTH_TOLERANCE
 from ..vectors import cross, length
+from .conditions import axial_rate, body_vectors, momentum_scale, node, tilt, torque_scale
 from .initial import directions
-from .quantities import (
-    axial_rate,
-    body_vectors,
-    momentum_scale,
-    quotient,
-    relative_to,
-    sine_cosine,
-    torque_scale,
-)
 
-# Largest growth rate, relative to the rates of the point, that is taken as 0: double roots of the
-# characteristic polynomial have the square root of the round-off, about 1e-8, as their error.
-GROWTH_TOLERANCE = 1e-6
+# Ratio of squared exponents below which they are zero or coincide but for rounding.
+_ROUNDING = 1e-12
 
 
 def _quartic(P: Array, Q: Array, scale: Array) -> tuple[Flags, Array]:
-    """Stability and growth of lambda^4 + P lambda^2 + Q = 0; unknown where P or Q is nan.
+    """Stability and growth of lambda^4 + P lambda^2 + Q = 0; unknown where P or Q is nan, and at a multiple root.
 
-    Marginal roots (lambda = 0, or a double imaginary pair) count as stable: they grow like a power
-    of t at most. Growth up to GROWTH_TOLERANCE * scale is round-off and counts as none.
+    Growth up to GROWTH_TOLERANCE * scale is round-off.
     """
-    return classify_growth(quartic_growth(P, Q), scale)
-
-
-def quartic_growth(P: Array, Q: Array) -> Array:
-    """Largest real part of the roots of lambda^4 + P lambda^2 + Q = 0."""
-    root = np.sqrt(np.maximum(P * P - 4 * Q, 0.0))
-    # -P + root without cancellation where P > 0
-    real = np.where(P > 0, -2 * relative_to(Q, P + root), 0.5 * (root - P))
-    spiral = np.sqrt(np.maximum(Q, 0.0)) - 0.5 * P
-    return np.where(P * P < 4 * Q, np.sqrt(np.maximum(0.5 * spiral, 0)), np.sqrt(np.maximum(real, 0)))
-
-
-def classify_growth(growth: Array, scale: Array) -> tuple[Flags, Array]:
-    """Stability and growth rate: stable with growth exactly 0 where it is round-off, unknown where it is nan."""
-    none = growth <= GROWTH_TOLERANCE * scale
-    stable = np.where(none, Stability.STABLE, Stability.UNSTABLE)
-    stable = np.where(np.isnan(growth), Stability.UNKNOWN, stable).astype(np.int8)
-    return stable, np.where(none, 0.0, growth)
+    growth = quartic_growth(P, Q)
+    margin = _ROUNDING * P * P
+    stable = np.where((P > 0) & (margin < Q) & (margin < P * P - 4 * Q), Stability.STABLE, Stability.UNKNOWN)
+    unstable = growth > GROWTH_TOLERANCE * scale
+    growth = np.where(unstable | np.isnan(growth), growth, 0.0)
+    return np.where(unstable, Stability.UNSTABLE, stable).astype(np.int8), growth
 
 
 def stability_tilted(p: Points) -> tuple[Flags, Array]:
@@ -56,8 +37,8 @@ def stability_tilted(p: Points) -> tuple[Flags, Array]:
     U = -Omega^2 s^2/2 - Omega p c + (3/2) D Omega^2 s^2 sin^2 psi + mu3 (h1 s sin psi + h3 c) / a,
     D = C/a - 1, P = U_tt + U_pp / s^2 + (2 Omega c - p)^2 and Q = (U_tt U_pp - U_tp^2) / s^2.
     """
-    s, c = sine_cosine(p["theta0"])
-    sp, cp = sine_cosine(p["psi0"])
+    s, c = tilt(p)
+    sp, cp = node(p)
     a, square = 0.5 * (p["A"] + p["B"]), p["Omega"] ** 2
     momentum = (p["C"] * axial_rate(p) + p["k3"]) / a
     D = p["C"] / a - 1

@@ -1,4 +1,4 @@
-"""Conditions of the families of steady motions of the satellite.
+"""Equations of the families of steady motions of the satellite, and the quantities of a start that they consist of.
 
 Short names, the equations (*) and the scales of the residuals are those of `families`.
 """
@@ -7,184 +7,237 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..base import Array, Condition, Points
-from ..vectors import cross, length
+from ..base import Array, Points
+from ..gyrostat.equation import Equation, quotient, relative_to
+from ..vectors import cross, dot, length
 from .initial import directions
-from .quantities import (
-    axial_rate,
-    body_vectors,
-    largest_inertia,
-    magnetic_moment,
-    momentum_scale,
-    node_field,
-    rate_scale,
-    relative_to,
-    rest_torque,
-    sine_cosine,
-    torque_scale,
-    turn_rate,
-)
+
+# Quantities.
 
 
-def _equal(a: str, b: str) -> Condition:
-    """Two moments of inertia are equal."""
-    return Condition(f"{a} = {b}", lambda p: relative_to(p[a] - p[b], largest_inertia(p)))
+def sine_cosine(angle: Array) -> tuple[Array, Array]:
+    """sin and cos, zero where only the rounding of pi keeps them from it."""
+    sine, cosine = np.sin(angle), np.cos(angle)
+    return np.where(np.abs(sine) < 1e-14, 0.0, sine), np.where(np.abs(cosine) < 1e-14, 0.0, cosine)
 
 
-SYMMETRIC = _equal("A", "B")
-EQUAL_B_AND_C = _equal("B", "C")
-STEADY_TILT = Condition("theta_dot0 = 0", lambda p: relative_to(p["theta_dot0"], rate_scale(p)))
-NO_PRECESSION = Condition("n = 0", lambda p: relative_to(p["n"], rate_scale(p)))
-NO_SPIN = Condition("m = 0", lambda p: relative_to(p["m"], rate_scale(p)))
-UPRIGHT = Condition("sin theta0 = 0", lambda p: sine_cosine(p["theta0"])[0])
-NODE_ON_RADIUS = Condition("sin psi0 = 0", lambda p: sine_cosine(p["psi0"])[0])
-NODE_ON_VELOCITY = Condition("cos psi0 = 0", lambda p: sine_cosine(p["psi0"])[1])
-AXIAL_ROTOR = Condition("k1 = k2 = 0", lambda p: relative_to(np.hypot(p["k1"], p["k2"]), momentum_scale(p)))
-AXIAL_MAGNET = Condition(
-    "mu1 = mu2 = 0 (or h1 = h3 = 0)",
-    lambda p: relative_to(np.hypot(p["mu1"], p["mu2"]) * np.hypot(p["h1"], p["h3"]), torque_scale(p)),
-)
-NO_RADIAL_TORQUE = Condition(
-    "h1 mu = 0", lambda p: relative_to(p["h1"] * magnetic_moment(p), torque_scale(p))
-)
-NO_AXIAL_RADIAL_TORQUE = Condition("h1 mu3 = 0", lambda p: relative_to(p["h1"] * p["mu3"], torque_scale(p)))
+def tilt(p: Points) -> tuple[Array, Array]:
+    """s and c."""
+    return sine_cosine(p["theta0"])
 
 
-def _dissipation(p: Points) -> Array:
-    """Torque of the damping, over the scale of torques."""
-    return relative_to(p["damping"] * turn_rate(p), torque_scale(p) + p["damping"] * rate_scale(p))
+def node(p: Points) -> tuple[Array, Array]:
+    """sin psi0 and cos psi0."""
+    return sine_cosine(p["psi0"])
+
+
+def largest_inertia(p: Points) -> Array:
+    """Largest moment of inertia J."""
+    return np.maximum(np.maximum(p["A"], p["B"]), p["C"])
+
+
+def rate_scale(p: Points) -> Array:
+    """Sum of the magnitudes of all rates of the start."""
+    return np.abs(p["Omega"]) + np.abs(p["n"]) + np.abs(p["m"]) + np.abs(p["theta_dot0"])
+
+
+def momentum_scale(p: Points) -> Array:
+    """Largest moment of inertia times the sum of the rates, and the rotor's momentum."""
+    return largest_inertia(p) * rate_scale(p) + np.sqrt(p["k1"] ** 2 + p["k2"] ** 2 + p["k3"] ** 2)
+
+
+def magnetic_moment(p: Points) -> Array:
+    """Magnitude of the magnetic moment."""
+    return np.sqrt(p["mu1"] ** 2 + p["mu2"] ** 2 + p["mu3"] ** 2)
+
+
+def torque_scale(p: Points) -> Array:
+    """Rate times momentum, and the largest torque of the magnet."""
+    return rate_scale(p) * momentum_scale(p) + magnetic_moment(p) * np.hypot(p["h1"], p["h3"])
+
+
+def node_field(p: Points) -> tuple[Array, Array, Array]:
+    """H in the axes of the node: node, across it, third body axis."""
+    (s, c), (sp, cp) = tilt(p), node(p)
+    return p["h1"] * cp, p["h3"] * s - p["h1"] * c * sp, p["h3"] * c + p["h1"] * s * sp
+
+
+def turn_rate(p: Points) -> Array:
+    """|n gamma + m e3|, the rate of the rotation relative to the orbital frame."""
+    s, c = tilt(p)
+    return np.hypot(p["n"] * s, p["n"] * c + p["m"])
+
+
+def axial_rate(p: Points) -> Array:
+    """w3, the component of the angular velocity along the third body axis."""
+    return (p["n"] + p["Omega"]) * tilt(p)[1] + p["m"]
+
+
+def body_vectors(p: Points) -> tuple[Array, Array, Array]:
+    """I, k, mu as arrays of shape (3, points)."""
+    return tuple(  # type: ignore[return-value]
+        np.array([p[name] for name in names])
+        for names in (("A", "B", "C"), ("k1", "k2", "k3"), ("mu1", "mu2", "mu3"))
+    )
+
+
+def rest_torque(p: Points, with_rotor: bool = True) -> tuple[Array, Array, Array]:
+    """Torque on the body at rest in the orbital frame, and alpha, gamma; shape (3, points) each."""
+    inertia, k, mu = body_vectors(p)
+    alpha, gamma = directions(p)
+    square = p["Omega"] ** 2
+    momentum = square * inertia * gamma + (p["Omega"] * k if with_rotor else 0.0)
+    H = p["h1"] * alpha + p["h3"] * gamma
+    return cross(momentum, gamma) + 3 * square * cross(alpha, inertia * alpha) + cross(H, mu), alpha, gamma
+
+
+def flatness(p: Points) -> Array:
+    """a - C."""
+    return 0.5 * (p["A"] + p["B"]) - p["C"]
+
+
+# Equations.
 
 
 def _pair(p: Points, factor: Array, real: Array, imaginary: Array) -> Array:
-    """|factor K - (real + i imaginary) U| over the scale of torques."""
-    first = factor * p["k1"] - real * p["mu1"] + imaginary * p["mu2"]
-    second = factor * p["k2"] - real * p["mu2"] - imaginary * p["mu1"]
-    return relative_to(np.hypot(first, second), torque_scale(p))
-
-
-def _spinning_pair(p: Points) -> Array:
-    return _pair(p, axial_rate(p), node_field(p)[2], np.zeros_like(p["A"]))
+    """factor K - (real + i imaginary) U, its real and its imaginary part."""
+    return np.array(
+        [
+            factor * p["k1"] - real * p["mu1"] + imaginary * p["mu2"],
+            factor * p["k2"] - real * p["mu2"] - imaginary * p["mu1"],
+        ]
+    )
 
 
 def _node_pair(p: Points) -> Array:
     H1, H2, _ = node_field(p)
-    return _pair(p, p["Omega"] * sine_cosine(p["theta0"])[0], H2, H1)
+    return _pair(p, p["Omega"] * tilt(p)[0], H2, H1)
 
 
-NO_DISSIPATION = Condition("damping (w - Omega gamma) = 0", _dissipation)
-SPINNING_PAIR = Condition("w3 k1,2 = H3 mu1,2", _spinning_pair)
-NODE_PAIR = Condition("Omega sin theta0 (k1 + i k2) = (H2 + i H1) (mu1 + i mu2)", _node_pair)
+def tilt_balance(p: Points) -> Array:
+    (s, c), (sp, _) = tilt(p), node(p)
+    torque = p["Omega"] ** 2 * s * c * flatness(p) * (1 + 3 * sp**2) + p["mu3"] * node_field(p)[1]
+    return p["Omega"] * s * (p["k3"] + p["C"] * p["m"]) - torque
 
 
-def _tilt_torque(p: Points) -> Array:
-    """Right side of the last equation of (*): Omega s (k3 + C m) that balances gravity and magnet."""
-    s, c = sine_cosine(p["theta0"])
-    sp, _ = sine_cosine(p["psi0"])
-    flatness = 0.5 * (p["A"] + p["B"]) - p["C"]
-    return p["Omega"] ** 2 * s * c * flatness * (1 + 3 * sp**2) + p["mu3"] * node_field(p)[1]
+def _tilt_parts(p: Points) -> tuple[Array, Array]:
+    """Parts of the balance of the tilt over s, without and with a factor Omega; at s = 0 the limit, if h1 mu3 sin psi0 = 0."""
+    (s, c), (sp, _) = tilt(p), node(p)
+    radial = p["mu3"] * p["h1"] * c * sp
+    field = p["mu3"] * p["h3"] - np.where(radial == 0, 0.0, quotient(radial, s))
+    return field, p["k3"] + p["C"] * p["m"] - p["Omega"] * c * flatness(p) * (1 + 3 * sp**2)
 
 
-def _tilt_balance(p: Points) -> Array:
-    lever = p["Omega"] * sine_cosine(p["theta0"])[0]
-    return relative_to(lever * (p["k3"] + p["C"] * p["m"]) - _tilt_torque(p), torque_scale(p))
+def _tilt_momentum(p: Points) -> Array:
+    """The balance of the tilt over Omega s."""
+    field, momentum = _tilt_parts(p)
+    return momentum - relative_to(field, p["Omega"])
 
 
-TILT_BALANCE = Condition(
-    "Omega s (k3 + C m) = Omega^2 s c ((A + B)/2 - C) (1 + 3 sin^2 psi0) + mu3 (h3 s - h1 c sin psi0)",
-    _tilt_balance,
-)
+def tilt_over_sine(p: Points) -> Array:
+    """The balance of the tilt over s."""
+    field, momentum = _tilt_parts(p)
+    return p["Omega"] * momentum - field
 
 
 def _oblique_balance(p: Points) -> Array:
-    s, _ = sine_cosine(p["theta0"])
-    sp, _ = sine_cosine(p["psi0"])
-    gravity = 3 * p["Omega"] ** 2 * s * sp * (0.5 * (p["A"] + p["B"]) - p["C"])
-    return relative_to(gravity - p["h1"] * p["mu3"], torque_scale(p))
-
-
-def _despun_balance(p: Points) -> Array:
-    return sine_cosine(p["psi0"])[1] * _oblique_balance(p)
-
-
-OBLIQUE_BALANCE = Condition("3 Omega^2 s sin psi0 ((A + B)/2 - C) = h1 mu3", _oblique_balance)
-
-
-def _no_rotation(p: Points) -> Array:
-    return relative_to(turn_rate(p), rate_scale(p))
+    return 3 * p["Omega"] ** 2 * tilt(p)[0] * node(p)[0] * flatness(p) - p["h1"] * p["mu3"]
 
 
 def _normal_torque(p: Points) -> Array:
-    torque, _, gamma = rest_torque(p)
-    return relative_to((torque * gamma).sum(0), torque_scale(p))
+    inertia, _, mu = body_vectors(p)
+    alpha, gamma = directions(p)
+    return dot(cross(gamma, alpha), 3 * p["Omega"] ** 2 * inertia * alpha + p["h1"] * mu)
 
 
 def _plane_torque(p: Points) -> Array:
     torque, alpha, gamma = rest_torque(p)
-    beta = cross(gamma, alpha)
-    return relative_to(np.hypot((torque * alpha).sum(0), (torque * beta).sum(0)), torque_scale(p))
+    return np.array([dot(torque, alpha), dot(torque, cross(gamma, alpha))])
 
 
-NO_ROTATION = Condition("n sin theta0 = 0 and n cos theta0 + m = 0", _no_rotation)
-NO_TORQUE_ABOUT_NORMAL = Condition("beta.(3 Omega^2 I alpha + h1 mu) = 0", _normal_torque)
-NO_TORQUE_ACROSS_NORMAL = Condition(
-    "Omega gamma x k = Omega^2 I gamma x gamma + 3 Omega^2 alpha x I alpha + (h1 alpha + h3 gamma) x mu"
-    " across gamma",
-    _plane_torque,
-)
-DESPUN = Condition("m = -Omega cos theta0", lambda p: relative_to(axial_rate(p), rate_scale(p)))
-FIELD_ACROSS = Condition(
-    "h3 c = -h1 s sin psi0 (or mu1 = mu2 = 0)",
-    lambda p: relative_to(node_field(p)[2] * np.hypot(p["mu1"], p["mu2"]), torque_scale(p)),
-)
-DESPUN_BALANCE = Condition(
-    "cos psi0 (3 Omega^2 s sin psi0 ((A + B)/2 - C) - h1 mu3) = 0",
-    _despun_balance,
-)
-
-
-def _tilt_angle(p: Points) -> Array:
-    return 4 * sine_cosine(p["theta0"])[1] ** 2 - 1
-
-
-def _tilt_spin(p: Points) -> Array:
-    return relative_to(p["m"] + 2 * p["Omega"] * sine_cosine(p["theta0"])[1], rate_scale(p))
-
-
-def _spherical_balance(p: Points) -> Array:
-    torque = (p["n"] + p["Omega"]) * (p["C"] * p["m"] + p["k3"]) - p["h3"] * p["mu3"]
-    return relative_to(torque, torque_scale(p))
-
-
-ASYMMETRIC_TILT_ANGLE = Condition("cos theta0 = +-1/2", _tilt_angle)
-ASYMMETRIC_TILT_SPIN = Condition("m = -2 Omega cos theta0", _tilt_spin)
-NO_TRANSVERSE_TORQUE = Condition(
-    "h3 mu1 = h3 mu2 = 0",
-    lambda p: relative_to(p["h3"] * np.hypot(p["mu1"], p["mu2"]), torque_scale(p)),
-)
-SPHERICAL_BALANCE = Condition("(n + Omega) (C m + k3) = h3 mu3", _spherical_balance)
-
-
-def _symmetry_about_normal(p: Points) -> Array:
+def _asymmetry_about_normal(p: Points) -> Array:
     """Deviation of gamma from an axis across which every direction has the same moment of inertia."""
     inertia, _, _ = body_vectors(p)
     alpha, gamma = directions(p)
     beta = cross(gamma, alpha)
-    parts = (
-        length(cross(inertia * gamma, gamma)),
-        (inertia * (alpha**2 - beta**2)).sum(0),
-        (inertia * 2 * alpha * beta).sum(0),
-    )
-    return relative_to(length(np.array(parts)), largest_inertia(p))
+    difference = dot(inertia, alpha**2 - beta**2)
+    return np.array([length(cross(inertia * gamma, gamma)), difference, dot(inertia, 2 * alpha * beta)])
 
 
 def _normal_rotor(p: Points) -> Array:
     _, k, mu = body_vectors(p)
-    _, gamma = directions(p)
-    return relative_to(length(cross(gamma, (p["n"] + p["Omega"]) * k - p["h3"] * mu)), torque_scale(p))
+    return cross(directions(p)[1], (p["n"] + p["Omega"]) * k - p["h3"] * mu)
 
 
-SYMMETRY_ABOUT_NORMAL = Condition(
-    "gamma an axis of equal moments: (A = C, gamma = +-e2), (B = C, gamma = +-e1) or A = B = C",
-    _symmetry_about_normal,
+SYMMETRIC = Equation("A = B", lambda p: p["A"] - p["B"], largest_inertia)
+EQUAL_B_AND_C = Equation("B = C", lambda p: p["B"] - p["C"], largest_inertia)
+STEADY_TILT = Equation("theta_dot0 = 0", lambda p: p["theta_dot0"], rate_scale)
+NO_PRECESSION = Equation("n = 0", lambda p: p["n"], rate_scale)
+NO_SPIN = Equation("m = 0", lambda p: p["m"], rate_scale)
+UPRIGHT = Equation("sin theta0 = 0", lambda p: tilt(p)[0])
+NODE_ON_RADIUS = Equation("sin psi0 = 0", lambda p: node(p)[0])
+NODE_ON_VELOCITY = Equation("cos psi0 = 0", lambda p: node(p)[1])
+AXIAL_ROTOR = Equation("k1 = k2 = 0", lambda p: np.array([p["k1"], p["k2"]]), momentum_scale)
+AXIAL_MAGNET = Equation(
+    "mu1 = mu2 = 0 (or h1 = h3 = 0)",
+    lambda p: np.hypot(p["mu1"], p["mu2"]) * np.hypot(p["h1"], p["h3"]),
+    torque_scale,
 )
-NORMAL_ROTOR = Condition("gamma x ((n + Omega) k - h3 mu) = 0", _normal_rotor)
+NO_RADIAL_TORQUE = Equation("h1 mu = 0", lambda p: p["h1"] * magnetic_moment(p), torque_scale)
+NO_AXIAL_RADIAL_TORQUE = Equation("h1 mu3 = 0", lambda p: p["h1"] * p["mu3"], torque_scale)
+NO_DISSIPATION = Equation(
+    "damping (w - Omega gamma) = 0",
+    lambda p: p["damping"] * turn_rate(p),
+    lambda p: torque_scale(p) + p["damping"] * rate_scale(p),
+)
+SPINNING_PAIR = Equation(
+    "w3 k1,2 = H3 mu1,2",
+    lambda p: _pair(p, axial_rate(p), node_field(p)[2], np.zeros_like(p["A"])),
+    torque_scale,
+)
+NODE_PAIR = Equation("Omega sin theta0 (k1 + i k2) = (H2 + i H1) (mu1 + i mu2)", _node_pair, torque_scale)
+TILT_BALANCE = Equation(
+    "Omega s (k3 + C m) = Omega^2 s c ((A + B)/2 - C) (1 + 3 sin^2 psi0) + mu3 (h3 s - h1 c sin psi0)",
+    tilt_balance,
+    torque_scale,
+    _tilt_momentum,
+)
+OBLIQUE_BALANCE = Equation("3 Omega^2 s sin psi0 ((A + B)/2 - C) = h1 mu3", _oblique_balance, torque_scale)
+NO_ROTATION = Equation("n sin theta0 = 0 and n cos theta0 + m = 0", turn_rate, rate_scale)
+NO_TORQUE_ABOUT_NORMAL = Equation("beta.(3 Omega^2 I alpha + h1 mu) = 0", _normal_torque, torque_scale)
+NO_TORQUE_ACROSS_NORMAL = Equation(
+    "Omega gamma x k = Omega^2 I gamma x gamma + 3 Omega^2 alpha x I alpha + (h1 alpha + h3 gamma) x mu"
+    " across gamma",
+    _plane_torque,
+    torque_scale,
+)
+DESPUN = Equation("m = -Omega cos theta0", axial_rate, rate_scale)
+FIELD_ACROSS = Equation(
+    "h3 c = -h1 s sin psi0 (or mu1 = mu2 = 0)",
+    lambda p: node_field(p)[2] * np.hypot(p["mu1"], p["mu2"]),
+    torque_scale,
+    lambda p: node_field(p)[2],
+)
+DESPUN_BALANCE = Equation(
+    "cos psi0 (3 Omega^2 s sin psi0 ((A + B)/2 - C) - h1 mu3) = 0",
+    lambda p: node(p)[1] * _oblique_balance(p),
+    torque_scale,
+)
+ASYMMETRIC_TILT_ANGLE = Equation("cos theta0 = +-1/2", lambda p: 4 * tilt(p)[1] ** 2 - 1)
+ASYMMETRIC_TILT_SPIN = Equation(
+    "m = -2 Omega cos theta0", lambda p: p["m"] + 2 * p["Omega"] * tilt(p)[1], rate_scale
+)
+NO_TRANSVERSE_TORQUE = Equation(
+    "h3 mu1 = h3 mu2 = 0", lambda p: p["h3"] * np.hypot(p["mu1"], p["mu2"]), torque_scale
+)
+SPHERICAL_BALANCE = Equation(
+    "(n + Omega) (C m + k3) = h3 mu3",
+    lambda p: (p["n"] + p["Omega"]) * (p["C"] * p["m"] + p["k3"]) - p["h3"] * p["mu3"],
+    torque_scale,
+)
+SYMMETRY_ABOUT_NORMAL = Equation(
+    "gamma an axis of equal moments: (A = C, gamma = +-e2), (B = C, gamma = +-e1) or A = B = C",
+    _asymmetry_about_normal,
+    largest_inertia,
+)
+NORMAL_ROTOR = Equation("gamma x ((n + Omega) k - h3 mu) = 0", _normal_rotor, torque_scale)

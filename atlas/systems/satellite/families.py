@@ -10,8 +10,8 @@ a = (A + B) / 2. With n = 0 and A = B the motion is steady if and only if (m not
     w3 K = H3 U,   Omega s K = (H2 + i H1) U,   cos psi0 (3 Omega^2 s sin psi0 (a - C) - h1 mu3) = 0,
     Omega s (k3 + C m) = Omega^2 s c (a - C) (1 + 3 sin^2 psi0) + mu3 H2.                       (*)
 
-Their conditions are in `conditions`, the formulas that solve these for one parameter in `solutions`, the closed
-forms of their stability in `closed_stability`. The families overlap; a point belongs to the first that holds, in
+Their equations are in `conditions`, and give the parameters in which they are linear; the closed forms of their stability are
+in `closed_stability`. The families overlap; a point belongs to the first that holds, in
 the order of FAMILIES. Residuals are divided by natural scales: largest inertia J, rate
 w = Omega + |n| + |m| + |theta_dot0|, momentum J w + |k|, torque w (J w + |k|) + |mu| |h|. With Omega = 0 every
 family below is still exact, but a free or heavy body has more steady motions than these. With damping a steady
@@ -24,91 +24,115 @@ from dataclasses import replace
 
 import numpy as np
 
-from ..base import Array, Family, Points
-from ..vectors import length
+from ..base import Array, Family, Points, numbered
+from ..gyrostat.equation import each, linear, quotient, relative_to
+from ..gyrostat.motions import about_third_axis, motion_of
+from ..vectors import cross, length
+from . import conditions as the
 from .closed_stability import stability_about_normal, stability_spherical, stability_tilted
 from .conditions import (
-    ASYMMETRIC_TILT_ANGLE,
-    ASYMMETRIC_TILT_SPIN,
-    AXIAL_MAGNET,
-    AXIAL_ROTOR,
-    DESPUN,
-    DESPUN_BALANCE,
-    EQUAL_B_AND_C,
-    FIELD_ACROSS,
-    NO_AXIAL_RADIAL_TORQUE,
-    NO_DISSIPATION,
-    NO_PRECESSION,
-    NO_RADIAL_TORQUE,
-    NO_ROTATION,
-    NO_SPIN,
-    NO_TORQUE_ABOUT_NORMAL,
-    NO_TORQUE_ACROSS_NORMAL,
-    NO_TRANSVERSE_TORQUE,
-    NODE_ON_RADIUS,
-    NODE_ON_VELOCITY,
-    NODE_PAIR,
-    NORMAL_ROTOR,
-    OBLIQUE_BALANCE,
-    SPHERICAL_BALANCE,
-    SPINNING_PAIR,
-    STEADY_TILT,
-    SYMMETRIC,
-    SYMMETRY_ABOUT_NORMAL,
-    TILT_BALANCE,
-    UPRIGHT,
+    body_vectors,
+    flatness,
+    magnetic_moment,
+    node,
+    rest_torque,
+    tilt,
 )
 from .equations import rhs
-from .initial import constants, initial_state
-from .quantities import magnetic_moment, relative_to
-from .solutions import (
-    formulas,
-    solve_cylindrical,
-    solve_despun,
-    solve_h1,
-    solve_h1_equilibrium,
-    solve_h1_tilt,
-    solve_h3,
-    solve_k3,
-    solve_k_equilibrium,
-    solve_k_other_axis,
-    solve_m,
-    solve_m_equilibrium,
-    solve_mu3_despun,
-    solve_node_pair,
-    solve_oblique,
-    solve_psi_oblique,
-    solve_psi_on_radius,
-    solve_psi_on_velocity,
-    solve_spherical,
-    solve_theta,
-    solve_theta_tilt,
-    solve_theta_upright,
-    solve_transverse,
-)
+from .initial import constants, directions, initial_state
+
+# State of the steady motion theta = theta0, psi = n t + psi0, phi = m t + phi0, see Family.motion; theta_dot0 is taken as 0.
+steady_motion = motion_of(about_third_axis, directions, lambda points: points["Omega"])
 
 
-def steady_motion(points: Points, t: Array) -> Array:
-    """State of the steady motion theta = theta0, psi = n t + psi0, phi = m t + phi0.
+# Angles, roots and what is not linear; the other parameters follow from the equations.
 
-    Shape (9, *t.shape, *points.shape), in the order of equations.STATE; theta_dot0 is taken as 0. It
-    solves the equations of motion where the point is on a family.
+
+def _psi_on_velocity(p: Points) -> Array:
+    """pi/2 or -pi/2 (mod 2 pi), on the side of the given sin psi0; pi/2 for 0."""
+    return np.pi * (np.floor(p["psi0"] / np.pi) + 0.5)
+
+
+def _nearest_pole(name: str, p: Points) -> Array:
+    """The nearest of 0 and pi (mod 2 pi)."""
+    return np.pi * np.round(p[name] / np.pi)
+
+
+def _theta(p: Points) -> Array:
+    """Tilt in [0, pi] from k3 and m; nan if h1 mu3 sin psi0 is not 0, where there are several."""
+    sp, _ = node(p)
+    momentum = p["k3"] + p["C"] * p["m"] - relative_to(p["mu3"] * p["h3"], p["Omega"])
+    cosine = quotient(momentum, p["Omega"] * flatness(p) * (1 + 3 * sp**2))
+    exists = (np.abs(cosine) <= 1) & (p["h1"] * p["mu3"] * sp == 0)
+    return np.where(exists, np.arccos(np.clip(cosine, -1, 1)), np.nan)
+
+
+def _k_along(name: str, p: Points, base: Array, gamma: Array) -> Array:
+    """Component of k = base + lambda gamma: k3 with lambda from k1 and k2, k1 and k2 with lambda from k3.
+
+    Where gamma3 = 0 lambda does not enter k3, and k1 and k2 determine each other.
     """
-    t = np.asarray(t, float)
-    times = t.reshape(t.shape + (1,) * np.ndim(points["A"]))
-    moved = {name: np.broadcast_to(value, np.broadcast_shapes(times.shape, np.shape(value)))
-             for name, value in points.items()}  # fmt: skip
-    return initial_state(
-        {
-            **moved,
-            "psi0": points["psi0"] + points["n"] * times,
-            "phi0": points["phi0"] + points["m"] * times,
-            "theta_dot0": np.zeros_like(moved["theta_dot0"]),
-        }
-    )
+    i, k = int(name[1]) - 1, np.array([p["k1"], p["k2"], p["k3"]])
+    gamma = np.where(np.abs(gamma) < 1e-14, 0.0, gamma)
+    free = (k - base) * gamma
+    if i == 2:
+        along = quotient(free[0] + free[1], gamma[0] ** 2 + gamma[1] ** 2)
+    else:
+        along = np.where(
+            gamma[2] == 0, quotient(free[1 - i], gamma[1 - i] ** 2), quotient(free[2], gamma[2] ** 2)
+        )
+    return base[i] + along * gamma[i]
 
 
-_SYMMETRIC_TILT = (STEADY_TILT, NO_PRECESSION, SYMMETRIC, AXIAL_ROTOR, AXIAL_MAGNET)
+def _k_equilibrium(name: str, p: Points) -> Array:
+    """Component of a rotor that leaves no torque across the normal."""
+    torque, _, gamma = rest_torque(p, with_rotor=False)
+    return _k_along(name, p, quotient(cross(torque, gamma), np.broadcast_to(p["Omega"], torque.shape)), gamma)
+
+
+def _k_other_axis(name: str, p: Points) -> Array:
+    """Component of a rotor of which (n + Omega) k - h3 mu is along the normal."""
+    mu = body_vectors(p)[2]
+    N = np.broadcast_to(p["n"] + p["Omega"], mu.shape)
+    return _k_along(name, p, quotient(p["h3"] * mu, N), directions(p)[1])
+
+
+def _m_equilibrium(p: Points) -> Array:
+    """-n cos theta0 on the normal; elsewhere 0, and only if n = 0."""
+    s, c = tilt(p)
+    return np.where((s == 0) | (p["n"] == 0), -p["n"] * c, np.nan)
+
+
+def _psi_oblique(p: Points) -> Array:
+    """sin psi0 = h1 mu3 / (3 Omega^2 s ((A + B)/2 - C)), on the side of the given cos psi0."""
+    sine = quotient(p["h1"] * p["mu3"], 3 * p["Omega"] ** 2 * tilt(p)[0] * flatness(p))
+    angle = np.arcsin(np.where(np.abs(sine) <= 1, sine, np.nan))
+    return np.where(np.cos(p["psi0"]) < 0, np.pi - angle, angle)
+
+
+def _mu3_despun(p: Points) -> Array:
+    """The oblique relation; free, and kept, where cos psi0 = 0."""
+    return np.where(node(p)[1] == 0, p["mu3"], the.OBLIQUE_BALANCE.solve("mu3")["mu3"](p))
+
+
+def _transverse_relation(p: Points) -> Array:
+    """sin psi0 h1 (Omega + m c) = m s h3, with sin psi0 = +-1: both pairs have a solution k1, k2."""
+    s, c = tilt(p)
+    return node(p)[0] * p["h1"] * (p["Omega"] + p["m"] * c) - p["m"] * s * p["h3"]
+
+
+def _theta_tilt(p: Points) -> Array:
+    """pi/3 or 2 pi/3, on the side of the given cos theta0."""
+    return np.where(np.cos(p["theta0"]) < 0, 2 * np.pi / 3, np.pi / 3)
+
+
+def _h1_tilt(p: Points) -> Array:
+    """h1 = -sin psi0 sgn(c) sqrt(3) h3, needed if mu1 or mu2 is not 0."""
+    s, c = tilt(p)
+    return -node(p)[0] * np.sign(c) * np.sign(s) * np.sqrt(3) * p["h3"]
+
+
+_SYMMETRIC_TILT = (the.STEADY_TILT, the.NO_PRECESSION, the.SYMMETRIC, the.AXIAL_ROTOR, the.AXIAL_MAGNET)
 _TILT_LABELS = (
     "permanent rotation about the third axis in the orbital frame; in space regular precession (Omega, m),"
     " permanent rotation where m = 0"
@@ -116,11 +140,10 @@ _TILT_LABELS = (
 _TABLE = (
     Family(
         name="cylindrical",
-        flag=1,
         title="third axis along the orbit's normal, symmetric body turning about it at n +- m",
         equations="(14)-(16), (21)-(23), (29)-(31), (44), (45)",
-        conditions=(STEADY_TILT, UPRIGHT, SYMMETRIC, NO_RADIAL_TORQUE, SPINNING_PAIR),
-        solve={"theta0": solve_theta_upright, **formulas(solve_cylindrical, "mu1", "mu2", "k1", "k2")},
+        conditions=(the.STEADY_TILT, the.UPRIGHT, the.SYMMETRIC, the.NO_RADIAL_TORQUE, the.SPINNING_PAIR),
+        solve={**each(_nearest_pole, "theta0"), **the.SPINNING_PAIR.solve("mu1", "mu2", "k1", "k2")},
         stability=stability_about_normal,
         geometry="cylindrical",
         paper_wording="n = 0: cylindrical permanent rotation (orbital), cylindrical regular precession "
@@ -131,19 +154,18 @@ _TABLE = (
     ),
     Family(
         name="equilibrium",
-        flag=2,
         title="any body at rest in the orbital frame",
         equations="(27), (28) at theta0 = pi; otherwise derived from (1)-(3)",
         conditions=(
-            STEADY_TILT,
-            NO_ROTATION,
-            NO_TORQUE_ABOUT_NORMAL,
-            NO_TORQUE_ACROSS_NORMAL,
+            the.STEADY_TILT,
+            the.NO_ROTATION,
+            the.NO_TORQUE_ABOUT_NORMAL,
+            the.NO_TORQUE_ACROSS_NORMAL,
         ),
         solve={
-            "m": solve_m_equilibrium,
-            "h1": solve_h1_equilibrium,
-            **formulas(solve_k_equilibrium, "k3", "k1", "k2"),
+            "m": _m_equilibrium,
+            **the.NO_TORQUE_ABOUT_NORMAL.solve("h1"),
+            **each(_k_equilibrium, "k3", "k1", "k2"),
         },
         paper_wording="equilibrium position (orbital), cylindrical regular precession (inertial)",
         labels="at rest in the orbital frame, turning with it in space: permanent rotation in both",
@@ -153,16 +175,15 @@ _TABLE = (
     ),
     Family(
         name="perp_radius",
-        flag=3,
         title="third axis at rest in the plane of normal and velocity, symmetric body spinning at m",
         equations="(17), (18)",
-        conditions=(*_SYMMETRIC_TILT, NODE_ON_RADIUS, NO_AXIAL_RADIAL_TORQUE, TILT_BALANCE),
+        conditions=(*_SYMMETRIC_TILT, the.NODE_ON_RADIUS, the.NO_AXIAL_RADIAL_TORQUE, the.TILT_BALANCE),
         solve={
-            "psi0": solve_psi_on_radius,
-            "theta0": solve_theta,
-            "m": solve_m,
-            "h3": solve_h3,
-            "k3": solve_k3,
+            **each(_nearest_pole, "psi0"),
+            "theta0": _theta,
+            **the.TILT_BALANCE.solve("m"),
+            **linear(the.tilt_over_sine, "h3"),
+            **the.TILT_BALANCE.solve("k3"),
         },
         stability=stability_tilted,
         geometry="perp_radius",
@@ -173,17 +194,16 @@ _TABLE = (
     ),
     Family(
         name="perp_velocity",
-        flag=4,
         title="third axis at rest in the plane of normal and radius, symmetric body spinning at m",
         equations="(24), (25)",
-        conditions=(*_SYMMETRIC_TILT, NODE_ON_VELOCITY, TILT_BALANCE),
+        conditions=(*_SYMMETRIC_TILT, the.NODE_ON_VELOCITY, the.TILT_BALANCE),
         solve={
-            "psi0": solve_psi_on_velocity,
-            "theta0": solve_theta,
-            "m": solve_m,
-            "h1": solve_h1,
-            "h3": solve_h3,
-            "k3": solve_k3,
+            "psi0": _psi_on_velocity,
+            "theta0": _theta,
+            **the.TILT_BALANCE.solve("m"),
+            **linear(the.tilt_balance, "h1"),
+            **linear(the.tilt_over_sine, "h3"),
+            **the.TILT_BALANCE.solve("k3"),
         },
         stability=stability_tilted,
         geometry="perp_velocity",
@@ -195,16 +215,15 @@ _TABLE = (
     ),
     Family(
         name="oblique",
-        flag=5,
         title="third axis at rest in an oblique plane through the normal, symmetric body with axial magnet",
         equations="derived from (1)-(3); not in the paper",
-        conditions=(*_SYMMETRIC_TILT, OBLIQUE_BALANCE, TILT_BALANCE),
+        conditions=(*_SYMMETRIC_TILT, the.OBLIQUE_BALANCE, the.TILT_BALANCE),
         solve={
-            "psi0": solve_psi_oblique,
-            **formulas(solve_oblique, "h1", "mu3"),
-            "m": solve_m,
-            "h3": solve_h3,
-            "k3": solve_k3,
+            "psi0": _psi_oblique,
+            **the.OBLIQUE_BALANCE.solve("h1", "mu3"),
+            **the.TILT_BALANCE.solve("m"),
+            **linear(the.tilt_over_sine, "h3"),
+            **the.TILT_BALANCE.solve("k3"),
         },
         stability=stability_tilted,
         geometry="oblique",
@@ -214,18 +233,17 @@ _TABLE = (
     ),
     Family(
         name="transverse_magnet",
-        flag=6,
         title="as perp_velocity, with rotor and magnet across the third axis",
         equations="derived from (1)-(3); not in the paper",
         conditions=(
-            STEADY_TILT, NO_PRECESSION, SYMMETRIC, NODE_ON_VELOCITY, SPINNING_PAIR, NODE_PAIR,
-            TILT_BALANCE,
+            the.STEADY_TILT, the.NO_PRECESSION, the.SYMMETRIC, the.NODE_ON_VELOCITY, the.SPINNING_PAIR, the.NODE_PAIR,
+            the.TILT_BALANCE,
         ),
         solve={
-            "psi0": solve_psi_on_velocity,
-            **formulas(solve_transverse, "m", "h1", "h3"),
-            **formulas(solve_node_pair, "k1", "k2"),
-            "k3": solve_k3,
+            "psi0": _psi_on_velocity,
+            **linear(_transverse_relation, "m", "h1", "h3"),
+            **the.NODE_PAIR.solve("k1", "k2"),
+            **the.TILT_BALANCE.solve("k3"),
         },
         geometry="perp_velocity",
         labels=_TILT_LABELS,
@@ -234,18 +252,18 @@ _TABLE = (
     ),
     Family(
         name="despun_transverse",
-        flag=7,
         title="symmetric body without rotation about its axis (w3 = 0), rotor and magnet across it",
         equations="derived from (1)-(3); not in the paper",
         conditions=(
-            STEADY_TILT, NO_PRECESSION, SYMMETRIC, DESPUN, FIELD_ACROSS, NODE_PAIR, DESPUN_BALANCE,
-            TILT_BALANCE,
+            the.STEADY_TILT, the.NO_PRECESSION, the.SYMMETRIC, the.DESPUN, the.FIELD_ACROSS, the.NODE_PAIR, the.DESPUN_BALANCE,
+            the.TILT_BALANCE,
         ),
         solve={
-            **formulas(solve_despun, "m", "h1", "h3"),
-            "mu3": solve_mu3_despun,
-            **formulas(solve_node_pair, "k1", "k2"),
-            "k3": solve_k3,
+            "m": lambda p: -p["Omega"] * tilt(p)[1],
+            **the.FIELD_ACROSS.solve("h1", "h3"),
+            "mu3": _mu3_despun,
+            **the.NODE_PAIR.solve("k1", "k2"),
+            **the.TILT_BALANCE.solve("k3"),
         },
         labels=_TILT_LABELS,
         exists="cos psi0 = 0, or |h1 mu3| <= 3 Omega^2 |sin theta0 (A - C)|",
@@ -253,26 +271,25 @@ _TABLE = (
     ),
     Family(
         name="asymmetric_tilt",
-        flag=8,
         title="any body, third axis at 60 or 120 degrees in the plane of normal and radius, m = -+Omega",
         equations="(19), (20); 120 degrees and psi0 = -pi/2 derived from (1)-(3)",
         conditions=(
-            STEADY_TILT,
-            NO_PRECESSION,
-            ASYMMETRIC_TILT_ANGLE,
-            ASYMMETRIC_TILT_SPIN,
-            NODE_ON_VELOCITY,
-            SPINNING_PAIR,
-            NODE_PAIR,
-            TILT_BALANCE,
+            the.STEADY_TILT,
+            the.NO_PRECESSION,
+            the.ASYMMETRIC_TILT_ANGLE,
+            the.ASYMMETRIC_TILT_SPIN,
+            the.NODE_ON_VELOCITY,
+            the.SPINNING_PAIR,
+            the.NODE_PAIR,
+            the.TILT_BALANCE,
         ),
         solve={
-            "theta0": solve_theta_tilt,
-            "psi0": solve_psi_on_velocity,
-            "m": lambda p: -2 * p["Omega"] * np.cos(p["theta0"]),
-            "h1": solve_h1_tilt,
-            **formulas(solve_node_pair, "k1", "k2"),
-            "k3": solve_k3,
+            "theta0": _theta_tilt,
+            "psi0": _psi_on_velocity,
+            **the.ASYMMETRIC_TILT_SPIN.solve("m"),
+            "h1": _h1_tilt,
+            **the.NODE_PAIR.solve("k1", "k2"),
+            **the.TILT_BALANCE.solve("k3"),
         },
         geometry="perp_velocity",
         paper_wording="hyperboloidal permanent rotation (orbital), hyperboloidal regular precession (inertial)",
@@ -282,19 +299,18 @@ _TABLE = (
     ),
     Family(
         name="spherical",
-        flag=9,
         title="spherical body, any tilt, precession and spin",
         equations="remarks after (31) and (45), completed from (1)-(3)",
         conditions=(
-            STEADY_TILT,
-            SYMMETRIC,
-            EQUAL_B_AND_C,
-            AXIAL_ROTOR,
-            NO_RADIAL_TORQUE,
-            NO_TRANSVERSE_TORQUE,
-            SPHERICAL_BALANCE,
+            the.STEADY_TILT,
+            the.SYMMETRIC,
+            the.EQUAL_B_AND_C,
+            the.AXIAL_ROTOR,
+            the.NO_RADIAL_TORQUE,
+            the.NO_TRANSVERSE_TORQUE,
+            the.SPHERICAL_BALANCE,
         ),
-        solve=formulas(solve_spherical, "n", "m", "h3", "k3"),
+        solve=the.SPHERICAL_BALANCE.solve("n", "m", "h3", "k3"),
         stability=stability_spherical,
         geometry="general",
         paper_wording="spherical symmetry: regular precession",
@@ -305,17 +321,16 @@ _TABLE = (
     ),
     Family(
         name="other_axis",
-        flag=10,
         title="rotation at n about an axis of symmetry other than the third, which lies along the normal",
         equations="derived from (1)-(3); not in the paper",
         conditions=(
-            STEADY_TILT,
-            NO_SPIN,
-            SYMMETRY_ABOUT_NORMAL,
-            NO_RADIAL_TORQUE,
-            NORMAL_ROTOR,
+            the.STEADY_TILT,
+            the.NO_SPIN,
+            the.SYMMETRY_ABOUT_NORMAL,
+            the.NO_RADIAL_TORQUE,
+            the.NORMAL_ROTOR,
         ),
-        solve=formulas(solve_k_other_axis, "k3", "k1", "k2"),
+        solve=each(_k_other_axis, "k3", "k1", "k2"),
         stability=stability_about_normal,
         geometry="general",
         labels="permanent rotation in both frames, about the normal at n and in space at n + Omega",
@@ -325,11 +340,11 @@ _TABLE = (
 )  # fmt: skip
 
 # Damping leaves the motions at rest in the orbital frame, as the conditions of the family "equilibrium" require.
-_UNDAMPED = {family.name: () if family.name == "equilibrium" else (NO_DISSIPATION,) for family in _TABLE}
-FAMILIES: dict[str, Family] = {
-    family.name: replace(family, motion=steady_motion, conditions=family.conditions + _UNDAMPED[family.name])
+_UNDAMPED = {family.name: () if family.name == "equilibrium" else (the.NO_DISSIPATION,) for family in _TABLE}
+FAMILIES = numbered(
+    replace(family, motion=steady_motion, conditions=family.conditions + _UNDAMPED[family.name])
     for family in _TABLE
-}
+)
 
 
 def condition_residual(points: Points) -> Array:

@@ -7,6 +7,10 @@ from collections.abc import Set
 import numpy as np
 
 from ..base import Array, Mask, Parameter, Points
+from ..gyrostat import Body, Direction
+from ..gyrostat.body import gyration, perron_root
+from ..gyrostat.motions import angular_velocity
+from ..gyrostat.motions import directions as directions
 from .equations import CONSTANTS
 
 _TABLE = (
@@ -51,24 +55,22 @@ def constants(points: Points) -> Array:
     return np.array([*body, *D, 3 * Omega**2, np.ones_like(A), np.ones_like(A), *rotor, *magnet, *damping])
 
 
-def directions(points: Points) -> tuple[Array, Array]:
-    """alpha and gamma in body axes at the start, each of shape (3, points); (1) of the paper."""
-    st, ct = np.sin(points["theta0"]), np.cos(points["theta0"])
-    sp, cp = np.sin(points["psi0"]), np.cos(points["psi0"])
-    sf, cf = np.sin(points["phi0"]), np.cos(points["phi0"])
-    alpha = np.array([cp * cf - ct * sf * sp, -cp * sf - ct * cf * sp, st * sp])
-    gamma = np.array([st * sf, st * cf, ct])
-    return alpha, gamma
+def body(points: Points) -> Body:
+    """The body on its orbit: gravity gradient 3 Omega^2 and field h1 mu along the radius, field h3 mu along the normal."""
+    inertia, rotor, magnet = (
+        np.stack([points[name] for name in names], -1)
+        for names in (("A", "B", "C"), ("k1", "k2", "k3"), ("mu1", "mu2", "mu3"))
+    )
+    Omega = points["Omega"]
+    radius = Direction(3 * Omega**2, points["h1"][..., None] * magnet)
+    normal = Direction(np.zeros_like(Omega), points["h3"][..., None] * magnet)
+    return Body(inertia, rotor, Omega, radius, normal, points["damping"])
 
 
 def initial_state(points: Points) -> Array:
     """State at t = 0, shape (9, points): w' = n gamma + m e3 + theta_dot0 about the node, w = w' + Omega gamma."""
     alpha, gamma = directions(points)
-    w = (points["n"] + points["Omega"]) * gamma
-    w[0] += points["theta_dot0"] * np.cos(points["phi0"])
-    w[1] -= points["theta_dot0"] * np.sin(points["phi0"])
-    w[2] += points["m"]
-    return np.concatenate([w, alpha, gamma])
+    return np.concatenate([angular_velocity(points, points["n"] + points["Omega"], gamma), alpha, gamma])
 
 
 def symmetric_about_third_axis(points: Points) -> Mask:
@@ -140,22 +142,11 @@ def frequency_bound(points: Points) -> Array:
         np.sqrt(2 * energy / min_inertia),
     )
 
-    # Entries of sqrt(I) I^-1 ((I w + k) x . - w x I .) sqrt(I)^-1; sqrt(norm_1 norm_inf) >= norm_2.
-    rows, columns = np.zeros_like(inertia), np.zeros_like(inertia)
-    for i, j, axis in ((0, 1, 2), (1, 0, 2), (0, 2, 1), (2, 0, 1), (1, 2, 0), (2, 1, 0)):
-        entry = np.abs(inertia[axis] - inertia[j]) * max_rates[axis] + np.abs(k[axis])
-        entry = entry / np.sqrt(inertia[i] * inertia[j])
-        entry = np.where(symmetric & (axis != 2), 0.0, entry)
-        rows[i] += entry
-        columns[j] += entry
     damping = points["damping"] / min_inertia
-    gyration = np.sqrt(rows.max(0) * columns.max(0)) + damping
     differences = np.array([C - B, A - C, B - A])
     gradient = 3 * Omega**2 * np.sqrt((differences**2 / inertia).sum(0) / min_inertia)
     stiffness = np.sqrt(2) * (gradient + moment * field / min_inertia + damping * Omega)
-    kinematic = max_turn + Omega
-    half = 0.5 * (gyration + kinematic)
-    return half + np.sqrt((0.5 * (gyration - kinematic)) ** 2 + stiffness)
+    return perron_root(gyration(inertia, k, max_rates, symmetric) + damping, max_turn + Omega, stiffness)
 
 
 def specialization(zero: Set[str], equal: Set[tuple[str, str]]) -> tuple[set[str], set[tuple[str, str]]]:
@@ -179,6 +170,21 @@ def specialization(zero: Set[str], equal: Set[tuple[str, str]]) -> tuple[set[str
     # k2 / A, whose name is k2_A, vanishes with k2
     quotients = {name for name in CONSTANTS if name.split("_")[0] in zero_constants}
     return zero_constants | quotients, equal_constants
+
+
+def growth_about_vertical(points: Points) -> Array:
+    """Growth rate of the pitch of a body whose third axis stays on the orbit's normal, see System; (points,).
+
+    C psi'' = -U'(psi) - damping psi' with U = (3 Omega^2 alpha.I alpha) / 2 + h1 mu.alpha. A body that turns there
+    has U' = 0 and no damping.
+    """
+    alpha = directions(points)[0]
+    flatness = 3 * points["Omega"] ** 2 * (points["B"] - points["A"])
+    magnet = points["h1"] * (points["mu1"] * alpha[0] + points["mu2"] * alpha[1])
+    curvature = flatness * (alpha[0] ** 2 - alpha[1] ** 2) - magnet
+    undamped = np.sqrt(np.maximum(-curvature / points["C"], 0.0))
+    half = 0.5 * points["damping"] / points["C"]
+    return np.hypot(half, undamped) - half
 
 
 def steady_rates(points: Points) -> tuple[Array, Array, Array]:

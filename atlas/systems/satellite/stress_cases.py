@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ..base import Array, StressCase, subset
+from ..gyrostat import Gyrostat
 from ..passages import earlier_start
-from . import equations, families, initial, stability
 
 OVERFLOW = "the numbers overflow"
 GROWN = "the method's own error grows with the motion before rounding does"
@@ -27,25 +27,25 @@ BODIES: Mapping[str, Mapping[str, float]] = {
 }
 
 
-def passages() -> list[StressCase]:
+def passages(system: Gyrostat) -> list[StressCase]:
     """Exact motions that start, end or pass beside the normal."""
     result = []
     for body, columns in BODIES.items():
         for part, (before, duration) in PASSAGES.items():
             nearest: dict[str, ArrayLike] = {**columns, "theta0": SINES, "phi0": 0.3, "n": SPEED / SINES}
             nearest["m"] = 0.5 - SPEED / SINES * np.cos(SINES)
-            start = earlier_start(equations, initial, nearest, np.full(SINES.shape, before))
+            start = earlier_start(system, nearest, np.full(SINES.shape, before))
             result.append(
                 StressCase(f"{body} {part}", f"it {part} beside the normal", duration, start, truth="symmetric top")
             )  # fmt: skip
     return result
 
 
-def unstable_equilibria(seed: int, count: int = 10) -> tuple[dict[str, Array], Array]:
+def unstable_equilibria(system: Gyrostat, seed: int, count: int = 10) -> tuple[dict[str, Array], Array]:
     """Unstable equilibria of random satellites with rotor and magnet, and their growth rates."""
     rng = np.random.default_rng(seed)
     size = 8 * count
-    points = {name: np.full(size, parameter.default) for name, parameter in initial.PARAMETERS.items()}
+    points = {name: np.full(size, parameter.default) for name, parameter in system.parameters.items()}
     points |= {name: rng.normal(size=size) for name in ("k3", "mu1", "mu2", "mu3", "h3")}
     points |= {name: rng.uniform(0.8, 1.5, size) for name in "ABC"}
     points |= {
@@ -53,17 +53,17 @@ def unstable_equilibria(seed: int, count: int = 10) -> tuple[dict[str, Array], A
         "psi0": rng.uniform(0, 6, size),
         "phi0": rng.uniform(0, 6, size),
     }
-    family = families.FAMILIES["equilibrium"]
+    family = system.families["equilibrium"]
     for name in ("h1", "k1", "k2"):
         points[name] = family.solve[name](points)
-    growth = stability.linear_stability(points, np.full(size, family.flag, np.int8))[1]
+    growth = system.linear_stability(points, np.full(size, family.flag, np.int8))[1]
     chosen = np.flatnonzero((growth > 0.3) & (np.abs(points["h1"]) < 5))[:count]
     return subset(points, chosen), growth[chosen]
 
 
-def departures() -> list[StressCase]:
+def departures(system: Gyrostat) -> list[StressCase]:
     """Unstable equilibria with offsets of 1e-15 to 3e-11 rad that grow by exp(20) to exp(25)."""
-    columns, growth = unstable_equilibria(1)
+    columns, growth = unstable_equilibria(system, 1)
     offset, logarithm = np.geomspace(1e-15, 3e-11, growth.size), np.linspace(20.0, 25.0, growth.size)
     pitch = {"A": 1.2, "B": 1.0, "C": 0.9}
     pitch_growth = np.sqrt(3 * (pitch["A"] - pitch["B"]) / pitch["C"])
@@ -89,7 +89,7 @@ def slow_spin() -> StressCase:
                       duration, columns, may_stay_unresolved=GROWN)  # fmt: skip
 
 
-def cases() -> tuple[StressCase, ...]:
+def cases(system: Gyrostat) -> tuple[StressCase, ...]:
     """The cases, see System.stress_cases."""
     tilted = {"theta0": 0.6, "psi0": 0.3, "m": 0.5}
     hyperbola = {"theta0": 0.8, "psi0": np.pi / 2, "C": 0.7}  # a stable perp_velocity motion
@@ -161,5 +161,5 @@ def cases() -> tuple[StressCase, ...]:
                    {"A": [1.0, 1.0, 1.0, 1.2, 1.2], "B": [1.3, 1.3, 1.3, 1.0, 1.0], "psi0": [0.1, 1.5, 0.1, 1.5, 0.3],
                     "n": [0.0, 0.0, 2.0, 0.0, -1.0], "k3": 0.5},
                    truth="planar libration"),
-        slow_spin(), *departures(), *passages(),
+        slow_spin(), *departures(system), *passages(system),
     )  # fmt: skip

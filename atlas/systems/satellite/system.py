@@ -11,15 +11,14 @@ from ..base import (
     Flags,
     Mask,
     Points,
-    System,
+    StressCase,
     despun_about_third_axis,
     identify,
     shape_of,
-    stability_by_family,
 )
-from . import any_axis, equations, families, initial, stability, stress_cases
-from .derived import DERIVED
-from .equilibria import equilibria, equilibria_of_bodies
+from ..gyrostat import Gyrostat
+from ..gyrostat.variables import count_variables
+from . import any_axis, equations, families, initial, stress_cases
 
 GEOMETRIES = {
     "none": "drifting or unresolved",
@@ -31,7 +30,7 @@ GEOMETRIES = {
 }
 
 
-class Satellite(System):
+class Satellite(Gyrostat):
     """Gyrostat with a magnet on a circular orbit, under the gravity gradient and a magnetic field."""
 
     name = "satellite"
@@ -46,7 +45,6 @@ class Satellite(System):
     parameters = initial.PARAMETERS
     rate_states = ("w1", "w2", "w3")
     equal_parameters = (("A", "B"),)
-    moments_of_inertia = ("A", "B", "C")
     constants = staticmethod(initial.constants)
     integral_scales = staticmethod(initial.integral_scales)
     frequency_bound = staticmethod(initial.frequency_bound)
@@ -56,13 +54,22 @@ class Satellite(System):
     steady_rates = staticmethod(initial.steady_rates)
 
     condition_residual = staticmethod(families.condition_residual)
-    growth_about_vertical = staticmethod(stability.growth_about_vertical)
+    growth_about_vertical = staticmethod(initial.growth_about_vertical)
     families = families.FAMILIES | any_axis.FAMILIES
     geometries = GEOMETRIES
-    derived = DERIVED
-    equilibria = staticmethod(equilibria)
-    equilibria_of_bodies = staticmethod(equilibria_of_bodies)
-    stress_cases = staticmethod(stress_cases.cases)
+    body = staticmethod(initial.body)
+    frequency_comment = (
+        "without damping; nan for exponents that are 0 or have a real part, off every family, and where the linear equations are"
+        " periodic"
+    )
+    energy_comment = (
+        "on the level of the momentum about an axis of symmetry, where there is one; unknown where the linear equations are"
+        " periodic"
+    )
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.derived = {**count_variables(self), **self.derived}
 
     def possible_start(self, points: Points) -> Mask:
         """Everywhere: numbers that overflow get the status not_finite."""
@@ -91,14 +98,8 @@ class Satellite(System):
         """Family about the third axis and the normal, else one about any axes."""
         return identify(points, families.FAMILIES.values(), any_axis.FAMILIES.values())
 
-    def linear_stability(self, points: Points, flags: Flags) -> tuple[Flags, Array]:
-        stable, growth = stability.linear_stability(points, _about_third_axis(flags))
-        other, other_growth = stability_by_family(any_axis.FAMILIES, points, flags)
-        about_other = flags > len(families.FAMILIES)
-        return np.where(about_other, other, stable), np.where(about_other, other_growth, growth)
-
-    def log_growth(self, points: Points, flags: Flags, growth_rate: Array, duration: Array) -> Array:
-        return stability.log_growth(points, _about_third_axis(flags), growth_rate, duration)
+    def stress_cases(self) -> tuple[StressCase, ...]:
+        return stress_cases.cases(self)
 
     def complete(self, points: Points) -> Mask:
         """Without an orbit an undamped free or heavy body has more steady motions than the families."""
@@ -125,11 +126,6 @@ class Satellite(System):
 
     def despun_equivalent(self, points: Points) -> tuple[Points, Array]:
         return despun_about_third_axis(self, points, "k3", initial.conserves_axial_momentum(points))
-
-
-def _about_third_axis(flags: Flags) -> Flags:
-    """The flags of the families about the third axis, else 0."""
-    return np.where(flags <= len(families.FAMILIES), flags, 0).astype(np.int8)
 
 
 SATELLITE = Satellite()

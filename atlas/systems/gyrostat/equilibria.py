@@ -1,9 +1,9 @@
-"""All relative equilibria of a satellite-gyrostat, of one body or of many at once."""
+"""All relative equilibria of a gyrostat, of one body or of many at once."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,92 +11,100 @@ from numpy.typing import NDArray
 from ...errors import BadInput
 from ...flags import Completeness, Stability
 from ..base import Array, Points, subset
-from ..oscillations import FREQUENCIES
 from . import homotopy
-from .initial import PARAMETERS
-from .oscillations import frequencies
-from .stability import Bodies, cross_matrix, exponents
+from .body import Body, cross_matrix
+from .variables import FREQUENCIES
+
+if TYPE_CHECKING:
+    from .system import Gyrostat
 
 _STARTS = 200  # orientations from which the search begins
 _ZERO_EIGENVALUE = 1e-6  # of the Hessian, relative to its scale
 _SAME = 1e-4  # distance of rotation matrices that are taken as equal
 _MAX_SCALE = 1e60  # of units, rates and torques; products of a few of them are finite
 _BLOCK = 512  # bodies that are computed together
-_NAMES = ("A", "B", "C", "Omega", "k1", "k2", "k3", "mu1", "mu2", "mu3", "h1", "h3", "damping")
+ANGLES = ("theta0", "psi0", "phi0")
+STABILITY = ("stable", "growth_rate", *FREQUENCIES)
+# Variables of equilibria, in their order.
+_VARIABLES = (*ANGLES, "alpha", "gamma", "potential", "index", "circle", "axis", "degenerate", *STABILITY)
+# What stands in the unused places of padded arrays; else nan.
+_UNUSED = {
+    "index": np.int8(-1), "dimension": np.int8(-1), "circle": False, "degenerate": False, "flat": False,
+    "stable": np.int8(Stability.UNKNOWN),
+}  # fmt: skip
 
 
-def equilibria(body: Mapping[str, float]) -> dict[str, NDArray[Any]]:
-    """All relative equilibria of one body: every orientation that can rest in the orbital frame.
+def equilibria(system: Gyrostat, points: Points) -> dict[str, NDArray[Any]]:
+    """All relative equilibria of one body: every orientation that can rest in the frame.
 
     Newton's method from _STARTS orientations, doubled until no new equilibria appear and, where none
     is degenerate, the isolated ones satisfy the Poincare-Hopf sum (-1)^index = 0 of SO(3).
 
-    body: A, B, C, Omega, k1..k3, mu1..mu3, h1, h3, damping; those left out take their defaults, start values
-    are ignored. Returns theta0, psi0, phi0 (E,) rad; alpha, gamma (E, 3), radius and normal in body axes;
-    potential (E,), V - Omega k.gamma - Omega^2 gamma.I gamma / 2; index (E,), the Morse index of that
+    points: every parameter of the body, arrays (1,); start values are ignored. Returns theta0, psi0, phi0 (E,) rad; alpha,
+    gamma (E, 3), in body axes; potential (E,), the amended one; index (E,), the Morse index of that
     potential; circle (E,), true where the equilibrium represents a circle of them, and axis (E, 3), the unit
     axis in the body about which the body may then be turned by any angle (nan elsewhere); degenerate (E,),
     true for an isolated one with a zero eigenvalue (on the bifurcation set: the index counts the negative
     ones); stable (E,) int8 and growth_rate (E,), as linear_stability; frequency_1 to frequency_3 (E,), see
-    oscillations.frequencies. Raises BadInput: every orientation, or a surface of them, is an equilibrium; or
+    Gyrostat.frequencies. Raises BadInput: every orientation, or a surface of them, is an equilibrium; or
     the numbers differ so much in magnitude that the search would overflow. Raises RuntimeError: the
     Poincare-Hopf sum cannot be met.
     """
-    point = {name: np.array(float(body.get(name, PARAMETERS[name].default))) for name in _NAMES}
-    rate = np.where(point["Omega"] == 0, 1.0, point["Omega"])
+    given = system.body(points)
+    rate = np.where(given.turn == 0, 1.0, given.turn)
     with np.errstate(all="ignore"):
-        bodies = Bodies(point, rate)
-        scale = float(
-            3 * bodies.Omega[0] ** 2
-            + np.abs(bodies.k).sum()
-            + np.abs(bodies.radial).sum()
-            + np.abs(bodies.normal).sum()
-        )
+        body = given.scaled(rate)
+        scale = float(_scale(body)[0])
     if scale == 0:
         raise BadInput("equilibria: without orbit and field the body can rest in any orientation")
-    units = [abs(float(value)) for value in (point["A"], point["B"], point["C"], rate)]
+    units = [float(np.abs(value)) for value in (*given.inertia[0], rate[0])]
     if not (min(scale, *units) > 1 / _MAX_SCALE and max(scale, *units) < _MAX_SCALE):
         raise BadInput("equilibria: the numbers of the body differ too much in magnitude")
-    frames = _search(bodies, scale)
-    index, axis, degenerate = _classify(bodies, frames, scale)
-    unit = float(max(point["A"], point["B"], point["C"])) * float(rate) ** 2
-    potential = bodies.potential(frames[:, 0], frames[:, 2]) * unit
-    points = {name: np.full(len(frames), value) for name, value in point.items()}
-    result = _described(points, frames, potential, index) | {
+    frames = _search(body, scale)
+    index, axis, degenerate = _classify(body, frames, scale)
+    potential = body.potential(frames[:, 0], frames[:, 2]) * given.inertia.max() * rate**2
+    result = _described(frames, potential, index) | {
         "circle": ~np.isnan(axis[:, 0]), "axis": axis, "degenerate": degenerate,
     }  # fmt: skip
-    result |= _stability(points, result)
+    members = {name: np.full(len(frames), value[0]) for name, value in points.items()}
+    result |= stability_at_rest(system, members, {name: result[name] for name in ANGLES})
     order = np.argsort(potential, kind="stable")
     return {name: result[name][order] for name in _VARIABLES}
 
 
-_VARIABLES = {
-    "theta0": np.nan, "psi0": np.nan, "phi0": np.nan, "alpha": np.nan, "gamma": np.nan, "potential": np.nan,
-    "index": np.int8(-1), "circle": False, "axis": np.nan, "degenerate": False,
-    "stable": np.int8(Stability.UNKNOWN), "growth_rate": np.nan, **dict.fromkeys(FREQUENCIES, np.nan),
-}  # fmt: skip
-"""Variables of equilibria, in their order, and what stands in the unused places of padded arrays."""
+def _scale(body: Body) -> Array:
+    """Size of the gradient of the potential, (bodies,)."""
+    vectors = np.abs(body.rotor) + np.abs(body.alpha.field) + np.abs(body.gamma.field)
+    return np.abs(body.alpha.gradient) + np.abs(body.gamma.gradient) + vectors.sum(-1)
 
 
-def _described(points: Points, frames: Array, potential: Array, index: NDArray[Any]) -> dict[str, Any]:
-    """Orientation, potential and index of equilibria, each of the body in the same place of points."""
-    angles = dict(zip(("theta0", "psi0", "phi0"), _angles(frames), strict=True))
-    return {**angles, "alpha": frames[:, 0], "gamma": frames[:, 2], "potential": potential, "index": index}
+def _described(frames: Array, potential: Array, index: NDArray[Any]) -> dict[str, Any]:
+    """Orientation, potential and index of equilibria."""
+    angles = dict(zip(ANGLES, _angles(frames), strict=True))
+    return {
+        **angles,
+        "alpha": frames[:, 0],
+        "gamma": frames[:, 2],
+        "potential": potential,
+        "index": index.astype(np.int8),
+    }
 
 
-def _stability(points: Points, described: Mapping[str, Any]) -> dict[str, Any]:
-    """Linear stability of equilibria, each of the body in the same place of points."""
-    starts = {name: described[name] for name in ("theta0", "psi0", "phi0")}
-    starts |= {name: np.zeros(described["theta0"].size) for name in ("n", "m", "theta_dot0")}
-    stable, growth = exponents({**points, **starts})
-    values = frequencies({**points, **starts}, np.ones_like(stable)).T
+def stability_at_rest(
+    system: Gyrostat, members: Points, start: Mapping[str, Array]
+) -> dict[str, NDArray[Any]]:
+    """Linear stability and frequencies of equilibria with these angles and rates, each of the body in the same place."""
+    rest = {name: np.zeros_like(members["A"]) for name in ("n", "m", "theta_dot0")}
+    points = {**members, **rest, **start}
+    stable, growth = system.stability(points)
+    values = system.frequencies(points, np.ones_like(stable)).T
     return {"stable": stable, "growth_rate": growth, **dict(zip(FREQUENCIES, values, strict=True))}
 
 
 def equilibria_of_bodies(
-    points: Points, pause: Callable[[], None] = lambda: None, stability: bool = True
+    system: Gyrostat, points: Points, pause: Callable[[], None] = lambda: None, stability: bool = True
 ) -> dict[str, NDArray[Any]]:
-    """All relative equilibria of many bodies, by homotopy continuation; see `homotopy`.
+    """All relative equilibria of many bodies, on an orbit by homotopy continuation; see `homotopy`.
 
     Bodies of which the continuation does not find all equilibria with certainty, those with circles of them and
     those without an orbit are searched one by one, as `equilibria` does, in about 70 ms each.
@@ -107,77 +115,87 @@ def equilibria_of_bodies(
     -1, stable 0. completeness (bodies,) int8, values of flags.Completeness.
     """
     count = points["A"].size
-    names = [name for name in _VARIABLES if stability or name not in ("stable", "growth_rate", *FREQUENCIES)]
-    result: dict[str, NDArray[Any]] = {}
-    for name in names:
-        shape = (count, homotopy.PATHS, 3) if name in ("alpha", "gamma", "axis") else (count, homotopy.PATHS)
-        result[name] = np.full(shape, _VARIABLES[name])
-    result["completeness"] = np.full(count, Completeness.COMPLETE, np.int8)
+    completeness = np.full(count, Completeness.COMPLETE, np.int8)
+    parts = []
     for first in range(0, count, _BLOCK):
         pause()
-        block = {name: points[name][first : first + _BLOCK] for name in _NAMES}
-        part = {name: values[first : first + _BLOCK] for name, values in result.items()}
-        for i in np.flatnonzero(~_write_block(block, part, stability)):
+        block = subset(points, slice(first, first + _BLOCK))
+        complete, row, columns = _by_continuation(system, block, stability)
+        parts.append({"row": first + row, **columns})
+        for i in first + np.flatnonzero(~complete):
             pause()
-            _write_one({name: float(values[i]) for name, values in block.items()}, part, int(i))
+            try:
+                solutions = equilibria(system, subset(points, [i]))
+            except (BadInput, RuntimeError):
+                completeness[i] = Completeness.NOT_LISTED
+                continue
+            isolated = not solutions["circle"].any()
+            completeness[i] = Completeness.NEAR_BIFURCATION if isolated else Completeness.NOT_ISOLATED
+            parts.append({"row": np.full(solutions["index"].size, i), **solutions})
+    names = [name for name in _VARIABLES if stability or name not in STABILITY]
+    columns = {name: np.concatenate([part[name] for part in parts]) for name in ("row", *names)}
+    return padded(columns, count, homotopy.PATHS) | {"completeness": completeness}
+
+
+def padded(columns: Mapping[str, NDArray[Any]], count: int, places: int) -> dict[str, NDArray[Any]]:
+    """Columns over equilibria as arrays (bodies, places), those of a body in their order, with unused places at the end.
+
+    The column "row" is the number of the body of each.
+    """
+    order = np.argsort(columns["row"], kind="stable")
+    row = columns["row"][order]
+    place = np.arange(row.size) - np.searchsorted(row, row)
+    result = {}
+    for name, values in columns.items():
+        if name != "row":
+            result[name] = np.full(
+                (count, places, *values.shape[1:]), _UNUSED.get(name, np.nan), values.dtype
+            )
+            result[name][row, place] = values[order]
     return result
 
 
-def _write_block(points: Points, result: dict[str, NDArray[Any]], stability: bool) -> NDArray[np.bool_]:
-    """Write the equilibria of bodies of which the continuation finds all, and return which these are."""
-    rate = np.where(points["Omega"] == 0, 1.0, points["Omega"])
+def _by_continuation(
+    system: Gyrostat, points: Points, stability: bool
+) -> tuple[NDArray[np.bool_], NDArray[np.int64], dict[str, NDArray[Any]]]:
+    """Of which bodies the continuation finds all equilibria, and these: the body of each, and its variables."""
+    given = system.body(points)
+    rate = np.where(given.turn == 0, 1.0, given.turn)
     with np.errstate(all="ignore"):
-        bodies = Bodies(points, rate)
-        torques = bodies.radial, bodies.normal - bodies.Omega * bodies.k
-        units = np.stack([points[name] for name in ("A", "B", "C", "Omega")])
-        usable = ((units > 1 / _MAX_SCALE) & (units < _MAX_SCALE)).all(0)
-        usable &= (np.abs(np.concatenate([bodies.k, *torques], -1)) < _MAX_SCALE).all(-1)
-    alpha, gamma, real, complete = homotopy.solve(
-        *(np.where(usable, vectors.T, 0.0) for vectors in (bodies.inertia, *torques))
-    )
+        bodies = given.scaled(rate)
+        alpha, gamma = bodies.amended()
+        units = np.concatenate([given.inertia, given.turn[:, None]], 1)
+        usable = ((units > 1 / _MAX_SCALE) & (units < _MAX_SCALE)).all(1)
+        vectors = np.concatenate([bodies.rotor, alpha.field, gamma.field], -1)
+        usable &= (np.abs(vectors) < _MAX_SCALE).all(-1)
+        usable &= (np.abs(alpha.gradient - 3) < 1e-9) & (np.abs(gamma.gradient + 1) < 1e-9)
+    of_potential = (bodies.inertia, alpha.field, gamma.field)
+    radius, normal, real, complete = homotopy.solve(*(np.where(usable, v.T, 0.0) for v in of_potential))
     complete &= usable
     body, path = np.nonzero(real.T & complete[:, None])
-    members = subset(points, body)
-    bodies = Bodies(members, rate[body])
-    a, g = alpha[:, path, body].T, gamma[:, path, body].T
-    _, hessian = bodies.gradient(a, g)
+    bodies = bodies.subset(body)
+    a, g = radius[:, path, body].T, normal[:, path, body].T
+    hessian = bodies.gradient(a, g)[1]
     values = np.linalg.eigvalsh(0.5 * (hessian + np.swapaxes(hessian, 1, 2)))
-    scale = 3 + (np.abs(bodies.k) + np.abs(bodies.radial) + np.abs(bodies.normal)).sum(-1)
     index = (values < 0).sum(1)
-    flat = (np.abs(values) < _ZERO_EIGENVALUE * scale[:, None]).any(1)
+    flat = (np.abs(values) < _ZERO_EIGENVALUE * _scale(bodies)[:, None]).any(1)
     complete[body[flat]] = False
     complete &= np.bincount(body, (-1.0) ** index, rate.size) == 0
-    unit = np.max([members[name] for name in "ABC"], axis=0) * rate[body] ** 2
-    potential = bodies.potential(a, g) * unit
+    potential = bodies.potential(a, g) * given.inertia.max(1)[body] * rate[body] ** 2
     order = np.lexsort((potential, body))
     order = order[complete[body[order]]]
-    members = {name: values[order] for name, values in members.items()}
-    frames = np.stack([a, np.cross(g, a), g], 1)[order]
-    described = _described(members, frames, potential[order], index[order])
-    if stability:
-        described |= _stability(members, described)
     row = body[order]
-    place = np.arange(row.size) - np.searchsorted(row, row)
-    for name, values in described.items():
-        result[name][row, place] = values
-    return complete
+    frames = np.stack([a, np.cross(g, a), g], 1)[order]
+    result = _described(frames, potential[order], index[order])
+    result |= {"circle": np.zeros(row.size, bool), "axis": np.full((row.size, 3), np.nan)}
+    result |= {"degenerate": np.zeros(row.size, bool)}
+    if stability:
+        angles = {name: result[name] for name in ANGLES}
+        result |= stability_at_rest(system, subset(points, row), angles)
+    return complete, row, result
 
 
-def _write_one(body: Mapping[str, float], result: dict[str, NDArray[Any]], row: int) -> None:
-    """Write the equilibria of one body by the search of `equilibria`, and how complete they are."""
-    try:
-        solutions = equilibria(body)
-    except (BadInput, RuntimeError):
-        result["completeness"][row] = Completeness.NOT_LISTED
-        return
-    for name in result.keys() & solutions.keys():
-        result[name][row, : solutions[name].shape[0]] = solutions[name]
-    isolated = not solutions["circle"].any()
-    flag = Completeness.NEAR_BIFURCATION if isolated else Completeness.NOT_ISOLATED
-    result["completeness"][row] = flag
-
-
-def _search(bodies: Bodies, scale: float) -> Array:
+def _search(bodies: Body, scale: float) -> Array:
     """Frames of the equilibria, one of each circle, shape (E, 3, 3)."""
     generator = np.random.default_rng(0)
     frames, starts, previous_count, total = np.empty((0, 3, 3)), _STARTS, -1, 0
@@ -211,7 +229,7 @@ def _rotated(frames: Array, xi: Array) -> Array:
     return frames @ turn
 
 
-def _critical(bodies: Bodies, frames: Array, scale: float) -> Array:
+def _critical(bodies: Body, frames: Array, scale: float) -> Array:
     """Orientations to which Newton's method converges from the given ones."""
     frames, active = frames.copy(), np.arange(len(frames))
     for _ in range(40):
@@ -231,7 +249,7 @@ def _critical(bodies: Bodies, frames: Array, scale: float) -> Array:
 
 
 def _classify(
-    bodies: Bodies, frames: Array, scale: float
+    bodies: Body, frames: Array, scale: float
 ) -> tuple[NDArray[np.int64], Array, NDArray[np.bool_]]:
     """Morse index, axis of the circle of equilibria through each frame (nan: isolated), degenerate or not."""
     _, hessian = bodies.gradient(frames[:, 0], frames[:, 2])
@@ -249,7 +267,7 @@ def _classify(
     return ((values < 0) & ~flat).sum(1), np.where(circle[:, None], axis, np.nan), flat.any(1) & ~circle
 
 
-def _distinct(bodies: Bodies, frames: Array, scale: float) -> Array:
+def _distinct(bodies: Body, frames: Array, scale: float) -> Array:
     """The first frame of each equilibrium and of each circle of them."""
     _, axis, _ = _classify(bodies, frames, scale)
     kept: list[int] = []

@@ -1,0 +1,201 @@
+"""A gyrostat in a frame that turns uniformly: its amended potential and its linear equations.
+
+The frame turns at the rate Omega about its vertical gamma; alpha is a second direction at rest in it, normal to gamma. Along
+each direction d the body has the potential (gradient d.I d) / 2 + field.d, with the field given in body axes. Vectors are in
+body axes, of shape (..., 3).
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from ..base import Array, Mask
+
+
+class Direction(NamedTuple):
+    """What acts along a direction d at rest in the frame: the potential (gradient d.I d) / 2 + field.d."""
+
+    gradient: Array  # squared rate, (...,)
+    field: Array  # torque, (..., 3)
+
+
+class Body(NamedTuple):
+    """A gyrostat, the frame in which it moves and what acts on it."""
+
+    inertia: Array  # (..., 3)
+    rotor: Array  # (..., 3)
+    turn: Array  # angular velocity Omega of the frame about gamma, (...,)
+    alpha: Direction
+    gamma: Direction
+    damping: Array  # torque over angular velocity relative to the frame, (...,)
+
+    def subset(self, where: Any) -> Body:
+        """Some of the bodies."""
+        alpha, gamma = (Direction(*(x[where] for x in each)) for each in (self.alpha, self.gamma))
+        return self._replace(
+            inertia=self.inertia[where], rotor=self.rotor[where], turn=self.turn[where], alpha=alpha, gamma=gamma,
+            damping=self.damping[where],
+        )  # fmt: skip
+
+    def scaled(self, rate: Array) -> Body:
+        """The same in units of the largest moment of inertia and of a rate."""
+        moment = self.inertia.max(-1)
+        torque = (moment * rate**2)[..., None]
+        alpha, gamma = (Direction(d.gradient / rate**2, d.field / torque) for d in (self.alpha, self.gamma))
+        momentum = moment * rate
+        return Body(
+            self.inertia / moment[..., None], self.rotor / momentum[..., None], self.turn / rate, alpha, gamma,
+            self.damping / momentum,
+        )  # fmt: skip
+
+    def rate(self, w: Array) -> Array:
+        """A rate of the motion with the angular velocity w, for units; 1 where nothing moves and nothing acts."""
+        squares = [
+            np.abs(d.gradient) + length(d.field) / self.inertia.max(-1) for d in (self.alpha, self.gamma)
+        ]
+        rate = np.abs(self.turn) + length(w) + np.sqrt(squares[0]) + np.sqrt(squares[1])
+        return np.where(rate == 0, 1.0, rate)
+
+    def acts_along(self, direction: Direction) -> Mask:
+        """Where a direction exerts a torque on the body in some orientation."""
+        spherical = self.inertia.max(-1) == self.inertia.min(-1)
+        return np.asarray(((direction.gradient != 0) & ~spherical) | (direction.field != 0).any(-1))
+
+    def symmetric_about(self, i: int) -> Mask:
+        """Where turning the body about its i-th axis changes nothing: equal moments, rotor and fields along it."""
+        across = [(i + 1) % 3, (i + 2) % 3]
+        vectors = self.rotor, self.alpha.field, self.gamma.field
+        aligned = [(vector[..., across] == 0).all(-1) for vector in vectors]
+        return np.logical_and.reduce([self.inertia[..., across[0]] == self.inertia[..., across[1]], *aligned])
+
+    def amended(self) -> tuple[Direction, Direction]:
+        """alpha and gamma with the amended potential W = V - Omega k.gamma - Omega^2 gamma.I gamma / 2."""
+        field = self.gamma.field - self.turn[..., None] * self.rotor
+        return self.alpha, Direction(self.gamma.gradient - self.turn**2, field)
+
+    def potential(self, alpha: Array, gamma: Array) -> Array:
+        """Amended potential W."""
+        parts = (
+            0.5 * d.gradient[..., None] * self.inertia * v**2 + d.field * v
+            for d, v in zip(self.amended(), (alpha, gamma), strict=True)
+        )
+        return sum(parts).sum(-1)  # type: ignore[union-attr]
+
+    def gradient(self, alpha: Array, gamma: Array) -> tuple[Array, Array]:
+        """Gradient and Hessian of W under rotations xi of the body; the torque at rest is -gradient.
+
+        The Hessian is symmetric where the gradient vanishes.
+        """
+        return self._variations(self.amended(), alpha, gamma)
+
+    def _variations(
+        self, directions: tuple[Direction, Direction], alpha: Array, gamma: Array
+    ) -> tuple[Array, Array]:
+        """Gradient and Hessian of the potential of two directions under rotations of the body."""
+        gradient, hessian = np.zeros(1), np.zeros(1)
+        for d, v in zip(directions, (alpha, gamma), strict=True):
+            slope = d.gradient[..., None] * self.inertia * v + d.field
+            hat = cross_matrix(v)
+            gradient = gradient + np.cross(slope, v)
+            square = d.gradient[..., None, None] * hat @ (self.inertia[..., None] * hat)
+            hessian = hessian + cross_matrix(slope) @ hat - square
+        return gradient, hessian
+
+    def frequency_bound(self, w: Array, alpha: Array, gamma: Array) -> Array:
+        """Upper bound of the fastest frequency of the motion with this start, rad per time unit, (...,).
+
+        The energy u.I u / 2 + W of the rotation u relative to the frame never grows, and bounds u through the range of W, the sum
+        of the ranges of its terms. With every |w_i| bounded, the frozen linearised equations in the coordinates sqrt(I) w
+        are bounded block by block, and the Perron root of the 2 x 2 matrix of the block norms bounds their frequencies.
+        """
+        inertia, turn, least = self.inertia.T, np.abs(self.turn), self.inertia.min(-1)
+        energy = (self.inertia * (w - self.turn[..., None] * gamma) ** 2).sum(-1)
+        for d, v in zip(self.amended(), (alpha, gamma), strict=True):
+            square = (self.inertia * v**2).sum(-1)
+            gain = np.where(d.gradient > 0, square - least, self.inertia.max(-1) - square)
+            energy = energy + np.abs(d.gradient) * gain + 2 * (length(d.field) + (d.field * v).sum(-1))
+        energy = np.maximum(energy, 0.0)
+        rates = np.sqrt(energy / inertia) + turn
+        damping = self.damping / least
+        size = np.sqrt((((np.roll(inertia, 1, 0) - np.roll(inertia, -1, 0)) ** 2) / inertia).sum(0) / least)
+        forces = [np.abs(d.gradient) * size + length(d.field) / least for d in (self.alpha, self.gamma)]
+        stiffness = np.sqrt(2) * (np.hypot(*forces) + damping * turn)
+        return perron_root(
+            gyration(inertia, self.rotor.T, rates) + damping, np.sqrt(energy / least) + turn, stiffness
+        )
+
+    def gyroscopic(self, w: Array) -> Array:
+        """The vector k + 2 I w - tr(I) w, of which the matrix D = hat(v) is that of the rates in the linear system."""
+        return self.rotor + (2 * self.inertia - self.inertia.sum(-1, keepdims=True)) * w
+
+    def across_rotation(self, w: Array, u: Array, alpha: Array, gamma: Array) -> Array:
+        """Matrix of the linear system of a turning body in the parts of (xi, p~) across u, shape (..., 4, 4).
+
+        u: rotation relative to the frame, constant, of shape (points, 3); see `floquet`.
+        """
+        inertia, W = self.inertia[..., None], cross_matrix(w)
+        acceleration = self.turn[..., None] * np.cross(gamma, u)
+        E = cross_matrix(self.inertia * w + self.rotor) @ W - W @ (inertia * W)
+        E = E - inertia * cross_matrix(acceleration)
+        E = E - self._variations((self.alpha, self.gamma), alpha, gamma)[1]
+        P = 0.5 * (E + np.swapaxes(E, -1, -2))
+        v = self.gyroscopic(w)
+        v_dot = (2 * self.inertia - self.inertia.sum(-1, keepdims=True)) * acceleration
+        along = u / length(u)[..., None]
+        first = np.cross(along, np.eye(3)[np.abs(along).argmin(-1)])
+        first = first / length(first)[..., None]
+        across = np.stack([first, np.cross(along, first)], -2)
+
+        def symmetric(d: Array) -> Array:
+            product = d[..., :, None] * along[..., None, :]
+            return product + np.swapaxes(product, -1, -2)
+
+        shift, shift_dot = symmetric(0.5 * np.cross(v, along)), symmetric(0.5 * np.cross(v_dot, along))
+        return _hamiltonian(P + shift_dot, 0.5 * cross_matrix(v) - shift, self.inertia, across)
+
+
+def gyration(inertia: Array, rotor: Array, max_rates: Array, third_alone: Mask | bool = False) -> Array:
+    """Bound of the norm of sqrt(I) I^-1 ((I w + k) x . - w x I .) sqrt(I)^-1, sqrt(norm_1 norm_inf); arrays (3, ...).
+
+    third_alone: where the rotation about the third axis alone counts.
+    """
+    rows, columns = np.zeros_like(inertia), np.zeros_like(inertia)
+    for i, j, axis in ((0, 1, 2), (1, 0, 2), (0, 2, 1), (2, 0, 1), (1, 2, 0), (2, 1, 0)):
+        entry = np.abs(inertia[axis] - inertia[j]) * max_rates[axis] + np.abs(rotor[axis])
+        entry = entry / np.sqrt(inertia[i] * inertia[j])
+        entry = np.where(third_alone & (axis != 2), 0.0, entry)
+        rows[i] += entry
+        columns[j] += entry
+    return np.sqrt(rows.max(0) * columns.max(0))
+
+
+def perron_root(first: Array, second: Array, product: Array) -> Array:
+    """Largest eigenvalue of 2 x 2 matrices of this diagonal and this product of the other entries, all positive."""
+    return 0.5 * (first + second) + np.sqrt((0.5 * (first - second)) ** 2 + product)
+
+
+def length(v: Array) -> Array:
+    """Euclidean length of vectors (..., 3)."""
+    return np.sqrt((v**2).sum(-1))
+
+
+def cross_matrix(v: Array) -> Array:
+    """Matrices of v x ., shape (..., 3, 3)."""
+    zero = np.zeros_like(v[..., 0])
+    rows = ((zero, -v[..., 2], v[..., 1]), (v[..., 2], zero, -v[..., 0]), (-v[..., 1], v[..., 0], zero))
+    return np.stack([np.stack(row, -1) for row in rows], -2)
+
+
+def _hamiltonian(P: Array, G: Array, inertia: Array, basis: Array) -> Array:
+    """Matrix of xi' = I^-1 (G xi + p), p' = (P - G^T I^-1 G) xi - G^T I^-1 p along the rows of a basis."""
+    transposed = np.swapaxes(basis, -1, -2)
+    left = G / inertia[..., None]
+    blocks = (
+        (left, np.broadcast_to(np.eye(3) / inertia[..., None], left.shape)),
+        (P - np.swapaxes(G, -1, -2) @ left, -np.swapaxes(left, -1, -2)),
+    )
+    return np.concatenate(
+        [np.concatenate([basis @ block @ transposed for block in row], -1) for row in blocks], -2
+    )

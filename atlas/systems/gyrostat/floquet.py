@@ -1,0 +1,265 @@
+"""Floquet multipliers of steady motions that are periodic in the body, of many points at once.
+
+A steady motion turns the body relative to the frame with a constant u = w - Omega gamma in body axes, so alpha, gamma
+and w turn about u. A small rotation xi of the body (body axes; delta alpha = alpha x xi, delta gamma = gamma x xi) obeys
+delta w = xi' + w x xi, and with the Euler-Poisson equations
+
+    I xi'' = D xi' + E xi,    D = hat(k + 2 I w - tr(I) w),    E = P + D'/2,    P symmetric,
+    E = hat(I w + k) hat(w) - hat(w) I hat(w) - I hat(w') - the Hessian of the potential,
+
+Lagrange's equations of (xi'.I xi' - xi'.D xi + xi.P xi) / 2. In (xi, p), p = I xi' - D xi / 2, this is a linear
+Hamiltonian system, of period 2 pi / |u|. Exponents come in pairs +-lambda.
+
+One pair is 0: xi = u is a solution (a shift in time), and the Jacobi integral is constant. With e = u / |u|, d = D e / 2 and
+the symmetric S = d e^T + e d^T, the canonical p~ = p + S xi vanishes on that solution and keeps e.p~ constant, so the
+parts of xi and p~ across e form a Hamiltonian system of their own,
+
+    xi' = I^-1 (G xi + p~),    p~' = (P + S' - G^T I^-1 G) xi - G^T I^-1 p~,    G = D/2 - S,    e.p~ = 0,
+
+with the other two pairs of exponents. `tests/systems/test_satellite_stability.py` compares it with the equations of motion.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import partial
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...flags import Stability
+from ..base import Array, Flags
+from .body import Body, length
+
+# |s| - 2 and (s1 - s2)^2 / 4, with s = multiplier + 1/multiplier, up to this are round-off and the error of the integration:
+# at a collision of multipliers at +-1 a shift of s by 1e-7 is a growth by 3e-4 over a period.
+TRACE_TOLERANCE = 1e-7
+_STEP = 1.4  # of the integration, over the norm of the system: errors of about 1e-7
+_MIN_STEPS, _MAX_STEPS = 64, 8192  # in a period of rotation; longer periods are not integrated but adiabatic
+# Steps and points that are computed together; the steps are fixed, so that no result depends on the other points.
+_BLOCK, _POINTS = 256, 16
+_ADIABATIC_PHASES = 256
+# Growth over a period, as a logarithm, beyond which the adiabatic approximation decides; it is wrong by a few units.
+_ADIABATIC_GROWTH = 10.0
+# Distance of the frozen exponents from a collision, over the rate of rotation, beyond which none grows.
+_ADIABATIC_MARGIN = 4.0
+_STEPS_PER_NORM = 2  # of a closed form, for each unit of norm times period: errors of the trace below 1e-7
+_MIN_STEPS_CLOSED = 32
+_POINTS_AND_STEPS = 2**11  # matrices at a time, which fit into the cache
+
+
+def stability(body: Body, w: Array, alpha: Array, gamma: Array) -> tuple[Flags, Array]:
+    """Stability and growth rate over the period of the rotation, (points,); w, alpha, gamma (points, 3).
+
+    Stable where all multipliers are simple and on the unit circle; unknown where numerics cannot tell, with the growth 0 where
+    multipliers collide. Rotations of which a period contains more oscillations than are integrated have the adiabatic growth
+    rate.
+    """
+    rotation = _Rotation(body, w, alpha, gamma)
+    stable, exponent = rotation.by_multipliers()
+    slow = np.flatnonzero(rotation.steps > _MAX_STEPS)
+    if slow.size:
+        exponent[slow] = rotation.adiabatic_exponent(slow)
+        stable[slow] = np.where(exponent[slow] > 0, Stability.UNSTABLE, Stability.STABLE)
+    stable[np.isnan(exponent)] = Stability.UNKNOWN
+    return stable, exponent / rotation.period * rotation.rate
+
+
+def log_growth(body: Body, w: Array, alpha: Array, gamma: Array, duration: Array) -> Array:
+    """Growth from the start to the end of a run, as a logarithm; nan where it is not integrated."""
+    rotation = _Rotation(body, w, alpha, gamma, duration)
+    return rotation.over_spans(np.full(duration.shape, np.nan), lambda _, log_scale: log_scale)
+
+
+class _Rotation:
+    """Linear systems of turning bodies as a mean and two harmonics over the period, and the steps over a span."""
+
+    def __init__(self, body: Body, w: Array, alpha: Array, gamma: Array, duration: Array | None = None):
+        self.rate = np.abs(body.turn) + length(w)
+        body, w = body.scaled(self.rate), w / self.rate[:, None]
+        u = w - body.turn[:, None] * gamma
+        size = length(u)
+        axis, phases = u / size[:, None], 2 * np.pi * np.arange(5)[:, None, None] / 5
+
+        def turned(v: Array) -> Array:
+            along = (axis * v).sum(-1, keepdims=True) * axis
+            return along + np.cos(phases) * (v - along) + np.sin(phases) * np.cross(v, axis)
+
+        alpha, gamma = turned(alpha), turned(gamma)
+        matrices = body.across_rotation(u + body.turn[:, None] * gamma, u, alpha, gamma)
+        self.harmonics = np.fft.rfft(matrices, axis=0) / 5
+        self.period = 2 * np.pi / size
+        self.span = self.period if duration is None else duration * self.rate
+        # Root mean square over the period of the system's norm, in units of xi and p that make it least.
+        square = (np.abs(self.harmonics) ** 2 * np.array([1, 2, 2])[:, None, None, None]).sum(0)
+        square = square.reshape(-1, 2, 2, 2, 2).sum((2, 4))
+        product = np.sqrt(square[:, 0, 1] * square[:, 1, 0])
+        norm = np.sqrt(square[:, 0, 0] + square[:, 1, 1] + 2 * product)
+        self.steps = 2.0 ** np.ceil(np.log2(np.maximum(self.span * norm / _STEP, _MIN_STEPS)))
+
+    def at(self, members: NDArray[np.int64], phase: NDArray[np.complex128]) -> Array:
+        """Matrices at exp(i phase), which broadcasts with (points,)."""
+        mean, first, second = self.harmonics[:, members]
+        phase = phase[..., None, None]
+        return np.asarray(mean.real + 2 * (first * phase + second * phase**2).real)
+
+    def over_spans(self, result: Array, of: Callable[[Array, Array], Array]) -> Array:
+        """result with the values of a function of the fundamental matrices over the spans where these are integrated."""
+        for count in np.unique(self.steps[self.steps <= _MAX_STEPS]):
+            members = np.flatnonzero(self.steps == count)
+            for first in range(0, members.size, _POINTS):
+                part = members[first : first + _POINTS]
+                period, span = self.period[part], self.span[part]
+
+                def matrix(t: Array, part=part, period=period) -> Array:
+                    return self.at(part, np.exp(2j * np.pi * t / period))
+
+                result[..., part] = of(*fundamental_matrix(matrix, span, int(count)))
+        return result
+
+    def by_multipliers(self) -> tuple[Flags, Array]:
+        """Stability, and the logarithm of the largest multiplier over the period; nan where it is not integrated."""
+        values = self.over_spans(
+            np.full((2, *self.rate.shape), np.nan), lambda *m: np.array(_multipliers(*m))
+        )
+        return np.nan_to_num(values[0]).astype(np.int8), values[1]
+
+    def adiabatic_exponent(self, members: NDArray[np.int64]) -> Array:
+        """Growth over a period that is long against all other times, as a logarithm; nan where it is not certain.
+
+        The integral of the largest real part of the exponents lambda of the system frozen at each phase,
+        lambda^4 + P lambda^2 + Q = 0. Where no frozen exponent grows and none comes close to a collision, the actions
+        of both oscillations are adiabatic invariants: nothing grows.
+        """
+        period = self.period[members]
+        total, margin = np.zeros(period.shape), np.full(period.shape, np.inf)
+        for phase in np.exp(2j * np.pi * np.arange(_ADIABATIC_PHASES) / _ADIABATIC_PHASES):
+            matrix = self.at(members, np.full(period.shape, phase))
+            P = -0.5 * np.einsum("nij,nji->n", matrix, matrix)
+            Q = np.linalg.det(matrix)
+            total += quartic_growth(P, Q)
+            with np.errstate(divide="ignore", invalid="ignore"):
+                distance = np.minimum(Q, 0.25 * P**2 - Q) / P**1.5 * period / (2 * np.pi)
+            margin = np.fmin(margin, np.where(P > 0, distance, -np.inf))
+        exponent = total * period / _ADIABATIC_PHASES
+        certain = np.where(margin > _ADIABATIC_MARGIN, 0.0, np.nan)
+        return np.where(exponent > _ADIABATIC_GROWTH, exponent, certain)
+
+
+def quartic_growth(P: Array, Q: Array) -> Array:
+    """Largest real part of the roots of lambda^4 + P lambda^2 + Q = 0."""
+    root = np.sqrt(np.maximum(P * P - 4 * Q, 0.0))
+    # -P + root without cancellation where P > 0
+    real = np.where(P > 0, -2 * Q / np.where(P > 0, P + root, 1.0), 0.5 * (root - P))
+    spiral = np.sqrt(np.maximum(Q, 0.0)) - 0.5 * P
+    return np.where(P * P < 4 * Q, np.sqrt(np.maximum(0.5 * spiral, 0)), np.sqrt(np.maximum(real, 0)))
+
+
+def _multipliers(monodromy: Array, log_scale: Array) -> tuple[Flags, Array]:
+    """Stability, and the logarithm of the largest multiplier of the fundamental matrices monodromy * exp(log_scale)."""
+    largest = np.abs(np.linalg.eigvals(monodromy)).max(-1)
+    # Traces give multipliers on the unit circle exactly, and lose the smaller ones beside large ones.
+    moderate = log_scale < 16
+    matrix = monodromy * np.exp(np.where(moderate, log_scale, 0.0))[:, None, None]
+    trace = np.trace(matrix, axis1=1, axis2=2)
+    product = 0.5 * (trace**2 - np.einsum("nij,nji->n", matrix, matrix)) - 2
+    discriminant = 0.25 * trace**2 - product
+    root = np.sqrt(discriminant.astype(complex))
+    s = np.array([0.5 * trace + root, 0.5 * trace - root])  # multiplier + 1/multiplier of the two pairs
+    with np.errstate(divide="ignore"):
+        by_eigenvalue = np.log(largest) + log_scale
+    exponent = np.where(moderate, np.abs(np.arccosh(s / 2).real).max(0), by_eigenvalue)
+    outside = np.where(discriminant < 0, -discriminant, np.abs(s.real).max(0) - 2)
+    inside = (np.abs(s.real).max(0) < 2 - TRACE_TOLERANCE) & (discriminant > TRACE_TOLERANCE)
+    unstable = ~moderate | (outside > TRACE_TOLERANCE * np.maximum(1.0, trace**2))
+    stable = np.select([unstable, inside], [Stability.UNSTABLE, Stability.STABLE], Stability.UNKNOWN)
+    return stable.astype(np.int8), np.where(unstable, exponent, 0.0)
+
+
+def growth_of_periodic_motion(
+    matrix: Callable[[np.ndarray, Array], Array], period: Array
+) -> tuple[Flags, Array]:
+    """Stability of periodic motions of a reduced system of two degrees of freedom.
+
+    The linear system of six equations has four multipliers 1: a shift in time, the energy and two integrals that are
+    linear or quadratic in the state, such as the area integral and the length of the vertical. The last two are
+    mu and 1/mu, so that the trace of the monodromy matrix is 4 + mu + 1/mu; this is exact where the eigenvalues
+    are not, because those at 1 are defective.
+
+    matrix: (indices of points, times of shape (steps, points)) -> matrices of the linear system, (steps,
+    points, 6, 6). period: time units; nan where there is no motion. Returns stable, values of
+    flags.Stability: STABLE where mu is on the unit circle and not real. Unknown where there is no motion, and where mu is 1 or
+    -1 but for rounding; growth_rate, log |mu| / period, rad per time unit; 0 where nothing grows, nan where there is no motion.
+    """
+    stable, growth = np.full(period.shape, Stability.UNKNOWN, np.int8), np.full(period.shape, np.nan)
+    where = np.flatnonzero(np.isfinite(period))
+    if not where.size:
+        return stable, growth
+    norms = np.sqrt((matrix(where, period[where] * np.arange(4)[:, None] / 4) ** 2).sum((-2, -1)))
+    steps_needed = _STEPS_PER_NORM * norms.max(0) * period[where]
+    count = 2 ** np.ceil(np.log2(np.maximum(steps_needed, _MIN_STEPS_CLOSED)))
+    for steps in np.unique(count[np.isfinite(count)]).astype(int):
+        members = where[count == steps]
+        for first in range(0, members.size, max(1, _POINTS_AND_STEPS // steps)):
+            part = members[first : first + max(1, _POINTS_AND_STEPS // steps)]
+            result, log_scale = fundamental_matrix(partial(matrix, part), period[part], steps)
+            s = np.abs(np.trace(result, axis1=-2, axis2=-1) * np.exp(log_scale) - 4)
+            growth[part] = np.where(
+                s > 2 + TRACE_TOLERANCE, np.arccosh(np.maximum(s / 2, 1.0)) / period[part], 0.0
+            )
+            stable[part] = np.select(
+                [s > 2 + TRACE_TOLERANCE, s < 2 - TRACE_TOLERANCE], [Stability.UNSTABLE, Stability.STABLE]
+            )
+    unknown = ~np.isfinite(growth)
+    return np.where(unknown, Stability.UNKNOWN, stable).astype(np.int8), np.where(unknown, np.nan, growth)
+
+
+def fundamental_matrix(matrix: Callable[[Array], Array], span: Array, count: int) -> tuple[Array, Array]:
+    """Fundamental matrices over spans by equal steps: of largest entry 1, and the logarithms of their factors.
+
+    matrix: times (steps, points) -> matrices of the linear system, (steps, points, size, size); span: (points,); count: steps,
+    a power of two.
+    """
+    h = span / count
+    result, log_scale = np.eye(1), np.zeros(span.shape)
+    block = min(count, _BLOCK)  # both are powers of two
+    for first in range(0, count, block):
+        nodes = (
+            np.arange(first, first + block)[:, None]
+            + 0.5
+            + np.sqrt(0.15) * np.array([-1, 0, 1])[:, None, None]
+        )
+        steps = magnus_propagator(*(matrix(node * h) * h[:, None, None] for node in nodes))
+        log_scales = np.zeros(steps.shape[:2])
+        while len(steps) > 1:
+            steps = steps[1::2] @ steps[::2]
+            size = np.abs(steps).max((-2, -1))
+            steps = steps / size[..., None, None]
+            log_scales = log_scales[1::2] + log_scales[::2] + np.log(size)
+        result = steps[0] @ result if first else steps[0]
+        size = np.abs(result).max((-2, -1))
+        result = result / size[:, None, None]
+        log_scale += log_scales[0] + np.log(size)
+    return result, log_scale
+
+
+def magnus_propagator(first: Array, middle: Array, last: Array) -> Array:
+    """Fundamental matrices over a step by Magnus' series of order 6, symplectic where the system is Hamiltonian.
+
+    first, middle, last: the matrices of the linear system at the three Gauss nodes of the step, times its
+    length. Returns the exponential is the diagonal Pade approximation of that of a quarter, squared twice,
+    which keeps the multipliers of a stable motion on the unit circle. S. Blanes et al., Phys. Rep. 470 (2009)
+    151, (..., size, size).
+    """
+    identity = np.eye(middle.shape[-1])
+    b2, b3 = np.sqrt(15) / 3 * (last - first), 10 / 3 * (last - 2 * middle + first)
+    c1 = middle @ b2 - b2 @ middle
+    inner = 2 * b3 + c1
+    c2 = (inner @ middle - middle @ inner) / 60
+    x, y = -20 * middle - b3 + c1, b2 + c2
+    z = (middle + b3 / 12 + (x @ y - y @ x) / 240) / 4
+    square = z @ z
+    even, odd = identity + square / 10, z @ (identity / 2 + square / 120)
+    quarter = np.linalg.solve(even - odd, even + odd)
+    half = quarter @ quarter
+    return half @ half

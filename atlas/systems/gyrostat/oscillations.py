@@ -1,0 +1,225 @@
+"""Linear stability of motions that are equilibria in some frame, small oscillations about them, and stability by the energy.
+
+A motion that is no equilibrium may be that of another body. A body that turns about an axis of symmetry, with rotor and
+fields along it, is the same as one at rest with the rotor k_i + I_i u_i, u the rotation relative to the frame: the moment I_i
+enters the motion of the axis only through the constant momentum I_i w_i + k_i. Where nothing acts along alpha the rate of
+the frame about gamma may be chosen, and where nothing acts at all its vertical is along the angular momentum. Other turning
+bodies have periodic linear equations (`floquet`), whose frequencies are defined up to multiples of the rate of rotation: they
+have none here.
+
+At an equilibrium a small turn xi of the body (delta d = d x xi for both directions d of the frame) obeys
+
+    I xi'' = v x xi' - W'' xi,    v = k + 2 I w - tr(I) w,    w = Omega gamma,
+
+W the amended potential, so that the squares x of the characteristic exponents are the roots of the cubic
+
+    det(x I + W'') + x v.(x I + W'') v = 0.
+
+A turn xi = e about the vertical or the axis of symmetry that changes nothing is a cyclic direction: xi = e is a solution, and
+the momentum e.(I xi' - v x xi) is constant, so that two exponents are 0. They say that there are neighbouring steady motions,
+with other momenta, and nothing about this one; rounding would make a pair +-1e-8 of them. For each of these directions the
+lowest coefficient of the cubic, which is 0, is left out with its root.
+
+The Jacobi integral is xi'.I xi' / 2 + W, so that an equilibrium is stable by energy where W'' is positive definite (Lagrange,
+Dirichlet); with constant momenta about the cyclic directions E that of W on their level, W'' + F (E^T I E)^-1 F^T with
+F = v x E (Routh, Rumyantsev). Damping destroys the momenta and leaves W as it is. The frequencies are those without damping.
+P. C. Hughes, Spacecraft Attitude Dynamics (1986), chapters 9 and 10; V. V. Rumyantsev, J. Appl. Math. Mech. 30 (1966) 1090;
+N. G. Chetaev, The Stability of Motion, Pergamon 1961.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...flags import EnergyStability, Stability
+from ..base import FAMILY_TOLERANCE, Array, Flags, Mask
+from .body import Body, cross_matrix, length
+
+# Exponents that are closer than this, in units of a rate of the motion, coincide: a double root has the square root of rounding
+# as its error.
+GROWTH_TOLERANCE = 1e-6
+_ZERO = 1e-6  # frequencies and real parts below this, relative to the largest exponent, are zero
+_AT_REST = 1e-12  # rotation, relative to the rates of the motion, that counts as none
+
+
+class Equilibria(NamedTuple):
+    """Motions as equilibria, in units of the largest moment of inertia and of a rate."""
+
+    points: NDArray[np.int64]  # which of the motions given are equilibria
+    body: Body
+    alpha: Array  # (points, 3)
+    gamma: Array
+    rate: Array  # the unit, (points,)
+    cyclic: Array  # cyclic directions in the columns, of the vertical and of the axis of symmetry; 0: none, (points, 3, 2)
+    free: Mask  # nothing acts, and the vertical was chosen: about it the angular momentum turns at the rate of the frame
+
+    @classmethod
+    def of(cls, body: Body, w: Array, alpha: Array, gamma: Array, from_space: bool = True) -> Equilibria:
+        """Those of the motions that are equilibria; w, alpha, gamma: at the start, (points, 3).
+
+        from_space: whether an axis of symmetry on a vertical along which alone something acts is at rest in space; else in the
+        frame in which its two oscillations have one frequency, where the energy has its largest minimum.
+        """
+        rate = body.rate(w)
+        any_frame = ~body.acts_along(body.alpha)
+        turn, axis, exists = _turn_and_axis(body, w, gamma, rate, any_frame, from_space)
+        free = any_frame & ~exists & ~body.acts_along(body.gamma)
+        if free.any():
+            momentum = body.inertia * w + body.rotor
+            size = length(momentum)[:, None]
+            along = np.where(size > 0, momentum / np.where(size > 0, size, 1.0), w / rate[:, None])
+            gamma = np.where(free[:, None], along, gamma)
+            other = _turn_and_axis(body, w, gamma, rate, any_frame, from_space)
+            turn, axis, exists = (
+                np.where(free, b, a) for a, b in zip((turn, axis, exists), other, strict=True)
+            )
+        points = np.flatnonzero(exists)
+        unit = np.eye(3)[axis] * (axis >= 0)[:, None]
+        rotor = body.rotor + unit * body.inertia * (w - turn[:, None] * gamma)
+        asleep = any_frame & (length(np.cross(unit, gamma)) <= FAMILY_TOLERANCE)
+        vertical = np.where(any_frame[:, None], gamma, 0.0)
+        cyclic = np.stack([vertical, np.where(asleep[:, None], 0.0, unit)], -1)
+        equivalent = body._replace(turn=turn, rotor=rotor).subset(points).scaled(rate[points])
+        return cls(
+            points, equivalent, alpha[points], gamma[points], rate[points], cyclic[points], free[points]
+        )
+
+    def squared_exponents(self) -> NDArray[np.complex128]:
+        """Squares of the characteristic exponents without damping, (points, 3); nan for those of cyclic directions, inf: overflow."""
+        inertia, v = self.body.inertia, self.body.gyroscopic(self.body.turn[:, None] * self.gamma)
+        hessian = self._hessian()
+        diagonal = np.diagonal(hessian, axis1=1, axis2=2)
+        following = [1, 2, 0], [2, 0, 1]
+        across = hessian[:, *following]
+        minors = diagonal[:, following[0]] * diagonal[:, following[1]] - across**2
+        products = inertia[:, following[0]] * inertia[:, following[1]]
+        coefficients = np.stack(
+            [
+                np.linalg.det(hessian),
+                (inertia * minors).sum(1) + (v * (hessian @ v[..., None])[..., 0]).sum(1),
+                (diagonal * products + inertia * v**2).sum(1),
+            ],
+            1,
+        ) / inertia.prod(1)[:, None]  # fmt: skip
+        result = np.full((len(v), 3), np.nan, complex)
+        degree = 3 - (self.cyclic != 0).any(1).sum(1)
+        for size in (1, 2, 3):
+            members = np.flatnonzero(degree == size)
+            companion = np.zeros((members.size, size, size))
+            companion[:, range(1, size), range(size - 1)] = 1.0
+            companion[:, :, -1] = -coefficients[members, 3 - size :]
+            finite = np.asarray(np.isfinite(companion).all((1, 2)))  # squares of the smallest rates underflow
+            result[members[~finite]] = np.inf
+            result[members[finite], :size] = np.linalg.eigvals(companion[finite])
+        # The angular momentum of a free body, turned aside, turns with the frame: x = -Omega^2 is no oscillation.
+        free = np.flatnonzero(self.free & (degree > 0))
+        result[free, 0] = -coefficients[free, 2] + self.body.turn[free] ** 2
+        result[free, 1] = np.nan
+        result[np.flatnonzero(self.free & (degree == 1)), 0] = np.nan
+        return result
+
+    def exponents(self) -> NDArray[np.complex128]:
+        """Characteristic exponents in units of the rate, (points, 6); nan and inf as of their squares."""
+        roots = np.sqrt(self.squared_exponents())
+        exponents = np.concatenate([roots, -roots], 1)
+        damped = np.flatnonzero(self.body.damping > 0)
+        if damped.size:
+            body, inertia = self.body.subset(damped), self.body.inertia[damped, :, None]
+            D = cross_matrix(body.gyroscopic(body.turn[:, None] * self.gamma[damped]))
+            rates = (D - body.damping[:, None, None] * np.eye(3)) / inertia
+            matrix = np.zeros((damped.size, 6, 6))
+            matrix[:, :3, 3:] = np.eye(3)
+            matrix[:, 3:, :3], matrix[:, 3:, 3:] = -self._hessian()[damped] / inertia, rates
+            finite = np.asarray(np.isfinite(matrix).all((1, 2)))
+            exponents[damped[finite]] = np.linalg.eigvals(matrix[finite])
+        return exponents
+
+    def stability(self) -> tuple[Flags, Array]:
+        """Spectral stability and growth rate, rad per time unit, as System.linear_stability; (points,)."""
+        with np.errstate(all="ignore"):
+            exponents = self.exponents()
+        finite = np.logical_not(np.isinf(exponents.real).any(1))
+        growth = np.fmax.reduce(exponents.real, axis=1, initial=-np.inf)
+        unstable = growth > GROWTH_TOLERANCE
+        on_axis = np.sort(
+            np.where(exponents.real >= -GROWTH_TOLERANCE, exponents.imag, np.nan), axis=1
+        )  # nan last
+        stable = finite & ~unstable & ~(np.diff(on_axis, axis=1) <= GROWTH_TOLERANCE).any(1)
+        undecided = np.flatnonzero(finite & ~unstable & ~stable)
+        if undecided.size:
+            others = {name: getattr(self, name)[undecided] for name in self._fields if name != "body"}
+            part = self._replace(body=self.body.subset(undecided), **others)
+            stable[undecided] = part.hessian_eigenvalues()[:, 0] > FAMILY_TOLERANCE
+        flags = np.select(
+            [finite & unstable, stable], [Stability.UNSTABLE, Stability.STABLE], Stability.UNKNOWN
+        )
+        return flags.astype(np.int8), np.where(finite, np.where(unstable, growth * self.rate, 0.0), np.nan)
+
+    def frequencies(self) -> Array:
+        """Frequencies, rad per time unit, the largest first; nan for exponents that are 0 or have a real part, (points, 3)."""
+        exponents = np.sqrt(self.squared_exponents())
+        scale = np.fmax.reduce(np.abs(exponents), axis=1)[:, None]
+        oscillating = (np.abs(exponents.imag) > _ZERO * scale) & (exponents.real <= _ZERO * scale)
+        values = np.where(oscillating, np.abs(exponents.imag), np.nan) * self.rate[:, None]
+        return -np.sort(-values, axis=-1)  # nan last
+
+    def hessian_eigenvalues(self) -> Array:
+        """Eigenvalues of the Hessian of W on the level of the momenta, over its size, ascending; 1 of cyclic directions."""
+        E = self.cyclic
+        forces = cross_matrix(self.body.gyroscopic(self.body.turn[:, None] * self.gamma)) @ E
+        moments = np.swapaxes(E, 1, 2) @ (self.body.inertia[..., None] * E)
+        stiffness = forces @ np.linalg.pinv(moments, hermitian=True) @ np.swapaxes(forces, 1, 2)
+        hessian = self._hessian() + np.where(self.body.damping[:, None, None] > 0, 0.0, stiffness)
+        scale = np.abs(hessian).max((1, 2))
+        projection = E @ np.linalg.pinv(E)
+        complement = np.eye(3) - projection
+        hessian = (
+            complement @ hessian @ complement / np.where(scale > 0, scale, 1.0)[:, None, None] + projection
+        )
+        finite = np.asarray(np.isfinite(hessian).all((1, 2)))
+        values = np.full(hessian.shape[:2], np.nan)
+        values[finite] = np.linalg.eigvalsh(hessian[finite])
+        return values
+
+    def energy_stability(self) -> Flags:
+        """Whether the motions are stable by the energy, values of flags.EnergyStability, (points,)."""
+        with np.errstate(all="ignore"):
+            least = self.hessian_eigenvalues()[:, 0]
+            # The energy on the level of a momentum that is constant in space: a maximum is as good as a minimum.
+            polhode = -self.squared_exponents()[:, 0].real
+            least = np.where(self.free, np.where(np.isnan(polhode), 1.0, polhode), least)
+            decided = np.where(least > 0, EnergyStability.YES, EnergyStability.NO)
+            return np.where(np.abs(least) > FAMILY_TOLERANCE, decided, EnergyStability.UNKNOWN).astype(
+                np.int8
+            )
+
+    def _hessian(self) -> Array:
+        """Symmetric part of the Hessian of W, (points, 3, 3)."""
+        hessian = self.body.gradient(self.alpha, self.gamma)[1]
+        return 0.5 * (hessian + np.swapaxes(hessian, 1, 2))
+
+
+def _turn_and_axis(
+    body: Body, w: Array, gamma: Array, rate: Array, any_frame: Mask, from_space: bool
+) -> tuple[Array, NDArray[np.int64], Mask]:
+    """Rate of a frame in which a body is at rest but for a turn about an axis of symmetry, that axis (-1: none), where."""
+    turn = np.where(any_frame, (w * gamma).sum(-1), body.turn)
+    axis, exists = np.full(rate.shape, -1), np.zeros(rate.shape, bool)
+    tolerance = np.where(any_frame, FAMILY_TOLERANCE, _AT_REST) * rate
+    for i in (0, 1, 2):
+        across = [(i + 1) % 3, (i + 2) % 3]
+        square = (gamma[:, across] ** 2).sum(-1)
+        asleep = square <= FAMILY_TOLERANCE**2
+        chosen = (w[:, across] * gamma[:, across]).sum(-1) / np.where(asleep, 1.0, square)
+        momentum = body.inertia[:, i] * w[:, i] + body.rotor[:, i]
+        balanced = 0.0 if from_space else gamma[:, i] * momentum / (2 * body.inertia[:, across[0]])
+        own = np.where(any_frame, np.where(asleep, balanced, chosen), body.turn)
+        turning = length((w - own[:, None] * gamma)[:, across])
+        symmetric = body.symmetric_about(i) & ~exists & ((turning <= tolerance) | (body.damping > 0))
+        turn, axis = np.where(symmetric, own, turn), np.where(symmetric, i, axis)
+        exists |= symmetric
+    rest = (length(w - turn[:, None] * gamma) <= tolerance) | (body.damping > 0)
+    return turn, axis, exists | rest

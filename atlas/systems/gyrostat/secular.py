@@ -1,0 +1,163 @@
+"""All permanent rotations about the vertical of bodies on which nothing acts along the other direction of the frame."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...flags import Completeness
+from ..base import FAMILY_TOLERANCE, Array, Mask, Points, subset
+from ..vectors import length, unit
+from .body import Body
+from .equilibria import padded, stability_at_rest
+from .oscillations import Equilibria
+
+if TYPE_CHECKING:
+    from .system import Gyrostat
+
+PLACES = 12  # columns of directions
+_NEAR_BIFURCATION = 1e-9  # eigenvalue of the amended potential's Hessian, relative to its size
+
+
+class _SecularEquation:
+    """sum b_i^2 / (d_i - L)^2 = 1 for L, as origin + shift with the origin at a pole d_i; arrays (3, points)."""
+
+    def __init__(self, d: Array, b: Array):
+        self.d, self.b = d, b
+        active = b != 0
+        self.exists = active.any(0)
+        # A pole without residue is moved onto one that has it: the empty interval between them has no root.
+        anchor = np.take_along_axis(d, active.argmax(0)[None], 0)
+        self.poles = np.sort(np.where(active, d, anchor), axis=0)
+        self.total = length(b)
+
+    def sum(self, shift: Array, origin: Array, power: int = 2) -> Array:
+        return (self.b**2 / (self.d - origin - shift) ** power).sum(0)
+
+    def direction(self, shift: Array, origin: Array) -> Array:
+        return unit(-self.b / (self.d - origin - shift))
+
+    def residue(self, origin: Array) -> Array:
+        return np.where(self.d == origin, np.abs(self.b), 0.0).max(0)
+
+    def root(self, near: Array, far: Array, origin: Array) -> Array:
+        """Bisection in the logarithm of the distance from the pole: the sum is above 1 at near, below it at far."""
+        side = np.sign(far)
+        near, far = np.abs(near), np.abs(far)
+        for _ in range(64):
+            middle = np.sqrt(near) * np.sqrt(far)
+            inside = self.sum(side * middle, origin) > 1
+            near, far = np.where(inside, middle, near), np.where(inside, far, middle)
+        return side * far
+
+    def minimum(self, low: Array, high: Array) -> Array:
+        """Distance from the pole low, towards the pole high, at which the sum is least."""
+        near, far = np.zeros_like(low), high - low
+        for _ in range(60):
+            middle = 0.5 * (near + far)
+            rising = self.sum(middle, low, 3) > 0
+            near, far = np.where(rising, near, middle), np.where(rising, middle, far)
+        return near
+
+
+def directions(body: Body, towards: Array | None = None) -> tuple[Array, NDArray[np.int8]]:
+    """All directions g of the vertical in the body at which the body can rest in the frame, where nothing acts along alpha.
+
+    g = -b / (d - L) with d = (n^2 - N) I, b = n l + Mg r_c of a body about a fixed point, and L a root of the secular equation
+    sum b_i^2 / (d_i - L)^2 = 1, which has one root outside each end pole and none or two between
+    neighbours; a component with b_i = 0 also allows L = d_i with g_i free.
+
+    towards: direction that selects the member of a circle of solutions, (3, points). Returns g, directions, nan in unused
+    columns. There are 2, 4 or 6 isolated ones unless some family is degenerate, (3, 12, points); dimension, dimension of the
+    set that each belongs to: 0 isolated, 1 a circle, 2 every direction, -1 unused, (12, points).
+    """
+    d = (body.turn**2 - body.gamma.gradient) * body.inertia.T
+    b = body.turn * body.rotor.T - body.gamma.field.T
+    order = np.argsort(d, axis=0, kind="stable")
+    d, b = np.take_along_axis(d, order, 0), np.take_along_axis(b, order, 0)
+    towards = np.ones_like(d) if towards is None else np.take_along_axis(towards, order, 0)
+    g, dimension = np.full((3, PLACES, *d.shape[1:]), np.nan), np.full((PLACES, *d.shape[1:]), -1, np.int8)
+    with np.errstate(all="ignore"):
+        _roots_of_secular_equation(_SecularEquation(d, b), g, dimension)
+        _free_components(d, b, towards, g, dimension)
+    inverse = np.argsort(order, axis=0)
+    return np.take_along_axis(g, np.broadcast_to(inverse[:, None], g.shape), 0), dimension
+
+
+def _roots_of_secular_equation(equation: _SecularEquation, g: Array, dimension: NDArray[np.int8]) -> None:
+    """Write the directions of the roots into columns 0 to 5."""
+
+    def write(column: int, shift: Array, origin: Array, exists: Mask) -> None:
+        g[:, column] = np.where(exists, equation.direction(shift, origin), np.nan)
+        dimension[column] = np.where(exists, 0, -1)
+
+    for column, end, side in ((0, 0, -1.0), (1, 2, 1.0)):
+        origin = equation.poles[end]
+        shift = equation.root(side * equation.residue(origin), side * equation.total, origin)
+        write(column, shift, origin, equation.exists)
+    for column, left in ((2, 0), (4, 1)):
+        low, high = equation.poles[left], equation.poles[left + 1]
+        width, minimum = high - low, equation.minimum(low, high)
+        exists = equation.exists & (width > 0) & (equation.sum(minimum, low) < 1)
+        write(column, equation.root(equation.residue(low), minimum, low), low, exists)
+        write(column + 1, equation.root(-equation.residue(high), minimum - width, high), high, exists)
+
+
+def _free_components(d: Array, b: Array, towards: Array, g: Array, dimension: NDArray[np.int8]) -> None:
+    """Write the solutions L = d_i, of which the components g_i are free, into columns 6 to 11."""
+    for i in range(3):
+        group = d == d[i]
+        free = ~(group & (b != 0)).any(0) & (group.argmax(0) == i)
+        fixed = np.where(group, 0.0, -b / (d - d[i]))
+        remainder = 1 - (fixed**2).sum(0)
+        size = group.sum(0)
+        inside = np.where(group, towards, 0.0)
+        inside = unit(np.where(length(inside) > 0, inside, group)) * np.sqrt(remainder)
+        for column, side in ((6 + 2 * i, 1.0), (7 + 2 * i, -1.0)):
+            exists = free & (remainder > 0) & ((size == 1) | (side > 0))
+            g[:, column] = np.where(exists, fixed + side * inside, np.nan)
+            dimension[column] = np.where(exists, size - 1, -1)
+
+
+def rotations(system: Gyrostat, points: Points) -> dict[str, NDArray[Any]]:
+    """All permanent rotations of bodies about the vertical, each at its rate n (0: positions of rest).
+
+    points: every parameter, arrays (bodies,), of a system in which nothing acts along alpha. A set of solutions is represented
+    by one member. Returns row, the number of the body, and in the order of theta theta0, phi0 (rad); gamma; dimension (0
+    isolated, 1 a circle, 2 every direction); index (number of directions in which the amended potential decreases; 0 is
+    stable); stable, growth_rate as System.linear_stability; frequency_1 to frequency_3, see Gyrostat.frequencies; circle; flat,
+    where an eigenvalue of the amended potential's Hessian is zero but for _NEAR_BIFURCATION.
+    """
+    turning = system.body(points)._replace(turn=points["n"])
+    vectors, dimensions = directions(turning)
+    column, body = np.nonzero(dimensions >= 0)
+    g = vectors[:, column, body]
+    theta, phi = np.arctan2(np.hypot(g[0], g[1]), g[2]), np.arctan2(g[0], g[1])
+    order = np.lexsort([g[0], theta, body])
+    g, body, theta, phi = g[:, order], body[order], theta[order], phi[order]
+    dimension = dimensions[column[order], body]
+    start = {"theta0": theta, "phi0": phi, "n": points["n"][body]}
+    turning, gamma = turning.subset(body), g.T
+    rate = turning.rate(turning.turn[:, None] * gamma)
+    vertical = np.stack([gamma, np.zeros_like(gamma)], -1)
+    scaled = turning.scaled(rate)
+    equilibria = Equilibria(
+        np.arange(theta.size), scaled, gamma, gamma, rate, vertical, np.zeros(theta.shape, bool)
+    )
+    values = equilibria.hessian_eigenvalues()
+    return {
+        "row": body, "theta0": theta, "phi0": phi, "gamma": gamma, "dimension": dimension,
+        "index": (values < -FAMILY_TOLERANCE).sum(1).astype(np.int8), **stability_at_rest(system, subset(points, body), start),
+        "circle": dimension == 1, "flat": (np.abs(values) <= _NEAR_BIFURCATION).any(1),
+    }  # fmt: skip
+
+
+def rotations_of_bodies(system: Gyrostat, points: Points) -> dict[str, NDArray[Any]]:
+    """The same with the arrays of the bodies padded, (bodies, places), and completeness, values of flags.Completeness."""
+    result = padded(rotations(system, points), points["n"].size, PLACES)
+    near = (result.pop("flat") & (result["dimension"] == 0)).any(1)
+    flags = np.where(near, Completeness.NEAR_BIFURCATION, Completeness.COMPLETE)
+    flags = np.where((result["dimension"] > 0).any(1), Completeness.NOT_ISOLATED, flags)
+    return result | {"completeness": flags.astype(np.int8)}

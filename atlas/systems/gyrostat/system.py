@@ -1,0 +1,159 @@
+"""What a gyrostat has from its body and its families alone: stability, small oscillations, stability by the energy."""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...flags import Stability
+from ..base import Array, Flags, Points, System, stability_by_family, subset
+from . import equilibria, floquet
+from .body import Body, length
+from .oscillations import Equilibria
+from .variables import oscillation_variables
+
+_CHUNK = 2048  # points whose exponents are computed together
+# Growth over a run, as a logarithm, up to which amplitudes may change without an instability.
+_AMPLITUDE_GROWTH = 10.0
+
+
+class Gyrostat(System):
+    """Gyrostat in a frame that turns uniformly about its vertical; the theory follows from `body`.
+
+    Its states are `rate_states`, the angular velocity in space, and the ``FRAME_VECTORS`` of its equations, of which the last
+    is the vertical; of two the first is the other direction of `Body`.
+    """
+
+    moments_of_inertia = ("A", "B", "C")
+    frequency_comment = "nan for exponents that are 0 or have a real part, and off every family"
+    """Where the variables of frequencies have no value."""
+    energy_comment = "on the level of the momenta that are constant"
+    """On which level of which integrals the energy decides."""
+
+    def __init__(self) -> None:
+        self.derived = {**type(self).derived, **oscillation_variables(self)}
+
+    @abstractmethod
+    def body(self, points: Points) -> Body:
+        """The body, the frame and what acts, with vectors of shape (points, 3)."""
+
+    def frequency_bound(self, points: Points) -> Array:
+        """From the energy, see Body.frequency_bound."""
+        w, alpha, gamma = self.start(points, steady=False)
+        return self.body(points).frequency_bound(w, alpha, gamma)
+
+    def start(self, points: Points, steady: bool = True) -> tuple[Array, Array, Array]:
+        """w, alpha and gamma at the start, each (points, 3) in body axes; steady: with theta_dot0 = 0."""
+        if steady and "theta_dot0" in points:
+            points = {**points, "theta_dot0": np.zeros_like(points["theta_dot0"])}
+        state = dict(zip(self.equations.STATE, self.initial_state(points), strict=True))
+        *others, gamma = (
+            np.stack([state[name] for name in names], -1)
+            for names in (self.rate_states, *self.equations.FRAME_VECTORS)
+        )
+        if len(others) == 2:
+            return others[0], others[1], gamma
+        across = np.cross(gamma, np.eye(3)[np.abs(gamma).argmin(-1)])
+        return others[0], across / length(across)[..., None], gamma
+
+    def oscillation_families(self, points: Points) -> Flags:
+        """Families of the motions of which the frequencies and the stability by the energy are given."""
+        return self.identify_family(points)[0]
+
+    def linear_stability(self, points: Points, flags: Flags) -> tuple[Flags, Array]:
+        """From the closed form of the family, where it decides and nothing is damped, else from the linear equations."""
+        stable, growth = stability_by_family(self.families, points, flags)
+        if "damping" in points:  # the closed forms are without it
+            damped = points["damping"] > 0
+            stable[damped], growth[damped] = Stability.UNKNOWN, np.nan
+        remaining = np.flatnonzero((flags > 0) & (stable == Stability.UNKNOWN))
+        for first in range(0, remaining.size, _CHUNK):
+            chunk = remaining[first : first + _CHUNK]
+            stable[chunk], growth[chunk] = self.stability(subset(points, chunk))
+        return stable, growth
+
+    def stability(self, points: Points) -> tuple[Flags, Array]:
+        """Stability and growth rate from eigenvalues or multipliers alone; the points start steady motions, (points,)."""
+        body, start = self.body(points), self.start(points)
+        stable, growth = np.zeros(start[0].shape[0], np.int8), np.full(start[0].shape[0], np.nan)
+        rest = Equilibria.of(body, *start)
+        stable[rest.points], growth[rest.points] = rest.stability()
+        moving = _others(rest, growth.size)
+        if moving.size:
+            part = (vector[moving] for vector in start)
+            stable[moving], growth[moving] = floquet.stability(body.subset(moving), *part)
+        return stable, growth
+
+    def log_growth(self, points: Points, flags: Flags, growth_rate: Array, duration: Array) -> Array:
+        """Growth over a run as System.log_growth.
+
+        A run that is shorter than the period of the linear system may meet its unstable phases alone: there it is the
+        growth from the start to the end of the run, where that is larger than changes of the amplitude.
+        """
+        result = growth_rate * duration
+        w, _, gamma = self.start(points)
+        turn = self.body(points).turn
+        short = length(w - turn[:, None] * gamma) * duration < 2 * np.pi
+        where = np.flatnonzero((flags > 0) & short)
+        where = where[
+            stability_by_family(self.families, subset(points, where), flags[where])[0] == Stability.UNKNOWN
+        ]
+        for first in range(0, where.size, _CHUNK):
+            chunk = where[first : first + _CHUNK]
+            part = subset(points, chunk)
+            body, start = self.body(part), self.start(part)
+            moving = _others(Equilibria.of(body, *start), chunk.size)
+            if not moving.size:
+                continue
+            members = chunk[moving]
+            w, alpha, gamma = (vector[moving] for vector in start)
+            phases = floquet.log_growth(body.subset(moving), w, alpha, gamma, duration[members])
+            result[members] = np.where(
+                phases > _AMPLITUDE_GROWTH, np.fmax(result[members], phases), result[members]
+            )
+        return result
+
+    def equilibria(self, body: Mapping[str, float]) -> dict[str, NDArray[Any]]:
+        """All relative equilibria of one body, see equilibria.equilibria; start values are ignored."""
+        return equilibria.equilibria(self, self.with_defaults(body))
+
+    def with_defaults(self, body: Mapping[str, float]) -> Points:
+        """Every parameter of one body, arrays (1,); those left out take their defaults."""
+        return {k: np.full(1, float(body.get(k, p.default))) for k, p in self.parameters.items()}
+
+    def equilibria_of_bodies(
+        self, points: Points, pause: Callable[[], None] = lambda: None, stability: bool = True
+    ) -> dict[str, NDArray[Any]]:
+        """All relative equilibria of many bodies, see equilibria.equilibria_of_bodies."""
+        return equilibria.equilibria_of_bodies(self, points, pause, stability)
+
+    def frequencies(self, points: Points, flags: Flags) -> Array:
+        """Frequencies of the small oscillations about steady motions.
+
+        points: 1-D arrays of one length; flags: families, as identify_family gives them; only whether there is one counts. Returns
+        rad per time unit, the largest first; nan for exponents that are 0 or have a real part, off every family, and where
+        the linear equations are periodic, (points, 3).
+        """
+        result, members = np.full((flags.size, 3), np.nan), np.flatnonzero(flags > 0)
+        with np.errstate(all="ignore"):
+            part = subset(points, members)
+            rest = Equilibria.of(self.body(part), *self.start(part))
+            result[members[rest.points]] = rest.frequencies()
+        return result
+
+    def energy_stability(self, points: Points, flags: Flags) -> Flags:
+        """Whether steady motions are stable by the energy, values of flags.EnergyStability."""
+        result, members = np.zeros(flags.shape, np.int8), np.flatnonzero(flags > 0)
+        part = subset(points, members)
+        rest = Equilibria.of(self.body(part), *self.start(part), from_space=False)
+        result[members[rest.points]] = rest.energy_stability()
+        return result
+
+
+def _others(rest: Equilibria, count: int) -> NDArray[np.int64]:
+    """Motions that are no equilibria, of so many."""
+    return np.delete(np.arange(count), rest.points)

@@ -1,0 +1,135 @@
+"""Small oscillations, stability by the energy and numbers of equilibria as variables that a scene may ask for."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection
+from functools import partial
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...flags import Completeness, EnergyStability, Stability, StabilityKind
+from ..base import Array, DerivedVariable, Flags, Points, subset
+
+if TYPE_CHECKING:
+    from .system import Gyrostat
+
+FREQUENCIES = ("frequency_1", "frequency_2", "frequency_3")
+
+
+def oscillation_variables(system: Gyrostat) -> dict[str, DerivedVariable]:
+    """The variables frequency_1, frequency_2 and frequency_3, the largest first, energy_stable and stability_kind."""
+
+    def together(
+        names: Collection[str], points: Points, duration: Array, pause: Callable[[], None]
+    ) -> dict[str, NDArray[Any]]:
+        columns: dict[str, NDArray[Any]] = {}
+        pause()
+        with np.errstate(all="ignore"):
+            flags = system.oscillation_families(points)
+            if not set(FREQUENCIES).isdisjoint(names):
+                pause()
+                columns |= dict(zip(FREQUENCIES, system.frequencies(points, flags).T, strict=True))
+            if not {"stability_kind", "energy_stable"}.isdisjoint(names):
+                pause()
+                columns["energy_stable"] = system.energy_stability(points, flags)
+            if "stability_kind" in names:
+                pause()
+                stable, growth = system.linear_stability(points, flags)
+                columns["stability_kind"] = stability_kind(stable, growth, columns["energy_stable"])
+        return columns
+
+    variables = [
+        DerivedVariable.of_group(
+            together,
+            name,
+            "rad s-1",
+            f"{order} frequency of small oscillations about the steady motion",
+            system.frequency_comment,
+        )
+        for name, order in zip(FREQUENCIES, ("largest", "second", "third"), strict=True)
+    ]
+    variables += [
+        DerivedVariable.of_group(
+            together, name, "1", long_name, system.energy_comment, flags=flags.meanings()
+        )
+        for name, long_name, flags in (
+            ("energy_stable", "stability of the steady motion by the energy, from theory", EnergyStability),
+            ("stability_kind", "linear stability and stability by the energy, from theory", StabilityKind),
+        )
+    ]
+    return {variable.name: variable for variable in variables}
+
+
+def stability_kind(linear: Flags, growth: Array, energy: Flags) -> Flags:
+    """Values of flags.StabilityKind, (points,), from those of Stability with the growth rate and of EnergyStability."""
+    stable = linear == Stability.STABLE
+    conditions = [
+        linear == Stability.UNSTABLE,
+        stable & (energy == EnergyStability.YES),
+        (linear == Stability.UNKNOWN) & (growth == 0),
+        stable & (energy == EnergyStability.NO),
+        stable,
+    ]
+    kinds = [
+        StabilityKind.UNSTABLE,
+        StabilityKind.ENERGY_STABLE,
+        StabilityKind.MARGINAL,
+        StabilityKind.GYROSCOPIC,
+        StabilityKind.LINEARLY_STABLE,
+    ]
+    return np.select(conditions, kinds, StabilityKind.UNKNOWN).astype(np.int8)
+
+
+def count_variables(system: Gyrostat) -> dict[str, DerivedVariable]:
+    """Numbers of relative equilibria of each body; nan where some form circles or surfaces."""
+    body = [name for name, parameter in system.parameters.items() if not parameter.start]
+    # Counts of the bodies that were computed last: a scene asks for several counts of the same bodies.
+    last: dict[bytes, dict[str, Array]] = {}
+
+    def count(which: str, points: Points, _: Array, pause: Callable[[], None]) -> Array:
+        """Points that differ in their start alone share one search."""
+        rows, inverse = np.unique(np.stack([points[name] for name in body], -1), axis=0, return_inverse=True)
+        key = rows.tobytes()
+        if key not in last:
+            start = {name: np.zeros(len(rows)) for name in points if name not in body}
+            counts = _counts(system, dict(zip(body, rows.T, strict=True)) | start, pause)
+            last.clear()
+            last[key] = counts
+        return last[key][which][inverse]
+
+    comment = "nan where some are not isolated; depends on body, rotor and fields alone"
+    variables = [
+        DerivedVariable(name, "1", long_name, partial(count, which), comment, is_count=True)
+        for name, which, long_name in (
+            ("equilibrium_count", "all", "number of relative equilibria"),
+            ("equilibrium_stable_count", "stable", "number of linearly stable relative equilibria"),
+            (
+                "equilibrium_energy_stable_count",
+                "energy_stable",
+                "number of relative equilibria that are minima of the amended potential",
+            ),
+        )
+    ]
+    return {variable.name: variable for variable in variables}
+
+
+def _counts(system: Gyrostat, points: Points, pause: Callable[[], None]) -> dict[str, Array]:
+    """Numbers of equilibria of bodies (bodies,): all, the linearly stable ones, the minima of the amended potential."""
+    given = system.body(points)
+    # About an axis of symmetry every equilibrium can be turned: there is no need to search.
+    countable = np.flatnonzero(~np.any([given.symmetric_about(i) for i in range(3)], axis=0))
+    counts = {which: np.full(points["A"].size, np.nan) for which in ("all", "stable", "energy_stable")}
+    if not countable.size:
+        return counts
+    equilibria = system.equilibria_of_bodies(subset(points, countable), pause)
+    isolated = np.isin(equilibria["completeness"], (Completeness.COMPLETE, Completeness.NEAR_BIFURCATION))
+    counted = {
+        "all": equilibria["index"] >= 0,
+        "stable": equilibria["stable"] == Stability.STABLE,
+        "energy_stable": (equilibria["index"] == 0) & ~equilibria["degenerate"],
+    }
+    for which, where in counted.items():
+        counts[which][countable] = np.where(isolated, where.sum(1), np.nan)
+    return counts

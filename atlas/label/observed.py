@@ -182,10 +182,10 @@ def _recheck(
         if sample.size:
             coarser = second_steps(system, runs.step_sizes.subset(sample), method)
             other = runs.repeated(sample, coarser)
-            change = _change(system, subset(measured, sample), other.statistics(system))
-            state = _state_change(measurement.final_state[:, sample], other.final_state)
             ratio = runs.step_sizes.steps[sample] / coarser.steps
-            change /= np.abs(ratio**STATISTICS_ORDER - 1.0)
+            order = np.abs(ratio**STATISTICS_ORDER - 1.0)
+            change = _change(system, subset(measured, sample), other.statistics(system), order)
+            state = _state_change(measurement.final_state[:, sample], other.final_state)
             state /= np.abs(ratio**method.order - 1.0)
             # Two runs may agree by chance.
             error[sample] = np.fmax.reduce([change, state, 0.3 * error[sample]])
@@ -201,13 +201,19 @@ def _recheck(
         return np.fmax(error, measured["integral_drift"]), step_sensitive
 
 
-def _change(system: System, measured: Mapping[str, Array], other: Mapping[str, Array]) -> Array:
-    """Largest difference of a statistic of two runs, over the largest magnitude of its observable."""
+def _change(
+    system: System, measured: Mapping[str, Array], other: Mapping[str, Array], order: Array | float = 1.0
+) -> Array:
+    """Largest difference of a statistic of two runs, over the largest magnitude of its observable.
+
+    order: what the differences of integrals are divided by; those of extremes have no order, for they lie anywhere between nodes.
+    """
     changes = []
     for name, size in sizes(system, measured).items():
         for suffix in observation.STATISTICS:
             difference = np.abs(measured[f"{name}_{suffix}"] - other[f"{name}_{suffix}"])
-            changes.append(np.divide(difference, size, out=np.zeros_like(size), where=size > 0))
+            scale = size if suffix in ("min", "max") else size * order
+            changes.append(np.divide(difference, scale, out=np.zeros_like(size), where=size > 0))
     return np.asarray(np.fmax.reduce(changes))
 
 

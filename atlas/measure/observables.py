@@ -152,14 +152,18 @@ class Observables(Instrument):
         """As `errors`."""
         return self.errors(run, relative)
 
-    def rate_change(self, run: Run, other: Run) -> Array:
-        """Largest difference of a statistic, over the largest magnitude of its observable."""
+    def rate_change(self, run: Run, other: Run, order: Array | float = 1.0) -> Array:
+        """Largest difference of a statistic, over the largest magnitude of its observable.
+
+        Differences of integrals are divided by `order`; those of extremes have none, for they lie anywhere between nodes.
+        """
         changes = []
         for name, size in sizes(run.system, run.measured).items():
             for suffix in STATISTICS:
                 statistic = f"{name}_{suffix}"
                 difference = np.abs(run.measured[statistic] - other.measured[statistic])
-                changes.append(np.divide(difference, size, out=np.zeros_like(size), where=size > 0))
+                scale = size if suffix in ("min", "max") else size * order
+                changes.append(np.divide(difference, scale, out=np.zeros_like(size), where=size > 0))
         return np.asarray(np.fmax.reduce(changes))
 
     def pair_error(self, run: Run, coarse: Run, expected: Array) -> Array:
@@ -169,7 +173,7 @@ class Observables(Instrument):
         size = np.maximum(np.abs(state), np.abs(state).mean(axis=0))
         change = np.divide(np.abs(state - other), size, out=np.zeros_like(size), where=size > 0).max(axis=0)
         change /= np.abs(ratio ** METHODS[run.settings.method].order - 1.0)
-        statistics = self.rate_change(run, coarse) / np.abs(ratio**STATISTICS_ORDER - 1.0)
+        statistics = self.rate_change(run, coarse, np.abs(ratio**STATISTICS_ORDER - 1.0))
         return np.asarray(np.fmax.reduce([statistics, change, 0.3 * expected]))
 
 

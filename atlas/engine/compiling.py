@@ -58,7 +58,7 @@ def _seconds(now: float) -> float:
 
 
 class Stopwatch:
-    """Seconds since it was made, without those in which this process compiled a kernel."""
+    """Seconds since it was made in which this process compiled no kernel."""
 
     def __init__(self) -> None:
         now = time.perf_counter()

@@ -10,8 +10,7 @@ from fractions import Fraction
 class Method:
     """A fixed-step explicit Runge-Kutta method and its errors on x' = i w x with y = w h.
 
-    Raises ValueError where the tableau has the wrong shape or fails the conditions of the first and second
-    order.
+    Raises ValueError for a tableau of the wrong shape or that fails the conditions of order 1 and 2.
     """
 
     name: str

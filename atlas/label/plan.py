@@ -22,9 +22,7 @@ class Plan:
 
     system: System
     settings: Settings
-    outputs: Collection[str] | None = (
-        None  # variables that are wanted; None: those of `variables.default_variables`
-    )
+    outputs: Collection[str] | None = None  # variables that are wanted; None: `variables.default_variables`
     specialization: Specialization = GENERIC  # what the kernels leave out
     nudged: bool = False  # whether points were moved off a family's motions
 

@@ -42,7 +42,6 @@ class BlockSchedule(NamedTuple):
 
     @property
     def nodes(self) -> NDArray[np.int64]:
-        """Nodes of a whole run, (blocks,)."""
         return self.steps // self.steps_per_sample + 1
 
 
@@ -80,7 +79,6 @@ def schedule_of(step_sizes: StepSizes, where: NDArray[np.int64] | None = None) -
 
 
 def available_threads() -> int:
-    """Processors that this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 

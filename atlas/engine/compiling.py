@@ -65,6 +65,5 @@ class Stopwatch:
         self._start = now - _seconds(now)
 
     def seconds(self) -> float:
-        """Seconds until now."""
         now = time.perf_counter()
         return now - _seconds(now) - self._start

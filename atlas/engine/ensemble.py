@@ -57,12 +57,10 @@ class Integration:
     stopped_early: Mask  # whether the point was certain to drift before its end
 
     def subset(self, where: NDArray[np.int64]) -> Integration:
-        """Some of the points, by their indices."""
         return Integration(*(each[..., where] for each in vars(self).values()))
 
     @property
     def finite(self) -> Mask:
-        """Whether state and sums are finite, bool of shape (points,)."""
         return np.asarray(np.isfinite(self.final_state).all(0) & np.isfinite(self.sums).all(0))
 
 
@@ -90,11 +88,9 @@ class Ensemble:
 
     @property
     def size(self) -> int:
-        """Number of points."""
         return self.state.shape[1]
 
     def subset(self, where: NDArray[np.int64]) -> Ensemble:
-        """Some of the points, by their indices."""
         return Ensemble(*(np.ascontiguousarray(each[..., where]) for each in vars(self).values()))
 
     def arrays(self, kernel: ModuleType, step_size: Array, cylinder: float = 0.0) -> blocks.Arrays:

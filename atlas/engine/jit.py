@@ -242,7 +242,6 @@ class _MachineCode(NullCache):
             return None
 
     def save_overload(self, signature: Any, compiled: Any) -> None:
-        """Write a compiled function."""
         if compiled.lifted or compiled.library.has_dynamic_globals:
             return
         path, key = self._place(signature, compiled.codegen)

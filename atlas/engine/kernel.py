@@ -97,7 +97,6 @@ def store_motion(nodes, slot, row, l, motion):
 
 
 def motion_at(nodes, slot, l):
-    """The motion at a node."""
     return (
         nodes[slot, 0, l], nodes[slot, 1, l], nodes[slot, 2, l],
         nodes[slot, 3, l], nodes[slot, 4, l], nodes[slot, 5, l],
@@ -115,7 +114,6 @@ def interpolate(nodes, slots, weights, row, l):
 
 
 def interpolated_motion(nodes, slots, weights, l):
-    """The motion between four nodes."""
     return (
         interpolate(nodes, slots, weights, 0, l),
         interpolate(nodes, slots, weights, 1, l),
@@ -242,7 +240,6 @@ def evaluate_node(nodes, slot, slopes, state, constants, inverse_unit):
 
 
 def add_node(stats, nodes, slot, weight, cylinder_squared):
-    """Add a node to the statistics."""
     for l in range(WIDTH):
         motion = motion_at(nodes, slot, l)
         accumulate(stats, l, motion, weight, cylinder_squared)

@@ -67,7 +67,6 @@ def store_ends(points, block, step_size, state, constants, state0):
 
 
 def store_sums(points, block, sums, out):
-    """Write the sums of a block's points."""
     for l in range(WIDTH):
         p = points[block, l]
         for row in range(sums.shape[0]):

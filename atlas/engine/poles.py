@@ -192,7 +192,6 @@ def complex_inverse(z):
 
 
 def square_root(z):
-    """A square root of z."""
     size = np.sqrt(z.real * z.real + z.imag * z.imag)
     real, imag = np.sqrt(0.5 * abs(size + z.real)), np.sqrt(0.5 * abs(size - z.real))
     return complex(real, imag if z.imag >= 0.0 else -imag)

@@ -70,7 +70,6 @@ def tangent_source(system: System, specialization: Specialization = GENERIC) -> 
 
 @cache
 def tangent_kernel(system: System, specialization: Specialization = GENERIC) -> ModuleType:
-    """The compiled module of `tangent_source`."""
     return jit.load(tangent_source(system, specialization))
 
 

@@ -113,7 +113,6 @@ def begin(stats, l, motion, cylinder_squared):
 
 
 def accumulate(stats, l, motion, weight, cylinder_squared):
-    """Add one sample to lane l of the sums."""
     theta_dot, psi_dot, phi_dot, normal_rate, _, outside = sample(motion, cylinder_squared)
     psi_dot = (psi_dot - stats[Row.PSI_DOT_REFERENCE, l]) * outside
     phi_dot = (phi_dot - stats[Row.PHI_DOT_REFERENCE, l]) * outside

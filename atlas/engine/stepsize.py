@@ -126,7 +126,6 @@ class StepSizes:
         )
 
     def subset(self, where: NDArray[np.int64]) -> StepSizes:
-        """Step sizes of some points, by their indices."""
         return StepSizes(**{field.name: getattr(self, field.name)[where] for field in fields(self)})
 
     def halved(self, method: Method) -> StepSizes:

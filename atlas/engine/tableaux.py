@@ -38,7 +38,6 @@ class Method:
 
     @property
     def stages(self) -> int:
-        """Number of stages."""
         return len(self.b)
 
 

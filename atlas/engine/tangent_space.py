@@ -42,7 +42,6 @@ def own_components(equations: ModuleType) -> list[int]:
 
 
 def size(equations: ModuleType) -> int:
-    """Number of components of a tangent vector."""
     return len(own_components(equations)) + (3 if rotates(equations) else 0)
 
 

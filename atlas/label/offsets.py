@@ -113,7 +113,6 @@ class _SteadyMotions:
 
     @classmethod
     def of(cls, system: System, points: Points) -> _SteadyMotions:
-        """The motions of some points."""
         constants, state = system.constants(points), np.array(system.initial_state(points))
         _, n, m = (np.array(value, float) for value in system.steady_rates(points))
         u, g = np.split(np.array(system.equations.frame_motion(state, constants)), 2)
@@ -123,7 +122,6 @@ class _SteadyMotions:
         return cls(system, constants, state, n, m, offset)
 
     def subset(self, where: NDArray[np.int64]) -> _SteadyMotions:
-        """Some of them, by their indices."""
         arrays = (values[..., where] for values in (self.constants, self.state, self.n, self.m, self.offset))
         return _SteadyMotions(self.system, *arrays)
 
@@ -167,7 +165,6 @@ class _SteadyMotions:
 
 
 def _indices(system: System, names: Iterable[str]) -> list[int]:
-    """Indices of states."""
     return [system.equations.STATE.index(name) for name in names]
 
 

@@ -99,7 +99,6 @@ class _Runs:
         ).measure()  # fmt: skip
 
     def again(self, run: Run, step_sizes: StepSizes) -> Run:
-        """Integrate the points of a run with other steps."""
         integration = run.ensemble.integrate(
             self.plan.kernel, step_sizes, run.settings.cylinder, threads=self.execution.threads, progress=self.execution.check
         )  # fmt: skip
@@ -112,7 +111,6 @@ class _Runs:
             return resolved if self.tangent is None else resolved & self.tangent.steps.resolved
 
     def status(self, run: Run, step_sensitive: Mask | bool) -> Flags:
-        """Status of the points."""
         with np.errstate(all="ignore"):
             return labels.status(
                 run.integration.finite, run.measured["integral_drift"], run.settings.drift_tolerance,

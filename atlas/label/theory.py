@@ -184,7 +184,6 @@ def _identify(system: System, points: Points) -> tuple[Flags, Array]:
 def _predict(
     system: System, points: Points, family: Flags, tolerances: Tolerances, nudged: Mask | bool
 ) -> dict[str, np.ndarray]:
-    """See `predict`."""
     stable, growth = system.linear_stability(points, family)
     sine, n, m = system.steady_rates(points)
     result: dict[str, np.ndarray] = {"family": family, "stable": stable, "growth_rate": growth}

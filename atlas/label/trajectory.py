@@ -110,7 +110,6 @@ def trajectory(
 def _trajectory(
     system: System, point: Mapping[str, Any], duration: float, samples: int, settings: Settings, title: str
 ) -> xr.Dataset:
-    """As `trajectory`, with a title."""
     checks.whole_number("samples", samples, 2, MAX_SAMPLES)
     duration = checks.positive("duration", duration)
     points, size = point_columns(system, point)

@@ -84,7 +84,6 @@ class TangentSteps:
         return np.minimum(np.maximum(NODES, -(-self.steps // MAX_STEPS_PER_NODE)), self.steps)
 
     def subset(self, where: NDArray[np.int64]) -> TangentSteps:
-        """Steps of some points, by their indices."""
         return TangentSteps(self.steps[where], self.step_size[where], self.resolved[where])
 
 
@@ -194,7 +193,6 @@ class Chaos(Instrument):
     """Runs with a tangent vector, of bodies and of systems with observables."""
 
     def every_variable(self, system: System) -> tuple[Variable, ...]:
-        """The indicators and the flag."""
         tangent = _TANGENT_OF_STATES if system.observables else _TANGENT
         comment = (
             f"{tangent}; integrated by rk8 with at most 0.3 rad of the fastest frequency a step; nan where the status is not ok, and"

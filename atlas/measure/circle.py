@@ -331,17 +331,14 @@ class Circle(Instrument):
         )  # fmt: skip
 
     def variables(self, system: System) -> tuple[Variable, ...]:
-        """None of a system that describes no body in a frame."""
         return () if system.observables else existing(system, self.every_variable(system))
 
     def wanted(self, system: System, outputs: Collection[str]) -> bool:
-        """Whether one of these variables needs the sums."""
         if self.inertial:
             return self.name in outputs and system.frame_rate is not None
         return not system.observables and not set(ANY_AXIS).isdisjoint(outputs)
 
     def constants(self, system: System, points: Points, start: Ensemble) -> Array:
-        """Rows of `Axis`."""
         bound = start.frequency_bound
         rate = system.frame_rate(points) if self.inertial and system.frame_rate else np.zeros_like(bound)
         return circle_axes(system.equations, start.state, start.constants, rate, bound)
@@ -366,7 +363,6 @@ class Circle(Instrument):
         return {self.name: Rule(label_of, names, {f"{self.name}:spin": 0.0})}
 
     def _statistics(self, measured: Measured) -> dict[str, Array]:
-        """STATISTICS."""
         return {key: measured[f"{self.name}:{key}"] for key in STATISTICS}
 
     def errors(self, run: Run, relative: Array) -> dict[str, Array]:
@@ -418,7 +414,6 @@ class Circle(Instrument):
         return np.asarray(np.fmax.reduce([np.zeros_like(run.bound), *changes]))
 
     def columns(self, run: Run, columns: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
-        """RATES and ANGLES where the status is ok."""
         ok = columns["status"] == Status.OK
         names = () if self.inertial else (*RATES, *ANGLES)
         return {name: np.where(ok, columns[name], np.nan) for name in names}
@@ -429,7 +424,6 @@ CIRCLES = (Circle(), Circle("label_any_axis_inertial"))
 
 
 def is_steady(label: Flags) -> Mask:
-    """Whether a label names a steady motion."""
     return np.isin(label, (Label.REGULAR_PRECESSION, Label.PERMANENT_ROTATION))
 
 

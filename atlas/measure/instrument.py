@@ -152,7 +152,6 @@ class Run:
         return errors, relative
 
     def subset(self, where: NDArray[np.int64]) -> Run:
-        """Some of the points, by their indices."""
         return replace(
             self,
             ensemble=self.ensemble.subset(where),

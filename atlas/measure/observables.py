@@ -46,7 +46,6 @@ class Observables(Instrument):
     unsteadiness_text = "largest standard deviation of an observable over its tolerance"
 
     def variables(self, system: System) -> tuple[Variable, ...]:
-        """None of a system without observables."""
         if not system.observables:
             return ()
         flag = [
@@ -69,13 +68,11 @@ class Observables(Instrument):
         return (*flag, *measured, *step_variables(system), error, end_time)
 
     def statistics(self, system: System) -> tuple[str, ...]:
-        """Of every observable."""
         return tuple(
             f"{observable.name}_{suffix}" for observable in system.observables for suffix in STATISTICS
         )
 
     def unsteadiness(self, system: System, measured: Measured, settings: Any) -> Array:
-        """Over the tolerance."""
         limits = std_tolerances(system, settings)
         shares = [measured[f"{name}_std"] / limit for name, limit in limits.items()]
         return np.asarray(np.fmax.reduce(shares))
@@ -125,7 +122,6 @@ class Observables(Instrument):
         return result
 
     def rules(self, run: Run, rules: Mapping[str, Rule]) -> dict[str, Rule]:
-        """Whether all observables are constant."""
         limits = std_tolerances(run.system, run.settings)
         return {"label": Rule(partial(label, limits=limits), tuple(f"{name}_std" for name in limits))}
 
@@ -148,7 +144,6 @@ class Observables(Instrument):
         return errors
 
     def differences(self, run: Run, other: Run, relative: Array) -> dict[str, Array]:
-        """As `errors`."""
         return self.errors(run, relative)
 
     def rate_change(self, run: Run, other: Run) -> Array:

@@ -44,7 +44,6 @@ class Rates(Instrument):
     """The main instrument of a body in a frame."""
 
     def every_variable(self, system: System) -> tuple[Variable, ...]:
-        """Whether or not the system has them."""
         families = {"none": "no family of steady motions"} | {
             f.name: f.title for f in system.families.values()
         }
@@ -82,14 +81,12 @@ class Rates(Instrument):
         return (*flag, *measured, *numerics, *theory)
 
     def variables(self, system: System) -> tuple[Variable, ...]:
-        """None of a system that describes no body in a frame."""
         return () if system.observables else existing(system, self.every_variable(system))
 
     has_theory, quantity = True, "rates"
     unsteadiness_text = "largest rms or standard deviation of the rates"
 
     def statistics(self, system: System) -> tuple[str, ...]:
-        """Of the rates, and the extremes of theta."""
         return (*RATES, "theta_min", "theta_max")
 
     def unsteadiness(self, system: System, measured: Measured, settings: Any) -> Array:
@@ -126,7 +123,6 @@ class Rates(Instrument):
         )
 
     def measurements(self, run: Run, measured: Measured) -> dict[str, Array]:
-        """Means, standard deviations and extremes."""
         integration = run.integration
         return finish(integration.sums[: len(Row)], integration.intervals, integration.duration)
 
@@ -216,7 +212,6 @@ def existing(system: System, variables: tuple[Variable, ...]) -> tuple[Variable,
 
 
 def step_variables(system: System) -> list[Variable]:
-    """The variables of the steps."""
     bound = "numeric bound" if system.has_numeric_bound else "bound"
     comment = _NUMERIC_BOUND if system.has_numeric_bound else ""
     return [
@@ -246,7 +241,6 @@ def label(measured: Mapping[str, Array], tolerances: Tolerances, frame_rate: Arr
 
 
 def rule(tolerances: Tolerances, frame_rate: Array | float = 0.0) -> Rule:
-    """The rule of `label`."""
     of_rates = partial(label, tolerances=tolerances, frame_rate=frame_rate)
     return Rule(of_rates, LABEL_STATISTICS, {"psi_dot_mean": frame_rate, "phi_dot_mean": 0.0})
 
@@ -266,7 +260,6 @@ def in_cylinder(measured: Measured, cylinder_tolerance: float) -> Mask:
 
 
 def _least_sine(measured: Measured) -> Array:
-    """Least sin theta of the run."""
     return np.minimum(np.sin(measured["theta_min"]), np.sin(measured["theta_max"]))
 
 

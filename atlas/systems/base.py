@@ -654,7 +654,6 @@ def subset(columns: Mapping[str, Array], where: Any) -> dict[str, Array]:
 
 
 def shape_of(points: Points) -> tuple[int, ...]:
-    """Shape of the arrays of the points."""
     return np.shape(next(iter(points.values())))
 
 

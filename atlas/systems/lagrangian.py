@@ -459,7 +459,6 @@ def _of_several(
 
 
 def _module(mechanics: _Mechanics, title: str) -> str:
-    """Source of the module."""
     integrals = mechanics.integrals()
     functions = [_rhs(mechanics)]
     functions += [
@@ -505,7 +504,6 @@ def _names(symbols: Sequence[Expression]) -> str:
 
 
 def _rhs(mechanics: _Mechanics) -> str:
-    """Text of the function `rhs`."""
     block = Block(mechanics.state, mechanics.parameters)
     slopes = []
     for velocity, acceleration in zip(mechanics.velocities, _accelerations(mechanics, block), strict=True):

@@ -93,7 +93,6 @@ def _base_and_exponent(factor: Expression) -> tuple[Expression, Expression]:
 
 
 def _power(base: Expression, exponent: Expression) -> list[str]:
-    """A power as factors."""
     import sympy
 
     if base.is_number and not base.is_Rational:
@@ -313,7 +312,6 @@ def _pieces(body: str) -> list[str]:
 
 
 def _returned(values: Sequence[str]) -> list[str]:
-    """Lines that return a tuple."""
     line = f"    return ({values[0]},)" if len(values) == 1 else f"    return {', '.join(values)}"
     if len(line) <= LINE_LENGTH:
         return [line]

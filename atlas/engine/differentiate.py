@@ -1,7 +1,4 @@
-"""Differentials of plain arithmetic on the syntax tree: the variational equations follow from the equations.
-
-Every assignment of a function is preceded by the assignment of its differential.
-"""
+"""Differentials of plain arithmetic on the syntax tree, from which the variational equations follow."""
 
 from __future__ import annotations
 
@@ -60,7 +57,7 @@ def differential(text: str, name: str) -> str:
 
 
 def _differentials(target: ast.expr, value: ast.expr, active: set[str]) -> list[ast.stmt]:
-    """Assignments of the differentials of the assigned names; marks names that depend on the state as active."""
+    """Assignments of differentials of the assigned names; marks what depends on the state as active."""
     if isinstance(target, ast.Tuple) and isinstance(value, ast.Tuple):
         pairs = list(zip(target.elts, value.elts, strict=True))
     else:

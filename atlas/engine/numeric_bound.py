@@ -25,8 +25,8 @@ SAMPLE_RADIANS, MIN_SAMPLES, MAX_SAMPLES = 0.5, 16, 2000
 LEAST_TURNS = 4
 # Phase error and loss of amplitude of the preliminary run, and its largest step over the stability limit.
 ERROR, MAX_STEP_RATIO = 1e-2, 0.25
-# A bound is raised where the frequency exceeds it by TOLERATED. RAISE and RAISE_MOST limit the increase, because a coarse
-# trial run may itself be wrong.
+# A bound is raised where the frequency exceeds it by TOLERATED; RAISE and RAISE_MOST limit the rise, because
+# a coarse trial run may itself be wrong.
 TOLERATED, RAISE, RAISE_MOST = 1.05, 1.25, 4.0
 # The largest n-th derivative of a state over its largest (n - 1)-th, n = 2 and 3, is at most OVERTONE bounds. Derivatives that are
 # smaller than this share of the state, with the bound as the unit of rates, are rounding errors.

@@ -142,7 +142,7 @@ def hermite_weights(x: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 class EndWeights(NamedTuple):
-    """What is added to the weights of the trapezoidal rule at the first four nodes, mirrored at a run's end."""
+    """Additions to the weights of the trapezoidal rule at the first four nodes, mirrored at a run's end."""
 
     values: NDArray[np.float64]  # by the number of the node; the half of the first node is in the first, (4,)
     slopes: NDArray[np.float64]  # of the derivatives, (4,); at the end of a run with the opposite sign

@@ -166,8 +166,7 @@ def theta_from(cos_theta: NDArray[np.float64], sin2_theta: NDArray[np.float64]) 
 def finish(
     out: NDArray[np.float64], intervals: NDArray[np.int64], duration: NDArray[np.float64]
 ) -> dict[str, NDArray[np.float64]]:
-    """Every statistic of STATISTICS, sine_max (largest sin theta), and the mean `axis_in_frame` as axis_1,
-    axis_2.
+    """Every statistic of STATISTICS, sine_max (largest sin theta), and axis_1, axis_2 (mean `axis_in_frame`).
 
     Means and deviations of psi' and phi' are over the time outside the cylinder, nan if there is none.
     """

@@ -173,7 +173,7 @@ def steps_of_length(length: float, duration: NDArray[np.float64], least: int, mo
 
 
 def count_ladder(count: NDArray[np.float64]) -> NDArray[np.int64]:
-    """Round counts up to the ladder 16, 32, 48, ... nearest to powers of 2^(1/4), so that points share lanes."""
+    """Round counts up to a ladder 16, 32, 48, ... near powers of 2^(1/4), so that points share lanes."""
     exponent = np.ceil(4 * np.log2(np.maximum(count / MAX_STEPS_PER_SAMPLE, 1.0)) - 1e-9)
     rounded = np.ceil(2.0 ** (exponent / 4) - 1e-9) * MAX_STEPS_PER_SAMPLE
     return rounded.astype(np.int64)

@@ -8,9 +8,8 @@ from fractions import Fraction
 
 @dataclass(frozen=True)
 class Method:
-    """A fixed-step explicit Runge-Kutta method and its errors on x' = i w x with y = w h.
-
-    Raises ValueError for a tableau of the wrong shape or that fails the conditions of order 1 and 2.
+    """A fixed-step explicit Runge-Kutta method, with errors on x' = i w x at y = w h; ValueError if
+    invalid.
     """
 
     name: str

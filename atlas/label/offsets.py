@@ -1,7 +1,7 @@
 """Motions that start near a steady motion: their labels from the linear equations.
 
-The steady motion theta = theta0, psi' = n, phi' = m of a start, x0(t), solves the equations of motion x' =
-F(x) up to the residual acceleration f(t) = F(x0) - x0'. To first order in f and in theta' of the start, the
+A start has a steady motion x0(t), theta = theta0, psi' = n, phi' = m, which solves the equations of motion x'
+= F(x) up to the residual acceleration f(t) = F(x0) - x0'. To first order in f and in theta' of the start, the
 motion is x0 + d with
 
     d' = F'(x0(t)) d + f(t),    d(0) = start - x0(0),
@@ -173,9 +173,9 @@ def _near(
 ) -> Mask:
     """Whether the rates of a start change so slowly that the motion may count as steady.
 
-    An oscillation of a frequency of at most the bound that begins with an acceleration f changes rates by |f|
-    / bound or more, and angles by these rates in a radian of the bound, unless damping takes that away in
-    such a time. Inside the cylinder the angles count.
+    An oscillation at most as fast as the bound that begins with an acceleration f changes rates by |f| /
+    bound or more, and angles by these rates in a radian of the bound, unless damping takes that away in such
+    a time. Inside the cylinder the angles count.
     """
     g, time = start.vertical, np.fmin(1.0 / bound, duration)
     change = np.fmax(length(start.acceleration()) * time, length(start.offset))
@@ -212,7 +212,7 @@ def _integrate(
     pause: Callable[[], None],
     change: Array | float = 0.0,
 ) -> Array:
-    """Sums over the nodes of x0 + d of some runs, (len(Deviation), points); change: of d at the start, its size."""
+    """Sums over the nodes of x0 + d, (len(Deviation), points); change: of d at the start, its size."""
     g, rates = motions.vertical, _indices(motions.system, motions.system.rate_states)
     sine = np.hypot(g[0], g[1])
     # psi' and phi' depend on the direction of the tilt, except inside the cylinder, where they do not count.

@@ -1,4 +1,4 @@
-"""A set of points, from parameters to labels and theory: prepare, integrate, recheck at half the step, assemble."""
+"""From parameters to labels and theory: prepare, integrate, recheck at half the step, assemble."""
 
 from __future__ import annotations
 

@@ -22,7 +22,7 @@ from .offsets import describes, off_family_labels
 from .plan import Plan
 
 MAX_LOG_GROWTH = 700.0  # exp of more overflows
-# A start near an unstable motion departs because of its nudge, and not of integration errors, where theta' at half the
+# A start near an unstable motion departs by its nudge, not by integration errors, where theta' at half the
 # step is the same within this share.
 HALF_STEP_RTOL = 0.05
 
@@ -129,7 +129,7 @@ class Theory:
         return np.asarray(amplified & (growth > 0))
 
     def rounding(self, run: Run) -> tuple[Array, Array]:
-        """Growth of rounding errors in a run, and the growth by which they reach a tolerance, as logarithms."""
+        """Logarithms of the growth of rounding errors: in a run, and up to a tolerance."""
         # No tilt can grow where the third axis never left the vertical by a bit.
         on_vertical = run.measured.get("sine_max", np.ones(run.ensemble.size)) == 0.0
         least = np.fmin(self.rounding_growth, self.growth_about_vertical)

@@ -272,9 +272,7 @@ def _angles(equations: Any, states: Array, constants: Array, path: Mapping[str, 
 
 
 def _path(system: System, points: Points, motion: _Motion, states: Array, steps: int) -> dict[str, Array]:
-    """psi and phi, unwrapped, and the third axis along the frame's first two, at nodes; states: (nodes,
-    states).
-    """
+    """psi and phi, unwrapped, and the third axis in the frame, at every node; states: (nodes, states)."""
     state = states.T
     vertical = np.array(system.equations.frame_motion(state, motion.constants)[3:])
     if motion.equations is system.equations:

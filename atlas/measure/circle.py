@@ -8,8 +8,7 @@ and the nutation, the angle of s and z.
 
 Sums over the nodes give the plane through the angular velocities that fits best, and how far they are from a
 circle in it. So that no digits cancel, the sums are about the start, and along axes of which the third is the
-one about which the angular velocity turns at the start: on a circle all components along it vanish but for
-rounding errors.
+one about which the angular velocity turns there: on a circle components along it vanish but for rounding.
 """
 
 from __future__ import annotations
@@ -72,8 +71,8 @@ class Axis(_Counted):
 
 
 class Sum(_Counted):
-    """Sums over the nodes, half at both ends, of changes since the start and their products: x, y, z of the
-    angular velocity, l of the square of its length, s of the square of its speed.
+    """Sums over the nodes, half at both ends, of changes since the start and of their products: x, y, z of
+    the angular velocity, l of the square of its length, s of the square of its speed.
     """
 
     X = auto()
@@ -442,10 +441,7 @@ def label(circle: Mapping[str, Array], own_label: Flags, tolerances: Tolerances)
 def values(
     circle: Mapping[str, Array], measured: Mapping[str, Array], tolerances: Tolerances
 ) -> dict[str, Array]:
-    """RATES and ANGLES; nan where the label about any axis in the system's frame is not steady.
-
-    For points labelled regular_precession, values refer to the third axis and the vertical.
-    """
+    """RATES and ANGLES, nan if not steady; of regular_precession, about the third axis and the vertical."""
     with np.errstate(all="ignore"):
         own_label = label_of_third_axis(measured, tolerances)
         kind = label(circle, own_label, tolerances)

@@ -217,7 +217,7 @@ class Instrument:
         return resolved
 
     def every_variable(self, system: System) -> tuple[Variable, ...]:
-        """The variables that it makes, whether or not the system has them: no parameter may have such a name."""
+        """Variables, whether or not the system has them: no parameter may have such a name."""
         return ()
 
     def variables(self, system: System) -> tuple[Variable, ...]:

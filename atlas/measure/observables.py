@@ -32,7 +32,7 @@ MAX_NODE_RADIANS = 0.4
 MAX_HALVINGS = 8  # of steps and of steps between nodes together: by 2^8 in all
 # Share of the range of an observable by which it may jump between two nodes.
 MAX_ROUGHNESS = 0.3
-# Order in the step of the errors of statistics, at least: the order of rk4; quadrature and interpolation have order 8.
+# Least order in the step of the errors of statistics: the order of rk4; quadrature and interpolation have 8.
 STATISTICS_ORDER = 4
 # Rounding error of a statistic in units of the largest value of its observable.
 ROUNDING = 1e-15
@@ -94,7 +94,8 @@ class Observables(Instrument):
     def resolved(self, run: Run) -> Mask:
         """Where no observable jumps between nodes, because the steps are too long for the motion.
 
-        An oscillation at the bound is within radians^4 / 24 of the cubic through a node's neighbours.
+        An oscillation at the bound is within radians^4 / 24, relative, of the cubic through a node's
+        neighbours.
         """
         sums, radians = run.integration.sums, run.bound * run.step_sizes.sample_spacing
         allowed = MAX_ROUGHNESS + radians**4 / 12

@@ -78,10 +78,7 @@ class Observable:
 
 @dataclass(frozen=True)
 class Condition:
-    """One equation or inequality that a family of steady motions needs.
-
-    The residual is dimensionless: 0 where the condition holds, elsewhere the amount by which it fails.
-    """
+    """An equation or inequality of a family; its residual, dimensionless, is the amount by which it fails."""
 
     text: str
     residual: Callable[[Points], Array]
@@ -635,7 +632,7 @@ def _magnitude(condition: Condition, points: Points) -> Array:
 def derived_values(
     system: System, names: Collection[str], points: Points, duration: Array, pause: Callable[[], None]
 ) -> dict[str, NDArray[Any]]:
-    """The derived variables of these names, from points before any nudge; groups are computed once."""
+    """The derived variables of these names, at points before any nudge; shared results are computed once."""
     variables = [variable for name, variable in system.derived.items() if name in names]
     columns: dict[str, NDArray[Any]] = {}
     for variable in variables:
@@ -673,7 +670,7 @@ def on_family(family: Family, points: Points) -> Array:
 
 
 def motion_about_axes(axes: TwoAxes, vector: Array, t: Array) -> tuple[Array, Array]:
-    """Angular velocity relative to the frame, and a vector at rest in it, at times t, both in body axes.
+    """Angular velocity relative to the frame, and a vector at rest in the frame, in body axes at times t.
 
     A turn of the body by n t about the axis at rest in the frame follows one by m t about its own axis.
     """

@@ -20,7 +20,7 @@ MAX_NAME = 60
 
 
 def check(system: object) -> None:
-    """Raise BadInput with one line unless somebody else's object is a system that the package can use."""
+    """Raise BadInput with one line unless an object is a system that the package can use."""
     if not isinstance(system, System):
         raise BadInput(f"found {shown(system)}: not an object of a subclass of atlas.systems.System")
     check_complete(type(system), system)

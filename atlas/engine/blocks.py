@@ -120,8 +120,8 @@ def integrate(
     """Integrate every point of a schedule; states and sums are written into the arrays.
 
     `segment` is the first and the last node of each block (default: whole runs). Worker threads call
-    `progress` with the point-steps done since the last call. KeyboardInterrupt is raised again after the
-    calls of the kernel in flight, a fraction of a second later.
+    `progress` with the point-steps done since the last call. On KeyboardInterrupt the calls of the kernel in
+    flight end first, a fraction of a second later.
     """
     assert len(arrays.state) == kernel.STATES  # the compiled kernel checks no bounds
     assert len(arrays.given) == kernel.PLUGGED_GIVEN

@@ -100,7 +100,7 @@ def _with_states(
     names: Mapping[str, str],
     powers: list[int],
 ) -> dict[str, str]:
-    """The functions of so many states with more of them; `powers`: of a rate, in the units of the new."""
+    """The functions of so many states with more of them; `powers`: of a rate in the new states' units."""
     scaling = {name: sources[name] for name in ("scaled", "unscaled")}
     extended = {name: _with_sums(text, rates, names) for name, text in sources.items() if name not in scaling}
     return extended | _scaling(scaling, states, powers)

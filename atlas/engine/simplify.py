@@ -1,7 +1,7 @@
 """Equations without terms that vanish in a whole scene: x * 0, x + 0, x - x and x * 1, on the syntax tree.
 
-x * y - x * z becomes x * (y - z). The result is the same to round-off; LLVM may not do this itself, because 0
-* x is not 0 for a NaN or an infinity.
+x * y - x * z becomes x * (y - z). The result is the same to round-off; LLVM may not do this itself, because x
+* 0 is not 0 for a NaN or an infinity.
 """
 
 from __future__ import annotations

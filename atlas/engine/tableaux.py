@@ -8,9 +8,7 @@ from fractions import Fraction
 
 @dataclass(frozen=True)
 class Method:
-    """A fixed-step explicit Runge-Kutta method, with errors on x' = i w x at y = w h; ValueError if
-    invalid.
-    """
+    """An explicit Runge-Kutta method and its errors on x' = i w x at y = w h; ValueError if it is invalid."""
 
     name: str
     order: int  # global order

@@ -84,11 +84,12 @@ def trajectory(
     Returns
     -------
     xarray.Dataset
-        Over the dimension "time", float64: the state by the names of the equations; theta, psi, phi (rad); theta_dot, psi_dot, phi_dot, normal_rate (rad per time
-        unit); axis_x, axis_y, axis_z (the third body axis in the frame: for the satellite along radius, velocity and
-        normal); integral_drift. Of a system with observables: the states, the observables and integral_drift. Without
-        a dimension: `step`, and the parameters (a start value that has the name of one of the variables has the suffix
-        _start). The attributes are those of an atlas.
+        Over the dimension "time", float64: the state by the names of the equations; theta, psi, phi (rad);
+        theta_dot, psi_dot, phi_dot, normal_rate (rad per time unit); axis_x, axis_y, axis_z (the third body
+        axis in the frame: for the satellite along radius, velocity and normal); integral_drift. Of a system
+        with observables: the states, the observables and integral_drift. Without a dimension: `step`, and the
+        parameters (a start value that has the name of one of the variables has the suffix _start). The
+        attributes are those of an atlas.
 
     Raises
     ------

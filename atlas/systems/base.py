@@ -185,8 +185,8 @@ class System(ABC):
 
     A system is written as a subclass. What it must give is its names, `equations`, `parameters` and
     `initial_state`, and either the motion of a body relative to a frame (``frame_motion`` of the equations) or
-    `observables`; every other member has a default, which stands for "this system does not have it". `points` is throughout a mapping of every parameter's name to a float64
-    array, all of one shape, here called ``(points,)``.
+    `observables`; every other member has a default, which stands for "this system does not have it". `points`
+    maps every parameter's name to a float64 array, all of one shape, here called ``(points,)``.
 
     Members, in three groups:
 

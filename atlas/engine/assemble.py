@@ -1,8 +1,7 @@
-"""A kernel module for a system and a method: ordinary functions, and the few that depend on both.
+"""Kernel modules: `source` writes the text for the compiler, `plain_module` the same for the interpreter.
 
-`source` makes the text of a module for the compiler: the functions of `kernel` and what they call, the equations of the
-system and what `generated` declares. `plain_module` makes the same module for the interpreter: there `kernel` is the file
-itself, so that a debugger or a coverage tool steps through it.
+Both consist of `kernel` and what it calls, the equations of a system and what `generated` declares. In the
+plain one `kernel` is the file itself, so that a debugger or a coverage tool steps through it.
 """
 
 from __future__ import annotations
@@ -33,9 +32,8 @@ MEASURING = (kernel, observe)
 
 
 def functions(module: ModuleType, absent: Collection[str] = ()) -> dict[str, str]:
-    """Source of every function of a module without docstrings and decorators, by name; members of enumerations as numbers.
-
-    absent: names whose `if name:` is left out with all that it holds.
+    """Sources of a module's functions by name, without docstrings, decorators and what `if name:` holds of an
+    absent name; members of enumerations become numbers.
     """
     return {node.name: ast.unparse(node) for node in _functions(module, absent)}
 
@@ -56,10 +54,7 @@ def _functions(module: ModuleType, absent: Collection[str]) -> list[ast.Function
 def _reachable(
     of: ModuleType, plugs: Sequence[Plug] = (), absent: Collection[str] = ()
 ) -> tuple[dict[str, Any], dict[str, str], dict[str, Any]]:
-    """What `integrate` of a kernel with plugs needs of ordinary modules, by name: functions, their sources, and numbers.
-
-    Functions stand after those that they call; `integrate` is the last.
-    """
+    """Functions, sources and numbers that `integrate` of a kernel with plugs needs by name, callees first."""
     trees: dict[str, dict[str, ast.FunctionDef]] = {}
     objects: dict[str, Any] = {}
     sources: dict[str, str] = {}
@@ -138,11 +133,9 @@ def source(
 ) -> str:
     """Text of a compiled kernel module of a system's equations and a method.
 
-    equations: of a system; see `systems.base.System.equations`. method: a key of tableaux.METHODS; zero:
-    constants that are 0 at every point to come; equal: constants that equal another one at every point to
-    come. of: `kernel` (default), `observe`, `tangent` or `deviation`; the last keeps the units of the caller.
-    plugs: instruments that `kernel` serves beside its own statistics; the text has nothing about others. Raises BadInput if a first integral or a loss has the name of a function of the kernel, and for
-    equations that cannot be differentiated.
+    `zero` and `equal` name constants that are 0, or equal to another one, at every point to come. A kernel of
+    `deviation` keeps the units of the caller. Raises BadInput for equations that cannot be differentiated,
+    and if a first integral or a loss has the name of a function of the kernel.
     """
     objects, sources, numbers = _reachable(of, plugs, () if plugs else ("PLUGGED",))
     equations = _with_losses(equations, zero, equal, of)
@@ -376,7 +369,7 @@ def _check_names(equations: ModuleType, taken: Collection[str]) -> None:
 def _observable_functions(
     equations: ModuleType, sources: dict[str, str]
 ) -> tuple[dict[str, str], dict[str, list[str]]]:
-    """Functions of the observables with their differentials, by name, and the lines of those that call them all."""
+    """Functions of the observables with their differentials, by name, and lines that call them all."""
     changes, values, slopes, lines = {}, [], [], []
     for name in observable_names(equations):
         text = sources.pop(name, None)
@@ -438,9 +431,9 @@ def _integral_lines(equations: ModuleType, name: str) -> list[str]:
 def step_lines(method: Method, states: int, rhs_name: str = "rhs") -> list[str]:
     """Body of `step`: one step of length method.kernel_step, unrolled to scalars.
 
-    The first weight is factored out: the inner coefficients of rk4 are then 1, 2, 2, 1, which needs additions only and
-    leaves the multipliers, the narrowest part of the processor, to the equations. The sum s goes along with the
-    stages, so that fewer of them are in use at once.
+    The first weight is factored out, because the inner coefficients of rk4 are then 1, 2, 2, 1: additions
+    leave the multipliers, the narrowest part of the processor, to the equations. The sum s goes along with
+    the stages, so that fewer of them are in use at once.
     """
     y = ", ".join(f"y{i}" for i in range(states))
     lines, first = [f"{y}, = state"], method.b[0]

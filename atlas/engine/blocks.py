@@ -1,7 +1,6 @@
-"""Blocks of points for the kernel: SIMD over the lanes of a block, threads over blocks.
+"""Blocks of WIDTH points with equal numbers of steps: SIMD over the lanes of a block, threads over blocks.
 
-A block holds WIDTH points with one number of steps; each has its own step size, so that the result of a point depends
-on that point alone and never on its neighbours, its block or the thread.
+Each point has its own step size, so that its result depends on no neighbour, block or thread.
 """
 
 from __future__ import annotations
@@ -43,15 +42,11 @@ class BlockSchedule(NamedTuple):
 
     @property
     def nodes(self) -> NDArray[np.int64]:
-        """Nodes of a whole run, (blocks,)."""
         return self.steps // self.steps_per_sample + 1
 
 
 def pack_blocks(steps: NDArray[np.int64], steps_per_sample: NDArray[np.int64]) -> BlockSchedule:
-    """Gather points of equal steps and nodes into blocks, the longest first, so that threads end together.
-
-    Both arguments have the shape (points,).
-    """
+    """Blocks of points with equal steps and nodes, the longest first, so that threads end together."""
     key = np.stack([steps, steps_per_sample])
     order = np.lexsort((key[1], -key[0]))
     key = key[:, order]
@@ -66,7 +61,7 @@ def pack_blocks(steps: NDArray[np.int64], steps_per_sample: NDArray[np.int64]) -
 
 
 def sorted_blocks(steps: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Points (points,) in blocks (blocks, WIDTH), those of the most steps first."""
+    """Points (points,) in blocks (blocks, WIDTH), the most steps first."""
     return _in_blocks(np.argsort(-steps, kind="stable"))
 
 
@@ -84,7 +79,6 @@ def schedule_of(step_sizes: StepSizes, where: NDArray[np.int64] | None = None) -
 
 
 def available_threads() -> int:
-    """Processors that this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
@@ -125,11 +119,9 @@ def integrate(
 ) -> None:
     """Integrate every point of a schedule; states and sums are written into the arrays.
 
-    kernel: as `assemble.source` makes it, loaded; segment: first and last node of each block, default: whole runs. threads:
-    default: all processors. progress: called from worker threads with the point-steps done since the last call.
-
-    On KeyboardInterrupt the calls of the kernel in flight end first (a fraction of a second), then it is
-    raised again.
+    `segment` is the first and the last node of each block (default: whole runs). Worker threads call
+    `progress` with the point-steps done since the last call. On KeyboardInterrupt the calls of the kernel in
+    flight end first, a fraction of a second later.
     """
     assert len(arrays.state) == kernel.STATES  # the compiled kernel checks no bounds
     assert len(arrays.given) == kernel.PLUGGED_GIVEN
@@ -148,12 +140,10 @@ def call_by_parts(
     threads: int | None,
     progress: Callable[[int], None] | None,
 ) -> None:
-    """Make the calls of a kernel for all blocks, in threads; a block of more than CHUNK point-steps takes several.
+    """Call a kernel for all blocks, in threads; a block of more than CHUNK point-steps takes several calls.
 
-    call: takes a range of blocks, and for every block the first and the last node; point_steps: steps of the
-    blocks between these nodes, times WIDTH, (blocks,); first_node, last_node: (blocks,); progress: see `integrate`.
-    threads = 0: in the thread of the caller, for work that takes less time than starting a thread. After an exception
-    what has not begun is left out.
+    threads = 0 calls in the thread of the caller, for work that takes less time than starting a thread. After
+    an exception no further call begins.
     """
     bounds, stop = chunk_bounds(point_steps, CHUNK, 4 * (threads or available_threads())), threading.Event()
 

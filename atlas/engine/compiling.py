@@ -58,13 +58,12 @@ def _seconds(now: float) -> float:
 
 
 class Stopwatch:
-    """Seconds since it was made, without those in which this process compiled a kernel."""
+    """Seconds since it was made in which this process compiled no kernel."""
 
     def __init__(self) -> None:
         now = time.perf_counter()
         self._start = now - _seconds(now)
 
     def seconds(self) -> float:
-        """Seconds until now."""
         now = time.perf_counter()
         return now - _seconds(now) - self._start

@@ -1,12 +1,12 @@
 """The kernel of linear deviations: blocks of points, each with a given motion and a small deviation from it.
 
-Ordinary Python, as `kernel`; what depends on the system stands in `generated`. The given motion x0(t) is a turn by n t about
-the vertical after one by m t about the third axis; it need not solve the equations of motion x' = F(x). The deviation d obeys
+The given motion x0(t) is a turn by n t about the vertical after one by m t about the third axis; it need not
+solve the equations of motion x' = F(x). The deviation d obeys
 
     d' = F'(x0(t)) d + f(t),
 
-where f is the acceleration by which x0 fails to solve them. It is integrated by the classical Runge-Kutta method, and the sums
-over its nodes are those of x0 + d. Everything is in the units of the caller.
+where f is the acceleration by which x0 fails to solve them. It is integrated by the classical Runge-Kutta
+method, the sums over its nodes are sums of x0 + d, and everything is in the units of the caller.
 """
 
 from enum import IntEnum
@@ -44,7 +44,7 @@ class Given(IntEnum):
 
 
 class Deviation(IntEnum):
-    """Rows of the sums; those of rates are of their differences from x0."""
+    """Rows of the sums; rates are differences from x0."""
 
     LINEAR = 0  # 1 if d has been small at every node, else 0; nodes from the first on at which it is not are left out
     LARGEST_SQUARE = 1  # square of the largest size of d

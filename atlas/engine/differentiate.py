@@ -1,8 +1,4 @@
-"""Differentials of plain arithmetic, on the syntax tree: the variational equations follow from the equations.
-
-A function of the state becomes the function of the state and a change of it that returns the change of its value to
-first order: every assignment is preceded by the assignment of its differential.
-"""
+"""Differentials of plain arithmetic on the syntax tree, from which the variational equations follow."""
 
 from __future__ import annotations
 
@@ -29,13 +25,10 @@ _DERIVATIVES = {
 
 
 def differential(text: str, name: str) -> str:
-    """Source of the differential of a function of ``(state, constants)``.
+    """Source of a function `name` of ``(state, constants, change)`` that returns the first-order change.
 
-    text: source of the function: assignments of names, or of tuples of them, and one return of a tuple. The
-    expressions consist of + - * / **, powers with exponents that do not depend on the state, and the
-    functions of `systems.arithmetic.FUNCTIONS`. name: of the new function. Returns source of a function of
-    ``(state, constants, change)``, which returns the change of the value to first order in `change`, a change
-    of the state. Raises ValueError if the function contains anything else.
+    The text assigns names, or tuples of them, and returns a tuple. It consists of + - * / **, powers with
+    exponents that do not depend on the state, and `systems.arithmetic.FUNCTIONS`; else ValueError.
     """
     function = ast.parse(text).body[0]
     assert isinstance(function, ast.FunctionDef)
@@ -64,7 +57,7 @@ def differential(text: str, name: str) -> str:
 
 
 def _differentials(target: ast.expr, value: ast.expr, active: set[str]) -> list[ast.stmt]:
-    """Assignments of the differentials of the assigned names; marks those that depend on the state as active."""
+    """Assignments of differentials of the assigned names; marks what depends on the state as active."""
     if isinstance(target, ast.Tuple) and isinstance(value, ast.Tuple):
         pairs = list(zip(target.elts, value.elts, strict=True))
     else:

@@ -17,7 +17,7 @@ from .statistics import Row, theta_dot_squared_sum
 from .stepsize import StepSizes
 
 # Where runs are interrupted to leave out the points that are certain to drift, as shares of their nodes. Most drifting
-# motions are certain after a small part of the run; those that leave an unstable motion only later.
+# motions are certain after a small part of the run; motions that leave an unstable one only later.
 SEGMENTS = (1 / 256, 1 / 64, 1 / 16, 1 / 4, 1 / 2, 1.0)
 # A run is not interrupted before this node: shorter segments cost more than they save.
 MIN_NODES = 8
@@ -57,12 +57,10 @@ class Integration:
     stopped_early: Mask  # whether the point was certain to drift before its end
 
     def subset(self, where: NDArray[np.int64]) -> Integration:
-        """Some of the points, by their indices."""
         return Integration(*(each[..., where] for each in vars(self).values()))
 
     @property
     def finite(self) -> Mask:
-        """Whether state and sums are finite, bool of shape (points,)."""
         return np.asarray(np.isfinite(self.final_state).all(0) & np.isfinite(self.sums).all(0))
 
 
@@ -90,11 +88,9 @@ class Ensemble:
 
     @property
     def size(self) -> int:
-        """Number of points."""
         return self.state.shape[1]
 
     def subset(self, where: NDArray[np.int64]) -> Ensemble:
-        """Some of the points, by their indices."""
         return Ensemble(*(np.ascontiguousarray(each[..., where]) for each in vars(self).values()))
 
     def arrays(self, kernel: ModuleType, step_size: Array, cylinder: float = 0.0) -> blocks.Arrays:
@@ -115,12 +111,11 @@ class Ensemble:
         early_stop_rate: Array | None = None,
         **options: Any,
     ) -> Integration:
-        """Integrate every point.
+        """Integrate every point; options: threads and progress of `blocks.integrate`.
 
-        kernel: see `specialization.kernel`; cylinder: radius of the cylinder, rad. early_stop_rate: root mean
-        square of theta' over the whole run, rad per time unit, beyond which a point outside the cylinder is
-        certain to drift; its run may then end early. Default: every run is whole, as they must be where
-        more than rates is measured. options: threads and progress of `blocks.integrate`.
+        `cylinder` is a radius in rad. early_stop_rate is the root mean square of theta' over the whole run
+        beyond which a point outside the cylinder is certain to drift, so that its run may end early; by
+        default every run is whole.
         """
         arrays, nodes = self.arrays(kernel, step_sizes.step_size, cylinder), step_sizes.intervals + 1
         if early_stop_rate is None:
@@ -153,9 +148,9 @@ class Ensemble:
     ) -> NDArray[np.int64]:
         """How many nodes each point took.
 
-        The weights of all samples are positive, so that the sum of theta'^2 only grows: once it exceeds the limit of
-        the whole run outside the cylinder, no later motion can bring the label back. A passage of the vertical takes
-        away at most one sample beside it. Points that run to the end have the same bits as in a single call.
+        The weights of all samples are positive, so that the sum of theta'^2 only grows: once it exceeds the
+        limit of the whole run outside the cylinder, no later motion brings the label back. A passage of the
+        vertical takes away at most one sample near it. Whole runs have the same bits as in a single call.
         """
         run_nodes, arrays = step_sizes.intervals + 1, blocks.resumable(kernel, arrays)
         with np.errstate(over="ignore"):
@@ -176,7 +171,7 @@ class Ensemble:
             blocks.integrate(kernel, schedule, arrays, segment=segment, threads=threads, progress=progress)
             done[selected] = until[goes_on]
             certain = done[active] > 0  # sums of points that have not begun are undefined
-            with np.errstate(invalid="ignore", over="ignore"):  # of those, and of motions that are not finite
+            with np.errstate(invalid="ignore", over="ignore"):  # of undefined sums, and of overflow
                 certain &= theta_dot_squared_sum(arrays.sums)[active] > limit[active]
             certain &= arrays.sums[Row.SIN2_THETA_MAX, active] > min_sin2_theta
             ended = certain | (done[active] == run_nodes[active])
@@ -196,10 +191,9 @@ def _segment_end(share: float, nodes: NDArray[np.int64]) -> NDArray[np.int64]:
 def integral_scales(
     system: System, state: Array, constants: Array, floors: Mapping[str, Array]
 ) -> NDArray[np.float64]:
-    """Reciprocal of the sum of the magnitudes of each first integral's terms at the start, (integrals, points).
+    """Reciprocal of the sum of the magnitudes of each first integral's terms at the start, by integral.
 
-    floors: by integral, from `System.integral_scales`; nan (scale 0): its change does not count; else the least size. A sum
-    of exactly zero counts as 1.
+    The sum is at least its floor, and 1 where it is 0; a floor of nan gives 0: the change does not count.
     """
     rows = []
     for name in system.equations.INTEGRALS:

@@ -1,8 +1,7 @@
 """What depends on the system and the method in a kernel: `assemble` writes these for each pair of them.
 
-Here they stand with their signatures, for readers, linters and type checkers; calling them is an error. The compiled
-kernel and its plain Python twin have the generated ones in their place. `state` and `constants` are tuples of floats in
-the kernel's units (see `scaled` of a system's equations), blocks are arrays of shape (rows, WIDTH), l is a lane.
+The signatures serve readers, linters and type checkers; calling one is an error. `state` and `constants` are
+in the kernel's units (see `scaled` of a system's equations), blocks are (rows, WIDTH), l is a lane.
 """
 
 from __future__ import annotations
@@ -55,7 +54,7 @@ def scaled(state, constants, unit):
 
 
 def unscaled(state, constants, unit):
-    """State in the caller's units; constants: those that `scaled` returned."""
+    """State in the caller's units; constants: as `scaled` returned them."""
     raise NotImplementedError
 
 

@@ -1,8 +1,8 @@
 """The one place for Numba: compiler options and the cache of machine code.
 
-Kernels are generated modules. The machine code of each is kept in the user's cache folder under a name made
-from a hash of everything that it depends on, so an edited right-hand side can never be answered by an old
-kernel (Numba's own cache does not see edits in other files, and trusts whatever lies in its folder).
+The machine code of a kernel has a hash of everything that it depends on as its name in the user's cache
+folder, so that an edited right-hand side is never answered by an old kernel. Numba's own cache does not see
+edits in other files, and trusts whatever lies in its folder.
 """
 
 from __future__ import annotations
@@ -85,10 +85,10 @@ PARSING = threading.RLock()
 
 @intrinsic
 def aligned_stack(typingctx):
-    """In a kernel: align its stack to 64 bytes, for vectors kept there must not straddle two cache lines either.
+    """In a kernel: align its stack to 64 bytes, because no vector there may straddle two cache lines either.
 
-    LLVM aligns what it spills only where something else on the stack already asks for that; the speed of a
-    kernel would otherwise depend on where its caller's stack happens to end, rk8 by up to a fifth.
+    LLVM aligns what it spills only where something else on the stack asks for it; otherwise the speed of a
+    kernel would depend on where its caller's stack ends, of rk8 by up to a fifth.
     """
 
     def generate(context, builder, signature, arguments):
@@ -103,10 +103,7 @@ def aligned_stack(typingctx):
 
 @intrinsic
 def aligned_empty(typingctx, shape):
-    """In a kernel: np.empty(shape) of float64, aligned to 64 bytes.
-
-    Numba aligns arrays to 32 bytes, so that vectors of 64 may straddle two cache lines: up to a fifth slower.
-    """
+    """np.empty(shape) at 64 bytes; Numba's 32 let vectors straddle cache lines, up to a fifth slower."""
 
     def generate(context, builder, signature, arguments):
         lengths = cgutils.unpack_tuple(builder, arguments[0])
@@ -166,9 +163,8 @@ def load(source: str) -> ModuleType:
 
 
 def _share_functions(source: str, module: ModuleType) -> None:
-    """Cache each function of a kernel by what it depends on, so that only what is new in another kernel is compiled.
-
-    The name of its machine code is a hash of its text, of the functions that it calls and of the numbers that these use.
+    """Cache each function of a kernel under a hash of its text, of the functions that it calls and of the
+    numbers that these use, so that only what is new in another kernel is compiled.
     """
     definitions: dict[str, ast.stmt] = {}
     for node in ast.parse(source).body:
@@ -221,10 +217,7 @@ def _no_garbage_collection() -> Iterator[None]:
 
 
 class _MachineCode(NullCache):
-    """The cache of one kernel, in the place of Numba's: a file for each signature, which begins with its hash.
-
-    Nothing that goes wrong with the cache ends a computation: the kernel is then compiled in memory.
-    """
+    """The cache of one kernel, a file for each signature; if it fails, the kernel is compiled in memory."""
 
     def __init__(self, name: str):
         self.name = name
@@ -249,7 +242,6 @@ class _MachineCode(NullCache):
             return None
 
     def save_overload(self, signature: Any, compiled: Any) -> None:
-        """Write a compiled function."""
         if compiled.lifted or compiled.library.has_dynamic_globals:
             return
         path, key = self._place(signature, compiled.codegen)

@@ -1,18 +1,17 @@
 """The kernel: blocks of WIDTH points integrated side by side, one SIMD lane each.
 
-Ordinary Python. Every loop over `l` runs over the lanes and is what the compiler turns into vector instructions; every
-function is inlined into `integrate` but for the rare `trapezoid_error_of_pole`. What depends on the system and the
-method stands in `generated` and is written by `assemble`, which makes of this file a module for the compiler, or for
-the interpreter.
+Ordinary Python, of which `assemble` makes a module for the compiler or for the interpreter. The compiler
+turns every loop over `l`, the lanes, into vector instructions, and inlines every function into `integrate`
+but the rare `trapezoid_error_of_pole`. What depends on the system and the method stands in `generated`.
 
-Each point is integrated in units of its own (`scaled` of its equations), in which all steps are STEP long and most
-coefficients are 1: a sixth of the multiplications less. The statistics are in the units of the caller.
+Each point is integrated in units of its own (`scaled` of its equations), in which all steps are STEP long and
+most coefficients are 1: a sixth of the multiplications less. The statistics are in the units of the caller.
 
-A node is an instant at which the motion is evaluated together with its derivative: every steps_per_sample steps. Node i
-is kept in slot i % 4 of `nodes`, so that the motion between the nodes i - 2 and i - 1 can be interpolated from the four
-nodes around them once node i is evaluated. The statistics are sums over the nodes and, near both ends of a run, over
-interpolated samples between them (`sampling`). Passages near the vertical wait in a queue, so that the errors that they
-cause (`poles`) are computed for many of them side by side.
+A node is an instant, every steps_per_sample steps, at which the motion is evaluated with its derivative. Node
+i is kept in slot i % 4 of `nodes`, so that the motion between the nodes i - 2 and i - 1 can be interpolated
+from four nodes. The statistics are sums over the nodes and, near both ends of a run, over interpolated
+samples (`sampling`). Passages near the vertical wait in a queue, so that the errors that they cause (`poles`)
+are computed for many of them side by side.
 """
 
 import numpy as np
@@ -67,7 +66,7 @@ from .sampling import END, LONG, rule_position, stretched
 from .statistics import Row, accumulate, begin, end, extend, may_extend
 from .turning import TURN_ROWS, TURN_STEPS, Turn, place_of_turn, turning_point
 
-# Components of the motion, u1, u2, u3, g1, g2, g3: rows of a node, followed by those of their derivatives.
+# Components of the motion, u1, u2, u3, g1, g2, g3: rows of a node, followed by their derivatives.
 MOTION = 6
 # First integrals change slowly: they are evaluated at every fourth node and at the end.
 NODES_PER_DRIFT = 4
@@ -84,7 +83,7 @@ def motion_of(state, constants, inverse_unit):
 
 
 def motion_change_of(state, constants, slope, inverse_unit):
-    """Time derivative of the motion, given that of the state."""
+    """Time derivative of the motion, given the state's."""
     u1, u2, u3, g1, g2, g3 = frame_motion_change(state, constants, slope)
     return u1 * inverse_unit, u2 * inverse_unit, u3 * inverse_unit, g1, g2, g3
 
@@ -98,7 +97,6 @@ def store_motion(nodes, slot, row, l, motion):
 
 
 def motion_at(nodes, slot, l):
-    """The motion at a node."""
     return (
         nodes[slot, 0, l], nodes[slot, 1, l], nodes[slot, 2, l],
         nodes[slot, 3, l], nodes[slot, 4, l], nodes[slot, 5, l],
@@ -116,7 +114,6 @@ def interpolate(nodes, slots, weights, row, l):
 
 
 def interpolated_motion(nodes, slots, weights, l):
-    """The motion between four nodes."""
     return (
         interpolate(nodes, slots, weights, 0, l),
         interpolate(nodes, slots, weights, 1, l),
@@ -128,17 +125,15 @@ def interpolated_motion(nodes, slots, weights, l):
 
 
 def sample_weights(samples, j, spacing):
-    """The eight weights of sample j as scalars, those of derivatives for a distance `spacing` of two nodes."""
+    """The eight weights of sample j as scalars; derivatives are for a distance `spacing` of two nodes."""
     w = samples[j]
     return w[1], w[2], w[3], w[4], w[5] * spacing, w[6] * spacing, w[7] * spacing, w[8] * spacing
 
 
 def integrate(schedule, arrays, first_block, last_block, first_node, last_node):
-    """Integrate blocks of points over a range of nodes.
+    """Integrate blocks over a range of nodes, (blocks,), with the same bits however a run is cut.
 
-    schedule, arrays: see `blocks.BlockSchedule` and `blocks.Arrays`, whose rule is a `sampling.Quadrature`; first_block,
-    last_block: range of the blocks to integrate. first_node, last_node: range of the nodes of this call; 0 begins the runs,
-    that after steps / steps_per_sample ends them, (blocks,). The results are the same to the bit however a run is cut.
+    Node 0 begins a run, the node steps / steps_per_sample ends it; the rule is a `sampling.Quadrature`.
     """
     aligned_stack()
     points, steps, steps_per_sample = schedule
@@ -174,7 +169,7 @@ def integrate(schedule, arrays, first_block, last_block, first_node, last_node):
             slot, last = i & 3, i + 1 == last_node[block]
             evaluate_node(nodes, slot, slopes, state, constants, inverse_unit)
             add_node(stats, nodes, slot, node_weights[rule, rule_position(i, intervals)], cylinder_squared)
-            if i >= 3:  # the inner interval; at both ends of the run those beside it, too
+            if i >= 3:  # the inner interval; at both ends of the run its neighbours, too
                 slots = (i - 3) & 3, (i - 2) & 3, (i - 1) & 3, slot
                 for interval in range(i - 3 if i == 3 else i - 2, i if i == intervals else i - 1):
                     position = rule_position(interval, intervals)
@@ -245,7 +240,6 @@ def evaluate_node(nodes, slot, slopes, state, constants, inverse_unit):
 
 
 def add_node(stats, nodes, slot, weight, cylinder_squared):
-    """Add a node to the statistics."""
     for l in range(WIDTH):
         motion = motion_at(nodes, slot, l)
         accumulate(stats, l, motion, weight, cylinder_squared)
@@ -276,8 +270,9 @@ def end_runs(stats, nodes, slot):
 
 
 def mark(turning, near, instant, stats, nodes, spacing, interval, intervals):
-    """Mark the lanes that may turn beyond their extremes in an interval by 1.0 in `turning`, and by 1.0 in `near` those that
-    may pass near the vertical, at `instant`."""
+    """Mark, by 1.0, lanes that may turn beyond their extremes in an interval in `turning`, lanes that may
+    pass near the vertical, at `instant`, in `near`.
+    """
     first, second = interval & 3, (interval + 1) & 3
     for l in range(WIDTH):
         slope_0, slope_1 = spacing * nodes[first, 11, l], spacing * nodes[second, 11, l]
@@ -286,10 +281,7 @@ def mark(turning, near, instant, stats, nodes, spacing, interval, intervals):
 
 
 def queue_turns(turns, lanes, count, turning, nodes, slots, spacing, first_node, interval):
-    """Append the turning points of the marked lanes to the queue; returns its length.
-
-    first_node: number of the first of the four nodes.
-    """
+    """Append the turning points of the marked lanes to the queue; returns its length."""
     first, second = interval & 3, (interval + 1) & 3
     for l in range(WIDTH):
         if turning[l] > 0.0:
@@ -317,7 +309,7 @@ def queue_passages(
 def near_vertical(nodes, first, second, l, spacing, interval, intervals):
     """Whether zeta may have a zero near an interval, 1.0 or 0.0, and where: see `poles.turns_near_vertical`.
 
-    Where the run begins or ends near the vertical there may be one without sin^2 theta turning.
+    Where the run begins or ends near the vertical, it may have one although sin^2 theta does not turn.
     """
     slope_0 = spacing * (nodes[first, 3, l] * nodes[first, 9, l] + nodes[first, 4, l] * nodes[first, 10, l])
     slope_1 = spacing * (
@@ -333,10 +325,7 @@ def near_vertical(nodes, first, second, l, spacing, interval, intervals):
 
 
 def store_passage(passages, e, nodes, slots, l, spacing, duration, time, stats):
-    """Describe a passage of lane l near the vertical in column e.
-
-    spacing, duration: distance of two nodes in the kernel's and in the caller's units.
-    """
+    """Describe a passage of lane l in column e; `duration` is `spacing` in the caller's units."""
     store_component(passages, Passage.G1, Passage.G1_SLOPE, e, nodes, slots, 3, l, 1.0, spacing)
     store_component(passages, Passage.G2, Passage.G2_SLOPE, e, nodes, slots, 4, l, 1.0, spacing)
     store_component(

@@ -1,7 +1,4 @@
-"""Blocks of points, one in each lane, in the kernels `kernel` and `observe`: into and out of a block, and its steps.
-
-Ordinary Python, as `kernel`. The arrays of a block have one column for each lane; those of all points, one for each point.
-"""
+"""Points into and out of the lanes of a block, and their steps; block arrays have a column for each lane."""
 
 from .generated import (
     INTEGRALS,
@@ -49,7 +46,7 @@ def load_runs(points, block, state, sums, nodes, integrals0, state0, resume, out
 
 
 def store_runs(points, block, state, nodes, integrals0, state0, resume):
-    """Keep what `load_runs` needs beside the sums."""
+    """Keep what `load_runs` needs, but the sums."""
     rows = nodes.shape[1]
     for l in range(WIDTH):
         p = points[block, l]
@@ -70,7 +67,6 @@ def store_ends(points, block, step_size, state, constants, state0):
 
 
 def store_sums(points, block, sums, out):
-    """Write the sums of a block's points."""
     for l in range(WIDTH):
         p = points[block, l]
         for row in range(sums.shape[0]):
@@ -88,7 +84,7 @@ def load_plugged(points, block, begins, given, plugged, given0, out, first_row):
 
 
 def store_plugged(points, block, plugged, out, first_row):
-    """Write the sums of the plugged instruments behind those of the kernel."""
+    """Write the sums of the plugged instruments after the sums of the kernel."""
     for l in range(WIDTH):
         for row in range(plugged.shape[0]):
             out[first_row + row, points[block, l]] = plugged[row, l]

@@ -1,9 +1,9 @@
 """Equations with more states: the losses of first integrals, or a direction at rest in the frame.
 
-Where dissipation changes a first integral I at the rate -R, the equations name R in LOSSES. A kernel then has one more
-state for I, the sum L of what was lost, with L' = R and L = 0 at the start. I + L is a first integral of the equations
-with this state, so that its change measures the error of the integration, as that of I does without dissipation. The
-sums L come from the same Runge-Kutta steps as the motion and have errors of the same order.
+Where dissipation changes a first integral I at the rate -R, the equations name R in LOSSES. A kernel then has
+one more state for I, the sum L of what was lost, with L' = R and L = 0 at the start. I + L is a first
+integral of the equations with this state, so that its change measures the error of the integration. The sums
+L come from the same Runge-Kutta steps as the motion and have errors of the same order.
 """
 
 from __future__ import annotations
@@ -21,10 +21,7 @@ SCALED, UNSCALED = "scaled_motion", "unscaled_motion"
 
 
 def losses_of(equations: ModuleType, zero: Collection[str], equal: Mapping[str, str]) -> dict[str, str]:
-    """First integrals that lose anything, and the functions that return their losses.
-
-    equations: see `systems.base.System.equations`; zero, equal: as for `assemble.source`.
-    """
+    """Functions that return the losses of first integrals, by integral, where anything is lost."""
     given, sources = getattr(equations, "LOSSES", {}), arithmetic.functions(equations)
     return {
         integral: function
@@ -34,10 +31,7 @@ def losses_of(equations: ModuleType, zero: Collection[str], equal: Mapping[str, 
 
 
 def with_losses(equations: ModuleType, losses: Mapping[str, str]) -> ModuleType:
-    """Equations with a state for the loss of each of these integrals, and without the functions of other losses.
-
-    losses: first integral -> function; a part of ``equations.LOSSES``.
-    """
+    """Equations with a state for each of these losses, and without the functions of other losses."""
     unused = {*getattr(equations, "LOSSES", {}).values()} - {*losses.values()}
     sources = {name: text for name, text in arithmetic.functions(equations).items() if name not in unused}
     names = {name: value for name, value in vars(equations).items() if name.isupper()} | {"LOSSES": losses}
@@ -106,10 +100,7 @@ def _with_states(
     names: Mapping[str, str],
     powers: list[int],
 ) -> dict[str, str]:
-    """The functions of so many states with more of them.
-
-    rates: key of each new state -> function; names: key -> its name; powers of a rate in their units.
-    """
+    """The functions of so many states with more of them; `powers`: of a rate in the new states' units."""
     scaling = {name: sources[name] for name in ("scaled", "unscaled")}
     extended = {name: _with_sums(text, rates, names) for name, text in sources.items() if name not in scaling}
     return extended | _scaling(scaling, states, powers)

@@ -1,9 +1,9 @@
-"""The frequency bound of systems that give none: from the Jacobian at the start and at instants of a preliminary run.
+"""The frequency bound of systems that give none: from the Jacobian at the start and along a preliminary run.
 
-At the start alone the numeric frequency of `systems.jacobian` is often too low: where a motion begins slowly. A
-preliminary run with steps as long as they may be therefore samples it along the motion; where it has grown, the
-run is repeated with the larger bound. A forcing by time, itself a state, is not in the Jacobian's powers: the run shows it in
-the derivatives of the states. The result depends on the point, its duration and the settings alone.
+At the start alone the numeric frequency of `systems.jacobian` is often too low, because a motion may begin
+slowly. A preliminary run with the longest possible steps therefore samples it, and is repeated with the
+larger bound where it has grown. A forcing by time, itself a state, is not in the Jacobian's powers: the run
+shows it in the derivatives of the states. No point's result depends on others.
 """
 
 from __future__ import annotations
@@ -25,8 +25,8 @@ SAMPLE_RADIANS, MIN_SAMPLES, MAX_SAMPLES = 0.5, 16, 2000
 LEAST_TURNS = 4
 # Phase error and loss of amplitude of the preliminary run, and its largest step over the stability limit.
 ERROR, MAX_STEP_RATIO = 1e-2, 0.25
-# A bound is raised where the frequency exceeds it by the first factor; by the second at least and the third at most, for
-# with steps that are too long the motion is a wrong one.
+# A bound is raised where the frequency exceeds it by TOLERATED; RAISE and RAISE_MOST limit the rise, because
+# a coarse trial run may itself be wrong.
 TOLERATED, RAISE, RAISE_MOST = 1.05, 1.25, 4.0
 # The largest n-th derivative of a state over its largest (n - 1)-th, n = 2 and 3, is at most OVERTONE bounds. Derivatives that are
 # smaller than this share of the state, with the bound as the unit of rates, are rounding errors.
@@ -38,10 +38,7 @@ MAX_ATTEMPTS = 60
 
 
 def before_run(system: System, points: Points, duration: Array) -> Array:
-    """Frequency bound as far as it is known without integrating, rad per time unit, (points,): to estimate costs.
-
-    duration: in time units, (points,).
-    """
+    """Frequency bound known without integrating, rad per time unit, from which costs are estimated."""
     bound = system.frequency_bound(points)
     return np.fmax(bound, _least(duration)) if system.has_numeric_bound else bound
 
@@ -62,12 +59,9 @@ def along_runs(
     *,
     threads: int | None = None,
 ) -> tuple[Array, Mask]:
-    """Frequency bound of every point over its whole run.
+    """Frequency bound of each point, rad per time unit, and whether no frequency in its run exceeds it.
 
-    system: whose `has_numeric_bound` is true. kernel: see `specialization.kernel`; for as many frames as the
-    ensemble has axes of. method: that of the kernel; ensemble: its bound is the frequency at the start;
-    duration: in time units; max_steps: a point that needs more steps than this is not sampled further.
-    Returns bound, in rad per time unit; settled, whether the frequency stayed below it at all instants.
+    The ensemble's bound is the frequency at the start. A run of more than max_steps is sampled no further.
     """
     bound = np.fmax(ensemble.frequency_bound, _least(duration))
     bound = np.where(np.isfinite(ensemble.frequency_bound), bound, np.inf)

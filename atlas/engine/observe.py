@@ -1,10 +1,10 @@
-"""The kernel of systems with observables: blocks of points integrated, their observables averaged along each motion.
+"""The kernel of systems with observables: blocks of points, their observables averaged along each motion.
 
-Ordinary Python, as `kernel`; what depends on the system and the method stands in `generated`. An observable is evaluated
-with its derivative at the nodes, instants a few steps apart. Its integrals over a run are sums over the nodes by the
-trapezoidal rule with the corrections of `sampling.end_weights` at both ends; its extremes between two nodes are those
-of the interpolation of four. With the value f0 at the start, g = f - f0 and u from -1/2 to 1/2 along the run, the sums
-are those of g, g^2 and u g: the mean, the standard deviation and the slope of the straight line fitted to f follow.
+What depends on the system and the method stands in `generated`. An observable is evaluated with its
+derivative at the nodes, instants a few steps apart. Its integrals over a run are sums over the nodes by the
+trapezoidal rule with the corrections of `sampling.end_weights` at both ends; its extremes between two nodes
+are extremes of the interpolation of four. With the value f0 at the start, g = f - f0 and u from -1/2 to 1/2
+along the run, sums of g, g^2 and u g give mean, standard deviation and slope of the line fitted to f.
 """
 
 from .generated import (
@@ -79,7 +79,7 @@ def integrate(schedule, arrays, first_block, last_block, first_node, last_node):
             accumulate(sums, nodes, slot, i, intervals, spacing, value_weights, slope_weights)
             if i >= 2:
                 compare_with_neighbours(sums, nodes, i, spacing)
-            if i >= 3:  # the inner interval of four nodes; at both ends of the run those beside it, too
+            if i >= 3:  # the inner interval of four nodes; at both ends of the run its neighbours, too
                 for interval in range(i - 3 if i == 3 else i - 2, i if i == intervals else i - 1):
                     extend_between(sums, nodes, turning, i, interval, spacing)
             if (i + 1) % NODES_PER_CHANGE == 0 or i == intervals:

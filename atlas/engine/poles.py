@@ -1,16 +1,14 @@
 """Quadrature errors where the third axis passes near the vertical.
 
-With zeta = g1 + i g2 the angle of proper rotation is phi = pi/2 - arg zeta. Near the vertical zeta, as a function of
-complex time, has a zero z close to the real axis, so that
+With zeta = g1 + i g2 the angle of proper rotation is phi = pi/2 - arg zeta. Near the vertical zeta, as a
+function of complex time, has a zero z close to the real axis, so that
 
     phi' = -Im(zeta' / zeta),    psi' = (u3 - phi') / g3,    theta'^2 = g3'^2 / |zeta|^2
 
-have poles there. The trapezoidal rule converges slowly on such a spike, but its error on a pole is a closed form
-(Poisson's summation formula): `trapezoid_error_of_pole`. The zero is found on the polynomial through four nodes of the
-motion (`pole_terms`), and the kernel subtracts the errors of the sums.
-
-The unit of time is the distance of two nodes. The functions are plain arithmetic on scalars and one column of an array:
-they run compiled or not, `pole_terms` for several passages side by side.
+have poles there. The trapezoidal rule converges slowly on such a spike, but its error on a pole is a closed
+form (Poisson's summation formula): `trapezoid_error_of_pole`. The zero is found on the polynomial through
+four nodes of the motion (`pole_terms`), and the kernel subtracts the errors of the sums. The unit of time is
+the distance of two nodes.
 """
 
 from enum import IntEnum
@@ -28,8 +26,7 @@ NEWTON_STEPS = 4
 class Passage(IntEnum):
     """Rows that describe a passage near the vertical; rates and derivatives are per distance of two nodes.
 
-    The first six are the first of four rows each, one for every node; `difference` turns each eight of them into the
-    divided differences of a component.
+    The first six begin four rows each, one for each node, of which `difference` makes divided differences.
     """
 
     G1 = 0
@@ -66,11 +63,9 @@ class Term(IntEnum):
 
 
 def turns_near_vertical(sin2_theta, slope_0, slope_1):
-    """Instant between two nodes at which sin^2 theta is least, and whether zeta may have a zero near.
+    """Whether sin^2 theta is least between two nodes and zeta may have a zero near, 1.0 or 0.0, and where.
 
-    sin2_theta: sin^2 theta at the first node; slope_0, slope_1: half its derivative at both nodes. Returns
-    near, 1.0 if sin^2 theta is least between the nodes and the zero of a parabola is within REACH of the real
-    axis, else 0.0; instant, counted from the first node.
+    Slopes are half the derivative of sin^2 theta; near: on a parabola, within REACH of the real axis.
     """
     rises = 1.0 if slope_1 >= 0.0 else 0.0
     turns = rises if slope_0 < 0.0 else 0.0
@@ -111,9 +106,9 @@ def zeta_differences(passages, e):
 
 
 def approximate_zero(passages, e, farther):
-    """The nearer or the farther zero of the parabola that touches zeta at TIME; `passages` holds divided differences.
+    """The nearer or the farther zero of the parabola that touches zeta at TIME; `passages` is differenced.
 
-    An axis that starts beside the vertical, or turns back there, has two zeros near.
+    An axis that starts near the vertical, or turns back there, has two zeros near.
     """
     x = passages[Passage.TIME, e]
     value, slope, curvature = polynomial(zeta_differences(passages, e), x)
@@ -135,10 +130,7 @@ def improve_zero(passages, e):
 
 
 def pole_terms(passages, e, terms, farther):
-    """Zero and Laurent coefficients of passage e, for the nearer (0) or the farther zero (1).
-
-    Column e of `passages` (rows `Passage`, differenced) goes to column e of terms[farther] (rows `Term`).
-    """
+    """Write zero and Laurent coefficients of the differenced passage e into column e of terms[farther]."""
     zeta = zeta_differences(passages, e)
     z = complex(passages[Passage.Z_REAL, e], passages[Passage.Z_IMAG, e])
     _, slope, curvature = polynomial(zeta, z)
@@ -166,12 +158,9 @@ def pole_terms(passages, e, terms, farther):
 
 
 def sum_errors(terms, farther, e, simple, double, vertical):
-    """Excess of the sums of theta'^2, psi', psi'^2, phi', phi'^2 over their integrals, from column e of terms[farther].
+    """Excess of the sums of theta'^2, psi', psi'^2, phi' and phi'^2 over their integrals near one zero.
 
-    simple, double : complex
-        See `trapezoid_error_of_pole`.
-    vertical : float
-        The sign of g3.
+    `simple` and `double` come from `trapezoid_error_of_pole`; `vertical` is the sign of g3.
     """
     theta = (
         simple.real * terms[farther, Term.THETA_REAL, e] - simple.imag * terms[farther, Term.THETA_IMAG, e]
@@ -186,8 +175,7 @@ def sum_errors(terms, farther, e, simple, double, vertical):
 def trapezoid_error_of_pole(tau, slope):
     """Excess of the weighted sums of 1 / (t - z) and 1 / (t - z)^2 over their integrals.
 
-    tau: the variable in which the samples are uniform, at z; see `sampling.stretched`. slope: its derivative
-    by t there.
+    `tau`, in which the samples are uniform, and its derivative are values at z; see `sampling.stretched`.
     """
     above = tau.imag > 0.0
     q = np.exp(2j * np.pi * (tau if above else tau.conjugate()))
@@ -204,7 +192,6 @@ def complex_inverse(z):
 
 
 def square_root(z):
-    """A square root of z."""
     size = np.sqrt(z.real * z.real + z.imag * z.imag)
     real, imag = np.sqrt(0.5 * abs(size + z.real)), np.sqrt(0.5 * abs(size - z.real))
     return complex(real, imag if z.imag >= 0.0 else -imag)

@@ -1,11 +1,11 @@
 """Samples of the Euler rates and the quadrature rule that averages them over a run.
 
-The unit of time is the distance of two nodes. Inside a run the rule is the trapezoidal one on the nodes, whose error
-falls exponentially. At both ends the variable of integration is changed from t to tau(t), which is t itself away from
-the ends and there grows like the logarithm of the distance from the end: uniform in tau, the samples crowd towards the
-ends geometrically, so that the rule is as accurate for a rate that has a singularity at any distance beyond an end as
-for a smooth one. (The trapezoidal rule after such a change of variable: H. Takahasi and M. Mori, Publ. RIMS 9 (1974)
-721-741.) The functions of scalars are plain arithmetic: the kernel calls them for each lane, compiled or not.
+The unit of time is the distance of two nodes. Inside a run the rule is the trapezoidal one on the nodes,
+whose error falls exponentially. At both ends the variable of integration is changed from t to tau(t), which
+is t itself away from the ends and there grows like the logarithm of the distance from the end: uniform in
+tau, the samples crowd towards the ends geometrically, so that the rule is as accurate for a rate that has a
+singularity at any distance beyond an end as for a smooth one. (The trapezoidal rule after such a change of
+variable: H. Takahasi and M. Mori, Publ. RIMS 9 (1974) 721-741.)
 """
 
 from __future__ import annotations
@@ -34,12 +34,9 @@ SAME_AS_NODE = 1e-11
 
 
 def sample(motion, cylinder_squared):
-    """Euler rates and tilt of one instant.
+    """theta_dot, psi_dot, phi_dot and the normal rate in the units of u, and 1.0 outside the cylinder.
 
-    motion: angular velocity relative to the frame, u1, u2, u3, and the frame's vertical, g1, g2, g3, in body
-    axes. cylinder_squared: square of the cylinder tolerance: where sin^2 theta is below it, psi' and phi'
-    have no meaning. Returns theta_dot, psi_dot, phi_dot, normal_rate, rates in the units of u; psi' and phi'
-    are 0 inside the cylinder; outside, 1.0 outside the cylinder, 0.0 inside.
+    Where sin^2 theta is below cylinder_squared, psi' and phi' have no meaning: they and the last value are 0.
     """
     u1, u2, u3, g1, g2, g3 = motion
     sin2_theta = g1 * g1 + g2 * g2
@@ -118,17 +115,14 @@ def _from_both_ends(
 
 
 def stretched(start, end):
-    """tau and its derivative by t at an instant that is `start` after the first and `end` before the last node.
-
-    Arguments may be arrays or complex.
-    """
+    """tau and its derivative by t at the distances `start` from the first and `end` from the last node."""
     from_start, slope_start = end_stretch(start)
     from_end, slope_end = end_stretch(end)
     return start + from_start - from_end, 1.0 + slope_start + slope_end
 
 
 def end_stretch(t):
-    """tau(t) - t and its derivative at the distance t from one end of a run that goes on for ever."""
+    """tau(t) - t and its derivative at the distance t from one end of a semi-infinite run."""
     x, y = t * (1.0 / SQUARE), t * (1.0 / FOURTH)
     small = np.exp(-(t * (1.0 / CLUSTERING) + x * x + y * y * y * y))
     slope = 1.0 / CLUSTERING + 2.0 * x * (1.0 / SQUARE) + 4.0 * y * y * y * (1.0 / FOURTH)
@@ -136,12 +130,7 @@ def end_stretch(t):
 
 
 def hermite_weights(x: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Weights of the values at the nodes 0, 1, 2, 3 and of their derivatives that give the value at x.
-
-    Hermite interpolation, exact for polynomials of degree 7.
-
-    x: (samples,). Returns four weights of values, four of derivatives, (samples, 8).
-    """
+    """Weights of four values, then derivatives, at 0, 1, 2, 3 in Hermite interpolation of degree 7 at x."""
     nodes = np.arange(4.0)
     weights = np.empty((x.size, 8))
     for k in range(4):
@@ -153,7 +142,7 @@ def hermite_weights(x: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 class EndWeights(NamedTuple):
-    """What is added to the weights of the trapezoidal rule at the first four nodes, those of a run's end mirrored."""
+    """Additions to the weights of the trapezoidal rule at the first four nodes, mirrored at a run's end."""
 
     values: NDArray[np.float64]  # by the number of the node; the half of the first node is in the first, (4,)
     slopes: NDArray[np.float64]  # of the derivatives, (4,); at the end of a run with the opposite sign
@@ -163,9 +152,9 @@ class EndWeights(NamedTuple):
 def end_weights() -> EndWeights:
     """The weights for any run.
 
-    By the Euler-Maclaurin formula the integral over a run is the sum over the nodes, in which the first and the last count
-    half, and B_2k / (2k)! times the odd derivatives at the start less those at the end. The derivatives are those of the
-    Hermite interpolation of four nodes, so that the rule is exact for polynomials of degree 7.
+    By the Euler-Maclaurin formula the integral over a run is the sum over the nodes, in which the first and
+    the last count half, and B_2k / (2k)! times the difference of the odd derivatives at both ends (start less
+    end). With derivatives of the Hermite interpolation of four nodes the rule is exact up to degree 7.
     """
     x = np.linspace(0.0, 3.0, 8)
     basis = [Polynomial.fit(x, column, 7, domain=[-1, 1]) for column in hermite_weights(x).T]

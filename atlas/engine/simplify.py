@@ -1,8 +1,7 @@
-"""Equations without the terms that vanish in a whole scene: x * 0, x + 0, x - x and x * 1, on the syntax tree.
+"""Equations without terms that vanish in a whole scene: x * 0, x + 0, x - x and x * 1, on the syntax tree.
 
-x * y - x * z becomes x * (y - z).
-
-The result is the same to round-off. LLVM may not do this itself: 0 * x is not 0 for a NaN or an infinity.
+x * y - x * z becomes x * (y - z). The result is the same to round-off; LLVM may not do this itself, because x
+* 0 is not 0 for a NaN or an infinity.
 """
 
 from __future__ import annotations
@@ -13,11 +12,7 @@ from functools import reduce
 
 
 def simplify(text: str, zero: Collection[str], equal: Mapping[str, str], ones: Collection[str] = ()) -> str:
-    """Leave out of a function what vanishes when some of its names have known values.
-
-    text: source of the function. zero, ones: names that are 0 and names that are 1. A name in both is 0.
-    equal: names that equal another one, which replaces them. Returns source of the simplified function.
-    """
+    """Source of a function for names that are 0 (which comes first), 1, or equal to another name."""
     tree = ast.parse(text)
     simplifier = _Simplifier(set(zero), dict(equal), set(ones))
     return ast.unparse(ast.fix_missing_locations(simplifier.visit(tree)))

@@ -31,7 +31,7 @@ class Specialization:
 
     @classmethod
     def of_points(cls, system: System, points: Points) -> Specialization:
-        """For points that are all there are."""
+        """From an explicit set of points."""
         zero = {name for name, values in points.items() if ((values == 0) | np.isnan(values)).all()}
         equal = {(a, b) for a, b in system.equal_parameters if (points[a] == points[b]).all()}
         return cls.of(system, zero, equal)
@@ -70,7 +70,6 @@ def tangent_source(system: System, specialization: Specialization = GENERIC) -> 
 
 @cache
 def tangent_kernel(system: System, specialization: Specialization = GENERIC) -> ModuleType:
-    """The compiled module of `tangent_source`."""
     return jit.load(tangent_source(system, specialization))
 
 

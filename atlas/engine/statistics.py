@@ -1,9 +1,8 @@
-"""Statistics of a run: their sums in the kernel, their final formulas, and what they are called in an atlas.
+"""Statistics of a run: their sums in the kernel, their final formulas, and their names in an atlas.
 
-A statistic that every atlas has is added here alone: a row of the sums (`Row`), a line in `begin` and in `accumulate`, its
-formula in `finish`, and its entry in STATISTICS, from which the registry of dataset variables takes name, unit and meaning.
-Others are instruments (`measure.instrument`), of which a kernel has those that a scene asks for. No trajectory is kept. `begin` and `accumulate` are plain arithmetic on scalars and one lane of the sums: the kernel
-calls them, compiled or not.
+A statistic of every atlas is added here alone: a row of the sums (`Row`), a line in `begin` and in
+`accumulate`, its formula in `finish`, and its entry in STATISTICS, from which the registry of variables takes
+name, unit and meaning. Others are instruments (`measure.instrument`). No trajectory is kept.
 """
 
 from __future__ import annotations
@@ -21,16 +20,12 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 
-# Position of a zero that there is not.
+# Marks an empty slot for a zero.
 NO_ZERO = -1e3
 
 
 class Row(IntEnum):
-    """Rows of the kernel's output.
-
-    Weighted sums over the samples and their errors, which are kept apart; sums over the nodes; extremes; the values
-    from which rates are counted; and theta at both ends, rad.
-    """
+    """Rows of the kernel's output; sums and their quadrature errors are apart; theta at both ends in rad."""
 
     @staticmethod
     def _generate_next_value_(name: str, start: int, count: int, last_values: list[int]) -> int:
@@ -118,7 +113,6 @@ def begin(stats, l, motion, cylinder_squared):
 
 
 def accumulate(stats, l, motion, weight, cylinder_squared):
-    """Add one sample to lane l of the sums."""
     theta_dot, psi_dot, phi_dot, normal_rate, _, outside = sample(motion, cylinder_squared)
     psi_dot = (psi_dot - stats[Row.PSI_DOT_REFERENCE, l]) * outside
     phi_dot = (phi_dot - stats[Row.PHI_DOT_REFERENCE, l]) * outside
@@ -148,10 +142,7 @@ def extend(stats, l, cos_theta, sin2_theta):
 
 
 def may_extend(stats, l, cos_0, cos_1, slope_0, slope_1):
-    """Whether a turning point of theta between two nodes may be an extreme of lane l, 1.0 or 0.0.
-
-    Arguments: cos theta and its derivative at both nodes, the unit of time being their distance.
-    """
+    """Whether theta may have a new extreme of lane l between two nodes at unit distance, 1.0 or 0.0."""
     margin = 0.25 * (abs(slope_0) + abs(slope_1)) + 1e-9
     above = 1.0 if max(cos_0, cos_1) + margin > stats[Row.COS_THETA_MAX, l] else 0.0
     below = 1.0 if min(cos_0, cos_1) - margin < stats[Row.COS_THETA_MIN, l] else 0.0
@@ -175,12 +166,9 @@ def theta_from(cos_theta: NDArray[np.float64], sin2_theta: NDArray[np.float64]) 
 def finish(
     out: NDArray[np.float64], intervals: NDArray[np.int64], duration: NDArray[np.float64]
 ) -> dict[str, NDArray[np.float64]]:
-    """Means, standard deviations and extremes from the kernel's output.
+    """Every statistic of STATISTICS, sine_max (largest sin theta), and axis_1, axis_2 (mean `axis_in_frame`).
 
-    out: output of the kernel, (len(Row), points); intervals: nodes less one; duration: in time units. Returns
-    every name of STATISTICS; the means and standard deviations of psi' and phi' are over the time outside the
-    cylinder, nan if there is none. Also `sine_max`, the largest sin theta, and `axis_1`, `axis_2`, means of
-    the system's `axis_in_frame`.
+    Means and deviations of psi' and phi' are over the time outside the cylinder, nan if there is none.
     """
     with np.errstate(all="ignore"):
         # np.maximum returns nan for nan: a run that overflowed stays visible.

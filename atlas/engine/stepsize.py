@@ -25,7 +25,7 @@ INTERPOLATION_ERROR = 81 / 256 / 40320
 
 
 class StepSizeSettings(Protocol):
-    """What step sizes depend on beside the point; `scene.model.Settings` is one."""
+    """What step sizes depend on but the point; `scene.model.Settings` is one."""
 
     @property
     def method(self) -> str:
@@ -126,7 +126,6 @@ class StepSizes:
         )
 
     def subset(self, where: NDArray[np.int64]) -> StepSizes:
-        """Those of some points, by their indices."""
         return StepSizes(**{field.name: getattr(self, field.name)[where] for field in fields(self)})
 
     def halved(self, method: Method) -> StepSizes:
@@ -141,8 +140,8 @@ class StepSizes:
     def incommensurate(self, method: Method) -> StepSizes:
         """Fewer steps, about the golden section, whose nodes coincide with hardly any of these.
 
-        What is faster than the steps and looks slow at these instants looks different at those of the others: no number
-        is farther from all fractions with small denominators than the golden section.
+        What is faster than the steps and looks slow at these instants looks different at the others: no
+        number is farther from all fractions with small denominators than the golden section.
         """
         fewer = (GOLDEN_SECTION * self.intervals).astype(np.int64) | 1
         for _ in range(3):  # the next odd numbers, where both have a common factor
@@ -174,7 +173,7 @@ def steps_of_length(length: float, duration: NDArray[np.float64], least: int, mo
 
 
 def count_ladder(count: NDArray[np.float64]) -> NDArray[np.int64]:
-    """Round counts up to 16, 32, 48, ..., as near as may be to powers of 2^(1/4), so that points share lanes."""
+    """Round counts up to a ladder 16, 32, 48, ... near powers of 2^(1/4), so that points share lanes."""
     exponent = np.ceil(4 * np.log2(np.maximum(count / MAX_STEPS_PER_SAMPLE, 1.0)) - 1e-9)
     rounded = np.ceil(2.0 ** (exponent / 4) - 1e-9) * MAX_STEPS_PER_SAMPLE
     return rounded.astype(np.int64)
@@ -206,8 +205,7 @@ def _steps_per_sample(
 ) -> NDArray[np.int64]:
     """Steps between two nodes for steps of y radians at the frequency bound, a power of 2.
 
-    The motion is interpolated between nodes with an error of order 8 in their distance, which is kept below a tenth of
-    the phase error.
+    The interpolation error, of order 8 in the distance of nodes, is kept below a tenth of the phase error.
     """
     with np.errstate(divide="ignore", invalid="ignore"):
         spacing = (0.1 * dispersion_error / INTERPOLATION_ERROR) ** (1 / 8) / y  # in steps

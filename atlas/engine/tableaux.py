@@ -8,11 +8,7 @@ from fractions import Fraction
 
 @dataclass(frozen=True)
 class Method:
-    """A fixed-step explicit Runge-Kutta method and its errors on x' = i w x with y = w h.
-
-    Raises ValueError where the tableau has the wrong shape or fails the conditions of the first and second
-    order.
-    """
+    """An explicit Runge-Kutta method and its errors on x' = i w x at y = w h; ValueError if it is invalid."""
 
     name: str
     order: int  # global order
@@ -39,7 +35,6 @@ class Method:
 
     @property
     def stages(self) -> int:
-        """Number of stages."""
         return len(self.b)
 
 

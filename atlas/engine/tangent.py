@@ -1,13 +1,13 @@
 """The kernel of the chaos indicators: blocks of points integrated together with one tangent vector each.
 
-Ordinary Python, as `kernel`; what depends on the system and the method stands in `generated`, the layout of the tangent
-vector in `tangent_space`. The tangent vector v is divided by its norm at NODES instants of a run or more, equally spaced
-but for the length of a step, and at its end. With L the logarithm of the growth of |v| up to an instant t,
+The layout of the tangent vector v is in `tangent_space`. It is divided by its norm at NODES instants of a run
+or more, equally spaced but for the length of a step, and at its end. With L the logarithm of the growth of
+|v| up to an instant t,
 
     Y(t) = 2 (L(t) - (1/t) int_0^t L ds),    mean MEGNO = (1/T) int_0^T Y dt,    Lyapunov exponent = L(T) / T
 
-(Cincotta & Simo 2000, doi 10.1051/aas:2000108; the form without derivatives of v follows by integration by parts). The
-integrals are sums by the trapezoidal rule over these instants; time is counted in steps.
+(Cincotta & Simo 2000, doi 10.1051/aas:2000108; the form without derivatives of v follows by integration by
+parts). The integrals are sums by the trapezoidal rule over these instants; time is counted in steps.
 """
 
 import numpy as np
@@ -40,10 +40,9 @@ LOG_GROWTH, LOG_INTEGRAL, MEGNO, MEGNO_INTEGRAL, HIGHEST, DRAWDOWN, SUMS = 0, 1,
 
 
 def integrate(schedule, arrays, first_block, last_block, first_node, last_node):
-    """Integrate blocks of points and their tangent vectors over a range of nodes, as `kernel.integrate`.
+    """As `kernel.integrate`, with tangent vectors, which are divided by their norms at the nodes.
 
-    A node is an instant at which the tangent vector is divided by its norm; schedule: with the number of nodes of the whole run
-    instead of the steps between them; arrays: see `chaos.TangentArrays`.
+    The schedule has the nodes of the whole run, not the steps between two; arrays: `chaos.TangentArrays`.
     """
     aligned_stack()
     points, steps, nodes = schedule

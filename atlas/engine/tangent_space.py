@@ -1,13 +1,13 @@
-"""Tangent vectors of a system: their components, and the right-hand side of the variational equations as text.
+"""Tangent vectors of a system: their components, and the right-hand side of the variational equations.
 
-The equations may name vectors that are at rest in the frame (`FRAME_VECTORS`: body-axes components of unit vectors v with
-v' = v x u, u the angular velocity relative to the frame). Where there are two or more, a change of the attitude is a
-rotation by a small vector eta of the body's axes: dv = v x eta, and
+The equations may name vectors that are at rest in the frame (`FRAME_VECTORS`: body-axes components of unit
+vectors v with v' = v x u, u the angular velocity relative to the frame). Where there are two or more, a
+change of the attitude is a rotation by a small vector eta of the body's axes: dv = v x eta, and
 
     eta' = du + eta x u,
 
-by the Jacobi identity. So three components stand for those of all vectors, whose lengths and products stay as they are.
-Everything else changes by components of its own.
+by the Jacobi identity. Three components thus replace the components of all vectors, whose lengths and
+products are kept. Everything else changes by components of its own.
 """
 
 from __future__ import annotations
@@ -42,16 +42,12 @@ def own_components(equations: ModuleType) -> list[int]:
 
 
 def size(equations: ModuleType) -> int:
-    """Number of components of a tangent vector."""
     return len(own_components(equations)) + (3 if rotates(equations) else 0)
 
 
 def variation(equations: ModuleType, rhs: str) -> dict[str, str]:
-    """Source of the variational equations, by name.
-
-    equations: see `systems.base.System.equations`; rhs: source of their right-hand side. Returns
-    ``rhs_change(state, constants, change)``, and ``variation(state, constants, tangent)``, the time
-    derivative of the tangent vector.
+    """Sources, by name, of ``rhs_change(state, constants, change)``, and of ``variation(state, constants,
+    tangent)``, the time derivative of the tangent vector.
     """
     own, names = own_components(equations), list(equations.STATE)
     changes = [f"t{j}" for j in range(len(own))]
@@ -81,9 +77,7 @@ def variation(equations: ModuleType, rhs: str) -> dict[str, str]:
 def start(equations: ModuleType, state: Array) -> Array:
     """Tangent vectors of norm 1 at the start, (size, points), rates in the unit of rates of their norm.
 
-    A single vector of the frame changes by its product with the start of the rotation, so that it stays a unit vector.
-
-    state: (states, points).
+    A single vector of the frame changes by its product with the start of the rotation, to stay a unit vector.
     """
     names, own = list(equations.STATE), own_components(equations)
     pattern = (*START, *START_OF_ROTATION)

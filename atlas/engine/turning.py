@@ -1,7 +1,6 @@
-"""Turning points between two nodes: of a cubic, and of theta on the polynomials of seventh degree through four nodes.
+"""Turning points between two nodes: of a cubic, and of theta on polynomials of degree 7 through four nodes.
 
-The unit of time is the distance of two nodes. The functions are plain arithmetic on scalars and one column of an array:
-the kernel calls them for several turning points side by side, compiled or not.
+The unit of time is the distance of two nodes.
 """
 
 from enum import IntEnum
@@ -15,10 +14,7 @@ TURN_STEPS = 5
 
 
 class Turn(IntEnum):
-    """Rows that describe a turning point: the vertical at four nodes and its derivatives, four rows each.
-
-    `poles.difference` turns them into the divided differences of the components.
-    """
+    """Rows that describe a turning point: the vertical and its derivatives at four nodes, four rows each."""
 
     G1 = 0
     G1_SLOPE = 4
@@ -34,9 +30,9 @@ TURN_ROWS = max(Turn) + 1
 
 
 def turns_twice(f0, f1, s0, s1, rounding):
-    """Whether the cubic with these values and slopes at 0 and 1, not of opposite signs, turns twice between, 1.0 or 0.0.
+    """Whether the cubic with these values, of one sign, and slopes at 0 and 1 turns twice between, 1 or 0.
 
-    So does a motion that starts at rest if it turns back once. rounding: of the values; less is no turn.
+    So does a motion that starts at rest if it turns back once; less than `rounding` is no turn.
     """
     both = s0 + s1
     excess = both - 3.0 * (f1 - f0)
@@ -80,8 +76,8 @@ def motion_of_turn(turns, e):
 def turning_point(turns, e):
     """cos theta and sin^2 theta at TIME, in column e of `turns`; then TIME is improved.
 
-    The derivative of theta changes its sign between two nodes, so that TIME stays there: where theta is constant but for
-    rounding errors, Newton's method would leave the four nodes.
+    TIME stays between the nodes where the derivative of theta changes its sign: where theta is constant but
+    for rounding errors, Newton's method would leave the four nodes.
     """
     u, v, w = motion_of_turn(turns, e)
     before = turns[Turn.NODE, e] - turns[Turn.TIME, e]

@@ -16,12 +16,9 @@ ROUNDING_RESIDUAL = 1e-13
 
 
 def rounding_limit(residual: Array, frequency_bound: Array, tolerances: Tolerances) -> Array:
-    """Growth, as a logarithm, by which rounding errors reach a tolerance, (points,).
+    """Growth, as a logarithm, by which rounding errors reach a tolerance, by the residual of a steady start.
 
-    Rounding errors of rates are relative to the frequency bound, those of angles to 1.
-
-    residual: residual of the conditions of the steady motion at the start, dimensionless; frequency_bound: in
-    rad per time unit.
+    Rounding errors of rates are relative to the frequency bound, errors of angles to 1.
     """
     tolerance = np.minimum(tolerances.rate / frequency_bound, tolerances.angle)
     return np.asarray(np.log(tolerance / np.fmax(residual, ROUNDOFF)))
@@ -38,12 +35,8 @@ def status(
 ) -> Flags:
     """Status of each computed point: the first that applies, in the order of `flags.Status`.
 
-    finite: whether state and statistics are finite; integral_drift: largest relative change of a first
-    integral, at most drift_tolerance. resolved: whether the steps are short enough for the frequency bound;
-    see `engine.stepsize.StepSizes.resolved`. rounding_growth: growth rate times duration where the start is
-    on an unstable motion to rounding, else 0; rounding_limit: as the function of that name returns it;
-    step_sensitive: whether the label changes, or could, when the step is halved. Returns values of
-    `flags.Status`.
+    rounding_growth is growth rate times duration where the start is on an unstable motion to rounding, else
+    0; step_sensitive: whether the label changes, or could, when the step is halved.
     """
     conditions = {
         Status.NOT_FINITE: ~finite,

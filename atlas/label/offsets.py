@@ -1,12 +1,13 @@
 """Motions that start near a steady motion: their labels from the linear equations.
 
-The steady motion theta = theta0, psi' = n, phi' = m of a start, x0(t), solves the equations of motion x' = F(x) up to the
-residual acceleration f(t) = F(x0) - x0'. To first order in f and in theta' of the start, the motion is x0 + d with
+A start has a steady motion x0(t), theta = theta0, psi' = n, phi' = m, which solves the equations of motion x'
+= F(x) up to the residual acceleration f(t) = F(x0) - x0'. To first order in f and in theta' of the start, the
+motion is x0 + d with
 
     d' = F'(x0(t)) d + f(t),    d(0) = start - x0(0),
 
-by variation of constants. The forced and the free oscillations, secular drifts and the growth beside an unstable motion are
-all parts of d. The kernel of `engine.deviation` integrates it.
+by variation of constants. The forced and the free oscillations, secular drifts and the growth near an
+unstable motion are all parts of d. The kernel of `engine.deviation` integrates it.
 """
 
 from __future__ import annotations
@@ -64,14 +65,12 @@ def off_family_labels(
     pause: Callable[[], None] = lambda: None,
     threads: int | None = None,
 ) -> dict[str, Flags]:
-    """Labels of starts that are on no family's motion and may be near one, from linear theory.
+    """Labels in each frame, from linear theory, of starts that are on no family's motion and may be near one.
 
-    system: a body in a frame, see `describes`; points: the points that are integrated; duration: in time
-    units; frames: rate of each frame, which is added to psi', rad per time unit. pause: called again and
-    again, from any thread; it raises an exception where the run was interrupted. threads: default: all
-    processors. Labels do not depend on it. Returns for each frame values of `flags.Label`: not_computed where
-    a change of a tenth, or terms of second order, could change the label, where rounding errors cause the
-    drift, and where the run is too long for the linear equations.
+    The system is a body in a frame, see `describes`; `frames` are rates that are added to psi', rad per time
+    unit. `pause` is called from any thread, and raises an exception where the run was interrupted. The label
+    is not_computed where a change of a tenth, or terms of second order, could change it, where rounding
+    errors cause the drift, and where the run is too long for the linear equations.
     """
     result = {name: np.full(duration.shape, Label.DRIFTING, np.int8) for name in frames}
     with np.errstate(all="ignore"):
@@ -116,7 +115,6 @@ class _SteadyMotions:
 
     @classmethod
     def of(cls, system: System, points: Points) -> _SteadyMotions:
-        """The motions of some points."""
         constants, state = system.constants(points), np.array(system.initial_state(points))
         _, n, m = (np.array(value, float) for value in system.steady_rates(points))
         u, g = np.split(np.array(system.equations.frame_motion(state, constants)), 2)
@@ -126,7 +124,6 @@ class _SteadyMotions:
         return cls(system, constants, state, n, m, offset)
 
     def subset(self, where: NDArray[np.int64]) -> _SteadyMotions:
-        """Some of them, by their indices."""
         arrays = (values[..., where] for values in (self.constants, self.state, self.n, self.m, self.offset))
         return _SteadyMotions(self.system, *arrays)
 
@@ -170,7 +167,6 @@ class _SteadyMotions:
 
 
 def _indices(system: System, names: Iterable[str]) -> list[int]:
-    """Indices of states."""
     return [system.equations.STATE.index(name) for name in names]
 
 
@@ -179,9 +175,9 @@ def _near(
 ) -> Mask:
     """Whether the rates of a start change so slowly that the motion may count as steady.
 
-    An oscillation of a frequency of at most the bound that begins with an acceleration f changes rates by |f| / bound
-    or more, and in a radian of the bound angles by these rates. Damping may take that away in such a time. Inside the
-    cylinder the angles count.
+    An oscillation at most as fast as the bound that begins with an acceleration f changes rates by |f| /
+    bound or more, and angles by these rates in a radian of the bound, unless damping takes that away in such
+    a time. Inside the cylinder the angles count.
     """
     g, time = start.vertical, np.fmin(1.0 / bound, duration)
     change = np.fmax(length(start.acceleration()) * time, length(start.offset))
@@ -236,7 +232,7 @@ def _integrate(
     pause: Callable[[], None],
     change: Array | float = 0.0,
 ) -> Array:
-    """Sums over the nodes of x0 + d of some runs, (len(Deviation), points); change: that of d at the start, its size."""
+    """Sums over the nodes of x0 + d, (len(Deviation), points); change: of d at the start, its size."""
     g, rates = motions.vertical, _indices(motions.system, motions.system.rate_states)
     sine = np.hypot(g[0], g[1])
     # psi' and phi' depend on the direction of the tilt, except inside the cylinder, where they do not count.

@@ -1,4 +1,4 @@
-"""A set of points, from parameters to labels beside theory: prepare, integrate, recheck at half the step, assemble."""
+"""From parameters to labels and theory: prepare, integrate, recheck at half the step, assemble."""
 
 from __future__ import annotations
 
@@ -33,12 +33,11 @@ def evaluate(
     threads: int | None = None,
     progress: Callable[[float], None] | None = None,
 ) -> dict[str, np.ndarray]:
-    """Integrate, measure, label and compare points.
+    """Integrate, measure, label and compare points; the arrays have names of the registry of variables.
 
-    plan: of these points; statistics that it does not want may be missing or cover a part of the run, for without them a
-    point ends when its label is certain. tile: the points. Those with a reason are not computed: their flags are 0, but for
-    the status, and their numbers nan. halved: integrate at half the step that the settings give; progress: called with the
-    points done since the last call, fractions included. Returns by the names of the registry of variables.
+    Points with a reason are not computed: their flags are 0, but for the status, and their numbers nan.
+    Statistics that the plan does not want may be missing or cover a part of the run, because a point ends
+    once its label is certain. `halved`: at half the step of the settings; `progress`: gets points done.
     """
     if not tile.exists.all():
         columns = {}
@@ -80,10 +79,7 @@ class _Runs:
     execution: _Execution
 
     def integrate(self) -> Run:
-        """Integrate the points, those that are certain to drift only as long as needed if the plan allows it.
-
-        Points that their steps do not resolve run for a few steps.
-        """
+        """Integrate the points, unresolved ones for a few steps; certain drift may end early if planned."""
         step_sizes, settings = self.step_sizes.without_unresolved(), self.plan.settings
         total = max(int(step_sizes.steps.sum()), 1)
         points = self.ensemble.size * (1.0 - (self.tangent.share if self.tangent else 0.0))
@@ -103,7 +99,6 @@ class _Runs:
         ).measure()  # fmt: skip
 
     def again(self, run: Run, step_sizes: StepSizes) -> Run:
-        """Integrate the points of a run with other steps."""
         integration = run.ensemble.integrate(
             self.plan.kernel, step_sizes, run.settings.cylinder, threads=self.execution.threads, progress=self.execution.check
         )  # fmt: skip
@@ -116,7 +111,6 @@ class _Runs:
             return resolved if self.tangent is None else resolved & self.tangent.steps.resolved
 
     def status(self, run: Run, step_sensitive: Mask | bool) -> Flags:
-        """Status of the points."""
         with np.errstate(all="ignore"):
             return labels.status(
                 run.integration.finite, run.measured["integral_drift"], run.settings.drift_tolerance,
@@ -154,10 +148,7 @@ def _prepare(plan: Plan, tile: Grid, halved: bool, execution: _Execution) -> _Ru
 
 
 def _recheck(runs: _Runs, run: Run) -> tuple[Array, Mask]:
-    """Relative errors of states and statistics, some of them measured by a second run, and where labels depend on the step.
-
-    Points whose label an error could change are integrated again at half the step.
-    """
+    """Relative errors, and where labels depend on the step, by a second run at half the step where needed."""
     method, theory = METHODS[run.settings.method], runs.theory
     with np.errstate(all="ignore"):
         usable = (runs.status(run, False) == Status.OK) & ~run.integration.stopped_early
@@ -189,7 +180,7 @@ def _recheck(runs: _Runs, run: Run) -> tuple[Array, Mask]:
 def _measured_points(run: Run) -> Mask:
     """Points whose error is measured: none, all, or one in POINTS_PER_HALF_STEP, by a hash of the point.
 
-    What a numeric bound has not seen the expected error cannot contain: then all points are measured.
+    All are with a numeric bound, because the expected error does not contain what the bound has not seen.
     """
     which, ensemble = run.settings.check_half_step, run.ensemble
     if which != "sample" or run.system.has_numeric_bound:
@@ -202,10 +193,7 @@ def _measured_points(run: Run) -> Mask:
 
 
 def _measured_error(runs: _Runs, run: Run, expected: Array) -> tuple[Array, Mask]:
-    """Errors of points from a second run with fewer steps, and whether a label could change within them.
-
-    Where the second run overflows, a label could change.
-    """
+    """Errors from a second run with fewer steps, and where they, or its overflow, could change a label."""
     sizes, method = run.step_sizes, METHODS[run.settings.method]
     coarser = sizes.incommensurate(method) if run.system.has_numeric_bound else sizes.coarsened(method)
     coarse = runs.again(run, coarser)

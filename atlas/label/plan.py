@@ -22,15 +22,12 @@ class Plan:
 
     system: System
     settings: Settings
-    outputs: Collection[str] | None = (
-        None  # variables that are wanted; None: those of `variables.default_variables`
-    )
+    outputs: Collection[str] | None = None  # variables that are wanted; None: `variables.default_variables`
     specialization: Specialization = GENERIC  # what the kernels leave out
     nudged: bool = False  # whether points were moved off a family's motions
 
     @classmethod
     def of(cls, scene: Scene) -> Plan:
-        """The plan of a scene."""
         terms = Specialization.of(scene.system, *scene.zero_and_equal_parameters())
         return cls(scene.system, scene.settings, scene.outputs, terms, bool(scene.nudge))
 
@@ -53,7 +50,6 @@ class Plan:
 
     @property
     def plugs(self) -> tuple[Instrument, ...]:
-        """The instruments that add to the sums of the kernel."""
         return tuple(each for each in self.instruments if each.sums)
 
     @property
@@ -63,19 +59,16 @@ class Plan:
 
     @property
     def may_stop_early(self) -> bool:
-        """Whether a run may end once its label is certain."""
         return (
             self.outputs is not None and not self.plugs and self.instruments[0].may_stop_early(self.outputs)
         )
 
     @property
     def kernel(self) -> ModuleType:
-        """The compiled module that integrates the points."""
         return specialization.kernel(self.system, self.settings.method, self.specialization, self.plugs)
 
     @property
     def tangent_kernel(self) -> ModuleType:
-        """The compiled module that integrates them with tangent vectors."""
         return specialization.tangent_kernel(self.system, self.specialization)
 
     @property

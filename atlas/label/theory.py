@@ -22,7 +22,7 @@ from .offsets import describes, near_circle, off_family_labels
 from .plan import Plan
 
 MAX_LOG_GROWTH = 700.0  # exp of more overflows
-# A start beside an unstable motion departs because of its nudge, and not of integration errors, where theta' at half the
+# A start near an unstable motion departs by its nudge, not by integration errors, where theta' at half the
 # step is the same within this share.
 HALF_STEP_RTOL = 0.05
 
@@ -71,7 +71,7 @@ def predict_runs(
             off |= (family > 0) & (family_residual > ROUNDING_RESIDUAL)
         where = np.flatnonzero(off & system.within_range(base))
         if where.size and describes(system):
-            # Overwrite the labels of these starts by those of the linear equations.
+            # The linear equations decide the labels of these starts.
             near = subset(points, where)
             frames = _frame_rates(system, near)
             off_labels = off_family_labels(system, near, duration[where], tolerances, frames, pause, threads)
@@ -129,7 +129,7 @@ class Theory:
         return np.asarray(amplified & (growth > 0))
 
     def rounding(self, run: Run) -> tuple[Array, Array]:
-        """Growth of rounding errors in a run, and that by which they reach a tolerance, as logarithms."""
+        """Logarithms of the growth of rounding errors: in a run, and up to a tolerance."""
         # No tilt can grow where the third axis never left the vertical by a bit.
         on_vertical = run.measured.get("sine_max", np.ones(run.ensemble.size)) == 0.0
         least = np.fmin(self.rounding_growth, self.growth_about_vertical)
@@ -159,21 +159,19 @@ def predict(
     nudged: Mask | bool,
     cylinder_tolerance: float | None = None,
 ) -> dict[str, np.ndarray]:
-    """Labels of a set of starts from theory alone.
+    """Labels of starts, given before any nudge, from theory alone, with family, stable and growth_rate.
 
-    points: the starts before any nudge; rate_tolerance: rates of at most this count as zero, rad per time
-    unit. nudged: whether a nudge moved the start off its motion. It is then predicted to keep the label of
-    its family where the motion is linearly stable and to drift where it is unstable. cylinder_tolerance: a
-    third axis nearer to the vertical than this counts as on it, rad. Default: the number of rate_tolerance.
-    Returns family, stable, growth_rate, predicted and, where the system's frame turns, predicted_inertial.
-    Off every family `predicted` is drifting where the system's catalogue is complete, else not_computed.
+    A nudged start keeps the label of its family where the motion is linearly stable and drifts where it is
+    unstable. Off every family `predicted` is drifting where the system's catalogue is complete, else
+    not_computed. Rates of at most rate_tolerance, rad per time unit, count as zero, and a tilt below
+    cylinder_tolerance, rad (default: the same number), as on the vertical.
     """
     tolerances = _tolerances(rate_tolerance, cylinder_tolerance)
     return _predict(system, points, _identify(system, points)[0], tolerances, nudged)
 
 
 def _tolerances(rate: float, cylinder: float | None) -> Tolerances:
-    """Tolerances of labels, that of the cylinder being the number of the rate's unless it is given."""
+    """Tolerances of labels; the cylinder's default is the number of the rate's."""
     return Tolerances(rate, rate if cylinder is None else cylinder)
 
 
@@ -186,7 +184,6 @@ def _identify(system: System, points: Points) -> tuple[Flags, Array]:
 def _predict(
     system: System, points: Points, family: Flags, tolerances: Tolerances, nudged: Mask | bool
 ) -> dict[str, np.ndarray]:
-    """See `predict`."""
     stable, growth = system.linear_stability(points, family)
     sine, n, m = system.steady_rates(points)
     result: dict[str, np.ndarray] = {"family": family, "stable": stable, "growth_rate": growth}
@@ -232,15 +229,13 @@ def predict_any_axis(
     cylinder_tolerance: float | None = None,
     duration: Array | float = np.inf,
 ) -> dict[str, np.ndarray]:
-    """Labels about any axes of a set of starts from theory alone.
+    """Labels about any axes of starts from theory alone, in the system's frame and, if that turns, in space.
 
-    base, points: the starts before and after the nudge; theory: family, stable and the predicted labels, as
-    `Prediction.variables`; rate_tolerance: rates of at most this count as zero, rad per time unit. nudged:
-    whether there is a nudge. One along a family leads to another exact start. cylinder_tolerance: axes nearer
-    to one another than this count as parallel, rad. Default: the number of rate_tolerance. duration: in time
-    units. Returns predicted_any_axis and, where the system's frame turns, predicted_any_axis_inertial. Off every family they
-    are drifting where the system's catalogue of motions about any axes is complete and the start is far from all of them, else
-    not_computed.
+    `base` and `points` are the starts before and after a nudge, which along a family leads to another exact
+    start. Rates of at most rate_tolerance, rad per time unit, count as zero, and axes within
+    cylinder_tolerance, rad (default: the same number), as parallel. Off every family labels are drifting
+    where the system's catalogue of motions about any axes is complete and the start is far from all of them,
+    else not_computed.
     """
     family, stable = theory["family"], theory["stable"]
     tolerances = _tolerances(rate_tolerance, cylinder_tolerance)
@@ -268,10 +263,9 @@ def predict_any_axis(
 def exact_starts(
     system: System, points: Points, candidates: Mask, max_residual: Array | float = ROUNDING_RESIDUAL
 ) -> Mask:
-    """Which of the candidates are on a steady motion of a family as exactly as rounding allows, (points,).
+    """Which candidates are on a steady motion of a family as exactly as rounding, or max_residual, allows.
 
-    A nudge along a family or a symmetry leads to such a start again. max_residual: residual of the conditions of the
-    family up to which a start is exact.
+    A nudge along a family or a symmetry leads to such a start again.
     """
     exact = np.zeros(candidates.shape, bool)
     where = np.flatnonzero(candidates)

@@ -84,11 +84,12 @@ def trajectory(
     Returns
     -------
     xarray.Dataset
-        Over the dimension "time", float64: the state by the names of the equations; theta, psi, phi (rad); theta_dot, psi_dot, phi_dot, normal_rate (rad per time
-        unit); axis_x, axis_y, axis_z (the third body axis in the frame: for the satellite along radius, velocity and
-        normal); integral_drift. Of a system with observables: the states, the observables and integral_drift. Without
-        a dimension: `step`, and the parameters (a start value that has the name of one of the variables has the suffix
-        _start). The attributes are those of an atlas.
+        Over the dimension "time", float64: the state by the names of the equations; theta, psi, phi (rad);
+        theta_dot, psi_dot, phi_dot, normal_rate (rad per time unit); axis_x, axis_y, axis_z (the third body
+        axis in the frame: for the satellite along radius, velocity and normal); integral_drift. Of a system
+        with observables: the states, the observables and integral_drift. Without a dimension: `step`, and the
+        parameters (a start value that has the name of one of the variables has the suffix _start). The
+        attributes are those of an atlas.
 
     Raises
     ------
@@ -110,7 +111,6 @@ def trajectory(
 def _trajectory(
     system: System, point: Mapping[str, Any], duration: float, samples: int, settings: Settings, title: str
 ) -> xr.Dataset:
-    """As `trajectory`, with a title."""
     checks.whole_number("samples", samples, 2, MAX_SAMPLES)
     duration = checks.positive("duration", duration)
     points, size = point_columns(system, point)
@@ -133,7 +133,7 @@ def _trajectory(
                 threads=1,
             )
         step_sizes = StepSizes.of(settings, bound, durations)
-    # Whole steps between samples, never longer than those of the atlas.
+    # Whole steps between samples, never longer than in the atlas.
     steps = -(-int(step_sizes.steps[0]) // (samples - 1))
     has_angles = main_instrument(system).has_theory
     parts = max(1, min(steps // STEPS_PER_NODE, NODES // (samples - 1))) if has_angles else 1
@@ -160,11 +160,9 @@ def _trajectory(
 
 
 def trajectory_of_scene(scene: Scene, places: Mapping[str, float], *, samples: int = 1001) -> xr.Dataset:
-    """Motion of one point of a scene, with the scene's start, nudge, duration and step.
+    """Motion of one point of a scene, with the scene's settings; `places`: a value of every axis.
 
-    places: a value of every axis, on the grid or off it; samples: as for `trajectory`. Returns as
-    `trajectory`. Raises BadInput for an axis that is missing or unknown, and where the scene's family has no
-    motion.
+    Raises BadInput for an axis that is missing or unknown, and where the scene's family has no motion.
     """
     for name in (*scene.axes, *places):
         if name not in places or name not in scene.axes:
@@ -245,10 +243,7 @@ def _attributes(system: System, names: Set[str]) -> dict[str, dict[str, str]]:
 
 
 def _add_parameters(ds: xr.Dataset, system: System, points: Points, step: float) -> None:
-    """Add the step and the parameters, as variables without a dimension.
-
-    They are no coordinates, because xarray prints scalar coordinates over every plot.
-    """
+    """Add step and parameters as variables: xarray prints scalar coordinates over every plot."""
     ds["step"] = ((), step, {"long_name": "integration step", "units": "s"})
     for name, parameter in system.parameters.items():
         value = float(points[name][0])
@@ -278,10 +273,7 @@ def _angles(equations: Any, states: Array, constants: Array, path: Mapping[str, 
 
 
 def _path(system: System, points: Points, motion: _Motion, states: Array, steps: int) -> dict[str, Array]:
-    """psi and phi, unwrapped along the steps, and the third axis along the frame's first two axes, at every node.
-
-    states: those of the system at the nodes, of shape (nodes, states); steps: from a node to the next.
-    """
+    """psi and phi, unwrapped, and the third axis in the frame, at every node; states: (nodes, states)."""
     state = states.T
     vertical = np.array(system.equations.frame_motion(state, motion.constants)[3:])
     if motion.equations is system.equations:
@@ -311,10 +303,7 @@ def _path(system: System, points: Points, motion: _Motion, states: Array, steps:
 
 
 def frame_vector(system: System, points: Points, state: Array, constants: Array) -> Array:
-    """The first axis of the frame in body axes, from which psi = psi0 is counted, (3, points), at the start.
-
-    On the vertical phi is phi0. Without parameters of these names they are 0.
-    """
+    """First axis of the frame in body axes at the start, from psi0, on the vertical from phi0 (default 0)."""
     g1, g2, g3 = system.equations.frame_motion(state, constants)[3:]
     theta0, psi, phi0 = (points.get(name, np.zeros_like(g3)) for name in ("theta0", "psi0", "phi0"))
     psi = psi + np.where(np.sin(theta0) < 0.0, np.pi, 0.0)  # theta is positive
@@ -383,7 +372,7 @@ class _Motion:
     def _add_turns(
         self, turns: Array, before: Array, after: Array, motions: NDArray[np.int64]
     ) -> tuple[Array, Array, NDArray[np.int64]]:
-        """Add the changes of psi and phi in a step to those of some motions; returns what of it is too long for that.
+        """Add the changes of psi and phi in a step to `turns`; returns the motions whose step is too long.
 
         Near the vertical psi + phi is regular, near its opposite psi - phi.
         """

@@ -30,7 +30,7 @@ MAX_STEPS_PER_NODE = 1000
 MAX_RADIANS_PER_STEP = 0.3
 # Largest loss of an amplitude by dissipation during a run: it lowers MEGNO.
 MAX_DISSIPATION_ERROR = 0.01
-# Time of a step with a tangent vector over that of a step with statistics, see bench_engine.py.
+# Time of a step with a tangent vector over a step with statistics, see bench_engine.py.
 RELATIVE_COST = 1.5
 # Chaos and one passage of an unstable motion, from nearby and back, both let a tangent vector grow. A regular motion that
 # returns to within a distance d of an unstable one has a tangent vector along its own velocity, which falls by a factor d:
@@ -62,11 +62,7 @@ class TangentSteps:
 
     @classmethod
     def of(cls, bound: Array, duration: Array, step: float | None, max_steps: int) -> TangentSteps:
-        """Step sizes of points with these frequency bounds (rad per time unit) and durations (time units).
-
-        step: largest step in time units, instead of one that is short enough; max_steps: largest number of
-        steps before it is rounded up.
-        """
+        """Steps for frequency bounds (rad per time unit) and durations; `step`: the largest, if given."""
         radians = bound * duration
         finite = np.isfinite(radians)
         radians = np.where(finite, radians, 0.0)
@@ -88,7 +84,6 @@ class TangentSteps:
         return np.minimum(np.maximum(NODES, -(-self.steps // MAX_STEPS_PER_NODE)), self.steps)
 
     def subset(self, where: NDArray[np.int64]) -> TangentSteps:
-        """Those of some points, by their indices."""
         return TangentSteps(self.steps[where], self.step_size[where], self.resolved[where])
 
 
@@ -104,10 +99,7 @@ class TangentArrays(NamedTuple):
 
 
 class Separation:
-    """Tangent vectors of an ensemble, integrated with it for its durations and, where that does not decide, for longer.
-
-    kernel: see `specialization.tangent_kernel`; rate_unit: see `System.rate_unit`.
-    """
+    """Tangent vectors of an ensemble, integrated for its durations and, where these do not decide, longer."""
 
     def __init__(
         self, system: System, kernel: ModuleType, ensemble: Ensemble, steps: TangentSteps, rate_unit: Array
@@ -142,10 +134,7 @@ class Separation:
         threads: int | None = None,
         progress: Callable[[int], None] | None = None,
     ) -> None:
-        """Integrate all points, or some by their indices, that all have run for as long, for one more duration.
-
-        threads, progress: see `blocks.integrate`.
-        """
+        """Integrate points, all of which have run for as long, for one more duration."""
         where = np.arange(self.durations.size) if where is None else where
         schedule = blocks.pack_blocks(self.steps.steps[where], self.steps.nodes[where])
         points, nodes = where[schedule.points], schedule.steps_per_sample
@@ -172,10 +161,7 @@ class Separation:
         threads: int | None = None,
         progress: Callable[[int], None] | None = None,
     ) -> Mask:
-        """Whether the vectors of points, by their indices, grow by more than one passage of an unstable motion explains.
-
-        Runs of points that have not grown by as much go on. threads, progress: see `blocks.integrate`.
-        """
+        """Whether vectors grow by more than one passage of an unstable motion explains; other runs go on."""
         drawdown, log_growth = self.sums[tangent.DRAWDOWN], self.sums[tangent.LOG_GROWTH]  # views
         active = where
         for duration in range(1, MAX_DURATIONS + 1):
@@ -207,7 +193,6 @@ class Chaos(Instrument):
     """Runs with a tangent vector, of bodies and of systems with observables."""
 
     def every_variable(self, system: System) -> tuple[Variable, ...]:
-        """The indicators and the flag."""
         tangent = _TANGENT_OF_STATES if system.observables else _TANGENT
         comment = (
             f"{tangent}; integrated by rk8 with at most 0.3 rad of the fastest frequency a step; nan where the status is not ok, and"
@@ -257,10 +242,8 @@ class TangentRuns:
     def variables(
         self, columns: Mapping[str, np.ndarray], threads: int | None, progress: Callable[[float], None]
     ) -> dict[str, np.ndarray]:
-        """The variables of CHAOS; nan and NOT_COMPUTED where the status is not ok.
-
-        columns: label and status; threads: see `blocks.integrate`; progress: called with points done, in all
-        `share` of their number.
+        """The variables of CHAOS, nan and NOT_COMPUTED where the status is not ok; `progress` is called with
+        points done, in all `share` of their number.
         """
         size = self.rate_unit.size
         megno, lyapunov = np.full(size, np.nan), np.full(size, np.nan)
@@ -291,11 +274,7 @@ class TangentRuns:
 
 
 def regularity(label: Flags, megno: Array) -> Flags:
-    """Flag of each point.
-
-    label: values of flags.Label, unresolved where the status is not ok. megno: mean MEGNO at the end of the
-    run; nan: not computed. Returns values of flags.Regularity.
-    """
+    """Values of flags.Regularity by mean MEGNO, nan where not computed, and label, unresolved if not ok."""
     steady = np.isin(label, (Label.REGULAR_PRECESSION, Label.PERMANENT_ROTATION))
     drifting = label == Label.DRIFTING
     conditions = {

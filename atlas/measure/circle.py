@@ -1,14 +1,14 @@
-"""The angular velocity in the body: is it constant, or does it turn on a circle, as in a regular precession about any axis?
+"""The angular velocity in the body: is it constant, or on a circle as in a regular precession about any axis?
 
-A body that turns at the rate m about an axis s at rest in it, while s turns at the rate n about an axis z at rest in the
-frame, has the angular velocity u = n z + m s. In the body z turns about s at the rate -m, so that u moves on a circle
-about s at constant speed: u' = -m s x u. The converse holds as well. From the radius of the circle, n sin(nutation), the
-height of its plane, u . s = m + n cos(nutation), and the speed follow m, n and the nutation, the angle of s and z.
+A body that turns at the rate m about an axis s at rest in it, while s turns at the rate n about an axis z at
+rest in the frame, has the angular velocity u = n z + m s. In the body z turns about s at the rate -m, so that
+u moves on a circle about s at constant speed: u' = -m s x u. The converse holds as well. From the radius of
+the circle, n sin(nutation), the height of its plane, u . s = m + n cos(nutation), and the speed follow m, n
+and the nutation, the angle of s and z.
 
-Sums over the nodes give the plane through the angular velocities that fits best, and how far they are from a circle in
-it. So that no digits cancel, the sums are about the start, and along axes of which the third is the one about which the
-angular velocity turns at the start: on a circle all components along it vanish but for rounding errors. These axes do
-not change the result otherwise. The functions of lanes are plain arithmetic that the kernel calls, compiled or not.
+Sums over the nodes give the plane through the angular velocities that fits best, and how far they are from a
+circle in it. So that no digits cancel, the sums are about the start, and along axes of which the third is the
+one about which the angular velocity turns there: on a circle components along it vanish but for rounding.
 """
 
 from __future__ import annotations
@@ -71,10 +71,8 @@ class Axis(_Counted):
 
 
 class Sum(_Counted):
-    """Sums over the nodes, those at both ends counting half.
-
-    Of the change x, y, z of the angular velocity since the start and its products, of the change l of the square of its
-    length, and of the change s of the square of its speed.
+    """Sums over the nodes, half at both ends, of changes since the start and of their products: x, y, z of
+    the angular velocity, l of the square of its length, s of the square of its speed.
     """
 
     X = auto()
@@ -132,12 +130,7 @@ def add_to_circle(sums, s, axes, a, l, nodes, i, intervals, spacing, inverse_uni
 def circle_axes(
     equations: ModuleType, state: Array, constants: Array, frame_rate: Array, bound: Array
 ) -> Array:
-    """Rows of `Axis` of points, (len(Axis), points).
-
-    equations: of a system; see `systems.base.System.equations`. state, constants: at the start; frame_rate:
-    the angular velocity of the frame is that of the system's frame plus this times the vertical, rad per
-    time unit; bound: bound of the fastest frequency, rad per time unit.
-    """
+    """Rows of `Axis`; frame_rate times the vertical is added to the rates relative to the system's frame."""
     with np.errstate(all="ignore"):
         h = DIFFERENCE_TIME / np.where((bound > 0) & np.isfinite(bound), bound, 1.0)
         slope = np.array(equations.rhs(state, constants))
@@ -174,14 +167,13 @@ def _right_handed(direction: Array) -> tuple[Array, Array, Array]:
 def circle_statistics(sums: Array, axes: Array, weight: NDArray[np.int64]) -> dict[str, Array]:
     """How far the angular velocities of runs in one frame are from one circle, and which one.
 
-    weight: of all nodes together. Returns in rad per time unit: `spread`, the standard deviation of the
-    angular velocity; `height_std`, that of its component along the normal s of the plane that fits best;
-    `radius`, root mean square of its distance from s, and `radius_std`; `spin`, rate about s of the motion
-    that would follow it, `spin_std`; `height`, the mean component along s; `extent`, the standard deviation
-    along the shorter axis in the plane; `rate_1`, `rate_2`, `rate_3`, the mean angular velocity in body axes.
-    `spin_axis_1`, `spin_axis_2`, `spin_axis_3`: s in body axes, of either sign. In rad, at the start:
-    `precession_inclination`, `rotation_inclination` and `tilt`, angles to the vertical of the axis of
-    precession (by s and spin), of the angular velocity and of the third axis.
+    Rates are in rad per time unit: `spread`, the standard deviation of the angular velocity; `height` and
+    `height_std`, its component along the normal s of the plane that fits best; `radius` (root mean square)
+    and `radius_std`, its distance from s; `extent`, its standard deviation along the shorter axis in the
+    plane; `spin` and `spin_std`, the rate about s of the motion that would follow it; `rate_1` to `rate_3`,
+    its mean in body axes. `spin_axis_1` to `spin_axis_3` are s in body axes, of either sign. Angles, in rad,
+    are from the vertical at the start: of the axis of precession (by s and spin), of the angular velocity,
+    and of the third axis, `tilt`.
     """
     with np.errstate(all="ignore"):
         mean = sums / weight
@@ -221,12 +213,10 @@ def circle_statistics(sums: Array, axes: Array, weight: NDArray[np.int64]) -> di
 
 
 def principal_axes(matrix: Array) -> tuple[Array, Array]:
-    """Eigenvalues of symmetric matrices, ascending, and unit eigenvectors, by Jacobi's method.
+    """Eigenvalues of symmetric (3, 3, points), ascending, and unit eigenvectors vectors[i], by Jacobi.
 
-    Small eigenvalues of matrices that are nearly diagonal are accurate relative to themselves, unlike LAPACK's:
-    J. Demmel and K. Veselic, SIAM J. Matrix Anal. Appl. 13 (1992) 1204-1245.
-
-    matrix: (3, 3, points). Returns values, vectors, vectors[i] belongs to values[i].
+    Small eigenvalues of matrices that are nearly diagonal are accurate relative to themselves, unlike
+    LAPACK's: J. Demmel and K. Veselic, SIAM J. Matrix Anal. Appl. 13 (1992) 1204-1245.
     """
     a = matrix.copy()
     vectors = np.broadcast_to(np.eye(3)[:, :, None], a.shape).copy()
@@ -284,9 +274,9 @@ _SPIN_AXIS = (
 class Circle(Instrument):
     """Labels, axes and rates of motions about any axis of the body and any axis of a frame.
 
-    A point keeps its label about the third axis and the vertical where that is steady. Elsewhere its angular velocity in the body
-    decides: constant, it belongs to a permanent rotation, on a circle at constant speed to a regular precession. The rates and
-    angles are those in the system's frame.
+    A point that is steady about the third axis and the vertical keeps its label. Elsewhere an angular
+    velocity that is constant in the body means a permanent rotation, one that moves on a circle at constant
+    speed a regular precession. Rates and angles are in the system's frame.
     """
 
     name: str = "label_any_axis"  # a key of LABELS
@@ -299,7 +289,7 @@ class Circle(Instrument):
         return self.name == "label_any_axis_inertial"
 
     def every_variable(self, system: System) -> tuple[Variable, ...]:
-        """Those of both frames, of the instrument of the system's frame."""
+        """Variables of both frames, of the instrument of the system's frame."""
         if self.inertial:
             return ()
         return (
@@ -340,17 +330,14 @@ class Circle(Instrument):
         )  # fmt: skip
 
     def variables(self, system: System) -> tuple[Variable, ...]:
-        """None of a system that describes no body in a frame."""
         return () if system.observables else existing(system, self.every_variable(system))
 
     def wanted(self, system: System, outputs: Collection[str]) -> bool:
-        """Whether one of these variables needs the sums."""
         if self.inertial:
             return self.name in outputs and system.frame_rate is not None
         return not system.observables and not set(ANY_AXIS).isdisjoint(outputs)
 
     def constants(self, system: System, points: Points, start: Ensemble) -> Array:
-        """Rows of `Axis`."""
         bound = start.frequency_bound
         rate = system.frame_rate(points) if self.inertial and system.frame_rate else np.zeros_like(bound)
         return circle_axes(system.equations, start.state, start.constants, rate, bound)
@@ -365,7 +352,7 @@ class Circle(Instrument):
         return own | {f"{self.name}:{key}": value for key, value in circle.items()}
 
     def rules(self, run: Run, rules: Mapping[str, Rule]) -> dict[str, Rule]:
-        """The label about any axis; that about the third axis and the vertical is taken as certain."""
+        """The label about any axis; the label about the third axis and the vertical is taken as certain."""
         own_label = rules[LABELS[self.name]].label(run.measured)
 
         def label_of(measured: Measured) -> Flags:
@@ -375,7 +362,6 @@ class Circle(Instrument):
         return {self.name: Rule(label_of, names, {f"{self.name}:spin": 0.0})}
 
     def _statistics(self, measured: Measured) -> dict[str, Array]:
-        """STATISTICS."""
         return {key: measured[f"{self.name}:{key}"] for key in STATISTICS}
 
     def errors(self, run: Run, relative: Array) -> dict[str, Array]:
@@ -391,14 +377,14 @@ class Circle(Instrument):
         return {f"{self.name}:{key}": error for key, error in errors.items()}
 
     def _amplification(self, run: Run) -> Array:
-        """Errors of the rates about the axes of a circle over those of the angular velocity, (points,)."""
+        """Errors of the rates about the axes of a circle over errors of the angular velocity, (points,)."""
         radius, height, extent = (
             run.measured[f"{self.name}:{key}"] for key in ("radius", "height", "extent")
         )
         return np.asarray((1.0 + np.abs(height) / radius) * run.bound / extent)
 
     def relative_error(self, run: Run) -> Array:
-        """That of RATES and ANGLES, at most 1; 0 where they are not measured on a circle."""
+        """Of RATES and ANGLES, at most 1; 0 where they are not measured on a circle."""
         if self.inertial:
             return np.zeros_like(run.bound)
         measured, rate_error = run.measured, run.step_sizes.rate_error * np.exp(run.log_growth)
@@ -427,7 +413,6 @@ class Circle(Instrument):
         return np.asarray(np.fmax.reduce([np.zeros_like(run.bound), *changes]))
 
     def columns(self, run: Run, columns: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
-        """RATES and ANGLES where the status is ok."""
         ok = columns["status"] == Status.OK
         names = () if self.inertial else (*RATES, *ANGLES)
         return {name: np.where(ok, columns[name], np.nan) for name in names}
@@ -438,16 +423,11 @@ CIRCLES = (Circle(), Circle("label_any_axis_inertial"))
 
 
 def is_steady(label: Flags) -> Mask:
-    """Whether a label names a steady motion."""
     return np.isin(label, (Label.REGULAR_PRECESSION, Label.PERMANENT_ROTATION))
 
 
 def label(circle: Mapping[str, Array], own_label: Flags, tolerances: Tolerances) -> Flags:
-    """Label of each point about any axis, whatever its status.
-
-    circle: STATISTICS, as `measurements` returns them. own_label: label about the third axis and the
-    vertical, values of `flags.Label`. A steady one stays. Returns values of `flags.Label`.
-    """
+    """Values of flags.Label about any axis, whatever the status; an own label that is steady stays."""
     rate = tolerances.rate
     constant = circle["spread"] <= rate
     varies = (
@@ -461,12 +441,7 @@ def label(circle: Mapping[str, Array], own_label: Flags, tolerances: Tolerances)
 def values(
     circle: Mapping[str, Array], measured: Mapping[str, Array], tolerances: Tolerances
 ) -> dict[str, Array]:
-    """RATES and ANGLES of each point; nan where the label about any axis in the system's frame is not steady.
-
-    Of a point whose own label is regular_precession they are those of its third axis and the vertical.
-
-    circle: see `Circle.measurements`; measured: as for `rates.label`.
-    """
+    """RATES and ANGLES, nan if not steady; of regular_precession, about the third axis and the vertical."""
     with np.errstate(all="ignore"):
         own_label = label_of_third_axis(measured, tolerances)
         kind = label(circle, own_label, tolerances)

@@ -1,7 +1,7 @@
-"""What an instrument is: variables, sums in the kernel, their final formulas, errors, and the rules by which labels follow.
+"""Instruments: variables, sums in the kernel, final formulas, errors, and the rules by which labels follow.
 
-An instrument is a frozen object of a class derived from `Instrument`; every member has a default, which stands for "this
-instrument has nothing of it". One of a plan's instruments (`measure.plan`) is the main one, whose kernel integrates the points;
+An instrument is a frozen object of a class derived from `Instrument`, whose members default to "this
+instrument has nothing of it". The main one of a plan (`measure.plan`) integrates the points in its kernel;
 the others add to its sums (`engine.ensemble.Plug`), or run a kernel of their own.
 """
 
@@ -22,7 +22,7 @@ from ..systems.base import Array, Flags, Mask, Points, System, subset
 
 Measured = Mapping[
     str, Array
-]  # measurements by name, (points,) each; a colon is in the names of those that no atlas holds
+]  # measurements by name, (points,) each; a colon is in names that no atlas holds
 
 
 @dataclass(frozen=True)
@@ -126,7 +126,7 @@ class Run:
         return rules
 
     def plugged(self, instrument: Instrument) -> tuple[Array, Array]:
-        """The sums of an instrument that adds to those of the kernel, and the constants that it was given."""
+        """The sums of an instrument that adds to the kernel's, and the constants that it was given."""
         before = self.instruments[: self.instruments.index(instrument)]
         row, first = len(Row) + sum(each.sums for each in before), sum(each.given for each in before)
         sums, given = self.integration.sums[row:], self.ensemble.given[first:]
@@ -152,7 +152,6 @@ class Run:
         return errors, relative
 
     def subset(self, where: NDArray[np.int64]) -> Run:
-        """Some of the points, by their indices."""
         return replace(
             self,
             ensemble=self.ensemble.subset(where),
@@ -218,7 +217,7 @@ class Instrument:
         return resolved
 
     def every_variable(self, system: System) -> tuple[Variable, ...]:
-        """The variables that it makes, those included that the system does not have: no parameter may have such a name."""
+        """Variables, whether or not the system has them: no parameter may have such a name."""
         return ()
 
     def variables(self, system: System) -> tuple[Variable, ...]:
@@ -246,10 +245,7 @@ class Instrument:
         return np.zeros(run.ensemble.size)
 
     def differences(self, run: Run, other: Run, relative: Array) -> dict[str, Array]:
-        """Differences of the statistics of all rules in two runs of the same points; relative: the relative one.
-
-        Asked of the main instrument.
-        """
+        """Differences of the statistics of all rules in two runs; asked of the main instrument."""
         return {
             name: np.abs(run.measured[name] - other.measured[name])
             for rule in run.rules.values()

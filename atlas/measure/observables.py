@@ -25,14 +25,14 @@ STATISTICS = {
     "max": "largest {}",
     "drift": "change of the {} over the run along the straight line fitted to it by least squares",
 }
-# Observables have overtones of the motion's frequencies: those up to this multiple of the bound are accounted for.
+# Observables have overtones of the motion's frequencies, which count up to this multiple of the bound.
 OVERTONE = 3.0
 # Largest distance of two nodes in rad of the frequency bound.
 MAX_NODE_RADIANS = 0.4
 MAX_HALVINGS = 8  # of steps and of steps between nodes together: by 2^8 in all
 # Share of the range of an observable by which it may jump between two nodes.
 MAX_ROUGHNESS = 0.3
-# Order in the step of the errors of statistics, at least: that of rk4; quadrature and interpolation have order 8.
+# Least order in the step of the errors of statistics: the order of rk4; quadrature and interpolation have 8.
 STATISTICS_ORDER = 4
 # Rounding error of a statistic in units of the largest value of its observable.
 ROUNDING = 1e-15
@@ -46,7 +46,6 @@ class Observables(Instrument):
     unsteadiness_text = "largest standard deviation of an observable over its tolerance"
 
     def variables(self, system: System) -> tuple[Variable, ...]:
-        """None of a system without observables."""
         if not system.observables:
             return ()
         flag = [
@@ -69,13 +68,11 @@ class Observables(Instrument):
         return (*flag, *measured, *step_variables(system), error, end_time)
 
     def statistics(self, system: System) -> tuple[str, ...]:
-        """Of every observable."""
         return tuple(
             f"{observable.name}_{suffix}" for observable in system.observables for suffix in STATISTICS
         )
 
     def unsteadiness(self, system: System, measured: Measured, settings: Any) -> Array:
-        """Over the tolerance."""
         limits = std_tolerances(system, settings)
         shares = [measured[f"{name}_std"] / limit for name, limit in limits.items()]
         return np.asarray(np.fmax.reduce(shares))
@@ -97,8 +94,8 @@ class Observables(Instrument):
     def resolved(self, run: Run) -> Mask:
         """Where no observable jumps between nodes, because the steps are too long for the motion.
 
-        An oscillation at the bound is at most radians^4 / 24 of its amplitude away from the cubic through the neighbours of
-        a node.
+        An oscillation at the bound is within radians^4 / 24, relative, of the cubic through a node's
+        neighbours.
         """
         sums, radians = run.integration.sums, run.bound * run.step_sizes.sample_spacing
         allowed = MAX_ROUGHNESS + radians**4 / 12
@@ -126,12 +123,11 @@ class Observables(Instrument):
         return result
 
     def rules(self, run: Run, rules: Mapping[str, Rule]) -> dict[str, Rule]:
-        """Whether all observables are constant."""
         limits = std_tolerances(run.system, run.settings)
         return {"label": Rule(partial(label, limits=limits), tuple(f"{name}_std" for name in limits))}
 
     def relative_error(self, run: Run) -> Array:
-        """That of states and statistics, over the largest magnitude of their observable."""
+        """Of states and statistics, over the largest magnitude of their observable."""
         step_sizes = run.step_sizes
         error = np.maximum(step_sizes.dispersion_error, step_sizes.dissipation_error)
         error = error + rounding_error(step_sizes)
@@ -141,7 +137,7 @@ class Observables(Instrument):
         return error
 
     def errors(self, run: Run, relative: Array) -> dict[str, Array]:
-        """Errors of the standard deviations, which are those of their observables' ranges."""
+        """Errors of the standard deviations, as large as errors of their observables' ranges."""
         errors, measured = {}, run.measured
         for name, size in sizes(run.system, measured).items():
             spread = measured[f"{name}_max"] - measured[f"{name}_min"]
@@ -149,7 +145,6 @@ class Observables(Instrument):
         return errors
 
     def differences(self, run: Run, other: Run, relative: Array) -> dict[str, Array]:
-        """As `errors`."""
         return self.errors(run, relative)
 
     def rate_change(self, run: Run, other: Run, order: Array | float = 1.0) -> Array:
@@ -199,12 +194,9 @@ def sizes(system: System, measured: Measured) -> dict[str, Array]:
 
 
 def with_dense_nodes(step_sizes: StepSizes, bound: Array, method: Method, *, may_halve: bool) -> StepSizes:
-    """The same steps with nodes at most MAX_NODE_RADIANS apart; longer steps are halved as often as needed.
+    """The same steps with nodes at most MAX_NODE_RADIANS apart; longer steps are halved if they may be.
 
-    Where a node comes after several steps, the error of the interpolation between nodes is within the phase error.
-
-    bound: frequency bound, rad per time unit. may_halve: whether steps may be made shorter: not where the
-    user has set them.
+    Where a node comes after several steps, the error of the interpolation is within the phase error.
     """
     finest = (np.maximum(step_sizes.dispersion_error, 1e-16) / INTERPOLATION_ERROR) ** (1 / 8) / OVERTONE
     for _ in range(MAX_HALVINGS):

@@ -1,7 +1,5 @@
-"""The rates of the body's third axis: labels about it and the frame's vertical, and their errors.
-
-The sums and the final formulas of the statistics are in `engine.statistics`. The errors of the states and statistics of a run
-are expected from its step sizes, or measured by a second run.
+"""The rates of the body's third axis: labels about it and the vertical, and their errors, expected from the
+step sizes or measured by a second run. The statistics are in `engine.statistics`.
 """
 
 from __future__ import annotations
@@ -46,7 +44,6 @@ class Rates(Instrument):
     """The main instrument of a body in a frame."""
 
     def every_variable(self, system: System) -> tuple[Variable, ...]:
-        """Those included that the system does not have."""
         families = {"none": "no family of steady motions"} | {
             f.name: f.title for f in system.families.values()
         }
@@ -84,14 +81,12 @@ class Rates(Instrument):
         return (*flag, *measured, *numerics, *theory)
 
     def variables(self, system: System) -> tuple[Variable, ...]:
-        """None of a system that describes no body in a frame."""
         return () if system.observables else existing(system, self.every_variable(system))
 
     has_theory, quantity = True, "rates"
     unsteadiness_text = "largest rms or standard deviation of the rates"
 
     def statistics(self, system: System) -> tuple[str, ...]:
-        """Of the rates, and the extremes of theta."""
         return (*RATES, "theta_min", "theta_max")
 
     def unsteadiness(self, system: System, measured: Measured, settings: Any) -> Array:
@@ -128,7 +123,6 @@ class Rates(Instrument):
         )
 
     def measurements(self, run: Run, measured: Measured) -> dict[str, Array]:
-        """Means, standard deviations and extremes."""
         integration = run.integration
         return finish(integration.sums[: len(Row)], integration.intervals, integration.duration)
 
@@ -157,10 +151,7 @@ class Rates(Instrument):
         return errors | {"theta_min": angle, "theta_max": angle, "sine_max": angle}
 
     def relative_error(self, run: Run) -> Array:
-        """That of the states is the error of an oscillation at the frequency bound, amplified by the instability of the motion.
-
-        It is amplified to 1 at most; see `_with_statistics` for the rest.
-        """
+        """Error of an oscillation at the frequency bound, amplified to 1 at most by the instability."""
         step_sizes, log_growth = run.step_sizes, run.log_growth
         error = np.maximum(step_sizes.dispersion_error, step_sizes.dissipation_error)
         error = error + rounding_error(step_sizes)
@@ -205,7 +196,7 @@ class Rates(Instrument):
 
 
 def existing(system: System, variables: tuple[Variable, ...]) -> tuple[Variable, ...]:
-    """Those of the variables of a body that the system has."""
+    """Variables of a body that the system has."""
     missing = {"integral_drift"} if not system.equations.INTEGRALS else set()
     if len(system.geometries) < 2:
         missing |= {"geometry"}
@@ -221,7 +212,6 @@ def existing(system: System, variables: tuple[Variable, ...]) -> tuple[Variable,
 
 
 def step_variables(system: System) -> list[Variable]:
-    """The variables of the steps."""
     bound = "numeric bound" if system.has_numeric_bound else "bound"
     comment = _NUMERIC_BOUND if system.has_numeric_bound else ""
     return [
@@ -234,12 +224,7 @@ def step_variables(system: System) -> list[Variable]:
 
 
 def label(measured: Mapping[str, Array], tolerances: Tolerances, frame_rate: Array | float = 0.0) -> Flags:
-    """Label of each point, whatever its status.
-
-    measured: LABEL_STATISTICS as `engine.statistics.finish` returns them, all of one shape. frame_rate: added
-    to the mean of psi', rad per time unit: the rate of the orbital frame, for the label in the inertial
-    frame. Returns values of `flags.Label`.
-    """
+    """Values of flags.Label, whatever the status; frame_rate, rad per time unit, is added to psi'."""
     rate = tolerances.rate
     cylinder = in_cylinder(measured, tolerances.angle)
     nutates = measured["theta_dot_rms"] > rate
@@ -256,7 +241,6 @@ def label(measured: Mapping[str, Array], tolerances: Tolerances, frame_rate: Arr
 
 
 def rule(tolerances: Tolerances, frame_rate: Array | float = 0.0) -> Rule:
-    """The rule of `label`."""
     of_rates = partial(label, tolerances=tolerances, frame_rate=frame_rate)
     return Rule(of_rates, LABEL_STATISTICS, {"psi_dot_mean": frame_rate, "phi_dot_mean": 0.0})
 
@@ -276,15 +260,14 @@ def in_cylinder(measured: Measured, cylinder_tolerance: float) -> Mask:
 
 
 def _least_sine(measured: Measured) -> Array:
-    """Least sin theta of the run."""
     return np.minimum(np.sin(measured["theta_min"]), np.sin(measured["theta_max"]))
 
 
 def _with_statistics(state_error: Array, run: Run) -> Array:
-    """Relative error of states and statistics from that of the states, (points,).
+    """Relative error of states and statistics, given the states' own.
 
-    The interpolation between nodes adds to the error of the angles. That of psi' and phi' grows as the third axis comes
-    near the vertical, and is as large as they are where it was in the cylinder for a part of the run.
+    The interpolation between nodes adds to the error of the angles. The error of psi' and phi' grows as the
+    third axis comes near the vertical, and is as large as they are where it was in the cylinder for a time.
     """
     measured, bound, cylinder, integration = run.measured, run.bound, run.settings.cylinder, run.integration
     with np.errstate(all="ignore"):
@@ -314,11 +297,7 @@ def rounding_error(step_sizes: StepSizes) -> Array:
 
 
 def state_distance(system: System, state: Array, other: Array, bound: Array) -> Array:
-    """Largest difference of a component of two states.
-
-    state, other: (state, points). bound: frequency bound, rad per time unit; the unit of the differences of
-    angular velocities.
-    """
+    """Largest difference of a component of two states; angular velocities count in units of the bound."""
     difference = np.abs(state - other)
     difference[[name in system.rate_states for name in system.equations.STATE]] /= bound
     return np.asarray(difference.max(0))

@@ -1,8 +1,8 @@
-"""Equations of a system as text: what they may contain, and what is filled in where an author leaves it out.
+"""Equations of a system as text: what they may contain, and what is filled in where an author omits it.
 
-The kernels contain the source of the equations, so that the functions may use their own names only: the state, the
-constants, what they assign, and the FUNCTIONS of one number. Everything is checked on the syntax tree, in one line for
-each mistake, before anything is compiled.
+Kernels contain the source of the equations, so that the functions may use only the state, the constants, what
+they assign, and the FUNCTIONS of one number. Mistakes are reported from the syntax tree, one line each,
+before anything is compiled.
 """
 
 from __future__ import annotations
@@ -76,9 +76,9 @@ def numpy_functions() -> dict[str, Callable[..., Any]]:
 def completed(equations: Any, observables: Collection[str]) -> ModuleType:
     """Equations with everything that the engine reads.
 
-    ONES, INTEGRALS and LOSSES are empty unless they are given. Without ``scaled`` and ``unscaled`` the kernels' unit of time
-    becomes one more constant, TIME_UNIT, by which the right-hand side and the angular velocity of ``frame_motion`` are
-    multiplied, as are the losses; the state keeps its units. The functions are evaluated anew from their source, so that those of FUNCTIONS take arrays wherever they come from.
+    Without ``scaled`` and ``unscaled`` the kernels' unit of time becomes one more constant, TIME_UNIT, by
+    which the right-hand side, the angular velocity of ``frame_motion`` and the losses are multiplied; the
+    state keeps its units. Functions are evaluated anew from their source, so that FUNCTIONS take arrays.
     """
     nodes = _used(equations, observables)
     names = {name: value for name, value in vars(equations).items() if name.isupper() or name == "__file__"}
@@ -152,11 +152,7 @@ def with_unit_row(constants: Callable[[Any], Any]) -> Callable[[Any], Any]:
 
 
 def check(key: str, equations: Any, observables: Collection[str]) -> None:
-    """Raise BadInput with one line for equations that the engine cannot use.
-
-    key: what the message begins with; equations: see `systems.base.System.equations`; observables: names of
-    the system's observables.
-    """
+    """Raise BadInput, with one line that begins with `key`, for equations that the engine cannot use."""
     state, constants = (_names(key, equations, each) for each in ("STATE", "CONSTANTS"))
     if not state:
         raise BadInput(f"{key}: STATE is missing; allowed: a tuple of the names of the states")

@@ -51,8 +51,7 @@ class Parameter:
 class TwoAxes(NamedTuple):
     """A motion about an axis at rest in the body and an axis at rest in the frame, w' = n axis + m spin axis.
 
-    Components are those in body axes; at the start for the axis at rest in the frame. Where one of the rates is 0 or
-    the axes are parallel, it is a permanent rotation.
+    Components are in body axes at the start. With a rate of 0 or parallel axes it is a permanent rotation.
     """
 
     spin_axis: Array  # unit vector, (3, points)
@@ -65,8 +64,7 @@ class TwoAxes(NamedTuple):
 class Observable:
     """A quantity whose mean, standard deviation, extremes and drift are measured along each motion.
 
-    The equations have a function of its name, of ``(state, constants)``, which returns a number; without one it is the
-    state of its name.
+    It is the equations' function of its name, of ``(state, constants)``, or else the state of its name.
     """
 
     name: str
@@ -80,11 +78,7 @@ class Observable:
 
 @dataclass(frozen=True)
 class Condition:
-    """One equation or inequality that a family of steady motions needs.
-
-    residual(points) is dimensionless and has the shape of the points: 0 where the condition holds, elsewhere
-    the amount by which it fails (of an inequality: the amount by which it is violated).
-    """
+    """An equation or inequality of a family; its residual, dimensionless, is the amount by which it fails."""
 
     text: str
     residual: Callable[[Points], Array]
@@ -125,8 +119,7 @@ def numbered(families: Iterable[Family], after: Collection[str] = ()) -> dict[st
 class PublishedEquation:
     """One equation or statement of the system's paper, as printed and as true.
 
-    residual_printed and residual_true measure the two readings at random parameters: near 0 where the reading
-    is true, None where there is nothing to measure.
+    Residuals at random parameters are near 0 where a reading is true, None where nothing can be measured.
     """
 
     number: str
@@ -168,16 +161,7 @@ class DerivedVariable:
     def of_group(
         cls, together: Together, name: str, unit: str, long_name: str, comment: str, **more: Any
     ) -> DerivedVariable:
-        """One of the variables that a function computes together.
-
-        Parameters
-        ----------
-        together : callable
-            See the attribute of this name.
-        name, unit, long_name, comment : str
-        **more
-            Further attributes.
-        """
+        """One of the variables that the function `together` computes; `more`: further attributes."""
 
         def values(points: Points, duration: Array, pause: Callable[[], None]) -> NDArray[Any]:
             return together([name], points, duration, pause)[name]
@@ -192,7 +176,7 @@ class StressCase:
     name: str
     description: str
     duration: ArrayLike  # time units
-    columns: Mapping[str, ArrayLike]  # parameters; those left out take their defaults
+    columns: Mapping[str, ArrayLike]  # parameters; the others take their defaults
     solve: tuple[str, str] | None = None  # family, and the parameter that puts the points on it
     additions: Mapping[str, ArrayLike] = field(default_factory=dict)  # added to parameters after solving
     may_stay_unresolved: str = ""  # reason for which an automatic step, too, may leave a point unresolved
@@ -206,8 +190,8 @@ class System(ABC):
 
     A system is written as a subclass. What it must give is its names, `equations`, `parameters` and
     `initial_state`, and either the motion of a body relative to a frame (``frame_motion`` of the equations) or
-    `observables`; every other member has a default, which stands for "this system does not have it". `points` is throughout a mapping of every parameter's name to a float64
-    array, all of one shape, here called ``(points,)``.
+    `observables`; every other member has a default, which stands for "this system does not have it". `points`
+    maps every parameter's name to a float64 array, all of one shape, here called ``(points,)``.
 
     Members, in three groups:
 
@@ -628,9 +612,8 @@ def identify(
 ) -> tuple[Flags, Array]:
     """Flag and residual of the first family that each point belongs to, see System.identify_family.
 
-    families: families in the order in which they are tested. The least residual of a point without a family
-    is among these. about_any_axes: families that are tested after these. Their conditions are computed one by
-    one, each at the points that satisfy those before, which are few as a rule.
+    Families are tested in order, about_any_axes last and without a part in the least residual. Conditions are
+    computed one by one, at the points that satisfy the earlier ones, which are few as a rule.
     """
     shape = shape_of(points)
     flags, residual = np.zeros(shape, np.int8), np.full(shape, np.inf)
@@ -683,10 +666,7 @@ def _magnitude(condition: Condition, points: Points) -> Array:
 def derived_values(
     system: System, names: Collection[str], points: Points, duration: Array, pause: Callable[[], None]
 ) -> dict[str, NDArray[Any]]:
-    """The derived variables of a system that are among these names; what several of them share is computed once.
-
-    points: before any nudge; duration: in time units; pause: see DerivedVariable.
-    """
+    """The derived variables of these names, at points before any nudge; shared results are computed once."""
     variables = [variable for name, variable in system.derived.items() if name in names]
     columns: dict[str, NDArray[Any]] = {}
     for variable in variables:
@@ -705,7 +685,6 @@ def subset(columns: Mapping[str, Array], where: Any) -> dict[str, Array]:
 
 
 def shape_of(points: Points) -> tuple[int, ...]:
-    """Shape of the arrays of the points."""
     return np.shape(next(iter(points.values())))
 
 
@@ -725,12 +704,9 @@ def on_family(family: Family, points: Points) -> Array:
 
 
 def motion_about_axes(axes: TwoAxes, vector: Array, t: Array) -> tuple[Array, Array]:
-    """Angular velocity of a motion about two axes, and a vector at rest in the frame, as functions of time.
+    """Angular velocity relative to the frame, and a vector at rest in the frame, in body axes at times t.
 
-    A turn of the body by n t about the axis at rest in the frame follows one by m t about the axis at rest in the body.
-
-    vector: in body axes at the start, (3, points); t: time units, (..., points). Returns rate, vector, in
-    body axes; the rate is relative to the frame.
+    A turn of the body by n t about the axis at rest in the frame follows one by m t about its own axis.
     """
     s, fixed = axes.spin_axis, axes.fixed_axis
     shape = (3, *np.broadcast_shapes(t.shape, s.shape[1:]))
@@ -753,9 +729,9 @@ def _turned(vector: Array, axis: Array, angle: Array) -> Array:
 def despun_about_third_axis(
     system: System, points: Points, rotor: str, conserved: Mask
 ) -> tuple[Points, Array]:
-    """System.despun_equivalent of a body of moment C and rate of proper rotation m with a rotor along its third axis.
+    """System.despun_equivalent of a body of moment C and spin rate m, with a rotor along its third axis.
 
-    conserved: where C w3 + rotor is. There the motion of the third axis depends on spin and rotor through that sum
+    Where C w3 + rotor is `conserved`, the motion of the third axis depends on spin and rotor through that sum
     alone, and the rotor can be left out.
     """
     conserved = conserved & np.isfinite(points[rotor])

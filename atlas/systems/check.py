@@ -20,10 +20,7 @@ MAX_NAME = 60
 
 
 def check(system: object) -> None:
-    """Raise BadInput with one line unless an object is a system that the package can use.
-
-    system: what somebody else has written: an instance of `base.System`.
-    """
+    """Raise BadInput with one line unless an object is a system that the package can use."""
     if not isinstance(system, System):
         raise BadInput(f"found {shown(system)}: not an object of a subclass of atlas.systems.System")
     check_complete(type(system), system)
@@ -50,10 +47,7 @@ def check_complete(kind: type[System], system: System | None = None) -> None:
 
 
 def check_start(system: System) -> None:
-    """Raise BadInput with one line unless the methods of a system work at the defaults of its parameters.
-
-    system: with completed equations.
-    """
+    """Raise BadInput unless a system with completed equations works at the defaults of its parameters."""
     defaults = {name: np.full(2, parameter.default) for name, parameter in system.parameters.items()}
     equations = system.equations
     wanted = {"initial_state": len(equations.STATE), "constants": len(equations.CONSTANTS)}

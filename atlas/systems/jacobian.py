@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 # The derivative of a function is the imaginary part of its value at x + i STEP over STEP, exact but for rounding.
 STEP = 1e-30
-# Distance of an instant from those before and after it that give a derivative by time, in units of time of the rate.
+# Distance of an instant from its neighbours, which give a derivative by time, in units of time of the rate.
 DISTANCE = 1e-3
 # |J^POWER|^(1 / POWER) exceeds the spectral radius, of random 6 x 6 matrices by 1 % (at most 6 %); where the units of the
 # states differ by factors of up to 10^6, by 14 % (at most 25 %). The 16th power would give 69 % (135 %) there.
@@ -21,12 +21,10 @@ CHUNK = 4096  # points whose matrices are in memory together
 def frequency(
     equations: Any, state: NDArray[np.float64], constants: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """|J^64|^(1/64) of the Jacobian J of the right-hand side, rad per time unit; of a body its angular velocity if larger.
+    """|J^64|^(1/64) of the Jacobian J of the right-hand side, or a body's angular velocity if larger.
 
-    It is at least the largest |eigenvalue| of J: the fastest frequency or rate of growth near the state.
-
-    equations: of a system, see `systems.base.System.equations`. Returns nan or infinite where the Jacobian is
-    not finite.
+    In rad per time unit, it is at least the largest |eigenvalue| of J: the fastest frequency or rate of
+    growth near the state. It is nan or infinite where the Jacobian is not finite.
     """
     result = np.empty(state.shape[1:])
     flat = result.reshape(-1)
@@ -43,9 +41,7 @@ def derivatives(
     """The states and their first three derivatives along the motion, in units of time of 1 / rate.
 
     The third contains what the Jacobian cannot: the rate at which the equations themselves change in time.
-
-    equations, state, constants: as for `frequency`; rate: in 1 / time unit, such as a bound of the frequency.
-    Returns the first derivative is exact, the others are within DISTANCE^2, (4, states, points).
+    The first is exact, the others are within DISTANCE^2.
     """
 
     def first(at: NDArray[Any]) -> NDArray[Any]:

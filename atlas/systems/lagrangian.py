@@ -1,13 +1,13 @@
 """The module of equations of a mechanical system, written from its Lagrangian.
 
-With coordinates q, velocities v = q', the Lagrangian L(q, v), generalised forces Q and the dissipation function R the
-equations of motion are
+With coordinates q, velocities v = q', the Lagrangian L(q, v), generalised forces Q and the dissipation
+function R the equations of motion are
 
     M v' = f,    M_ij = d2L/dv_i dv_j,    f_i = dL/dq_i - sum_j v_j d2L/dv_i dq_j + Q_i - dR/dv_i.
 
-They are solved for v' symbolically, separately for velocities that M does not couple: by division, by the inverse of a
-matrix of two rows, and by the factors M = K D K^T of larger ones, with K lower triangular and D diagonal. The last need
-a mass matrix that is positive definite, as those of mechanics are.
+They are solved for v' symbolically, separately for velocities that M does not couple: by division, by the
+inverse of a matrix of two rows, and by the factors M = K D K^T of larger ones, with K lower triangular and D
+diagonal. The last need a positive definite mass matrix, as in mechanics.
 """
 
 from __future__ import annotations
@@ -139,7 +139,7 @@ class _Mechanics:
         omit: Sequence[Expression],
         functions: Mapping[str, Expression | Sequence[Expression]],
     ) -> _Mechanics:
-        """The arguments after all checks but that of the mass matrix."""
+        """The arguments after all checks but of the mass matrix."""
         import sympy
 
         q, v, p, omit = _symbols(
@@ -208,7 +208,7 @@ class _Mechanics:
         return all(self.coordinates[i] not in expression.free_symbols for expression in given)
 
     def total_forces(self) -> list[Expression]:
-        """Generalised forces with those of the dissipation."""
+        """Generalised forces, dissipation included."""
         pairs = zip(self.forces, self.velocities, strict=True)
         return [force - self.dissipation.diff(velocity) for force, velocity in pairs]
 
@@ -331,10 +331,9 @@ def _several(value: Any) -> tuple[Expression, ...]:
 
 
 def _is_singular(matrix: list[list[Expression]]) -> bool:
-    """Whether the determinant vanishes at three points where all numbers are different.
+    """Whether the determinant vanishes at three complex points where all numbers are different.
 
-    They are complex, so that no root or logarithm is without a value there: a determinant that vanishes for all real
-    values vanishes for all complex ones.
+    There every root and logarithm has a value, and what vanishes for all real values vanishes there.
     """
     import mpmath
     import sympy
@@ -355,7 +354,7 @@ def _is_singular(matrix: list[list[Expression]]) -> bool:
 
 
 def _simplest(expression: Expression) -> Expression:
-    """The form with the fewest functions, and of those the shortest; of equally short ones the first."""
+    """The form with the fewest functions, then the shortest, then the first."""
     import sympy
 
     forms = [expression, sympy.expand(expression), sympy.factor_terms(expression)]
@@ -370,10 +369,8 @@ def _simplest(expression: Expression) -> Expression:
 
 
 def _cost(expression: Expression) -> tuple[int, int, int, int]:
-    """What a form costs, the most important first.
-
-    Numbers of functions of multiples of an angle or its tangent, of different functions, of operations where those that
-    occur several times count once, and of all operations.
+    """Numbers, the most important first, of functions of multiples of an angle or its tangent, of different
+    functions, of operations where repeated ones count once, and of all operations.
     """
     import sympy
 
@@ -462,7 +459,6 @@ def _of_several(
 
 
 def _module(mechanics: _Mechanics, title: str) -> str:
-    """Source of the module."""
     integrals = mechanics.integrals()
     functions = [_rhs(mechanics)]
     functions += [
@@ -508,7 +504,6 @@ def _names(symbols: Sequence[Expression]) -> str:
 
 
 def _rhs(mechanics: _Mechanics) -> str:
-    """Text of the function `rhs`."""
     block = Block(mechanics.state, mechanics.parameters)
     slopes = []
     for velocity, acceleration in zip(mechanics.velocities, _accelerations(mechanics, block), strict=True):

@@ -39,9 +39,9 @@ def names() -> list[str]:
 
 
 def load(name: str) -> tuple[object, str] | None:
-    """What an installed package names as the system `name`, and the package; None if no package does.
+    """An object that an installed package names as this system, and the package; None if no package does.
 
-    Raises BadInput with one line, if it cannot be imported, or if two packages give the name.
+    Raises BadInput with one line if it cannot be imported, or if two packages give the name.
     """
     entries = list(entry_points(group=GROUP, name=name))
     if not entries:
@@ -74,7 +74,7 @@ def origin(system: System, package: str) -> Origin:
 
 
 def _files(system: System) -> Iterator[Path]:
-    """Source files of a system: those of the top-level packages, or single modules, of its classes and equations."""
+    """Source files of the top-level packages, or single modules, of a system's classes and equations."""
     classes = type(system).__mro__[: type(system).__mro__.index(System)]
     modules = {cls.__module__ for cls in classes}
     equations = system.equations
@@ -90,7 +90,7 @@ def _files(system: System) -> Iterator[Path]:
 
 
 def _hash_of_files(files: tuple[Path, ...]) -> str:
-    """Hash of the names and contents of files; those that are gone count as empty."""
+    """Hash of the names and contents of files; missing files count as empty."""
     content = hashlib.sha256()
     for file in files:
         content.update(file.name.encode() + b"\0" + (file.read_bytes() if file.is_file() else b"") + b"\0")

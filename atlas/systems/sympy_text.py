@@ -17,10 +17,7 @@ _WORDS = {" + ": "_plus_", " - ": "_minus_", " * ": "_", " / ": "_over_", "**": 
 
 
 def require_arithmetic(what: str, expression: Expression) -> None:
-    """Raise BadInput unless an expression consists of numbers, plain symbols, arithmetic and FUNCTIONS.
-
-    what: the expression in words, for the message.
-    """
+    """Raise BadInput unless an expression consists of numbers, plain symbols, arithmetic and FUNCTIONS."""
     import sympy
 
     for part in sympy.preorder_traversal(expression):
@@ -40,11 +37,7 @@ def require_arithmetic(what: str, expression: Expression) -> None:
 
 
 def text(expression: Expression) -> str:
-    """An expression as Python source.
-
-    expression: as `require_arithmetic` allows. Returns small powers of symbols are products, so that kernels
-    need no function for them.
-    """
+    """An expression as Python source; small powers of symbols become products, which need no function."""
     if expression.is_Add:
         first, *others = _terms(expression)
         return " ".join([f"-{first[1]}" if first[0] == "-" else first[1], *(f"{s} {t}" for s, t in others)])
@@ -100,7 +93,6 @@ def _base_and_exponent(factor: Expression) -> tuple[Expression, Expression]:
 
 
 def _power(base: Expression, exponent: Expression) -> list[str]:
-    """A power as factors."""
     import sympy
 
     if base.is_number and not base.is_Rational:
@@ -119,10 +111,7 @@ def _power(base: Expression, exponent: Expression) -> list[str]:
 
 
 def lines_of(start: str, expression: Expression) -> list[str]:
-    """An expression in mathematical form, in lines that are short enough if its terms are.
-
-    start: begins the first line; the others are indented as far.
-    """
+    """An expression in mathematical form after `start`, in lines that are short if its terms are."""
     lines, indent = [start.rstrip()], " " * len(start)
     pairs = [(term.as_coeff_Mul()[0].is_negative, term) for term in expression.as_ordered_terms()]
     for i, (negative, term) in enumerate(pairs):
@@ -171,11 +160,7 @@ class Block:
         first: Sequence[str],
         slopes: Sequence[tuple[str, Expression, Expression]],
     ) -> str:
-        """Text of a function that returns some values as they stand, then named expressions.
-
-        name, doc: of the function; first: texts of the first values; slopes: name and expression of each
-        other value, and a state whose shape a value has that depends on no state.
-        """
+        """Text of a function that returns `first` as it stands, then slopes in the shape of their states."""
         reduced = self._shared([expression for _, expression, _ in slopes])
         done = set[Expression]()
         lines = [line for symbol in self.functions for line in self._needed(symbol, done)]
@@ -191,10 +176,7 @@ class Block:
         return self._text(name, doc, [*lines, *_returned(values)])
 
     def returning(self, name: str, doc: str, value: Any) -> str:
-        """Text of a function that returns an expression, or a tuple of them.
-
-        name, doc: of the function; without `doc` it has no docstring.
-        """
+        """Text of a function, with a docstring if `doc`, that returns an expression or a tuple of them."""
         reduced = self._shared(list(value) if isinstance(value, tuple) else [value])
         done = set[Expression]()
         lines = [line for symbol in self.functions for line in self._needed(symbol, done)]
@@ -330,7 +312,6 @@ def _pieces(body: str) -> list[str]:
 
 
 def _returned(values: Sequence[str]) -> list[str]:
-    """Lines that return a tuple."""
     line = f"    return ({values[0]},)" if len(values) == 1 else f"    return {', '.join(values)}"
     if len(line) <= LINE_LENGTH:
         return [line]

@@ -97,24 +97,18 @@ class _Rotation:
         norm = np.sqrt(square[:, 0, 0] + square[:, 1, 1] + 2 * product)
         self.steps = 2.0 ** np.ceil(np.log2(np.maximum(self.span * norm / _STEP, _MIN_STEPS)))
 
-    def at(self, members: NDArray[np.int64], phase: NDArray[np.complex128]) -> Array:
-        """Matrices at exp(i phase), which broadcasts with (points,)."""
-        mean, first, second = self.harmonics[:, members]
-        phase = phase[..., None, None]
-        return np.asarray(mean.real + 2 * (first * phase + second * phase**2).real)
-
     def over_spans(self, result: Array, of: Callable[[Array, Array], Array]) -> Array:
         """result with the values of a function of the fundamental matrices over the spans where these are integrated."""
         for count in np.unique(self.steps[self.steps <= _MAX_STEPS]):
             members = np.flatnonzero(self.steps == count)
             for first in range(0, members.size, _POINTS):
                 part = members[first : first + _POINTS]
-                period, span = self.period[part], self.span[part]
+                frequency, harmonics = 2j * np.pi / self.period[part], self.harmonics[:, part]
 
-                def matrix(t: Array, part=part, period=period) -> Array:
-                    return self.at(part, np.exp(2j * np.pi * t / period))
+                def matrix(t: Array, frequency=frequency, harmonics=harmonics) -> Array:
+                    return _matrix_at(harmonics, np.exp(frequency * t))
 
-                result[..., part] = of(*fundamental_matrix(matrix, span, int(count)))
+                result[..., part] = of(*fundamental_matrix(matrix, self.span[part], int(count)))
         return result
 
     def by_multipliers(self) -> tuple[Flags, Array]:
@@ -131,10 +125,10 @@ class _Rotation:
         lambda^4 + P lambda^2 + Q = 0. Where no frozen exponent grows and none comes close to a collision, the actions
         of both oscillations are adiabatic invariants: nothing grows.
         """
-        period = self.period[members]
+        period, harmonics = self.period[members], self.harmonics[:, members]
         total, margin = np.zeros(period.shape), np.full(period.shape, np.inf)
         for phase in np.exp(2j * np.pi * np.arange(_ADIABATIC_PHASES) / _ADIABATIC_PHASES):
-            matrix = self.at(members, np.full(period.shape, phase))
+            matrix = _matrix_at(harmonics, np.full(period.shape, phase))
             P = -0.5 * np.einsum("nij,nji->n", matrix, matrix)
             Q = np.linalg.det(matrix)
             total += quartic_growth(P, Q)
@@ -144,6 +138,13 @@ class _Rotation:
         exponent = total * period / _ADIABATIC_PHASES
         certain = np.where(margin > _ADIABATIC_MARGIN, 0.0, np.nan)
         return np.where(exponent > _ADIABATIC_GROWTH, exponent, certain)
+
+
+def _matrix_at(harmonics: NDArray[np.complex128], phase: NDArray[np.complex128]) -> Array:
+    """Matrices at exp(i phase), (..., points), of a mean and two harmonics."""
+    mean, first, second = harmonics
+    phase = phase[..., None, None]
+    return np.asarray(mean.real + 2 * (first * phase + second * phase**2).real)
 
 
 def quartic_growth(P: Array, Q: Array) -> Array:

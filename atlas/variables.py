@@ -5,7 +5,7 @@ from __future__ import annotations
 from .errors import BadInput
 from .measure.chaos import Chaos
 from .measure.circle import CIRCLES
-from .measure.instrument import Instrument, Variable
+from .measure.instrument import Instrument, MainInstrument, Variable
 from .measure.observables import Observables
 from .measure.rates import Rates
 from .systems.base import System
@@ -24,9 +24,10 @@ COMPUTED = Variable(
 )  # fmt: skip
 
 
-def main_instrument(system: System) -> Instrument:
+def main_instrument(system: System) -> MainInstrument:
     """The instrument whose kernel integrates a system."""
-    return next(each for each in INSTRUMENTS if each.variables(system))
+    mains = (each for each in INSTRUMENTS if isinstance(each, MainInstrument))
+    return next(each for each in mains if each.variables(system))
 
 
 def data_variables(system: System) -> dict[str, Variable]:

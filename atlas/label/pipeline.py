@@ -86,7 +86,7 @@ class _Runs:
         stop_rate = None
         if self.plan.may_stop_early:
             with np.errstate(all="ignore"):
-                bound, main = self.ensemble.frequency_bound, self.plan.instruments[0]
+                bound, main = self.ensemble.frequency_bound, self.plan.main
                 stop_rate = main.early_stop_rate(bound, step_sizes, settings.tolerances)
                 stop_rate = np.where(self.theory.error_amplified(step_sizes, settings), np.inf, stop_rate)
         integration = self.ensemble.integrate(
@@ -107,7 +107,7 @@ class _Runs:
     def resolved(self, run: Run) -> Mask:
         """Whether the steps are short enough for the bound and for tangent vectors, and the bound holds."""
         with np.errstate(all="ignore"):
-            resolved = self.step_sizes.resolved & self.settled & run.instruments[0].resolved(run)
+            resolved = self.step_sizes.resolved & self.settled & run.main.resolved(run)
             return resolved if self.tangent is None else resolved & self.tangent.steps.resolved
 
     def status(self, run: Run, step_sensitive: Mask | bool) -> Flags:
@@ -120,7 +120,7 @@ class _Runs:
 
 def _prepare(plan: Plan, tile: Grid, halved: bool, execution: _Execution) -> _Runs:
     """The ensemble, its step sizes and its theory. Parameters may overflow: such points end up unresolved."""
-    system, settings, main = plan.system, plan.settings, plan.instruments[0]
+    system, settings, main = plan.system, plan.settings, plan.main
     ensemble, method = Ensemble.of(system, tile.points, plan.plugs), METHODS[settings.method]
     settled = np.ones(ensemble.size, bool)
     if system.has_numeric_bound:
@@ -168,7 +168,7 @@ def _recheck(runs: _Runs, run: Run) -> tuple[Array, Mask]:
             part = run.subset(where)
             fine = runs.again(part, part.step_sizes.halved(method))
             change = np.fmax.reduce([each.rate_change(part, fine) for each in run.instruments])
-            changes = fine.unsure(run.instruments[0].differences(fine, part, change))
+            changes = fine.unsure(run.main.differences(fine, part, change))
             before, after = part.labels(), fine.labels()
             changes |= np.any([before[name] != after[name] for name in before], axis=0)
             changes |= departed[where] & departure_changes(part, fine)
@@ -198,13 +198,13 @@ def _measured_error(runs: _Runs, run: Run, expected: Array) -> tuple[Array, Mask
     coarser = sizes.incommensurate(method) if run.system.has_numeric_bound else sizes.coarsened(method)
     coarse = runs.again(run, coarser)
     error = np.fmax.reduce([each.pair_error(run, coarse, expected) for each in run.instruments])
-    unsure = run.unsure(run.instruments[0].differences(run, coarse, error))
+    unsure = run.unsure(run.main.differences(run, coarse, error))
     return error, unsure | ~coarse.integration.finite
 
 
 def _assemble(runs: _Runs, run: Run, error: Array, step_sensitive: Mask) -> dict[str, np.ndarray]:
     """Every variable of the registry but the additions."""
-    integration, main = run.integration, run.instruments[0]
+    integration, main = run.integration, run.main
     resolved = main.shown(run, runs.resolved(run))
     columns: dict[str, np.ndarray] = {
         name: values if name == "integral_drift" else np.where(resolved, values, np.nan)

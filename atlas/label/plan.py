@@ -10,7 +10,7 @@ from types import ModuleType
 from ..engine import specialization
 from ..engine.specialization import GENERIC, Specialization
 from ..measure.chaos import Chaos
-from ..measure.instrument import Instrument
+from ..measure.instrument import Instrument, MainInstrument
 from ..scene.model import Scene, Settings
 from ..systems.base import System
 from ..variables import INSTRUMENTS, main_instrument
@@ -42,11 +42,15 @@ class Plan:
         return self.outputs or ()
 
     @cached_property
+    def main(self) -> MainInstrument:
+        """The instrument whose kernel integrates the points."""
+        return main_instrument(self.system)
+
+    @cached_property
     def instruments(self) -> tuple[Instrument, ...]:
         """What is measured, by the main instrument first."""
-        main = main_instrument(self.system)
         more = (each for each in INSTRUMENTS if each.wanted(self.system, self.names))
-        return main, *(each for each in more if each != main)
+        return self.main, *(each for each in more if each != self.main)
 
     @property
     def plugs(self) -> tuple[Instrument, ...]:
@@ -59,9 +63,7 @@ class Plan:
 
     @property
     def may_stop_early(self) -> bool:
-        return (
-            self.outputs is not None and not self.plugs and self.instruments[0].may_stop_early(self.outputs)
-        )
+        return self.outputs is not None and not self.plugs and self.main.may_stop_early(self.outputs)
 
     @property
     def kernel(self) -> ModuleType:

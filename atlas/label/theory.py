@@ -104,7 +104,7 @@ class Theory:
     def of(cls, plan: Plan, tile: Grid, ensemble: Ensemble, step_sizes: StepSizes, **options: Any) -> Theory:
         """Theory of the points of a plan; options: pause and threads of `predict_runs`."""
         system, zero = plan.system, np.zeros(ensemble.size)
-        if not plan.instruments[0].has_theory:
+        if not plan.main.has_theory:
             nothing = Prediction({}, zero, zero, zero, zero > 0, zero > 0, zero)
             return cls(nothing, zero, zero, {"label": zero})
         prediction = predict_runs(plan, tile, **options)

@@ -106,6 +106,13 @@ class Run:
     measured: Measured = field(default_factory=dict)  # by all instruments
 
     @property
+    def main(self) -> MainInstrument:
+        """The main instrument."""
+        main = self.instruments[0]
+        assert isinstance(main, MainInstrument)
+        return main
+
+    @property
     def bound(self) -> Array:
         """Bound of the fastest frequency, rad per time unit."""
         return self.ensemble.frequency_bound
@@ -170,52 +177,6 @@ class Instrument:
     sums, given = 0, 0
     add_node: Callable[..., None]
 
-    def may_stop_early(self, outputs: Collection[str]) -> bool:
-        """Whether a run with these outputs may end once its label is certain. Asked of a main instrument."""
-        return False
-
-    # Whether theory predicts its labels. Asked of a main instrument, as are the next ones.
-    has_theory = False
-
-    quantity = ""  # what it measures, in one word
-    unsteadiness_text = ""  # what `unsteadiness` is
-
-    def statistics(self, system: System) -> tuple[str, ...]:
-        """Names of its statistics."""
-        return ()
-
-    def unsteadiness(self, system: System, measured: Measured, settings: Any) -> Array:
-        """The largest of the statistics that make a point drift; of settings only the tolerances are used."""
-        raise NotImplementedError
-
-    def steady_below(self, settings: Any) -> float:
-        """The least unsteadiness of a drifting point."""
-        return 1.0
-
-    def largest(self, system: System, measured: Measured, errors: Measured, bound: Array) -> Array:
-        """The largest of the errors of its statistics, relative; bound: of the fastest frequency."""
-        raise NotImplementedError
-
-    def bound(self, bound: Array, settled: Mask) -> Array:
-        """Frequency bound with which points are integrated that have a numeric one; settled: where it holds for the whole run."""
-        return bound
-
-    def early_stop_rate(self, bound: Array, step_sizes: StepSizes, tolerances: Tolerances) -> Array:
-        """See `engine.ensemble.Ensemble.integrate`; asked of one that may stop early."""
-        raise NotImplementedError
-
-    def step_sizes(self, settings: Any, bound: Array, duration: Array) -> StepSizes:
-        """Steps of runs with these frequency bounds."""
-        return StepSizes.of(settings, bound, duration)
-
-    def resolved(self, run: Run) -> Mask | bool:
-        """Where the nodes show the motion."""
-        return True
-
-    def shown(self, run: Run, resolved: Mask) -> Mask:
-        """Where the measurements are shown; resolved: where the steps are short enough for them and for tangent vectors."""
-        return resolved
-
     def every_variable(self, system: System) -> tuple[Variable, ...]:
         """Variables, whether or not the system has them: no parameter may have such a name."""
         return ()
@@ -244,14 +205,6 @@ class Instrument:
         """Relative error to expect of its values, (points,)."""
         return np.zeros(run.ensemble.size)
 
-    def differences(self, run: Run, other: Run, relative: Array) -> dict[str, Array]:
-        """Differences of the statistics of all rules in two runs; asked of the main instrument."""
-        return {
-            name: np.abs(run.measured[name] - other.measured[name])
-            for rule in run.rules.values()
-            for name in rule.statistics
-        }
-
     def rate_change(self, run: Run, other: Run) -> Array:
         """Largest relative difference of a rate, or of what decides a label, in two runs of the same points, (points,)."""
         return np.zeros(run.ensemble.size)
@@ -267,3 +220,59 @@ class Instrument:
     def constants(self, system: System, points: Points, start: Ensemble) -> Array:
         """See `engine.ensemble.Plug`."""
         return np.empty((0, start.size))
+
+
+class MainInstrument(Instrument):
+    """One whose kernel integrates the points."""
+
+    has_theory = False  # whether theory predicts its labels
+    quantity = ""  # what it measures, in one word
+    unsteadiness_text = ""  # what `unsteadiness` is
+
+    def may_stop_early(self, outputs: Collection[str]) -> bool:
+        """Whether a run with these outputs may end once its label is certain."""
+        return False
+
+    def statistics(self, system: System) -> tuple[str, ...]:
+        """Names of its statistics."""
+        return ()
+
+    def unsteadiness(self, system: System, measured: Measured, settings: Any) -> Array:
+        """The largest of the statistics that make a point drift; of settings only the tolerances are used."""
+        raise NotImplementedError
+
+    def steady_below(self, settings: Any) -> float:
+        """The least unsteadiness of a drifting point."""
+        return 1.0
+
+    def largest(self, system: System, measured: Measured, errors: Measured, bound: Array) -> Array:
+        """The largest of the errors of its statistics, relative; bound: of the fastest frequency."""
+        raise NotImplementedError
+
+    def bound(self, bound: Array, settled: Mask) -> Array:
+        """Frequency bound with which points are integrated that have a numeric one; settled: where it holds for the whole run."""
+        return bound
+
+    def early_stop_rate(self, bound: Array, step_sizes: StepSizes, tolerances: Tolerances) -> Array:
+        """See `engine.ensemble.Ensemble.integrate`; of one that may stop early."""
+        raise NotImplementedError
+
+    def step_sizes(self, settings: Any, bound: Array, duration: Array) -> StepSizes:
+        """Steps of runs with these frequency bounds."""
+        return StepSizes.of(settings, bound, duration)
+
+    def resolved(self, run: Run) -> Mask | bool:
+        """Where the nodes show the motion."""
+        return True
+
+    def shown(self, run: Run, resolved: Mask) -> Mask:
+        """Where the measurements are shown; resolved: where the steps are short enough for them and for tangent vectors."""
+        return resolved
+
+    def differences(self, run: Run, other: Run, relative: Array) -> dict[str, Array]:
+        """Differences of the statistics of all rules in two runs of the same points; relative: the relative one."""
+        return {
+            name: np.abs(run.measured[name] - other.measured[name])
+            for rule in run.rules.values()
+            for name in rule.statistics
+        }

@@ -14,7 +14,7 @@ from ..engine.stepsize import INTERPOLATION_ERROR, StepSizes
 from ..engine.tableaux import METHODS, Method
 from ..flags import Status, Steadiness
 from ..systems.base import Array, Flags, Mask, System
-from .instrument import Instrument, Measured, Rule, Run, Variable
+from .instrument import MainInstrument, Measured, Rule, Run, Variable
 from .rates import INTEGRAL_DRIFT, rounding_error, step_variables
 
 # Suffix of a statistic in the atlas -> what it is, of an observable.
@@ -39,7 +39,7 @@ ROUNDING = 1e-15
 
 
 @dataclass(frozen=True)
-class Observables(Instrument):
+class Observables(MainInstrument):
     """The main instrument of a system with observables."""
 
     quantity = "observables"

@@ -16,7 +16,7 @@ from ..engine.stepsize import INTERPOLATION_ERROR, ROUNDING, StepSizes
 from ..engine.tableaux import METHODS
 from ..flags import Agreement, Label, Stability, Status
 from ..systems.base import Array, Flags, Mask, System
-from .instrument import Instrument, Measured, Rule, Run, Tolerances, Variable
+from .instrument import MainInstrument, Measured, Rule, Run, Tolerances, Variable
 
 # The measurements from which a label is decided.
 LABEL_STATISTICS = (
@@ -40,7 +40,7 @@ _NUMERIC_BOUND = (
 
 
 @dataclass(frozen=True)
-class Rates(Instrument):
+class Rates(MainInstrument):
     """The main instrument of a body in a frame."""
 
     def every_variable(self, system: System) -> tuple[Variable, ...]:

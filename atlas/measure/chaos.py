@@ -214,7 +214,7 @@ class TangentRuns:
     """Points ready to be integrated with a tangent vector; arrays of shape (points,)."""
 
     system: System
-    kernel: ModuleType  # see `specialization.tangent_kernel`
+    kernel: ModuleType  # see `engine.specialization.tangent_kernel`
     ensemble: Ensemble
     steps: TangentSteps
     rate_unit: Array  # see `System.rate_unit`

@@ -1,7 +1,7 @@
 """Instruments: variables, sums in the kernel, final formulas, errors, and the rules by which labels follow.
 
 An instrument is a frozen object of a class derived from `Instrument`, whose members default to "this
-instrument has nothing of it". The main one of a plan (`measure.plan`) integrates the points in its kernel;
+instrument has nothing of it". The main one of a plan (`label.plan`) integrates the points in its kernel;
 the others add to its sums (`engine.ensemble.Plug`), or run a kernel of their own.
 """
 

@@ -77,7 +77,7 @@ def atlas_page(ds: xr.Dataset, *, file: str = "", max_points: int = MAX_POINTS) 
     """Make the page of an atlas: its maps, and the motion of every point, integrated in the page.
 
     `file` is the name of the atlas in the commands of the page. Of larger atlases than max_points or
-    `layout.MAX_BYTES` every k-th value along the longest axes is shown. Raises BadInput for a dataset that is
+    `content.MAX_BYTES` every k-th value along the longest axes is shown. Raises BadInput for a dataset that is
     no atlas, or has no axes. Variables have seven digits in the page (float32); starts, constants, steps and
     coordinates have all, so that a trajectory equals `ds.atlas.trajectory` but for rounding: the compiled
     kernel fuses products and sums, a browser does not.

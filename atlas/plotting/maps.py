@@ -41,7 +41,7 @@ def atlas_map(ds: xr.Dataset, variable: str | None = None, **options: Any) -> Fi
     """Map of one variable of an atlas over two of its axes, with theory drawn over it, as `Atlas.map`.
 
     Flags have one colour each in every figure. Positive numbers that span more than two decades get a
-    logarithmic scale of at most `scales.MAX_DECADES`, numbers of both signs a scale centred on zero, integers
+    logarithmic scale of at most `cells.MAX_DECADES`, numbers of both signs a scale centred on zero, integers
     a colour each. White cells have no value. Regions that are too small to be visible are not in the legend
     but in a note below the map. A single axis gives a strip or a line, single points a scatter map. Raises
     BadInput for wrong options.

@@ -421,3 +421,15 @@ def test_rounding_errors_decide_long_runs_of_unstable_motions():
         # About the third axis and the vertical they drift in any case.
         alone = label_points("fixed_point", given, variables=["label", "status"], **wanted)
         assert (alone["label"] == Label.DRIFTING).all()
+
+
+@pytest.mark.parametrize("name", ["free_rotation", "free_precession", "other_axis"])
+def test_closed_forms_are_those_of_the_linear_equations(name):
+    points = DRAWS[name](np.random.default_rng(15), 40)
+    stable, growth = FAMILIES[name].stability(points)
+    general, of_general = FIXED_POINT.stability(points)
+    # the axis of a sphere need not be a principal one, as that of its equilibrium in another frame
+    known = general != Stability.UNKNOWN
+    assert known.mean() > 0.7
+    np.testing.assert_array_equal(general[known], stable[known])
+    np.testing.assert_allclose(of_general[known], growth[known], rtol=1e-9, atol=1e-12)

@@ -480,6 +480,15 @@ def test_stability_of_permanent_rotations_against_eigenvalues(kind):
 
 
 @pytest.mark.parametrize("kind", exact_starts())
+def test_closed_forms_are_those_of_the_linear_equations(kind):
+    points = exact_starts(7, 40)[kind]
+    stable, growth = linear_stability(points)
+    general, of_general = FIXED_POINT.stability(points)
+    np.testing.assert_array_equal(general, stable)
+    np.testing.assert_allclose(of_general, growth, rtol=1e-9, atol=1e-12)
+
+
+@pytest.mark.parametrize("kind", exact_starts())
 def test_stability_does_not_depend_on_the_units(kind):
     points, family = exact_starts(7, 20)[kind], FAMILIES[kind.split(",")[0]]
     other, time = in_other_units(points)

@@ -188,12 +188,6 @@ def _balanced_rotor_across(start: Start, axes: TwoAxes) -> Array:
     return -(m + 2 * n * dot(s, g)) * across(start.inertia * s, s)
 
 
-def _balanced_weight(start: Start, axes: TwoAxes) -> Array:
-    """What Mg r_c must be."""
-    s, m, _, n = axes
-    return -n * (start.rotor + m * dot(start.inertia * s, s) * s)
-
-
 def _no_attraction(points: Points) -> Array:
     return np.where(fields(points)[1] > 0, 0.0, np.inf)
 
@@ -209,8 +203,9 @@ def _rotor_off(points: Points) -> Array:
 
 
 def _weight(points: Points) -> Array:
-    start = Start.of(points)
-    return start.weight - _balanced_weight(start, balanced_axes(points))
+    """Mg r_c less what it must be."""
+    start, (s, m, _, n) = Start.of(points), balanced_axes(points)
+    return start.weight + n * (start.rotor + m * dot(start.inertia * s, s) * s)
 
 
 def _rotor(name: str, points: Points) -> Array:

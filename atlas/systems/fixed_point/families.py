@@ -70,11 +70,6 @@ def condition_residual(points: Points) -> Array:
 # What vanishes on the families.
 
 
-def _least(points: Points) -> Array:
-    """Least moment of inertia."""
-    return np.minimum(np.minimum(points["A"], points["B"]), points["C"])
-
-
 def _rate(points: Points) -> Array:
     """Unit of rates: that of the start."""
     return np.sqrt(squared_rate(points))
@@ -82,7 +77,7 @@ def _rate(points: Points) -> Array:
 
 def _torque(points: Points) -> Array:
     """Unit of torques: least moment times squared rate of the start."""
-    return _least(points) * squared_rate(points)
+    return np.minimum(np.minimum(points["A"], points["B"]), points["C"]) * squared_rate(points)
 
 
 def precession(points: Points, n: Array | float | None = None, cosine: Array | float | None = None) -> Array:

@@ -126,6 +126,13 @@ class Body(NamedTuple):
             gyration(inertia, self.rotor.T, rates) + damping, np.sqrt(energy / least) + turn, stiffness
         )
 
+    def turns_steadily(self, w: Array, alpha: Array, gamma: Array) -> Mask:
+        """Where the rotation relative to the frame is constant in the body."""
+        torque = np.cross(self.inertia * w + self.rotor, w)
+        torque = torque - self._variations((self.alpha, self.gamma), alpha, gamma)[0]
+        excess = torque / self.inertia - self.turn[..., None] * np.cross(gamma, w)
+        return length(excess) <= 1e-8 * self.rate(w) ** 2 * self.inertia.max(-1) / self.inertia.min(-1)
+
     def gyroscopic(self, w: Array) -> Array:
         """The vector k + 2 I w - tr(I) w, of which the matrix D = hat(v) is that of the rates in the linear system."""
         return self.rotor + (2 * self.inertia - self.inertia.sum(-1, keepdims=True)) * w

@@ -79,15 +79,16 @@ def _scale(body: Body) -> Array:
 
 
 def _described(frames: Array, potential: Array, index: NDArray[Any]) -> dict[str, Any]:
-    """Orientation, potential and index of equilibria."""
-    angles = dict(zip(ANGLES, _angles(frames), strict=True))
+    """Orientation, potential and index of equilibria; psi = 0 where only psi +- phi is defined."""
+    alpha, beta, gamma = frames[:, 0], frames[:, 1], frames[:, 2]
+    sine = np.hypot(gamma[:, 0], gamma[:, 1])
+    upright = sine < 1e-9
     return {
-        **angles,
-        "alpha": frames[:, 0],
-        "gamma": frames[:, 2],
-        "potential": potential,
-        "index": index.astype(np.int8),
-    }
+        "theta0": np.arctan2(sine, gamma[:, 2]),
+        "psi0": np.where(upright, 0.0, np.arctan2(alpha[:, 2], -beta[:, 2])),
+        "phi0": np.where(upright, np.arctan2(-alpha[:, 1], alpha[:, 0]), np.arctan2(gamma[:, 0], gamma[:, 1])),
+        "alpha": alpha, "gamma": gamma, "potential": potential, "index": index.astype(np.int8),
+    }  # fmt: skip
 
 
 def stability_at_rest(
@@ -278,12 +279,3 @@ def _distinct(bodies: Body, frames: Array, scale: float) -> Array:
         if not ((distance < _SAME) | (axis_distance < _SAME)).any():
             kept.append(i)
     return frames[kept]
-
-
-def _angles(frames: Array) -> tuple[Array, Array, Array]:
-    """theta, psi, phi of frames; psi = 0 where only psi +- phi is defined."""
-    alpha, beta, gamma = frames[:, 0], frames[:, 1], frames[:, 2]
-    upright = np.hypot(gamma[:, 0], gamma[:, 1]) < 1e-9
-    psi = np.where(upright, 0.0, np.arctan2(alpha[:, 2], -beta[:, 2]))
-    phi = np.where(upright, np.arctan2(-alpha[:, 1], alpha[:, 0]), np.arctan2(gamma[:, 0], gamma[:, 1]))
-    return np.arctan2(np.hypot(gamma[:, 0], gamma[:, 1]), gamma[:, 2]), psi, phi

@@ -42,7 +42,6 @@ from .body import Body, cross_matrix, length
 # as its error.
 GROWTH_TOLERANCE = 1e-6
 _ZERO = 1e-6  # frequencies and real parts below this, relative to the largest exponent, are zero
-_AT_REST = 1e-12  # rotation, relative to the rates of the motion, that counts as none
 
 
 class Equilibria(NamedTuple):
@@ -208,7 +207,7 @@ def _turn_and_axis(
     """Rate of a frame in which a body is at rest but for a turn about an axis of symmetry, that axis (-1: none), where."""
     turn = np.where(any_frame, (w * gamma).sum(-1), body.turn)
     axis, exists = np.full(rate.shape, -1), np.zeros(rate.shape, bool)
-    tolerance = np.where(any_frame, FAMILY_TOLERANCE, _AT_REST) * rate
+    tolerance = FAMILY_TOLERANCE * rate
     for i in (0, 1, 2):
         across = [(i + 1) % 3, (i + 2) % 3]
         square = (gamma[:, across] ** 2).sum(-1)

@@ -43,13 +43,11 @@ class Gyrostat(System):
 
     def frequency_bound(self, points: Points) -> Array:
         """From the energy, see Body.frequency_bound."""
-        w, alpha, gamma = self.start(points, steady=False)
+        w, alpha, gamma = self.start(points)
         return self.body(points).frequency_bound(w, alpha, gamma)
 
-    def start(self, points: Points, steady: bool = True) -> tuple[Array, Array, Array]:
-        """w, alpha and gamma at the start, each (points, 3) in body axes; steady: with theta_dot0 = 0."""
-        if steady and "theta_dot0" in points:
-            points = {**points, "theta_dot0": np.zeros_like(points["theta_dot0"])}
+    def start(self, points: Points) -> tuple[Array, Array, Array]:
+        """w, alpha and gamma at the start, each (points, 3) in body axes."""
         state = dict(zip(self.equations.STATE, self.initial_state(points), strict=True))
         *others, gamma = (
             np.stack([state[name] for name in names], -1)
@@ -82,7 +80,7 @@ class Gyrostat(System):
         stable, growth = np.zeros(start[0].shape[0], np.int8), np.full(start[0].shape[0], np.nan)
         rest = Equilibria.of(body, *start)
         stable[rest.points], growth[rest.points] = rest.stability()
-        moving = _others(rest, growth.size)
+        moving = _turning(rest, body, start)
         if moving.size:
             part = (vector[moving] for vector in start)
             stable[moving], growth[moving] = floquet.stability(body.subset(moving), *part)
@@ -106,7 +104,7 @@ class Gyrostat(System):
             chunk = where[first : first + _CHUNK]
             part = subset(points, chunk)
             body, start = self.body(part), self.start(part)
-            moving = _others(Equilibria.of(body, *start), chunk.size)
+            moving = _turning(Equilibria.of(body, *start), body, start)
             if not moving.size:
                 continue
             members = chunk[moving]
@@ -154,6 +152,7 @@ class Gyrostat(System):
         return result
 
 
-def _others(rest: Equilibria, count: int) -> NDArray[np.int64]:
-    """Motions that are no equilibria, of so many."""
-    return np.delete(np.arange(count), rest.points)
+def _turning(rest: Equilibria, body: Body, start: tuple[Array, Array, Array]) -> NDArray[np.int64]:
+    """Motions that are no equilibria, and turn steadily."""
+    moving = np.delete(np.arange(body.turn.size), rest.points)
+    return moving[body.subset(moving).turns_steadily(*(vector[moving] for vector in start))]

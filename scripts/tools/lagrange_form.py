@@ -18,7 +18,7 @@ from collections.abc import Callable
 import numpy as np
 from scipy.integrate import solve_ivp
 
-from atlas.papers.yehia2021 import published
+from atlas.papers.yehia2021 import lagrange
 from atlas.systems.base import Array, Points
 from atlas.systems.satellite import equations
 from atlas.systems.satellite.families import FAMILIES, steady_motion
@@ -66,7 +66,7 @@ def run(points: Points, duration: float, steps: int, form: str) -> tuple[Array, 
             angles = np.array([points[name] for name in ANGLES])
             resolved = np.ones(angles.shape[1], bool)
             for _ in range(steps):
-                before, angles = angles, rk4(published.rhs, angles, values, step)
+                before, angles = angles, rk4(lagrange.rhs, angles, values, step)
                 turning = np.abs(np.concatenate([angles[:3] - before[:3], step * angles[3:]])).max(0)
                 resolved &= (turning < TURN) & (np.sin(angles[1]) > 0)  # false where not finite
             state = from_angles(points, angles)

@@ -74,7 +74,7 @@ def test_derived_variables_are_priced_by_some_points(monkeypatch):
         return derived.values({name: column[:1] for name, column in points.items()}, duration[:1], pause)
 
     priced = dict(scene.system.derived) | {"equilibrium_count": replace(derived, values=values)}
-    monkeypatch.setattr(type(scene.system), "derived", priced)
+    monkeypatch.setattr(scene.system, "derived", priced)
     monkeypatch.setattr(estimate, "evaluate", lambda plan, points, **options: check_outputs(plan))
 
     def check_outputs(plan):

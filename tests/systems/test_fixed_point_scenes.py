@@ -76,7 +76,7 @@ def test_scenes_agree_with_theory_at_reduced_counts(path):
     if path.stem == "fast_spin_survival":  # no steady motion exists, but some motions are steady to tolerance
         steady = {Label.REGULAR_PRECESSION, Label.PERMANENT_ROTATION}
         decided = ds.predicted.values != Label.NOT_COMPUTED
-        assert decided.mean() > 0.8
+        assert decided.mean() > 0.7  # rates that may change uniformly within six tolerances are not decided
         # Some starts that are far from steady by their acceleration precess within the tolerance nevertheless.
         assert (ds.predicted.values == ds.label.values)[decided].mean() > 0.95
         assert set(np.unique(ds.label)) == {Label.DRIFTING} | steady

@@ -71,13 +71,17 @@ def condition_residual(points: Points) -> Array:
 
 
 def _rate(points: Points) -> Array:
-    """Unit of rates: that of the start."""
-    return np.sqrt(squared_rate(points))
+    """Unit of rates: that of the start; infinite where nothing moves and nothing acts, or the square is too small for a float."""
+    square = squared_rate(points)
+    return np.where(square == 0, np.inf, np.sqrt(square))
 
 
 def _torque(points: Points) -> Array:
-    """Unit of torques: least moment times squared rate of the start."""
-    return np.minimum(np.minimum(points["A"], points["B"]), points["C"]) * squared_rate(points)
+    """Unit of torques: least moment times the square of the unit of rates."""
+    square = squared_rate(points)
+    return np.minimum(np.minimum(points["A"], points["B"]), points["C"]) * np.where(
+        square == 0, np.inf, square
+    )
 
 
 def precession(points: Points, n: Array | float | None = None, cosine: Array | float | None = None) -> Array:

@@ -239,6 +239,8 @@ def test_exponents_do_not_depend_on_the_units(name):
 def test_no_family_is_unknown_and_the_slowest_rotations_are_not():
     points = points_of_family("transverse_magnet", 30)
     slow = points | {"m": points["m"] * 1e-6}
+    for name in ("h1", "k1", "k2", "k3"):
+        slow[name] = FAMILIES["transverse_magnet"].solve[name](slow)
     flags = np.full(30, FAMILIES["transverse_magnet"].flag, np.int8)
     flags[::2] = 0
     stable, growth = SATELLITE.linear_stability(slow, flags)

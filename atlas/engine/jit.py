@@ -8,6 +8,7 @@ edits in other files, and trusts whatever lies in its folder.
 from __future__ import annotations
 
 import ast
+import functools
 import gc
 import hashlib
 import logging
@@ -17,11 +18,11 @@ import shutil
 import stat
 import sys
 import threading
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from types import ModuleType
-from typing import Any
+from typing import Any, NamedTuple
 
 import llvmlite
 import llvmlite.binding as llvm
@@ -124,21 +125,45 @@ def settings() -> dict[str, str]:
     return {name: str(getattr(numba.config, name, None)) for name in MACHINE_CODE_SETTINGS}
 
 
+class _Statement(NamedTuple):
+    """A statement of the source of a kernel."""
+
+    name: str  # of the function or number that it defines; empty for imports
+    tree: str  # syntax tree as text
+    uses: frozenset[str]  # names in it
+
+
+@functools.lru_cache(maxsize=8)
+def _statements(source: str) -> tuple[_Statement, ...]:
+    """The statements of a kernel, parsed once for its hash and for those of its functions."""
+    with PARSING:
+        body = ast.parse(source).body
+    statements = []
+    for node in body:
+        name = ""
+        if isinstance(node, ast.FunctionDef):
+            name = node.name
+        elif isinstance(node, ast.Assign) and isinstance(node.targets[0], ast.Name):
+            name = node.targets[0].id
+        uses = frozenset(n.id for n in ast.walk(node) if isinstance(n, ast.Name))
+        statements.append(_Statement(name, ast.dump(node), uses))
+    return tuple(statements)
+
+
 def digest(source: str) -> str:
     """Hash of a kernel: its syntax tree (comments and layout do not count), compilers, CPU, options."""
-    with PARSING:
-        tree = ast.parse(source)
-    return _hash(ast.dump(tree))
+    return _hash([statement.tree for statement in _statements(source)], _environment())
 
 
-def _hash(tree: str) -> str:
-    """Hash of a syntax tree, compilers, CPU, options."""
+def _environment() -> str:
+    """Compilers, CPU and options, on which the machine code of every syntax tree depends."""
     features = ",".join(sorted(k for k, v in llvm.get_host_cpu_features().items() if v))
-    key = (
-        tree, numba.__version__, llvmlite.__version__, cpu(), features, repr(settings()),
-        f"{sys.version_info.major}.{sys.version_info.minor}",
-    )  # fmt: skip
-    return hashlib.sha256("\n".join(key).encode()).hexdigest()[:16]
+    python = f"{sys.version_info.major}.{sys.version_info.minor}"
+    return "\n".join((numba.__version__, llvmlite.__version__, cpu(), features, repr(settings()), python))
+
+
+def _hash(trees: Iterable[str], environment: str) -> str:
+    return hashlib.sha256("\n".join([*trees, environment]).encode()).hexdigest()[:16]
 
 
 def cache_folder() -> Path:
@@ -166,26 +191,18 @@ def _share_functions(source: str, module: ModuleType) -> None:
     """Cache each function of a kernel under a hash of its text, of the functions that it calls and of the
     numbers that these use, so that only what is new in another kernel is compiled.
     """
-    definitions: dict[str, ast.stmt] = {}
-    for node in ast.parse(source).body:
-        if isinstance(node, ast.FunctionDef):
-            definitions[node.name] = node
-        elif isinstance(node, ast.Assign) and isinstance(node.targets[0], ast.Name):
-            definitions[node.targets[0].id] = node
-    texts = {name: ast.dump(node) for name, node in definitions.items()}
-    uses = {
-        name: {n.id for n in ast.walk(node) if isinstance(n, ast.Name)} & definitions.keys()
-        for name, node in definitions.items()
-    }
+    definitions = {statement.name: statement for statement in _statements(source) if statement.name}
+    environment = _environment()
     dispatchers: dict[str, Any] = {k: v for k, v in vars(module).items() if isinstance(v, Dispatcher)}
     for name, function in dispatchers.items():
         if name != "integrate" and "inline" not in function.targetoptions:
             needed, queue = {name}, [name]
             while queue:
-                new = uses[queue.pop()] - needed
+                new = (definitions[queue.pop()].uses & definitions.keys()) - needed
                 needed |= new
                 queue += new
-            shared = f"atlas_function_{name}_{_hash(repr([texts[each] for each in sorted(needed)]))}"
+            trees = (definitions[each].tree for each in sorted(needed))
+            shared = f"atlas_function_{name}_{_hash(trees, environment)}"
             # Numba looks the globals of cached code up by module name, and a module of this kernel may not be there.
             function.py_func.__module__ = shared
             sys.modules.setdefault(shared, ModuleType(shared))

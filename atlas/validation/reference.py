@@ -236,21 +236,14 @@ def _integrate_group(
         rows += [rates.theta_dot, rates.theta_dot**2, rates.outside, psi_dot, psi_dot**2, phi_dot, phi_dot**2]
         return np.concatenate([*rows, normal_rate, normal_rate**2])
 
-    sums = len(RATE_SUMS)
-    # The quadratures follow the steps of the states and shorten them only where a rate has a peak.
-    tolerance = np.repeat([rtol, 1e2 * rtol], [states * size, sums * size])
-    initial = np.concatenate([start.ravel(), np.zeros(sums * size)])
-    theta_min, theta_max = at_start.theta, at_start.theta
-    with np.errstate(all="ignore"):
-        solver = DOP853(slope, 0.0, initial, 1.0, rtol=tolerance, atol=tolerance)
-        while solver.status == "running":
-            solver.step()
-            if solver.status == "failed" or not np.isfinite(solver.y).all():
-                return None
-            low, high = _theta_range_of_step(solver, equations, constants, duration, cylinder)
-            theta_min, theta_max = np.minimum(theta_min, low), np.maximum(theta_max, high)
-            advance(size * (solver.t - solver.t_old))
-    final = solver.y.reshape(-1, size)
+    def theta_along(path: Array) -> tuple[Array, Array]:
+        rates = euler_rates(equations.frame_motion(path, constants[:, :, None]), cylinder)
+        return rates.theta, rates.theta_dot
+
+    end = _final_and_range(slope, start, len(RATE_SUMS), rtol, theta_along, at_start.theta, duration, advance)
+    if end is None:
+        return None
+    final, theta_min, theta_max = end
     theta = euler_rates(equations.frame_motion(final[:states], constants), cylinder).theta
     rates = _finish_sums(final[states:], at_start, theta, duration)
     extremes = {
@@ -271,16 +264,38 @@ def _finish_sums(sums: Array, at_start: EulerRates, theta: Array, duration: Arra
     return {name: result[name] for name in RATES}
 
 
-def _theta_range_of_step(
-    solver: Any, equations: Any, constants: Array, duration: Array, cylinder: float
-) -> tuple[Array, Array]:
-    """Smallest and largest theta in the solver's last step, by cubics between five instants of it."""
-    times = np.linspace(solver.t_old, solver.t, 5)
-    path = solver.dense_output()(times).reshape(-1, duration.size, times.size)
-    motion = equations.frame_motion(path[: len(equations.STATE)], constants[:, :, None])
-    rates = euler_rates(motion, cylinder)
-    theta, slope = rates.theta, rates.theta_dot * (duration * (times[1] - times[0]))[:, None]
-    return range_of_cubics(theta, slope)
+def _final_and_range(
+    slope: Callable[[float, Array], Array],
+    start: Array,
+    sums: int,
+    rtol: float,
+    values_along: Callable[[Array], tuple[Array, Array]],
+    at_start: Array,
+    duration: Array,
+    advance: Advance,
+) -> tuple[Array, Array, Array] | None:
+    """States and sums at the end of the unit of time, and the smallest and largest of some values; None if a step fails.
+
+    values_along: the values along states (states, points, instants) and their derivatives, per time unit. The range comes from cubics
+    between five instants of every step.
+    """
+    states, size = start.shape
+    # The quadratures follow the steps of the states and shorten them only where a rate has a peak.
+    tolerance = np.repeat([rtol, 1e2 * rtol], [states * size, sums * size])
+    initial = np.concatenate([start.ravel(), np.zeros(sums * size)])
+    lowest = highest = at_start
+    with np.errstate(all="ignore"):
+        solver = DOP853(slope, 0.0, initial, 1.0, rtol=tolerance, atol=tolerance)
+        while solver.status == "running":
+            solver.step()
+            if solver.status == "failed" or not np.isfinite(solver.y).all():
+                return None
+            times = np.linspace(solver.t_old, solver.t, 5)
+            value, rate = values_along(solver.dense_output()(times).reshape(-1, size, times.size)[:states])
+            low, high = range_of_cubics(value, rate * (duration * (times[1] - times[0]))[:, None])
+            lowest, highest = np.minimum(lowest, low), np.maximum(highest, high)
+            advance(size * (solver.t - solver.t_old))
+    return solver.y.reshape(-1, size), lowest, highest
 
 
 # Imaginary change of the state from which the derivative of an observable along the motion is computed.
@@ -314,37 +329,22 @@ def integrate_observed_group(
         rows = [duration * rate for rate in equations.rhs(state, constants)]
         return np.concatenate([*rows, *change, *change**2, *((time - 0.5) * change)])
 
+    def observables_along(path: Array) -> tuple[Array, Array]:
+        wide = constants[:, :, None]
+        rate = np.array([row + 0.0 * path[0] for row in equations.rhs(path, wide)])
+        stepped: Any = path + 1j * COMPLEX_STEP * rate
+        return observe(system, path, wide), observe(system, stepped, wide).imag / COMPLEX_STEP
+
     count = len(first)
-    tolerance = np.repeat([rtol, 1e2 * rtol], [states * size, 3 * count * size])
-    initial = np.concatenate([start.ravel(), np.zeros(3 * count * size)])
-    lowest = highest = first
-    with np.errstate(all="ignore"):
-        solver = DOP853(slope, 0.0, initial, 1.0, rtol=tolerance, atol=tolerance)
-        while solver.status == "running":
-            solver.step()
-            if solver.status == "failed" or not np.isfinite(solver.y).all():
-                return None
-            low, high = _range_of_step(solver, system, constants, duration)
-            lowest, highest = np.minimum(lowest, low), np.maximum(highest, high)
-            advance(size * (solver.t - solver.t_old))
-    final = solver.y.reshape(-1, size)
+    end = _final_and_range(slope, start, 3 * count, rtol, observables_along, first, duration, advance)
+    if end is None:
+        return None
+    final, lowest, highest = end
     total, square, trend = final[states:].reshape(3, count, size)
     deviation = np.sqrt(np.maximum(square - total**2, 0.0))
     columns = np.stack([first + total, deviation, lowest, highest, 12.0 * trend], axis=1)
     names = main_instrument(system).statistics(system)
     return dict(zip(names, columns.reshape(-1, size), strict=True)) | {"state": final[:states]}
-
-
-def _range_of_step(solver: Any, system: System, constants: Array, duration: Array) -> tuple[Array, Array]:
-    """Smallest and largest value of each observable in the solver's last step, by cubics between five instants of it."""
-    times = np.linspace(solver.t_old, solver.t, 5)
-    path = solver.dense_output()(times).reshape(-1, duration.size, times.size)[: len(system.equations.STATE)]
-    wide = constants[:, :, None]
-    rate = np.array([row + 0.0 * path[0] for row in system.equations.rhs(path, wide)])
-    value = observe(system, path, wide)
-    slope = observe(system, path + 1j * COMPLEX_STEP * rate, wide).imag / COMPLEX_STEP
-    slope *= (duration * (times[1] - times[0]))[:, None]
-    return range_of_cubics(value, slope)
 
 
 def range_of_cubics(value: Array, slope: Array) -> tuple[Array, Array]:

@@ -98,7 +98,8 @@ class _Runs:
             self.plan.system, settings, self.plan.instruments, self.ensemble, self.step_sizes, rates, growth, integration
         ).measure()  # fmt: skip
 
-    def again(self, run: Run, step_sizes: StepSizes) -> Run:
+    def by_steps(self, run: Run, step_sizes: StepSizes) -> Run:
+        """The points of a run integrated by other steps."""
         integration = run.ensemble.integrate(
             self.plan.kernel, step_sizes, run.settings.cylinder, threads=self.execution.threads, progress=self.execution.check
         )  # fmt: skip
@@ -166,7 +167,7 @@ def _recheck(runs: _Runs, run: Run) -> tuple[Array, Mask]:
         where = np.flatnonzero(usable & ~step_sensitive & (unsure | departed))
         if where.size:
             part = run.subset(where)
-            fine = runs.again(part, part.step_sizes.halved(method))
+            fine = runs.by_steps(part, part.step_sizes.halved(method))
             change = np.fmax.reduce([each.rate_change(part, fine) for each in run.instruments])
             changes = fine.unsure(run.main.differences(fine, part, change))
             before, after = part.labels(), fine.labels()
@@ -196,7 +197,7 @@ def _measured_error(runs: _Runs, run: Run, expected: Array) -> tuple[Array, Mask
     """Errors from a second run with fewer steps, and where they, or its overflow, could change a label."""
     sizes, method = run.step_sizes, METHODS[run.settings.method]
     coarser = sizes.incommensurate(method) if run.system.has_numeric_bound else sizes.coarsened(method)
-    coarse = runs.again(run, coarser)
+    coarse = runs.by_steps(run, coarser)
     error = np.fmax.reduce([each.pair_error(run, coarse, expected) for each in run.instruments])
     unsure = run.unsure(run.main.differences(run, coarse, error))
     return error, unsure | ~coarse.integration.finite

@@ -197,7 +197,9 @@ def check(scene: Scene) -> Grid:
 
 def _check(scene: Scene) -> Grid:
     """The points of `check`."""
-    possible = _possible_bodies(scene)
+    bodies = _evenly_spaced(scene.size, MAX_CHECKED_BODIES)
+    # The ranges of all ties are checked with the values.
+    possible = bodies[scene.system.possible_body(parameter_values(scene, bodies))]
     indices = _evenly_spaced(scene.size, MAX_CHECKED_STARTS)
     grid = points_at_indices(scene, indices)
     if not grid.exists.any() and possible.size:
@@ -277,13 +279,6 @@ def system_warnings(system: System, points: Points) -> list[str]:
             f" {1 / MAX_MAGNITUDE:g}: theory predicts nothing there, and results may overflow"
         )
     return messages
-
-
-def _possible_bodies(scene: Scene) -> np.ndarray:
-    """Indices of the possible bodies among MAX_CHECKED_BODIES points; the ranges of all ties are checked there."""
-    indices = _evenly_spaced(scene.size, MAX_CHECKED_BODIES)
-    values = parameter_values(scene, indices)
-    return indices[scene.system.possible_body(values)]
 
 
 def _check_values_and_bodies(scene: Scene, indices: np.ndarray, grid: Grid) -> None:

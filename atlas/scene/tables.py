@@ -109,9 +109,9 @@ def point_columns(system: System, points: Any, kept: Collection[str] = ()) -> tu
         if name in kept:
             continue
         if name not in system.parameters:
+            file = f"{source.source}: " if isinstance(source, CsvColumns) else ""
             raise BadInput(
-                f"{_source_name(source)}{name}: not a parameter of the {system.name};"
-                f" {allowed_text(name, system.parameters)}"
+                f"{file}{name}: not a parameter of the {system.name}; {allowed_text(name, system.parameters)}"
             )
         arrays[name] = number_column(name, values)
     sizes = {name: column.size for name, column in arrays.items() if column.ndim}
@@ -154,11 +154,6 @@ def _location(source: Mapping[str, Any], column: Array, point: np.integer) -> st
     if isinstance(source, CsvColumns):
         return f"{source.location(int(point))}: "
     return f"point {point} (counted from 0): " if column.ndim else ""
-
-
-def _source_name(source: Mapping[str, Any]) -> str:
-    """Beginning of an error message about a whole column."""
-    return f"{source.source}: " if isinstance(source, CsvColumns) else ""
 
 
 def number_column(name: str, values: Any) -> Array:

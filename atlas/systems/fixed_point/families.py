@@ -70,18 +70,20 @@ def condition_residual(points: Points) -> Array:
 # What vanishes on the families.
 
 
-def _rate(points: Points) -> Array:
-    """Unit of rates: that of the start; infinite where nothing moves and nothing acts, or the square is too small for a float."""
+def _squared_unit(points: Points) -> Array:
+    """Squared unit of rates: that of the start, infinite where it is 0 or too small for a float, so that residuals vanish."""
     square = squared_rate(points)
-    return np.where(square == 0, np.inf, np.sqrt(square))
+    return np.where(square == 0, np.inf, square)
+
+
+def _rate(points: Points) -> Array:
+    """Unit of rates."""
+    return np.sqrt(_squared_unit(points))
 
 
 def _torque(points: Points) -> Array:
-    """Unit of torques: least moment times the square of the unit of rates."""
-    square = squared_rate(points)
-    return np.minimum(np.minimum(points["A"], points["B"]), points["C"]) * np.where(
-        square == 0, np.inf, square
-    )
+    """Unit of torques: least moment times squared unit of rates."""
+    return np.minimum(np.minimum(points["A"], points["B"]), points["C"]) * _squared_unit(points)
 
 
 def precession(points: Points, n: Array | float | None = None, cosine: Array | float | None = None) -> Array:

@@ -34,6 +34,19 @@ def changed_scene(changes: Mapping[str, object]) -> str:
     return tomli_w.dumps(table)
 
 
+def pytest_addoption(parser):
+    """Add the strength of the tests that kill processes and damage files."""
+    parser.addoption(
+        "--fault-rounds", type=int, default=3, help="repetitions of kills and damage (default: 3)"
+    )
+
+
+@pytest.fixture
+def fault_rounds(request) -> int:
+    """Number of repetitions of kills and damage."""
+    return request.config.getoption("--fault-rounds")
+
+
 def pytest_collection_modifyitems(items):
     """Begin with the module whose fixtures take longest: idle processes take over the last tests of the others."""
     items.sort(key=lambda item: item.path.name != "test_stress.py")

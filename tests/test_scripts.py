@@ -30,10 +30,8 @@ SCRIPTS = {
     "bench_scaling": ("100 --only points tiles", r"(?s)100, 1, .*tiles for 100 points"),
     "bench_start": (str(SMALL), r"first steps, .*small.toml: 0?\d+\.\d+ s"),
     "draw": ("--out FOLDER", r""),
-    "faults": ("--tiles 2 --only damage", r"damage: 2 tiles damaged .* each detected"),
     "fuzz_scenes": ("--count 5 --runs 1 --points 1", r"check: ok"),
     "gallery": ("--out FOLDER --docs FOLDER --only first_order_error --count 3", r"wrote FOLDER"),
-    "interrupts": ("--count 1 --only start", r"start: 1 exit"),
     "lagrange_form": ("--points 2 --steps 200", r"share unresolved"),
     "make_docs": ("--docs FOLDER", r"written: scenes.md"),
 }
@@ -92,16 +90,11 @@ def less_work(script_folders, monkeypatch, tmp_path):
         assert cli.main(arguments) == cli.DONE
         return 1.0, 1.0
 
-    def finish(trial, *arguments):
-        command(trial.folder, "run", "scene.toml", "--quiet", *arguments)
-
     def assembly(case):
         multiplied = njit("f8[::1](f8[::1], f8[::1])", fastmath=True)(lambda a, b: a * b + a)
         return next(iter(multiplied.inspect_asm().values()))
 
     monkeypatch.setattr("bench_scaling.command", command)
-    monkeypatch.setattr("fault_trial.Trial.finish", finish)
-    monkeypatch.setattr("fault_trial.TILE", 8)
     monkeypatch.setattr("bench_engine.Case.assembly", assembly)
     monkeypatch.setattr("bench_engine.PEAK_ROUNDS", 100)
     monkeypatch.setattr("bench_engine.CASES", import_module("bench_engine").CASES[::5])

@@ -165,10 +165,9 @@ class TileFiles:
                 raise disk_error(error, path) from None
             try:
                 self._arrays(tile, content, computed, ())
-            except DamagedTile as error:
-                raise OSError(
-                    errno.EIO, f"read back otherwise than it was computed: {error}", str(path)
-                ) from None
+            except DamagedTile as error:  # netCDF writes short files in NetCDF-3 without an error
+                differs = OSError(errno.EIO, f"read back otherwise than it was computed: {error}", str(path))
+                raise disk_error(differs, path) from None
         sidecar = {
             "key": self.key, "tile": tile, "points": points, "computed": computed,
             "hash": self._hash(tile, content, computed), "tally": vars(Tally.of(columns)),

@@ -2,6 +2,7 @@
 
 import json
 import os
+import random
 import re
 import shutil
 import signal
@@ -117,6 +118,60 @@ def test_a_run_that_loses_its_scheduler_fails_with_one_line_and_goes_on_with_ano
     process = client(path, address)
     _, errors = process.communicate(timeout=300)
     assert process.returncode == 0, errors
+    assert_same_bytes(whole, atlas.open_atlas(path / "run"))
+
+
+@pytest.mark.faults
+def test_a_run_goes_on_after_kills_of_schedulers_clients_and_workers(longer, servers, fault_rounds):
+    path, run, whole = longer
+    start_scheduler, start_worker = servers
+    rng = random.Random(4)
+    scheduler, address = start_scheduler()
+    worker = start_worker(address)
+    for _ in range(fault_rounds):
+        run.tiles.path(rng.randrange(18), ".json").unlink(
+            missing_ok=True
+        )  # so that the run is never finished
+        process = client(path, address)
+        wait_for_a_tile(run, process)
+        time.sleep(rng.uniform(0.0, 4.0))  # while it starts, connects or computes
+        victim = rng.choice(["scheduler", "client", "worker"])
+        if victim == "client":
+            process.kill()
+        else:
+            kill(worker)
+            if victim == "scheduler":
+                kill(scheduler)
+                scheduler, address = start_scheduler()
+            worker = start_worker(address)
+        _, errors = process.communicate(timeout=300)
+        allowed = {"scheduler": (0, 1, 2), "client": (0, -signal.SIGKILL), "worker": (0,)}[victim]
+        assert process.returncode in allowed, errors
+        assert process.returncode <= 0 or (errors.startswith("atlas: ") and len(errors.splitlines()) == 1)
+        assert not run.tiles.status().damaged
+    process = client(path, address)
+    _, errors = process.communicate(timeout=300)
+    assert process.returncode == 0, errors
+    assert_same_bytes(whole, atlas.open_atlas(path / "run"))
+
+
+@pytest.mark.faults
+@pytest.mark.parametrize("lost", [False, True])
+def test_two_clusters_finish_one_folder_even_where_one_loses_its_scheduler(longer, servers, lost):
+    path, run, whole = longer
+    start_scheduler, start_worker = servers
+    clusters = [start_scheduler() for _ in range(2)]
+    processes = []
+    for _, address in clusters:
+        start_worker(address)
+        processes.append(client(path, address))
+    if lost:
+        wait_for_a_tile(run, processes[0])
+        kill(clusters[0][0])
+    for process in processes:
+        _, errors = process.communicate(timeout=300)
+        assert process.returncode == 0 or (lost and "scheduler was lost" in errors), errors
+    assert processes[1].returncode == 0
     assert_same_bytes(whole, atlas.open_atlas(path / "run"))
 
 

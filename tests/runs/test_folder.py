@@ -1,4 +1,4 @@
-"""Run folders after kills, damage and full disks, on a small scene; scripts/tools/faults.py does the same at length."""
+"""Run folders after kills, damage and full disks, on a small scene; test_faults.py does more of it."""
 
 import errno
 import hashlib
@@ -497,6 +497,9 @@ def test_shards_in_any_order_complete_the_run(scene, whole, tmp_path, small_tile
             atlas.run(scene, out, progress=False, shard=wrong)
     with pytest.raises(BadInput, match="run folder"):
         atlas.run(scene, tmp_path / "a.nc", progress=False, shard=(1, 2))
+    for part in ((1, 5), (3, 5), (1, 2), (2, 2)):  # a queue counts the missing shards anew
+        ds = atlas.run(scene, f"{tmp_path}/anew/", progress=False, shard=part)
+    assert_same_bytes(whole, ds)
 
 
 def test_after_a_full_disk_the_run_can_be_continued(scene, whole, tmp_path, small_tiles, monkeypatch):
@@ -561,11 +564,13 @@ def command(*arguments, cwd):
     )  # fmt: skip
 
 
-def test_finished_tiles_survive_kill_9_at_random_moments(longer):
+def test_finished_tiles_survive_kill_9_at_random_moments(longer, fault_rounds):
     path, run, whole = longer
     rng = np.random.default_rng(7)
     modified: dict[Path, int] = {}
-    for _ in range(3):
+    for _ in range(fault_rounds):
+        if len(modified) == run.tiling.count:
+            break
         process = command("run", "scene.toml", "-o", "run/", "--quiet", cwd=path)
         started = time.monotonic()
         while run.tiles.written_count() <= len(modified) and time.monotonic() - started < 20:
@@ -587,14 +592,18 @@ def test_finished_tiles_survive_kill_9_at_random_moments(longer):
     assert all(file.stat().st_mtime_ns == stamp for file, stamp in modified.items())
 
 
-def test_two_processes_finish_one_folder_together(longer):
+@pytest.mark.parametrize("out", ["run/", pytest.param("run.nc", marks=pytest.mark.faults)])
+def test_two_processes_finish_one_atlas_together(longer, out):
     path, run, whole = longer
-    processes = [command("run", "scene.toml", "-o", "run/", "--quiet", cwd=path) for _ in range(2)]
+    if out == "run.nc":
+        run.path.rename(path / "run.nc.run")
+    processes = [command("run", "scene.toml", "-o", out, "--quiet", cwd=path) for _ in range(2)]
     for process in processes:
         _, errors = process.communicate(timeout=60)
         assert process.returncode == 0, errors
-    assert len(run.tiles.status().done) == 18
-    assert_same_bytes(whole, atlas.open_atlas(path / "run"))
+    assert sorted(file.name for file in path.iterdir()) == [out.rstrip("/"), "scene.toml"]
+    with atlas.open_atlas(path / out) as ds:
+        assert_same_bytes(whole, ds)
 
 
 # The third tile never ends by itself, so that the signal always comes during the run.

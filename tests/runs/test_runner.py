@@ -274,12 +274,16 @@ def test_names_of_any_length_work_or_are_refused_before_the_run(small_scene, tmp
 # Runs `atlas run` in a fork, ended by SIGKILL just before its n-th change of a file or
 # folder, and again to its end.
 KILLED_AT_STEPS = """
-import os, signal
+import os, signal, sys
 import atlas
 
+STRIDE, NO_LINKS = int(sys.argv[1]), sys.argv[2] == "no links"
 scene = atlas.load_scene("small.toml")
 atlas.run(scene, threads=1, progress=False)  # so that every fork has the kernel
 OUT = os.open("steps.txt", os.O_RDWR | os.O_CREAT)
+
+def refuse(*arguments, **options):
+    raise OSError(95, "Operation not supported")
 
 def run(step):
     child = os.fork()
@@ -296,6 +300,8 @@ def run(step):
             return change(*arguments, **options)
         return change_or_die
 
+    if NO_LINKS:
+        os.link = refuse
     for name in ("replace", "link", "unlink", "rmdir", "mkdir", "fsync"):
         setattr(os, name, counted(getattr(os, name)))
     try:
@@ -308,7 +314,7 @@ def run(step):
 assert run(None) == 0
 steps = int(os.pread(OUT, 8, 0))
 os.unlink("steps.txt")
-for step in (*range(1, steps - 14, 5), *range(steps - 14, steps + 1)):  # faults.py tries all of them
+for step in (*range(1, steps - 14, STRIDE), *range(steps - 14, steps + 1)):
     os.unlink("a.nc")
     assert run(step) == -signal.SIGKILL, step
     assert run(None) == 0, step
@@ -317,14 +323,17 @@ for step in (*range(1, steps - 14, 5), *range(steps - 14, steps + 1)):  # faults
 """
 
 
-def test_after_a_kill_at_any_step_the_same_command_finishes(small_scene, tmp_path):
+@pytest.mark.parametrize("links", ["links", pytest.param("no links", marks=pytest.mark.faults)])
+def test_after_a_kill_at_any_step_the_same_command_finishes(small_scene, tmp_path, fault_rounds, links):
+    """On disks with and without hard links; at every step from 15 fault rounds on."""
     folder = tmp_path / "folder"
     folder.mkdir()
     (folder / "small.toml").write_text(small_scene)
     whole = atlas.run(load_scene(small_scene), progress=False)
     done = subprocess.run(
-        [sys.executable, "-c", KILLED_AT_STEPS], cwd=folder, capture_output=True, text=True, check=False
-    )
+        [sys.executable, "-c", KILLED_AT_STEPS, str(max(15 // fault_rounds, 1)), links], cwd=folder,
+        capture_output=True, text=True, check=False,
+    )  # fmt: skip
     assert done.returncode == 0, done.stderr
     files_written = list(tmp_path.glob("*.nc"))
     assert len(files_written) > 18

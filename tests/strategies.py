@@ -36,7 +36,9 @@ def default_points(system: str, count: int | None = None, **given) -> Points:
 def in_other_units(points: Points) -> tuple[Points, float]:
     """The points in other units of time and mass, and the new unit of time; powers of 4 keep the bits."""
     time, mass = 0.25, 16.0
-    units = dict.fromkeys("ABC", mass) | dict.fromkeys(("Omega", "n", "m", "theta_dot0"), 1 / time)
+    units = dict.fromkeys("ABC", mass) | dict.fromkeys(
+        ("Omega", "n", "m", "theta_dot0", "p0", "q0", "r0"), 1 / time
+    )
     units |= dict.fromkeys(("k1", "k2", "k3", "l1", "l2", "l3", "damping"), mass / time) | {"N": time**-2}
     units |= dict.fromkeys(("mu1", "mu2", "mu3", "Mg"), mass / time**2)
     return {name: values * units.get(name, 1.0) for name, values in points.items()}, time

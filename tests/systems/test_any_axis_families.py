@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 import sympy as sp
-from scipy.integrate import solve_ivp
+from family_starts import DRAWS, VECTORS, grioli_points, other_axes
 from strategies import default_points, fixed_points_on_family, random_fixed_points, select
 from truth import fixed_point_cases, monodromy_matrix
 
@@ -11,14 +11,12 @@ from atlas.flags import Agreement, Label, Stability, Status
 from atlas.label import theory
 from atlas.label.points import label_points
 from atlas.systems.base import on_family
-from atlas.systems.fixed_point import FIXED_POINT, any_axis, equations, families, initial, two_axes
+from atlas.systems.fixed_point import FIXED_POINT, any_axis, equations, families, initial
 from atlas.systems.gyrostat import floquet
 
 pytestmark = pytest.mark.usefixtures("whole_kernels")
 
 FAMILIES = any_axis.FAMILIES
-VECTORS = ("p0", "q0", "r0", "gamma10", "gamma20", "gamma30")
-ROTORS = ("l1", "l2", "l3")
 MOMENTS = [
     (1.0, 1.4, 1.9),
     (1.9, 1.0, 1.4),
@@ -27,104 +25,6 @@ MOMENTS = [
     (1.0, 1.9, 1.4),
     (1.4, 1.0, 1.9),
 ]
-
-
-def random_moments(rng, count):
-    parts = rng.uniform(0.02, 1.0, (3, count)) ** 2
-    return dict(zip("ABC", parts.sum(0) - parts, strict=True))
-
-
-def grioli_points(rng, count, rotor=1.0, **given):
-    """Random bodies on Grioli's family: centre of mass and rotor on one of the two normals, with either sign."""
-    points = default_points("fixed_point", count, **{**random_moments(rng, count), "Mg": 1.0, **given})
-    normal = two_axes.section_normals(np.array([points[name] for name in "ABC"]))
-    normal *= rng.choice([-1.0, 1.0], (3, count))
-    along = rng.normal(size=count) * rotor
-    points |= dict(zip(("x0", "y0", "z0"), normal * rng.uniform(0.3, 1.5, count), strict=True))
-    points |= dict(zip(("l1", "l2", "l3"), normal * along, strict=True))
-    return fixed_start(points, {name: FAMILIES["grioli"].solve[name](points) for name in VECTORS})
-
-
-def fixed_start(points, start):
-    """The points that have a start, with it."""
-    points = points | start
-    return select(points, np.isfinite(points["p0"]))
-
-
-def balanced_points(rng, count):
-    """Random bodies on the family in which field and centrifugal torque cancel."""
-    points = default_points("fixed_point", count, **random_moments(rng, count), N=rng.uniform(0.3, 2, count))
-    s = two_axes.section_normals(np.array([points[name] for name in "ABC"])) * rng.choice(
-        [-1.0, 1.0], (3, count)
-    )
-    gamma = rng.normal(size=(3, count))
-    gamma /= np.sqrt((gamma**2).sum(0))
-    n = np.sqrt(points["N"]) * rng.choice([-1.0, 1.0], count)
-    rates = n * gamma + rng.uniform(0.3, 2, count) * s
-    points |= dict(zip(VECTORS, (*rates, *gamma), strict=True))
-    points["Mg"] = np.ones(count)
-    points = with_rotor(FAMILIES["balanced_field"], points, s, rng)
-    return points | {name: FAMILIES["balanced_field"].solve[name](points) for name in ("x0", "y0", "z0")}
-
-
-def with_rotor(family, points, axis, rng):
-    """Points with a random rotor along the largest component of an axis, the others by the family's formulas."""
-    given = np.abs(axis).argmax(0)
-    points = points | {
-        name: np.where(given == i, rng.normal(size=given.size), 0.0) for i, name in enumerate(ROTORS)
-    }
-    solved = {name: family.solve[name](points) for name in ROTORS}
-    return points | {name: np.where(given == i, points[name], solved[name]) for i, name in enumerate(ROTORS)}
-
-
-def free_precessions(rng, count):
-    """Symmetric bodies about one of the three axes with a rotor along it, and spherical ones with any rotor."""
-    points = random_fixed_points(rng, count, Mg=0.0, N=0.0)
-    for i in range(count):
-        if i % 4 == 3:
-            points["B"][i] = points["C"][i] = points["A"][i]
-            continue
-        names = "ABC"[i % 4 :] + "ABC"[: i % 4]
-        points[names[2]][i] = points[names[1]][i]
-        if points[names[0]][i] > 2 * points[names[1]][i]:
-            points[names[0]][i] = points[names[1]][i]
-        for j in (1, 2):
-            points[f"l{(i % 4 + j) % 3 + 1}"][i] = 0.0
-    return points
-
-
-def free_rotations(rng, count):
-    points = random_fixed_points(rng, count, Mg=0.0, N=0.0)
-    return with_rotor(FAMILIES["free_rotation"], points, initial.initial_state(points)[:3], rng)
-
-
-def other_axes(rng, count):
-    """Lagrange's case about the first or second axis, by a relabelling of the axes of points of the family conical."""
-    points = random_fixed_points(rng, count, theta_dot0=0.0, l1=0.0, l2=0.0, x0=0.0, y0=0.0)
-    points["B"] = points["A"]
-    points["C"] = np.minimum(points["C"], 2 * points["A"])
-    points["m"] = families.FAMILIES["conical"].solve["m"](points)
-    state = initial.initial_state(points)
-    turn = rng.integers(1, 3, count)
-
-    def turned(vector):
-        return np.take_along_axis(np.array(vector), (np.arange(3)[:, None] + turn) % 3, 0)
-
-    moved = {}
-    for names in ("ABC", ("l1", "l2", "l3"), ("x0", "y0", "z0")):
-        moved |= dict(zip(names, turned([points[name] for name in names]), strict=True))
-    moved |= dict(zip(VECTORS, (*turned(state[:3]), *turned(state[3:])), strict=True))
-    moved |= {name: points[name] for name in ("Mg", "N")}
-    return default_points("fixed_point", count, **moved)
-
-
-DRAWS = {
-    "grioli": grioli_points,
-    "balanced_field": balanced_points,
-    "free_rotation": free_rotations,
-    "free_precession": free_precessions,
-    "other_axis": other_axes,
-}
 
 
 # Proofs.
@@ -236,31 +136,6 @@ def test_no_other_regular_precession_exists():
 
 
 # Conditions and closed forms.
-
-
-@pytest.mark.parametrize("name", FAMILIES)
-def test_points_of_each_family_are_identified_and_follow_its_closed_form(name):
-    points = DRAWS[name](np.random.default_rng(7), 24)
-    assert points["A"].size > 12
-    initial.check(points)
-    flags, residual = FIXED_POINT.identify_family(points)
-    assert (on_family(FAMILIES[name], points) < 1e-12).all()
-    assert (flags == FAMILIES[name].flag).mean() > 0.7  # others are on an earlier family as well
-    assert (flags > 0).all()
-    assert (residual < 1e-12).all()
-    assert (families.condition_residual(points)[flags == FAMILIES[name].flag] > 1e-9).mean() > 0.8
-    for i in range(3):
-        point = select(points, i)
-        times = np.linspace(0, 12, 5)
-        values = initial.constants(point)[:, 0]
-        start = initial.initial_state(point)[:, 0]
-        exact = solve_ivp(
-            lambda _, y, values=values: equations.rhs(y, values), (0, 12), start, "DOP853",
-            t_eval=times, rtol=1e-12, atol=1e-13,
-        ).y  # fmt: skip
-        _, growth = FAMILIES[name].stability(point)
-        size = np.exp(12 * np.nan_to_num(growth[0]))
-        np.testing.assert_allclose(FAMILIES[name].motion(point, times)[..., 0], exact, atol=1e-9 * size)
 
 
 @pytest.mark.parametrize("moments", MOMENTS)
@@ -421,15 +296,3 @@ def test_rounding_errors_decide_long_runs_of_unstable_motions():
         # About the third axis and the vertical they drift in any case.
         alone = label_points("fixed_point", given, variables=["label", "status"], **wanted)
         assert (alone["label"] == Label.DRIFTING).all()
-
-
-@pytest.mark.parametrize("name", ["free_rotation", "free_precession", "other_axis"])
-def test_closed_forms_are_those_of_the_linear_equations(name):
-    points = DRAWS[name](np.random.default_rng(15), 40)
-    stable, growth = FAMILIES[name].stability(points)
-    general, of_general = FIXED_POINT.stability(points)
-    # the axis of a sphere need not be a principal one, as that of its equilibrium in another frame
-    known = general != Stability.UNKNOWN
-    assert known.mean() > 0.7
-    np.testing.assert_array_equal(general[known], stable[known])
-    np.testing.assert_allclose(of_general[known], growth[known], rtol=1e-9, atol=1e-12)

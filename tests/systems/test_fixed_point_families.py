@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 import sympy as sp
+from family_starts import exact_starts
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
@@ -174,57 +175,6 @@ def test_a_point_is_recognised_if_and_only_if_it_is_steady(moments, numbers, the
         assert families.condition_residual(points)[0] < 1e-10
 
 
-def exact_starts(seed=0, size=12):
-    """Points on each family, by the family's name and, after a comma, the case."""
-    rng = np.random.default_rng(seed)
-    general = random_fixed_points(rng, size, theta_dot0=0.0, m=0.0)
-    resting = random_fixed_points(rng, size, theta_dot0=0.0, m=0.0, n=0.0)
-    free = random_fixed_points(rng, size, theta_dot0=0.0, n=0.0, N=0.0, Mg=0.0, l1=0.0, l2=0.0)
-    upright = random_fixed_points(rng, size, theta_dot0=0.0, n=0.0, theta0=rng.choice([0.0, np.pi], size))
-    return {
-        "conical": fixed_points_on_family("conical", symmetric_fixed_points(rng, size), "m"),
-        "conical, slow": fixed_points_on_family("conical", symmetric_fixed_points(rng, 4 * size, n=0.0), "n"),
-        "conical, fast": fixed_points_on_family(
-            "conical", symmetric_fixed_points(rng, 4 * size, n=50.0), "n"
-        ),
-        "conical, n = 0": fixed_points_on_family(
-            "rest", symmetric_fixed_points(rng, size, n=0.0, N=3.0, Mg=0.3), "theta0"
-        ),
-        "sleeping": fixed_points_on_family("sleeping", upright, "l1", "y0"),
-        "staude": fixed_points_on_family("staude", general, "theta0", "phi0"),
-        "staude, rotor": fixed_points_on_family("staude", general, "l1", "l2"),
-        "rest": fixed_points_on_family("rest", resting, "theta0", "phi0"),
-        "rest, free": free,
-    }
-
-
-@pytest.mark.parametrize("kind", exact_starts())
-def test_families_are_exact_motions(kind):
-    """By substitution into the equations at many times, and by integration."""
-    points = exact_starts()[kind]
-    family = FAMILIES[kind.split(",")[0]]
-    assert np.all(families.identify_family(points)[0] == family.flag)
-    assert np.all(on_family(family, points) < 1e-12)
-    assert np.all(families.condition_residual(points) < 1e-12)
-    t = np.linspace(0, 2.0, 9)
-    closed = family.motion(points, t)
-    assert closed.shape == (6, 9, points["A"].size)
-    np.testing.assert_allclose(closed[:, 0], initial.initial_state(points), atol=1e-14)
-    h = 1e-4
-    derivative = (family.motion(points, t + h) - family.motion(points, t - h)) / (2 * h)
-    constants = initial.constants(points)
-    scale = 1 + np.abs(derivative).max()
-    rates = np.array(equations.rhs(closed, constants[:, None]))
-    np.testing.assert_allclose(derivative / scale, rates / scale, atol=3e-5)
-
-    solution = solve_ivp(
-        lambda _, y: np.ravel(equations.rhs(y.reshape(6, -1), constants)), (0, 1),
-        initial.initial_state(points).ravel(), method="DOP853", rtol=1e-12, atol=1e-13,
-    )  # fmt: skip
-    final = solution.y[:, -1].reshape(6, -1)
-    np.testing.assert_allclose(final, family.motion(points, np.array(1.0)), atol=1e-8 * scale)
-
-
 def test_both_roots_of_the_quadratic_are_reached():
     points = default_points(
         "fixed_point", A=1.0, B=1.0, C=1.5, Mg=3.0, z0=1.0, N=0.5, l3=0.8, theta0=0.8726646259971648, m=6.0
@@ -306,16 +256,6 @@ def test_weight_and_rotor_do_not_replace_each_other_where_the_resting_body_turns
         "fixed_point", A=1.0, B=1.0, C=1.4, Mg=1.0, x0=0.5, l1=1.0, m=0.5, theta0=np.pi / 2, phi0=np.pi / 2
     )
     assert on_family(FAMILIES["rest"], turning)[0] > 0.1
-
-
-def test_residuals_do_not_depend_on_the_units():
-    points = random_fixed_points(np.random.default_rng(8), 6)
-    other, _ = in_other_units(points)
-    np.testing.assert_array_equal(families.condition_residual(other), families.condition_residual(points))
-    for family in FAMILIES.values():
-        for condition in family.conditions:
-            residuals = [condition.residual(p) for p in (other, points)]
-            np.testing.assert_array_equal(*residuals, err_msg=condition.text)
 
 
 # All permanent rotations.
@@ -479,25 +419,14 @@ def test_stability_of_permanent_rotations_against_eigenvalues(kind):
     assert {Stability.STABLE, Stability.UNSTABLE} == set(stable)
 
 
-@pytest.mark.parametrize("kind", exact_starts())
-def test_closed_forms_are_those_of_the_linear_equations(kind):
-    points = exact_starts(7, 40)[kind]
-    stable, growth = linear_stability(points)
-    general, of_general = FIXED_POINT.stability(points)
-    np.testing.assert_array_equal(general, stable)
-    np.testing.assert_allclose(of_general, growth, rtol=1e-9, atol=1e-12)
-
-
-@pytest.mark.parametrize("kind", exact_starts())
-def test_stability_does_not_depend_on_the_units(kind):
-    points, family = exact_starts(7, 20)[kind], FAMILIES[kind.split(",")[0]]
-    other, time = in_other_units(points)
-    (stable, growth), (expected, expected_growth) = (family.stability(p) for p in (other, points))
-    np.testing.assert_array_equal(stable, expected)
-    np.testing.assert_array_equal(growth, expected_growth / time)
-    np.testing.assert_array_equal(stability.nutation(other), np.array(stability.nutation(points)) / time**2)
-    threshold = stability.sleeping_at_threshold(points) * 16.0 / time**2
-    np.testing.assert_array_equal(stability.sleeping_at_threshold(other), threshold)
+def test_frequency_and_threshold_scale_with_the_unit_of_time():
+    for points in exact_starts(7, 20).values():
+        other, time = in_other_units(points)
+        np.testing.assert_array_equal(
+            stability.nutation(other), np.array(stability.nutation(points)) / time**2
+        )
+        threshold = stability.sleeping_at_threshold(points) * 16.0 / time**2
+        np.testing.assert_array_equal(stability.sleeping_at_threshold(other), threshold)
 
 
 def test_index_of_the_amended_potential_decides_the_stability():

@@ -2,70 +2,18 @@
 
 import numpy as np
 import pytest
-from scipy.integrate import solve_ivp
-from strategies import default_points, random_satellites, select
+from family_starts import spheres
+from strategies import random_satellites, select
 
 from atlas.flags import Agreement, Label
 from atlas.label import theory
 from atlas.label.points import label_points
 from atlas.systems.base import on_family
-from atlas.systems.satellite import SATELLITE, any_axis, equations, families, initial
+from atlas.systems.satellite import SATELLITE, any_axis, families
 
 pytestmark = pytest.mark.usefixtures("whole_kernels")
 
 FAMILY = any_axis.FAMILIES["spherical_any_axis"]
-
-
-def start(points, w, alpha, gamma):
-    """Points with these vectors at the start, (3, points) each in body axes, as Euler angles and rates."""
-    sine = np.hypot(gamma[0], gamma[1])
-    beta = np.cross(gamma, alpha, axis=0)
-    theta, phi, psi = (
-        np.arctan2(sine, gamma[2]),
-        np.arctan2(gamma[0], gamma[1]),
-        np.arctan2(alpha[2], -beta[2]),
-    )
-    u = w - points["Omega"] * gamma
-    n = (u[0] * gamma[0] + u[1] * gamma[1]) / sine**2
-    theta_dot = u[0] * np.cos(phi) - u[1] * np.sin(phi)
-    angles = {"theta0": theta, "phi0": phi, "psi0": psi, "n": n, "m": u[2] - n * gamma[2]}
-    return points | angles | {"theta_dot0": theta_dot}
-
-
-def spheres(rng, count):
-    """Rotor and magnet along one random axis of each body, or neither."""
-    axis, alpha = rng.normal(size=(2, 3, count))
-    axis /= np.sqrt((axis**2).sum(0))
-    gamma = np.cross(alpha, rng.normal(size=(3, count)), axis=0)
-    alpha, gamma = (v / np.sqrt((v**2).sum(0)) for v in (alpha, gamma))
-    loaded = np.arange(count) % 3 > 0
-    rotor, moment = rng.normal(size=(2, count)) * loaded
-    C, h3 = rng.uniform(0.5, 2, count), rng.normal(size=count)
-    rate = np.where(loaded, rng.normal(size=count), 0.0)
-    spin = np.where(loaded, (h3 * moment / np.where(loaded, rate, 1.0) - rotor) / C, rng.normal(size=count))
-    vectors = {f"k{i + 1}": rotor * axis[i] for i in range(3)} | {
-        f"mu{i + 1}": moment * axis[i] for i in range(3)
-    }
-    points = default_points(
-        "satellite", count, A=C, B=C, C=C, h3=h3, Omega=rng.uniform(0.3, 1.5, count), **vectors
-    )
-    return start(points, rate * gamma + spin * axis, alpha, gamma)
-
-
-def test_the_start_is_on_the_family_and_follows_its_closed_form():
-    points = spheres(np.random.default_rng(1), 30)
-    assert (on_family(FAMILY, points) < 1e-12).all()
-    flags, residual = SATELLITE.identify_family(points)
-    assert (flags == FAMILY.flag).all()
-    assert (residual < 1e-12).all()
-    for i in range(3):
-        point, times = select(points, i), np.linspace(0, 10, 5)
-        values, first = initial.constants(point)[:, 0], initial.initial_state(point)[:, 0]
-        exact = solve_ivp(
-            lambda _, y, values=values: equations.rhs(y, values), (0, 10), first, "DOP853",
-            t_eval=times, rtol=1e-12, atol=1e-13,
-        ).y  # fmt: skip
-        np.testing.assert_allclose(FAMILY.motion(point, times)[..., 0], exact, atol=1e-9)
 
 
 @pytest.mark.parametrize("changes", [{"C": 0.1}, {"k1": 0.1}, {"n": 0.1}, {"h1": 0.1}, {"theta_dot0": 0.1}])

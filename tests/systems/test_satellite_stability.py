@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from family_starts import points_of_family, rotation_rate, stack
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 from strategies import (
     default_points,
-    in_other_units,
     satellite_for_family,
     satellite_on_family,
     seeds,
@@ -24,28 +24,6 @@ from atlas.systems.satellite import SATELLITE
 from atlas.systems.satellite.equations import rhs
 from atlas.systems.satellite.families import FAMILIES
 from atlas.systems.satellite.initial import PARAMETERS, constants, initial_state
-
-
-def stack(points):
-    return {name: np.concatenate([point[name] for point in points]) for name in PARAMETERS}
-
-
-def rotation_rate(point):
-    """Rate of the steady rotation relative to the orbital frame."""
-    tilt, n, m = point["theta0"], point["n"], point["m"]
-    return np.hypot(n * np.sin(tilt), n * np.cos(tilt) + m)
-
-
-def points_of_family(name, count, seed=0, min_rate=0.15, slower=1.0):
-    """Points whose first family is the named one, rotating at no less than a rate."""
-    rng, points = np.random.default_rng(seed), []
-    while len(points) < count:
-        point = satellite_on_family(name, rng, slower)
-        if point is None or SATELLITE.identify_family(point)[0][0] != FAMILIES[name].flag:
-            continue
-        if rotation_rate(point)[0] > min_rate or name == "equilibrium":
-            points.append(point)
-    return stack(points)
 
 
 def monodromy_growth(point, period):
@@ -223,17 +201,6 @@ def test_exponents_do_not_depend_on_the_other_points(slower):
     for part in (slice(0, 1), slice(3, 20), slice(7, None)):
         _, alone = SATELLITE.stability({name: values[part] for name, values in points.items()})
         np.testing.assert_array_equal(alone, together[part])
-
-
-@pytest.mark.parametrize("name", FAMILIES)
-def test_exponents_do_not_depend_on_the_units(name):
-    points = points_of_family(name, 4, min_rate=0.0)
-    other, time = in_other_units(points)
-    flags = np.full(4, FAMILIES[name].flag)
-    for function in (SATELLITE.stability, lambda p: SATELLITE.linear_stability(p, flags)):
-        (stable, growth), (expected, expected_growth) = (function(p) for p in (other, points))
-        np.testing.assert_array_equal(stable, expected)
-        np.testing.assert_allclose(growth, expected_growth / time, rtol=1e-12)
 
 
 def test_no_family_is_unknown_and_the_slowest_rotations_are_not():

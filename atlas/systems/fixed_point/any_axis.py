@@ -20,6 +20,15 @@ resting axis of symmetry, `rest` or `other_axis`. So together with the families 
 In Lagrange's case about another axis s of symmetry than the third, with C = s.I s and c = s.g:
 (C - A)(n^2 - N) c + (C m + l.s) n + Mg r_c.s = 0.
 
+In Grioli's precession of a heavy body with a rotor the body turns at equal rates about s = w / |w| and about an axis nu normal
+to it. With b = s.I s
+
+    |Mg r_c| g = -(b n^2 + (l.s) n) nu + n^2 [(nu.(s x I s)) nu x s + (nu.I s) s].
+
+In a balanced field w = n g + m s, and with D the part of I s across s
+
+    l across s = -(m + 2 n s.g) D,   Mg r_c = -n (l + m (s.I s) s).
+
 References
 ----------
 G. Grioli, Ann. Mat. Pura Appl. 26 (1947) 271-281; with a rotor E. I. Kharlamova, Mekh. Tverd. Tela 2 (1970) 35-37.
@@ -27,113 +36,291 @@ G. Grioli, Ann. Mat. Pura Appl. 26 (1947) 271-281; with a rotor E. I. Kharlamova
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping
+from functools import partial
+from typing import NamedTuple
+
 import numpy as np
 
-from ...flags import Stability
-from ..base import Array, Condition, Family, Flags, Points, TwoAxes, numbered
-from ..gyrostat.equation import each
+from ..base import (
+    FAMILY_TOLERANCE,
+    Array,
+    Flags,
+    Points,
+    TwoAxes,
+    motion_about_axes,
+    numbered,
+)
+from ..gyrostat.floquet import growth_of_periodic_motion
+from ..gyrostat.motions import Solver, about_axis, always_stable, each, family_about_axes, linear
+from ..jacobian import jacobian
 from ..vectors import across, cross, dot, length, principal, ratio, unit
-from . import families
-from .circular_sections import BALANCED_FIELD, GRIOLI
+from . import equations, families
+from .initial import VECTORS, bodies, constants, initial_state, vertical
 from .stability import decide
-from .two_axes import ROTORS, Start, about, along, axis_of_symmetry, no_field, rotor_along, symmetric_about
 
-# Lagrange's case about another axis than the third.
-
-
-def lagrange_axes(points: Points) -> TwoAxes:
-    start = Start.of(points)
-    s = axis_of_symmetry(start.inertia, (0, 1), start.weight)
-    normal = across(start.gamma, s)
-    n = ratio(dot(start.w, normal), (normal**2).sum(0))
-    return TwoAxes(s, dot(start.w - n * start.gamma, s), start.gamma, n)
+OFFSETS, ROTORS = ("x0", "y0", "z0"), ("l1", "l2", "l3")
 
 
-def _lagrange_steady(points: Points) -> Array:
-    """Rate of nutation: what w has beside n g + m s."""
-    start, (s, m, g, n) = Start.of(points), lagrange_axes(points)
-    return ratio(length(start.w - n * g - m * s), np.sqrt(start.squared_rate))
+class Start(NamedTuple):
+    """Body, fields and state at t = 0; vectors of shape (3, points) in body axes."""
+
+    inertia: Array
+    rotor: Array
+    weight: Array
+    N: Array
+    w: Array
+    gamma: Array
+
+    @classmethod
+    def of(cls, points: Points, **changes: float) -> Start:
+        """That of points, with other values of some parameters."""
+        points = {**points, **{name: np.full_like(points["A"], value) for name, value in changes.items()}}
+        state = initial_state(points)
+        return cls(*bodies(points), state[:3], state[3:])
+
+    @property
+    def squared_rate(self) -> Array:
+        """Largest squared rate: |w|^2, and the torques of fields and rotor over the least moment."""
+        square, least = (self.w**2).sum(0), self.inertia.min(0)
+        gradient = np.abs(self.N) * (self.inertia.max(0) - least)
+        torque = np.maximum(length(self.weight), np.maximum(gradient, length(self.rotor) * np.sqrt(square)))
+        return np.maximum(square, torque / least)
+
+    def residual(self, torque: Array) -> Array:
+        """A torque, vector or magnitude, over the least moment and the largest squared rate."""
+        size = np.abs(torque) if torque.ndim == self.N.ndim else length(torque)
+        return ratio(size / self.inertia.min(0), self.squared_rate)
+
+    def field_residual(self) -> Array:
+        """Residual of the field's gradient, which has no effect on a spherical body."""
+        return self.residual(self.N * (self.inertia.max(0) - self.inertia.min(0)))
+
+    def rotor_residual(self, s: Array) -> Array:
+        """Residual of the part of the rotor across a unit vector."""
+        return self.residual(cross(self.rotor, s) * length(self.w))
+
+    def axis_of_symmetry(self, candidates: tuple[int, ...], otherwise: Array) -> Array:
+        """The principal axis about which the body is nearest to symmetry; a given vector for a spherical body."""
+        inertia = self.inertia
+        differences = np.array([np.abs(inertia[(i + 1) % 3] - inertia[(i + 2) % 3]) for i in candidates])
+        axis = principal(np.array(candidates)[differences.argmin(0)])
+        spherical = inertia.max(0) - inertia.min(0) <= FAMILY_TOLERANCE * inertia.max(0)
+        return np.where(spherical, unit(otherwise, axis), axis)
 
 
-def _lagrange_weight(points: Points) -> Array:
-    start = Start.of(points)
-    return start.residual(cross(start.weight, lagrange_axes(points).spin_axis))
+Axes = Callable[[Start], TwoAxes]
 
 
-def _lagrange_torque(points: Points) -> tuple[Array, Array]:
+def section_difference(inertia: Array, s: Array) -> Array:
+    """How far the section of the ellipsoid of inertia normal to s is from a circle, relative to the largest moment."""
+    first = unit(cross(s, principal(np.abs(s).argmin(0))))
+    second = cross(s, first)
+    difference = dot(inertia * first, first) - dot(inertia * second, second)
+    return np.hypot(difference, 2 * dot(inertia * first, second)) / inertia.max(0)
+
+
+def section_normals(inertia: Array) -> Array:
+    """Magnitudes of the components of the normals of the circular sections of the ellipsoid of inertia."""
+    order = np.argsort(inertia, axis=0, kind="stable")
+    low, middle, high = np.take_along_axis(inertia, order, 0)
+    squares = np.array([middle - low, np.zeros_like(low), high - middle]) / (high - low)
+    return np.take_along_axis(np.sqrt(squares), np.argsort(order, axis=0), 0)
+
+
+# Axes and rates of each family.
+
+
+def lagrange_axes(start: Start) -> TwoAxes:
+    return about_axis(start.axis_of_symmetry((0, 1), start.weight), start.w, start.gamma)
+
+
+def rotation_axes(start: Start) -> TwoAxes:
+    rate = length(start.w)
+    axis = unit(start.w, principal(np.full(rate.shape, 2)))
+    return TwoAxes(axis, rate, axis, np.zeros_like(rate))
+
+
+def precession_axes(start: Start) -> TwoAxes:
+    """G / A is the angular velocity about the angular momentum G, ((A - C) w.s - l.s) / A that about s."""
+    s = start.axis_of_symmetry((2, 0, 1), start.rotor)
+    momentum = start.inertia * start.w + start.rotor
+    axial = dot(start.inertia * s, s)
+    transverse = 0.5 * (start.inertia.sum(0) - axial)
+    spin = ((transverse - axial) * dot(start.w, s) - dot(start.rotor, s)) / transverse
+    return TwoAxes(s, spin, unit(momentum, s), length(momentum) / transverse)
+
+
+def grioli_axes(start: Start) -> TwoAxes:
+    s = unit(start.weight)
+    n = dot(start.w, s)
+    return TwoAxes(s, n, across(start.w, s) / n, n)
+
+
+def balanced_axes(start: Start) -> TwoAxes:
+    """With the sign of n of which the spin axis is nearer to a normal of a circular section."""
+    candidates, off = [], []
+    for sign in (1.0, -1.0):
+        n = sign * np.sqrt(start.N)
+        turn = start.w - n * start.gamma
+        candidates.append(TwoAxes(unit(turn), length(turn), start.gamma, n))
+        difference = section_difference(start.inertia, candidates[-1].spin_axis)
+        off.append(np.nan_to_num(difference, nan=np.inf))
+    first = off[0] <= off[1]
+    return TwoAxes(*(np.where(first, a, b) for a, b in zip(*candidates, strict=True)))
+
+
+# Left sides of equations of several rows.
+
+
+def _lagrange_torque(start: Start) -> tuple[Array, Array]:
     """Left side of the balance without the weight, and the weight along s."""
-    start, (s, m, g, n) = Start.of(points), lagrange_axes(points)
+    s, m, g, n = lagrange_axes(start)
     C = dot(start.inertia * s, s)
     A = 0.5 * (start.inertia.sum(0) - C)
     return (C - A) * (n**2 - start.N) * dot(s, g) + (C * m + dot(start.rotor, s)) * n, dot(start.weight, s)
 
 
-def _lagrange_balance(points: Points) -> Array:
-    start, (rest, weight) = Start.of(points), _lagrange_torque(points)
-    tilt = length(cross(lagrange_axes(points).spin_axis, start.gamma))
-    return start.residual((rest + weight) * tilt)
+def _lagrange_balance(start: Start) -> Array:
+    rest, weight = _lagrange_torque(start)
+    return start.residual((rest + weight) * length(cross(lagrange_axes(start).spin_axis, start.gamma)))
+
+
+def _lagrange_unsteadiness(start: Start) -> Array:
+    """Rate of nutation: what w has beside n g + m s."""
+    s, m, g, n = lagrange_axes(start)
+    return ratio(length(start.w - n * g - m * s), np.sqrt(start.squared_rate))
+
+
+def _grioli_vertical(start: Start, axes: TwoAxes) -> Array:
+    """Mg |r_c| times the vertical."""
+    s, n, nu, _ = axes
+    momentum = start.inertia * s
+    along = dot(momentum, s) * n**2 + dot(start.rotor, s) * n
+    turned = dot(nu, cross(s, momentum)) * cross(nu, s) + dot(nu, momentum) * s
+    return -along * nu + n**2 * turned
+
+
+def _unequal_rates(start: Start) -> Array:
+    axes = grioli_axes(start)
+    transverse = length(across(start.w, axes.spin_axis))
+    return (transverse - np.abs(axes.spin_rate)) / np.sqrt(start.squared_rate)
+
+
+def _balanced_rotor(start: Start) -> tuple[Array, Array]:
+    """What the part of the rotor across the spin axis must be, and that axis."""
+    s, m, g, n = balanced_axes(start)
+    return -(m + 2 * n * dot(s, g)) * across(start.inertia * s, s), s
+
+
+def _balanced_rotor_residual(start: Start) -> Array:
+    across_axis, s = _balanced_rotor(start)
+    return start.residual((across(start.rotor, s) - across_axis) * length(start.w))
+
+
+def _balanced_weight(start: Start) -> Array:
+    """Mg r_c less what it must be."""
+    s, m, _, n = balanced_axes(start)
+    return start.weight + n * (start.rotor + m * dot(start.inertia * s, s) * s)
+
+
+# Solutions.
+
+
+def along(i: int, vector: Array, base: Array | float, direction: Array) -> Array:
+    """Component i of a vector = base + lambda direction, lambda from the component of the largest other one of direction."""
+    magnitudes = np.abs(direction)
+    magnitudes[i] = -1.0
+    base = np.broadcast_to(base, direction.shape)
+    vector, others, slope = (
+        np.take_along_axis(v, magnitudes.argmax(0)[None], 0)[0] for v in (vector, base, direction)
+    )
+    return base[i] + (vector - others) / slope * direction[i]
+
+
+def _rotors(line: Callable[[Start], tuple[Array | float, Array]]) -> Mapping[str, Solver]:
+    """Each component of a rotor on the line base + lambda direction, from another component."""
+
+    def solve(name: str, points: Points) -> Array:
+        start = Start.of(points)
+        return along(ROTORS.index(name), start.rotor, *line(start))
+
+    return each(solve, *ROTORS)
 
 
 def _solve_lagrange_weight(points: Points) -> Array:
-    weighed = {**points, "Mg": np.ones_like(points["A"])}
-    rest, weight = _lagrange_torque(weighed)
+    rest, weight = _lagrange_torque(Start.of(points, Mg=1.0))
     return -rest / weight
+
+
+def _solve_grioli_weight(points: Points) -> Array:
+    """Mg > 0 from the start and the offset: Mg |r_c| is the length of the vector in the condition of the vertical."""
+    start = Start.of(points, Mg=1.0)
+    return length(_grioli_vertical(start, grioli_axes(start))) / length(start.weight)
+
+
+def _grioli_start(name: str, points: Points) -> Array:
+    """One of p0 .. gamma30 at the time at which nu lies in the plane of s and I s; with all six solved, the start is exact.
+
+    n > 0 is the largest root of (b n^2 + l n)^2 + d^2 n^4 = |Mg r_c|^2, nan where the body has no such motion.
+    """
+    start = Start.of(points)
+    s = unit(start.weight)
+    momentum = start.inertia * s
+    b, d2, rotor = dot(momentum, s), (across(momentum, s) ** 2).sum(0), dot(start.rotor, s)
+    square = (start.weight**2).sum(0)
+    # The roots are eigenvalues of the companion matrix, in a unit that makes its last coefficient -1.
+    a4, a3, a2 = b**2 + d2, 2 * b * rotor, rotor**2
+    scale = np.sqrt(np.sqrt(square / a4))
+    matrix = np.zeros((*a4.shape, 4, 4))
+    matrix[..., 1, 0] = matrix[..., 2, 1] = matrix[..., 3, 2] = 1.0
+    matrix[..., 0, 3], matrix[..., 2, 3], matrix[..., 3, 3] = 1.0, -a2 / (a4 * scale**2), -a3 / (a4 * scale)
+    finite = np.asarray(np.isfinite(matrix).all((-2, -1)))
+    roots = np.linalg.eigvals(np.where(finite[..., None, None], matrix, np.eye(4)))
+    real = np.where(np.abs(roots.imag) <= 1e-7 * np.abs(roots), roots.real, -np.inf).max(-1)
+    n = np.where(finite, real * scale, np.nan)
+    for _ in range(2):  # Newton's steps remove the rounding errors of the eigenvalues
+        turning = b * n**2 + rotor * n
+        n = n - (turning**2 + d2 * n**4 - square) / (2 * turning * (2 * b * n + rotor) + 4 * d2 * n**3)
+    n = np.where(n > 0, n, np.nan)
+    nu = unit(across(momentum, s))
+    gamma = _grioli_vertical(start, TwoAxes(s, n, nu, n))
+    return np.concatenate([n * (nu + s), unit(gamma)])[VECTORS.index(name)]
+
+
+def _offset(name: str, points: Points) -> Array:
+    """One coordinate of the centre of mass from the largest other one; the sign given, or +, is kept."""
+    offset = np.array([points[name] for name in OFFSETS])
+    value = along(OFFSETS.index(name), offset, 0.0, section_normals(Start.of(points).inertia))
+    return np.copysign(value, points[name])
+
+
+# Stability.
+
+
+def _floquet_stability(axes: Axes, points: Points) -> tuple[Flags, Array]:
+    """From the multipliers over the period 2 pi / |m| of the closed form of the motion in the body."""
+    two, gamma, values = axes(Start.of(points)), vertical(points), constants(points)
+
+    def matrix(part: np.ndarray, t: Array) -> Array:
+        members = TwoAxes(*(value[..., part] for value in two))
+        state = np.concatenate(motion_about_axes(members, gamma[:, part], t)).reshape(6, -1)
+        constants_at_times = np.tile(values[:, part], len(t))
+        return jacobian(equations, state, constants_at_times).reshape(*t.shape, 6, 6)
+
+    return growth_of_periodic_motion(matrix, 2 * np.pi / np.abs(two.spin_rate))
 
 
 def _lagrange_stability(points: Points) -> tuple[Flags, Array]:
     """As the family conical: stable where the squared frequency of nutation is positive."""
-    start, (s, m, g, n) = Start.of(points), lagrange_axes(points)
+    start = Start.of(points)
+    s, m, g, n = lagrange_axes(start)
     C = dot(start.inertia * s, s)
     A, c = 0.5 * (start.inertia.sum(0) - C), dot(s, g)
     spin = (C * (m + n * c) + dot(start.rotor, s)) / A
     square = (n**2 + start.N * (C - A) / A) * (1 - c**2) + (spin - 2 * n * c) ** 2
     size = (n**2 + np.abs(start.N * (C - A) / A)) + spin**2 + 4 * n**2 * c**2
     return decide(square, size, np.sqrt(np.maximum(-square, 0.0)))
-
-
-OTHER_AXIS = Family(
-    name="other_axis",
-    axes=lagrange_axes,
-    motion=about(lagrange_axes),
-    title="Lagrange's case about another axis of symmetry than the third, and turning about it at rest",
-    equations="as conical and rest, about the first or second axis, or the axis of a spherical body",
-    conditions=(
-        Condition("B = C or C = A", lambda p: symmetric_about(p, lagrange_axes(p).spin_axis)),
-        Condition("l along the axis s of symmetry", lambda p: rotor_along(p, lagrange_axes(p).spin_axis)),
-        Condition("Mg r_c along s", _lagrange_weight),
-        Condition("w = n g + m s", _lagrange_steady),
-        Condition("(C - A)(n^2 - N) s.g + (C m + l.s) n + Mg r_c.s = 0, C = s.I s", _lagrange_balance),
-    ),
-    solve={"Mg": _solve_lagrange_weight},
-    stability=_lagrange_stability,
-    labels="regular precession (n, m) about the vertical; permanent rotation where one of the two rates is 0",
-)  # fmt: skip
-
-
-# Free bodies: no weight, and no field unless the body is spherical.
-
-
-def _no_weight(points: Points) -> Array:
-    start = Start.of(points)
-    return start.residual(start.weight)
-
-
-def _free_turning(points: Points) -> Array:
-    start = Start.of(points)
-    return start.residual(cross(start.inertia * start.w + start.rotor, start.w))
-
-
-def rotation_axes(points: Points) -> TwoAxes:
-    w = Start.of(points).w
-    rate = length(w)
-    axis = unit(w, principal(np.full(rate.shape, 2)))
-    return TwoAxes(axis, rate, axis, np.zeros_like(rate))
-
-
-def _turning_rotor(name: str, points: Points) -> Array:
-    """One component of the rotor: I w + l along w."""
-    start = Start.of(points)
-    return along(ROTORS.index(name), start.rotor, -start.inertia * start.w, start.w)
 
 
 def _turning_stability(points: Points) -> tuple[Flags, Array]:
@@ -149,64 +336,113 @@ def _turning_stability(points: Points) -> tuple[Flags, Array]:
         axis = principal(np.full(momentum.shape[1:], j))
         turn = cross(start.inertia * axis, start.w) + cross(momentum, axis)
         columns.append(turn / start.inertia)
-    products = np.array([columns[i][i] * columns[j][j] - columns[i][j] * columns[j][i] for i, j in _PAIRS])
-    size = np.array([np.abs(columns[i][j] * columns[j][i]) for i, j in _PAIRS]).sum(0)
+    pairs = ((0, 1), (0, 2), (1, 2))
+    products = np.array([columns[i][i] * columns[j][j] - columns[i][j] * columns[j][i] for i, j in pairs])
+    size = np.array([np.abs(columns[i][j] * columns[j][i]) for i, j in pairs]).sum(0)
     P = products.sum(0)
     return decide(P, size, np.sqrt(np.maximum(-P, 0.0)))
 
 
-_PAIRS = ((0, 1), (0, 2), (1, 2))
+# The families.
 
 
-def precession_axes(points: Points) -> TwoAxes:
-    """G / A is the angular velocity about the angular momentum G, ((A - C) w.s - l.s) / A that about s."""
-    start = Start.of(points)
-    s = axis_of_symmetry(start.inertia, (2, 0, 1), start.rotor)
-    momentum = start.inertia * start.w + start.rotor
-    axial = dot(start.inertia * s, s)
-    transverse = 0.5 * (start.inertia.sum(0) - axial)
-    spin = ((transverse - axial) * dot(start.w, s) - dot(start.rotor, s)) / transverse
-    return TwoAxes(s, spin, unit(momentum, s), length(momentum) / transverse)
-
-
-def _always_stable(points: Points) -> tuple[Flags, Array]:
-    """Neighbours of a free precession are free precessions: distances grow like t at most."""
-    shape = np.shape(points["A"])
-    return np.full(shape, Stability.STABLE, np.int8), np.zeros(shape)
-
-
+_family = partial(family_about_axes, Start.of, directions=lambda p: (vertical(p),))
 _FREE = (
-    Condition("Mg r_c = 0", _no_weight),
-    Condition("N = 0, or A = B = C", no_field),
+    ("Mg r_c = 0", lambda b: b.residual(b.weight)),
+    ("N = 0, or A = B = C", Start.field_residual),
 )
-FREE_ROTATION = Family(
-    name="free_rotation",
-    axes=rotation_axes,
-    motion=about(rotation_axes),
-    title="permanent rotation of a free body about an inclined axis",
-    equations="from the equations of motion",
-    conditions=(*_FREE, Condition("(I w + l) x w = 0", _free_turning)),
-    solve=each(_turning_rotor, *ROTORS),
-    stability=_turning_stability,
-    labels="permanent rotation",
-    exists="about each principal axis of a body without rotor",
-)  # fmt: skip
-FREE_PRECESSION = Family(
-    name="free_precession",
-    axes=precession_axes,
-    motion=about(precession_axes),
-    title="regular precession of a free symmetric or spherical body about its angular momentum",
-    equations="from the equations of motion",
-    conditions=(
-        *_FREE,
-        Condition("two equal moments", lambda p: symmetric_about(p, precession_axes(p).spin_axis)),
-        Condition("l along the axis of symmetry", lambda p: rotor_along(p, precession_axes(p).spin_axis)),
-    ),
-    solve={"B": lambda points: points["A"].copy()},
-    stability=_always_stable,
-    labels="regular precession (|G|/A, ((A - C) w.s - l.s)/A) about G = I w + l; permanent rotation where that"
-    " is along s or m = 0",
-)  # fmt: skip
 FAMILIES = numbered(
-    (GRIOLI, BALANCED_FIELD, FREE_ROTATION, FREE_PRECESSION, OTHER_AXIS), after=families.FAMILIES
-)
+    (
+        _family(
+            grioli_axes,
+            name="grioli",
+            title="Grioli's regular precession of an asymmetric body about an axis inclined to the vertical",
+            equations="Grioli 1947; with a rotor Kharlamova 1970",
+            conditions=(
+                ("N = 0", Start.field_residual),
+                ("r_c normal to a circular section of the ellipsoid of inertia",
+                 lambda b: section_difference(b.inertia, unit(b.weight))),
+                ("l parallel to r_c", lambda b: b.rotor_residual(unit(b.weight))),
+                ("w = n (nu + s): equal rates about s = Mg r_c / |Mg r_c| and an axis nu normal to it", _unequal_rates),
+                ("|Mg r_c| g = -(b n^2 + l.s n) nu + n^2 [(nu.(s x I s)) nu x s + (nu.I s) s], b = s.I s",
+                 lambda b: b.residual(_grioli_vertical(b, grioli_axes(b)) - length(b.weight) * b.gamma)),
+            ),
+            solve={
+                **each(_offset, *OFFSETS),
+                **_rotors(lambda b: (0.0, b.weight)),
+                "Mg": _solve_grioli_weight,
+                **each(_grioli_start, *VECTORS),
+            },
+            stability=partial(_floquet_stability, grioli_axes),
+            labels="regular precession about an inclined axis; drifting about the third axis and the vertical",
+            exists="(b n^2 + l.s n)^2 + d^2 n^4 = |Mg r_c|^2, d = |s x I s|, for any body with three different moments;"
+            " p0 .. gamma30 together start the motion of the largest n",
+        ),
+        _family(
+            balanced_axes,
+            name="balanced_field",
+            title="regular precession about the vertical at n^2 = N, where field and centrifugal torque cancel",
+            equations="derived from the equations of motion; not in the paper",
+            conditions=(
+                ("N > 0", lambda b: np.where(b.N > 0, 0.0, np.inf)),
+                ("w = n g + m s, n^2 = N, s normal to a circular section of the ellipsoid of inertia",
+                 lambda b: section_difference(b.inertia, balanced_axes(b).spin_axis)),
+                ("l across s = -(m + 2 n s.g) (I s across s)", _balanced_rotor_residual),
+                ("Mg r_c = -n (l + m (s.I s) s)", lambda b: b.residual(_balanced_weight(b))),
+            ),
+            solve={
+                **_rotors(_balanced_rotor),
+                **linear(lambda p: _balanced_weight(Start.of(p)), *OFFSETS),
+            },
+            stability=partial(_floquet_stability, balanced_axes),
+            labels="regular precession (n, m) about the vertical, the spin axis is not principal",
+        ),
+        _family(
+            rotation_axes,
+            name="free_rotation",
+            title="permanent rotation of a free body about an inclined axis",
+            equations="from the equations of motion",
+            conditions=(
+                *_FREE,
+                ("(I w + l) x w = 0", lambda b: b.residual(cross(b.inertia * b.w + b.rotor, b.w))),
+            ),
+            solve=_rotors(lambda b: (-b.inertia * b.w, b.w)),
+            stability=_turning_stability,
+            labels="permanent rotation",
+            exists="about each principal axis of a body without rotor",
+        ),
+        _family(
+            precession_axes,
+            name="free_precession",
+            title="regular precession of a free symmetric or spherical body about its angular momentum",
+            equations="from the equations of motion",
+            conditions=(
+                *_FREE,
+                ("two equal moments", lambda b: section_difference(b.inertia, precession_axes(b).spin_axis)),
+                ("l along the axis of symmetry", lambda b: b.rotor_residual(precession_axes(b).spin_axis)),
+            ),
+            solve={"B": lambda points: points["A"].copy()},
+            # Neighbours of a free precession are free precessions: distances grow like t at most.
+            stability=always_stable,
+            labels="regular precession (|G|/A, ((A - C) w.s - l.s)/A) about G = I w + l; permanent rotation where that"
+            " is along s or m = 0",
+        ),
+        _family(
+            lagrange_axes,
+            name="other_axis",
+            title="Lagrange's case about another axis of symmetry than the third, and turning about it at rest",
+            equations="as conical and rest, about the first or second axis, or the axis of a spherical body",
+            conditions=(
+                ("B = C or C = A", lambda b: section_difference(b.inertia, lagrange_axes(b).spin_axis)),
+                ("l along the axis s of symmetry", lambda b: b.rotor_residual(lagrange_axes(b).spin_axis)),
+                ("Mg r_c along s", lambda b: b.residual(cross(b.weight, lagrange_axes(b).spin_axis))),
+                ("w = n g + m s", _lagrange_unsteadiness),
+                ("(C - A)(n^2 - N) s.g + (C m + l.s) n + Mg r_c.s = 0, C = s.I s", _lagrange_balance),
+            ),
+            solve={"Mg": _solve_lagrange_weight},
+            stability=_lagrange_stability,
+            labels="regular precession (n, m) about the vertical; permanent rotation where one of the two rates is 0",
+        ),
+    ),
+    after=families.FAMILIES,
+)  # fmt: skip

@@ -24,8 +24,7 @@ import numpy as np
 
 from ..base import FAMILY_TOLERANCE, Array, Condition, Family, Flags, Points, TwoAxes, identify, numbered
 from ..gyrostat import secular
-from ..gyrostat.equation import Equation, Solver, linear
-from ..gyrostat.motions import motion_of
+from ..gyrostat.motions import Equation, Solver, linear, motion_of
 from ..vectors import cross, length, principal, ratio
 from . import equations
 from .initial import bodies, body, constants, fields, initial_state, rates, symmetric, vertical

@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike
 
 from ..base import Array, StressCase, subset
 from ..gyrostat import Gyrostat
-from ..passages import earlier_start
+from ..gyrostat.motions import earlier_start
 
 OVERFLOW = "the numbers overflow"
 GROWN = "the method's own error grows with the motion before rounding does"

@@ -10,7 +10,8 @@ with l2 / (A r0), which is of order eps, in S12, S22 and Phi1 are of higher orde
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import NamedTuple
+from functools import partial
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -18,10 +19,6 @@ from ...systems.base import Array
 from .. import Measure
 from . import fast_spin
 from .fast_spin import FastSpin, random_spin, true_acceleration
-
-# errors of the printed and of the true reading at the same random parameters
-Pair = Callable[[np.random.Generator], tuple[Array, Array]]
-
 
 # (3), corrected, and states that satisfy (2) with it.
 
@@ -129,52 +126,18 @@ def S22(spin: FastSpin, x0: Array, x: Array, printed: bool = False) -> Array:
     )  # fmt: skip
 
 
-def _expansion(error: Callable[[FastSpin, Array, Array, Array, Array, bool], Array]) -> Pair:
-    """error(spin, y0, y, x0, x, printed) of two states, in the variables of (1) and of (15)."""
-
-    def errors(rng: np.random.Generator) -> tuple[Array, Array]:
-        spin = random_spin(rng, r0=1e4)
-        y0, y = random_states(rng, spin)
-        x0, x = (fast_spin.to_quasilinear(spin, state) for state in (y0, y))
-        return error(spin, y0, y, x0, x, True), error(spin, y0, y, x0, x, False)
-
-    return errors
+# (6), (11), (14) and (17).
 
 
-def _spin_rate_6(spin: FastSpin, y0: Array, y: Array, x0: Array, x: Array, printed: bool) -> Array:
-    """r1 less (6), over eps^2."""
-    S1 = bracket = S1_S2(spin, y0, y)[0]
-    if printed:
-        bracket = S1 + 2 * spin.z * (1 - y[5]) - spin.k * (1 - y[5] ** 2)
-    return S1 / (y[2] + 1) - 0.5 * bracket  # r1 - 1 = eps^2 S1 / (r1 + 1), without cancellation
+def half_6(spin: FastSpin, y: Array, S1: Array, printed: bool) -> Array:
+    """What (6) adds to 1 in r1, over eps^2."""
+    return 0.5 * (S1 + 2 * spin.z * (1 - y[5]) - spin.k * (1 - y[5] ** 2) if printed else S1)
 
 
-def _energy_13(spin: FastSpin, y0: Array, y: Array, x0: Array, x: Array, printed: bool) -> Array:
-    """S1 less S11 + 2 eps S12, over eps."""
-    S1 = S1_S2(spin, y0, y)[0]
-    return (S1 - S11(spin, x0, x)) / spin.eps - 2 * S12(spin, x0, x, printed)
-
-
-def _area_13(spin: FastSpin, y0: Array, y: Array, x0: Array, x: Array, printed: bool) -> Array:
-    """S2 less S21 + eps S22, with S21 as printed."""
-    signs = (-1, -1) if printed else (1, 1)
-    return S1_S2(spin, y0, y)[1] - S21(spin, x0, x, signs) - spin.eps * S22(spin, x0, x)
-
-
-def _area_13_second(spin: FastSpin, y0: Array, y: Array, x0: Array, x: Array, printed: bool) -> Array:
-    """S2 less S21 + eps S22, with S22 as printed."""
-    return S1_S2(spin, y0, y)[1] - S21(spin, x0, x) - spin.eps * S22(spin, x0, x, printed)
-
-
-def _spin_rate_14(spin: FastSpin, y0: Array, y: Array, x0: Array, x: Array, printed: bool) -> Array:
-    """r1 less (14), over eps^2."""
+def third_14(spin: FastSpin, x0: Array, x: Array, printed: bool) -> Array:
+    """What (14) adds to r1 in its third order, over eps^3."""
     third = S12(spin, x0, x)
-    if printed:
-        third = third + (spin.k - spin.z) * S21(spin, x0, x)
-    return S1_S2(spin, y0, y)[0] / (y[2] + 1) - 0.5 * S11(spin, x0, x) - spin.eps * third
-
-
-# (11) and (17).
+    return third + (spin.k - spin.z) * S21(spin, x0, x) if printed else third
 
 
 def q1_of_11(spin: FastSpin, x0: Array, x: Array, printed: bool) -> Array:
@@ -186,11 +149,6 @@ def q1_of_11(spin: FastSpin, x0: Array, x: Array, printed: bool) -> Array:
     carried = spin.nu if printed else nu2
     second = X * (0.5 * first_integral - spin.G0 * carried) * v + X * spin.k * spin.A1 * u * S21(spin, x0, x)
     return -X * (v - spin.mu.imag) - eps * X * (chi2 * u - field) + eps**2 * second
-
-
-def _rate_11(spin: FastSpin, y0: Array, y: Array, x0: Array, x: Array, printed: bool) -> Array:
-    """q1 of (11) less q1 of the state."""
-    return q1_of_11(spin, x0, x, printed) - y[1]
 
 
 def length_17(spin: FastSpin, x0: Array, x: Array, printed: bool) -> Array:
@@ -207,19 +165,7 @@ def length_17(spin: FastSpin, x0: Array, x: Array, printed: bool) -> Array:
     return lowest + spin.eps * first + spin.eps**2 * second
 
 
-def _length_error_17(spin: FastSpin, y0: Array, y: Array, x0: Array, x: Array, printed: bool) -> Array:
-    """Left side of (17) less |gamma|^2 - 1 of the state."""
-    return length_17(spin, x0, x, printed) - ((y[3:] ** 2).sum() - 1)
-
-
 # (7) and (8): second derivatives of p1 and g1.
-
-
-def _random_motion(rng: np.random.Generator, spin: FastSpin) -> tuple[Array, Array, Array]:
-    """A random state y with random S1, S2, which are what (2) makes of r1 and g1''."""
-    p, q, g1, g2, S1, S2 = rng.normal(size=6)
-    r = np.sqrt(1 + spin.eps**2 * S1)
-    return np.array([p, q, r, g1, g2, (1 + spin.eps * S2) / r]), S1, S2
 
 
 def seven(spin: FastSpin, y: Array, S1: Array, printed: bool) -> Array:
@@ -250,22 +196,6 @@ def eight(spin: FastSpin, y: Array, S1: Array, S2: Array, printed: bool) -> Arra
     return s1 - g1 + eps * first + eps**2 * second + eps**3 * third
 
 
-def _seven_errors(rng: np.random.Generator) -> tuple[Array, Array]:
-    """p1'' by (7) less p1'' of the motion."""
-    spin = random_spin(rng, r0=1e4)
-    y, S1, _ = _random_motion(rng, spin)
-    exact = true_acceleration(spin, y)[0]
-    return seven(spin, y, S1, True) - exact, seven(spin, y, S1, False) - exact
-
-
-def _eight_errors(rng: np.random.Generator) -> tuple[Array, Array]:
-    """g1'' by (8) less g1'' of the motion."""
-    spin = random_spin(rng, r0=1e3)  # eps^3 far above rounding errors
-    y, S1, S2 = _random_motion(rng, spin)
-    exact = true_acceleration(spin, y)[3]
-    return eight(spin, y, S1, S2, True) - exact, eight(spin, y, S1, S2, False) - exact
-
-
 # (26) and (27): (13) and Phi1 on the generating solution (20), (25).
 
 
@@ -292,15 +222,6 @@ def S11_of_26(spin: FastSpin, E: float, eta: float, tau: Array, printed: bool) -
     return spin.a * E**2 * wave + 2 * spin.k * spin.a * spin.M3 * rotor * np.sin(tau) - sway
 
 
-def _generating_26(rng: np.random.Generator) -> tuple[Array, Array]:
-    """S11^(0) of (26) less S11 of (13) on (25)."""
-    spin = random_spin(rng)
-    E, eta, tau = rng.uniform(0.5, 1.5), *rng.uniform(0.5, 5.0, 2)
-    x0, x = (generating(spin, E, eta, np.asarray(t)) for t in (0.0, tau))
-    exact = S11(spin, x0, x)
-    return S11_of_26(spin, E, eta, tau, True) - exact, S11_of_26(spin, E, eta, tau, False) - exact
-
-
 def Phi1(spin: FastSpin, x0: Array, x: Array) -> Array:
     """Phi1 of (16), with C A^-1 y2 for A^-1 y2 and X l1 for A^-1 l1."""
     p, v, _, u = x
@@ -318,40 +239,99 @@ def Phi1_of_27(spin: FastSpin, tau: Array, printed: bool) -> Array:
     return spin.l1 / (spin.A * spin.r0) * spin.M3 * (y1 * (1 - np.cos(tau)) + y2 * np.sin(tau))
 
 
-def _generating_27(rng: np.random.Generator) -> tuple[Array, Array]:
-    """Phi1^(0) of (27) less Phi1 of (16) on (20)."""
-    spin, tau = random_spin(rng), rng.uniform(0.5, 5.0, ())
+# The measures of both readings.
+
+
+class States(NamedTuple):
+    """Two random states of one motion in the variables of (15), the second also in those of (1) and with S1, S2."""
+
+    spin: FastSpin
+    x0: Array
+    x: Array
+    y: Array
+    S1: Array
+    S2: Array
+
+    @classmethod
+    def draw(cls, rng: np.random.Generator) -> States:
+        spin = random_spin(rng, r0=1e4)
+        y0, y = random_states(rng, spin)
+        x0, x = (fast_spin.to_quasilinear(spin, state) for state in (y0, y))
+        return cls(spin, x0, x, y, *S1_S2(spin, y0, y))
+
+
+class Motion(NamedTuple):
+    """A random state y with random S1, S2, which are what (2) makes of r1 and g1''."""
+
+    spin: FastSpin
+    y: Array
+    S1: Array
+    S2: Array
+
+    @classmethod
+    def draw(cls, r0: float, rng: np.random.Generator) -> Motion:
+        spin = random_spin(rng, r0=r0)
+        p, q, g1, g2, S1, S2 = rng.normal(size=6)
+        r = np.sqrt(1 + spin.eps**2 * S1)
+        return cls(spin, np.array([p, q, r, g1, g2, (1 + spin.eps * S2) / r]), S1, S2)
+
+
+def _readings(
+    draw: Callable[[np.random.Generator], Any], error: Callable[[Any, bool], Array]
+) -> tuple[Measure, Measure]:
+    """Errors (drawn, printed) of both readings at what `draw` draws, over the difference of the two."""
+
+    def measured(reading: int, rng: np.random.Generator) -> float:
+        drawn = draw(rng)
+        pair = error(drawn, True), error(drawn, False)
+        return float(np.abs(pair[reading] / (pair[0] - pair[1])))
+
+    return partial(measured, 0), partial(measured, 1)
+
+
+def _error_13(s: States, signs: tuple[int, int] = (1, 1), printed: bool = False) -> Array:
+    """S2 less S21 + eps S22, with S21 of these signs, or with S22 as printed."""
+    return s.S2 - S21(*s[:3], signs) - s.spin.eps * S22(*s[:3], printed)
+
+
+def _error_26(drawn: tuple[FastSpin, float, float, Array], printed: bool) -> Array:
+    spin, E, eta, tau = drawn
+    x0, x = (generating(spin, E, eta, np.asarray(t)) for t in (0.0, tau))
+    return S11_of_26(spin, E, eta, tau, printed) - S11(spin, x0, x)
+
+
+def _error_27(drawn: tuple[FastSpin, Array], printed: bool) -> Array:
+    spin, tau = drawn
     x0, x = (generating(spin, 0.0, 0.0, np.asarray(t)) for t in (0.0, tau))
-    exact = Phi1(spin, x0, x)
-    return Phi1_of_27(spin, tau, True) - exact, Phi1_of_27(spin, tau, False) - exact
-
-
-def _over_difference(errors: Pair) -> tuple[Measure, Measure]:
-    """Measures of the two readings of which `errors` gives the errors at the same random parameters."""
-
-    def residual(index: int) -> Measure:
-        def measured(rng: np.random.Generator) -> float:
-            pair = errors(rng)
-            return float(np.abs(pair[index] / (pair[0] - pair[1])))
-
-        return measured
-
-    return residual(0), residual(1)
+    return Phi1_of_27(spin, tau, printed) - Phi1(spin, x0, x)
 
 
 READINGS = {
-    number: _over_difference(errors)
-    for number, errors in {
-        "(6)": _expansion(_spin_rate_6),
-        "(7), forcing and first order": _seven_errors,
-        "(8)": _eight_errors,
-        "(11), q1": _expansion(_rate_11),
-        "(13), S12": _expansion(_energy_13),
-        "(13), S21": _expansion(_area_13),
-        "(13), S22": _expansion(_area_13_second),
-        "(14)": _expansion(_spin_rate_14),
-        "(17)": _expansion(_length_error_17),
-        "(26), S11": _generating_26,
-        "(27), Phi1": _generating_27,
-    }.items()
+    # r1 - 1 = eps^2 S1 / (r1 + 1), without cancellation
+    "(6)": _readings(
+        States.draw, lambda s, printed: s.S1 / (s.y[2] + 1) - half_6(s.spin, s.y, s.S1, printed)
+    ),
+    "(7), forcing and first order": _readings(
+        partial(Motion.draw, 1e4), lambda m, printed: seven(*m[:3], printed) - true_acceleration(*m[:2])[0]
+    ),
+    "(8)": _readings(  # eps^3 far above rounding errors
+        partial(Motion.draw, 1e3), lambda m, printed: eight(*m, printed) - true_acceleration(*m[:2])[3]
+    ),
+    "(11), q1": _readings(States.draw, lambda s, printed: q1_of_11(*s[:3], printed) - s.y[1]),
+    "(13), S12": _readings(
+        States.draw, lambda s, printed: (s.S1 - S11(*s[:3])) / s.spin.eps - 2 * S12(*s[:3], printed)
+    ),
+    "(13), S21": _readings(States.draw, lambda s, printed: _error_13(s, (-1, -1) if printed else (1, 1))),
+    "(13), S22": _readings(States.draw, lambda s, printed: _error_13(s, printed=printed)),
+    "(14)": _readings(
+        States.draw,
+        lambda s, printed: s.S1 / (s.y[2] + 1) - 0.5 * S11(*s[:3]) - s.spin.eps * third_14(*s[:3], printed),
+    ),
+    "(17)": _readings(
+        States.draw, lambda s, printed: length_17(*s[:3], printed) - ((s.y[3:] ** 2).sum() - 1)
+    ),
+    "(26), S11": _readings(
+        lambda rng: (random_spin(rng), rng.uniform(0.5, 1.5), *rng.uniform(0.5, 5.0, 2)), _error_26
+    ),
+    "(27), Phi1": _readings(lambda rng: (random_spin(rng), rng.uniform(0.5, 5.0, ())), _error_27),
 }

@@ -312,23 +312,27 @@ READINGS = {
         States.draw, lambda s, printed: s.S1 / (s.y[2] + 1) - half_6(s.spin, s.y, s.S1, printed)
     ),
     "(7), forcing and first order": _readings(
-        partial(Motion.draw, 1e4), lambda m, printed: seven(*m[:3], printed) - true_acceleration(*m[:2])[0]
+        partial(Motion.draw, 1e4),
+        lambda m, printed: seven(*m[:3], printed=printed) - true_acceleration(*m[:2])[0],
     ),
     "(8)": _readings(  # eps^3 far above rounding errors
-        partial(Motion.draw, 1e3), lambda m, printed: eight(*m, printed) - true_acceleration(*m[:2])[3]
+        partial(Motion.draw, 1e3),
+        lambda m, printed: eight(*m, printed=printed) - true_acceleration(*m[:2])[3],
     ),
-    "(11), q1": _readings(States.draw, lambda s, printed: q1_of_11(*s[:3], printed) - s.y[1]),
+    "(11), q1": _readings(States.draw, lambda s, printed: q1_of_11(*s[:3], printed=printed) - s.y[1]),
     "(13), S12": _readings(
-        States.draw, lambda s, printed: (s.S1 - S11(*s[:3])) / s.spin.eps - 2 * S12(*s[:3], printed)
+        States.draw, lambda s, printed: (s.S1 - S11(*s[:3])) / s.spin.eps - 2 * S12(*s[:3], printed=printed)
     ),
     "(13), S21": _readings(States.draw, lambda s, printed: _error_13(s, (-1, -1) if printed else (1, 1))),
     "(13), S22": _readings(States.draw, lambda s, printed: _error_13(s, printed=printed)),
     "(14)": _readings(
         States.draw,
-        lambda s, printed: s.S1 / (s.y[2] + 1) - 0.5 * S11(*s[:3]) - s.spin.eps * third_14(*s[:3], printed),
+        lambda s, printed: (
+            s.S1 / (s.y[2] + 1) - 0.5 * S11(*s[:3]) - s.spin.eps * third_14(*s[:3], printed=printed)
+        ),
     ),
     "(17)": _readings(
-        States.draw, lambda s, printed: length_17(*s[:3], printed) - ((s.y[3:] ** 2).sum() - 1)
+        States.draw, lambda s, printed: length_17(*s[:3], printed=printed) - ((s.y[3:] ** 2).sum() - 1)
     ),
     "(26), S11": _readings(
         lambda rng: (random_spin(rng), rng.uniform(0.5, 1.5), *rng.uniform(0.5, 5.0, 2)), _error_26

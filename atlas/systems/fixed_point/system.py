@@ -21,8 +21,8 @@ from ..base import (
     identify,
     shape_of,
 )
-from ..gyrostat import Gyrostat, secular
-from . import any_axis, equations, families, initial, stress_cases
+from ..gyrostat import Gyrostat, secular, stress_cases
+from . import any_axis, equations, families, initial
 
 GEOMETRIES = {
     "none": "drifting or unresolved",
@@ -129,7 +129,7 @@ class FixedPoint(Gyrostat):
         return families.identify_family(points)[0]
 
     def stress_cases(self) -> tuple[StressCase, ...]:
-        return stress_cases.cases(self)
+        return stress_cases.fixed_point_cases(self)
 
     def complete(self, points: Points) -> Mask:
         return np.ones(shape_of(points), bool)

@@ -16,9 +16,9 @@ from ..base import (
     identify,
     shape_of,
 )
-from ..gyrostat import Gyrostat
+from ..gyrostat import Gyrostat, stress_cases
 from ..gyrostat.variables import count_variables
-from . import any_axis, equations, families, initial, stress_cases
+from . import any_axis, equations, families, initial
 
 GEOMETRIES = {
     "none": "drifting or unresolved",
@@ -99,7 +99,7 @@ class Satellite(Gyrostat):
         return identify(points, families.FAMILIES.values(), any_axis.FAMILIES.values())
 
     def stress_cases(self) -> tuple[StressCase, ...]:
-        return stress_cases.cases(self)
+        return stress_cases.satellite_cases(self)
 
     def complete(self, points: Points) -> Mask:
         """Without an orbit an undamped free or heavy body has more steady motions than the families."""

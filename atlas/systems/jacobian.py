@@ -32,7 +32,12 @@ def frequency(
     for first in range(0, flat.size, CHUNK):
         chunk = slice(first, first + CHUNK)
         flat[chunk] = _size_of_power(jacobian(equations, states[:, chunk], numbers[:, chunk]))
-    return np.fmax(result, _rate_of_turn(equations, state, constants))
+    if not hasattr(equations, "frame_motion"):
+        return np.fmax(result, 0.0)
+    # The Jacobian does not contain the rate of turn where the angle of a rotation occurs nowhere in the right-hand side.
+    with np.errstate(all="ignore"):
+        u1, u2, u3, *_ = equations.frame_motion(state, constants)
+        return np.fmax(result, np.sqrt(u1 * u1 + u2 * u2 + u3 * u3))
 
 
 def derivatives(
@@ -55,20 +60,6 @@ def derivatives(
         bend = 0.5 * DISTANCE**2 * second(state)
         before, after = second(state - DISTANCE * slope + bend), second(state + DISTANCE * slope + bend)
         return np.array([state, slope, 0.5 * (before + after), (after - before) / (2 * DISTANCE)])
-
-
-def _rate_of_turn(
-    equations: Any, state: NDArray[np.float64], constants: NDArray[np.float64]
-) -> NDArray[np.float64]:
-    """Angular velocity of the body relative to the frame, rad per time unit; 0 of a system with observables.
-
-    The Jacobian does not contain it where the angle of a rotation occurs nowhere in the right-hand side.
-    """
-    if not hasattr(equations, "frame_motion"):
-        return np.zeros(state.shape[1:])
-    with np.errstate(all="ignore"):
-        u1, u2, u3, *_ = equations.frame_motion(state, constants)
-        return np.asarray(np.sqrt(u1 * u1 + u2 * u2 + u3 * u3))
 
 
 def jacobian(

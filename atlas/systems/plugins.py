@@ -7,7 +7,7 @@ import inspect
 import sys
 from collections.abc import Iterator
 from dataclasses import dataclass
-from importlib.metadata import EntryPoint, entry_points
+from importlib.metadata import entry_points
 from pathlib import Path
 from types import ModuleType
 
@@ -46,7 +46,7 @@ def load(name: str) -> tuple[object, str] | None:
     entries = list(entry_points(group=GROUP, name=name))
     if not entries:
         return None
-    packages = sorted({_package(entry) for entry in entries})
+    packages = sorted({f"{e.dist.name} {e.dist.version}" if e.dist is not None else e.value for e in entries})
     if len(packages) > 1:
         raise BadInput(
             f"system = {shown(name)}: several packages have this system: {', '.join(packages)}; remove all but one"
@@ -61,16 +61,21 @@ def load(name: str) -> tuple[object, str] | None:
     return value, packages[0]
 
 
-def _package(entry: EntryPoint) -> str:
-    return f"{entry.dist.name} {entry.dist.version}" if entry.dist is not None else entry.value
-
-
 def origin(system: System, package: str) -> Origin:
     """Where a system comes from: its package, and the source files of the classes and equations it consists of."""
     files = tuple(sorted(set(_files(system))))
     if files:
         return Origin(package, _hash_of_files(files), files)
-    return Origin(package, hashlib.sha256(_code_of(system).encode()).hexdigest()[:16], ())
+    texts = []  # of a system without files, such as one of a notebook
+    for owner in (*type(system).__mro__[: type(system).__mro__.index(System)], system.equations):
+        for name, value in sorted(vars(owner).items()):
+            function = getattr(value, "__func__", value)
+            if inspect.isfunction(function):
+                code = function.__code__
+                texts.append(f"{name} {code.co_code.hex()} {code.co_consts!r} {code.co_names!r}")
+            elif name.isupper():
+                texts.append(f"{name} {value!r}")
+    return Origin(package, hashlib.sha256("\n".join(texts).encode()).hexdigest()[:16], ())
 
 
 def _files(system: System) -> Iterator[Path]:
@@ -95,17 +100,3 @@ def _hash_of_files(files: tuple[Path, ...]) -> str:
     for file in files:
         content.update(file.name.encode() + b"\0" + (file.read_bytes() if file.is_file() else b"") + b"\0")
     return content.hexdigest()[:16]
-
-
-def _code_of(system: System) -> str:
-    """Text of a system that has no files, such as one of a notebook: the source or the byte code of its functions."""
-    texts = []
-    for owner in (*type(system).__mro__[: type(system).__mro__.index(System)], system.equations):
-        for name, value in sorted(vars(owner).items()):
-            function = getattr(value, "__func__", value)
-            if inspect.isfunction(function):
-                code = function.__code__
-                texts.append(f"{name} {code.co_code.hex()} {code.co_consts!r} {code.co_names!r}")
-            elif name.isupper():
-                texts.append(f"{name} {value!r}")
-    return "\n".join(texts)

@@ -17,7 +17,6 @@ from ..base import (
     Mask,
     Points,
     StressCase,
-    despun_about_third_axis,
     identify,
     shape_of,
 )
@@ -107,6 +106,8 @@ class FixedPoint(Gyrostat):
     geometries = GEOMETRIES
     derived = MappingProxyType(SOLUTION_ERRORS)
     body = staticmethod(initial.body)
+    axial_rotor = "l3"
+    conserves_axial_momentum = staticmethod(initial.symmetric)
     frequency_comment = (
         "nan for exponents that are 0 or have a real part, and off conical, sleeping, staude and rest; of a permanent rotation"
         " relative to the body, of a symmetric body on the vertical in space"
@@ -164,10 +165,6 @@ class FixedPoint(Gyrostat):
     ) -> dict[str, NDArray[Any]]:
         """All permanent rotations of many bodies, each at its rate n; see secular.rotations_of_bodies."""
         return secular.rotations_of_bodies(self, initial.without_vectors(points))
-
-    def despun_equivalent(self, points: Points) -> tuple[Points, Array]:
-        conserved = ~np.isnan(self.integral_scales(points)["lagrange"])
-        return despun_about_third_axis(self, points, "l3", conserved)
 
 
 FIXED_POINT = FixedPoint()

@@ -160,7 +160,16 @@ class Body(NamedTuple):
             return product + np.swapaxes(product, -1, -2)
 
         shift, shift_dot = symmetric(0.5 * np.cross(v, along)), symmetric(0.5 * np.cross(v_dot, along))
-        return _hamiltonian(P + shift_dot, 0.5 * cross_matrix(v) - shift, self.inertia, across)
+        G = 0.5 * cross_matrix(v) - shift
+        transposed = np.swapaxes(across, -1, -2)
+        left = G / self.inertia[..., None]
+        blocks = (
+            (left, np.broadcast_to(np.eye(3) / self.inertia[..., None], left.shape)),
+            ((P + shift_dot) - np.swapaxes(G, -1, -2) @ left, -np.swapaxes(left, -1, -2)),
+        )
+        return np.concatenate(
+            [np.concatenate([across @ block @ transposed for block in row], -1) for row in blocks], -2
+        )
 
 
 def gyration(inertia: Array, rotor: Array, max_rates: Array, third_alone: Mask | bool = False) -> Array:
@@ -193,16 +202,3 @@ def cross_matrix(v: Array) -> Array:
     zero = np.zeros_like(v[..., 0])
     rows = ((zero, -v[..., 2], v[..., 1]), (v[..., 2], zero, -v[..., 0]), (-v[..., 1], v[..., 0], zero))
     return np.stack([np.stack(row, -1) for row in rows], -2)
-
-
-def _hamiltonian(P: Array, G: Array, inertia: Array, basis: Array) -> Array:
-    """Matrix of xi' = I^-1 (G xi + p), p' = (P - G^T I^-1 G) xi - G^T I^-1 p along the rows of a basis."""
-    transposed = np.swapaxes(basis, -1, -2)
-    left = G / inertia[..., None]
-    blocks = (
-        (left, np.broadcast_to(np.eye(3) / inertia[..., None], left.shape)),
-        (P - np.swapaxes(G, -1, -2) @ left, -np.swapaxes(left, -1, -2)),
-    )
-    return np.concatenate(
-        [np.concatenate([basis @ block @ transposed for block in row], -1) for row in blocks], -2
-    )

@@ -204,22 +204,19 @@ def _search(bodies: Body, scale: float) -> Array:
         if starts > 64 * _STARTS:
             raise RuntimeError(f"equilibria: signed sum of Morse indices {total}, not 0: some were missed")
         previous_count = len(frames)
-        new = _critical(bodies, _orientations(generator, starts), scale)
+        w, x, y, z = np.moveaxis(generator.normal(size=(starts, 4)), -1, 0)
+        first = np.stack([w * w + x * x - y * y - z * z, 2 * (x * y + w * z), 2 * (x * z - w * y)], -1)
+        second = np.stack([2 * (x * y - w * z), w * w - x * x + y * y - z * z, 2 * (y * z + w * x)], -1)
+        rows = np.stack(
+            [first, second, np.cross(first, second) / (w * w + x * x + y * y + z * z)[:, None]], 1
+        )
+        new = _critical(bodies, (rows / np.linalg.norm(rows, axis=2, keepdims=True)), scale)
         frames = _distinct(bodies, np.concatenate([frames, new]), scale)
         index, axis, degenerate = _classify(bodies, frames, scale)
         isolated = np.isnan(axis[:, 0])
         total = 0 if degenerate.any() else int(((-1) ** index * isolated).sum())
         starts *= 2
     return frames
-
-
-def _orientations(generator: np.random.Generator, count: int) -> Array:
-    """Uniform orientations, rows alpha, beta, gamma in body axes, shape (count, 3, 3)."""
-    w, x, y, z = np.moveaxis(generator.normal(size=(count, 4)), -1, 0)
-    first = np.stack([w * w + x * x - y * y - z * z, 2 * (x * y + w * z), 2 * (x * z - w * y)], -1)
-    second = np.stack([2 * (x * y - w * z), w * w - x * x + y * y - z * z, 2 * (y * z + w * x)], -1)
-    rows = np.stack([first, second, np.cross(first, second) / (w * w + x * x + y * y + z * z)[:, None]], 1)
-    return rows / np.linalg.norm(rows, axis=2, keepdims=True)
 
 
 def _rotated(frames: Array, xi: Array) -> Array:

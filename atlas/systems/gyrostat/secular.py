@@ -81,7 +81,18 @@ def directions(body: Body, towards: Array | None = None) -> tuple[Array, NDArray
     g, dimension = np.full((3, PLACES, *d.shape[1:]), np.nan), np.full((PLACES, *d.shape[1:]), -1, np.int8)
     with np.errstate(all="ignore"):
         _roots_of_secular_equation(_SecularEquation(d, b), g, dimension)
-        _free_components(d, b, towards, g, dimension)
+        for i in range(3):
+            group = d == d[i]
+            free = ~(group & (b != 0)).any(0) & (group.argmax(0) == i)
+            fixed = np.where(group, 0.0, -b / (d - d[i]))
+            remainder = 1 - (fixed**2).sum(0)
+            size = group.sum(0)
+            inside = np.where(group, towards, 0.0)
+            inside = unit(np.where(length(inside) > 0, inside, group)) * np.sqrt(remainder)
+            for column, side in ((6 + 2 * i, 1.0), (7 + 2 * i, -1.0)):
+                exists = free & (remainder > 0) & ((size == 1) | (side > 0))
+                g[:, column] = np.where(exists, fixed + side * inside, np.nan)
+                dimension[column] = np.where(exists, size - 1, -1)
     inverse = np.argsort(order, axis=0)
     return np.take_along_axis(g, np.broadcast_to(inverse[:, None], g.shape), 0), dimension
 
@@ -103,22 +114,6 @@ def _roots_of_secular_equation(equation: _SecularEquation, g: Array, dimension: 
         exists = equation.exists & (width > 0) & (equation.sum(minimum, low) < 1)
         write(column, equation.root(equation.residue(low), minimum, low), low, exists)
         write(column + 1, equation.root(-equation.residue(high), minimum - width, high), high, exists)
-
-
-def _free_components(d: Array, b: Array, towards: Array, g: Array, dimension: NDArray[np.int8]) -> None:
-    """Write the solutions L = d_i, of which the components g_i are free, into columns 6 to 11."""
-    for i in range(3):
-        group = d == d[i]
-        free = ~(group & (b != 0)).any(0) & (group.argmax(0) == i)
-        fixed = np.where(group, 0.0, -b / (d - d[i]))
-        remainder = 1 - (fixed**2).sum(0)
-        size = group.sum(0)
-        inside = np.where(group, towards, 0.0)
-        inside = unit(np.where(length(inside) > 0, inside, group)) * np.sqrt(remainder)
-        for column, side in ((6 + 2 * i, 1.0), (7 + 2 * i, -1.0)):
-            exists = free & (remainder > 0) & ((size == 1) | (side > 0))
-            g[:, column] = np.where(exists, fixed + side * inside, np.nan)
-            dimension[column] = np.where(exists, size - 1, -1)
 
 
 def rotations(system: Gyrostat, points: Points) -> dict[str, NDArray[Any]]:

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...flags import Stability
-from ..base import Array, Flags, Points, System, stability_by_family, subset
+from ..base import Array, Flags, Mask, Points, System, shape_of, subset
 from . import equilibria, floquet
 from .body import Body, length
 from .oscillations import Equilibria
@@ -31,6 +31,8 @@ class Gyrostat(System):
     moments_of_inertia = ("A", "B", "C")
     frequency_comment = "nan for exponents that are 0 or have a real part, and off every family"
     """Where the variables of frequencies have no value."""
+    axial_rotor: str = ""
+    """Parameter of the rotor along the third axis; empty: there is none."""
     energy_comment = "on the level of the momenta that are constant"
     """On which level of which integrals the energy decides."""
 
@@ -64,7 +66,7 @@ class Gyrostat(System):
 
     def linear_stability(self, points: Points, flags: Flags) -> tuple[Flags, Array]:
         """From the closed form of the family, where it decides and nothing is damped, else from the linear equations."""
-        stable, growth = stability_by_family(self.families, points, flags)
+        stable, growth = super().linear_stability(points, flags)
         if "damping" in points:  # the closed forms are without it
             damped = points["damping"] > 0
             stable[damped], growth[damped] = Stability.UNKNOWN, np.nan
@@ -97,9 +99,8 @@ class Gyrostat(System):
         turn = self.body(points).turn
         short = length(w - turn[:, None] * gamma) * duration < 2 * np.pi
         where = np.flatnonzero((flags > 0) & short)
-        where = where[
-            stability_by_family(self.families, subset(points, where), flags[where])[0] == Stability.UNKNOWN
-        ]
+        closed = super().linear_stability(subset(points, where), flags[where])[0]
+        where = where[closed == Stability.UNKNOWN]
         for first in range(0, where.size, _CHUNK):
             chunk = where[first : first + _CHUNK]
             part = subset(points, chunk)
@@ -150,6 +151,23 @@ class Gyrostat(System):
         rest = Equilibria.of(self.body(part), *self.start(part), from_space=False)
         result[members[rest.points]] = rest.energy_stability()
         return result
+
+    def conserves_axial_momentum(self, points: Points) -> Mask:
+        """Where C w3 + rotor is constant, so that the motion of the third axis depends on spin and rotor through it alone."""
+        return np.zeros(shape_of(points), bool)
+
+    def despun_equivalent(self, points: Points) -> tuple[Points, Array]:
+        """Without the rotor along the third axis, where C w3 + rotor is constant and the rotation is slower then."""
+        rotor = self.axial_rotor
+        if not rotor:
+            return super().despun_equivalent(points)
+        conserved = self.conserves_axial_momentum(points) & np.isfinite(points[rotor])
+        excess = np.where(conserved, points[rotor] / points["C"], 0.0)
+        despun = {**points, rotor: np.where(conserved, 0.0, points[rotor]), "m": points["m"] + excess}
+        with np.errstate(all="ignore"):
+            slower = self.frequency_bound(despun) < self.frequency_bound(points)
+        despun = {name: np.where(slower, despun[name], points[name]) for name in points}
+        return despun, np.where(slower, excess, 0.0)
 
 
 def _turning(rest: Equilibria, body: Body, start: tuple[Array, Array, Array]) -> NDArray[np.int64]:

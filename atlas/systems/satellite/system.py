@@ -12,7 +12,6 @@ from ..base import (
     Mask,
     Points,
     StressCase,
-    despun_about_third_axis,
     identify,
     shape_of,
 )
@@ -58,6 +57,8 @@ class Satellite(Gyrostat):
     families = families.FAMILIES | any_axis.FAMILIES
     geometries = GEOMETRIES
     body = staticmethod(initial.body)
+    axial_rotor = "k3"
+    conserves_axial_momentum = staticmethod(initial.conserves_axial_momentum)
     frequency_comment = (
         "without damping; nan for exponents that are 0 or have a real part, off every family, and where the linear equations are"
         " periodic"
@@ -123,9 +124,6 @@ class Satellite(Gyrostat):
         ]
         flags = [names.index(name) for _, name in conditions]
         return np.select([where for where, _ in conditions], flags, names.index("oblique")).astype(np.int8)
-
-    def despun_equivalent(self, points: Points) -> tuple[Points, Array]:
-        return despun_about_third_axis(self, points, "k3", initial.conserves_axial_momentum(points))
 
 
 SATELLITE = Satellite()

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import partial
-from typing import Any, NamedTuple
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 
@@ -276,8 +276,11 @@ class Motion(NamedTuple):
         return cls(spin, np.array([p, q, r, g1, g2, (1 + spin.eps * S2) / r]), S1, S2)
 
 
+Drawn = TypeVar("Drawn")
+
+
 def _readings(
-    draw: Callable[[np.random.Generator], Any], error: Callable[[Any, bool], Array]
+    draw: Callable[[np.random.Generator], Drawn], error: Callable[[Drawn, bool], Array]
 ) -> tuple[Measure, Measure]:
     """Errors (drawn, printed) of both readings at what `draw` draws, over the difference of the two."""
 

@@ -56,8 +56,8 @@ from ..gyrostat.motions import Solver, about_axis, always_stable, each, family_a
 from ..jacobian import jacobian
 from ..vectors import across, cross, dot, length, principal, ratio, unit
 from . import equations, families
+from .families import decide
 from .initial import VECTORS, bodies, constants, initial_state, vertical
-from .stability import decide
 
 OFFSETS, ROTORS = ("x0", "y0", "z0"), ("l1", "l2", "l3")
 

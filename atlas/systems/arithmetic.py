@@ -74,11 +74,10 @@ def numpy_functions() -> dict[str, Callable[..., Any]]:
 
 
 def completed(equations: Any, observables: Collection[str]) -> ModuleType:
-    """Equations with everything that the engine reads.
+    """Equations with everything that the engine reads, evaluated anew from their source, so that FUNCTIONS take arrays.
 
-    Without ``scaled`` and ``unscaled`` the kernels' unit of time becomes one more constant, TIME_UNIT, by
-    which the right-hand side, the angular velocity of ``frame_motion`` and the losses are multiplied; the
-    state keeps its units. Functions are evaluated anew from their source, so that FUNCTIONS take arrays.
+    Without ``scaled`` and ``unscaled`` the kernels' unit of time becomes one more constant, TIME_UNIT, by which the right-hand
+    side, the angular velocity of ``frame_motion`` and the losses are multiplied; the state keeps its units.
     """
     nodes = _used(equations, observables)
     names = {name: value for name, value in vars(equations).items() if name.isupper() or name == "__file__"}

@@ -21,10 +21,9 @@ CHUNK = 4096  # points whose matrices are in memory together
 def frequency(
     equations: Any, state: NDArray[np.float64], constants: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """|J^64|^(1/64) of the Jacobian J of the right-hand side, or a body's angular velocity if larger.
+    """|J^64|^(1/64) of the Jacobian J of the right-hand side, or a body's angular velocity if larger, rad per time unit.
 
-    In rad per time unit, it is at least the largest |eigenvalue| of J: the fastest frequency or rate of
-    growth near the state. It is nan or infinite where the Jacobian is not finite.
+    It is at least the largest |eigenvalue| of J; nan or infinite where the Jacobian is not finite.
     """
     result = np.empty(state.shape[1:])
     flat = result.reshape(-1)

@@ -39,10 +39,7 @@ def names() -> list[str]:
 
 
 def load(name: str) -> tuple[object, str] | None:
-    """An object that an installed package names as this system, and the package; None if no package does.
-
-    Raises BadInput with one line if it cannot be imported, or if two packages give the name.
-    """
+    """An object that an installed package names as this system, and the package; None if no package does, or BadInput."""
     entries = list(entry_points(group=GROUP, name=name))
     if not entries:
         return None

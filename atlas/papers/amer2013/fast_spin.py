@@ -198,10 +198,7 @@ def to_quasilinear(spin: FastSpin, y: Array) -> Array:
 
 
 def quasilinear(spin: FastSpin, x: Array) -> Array:
-    """d/dtau of x = (p2, p2', gamma2, gamma2'), (15) to first order in eps.
-
-    p2'' + Omega^2 p2 = Omega mu1,  gamma2'' + gamma2 = eps mu1 / (1 + Omega).
-    """
+    """(15) to first order in eps: p2'' + Omega^2 p2 = Omega mu1, gamma2'' + gamma2 = eps mu1 / (1 + Omega)."""
     p, p_dot, g, g_dot = x
     forcing = spin.Omega * spin.mu.real
     return np.array([p_dot, forcing - spin.Omega**2 * p, g_dot, spin.eps * spin.nu * spin.mu.real - g])

@@ -41,10 +41,7 @@ def steady_rates(points: Points) -> tuple[Array, Array, Array]:
 
 
 def squared_rate(points: Points) -> Array:
-    """Largest squared rate of the start: |w0|^2, n^2, m^2, and the torques of fields and rotor over the least moment.
-
-    n and m count because they may cancel in w0, near theta = pi, down to their rounding.
-    """
+    """Largest squared rate of the start: |w0|^2, n^2, m^2, and the torques of fields and rotor over the least moment."""
     inertia, rotor, weight, N = bodies(points)
     _, n, m = rates(points)
     turn = np.maximum((initial_state(points)[:3] ** 2).sum(0), np.maximum(n**2, m**2))
@@ -54,11 +51,7 @@ def squared_rate(points: Points) -> Array:
 
 
 def condition_residual(points: Points) -> Array:
-    """How far the start is from a steady motion, dimensionless, shape (points,); 0 on an exact motion.
-
-    |w'-dot minus what theta' = 0 and constant n and m need| over the largest squared rate, and theta'
-    over its root, whichever is larger.
-    """
+    """|w'-dot less what constant n and m need| over the largest squared rate, or theta' over its root, whichever is larger."""
     state = initial_state(points)
     gamma = state[3:]
     theta_dot, n, m = rates(points)
@@ -88,10 +81,7 @@ def _torque(points: Points) -> Array:
 
 
 def precession(points: Points, n: Array | float | None = None, cosine: Array | float | None = None) -> Array:
-    """(C - A)(n^2 - N) cos theta + (C m + l3) n + Mg z0, the torque that vanishes on a conical motion.
-
-    n and cosine replace those of the points.
-    """
+    """(C - A)(n^2 - N) cos theta + (C m + l3) n + Mg z0, 0 on a conical motion; n and cosine replace those of the points."""
     Mg, N = fields(points)
     _, own, m = rates(points)
     n, c = own if n is None else n, vertical(points)[2] if cosine is None else cosine
@@ -213,10 +203,9 @@ def decide(value: Array, size: Array, growth: Array) -> tuple[Flags, Array]:
 
 
 def nutation(points: Points) -> tuple[Array, Array]:
-    """Squared nutation frequency of a conical motion and the sum of the magnitudes of its terms.
+    """Squared nutation frequency of a conical motion, rad^2 per time unit squared, and its terms' magnitude.
 
-    (n^2 + N (C - A)/A) sin^2 theta + ((C r + l3)/A - 2 n cos theta)^2, the curvature of the effective
-    potential at fixed C r + l3 and fixed momentum about the vertical; rad^2 per time unit squared.
+    (n^2 + N (C - A)/A) sin^2 theta + ((C r + l3)/A - 2 n cos theta)^2, of the effective potential at fixed momenta.
     """
     gamma = vertical(points)
     _, n, m = rates(points)
@@ -235,10 +224,7 @@ def conical_stability(points: Points) -> tuple[Flags, Array]:
 
 
 def sleeping_discriminant(points: Points) -> tuple[Array, Array]:
-    """(C r + l3)^2 - 4 A (N (C - A) - s Mg z0) of a symmetric body on the vertical, and its terms' magnitude.
-
-    s = cos theta = +-1. Positive: stable; negative: the tilt grows at sqrt(-D) / (2 A).
-    """
+    """(C r + l3)^2 - 4 A (N (C - A) - s Mg z0) of a symmetric body on the vertical, s = cos theta, and its terms' magnitude."""
     Mg, N = fields(points)
     A, C = points["A"], points["C"]
     spin = C * initial_state(points)[2] + points["l3"]
@@ -250,8 +236,7 @@ def sleeping_discriminant(points: Points) -> tuple[Array, Array]:
 def sleeping_at_threshold(points: Points) -> Array:
     """2 N (C - A) - s Mg z0: where the discriminant is zero, the body is stable if this is positive.
 
-    It is the sign of the term theta^4 of the effective potential, whose term theta^2 vanishes there; a
-    nudge by d then swings to an angle of order sqrt(d). Linear theory does not decide the stability at the threshold.
+    It is the sign of the term theta^4 of the effective potential; a nudge by d then swings to an angle of order sqrt(d).
     """
     Mg, N = fields(points)
     return 2 * N * (points["C"] - points["A"]) - np.sign(vertical(points)[2]) * Mg * points["z0"]

@@ -229,13 +229,7 @@ def integral_scales(points: Points) -> dict[str, Array]:
 
 
 def frequency_bound(points: Points) -> Array:
-    """Upper bound of the fastest frequency of the motion, rad per time unit, shape (points,).
-
-    The energy bounds w through the range of the potential; where C r + l3 is conserved too, r is constant
-    and only the remaining energy can go into p and q. With every |w_i| bounded, the frozen
-    linearised equations in the coordinates sqrt(I) w are bounded block by block, and the Perron root
-    of the 2 x 2 matrix of the block norms bounds their frequencies and the rate of turning |w|.
-    """
+    """Upper bound of the fastest frequency, as Body.frequency_bound; where C r + l3 is constant, r is, and the rest goes into p, q."""
     inertia, rotor, weight, N = bodies(points)
     A, B, C = inertia
     state = initial_state(points)
@@ -264,10 +258,7 @@ def frequency_bound(points: Points) -> Array:
 
 
 def specialization(zero: Set[str], equal: Set[tuple[str, str]]) -> tuple[set[str], set[tuple[str, str]]]:
-    """Constants that vanish without weight, field or rotor; those that are equal on an axially symmetric body.
-
-    See System.specialization.
-    """
+    """Constants that vanish without weight, field or rotor; those equal on an axially symmetric body."""
     zero_constants: set[str] = set()
     if zero >= {"Mg", "M"} or zero >= {"x0", "y0", "z0"}:
         zero_constants |= {"Mx", "My", "Mz"}

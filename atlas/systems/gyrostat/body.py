@@ -84,10 +84,7 @@ class Body(NamedTuple):
         return sum(parts).sum(-1)  # type: ignore[union-attr]
 
     def gradient(self, alpha: Array, gamma: Array) -> tuple[Array, Array]:
-        """Gradient and Hessian of W under rotations xi of the body; the torque at rest is -gradient.
-
-        The Hessian is symmetric where the gradient vanishes.
-        """
+        """Gradient and Hessian (symmetric where it vanishes) of W under rotations xi; the torque at rest is -gradient."""
         return self._variations(self.amended(), alpha, gamma)
 
     def _variations(
@@ -138,10 +135,7 @@ class Body(NamedTuple):
         return self.rotor + (2 * self.inertia - self.inertia.sum(-1, keepdims=True)) * w
 
     def across_rotation(self, w: Array, u: Array, alpha: Array, gamma: Array) -> Array:
-        """Matrix of the linear system of a turning body in the parts of (xi, p~) across u, shape (..., 4, 4).
-
-        u: rotation relative to the frame, constant, of shape (points, 3); see `floquet`.
-        """
+        """Matrix (..., 4, 4) of the linear system in the parts of (xi, p~) across a constant rotation u, (points, 3); see `floquet`."""
         inertia, W = self.inertia[..., None], cross_matrix(w)
         acceleration = self.turn[..., None] * np.cross(gamma, u)
         E = cross_matrix(self.inertia * w + self.rotor) @ W - W @ (inertia * W)
@@ -173,10 +167,7 @@ class Body(NamedTuple):
 
 
 def gyration(inertia: Array, rotor: Array, max_rates: Array, third_alone: Mask | bool = False) -> Array:
-    """Bound of the norm of sqrt(I) I^-1 ((I w + k) x . - w x I .) sqrt(I)^-1, sqrt(norm_1 norm_inf); arrays (3, ...).
-
-    third_alone: where the rotation about the third axis alone counts.
-    """
+    """Bound of the norm of sqrt(I) I^-1 ((I w + k) x . - w x I .) sqrt(I)^-1; third_alone: where rotation about e3 alone counts."""
     rows, columns = np.zeros_like(inertia), np.zeros_like(inertia)
     for i, j, axis in ((0, 1, 2), (1, 0, 2), (0, 2, 1), (2, 0, 1), (1, 2, 0), (2, 1, 0)):
         entry = np.abs(inertia[axis] - inertia[j]) * max_rates[axis] + np.abs(rotor[axis])

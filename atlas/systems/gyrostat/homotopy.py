@@ -51,12 +51,10 @@ def _principal_orientations() -> tuple[Array, Array]:
 
 
 def solve(inertia: Array, p: Array, q: Array) -> tuple[Array, Array, Mask, Mask]:
-    """Critical points of W of some bodies.
+    """Critical points of W of some bodies; a common multiple of (1, 1, 1) in the inertia has no effect.
 
-    inertia, p, q: in one unit for all three; a common multiple of (1, 1, 1) in the inertia has no effect.
     Returns alpha, gamma, unit vectors, of the critical points that are real; real, which are; each once, (24,
-    bodies); complete, where all 24 complex solutions were found, all different, each of them clearly real or
-    clearly not, (bodies,).
+    bodies); complete, where all 24 complex solutions were found, all different, each of them clearly real or not, (bodies,).
     """
     inertia = inertia - inertia.mean(0)
     scale = np.max([np.abs(inertia).max(0), np.abs(p).max(0), 0.3 * np.abs(q).max(0)], axis=0)
@@ -97,10 +95,7 @@ def _ends(target: Three, tolerance: float, max_step: float) -> tuple[Complex, Ma
 def _follow(
     target: Three, alpha: Complex, gamma: Complex, tolerance: float, max_step: float
 ) -> tuple[Complex, Complex, Mask]:
-    """Ends of paths, and which were reached: midpoint predictor and Newton corrector, a step size for each path.
-
-    Every path is computed alone, so that no result depends on the other bodies.
-    """
+    """Ends of paths, and which were reached: midpoint predictor and Newton corrector, each path alone with its step size."""
     start = _START_INERTIA[:, None]
     change = (target[0] - start, target[1], target[2])  # of inertia, p and q along the line
     t, step = np.zeros(alpha.shape[1]), np.full(alpha.shape[1], _FIRST_STEP)

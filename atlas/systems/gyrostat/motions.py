@@ -101,10 +101,7 @@ Solver = Callable[[Points], Array]
 
 @dataclass(frozen=True, eq=False)
 class Equation(Condition):
-    """function(points) = 0, a number or components of a vector for each point, (points,) or (components, points).
-
-    The residual is its magnitude in units of `unit`; `solve` gives the parameters in which it is linear.
-    """
+    """function(points) = 0, a number or components of a vector for each point; the residual is its magnitude over `unit`."""
 
     residual: Callable[[Points], Array] = field(init=False)
     function: Callable[[Points], Array]
@@ -127,10 +124,7 @@ class Equation(Condition):
 
 
 def linear(function: Callable[[Points], Array], *names: str, keep: bool = False) -> dict[str, Solver]:
-    """Solvers of function(points) = 0 for each of some parameters, in which it is linear.
-
-    keep: whether a parameter that does not enter keeps its value where the equation holds; else it becomes nan.
-    """
+    """Solvers of function(points) = 0 for parameters in which it is linear; keep: one that does not enter keeps its value."""
     return {name: partial(_solve, function, name, keep) for name in names}
 
 

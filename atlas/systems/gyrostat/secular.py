@@ -69,9 +69,8 @@ def directions(body: Body, towards: Array | None = None) -> tuple[Array, NDArray
     sum b_i^2 / (d_i - L)^2 = 1, which has one root outside each end pole and none or two between
     neighbours; a component with b_i = 0 also allows L = d_i with g_i free.
 
-    towards: direction that selects the member of a circle of solutions, (3, points). Returns g, directions, nan in unused
-    columns. There are 2, 4 or 6 isolated ones unless some family is degenerate, (3, 12, points); dimension, dimension of the
-    set that each belongs to: 0 isolated, 1 a circle, 2 every direction, -1 unused, (12, points).
+    towards: selects the member of a circle of solutions, (3, points). Returns g, (3, 12, points), nan in unused columns, and
+    the dimension of the set that each belongs to, (12, points): 0 isolated, 1 a circle, 2 every direction, -1 unused.
     """
     d = (body.turn**2 - body.gamma.gradient) * body.inertia.T
     b = body.turn * body.rotor.T - body.gamma.field.T
@@ -120,10 +119,8 @@ def rotations(system: Gyrostat, points: Points) -> dict[str, NDArray[Any]]:
     """All permanent rotations of bodies about the vertical, each at its rate n (0: positions of rest).
 
     points: every parameter, arrays (bodies,), of a system in which nothing acts along alpha. A set of solutions is represented
-    by one member. Returns row, the number of the body, and in the order of theta theta0, phi0 (rad); gamma; dimension (0
-    isolated, 1 a circle, 2 every direction); index (number of directions in which the amended potential decreases; 0 is
-    stable); stable, growth_rate as System.linear_stability; frequency_1 to frequency_3, see Gyrostat.frequencies; circle; flat,
-    where an eigenvalue of the amended potential's Hessian is zero but for _NEAR_BIFURCATION.
+    by one member. Returns, in the order of theta, row: the number of the body; dimension of the set; index: number of
+    directions in which the amended potential decreases; flat: where an eigenvalue of its Hessian is zero but for rounding.
     """
     turning = system.body(points)._replace(turn=points["n"])
     vectors, dimensions = directions(turning)

@@ -131,11 +131,10 @@ class Gyrostat(System):
         return equilibria.equilibria_of_bodies(self, points, pause, stability)
 
     def frequencies(self, points: Points, flags: Flags) -> Array:
-        """Frequencies of the small oscillations about steady motions.
+        """Frequencies of small oscillations about steady motions, rad per time unit, the largest first, (points, 3).
 
-        points: 1-D arrays of one length; flags: families, as identify_family gives them; only whether there is one counts. Returns
-        rad per time unit, the largest first; nan for exponents that are 0 or have a real part, off every family, and where
-        the linear equations are periodic, (points, 3).
+        flags: families, of which only whether there is one counts. nan for exponents that are 0 or have a real part, off every
+        family, and where the linear equations are periodic.
         """
         result, members = np.full((flags.size, 3), np.nan), np.flatnonzero(flags > 0)
         with np.errstate(all="ignore"):

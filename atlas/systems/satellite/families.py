@@ -322,12 +322,7 @@ FAMILIES = numbered(
 
 
 def condition_residual(points: Points) -> Array:
-    """|w'-dot - n m gamma x e3| at the start over the largest squared rate; 0 on an exact motion.
-
-    w'-dot is the relative angular acceleration of the start, n m gamma x e3 that of the steady motion
-    w' = n gamma + m e3. The rates are Omega, |w| and sqrt(|h| |mu| / smallest moment of inertia).
-    Shape of the points, dimensionless.
-    """
+    """|w'-dot - n m gamma x e3| at the start, w' relative to the orbit, over the largest squared rate; 0 on an exact motion."""
     state = initial_state(points)
     w, gamma = state[:3], state[6:]
     rates = np.array(rhs(state, constants(points)))

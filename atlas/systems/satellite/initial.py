@@ -101,13 +101,9 @@ def integral_scales(points: Points) -> dict[str, Array]:
 
 
 def frequency_bound(points: Points) -> Array:
-    """Upper bound of the fastest frequency of the motion, rad per time unit, shape (points,).
+    """Upper bound of the fastest frequency, as Body.frequency_bound, in rad per time unit.
 
-    The Jacobi integral T + U, with T the kinetic energy of w' and U = V - Omega k.gamma
-    - Omega^2/2 gamma.I gamma, never grows, and bounds w' through the range of U. With every |w_i| bounded, the
-    frozen linearised equations in the coordinates sqrt(I) w are bounded block by block, and the
-    Perron root of the 2 x 2 matrix of the block norms bounds their frequencies. Damping D adds D I^-1 to the
-    block of w, whose norm is D over the least moment, and D Omega I^(-1/2) to that from gamma to w.
+    Damping D adds D I^-1 to the block of w, whose norm is D over the least moment, and D Omega I^(-1/2) to that from gamma to w.
     """
     A, B, C, Omega = points["A"], points["B"], points["C"], np.abs(points["Omega"])
     inertia = np.array([A, B, C])
@@ -150,10 +146,7 @@ def frequency_bound(points: Points) -> Array:
 
 
 def specialization(zero: Set[str], equal: Set[tuple[str, str]]) -> tuple[set[str], set[tuple[str, str]]]:
-    """Constants that vanish without magnet, rotor, orbit or damping; those equal on an axially symmetric body.
-
-    See System.specialization.
-    """
+    """Constants that vanish without magnet, rotor, orbit or damping; those equal on an axially symmetric body."""
     zero_constants: set[str] = set()
     if zero >= {"mu1", "mu2", "mu3"} or zero >= {"h1", "h3"}:
         zero_constants |= {"mu1", "mu2", "mu3", "h1", "h3"}

@@ -10,7 +10,7 @@ from __future__ import annotations
 import ast
 import inspect
 import textwrap
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable, Collection, Mapping, Sequence
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -152,7 +152,12 @@ def with_unit_row(constants: Callable[[Any], Any]) -> Callable[[Any], Any]:
 
 def check(key: str, equations: Any, observables: Collection[str]) -> None:
     """Raise BadInput, with one line that begins with `key`, for equations that the engine cannot use."""
-    state, constants = (_names(key, equations, each) for each in ("STATE", "CONSTANTS"))
+    state, constants = (getattr(equations, which, ()) for which in ("STATE", "CONSTANTS"))
+    for which, names in (("STATE", state), ("CONSTANTS", constants)):
+        if not isinstance(names, tuple | list) or not all(
+            isinstance(n, str) and n.isidentifier() for n in names
+        ):
+            raise BadInput(f"{key}: {which} = {shown(names)}; allowed: a tuple of names")
     if not state:
         raise BadInput(f"{key}: STATE is missing; allowed: a tuple of the names of the states")
     for name in {*state, *constants}:
@@ -196,14 +201,6 @@ def check(key: str, equations: Any, observables: Collection[str]) -> None:
             _check_function(f"{key}: {name}", node, state, constants, components.get(name))
 
 
-def _names(key: str, equations: Any, which: str) -> tuple[str, ...]:
-    """STATE or CONSTANTS of the equations, checked."""
-    names = getattr(equations, which, ())
-    if not isinstance(names, tuple | list) or not all(isinstance(n, str) and n.isidentifier() for n in names):
-        raise BadInput(f"{key}: {which} = {shown(names)}; allowed: a tuple of names")
-    return tuple(names)
-
-
 def _losses(key: str, equations: Any, observables: Collection[str]) -> tuple[str, ...]:
     """Names of the functions that LOSSES of the equations maps first integrals to, checked."""
     losses, integrals = getattr(equations, "LOSSES", {}), getattr(equations, "INTEGRALS", {})
@@ -223,8 +220,8 @@ def _losses(key: str, equations: Any, observables: Collection[str]) -> tuple[str
 def _check_function(
     key: str,
     node: ast.FunctionDef,
-    state: tuple[str, ...],
-    constants: tuple[str, ...],
+    state: Sequence[str],
+    constants: Sequence[str],
     components: int | None,
 ) -> None:
     """Raise BadInput unless a function is plain arithmetic of known names with so many components; 0: a number."""

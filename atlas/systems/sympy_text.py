@@ -146,9 +146,7 @@ class Block:
         slopes: Sequence[tuple[str, Expression, Expression]],
     ) -> str:
         """Text of a function that returns `first` as it stands, then slopes in the shape of their states."""
-        reduced = self._shared([expression for _, expression, _ in slopes])
-        done = set[Expression]()
-        lines = [line for symbol in self.functions for line in self._needed(symbol, done)]
+        reduced, lines, done = self._start([expression for _, expression, _ in slopes])
         values = list(first)
         for (slope, _, like), expression in zip(slopes, reduced, strict=True):
             lines += self._needed(expression, done)
@@ -162,15 +160,17 @@ class Block:
 
     def returning(self, name: str, doc: str, value: Any) -> str:
         """Text of a function, with a docstring if `doc`, that returns an expression or a tuple of them."""
-        reduced = self._shared(list(value) if isinstance(value, tuple) else [value])
-        done = set[Expression]()
-        lines = [line for symbol in self.functions for line in self._needed(symbol, done)]
+        reduced, lines, done = self._start(list(value) if isinstance(value, tuple) else [value])
         for expression in reduced:
             lines += self._needed(expression, done)
         values = [self._shaped(expression, self.state[0]) for expression in reduced]
-        if isinstance(value, tuple):
-            return self._text(name, doc, [*lines, *_returned(values)])
-        return self._text(name, doc, [*lines, *_broken("return ", values[0])])
+        lines += _returned(values) if isinstance(value, tuple) else _broken("return ", values[0])
+        return self._text(name, doc, lines)
+
+    def _start(self, expressions: list[Expression]) -> tuple[list[Expression], list[str], set[Expression]]:
+        """Expressions with names for what they share, lines that define the values of functions, and the names in these."""
+        reduced, done = self._shared(expressions), set[Expression]()
+        return reduced, [line for symbol in self.functions for line in self._needed(symbol, done)], done
 
     def _shaped(self, expression: Expression, like: Expression) -> str:
         """Text of an expression; one that depends on no state gets the shape of a state."""

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import partial
+from itertools import combinations_with_replacement
 from typing import NamedTuple, TypeVar
 
 import numpy as np
@@ -48,29 +49,15 @@ def random_states(rng: np.random.Generator, spin: FastSpin) -> tuple[Array, Arra
 # (13): S1 = S11 + 2 eps S12 and S2 = S21 + eps S22 in p2, gamma2 and their rates.
 
 
-class Differences(NamedTuple):
-    """Values at the start less the values at x = (p2, p2', gamma2, gamma2'), the variables of (13)."""
+def differences(x0: Array, x: Array) -> dict[str, Array]:
+    """Values at x0 less those at x of p = p2, v = p2', g = gamma2, u = gamma2' and their products, by their names."""
 
-    p: Array
-    pp: Array
-    v: Array  # p2'
-    vv: Array
-    g: Array
-    gg: Array
-    u: Array  # gamma2'
-    uu: Array
-    pg: Array
-    vu: Array
+    def values(state: Array) -> dict[str, Array]:
+        of = dict(zip("pvgu", state, strict=True))
+        return of | {a + b: of[a] * of[b] for a, b in combinations_with_replacement("pvgu", 2)}
 
-
-def differences(x0: Array, x: Array) -> Differences:
-    """The differences between two states of the quasilinear system."""
-
-    def values(state: Array) -> Array:
-        p, v, g, u = state
-        return np.array([p, p * p, v, v * v, g, g * g, u, u * u, p * g, v * u])
-
-    return Differences(*(values(x0) - values(x)))
+    first, second = values(x0), values(x)
+    return {name: first[name] - second[name] for name in first}
 
 
 class Coefficients(NamedTuple):
@@ -91,8 +78,8 @@ def coefficients(spin: FastSpin) -> Coefficients:
 def S11(spin: FastSpin, x0: Array, x: Array) -> Array:
     """S11 of (13), true as printed."""
     d, (X, _, _, s2) = differences(x0, x), coefficients(spin)
-    field = spin.k * (d.gg + d.uu + 2 * X * s2 * d.u)
-    return spin.a * (d.pp + X**2 * d.vv + field - 2 * spin.C * X**2 / spin.A * spin.y[1] * d.v)
+    field = spin.k * (d["gg"] + d["uu"] + 2 * X * s2 * d["u"])
+    return spin.a * (d["pp"] + X**2 * d["vv"] + field - 2 * spin.C * X**2 / spin.A * spin.y[1] * d["v"])
 
 
 def S12(spin: FastSpin, x0: Array, x: Array, printed: bool = False) -> Array:
@@ -100,18 +87,18 @@ def S12(spin: FastSpin, x0: Array, x: Array, printed: bool = False) -> Array:
     d, (X, chi2, nu2, _) = differences(x0, x), coefficients(spin)
     front = 1.0 if printed else spin.a
     return (
-        spin.a * (spin.chi1 * d.pg + X**2 * chi2 * d.vu) + (spin.z - spin.k) * S21(spin, x0, x)
-        + spin.k * spin.a * (spin.nu * d.pg + nu2 * d.vu)
-        - front * spin.C * X**2 / spin.A * chi2 * spin.y[1] * d.u
+        spin.a * (spin.chi1 * d["pg"] + X**2 * chi2 * d["vu"]) + (spin.z - spin.k) * S21(spin, x0, x)
+        + spin.k * spin.a * (spin.nu * d["pg"] + nu2 * d["vu"])
+        - front * spin.C * X**2 / spin.A * chi2 * spin.y[1] * d["u"]
     )  # fmt: skip
 
 
 def S21(spin: FastSpin, x0: Array, x: Array, signs: tuple[int, int] = (1, 1)) -> Array:
     """S21 of (13); signs of its two terms in l2, both -1 as printed."""
     d, (X, _, _, s2) = differences(x0, x), coefficients(spin)
-    twist = d.vu + signs[0] * X * s2 * d.v
-    lean = spin.y[0] * d.g + spin.y[1] * (1 + signs[1] * spin.a * X * spin.C / spin.A) * d.u
-    return spin.a * (d.pg - X * twist) + lean
+    twist = d["vu"] + signs[0] * X * s2 * d["v"]
+    lean = spin.y[0] * d["g"] + spin.y[1] * (1 + signs[1] * spin.a * X * spin.C / spin.A) * d["u"]
+    return spin.a * (d["pg"] - X * twist) + lean
 
 
 def S22(spin: FastSpin, x0: Array, x: Array, printed: bool = False) -> Array:
@@ -120,9 +107,9 @@ def S22(spin: FastSpin, x0: Array, x: Array, printed: bool = False) -> Array:
     y1, y2, y3 = spin.y
     last = 1.0 if printed else nu2
     return (
-        spin.a * (spin.nu * d.pp + spin.chi1 * d.gg)
-        + spin.a * X * (-nu2 * d.vv + spin.C / spin.A * y2 * nu2 * d.v - chi2 * d.uu)
-        + y1 * spin.nu * d.p + y2 * last * d.v - y3 * S21(spin, x0, x)
+        spin.a * (spin.nu * d["pp"] + spin.chi1 * d["gg"])
+        + spin.a * X * (-nu2 * d["vv"] + spin.C / spin.A * y2 * nu2 * d["v"] - chi2 * d["uu"])
+        + y1 * spin.nu * d["p"] + y2 * last * d["v"] - y3 * S21(spin, x0, x)
     )  # fmt: skip
 
 

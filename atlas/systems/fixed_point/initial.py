@@ -229,7 +229,7 @@ def integral_scales(points: Points) -> dict[str, Array]:
 
 
 def frequency_bound(points: Points) -> Array:
-    """Upper bound of the fastest frequency, as Body.frequency_bound; where C r + l3 is constant, r is, and the rest goes into p, q."""
+    """Upper bound of the fastest frequency, as Body.frequency_bound; r is constant where C r + l3 is."""
     inertia, rotor, weight, N = bodies(points)
     A, B, C = inertia
     state = initial_state(points)

@@ -34,10 +34,10 @@ class Body(NamedTuple):
     def subset(self, where: Any) -> Body:
         """Some of the bodies."""
         alpha, gamma = (Direction(*(x[where] for x in each)) for each in (self.alpha, self.gamma))
-        return self._replace(
-            inertia=self.inertia[where], rotor=self.rotor[where], turn=self.turn[where], alpha=alpha, gamma=gamma,
-            damping=self.damping[where],
-        )  # fmt: skip
+        inertia, rotor, turn, damping = (
+            x[where] for x in (self.inertia, self.rotor, self.turn, self.damping)
+        )
+        return Body(inertia, rotor, turn, alpha, gamma, damping)
 
     def scaled(self, rate: Array) -> Body:
         """The same in units of the largest moment of inertia and of a rate."""
@@ -135,7 +135,7 @@ class Body(NamedTuple):
         return self.rotor + (2 * self.inertia - self.inertia.sum(-1, keepdims=True)) * w
 
     def across_rotation(self, w: Array, u: Array, alpha: Array, gamma: Array) -> Array:
-        """Matrix (..., 4, 4) of the linear system in the parts of (xi, p~) across a constant rotation u, (points, 3); see `floquet`."""
+        """Matrix of the linear system in the parts of (xi, p~) across a constant rotation u; see `floquet`, (..., 4, 4)."""
         inertia, W = self.inertia[..., None], cross_matrix(w)
         acceleration = self.turn[..., None] * np.cross(gamma, u)
         E = cross_matrix(self.inertia * w + self.rotor) @ W - W @ (inertia * W)
@@ -167,7 +167,7 @@ class Body(NamedTuple):
 
 
 def gyration(inertia: Array, rotor: Array, max_rates: Array, third_alone: Mask | bool = False) -> Array:
-    """Bound of the norm of sqrt(I) I^-1 ((I w + k) x . - w x I .) sqrt(I)^-1; third_alone: where rotation about e3 alone counts."""
+    """Bound of the norm of sqrt(I) I^-1 ((I w + k) x . - w x I .) sqrt(I)^-1; third_alone: for w along e3 alone."""
     rows, columns = np.zeros_like(inertia), np.zeros_like(inertia)
     for i, j, axis in ((0, 1, 2), (1, 0, 2), (0, 2, 1), (2, 0, 1), (1, 2, 0), (2, 1, 0)):
         entry = np.abs(inertia[axis] - inertia[j]) * max_rates[axis] + np.abs(rotor[axis])

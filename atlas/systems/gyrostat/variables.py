@@ -40,9 +40,9 @@ def oscillation_variables(system: Gyrostat) -> dict[str, DerivedVariable]:
                 columns["stability_kind"] = stability_kind(stable, growth, columns["energy_stable"])
         return columns
 
-    variables = [
-        DerivedVariable.of_group(
-            together,
+    flags = {"energy_stable": EnergyStability.meanings(), "stability_kind": StabilityKind.meanings()}
+    rows = [
+        (
             name,
             "rad s-1",
             f"{order} frequency of small oscillations about the steady motion",
@@ -50,36 +50,27 @@ def oscillation_variables(system: Gyrostat) -> dict[str, DerivedVariable]:
         )
         for name, order in zip(FREQUENCIES, ("largest", "second", "third"), strict=True)
     ]
-    variables += [
-        DerivedVariable.of_group(
-            together, name, "1", long_name, system.energy_comment, flags=flags.meanings()
-        )
-        for name, long_name, flags in (
-            ("energy_stable", "stability of the steady motion by the energy, from theory", EnergyStability),
-            ("stability_kind", "linear stability and stability by the energy, from theory", StabilityKind),
+    rows += [
+        (name, "1", f"{what}, from theory", system.energy_comment)
+        for name, what in (
+            ("energy_stable", "stability of the steady motion by the energy"),
+            ("stability_kind", "linear stability and stability by the energy"),
         )
     ]
-    return {variable.name: variable for variable in variables}
+    return {row[0]: DerivedVariable.of_group(together, *row, flags=flags.get(row[0])) for row in rows}
 
 
 def stability_kind(linear: Flags, growth: Array, energy: Flags) -> Flags:
     """Values of flags.StabilityKind, (points,), from those of Stability with the growth rate and of EnergyStability."""
     stable = linear == Stability.STABLE
-    conditions = [
-        linear == Stability.UNSTABLE,
-        stable & (energy == EnergyStability.YES),
-        (linear == Stability.UNKNOWN) & (growth == 0),
-        stable & (energy == EnergyStability.NO),
-        stable,
-    ]
-    kinds = [
-        StabilityKind.UNSTABLE,
-        StabilityKind.ENERGY_STABLE,
-        StabilityKind.MARGINAL,
-        StabilityKind.GYROSCOPIC,
-        StabilityKind.LINEARLY_STABLE,
-    ]
-    return np.select(conditions, kinds, StabilityKind.UNKNOWN).astype(np.int8)
+    kinds = (
+        (linear == Stability.UNSTABLE, StabilityKind.UNSTABLE),
+        (stable & (energy == EnergyStability.YES), StabilityKind.ENERGY_STABLE),
+        ((linear == Stability.UNKNOWN) & (growth == 0), StabilityKind.MARGINAL),
+        (stable & (energy == EnergyStability.NO), StabilityKind.GYROSCOPIC),
+        (stable, StabilityKind.LINEARLY_STABLE),
+    )
+    return np.select(*zip(*kinds, strict=True), StabilityKind.UNKNOWN).astype(np.int8)
 
 
 def count_variables(system: Gyrostat) -> dict[str, DerivedVariable]:
@@ -100,19 +91,16 @@ def count_variables(system: Gyrostat) -> dict[str, DerivedVariable]:
         return last[key][which][inverse]
 
     comment = "nan where some are not isolated; depends on body, rotor and fields alone"
-    variables = [
-        DerivedVariable(name, "1", long_name, partial(count, which), comment, is_count=True)
-        for name, which, long_name in (
-            ("equilibrium_count", "all", "number of relative equilibria"),
-            ("equilibrium_stable_count", "stable", "number of linearly stable relative equilibria"),
-            (
-                "equilibrium_energy_stable_count",
-                "energy_stable",
-                "number of relative equilibria that are minima of the amended potential",
-            ),
-        )
-    ]
-    return {variable.name: variable for variable in variables}
+    rows = (
+        ("equilibrium_count", "all", "number of relative equilibria"),
+        ("equilibrium_stable_count", "stable", "number of linearly stable relative equilibria"),
+        ("equilibrium_energy_stable_count", "minima",
+         "number of relative equilibria that are minima of the amended potential"),
+    )  # fmt: skip
+    return {
+        name: DerivedVariable(name, "1", long_name, partial(count, which), comment, is_count=True)
+        for name, which, long_name in rows
+    }
 
 
 def _counts(system: Gyrostat, points: Points, pause: Callable[[], None]) -> dict[str, Array]:
@@ -120,7 +108,7 @@ def _counts(system: Gyrostat, points: Points, pause: Callable[[], None]) -> dict
     given = system.body(points)
     # About an axis of symmetry every equilibrium can be turned: there is no need to search.
     countable = np.flatnonzero(~np.any([given.symmetric_about(i) for i in range(3)], axis=0))
-    counts = {which: np.full(points["A"].size, np.nan) for which in ("all", "stable", "energy_stable")}
+    counts = {which: np.full(points["A"].size, np.nan) for which in ("all", "stable", "minima")}
     if not countable.size:
         return counts
     equilibria = system.equilibria_of_bodies(subset(points, countable), pause)
@@ -128,7 +116,7 @@ def _counts(system: Gyrostat, points: Points, pause: Callable[[], None]) -> dict
     counted = {
         "all": equilibria["index"] >= 0,
         "stable": equilibria["stable"] == Stability.STABLE,
-        "energy_stable": (equilibria["index"] == 0) & ~equilibria["degenerate"],
+        "minima": (equilibria["index"] == 0) & ~equilibria["degenerate"],
     }
     for which, where in counted.items():
         counts[which][countable] = np.where(isolated, where.sum(1), np.nan)

@@ -95,7 +95,7 @@ def _psi_oblique(p: Points) -> Array:
     return np.where(np.cos(p["psi0"]) < 0, np.pi - angle, angle)
 
 
-_SYMMETRIC_TILT = (the.STEADY_TILT, the.NO_PRECESSION, the.SYMMETRIC, the.AXIAL_ROTOR, the.AXIAL_MAGNET)
+_SYMMETRIC_TILT = (the.NO_PRECESSION, the.SYMMETRIC, the.AXIAL_ROTOR, the.AXIAL_MAGNET)
 _TILT_LABELS = (
     "permanent rotation about the third axis in the orbital frame; in space regular precession (Omega, m),"
     " permanent rotation where m = 0"
@@ -105,7 +105,7 @@ _TABLE = (
         name="cylindrical",
         title="third axis along the orbit's normal, symmetric body turning about it at n +- m",
         equations="(14)-(16), (21)-(23), (29)-(31), (44), (45)",
-        conditions=(the.STEADY_TILT, the.UPRIGHT, the.SYMMETRIC, the.NO_RADIAL_TORQUE, the.SPINNING_PAIR),
+        conditions=(the.UPRIGHT, the.SYMMETRIC, the.NO_RADIAL_TORQUE, the.SPINNING_PAIR),
         solve={**each(_nearest_pole, "theta0"), **the.SPINNING_PAIR.solve("mu1", "mu2", "k1", "k2")},
         stability=the.stability_about_normal,
         geometry="cylindrical",
@@ -119,12 +119,7 @@ _TABLE = (
         name="equilibrium",
         title="any body at rest in the orbital frame",
         equations="(27), (28) at theta0 = pi; otherwise derived from (1)-(3)",
-        conditions=(
-            the.STEADY_TILT,
-            the.NO_ROTATION,
-            the.NO_TORQUE_ABOUT_NORMAL,
-            the.NO_TORQUE_ACROSS_NORMAL,
-        ),
+        conditions=(the.NO_ROTATION, the.NO_TORQUE_ABOUT_NORMAL, the.NO_TORQUE_ACROSS_NORMAL),
         solve={
             # -n cos theta0 on the normal; elsewhere 0, and only if n = 0
             "m": lambda p: np.where((tilt(p)[0] == 0) | (p["n"] == 0), -p["n"] * tilt(p)[1], np.nan),
@@ -200,7 +195,7 @@ _TABLE = (
         title="as perp_velocity, with rotor and magnet across the third axis",
         equations="derived from (1)-(3); not in the paper",
         conditions=(
-            the.STEADY_TILT, the.NO_PRECESSION, the.SYMMETRIC, the.NODE_ON_VELOCITY, the.SPINNING_PAIR, the.NODE_PAIR,
+            the.NO_PRECESSION, the.SYMMETRIC, the.NODE_ON_VELOCITY, the.SPINNING_PAIR, the.NODE_PAIR,
             the.TILT_BALANCE,
         ),
         solve={
@@ -225,8 +220,8 @@ _TABLE = (
         title="symmetric body without rotation about its axis (w3 = 0), rotor and magnet across it",
         equations="derived from (1)-(3); not in the paper",
         conditions=(
-            the.STEADY_TILT, the.NO_PRECESSION, the.SYMMETRIC, the.DESPUN, the.FIELD_ACROSS, the.NODE_PAIR, the.DESPUN_BALANCE,
-            the.TILT_BALANCE,
+            the.NO_PRECESSION, the.SYMMETRIC, the.DESPUN, the.FIELD_ACROSS, the.NODE_PAIR,
+            the.DESPUN_BALANCE, the.TILT_BALANCE,
         ),
         solve={
             "m": lambda p: -p["Omega"] * tilt(p)[1],
@@ -245,14 +240,8 @@ _TABLE = (
         title="any body, third axis at 60 or 120 degrees in the plane of normal and radius, m = -+Omega",
         equations="(19), (20); 120 degrees and psi0 = -pi/2 derived from (1)-(3)",
         conditions=(
-            the.STEADY_TILT,
-            the.NO_PRECESSION,
-            the.ASYMMETRIC_TILT_ANGLE,
-            the.ASYMMETRIC_TILT_SPIN,
-            the.NODE_ON_VELOCITY,
-            the.SPINNING_PAIR,
-            the.NODE_PAIR,
-            the.TILT_BALANCE,
+            the.NO_PRECESSION, the.ASYMMETRIC_TILT_ANGLE, the.ASYMMETRIC_TILT_SPIN, the.NODE_ON_VELOCITY,
+            the.SPINNING_PAIR, the.NODE_PAIR, the.TILT_BALANCE,
         ),
         solve={
             # pi/3 or 2 pi/3, on the side of the given cos theta0
@@ -275,13 +264,8 @@ _TABLE = (
         title="spherical body, any tilt, precession and spin",
         equations="remarks after (31) and (45), completed from (1)-(3)",
         conditions=(
-            the.STEADY_TILT,
-            the.SYMMETRIC,
-            the.EQUAL_B_AND_C,
-            the.AXIAL_ROTOR,
-            the.NO_RADIAL_TORQUE,
-            the.NO_TRANSVERSE_TORQUE,
-            the.SPHERICAL_BALANCE,
+            the.SYMMETRIC, the.EQUAL_B_AND_C, the.AXIAL_ROTOR, the.NO_RADIAL_TORQUE,
+            the.NO_TRANSVERSE_TORQUE, the.SPHERICAL_BALANCE,
         ),
         solve=the.SPHERICAL_BALANCE.solve("n", "m", "h3", "k3"),
         # seen from axes that turn with n + Omega, lambda^2 = 0 twice and -((N s)^2 + (2 N c - p)^2)
@@ -297,13 +281,7 @@ _TABLE = (
         name="other_axis",
         title="rotation at n about an axis of symmetry other than the third, which lies along the normal",
         equations="derived from (1)-(3); not in the paper",
-        conditions=(
-            the.STEADY_TILT,
-            the.NO_SPIN,
-            the.SYMMETRY_ABOUT_NORMAL,
-            the.NO_RADIAL_TORQUE,
-            the.NORMAL_ROTOR,
-        ),
+        conditions=(the.NO_SPIN, the.SYMMETRY_ABOUT_NORMAL, the.NO_RADIAL_TORQUE, the.NORMAL_ROTOR),
         solve=each(partial(_k_along, _rotor_about_normal), "k3", "k1", "k2"),
         stability=the.stability_about_normal,
         geometry="general",
@@ -316,7 +294,11 @@ _TABLE = (
 # Damping leaves the motions at rest in the orbital frame, as the conditions of the family "equilibrium" require.
 _UNDAMPED = {family.name: () if family.name == "equilibrium" else (the.NO_DISSIPATION,) for family in _TABLE}
 FAMILIES = numbered(
-    replace(family, motion=steady_motion, conditions=family.conditions + _UNDAMPED[family.name])
+    replace(
+        family,
+        motion=steady_motion,
+        conditions=(the.STEADY_TILT, *family.conditions, *_UNDAMPED[family.name]),
+    )
     for family in _TABLE
 )
 

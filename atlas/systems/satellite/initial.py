@@ -103,7 +103,7 @@ def integral_scales(points: Points) -> dict[str, Array]:
 def frequency_bound(points: Points) -> Array:
     """Upper bound of the fastest frequency, as Body.frequency_bound, in rad per time unit.
 
-    Damping D adds D I^-1 to the block of w, whose norm is D over the least moment, and D Omega I^(-1/2) to that from gamma to w.
+    Damping D adds D I^-1 to the block of w, whose norm is D over the least moment, and D Omega I^(-1/2) to that from gamma.
     """
     A, B, C, Omega = points["A"], points["B"], points["C"], np.abs(points["Omega"])
     inertia = np.array([A, B, C])

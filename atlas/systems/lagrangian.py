@@ -107,7 +107,7 @@ def from_lagrangian(
     mechanics = _Mechanics.of(
         lagrangian, coordinates, velocities, parameters, forces or {}, dissipation, omit, functions or {}
     )
-    source = _module(mechanics, title)
+    source = mechanics.module(title)
     if path is not None:
         with atomic_write(Path(path)) as temporary:
             temporary.write_text(source, encoding="utf-8")
@@ -279,8 +279,13 @@ class _Mechanics:
         result, balances = {}, self.balances()
         terms = sympy.Add.make_args(sympy.expand_mul(self.lagrangian, deep=False))
         if "energy" in balances:
-            parts = (_energy_of_term(term, self.velocities) for term in terms)
-            result["energy"] = ("Energy, sum of v dL/dv - L", [part for part in parts if part != 0])
+            energies = []  # T or -T of a term T of degree 2 or 0 in v
+            for term in terms:
+                momentum = sum(velocity * term.diff(velocity) for velocity in self.velocities)
+                quadratic = momentum != 0 and sympy.expand(momentum - 2 * term) == 0
+                part = term if quadratic else momentum - term
+                energies.append(-term if momentum == 0 else _simplest(part))
+            result["energy"] = ("Energy, sum of v dL/dv - L", [part for part in energies if part != 0])
         for coordinate, velocity in zip(self.coordinates, self.velocities, strict=True):
             if f"momentum_{coordinate.name}" in balances:
                 parts = (_simplest(term.diff(velocity)) for term in terms)
@@ -304,6 +309,76 @@ class _Mechanics:
             if self.is_cyclic(i) and 0 in (total[i], self.forces[i]):
                 result[f"momentum_{coordinate.name}"] = -total[i]
         return result
+
+    def accelerations(self, block: Block) -> list[Expression]:
+        """v' as expressions, after the assignments of a block."""
+        import sympy
+
+        matrix = self.mass_matrix()
+        right_side = self.right_side(matrix)
+        result: list[Expression] = [None] * len(right_side)
+        for group in map(sorted, sympy.Matrix(matrix).connected_components()):
+            part = [[matrix[i][j] for j in group] for i in group]
+            if len(group) == 1:
+                solved = [_simplest(sympy.cancel(right_side[group[0]] / part[0][0]))]
+            else:
+                given = [block.named(f"f_{self.velocities[i].name}", right_side[i]) for i in group]
+                solved = _solved(part, given, block)
+            for i, acceleration in zip(group, solved, strict=True):
+                result[i] = acceleration
+        return result
+
+    def module(self, title: str) -> str:
+        """Text of the module of equations."""
+        block = Block(self.state, self.parameters)
+        pairs = list(zip(self.coordinates, self.velocities, strict=True))
+        accelerations = zip(self.velocities, self.accelerations(block), strict=True)
+        slopes = [
+            (f"{velocity.name}_dot", acceleration, velocity) for velocity, acceleration in accelerations
+        ]
+        doc = "Time derivatives of the state"
+        if block.definitions:
+            doc += "; f is the right-hand side of M v' = f, with the mass matrix M"
+        if any(symbol.name.startswith("D1") for symbol in block.definitions):
+            doc += " = K D K^T"
+        functions = [
+            block.function("rhs", f"{doc}.", [text(v) for q, v in pairs if q not in self.omit], slopes)
+        ]
+        integrals = self.integrals()
+        losses = {name: loss for name, loss in self.balances().items() if loss != 0}
+        returning = [
+            (name, f"{meaning}; the tuple of its terms.", tuple(terms))
+            for name, (meaning, terms) in integrals.items()
+        ]
+        returning += [
+            (f"{name}_loss", f"What dissipation takes of `{name}` per time.", loss)
+            for name, loss in losses.items()
+        ]
+        returning += [(name, "", value) for name, value in self.functions.items()]
+        functions += [Block(self.state, self.parameters).returning(*each) for each in returning]
+        used = sorted(name for name in FUNCTIONS if re.search(rf"\b{name}\(", "".join(functions)))
+        names = [name if FUNCTIONS[name] == name else f"{FUNCTIONS[name]} as {name}" for name in used]
+        head = [self.docstring(title), *([f"from numpy import {', '.join(names)}\n"] if used else [])]
+        head.append(f"STATE = {_names(self.state)}\nCONSTANTS = {_names(self.parameters)}")
+        head[-1] += f"\nINTEGRALS = {_names(list(integrals))}\n"
+        if losses:
+            head[-1] += "LOSSES = {" + ", ".join(f'"{name}": "{name}_loss"' for name in losses) + "}\n"
+        return "\n".join(head) + "\n\n" + "\n\n\n".join(functions) + "\n"
+
+    def docstring(self, title: str) -> str:
+        """Docstring of the module, with the Lagrangian and the forces."""
+        lines = [f'"""{title}.', "", "Written by atlas.systems.from_lagrangian from the Lagrangian", ""]
+        lines += lines_of("    L = ", self.lagrangian)
+        if self.dissipation != 0:
+            lines += ["", "and the dissipation function", "", *lines_of("    R = ", self.dissipation)]
+        forces = [pair for pair in zip(self.coordinates, self.forces, strict=True) if pair[1] != 0]
+        if forces:
+            lines += ["", "and the generalised forces", ""]
+            lines += [line for c, force in forces for line in lines_of(f"    Q_{c.name} = ", force)]
+        if self.omit:
+            names = ", ".join(coordinate.name for coordinate in self.omit)
+            lines += ["", f"The state does not contain the cyclic coordinates {names}."]
+        return "\n".join([*lines, '"""', ""])
 
 
 def _checked(name: str, value: Any, allowed: set[Expression]) -> Expression:
@@ -375,37 +450,6 @@ def _cost(expression: Expression) -> tuple[int, int, int, int]:
     return multiples, len(functions), operations, int(expression.count_ops())
 
 
-def _energy_of_term(term: Expression, velocities: Sequence[Expression]) -> Expression:
-    """sum of v dT/dv - T of a term T of the Lagrangian; T or -T where it has degree 2 or 0 in v."""
-    import sympy
-
-    momentum = sum(velocity * term.diff(velocity) for velocity in velocities)
-    if momentum == 0:
-        return -term
-    if sympy.expand(momentum - 2 * term) == 0:
-        return _simplest(term)
-    return _simplest(momentum - term)
-
-
-def _accelerations(mechanics: _Mechanics, block: Block) -> list[Expression]:
-    """v' as expressions, after the assignments of a block."""
-    import sympy
-
-    matrix = mechanics.mass_matrix()
-    right_side = mechanics.right_side(matrix)
-    result: list[Expression] = [None] * len(right_side)
-    for group in map(sorted, sympy.Matrix(matrix).connected_components()):
-        part = [[matrix[i][j] for j in group] for i in group]
-        if len(group) == 1:
-            solved = [_simplest(sympy.cancel(right_side[group[0]] / part[0][0]))]
-        else:
-            given = [block.named(f"f_{mechanics.velocities[i].name}", right_side[i]) for i in group]
-            solved = _solved(part, given, block)
-        for i, acceleration in zip(group, solved, strict=True):
-            result[i] = acceleration
-    return result
-
-
 def _solved(
     matrix: list[list[Expression]], right_side: Sequence[Expression], block: Block
 ) -> list[Expression]:
@@ -433,57 +477,6 @@ def _solved(
     for i in reversed(range(n)):
         x[i] = block.named(f"x{i + 1}", y[i] / D[i] - sum(K[k][i] * x[k] for k in range(i + 1, n)))
     return x
-
-
-def _module(mechanics: _Mechanics, title: str) -> str:
-    block = Block(mechanics.state, mechanics.parameters)
-    pairs = list(zip(mechanics.coordinates, mechanics.velocities, strict=True))
-    accelerations = zip(mechanics.velocities, _accelerations(mechanics, block), strict=True)
-    slopes = [(f"{velocity.name}_dot", acceleration, velocity) for velocity, acceleration in accelerations]
-    doc = "Time derivatives of the state"
-    if block.definitions:
-        doc += "; f is the right-hand side of M v' = f, with the mass matrix M"
-    if any(symbol.name.startswith("D1") for symbol in block.definitions):
-        doc += " = K D K^T"
-    functions = [
-        block.function("rhs", f"{doc}.", [text(v) for q, v in pairs if q not in mechanics.omit], slopes)
-    ]
-    integrals = mechanics.integrals()
-    losses = {name: loss for name, loss in mechanics.balances().items() if loss != 0}
-    returning = [
-        (name, f"{meaning}; the tuple of its terms.", tuple(terms))
-        for name, (meaning, terms) in integrals.items()
-    ]
-    returning += [
-        (f"{name}_loss", f"What dissipation takes of `{name}` per time.", loss)
-        for name, loss in losses.items()
-    ]
-    returning += [(name, "", value) for name, value in mechanics.functions.items()]
-    functions += [Block(mechanics.state, mechanics.parameters).returning(*each) for each in returning]
-    used = sorted(name for name in FUNCTIONS if re.search(rf"\b{name}\(", "".join(functions)))
-    names = [name if FUNCTIONS[name] == name else f"{FUNCTIONS[name]} as {name}" for name in used]
-    head = [_docstring(mechanics, title), *([f"from numpy import {', '.join(names)}\n"] if used else [])]
-    head.append(f"STATE = {_names(mechanics.state)}\nCONSTANTS = {_names(mechanics.parameters)}")
-    head[-1] += f"\nINTEGRALS = {_names(list(integrals))}\n"
-    if losses:
-        head[-1] += "LOSSES = {" + ", ".join(f'"{name}": "{name}_loss"' for name in losses) + "}\n"
-    return "\n".join(head) + "\n\n" + "\n\n\n".join(functions) + "\n"
-
-
-def _docstring(mechanics: _Mechanics, title: str) -> str:
-    """Docstring of the module, with the Lagrangian and the forces."""
-    lines = [f'"""{title}.', "", "Written by atlas.systems.from_lagrangian from the Lagrangian", ""]
-    lines += lines_of("    L = ", mechanics.lagrangian)
-    if mechanics.dissipation != 0:
-        lines += ["", "and the dissipation function", "", *lines_of("    R = ", mechanics.dissipation)]
-    forces = [pair for pair in zip(mechanics.coordinates, mechanics.forces, strict=True) if pair[1] != 0]
-    if forces:
-        lines += ["", "and the generalised forces", ""]
-        lines += [line for c, force in forces for line in lines_of(f"    Q_{c.name} = ", force)]
-    if mechanics.omit:
-        names = ", ".join(coordinate.name for coordinate in mechanics.omit)
-        lines += ["", f"The state does not contain the cyclic coordinates {names}."]
-    return "\n".join([*lines, '"""', ""])
 
 
 def _names(symbols: Sequence[Expression]) -> str:

@@ -36,23 +36,15 @@ G. Grioli, Ann. Mat. Pura Appl. 26 (1947) 271-281; with a rotor E. I. Kharlamova
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from functools import partial
-from typing import NamedTuple
+from typing import Any, NamedTuple, Self
 
 import numpy as np
 
-from ..base import (
-    FAMILY_TOLERANCE,
-    Array,
-    Flags,
-    Points,
-    TwoAxes,
-    motion_about_axes,
-    numbered,
-)
+from ..base import FAMILY_TOLERANCE, Array, Family, Flags, Points, TwoAxes, motion_about_axes, numbered
 from ..gyrostat.floquet import growth_of_periodic_motion
-from ..gyrostat.motions import Solver, about_axis, always_stable, each, family_about_axes, linear
+from ..gyrostat.motions import about_axis, always_stable, each, family_about_axes, linear
 from ..jacobian import jacobian
 from ..vectors import across, cross, dot, length, principal, ratio, unit
 from . import equations, families
@@ -73,7 +65,7 @@ class Start(NamedTuple):
     gamma: Array
 
     @classmethod
-    def of(cls, points: Points, **changes: float) -> Start:
+    def of(cls, points: Points, **changes: float) -> Self:
         """That of points, with other values of some parameters."""
         points = {**points, **{name: np.full_like(points["A"], value) for name, value in changes.items()}}
         state = initial_state(points)
@@ -108,16 +100,37 @@ class Start(NamedTuple):
         spherical = inertia.max(0) - inertia.min(0) <= FAMILY_TOLERANCE * inertia.max(0)
         return np.where(spherical, unit(otherwise, axis), axis)
 
+    def section_difference(self, s: Array) -> Array:
+        """How far the section of the ellipsoid of inertia normal to s is from a circle, over the largest moment."""
+        first = unit(cross(s, principal(np.abs(s).argmin(0))))
+        second = cross(s, first)
+        difference = dot(self.inertia * first, first) - dot(self.inertia * second, second)
+        return np.hypot(difference, 2 * dot(self.inertia * first, second)) / self.inertia.max(0)
 
-Axes = Callable[[Start], TwoAxes]
+    def axes(self) -> TwoAxes:
+        """Axes and rates of the motion."""
+        raise NotImplementedError
 
+    @classmethod
+    def solve_rotor(
+        cls, line: Callable[[Any], tuple[Array | float, Array]], name: str, points: Points
+    ) -> Array:
+        """One component of a rotor on the line base + lambda direction, from another component."""
+        start = cls.of(points)
+        return along(ROTORS.index(name), start.rotor, *line(start))
 
-def section_difference(inertia: Array, s: Array) -> Array:
-    """How far the section of the ellipsoid of inertia normal to s is from a circle, relative to the largest moment."""
-    first = unit(cross(s, principal(np.abs(s).argmin(0))))
-    second = cross(s, first)
-    difference = dot(inertia * first, first) - dot(inertia * second, second)
-    return np.hypot(difference, 2 * dot(inertia * first, second)) / inertia.max(0)
+    @classmethod
+    def floquet_stability(cls, points: Points) -> tuple[Flags, Array]:
+        """From the multipliers over the period 2 pi / |m| of the closed form of the motion in the body."""
+        two, gamma, values = cls.of(points).axes(), vertical(points), constants(points)
+
+        def matrix(part: np.ndarray, t: Array) -> Array:
+            members = TwoAxes(*(value[..., part] for value in two))
+            state = np.concatenate(motion_about_axes(members, gamma[:, part], t)).reshape(6, -1)
+            constants_at_times = np.tile(values[:, part], len(t))
+            return jacobian(equations, state, constants_at_times).reshape(*t.shape, 6, 6)
+
+        return growth_of_periodic_motion(matrix, 2 * np.pi / np.abs(two.spin_rate))
 
 
 def section_normals(inertia: Array) -> Array:
@@ -126,105 +139,6 @@ def section_normals(inertia: Array) -> Array:
     low, middle, high = np.take_along_axis(inertia, order, 0)
     squares = np.array([middle - low, np.zeros_like(low), high - middle]) / (high - low)
     return np.take_along_axis(np.sqrt(squares), np.argsort(order, axis=0), 0)
-
-
-# Axes and rates of each family.
-
-
-def lagrange_axes(start: Start) -> TwoAxes:
-    return about_axis(start.axis_of_symmetry((0, 1), start.weight), start.w, start.gamma)
-
-
-def rotation_axes(start: Start) -> TwoAxes:
-    rate = length(start.w)
-    axis = unit(start.w, principal(np.full(rate.shape, 2)))
-    return TwoAxes(axis, rate, axis, np.zeros_like(rate))
-
-
-def precession_axes(start: Start) -> TwoAxes:
-    """G / A is the angular velocity about the angular momentum G, ((A - C) w.s - l.s) / A that about s."""
-    s = start.axis_of_symmetry((2, 0, 1), start.rotor)
-    momentum = start.inertia * start.w + start.rotor
-    axial = dot(start.inertia * s, s)
-    transverse = 0.5 * (start.inertia.sum(0) - axial)
-    spin = ((transverse - axial) * dot(start.w, s) - dot(start.rotor, s)) / transverse
-    return TwoAxes(s, spin, unit(momentum, s), length(momentum) / transverse)
-
-
-def grioli_axes(start: Start) -> TwoAxes:
-    s = unit(start.weight)
-    n = dot(start.w, s)
-    return TwoAxes(s, n, across(start.w, s) / n, n)
-
-
-def balanced_axes(start: Start) -> TwoAxes:
-    """With the sign of n of which the spin axis is nearer to a normal of a circular section."""
-    candidates, off = [], []
-    for sign in (1.0, -1.0):
-        n = sign * np.sqrt(start.N)
-        turn = start.w - n * start.gamma
-        candidates.append(TwoAxes(unit(turn), length(turn), start.gamma, n))
-        difference = section_difference(start.inertia, candidates[-1].spin_axis)
-        off.append(np.nan_to_num(difference, nan=np.inf))
-    first = off[0] <= off[1]
-    return TwoAxes(*(np.where(first, a, b) for a, b in zip(*candidates, strict=True)))
-
-
-# Left sides of equations of several rows.
-
-
-def _lagrange_torque(start: Start) -> tuple[Array, Array]:
-    """Left side of the balance without the weight, and the weight along s."""
-    s, m, g, n = lagrange_axes(start)
-    C = dot(start.inertia * s, s)
-    A = 0.5 * (start.inertia.sum(0) - C)
-    return (C - A) * (n**2 - start.N) * dot(s, g) + (C * m + dot(start.rotor, s)) * n, dot(start.weight, s)
-
-
-def _lagrange_balance(start: Start) -> Array:
-    rest, weight = _lagrange_torque(start)
-    return start.residual((rest + weight) * length(cross(lagrange_axes(start).spin_axis, start.gamma)))
-
-
-def _lagrange_unsteadiness(start: Start) -> Array:
-    """Rate of nutation: what w has beside n g + m s."""
-    s, m, g, n = lagrange_axes(start)
-    return ratio(length(start.w - n * g - m * s), np.sqrt(start.squared_rate))
-
-
-def _grioli_vertical(start: Start, axes: TwoAxes) -> Array:
-    """Mg |r_c| times the vertical."""
-    s, n, nu, _ = axes
-    momentum = start.inertia * s
-    along = dot(momentum, s) * n**2 + dot(start.rotor, s) * n
-    turned = dot(nu, cross(s, momentum)) * cross(nu, s) + dot(nu, momentum) * s
-    return -along * nu + n**2 * turned
-
-
-def _unequal_rates(start: Start) -> Array:
-    axes = grioli_axes(start)
-    transverse = length(across(start.w, axes.spin_axis))
-    return (transverse - np.abs(axes.spin_rate)) / np.sqrt(start.squared_rate)
-
-
-def _balanced_rotor(start: Start) -> tuple[Array, Array]:
-    """What the part of the rotor across the spin axis must be, and that axis."""
-    s, m, g, n = balanced_axes(start)
-    return -(m + 2 * n * dot(s, g)) * across(start.inertia * s, s), s
-
-
-def _balanced_rotor_residual(start: Start) -> Array:
-    across_axis, s = _balanced_rotor(start)
-    return start.residual((across(start.rotor, s) - across_axis) * length(start.w))
-
-
-def _balanced_weight(start: Start) -> Array:
-    """Mg r_c less what it must be."""
-    s, m, _, n = balanced_axes(start)
-    return start.weight + n * (start.rotor + m * dot(start.inertia * s, s) * s)
-
-
-# Solutions.
 
 
 def along(i: int, vector: Array, base: Array | float, direction: Array) -> Array:
@@ -238,115 +152,193 @@ def along(i: int, vector: Array, base: Array | float, direction: Array) -> Array
     return base[i] + (vector - others) / slope * direction[i]
 
 
-def _rotors(line: Callable[[Start], tuple[Array | float, Array]]) -> Mapping[str, Solver]:
-    """Each component of a rotor on the line base + lambda direction, from another component."""
+class Lagrange(Start):
+    """Lagrange's case about another axis of symmetry than the third."""
 
-    def solve(name: str, points: Points) -> Array:
-        start = Start.of(points)
-        return along(ROTORS.index(name), start.rotor, *line(start))
+    def axes(self) -> TwoAxes:
+        return about_axis(self.axis_of_symmetry((0, 1), self.weight), self.w, self.gamma)
 
-    return each(solve, *ROTORS)
+    def torque(self) -> tuple[Array, Array]:
+        """Left side of the balance without the weight, and the weight along s."""
+        s, m, g, n = self.axes()
+        C = dot(self.inertia * s, s)
+        A = 0.5 * (self.inertia.sum(0) - C)
+        return (C - A) * (n**2 - self.N) * dot(s, g) + (C * m + dot(self.rotor, s)) * n, dot(self.weight, s)
 
+    def imbalance(self) -> Array:
+        rest, weight = self.torque()
+        return self.residual((rest + weight) * length(cross(self.axes().spin_axis, self.gamma)))
 
-def _solve_lagrange_weight(points: Points) -> Array:
-    rest, weight = _lagrange_torque(Start.of(points, Mg=1.0))
-    return -rest / weight
+    def unsteadiness(self) -> Array:
+        """Rate of nutation: what w has beside n g + m s."""
+        s, m, g, n = self.axes()
+        return ratio(length(self.w - n * g - m * s), np.sqrt(self.squared_rate))
 
+    @classmethod
+    def solve_weight(cls, points: Points) -> Array:
+        rest, weight = cls.of(points, Mg=1.0).torque()
+        return -rest / weight
 
-def _solve_grioli_weight(points: Points) -> Array:
-    """Mg > 0 from the start and the offset: Mg |r_c| is the length of the vector in the condition of the vertical."""
-    start = Start.of(points, Mg=1.0)
-    return length(_grioli_vertical(start, grioli_axes(start))) / length(start.weight)
-
-
-def _grioli_start(name: str, points: Points) -> Array:
-    """One of p0 .. gamma30 at the time at which nu lies in the plane of s and I s; with all six solved, the start is exact.
-
-    n > 0 is the largest root of (b n^2 + l n)^2 + d^2 n^4 = |Mg r_c|^2, nan where the body has no such motion.
-    """
-    start = Start.of(points)
-    s = unit(start.weight)
-    momentum = start.inertia * s
-    b, d2, rotor = dot(momentum, s), (across(momentum, s) ** 2).sum(0), dot(start.rotor, s)
-    square = (start.weight**2).sum(0)
-    # The roots are eigenvalues of the companion matrix, in a unit that makes its last coefficient -1.
-    a4, a3, a2 = b**2 + d2, 2 * b * rotor, rotor**2
-    scale = np.sqrt(np.sqrt(square / a4))
-    matrix = np.zeros((*a4.shape, 4, 4))
-    matrix[..., 1, 0] = matrix[..., 2, 1] = matrix[..., 3, 2] = 1.0
-    matrix[..., 0, 3], matrix[..., 2, 3], matrix[..., 3, 3] = 1.0, -a2 / (a4 * scale**2), -a3 / (a4 * scale)
-    finite = np.asarray(np.isfinite(matrix).all((-2, -1)))
-    roots = np.linalg.eigvals(np.where(finite[..., None, None], matrix, np.eye(4)))
-    real = np.where(np.abs(roots.imag) <= 1e-7 * np.abs(roots), roots.real, -np.inf).max(-1)
-    n = np.where(finite, real * scale, np.nan)
-    for _ in range(2):  # Newton's steps remove the rounding errors of the eigenvalues
-        turning = b * n**2 + rotor * n
-        n = n - (turning**2 + d2 * n**4 - square) / (2 * turning * (2 * b * n + rotor) + 4 * d2 * n**3)
-    n = np.where(n > 0, n, np.nan)
-    nu = unit(across(momentum, s))
-    gamma = _grioli_vertical(start, TwoAxes(s, n, nu, n))
-    return np.concatenate([n * (nu + s), unit(gamma)])[VECTORS.index(name)]
+    @classmethod
+    def stability(cls, points: Points) -> tuple[Flags, Array]:
+        """As the family conical: stable where the squared frequency of nutation is positive."""
+        start = cls.of(points)
+        s, m, g, n = start.axes()
+        C = dot(start.inertia * s, s)
+        A, c = 0.5 * (start.inertia.sum(0) - C), dot(s, g)
+        spin = (C * (m + n * c) + dot(start.rotor, s)) / A
+        square = (n**2 + start.N * (C - A) / A) * (1 - c**2) + (spin - 2 * n * c) ** 2
+        size = (n**2 + np.abs(start.N * (C - A) / A)) + spin**2 + 4 * n**2 * c**2
+        return decide(square, size, np.sqrt(np.maximum(-square, 0.0)))
 
 
-def _offset(name: str, points: Points) -> Array:
-    """One coordinate of the centre of mass from the largest other one; the sign given, or +, is kept."""
-    offset = np.array([points[name] for name in OFFSETS])
-    value = along(OFFSETS.index(name), offset, 0.0, section_normals(Start.of(points).inertia))
-    return np.copysign(value, points[name])
+class Rotation(Start):
+    """A free body that turns about one axis."""
+
+    def axes(self) -> TwoAxes:
+        rate = length(self.w)
+        axis = unit(self.w, principal(np.full(rate.shape, 2)))
+        return TwoAxes(axis, rate, axis, np.zeros_like(rate))
+
+    @classmethod
+    def stability(cls, points: Points) -> tuple[Flags, Array]:
+        """Euler's equations linearised: I x' = (I x) x w + (I w + l) x x has exponents 0 and +-sqrt(-P).
+
+        P is the sum of the principal minors of the matrix of the system; stable where it is positive. Where it is 0 by
+        the symmetry of the body, distances grow like t at most, which counts as stable.
+        """
+        start = cls.of(points)
+        momentum = start.inertia * start.w + start.rotor
+        columns = []
+        for j in range(3):
+            axis = principal(np.full(momentum.shape[1:], j))
+            turn = cross(start.inertia * axis, start.w) + cross(momentum, axis)
+            columns.append(turn / start.inertia)
+        pairs = ((0, 1), (0, 2), (1, 2))
+        products = np.array([columns[i][i] * columns[j][j] - columns[i][j] * columns[j][i] for i, j in pairs])
+        size = np.array([np.abs(columns[i][j] * columns[j][i]) for i, j in pairs]).sum(0)
+        P = products.sum(0)
+        return decide(P, size, np.sqrt(np.maximum(-P, 0.0)))
 
 
-# Stability.
+class Precession(Start):
+    """A free symmetric body that turns about its axis of symmetry and its angular momentum."""
+
+    def axes(self) -> TwoAxes:
+        """G / A is the angular velocity about the angular momentum G, ((A - C) w.s - l.s) / A that about s."""
+        s = self.axis_of_symmetry((2, 0, 1), self.rotor)
+        momentum = self.inertia * self.w + self.rotor
+        axial = dot(self.inertia * s, s)
+        transverse = 0.5 * (self.inertia.sum(0) - axial)
+        spin = ((transverse - axial) * dot(self.w, s) - dot(self.rotor, s)) / transverse
+        return TwoAxes(s, spin, unit(momentum, s), length(momentum) / transverse)
 
 
-def _floquet_stability(axes: Axes, points: Points) -> tuple[Flags, Array]:
-    """From the multipliers over the period 2 pi / |m| of the closed form of the motion in the body."""
-    two, gamma, values = axes(Start.of(points)), vertical(points), constants(points)
+class Grioli(Start):
+    """Grioli's precession about an inclined axis."""
 
-    def matrix(part: np.ndarray, t: Array) -> Array:
-        members = TwoAxes(*(value[..., part] for value in two))
-        state = np.concatenate(motion_about_axes(members, gamma[:, part], t)).reshape(6, -1)
-        constants_at_times = np.tile(values[:, part], len(t))
-        return jacobian(equations, state, constants_at_times).reshape(*t.shape, 6, 6)
+    def axes(self) -> TwoAxes:
+        s = unit(self.weight)
+        n = dot(self.w, s)
+        return TwoAxes(s, n, across(self.w, s) / n, n)
 
-    return growth_of_periodic_motion(matrix, 2 * np.pi / np.abs(two.spin_rate))
+    def vertical(self, axes: TwoAxes) -> Array:
+        """Mg |r_c| times the vertical."""
+        s, n, nu, _ = axes
+        momentum = self.inertia * s
+        along = dot(momentum, s) * n**2 + dot(self.rotor, s) * n
+        turned = dot(nu, cross(s, momentum)) * cross(nu, s) + dot(nu, momentum) * s
+        return -along * nu + n**2 * turned
+
+    def unequal_rates(self) -> Array:
+        axes = self.axes()
+        transverse = length(across(self.w, axes.spin_axis))
+        return (transverse - np.abs(axes.spin_rate)) / np.sqrt(self.squared_rate)
+
+    @classmethod
+    def solve_weight(cls, points: Points) -> Array:
+        """Mg > 0 from the start and the offset: Mg |r_c| is the length of the vector in the condition of the vertical."""
+        start = cls.of(points, Mg=1.0)
+        return length(start.vertical(start.axes())) / length(start.weight)
+
+    @classmethod
+    def solve_start(cls, name: str, points: Points) -> Array:
+        """One of p0 .. gamma30 at the time at which nu lies in the plane of s and I s; with all six solved, the start is exact.
+
+        n > 0 is the largest root of (b n^2 + l n)^2 + d^2 n^4 = |Mg r_c|^2, nan where the body has no such motion.
+        """
+        start = cls.of(points)
+        s = unit(start.weight)
+        momentum = start.inertia * s
+        b, d2, rotor = dot(momentum, s), (across(momentum, s) ** 2).sum(0), dot(start.rotor, s)
+        square = (start.weight**2).sum(0)
+        # The roots are eigenvalues of the companion matrix, in a unit that makes its last coefficient -1.
+        a4, a3, a2 = b**2 + d2, 2 * b * rotor, rotor**2
+        scale = np.sqrt(np.sqrt(square / a4))
+        matrix = np.zeros((*a4.shape, 4, 4))
+        matrix[..., 1, 0] = matrix[..., 2, 1] = matrix[..., 3, 2] = 1.0
+        matrix[..., 0, 3], matrix[..., 2, 3], matrix[..., 3, 3] = (
+            1.0,
+            -a2 / (a4 * scale**2),
+            -a3 / (a4 * scale),
+        )
+        finite = np.asarray(np.isfinite(matrix).all((-2, -1)))
+        roots = np.linalg.eigvals(np.where(finite[..., None, None], matrix, np.eye(4)))
+        real = np.where(np.abs(roots.imag) <= 1e-7 * np.abs(roots), roots.real, -np.inf).max(-1)
+        n = np.where(finite, real * scale, np.nan)
+        for _ in range(2):  # Newton's steps remove the rounding errors of the eigenvalues
+            turning = b * n**2 + rotor * n
+            n = n - (turning**2 + d2 * n**4 - square) / (2 * turning * (2 * b * n + rotor) + 4 * d2 * n**3)
+        n = np.where(n > 0, n, np.nan)
+        nu = unit(across(momentum, s))
+        gamma = start.vertical(TwoAxes(s, n, nu, n))
+        return np.concatenate([n * (nu + s), unit(gamma)])[VECTORS.index(name)]
+
+    @classmethod
+    def solve_offset(cls, name: str, points: Points) -> Array:
+        """One coordinate of the centre of mass from the largest other one; the sign given, or +, is kept."""
+        offset = np.array([points[name] for name in OFFSETS])
+        value = along(OFFSETS.index(name), offset, 0.0, section_normals(cls.of(points).inertia))
+        return np.copysign(value, points[name])
 
 
-def _lagrange_stability(points: Points) -> tuple[Flags, Array]:
-    """As the family conical: stable where the squared frequency of nutation is positive."""
-    start = Start.of(points)
-    s, m, g, n = lagrange_axes(start)
-    C = dot(start.inertia * s, s)
-    A, c = 0.5 * (start.inertia.sum(0) - C), dot(s, g)
-    spin = (C * (m + n * c) + dot(start.rotor, s)) / A
-    square = (n**2 + start.N * (C - A) / A) * (1 - c**2) + (spin - 2 * n * c) ** 2
-    size = (n**2 + np.abs(start.N * (C - A) / A)) + spin**2 + 4 * n**2 * c**2
-    return decide(square, size, np.sqrt(np.maximum(-square, 0.0)))
+class Balanced(Start):
+    """Precession about the vertical where field and centrifugal torque cancel."""
 
+    def axes(self) -> TwoAxes:
+        """With the sign of n of which the spin axis is nearer to a normal of a circular section."""
+        candidates, off = [], []
+        for sign in (1.0, -1.0):
+            n = sign * np.sqrt(self.N)
+            turn = self.w - n * self.gamma
+            candidates.append(TwoAxes(unit(turn), length(turn), self.gamma, n))
+            difference = self.section_difference(candidates[-1].spin_axis)
+            off.append(np.nan_to_num(difference, nan=np.inf))
+        first = off[0] <= off[1]
+        return TwoAxes(*(np.where(first, a, b) for a, b in zip(*candidates, strict=True)))
 
-def _turning_stability(points: Points) -> tuple[Flags, Array]:
-    """Euler's equations linearised: I x' = (I x) x w + (I w + l) x x has exponents 0 and +-sqrt(-P).
+    def needed_rotor(self) -> tuple[Array, Array]:
+        """What the part of the rotor across the spin axis must be, and that axis."""
+        s, m, g, n = self.axes()
+        return -(m + 2 * n * dot(s, g)) * across(self.inertia * s, s), s
 
-    P is the sum of the principal minors of the matrix of the system; stable where it is positive. Where it is 0 by
-    the symmetry of the body, distances grow like t at most, which counts as stable.
-    """
-    start = Start.of(points)
-    momentum = start.inertia * start.w + start.rotor
-    columns = []
-    for j in range(3):
-        axis = principal(np.full(momentum.shape[1:], j))
-        turn = cross(start.inertia * axis, start.w) + cross(momentum, axis)
-        columns.append(turn / start.inertia)
-    pairs = ((0, 1), (0, 2), (1, 2))
-    products = np.array([columns[i][i] * columns[j][j] - columns[i][j] * columns[j][i] for i, j in pairs])
-    size = np.array([np.abs(columns[i][j] * columns[j][i]) for i, j in pairs]).sum(0)
-    P = products.sum(0)
-    return decide(P, size, np.sqrt(np.maximum(-P, 0.0)))
+    def rotor_off(self) -> Array:
+        needed, s = self.needed_rotor()
+        return self.residual((across(self.rotor, s) - needed) * length(self.w))
+
+    def excess_weight(self) -> Array:
+        """Mg r_c less what it must be."""
+        s, m, _, n = self.axes()
+        return self.weight + n * (self.rotor + m * dot(self.inertia * s, s) * s)
 
 
 # The families.
 
 
-_family = partial(family_about_axes, Start.of, directions=lambda p: (vertical(p),))
+def _family(kind: Any, **more: Any) -> Family:
+    return family_about_axes(kind.of, kind.axes, lambda p: (vertical(p),), **more)
+
+
 _FREE = (
     ("Mg r_c = 0", lambda b: b.residual(b.weight)),
     ("N = 0, or A = B = C", Start.field_residual),
@@ -354,51 +346,51 @@ _FREE = (
 FAMILIES = numbered(
     (
         _family(
-            grioli_axes,
+            Grioli,
             name="grioli",
             title="Grioli's regular precession of an asymmetric body about an axis inclined to the vertical",
             equations="Grioli 1947; with a rotor Kharlamova 1970",
             conditions=(
                 ("N = 0", Start.field_residual),
                 ("r_c normal to a circular section of the ellipsoid of inertia",
-                 lambda b: section_difference(b.inertia, unit(b.weight))),
+                 lambda b: b.section_difference(unit(b.weight))),
                 ("l parallel to r_c", lambda b: b.rotor_residual(unit(b.weight))),
-                ("w = n (nu + s): equal rates about s = Mg r_c / |Mg r_c| and an axis nu normal to it", _unequal_rates),
+                ("w = n (nu + s): equal rates about s = Mg r_c / |Mg r_c| and an axis nu normal to it", Grioli.unequal_rates),
                 ("|Mg r_c| g = -(b n^2 + l.s n) nu + n^2 [(nu.(s x I s)) nu x s + (nu.I s) s], b = s.I s",
-                 lambda b: b.residual(_grioli_vertical(b, grioli_axes(b)) - length(b.weight) * b.gamma)),
+                 lambda b: b.residual(b.vertical(b.axes()) - length(b.weight) * b.gamma)),
             ),
             solve={
-                **each(_offset, *OFFSETS),
-                **_rotors(lambda b: (0.0, b.weight)),
-                "Mg": _solve_grioli_weight,
-                **each(_grioli_start, *VECTORS),
+                **each(Grioli.solve_offset, *OFFSETS),
+                **each(partial(Grioli.solve_rotor, lambda b: (0.0, b.weight)), *ROTORS),
+                "Mg": Grioli.solve_weight,
+                **each(Grioli.solve_start, *VECTORS),
             },
-            stability=partial(_floquet_stability, grioli_axes),
+            stability=Grioli.floquet_stability,
             labels="regular precession about an inclined axis; drifting about the third axis and the vertical",
             exists="(b n^2 + l.s n)^2 + d^2 n^4 = |Mg r_c|^2, d = |s x I s|, for any body with three different moments;"
             " p0 .. gamma30 together start the motion of the largest n",
         ),
         _family(
-            balanced_axes,
+            Balanced,
             name="balanced_field",
             title="regular precession about the vertical at n^2 = N, where field and centrifugal torque cancel",
             equations="derived from the equations of motion; not in the paper",
             conditions=(
                 ("N > 0", lambda b: np.where(b.N > 0, 0.0, np.inf)),
                 ("w = n g + m s, n^2 = N, s normal to a circular section of the ellipsoid of inertia",
-                 lambda b: section_difference(b.inertia, balanced_axes(b).spin_axis)),
-                ("l across s = -(m + 2 n s.g) (I s across s)", _balanced_rotor_residual),
-                ("Mg r_c = -n (l + m (s.I s) s)", lambda b: b.residual(_balanced_weight(b))),
+                 lambda b: b.section_difference(b.axes().spin_axis)),
+                ("l across s = -(m + 2 n s.g) (I s across s)", Balanced.rotor_off),
+                ("Mg r_c = -n (l + m (s.I s) s)", lambda b: b.residual(b.excess_weight())),
             ),
             solve={
-                **_rotors(_balanced_rotor),
-                **linear(lambda p: _balanced_weight(Start.of(p)), *OFFSETS),
+                **each(partial(Balanced.solve_rotor, Balanced.needed_rotor), *ROTORS),
+                **linear(lambda p: Balanced.of(p).excess_weight(), *OFFSETS),
             },
-            stability=partial(_floquet_stability, balanced_axes),
+            stability=Balanced.floquet_stability,
             labels="regular precession (n, m) about the vertical, the spin axis is not principal",
         ),
         _family(
-            rotation_axes,
+            Rotation,
             name="free_rotation",
             title="permanent rotation of a free body about an inclined axis",
             equations="from the equations of motion",
@@ -406,20 +398,20 @@ FAMILIES = numbered(
                 *_FREE,
                 ("(I w + l) x w = 0", lambda b: b.residual(cross(b.inertia * b.w + b.rotor, b.w))),
             ),
-            solve=_rotors(lambda b: (-b.inertia * b.w, b.w)),
-            stability=_turning_stability,
+            solve=each(partial(Rotation.solve_rotor, lambda b: (-b.inertia * b.w, b.w)), *ROTORS),
+            stability=Rotation.stability,
             labels="permanent rotation",
             exists="about each principal axis of a body without rotor",
         ),
         _family(
-            precession_axes,
+            Precession,
             name="free_precession",
             title="regular precession of a free symmetric or spherical body about its angular momentum",
             equations="from the equations of motion",
             conditions=(
                 *_FREE,
-                ("two equal moments", lambda b: section_difference(b.inertia, precession_axes(b).spin_axis)),
-                ("l along the axis of symmetry", lambda b: b.rotor_residual(precession_axes(b).spin_axis)),
+                ("two equal moments", lambda b: b.section_difference(b.axes().spin_axis)),
+                ("l along the axis of symmetry", lambda b: b.rotor_residual(b.axes().spin_axis)),
             ),
             solve={"B": lambda points: points["A"].copy()},
             # Neighbours of a free precession are free precessions: distances grow like t at most.
@@ -428,19 +420,19 @@ FAMILIES = numbered(
             " is along s or m = 0",
         ),
         _family(
-            lagrange_axes,
+            Lagrange,
             name="other_axis",
             title="Lagrange's case about another axis of symmetry than the third, and turning about it at rest",
             equations="as conical and rest, about the first or second axis, or the axis of a spherical body",
             conditions=(
-                ("B = C or C = A", lambda b: section_difference(b.inertia, lagrange_axes(b).spin_axis)),
-                ("l along the axis s of symmetry", lambda b: b.rotor_residual(lagrange_axes(b).spin_axis)),
-                ("Mg r_c along s", lambda b: b.residual(cross(b.weight, lagrange_axes(b).spin_axis))),
-                ("w = n g + m s", _lagrange_unsteadiness),
-                ("(C - A)(n^2 - N) s.g + (C m + l.s) n + Mg r_c.s = 0, C = s.I s", _lagrange_balance),
+                ("B = C or C = A", lambda b: b.section_difference(b.axes().spin_axis)),
+                ("l along the axis s of symmetry", lambda b: b.rotor_residual(b.axes().spin_axis)),
+                ("Mg r_c along s", lambda b: b.residual(cross(b.weight, b.axes().spin_axis))),
+                ("w = n g + m s", Lagrange.unsteadiness),
+                ("(C - A)(n^2 - N) s.g + (C m + l.s) n + Mg r_c.s = 0, C = s.I s", Lagrange.imbalance),
             ),
-            solve={"Mg": _solve_lagrange_weight},
-            stability=_lagrange_stability,
+            solve={"Mg": Lagrange.solve_weight},
+            stability=Lagrange.stability,
             labels="regular precession (n, m) about the vertical; permanent rotation where one of the two rates is 0",
         ),
     ),

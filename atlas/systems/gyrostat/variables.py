@@ -70,7 +70,8 @@ def stability_kind(linear: Flags, growth: Array, energy: Flags) -> Flags:
         (stable & (energy == EnergyStability.NO), StabilityKind.GYROSCOPIC),
         (stable, StabilityKind.LINEARLY_STABLE),
     )
-    return np.select(*zip(*kinds, strict=True), StabilityKind.UNKNOWN).astype(np.int8)
+    where, values = zip(*kinds, strict=True)
+    return np.select(where, values, StabilityKind.UNKNOWN).astype(np.int8)
 
 
 def count_variables(system: Gyrostat) -> dict[str, DerivedVariable]:

@@ -89,7 +89,13 @@ def completed(equations: Any, observables: Collection[str]) -> ModuleType:
         # how many of the returned components are rates
         rates = {"rhs": None, "frame_motion": 3} | dict.fromkeys(names["LOSSES"].values())
         nodes = {name: _with_time_unit(node, given, rates) for name, node in nodes.items()}
-        nodes |= _scaling(names["STATE"], names["CONSTANTS"])
+        states, constants = ", ".join(names["STATE"]), ", ".join(names["CONSTANTS"])
+        text = (
+            f"def scaled(state, constants, h):\n    {constants}, = constants\n"
+            f"    return state, ({constants.removesuffix(TIME_UNIT)}{TIME_UNIT} * h,)\n"
+            f"def unscaled(state, constants, h):\n    {states}, = state\n    return ({states},)\n"
+        )
+        nodes |= {node.name: node for node in ast.parse(text).body if isinstance(node, ast.FunctionDef)}
     names["OBSERVABLES"] = tuple(observables)
     sources = {name: ast.unparse(ast.fix_missing_locations(node)) for name, node in nodes.items()}
     return module_of(equations, names, sources)
@@ -126,17 +132,6 @@ def _with_time_unit(node: ast.FunctionDef, given: int, rates: Mapping[str, int |
         ignored = ", ".join([*(f"unused_{i}" for i in range(given)), TIME_UNIT])
         node.body = [*ast.parse(f"{ignored}, = constants").body, *node.body]
     return node
-
-
-def _scaling(state: Collection[str], constants: Collection[str]) -> dict[str, ast.FunctionDef]:
-    """``scaled`` and ``unscaled`` of equations whose unit of time is their last constant."""
-    states, names = ", ".join(state), ", ".join(constants)
-    text = (
-        f"def scaled(state, constants, h):\n    {names}, = constants\n"
-        f"    return state, ({names.removesuffix(TIME_UNIT)}{TIME_UNIT} * h,)\n"
-        f"def unscaled(state, constants, h):\n    {states}, = state\n    return ({states},)\n"
-    )
-    return {node.name: node for node in ast.parse(text).body if isinstance(node, ast.FunctionDef)}
 
 
 def with_unit_row(constants: Callable[[Any], Any]) -> Callable[[Any], Any]:

@@ -30,7 +30,16 @@ def frequency(
     states, numbers = (np.reshape(x, (len(x), flat.size)) for x in (state, constants))
     for first in range(0, flat.size, CHUNK):
         chunk = slice(first, first + CHUNK)
-        flat[chunk] = _size_of_power(jacobian(equations, states[:, chunk], numbers[:, chunk]))
+        matrices = jacobian(equations, states[:, chunk], numbers[:, chunk])
+        logarithm, power = np.zeros(len(matrices)), 1
+        with np.errstate(all="ignore"):
+            for squaring in range(SQUARINGS + 1):
+                size = np.sqrt((matrices * matrices).sum(axis=(1, 2)))  # the Frobenius norm
+                logarithm += np.log(size) / power
+                matrices = matrices / np.where(size > 0, size, 1.0)[:, None, None]
+                if squaring < SQUARINGS:
+                    matrices, power = matrices @ matrices, 2 * power
+            flat[chunk] = np.exp(logarithm)
     if not hasattr(equations, "frame_motion"):
         return np.fmax(result, 0.0)
     # The Jacobian does not contain the rate of turn where the angle of a rotation occurs nowhere in the right-hand side.
@@ -73,16 +82,3 @@ def jacobian(
             for j, slope in enumerate(equations.rhs(shifted, constants)):
                 matrices[:, j, i] = np.imag(slope) / STEP
     return matrices
-
-
-def _size_of_power(matrices: NDArray[np.float64]) -> NDArray[np.float64]:
-    """|J^POWER|^(1 / POWER) of matrices of shape (points, n, n), in the Frobenius norm."""
-    logarithm, power = np.zeros(len(matrices)), 1
-    with np.errstate(all="ignore"):
-        for squaring in range(SQUARINGS + 1):
-            size = np.sqrt((matrices * matrices).sum(axis=(1, 2)))
-            logarithm += np.log(size) / power
-            matrices = matrices / np.where(size > 0, size, 1.0)[:, None, None]
-            if squaring < SQUARINGS:
-                matrices, power = matrices @ matrices, 2 * power
-        return np.asarray(np.exp(logarithm))

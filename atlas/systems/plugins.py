@@ -5,7 +5,6 @@ from __future__ import annotations
 import hashlib
 import inspect
 import sys
-from collections.abc import Iterator
 from dataclasses import dataclass
 from importlib.metadata import entry_points
 from pathlib import Path
@@ -59,12 +58,23 @@ def load(name: str) -> tuple[object, str] | None:
 
 
 def origin(system: System, package: str) -> Origin:
-    """Where a system comes from: its package, and the source files of the classes and equations it consists of."""
-    files = tuple(sorted(set(_files(system))))
+    """Where a system comes from: its package, and the files of the top-level packages, or modules, of its classes and equations."""
+    classes, equations = type(system).__mro__[: type(system).__mro__.index(System)], system.equations
+    modules = {cls.__module__ for cls in classes}
+    modules.add(equations.__name__ if isinstance(equations, ModuleType) else equations.__module__)
+    paths = set[Path]()
+    for name in modules:
+        top = sys.modules.get(name.partition(".")[0])
+        for folder in getattr(top, "__path__", ()):
+            paths.update(Path(folder).rglob("*.py"))
+        file = getattr(sys.modules.get(name), "__file__", None)
+        if file is not None and not hasattr(top, "__path__"):
+            paths.add(Path(file))
+    files = tuple(sorted(paths))
     if files:
         return Origin(package, _hash_of_files(files), files)
     texts = []  # of a system without files, such as one of a notebook
-    for owner in (*type(system).__mro__[: type(system).__mro__.index(System)], system.equations):
+    for owner in (*classes, equations):
         for name, value in sorted(vars(owner).items()):
             function = getattr(value, "__func__", value)
             if inspect.isfunction(function):
@@ -73,22 +83,6 @@ def origin(system: System, package: str) -> Origin:
             elif name.isupper():
                 texts.append(f"{name} {value!r}")
     return Origin(package, hashlib.sha256("\n".join(texts).encode()).hexdigest()[:16], ())
-
-
-def _files(system: System) -> Iterator[Path]:
-    """Source files of the top-level packages, or single modules, of a system's classes and equations."""
-    classes = type(system).__mro__[: type(system).__mro__.index(System)]
-    modules = {cls.__module__ for cls in classes}
-    equations = system.equations
-    modules.add(equations.__name__ if isinstance(equations, ModuleType) else equations.__module__)
-    for name in modules:
-        top = sys.modules.get(name.partition(".")[0])
-        module = sys.modules.get(name)
-        for folder in getattr(top, "__path__", ()):
-            yield from Path(folder).rglob("*.py")
-        file = getattr(module, "__file__", None)
-        if file is not None and not hasattr(top, "__path__"):
-            yield Path(file)
 
 
 def _hash_of_files(files: tuple[Path, ...]) -> str:

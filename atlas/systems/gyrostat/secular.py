@@ -61,6 +61,24 @@ class _SecularEquation:
             near, far = np.where(rising, near, middle), np.where(rising, middle, far)
         return near
 
+    def write_directions(self, g: Array, dimension: NDArray[np.int8]) -> None:
+        """Write the directions of the roots into columns 0 to 5."""
+
+        def write(column: int, shift: Array, origin: Array, exists: Mask) -> None:
+            g[:, column] = np.where(exists, self.direction(shift, origin), np.nan)
+            dimension[column] = np.where(exists, 0, -1)
+
+        for column, end, side in ((0, 0, -1.0), (1, 2, 1.0)):
+            origin = self.poles[end]
+            shift = self.root(side * self.residue(origin), side * self.total, origin)
+            write(column, shift, origin, self.exists)
+        for column, left in ((2, 0), (4, 1)):
+            low, high = self.poles[left], self.poles[left + 1]
+            width, minimum = high - low, self.minimum(low, high)
+            exists = self.exists & (width > 0) & (self.sum(minimum, low) < 1)
+            write(column, self.root(self.residue(low), minimum, low), low, exists)
+            write(column + 1, self.root(-self.residue(high), minimum - width, high), high, exists)
+
 
 def directions(body: Body, towards: Array | None = None) -> tuple[Array, NDArray[np.int8]]:
     """All directions g of the vertical in the body at which the body can rest in the frame, where nothing acts along alpha.
@@ -79,8 +97,8 @@ def directions(body: Body, towards: Array | None = None) -> tuple[Array, NDArray
     towards = np.ones_like(d) if towards is None else np.take_along_axis(towards, order, 0)
     g, dimension = np.full((3, PLACES, *d.shape[1:]), np.nan), np.full((PLACES, *d.shape[1:]), -1, np.int8)
     with np.errstate(all="ignore"):
-        _roots_of_secular_equation(_SecularEquation(d, b), g, dimension)
-        for i in range(3):
+        _SecularEquation(d, b).write_directions(g, dimension)
+        for i in range(3):  # the solutions L = d_i, of which the components g_i are free, in columns 6 to 11
             group = d == d[i]
             free = ~(group & (b != 0)).any(0) & (group.argmax(0) == i)
             fixed = np.where(group, 0.0, -b / (d - d[i]))
@@ -94,25 +112,6 @@ def directions(body: Body, towards: Array | None = None) -> tuple[Array, NDArray
                 dimension[column] = np.where(exists, size - 1, -1)
     inverse = np.argsort(order, axis=0)
     return np.take_along_axis(g, np.broadcast_to(inverse[:, None], g.shape), 0), dimension
-
-
-def _roots_of_secular_equation(equation: _SecularEquation, g: Array, dimension: NDArray[np.int8]) -> None:
-    """Write the directions of the roots into columns 0 to 5."""
-
-    def write(column: int, shift: Array, origin: Array, exists: Mask) -> None:
-        g[:, column] = np.where(exists, equation.direction(shift, origin), np.nan)
-        dimension[column] = np.where(exists, 0, -1)
-
-    for column, end, side in ((0, 0, -1.0), (1, 2, 1.0)):
-        origin = equation.poles[end]
-        shift = equation.root(side * equation.residue(origin), side * equation.total, origin)
-        write(column, shift, origin, equation.exists)
-    for column, left in ((2, 0), (4, 1)):
-        low, high = equation.poles[left], equation.poles[left + 1]
-        width, minimum = high - low, equation.minimum(low, high)
-        exists = equation.exists & (width > 0) & (equation.sum(minimum, low) < 1)
-        write(column, equation.root(equation.residue(low), minimum, low), low, exists)
-        write(column + 1, equation.root(-equation.residue(high), minimum - width, high), high, exists)
 
 
 def rotations(system: Gyrostat, points: Points) -> dict[str, NDArray[Any]]:

@@ -83,11 +83,6 @@ def _rotor_at_rest(p: Points) -> tuple[Array, Array]:
     return quotient(cross(torque, gamma), p["Omega"]), gamma
 
 
-def _rotor_about_normal(p: Points) -> tuple[Array, Array]:
-    """A rotor of which (n + Omega) k - h3 mu vanishes, and the normal."""
-    return quotient(p["h3"] * body_vectors(p)[2], p["n"] + p["Omega"]), directions(p)[1]
-
-
 def _psi_oblique(p: Points) -> Array:
     """sin psi0 = h1 mu3 / (3 Omega^2 s ((A + B)/2 - C)), on the side of the given cos psi0."""
     sine = quotient(p["h1"] * p["mu3"], 3 * p["Omega"] ** 2 * tilt(p)[0] * flatness(p))
@@ -282,7 +277,14 @@ _TABLE = (
         title="rotation at n about an axis of symmetry other than the third, which lies along the normal",
         equations="derived from (1)-(3); not in the paper",
         conditions=(the.NO_SPIN, the.SYMMETRY_ABOUT_NORMAL, the.NO_RADIAL_TORQUE, the.NORMAL_ROTOR),
-        solve=each(partial(_k_along, _rotor_about_normal), "k3", "k1", "k2"),
+        solve=each(
+            # a rotor of which (n + Omega) k - h3 mu vanishes, and the normal
+            partial(
+                _k_along,
+                lambda p: (quotient(p["h3"] * body_vectors(p)[2], p["n"] + p["Omega"]), directions(p)[1]),
+            ),
+            "k3", "k1", "k2",
+        ),
         stability=the.stability_about_normal,
         geometry="general",
         labels="permanent rotation in both frames, about the normal at n and in space at n + Omega",

@@ -60,19 +60,10 @@ def differences(x0: Array, x: Array) -> dict[str, Array]:
     return {name: first[name] - second[name] for name in first}
 
 
-class Coefficients(NamedTuple):
-    """X, chi2, nu2 of (11) and l2 / (A r0), in their true forms."""
-
-    X: Array
-    chi2: Array
-    nu2: Array
-    s2: Array
-
-
-def coefficients(spin: FastSpin) -> Coefficients:
-    """X = 1 / Omega, chi2 = chi1 + z0'/a - k A1, nu2 = nu - X."""
+def coefficients(spin: FastSpin) -> tuple[Array, Array, Array, Array]:
+    """X = 1 / Omega, chi2 = chi1 + z0'/a - k A1, nu2 = nu - X of (11) and l2 / (A r0), in their true forms."""
     X = 1 / spin.Omega
-    return Coefficients(X, spin.chi1 + spin.G0, spin.nu - X, spin.l2 / (spin.A * spin.r0))
+    return X, spin.chi1 + spin.G0, spin.nu - X, spin.l2 / (spin.A * spin.r0)
 
 
 def S11(spin: FastSpin, x0: Array, x: Array) -> Array:

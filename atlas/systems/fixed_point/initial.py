@@ -49,8 +49,6 @@ PARAMETERS = {
 }
 
 VECTORS = ("p0", "q0", "r0", "gamma10", "gamma20", "gamma30")
-_ANGLES = ("theta0", "psi0", "phi0", "theta_dot0", "n", "m")
-_PAPER = ("M", "lambda", "R")
 UNIT_LENGTH = 1e-9  # by which the length of the vertical of a start may differ from 1
 START_CONDITION = f"(gamma10, gamma20, gamma30) must be a unit vector within {UNIT_LENGTH:g}"
 
@@ -146,10 +144,25 @@ def without_vectors(points: Points) -> dict[str, Array]:
 
 def check(points: Points) -> None:
     """Raise BadInput on starts or fields given incompletely or twice."""
-    paper = _all_or_none(points, _PAPER)
-    _never_both(points, paper, "M, lambda and R", ("Mg", "N"))
-    vectors = _all_or_none(points, VECTORS)
-    _never_both(points, vectors, "p0 .. gamma30", _ANGLES)
+    for names, what, alternatives in (
+        (("M", "lambda", "R"), "M, lambda and R", ("Mg", "N")),
+        (VECTORS, "p0 .. gamma30", ("theta0", "psi0", "phi0", "theta_dot0", "n", "m")),
+    ):
+        present = np.array([~np.isnan(points[name]) for name in names])
+        given = present.all(0)
+        bad = np.flatnonzero(present.any(0) & ~given)
+        if bad.size:
+            missing = [name for name, here in zip(names, present, strict=True) if not here.flat[bad[0]]]
+            raise BadInput(
+                f"{', '.join(missing)} missing: {', '.join(names)} must be given together or not at all"
+            )
+        for name in alternatives:
+            bad = np.flatnonzero(given & (points[name] != 0))
+            if bad.size:
+                value = points[name].flat[bad[0]]
+                raise BadInput(
+                    f"{name} = {value:g} beside {what} ({bad.size} of {given.size} points): give one or the other"
+                )
 
 
 def possible_start(points: Points) -> Mask:
@@ -157,29 +170,6 @@ def possible_start(points: Points) -> Mask:
     with np.errstate(over="ignore", invalid="ignore"):
         squares = points["gamma10"] ** 2 + points["gamma20"] ** 2 + points["gamma30"] ** 2
         return np.isnan(points["gamma10"]) | (np.abs(np.sqrt(squares) - 1) <= UNIT_LENGTH)
-
-
-def _all_or_none(points: Points, names: tuple[str, ...]) -> Mask:
-    """Where the optional parameters are given, bool; raises BadInput where only a part of them is."""
-    given = np.array([~np.isnan(points[name]) for name in names])
-    bad = np.flatnonzero(given.any(0) & ~given.all(0))
-    if bad.size:
-        missing = [name for name, is_given in zip(names, given, strict=True) if not is_given.flat[bad[0]]]
-        raise BadInput(
-            f"{', '.join(missing)} missing: {', '.join(names)} must be given together or not at all"
-        )
-    return np.logical_and.reduce(given)
-
-
-def _never_both(points: Points, given: Mask, what: str, alternatives: tuple[str, ...]) -> None:
-    """Raise BadInput where parameters are given beside those that replace them."""
-    for name in alternatives:
-        bad = np.flatnonzero(given & (points[name] != 0))
-        if bad.size:
-            value = points[name].flat[bad[0]]
-            raise BadInput(
-                f"{name} = {value:g} beside {what} ({bad.size} of {given.size} points): give one or the other"
-            )
 
 
 def warnings(points: Points) -> list[str]:

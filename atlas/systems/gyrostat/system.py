@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import abstractmethod
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -116,6 +116,8 @@ class Gyrostat(System):
             )
         return result
 
+    equilibria_of_bodies = equilibria.equilibria_of_bodies
+
     def equilibria(self, body: Mapping[str, float]) -> dict[str, NDArray[Any]]:
         """All relative equilibria of one body, see equilibria.equilibria; start values are ignored."""
         return equilibria.equilibria(self, self.with_defaults(body))
@@ -123,12 +125,6 @@ class Gyrostat(System):
     def with_defaults(self, body: Mapping[str, float]) -> Points:
         """Every parameter of one body, arrays (1,); those left out take their defaults."""
         return {k: np.full(1, float(body.get(k, p.default))) for k, p in self.parameters.items()}
-
-    def equilibria_of_bodies(
-        self, points: Points, pause: Callable[[], None] = lambda: None, stability: bool = True
-    ) -> dict[str, NDArray[Any]]:
-        """All relative equilibria of many bodies, see equilibria.equilibria_of_bodies."""
-        return equilibria.equilibria_of_bodies(self, points, pause, stability)
 
     def frequencies(self, points: Points, flags: Flags) -> Array:
         """Frequencies of small oscillations about steady motions, rad per time unit, the largest first, (points, 3).

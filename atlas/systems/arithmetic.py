@@ -213,11 +213,7 @@ def _losses(key: str, equations: Any, observables: Collection[str]) -> tuple[str
 
 
 def _check_function(
-    key: str,
-    node: ast.FunctionDef,
-    state: Sequence[str],
-    constants: Sequence[str],
-    components: int | None,
+    key: str, node: ast.FunctionDef, state: Sequence[str], constants: Sequence[str], components: int | None
 ) -> None:
     """Raise BadInput unless a function is plain arithmetic of known names with so many components; 0: a number."""
     names, returned = {*FUNCTIONS}, None

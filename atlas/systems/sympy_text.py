@@ -139,11 +139,7 @@ class Block:
         return sympy.Symbol(name)
 
     def function(
-        self,
-        name: str,
-        doc: str,
-        first: Sequence[str],
-        slopes: Sequence[tuple[str, Expression, Expression]],
+        self, name: str, doc: str, first: Sequence[str], slopes: Sequence[tuple[str, Expression, Expression]]
     ) -> str:
         """Text of a function that returns `first` as it stands, then slopes in the shape of their states."""
         reduced, lines, done = self._start([expression for _, expression, _ in slopes])
@@ -194,7 +190,13 @@ class Block:
         given = [self._with_functions(e, functions) for e in [*self.definitions.values(), *expressions]]
         self.functions = [*functions.values()]
         replaced, reduced = sympy.cse([*functions, *given], order="canonical", list=True)
-        new = self._names_of_shared(replaced, dict(zip(reduced, self.functions, strict=False)))
+        named, new = dict(zip(reduced, self.functions, strict=False)), dict[Expression, Expression]()
+        for (
+            symbol,
+            expression,
+        ) in replaced:  # each stands for a name, or for itself if it is one operation at most
+            part = expression.xreplace(new)
+            new[symbol] = named.get(symbol) or (part if part.count_ops() <= 1 else self._new("common1"))
         values = [expression.xreplace(new) for expression in reduced]
         names = [*self.functions, *symbols]
         self.definitions |= dict(zip(names, values, strict=False))
@@ -202,19 +204,6 @@ class Block:
             if new[symbol].is_Symbol:
                 self.definitions[new[symbol]] = expression.xreplace(new)
         return values[len(names) :]
-
-    def _names_of_shared(
-        self, replaced: Sequence[tuple[Expression, Expression]], named: dict[Expression, Expression]
-    ) -> dict[Expression, Expression]:
-        """What stands for each shared expression: a name, or the expression itself if it is one operation at most."""
-        new: dict[Expression, Expression] = {}
-        for symbol, expression in replaced:
-            expression = expression.xreplace(new)
-            if symbol in named:
-                new[symbol] = named[symbol]
-            else:
-                new[symbol] = expression if expression.count_ops() <= 1 else self._new("common1")
-        return new
 
     def _with_functions(self, expression: Expression, named: dict[Expression, Expression]) -> Expression:
         """The expression with a name for each value of a function and each sum that is raised to a power."""

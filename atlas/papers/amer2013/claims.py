@@ -239,24 +239,19 @@ def _phase_plane_claim(rows: Sequence[Row]) -> Claim:
     )
 
 
-def _spin(*values: float) -> FastSpin:
-    """A FastSpin from numbers."""
-    return FastSpin(*(np.asarray(value) for value in values))
-
-
 def _singularity_claim() -> Claim:
     """chi1 of (10) near omega' = 1, and the true solution at rational frequencies."""
     A, A1, r0 = 1.0, 0.9, 1000.0
     printed, true = [], []
     for distance in (1e-2, 1e-4, 1e-6):
         l3 = A * r0 * (A1**2 - 1 + distance) / (2 * A1)  # omega'^2 = 1 - distance
-        spin = _spin(A, A * (1 + A1), 1.0, 1.0, 0.0, 0.0, l3, r0, 0.5)
+        spin = FastSpin.of(A, A * (1 + A1), 1.0, 1.0, 0.0, 0.0, l3, r0, 0.5)
         printed.append(float(published.coefficients(spin).chi1 / spin.G0))
         true.append(float(spin.chi1 / spin.G0))
     errors = []
     tau = np.linspace(0, 2 * np.pi, 41)
     for Omega in (1 / 3, 0.5, 1.0, 2.0, 3.0):
-        spin = _spin(A, 1.5, 1.0, 1.0, 0.5, 0.5, A * r0 * (Omega - 0.5), r0, 0.5)
+        spin = FastSpin.of(A, 1.5, 1.0, 1.0, 0.5, 0.5, A * r0 * (Omega - 0.5), r0, 0.5)
         y = first_order(spin, tau)
         errors.append(float(np.abs(y - integrate(spin, y[:, 0], tau)).max() / spin.eps**2))
     return Claim(
@@ -272,7 +267,7 @@ def _limiting_case(N: float, l3: float, r0: float) -> FastSpin:
     """The body A < C with l1 = l2 = 0, at its weight on the ground: with the paper's, rounding hides the errors."""
     A, C = PAPER_BODIES["A < C"]
     weight = PAPER_DATA["M"] * PAPER_DATA["z0"] * 9.81
-    return _spin(A, C, weight, N, 0.0, 0.0, l3, r0, PAPER_DATA["gamma0"])
+    return FastSpin.of(A, C, weight, N, 0.0, 0.0, l3, r0, PAPER_DATA["gamma0"])
 
 
 def _errors_of_33(spin: FastSpin) -> Array:

@@ -67,6 +67,11 @@ class FastSpin:
             "A1 + l3 / (A r0) = 0: the forced part mu / Omega of p1, q1 is resonant",
         )
 
+    @classmethod
+    def of(cls, *values: Any) -> FastSpin:
+        """That of numbers or arrays."""
+        return cls(*values)
+
     @cached_property
     def scale(self) -> Array:
         """c sqrt(gamma0''), the unit of p and q, rad s-1."""
@@ -300,8 +305,7 @@ def paper_body(name: str, rotor: float | Array) -> FastSpin:
     d = PAPER_DATA
     weight = d["M"] * d["lambda"] / d["R"] ** 2 * d["z0"]
     N = 3 * d["lambda"] / d["R"] ** 3
-    values = (A, C, weight, N, rotor, rotor, rotor, d["r0"], d["gamma0"])
-    return FastSpin(*(np.asarray(value) for value in values))
+    return FastSpin.of(A, C, weight, N, rotor, rotor, rotor, d["r0"], d["gamma0"])
 
 
 def paper_start(spin: FastSpin) -> Array:
@@ -322,7 +326,7 @@ def random_spin(rng: np.random.Generator, **given: float) -> FastSpin:
         "l1": rng.uniform(0.5, 1), "l2": rng.uniform(0.5, 1), "l3": rng.uniform(0.5, 1),
         "r0": rng.uniform(4, 8), "gamma0": rng.uniform(0.3, 0.7),
     }  # fmt: skip
-    return FastSpin(*(np.asarray(value) for value in (values | given).values()))
+    return FastSpin.of(*(values | given).values())
 
 
 def paper_spin(rng: np.random.Generator) -> FastSpin:

@@ -12,7 +12,7 @@ from ...scene.expressions import Expression
 from ...systems.base import Array, PublishedEquation
 from ...systems.satellite.equations import rhs
 from ...systems.satellite.families import FAMILIES, steady_motion
-from ...systems.satellite.initial import PARAMETERS, constants, directions
+from ...systems.satellite.initial import PARAMETERS, body_vectors, constants, directions
 from .. import load, row
 from . import lagrange
 
@@ -157,33 +157,27 @@ def _free(rng: np.random.Generator) -> Point:
 
 
 def _lagrangian_error(entry: Entry, reading: str, rng: np.random.Generator) -> float:
-    point = _free(rng)
+    """(4), with its two questionable signs as printed or as they follow, less (2) with (3), at a random state."""
+    p = _free(rng)
     sign = 1.0 if reading == "printed" else -1.0
-    psi, theta, phi, psi_dot, theta_dot, phi_dot = euler_state(point)
+    psi, theta, phi, psi_dot, theta_dot, phi_dot = euler_state(p)
     s, c, sf, cf, sp, cp = np.sin(theta), np.cos(theta), np.sin(phi), np.cos(phi), np.sin(psi), np.cos(psi)
-    rate = psi_dot + point["Omega"]
+    rate = psi_dot + p["Omega"]
     w1, w2, w3 = rate * s * sf + theta_dot * cf, rate * s * cf - theta_dot * sf, phi_dot + rate * c
-    kinetic = 0.5 * (point["A"] * w1**2 + point["B"] * w2**2 + point["C"] * w3**2)
-    rotor = point["k1"] * w1 + point["k2"] * w2 + point["k3"] * w3
+    kinetic = 0.5 * (p["A"] * w1**2 + p["B"] * w2**2 + p["C"] * w3**2)
+    rotor = p["k1"] * w1 + p["k2"] * w2 + p["k3"] * w3
     first, second = cp * cf - c * sf * sp, cp * sf + c * cf * sp
-    gravity = point["A"] * first**2 - sign * point["B"] * second**2 + point["C"] * s**2 * sp**2
-    magnet = point["mu1"] * (point["h1"] * first + point["h3"] * s * sf)
-    magnet = magnet + point["mu2"] * (sign * point["h1"] * second + point["h3"] * s * cf)
-    magnet = magnet + point["mu3"] * (point["h1"] * s * sp + point["h3"] * c)
-    terms = kinetic + rotor - 1.5 * point["Omega"] ** 2 * gravity - magnet
-    alpha, gamma = directions(point)
-    inertia, k, mu = (
-        np.array([point[i] for i in names.split()]) for names in ("A B C", "k1 k2 k3", "mu1 mu2 mu3")
-    )
-    node = np.array([np.cos(point["phi0"]), -np.sin(point["phi0"]), np.zeros(1)])
-    w = (
-        (point["n"] + point["Omega"]) * gamma
-        + point["theta_dot0"] * node
-        + point["m"] * np.array([[0.0], [0.0], [1.0]])
-    )
-    potential = 1.5 * point["Omega"] ** 2 * inertia * alpha**2 + mu * (
-        point["h1"] * alpha + point["h3"] * gamma
-    )
+    gravity = p["A"] * first**2 - sign * p["B"] * second**2 + p["C"] * s**2 * sp**2
+    magnet = p["mu1"] * (p["h1"] * first + p["h3"] * s * sf)
+    magnet = magnet + p["mu2"] * (sign * p["h1"] * second + p["h3"] * s * cf)
+    magnet = magnet + p["mu3"] * (p["h1"] * s * sp + p["h3"] * c)
+    terms = kinetic + rotor - 1.5 * p["Omega"] ** 2 * gravity - magnet
+    # (2) with (3), by the vectors of (1)
+    alpha, gamma = directions(p)
+    inertia, k, mu = body_vectors(p)
+    node = np.array([np.cos(p["phi0"]), -np.sin(p["phi0"]), np.zeros(1)])
+    w = (p["n"] + p["Omega"]) * gamma + p["theta_dot0"] * node + p["m"] * np.array([[0.0], [0.0], [1.0]])
+    potential = 1.5 * p["Omega"] ** 2 * inertia * alpha**2 + mu * (p["h1"] * alpha + p["h3"] * gamma)
     return float(np.abs(terms - (0.5 * inertia * w**2 + k * w - potential).sum(0))[0])
 
 

@@ -339,10 +339,7 @@ def _family(kind: Any, **more: Any) -> Family:
     return family_about_axes(kind.of, kind.axes, lambda p: (vertical(p),), **more)
 
 
-_FREE = (
-    ("Mg r_c = 0", lambda b: b.residual(b.weight)),
-    ("N = 0, or A = B = C", Start.field_residual),
-)
+_FREE = (("Mg r_c = 0", lambda b: b.residual(b.weight)), ("N = 0, or A = B = C", Start.field_residual))
 FAMILIES = numbered(
     (
         _family(

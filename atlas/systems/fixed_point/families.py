@@ -233,15 +233,6 @@ def sleeping_discriminant(points: Points) -> tuple[Array, Array]:
     return spin**2 - 4 * A * (gradient - weight), size
 
 
-def sleeping_at_threshold(points: Points) -> Array:
-    """2 N (C - A) - s Mg z0: where the discriminant is zero, the body is stable if this is positive.
-
-    It is the sign of the term theta^4 of the effective potential; a nudge by d then swings to an angle of order sqrt(d).
-    """
-    Mg, N = fields(points)
-    return 2 * N * (points["C"] - points["A"]) - np.sign(vertical(points)[2]) * Mg * points["z0"]
-
-
 def sleeping_stability(points: Points) -> tuple[Flags, Array]:
     """A = B, rotor and weight along the axis: stable where (C r + l3)^2 > 4 A (N (C - A) - s Mg z0), s = cos theta."""
     value, size = sleeping_discriminant(points)
@@ -333,11 +324,7 @@ FAMILIES = numbered(
             name="staude",
             title="permanent rotation of any body about the vertical",
             equations="from the equations of motion: (n^2 - N) I g + n l + Mg r_c parallel to g",
-            conditions=(
-                _NO_SPIN,
-                _STILL,
-                PERMANENT,
-            ),
+            conditions=(_NO_SPIN, _STILL, PERMANENT),
             solve={
                 **each(_solve_direction, "theta0", "phi0"),
                 **each(_solve_permanent, "l1", "l2", "x0", "y0", "l3", "z0", "Mg", "N"),

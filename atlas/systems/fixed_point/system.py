@@ -10,16 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..base import (
-    Array,
-    DerivedVariable,
-    Flags,
-    Mask,
-    Points,
-    StressCase,
-    identify,
-    shape_of,
-)
+from ..base import Array, DerivedVariable, Flags, Mask, Points, StressCase, identify, shape_of
 from ..gyrostat import Gyrostat, secular, stress_cases
 from . import any_axis, equations, families, initial
 

@@ -14,8 +14,8 @@ from ..base import Array, Points, TwoAxes, numbered
 from ..gyrostat.motions import about_axis, always_stable, family_about_axes
 from ..vectors import cross, dot, length, ratio, unit
 from . import families
-from .conditions import body_vectors, magnetic_moment
-from .initial import directions, initial_state
+from .conditions import magnetic_moment
+from .initial import body_vectors, directions, initial_state
 
 
 class Start:

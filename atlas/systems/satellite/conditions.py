@@ -15,7 +15,7 @@ from ..gyrostat.floquet import quartic_growth
 from ..gyrostat.motions import Equation, quotient, relative_to
 from ..gyrostat.oscillations import GROWTH_TOLERANCE
 from ..vectors import cross, dot, length
-from .initial import directions
+from .initial import body_vectors, directions
 
 # Quantities.
 
@@ -76,14 +76,6 @@ def turn_rate(p: Points) -> Array:
 def axial_rate(p: Points) -> Array:
     """w3, the component of the angular velocity along the third body axis."""
     return (p["n"] + p["Omega"]) * tilt(p)[1] + p["m"]
-
-
-def body_vectors(p: Points) -> tuple[Array, Array, Array]:
-    """I, k, mu as arrays of shape (3, points)."""
-    return tuple(  # type: ignore[return-value]
-        np.array([p[name] for name in names])
-        for names in (("A", "B", "C"), ("k1", "k2", "k3"), ("mu1", "mu2", "mu3"))
-    )
 
 
 def rest_torque(p: Points, with_rotor: bool = True) -> tuple[Array, Array, Array]:
@@ -171,9 +163,7 @@ NO_DISSIPATION = Equation(
     lambda p: torque_scale(p) + p["damping"] * rate_scale(p),
 )
 SPINNING_PAIR = Equation(
-    "w3 k1,2 = H3 mu1,2",
-    lambda p: _pair(p, axial_rate(p), 0.0, node_field(p)[2]),
-    torque_scale,
+    "w3 k1,2 = H3 mu1,2", lambda p: _pair(p, axial_rate(p), 0.0, node_field(p)[2]), torque_scale
 )
 NODE_PAIR = Equation(
     "Omega sin theta0 (k1 + i k2) = (H2 + i H1) (mu1 + i mu2)",

@@ -29,9 +29,9 @@ from ..base import Array, Family, Points, numbered
 from ..gyrostat.motions import about_third_axis, always_stable, each, linear, motion_of, quotient, relative_to
 from ..vectors import cross, length
 from . import conditions as the
-from .conditions import body_vectors, flatness, magnetic_moment, node, rest_torque, tilt
+from .conditions import flatness, magnetic_moment, node, rest_torque, tilt
 from .equations import rhs
-from .initial import constants, directions, initial_state
+from .initial import body_vectors, constants, directions, initial_state
 
 # State of the steady motion theta = theta0, psi = n t + psi0, phi = m t + phi0, see Family.motion; theta_dot0 is taken as 0.
 steady_motion = motion_of(about_third_axis, directions, lambda points: points["Omega"])

@@ -11,6 +11,7 @@ from ..gyrostat import Body, Direction
 from ..gyrostat.body import gyration, perron_root
 from ..gyrostat.motions import angular_velocity
 from ..gyrostat.motions import directions as directions
+from ..vectors import length
 from .equations import CONSTANTS
 
 _TABLE = (
@@ -53,6 +54,14 @@ def constants(points: Points) -> Array:
     magnet = [mu3 / A, mu2 / A, mu1 / B, mu3 / B, mu2 / C, mu1 / C]
     damping = [p["damping"] / A, p["damping"] / B, p["damping"] / C]
     return np.array([*body, *D, 3 * Omega**2, np.ones_like(A), np.ones_like(A), *rotor, *magnet, *damping])
+
+
+def body_vectors(points: Points) -> tuple[Array, Array, Array]:
+    """I, k, mu as arrays of shape (3, points)."""
+    return tuple(  # type: ignore[return-value]
+        np.array([points[name] for name in names])
+        for names in (("A", "B", "C"), ("k1", "k2", "k3"), ("mu1", "mu2", "mu3"))
+    )
 
 
 def body(points: Points) -> Body:
@@ -105,16 +114,13 @@ def frequency_bound(points: Points) -> Array:
 
     Damping D adds D I^-1 to the block of w, whose norm is D over the least moment, and D Omega I^(-1/2) to that from gamma.
     """
-    A, B, C, Omega = points["A"], points["B"], points["C"], np.abs(points["Omega"])
-    inertia = np.array([A, B, C])
-    k = np.array([points["k1"], points["k2"], points["k3"]])
-    mu = np.array([points["mu1"], points["mu2"], points["mu3"]])
+    inertia, k, mu = body_vectors(points)
+    (A, B, C), Omega = inertia, np.abs(points["Omega"])
     state = initial_state(points)
     w, alpha, gamma = state[:3], state[3:6], state[6:]
     u = w - points["Omega"] * gamma
     field = np.hypot(points["h1"], points["h3"])
-    moment = np.sqrt((mu**2).sum(0))
-    rotor = np.sqrt((k**2).sum(0))
+    moment, rotor = length(mu), length(k)
 
     # U - min U <= each term at the start minus its own minimum.
     kinetic = 0.5 * (inertia * u**2).sum(0)
@@ -133,9 +139,7 @@ def frequency_bound(points: Points) -> Array:
     max_rates = np.sqrt(2 * energy / inertia) + Omega
     max_rates[2] = np.where(symmetric, np.abs(w[2]), max_rates[2])
     max_turn = np.where(
-        symmetric,
-        np.hypot(np.sqrt(2 * energy / A), np.abs(w[2]) + Omega),
-        np.sqrt(2 * energy / min_inertia),
+        symmetric, np.hypot(np.sqrt(2 * energy / A), np.abs(w[2]) + Omega), np.sqrt(2 * energy / min_inertia)
     )
 
     damping = points["damping"] / min_inertia
@@ -147,15 +151,12 @@ def frequency_bound(points: Points) -> Array:
 
 def specialization(zero: Set[str], equal: Set[tuple[str, str]]) -> tuple[set[str], set[tuple[str, str]]]:
     """Constants that vanish without magnet, rotor, orbit or damping; those equal on an axially symmetric body."""
-    zero_constants: set[str] = set()
-    if zero >= {"mu1", "mu2", "mu3"} or zero >= {"h1", "h3"}:
-        zero_constants |= {"mu1", "mu2", "mu3", "h1", "h3"}
-    if zero >= {"k1", "k2", "k3"}:
-        zero_constants |= {"k1", "k2", "k3"}
-    if "Omega" in zero:
-        zero_constants |= {"Omega", "N"}
-    if "damping" in zero:
-        zero_constants |= {"damping_A", "damping_B", "damping_C"}
+    magnet = {"mu1", "mu2", "mu3", "h1", "h3"}
+    rows = (
+        ({"mu1", "mu2", "mu3"}, magnet), ({"h1", "h3"}, magnet), ({"k1", "k2", "k3"}, {"k1", "k2", "k3"}),
+        ({"Omega"}, {"Omega", "N"}), ({"damping"}, {"damping_A", "damping_B", "damping_C"}),
+    )  # fmt: skip
+    zero_constants = {name for parameters, names in rows if zero >= parameters for name in names}
     equal_constants: set[tuple[str, str]] = set()
     if ("A", "B") in equal and zero | zero_constants >= {"k1", "k2", "mu1", "mu2"}:
         zero_constants |= {"k1", "k2", "mu1", "mu2", "D3"}

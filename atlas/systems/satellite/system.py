@@ -6,15 +6,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from ..base import (
-    Array,
-    Flags,
-    Mask,
-    Points,
-    StressCase,
-    identify,
-    shape_of,
-)
+from ..base import Array, Flags, Mask, Points, StressCase, identify, shape_of
 from ..gyrostat import Gyrostat, stress_cases
 from ..gyrostat.variables import count_variables
 from . import any_axis, equations, families, initial

@@ -248,11 +248,6 @@ def _constancy(spin: FastSpin, rng: np.random.Generator, constants: Formula) -> 
     return np.ptp(constants(spin, y)[0])
 
 
-def _turning_square(spin: FastSpin, rng: np.random.Generator, squared: Callable[[FastSpin], Array]) -> Array:
-    one, none = np.array([1.0, 0, 1, 0, 0, 1]), np.array([0.0, 0, 1, 0, 0, 1])
-    return squared(spin) - (true_rate(spin, one) - true_rate(spin, none))[1] ** 2
-
-
 def _direction_cosine(spin: FastSpin, rng: np.random.Generator, sign: int) -> Array:
     y = rng.normal(size=6)
     return (true_rate(spin, y)[3] + sign * spin.eps * y[1] * y[5]) / y[2] - y[4]
@@ -319,13 +314,19 @@ def _kernel_24(spin: FastSpin, rng: np.random.Generator, frequency: Callable[[Fa
     return w * np.cos(w * tau) + (1 - np.cos(w * tau)) / w - 1
 
 
+_ONE, _NONE = np.array([1.0, 0, 1, 0, 0, 1]), np.array([0.0, 0, 1, 0, 0, 1])
 _FAST = partial(random_spin, r0=50.0)
 _FASTEST = partial(random_spin, r0=1e5)
 READINGS: dict[str, Readings] = {
     "(1), second equation": _readings(partial(_of_motion, 1), rhs, fast_spin.rhs),
     "(3), S1": _readings(_constancy, integrals, fast_spin.integrals),
     "(4)": _readings(partial(_of_motion, 0), rhs, fast_spin.rhs),
-    "(7), (15)": _readings(_turning_square, frequency_squared, lambda spin: spin.Omega**2),
+    "(7), (15)": _readings(
+        # the square of the rate at which q1 grows with p1
+        lambda spin, rng, squared: squared(spin) - (true_rate(spin, _ONE) - true_rate(spin, _NONE))[1] ** 2,
+        frequency_squared,
+        lambda spin: spin.Omega**2,
+    ),
     "(9)": _readings(_direction_cosine, -1, 1),
     "(10), chi1 and nu": _readings(
         _coupling,

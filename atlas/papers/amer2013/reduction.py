@@ -185,6 +185,11 @@ def generating(spin: FastSpin, E: float, eta: float, tau: Array) -> Array:
     )
 
 
+def start_and_state(spin: FastSpin, E: float, eta: float, tau: Array) -> tuple[Array, Array]:
+    """The variables of (25) at 0 and at tau."""
+    return generating(spin, E, eta, np.asarray(0.0)), generating(spin, E, eta, np.asarray(tau))
+
+
 def S11_of_26(spin: FastSpin, E: float, eta: float, tau: Array, printed: bool) -> Array:
     """S11^(0) of (26)."""
     X, _, _, s2 = coefficients(spin)
@@ -275,18 +280,6 @@ def _error_13(s: States, signs: tuple[int, int] = (1, 1), printed: bool = False)
     return s.S2 - S21(*s[:3], signs) - s.spin.eps * S22(*s[:3], printed)
 
 
-def _error_26(drawn: tuple[FastSpin, float, float, Array], printed: bool) -> Array:
-    spin, E, eta, tau = drawn
-    x0, x = (generating(spin, E, eta, np.asarray(t)) for t in (0.0, tau))
-    return S11_of_26(spin, E, eta, tau, printed) - S11(spin, x0, x)
-
-
-def _error_27(drawn: tuple[FastSpin, Array], printed: bool) -> Array:
-    spin, tau = drawn
-    x0, x = (generating(spin, 0.0, 0.0, np.asarray(t)) for t in (0.0, tau))
-    return Phi1_of_27(spin, tau, printed) - Phi1(spin, x0, x)
-
-
 READINGS = {
     # r1 - 1 = eps^2 S1 / (r1 + 1), without cancellation
     "(6)": _readings(
@@ -316,7 +309,13 @@ READINGS = {
         States.draw, lambda s, printed: length_17(*s[:3], printed=printed) - ((s.y[3:] ** 2).sum() - 1)
     ),
     "(26), S11": _readings(
-        lambda rng: (random_spin(rng), rng.uniform(0.5, 1.5), *rng.uniform(0.5, 5.0, 2)), _error_26
+        lambda rng: (random_spin(rng), rng.uniform(0.5, 1.5), *rng.uniform(0.5, 5.0, 2)),
+        lambda drawn, printed: S11_of_26(*drawn, printed) - S11(drawn[0], *start_and_state(*drawn)),
     ),
-    "(27), Phi1": _readings(lambda rng: (random_spin(rng), rng.uniform(0.5, 5.0, ())), _error_27),
+    "(27), Phi1": _readings(
+        lambda rng: (random_spin(rng), 0.0, 0.0, rng.uniform(0.5, 5.0, ())),
+        lambda drawn, printed: (
+            Phi1_of_27(drawn[0], drawn[3], printed) - Phi1(drawn[0], *start_and_state(*drawn))
+        ),
+    ),
 }

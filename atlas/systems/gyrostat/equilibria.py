@@ -177,8 +177,8 @@ def _by_continuation(
     row = body[order]
     frames = np.stack([a, np.cross(g, a), g], 1)[order]
     result = _described(frames, potential[order], index[order])
-    result |= {"circle": np.zeros(row.size, bool), "axis": np.full((row.size, 3), np.nan)}
-    result |= {"degenerate": np.zeros(row.size, bool)}
+    none = np.zeros(row.size, bool)
+    result |= {"circle": none, "axis": np.full((row.size, 3), np.nan), "degenerate": none}
     if stability:
         angles = {name: result[name] for name in ANGLES}
         result |= stability_at_rest(system, subset(points, row), angles)

@@ -118,17 +118,17 @@ class Equation(Condition):
             value = np.hypot(*value) if len(value) == 2 else length(value)
         return value if self.unit is None else relative_to(value, self.unit(points))
 
-    def solve(self, *names: str) -> dict[str, Solver]:
+    def solve(self, *names: str) -> Mapping[str, Solver]:
         """Solvers of the parameters of these names, in each of which the equation is linear."""
         return linear(self.form or self.function, *names)
 
 
-def linear(function: Callable[[Points], Array], *names: str, keep: bool = False) -> dict[str, Solver]:
+def linear(function: Callable[[Points], Array], *names: str, keep: bool = False) -> Mapping[str, Solver]:
     """Solvers of function(points) = 0 for parameters in which it is linear; keep: one that does not enter keeps its value."""
-    return {name: partial(_solve, function, name, keep) for name in names}
+    return each(partial(_solve, function, keep), *names)
 
 
-def _solve(function: Callable[[Points], Array], name: str, keep: bool, points: Points) -> Array:
+def _solve(function: Callable[[Points], Array], keep: bool, name: str, points: Points) -> Array:
     """The root, by least squares over the components; the slope is that of a complex step, exact but for rounding."""
     zero = np.zeros_like(points[name])
     with np.errstate(all="ignore"):

@@ -86,7 +86,22 @@ def count_variables(system: Gyrostat) -> dict[str, DerivedVariable]:
         key = rows.tobytes()
         if key not in last:
             start = {name: np.zeros(len(rows)) for name in points if name not in body}
-            counts = _counts(system, dict(zip(body, rows.T, strict=True)) | start, pause)
+            bodies = dict(zip(body, rows.T, strict=True)) | start
+            # About an axis of symmetry every equilibrium can be turned: there is no need to search.
+            symmetric = [system.body(bodies).symmetric_about(i) for i in range(3)]
+            countable = np.flatnonzero(~np.any(symmetric, axis=0))
+            counts = {name: np.full(len(rows), np.nan) for name in ("all", "stable", "minima")}
+            if countable.size:
+                equilibria = system.equilibria_of_bodies(subset(bodies, countable), pause)
+                known = (Completeness.COMPLETE, Completeness.NEAR_BIFURCATION)
+                isolated = np.isin(equilibria["completeness"], known)
+                counted = {
+                    "all": equilibria["index"] >= 0,
+                    "stable": equilibria["stable"] == Stability.STABLE,
+                    "minima": (equilibria["index"] == 0) & ~equilibria["degenerate"],
+                }
+                for name, where in counted.items():
+                    counts[name][countable] = np.where(isolated, where.sum(1), np.nan)
             last.clear()
             last[key] = counts
         return last[key][which][inverse]
@@ -102,23 +117,3 @@ def count_variables(system: Gyrostat) -> dict[str, DerivedVariable]:
         name: DerivedVariable(name, "1", long_name, partial(count, which), comment, is_count=True)
         for name, which, long_name in rows
     }
-
-
-def _counts(system: Gyrostat, points: Points, pause: Callable[[], None]) -> dict[str, Array]:
-    """Numbers of equilibria of bodies (bodies,): all, the linearly stable ones, the minima of the amended potential."""
-    given = system.body(points)
-    # About an axis of symmetry every equilibrium can be turned: there is no need to search.
-    countable = np.flatnonzero(~np.any([given.symmetric_about(i) for i in range(3)], axis=0))
-    counts = {which: np.full(points["A"].size, np.nan) for which in ("all", "stable", "minima")}
-    if not countable.size:
-        return counts
-    equilibria = system.equilibria_of_bodies(subset(points, countable), pause)
-    isolated = np.isin(equilibria["completeness"], (Completeness.COMPLETE, Completeness.NEAR_BIFURCATION))
-    counted = {
-        "all": equilibria["index"] >= 0,
-        "stable": equilibria["stable"] == Stability.STABLE,
-        "minima": (equilibria["index"] == 0) & ~equilibria["degenerate"],
-    }
-    for which, where in counted.items():
-        counts[which][countable] = np.where(isolated, where.sum(1), np.nan)
-    return counts

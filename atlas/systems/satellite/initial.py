@@ -12,7 +12,7 @@ from ..gyrostat.body import gyration, perron_root
 from ..gyrostat.motions import angular_velocity
 from ..gyrostat.motions import directions as directions
 from ..vectors import length
-from .equations import CONSTANTS
+from .equations import CONSTANTS, INTEGRALS
 
 _TABLE = (
     # name, unit, symbol, default, low, open_low, start, meaning
@@ -97,16 +97,10 @@ def conserves_axial_momentum(points: Points) -> Mask:
 
 def integral_scales(points: Points) -> dict[str, Array]:
     """Lower bound of the magnitude of each integral, nan where it has no balance; see System.integral_scales."""
-    zero = np.zeros_like(points["A"])
     axial = symmetric_about_third_axis(points)
     rates = sum(np.abs(points[name]) for name in ("Omega", "n", "m", "theta_dot0"))
-    return {
-        "jacobi": zero,
-        "length_alpha": zero,
-        "length_gamma": zero,
-        "length_sum": zero,
-        "axial_momentum": np.where(axial, points["C"] * rates, np.nan),
-    }
+    scales = dict.fromkeys(INTEGRALS, np.zeros_like(points["A"]))
+    return scales | {"axial_momentum": np.where(axial, points["C"] * rates, np.nan)}
 
 
 def frequency_bound(points: Points) -> Array:

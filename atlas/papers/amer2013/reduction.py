@@ -185,12 +185,12 @@ def generating(spin: FastSpin, E: float, eta: float, tau: Array) -> Array:
     )
 
 
-def start_and_state(spin: FastSpin, E: float, eta: float, tau: Array) -> tuple[Array, Array]:
+def start_and_state(spin: FastSpin, E: float, eta: float, tau: Array | float) -> tuple[Array, Array]:
     """The variables of (25) at 0 and at tau."""
     return generating(spin, E, eta, np.asarray(0.0)), generating(spin, E, eta, np.asarray(tau))
 
 
-def S11_of_26(spin: FastSpin, E: float, eta: float, tau: Array, printed: bool) -> Array:
+def S11_of_26(spin: FastSpin, E: float, eta: float, tau: Array | float, printed: bool) -> Array:
     """S11^(0) of (26)."""
     X, _, _, s2 = coefficients(spin)
     turn, square = spin.Omega * tau - eta, (X * spin.Omega) ** 2
@@ -309,7 +309,7 @@ READINGS = {
         States.draw, lambda s, printed: length_17(*s[:3], printed=printed) - ((s.y[3:] ** 2).sum() - 1)
     ),
     "(26), S11": _readings(
-        lambda rng: (random_spin(rng), rng.uniform(0.5, 1.5), *rng.uniform(0.5, 5.0, 2)),
+        lambda rng: (random_spin(rng), rng.uniform(0.5, 1.5), rng.uniform(0.5, 5.0), rng.uniform(0.5, 5.0)),
         lambda drawn, printed: S11_of_26(*drawn, printed) - S11(drawn[0], *start_and_state(*drawn)),
     ),
     "(27), Phi1": _readings(

@@ -75,9 +75,6 @@ def _beyond(entry: Entry, reading: str, rng: np.random.Generator) -> float:
     return float(np.abs(Expression("breaks", entry["breaks"]).value(point))[0])
 
 
-# Closed forms.
-
-
 def _closed_form(entry: Entry, reading: str, rng: np.random.Generator) -> float:
     """Largest error of the rates, and of beta = gamma x alpha, along a closed form of the motion."""
     form = entry["form"] | (entry.get("form_true", {}) if reading == "true" else {})

@@ -332,9 +332,6 @@ class Balanced(Start):
         return self.weight + n * (self.rotor + m * dot(self.inertia * s, s) * s)
 
 
-# The families.
-
-
 def _family(kind: Any, **more: Any) -> Family:
     return family_about_axes(kind.of, kind.axes, lambda p: (vertical(p),), **more)
 

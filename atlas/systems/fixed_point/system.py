@@ -10,16 +10,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..base import Array, DerivedVariable, Flags, Mask, Points, StressCase, identify, shape_of
-from ..gyrostat import Gyrostat, secular, stress_cases
+from ..base import Array, DerivedVariable, Flags, Mask, Points, identify, shape_of
+from ..gyrostat import Gyrostat, secular
+from ..gyrostat.stress_cases import fixed_point_cases
 from . import any_axis, equations, families, initial
-
-GEOMETRIES = {
-    "none": "drifting or unresolved",
-    "sleeping": "the third axis stays on the vertical",
-    "conical": "the body turns about its third axis, which precesses about the vertical or is at rest",
-    "staude": "the body turns about the vertical alone (phi' = 0) or is at rest",
-}
 
 PAPER = "atlas.papers.amer2013"
 # Longest run that is integrated for the errors of its solution, in radians of the fastest frequency: some seconds for a
@@ -94,7 +88,15 @@ class FixedPoint(Gyrostat):
 
     condition_residual = staticmethod(families.condition_residual)
     families = families.FAMILIES | any_axis.FAMILIES
-    geometries = GEOMETRIES
+    geometries = MappingProxyType(
+        {
+            "none": "drifting or unresolved",
+            "sleeping": "the third axis stays on the vertical",
+            "conical": "the body turns about its third axis, which precesses about the vertical or is at rest",
+            "staude": "the body turns about the vertical alone (phi' = 0) or is at rest",
+        }
+    )
+    stress_cases = fixed_point_cases
     derived = MappingProxyType(SOLUTION_ERRORS)
     body = staticmethod(initial.body)
     axial_rotor = "l3"
@@ -120,14 +122,10 @@ class FixedPoint(Gyrostat):
         """Families about the third axis or the vertical."""
         return families.identify_family(points)[0]
 
-    def stress_cases(self) -> tuple[StressCase, ...]:
-        return stress_cases.fixed_point_cases(self)
-
     def complete(self, points: Points) -> Mask:
         return np.ones(shape_of(points), bool)
 
-    def complete_any_axis(self, points: Points) -> Mask:
-        return np.ones(shape_of(points), bool)
+    complete_any_axis = complete
 
     def geometry(
         self,

@@ -17,8 +17,6 @@ from ..gyrostat.oscillations import GROWTH_TOLERANCE
 from ..vectors import cross, dot, length
 from .initial import body_vectors, directions
 
-# Quantities.
-
 
 def sine_cosine(angle: Array) -> tuple[Array, Array]:
     """sin and cos, zero where only the rounding of pi keeps them from it."""

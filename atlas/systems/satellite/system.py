@@ -3,22 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from types import MappingProxyType
 
 import numpy as np
 
-from ..base import Array, Flags, Mask, Points, StressCase, identify, shape_of
-from ..gyrostat import Gyrostat, stress_cases
+from ..base import Array, Flags, Mask, Points, identify, shape_of
+from ..gyrostat import Gyrostat
+from ..gyrostat.stress_cases import satellite_cases
 from ..gyrostat.variables import count_variables
 from . import any_axis, equations, families, initial
-
-GEOMETRIES = {
-    "none": "drifting or unresolved",
-    "cylindrical": "the third axis stays on the orbit normal",
-    "perp_radius": "the third axis is at rest in the orbital frame, perpendicular to the radius",
-    "perp_velocity": "the third axis is at rest in the orbital frame, perpendicular to the velocity",
-    "oblique": "the third axis is at rest in the orbital frame in another direction",
-    "general": "the third axis precesses in the orbital frame",
-}
 
 
 class Satellite(Gyrostat):
@@ -47,7 +40,17 @@ class Satellite(Gyrostat):
     condition_residual = staticmethod(families.condition_residual)
     growth_about_vertical = staticmethod(initial.growth_about_vertical)
     families = families.FAMILIES | any_axis.FAMILIES
-    geometries = GEOMETRIES
+    geometries = MappingProxyType(
+        {
+            "none": "drifting or unresolved",
+            "cylindrical": "the third axis stays on the orbit normal",
+            "perp_radius": "the third axis is at rest in the orbital frame, perpendicular to the radius",
+            "perp_velocity": "the third axis is at rest in the orbital frame, perpendicular to the velocity",
+            "oblique": "the third axis is at rest in the orbital frame in another direction",
+            "general": "the third axis precesses in the orbital frame",
+        }
+    )
+    stress_cases = satellite_cases
     body = staticmethod(initial.body)
     axial_rotor = "k3"
     conserves_axial_momentum = staticmethod(initial.conserves_axial_momentum)
@@ -90,9 +93,6 @@ class Satellite(Gyrostat):
     def identify_family(self, points: Points) -> tuple[Flags, Array]:
         """Family about the third axis and the normal, else one about any axes."""
         return identify(points, families.FAMILIES.values(), any_axis.FAMILIES.values())
-
-    def stress_cases(self) -> tuple[StressCase, ...]:
-        return stress_cases.satellite_cases(self)
 
     def complete(self, points: Points) -> Mask:
         """Without an orbit an undamped free or heavy body has more steady motions than the families."""

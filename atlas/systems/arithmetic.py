@@ -138,9 +138,8 @@ def with_unit_row(constants: Callable[[Any], Any]) -> Callable[[Any], Any]:
     """A method `constants` with the row of TIME_UNIT added, which is 1 in time units."""
 
     def extended(points: Any) -> Any:
-        rows = np.asarray(constants(points))
-        shape = np.shape(next(iter(points.values())))
-        return np.concatenate([np.reshape(rows, (-1, *shape)), np.ones((1, *shape))])
+        one = np.ones((1, *np.shape(next(iter(points.values())))))
+        return np.concatenate([np.reshape(constants(points), (-1, *one.shape[1:])), one])
 
     return extended
 

@@ -596,8 +596,7 @@ class System(ABC):
         """Equations of the system's paper, as printed and as true: those of the package `paper`, if it is named."""
         if not self.paper:
             return ()
-        rows: Sequence[PublishedEquation] = import_module(f"{self.paper}.published").PUBLISHED
-        return rows
+        return import_module(f"{self.paper}.published").PUBLISHED
 
     def stress_cases(self) -> Sequence[StressCase]:
         """Stiff and extreme points for the command `atlas stress`."""

@@ -51,10 +51,9 @@ def frequency(
 def derivatives(
     equations: Any, state: NDArray[np.float64], constants: NDArray[np.float64], rate: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """The states and their first three derivatives along the motion, in units of time of 1 / rate.
+    """The states and their first three derivatives along the motion, in units of time of 1 / rate; all within DISTANCE^2.
 
     The third contains what the Jacobian cannot: the rate at which the equations themselves change in time.
-    The first is exact, the others are within DISTANCE^2.
     """
 
     def first(at: NDArray[Any]) -> NDArray[Any]:

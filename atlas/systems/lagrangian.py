@@ -398,10 +398,7 @@ def _checked(name: str, value: Any, allowed: set[Expression]) -> Expression:
 
 
 def _is_singular(matrix: list[list[Expression]]) -> bool:
-    """Whether the determinant vanishes at three complex points where all numbers are different.
-
-    There every root and logarithm has a value, and what vanishes for all real values vanishes there.
-    """
+    """Whether the determinant vanishes at three complex points, where every root and logarithm has a value."""
     import mpmath
     import sympy
 

@@ -257,10 +257,9 @@ def general(spin: FastSpin, y0: Array, tau: Array) -> Array:
 
 
 def angles(spin: FastSpin, t: Array, h: float = 0.0, psi0: float = 0.0) -> Array:
-    """theta, psi and phi of `first_order` at times t (in 1/r0's unit), by (34) and what follows it.
+    """theta, psi and phi of `first_order` at times t (in 1/r0's unit), by (34); h shifts the phase.
 
-    Errors of order eps^2 for tau = r0 t of order 1, and of order eps^3 in the secular rates. h shifts the
-    phase: theta starts at theta0, psi at psi0 and phi at pi/2 + r0 h but for terms of order eps.
+    Errors of order eps^2 for tau = r0 t of order 1, and of order eps^3 in the secular rates.
     """
     theta0 = np.arccos(spin.gamma0)
     fast_rate = spin.r0 * (1 + frequency_shift(spin))
@@ -371,13 +370,12 @@ def errors(
     solution: Callable[[FastSpin, Array], Array],
     pause: Callable[[], None] = lambda: None,
 ) -> tuple[Array, Array]:
-    """Largest errors over a run of a solution (spin, tau) -> y of (1): of gamma, and of p + i q.
+    """Largest errors over a run of a solution (spin, tau) -> y of (1): of gamma (rad while small), and of p + i q over its largest.
 
-    gamma is a unit vector (rad while small), p + i q relative to the largest |p + i q| of the run; nan where
-    the run is longer than MAX_RADIANS, or a chunk cannot be integrated. The full equations are integrated from the initial
-    value of the solution, with r0 and gamma0'' from the point, so that the error is due to the formula. DOP853 with a
-    relative tolerance of 1e-13 takes about 0.1 ms per point and turn; the points of a chunk share their
-    steps, so that the digits of an error near 1e-12 depend on the other points.
+    nan where the run is longer than MAX_RADIANS, or a chunk cannot be integrated. The full equations are integrated from the
+    initial value of the solution, with r0 and gamma0'' of the point, so that the error is due to the formula. DOP853 takes
+    about 0.1 ms per point and turn; the points of a chunk share their steps, so that the digits of an error near 1e-12 depend
+    on the other points.
     """
     angle, rate = np.full(duration.shape, np.nan), np.full(duration.shape, np.nan)
     with np.errstate(all="ignore"):

@@ -121,9 +121,8 @@ class _Rotation:
     def adiabatic_exponent(self, members: NDArray[np.int64]) -> Array:
         """Growth over a period that is long against all other times, as a logarithm; nan where it is not certain.
 
-        The integral of the largest real part of the exponents lambda of the system frozen at each phase,
-        lambda^4 + P lambda^2 + Q = 0. Where no frozen exponent grows and none comes close to a collision, the actions
-        of both oscillations are adiabatic invariants: nothing grows.
+        The integral of the largest real part of the frozen exponents, lambda^4 + P lambda^2 + Q = 0. Where none grows and none
+        comes close to a collision, the actions of both oscillations are adiabatic invariants: nothing grows.
         """
         period, harmonics = self.period[members], self.harmonics[:, members]
         total, margin = np.zeros(period.shape), np.full(period.shape, np.inf)

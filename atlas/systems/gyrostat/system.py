@@ -91,8 +91,8 @@ class Gyrostat(System):
     def log_growth(self, points: Points, flags: Flags, growth_rate: Array, duration: Array) -> Array:
         """Growth over a run as System.log_growth.
 
-        A run that is shorter than the period of the linear system may meet its unstable phases alone: there it is the
-        growth from the start to the end of the run, where that is larger than changes of the amplitude.
+        A run that is shorter than the period of the linear system may meet its unstable phases alone: there it is that from the
+        start to the end of the run, if larger than changes of the amplitude.
         """
         result = growth_rate * duration
         w, _, gamma = self.start(points)

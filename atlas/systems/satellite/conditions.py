@@ -65,12 +65,6 @@ def node_field(p: Points) -> tuple[Array, Array, Array]:
     return p["h1"] * cp, p["h3"] * s - p["h1"] * c * sp, p["h3"] * c + p["h1"] * s * sp
 
 
-def turn_rate(p: Points) -> Array:
-    """|n gamma + m e3|, the rate of the rotation relative to the orbital frame."""
-    s, c = tilt(p)
-    return np.hypot(p["n"] * s, p["n"] * c + p["m"])
-
-
 def axial_rate(p: Points) -> Array:
     """w3, the component of the angular velocity along the third body axis."""
     return (p["n"] + p["Omega"]) * tilt(p)[1] + p["m"]
@@ -89,9 +83,6 @@ def rest_torque(p: Points, with_rotor: bool = True) -> tuple[Array, Array, Array
 def flatness(p: Points) -> Array:
     """a - C."""
     return 0.5 * (p["A"] + p["B"]) - p["C"]
-
-
-# Equations.
 
 
 def _pair(p: Points, factor: Array, imaginary: Array | float, real: Array) -> Array:
@@ -155,9 +146,14 @@ AXIAL_MAGNET = Equation(
 )
 NO_RADIAL_TORQUE = Equation("h1 mu = 0", lambda p: p["h1"] * magnetic_moment(p), torque_scale)
 NO_AXIAL_RADIAL_TORQUE = Equation("h1 mu3 = 0", lambda p: p["h1"] * p["mu3"], torque_scale)
+NO_ROTATION = Equation(
+    "n sin theta0 = 0 and n cos theta0 + m = 0",
+    lambda p: np.hypot(p["n"] * tilt(p)[0], p["n"] * tilt(p)[1] + p["m"]),
+    rate_scale,
+)
 NO_DISSIPATION = Equation(
     "damping (w - Omega gamma) = 0",
-    lambda p: p["damping"] * turn_rate(p),
+    lambda p: p["damping"] * NO_ROTATION.function(p),
     lambda p: torque_scale(p) + p["damping"] * rate_scale(p),
 )
 SPINNING_PAIR = Equation(
@@ -179,7 +175,6 @@ OBLIQUE_BALANCE = Equation(
     lambda p: 3 * p["Omega"] ** 2 * tilt(p)[0] * node(p)[0] * flatness(p) - p["h1"] * p["mu3"],
     torque_scale,
 )
-NO_ROTATION = Equation("n sin theta0 = 0 and n cos theta0 + m = 0", turn_rate, rate_scale)
 NO_TORQUE_ABOUT_NORMAL = Equation("beta.(3 Omega^2 I alpha + h1 mu) = 0", _normal_torque, torque_scale)
 NO_TORQUE_ACROSS_NORMAL = Equation(
     "Omega gamma x k = Omega^2 I gamma x gamma + 3 Omega^2 alpha x I alpha + (h1 alpha + h3 gamma) x mu"

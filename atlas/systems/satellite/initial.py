@@ -163,8 +163,7 @@ def specialization(zero: Set[str], equal: Set[tuple[str, str]]) -> tuple[set[str
 def growth_about_vertical(points: Points) -> Array:
     """Growth rate of the pitch of a body whose third axis stays on the orbit's normal, see System; (points,).
 
-    C psi'' = -U'(psi) - damping psi' with U = (3 Omega^2 alpha.I alpha) / 2 + h1 mu.alpha. A body that turns there
-    has U' = 0 and no damping.
+    C psi'' = -U'(psi) - damping psi' with U = (3 Omega^2 alpha.I alpha) / 2 + h1 mu.alpha; U' = 0 where the body turns.
     """
     alpha = directions(points)[0]
     flatness = 3 * points["Omega"] ** 2 * (points["B"] - points["A"])

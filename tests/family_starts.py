@@ -12,7 +12,7 @@ from strategies import (
     symmetric_fixed_points,
 )
 
-from atlas.systems.fixed_point import any_axis, families, initial, two_axes
+from atlas.systems.fixed_point import any_axis, families, initial
 from atlas.systems.satellite import SATELLITE
 from atlas.systems.satellite import families as satellite_families
 from atlas.systems.satellite.initial import PARAMETERS
@@ -112,7 +112,7 @@ def random_moments(rng, count):
 def grioli_points(rng, count, rotor=1.0, **given):
     """Random bodies on Grioli's family: centre of mass and rotor on one of the two normals, with either sign."""
     points = default_points("fixed_point", count, **{**random_moments(rng, count), "Mg": 1.0, **given})
-    normal = two_axes.section_normals(np.array([points[name] for name in "ABC"]))
+    normal = any_axis.section_normals(np.array([points[name] for name in "ABC"]))
     normal *= rng.choice([-1.0, 1.0], (3, count))
     along = rng.normal(size=count) * rotor
     points |= dict(zip(("x0", "y0", "z0"), normal * rng.uniform(0.3, 1.5, count), strict=True))
@@ -129,7 +129,7 @@ def fixed_start(points, start):
 def balanced_points(rng, count):
     """Random bodies on the family in which field and centrifugal torque cancel."""
     points = default_points("fixed_point", count, **random_moments(rng, count), N=rng.uniform(0.3, 2, count))
-    s = two_axes.section_normals(np.array([points[name] for name in "ABC"])) * rng.choice(
+    s = any_axis.section_normals(np.array([points[name] for name in "ABC"])) * rng.choice(
         [-1.0, 1.0], (3, count)
     )
     gamma = rng.normal(size=(3, count))

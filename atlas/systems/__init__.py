@@ -60,7 +60,8 @@ def register(system: System | type[System]) -> System:
 
 def _register(system: Any, package: str, name: str = "") -> System:
     """As `register`, for a system of an installed package that gives it this name."""
-    key = f"system = {shown(name)} of {package}" if package else f"register({_name_of(system)})"
+    kind = system if isinstance(system, type) else type(system)
+    key = f"system = {shown(name)} of {package}" if package else f"register({kind.__name__})"
     try:
         if isinstance(system, type) and issubclass(system, System):
             check_complete(system)
@@ -84,10 +85,6 @@ def _register(system: Any, package: str, name: str = "") -> System:
         raise BadInput(f"{key}: {type(error).__name__}: {one_line(error)}") from None
     SYSTEMS[system.name] = system
     return system
-
-
-def _name_of(system: object) -> str:
-    return system.__name__ if isinstance(system, type) else type(system).__name__
 
 
 def _complete(system: System) -> None:

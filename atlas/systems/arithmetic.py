@@ -10,7 +10,7 @@ from __future__ import annotations
 import ast
 import inspect
 import textwrap
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable, Collection, Mapping, Sequence
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -74,11 +74,10 @@ def numpy_functions() -> dict[str, Callable[..., Any]]:
 
 
 def completed(equations: Any, observables: Collection[str]) -> ModuleType:
-    """Equations with everything that the engine reads.
+    """Equations with everything that the engine reads, evaluated anew from their source, so that FUNCTIONS take arrays.
 
-    Without ``scaled`` and ``unscaled`` the kernels' unit of time becomes one more constant, TIME_UNIT, by
-    which the right-hand side, the angular velocity of ``frame_motion`` and the losses are multiplied; the
-    state keeps its units. Functions are evaluated anew from their source, so that FUNCTIONS take arrays.
+    Without ``scaled`` and ``unscaled`` the kernels' unit of time becomes one more constant, TIME_UNIT, by which the right-hand
+    side, the angular velocity of ``frame_motion`` and the losses are multiplied; the state keeps its units.
     """
     nodes = _used(equations, observables)
     names = {name: value for name, value in vars(equations).items() if name.isupper() or name == "__file__"}
@@ -90,7 +89,13 @@ def completed(equations: Any, observables: Collection[str]) -> ModuleType:
         # how many of the returned components are rates
         rates = {"rhs": None, "frame_motion": 3} | dict.fromkeys(names["LOSSES"].values())
         nodes = {name: _with_time_unit(node, given, rates) for name, node in nodes.items()}
-        nodes |= _scaling(names["STATE"], names["CONSTANTS"])
+        states, constants = ", ".join(names["STATE"]), ", ".join(names["CONSTANTS"])
+        text = (
+            f"def scaled(state, constants, h):\n    {constants}, = constants\n"
+            f"    return state, ({constants.removesuffix(TIME_UNIT)}{TIME_UNIT} * h,)\n"
+            f"def unscaled(state, constants, h):\n    {states}, = state\n    return ({states},)\n"
+        )
+        nodes |= {node.name: node for node in ast.parse(text).body if isinstance(node, ast.FunctionDef)}
     names["OBSERVABLES"] = tuple(observables)
     sources = {name: ast.unparse(ast.fix_missing_locations(node)) for name, node in nodes.items()}
     return module_of(equations, names, sources)
@@ -129,31 +134,24 @@ def _with_time_unit(node: ast.FunctionDef, given: int, rates: Mapping[str, int |
     return node
 
 
-def _scaling(state: Collection[str], constants: Collection[str]) -> dict[str, ast.FunctionDef]:
-    """``scaled`` and ``unscaled`` of equations whose unit of time is their last constant."""
-    states, names = ", ".join(state), ", ".join(constants)
-    text = (
-        f"def scaled(state, constants, h):\n    {names}, = constants\n"
-        f"    return state, ({names.removesuffix(TIME_UNIT)}{TIME_UNIT} * h,)\n"
-        f"def unscaled(state, constants, h):\n    {states}, = state\n    return ({states},)\n"
-    )
-    return {node.name: node for node in ast.parse(text).body if isinstance(node, ast.FunctionDef)}
-
-
 def with_unit_row(constants: Callable[[Any], Any]) -> Callable[[Any], Any]:
     """A method `constants` with the row of TIME_UNIT added, which is 1 in time units."""
 
     def extended(points: Any) -> Any:
-        rows = np.asarray(constants(points))
-        shape = np.shape(next(iter(points.values())))
-        return np.concatenate([np.reshape(rows, (-1, *shape)), np.ones((1, *shape))])
+        one = np.ones((1, *np.shape(next(iter(points.values())))))
+        return np.concatenate([np.reshape(constants(points), (-1, *one.shape[1:])), one])
 
     return extended
 
 
 def check(key: str, equations: Any, observables: Collection[str]) -> None:
     """Raise BadInput, with one line that begins with `key`, for equations that the engine cannot use."""
-    state, constants = (_names(key, equations, each) for each in ("STATE", "CONSTANTS"))
+    state, constants = (getattr(equations, which, ()) for which in ("STATE", "CONSTANTS"))
+    for which, names in (("STATE", state), ("CONSTANTS", constants)):
+        if not isinstance(names, tuple | list) or not all(
+            isinstance(n, str) and n.isidentifier() for n in names
+        ):
+            raise BadInput(f"{key}: {which} = {shown(names)}; allowed: a tuple of names")
     if not state:
         raise BadInput(f"{key}: STATE is missing; allowed: a tuple of the names of the states")
     for name in {*state, *constants}:
@@ -197,14 +195,6 @@ def check(key: str, equations: Any, observables: Collection[str]) -> None:
             _check_function(f"{key}: {name}", node, state, constants, components.get(name))
 
 
-def _names(key: str, equations: Any, which: str) -> tuple[str, ...]:
-    """STATE or CONSTANTS of the equations, checked."""
-    names = getattr(equations, which, ())
-    if not isinstance(names, tuple | list) or not all(isinstance(n, str) and n.isidentifier() for n in names):
-        raise BadInput(f"{key}: {which} = {shown(names)}; allowed: a tuple of names")
-    return tuple(names)
-
-
 def _losses(key: str, equations: Any, observables: Collection[str]) -> tuple[str, ...]:
     """Names of the functions that LOSSES of the equations maps first integrals to, checked."""
     losses, integrals = getattr(equations, "LOSSES", {}), getattr(equations, "INTEGRALS", {})
@@ -222,11 +212,7 @@ def _losses(key: str, equations: Any, observables: Collection[str]) -> tuple[str
 
 
 def _check_function(
-    key: str,
-    node: ast.FunctionDef,
-    state: tuple[str, ...],
-    constants: tuple[str, ...],
-    components: int | None,
+    key: str, node: ast.FunctionDef, state: Sequence[str], constants: Sequence[str], components: int | None
 ) -> None:
     """Raise BadInput unless a function is plain arithmetic of known names with so many components; 0: a number."""
     names, returned = {*FUNCTIONS}, None

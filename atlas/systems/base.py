@@ -151,9 +151,8 @@ class DerivedVariable:
     # raises BadInput for points and durations where it has no meaning, or where it would take too long
     check: Callable[[Points, Array], object] = lambda points, duration: None
     is_count: bool = False  # integers, of which maps show the lines where they change
-    flags: Mapping[str, str] | None = (
-        None  # name -> sentence of the values 0, 1, 2, ... of a variable of flags, int8
-    )
+    # of a variable of flags, int8: name -> sentence of the values 0, 1, 2, ...
+    flags: Mapping[str, str] | None = None
     # As `values`, of several variables by their names: the same function for all that share intermediate results.
     together: Together | None = None
 
@@ -340,7 +339,8 @@ class System(ABC):
             ``frame_motion``.
         """
         if self.observables:
-            return np.zeros(shape_of(points)), np.zeros(shape_of(points)), np.zeros(shape_of(points))
+            sine, n, m = np.zeros((3, *shape_of(points)))
+            return sine, n, m
         u1, u2, u3, g1, g2, g3 = self.equations.frame_motion(
             self.initial_state(points), self.constants(points)
         )
@@ -509,7 +509,12 @@ class System(ABC):
         growth_rate : array (points,)
             Largest real part of the characteristic exponents, rad per time unit; nan where unknown.
         """
-        return stability_by_family(self.families, points, flags)
+        stable, growth = np.full(flags.shape, Stability.UNKNOWN, np.int8), np.full(flags.shape, np.nan)
+        for family in self.families.values():
+            members = np.flatnonzero(flags == family.flag)
+            if members.size and family.stability is not None:
+                stable[members], growth[members] = family.stability(subset(points, members))
+        return stable, growth
 
     def log_growth(self, points: Points, flags: Flags, growth_rate: Array, duration: Array) -> Array:
         """Logarithm of the growth of a small distance from the steady motions over runs, (points,); nan: unknown.
@@ -591,8 +596,7 @@ class System(ABC):
         """Equations of the system's paper, as printed and as true: those of the package `paper`, if it is named."""
         if not self.paper:
             return ()
-        rows: Sequence[PublishedEquation] = import_module(f"{self.paper}.published").PUBLISHED
-        return rows
+        return import_module(f"{self.paper}.published").PUBLISHED
 
     def stress_cases(self) -> Sequence[StressCase]:
         """Stiff and extreme points for the command `atlas stress`."""
@@ -621,25 +625,18 @@ def identify(
     for first in range(0, flags.size, _CHUNK):
         chunk = slice(first, first + _CHUNK)
         part = subset(flat, chunk)
-        written = flags.reshape(-1)[chunk], residual.reshape(-1)[chunk]  # views
-        _identify(part, families, *written)
+        flag, least = flags.reshape(-1)[chunk], residual.reshape(-1)[chunk]  # views
+        computed: dict[Condition, Array] = {}  # families share conditions
+        for family in families:
+            computed |= {c: _magnitude(c, part) for c in family.conditions if c not in computed}
+            worst = np.max([computed[condition] for condition in family.conditions], axis=0)
+            free = flag == 0
+            least[free] = np.minimum(least[free], worst[free])
+            flag[free & (worst <= FAMILY_TOLERANCE)] = family.flag
         with np.errstate(all="ignore"):
             for family in about_any_axes:
-                _identify_members(part, family, *written)
+                _identify_members(part, family, flag, least)
     return flags, residual
-
-
-def _identify(points: Points, families: Collection[Family], flags: Flags, residual: Array) -> None:
-    """Write flag and residual of each point, see System.identify_family, into flags (zeros) and residual (inf)."""
-    computed: dict[Condition, Array] = {}  # families share conditions
-    for family in families:
-        for condition in family.conditions:
-            if condition not in computed:
-                computed[condition] = _magnitude(condition, points)
-        worst = np.max([computed[condition] for condition in family.conditions], axis=0)
-        free = flags == 0
-        residual[free] = np.minimum(residual[free], worst[free])
-        flags[free & (worst <= FAMILY_TOLERANCE)] = family.flag
 
 
 def _identify_members(points: Points, family: Family, flags: Flags, residual: Array) -> None:
@@ -688,16 +685,6 @@ def shape_of(points: Points) -> tuple[int, ...]:
     return np.shape(next(iter(points.values())))
 
 
-def stability_by_family(families: Mapping[str, Family], points: Points, flags: Flags) -> tuple[Flags, Array]:
-    """Linear stability from each family's own formulas: unknown, nan off them and where they give nothing."""
-    stable, growth = np.full(flags.shape, Stability.UNKNOWN, np.int8), np.full(flags.shape, np.nan)
-    for family in families.values():
-        members = np.flatnonzero(flags == family.flag)
-        if members.size and family.stability is not None:
-            stable[members], growth[members] = family.stability(subset(points, members))
-    return stable, growth
-
-
 def on_family(family: Family, points: Points) -> Array:
     """Largest condition residual of the family at each point: 0 on it, inf where it has no such motion."""
     return np.max([_magnitude(condition, points) for condition in family.conditions], axis=0)
@@ -724,20 +711,3 @@ def _turned(vector: Array, axis: Array, angle: Array) -> Array:
     cosine, sine = np.cos(angle), np.sin(angle)
     along = dot(axis, vector) * (1 - cosine)
     return cosine * vector + sine * cross(axis, vector) + along * axis
-
-
-def despun_about_third_axis(
-    system: System, points: Points, rotor: str, conserved: Mask
-) -> tuple[Points, Array]:
-    """System.despun_equivalent of a body of moment C and spin rate m, with a rotor along its third axis.
-
-    Where C w3 + rotor is `conserved`, the motion of the third axis depends on spin and rotor through that sum
-    alone, and the rotor can be left out.
-    """
-    conserved = conserved & np.isfinite(points[rotor])
-    excess = np.where(conserved, points[rotor] / points["C"], 0.0)
-    despun = {**points, rotor: np.where(conserved, 0.0, points[rotor]), "m": points["m"] + excess}
-    with np.errstate(all="ignore"):
-        slower = system.frequency_bound(despun) < system.frequency_bound(points)
-    despun = {name: np.where(slower, despun[name], points[name]) for name in points}
-    return despun, np.where(slower, excess, 0.0)

@@ -12,7 +12,6 @@ import numpy as np
 from ..errors import BadInput, shown
 from . import arithmetic
 from .base import Observable, Parameter, System
-from .units import is_unit
 
 NAME = re.compile(r"[A-Za-z][A-Za-z0-9_-]{0,59}")
 # Characters of a parameter's name, as of the names that a scene makes up.
@@ -31,7 +30,7 @@ def check(system: object) -> None:
     _check_parameters(system.parameters)
     _check_observables(system)
     arithmetic.check("equations", system.equations, [o.name for o in system.observables])
-    if "constants" not in _members(system):
+    if "constants" not in vars(system) and type(system).constants is System.constants:
         for name in getattr(system.equations, "CONSTANTS", ()):
             if name not in system.parameters:
                 raise BadInput(
@@ -50,32 +49,16 @@ def check_start(system: System) -> None:
     """Raise BadInput unless a system with completed equations works at the defaults of its parameters."""
     defaults = {name: np.full(2, parameter.default) for name, parameter in system.parameters.items()}
     equations = system.equations
-    wanted = {"initial_state": len(equations.STATE), "constants": len(equations.CONSTANTS)}
-    for name, rows in wanted.items():
+    shapes = {"initial_state": (len(equations.STATE), 2), "constants": (len(equations.CONSTANTS), 2)}
+    for name, shape in (shapes | {"frequency_bound": (2,)}).items():
         try:
             with np.errstate(all="ignore"):
                 values = np.asarray(getattr(system, name)(defaults), float)
         except Exception as error:  # whatever its author's code raises
-            raise BadInput(f"{name} fails at the defaults of the parameters: {_text(error)}") from None
-        if values.shape != (rows, 2):
-            raise BadInput(f"{name} has the shape {values.shape} for 2 points; allowed: ({rows}, 2)")
-    try:
-        with np.errstate(all="ignore"):
-            bound = np.asarray(system.frequency_bound(defaults), float)
-    except Exception as error:
-        raise BadInput(f"frequency_bound fails at the defaults of the parameters: {_text(error)}") from None
-    if bound.shape != (2,):
-        raise BadInput(f"frequency_bound has the shape {bound.shape} for 2 points; allowed: (2,)")
-
-
-def _text(error: BaseException) -> str:
-    return f"{type(error).__name__}: {' '.join(str(error).split())}"
-
-
-def _members(system: System) -> set[str]:
-    """Names that the classes below `base.System` define."""
-    classes = type(system).__mro__[: type(system).__mro__.index(System)]
-    return {name for cls in classes for name in vars(cls)} | set(vars(system))
+            text = f"{type(error).__name__}: {' '.join(str(error).split())}"
+            raise BadInput(f"{name} fails at the defaults of the parameters: {text}") from None
+        if values.shape != shape:
+            raise BadInput(f"{name} has the shape {values.shape} for 2 points; allowed: {shape}")
 
 
 def _check_parameters(parameters: object) -> None:
@@ -90,8 +73,7 @@ def _check_parameters(parameters: object) -> None:
         if parameter.name != name:
             raise BadInput(f"{key} has the name {shown(parameter.name)}: both must be the same")
         _check_name(key, name)
-        _check_unit(key, parameter.unit)
-        _check_text(f"{key}.meaning", parameter.meaning)
+        _check_described(key, parameter.unit, ".meaning", parameter.meaning)
         default, low, high = parameter.default, parameter.low, parameter.high
         if not all(isinstance(x, int | float) for x in (default, low, high)) or not low < high:
             raise BadInput(
@@ -123,8 +105,7 @@ def _check_observables(system: System) -> None:
             raise BadInput(f"{key} is named twice")
         if observable.name in system.parameters:
             raise BadInput(f"{key}: a parameter has this name; choose another one")
-        _check_unit(key, observable.unit)
-        _check_text(f"{key}: long_name", observable.long_name)
+        _check_described(key, observable.unit, ": long_name", observable.long_name)
         tolerance = observable.tolerance
         if tolerance is not None and not (isinstance(tolerance, int | float) and tolerance > 0):
             raise BadInput(f"{key}: tolerance = {shown(tolerance)}: must be a number above 0, or None")
@@ -141,13 +122,49 @@ def _check_name(key: str, name: object) -> None:
         raise BadInput(f"{key}: {shown(name)} has another meaning in expressions; choose another name")
 
 
-def _check_unit(key: str, unit: object) -> None:
+def _check_described(key: str, unit: object, name: str, text: object) -> None:
     if not is_unit(unit):
         raise BadInput(
             f'{key}: {shown(unit)} is no unit; allowed: such as "kg m2", "rad s-1", and "1" for pure numbers'
         )
-
-
-def _check_text(key: str, text: object) -> None:
     if not isinstance(text, str) or not text:
-        raise BadInput(f"{key} = {shown(text)}: must be a text")
+        raise BadInput(f"{key}{name} = {shown(text)}: must be a text")
+
+
+# Units of parameters and observables: products of powers of the units that UDUNITS has, such as "kg m2 s-1"; those with
+# prefixes, and those without.
+_PREFIXED = (
+    "m g s A K mol cd Hz N Pa J W C V F ohm S Wb T H rad sr eV bar L l lm lx Bq Gy t meter metre gram second ampere kelvin"
+    " mole candela hertz newton pascal joule watt coulomb volt farad siemens weber tesla henry radian steradian liter"
+    " litre"
+)
+_PLAIN = (
+    "min minute h hr hour d day year yr deg degree arcmin arcminute arcsec arcsecond percent % au turn revolution rpm"
+    " degree_C degC ppm light_year parsec lb ft inch mile knot atm mmHg"
+)
+_PREFIXES = "y z a f p n u m c d da h k M G T P E Z Y nano micro milli centi deci hecto kilo mega giga tera"
+UNITS = {*_PREFIXED.split(), *_PLAIN.split()}
+UNITS |= {prefix + unit for prefix in _PREFIXES.split() for unit in _PREFIXED.split()}
+_FACTOR = re.compile(
+    r"(?P<number>\d+\.?\d*(?:[eE][-+]?\d+)?)|(?P<name>[A-Za-z_%]+)(?:(?:\^|\*\*)?(?P<power>[-+]?\d+))?"
+)
+_BETWEEN = re.compile(r"\s*[*./]\s*|\s+|$")
+
+
+def is_unit(text: object) -> bool:
+    """Whether a text is a unit in the spelling of UDUNITS, in the singular or plural; "1" for pure numbers, never empty."""
+    if not isinstance(text, str) or not text:
+        return False
+    position = 0
+    while position < len(text):
+        factor = _FACTOR.match(text, position)
+        if factor is None:
+            return False
+        name = factor["name"]
+        if name is not None and name not in UNITS and not (len(name) > 4 and name.removesuffix("s") in UNITS):
+            return False
+        between = _BETWEEN.match(text, factor.end())
+        if between is None or (between.end() == len(text) and between[0]):
+            return False
+        position = between.end()
+    return True

@@ -21,27 +21,39 @@ CHUNK = 4096  # points whose matrices are in memory together
 def frequency(
     equations: Any, state: NDArray[np.float64], constants: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """|J^64|^(1/64) of the Jacobian J of the right-hand side, or a body's angular velocity if larger.
+    """|J^64|^(1/64) of the Jacobian J of the right-hand side, or a body's angular velocity if larger, rad per time unit.
 
-    In rad per time unit, it is at least the largest |eigenvalue| of J: the fastest frequency or rate of
-    growth near the state. It is nan or infinite where the Jacobian is not finite.
+    It is at least the largest |eigenvalue| of J; nan or infinite where the Jacobian is not finite.
     """
     result = np.empty(state.shape[1:])
     flat = result.reshape(-1)
     states, numbers = (np.reshape(x, (len(x), flat.size)) for x in (state, constants))
     for first in range(0, flat.size, CHUNK):
         chunk = slice(first, first + CHUNK)
-        flat[chunk] = _size_of_power(jacobian(equations, states[:, chunk], numbers[:, chunk]))
-    return np.fmax(result, _rate_of_turn(equations, state, constants))
+        matrices = jacobian(equations, states[:, chunk], numbers[:, chunk])
+        logarithm, power = np.zeros(len(matrices)), 1
+        with np.errstate(all="ignore"):
+            for squaring in range(SQUARINGS + 1):
+                size = np.sqrt((matrices * matrices).sum(axis=(1, 2)))  # the Frobenius norm
+                logarithm += np.log(size) / power
+                matrices = matrices / np.where(size > 0, size, 1.0)[:, None, None]
+                if squaring < SQUARINGS:
+                    matrices, power = matrices @ matrices, 2 * power
+            flat[chunk] = np.exp(logarithm)
+    if not hasattr(equations, "frame_motion"):
+        return np.fmax(result, 0.0)
+    # The Jacobian does not contain the rate of turn where the angle of a rotation occurs nowhere in the right-hand side.
+    with np.errstate(all="ignore"):
+        u1, u2, u3, *_ = equations.frame_motion(state, constants)
+        return np.fmax(result, np.sqrt(u1 * u1 + u2 * u2 + u3 * u3))
 
 
 def derivatives(
     equations: Any, state: NDArray[np.float64], constants: NDArray[np.float64], rate: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """The states and their first three derivatives along the motion, in units of time of 1 / rate.
+    """The states and their first three derivatives along the motion, in units of time of 1 / rate; all within DISTANCE^2.
 
     The third contains what the Jacobian cannot: the rate at which the equations themselves change in time.
-    The first is exact, the others are within DISTANCE^2.
     """
 
     def first(at: NDArray[Any]) -> NDArray[Any]:
@@ -57,20 +69,6 @@ def derivatives(
         return np.array([state, slope, 0.5 * (before + after), (after - before) / (2 * DISTANCE)])
 
 
-def _rate_of_turn(
-    equations: Any, state: NDArray[np.float64], constants: NDArray[np.float64]
-) -> NDArray[np.float64]:
-    """Angular velocity of the body relative to the frame, rad per time unit; 0 of a system with observables.
-
-    The Jacobian does not contain it where the angle of a rotation occurs nowhere in the right-hand side.
-    """
-    if not hasattr(equations, "frame_motion"):
-        return np.zeros(state.shape[1:])
-    with np.errstate(all="ignore"):
-        u1, u2, u3, *_ = equations.frame_motion(state, constants)
-        return np.asarray(np.sqrt(u1 * u1 + u2 * u2 + u3 * u3))
-
-
 def jacobian(
     equations: Any, state: NDArray[np.float64], constants: NDArray[np.float64]
 ) -> NDArray[np.float64]:
@@ -83,16 +81,3 @@ def jacobian(
             for j, slope in enumerate(equations.rhs(shifted, constants)):
                 matrices[:, j, i] = np.imag(slope) / STEP
     return matrices
-
-
-def _size_of_power(matrices: NDArray[np.float64]) -> NDArray[np.float64]:
-    """|J^POWER|^(1 / POWER) of matrices of shape (points, n, n), in the Frobenius norm."""
-    logarithm, power = np.zeros(len(matrices)), 1
-    with np.errstate(all="ignore"):
-        for squaring in range(SQUARINGS + 1):
-            size = np.sqrt((matrices * matrices).sum(axis=(1, 2)))
-            logarithm += np.log(size) / power
-            matrices = matrices / np.where(size > 0, size, 1.0)[:, None, None]
-            if squaring < SQUARINGS:
-                matrices, power = matrices @ matrices, 2 * power
-        return np.asarray(np.exp(logarithm))

@@ -107,7 +107,7 @@ def from_lagrangian(
     mechanics = _Mechanics.of(
         lagrangian, coordinates, velocities, parameters, forces or {}, dissipation, omit, functions or {}
     )
-    source = _module(mechanics, title)
+    source = mechanics.module(title)
     if path is not None:
         with atomic_write(Path(path)) as temporary:
             temporary.write_text(source, encoding="utf-8")
@@ -142,9 +142,21 @@ class _Mechanics:
         """The arguments after all checks but of the mass matrix."""
         import sympy
 
-        q, v, p, omit = _symbols(
-            coordinates=coordinates, velocities=velocities, parameters=parameters, omit=omit
-        )
+        groups = {
+            "coordinates": coordinates,
+            "velocities": velocities,
+            "parameters": parameters,
+            "omit": omit,
+        }
+        for name, group in groups.items():
+            if not isinstance(group, Iterable):
+                raise BadInput(f"from_lagrangian: {name} = {shown(group)}: must be a sequence of symbols")
+            for symbol in group:
+                if not isinstance(symbol, sympy.Symbol):
+                    raise BadInput(
+                        f"from_lagrangian: {name}: {shown(symbol)} is not a symbol; make one by sympy.Symbol('name')"
+                    )
+        q, v, p, omit = (tuple(group) for group in groups.values())
         if len(q) != len(v) or not q:
             raise BadInput(
                 f"from_lagrangian: {len(q)} coordinates and {len(v)} velocities: each coordinate needs one velocity"
@@ -162,7 +174,13 @@ class _Mechanics:
         scalar = {"lagrangian": lagrangian, "dissipation": dissipation}
         scalar |= {f"forces[{coordinate}]": force for coordinate, force in forces.items()}
         given = {name: _checked(name, value, allowed) for name, value in scalar.items()}
-        own = {name: _function(name, value, allowed) for name, value in functions.items()}
+        own: dict[str, Any] = {}
+        for name, value in functions.items():
+            several = isinstance(value, Iterable)
+            parts = [
+                _checked(f"functions[{name!r}]", part, allowed) for part in (value if several else [value])
+            ]
+            own[name] = tuple(parts) if several else parts[0]
         result = cls(
             given["lagrangian"], q, v, p, tuple(given.get(f"forces[{c}]", sympy.Integer(0)) for c in q),
             given["dissipation"], omit, own,
@@ -194,7 +212,8 @@ class _Mechanics:
                     f"from_lagrangian: omit: {coordinate} is not cyclic: the Lagrangian or a force depends on it"
                 )
             for name, value in self.functions.items():
-                if coordinate in self.omit and any(coordinate in e.free_symbols for e in _several(value)):
+                parts = value if isinstance(value, tuple) else (value,)
+                if coordinate in self.omit and any(coordinate in part.free_symbols for part in parts):
                     raise BadInput(f"from_lagrangian: omit: the function {name} depends on {coordinate}")
 
     @property
@@ -260,8 +279,13 @@ class _Mechanics:
         result, balances = {}, self.balances()
         terms = sympy.Add.make_args(sympy.expand_mul(self.lagrangian, deep=False))
         if "energy" in balances:
-            parts = (_energy_of_term(term, self.velocities) for term in terms)
-            result["energy"] = ("Energy, sum of v dL/dv - L", [part for part in parts if part != 0])
+            energies = []  # T or -T of a term T of degree 2 or 0 in v
+            for term in terms:
+                momentum = sum(velocity * term.diff(velocity) for velocity in self.velocities)
+                quadratic = momentum != 0 and sympy.expand(momentum - 2 * term) == 0
+                part = term if quadratic else momentum - term
+                energies.append(-term if momentum == 0 else _simplest(part))
+            result["energy"] = ("Energy, sum of v dL/dv - L", [part for part in energies if part != 0])
         for coordinate, velocity in zip(self.coordinates, self.velocities, strict=True):
             if f"momentum_{coordinate.name}" in balances:
                 parts = (_simplest(term.diff(velocity)) for term in terms)
@@ -286,23 +310,78 @@ class _Mechanics:
                 result[f"momentum_{coordinate.name}"] = -total[i]
         return result
 
+    def accelerations(self, block: Block) -> list[Expression]:
+        """v' as expressions, after the assignments of a block."""
+        import sympy
 
-def _symbols(**groups: Sequence[Expression]) -> list[tuple[Expression, ...]]:
-    """The arguments as tuples; BadInput if one contains anything but symbols."""
-    import sympy
+        matrix = self.mass_matrix()
+        right_side = self.right_side(matrix)
+        result: list[Expression] = [None] * len(right_side)
+        for group in map(sorted, sympy.Matrix(matrix).connected_components()):
+            part = [[matrix[i][j] for j in group] for i in group]
+            if len(group) == 1:
+                solved = [_simplest(sympy.cancel(right_side[group[0]] / part[0][0]))]
+            else:
+                given = [block.named(f"f_{self.velocities[i].name}", right_side[i]) for i in group]
+                solved = _solved(part, given, block)
+            for i, acceleration in zip(group, solved, strict=True):
+                result[i] = acceleration
+        return result
 
-    for name, group in groups.items():
-        if not isinstance(group, Iterable):
-            raise BadInput(f"from_lagrangian: {name} = {shown(group)}: must be a sequence of symbols")
-        for symbol in group:
-            if not isinstance(symbol, sympy.Symbol):
-                raise BadInput(
-                    f"from_lagrangian: {name}: {shown(symbol)} is not a symbol; make one by sympy.Symbol('name')"
-                )
-    return [tuple(group) for group in groups.values()]
+    def module(self, title: str) -> str:
+        """Text of the module of equations."""
+        block = Block(self.state, self.parameters)
+        pairs = list(zip(self.coordinates, self.velocities, strict=True))
+        accelerations = zip(self.velocities, self.accelerations(block), strict=True)
+        slopes = [
+            (f"{velocity.name}_dot", acceleration, velocity) for velocity, acceleration in accelerations
+        ]
+        doc = "Time derivatives of the state"
+        if block.definitions:
+            doc += "; f is the right-hand side of M v' = f, with the mass matrix M"
+        if any(symbol.name.startswith("D1") for symbol in block.definitions):
+            doc += " = K D K^T"
+        functions = [
+            block.function("rhs", f"{doc}.", [text(v) for q, v in pairs if q not in self.omit], slopes)
+        ]
+        integrals = self.integrals()
+        losses = {name: loss for name, loss in self.balances().items() if loss != 0}
+        returning = [
+            (name, f"{meaning}; the tuple of its terms.", tuple(terms))
+            for name, (meaning, terms) in integrals.items()
+        ]
+        returning += [
+            (f"{name}_loss", f"What dissipation takes of `{name}` per time.", loss)
+            for name, loss in losses.items()
+        ]
+        returning += [(name, "", value) for name, value in self.functions.items()]
+        functions += [Block(self.state, self.parameters).returning(*each) for each in returning]
+        used = sorted(name for name in FUNCTIONS if re.search(rf"\b{name}\(", "".join(functions)))
+        names = [name if FUNCTIONS[name] == name else f"{FUNCTIONS[name]} as {name}" for name in used]
+        head = [self.docstring(title), *([f"from numpy import {', '.join(names)}\n"] if used else [])]
+        head.append(f"STATE = {_names(self.state)}\nCONSTANTS = {_names(self.parameters)}")
+        head[-1] += f"\nINTEGRALS = {_names(list(integrals))}\n"
+        if losses:
+            head[-1] += "LOSSES = {" + ", ".join(f'"{name}": "{name}_loss"' for name in losses) + "}\n"
+        return "\n".join(head) + "\n\n" + "\n\n\n".join(functions) + "\n"
+
+    def docstring(self, title: str) -> str:
+        """Docstring of the module, with the Lagrangian and the forces."""
+        lines = [f'"""{title}.', "", "Written by atlas.systems.from_lagrangian from the Lagrangian", ""]
+        lines += lines_of("    L = ", self.lagrangian)
+        if self.dissipation != 0:
+            lines += ["", "and the dissipation function", "", *lines_of("    R = ", self.dissipation)]
+        forces = [pair for pair in zip(self.coordinates, self.forces, strict=True) if pair[1] != 0]
+        if forces:
+            lines += ["", "and the generalised forces", ""]
+            lines += [line for c, force in forces for line in lines_of(f"    Q_{c.name} = ", force)]
+        if self.omit:
+            names = ", ".join(coordinate.name for coordinate in self.omit)
+            lines += ["", f"The state does not contain the cyclic coordinates {names}."]
+        return "\n".join([*lines, '"""', ""])
 
 
-def _checked(name: str, value: Expression, allowed: set[Expression]) -> Expression:
+def _checked(name: str, value: Any, allowed: set[Expression]) -> Expression:
     """An expression of sympy that is arithmetic of known symbols; else BadInput."""
     import sympy
 
@@ -318,23 +397,8 @@ def _checked(name: str, value: Expression, allowed: set[Expression]) -> Expressi
     return value
 
 
-def _function(name: str, value: Any, allowed: set[Expression]) -> Any:
-    """The checked expression, or expressions, of a function."""
-    if isinstance(value, Iterable):
-        return tuple(_checked(f"functions[{name!r}]", expression, allowed) for expression in value)
-    return _checked(f"functions[{name!r}]", value, allowed)
-
-
-def _several(value: Any) -> tuple[Expression, ...]:
-    """The expressions of a function that returns one or several."""
-    return value if isinstance(value, tuple) else (value,)
-
-
 def _is_singular(matrix: list[list[Expression]]) -> bool:
-    """Whether the determinant vanishes at three complex points where all numbers are different.
-
-    There every root and logarithm has a value, and what vanishes for all real values vanishes there.
-    """
+    """Whether the determinant vanishes at three complex points, where every root and logarithm has a value."""
     import mpmath
     import sympy
 
@@ -383,64 +447,18 @@ def _cost(expression: Expression) -> tuple[int, int, int, int]:
     return multiples, len(functions), operations, int(expression.count_ops())
 
 
-def _energy_of_term(term: Expression, velocities: Sequence[Expression]) -> Expression:
-    """sum of v dT/dv - T of a term T of the Lagrangian; T or -T where it has degree 2 or 0 in v."""
-    import sympy
-
-    momentum = sum(velocity * term.diff(velocity) for velocity in velocities)
-    if momentum == 0:
-        return -term
-    if sympy.expand(momentum - 2 * term) == 0:
-        return _simplest(term)
-    return _simplest(momentum - term)
-
-
-def _coupled(matrix: list[list[Expression]]) -> list[list[int]]:
-    """Indices of the velocities that the mass matrix couples, directly or through others, group by group."""
-    groups: list[list[int]] = []
-    for i in range(len(matrix)):
-        joined = [group for group in groups if any(matrix[i][j] != 0 for j in group)]
-        groups = [group for group in groups if group not in joined]
-        groups.append(sorted([i, *(j for group in joined for j in group)]))
-    return sorted(groups)
-
-
-def _accelerations(mechanics: _Mechanics, block: Block) -> list[Expression]:
-    """v' as expressions, after the assignments of a block."""
-    import sympy
-
-    matrix = mechanics.mass_matrix()
-    right_side = mechanics.right_side(matrix)
-    result: list[Expression] = [None] * len(right_side)
-    for group in _coupled(matrix):
-        part = [[matrix[i][j] for j in group] for i in group]
-        if len(group) == 1:
-            solved = [_simplest(sympy.cancel(right_side[group[0]] / part[0][0]))]
-        else:
-            given = [block.named(f"f_{mechanics.velocities[i].name}", right_side[i]) for i in group]
-            solved = _of_two(part, given) if len(group) == 2 else _of_several(part, given, block)
-        for i, acceleration in zip(group, solved, strict=True):
-            result[i] = acceleration
-    return result
-
-
-def _of_two(matrix: list[list[Expression]], right_side: Sequence[Expression]) -> list[Expression]:
-    """Solution of two equations by the inverse of their matrix, simplified entry by entry."""
-    import sympy
-
-    (a, b), (_, c) = matrix
-    determinant = _simplest(a * c - b * b)
-    p, q, r = (_simplest(sympy.cancel(entry / determinant)) for entry in (c, -b, a))
-    f1, f2 = right_side
-    return [p * f1 + q * f2, q * f1 + r * f2]
-
-
-def _of_several(
+def _solved(
     matrix: list[list[Expression]], right_side: Sequence[Expression], block: Block
 ) -> list[Expression]:
-    """Solution of symmetric equations by the factors K D K^T of their matrix; what is 0 is left out."""
+    """Solution of symmetric equations: of two by the inverse of their matrix, of more by its factors K D K^T."""
     import sympy
 
+    if len(matrix) == 2:
+        (a, b), (_, c) = matrix
+        determinant = _simplest(a * c - b * b)
+        p, q, r = (_simplest(sympy.cancel(entry / determinant)) for entry in (c, -b, a))
+        f1, f2 = right_side
+        return [p * f1 + q * f2, q * f1 + r * f2]
     n, zero = len(matrix), sympy.Integer(0)
     K = [[zero] * n for _ in range(n)]
     D: list[Expression] = []
@@ -458,67 +476,6 @@ def _of_several(
     return x
 
 
-def _module(mechanics: _Mechanics, title: str) -> str:
-    integrals = mechanics.integrals()
-    functions = [_rhs(mechanics)]
-    functions += [
-        _function_text(mechanics, name, f"{meaning}; the tuple of its terms.", tuple(terms))
-        for name, (meaning, terms) in integrals.items()
-    ]
-    losses = {name: loss for name, loss in mechanics.balances().items() if loss != 0}
-    functions += [
-        _function_text(mechanics, f"{name}_loss", f"What dissipation takes of `{name}` per time.", loss)
-        for name, loss in losses.items()
-    ]
-    functions += [_function_text(mechanics, name, "", value) for name, value in mechanics.functions.items()]
-    used = sorted(name for name in FUNCTIONS if re.search(rf"\b{name}\(", "".join(functions)))
-    head = [_docstring(mechanics, title)]
-    names = [name if FUNCTIONS[name] == name else f"{FUNCTIONS[name]} as {name}" for name in used]
-    head += [f"from numpy import {', '.join(names)}\n"] if used else []
-    head.append(f"STATE = {_names(mechanics.state)}\nCONSTANTS = {_names(mechanics.parameters)}")
-    head[-1] += f"\nINTEGRALS = {_names(list(integrals))}\n"
-    if losses:
-        head[-1] += "LOSSES = {" + ", ".join(f'"{name}": "{name}_loss"' for name in losses) + "}\n"
-    return "\n".join(head) + "\n\n" + "\n\n\n".join(functions) + "\n"
-
-
-def _docstring(mechanics: _Mechanics, title: str) -> str:
-    """Docstring of the module, with the Lagrangian and the forces."""
-    lines = [f'"""{title}.', "", "Written by atlas.systems.from_lagrangian from the Lagrangian", ""]
-    lines += lines_of("    L = ", mechanics.lagrangian)
-    if mechanics.dissipation != 0:
-        lines += ["", "and the dissipation function", "", *lines_of("    R = ", mechanics.dissipation)]
-    forces = [pair for pair in zip(mechanics.coordinates, mechanics.forces, strict=True) if pair[1] != 0]
-    if forces:
-        lines += ["", "and the generalised forces", ""]
-        lines += [line for c, force in forces for line in lines_of(f"    Q_{c.name} = ", force)]
-    if mechanics.omit:
-        names = ", ".join(coordinate.name for coordinate in mechanics.omit)
-        lines += ["", f"The state does not contain the cyclic coordinates {names}."]
-    return "\n".join([*lines, '"""', ""])
-
-
 def _names(symbols: Sequence[Expression]) -> str:
     """Text of the tuple of the names of symbols, or of these names."""
     return "({})".format(", ".join(f'"{symbol}"' for symbol in symbols) + ("," if len(symbols) == 1 else ""))
-
-
-def _rhs(mechanics: _Mechanics) -> str:
-    block = Block(mechanics.state, mechanics.parameters)
-    slopes = []
-    for velocity, acceleration in zip(mechanics.velocities, _accelerations(mechanics, block), strict=True):
-        slopes.append((f"{velocity.name}_dot", acceleration, velocity))
-    coordinates = [
-        v for q, v in zip(mechanics.coordinates, mechanics.velocities, strict=True) if q not in mechanics.omit
-    ]
-    doc = "Time derivatives of the state"
-    if block.definitions:
-        doc += "; f is the right-hand side of M v' = f, with the mass matrix M"
-    if any(symbol.name.startswith("D1") for symbol in block.definitions):
-        doc += " = K D K^T"
-    return block.function("rhs", f"{doc}.", [text(v) for v in coordinates], slopes)
-
-
-def _function_text(mechanics: _Mechanics, name: str, doc: str, value: Any) -> str:
-    """Text of a function that returns an expression or a tuple of them."""
-    return Block(mechanics.state, mechanics.parameters).returning(name, doc, value)

@@ -5,9 +5,8 @@ from __future__ import annotations
 import hashlib
 import inspect
 import sys
-from collections.abc import Iterator
 from dataclasses import dataclass
-from importlib.metadata import EntryPoint, entry_points
+from importlib.metadata import entry_points
 from pathlib import Path
 from types import ModuleType
 
@@ -39,14 +38,11 @@ def names() -> list[str]:
 
 
 def load(name: str) -> tuple[object, str] | None:
-    """An object that an installed package names as this system, and the package; None if no package does.
-
-    Raises BadInput with one line if it cannot be imported, or if two packages give the name.
-    """
+    """An object that an installed package names as this system, and the package; None if no package does, or BadInput."""
     entries = list(entry_points(group=GROUP, name=name))
     if not entries:
         return None
-    packages = sorted({_package(entry) for entry in entries})
+    packages = sorted({f"{e.dist.name} {e.dist.version}" if e.dist is not None else e.value for e in entries})
     if len(packages) > 1:
         raise BadInput(
             f"system = {shown(name)}: several packages have this system: {', '.join(packages)}; remove all but one"
@@ -61,32 +57,32 @@ def load(name: str) -> tuple[object, str] | None:
     return value, packages[0]
 
 
-def _package(entry: EntryPoint) -> str:
-    return f"{entry.dist.name} {entry.dist.version}" if entry.dist is not None else entry.value
-
-
 def origin(system: System, package: str) -> Origin:
-    """Where a system comes from: its package, and the source files of the classes and equations it consists of."""
-    files = tuple(sorted(set(_files(system))))
-    if files:
-        return Origin(package, _hash_of_files(files), files)
-    return Origin(package, hashlib.sha256(_code_of(system).encode()).hexdigest()[:16], ())
-
-
-def _files(system: System) -> Iterator[Path]:
-    """Source files of the top-level packages, or single modules, of a system's classes and equations."""
-    classes = type(system).__mro__[: type(system).__mro__.index(System)]
+    """Where a system comes from: its package, and the files of the top-level packages, or modules, of its classes and equations."""
+    classes, equations = type(system).__mro__[: type(system).__mro__.index(System)], system.equations
     modules = {cls.__module__ for cls in classes}
-    equations = system.equations
     modules.add(equations.__name__ if isinstance(equations, ModuleType) else equations.__module__)
+    paths = set[Path]()
     for name in modules:
         top = sys.modules.get(name.partition(".")[0])
-        module = sys.modules.get(name)
         for folder in getattr(top, "__path__", ()):
-            yield from Path(folder).rglob("*.py")
-        file = getattr(module, "__file__", None)
+            paths.update(Path(folder).rglob("*.py"))
+        file = getattr(sys.modules.get(name), "__file__", None)
         if file is not None and not hasattr(top, "__path__"):
-            yield Path(file)
+            paths.add(Path(file))
+    files = tuple(sorted(paths))
+    if files:
+        return Origin(package, _hash_of_files(files), files)
+    texts = []  # of a system without files, such as one of a notebook
+    for owner in (*classes, equations):
+        for name, value in sorted(vars(owner).items()):
+            function = getattr(value, "__func__", value)
+            if inspect.isfunction(function):
+                code = function.__code__
+                texts.append(f"{name} {code.co_code.hex()} {code.co_consts!r} {code.co_names!r}")
+            elif name.isupper():
+                texts.append(f"{name} {value!r}")
+    return Origin(package, hashlib.sha256("\n".join(texts).encode()).hexdigest()[:16], ())
 
 
 def _hash_of_files(files: tuple[Path, ...]) -> str:
@@ -95,17 +91,3 @@ def _hash_of_files(files: tuple[Path, ...]) -> str:
     for file in files:
         content.update(file.name.encode() + b"\0" + (file.read_bytes() if file.is_file() else b"") + b"\0")
     return content.hexdigest()[:16]
-
-
-def _code_of(system: System) -> str:
-    """Text of a system that has no files, such as one of a notebook: the source or the byte code of its functions."""
-    texts = []
-    for owner in (*type(system).__mro__[: type(system).__mro__.index(System)], system.equations):
-        for name, value in sorted(vars(owner).items()):
-            function = getattr(value, "__func__", value)
-            if inspect.isfunction(function):
-                code = function.__code__
-                texts.append(f"{name} {code.co_code.hex()} {code.co_consts!r} {code.co_names!r}")
-            elif name.isupper():
-                texts.append(f"{name} {value!r}")
-    return "\n".join(texts)

@@ -39,31 +39,23 @@ def require_arithmetic(what: str, expression: Expression) -> None:
 def text(expression: Expression) -> str:
     """An expression as Python source; small powers of symbols become products, which need no function."""
     if expression.is_Add:
-        first, *others = _terms(expression)
-        return " ".join([f"-{first[1]}" if first[0] == "-" else first[1], *(f"{s} {t}" for s, t in others)])
+        pairs = []
+        for term in expression.as_ordered_terms():
+            negative = term.as_coeff_Mul()[0].is_negative
+            pairs.append(("-" if negative else "+", text(-term if negative else term)))
+        # A positive term comes first where there is one.
+        first = next((i for i, (sign, _) in enumerate(pairs) if sign == "+"), 0)
+        sign, start = pairs.pop(first)
+        return " ".join([f"-{start}" if sign == "-" else start, *(f"{s} {t}" for s, t in pairs)])
     if expression.is_Symbol:
         return str(expression.name)
     if expression.is_Function:
         return f"{type(expression).__name__}({text(expression.args[0])})"
-    return _product(expression)
-
-
-def _terms(expression: Expression) -> list[tuple[str, str]]:
-    """Sign and absolute value of each term of a sum, a positive one first where there is one."""
-    pairs = []
-    for term in expression.as_ordered_terms():
-        negative = term.as_coeff_Mul()[0].is_negative
-        pairs.append(("-" if negative else "+", text(-term if negative else term)))
-    first = next((i for i, (sign, _) in enumerate(pairs) if sign == "+"), 0)
-    return [pairs[first], *pairs[:first], *pairs[first + 1 :]]
-
-
-def _product(expression: Expression) -> str:
-    """Text of a number, power or product."""
     coefficient, rest = expression.as_coeff_Mul()
     above, below = _number(abs(coefficient))
     for factor in rest.as_ordered_factors() if rest != 1 else []:
-        base, exponent = _base_and_exponent(factor)
+        # A function, such as exp(x), is a base.
+        base, exponent = (factor, factor**0) if factor.is_Function else factor.as_base_exp()
         if exponent.is_number and exponent.is_negative:
             below += _power(base, -exponent)
         else:
@@ -83,13 +75,6 @@ def _number(value: Expression) -> tuple[list[str], list[str]]:
     if value.q & (value.q - 1) == 0 and value.q <= 1024:
         return [str(value.p) if value.q == 1 else repr(value.p / value.q)], []
     return [str(value.p)] if value.p != 1 else [], [str(value.q)]
-
-
-def _base_and_exponent(factor: Expression) -> tuple[Expression, Expression]:
-    """Base and exponent; a function, such as exp(x), is a base."""
-    import sympy
-
-    return (factor, sympy.Integer(1)) if factor.is_Function else factor.as_base_exp()
 
 
 def _power(base: Expression, exponent: Expression) -> list[str]:
@@ -154,16 +139,10 @@ class Block:
         return sympy.Symbol(name)
 
     def function(
-        self,
-        name: str,
-        doc: str,
-        first: Sequence[str],
-        slopes: Sequence[tuple[str, Expression, Expression]],
+        self, name: str, doc: str, first: Sequence[str], slopes: Sequence[tuple[str, Expression, Expression]]
     ) -> str:
         """Text of a function that returns `first` as it stands, then slopes in the shape of their states."""
-        reduced = self._shared([expression for _, expression, _ in slopes])
-        done = set[Expression]()
-        lines = [line for symbol in self.functions for line in self._needed(symbol, done)]
+        reduced, lines, done = self._start([expression for _, expression, _ in slopes])
         values = list(first)
         for (slope, _, like), expression in zip(slopes, reduced, strict=True):
             lines += self._needed(expression, done)
@@ -177,15 +156,17 @@ class Block:
 
     def returning(self, name: str, doc: str, value: Any) -> str:
         """Text of a function, with a docstring if `doc`, that returns an expression or a tuple of them."""
-        reduced = self._shared(list(value) if isinstance(value, tuple) else [value])
-        done = set[Expression]()
-        lines = [line for symbol in self.functions for line in self._needed(symbol, done)]
+        reduced, lines, done = self._start(list(value) if isinstance(value, tuple) else [value])
         for expression in reduced:
             lines += self._needed(expression, done)
         values = [self._shaped(expression, self.state[0]) for expression in reduced]
-        if isinstance(value, tuple):
-            return self._text(name, doc, [*lines, *_returned(values)])
-        return self._text(name, doc, [*lines, *_broken("return ", values[0])])
+        lines += _returned(values) if isinstance(value, tuple) else _broken("return ", values[0])
+        return self._text(name, doc, lines)
+
+    def _start(self, expressions: list[Expression]) -> tuple[list[Expression], list[str], set[Expression]]:
+        """Expressions with names for what they share, lines that define the values of functions, and the names in these."""
+        reduced, done = self._shared(expressions), set[Expression]()
+        return reduced, [line for symbol in self.functions for line in self._needed(symbol, done)], done
 
     def _shaped(self, expression: Expression, like: Expression) -> str:
         """Text of an expression; one that depends on no state gets the shape of a state."""
@@ -209,7 +190,13 @@ class Block:
         given = [self._with_functions(e, functions) for e in [*self.definitions.values(), *expressions]]
         self.functions = [*functions.values()]
         replaced, reduced = sympy.cse([*functions, *given], order="canonical", list=True)
-        new = self._names_of_shared(replaced, dict(zip(reduced, self.functions, strict=False)))
+        named, new = dict(zip(reduced, self.functions, strict=False)), dict[Expression, Expression]()
+        for (
+            symbol,
+            expression,
+        ) in replaced:  # each stands for a name, or for itself if it is one operation at most
+            part = expression.xreplace(new)
+            new[symbol] = named.get(symbol) or (part if part.count_ops() <= 1 else self._new("common1"))
         values = [expression.xreplace(new) for expression in reduced]
         names = [*self.functions, *symbols]
         self.definitions |= dict(zip(names, values, strict=False))
@@ -217,19 +204,6 @@ class Block:
             if new[symbol].is_Symbol:
                 self.definitions[new[symbol]] = expression.xreplace(new)
         return values[len(names) :]
-
-    def _names_of_shared(
-        self, replaced: Sequence[tuple[Expression, Expression]], named: dict[Expression, Expression]
-    ) -> dict[Expression, Expression]:
-        """What stands for each shared expression: a name, or the expression itself if it is one operation at most."""
-        new: dict[Expression, Expression] = {}
-        for symbol, expression in replaced:
-            expression = expression.xreplace(new)
-            if symbol in named:
-                new[symbol] = named[symbol]
-            else:
-                new[symbol] = expression if expression.count_ops() <= 1 else self._new("common1")
-        return new
 
     def _with_functions(self, expression: Expression, named: dict[Expression, Expression]) -> Expression:
         """The expression with a name for each value of a function and each sum that is raised to a power."""
@@ -250,9 +224,16 @@ class Block:
         return new
 
     def _named_once(self, expression: Expression, named: dict[Expression, Expression]) -> Expression:
-        """The name of an expression, made from its text where it has none yet."""
+        """The name of an expression, made from its text where that is short and it has none yet."""
         if expression not in named:
-            named[expression] = self._new(_name_of(expression))
+            kind = type(expression).__name__ if expression.is_Function else "sum"
+            function = "sqrt" if expression.is_Pow else kind
+            argument = text(expression.args[0] if function != "sum" else expression)
+            for sign, word in _WORDS.items():
+                argument = argument.replace(sign, word)
+            name = argument if function == "sum" else f"{function}_{argument}"
+            short = name.isidentifier() and len(name) <= MAX_NAME
+            named[expression] = self._new(name if short else f"{function}1")
         return named[expression]
 
     def _needed(self, expression: Expression, done: set[Expression]) -> Iterator[str]:
@@ -275,16 +256,6 @@ class Block:
         return "\n".join([*head, *lines])
 
 
-def _name_of(expression: Expression) -> str:
-    """A name for a function's value or a sum, from its text where that is short."""
-    function = "sqrt" if expression.is_Pow else type(expression).__name__ if expression.is_Function else "sum"
-    argument = text(expression.args[0] if function != "sum" else expression)
-    for sign, word in _WORDS.items():
-        argument = argument.replace(sign, word)
-    name = argument if function == "sum" else f"{function}_{argument}"
-    return name if name.isidentifier() and len(name) <= MAX_NAME else f"{function}1"
-
-
 def _broken(start: str, body: str) -> list[str]:
     """A statement of a function in one line, or in parentheses and several lines, a term or factor each."""
     if len(f"    {start}{body}") <= LINE_LENGTH:
@@ -293,22 +264,17 @@ def _broken(start: str, body: str) -> list[str]:
 
 
 def _indented(body: str, end: str) -> list[str]:
-    """An expression in lines of eight blanks more, one for each term or factor if it is too long, and its end."""
-    pieces = [body] if len(f"        {body}{end}") <= LINE_LENGTH else _pieces(body)
-    return [f"        {piece}" for piece in pieces[:-1]] + [f"        {pieces[-1]}{end}"]
-
-
-def _pieces(body: str) -> list[str]:
-    """The terms of an expression, or the factors if it is one term, each with its operator."""
+    """An expression in lines of eight blanks more, and its end; one line for each term if it is too long, or each factor."""
+    pieces = [body]
     for operators in ((" + ", " - "), (" * ", " / ")):
-        starts, depth = [0], 0
-        for i, character in enumerate(body):
-            depth += (character == "(") - (character == ")")
-            if depth == 0 and body[i : i + 3] in operators:
-                starts.append(i + 1)
-        if len(starts) > 1:
-            return [body[i:j].rstrip() for i, j in zip(starts, [*starts[1:], len(body)], strict=True)]
-    return [body]
+        if len(f"        {body}{end}") > LINE_LENGTH and len(pieces) == 1:
+            starts, depth = [0], 0
+            for i, character in enumerate(body):
+                depth += (character == "(") - (character == ")")
+                if depth == 0 and body[i : i + 3] in operators:
+                    starts.append(i + 1)
+            pieces = [body[i:j].rstrip() for i, j in zip(starts, [*starts[1:], len(body)], strict=True)]
+    return [f"        {piece}" for piece in pieces[:-1]] + [f"        {pieces[-1]}{end}"]
 
 
 def _returned(values: Sequence[str]) -> list[str]:

@@ -19,7 +19,7 @@ from atlas.runs import tiles
 from atlas.scene import checks, expressions, grid, model, points, read, tables
 from atlas.scene.expressions import Expression
 from atlas.systems import SYSTEMS
-from atlas.systems.fixed_point.first_order import MAX_RADIANS
+from atlas.systems.fixed_point.system import MAX_RADIANS
 from atlas.variables import COMPUTED, data_variables
 
 pytestmark = pytest.mark.usefixtures("whole_kernels")

@@ -9,7 +9,7 @@ import pytest
 import atlas
 from atlas import systems
 from atlas.systems import Observable, Parameter, System
-from atlas.systems.units import is_unit
+from atlas.systems.check import is_unit
 from atlas.variables import variables
 
 

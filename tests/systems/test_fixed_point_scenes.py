@@ -15,11 +15,11 @@ import atlas
 from atlas.errors import BadInput
 from atlas.flags import Agreement, Label, Stability, Status
 from atlas.papers.amer2013 import fast_spin, published
-from atlas.papers.amer2013 import solution_errors as errors
 from atlas.scene import grid
 from atlas.scene.read import scene_from
 from atlas.systems import get
-from atlas.systems.fixed_point import first_order, initial
+from atlas.systems.fixed_point import initial
+from atlas.systems.fixed_point.system import SOLUTION_ERRORS
 
 pytestmark = pytest.mark.usefixtures("whole_kernels")
 
@@ -128,8 +128,8 @@ def test_warning_about_impossible_moments_is_written_to_the_file(tmp_path):
 @pytest.mark.parametrize("module", [fast_spin, published], ids=["true", "printed"])
 def test_errors_are_those_of_single_integrations(body, module):
     points = paper_points(body)
-    angle, rate = errors.errors(points, np.full(6, 4 * np.pi / 1000), module.first_order)
-    tau = np.linspace(0, 4 * np.pi, errors.SAMPLES)
+    angle, rate = fast_spin.errors(points, np.full(6, 4 * np.pi / 1000), module.first_order)
+    tau = np.linspace(0, 4 * np.pi, fast_spin.SAMPLES)
     for i, rotor in enumerate(fast_spin.PAPER_ROTORS):
         spin = fast_spin.paper_body(body, rotor)
         claimed = module.first_order(spin, tau)
@@ -149,7 +149,7 @@ def test_first_order_errors_are_of_second_order_and_of_lower_order_as_printed():
     for size in (0.02, 0.01):
         table["axes"] = {"eps": {"values": [size]}, "rotor": {"values": [0.5 * size]}}
         ds = atlas.run(scene_from(table), progress=False)
-        for name in first_order.DERIVED:
+        for name in SOLUTION_ERRORS:
             measured.setdefault(name, []).append(float(ds[name].values[0, 0]))
     ratio = {name: coarse / fine for name, (coarse, fine) in measured.items()}
     assert ratio["first_order_error"] == pytest.approx(4, rel=0.1)
@@ -161,9 +161,9 @@ def test_first_order_errors_are_of_second_order_and_of_lower_order_as_printed():
 
 def test_errors_do_not_depend_on_the_chunk(monkeypatch):
     points, duration = paper_points("A < C", m=np.geomspace(30, 3000, 6)), np.full(6, 0.05)
-    expected = errors.errors(points, duration, fast_spin.first_order)
-    monkeypatch.setattr(errors, "CHUNK", 4)
-    in_chunks = errors.errors(points, duration, fast_spin.first_order)
+    expected = fast_spin.errors(points, duration, fast_spin.first_order)
+    monkeypatch.setattr(fast_spin, "CHUNK", 4)
+    in_chunks = fast_spin.errors(points, duration, fast_spin.first_order)
     np.testing.assert_allclose(in_chunks, expected, rtol=1e-6, atol=1e-11)
 
 
@@ -172,19 +172,19 @@ def test_runs_too_long_for_the_errors_are_refused_and_never_integrated(monkeypat
     table["axes"] = {"eps": {"values": [0.01]}, "rotor": {"values": [0.005]}}
     scene = scene_from(table)
     points = grid.check(scene)
-    long = points.duration * 2 * errors.MAX_RADIANS / errors.radians(points.base, points.duration)
+    long = points.duration * 2 * fast_spin.MAX_RADIANS / fast_spin.radians(points.base, points.duration)
 
     def no_integration(*arguments, **options):
         raise AssertionError("integrated")
 
     with monkeypatch.context() as patched:
-        patched.setattr(errors, "dop853", no_integration)
-        assert np.isnan(errors.errors(points.base, long, fast_spin.first_order)).all()
+        patched.setattr(fast_spin, "dop853", no_integration)
+        assert np.isnan(fast_spin.errors(points.base, long, fast_spin.first_order)).all()
     table["integration"]["duration"] = "1000 turns"
     with pytest.raises(atlas.BadInput, match=r"first_order_error: .* at most 1000 rad .* 1 of 1 points"):
         grid.check(scene_from(table))
-    monkeypatch.setattr(errors, "MAX_EVALUATIONS", 100)
-    assert np.isnan(errors.errors(points.base, points.duration, fast_spin.first_order)).all()
+    monkeypatch.setattr(fast_spin, "MAX_EVALUATIONS", 100)
+    assert np.isnan(fast_spin.errors(points.base, points.duration, fast_spin.first_order)).all()
 
 
 def test_an_interruption_ends_the_integration_for_the_errors():
@@ -199,7 +199,7 @@ def test_an_interruption_ends_the_integration_for_the_errors():
 
     calls, points = 0, paper_points("A < C")
     with pytest.raises(Interruption):
-        errors.errors(points, np.full(6, 4 * np.pi / 1000), fast_spin.first_order, pause)
+        fast_spin.errors(points, np.full(6, 4 * np.pi / 1000), fast_spin.first_order, pause)
     assert calls == 50
 
 

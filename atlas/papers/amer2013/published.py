@@ -9,13 +9,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from typing import NamedTuple
+from functools import partial
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from ...errors import BadInput
-from ...systems.base import Array, PublishedEquation
-from .. import Measure, Readings, load, row
+from ...systems.base import Array, Points, PublishedEquation
+from .. import Readings, load, row
 from . import fast_spin, reduction
 from .fast_spin import FastSpin, paper_spin, random_spin, true_acceleration, true_rate
 
@@ -193,152 +194,11 @@ def angles(spin: FastSpin, t: Array, h: float = 0.0, psi0: float = 0.0) -> Array
     return np.array(np.broadcast_arrays(theta, psi, phi))
 
 
-# What the two readings of a formula are worth: both held against the equations of motion.
-
-
-def _of_motion(index: int, right_side: Callable[[FastSpin, Array], Array]) -> Measure:
-    def measured(rng: np.random.Generator) -> float:
-        spin, y = random_spin(rng), rng.normal(size=6)
-        return float(np.abs(right_side(spin, y) - true_rate(spin, y))[index])
-
-    return measured
-
-
-def _without_forcing(spin: FastSpin, x: Array) -> Array:
-    """(19), with the true frequency."""
-    return np.array([x[1], -(spin.Omega**2) * x[0], x[3], -x[2]])
-
-
-def _constancy(constants: Callable[[FastSpin, Array], Array]) -> Measure:
-    def measured(rng: np.random.Generator) -> float:
-        spin = random_spin(rng)
-        begin = fast_spin.first_order(spin, np.array(0.0))
-        y = fast_spin.integrate(spin, begin, np.linspace(0, 2 * np.pi, 41))
-        return float(np.ptp(constants(spin, y)[0]))
-
-    return measured
-
-
-def _turning_square(squared: Callable[[FastSpin], Array]) -> Measure:
-    def measured(rng: np.random.Generator) -> float:
-        spin = random_spin(rng)
-        one, none = np.array([1.0, 0, 1, 0, 0, 1]), np.array([0.0, 0, 1, 0, 0, 1])
-        turn = (true_rate(spin, one) - true_rate(spin, none))[1]
-        return float(np.abs(squared(spin) - turn**2))
-
-    return measured
-
-
-def _direction_cosine(sign: float) -> Measure:
-    def measured(rng: np.random.Generator) -> float:
-        spin, y = random_spin(rng), rng.normal(size=6)
-        return float(np.abs((true_rate(spin, y)[3] + sign * spin.eps * y[1] * y[5]) / y[2] - y[4]))
-
-    return measured
-
-
-def _coupling(of: Callable[[FastSpin], tuple[Array, Array]]) -> Measure:
-    """w = eps chi1 G has to turn with G, at -1, and G = eps nu w with w, at Omega."""
-
-    def measured(rng: np.random.Generator) -> float:
-        spin = random_spin(rng, l1=0.0, l2=0.0)
-        chi1, nu = of(spin)
-        forced = true_rate(spin, np.array([spin.eps * chi1, 0, 1, 1, 0, 1]))[1] / spin.eps
-        carried = true_rate(spin, np.array([1, 0, 1, spin.eps * nu, 0, 1]))[4] / spin.eps
-        return float(np.abs(forced + chi1) + np.abs(carried - spin.Omega * nu))
-
-    return measured
-
-
-def _reduced(index: int, right_side: Callable[[FastSpin, Array], Array]) -> Measure:
-    """p2'' (index 1) or gamma2'' (3) of the full motion less the reduced equation, over the forced term."""
-
-    def measured(rng: np.random.Generator) -> float:
-        spin = random_spin(rng, r0=1e5)
-        y = fast_spin.first_order(spin, rng.uniform(0, 6, 1))[:, 0]
-        x, acceleration = fast_spin.to_quasilinear(spin, y), true_acceleration(spin, y)
-        gamma2 = acceleration[3] - spin.eps * spin.nu * acceleration[0]
-        gamma2 = gamma2 / (1 - spin.eps**2 * spin.nu * spin.chi1)
-        exact = acceleration[0] - spin.eps * spin.chi1 * gamma2 if index == 1 else gamma2
-        term = (spin.Omega if index == 1 else spin.eps * spin.nu) * spin.mu.real
-        return float(np.abs((right_side(spin, x)[index] - exact) / term))
-
-    return measured
-
-
-def _of_solution(index: int, solution: Callable[[FastSpin, Array], Array]) -> Measure:
-    """Error of the solution over 2 pi, over the size of the forced part of its first-order term."""
-
-    def measured(rng: np.random.Generator) -> float:
-        spin = paper_spin(rng)
-        tau = np.linspace(0, 2 * np.pi, 41)
-        y = fast_spin.integrate(spin, solution(spin, np.array(0.0)), tau)
-        forced = np.abs(spin.forced)
-        size = (forced, forced, spin.eps**2 * spin.a * forced**2, *3 * (spin.eps * forced,))[index]
-        return float(np.abs(solution(spin, tau) - y)[index].max() / size)
-
-    return measured
-
-
-def _of_angle(index: int, formula: Callable[[FastSpin, Array], Array]) -> Measure:
-    """Error of theta or psi over two turns, over the swing that is first order in eps."""
-
-    def measured(rng: np.random.Generator) -> float:
-        from scipy.integrate import cumulative_simpson  # slow to import, and scenes do not need it
-
-        spin = paper_spin(rng)
-        tau = np.linspace(0, 4 * np.pi, 401)
-        begin = fast_spin.first_order(spin, np.array(0.0))
-        p, q, _, g1, g2, g3 = fast_spin.dimensional(spin, fast_spin.integrate(spin, begin, tau))
-        t = tau / spin.r0
-        psi = cumulative_simpson((p * g1 + q * g2) / (1 - g3**2), x=t, initial=0)
-        exact = np.arccos(g3) if index == 0 else psi
-        return float(np.abs(formula(spin, t)[index] - exact).max() / (spin.eps * np.abs(spin.forced)))
-
-    return measured
-
-
-def _constant_10(chi: Callable[[FastSpin], Array]) -> Measure:
-    """chi less what A1 (q1 l1 - p1 l2) q1 / (C r0) of (7) leaves on the forced motion w = mu / Omega."""
-
-    def measured(rng: np.random.Generator) -> float:
-        spin = random_spin(rng, r0=50.0)
-        y = np.array([spin.forced.real, spin.forced.imag, 1, 0, 0, 1])
-        left = spin.A1 * y[1] * true_rate(spin, y)[2] / (spin.eps * spin.Omega**2)
-        return float(np.abs(chi(spin) - left))
-
-    return measured
-
-
-def _in_other_units(term: Callable[[FastSpin], Array]) -> Measure:
-    """Relative change of a dimensionless number when the unit of mass is halved."""
-
-    def measured(rng: np.random.Generator) -> float:
-        spin = random_spin(rng)
-        doubled = {name: 2 * getattr(spin, name) for name in ("A", "C", "weight", "l1", "l2", "l3")}
-        return float(np.abs(term(replace(spin, **doubled)) / term(spin) - 1))
-
-    return measured
-
-
-def _start_18(index: int) -> Measure:
-    """gamma2 (0) or its rate (1) at tau = 0 on (20), which is to vanish."""
-
-    def measured(rng: np.random.Generator) -> float:
-        x = reduction.generating(random_spin(rng), 1.0, 0.0, np.asarray(0.0))
-        return float(np.abs(x[2 + index]))
-
-    return measured
-
-
-def _kernel_24(frequency: Callable[[FastSpin], Array]) -> Measure:
-    """h'' + h - 1 at a random time, for h the integral (24) of Phi = 1 with the kernel sin(frequency (tau - t1))."""
-
-    def measured(rng: np.random.Generator) -> float:
-        w, tau = frequency(random_spin(rng, r0=50.0)), rng.uniform(0.5, 5.0)
-        return float(np.abs(w * np.cos(w * tau) + (1 - np.cos(w * tau)) / w - 1))
-
-    return measured
+def check(points: Points, duration: Array) -> None:
+    """Raise BadInput for points without the printed solution, and for runs too long to be integrated to its errors."""
+    with np.errstate(all="ignore"):
+        coefficients(fast_spin.fast_spin(points))
+    fast_spin.check(points, duration)
 
 
 def W1(spin: FastSpin) -> Array:
@@ -346,11 +206,6 @@ def W1(spin: FastSpin) -> Array:
     squared, X = frequency_squared(spin), coefficients(spin).X
     rotor = spin.A1 * spin.l3 / (spin.r0 * spin.A)
     return 0.5 * spin.a * (squared * X**2 - 1) * (squared - rotor) - (1 + spin.a) * (squared * X) ** 2
-
-
-def _sign_32(sign: int) -> Measure:
-    """By how much W1 has the wrong sign."""
-    return lambda rng: float(np.maximum(0, -sign * W1(paper_spin(rng))))
 
 
 def measured_period_correction(spin: FastSpin, turns: int = 4) -> float:
@@ -363,53 +218,164 @@ def measured_period_correction(spin: FastSpin, turns: int = 4) -> float:
     return float(-2 * np.pi * ((speed - 1) * window).sum() / window.sum())
 
 
-def _period_33(correction: Callable[[FastSpin], Array]) -> Measure:
-    """Relative error of alpha."""
+# What the two readings of a formula are worth: both held against the equations of motion.
 
-    def measured(rng: np.random.Generator) -> float:
-        spin = random_spin(rng, r0=1e3)
-        exact = measured_period_correction(spin)
-        return float(np.abs(correction(spin) / exact - 1))
-
-    return measured
+Formula = Callable[[FastSpin, Array], Array]
 
 
+def _readings(
+    measure: Callable[[FastSpin, np.random.Generator, Any], Any],
+    printed: Any,
+    true: Any,
+    draw: Callable[[np.random.Generator], FastSpin] = random_spin,
+) -> Readings:
+    """The magnitude of a measure (body, random generator, reading) for both readings; `draw` draws the body."""
+
+    def measured(reading: Any, rng: np.random.Generator) -> float:
+        return float(np.abs(measure(draw(rng), rng, reading)))
+
+    return partial(measured, printed), partial(measured, true)
+
+
+def _of_motion(index: int, spin: FastSpin, rng: np.random.Generator, right_side: Formula) -> Array:
+    y = rng.normal(size=6)
+    return (right_side(spin, y) - true_rate(spin, y))[index]
+
+
+def _constancy(spin: FastSpin, rng: np.random.Generator, constants: Formula) -> Array:
+    begin = fast_spin.first_order(spin, np.array(0.0))
+    y = fast_spin.integrate(spin, begin, np.linspace(0, 2 * np.pi, 41))
+    return np.ptp(constants(spin, y)[0])
+
+
+def _direction_cosine(spin: FastSpin, rng: np.random.Generator, sign: int) -> Array:
+    y = rng.normal(size=6)
+    return (true_rate(spin, y)[3] + sign * spin.eps * y[1] * y[5]) / y[2] - y[4]
+
+
+def _coupling(
+    spin: FastSpin, rng: np.random.Generator, of: Callable[[FastSpin], tuple[Array, Array]]
+) -> Array:
+    """w = eps chi1 G has to turn with G, at -1, and G = eps nu w with w, at Omega."""
+    chi1, nu = of(spin)
+    forced = true_rate(spin, np.array([spin.eps * chi1, 0, 1, 1, 0, 1]))[1] / spin.eps
+    carried = true_rate(spin, np.array([1, 0, 1, spin.eps * nu, 0, 1]))[4] / spin.eps
+    return np.abs(forced + chi1) + np.abs(carried - spin.Omega * nu)
+
+
+def _reduced(index: int, spin: FastSpin, rng: np.random.Generator, right_side: Formula) -> Array:
+    """p2'' (index 1) or gamma2'' (3) of the full motion less the reduced equation, over the forced term."""
+    y = fast_spin.first_order(spin, rng.uniform(0, 6, 1))[:, 0]
+    x, acceleration = fast_spin.to_quasilinear(spin, y), true_acceleration(spin, y)
+    gamma2 = acceleration[3] - spin.eps * spin.nu * acceleration[0]
+    gamma2 = gamma2 / (1 - spin.eps**2 * spin.nu * spin.chi1)
+    exact = acceleration[0] - spin.eps * spin.chi1 * gamma2 if index == 1 else gamma2
+    term = (spin.Omega if index == 1 else spin.eps * spin.nu) * spin.mu.real
+    return (right_side(spin, x)[index] - exact) / term
+
+
+def _of_solution(index: int, spin: FastSpin, rng: np.random.Generator, solution: Formula) -> Array:
+    """Error of the solution over 2 pi, over the size of the forced part of its first-order term."""
+    tau = np.linspace(0, 2 * np.pi, 41)
+    y = fast_spin.integrate(spin, solution(spin, np.array(0.0)), tau)
+    forced = np.abs(spin.forced)
+    size = (forced, forced, spin.eps**2 * spin.a * forced**2, *3 * (spin.eps * forced,))[index]
+    return np.abs(solution(spin, tau) - y)[index].max() / size
+
+
+def _of_angle(index: int, spin: FastSpin, rng: np.random.Generator, formula: Formula) -> Array:
+    """Error of theta or psi over two turns, over the swing that is first order in eps."""
+    from scipy.integrate import cumulative_simpson  # slow to import, and scenes do not need it
+
+    tau = np.linspace(0, 4 * np.pi, 401)
+    begin = fast_spin.first_order(spin, np.array(0.0))
+    p, q, _, g1, g2, g3 = fast_spin.dimensional(spin, fast_spin.integrate(spin, begin, tau))
+    t = tau / spin.r0
+    psi = cumulative_simpson((p * g1 + q * g2) / (1 - g3**2), x=t, initial=0)
+    exact = np.arccos(g3) if index == 0 else psi
+    return np.abs(formula(spin, t)[index] - exact).max() / (spin.eps * np.abs(spin.forced))
+
+
+def _constant_10(spin: FastSpin, rng: np.random.Generator, chi: Callable[[FastSpin], Array]) -> Array:
+    """chi less what A1 (q1 l1 - p1 l2) q1 / (C r0) of (7) leaves on the forced motion w = mu / Omega."""
+    y = np.array([spin.forced.real, spin.forced.imag, 1, 0, 0, 1])
+    return chi(spin) - spin.A1 * y[1] * true_rate(spin, y)[2] / (spin.eps * spin.Omega**2)
+
+
+def _in_other_units(spin: FastSpin, rng: np.random.Generator, term: Callable[[FastSpin], Array]) -> Array:
+    """Relative change of a dimensionless number when the unit of mass is halved."""
+    doubled = {name: 2 * getattr(spin, name) for name in ("A", "C", "weight", "l1", "l2", "l3")}
+    return term(replace(spin, **doubled)) / term(spin) - 1
+
+
+def _kernel_24(spin: FastSpin, rng: np.random.Generator, frequency: Callable[[FastSpin], Array]) -> Array:
+    """h'' + h - 1 at a random time, for h the integral (24) of Phi = 1 with the kernel sin(frequency (tau - t1))."""
+    w, tau = frequency(spin), rng.uniform(0.5, 5.0)
+    return w * np.cos(w * tau) + (1 - np.cos(w * tau)) / w - 1
+
+
+_ONE, _NONE = np.array([1.0, 0, 1, 0, 0, 1]), np.array([0.0, 0, 1, 0, 0, 1])
+_FAST = partial(random_spin, r0=50.0)
+_FASTEST = partial(random_spin, r0=1e5)
 READINGS: dict[str, Readings] = {
-    "(1), second equation": (_of_motion(1, rhs), _of_motion(1, fast_spin.rhs)),
-    "(3), S1": (_constancy(integrals), _constancy(fast_spin.integrals)),
-    "(4)": (_of_motion(0, rhs), _of_motion(0, fast_spin.rhs)),
-    "(7), (15)": (_turning_square(frequency_squared), _turning_square(lambda spin: spin.Omega**2)),
-    "(9)": (_direction_cosine(-1), _direction_cosine(1)),
-    "(10), chi1 and nu": (
-        _coupling(lambda spin: coefficients(spin)[1:3]),
-        _coupling(lambda spin: (spin.chi1, spin.nu)),
+    "(1), second equation": _readings(partial(_of_motion, 1), rhs, fast_spin.rhs),
+    "(3), S1": _readings(_constancy, integrals, fast_spin.integrals),
+    "(4)": _readings(partial(_of_motion, 0), rhs, fast_spin.rhs),
+    "(7), (15)": _readings(
+        # the square of the rate at which q1 grows with p1
+        lambda spin, rng, squared: squared(spin) - (true_rate(spin, _ONE) - true_rate(spin, _NONE))[1] ** 2,
+        frequency_squared,
+        lambda spin: spin.Omega**2,
     ),
-    "(10), chi": (
-        _constant_10(lambda spin: coefficients(spin).chi),
-        _constant_10(lambda spin: np.zeros(())),
+    "(9)": _readings(_direction_cosine, -1, 1),
+    "(10), chi1 and nu": _readings(
+        _coupling,
+        lambda spin: coefficients(spin)[1:3],
+        lambda spin: (spin.chi1, spin.nu),
+        partial(random_spin, l1=0.0, l2=0.0),
     ),
-    "(15), second equation": (
-        _reduced(3, lambda spin, x: quasilinear(spin, x, x)),
-        _reduced(3, fast_spin.quasilinear),
+    "(10), chi": _readings(
+        _constant_10, lambda spin: coefficients(spin).chi, lambda spin: np.zeros(()), _FAST
     ),
-    "(16), (27)-(33)": (
-        _in_other_units(lambda spin: (spin.y[1] * coefficients(spin).X / spin.A) ** 2),
-        _in_other_units(lambda spin: (spin.C * spin.y[1] * coefficients(spin).X / spin.A) ** 2),
+    "(15), second equation": _readings(
+        partial(_reduced, 3), lambda spin, x: quasilinear(spin, x, x), fast_spin.quasilinear, _FASTEST
     ),
-    "(18)": (_start_18(0), _start_18(1)),
-    "(19), (20), (25)": (_reduced(1, _without_forcing), _reduced(1, fast_spin.quasilinear)),
-    "(24), h_k": (
-        _kernel_24(lambda spin: np.sqrt(frequency_squared(spin))),
-        _kernel_24(lambda spin: np.ones(())),
+    "(16), (27)-(33)": _readings(
+        _in_other_units,
+        lambda spin: (spin.y[1] * coefficients(spin).X / spin.A) ** 2,
+        lambda spin: (spin.C * spin.y[1] * coefficients(spin).X / spin.A) ** 2,
     ),
-    "(32)": (_sign_32(1), _sign_32(-1)),
+    # gamma2 or its rate at tau = 0 on (20), which is to vanish
+    "(18)": _readings(
+        lambda spin, rng, index: reduction.generating(spin, 1.0, 0.0, np.asarray(0.0))[index], 2, 3
+    ),
+    # (19), with the true frequency, has no forcing
+    "(19), (20), (25)": _readings(
+        partial(_reduced, 1),
+        lambda spin, x: np.array([x[1], -(spin.Omega**2) * x[0], x[3], -x[2]]),
+        fast_spin.quasilinear,
+        _FASTEST,
+    ),
+    "(24), h_k": _readings(
+        _kernel_24, lambda spin: np.sqrt(frequency_squared(spin)), lambda spin: np.ones(()), _FAST
+    ),
+    # by how much W1 has the wrong sign
+    "(32)": _readings(lambda spin, rng, sign: np.maximum(0, -sign * W1(spin)), 1, -1, paper_spin),
     **{
-        f"(33), {name}": (_of_solution(index, first_order), _of_solution(index, fast_spin.first_order))
+        f"(33), {name}": _readings(
+            partial(_of_solution, index), first_order, fast_spin.first_order, paper_spin
+        )
         for index, name in enumerate(("p1", "q1", "r1", "g1", "g1'", "g1''"))
     },
-    "(33), alpha": (_period_33(period_correction), _period_33(fast_spin.period_correction)),
-    "theta after (34)": (_of_angle(0, angles), _of_angle(0, fast_spin.angles)),
-    "psi after (34)": (_of_angle(1, angles), _of_angle(1, fast_spin.angles)),
+    # relative errors of alpha
+    "(33), alpha": _readings(
+        lambda spin, rng, correction: correction(spin) / measured_period_correction(spin) - 1,
+        period_correction,
+        fast_spin.period_correction,
+        partial(random_spin, r0=1e3),
+    ),
+    "theta after (34)": _readings(partial(_of_angle, 0), angles, fast_spin.angles, paper_spin),
+    "psi after (34)": _readings(partial(_of_angle, 1), angles, fast_spin.angles, paper_spin),
     "section VI, data": (None, None),
     **reduction.READINGS,
 }

@@ -10,7 +10,9 @@ with l2 / (A r0), which is of order eps, in S12, S22 and Phi1 are of higher orde
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import NamedTuple
+from functools import partial
+from itertools import combinations_with_replacement
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 
@@ -18,10 +20,6 @@ from ...systems.base import Array
 from .. import Measure
 from . import fast_spin
 from .fast_spin import FastSpin, random_spin, true_acceleration
-
-# errors of the printed and of the true reading at the same random parameters
-Pair = Callable[[np.random.Generator], tuple[Array, Array]]
-
 
 # (3), corrected, and states that satisfy (2) with it.
 
@@ -51,51 +49,28 @@ def random_states(rng: np.random.Generator, spin: FastSpin) -> tuple[Array, Arra
 # (13): S1 = S11 + 2 eps S12 and S2 = S21 + eps S22 in p2, gamma2 and their rates.
 
 
-class Differences(NamedTuple):
-    """Values at the start less the values at x = (p2, p2', gamma2, gamma2'), the variables of (13)."""
+def differences(x0: Array, x: Array) -> dict[str, Array]:
+    """Values at x0 less those at x of p = p2, v = p2', g = gamma2, u = gamma2' and their products, by their names."""
 
-    p: Array
-    pp: Array
-    v: Array  # p2'
-    vv: Array
-    g: Array
-    gg: Array
-    u: Array  # gamma2'
-    uu: Array
-    pg: Array
-    vu: Array
+    def values(state: Array) -> dict[str, Array]:
+        of = dict(zip("pvgu", state, strict=True))
+        return of | {a + b: of[a] * of[b] for a, b in combinations_with_replacement("pvgu", 2)}
+
+    first, second = values(x0), values(x)
+    return {name: first[name] - second[name] for name in first}
 
 
-def differences(x0: Array, x: Array) -> Differences:
-    """The differences between two states of the quasilinear system."""
-
-    def values(state: Array) -> Array:
-        p, v, g, u = state
-        return np.array([p, p * p, v, v * v, g, g * g, u, u * u, p * g, v * u])
-
-    return Differences(*(values(x0) - values(x)))
-
-
-class Coefficients(NamedTuple):
-    """X, chi2, nu2 of (11) and l2 / (A r0), in their true forms."""
-
-    X: Array
-    chi2: Array
-    nu2: Array
-    s2: Array
-
-
-def coefficients(spin: FastSpin) -> Coefficients:
-    """X = 1 / Omega, chi2 = chi1 + z0'/a - k A1, nu2 = nu - X."""
+def coefficients(spin: FastSpin) -> tuple[Array, Array, Array, Array]:
+    """X = 1 / Omega, chi2 = chi1 + z0'/a - k A1, nu2 = nu - X of (11) and l2 / (A r0), in their true forms."""
     X = 1 / spin.Omega
-    return Coefficients(X, spin.chi1 + spin.G0, spin.nu - X, spin.l2 / (spin.A * spin.r0))
+    return X, spin.chi1 + spin.G0, spin.nu - X, spin.l2 / (spin.A * spin.r0)
 
 
 def S11(spin: FastSpin, x0: Array, x: Array) -> Array:
     """S11 of (13), true as printed."""
     d, (X, _, _, s2) = differences(x0, x), coefficients(spin)
-    field = spin.k * (d.gg + d.uu + 2 * X * s2 * d.u)
-    return spin.a * (d.pp + X**2 * d.vv + field - 2 * spin.C * X**2 / spin.A * spin.y[1] * d.v)
+    field = spin.k * (d["gg"] + d["uu"] + 2 * X * s2 * d["u"])
+    return spin.a * (d["pp"] + X**2 * d["vv"] + field - 2 * spin.C * X**2 / spin.A * spin.y[1] * d["v"])
 
 
 def S12(spin: FastSpin, x0: Array, x: Array, printed: bool = False) -> Array:
@@ -103,18 +78,18 @@ def S12(spin: FastSpin, x0: Array, x: Array, printed: bool = False) -> Array:
     d, (X, chi2, nu2, _) = differences(x0, x), coefficients(spin)
     front = 1.0 if printed else spin.a
     return (
-        spin.a * (spin.chi1 * d.pg + X**2 * chi2 * d.vu) + (spin.z - spin.k) * S21(spin, x0, x)
-        + spin.k * spin.a * (spin.nu * d.pg + nu2 * d.vu)
-        - front * spin.C * X**2 / spin.A * chi2 * spin.y[1] * d.u
+        spin.a * (spin.chi1 * d["pg"] + X**2 * chi2 * d["vu"]) + (spin.z - spin.k) * S21(spin, x0, x)
+        + spin.k * spin.a * (spin.nu * d["pg"] + nu2 * d["vu"])
+        - front * spin.C * X**2 / spin.A * chi2 * spin.y[1] * d["u"]
     )  # fmt: skip
 
 
 def S21(spin: FastSpin, x0: Array, x: Array, signs: tuple[int, int] = (1, 1)) -> Array:
     """S21 of (13); signs of its two terms in l2, both -1 as printed."""
     d, (X, _, _, s2) = differences(x0, x), coefficients(spin)
-    twist = d.vu + signs[0] * X * s2 * d.v
-    lean = spin.y[0] * d.g + spin.y[1] * (1 + signs[1] * spin.a * X * spin.C / spin.A) * d.u
-    return spin.a * (d.pg - X * twist) + lean
+    twist = d["vu"] + signs[0] * X * s2 * d["v"]
+    lean = spin.y[0] * d["g"] + spin.y[1] * (1 + signs[1] * spin.a * X * spin.C / spin.A) * d["u"]
+    return spin.a * (d["pg"] - X * twist) + lean
 
 
 def S22(spin: FastSpin, x0: Array, x: Array, printed: bool = False) -> Array:
@@ -123,58 +98,24 @@ def S22(spin: FastSpin, x0: Array, x: Array, printed: bool = False) -> Array:
     y1, y2, y3 = spin.y
     last = 1.0 if printed else nu2
     return (
-        spin.a * (spin.nu * d.pp + spin.chi1 * d.gg)
-        + spin.a * X * (-nu2 * d.vv + spin.C / spin.A * y2 * nu2 * d.v - chi2 * d.uu)
-        + y1 * spin.nu * d.p + y2 * last * d.v - y3 * S21(spin, x0, x)
+        spin.a * (spin.nu * d["pp"] + spin.chi1 * d["gg"])
+        + spin.a * X * (-nu2 * d["vv"] + spin.C / spin.A * y2 * nu2 * d["v"] - chi2 * d["uu"])
+        + y1 * spin.nu * d["p"] + y2 * last * d["v"] - y3 * S21(spin, x0, x)
     )  # fmt: skip
 
 
-def _expansion(error: Callable[[FastSpin, Array, Array, Array, Array, bool], Array]) -> Pair:
-    """error(spin, y0, y, x0, x, printed) of two states, in the variables of (1) and of (15)."""
-
-    def errors(rng: np.random.Generator) -> tuple[Array, Array]:
-        spin = random_spin(rng, r0=1e4)
-        y0, y = random_states(rng, spin)
-        x0, x = (fast_spin.to_quasilinear(spin, state) for state in (y0, y))
-        return error(spin, y0, y, x0, x, True), error(spin, y0, y, x0, x, False)
-
-    return errors
+# (6), (11), (14) and (17).
 
 
-def _spin_rate_6(spin: FastSpin, y0: Array, y: Array, x0: Array, x: Array, printed: bool) -> Array:
-    """r1 less (6), over eps^2."""
-    S1 = bracket = S1_S2(spin, y0, y)[0]
-    if printed:
-        bracket = S1 + 2 * spin.z * (1 - y[5]) - spin.k * (1 - y[5] ** 2)
-    return S1 / (y[2] + 1) - 0.5 * bracket  # r1 - 1 = eps^2 S1 / (r1 + 1), without cancellation
+def half_6(spin: FastSpin, y: Array, S1: Array, printed: bool) -> Array:
+    """What (6) adds to 1 in r1, over eps^2."""
+    return 0.5 * (S1 + 2 * spin.z * (1 - y[5]) - spin.k * (1 - y[5] ** 2) if printed else S1)
 
 
-def _energy_13(spin: FastSpin, y0: Array, y: Array, x0: Array, x: Array, printed: bool) -> Array:
-    """S1 less S11 + 2 eps S12, over eps."""
-    S1 = S1_S2(spin, y0, y)[0]
-    return (S1 - S11(spin, x0, x)) / spin.eps - 2 * S12(spin, x0, x, printed)
-
-
-def _area_13(spin: FastSpin, y0: Array, y: Array, x0: Array, x: Array, printed: bool) -> Array:
-    """S2 less S21 + eps S22, with S21 as printed."""
-    signs = (-1, -1) if printed else (1, 1)
-    return S1_S2(spin, y0, y)[1] - S21(spin, x0, x, signs) - spin.eps * S22(spin, x0, x)
-
-
-def _area_13_second(spin: FastSpin, y0: Array, y: Array, x0: Array, x: Array, printed: bool) -> Array:
-    """S2 less S21 + eps S22, with S22 as printed."""
-    return S1_S2(spin, y0, y)[1] - S21(spin, x0, x) - spin.eps * S22(spin, x0, x, printed)
-
-
-def _spin_rate_14(spin: FastSpin, y0: Array, y: Array, x0: Array, x: Array, printed: bool) -> Array:
-    """r1 less (14), over eps^2."""
+def third_14(spin: FastSpin, x0: Array, x: Array, printed: bool) -> Array:
+    """What (14) adds to r1 in its third order, over eps^3."""
     third = S12(spin, x0, x)
-    if printed:
-        third = third + (spin.k - spin.z) * S21(spin, x0, x)
-    return S1_S2(spin, y0, y)[0] / (y[2] + 1) - 0.5 * S11(spin, x0, x) - spin.eps * third
-
-
-# (11) and (17).
+    return third + (spin.k - spin.z) * S21(spin, x0, x) if printed else third
 
 
 def q1_of_11(spin: FastSpin, x0: Array, x: Array, printed: bool) -> Array:
@@ -186,11 +127,6 @@ def q1_of_11(spin: FastSpin, x0: Array, x: Array, printed: bool) -> Array:
     carried = spin.nu if printed else nu2
     second = X * (0.5 * first_integral - spin.G0 * carried) * v + X * spin.k * spin.A1 * u * S21(spin, x0, x)
     return -X * (v - spin.mu.imag) - eps * X * (chi2 * u - field) + eps**2 * second
-
-
-def _rate_11(spin: FastSpin, y0: Array, y: Array, x0: Array, x: Array, printed: bool) -> Array:
-    """q1 of (11) less q1 of the state."""
-    return q1_of_11(spin, x0, x, printed) - y[1]
 
 
 def length_17(spin: FastSpin, x0: Array, x: Array, printed: bool) -> Array:
@@ -207,19 +143,7 @@ def length_17(spin: FastSpin, x0: Array, x: Array, printed: bool) -> Array:
     return lowest + spin.eps * first + spin.eps**2 * second
 
 
-def _length_error_17(spin: FastSpin, y0: Array, y: Array, x0: Array, x: Array, printed: bool) -> Array:
-    """Left side of (17) less |gamma|^2 - 1 of the state."""
-    return length_17(spin, x0, x, printed) - ((y[3:] ** 2).sum() - 1)
-
-
 # (7) and (8): second derivatives of p1 and g1.
-
-
-def _random_motion(rng: np.random.Generator, spin: FastSpin) -> tuple[Array, Array, Array]:
-    """A random state y with random S1, S2, which are what (2) makes of r1 and g1''."""
-    p, q, g1, g2, S1, S2 = rng.normal(size=6)
-    r = np.sqrt(1 + spin.eps**2 * S1)
-    return np.array([p, q, r, g1, g2, (1 + spin.eps * S2) / r]), S1, S2
 
 
 def seven(spin: FastSpin, y: Array, S1: Array, printed: bool) -> Array:
@@ -250,22 +174,6 @@ def eight(spin: FastSpin, y: Array, S1: Array, S2: Array, printed: bool) -> Arra
     return s1 - g1 + eps * first + eps**2 * second + eps**3 * third
 
 
-def _seven_errors(rng: np.random.Generator) -> tuple[Array, Array]:
-    """p1'' by (7) less p1'' of the motion."""
-    spin = random_spin(rng, r0=1e4)
-    y, S1, _ = _random_motion(rng, spin)
-    exact = true_acceleration(spin, y)[0]
-    return seven(spin, y, S1, True) - exact, seven(spin, y, S1, False) - exact
-
-
-def _eight_errors(rng: np.random.Generator) -> tuple[Array, Array]:
-    """g1'' by (8) less g1'' of the motion."""
-    spin = random_spin(rng, r0=1e3)  # eps^3 far above rounding errors
-    y, S1, S2 = _random_motion(rng, spin)
-    exact = true_acceleration(spin, y)[3]
-    return eight(spin, y, S1, S2, True) - exact, eight(spin, y, S1, S2, False) - exact
-
-
 # (26) and (27): (13) and Phi1 on the generating solution (20), (25).
 
 
@@ -277,7 +185,12 @@ def generating(spin: FastSpin, E: float, eta: float, tau: Array) -> Array:
     )
 
 
-def S11_of_26(spin: FastSpin, E: float, eta: float, tau: Array, printed: bool) -> Array:
+def start_and_state(spin: FastSpin, E: float, eta: float, tau: Array | float) -> tuple[Array, Array]:
+    """The variables of (25) at 0 and at tau."""
+    return generating(spin, E, eta, np.asarray(0.0)), generating(spin, E, eta, np.asarray(tau))
+
+
+def S11_of_26(spin: FastSpin, E: float, eta: float, tau: Array | float, printed: bool) -> Array:
     """S11^(0) of (26)."""
     X, _, _, s2 = coefficients(spin)
     turn, square = spin.Omega * tau - eta, (X * spin.Omega) ** 2
@@ -290,15 +203,6 @@ def S11_of_26(spin: FastSpin, E: float, eta: float, tau: Array, printed: bool) -
         rotor = X * s2
     sway = 2 * spin.a * E * spin.Omega * X**2 * spin.mu.imag * (np.sin(eta) + np.sin(turn))
     return spin.a * E**2 * wave + 2 * spin.k * spin.a * spin.M3 * rotor * np.sin(tau) - sway
-
-
-def _generating_26(rng: np.random.Generator) -> tuple[Array, Array]:
-    """S11^(0) of (26) less S11 of (13) on (25)."""
-    spin = random_spin(rng)
-    E, eta, tau = rng.uniform(0.5, 1.5), *rng.uniform(0.5, 5.0, 2)
-    x0, x = (generating(spin, E, eta, np.asarray(t)) for t in (0.0, tau))
-    exact = S11(spin, x0, x)
-    return S11_of_26(spin, E, eta, tau, True) - exact, S11_of_26(spin, E, eta, tau, False) - exact
 
 
 def Phi1(spin: FastSpin, x0: Array, x: Array) -> Array:
@@ -318,40 +222,100 @@ def Phi1_of_27(spin: FastSpin, tau: Array, printed: bool) -> Array:
     return spin.l1 / (spin.A * spin.r0) * spin.M3 * (y1 * (1 - np.cos(tau)) + y2 * np.sin(tau))
 
 
-def _generating_27(rng: np.random.Generator) -> tuple[Array, Array]:
-    """Phi1^(0) of (27) less Phi1 of (16) on (20)."""
-    spin, tau = random_spin(rng), rng.uniform(0.5, 5.0, ())
-    x0, x = (generating(spin, 0.0, 0.0, np.asarray(t)) for t in (0.0, tau))
-    exact = Phi1(spin, x0, x)
-    return Phi1_of_27(spin, tau, True) - exact, Phi1_of_27(spin, tau, False) - exact
+# The measures of both readings.
 
 
-def _over_difference(errors: Pair) -> tuple[Measure, Measure]:
-    """Measures of the two readings of which `errors` gives the errors at the same random parameters."""
+class States(NamedTuple):
+    """Two random states of one motion in the variables of (15), the second also in those of (1) and with S1, S2."""
 
-    def residual(index: int) -> Measure:
-        def measured(rng: np.random.Generator) -> float:
-            pair = errors(rng)
-            return float(np.abs(pair[index] / (pair[0] - pair[1])))
+    spin: FastSpin
+    x0: Array
+    x: Array
+    y: Array
+    S1: Array
+    S2: Array
 
-        return measured
+    @classmethod
+    def draw(cls, rng: np.random.Generator) -> States:
+        spin = random_spin(rng, r0=1e4)
+        y0, y = random_states(rng, spin)
+        x0, x = (fast_spin.to_quasilinear(spin, state) for state in (y0, y))
+        return cls(spin, x0, x, y, *S1_S2(spin, y0, y))
 
-    return residual(0), residual(1)
+
+class Motion(NamedTuple):
+    """A random state y with random S1, S2, which are what (2) makes of r1 and g1''."""
+
+    spin: FastSpin
+    y: Array
+    S1: Array
+    S2: Array
+
+    @classmethod
+    def draw(cls, r0: float, rng: np.random.Generator) -> Motion:
+        spin = random_spin(rng, r0=r0)
+        p, q, g1, g2, S1, S2 = rng.normal(size=6)
+        r = np.sqrt(1 + spin.eps**2 * S1)
+        return cls(spin, np.array([p, q, r, g1, g2, (1 + spin.eps * S2) / r]), S1, S2)
+
+
+Drawn = TypeVar("Drawn")
+
+
+def _readings(
+    draw: Callable[[np.random.Generator], Drawn], error: Callable[[Drawn, bool], Array]
+) -> tuple[Measure, Measure]:
+    """Errors (drawn, printed) of both readings at what `draw` draws, over the difference of the two."""
+
+    def measured(reading: int, rng: np.random.Generator) -> float:
+        drawn = draw(rng)
+        pair = error(drawn, True), error(drawn, False)
+        return float(np.abs(pair[reading] / (pair[0] - pair[1])))
+
+    return partial(measured, 0), partial(measured, 1)
+
+
+def _error_13(s: States, signs: tuple[int, int] = (1, 1), printed: bool = False) -> Array:
+    """S2 less S21 + eps S22, with S21 of these signs, or with S22 as printed."""
+    return s.S2 - S21(*s[:3], signs) - s.spin.eps * S22(*s[:3], printed)
 
 
 READINGS = {
-    number: _over_difference(errors)
-    for number, errors in {
-        "(6)": _expansion(_spin_rate_6),
-        "(7), forcing and first order": _seven_errors,
-        "(8)": _eight_errors,
-        "(11), q1": _expansion(_rate_11),
-        "(13), S12": _expansion(_energy_13),
-        "(13), S21": _expansion(_area_13),
-        "(13), S22": _expansion(_area_13_second),
-        "(14)": _expansion(_spin_rate_14),
-        "(17)": _expansion(_length_error_17),
-        "(26), S11": _generating_26,
-        "(27), Phi1": _generating_27,
-    }.items()
+    # r1 - 1 = eps^2 S1 / (r1 + 1), without cancellation
+    "(6)": _readings(
+        States.draw, lambda s, printed: s.S1 / (s.y[2] + 1) - half_6(s.spin, s.y, s.S1, printed)
+    ),
+    "(7), forcing and first order": _readings(
+        partial(Motion.draw, 1e4),
+        lambda m, printed: seven(*m[:3], printed=printed) - true_acceleration(*m[:2])[0],
+    ),
+    "(8)": _readings(  # eps^3 far above rounding errors
+        partial(Motion.draw, 1e3),
+        lambda m, printed: eight(*m, printed=printed) - true_acceleration(*m[:2])[3],
+    ),
+    "(11), q1": _readings(States.draw, lambda s, printed: q1_of_11(*s[:3], printed=printed) - s.y[1]),
+    "(13), S12": _readings(
+        States.draw, lambda s, printed: (s.S1 - S11(*s[:3])) / s.spin.eps - 2 * S12(*s[:3], printed=printed)
+    ),
+    "(13), S21": _readings(States.draw, lambda s, printed: _error_13(s, (-1, -1) if printed else (1, 1))),
+    "(13), S22": _readings(States.draw, lambda s, printed: _error_13(s, printed=printed)),
+    "(14)": _readings(
+        States.draw,
+        lambda s, printed: (
+            s.S1 / (s.y[2] + 1) - 0.5 * S11(*s[:3]) - s.spin.eps * third_14(*s[:3], printed=printed)
+        ),
+    ),
+    "(17)": _readings(
+        States.draw, lambda s, printed: length_17(*s[:3], printed=printed) - ((s.y[3:] ** 2).sum() - 1)
+    ),
+    "(26), S11": _readings(
+        lambda rng: (random_spin(rng), rng.uniform(0.5, 1.5), rng.uniform(0.5, 5.0), rng.uniform(0.5, 5.0)),
+        lambda drawn, printed: S11_of_26(*drawn, printed) - S11(drawn[0], *start_and_state(*drawn)),
+    ),
+    "(27), Phi1": _readings(
+        lambda rng: (random_spin(rng), 0.0, 0.0, rng.uniform(0.5, 5.0, ())),
+        lambda drawn, printed: (
+            Phi1_of_27(drawn[0], drawn[3], printed) - Phi1(drawn[0], *start_and_state(*drawn))
+        ),
+    ),
 }

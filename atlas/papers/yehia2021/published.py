@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -11,11 +12,12 @@ from ...scene.expressions import Expression
 from ...systems.base import Array, PublishedEquation
 from ...systems.satellite.equations import rhs
 from ...systems.satellite.families import FAMILIES, steady_motion
-from ...systems.satellite.initial import PARAMETERS, constants, directions
-from .. import Measure, Readings, load, row
+from ...systems.satellite.initial import PARAMETERS, body_vectors, constants, directions
+from .. import load, row
 from . import lagrange
 
 Point = dict[str, Array]
+Entry = Mapping[str, Any]
 Values = Mapping[str, float | str]
 
 CONTENT = load("yehia2021")
@@ -57,34 +59,26 @@ def residual(point: Point) -> float:
     return float(np.abs(rates[:3] - needed).max())
 
 
-def _condition(entry: Mapping[str, Any], reading: str) -> Measure:
+def _condition(entry: Entry, reading: str, rng: np.random.Generator) -> float:
     starts = entry["start"] if isinstance(entry["start"], list) else [entry["start"]]
-
-    def measured(rng: np.random.Generator) -> float:
-        point = random_point(rng)
-        return max(residual(with_values(point, start | entry.get(f"as_{reading}", {}))) for start in starts)
-
-    return measured
+    point = random_point(rng)
+    return max(residual(with_values(point, start | entry.get(f"as_{reading}", {}))) for start in starts)
 
 
-def _beyond(entry: Mapping[str, Any]) -> Readings:
-    """By how much a true motion breaks the printed limits, and its residual."""
-
-    def drawn(rng: np.random.Generator) -> Point:
-        point = with_values(random_point(rng), entry["start"])
-        for name in entry.get("solve", ()):
-            point[name] = FAMILIES[entry["family"]].solve[name](point)
-        return point
-
-    breaks = Expression("breaks", entry["breaks"])
-    return lambda rng: float(np.abs(breaks.value(drawn(rng)))[0]), lambda rng: residual(drawn(rng))
+def _beyond(entry: Entry, reading: str, rng: np.random.Generator) -> float:
+    """By how much a true motion breaks the printed limits, or its residual."""
+    point = with_values(random_point(rng), entry["start"])
+    for name in entry.get("solve", ()):
+        point[name] = FAMILIES[entry["family"]].solve[name](point)
+    if reading == "true":
+        return residual(point)
+    return float(np.abs(Expression("breaks", entry["breaks"]).value(point))[0])
 
 
-# Closed forms.
-
-
-def _form_residual(point: Point, form: Mapping[str, Any]) -> float:
+def _closed_form(entry: Entry, reading: str, rng: np.random.Generator) -> float:
     """Largest error of the rates, and of beta = gamma x alpha, along a closed form of the motion."""
+    form = entry["form"] | (entry.get("form_true", {}) if reading == "true" else {})
+    point = with_values(random_point(rng), entry["start"])
     t = np.linspace(0.0, 13.0, 13)
 
     def evaluate(time: Any) -> list[Array]:
@@ -103,15 +97,10 @@ def _form_residual(point: Point, form: Mapping[str, Any]) -> float:
     return float(max(np.abs(np.concatenate(slopes) - rates).max(), orientation))
 
 
-def _closed_form(entry: Mapping[str, Any], reading: str) -> Measure:
-    form = entry["form"] | (entry.get("form_true", {}) if reading == "true" else {})
-    return lambda rng: _form_residual(with_values(random_point(rng), entry["start"]), form)
-
-
 # Lagrange's equations on theta = theta0, psi = psi0 + n t, phi = m t: (8)-(13), and section 4.2, n/m irrational.
 
 
-def instant(entry: Mapping[str, Any], rng: np.random.Generator, point: Point) -> dict[str, Any]:
+def instant(entry: Entry, rng: np.random.Generator, point: Point) -> dict[str, Any]:
     """t, at which an equation is stated, and `even`, (-1)^i of (35) or (-1)^j of (39)."""
     if "time" not in entry:
         return {"t": rng.uniform(0.5, 5.0), "even": 1}
@@ -127,7 +116,7 @@ def parts(point: Mapping[str, Any]) -> dict[str, Any]:
     return with_values(point, CONTENT["abbreviations"])
 
 
-def left_side(entry: Mapping[str, Any], reading: str, values: Mapping[str, Any]) -> Array:
+def left_side(entry: Entry, reading: str, values: Mapping[str, Any]) -> Array:
     """Sum of the terms of an equation in one reading."""
     terms = entry[f"terms_{reading}"]
     if isinstance(terms, str):
@@ -142,23 +131,17 @@ def true_left_side(point: Point, t: Any, number: int) -> Array:
     return lagrange.equations(euler_state(moved), (zero, zero, zero), constants(moved))[number - 5]
 
 
-def _equation_on_motion(entry: Mapping[str, Any], reading: str) -> Measure:
-    def measured(rng: np.random.Generator) -> float:
-        point = random_point(rng)
-        at = instant(entry, rng, point)
-        left = left_side(entry, reading, parts(point | at))
-        return float(np.abs(left - true_left_side(point, at["t"], entry["left_side"]))[0])
-
-    return measured
+def _equation_on_motion(entry: Entry, reading: str, rng: np.random.Generator) -> float:
+    point = random_point(rng)
+    at = instant(entry, rng, point)
+    left = left_side(entry, reading, parts(point | at))
+    return float(np.abs(left - true_left_side(point, at["t"], entry["left_side"]))[0])
 
 
-def _vanishing(entry: Mapping[str, Any]) -> Measure:
-    def measured(rng: np.random.Generator) -> float:
-        point = random_point(rng)
-        values = point | instant(entry, rng, point)
-        return max(float(np.abs(Expression("vanish", text).value(values)).max()) for text in entry["vanish"])
-
-    return measured
+def _vanishing(entry: Entry, reading: str, rng: np.random.Generator) -> float:
+    point = random_point(rng)
+    values = point | instant(entry, rng, point)
+    return max(float(np.abs(Expression("vanish", text).value(values)).max()) for text in entry["vanish"])
 
 
 # What no expression says: the Lagrangian, Lagrange's equations at any state, the determinant (43), the apex of a cone.
@@ -170,8 +153,10 @@ def _free(rng: np.random.Generator) -> Point:
     return {**random_point(rng), "theta_dot0": rate, "phi0": angle}
 
 
-def _lagrangian_terms(p: Point, sign: float) -> Array:
-    """(4) with its two questionable signs; sign = 1 as printed, -1 as they follow from (2) and (3)."""
+def _lagrangian_error(entry: Entry, reading: str, rng: np.random.Generator) -> float:
+    """(4), with its two questionable signs as printed or as they follow, less (2) with (3), at a random state."""
+    p = _free(rng)
+    sign = 1.0 if reading == "printed" else -1.0
     psi, theta, phi, psi_dot, theta_dot, phi_dot = euler_state(p)
     s, c, sf, cf, sp, cp = np.sin(theta), np.cos(theta), np.sin(phi), np.cos(phi), np.sin(psi), np.cos(psi)
     rate = psi_dot + p["Omega"]
@@ -183,40 +168,22 @@ def _lagrangian_terms(p: Point, sign: float) -> Array:
     magnet = p["mu1"] * (p["h1"] * first + p["h3"] * s * sf)
     magnet = magnet + p["mu2"] * (sign * p["h1"] * second + p["h3"] * s * cf)
     magnet = magnet + p["mu3"] * (p["h1"] * s * sp + p["h3"] * c)
-    return kinetic + rotor - 1.5 * p["Omega"] ** 2 * gravity - magnet
-
-
-def _lagrangian(p: Point) -> Array:
-    """(2) with (3), by the vectors of (1)."""
+    terms = kinetic + rotor - 1.5 * p["Omega"] ** 2 * gravity - magnet
+    # (2) with (3), by the vectors of (1)
     alpha, gamma = directions(p)
-    inertia, k, mu = (
-        np.array([p[i] for i in names.split()]) for names in ("A B C", "k1 k2 k3", "mu1 mu2 mu3")
-    )
+    inertia, k, mu = body_vectors(p)
     node = np.array([np.cos(p["phi0"]), -np.sin(p["phi0"]), np.zeros(1)])
     w = (p["n"] + p["Omega"]) * gamma + p["theta_dot0"] * node + p["m"] * np.array([[0.0], [0.0], [1.0]])
     potential = 1.5 * p["Omega"] ** 2 * inertia * alpha**2 + mu * (p["h1"] * alpha + p["h3"] * gamma)
-    return (0.5 * inertia * w**2 + k * w - potential).sum(0)
+    return float(np.abs(terms - (0.5 * inertia * w**2 + k * w - potential).sum(0))[0])
 
 
-def _lagrangian_error(reading: str) -> Measure:
-    def measured(rng: np.random.Generator) -> float:
-        point = _free(rng)
-        terms = _lagrangian_terms(point, 1.0 if reading == "printed" else -1.0)
-        return float(np.abs(terms - _lagrangian(point))[0])
-
-    return measured
-
-
-def _equation_of_motion(number: str, reading: str) -> Measure:
+def _equation_of_motion(entry: Entry, reading: str, rng: np.random.Generator) -> float:
     equations = lagrange.equations_printed if reading == "printed" else lagrange.equations
-    index = int(number[1]) - 5
-
-    def measured(rng: np.random.Generator) -> float:
-        point = _free(rng)
-        accelerations = lagrange.rhs(euler_state(point), constants(point))[3:]
-        return float(np.abs(equations(euler_state(point), accelerations, constants(point))[index])[0])
-
-    return measured
+    point = _free(rng)
+    accelerations = lagrange.rhs(euler_state(point), constants(point))[3:]
+    left = equations(euler_state(point), accelerations, constants(point))[int(entry["number"][1]) - 5]
+    return float(np.abs(left)[0])
 
 
 def determinant_quotient(angles: Array) -> float:
@@ -226,7 +193,7 @@ def determinant_quotient(angles: Array) -> float:
     return float(np.linalg.det(np.array(columns).T) / np.prod(pairs))
 
 
-def _determinant(rng: np.random.Generator) -> float:
+def _determinant(entry: Entry, reading: str, rng: np.random.Generator) -> float:
     """Relative difference of c_* of (43) between two random sets of angles, none of them close together."""
     first, second = (
         determinant_quotient(2 * np.pi / 5 * (np.arange(5) + rng.uniform(0, 0.7, 5))) for _ in range(2)
@@ -234,50 +201,34 @@ def _determinant(rng: np.random.Generator) -> float:
     return abs(first / second - 1)
 
 
-def _apex_distance(psi0: float) -> Measure:
+def _apex_distance(entry: Entry, reading: str, rng: np.random.Generator) -> float:
     """Least distance of the line along e3 through the satellite from the Earth's normal, over the orbit's radius."""
-
-    def measured(rng: np.random.Generator) -> float:
-        p = with_values(random_point(rng), {"psi0": psi0, "n": 0})
-        alpha, gamma = directions(p)
-        across = np.array([alpha[2, 0], -np.sin(p["theta0"][0]) * np.cos(psi0)])
-        along = -across[0] / (across @ across)
-        return float(np.hypot(1 + along * across[0], along * across[1]))
-
-    return measured
+    psi0 = 0.0 if reading == "printed" else np.pi / 2
+    p = with_values(random_point(rng), {"psi0": psi0, "n": 0})
+    alpha, gamma = directions(p)
+    across = np.array([alpha[2, 0], -np.sin(p["theta0"][0]) * np.cos(psi0)])
+    along = -across[0] / (across @ across)
+    return float(np.hypot(1 + along * across[0], along * across[1]))
 
 
-def _published(entry: Mapping[str, Any]) -> PublishedEquation:
-    """The row of an entry of equations.toml."""
-    measured: Readings
-    match entry:
-        case {"function": "lagrangian"}:
-            measure = "L at a random state, less (2) with (3)"
-            measured = _lagrangian_error("printed"), _lagrangian_error("true")
-        case {"function": "lagrange", "number": number}:
-            measure = "left side at a random state and its true accelerations"
-            measured = _equation_of_motion(number, "printed"), _equation_of_motion(number, "true")
-        case {"function": "determinant", "measure": measure}:
-            measured = _determinant, _determinant
-        case {"function": "apex_distance", "measure": measure}:
-            measured = _apex_distance(0.0), _apex_distance(np.pi / 2)
-        case {"left_side": equation}:
-            measure = f"left side at a random time, less that of ({equation}), corrected, on the precession"
-            measured = _equation_on_motion(entry, "printed"), _equation_on_motion(entry, "true")
-        case {"vanish": _}:
-            measure = "what is to vanish at a random one of these times"
-            measured = _vanishing(entry), _vanishing(entry)
-        case {"form": _}:
-            measure = "largest |rate - right-hand side| of the closed form, or |beta - gamma x alpha|"
-            measured = _closed_form(entry, "printed"), _closed_form(entry, "true")
-        case {"breaks": _}:
-            measure = "by how much a true motion breaks the printed limits; its defect"
-            measured = _beyond(entry)
-        case _:
-            measure = "largest |rate - right-hand side| along the motion under the condition"
-            measured = _condition(entry, "printed"), _condition(entry, "true")
-    return row(entry, measured, measure)
-
-
-ENTRIES: dict[str, Mapping[str, Any]] = {entry["number"]: entry for entry in CONTENT["equation"]}
-PUBLISHED: Sequence[PublishedEquation] = tuple(map(_published, ENTRIES.values()))
+# By the key or the function of an entry: what is measured, and the measure (entry, reading, random generator).
+MEASURES = {
+    "lagrangian": ("L at a random state, less (2) with (3)", _lagrangian_error),
+    "lagrange": ("left side at a random state and its true accelerations", _equation_of_motion),
+    "determinant": ("", _determinant),
+    "apex_distance": ("", _apex_distance),
+    "left_side": (
+        "left side at a random time, less that of ({left_side}), corrected, on the precession",
+        _equation_on_motion,
+    ),
+    "vanish": ("what is to vanish at a random one of these times", _vanishing),
+    "form": ("largest |rate - right-hand side| of the closed form, or |beta - gamma x alpha|", _closed_form),
+    "breaks": ("by how much a true motion breaks the printed limits; its defect", _beyond),
+    "start": ("largest |rate - right-hand side| along the motion under the condition", _condition),
+}
+ENTRIES: dict[str, Entry] = {entry["number"]: entry for entry in CONTENT["equation"]}
+PUBLISHED: list[PublishedEquation] = []
+for entry in ENTRIES.values():
+    text, measure = MEASURES[entry.get("function") or next(key for key in MEASURES if key in entry)]
+    readings = partial(measure, entry, "printed"), partial(measure, entry, "true")
+    PUBLISHED.append(row(entry, readings, text.format(**entry)))

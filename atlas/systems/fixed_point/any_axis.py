@@ -20,6 +20,15 @@ resting axis of symmetry, `rest` or `other_axis`. So together with the families 
 In Lagrange's case about another axis s of symmetry than the third, with C = s.I s and c = s.g:
 (C - A)(n^2 - N) c + (C m + l.s) n + Mg r_c.s = 0.
 
+In Grioli's precession of a heavy body with a rotor the body turns at equal rates about s = w / |w| and about an axis nu normal
+to it. With b = s.I s
+
+    |Mg r_c| g = -(b n^2 + (l.s) n) nu + n^2 [(nu.(s x I s)) nu x s + (nu.I s) s].
+
+In a balanced field w = n g + m s, and with D the part of I s across s
+
+    l across s = -(m + 2 n s.g) D,   Mg r_c = -n (l + m (s.I s) s).
+
 References
 ----------
 G. Grioli, Ann. Mat. Pura Appl. 26 (1947) 271-281; with a rotor E. I. Kharlamova, Mekh. Tverd. Tela 2 (1970) 35-37.
@@ -27,186 +36,399 @@ G. Grioli, Ann. Mat. Pura Appl. 26 (1947) 271-281; with a rotor E. I. Kharlamova
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from functools import partial
+from typing import Any, NamedTuple, Self
+
 import numpy as np
 
-from ...flags import Stability
-from ..base import Array, Condition, Family, Flags, Points, TwoAxes, numbered
-from ..gyrostat.equation import each
+from ..base import FAMILY_TOLERANCE, Array, Family, Flags, Points, TwoAxes, motion_about_axes, numbered
+from ..gyrostat.floquet import growth_of_periodic_motion
+from ..gyrostat.motions import about_axis, always_stable, each, family_about_axes, linear
+from ..jacobian import jacobian
 from ..vectors import across, cross, dot, length, principal, ratio, unit
-from . import families
-from .circular_sections import BALANCED_FIELD, GRIOLI
-from .stability import decide
-from .two_axes import ROTORS, Start, about, along, axis_of_symmetry, no_field, rotor_along, symmetric_about
+from . import equations, families
+from .families import decide
+from .initial import VECTORS, bodies, constants, initial_state, vertical
 
-# Lagrange's case about another axis than the third.
-
-
-def lagrange_axes(points: Points) -> TwoAxes:
-    start = Start.of(points)
-    s = axis_of_symmetry(start.inertia, (0, 1), start.weight)
-    normal = across(start.gamma, s)
-    n = ratio(dot(start.w, normal), (normal**2).sum(0))
-    return TwoAxes(s, dot(start.w - n * start.gamma, s), start.gamma, n)
+OFFSETS, ROTORS = ("x0", "y0", "z0"), ("l1", "l2", "l3")
 
 
-def _lagrange_steady(points: Points) -> Array:
-    """Rate of nutation: what w has beside n g + m s."""
-    start, (s, m, g, n) = Start.of(points), lagrange_axes(points)
-    return ratio(length(start.w - n * g - m * s), np.sqrt(start.squared_rate))
+class Start(NamedTuple):
+    """Body, fields and state at t = 0; vectors of shape (3, points) in body axes."""
+
+    inertia: Array
+    rotor: Array
+    weight: Array
+    N: Array
+    w: Array
+    gamma: Array
+
+    @classmethod
+    def of(cls, points: Points, **changes: float) -> Self:
+        """That of points, with other values of some parameters."""
+        points = {**points, **{name: np.full_like(points["A"], value) for name, value in changes.items()}}
+        state = initial_state(points)
+        return cls(*bodies(points), state[:3], state[3:])
+
+    @property
+    def squared_rate(self) -> Array:
+        """Largest squared rate: |w|^2, and the torques of fields and rotor over the least moment."""
+        square, least = (self.w**2).sum(0), self.inertia.min(0)
+        gradient = np.abs(self.N) * (self.inertia.max(0) - least)
+        torque = np.maximum(length(self.weight), np.maximum(gradient, length(self.rotor) * np.sqrt(square)))
+        return np.maximum(square, torque / least)
+
+    def residual(self, torque: Array) -> Array:
+        """A torque, vector or magnitude, over the least moment and the largest squared rate."""
+        size = np.abs(torque) if torque.ndim == self.N.ndim else length(torque)
+        return ratio(size / self.inertia.min(0), self.squared_rate)
+
+    def field_residual(self) -> Array:
+        """Residual of the field's gradient, which has no effect on a spherical body."""
+        return self.residual(self.N * (self.inertia.max(0) - self.inertia.min(0)))
+
+    def rotor_residual(self, s: Array) -> Array:
+        """Residual of the part of the rotor across a unit vector."""
+        return self.residual(cross(self.rotor, s) * length(self.w))
+
+    def axis_of_symmetry(self, candidates: tuple[int, ...], otherwise: Array) -> Array:
+        """The principal axis about which the body is nearest to symmetry; a given vector for a spherical body."""
+        inertia = self.inertia
+        differences = np.array([np.abs(inertia[(i + 1) % 3] - inertia[(i + 2) % 3]) for i in candidates])
+        axis = principal(np.array(candidates)[differences.argmin(0)])
+        spherical = inertia.max(0) - inertia.min(0) <= FAMILY_TOLERANCE * inertia.max(0)
+        return np.where(spherical, unit(otherwise, axis), axis)
+
+    def section_difference(self, s: Array) -> Array:
+        """How far the section of the ellipsoid of inertia normal to s is from a circle, over the largest moment."""
+        first = unit(cross(s, principal(np.abs(s).argmin(0))))
+        second = cross(s, first)
+        difference = dot(self.inertia * first, first) - dot(self.inertia * second, second)
+        return np.hypot(difference, 2 * dot(self.inertia * first, second)) / self.inertia.max(0)
+
+    def axes(self) -> TwoAxes:
+        """Axes and rates of the motion."""
+        raise NotImplementedError
+
+    @classmethod
+    def solve_rotor(
+        cls, line: Callable[[Any], tuple[Array | float, Array]], name: str, points: Points
+    ) -> Array:
+        """One component of a rotor on the line base + lambda direction, from another component."""
+        start = cls.of(points)
+        return along(ROTORS.index(name), start.rotor, *line(start))
+
+    @classmethod
+    def floquet_stability(cls, points: Points) -> tuple[Flags, Array]:
+        """From the multipliers over the period 2 pi / |m| of the closed form of the motion in the body."""
+        two, gamma, values = cls.of(points).axes(), vertical(points), constants(points)
+
+        def matrix(part: np.ndarray, t: Array) -> Array:
+            members = TwoAxes(*(value[..., part] for value in two))
+            state = np.concatenate(motion_about_axes(members, gamma[:, part], t)).reshape(6, -1)
+            constants_at_times = np.tile(values[:, part], len(t))
+            return jacobian(equations, state, constants_at_times).reshape(*t.shape, 6, 6)
+
+        return growth_of_periodic_motion(matrix, 2 * np.pi / np.abs(two.spin_rate))
 
 
-def _lagrange_weight(points: Points) -> Array:
-    start = Start.of(points)
-    return start.residual(cross(start.weight, lagrange_axes(points).spin_axis))
+def section_normals(inertia: Array) -> Array:
+    """Magnitudes of the components of the normals of the circular sections of the ellipsoid of inertia."""
+    order = np.argsort(inertia, axis=0, kind="stable")
+    low, middle, high = np.take_along_axis(inertia, order, 0)
+    squares = np.array([middle - low, np.zeros_like(low), high - middle]) / (high - low)
+    return np.take_along_axis(np.sqrt(squares), np.argsort(order, axis=0), 0)
 
 
-def _lagrange_torque(points: Points) -> tuple[Array, Array]:
-    """Left side of the balance without the weight, and the weight along s."""
-    start, (s, m, g, n) = Start.of(points), lagrange_axes(points)
-    C = dot(start.inertia * s, s)
-    A = 0.5 * (start.inertia.sum(0) - C)
-    return (C - A) * (n**2 - start.N) * dot(s, g) + (C * m + dot(start.rotor, s)) * n, dot(start.weight, s)
+def along(i: int, vector: Array, base: Array | float, direction: Array) -> Array:
+    """Component i of a vector = base + lambda direction, lambda from the component of the largest other one of direction."""
+    magnitudes = np.abs(direction)
+    magnitudes[i] = -1.0
+    base = np.broadcast_to(base, direction.shape)
+    vector, others, slope = (
+        np.take_along_axis(v, magnitudes.argmax(0)[None], 0)[0] for v in (vector, base, direction)
+    )
+    return base[i] + (vector - others) / slope * direction[i]
 
 
-def _lagrange_balance(points: Points) -> Array:
-    start, (rest, weight) = Start.of(points), _lagrange_torque(points)
-    tilt = length(cross(lagrange_axes(points).spin_axis, start.gamma))
-    return start.residual((rest + weight) * tilt)
+class Lagrange(Start):
+    """Lagrange's case about another axis of symmetry than the third."""
+
+    def axes(self) -> TwoAxes:
+        return about_axis(self.axis_of_symmetry((0, 1), self.weight), self.w, self.gamma)
+
+    def torque(self) -> tuple[Array, Array]:
+        """Left side of the balance without the weight, and the weight along s."""
+        s, m, g, n = self.axes()
+        C = dot(self.inertia * s, s)
+        A = 0.5 * (self.inertia.sum(0) - C)
+        return (C - A) * (n**2 - self.N) * dot(s, g) + (C * m + dot(self.rotor, s)) * n, dot(self.weight, s)
+
+    def imbalance(self) -> Array:
+        rest, weight = self.torque()
+        return self.residual((rest + weight) * length(cross(self.axes().spin_axis, self.gamma)))
+
+    def unsteadiness(self) -> Array:
+        """Rate of nutation: what w has beside n g + m s."""
+        s, m, g, n = self.axes()
+        return ratio(length(self.w - n * g - m * s), np.sqrt(self.squared_rate))
+
+    @classmethod
+    def solve_weight(cls, points: Points) -> Array:
+        rest, weight = cls.of(points, Mg=1.0).torque()
+        return -rest / weight
+
+    @classmethod
+    def stability(cls, points: Points) -> tuple[Flags, Array]:
+        """As the family conical: stable where the squared frequency of nutation is positive."""
+        start = cls.of(points)
+        s, m, g, n = start.axes()
+        C = dot(start.inertia * s, s)
+        A, c = 0.5 * (start.inertia.sum(0) - C), dot(s, g)
+        spin = (C * (m + n * c) + dot(start.rotor, s)) / A
+        square = (n**2 + start.N * (C - A) / A) * (1 - c**2) + (spin - 2 * n * c) ** 2
+        size = (n**2 + np.abs(start.N * (C - A) / A)) + spin**2 + 4 * n**2 * c**2
+        return decide(square, size, np.sqrt(np.maximum(-square, 0.0)))
 
 
-def _solve_lagrange_weight(points: Points) -> Array:
-    weighed = {**points, "Mg": np.ones_like(points["A"])}
-    rest, weight = _lagrange_torque(weighed)
-    return -rest / weight
+class Rotation(Start):
+    """A free body that turns about one axis."""
+
+    def axes(self) -> TwoAxes:
+        rate = length(self.w)
+        axis = unit(self.w, principal(np.full(rate.shape, 2)))
+        return TwoAxes(axis, rate, axis, np.zeros_like(rate))
+
+    @classmethod
+    def stability(cls, points: Points) -> tuple[Flags, Array]:
+        """Euler's equations linearised: I x' = (I x) x w + (I w + l) x x has exponents 0 and +-sqrt(-P).
+
+        P is the sum of the principal minors of the matrix of the system; stable where it is positive. Where it is 0 by
+        the symmetry of the body, distances grow like t at most, which counts as stable.
+        """
+        start = cls.of(points)
+        momentum = start.inertia * start.w + start.rotor
+        columns = []
+        for j in range(3):
+            axis = principal(np.full(momentum.shape[1:], j))
+            turn = cross(start.inertia * axis, start.w) + cross(momentum, axis)
+            columns.append(turn / start.inertia)
+        pairs = ((0, 1), (0, 2), (1, 2))
+        products = np.array([columns[i][i] * columns[j][j] - columns[i][j] * columns[j][i] for i, j in pairs])
+        size = np.array([np.abs(columns[i][j] * columns[j][i]) for i, j in pairs]).sum(0)
+        P = products.sum(0)
+        return decide(P, size, np.sqrt(np.maximum(-P, 0.0)))
 
 
-def _lagrange_stability(points: Points) -> tuple[Flags, Array]:
-    """As the family conical: stable where the squared frequency of nutation is positive."""
-    start, (s, m, g, n) = Start.of(points), lagrange_axes(points)
-    C = dot(start.inertia * s, s)
-    A, c = 0.5 * (start.inertia.sum(0) - C), dot(s, g)
-    spin = (C * (m + n * c) + dot(start.rotor, s)) / A
-    square = (n**2 + start.N * (C - A) / A) * (1 - c**2) + (spin - 2 * n * c) ** 2
-    size = (n**2 + np.abs(start.N * (C - A) / A)) + spin**2 + 4 * n**2 * c**2
-    return decide(square, size, np.sqrt(np.maximum(-square, 0.0)))
+class Precession(Start):
+    """A free symmetric body that turns about its axis of symmetry and its angular momentum."""
+
+    def axes(self) -> TwoAxes:
+        """G / A is the angular velocity about the angular momentum G, ((A - C) w.s - l.s) / A that about s."""
+        s = self.axis_of_symmetry((2, 0, 1), self.rotor)
+        momentum = self.inertia * self.w + self.rotor
+        axial = dot(self.inertia * s, s)
+        transverse = 0.5 * (self.inertia.sum(0) - axial)
+        spin = ((transverse - axial) * dot(self.w, s) - dot(self.rotor, s)) / transverse
+        return TwoAxes(s, spin, unit(momentum, s), length(momentum) / transverse)
 
 
-OTHER_AXIS = Family(
-    name="other_axis",
-    axes=lagrange_axes,
-    motion=about(lagrange_axes),
-    title="Lagrange's case about another axis of symmetry than the third, and turning about it at rest",
-    equations="as conical and rest, about the first or second axis, or the axis of a spherical body",
-    conditions=(
-        Condition("B = C or C = A", lambda p: symmetric_about(p, lagrange_axes(p).spin_axis)),
-        Condition("l along the axis s of symmetry", lambda p: rotor_along(p, lagrange_axes(p).spin_axis)),
-        Condition("Mg r_c along s", _lagrange_weight),
-        Condition("w = n g + m s", _lagrange_steady),
-        Condition("(C - A)(n^2 - N) s.g + (C m + l.s) n + Mg r_c.s = 0, C = s.I s", _lagrange_balance),
-    ),
-    solve={"Mg": _solve_lagrange_weight},
-    stability=_lagrange_stability,
-    labels="regular precession (n, m) about the vertical; permanent rotation where one of the two rates is 0",
-)  # fmt: skip
+class Grioli(Start):
+    """Grioli's precession about an inclined axis."""
+
+    def axes(self) -> TwoAxes:
+        s = unit(self.weight)
+        n = dot(self.w, s)
+        return TwoAxes(s, n, across(self.w, s) / n, n)
+
+    def vertical(self, axes: TwoAxes) -> Array:
+        """Mg |r_c| times the vertical."""
+        s, n, nu, _ = axes
+        momentum = self.inertia * s
+        along = dot(momentum, s) * n**2 + dot(self.rotor, s) * n
+        turned = dot(nu, cross(s, momentum)) * cross(nu, s) + dot(nu, momentum) * s
+        return -along * nu + n**2 * turned
+
+    def unequal_rates(self) -> Array:
+        axes = self.axes()
+        transverse = length(across(self.w, axes.spin_axis))
+        return (transverse - np.abs(axes.spin_rate)) / np.sqrt(self.squared_rate)
+
+    @classmethod
+    def solve_weight(cls, points: Points) -> Array:
+        """Mg > 0 from the start and the offset: Mg |r_c| is the length of the vector in the condition of the vertical."""
+        start = cls.of(points, Mg=1.0)
+        return length(start.vertical(start.axes())) / length(start.weight)
+
+    @classmethod
+    def solve_start(cls, name: str, points: Points) -> Array:
+        """One of p0 .. gamma30 at the time at which nu lies in the plane of s and I s; with all six solved, the start is exact.
+
+        n > 0 is the largest root of (b n^2 + l n)^2 + d^2 n^4 = |Mg r_c|^2, nan where the body has no such motion.
+        """
+        start = cls.of(points)
+        s = unit(start.weight)
+        momentum = start.inertia * s
+        b, d2, rotor = dot(momentum, s), (across(momentum, s) ** 2).sum(0), dot(start.rotor, s)
+        square = (start.weight**2).sum(0)
+        # The roots are eigenvalues of the companion matrix, in a unit that makes its last coefficient -1.
+        a4, a3, a2 = b**2 + d2, 2 * b * rotor, rotor**2
+        scale = np.sqrt(np.sqrt(square / a4))
+        matrix = np.zeros((*a4.shape, 4, 4))
+        matrix[..., 1, 0] = matrix[..., 2, 1] = matrix[..., 3, 2] = 1.0
+        matrix[..., 0, 3], matrix[..., 2, 3], matrix[..., 3, 3] = (
+            1.0,
+            -a2 / (a4 * scale**2),
+            -a3 / (a4 * scale),
+        )
+        finite = np.asarray(np.isfinite(matrix).all((-2, -1)))
+        roots = np.linalg.eigvals(np.where(finite[..., None, None], matrix, np.eye(4)))
+        real = np.where(np.abs(roots.imag) <= 1e-7 * np.abs(roots), roots.real, -np.inf).max(-1)
+        n = np.where(finite, real * scale, np.nan)
+        for _ in range(2):  # Newton's steps remove the rounding errors of the eigenvalues
+            turning = b * n**2 + rotor * n
+            n = n - (turning**2 + d2 * n**4 - square) / (2 * turning * (2 * b * n + rotor) + 4 * d2 * n**3)
+        n = np.where(n > 0, n, np.nan)
+        nu = unit(across(momentum, s))
+        gamma = start.vertical(TwoAxes(s, n, nu, n))
+        return np.concatenate([n * (nu + s), unit(gamma)])[VECTORS.index(name)]
+
+    @classmethod
+    def solve_offset(cls, name: str, points: Points) -> Array:
+        """One coordinate of the centre of mass from the largest other one; the sign given, or +, is kept."""
+        offset = np.array([points[name] for name in OFFSETS])
+        value = along(OFFSETS.index(name), offset, 0.0, section_normals(cls.of(points).inertia))
+        return np.copysign(value, points[name])
 
 
-# Free bodies: no weight, and no field unless the body is spherical.
+class Balanced(Start):
+    """Precession about the vertical where field and centrifugal torque cancel."""
+
+    def axes(self) -> TwoAxes:
+        """With the sign of n of which the spin axis is nearer to a normal of a circular section."""
+        candidates, off = [], []
+        for sign in (1.0, -1.0):
+            n = sign * np.sqrt(self.N)
+            turn = self.w - n * self.gamma
+            candidates.append(TwoAxes(unit(turn), length(turn), self.gamma, n))
+            difference = self.section_difference(candidates[-1].spin_axis)
+            off.append(np.nan_to_num(difference, nan=np.inf))
+        first = off[0] <= off[1]
+        return TwoAxes(*(np.where(first, a, b) for a, b in zip(*candidates, strict=True)))
+
+    def needed_rotor(self) -> tuple[Array, Array]:
+        """What the part of the rotor across the spin axis must be, and that axis."""
+        s, m, g, n = self.axes()
+        return -(m + 2 * n * dot(s, g)) * across(self.inertia * s, s), s
+
+    def rotor_off(self) -> Array:
+        needed, s = self.needed_rotor()
+        return self.residual((across(self.rotor, s) - needed) * length(self.w))
+
+    def excess_weight(self) -> Array:
+        """Mg r_c less what it must be."""
+        s, m, _, n = self.axes()
+        return self.weight + n * (self.rotor + m * dot(self.inertia * s, s) * s)
 
 
-def _no_weight(points: Points) -> Array:
-    start = Start.of(points)
-    return start.residual(start.weight)
+def _family(kind: Any, **more: Any) -> Family:
+    return family_about_axes(kind.of, kind.axes, lambda p: (vertical(p),), **more)
 
 
-def _free_turning(points: Points) -> Array:
-    start = Start.of(points)
-    return start.residual(cross(start.inertia * start.w + start.rotor, start.w))
-
-
-def rotation_axes(points: Points) -> TwoAxes:
-    w = Start.of(points).w
-    rate = length(w)
-    axis = unit(w, principal(np.full(rate.shape, 2)))
-    return TwoAxes(axis, rate, axis, np.zeros_like(rate))
-
-
-def _turning_rotor(name: str, points: Points) -> Array:
-    """One component of the rotor: I w + l along w."""
-    start = Start.of(points)
-    return along(ROTORS.index(name), start.rotor, -start.inertia * start.w, start.w)
-
-
-def _turning_stability(points: Points) -> tuple[Flags, Array]:
-    """Euler's equations linearised: I x' = (I x) x w + (I w + l) x x has exponents 0 and +-sqrt(-P).
-
-    P is the sum of the principal minors of the matrix of the system; stable where it is positive. Where it is 0 by
-    the symmetry of the body, distances grow like t at most, which counts as stable.
-    """
-    start = Start.of(points)
-    momentum = start.inertia * start.w + start.rotor
-    columns = []
-    for j in range(3):
-        axis = principal(np.full(momentum.shape[1:], j))
-        turn = cross(start.inertia * axis, start.w) + cross(momentum, axis)
-        columns.append(turn / start.inertia)
-    products = np.array([columns[i][i] * columns[j][j] - columns[i][j] * columns[j][i] for i, j in _PAIRS])
-    size = np.array([np.abs(columns[i][j] * columns[j][i]) for i, j in _PAIRS]).sum(0)
-    P = products.sum(0)
-    return decide(P, size, np.sqrt(np.maximum(-P, 0.0)))
-
-
-_PAIRS = ((0, 1), (0, 2), (1, 2))
-
-
-def precession_axes(points: Points) -> TwoAxes:
-    """G / A is the angular velocity about the angular momentum G, ((A - C) w.s - l.s) / A that about s."""
-    start = Start.of(points)
-    s = axis_of_symmetry(start.inertia, (2, 0, 1), start.rotor)
-    momentum = start.inertia * start.w + start.rotor
-    axial = dot(start.inertia * s, s)
-    transverse = 0.5 * (start.inertia.sum(0) - axial)
-    spin = ((transverse - axial) * dot(start.w, s) - dot(start.rotor, s)) / transverse
-    return TwoAxes(s, spin, unit(momentum, s), length(momentum) / transverse)
-
-
-def _always_stable(points: Points) -> tuple[Flags, Array]:
-    """Neighbours of a free precession are free precessions: distances grow like t at most."""
-    shape = np.shape(points["A"])
-    return np.full(shape, Stability.STABLE, np.int8), np.zeros(shape)
-
-
-_FREE = (
-    Condition("Mg r_c = 0", _no_weight),
-    Condition("N = 0, or A = B = C", no_field),
-)
-FREE_ROTATION = Family(
-    name="free_rotation",
-    axes=rotation_axes,
-    motion=about(rotation_axes),
-    title="permanent rotation of a free body about an inclined axis",
-    equations="from the equations of motion",
-    conditions=(*_FREE, Condition("(I w + l) x w = 0", _free_turning)),
-    solve=each(_turning_rotor, *ROTORS),
-    stability=_turning_stability,
-    labels="permanent rotation",
-    exists="about each principal axis of a body without rotor",
-)  # fmt: skip
-FREE_PRECESSION = Family(
-    name="free_precession",
-    axes=precession_axes,
-    motion=about(precession_axes),
-    title="regular precession of a free symmetric or spherical body about its angular momentum",
-    equations="from the equations of motion",
-    conditions=(
-        *_FREE,
-        Condition("two equal moments", lambda p: symmetric_about(p, precession_axes(p).spin_axis)),
-        Condition("l along the axis of symmetry", lambda p: rotor_along(p, precession_axes(p).spin_axis)),
-    ),
-    solve={"B": lambda points: points["A"].copy()},
-    stability=_always_stable,
-    labels="regular precession (|G|/A, ((A - C) w.s - l.s)/A) about G = I w + l; permanent rotation where that"
-    " is along s or m = 0",
-)  # fmt: skip
+_FREE = (("Mg r_c = 0", lambda b: b.residual(b.weight)), ("N = 0, or A = B = C", Start.field_residual))
 FAMILIES = numbered(
-    (GRIOLI, BALANCED_FIELD, FREE_ROTATION, FREE_PRECESSION, OTHER_AXIS), after=families.FAMILIES
-)
+    (
+        _family(
+            Grioli,
+            name="grioli",
+            title="Grioli's regular precession of an asymmetric body about an axis inclined to the vertical",
+            equations="Grioli 1947; with a rotor Kharlamova 1970",
+            conditions=(
+                ("N = 0", Start.field_residual),
+                ("r_c normal to a circular section of the ellipsoid of inertia",
+                 lambda b: b.section_difference(unit(b.weight))),
+                ("l parallel to r_c", lambda b: b.rotor_residual(unit(b.weight))),
+                ("w = n (nu + s): equal rates about s = Mg r_c / |Mg r_c| and an axis nu normal to it", Grioli.unequal_rates),
+                ("|Mg r_c| g = -(b n^2 + l.s n) nu + n^2 [(nu.(s x I s)) nu x s + (nu.I s) s], b = s.I s",
+                 lambda b: b.residual(b.vertical(b.axes()) - length(b.weight) * b.gamma)),
+            ),
+            solve={
+                **each(Grioli.solve_offset, *OFFSETS),
+                **each(partial(Grioli.solve_rotor, lambda b: (0.0, b.weight)), *ROTORS),
+                "Mg": Grioli.solve_weight,
+                **each(Grioli.solve_start, *VECTORS),
+            },
+            stability=Grioli.floquet_stability,
+            labels="regular precession about an inclined axis; drifting about the third axis and the vertical",
+            exists="(b n^2 + l.s n)^2 + d^2 n^4 = |Mg r_c|^2, d = |s x I s|, for any body with three different moments;"
+            " p0 .. gamma30 together start the motion of the largest n",
+        ),
+        _family(
+            Balanced,
+            name="balanced_field",
+            title="regular precession about the vertical at n^2 = N, where field and centrifugal torque cancel",
+            equations="derived from the equations of motion; not in the paper",
+            conditions=(
+                ("N > 0", lambda b: np.where(b.N > 0, 0.0, np.inf)),
+                ("w = n g + m s, n^2 = N, s normal to a circular section of the ellipsoid of inertia",
+                 lambda b: b.section_difference(b.axes().spin_axis)),
+                ("l across s = -(m + 2 n s.g) (I s across s)", Balanced.rotor_off),
+                ("Mg r_c = -n (l + m (s.I s) s)", lambda b: b.residual(b.excess_weight())),
+            ),
+            solve={
+                **each(partial(Balanced.solve_rotor, Balanced.needed_rotor), *ROTORS),
+                **linear(lambda p: Balanced.of(p).excess_weight(), *OFFSETS),
+            },
+            stability=Balanced.floquet_stability,
+            labels="regular precession (n, m) about the vertical, the spin axis is not principal",
+        ),
+        _family(
+            Rotation,
+            name="free_rotation",
+            title="permanent rotation of a free body about an inclined axis",
+            equations="from the equations of motion",
+            conditions=(
+                *_FREE,
+                ("(I w + l) x w = 0", lambda b: b.residual(cross(b.inertia * b.w + b.rotor, b.w))),
+            ),
+            solve=each(partial(Rotation.solve_rotor, lambda b: (-b.inertia * b.w, b.w)), *ROTORS),
+            stability=Rotation.stability,
+            labels="permanent rotation",
+            exists="about each principal axis of a body without rotor",
+        ),
+        _family(
+            Precession,
+            name="free_precession",
+            title="regular precession of a free symmetric or spherical body about its angular momentum",
+            equations="from the equations of motion",
+            conditions=(
+                *_FREE,
+                ("two equal moments", lambda b: b.section_difference(b.axes().spin_axis)),
+                ("l along the axis of symmetry", lambda b: b.rotor_residual(b.axes().spin_axis)),
+            ),
+            solve={"B": lambda points: points["A"].copy()},
+            # Neighbours of a free precession are free precessions: distances grow like t at most.
+            stability=always_stable,
+            labels="regular precession (|G|/A, ((A - C) w.s - l.s)/A) about G = I w + l; permanent rotation where that"
+            " is along s or m = 0",
+        ),
+        _family(
+            Lagrange,
+            name="other_axis",
+            title="Lagrange's case about another axis of symmetry than the third, and turning about it at rest",
+            equations="as conical and rest, about the first or second axis, or the axis of a spherical body",
+            conditions=(
+                ("B = C or C = A", lambda b: b.section_difference(b.axes().spin_axis)),
+                ("l along the axis s of symmetry", lambda b: b.rotor_residual(b.axes().spin_axis)),
+                ("Mg r_c along s", lambda b: b.residual(cross(b.weight, b.axes().spin_axis))),
+                ("w = n g + m s", Lagrange.unsteadiness),
+                ("(C - A)(n^2 - N) s.g + (C m + l.s) n + Mg r_c.s = 0, C = s.I s", Lagrange.imbalance),
+            ),
+            solve={"Mg": Lagrange.solve_weight},
+            stability=Lagrange.stability,
+            labels="regular precession (n, m) about the vertical; permanent rotation where one of the two rates is 0",
+        ),
+    ),
+    after=families.FAMILIES,
+)  # fmt: skip

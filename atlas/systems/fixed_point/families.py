@@ -18,18 +18,19 @@ a free body that turns about its third axis, in `rest`. So these four families a
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
+from ...flags import Stability
 from ..base import FAMILY_TOLERANCE, Array, Condition, Family, Flags, Points, TwoAxes, identify, numbered
 from ..gyrostat import secular
-from ..gyrostat.equation import Equation, Solver, linear
-from ..gyrostat.motions import motion_of
+from ..gyrostat.motions import Equation, each, linear, motion_of
 from ..vectors import cross, length, principal, ratio
 from . import equations
 from .initial import bodies, body, constants, fields, initial_state, rates, symmetric, vertical
-from .stability import conical_stability, rest_stability, sleeping_stability, staude_stability
 
 
 def steady_rates(points: Points) -> tuple[Array, Array, Array]:
@@ -40,10 +41,7 @@ def steady_rates(points: Points) -> tuple[Array, Array, Array]:
 
 
 def squared_rate(points: Points) -> Array:
-    """Largest squared rate of the start: |w0|^2, n^2, m^2, and the torques of fields and rotor over the least moment.
-
-    n and m count because they may cancel in w0, near theta = pi, down to their rounding.
-    """
+    """Largest squared rate of the start: |w0|^2, n^2, m^2, and the torques of fields and rotor over the least moment."""
     inertia, rotor, weight, N = bodies(points)
     _, n, m = rates(points)
     turn = np.maximum((initial_state(points)[:3] ** 2).sum(0), np.maximum(n**2, m**2))
@@ -53,11 +51,7 @@ def squared_rate(points: Points) -> Array:
 
 
 def condition_residual(points: Points) -> Array:
-    """How far the start is from a steady motion, dimensionless, shape (points,); 0 on an exact motion.
-
-    |w'-dot minus what theta' = 0 and constant n and m need| over the largest squared rate, and theta'
-    over its root, whichever is larger.
-    """
+    """|w'-dot less what constant n and m need| over the largest squared rate, or theta' over its root, whichever is larger."""
     state = initial_state(points)
     gamma = state[3:]
     theta_dot, n, m = rates(points)
@@ -87,10 +81,7 @@ def _torque(points: Points) -> Array:
 
 
 def precession(points: Points, n: Array | float | None = None, cosine: Array | float | None = None) -> Array:
-    """(C - A)(n^2 - N) cos theta + (C m + l3) n + Mg z0, the torque that vanishes on a conical motion.
-
-    n and cosine replace those of the points.
-    """
+    """(C - A)(n^2 - N) cos theta + (C m + l3) n + Mg z0, 0 on a conical motion; n and cosine replace those of the points."""
     Mg, N = fields(points)
     _, own, m = rates(points)
     n, c = own if n is None else n, vertical(points)[2] if cosine is None else cosine
@@ -125,35 +116,21 @@ def _turning_torque(points: Points) -> Array:
 # Solutions for one parameter each.
 
 
-def _solve_precession(*names: str, resting: bool = False) -> dict[str, Solver]:
-    """Solvers of precession = 0; resting: with n = 0 in place of the given n."""
-    return linear(lambda p: precession(p, 0.0 if resting else None), *names, keep=True)
+def _possible_moment(balance: Callable[[Points], Array], name: str, points: Points) -> Array:
+    """The moment of inertia with which a torque vanishes, nan where no symmetric body has it."""
+    x = linear(balance, name, keep=True)[name](points)
+    body = {**points, name: x}
+    return np.where((x > 0) & (body["C"] <= 2 * body["A"]), x, np.nan)
 
 
-def _possible_moment(name: str, resting: bool) -> dict[str, Solver]:
-    """The solver of a moment of inertia, nan where no symmetric body has it."""
-    root = _solve_precession(name, resting=resting)[name]
-
-    def solve(points: Points) -> Array:
-        x = root(points)
-        body = {**points, name: x}
-        return np.where((x > 0) & (body["C"] <= 2 * body["A"]), x, np.nan)
-
-    return {name: solve}
-
-
-def _solve_theta(resting: bool) -> Solver:
-    """Solver of precession = 0 for theta0, in [0, pi]."""
-
-    def solve(points: Points) -> Array:
-        n = np.zeros_like(points["A"]) if resting else rates(points)[1]
-        offset = precession(points, n, 0.0)
-        slope = (points["C"] - points["A"]) * (n**2 - fields(points)[1])
-        held = np.where(offset == 0, np.cos(points["theta0"]), np.nan)
-        with np.errstate(divide="ignore", invalid="ignore"):
-            return np.arccos(np.where(slope == 0, held, -offset / slope))
-
-    return solve
+def _solve_theta(points: Points, n: float | None = None) -> Array:
+    """theta0 in [0, pi] of precession = 0; n replaces that of the points."""
+    rate = rates(points)[1] if n is None else n
+    offset = precession(points, rate, 0.0)
+    slope = (points["C"] - points["A"]) * (rate**2 - fields(points)[1])
+    held = np.where(offset == 0, np.cos(points["theta0"]), np.nan)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return np.arccos(np.where(slope == 0, held, -offset / slope))
 
 
 def _solve_n(points: Points) -> Array:
@@ -169,61 +146,41 @@ def _solve_n(points: Points) -> Array:
     return np.where(np.isfinite(nearer), nearer, np.nan)
 
 
-def _solve_permanent(name: str) -> dict[str, Solver]:
-    """Solver of the permanent rotation for one parameter.
+def _solve_permanent(name: str, points: Points) -> Array:
+    """One parameter of a permanent rotation, nan where the components of the torque contradict each other.
 
-    l1, x0 and l2, y0 are taken from the second and the first component of the torque, so that one of
-    each pair may be solved together (the third component then vanishes if cos theta0 does not); the
-    others from all three, nan where these contradict each other.
+    l1, x0 and l2, y0 follow from the second and the first component alone, so that one of each pair may be solved
+    together: the third component then vanishes if cos theta0 does not.
     """
     component = {"l1": 1, "x0": 1, "l2": 0, "y0": 0}.get(name)
     if component is not None:
-        return linear(lambda p: permanent_torque(p)[component], name, keep=True)
-    root = linear(permanent_torque, name, keep=True)[name]
-
-    def solve(points: Points) -> Array:
-        x = root(points)
-        return np.where(PERMANENT.residual({**points, name: x}) <= 1e-9, x, np.nan)
-
-    return {name: solve}
+        return linear(lambda p: permanent_torque(p)[component], name, keep=True)[name](points)
+    x = linear(permanent_torque, name, keep=True)[name](points)
+    return np.where(PERMANENT.residual({**points, name: x}) <= 1e-9, x, np.nan)
 
 
-def _solve_direction(angle: str, resting: bool) -> Solver:
+def _solve_direction(angle: str, points: Points, resting: bool = False) -> Array:
     """theta0 or phi0 of the permanent rotation nearest to the start, by the angle between the verticals.
 
-    phi0 prefers the rotations whose theta is theta0 already, so that theta0 and phi0 may be solved
-    together, and is nan where there is none.
+    phi0 prefers the rotations whose theta is theta0 already, so that both may be solved together; nan where there is none.
     """
-
-    def solve(points: Points) -> Array:
-        gamma = vertical(points)
-        n = np.zeros_like(points["A"]) if resting else rates(points)[1]
-        rotations, _ = secular.directions(body(points)._replace(turn=n), gamma)
-        distance = np.where(np.isnan(rotations[0]), np.inf, -(rotations * gamma[:, None]).sum(0))
-        if angle == "phi0":
-            distance = np.where(np.abs(rotations[2] - gamma[2]) <= 1e-9, distance, np.inf)
-        best = np.take_along_axis(rotations, distance.argmin(0)[None, None], 1)[:, 0]
-        value = (
-            np.arctan2(np.hypot(best[0], best[1]), best[2])
-            if angle == "theta0"
-            else np.arctan2(best[0], best[1])
-        )
-        return np.where(np.isfinite(distance.min(0)), value, np.nan)
-
-    return solve
+    gamma = vertical(points)
+    n = np.zeros_like(points["A"]) if resting else rates(points)[1]
+    rotations, _ = secular.directions(body(points)._replace(turn=n), gamma)
+    distance = np.where(np.isnan(rotations[0]), np.inf, -(rotations * gamma[:, None]).sum(0))
+    if angle == "phi0":
+        distance = np.where(np.abs(rotations[2] - gamma[2]) <= 1e-9, distance, np.inf)
+    x, y, z = np.take_along_axis(rotations, distance.argmin(0)[None, None], 1)[:, 0]
+    value = np.arctan2(np.hypot(x, y), z) if angle == "theta0" else np.arctan2(x, y)
+    return np.where(np.isfinite(distance.min(0)), value, np.nan)
 
 
-def _solve_rest(angle: str) -> Solver:
+def _solve_rest(angle: str, points: Points) -> Array:
     """theta0 or phi0 of a resting third axis: closed form if the body is symmetric about it, else the nearest."""
-    nearest, inclined = _solve_direction(angle, True), _solve_theta(True)
-
-    def solve(points: Points) -> Array:
-        closed = inclined(points) if angle == "theta0" else points["phi0"]
-        closed = np.where(symmetric(points), closed, np.nan)
-        general = ~symmetric(points) & (rates(points)[2] == 0)
-        return np.where(general, nearest(points), closed)
-
-    return solve
+    closed = _solve_theta(points, 0.0) if angle == "theta0" else points["phi0"]
+    closed = np.where(symmetric(points), closed, np.nan)
+    general = ~symmetric(points) & (rates(points)[2] == 0)
+    return np.where(general, _solve_direction(angle, points, resting=True), closed)
 
 
 def third_axis(points: Points) -> TwoAxes:
@@ -233,6 +190,82 @@ def third_axis(points: Points) -> TwoAxes:
     return TwoAxes(principal(np.full(m.shape, 2)), m, gamma, n)
 
 
+# A discriminant below this fraction of the magnitude of its terms is rounding and does not decide stability.
+ROUNDING = 1e-12
+
+
+def decide(value: Array, size: Array, growth: Array) -> tuple[Flags, Array]:
+    """Stable where value > 0, unstable where value < 0, unknown where it is rounding of terms of that size."""
+    clear = np.abs(value) > ROUNDING * size
+    stable = np.where(value > 0, Stability.STABLE, Stability.UNSTABLE)
+    stable = np.where(clear, stable, Stability.UNKNOWN).astype(np.int8)
+    return stable, np.where(stable == Stability.UNSTABLE, growth, 0.0)
+
+
+def nutation(points: Points) -> tuple[Array, Array]:
+    """Squared nutation frequency of a conical motion, rad^2 per time unit squared, and its terms' magnitude.
+
+    (n^2 + N (C - A)/A) sin^2 theta + ((C r + l3)/A - 2 n cos theta)^2, of the effective potential at fixed momenta.
+    """
+    gamma = vertical(points)
+    _, n, m = rates(points)
+    A, C, N = points["A"], points["C"], fields(points)[1]
+    s2 = gamma[0] ** 2 + gamma[1] ** 2
+    spin = (C * (m + n * gamma[2]) + points["l3"]) / A
+    gyroscopic = (spin - 2 * n * gamma[2]) ** 2
+    size = (n**2 + np.abs(N * (C - A) / A)) * s2 + spin**2 + 4 * n**2 * gamma[2] ** 2
+    return (n**2 + N * (C - A) / A) * s2 + gyroscopic, size
+
+
+def conical_stability(points: Points) -> tuple[Flags, Array]:
+    """Stable where the squared frequency of nutation is positive; else the tilt grows at the root of its size."""
+    value, size = nutation(points)
+    return decide(value, size, np.sqrt(np.maximum(-value, 0.0)))
+
+
+def sleeping_discriminant(points: Points) -> tuple[Array, Array]:
+    """(C r + l3)^2 - 4 A (N (C - A) - s Mg z0) of a symmetric body on the vertical, s = cos theta, and its terms' magnitude."""
+    Mg, N = fields(points)
+    A, C = points["A"], points["C"]
+    spin = C * initial_state(points)[2] + points["l3"]
+    gradient, weight = N * (C - A), np.sign(vertical(points)[2]) * Mg * points["z0"]
+    size = spin**2 + 4 * A * (np.abs(gradient) + np.abs(weight))
+    return spin**2 - 4 * A * (gradient - weight), size
+
+
+def sleeping_stability(points: Points) -> tuple[Flags, Array]:
+    """A = B, rotor and weight along the axis: stable where (C r + l3)^2 > 4 A (N (C - A) - s Mg z0), s = cos theta."""
+    value, size = sleeping_discriminant(points)
+    return _of_symmetric(points, decide(value, size, np.sqrt(np.maximum(-value, 0.0)) / (2 * points["A"])))
+
+
+def staude_stability(points: Points) -> tuple[Flags, Array]:
+    """A = B, rotor and weight along the axis: as conical with m = 0."""
+    return _of_symmetric(points, conical_stability(points))
+
+
+def rest_stability(points: Points) -> tuple[Flags, Array]:
+    """At rest: as staude with n = 0. A free body that turns about its third axis: stable where
+    ((C - A) m + l3) ((C - B) m + l3) > 0.
+    """
+    stable, growth = staude_stability(points)
+    A, B, C, m = points["A"], points["B"], points["C"], rates(points)[2]
+    # Euler's equations linearised, with a rotor.
+    first, second = (C - A) * m + points["l3"], (C - B) * m + points["l3"]
+    size = (np.abs((C - A) * m) + np.abs(points["l3"])) * (np.abs((C - B) * m) + np.abs(points["l3"]))
+    turning = decide(first * second, size, np.sqrt(np.maximum(-first * second / (A * B), 0.0)))
+    free = (m != 0) & ~symmetric(points)
+    return np.where(free, turning[0], stable), np.where(free, turning[1], growth)
+
+
+def _of_symmetric(points: Points, closed: tuple[Flags, Array]) -> tuple[Flags, Array]:
+    """The closed form of a symmetric body; unknown of another one, whose linear equations decide."""
+    where = symmetric(points)
+    return np.where(where, closed[0], Stability.UNKNOWN).astype(np.int8), np.where(where, closed[1], np.nan)
+
+
+_MOTION = motion_of(third_axis, lambda points: (vertical(points),))
+_RESTING = partial(precession, n=0.0)
 _STILL = Equation("theta' = 0", lambda p: rates(p)[0], _rate)
 _NO_SPIN = Equation("m = 0", lambda p: rates(p)[2], _rate)
 PERMANENT = Equation("((n^2 - N) I g + n l + Mg r_c) x g = 0", permanent_torque, _torque)
@@ -250,15 +283,14 @@ FAMILIES = numbered(
                 Equation("(C - A)(n^2 - N) cos theta0 + (C m + l3) n + Mg z0 = 0", precession, _torque),
             ),
             solve={
-                **_solve_precession("m", "l3", "Mg", "z0", "N"),
-                **_possible_moment("C", False),
-                **_possible_moment("A", False),
+                **linear(precession, "m", "l3", "Mg", "z0", "N", keep=True),
+                **each(partial(_possible_moment, precession), "C", "A"),
                 "B": lambda points: points["A"].copy(),
-                "theta0": _solve_theta(False),
+                "theta0": _solve_theta,
                 "n": _solve_n,
             },
             stability=conical_stability,
-            motion=motion_of(third_axis, lambda p: (vertical(p),)),
+            motion=_MOTION,
             geometry="conical",
             paper_wording="Lagrange's case",
             labels="regular precession (n, m); permanent rotation where one of the two rates is 0",
@@ -282,7 +314,7 @@ FAMILIES = numbered(
                 **linear(lambda p: _upright(p)[1], "y0", keep=True),
             },
             stability=sleeping_stability,
-            motion=motion_of(third_axis, lambda p: (vertical(p),)),
+            motion=_MOTION,
             geometry="sleeping",
             paper_wording="permanent rotation with spin r0 about the z axis",
             labels="permanent rotation about the vertical at n +- m",
@@ -292,21 +324,13 @@ FAMILIES = numbered(
             name="staude",
             title="permanent rotation of any body about the vertical",
             equations="from the equations of motion: (n^2 - N) I g + n l + Mg r_c parallel to g",
-            conditions=(
-                _NO_SPIN,
-                _STILL,
-                PERMANENT,
-            ),
+            conditions=(_NO_SPIN, _STILL, PERMANENT),
             solve={
-                "theta0": _solve_direction("theta0", False),
-                "phi0": _solve_direction("phi0", False),
-                **dict(
-                    _solve_permanent(name).popitem()
-                    for name in ("l1", "l2", "x0", "y0", "l3", "z0", "Mg", "N")
-                ),
+                **each(_solve_direction, "theta0", "phi0"),
+                **each(_solve_permanent, "l1", "l2", "x0", "y0", "l3", "z0", "Mg", "N"),
             },
             stability=staude_stability,
-            motion=motion_of(third_axis, lambda p: (vertical(p),)),
+            motion=_MOTION,
             geometry="staude",
             labels="permanent rotation about the vertical at n",
             exists="2, 4 or 6 directions of a body off special ones, and sets of them for these;"
@@ -326,13 +350,12 @@ FAMILIES = numbered(
                 Equation("m = 0, or N (A - B) = Mg x0 = Mg y0 = l1 = l2 = 0", _turning_torque, _torque),
             ),
             solve={
-                "theta0": _solve_rest("theta0"),
-                "phi0": _solve_rest("phi0"),
-                **_solve_precession("N", "Mg", "z0", resting=True),
-                **_possible_moment("C", True),
+                **each(_solve_rest, "theta0", "phi0"),
+                **linear(_RESTING, "N", "Mg", "z0", keep=True),
+                **each(partial(_possible_moment, _RESTING), "C"),
             },
             stability=rest_stability,
-            motion=motion_of(third_axis, lambda p: (vertical(p),)),
+            motion=_MOTION,
             labels="permanent rotation: at rest, or turning at m about the resting third axis",
             free=("psi0",),
         ),
@@ -340,18 +363,15 @@ FAMILIES = numbered(
 )
 
 _REST = FAMILIES["rest"]
-
-
-def _spinning(points: Points) -> Array:
-    """0 where m counts as 0, inf elsewhere."""
-    return np.where(np.abs(_NO_SPIN.residual(points)) <= FAMILY_TOLERANCE, 0.0, np.inf)
-
-
+# 0 where m counts as 0, inf elsewhere
+_EXACTLY_NO_SPIN = Condition(
+    "m = 0", lambda p: np.where(np.abs(_NO_SPIN.residual(p)) <= FAMILY_TOLERANCE, 0.0, np.inf)
+)
 # Order in which the families are tested. They overlap: the motions of `rest` with m = 0 come before those of `staude`,
 # the others after those of `conical`.
 ORDER = (
     FAMILIES["sleeping"],
-    replace(_REST, conditions=(*_REST.conditions, Condition("m = 0", _spinning))),
+    replace(_REST, conditions=(*_REST.conditions, _EXACTLY_NO_SPIN)),
     FAMILIES["staude"],
     FAMILIES["conical"],
     _REST,

@@ -49,8 +49,6 @@ PARAMETERS = {
 }
 
 VECTORS = ("p0", "q0", "r0", "gamma10", "gamma20", "gamma30")
-_ANGLES = ("theta0", "psi0", "phi0", "theta_dot0", "n", "m")
-_PAPER = ("M", "lambda", "R")
 UNIT_LENGTH = 1e-9  # by which the length of the vertical of a start may differ from 1
 START_CONDITION = f"(gamma10, gamma20, gamma30) must be a unit vector within {UNIT_LENGTH:g}"
 
@@ -146,10 +144,25 @@ def without_vectors(points: Points) -> dict[str, Array]:
 
 def check(points: Points) -> None:
     """Raise BadInput on starts or fields given incompletely or twice."""
-    paper = _all_or_none(points, _PAPER)
-    _never_both(points, paper, "M, lambda and R", ("Mg", "N"))
-    vectors = _all_or_none(points, VECTORS)
-    _never_both(points, vectors, "p0 .. gamma30", _ANGLES)
+    for names, what, alternatives in (
+        (("M", "lambda", "R"), "M, lambda and R", ("Mg", "N")),
+        (VECTORS, "p0 .. gamma30", ("theta0", "psi0", "phi0", "theta_dot0", "n", "m")),
+    ):
+        present = np.array([~np.isnan(points[name]) for name in names])
+        given = present.all(0)
+        bad = np.flatnonzero(present.any(0) & ~given)
+        if bad.size:
+            missing = [name for name, here in zip(names, present, strict=True) if not here.flat[bad[0]]]
+            raise BadInput(
+                f"{', '.join(missing)} missing: {', '.join(names)} must be given together or not at all"
+            )
+        for name in alternatives:
+            bad = np.flatnonzero(given & (points[name] != 0))
+            if bad.size:
+                value = points[name].flat[bad[0]]
+                raise BadInput(
+                    f"{name} = {value:g} beside {what} ({bad.size} of {given.size} points): give one or the other"
+                )
 
 
 def possible_start(points: Points) -> Mask:
@@ -157,29 +170,6 @@ def possible_start(points: Points) -> Mask:
     with np.errstate(over="ignore", invalid="ignore"):
         squares = points["gamma10"] ** 2 + points["gamma20"] ** 2 + points["gamma30"] ** 2
         return np.isnan(points["gamma10"]) | (np.abs(np.sqrt(squares) - 1) <= UNIT_LENGTH)
-
-
-def _all_or_none(points: Points, names: tuple[str, ...]) -> Mask:
-    """Where the optional parameters are given, bool; raises BadInput where only a part of them is."""
-    given = np.array([~np.isnan(points[name]) for name in names])
-    bad = np.flatnonzero(given.any(0) & ~given.all(0))
-    if bad.size:
-        missing = [name for name, is_given in zip(names, given, strict=True) if not is_given.flat[bad[0]]]
-        raise BadInput(
-            f"{', '.join(missing)} missing: {', '.join(names)} must be given together or not at all"
-        )
-    return np.logical_and.reduce(given)
-
-
-def _never_both(points: Points, given: Mask, what: str, alternatives: tuple[str, ...]) -> None:
-    """Raise BadInput where parameters are given beside those that replace them."""
-    for name in alternatives:
-        bad = np.flatnonzero(given & (points[name] != 0))
-        if bad.size:
-            value = points[name].flat[bad[0]]
-            raise BadInput(
-                f"{name} = {value:g} beside {what} ({bad.size} of {given.size} points): give one or the other"
-            )
 
 
 def warnings(points: Points) -> list[str]:
@@ -229,13 +219,7 @@ def integral_scales(points: Points) -> dict[str, Array]:
 
 
 def frequency_bound(points: Points) -> Array:
-    """Upper bound of the fastest frequency of the motion, rad per time unit, shape (points,).
-
-    The energy bounds w through the range of the potential; where C r + l3 is conserved too, r is constant
-    and only the remaining energy can go into p and q. With every |w_i| bounded, the frozen
-    linearised equations in the coordinates sqrt(I) w are bounded block by block, and the Perron root
-    of the 2 x 2 matrix of the block norms bounds their frequencies and the rate of turning |w|.
-    """
+    """Upper bound of the fastest frequency, as Body.frequency_bound; r is constant where C r + l3 is."""
     inertia, rotor, weight, N = bodies(points)
     A, B, C = inertia
     state = initial_state(points)
@@ -264,17 +248,13 @@ def frequency_bound(points: Points) -> Array:
 
 
 def specialization(zero: Set[str], equal: Set[tuple[str, str]]) -> tuple[set[str], set[tuple[str, str]]]:
-    """Constants that vanish without weight, field or rotor; those that are equal on an axially symmetric body.
-
-    See System.specialization.
-    """
-    zero_constants: set[str] = set()
-    if zero >= {"Mg", "M"} or zero >= {"x0", "y0", "z0"}:
-        zero_constants |= {"Mx", "My", "Mz"}
-    if zero >= {"N", "lambda"}:
-        zero_constants |= {"NA", "NB", "NC"}
-    if zero >= {"l1", "l2", "l3"}:
-        zero_constants |= {"l1", "l2", "l3"}
+    """Constants that vanish without weight, field or rotor; those equal on an axially symmetric body."""
+    weight = {"Mx", "My", "Mz"}
+    rows = (
+        ({"Mg", "M"}, weight), ({"x0", "y0", "z0"}, weight), ({"N", "lambda"}, {"NA", "NB", "NC"}),
+        ({"l1", "l2", "l3"}, {"l1", "l2", "l3"}),
+    )  # fmt: skip
+    zero_constants = {name for parameters, names in rows if zero >= parameters for name in names}
     no_transverse_weight = zero >= {"x0", "y0"} or "Mx" in zero_constants
     if ("A", "B") in equal and zero | zero_constants >= {"l1", "l2"} and no_transverse_weight:
         equal_constants = {("B", "A"), ("B_inv", "A_inv"), ("NB", "NA")}

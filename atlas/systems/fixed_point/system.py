@@ -2,32 +2,58 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
+from importlib import import_module
 from types import MappingProxyType
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ..base import (
-    Array,
-    Flags,
-    Mask,
-    Points,
-    StressCase,
-    despun_about_third_axis,
-    identify,
-    shape_of,
-)
+from ..base import Array, DerivedVariable, Flags, Mask, Points, identify, shape_of
 from ..gyrostat import Gyrostat, secular
-from . import any_axis, equations, families, first_order, initial, stress_cases
+from ..gyrostat.stress_cases import fixed_point_cases
+from . import any_axis, equations, families, initial
 
-GEOMETRIES = {
-    "none": "drifting or unresolved",
-    "sleeping": "the third axis stays on the vertical",
-    "conical": "the body turns about its third axis, which precesses about the vertical or is at rest",
-    "staude": "the body turns about the vertical alone (phi' = 0) or is at rest",
-}
+PAPER = "atlas.papers.amer2013"
+# Longest run that is integrated for the errors of its solution, in radians of the fastest frequency: some seconds for a
+# chunk of points.
+MAX_RADIANS = 1000.0
+
+
+def solution_errors(module: str, form: str) -> dict[str, DerivedVariable]:
+    """Errors of the fast-spin solution in a module of the paper, which is loaded where they are wanted."""
+    suffix = "" if form == "true" else f"_{form}"
+    names = f"first_order_error{suffix}", f"first_order_rate_error{suffix}"
+
+    def together(
+        _: Collection[str], points: Points, duration: Array, pause: Callable[[], None]
+    ) -> dict[str, Array]:
+        solution = import_module(f"{PAPER}.{module}").first_order
+        errors = import_module(f"{PAPER}.fast_spin").errors(points, duration, solution, pause)
+        return dict(zip(names, errors, strict=True))
+
+    def check(points: Points, duration: Array) -> None:
+        import_module(f"{PAPER}.{module}").check(points, duration)
+
+    comment = (
+        "against the full equations from the formula's own start, with r0 and gamma0'' of the point; over the"
+        f" duration of the run; nan beyond {MAX_RADIANS:g} rad of the fastest frequency"
+    )
+    texts = (
+        ("rad", f"largest error of gamma in the first-order solution (33), {form}"),
+        (
+            "1",
+            f"largest error of p + i q in the first-order solution (33), {form}, over its largest magnitude",
+        ),
+    )
+    return {
+        name: DerivedVariable.of_group(together, name, unit, long_name, comment, check=check)
+        for name, (unit, long_name) in zip(names, texts, strict=True)
+    }
+
+
+SOLUTION_ERRORS = solution_errors("fast_spin", "true") | solution_errors("published", "printed")
 
 
 class FixedPoint(Gyrostat):
@@ -41,7 +67,7 @@ class FixedPoint(Gyrostat):
         "T. S. Amer, Y. M. Abo Essa, I. A. Ibrahim, W. S. Amer, Int. J. Engineering Research and Applications"
         " 3(5) (2013) 655-671"
     )
-    paper = first_order.PAPER
+    paper = PAPER
 
     equations = equations
     parameters = initial.PARAMETERS
@@ -62,9 +88,19 @@ class FixedPoint(Gyrostat):
 
     condition_residual = staticmethod(families.condition_residual)
     families = families.FAMILIES | any_axis.FAMILIES
-    geometries = GEOMETRIES
-    derived = MappingProxyType(first_order.DERIVED)
+    geometries = MappingProxyType(
+        {
+            "none": "drifting or unresolved",
+            "sleeping": "the third axis stays on the vertical",
+            "conical": "the body turns about its third axis, which precesses about the vertical or is at rest",
+            "staude": "the body turns about the vertical alone (phi' = 0) or is at rest",
+        }
+    )
+    stress_cases = fixed_point_cases
+    derived = MappingProxyType(SOLUTION_ERRORS)
     body = staticmethod(initial.body)
+    axial_rotor = "l3"
+    conserves_axial_momentum = staticmethod(initial.symmetric)
     frequency_comment = (
         "nan for exponents that are 0 or have a real part, and off conical, sleeping, staude and rest; of a permanent rotation"
         " relative to the body, of a symmetric body on the vertical in space"
@@ -86,14 +122,10 @@ class FixedPoint(Gyrostat):
         """Families about the third axis or the vertical."""
         return families.identify_family(points)[0]
 
-    def stress_cases(self) -> tuple[StressCase, ...]:
-        return stress_cases.cases(self)
-
     def complete(self, points: Points) -> Mask:
         return np.ones(shape_of(points), bool)
 
-    def complete_any_axis(self, points: Points) -> Mask:
-        return np.ones(shape_of(points), bool)
+    complete_any_axis = complete
 
     def geometry(
         self,
@@ -122,10 +154,6 @@ class FixedPoint(Gyrostat):
     ) -> dict[str, NDArray[Any]]:
         """All permanent rotations of many bodies, each at its rate n; see secular.rotations_of_bodies."""
         return secular.rotations_of_bodies(self, initial.without_vectors(points))
-
-    def despun_equivalent(self, points: Points) -> tuple[Points, Array]:
-        conserved = ~np.isnan(self.integral_scales(points)["lagrange"])
-        return despun_about_third_axis(self, points, "l3", conserved)
 
 
 FIXED_POINT = FixedPoint()

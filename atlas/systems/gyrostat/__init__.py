@@ -1,8 +1,7 @@
 """One theory of the gyrostat in a frame that turns uniformly, with two directions at rest in it."""
 
 from .body import Body, Direction
-from .equation import Equation, linear
-from .motions import about_third_axis, angular_velocity, directions, motion_of
+from .motions import Equation, about_third_axis, angular_velocity, directions, linear, motion_of
 from .system import Gyrostat
 
 __all__ = [

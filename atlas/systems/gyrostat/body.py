@@ -34,10 +34,10 @@ class Body(NamedTuple):
     def subset(self, where: Any) -> Body:
         """Some of the bodies."""
         alpha, gamma = (Direction(*(x[where] for x in each)) for each in (self.alpha, self.gamma))
-        return self._replace(
-            inertia=self.inertia[where], rotor=self.rotor[where], turn=self.turn[where], alpha=alpha, gamma=gamma,
-            damping=self.damping[where],
-        )  # fmt: skip
+        inertia, rotor, turn, damping = (
+            x[where] for x in (self.inertia, self.rotor, self.turn, self.damping)
+        )
+        return Body(inertia, rotor, turn, alpha, gamma, damping)
 
     def scaled(self, rate: Array) -> Body:
         """The same in units of the largest moment of inertia and of a rate."""
@@ -84,10 +84,7 @@ class Body(NamedTuple):
         return sum(parts).sum(-1)  # type: ignore[union-attr]
 
     def gradient(self, alpha: Array, gamma: Array) -> tuple[Array, Array]:
-        """Gradient and Hessian of W under rotations xi of the body; the torque at rest is -gradient.
-
-        The Hessian is symmetric where the gradient vanishes.
-        """
+        """Gradient and Hessian (symmetric where it vanishes) of W under rotations xi; the torque at rest is -gradient."""
         return self._variations(self.amended(), alpha, gamma)
 
     def _variations(
@@ -138,10 +135,7 @@ class Body(NamedTuple):
         return self.rotor + (2 * self.inertia - self.inertia.sum(-1, keepdims=True)) * w
 
     def across_rotation(self, w: Array, u: Array, alpha: Array, gamma: Array) -> Array:
-        """Matrix of the linear system of a turning body in the parts of (xi, p~) across u, shape (..., 4, 4).
-
-        u: rotation relative to the frame, constant, of shape (points, 3); see `floquet`.
-        """
+        """Matrix of the linear system in the parts of (xi, p~) across a constant rotation u; see `floquet`, (..., 4, 4)."""
         inertia, W = self.inertia[..., None], cross_matrix(w)
         acceleration = self.turn[..., None] * np.cross(gamma, u)
         E = cross_matrix(self.inertia * w + self.rotor) @ W - W @ (inertia * W)
@@ -160,14 +154,20 @@ class Body(NamedTuple):
             return product + np.swapaxes(product, -1, -2)
 
         shift, shift_dot = symmetric(0.5 * np.cross(v, along)), symmetric(0.5 * np.cross(v_dot, along))
-        return _hamiltonian(P + shift_dot, 0.5 * cross_matrix(v) - shift, self.inertia, across)
+        G = 0.5 * cross_matrix(v) - shift
+        transposed = np.swapaxes(across, -1, -2)
+        left = G / self.inertia[..., None]
+        blocks = (
+            (left, np.broadcast_to(np.eye(3) / self.inertia[..., None], left.shape)),
+            ((P + shift_dot) - np.swapaxes(G, -1, -2) @ left, -np.swapaxes(left, -1, -2)),
+        )
+        return np.concatenate(
+            [np.concatenate([across @ block @ transposed for block in row], -1) for row in blocks], -2
+        )
 
 
 def gyration(inertia: Array, rotor: Array, max_rates: Array, third_alone: Mask | bool = False) -> Array:
-    """Bound of the norm of sqrt(I) I^-1 ((I w + k) x . - w x I .) sqrt(I)^-1, sqrt(norm_1 norm_inf); arrays (3, ...).
-
-    third_alone: where the rotation about the third axis alone counts.
-    """
+    """Bound of the norm of sqrt(I) I^-1 ((I w + k) x . - w x I .) sqrt(I)^-1; third_alone: for w along e3 alone."""
     rows, columns = np.zeros_like(inertia), np.zeros_like(inertia)
     for i, j, axis in ((0, 1, 2), (1, 0, 2), (0, 2, 1), (2, 0, 1), (1, 2, 0), (2, 1, 0)):
         entry = np.abs(inertia[axis] - inertia[j]) * max_rates[axis] + np.abs(rotor[axis])
@@ -193,16 +193,3 @@ def cross_matrix(v: Array) -> Array:
     zero = np.zeros_like(v[..., 0])
     rows = ((zero, -v[..., 2], v[..., 1]), (v[..., 2], zero, -v[..., 0]), (-v[..., 1], v[..., 0], zero))
     return np.stack([np.stack(row, -1) for row in rows], -2)
-
-
-def _hamiltonian(P: Array, G: Array, inertia: Array, basis: Array) -> Array:
-    """Matrix of xi' = I^-1 (G xi + p), p' = (P - G^T I^-1 G) xi - G^T I^-1 p along the rows of a basis."""
-    transposed = np.swapaxes(basis, -1, -2)
-    left = G / inertia[..., None]
-    blocks = (
-        (left, np.broadcast_to(np.eye(3) / inertia[..., None], left.shape)),
-        (P - np.swapaxes(G, -1, -2) @ left, -np.swapaxes(left, -1, -2)),
-    )
-    return np.concatenate(
-        [np.concatenate([basis @ block @ transposed for block in row], -1) for row in blocks], -2
-    )

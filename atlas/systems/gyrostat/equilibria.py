@@ -40,15 +40,10 @@ def equilibria(system: Gyrostat, points: Points) -> dict[str, NDArray[Any]]:
     Newton's method from _STARTS orientations, doubled until no new equilibria appear and, where none
     is degenerate, the isolated ones satisfy the Poincare-Hopf sum (-1)^index = 0 of SO(3).
 
-    points: every parameter of the body, arrays (1,); start values are ignored. Returns theta0, psi0, phi0 (E,) rad; alpha,
-    gamma (E, 3), in body axes; potential (E,), the amended one; index (E,), the Morse index of that
-    potential; circle (E,), true where the equilibrium represents a circle of them, and axis (E, 3), the unit
-    axis in the body about which the body may then be turned by any angle (nan elsewhere); degenerate (E,),
-    true for an isolated one with a zero eigenvalue (on the bifurcation set: the index counts the negative
-    ones); stable (E,) int8 and growth_rate (E,), as linear_stability; frequency_1 to frequency_3 (E,), see
-    Gyrostat.frequencies. Raises BadInput: every orientation, or a surface of them, is an equilibrium; or
-    the numbers differ so much in magnitude that the search would overflow. Raises RuntimeError: the
-    Poincare-Hopf sum cannot be met.
+    points: every parameter, arrays (1,); start values are ignored. Returns _VARIABLES, arrays (E,) or (E, 3): potential is the
+    amended one, index its Morse index; circle: the equilibrium represents a circle of them, and axis is that in the body about
+    which the body may be turned (nan elsewhere); degenerate: an isolated one with a zero eigenvalue. Raises BadInput where a
+    surface of orientations is in equilibrium or the search would overflow, RuntimeError where the sum cannot be met.
     """
     given = system.body(points)
     rate = np.where(given.turn == 0, 1.0, given.turn)
@@ -105,15 +100,12 @@ def stability_at_rest(
 def equilibria_of_bodies(
     system: Gyrostat, points: Points, pause: Callable[[], None] = lambda: None, stability: bool = True
 ) -> dict[str, NDArray[Any]]:
-    """All relative equilibria of many bodies, on an orbit by homotopy continuation; see `homotopy`.
+    """The same of many bodies, on an orbit by homotopy continuation; see `homotopy`.
 
-    Bodies of which the continuation does not find all equilibria with certainty, those with circles of them and
-    those without an orbit are searched one by one, as `equilibria` does, in about 70 ms each.
-
-    points: as of `equilibria`, arrays (bodies,). pause: called at least once a second; it may raise an
-    exception. stability: whether to compute stable, growth_rate and the frequencies. Returns the variables of
-    `equilibria`, those of each body in the order of the potential, with unused places at the end: nan, index
-    -1, stable 0. completeness (bodies,) int8, values of flags.Completeness.
+    Bodies of which it does not find all equilibria with certainty, those with circles of them and those without an orbit are
+    searched one by one, as `equilibria` does, in about 70 ms each. pause: called at least once a second; it may raise an
+    exception. stability: whether to compute stable, growth_rate and the frequencies. Returns arrays (bodies, places) in the
+    order of the potential, unused places at the end, and completeness (bodies,), values of flags.Completeness.
     """
     count = points["A"].size
     completeness = np.full(count, Completeness.COMPLETE, np.int8)
@@ -139,10 +131,7 @@ def equilibria_of_bodies(
 
 
 def padded(columns: Mapping[str, NDArray[Any]], count: int, places: int) -> dict[str, NDArray[Any]]:
-    """Columns over equilibria as arrays (bodies, places), those of a body in their order, with unused places at the end.
-
-    The column "row" is the number of the body of each.
-    """
+    """Columns over equilibria, with "row" the body of each, as arrays (bodies, places) with unused places at the end."""
     order = np.argsort(columns["row"], kind="stable")
     row = columns["row"][order]
     place = np.arange(row.size) - np.searchsorted(row, row)
@@ -188,8 +177,8 @@ def _by_continuation(
     row = body[order]
     frames = np.stack([a, np.cross(g, a), g], 1)[order]
     result = _described(frames, potential[order], index[order])
-    result |= {"circle": np.zeros(row.size, bool), "axis": np.full((row.size, 3), np.nan)}
-    result |= {"degenerate": np.zeros(row.size, bool)}
+    none = np.zeros(row.size, bool)
+    result |= {"circle": none, "axis": np.full((row.size, 3), np.nan), "degenerate": none}
     if stability:
         angles = {name: result[name] for name in ANGLES}
         result |= stability_at_rest(system, subset(points, row), angles)
@@ -204,22 +193,19 @@ def _search(bodies: Body, scale: float) -> Array:
         if starts > 64 * _STARTS:
             raise RuntimeError(f"equilibria: signed sum of Morse indices {total}, not 0: some were missed")
         previous_count = len(frames)
-        new = _critical(bodies, _orientations(generator, starts), scale)
+        w, x, y, z = np.moveaxis(generator.normal(size=(starts, 4)), -1, 0)
+        first = np.stack([w * w + x * x - y * y - z * z, 2 * (x * y + w * z), 2 * (x * z - w * y)], -1)
+        second = np.stack([2 * (x * y - w * z), w * w - x * x + y * y - z * z, 2 * (y * z + w * x)], -1)
+        rows = np.stack(
+            [first, second, np.cross(first, second) / (w * w + x * x + y * y + z * z)[:, None]], 1
+        )
+        new = _critical(bodies, (rows / np.linalg.norm(rows, axis=2, keepdims=True)), scale)
         frames = _distinct(bodies, np.concatenate([frames, new]), scale)
         index, axis, degenerate = _classify(bodies, frames, scale)
         isolated = np.isnan(axis[:, 0])
         total = 0 if degenerate.any() else int(((-1) ** index * isolated).sum())
         starts *= 2
     return frames
-
-
-def _orientations(generator: np.random.Generator, count: int) -> Array:
-    """Uniform orientations, rows alpha, beta, gamma in body axes, shape (count, 3, 3)."""
-    w, x, y, z = np.moveaxis(generator.normal(size=(count, 4)), -1, 0)
-    first = np.stack([w * w + x * x - y * y - z * z, 2 * (x * y + w * z), 2 * (x * z - w * y)], -1)
-    second = np.stack([2 * (x * y - w * z), w * w - x * x + y * y - z * z, 2 * (y * z + w * x)], -1)
-    rows = np.stack([first, second, np.cross(first, second) / (w * w + x * x + y * y + z * z)[:, None]], 1)
-    return rows / np.linalg.norm(rows, axis=2, keepdims=True)
 
 
 def _rotated(frames: Array, xi: Array) -> Array:

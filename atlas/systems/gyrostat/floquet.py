@@ -121,9 +121,8 @@ class _Rotation:
     def adiabatic_exponent(self, members: NDArray[np.int64]) -> Array:
         """Growth over a period that is long against all other times, as a logarithm; nan where it is not certain.
 
-        The integral of the largest real part of the exponents lambda of the system frozen at each phase,
-        lambda^4 + P lambda^2 + Q = 0. Where no frozen exponent grows and none comes close to a collision, the actions
-        of both oscillations are adiabatic invariants: nothing grows.
+        The integral of the largest real part of the frozen exponents, lambda^4 + P lambda^2 + Q = 0. Where none grows and none
+        comes close to a collision, the actions of both oscillations are adiabatic invariants: nothing grows.
         """
         period, harmonics = self.period[members], self.harmonics[:, members]
         total, margin = np.zeros(period.shape), np.full(period.shape, np.inf)
@@ -180,17 +179,15 @@ def _multipliers(monodromy: Array, log_scale: Array) -> tuple[Flags, Array]:
 def growth_of_periodic_motion(
     matrix: Callable[[np.ndarray, Array], Array], period: Array
 ) -> tuple[Flags, Array]:
-    """Stability of periodic motions of a reduced system of two degrees of freedom.
+    """Stability, and the growth rate log |mu| / period, of periodic motions of a reduced system of two degrees of freedom.
 
     The linear system of six equations has four multipliers 1: a shift in time, the energy and two integrals that are
     linear or quadratic in the state, such as the area integral and the length of the vertical. The last two are
     mu and 1/mu, so that the trace of the monodromy matrix is 4 + mu + 1/mu; this is exact where the eigenvalues
-    are not, because those at 1 are defective.
+    are not, because those at 1 are defective. Stable where mu is on the unit circle and not real.
 
-    matrix: (indices of points, times of shape (steps, points)) -> matrices of the linear system, (steps,
-    points, 6, 6). period: time units; nan where there is no motion. Returns stable, values of
-    flags.Stability: STABLE where mu is on the unit circle and not real. Unknown where there is no motion, and where mu is 1 or
-    -1 but for rounding; growth_rate, log |mu| / period, rad per time unit; 0 where nothing grows, nan where there is no motion.
+    matrix: (indices of points, times (steps, points)) -> matrices of the linear system, (steps, points, 6, 6). period: time
+    units; nan where there is no motion, of which the stability is unknown and the growth nan.
     """
     stable, growth = np.full(period.shape, Stability.UNKNOWN, np.int8), np.full(period.shape, np.nan)
     where = np.flatnonzero(np.isfinite(period))
@@ -216,10 +213,9 @@ def growth_of_periodic_motion(
 
 
 def fundamental_matrix(matrix: Callable[[Array], Array], span: Array, count: int) -> tuple[Array, Array]:
-    """Fundamental matrices over spans by equal steps: of largest entry 1, and the logarithms of their factors.
+    """Fundamental matrices over spans (points,) by equal steps: of largest entry 1, and the logarithms of their factors.
 
-    matrix: times (steps, points) -> matrices of the linear system, (steps, points, size, size); span: (points,); count: steps,
-    a power of two.
+    matrix: times (steps, points) -> matrices of the linear system, (steps, points, size, size); count: a power of two.
     """
     h = span / count
     result, log_scale = np.eye(1), np.zeros(span.shape)
@@ -247,10 +243,9 @@ def fundamental_matrix(matrix: Callable[[Array], Array], span: Array, count: int
 def magnus_propagator(first: Array, middle: Array, last: Array) -> Array:
     """Fundamental matrices over a step by Magnus' series of order 6, symplectic where the system is Hamiltonian.
 
-    first, middle, last: the matrices of the linear system at the three Gauss nodes of the step, times its
-    length. Returns the exponential is the diagonal Pade approximation of that of a quarter, squared twice,
-    which keeps the multipliers of a stable motion on the unit circle. S. Blanes et al., Phys. Rep. 470 (2009)
-    151, (..., size, size).
+    first, middle, last: the matrices of the linear system at the Gauss nodes of the step, times its length. The exponential is
+    a Pade approximation, squared twice: the multipliers of a stable motion stay on the unit circle. S. Blanes et al., Phys.
+    Rep. 470 (2009) 151.
     """
     identity = np.eye(middle.shape[-1])
     b2, b3 = np.sqrt(15) / 3 * (last - first), 10 / 3 * (last - 2 * middle + first)

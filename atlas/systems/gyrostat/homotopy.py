@@ -29,6 +29,7 @@ Complex = NDArray[np.complex128]
 Three = Any  # the components of vectors: three arrays (paths,), or their stack
 
 PATHS = 24
+AXES = np.eye(3)
 # Arbitrary; a choice that needs few steps.
 _START_INERTIA = np.array([-0.985 - 0.174j, 0.631 - 0.366j, 0.354 + 0.540j])
 # Largest correction by Newton's method (rad, sum over the axes) and largest step, of the first attempt and of those that
@@ -42,21 +43,11 @@ _ROUNDING = 1e-11  # of the gradient at an end
 _REAL, _DISTINCT = 1e-9, 1e-5
 
 
-def _principal_orientations() -> tuple[Array, Array]:
-    """alpha and gamma of the 24 rotations that permute the axes, (3, 24); the second half has -alpha."""
-    axes = np.eye(3)
-    pairs = [(axes[i], s * axes[j]) for i, j in permutations(range(3), 2) for s in (1.0, -1.0)]
-    alpha, gamma = (np.array(vectors).T for vectors in zip(*pairs, strict=True))
-    return np.concatenate([alpha, -alpha], 1), np.concatenate([gamma, gamma], 1)
-
-
 def solve(inertia: Array, p: Array, q: Array) -> tuple[Array, Array, Mask, Mask]:
-    """Critical points of W of some bodies.
+    """Critical points of W of some bodies; a common multiple of (1, 1, 1) in the inertia has no effect.
 
-    inertia, p, q: in one unit for all three; a common multiple of (1, 1, 1) in the inertia has no effect.
     Returns alpha, gamma, unit vectors, of the critical points that are real; real, which are; each once, (24,
-    bodies); complete, where all 24 complex solutions were found, all different, each of them clearly real or
-    clearly not, (bodies,).
+    bodies); complete, where all 24 complex solutions were found, all different, each of them clearly real or not, (bodies,).
     """
     inertia = inertia - inertia.mean(0)
     scale = np.max([np.abs(inertia).max(0), np.abs(p).max(0), 0.3 * np.abs(q).max(0)], axis=0)
@@ -75,7 +66,10 @@ def solve(inertia: Array, p: Array, q: Array) -> tuple[Array, Array, Mask, Mask]
 def _ends(target: Three, tolerance: float, max_step: float) -> tuple[Complex, Mask]:
     """alpha and gamma at the ends of the paths, (6, 24, bodies), and where these are all solutions, (bodies,)."""
     count = target[0].shape[1]
-    starts = _principal_orientations()
+    # Of the 24 rotations that permute the axes the second half has -alpha.
+    pairs = [(AXES[i], sign * AXES[j]) for i, j in permutations(range(3), 2) for sign in (1.0, -1.0)]
+    radius, normal = (np.array(vectors).T for vectors in zip(*pairs, strict=True))
+    starts = np.concatenate([radius, -radius], 1), np.concatenate([normal, normal], 1)
     # Without p the solutions come in pairs +-alpha, +-beta: one of each is followed.
     mirrored = not target[1].any()
     paths = PATHS // 2 if mirrored else PATHS
@@ -97,10 +91,7 @@ def _ends(target: Three, tolerance: float, max_step: float) -> tuple[Complex, Ma
 def _follow(
     target: Three, alpha: Complex, gamma: Complex, tolerance: float, max_step: float
 ) -> tuple[Complex, Complex, Mask]:
-    """Ends of paths, and which were reached: midpoint predictor and Newton corrector, a step size for each path.
-
-    Every path is computed alone, so that no result depends on the other bodies.
-    """
+    """Ends of paths, and which were reached: midpoint predictor and Newton corrector, each path alone with its step size."""
     start = _START_INERTIA[:, None]
     change = (target[0] - start, target[1], target[2])  # of inertia, p and q along the line
     t, step = np.zeros(alpha.shape[1]), np.full(alpha.shape[1], _FIRST_STEP)
@@ -130,18 +121,14 @@ def _follow(
         growth = np.where(accepted, growth, np.minimum(np.nan_to_num(growth, nan=0.3), 0.4))
         step[active] = np.minimum(length * growth, max_step)
         active = active[(t[active] < 1) & (step[active] > _MIN_STEP)]
-    return _polished(target, alpha, gamma, t >= 1)
-
-
-def _polished(target: Three, alpha: Complex, gamma: Complex, arrived: Mask) -> tuple[Complex, Complex, Mask]:
-    """Solutions improved by Newton's method, and which of those that arrived satisfy the equations."""
     inertia, p, q = target
     for _ in range(_POLISH):
         xi = _newton(_gradient(inertia, p, q, alpha, gamma), inertia, p, q, alpha, gamma)
         small = _size(xi) < 0.3
         alpha, gamma = _turned(alpha, gamma, [np.where(small, x, 0) for x in xi], 1.0)
     magnitude = (np.abs(alpha).max(0) + np.abs(gamma).max(0)) ** 2
-    return alpha, gamma, arrived & (_size(_gradient(inertia, p, q, alpha, gamma)) < _ROUNDING * magnitude)
+    exact = _size(_gradient(inertia, p, q, alpha, gamma)) < _ROUNDING * magnitude
+    return alpha, gamma, (t >= 1) & exact
 
 
 def _size(xi: Three) -> Array:

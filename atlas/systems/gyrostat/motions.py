@@ -1,13 +1,18 @@
-"""Starts from angles and rates, and closed forms of motions about two axes, which all steady motions are."""
+"""Families of steady motions: starts, closed forms about two axes, and equations that give residuals and solutions."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, field
+from functools import partial
+from typing import Any
 
 import numpy as np
 
-from ..base import Array, Points, TwoAxes, motion_about_axes
-from ..vectors import principal
+from ...flags import Stability
+from ..base import Array, Condition, Family, Flags, Points, TwoAxes, motion_about_axes, shape_of
+from ..jacobian import STEP
+from ..vectors import across, dot, length, principal, ratio
 
 
 def directions(points: Points) -> tuple[Array, Array]:
@@ -34,6 +39,40 @@ def about_third_axis(points: Points) -> TwoAxes:
     return TwoAxes(principal(np.full(gamma.shape[1:], 2)), points["m"], gamma, points["n"])
 
 
+def about_axis(s: Array, w: Array, gamma: Array) -> TwoAxes:
+    """An axis s of the body and the vertical, with n from the part of w in their plane."""
+    normal = across(gamma, s)
+    n = ratio(dot(w, normal), (normal**2).sum(0))
+    return TwoAxes(s, dot(w - n * gamma, s), gamma, n)
+
+
+def always_stable(points: Points) -> tuple[Flags, Array]:
+    """Stability, as Family.stability, of motions near which no distance grows faster than t."""
+    shape = np.shape(points["A"])
+    return np.full(shape, Stability.STABLE, np.int8), np.zeros(shape)
+
+
+def family_about_axes(
+    start_of: Callable[[Points], Any],
+    axes: Callable[[Any], TwoAxes],
+    directions: Callable[[Points], tuple[Array, ...]],
+    conditions: Iterable[tuple[str, Callable[[Any], Array]]],
+    turn: Callable[[Points], Array] | None = None,
+    **more: Any,
+) -> Family:
+    """A family of motions about any axes, by its axes and the residuals of its conditions as functions of the start.
+
+    start_of: points -> the start; directions, turn: as of `motion_of`; more: further attributes of the family.
+    """
+
+    def of_points(function: Callable[[Any], Any], points: Points) -> Any:
+        return function(start_of(points))
+
+    rows = tuple(Condition(text, partial(of_points, residual)) for text, residual in conditions)
+    own_axes = partial(of_points, axes)
+    return Family(axes=own_axes, motion=motion_of(own_axes, directions, turn), conditions=rows, **more)
+
+
 def motion_of(
     axes: Callable[[Points], TwoAxes],
     directions: Callable[[Points], tuple[Array, ...]],
@@ -55,3 +94,64 @@ def motion_of(
         return np.concatenate([rate if turn is None else rate + turn(points) * moved[-1], *moved])
 
     return motion
+
+
+Solver = Callable[[Points], Array]
+
+
+@dataclass(frozen=True, eq=False)
+class Equation(Condition):
+    """function(points) = 0, a number or components of a vector for each point; the residual is its magnitude over `unit`."""
+
+    residual: Callable[[Points], Array] = field(init=False)
+    function: Callable[[Points], Array]
+    unit: Callable[[Points], Array] | None = None  # None: it is a pure number of order 1
+    # The same equation divided by a factor that may vanish, from which it is solved.
+    form: Callable[[Points], Array] | None = None
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "residual", self._in_units)
+
+    def _in_units(self, points: Points) -> Array:
+        value = self.function(points)
+        if value.ndim > len(shape_of(points)):
+            value = np.hypot(*value) if len(value) == 2 else length(value)
+        return value if self.unit is None else relative_to(value, self.unit(points))
+
+    def solve(self, *names: str) -> Mapping[str, Solver]:
+        """Solvers of the parameters of these names, in each of which the equation is linear."""
+        return linear(self.form or self.function, *names)
+
+
+def linear(function: Callable[[Points], Array], *names: str, keep: bool = False) -> Mapping[str, Solver]:
+    """Solvers of function(points) = 0 for parameters in which it is linear; keep: one that does not enter keeps its value."""
+    return each(partial(_solve, function, keep), *names)
+
+
+def _solve(function: Callable[[Points], Array], keep: bool, name: str, points: Points) -> Array:
+    """The root, by least squares over the components; the slope is that of a complex step, exact but for rounding."""
+    zero = np.zeros_like(points[name])
+    with np.errstate(all="ignore"):
+        offset = np.asarray(function({**points, name: zero}))
+        stepped: Any = {**points, name: zero + 1j * STEP}
+        slope = np.imag(function(stepped)) / STEP
+        if offset.ndim > zero.ndim:
+            offset, slope = (slope * offset).sum(0), (slope**2).sum(0)
+        held = np.where(offset == 0, points[name], np.nan) if keep else np.nan
+        return np.where(slope == 0, held, -offset / slope)
+
+
+def each(solver: Callable[[str, Points], Array], *names: str) -> Mapping[str, Solver]:
+    """The solver of each of these parameters, of a function that takes its name."""
+    return {name: partial(solver, name) for name in names}
+
+
+def relative_to(value: Array, scale: Array) -> Array:
+    """value / scale, 0 where value is 0, nan where only scale is."""
+    safe = np.where(scale == 0, 1.0, scale)
+    return np.where(value == 0, 0.0, np.where(scale == 0, np.nan, value / safe))
+
+
+def quotient(value: Array, by: Array) -> Array:
+    """value / by, nan where by is 0: nothing to solve for."""
+    return np.where(by == 0, np.nan, value / np.where(by == 0, 1.0, by))

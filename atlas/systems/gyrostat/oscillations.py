@@ -59,8 +59,8 @@ class Equilibria(NamedTuple):
     def of(cls, body: Body, w: Array, alpha: Array, gamma: Array, from_space: bool = True) -> Equilibria:
         """Those of the motions that are equilibria; w, alpha, gamma: at the start, (points, 3).
 
-        from_space: whether an axis of symmetry on a vertical along which alone something acts is at rest in space; else in the
-        frame in which its two oscillations have one frequency, where the energy has its largest minimum.
+        from_space: an axis of symmetry on a vertical along which alone something acts is at rest in space; else in the frame
+        in which its two oscillations have one frequency, where the energy has its largest minimum.
         """
         rate = body.rate(w)
         any_frame = ~body.acts_along(body.alpha)

@@ -61,6 +61,24 @@ class _SecularEquation:
             near, far = np.where(rising, near, middle), np.where(rising, middle, far)
         return near
 
+    def write_directions(self, g: Array, dimension: NDArray[np.int8]) -> None:
+        """Write the directions of the roots into columns 0 to 5."""
+
+        def write(column: int, shift: Array, origin: Array, exists: Mask) -> None:
+            g[:, column] = np.where(exists, self.direction(shift, origin), np.nan)
+            dimension[column] = np.where(exists, 0, -1)
+
+        for column, end, side in ((0, 0, -1.0), (1, 2, 1.0)):
+            origin = self.poles[end]
+            shift = self.root(side * self.residue(origin), side * self.total, origin)
+            write(column, shift, origin, self.exists)
+        for column, left in ((2, 0), (4, 1)):
+            low, high = self.poles[left], self.poles[left + 1]
+            width, minimum = high - low, self.minimum(low, high)
+            exists = self.exists & (width > 0) & (self.sum(minimum, low) < 1)
+            write(column, self.root(self.residue(low), minimum, low), low, exists)
+            write(column + 1, self.root(-self.residue(high), minimum - width, high), high, exists)
+
 
 def directions(body: Body, towards: Array | None = None) -> tuple[Array, NDArray[np.int8]]:
     """All directions g of the vertical in the body at which the body can rest in the frame, where nothing acts along alpha.
@@ -69,9 +87,8 @@ def directions(body: Body, towards: Array | None = None) -> tuple[Array, NDArray
     sum b_i^2 / (d_i - L)^2 = 1, which has one root outside each end pole and none or two between
     neighbours; a component with b_i = 0 also allows L = d_i with g_i free.
 
-    towards: direction that selects the member of a circle of solutions, (3, points). Returns g, directions, nan in unused
-    columns. There are 2, 4 or 6 isolated ones unless some family is degenerate, (3, 12, points); dimension, dimension of the
-    set that each belongs to: 0 isolated, 1 a circle, 2 every direction, -1 unused, (12, points).
+    towards: selects the member of a circle of solutions, (3, points). Returns g, (3, 12, points), nan in unused columns, and
+    the dimension of the set that each belongs to, (12, points): 0 isolated, 1 a circle, 2 every direction, -1 unused.
     """
     d = (body.turn**2 - body.gamma.gradient) * body.inertia.T
     b = body.turn * body.rotor.T - body.gamma.field.T
@@ -80,55 +97,29 @@ def directions(body: Body, towards: Array | None = None) -> tuple[Array, NDArray
     towards = np.ones_like(d) if towards is None else np.take_along_axis(towards, order, 0)
     g, dimension = np.full((3, PLACES, *d.shape[1:]), np.nan), np.full((PLACES, *d.shape[1:]), -1, np.int8)
     with np.errstate(all="ignore"):
-        _roots_of_secular_equation(_SecularEquation(d, b), g, dimension)
-        _free_components(d, b, towards, g, dimension)
+        _SecularEquation(d, b).write_directions(g, dimension)
+        for i in range(3):  # the solutions L = d_i, of which the components g_i are free, in columns 6 to 11
+            group = d == d[i]
+            free = ~(group & (b != 0)).any(0) & (group.argmax(0) == i)
+            fixed = np.where(group, 0.0, -b / (d - d[i]))
+            remainder = 1 - (fixed**2).sum(0)
+            size = group.sum(0)
+            inside = np.where(group, towards, 0.0)
+            inside = unit(np.where(length(inside) > 0, inside, group)) * np.sqrt(remainder)
+            for column, side in ((6 + 2 * i, 1.0), (7 + 2 * i, -1.0)):
+                exists = free & (remainder > 0) & ((size == 1) | (side > 0))
+                g[:, column] = np.where(exists, fixed + side * inside, np.nan)
+                dimension[column] = np.where(exists, size - 1, -1)
     inverse = np.argsort(order, axis=0)
     return np.take_along_axis(g, np.broadcast_to(inverse[:, None], g.shape), 0), dimension
-
-
-def _roots_of_secular_equation(equation: _SecularEquation, g: Array, dimension: NDArray[np.int8]) -> None:
-    """Write the directions of the roots into columns 0 to 5."""
-
-    def write(column: int, shift: Array, origin: Array, exists: Mask) -> None:
-        g[:, column] = np.where(exists, equation.direction(shift, origin), np.nan)
-        dimension[column] = np.where(exists, 0, -1)
-
-    for column, end, side in ((0, 0, -1.0), (1, 2, 1.0)):
-        origin = equation.poles[end]
-        shift = equation.root(side * equation.residue(origin), side * equation.total, origin)
-        write(column, shift, origin, equation.exists)
-    for column, left in ((2, 0), (4, 1)):
-        low, high = equation.poles[left], equation.poles[left + 1]
-        width, minimum = high - low, equation.minimum(low, high)
-        exists = equation.exists & (width > 0) & (equation.sum(minimum, low) < 1)
-        write(column, equation.root(equation.residue(low), minimum, low), low, exists)
-        write(column + 1, equation.root(-equation.residue(high), minimum - width, high), high, exists)
-
-
-def _free_components(d: Array, b: Array, towards: Array, g: Array, dimension: NDArray[np.int8]) -> None:
-    """Write the solutions L = d_i, of which the components g_i are free, into columns 6 to 11."""
-    for i in range(3):
-        group = d == d[i]
-        free = ~(group & (b != 0)).any(0) & (group.argmax(0) == i)
-        fixed = np.where(group, 0.0, -b / (d - d[i]))
-        remainder = 1 - (fixed**2).sum(0)
-        size = group.sum(0)
-        inside = np.where(group, towards, 0.0)
-        inside = unit(np.where(length(inside) > 0, inside, group)) * np.sqrt(remainder)
-        for column, side in ((6 + 2 * i, 1.0), (7 + 2 * i, -1.0)):
-            exists = free & (remainder > 0) & ((size == 1) | (side > 0))
-            g[:, column] = np.where(exists, fixed + side * inside, np.nan)
-            dimension[column] = np.where(exists, size - 1, -1)
 
 
 def rotations(system: Gyrostat, points: Points) -> dict[str, NDArray[Any]]:
     """All permanent rotations of bodies about the vertical, each at its rate n (0: positions of rest).
 
     points: every parameter, arrays (bodies,), of a system in which nothing acts along alpha. A set of solutions is represented
-    by one member. Returns row, the number of the body, and in the order of theta theta0, phi0 (rad); gamma; dimension (0
-    isolated, 1 a circle, 2 every direction); index (number of directions in which the amended potential decreases; 0 is
-    stable); stable, growth_rate as System.linear_stability; frequency_1 to frequency_3, see Gyrostat.frequencies; circle; flat,
-    where an eigenvalue of the amended potential's Hessian is zero but for _NEAR_BIFURCATION.
+    by one member. Returns, in the order of theta, row: the number of the body; dimension of the set; index: number of
+    directions in which the amended potential decreases; flat: where an eigenvalue of its Hessian is zero but for rounding.
     """
     turning = system.body(points)._replace(turn=points["n"])
     vectors, dimensions = directions(turning)

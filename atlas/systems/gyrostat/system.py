@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from abc import abstractmethod
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ...flags import Stability
-from ..base import Array, Flags, Points, System, stability_by_family, subset
+from ..base import Array, Flags, Mask, Points, System, shape_of, subset
 from . import equilibria, floquet
 from .body import Body, length
 from .oscillations import Equilibria
@@ -31,6 +31,8 @@ class Gyrostat(System):
     moments_of_inertia = ("A", "B", "C")
     frequency_comment = "nan for exponents that are 0 or have a real part, and off every family"
     """Where the variables of frequencies have no value."""
+    axial_rotor: str = ""
+    """Parameter of the rotor along the third axis; empty: there is none."""
     energy_comment = "on the level of the momenta that are constant"
     """On which level of which integrals the energy decides."""
 
@@ -64,7 +66,7 @@ class Gyrostat(System):
 
     def linear_stability(self, points: Points, flags: Flags) -> tuple[Flags, Array]:
         """From the closed form of the family, where it decides and nothing is damped, else from the linear equations."""
-        stable, growth = stability_by_family(self.families, points, flags)
+        stable, growth = super().linear_stability(points, flags)
         if "damping" in points:  # the closed forms are without it
             damped = points["damping"] > 0
             stable[damped], growth[damped] = Stability.UNKNOWN, np.nan
@@ -89,17 +91,16 @@ class Gyrostat(System):
     def log_growth(self, points: Points, flags: Flags, growth_rate: Array, duration: Array) -> Array:
         """Growth over a run as System.log_growth.
 
-        A run that is shorter than the period of the linear system may meet its unstable phases alone: there it is the
-        growth from the start to the end of the run, where that is larger than changes of the amplitude.
+        A run that is shorter than the period of the linear system may meet its unstable phases alone: there it is that from the
+        start to the end of the run, if larger than changes of the amplitude.
         """
         result = growth_rate * duration
         w, _, gamma = self.start(points)
         turn = self.body(points).turn
         short = length(w - turn[:, None] * gamma) * duration < 2 * np.pi
         where = np.flatnonzero((flags > 0) & short)
-        where = where[
-            stability_by_family(self.families, subset(points, where), flags[where])[0] == Stability.UNKNOWN
-        ]
+        closed = super().linear_stability(subset(points, where), flags[where])[0]
+        where = where[closed == Stability.UNKNOWN]
         for first in range(0, where.size, _CHUNK):
             chunk = where[first : first + _CHUNK]
             part = subset(points, chunk)
@@ -115,6 +116,8 @@ class Gyrostat(System):
             )
         return result
 
+    equilibria_of_bodies = equilibria.equilibria_of_bodies
+
     def equilibria(self, body: Mapping[str, float]) -> dict[str, NDArray[Any]]:
         """All relative equilibria of one body, see equilibria.equilibria; start values are ignored."""
         return equilibria.equilibria(self, self.with_defaults(body))
@@ -123,18 +126,11 @@ class Gyrostat(System):
         """Every parameter of one body, arrays (1,); those left out take their defaults."""
         return {k: np.full(1, float(body.get(k, p.default))) for k, p in self.parameters.items()}
 
-    def equilibria_of_bodies(
-        self, points: Points, pause: Callable[[], None] = lambda: None, stability: bool = True
-    ) -> dict[str, NDArray[Any]]:
-        """All relative equilibria of many bodies, see equilibria.equilibria_of_bodies."""
-        return equilibria.equilibria_of_bodies(self, points, pause, stability)
-
     def frequencies(self, points: Points, flags: Flags) -> Array:
-        """Frequencies of the small oscillations about steady motions.
+        """Frequencies of small oscillations about steady motions, rad per time unit, the largest first, (points, 3).
 
-        points: 1-D arrays of one length; flags: families, as identify_family gives them; only whether there is one counts. Returns
-        rad per time unit, the largest first; nan for exponents that are 0 or have a real part, off every family, and where
-        the linear equations are periodic, (points, 3).
+        flags: families, of which only whether there is one counts. nan for exponents that are 0 or have a real part, off every
+        family, and where the linear equations are periodic.
         """
         result, members = np.full((flags.size, 3), np.nan), np.flatnonzero(flags > 0)
         with np.errstate(all="ignore"):
@@ -150,6 +146,23 @@ class Gyrostat(System):
         rest = Equilibria.of(self.body(part), *self.start(part), from_space=False)
         result[members[rest.points]] = rest.energy_stability()
         return result
+
+    def conserves_axial_momentum(self, points: Points) -> Mask:
+        """Where C w3 + rotor is constant, so that the motion of the third axis depends on spin and rotor through it alone."""
+        return np.zeros(shape_of(points), bool)
+
+    def despun_equivalent(self, points: Points) -> tuple[Points, Array]:
+        """Without the rotor along the third axis, where C w3 + rotor is constant and the rotation is slower then."""
+        rotor = self.axial_rotor
+        if not rotor:
+            return super().despun_equivalent(points)
+        conserved = self.conserves_axial_momentum(points) & np.isfinite(points[rotor])
+        excess = np.where(conserved, points[rotor] / points["C"], 0.0)
+        despun = {**points, rotor: np.where(conserved, 0.0, points[rotor]), "m": points["m"] + excess}
+        with np.errstate(all="ignore"):
+            slower = self.frequency_bound(despun) < self.frequency_bound(points)
+        despun = {name: np.where(slower, despun[name], points[name]) for name in points}
+        return despun, np.where(slower, excess, 0.0)
 
 
 def _turning(rest: Equilibria, body: Body, start: tuple[Array, Array, Array]) -> NDArray[np.int64]:

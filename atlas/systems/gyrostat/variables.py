@@ -40,9 +40,9 @@ def oscillation_variables(system: Gyrostat) -> dict[str, DerivedVariable]:
                 columns["stability_kind"] = stability_kind(stable, growth, columns["energy_stable"])
         return columns
 
-    variables = [
-        DerivedVariable.of_group(
-            together,
+    flags = {"energy_stable": EnergyStability.meanings(), "stability_kind": StabilityKind.meanings()}
+    rows = [
+        (
             name,
             "rad s-1",
             f"{order} frequency of small oscillations about the steady motion",
@@ -50,36 +50,28 @@ def oscillation_variables(system: Gyrostat) -> dict[str, DerivedVariable]:
         )
         for name, order in zip(FREQUENCIES, ("largest", "second", "third"), strict=True)
     ]
-    variables += [
-        DerivedVariable.of_group(
-            together, name, "1", long_name, system.energy_comment, flags=flags.meanings()
-        )
-        for name, long_name, flags in (
-            ("energy_stable", "stability of the steady motion by the energy, from theory", EnergyStability),
-            ("stability_kind", "linear stability and stability by the energy, from theory", StabilityKind),
+    rows += [
+        (name, "1", f"{what}, from theory", system.energy_comment)
+        for name, what in (
+            ("energy_stable", "stability of the steady motion by the energy"),
+            ("stability_kind", "linear stability and stability by the energy"),
         )
     ]
-    return {variable.name: variable for variable in variables}
+    return {row[0]: DerivedVariable.of_group(together, *row, flags=flags.get(row[0])) for row in rows}
 
 
 def stability_kind(linear: Flags, growth: Array, energy: Flags) -> Flags:
     """Values of flags.StabilityKind, (points,), from those of Stability with the growth rate and of EnergyStability."""
     stable = linear == Stability.STABLE
-    conditions = [
-        linear == Stability.UNSTABLE,
-        stable & (energy == EnergyStability.YES),
-        (linear == Stability.UNKNOWN) & (growth == 0),
-        stable & (energy == EnergyStability.NO),
-        stable,
-    ]
-    kinds = [
-        StabilityKind.UNSTABLE,
-        StabilityKind.ENERGY_STABLE,
-        StabilityKind.MARGINAL,
-        StabilityKind.GYROSCOPIC,
-        StabilityKind.LINEARLY_STABLE,
-    ]
-    return np.select(conditions, kinds, StabilityKind.UNKNOWN).astype(np.int8)
+    kinds = (
+        (linear == Stability.UNSTABLE, StabilityKind.UNSTABLE),
+        (stable & (energy == EnergyStability.YES), StabilityKind.ENERGY_STABLE),
+        ((linear == Stability.UNKNOWN) & (growth == 0), StabilityKind.MARGINAL),
+        (stable & (energy == EnergyStability.NO), StabilityKind.GYROSCOPIC),
+        (stable, StabilityKind.LINEARLY_STABLE),
+    )
+    where, values = zip(*kinds, strict=True)
+    return np.select(where, values, StabilityKind.UNKNOWN).astype(np.int8)
 
 
 def count_variables(system: Gyrostat) -> dict[str, DerivedVariable]:
@@ -94,42 +86,34 @@ def count_variables(system: Gyrostat) -> dict[str, DerivedVariable]:
         key = rows.tobytes()
         if key not in last:
             start = {name: np.zeros(len(rows)) for name in points if name not in body}
-            counts = _counts(system, dict(zip(body, rows.T, strict=True)) | start, pause)
+            bodies = dict(zip(body, rows.T, strict=True)) | start
+            # About an axis of symmetry every equilibrium can be turned: there is no need to search.
+            symmetric = [system.body(bodies).symmetric_about(i) for i in range(3)]
+            countable = np.flatnonzero(~np.any(symmetric, axis=0))
+            counts = {name: np.full(len(rows), np.nan) for name in ("all", "stable", "minima")}
+            if countable.size:
+                equilibria = system.equilibria_of_bodies(subset(bodies, countable), pause)
+                known = (Completeness.COMPLETE, Completeness.NEAR_BIFURCATION)
+                isolated = np.isin(equilibria["completeness"], known)
+                counted = {
+                    "all": equilibria["index"] >= 0,
+                    "stable": equilibria["stable"] == Stability.STABLE,
+                    "minima": (equilibria["index"] == 0) & ~equilibria["degenerate"],
+                }
+                for name, where in counted.items():
+                    counts[name][countable] = np.where(isolated, where.sum(1), np.nan)
             last.clear()
             last[key] = counts
         return last[key][which][inverse]
 
     comment = "nan where some are not isolated; depends on body, rotor and fields alone"
-    variables = [
-        DerivedVariable(name, "1", long_name, partial(count, which), comment, is_count=True)
-        for name, which, long_name in (
-            ("equilibrium_count", "all", "number of relative equilibria"),
-            ("equilibrium_stable_count", "stable", "number of linearly stable relative equilibria"),
-            (
-                "equilibrium_energy_stable_count",
-                "energy_stable",
-                "number of relative equilibria that are minima of the amended potential",
-            ),
-        )
-    ]
-    return {variable.name: variable for variable in variables}
-
-
-def _counts(system: Gyrostat, points: Points, pause: Callable[[], None]) -> dict[str, Array]:
-    """Numbers of equilibria of bodies (bodies,): all, the linearly stable ones, the minima of the amended potential."""
-    given = system.body(points)
-    # About an axis of symmetry every equilibrium can be turned: there is no need to search.
-    countable = np.flatnonzero(~np.any([given.symmetric_about(i) for i in range(3)], axis=0))
-    counts = {which: np.full(points["A"].size, np.nan) for which in ("all", "stable", "energy_stable")}
-    if not countable.size:
-        return counts
-    equilibria = system.equilibria_of_bodies(subset(points, countable), pause)
-    isolated = np.isin(equilibria["completeness"], (Completeness.COMPLETE, Completeness.NEAR_BIFURCATION))
-    counted = {
-        "all": equilibria["index"] >= 0,
-        "stable": equilibria["stable"] == Stability.STABLE,
-        "energy_stable": (equilibria["index"] == 0) & ~equilibria["degenerate"],
+    rows = (
+        ("equilibrium_count", "all", "number of relative equilibria"),
+        ("equilibrium_stable_count", "stable", "number of linearly stable relative equilibria"),
+        ("equilibrium_energy_stable_count", "minima",
+         "number of relative equilibria that are minima of the amended potential"),
+    )  # fmt: skip
+    return {
+        name: DerivedVariable(name, "1", long_name, partial(count, which), comment, is_count=True)
+        for name, which, long_name in rows
     }
-    for which, where in counted.items():
-        counts[which][countable] = np.where(isolated, where.sum(1), np.nan)
-    return counts

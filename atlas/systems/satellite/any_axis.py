@@ -10,104 +10,90 @@ from __future__ import annotations
 
 import numpy as np
 
-from ...flags import Stability
-from ..base import Array, Condition, Family, Flags, Points, TwoAxes, numbered
-from ..gyrostat.motions import motion_of
-from ..vectors import across, cross, dot, length, ratio, unit
+from ..base import Array, Points, TwoAxes, numbered
+from ..gyrostat.motions import about_axis, always_stable, family_about_axes
+from ..vectors import cross, dot, length, ratio, unit
 from . import families
-from .conditions import largest_inertia, magnetic_moment
-from .initial import directions, initial_state
+from .conditions import magnetic_moment
+from .initial import body_vectors, directions, initial_state
 
 
-def _vectors(points: Points) -> tuple[Array, Array, Array, Array]:
-    """w and gamma at the start, rotor and h3 mu, each (3, points)."""
-    state = initial_state(points)
-    rotor = np.array([points["k1"], points["k2"], points["k3"]])
-    magnet = points["h3"] * np.array([points["mu1"], points["mu2"], points["mu3"]])
-    return state[:3], state[6:], rotor, magnet
+class Start:
+    """Body, fields and state at t = 0; vectors of shape (3, points) in body axes."""
+
+    def __init__(self, points: Points):
+        state = initial_state(points)
+        self.points, self.w, self.gamma = points, state[:3], state[6:]
+        self.inertia, self.rotor, magnetic = body_vectors(points)
+        self.magnet = points["h3"] * magnetic
+
+    def axes(self) -> TwoAxes:
+        """s is along the rotor, else the magnet, else the angular velocity."""
+        s = np.where(length(self.magnet) > 0, self.magnet, self.w)
+        s = unit(np.where(length(self.rotor) > 0, self.rotor, s), self.gamma)
+        axes = about_axis(s, self.w, self.gamma)
+        return axes._replace(precession_rate=axes.precession_rate - self.points["Omega"])
+
+    def squared_rate(self) -> Array:
+        """Largest squared rate."""
+        p = self.points
+        square = np.maximum((self.w**2).sum(0), p["Omega"] ** 2)
+        field = magnetic_moment(p) * np.hypot(p["h1"], p["h3"])
+        return np.maximum(square, np.maximum(field, length(self.rotor) * np.sqrt(square)) / p["C"])
+
+    def residual(self, torque: Array) -> Array:
+        """The magnitude of a torque over C and the largest squared rate."""
+        return ratio(torque / self.points["C"], self.squared_rate())
+
+    def across_axis(self) -> Array:
+        """Torques of the parts of rotor and magnet across s."""
+        s = self.axes().spin_axis
+        return length(cross(self.rotor, s)) * length(self.w) + length(cross(self.magnet, s))
+
+    def unsteadiness(self) -> Array:
+        """What w has beside (n + Omega) gamma + m s."""
+        s, m, _, n = self.axes()
+        rest = self.w - (n + self.points["Omega"]) * self.gamma - m * s
+        return ratio(length(rest), np.sqrt(self.squared_rate()))
+
+    def imbalance(self) -> Array:
+        """Torque across s and the normal."""
+        s, m, _, n = self.axes()
+        C, Omega = self.points["C"], self.points["Omega"]
+        balance = (n + Omega) * (C * m + dot(self.rotor, s)) - dot(self.magnet, s)
+        return np.abs(balance) * length(cross(s, self.gamma))
+
+    def dissipation(self) -> Array:
+        """Residual of damping that turns the body."""
+        damping, rate = self.points["damping"], np.sqrt(self.squared_rate())
+        turn = length(self.w - self.points["Omega"] * self.gamma)
+        return ratio(damping * turn, rate * (self.points["C"] * rate + damping))
 
 
-def _axes(points: Points) -> TwoAxes:
-    """s is along the rotor, else the magnet, else the angular velocity."""
-    w, gamma, rotor, magnet = _vectors(points)
-    s = np.where(length(magnet) > 0, magnet, w)
-    s = unit(np.where(length(rotor) > 0, rotor, s), gamma)
-    normal = across(gamma, s)
-    rate = ratio(dot(w, normal), (normal**2).sum(0))
-    return TwoAxes(s, dot(w - rate * gamma, s), gamma, rate - points["Omega"])
-
-
-def _scale(points: Points) -> Array:
-    """Largest squared rate of the start."""
-    w, _, rotor, _ = _vectors(points)
-    field = magnetic_moment(points) * np.hypot(points["h1"], points["h3"])
-    square = np.maximum((w**2).sum(0), points["Omega"] ** 2)
-    torque = np.maximum(field, length(rotor) * np.sqrt(square)) / points["C"]
-    return np.maximum(square, torque)
-
-
-def _unequal(points: Points) -> Array:
-    largest = largest_inertia(points)
-    least = np.minimum(points["A"], np.minimum(points["B"], points["C"]))
-    return (largest - least) / largest
-
-
-def _radial_torque(points: Points) -> Array:
-    torque = np.abs(points["h1"]) * magnetic_moment(points)
-    return ratio(torque / points["C"], _scale(points))
-
-
-def _not_along(points: Points) -> Array:
-    w, _, rotor, magnet = _vectors(points)
-    s, rate = _axes(points).spin_axis, length(w)
-    torque = length(cross(rotor, s)) * rate + length(cross(magnet, s))
-    return ratio(torque / points["C"], _scale(points))
-
-
-def _unsteady(points: Points) -> Array:
-    w, gamma, _, _ = _vectors(points)
-    s, m, _, n = _axes(points)
-    return ratio(length(w - (n + points["Omega"]) * gamma - m * s), np.sqrt(_scale(points)))
-
-
-def _torque(points: Points) -> Array:
-    _, gamma, rotor, magnet = _vectors(points)
-    s, m, _, n = _axes(points)
-    balance = (n + points["Omega"]) * (points["C"] * m + dot(rotor, s)) - dot(magnet, s)
-    return ratio(np.abs(balance) * length(cross(s, gamma)) / points["C"], _scale(points))
-
-
-def _damped(points: Points) -> Array:
-    w, gamma, _, _ = _vectors(points)
-    scale = np.sqrt(_scale(points))
-    turn = length(w - points["Omega"] * gamma)
-    return ratio(points["damping"] * turn, scale * (points["C"] * scale + points["damping"]))
-
-
-def _stability(points: Points) -> tuple[Flags, Array]:
-    """The squared frequency of nutation, (N sin)^2 + ((C w.s + k.s)/C - 2 N cos)^2, is never negative: always stable."""
-    shape = np.shape(points["A"])
-    return np.full(shape, Stability.STABLE, np.int8), np.zeros(shape)
-
-
-SPHERICAL_ANY_AXIS = Family(
+_SPHERICAL = family_about_axes(
+    Start,
+    Start.axes,
+    directions,
+    (
+        ("A = B = C", lambda b: (b.inertia.max(0) - b.inertia.min(0)) / b.inertia.max(0)),
+        ("h1 mu = 0", lambda b: b.residual(np.abs(b.points["h1"]) * magnetic_moment(b.points))),
+        (
+            "k and h3 mu along one axis s of the body, or both 0 and s along w",
+            lambda b: b.residual(b.across_axis()),
+        ),
+        ("w = (n + Omega) gamma + m s", Start.unsteadiness),
+        ("(n + Omega) (C m + k.s) = h3 mu.s", lambda b: b.residual(b.imbalance())),
+        ("damping (w - Omega gamma) = 0", Start.dissipation),
+    ),
+    lambda points: points["Omega"],
     name="spherical_any_axis",
-    axes=_axes,
-    motion=motion_of(_axes, directions, lambda points: points["Omega"]),
     title="spherical body turning about any axis of its own, which precesses about the normal",
     equations="derived from (1)-(3); not in the paper",
-    conditions=(
-        Condition("A = B = C", _unequal),
-        Condition("h1 mu = 0", _radial_torque),
-        Condition("k and h3 mu along one axis s of the body, or both 0 and s along w", _not_along),
-        Condition("w = (n + Omega) gamma + m s", _unsteady),
-        Condition("(n + Omega) (C m + k.s) = h3 mu.s", _torque),
-        Condition("damping (w - Omega gamma) = 0", _damped),
-    ),
     solve={name: lambda points: points["A"].copy() for name in ("B", "C")},
-    stability=_stability,
+    # The squared frequency of nutation, (N sin)^2 + ((C w.s + k.s)/C - 2 N cos)^2, is never negative.
+    stability=always_stable,
     labels="regular precession about the normal in the orbital frame at n, in space at n + Omega; permanent rotation"
     " where that rate or m is 0",
     exists="every start without rotor, magnet and damping: n = -Omega, a permanent rotation in space",
 )
-FAMILIES = numbered([SPHERICAL_ANY_AXIS], after=families.FAMILIES)
+FAMILIES = numbered([_SPHERICAL], after=families.FAMILIES)

@@ -1,18 +1,21 @@
-"""Equations of the families of steady motions of the satellite, and the quantities of a start that they consist of.
+"""Equations of the families of steady motions of the satellite, their quantities, and closed forms of the stability.
 
 Short names, the equations (*) and the scales of the residuals are those of `families`.
 """
 
 from __future__ import annotations
 
+from functools import partial
+
 import numpy as np
 
-from ..base import Array, Points
-from ..gyrostat.equation import Equation, quotient, relative_to
+from ...flags import Stability
+from ..base import Array, Flags, Points
+from ..gyrostat.floquet import quartic_growth
+from ..gyrostat.motions import Equation, quotient, relative_to
+from ..gyrostat.oscillations import GROWTH_TOLERANCE
 from ..vectors import cross, dot, length
-from .initial import directions
-
-# Quantities.
+from .initial import body_vectors, directions
 
 
 def sine_cosine(angle: Array) -> tuple[Array, Array]:
@@ -62,23 +65,9 @@ def node_field(p: Points) -> tuple[Array, Array, Array]:
     return p["h1"] * cp, p["h3"] * s - p["h1"] * c * sp, p["h3"] * c + p["h1"] * s * sp
 
 
-def turn_rate(p: Points) -> Array:
-    """|n gamma + m e3|, the rate of the rotation relative to the orbital frame."""
-    s, c = tilt(p)
-    return np.hypot(p["n"] * s, p["n"] * c + p["m"])
-
-
 def axial_rate(p: Points) -> Array:
     """w3, the component of the angular velocity along the third body axis."""
     return (p["n"] + p["Omega"]) * tilt(p)[1] + p["m"]
-
-
-def body_vectors(p: Points) -> tuple[Array, Array, Array]:
-    """I, k, mu as arrays of shape (3, points)."""
-    return tuple(  # type: ignore[return-value]
-        np.array([p[name] for name in names])
-        for names in (("A", "B", "C"), ("k1", "k2", "k3"), ("mu1", "mu2", "mu3"))
-    )
 
 
 def rest_torque(p: Points, with_rotor: bool = True) -> tuple[Array, Array, Array]:
@@ -96,10 +85,7 @@ def flatness(p: Points) -> Array:
     return 0.5 * (p["A"] + p["B"]) - p["C"]
 
 
-# Equations.
-
-
-def _pair(p: Points, factor: Array, real: Array, imaginary: Array) -> Array:
+def _pair(p: Points, factor: Array, imaginary: Array | float, real: Array) -> Array:
     """factor K - (real + i imaginary) U, its real and its imaginary part."""
     return np.array(
         [
@@ -109,39 +95,19 @@ def _pair(p: Points, factor: Array, real: Array, imaginary: Array) -> Array:
     )
 
 
-def _node_pair(p: Points) -> Array:
-    H1, H2, _ = node_field(p)
-    return _pair(p, p["Omega"] * tilt(p)[0], H2, H1)
-
-
 def tilt_balance(p: Points) -> Array:
     (s, c), (sp, _) = tilt(p), node(p)
     torque = p["Omega"] ** 2 * s * c * flatness(p) * (1 + 3 * sp**2) + p["mu3"] * node_field(p)[1]
     return p["Omega"] * s * (p["k3"] + p["C"] * p["m"]) - torque
 
 
-def _tilt_parts(p: Points) -> tuple[Array, Array]:
-    """Parts of the balance of the tilt over s, without and with a factor Omega; at s = 0 the limit, if h1 mu3 sin psi0 = 0."""
+def tilt_over_sine(p: Points, by_rate: bool = False) -> Array:
+    """The balance of the tilt over s, or over Omega s; at s = 0 the limit, if h1 mu3 sin psi0 = 0."""
     (s, c), (sp, _) = tilt(p), node(p)
     radial = p["mu3"] * p["h1"] * c * sp
     field = p["mu3"] * p["h3"] - np.where(radial == 0, 0.0, quotient(radial, s))
-    return field, p["k3"] + p["C"] * p["m"] - p["Omega"] * c * flatness(p) * (1 + 3 * sp**2)
-
-
-def _tilt_momentum(p: Points) -> Array:
-    """The balance of the tilt over Omega s."""
-    field, momentum = _tilt_parts(p)
-    return momentum - relative_to(field, p["Omega"])
-
-
-def tilt_over_sine(p: Points) -> Array:
-    """The balance of the tilt over s."""
-    field, momentum = _tilt_parts(p)
-    return p["Omega"] * momentum - field
-
-
-def _oblique_balance(p: Points) -> Array:
-    return 3 * p["Omega"] ** 2 * tilt(p)[0] * node(p)[0] * flatness(p) - p["h1"] * p["mu3"]
+    momentum = p["k3"] + p["C"] * p["m"] - p["Omega"] * c * flatness(p) * (1 + 3 * sp**2)
+    return momentum - relative_to(field, p["Omega"]) if by_rate else p["Omega"] * momentum - field
 
 
 def _normal_torque(p: Points) -> Array:
@@ -164,11 +130,6 @@ def _asymmetry_about_normal(p: Points) -> Array:
     return np.array([length(cross(inertia * gamma, gamma)), difference, dot(inertia, 2 * alpha * beta)])
 
 
-def _normal_rotor(p: Points) -> Array:
-    _, k, mu = body_vectors(p)
-    return cross(directions(p)[1], (p["n"] + p["Omega"]) * k - p["h3"] * mu)
-
-
 SYMMETRIC = Equation("A = B", lambda p: p["A"] - p["B"], largest_inertia)
 EQUAL_B_AND_C = Equation("B = C", lambda p: p["B"] - p["C"], largest_inertia)
 STEADY_TILT = Equation("theta_dot0 = 0", lambda p: p["theta_dot0"], rate_scale)
@@ -185,25 +146,35 @@ AXIAL_MAGNET = Equation(
 )
 NO_RADIAL_TORQUE = Equation("h1 mu = 0", lambda p: p["h1"] * magnetic_moment(p), torque_scale)
 NO_AXIAL_RADIAL_TORQUE = Equation("h1 mu3 = 0", lambda p: p["h1"] * p["mu3"], torque_scale)
+NO_ROTATION = Equation(
+    "n sin theta0 = 0 and n cos theta0 + m = 0",
+    lambda p: np.hypot(p["n"] * tilt(p)[0], p["n"] * tilt(p)[1] + p["m"]),
+    rate_scale,
+)
 NO_DISSIPATION = Equation(
     "damping (w - Omega gamma) = 0",
-    lambda p: p["damping"] * turn_rate(p),
+    lambda p: p["damping"] * NO_ROTATION.function(p),
     lambda p: torque_scale(p) + p["damping"] * rate_scale(p),
 )
 SPINNING_PAIR = Equation(
-    "w3 k1,2 = H3 mu1,2",
-    lambda p: _pair(p, axial_rate(p), node_field(p)[2], np.zeros_like(p["A"])),
+    "w3 k1,2 = H3 mu1,2", lambda p: _pair(p, axial_rate(p), 0.0, node_field(p)[2]), torque_scale
+)
+NODE_PAIR = Equation(
+    "Omega sin theta0 (k1 + i k2) = (H2 + i H1) (mu1 + i mu2)",
+    lambda p: _pair(p, p["Omega"] * tilt(p)[0], *node_field(p)[:2]),
     torque_scale,
 )
-NODE_PAIR = Equation("Omega sin theta0 (k1 + i k2) = (H2 + i H1) (mu1 + i mu2)", _node_pair, torque_scale)
 TILT_BALANCE = Equation(
     "Omega s (k3 + C m) = Omega^2 s c ((A + B)/2 - C) (1 + 3 sin^2 psi0) + mu3 (h3 s - h1 c sin psi0)",
     tilt_balance,
     torque_scale,
-    _tilt_momentum,
+    partial(tilt_over_sine, by_rate=True),
 )
-OBLIQUE_BALANCE = Equation("3 Omega^2 s sin psi0 ((A + B)/2 - C) = h1 mu3", _oblique_balance, torque_scale)
-NO_ROTATION = Equation("n sin theta0 = 0 and n cos theta0 + m = 0", turn_rate, rate_scale)
+OBLIQUE_BALANCE = Equation(
+    "3 Omega^2 s sin psi0 ((A + B)/2 - C) = h1 mu3",
+    lambda p: 3 * p["Omega"] ** 2 * tilt(p)[0] * node(p)[0] * flatness(p) - p["h1"] * p["mu3"],
+    torque_scale,
+)
 NO_TORQUE_ABOUT_NORMAL = Equation("beta.(3 Omega^2 I alpha + h1 mu) = 0", _normal_torque, torque_scale)
 NO_TORQUE_ACROSS_NORMAL = Equation(
     "Omega gamma x k = Omega^2 I gamma x gamma + 3 Omega^2 alpha x I alpha + (h1 alpha + h3 gamma) x mu"
@@ -220,7 +191,7 @@ FIELD_ACROSS = Equation(
 )
 DESPUN_BALANCE = Equation(
     "cos psi0 (3 Omega^2 s sin psi0 ((A + B)/2 - C) - h1 mu3) = 0",
-    lambda p: node(p)[1] * _oblique_balance(p),
+    lambda p: node(p)[1] * OBLIQUE_BALANCE.function(p),
     torque_scale,
 )
 ASYMMETRIC_TILT_ANGLE = Equation("cos theta0 = +-1/2", lambda p: 4 * tilt(p)[1] ** 2 - 1)
@@ -240,4 +211,71 @@ SYMMETRY_ABOUT_NORMAL = Equation(
     _asymmetry_about_normal,
     largest_inertia,
 )
-NORMAL_ROTOR = Equation("gamma x ((n + Omega) k - h3 mu) = 0", _normal_rotor, torque_scale)
+NORMAL_ROTOR = Equation(
+    "gamma x ((n + Omega) k - h3 mu) = 0",
+    lambda p: cross(
+        directions(p)[1], (p["n"] + p["Omega"]) * body_vectors(p)[1] - p["h3"] * body_vectors(p)[2]
+    ),
+    torque_scale,
+)
+
+
+# Ratio of squared exponents below which they are zero or coincide but for rounding.
+_ROUNDING = 1e-12
+
+
+def _quartic(P: Array, Q: Array, scale: Array) -> tuple[Flags, Array]:
+    """Stability and growth (round-off up to GROWTH_TOLERANCE * scale) of lambda^4 + P lambda^2 + Q = 0; nan: unknown."""
+    growth = quartic_growth(P, Q)
+    margin = _ROUNDING * P * P
+    stable = np.where((P > 0) & (margin < Q) & (margin < P * P - 4 * Q), Stability.STABLE, Stability.UNKNOWN)
+    unstable = growth > GROWTH_TOLERANCE * scale
+    growth = np.where(unstable | np.isnan(growth), growth, 0.0)
+    return np.where(unstable, Stability.UNSTABLE, stable).astype(np.int8), growth
+
+
+def stability_tilted(p: Points) -> tuple[Flags, Array]:
+    """Symmetric body, k and mu along the axis, n = 0: lambda^4 + P lambda^2 + Q = 0.
+
+    With the axial momentum p = (C w3 + k3) / a conserved, the axis moves like a charge on the sphere:
+    U = -Omega^2 s^2/2 - Omega p c + (3/2) D Omega^2 s^2 sin^2 psi + mu3 (h1 s sin psi + h3 c) / a,
+    D = C/a - 1, P = U_tt + U_pp / s^2 + (2 Omega c - p)^2 and Q = (U_tt U_pp - U_tp^2) / s^2.
+    """
+    s, c = tilt(p)
+    sp, cp = node(p)
+    a, square = 0.5 * (p["A"] + p["B"]), p["Omega"] ** 2
+    momentum = (p["C"] * axial_rate(p) + p["k3"]) / a
+    D = p["C"] / a - 1
+    radial, normal = p["mu3"] * p["h1"] / a, p["mu3"] * p["h3"] / a
+    tt = (
+        (c**2 - s**2) * square * (3 * D * sp**2 - 1)
+        + p["Omega"] * momentum * c
+        - radial * s * sp
+        - normal * c
+    )
+    tp = quotient(6 * D * square * s * c * sp * cp + radial * c * cp, s)
+    pp = 3 * D * square * (cp**2 - sp**2) - quotient(radial * sp, s)
+    P = tt + pp + (2 * p["Omega"] * c - momentum) ** 2
+    return _quartic(P, tt * pp - tp**2, np.abs(p["Omega"]) + np.abs(momentum))
+
+
+def stability_about_normal(p: Points) -> tuple[Flags, Array]:
+    """Rotation about the orbit's normal and an axis of symmetry along it, with k and mu along it too.
+
+    With J the moment about that axis, T across it, nu the rate in the orbital frame:
+    p = (J (Omega + nu) + k.gamma) / T, U_2 = Omega p - Omega^2 - h3 mu.gamma / T,
+    U_1 = U_2 + 3 Omega^2 (J/T - 1), lambda^4 + (U_1 + U_2 + (2 Omega - p)^2) lambda^2 + U_1 U_2 = 0.
+    Unknown where k or h3 mu has a part across the axis: the linear system is then periodic in time.
+    """
+    inertia, k, mu = body_vectors(p)
+    _, gamma = directions(p)
+    nu = p["n"] + p["m"] * gamma[2]
+    along = (inertia * gamma**2).sum(0)
+    across = 0.5 * (inertia.sum(0) - along)
+    momentum = (along * (p["Omega"] + nu) + (k * gamma).sum(0)) / across
+    second = p["Omega"] * momentum - p["Omega"] ** 2 - p["h3"] * (mu * gamma).sum(0) / across
+    first = second + 3 * p["Omega"] ** 2 * (along / across - 1)
+    oblique = relative_to(length(cross(k, gamma)), momentum_scale(p))
+    oblique = oblique + relative_to(p["h3"] * length(cross(mu, gamma)), torque_scale(p))
+    P = np.where(np.abs(oblique) < 1e-12, first + second + (2 * p["Omega"] - momentum) ** 2, np.nan)
+    return _quartic(P, first * second, np.abs(p["Omega"]) + np.abs(momentum))

@@ -10,8 +10,7 @@ a = (A + B) / 2. With n = 0 and A = B the motion is steady if and only if (m not
     w3 K = H3 U,   Omega s K = (H2 + i H1) U,   cos psi0 (3 Omega^2 s sin psi0 (a - C) - h1 mu3) = 0,
     Omega s (k3 + C m) = Omega^2 s c (a - C) (1 + 3 sin^2 psi0) + mu3 H2.                       (*)
 
-Their equations are in `conditions`, and give the parameters in which they are linear; the closed forms of their stability are
-in `closed_stability`. The families overlap; a point belongs to the first that holds, in
+Their equations are in `conditions`, and give the parameters in which they are linear, and closed forms of their stability. The families overlap; a point belongs to the first that holds, in
 the order of FAMILIES. Residuals are divided by natural scales: largest inertia J, rate
 w = Omega + |n| + |m| + |theta_dot0|, momentum J w + |k|, torque w (J w + |k|) + |mu| |h|. With Omega = 0 every
 family below is still exact, but a free or heavy body has more steady motions than these. With damping a steady
@@ -20,26 +19,19 @@ motion keeps its Jacobi integral only at rest in the orbital frame, w' = 0: thes
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
 from ..base import Array, Family, Points, numbered
-from ..gyrostat.equation import each, linear, quotient, relative_to
-from ..gyrostat.motions import about_third_axis, motion_of
+from ..gyrostat.motions import about_third_axis, always_stable, each, linear, motion_of, quotient, relative_to
 from ..vectors import cross, length
 from . import conditions as the
-from .closed_stability import stability_about_normal, stability_spherical, stability_tilted
-from .conditions import (
-    body_vectors,
-    flatness,
-    magnetic_moment,
-    node,
-    rest_torque,
-    tilt,
-)
+from .conditions import flatness, magnetic_moment, node, rest_torque, tilt
 from .equations import rhs
-from .initial import constants, directions, initial_state
+from .initial import body_vectors, constants, directions, initial_state
 
 # State of the steady motion theta = theta0, psi = n t + psi0, phi = m t + phi0, see Family.motion; theta_dot0 is taken as 0.
 steady_motion = motion_of(about_third_axis, directions, lambda points: points["Omega"])
@@ -67,11 +59,12 @@ def _theta(p: Points) -> Array:
     return np.where(exists, np.arccos(np.clip(cosine, -1, 1)), np.nan)
 
 
-def _k_along(name: str, p: Points, base: Array, gamma: Array) -> Array:
+def _k_along(line: Callable[[Points], tuple[Array, Array]], name: str, p: Points) -> Array:
     """Component of k = base + lambda gamma: k3 with lambda from k1 and k2, k1 and k2 with lambda from k3.
 
     Where gamma3 = 0 lambda does not enter k3, and k1 and k2 determine each other.
     """
+    base, gamma = line(p)
     i, k = int(name[1]) - 1, np.array([p["k1"], p["k2"], p["k3"]])
     gamma = np.where(np.abs(gamma) < 1e-14, 0.0, gamma)
     free = (k - base) * gamma
@@ -84,23 +77,10 @@ def _k_along(name: str, p: Points, base: Array, gamma: Array) -> Array:
     return base[i] + along * gamma[i]
 
 
-def _k_equilibrium(name: str, p: Points) -> Array:
-    """Component of a rotor that leaves no torque across the normal."""
+def _rotor_at_rest(p: Points) -> tuple[Array, Array]:
+    """A rotor that leaves no torque across the normal, and the normal."""
     torque, _, gamma = rest_torque(p, with_rotor=False)
-    return _k_along(name, p, quotient(cross(torque, gamma), np.broadcast_to(p["Omega"], torque.shape)), gamma)
-
-
-def _k_other_axis(name: str, p: Points) -> Array:
-    """Component of a rotor of which (n + Omega) k - h3 mu is along the normal."""
-    mu = body_vectors(p)[2]
-    N = np.broadcast_to(p["n"] + p["Omega"], mu.shape)
-    return _k_along(name, p, quotient(p["h3"] * mu, N), directions(p)[1])
-
-
-def _m_equilibrium(p: Points) -> Array:
-    """-n cos theta0 on the normal; elsewhere 0, and only if n = 0."""
-    s, c = tilt(p)
-    return np.where((s == 0) | (p["n"] == 0), -p["n"] * c, np.nan)
+    return quotient(cross(torque, gamma), p["Omega"]), gamma
 
 
 def _psi_oblique(p: Points) -> Array:
@@ -110,29 +90,7 @@ def _psi_oblique(p: Points) -> Array:
     return np.where(np.cos(p["psi0"]) < 0, np.pi - angle, angle)
 
 
-def _mu3_despun(p: Points) -> Array:
-    """The oblique relation; free, and kept, where cos psi0 = 0."""
-    return np.where(node(p)[1] == 0, p["mu3"], the.OBLIQUE_BALANCE.solve("mu3")["mu3"](p))
-
-
-def _transverse_relation(p: Points) -> Array:
-    """sin psi0 h1 (Omega + m c) = m s h3, with sin psi0 = +-1: both pairs have a solution k1, k2."""
-    s, c = tilt(p)
-    return node(p)[0] * p["h1"] * (p["Omega"] + p["m"] * c) - p["m"] * s * p["h3"]
-
-
-def _theta_tilt(p: Points) -> Array:
-    """pi/3 or 2 pi/3, on the side of the given cos theta0."""
-    return np.where(np.cos(p["theta0"]) < 0, 2 * np.pi / 3, np.pi / 3)
-
-
-def _h1_tilt(p: Points) -> Array:
-    """h1 = -sin psi0 sgn(c) sqrt(3) h3, needed if mu1 or mu2 is not 0."""
-    s, c = tilt(p)
-    return -node(p)[0] * np.sign(c) * np.sign(s) * np.sqrt(3) * p["h3"]
-
-
-_SYMMETRIC_TILT = (the.STEADY_TILT, the.NO_PRECESSION, the.SYMMETRIC, the.AXIAL_ROTOR, the.AXIAL_MAGNET)
+_SYMMETRIC_TILT = (the.NO_PRECESSION, the.SYMMETRIC, the.AXIAL_ROTOR, the.AXIAL_MAGNET)
 _TILT_LABELS = (
     "permanent rotation about the third axis in the orbital frame; in space regular precession (Omega, m),"
     " permanent rotation where m = 0"
@@ -142,9 +100,9 @@ _TABLE = (
         name="cylindrical",
         title="third axis along the orbit's normal, symmetric body turning about it at n +- m",
         equations="(14)-(16), (21)-(23), (29)-(31), (44), (45)",
-        conditions=(the.STEADY_TILT, the.UPRIGHT, the.SYMMETRIC, the.NO_RADIAL_TORQUE, the.SPINNING_PAIR),
+        conditions=(the.UPRIGHT, the.SYMMETRIC, the.NO_RADIAL_TORQUE, the.SPINNING_PAIR),
         solve={**each(_nearest_pole, "theta0"), **the.SPINNING_PAIR.solve("mu1", "mu2", "k1", "k2")},
-        stability=stability_about_normal,
+        stability=the.stability_about_normal,
         geometry="cylindrical",
         paper_wording="n = 0: cylindrical permanent rotation (orbital), cylindrical regular precession "
         "(inertial); n != 0: cylindrical regular precession in both",
@@ -156,16 +114,12 @@ _TABLE = (
         name="equilibrium",
         title="any body at rest in the orbital frame",
         equations="(27), (28) at theta0 = pi; otherwise derived from (1)-(3)",
-        conditions=(
-            the.STEADY_TILT,
-            the.NO_ROTATION,
-            the.NO_TORQUE_ABOUT_NORMAL,
-            the.NO_TORQUE_ACROSS_NORMAL,
-        ),
+        conditions=(the.NO_ROTATION, the.NO_TORQUE_ABOUT_NORMAL, the.NO_TORQUE_ACROSS_NORMAL),
         solve={
-            "m": _m_equilibrium,
+            # -n cos theta0 on the normal; elsewhere 0, and only if n = 0
+            "m": lambda p: np.where((tilt(p)[0] == 0) | (p["n"] == 0), -p["n"] * tilt(p)[1], np.nan),
             **the.NO_TORQUE_ABOUT_NORMAL.solve("h1"),
-            **each(_k_equilibrium, "k3", "k1", "k2"),
+            **each(partial(_k_along, _rotor_at_rest), "k3", "k1", "k2"),
         },
         paper_wording="equilibrium position (orbital), cylindrical regular precession (inertial)",
         labels="at rest in the orbital frame, turning with it in space: permanent rotation in both",
@@ -185,7 +139,7 @@ _TABLE = (
             **linear(the.tilt_over_sine, "h3"),
             **the.TILT_BALANCE.solve("k3"),
         },
-        stability=stability_tilted,
+        stability=the.stability_tilted,
         geometry="perp_radius",
         paper_wording="conical permanent rotation (orbital), conical regular precession (inertial)",
         labels=_TILT_LABELS,
@@ -205,7 +159,7 @@ _TABLE = (
             **linear(the.tilt_over_sine, "h3"),
             **the.TILT_BALANCE.solve("k3"),
         },
-        stability=stability_tilted,
+        stability=the.stability_tilted,
         geometry="perp_velocity",
         paper_wording="hyperboloidal permanent rotation (orbital), hyperboloidal regular precession (inertial)",
         labels=_TILT_LABELS,
@@ -225,7 +179,7 @@ _TABLE = (
             **linear(the.tilt_over_sine, "h3"),
             **the.TILT_BALANCE.solve("k3"),
         },
-        stability=stability_tilted,
+        stability=the.stability_tilted,
         geometry="oblique",
         labels=_TILT_LABELS,
         exists="|h1 mu3| <= 3 Omega^2 |sin theta0 (A - C)|: from perp_radius at h1 mu3 = 0 to perp_velocity at equality",
@@ -236,12 +190,18 @@ _TABLE = (
         title="as perp_velocity, with rotor and magnet across the third axis",
         equations="derived from (1)-(3); not in the paper",
         conditions=(
-            the.STEADY_TILT, the.NO_PRECESSION, the.SYMMETRIC, the.NODE_ON_VELOCITY, the.SPINNING_PAIR, the.NODE_PAIR,
+            the.NO_PRECESSION, the.SYMMETRIC, the.NODE_ON_VELOCITY, the.SPINNING_PAIR, the.NODE_PAIR,
             the.TILT_BALANCE,
         ),
         solve={
             "psi0": _psi_on_velocity,
-            **linear(_transverse_relation, "m", "h1", "h3"),
+            # sin psi0 h1 (Omega + m c) = m s h3 with sin psi0 = +-1: both pairs have a solution k1, k2
+            **linear(
+                lambda p: (
+                    node(p)[0] * p["h1"] * (p["Omega"] + p["m"] * tilt(p)[1]) - p["m"] * tilt(p)[0] * p["h3"]
+                ),
+                "m", "h1", "h3",
+            ),
             **the.NODE_PAIR.solve("k1", "k2"),
             **the.TILT_BALANCE.solve("k3"),
         },
@@ -255,13 +215,14 @@ _TABLE = (
         title="symmetric body without rotation about its axis (w3 = 0), rotor and magnet across it",
         equations="derived from (1)-(3); not in the paper",
         conditions=(
-            the.STEADY_TILT, the.NO_PRECESSION, the.SYMMETRIC, the.DESPUN, the.FIELD_ACROSS, the.NODE_PAIR, the.DESPUN_BALANCE,
-            the.TILT_BALANCE,
+            the.NO_PRECESSION, the.SYMMETRIC, the.DESPUN, the.FIELD_ACROSS, the.NODE_PAIR,
+            the.DESPUN_BALANCE, the.TILT_BALANCE,
         ),
         solve={
             "m": lambda p: -p["Omega"] * tilt(p)[1],
             **the.FIELD_ACROSS.solve("h1", "h3"),
-            "mu3": _mu3_despun,
+            # the oblique relation; free, and kept, where cos psi0 = 0
+            "mu3": lambda p: np.where(node(p)[1] == 0, p["mu3"], the.OBLIQUE_BALANCE.solve("mu3")["mu3"](p)),
             **the.NODE_PAIR.solve("k1", "k2"),
             **the.TILT_BALANCE.solve("k3"),
         },
@@ -274,20 +235,16 @@ _TABLE = (
         title="any body, third axis at 60 or 120 degrees in the plane of normal and radius, m = -+Omega",
         equations="(19), (20); 120 degrees and psi0 = -pi/2 derived from (1)-(3)",
         conditions=(
-            the.STEADY_TILT,
-            the.NO_PRECESSION,
-            the.ASYMMETRIC_TILT_ANGLE,
-            the.ASYMMETRIC_TILT_SPIN,
-            the.NODE_ON_VELOCITY,
-            the.SPINNING_PAIR,
-            the.NODE_PAIR,
-            the.TILT_BALANCE,
+            the.NO_PRECESSION, the.ASYMMETRIC_TILT_ANGLE, the.ASYMMETRIC_TILT_SPIN, the.NODE_ON_VELOCITY,
+            the.SPINNING_PAIR, the.NODE_PAIR, the.TILT_BALANCE,
         ),
         solve={
-            "theta0": _theta_tilt,
+            # pi/3 or 2 pi/3, on the side of the given cos theta0
+            "theta0": lambda p: np.where(np.cos(p["theta0"]) < 0, 2 * np.pi / 3, np.pi / 3),
             "psi0": _psi_on_velocity,
             **the.ASYMMETRIC_TILT_SPIN.solve("m"),
-            "h1": _h1_tilt,
+            # needed if mu1 or mu2 is not 0
+            "h1": lambda p: -node(p)[0] * np.sign(tilt(p)[1]) * np.sign(tilt(p)[0]) * np.sqrt(3) * p["h3"],
             **the.NODE_PAIR.solve("k1", "k2"),
             **the.TILT_BALANCE.solve("k3"),
         },
@@ -302,16 +259,12 @@ _TABLE = (
         title="spherical body, any tilt, precession and spin",
         equations="remarks after (31) and (45), completed from (1)-(3)",
         conditions=(
-            the.STEADY_TILT,
-            the.SYMMETRIC,
-            the.EQUAL_B_AND_C,
-            the.AXIAL_ROTOR,
-            the.NO_RADIAL_TORQUE,
-            the.NO_TRANSVERSE_TORQUE,
-            the.SPHERICAL_BALANCE,
+            the.SYMMETRIC, the.EQUAL_B_AND_C, the.AXIAL_ROTOR, the.NO_RADIAL_TORQUE,
+            the.NO_TRANSVERSE_TORQUE, the.SPHERICAL_BALANCE,
         ),
         solve=the.SPHERICAL_BALANCE.solve("n", "m", "h3", "k3"),
-        stability=stability_spherical,
+        # seen from axes that turn with n + Omega, lambda^2 = 0 twice and -((N s)^2 + (2 N c - p)^2)
+        stability=always_stable,
         geometry="general",
         paper_wording="spherical symmetry: regular precession",
         labels="regular precession (n, m) in the orbital frame and (n + Omega, m) in space; permanent rotation where"
@@ -323,15 +276,16 @@ _TABLE = (
         name="other_axis",
         title="rotation at n about an axis of symmetry other than the third, which lies along the normal",
         equations="derived from (1)-(3); not in the paper",
-        conditions=(
-            the.STEADY_TILT,
-            the.NO_SPIN,
-            the.SYMMETRY_ABOUT_NORMAL,
-            the.NO_RADIAL_TORQUE,
-            the.NORMAL_ROTOR,
+        conditions=(the.NO_SPIN, the.SYMMETRY_ABOUT_NORMAL, the.NO_RADIAL_TORQUE, the.NORMAL_ROTOR),
+        solve=each(
+            # a rotor of which (n + Omega) k - h3 mu vanishes, and the normal
+            partial(
+                _k_along,
+                lambda p: (quotient(p["h3"] * body_vectors(p)[2], p["n"] + p["Omega"]), directions(p)[1]),
+            ),
+            "k3", "k1", "k2",
         ),
-        solve=each(_k_other_axis, "k3", "k1", "k2"),
-        stability=stability_about_normal,
+        stability=the.stability_about_normal,
         geometry="general",
         labels="permanent rotation in both frames, about the normal at n and in space at n + Omega",
         exists="n = -Omega only with h3 mu along the normal; k is then free",
@@ -342,18 +296,17 @@ _TABLE = (
 # Damping leaves the motions at rest in the orbital frame, as the conditions of the family "equilibrium" require.
 _UNDAMPED = {family.name: () if family.name == "equilibrium" else (the.NO_DISSIPATION,) for family in _TABLE}
 FAMILIES = numbered(
-    replace(family, motion=steady_motion, conditions=family.conditions + _UNDAMPED[family.name])
+    replace(
+        family,
+        motion=steady_motion,
+        conditions=(the.STEADY_TILT, *family.conditions, *_UNDAMPED[family.name]),
+    )
     for family in _TABLE
 )
 
 
 def condition_residual(points: Points) -> Array:
-    """|w'-dot - n m gamma x e3| at the start over the largest squared rate; 0 on an exact motion.
-
-    w'-dot is the relative angular acceleration of the start, n m gamma x e3 that of the steady motion
-    w' = n gamma + m e3. The rates are Omega, |w| and sqrt(|h| |mu| / smallest moment of inertia).
-    Shape of the points, dimensionless.
-    """
+    """|w'-dot - n m gamma x e3| at the start, w' relative to the orbit, over the largest squared rate; 0 on an exact motion."""
     state = initial_state(points)
     w, gamma = state[:3], state[6:]
     rates = np.array(rhs(state, constants(points)))

@@ -11,7 +11,8 @@ from ..gyrostat import Body, Direction
 from ..gyrostat.body import gyration, perron_root
 from ..gyrostat.motions import angular_velocity
 from ..gyrostat.motions import directions as directions
-from .equations import CONSTANTS
+from ..vectors import length
+from .equations import CONSTANTS, INTEGRALS
 
 _TABLE = (
     # name, unit, symbol, default, low, open_low, start, meaning
@@ -55,6 +56,14 @@ def constants(points: Points) -> Array:
     return np.array([*body, *D, 3 * Omega**2, np.ones_like(A), np.ones_like(A), *rotor, *magnet, *damping])
 
 
+def body_vectors(points: Points) -> tuple[Array, Array, Array]:
+    """I, k, mu as arrays of shape (3, points)."""
+    return tuple(  # type: ignore[return-value]
+        np.array([points[name] for name in names])
+        for names in (("A", "B", "C"), ("k1", "k2", "k3"), ("mu1", "mu2", "mu3"))
+    )
+
+
 def body(points: Points) -> Body:
     """The body on its orbit: gravity gradient 3 Omega^2 and field h1 mu along the radius, field h3 mu along the normal."""
     inertia, rotor, magnet = (
@@ -88,37 +97,24 @@ def conserves_axial_momentum(points: Points) -> Mask:
 
 def integral_scales(points: Points) -> dict[str, Array]:
     """Lower bound of the magnitude of each integral, nan where it has no balance; see System.integral_scales."""
-    zero = np.zeros_like(points["A"])
     axial = symmetric_about_third_axis(points)
     rates = sum(np.abs(points[name]) for name in ("Omega", "n", "m", "theta_dot0"))
-    return {
-        "jacobi": zero,
-        "length_alpha": zero,
-        "length_gamma": zero,
-        "length_sum": zero,
-        "axial_momentum": np.where(axial, points["C"] * rates, np.nan),
-    }
+    scales = dict.fromkeys(INTEGRALS, np.zeros_like(points["A"]))
+    return scales | {"axial_momentum": np.where(axial, points["C"] * rates, np.nan)}
 
 
 def frequency_bound(points: Points) -> Array:
-    """Upper bound of the fastest frequency of the motion, rad per time unit, shape (points,).
+    """Upper bound of the fastest frequency, as Body.frequency_bound, in rad per time unit.
 
-    The Jacobi integral T + U, with T the kinetic energy of w' and U = V - Omega k.gamma
-    - Omega^2/2 gamma.I gamma, never grows, and bounds w' through the range of U. With every |w_i| bounded, the
-    frozen linearised equations in the coordinates sqrt(I) w are bounded block by block, and the
-    Perron root of the 2 x 2 matrix of the block norms bounds their frequencies. Damping D adds D I^-1 to the
-    block of w, whose norm is D over the least moment, and D Omega I^(-1/2) to that from gamma to w.
+    Damping D adds D I^-1 to the block of w, whose norm is D over the least moment, and D Omega I^(-1/2) to that from gamma.
     """
-    A, B, C, Omega = points["A"], points["B"], points["C"], np.abs(points["Omega"])
-    inertia = np.array([A, B, C])
-    k = np.array([points["k1"], points["k2"], points["k3"]])
-    mu = np.array([points["mu1"], points["mu2"], points["mu3"]])
+    inertia, k, mu = body_vectors(points)
+    (A, B, C), Omega = inertia, np.abs(points["Omega"])
     state = initial_state(points)
     w, alpha, gamma = state[:3], state[3:6], state[6:]
     u = w - points["Omega"] * gamma
     field = np.hypot(points["h1"], points["h3"])
-    moment = np.sqrt((mu**2).sum(0))
-    rotor = np.sqrt((k**2).sum(0))
+    moment, rotor = length(mu), length(k)
 
     # U - min U <= each term at the start minus its own minimum.
     kinetic = 0.5 * (inertia * u**2).sum(0)
@@ -137,9 +133,7 @@ def frequency_bound(points: Points) -> Array:
     max_rates = np.sqrt(2 * energy / inertia) + Omega
     max_rates[2] = np.where(symmetric, np.abs(w[2]), max_rates[2])
     max_turn = np.where(
-        symmetric,
-        np.hypot(np.sqrt(2 * energy / A), np.abs(w[2]) + Omega),
-        np.sqrt(2 * energy / min_inertia),
+        symmetric, np.hypot(np.sqrt(2 * energy / A), np.abs(w[2]) + Omega), np.sqrt(2 * energy / min_inertia)
     )
 
     damping = points["damping"] / min_inertia
@@ -150,19 +144,13 @@ def frequency_bound(points: Points) -> Array:
 
 
 def specialization(zero: Set[str], equal: Set[tuple[str, str]]) -> tuple[set[str], set[tuple[str, str]]]:
-    """Constants that vanish without magnet, rotor, orbit or damping; those equal on an axially symmetric body.
-
-    See System.specialization.
-    """
-    zero_constants: set[str] = set()
-    if zero >= {"mu1", "mu2", "mu3"} or zero >= {"h1", "h3"}:
-        zero_constants |= {"mu1", "mu2", "mu3", "h1", "h3"}
-    if zero >= {"k1", "k2", "k3"}:
-        zero_constants |= {"k1", "k2", "k3"}
-    if "Omega" in zero:
-        zero_constants |= {"Omega", "N"}
-    if "damping" in zero:
-        zero_constants |= {"damping_A", "damping_B", "damping_C"}
+    """Constants that vanish without magnet, rotor, orbit or damping; those equal on an axially symmetric body."""
+    magnet = {"mu1", "mu2", "mu3", "h1", "h3"}
+    rows = (
+        ({"mu1", "mu2", "mu3"}, magnet), ({"h1", "h3"}, magnet), ({"k1", "k2", "k3"}, {"k1", "k2", "k3"}),
+        ({"Omega"}, {"Omega", "N"}), ({"damping"}, {"damping_A", "damping_B", "damping_C"}),
+    )  # fmt: skip
+    zero_constants = {name for parameters, names in rows if zero >= parameters for name in names}
     equal_constants: set[tuple[str, str]] = set()
     if ("A", "B") in equal and zero | zero_constants >= {"k1", "k2", "mu1", "mu2"}:
         zero_constants |= {"k1", "k2", "mu1", "mu2", "D3"}
@@ -175,8 +163,7 @@ def specialization(zero: Set[str], equal: Set[tuple[str, str]]) -> tuple[set[str
 def growth_about_vertical(points: Points) -> Array:
     """Growth rate of the pitch of a body whose third axis stays on the orbit's normal, see System; (points,).
 
-    C psi'' = -U'(psi) - damping psi' with U = (3 Omega^2 alpha.I alpha) / 2 + h1 mu.alpha. A body that turns there
-    has U' = 0 and no damping.
+    C psi'' = -U'(psi) - damping psi' with U = (3 Omega^2 alpha.I alpha) / 2 + h1 mu.alpha; U' = 0 where the body turns.
     """
     alpha = directions(points)[0]
     flatness = 3 * points["Omega"] ** 2 * (points["B"] - points["A"])

@@ -3,31 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from types import MappingProxyType
 
 import numpy as np
 
-from ..base import (
-    Array,
-    Flags,
-    Mask,
-    Points,
-    StressCase,
-    despun_about_third_axis,
-    identify,
-    shape_of,
-)
+from ..base import Array, Flags, Mask, Points, identify, shape_of
 from ..gyrostat import Gyrostat
+from ..gyrostat.stress_cases import satellite_cases
 from ..gyrostat.variables import count_variables
-from . import any_axis, equations, families, initial, stress_cases
-
-GEOMETRIES = {
-    "none": "drifting or unresolved",
-    "cylindrical": "the third axis stays on the orbit normal",
-    "perp_radius": "the third axis is at rest in the orbital frame, perpendicular to the radius",
-    "perp_velocity": "the third axis is at rest in the orbital frame, perpendicular to the velocity",
-    "oblique": "the third axis is at rest in the orbital frame in another direction",
-    "general": "the third axis precesses in the orbital frame",
-}
+from . import any_axis, equations, families, initial
 
 
 class Satellite(Gyrostat):
@@ -56,8 +40,20 @@ class Satellite(Gyrostat):
     condition_residual = staticmethod(families.condition_residual)
     growth_about_vertical = staticmethod(initial.growth_about_vertical)
     families = families.FAMILIES | any_axis.FAMILIES
-    geometries = GEOMETRIES
+    geometries = MappingProxyType(
+        {
+            "none": "drifting or unresolved",
+            "cylindrical": "the third axis stays on the orbit normal",
+            "perp_radius": "the third axis is at rest in the orbital frame, perpendicular to the radius",
+            "perp_velocity": "the third axis is at rest in the orbital frame, perpendicular to the velocity",
+            "oblique": "the third axis is at rest in the orbital frame in another direction",
+            "general": "the third axis precesses in the orbital frame",
+        }
+    )
+    stress_cases = satellite_cases
     body = staticmethod(initial.body)
+    axial_rotor = "k3"
+    conserves_axial_momentum = staticmethod(initial.conserves_axial_momentum)
     frequency_comment = (
         "without damping; nan for exponents that are 0 or have a real part, off every family, and where the linear equations are"
         " periodic"
@@ -98,9 +94,6 @@ class Satellite(Gyrostat):
         """Family about the third axis and the normal, else one about any axes."""
         return identify(points, families.FAMILIES.values(), any_axis.FAMILIES.values())
 
-    def stress_cases(self) -> tuple[StressCase, ...]:
-        return stress_cases.cases(self)
-
     def complete(self, points: Points) -> Mask:
         """Without an orbit an undamped free or heavy body has more steady motions than the families."""
         return (points["Omega"] > 0) | (points["damping"] > 0)
@@ -123,9 +116,6 @@ class Satellite(Gyrostat):
         ]
         flags = [names.index(name) for _, name in conditions]
         return np.select([where for where, _ in conditions], flags, names.index("oblique")).astype(np.int8)
-
-    def despun_equivalent(self, points: Points) -> tuple[Points, Array]:
-        return despun_about_third_axis(self, points, "k3", initial.conserves_axial_momentum(points))
 
 
 SATELLITE = Satellite()

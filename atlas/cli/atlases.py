@@ -8,7 +8,7 @@ from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from ..errors import BadInput, say
+from ..errors import BadInput, attribute_text, say
 from ..files import without_suffix, writable
 from ..scene.model import DEFAULTS, Duration
 from .options import (
@@ -88,7 +88,7 @@ def label_points_of_file(options: argparse.Namespace) -> int:
         columns = tables.read_csv(io.StringIO(read_input()), "standard input", numeric)
     else:
         columns = tables.read(options.points, numeric)
-    from ..analysis.summary import summary
+    from ..analysis.compare import summary
     from ..label.points import label_points
 
     duration: float | str = options.duration
@@ -137,7 +137,11 @@ def draw_trajectory(options: argparse.Namespace) -> int:
         style.save(trajectory.trajectory_figure(tr), out)
     observables = system_of(tr).observables
     variable = observables[0].name if observables else "theta"
-    low, high, unit = float(tr[variable].min()), float(tr[variable].max()), tr[variable].attrs["units"]
+    low, high, unit = (
+        float(tr[variable].min()),
+        float(tr[variable].max()),
+        attribute_text(tr[variable].attrs, "units"),
+    )
     duration = f"{float(tr['time'][-1]):.9g} time units"
     say(
         f"{variable} from {low:.9g} to {high:.9g}{'' if unit == '1' else ' ' + unit} in {duration}; wrote {out}"
@@ -198,7 +202,7 @@ def print_comparison(options: argparse.Namespace) -> int:
 )
 def draw_map(options: argparse.Namespace) -> int:
     """Draw a map of an atlas."""
-    from ..plotting import maps, style, text
+    from ..plotting import maps, style
     from ..runs.open import open_atlas
 
     stem = without_suffix(options.atlas, ".nc", ".zarr")
@@ -220,7 +224,7 @@ def draw_map(options: argparse.Namespace) -> int:
     with open_atlas(options.atlas) as ds:
         figure = maps.atlas_map(ds, options.variable, select=select, size=size, dpi=dpi, **given)
         if options.caption:
-            say(text.caption(ds))
+            say(style.caption(ds))
     for path in paths:
         style.save(figure, path, options.dpi)
         say(f"wrote {path}")

@@ -35,7 +35,7 @@ class Parser(argparse.ArgumentParser):
         super().__init__(*arguments, **more)
         self._several: dict[str, Callable[[str], bool]] = {}
 
-    def add_argument(self, *names: str, belongs: Callable[[str], bool] | None = None, **more: Any) -> Any:  # type: ignore[override]
+    def add_argument(self, *names: str, belongs: Callable[[str], bool] | None = None, **more: Any) -> Any:
         """As argparse; an option with `belongs` takes several words that it accepts: --at a=1 b=2, or --at a=1 --at b=2.
 
         Other words are not taken from the positional arguments, as argparse would.

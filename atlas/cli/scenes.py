@@ -63,7 +63,7 @@ def run_scene(options: argparse.Namespace) -> int:
     scene = read_scene(options.scene)
     out = options.out or default_name(options.scene) + ".nc"
     check_not_input(Path(out), input_files(options.scene))
-    from ..analysis.summary import summary
+    from ..analysis.compare import summary
     from ..runs.estimate import dry_run
     from ..runs.folder import TALLY
     from ..runs.runner import run

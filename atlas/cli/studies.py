@@ -142,12 +142,14 @@ FORMATS = tuple(suffix.removeprefix(".") for suffix in FIGURES)
 )
 def draw_figures(options: argparse.Namespace) -> int:
     """Draw figures 1-20 of Amer et al., as printed and as true."""
+    from ..papers.amer2013 import claims
     from ..plotting import amer2013
     from ..plotting.style import save
 
     if options.table:
-        rows, claims = amer2013.amplitudes_and_claims()
-        say(*"\n\n".join([text_table(rows), *claims]).split("\n"))
+        rows = claims.figure_table()
+        texts = [f"{claim.verdict}: {claim.text}\n  {claim.measured}" for claim in claims.claims(rows)]
+        say(*"\n\n".join([text_table(amer2013.amplitude_table(rows)), *texts]).split("\n"))
         return DONE
     figures = [amer2013.paper_figure(number) for number in options.only or amer2013.NUMBERS]
     kinds = options.format or ["png", "pdf"]

@@ -16,7 +16,7 @@ from fault_trial import Trial, change_times, in_fork
 
 import atlas
 from atlas import files
-from atlas.process import name as process_name
+from atlas.files import process_name
 from atlas.runs.folder import RunFolder
 
 

@@ -159,7 +159,7 @@ class Content:
         """One variable with its values, colours and texts."""
         array = self.ds[name]
         flags = flag_names(array)
-        values = self.over_points(self.filled(name))
+        values = motion.over_points(self.filled(name), self.layout.sizes)
         label = variable_label(array)
         group = "numerics" if name in NUMERICS else "motion"
         if name in THEORY or name in self.system.derived:
@@ -217,11 +217,6 @@ class Content:
             panel = panel_of(part, name, self.layout.axes, self.scene, False)
             values[self.layout.points_of_slice(index)] = panel.array.transpose(*axes).values
         return xr.DataArray(values, dims=self.layout.dims)
-
-    def over_points(self, array: xr.DataArray) -> np.ndarray:
-        """Values of an array over some of the dimensions of the points, over all of them."""
-        points = xr.DataArray(np.zeros(self.layout.shape, np.int8), dims=self.layout.dims)
-        return np.asarray(array.broadcast_like(points).transpose(*self.layout.dims).values)
 
     def scale(self, scale: ColorScale) -> dict[str, Any]:
         """A colour scale: its kind, ends and shades."""
@@ -357,7 +352,8 @@ class Content:
         coordinates = []
         for dim, name in names.items():
             values = np.asarray(self.ds[dim].values, np.float64)
-            column = self.store.add(self.over_points(xr.DataArray(values, dims=self.ds[dim].dims)))
+            along = xr.DataArray(values, dims=self.ds[dim].dims)
+            column = self.store.add(motion.over_points(along, self.layout.sizes))
             if self.scene is None and not column["over"]:
                 continue  # the same at all points
             coordinates.append({"name": name, "dim": dim, "values": column})
@@ -449,9 +445,14 @@ class Layout:
     notes: list[str]  # sentences about what is left out
 
     @property
+    def sizes(self) -> dict[str, int]:
+        """Number of values along each dimension of the points."""
+        return {dim: self.ds.sizes[dim] for dim in self.dims}
+
+    @property
     def shape(self) -> tuple[int, ...]:
         """Shape of the points."""
-        return tuple(self.ds.sizes[dim] for dim in self.dims)
+        return tuple(self.sizes.values())
 
     def slices(self) -> Iterator[tuple[tuple[int, ...], xr.Dataset]]:
         """Each map: its indices along the further axes, and the part of the atlas that it shows."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 import ast
 import math
 from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import dataclass
 from itertools import pairwise
 
@@ -68,26 +69,31 @@ def sources(system: System, method: str) -> dict[str, str]:
 
 def motions(ds: xr.Dataset, system: System, scene: Scene | None, dims: list[str]) -> Motions:
     """Starts of all points, as `ds.atlas.trajectory` integrates them; BadInput where a value is missing."""
-    shape = tuple(ds.sizes[dim] for dim in dims)
+    sizes = {dim: ds.sizes[dim] for dim in dims}
+
+    def column(name: str) -> Array:
+        """Values of a variable at every point, in C order of the dimensions of the points."""
+        return over_points(ds[name], sizes).astype(np.float64).ravel()
+
     if scene is None:
         if "end_time" not in ds:
             raise BadInput("end_time: not in this dataset; a trajectory needs it to end where the point did")
         parameters = {}
         for name, parameter in system.parameters.items():
             if name in ds.coords:
-                parameters[name] = _over_points(ds, name, dims)
+                parameters[name] = column(name)
             elif math.isnan(parameter.default):
-                parameters[name] = np.full(math.prod(shape), math.nan)
+                parameters[name] = np.full(math.prod(sizes.values()), math.nan)
             else:
                 raise BadInput(f"{name}: this parameter of the points is not in the dataset")
-        duration, settings = _over_points(ds, "end_time", dims), settings_of(ds)
+        duration, settings = column("end_time"), settings_of(ds)
         reason, family, unit = grid.reasons(system, parameters), None, Duration()
     else:
         coordinates = {}
         for dim, axis in axes_of(scene).items():
             if dim not in ds.coords or not set(ds[dim].dims) <= set(dims):
                 raise BadInput(f"{dim}: this axis of the scene is not in the dataset")
-            coordinates[axis.name] = _over_points(ds, dim, dims)
+            coordinates[axis.name] = column(dim)
         located = grid.points_at(scene, coordinates)
         parameters, duration, settings = located.points, located.duration, scene.settings
         reason = located.reason
@@ -98,38 +104,37 @@ def motions(ds: xr.Dataset, system: System, scene: Scene | None, dims: list[str]
     if not system.observables and with_frame_vector(system.equations) is not system.equations:
         state = np.concatenate([state, frame_vector(system, parameters, state, ensemble.constants)])
     with np.errstate(all="ignore"):
-        sizes = StepSizes.of(
+        step_sizes = StepSizes.of(
             settings, ensemble.frequency_bound, np.where(np.isfinite(duration), duration, 0.0)
         )
-        count = sizes.steps
+        count = step_sizes.steps
         if system.has_numeric_bound:  # the steps in the atlas follow from a bound along each motion
             if "step" not in ds:
                 raise BadInput(
                     "step: not in this dataset; the frequency bound of this system is numeric, and its steps are those"
                     " recorded"
                 )
-            recorded = np.rint(duration / _over_points(ds, "step", dims))
+            recorded = np.rint(duration / column("step"))
             valid = np.isfinite(recorded) & (recorded >= 1)
             count = np.where(valid, recorded, count).astype(np.int64)
     # As label.trajectory: whole steps between the instants, never longer than in the atlas.
     steps = -(-count // (SAMPLES - 1))
 
-    def over_points(values: np.ndarray) -> np.ndarray:
+    def shaped(values: np.ndarray) -> np.ndarray:
         """An array with the points along its last axis, over their dimensions."""
-        return values.reshape(*values.shape[:-1], *shape)
+        return values.reshape(*values.shape[:-1], *sizes.values())
 
     return Motions(
-        {name: over_points(values) for name, values in parameters.items()},
-        over_points(state), over_points(ensemble.constants), over_points(duration), over_points(steps),
-        over_points(reason), sentences, settings.method,
+        {name: shaped(values) for name, values in parameters.items()},
+        shaped(state), shaped(ensemble.constants), shaped(duration), shaped(steps), shaped(reason), sentences,
+        settings.method,
     )  # fmt: skip
 
 
-def _over_points(ds: xr.Dataset, name: str, dims: list[str]) -> Array:
-    """Values of a variable at every point, in C order of the dimensions of the points."""
-    array = ds[name]
-    whole = array.expand_dims({dim: ds.sizes[dim] for dim in dims if dim not in array.dims})
-    return np.asarray(whole.transpose(*dims).values, np.float64).ravel()
+def over_points(array: xr.DataArray, sizes: Mapping[str, int]) -> np.ndarray:
+    """Values of an array over some dimensions of the points, whose names and sizes these are, over all of them."""
+    whole = array.expand_dims({dim: size for dim, size in sizes.items() if dim not in array.dims})
+    return np.asarray(whole.transpose(*sizes).values)
 
 
 # Functions of numbers, by their Python names without the module.
@@ -183,6 +188,16 @@ def translate(sources: Mapping[str, str]) -> str:
 def _name(name: str) -> str:
     """A Python name in JavaScript."""
     return f"{name}$" if name in _RESERVED else name
+
+
+def _without_module(node: ast.expr) -> str:
+    """A name such as sqrt, of sqrt or math.sqrt; empty for anything else."""
+    match node:
+        case ast.Name(id=name):
+            return name
+        case ast.Attribute(value=ast.Name(id=module), attr=name) if module in _MODULES:
+            return name
+    return ""
 
 
 class _Function:
@@ -249,41 +264,29 @@ class _Function:
 
     def assignment(self, target: ast.expr, value: ast.expr) -> list[str]:
         """Lines that assign a value to a name, or the items of a tuple to several at once."""
-        match target:
-            case ast.Name(id=name):
-                text = self.expression(value)
-                self.locals[name] = None
-                return [f"{_name(name)} = {text};"]
-            case ast.Tuple(elts=targets) | ast.List(elts=targets):
-                items: list[str]
-                if isinstance(value, ast.Tuple | ast.List):
-                    if len(value.elts) != len(targets):
-                        raise self.fault(value)
-                    items = [self.temporary() for _ in targets]
-                    lines = [
-                        f"{item} = {self.expression(element)};"
-                        for item, element in zip(items, value.elts, strict=True)
-                    ]
-                else:
-                    whole = self.temporary()
-                    lines = [f"{whole} = {self.expression(value)};"]
-                    items = [f"{whole}[{i}]" for i in range(len(targets))]
-                for each, item in zip(targets, items, strict=True):
-                    lines += self.assigned_item(each, item)
-                return lines
-        raise self.fault(target)
+        if isinstance(target, ast.Name):
+            return self.assigned(target, self.expression(value))
+        if isinstance(target, ast.Tuple | ast.List) and isinstance(value, ast.Tuple | ast.List):
+            if len(value.elts) != len(target.elts):
+                raise self.fault(value)
+            items = [self.temporary() for _ in target.elts]
+            lines = [
+                f"{item} = {self.expression(each)};" for item, each in zip(items, value.elts, strict=True)
+            ]
+            for each, item in zip(target.elts, items, strict=True):
+                lines += self.assigned(each, item)
+            return lines
+        whole = self.temporary()
+        return [f"{whole} = {self.expression(value)};", *self.assigned(target, whole)]
 
-    def assigned_item(self, target: ast.expr, text: str) -> list[str]:
-        """Lines that assign translated text to a name, or to a tuple of names."""
+    def assigned(self, target: ast.expr, text: str) -> list[str]:
+        """Lines that assign translated text to a name, or its items to a tuple of names."""
         if isinstance(target, ast.Name):
             self.locals[target.id] = None
             return [f"{_name(target.id)} = {text};"]
         if isinstance(target, ast.Tuple | ast.List):
-            return [
-                line
-                for i, each in enumerate(target.elts)
-                for line in self.assigned_item(each, f"{text}[{i}]")
-            ]
+            items = enumerate(target.elts)
+            return [line for i, each in items for line in self.assigned(each, f"{text}[{i}]")]
         raise self.fault(target)
 
     def temporary(self) -> str:
@@ -300,12 +303,8 @@ class _Function:
                 return self.number(float(value))
             case ast.Name(id=name) if name in self.locals or name in self.parameters:
                 return _name(name)
-            case ast.Name(id=name) if name in _NUMBERS:
-                return _NUMBERS[name]
-            case ast.Attribute(value=ast.Name(id=module), attr=name) if (
-                module in _MODULES and name in _NUMBERS
-            ):
-                return _NUMBERS[name]
+            case ast.Name() | ast.Attribute() if _without_module(node) in _NUMBERS:
+                return _NUMBERS[_without_module(node)]
             case ast.UnaryOp(op=ast.USub(), operand=operand):
                 return f"(-{self.expression(operand)})"
             case ast.UnaryOp(op=ast.UAdd(), operand=operand):
@@ -332,7 +331,12 @@ class _Function:
             case ast.Subscript(value=value, slice=index):
                 return self.subscript(node, value, index)
             case ast.Call(func=function, args=arguments, keywords=[]):
-                return f"{self.function(function)}({', '.join(map(self.expression, arguments))})"
+                name = _without_module(function)
+                own = isinstance(function, ast.Name) and name in self.functions
+                if not own and name not in _FUNCTIONS:
+                    raise self.fault(function)
+                called = _name(name) if own else _FUNCTIONS[name]
+                return f"{called}({', '.join(map(self.expression, arguments))})"
         raise self.fault(node)
 
     def number(self, value: float) -> str:
@@ -389,23 +393,8 @@ class _Function:
         """A constant index."""
         if index is None:
             return missing
-        try:
+        with suppress(ValueError):
             value = ast.literal_eval(index)
-        except ValueError:
-            raise self.fault(node) from None
-        if not isinstance(value, int) or isinstance(value, bool):
-            raise self.fault(node)
-        return str(value)
-
-    def function(self, node: ast.expr) -> str:
-        """The function of a call."""
-        match node:
-            case ast.Name(id=name) if name in self.functions:
-                return _name(name)
-            case ast.Name(id=name) if name in _FUNCTIONS:
-                return _FUNCTIONS[name]
-            case ast.Attribute(value=ast.Name(id=module), attr=name) if (
-                module in _MODULES and name in _FUNCTIONS
-            ):
-                return _FUNCTIONS[name]
+            if isinstance(value, int) and not isinstance(value, bool):
+                return str(value)
         raise self.fault(node)

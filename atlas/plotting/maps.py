@@ -32,22 +32,7 @@ from ..errors import BadInput, attribute_text, shown
 from ..flags import Regularity
 from ..systems.base import Mask
 from ..variables import POINT
-from .cells import (
-    HATCHES,
-    MIN_LOG_RATIO,
-    UNDECIDED,
-    add_color_bar,
-    border_style,
-    color_scale,
-    draw_exponents,
-    draw_hatching,
-    draw_overlay,
-    draw_values,
-    exponent_scale,
-    family_style,
-    set_axis,
-    texts,
-)
+from . import cells
 from .content import MIN_VISIBLE, NOT_YET, SLOW, MapOptions, Panel, panel_of, tiles_done
 from .style import STYLE, SYMBOLS, PrintFigure, axis_label, caption, drawable, unit_text, variable_label
 
@@ -94,9 +79,9 @@ def _draw_map(ds: xr.Dataset, name: str, options: MapOptions) -> Figure:
     panels = [panel_of(part, name, dims, scene, options.boundary) for part in parts]
     flags = options.flag_colours(array)
     families = list(system_of(ds).families)
-    exponents = exponent_scale(plane, name)
+    exponents = cells.exponent_scale(plane, name)
     if name == "regularity":
-        options = replace(options, labels={**texts(ds), **(options.labels or {})})
+        options = replace(options, labels={**cells.texts(ds), **(options.labels or {})})
     entries, notes = map_legend(panels, flags, options, families)
     if not flags and "computed" in ds:
         notes.append("Between the points that were integrated: the value of the nearest one.")
@@ -106,23 +91,25 @@ def _draw_map(ds: xr.Dataset, name: str, options: MapOptions) -> Figure:
         notes.append(caption(nearest_on_axes(ds, select)))
     sheet = Sheet(options, len(panels), len(dims) == 1, len(dims) == 1 and not flags)
     figure, axes = sheet.figure(entries, notes)
-    scale, image = color_scale(array, options), None
+    scale, image = cells.color_scale(array, options), None
     variable_text = options.text(name, variable_label(array))
     log = [is_logarithmic(scene, dim, plane[dim].values) for dim in dims]
     for part, panel, ax in zip(parts, panels, axes, strict=True):
         edges = [cell_edges(panel.array[dim].values, is_log) for dim, is_log in zip(dims, log, strict=True)]
         if len(dims) == 1:
             edges.append(np.array([0.0, 1.0]))  # of a strip
-        image = draw_values(ax, panel.array, edges, scale, variable_text)
+        image = cells.draw_values(ax, panel.array, edges, scale, variable_text)
         if name == "regularity":
             undecided = np.atleast_2d(panel.array.values == Regularity.UNDECIDED)
             if undecided.any():
-                draw_hatching(ax, undecided, edges, HATCHES[UNDECIDED])
-            image = image if exponents is None else draw_exponents(ax, part, panel.array, edges, exponents)
+                cells.draw_hatching(ax, undecided, edges, cells.HATCHES[cells.UNDECIDED])
+            image = (
+                image if exponents is None else cells.draw_exponents(ax, part, panel.array, edges, exponents)
+            )
         for which, is_log in zip("xy", log, strict=False):
-            set_axis(ax, which, is_log, inner=which == "x" and sheet.columns > 1)
+            cells.set_axis(ax, which, is_log, inner=which == "x" and sheet.columns > 1)
         if panel.array.ndim == 2 or flags:
-            draw_overlay(ax, panel, edges, families)
+            cells.draw_overlay(ax, panel, edges, families)
         if panel_dim is not None:
             value = f"{float(part[panel_dim]):.4g}".replace("-", "\N{MINUS SIGN}")
             unit = unit_text(attribute_text(part[panel_dim].attrs, "units"))
@@ -130,9 +117,9 @@ def _draw_map(ds: xr.Dataset, name: str, options: MapOptions) -> Figure:
     sheet.label_axes(axes, [options.text(dim, axis_label(ds, dim)) for dim in dims])
     if image is not None and exponents is not None:
         label = variable_label(plane["lyapunov"]).replace("lyapunov", r"Lyapunov exponent $\lambda$")
-        add_color_bar(figure, axes, image, exponents, label)
+        cells.add_color_bar(figure, axes, image, exponents, label)
     elif image is not None and not flags:
-        add_color_bar(figure, axes, image, scale, variable_text)
+        cells.add_color_bar(figure, axes, image, scale, variable_text)
     return figure
 
 
@@ -155,7 +142,7 @@ def draw_scatter(ds: xr.Dataset, name: str, options: MapOptions) -> Figure:
     sheet = Sheet(options, 1)
     figure, (ax,) = sheet.figure(entries, notes + captions)
     columns = [np.asarray(ds[axis].values, float) for axis in axes]
-    scale = color_scale(array, options)
+    scale = cells.color_scale(array, options)
     values = array.values.astype(np.int8) if array.dtype == bool else array.values
     order = np.arange(values.size)
     if flags:  # rare ones on top
@@ -168,13 +155,13 @@ def draw_scatter(ds: xr.Dataset, name: str, options: MapOptions) -> Figure:
     )  # fmt: skip
     for which, column in zip("xy", columns, strict=True):
         # Logarithmic for positive values whose logarithms are spread more evenly than themselves.
-        log = bool((column > 0).all()) and column.max() >= MIN_LOG_RATIO * column.min()
+        log = bool((column > 0).all()) and column.max() >= cells.MIN_LOG_RATIO * column.min()
         log = log and bool((np.median(column) - column.min()) / np.ptp(column) < 0.1)
-        set_axis(ax, which, log, inner=False)
+        cells.set_axis(ax, which, log, inner=False)
     ax.margins(0.03)
     sheet.label_axes([ax], [options.text(axis, axis_label(ds, axis)) for axis in axes])
     if not flags:
-        add_color_bar(figure, [ax], image, scale, options.text(name, variable_label(array)))
+        cells.add_color_bar(figure, [ax], image, scale, options.text(name, variable_label(array)))
     return figure
 
 
@@ -321,16 +308,18 @@ def map_legend(
     ]
     for value, (name, colour) in enumerate(flags.items()):
         masks = [(panel.array.values == value) & ~mask for panel, mask in zip(panels, white, strict=True)]
-        sample = _hatched(name, colour) if name == UNDECIDED else _patch(colour)
+        sample = _hatched(name, colour) if name == cells.UNDECIDED else _patch(colour)
         add(options.text(name, name.replace("_", " ")), masks, sample)
     for reason in dict.fromkeys(reason for panel in panels for reason in panel.white):
         masks = [panel.white.get(reason, nothing) for panel, nothing in zip(panels, empty, strict=True)]
         add(reason, masks, _hatched(NOT_YET) if reason == NOT_YET else _patch("#ffffff"))
     add(SLOW, [panel.slow for panel in panels], _hatched(SLOW))
     for kind in dict.fromkeys(kind for panel in panels for kind in panel.borders):
-        entries[f"{as_math(kind)} (theory)"] = Line2D([], [], **border_style(kind))
+        entries[f"{as_math(kind)} (theory)"] = Line2D([], [], **cells.border_style(kind))
     for name in dict.fromkeys(name for panel in panels for name in panel.families):
-        entries[f"{name.replace('_', ' ')} (exact)"] = Line2D([], [], **family_style(families.index(name)))
+        entries[f"{name.replace('_', ' ')} (exact)"] = Line2D(
+            [], [], **cells.family_style(families.index(name))
+        )
     return entries, [f"Too few to be seen: {'; '.join(too_small)}."] if too_small else []
 
 
@@ -347,8 +336,8 @@ def _patch(colour: str) -> Patch:
 
 
 def _hatched(region: str, background: str | None = None) -> Patch:
-    """Sample of the hatching of a region, a key of HATCHES."""
-    hatch = HATCHES[region]
+    """Sample of the hatching of a region, a key of cells.HATCHES."""
+    hatch = cells.HATCHES[region]
     return Patch(
         facecolor=background or hatch.background, edgecolor=hatch.colour, hatch=hatch.pattern, linewidth=0.4
     )

@@ -8,7 +8,7 @@ import inspect
 import math
 import os
 import re
-from collections.abc import Callable, Collection, Iterable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from functools import partial
 from numbers import Integral, Real
 from typing import Any, Generic, TypeAlias, TypeVar
@@ -187,13 +187,6 @@ def check_keys(table: Mapping[str, Any], parent: str, allowed: Collection[str]) 
             raise BadInput(f"{parent}{key}: unknown key; {allowed_text(key, allowed)}")
 
 
-def check_given(key: str, table: Mapping[str, Any], needed: Iterable[str], rule: str) -> None:
-    """Raise BadInput, which ends with the rule, if a needed name is missing in the table under `key`."""
-    for name in needed:
-        if name not in table:
-            raise BadInput(f"{key}.{name} is missing: {rule}")
-
-
 def check_range(parameter: Parameter, key: str, low: float, high: float) -> None:
     """Raise BadInput if values from low to high leave the range of a parameter."""
     below = low <= parameter.low if parameter.open_low else low < parameter.low
@@ -311,7 +304,10 @@ def from_table(
     """Checked values of a table; BadInput for bad, missing (by the rule) and other keys than `also`."""
     check_keys(table, f"{section}.", [*also, *fields])
     needed = [name for name, field in fields.items() if field.default is dataclasses.MISSING]
-    check_given(section, table, needed, rule or f"[{section}] needs {', '.join(needed)}")
+    for name in needed:
+        if name not in table:
+            rule = rule or f"[{section}] needs {', '.join(needed)}"
+            raise BadInput(f"{section}.{name} is missing: {rule}")
     return {
         name: field.metadata["check"](f"{section}.{name}", table[name])
         for name, field in fields.items()

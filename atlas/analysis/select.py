@@ -129,6 +129,15 @@ def cell_edges(values: np.ndarray, log: bool = False) -> np.ndarray:
     return np.exp(edges) if log else edges
 
 
+def check_axes(x: str | None, y: str | None, allowed: Sequence[str], what: str) -> None:
+    """Raise BadInput unless the axes of a map, as far as they are named, are different and allowed; what: each must be."""
+    for role, name in (("x", x), ("y", y)):
+        if name is not None and name not in allowed:
+            raise BadInput(f"{role} = {shown(name)}: not {what}; allowed: {', '.join(allowed) or 'none'}")
+    if x is not None and x == y:
+        raise BadInput(f"x = y = {shown(x)}: a map needs two axes")
+
+
 def plane_of(
     ds: xr.Dataset, x: str | None, y: str | None, select: Mapping[str, float]
 ) -> tuple[xr.Dataset, list[str], str | None]:
@@ -140,15 +149,9 @@ def plane_of(
     check_not_empty(ds)
     plane = nearest_on_axes(ds, select).squeeze()
     axes = [str(d) for d in plane.dims if is_numeric_axis(plane, d)]
-    for role, name in (("x", x), ("y", y)):
-        if name is not None and name not in axes:
-            raise BadInput(
-                f"{role} = {shown(name)}: not an axis with several values here; allowed: {', '.join(axes) or 'none'}"
-            )
+    check_axes(x, y, axes, "an axis with several values here")
     if not axes or set(map(str, plane.dims)) - set(axes):
         raise BadInput("this dataset has no axes to draw a map over: single points, or all axes selected")
-    if x is not None and x == y:
-        raise BadInput(f"x = y = {shown(x)}: a map needs two axes")
     by_length = sorted((d for d in axes if d not in (x, y)), key=lambda d: -plane.sizes[d])
     n_free = (x is None) + (y is None)
     chosen, others = sorted(by_length[:n_free], key=axes.index), by_length[n_free:]

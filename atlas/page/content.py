@@ -213,9 +213,9 @@ class Content:
             return array
         values = np.array(array.transpose(*self.layout.dims).values)
         axes = [dim for dim in self.layout.dims if dim in self.layout.axes]
-        for index, part in self.layout.slices():
+        for where, part in self.layout.slices():
             panel = panel_of(part, name, self.layout.axes, self.scene, False)
-            values[self.layout.points_of_slice(index)] = panel.array.transpose(*axes).values
+            values[where] = panel.array.transpose(*axes).values
         return xr.DataArray(values, dims=self.layout.dims)
 
     def scale(self, scale: ColorScale) -> dict[str, Any]:
@@ -262,9 +262,9 @@ class Content:
         whole = np.zeros(self.layout.shape, bool)
         order = self.layout.axes[::-1]  # a panel has its x axis last
         axes = [order.index(dim) for dim in self.layout.dims if dim in order]
-        for (index, _), mask in zip(self.layout.slices(), masks, strict=True):
+        for (where, _), mask in zip(self.layout.slices(), masks, strict=True):
             if mask is not None:
-                whole[self.layout.points_of_slice(index)] = np.transpose(mask, axes)
+                whole[where] = np.transpose(mask, axes)
         return whole
 
     def lines(self, part: xr.Dataset, panel: Panel) -> list[dict[str, Any]]:
@@ -454,15 +454,11 @@ class Layout:
         """Shape of the points."""
         return tuple(self.sizes.values())
 
-    def slices(self) -> Iterator[tuple[tuple[int, ...], xr.Dataset]]:
-        """Each map: its indices along the further axes, and the part of the atlas that it shows."""
+    def slices(self) -> Iterator[tuple[tuple[int | slice, ...], xr.Dataset]]:
+        """Each map: the index of its points in an array over all points, and the part of the atlas that it shows."""
         for index in np.ndindex(*(self.ds.sizes[dim] for dim in self.further)):
-            yield index, self.ds.isel(dict(zip(self.further, index, strict=True)))
-
-    def points_of_slice(self, index: tuple[int, ...]) -> tuple[int | slice, ...]:
-        """Index of the points of one map in an array over all points; index: along the further axes."""
-        along = dict(zip(self.further, index, strict=True))
-        return tuple(along.get(dim, slice(None)) for dim in self.dims)
+            along = dict(zip(self.further, index, strict=True))
+            yield tuple(along.get(dim, slice(None)) for dim in self.dims), self.ds.isel(along)
 
 
 def layout(ds: xr.Dataset, max_points: int = MAX_POINTS) -> Layout:

@@ -248,9 +248,10 @@ class _Function:
                 return []  # a docstring
             case ast.Return(value=ast.expr() as value):
                 return [f"{indent}return {self.expression(value)};"]
-            case ast.Assign(targets=[target], value=value):
-                return [indent + line for line in self.assignment(target, value)]
-            case ast.AnnAssign(target=ast.Name() as target, value=ast.expr() as value):
+            case (
+                ast.Assign(targets=[target], value=value)
+                | ast.AnnAssign(target=ast.Name() as target, value=ast.expr() as value)
+            ):
                 return [indent + line for line in self.assignment(target, value)]
             case ast.AugAssign(target=ast.Name(id=name) as target, op=op, value=value):
                 total = ast.BinOp(ast.Name(name, ast.Load()), op, value)

@@ -27,8 +27,8 @@ from ..analysis.metadata import (
     scene_of,
     system_of,
 )
-from ..analysis.select import cell_edges, nearest_on_axes, plane_of
-from ..errors import BadInput, attribute_text, shown
+from ..analysis.select import cell_edges, check_axes, nearest_on_axes, plane_of
+from ..errors import BadInput, attribute_text
 from ..flags import Regularity
 from ..systems.base import Mask
 from ..variables import POINT
@@ -38,14 +38,7 @@ from .style import STYLE, SYMBOLS, PrintFigure, axis_label, caption, drawable, u
 
 
 def atlas_map(ds: xr.Dataset, variable: str | None = None, **options: Any) -> Figure:
-    """Map of one variable of an atlas over two of its axes, with theory drawn over it, as `Atlas.map`.
-
-    Flags have one colour each in every figure. Positive numbers that span more than two decades get a
-    logarithmic scale of at most `cells.MAX_DECADES`, numbers of both signs a scale centred on zero, integers
-    a colour each. White cells have no value. Regions that are too small to be visible are not in the legend
-    but in a note below the map. A single axis gives a strip or a line, single points a scatter map. Raises
-    BadInput for wrong options.
-    """
+    """Map of one variable of an atlas with theory drawn over it, as `Atlas.map`; a scatter map of single points."""
     system_of(ds)
     chosen = MapOptions(**options)
     if chosen.title:
@@ -168,14 +161,7 @@ def draw_scatter(ds: xr.Dataset, name: str, options: MapOptions) -> Figure:
 def scatter_axes(ds: xr.Dataset, x: str | None, y: str | None) -> list[str]:
     """Axes of a scatter map, x first, by default the most varied coordinates; BadInput without two."""
     allowed = [name for name in numeric_coordinates(ds, POINT) if name != POINT]
-    for role, name in (("x", x), ("y", y)):
-        if name is not None and name not in allowed:
-            raise BadInput(
-                f"{role} = {shown(name)}: not a number given at each of these points; allowed:"
-                f" {', '.join(allowed) or 'none'}"
-            )
-    if x is not None and x == y:
-        raise BadInput(f"x = y = {shown(x)}: a map needs two axes")
+    check_axes(x, y, allowed, "a number given at each of these points")
     varied_by_scene: set[str] = set()  # names with a range or a column, not computed by ties and families
     if (scene := scene_of(ds)) is not None:
         points = scene.points or {}
@@ -213,13 +199,29 @@ class Sheet:
         options = self.options
         legend = legend if options.legend else {}
         if options.ax is not None:
-            return self._of_caller(options.ax, legend, notes)
+            caller = options.ax.get_figure(root=True)
+            assert caller is not None
+            handles, names = list(legend.values()), list(legend)
+            if legend:  # inside, since there may be no room around the Axes of the caller
+                options.ax.legend(handles, names, loc="upper right", fontsize="small", framealpha=0.85)
+            if options.title:
+                options.ax.set_title(options.title)
+            for note in notes:
+                logging.getLogger("atlas").info("%s", note)
+            return caller, [options.ax]
         width, height = options.size_mm
         text = drawable(textwrap.fill(" ".join(notes), int(0.78 * width))) if notes else ""
         foot = TEXT_ROW * (text.count("\n") + 1) + 2.0 if text else 0.0
         rows = -(-self.panels // self.columns)
         if height is None:
-            height = rows * self._panel_height() + foot + 9.0
+            panel_height = 0.72 * width / self.columns + 6.0  # with a title above each panel
+            if self.line:
+                panel_height = 0.6 * width / self.columns
+            elif self.flat:
+                panel_height = 18.0
+            elif self.panels == 1:
+                panel_height = (0.5 if width >= 130 else 0.72) * width
+            height = rows * panel_height + foot + 9.0
             legend_rows = -(-len(legend) // legend_columns(legend, width)) if legend else 0
             height += LEGEND_ROW * legend_rows + (5.0 if options.title else 0.0)
         figure = PrintFigure(
@@ -242,31 +244,6 @@ class Sheet:
         elif options.title:
             figure.suptitle(options.title, fontsize=9)
         return figure, axes[: self.panels]
-
-    def _of_caller(self, ax: Axes, legend: Entries, notes: Sequence[str]) -> tuple[Figure, list[Axes]]:
-        """The caller's Axes, with a legend inside and a title above them."""
-        figure = ax.get_figure(root=True)
-        assert figure is not None
-        if legend:  # there may be no room around the Axes of the caller
-            ax.legend(
-                list(legend.values()), list(legend), loc="upper right", fontsize="small", framealpha=0.85
-            )
-        if self.options.title:
-            ax.set_title(self.options.title)
-        for note in notes:
-            logging.getLogger("atlas").info("%s", note)
-        return figure, [ax]
-
-    def _panel_height(self) -> float:
-        """Height of a row of panels in mm."""
-        width = self.options.size_mm[0]
-        if self.line:
-            return 0.6 * width / self.columns
-        if self.flat:
-            return 18.0
-        if self.panels == 1:
-            return (0.5 if width >= 130 else 0.72) * width
-        return 0.72 * width / self.columns + 6.0  # with a title above each panel
 
     def label_axes(self, axes: list[Axes], labels: list[str]) -> None:
         """Label the axes: of a single panel its own, of several panels once for all of them."""
@@ -302,16 +279,13 @@ def map_legend(
         elif count and text != SLOW:
             too_small.append(f"{text}, {count} of {total} points")
 
-    empty = [np.zeros(panel.array.shape, bool) for panel in panels]
-    white = [
-        np.any([*panel.white.values(), nothing], axis=0) for panel, nothing in zip(panels, empty, strict=True)
-    ]
+    white = [sum(panel.white.values(), np.zeros(panel.array.shape, bool)) for panel in panels]
     for value, (name, colour) in enumerate(flags.items()):
         masks = [(panel.array.values == value) & ~mask for panel, mask in zip(panels, white, strict=True)]
         sample = _hatched(name, colour) if name == cells.UNDECIDED else _patch(colour)
         add(options.text(name, name.replace("_", " ")), masks, sample)
     for reason in dict.fromkeys(reason for panel in panels for reason in panel.white):
-        masks = [panel.white.get(reason, nothing) for panel, nothing in zip(panels, empty, strict=True)]
+        masks = [panel.white[reason] for panel in panels if reason in panel.white]
         add(reason, masks, _hatched(NOT_YET) if reason == NOT_YET else _patch("#ffffff"))
     add(SLOW, [panel.slow for panel in panels], _hatched(SLOW))
     for kind in dict.fromkeys(kind for panel in panels for kind in panel.borders):
@@ -325,8 +299,8 @@ def map_legend(
 
 def as_math(kind: str) -> str:
     """A kind of border with its rates as symbols."""
-    for name, symbol in (("psi'", SYMBOLS["psi_dot"]), ("phi'", SYMBOLS["phi_dot"])):
-        kind = kind.replace(f"{name} = 0", f"{symbol} = 0")
+    for name in ("psi", "phi"):
+        kind = kind.replace(f"{name}' = 0", f"{SYMBOLS[f'{name}_dot']} = 0")
     return kind
 
 

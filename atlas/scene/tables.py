@@ -230,7 +230,19 @@ def read_csv(
     lines: Iterable[str], source: str, numeric: Collection[str], max_fields: float = math.inf
 ) -> CsvColumns:
     """Columns of a CSV file with names first, nan for empty `numeric` fields; BadInput with file and line."""
-    content = _Lines(lines, source)
+    number = 0  # of the last line read
+
+    def content_lines() -> Iterator[str]:
+        """The lines without empty ones and comments."""
+        nonlocal number
+        for line in lines:
+            number += 1
+            if len(line) > MAX_LINE:
+                raise BadInput(f"{source}, line {number}: more than {MAX_LINE} characters")
+            if line.strip() and not line.lstrip().startswith("#"):
+                yield line
+
+    content = content_lines()
     first = next(content, "")
     separator = next((each for each in SEPARATORS if each in first), ",")
     rows = partial(csv.reader, delimiter=separator, skipinitialspace=True, strict=True)
@@ -238,29 +250,31 @@ def read_csv(
     try:
         header = _header(source, next(rows([first]), []))
         columns: dict[str, Any] = {name: array.array("d") if name in numeric else [] for name in header}
-        cells = [(columns[name].append, _number if name in numeric else str.strip) for name in header]
+        cells = [(name, columns[name].append, _number if name in numeric else str.strip) for name in header]
         max_rows = max_fields / len(header)
         for row in rows(content):
             if len(row) != len(header):
                 raise BadInput(
-                    f"{source}, line {content.number}: {len(row)} fields, but the first line names"
+                    f"{source}, line {number}: {len(row)} fields, but the first line names"
                     f" {len(header)} columns"
                 )
-            line_numbers.append(content.number)
+            line_numbers.append(number)
             if len(line_numbers) > max_rows:
                 raise BadInput(
                     f"{source}: more than {max_fields:.0f} fields; label more with atlas points or"
                     " atlas.label_points"
                 )
-            try:
-                for (append, convert), field in zip(cells, row, strict=True):
+            for (name, append, convert), field in zip(cells, row, strict=True):
+                try:
                     append(convert(field))
-            except ValueError:
-                raise BadInput(
-                    f"{source}, line {content.number}: {_field_error(header, row, numeric)}"
-                ) from None
+                except ValueError:
+                    comma = re.fullmatch(r"\s*[-+]?\d+,\d+\s*", field)
+                    form = "a number with a decimal point, not a comma" if comma else "a number"
+                    raise BadInput(
+                        f"{source}, line {number}: {name} = {shown(field)}: must be {form}"
+                    ) from None
     except csv.Error as error:
-        raise BadInput(f"{source}, line {content.number}: not a CSV file: {error}") from None
+        raise BadInput(f"{source}, line {number}: not a CSV file: {error}") from None
     if not line_numbers:
         raise BadInput(f"{source}: no points: there is only the line of names")
     return CsvColumns(
@@ -271,27 +285,6 @@ def read_csv(
         source,
         line_numbers,
     )
-
-
-class _Lines:
-    """The lines of a file without empty ones and comments, and the number of the last line read."""
-
-    def __init__(self, lines: Iterable[str], source: str):
-        self.number = 0
-        self._lines = iter(lines)
-        self._source = source
-
-    def __iter__(self) -> Iterator[str]:
-        return self
-
-    def __next__(self) -> str:
-        for line in self._lines:
-            self.number += 1
-            if len(line) > MAX_LINE:
-                raise BadInput(f"{self._source}, line {self.number}: more than {MAX_LINE} characters")
-            if line.strip() and not line.lstrip().startswith("#"):
-                return line
-        raise StopIteration
 
 
 def _header(source: str, fields: list[str]) -> list[str]:
@@ -313,18 +306,6 @@ def _header(source: str, fields: list[str]) -> list[str]:
 def _number(field: str) -> float:
     """The number in a field, nan if it is empty."""
     return float(field.strip() or "nan")
-
-
-def _field_error(header: list[str], row: list[str], numeric: Collection[str]) -> str:
-    """Error message about the first field of a line that must be a number and is none."""
-    for name, field in zip(header, row, strict=True):
-        try:
-            if name in numeric:
-                _number(field)
-        except ValueError:
-            comma = re.fullmatch(r"\s*[-+]?\d+,\d+\s*", field)
-            return f"{name} = {shown(field)}: must be a number{' with a decimal point, not a comma' if comma else ''}"
-    raise AssertionError("every field is a number")
 
 
 def _numbers_if_possible(texts: list[str]) -> np.ndarray:

@@ -11,6 +11,7 @@ import xarray as xr
 from .. import systems
 from ..errors import BadInput
 from ..flags import Completeness, Stability
+from ..measure.instrument import Variable
 from ..scene.tables import point_columns, table
 from ..systems.base import System
 
@@ -30,14 +31,13 @@ _UNITS = {
     "frequency_1": ("rad s-1", "largest frequency of small oscillations"),
     "frequency_2": ("rad s-1", "second frequency of small oscillations"),
     "frequency_3": ("rad s-1", "third frequency of small oscillations"),
+    "stable": ("1", "linear stability"),
+    "completeness": ("1", "whether the equilibria of a body are all listed"),
     "equilibrium_count": ("1", "number of equilibria"),
     "equilibrium_stable_count": ("1", "number of linearly stable equilibria"),
     "equilibrium_energy_stable_count": ("1", "number of minima of the amended potential"),
 }
-_FLAGS = {
-    "stable": ("linear stability", Stability.meanings()),
-    "completeness": ("whether the equilibria of a body are all listed", Completeness.meanings()),
-}
+_FLAGS = {"stable": Stability.meanings(), "completeness": Completeness.meanings()}
 _NOT_COUNTED = "nan where some are not isolated or not listed"
 # Values of variables, 0 or nan of the others, for a body that cannot exist and an equilibrium that a body does not have.
 _UNUSED = {"completeness": Completeness.IMPOSSIBLE_BODY, "index": -1, "dimension": -1}
@@ -169,18 +169,10 @@ def _dataset(
     """Dataset of equilibria with CF attributes, and with the parameters of the bodies as coordinates."""
     ds = xr.Dataset(attrs={"title": f"{title}: {description.title}", "references": description.reference})
     for name, array in variables.items():
-        if name in _FLAGS:
-            long_name, meanings = _FLAGS[name]
-            array.attrs = {
-                "long_name": long_name,
-                "flag_meanings": " ".join(meanings),
-                "flag_values": np.arange(len(meanings), dtype="int8"),
-            }
-        else:
-            array.attrs = dict(zip(("units", "long_name"), _UNITS.get(name, ("1", name)), strict=True))
-            if name.endswith("_count"):
-                array.attrs |= {"comment": _NOT_COUNTED}
-        ds[name] = array
+        units, long_name = _UNITS.get(name, ("1", name))
+        comment = _NOT_COUNTED if name.endswith("_count") else ""
+        variable = Variable(name, "int8", units, long_name, _FLAGS.get(name), comment)
+        ds[name] = array.assign_attrs(variable.attributes())
     for name, parameter in description.parameters.items():
         if parameter.start and not (constants[name].ndim and np.isfinite(constants[name]).all()):
             continue

@@ -58,10 +58,10 @@ def _is_column(word: str) -> bool:
         "--duration", "T", str(Duration()), 'time units, or as in a scene: "20 orbits", "50 turns"'
     ),
     option_with_default("--method", "NAME", DEFAULTS.method, "rk4 or rk8"),
-    (
+    [
         option_with_default("--tolerance", "E", DEFAULTS.tolerance, "as in a scene"),
         argument("--step", type=float, metavar="H", help="time units"),
-    ),
+    ],
     option_with_default("--rate-tolerance", "R", DEFAULTS.rate_tolerance, "rad per time unit"),
     argument(
         "--keep", belongs=_is_column, default=[], metavar="NAME",

@@ -75,12 +75,12 @@ class Parser(argparse.ArgumentParser):
         self.exit(BAD_INPUT)
 
 
-@dataclass(frozen=True)
-class Argument:
-    """An argument or option, as `Parser.add_argument` takes it."""
+Argument: TypeAlias = tuple[tuple[str, ...], dict[str, Any]]
 
-    names: tuple[str, ...]
-    settings: dict[str, Any]
+
+def argument(*names: str, **settings: Any) -> Argument:
+    """An argument or option, as `Parser.add_argument` takes it."""
+    return names, settings
 
 
 @dataclass(frozen=True)
@@ -88,7 +88,7 @@ class Command:
     """A command, which its handler's docstring describes in one sentence."""
 
     name: str
-    arguments: tuple[Argument | tuple[Argument, ...], ...]  # of a tuple, at most one may be given
+    arguments: tuple[Argument | list[Argument], ...]  # of a list, at most one may be given
     handler: Handler
 
     def add(self, commands: Commands) -> None:
@@ -98,19 +98,14 @@ class Command:
         parser = commands.add_parser(self.name, help=text, description=description)
         parser.set_defaults(handler=self.handler)
         for each in self.arguments:
-            group = parser.add_mutually_exclusive_group() if isinstance(each, tuple) else parser
-            for one in each if isinstance(each, tuple) else (each,):
-                group.add_argument(*one.names, **one.settings)
+            group = parser.add_mutually_exclusive_group() if isinstance(each, list) else parser
+            for names, settings in each if isinstance(each, list) else [each]:
+                group.add_argument(*names, **settings)
 
 
-def command(name: str, *arguments: Argument | tuple[Argument, ...]) -> Callable[[Handler], Command]:
+def command(name: str, *arguments: Argument | list[Argument]) -> Callable[[Handler], Command]:
     """Decorator that makes a function the handler of a command."""
     return partial(Command, name, arguments)
-
-
-def argument(*names: str, **settings: Any) -> Argument:
-    """An argument or option from the arguments of `Parser.add_argument`."""
-    return Argument(names, settings)
 
 
 def out_option(metavar: str, text: str, **more: Any) -> Argument:

@@ -41,10 +41,10 @@ from .options import (
     ),
     THREADS,
     argument("--shard", metavar="I/N", help="compute part I of N of a run folder, counted from 1"),
-    (
+    [
         argument("--scheduler", metavar="ADDRESS", help="compute on the workers of this dask scheduler"),
         argument("--workers", type=int, metavar="N", help="compute in N processes of one thread each"),
-    ),
+    ],
     argument("--dry-run", action="store_true", help="print the expected size, time, memory and error"),
     force_option("an existing atlas"),
     QUIET,

@@ -37,10 +37,10 @@ from .options import (
     argument("system", metavar="SYSTEM", nargs="?", default="satellite", help="default: satellite"),
     argument("--family", metavar="NAME", help="one family in detail"),
     argument("--errata", action="store_true", help="only the paper's equations that are wrong"),
-    (
+    [
         argument("--csv", action="store_true", help="comma-separated values, one row for each"),
         argument("--json", action="store_true", help="JSON, with every printed equation"),
-    ),
+    ],
 )
 def print_conditions(options: argparse.Namespace) -> int:
     """Print the families of steady motions and their conditions."""

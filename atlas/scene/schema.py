@@ -98,21 +98,25 @@ def _without(*keys: str) -> Schema:
 
 
 # Any table [axes.NAME].
-AXIS = checks.table_schema({**read.SPACED, **read.LISTED, **read.OF_BOTH}) | {
+AXIS: Schema = {
+    "type": "object",
+    "additionalProperties": False,
+    "properties": checks.table_schema({**read.SPACED, **read.LISTED, **read.OF_BOTH})["properties"],
     "oneOf": [
         {"required": ["from", "to", "count"], **_without(*read.LISTED)},
         {"required": ["values"], **_without(*read.SPACED)},
-    ]
+    ],
 }
-POINTS = checks.table_schema(points.KEYS) | {
+POINTS: Schema = {
+    "type": "object",
     "description": "a sample, or points of your own, instead of axes",
+    "additionalProperties": False,
+    "properties": checks.table_schema(points.KEYS)["properties"],
     "oneOf": [
         {"required": ["sample", "count", "ranges"], **_without("file", "values")},
         *({"required": [key], "maxProperties": 1} for key in ("file", "values")),
     ],
 }
-for table in (AXIS, POINTS):
-    del table["required"]  # by all of its forms
 
 
 def _properties_of(system: System) -> Schema:

@@ -74,18 +74,12 @@ def shown(value: object) -> str:
 
 def allowed_text(value: object, names: Collection[str]) -> str:
     """End of a message: "did you mean 'tolerance'? allowed: tolerance, step", or without the question."""
-    similar = _most_similar(value, names)
-    question = f"did you mean {similar!r}? " if similar else ""
+    question = ""
+    if isinstance(value, str) and len(value) <= MAX_TEXT:
+        by_lower_case = {name.lower(): name for name in names}
+        for similar in difflib.get_close_matches(value.lower(), by_lower_case, 1):
+            question = f"did you mean {by_lower_case[similar]!r}? "
     return f"{question}allowed: {', '.join(names) or 'none'}"
-
-
-def _most_similar(value: object, names: Collection[str]) -> str | None:
-    """The name most similar to what was found, None if none is similar."""
-    if not isinstance(value, str) or len(value) > MAX_TEXT:
-        return None
-    by_lower_case = {name.lower(): name for name in names}
-    similar = difflib.get_close_matches(value.lower(), by_lower_case, 1)
-    return by_lower_case[similar[0]] if similar else None
 
 
 _in_shell = False

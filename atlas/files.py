@@ -13,6 +13,7 @@ import os
 import re
 import secrets
 import shutil
+import socket
 import stat
 import tempfile
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -20,7 +21,6 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any, TextIO
 
-from . import process
 from .errors import BadInput, option
 
 # A write that fails while less than this is free, in bytes, failed because the disk is full. A tile is smaller.
@@ -30,9 +30,62 @@ TRIAL_BYTES = 1 << 20  # written as a trial, to find out why a write failed
 # makes at most 3000 of one; less than MIN_CLAIM bytes are allowed in any case.
 MAX_JSON_BYTES = 100_000_000
 MAX_RATIO, MIN_CLAIM = 4_000, 1_000_000_000
-TEMPORARY = re.compile(rf"\.atlas-({process.NAME.pattern})-[0-9a-f]{{8}}\.tmp")
+# Of a process: machine-boot-pid-start. On the same machine it decides exactly whether the process runs, because a number
+# that is used again belongs to a process with another start, and a machine that was started again has no process of
+# before. A container counts as a machine of its own, because it cannot see the processes of another one. Of another
+# machine nothing is known.
+PROCESS_NAME = re.compile(r"([0-9a-f]{8})-([0-9a-f]{8})-(\d+)-(\d+)")
+TEMPORARY = re.compile(rf"\.atlas-({PROCESS_NAME.pattern})-[0-9a-f]{{8}}\.tmp")
 # Seconds without a write after which the temporary file of another machine is a leftover.
 FOREIGN_LEFTOVER_AGE = 7 * 86400.0
+
+
+def process_name() -> str:
+    """Name of this process, made of hexadecimal digits and hyphens."""
+    pid = os.getpid()
+    machine, boot = _machine_and_boot()
+    return f"{machine}-{boot}-{pid}-{_start(pid) or 0}"
+
+
+def is_running(process: str) -> bool | None:
+    """Whether a process runs, by its `process_name`; None for one of another machine, where this cannot be known."""
+    match, (machine, boot) = PROCESS_NAME.fullmatch(process), _machine_and_boot()
+    if match is None or match[1] != machine:
+        return None
+    if match[2] != boot:
+        return False
+    pid, start = int(match[3]), int(match[4])
+    try:
+        os.kill(pid, 0)
+    except (ProcessLookupError, OverflowError):
+        return False
+    except PermissionError:
+        pass  # it exists and belongs to another user
+    start_now = _start(pid)
+    return start_now is None or start == 0 or start_now == start
+
+
+def _machine_and_boot() -> tuple[str, str]:
+    """Short hashes of the host with the container whose processes can be seen, and of its last start where Linux tells."""
+    machine, boot = [socket.gethostname()], ""
+    with suppress(OSError):
+        machine.append(Path("/etc/machine-id").read_text(encoding="ascii"))
+    with suppress(OSError):
+        machine.append(os.readlink("/proc/self/ns/pid"))
+    with suppress(OSError):
+        boot = Path("/proc/sys/kernel/random/boot_id").read_text(encoding="ascii")
+    first, second = (hashlib.sha256(text.encode()).hexdigest()[:8] for text in ("\n".join(machine), boot))
+    return first, second
+
+
+def _start(pid: int) -> int | None:
+    """Start of a process, in ticks since the machine's; -1 for a zombie, None if it cannot be read."""
+    try:
+        stat = Path(f"/proc/{pid}/stat").read_text(encoding="ascii", errors="replace")
+        fields = stat.rpartition(")")[2].split()  # the name of the program, in brackets, may contain blanks
+        return -1 if fields[0] in "ZX" else int(fields[19])
+    except (OSError, ValueError, IndexError):
+        return None
 
 
 def exists_message(path: Path) -> str:
@@ -53,7 +106,12 @@ def atomic_write(path: Path, *, exclusive: bool = False) -> Iterator[Path]:
         yield temporary
         _sync(temporary)
         if exclusive:
-            _move_exclusively(temporary, path)
+            try:
+                os.link(temporary, path)
+            except FileExistsError:
+                raise
+            except OSError:  # exFAT and some network file systems have no hard links
+                _claim(temporary, path)
         else:
             os.replace(temporary, path)
         _sync(path.parent)  # the new name too must reach the disk
@@ -85,18 +143,8 @@ def atomic_folder(path: Path) -> Iterator[Path]:
             shutil.rmtree(folder, ignore_errors=True)
 
 
-def _move_exclusively(temporary: Path, path: Path) -> None:
-    """Give a file the name `path`; FileExistsError if there is a file of that name."""
-    try:
-        os.link(temporary, path)
-    except FileExistsError:
-        raise
-    except OSError:  # exFAT and some network file systems have no hard links
-        _claim(temporary, path)
-
-
 def _claim(temporary: Path, path: Path) -> None:
-    """`_move_exclusively` on a file system without hard links.
+    """Give a file the name `path` on a file system without hard links; FileExistsError if there is one of that name.
 
     A folder moved onto one that is not empty fails everywhere, so that the first process to move its folder
     to `claim_path(path)` is the only one. Its file stays there, and every process copies it to `path`: if the
@@ -143,8 +191,12 @@ def remove_leftovers(folder: Path) -> None:
             match = TEMPORARY.fullmatch(entry.name)
             if match is None:
                 continue
-            running = process.is_running(match[1])
-            if running is False or (running is None and _age(Path(entry)) > FOREIGN_LEFTOVER_AGE):
+            running = is_running(match[1])
+            if running is None:  # its age is known by the clock of the file system
+                with suppress(OSError), tempfile.TemporaryFile(dir=folder) as new:
+                    age = os.fstat(new.fileno()).st_mtime - os.stat(entry).st_mtime
+                    running = age <= FOREIGN_LEFTOVER_AGE
+            if running is False:
                 if entry.is_dir(follow_symlinks=False):
                     shutil.rmtree(entry, ignore_errors=True)
                 else:
@@ -152,18 +204,9 @@ def remove_leftovers(folder: Path) -> None:
                         os.unlink(entry)
 
 
-def _age(path: Path) -> float:
-    """Seconds since a file was written, by the clock of its file system; 0 if it cannot be known."""
-    try:
-        with tempfile.TemporaryFile(dir=path.parent) as new:
-            return os.fstat(new.fileno()).st_mtime - path.stat().st_mtime
-    except OSError:
-        return 0.0
-
-
 def temporary_path(path: Path) -> Path:
     """A new name in the folder of `path`, by which `remove_leftovers` recognises what this process leaves there."""
-    return path.with_name(f".atlas-{process.name()}-{secrets.token_hex(4)}.tmp")
+    return path.with_name(f".atlas-{process_name()}-{secrets.token_hex(4)}.tmp")
 
 
 def is_temporary(name: str) -> bool:

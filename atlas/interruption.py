@@ -42,9 +42,8 @@ def outcome(number: int | None = None) -> tuple[int, str]:
     if _kept is not None:
         with suppress(Exception):  # such as a folder that has been removed
             kept = _kept()
-    return code, printable(
-        f"atlas: interrupted; {f'{kept}; `{_own_command()}` continues' if kept else MESSAGE}"
-    )
+    command = f"{called_as()} {shlex.join(sys.argv[1:])}"
+    return code, printable(f"atlas: interrupted; {f'{kept}; `{command}` continues' if kept else MESSAGE}")
 
 
 def explain_kept(kept: Callable[[], str] | None) -> None:
@@ -60,11 +59,6 @@ def called_as() -> str:
         return "python -m atlas"
     in_shell = shutil.which(path.name)
     return path.name if in_shell and path.exists() and path.samefile(in_shell) else shlex.quote(str(path))
-
-
-def _own_command() -> str:
-    """The command of this process, as a shell takes it."""
-    return f"{called_as()} {shlex.join(sys.argv[1:])}"
 
 
 def is_command() -> bool:

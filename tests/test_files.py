@@ -8,7 +8,7 @@ import sys
 
 import pytest
 
-from atlas import BadInput, files, process
+from atlas import BadInput, files
 from atlas.files import atomic_write, remove_leftovers
 
 
@@ -58,7 +58,7 @@ def test_a_planted_link_is_not_followed(tmp_path, monkeypatch):
     monkeypatch.setattr(files.secrets, "token_hex", lambda count: "0" * 2 * count)
     victim = tmp_path / "victim"
     victim.write_text("kept")
-    (tmp_path / f".atlas-{process.name()}-00000000.tmp").symlink_to(victim)
+    (tmp_path / f".atlas-{files.process_name()}-00000000.tmp").symlink_to(victim)
     with pytest.raises(FileExistsError), atomic_write(tmp_path / "a") as temporary:
         temporary.write_text("overwritten")
     assert victim.read_text() == "kept"
@@ -124,7 +124,7 @@ def test_without_links_one_of_several_processes_creates_the_file(tmp_path):
 @pytest.fixture
 def other_process():
     """A process that waits, and its name."""
-    code = "import sys; from atlas import process; print(process.name(), flush=True); sys.stdin.read()"
+    code = "import sys; from atlas import files; print(files.process_name(), flush=True); sys.stdin.read()"
     other = subprocess.Popen(
         [sys.executable, "-c", code], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
     )
@@ -136,12 +136,12 @@ def other_process():
 
 def test_a_process_is_found_to_run_until_it_is_killed(other_process):
     other, name = other_process
-    assert process.is_running(name) is True
+    assert files.is_running(name) is True
     other.kill()
     os.waitid(os.P_PID, other.pid, os.WEXITED | os.WNOWAIT)  # it has ended, its exit status is not asked for
-    assert process.is_running(name) is False
+    assert files.is_running(name) is False
     other.wait()
-    assert process.is_running(name) is False
+    assert files.is_running(name) is False
 
 
 def test_leftovers_of_killed_processes_are_removed_and_all_else_is_kept(tmp_path, other_process, monkeypatch):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from functools import partial
-from itertools import combinations, pairwise
+from itertools import combinations, pairwise, product
 from typing import cast
 
 import contourpy
@@ -17,7 +17,7 @@ from ..scene.model import Scene
 from ..systems.base import Array, DerivedVariable, Flags, Mask, derived_values
 from ..systems.gyrostat.variables import FREQUENCIES
 from .metadata import axes_of, flag_values, is_logarithmic, scene_of, system_of
-from .plane import SAMPLES, Plane, Theory
+from .plane import SAMPLES, Plane
 from .select import plane_of
 
 Lines = dict[str, list[np.ndarray]]
@@ -45,19 +45,32 @@ def boundary(
                 "boundary: these points come from no scene, so that theory has no plane; name a label for the border"
                 " of its region"
             )
-        return _dataset(theory_lines(scene, plane, dims, variable), plane, dims)
-    (flag,) = flag_values(ds, variable, label)
-    inside = (plane[variable].transpose(dims[1], dims[0]) == flag).values.astype(float)
-    log = np.array([is_logarithmic(scene, dim, plane[dim].values) for dim in dims])
-    along, across = (
-        np.log(plane[dim].values) if is_log else plane[dim].values
-        for dim, is_log in zip(dims, log, strict=True)
+        lines = theory_lines(scene, plane, dims, variable)
+    else:
+        (flag,) = flag_values(ds, variable, label)
+        inside = (plane[variable].transpose(dims[1], dims[0]) == flag).values.astype(float)
+        log = np.array([is_logarithmic(scene, dim, plane[dim].values) for dim in dims])
+        along, across = (
+            np.log(plane[dim].values) if is_log else plane[dim].values
+            for dim, is_log in zip(dims, log, strict=True)
+        )
+        generator = contourpy.contour_generator(along, across, inside, line_type="Separate")
+        lines = {f"{variable} = {label}": [np.asarray(line) for line in generator.lines(0.5)]}
+        for line in lines[f"{variable} = {label}"]:
+            line[:, log] = np.exp(line[:, log])
+    numbered = [(kind, line) for kind, group in lines.items() for line in group]
+    vertices = np.concatenate([line for _, line in numbered]) if numbered else np.zeros((0, len(dims)))
+    lengths = [len(line) for _, line in numbered]
+    numbers = np.repeat(np.arange(len(numbered)), lengths)
+    kinds = np.repeat(np.array([kind for kind, _ in numbered], str), lengths)
+    return xr.Dataset(
+        {
+            **{dim: ("vertex", vertices[:, i], plane[dim].attrs) for i, dim in enumerate(dims)},
+            "line": ("vertex", numbers, {"long_name": "number of the line to which the vertex belongs"}),
+            "kind": ("vertex", kinds, {"long_name": "what changes at the line"}),
+        },
+        attrs={"title": f"borders in {attribute_text(plane.attrs, 'title', 'an atlas')!r}"},
     )
-    generator = contourpy.contour_generator(along, across, inside, line_type="Separate")
-    lines = [np.asarray(line) for line in generator.lines(0.5)]
-    for line in lines:
-        line[:, log] = np.exp(line[:, log])
-    return _dataset({f"{variable} = {label}": lines}, plane, dims)
 
 
 def theory_lines(scene: Scene, plane: xr.Dataset, dims: list[str], variable: str) -> Lines:
@@ -66,37 +79,13 @@ def theory_lines(scene: Scene, plane: xr.Dataset, dims: list[str], variable: str
         if dim not in axes_of(scene):
             raise BadInput(f"{dim}: not an axis of the atlas' scene; its axes: {', '.join(axes_of(scene))}")
     derived = scene.system.derived.get(variable)
-    if derived is not None and derived.is_count and variable in plane:
-        return count_borders(Plane.of(scene, plane, dims), plane[variable], derived)
     whole = Plane.of(scene, plane, dims)
+    if derived is not None and derived.is_count and variable in plane:
+        return count_borders(whole, plane[variable], derived)
     borders = theory_borders(whole, inertial=variable.endswith("_inertial"))
     if variable in RESONANCE_VARIABLES and variable in scene.system.derived and len(dims) == 2:
         borders |= resonance_lines(whole)
     return borders
-
-
-def _dataset(lines: Lines, plane: xr.Dataset, dims: list[str]) -> xr.Dataset:
-    """Lines as a dataset over their vertices."""
-    numbered = [(kind, line) for kind, group in lines.items() for line in group]
-    vertices = np.concatenate([line for _, line in numbered]) if numbered else np.zeros((0, len(dims)))
-    lengths = [len(line) for _, line in numbered]
-    columns = {dim: ("vertex", vertices[:, i], plane[dim].attrs) for i, dim in enumerate(dims)}
-    return xr.Dataset(
-        {
-            **columns,
-            "line": (
-                "vertex",
-                np.repeat(np.arange(len(numbered)), lengths),
-                {"long_name": "number of the line to which the vertex belongs"},
-            ),
-            "kind": (
-                "vertex",
-                np.repeat(np.array([kind for kind, _ in numbered], str), lengths),
-                {"long_name": "what changes at the line"},
-            ),
-        },
-        attrs={"title": f"borders in {attribute_text(plane.attrs, 'title', 'an atlas')!r}"},
-    )
 
 
 # Samples along each axis before refinement: even, as SAMPLES.
@@ -130,7 +119,24 @@ def theory_borders(plane: Plane, *, inertial: bool = False) -> dict[str, list[np
 
     def classes(positions: Array) -> Classes:
         """Classes at positions (points, axes)."""
-        return _classes(plane, plane.theory(_coordinates(plane, positions), inertial=inertial))
+        theory = plane.theory(plane.coordinates(positions), inertial=inertial)
+        regular = theory.exists & (theory.label == Label.REGULAR_PRECESSION)
+        # A nudged unstable motion has no label of its own, so that no line divides such points.
+        kept = regular & ((theory.stable != Stability.UNSTABLE) | (not plane.scene.nudge))
+        permanent = theory.exists & (theory.label == Label.PERMANENT_ROTATION)
+        columns = {
+            STABILITY: np.where(theory.exists, theory.stable, Stability.UNKNOWN),
+            LABEL: np.select([regular, permanent], [1, 2], 0),
+            EXISTENCE: np.where(theory.exists, 1, 2),
+        }
+        for name, kind in ZERO_RATES.items():
+            if name not in plane.extent:  # the zero of an axis needs no line
+                columns[kind] = np.where(kept, np.where(theory.rates[name] < 0, 1, 2), 0)
+        return {kind: column.astype(np.int8) for kind, column in columns.items()}
+
+    def classes_of(kind: str, positions: Array) -> Flags:
+        """Classes for one kind of line."""
+        return classes(positions)[kind]
 
     if len(plane.extent) == 1:
         samples, bisections = classes(np.linspace(0, 1, SAMPLES)[:, np.newaxis]), LINE_BISECTIONS
@@ -143,63 +149,32 @@ def theory_borders(plane: Plane, *, inertial: bool = False) -> dict[str, list[np
             continue
         positions, cells = np.concatenate(lines), len(column) - 1
         low, high = np.floor(positions + 0.25) / cells, np.ceil(positions - 0.25) / cells
-        is_low = partial(_has_class, classes, kind, classes(low)[kind])
-        vertices = _bisected(is_low, low, high, bisections)
+        vertices = _bisected(partial(classes_of, kind), low, high, bisections)
         ends = np.cumsum([len(line) for line in lines])[:-1]
         lines = np.split(vertices, ends)
         if kind in ZERO_RATES.values():
             edges = zip(np.split(low, ends), np.split(high, ends), strict=True)
             lines = _without_poles(plane, kind, list(edges), lines, inertial)
         if lines:
-            result[kind] = [_values(plane, line) for line in lines]
+            result[kind] = [np.stack(list(plane.coordinates(line).values()), -1) for line in lines]
     return result
 
 
-def _has_class(classes: Callable[[Array], Classes], kind: str, expected: Flags, positions: Array) -> Mask:
-    """Whether positions have a class that is given for each."""
-    return classes(positions)[kind] == expected
-
-
-# Positions of theory's lines are fractions of the extent of each axis.
-
-
-def _coordinates(plane: Plane, positions: Array) -> dict[str, Array]:
-    """Axis values by dimension at positions (points, axes)."""
-    return dict(zip(plane.extent, _values(plane, positions).T, strict=True))
-
-
-def _values(plane: Plane, positions: Array) -> Array:
-    """Axis values at positions (points, axes)."""
-    columns = []
-    for i, (dim, (low, high)) in enumerate(plane.extent.items()):
-        if is_logarithmic(plane.scene, dim, (low, high)):
-            columns.append(low * (high / low) ** positions[:, i])
-        else:
-            columns.append(low + (high - low) * positions[:, i])
-    return np.stack(columns, -1)
-
-
-def _classes(plane: Plane, theory: Theory) -> Classes:
-    """Classes of some points for each kind of line."""
-    regular = theory.exists & (theory.label == Label.REGULAR_PRECESSION)
-    # A nudged unstable motion has no label of its own, so that no line divides such points.
-    kept = regular & ((theory.stable != Stability.UNSTABLE) | (not plane.scene.nudge))
-    permanent = theory.exists & (theory.label == Label.PERMANENT_ROTATION)
-    columns = {
-        STABILITY: np.where(theory.exists, theory.stable, Stability.UNKNOWN),
-        LABEL: np.select([regular, permanent], [1, 2], 0),
-        EXISTENCE: np.where(theory.exists, 1, 2),
-    }
-    for name, kind in ZERO_RATES.items():
-        if name not in plane.extent:  # the zero of an axis needs no line
-            columns[kind] = np.where(kept, np.where(theory.rates[name] < 0, 1, 2), 0)
-    return {kind: column.astype(np.int8) for kind, column in columns.items()}
+def _bisected(class_at: Callable[[Array], np.ndarray], low: Array, high: Array, count: int) -> Array:
+    """Positions between low and high (vertices, axes), up to which the class is what it is at low."""
+    at_low = class_at(low)
+    for _ in range(count):
+        middle = 0.5 * (low + high)
+        is_low = (class_at(middle) == at_low)[:, np.newaxis]
+        low, high = np.where(is_low, middle, low), np.where(is_low, high, middle)
+    return 0.5 * (low + high)
 
 
 def _refined_samples(classes: Callable[[Array], Classes]) -> Classes:
     """Classes on a fine grid over two axes, evaluated only where they change, (samples, samples)."""
-    count = COARSE_SAMPLES
-    samples = {kind: column.reshape(count, count) for kind, column in classes(_grid_positions(count)).items()}
+    count, steps = COARSE_SAMPLES, np.linspace(0, 1, COARSE_SAMPLES)
+    positions = np.stack(np.meshgrid(steps, steps, indexing="ij"), -1).reshape(-1, 2)
+    samples = {kind: column.reshape(count, count) for kind, column in classes(positions).items()}
     evaluated = np.ones((count, count), bool)
     for _ in range(LEVELS):
         # Each fine sample begins with the class of the coarse one next to it, which holds unless a line is near.
@@ -211,7 +186,16 @@ def _refined_samples(classes: Callable[[Array], Classes]) -> Classes:
         evaluated = np.zeros((count, count), bool)
         evaluated[::DIVISION, ::DIVISION] = coarse
         while True:
-            missing = _samples_of_cells(_cells_with_a_change(samples, known)) & ~evaluated
+            # Coarse cells of which two known samples have different classes, edges included, and all their samples.
+            changed = np.zeros(2 * [(count - 1) // DIVISION], bool)
+            for column in samples.values():
+                low, high = np.where(known, column, 127), np.where(known, column, -1)
+                changed |= _over_cells(low, np.minimum) != _over_cells(high, np.maximum)
+            blocks = np.repeat(np.repeat(changed, DIVISION, 0), DIVISION, 1)
+            missing = np.zeros((count, count), bool)
+            for x, y in product((0, 1), repeat=2):
+                missing[x : count - 1 + x, y : count - 1 + y] |= blocks
+            missing &= ~evaluated
             if not missing.any():
                 break
             for kind, column in classes(np.argwhere(missing) / (count - 1)).items():
@@ -219,21 +203,6 @@ def _refined_samples(classes: Callable[[Array], Classes]) -> Classes:
             evaluated |= missing
             known |= missing
     return samples
-
-
-def _grid_positions(count: int) -> Array:
-    """Positions of a whole grid, (count**2, 2)."""
-    steps = np.linspace(0, 1, count)
-    return np.stack(np.meshgrid(steps, steps, indexing="ij"), -1).reshape(-1, 2)
-
-
-def _cells_with_a_change(fine: Classes, known: Mask) -> Mask:
-    """Coarse cells of which two known samples have different classes, edges included; (cells, cells)."""
-    result = np.zeros(2 * [(len(known) - 1) // DIVISION], bool)
-    for column in fine.values():
-        low, high = np.where(known, column, 127), np.where(known, column, -1)
-        result |= _over_cells(low, np.minimum) != _over_cells(high, np.maximum)
-    return result
 
 
 def _over_cells(column: np.ndarray, reduce: np.ufunc) -> np.ndarray:
@@ -245,17 +214,6 @@ def _over_cells(column: np.ndarray, reduce: np.ufunc) -> np.ndarray:
     return column
 
 
-def _samples_of_cells(cells: Mask) -> Mask:
-    """Fine samples of some coarse cells with their edges; (samples, samples)."""
-    count = DIVISION * len(cells) + 1
-    result = np.zeros((count, count), bool)
-    blocks = np.repeat(np.repeat(cells, DIVISION, 0), DIVISION, 1)
-    for x in (0, 1):
-        for y in (0, 1):
-            result[x : count - 1 + x, y : count - 1 + y] |= blocks
-    return result
-
-
 def _without_poles(
     plane: Plane, kind: str, edges: list[tuple[Array, Array]], lines: list[Array], inertial: bool
 ) -> list[Array]:
@@ -264,7 +222,7 @@ def _without_poles(
 
     def size(positions: Array) -> Array:
         """Magnitude of the rate."""
-        return np.abs(plane.theory(_coordinates(plane, positions), inertial=inertial).rates[name])
+        return np.abs(plane.theory(plane.coordinates(positions), inertial=inertial).rates[name])
 
     parts = []
     for (low, high), line in zip(edges, lines, strict=True):
@@ -290,18 +248,15 @@ def count_borders(plane: Plane, counts: xr.DataArray, derived: DerivedVariable) 
     if not lines:
         return {}
 
-    def count_at(positions: Array) -> Array:
-        """The count at positions (vertices, axes)."""
+    def is_above(positions: Array) -> Mask:
+        """Whether the count at positions (vertices, axes) is above the level of each."""
         points = plane.points(dict(zip(plane.extent, _interpolated(positions, axes).T, strict=True)))
-        return derived.values(points.base, points.duration, lambda: None)
+        return np.asarray(derived.values(points.base, points.duration, lambda: None) > level_of)
 
     vertices = np.concatenate([line for _, line in lines])
     level_of = np.concatenate([np.full(len(line), level) for level, line in lines])
     low, high = np.floor(vertices + 0.25), np.ceil(vertices - 0.25)
-    above_at_low = count_at(low) > level_of
-    vertices = _bisected(
-        lambda middle: (count_at(middle) > level_of) == above_at_low, low, high, COUNT_BISECTIONS
-    )
+    vertices = _bisected(is_above, low, high, COUNT_BISECTIONS)
     return {CHANGE: np.split(_interpolated(vertices, axes), np.cumsum([len(line) for _, line in lines])[:-1])}
 
 
@@ -326,15 +281,6 @@ def _contours(values: Array, level: float) -> list[Array]:
         z=np.ma.masked_invalid(values.T), corner_mask=False, line_type="Separate"
     )
     return cast("list[Array]", generator.lines(level))
-
-
-def _bisected(at_low: Callable[[Array], Mask], low: Array, high: Array, count: int) -> Array:
-    """Positions between low and high (vertices, axes), up to which `at_low` is what it is at low."""
-    for _ in range(count):
-        middle = 0.5 * (low + high)
-        is_low = at_low(middle)[:, np.newaxis]
-        low, high = np.where(is_low, middle, low), np.where(is_low, high, middle)
-    return 0.5 * (low + high)
 
 
 RESONANCE_RATIOS = (1, 2, 3)

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from ..errors import BadInput
-from ..systems.base import Family, PublishedEquation, System
+from ..systems.base import PublishedEquation, System
 
 N_SAMPLES = 5  # random parameters behind each residual, from the seeds 0, 1, ...
 
@@ -18,31 +18,32 @@ def families(system: System, name: str | None = None) -> list[dict[str, Any]]:
     """Rows on the families of exact steady motions, with the largest residuals of published equations."""
     if name is not None and name not in system.families:
         raise BadInput(f"family {name}: unknown; allowed: {', '.join(system.families)}")
-    return [_family(system, family) for family in system.families.values() if name in (None, family.name)]
-
-
-def _family(system: System, family: Family) -> dict[str, Any]:
-    """The row of a family."""
-    stability = (
-        "No closed form: eigenvalues of the linear equations at an equilibrium, else Floquet multipliers over"
-        " the period of the rotation."
-    )
-    if family.stability is not None:
-        stability = " ".join((inspect.getdoc(family.stability) or "").split())
-    description = {
-        "family": family.name,
-        "equations": family.equations,
-        "motion": family.title,
-        "conditions": [condition.text for condition in family.conditions],
-        "exists": family.exists,
-        "solves_for": list(family.solve),
-        "leaves_free": list(family.free),
-        "geometry": family.geometry or "depends on the point",
-        "labels": family.labels,
-        "paper_wording": family.paper_wording,
-        "stability": stability,
-    }
-    return description | _max_residuals([row for row in system.published() if row.family == family.name])
+    rows = []
+    for family in system.families.values():
+        if name not in (None, family.name):
+            continue
+        stability = (
+            "No closed form: eigenvalues of the linear equations at an equilibrium, else Floquet multipliers over"
+            " the period of the rotation."
+        )
+        if family.stability is not None:
+            stability = " ".join((inspect.getdoc(family.stability) or "").split())
+        description = {
+            "family": family.name,
+            "equations": family.equations,
+            "motion": family.title,
+            "conditions": [condition.text for condition in family.conditions],
+            "exists": family.exists,
+            "solves_for": list(family.solve),
+            "leaves_free": list(family.free),
+            "geometry": family.geometry or "depends on the point",
+            "labels": family.labels,
+            "paper_wording": family.paper_wording,
+            "stability": stability,
+        }
+        equations = [row for row in system.published() if row.family == family.name]
+        rows.append(description | _max_residuals(equations))
+    return rows
 
 
 def published(system: System, family: str | None = None, errata: bool = False) -> list[dict[str, Any]]:

@@ -1,8 +1,8 @@
-"""The comparison of an atlas with theory in plain text."""
+"""An atlas in plain text: the summary of its run, and its comparison with theory."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections import Counter
 
 import numpy as np
 import xarray as xr
@@ -11,9 +11,21 @@ from scipy.ndimage import maximum_filter, minimum_filter
 from ..errors import BadInput, printable
 from ..flags import Agreement, Label, Stability
 from ..label.theory import agreement
+from ..runs.plan import ScenePlan
+from ..runs.tiles import BINS, BINS_PER_DECADE, COUNTED, GROUPS, LOWEST_DECADE, Tally
+from ..scene import grid
 from ..scene.checks import whole_number
 from ..systems.base import Flags
-from .metadata import is_numeric_axis, system_of
+from ..validation import half_step
+from .metadata import (
+    chunks,
+    flag_names,
+    is_numeric_axis,
+    number_attribute,
+    numeric_coordinates,
+    scene_of,
+    system_of,
+)
 
 # Near the analytical boundary growth is slow and stable motions have large amplitudes: half the width of
 # the band that counts as near, as a fraction of the axis range.
@@ -59,7 +71,11 @@ def report(ds: xr.Dataset, worst: int = 5) -> str:
     for i in columns:
         if table[i].any():
             rows.append(names[i].ljust(width + 4) + "".join(f"{table[i, j]:{width}d}" for j in columns))
-    lines = rows + _agreement_lines(result)
+    counts = np.bincount(result.ravel(), minlength=len(Agreement))
+    compared = result.size - counts[Agreement.NOT_COMPARED]
+    share = f"{100 * counts[Agreement.AGREE] / compared:.3f} %" if compared else "nothing"
+    lines = [*rows, f"compared: {compared} of {result.size} points, {share} agree"]
+    lines += [f"  {name}: {n}" for name, n in zip(Agreement.meanings(), counts, strict=True) if n]
     if {"stable", "growth_rate", "end_time"} <= set(ds):
         lines += _stability_lines(ds)
     lines += _worst_lines(ds, result.ravel(), worst)
@@ -72,15 +88,6 @@ def confusion(label: Flags, predicted: Flags) -> np.ndarray:
     return np.bincount(
         np.ravel(predicted).astype(np.int64) * size + np.ravel(label), minlength=size * size
     ).reshape(size, size)
-
-
-def _agreement_lines(result: Flags) -> list[str]:
-    """Number of points that can be compared, and of the ones that agree."""
-    counts = np.bincount(result.ravel(), minlength=len(Agreement))
-    compared = result.size - counts[Agreement.NOT_COMPARED]
-    share = f"{100 * counts[Agreement.AGREE] / compared:.3f} %" if compared else "nothing"
-    lines = [f"compared: {compared} of {result.size} points, {share} agree"]
-    return lines + [f"  {name}: {n}" for name, n in zip(Agreement.meanings(), counts, strict=True) if n]
 
 
 def _stability_lines(ds: xr.Dataset) -> list[str]:
@@ -131,9 +138,15 @@ def _worst_lines(ds: xr.Dataset, result: Flags, count: int) -> list[str]:
     for i in order:
         index = np.unravel_index(disagree[i], ds["label"].shape)
         indices = dict(zip(map(str, dims), map(int, index), strict=True))
-        point = ds.isel(indices)
+        point, texts = ds.isel(indices), []
+        for dim, k in indices.items():
+            shown = [dim]
+            if not is_numeric_axis(ds, dim):  # its index, and the parameters that vary along it
+                texts.append(f"{printable(dim)} {k}")
+                shown = [name for name in numeric_coordinates(ds, dim) if (ds[name] != ds[name][0]).any()]
+            texts += [f"{printable(name)} = {float(ds[name][k]):.9g}" for name in shown]
         line = (
-            f"  {_point_text(ds, indices)}: theory {names[int(point['predicted'])]},"
+            f"  {', '.join(texts)}: theory {names[int(point['predicted'])]},"
             f" measured {names[int(point['label'])]}, unsteadiness {unsteadiness[i]:.3g}"
         )
         if {"growth_rate", "end_time"} <= set(ds):
@@ -142,17 +155,55 @@ def _worst_lines(ds: xr.Dataset, result: Flags, count: int) -> list[str]:
     return lines
 
 
-def _point_text(ds: xr.Dataset, indices: Mapping[str, int]) -> str:
-    """Values of the axes at a point; of a dimension without values the index, and the parameters that vary along it."""
-    texts = []
-    for dim, i in indices.items():
-        names = [dim]
-        if not is_numeric_axis(ds, dim):
-            texts.append(f"{printable(dim)} {i}")
-            names = [
-                str(name)
-                for name, array in ds.coords.items()
-                if array.dims == (dim,) and array.dtype.kind in "iuf" and (array != array[0]).any()
-            ]
-        texts += [f"{printable(name)} = {float(ds[name][i]):.9g}" for name in names]
-    return ", ".join(texts)
+def summary(ds: xr.Dataset, tally: Tally | None = None) -> str:
+    """Summary of an atlas at the end of its run, as text; without a tally all points are read."""
+    names = [name for name in (*COUNTED, "error_estimate", "integral_drift") if name in ds]
+    if tally is None:
+        tally = Tally()
+        for box in chunks(ds[names[0]].sizes, ds[names[0]].dims) if names else ():
+            part = ds[names].isel(box).load()
+            tally.add(Tally.of({name: part[name].transpose(*ds[names[0]].dims).values for name in names}))
+    lines = []
+    for name in COUNTED:
+        if name in ds:
+            counts = tally.counts.get(name, Counter())
+            named = ((flag, counts.get(str(value), 0)) for value, flag in enumerate(flag_names(ds[name])))
+            lines.append(f"{name}: {', '.join(f'{flag} {count}' for flag, count in named if count)}")
+    scene = scene_of(ds)
+    sample = None if scene is None else grid.check(scene)
+    if scene is not None and sample is not None:
+        lines += grid.not_computed(scene, sample)
+    lines += _error_lines(ds, tally)
+    if "atlas_half_step_points" in ds.attrs:
+        lines.append(half_step.half_step_text(ds.attrs))
+    seconds, speed = (number_attribute(ds, f"atlas_{name}") for name in ("seconds", "points_per_second"))
+    lines.append(f"{seconds:.1f} s, {speed:.4g} points/s")
+    if scene is not None and sample is not None:
+        lines += ScenePlan(scene, sample).method_lines()
+    return "\n".join(lines)
+
+
+def _error_lines(ds: xr.Dataset, tally: Tally) -> list[str]:
+    """The median and the largest expected error, of steady and of drifting points, and the largest drift."""
+    lines = []
+    if "error_estimate" in ds and "label" in ds:
+        parts, remark = [], ""
+        for name in GROUPS:
+            if name not in tally.largest:
+                continue
+            largest = tally.largest[name]
+            cumulative = np.cumsum([tally.counts[name].get(str(index), 0) for index in range(BINS)])
+            median_bin = int(np.searchsorted(cumulative, (cumulative[-1] + 1) // 2))
+            # Up to a quarter of a decade.
+            median = min(10.0 ** (median_bin / BINS_PER_DECADE + LOWEST_DECADE), largest)
+            parts.append(f"at {name} points {median:.0e} (median) to {largest:.2g} (largest)")
+            if largest > 1:
+                remark = "; above 1 an instability has amplified errors until the final state is unknown; the labels have checks of their own"
+        if parts:
+            lines.append(
+                f"expected relative error of the motion (error_estimate): {', '.join(parts)}{remark}"
+            )
+    if "integral_drift" in tally.largest:
+        largest = tally.largest["integral_drift"]
+        lines.append(f"largest relative change of a first integral (integral_drift): {largest:.2g}")
+    return lines

@@ -11,8 +11,9 @@ import xarray as xr
 from .. import systems
 from ..errors import BadInput
 from ..flags import Completeness, Stability
+from ..measure.instrument import Variable
 from ..scene.tables import point_columns, table
-from ..systems.base import Array, System
+from ..systems.base import System
 
 _UNITS = {
     "theta0": ("rad", "angle from the vertical to the third body axis"),
@@ -30,15 +31,17 @@ _UNITS = {
     "frequency_1": ("rad s-1", "largest frequency of small oscillations"),
     "frequency_2": ("rad s-1", "second frequency of small oscillations"),
     "frequency_3": ("rad s-1", "third frequency of small oscillations"),
+    "stable": ("1", "linear stability"),
+    "completeness": ("1", "whether the equilibria of a body are all listed"),
     "equilibrium_count": ("1", "number of equilibria"),
     "equilibrium_stable_count": ("1", "number of linearly stable equilibria"),
     "equilibrium_energy_stable_count": ("1", "number of minima of the amended potential"),
 }
-_FLAGS = {
-    "stable": ("linear stability", Stability.meanings()),
-    "completeness": ("whether the equilibria of a body are all listed", Completeness.meanings()),
-}
+_FLAGS = {"stable": Stability.meanings(), "completeness": Completeness.meanings()}
 _NOT_COUNTED = "nan where some are not isolated or not listed"
+# Values of variables, 0 or nan of the others, for a body that cannot exist and an equilibrium that a body does not have.
+_UNUSED = {"completeness": Completeness.IMPOSSIBLE_BODY, "index": -1, "dimension": -1}
+_DIMS = ("equilibrium", "body_axis")
 
 
 def equilibria(system: str, body: Any) -> xr.Dataset:
@@ -90,18 +93,19 @@ def equilibria(system: str, body: Any) -> xr.Dataset:
     columns, _ = point_columns(description, body)
     description.check(columns)
     description.check_possible(columns)
-    ds = _dataset(description, "equilibria of one body")
-    for name, values in description.equilibria({k: float(v[0]) for k, v in columns.items()}).items():
-        ds[name] = (("equilibrium", "body_axis")[: values.ndim], values, _attributes(name))
-    constants = {name: xr.DataArray(column[0]) for name, column in columns.items()}
-    return _with_constants(description, ds, constants)
+    solutions = description.equilibria({k: float(v[0]) for k, v in columns.items()})
+    return _dataset(
+        description,
+        "equilibria of one body",
+        {name: xr.DataArray(values, dims=_DIMS[: values.ndim]) for name, values in solutions.items()},
+        {name: xr.DataArray(column[0]) for name, column in columns.items()},
+    )
 
 
 def _equilibria_of_bodies(description: System, body: Mapping[str, Any]) -> xr.Dataset:
     """Equilibria of the bodies that arrays give."""
     arrays = _broadcast(body)
     template = next(array for array in arrays.values() if array.ndim)
-    dims, shape = template.dims, template.shape
     columns, size = point_columns(
         description,
         {name: array.values.ravel() if array.ndim else array.item() for name, array in arrays.items()},
@@ -110,16 +114,25 @@ def _equilibria_of_bodies(description: System, body: Mapping[str, Any]) -> xr.Da
     description.check_possible(columns)
     possible = np.flatnonzero(description.possible_body(columns))
     equilibria = description.equilibria_of_bodies({k: v[possible] for k, v in columns.items()}, lambda: None)
-    ds = _dataset(description, f"equilibria of {size} bodies").assign_coords(template.coords)
-    for name, values in (dict(equilibria) | _counts(equilibria)).items():
-        full = np.full((size, *values.shape[1:]), _unused(name, values.dtype), values.dtype)
+    isolated = equilibria["completeness"] <= Completeness.NEAR_BIFURCATION
+    degenerate = equilibria.get("degenerate", np.zeros(equilibria["index"].shape, bool))
+    masks = {
+        "equilibrium_count": equilibria["index"] >= 0,
+        "equilibrium_stable_count": equilibria["stable"] == Stability.STABLE,
+        "equilibrium_energy_stable_count": (equilibria["index"] == 0) & ~degenerate,
+    }
+    counts = {name: np.where(isolated, mask.sum(1), np.nan) for name, mask in masks.items()}
+    variables = {}
+    for name, values in (dict(equilibria) | counts).items():
+        unused = _UNUSED.get(name, np.nan if values.dtype.kind == "f" else 0)
+        full = np.full((size, *values.shape[1:]), unused, values.dtype)
         full[possible] = values
-        full = full.reshape(*shape, *values.shape[1:])
-        further = ("equilibrium", "body_axis")[: values.ndim - 1]
-        ds[name] = ((*dims, *further), full, _attributes(name))
-    return _with_constants(
-        description, ds, {k: arrays.get(k, xr.DataArray(v[0])) for k, v in columns.items()}
-    )
+        dims = (*template.dims, *_DIMS[: values.ndim - 1])
+        variables[name] = xr.DataArray(
+            full.reshape(*template.shape, *values.shape[1:]), template.coords, dims
+        )
+    constants = {k: arrays.get(k, xr.DataArray(v[0])) for k, v in columns.items()}
+    return _dataset(description, f"equilibria of {size} bodies", variables, constants)
 
 
 def _broadcast(body: Mapping[str, Any]) -> dict[str, xr.DataArray]:
@@ -136,7 +149,7 @@ def _broadcast(body: Mapping[str, Any]) -> dict[str, xr.DataArray]:
             raise BadInput(
                 f"{name}: an array of {np.ndim(value)} dimensions; give a DataArray, whose dimensions have names"
             )
-    reserved = {str(dim) for array in arrays.values() for dim in array.dims} & {"equilibrium", "body_axis"}
+    reserved = {str(dim) for array in arrays.values() for dim in array.dims} & {*_DIMS}
     if reserved:
         raise BadInput(f"body: the dimension {min(reserved)} is one of the result; rename it")
     try:
@@ -147,34 +160,19 @@ def _broadcast(body: Mapping[str, Any]) -> dict[str, xr.DataArray]:
     return arrays | dict(zip(names, full, strict=True))
 
 
-def _counts(equilibria: Mapping[str, np.ndarray]) -> dict[str, Array]:
-    """Number of all, of linearly stable and of energy-stable equilibria of each body."""
-    isolated = equilibria["completeness"] <= Completeness.NEAR_BIFURCATION
-    degenerate = equilibria.get("degenerate", np.zeros(equilibria["index"].shape, bool))
-    masks = {
-        "equilibrium_count": equilibria["index"] >= 0,
-        "equilibrium_stable_count": equilibria["stable"] == Stability.STABLE,
-        "equilibrium_energy_stable_count": (equilibria["index"] == 0) & ~degenerate,
-    }
-    return {name: np.where(isolated, mask.sum(1), np.nan) for name, mask in masks.items()}
-
-
-def _unused(name: str, dtype: np.dtype[Any]) -> Any:
-    """Value of a variable for a body that cannot exist, and for an equilibrium that a body does not have."""
-    if name == "completeness":
-        return Completeness.IMPOSSIBLE_BODY
-    if name in ("index", "dimension"):
-        return -1
-    return np.nan if dtype.kind == "f" else 0
-
-
-def _dataset(description: System, title: str) -> xr.Dataset:
-    """An empty dataset with its attributes."""
-    return xr.Dataset(attrs={"title": f"{title}: {description.title}", "references": description.reference})
-
-
-def _with_constants(description: System, ds: xr.Dataset, constants: Mapping[str, xr.DataArray]) -> xr.Dataset:
-    """The dataset with the parameters of the bodies as coordinates."""
+def _dataset(
+    description: System,
+    title: str,
+    variables: Mapping[str, xr.DataArray],
+    constants: Mapping[str, xr.DataArray],
+) -> xr.Dataset:
+    """Dataset of equilibria with CF attributes, and with the parameters of the bodies as coordinates."""
+    ds = xr.Dataset(attrs={"title": f"{title}: {description.title}", "references": description.reference})
+    for name, array in variables.items():
+        units, long_name = _UNITS.get(name, ("1", name))
+        comment = _NOT_COUNTED if name.endswith("_count") else ""
+        variable = Variable(name, "int8", units, long_name, _FLAGS.get(name), comment)
+        ds[name] = array.assign_attrs(variable.attributes())
     for name, parameter in description.parameters.items():
         if parameter.start and not (constants[name].ndim and np.isfinite(constants[name]).all()):
             continue
@@ -185,16 +183,3 @@ def _with_constants(description: System, ds: xr.Dataset, constants: Mapping[str,
             values = constants[name]
             ds = ds.assign_coords({name: (values.dims, values.values.astype(float), attributes)})
     return ds
-
-
-def _attributes(name: str) -> dict[str, Any]:
-    """CF attributes of a variable of `equilibria`."""
-    if name in _FLAGS:
-        long_name, meanings = _FLAGS[name]
-        return {
-            "long_name": long_name,
-            "flag_meanings": " ".join(meanings),
-            "flag_values": np.arange(len(meanings), dtype="int8"),
-        }
-    attributes = dict(zip(("units", "long_name"), _UNITS.get(name, ("1", name)), strict=True))
-    return attributes | ({"comment": _NOT_COUNTED} if name.endswith("_count") else {})

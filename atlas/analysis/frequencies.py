@@ -19,7 +19,7 @@ from scipy.signal.windows import hann
 
 from ..errors import BadInput
 from ..label.trajectory import MAX_SAMPLES
-from ..systems.base import Array, System
+from ..systems.base import Array
 from .metadata import system_of
 
 Signal = NDArray[np.complex128]
@@ -76,7 +76,12 @@ def _lines(trajectory: xr.Dataset, lines: int) -> tuple[xr.Dataset, tuple[str, f
         count = len(line_frequencies)
         frequency[i, :count], amplitude[i, :count] = line_frequencies, np.abs(coefficients)
         share[i, :count] = np.abs(coefficients) ** 2 / power * (0.5 if real else 1.0)
-        true = _true_frequencies(time, signal, slope, line_frequencies, weight, real)
+        # A line that is too fast for the samples appears at another frequency, or as a constant, but the derivative has
+        # its own. Where a line is so weak that errors may be larger, its frequency counts as true.
+        given = [*line_frequencies, 0.0]
+        fitted, slopes = (_fit(time, each, given, weight, real)[0] for each in (signal, slope))
+        strong = np.abs(fitted) > MIN_AMPLITUDE * np.abs(signal).max()
+        true = np.divide(slopes, 1j * fitted, out=np.array(given, complex), where=strong).real
         fastest = max(np.abs(true).max(), np.abs(line_frequencies[:1]).max(initial=0.0))
         if fastest > max(MAX_SHARE_OF_NYQUIST * nyquist, missed[1]):
             missed = name, float(fastest)
@@ -100,25 +105,28 @@ def _lines(trajectory: xr.Dataset, lines: int) -> tuple[xr.Dataset, tuple[str, f
     return ds, missed
 
 
-def _true_frequencies(
-    time: Array, signal: Signal, slope: Signal, frequencies: Array, weight: Array, real: bool
-) -> Array:
-    """Frequencies of the lines, and of the constant, by their amplitudes in the derivative of the signal.
-
-    A line that is too fast for the samples appears at another frequency, or as a constant, but the derivative
-    has its own. Where a line is so weak that errors may be larger, its frequency counts as true.
-    """
-    given = [*frequencies, 0.0]
-    lines, slopes = (_fit(time, each, given, weight, real)[0] for each in (signal, slope))
-    strong = np.abs(lines) > MIN_AMPLITUDE * np.abs(signal).max()
-    return np.divide(slopes, 1j * lines, out=np.array(given, complex), where=strong).real
-
-
 def _signals(trajectory: xr.Dataset) -> dict[str, tuple[Signal, Signal]]:
     """The signals of a motion (of theta, psi and phi, or the observables) by name, with their derivatives."""
     system = system_of(trajectory) if "atlas_system" in trajectory.attrs else None
-    if system is not None and system.observables:
-        return _observables(trajectory, system)
+    if (
+        system is not None and system.observables
+    ):  # with derivatives by differences along the slope of the motion
+        points = {
+            name: np.array([float(trajectory.get(f"{name}_start", trajectory.get(name, np.nan)))])
+            for name in system.parameters
+        }
+        equations, constants = system.equations, system.constants(points)
+        state = np.array([trajectory[name].values for name in equations.STATE])
+        time = 1e-5 * float(trajectory["step"])
+        change = time * np.array(np.broadcast_arrays(*equations.rhs(state, constants)))
+        signals = {}
+        for o in system.observables:
+            low, high = (
+                moved[equations.STATE.index(o.name)] if o.name in equations.STATE else getattr(equations, o.name)(moved, constants)
+                for moved in (state - change, state + change)
+            )  # fmt: skip
+            signals[o.name] = trajectory[o.name].values + 0j, (high - low) / (2 * time) + 0j
+        return signals
     theta, theta_dot = trajectory["theta"].values, np.nan_to_num(trajectory["theta_dot"].values)
     signals = {"theta": (np.cos(theta) + 0j, -np.sin(theta) * theta_dot + 0j)}
     for name in ("psi", "phi"):
@@ -126,26 +134,6 @@ def _signals(trajectory: xr.Dataset) -> dict[str, tuple[Signal, Signal]]:
         angle, rate = (np.nan_to_num(trajectory[key].values) for key in (name, f"{name}_dot"))
         turn = np.exp(1j * angle)
         signals[name] = np.sin(theta) * turn, (np.cos(theta) * theta_dot + 1j * np.sin(theta) * rate) * turn
-    return signals
-
-
-def _observables(trajectory: xr.Dataset, system: System) -> dict[str, tuple[Signal, Signal]]:
-    """The observables of a motion, and their derivatives by differences along its slope."""
-    points = {
-        name: np.array([float(trajectory.get(f"{name}_start", trajectory.get(name, np.nan)))])
-        for name in system.parameters
-    }
-    equations, constants = system.equations, system.constants(points)
-    state = np.array([trajectory[name].values for name in equations.STATE])
-    time = 1e-5 * float(trajectory["step"])
-    change = time * np.array(np.broadcast_arrays(*equations.rhs(state, constants)))
-    signals = {}
-    for o in system.observables:
-        low, high = (
-            moved[equations.STATE.index(o.name)] if o.name in equations.STATE else getattr(equations, o.name)(moved, constants)
-            for moved in (state - change, state + change)
-        )  # fmt: skip
-        signals[o.name] = trajectory[o.name].values + 0j, (high - low) / (2 * time) + 0j
     return signals
 
 
@@ -173,7 +161,7 @@ def spectral_lines(time: Array, signal: Signal, count: int, *, real: bool = Fals
         for _ in range(PASSES):
             for i, frequency in enumerate(frequencies):
                 half = coefficients[[i]] / (2 if real else 1)  # without the line at the opposite frequency
-                single = (residual + _waves(time, [frequency]) @ half) * weight
+                single = (residual + np.exp(1j * np.outer(time, [frequency])) @ half) * weight
                 frequencies[i] = _refined(time, single, frequency, grid[1])
                 coefficients, residual = _fit(time, signal, frequencies, weight, real)
     return np.array(frequencies), coefficients
@@ -192,16 +180,11 @@ def _refined(time: Array, weighted: Signal, guess: float, width: float) -> float
     return float(result.x)
 
 
-def _waves(time: Array, frequencies: list[float]) -> Signal:
-    """exp(i w t), of shape (samples, frequencies)."""
-    return np.asarray(np.exp(1j * np.outer(time, frequencies)))
-
-
 def _fit(
     time: Array, signal: Signal, frequencies: list[float], weight: Array, real: bool
 ) -> tuple[Signal, Signal]:
     """Coefficients of all lines, fitted with a constant by weighted least squares, and the residual of the signal."""
-    waves, count = _waves(time, frequencies), len(frequencies)
+    waves, count = np.exp(1j * np.outer(time, frequencies)), len(frequencies)
     basis = np.concatenate([waves, waves.conj() if real else waves[:, :0], np.ones((time.size, 1))], axis=1)
     weighted = basis.conj().T * weight
     solution = np.linalg.lstsq(weighted @ basis, weighted @ signal, rcond=1e-12)[0]

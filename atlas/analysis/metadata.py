@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Hashable, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
+from dataclasses import replace
 from functools import lru_cache
 from typing import Any
 
@@ -13,9 +14,9 @@ import xarray as xr
 from numpy.typing import ArrayLike
 
 from .. import systems
-from ..errors import MAX_TEXT, BadInput, printable, shown
+from ..errors import MAX_TEXT, BadInput, attribute_text, printable, shown
 from ..runs.tiles import Tiling
-from ..scene.model import Axis, Scene
+from ..scene.model import Axis, Scene, Settings
 from ..scene.read import parse_scene
 from ..systems.base import System
 from ..variables import data_variables
@@ -56,6 +57,18 @@ def scene_of(ds: xr.Dataset) -> Scene | None:
     return parse_scene(text) if text else None
 
 
+def settings_of(ds: xr.Dataset) -> Settings:
+    """Settings of points that come from no scene, from the attributes of their dataset."""
+    step = number_attribute(ds, "atlas_step")
+    settings = Settings(
+        method=attribute_text(ds.attrs, "atlas_method"),
+        rate_tolerance=number_attribute(ds, "atlas_rate_tolerance"),
+    )
+    if math.isfinite(step):
+        return replace(settings, step=step)
+    return replace(settings, tolerance=number_attribute(ds, "atlas_tolerance"))
+
+
 def axes_of(scene: Scene) -> dict[str, Axis]:
     """The axes of a scene by the name of their dimension in the atlas."""
     return {axis.dim: axis for axis in scene.axes.values()}
@@ -77,6 +90,11 @@ def check_not_empty(ds: xr.Dataset) -> None:
 def is_numeric_axis(ds: xr.Dataset, dim: object) -> bool:
     """Whether a name is a dimension with a coordinate of numbers."""
     return dim in ds.dims and dim in ds.coords and ds[dim].dtype.kind in "iuf"
+
+
+def numeric_coordinates(ds: xr.Dataset, dim: str) -> list[str]:
+    """Names of the coordinates of numbers along a dimension alone."""
+    return [str(name) for name, c in ds.coords.items() if c.dims == (dim,) and c.dtype.kind in "iuf"]
 
 
 @lru_cache
@@ -156,33 +174,27 @@ def map_variable(ds: xr.Dataset) -> str:
     if scene is not None and scene.map in ds.data_vars:
         return scene.map
     default = "label" if "label" in ds or not ds.data_vars else str(next(iter(ds.data_vars)))
-    return next((name for name in flags if _differs(ds[name])), default)
-
-
-def _differs(array: xr.DataArray) -> bool:
-    """Whether an array has two different values; it is read in chunks, to the first difference."""
-    values = (array.isel(box).values.ravel() for box in chunks(array.sizes, array.dims))
-    first = next(values)
-    return bool((first != first[:1]).any()) or any((each != first[:1]).any() for each in values)
+    for name in flags:  # read in chunks, to the first difference
+        values = (ds[name].isel(box).values.ravel() for box in chunks(ds[name].sizes, ds[name].dims))
+        first = next(values)
+        if (first != first[:1]).any() or any((each != first[:1]).any() for each in values):
+            return name
+    return default
 
 
 def flag_values(ds: xr.Dataset, variable: str, flags: str | int | Sequence[str | int]) -> list[int]:
     """Values of one or several flags of a variable by their names or numbers; BadInput for unknown ones."""
     allowed = flag_names(flag_variable(ds, variable))
     is_list = isinstance(flags, Iterable) and not isinstance(flags, str) and getattr(flags, "ndim", 1) != 0
-    return [_flag_value(variable, flag, allowed) for flag in (flags if is_list else [flags])]  # type: ignore[union-attr]
-
-
-def _flag_value(variable: str, flag: Any, allowed: list[str]) -> int:
-    """Value of one flag by its name or number."""
-    if isinstance(flag, str) and flag in allowed:
-        return allowed.index(flag)
-    number = np.asarray(flag)
-    if number.ndim == 0 and number.dtype.kind in "iu" and 0 <= number < len(allowed):
-        return int(number)
-    raise BadInput(
-        f"{variable} = {shown(flag)}: allowed: {', '.join(allowed)}, or their numbers 0 to {len(allowed) - 1}"
-    )
+    numbers = []
+    for flag in flags if is_list else [flags]:  # type: ignore[union-attr]
+        number = np.asarray(allowed.index(flag) if isinstance(flag, str) and flag in allowed else flag)
+        if number.ndim or number.dtype.kind not in "iu" or not 0 <= number < len(allowed):
+            raise BadInput(
+                f"{variable} = {shown(flag)}: allowed: {', '.join(allowed)}, or their numbers 0 to {len(allowed) - 1}"
+            )
+        numbers.append(int(number))
+    return numbers
 
 
 # Points read at a time.

@@ -83,6 +83,16 @@ class Plane:
         spaced = np.geomspace if is_logarithmic(self.scene, dim, self.extent[dim]) else np.linspace
         return spaced(*self.extent[dim], count)
 
+    def coordinates(self, positions: Array) -> dict[str, Array]:
+        """Values by dimension at positions (points, axes), which are fractions of the extent of each axis."""
+        values = {}
+        for position, (dim, (low, high)) in zip(positions.T, self.extent.items(), strict=True):
+            if is_logarithmic(self.scene, dim, (low, high)):
+                values[dim] = low * (high / low) ** position
+            else:
+                values[dim] = low + (high - low) * position
+        return values
+
     def points(self, coordinates: Mapping[str, Array]) -> grid.Grid:
         """The points of the scene at some coordinates in the plane: dimension -> values of one shape (points,)."""
         shape = next(iter(coordinates.values())).shape
@@ -116,7 +126,12 @@ def family_curves(plane: Plane) -> dict[str, list[np.ndarray]]:
     """
     scene = plane.scene
     if scene.solve:
-        lines = _zeros_of_offsets(plane)
+        axes, lines = axes_of(scene), []
+        for i, (dim, (low, high)) in enumerate(plane.extent.items()):
+            if axes[dim].offset_from_family and low <= 0 <= high:
+                line = np.array(list(plane.extent.values())).T if len(plane.extent) > 1 else np.zeros((1, 1))
+                line[:, i] = 0.0
+                lines.append(line)
         return {str(scene.family): lines} if lines else {}
     curves = {}
     for name in [scene.family] if scene.family is not None else list(scene.system.families):
@@ -133,41 +148,12 @@ def _n_vertices(curves: list[Array]) -> int:
     return sum(int(np.isfinite(curve).all(1).sum()) for curve in curves)
 
 
-def _zeros_of_offsets(plane: Plane) -> list[Array]:
-    """Straight lines on which an axis offset from the family is zero."""
-    axes, lines = axes_of(plane.scene), []
-    for i, (dim, (low, high)) in enumerate(plane.extent.items()):
-        if axes[dim].offset_from_family and low <= 0 <= high:
-            line = np.array(list(plane.extent.values())).T if len(plane.extent) > 1 else np.zeros((1, 1))
-            line[:, i] = 0.0
-            lines.append(line)
-    return lines
-
-
 def _solution_curves(plane: Plane, family: Family, dim: str) -> list[Array]:
     """The family solved for one axis over the other: every branch that enters the plane."""
     tied = any(dim in tie.names for tie in plane.scene.ties.values())
     if dim not in family.solve or tied:
         return []
     low, high = plane.extent[dim]
-    abscissa, branches = _sampled_branches(plane, family, dim)
-    branches[:, 1:][np.abs(np.diff(branches)) > high - low] = np.nan  # the two sides of a pole
-    with_line = len(plane.extent) > 1
-    curves: list[Array] = []
-    for branch in np.unique(branches.round(12), axis=0):
-        with np.errstate(invalid="ignore"):
-            inside = (branch >= low) & (branch <= high)
-        repeated = any(np.allclose(branch, c[:, -1], rtol=0, atol=1e-9, equal_nan=True) for c in curves)
-        visible = (inside[1:] & inside[:-1]).any() if with_line else inside.any()
-        if visible and not repeated:
-            curves.append(np.stack([abscissa, branch], -1) if with_line else branch[:, np.newaxis])
-    if with_line and next(iter(plane.extent)) == dim:
-        curves = [curve[:, ::-1] for curve in curves]
-    return curves
-
-
-def _sampled_branches(plane: Plane, family: Family, dim: str) -> tuple[Array, Array]:
-    """Values of the other axis, and the family's branches there: (samples,), (STARTS, samples)."""
     others = [d for d in plane.extent if d != dim]
     abscissa = plane.samples(others[0]) if others else np.zeros(1)
     branches = _branches(plane, family, dim, abscissa)
@@ -177,7 +163,18 @@ def _sampled_branches(plane: Plane, family: Family, dim: str) -> tuple[Array, Ar
         between = [np.linspace(abscissa[i], abscissa[i + 1], 2 * SAMPLES) for i in ends]
         abscissa = np.unique(np.concatenate([abscissa, *between]))
         branches = _branches(plane, family, dim, abscissa)
-    return abscissa, branches
+    branches[:, 1:][np.abs(np.diff(branches)) > high - low] = np.nan  # the two sides of a pole
+    curves: list[Array] = []
+    for branch in np.unique(branches.round(12), axis=0):
+        with np.errstate(invalid="ignore"):
+            inside = (branch >= low) & (branch <= high)
+        repeated = any(np.allclose(branch, c[:, -1], rtol=0, atol=1e-9, equal_nan=True) for c in curves)
+        visible = (inside[1:] & inside[:-1]).any() if others else inside.any()
+        if visible and not repeated:
+            curves.append(np.stack([abscissa, branch], -1) if others else branch[:, np.newaxis])
+    if others and next(iter(plane.extent)) == dim:
+        curves = [curve[:, ::-1] for curve in curves]
+    return curves
 
 
 def _branches(plane: Plane, family: Family, dim: str, abscissa: Array) -> Array:

@@ -8,7 +8,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 import xarray as xr
 
-from ..errors import BadInput, attribute_text, option, shown
+from ..errors import BadInput, option, shown
 from ..label.trajectory import trajectory, trajectory_of_scene
 from .metadata import (
     axes_of,
@@ -17,8 +17,9 @@ from .metadata import (
     flag_values,
     is_logarithmic,
     is_numeric_axis,
-    number_attribute,
+    numeric_coordinates,
     scene_of,
+    settings_of,
     system_of,
 )
 
@@ -65,16 +66,11 @@ def select(ds: xr.Dataset, flags: Mapping[str, str | int | Sequence[str | int]])
 
 def nearest(ds: xr.Dataset, values: Mapping[str, float]) -> xr.Dataset:
     """The part of an atlas nearest to values of axes, or of parameters of points; see `Atlas.nearest`."""
-    if "point" in ds.dims and values:
-        return _nearest_point(ds, values)
-    return nearest_on_axes(ds, values)
-
-
-def _nearest_point(ds: xr.Dataset, values: Mapping[str, float]) -> xr.Dataset:
-    """The nearest of single points; each parameter is scaled by its range over the points."""
+    if "point" not in ds.dims or not values:
+        return nearest_on_axes(ds, values)
     check_not_empty(ds)
     distance = np.zeros(ds.sizes["point"])
-    allowed = [str(n) for n, c in ds.coords.items() if c.dims == ("point",) and c.dtype.kind in "iuf"]
+    allowed = numeric_coordinates(ds, "point")
     for name, value in values.items():
         if name not in allowed:
             raise BadInput(
@@ -84,6 +80,7 @@ def _nearest_point(ds: xr.Dataset, values: Mapping[str, float]) -> xr.Dataset:
         finite = column[np.isfinite(column)]
         if not finite.size:
             raise BadInput(f"{name}: is not given at any of these points")
+        # Each parameter is scaled by its range over the points.
         distance += ((column - value) / (np.ptp(finite) or 1.0)) ** 2
     if np.isnan(distance).all():
         raise BadInput(f"{', '.join(values)}: no point has values of all of them")
@@ -132,6 +129,15 @@ def cell_edges(values: np.ndarray, log: bool = False) -> np.ndarray:
     return np.exp(edges) if log else edges
 
 
+def check_axes(x: str | None, y: str | None, allowed: Sequence[str], what: str) -> None:
+    """Raise BadInput unless the axes of a map, as far as they are named, are different and allowed; what: each must be."""
+    for role, name in (("x", x), ("y", y)):
+        if name is not None and name not in allowed:
+            raise BadInput(f"{role} = {shown(name)}: not {what}; allowed: {', '.join(allowed) or 'none'}")
+    if x is not None and x == y:
+        raise BadInput(f"x = y = {shown(x)}: a map needs two axes")
+
+
 def plane_of(
     ds: xr.Dataset, x: str | None, y: str | None, select: Mapping[str, float]
 ) -> tuple[xr.Dataset, list[str], str | None]:
@@ -142,39 +148,28 @@ def plane_of(
     """
     check_not_empty(ds)
     plane = nearest_on_axes(ds, select).squeeze()
-    dims, panel_dim = _plane_dims(plane, x, y)
+    axes = [str(d) for d in plane.dims if is_numeric_axis(plane, d)]
+    check_axes(x, y, axes, "an axis with several values here")
+    if not axes or set(map(str, plane.dims)) - set(axes):
+        raise BadInput("this dataset has no axes to draw a map over: single points, or all axes selected")
+    by_length = sorted((d for d in axes if d not in (x, y)), key=lambda d: -plane.sizes[d])
+    n_free = (x is None) + (y is None)
+    chosen, others = sorted(by_length[:n_free], key=axes.index), by_length[n_free:]
+    for dim in others:
+        if len(others) > 1 or plane.sizes[dim] > MAX_PANELS:
+            raise BadInput(
+                f"{dim} has {plane.sizes[dim]} values here: choose one by {option('select', {dim: 'VALUE'})}"
+            )
+    panel_dim = others[0] if others else None
+    dims = []
+    for name in (x, y):
+        if name is not None or chosen:
+            dims.append(chosen.pop(0) if name is None else name)
     for dim in dims:
         if not 0 < np.ptp(plane[dim].values) < np.inf:
             raise BadInput(f"{dim}: its values are equal or not finite: no axis to draw a map over")
     plane = plane.isel({dim: slice(None, None, -(-plane.sizes[dim] // MAX_CELLS)) for dim in dims})
     return plane.sortby(dims + ([panel_dim] if panel_dim else [])), dims, panel_dim
-
-
-def _plane_dims(ds: xr.Dataset, x: str | None, y: str | None) -> tuple[list[str], str | None]:
-    """The axes of the plane, x first, and the axis of the panels if there is one."""
-    axes = [str(d) for d in ds.dims if is_numeric_axis(ds, d)]
-    for role, dim in (("x", x), ("y", y)):
-        if dim is not None and dim not in axes:
-            raise BadInput(
-                f"{role} = {shown(dim)}: not an axis with several values here; allowed: {', '.join(axes) or 'none'}"
-            )
-    if not axes or set(map(str, ds.dims)) - set(axes):
-        raise BadInput("this dataset has no axes to draw a map over: single points, or all axes selected")
-    if x is not None and x == y:
-        raise BadInput(f"x = y = {shown(x)}: a map needs two axes")
-    by_length = sorted((d for d in axes if d not in (x, y)), key=lambda d: -ds.sizes[d])
-    n_free = (x is None) + (y is None)
-    chosen, others = sorted(by_length[:n_free], key=axes.index), by_length[n_free:]
-    if x is None and chosen:
-        x = chosen.pop(0)
-    if y is None and chosen:
-        y = chosen.pop(0)
-    for dim in others:
-        if len(others) > 1 or ds.sizes[dim] > MAX_PANELS:
-            raise BadInput(
-                f"{dim} has {ds.sizes[dim]} values here: choose one by {option('select', {dim: 'VALUE'})}"
-            )
-    return [d for d in (x, y) if d is not None], (others[0] if others else None)
 
 
 def nearest_trajectory(ds: xr.Dataset, coordinates: Mapping[str, float], samples: int) -> xr.Dataset:
@@ -201,13 +196,14 @@ def nearest_trajectory(ds: xr.Dataset, coordinates: Mapping[str, float], samples
         if name not in point.coords and not math.isnan(parameter.default):
             raise BadInput(f"{name}: this parameter of the point is not in the dataset")
     start = {name: float(point[name]) for name in system.parameters if name in point.coords}
-    step = number_attribute(ds, "atlas_step")
+    settings = settings_of(ds)
     return trajectory(
         system.name,
         {name: value for name, value in start.items() if not math.isnan(value)},
         duration=float(point["end_time"]),
         samples=samples,
-        method=attribute_text(ds.attrs, "atlas_method"),
-        rate_tolerance=number_attribute(ds, "atlas_rate_tolerance"),
-        **({"step": step} if math.isfinite(step) else {"tolerance": number_attribute(ds, "atlas_tolerance")}),
+        method=settings.method,
+        rate_tolerance=settings.rate_tolerance,
+        step=settings.step,
+        tolerance=settings.tolerance,
     )

@@ -25,7 +25,17 @@ def trust(ds: xr.Dataset, variable: str) -> xr.Dataset:
     sides = [1]
     while 4 * sides[-1] < min(array.sizes[d] for d in dims):
         sides.append(2 * sides[-1])
-    uncertain = np.array([_uncertain_fraction(array, dims, side) for side in sides])
+    uncertain = np.zeros(len(sides))
+    for i, side in enumerate(sides):  # cells with corners `side` points apart
+        coarse = array.isel({dim: slice(None, None, side) for dim in dims})
+        n_cells = n_different = 0
+        for box in chunks(coarse.sizes, dims, cell_side=1):
+            differ = _differ(coarse.isel(box).values, len(dims), (0, 1), step=1)
+            n_cells, n_different = n_cells + differ.size, n_different + int(differ.sum())
+        uncertain[i] = n_different / n_cells
+    positive, exponent = uncertain > 0, np.nan
+    if positive.sum() >= 2:
+        exponent = np.polyfit(np.log(np.array(sides)[positive]), np.log(uncertain[positive]), 1)[0]
     n_uniform = n_missed = 0
     for box in chunks(array.sizes, dims, cell_side=2):
         values = array.isel(box).values
@@ -36,7 +46,7 @@ def trust(ds: xr.Dataset, variable: str) -> xr.Dataset:
     return xr.Dataset(
         {
             "uncertain": ("stride", uncertain, {"long_name": "share of cells whose corners differ"}),
-            "exponent": ((), _exponent(np.array(sides), uncertain), {"long_name": "uncertainty exponent"}),
+            "exponent": ((), exponent, {"long_name": "uncertainty exponent"}),
             "missed": ((), missed, {"long_name": "share of cells with equal corners that hide a border"}),
             "missed_bound": (
                 (),
@@ -47,24 +57,6 @@ def trust(ds: xr.Dataset, variable: str) -> xr.Dataset:
         coords={"stride": ("stride", sides, {"long_name": "side of the cells in points"})},
         attrs={"variable": variable, "axes": ", ".join(dims)},
     )
-
-
-def _uncertain_fraction(array: xr.DataArray, dims: list[str], side: int) -> float:
-    """Fraction of the cells with corners `side` points apart whose corners differ."""
-    coarse = array.isel({dim: slice(None, None, side) for dim in dims})
-    n_cells = n_different = 0
-    for box in chunks(coarse.sizes, dims, cell_side=1):
-        differ = _differ(coarse.isel(box).values, len(dims), (0, 1), step=1)
-        n_cells, n_different = n_cells + differ.size, n_different + int(differ.sum())
-    return n_different / n_cells
-
-
-def _exponent(sides: np.ndarray, uncertain: np.ndarray) -> float:
-    """Slope of log(uncertain) over log(side) by least squares; nan with fewer than two fractions above 0."""
-    positive = uncertain > 0
-    if positive.sum() < 2:
-        return np.nan
-    return np.polyfit(np.log(sides[positive]), np.log(uncertain[positive]), 1)[0]
 
 
 def _differ(values: np.ndarray, n_axes: int, offsets: tuple[int, ...], *, step: int) -> np.ndarray:

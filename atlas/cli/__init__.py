@@ -12,7 +12,7 @@ from .._version import __version__
 from ..engine.compiling import announced
 from ..errors import MAX_MESSAGE, BadInput, messages_for_shell, printable, say
 from ..interruption import exit_process, explain_kept, outcome, signals_as_interrupt
-from . import atlases, jobs, measurements, motions, papers, scenes
+from . import atlases, scenes, studies
 from .options import BAD_INPUT, DONE, FAILED, Parser, program
 
 __all__ = ["BAD_INPUT", "DONE", "FAILED", "command", "main", "parser"]
@@ -64,23 +64,23 @@ def parser() -> argparse.ArgumentParser:
     )
     top.add_argument("--version", action="version", version=f"atlas {__version__}")
     commands = top.add_subparsers(title="commands", metavar="COMMAND", required=True, parser_class=Parser)
-    for add in (
-        jobs.add_run,
-        jobs.add_status,
-        jobs.add_join,
-        jobs.add_check,
-        scenes.add_schema,
-        motions.add_points,
-        atlases.add_compare,
-        atlases.add_map,
-        atlases.add_page,
-        motions.add_trajectory,
-        scenes.add_new,
-        measurements.add_accuracy,
-        papers.add_conditions,
-        measurements.add_stress,
-        papers.add_figures,
-        jobs.add_cache,
+    for each in (
+        scenes.run_scene,
+        scenes.print_status,
+        scenes.join_folder,
+        scenes.check_scene,
+        scenes.print_schema,
+        atlases.label_points_of_file,
+        atlases.print_comparison,
+        atlases.draw_map,
+        atlases.make_page,
+        atlases.draw_trajectory,
+        scenes.copy_example,
+        studies.measure_accuracy,
+        studies.print_conditions,
+        studies.run_stress_cases,
+        studies.draw_figures,
+        scenes.list_kernels,
     ):
-        add(commands)
+        each.add(commands)
     return top

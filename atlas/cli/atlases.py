@@ -1,39 +1,176 @@
-"""Commands that read atlases: compare, map, page."""
+"""Commands that make motions and atlases of points, and that read atlases: points, trajectory, compare, map, page."""
 
 from __future__ import annotations
 
 import argparse
-from collections.abc import Sequence
+import io
+from contextlib import suppress
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
-from ..errors import BadInput, say
+from ..errors import BadInput, attribute_text, say
 from ..files import without_suffix, writable
+from ..scene.model import DEFAULTS, Duration
 from .options import (
+    ATLAS,
     DONE,
     FIGURES,
-    Commands,
-    add_command,
+    FILES,
+    QUIET,
+    STANDARD_INPUT,
+    THREADS,
+    argument,
     assignment_option,
-    atlas_option,
+    assignments,
     axis_values,
     check_at_least,
+    command,
+    default_name,
     force_option,
+    input_files,
     option_with_default,
     out_option,
+    read_input,
+    read_scene,
 )
 
+if TYPE_CHECKING:
+    from xarray import Dataset
 
-def add_compare(commands: Commands) -> None:
-    """Add the command `compare`."""
-    command = add_command(
-        commands, "compare", _compare, "print an atlas beside theory: confusion table, worst disagreements"
+
+def _is_column(word: str) -> bool:
+    """Whether a word after --keep is a column: neither a file nor a system."""
+    from .. import systems
+
+    return word != STANDARD_INPUT and not word.lower().endswith(FILES) and word not in systems.names()
+
+
+@command(
+    "points",
+    argument("system", metavar="SYSTEM", help="satellite, fixed_point, or a system of your own"),
+    argument(
+        "points",
+        metavar="POINTS",
+        help=".csv with names in its first line, or .nc; - for CSV on standard input",
+    ),
+    out_option("FILE", ".nc, or .csv", required=True),
+    option_with_default(
+        "--duration", "T", str(Duration()), 'time units, or as in a scene: "20 orbits", "50 turns"'
+    ),
+    option_with_default("--method", "NAME", DEFAULTS.method, "rk4 or rk8"),
+    [
+        option_with_default("--tolerance", "E", DEFAULTS.tolerance, "as in a scene"),
+        argument("--step", type=float, metavar="H", help="time units"),
+    ],
+    option_with_default("--rate-tolerance", "R", DEFAULTS.rate_tolerance, "rad per time unit"),
+    argument(
+        "--keep", belongs=_is_column, default=[], metavar="NAME",
+        help="columns that are no parameters, to be kept; those of text, id, index, name, number and point always are",
+    ),
+    THREADS,
+    force_option("an existing file"),
+    QUIET,
+)  # fmt: skip
+def label_points_of_file(options: argparse.Namespace) -> int:
+    """Label points of a file, which names their parameters."""
+    from .. import systems
+    from ..io import netcdf
+    from ..scene import tables
+
+    check_at_least("--threads", options.threads, 1)
+    from_input = options.points == STANDARD_INPUT
+    inputs = [] if from_input else [options.points]
+    out = netcdf.writable(options.out, tables.FORMATS, force=options.force, inputs=inputs)
+    system = systems.get(options.system)
+    numeric = {*system.parameters, *options.keep}
+    columns: dict[str, Any]
+    if from_input:
+        columns = tables.read_csv(io.StringIO(read_input()), "standard input", numeric)
+    else:
+        columns = tables.read(options.points, numeric)
+    from ..analysis.compare import summary
+    from ..label.points import label_points
+
+    duration: float | str = options.duration
+    with suppress(ValueError):  # such as 20 orbits
+        duration = float(options.duration)
+    ds = label_points(
+        system.name,
+        columns,
+        duration=duration,
+        step=options.step,
+        tolerance=options.tolerance,
+        method=options.method,
+        rate_tolerance=options.rate_tolerance,
+        threads=options.threads,
+        progress=not options.quiet,
+        keep=options.keep,
     )
-    atlas_option(command)
-    option_with_default(command, "--worst", "N", 5, "disagreements to list")
+    (netcdf.write_csv if out.suffix.lower() == ".csv" else netcdf.write)(ds, out)
+    say(*summary(ds).split("\n"), f"wrote {out}")
+    return DONE
 
 
-def _compare(options: argparse.Namespace) -> int:
-    """Run the command `compare`; returns its exit code."""
+@command(
+    "trajectory",
+    argument("scene", metavar="SCENE", help="scene file, atlas or run folder, - for standard input"),
+    assignment_option("--at", "AXIS=VALUE", "the point, by a value for every axis"),
+    out_option("OUT", ".png, .pdf, .svg or .nc (default: NAME_trajectory.png)"),
+    option_with_default("--samples", "N", 1001, "instants to keep"),
+    force_option("an existing file"),
+)
+def draw_trajectory(options: argparse.Namespace) -> int:
+    """Integrate one point of a scene and draw its motion."""
+    from ..analysis.metadata import system_of
+    from ..io import netcdf
+
+    name = options.out or f"{default_name(options.scene)}_trajectory.png"
+    out = netcdf.writable(name, (".nc", *FIGURES), force=options.force, inputs=input_files(options.scene))
+    check_at_least("--samples", options.samples, 2)
+    coordinates = axis_values("--at", options.at)
+    tr = _motion(options.scene, coordinates, options.samples)
+    if out.suffix.lower() == ".nc":
+        netcdf.write(tr, out)
+    else:
+        from ..plotting import style, trajectory
+
+        style.save(trajectory.trajectory_figure(tr), out)
+    observables = system_of(tr).observables
+    variable = observables[0].name if observables else "theta"
+    low, high, unit = (
+        float(tr[variable].min()),
+        float(tr[variable].max()),
+        attribute_text(tr[variable].attrs, "units"),
+    )
+    duration = f"{float(tr['time'][-1]):.9g} time units"
+    say(
+        f"{variable} from {low:.9g} to {high:.9g}{'' if unit == '1' else ' ' + unit} in {duration}; wrote {out}"
+    )
+    return DONE
+
+
+def _motion(name: str, coordinates: dict[str, float], samples: int) -> Dataset:
+    """The trajectory at some coordinates of a scene or of the scene of an atlas, or of an atlas' nearest single point."""
+    if Path(name).suffix.lower() != ".nc" and not Path(name).is_dir():
+        scene = read_scene(name)
+    else:
+        from ..analysis.metadata import scene_of
+        from ..analysis.select import nearest_trajectory
+        from ..runs.open import open_atlas
+
+        with open_atlas(name) as ds:
+            scene_of_atlas = scene_of(ds)
+            if scene_of_atlas is None:
+                return nearest_trajectory(ds, coordinates, samples)
+        scene = scene_of_atlas
+    from ..label.trajectory import trajectory_of_scene
+
+    return trajectory_of_scene(scene, coordinates, samples=samples)
+
+
+@command("compare", ATLAS, option_with_default("--worst", "N", 5, "disagreements to list"))
+def print_comparison(options: argparse.Namespace) -> int:
+    """Print an atlas beside theory: confusion table, worst disagreements."""
     from ..analysis.compare import report
     from ..runs.open import open_atlas
 
@@ -43,33 +180,29 @@ def _compare(options: argparse.Namespace) -> int:
     return DONE
 
 
-def add_map(commands: Commands) -> None:
-    """Add the command `map`."""
-    command = add_command(commands, "map", _map, "draw a map of an atlas")
-    atlas_option(command)
-    out_option(command, "FIGURE", ".png, .pdf or .svg (default: ATLAS.png and ATLAS.pdf)")
-    command.add_argument("--variable", metavar="NAME", help="what to map (default: what the scene is about)")
-    command.add_argument("--x", metavar="AXIS", help="horizontal axis (default: the first)")
-    command.add_argument("--y", metavar="AXIS", help="vertical axis (default: the second)")
-    assignment_option(command, "--select", "AXIS=VALUE", "values of the other axes, one or several")
-    command.add_argument("--width", choices=("column", "page"), default="column", help="journal width")
-    command.add_argument("--size", metavar="WIDTHxHEIGHT", help="size in mm, such as 120x90")
-    command.add_argument("--dpi", type=float, metavar="N", help="resolution (default: 600)")
-    command.add_argument("--title", metavar="TEXT", help="title of the figure")
-    command.add_argument("--cmap", metavar="NAME", help="Matplotlib's colour map for a variable of numbers")
-    assignment_option(command, "--colors", "FLAG=COLOUR", "colours of flags, one or several")
-    assignment_option(
-        command, "--labels", "NAME=TEXT", "texts for flags, axes and the variable, one or several"
-    )
-    command.add_argument("--no-boundary", dest="boundary", action="store_false", help="draw no theory")
-    command.add_argument("--no-legend", dest="legend", action="store_false", help="draw no legend")
-    command.add_argument("--caption", action="store_true", help="print a caption for the figure")
-    force_option(command, "existing figures")
-
-
-def _map(options: argparse.Namespace) -> int:
-    """Run the command `map`; returns its exit code."""
-    from ..plotting import maps, style, text
+@command(
+    "map",
+    ATLAS,
+    out_option("FIGURE", ".png, .pdf or .svg (default: ATLAS.png and ATLAS.pdf)"),
+    argument("--variable", metavar="NAME", help="what to map (default: what the scene is about)"),
+    argument("--x", metavar="AXIS", help="horizontal axis (default: the first)"),
+    argument("--y", metavar="AXIS", help="vertical axis (default: the second)"),
+    assignment_option("--select", "AXIS=VALUE", "values of the other axes, one or several"),
+    argument("--width", choices=("column", "page"), default="column", help="journal width"),
+    argument("--size", metavar="WIDTHxHEIGHT", help="size in mm, such as 120x90"),
+    argument("--dpi", type=float, metavar="N", help="resolution (default: 600)"),
+    argument("--title", metavar="TEXT", help="title of the figure"),
+    argument("--cmap", metavar="NAME", help="Matplotlib's colour map for a variable of numbers"),
+    assignment_option("--colors", "FLAG=COLOUR", "colours of flags, one or several"),
+    assignment_option("--labels", "NAME=TEXT", "texts for flags, axes and the variable, one or several"),
+    argument("--no-boundary", dest="boundary", action="store_false", help="draw no theory"),
+    argument("--no-legend", dest="legend", action="store_false", help="draw no legend"),
+    argument("--caption", action="store_true", help="print a caption for the figure"),
+    force_option("existing figures"),
+)
+def draw_map(options: argparse.Namespace) -> int:
+    """Draw a map of an atlas."""
+    from ..plotting import maps, style
     from ..runs.open import open_atlas
 
     stem = without_suffix(options.atlas, ".nc", ".zarr")
@@ -79,31 +212,28 @@ def _map(options: argparse.Namespace) -> int:
         name: getattr(options, name) for name in ("x", "y", "title", "cmap", "boundary", "legend", "width")
     }
     for name in ("colors", "labels"):
-        given[name] = _named_texts(f"--{name}", getattr(options, name))
+        given[name] = assignments(f"--{name}", getattr(options, name), "NAME=TEXT")
     select = axis_values("--select", options.select)
-    size, dpi = _size(options.size), 600 if options.dpi is None else options.dpi
+    size, dpi = None, 600 if options.dpi is None else options.dpi
+    if options.size is not None:
+        try:
+            width, height = map(float, options.size.lower().split("x"))
+        except ValueError:
+            raise BadInput(f"--size {options.size}: must be WIDTHxHEIGHT in mm, such as 120x90") from None
+        size = width, height
     with open_atlas(options.atlas) as ds:
         figure = maps.atlas_map(ds, options.variable, select=select, size=size, dpi=dpi, **given)
         if options.caption:
-            say(text.caption(ds))
+            say(style.caption(ds))
     for path in paths:
         style.save(figure, path, options.dpi)
         say(f"wrote {path}")
     return DONE
 
 
-def add_page(commands: Commands) -> None:
-    """Add the command `page`."""
-    command = add_command(
-        commands, "page", _page, "make one HTML file of an atlas, in which points can be integrated"
-    )
-    atlas_option(command)
-    out_option(command, "FILE", ".html (default: ATLAS.html)")
-    force_option(command, "an existing file")
-
-
-def _page(options: argparse.Namespace) -> int:
-    """Run the command `page`; returns its exit code."""
+@command("page", ATLAS, out_option("FILE", ".html (default: ATLAS.html)"), force_option("an existing file"))
+def make_page(options: argparse.Namespace) -> int:
+    """Make one HTML file of an atlas, in which points can be integrated."""
     from ..page.page import FORMATS, atlas_page
     from ..runs.open import open_atlas
 
@@ -114,27 +244,3 @@ def _page(options: argparse.Namespace) -> int:
     page.save(out, force=options.force)
     say(f"wrote {out}, {len(page.html.encode()) / 1e6:.1f} MB; open it in any browser")
     return DONE
-
-
-def _named_texts(option: str, texts: Sequence[str]) -> dict[str, str]:
-    """NAME=TEXT options as texts by name."""
-    pairs: dict[str, str] = {}
-    for text in texts:
-        name, equals, value = text.partition("=")
-        if not (name and equals):
-            raise BadInput(f"{option} {text}: must be NAME=TEXT")
-        if name in pairs:
-            raise BadInput(f"{option}: {name} is given twice")
-        pairs[name] = value
-    return pairs
-
-
-def _size(text: str | None) -> tuple[float, float] | None:
-    """Width and height in mm from WIDTHxHEIGHT."""
-    if text is None:
-        return None
-    try:
-        width, height = map(float, text.lower().split("x"))
-    except ValueError:
-        raise BadInput(f"--size {text}: must be WIDTHxHEIGHT in mm, such as 120x90") from None
-    return width, height

@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import argparse
+import inspect
 import math
 import sys
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn, TypeAlias
 
@@ -21,7 +24,7 @@ DONE, FAILED, BAD_INPUT = 0, 1, 2  # exit codes
 FIGURES = (".png", ".pdf", ".svg")
 FILES = (*FIGURES, ".nc", ".csv")
 
-Handler = Callable[[argparse.Namespace], int]
+Handler = Callable[[argparse.Namespace], int]  # runs a command and returns its exit code
 Commands: TypeAlias = "argparse._SubParsersAction[Parser]"
 
 
@@ -32,13 +35,15 @@ class Parser(argparse.ArgumentParser):
         super().__init__(*arguments, **more)
         self._several: dict[str, Callable[[str], bool]] = {}
 
-    def add_several(self, *names: str, belongs: Callable[[str], bool], **more: Any) -> None:
-        """Add an option for several words that `belongs` accepts: `--at a=1 b=2`, or `--at a=1 --at b=2`.
+    def add_argument(self, *names: str, belongs: Callable[[str], bool] | None = None, **more: Any) -> Any:
+        """As argparse; an option with `belongs` takes several words that it accepts: --at a=1 b=2, or --at a=1 --at b=2.
 
         Other words are not taken from the positional arguments, as argparse would.
         """
-        self.add_argument(*names, action="append", **more)
-        self._several |= dict.fromkeys(names, belongs)
+        if belongs is not None:
+            more["action"] = "append"
+            self._several |= dict.fromkeys(names, belongs)
+        return super().add_argument(*names, **more)
 
     def parse_known_args(self, args: Any = None, namespace: Any = None) -> Any:
         """Parse the words of a command line, as `argparse.ArgumentParser`."""
@@ -70,22 +75,72 @@ class Parser(argparse.ArgumentParser):
         self.exit(BAD_INPUT)
 
 
-def add_command(commands: Commands, name: str, handler: Handler, text: str) -> Parser:
-    """A new command; text: what it does, in one line."""
-    command = commands.add_parser(name, help=text, description=text[0].upper() + text[1:] + ".")
-    command.set_defaults(handler=handler)
-    return command
+Argument: TypeAlias = tuple[tuple[str, ...], dict[str, Any]]
+
+
+def argument(*names: str, **settings: Any) -> Argument:
+    """An argument or option, as `Parser.add_argument` takes it."""
+    return names, settings
+
+
+@dataclass(frozen=True)
+class Command:
+    """A command, which its handler's docstring describes in one sentence."""
+
+    name: str
+    arguments: tuple[Argument | list[Argument], ...]  # of a list, at most one may be given
+    handler: Handler
+
+    def add(self, commands: Commands) -> None:
+        """Add the command to the command line."""
+        description = inspect.getdoc(self.handler) or f"{self.name}."
+        text = description[0].lower() + description[1:].removesuffix(".")
+        parser = commands.add_parser(self.name, help=text, description=description)
+        parser.set_defaults(handler=self.handler)
+        for each in self.arguments:
+            group = parser.add_mutually_exclusive_group() if isinstance(each, list) else parser
+            for names, settings in each if isinstance(each, list) else [each]:
+                group.add_argument(*names, **settings)
+
+
+def command(name: str, *arguments: Argument | list[Argument]) -> Callable[[Handler], Command]:
+    """Decorator that makes a function the handler of a command."""
+    return partial(Command, name, arguments)
+
+
+def out_option(metavar: str, text: str, **more: Any) -> Argument:
+    """The option for the output."""
+    return argument("-o", "--out", metavar=metavar, help=text, **more)
+
+
+def force_option(what: str) -> Argument:
+    """The option that allows to replace files; what: their description in the help."""
+    return argument("--force", action="store_true", help=f"replace {what}")
+
+
+def option_with_default(name: str, metavar: str, default: float | str, text: str) -> Argument:
+    """An option whose default its help shows."""
+    return argument(
+        name, type=type(default), default=default, metavar=metavar, help=f"{text} (default: {default})"
+    )
+
+
+def assignment_option(name: str, metavar: str, text: str) -> Argument:
+    """An option for NAME=VALUE, any number of times."""
+    return argument(name, belongs=lambda word: "=" in word, default=[], metavar=metavar, help=text)
+
+
+SCENE = argument("scene", metavar="SCENE", help="scene file (TOML), - for standard input")
+ATLAS = argument("atlas", metavar="ATLAS", help="atlas file (.nc) or run folder")
+RUN_FOLDER = argument("folder", metavar="RUN", help="run folder")
+THREADS = argument("--threads", type=int, metavar="N", help="processors to use (default: all)")
+QUIET = argument("--quiet", action="store_true", help="print no progress")
 
 
 def program() -> str:
     """Name under which the command was called: `atlas`, or its second name."""
     name = Path(sys.argv[0]).name
     return name if name == SECOND_NAME else "atlas"
-
-
-def scene_option(command: argparse.ArgumentParser) -> None:
-    """The positional argument SCENE."""
-    command.add_argument("scene", metavar="SCENE", help="scene file (TOML), - for standard input")
 
 
 def read_scene(name: str) -> Scene:
@@ -115,45 +170,6 @@ def input_files(scene: str) -> list[Path]:
     return [] if scene == STANDARD_INPUT else [Path(scene), *file_of(Path(scene))]
 
 
-def atlas_option(command: argparse.ArgumentParser) -> None:
-    """The positional argument ATLAS."""
-    command.add_argument("atlas", metavar="ATLAS", help="atlas file (.nc) or run folder")
-
-
-def assignment_option(command: Parser, name: str, metavar: str, text: str) -> None:
-    """An option for NAME=VALUE, any number of times."""
-    command.add_several(name, belongs=lambda word: "=" in word, default=[], metavar=metavar, help=text)
-
-
-def out_option(command: argparse.ArgumentParser, metavar: str, text: str, **more: Any) -> None:
-    """The option for the output."""
-    command.add_argument("-o", "--out", metavar=metavar, help=text, **more)
-
-
-def option_with_default(
-    command: argparse._ActionsContainer, name: str, metavar: str, default: float | str, text: str
-) -> None:
-    """An option whose default its help shows."""
-    command.add_argument(
-        name, type=type(default), default=default, metavar=metavar, help=f"{text} (default: {default})"
-    )
-
-
-def threads_option(command: argparse.ArgumentParser) -> None:
-    """The option for the number of processors."""
-    command.add_argument("--threads", type=int, metavar="N", help="processors to use (default: all)")
-
-
-def force_option(command: argparse.ArgumentParser, what: str) -> None:
-    """The option that allows to replace files; what: their description in the help."""
-    command.add_argument("--force", action="store_true", help=f"replace {what}")
-
-
-def quiet_option(command: argparse.ArgumentParser) -> None:
-    """The option that switches the progress off."""
-    command.add_argument("--quiet", action="store_true", help="print no progress")
-
-
 def output_folder(name: str, files: Sequence[str], *, force: bool) -> Path:
     """Create the folder of some files, and check each of them as `writable`."""
     folder = Path(name)
@@ -179,17 +195,27 @@ def check_at_least(option: str, value: int | None, lowest: int) -> None:
         raise BadInput(f"{option} {value}: must be at least {lowest}")
 
 
-def axis_values(option: str, texts: Sequence[str]) -> dict[str, float]:
-    """AXIS=VALUE options as numbers by axis."""
-    values: dict[str, float] = {}
+def assignments(option: str, texts: Sequence[str], form: str) -> dict[str, str]:
+    """NAME=VALUE options as texts by name; form: what an error message asks for."""
+    values: dict[str, str] = {}
     for text in texts:
-        name, _, value = text.partition("=")
+        name, equals, value = text.partition("=")
+        if not (name and equals):
+            raise BadInput(f"{option} {text}: must be {form}")
         if name in values:
             raise BadInput(f"{option}: {name} is given twice")
+        values[name] = value
+    return values
+
+
+def axis_values(option: str, texts: Sequence[str]) -> dict[str, float]:
+    """AXIS=VALUE options as numbers by axis."""
+    form, values = "AXIS=VALUE with a finite number", {}
+    for name, text in assignments(option, texts, form).items():
         try:
-            values[name] = float(value)
+            values[name] = float(text)
         except ValueError:
             values[name] = math.nan
         if not math.isfinite(values[name]):
-            raise BadInput(f"{option} {text}: must be AXIS=VALUE with a finite number")
+            raise BadInput(f"{option} {name}={text}: must be {form}")
     return values

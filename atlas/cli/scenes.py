@@ -1,4 +1,4 @@
-"""Commands that help to write scenes: schema."""
+"""Commands about scenes: check, run, status, join, cache, schema, new."""
 
 from __future__ import annotations
 
@@ -11,27 +11,158 @@ from importlib.resources import files
 from importlib.resources.abc import Traversable
 from pathlib import Path
 
-from ..errors import BadInput, allowed_text, say
-from ..files import atomic_write, writable
+from ..errors import MAX_MESSAGE, MAX_TEXT, BadInput, allowed_text, attribute_text, printable, say
+from ..files import atomic_write, check_not_input, writable
 from ..interruption import called_as
 from ..validation.text_table import text_table
-from .options import DONE, Commands, add_command, default_name, force_option, out_option
+from .options import (
+    DONE,
+    QUIET,
+    RUN_FOLDER,
+    SCENE,
+    THREADS,
+    argument,
+    check_at_least,
+    command,
+    default_name,
+    force_option,
+    input_files,
+    out_option,
+    read_scene,
+)
 
 
-def add_schema(commands: Commands) -> None:
-    """Add the command `schema`."""
-    command = add_command(
-        commands,
-        "schema",
-        _schema,
-        "print the JSON Schema of scenes, with which editors complete and check them",
+@command(
+    "run",
+    SCENE,
+    out_option(
+        "OUT",
+        "NAME.nc, or NAME/ for a run folder, which the same command continues (default: the scene's name with .nc)",
+    ),
+    THREADS,
+    argument("--shard", metavar="I/N", help="compute part I of N of a run folder, counted from 1"),
+    [
+        argument("--scheduler", metavar="ADDRESS", help="compute on the workers of this dask scheduler"),
+        argument("--workers", type=int, metavar="N", help="compute in N processes of one thread each"),
+    ],
+    argument("--dry-run", action="store_true", help="print the expected size, time, memory and error"),
+    force_option("an existing atlas"),
+    QUIET,
+)
+def run_scene(options: argparse.Namespace) -> int:
+    """Integrate a scene and write its labelled atlas."""
+    check_at_least("--threads", options.threads, 1)
+    check_at_least("--workers", options.workers, 1)
+    shard = None
+    if options.shard is not None:
+        match = re.fullmatch("([0-9]{1,9})/([0-9]{1,9})", options.shard)
+        number, count = map(int, match.groups()) if match else (0, 0)
+        if not 1 <= number <= count:
+            raise BadInput(f"--shard {options.shard}: must be I/N with whole numbers, 1 <= I <= N < 10^9")
+        shard = number, count
+    scene = read_scene(options.scene)
+    out = options.out or default_name(options.scene) + ".nc"
+    check_not_input(Path(out), input_files(options.scene))
+    from ..analysis.compare import summary
+    from ..runs.estimate import dry_run
+    from ..runs.folder import TALLY
+    from ..runs.runner import run
+
+    if options.dry_run:
+        say(*dry_run(scene, threads=options.threads, workers=options.workers).split("\n"))
+        return DONE
+    ds = run(
+        scene,
+        out,
+        threads=options.threads,
+        progress=not options.quiet,
+        force=options.force,
+        shard=shard,
+        scheduler=options.scheduler,
+        workers=options.workers,
     )
-    out_option(command, "FILE", "write it to this file (.json)")
-    force_option(command, "an existing file")
+    if shard is None:
+        say(*summary(ds, ds.encoding.get(TALLY)).split("\n"), f"wrote {out}")
+    else:
+        say(
+            f"shard {options.shard} is done; {out} holds {attribute_text(ds.attrs, 'atlas_run', limit=MAX_MESSAGE)}"
+        )
+    return DONE
 
 
-def _schema(options: argparse.Namespace) -> int:
-    """Run the command `schema`; returns its exit code."""
+@command("status", RUN_FOLDER)
+def print_status(options: argparse.Namespace) -> int:
+    """Print the progress of a run folder."""
+    from ..runs.folder import RunFolder
+
+    say(*RunFolder.open(options.folder).status().split("\n"))
+    return DONE
+
+
+@command(
+    "join",
+    RUN_FOLDER,
+    out_option("FILE", "atlas to write (.nc or .zarr)", required=True),
+    force_option("an existing file"),
+)
+def join_folder(options: argparse.Namespace) -> int:
+    """Write a finished run folder as one file."""
+    from ..io import netcdf
+    from ..runs.folder import RunFolder
+
+    folder = RunFolder.open(options.folder)
+    folder.join(
+        netcdf.writable(options.out, (".nc", ".zarr"), force=options.force, inputs=[folder.tiles.folder])
+    )
+    say(f"wrote {options.out}")
+    return DONE
+
+
+@command("check", SCENE)
+def check_scene(options: argparse.Namespace) -> int:
+    """Check a scene without running it."""
+    from ..runs.plan import ScenePlan
+    from ..scene import grid
+
+    scene = read_scene(options.scene)
+    plan = ScenePlan.of(scene)
+    shape = " x ".join(f"{name} {count}" for name, count in zip(scene.axes, scene.shape, strict=True))
+    say(
+        printable(scene.title, MAX_TEXT),
+        f"system {scene.system.name}: {shape} = {scene.size} points, duration {scene.duration}",
+        *plan.method_lines(),
+    )
+    for warning in [
+        *grid.warnings(scene, plan.sample),
+        *plan.step_warnings(),
+        *plan.chaos_warnings(),
+    ]:
+        say(f"warning: {printable(warning, MAX_MESSAGE)}")
+    return DONE
+
+
+@command("cache", argument("--clear", action="store_true", help="remove them"))
+def list_kernels(options: argparse.Namespace) -> int:
+    """List the compiled kernels."""
+    from ..engine import jit
+
+    if options.clear:
+        say(f"removed {jit.clear()} kernels from {jit.cache_folder()}")
+        return DONE
+    files = jit.cached()
+    kernels = [(name, size) for name, size, _ in files if jit.is_kernel(name)]
+    say(
+        f"{jit.cache_folder()}: {len(kernels)} kernels, {len(files) - len(kernels)} functions that they share,"
+        f" {sum(size for _, size, _ in files) / 1e6:.1f} MB"
+    )
+    for name, size in kernels:
+        say(f"  {name}  {size / 1e6:.1f} MB")
+    return DONE
+
+
+@command("schema", out_option("FILE", "write it to this file (.json)"), force_option("an existing file"))
+def print_schema(options: argparse.Namespace) -> int:
+    """Print the JSON Schema of scenes, with which editors complete and check them."""
     from ..scene.schema import scene_schema
 
     text = json.dumps(scene_schema(), indent=2)
@@ -44,15 +175,13 @@ def _schema(options: argparse.Namespace) -> int:
     return DONE
 
 
-def add_new(commands: Commands) -> None:
-    """Add the command `new`."""
-    command = add_command(commands, "new", _new, "copy an example scene, to run it or to change it")
-    command.add_argument("name", metavar="NAME", nargs="?", help="which example (default: list them)")
-    out_option(command, "SCENE", "name of the copy (default: NAME.toml)")
-
-
-def _new(options: argparse.Namespace) -> int:
-    """Run the command `new`; returns its exit code."""
+@command(
+    "new",
+    argument("name", metavar="NAME", nargs="?", help="which example (default: list them)"),
+    out_option("SCENE", "name of the copy (default: NAME.toml)"),
+)
+def copy_example(options: argparse.Namespace) -> int:
+    """Copy an example scene, to run it or to change it."""
     scenes = examples()
     if options.name is None:
         rows = [(name, tomllib.loads(scene.read_text("utf-8"))["title"]) for name, scene in scenes.items()]

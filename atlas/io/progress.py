@@ -12,7 +12,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, TextIO
 
-from .. import process
+from .. import files
 from ..engine import compiling
 from ..files import atomic_write
 
@@ -108,7 +108,7 @@ class Progress:
             "points_per_second": speed,
             "seconds_left": seconds_left,
             "running": running,
-            "process": process.name(),
+            "process": files.process_name(),
             "written": f"{datetime.now(UTC):%Y-%m-%dT%H:%M:%SZ}",
         }
         # On a full disk the run fails where it writes a tile, with a better message.
@@ -120,7 +120,7 @@ def state(content: Mapping[str, Any]) -> str:
     """AT_WORK or why the writer of a progress file ended; on other machines the file's age decides."""
     if not content["running"]:
         return "ended"
-    running = process.is_running(str(content["process"]))
+    running = files.is_running(str(content["process"]))
     if running is None:
         written = datetime.fromisoformat(content["written"])
         running = (datetime.now(UTC) - written).total_seconds() < SILENCE

@@ -24,20 +24,18 @@ from ..analysis.metadata import (
     is_logarithmic,
     is_numeric_axis,
     map_variable,
+    numeric_coordinates,
     scene_of,
     system_of,
 )
 from ..engine.tableaux import METHODS
 from ..errors import MAX_MESSAGE, MAX_TEXT, BadInput, attribute_text, printable
 from ..flags import Regularity
-from ..plotting import cells, text
-from ..plotting import text as figure_text
+from ..plotting import cells
 from ..plotting.cells import ColorScale, color_scale
-from ..plotting.content import MOTIONS, NO_VALUE, NOT_YET, SLOW, Panel, panel_of, tiles_done
-from ..plotting.maps import scatter_axes
-from ..plotting.options import MapOptions
-from ..plotting.sheet import as_math
-from ..plotting.style import flag_colours
+from ..plotting.content import MOTIONS, NO_VALUE, NOT_YET, SLOW, MapOptions, Panel, panel_of, tiles_done
+from ..plotting.maps import as_math, scatter_axes
+from ..plotting.style import axis_label, caption, flag_colours, unit_text, variable_label
 from ..scene.model import Scene
 from ..systems.base import System
 from ..variables import POINT, data_variables
@@ -52,6 +50,7 @@ NUMERICS = ("status", "computed", "error_estimate", "step", "step_ratio", "integ
 # Theory is drawn for at most this many values of the further axes together: each takes some seconds.
 MAX_SLICES = 24
 SHADES = 256
+HATCHED = {"slow": SLOW, "undecided": cells.UNDECIDED, "notYet": NOT_YET}  # regions that are hatched
 
 
 class Content:
@@ -83,7 +82,7 @@ class Content:
             "system": self.system.title,
             "frame": "" if self.system.observables else self.system.frame,
             "reference": attribute_text(attributes, "references", limit=MAX_MESSAGE),
-            "caption": figure_text.caption(self.layout.whole) if not self.layout.points else "",
+            "caption": caption(self.layout.whole) if not self.layout.points else "",
             "notes": [runs(note) for note in self.notes],
             "points": self.layout.points,
             "shape": self.layout.shape,
@@ -101,32 +100,44 @@ class Content:
 
     def axis(self, dim: str) -> dict[str, Any]:
         """An axis of the atlas."""
-        label = figure_text.axis_label(self.ds, dim)
-        symbol = figure_text.axis_label(self.ds, dim, unit=False)
+        label = axis_label(self.ds, dim)
+        symbol = axis_label(self.ds, dim, unit=False)
         if dim in self.system.parameters:
             symbol = self.system.parameters[dim].symbol or dim
-        attributes = self.ds[dim].attrs
+        attributes, symbol_runs = self.ds[dim].attrs, runs(symbol)
+        for number, run in enumerate(symbol_runs):
+            before, equals, _ = run["t"].partition(" = ")
+            if equals:  # the name that a formula such as K1 = (C - A)/B defines
+                name = [*symbol_runs[:number], {**run, "t": before}]
+                if all(each["t"].isalnum() or not each["t"] for each in name):
+                    symbol_runs = name
+                break
         return {
             "name": dim,
             "label": runs(label),
             "plain": plain(label),
-            "symbol": _before_equals(runs(symbol)),
+            "symbol": symbol_runs,
             "text": attribute_text(attributes, "long_name", dim),
-            "unit": runs(figure_text.unit_text(attribute_text(attributes, "units"))),
+            "unit": runs(unit_text(attribute_text(attributes, "units"))),
             "values": np.asarray(self.ds[dim].values, np.float64).tolist(),
-            "log": self.layout.is_log(dim),
+            "log": is_logarithmic(self.scene, dim, self.ds[dim].values),
         }
 
     def coordinates(self) -> list[dict[str, Any]]:
         """Coordinates of single points that differ among them, axes of the map first."""
+        columns = {name: self.ds[name].values for name in numeric_coordinates(self.ds, POINT)}
         names = self.layout.axes + [
-            str(name)
-            for name, coordinate in self.ds.coords.items()
-            if coordinate.dims == ("point",) and coordinate.dtype.kind in "iuf" and name not in self.layout.axes
-            and printable(str(name), MAX_TEXT) == name
-            and np.unique(coordinate.values[np.isfinite(coordinate.values)]).size > 1 and name != "point"
-        ]  # fmt: skip
-        return [self.axis(name) | {"values": _finite_list(self.ds[name].values)} for name in names]
+            name
+            for name, values in columns.items()
+            if name not in (*self.layout.axes, POINT)
+            and printable(name, MAX_TEXT) == name
+            and np.unique(values[np.isfinite(values)]).size > 1
+        ]
+        finite = {  # JSON has no nan
+            name: [float(value) if math.isfinite(value) else None for value in columns[name]]
+            for name in names
+        }
+        return [self.axis(name) | {"values": finite[name]} for name in names]
 
     def variables(self) -> list[dict[str, Any]]:
         """Variables of the atlas over its points, in the order of the file."""
@@ -148,15 +159,14 @@ class Content:
         """One variable with its values, colours and texts."""
         array = self.ds[name]
         flags = flag_names(array)
-        values = self.over_points(self.filled(name))
-        label = figure_text.variable_label(array)
-        group = (
-            "theory"
-            if name in THEORY or name in self.system.derived
-            else "numerics"
-            if name in NUMERICS
-            else "motion"
-        )
+        values = motion.over_points(self.filled(name), self.layout.sizes)
+        label = variable_label(array)
+        group = "numerics" if name in NUMERICS else "motion"
+        if name in THEORY or name in self.system.derived:
+            group = "theory"
+        lines = "inertial" if name.endswith("_inertial") else "frame"  # of theory, which belong on the map
+        if name.removesuffix("_inertial") not in MOTIONS:
+            lines = "limits"
         description: dict[str, Any] = {
             "name": name,
             "label": runs(label),
@@ -164,7 +174,7 @@ class Content:
             "text": attribute_text(array.attrs, "long_name"),
             "comment": attribute_text(array.attrs, "comment", limit=MAX_MESSAGE),
             "group": group,
-            "lines": self.lines_of(name),
+            "lines": lines,
         }
         if flags:
             return description | self.flag_values(name, flags, values)
@@ -203,15 +213,10 @@ class Content:
             return array
         values = np.array(array.transpose(*self.layout.dims).values)
         axes = [dim for dim in self.layout.dims if dim in self.layout.axes]
-        for index, part in self.layout.slices():
+        for where, part in self.layout.slices():
             panel = panel_of(part, name, self.layout.axes, self.scene, False)
-            values[self.layout.points_of_slice(index)] = panel.array.transpose(*axes).values
+            values[where] = panel.array.transpose(*axes).values
         return xr.DataArray(values, dims=self.layout.dims)
-
-    def over_points(self, array: xr.DataArray) -> np.ndarray:
-        """Values of an array over some of the dimensions of the points, over all of them."""
-        points = xr.DataArray(np.zeros(self.layout.shape, np.int8), dims=self.layout.dims)
-        return np.asarray(array.broadcast_like(points).transpose(*self.layout.dims).values)
 
     def scale(self, scale: ColorScale) -> dict[str, Any]:
         """A colour scale: its kind, ends and shades."""
@@ -225,16 +230,10 @@ class Content:
         kind = "integers" if scale.integers else "log" if scale.log_range is not None else "linear"
         return {"kind": kind, "low": low, "high": high, "shades": name}
 
-    def lines_of(self, name: str) -> str:
-        """Which lines of theory belong on the map of a variable."""
-        if name.removesuffix("_inertial") not in MOTIONS:
-            return "limits"
-        return "inertial" if name.endswith("_inertial") else "frame"
-
     def theory(self) -> dict[str, Any]:
         """Lines of theory, slow and white points; empty for single points."""
         if self.layout.points:
-            return {"slices": [], "styles": {}, "white": [], "hatches": _hatches()}
+            return {"slices": [], "styles": {}, "white": [], "hatches": HATCHED}
         slices, panels = [], []
         count = math.prod(self.ds.sizes[dim] for dim in self.layout.further)
         name = "label" if "label" in self.ds else next(iter(map(str, self.ds.data_vars)))
@@ -250,7 +249,7 @@ class Content:
         code = np.zeros(self.layout.shape, np.int8)
         for number, reason in enumerate(reasons, 1):
             code[self.over_slices([panel.white.get(reason) for panel in panels])] = number
-        table = {"slices": slices, "styles": self.styles(slices), "white": reasons, "hatches": _hatches()}
+        table = {"slices": slices, "styles": self.styles(slices), "white": reasons, "hatches": HATCHED}
         slow = self.over_slices([panel.slow for panel in panels])
         return table | {
             "reason": self.store.add(code),
@@ -263,9 +262,9 @@ class Content:
         whole = np.zeros(self.layout.shape, bool)
         order = self.layout.axes[::-1]  # a panel has its x axis last
         axes = [order.index(dim) for dim in self.layout.dims if dim in order]
-        for (index, _), mask in zip(self.layout.slices(), masks, strict=True):
+        for (where, _), mask in zip(self.layout.slices(), masks, strict=True):
             if mask is not None:
-                whole[self.layout.points_of_slice(index)] = np.transpose(mask, axes)
+                whole[where] = np.transpose(mask, axes)
         return whole
 
     def lines(self, part: xr.Dataset, panel: Panel) -> list[dict[str, Any]]:
@@ -285,15 +284,18 @@ class Content:
     def styles(self, slices: list[list[dict[str, Any]]]) -> dict[str, Any]:
         """Text, width and dashes of each kind of line."""
         families = list(self.system.families)
+        named = {"-": (), ":": rcParams["lines.dotted_pattern"], "--": rcParams["lines.dashed_pattern"],
+                 "-.": rcParams["lines.dashdot_pattern"]}  # fmt: skip
         styles: dict[str, Any] = {}
         for line in (line for each in slices for line in each):
             kind, exact = line["kind"], line["source"] == "exact"
             style = cells.family_style(families.index(kind)) if exact else cells.border_style(kind)
+            dashes = style["linestyle"]  # a name, or a pattern in units of the width
             words = kind.replace("_", " ") if exact else as_math(kind)
             styles[kind] = {
                 "text": runs(f"{words} ({line['source']})"),
                 "width": style["linewidth"],
-                "dashes": _dashes(style["linestyle"]),
+                "dashes": [float(x) for x in (named[dashes] if isinstance(dashes, str) else dashes[1])],
             }
         return styles
 
@@ -306,7 +308,7 @@ class Content:
                 "name": name,
                 "symbol": runs(parameter.symbol or name),
                 "text": parameter.meaning,
-                "unit": runs(figure_text.unit_text(parameter.unit)),
+                "unit": runs(unit_text(parameter.unit)),
                 "values": add(starts.parameters[name]),
             }
             for name, parameter in self.system.parameters.items()
@@ -333,7 +335,7 @@ class Content:
         states = list(self.system.equations.STATE)
         shown = []
         for observable in self.system.observables:
-            unit = figure_text.unit_text(observable.unit)
+            unit = unit_text(observable.unit)
             label = f"{observable.symbol or observable.name}{f' ({unit})' if unit else ''}"
             state = states.index(observable.name) if observable.name in states else None
             shown.append({"name": observable.name, "label": runs(label), "state": state})
@@ -350,7 +352,8 @@ class Content:
         coordinates = []
         for dim, name in names.items():
             values = np.asarray(self.ds[dim].values, np.float64)
-            column = self.store.add(self.over_points(xr.DataArray(values, dims=self.ds[dim].dims)))
+            along = xr.DataArray(values, dims=self.ds[dim].dims)
+            column = self.store.add(motion.over_points(along, self.layout.sizes))
             if self.scene is None and not column["over"]:
                 continue  # the same at all points
             coordinates.append({"name": name, "dim": dim, "values": column})
@@ -361,16 +364,6 @@ class Content:
         }
 
 
-def _before_equals(symbol: list[dict[str, Any]]) -> list[dict[str, Any]]:
-    """The name that a formula such as K1 = (C - A)/B defines; other formulas whole."""
-    for number, run in enumerate(symbol):
-        before, equals, _ = run["t"].partition(" = ")
-        if equals:
-            name = [*symbol[:number], {**run, "t": before}]
-            return name if all(each["t"].isalnum() or not each["t"] for each in name) else symbol
-    return symbol
-
-
 def _line(kind: str, on: list[str], vertices: list[np.ndarray], source: str = "theory") -> dict[str, Any]:
     """Vertices of a line with six digits; nan cuts a curve."""
     paths = [
@@ -378,23 +371,6 @@ def _line(kind: str, on: list[str], vertices: list[np.ndarray], source: str = "t
         for line in vertices
     ]
     return {"kind": kind, "on": on, "source": source, "paths": paths}
-
-
-def _finite_list(values: np.ndarray) -> list[float | None]:
-    """Numbers, None where one is not finite: JSON has no nan."""
-    return [float(value) if math.isfinite(value) else None for value in values]
-
-
-def _dashes(style: Any) -> list[float]:
-    """Dashes of a line in units of its width."""
-    named = {"-": (), ":": rcParams["lines.dotted_pattern"], "--": rcParams["lines.dashed_pattern"],
-             "-.": rcParams["lines.dashdot_pattern"]}  # fmt: skip
-    return [float(length) for length in (named[style] if isinstance(style, str) else style[1])]
-
-
-def _hatches() -> dict[str, str]:
-    """Text of the regions that are hatched."""
-    return {"slow": SLOW, "undecided": cells.UNDECIDED, "notYet": NOT_YET}
 
 
 # Types of JavaScript's typed arrays, by their names there.
@@ -432,7 +408,14 @@ class Store:
 
     def packed(self) -> list[dict[str, Any]]:
         """Type in JavaScript, size and data of each array: in base64, by zlib, all first bytes first."""
-        return [_packed(array) for array in self._arrays]
+        entries = []
+        for array in self._arrays:
+            little = array.astype(array.dtype.newbyteorder("<"))
+            columns = little.view(np.uint8).reshape(array.size, array.itemsize).T
+            compressed = zlib.compress(np.ascontiguousarray(columns).tobytes(), _LEVEL)
+            data = base64.b64encode(compressed).decode("ascii")
+            entries.append({"type": _TYPES[array.dtype.name], "size": array.size, "data": data})
+        return entries
 
 
 def float_array(values: np.ndarray) -> np.ndarray:
@@ -441,18 +424,6 @@ def float_array(values: np.ndarray) -> np.ndarray:
     size = np.abs(values[np.isfinite(values) & (values != 0.0)])
     fits = not size.size or bool(size.max() < 1e38 and size.min() > 1e-37)
     return values.astype(np.float32) if fits else values
-
-
-def _packed(array: np.ndarray) -> dict[str, Any]:
-    """One entry of a store."""
-    little = array.astype(array.dtype.newbyteorder("<"))
-    columns = little.view(np.uint8).reshape(array.size, array.itemsize).T
-    compressed = zlib.compress(np.ascontiguousarray(columns).tobytes(), _LEVEL)
-    return {
-        "type": _TYPES[array.dtype.name],
-        "size": array.size,
-        "data": base64.b64encode(compressed).decode("ascii"),
-    }
 
 
 MAX_POINTS = 120_000
@@ -474,23 +445,20 @@ class Layout:
     notes: list[str]  # sentences about what is left out
 
     @property
+    def sizes(self) -> dict[str, int]:
+        """Number of values along each dimension of the points."""
+        return {dim: self.ds.sizes[dim] for dim in self.dims}
+
+    @property
     def shape(self) -> tuple[int, ...]:
         """Shape of the points."""
-        return tuple(self.ds.sizes[dim] for dim in self.dims)
+        return tuple(self.sizes.values())
 
-    def is_log(self, dim: str) -> bool:
-        """Whether an axis is spaced evenly in its logarithm."""
-        return is_logarithmic(self.scene, dim, self.ds[dim].values)
-
-    def slices(self) -> Iterator[tuple[tuple[int, ...], xr.Dataset]]:
-        """Each map: its indices along the further axes, and the part of the atlas that it shows."""
+    def slices(self) -> Iterator[tuple[tuple[int | slice, ...], xr.Dataset]]:
+        """Each map: the index of its points in an array over all points, and the part of the atlas that it shows."""
         for index in np.ndindex(*(self.ds.sizes[dim] for dim in self.further)):
-            yield index, self.ds.isel(dict(zip(self.further, index, strict=True)))
-
-    def points_of_slice(self, index: tuple[int, ...]) -> tuple[int | slice, ...]:
-        """Index of the points of one map in an array over all points; index: along the further axes."""
-        along = dict(zip(self.further, index, strict=True))
-        return tuple(along.get(dim, slice(None)) for dim in self.dims)
+            along = dict(zip(self.further, index, strict=True))
+            yield tuple(along.get(dim, slice(None)) for dim in self.dims), self.ds.isel(along)
 
 
 def layout(ds: xr.Dataset, max_points: int = MAX_POINTS) -> Layout:
@@ -513,32 +481,15 @@ def layout(ds: xr.Dataset, max_points: int = MAX_POINTS) -> Layout:
     if not single:
         shown = shown.sortby(dims)
     shown = shown.load()
-    axes = scatter_axes(shown, None, None) if single else _longest(shown, dims)
+    longest_two = sorted(dims, key=lambda dim: -shown.sizes[dim])[:2]
+    axes = scatter_axes(shown, None, None) if single else [dim for dim in dims if dim in longest_two]
     further = [] if single else [dim for dim in dims if dim not in axes]
-    return Layout(ds, shown, scene, dims, axes, further, single, _stride_notes(ds, size, stride))
-
-
-def _longest(ds: xr.Dataset, dims: list[str]) -> list[str]:
-    """The two longest axes, in the order of the atlas."""
-    longest = sorted(dims, key=lambda dim: -ds.sizes[dim])[:2]
-    return [dim for dim in dims if dim in longest]
-
-
-def _stride_notes(ds: xr.Dataset, size: dict[str, int], stride: dict[str, int]) -> list[str]:
-    """A sentence about the points that are left out."""
-    left_out = {dim: k for dim, k in stride.items() if k > 1}
-    if not left_out:
-        return []
-    shown = int(np.prod([-(-size[dim] // stride[dim]) for dim in size]))
-    total = int(np.prod(list(size.values())))
-    which = " and ".join(
-        f"{_ordinal(k)} {'point' if dim == POINT else f'value of {text.axis_label(ds, dim, unit=False)}'}"
-        for dim, k in left_out.items()
-    )
-    return [f"This page shows every {which}: {shown} of {total} points."]
-
-
-def _ordinal(number: int) -> str:
-    """2nd, 3rd, 4th, 11th, 22nd."""
-    ending = "th" if number % 100 in (11, 12, 13) else {1: "st", 2: "nd", 3: "rd"}.get(number % 10, "th")
-    return f"{number}{ending}"
+    left_out: list[str] = []
+    for dim, k in stride.items():
+        if k > 1:
+            ending = "th" if k % 100 in (11, 12, 13) else {1: "st", 2: "nd", 3: "rd"}.get(k % 10, "th")
+            what = "point" if dim == POINT else f"value of {axis_label(ds, dim, unit=False)}"
+            left_out.append(f"{k}{ending} {what}")
+    counts = f"{math.prod(shown.sizes[dim] for dim in dims)} of {math.prod(size.values())} points"
+    notes = [f"This page shows every {' and '.join(left_out)}: {counts}."] if left_out else []
+    return Layout(ds, shown, scene, dims, axes, further, single, notes)

@@ -5,24 +5,24 @@ from __future__ import annotations
 import ast
 import math
 from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import Any
 
 import numpy as np
 import xarray as xr
 
-from ..analysis.metadata import axes_of, number_attribute
+from ..analysis.metadata import axes_of, settings_of
 from ..engine import assemble
 from ..engine.ensemble import Ensemble
 from ..engine.losses import with_frame_vector
 from ..engine.simplify import simplify
 from ..engine.stepsize import StepSizes
 from ..engine.tableaux import METHODS
-from ..errors import BadInput, attribute_text
+from ..errors import BadInput
 from ..label.trajectory import frame_vector
 from ..scene import grid
-from ..scene.model import DEFAULTS, Duration, Scene, Settings
+from ..scene.model import Duration, Scene
 from ..systems import arithmetic
 from ..systems.base import Array, System
 
@@ -37,11 +37,9 @@ class Motions:
     """Start values of the points of an atlas, each array of shape (..., *points)."""
 
     parameters: dict[str, Array]  # parameter -> value at the start, nan where it is not given
-    # As in `engine.ensemble.Ensemble`; of a body whose equations have no `axis_in_frame` the state is
-    # followed by the first axis of the frame
+    # Both as in `engine.ensemble.Ensemble`; of a body whose equations have no `axis_in_frame` the state is followed by
+    # the first axis of the frame.
     state: Array
-    # As in `engine.ensemble.Ensemble`; of a body whose equations have no `axis_in_frame` the state is
-    # followed by the first axis of the frame
     constants: Array
     duration: Array  # length of the run in time units
     steps: np.ndarray  # steps from one instant of the trajectory to the next
@@ -52,7 +50,7 @@ class Motions:
 
 def sources(system: System, method: str) -> dict[str, str]:
     """Sources of the Python functions that integrate a point and show its motion; states as in `Motions`."""
-    equations = _equations(system)
+    equations = system.equations if system.observables else with_frame_vector(system.equations)
     texts = arithmetic.functions(equations)
     observables = [observable.name for observable in system.observables]
     chosen = {name: texts[name] for name in (*_KERNEL, *_OF_BODY, *observables) if name in texts}
@@ -69,97 +67,74 @@ def sources(system: System, method: str) -> dict[str, str]:
     return chosen
 
 
-def _equations(system: System) -> Any:
-    """The equations with what shows a body in its frame."""
-    return system.equations if system.observables else with_frame_vector(system.equations)
-
-
 def motions(ds: xr.Dataset, system: System, scene: Scene | None, dims: list[str]) -> Motions:
     """Starts of all points, as `ds.atlas.trajectory` integrates them; BadInput where a value is missing."""
-    shape = tuple(ds.sizes[dim] for dim in dims)
+    sizes = {dim: ds.sizes[dim] for dim in dims}
+
+    def column(name: str) -> Array:
+        """Values of a variable at every point, in C order of the dimensions of the points."""
+        return over_points(ds[name], sizes).astype(np.float64).ravel()
+
     if scene is None:
-        parameters, duration, settings = _single_points(ds, system, dims)
+        if "end_time" not in ds:
+            raise BadInput("end_time: not in this dataset; a trajectory needs it to end where the point did")
+        parameters = {}
+        for name, parameter in system.parameters.items():
+            if name in ds.coords:
+                parameters[name] = column(name)
+            elif math.isnan(parameter.default):
+                parameters[name] = np.full(math.prod(sizes.values()), math.nan)
+            else:
+                raise BadInput(f"{name}: this parameter of the points is not in the dataset")
+        duration, settings = column("end_time"), settings_of(ds)
         reason, family, unit = grid.reasons(system, parameters), None, Duration()
     else:
-        located = _points_of_scene(ds, scene, dims)
+        coordinates = {}
+        for dim, axis in axes_of(scene).items():
+            if dim not in ds.coords or not set(ds[dim].dims) <= set(dims):
+                raise BadInput(f"{dim}: this axis of the scene is not in the dataset")
+            coordinates[axis.name] = column(dim)
+        located = grid.points_at(scene, coordinates)
         parameters, duration, settings = located.points, located.duration, scene.settings
         reason = located.reason
         family, unit = scene.family, scene.duration
     sentences = [grid.sentence(each, system, family, unit) if each else "" for each in grid.Reason]
     ensemble = Ensemble.of(system, parameters)
     state = ensemble.state
-    if _equations(system) is not system.equations:
+    if not system.observables and with_frame_vector(system.equations) is not system.equations:
         state = np.concatenate([state, frame_vector(system, parameters, state, ensemble.constants)])
     with np.errstate(all="ignore"):
-        sizes = StepSizes.of(
+        step_sizes = StepSizes.of(
             settings, ensemble.frequency_bound, np.where(np.isfinite(duration), duration, 0.0)
         )
-    count = _recorded_steps(ds, dims, duration, sizes.steps) if system.has_numeric_bound else sizes.steps
+        count = step_sizes.steps
+        if system.has_numeric_bound:  # the steps in the atlas follow from a bound along each motion
+            if "step" not in ds:
+                raise BadInput(
+                    "step: not in this dataset; the frequency bound of this system is numeric, and its steps are those"
+                    " recorded"
+                )
+            recorded = np.rint(duration / column("step"))
+            valid = np.isfinite(recorded) & (recorded >= 1)
+            count = np.where(valid, recorded, count).astype(np.int64)
     # As label.trajectory: whole steps between the instants, never longer than in the atlas.
     steps = -(-count // (SAMPLES - 1))
 
-    def over_points(values: np.ndarray) -> np.ndarray:
+    def shaped(values: np.ndarray) -> np.ndarray:
         """An array with the points along its last axis, over their dimensions."""
-        return values.reshape(*values.shape[:-1], *shape)
+        return values.reshape(*values.shape[:-1], *sizes.values())
 
     return Motions(
-        {name: over_points(values) for name, values in parameters.items()},
-        over_points(state), over_points(ensemble.constants), over_points(duration), over_points(steps),
-        over_points(reason), sentences, settings.method,
+        {name: shaped(values) for name, values in parameters.items()},
+        shaped(state), shaped(ensemble.constants), shaped(duration), shaped(steps), shaped(reason), sentences,
+        settings.method,
     )  # fmt: skip
 
 
-def _recorded_steps(ds: xr.Dataset, dims: list[str], duration: Array, default: np.ndarray) -> np.ndarray:
-    """Numbers of steps in the atlas, which follow from a frequency bound along each motion, or `default`."""
-    if "step" not in ds:
-        raise BadInput(
-            "step: not in this dataset; the frequency bound of this system is numeric, and its steps are those recorded"
-        )
-    step = _over_points(ds, "step", dims)
-    with np.errstate(all="ignore"):
-        recorded = np.rint(duration / step)
-    return np.where(np.isfinite(recorded) & (recorded >= 1), recorded, default).astype(np.int64)
-
-
-def _points_of_scene(ds: xr.Dataset, scene: Scene, dims: list[str]) -> grid.Grid:
-    """The points of a scene at the coordinates of an atlas, in C order of its dimensions."""
-    coordinates = {}
-    for dim, axis in axes_of(scene).items():
-        if dim not in ds.coords or not set(ds[dim].dims) <= set(dims):
-            raise BadInput(f"{dim}: this axis of the scene is not in the dataset")
-        coordinates[axis.name] = _over_points(ds, dim, dims)
-    return grid.points_at(scene, coordinates)
-
-
-def _over_points(ds: xr.Dataset, name: str, dims: list[str]) -> Array:
-    """Values of a variable at every point, in C order of the dimensions of the points."""
-    array = ds[name]
-    whole = array.expand_dims({dim: ds.sizes[dim] for dim in dims if dim not in array.dims})
-    return np.asarray(whole.transpose(*dims).values, np.float64).ravel()
-
-
-def _single_points(
-    ds: xr.Dataset, system: System, dims: list[str]
-) -> tuple[Mapping[str, Array], Array, Settings]:
-    """Parameters, durations and settings of points that come from no scene; see analysis.rerun."""
-    if "end_time" not in ds:
-        raise BadInput("end_time: not in this dataset; a trajectory needs it to end where the point did")
-    parameters = {}
-    for name, parameter in system.parameters.items():
-        if name in ds.coords:
-            parameters[name] = _over_points(ds, name, dims)
-        elif math.isnan(parameter.default):
-            parameters[name] = np.full(math.prod(ds.sizes[dim] for dim in dims), math.nan)
-        else:
-            raise BadInput(f"{name}: this parameter of the points is not in the dataset")
-    step = number_attribute(ds, "atlas_step")
-    settings = Settings(
-        method=attribute_text(ds.attrs, "atlas_method"),
-        step=step if math.isfinite(step) else None,
-        tolerance=DEFAULTS.tolerance if math.isfinite(step) else number_attribute(ds, "atlas_tolerance"),
-        rate_tolerance=number_attribute(ds, "atlas_rate_tolerance"),
-    )
-    return parameters, _over_points(ds, "end_time", dims), settings
+def over_points(array: xr.DataArray, sizes: Mapping[str, int]) -> np.ndarray:
+    """Values of an array over some dimensions of the points, whose names and sizes these are, over all of them."""
+    whole = array.expand_dims({dim: size for dim, size in sizes.items() if dim not in array.dims})
+    return np.asarray(whole.transpose(*sizes).values)
 
 
 # Functions of numbers, by their Python names without the module.
@@ -215,6 +190,16 @@ def _name(name: str) -> str:
     return f"{name}$" if name in _RESERVED else name
 
 
+def _without_module(node: ast.expr) -> str:
+    """A name such as sqrt, of sqrt or math.sqrt; empty for anything else."""
+    match node:
+        case ast.Name(id=name):
+            return name
+        case ast.Attribute(value=ast.Name(id=module), attr=name) if module in _MODULES:
+            return name
+    return ""
+
+
 class _Function:
     """Translation of one function."""
 
@@ -263,9 +248,10 @@ class _Function:
                 return []  # a docstring
             case ast.Return(value=ast.expr() as value):
                 return [f"{indent}return {self.expression(value)};"]
-            case ast.Assign(targets=[target], value=value):
-                return [indent + line for line in self.assignment(target, value)]
-            case ast.AnnAssign(target=ast.Name() as target, value=ast.expr() as value):
+            case (
+                ast.Assign(targets=[target], value=value)
+                | ast.AnnAssign(target=ast.Name() as target, value=ast.expr() as value)
+            ):
                 return [indent + line for line in self.assignment(target, value)]
             case ast.AugAssign(target=ast.Name(id=name) as target, op=op, value=value):
                 total = ast.BinOp(ast.Name(name, ast.Load()), op, value)
@@ -279,41 +265,29 @@ class _Function:
 
     def assignment(self, target: ast.expr, value: ast.expr) -> list[str]:
         """Lines that assign a value to a name, or the items of a tuple to several at once."""
-        match target:
-            case ast.Name(id=name):
-                text = self.expression(value)
-                self.locals[name] = None
-                return [f"{_name(name)} = {text};"]
-            case ast.Tuple(elts=targets) | ast.List(elts=targets):
-                items: list[str]
-                if isinstance(value, ast.Tuple | ast.List):
-                    if len(value.elts) != len(targets):
-                        raise self.fault(value)
-                    items = [self.temporary() for _ in targets]
-                    lines = [
-                        f"{item} = {self.expression(element)};"
-                        for item, element in zip(items, value.elts, strict=True)
-                    ]
-                else:
-                    whole = self.temporary()
-                    lines = [f"{whole} = {self.expression(value)};"]
-                    items = [f"{whole}[{i}]" for i in range(len(targets))]
-                for each, item in zip(targets, items, strict=True):
-                    lines += self.assigned_item(each, item)
-                return lines
-        raise self.fault(target)
+        if isinstance(target, ast.Name):
+            return self.assigned(target, self.expression(value))
+        if isinstance(target, ast.Tuple | ast.List) and isinstance(value, ast.Tuple | ast.List):
+            if len(value.elts) != len(target.elts):
+                raise self.fault(value)
+            items = [self.temporary() for _ in target.elts]
+            lines = [
+                f"{item} = {self.expression(each)};" for item, each in zip(items, value.elts, strict=True)
+            ]
+            for each, item in zip(target.elts, items, strict=True):
+                lines += self.assigned(each, item)
+            return lines
+        whole = self.temporary()
+        return [f"{whole} = {self.expression(value)};", *self.assigned(target, whole)]
 
-    def assigned_item(self, target: ast.expr, text: str) -> list[str]:
-        """Lines that assign translated text to a name, or to a tuple of names."""
+    def assigned(self, target: ast.expr, text: str) -> list[str]:
+        """Lines that assign translated text to a name, or its items to a tuple of names."""
         if isinstance(target, ast.Name):
             self.locals[target.id] = None
             return [f"{_name(target.id)} = {text};"]
         if isinstance(target, ast.Tuple | ast.List):
-            return [
-                line
-                for i, each in enumerate(target.elts)
-                for line in self.assigned_item(each, f"{text}[{i}]")
-            ]
+            items = enumerate(target.elts)
+            return [line for i, each in items for line in self.assigned(each, f"{text}[{i}]")]
         raise self.fault(target)
 
     def temporary(self) -> str:
@@ -330,12 +304,8 @@ class _Function:
                 return self.number(float(value))
             case ast.Name(id=name) if name in self.locals or name in self.parameters:
                 return _name(name)
-            case ast.Name(id=name) if name in _NUMBERS:
-                return _NUMBERS[name]
-            case ast.Attribute(value=ast.Name(id=module), attr=name) if (
-                module in _MODULES and name in _NUMBERS
-            ):
-                return _NUMBERS[name]
+            case ast.Name() | ast.Attribute() if _without_module(node) in _NUMBERS:
+                return _NUMBERS[_without_module(node)]
             case ast.UnaryOp(op=ast.USub(), operand=operand):
                 return f"(-{self.expression(operand)})"
             case ast.UnaryOp(op=ast.UAdd(), operand=operand):
@@ -362,7 +332,12 @@ class _Function:
             case ast.Subscript(value=value, slice=index):
                 return self.subscript(node, value, index)
             case ast.Call(func=function, args=arguments, keywords=[]):
-                return f"{self.function(function)}({', '.join(map(self.expression, arguments))})"
+                name = _without_module(function)
+                own = isinstance(function, ast.Name) and name in self.functions
+                if not own and name not in _FUNCTIONS:
+                    raise self.fault(function)
+                called = _name(name) if own else _FUNCTIONS[name]
+                return f"{called}({', '.join(map(self.expression, arguments))})"
         raise self.fault(node)
 
     def number(self, value: float) -> str:
@@ -419,23 +394,8 @@ class _Function:
         """A constant index."""
         if index is None:
             return missing
-        try:
+        with suppress(ValueError):
             value = ast.literal_eval(index)
-        except ValueError:
-            raise self.fault(node) from None
-        if not isinstance(value, int) or isinstance(value, bool):
-            raise self.fault(node)
-        return str(value)
-
-    def function(self, node: ast.expr) -> str:
-        """The function of a call."""
-        match node:
-            case ast.Name(id=name) if name in self.functions:
-                return _name(name)
-            case ast.Name(id=name) if name in _FUNCTIONS:
-                return _FUNCTIONS[name]
-            case ast.Attribute(value=ast.Name(id=module), attr=name) if (
-                module in _MODULES and name in _FUNCTIONS
-            ):
-                return _FUNCTIONS[name]
+            if isinstance(value, int) and not isinstance(value, bool):
+                return str(value)
         raise self.fault(node)

@@ -82,40 +82,29 @@ def atlas_page(ds: xr.Dataset, *, file: str = "", max_points: int = MAX_POINTS) 
     coordinates have all, so that a trajectory equals `ds.atlas.trajectory` but for rounding: the compiled
     kernel fuses products and sums, a browser does not.
     """
-    system_of(ds)
+    system, scene = system_of(ds), scene_of(ds)
     file = file or Path(str(ds.encoding.get("source", "atlas.nc"))).name
-    script, fault = _equations(ds)
+    method = attribute_text(ds.attrs, "atlas_method") if scene is None else scene.settings.method
+    checks.choice("damaged: the attribute atlas_method", method, METHODS)
+    script, fault = "", {}
+    try:
+        texts = sources(system, method)
+        script = f"{translate(texts)}\nreturn {{{', '.join(texts)}}};"
+    except CannotTranslate as error:
+        fault["fault"] = f"The equations of this system cannot be translated for this page: {error}"
     count = max_points
     while True:
         shown = layout(ds, count)
         content = Content(shown, file)
-        table = content.table(_motion(content, fault))
+        try:
+            motions = fault or content.motion_table()
+        except BadInput as error:
+            motions = {"fault": f"No motions in this page: {error}"}
+        table = content.table(motions)
         if content.store.nbytes <= MAX_BYTES or count < 1000:
             break
         count = int(count * min(0.9, MAX_BYTES / content.store.nbytes))
     return Page(_assembled(table, script, _fallback(shown)))
-
-
-def _equations(ds: xr.Dataset) -> tuple[str, str]:
-    """The equations of an atlas in JavaScript, and why there are none; one of the two texts is empty."""
-    scene, system = scene_of(ds), system_of(ds)
-    method = attribute_text(ds.attrs, "atlas_method") if scene is None else scene.settings.method
-    checks.choice("damaged: the attribute atlas_method", method, METHODS)
-    try:
-        texts = sources(system, method)
-        return f"{translate(texts)}\nreturn {{{', '.join(texts)}}};", ""
-    except CannotTranslate as error:
-        return "", f"The equations of this system cannot be translated for this page: {error}"
-
-
-def _motion(content: Content, fault: str) -> dict[str, Any]:
-    """The table from which the page integrates points, or one that states why it cannot."""
-    if fault:
-        return {"fault": fault}
-    try:
-        return content.motion_table()
-    except BadInput as error:
-        return {"fault": f"No motions in this page: {error}"}
 
 
 def _fallback(shown: Layout) -> str:

@@ -6,7 +6,7 @@ import re
 import unicodedata
 from typing import Any
 
-from ..plotting.text import GREEK
+from ..plotting.style import GREEK
 
 Run = dict[str, Any]
 

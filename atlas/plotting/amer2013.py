@@ -15,9 +15,8 @@ from matplotlib.lines import Line2D
 from matplotlib.ticker import MaxNLocator
 
 from ..errors import BadInput
-from ..papers.amer2013 import claims, fast_spin, published
+from ..papers.amer2013 import fast_spin, published
 from ..papers.amer2013.claims import Row
-from ..papers.amer2013.fast_spin import FastSpin
 from ..systems.base import Array
 from .style import COLOURS, STYLE, WIDTHS
 
@@ -40,6 +39,11 @@ class PaperFigure:
     phase_plane: bool
     numerical: bool
     rotors: tuple[float, ...]  # l1 = l2 = l3, N m s
+
+    @property
+    def M3(self) -> float:
+        """Amplitude of gamma2 without a rotor."""
+        return float(fast_spin.paper_body(self.body, 0.0).M3)
 
     @property
     def caption(self) -> str:
@@ -91,8 +95,14 @@ def curves(figure: PaperFigure, tau: Array) -> dict[str, Array]:
             "(1)": fast_spin.to_quasilinear(spin, full),
             "(15), true": rk4(lambda x: fast_spin.quasilinear(spin, x), x0, tau),
         }
-    times = tau[:, None]
-    p0 = x0[0]
+    times, h, p0 = tau[:, None], 1e-3, x0[0]
+
+    def printed(tau: Array) -> Array:
+        """(33) as printed in the variables (10) as printed."""
+        return np.array(published.to_quasilinear(spin, published.first_order(spin, tau)))
+
+    near, far = (printed(times + k * h) - printed(times - k * h) for k in (1, 2))
+    (p2, gamma2), (p2_dot, gamma2_dot) = printed(times), (8 * near - far) / (12 * h)  # of order four
     slow = np.sqrt(published.frequency_squared(spin))
     return {
         "(20), printed": np.array(
@@ -103,22 +113,10 @@ def curves(figure: PaperFigure, tau: Array) -> dict[str, Array]:
                 -spin.M3 * np.sin(times),
             )
         ),
-        "(33), printed": _printed_first_order(spin, times),
+        "(33), printed": np.array([p2, p2_dot, gamma2, gamma2_dot]),
         "general": fast_spin.to_quasilinear(spin, fast_spin.general(spin, y0, times)),
         "(33), true": fast_spin.to_quasilinear(spin, fast_spin.first_order(spin, times)),
     }
-
-
-def _printed_first_order(spin: FastSpin, tau: Array) -> Array:
-    """(33) as printed in the variables (10) as printed; the derivatives by differences of order four."""
-
-    def solution(times: Array) -> Array:
-        return np.array(published.to_quasilinear(spin, published.first_order(spin, times)))
-
-    h = 1e-3
-    near, far = (solution(tau + k * h) - solution(tau - k * h) for k in (1, 2))
-    (p2, gamma2), (p2_dot, gamma2_dot) = solution(tau), (8 * near - far) / (12 * h)
-    return np.array([p2, p2_dot, gamma2, gamma2_dot])
 
 
 # Whether a figure is numerical -> two columns, each with its title and the label of each source in `curves`.
@@ -175,7 +173,7 @@ def _two_columns(figure: PaperFigure, tau: Array, solutions: dict[str, Array]) -
     else:
         rows = {"value": {name: (time, path[row]) for name, path in solutions.items()}}
     if figure.quantity == "gamma2":
-        harmonic = _M3(figure) * np.cos(time)
+        harmonic = figure.M3 * np.cos(time)
         rows["difference"] = {name: (time, path[row] - harmonic) for name, path in solutions.items()}
     fig = Figure(figsize=(WIDTHS["page"] / 25.4, (30.0 + 44.0 * len(rows)) / 25.4), layout="constrained")
     axes = fig.subplots(len(rows), 2, sharex=True, sharey="row", squeeze=False)
@@ -187,13 +185,30 @@ def _two_columns(figure: PaperFigure, tau: Array, solutions: dict[str, Array]) -
             coincide |= shared
             if number == 0:
                 _add_legend(ax, title, handles, list(sources.values()))
-    _label_axes(axes, figure)
+    for ax in axes.ravel():
+        ax.tick_params(length=2.5)
+        ax.yaxis.set_major_locator(MaxNLocator(5))
+    unit = r" (units of $c\sqrt{\gamma_0''}$)" if figure.quantity == "p2" else ""
+    label = f"${SYMBOLS[figure.quantity]}${unit}"
+    if figure.phase_plane:
+        axes[0, 0].set_ylabel(rf"$\dot {SYMBOLS[figure.quantity]}${unit}")
+        for ax in axes[-1]:
+            ax.set_xlabel(label)
+            ax.xaxis.set_major_locator(MaxNLocator(5))
+        return fig, coincide
+    axes[0, 0].set_ylabel(label)
+    for ax in axes[-1]:
+        ax.set_xlabel(r"$\tau = r_0 t$")
+        ax.set_xlim(0, END)
+        ax.set_xticks(np.pi * np.arange(5), ["0", *(rf"${k or ''}\pi$" for k in ("", 2, 3, 4))])
+    if len(axes) > 1:
+        axes[1, 0].set_ylabel(r"$\gamma_2 - M_3 \cos\tau$")
     return fig, coincide
 
 
 def _gamma2_plane(figure: PaperFigure, tau: Array, solutions: dict[str, Array]) -> Figure:
     """The phase plane of gamma2 once, and in the first turn the differences of the solutions from a circle."""
-    M3, time = _M3(figure), tau[:, None]
+    M3, time = figure.M3, tau[:, None]
     circle, turn = M3 * np.array([np.cos(time), -np.sin(time)]), tau <= 2 * np.pi
     fig = Figure(figsize=(WIDTHS["page"] / 25.4, 74.0 / 25.4), layout="constrained")
     plane, *panels = fig.subplots(1, 3)
@@ -219,11 +234,6 @@ def _gamma2_plane(figure: PaperFigure, tau: Array, solutions: dict[str, Array]) 
         for axis in (ax.xaxis, ax.yaxis):
             axis.set_major_locator(MaxNLocator(4))
     return fig
-
-
-def _M3(figure: PaperFigure) -> float:
-    """Amplitude of gamma2 without a rotor."""
-    return float(fast_spin.paper_body(figure.body, 0.0).M3)
 
 
 def _draw_sources(
@@ -271,28 +281,6 @@ def _add_legend(ax: Axes, title: str, handles: list[Line2D], labels: list[str], 
     )  # fmt: skip
 
 
-def _label_axes(axes: np.ndarray, figure: PaperFigure) -> None:
-    """Ticks and labels of the panels, an array of shape (rows, 2)."""
-    for ax in axes.ravel():
-        ax.tick_params(length=2.5)
-        ax.yaxis.set_major_locator(MaxNLocator(5))
-    unit = r" (units of $c\sqrt{\gamma_0''}$)" if figure.quantity == "p2" else ""
-    label = f"${SYMBOLS[figure.quantity]}${unit}"
-    if figure.phase_plane:
-        axes[0, 0].set_ylabel(rf"$\dot {SYMBOLS[figure.quantity]}${unit}")
-        for ax in axes[-1]:
-            ax.set_xlabel(label)
-            ax.xaxis.set_major_locator(MaxNLocator(5))
-        return
-    axes[0, 0].set_ylabel(label)
-    for ax in axes[-1]:
-        ax.set_xlabel(r"$\tau = r_0 t$")
-        ax.set_xlim(0, END)
-        ax.set_xticks(np.pi * np.arange(5), ["0", *(rf"${k or ''}\pi$" for k in ("", 2, 3, 4))])
-    if len(axes) > 1:
-        axes[1, 0].set_ylabel(r"$\gamma_2 - M_3 \cos\tau$")
-
-
 def amplitude_table(rows: Sequence[Row]) -> list[tuple[str, ...]]:
     """Rows of `claims.figure_table` as text to six digits, below a heading."""
     heading = (
@@ -301,23 +289,16 @@ def amplitude_table(rows: Sequence[Row]) -> list[tuple[str, ...]]:
         "gamma2 amplitude", "period", "max |gamma2 - M3 cos tau|", "unit of p2, rad/s",
     )  # fmt: skip
     table: list[tuple[str, ...]] = [heading]
+
+    def six(value: float) -> str:
+        """A number to six digits; a dash for nan."""
+        return "-" if np.isnan(value) else "0" if value == 0 else f"{value:#.6g}"
+
     for r in rows:
         values = (
             r.start, r.centre, r.amplitude, r.period, r.waves, r.largest, r.centre_theory, r.period_theory,
             r.centre_printed, r.amplitude_printed, r.period_printed, r.gamma2_amplitude, r.gamma2_period,
         )  # fmt: skip
         change = f"{r.gamma2_change:.3g}" if r.gamma2_change > 1e-10 else "< 1e-10"  # below: rounding
-        table.append((r.body, f"{r.rotor:g}", *map(_six, values), change, _six(r.unit)))
+        table.append((r.body, f"{r.rotor:g}", *map(six, values), change, six(r.unit)))
     return table
-
-
-def _six(value: float) -> str:
-    """A number to six digits; a dash for nan."""
-    return "-" if np.isnan(value) else "0" if value == 0 else f"{value:#.6g}"
-
-
-def amplitudes_and_claims() -> tuple[list[tuple[str, ...]], list[str]]:
-    """`amplitude_table` of the paper's bodies, and the text of each of the paper's claims after its verdict."""
-    rows = claims.figure_table()
-    texts = [f"{claim.verdict}: {claim.text}\n  {claim.measured}" for claim in claims.claims(rows)]
-    return amplitude_table(rows), texts

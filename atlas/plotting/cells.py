@@ -25,18 +25,10 @@ from matplotlib.ticker import FixedLocator, LogLocator, MaxNLocator, NullFormatt
 
 from ..analysis.boundary import CHANGE, EXISTENCE, KINDS, LABEL, RESONANCES, STABILITY
 from ..analysis.metadata import flag_names, scene_of
-from ..analysis.select import cell_edges
 from ..flags import Regularity
 from ..systems.base import Mask
-from .content import NOT_YET, SLOW, Panel
-from .options import MapOptions
+from .content import NOT_YET, SLOW, MapOptions, Panel
 from .style import COLOURS
-
-
-def edges_of(array: xr.DataArray, dims: list[str], log: list[bool]) -> list[np.ndarray]:
-    """Edges of the cells along x and y; a strip has the y edges 0 and 1."""
-    edges = [cell_edges(array[dim].values, is_log) for dim, is_log in zip(dims, log, strict=True)]
-    return edges if len(edges) == 2 else [edges[0], np.array([0.0, 1.0])]
 
 
 def draw_values(
@@ -45,7 +37,14 @@ def draw_values(
     """Draw the cells of an array, or its line if it has one axis and no flags; returns the cells."""
     ax.set_xlim(edges[0][0], edges[0][-1])
     if array.ndim == 1 and not flag_names(array):
-        _draw_line(ax, array, scale, label)
+        values = array.values
+        if scale.log_range is not None:
+            low, high = scale.log_range
+            ax.set_yscale("log")
+            ax.set_ylim(0.5 * low, 2 * high)
+            values = np.where(values > 0, values, np.nan)
+        ax.plot(array[array.dims[0]].values, values, color=COLOURS["regular_precession"])
+        ax.set_ylabel(label)
         return None
     if array.ndim == 1:
         ax.set_yticks([])
@@ -53,18 +52,6 @@ def draw_values(
     image = ax.pcolormesh(*edges, values, cmap=scale.colormap, norm=scale.norm, rasterized=True)
     ax.set_ylim(edges[1][0], edges[1][-1])
     return image
-
-
-def _draw_line(ax: Axes, array: xr.DataArray, scale: ColorScale, label: str) -> None:
-    """Draw a variable over one axis."""
-    values = array.values
-    if scale.log_range is not None:
-        low, high = scale.log_range
-        ax.set_yscale("log")
-        ax.set_ylim(0.5 * low, 2 * high)
-        values = np.where(values > 0, values, np.nan)
-    ax.plot(array[array.dims[0]].values, values, color=COLOURS["regular_precession"])
-    ax.set_ylabel(label)
 
 
 def set_axis(ax: Axes, which: str, log: bool, *, inner: bool) -> None:
@@ -122,15 +109,18 @@ def color_scale(array: xr.DataArray, options: MapOptions) -> ColorScale:
         bound = max(-low, high)
         signed = colormaps["cividis"] if options.cmap is None else colormap
         return ColorScale(signed, Normalize(-bound, bound))
-    if high > 0:
-        min_positive = float(finite[finite > 0].min())
-        if high > MIN_LOG_RATIO * min_positive:
-            floor = max(min_positive, high * 10.0**-MAX_DECADES)
-            extend = "min" if low < floor else "neither"
-            return ColorScale(colormap, LogNorm(floor, high), extend, (floor, high))
+    if high > 0 and high > MIN_LOG_RATIO * float(finite[finite > 0].min()):
+        return _log_scale(colormap, finite, MAX_DECADES)
     if low == high:
         low, high = low - 0.5, high + 0.5
     return ColorScale(colormap, Normalize(low, high))
+
+
+def _log_scale(colormap: Colormap, values: np.ndarray, decades: int) -> ColorScale:
+    """Logarithmic scale of numbers, some of them positive, that ends at most `decades` below the largest."""
+    high = float(values.max())
+    low = max(float(values[values > 0].min()), high * 10.0**-decades)
+    return ColorScale(colormap, LogNorm(low, high), "min" if values.min() < low else "neither", (low, high))
 
 
 def add_color_bar(
@@ -163,11 +153,7 @@ def exponent_scale(ds: xr.Dataset, name: str) -> ColorScale | None:
     values = values[values > 0]
     if not values.size or values.max() == values.min():
         return None
-    low, high = (
-        max(float(values.min()), 10.0**-MAX_EXPONENT_DECADES * float(values.max())),
-        float(values.max()),
-    )
-    return ColorScale(_COLOURS, LogNorm(low, high), "min" if low > values.min() else "neither", (low, high))
+    return _log_scale(_COLOURS, values, MAX_EXPONENT_DECADES)
 
 
 def draw_exponents(
@@ -179,13 +165,6 @@ def draw_exponents(
     return ax.pcolormesh(
         *edges, np.atleast_2d(chaotic), cmap=scale.colormap, norm=scale.norm, rasterized=True, zorder=1.1
     )
-
-
-def hatch_undecided(ax: Axes, array: xr.DataArray, edges: list[np.ndarray]) -> None:
-    """Hatch the undecided cells of a map of regularity."""
-    undecided = np.atleast_2d(array.values == Regularity.UNDECIDED)
-    if undecided.any():
-        draw_hatching(ax, undecided, edges, HATCHES[UNDECIDED])
 
 
 def texts(ds: xr.Dataset) -> Mapping[str, str]:

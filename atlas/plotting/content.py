@@ -1,24 +1,29 @@
-"""What the panels of a map show: values, why some are missing, and what theory adds."""
+"""What a map shows: the options of the caller; values, why some are missing, and what theory adds."""
 
 from __future__ import annotations
 
 import logging
 import re
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
 import xarray as xr
+from matplotlib import colormaps
+from matplotlib.axes import Axes
+from matplotlib.colors import Colormap, is_color_like
 from scipy.ndimage import distance_transform_edt
 
 from ..analysis.boundary import CHANGE, EXISTENCE, RESONANCES, STABILITY, theory_lines
 from ..analysis.compare import MAX_SURVIVED_GROWTH
 from ..analysis.metadata import axes_of, flag_names, is_averaged
 from ..analysis.plane import Plane, family_curves
-from ..errors import BadInput, attribute_text
+from ..errors import BadInput, attribute_text, shown
 from ..flags import Label, Stability
+from ..scene.checks import choice
 from ..scene.model import Scene
 from ..systems.base import Mask
+from .style import WIDTHS, Width, drawable, flag_colours
 
 # Why a cell of a map is white.
 NO_BODY, NO_MOTION, NOT_YET, NO_VALUE = "no such body", "no such motion", "not computed yet", "no value"
@@ -38,25 +43,35 @@ class Panel:
     array: xr.DataArray  # values over one axis, or over two with x last
     white: Mapping[str, Mask]  # why there is no value -> the cells, bool of the shape of the array
     slow: Mask  # cells of unstable motions that had no time to drift, bool of the shape of the array
-    borders: Lines = field(default_factory=dict)  # kind of border, family -> lines
-    families: Lines = field(default_factory=dict)  # kind of border, family -> lines
+    borders: Lines = field(default_factory=dict)  # kind of border -> lines
+    families: Lines = field(default_factory=dict)  # family -> lines
 
 
 def panel_of(ds: xr.Dataset, name: str, dims: list[str], scene: Scene | None, boundary: bool) -> Panel:
     """Content of a panel over one or two axes (x first), in memory."""
-    order = dims[::-1]
     needed = [
         n
-        for n in _NEEDED
+        for n in ("label", "status", "stable", "growth_rate", "end_time", "computed")
         if n in ds and set(ds[n].dims) == set(dims) and not is_averaged(ds[n]) and ds[n].dtype != bool
     ]
-    ds = ds[[*needed, name]].transpose(*order).load()
+    ds = ds[[*needed, name]].transpose(*dims[::-1]).load()
     white = _white(ds, name, dims, scene)
-    array = _without_gaps(ds, name)
-    nothing = np.zeros(array.shape, bool)
+    array, slow = ds[name], np.zeros(ds[name].shape, bool)
+    if "computed" in ds and not flag_names(array):
+        # Where a refined atlas did not integrate, the value of the nearest integrated point is drawn.
+        gaps = ~np.isfinite(array.values) & (ds["computed"].values == 0)
+        if gaps.any() and not gaps.all():
+            nearest = distance_transform_edt(gaps, return_distances=False, return_indices=True)
+            array = array.copy(data=array.values[tuple(nearest)])
     if not boundary or scene is None:
-        return Panel(array, white, nothing)
-    slow = _slow(ds) if scene.nudge and name.removesuffix("_inertial") in MOTIONS else nothing
+        return Panel(array, white, slow)
+    of_motions = name.removesuffix("_inertial") in MOTIONS
+    if scene.nudge and of_motions and {"label", "stable", "growth_rate", "end_time"} <= set(ds):
+        # Nudged motions that are unstable by theory and stayed steady: the run ended before the nudge grew.
+        label = ds["label"].values
+        steady = (label == Label.REGULAR_PRECESSION) | (label == Label.PERMANENT_ROTATION)
+        grown = ds["growth_rate"].values * ds["end_time"].values >= MAX_SURVIVED_GROWTH
+        slow = steady & (ds["stable"].values == Stability.UNSTABLE) & ~grown
     if not set(dims) <= set(axes_of(scene)):
         return Panel(array, white, slow)
     try:
@@ -68,13 +83,10 @@ def panel_of(ds: xr.Dataset, name: str, dims: list[str], scene: Scene | None, bo
         return Panel(array, white, slow)
     if CHANGE in borders:
         return Panel(array, white, slow, borders)
-    if name.removesuffix("_inertial") not in MOTIONS:
+    if not of_motions:
         shown = (STABILITY, EXISTENCE, *RESONANCES)
         borders = {kind: borders[kind] for kind in shown if kind in borders}
     return Panel(array, white, slow, borders, families)
-
-
-_NEEDED = ("label", "status", "stable", "growth_rate", "end_time", "computed")
 
 
 def _white(ds: xr.Dataset, name: str, dims: list[str], scene: Scene | None) -> dict[str, Mask]:
@@ -82,11 +94,8 @@ def _white(ds: xr.Dataset, name: str, dims: list[str], scene: Scene | None) -> d
     array = ds[name]
     flags = flag_names(array)
     if flags:
-        if (
-            array.dtype == bool
-            or name in ("status", "computed")
-            or ("not_computed" not in flags and "label" not in ds)
-        ):
+        without_reason = "not_computed" not in flags and "label" not in ds
+        if array.dtype == bool or name in ("status", "computed") or without_reason:
             return {}  # the flags of these variables state the reason
         source = array if "not_computed" in flags else ds["label"]
         missing = source.values == Label.NOT_COMPUTED
@@ -102,18 +111,26 @@ def _white(ds: xr.Dataset, name: str, dims: list[str], scene: Scene | None) -> d
         names = flag_names(ds["status"])
         impossible = names.index("impossible_body") if "impossible_body" in names else -1
         reasons[missing & (ds["status"].values == impossible)] = NO_BODY
-    if is_unfinished(ds) and scene is not None and set(dims) <= set(axes_of(scene)):
-        reasons[_has_motion(ds, dims, scene, reasons == NO_MOTION)] = NOT_YET
+    without_motion = reasons == NO_MOTION
+    if (
+        tiles_done(ds) is not None
+        and scene is not None
+        and set(dims) <= set(axes_of(scene))
+        and without_motion.any()
+    ):
+        # Where the scene has a motion only its tile is missing.
+        grids = np.broadcast_arrays(*np.meshgrid(*[ds[dim].values for dim in dims[::-1]], indexing="ij"))
+        columns = {dim: grid[without_motion] for dim, grid in zip(dims[::-1], grids, strict=True)}
+        try:
+            exists = Plane.of(scene, ds, dims).points(columns).exists
+            reasons[without_motion] = np.where(exists, NOT_YET, NO_MOTION)
+        except BadInput:
+            reasons[without_motion] = NOT_YET
     return {
         reason: reasons == reason
         for reason in (NO_BODY, NO_MOTION, NOT_YET, NO_VALUE)
         if (reasons == reason).any()
     }
-
-
-def is_unfinished(ds: xr.Dataset) -> bool:
-    """Whether tiles of the atlas are still missing, by the attribute atlas_run."""
-    return tiles_done(ds) is not None
 
 
 def tiles_done(ds: xr.Dataset) -> tuple[int, int] | None:
@@ -124,42 +141,90 @@ def tiles_done(ds: xr.Dataset) -> tuple[int, int] | None:
     return int(match[1]), int(match[2])
 
 
-def _has_motion(ds: xr.Dataset, dims: list[str], scene: Scene, where: Mask) -> Mask:
-    """Those of the marked cells at which the scene has a motion, so that only its tile is missing."""
-    result = np.zeros(where.shape, bool)
-    if where.any():
-        grids = np.broadcast_arrays(*np.meshgrid(*[ds[dim].values for dim in dims[::-1]], indexing="ij"))
-        columns = {dim: grid[where] for dim, grid in zip(dims[::-1], grids, strict=True)}
-        try:
-            result[where] = Plane.of(scene, ds, dims).points(columns).exists
-        except BadInput:
-            result[where] = True
-    return result
+MIN_SIZE, MAX_SIZE = 20.0, 2000.0  # mm
+MIN_DPI, MAX_DPI = 10.0, 2400.0
 
 
-def _without_gaps(ds: xr.Dataset, name: str) -> xr.DataArray:
-    """Values of the variable; where a refined atlas did not integrate, of the nearest integrated point."""
-    array = ds[name]
-    if flag_names(array) or "computed" not in ds:
-        return array
-    gaps = ~np.isfinite(array.values) & (ds["computed"].values == 0)
-    if not gaps.any() or gaps.all():
-        return array
-    nearest = distance_transform_edt(gaps, return_distances=False, return_indices=True)
-    return array.copy(data=array.values[tuple(nearest)])
+@dataclass(frozen=True)
+class MapOptions:
+    """Options of a map, see `atlas.accessor.Atlas.map`; BadInput for a value that suits no variable."""
+
+    x: str | None = None
+    y: str | None = None
+    select: Mapping[str, float] | None = None
+    ax: Axes | None = None
+    title: str | None = None
+    cmap: str | Colormap | None = None
+    colors: Mapping[str, str] | None = None
+    labels: Mapping[str, str] | None = None
+    boundary: bool = True
+    legend: bool = True
+    width: Width = "column"
+    size: tuple[float, float] | None = None
+    dpi: float = 300
+    caption: bool = False
+
+    def __post_init__(self) -> None:
+        choice("width", self.width, WIDTHS)
+        if self.ax is not None and not isinstance(self.ax, Axes):
+            raise BadInput(f"ax = {shown(self.ax)}: must be Axes of Matplotlib")
+        if not _is_number(self.dpi, MIN_DPI, MAX_DPI):
+            raise BadInput(f"dpi = {shown(self.dpi)}: must be a number from {MIN_DPI:g} to {MAX_DPI:g}")
+        if self.size is not None:
+            try:
+                valid = [_is_number(s, MIN_SIZE, MAX_SIZE) for s in self.size] == [True, True]
+            except TypeError:
+                valid = False
+            if not valid:
+                raise BadInput(
+                    f"size = {shown(self.size)}: must be width and height in mm, each from {MIN_SIZE:g} to {MAX_SIZE:g}"
+                )
+        if isinstance(self.cmap, str) and self.cmap not in colormaps:
+            raise BadInput(f"cmap = {shown(self.cmap)}: Matplotlib has no such colour map")
+        if self.cmap is not None and not isinstance(self.cmap, str | Colormap):
+            raise BadInput(f"cmap = {shown(self.cmap)}: must be a colour map of Matplotlib or its name")
+        for name in ("colors", "labels"):
+            if not isinstance(getattr(self, name) or {}, Mapping):
+                raise BadInput(f"{name} = {shown(getattr(self, name))}: must be a mapping")
+        for flag, colour in (self.colors or {}).items():
+            if not is_color_like(colour):
+                raise BadInput(f"colors: {shown(flag)} = {shown(colour)}: not a colour of Matplotlib")
+
+    @property
+    def size_mm(self) -> tuple[float, float | None]:
+        """Width of the figure in mm, and its height if the caller chose one."""
+        return self.size if self.size is not None else (WIDTHS[self.width], None)
+
+    def check_for(self, array: xr.DataArray, axes: Iterable[str]) -> None:
+        """Raise BadInput for options that a variable over some axes does not have."""
+        flags = flag_names(array)
+        if flags and self.cmap is not None:
+            raise BadInput(
+                f"cmap: {array.name} has flags, each with a colour of its own; choose them by colors"
+            )
+        if self.colors and not flags:
+            raise BadInput(f"colors: {array.name} has no flags; choose its colours by cmap")
+        for option, names, allowed in (
+            ("colors", self.colors, flags),
+            ("labels", self.labels, [*flags, *axes, str(array.name)]),
+        ):
+            for name in names or {}:
+                if name not in allowed:
+                    raise BadInput(f"{option}: {shown(name)}: allowed: {', '.join(allowed)}")
+
+    def text(self, name: str, default: str) -> str:
+        """Text for a flag, an axis or a variable: the caller's, or the default."""
+        return drawable(str((self.labels or {}).get(name, default)))
+
+    def flag_colours(self, array: xr.DataArray) -> dict[str, str]:
+        """Colours of the flags of a variable in the order of their values; empty for a variable of numbers."""
+        return flag_colours(flag_names(array)) | dict(self.colors or {})
 
 
-def _slow(ds: xr.Dataset) -> Mask:
-    """Cells of nudged motions that are unstable by theory and stayed steady: the run ended before the nudge grew."""
-    shape = next(iter(ds.values())).shape
-    if not {"label", "stable", "growth_rate", "end_time"} <= set(ds):
-        return np.zeros(shape, bool)
-    label = ds["label"].values
-    steady = (label == Label.REGULAR_PRECESSION) | (label == Label.PERMANENT_ROTATION)
-    grown = ds["growth_rate"].values * ds["end_time"].values >= MAX_SURVIVED_GROWTH
-    return steady & (ds["stable"].values == Stability.UNSTABLE) & ~grown
-
-
-def visible(mask: Mask) -> bool:
-    """Whether a region is large enough to be visible on a map."""
-    return bool(mask.mean() >= MIN_VISIBLE)
+def _is_number(value: object, low: float, high: float) -> bool:
+    """Whether a value is a number between two limits."""
+    return (
+        isinstance(value, int | float | np.integer | np.floating)
+        and not isinstance(value, bool)
+        and bool(low <= value <= high)
+    )

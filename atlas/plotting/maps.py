@@ -2,54 +2,47 @@
 
 from __future__ import annotations
 
+import logging
+import re
+import textwrap
+from collections.abc import Iterable, Mapping, Sequence
 from contextlib import nullcontext
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 import xarray as xr
 from matplotlib import rc_context
+from matplotlib.artist import Artist
 from matplotlib.axes import Axes
-from matplotlib.cm import ScalarMappable
 from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.patches import Patch
 
-from ..analysis.metadata import axes_of, flag_names, is_logarithmic, map_variable, scene_of, system_of
-from ..analysis.select import nearest_on_axes, plane_of
-from ..errors import BadInput, attribute_text, shown
-from . import text
-from .cells import (
-    MIN_LOG_RATIO,
-    ColorScale,
-    add_color_bar,
-    color_scale,
-    draw_exponents,
-    draw_overlay,
-    draw_values,
-    edges_of,
-    exponent_scale,
-    hatch_undecided,
-    set_axis,
-    texts,
+from ..analysis.metadata import (
+    axes_of,
+    is_logarithmic,
+    map_variable,
+    numeric_coordinates,
+    scene_of,
+    system_of,
 )
-from .content import Panel, panel_of, tiles_done
-from .options import MapOptions
-from .sheet import Sheet, map_legend
-from .style import STYLE
+from ..analysis.select import cell_edges, check_axes, nearest_on_axes, plane_of
+from ..errors import BadInput, attribute_text
+from ..flags import Regularity
+from ..systems.base import Mask
+from ..variables import POINT
+from . import cells
+from .content import MIN_VISIBLE, NOT_YET, SLOW, MapOptions, Panel, panel_of, tiles_done
+from .style import STYLE, SYMBOLS, PrintFigure, axis_label, caption, drawable, unit_text, variable_label
 
 
 def atlas_map(ds: xr.Dataset, variable: str | None = None, **options: Any) -> Figure:
-    """Map of one variable of an atlas over two of its axes, with theory drawn over it, as `Atlas.map`.
-
-    Flags have one colour each in every figure. Positive numbers that span more than two decades get a
-    logarithmic scale of at most `cells.MAX_DECADES`, numbers of both signs a scale centred on zero, integers
-    a colour each. White cells have no value. Regions that are too small to be visible are not in the legend
-    but in a note below the map. A single axis gives a strip or a line, single points a scatter map. Raises
-    BadInput for wrong options.
-    """
+    """Map of one variable of an atlas with theory drawn over it, as `Atlas.map`; a scatter map of single points."""
     system_of(ds)
     chosen = MapOptions(**options)
     if chosen.title:
-        chosen = replace(chosen, title=text.drawable(chosen.title))
+        chosen = replace(chosen, title=drawable(chosen.title))
     name = map_variable(ds) if variable is None else variable
     if name not in list(ds.data_vars):
         raise BadInput(f"{name}: not a variable of this atlas; allowed: {', '.join(map(str, ds.data_vars))}")
@@ -79,47 +72,48 @@ def _draw_map(ds: xr.Dataset, name: str, options: MapOptions) -> Figure:
     panels = [panel_of(part, name, dims, scene, options.boundary) for part in parts]
     flags = options.flag_colours(array)
     families = list(system_of(ds).families)
-    exponents = exponent_scale(plane, name)
+    exponents = cells.exponent_scale(plane, name)
     if name == "regularity":
-        options = replace(options, labels={**texts(ds), **(options.labels or {})})
+        options = replace(options, labels={**cells.texts(ds), **(options.labels or {})})
     entries, notes = map_legend(panels, flags, options, families)
     if not flags and "computed" in ds:
         notes.append("Between the points that were integrated: the value of the nearest one.")
     if (tiles := tiles_done(ds)) is not None:
         notes.append(f"Unfinished: {tiles[0]} of {tiles[1]} tiles are computed.")
     if options.caption:
-        notes.append(text.caption(nearest_on_axes(ds, select)))
+        notes.append(caption(nearest_on_axes(ds, select)))
     sheet = Sheet(options, len(panels), len(dims) == 1, len(dims) == 1 and not flags)
     figure, axes = sheet.figure(entries, notes)
-    scale, image = color_scale(array, options), None
-    variable_text = options.text(name, text.variable_label(array))
+    scale, image = cells.color_scale(array, options), None
+    variable_text = options.text(name, variable_label(array))
     log = [is_logarithmic(scene, dim, plane[dim].values) for dim in dims]
     for part, panel, ax in zip(parts, panels, axes, strict=True):
-        edges = edges_of(panel.array, dims, log)
-        image = draw_values(ax, panel.array, edges, scale, variable_text)
+        edges = [cell_edges(panel.array[dim].values, is_log) for dim, is_log in zip(dims, log, strict=True)]
+        if len(dims) == 1:
+            edges.append(np.array([0.0, 1.0]))  # of a strip
+        image = cells.draw_values(ax, panel.array, edges, scale, variable_text)
         if name == "regularity":
-            hatch_undecided(ax, panel.array, edges)
-            image = image if exponents is None else draw_exponents(ax, part, panel.array, edges, exponents)
+            undecided = np.atleast_2d(panel.array.values == Regularity.UNDECIDED)
+            if undecided.any():
+                cells.draw_hatching(ax, undecided, edges, cells.HATCHES[cells.UNDECIDED])
+            image = (
+                image if exponents is None else cells.draw_exponents(ax, part, panel.array, edges, exponents)
+            )
         for which, is_log in zip("xy", log, strict=False):
-            set_axis(ax, which, is_log, inner=which == "x" and sheet.columns > 1)
+            cells.set_axis(ax, which, is_log, inner=which == "x" and sheet.columns > 1)
         if panel.array.ndim == 2 or flags:
-            draw_overlay(ax, panel, edges, families)
+            cells.draw_overlay(ax, panel, edges, families)
         if panel_dim is not None:
-            ax.set_title(_panel_title(part, panel_dim))
-    sheet.label_axes(axes, [options.text(dim, text.axis_label(ds, dim)) for dim in dims])
+            value = f"{float(part[panel_dim]):.4g}".replace("-", "\N{MINUS SIGN}")
+            unit = unit_text(attribute_text(part[panel_dim].attrs, "units"))
+            ax.set_title(drawable(f"{axis_label(part, panel_dim, unit=False)} = {value} {unit}".strip()))
+    sheet.label_axes(axes, [options.text(dim, axis_label(ds, dim)) for dim in dims])
     if image is not None and exponents is not None:
-        label = text.variable_label(plane["lyapunov"]).replace("lyapunov", r"Lyapunov exponent $\lambda$")
-        add_color_bar(figure, axes, image, exponents, label)
+        label = variable_label(plane["lyapunov"]).replace("lyapunov", r"Lyapunov exponent $\lambda$")
+        cells.add_color_bar(figure, axes, image, exponents, label)
     elif image is not None and not flags:
-        add_color_bar(figure, axes, image, scale, variable_text)
+        cells.add_color_bar(figure, axes, image, scale, variable_text)
     return figure
-
-
-def _panel_title(panel: xr.Dataset, dim: str) -> str:
-    """Symbol, value and unit of the axis of the panels."""
-    value = f"{float(panel[dim]):.4g}".replace("-", "\N{MINUS SIGN}")
-    unit = text.unit_text(attribute_text(panel[dim].attrs, "units"))
-    return text.drawable(f"{text.axis_label(panel, dim, unit=False)} = {value} {unit}".strip())
 
 
 # Area of a dot in square points: within limits that with which all dots together cover the panel about once.
@@ -130,7 +124,7 @@ def draw_scatter(ds: xr.Dataset, name: str, options: MapOptions) -> Figure:
     """Draw a variable of single points as dots, see `atlas.plotting.maps.atlas_map`."""
     axes = scatter_axes(ds, options.x, options.y)
     options.check_for(ds[name], axes)
-    caption = [text.caption(ds)] if options.caption else []
+    captions = [caption(ds)] if options.caption else []
     ds = ds[[name, *axes]].load()
     array = ds[name]
     flags = options.flag_colours(array)
@@ -139,36 +133,39 @@ def draw_scatter(ds: xr.Dataset, name: str, options: MapOptions) -> Figure:
     panel = Panel(array, {k: v for k, v in white.items() if v.any()}, np.zeros(array.shape, bool))
     entries, notes = map_legend([panel], flags, options, families)
     sheet = Sheet(options, 1)
-    figure, (ax,) = sheet.figure(entries, notes + caption)
+    figure, (ax,) = sheet.figure(entries, notes + captions)
     columns = [np.asarray(ds[axis].values, float) for axis in axes]
-    log = [_is_logarithmic(column) for column in columns]
-    scale = color_scale(array, options)
-    image = _draw_dots(ax, columns, array, scale)
-    for which, is_log in zip("xy", log, strict=True):
-        set_axis(ax, which, is_log, inner=False)
+    scale = cells.color_scale(array, options)
+    values = array.values.astype(np.int8) if array.dtype == bool else array.values
+    order = np.arange(values.size)
+    if flags:  # rare ones on top
+        order = np.argsort(-np.bincount(values, minlength=1)[values], kind="stable")
+    area = float(np.clip(PANEL_AREA / max(values.size, 1), MIN_DOT, MAX_DOT))
+    image = ax.scatter(
+        columns[0][order], columns[1][order], c=scale.shown(values)[order], s=area, cmap=scale.colormap,
+        norm=scale.norm, edgecolors="0.35", linewidths=0.25 if area > 2 else 0, rasterized=True,
+        plotnonfinite=False,
+    )  # fmt: skip
+    for which, column in zip("xy", columns, strict=True):
+        # Logarithmic for positive values whose logarithms are spread more evenly than themselves.
+        log = bool((column > 0).all()) and column.max() >= cells.MIN_LOG_RATIO * column.min()
+        log = log and bool((np.median(column) - column.min()) / np.ptp(column) < 0.1)
+        cells.set_axis(ax, which, log, inner=False)
     ax.margins(0.03)
-    sheet.label_axes([ax], [options.text(axis, text.axis_label(ds, axis)) for axis in axes])
+    sheet.label_axes([ax], [options.text(axis, axis_label(ds, axis)) for axis in axes])
     if not flags:
-        add_color_bar(figure, [ax], image, scale, options.text(name, text.variable_label(array)))
+        cells.add_color_bar(figure, [ax], image, scale, options.text(name, variable_label(array)))
     return figure
 
 
 def scatter_axes(ds: xr.Dataset, x: str | None, y: str | None) -> list[str]:
     """Axes of a scatter map, x first, by default the most varied coordinates; BadInput without two."""
-    allowed = [
-        str(name)
-        for name, coord in ds.coords.items()
-        if coord.dims == ("point",) and coord.dtype.kind in "iuf" and name != "point"
-    ]
-    for role, name in (("x", x), ("y", y)):
-        if name is not None and name not in allowed:
-            raise BadInput(
-                f"{role} = {shown(name)}: not a number given at each of these points; allowed:"
-                f" {', '.join(allowed) or 'none'}"
-            )
-    if x is not None and x == y:
-        raise BadInput(f"x = y = {shown(x)}: a map needs two axes")
-    varied_by_scene = _names_varied_by_scene(ds)
+    allowed = [name for name in numeric_coordinates(ds, POINT) if name != POINT]
+    check_axes(x, y, allowed, "a number given at each of these points")
+    varied_by_scene: set[str] = set()  # names with a range or a column, not computed by ties and families
+    if (scene := scene_of(ds)) is not None:
+        points = scene.points or {}
+        varied_by_scene = {*axes_of(scene), *points.get("ranges", {}), *points.get("values", {})}
     counts = {name: np.unique(ds[name].values).size for name in allowed if name not in (x, y)}
     candidates = sorted(
         (name for name, count in counts.items() if count > 1),
@@ -180,32 +177,153 @@ def scatter_axes(ds: xr.Dataset, x: str | None, y: str | None) -> list[str]:
     return [str(name) for name in chosen]
 
 
-def _names_varied_by_scene(ds: xr.Dataset) -> set[str]:
-    """Names with a range or a column in the scene of the points, not computed by ties and families."""
-    scene = scene_of(ds)
-    if scene is None:
-        return set()
-    points = scene.points or {}
-    return {*axes_of(scene), *points.get("ranges", {}), *points.get("values", {})}
+LEGEND_ROW, TEXT_ROW = 4.0, 2.8  # height in mm
 
 
-def _is_logarithmic(column: np.ndarray) -> bool:
-    """Whether a coordinate has positive values whose logarithms are spread more evenly than themselves."""
-    if not (column > 0).all() or column.max() < MIN_LOG_RATIO * column.min():
-        return False
-    relative = (np.median(column) - column.min()) / np.ptp(column)
-    return bool(relative < 0.1)
+@dataclass(frozen=True)
+class Sheet:
+    """A figure with panels in rows, or the Axes of the caller."""
+
+    options: MapOptions  # choices of the caller
+    panels: int  # how many panels
+    flat: bool = False  # whether the panels are strips, with one axis
+    line: bool = False  # whether they are lines over one axis
+
+    @property
+    def columns(self) -> int:
+        """Panels in a row."""
+        return min(self.panels, 2 if self.options.size_mm[0] < 130 else 4)
+
+    def figure(self, legend: Entries, notes: Sequence[str]) -> tuple[Figure, list[Axes]]:
+        """The figure with empty panels, legend, title and notes; notes on the caller's Axes are logged."""
+        options = self.options
+        legend = legend if options.legend else {}
+        if options.ax is not None:
+            caller = options.ax.get_figure(root=True)
+            assert caller is not None
+            handles, names = list(legend.values()), list(legend)
+            if legend:  # inside, since there may be no room around the Axes of the caller
+                options.ax.legend(handles, names, loc="upper right", fontsize="small", framealpha=0.85)
+            if options.title:
+                options.ax.set_title(options.title)
+            for note in notes:
+                logging.getLogger("atlas").info("%s", note)
+            return caller, [options.ax]
+        width, height = options.size_mm
+        text = drawable(textwrap.fill(" ".join(notes), int(0.78 * width))) if notes else ""
+        foot = TEXT_ROW * (text.count("\n") + 1) + 2.0 if text else 0.0
+        rows = -(-self.panels // self.columns)
+        if height is None:
+            panel_height = 0.72 * width / self.columns + 6.0  # with a title above each panel
+            if self.line:
+                panel_height = 0.6 * width / self.columns
+            elif self.flat:
+                panel_height = 18.0
+            elif self.panels == 1:
+                panel_height = (0.5 if width >= 130 else 0.72) * width
+            height = rows * panel_height + foot + 9.0
+            legend_rows = -(-len(legend) // legend_columns(legend, width)) if legend else 0
+            height += LEGEND_ROW * legend_rows + (5.0 if options.title else 0.0)
+        figure = PrintFigure(
+            figsize=(width / 25.4, height / 25.4), layout="constrained", dpi=float(options.dpi)
+        )
+        engine = figure.get_layout_engine()
+        assert engine is not None
+        engine.set(rect=(0, foot / height, 1, 1 - foot / height), w_pad=0.02, h_pad=0.02)  # type: ignore[call-arg]
+        if text:
+            figure.text(1.5 / width, 1.0 / height, text, fontsize=6.5, va="bottom", ha="left")
+        axes = list(figure.subplots(rows, self.columns, sharex=True, sharey=True, squeeze=False).ravel())
+        for unused in axes[self.panels :]:
+            unused.remove()
+        if legend:
+            figure.legend(
+                list(legend.values()), list(legend), loc="outside upper center",
+                ncols=legend_columns(legend, width), frameon=False, handlelength=1.8, columnspacing=1.4,
+                borderaxespad=0.2, title=options.title, title_fontsize=9,
+            )  # fmt: skip
+        elif options.title:
+            figure.suptitle(options.title, fontsize=9)
+        return figure, axes[: self.panels]
+
+    def label_axes(self, axes: list[Axes], labels: list[str]) -> None:
+        """Label the axes: of a single panel its own, of several panels once for all of them."""
+        figure = axes[0].get_figure(root=True)
+        if self.panels == 1:
+            axes[0].set_xlabel(labels[0])
+            if len(labels) == 2:
+                axes[0].set_ylabel(labels[1])
+        elif figure is not None:
+            figure.supxlabel(labels[0], fontsize=8)
+            if len(labels) == 2:
+                figure.supylabel(labels[1], fontsize=8)
+        for ax in axes[-self.columns :]:  # nothing is below them
+            ax.tick_params(labelbottom=True)
 
 
-def _draw_dots(ax: Axes, columns: list[np.ndarray], array: xr.DataArray, scale: ColorScale) -> ScalarMappable:
-    """Draw the points, rare flags on top."""
-    values = array.values.astype(np.int8) if array.dtype == bool else array.values
-    order = np.arange(values.size)
-    if flag_names(array):
-        order = np.argsort(-np.bincount(values, minlength=1)[values], kind="stable")
-    area = float(np.clip(PANEL_AREA / max(values.size, 1), MIN_DOT, MAX_DOT))
-    return ax.scatter(
-        columns[0][order], columns[1][order], c=scale.shown(values)[order], s=area, cmap=scale.colormap,
-        norm=scale.norm, edgecolors="0.35", linewidths=0.25 if area > 2 else 0, rasterized=True,
-        plotnonfinite=False,
-    )  # fmt: skip
+Entries = dict[str, Artist]
+
+
+def map_legend(
+    panels: Sequence[Panel], flags: Mapping[str, str], options: MapOptions, families: Sequence[str]
+) -> tuple[Entries, list[str]]:
+    """Legend (text -> sample of colour, hatching or line), and notes about regions too small to see."""
+    entries: Entries = {}
+    too_small: list[str] = []
+    total = sum(panel.array.size for panel in panels)
+
+    def add(text: str, masks: list[Mask], sample: Artist) -> None:
+        """Add a region, its cells in each panel, if it is visible; else a sentence with its number of points."""
+        count = sum(int(mask.sum()) for mask in masks)
+        if any(mask.mean() >= MIN_VISIBLE for mask in masks):
+            entries[text] = sample
+        elif count and text != SLOW:
+            too_small.append(f"{text}, {count} of {total} points")
+
+    white = [sum(panel.white.values(), np.zeros(panel.array.shape, bool)) for panel in panels]
+    for value, (name, colour) in enumerate(flags.items()):
+        masks = [(panel.array.values == value) & ~mask for panel, mask in zip(panels, white, strict=True)]
+        sample = _hatched(name, colour) if name == cells.UNDECIDED else _patch(colour)
+        add(options.text(name, name.replace("_", " ")), masks, sample)
+    for reason in dict.fromkeys(reason for panel in panels for reason in panel.white):
+        masks = [panel.white[reason] for panel in panels if reason in panel.white]
+        add(reason, masks, _hatched(NOT_YET) if reason == NOT_YET else _patch("#ffffff"))
+    add(SLOW, [panel.slow for panel in panels], _hatched(SLOW))
+    for kind in dict.fromkeys(kind for panel in panels for kind in panel.borders):
+        entries[f"{as_math(kind)} (theory)"] = Line2D([], [], **cells.border_style(kind))
+    for name in dict.fromkeys(name for panel in panels for name in panel.families):
+        entries[f"{name.replace('_', ' ')} (exact)"] = Line2D(
+            [], [], **cells.family_style(families.index(name))
+        )
+    return entries, [f"Too few to be seen: {'; '.join(too_small)}."] if too_small else []
+
+
+def as_math(kind: str) -> str:
+    """A kind of border with its rates as symbols."""
+    for name in ("psi", "phi"):
+        kind = kind.replace(f"{name}' = 0", f"{SYMBOLS[f'{name}_dot']} = 0")
+    return kind
+
+
+def _patch(colour: str) -> Patch:
+    """Sample of a colour."""
+    return Patch(facecolor=colour, edgecolor="0.4", linewidth=0.4)
+
+
+def _hatched(region: str, background: str | None = None) -> Patch:
+    """Sample of the hatching of a region, a key of cells.HATCHES."""
+    hatch = cells.HATCHES[region]
+    return Patch(
+        facecolor=background or hatch.background, edgecolor=hatch.colour, hatch=hatch.pattern, linewidth=0.4
+    )
+
+
+def legend_columns(entries: Iterable[str], width: float) -> int:
+    """The most columns of a legend that fit a width in mm; entries fill one column after the other."""
+    names = list(entries)
+    for columns in range(len(names), 1, -1):
+        # A formula is as long as one letter.
+        lengths = np.array([len(re.sub(r"\$[^$]*\$", "x", name)) for name in names])
+        longest = [column.max() for column in np.array_split(lengths, columns)]
+        if sum(10.0 + 1.15 * length for length in longest) < width:
+            return columns
+    return 1

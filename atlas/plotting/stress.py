@@ -70,17 +70,27 @@ def stress_figure(ds: xr.Dataset) -> Figure:
             axes[2 * i].set_title(method, loc="left")
         axes[0].set_yticks(0.5 * (edges[first] + edges[first + size]), cases[first])
         axes[0].set_ylim(edges[-1], 0)
-        fig.legend(handles=_legend(ds), loc="outside lower center", ncols=2, frameon=False)
+        patches = [
+            Patch(
+                facecolor=VERDICT_COLOURS[flag], edgecolor="0.5", linewidth=0.4, hatch=HATCHES.get(flag),
+                label=f"{name.replace('_', ' ')}: {flag.sentence}",
+            )
+            for flag, name in zip(Verdict, Verdict.meanings(), strict=True)
+        ]  # fmt: skip
+        measured = ds["error"].attrs["long_name"].removeprefix("relative error of the ")
+        marks = [
+            Line2D([], [], label=f"{measured} within {100 * ACCURATE:g} %, too", **ACCURATE_DOT),
+            Line2D([], [], label="a statistic off by more than ten times error_estimate", **BEYOND_CROSS),
+        ]
+        fig.legend(handles=[*patches, *marks], loc="outside lower center", ncols=2, frameon=False)
     return fig
 
 
 def _draw_panel(ax: Axes, ds: xr.Dataset, beyond: np.ndarray, edges: np.ndarray) -> None:
     """Verdicts and marks of one method at some levels; edges of the points along the y axis."""
     verdict, error = ds["verdict"].values.T, ds["error"].values.T
-    colours, columns = (
-        ListedColormap([VERDICT_COLOURS[flag] for flag in Verdict]),
-        np.arange(verdict.shape[1] + 1),
-    )
+    colours = ListedColormap([VERDICT_COLOURS[flag] for flag in Verdict])
+    columns = np.arange(verdict.shape[1] + 1)
     ax.pcolormesh(columns, edges, verdict, cmap=colours, vmin=-0.5, vmax=len(Verdict) - 0.5, rasterized=True)
     for flag, hatch in HATCHES.items():
         for point, level in np.argwhere(verdict == flag):
@@ -94,23 +104,6 @@ def _draw_panel(ax: Axes, ds: xr.Dataset, beyond: np.ndarray, edges: np.ndarray)
         points, levels = np.nonzero(mask)
         ax.plot(levels + 0.5, middle[points], **mark)
     ax.set_xlim(0, verdict.shape[1])
-
-
-def _legend(ds: xr.Dataset) -> list[Patch | Line2D]:
-    """Entries of the verdicts and of the marks."""
-    patches = [
-        Patch(
-            facecolor=VERDICT_COLOURS[flag], edgecolor="0.5", linewidth=0.4, hatch=HATCHES.get(flag),
-            label=f"{name.replace('_', ' ')}: {flag.sentence}",
-        )
-        for flag, name in zip(Verdict, Verdict.meanings(), strict=True)
-    ]  # fmt: skip
-    accurate = f"{ds['error'].attrs['long_name'].removeprefix('relative error of the ')} within {100 * ACCURATE:g} %, too"
-    return [
-        *patches,
-        Line2D([], [], label=accurate, **ACCURATE_DOT),
-        Line2D([], [], label="a statistic off by more than ten times error_estimate", **BEYOND_CROSS),
-    ]
 
 
 COLOURS, MARKERS = ("#1b6ca8", "#e0892b", "#262626", "#8c4799"), "os^D"

@@ -15,9 +15,9 @@ from matplotlib.ticker import MaxNLocator, ScalarFormatter
 
 from ..analysis.metadata import system_of
 from ..errors import BadInput, attribute_text
+from ..scene.checks import choice
 from ..systems.base import Observable
-from .style import COLOURS, STYLE, SYMBOLS, WIDTHS, Width, check_width
-from .text import unit_text
+from .style import COLOURS, STYLE, SYMBOLS, WIDTHS, Width, unit_text
 
 FAR_OPACITY = 0.35  # of paths on the far side of the sphere
 START_MARKER: dict[str, Any] = {
@@ -46,7 +46,7 @@ def trajectory_figure(tr: xr.Dataset, *, width: Width = "page") -> Figure:
     close to a direction is also drawn enlarged, in the plane perpendicular to it. Rates that grow without
     bound near the vertical are clipped. Raises BadInput if the dataset is no trajectory.
     """
-    check_width(width)
+    choice("width", width, WIDTHS)
     if "time" in tr.dims and "atlas_system" in tr.attrs and (observables := system_of(tr).observables):
         return _figure_of_observables(tr, observables[:MAX_PANELS], width)
     missing = [n for n in ("theta", "psi", "phi", *RATES, "axis_x", "axis_y", "axis_z") if n not in tr]
@@ -63,7 +63,30 @@ def trajectory_figure(tr: xr.Dataset, *, width: Width = "page") -> Figure:
         left, right = subfigures.ravel()
         _draw_time_series(left, tr)
         path = np.stack([tr[f"axis_{name}"].values for name in "xyz"], -1)
-        _draw_path(right, path, system_of(tr).frame_axes, page)
+        mean = path.mean(axis=0)
+        mean /= np.linalg.norm(mean) or 1.0
+        distance = float(np.linalg.norm(path - mean, axis=1).max())
+        if AT_REST < distance < SMALL:
+            if page:
+                sphere, plane = right.subplots(2, 1, height_ratios=(1.25, 1))
+            else:
+                sphere, plane = right.subplots(1, 2, width_ratios=(1.25, 1))
+            _draw_enlarged(plane, path - mean, mean, system_of(tr).frame_axes)
+        else:
+            sphere = right.subplots()
+        _draw_sphere(sphere, path, system_of(tr).frame_axes)
+        if distance <= AT_REST:
+            sphere.set_title(f"third axis at rest within {max(distance, 1e-16):.0e} rad")
+        colour = COLOURS["regular_precession"]
+        handles = [
+            Line2D([], [], color=colour),
+            Line2D([], [], color=colour, alpha=FAR_OPACITY),
+            Line2D([], [], **START_MARKER),
+        ]
+        right.legend(
+            handles, ["third axis, near side", "far side", "start"], loc="outside lower center", ncols=3,
+            frameon=False, handlelength=1.6, columnspacing=1.2,
+        )  # fmt: skip
     return figure
 
 
@@ -129,34 +152,6 @@ class _Formatter(ScalarFormatter):
         """The offset of an axis without a power of ten, where it is of moderate size."""
         plain = 1e-3 <= abs(value) < 1e5
         return f"{value:.9g}".replace("-", "\N{MINUS SIGN}") if plain else str(super().format_data(value))
-
-
-def _draw_path(figure: SubFigure, path: np.ndarray, names: Sequence[str], page: bool) -> None:
-    """Draw a path on the unit sphere, shape (times, 3), and enlarged if it is small, with one legend."""
-    mean = path.mean(axis=0)
-    mean /= np.linalg.norm(mean) or 1.0
-    distance = float(np.linalg.norm(path - mean, axis=1).max())
-    if AT_REST < distance < SMALL:
-        if page:
-            sphere, plane = figure.subplots(2, 1, height_ratios=(1.25, 1))
-        else:
-            sphere, plane = figure.subplots(1, 2, width_ratios=(1.25, 1))
-        _draw_enlarged(plane, path - mean, mean, names)
-    else:
-        sphere = figure.subplots()
-    _draw_sphere(sphere, path, names)
-    if distance <= AT_REST:
-        sphere.set_title(f"third axis at rest within {max(distance, 1e-16):.0e} rad")
-    colour = COLOURS["regular_precession"]
-    handles = [
-        Line2D([], [], color=colour),
-        Line2D([], [], color=colour, alpha=FAR_OPACITY),
-        Line2D([], [], **START_MARKER),
-    ]
-    figure.legend(
-        handles, ["third axis, near side", "far side", "start"], loc="outside lower center", ncols=3,
-        frameon=False, handlelength=1.6, columnspacing=1.2,
-    )  # fmt: skip
 
 
 def _draw_enlarged(ax: Axes, offset: np.ndarray, direction: np.ndarray, names: Sequence[str]) -> None:

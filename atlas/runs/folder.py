@@ -30,7 +30,7 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from .. import process
+from .. import files
 from ..errors import MAX_MESSAGE, MAX_TEXT, BadInput, printable
 from ..files import (
     atomic_write,
@@ -162,7 +162,7 @@ class RunFolder:
     def check_idle(self) -> None:
         """Raise BadInput if a process is at work in this folder."""
         for content, state in self._processes():
-            match = process.NAME.fullmatch(content["process"])
+            match = files.PROCESS_NAME.fullmatch(content["process"])
             if match is not None and state == progress.AT_WORK:
                 raise BadInput(
                     f"{self.path}: is computed by process {match[3]} on {content['host']}; wait for it, end it, or choose"

@@ -8,10 +8,10 @@ import inspect
 import math
 import os
 import re
-from collections.abc import Callable, Collection, Iterable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from functools import partial
 from numbers import Integral, Real
-from typing import Any, Generic, TypeVar
+from typing import Any, Generic, TypeAlias, TypeVar
 
 import numpy as np
 
@@ -143,6 +143,7 @@ def texts(key: str, value: object) -> tuple[str, ...]:
     return (text(key, value),)
 
 
+@accepts(type="array", items=number.schema, minItems=1)
 def numbers(key: str, value: object) -> list[float]:
     """The values as floats, if they are a list of at least one finite number."""
     if not isinstance(value, list) or not value:
@@ -150,6 +151,15 @@ def numbers(key: str, value: object) -> list[float]:
     if len(value) > MAX_LISTED_NUMBERS:
         raise BadInput(f"{key}: {len(value)} numbers; allowed: at most {MAX_LISTED_NUMBERS}")
     return [number(key, item) for item in value]
+
+
+@accepts(**numbers.schema, uniqueItems=True)
+def distinct_numbers(key: str, value: object) -> list[float]:
+    """The values as floats, if they are a list of at least one finite number, all different."""
+    values = numbers(key, value)
+    if len(set(values)) < len(values):
+        raise BadInput(f"{key}: some values occur twice; an axis needs distinct values")
+    return values
 
 
 def identifier(key: str, name: str) -> str:
@@ -175,13 +185,6 @@ def check_keys(table: Mapping[str, Any], parent: str, allowed: Collection[str]) 
     for key in table:
         if key not in allowed:
             raise BadInput(f"{parent}{key}: unknown key; {allowed_text(key, allowed)}")
-
-
-def check_given(key: str, table: Mapping[str, Any], needed: Iterable[str], rule: str) -> None:
-    """Raise BadInput, which ends with the rule, if a needed name is missing in the table under `key`."""
-    for name in needed:
-        if name not in table:
-            raise BadInput(f"{key}.{name} is missing: {rule}")
 
 
 def check_range(parameter: Parameter, key: str, low: float, high: float) -> None:
@@ -243,15 +246,17 @@ SPACINGS = ("linear", "log")
 
 
 def interval(key: str, table: Mapping[str, Any]) -> tuple[float, float, str]:
-    """The numbers from and to of a table that has both, and its spacing, "linear" or "log"."""
-    first, last = (number(f"{key}.{end}", table[end]) for end in ("from", "to"))
-    spacing = choice(f"{key}.spacing", table.get("spacing", "linear"), SPACINGS)
+    """The ends and the spacing, "linear" or "log", of a table that was read with the keys of INTERVAL."""
+    first, last, spacing = table["from"], table["to"], table.get("spacing", "linear")
     if spacing == "log" and not (first > 0 and last > 0):
         raise BadInput(f"{key}.spacing = 'log': from and to must be above 0, found {first:g} and {last:g}")
     extent = last / first if spacing == "log" else last - first
     if not (math.isfinite(extent) and (extent or first == last)):
         raise BadInput(f"{key}: from = {first:g} and to = {last:g} are too far apart")
     return first, last, spacing
+
+
+Keys: TypeAlias = Mapping[str, "dataclasses.Field[Any]"]  # name -> field made by `checked`
 
 
 def checked(
@@ -262,14 +267,25 @@ def checked(
     return dataclasses.field(default=default, metadata=metadata)
 
 
-def _fields(cls: type, section: str) -> dict[str, dataclasses.Field[Any]]:
-    """The fields of a class with `checked` fields that are keys of the table `section`."""
+INTERVAL: Keys = {
+    "from": checked(number, description="first value"),
+    "to": checked(number, description="last value"),
+    "spacing": checked(one_of(SPACINGS), "linear"),
+}
+
+
+def keys_of(cls: type, section: str = "") -> Keys:
+    """The keys of the table `section`: the `checked` fields of a class that belong to it."""
     return {f.name: f for f in dataclasses.fields(cls) if f.metadata["section"] in ("", section)}
 
 
-def table_schema(cls: type, section: str = "") -> dict[str, Any]:
+def instance_of(cls: type[T], table: Mapping[str, Any], section: str) -> T:
+    """Instance of a class with `checked` fields from a table; BadInput as `from_table`."""
+    return cls(**from_table(keys_of(cls), table, section))
+
+
+def table_schema(fields: Keys) -> dict[str, Any]:
     """JSON Schema of the table that `from_table` reads."""
-    fields = _fields(cls, section)
     keys = {}
     for name, field in fields.items():
         keys[name] = dict(field.metadata["check"].schema)
@@ -283,13 +299,15 @@ def table_schema(cls: type, section: str = "") -> dict[str, Any]:
 
 
 def from_table(
-    cls: type, table: Mapping[str, Any], section: str, also: Collection[str] = ()
+    fields: Keys, table: Mapping[str, Any], section: str, also: Collection[str] = (), rule: str = ""
 ) -> dict[str, Any]:
-    """Checked arguments of a dataclass from a table; BadInput for bad, missing and other keys than `also`."""
-    fields = _fields(cls, section)
+    """Checked values of a table; BadInput for bad, missing (by the rule) and other keys than `also`."""
     check_keys(table, f"{section}.", [*also, *fields])
     needed = [name for name, field in fields.items() if field.default is dataclasses.MISSING]
-    check_given(section, table, needed, f"[{section}] needs {', '.join(needed)}")
+    for name in needed:
+        if name not in table:
+            rule = rule or f"[{section}] needs {', '.join(needed)}"
+            raise BadInput(f"{section}.{name} is missing: {rule}")
     return {
         name: field.metadata["check"](f"{section}.{name}", table[name])
         for name, field in fields.items()

@@ -18,14 +18,15 @@ from ..systems.base import Array
 
 MAX_LENGTH = 500  # characters
 MAX_DEPTH = 200  # of parts within parts
-_BINARY: dict[type[ast.operator], Callable[..., Any]] = {
+_OPERATORS: dict[type[ast.AST], Callable[..., Any]] = {
     ast.Add: operator.add,
     ast.Sub: operator.sub,
     ast.Mult: operator.mul,
     ast.Div: np.divide,
     ast.Pow: np.power,
+    ast.USub: operator.neg,
+    ast.UAdd: operator.pos,
 }
-_UNARY: dict[type[ast.unaryop], Callable[..., Any]] = {ast.USub: operator.neg, ast.UAdd: operator.pos}
 FUNCTIONS: dict[str, Callable[..., Any]] = {
     "sqrt": np.sqrt,
     "sin": np.sin,
@@ -56,7 +57,11 @@ class Expression:
                 self._tree = ast.parse(self.text, mode="eval").body
         except (SyntaxError, ValueError, RecursionError, MemoryError, Warning):
             raise BadInput(f"{key} = {shown(text)}: not an expression; {_ALLOWED}") from None
-        self._check_depth()
+        parts: list[ast.AST] = [self._tree]
+        for _ in range(MAX_DEPTH):
+            parts = [child for part in parts for child in ast.iter_child_nodes(part)]
+        if parts:
+            raise BadInput(f"{key} = {shown(self.text)}: nested more than {MAX_DEPTH} deep")
         self.names = frozenset(self._names_in(self._tree))
 
     def value(self, values: Mapping[str, Array]) -> Array:
@@ -64,13 +69,18 @@ class Expression:
         with np.errstate(all="ignore"):
             return self._evaluate(self._tree, values)
 
-    def _check_depth(self) -> None:
-        """Raise BadInput for an expression that is nested more deeply than MAX_DEPTH."""
-        parts: list[ast.AST] = [self._tree]
-        for _ in range(MAX_DEPTH):
-            parts = [child for part in parts for child in ast.iter_child_nodes(part)]
-        if parts:
-            raise BadInput(f"{self.key} = {shown(self.text)}: nested more than {MAX_DEPTH} deep")
+    def _operation(self, node: ast.expr) -> tuple[Callable[..., Any], list[ast.expr]]:
+        """Operator or function of a part of the expression, and its arguments; BadInput if it is not arithmetic."""
+        match node:
+            case ast.BinOp(left=left, op=op, right=right) if type(op) in _OPERATORS:
+                return _OPERATORS[type(op)], [left, right]
+            case ast.UnaryOp(op=op, operand=operand) if type(op) in _OPERATORS:
+                return _OPERATORS[type(op)], [operand]
+            case ast.Call(func=ast.Name(id=name), args=[argument], keywords=[]) if name in FUNCTIONS:
+                return FUNCTIONS[name], [argument]
+        raise BadInput(
+            f"{self.key} = {shown(self.text)}: {shown(ast.get_source_segment(self.text, node))} is not arithmetic; {_ALLOWED}"
+        )
 
     def _names_in(self, node: ast.expr) -> set[str]:
         """Names in a part of the expression; BadInput if the part is not arithmetic."""
@@ -79,34 +89,21 @@ class Expression:
                 return set()
             case ast.Name(id=name):
                 return set() if name in CONSTANTS else {name}
-            case ast.BinOp(left=left, op=op, right=right) if type(op) in _BINARY:
-                return self._names_in(left) | self._names_in(right)
-            case ast.UnaryOp(op=op, operand=operand) if type(op) in _UNARY:
-                return self._names_in(operand)
-            case ast.Call(func=ast.Name(id=name), args=[argument], keywords=[]) if name in FUNCTIONS:
-                return self._names_in(argument)
-        raise BadInput(
-            f"{self.key} = {shown(self.text)}: {shown(ast.get_source_segment(self.text, node))} is not arithmetic; {_ALLOWED}"
-        )
+        _, arguments = self._operation(node)
+        return {name for argument in arguments for name in self._names_in(argument)}
 
     def _evaluate(self, node: ast.expr, values: Mapping[str, Array]) -> Array:
         """Value of a part of the expression."""
         match node:
-            case ast.Constant(value=value):
-                assert isinstance(value, int | float)
+            case ast.Constant(value=int() | float() as value):
                 try:
                     return np.asarray(float(value))
                 except OverflowError:
                     return np.asarray(math.inf)
             case ast.Name(id=name):
                 return np.asarray(CONSTANTS[name]) if name in CONSTANTS else values[name]
-            case ast.BinOp(left=left, op=op, right=right):
-                return _BINARY[type(op)](self._evaluate(left, values), self._evaluate(right, values))
-            case ast.UnaryOp(op=op, operand=operand):
-                return _UNARY[type(op)](self._evaluate(operand, values))
-            case ast.Call(func=ast.Name(id=name), args=[argument]):
-                return FUNCTIONS[name](self._evaluate(argument, values))
-        raise AssertionError(node)
+        function, arguments = self._operation(node)
+        return np.asarray(function(*(self._evaluate(argument, values) for argument in arguments)))
 
 
 @dataclass(frozen=True, eq=False)

@@ -112,7 +112,17 @@ def points_at_indices(scene: Scene, indices: np.ndarray) -> Grid:
     with np.errstate(all="ignore"):
         no_motion = no_value
         if scene.family is not None:
-            base, no_motion = _on_family(scene, base, indices)
+            family = system.families[scene.family]
+            base = _solved(family, scene.solve, base)
+            exists = on_family(family, base) < ON_FAMILY
+            possible = system.possible_body(base)
+            for name in scene.solve:
+                exists &= np.isfinite(base[name])
+                base[name] = np.where(possible, base[name], np.nan)
+            for axis, index in zip(scene.axes.values(), np.unravel_index(indices, scene.shape), strict=True):
+                if axis.offset_from_family:
+                    base[axis.name] = base[axis.name] + axis.values[index]
+            no_motion = ~exists
         reason = reasons(system, base, no_value, no_motion)
         duration = durations(system, scene.duration, base, "integration.duration")
         reason[(reason == Reason.NONE) & np.isnan(duration)] = Reason.NO_TURN
@@ -123,22 +133,6 @@ def points_at_indices(scene: Scene, indices: np.ndarray) -> Grid:
         start = system.as_euler_angles(base) if scene.nudges_angles else base
     points = {name: start[name] + scene.nudge.get(name, 0.0) for name in base}
     return Grid(base, points, reason, duration)
-
-
-def _on_family(scene: Scene, points: Points, indices: np.ndarray) -> tuple[dict[str, Array], Mask]:
-    """Points with solved parameters and offsets, nan for impossible bodies; where the family is missing."""
-    assert scene.family is not None
-    family = scene.system.families[scene.family]
-    base = _solved(family, scene.solve, points)
-    exists = on_family(family, base) < ON_FAMILY
-    possible = scene.system.possible_body(base)
-    for name in scene.solve:
-        exists &= np.isfinite(base[name])
-        base[name] = np.where(possible, base[name], np.nan)
-    for axis, index in zip(scene.axes.values(), np.unravel_index(indices, scene.shape), strict=True):
-        if axis.offset_from_family:
-            base[axis.name] = base[axis.name] + axis.values[index]
-    return base, ~exists
 
 
 def reasons(
@@ -190,37 +184,40 @@ def check(scene: Scene) -> Grid:
     parameter that the family leaves free, and for a derived variable without meaning.
     """
     try:
-        return _check(scene)
+        bodies = _evenly_spaced(scene.size, MAX_CHECKED_BODIES)
+        # The ranges of all ties are checked with the values.
+        possible = bodies[scene.system.possible_body(parameter_values(scene, bodies))]
+        indices = _evenly_spaced(scene.size, MAX_CHECKED_STARTS)
+        grid = points_at_indices(scene, indices)
+        if not grid.exists.any() and possible.size:
+            indices = possible[_evenly_spaced(possible.size, MAX_CHECKED_STARTS)]
+            grid = points_at_indices(scene, indices)
+        defined = grid.reason != Reason.NO_VALUE
+        if not defined.any():
+            values = parameter_values(scene, indices[:1])
+            name = next(name for name in scene.ties if not np.isfinite(values[name][0]))
+            raise BadInput(
+                f"{scene.ties[name].key} = {shown(scene.ties[name].text)}: gives {values[name][0]:g}, and no point has"
+                " values of all ties"
+            )
+        scene.system.check_possible({name: column[defined] for name, column in grid.base.items()})
+        if scene.family is not None:
+            _check_family(scene, indices, grid.reason)
+        if not grid.exists.any():
+            raise BadInput(
+                f"integration.duration = {shown(str(scene.duration))}: at every point {_NOTHING_TURNS[scene.duration.unit]};"
+                " give a number of time units"
+            )
+        on_grid = grid.subset(grid.exists)
+        for name, derived in scene.system.derived.items():
+            if name in scene.outputs:
+                try:
+                    derived.check(on_grid.base, on_grid.duration)
+                except BadInput as error:
+                    raise BadInput(f"outputs.variables: {name}: {error}") from None
+        return grid
     except BadInput as error:
         raise error if scene.source is None else scene.source.located(error) from None
-
-
-def _check(scene: Scene) -> Grid:
-    """The points of `check`."""
-    bodies = _evenly_spaced(scene.size, MAX_CHECKED_BODIES)
-    # The ranges of all ties are checked with the values.
-    possible = bodies[scene.system.possible_body(parameter_values(scene, bodies))]
-    indices = _evenly_spaced(scene.size, MAX_CHECKED_STARTS)
-    grid = points_at_indices(scene, indices)
-    if not grid.exists.any() and possible.size:
-        indices = possible[_evenly_spaced(possible.size, MAX_CHECKED_STARTS)]
-        grid = points_at_indices(scene, indices)
-    _check_values_and_bodies(scene, indices, grid)
-    if scene.family is not None:
-        _check_family(scene, indices, grid.reason)
-    if not grid.exists.any():
-        raise BadInput(
-            f"integration.duration = {shown(str(scene.duration))}: at every point {_NOTHING_TURNS[scene.duration.unit]};"
-            " give a number of time units"
-        )
-    on_grid = grid.subset(grid.exists)
-    for name, derived in scene.system.derived.items():
-        if name in scene.outputs:
-            try:
-                derived.check(on_grid.base, on_grid.duration)
-            except BadInput as error:
-                raise BadInput(f"outputs.variables: {name}: {error}") from None
-    return grid
 
 
 _NOTHING_TURNS = {"turns": "n and m are 0, and nothing turns", "orbits": "the frame does not turn"}
@@ -279,19 +276,6 @@ def system_warnings(system: System, points: Points) -> list[str]:
             f" {1 / MAX_MAGNITUDE:g}: theory predicts nothing there, and results may overflow"
         )
     return messages
-
-
-def _check_values_and_bodies(scene: Scene, indices: np.ndarray, grid: Grid) -> None:
-    """Raise BadInput if a tie has no value, or body or start are impossible, at every point. indices: of the grid."""
-    defined = grid.reason != Reason.NO_VALUE
-    if not defined.any():
-        values = parameter_values(scene, indices[:1])
-        name = next(name for name in scene.ties if not np.isfinite(values[name][0]))
-        tie = scene.ties[name]
-        raise BadInput(
-            f"{tie.key} = {shown(tie.text)}: gives {values[name][0]:g}, and no point has values of all ties"
-        )
-    scene.system.check_possible({name: column[defined] for name, column in grid.base.items()})
 
 
 def _evenly_spaced(size: int, count: int) -> np.ndarray:

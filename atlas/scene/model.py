@@ -151,10 +151,10 @@ class Creator:
 EMPTY_CREATOR = Creator()
 
 
-@checks.accepts(**checks.table_schema(Creator))
+@checks.accepts(**checks.table_schema(checks.keys_of(Creator)))
 def creator(key: str, value: object) -> Creator:
     """Creator from the table of this key."""
-    return Creator(**checks.from_table(Creator, checks.mapping(key, value), key))
+    return checks.instance_of(Creator, checks.mapping(key, value), key)
 
 
 @dataclass(frozen=True)
@@ -163,11 +163,11 @@ class About:
 
     summary: str = checked(checks.text, "")  # a paragraph about the content
     license: str = checked(checks.text, "")  # such as "CC-BY-4.0"
-    keywords: tuple[str, ...] = checked(checks.texts, ())  # references come before that of the system
+    keywords: tuple[str, ...] = checked(checks.texts, ())
     references: tuple[str, ...] = checked(checks.texts, ())  # references come before that of the system
-    acknowledgement: str = checked(checks.text, "")  # `id` is an identifier that is unique, such as a DOI
-    comment: str = checked(checks.text, "")  # `id` is an identifier that is unique, such as a DOI
-    project: str = checked(checks.text, "")  # `id` is an identifier that is unique, such as a DOI
+    acknowledgement: str = checked(checks.text, "")
+    comment: str = checked(checks.text, "")
+    project: str = checked(checks.text, "")
     id: str = checked(checks.text, "")  # `id` is an identifier that is unique, such as a DOI
     creator: Creator = checked(creator, EMPTY_CREATOR)  # noqa: RUF009 - Creator is frozen
 
@@ -310,19 +310,16 @@ class Scene:
             for title, values in (("fixed", self.fixed), ("nudge", self.nudge))
         }
         listed = {"columns": columns} | numbers | {"ties": ties}
-        lines += [f"{title}: {_listed(items)}" for title, items in listed.items() if items]
+        for title, items in listed.items():
+            if items:
+                more = [f"and {len(items) - MAX_SHOWN} more"] if len(items) > MAX_SHOWN else []
+                lines.append(f"{title}: {', '.join([*items[:MAX_SHOWN], *more])}")
         if self.family is not None:
             lines.append(f"family: {self.family}, solved for {', '.join(self.solve) or 'nothing'}")
         accuracy = f"tolerance {settings.tolerance:g}" if settings.step is None else f"step {settings.step:g}"
         lines.append(f"duration {self.duration}, {settings.method}, {accuracy}")
         lines.append(f"rate tolerance {settings.rate_tolerance:g}, cylinder tolerance {settings.cylinder:g}")
         return "\n  ".join(lines)
-
-
-def _listed(items: list[str]) -> str:
-    """The first few of some texts, and how many more there are."""
-    more = [f"and {len(items) - MAX_SHOWN} more"] if len(items) > MAX_SHOWN else []
-    return ", ".join([*items[:MAX_SHOWN], *more])
 
 
 def optional_start_values(system: System, names: Iterable[str]) -> list[str]:

@@ -13,7 +13,7 @@ import numpy as np
 
 from ..errors import BadInput, shown
 from ..files import read_text
-from ..systems.base import Array, System
+from ..systems.base import System
 from . import checks, tables
 from .checks import checked
 from .expressions import PointColumn
@@ -30,17 +30,36 @@ MAX_FILE_BYTES = 50_000_000
 MAX_FILE_FIELDS = 5 * checks.MAX_LISTED_NUMBERS
 
 
-@dataclass(frozen=True)
+RANGES = checks.Check(
+    checks.mapping.read,
+    {"type": "object", "minProperties": 1, "additionalProperties": checks.table_schema(checks.INTERVAL)},
+)
+
+
+@dataclass(frozen=True, kw_only=True)
 class Sample:
     """Quasi-random points."""
 
     sample: str = checked(
         checks.one_of(SAMPLES), description="quasi-random points that fill the ranges evenly"
-    )  # kind of the sample, "latin_hypercube" or "sobol"
-    # Number of points
+    )
     count: int = checked(checks.whole(1, MAX_SAMPLED_POINTS), description="number of points")
-    ranges: Mapping[str, Any] = checked(checks.mapping)  # name -> table with from, to and spacing
     seed: int = checked(checks.whole(0, 2**63 - 1), 0)  # seed of the random numbers
+    ranges: Mapping[str, Any] = checked(RANGES)  # name -> table with from, to and spacing
+
+
+KEYS: checks.Keys = {
+    **checks.keys_of(Sample),
+    "file": checked(
+        checks.text, description=".csv with names in its first line, or .nc; a path from the scene's folder"
+    ),
+    "values": checked(
+        checks.Check(
+            checks.mapping.read,
+            {"type": "object", "minProperties": 1, "additionalProperties": checks.numbers.schema},
+        )
+    ),
+}
 
 
 def read_points(
@@ -50,13 +69,13 @@ def read_points(
 
     A NetCDF file's coordinate is a column if a tie refers to it. Without a folder no file is read.
     """
-    checks.check_keys(table, "points.", ("sample", "count", "seed", "ranges", "file", "values"))
+    checks.check_keys(table, "points.", KEYS)
     sources = [key for key in ("sample", "file", "values") if key in table]
     if len(sources) != 1:
         present = " and ".join(sources) or "none"
         raise BadInput(f"points: needs one of sample, file and values, found {present}")
     if sources == ["sample"]:
-        sample = Sample(**checks.from_table(Sample, table, "points"))
+        sample = checks.instance_of(Sample, table, "points")
         return vars(sample), _sampled_columns(system, sample)
     for key in ("count", "seed", "ranges"):
         if key in table:
@@ -82,7 +101,14 @@ def read_points(
     _check_columns(values)
     location = values.location if isinstance(values, CsvColumns) else None
     columns = {name: _listed_column(system, name, column, location) for name, column in values.items()}
-    _check_sizes({name: column.column.size for name, column in columns.items()})
+    if not columns:
+        raise BadInput("points: there are none")
+    size = len(columns) * tables.common_size({name: each.column.size for name, each in columns.items()})
+    if size > checks.MAX_LISTED_NUMBERS:
+        raise BadInput(
+            f"points: {size} numbers; a scene takes at most {checks.MAX_LISTED_NUMBERS};"
+            " label more with atlas points or atlas.label_points"
+        )
     return {"values": {name: column.column.tolist() for name, column in columns.items()}}, columns
 
 
@@ -120,27 +146,22 @@ def _sampled_columns(system: System, sample: Sample) -> dict[str, PointColumn]:
             f" {MAX_SAMPLED_NUMBERS} numbers in all"
         )
     unit_cube = quasi_random(sample.sample, len(sample.ranges), sample.count, sample.seed)
-    return {
-        name: _stretched_column(system, name, table, fraction)
-        for (name, table), fraction in zip(sample.ranges.items(), unit_cube, strict=True)
-    }
-
-
-def _stretched_column(system: System, name: str, table: object, fraction: Array) -> PointColumn:
-    """Numbers in [0, 1) stretched over the range of one name."""
-    key = f"points.ranges.{checks.identifier('points.ranges', name)}"
-    if not isinstance(table, Mapping):
-        raise BadInput(f"{key} = {shown(table)}: must be a table with from and to")
-    checks.check_keys(table, f"{key}.", ("from", "to", "spacing"))
-    checks.check_given(key, table, ("from", "to"), "a range needs from and to")
-    first, last, spacing = checks.interval(key, table)
-    if first == last:
-        raise BadInput(f"{key}: from = to = {first:g}; put what does not vary into [fixed]")
-    if name in system.parameters:
-        checks.check_range(system.parameters[name], key, min(first, last), max(first, last))
-    if spacing == "linear":
-        return PointColumn(key, first + (last - first) * fraction)
-    return PointColumn(key, first * (last / first) ** fraction)
+    columns = {}
+    for (name, table), fraction in zip(sample.ranges.items(), unit_cube, strict=True):
+        key = f"points.ranges.{checks.identifier('points.ranges', name)}"
+        if not isinstance(table, Mapping):
+            raise BadInput(f"{key} = {shown(table)}: must be a table with from and to")
+        ends = checks.from_table(checks.INTERVAL, table, key, rule="a range needs from and to")
+        first, last, spacing = checks.interval(key, ends)
+        if first == last:
+            raise BadInput(f"{key}: from = to = {first:g}; put what does not vary into [fixed]")
+        if name in system.parameters:
+            checks.check_range(system.parameters[name], key, min(first, last), max(first, last))
+        if spacing == "linear":
+            columns[name] = PointColumn(key, first + (last - first) * fraction)
+        else:
+            columns[name] = PointColumn(key, first * (last / first) ** fraction)
+    return columns
 
 
 def _listed_column(
@@ -169,17 +190,3 @@ def _check_columns(columns: Mapping[str, Any]) -> None:
     """Raise BadInput for more columns than a scene may have."""
     if len(columns) > MAX_COLUMNS:
         raise BadInput(f"points: {len(columns)} names; allowed: at most {MAX_COLUMNS}")
-
-
-def _check_sizes(sizes: Mapping[str, int]) -> None:
-    """Raise BadInput unless there are columns, of one length, and not too many numbers."""
-    if not sizes:
-        raise BadInput("points: there are none")
-    if len(set(sizes.values())) > 1:
-        lengths = ", ".join(f"{name}: {size}" for name, size in sizes.items())
-        raise BadInput(f"points: columns of different lengths ({lengths})")
-    if sum(sizes.values()) > checks.MAX_LISTED_NUMBERS:
-        raise BadInput(
-            f"points: {sum(sizes.values())} numbers; a scene takes at most {checks.MAX_LISTED_NUMBERS};"
-            " label more with atlas points or atlas.label_points"
-        )

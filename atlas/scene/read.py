@@ -6,6 +6,7 @@ import math
 import re
 import tomllib
 from collections.abc import Iterable, Mapping
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -18,6 +19,7 @@ from ..files import read_text
 from ..systems.base import Array, System
 from ..variables import POINT, data_variables, default_variables, variables
 from . import checks
+from .checks import checked
 from .expressions import Expression, PointColumn, Tie, evaluation_order
 from .model import (
     DURATION_UNITS,
@@ -83,25 +85,18 @@ def load_scene(source: str | Path | Scene) -> Scene:
         )
     if isinstance(source, str) and ("\n" in source or "\r" in source):
         return parse_scene(source, folder=Path())
-    path = Path(source)
-    _check_no_atlas(path)
-    return parse_scene(read_text(path), path.stem, path.parent, str(path))
-
-
-def _check_no_atlas(path: Path) -> None:
-    """Raise BadInput for an atlas, a file or a run folder, that is given instead of a scene."""
-    try:
+    path, is_atlas = Path(source), False
+    with suppress(OSError, ValueError):  # reading the text raises the better error
         is_atlas = (path / "manifest.json").exists()
         if path.is_file():  # a pipe could not be read again
             with path.open("rb") as file:
                 is_atlas = file.read(4).startswith(NETCDF_BEGINS)
-    except (OSError, ValueError):
-        return  # reading the text raises the better error
     if is_atlas:
         raise BadInput(
             f"{path}: this is an atlas, not a scene; its attribute atlas_scene is the text of the scene that it was"
             " computed from"
         )
+    return parse_scene(read_text(path), path.stem, path.parent, str(path))
 
 
 def parse_scene(text: str, name: str = "scene", folder: Path | None = None, path: str | None = None) -> Scene:
@@ -137,13 +132,27 @@ def parse_scene(text: str, name: str = "scene", folder: Path | None = None, path
 
 def scene_from(table: Mapping[str, Any], name: str = "scene", folder: Path | None = Path()) -> Scene:
     """The scene of a parsed TOML text, as `parse_scene`."""
-    _check_keys(table)
+    checks.check_keys(table, "", KEYS)
+    for key in ("schema", "system", "axes"):
+        if key not in table and not (key == "axes" and "points" in table):
+            raise BadInput(f"{key} is missing: a scene needs schema, system and axes (or points)")
+    for key in ("axes", "refine"):
+        if key in table and "points" in table:
+            raise BadInput(f"points and {key} are both given; a scene has one of them")
+    if table["schema"] != SCHEMA or isinstance(table["schema"], bool):
+        raise BadInput(f"schema = {shown(table['schema'])}: allowed: {SCHEMA}")
     section = {key: checks.mapping(key, table.get(key, {})) for key in TABLES}
-    _check_number_of_names(len(section["fixed"]) + len(section["axes"]) + len(section["ties"]))
+    if (count := sum(len(section[key]) for key in ("fixed", "axes", "ties"))) > MAX_NAMES:
+        raise BadInput(f"{count} names are given values; allowed: at most {MAX_NAMES}")
     system = systems.get(checks.text("system", table["system"]))
     title = checks.text("title", table.get("title", name))
-    fixed = {key: _fixed_value(system, key, value) for key, value in section["fixed"].items()}
-    refine = Refine(**checks.from_table(Refine, section["refine"], "refine")) if "refine" in table else None
+    fixed = {key: checks.number(f"fixed.{key}", value) for key, value in section["fixed"].items()}
+    for key, number in fixed.items():
+        if key in system.parameters:
+            checks.check_range(system.parameters[key], f"fixed.{key}", number, number)
+        else:
+            checks.identifier(f"fixed.{key}", key)
+    refine = checks.instance_of(Refine, section["refine"], "refine") if "refine" in table else None
     axes = _axes(system, section["axes"], refine)
     points: Mapping[str, Any] | None = None
     columns: dict[str, PointColumn] = {}
@@ -153,11 +162,20 @@ def scene_from(table: Mapping[str, Any], name: str = "scene", folder: Path | Non
         axes[POINT] = Axis(POINT, np.arange(count, dtype=np.float64), long_name="number of the point")
     if not axes:
         raise BadInput("axes: a scene needs at least one [axes.NAME] table")
-    expressions = {key: _expression(key, value) for key, value in section["ties"].items()}
+    expressions = {}
+    for key, value in section["ties"].items():
+        checks.identifier(f"ties.{key}", key)
+        if not isinstance(value, str):
+            raise BadInput(
+                f'ties.{key} = {shown(value)}: must be a string of arithmetic, such as "sigma * A"'
+            )
+        expressions[key] = Expression(f"ties.{key}", value)
     if (length := sum(len(tie.text) for tie in expressions.values())) > MAX_TIE_CHARACTERS:
         raise BadInput(f"ties: {length} characters in all; allowed: at most {MAX_TIE_CHARACTERS}")
     family, solve = _family(system, section["family"]) if "family" in table else (None, ())
     ties: dict[str, Tie] = expressions | columns
+    _check_solved(axes, expressions, solve)
+    order = evaluation_order(ties, {*system.parameters, *fixed, *axes} - set(solve))
     names: dict[str, Iterable[str]] = {
         "fixed": fixed,
         "axes": axes,
@@ -165,11 +183,21 @@ def scene_from(table: Mapping[str, Any], name: str = "scene", folder: Path | Non
         "solve": solve,
         "points": columns,
     }
-    _check_solved(axes, expressions, solve)
-    order = evaluation_order(ties, {*system.parameters, *fixed, *axes} - set(solve))
     _check_names(system, names, axes, ties)
     duration, settings = _integration(system, section["integration"], section["labels"])
-    outputs = _outputs(system, section["outputs"])
+    checks.check_keys(section["outputs"], "outputs.", ("variables", "map"))
+    registry = variables(system)
+    listed = section["outputs"].get("variables", default_variables(system))
+    if not isinstance(listed, list) or not listed:
+        raise BadInput(f"outputs.variables = {shown(listed)}: must be a list of at least one variable name")
+    for each in listed:
+        if not isinstance(each, str) or each not in registry:
+            raise BadInput(f"outputs.variables: {shown(each)} is unknown; {allowed_text(each, registry)}")
+    outputs = tuple(each for each in registry if each in set(listed))
+    map_variable = section["outputs"].get("map", "")
+    about = section["about"]
+    if "licence" in about and "license" not in about:  # both spellings are read
+        about = {"license" if key == "licence" else key: value for key, value in about.items()}
     return Scene(
         title=title,
         system=system,
@@ -182,63 +210,57 @@ def scene_from(table: Mapping[str, Any], name: str = "scene", folder: Path | Non
         duration=duration,
         settings=settings,
         outputs=outputs,
-        map=checks.choice("outputs.map", section["outputs"]["map"], outputs)
-        if "map" in section["outputs"]
-        else "",
+        map=checks.choice("outputs.map", map_variable, outputs) if "map" in section["outputs"] else "",
         refine=refine,
         points=points,
-        about=_about(section["about"]),
+        about=checks.instance_of(About, about, "about"),
     )
 
 
-def _about(table: Mapping[str, Any]) -> About:
-    """The table [about]; both spellings of licence are read."""
-    if "licence" in table and "license" not in table:
-        table = {"license" if name == "licence" else name: value for name, value in table.items()}
-    return About(**checks.from_table(About, table, "about"))
-
-
-def _check_number_of_names(count: int) -> None:
-    """Raise BadInput for more names than a scene may give values to."""
-    if count > MAX_NAMES:
-        raise BadInput(f"{count} names are given values; allowed: at most {MAX_NAMES}")
-
-
-def _check_keys(table: Mapping[str, Any]) -> None:
-    """Raise BadInput for unknown, missing and contradicting keys at the top of a scene."""
-    checks.check_keys(table, "", KEYS)
-    for key in ("schema", "system", "axes"):
-        if key not in table and not (key == "axes" and "points" in table):
-            raise BadInput(f"{key} is missing: a scene needs schema, system and axes (or points)")
-    for key in ("axes", "refine"):
-        if key in table and "points" in table:
-            raise BadInput(f"points and {key} are both given; a scene has one of them")
-    if table["schema"] != SCHEMA or isinstance(table["schema"], bool):
-        raise BadInput(f"schema = {shown(table['schema'])}: allowed: {SCHEMA}")
-
-
-def _fixed_value(system: System, name: str, value: object) -> float:
-    """Value of a name in [fixed]."""
-    key = f"fixed.{name}"
-    number = checks.number(key, value)
-    if name in system.parameters:
-        checks.check_range(system.parameters[name], key, number, number)
-    else:
-        checks.identifier(key, name)
-    return number
-
-
-_SPACED = ("from", "to", "count", "spacing")
+# Keys of a table [axes.NAME] with evenly spaced values, with listed ones, and of both.
+SPACED: checks.Keys = {
+    "from": checks.INTERVAL["from"],
+    "to": checks.INTERVAL["to"],
+    "count": checked(checks.whole(1, MAX_AXIS_COUNT), description="number of values"),
+    "spacing": checks.INTERVAL["spacing"],
+}
+LISTED: checks.Keys = {
+    "values": checked(checks.distinct_numbers, description="all values, instead of from, to and count")
+}
+OF_BOTH: checks.Keys = {
+    "offset_from_family": checked(
+        checks.boolean, False, description="the values are distances from what [family] solves"
+    ),
+    "long_name": checked(checks.text, "", description="name of the axis in the atlas and in figures"),
+    "units": checked(checks.text, "", description="unit of the axis in the atlas"),
+}
 
 
 def _axes(system: System, tables: Mapping[str, Any], refine: Refine | None) -> dict[str, Axis]:
-    """Axes of the table [axes]; their sizes are checked before their values are made."""
+    """Axes of the table [axes], on the grid of the finest level; their sizes are checked before their values are made."""
     if len(tables) > MAX_AXES:
         raise BadInput(f"axes: {len(tables)} of them; allowed: at most {MAX_AXES}")
     if POINT in tables:
         raise BadInput(f"axes.{POINT}: this is the dimension of scenes with [points]; choose another name")
     levels = 0 if refine is None else refine.levels
-    counts = {name: _axis_count(name, table, levels) for name, table in tables.items()}
+    keys, counts = {}, {}
+    for name, table in tables.items():
+        key = f"axes.{name}"
+        checks.identifier(key, name)
+        if not isinstance(table, Mapping):
+            raise BadInput(f"{key} = {shown(table)}: must be a table with from, to and count, or values")
+        checks.check_keys(table, f"{key}.", {**SPACED, **LISTED, **OF_BOTH})
+        for other in SPACED:
+            if other in table and "values" in table:
+                raise BadInput(f"{key}.{other}: not together with values")
+        needed, rule = (
+            (LISTED if "values" in table else SPACED),
+            "an axis needs from, to and count, or values",
+        )
+        keys[name] = checks.from_table({**needed, **OF_BOTH}, table, key, rule=rule)
+        counts[name] = len(table["values"]) if "values" in table else (table["count"] - 1) * 2**levels + 1
+        if "count" in table and counts[name] > MAX_AXIS_COUNT:
+            raise BadInput(f"{key}.count = {table['count']}: too many for {levels} levels of [refine]")
     size = math.prod(counts.values())
     if size > MAX_POINTS:
         raise BadInput(f"axes: {size:.3g} points in all; allowed: at most {MAX_POINTS:.0e}")
@@ -251,64 +273,31 @@ def _axes(system: System, tables: Mapping[str, Any], refine: Refine | None) -> d
             raise BadInput(
                 f"refine: {size:.3g} points on the finest grid; allowed: at most {MAX_REFINED_POINTS:.0e}"
             )
-    return {name: _axis(system, name, table, counts[name]) for name, table in tables.items()}
+    axes = {}
+    for name, table in keys.items():
+        values = (
+            np.array(table["values"]) if "values" in table else _spaced(f"axes.{name}", table, counts[name])
+        )
+        offset = table.get("offset_from_family", False)
+        if name in system.parameters and not offset:
+            checks.check_range(system.parameters[name], f"axes.{name}", values.min(), values.max())
+        values.flags.writeable = False
+        axes[name] = Axis(
+            name, values, offset, table.get("long_name", ""), table.get("units", ""), tables[name]
+        )
+    return axes
 
 
-def _axis_count(name: str, table: object, levels: int) -> int:
-    """Number of values of a table [axes.NAME], whose spacing [refine] halves `levels` times."""
-    key = f"axes.{name}"
-    checks.identifier(key, name)
-    if not isinstance(table, Mapping):
-        raise BadInput(f"{key} = {shown(table)}: must be a table with from, to and count, or values")
-    checks.check_keys(table, f"{key}.", (*_SPACED, "values", "offset_from_family", "long_name", "units"))
-    if "values" in table:
-        for other in _SPACED:
-            if other in table:
-                raise BadInput(f"{key}.{other}: not together with values")
-        return len(checks.numbers(f"{key}.values", table["values"]))
-    checks.check_given(key, table, ("from", "to", "count"), "an axis needs from, to and count, or values")
-    count = checks.whole_number(f"{key}.count", table["count"], 1, MAX_AXIS_COUNT)
-    fine_count = (count - 1) * 2**levels + 1
-    if fine_count > MAX_AXIS_COUNT:
-        raise BadInput(f"{key}.count = {count}: too many for {levels} levels of [refine]")
-    return fine_count
-
-
-def _axis(system: System, name: str, table: Mapping[str, Any], count: int) -> Axis:
-    """Axis of a table [axes.NAME] with `count` values."""
-    key = f"axes.{name}"
-    if "values" in table:
-        values = np.array(checks.numbers(f"{key}.values", table["values"]))
-        distinct = np.unique(values).size == count
-    else:
-        values = _spaced_values(key, table, count)
-        distinct = bool((values[1:] != values[:-1]).all())
-    if not distinct:
-        raise BadInput(f"{key}.values: some values occur twice; an axis needs distinct values")
-    offset = checks.boolean(f"{key}.offset_from_family", table.get("offset_from_family", False))
-    if name in system.parameters and not offset:
-        checks.check_range(system.parameters[name], key, values.min(), values.max())
-    long_name, units = (checks.text(f"{key}.{k}", table.get(k, "")) for k in ("long_name", "units"))
-    values.flags.writeable = False
-    return Axis(name, values, offset, long_name, units, table)
-
-
-def _spaced_values(key: str, table: Mapping[str, Any], count: int) -> Array:
-    """`count` evenly spaced values from the number `from` to the number `to`."""
+def _spaced(key: str, table: Mapping[str, Any], count: int) -> Array:
+    """`count` evenly spaced, distinct values from the number `from` to the number `to`."""
     first, last, spacing = checks.interval(key, table)
     if count > 1 and first == last:
         raise BadInput(f"{key}: from = to = {first:g} with count = {count}; an axis needs distinct values")
     with np.errstate(all="ignore"):  # near the largest number the logarithm of `to` may round up
-        return np.asarray((np.linspace if spacing == "linear" else np.geomspace)(first, last, count))
-
-
-def _expression(name: str, value: object) -> Expression:
-    """Expression of a name in [ties]."""
-    key = f"ties.{name}"
-    checks.identifier(key, name)
-    if not isinstance(value, str):
-        raise BadInput(f'{key} = {shown(value)}: must be a string of arithmetic, such as "sigma * A"')
-    return Expression(key, value)
+        values = np.asarray((np.linspace if spacing == "linear" else np.geomspace)(first, last, count))
+    if not (values[1:] != values[:-1]).all():
+        raise BadInput(f"{key}.values: some values occur twice; an axis needs distinct values")
+    return values
 
 
 def _family(system: System, table: Mapping[str, Any]) -> tuple[str, tuple[str, ...]]:
@@ -351,19 +340,9 @@ def _check_names(
         is_offset = given_in == ["axes", "solve"] and axes[name].offset_from_family
         if len(given_in) > 1 and not is_offset:
             raise BadInput(f"{name} is given in {' and in '.join(given_in)}: a name has one value")
-    _check_dataset_names(system, sections, axes)
-    used = {name for tie in ties.values() for name in tie.names}
-    for name, given_in in sections.items():
-        if name not in system.parameters and name not in used:
-            raise BadInput(
-                f"{given_in[0]}.{name}: not a parameter of the {system.name}, and no tie uses it;"
-                f" {allowed_text(name, system.parameters)}"
-            )
-
-
-def _check_dataset_names(system: System, sections: Mapping[str, list[str]], axes: Mapping[str, Axis]) -> None:
-    """Raise BadInput for a name that is two of variable, parameter and dimension in the scene's dataset."""
-    variables_of_file = data_variables(system)
+    variables_of_file = data_variables(
+        system
+    )  # a name is one of variable, parameter and dimension in a dataset
     for name, given_in in sections.items():
         if name in variables_of_file:
             raise BadInput(f"{given_in[0]}.{name}: an atlas has a variable of this name; choose another name")
@@ -379,6 +358,13 @@ def _check_dataset_names(system: System, sections: Mapping[str, list[str]], axes
                 f" choose another name for axes.{axis.dim}"
             )
         dims[axis.dim] = key
+    used = {name for tie in ties.values() for name in tie.names}
+    for name, given_in in sections.items():
+        if name not in system.parameters and name not in used:
+            raise BadInput(
+                f"{given_in[0]}.{name}: not a parameter of the {system.name}, and no tie uses it;"
+                f" {allowed_text(name, system.parameters)}"
+            )
 
 
 def _check_solved(
@@ -419,8 +405,10 @@ def _integration(
     system: System, integration: Mapping[str, Any], labels: Mapping[str, Any]
 ) -> tuple[Duration, Settings]:
     """Duration and settings from the tables [integration] and [labels]."""
-    values = checks.from_table(Settings, integration, "integration", also=["duration"])
-    values |= checks.from_table(Settings, labels, "labels")
+    values = checks.from_table(
+        checks.keys_of(Settings, "integration"), integration, "integration", also=["duration"]
+    )
+    values |= checks.from_table(checks.keys_of(Settings, "labels"), labels, "labels")
     if "step" in values and "tolerance" in values:
         raise BadInput("integration: step and tolerance are both given; a scene has one of them")
     duration = (
@@ -471,16 +459,3 @@ def check_unit(system: System, duration: Duration, key: str = "duration") -> Non
         raise BadInput(
             f"{key} = {shown(str(duration))}: the {system.name} has no orbit; use time units or turns"
         )
-
-
-def _outputs(system: System, table: Mapping[str, Any]) -> tuple[str, ...]:
-    """Variables of the atlas in the order of the registry; by default all but the optional ones."""
-    checks.check_keys(table, "outputs.", ("variables", "map"))
-    registry = variables(system)
-    names = table.get("variables", default_variables(system))
-    if not isinstance(names, list) or not names:
-        raise BadInput(f"outputs.variables = {shown(names)}: must be a list of at least one variable name")
-    for name in names:
-        if not isinstance(name, str) or name not in registry:
-            raise BadInput(f"outputs.variables: {shown(name)} is unknown; {allowed_text(name, registry)}")
-    return tuple(name for name in registry if name in set(names))

@@ -7,6 +7,7 @@ import csv
 import math
 import re
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -31,7 +32,15 @@ def table(source: Any, names: Collection[str]) -> dict[str, Any]:
     if isinstance(source, str | Path):
         return read(source, names)
     if isinstance(source, xr.Dataset):
-        return _dataset_columns(source, names)
+        columns = {}
+        for name in source.variables:
+            if name in source.dims and name not in names:
+                continue
+            if source[name].ndim > 1:
+                dims = ", ".join(map(str, source[name].dims))
+                raise BadInput(f"{name} lies along {dims}: points need one dimension")
+            columns[str(name)] = source[name].values
+        return columns
     if isinstance(source, CsvColumns):
         return source
     if isinstance(source, Mapping):
@@ -67,10 +76,26 @@ def read(
     except OSError as error:
         raise BadInput(f"{path}: cannot be read: {error.strerror}") from None
     _check_bytes(path, size, max_bytes)
-    if path.suffix.lower() == ".nc":
-        return _read_netcdf(path, names, max_bytes)
-    with open_text(path) as file:
-        return read_csv(file, str(path), names, max_fields)
+    if path.suffix.lower() == ".csv":
+        with open_text(path) as file:
+            return read_csv(file, str(path), names, max_fields)
+    import xarray as xr
+
+    try:
+        with xr.open_dataset(path, engine="netcdf4", decode_times=False) as ds:
+            if len(ds.dims) > 1:
+                dims = ", ".join(map(str, ds.dims))
+                raise BadInput(f"{path}: has the dimensions {dims}; points need one")
+            _check_bytes(path, ds.nbytes, max_bytes)
+            ds.load()
+    except BadInput:
+        raise
+    except Exception as error:  # reading a damaged file, also its values, may raise any error
+        raise BadInput(f"{path}: not a NetCDF file that can be read ({one_line(error)})") from None
+    try:
+        return table(ds, names)
+    except BadInput as error:
+        raise BadInput(f"{path}: {error}") from None
 
 
 def kept_columns(system: System, table: Mapping[str, Any], keep: Collection[str] = ()) -> dict[str, Array]:
@@ -87,18 +112,15 @@ def kept_columns(system: System, table: Mapping[str, Any], keep: Collection[str]
             )
             raise BadInput(f"keep: {shown(name)} is {problem}")
     columns = {name: np.asarray(values) for name, values in table.items() if name not in system.parameters}
-    return {
-        name: column
-        for name, column in columns.items()
-        if column.ndim == 1 and (name in keep or name.lower() in IDENTIFIERS or _is_text(column))
-    }
-
-
-def _is_text(column: Array) -> bool:
-    """Whether a column holds text, also among missing values."""
-    return column.dtype.kind in "UT" or (
-        column.dtype.kind == "O" and any(isinstance(value, str) for value in column)
-    )
+    kept = {}
+    for name, column in columns.items():
+        if column.ndim == 1:
+            is_text = column.dtype.kind in "UT"
+            if column.dtype.kind == "O":  # also among missing values
+                is_text = any(isinstance(value, str) for value in column)
+            if is_text or name in keep or name.lower() in IDENTIFIERS:
+                kept[name] = column
+    return kept
 
 
 def point_columns(system: System, points: Any, kept: Collection[str] = ()) -> tuple[dict[str, Array], int]:
@@ -115,7 +137,7 @@ def point_columns(system: System, points: Any, kept: Collection[str] = ()) -> tu
             )
         arrays[name] = number_column(name, values)
     sizes = {name: column.size for name, column in arrays.items() if column.ndim}
-    size = _common_size(sizes | {name: len(source[name]) for name in kept})
+    size = common_size(sizes | {name: len(source[name]) for name in kept})
     columns: dict[str, Array] = {}
     for name, parameter in system.parameters.items():
         column = arrays.get(name, np.asarray(parameter.default))
@@ -167,7 +189,7 @@ def number_column(name: str, values: Any) -> Array:
     return column
 
 
-def _common_size(sizes: Mapping[str, int]) -> int:
+def common_size(sizes: Mapping[str, int]) -> int:
     """Length of the columns, 1 if there are only numbers; BadInput if they differ or are empty."""
     if len(set(sizes.values())) > 1:
         lengths = ", ".join(f"{name}: {size}" for name, size in sizes.items())
@@ -178,46 +200,12 @@ def _common_size(sizes: Mapping[str, int]) -> int:
     return size
 
 
-def _dataset_columns(ds: Any, names: Collection[str]) -> dict[str, Any]:
-    """Variables of a Dataset, with the coordinate of its dimension only if its name is among `names`."""
-    columns = {}
-    for name in ds.variables:
-        if name in ds.dims and name not in names:
-            continue
-        if ds[name].ndim > 1:
-            dims = ", ".join(map(str, ds[name].dims))
-            raise BadInput(f"{name} lies along {dims}: points need one dimension")
-        columns[str(name)] = ds[name].values
-    return columns
-
-
 def _check_bytes(path: Path, size: float, max_bytes: float) -> None:
     """Raise BadInput for a file, or its variables, of more bytes than allowed."""
     if size > max_bytes:
         raise BadInput(
             f"{path}: {size:.3g} bytes; a scene reads at most {max_bytes:.3g}: use atlas points or atlas.label_points"
         )
-
-
-def _read_netcdf(path: Path, names: Collection[str], max_bytes: float) -> dict[str, Any]:
-    """Columns of a NetCDF file with one dimension."""
-    import xarray as xr
-
-    try:
-        with xr.open_dataset(path, engine="netcdf4", decode_times=False) as ds:
-            if len(ds.dims) > 1:
-                dims = ", ".join(map(str, ds.dims))
-                raise BadInput(f"{path}: has the dimensions {dims}; points need one")
-            _check_bytes(path, ds.nbytes, max_bytes)
-            ds.load()
-    except BadInput:
-        raise
-    except Exception as error:  # reading a damaged file, also its values, may raise any error
-        raise BadInput(f"{path}: not a NetCDF file that can be read ({one_line(error)})") from None
-    try:
-        return table(ds, names)
-    except BadInput as error:
-        raise BadInput(f"{path}: {error}") from None
 
 
 SEPARATORS = ("\t", ";", ",")  # the first one in the line of names
@@ -242,36 +230,51 @@ def read_csv(
     lines: Iterable[str], source: str, numeric: Collection[str], max_fields: float = math.inf
 ) -> CsvColumns:
     """Columns of a CSV file with names first, nan for empty `numeric` fields; BadInput with file and line."""
-    content = _Lines(lines, source)
+    number = 0  # of the last line read
+
+    def content_lines() -> Iterator[str]:
+        """The lines without empty ones and comments."""
+        nonlocal number
+        for line in lines:
+            number += 1
+            if len(line) > MAX_LINE:
+                raise BadInput(f"{source}, line {number}: more than {MAX_LINE} characters")
+            if line.strip() and not line.lstrip().startswith("#"):
+                yield line
+
+    content = content_lines()
     first = next(content, "")
     separator = next((each for each in SEPARATORS if each in first), ",")
+    rows = partial(csv.reader, delimiter=separator, skipinitialspace=True, strict=True)
     line_numbers = array.array("q")
     try:
-        header = _header(source, next(_reader([first], separator), []))
+        header = _header(source, next(rows([first]), []))
         columns: dict[str, Any] = {name: array.array("d") if name in numeric else [] for name in header}
-        cells = [(columns[name].append, _number if name in numeric else str.strip) for name in header]
+        cells = [(name, columns[name].append, _number if name in numeric else str.strip) for name in header]
         max_rows = max_fields / len(header)
-        for row in _reader(content, separator):
+        for row in rows(content):
             if len(row) != len(header):
                 raise BadInput(
-                    f"{source}, line {content.number}: {len(row)} fields, but the first line names"
+                    f"{source}, line {number}: {len(row)} fields, but the first line names"
                     f" {len(header)} columns"
                 )
-            line_numbers.append(content.number)
+            line_numbers.append(number)
             if len(line_numbers) > max_rows:
                 raise BadInput(
                     f"{source}: more than {max_fields:.0f} fields; label more with atlas points or"
                     " atlas.label_points"
                 )
-            try:
-                for (append, convert), field in zip(cells, row, strict=True):
+            for (name, append, convert), field in zip(cells, row, strict=True):
+                try:
                     append(convert(field))
-            except ValueError:
-                raise BadInput(
-                    f"{source}, line {content.number}: {_field_error(header, row, numeric)}"
-                ) from None
+                except ValueError:
+                    comma = re.fullmatch(r"\s*[-+]?\d+,\d+\s*", field)
+                    form = "a number with a decimal point, not a comma" if comma else "a number"
+                    raise BadInput(
+                        f"{source}, line {number}: {name} = {shown(field)}: must be {form}"
+                    ) from None
     except csv.Error as error:
-        raise BadInput(f"{source}, line {content.number}: not a CSV file: {error}") from None
+        raise BadInput(f"{source}, line {number}: not a CSV file: {error}") from None
     if not line_numbers:
         raise BadInput(f"{source}: no points: there is only the line of names")
     return CsvColumns(
@@ -282,32 +285,6 @@ def read_csv(
         source,
         line_numbers,
     )
-
-
-class _Lines:
-    """The lines of a file without empty ones and comments, and the number of the last line read."""
-
-    def __init__(self, lines: Iterable[str], source: str):
-        self.number = 0
-        self._lines = iter(lines)
-        self._source = source
-
-    def __iter__(self) -> Iterator[str]:
-        return self
-
-    def __next__(self) -> str:
-        for line in self._lines:
-            self.number += 1
-            if len(line) > MAX_LINE:
-                raise BadInput(f"{self._source}, line {self.number}: more than {MAX_LINE} characters")
-            if line.strip() and not line.lstrip().startswith("#"):
-                return line
-        raise StopIteration
-
-
-def _reader(lines: Iterable[str], separator: str) -> Iterator[list[str]]:
-    """Fields of each line."""
-    return csv.reader(lines, delimiter=separator, skipinitialspace=True, strict=True)
 
 
 def _header(source: str, fields: list[str]) -> list[str]:
@@ -329,18 +306,6 @@ def _header(source: str, fields: list[str]) -> list[str]:
 def _number(field: str) -> float:
     """The number in a field, nan if it is empty."""
     return float(field.strip() or "nan")
-
-
-def _field_error(header: list[str], row: list[str], numeric: Collection[str]) -> str:
-    """Error message about the first field of a line that must be a number and is none."""
-    for name, field in zip(header, row, strict=True):
-        try:
-            if name in numeric:
-                _number(field)
-        except ValueError:
-            comma = re.fullmatch(r"\s*[-+]?\d+,\d+\s*", field)
-            return f"{name} = {shown(field)}: must be a number{' with a decimal point, not a comma' if comma else ''}"
-    raise AssertionError("every field is a number")
 
 
 def _numbers_if_possible(texts: list[str]) -> np.ndarray:

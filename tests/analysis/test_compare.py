@@ -10,7 +10,7 @@ from hypothesis.extra import numpy as hnp
 
 import atlas
 from atlas import BadInput, load_scene
-from atlas.analysis import compare, summary
+from atlas.analysis import compare
 from atlas.flags import Agreement, Label, Stability
 from atlas.label import theory
 
@@ -180,7 +180,7 @@ def test_the_summary_reads_the_median_of_some_labels_to_a_quarter_of_a_decade(co
     estimates = xr.DataArray([*values, np.nan, 7.0], dims="point")
     labels = [Label.DRIFTING] * (count + 1) + [Label.REGULAR_PRECESSION]
     label = xr.DataArray(np.array(labels, np.int8), dims="point")
-    line = summary.summary(
+    line = compare.summary(
         xr.Dataset(
             {"label": label, "error_estimate": estimates},
             attrs={"atlas_seconds": 1.0, "atlas_points_per_second": 1.0},

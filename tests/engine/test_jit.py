@@ -14,7 +14,7 @@ import numba
 import pytest
 
 import atlas
-from atlas import process
+from atlas import files
 from atlas.engine import jit
 from atlas.engine.compiling import ANNOUNCEMENT, announced
 from atlas.systems.satellite.system import SATELLITE
@@ -279,7 +279,7 @@ def test_cache_is_listed_and_cleared(cache):
     earlier = cache / "atlas_kernel_of_an_earlier_version"
     earlier.mkdir()
     (earlier / "kernel.py").write_text("1234")
-    ended = re.sub(r"-\d+-\d+$", "-4000000-1", process.name())
+    ended = re.sub(r"-\d+-\d+$", "-4000000-1", files.process_name())
     (cache / f".atlas-{ended}-00000000.tmp").write_text("left by a process that was killed")
     (cache / "mine.txt").write_text("")
     assert [(name, size) for name, size, _ in jit.cached()] == [

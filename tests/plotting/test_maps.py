@@ -22,7 +22,7 @@ from atlas.analysis import boundary, metadata, select
 from atlas.analysis import plane as planes
 from atlas.errors import MAX_TEXT, printable
 from atlas.flags import Label
-from atlas.plotting import content, maps, style, text, trajectory
+from atlas.plotting import content, maps, style, trajectory
 from atlas.scene import grid
 from atlas.systems import SYSTEMS
 from atlas.variables import variables
@@ -233,8 +233,8 @@ def test_axes_carry_symbols_and_units(small):
     ax, bar = figure.axes
     assert (ax.get_xlabel(), ax.get_ylabel()) == ("$C/A$", r"$\theta_0$ (rad)")
     assert bar.get_ylabel() == r"mean $\dot\psi$ (rad s$^{-1}$)"
-    assert text.unit_text("kg m2") == "kg m$^{2}$"
-    assert text.variable_label(small.growth_rate) == "growth rate (rad s$^{-1}$)"
+    assert style.unit_text("kg m2") == "kg m$^{2}$"
+    assert style.variable_label(small.growth_rate) == "growth rate (rad s$^{-1}$)"
 
 
 def test_every_variable_of_an_atlas_can_be_drawn(small):
@@ -263,8 +263,8 @@ def test_texts_that_are_no_formulas_are_drawn_as_they_are(small, bad):
         figure.savefig(io.BytesIO())
         assert drawn in {label for ax in figure.axes for label in (ax.get_xlabel(), ax.get_ylabel())}
     assert figure.axes[-1].get_ylabel() == rf"mean $\dot\psi$ ({drawn})"
-    assert text.drawable("$k_3$") == "$k_3$"
-    assert text.drawable("$k_3$\n$\\bad$") == "$k_3$\n\\$\\bad\\$"
+    assert style.drawable("$k_3$") == "$k_3$"
+    assert style.drawable("$k_3$\n$\\bad$") == "$k_3$\n\\$\\bad\\$"
 
 
 def test_a_third_axis_becomes_panels(solid):
@@ -644,8 +644,8 @@ def test_scatter_axes_are_given_parameters_that_vary(sample, small):
 )
 def test_names_of_axes_are_mathematics(words, printed):
     symbols = {name: p.symbol for name, p in SYSTEMS["satellite"].parameters.items()}
-    assert text.math_text(words, symbols) == printed
-    assert text.unit_text("Omega") == r"$\Omega$"
+    assert style.math_text(words, symbols) == printed
+    assert style.unit_text("Omega") == r"$\Omega$"
 
 
 # Borders of theory.
@@ -679,18 +679,17 @@ def test_borders_reach_the_frame_of_coarse_maps(small):
     assert float(vertical.theta0.max()) == pytest.approx(edges[-1], abs=1e-6)
 
 
-def drawn_plane(monkeypatch, theory, dims):
+def drawn_plane(theory, dims):
     """A plane of a nudged scene, with axes from 0 to 1, of which theory is a function of the coordinates."""
-    monkeypatch.setattr(
-        boundary, "_coordinates", lambda plane, positions: dict(zip(dims, positions.T, strict=True))
-    )
-    monkeypatch.setattr(boundary, "_values", lambda plane, positions: positions)
     return SimpleNamespace(
-        extent=dict.fromkeys(dims, (0.0, 1.0)), scene=SimpleNamespace(nudge={"m": 1e-4}), theory=theory
+        extent=dict.fromkeys(dims, (0.0, 1.0)),
+        scene=SimpleNamespace(nudge={"m": 1e-4}),
+        coordinates=lambda positions: dict(zip(dims, positions.T, strict=True)),
+        theory=theory,
     )
 
 
-def test_a_strip_narrower_than_the_samples_is_followed_to_its_end(monkeypatch):
+def test_a_strip_narrower_than_the_samples_is_followed_to_its_end():
     """Unstable between y = x / 2 and a little above, ending in a point at x = 1."""
 
     def theory(places, inertial=False):
@@ -701,14 +700,14 @@ def test_a_strip_narrower_than_the_samples_is_followed_to_its_end(monkeypatch):
             ones.astype(bool), np.where(inside, 2, 1), np.full(x.shape, 2), {"n": ones, "m": ones}
         )
 
-    strip = drawn_plane(monkeypatch, theory, "xy")
+    strip = drawn_plane(theory, "xy")
     line = max(boundary.theory_borders(strip)[boundary.STABILITY], key=len)
     assert line[:, 0].max() > 0.93  # where it is a fifth of the distance between coarse samples wide
     x, y = line[1:-1].T
     assert np.minimum(abs(y - 0.5 * x), abs(y - 0.5 * x - 0.02 * (1 - x))).max() < 1e-4
 
 
-def test_only_precessions_and_rotations_have_a_limit_between_them(monkeypatch):
+def test_only_precessions_and_rotations_have_a_limit_between_them():
     """Fifths of an axis: precessions, unstable ones, starts that drift, rotations, precessions; m is 0 in the second."""
 
     def theory(places, inertial=False):
@@ -720,7 +719,7 @@ def test_only_precessions_and_rotations_have_a_limit_between_them(monkeypatch):
         rates = {"n": x - 0.11, "m": x - 0.31}
         return planes.Theory(x >= 0, np.where(fifth == 1, 2, 1), np.array(labels)[fifth], rates)
 
-    lines = boundary.theory_borders(drawn_plane(monkeypatch, theory, "x"))
+    lines = boundary.theory_borders(drawn_plane(theory, "x"))
     positions = {kind: [float(line[0, 0]) for line in kinds] for kind, kinds in lines.items()}
     assert positions == {
         boundary.STABILITY: pytest.approx([0.2, 0.4], abs=1e-4),
@@ -844,7 +843,7 @@ def test_a_figure_that_fails_leaves_the_older_file(small, tmp_path, monkeypatch)
 
 
 def test_the_caption_contains_what_was_computed(small):
-    caption = text.caption(small)
+    caption = style.caption(small)
     for words in (
         "small: magnetised satellite-gyrostat",
         "m = 0.5",
@@ -858,8 +857,8 @@ def test_the_caption_contains_what_was_computed(small):
         "10.22055/JACM.2021.37913.3113",
     ):
         assert words in caption
-    assert "theta0 = 0.8" in text.caption(select.nearest(small, {"theta0": 0.8}))
+    assert "theta0 = 0.8" in style.caption(select.nearest(small, {"theta0": 0.8}))
     printed = maps.atlas_map(small, caption=True).texts[0].get_text()
     assert " ".join(printed.split()) == caption
     points = atlas.label_points("satellite", {"theta0": [0.1, 0.2]}, duration=1.0, step=0.1)
-    assert "step 0.1" in text.caption(points)
+    assert "step 0.1" in style.caption(points)

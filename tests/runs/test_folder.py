@@ -23,11 +23,11 @@ from truth import assert_same_bytes
 
 import atlas
 from atlas import BadInput, cli, files, load_scene
-from atlas.analysis import summary
+from atlas.analysis import compare
+from atlas.files import process_name
 from atlas.flags import Label
 from atlas.io import netcdf
 from atlas.label.plan import Plan
-from atlas.process import name as process_name
 from atlas.runs import folder, runner, tiles
 from atlas.runs.backend import AtlasBackend
 from atlas.runs.folder import RunFolder
@@ -96,8 +96,8 @@ def test_a_run_folder_and_a_joined_file_hold_the_atlas_computed_in_memory(
         assert_same_bytes(whole, joined)
         assert joined.attrs["atlas_scene"] == whole.attrs["atlas_scene"]
         assert set(joined.coords) == set(whole.coords)
-    counted = [summary.summary(ds, tally).splitlines()[:-2] for tally in (None, ds.encoding[folder.TALLY])]
-    assert counted == 2 * [summary.summary(whole).splitlines()[:-2]]
+    counted = [compare.summary(ds, tally).splitlines()[:-2] for tally in (None, ds.encoding[folder.TALLY])]
+    assert counted == 2 * [compare.summary(whole).splitlines()[:-2]]
     with atlas.run(scene, tmp_path / "one.nc", progress=False) as one_file:
         assert_same_bytes(whole, one_file)
     assert sorted(p.name for p in tmp_path.iterdir()) == ["joined.nc", "one.nc", "run"]
@@ -221,7 +221,7 @@ def test_a_finished_folder_is_read_once(scene, whole, tmp_path, small_tiles, mon
     assert cli.main(["status", out]) == 0
     assert cli.main(["run", f"{tmp_path}/small.toml", "-o", out, "--quiet"]) == 0
     assert opened == []
-    assert summary.summary(whole).splitlines()[0] in capsys.readouterr().out
+    assert compare.summary(whole).splitlines()[0] in capsys.readouterr().out
     RunFolder.open(out).join(tmp_path / "joined.nc")
     assert sorted(opened) == list(range(9))
 

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 import atlas
 from atlas import BadInput, load_scene
-from atlas.analysis import summary
+from atlas.analysis import compare
 from atlas.flags import Label, Stability
 from atlas.io import netcdf
 from atlas.runs import estimate, refine
@@ -224,7 +224,7 @@ def test_run_refines_into_memory_or_one_file(scene_text, tmp_path, both):
     scene = refined_scene(scene_text)
     ds = atlas.run(scene, tmp_path / "a.nc", progress=False)
     xr.testing.assert_equal(ds.load(), both[0])
-    assert "interpolated" in summary.summary(ds)
+    assert "interpolated" in compare.summary(ds)
     xr.testing.assert_equal(atlas.run(scene, progress=False), both[0])
     for out, options in ((tmp_path / "folder", {}), (tmp_path / "b.nc", {"workers": 1})):
         with pytest.raises(BadInput, match="one process"):

@@ -1,0 +1,246 @@
+"""Commands about the published equations and about errors: conditions, figures, accuracy, stress."""
+
+from __future__ import annotations
+
+import argparse
+import csv
+import json
+import sys
+import textwrap
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from ..errors import say
+from ..files import atomic_write
+from ..validation.text_table import text_table
+from .options import (
+    DONE,
+    FAILED,
+    FIGURES,
+    FILES,
+    SCENE,
+    THREADS,
+    argument,
+    check_at_least,
+    command,
+    force_option,
+    input_files,
+    option_with_default,
+    out_option,
+    output_folder,
+    read_scene,
+)
+
+
+@command(
+    "conditions",
+    argument("system", metavar="SYSTEM", nargs="?", default="satellite", help="default: satellite"),
+    argument("--family", metavar="NAME", help="one family in detail"),
+    argument("--errata", action="store_true", help="only the paper's equations that are wrong"),
+    [
+        argument("--csv", action="store_true", help="comma-separated values, one row for each"),
+        argument("--json", action="store_true", help="JSON, with every printed equation"),
+    ],
+)
+def print_conditions(options: argparse.Namespace) -> int:
+    """Print the families of steady motions and their conditions."""
+    from .. import systems
+    from ..analysis import catalogue
+
+    system = systems.get(options.system)
+    families = catalogue.families(system, options.family)
+    if options.json:
+        content: dict[str, object] = {"system": system.name, "reference": system.reference, "doi": system.doi}
+        if not options.errata:
+            content["families"] = families
+        content["printed"] = catalogue.published(system, options.family, options.errata)
+        say(*json.dumps(content, indent=1).split("\n"))
+        return DONE
+    rows = catalogue.published(system, options.family, errata=True) if options.errata else families
+    if options.csv:
+        writer = csv.DictWriter(sys.stdout, rows[0] if rows else ["equation"], lineterminator="\n")
+        writer.writeheader()
+        writer.writerows(
+            {key: "; ".join(value) if isinstance(value, list) else value for key, value in row.items()}
+            for row in rows
+        )
+    elif options.errata:
+        _print_errata(rows)
+        say(f"{len(rows)} equations differ; {system.reference}")
+    elif options.family is not None:
+        for key, value in rows[0].items():
+            field = _residual(value) if key.startswith("residual") else value
+            lines = field if isinstance(field, list) else textwrap.wrap(field, 100)
+            say(key.replace("_", " "), *(f"    {line}" for line in lines or ["-"]))
+    elif not families:
+        say(f"the system {system.name} has no families of steady motions: theory predicts nothing of it")
+    else:
+        _print_catalogue(families, catalogue.published(system), system.reference)
+    return DONE
+
+
+def _print_errata(rows: Sequence[Mapping[str, Any]]) -> None:
+    """Print the equations that are wrong as printed."""
+    for row in rows:
+        say(f"{row['equation']}  {row['family']}".rstrip() + f": {row['verdict']}")
+        say(f"  printed: {row['printed']}", f"  true:    {row['true']}")
+        if row["measure"]:
+            printed, true = _residual(row["residual_printed"]), _residual(row["residual_true"])
+            say(f"  residual as printed {printed}, as true {true}: {row['measure']}")
+        if row["effect"]:
+            say(f"  {row['effect']}")
+
+
+def _print_catalogue(
+    families: Sequence[Mapping[str, Any]], published: Sequence[Mapping[str, Any]], reference: str
+) -> None:
+    """Print all families and all published equations as two tables."""
+
+    def residuals(row: Mapping[str, Any]) -> tuple[str, str]:
+        return _residual(row["residual_printed"]), _residual(row["residual_true"])
+
+    rows: list[tuple[str, ...]] = [("family", "equations", "solves for", "as printed", "as true", "motion")]
+    for row in families:
+        solves_for = " ".join(row["solves_for"]) or "-"
+        rows.append((row["family"], row["equations"], solves_for, *residuals(row), row["motion"]))
+    say(*text_table(rows).split("\n"))
+    rows = [("equation", "family", "as printed", "as true", "verdict")]
+    rows += [(row["equation"], row["family"] or "-", *residuals(row), row["verdict"]) for row in published]
+    say("", f"{reference}:", *text_table(rows).split("\n"))
+    say(
+        "as printed, as true: residual of the two readings at random parameters (of a family: the largest of its"
+        " equations);",
+        "--errata lists what differs, --family NAME gives conditions and formulas",
+    )
+
+
+def _residual(value: float | None) -> str:
+    """A residual to two digits; a dash where there is nothing to measure."""
+    return "-" if value is None else f"{value:.1e}"
+
+
+FORMATS = tuple(suffix.removeprefix(".") for suffix in FIGURES)
+
+
+@command(
+    "figures",
+    out_option("FOLDER", "folder of the figures (default: figures)", default="figures"),
+    argument(
+        "--only",
+        belongs=str.isdecimal,
+        type=int,
+        metavar="N",
+        help="which figures, one or several (default: all)",
+    ),
+    argument(
+        "--format", belongs=FORMATS.__contains__, choices=FORMATS, help="one or several (default: png pdf)"
+    ),
+    argument(
+        "--table", action="store_true", help="print amplitudes, periods and the paper's claims; draw nothing"
+    ),
+    force_option("existing figures"),
+)
+def draw_figures(options: argparse.Namespace) -> int:
+    """Draw figures 1-20 of Amer et al., as printed and as true."""
+    from ..papers.amer2013 import claims
+    from ..plotting import amer2013
+    from ..plotting.style import save
+
+    if options.table:
+        rows = claims.figure_table()
+        texts = [f"{claim.verdict}: {claim.text}\n  {claim.measured}" for claim in claims.claims(rows)]
+        say(*"\n\n".join([text_table(amer2013.amplitude_table(rows)), *texts]).split("\n"))
+        return DONE
+    figures = [amer2013.paper_figure(number) for number in options.only or amer2013.NUMBERS]
+    kinds = options.format or ["png", "pdf"]
+    files = [f"figure_{figure.number:02d}.{kind}" for figure in figures for kind in kinds]
+    folder = output_folder(options.out, files, force=options.force)
+    for figure in figures:
+        fig = amer2013.draw(figure.number)
+        paths = [folder / f"figure_{figure.number:02d}.{kind}" for kind in kinds]
+        for path in paths:
+            save(fig, path)
+        say(f"wrote {' and '.join(map(str, paths))}: {figure.caption}")
+    return DONE
+
+
+@command(
+    "accuracy",
+    SCENE,
+    argument(
+        "-o",
+        "--out",
+        belongs=lambda word: word.lower().endswith(FILES),
+        default=[],
+        metavar="OUT",
+        help=".nc for every number, .csv for the table, .png, .pdf or .svg for the figure; one or several",
+    ),
+    option_with_default("--points", "N", 64, "points to integrate"),
+    force_option("existing files"),
+)
+def measure_accuracy(options: argparse.Namespace) -> int:
+    """Measure error against run time at some points of a scene."""
+    from ..io import netcdf
+
+    inputs = input_files(options.scene)
+    outs = [
+        netcdf.writable(out, (".nc", ".csv", *FIGURES), force=options.force, inputs=inputs)
+        for out in options.out
+    ]
+    check_at_least("--points", options.points, 2)
+    scene = read_scene(options.scene)
+    from ..plotting import style
+    from ..plotting.stress import work_precision_figure
+    from ..validation import work_precision
+
+    ds = work_precision.work_precision(scene, options.points, progress=True)
+    say(*work_precision.report(ds).split("\n"))
+    for out in outs:
+        if out.suffix.lower() == ".nc":
+            netcdf.write(ds, out)
+        elif out.suffix.lower() == ".csv":
+            with atomic_write(out) as temporary:
+                temporary.write_text(work_precision.table(ds))
+        else:
+            style.save(work_precision_figure(ds), out)
+        say(f"wrote {out}")
+    return DONE
+
+
+@command(
+    "stress",
+    argument(
+        "system", metavar="SYSTEM", nargs="?", help="one system (default: all that have cases of their own)"
+    ),
+    out_option("FOLDER", "write SYSTEM.nc and SYSTEM.png there"),
+    THREADS,
+    force_option("existing files"),
+)
+def run_stress_cases(options: argparse.Namespace) -> int:
+    """Run stiff and extreme cases and compare every label with the true one."""
+    from .. import systems
+
+    check_at_least("--threads", options.threads, 1)
+    with_cases = [name for name, system in systems.SYSTEMS.items() if system.stress_cases()]
+    names = [systems.get(options.system).name] if options.system else with_cases
+    files = [f"{name}{suffix}" for name in names for suffix in (".nc", ".png")]
+    folder = output_folder(options.out, files, force=options.force) if options.out else None
+    from ..io import netcdf
+    from ..plotting.stress import stress_figure
+    from ..plotting.style import save
+    from ..validation import stress
+
+    wrong, failed = 0, False
+    for name in names:
+        ds = stress.stress(name, threads=options.threads)
+        say(name, *stress.report(ds).split("\n"), "")
+        wrong += int(stress.mislabelled(ds).sum())
+        failed |= stress.estimate_fails(ds)
+        if folder is not None:
+            netcdf.write(ds, folder / f"{name}.nc")
+            save(stress_figure(ds), folder / f"{name}.png")
+            say(f"wrote {folder / name}.nc and .png", "")
+    if set(names) & set(with_cases):
+        say(*text_table(stress.limits()).split("\n"))
+    say(f"labels that are not true: {wrong}")
+    return FAILED if wrong or failed else DONE

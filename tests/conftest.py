@@ -79,27 +79,6 @@ def whole_kernels():
 
 
 @pytest.fixture(scope="module")
-def borders_once():
-    """Trace the borders of theory once for each plane, which takes most of the time of a map."""
-    from atlas.analysis import boundary
-    from atlas.analysis.plane import Plane
-
-    trace, borders = boundary.theory_borders, {}
-
-    def borders_of(plane, *, inertial=False):
-        if not isinstance(plane, Plane):  # one that a test makes up
-            return trace(plane, inertial=inertial)
-        key = plane.scene.toml(), repr(plane.extent), repr(plane.fixed), inertial
-        if key not in borders:
-            borders[key] = trace(plane, inertial=inertial)
-        return dict(borders[key])
-
-    with pytest.MonkeyPatch.context() as patched:
-        patched.setattr(boundary, "theory_borders", borders_of)
-        yield
-
-
-@pytest.fixture(scope="module")
 def short_timings():
     """Time the kernels of work-precision studies on a thirtieth of the steps."""
     from atlas.validation import work_precision

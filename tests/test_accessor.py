@@ -20,7 +20,7 @@ from atlas.analysis import metadata, plane
 from atlas.analysis.metadata import map_variable
 from atlas.flags import Agreement, Label
 
-pytestmark = pytest.mark.usefixtures("whole_kernels", "borders_once")
+pytestmark = pytest.mark.usefixtures("whole_kernels")
 
 MEANINGS = {
     "flag_values": np.arange(5, dtype=np.int8),

@@ -55,7 +55,7 @@ def folder_of_reader(tmp_path, monkeypatch):
         sys.modules.pop(path.stem, None)
 
 
-@pytest.mark.usefixtures("whole_kernels", "borders_once", "short_timings", "folder_of_reader")
+@pytest.mark.usefixtures("whole_kernels", "short_timings", "folder_of_reader")
 @pytest.mark.parametrize("page", PAGES)
 def test_code_blocks_run(page):
     """A TOML block is saved as the scene of the blocks after it; commands of atlas and Python run in order.

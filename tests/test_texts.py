@@ -18,7 +18,7 @@ from atlas.errors import MAX_MESSAGE, MAX_TEXT
 from atlas.page import content, page
 from atlas.runs.folder import RunFolder
 
-pytestmark = pytest.mark.usefixtures("whole_kernels", "borders_once")
+pytestmark = pytest.mark.usefixtures("whole_kernels")
 
 PACKAGE = Path(atlas.__file__).parent
 # A screen is cleared, a line is forged, writing turns round, half a character; longer than a text may be.

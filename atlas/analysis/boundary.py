@@ -14,7 +14,7 @@ import xarray as xr
 from ..errors import BadInput, attribute_text
 from ..flags import Label, Stability
 from ..scene.model import Scene
-from ..systems.base import Array, DerivedVariable, Flags, Mask, derived_values
+from ..systems.base import Array, DerivedVariable, Flags, Mask, System, derived_values
 from ..systems.gyrostat.variables import FREQUENCIES
 from .metadata import axes_of, flag_values, is_logarithmic, scene_of, system_of
 from .plane import SAMPLES, Plane
@@ -73,6 +73,11 @@ def boundary(
     )
 
 
+TRACED_PLANES = 16
+# Lines of planes: a page shows those of its map, and a map of another variable has the same ones.
+_TRACED: dict[tuple[System, str, str, str, bool], Lines] = {}
+
+
 def theory_lines(scene: Scene, plane: xr.Dataset, dims: list[str], variable: str) -> Lines:
     """Borders of theory on a plane of an atlas by kind; BadInput if its dimensions are not the scene's."""
     for dim in dims:
@@ -82,7 +87,13 @@ def theory_lines(scene: Scene, plane: xr.Dataset, dims: list[str], variable: str
     whole = Plane.of(scene, plane, dims)
     if derived is not None and derived.is_count and variable in plane:
         return count_borders(whole, plane[variable], derived)
-    borders = theory_borders(whole, inertial=variable.endswith("_inertial"))
+    inertial = variable.endswith("_inertial")
+    key = scene.system, scene.toml(), repr(whole.extent), repr(whole.fixed), inertial
+    if key not in _TRACED:
+        if len(_TRACED) == TRACED_PLANES:
+            _TRACED.clear()
+        _TRACED[key] = theory_borders(whole, inertial=inertial)
+    borders = dict(_TRACED[key])
     if variable in RESONANCE_VARIABLES and variable in scene.system.derived and len(dims) == 2:
         borders |= resonance_lines(whole)
     return borders
@@ -189,6 +200,8 @@ def _refined_samples(classes: Callable[[Array], Classes]) -> Classes:
             # Coarse cells of which two known samples have different classes, edges included, and all their samples.
             changed = np.zeros(2 * [(count - 1) // DIVISION], bool)
             for column in samples.values():
+                if column.min() == column.max():
+                    continue
                 low, high = np.where(known, column, 127), np.where(known, column, -1)
                 changed |= _over_cells(low, np.minimum) != _over_cells(high, np.maximum)
             blocks = np.repeat(np.repeat(changed, DIVISION, 0), DIVISION, 1)

@@ -17,7 +17,7 @@ from atlas.page.motion import CannotTranslate, motions
 from atlas.page.page import atlas_page
 from atlas.page.text import plain, runs
 
-pytestmark = pytest.mark.usefixtures("whole_kernels", "borders_once")
+pytestmark = pytest.mark.usefixtures("whole_kernels")
 
 
 def table_of(text):

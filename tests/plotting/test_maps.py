@@ -27,7 +27,7 @@ from atlas.scene import grid
 from atlas.systems import SYSTEMS
 from atlas.variables import variables
 
-pytestmark = pytest.mark.usefixtures("whole_kernels", "borders_once")
+pytestmark = pytest.mark.usefixtures("whole_kernels")
 
 CURVE_SCENE = """
 schema = 1

@@ -12,7 +12,6 @@ from atlas.label import theory
 from atlas.label.points import label_points
 from atlas.systems.base import on_family
 from atlas.systems.fixed_point import FIXED_POINT, any_axis, equations, families, initial
-from atlas.systems.gyrostat import floquet
 
 pytestmark = pytest.mark.usefixtures("whole_kernels")
 
@@ -202,26 +201,6 @@ def test_floquet_multipliers_against_the_monodromy_matrix(name):
         else:
             period = 2 * np.pi / abs(FAMILIES[name].axes(select(points, i)).spin_rate[0])
             assert np.log(np.abs(multipliers).max()) / period == pytest.approx(growth[i], rel=1e-4)
-
-
-def test_floquet_multipliers_of_the_equation_of_mathieu():
-    """x'' + (a - 2 q cos 2 t) x = 0 beside four multipliers 1: tongues at a = 1 +- q for small q."""
-
-    def matrix(part, t):
-        values = np.zeros((*t.shape, 6, 6))
-        values[..., 0, 1] = 1.0
-        values[..., 1, 0] = -(a[part] - 2 * q * np.cos(2 * t))
-        return values
-
-    q, a = 0.05, np.array([0.9, 0.96, 1.0, 1.04, 1.1, np.nan])
-    period = np.where(np.isfinite(a), np.pi, np.nan)
-    stable, growth = floquet.growth_of_periodic_motion(matrix, period)
-    np.testing.assert_array_equal(stable, [1, 2, 2, 2, 1, 0])
-    assert growth[2] == pytest.approx(q / 2, rel=1e-2)
-    assert np.isnan(growth[5])
-    # More steps than are computed together.
-    _, over_many_periods = floquet.growth_of_periodic_motion(matrix, np.where(a == 1.0, 256 * np.pi, np.nan))
-    assert over_many_periods[2] == pytest.approx(growth[2], rel=1e-5)
 
 
 def test_stability_of_free_and_of_relabelled_motions():

@@ -53,6 +53,10 @@ from .initial import VECTORS, bodies, constants, initial_state, vertical
 
 OFFSETS, ROTORS = ("x0", "y0", "z0"), ("l1", "l2", "l3")
 
+_LAST_START: dict[
+    tuple[tuple[int, ...], bytes], Array
+] = {}  # of Grioli's motion, by the body: six formulas need the same one
+
 
 class Start(NamedTuple):
     """Body, fields and state at t = 0; vectors of shape (3, points) in body axes."""
@@ -263,15 +267,25 @@ class Grioli(Start):
 
     @classmethod
     def solve_start(cls, name: str, points: Points) -> Array:
-        """One of p0 .. gamma30 at the time at which nu lies in the plane of s and I s; with all six solved, the start is exact.
+        """One of p0 .. gamma30 at the time at which nu lies in the plane of s and I s; with all six solved, the start is exact."""
+        start = cls.of(points)
+        values = np.stack([*start.inertia, *start.rotor, *start.weight])
+        body = values.shape, values.tobytes()
+        state = _LAST_START.get(body)
+        if state is None:
+            _LAST_START.clear()
+            state = _LAST_START[body] = start.initial_state()
+        return state[VECTORS.index(name)].copy()
+
+    def initial_state(self) -> Array:
+        """p0 .. gamma30 of the body at that time.
 
         n > 0 is the largest root of (b n^2 + l n)^2 + d^2 n^4 = |Mg r_c|^2, nan where the body has no such motion.
         """
-        start = cls.of(points)
-        s = unit(start.weight)
-        momentum = start.inertia * s
-        b, d2, rotor = dot(momentum, s), (across(momentum, s) ** 2).sum(0), dot(start.rotor, s)
-        square = (start.weight**2).sum(0)
+        s = unit(self.weight)
+        momentum = self.inertia * s
+        b, d2, rotor = dot(momentum, s), (across(momentum, s) ** 2).sum(0), dot(self.rotor, s)
+        square = (self.weight**2).sum(0)
         # The roots are eigenvalues of the companion matrix, in a unit that makes its last coefficient -1.
         a4, a3, a2 = b**2 + d2, 2 * b * rotor, rotor**2
         scale = np.sqrt(np.sqrt(square / a4))
@@ -291,8 +305,8 @@ class Grioli(Start):
             n = n - (turning**2 + d2 * n**4 - square) / (2 * turning * (2 * b * n + rotor) + 4 * d2 * n**3)
         n = np.where(n > 0, n, np.nan)
         nu = unit(across(momentum, s))
-        gamma = start.vertical(TwoAxes(s, n, nu, n))
-        return np.concatenate([n * (nu + s), unit(gamma)])[VECTORS.index(name)]
+        gamma = self.vertical(TwoAxes(s, n, nu, n))
+        return np.concatenate([n * (nu + s), unit(gamma)])
 
     @classmethod
     def solve_offset(cls, name: str, points: Points) -> Array:

@@ -22,7 +22,6 @@ with the other two pairs of exponents. `tests/systems/test_satellite_stability.p
 from __future__ import annotations
 
 from collections.abc import Callable
-from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,14 +29,13 @@ from numpy.typing import NDArray
 from ...flags import Stability
 from ..base import Array, Flags
 from .body import Body, length
+from .fundamental import of_harmonics
 
 # |s| - 2 and (s1 - s2)^2 / 4, with s = multiplier + 1/multiplier, up to this are round-off and the error of the integration:
 # at a collision of multipliers at +-1 a shift of s by 1e-7 is a growth by 3e-4 over a period.
 TRACE_TOLERANCE = 1e-7
 _STEP = 1.4  # of the integration, over the norm of the system: errors of about 1e-7
 _MIN_STEPS, _MAX_STEPS = 64, 8192  # in a period of rotation; longer periods are not integrated but adiabatic
-# Steps and points that are computed together; the steps are fixed, so that no result depends on the other points.
-_BLOCK, _POINTS = 256, 16
 _ADIABATIC_PHASES = 256
 # Growth over a period, as a logarithm, beyond which the adiabatic approximation decides; it is wrong by a few units.
 _ADIABATIC_GROWTH = 10.0
@@ -45,7 +43,6 @@ _ADIABATIC_GROWTH = 10.0
 _ADIABATIC_MARGIN = 4.0
 _STEPS_PER_NORM = 2  # of a closed form, for each unit of norm times period: errors of the trace below 1e-7
 _MIN_STEPS_CLOSED = 32
-_POINTS_AND_STEPS = 2**11  # matrices at a time, which fit into the cache
 
 
 def stability(body: Body, w: Array, alpha: Array, gamma: Array) -> tuple[Flags, Array]:
@@ -101,14 +98,11 @@ class _Rotation:
         """result with the values of a function of the fundamental matrices over the spans where these are integrated."""
         for count in np.unique(self.steps[self.steps <= _MAX_STEPS]):
             members = np.flatnonzero(self.steps == count)
-            for first in range(0, members.size, _POINTS):
-                part = members[first : first + _POINTS]
-                frequency, harmonics = 2j * np.pi / self.period[part], self.harmonics[:, part]
-
-                def matrix(t: Array, frequency=frequency, harmonics=harmonics) -> Array:
-                    return _matrix_at(harmonics, np.exp(frequency * t))
-
-                result[..., part] = of(*fundamental_matrix(matrix, self.span[part], int(count)))
+            result[..., members] = of(
+                *of_harmonics(
+                    self.harmonics[:, members], self.period[members], self.span[members], int(count)
+                )
+            )
         return result
 
     def by_multipliers(self) -> tuple[Flags, Array]:
@@ -157,9 +151,10 @@ def quartic_growth(P: Array, Q: Array) -> Array:
 
 def _multipliers(monodromy: Array, log_scale: Array) -> tuple[Flags, Array]:
     """Stability, and the logarithm of the largest multiplier of the fundamental matrices monodromy * exp(log_scale)."""
-    largest = np.abs(np.linalg.eigvals(monodromy)).max(-1)
     # Traces give multipliers on the unit circle exactly, and lose the smaller ones beside large ones.
     moderate = log_scale < 16
+    largest = np.ones(log_scale.shape)
+    largest[~moderate] = np.abs(np.linalg.eigvals(monodromy[~moderate])).max(-1)
     matrix = monodromy * np.exp(np.where(moderate, log_scale, 0.0))[:, None, None]
     trace = np.trace(matrix, axis1=1, axis2=2)
     product = 0.5 * (trace**2 - np.einsum("nij,nji->n", matrix, matrix)) - 2
@@ -186,76 +181,28 @@ def growth_of_periodic_motion(
     mu and 1/mu, so that the trace of the monodromy matrix is 4 + mu + 1/mu; this is exact where the eigenvalues
     are not, because those at 1 are defective. Stable where mu is on the unit circle and not real.
 
-    matrix: (indices of points, times (steps, points)) -> matrices of the linear system, (steps, points, 6, 6). period: time
-    units; nan where there is no motion, of which the stability is unknown and the growth nan.
+    matrix: (indices of points, times (samples, points)) -> matrices of the linear system, (samples, points, 6, 6), a mean and two
+    harmonics over the period: time units; nan where there is no motion, of which the stability is unknown and the growth nan.
     """
     stable, growth = np.full(period.shape, Stability.UNKNOWN, np.int8), np.full(period.shape, np.nan)
     where = np.flatnonzero(np.isfinite(period))
     if not where.size:
         return stable, growth
-    norms = np.sqrt((matrix(where, period[where] * np.arange(4)[:, None] / 4) ** 2).sum((-2, -1)))
+    samples = matrix(where, period[where] * np.arange(5)[:, None] / 5)
+    harmonics, quarters = np.fft.rfft(samples, axis=0) / 5, np.array([1, 1j, -1, -1j])[:, None]
+    norms = np.sqrt((_matrix_at(harmonics, np.repeat(quarters, where.size, axis=1)) ** 2).sum((-2, -1)))
     steps_needed = _STEPS_PER_NORM * norms.max(0) * period[where]
     count = 2 ** np.ceil(np.log2(np.maximum(steps_needed, _MIN_STEPS_CLOSED)))
     for steps in np.unique(count[np.isfinite(count)]).astype(int):
-        members = where[count == steps]
-        for first in range(0, members.size, max(1, _POINTS_AND_STEPS // steps)):
-            part = members[first : first + max(1, _POINTS_AND_STEPS // steps)]
-            result, log_scale = fundamental_matrix(partial(matrix, part), period[part], steps)
-            s = np.abs(np.trace(result, axis1=-2, axis2=-1) * np.exp(log_scale) - 4)
-            growth[part] = np.where(
-                s > 2 + TRACE_TOLERANCE, np.arccosh(np.maximum(s / 2, 1.0)) / period[part], 0.0
-            )
-            stable[part] = np.select(
-                [s > 2 + TRACE_TOLERANCE, s < 2 - TRACE_TOLERANCE], [Stability.UNSTABLE, Stability.STABLE]
-            )
+        members = np.flatnonzero(count == steps)
+        part = where[members]
+        result, log_scale = of_harmonics(harmonics[:, members], period[part], period[part], steps)
+        s = np.abs(np.trace(result, axis1=-2, axis2=-1) * np.exp(log_scale) - 4)
+        growth[part] = np.where(
+            s > 2 + TRACE_TOLERANCE, np.arccosh(np.maximum(s / 2, 1.0)) / period[part], 0.0
+        )
+        stable[part] = np.select(
+            [s > 2 + TRACE_TOLERANCE, s < 2 - TRACE_TOLERANCE], [Stability.UNSTABLE, Stability.STABLE]
+        )
     unknown = ~np.isfinite(growth)
     return np.where(unknown, Stability.UNKNOWN, stable).astype(np.int8), np.where(unknown, np.nan, growth)
-
-
-def fundamental_matrix(matrix: Callable[[Array], Array], span: Array, count: int) -> tuple[Array, Array]:
-    """Fundamental matrices over spans (points,) by equal steps: of largest entry 1, and the logarithms of their factors.
-
-    matrix: times (steps, points) -> matrices of the linear system, (steps, points, size, size); count: a power of two.
-    """
-    h = span / count
-    result, log_scale = np.eye(1), np.zeros(span.shape)
-    block = min(count, _BLOCK)  # both are powers of two
-    for first in range(0, count, block):
-        nodes = (
-            np.arange(first, first + block)[:, None]
-            + 0.5
-            + np.sqrt(0.15) * np.array([-1, 0, 1])[:, None, None]
-        )
-        steps = magnus_propagator(*(matrix(node * h) * h[:, None, None] for node in nodes))
-        log_scales = np.zeros(steps.shape[:2])
-        while len(steps) > 1:
-            steps = steps[1::2] @ steps[::2]
-            size = np.abs(steps).max((-2, -1))
-            steps = steps / size[..., None, None]
-            log_scales = log_scales[1::2] + log_scales[::2] + np.log(size)
-        result = steps[0] @ result if first else steps[0]
-        size = np.abs(result).max((-2, -1))
-        result = result / size[:, None, None]
-        log_scale += log_scales[0] + np.log(size)
-    return result, log_scale
-
-
-def magnus_propagator(first: Array, middle: Array, last: Array) -> Array:
-    """Fundamental matrices over a step by Magnus' series of order 6, symplectic where the system is Hamiltonian.
-
-    first, middle, last: the matrices of the linear system at the Gauss nodes of the step, times its length. The exponential is
-    a Pade approximation, squared twice: the multipliers of a stable motion stay on the unit circle. S. Blanes et al., Phys.
-    Rep. 470 (2009) 151.
-    """
-    identity = np.eye(middle.shape[-1])
-    b2, b3 = np.sqrt(15) / 3 * (last - first), 10 / 3 * (last - 2 * middle + first)
-    c1 = middle @ b2 - b2 @ middle
-    inner = 2 * b3 + c1
-    c2 = (inner @ middle - middle @ inner) / 60
-    x, y = -20 * middle - b3 + c1, b2 + c2
-    z = (middle + b3 / 12 + (x @ y - y @ x) / 240) / 4
-    square = z @ z
-    even, odd = identity + square / 10, z @ (identity / 2 + square / 120)
-    quarter = np.linalg.solve(even - odd, even + odd)
-    half = quarter @ quarter
-    return half @ half

@@ -35,7 +35,7 @@ def add_compare(commands: Commands) -> None:
 def _compare(options: argparse.Namespace) -> int:
     """Run the command `compare`; returns its exit code."""
     from ..analysis.compare import report
-    from ..runs.open import open_atlas
+    from ..runs.backend import open_atlas
 
     check_at_least("--worst", options.worst, 0)
     with open_atlas(options.atlas) as ds:
@@ -70,7 +70,7 @@ def add_map(commands: Commands) -> None:
 def _map(options: argparse.Namespace) -> int:
     """Run the command `map`; returns its exit code."""
     from ..plotting import maps, style, text
-    from ..runs.open import open_atlas
+    from ..runs.backend import open_atlas
 
     stem = without_suffix(options.atlas, ".nc", ".zarr")
     names = [options.out] if options.out else [f"{stem}.png", f"{stem}.pdf"]
@@ -105,7 +105,7 @@ def add_page(commands: Commands) -> None:
 def _page(options: argparse.Namespace) -> int:
     """Run the command `page`; returns its exit code."""
     from ..page.page import FORMATS, atlas_page
-    from ..runs.open import open_atlas
+    from ..runs.backend import open_atlas
 
     name = options.out or f"{without_suffix(options.atlas, '.nc', '.zarr')}.html"
     out = writable(name, FORMATS, force=options.force, inputs=[options.atlas])

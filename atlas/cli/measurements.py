@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import argparse
 
-from ..errors import say
+from ..errors import say, text_table
 from ..files import atomic_write
-from ..validation.text_table import text_table
 from .options import (
     DONE,
     FAILED,

@@ -161,7 +161,7 @@ def _motion(name: str, coordinates: dict[str, float], samples: int) -> Dataset:
     else:
         from ..analysis.metadata import scene_of
         from ..analysis.select import nearest_trajectory
-        from ..runs.open import open_atlas
+        from ..runs.backend import open_atlas
 
         with open_atlas(name) as ds:
             scene_of_atlas = scene_of(ds)

@@ -10,8 +10,7 @@ import textwrap
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from ..errors import say
-from ..validation.text_table import text_table
+from ..errors import say, text_table
 from .options import DONE, FIGURES, Commands, add_command, force_option, out_option, output_folder
 
 

@@ -11,10 +11,9 @@ from importlib.resources import files
 from importlib.resources.abc import Traversable
 from pathlib import Path
 
-from ..errors import BadInput, allowed_text, say
+from ..errors import BadInput, allowed_text, say, text_table
 from ..files import atomic_write, writable
 from ..interruption import called_as
-from ..validation.text_table import text_table
 from .options import DONE, Commands, add_command, default_name, force_option, out_option
 
 

@@ -20,10 +20,9 @@ import numpy as np
 
 from ..errors import BadInput
 from ..systems import arithmetic
-from . import deviation, generated, jit, kernel, losses, observe, tangent, tangent_space
-from .differentiate import differential
+from . import augmented, deviation, generated, jit, kernel, observe, tangent
+from .differentiate import differential, simplify
 from .ensemble import Plug
-from .simplify import simplify
 from .statistics import Row
 from .tableaux import METHODS, Method
 
@@ -220,8 +219,8 @@ def _with_losses(
     equations: ModuleType, zero: Collection[str], equal: Mapping[str, str], of: ModuleType
 ) -> ModuleType:
     """Equations that integrate the losses of their integrals, for the kernels that measure these."""
-    measured = losses.losses_of(equations, zero, equal) if of in MEASURING else {}
-    return losses.with_losses(equations, measured)
+    measured = augmented.losses_of(equations, zero, equal) if of in MEASURING else {}
+    return augmented.with_losses(equations, measured)
 
 
 def _constants(
@@ -241,7 +240,7 @@ def _constants(
         "STATES": len(equations.STATE),
         "CONSTANTS": len(equations.CONSTANTS),
         "INTEGRALS": len(equations.INTEGRALS),
-        "TANGENT": tangent_space.size(equations),
+        "TANGENT": augmented.tangent_size(equations),
         "STEP": method.kernel_step,
         # Worth its loads and stores where a step is much longer than they are.
         "STORES_SLOPE": method.stages > 4,
@@ -261,9 +260,9 @@ def _generated_functions(
 ) -> dict[str, str]:
     """Source of the equations, simplified, and of the functions that `generated` declares, by name."""
     states, constants = len(equations.STATE), len(equations.CONSTANTS)
-    extended = states + tangent_space.size(equations)
+    extended = states + augmented.tangent_size(equations)
     texts = arithmetic.functions(equations)
-    in_any_units = texts if of is deviation else ("scaled", losses.SCALED)
+    in_any_units = texts if of is deviation else ("scaled", augmented.SCALED)
     sources = {
         name: simplify(text, zero, equal, () if name in in_any_units else equations.ONES)
         for name, text in texts.items()
@@ -308,7 +307,7 @@ def _generated_functions(
             row, first = row + plug.sums, first + plug.given
         generated_lines["add_to_plugged(plugged, given, nodes, i, intervals, spacing, inverse_unit)"] = lines
     if of is tangent:
-        sources |= tangent_space.variation(equations, sources["rhs"])
+        sources |= augmented.variation(equations, sources["rhs"])
         generated_lines |= {
             "load_extended(block, l)": [f"return {_columns('block', extended)}"],
             "store_extended(block, l, extended)": [f"{_columns('block', extended)} = extended"],
@@ -330,7 +329,7 @@ def _deviation_lines(equations: ModuleType) -> dict[str, list[str]]:
     """Functions of a kernel of deviations, of bodies whose states are an angular velocity and vectors of the frame."""
     names = list(equations.STATE)
     turned, lines = ["0.0"] * len(names), []
-    for i, vector in enumerate(tangent_space.frame_vectors(equations)):
+    for i, vector in enumerate(augmented.frame_vectors(equations)):
         x, y, z = (names.index(name) for name in vector)
         for j in range(3):
             constant, cosine, sine = (f"block[{9 * i + 3 * part + j}, l]" for part in range(3))

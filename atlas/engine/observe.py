@@ -34,7 +34,7 @@ from .lanes import (
     store_runs,
     store_sums,
 )
-from .turning import place_of_turn, turns_twice
+from .poles import place_of_turn, turns_twice
 
 # Rows of the sums: the change of first integrals, then FIELDS rows for each observable: f0, the sums, the extremes, the
 # largest distance of a node from the cubic through its two neighbours.

@@ -13,8 +13,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from .poles import turns_twice
 from .sampling import sample
-from .turning import turns_twice
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

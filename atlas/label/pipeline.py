@@ -17,7 +17,6 @@ from ..measure.circle import ANY_AXIS_THEORY
 from ..measure.instrument import Run
 from ..scene.grid import Grid, status_of
 from ..systems.base import Array, Flags, Mask, derived_values
-from . import labels
 from .plan import Plan
 from .theory import Theory, agreement, departure_changes, predict_any_axis
 
@@ -63,6 +62,30 @@ class _Execution:
     def check(self, point_steps: int = 0) -> None:
         """For what does not count as progress: call `progress`, which may end the run."""
         self.progress(0.0)
+
+
+def label_status(
+    finite: Mask,
+    integral_drift: Array,
+    drift_tolerance: float,
+    resolved: Mask,
+    rounding_growth: Array,
+    rounding_limit: Array | float,
+    step_sensitive: Mask | bool = False,
+) -> Flags:
+    """Status of each computed point: the first that applies, in the order of `flags.Status`.
+
+    rounding_growth is growth rate times duration where the start is on an unstable motion to rounding, else
+    0; step_sensitive: whether the label changes, or could, when the step is halved.
+    """
+    conditions = {
+        Status.NOT_FINITE: ~finite,
+        Status.DRIFT_EXCEEDED: integral_drift > drift_tolerance,
+        Status.UNDER_RESOLVED: ~resolved,
+        Status.STEP_SENSITIVE: step_sensitive,
+        Status.ROUNDOFF_DECIDED: (rounding_growth > 0) & (rounding_growth > rounding_limit),
+    }
+    return np.select(list(conditions.values()), list(conditions), Status.OK).astype(np.int8)
 
 
 @dataclass(frozen=True)
@@ -113,7 +136,7 @@ class _Runs:
 
     def status(self, run: Run, step_sensitive: Mask | bool) -> Flags:
         with np.errstate(all="ignore"):
-            return labels.status(
+            return label_status(
                 run.integration.finite, run.measured["integral_drift"], run.settings.drift_tolerance,
                 self.resolved(run), *self.theory.rounding(run), step_sensitive,
             )  # fmt: skip

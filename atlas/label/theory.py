@@ -17,7 +17,6 @@ from ..measure.rates import steady_label
 from ..scene.grid import Grid
 from ..scene.model import Settings
 from ..systems.base import FAMILY_TOLERANCE, Array, Flags, Mask, Points, System, shape_of, subset
-from .labels import ROUNDING_RESIDUAL, ROUNDOFF, rounding_limit
 from .offsets import describes, near_circle, off_family_labels
 from .plan import Plan
 
@@ -25,6 +24,11 @@ MAX_LOG_GROWTH = 700.0  # exp of more overflows
 # A start near an unstable motion departs by its nudge, not by integration errors, where theta' at half the
 # step is the same within this share.
 HALF_STEP_RTOL = 0.05
+# Relative rounding error of an initial state: an unstable motion amplifies it.
+ROUNDOFF = 1e-16
+# The conditions of a steady motion are satisfied as well as rounding allows where their residual is at most this: of a
+# larger distance from the motion, rounding errors change less than a hundredth.
+ROUNDING_RESIDUAL = 1e-13
 
 
 @dataclass(frozen=True)
@@ -273,6 +277,15 @@ def exact_starts(
         flag, residual = system.identify_family(subset(points, where))
         exact[where] = (flag > 0) & (residual <= np.broadcast_to(max_residual, candidates.shape)[where])
     return exact
+
+
+def rounding_limit(residual: Array, frequency_bound: Array, tolerances: Tolerances) -> Array:
+    """Growth, as a logarithm, by which rounding errors reach a tolerance, by the residual of a steady start.
+
+    Rounding errors of rates are relative to the frequency bound, errors of angles to 1.
+    """
+    tolerance = np.minimum(tolerances.rate / frequency_bound, tolerances.angle)
+    return np.asarray(np.log(tolerance / np.fmax(residual, ROUNDOFF)))
 
 
 def agreement(label: Flags, predicted: Flags) -> Flags:

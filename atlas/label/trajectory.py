@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 
 from .. import systems
 from ..engine import blocks, numeric_bound
+from ..engine.augmented import with_frame_vector
 from ..engine.ensemble import Ensemble
-from ..engine.losses import with_frame_vector
 from ..engine.stepsize import StepSizes
 from ..engine.tableaux import METHODS, Method
 from ..errors import BadInput

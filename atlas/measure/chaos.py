@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ..engine import blocks, tangent, tangent_space
+from ..engine import augmented, blocks, tangent
 from ..engine.ensemble import Ensemble
 from ..engine.generated import WIDTH
 from ..engine.stepsize import StepSizes, count_ladder, steps_of_length
@@ -109,7 +109,7 @@ class Separation:
         with np.errstate(all="ignore"):
             unit = steps.step_size / METHOD.kernel_step
             self.weights = _norm_weights(system, ensemble, unit, rate_unit)
-            start = tangent_space.start(system.equations, self.state)
+            start = augmented.tangent_start(system.equations, self.state)
             self.vectors = np.ascontiguousarray(start / self.weights)
         self.durations = np.zeros(ensemble.size, np.int64)  # integrated so far
         self.sums = np.empty((tangent.SUMS, ensemble.size))
@@ -181,9 +181,9 @@ def _norm_weights(system: System, ensemble: Ensemble, unit: Array, rate_unit: Ar
         in_caller_units[i]
         / (rate_unit if equations.STATE[i] in system.rate_states else 1.0)
         * np.ones_like(unit)
-        for i in tangent_space.own_components(equations)
+        for i in augmented.own_components(equations)
     ]
-    if tangent_space.rotates(equations):
+    if augmented.rotates(equations):
         rows += 3 * [np.ones_like(unit)]
     return np.ascontiguousarray(rows)
 

@@ -19,7 +19,6 @@ from ..label.theory import predict_runs
 from ..scene import grid
 from ..scene.model import Scene
 from ..systems.base import derived_values
-from .concurrency import tiles_in_flight
 from .plan import ScenePlan
 from .refine import expected_points
 from .tiles import tile_types
@@ -55,7 +54,7 @@ def dry_run(scene: Scene, *, threads: int | None = None, workers: int | None = N
     if workers:
         memory, processors_text = workers * (_resident_bytes() + tile_bytes), f"{workers} processes"
     else:
-        in_flight = tiles_in_flight(plan, processors)
+        in_flight = plan.tiles_in_flight(processors)
         memory, processors_text = _resident_bytes() + in_flight * tile_bytes, f"{processors} threads"
     phase_error = plan.step_sizes.dispersion_error[exists].max()
     division = "in one process, near the borders that theory predicts"

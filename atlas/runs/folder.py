@@ -50,8 +50,7 @@ from ..io import netcdf, progress, zarr_store
 from ..io.netcdf import Block, scene_provenance
 from ..scene import grid
 from ..scene.read import parse_scene
-from .identity import differences, identity
-from .plan import ScenePlan
+from .plan import ScenePlan, differences, identity
 from .tiles import DamagedTile, Tally, TileFiles, Tiling, tile_types
 
 FORMAT = 2

@@ -6,7 +6,9 @@ import logging
 import random
 import socket
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import ThreadPoolExecutor, as_completed
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
@@ -31,14 +33,13 @@ from ..scene.model import Scene
 from ..scene.read import load_scene
 from ..validation import half_step
 from . import cluster, refine
-from .concurrency import Advance, for_each_tile, tiles_in_flight
+from .backend import open_atlas
 from .folder import LONGEST_NAME, MANIFEST, RESULT, RunFolder, remove_empty, result_hash
-from .identity import differences, identity
-from .open import open_atlas
-from .plan import ScenePlan
+from .plan import ScenePlan, differences, identity
 from .tiles import TileFiles, tile_types
 
 MAX_DAMAGE_WARNINGS = 5
+Advance = Callable[[float], None]  # takes a number of finished points
 
 
 @dataclass(frozen=True)
@@ -304,7 +305,7 @@ def _run_in_memory(plan: ScenePlan, warnings: list[str], threads: int | None, pr
         bar.skip(indices.size - int(points.exists.sum()))
 
     try:
-        for_each_tile(range(tiles.count), compute, bar.advance, tiles_in_flight(plan, threads))
+        for_each_tile(range(tiles.count), compute, bar.advance, plan.tiles_in_flight(threads))
     finally:
         bar.close()
     attributes = scene_provenance(
@@ -312,6 +313,38 @@ def _run_in_memory(plan: ScenePlan, warnings: list[str], threads: int | None, pr
     )
     attributes |= half_step.half_step_sample(plan.scene, plan.points, threads=threads)
     return netcdf.dataset(scene, columns).assign_attrs(attributes)
+
+
+class _Stopped(Exception):
+    """Ends a tile in flight after another one failed or the user pressed Ctrl-C."""
+
+
+def for_each_tile(
+    tiles: Iterable[int], compute: Callable[[int, Advance], None], advance: Advance, in_flight: int
+) -> None:
+    """Call compute(tile, advance) in threads; after an error or Ctrl-C abandon tiles and raise it."""
+    source, lock, stop = iter(tiles), threading.Lock(), threading.Event()
+
+    def advance_or_stop(points: float) -> None:
+        if stop.is_set():
+            raise _Stopped
+        advance(points)
+
+    def worker() -> None:
+        with suppress(_Stopped):
+            while not stop.is_set():
+                with lock:
+                    tile = next(source, None)
+                if tile is None:
+                    return
+                compute(tile, advance_or_stop)
+
+    with ThreadPoolExecutor(in_flight) as pool:
+        try:
+            for future in as_completed([pool.submit(worker) for _ in range(in_flight)]):
+                future.result()
+        finally:
+            stop.set()
 
 
 class _Job:
@@ -384,7 +417,7 @@ def _compute_in_threads(job: _Job, bar: Progress, plan: ScenePlan, threads: int 
         folder.tiles.write(tile, columns, computed=computed, seconds=seconds, by=by)
         bar.skip(folder.tiling.size_of(tile) - computed)
 
-    for_each_tile(job.remaining_tiles(bar), compute, bar.advance, tiles_in_flight(plan, threads))
+    for_each_tile(job.remaining_tiles(bar), compute, bar.advance, plan.tiles_in_flight(threads))
 
 
 def _tile_columns(

@@ -15,7 +15,7 @@ from ..engine.ensemble import Ensemble
 from ..engine.specialization import kernel
 from ..engine.stepsize import StepSizes
 from ..engine.tableaux import METHODS, Method
-from ..errors import BadInput
+from ..errors import BadInput, text_table
 from ..flags import Flag, Label, Status
 from ..label.pipeline import evaluate
 from ..label.plan import Plan
@@ -27,7 +27,6 @@ from ..systems.base import Array, Mask, Parameter, Points, StressCase, System
 from ..variables import main_instrument, variables
 from .reference import ReferenceFailure, reference
 from .stress_truth import EXACT_ACCURACY, EXACT_STATISTICS, TrueLabels, no_statistics, true_labels
-from .text_table import text_table
 
 # The levels, coarse to fine: fixed steps as a share of the stability limit at the frequency bound, then
 # the automatic step at tolerances down to the default one.

@@ -10,8 +10,7 @@ import numpy as np
 from scipy.integrate import solve_ivp
 
 from ..flags import Label
-from ..label.labels import rounding_limit
-from ..label.theory import predict
+from ..label.theory import predict, rounding_limit
 from ..measure.instrument import could_change
 from ..measure.rates import LABEL_STATISTICS, rule
 from ..scene.model import Settings

@@ -20,7 +20,7 @@ from ..engine.generated import WIDTH
 from ..engine.specialization import kernel
 from ..engine.stepsize import StepSizes
 from ..engine.tableaux import METHODS
-from ..errors import BadInput, attribute_text
+from ..errors import BadInput, attribute_text, text_table
 from ..flags import Label
 from ..io import netcdf
 from ..io.progress import Progress
@@ -39,7 +39,6 @@ from .reference import (
     ReferenceFailure,
     reference,
 )
-from .text_table import text_table
 
 # Levels: the scene's tolerance times powers of 10 within these limits, or its step times powers of 2.
 MAX_TOLERANCE, MIN_TOLERANCE, STEP_EXPONENTS = 1e-1, 1e-13, range(5, -7, -1)

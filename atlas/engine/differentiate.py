@@ -113,7 +113,19 @@ def _of_operation(left: ast.expr, op: ast.operator, right: ast.expr, active: set
         case ast.Sub():
             return _sum(dx, dy, ast.Sub())
         case ast.Mult():
-            return _of_product(_factors(left) + _factors(right), active)
+            factors = _factors(left) + _factors(right)
+            changes = [_differential(factor, active) for factor in factors]
+            constant = [factor for factor, change in zip(factors, changes, strict=True) if change is None]
+            variable = [
+                (factor, change)
+                for factor, change in zip(factors, changes, strict=True)
+                if change is not None
+            ]
+            terms = [
+                reduce(_times, [change if i == j else factor for j, (factor, _) in enumerate(variable)])
+                for i, (_, change) in enumerate(variable)
+            ]
+            return reduce(_times, [*constant, reduce(lambda x, y: ast.BinOp(x, ast.Add(), y), terms)])
         case ast.Div():
             quotient = None if dy is None else ast.BinOp(ast.BinOp(left, ast.Div(), right), ast.Mult(), dy)
             return ast.BinOp(_sum(dx, quotient, ast.Sub()), ast.Div(), right)
@@ -132,20 +144,6 @@ def _sum(x: ast.expr | None, y: ast.expr | None, op: ast.operator) -> ast.expr:
     if x is None:
         return ast.UnaryOp(ast.USub(), y) if isinstance(op, ast.Sub) else y
     return ast.BinOp(x, op, y)
-
-
-def _of_product(factors: list[ast.expr], active: set[str]) -> ast.expr:
-    """Differential of a product; the factors that do not depend on the state stand before the sum."""
-    changes = [_differential(factor, active) for factor in factors]
-    constant = [factor for factor, change in zip(factors, changes, strict=True) if change is None]
-    variable = [
-        (factor, change) for factor, change in zip(factors, changes, strict=True) if change is not None
-    ]
-    terms = [
-        reduce(_times, [change if i == j else factor for j, (factor, _) in enumerate(variable)])
-        for i, (_, change) in enumerate(variable)
-    ]
-    return reduce(_times, [*constant, reduce(lambda x, y: ast.BinOp(x, ast.Add(), y), terms)])
 
 
 def _factors(node: ast.expr) -> list[ast.expr]:

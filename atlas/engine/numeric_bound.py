@@ -70,7 +70,11 @@ def along_runs(
     pending = np.arange(bound.size)
     for _ in range(MAX_ATTEMPTS):
         with np.errstate(all="ignore"):
-            longest = _longest_step(method, bound[pending] * duration[pending])
+            radians = bound[pending] * duration[pending]
+            radians = np.maximum(radians, 1e-300)
+            phase = (ERROR / (method.dispersion * radians)) ** (1 / method.order)
+            loss = (ERROR / (method.dissipation * radians)) ** (1 / (method.dissipation_order - 1))
+            longest = np.minimum(np.minimum(phase, loss), MAX_STEP_RATIO * method.stability)
             affordable = bound[pending] * duration[pending] / longest <= max_steps
         pending, longest = pending[affordable], longest[affordable]
         if not pending.size:
@@ -89,14 +93,6 @@ def along_runs(
     # Where even short steps overflow, so does the motion.
     bound = np.where(not_finite > MAX_NOT_FINITE, finite_bound, bound)
     return bound, settled
-
-
-def _longest_step(method: Method, radians: Array) -> Array:
-    """Step of the preliminary run in rad of the bound, for runs of so many rad."""
-    radians = np.maximum(radians, 1e-300)
-    phase = (ERROR / (method.dispersion * radians)) ** (1 / method.order)
-    loss = (ERROR / (method.dissipation * radians)) ** (1 / (method.dissipation_order - 1))
-    return np.minimum(np.minimum(phase, loss), MAX_STEP_RATIO * method.stability)
 
 
 def _largest_frequency(

@@ -223,25 +223,23 @@ def principal_axes(matrix: Array) -> tuple[Array, Array]:
     for _ in range(SWEEPS):
         for p, q in ((0, 1), (0, 2), (1, 2)):
             with np.errstate(all="ignore"):  # of elements that are 0 already
-                _rotate(a, vectors, p, q)
+                r = 3 - p - q
+                ratio = (a[q, q] - a[p, p]) / (2.0 * a[p, q])
+                tangent = np.copysign(1.0, ratio) / (np.abs(ratio) + np.sqrt(1.0 + ratio * ratio))
+                tangent = np.where(a[p, q] == 0.0, 0.0, tangent)
+                cosine = 1.0 / np.sqrt(1.0 + tangent * tangent)
+                sine = tangent * cosine
+                a[p, p], a[q, q] = a[p, p] - tangent * a[p, q], a[q, q] + tangent * a[p, q]
+                a[p, q] = a[q, p] = 0.0
+                a[r, p], a[r, q] = cosine * a[r, p] - sine * a[r, q], sine * a[r, p] + cosine * a[r, q]
+                a[p, r], a[q, r] = a[r, p], a[r, q]
+                vectors[p], vectors[q] = (
+                    cosine * vectors[p] - sine * vectors[q],
+                    sine * vectors[p] + cosine * vectors[q],
+                )
     values = np.array([a[0, 0], a[1, 1], a[2, 2]])
     order = np.argsort(values, axis=0, kind="stable")
     return np.take_along_axis(values, order, 0), np.take_along_axis(vectors, order[:, None], 0)
-
-
-def _rotate(a: Array, vectors: Array, p: int, q: int) -> None:
-    """Turn the axes p and q of symmetric matrices so that their element (p, q) vanishes."""
-    r = 3 - p - q
-    ratio = (a[q, q] - a[p, p]) / (2.0 * a[p, q])
-    tangent = np.copysign(1.0, ratio) / (np.abs(ratio) + np.sqrt(1.0 + ratio * ratio))
-    tangent = np.where(a[p, q] == 0.0, 0.0, tangent)
-    cosine = 1.0 / np.sqrt(1.0 + tangent * tangent)
-    sine = tangent * cosine
-    a[p, p], a[q, q] = a[p, p] - tangent * a[p, q], a[q, q] + tangent * a[p, q]
-    a[p, q] = a[q, p] = 0.0
-    a[r, p], a[r, q] = cosine * a[r, p] - sine * a[r, q], sine * a[r, p] + cosine * a[r, q]
-    a[p, r], a[q, r] = a[r, p], a[r, q]
-    vectors[p], vectors[q] = cosine * vectors[p] - sine * vectors[q], sine * vectors[p] + cosine * vectors[q]
 
 
 def _angle(a: Array, b: Array) -> Array:
@@ -457,39 +455,40 @@ def values(
         }  # fmt: skip
         regular = kind == Label.REGULAR_PRECESSION
         conditions = [regular & (own_label == kind), regular, kind == Label.PERMANENT_ROTATION]
+        s = [circle[f"spin_axis_{i}"] for i in (1, 2, 3)]
+        last = np.select(
+            [np.abs(s[2]) > tolerances.angle, np.abs(s[1]) > tolerances.angle], [s[2], s[1]], s[0]
+        )
+        sign = np.copysign(1.0, last)
+        components = [circle[f"rate_{i}"] for i in (1, 2, 3)]
+        size = np.sqrt(sum(component**2 for component in components))
+        rotates = size > tolerances.rate
+        zero_or_nan = np.where(rotates, 0.0, np.nan)
         choices = (
             about_third_axis,
-            _of_circle(circle, tolerances.angle),
-            _of_rotation(circle, tolerances.rate),
+            (
+                {
+                    "precession_rate": circle["precession"],
+                    "spin_rate": sign * circle["spin"],
+                    "nutation": np.arctan2(circle["radius"], sign * (circle["height"] - circle["spin"])),
+                    "precession_inclination": circle["precession_inclination"],
+                }
+                | {f"spin_axis_{i + 1}": sign * component + 0.0 for i, component in enumerate(s)}
+            ),
+            (
+                {
+                    "precession_rate": np.zeros_like(size),
+                    "spin_rate": size,
+                    "nutation": zero_or_nan,
+                    "precession_inclination": circle["rotation_inclination"] + zero_or_nan,
+                }
+                | {
+                    f"spin_axis_{i + 1}": component / size + zero_or_nan
+                    for i, component in enumerate(components)
+                }
+            ),
         )
         return {
             name: np.select(conditions, [choice[name] for choice in choices], np.nan)
             for name in (*RATES, *ANGLES)
         }
-
-
-def _of_circle(circle: Mapping[str, Array], angle: float) -> dict[str, Array]:
-    """Rates and angles of regular precessions: the last component of the spin axis above `angle` is positive."""
-    s = [circle[f"spin_axis_{i}"] for i in (1, 2, 3)]
-    last = np.select([np.abs(s[2]) > angle, np.abs(s[1]) > angle], [s[2], s[1]], s[0])
-    sign = np.copysign(1.0, last)
-    return {
-        "precession_rate": circle["precession"],
-        "spin_rate": sign * circle["spin"],
-        "nutation": np.arctan2(circle["radius"], sign * (circle["height"] - circle["spin"])),
-        "precession_inclination": circle["precession_inclination"],
-    } | {f"spin_axis_{i + 1}": sign * component + 0.0 for i, component in enumerate(s)}  # no -0.0
-
-
-def _of_rotation(circle: Mapping[str, Array], rate: float) -> dict[str, Array]:
-    """Rates and angles of permanent rotations: about the mean angular velocity, which a body at rest has not."""
-    components = [circle[f"rate_{i}"] for i in (1, 2, 3)]
-    size = np.sqrt(sum(component**2 for component in components))
-    rotates = size > rate
-    zero_or_nan = np.where(rotates, 0.0, np.nan)
-    return {
-        "precession_rate": np.zeros_like(size),
-        "spin_rate": size,
-        "nutation": zero_or_nan,
-        "precession_inclination": circle["rotation_inclination"] + zero_or_nan,
-    } | {f"spin_axis_{i + 1}": component / size + zero_or_nan for i, component in enumerate(components)}

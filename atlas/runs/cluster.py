@@ -96,7 +96,16 @@ def _client(cluster: Any) -> Iterator[Client]:
 
 def check_workers(client: Client, check: Callable[..., None], arguments: tuple[Any, ...]) -> None:
     """Raise BadInput if a worker has another dask or fails `check`, except workers that join later."""
-    different = _different_versions(client.get_versions())
+    versions: Any = client.get_versions()
+    servers = {"the scheduler": versions["scheduler"]}
+    servers |= {f"worker {address}": info for address, info in versions["workers"].items()}
+    expected = versions["client"]["packages"]
+    different = ", ".join(
+        f"{server} has {name} {info['packages'][name]} and this process {expected[name]}"
+        for server, info in servers.items()
+        for name in ("dask", "distributed")
+        if info["packages"][name] != expected[name]
+    )
     if different:
         raise BadInput(f"versions of dask must be the same everywhere: {different}")
     for worker, result in client.run(check, *arguments, on_error="return").items():
@@ -104,19 +113,6 @@ def check_workers(client: Client, check: Callable[..., None], arguments: tuple[A
             raise result
         if isinstance(result, Exception) and not isinstance(result, OSError):  # OSError: the worker has died
             raise BadInput(f"worker {worker}: {type(result).__name__}: {one_line(result)}")
-
-
-def _different_versions(versions: Any) -> str:
-    """Versions of dask in `Client.get_versions()` that differ from the client's, in one line."""
-    servers = {"the scheduler": versions["scheduler"]}
-    servers |= {f"worker {address}": info for address, info in versions["workers"].items()}
-    expected = versions["client"]["packages"]
-    return ", ".join(
-        f"{server} has {name} {info['packages'][name]} and this process {expected[name]}"
-        for server, info in servers.items()
-        for name in ("dask", "distributed")
-        if info["packages"][name] != expected[name]
-    )
 
 
 def for_each(

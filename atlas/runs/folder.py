@@ -120,7 +120,15 @@ class RunFolder:
         """Create the run folder of a scene, or open it to be continued; BadInput for anything else in it."""
         path = path.absolute()
         if not (path / MANIFEST).exists():
-            _check_new_folder(path)
+            if path.exists() and not path.is_dir():
+                raise BadInput(f"{path}: this is a file, not a run folder")
+            claim = claim_path(path / MANIFEST).name
+            if path.exists() and any(
+                entry.name != claim and not is_temporary(entry.name) and not PROGRESS.fullmatch(entry.name)
+                for entry in path.iterdir()
+            ):
+                raise BadInput(f"{path}: this folder contains something else: there is no {MANIFEST} in it")
+            check_folder(path / MANIFEST if path.exists() else path)
             manifest = _manifest(plan, warnings)
             path.mkdir(exist_ok=True)
             # Another process may have created the manifest in the meantime; its folder is then checked below.
@@ -384,19 +392,6 @@ def remove_empty(path: Path) -> None:
     remove_leftovers(path)
     with suppress(OSError):
         path.rmdir()
-
-
-def _check_new_folder(path: Path) -> None:
-    """Raise BadInput unless a run folder can be created at `path`."""
-    if path.exists() and not path.is_dir():
-        raise BadInput(f"{path}: this is a file, not a run folder")
-    claim = claim_path(path / MANIFEST).name
-    if path.exists() and any(
-        entry.name != claim and not is_temporary(entry.name) and not PROGRESS.fullmatch(entry.name)
-        for entry in path.iterdir()
-    ):
-        raise BadInput(f"{path}: this folder contains something else: there is no {MANIFEST} in it")
-    check_folder(path / MANIFEST if path.exists() else path)
 
 
 def _manifest(plan: ScenePlan, warnings: list[str]) -> dict[str, Any]:

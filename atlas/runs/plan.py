@@ -15,7 +15,6 @@ from typing import TYPE_CHECKING, Any
 
 import netCDF4
 import numpy as np
-import scipy
 
 from .. import sources, systems
 from .._version import __version__
@@ -187,6 +186,7 @@ def identity(plan: Plan) -> dict[str, str]:
     """Versions, hashes and processor on which bits depend; BadInput if sources changed since the import."""
     import llvmlite
     import numba
+    import scipy
 
     from ..engine import jit
 

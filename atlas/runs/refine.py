@@ -276,7 +276,13 @@ def expected_points(plan: ScenePlan) -> float:
     finer = 0  # levels between the grid of the simulation and the finest one
     while scene.size / 2 ** (n_axes * finer) > MAX_PREDICTED:
         finer += 1
-    predicted = _PredictedGrid(replace(plan, scene=_coarser(scene, finer)))
+    # The scene with 2^finer times the spacing.
+    axes = {
+        name: replace(axis, values=axis.values[:: 2**finer]) if axis.can_be_refined else axis
+        for name, axis in scene.axes.items()
+    }
+    coarser = replace(scene.refine, levels=max(levels - finer, 0))
+    predicted = _PredictedGrid(replace(plan, scene=replace(scene, axes=axes, refine=coarser)))
     for level in range(max(levels - finer, 0) + 1):
         predicted.refine_to(level)
     predicted.trace_predicted_boundary()
@@ -293,18 +299,6 @@ def expected_points(plan: ScenePlan) -> float:
     expected += slow * (2 ** (n_axes * finer) - 1)
     existing = existing_share * scene.size
     return min(expected + scene.refine.probe * max(existing - expected, 0.0), existing)
-
-
-def _coarser(scene: Scene, levels: int) -> Scene:
-    """The scene with 2^levels times the spacing, which takes so many levels of refinement less, but not below 0."""
-    assert scene.refine is not None
-    axes = {
-        name: replace(axis, values=axis.values[:: 2**levels]) if axis.can_be_refined else axis
-        for name, axis in scene.axes.items()
-    }
-    return replace(
-        scene, axes=axes, refine=replace(scene.refine, levels=max(scene.refine.levels - levels, 0))
-    )
 
 
 def _growth_needed(scene: Scene) -> float:

@@ -198,7 +198,13 @@ def _complete(folder: RunFolder, plan: ScenePlan, execution: _Execution, progres
     bar = job.open_progress(progress and bool(job.unfinished))
     try:
         if job.unfinished:
-            _compute_tiles(job, bar, plan, execution)
+            try:
+                if execution.on_cluster:
+                    _compute_on_cluster(job, bar, plan, execution)
+                else:
+                    _compute_in_threads(job, bar, plan, execution.threads)
+            finally:
+                folder.remove_leftovers()
         try:
             finished = bool(folder.final_attributes())
         except BadInput as error:
@@ -387,19 +393,6 @@ class _Job:
                 yield tile
 
 
-def _compute_tiles(job: _Job, bar: Progress, plan: ScenePlan, execution: _Execution) -> None:
-    """Compute the tiles of a job that are missing or damaged."""
-    try:
-        if execution.on_cluster:
-            if execution.workers:
-                _compile_kernel(plan)
-            _compute_on_cluster(job, bar, execution)
-        else:
-            _compute_in_threads(job, bar, plan, execution.threads)
-    finally:
-        job.folder.remove_leftovers()
-
-
 def _compute_in_threads(job: _Job, bar: Progress, plan: ScenePlan, threads: int | None) -> None:
     """Compute the tiles of a job in threads of this process."""
     folder = job.folder
@@ -429,16 +422,14 @@ def _tile_columns(
     return {name: values[name] for name in folder.tiles.types}, int(points.exists.sum())
 
 
-def _compile_kernel(plan: ScenePlan) -> None:
-    """Compile the kernel of a scene by one step at one point: each new process would compile it otherwise."""
-    points = replace(plan.points.without_derived(), settings=plan.limited(1))
-    if points.outputs:
-        evaluate(points, plan.sample.subset(np.flatnonzero(plan.sample.exists)[:1]), threads=1)
-
-
-def _compute_on_cluster(job: _Job, bar: Progress, execution: _Execution) -> None:
+def _compute_on_cluster(job: _Job, bar: Progress, plan: ScenePlan, execution: _Execution) -> None:
     """Compute the tiles of a job on dask workers."""
     folder = job.folder
+    if execution.workers:
+        # Compile the kernel by one step at one point: each new process would compile it otherwise.
+        points = replace(plan.points.without_derived(), settings=plan.limited(1))
+        if points.outputs:
+            evaluate(points, plan.sample.subset(np.flatnonzero(plan.sample.exists)[:1]), threads=1)
 
     def on_result(tile: int) -> None:
         if not folder.tiles.is_written(tile):

@@ -424,7 +424,16 @@ def statistics(motion: Motion, duration: float) -> dict[str, float]:
     turns = int(duration // motion.period)
     first = motion.period if turns else duration
     time, weight = _quadrature(motion, first)
-    theta = _theta_at_turns(motion, np.concatenate([[0.0], time, [first]]))
+    # theta at both ends and where it has an extreme between two neighbouring nodes.
+    nodes = np.concatenate([[0.0], time, [first]])
+    slope = motion(nodes).cos_theta_dot
+    changes = np.flatnonzero(slope[:-1] * slope[1:] < 0)
+    low, high, sign = nodes[changes], nodes[changes + 1], slope[changes]
+    for _ in range(60):
+        middle = 0.5 * (low + high)
+        is_low = motion(middle).cos_theta_dot * sign > 0
+        low, high = np.where(is_low, middle, low), np.where(is_low, high, middle)
+    theta = motion(np.concatenate([nodes[[0, -1]], 0.5 * (low + high)])).theta
     if turns:  # every whole period counts alike; then the rest
         rest = _quadrature(motion, duration - turns * motion.period)
         time, weight = np.concatenate([time, rest[0]]), np.concatenate([turns * weight, rest[1]])
@@ -469,15 +478,3 @@ def _integrals(motion: Motion, edges: Array) -> Array:
     at_nodes = motion(edges[:-1, None] + half[:, None] * (1 + GAUSS_NODES))
     rates = np.nan_to_num([at_nodes.theta_dot, at_nodes.psi_dot, at_nodes.phi_dot, at_nodes.normal_rate])
     return np.concatenate([rates, rates**2]) @ GAUSS_WEIGHTS * half
-
-
-def _theta_at_turns(motion: Motion, time: Array) -> Array:
-    """theta at both ends of the times and where it has an extreme between two neighbouring times."""
-    slope = motion(time).cos_theta_dot
-    turns = np.flatnonzero(slope[:-1] * slope[1:] < 0)
-    low, high, sign = time[turns], time[turns + 1], slope[turns]
-    for _ in range(60):
-        middle = 0.5 * (low + high)
-        is_low = motion(middle).cos_theta_dot * sign > 0
-        low, high = np.where(is_low, middle, low), np.where(is_low, high, middle)
-    return motion(np.concatenate([time[[0, -1]], 0.5 * (low + high)])).theta

@@ -23,9 +23,9 @@ from ..scene import model
 from ..scene.grid import Grid
 from ..scene.model import Settings
 from ..scene.tables import point_columns
-from ..systems.base import Array, Mask, Parameter, Points, StressCase, System
+from ..systems.base import Array, Mask, Parameter, Points, StressCase, System, subset
 from ..variables import main_instrument, variables
-from .reference import ReferenceFailure, reference
+from .reference import reference_where_possible
 from .stress_truth import EXACT_ACCURACY, EXACT_STATISTICS, TrueLabels, no_statistics, true_labels
 
 # The levels, coarse to fine: fixed steps as a share of the stability limit at the frequency bound, then
@@ -61,31 +61,13 @@ def stress(
     """
     if isinstance(system, str):
         system = systems.get(system)
-    parts, truth = (
-        _points_of_generic_cases(system)
-        if cases is None and not system.stress_cases()
-        else _points_of_cases(system, cases)
-    )
-    points = {name: np.concatenate([part.points[name] for part in parts]) for name in system.parameters}
-    duration = np.concatenate([part.duration for part in parts])
-    results = _run_levels(system, points, duration, threads)
-    return _dataset(system, parts, points, truth, results)
-
-
-def _points_of_cases(
-    system: System, cases: Sequence[StressCase] | None
-) -> tuple[list[CasePoints], TrueLabels]:
-    """Points of the given cases (None: all of the system), and their true labels."""
-    parts = [case_points(system, case) for case in (system.stress_cases() if cases is None else cases)]
-    return parts, TrueLabels.join([
-        true_labels(system, part.points, part.duration, Settings(), part.truth, part.base) for part in parts
-    ])  # fmt: skip
-
-
-def _points_of_generic_cases(system: System) -> tuple[list[CasePoints], TrueLabels]:
-    """Points of generic cases whose true labels the reference determines, and these labels."""
+    cases = system.stress_cases() if cases is None else cases
     parts, truths = [], []
-    for case in generic_cases(system):
+    for case in cases:
+        part = case_points(system, case)
+        parts.append(part)
+        truths.append(true_labels(system, part.points, part.duration, Settings(), part.truth, part.base))
+    for case in [] if cases else generic_cases(system):
         part = case_points(system, case)
         truth, known = generic_true_labels(system, part, Settings())
         if known.any():
@@ -93,7 +75,10 @@ def _points_of_generic_cases(system: System) -> tuple[list[CasePoints], TrueLabe
             truths.append(truth.subset(known))
     if not parts:
         raise BadInput(f"stress: the reference determines no label of the generic cases of {system.name}")
-    return parts, TrueLabels.join(truths)
+    points = {name: np.concatenate([part.points[name] for part in parts]) for name in system.parameters}
+    duration = np.concatenate([part.duration for part in parts])
+    results = _run_levels(system, points, duration, threads)
+    return _dataset(system, parts, points, TrueLabels.join(truths), results)
 
 
 @dataclass(frozen=True)
@@ -105,8 +90,25 @@ class _Job:
     indices: np.ndarray
 
 
-def _jobs(system: System, points: Points, duration: Array) -> list[_Job]:
-    """All runs: at fixed steps one for each point, as its step is its own; else one for each level."""
+def _run_levels(
+    system: System, points: Points, duration: Array, threads: int | None
+) -> dict[str, np.ndarray]:
+    """Label, status and the measured numbers that are compared, each (method, level, point).
+
+    At fixed steps each point is a job of its own, as its step is its own; else each level is one.
+    """
+    shape = len(METHODS), len(LEVELS), duration.size
+    numbers = ("step_ratio", "error_estimate", "unsteadiness", *EXACT_STATISTICS)
+    results: dict[str, np.ndarray] = {name: np.zeros(shape, np.int8) for name in ("label", "status")}
+    results |= {name: np.full(shape, np.nan) for name in numbers}
+    for name in METHODS:
+        kernel(system, name)  # loaded here, so that no two threads load it at once
+
+    def work(job: _Job) -> None:
+        for indices, values in _run_job(system, points, duration, job):
+            for name, column in results.items():
+                column[(*job.cell, indices)] = values[name]
+
     with np.errstate(all="ignore"):
         bound = system.frequency_bound(points)
     jobs = []
@@ -123,28 +125,9 @@ def _jobs(system: System, points: Points, duration: Array) -> list[_Job]:
             _Job((i, j), replace(settings, tolerance=tolerance), np.arange(duration.size))
             for j, tolerance in enumerate(TOLERANCES, len(RATIOS))
         ]
-    return jobs
-
-
-def _run_levels(
-    system: System, points: Points, duration: Array, threads: int | None
-) -> dict[str, np.ndarray]:
-    """Label, status and the measured numbers that are compared, each (method, level, point)."""
-    shape = len(METHODS), len(LEVELS), duration.size
-    numbers = ("step_ratio", "error_estimate", "unsteadiness", *EXACT_STATISTICS)
-    results: dict[str, np.ndarray] = {name: np.zeros(shape, np.int8) for name in ("label", "status")}
-    results |= {name: np.full(shape, np.nan) for name in numbers}
-    for method in METHODS:
-        kernel(system, method)  # loaded here, so that no two threads load it at once
-
-    def work(job: _Job) -> None:
-        for indices, values in _run_job(system, points, duration, job):
-            for name, column in results.items():
-                column[(*job.cell, indices)] = values[name]
-
     # The kernel releases the interpreter lock; one job is seldom large enough for two threads.
     with ThreadPoolExecutor(threads or blocks.available_threads()) as pool:
-        list(pool.map(work, _jobs(system, points, duration)))
+        list(pool.map(work, jobs))
     return results
 
 
@@ -165,7 +148,7 @@ def _run_job(
     results = []
     for limited, indices in runs:
         if indices.size:
-            part = {name: values[indices] for name, values in points.items()}
+            part = subset(points, indices)
             none = np.zeros(indices.size, np.int8)
             values = evaluate(Plan(system, limited), Grid(part, part, none, duration[indices]), threads=1)
             values |= {"unsteadiness": main_instrument(system).unsteadiness(system, values, settings)}
@@ -298,41 +281,41 @@ LEGEND = (
 def report(ds: xr.Dataset) -> str:
     """The study as text: a row for each case with a sign for each level, then each point that failed."""
     counts = np.bincount(ds["verdict"].values.ravel(), minlength=len(Verdict))
-    return "\n".join(
-        [
-            _case_table(ds),
-            LEGEND,
-            *_point_lines(ds, "label not true", mislabelled(ds)),
-            *_point_lines(ds, "unresolved at an automatic step", unresolved(ds)),
-            ", ".join(f"{name} {count}" for name, count in zip(Verdict.meanings(), counts, strict=True)),
-            *_accuracy_lines(ds),
-            *_statistics_table(ds),
-        ]
-    )
-
-
-def _case_table(ds: xr.Dataset) -> str:
-    """A row for each case, with a sign for each method and level."""
     meanings = list(Label.meanings())
     rows = [("case", "points", "true label", "determined by", *ds["method"].values)]
     for case in dict.fromkeys(ds["case"].values):
         part = ds.isel(point=np.flatnonzero(ds["case"].values == case))
         truth = ", ".join(dict.fromkeys(meanings[i] for i in part["truth"].values))
         source = ", ".join(dict.fromkeys(part["known_from"].values))
-        signs = ["".join(_sign(level) for level in method) for method in part["verdict"].values]
-        rows.append((str(case), str(part.sizes["point"]), truth, source, *signs))
-    return text_table(rows)
-
-
-def _sign(verdict: Array) -> str:
-    """One character for the verdicts on the points of a case."""
-    if (verdict == Verdict.WRONG).any():
-        return "X"
-    if (verdict == Verdict.LEFT_OUT).all():
-        return "-"
-    if (verdict == Verdict.UNRESOLVED).any():
-        return "u" if (verdict == Verdict.RIGHT).any() else "U"
-    return "."
+        verdict = part["verdict"].values
+        is_wrong, is_left_out = (verdict == Verdict.WRONG).any(-1), (verdict == Verdict.LEFT_OUT).all(-1)
+        is_unresolved, is_right = ((verdict == v).any(-1) for v in (Verdict.UNRESOLVED, Verdict.RIGHT))
+        conditions = [is_wrong, is_left_out, is_unresolved & is_right, is_unresolved]
+        signs = np.select(conditions, ["X", "-", "u", "U"], ".")
+        rows.append((str(case), str(part.sizes["point"]), truth, source, *map("".join, signs)))
+    # For each method and level: the number of true labels with an accurate unsteadiness, and with a known one.
+    accuracy = []
+    for name, verdict, error in zip(
+        ds["method"].values, ds["verdict"].values, ds["error"].values, strict=True
+    ):
+        error = np.where(verdict == Verdict.RIGHT, error, np.nan)
+        accurate, known = (error < ACCURATE).sum(1), np.isfinite(error).sum(1)
+        accuracy.append(
+            f"{name}: true labels with {ds['error'].attrs['long_name'].removeprefix('relative error of ')} within"
+            f" {100 * ACCURATE:g} %, of those for which it is known, by level: "
+            + " ".join(f"{n}/{k}" for n, k in zip(accurate, known, strict=True))
+        )
+    return "\n".join(
+        [
+            text_table(rows),
+            LEGEND,
+            *_point_lines(ds, "label not true", mislabelled(ds)),
+            *_point_lines(ds, "unresolved at an automatic step", unresolved(ds)),
+            ", ".join(f"{name} {count}" for name, count in zip(Verdict.meanings(), counts, strict=True)),
+            *accuracy,
+            *_statistics_table(ds),
+        ]
+    )
 
 
 def _point_lines(ds: xr.Dataset, text: str, selected: Mask) -> list[str]:
@@ -343,20 +326,6 @@ def _point_lines(ds: xr.Dataset, text: str, selected: Mask) -> list[str]:
         lines.append(
             f"{text}: {run['case'].item()}, {run['name'].item()}; {run['method'].item()}, {run['level'].item()}:"
             f" {label[int(run['label'])]} ({status[int(run['status'])]}), true {label[int(run['truth'])]}"
-        )
-    return lines
-
-
-def _accuracy_lines(ds: xr.Dataset) -> list[str]:
-    """For each method and level: the number of true labels with an accurate unsteadiness, and with a known one."""
-    lines = []
-    for i, method in enumerate(ds["method"].values):
-        error = np.where(ds["verdict"].values[i] == Verdict.RIGHT, ds["error"].values[i], np.nan)
-        accurate, known = (error < ACCURATE).sum(1), np.isfinite(error).sum(1)
-        counts = " ".join(f"{n}/{k}" for n, k in zip(accurate, known, strict=True))
-        lines.append(
-            f"{method}: true labels with {ds['error'].attrs['long_name'].removeprefix('relative error of ')} within"
-            f" {100 * ACCURATE:g} %, of those for which it is known, by level: {counts}"
         )
     return lines
 
@@ -374,7 +343,17 @@ def _statistics_table(ds: xr.Dataset) -> list[str]:
         members = np.flatnonzero(known & (ds["case"].values == case))
         row = [str(case), str(members.size)]
         for i in range(ds.sizes["method"]):
-            row += _error_cells(ds.isel(method=i, level=-1, point=members))
+            part = ds.isel(method=i, level=-1, point=members)
+            resolved = part["status"].values == Status.OK
+            error = np.where(resolved, part["statistic_error"].values, np.nan)
+            if np.isnan(error).all():
+                row += ["-", "-", "-"]
+            else:
+                worst = np.nanmax(error, axis=1, initial=0.0)
+                estimate = np.maximum(part["error_estimate"].values, EXACT_ACCURACY)
+                ratio = np.nanmax(error, axis=0, initial=0.0) / estimate
+                largest = str(part["statistic"].values[worst.argmax()])
+                row += [f"{worst.max():.1e}", largest, f"{np.nanmax(np.where(resolved, ratio, np.nan)):.2g}"]
             row.append(f"{beyond[i][:, members].sum()}/{estimated[i][:, members].sum()}")
         rows.append(row)
     total = [
@@ -386,18 +365,6 @@ def _statistics_table(ds: xr.Dataset) -> list[str]:
         text_table(rows),
         f"runs with a statistic off by more than ten times error_estimate: {', '.join(total)}",
     ]
-
-
-def _error_cells(ds: xr.Dataset) -> list[str]:
-    """Largest error of a statistic, the name of that statistic, and the largest ratio of an error to the estimate."""
-    resolved = ds["status"].values == Status.OK
-    error = np.where(resolved, ds["statistic_error"].values, np.nan)
-    if np.isnan(error).all():
-        return ["-", "-", "-"]
-    worst = np.nanmax(error, axis=1, initial=0.0)
-    estimate = np.maximum(ds["error_estimate"].values, EXACT_ACCURACY)
-    ratio = np.nanmax(np.where(resolved, np.nanmax(error, axis=0, initial=0.0) / estimate, np.nan))
-    return [f"{worst.max():.1e}", str(ds["statistic"].values[worst.argmax()]), f"{ratio:.2g}"]
 
 
 @dataclass(frozen=True)
@@ -418,8 +385,8 @@ class CasePoints:
         """The points where a mask is true."""
         return replace(
             self,
-            points={name: values[where] for name, values in self.points.items()},
-            base={name: values[where] for name, values in self.base.items()},
+            points=subset(self.points, where),
+            base=subset(self.base, where),
             duration=self.duration[where],
             names=tuple(name for name, kept in zip(self.names, where, strict=True) if kept),
         )
@@ -458,16 +425,12 @@ def generic_cases(system: System) -> list[StressCase]:
 
     The length of a run follows from its frequency at the start, so that stiff runs are short.
     """
-    moderate = {name: _moderate_value(p) for name, p in system.parameters.items() if np.isfinite(p.default)}
+    moderate = {name: p.default for name, p in system.parameters.items() if np.isfinite(p.default)}
+    for name, p in system.parameters.items():
+        if p.start and p.default == 0 and p.low <= START <= p.high:
+            moderate[name] = START  # so that the state changes
     cases = [_case(system, name, moderate | {name: _values(system.parameters[name])}) for name in moderate]
     return [_case(system, "defaults", {}), _case(system, "beside the defaults", moderate), *cases]
-
-
-def _moderate_value(parameter: Parameter) -> float:
-    """The default, or START for a start value whose default is 0, so that the state changes."""
-    if not parameter.start or parameter.default != 0:
-        return parameter.default
-    return START if parameter.low <= START <= parameter.high else parameter.default
 
 
 def _values(parameter: Parameter) -> Array:
@@ -503,19 +466,18 @@ def generic_true_labels(system: System, part: CasePoints, settings: Settings) ->
     source, known = np.full(size, "overflow", "<U15"), np.ones(size, bool)
     with np.errstate(all="ignore"):
         start, frequency = system.initial_state(part.points), system.frequency_bound(part.points)
-    usable = np.isfinite(start).all(0) & np.isfinite(frequency)
-    indices = np.flatnonzero(usable)
-    while indices.size:
-        points: Points = {name: values[indices] for name, values in part.points.items()}
-        try:
-            solution = reference(system, points, part.duration[indices], settings)
-        except ReferenceFailure as failure:
-            known[indices[failure.indices]] = False
-            indices = np.delete(indices, failure.indices)
-            continue
-        label[indices], source[indices], known[indices] = solution.label, "reference", solution.label_certain
-        largest[indices] = main_instrument(system).unsteadiness(system, solution.statistics, settings)
-        break
+    usable = np.flatnonzero(np.isfinite(start).all(0) & np.isfinite(frequency))
+    solution, computed = reference_where_possible(
+        system, subset(part.points, usable), part.duration[usable], settings
+    )
+    known[usable], computed = False, usable[computed]
+    if solution is not None:
+        label[computed], source[computed], known[computed] = (
+            solution.label,
+            "reference",
+            solution.label_certain,
+        )
+        largest[computed] = main_instrument(system).unsteadiness(system, solution.statistics, settings)
     return TrueLabels(label, largest, source, no_statistics(size)), known
 
 

@@ -137,12 +137,16 @@ def source(
     and if a first integral or a loss has the name of a function of the kernel.
     """
     objects, sources, numbers = _reachable(of, plugs, () if plugs else ("PLUGGED",))
-    equations = _with_losses(equations, zero, equal, of)
+    measured = augmented.losses_of(equations, zero, equal) if of in MEASURING else {}
+    equations = augmented.with_losses(equations, measured)
     try:
         generated_functions = _generated_functions(equations, METHODS[method], zero, equal, of, plugs)
     except ValueError as error:  # of `differential`
         raise BadInput(f"equations: {error}") from None
-    _check_names(equations, sources)
+    names = {"INTEGRALS": equations.INTEGRALS, "LOSSES": equations.LOSSES.values()}
+    for key, name in ((key, name) for key, given in names.items() for name in given):
+        if name in sources or hasattr(generated, name):
+            raise BadInput(f"{key}: {name} is the name of a function of the kernel; choose another name")
     constants = _constants(equations, METHODS[method], of, plugs) | numbers
     loops = _loops_called_once([*generated_functions.values(), *sources.values()])
     decorators = {name: jit.CALLED for name in objects if hasattr(objects[name], "called_seldom")}
@@ -183,7 +187,8 @@ def plain_module(
     plugs: Sequence[Plug] = (),
 ) -> ModuleType:
     """The same kernel as plain Python, slow; arguments as for `source`."""
-    equations = _with_losses(equations, zero, equal, of)
+    measured = augmented.losses_of(equations, zero, equal) if of in MEASURING else {}
+    equations = augmented.with_losses(equations, measured)
     namespace: dict[str, object] = {"np": np, **arithmetic.numpy_functions()}
     for name, text in _generated_functions(equations, METHODS[method], zero, equal, of, plugs).items():
         exec(compile(text, f"<{name} of {equations.__name__}>", "exec"), namespace)
@@ -213,14 +218,6 @@ def _copy(module: ModuleType, namespace: Mapping[str, object]) -> ModuleType:
     spec.loader.exec_module(copy)
     vars(copy).update(namespace)
     return copy
-
-
-def _with_losses(
-    equations: ModuleType, zero: Collection[str], equal: Mapping[str, str], of: ModuleType
-) -> ModuleType:
-    """Equations that integrate the losses of their integrals, for the kernels that measure these."""
-    measured = augmented.losses_of(equations, zero, equal) if of in MEASURING else {}
-    return augmented.with_losses(equations, measured)
 
 
 def _constants(
@@ -357,14 +354,6 @@ def observable_names(equations: ModuleType) -> tuple[str, ...]:
     return getattr(equations, "OBSERVABLES", ())
 
 
-def _check_names(equations: ModuleType, taken: Collection[str]) -> None:
-    """Raise BadInput if a function of the equations would replace one of the kernel."""
-    names = {"INTEGRALS": equations.INTEGRALS, "LOSSES": equations.LOSSES.values()}
-    for key, name in ((key, name) for key, given in names.items() for name in given):
-        if name in taken or hasattr(generated, name):
-            raise BadInput(f"{key}: {name} is the name of a function of the kernel; choose another name")
-
-
 def _observable_functions(
     equations: ModuleType, sources: dict[str, str]
 ) -> tuple[dict[str, str], dict[str, list[str]]]:
@@ -379,7 +368,14 @@ def _observable_functions(
             continue
         function, change = f"observable_{name}", f"change_of_{name}"
         changes[function] = text.replace(f"def {name}(", f"def {function}(", 1)
-        changes[change] = differential(_with_tuple(text), change)
+        function_tree = ast.parse(text).body[0]
+        assert isinstance(function_tree, ast.FunctionDef)
+        last = function_tree.body[-1]
+        assert isinstance(last, ast.Return)
+        assert last.value is not None
+        last.value = ast.Tuple([last.value], ast.Load())  # `differential` takes functions that return a tuple
+        tuple_text = ast.unparse(ast.fix_missing_locations(function_tree))
+        changes[change] = differential(tuple_text, change)
         values.append(f"{function}(state, constants)")
         lines.append(f"d_{name}, = {change}(state, constants, change)")
         slopes.append(f"d_{name}")
@@ -389,17 +385,6 @@ def _observable_functions(
         "observe_change(state, constants, change)": [*lines, f"return ({', '.join(slopes)},)"],
         "store_values(nodes, slot, row, l, values)": [f"{rows}, = values"],
     }
-
-
-def _with_tuple(text: str) -> str:
-    """A function that returns a number as one that returns a tuple of it."""
-    function = ast.parse(text).body[0]
-    assert isinstance(function, ast.FunctionDef)
-    last = function.body[-1]
-    assert isinstance(last, ast.Return)
-    assert last.value is not None
-    last.value = ast.Tuple([last.value], ast.Load())
-    return ast.unparse(ast.fix_missing_locations(function))
 
 
 def _extended_lines(states: int, extended: int) -> list[str]:

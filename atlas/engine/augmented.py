@@ -35,12 +35,15 @@ SCALED, UNSCALED = "scaled_motion", "unscaled_motion"
 
 def losses_of(equations: ModuleType, zero: Collection[str], equal: Mapping[str, str]) -> dict[str, str]:
     """Functions that return the losses of first integrals, by integral, where anything is lost."""
-    given, sources = getattr(equations, "LOSSES", {}), arithmetic.functions(equations)
-    return {
-        integral: function
-        for integral, function in given.items()
-        if not _is_zero(simplify(sources[function], zero, equal))
-    }
+    sources, losses = arithmetic.functions(equations), {}
+    for integral, function in getattr(equations, "LOSSES", {}).items():
+        simplified = ast.parse(simplify(sources[function], zero, equal)).body[0]
+        match simplified:
+            case ast.FunctionDef(body=[*_, ast.Return(value=ast.Constant(value=0))]):
+                pass
+            case _:
+                losses[integral] = function
+    return losses
 
 
 def with_losses(equations: ModuleType, losses: Mapping[str, str]) -> ModuleType:
@@ -85,16 +88,6 @@ def with_frame_vector(equations: ModuleType) -> ModuleType:
     )
 
 
-def _is_zero(text: str) -> bool:
-    """Whether a simplified function returns 0."""
-    function = ast.parse(text).body[0]
-    assert isinstance(function, ast.FunctionDef)
-    match function.body[-1]:
-        case ast.Return(value=ast.Constant(value=value)):
-            return value == 0
-    return False
-
-
 def _new_names(names: Iterable[str], sources: Mapping[str, str]) -> list[str]:
     """These names, with underscores where a function uses them."""
     nodes = (node for text in sources.values() for node in ast.walk(ast.parse(text)))
@@ -113,38 +106,35 @@ def _with_states(
     names: Mapping[str, str],
     powers: list[int],
 ) -> dict[str, str]:
-    """The functions of so many states with more of them; `powers`: of a rate in the new states' units."""
-    scaling = {name: sources[name] for name in ("scaled", "unscaled")}
-    extended = {name: _with_sums(text, rates, names) for name, text in sources.items() if name not in scaling}
-    return extended | _scaling(scaling, states, powers)
+    """The functions of so many states with more of them; `powers`: of a rate in the new states' units.
 
-
-def _with_sums(text: str, losses: Mapping[str, str], sums: Mapping[str, str]) -> str:
-    """A function of the state and the sums: the right-hand side has theirs, an integral its sum as one more term."""
-    function = ast.parse(text).body[0]
-    assert isinstance(function, ast.FunctionDef)
-    for statement in function.body:
-        match statement:
-            case ast.Assign(targets=[ast.Tuple(elts=names)], value=ast.Name(id="state")):
-                names += [ast.Name(name) for name in sums.values()]
-            case ast.Return(value=ast.Tuple(elts=values)) if function.name == "rhs":
-                arguments: list[ast.expr] = [ast.Name("state"), ast.Name("constants")]
-                values += [ast.Call(ast.Name(loss), arguments, []) for loss in losses.values()]
-            case ast.Return(value=ast.Tuple(elts=values)) if function.name in sums:
-                values.append(ast.Name(sums[function.name]))
-    return ast.unparse(ast.fix_missing_locations(function))
-
-
-def _scaling(scaling: Mapping[str, str], states: int, powers: list[int]) -> dict[str, str]:
-    """Source of `scaled` and `unscaled` for state and sums, which have the units of their integrals."""
+    The right-hand side has the rates of the new states, an integral its sum of losses as one more term.
+    """
+    scaled, unscaled = sources["scaled"], sources["unscaled"]
+    extended = {}
+    for name, text in sources.items():
+        if name in ("scaled", "unscaled"):
+            continue
+        function = ast.parse(text).body[0]
+        assert isinstance(function, ast.FunctionDef)
+        for statement in function.body:
+            match statement:
+                case ast.Assign(targets=[ast.Tuple(elts=elements)], value=ast.Name(id="state")):
+                    elements += [ast.Name(new) for new in names.values()]
+                case ast.Return(value=ast.Tuple(elts=values)) if name == "rhs":
+                    arguments: list[ast.expr] = [ast.Name("state"), ast.Name("constants")]
+                    values += [ast.Call(ast.Name(rate), arguments, []) for rate in rates.values()]
+                case ast.Return(value=ast.Tuple(elts=values)) if name in names:
+                    values.append(ast.Name(names[name]))
+        extended[name] = ast.unparse(ast.fix_missing_locations(function))
     state = ", ".join(f"y{i}" for i in range(states))
     sums = [f"lost{i}" for i in range(len(powers))]
     times = ", ".join(name + " * h" * power for name, power in zip(sums, powers, strict=True))
     over = ", ".join(name + " / h" * power for name, power in zip(sums, powers, strict=True))
     unpacked = f"    {state}, {', '.join(sums)}, = state\n"
-    return {
-        SCALED: scaling["scaled"].replace("def scaled(", f"def {SCALED}(", 1),
-        UNSCALED: scaling["unscaled"].replace("def unscaled(", f"def {UNSCALED}(", 1),
+    return extended | {
+        SCALED: scaled.replace("def scaled(", f"def {SCALED}(", 1),
+        UNSCALED: unscaled.replace("def unscaled(", f"def {UNSCALED}(", 1),
         "scaled": f"def scaled(state, constants, h):\n{unpacked}"
         f"    y, c = {SCALED}(({state},), constants, h)\n"
         f"    {state}, = y\n"

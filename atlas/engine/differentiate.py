@@ -93,8 +93,15 @@ def _differential(node: ast.expr, active: set[str]) -> ast.expr | None:
             return ast.UnaryOp(sign, _given(_differential(operand, active)))
         case ast.BinOp(left=left, op=op, right=right):
             return _of_operation(left, op, right, active)
-        case ast.Call(func=function, args=[x]):
-            return _of_call(function, x, active)
+        case ast.Call(func=function, args=[x]):  # such as sin(x) or np.sin(x)
+            text = ast.unparse(function)
+            module, _, name = text.rpartition(".")
+            if name not in _DERIVATIVES:
+                raise ValueError(f"cannot be differentiated: {ast.unparse(node)}")
+            derivative = _DERIVATIVES[name].format(
+                function=text, module=f"{module}." if module else "", x=ast.unparse(x)
+            )
+            return _times(ast.parse(derivative, mode="eval").body, _given(_differential(x, active)))
         case _:
             raise ValueError(f"cannot be differentiated: {ast.unparse(node)}")
 
@@ -113,25 +120,21 @@ def _of_operation(left: ast.expr, op: ast.operator, right: ast.expr, active: set
         case ast.Sub():
             return _sum(dx, dy, ast.Sub())
         case ast.Mult():
-            factors = _factors(left) + _factors(right)
-            changes = [_differential(factor, active) for factor in factors]
-            constant = [factor for factor, change in zip(factors, changes, strict=True) if change is None]
-            variable = [
-                (factor, change)
-                for factor, change in zip(factors, changes, strict=True)
-                if change is not None
-            ]
+            # The factors that do not depend on the state stand before the sum.
+            changes = [(factor, _differential(factor, active)) for factor in _factors(left) + _factors(right)]
+            constant = [factor for factor, change in changes if change is None]
+            variable = [(factor, change) for factor, change in changes if change is not None]
             terms = [
                 reduce(_times, [change if i == j else factor for j, (factor, _) in enumerate(variable)])
                 for i, (_, change) in enumerate(variable)
             ]
             return reduce(_times, [*constant, reduce(lambda x, y: ast.BinOp(x, ast.Add(), y), terms)])
         case ast.Div():
-            quotient = None if dy is None else ast.BinOp(ast.BinOp(left, ast.Div(), right), ast.Mult(), dy)
+            quotient = None if dy is None else _times(ast.BinOp(left, ast.Div(), right), dy)
             return ast.BinOp(_sum(dx, quotient, ast.Sub()), ast.Div(), right)
         case ast.Pow() if dy is None:
             lower = ast.BinOp(left, ast.Pow(), ast.BinOp(right, ast.Sub(), ast.Constant(1.0)))
-            return ast.BinOp(ast.BinOp(right, ast.Mult(), lower), ast.Mult(), _given(dx))
+            return _times(_times(right, lower), _given(dx))
         case _:
             text = ast.unparse(ast.BinOp(left, op, right))
             raise ValueError(f"cannot be differentiated: {text}")
@@ -154,19 +157,6 @@ def _factors(node: ast.expr) -> list[ast.expr]:
 
 def _times(x: ast.expr, y: ast.expr) -> ast.expr:
     return ast.BinOp(x, ast.Mult(), y)
-
-
-def _of_call(function: ast.expr, x: ast.expr, active: set[str]) -> ast.expr:
-    """Differential of a function of one argument, such as sin(x) or np.sin(x)."""
-    text = ast.unparse(function)
-    module, _, name = text.rpartition(".")
-    if name not in _DERIVATIVES:
-        raise ValueError(f"cannot be differentiated: {text}({ast.unparse(x)})")
-    derivative = _DERIVATIVES[name].format(
-        function=text, module=f"{module}." if module else "", x=ast.unparse(x)
-    )
-    slope = ast.parse(derivative, mode="eval").body
-    return ast.BinOp(slope, ast.Mult(), _given(_differential(x, active)))
 
 
 def simplify(text: str, zero: Collection[str], equal: Mapping[str, str], ones: Collection[str] = ()) -> str:
@@ -228,7 +218,7 @@ class _Simplifier(ast.NodeTransformer):
             case ast.Sub():
                 (first, *y), (second, *z) = _left_factors(left), _left_factors(right)
                 if y and z and isinstance(first, ast.Name) and ast.dump(first) == ast.dump(second):
-                    return ast.BinOp(first, ast.Mult(), ast.BinOp(_product(y), ast.Sub(), _product(z)))
+                    return _times(first, ast.BinOp(reduce(_times, y), ast.Sub(), reduce(_times, z)))
         return ast.BinOp(left, node.op, right)
 
 
@@ -236,7 +226,3 @@ def _left_factors(node: ast.expr) -> list[ast.expr]:
     if isinstance(node, ast.BinOp) and isinstance(node.op, ast.Mult):
         return [*_left_factors(node.left), node.right]
     return [node]
-
-
-def _product(factors: list[ast.expr]) -> ast.expr:
-    return reduce(_times, factors)

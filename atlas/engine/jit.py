@@ -18,8 +18,8 @@ import shutil
 import stat
 import sys
 import threading
-from collections.abc import Iterable, Iterator
-from contextlib import contextmanager, suppress
+from collections.abc import Iterable
+from contextlib import suppress
 from pathlib import Path
 from types import ModuleType
 from typing import Any, NamedTuple
@@ -215,22 +215,17 @@ def _report_compilation(function: Any) -> None:
     compile_function = compiler.compile
 
     def reported(*arguments: Any) -> Any:
-        with compilation(), _no_garbage_collection():
-            return compile_function(*arguments)
+        # A compilation makes millions of objects and few cycles of them, which wait for the next collection.
+        enabled = gc.isenabled()
+        gc.disable()
+        try:
+            with compilation():
+                return compile_function(*arguments)
+        finally:
+            if enabled:
+                gc.enable()
 
     compiler.compile = reported
-
-
-@contextmanager
-def _no_garbage_collection() -> Iterator[None]:
-    """Leave cycles of objects to the next collection: a compilation makes millions of objects and few such cycles."""
-    enabled = gc.isenabled()
-    gc.disable()
-    try:
-        yield
-    finally:
-        if enabled:
-            gc.enable()
 
 
 class _MachineCode(NullCache):

@@ -70,8 +70,8 @@ def along_runs(
     pending = np.arange(bound.size)
     for _ in range(MAX_ATTEMPTS):
         with np.errstate(all="ignore"):
-            radians = bound[pending] * duration[pending]
-            radians = np.maximum(radians, 1e-300)
+            # Step of the preliminary run in rad of the bound.
+            radians = np.maximum(bound[pending] * duration[pending], 1e-300)
             phase = (ERROR / (method.dispersion * radians)) ** (1 / method.order)
             loss = (ERROR / (method.dissipation * radians)) ** (1 / (method.dissipation_order - 1))
             longest = np.minimum(np.minimum(phase, loss), MAX_STEP_RATIO * method.stability)

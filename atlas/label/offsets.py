@@ -96,7 +96,12 @@ def off_family_labels(
             )
             if drifts.size:
                 part = motions.subset(drifts), unit[drifts], steps[drifts], step_size[drifts]
-                other_terms = _differ(sums[:, drifts], _integrate(*part, *options))
+                # Whether deviations grow otherwise: their sizes, or the times at which they leave the linear range.
+                own, other = sums[:, drifts], _integrate(*part, *options)
+                ratio = own[Deviation.LARGEST_SQUARE] / other[Deviation.LARGEST_SQUARE]
+                linear = (own[Deviation.LINEAR] > 0) & (other[Deviation.LINEAR] > 0)
+                nodes = np.abs(own[Deviation.NODES] - other[Deviation.NODES])
+                other_terms = np.where(linear, np.abs(ratio - 1.0) > _MARGIN, nodes > 1)
                 for label in result.values():
                     label[near[drifts[other_terms]]] = Label.NOT_COMPUTED
     return result
@@ -249,14 +254,6 @@ def _integrate(
     begin, end = np.zeros(len(points), np.int64), np.ones(len(points), np.int64)
     blocks.call_by_parts(call, WIDTH * steps[points[:, 0]], begin, end, threads, lambda _: pause())
     return sums
-
-
-def _differ(sums: Array, other: Array) -> Mask:
-    """Whether deviations grow otherwise: whether their sizes differ, or the times at which they leave the linear range."""
-    ratio = sums[Deviation.LARGEST_SQUARE] / other[Deviation.LARGEST_SQUARE]
-    linear = (sums[Deviation.LINEAR] > 0) & (other[Deviation.LINEAR] > 0)
-    nodes = np.abs(sums[Deviation.NODES] - other[Deviation.NODES])
-    return np.asarray(np.where(linear, np.abs(ratio - 1.0) > _MARGIN, nodes > 1))
 
 
 @dataclass(frozen=True)

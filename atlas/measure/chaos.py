@@ -108,8 +108,20 @@ class Separation:
         self.state, self.constants = ensemble.state.copy(), ensemble.constants
         with np.errstate(all="ignore"):
             unit = steps.step_size / METHOD.kernel_step
-            self.weights = _norm_weights(system, ensemble, unit, rate_unit)
-            start = augmented.tangent_start(system.equations, self.state)
+            # Factors of the components of a tangent vector, in the kernel's units, in its norm.
+            equations = system.equations
+            constants = equations.scaled(self.state, self.constants, unit)[1]
+            # Of changes by 1, for the units are factors.
+            in_caller_units = equations.unscaled(np.ones_like(self.state), constants, unit)
+            rows = [
+                in_caller_units[i]
+                / (rate_unit if equations.STATE[i] in system.rate_states else 1.0)
+                * np.ones_like(unit)
+                for i in augmented.own_components(equations)
+            ]
+            rows += (3 if augmented.rotates(equations) else 0) * [np.ones_like(unit)]
+            self.weights = np.ascontiguousarray(rows)
+            start = augmented.tangent_start(equations, self.state)
             self.vectors = np.ascontiguousarray(start / self.weights)
         self.durations = np.zeros(ensemble.size, np.int64)  # integrated so far
         self.sums = np.empty((tangent.SUMS, ensemble.size))
@@ -169,23 +181,6 @@ class Separation:
             if duration < MAX_DURATIONS and active.size:
                 self.integrate(active, threads=threads, progress=progress)
         return (drawdown[where] <= MAX_DRAWDOWN) & (log_growth[where] > MAX_PASSAGE_GROWTH)
-
-
-def _norm_weights(system: System, ensemble: Ensemble, unit: Array, rate_unit: Array) -> Array:
-    """Factors of the components of a tangent vector, in the kernel's units, in its norm: (components, points)."""
-    equations = system.equations
-    constants = equations.scaled(ensemble.state, ensemble.constants, unit)[1]
-    ones = np.ones_like(ensemble.state)
-    in_caller_units = equations.unscaled(ones, constants, unit)  # of changes by 1, for the units are factors
-    rows = [
-        in_caller_units[i]
-        / (rate_unit if equations.STATE[i] in system.rate_states else 1.0)
-        * np.ones_like(unit)
-        for i in augmented.own_components(equations)
-    ]
-    if augmented.rotates(equations):
-        rows += 3 * [np.ones_like(unit)]
-    return np.ascontiguousarray(rows)
 
 
 @dataclass(frozen=True)

@@ -141,27 +141,18 @@ def circle_axes(
             for sign in (1.0, 0.0, -1.0)
         )
         motions = now, (later - earlier) / (2.0 * h), (later - 2.0 * now + earlier) / h**2
-        return _axes_in_frame(frame_rate, *motions)
-
-
-def _axes_in_frame(rate: Array, motion: Array, slope: Array, second: Array) -> Array:
-    """Rows of `Axis` from the motion at the start and its derivatives, each of shape (6, points)."""
-    u, du, ddu = (each[:3] + rate * each[3:] for each in (motion, slope, second))
-    du = np.where(np.isfinite(du), du, 0.0)  # where it overflows, the run is not resolved
-    # u' = u x m s and u'' = u' x m s give u'' x u' = |u'|^2 m s.
-    x, y, z = _right_handed(cross(ddu, du))
-    along = [np.array([dot(axis, vector) for axis in (x, y, z)]) for vector in (u, du, motion[3:])]
-    return np.concatenate([[rate], x, y, z, along[0], [dot(du, du)], along[1], along[2]])
-
-
-def _right_handed(direction: Array) -> tuple[Array, Array, Array]:
-    """Right-handed frames with z along `direction`, (3, points) each; arbitrary where it vanishes."""
-    size = np.sqrt(dot(direction, direction))
-    exists = np.isfinite(size) & (size > 0)
-    z = np.where(exists, direction / size, np.array([[0.0], [0.0], [1.0]]))
-    x = cross(np.eye(3)[np.argmin(np.abs(z), axis=0)].T, z)
-    x = x / np.sqrt(dot(x, x))
-    return x, cross(z, x), z
+        u, du, ddu = (each[:3] + frame_rate * each[3:] for each in motions)
+        du = np.where(np.isfinite(du), du, 0.0)  # where it overflows, the run is not resolved
+        # u' = u x m s and u'' = u' x m s give u'' x u' = |u'|^2 m s: z is along it, or arbitrary where it vanishes.
+        direction = cross(ddu, du)
+        size = np.sqrt(dot(direction, direction))
+        exists = np.isfinite(size) & (size > 0)
+        z = np.where(exists, direction / size, np.array([[0.0], [0.0], [1.0]]))
+        x = cross(np.eye(3)[np.argmin(np.abs(z), axis=0)].T, z)
+        x = x / np.sqrt(dot(x, x))
+        y = cross(z, x)
+        along = [np.array([dot(axis, vector) for axis in (x, y, z)]) for vector in (u, du, now[3:])]
+        return np.concatenate([[frame_rate], x, y, z, along[0], [dot(du, du)], along[1], along[2]])
 
 
 def circle_statistics(sums: Array, axes: Array, weight: NDArray[np.int64]) -> dict[str, Array]:

@@ -10,7 +10,7 @@ import uuid
 import warnings
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import CancelledError
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from typing import TYPE_CHECKING, Any
 
 from ..errors import BadInput
@@ -126,6 +126,8 @@ def for_each(
     It must be harmless to run a task twice. Raises a task's error, or OSError if each attempt lost its
     worker.
     """
+    from distributed import wait
+
     source = iter(arguments)
     in_flight: dict[Future[Any], tuple[tuple[Any, ...], int]] = {}
 
@@ -150,7 +152,11 @@ def for_each(
                     exhausted = True
                 else:
                     submit(task_arguments, 1)
-            for future in _wait_for_any(in_flight):
+            ended: Iterable[Future[Any]] = []
+            with suppress(TimeoutError):  # the interval is over
+                if in_flight:
+                    ended = wait(list(in_flight), timeout=POLL_INTERVAL, return_when="FIRST_COMPLETED").done
+            for future in ended:
                 task_arguments, attempt = in_flight.pop(future)
                 if _succeeded(future, attempt):
                     on_result(future.result())
@@ -159,17 +165,6 @@ def for_each(
     finally:
         for future in in_flight:
             future.cancel()
-
-
-def _wait_for_any(futures: Iterable[Future[Any]]) -> Iterable[Future[Any]]:
-    """The futures that have ended, after one has, or none when the interval is over."""
-    from distributed import wait
-
-    try:
-        pending = list(futures)
-        return wait(pending, timeout=POLL_INTERVAL, return_when="FIRST_COMPLETED").done if pending else []
-    except TimeoutError:
-        return []
 
 
 def _succeeded(future: Future[Any], attempt: int) -> bool:

@@ -129,7 +129,20 @@ class RunFolder:
             ):
                 raise BadInput(f"{path}: this folder contains something else: there is no {MANIFEST} in it")
             check_folder(path / MANIFEST if path.exists() else path)
-            manifest = _manifest(plan, warnings)
+            scene, kernel = plan.scene, plan.points.kernel_hash
+            attributes = scene_provenance(scene, kernel, seconds=0.0, points=scene.size, warnings=warnings)
+            manifest = {
+                "format": FORMAT,
+                "scene": scene.toml(),
+                "identity": identity(plan.points),
+                "tile": plan.tiling.tile,
+                "created": f"{datetime.now(UTC):%Y-%m-%dT%H:%M:%SZ}",
+                "provenance": {  # JSON has no nan
+                    name: None if isinstance(value, float) and math.isnan(value) else value
+                    for name, value in attributes.items()
+                },
+            }
+            manifest["key"] = _key(manifest)
             path.mkdir(exist_ok=True)
             # Another process may have created the manifest in the meantime; its folder is then checked below.
             with suppress(FileExistsError), atomic_write(path / MANIFEST, exclusive=True) as temporary:
@@ -394,34 +407,18 @@ def remove_empty(path: Path) -> None:
         path.rmdir()
 
 
-def _manifest(plan: ScenePlan, warnings: list[str]) -> dict[str, Any]:
-    """Content of a new manifest."""
-    scene, kernel = plan.scene, plan.points.kernel_hash
-    attributes = scene_provenance(scene, kernel, seconds=0.0, points=scene.size, warnings=warnings)
-    manifest = {
-        "format": FORMAT,
-        "scene": scene.toml(),
-        "identity": identity(plan.points),
-        "tile": plan.tiling.tile,
-        "created": f"{datetime.now(UTC):%Y-%m-%dT%H:%M:%SZ}",
-        "provenance": {  # JSON has no nan
-            name: None if isinstance(value, float) and math.isnan(value) else value
-            for name, value in attributes.items()
-        },
-    }
-    return manifest | {"key": _key(manifest)}
-
-
 def result_hash(scene: str, programs: dict[str, str]) -> str:
     """Hash of everything on which the bits of an atlas depend: the text of its scene, and its `identity`."""
-    content = {"scene": scene, "identity": programs}
+    return _hash({"scene": scene, "identity": programs})
+
+
+def _hash(content: dict[str, Any]) -> str:
     return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
 
 
 def _key(manifest: dict[str, Any]) -> str:
     """Hash of the scene, the programs and the tiling of a manifest."""
-    content = {name: manifest[name] for name in ("format", "scene", "identity", "tile")}
-    return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
+    return _hash({name: manifest[name] for name in ("format", "scene", "identity", "tile")})
 
 
 def _read_chunk(run: RunFolder, name: str, block_id: tuple[int, ...]) -> np.ndarray:

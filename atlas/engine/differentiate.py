@@ -48,7 +48,17 @@ def differential(text: str, name: str) -> str:
                 body += [statement, *ast.parse(f"{changes}, = change").body]
             case ast.Assign(targets=[target], value=value):
                 # First, because the differential needs the values from before a name is assigned anew.
-                body += [*_differentials(target, value, active), statement]
+                pairs = [(target, value)]
+                if isinstance(target, ast.Tuple) and isinstance(value, ast.Tuple):
+                    pairs = list(zip(target.elts, value.elts, strict=True))
+                given = {ast.unparse(left): _differential(right, active) for left, right in pairs}
+                for assigned, change in given.items():
+                    (active.discard if change is None else active.add)(assigned)
+                changes = ", ".join(f"{PREFIX}{assigned}" for assigned in given if assigned in active)
+                if changes:
+                    slopes = ", ".join(map(ast.unparse, filter(None, given.values())))
+                    body += ast.parse(f"{changes}, = {slopes},").body
+                body.append(statement)
             case ast.Return(value=ast.Tuple(elts=values)):
                 changes = ", ".join(_unparse(_differential(value, active)) for value in values)
                 body += ast.parse(f"return ({changes},)").body
@@ -60,22 +70,6 @@ def differential(text: str, name: str) -> str:
     assert isinstance(arguments, ast.FunctionDef)
     new = ast.FunctionDef(name, arguments.args, body, [], lineno=1)
     return ast.unparse(ast.fix_missing_locations(ast.Module([new], [])))
-
-
-def _differentials(target: ast.expr, value: ast.expr, active: set[str]) -> list[ast.stmt]:
-    """Assignments of differentials of the assigned names; marks what depends on the state as active."""
-    if isinstance(target, ast.Tuple) and isinstance(value, ast.Tuple):
-        pairs = list(zip(target.elts, value.elts, strict=True))
-    else:
-        pairs = [(target, value)]
-    changes = {ast.unparse(name): _differential(expression, active) for name, expression in pairs}
-    for name, change in changes.items():
-        (active.discard if change is None else active.add)(name)
-    given = {f"{PREFIX}{name}": change for name, change in changes.items() if change is not None}
-    if not given:
-        return []
-    values = ", ".join(map(_unparse, given.values()))
-    return ast.parse(f"{', '.join(given)}, = {values},").body
 
 
 def _unparse(change: ast.expr | None) -> str:
@@ -91,8 +85,25 @@ def _differential(node: ast.expr, active: set[str]) -> ast.expr | None:
             return ast.Name(f"{PREFIX}{name}")
         case ast.UnaryOp(op=ast.USub() | ast.UAdd() as sign, operand=operand):
             return ast.UnaryOp(sign, _given(_differential(operand, active)))
-        case ast.BinOp(left=left, op=op, right=right):
-            return _of_operation(left, op, right, active)
+        case ast.BinOp(left=left, op=ast.Add() | ast.Sub() as op, right=right):
+            return _sum(_differential(left, active), _differential(right, active), op)
+        case ast.BinOp(left=left, op=ast.Mult(), right=right):
+            # The factors that do not depend on the state stand before the sum.
+            changes = [(factor, _differential(factor, active)) for factor in _factors(left) + _factors(right)]
+            constant = [factor for factor, change in changes if change is None]
+            variable = [(factor, change) for factor, change in changes if change is not None]
+            terms = [
+                reduce(_times, [change if i == j else factor for j, (factor, _) in enumerate(variable)])
+                for i, (_, change) in enumerate(variable)
+            ]
+            return reduce(_times, [*constant, reduce(lambda x, y: ast.BinOp(x, ast.Add(), y), terms)])
+        case ast.BinOp(left=left, op=ast.Div(), right=right):
+            dx, dy = _differential(left, active), _differential(right, active)
+            quotient = None if dy is None else _times(ast.BinOp(left, ast.Div(), right), dy)
+            return ast.BinOp(_sum(dx, quotient, ast.Sub()), ast.Div(), right)
+        case ast.BinOp(left=left, op=ast.Pow(), right=right) if _differential(right, active) is None:
+            lower = ast.BinOp(left, ast.Pow(), ast.BinOp(right, ast.Sub(), ast.Constant(1.0)))
+            return _times(_times(right, lower), _given(_differential(left, active)))
         case ast.Call(func=function, args=[x]):  # such as sin(x) or np.sin(x)
             text = ast.unparse(function)
             module, _, name = text.rpartition(".")
@@ -109,35 +120,6 @@ def _differential(node: ast.expr, active: set[str]) -> ast.expr | None:
 def _given(change: ast.expr | None) -> ast.expr:
     assert change is not None
     return change
-
-
-def _of_operation(left: ast.expr, op: ast.operator, right: ast.expr, active: set[str]) -> ast.expr:
-    """Differential of a sum, difference, product, quotient or power."""
-    dx, dy = _differential(left, active), _differential(right, active)
-    match op:
-        case ast.Add():
-            return _sum(dx, dy, ast.Add())
-        case ast.Sub():
-            return _sum(dx, dy, ast.Sub())
-        case ast.Mult():
-            # The factors that do not depend on the state stand before the sum.
-            changes = [(factor, _differential(factor, active)) for factor in _factors(left) + _factors(right)]
-            constant = [factor for factor, change in changes if change is None]
-            variable = [(factor, change) for factor, change in changes if change is not None]
-            terms = [
-                reduce(_times, [change if i == j else factor for j, (factor, _) in enumerate(variable)])
-                for i, (_, change) in enumerate(variable)
-            ]
-            return reduce(_times, [*constant, reduce(lambda x, y: ast.BinOp(x, ast.Add(), y), terms)])
-        case ast.Div():
-            quotient = None if dy is None else _times(ast.BinOp(left, ast.Div(), right), dy)
-            return ast.BinOp(_sum(dx, quotient, ast.Sub()), ast.Div(), right)
-        case ast.Pow() if dy is None:
-            lower = ast.BinOp(left, ast.Pow(), ast.BinOp(right, ast.Sub(), ast.Constant(1.0)))
-            return _times(_times(right, lower), _given(dx))
-        case _:
-            text = ast.unparse(ast.BinOp(left, op, right))
-            raise ValueError(f"cannot be differentiated: {text}")
 
 
 def _sum(x: ast.expr | None, y: ast.expr | None, op: ast.operator) -> ast.expr:

@@ -241,7 +241,13 @@ class _MachineCode(NullCache):
         try:
             if _warned_of_foreign(path.parent):
                 return None
-            content = _read(path)
+            # A file that nobody else can have written: neither follow a link nor wait for the other end of a pipe.
+            flags = os.O_RDONLY | getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_NONBLOCK", 0)
+            with open(path, "rb", opener=lambda name, _: os.open(name, flags)) as file:
+                status = os.fstat(file.fileno())
+                if not stat.S_ISREG(status.st_mode) or _danger(status):
+                    raise ValueError(_danger(status) or "it is not a file")
+                content = file.read()
             payload = content[hashlib.sha256().digest_size :]
             if content != _hashed(key, payload):
                 raise ValueError("its hash differs")
@@ -278,17 +284,6 @@ class _MachineCode(NullCache):
 def _hashed(key: bytes, payload: bytes) -> bytes:
     """Content of a file of the cache; the hash finds damage, and files that were made for something else."""
     return hashlib.sha256(key + payload).digest() + payload
-
-
-def _read(path: Path) -> bytes:
-    """Content of a file of the cache that nobody else can have written."""
-    # Neither follow a link nor wait for the other end of a pipe.
-    flags = os.O_RDONLY | getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_NONBLOCK", 0)
-    with open(path, "rb", opener=lambda name, _: os.open(name, flags)) as file:
-        status = os.fstat(file.fileno())
-        if not stat.S_ISREG(status.st_mode) or _danger(status):
-            raise ValueError(_danger(status) or "it is not a file")
-        return file.read()
 
 
 def _danger(status: os.stat_result) -> str | None:

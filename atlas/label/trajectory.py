@@ -214,7 +214,22 @@ def _dataset(
     equations, constants = system.equations, ensemble.constants
     columns = {name: states[:, i] for i, name in enumerate(equations.STATE)}
     if path:
-        columns |= _angles(equations, states, constants, path)
+        u1, u2, u3, g1, g2, g3 = equations.frame_motion(states.T, constants)
+        with np.errstate(all="ignore"):
+            sine = np.hypot(g1, g2)
+            psi_dot = (u1 * g1 + u2 * g2) / sine**2
+            columns |= {
+                "theta": np.arctan2(sine, g3),
+                "phi": np.where(sine == 0.0, np.nan, path["phi"]),
+                "theta_dot": (u1 * g2 - u2 * g1) / sine,
+                "psi_dot": psi_dot,
+                "phi_dot": u3 - psi_dot * g3,
+                "normal_rate": u1 * g1 + u2 * g2 + u3 * g3,
+                "psi": np.where(sine == 0.0, np.nan, path["psi"]),
+                "axis_x": path["axis_x"],
+                "axis_y": path["axis_y"],
+                "axis_z": g3,
+            }
     for name in (o.name for o in system.observables if o.name not in columns):
         with np.errstate(all="ignore"):
             columns[name] = np.broadcast_to(getattr(equations, name)(states.T, constants), len(states))
@@ -240,26 +255,6 @@ def _dataset(
         {name: ("time", np.asarray(values), attributes[name]) for name, values in columns.items()},
         coords={"time": ("time", time, {"long_name": "time", "units": "s"})},
     )
-
-
-def _angles(equations: Any, states: Array, constants: Array, path: Mapping[str, Array]) -> dict[str, Array]:
-    """Euler angles, their rates and the third body axis in the frame, at every instant; path: as `_path` returns."""
-    u1, u2, u3, g1, g2, g3 = equations.frame_motion(states.T, constants)
-    with np.errstate(all="ignore"):
-        sine = np.hypot(g1, g2)
-        psi_dot = (u1 * g1 + u2 * g2) / sine**2
-        return {
-            "theta": np.arctan2(sine, g3),
-            "phi": np.where(sine == 0.0, np.nan, path["phi"]),
-            "theta_dot": (u1 * g2 - u2 * g1) / sine,
-            "psi_dot": psi_dot,
-            "phi_dot": u3 - psi_dot * g3,
-            "normal_rate": u1 * g1 + u2 * g2 + u3 * g3,
-            "psi": np.where(sine == 0.0, np.nan, path["psi"]),
-            "axis_x": path["axis_x"],
-            "axis_y": path["axis_y"],
-            "axis_z": g3,
-        }
 
 
 def _path(system: System, points: Points, motion: _Motion, states: Array, steps: int) -> dict[str, Array]:

@@ -15,13 +15,14 @@ from __future__ import annotations
 
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass
-from enum import IntEnum, auto
+from enum import auto
 from types import ModuleType
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..engine.ensemble import Ensemble
+from ..engine.statistics import Counted
 from ..engine.stepsize import ROUNDING
 from ..flags import Agreement, Label, Status
 from ..systems.base import Array, Flags, Mask, Points, System
@@ -37,15 +38,7 @@ DIFFERENCE_TIME = 1e-2
 SWEEPS = 6
 
 
-class _Counted(IntEnum):
-    """Enumeration whose values count from 0."""
-
-    @staticmethod
-    def _generate_next_value_(name: str, start: int, count: int, last_values: list[int]) -> int:
-        return count
-
-
-class Axis(_Counted):
+class Axis(Counted):
     """Constants of a point in one frame: axes x, y, z in the body, and the motion at the start."""
 
     FRAME_RATE = auto()  # the angular velocity is u + FRAME_RATE g
@@ -70,7 +63,7 @@ class Axis(_Counted):
     VERTICAL_Z = auto()
 
 
-class Sum(_Counted):
+class Sum(Counted):
     """Sums over the nodes, half at both ends, of changes since the start and of their products: x, y, z of
     the angular velocity, l of the square of its length, s of the square of its speed.
     """

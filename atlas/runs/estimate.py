@@ -77,7 +77,20 @@ def dry_run(scene: Scene, *, threads: int | None = None, workers: int | None = N
 
 def _measure(plan: ScenePlan, threads: int) -> _Measurement:
     """Integrate some points of the sample three times: to compile, to time, and to trace memory."""
-    plan = _calibration(plan, threads)
+    # Small duration and max_steps, without slow variables.
+    outputs = tuple(name for name in plan.scene.outputs if name not in plan.scene.system.derived)
+    exists = np.flatnonzero(plan.sample.exists)
+    chosen = exists[np.linspace(0, exists.size - 1, min(exists.size, CALIBRATION_POINTS)).astype(np.int64)]
+    plan, fraction = ScenePlan(replace(plan.scene, outputs=outputs), plan.sample.subset(chosen)), 0.0
+    while fraction <= 0.8:  # counts of steps are rounded
+        schedule = blocks.schedule_of(plan.step_sizes.without_unresolved())
+        work = plan.mean_work / plan.mean_steps * schedule.point_steps
+        fraction = CALIBRATION_STEPS * min(threads, len(schedule.points)) / work
+        if fraction <= 0.8:
+            # Both, because a limited number of steps does not depend on the duration.
+            settings = plan.limited(max(round(plan.scene.settings.max_steps * fraction), 1))
+            sample = replace(plan.sample, duration=plan.sample.duration * fraction)
+            plan = ScenePlan(replace(plan.scene, settings=settings), sample)
     points = plan.sample
     stopwatch = Stopwatch()  # without the time in which a kernel is compiled
     predict_runs(plan.points, points, threads=threads)
@@ -100,24 +113,6 @@ def _measure(plan: ScenePlan, threads: int) -> _Measurement:
         compile_seconds=max(first - second, 0.0),
         bytes_per_point=peak_bytes / points.exists.size,
     )
-
-
-def _calibration(plan: ScenePlan, threads: int) -> ScenePlan:
-    """Scene and points of a short measurement, with small duration and max_steps, without slow variables."""
-    outputs = tuple(name for name in plan.scene.outputs if name not in plan.scene.system.derived)
-    exists = np.flatnonzero(plan.sample.exists)
-    chosen = exists[np.linspace(0, exists.size - 1, min(exists.size, CALIBRATION_POINTS)).astype(np.int64)]
-    plan = ScenePlan(replace(plan.scene, outputs=outputs), plan.sample.subset(chosen))
-    while True:
-        schedule = blocks.schedule_of(plan.step_sizes.without_unresolved())
-        work = plan.mean_work / plan.mean_steps * schedule.point_steps
-        fraction = CALIBRATION_STEPS * min(threads, len(schedule.points)) / work
-        if fraction > 0.8:  # counts of steps are rounded
-            return plan
-        # Both, because a limited number of steps does not depend on the duration.
-        settings = plan.limited(max(round(plan.scene.settings.max_steps * fraction), 1))
-        sample = replace(plan.sample, duration=plan.sample.duration * fraction)
-        plan = ScenePlan(replace(plan.scene, settings=settings), sample)
 
 
 def _derived_seconds(scene: Scene, sample: grid.Grid) -> float:

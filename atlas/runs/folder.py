@@ -391,11 +391,7 @@ class RunFolder:
             os.rename(self.tiles.folder, removed)
         for folder in (removed, claim_path(self.path / MANIFEST)):
             shutil.rmtree(folder, ignore_errors=True)
-        for path in [
-            *self.path.glob("progress*.json"),
-            self.path / FINAL_ATTRIBUTES,
-            self.path / MANIFEST,
-        ]:
+        for path in [*self.path.glob("progress*.json"), self.path / FINAL_ATTRIBUTES, self.path / MANIFEST]:
             path.unlink(missing_ok=True)
         remove_empty(self.path)
 

@@ -87,7 +87,18 @@ def reference(
         closed, exact = _closed_forms(system, points, duration, settings.cylinder)
         best = {name: np.where(exact, closed[name], runs[0][name]) for name in runs[0]}
         other = {name: np.where(exact, runs[0][name], runs[1][name]) for name in runs[0]}
-    label, other_label = (_labels_in_frames(system, points, run, settings) for run in (best, other))
+    frame_rates: list[Array | float] = [0.0]
+    if system.frame_rate is not None:
+        frame_rates.append(system.frame_rate(points))
+    labels = []
+    for run in (best, other):
+        if main.has_theory:
+            with np.errstate(invalid="ignore"):
+                labels.append(np.array([rates.label(run, settings.tolerances, rate) for rate in frame_rates]))
+        else:
+            limits = observables.std_tolerances(system, settings)
+            labels.append(observables.label(run, limits)[None])
+    label, other_label = labels
     if main.has_theory:
         for run in (best, other):
             inside = rates.in_cylinder(run, settings.cylinder)  # psi' and phi' have no meaning there
@@ -151,17 +162,6 @@ def _closed_forms(system: System, points: Points, duration: Array, cylinder: flo
         states = motions[flag](subset(points, members), duration[members])
         run["state"][:, members] = np.einsum("sii->si", states)  # each point at its own time
     return run, exact
-
-
-def _labels_in_frames(system: System, points: Points, run: Run, settings: Settings) -> Flags:
-    """Labels of a run, (frames, points)."""
-    if not main_instrument(system).has_theory:
-        return observables.label(run, observables.std_tolerances(system, settings))[None]
-    frame_rates: list[Array | float] = [0.0]
-    if system.frame_rate is not None:
-        frame_rates.append(system.frame_rate(points))
-    with np.errstate(invalid="ignore"):
-        return np.array([rates.label(run, settings.tolerances, rate) for rate in frame_rates])
 
 
 class EulerRates(NamedTuple):

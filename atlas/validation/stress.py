@@ -174,45 +174,14 @@ def _dataset(
     with np.errstate(invalid="ignore"):
         error = np.abs(results["unsteadiness"] - truth.unsteadiness)
         error /= np.maximum(truth.unsteadiness, main_instrument(system).steady_below(Settings()))
-    statistic_attributes = {
-        "long_name": "error of a statistic against the exact motion",
-        "units": "1",
-        "comment": "of a rate in units of the frequency bound, of an angle in rad; nan where the motion is not known exactly",
-    }
-    verdict_attributes = {
-        "long_name": "label compared with the true label",
-        "flag_values": np.arange(len(Verdict), dtype=np.int8),
-        "flag_meanings": " ".join(Verdict.meanings()),
-    }
-    error_attributes = {
-        "long_name": f"relative error of the {main_instrument(system).unsteadiness_text}",
-        "units": "1",
-        "comment": "relative to the tolerance where the true value is less; nan where it is unknown, because only a"
-        " part of the run was integrated by the reference or numbers overflow",
-    }
+        errors = [np.abs(results[name] - truth.statistics[name]) for name in EXACT_STATISTICS]
+    with np.errstate(all="ignore"):
+        bound = system.frequency_bound(points)
+        for statistic_error, name in zip(errors, EXACT_STATISTICS, strict=True):
+            statistic_error /= 1.0 if name in ("theta_min", "theta_max") else bound
     names = [(part, name) for part in parts for name in part.names]
-    return xr.Dataset(
-        {
-            **{
-                name: (dims, results[name], registry[name].attributes())
-                for name in ("label", "status", "step_ratio", "error_estimate")
-            },
-            "statistic_error": (
-                ("method", "level", "statistic", "point"),
-                _statistic_errors(system, points, truth, results),
-                statistic_attributes,
-            ),
-            "error": (dims, error, error_attributes),
-            "verdict": (dims, verdict.astype(np.int8), verdict_attributes),
-            "truth": ("point", truth.label, registry["label"].attributes() | {"long_name": "true label"}),
-            "duration": (
-                "point",
-                np.concatenate([part.duration for part in parts]),
-                {"long_name": "length of the run", "units": "s"},
-            ),
-            **{name: ("point", values) for name, values in points.items() if not np.isnan(values).all()},
-        },
-        {
+    ds = xr.Dataset(
+        coords={
             "method": list(METHODS),
             "level": list(LEVELS),
             "statistic": list(EXACT_STATISTICS),
@@ -221,22 +190,27 @@ def _dataset(
             "known_from": ("point", truth.source),
             "may_stay_unresolved": ("point", [part.may_stay_unresolved for part, _ in names]),
         },
-        {"title": f"stiff and extreme cases of the {system.name}", "atlas_system": system.name},
+        attrs={"title": f"stiff and extreme cases of the {system.name}", "atlas_system": system.name},
     )
-
-
-def _statistic_errors(
-    system: System, points: Points, truth: TrueLabels, results: Mapping[str, np.ndarray]
-) -> Array:
-    """Errors of EXACT_STATISTICS against exact motions, (method, level, statistic, point)."""
-    with np.errstate(all="ignore"):
-        bound = system.frequency_bound(points)
-        errors = [
-            np.abs(results[name] - truth.statistics[name])
-            / (1.0 if name in ("theta_min", "theta_max") else bound)
-            for name in EXACT_STATISTICS
-        ]
-    return np.stack(errors, axis=2)
+    for name in ("label", "status", "step_ratio", "error_estimate"):
+        ds[name] = dims, results[name], registry[name].attributes()
+    ds["statistic_error"] = (*dims[:2], "statistic", "point"), np.stack(errors, axis=2), {
+        "long_name": "error of a statistic against the exact motion", "units": "1",
+        "comment": "of a rate in units of the frequency bound, of an angle in rad; nan where the motion is not known exactly",
+    }  # fmt: skip
+    ds["error"] = dims, error, {
+        "long_name": f"relative error of the {main_instrument(system).unsteadiness_text}", "units": "1",
+        "comment": "relative to the tolerance where the true value is less; nan where it is unknown, because only a"
+        " part of the run was integrated by the reference or numbers overflow",
+    }  # fmt: skip
+    ds["verdict"] = dims, verdict.astype(np.int8), {
+        "long_name": "label compared with the true label", "flag_values": np.arange(len(Verdict), dtype=np.int8),
+        "flag_meanings": " ".join(Verdict.meanings()),
+    }  # fmt: skip
+    ds["truth"] = "point", truth.label, registry["label"].attributes() | {"long_name": "true label"}
+    duration = np.concatenate([part.duration for part in parts])
+    ds["duration"] = "point", duration, {"long_name": "length of the run", "units": "s"}
+    return ds.assign({k: ("point", values) for k, values in points.items() if not np.isnan(values).all()})
 
 
 def mislabelled(ds: xr.Dataset) -> Mask:

@@ -29,7 +29,7 @@ from ..label.plan import Plan
 from ..measure.rates import state_distance
 from ..scene import grid
 from ..scene.model import Scene, Settings
-from ..systems.base import Array, Mask
+from ..systems.base import Array
 from ..variables import main_instrument, variables
 from .half_step import stratified_indices, upper_bound
 from .reference import MAX_RADIANS, Advance, Reference, reference_where_possible
@@ -217,12 +217,26 @@ def _run_level(sample: _Sample, ensemble: Ensemble, settings: Settings, step_siz
     measured = evaluate(replace(Plan.of(sample.scene), settings=settings, outputs=outputs), sample.grid)
     module = _kernel(sample.scene, settings.method)
     final = ensemble.final_states(module, step_sizes.steps, step_sizes.step_size)
-    values = _errors(sample, measured, final, step_sizes.resolved) | {
+    solution, label = sample.reference, measured["label"]
+    # Errors of the final states and of the statistics, none below the uncertainty of the reference.
+    with np.errstate(invalid="ignore"):
+        not_finite = ~np.isfinite(final).all(0)
+        distance = np.where(not_finite, np.inf, state_distance(system, final, solution.state, sample.bound))
+        errors = {
+            name: np.maximum(
+                np.abs(measured[name] - solution.statistics[name]), solution.statistics_error[name]
+            )
+            for name in statistics
+        }
+        worst = np.where(not_finite | ~step_sizes.resolved, np.inf, sample.worst(errors))
+        distance = np.maximum(distance, solution.state_error)
+    values = {f"error_{name}": error for name, error in errors.items()} | {
+        "error_state": distance,
+        "error_rates": worst,
         "integral_drift": measured.get("integral_drift", np.full(final.shape[1], np.nan)),
         "step_length": step_sizes.step_size,
         "steps": step_sizes.steps,
     }
-    solution, label = sample.reference, measured["label"]
     wrong = label != solution.label
     if solution.label_inertial is not None:
         wrong |= measured["label_inertial"] != solution.label_inertial
@@ -233,27 +247,6 @@ def _run_level(sample: _Sample, ensemble: Ensemble, settings: Settings, step_siz
         "label_unresolved": (label == Label.UNRESOLVED).astype(np.int8),
         "seconds_per_point": _seconds_per_point(sample, step_sizes, settings.method),
     }
-
-
-def _errors(sample: _Sample, measured: Mapping[str, Array], final: Array, resolved: Mask) -> dict[str, Array]:
-    """Errors of the final states and of the statistics, none below the uncertainty of the reference."""
-    solution = sample.reference
-    with np.errstate(invalid="ignore"):
-        not_finite = ~np.isfinite(final).all(0)
-        distance = np.where(
-            not_finite, np.inf, state_distance(sample.scene.system, final, solution.state, sample.bound)
-        )
-        errors = {
-            f"error_{name}": np.maximum(
-                np.abs(measured[name] - solution.statistics[name]), solution.statistics_error[name]
-            )
-            for name in main_instrument(sample.scene.system).statistics(sample.scene.system)
-        }
-        worst = sample.worst({name.removeprefix("error_"): error for name, error in errors.items()})
-        return errors | {
-            "error_state": np.maximum(distance, solution.state_error),
-            "error_rates": np.where(not_finite | ~resolved, np.inf, worst),
-        }
 
 
 def _seconds_per_point(sample: _Sample, step_sizes: StepSizes, method: str) -> float:
@@ -332,7 +325,15 @@ def _dataset(sample: _Sample, results: Mapping[tuple[int, int], Columns]) -> xr.
         seconds[cell] = result["seconds_per_point"]
     attributes = {"long_name": "processor time to the end of the run", "units": "s"}
     ds["seconds_per_point"] = dims[:2], seconds, attributes
-    order = _orders(ds, solution.state_error)
+    # Median over the points of log(error ratio) / log(step ratio); NaN where too few show it.
+    error, step = ds["error_state"].values, ds["step_length"].values
+    order = np.full(error.shape[:2], np.nan)
+    with np.errstate(all="ignore"):
+        ratio = np.log(error[:, :-1] / error[:, 1:]) / np.log(step[:, :-1] / step[:, 1:])
+    # Errors near the uncertainty of the reference, or of a run far from convergence, show no order.
+    usable = (error[:, 1:] > 10 * solution.state_error) & (error[:, :-1] < 1e-2) & np.isfinite(ratio)
+    for i, j in np.argwhere(usable.sum(2) >= max(2, error.shape[2] / 2)):
+        order[i, j + 1] = np.median(ratio[i, j][usable[i, j]])
     ds["order"] = dims[:2], order, {"long_name": "observed order from the level before"}
     uncertainties = {"state": solution.state_error, "rates": sample.rates_uncertainty}
     for quantity, uncertainty in (uncertainties | solution.statistics_error).items():
@@ -355,19 +356,6 @@ def _dataset(sample: _Sample, results: Mapping[tuple[int, int], Columns]) -> xr.
 def uncertainty_name(quantity: str) -> str:
     """Name of the variable with the uncertainty of the reference: of "state", "rates" or a statistic."""
     return "reference_error" + ("" if quantity == "state" else f"_{quantity}")
-
-
-def _orders(ds: xr.Dataset, state_uncertainty: Array) -> Array:
-    """Median over the points of log(error ratio) / log(step ratio), (method, level); NaN where too few show it."""
-    error, step = ds["error_state"].values, ds["step_length"].values
-    order = np.full(error.shape[:2], np.nan)
-    with np.errstate(all="ignore"):
-        ratio = np.log(error[:, :-1] / error[:, 1:]) / np.log(step[:, :-1] / step[:, 1:])
-    # Errors near the uncertainty of the reference, or of a run far from convergence, show no order.
-    usable = (error[:, 1:] > 10 * state_uncertainty) & (error[:, :-1] < 1e-2) & np.isfinite(ratio)
-    for i, j in np.argwhere(usable.sum(2) >= max(2, error.shape[2] / 2)):
-        order[i, j + 1] = np.median(ratio[i, j][usable[i, j]])
-    return order
 
 
 def nanmedian(values: Array) -> float:

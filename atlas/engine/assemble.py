@@ -148,33 +148,26 @@ def source(
         if name in sources or hasattr(generated, name):
             raise BadInput(f"{key}: {name} is the name of a function of the kernel; choose another name")
     constants = _constants(equations, METHODS[method], of, plugs) | numbers
-    loops = _loops_called_once([*generated_functions.values(), *sources.values()])
+    texts = generated_functions | sources
+    # The functions with a loop that the others call at one place.
+    trees = {name: ast.parse(text) for name, text in texts.items()}
+    nodes = [node for tree in trees.values() for node in ast.walk(tree)]
+    calls = Counter(
+        node.func.id for node in nodes if isinstance(node, ast.Call) and isinstance(node.func, ast.Name)
+    )
+    has_loop = {
+        name: any(isinstance(node, ast.For) for node in ast.walk(tree)) for name, tree in trees.items()
+    }
     decorators = {name: jit.CALLED for name in objects if hasattr(objects[name], "called_seldom")}
     decorators["integrate"] = jit.KERNEL
     parts = [
-        f"{decorators.get(name, jit.INLINE_LOOP if text in loops else jit.INLINE)}\n{text}"
-        for name, text in (generated_functions | sources).items()
+        f"{decorators.get(name, jit.INLINE_LOOP if calls[name] == 1 and has_loop[name] else jit.INLINE)}\n{text}"
+        for name, text in texts.items()
     ]
     lines = [f"{name} = {value!r}" for name, value in constants.items()]
     if arithmetic.uses_functions(generated_functions):
         lines += [f"{name} = np.{numpy_name}" for name, numpy_name in arithmetic.FUNCTIONS.items()]
     return jit.HEADER + "\n".join(lines) + "\n\n\n" + "\n\n\n".join(parts) + "\n"
-
-
-def _loops_called_once(texts: Collection[str]) -> set[str]:
-    """The functions with a loop that the others call at one place."""
-    trees = {text: ast.parse(text).body[0] for text in texts}
-    nodes = [node for tree in trees.values() for node in ast.walk(tree)]
-    calls = Counter(
-        node.func.id for node in nodes if isinstance(node, ast.Call) and isinstance(node.func, ast.Name)
-    )
-    return {
-        text
-        for text, tree in trees.items()
-        if isinstance(tree, ast.FunctionDef)
-        and calls[tree.name] == 1
-        and any(isinstance(node, ast.For) for node in ast.walk(tree))
-    }
 
 
 def plain_module(

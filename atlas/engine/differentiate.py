@@ -60,8 +60,9 @@ def differential(text: str, name: str) -> str:
                     body += ast.parse(f"{changes}, = {slopes},").body
                 body.append(statement)
             case ast.Return(value=ast.Tuple(elts=values)):
-                changes = ", ".join(_unparse(_differential(value, active)) for value in values)
-                body += ast.parse(f"return ({changes},)").body
+                all_changes = (_differential(value, active) for value in values)
+                texts = ("0.0" if change is None else ast.unparse(change) for change in all_changes)
+                body += ast.parse(f"return ({', '.join(texts)},)").body
             case ast.Expr(value=ast.Constant()):  # the docstring
                 pass
             case _:
@@ -70,10 +71,6 @@ def differential(text: str, name: str) -> str:
     assert isinstance(arguments, ast.FunctionDef)
     new = ast.FunctionDef(name, arguments.args, body, [], lineno=1)
     return ast.unparse(ast.fix_missing_locations(ast.Module([new], [])))
-
-
-def _unparse(change: ast.expr | None) -> str:
-    return "0.0" if change is None else ast.unparse(change)
 
 
 def _differential(node: ast.expr, active: set[str]) -> ast.expr | None:

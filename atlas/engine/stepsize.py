@@ -54,7 +54,18 @@ class StepSizes:
         finite = np.isfinite(radians)
         radians = np.where(finite, radians, 0.0)
         if settings.step is None:
-            steps = count_ladder(_automatic_steps(method, settings, bound, radians, finite))
+            with np.errstate(divide="ignore"):
+                by_phase = settings.tolerance / (method.dispersion * np.maximum(radians, 1e-300))
+                rate = RATE_ERROR_BUDGET * settings.rate_tolerance
+                rate = rate / np.where(finite, np.maximum(bound, 1e-300), 1.0)  # relative
+                y = np.minimum(
+                    by_phase ** (1 / method.order), (rate / method.dispersion) ** (1 / method.order)
+                )
+                by_dissipation = rate / (method.dissipation * np.maximum(radians, 1e-300))
+                y = np.minimum(y, by_dissipation ** (1 / (method.dissipation_order - 1)))
+                # A body at rest needs no steps, also where the tolerances are so small that y underflows to 0.
+                count = np.divide(radians, y, out=np.zeros_like(radians), where=radians > 0)
+            steps = count_ladder(np.minimum(count, float(settings.max_steps)))
         else:
             run = np.where(finite, duration, 0.0)
             steps = steps_of_length(settings.step, run, MIN_INTERVALS, settings.max_steps)
@@ -157,24 +168,3 @@ def count_ladder(count: NDArray[np.float64]) -> NDArray[np.int64]:
     exponent = np.ceil(4 * np.log2(np.maximum(count / MAX_STEPS_PER_SAMPLE, 1.0)) - 1e-9)
     rounded = np.ceil(2.0 ** (exponent / 4) - 1e-9) * MAX_STEPS_PER_SAMPLE
     return rounded.astype(np.int64)
-
-
-def _automatic_steps(
-    method: Method,
-    settings: Any,
-    bound: NDArray[np.float64],
-    radians: NDArray[np.float64],
-    finite: NDArray[np.bool_],
-) -> NDArray[np.float64]:
-    """Steps, not yet whole, that keep the errors of StepSizes.of within the tolerances."""
-    with np.errstate(divide="ignore"):
-        y = (settings.tolerance / (method.dispersion * np.maximum(radians, 1e-300))) ** (1 / method.order)
-        relative_rate = (
-            RATE_ERROR_BUDGET * settings.rate_tolerance / np.where(finite, np.maximum(bound, 1e-300), 1.0)
-        )
-        y = np.minimum(y, (relative_rate / method.dispersion) ** (1 / method.order))
-        dissipation = relative_rate / (method.dissipation * np.maximum(radians, 1e-300))
-        y = np.minimum(y, dissipation ** (1 / (method.dissipation_order - 1)))
-        # A body at rest needs no steps, also where the tolerances are so small that y underflows to 0.
-        count = np.divide(radians, y, out=np.zeros_like(radians), where=radians > 0)
-    return np.minimum(count, float(settings.max_steps))

@@ -211,21 +211,16 @@ class _CheckedArray(BackendArray):
         ascending = [r if r.step > 0 else r[::-1] for r in ranges]
         values = np.empty([len(r) for r in ascending], self.dtype)
         for parts in product(*map(_parts, ascending, self.block)):
-            block = self._read_block(tuple(number for number, _, _ in parts))
+            index, name = tuple(number for number, _, _ in parts), self.array.variable_name
+            try:
+                block = np.asarray(self.array[indexing.BasicIndexer(_slices(index, self.block))])
+            except (RuntimeError, OSError) as error:
+                raise BadInput(f"{self.path}: the values of {name} are damaged: {one_line(error)}") from None
+            if _crc(block) != self.crc[index]:
+                raise BadInput(f"{self.path}: the values of {name} are damaged: their checksum differs")
             values[tuple(place for _, place, _ in parts)] = block[tuple(inside for _, _, inside in parts)]
         order = (slice(None, None, 1 if r.step > 0 else -1) for r in ranges)
         return values[tuple(o if isinstance(c, range) else 0 for c, o in zip(chosen, order, strict=True))]
-
-    def _read_block(self, index: tuple[int, ...]) -> np.ndarray:
-        """One block; BadInput if it differs from its CRC."""
-        name = self.array.variable_name
-        try:
-            values = np.asarray(self.array[indexing.BasicIndexer(_slices(index, self.block))])
-        except (RuntimeError, OSError) as error:
-            raise BadInput(f"{self.path}: the values of {name} are damaged: {one_line(error)}") from None
-        if _crc(values) != self.crc[index]:
-            raise BadInput(f"{self.path}: the values of {name} are damaged: their checksum differs")
-        return values
 
 
 def _parts(positions: range, length: int) -> Iterator[tuple[int, slice, slice]]:

@@ -160,28 +160,6 @@ class Separation:
         blocks.call_by_parts(call, schedule.steps * WIDTH, first_node, first_node + nodes, threads, progress)
         self.durations[where] += 1
 
-    @property
-    def passes_unstable_motion(self) -> Mask:
-        """Whether errors may decide how motions leave an unstable one: after growth, not where all neighbours come nearer."""
-        highest, drawdown = self.sums[tangent.HIGHEST], self.sums[tangent.DRAWDOWN]
-        return np.asarray((drawdown > MAX_DRAWDOWN) & (highest > MAX_DRAWDOWN))
-
-    def is_sustained(
-        self,
-        where: NDArray[np.int64],
-        *,
-        threads: int | None = None,
-        progress: Callable[[int], None] | None = None,
-    ) -> Mask:
-        """Whether vectors grow by more than one passage of an unstable motion explains; other runs go on."""
-        drawdown, log_growth = self.sums[tangent.DRAWDOWN], self.sums[tangent.LOG_GROWTH]  # views
-        active = where
-        for duration in range(1, MAX_DURATIONS + 1):
-            active = active[(drawdown[active] <= MAX_DRAWDOWN) & (log_growth[active] <= MAX_PASSAGE_GROWTH)]
-            if duration < MAX_DURATIONS and active.size:
-                self.integrate(active, threads=threads, progress=progress)
-        return (drawdown[where] <= MAX_DRAWDOWN) & (log_growth[where] > MAX_PASSAGE_GROWTH)
-
 
 @dataclass(frozen=True)
 class Chaos(Instrument):
@@ -259,9 +237,17 @@ class TangentRuns:
         values[:, ~np.isfinite(values).all(0)] = np.nan
         kind = regularity(columns["label"][where].astype(np.int8), values[0])
         drifting = np.isin(kind, (Regularity.REGULAR, Regularity.CHAOTIC, Regularity.UNDECIDED))
-        values[:, drifting & separation.passes_unstable_motion] = np.nan
-        chaotic = np.flatnonzero(kind == Regularity.CHAOTIC)
-        sustained = separation.is_sustained(chaotic, threads=threads, progress=lambda steps: progress(0.0))
+        # Errors may decide how motions leave an unstable one: after growth, not where all neighbours come nearer.
+        highest, drawdown = separation.sums[tangent.HIGHEST], separation.sums[tangent.DRAWDOWN]
+        values[:, drifting & (drawdown > MAX_DRAWDOWN) & (highest > MAX_DRAWDOWN)] = np.nan
+        # Vectors of chaos grow by more than one passage of an unstable motion explains; other runs go on.
+        active = chaotic = np.flatnonzero(kind == Regularity.CHAOTIC)
+        log_growth = separation.sums[tangent.LOG_GROWTH]  # as `drawdown` a view
+        for duration in range(1, MAX_DURATIONS + 1):
+            active = active[(drawdown[active] <= MAX_DRAWDOWN) & (log_growth[active] <= MAX_PASSAGE_GROWTH)]
+            if duration < MAX_DURATIONS and active.size:
+                separation.integrate(active, threads=threads, progress=lambda steps: progress(0.0))
+        sustained = (drawdown[chaotic] <= MAX_DRAWDOWN) & (log_growth[chaotic] > MAX_PASSAGE_GROWTH)
         kind[chaotic[~sustained]] = Regularity.UNDECIDED
         values[:, chaotic[~sustained]] = np.nan
         (megno[where], lyapunov[where]), flags[where] = values, kind

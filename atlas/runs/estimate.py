@@ -51,11 +51,13 @@ def dry_run(scene: Scene, *, threads: int | None = None, workers: int | None = N
     theory_seconds = existing * cost.theory_seconds + points * derived_seconds
     seconds = points * plan.mean_work * cost.seconds_per_step + theory_seconds
     tile_bytes = cost.bytes_per_point * math.prod(tiles.tile)
+    unit = 1 if sys.platform == "darwin" else 1024
+    resident_bytes = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * unit  # the largest so far
     if workers:
-        memory, processors_text = workers * (_resident_bytes() + tile_bytes), f"{workers} processes"
+        memory, processors_text = workers * (resident_bytes + tile_bytes), f"{workers} processes"
     else:
         in_flight = plan.tiles_in_flight(processors)
-        memory, processors_text = _resident_bytes() + in_flight * tile_bytes, f"{processors} threads"
+        memory, processors_text = resident_bytes + in_flight * tile_bytes, f"{processors} threads"
     phase_error = plan.step_sizes.dispersion_error[exists].max()
     division = "in one process, near the borders that theory predicts"
     if scene.refine is None:
@@ -127,9 +129,3 @@ def _derived_seconds(scene: Scene, sample: grid.Grid) -> float:
         derived_values(scene.system, scene.outputs, points.base, points.duration, lambda: None)
         seconds = time.perf_counter() - started
     return seconds / max(count, 1)
-
-
-def _resident_bytes() -> int:
-    """Largest memory of this process so far."""
-    unit = 1 if sys.platform == "darwin" else 1024
-    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * unit

@@ -166,7 +166,13 @@ class RunFolder:
         try:
             run.check_same(plan)
         except BadInput:
-            run.check_idle()
+            for content, state in run._processes():
+                match = process.NAME.fullmatch(content["process"])
+                if match is not None and state == progress.AT_WORK:
+                    raise BadInput(
+                        f"{run.path}: is computed by process {match[3]} on {content['host']}; wait for it, end it, or choose"
+                        " another name"
+                    ) from None
             run.remove()
 
     def check_same(self, plan: ScenePlan) -> None:
@@ -178,16 +184,6 @@ class RunFolder:
             raise BadInput(
                 f"{self.path}: holds another run; choose another name or remove it. It differs in {different}"
             )
-
-    def check_idle(self) -> None:
-        """Raise BadInput if a process is at work in this folder."""
-        for content, state in self._processes():
-            match = process.NAME.fullmatch(content["process"])
-            if match is not None and state == progress.AT_WORK:
-                raise BadInput(
-                    f"{self.path}: is computed by process {match[3]} on {content['host']}; wait for it, end it, or choose"
-                    " another name"
-                )
 
     def check_kept(self) -> None:
         """Raise OSError if another process has removed the run, or replaced it by another one."""
@@ -212,10 +208,6 @@ class RunFolder:
     def key_with(self, identity: dict[str, str]) -> str:
         """Key of this run if programs and processors of another identity computed it."""
         return _key(self.manifest | {"identity": identity})
-
-    def check_writable(self) -> None:
-        """Raise BadInput unless tiles can be written."""
-        check_folder(self.tiles.folder / "tile")
 
     def remove_leftovers(self) -> None:
         """Remove temporary files of processes that were killed."""

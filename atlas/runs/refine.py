@@ -258,10 +258,6 @@ class _PredictedGrid(_FineGrid):
         predictions = {name: self.predicted.get(self.PREDICTIONS.get(name, "")) for name in self.flags}
         return {name: zero if flags is None else flags[indices] for name, flags in predictions.items()}
 
-    def boundary_points(self) -> int:
-        """Number of points of the finest grid near a boundary of the flags."""
-        return int((self._near_boundary(self.flag_code) & self.computed).sum())
-
 
 def expected_points(plan: ScenePlan) -> float:
     """Expected number of points that `refined` integrates, from the boundaries that theory predicts.
@@ -287,7 +283,9 @@ def expected_points(plan: ScenePlan) -> float:
     for level in range(max(levels - finer, 0) + 1):
         predicted.refine_to(level)
     predicted.trace_predicted_boundary()
-    near, slow = predicted.boundary_points(), int(predicted.slowly_unstable.sum())
+    # Points of the finest grid near a boundary of the flags.
+    near = int((predicted._near_boundary(predicted.flag_code) & predicted.computed).sum())
+    slow = int(predicted.slowly_unstable.sum())
     existing_share = predicted.n_existing / predicted.scene.size
     expected = float(predicted.n_integrated)
     if finer > levels:  # not even the coarse grid is small enough

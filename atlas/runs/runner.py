@@ -20,7 +20,7 @@ from .. import systems
 from ..engine import blocks
 from ..engine.compiling import Stopwatch, announced
 from ..errors import BadInput, shown
-from ..files import check_name, exists_message
+from ..files import check_folder, check_name, exists_message
 from ..interruption import explain_kept
 from ..io import checksums, netcdf
 from ..io.netcdf import log_warnings, scene_provenance
@@ -151,7 +151,7 @@ def run(
             ds = refine.refined(plan, warnings, threads=threads, progress=progress)
         if path is None:
             return ds
-        netcdf.write(ds.assign_attrs({RESULT: _own_result_hash(plan)}), path)
+        netcdf.write(ds.assign_attrs({RESULT: result_hash(plan.scene.toml(), identity(plan.points))}), path)
         return open_atlas(path)
     if path is None:
         return _run_in_memory(plan, warnings, threads, progress)
@@ -192,10 +192,21 @@ def _complete(folder: RunFolder, plan: ScenePlan, execution: _Execution, progres
     """Compute the missing tiles of a folder or shard; the progress is at work until it is closed."""
     explain_kept(folder.progress_text)
     job = _Job(folder, execution.shard or (1, 1))
-    job.warn_of_damage()
+    logger = logging.getLogger("atlas")
+    for tile, reason in list(job.status.damaged.items())[:MAX_DAMAGE_WARNINGS]:
+        logger.warning("%s: tile %d is computed again: %s", folder.path, tile, reason)
+    if len(job.status.damaged) > MAX_DAMAGE_WARNINGS:
+        logger.warning("... and %d damaged tiles more", len(job.status.damaged) - MAX_DAMAGE_WARNINGS)
     if job.unfinished:
-        folder.check_writable()
-    bar = job.open_progress(progress and bool(job.unfinished))
+        check_folder(folder.tiles.folder / "tile")
+    name = "progress.json" if job.parts == 1 else f"progress-{job.part}-of-{job.parts}.json"
+    bar = Progress(
+        sum(map(folder.tiling.size_of, job.tiles)),
+        done=sum(map(folder.tiling.size_of, job.status.done)),
+        show=progress and bool(job.unfinished),
+        file=folder.path / name,
+        facts={"shard": f"{job.part}/{job.parts}", "host": socket.gethostname()},
+    )
     try:
         if job.unfinished:
             try:
@@ -208,7 +219,7 @@ def _complete(folder: RunFolder, plan: ScenePlan, execution: _Execution, progres
         try:
             finished = bool(folder.final_attributes())
         except BadInput as error:
-            logging.getLogger("atlas").warning("%s", error)
+            logger.warning("%s", error)
             finished = False
         if not finished and folder.is_written():
             folder.save_final_attributes(
@@ -269,12 +280,11 @@ def _is_result(plan: ScenePlan, path: Path) -> bool:
     except BadInput:
         return False
     # A dataset that a user derives from an atlas has its attributes but no checksums.
-    return result is not None and checksums.are_in(path) and result == _own_result_hash(plan)
-
-
-def _own_result_hash(plan: ScenePlan) -> str:
-    """`result_hash` of what this process computes for a scene."""
-    return result_hash(plan.scene.toml(), identity(plan.points))
+    return (
+        result is not None
+        and checksums.are_in(path)
+        and result == result_hash(plan.scene.toml(), identity(plan.points))
+    )
 
 
 def _finished(plan: ScenePlan, path: Path) -> xr.Dataset:
@@ -362,26 +372,6 @@ class _Job:
         self.tiles = range(self.part - 1, folder.tiling.count, self.parts)
         self.status = folder.tiles.status(self.tiles)
         self.unfinished = sorted([*self.status.missing, *self.status.damaged])
-
-    def warn_of_damage(self) -> None:
-        """Log a warning for each damaged tile, at most MAX_DAMAGE_WARNINGS of them."""
-        logger = logging.getLogger("atlas")
-        for tile, reason in list(self.status.damaged.items())[:MAX_DAMAGE_WARNINGS]:
-            logger.warning("%s: tile %d is computed again: %s", self.folder.path, tile, reason)
-        if len(self.status.damaged) > MAX_DAMAGE_WARNINGS:
-            logger.warning("... and %d damaged tiles more", len(self.status.damaged) - MAX_DAMAGE_WARNINGS)
-
-    def open_progress(self, show: bool) -> Progress:
-        """Progress of the job, which also writes its progress file."""
-        size_of = self.folder.tiling.size_of
-        name = "progress.json" if self.parts == 1 else f"progress-{self.part}-of-{self.parts}.json"
-        return Progress(
-            sum(map(size_of, self.tiles)),
-            done=sum(map(size_of, self.status.done)),
-            show=show,
-            file=self.folder.path / name,
-            facts={"shard": f"{self.part}/{self.parts}", "host": socket.gethostname()},
-        )
 
     def remaining_tiles(self, bar: Progress) -> Iterator[int]:
         """Unfinished tiles one by one, from a random one on, so that parallel processes share the work."""

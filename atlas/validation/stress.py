@@ -23,7 +23,7 @@ from ..scene import model
 from ..scene.grid import Grid
 from ..scene.model import Settings
 from ..scene.tables import point_columns
-from ..systems.base import Array, Mask, Parameter, Points, StressCase, System, subset
+from ..systems.base import Array, Mask, Points, StressCase, System, subset
 from ..variables import main_instrument, variables
 from .reference import reference_where_possible
 from .stress_truth import EXACT_ACCURACY, EXACT_STATISTICS, TrueLabels, no_statistics, true_labels
@@ -403,20 +403,17 @@ def generic_cases(system: System) -> list[StressCase]:
     for name, p in system.parameters.items():
         if p.start and p.default == 0 and p.low <= START <= p.high:
             moderate[name] = START  # so that the state changes
-    cases = [_case(system, name, moderate | {name: _values(system.parameters[name])}) for name in moderate]
-    return [_case(system, "defaults", {}), _case(system, "beside the defaults", moderate), *cases]
-
-
-def _values(parameter: Parameter) -> Array:
-    """Small, large and huge values of a parameter within its range."""
-    scale = parameter.default if parameter.default != 0 else 1.0
-    values = scale * 10.0 ** (POWERS_OF_STARTS if parameter.start else POWERS)
-    values = np.concatenate([values, -values, [HUGE, -HUGE]])
-    if np.isfinite(parameter.low) and np.isfinite(parameter.high):
-        values = np.concatenate([values, np.linspace(parameter.low, parameter.high, 5)])
-    inside = (values >= parameter.low) & (values <= parameter.high)
-    inside &= (values > parameter.low) | (not parameter.open_low)
-    return np.unique(values[inside])
+    cases = [_case(system, "defaults", {}), _case(system, "beside the defaults", moderate)]
+    for name in moderate:
+        p = system.parameters[name]
+        scale = p.default if p.default != 0 else 1.0
+        values = scale * 10.0 ** (POWERS_OF_STARTS if p.start else POWERS)
+        values = np.concatenate([values, -values, [HUGE, -HUGE]])
+        if np.isfinite(p.low) and np.isfinite(p.high):
+            values = np.concatenate([values, np.linspace(p.low, p.high, 5)])
+        inside = (values >= p.low) & (values <= p.high) & ((values > p.low) | (not p.open_low))
+        cases.append(_case(system, name, moderate | {name: np.unique(values[inside])}))
+    return cases
 
 
 def _case(system: System, name: str, columns: Mapping[str, float | Array]) -> StressCase:

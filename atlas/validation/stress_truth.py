@@ -111,7 +111,8 @@ def true_labels(
         solved, undecided = _labels_by_reference(
             system, subset(despun, others), excess[others], duration[others], radians[others], settings
         )
-        _require_decided("the reference", others[undecided])
+        if undecided.any():
+            raise ValueError(f"the reference cannot decide the labels of points {others[undecided]}")
         label[others], unsteadiness[others] = solved.label, solved.unsteadiness
         source[others] = solved.source
     return TrueLabels(label, unsteadiness, source, no_statistics(duration.size))
@@ -120,12 +121,6 @@ def true_labels(
 def no_statistics(size: int) -> dict[str, Array]:
     """Statistics of `size` points for which none is known: nan."""
     return {name: np.full(size, np.nan) for name in EXACT_STATISTICS}
-
-
-def _require_decided(source: str, undecided: np.ndarray) -> None:
-    """Raise ValueError if there are undecided points."""
-    if undecided.size:
-        raise ValueError(f"{source} cannot decide the labels of points {undecided}")
 
 
 def _labels_of_runs(
@@ -148,7 +143,8 @@ def _labels_of_runs(
     with np.errstate(invalid="ignore"):
         undecided = could_change(rule(settings.tolerances), measured, error)
         label = rule(settings.tolerances).label(measured)
-    _require_decided(f"the {source}", np.flatnonzero(undecided))
+    if undecided.any():
+        raise ValueError(f"the {source} cannot decide the labels of points {np.flatnonzero(undecided)}")
     unsteadiness = main_instrument(system).unsteadiness(system, measured, settings)
     statistics = {name: measured[name] for name in EXACT_STATISTICS}
     return TrueLabels(

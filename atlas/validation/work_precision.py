@@ -441,8 +441,17 @@ def report(ds: xr.Dataset) -> str:
     ]
     if "left_out" in ds.attrs:
         lines.append(f"left out: {ds.attrs['left_out']}")
-    parts = ["\n".join(lines), _levels_table(ds, rows), legend, _statistics_table(ds, rows), advice(ds)]
-    return "\n\n".join(part for part in parts if part)
+    parts = ["\n".join(lines), _levels_table(ds, rows), legend]
+    own = next((row for row in rows if row["own_setting"]), None)
+    if own is not None:
+        at = _at_row(ds, own)
+        cells = [("at the scene's setting", "median error", "largest", "points with a value")]
+        for name in _statistics(ds):
+            points = int(at[f"error_{name}"].notnull().sum())
+            if points:
+                cells.append((name, *_error_texts(at, name), str(points)))
+        parts.append(text_table(cells, right=True))
+    return "\n\n".join([*parts, advice(ds)])
 
 
 def _levels_table(ds: xr.Dataset, rows: Sequence[Mapping[str, Any]]) -> str:
@@ -466,20 +475,6 @@ def _levels_table(ds: xr.Dataset, rows: Sequence[Mapping[str, Any]]) -> str:
                 "-" if np.isnan(row["order"]) else f"{row['order']:.2f}",
             )
         )
-    return text_table(cells, right=True)
-
-
-def _statistics_table(ds: xr.Dataset, rows: Sequence[Mapping[str, Any]]) -> str:
-    """A line for each statistic at the scene's own setting; empty if that was not run."""
-    own = next((row for row in rows if row["own_setting"]), None)
-    if own is None:
-        return ""
-    at = _at_row(ds, own)
-    cells = [("at the scene's setting", "median error", "largest", "points with a value")]
-    for name in _statistics(ds):
-        points = int(at[f"error_{name}"].notnull().sum())
-        if points:
-            cells.append((name, *_error_texts(at, name), str(points)))
     return text_table(cells, right=True)
 
 

@@ -181,7 +181,22 @@ def load(source: str) -> ModuleType:
             compiles = isinstance(module.integrate, Dispatcher)  # not under NUMBA_DISABLE_JIT
             if compiles:
                 module.integrate._cache = _MachineCode(name)  # what its option `cache` sets
-                _report_compilation(module.integrate)
+                compiler = module.integrate._compiler
+                compile_function = compiler.compile
+
+                def reported(*arguments: Any) -> Any:
+                    """Compile, measured and announced; it is not called if the code is in the cache."""
+                    # A compilation makes millions of objects and few cycles of them, which wait for the next collection.
+                    enabled = gc.isenabled()
+                    gc.disable()
+                    try:
+                        with compilation():
+                            return compile_function(*arguments)
+                    finally:
+                        if enabled:
+                            gc.enable()
+
+                compiler.compile = reported
                 _share_functions(source, module)
             sys.modules[name] = module  # Numba looks the globals of a cached kernel up by module name
         return sys.modules[name]
@@ -207,25 +222,6 @@ def _share_functions(source: str, module: ModuleType) -> None:
             function.py_func.__module__ = shared
             sys.modules.setdefault(shared, ModuleType(shared))
             function._cache = _MachineCode(shared)
-
-
-def _report_compilation(function: Any) -> None:
-    """Measure and announce the compilation of a function, which does not happen if its code is in the cache."""
-    compiler = function._compiler
-    compile_function = compiler.compile
-
-    def reported(*arguments: Any) -> Any:
-        # A compilation makes millions of objects and few cycles of them, which wait for the next collection.
-        enabled = gc.isenabled()
-        gc.disable()
-        try:
-            with compilation():
-                return compile_function(*arguments)
-        finally:
-            if enabled:
-                gc.enable()
-
-    compiler.compile = reported
 
 
 class _MachineCode(NullCache):

@@ -61,8 +61,10 @@ def along_runs(
 ) -> tuple[Array, Mask]:
     """Frequency bound of each point, rad per time unit, and whether no frequency in its run exceeds it.
 
-    The ensemble's bound is the frequency at the start. A run of more than max_steps is sampled no further.
+    The ensemble's bound is a proved one, or the frequency at the start. A run of more than max_steps is sampled no further.
     """
+    if not system.has_numeric_bound:
+        return ensemble.frequency_bound, np.ones(ensemble.size, bool)
     bound = np.fmax(ensemble.frequency_bound, _least(duration))
     bound = np.where(np.isfinite(ensemble.frequency_bound), bound, np.inf)
     finite_bound, not_finite = bound.copy(), np.zeros(bound.size, np.int64)

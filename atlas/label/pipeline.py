@@ -154,12 +154,10 @@ def _prepare(
     """The ensemble, its step sizes and its theory. Parameters may overflow: such points end up unresolved."""
     system, settings, main = plan.system, plan.settings, plan.main
     ensemble, method = Ensemble.of(system, tile.points, plan.plugs), METHODS[settings.method]
-    settled = np.ones(ensemble.size, bool)
-    if system.has_numeric_bound:
-        bound, settled = numeric_bound.along_runs(
-            system, plan.kernel, method, ensemble, tile.duration, settings.max_steps, threads=threads
-        )
-        ensemble = replace(ensemble, frequency_bound=main.bound(bound, settled))
+    bound, settled = numeric_bound.along_runs(
+        system, plan.kernel, method, ensemble, tile.duration, settings.max_steps, threads=threads
+    )
+    ensemble = replace(ensemble, frequency_bound=main.bound(bound, settled))
     with np.errstate(all="ignore"):
         step_sizes = main.step_sizes(settings, ensemble.frequency_bound, tile.duration)
         if halved:
@@ -186,11 +184,21 @@ def _recheck(runs: _Runs, run: Run) -> tuple[Array, Mask]:
         )
         errors, error = run.errors()
         unsure = run.unsure(errors)
-        sample = np.flatnonzero(usable & _measured_points(run))
+        # Points whose error is measured: none, all, or one in POINTS_PER_HALF_STEP, by a hash of the point. All are with a
+        # numeric bound, because the expected error does not contain what the bound has not seen.
+        which, is_numeric = run.settings.check_half_step, run.system.has_numeric_bound
+        chosen = np.full(usable.size, which == "all" or is_numeric)
+        if which == "sample" and not is_numeric:
+            mixed = np.zeros(usable.size, np.uint64)
+            for bits in np.concatenate([run.ensemble.state, run.ensemble.constants]).view(np.uint64):
+                mixed = (mixed ^ bits) * np.uint64(0x9E3779B97F4A7C15)
+                mixed ^= mixed >> np.uint64(29)
+            chosen = mixed % np.uint64(POINTS_PER_HALF_STEP) == 0
+        sample = np.flatnonzero(usable & chosen)
         if sample.size:
             # By a second run with fewer steps, whose overflow could change a label as well.
             part, expected = run.subset(sample), error[sample]
-            sizes, is_numeric = part.step_sizes, run.system.has_numeric_bound
+            sizes = part.step_sizes
             coarser = sizes.incommensurate(method) if is_numeric else sizes.coarsened(method)
             coarse = runs.by_steps(part, coarser)
             error[sample] = np.fmax.reduce(
@@ -210,21 +218,6 @@ def _recheck(runs: _Runs, run: Run) -> tuple[Array, Mask]:
             step_sensitive[where] = changes
             error[where] = np.fmax(error[where], change)
         return np.fmax(error, run.measured["integral_drift"]), step_sensitive
-
-
-def _measured_points(run: Run) -> Mask:
-    """Points whose error is measured: none, all, or one in POINTS_PER_HALF_STEP, by a hash of the point.
-
-    All are with a numeric bound, because the expected error does not contain what the bound has not seen.
-    """
-    which, ensemble = run.settings.check_half_step, run.ensemble
-    if which != "sample" or run.system.has_numeric_bound:
-        return np.full(ensemble.size, which == "all" or run.system.has_numeric_bound)
-    mixed = np.zeros(ensemble.size, np.uint64)
-    for bits in np.concatenate([ensemble.state, ensemble.constants]).view(np.uint64):
-        mixed = (mixed ^ bits) * np.uint64(0x9E3779B97F4A7C15)
-        mixed ^= mixed >> np.uint64(29)
-    return np.asarray(mixed % np.uint64(POINTS_PER_HALF_STEP) == 0)
 
 
 def _assemble(runs: _Runs, run: Run, error: Array, step_sensitive: Mask) -> dict[str, np.ndarray]:

@@ -164,17 +164,15 @@ def _evaluate_in_tiles(
     """The named variables of all points."""
     size, registry = points.duration.size, variable_registry(plan.system)
     columns = {name: np.empty(size, registry[name].dtype) for name in names}
-    bar = Progress(size) if progress else None
+    bar = Progress(size, show=progress)
     for first in range(0, size, grid.MAX_POINTS_PER_TILE):
         tile = slice(first, first + grid.MAX_POINTS_PER_TILE)
         part = points.subset(tile)
-        values = evaluate(plan, part, threads=threads, progress=None if bar is None else bar.advance)
-        if bar is not None:
-            bar.skip(part.reason.size - int(part.exists.sum()))
+        values = evaluate(plan, part, threads=threads, progress=bar.advance)
+        bar.skip(part.reason.size - int(part.exists.sum()))
         for name, column in columns.items():
             column[tile] = values[name]
-    if bar is not None:
-        bar.close()
+    bar.close()
     return columns
 
 

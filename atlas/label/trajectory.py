@@ -121,17 +121,9 @@ def _trajectory(
     plan = Plan(system, settings)
     durations = np.array([duration])
     with np.errstate(all="ignore"):  # numbers may overflow: the motion is then not finite
-        bound = ensemble.frequency_bound
-        if system.has_numeric_bound:
-            bound, _ = numeric_bound.along_runs(
-                system,
-                plan.kernel,
-                METHODS[settings.method],
-                ensemble,
-                durations,
-                settings.max_steps,
-                threads=1,
-            )
+        bound, _ = numeric_bound.along_runs(
+            system, plan.kernel, METHODS[settings.method], ensemble, durations, settings.max_steps, threads=1
+        )
         step_sizes = StepSizes.of(settings, bound, durations)
     # Whole steps between samples, never longer than in the atlas.
     steps = -(-int(step_sizes.steps[0]) // (samples - 1))

@@ -274,15 +274,18 @@ class Circle(Instrument):
         """Variables of both frames, of the instrument of the system's frame."""
         if self.inertial:
             return ()
+        labels, predicted = [], []
+        for suffix, frame, axes in (("", system.frame, "frame"), ("_inertial", "inertial", "space")):
+            labels.append(Variable(
+                f"label_any_axis{suffix}", "int8", "1", f"kind of motion in the {frame} frame, about any axes of body and {axes}",
+                Label.meanings(), f"the same as label{suffix} where that is steady", optional=True,
+            ))  # fmt: skip
+            predicted.append(Variable(
+                f"predicted_any_axis{suffix}", "int8", "1", f"kind of motion in the {frame} frame about any axes, from theory alone",
+                Label.meanings(), f"the same as predicted{suffix} where that is steady", optional=True,
+            ))  # fmt: skip
         return (
-            Variable(
-                "label_any_axis", "int8", "1", f"kind of motion in the {system.frame} frame, about any axes of body and frame",
-                Label.meanings(), "the same as label where that is steady", optional=True,
-            ),
-            Variable(
-                "label_any_axis_inertial", "int8", "1", "kind of motion in the inertial frame, about any axes of body and space",
-                Label.meanings(), "the same as label_inertial where that is steady", optional=True,
-            ),
+            *labels,
             *(
                 Variable(name, "float64", units, long_name, comment=comment, optional=True)
                 for name, units, long_name, comment in (
@@ -298,14 +301,7 @@ class Circle(Instrument):
                      f"for a permanent rotation of the angular velocity; {_NOT_STEADY}, and for a body at rest"),
                 )
             ),
-            Variable(
-                "predicted_any_axis", "int8", "1", f"kind of motion in the {system.frame} frame about any axes, from theory alone",
-                Label.meanings(), "the same as predicted where that is steady", optional=True,
-            ),
-            Variable(
-                "predicted_any_axis_inertial", "int8", "1", "kind of motion in the inertial frame about any axes, from theory alone",
-                Label.meanings(), "the same as predicted_inertial where that is steady", optional=True,
-            ),
+            *predicted,
             Variable(
                 "agreement_any_axis", "int8", "1", "measured label about any axes against theory", Agreement.meanings(), optional=True,
             ),

@@ -46,7 +46,17 @@ def dry_run(scene: Scene, *, threads: int | None = None, workers: int | None = N
     points = existing if scene.refine is None else expected_points(plan)
     cost = _measure(plan, processors)
     file_bytes = scene.size * sum(np.dtype(dtype).itemsize for dtype in tile_types(scene).values())
-    derived_seconds = _derived_seconds(scene, plan.sample)
+    # The derived variables of one point, from as many points as take a few tenths of a second.
+    has_derived = not scene.system.derived.keys().isdisjoint(scene.outputs)
+    existing_points, derived_seconds, count = np.flatnonzero(exists), 0.0, 0
+    while has_derived and derived_seconds < 0.2 and count < existing_points.size:
+        count = min(max(4 * count, 6), existing_points.size)
+        places = np.linspace(0, existing_points.size - 1, count).astype(np.int64)
+        chosen = plan.sample.subset(existing_points[places])
+        started = time.perf_counter()
+        derived_values(scene.system, scene.outputs, chosen.base, chosen.duration, lambda: None)
+        derived_seconds = time.perf_counter() - started
+    derived_seconds /= max(count, 1)
     # A refined atlas has predictions at every point.
     theory_seconds = existing * cost.theory_seconds + points * derived_seconds
     seconds = points * plan.mean_work * cost.seconds_per_step + theory_seconds
@@ -115,17 +125,3 @@ def _measure(plan: ScenePlan, threads: int) -> _Measurement:
         compile_seconds=max(first - second, 0.0),
         bytes_per_point=peak_bytes / points.exists.size,
     )
-
-
-def _derived_seconds(scene: Scene, sample: grid.Grid) -> float:
-    """Wall-clock time of the derived variables of one point, from as many points as take a few tenths of a second."""
-    has_derived = not scene.system.derived.keys().isdisjoint(scene.outputs)
-    exists = np.flatnonzero(sample.exists)
-    seconds, count = 0.0, 0
-    while has_derived and seconds < 0.2 and count < exists.size:
-        count = min(max(4 * count, 6), exists.size)
-        points = sample.subset(exists[np.linspace(0, exists.size - 1, count).astype(np.int64)])
-        started = time.perf_counter()
-        derived_values(scene.system, scene.outputs, points.base, points.duration, lambda: None)
-        seconds = time.perf_counter() - started
-    return seconds / max(count, 1)

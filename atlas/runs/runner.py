@@ -225,12 +225,10 @@ def _complete(folder: RunFolder, plan: ScenePlan, execution: _Execution, progres
             folder.save_final_attributes(
                 half_step.half_step_sample(plan.scene, plan.points, threads=execution.threads)
             )
-    except OSError:
+    except BaseException as error:
         bar.close()
-        folder.check_kept()
-        raise
-    except BaseException:
-        bar.close()
+        if isinstance(error, OSError):
+            folder.check_kept()
         raise
     return bar
 

@@ -104,13 +104,34 @@ def _run_levels(
     for name in METHODS:
         kernel(system, name)  # loaded here, so that no two threads load it at once
 
-    def work(job: _Job) -> None:
-        for indices, values in _run_job(system, points, duration, job):
-            for name, column in results.items():
-                column[(*job.cell, indices)] = values[name]
-
     with np.errstate(all="ignore"):
         bound = system.frequency_bound(points)
+
+    def work(job: _Job) -> None:
+        """Run the points of a job that take no more than MAX_STEPS."""
+        with np.errstate(all="ignore"):
+            radians = bound[job.indices] * duration[job.indices]
+            unlimited = StepSizes.of(
+                replace(job.settings, max_steps=model.MAX_STEPS), bound[job.indices], duration[job.indices]
+            )
+        # Points whose numbers overflow would take any number of steps; a few steps show the overflow.
+        overflow = ~np.isfinite(bound[job.indices]) | (radians > 1e12)
+        runs = [
+            (job.settings, job.indices[~overflow & (unlimited.steps <= MAX_STEPS)]),
+            (replace(job.settings, max_steps=1000), job.indices[overflow]),
+        ]
+        for limited, indices in runs:
+            if indices.size:
+                part, none = subset(points, indices), np.zeros(indices.size, np.int8)
+                values = evaluate(Plan(system, limited), Grid(part, part, none, duration[indices]), threads=1)
+                main, missing = main_instrument(system), np.full(indices.size, np.nan)
+                values |= {"unsteadiness": main.unsteadiness(system, values, job.settings)}
+                values = (
+                    dict.fromkeys(EXACT_STATISTICS, missing) | values
+                )  # exact motions are those of bodies
+                for name, column in results.items():
+                    column[(*job.cell, indices)] = values[name]
+
     jobs = []
     for i, method in enumerate(METHODS.values()):
         settings = Settings(method=method.name, max_steps=MAX_STEPS)
@@ -128,32 +149,6 @@ def _run_levels(
     # The kernel releases the interpreter lock; one job is seldom large enough for two threads.
     with ThreadPoolExecutor(threads or blocks.available_threads()) as pool:
         list(pool.map(work, jobs))
-    return results
-
-
-def _run_job(
-    system: System, points: Points, duration: Array, job: _Job
-) -> list[tuple[np.ndarray, dict[str, np.ndarray]]]:
-    """Indices and results of the points of a job that take no more than MAX_STEPS."""
-    settings, duration_of_job = job.settings, duration[job.indices]
-    with np.errstate(all="ignore"):
-        bound = system.frequency_bound(points)[job.indices]
-        unlimited = StepSizes.of(replace(settings, max_steps=model.MAX_STEPS), bound, duration_of_job)
-    # Points whose numbers overflow would take any number of steps; a few steps show the overflow.
-    overflow = ~np.isfinite(bound) | (bound * duration_of_job > 1e12)
-    runs = [
-        (settings, job.indices[~overflow & (unlimited.steps <= MAX_STEPS)]),
-        (replace(settings, max_steps=1000), job.indices[overflow]),
-    ]
-    results = []
-    for limited, indices in runs:
-        if indices.size:
-            part = subset(points, indices)
-            none = np.zeros(indices.size, np.int8)
-            values = evaluate(Plan(system, limited), Grid(part, part, none, duration[indices]), threads=1)
-            values |= {"unsteadiness": main_instrument(system).unsteadiness(system, values, settings)}
-            missing = np.full(indices.size, np.nan)  # exact motions are those of bodies
-            results.append((indices, dict.fromkeys(EXACT_STATISTICS, missing) | values))
     return results
 
 

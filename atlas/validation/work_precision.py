@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from statistics import median
 from time import process_time
@@ -170,12 +170,10 @@ def _with_reference(scene: Scene, indices: np.ndarray, advance: Advance) -> _Sam
         indices, part = indices[where], part.subset(where)
     if solution is None or (left_out and indices.size < 2):
         raise BadInput(left_out)
-    bound = system.frequency_bound(part.points)
-    if system.has_numeric_bound:  # raised along the motions
-        bound, _ = numeric_bound.along_runs(
-            system, _kernel(scene, method.name), method, Ensemble.of(system, part.points), part.duration,
-            scene.settings.max_steps,
-        )  # fmt: skip
+    ensemble, kernel_of_scene = Ensemble.of(system, part.points), _kernel(scene, method.name)
+    bound, _ = numeric_bound.along_runs(
+        system, kernel_of_scene, method, ensemble, part.duration, scene.settings.max_steps
+    )
     return _Sample(scene, indices, part, solution, bound, left_out)
 
 
@@ -441,7 +439,24 @@ def report(ds: xr.Dataset) -> str:
     ]
     if "left_out" in ds.attrs:
         lines.append(f"left out: {ds.attrs['left_out']}")
-    parts = ["\n".join(lines), _levels_table(ds, rows), legend]
+    name, measured = ds.attrs["ladder"], ds.attrs["measured"]
+    level_cells: list[tuple[str, ...]] = [
+        ("method", name, "steps", "us/point", "state error", "largest", measured, "labels wrong", "drift", "order")
+    ]  # fmt: skip
+    for row in rows:
+        at = _at_row(ds, row)
+        level_cells.append((
+            row["method"],
+            f"{row[name]:.3g}" + (" *" if row["own_setting"] else ""),
+            f"{row['steps']:.0f}",
+            f"{1e6 * row['seconds_per_point']:.3g}",
+            *_error_texts(at, "state"),
+            _error_texts(at, "rates")[0],
+            f"{row['labels_wrong']}/{row['labels_compared']} (<= {100 * row['labels_wrong_at_most']:.3g} %)",
+            f"{row['integral_drift_largest']:.1e}",
+            "-" if np.isnan(row["order"]) else f"{row['order']:.2f}",
+        ))  # fmt: skip
+    parts = ["\n".join(lines), text_table(level_cells, right=True), legend]
     own = next((row for row in rows if row["own_setting"]), None)
     if own is not None:
         at = _at_row(ds, own)
@@ -452,30 +467,6 @@ def report(ds: xr.Dataset) -> str:
                 cells.append((name, *_error_texts(at, name), str(points)))
         parts.append(text_table(cells, right=True))
     return "\n\n".join([*parts, advice(ds)])
-
-
-def _levels_table(ds: xr.Dataset, rows: Sequence[Mapping[str, Any]]) -> str:
-    """A line for each method and level that was run."""
-    name, measured = ds.attrs["ladder"], ds.attrs["measured"]
-    cells: list[tuple[str, ...]] = [
-        ("method", name, "steps", "us/point", "state error", "largest", measured, "labels wrong", "drift", "order")
-    ]  # fmt: skip
-    for row in rows:
-        at = _at_row(ds, row)
-        cells.append(
-            (
-                row["method"],
-                f"{row[name]:.3g}" + (" *" if row["own_setting"] else ""),
-                f"{row['steps']:.0f}",
-                f"{1e6 * row['seconds_per_point']:.3g}",
-                *_error_texts(at, "state"),
-                _error_texts(at, "rates")[0],
-                f"{row['labels_wrong']}/{row['labels_compared']} (<= {100 * row['labels_wrong_at_most']:.3g} %)",
-                f"{row['integral_drift_largest']:.1e}",
-                "-" if np.isnan(row["order"]) else f"{row['order']:.2f}",
-            )
-        )
-    return text_table(cells, right=True)
 
 
 def _at_row(ds: xr.Dataset, row: Mapping[str, Any]) -> xr.Dataset:

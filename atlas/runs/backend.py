@@ -76,8 +76,8 @@ def open_atlas(path: str | Path) -> xr.Dataset:
     if not path.exists():
         raise BadInput(f"{path}: there is no such file")
     if (path / zarr_store.METADATA).is_file():
-        return _checked(zarr_store.open_store(path), path)
-    if path.is_dir():
+        ds = zarr_store.open_store(path)
+    elif path.is_dir():
         from .folder import RunFolder
 
         folder = RunFolder.open(path)
@@ -88,23 +88,19 @@ def open_atlas(path: str | Path) -> xr.Dataset:
                 path, missing_tiles, folder.tiling.count,
             )  # fmt: skip
         return folder.dataset()
-    try:
-        store = CheckedStore.of(path)
+    else:
         try:
-            ds = xr.open_dataset(store, chunks=None)
-        except Exception:
-            store.close()
+            store = CheckedStore.of(path)
+            try:
+                ds = xr.open_dataset(store, chunks=None)
+            except Exception:
+                store.close()
+                raise
+            ds.encoding["source"] = str(path.absolute())
+        except BadInput:
             raise
-        ds.encoding["source"] = str(path.absolute())
-    except BadInput:
-        raise
-    except Exception as error:  # reading a damaged file may raise any error
-        raise BadInput(f"{path}: not a NetCDF file that can be read ({one_line(error)})") from None
-    return _checked(ds, path)
-
-
-def _checked(ds: xr.Dataset, path: Path) -> xr.Dataset:
-    """The dataset, if it has the attributes of an atlas; else BadInput."""
+        except Exception as error:  # reading a damaged file may raise any error
+            raise BadInput(f"{path}: not a NetCDF file that can be read ({one_line(error)})") from None
     missing = [name for name in ("atlas_system", "atlas_version") if name not in ds.attrs]
     if missing:
         ds.close()

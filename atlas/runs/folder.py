@@ -214,10 +214,6 @@ class RunFolder:
         remove_leftovers(self.path)
         remove_leftovers(self.tiles.folder)
 
-    def is_written(self) -> bool:
-        """Whether all tiles are written."""
-        return not self.tiles.missing()
-
     def progress_text(self) -> str:
         """Number of the tiles that are written, as text; empty if the folder has been removed."""
         if not self.path.is_dir():

@@ -221,7 +221,7 @@ def _complete(folder: RunFolder, plan: ScenePlan, execution: _Execution, progres
         except BadInput as error:
             logger.warning("%s", error)
             finished = False
-        if not finished and folder.is_written():
+        if not finished and not folder.tiles.missing():
             folder.save_final_attributes(
                 half_step.half_step_sample(plan.scene, plan.points, threads=execution.threads)
             )

@@ -81,15 +81,6 @@ def stress(
     return _dataset(system, parts, points, TrueLabels.join(truths), results)
 
 
-@dataclass(frozen=True)
-class _Job:
-    """Points to be run with the same settings."""
-
-    cell: tuple[int, int]  # indices of the method and the level
-    settings: Settings
-    indices: np.ndarray
-
-
 def _run_levels(
     system: System, points: Points, duration: Array, threads: int | None
 ) -> dict[str, np.ndarray]:
@@ -103,52 +94,48 @@ def _run_levels(
     results |= {name: np.full(shape, np.nan) for name in numbers}
     for name in METHODS:
         kernel(system, name)  # loaded here, so that no two threads load it at once
-
     with np.errstate(all="ignore"):
         bound = system.frequency_bound(points)
 
-    def work(job: _Job) -> None:
-        """Run the points of a job that take no more than MAX_STEPS."""
+    def work(cell: tuple[int, int], settings: Settings, where: np.ndarray) -> None:
+        """Run the points of a method and a level that take no more than MAX_STEPS."""
         with np.errstate(all="ignore"):
-            radians = bound[job.indices] * duration[job.indices]
+            radians = bound[where] * duration[where]
             unlimited = StepSizes.of(
-                replace(job.settings, max_steps=model.MAX_STEPS), bound[job.indices], duration[job.indices]
+                replace(settings, max_steps=model.MAX_STEPS), bound[where], duration[where]
             )
         # Points whose numbers overflow would take any number of steps; a few steps show the overflow.
-        overflow = ~np.isfinite(bound[job.indices]) | (radians > 1e12)
+        overflow = ~np.isfinite(bound[where]) | (radians > 1e12)
         runs = [
-            (job.settings, job.indices[~overflow & (unlimited.steps <= MAX_STEPS)]),
-            (replace(job.settings, max_steps=1000), job.indices[overflow]),
+            (settings, where[~overflow & (unlimited.steps <= MAX_STEPS)]),
+            (replace(settings, max_steps=1000), where[overflow]),
         ]
         for limited, indices in runs:
             if indices.size:
                 part, none = subset(points, indices), np.zeros(indices.size, np.int8)
                 values = evaluate(Plan(system, limited), Grid(part, part, none, duration[indices]), threads=1)
-                main, missing = main_instrument(system), np.full(indices.size, np.nan)
-                values |= {"unsteadiness": main.unsteadiness(system, values, job.settings)}
-                values = (
-                    dict.fromkeys(EXACT_STATISTICS, missing) | values
-                )  # exact motions are those of bodies
+                values["unsteadiness"] = main_instrument(system).unsteadiness(system, values, settings)
+                # Exact motions are those of bodies.
+                values = dict.fromkeys(EXACT_STATISTICS, np.full(indices.size, np.nan)) | values
                 for name, column in results.items():
-                    column[(*job.cell, indices)] = values[name]
+                    column[(*cell, indices)] = values[name]
 
-    jobs = []
-    for i, method in enumerate(METHODS.values()):
-        settings = Settings(method=method.name, max_steps=MAX_STEPS)
-        for j, ratio in enumerate(RATIOS):
-            with np.errstate(all="ignore"):
-                length = np.clip(ratio * method.stability / bound, 0.0, duration)
-            jobs += [
-                _Job((i, j), replace(settings, step=float(length[k])), np.array([k]))
-                for k in np.flatnonzero(length > 0)
-            ]
-        jobs += [
-            _Job((i, j), replace(settings, tolerance=tolerance), np.arange(duration.size))
-            for j, tolerance in enumerate(TOLERANCES, len(RATIOS))
-        ]
     # The kernel releases the interpreter lock; one job is seldom large enough for two threads.
     with ThreadPoolExecutor(threads or blocks.available_threads()) as pool:
-        list(pool.map(work, jobs))
+        jobs = []
+        for i, method in enumerate(METHODS.values()):
+            settings = Settings(method=method.name, max_steps=MAX_STEPS)
+            for j, ratio in enumerate(RATIOS):
+                with np.errstate(all="ignore"):
+                    length = np.clip(ratio * method.stability / bound, 0.0, duration)
+                for k in np.flatnonzero(length > 0):
+                    own = replace(settings, step=float(length[k]))
+                    jobs.append(pool.submit(work, (i, j), own, np.array([k])))
+            for j, tolerance in enumerate(TOLERANCES, len(RATIOS)):
+                own = replace(settings, tolerance=tolerance)
+                jobs.append(pool.submit(work, (i, j), own, np.arange(duration.size)))
+        for job in jobs:
+            job.result()
     return results
 
 

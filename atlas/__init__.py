@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from .errors import BadInput as BadInput
     from .label.points import label_points as label_points
     from .label.trajectory import trajectory as trajectory
-    from .runs.open import open_atlas as open_atlas
+    from .runs.backend import open_atlas as open_atlas
     from .runs.runner import run as run
     from .scene.read import load_scene as load_scene
     from .systems import register as register
@@ -30,7 +30,7 @@ _MODULES = {
     "load_scene": "scene.read",
     "run": "runs.runner",
     "label_points": "label.points",
-    "open_atlas": "runs.open",
+    "open_atlas": "runs.backend",
     "trajectory": "label.trajectory",
     "equilibria": "analysis.equilibria",
     "register": "systems",

@@ -156,7 +156,7 @@ def _motion(name: str, coordinates: dict[str, float], samples: int) -> Dataset:
     else:
         from ..analysis.metadata import scene_of
         from ..analysis.select import nearest_trajectory
-        from ..runs.open import open_atlas
+        from ..runs.backend import open_atlas
 
         with open_atlas(name) as ds:
             scene_of_atlas = scene_of(ds)
@@ -172,7 +172,7 @@ def _motion(name: str, coordinates: dict[str, float], samples: int) -> Dataset:
 def print_comparison(options: argparse.Namespace) -> int:
     """Print an atlas beside theory: confusion table, worst disagreements."""
     from ..analysis.compare import report
-    from ..runs.open import open_atlas
+    from ..runs.backend import open_atlas
 
     check_at_least("--worst", options.worst, 0)
     with open_atlas(options.atlas) as ds:
@@ -203,7 +203,7 @@ def print_comparison(options: argparse.Namespace) -> int:
 def draw_map(options: argparse.Namespace) -> int:
     """Draw a map of an atlas."""
     from ..plotting import maps, style
-    from ..runs.open import open_atlas
+    from ..runs.backend import open_atlas
 
     stem = without_suffix(options.atlas, ".nc", ".zarr")
     names = [options.out] if options.out else [f"{stem}.png", f"{stem}.pdf"]
@@ -235,7 +235,7 @@ def draw_map(options: argparse.Namespace) -> int:
 def make_page(options: argparse.Namespace) -> int:
     """Make one HTML file of an atlas, in which points can be integrated."""
     from ..page.page import FORMATS, atlas_page
-    from ..runs.open import open_atlas
+    from ..runs.backend import open_atlas
 
     name = options.out or f"{without_suffix(options.atlas, '.nc', '.zarr')}.html"
     out = writable(name, FORMATS, force=options.force, inputs=[options.atlas])

@@ -11,10 +11,9 @@ from importlib.resources import files
 from importlib.resources.abc import Traversable
 from pathlib import Path
 
-from ..errors import MAX_MESSAGE, MAX_TEXT, BadInput, allowed_text, attribute_text, printable, say
+from ..errors import MAX_MESSAGE, MAX_TEXT, BadInput, allowed_text, attribute_text, printable, say, text_table
 from ..files import atomic_write, check_not_input, writable
 from ..interruption import called_as
-from ..validation.text_table import text_table
 from .options import (
     DONE,
     QUIET,

@@ -10,9 +10,8 @@ import textwrap
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from ..errors import say
+from ..errors import say, text_table
 from ..files import atomic_write
-from ..validation.text_table import text_table
 from .options import (
     DONE,
     FAILED,

@@ -20,10 +20,9 @@ import numpy as np
 
 from ..errors import BadInput
 from ..systems import arithmetic
-from . import deviation, generated, jit, kernel, losses, observe, tangent, tangent_space
-from .differentiate import differential
+from . import augmented, deviation, generated, jit, kernel, observe, tangent
+from .differentiate import differential, simplify
 from .ensemble import Plug
-from .simplify import simplify
 from .statistics import Row
 from .tableaux import METHODS, Method
 
@@ -138,40 +137,37 @@ def source(
     and if a first integral or a loss has the name of a function of the kernel.
     """
     objects, sources, numbers = _reachable(of, plugs, () if plugs else ("PLUGGED",))
-    equations = _with_losses(equations, zero, equal, of)
+    measured = augmented.losses_of(equations, zero, equal) if of in MEASURING else {}
+    equations = augmented.with_losses(equations, measured)
     try:
         generated_functions = _generated_functions(equations, METHODS[method], zero, equal, of, plugs)
     except ValueError as error:  # of `differential`
         raise BadInput(f"equations: {error}") from None
-    _check_names(equations, sources)
+    names = {"INTEGRALS": equations.INTEGRALS, "LOSSES": equations.LOSSES.values()}
+    for key, name in ((key, name) for key, given in names.items() for name in given):
+        if name in sources or hasattr(generated, name):
+            raise BadInput(f"{key}: {name} is the name of a function of the kernel; choose another name")
     constants = _constants(equations, METHODS[method], of, plugs) | numbers
-    loops = _loops_called_once([*generated_functions.values(), *sources.values()])
+    texts = generated_functions | sources
+    # The functions with a loop that the others call at one place.
+    trees = {name: ast.parse(text) for name, text in texts.items()}
+    nodes = [node for tree in trees.values() for node in ast.walk(tree)]
+    calls = Counter(
+        node.func.id for node in nodes if isinstance(node, ast.Call) and isinstance(node.func, ast.Name)
+    )
+    has_loop = {
+        name: any(isinstance(node, ast.For) for node in ast.walk(tree)) for name, tree in trees.items()
+    }
     decorators = {name: jit.CALLED for name in objects if hasattr(objects[name], "called_seldom")}
     decorators["integrate"] = jit.KERNEL
     parts = [
-        f"{decorators.get(name, jit.INLINE_LOOP if text in loops else jit.INLINE)}\n{text}"
-        for name, text in (generated_functions | sources).items()
+        f"{decorators.get(name, jit.INLINE_LOOP if calls[name] == 1 and has_loop[name] else jit.INLINE)}\n{text}"
+        for name, text in texts.items()
     ]
     lines = [f"{name} = {value!r}" for name, value in constants.items()]
     if arithmetic.uses_functions(generated_functions):
         lines += [f"{name} = np.{numpy_name}" for name, numpy_name in arithmetic.FUNCTIONS.items()]
     return jit.HEADER + "\n".join(lines) + "\n\n\n" + "\n\n\n".join(parts) + "\n"
-
-
-def _loops_called_once(texts: Collection[str]) -> set[str]:
-    """The functions with a loop that the others call at one place."""
-    trees = {text: ast.parse(text).body[0] for text in texts}
-    nodes = [node for tree in trees.values() for node in ast.walk(tree)]
-    calls = Counter(
-        node.func.id for node in nodes if isinstance(node, ast.Call) and isinstance(node.func, ast.Name)
-    )
-    return {
-        text
-        for text, tree in trees.items()
-        if isinstance(tree, ast.FunctionDef)
-        and calls[tree.name] == 1
-        and any(isinstance(node, ast.For) for node in ast.walk(tree))
-    }
 
 
 def plain_module(
@@ -184,7 +180,8 @@ def plain_module(
     plugs: Sequence[Plug] = (),
 ) -> ModuleType:
     """The same kernel as plain Python, slow; arguments as for `source`."""
-    equations = _with_losses(equations, zero, equal, of)
+    measured = augmented.losses_of(equations, zero, equal) if of in MEASURING else {}
+    equations = augmented.with_losses(equations, measured)
     namespace: dict[str, object] = {"np": np, **arithmetic.numpy_functions()}
     for name, text in _generated_functions(equations, METHODS[method], zero, equal, of, plugs).items():
         exec(compile(text, f"<{name} of {equations.__name__}>", "exec"), namespace)
@@ -216,14 +213,6 @@ def _copy(module: ModuleType, namespace: Mapping[str, object]) -> ModuleType:
     return copy
 
 
-def _with_losses(
-    equations: ModuleType, zero: Collection[str], equal: Mapping[str, str], of: ModuleType
-) -> ModuleType:
-    """Equations that integrate the losses of their integrals, for the kernels that measure these."""
-    measured = losses.losses_of(equations, zero, equal) if of in MEASURING else {}
-    return losses.with_losses(equations, measured)
-
-
 def _constants(
     equations: ModuleType, method: Method, of: ModuleType, plugs: Sequence[Plug]
 ) -> dict[str, Any]:
@@ -241,7 +230,7 @@ def _constants(
         "STATES": len(equations.STATE),
         "CONSTANTS": len(equations.CONSTANTS),
         "INTEGRALS": len(equations.INTEGRALS),
-        "TANGENT": tangent_space.size(equations),
+        "TANGENT": augmented.tangent_size(equations),
         "STEP": method.kernel_step,
         # Worth its loads and stores where a step is much longer than they are.
         "STORES_SLOPE": method.stages > 4,
@@ -261,9 +250,9 @@ def _generated_functions(
 ) -> dict[str, str]:
     """Source of the equations, simplified, and of the functions that `generated` declares, by name."""
     states, constants = len(equations.STATE), len(equations.CONSTANTS)
-    extended = states + tangent_space.size(equations)
+    extended = states + augmented.tangent_size(equations)
     texts = arithmetic.functions(equations)
-    in_any_units = texts if of is deviation else ("scaled", losses.SCALED)
+    in_any_units = texts if of is deviation else ("scaled", augmented.SCALED)
     sources = {
         name: simplify(text, zero, equal, () if name in in_any_units else equations.ONES)
         for name, text in texts.items()
@@ -308,7 +297,7 @@ def _generated_functions(
             row, first = row + plug.sums, first + plug.given
         generated_lines["add_to_plugged(plugged, given, nodes, i, intervals, spacing, inverse_unit)"] = lines
     if of is tangent:
-        sources |= tangent_space.variation(equations, sources["rhs"])
+        sources |= augmented.variation(equations, sources["rhs"])
         generated_lines |= {
             "load_extended(block, l)": [f"return {_columns('block', extended)}"],
             "store_extended(block, l, extended)": [f"{_columns('block', extended)} = extended"],
@@ -330,7 +319,7 @@ def _deviation_lines(equations: ModuleType) -> dict[str, list[str]]:
     """Functions of a kernel of deviations, of bodies whose states are an angular velocity and vectors of the frame."""
     names = list(equations.STATE)
     turned, lines = ["0.0"] * len(names), []
-    for i, vector in enumerate(tangent_space.frame_vectors(equations)):
+    for i, vector in enumerate(augmented.frame_vectors(equations)):
         x, y, z = (names.index(name) for name in vector)
         for j in range(3):
             constant, cosine, sine = (f"block[{9 * i + 3 * part + j}, l]" for part in range(3))
@@ -358,14 +347,6 @@ def observable_names(equations: ModuleType) -> tuple[str, ...]:
     return getattr(equations, "OBSERVABLES", ())
 
 
-def _check_names(equations: ModuleType, taken: Collection[str]) -> None:
-    """Raise BadInput if a function of the equations would replace one of the kernel."""
-    names = {"INTEGRALS": equations.INTEGRALS, "LOSSES": equations.LOSSES.values()}
-    for key, name in ((key, name) for key, given in names.items() for name in given):
-        if name in taken or hasattr(generated, name):
-            raise BadInput(f"{key}: {name} is the name of a function of the kernel; choose another name")
-
-
 def _observable_functions(
     equations: ModuleType, sources: dict[str, str]
 ) -> tuple[dict[str, str], dict[str, list[str]]]:
@@ -380,7 +361,14 @@ def _observable_functions(
             continue
         function, change = f"observable_{name}", f"change_of_{name}"
         changes[function] = text.replace(f"def {name}(", f"def {function}(", 1)
-        changes[change] = differential(_with_tuple(text), change)
+        function_tree = ast.parse(text).body[0]
+        assert isinstance(function_tree, ast.FunctionDef)
+        last = function_tree.body[-1]
+        assert isinstance(last, ast.Return)
+        assert last.value is not None
+        last.value = ast.Tuple([last.value], ast.Load())  # `differential` takes functions that return a tuple
+        tuple_text = ast.unparse(ast.fix_missing_locations(function_tree))
+        changes[change] = differential(tuple_text, change)
         values.append(f"{function}(state, constants)")
         lines.append(f"d_{name}, = {change}(state, constants, change)")
         slopes.append(f"d_{name}")
@@ -390,17 +378,6 @@ def _observable_functions(
         "observe_change(state, constants, change)": [*lines, f"return ({', '.join(slopes)},)"],
         "store_values(nodes, slot, row, l, values)": [f"{rows}, = values"],
     }
-
-
-def _with_tuple(text: str) -> str:
-    """A function that returns a number as one that returns a tuple of it."""
-    function = ast.parse(text).body[0]
-    assert isinstance(function, ast.FunctionDef)
-    last = function.body[-1]
-    assert isinstance(last, ast.Return)
-    assert last.value is not None
-    last.value = ast.Tuple([last.value], ast.Load())
-    return ast.unparse(ast.fix_missing_locations(function))
 
 
 def _extended_lines(states: int, extended: int) -> list[str]:

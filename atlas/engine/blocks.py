@@ -145,7 +145,17 @@ def call_by_parts(
     threads = 0 calls in the thread of the caller, for work that takes less time than starting a thread. After
     an exception no further call begins.
     """
-    bounds, stop = chunk_bounds(point_steps, CHUNK, 4 * (threads or available_threads())), threading.Event()
+    # Bounds of chunks of blocks: at least about four for each thread, of at most about CHUNK point-steps each.
+    total, least_chunks, stop = (
+        np.cumsum(point_steps),
+        4 * (threads or available_threads()),
+        threading.Event(),
+    )
+    max_cost = min(CHUNK, -(-int(total[-1]) // least_chunks)) if total.size else CHUNK
+    bounds = [0]
+    while bounds[-1] < len(total):
+        done = total[bounds[-1] - 1] if bounds[-1] else 0
+        bounds.append(max(bounds[-1] + 1, int(np.searchsorted(total, done + max_cost))))
 
     def chunk(first: int, last: int) -> None:
         nodes, steps = int(last_node[first] - first_node[first]), int(point_steps[first:last].sum())
@@ -172,14 +182,3 @@ def call_by_parts(
                 job.result()
         finally:
             stop.set()
-
-
-def chunk_bounds(cost: NDArray[np.int64], max_cost: int, min_chunks: int) -> list[int]:
-    """Bounds of chunks of a row of jobs: at least about min_chunks, of at most about max_cost each."""
-    total = np.cumsum(cost)
-    max_cost = min(max_cost, -(-int(total[-1]) // min_chunks)) if total.size else max_cost
-    bounds = [0]
-    while bounds[-1] < len(total):
-        done = total[bounds[-1] - 1] if bounds[-1] else 0
-        bounds.append(max(bounds[-1] + 1, int(np.searchsorted(total, done + max_cost))))
-    return bounds

@@ -1,8 +1,14 @@
-"""Differentials of plain arithmetic on the syntax tree, from which the variational equations follow."""
+"""Plain arithmetic on the syntax tree: its differentials, and its form where terms vanish in a whole scene.
+
+The variational equations follow from the differentials. `simplify` leaves out x * 0, x + 0, x - x and x * 1; x * y -
+x * z becomes x * (y - z). The result is the same to round-off; LLVM may not do this itself, because x * 0 is not 0
+for a NaN or an infinity.
+"""
 
 from __future__ import annotations
 
 import ast
+from collections.abc import Collection, Mapping
 from functools import reduce
 
 PREFIX = "d_"  # of the differential of a name
@@ -42,10 +48,21 @@ def differential(text: str, name: str) -> str:
                 body += [statement, *ast.parse(f"{changes}, = change").body]
             case ast.Assign(targets=[target], value=value):
                 # First, because the differential needs the values from before a name is assigned anew.
-                body += [*_differentials(target, value, active), statement]
+                pairs = [(target, value)]
+                if isinstance(target, ast.Tuple) and isinstance(value, ast.Tuple):
+                    pairs = list(zip(target.elts, value.elts, strict=True))
+                given = {ast.unparse(left): _differential(right, active) for left, right in pairs}
+                for assigned, change in given.items():
+                    (active.discard if change is None else active.add)(assigned)
+                changes = ", ".join(f"{PREFIX}{assigned}" for assigned in given if assigned in active)
+                if changes:
+                    slopes = ", ".join(map(ast.unparse, filter(None, given.values())))
+                    body += ast.parse(f"{changes}, = {slopes},").body
+                body.append(statement)
             case ast.Return(value=ast.Tuple(elts=values)):
-                changes = ", ".join(_unparse(_differential(value, active)) for value in values)
-                body += ast.parse(f"return ({changes},)").body
+                all_changes = (_differential(value, active) for value in values)
+                texts = ("0.0" if change is None else ast.unparse(change) for change in all_changes)
+                body += ast.parse(f"return ({', '.join(texts)},)").body
             case ast.Expr(value=ast.Constant()):  # the docstring
                 pass
             case _:
@@ -54,26 +71,6 @@ def differential(text: str, name: str) -> str:
     assert isinstance(arguments, ast.FunctionDef)
     new = ast.FunctionDef(name, arguments.args, body, [], lineno=1)
     return ast.unparse(ast.fix_missing_locations(ast.Module([new], [])))
-
-
-def _differentials(target: ast.expr, value: ast.expr, active: set[str]) -> list[ast.stmt]:
-    """Assignments of differentials of the assigned names; marks what depends on the state as active."""
-    if isinstance(target, ast.Tuple) and isinstance(value, ast.Tuple):
-        pairs = list(zip(target.elts, value.elts, strict=True))
-    else:
-        pairs = [(target, value)]
-    changes = {ast.unparse(name): _differential(expression, active) for name, expression in pairs}
-    for name, change in changes.items():
-        (active.discard if change is None else active.add)(name)
-    given = {f"{PREFIX}{name}": change for name, change in changes.items() if change is not None}
-    if not given:
-        return []
-    values = ", ".join(map(_unparse, given.values()))
-    return ast.parse(f"{', '.join(given)}, = {values},").body
-
-
-def _unparse(change: ast.expr | None) -> str:
-    return "0.0" if change is None else ast.unparse(change)
 
 
 def _differential(node: ast.expr, active: set[str]) -> ast.expr | None:
@@ -85,10 +82,34 @@ def _differential(node: ast.expr, active: set[str]) -> ast.expr | None:
             return ast.Name(f"{PREFIX}{name}")
         case ast.UnaryOp(op=ast.USub() | ast.UAdd() as sign, operand=operand):
             return ast.UnaryOp(sign, _given(_differential(operand, active)))
-        case ast.BinOp(left=left, op=op, right=right):
-            return _of_operation(left, op, right, active)
-        case ast.Call(func=function, args=[x]):
-            return _of_call(function, x, active)
+        case ast.BinOp(left=left, op=ast.Add() | ast.Sub() as op, right=right):
+            return _sum(_differential(left, active), _differential(right, active), op)
+        case ast.BinOp(left=left, op=ast.Mult(), right=right):
+            # The factors that do not depend on the state stand before the sum.
+            changes = [(factor, _differential(factor, active)) for factor in _factors(left) + _factors(right)]
+            constant = [factor for factor, change in changes if change is None]
+            variable = [(factor, change) for factor, change in changes if change is not None]
+            terms = [
+                reduce(_times, [change if i == j else factor for j, (factor, _) in enumerate(variable)])
+                for i, (_, change) in enumerate(variable)
+            ]
+            return reduce(_times, [*constant, reduce(lambda x, y: ast.BinOp(x, ast.Add(), y), terms)])
+        case ast.BinOp(left=left, op=ast.Div(), right=right):
+            dx, dy = _differential(left, active), _differential(right, active)
+            quotient = None if dy is None else _times(ast.BinOp(left, ast.Div(), right), dy)
+            return ast.BinOp(_sum(dx, quotient, ast.Sub()), ast.Div(), right)
+        case ast.BinOp(left=left, op=ast.Pow(), right=right) if _differential(right, active) is None:
+            lower = ast.BinOp(left, ast.Pow(), ast.BinOp(right, ast.Sub(), ast.Constant(1.0)))
+            return _times(_times(right, lower), _given(_differential(left, active)))
+        case ast.Call(func=function, args=[x]):  # such as sin(x) or np.sin(x)
+            text = ast.unparse(function)
+            module, _, name = text.rpartition(".")
+            if name not in _DERIVATIVES:
+                raise ValueError(f"cannot be differentiated: {ast.unparse(node)}")
+            derivative = _DERIVATIVES[name].format(
+                function=text, module=f"{module}." if module else "", x=ast.unparse(x)
+            )
+            return _times(ast.parse(derivative, mode="eval").body, _given(_differential(x, active)))
         case _:
             raise ValueError(f"cannot be differentiated: {ast.unparse(node)}")
 
@@ -98,27 +119,6 @@ def _given(change: ast.expr | None) -> ast.expr:
     return change
 
 
-def _of_operation(left: ast.expr, op: ast.operator, right: ast.expr, active: set[str]) -> ast.expr:
-    """Differential of a sum, difference, product, quotient or power."""
-    dx, dy = _differential(left, active), _differential(right, active)
-    match op:
-        case ast.Add():
-            return _sum(dx, dy, ast.Add())
-        case ast.Sub():
-            return _sum(dx, dy, ast.Sub())
-        case ast.Mult():
-            return _of_product(_factors(left) + _factors(right), active)
-        case ast.Div():
-            quotient = None if dy is None else ast.BinOp(ast.BinOp(left, ast.Div(), right), ast.Mult(), dy)
-            return ast.BinOp(_sum(dx, quotient, ast.Sub()), ast.Div(), right)
-        case ast.Pow() if dy is None:
-            lower = ast.BinOp(left, ast.Pow(), ast.BinOp(right, ast.Sub(), ast.Constant(1.0)))
-            return ast.BinOp(ast.BinOp(right, ast.Mult(), lower), ast.Mult(), _given(dx))
-        case _:
-            text = ast.unparse(ast.BinOp(left, op, right))
-            raise ValueError(f"cannot be differentiated: {text}")
-
-
 def _sum(x: ast.expr | None, y: ast.expr | None, op: ast.operator) -> ast.expr:
     """The sum or difference of two terms, of which one may be missing."""
     if y is None:
@@ -126,20 +126,6 @@ def _sum(x: ast.expr | None, y: ast.expr | None, op: ast.operator) -> ast.expr:
     if x is None:
         return ast.UnaryOp(ast.USub(), y) if isinstance(op, ast.Sub) else y
     return ast.BinOp(x, op, y)
-
-
-def _of_product(factors: list[ast.expr], active: set[str]) -> ast.expr:
-    """Differential of a product; the factors that do not depend on the state stand before the sum."""
-    changes = [_differential(factor, active) for factor in factors]
-    constant = [factor for factor, change in zip(factors, changes, strict=True) if change is None]
-    variable = [
-        (factor, change) for factor, change in zip(factors, changes, strict=True) if change is not None
-    ]
-    terms = [
-        reduce(_times, [change if i == j else factor for j, (factor, _) in enumerate(variable)])
-        for i, (_, change) in enumerate(variable)
-    ]
-    return reduce(_times, [*constant, reduce(lambda x, y: ast.BinOp(x, ast.Add(), y), terms)])
 
 
 def _factors(node: ast.expr) -> list[ast.expr]:
@@ -152,14 +138,70 @@ def _times(x: ast.expr, y: ast.expr) -> ast.expr:
     return ast.BinOp(x, ast.Mult(), y)
 
 
-def _of_call(function: ast.expr, x: ast.expr, active: set[str]) -> ast.expr:
-    """Differential of a function of one argument, such as sin(x) or np.sin(x)."""
-    text = ast.unparse(function)
-    module, _, name = text.rpartition(".")
-    if name not in _DERIVATIVES:
-        raise ValueError(f"cannot be differentiated: {text}({ast.unparse(x)})")
-    derivative = _DERIVATIVES[name].format(
-        function=text, module=f"{module}." if module else "", x=ast.unparse(x)
-    )
-    slope = ast.parse(derivative, mode="eval").body
-    return ast.BinOp(slope, ast.Mult(), _given(_differential(x, active)))
+def simplify(text: str, zero: Collection[str], equal: Mapping[str, str], ones: Collection[str] = ()) -> str:
+    """Source of a function for names that are 0 (which comes first), 1, or equal to another name."""
+    tree = ast.parse(text)
+    simplifier = _Simplifier(set(zero), dict(equal), set(ones))
+    return ast.unparse(ast.fix_missing_locations(simplifier.visit(tree)))
+
+
+def _is(node: ast.expr, value: float) -> bool:
+    return isinstance(node, ast.Constant) and node.value == value
+
+
+class _Simplifier(ast.NodeTransformer):
+    def __init__(self, zero: set[str], equal: dict[str, str], ones: set[str]):
+        self.zero, self.equal, self.ones = zero, equal, ones
+
+    def visit_Name(self, node: ast.Name) -> ast.expr:
+        if isinstance(node.ctx, ast.Load):
+            if node.id in self.zero:
+                return ast.Constant(0.0)
+            if node.id in self.ones:
+                return ast.Constant(1.0)
+            return ast.Name(self.equal.get(node.id, node.id), node.ctx)
+        return node
+
+    def visit_Assign(self, node: ast.Assign) -> ast.Assign:
+        """Fold the right side; names that are assigned a plain 0 vanish from there on."""
+        node.value = self.visit(node.value)
+        target = node.targets[0]
+        if isinstance(target, ast.Tuple) and isinstance(node.value, ast.Tuple):
+            pairs = list(zip(target.elts, node.value.elts, strict=True))
+        else:
+            pairs = [(target, node.value)]
+        self.zero |= {name.id for name, value in pairs if isinstance(name, ast.Name) and _is(value, 0.0)}
+        return node
+
+    def visit_UnaryOp(self, node: ast.UnaryOp) -> ast.expr:
+        node.operand = self.visit(node.operand)
+        return node.operand if _is(node.operand, 0.0) else node
+
+    def visit_BinOp(self, node: ast.BinOp) -> ast.expr:
+        left, right = self.visit(node.left), self.visit(node.right)
+        match node.op:
+            case ast.Mult() if _is(left, 0.0) or _is(right, 0.0):
+                return ast.Constant(0.0)
+            case ast.Mult() if _is(left, 1.0):
+                return right
+            case ast.Mult() if _is(right, 1.0):
+                return left
+            case ast.Add() if _is(left, 0.0):
+                return right
+            case ast.Add() | ast.Sub() if _is(right, 0.0):
+                return left
+            case ast.Sub() if _is(left, 0.0):
+                return ast.UnaryOp(ast.USub(), right)
+            case ast.Sub() if ast.dump(left) == ast.dump(right):
+                return ast.Constant(0.0)
+            case ast.Sub():
+                (first, *y), (second, *z) = _left_factors(left), _left_factors(right)
+                if y and z and isinstance(first, ast.Name) and ast.dump(first) == ast.dump(second):
+                    return _times(first, ast.BinOp(reduce(_times, y), ast.Sub(), reduce(_times, z)))
+        return ast.BinOp(left, node.op, right)
+
+
+def _left_factors(node: ast.expr) -> list[ast.expr]:
+    if isinstance(node, ast.BinOp) and isinstance(node.op, ast.Mult):
+        return [*_left_factors(node.left), node.right]
+    return [node]

@@ -18,8 +18,8 @@ import shutil
 import stat
 import sys
 import threading
-from collections.abc import Iterable, Iterator
-from contextlib import contextmanager, suppress
+from collections.abc import Iterable
+from contextlib import suppress
 from pathlib import Path
 from types import ModuleType
 from typing import Any, NamedTuple
@@ -181,7 +181,22 @@ def load(source: str) -> ModuleType:
             compiles = isinstance(module.integrate, Dispatcher)  # not under NUMBA_DISABLE_JIT
             if compiles:
                 module.integrate._cache = _MachineCode(name)  # what its option `cache` sets
-                _report_compilation(module.integrate)
+                compiler = module.integrate._compiler
+                compile_function = compiler.compile
+
+                def reported(*arguments: Any) -> Any:
+                    """Compile, measured and announced; it is not called if the code is in the cache."""
+                    # A compilation makes millions of objects and few cycles of them, which wait for the next collection.
+                    enabled = gc.isenabled()
+                    gc.disable()
+                    try:
+                        with compilation():
+                            return compile_function(*arguments)
+                    finally:
+                        if enabled:
+                            gc.enable()
+
+                compiler.compile = reported
                 _share_functions(source, module)
             sys.modules[name] = module  # Numba looks the globals of a cached kernel up by module name
         return sys.modules[name]
@@ -209,30 +224,6 @@ def _share_functions(source: str, module: ModuleType) -> None:
             function._cache = _MachineCode(shared)
 
 
-def _report_compilation(function: Any) -> None:
-    """Measure and announce the compilation of a function, which does not happen if its code is in the cache."""
-    compiler = function._compiler
-    compile_function = compiler.compile
-
-    def reported(*arguments: Any) -> Any:
-        with compilation(), _no_garbage_collection():
-            return compile_function(*arguments)
-
-    compiler.compile = reported
-
-
-@contextmanager
-def _no_garbage_collection() -> Iterator[None]:
-    """Leave cycles of objects to the next collection: a compilation makes millions of objects and few such cycles."""
-    enabled = gc.isenabled()
-    gc.disable()
-    try:
-        yield
-    finally:
-        if enabled:
-            gc.enable()
-
-
 class _MachineCode(NullCache):
     """The cache of one kernel, a file for each signature; if it fails, the kernel is compiled in memory."""
 
@@ -246,7 +237,13 @@ class _MachineCode(NullCache):
         try:
             if _warned_of_foreign(path.parent):
                 return None
-            content = _read(path)
+            # A file that nobody else can have written: neither follow a link nor wait for the other end of a pipe.
+            flags = os.O_RDONLY | getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_NONBLOCK", 0)
+            with open(path, "rb", opener=lambda name, _: os.open(name, flags)) as file:
+                status = os.fstat(file.fileno())
+                if not stat.S_ISREG(status.st_mode) or _danger(status):
+                    raise ValueError(_danger(status) or "it is not a file")
+                content = file.read()
             payload = content[hashlib.sha256().digest_size :]
             if content != _hashed(key, payload):
                 raise ValueError("its hash differs")
@@ -283,17 +280,6 @@ class _MachineCode(NullCache):
 def _hashed(key: bytes, payload: bytes) -> bytes:
     """Content of a file of the cache; the hash finds damage, and files that were made for something else."""
     return hashlib.sha256(key + payload).digest() + payload
-
-
-def _read(path: Path) -> bytes:
-    """Content of a file of the cache that nobody else can have written."""
-    # Neither follow a link nor wait for the other end of a pipe.
-    flags = os.O_RDONLY | getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_NONBLOCK", 0)
-    with open(path, "rb", opener=lambda name, _: os.open(name, flags)) as file:
-        status = os.fstat(file.fileno())
-        if not stat.S_ISREG(status.st_mode) or _danger(status):
-            raise ValueError(_danger(status) or "it is not a file")
-        return file.read()
 
 
 def _danger(status: os.stat_result) -> str | None:

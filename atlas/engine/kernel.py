@@ -52,19 +52,23 @@ from .poles import (
     NEWTON_STEPS,
     PASSAGE_ROWS,
     REACH,
+    TURN_ROWS,
+    TURN_STEPS,
     Passage,
     Term,
+    Turn,
     approximate_zero,
     difference,
     improve_zero,
+    place_of_turn,
     pole_terms,
     sum_errors,
     trapezoid_error_of_pole,
+    turning_point,
     turns_near_vertical,
 )
 from .sampling import END, LONG, rule_position, stretched
 from .statistics import Row, accumulate, begin, end, extend, may_extend
-from .turning import TURN_ROWS, TURN_STEPS, Turn, place_of_turn, turning_point
 
 # Components of the motion, u1, u2, u3, g1, g2, g3: rows of a node, followed by their derivatives.
 MOTION = 6

@@ -61,8 +61,10 @@ def along_runs(
 ) -> tuple[Array, Mask]:
     """Frequency bound of each point, rad per time unit, and whether no frequency in its run exceeds it.
 
-    The ensemble's bound is the frequency at the start. A run of more than max_steps is sampled no further.
+    The ensemble's bound is a proved one, or the frequency at the start. A run of more than max_steps is sampled no further.
     """
+    if not system.has_numeric_bound:
+        return ensemble.frequency_bound, np.ones(ensemble.size, bool)
     bound = np.fmax(ensemble.frequency_bound, _least(duration))
     bound = np.where(np.isfinite(ensemble.frequency_bound), bound, np.inf)
     finite_bound, not_finite = bound.copy(), np.zeros(bound.size, np.int64)
@@ -70,7 +72,11 @@ def along_runs(
     pending = np.arange(bound.size)
     for _ in range(MAX_ATTEMPTS):
         with np.errstate(all="ignore"):
-            longest = _longest_step(method, bound[pending] * duration[pending])
+            # Step of the preliminary run in rad of the bound.
+            radians = np.maximum(bound[pending] * duration[pending], 1e-300)
+            phase = (ERROR / (method.dispersion * radians)) ** (1 / method.order)
+            loss = (ERROR / (method.dissipation * radians)) ** (1 / (method.dissipation_order - 1))
+            longest = np.minimum(np.minimum(phase, loss), MAX_STEP_RATIO * method.stability)
             affordable = bound[pending] * duration[pending] / longest <= max_steps
         pending, longest = pending[affordable], longest[affordable]
         if not pending.size:
@@ -89,14 +95,6 @@ def along_runs(
     # Where even short steps overflow, so does the motion.
     bound = np.where(not_finite > MAX_NOT_FINITE, finite_bound, bound)
     return bound, settled
-
-
-def _longest_step(method: Method, radians: Array) -> Array:
-    """Step of the preliminary run in rad of the bound, for runs of so many rad."""
-    radians = np.maximum(radians, 1e-300)
-    phase = (ERROR / (method.dispersion * radians)) ** (1 / method.order)
-    loss = (ERROR / (method.dissipation * radians)) ** (1 / (method.dissipation_order - 1))
-    return np.minimum(np.minimum(phase, loss), MAX_STEP_RATIO * method.stability)
 
 
 def _largest_frequency(

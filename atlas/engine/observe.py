@@ -25,16 +25,8 @@ from .generated import (
     store_state,
     store_values,
 )
-from .lanes import (
-    advance,
-    extend_changes,
-    load_points,
-    load_runs,
-    store_ends,
-    store_runs,
-    store_sums,
-)
-from .turning import place_of_turn, turns_twice
+from .lanes import advance, extend_changes, load_points, load_runs, store_ends, store_runs, store_sums
+from .poles import place_of_turn, turns_twice
 
 # Rows of the sums: the change of first integrals, then FIELDS rows for each observable: f0, the sums, the extremes, the
 # largest distance of a node from the cubic through its two neighbours.

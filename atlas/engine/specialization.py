@@ -63,14 +63,10 @@ def kernel(
     return jit.load(source(system, method, specialization, plugs))
 
 
-def tangent_source(system: System, specialization: Specialization = GENERIC) -> str:
-    """Text of the kernel that integrates a system with a tangent vector."""
-    return source(system, tangent.METHOD.name, specialization, of=tangent)
-
-
 @cache
 def tangent_kernel(system: System, specialization: Specialization = GENERIC) -> ModuleType:
-    return jit.load(tangent_source(system, specialization))
+    """The compiled module that integrates a system with a tangent vector."""
+    return jit.load(source(system, tangent.METHOD.name, specialization, of=tangent))
 
 
 @cache

@@ -13,8 +13,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from .poles import turns_twice
 from .sampling import sample
-from .turning import turns_twice
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -24,12 +24,16 @@ if TYPE_CHECKING:
 NO_ZERO = -1e3
 
 
-class Row(IntEnum):
-    """Rows of the kernel's output; sums and their quadrature errors are apart; theta at both ends in rad."""
+class Counted(IntEnum):
+    """Enumeration whose values count from 0."""
 
     @staticmethod
     def _generate_next_value_(name: str, start: int, count: int, last_values: list[int]) -> int:
         return count
+
+
+class Row(Counted):
+    """Rows of the kernel's output; sums and their quadrature errors are apart; theta at both ends in rad."""
 
     OUTSIDE = auto()
     THETA_DOT = auto()
@@ -197,7 +201,14 @@ def finish(
             shifted_mean, square = total / weight, total_squared / weight
             result[f"{name}_mean"] = out[reference] + shifted_mean
             result[f"{name}_std"] = np.sqrt(np.maximum(square - shifted_mean**2, 0.0))
-        result |= _tilt_extremes(out)
+        low, high = out[Row.COS_THETA_MIN], out[Row.COS_THETA_MAX]
+        widest = np.where((low < 0) & (high > 0), 1.0, out[Row.SIN2_THETA_MAX])
+        # All on one side of the equator the widest tilt is the extreme nearer to it.
+        result |= {
+            "theta_min": theta_from(high, np.where(high > 0, out[Row.SIN2_THETA_MIN_ABOVE], widest)),
+            "theta_max": theta_from(low, np.where(low > 0, widest, out[Row.SIN2_THETA_MIN_BELOW])),
+            "sine_max": np.sqrt(np.minimum(widest, 1.0)),
+        }
         result["axis_1"] = out[Row.AXIS_1] / (intervals + 1)
         result["axis_2"] = out[Row.AXIS_2] / (intervals + 1)
     result["integral_drift"] = out[Row.DRIFT].copy()
@@ -207,15 +218,3 @@ def finish(
 def theta_dot_squared_sum(out: NDArray[np.float64]) -> NDArray[np.float64]:
     """Sum of theta'^2 over the samples of output of the kernel, corrected for passages near the vertical."""
     return np.asarray(out[Row.THETA_DOT_SQUARED] - out[Row.THETA_DOT_SQUARED_ERROR])
-
-
-def _tilt_extremes(out: NDArray[np.float64]) -> dict[str, NDArray[np.float64]]:
-    """theta_min and theta_max in rad, and the largest sin theta."""
-    low, high = out[Row.COS_THETA_MIN], out[Row.COS_THETA_MAX]
-    widest = np.where((low < 0) & (high > 0), 1.0, out[Row.SIN2_THETA_MAX])
-    # All on one side of the equator the widest tilt is the extreme nearer to it.
-    return {
-        "theta_min": theta_from(high, np.where(high > 0, out[Row.SIN2_THETA_MIN_ABOVE], widest)),
-        "theta_max": theta_from(low, np.where(low > 0, widest, out[Row.SIN2_THETA_MIN_BELOW])),
-        "sine_max": np.sqrt(np.minimum(widest, 1.0)),
-    }

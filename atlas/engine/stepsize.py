@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, fields, replace
-from typing import Protocol
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,30 +24,6 @@ GOLDEN_SECTION = 0.5 * (5**0.5 - 1.0)
 INTERPOLATION_ERROR = 81 / 256 / 40320
 
 
-class StepSizeSettings(Protocol):
-    """What step sizes depend on but the point; `scene.model.Settings` is one."""
-
-    @property
-    def method(self) -> str:
-        """Key of tableaux.METHODS."""
-
-    @property
-    def tolerance(self) -> float:
-        """Phase error of an oscillation at the frequency bound at the end of the run, rad."""
-
-    @property
-    def step(self) -> float | None:
-        """Largest step in time units, instead of the tolerance."""
-
-    @property
-    def max_steps(self) -> int:
-        """Largest number of steps."""
-
-    @property
-    def rate_tolerance(self) -> float:
-        """Variation of a rate that counts as none, rad per time unit."""
-
-
 @dataclass(frozen=True)
 class StepSizes:
     """Step sizes of an ensemble and the errors to expect from them."""
@@ -63,11 +39,10 @@ class StepSizes:
     rate_error: NDArray[np.float64]
 
     @classmethod
-    def of(
-        cls, settings: StepSizeSettings, bound: NDArray[np.float64], duration: NDArray[np.float64]
-    ) -> StepSizes:
+    def of(cls, settings: Any, bound: NDArray[np.float64], duration: NDArray[np.float64]) -> StepSizes:
         """Step sizes of points with these frequency bounds (rad per time unit) and durations (time units).
 
+        Of `settings`, see `scene.model.Settings`, method, tolerance, step, max_steps and rate_tolerance are used.
         With `settings.step` steps are at most that long. Otherwise they are so short that the phase error of an
         oscillation at the bound stays within `settings.tolerance`, and that neither its loss of amplitude nor the
         local error lets a steady rate as large as the bound vary by more than RATE_ERROR_BUDGET of the rate tolerance.
@@ -79,12 +54,28 @@ class StepSizes:
         finite = np.isfinite(radians)
         radians = np.where(finite, radians, 0.0)
         if settings.step is None:
-            steps = count_ladder(_automatic_steps(method, settings, bound, radians, finite))
+            with np.errstate(divide="ignore"):
+                by_phase = settings.tolerance / (method.dispersion * np.maximum(radians, 1e-300))
+                rate = RATE_ERROR_BUDGET * settings.rate_tolerance
+                rate = rate / np.where(finite, np.maximum(bound, 1e-300), 1.0)  # relative
+                y = np.minimum(
+                    by_phase ** (1 / method.order), (rate / method.dispersion) ** (1 / method.order)
+                )
+                by_dissipation = rate / (method.dissipation * np.maximum(radians, 1e-300))
+                y = np.minimum(y, by_dissipation ** (1 / (method.dissipation_order - 1)))
+                # A body at rest needs no steps, also where the tolerances are so small that y underflows to 0.
+                count = np.divide(radians, y, out=np.zeros_like(radians), where=radians > 0)
+            steps = count_ladder(np.minimum(count, float(settings.max_steps)))
         else:
             run = np.where(finite, duration, 0.0)
             steps = steps_of_length(settings.step, run, MIN_INTERVALS, settings.max_steps)
         y = radians / steps
-        steps_per_sample = _steps_per_sample(y, steps, radians * method.dispersion * y**method.order)
+        # A power of 2. The interpolation error, of order 8 in the distance of nodes, is kept below a tenth of the phase error.
+        with np.errstate(divide="ignore", invalid="ignore"):
+            phase_error = radians * method.dispersion * y**method.order
+            spacing = (0.1 * phase_error / INTERPOLATION_ERROR) ** (1 / 8) / y  # in steps
+        spacing = np.minimum(np.where(y > 0, spacing, MAX_STEPS_PER_SAMPLE), steps / (4 * MIN_INTERVALS))
+        steps_per_sample = 2 ** np.floor(np.log2(np.clip(spacing, 1, MAX_STEPS_PER_SAMPLE))).astype(np.int64)
         steps = -(-steps // steps_per_sample) * steps_per_sample
         radians = np.where(finite, radians, np.inf)  # no step resolves an infinite frequency
         y = radians / steps
@@ -177,37 +168,3 @@ def count_ladder(count: NDArray[np.float64]) -> NDArray[np.int64]:
     exponent = np.ceil(4 * np.log2(np.maximum(count / MAX_STEPS_PER_SAMPLE, 1.0)) - 1e-9)
     rounded = np.ceil(2.0 ** (exponent / 4) - 1e-9) * MAX_STEPS_PER_SAMPLE
     return rounded.astype(np.int64)
-
-
-def _automatic_steps(
-    method: Method,
-    settings: StepSizeSettings,
-    bound: NDArray[np.float64],
-    radians: NDArray[np.float64],
-    finite: NDArray[np.bool_],
-) -> NDArray[np.float64]:
-    """Steps, not yet whole, that keep the errors of StepSizes.of within the tolerances."""
-    with np.errstate(divide="ignore"):
-        y = (settings.tolerance / (method.dispersion * np.maximum(radians, 1e-300))) ** (1 / method.order)
-        relative_rate = (
-            RATE_ERROR_BUDGET * settings.rate_tolerance / np.where(finite, np.maximum(bound, 1e-300), 1.0)
-        )
-        y = np.minimum(y, (relative_rate / method.dispersion) ** (1 / method.order))
-        dissipation = relative_rate / (method.dissipation * np.maximum(radians, 1e-300))
-        y = np.minimum(y, dissipation ** (1 / (method.dissipation_order - 1)))
-        # A body at rest needs no steps, also where the tolerances are so small that y underflows to 0.
-        count = np.divide(radians, y, out=np.zeros_like(radians), where=radians > 0)
-    return np.minimum(count, float(settings.max_steps))
-
-
-def _steps_per_sample(
-    y: NDArray[np.float64], steps: NDArray[np.int64], dispersion_error: NDArray[np.float64]
-) -> NDArray[np.int64]:
-    """Steps between two nodes for steps of y radians at the frequency bound, a power of 2.
-
-    The interpolation error, of order 8 in the distance of nodes, is kept below a tenth of the phase error.
-    """
-    with np.errstate(divide="ignore", invalid="ignore"):
-        spacing = (0.1 * dispersion_error / INTERPOLATION_ERROR) ** (1 / 8) / y  # in steps
-    spacing = np.minimum(np.where(y > 0, spacing, MAX_STEPS_PER_SAMPLE), steps / (4 * MIN_INTERVALS))
-    return 2 ** np.floor(np.log2(np.clip(spacing, 1, MAX_STEPS_PER_SAMPLE))).astype(np.int64)

@@ -1,6 +1,6 @@
 """The kernel of the chaos indicators: blocks of points integrated together with one tangent vector each.
 
-The layout of the tangent vector v is in `tangent_space`. It is divided by its norm at NODES instants of a run
+The layout of the tangent vector v is in `augmented`. It is divided by its norm at NODES instants of a run
 or more, equally spaced but for the length of a step, and at its end. With L the logarithm of the growth of
 |v| up to an instant t,
 

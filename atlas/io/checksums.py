@@ -43,7 +43,17 @@ def add(path: Path) -> None:
     with NETCDF_LOCK, netCDF4.Dataset(path, "r+") as file:
         file.set_auto_maskandscale(False)
         file.set_auto_chartostring(False)
-        blocks = {name: _block_shape(variable) for name, variable in file.variables.items()}
+        blocks: BlockShapes = {}
+        for name, variable in file.variables.items():
+            # The chunks of a variable, or some rows of one without chunks.
+            chunks, block, room = variable.chunking(), list[int](), BLOCK_VALUES
+            if chunks == "contiguous":
+                for count in reversed(variable.shape):
+                    block.insert(0, min(count, room))
+                    room = max(room // count, 1)
+            else:
+                block = [min(length, count) for length, count in zip(chunks, variable.shape, strict=True)]
+            blocks[name] = block
         crc = _crc_of_blocks(file, blocks)
         group = file.createGroup(GROUP)
         group.createDimension("block", len(crc))
@@ -90,18 +100,6 @@ def _crc_of_blocks(file: netCDF4.Dataset, blocks: BlockShapes) -> np.ndarray:
         for index in np.ndindex(*_counts(variable.shape, blocks[name]))
     ]
     return np.array(crc, np.uint32)
-
-
-def _block_shape(variable: netCDF4.Variable[Any]) -> list[int]:
-    """Shape of the blocks of a variable: its chunks, or some rows of a variable without chunks."""
-    chunks = variable.chunking()
-    if chunks != "contiguous":
-        return [min(length, count) for length, count in zip(chunks, variable.shape, strict=True)]
-    block, room = list[int](), BLOCK_VALUES
-    for count in reversed(variable.shape):
-        block.insert(0, min(count, room))
-        room = max(room // count, 1)
-    return block
 
 
 def _counts(shape: Sequence[int], block: Sequence[int]) -> list[int]:
@@ -165,7 +163,21 @@ class CheckedStore(xr.backends.NetCDF4DataStore):
                     for variable in group.variables.values()
                 )
                 check_claim(claimed, path.stat().st_size)
-                store.checksums = _read_checksums(file)
+                group = file.groups.get(GROUP)
+                # A copy by another program has no groups; a flipped bit of the name must not make the file look like one.
+                if group is None and any(
+                    "crc32" in each.variables or "block" in each.dimensions for each in file.groups.values()
+                ):
+                    raise ValueError(f"the group {GROUP} has another name")
+                if group is not None:
+                    if group.getncattr("metadata_sha256") != _metadata_hash(file):
+                        raise ValueError("their hash differs")
+                    blocks: BlockShapes = json.loads(group.getncattr("block_shapes"))
+                    crc, store.checksums = np.asarray(group.variables["crc32"][:]), {}
+                    for name, variable in file.variables.items():
+                        counts = _counts(variable.shape, blocks[name])
+                        store.checksums[name] = blocks[name], crc[: math.prod(counts)].reshape(counts)
+                        crc = crc[math.prod(counts) :]
         except Exception as error:  # damaged metadata may raise any error
             store.close()
             raise BadInput(f"{path}: its dimensions or attributes are damaged: {one_line(error)}") from None
@@ -180,25 +192,6 @@ class CheckedStore(xr.backends.NetCDF4DataStore):
         return xr.Variable(
             variable.dims, indexing.LazilyIndexedArray(array), variable.attrs, variable.encoding
         )
-
-
-def _read_checksums(file: netCDF4.Dataset) -> dict[str, tuple[list[int], np.ndarray]] | None:
-    """Shape and CRCs of the blocks of every variable, or None without checksums; any error if damaged."""
-    group = file.groups.get(GROUP)
-    if group is None:
-        # A copy by another program has no groups; a flipped bit of the name must not make the file look like one.
-        if any("crc32" in each.variables or "block" in each.dimensions for each in file.groups.values()):
-            raise ValueError(f"the group {GROUP} has another name")
-        return None
-    if group.getncattr("metadata_sha256") != _metadata_hash(file):
-        raise ValueError("their hash differs")
-    blocks: BlockShapes = json.loads(group.getncattr("block_shapes"))
-    crc, checksums = np.asarray(group.variables["crc32"][:]), {}
-    for name, variable in file.variables.items():
-        counts = _counts(variable.shape, blocks[name])
-        checksums[name] = blocks[name], crc[: math.prod(counts)].reshape(counts)
-        crc = crc[math.prod(counts) :]
-    return checksums
 
 
 class _CheckedArray(BackendArray):
@@ -218,21 +211,16 @@ class _CheckedArray(BackendArray):
         ascending = [r if r.step > 0 else r[::-1] for r in ranges]
         values = np.empty([len(r) for r in ascending], self.dtype)
         for parts in product(*map(_parts, ascending, self.block)):
-            block = self._read_block(tuple(number for number, _, _ in parts))
+            index, name = tuple(number for number, _, _ in parts), self.array.variable_name
+            try:
+                block = np.asarray(self.array[indexing.BasicIndexer(_slices(index, self.block))])
+            except (RuntimeError, OSError) as error:
+                raise BadInput(f"{self.path}: the values of {name} are damaged: {one_line(error)}") from None
+            if _crc(block) != self.crc[index]:
+                raise BadInput(f"{self.path}: the values of {name} are damaged: their checksum differs")
             values[tuple(place for _, place, _ in parts)] = block[tuple(inside for _, _, inside in parts)]
         order = (slice(None, None, 1 if r.step > 0 else -1) for r in ranges)
         return values[tuple(o if isinstance(c, range) else 0 for c, o in zip(chosen, order, strict=True))]
-
-    def _read_block(self, index: tuple[int, ...]) -> np.ndarray:
-        """One block; BadInput if it differs from its CRC."""
-        name = self.array.variable_name
-        try:
-            values = np.asarray(self.array[indexing.BasicIndexer(_slices(index, self.block))])
-        except (RuntimeError, OSError) as error:
-            raise BadInput(f"{self.path}: the values of {name} are damaged: {one_line(error)}") from None
-        if _crc(values) != self.crc[index]:
-            raise BadInput(f"{self.path}: the values of {name} are damaged: their checksum differs")
-        return values
 
 
 def _parts(positions: range, length: int) -> Iterator[tuple[int, slice, slice]]:

@@ -66,8 +66,7 @@ def dataset(scene: Scene, columns: Mapping[str, Any], chunks: Sequence[int] | No
         elif name not in scene.axes and (
             not np.isnan(parameter.default) or name in scene.fixed or name in scene.ties
         ):
-            axes = _axes_of_parameter(scene, name)
-            values = _parameter_along_axes(scene, name, axes, chunks)
+            axes, values = _parameter_along_axes(scene, name, chunks)
             ds = ds.assign_coords({name: ([dimensions[i] for i in axes], values, attributes)})
     return ds
 
@@ -90,24 +89,15 @@ def parameter_attributes(system: System, name: str, offset: bool) -> dict[str, s
     return {"long_name": long_name, "units": parameter.unit}
 
 
-def _axes_of_parameter(scene: Scene, name: str) -> tuple[int, ...]:
-    """Axes, by number, on which a fixed or tied parameter depends."""
-    axes: set[str] = set()
-    pending, visited = [name], {name}
+def _parameter_along_axes(scene: Scene, name: str, chunks: Sequence[int] | None) -> tuple[list[int], Any]:
+    """Axes, by number, on which a fixed or tied parameter depends, and its values along them; chunks: see `dataset`."""
+    names, pending = {name}, [name]
     while pending:
         current = pending.pop()
         if current in scene.ties:
-            pending += scene.ties[current].names - visited
-            visited |= scene.ties[current].names
-        elif current in scene.axes:
-            axes.add(current)
-    return tuple(i for i, axis in enumerate(scene.axes) if axis in axes)
-
-
-def _parameter_along_axes(
-    scene: Scene, name: str, axes: tuple[int, ...], chunks: Sequence[int] | None
-) -> Any:
-    """Values of a parameter along the axes on which it depends; see `dataset` for chunks."""
+            pending += scene.ties[current].names - names
+            names |= scene.ties[current].names
+    axes = [i for i, axis in enumerate(scene.axes) if axis in names - scene.ties.keys()]
 
     def evaluate(indices: Sequence[np.ndarray]) -> np.ndarray:
         """Values at the given indices along the axes, at the first value of each other axis."""
@@ -119,14 +109,14 @@ def _parameter_along_axes(
 
     shape = [scene.shape[i] for i in axes]
     if chunks is None or np.prod(shape, dtype=float) <= MAX_EAGER_VALUES:
-        return evaluate([np.arange(count) for count in shape])
+        return axes, evaluate([np.arange(count) for count in shape])
     import dask.array as da
 
     def chunk(block_info: Any = None) -> np.ndarray:
         return evaluate([np.arange(*ends) for ends in block_info[None]["array-location"]])
 
     lengths = da.core.normalize_chunks([chunks[i] for i in axes], shape)
-    return da.map_blocks(chunk, chunks=lengths, dtype=float, meta=np.empty([0] * len(shape)))
+    return axes, da.map_blocks(chunk, chunks=lengths, dtype=float, meta=np.empty([0] * len(shape)))
 
 
 def write(ds: xr.Dataset, path: Path) -> None:

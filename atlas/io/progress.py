@@ -64,7 +64,13 @@ class Progress:
             now = time.perf_counter()
             if self.show and now - self._last_print >= (LIVE_INTERVAL if self.live else PLAIN_INTERVAL):
                 self._last_print = now
-                self._print()
+                speed, seconds_left = self._speed()
+                text = (
+                    f"{100 * self._done / self.points:5.1f} %  {self._done:.0f} of {self.points} points"
+                    f"  {speed:.3g} points/s  {clock(seconds_left)} left"
+                )
+                self.stream.write(f"\r{text}\x1b[K" if self.live else f"{text}\n")
+                self.stream.flush()
             if self.file is not None and now - self._last_save >= FILE_INTERVAL:
                 self._last_save = now
                 self._save(running=True)
@@ -89,15 +95,6 @@ class Progress:
         """Points per second, and seconds left."""
         speed = (self._done - self._done_at_no_cost) / max(self.stopwatch.seconds(), 1e-9)
         return speed, (self.points - self._done) / speed if speed > 0 else 0.0
-
-    def _print(self) -> None:
-        speed, seconds_left = self._speed()
-        text = (
-            f"{100 * self._done / self.points:5.1f} %  {self._done:.0f} of {self.points} points"
-            f"  {speed:.3g} points/s  {clock(seconds_left)} left"
-        )
-        self.stream.write(f"\r{text}\x1b[K" if self.live else f"{text}\n")
-        self.stream.flush()
 
     def _save(self, *, running: bool) -> None:
         assert self.file is not None

@@ -88,15 +88,19 @@ def off_family_labels(
             options = tolerances.angle, threads, pause
             size = length(motions.offset) / unit + length(motions.acceleration()) / unit**2
             sums = _integrate(motions, unit, steps, step_size, *options, change=np.fmax(_ROUNDING, size**2))
-            deviations = _Deviations(motions, unit, steps, sums)
             for name, rate in frames.items():
-                result[name][near] = deviations.label(tolerances, rate[near])
+                result[name][near] = _label(motions, unit, steps, sums, tolerances, rate[near])
             drifts = np.flatnonzero(
                 np.any([label[near] == Label.DRIFTING for label in result.values()], axis=0)
             )
             if drifts.size:
                 part = motions.subset(drifts), unit[drifts], steps[drifts], step_size[drifts]
-                other_terms = _differ(sums[:, drifts], _integrate(*part, *options))
+                # Whether deviations grow otherwise: their sizes, or the times at which they leave the linear range.
+                own, other = sums[:, drifts], _integrate(*part, *options)
+                ratio = own[Deviation.LARGEST_SQUARE] / other[Deviation.LARGEST_SQUARE]
+                linear = (own[Deviation.LINEAR] > 0) & (other[Deviation.LINEAR] > 0)
+                nodes = np.abs(own[Deviation.NODES] - other[Deviation.NODES])
+                other_terms = np.where(linear, np.abs(ratio - 1.0) > _MARGIN, nodes > 1)
                 for label in result.values():
                     label[near[drifts[other_terms]]] = Label.NOT_COMPUTED
     return result
@@ -251,61 +255,42 @@ def _integrate(
     return sums
 
 
-def _differ(sums: Array, other: Array) -> Mask:
-    """Whether deviations grow otherwise: whether their sizes differ, or the times at which they leave the linear range."""
-    ratio = sums[Deviation.LARGEST_SQUARE] / other[Deviation.LARGEST_SQUARE]
-    linear = (sums[Deviation.LINEAR] > 0) & (other[Deviation.LINEAR] > 0)
-    nodes = np.abs(sums[Deviation.NODES] - other[Deviation.NODES])
-    return np.asarray(np.where(linear, np.abs(ratio - 1.0) > _MARGIN, nodes > 1))
-
-
-@dataclass(frozen=True)
-class _Deviations:
-    """Some motions x0 + d, as long as d is small; arrays of shape (points,)."""
-
-    motions: _SteadyMotions
-    unit: Array  # of rates, rad per time unit
-    steps: NDArray[np.int64]
-    sums: Array  # (len(Deviation), points)
-
-    def label(self, tolerances: Tolerances, frame_rate: Array) -> Flags:
-        """Values of flags.Label; not_computed where the linear equations do not decide."""
-        sums = self.sums
-        mean = sums / sums[Deviation.NODES]
-        # Of a part of the run. Those of the whole one are not smaller than the root of its share times these.
-        share = sums[Deviation.NODES] / (self.steps + 1)
-        rows = {
-            "psi_dot": Deviation.PSI_DOT,
-            "phi_dot": Deviation.PHI_DOT,
-            "normal_rate": Deviation.NORMAL_RATE,
-        }
-        tilt = {
-            "theta_min": np.arctan2(1.0, sums[Deviation.LARGEST_COTANGENT]),
-            "theta_max": np.arctan2(1.0, sums[Deviation.LEAST_COTANGENT]),
-            "sine_max": sums[Deviation.LARGEST_SINE],
-        }
-        measured = {"theta_dot_rms": np.sqrt(share * mean[Deviation.THETA_DOT_SQUARE])}
-        for name, row in rows.items():
-            measured[f"{name}_std"] = np.sqrt(share * np.maximum(mean[row + 1] - mean[row] ** 2, 0.0))
-        error = {name: _MARGIN * value for name, value in measured.items()}
-        for name, rate in (("psi_dot", self.motions.n), ("phi_dot", self.motions.m)):
-            measured[f"{name}_mean"] = rate + mean[rows[name]]
-            error[f"{name}_mean"] = _MARGIN * np.abs(mean[rows[name]])
-        measured |= tilt
-        error |= dict.fromkeys(tilt, _MARGIN * (tilt["theta_max"] - tilt["theta_min"]))
-        rule = rates.rule(tolerances, frame_rate)
-        label = rule.label(measured)
-        unsure = could_change(rule, measured, error)
-        # Terms of second order decide nothing; a motion that has left the linear range drifts if it drifted before.
-        steady = label != Label.DRIFTING
-        second_order = np.where(steady, *_SECOND_ORDER) * sums[Deviation.LARGEST_SQUARE]
-        largest_rate = np.max(
-            [measured[name] for name in ("theta_dot_rms", *(f"{n}_std" for n in rows))], axis=0
-        )
-        unit = np.fmin(self.unit, self.motions.rate + largest_rate / np.sqrt(sums[Deviation.LARGEST_SQUARE]))
-        error = {
-            name: value + second_order * (1.0 if name in tilt else unit) for name, value in error.items()
-        }
-        within = could_change(rule, measured, error)
-        unsure |= np.where(sums[Deviation.LINEAR] > 0, within, steady)
-        return np.where(unsure, Label.NOT_COMPUTED, label).astype(np.int8)
+def _label(
+    motions: _SteadyMotions,
+    unit: Array,
+    steps: NDArray[np.int64],
+    sums: Array,
+    tolerances: Tolerances,
+    frame_rate: Array,
+) -> Flags:
+    """Label of motions x0 + d as long as d is small; not_computed where the linear equations do not decide. unit: of rates."""
+    mean = sums / sums[Deviation.NODES]
+    # Of a part of the run. Those of the whole one are not smaller than the root of its share times these.
+    share = sums[Deviation.NODES] / (steps + 1)
+    rows = {"psi_dot": Deviation.PSI_DOT, "phi_dot": Deviation.PHI_DOT, "normal_rate": Deviation.NORMAL_RATE}
+    tilt = {
+        "theta_min": np.arctan2(1.0, sums[Deviation.LARGEST_COTANGENT]),
+        "theta_max": np.arctan2(1.0, sums[Deviation.LEAST_COTANGENT]),
+        "sine_max": sums[Deviation.LARGEST_SINE],
+    }
+    measured = {"theta_dot_rms": np.sqrt(share * mean[Deviation.THETA_DOT_SQUARE])}
+    for name, row in rows.items():
+        measured[f"{name}_std"] = np.sqrt(share * np.maximum(mean[row + 1] - mean[row] ** 2, 0.0))
+    error = {name: _MARGIN * value for name, value in measured.items()}
+    for name, rate in (("psi_dot", motions.n), ("phi_dot", motions.m)):
+        measured[f"{name}_mean"] = rate + mean[rows[name]]
+        error[f"{name}_mean"] = _MARGIN * np.abs(mean[rows[name]])
+    measured |= tilt
+    error |= dict.fromkeys(tilt, _MARGIN * (tilt["theta_max"] - tilt["theta_min"]))
+    rule = rates.rule(tolerances, frame_rate)
+    label = rule.label(measured)
+    unsure = could_change(rule, measured, error)
+    # Terms of second order decide nothing; a motion that has left the linear range drifts if it drifted before.
+    steady = label != Label.DRIFTING
+    second_order = np.where(steady, *_SECOND_ORDER) * sums[Deviation.LARGEST_SQUARE]
+    largest_rate = np.max([measured[name] for name in ("theta_dot_rms", *(f"{n}_std" for n in rows))], axis=0)
+    unit = np.fmin(unit, motions.rate + largest_rate / np.sqrt(sums[Deviation.LARGEST_SQUARE]))
+    error = {name: value + second_order * (1.0 if name in tilt else unit) for name, value in error.items()}
+    within = could_change(rule, measured, error)
+    unsure |= np.where(sums[Deviation.LINEAR] > 0, within, steady)
+    return np.where(unsure, Label.NOT_COMPUTED, label).astype(np.int8)

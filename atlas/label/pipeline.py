@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -17,7 +17,6 @@ from ..measure.circle import ANY_AXIS_THEORY
 from ..measure.instrument import Run
 from ..scene.grid import Grid, status_of
 from ..systems.base import Array, Flags, Mask, derived_values
-from . import labels
 from .plan import Plan
 from .theory import Theory, agreement, departure_changes, predict_any_axis
 
@@ -47,22 +46,47 @@ def evaluate(
             columns[name] = np.full(tile.exists.shape, empty, values.dtype)
             columns[name][tile.exists] = values
         return columns | {"status": np.where(tile.exists, columns["status"], status_of(tile.reason))}
-    runs = _prepare(plan, tile, halved, _Execution(threads, progress or (lambda points: None)))
+    runs = _prepare(plan, tile, halved, threads, progress or (lambda points: None))
     run = runs.integrate()
     columns = _assemble(runs, run, *_recheck(runs, run))
-    return columns | _additions(runs, columns)
+    # What follows from the other variables, from theory, and from runs with tangent vectors.
+    added = dict[str, np.ndarray]()
+    if "predicted" in columns:
+        added["agreement"] = agreement(columns["label"], columns["predicted"])
+    if runs.tangent is not None:
+        added |= runs.tangent.variables(columns, threads, runs.progress)
+    if not frozenset(plan.names).isdisjoint(ANY_AXIS_THEORY):
+        added |= predict_any_axis(
+            plan.system, tile.base, tile.points, columns, plan.settings.rate_tolerance,
+            nudged=plan.nudged, cylinder_tolerance=plan.settings.cylinder, duration=tile.duration,
+        )  # fmt: skip
+        if "agreement_any_axis" in plan.names:
+            added["agreement_any_axis"] = agreement(columns["label_any_axis"], added["predicted_any_axis"])
+    return columns | added | derived_values(plan.system, plan.names, tile.base, tile.duration, runs.check)
 
 
-@dataclass(frozen=True)
-class _Execution:
-    """By how many threads points are integrated, and the function that is called with their progress."""
+def label_status(
+    finite: Mask,
+    integral_drift: Array,
+    drift_tolerance: float,
+    resolved: Mask,
+    rounding_growth: Array,
+    rounding_limit: Array | float,
+    step_sensitive: Mask | bool = False,
+) -> Flags:
+    """Status of each computed point: the first that applies, in the order of `flags.Status`.
 
-    threads: int | None
-    progress: Callable[[float], None]  # takes a number of points; may raise an exception to end the run
-
-    def check(self, point_steps: int = 0) -> None:
-        """For what does not count as progress: call `progress`, which may end the run."""
-        self.progress(0.0)
+    rounding_growth is growth rate times duration where the start is on an unstable motion to rounding, else
+    0; step_sensitive: whether the label changes, or could, when the step is halved.
+    """
+    conditions = {
+        Status.NOT_FINITE: ~finite,
+        Status.DRIFT_EXCEEDED: integral_drift > drift_tolerance,
+        Status.UNDER_RESOLVED: ~resolved,
+        Status.STEP_SENSITIVE: step_sensitive,
+        Status.ROUNDOFF_DECIDED: (rounding_growth > 0) & (rounding_growth > rounding_limit),
+    }
+    return np.select(list(conditions.values()), list(conditions), Status.OK).astype(np.int8)
 
 
 @dataclass(frozen=True)
@@ -76,7 +100,12 @@ class _Runs:
     settled: Mask  # whether the frequency bound holds for the whole run, as far as is known
     theory: Theory
     tangent: TangentRuns | None
-    execution: _Execution
+    threads: int | None
+    progress: Callable[[float], None]  # takes a number of points; may raise an exception to end the run
+
+    def check(self, point_steps: int = 0) -> None:
+        """For what does not count as progress: call `progress`, which may end the run."""
+        self.progress(0.0)
 
     def integrate(self) -> Run:
         """Integrate the points, unresolved ones for a few steps; certain drift may end early if planned."""
@@ -90,8 +119,8 @@ class _Runs:
                 stop_rate = main.early_stop_rate(bound, step_sizes, settings.tolerances)
                 stop_rate = np.where(self.theory.error_amplified(step_sizes, settings), np.inf, stop_rate)
         integration = self.ensemble.integrate(
-            self.plan.kernel, step_sizes, settings.cylinder, early_stop_rate=stop_rate, threads=self.execution.threads,
-            progress=lambda point_steps: self.execution.progress(points * point_steps / total),
+            self.plan.kernel, step_sizes, settings.cylinder, early_stop_rate=stop_rate, threads=self.threads,
+            progress=lambda point_steps: self.progress(points * point_steps / total),
         )  # fmt: skip
         rates, growth = self.theory.frame_rates, self.theory.prediction.log_growth
         return Run(
@@ -101,7 +130,7 @@ class _Runs:
     def by_steps(self, run: Run, step_sizes: StepSizes) -> Run:
         """The points of a run integrated by other steps."""
         integration = run.ensemble.integrate(
-            self.plan.kernel, step_sizes, run.settings.cylinder, threads=self.execution.threads, progress=self.execution.check
+            self.plan.kernel, step_sizes, run.settings.cylinder, threads=self.threads, progress=self.check
         )  # fmt: skip
         return replace(run, step_sizes=step_sizes, integration=integration).measure()
 
@@ -113,39 +142,33 @@ class _Runs:
 
     def status(self, run: Run, step_sensitive: Mask | bool) -> Flags:
         with np.errstate(all="ignore"):
-            return labels.status(
+            return label_status(
                 run.integration.finite, run.measured["integral_drift"], run.settings.drift_tolerance,
                 self.resolved(run), *self.theory.rounding(run), step_sensitive,
             )  # fmt: skip
 
 
-def _prepare(plan: Plan, tile: Grid, halved: bool, execution: _Execution) -> _Runs:
+def _prepare(
+    plan: Plan, tile: Grid, halved: bool, threads: int | None, progress: Callable[[float], None]
+) -> _Runs:
     """The ensemble, its step sizes and its theory. Parameters may overflow: such points end up unresolved."""
     system, settings, main = plan.system, plan.settings, plan.main
     ensemble, method = Ensemble.of(system, tile.points, plan.plugs), METHODS[settings.method]
-    settled = np.ones(ensemble.size, bool)
-    if system.has_numeric_bound:
-        bound, settled = numeric_bound.along_runs(
-            system,
-            plan.kernel,
-            method,
-            ensemble,
-            tile.duration,
-            settings.max_steps,
-            threads=execution.threads,
-        )
-        ensemble = replace(ensemble, frequency_bound=main.bound(bound, settled))
+    bound, settled = numeric_bound.along_runs(
+        system, plan.kernel, method, ensemble, tile.duration, settings.max_steps, threads=threads
+    )
+    ensemble = replace(ensemble, frequency_bound=main.bound(bound, settled))
     with np.errstate(all="ignore"):
         step_sizes = main.step_sizes(settings, ensemble.frequency_bound, tile.duration)
         if halved:
             step_sizes = step_sizes.halved(method)
-        theory = Theory.of(plan, tile, ensemble, step_sizes, pause=execution.check, threads=execution.threads)
+        theory = Theory.of(plan, tile, ensemble, step_sizes, pause=lambda: progress(0.0), threads=threads)
         tangent = None
         if plan.has_chaos:
             tangent = TangentRuns.of(
                 system, plan.tangent_kernel, ensemble, tile.points, tile.duration, settings, step_sizes
             )
-    return _Runs(plan, tile, ensemble, step_sizes, settled, theory, tangent, execution)
+    return _Runs(plan, tile, ensemble, step_sizes, settled, theory, tangent, threads, progress)
 
 
 def _recheck(runs: _Runs, run: Run) -> tuple[Array, Mask]:
@@ -161,9 +184,28 @@ def _recheck(runs: _Runs, run: Run) -> tuple[Array, Mask]:
         )
         errors, error = run.errors()
         unsure = run.unsure(errors)
-        sample = np.flatnonzero(usable & _measured_points(run))
+        # Points whose error is measured: none, all, or one in POINTS_PER_HALF_STEP, by a hash of the point. All are with a
+        # numeric bound, because the expected error does not contain what the bound has not seen.
+        which, is_numeric = run.settings.check_half_step, run.system.has_numeric_bound
+        chosen = np.full(usable.size, which == "all" or is_numeric)
+        if which == "sample" and not is_numeric:
+            mixed = np.zeros(usable.size, np.uint64)
+            for bits in np.concatenate([run.ensemble.state, run.ensemble.constants]).view(np.uint64):
+                mixed = (mixed ^ bits) * np.uint64(0x9E3779B97F4A7C15)
+                mixed ^= mixed >> np.uint64(29)
+            chosen = mixed % np.uint64(POINTS_PER_HALF_STEP) == 0
+        sample = np.flatnonzero(usable & chosen)
         if sample.size:
-            error[sample], unsure[sample] = _measured_error(runs, run.subset(sample), error[sample])
+            # By a second run with fewer steps, whose overflow could change a label as well.
+            part, expected = run.subset(sample), error[sample]
+            sizes = part.step_sizes
+            coarser = sizes.incommensurate(method) if is_numeric else sizes.coarsened(method)
+            coarse = runs.by_steps(part, coarser)
+            error[sample] = np.fmax.reduce(
+                [each.pair_error(part, coarse, expected) for each in run.instruments]
+            )
+            could_differ = part.unsure(run.main.differences(part, coarse, error[sample]))
+            unsure[sample] = could_differ | ~coarse.integration.finite
         where = np.flatnonzero(usable & ~step_sensitive & (unsure | departed))
         if where.size:
             part = run.subset(where)
@@ -176,31 +218,6 @@ def _recheck(runs: _Runs, run: Run) -> tuple[Array, Mask]:
             step_sensitive[where] = changes
             error[where] = np.fmax(error[where], change)
         return np.fmax(error, run.measured["integral_drift"]), step_sensitive
-
-
-def _measured_points(run: Run) -> Mask:
-    """Points whose error is measured: none, all, or one in POINTS_PER_HALF_STEP, by a hash of the point.
-
-    All are with a numeric bound, because the expected error does not contain what the bound has not seen.
-    """
-    which, ensemble = run.settings.check_half_step, run.ensemble
-    if which != "sample" or run.system.has_numeric_bound:
-        return np.full(ensemble.size, which == "all" or run.system.has_numeric_bound)
-    mixed = np.zeros(ensemble.size, np.uint64)
-    for bits in np.concatenate([ensemble.state, ensemble.constants]).view(np.uint64):
-        mixed = (mixed ^ bits) * np.uint64(0x9E3779B97F4A7C15)
-        mixed ^= mixed >> np.uint64(29)
-    return np.asarray(mixed % np.uint64(POINTS_PER_HALF_STEP) == 0)
-
-
-def _measured_error(runs: _Runs, run: Run, expected: Array) -> tuple[Array, Mask]:
-    """Errors from a second run with fewer steps, and where they, or its overflow, could change a label."""
-    sizes, method = run.step_sizes, METHODS[run.settings.method]
-    coarser = sizes.incommensurate(method) if run.system.has_numeric_bound else sizes.coarsened(method)
-    coarse = runs.by_steps(run, coarser)
-    error = np.fmax.reduce([each.pair_error(run, coarse, expected) for each in run.instruments])
-    unsure = run.unsure(run.main.differences(run, coarse, error))
-    return error, unsure | ~coarse.integration.finite
 
 
 def _assemble(runs: _Runs, run: Run, error: Array, step_sensitive: Mask) -> dict[str, np.ndarray]:
@@ -229,24 +246,3 @@ def _assemble(runs: _Runs, run: Run, error: Array, step_sensitive: Mask) -> dict
         "end_time": np.where(ended, integration.duration, runs.tile.duration),
     }
     return columns
-
-
-def _additions(runs: _Runs, columns: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
-    """What follows from the other variables, from theory, and from runs with tangent vectors."""
-    plan, tile, execution = runs.plan, runs.tile, runs.execution
-    result: dict[str, np.ndarray] = {}
-    if "predicted" in columns:
-        result["agreement"] = agreement(columns["label"], columns["predicted"])
-    if runs.tangent is not None:
-        result |= runs.tangent.variables(columns, execution.threads, execution.progress)
-    if not frozenset(plan.names).isdisjoint(ANY_AXIS_THEORY):
-        predicted = predict_any_axis(
-            plan.system, tile.base, tile.points, columns, plan.settings.rate_tolerance,
-            nudged=plan.nudged, cylinder_tolerance=plan.settings.cylinder, duration=tile.duration,
-        )  # fmt: skip
-        result |= predicted
-        if "agreement_any_axis" in plan.names:
-            result["agreement_any_axis"] = agreement(
-                columns["label_any_axis"], predicted["predicted_any_axis"]
-            )
-    return result | derived_values(plan.system, plan.names, tile.base, tile.duration, execution.check)

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 from types import ModuleType
 
-from ..engine import specialization
+from ..engine import specialization, tangent
 from ..engine.specialization import GENERIC, Specialization
 from ..measure.chaos import Chaos
 from ..measure.instrument import Instrument, MainInstrument
@@ -78,5 +78,6 @@ class Plan:
         """Hash of the kernel; a second one follows where points are integrated with tangent vectors as well."""
         sources = [specialization.source(self.system, self.settings.method, self.specialization, self.plugs)]
         if self.has_chaos:
-            sources.append(specialization.tangent_source(self.system, self.specialization))
+            method = tangent.METHOD.name
+            sources.append(specialization.source(self.system, method, self.specialization, of=tangent))
         return specialization.kernel_hash(*sources)

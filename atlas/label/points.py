@@ -20,7 +20,7 @@ from ..scene.checks import MAX_THREADS, texts, typed, whole_number
 from ..scene.model import DEFAULTS, Duration, Settings
 from ..scene.read import check_std_tolerance, check_unit, parse_duration
 from ..scene.tables import kept_columns, number_column, point_columns, table
-from ..systems.base import Array, Flags, Points, System, subset
+from ..systems.base import Array, Points, System, subset
 from ..variables import default_variables
 from ..variables import variables as variable_registry
 from .pipeline import evaluate
@@ -98,7 +98,14 @@ def label_points(
     settings = Settings(method=method, tolerance=tolerance, step=step, rate_tolerance=rate_tolerance, **more)
     check_std_tolerance(description, settings.std_tolerance)
     whole_number("threads", 1 if threads is None else threads, 1, MAX_THREADS)
-    outputs, keep = _outputs(description, variables), texts("keep", keep)
+    registry = variable_registry(description)
+    outputs = default_variables(description)
+    if variables is not None:
+        for name in (variables := texts("variables", variables)):
+            if name not in registry:
+                raise BadInput(f"variables: {shown(name)} is unknown; {allowed_text(name, registry)}")
+        outputs = [name for name in registry if name in variables]
+    keep = texts("keep", keep)
     source = table(points, {*description.parameters, *keep})
     kept = kept_columns(description, source, keep)
     for name in kept:
@@ -106,11 +113,23 @@ def label_points(
             raise BadInput(f"points: the column {name} has the name of a variable of the result; rename it")
     full, size = point_columns(description, source, kept)
     durations, unit = _durations(description, duration, full, size)
-    reason = _reasons(description, full, durations, unit)
-    warnings = _warnings(description, full, reason, unit)
+    description.check_possible(full)
+    reason = grid.reasons(description, full)
+    reason[(reason == grid.Reason.NONE) & np.isnan(durations)] = grid.Reason.NO_TURN
+    if (reason != grid.Reason.NONE).all():
+        raise BadInput(
+            f"{grid.sentence(grid.Reason.NO_TURN, description, None, unit)}; give a number of time units"
+        )
+    computed = subset(full, reason == grid.Reason.NONE)
+    counts = np.bincount(reason, minlength=len(grid.Reason))
+    warnings = grid.count_lines(counts, description, None, unit) + grid.system_warnings(description, computed)
+    try:
+        description.check(full)
+    except BadInput as error:  # of incomplete points
+        warnings.append(str(error))
     log_warnings(warnings)
     stopwatch = Stopwatch()
-    specialization = Specialization.of_points(description, subset(full, reason == grid.Reason.NONE))
+    specialization = Specialization.of_points(description, computed)
     plan = Plan(description, settings, None if variables is None else outputs, specialization)
     columns = _evaluate_in_tiles(plan, grid.Grid(full, full, reason, durations), outputs, threads, progress)
     ds = _dataset(description, columns, full, kept)
@@ -119,17 +138,6 @@ def label_points(
         points=size, warnings=warnings,
     )  # fmt: skip
     return ds
-
-
-def _outputs(system: System, variables: Sequence[str] | None) -> list[str]:
-    """The variables wanted, in the order of the registry."""
-    registry = variable_registry(system)
-    if variables is None:
-        return default_variables(system)
-    for name in (variables := texts("variables", variables)):
-        if name not in registry:
-            raise BadInput(f"variables: {shown(name)} is unknown; {allowed_text(name, registry)}")
-    return [name for name in registry if name in variables]
 
 
 def _durations(system: System, duration: Any, points: Points, size: int) -> tuple[Array, Duration]:
@@ -150,47 +158,21 @@ def _durations(system: System, duration: Any, points: Points, size: int) -> tupl
     return durations, Duration()
 
 
-def _reasons(system: System, points: Points, durations: Array, text: Duration) -> Flags:
-    """Why points are not computed, values of grid.Reason; BadInput if none of them is."""
-    system.check_possible(points)
-    reason = grid.reasons(system, points)
-    reason[(reason == grid.Reason.NONE) & np.isnan(durations)] = grid.Reason.NO_TURN
-    if (reason != grid.Reason.NONE).all():
-        raise BadInput(
-            f"{grid.sentence(grid.Reason.NO_TURN, system, None, text)}; give a number of time units"
-        )
-    return reason
-
-
-def _warnings(system: System, points: Points, reason: Flags, text: Duration) -> list[str]:
-    """Points that are not computed, the system's warnings, and its objection to incomplete points."""
-    counts = np.bincount(reason, minlength=len(grid.Reason))
-    warnings = grid.count_lines(counts, system, None, text)
-    warnings += grid.system_warnings(system, subset(points, reason == grid.Reason.NONE))
-    try:
-        system.check(points)
-    except BadInput as error:
-        warnings.append(str(error))
-    return warnings
-
-
 def _evaluate_in_tiles(
     plan: Plan, points: grid.Grid, names: Sequence[str], threads: int | None, progress: bool
 ) -> dict[str, np.ndarray]:
     """The named variables of all points."""
     size, registry = points.duration.size, variable_registry(plan.system)
     columns = {name: np.empty(size, registry[name].dtype) for name in names}
-    bar = Progress(size) if progress else None
+    bar = Progress(size, show=progress)
     for first in range(0, size, grid.MAX_POINTS_PER_TILE):
         tile = slice(first, first + grid.MAX_POINTS_PER_TILE)
         part = points.subset(tile)
-        values = evaluate(plan, part, threads=threads, progress=None if bar is None else bar.advance)
-        if bar is not None:
-            bar.skip(part.reason.size - int(part.exists.sum()))
+        values = evaluate(plan, part, threads=threads, progress=bar.advance)
+        bar.skip(part.reason.size - int(part.exists.sum()))
         for name, column in columns.items():
             column[tile] = values[name]
-    if bar is not None:
-        bar.close()
+    bar.close()
     return columns
 
 

@@ -17,7 +17,6 @@ from ..measure.rates import steady_label
 from ..scene.grid import Grid
 from ..scene.model import Settings
 from ..systems.base import FAMILY_TOLERANCE, Array, Flags, Mask, Points, System, shape_of, subset
-from .labels import ROUNDING_RESIDUAL, ROUNDOFF, rounding_limit
 from .offsets import describes, near_circle, off_family_labels
 from .plan import Plan
 
@@ -25,6 +24,11 @@ MAX_LOG_GROWTH = 700.0  # exp of more overflows
 # A start near an unstable motion departs by its nudge, not by integration errors, where theta' at half the
 # step is the same within this share.
 HALF_STEP_RTOL = 0.05
+# Relative rounding error of an initial state: an unstable motion amplifies it.
+ROUNDOFF = 1e-16
+# The conditions of a steady motion are satisfied as well as rounding allows where their residual is at most this: of a
+# larger distance from the motion, rounding errors change less than a hundredth.
+ROUNDING_RESIDUAL = 1e-13
 
 
 @dataclass(frozen=True)
@@ -46,11 +50,7 @@ class Prediction:
 
 
 def predict_runs(
-    plan: Plan,
-    tile: Grid,
-    *,
-    pause: Callable[[], None] = lambda: None,
-    threads: int | None = None,
+    plan: Plan, tile: Grid, *, pause: Callable[[], None] = lambda: None, threads: int | None = None
 ) -> Prediction:
     """Predictions for the runs of a plan.
 
@@ -65,7 +65,7 @@ def predict_runs(
         pushed = ~exact_starts(system, points, nearby) if nudged else np.zeros_like(nearby)
         family, family_residual = _identify(system, base)
         other = _about_other_axes(system, family)
-        variables = _predict(system, base, family, tolerances, pushed)
+        variables = predict(system, base, tolerances.rate, pushed, tolerances.angle, family)
         off = ((family == 0) | other) & system.complete(base)
         if not nudged:
             off |= (family > 0) & (family_residual > ROUNDING_RESIDUAL)
@@ -158,6 +158,7 @@ def predict(
     rate_tolerance: float,
     nudged: Mask | bool,
     cylinder_tolerance: float | None = None,
+    family: Flags | None = None,
 ) -> dict[str, np.ndarray]:
     """Labels of starts, given before any nudge, from theory alone, with family, stable and growth_rate.
 
@@ -166,33 +167,24 @@ def predict(
     not_computed. Rates of at most rate_tolerance, rad per time unit, count as zero, and a tilt below
     cylinder_tolerance, rad (default: the same number), as on the vertical.
     """
-    tolerances = _tolerances(rate_tolerance, cylinder_tolerance)
-    return _predict(system, points, _identify(system, points)[0], tolerances, nudged)
-
-
-def _tolerances(rate: float, cylinder: float | None) -> Tolerances:
-    """Tolerances of labels; the cylinder's default is the number of the rate's."""
-    return Tolerances(rate, rate if cylinder is None else cylinder)
-
-
-def _identify(system: System, points: Points) -> tuple[Flags, Array]:
-    """Family of each start and the residual of its conditions, as System.identify_family; none beyond its range."""
-    family, residual = system.identify_family(points)
-    return np.where(system.within_range(points), family, 0).astype(np.int8), residual
-
-
-def _predict(
-    system: System, points: Points, family: Flags, tolerances: Tolerances, nudged: Mask | bool
-) -> dict[str, np.ndarray]:
+    if family is None:
+        family, _ = _identify(system, points)
+    angle = rate_tolerance if cylinder_tolerance is None else cylinder_tolerance
     stable, growth = system.linear_stability(points, family)
     sine, n, m = system.steady_rates(points)
     result: dict[str, np.ndarray] = {"family": family, "stable": stable, "growth_rate": growth}
     on_family = (family > 0) & ~_about_other_axes(system, family)
     complete = system.complete(points) & system.within_range(points)
     for name, frame_rate in _frame_rates(system, points).items():
-        label = steady_label(n + frame_rate, m, np.abs(sine) < tolerances.angle, tolerances.rate)
+        label = steady_label(n + frame_rate, m, np.abs(sine) < angle, rate_tolerance)
         result[name] = _after_nudge(label, stable, nudged, on_family, complete)
     return result
+
+
+def _identify(system: System, points: Points) -> tuple[Flags, Array]:
+    """Family of each start and the residual of its conditions, as System.identify_family; none beyond its range."""
+    family, residual = system.identify_family(points)
+    return np.where(system.within_range(points), family, 0).astype(np.int8), residual
 
 
 def _frame_rates(system: System, points: Points) -> dict[str, Array]:
@@ -238,11 +230,11 @@ def predict_any_axis(
     else not_computed.
     """
     family, stable = theory["family"], theory["stable"]
-    tolerances = _tolerances(rate_tolerance, cylinder_tolerance)
+    angle = rate_tolerance if cylinder_tolerance is None else cylinder_tolerance
     with np.errstate(all="ignore"):
         other = _about_other_axes(system, family)
         complete = system.complete_any_axis(base) & system.within_range(base)
-        complete &= ~near_circle(system, points, duration, tolerances.rate)
+        complete &= ~near_circle(system, points, duration, rate_tolerance)
         pushed = other & ~exact_starts(system, points, other) if nudged else False
         sine, n, m = system.any_axis_rates(base, family)
         result = {}
@@ -250,8 +242,8 @@ def predict_any_axis(
             rate = n + frame_rate
             # The angular velocity runs along an arc of m T on its circle; one that is as small as the tolerance is a point.
             spread = np.sqrt(1.0 - np.nan_to_num(np.sinc(m * duration / (2.0 * np.pi))) ** 2)
-            constant = (sine < tolerances.angle) | (np.abs(rate) * sine * spread <= tolerances.rate)
-            label = steady_label(rate, m, constant, tolerances.rate)
+            constant = (sine < angle) | (np.abs(rate) * sine * spread <= rate_tolerance)
+            label = steady_label(rate, m, constant, rate_tolerance)
             label = _after_nudge(label, stable, pushed, other, complete)
             # On and near a motion about the third axis and the vertical the label about these is that about any axes.
             steady = np.isin(theory[own], (Label.REGULAR_PRECESSION, Label.PERMANENT_ROTATION))
@@ -273,6 +265,15 @@ def exact_starts(
         flag, residual = system.identify_family(subset(points, where))
         exact[where] = (flag > 0) & (residual <= np.broadcast_to(max_residual, candidates.shape)[where])
     return exact
+
+
+def rounding_limit(residual: Array, frequency_bound: Array, tolerances: Tolerances) -> Array:
+    """Growth, as a logarithm, by which rounding errors reach a tolerance, by the residual of a steady start.
+
+    Rounding errors of rates are relative to the frequency bound, errors of angles to 1.
+    """
+    tolerance = np.minimum(tolerances.rate / frequency_bound, tolerances.angle)
+    return np.asarray(np.log(tolerance / np.fmax(residual, ROUNDOFF)))
 
 
 def agreement(label: Flags, predicted: Flags) -> Flags:

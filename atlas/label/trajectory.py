@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Set
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 
 from .. import systems
 from ..engine import blocks, numeric_bound
+from ..engine.augmented import with_frame_vector
 from ..engine.ensemble import Ensemble
-from ..engine.losses import with_frame_vector
 from ..engine.stepsize import StepSizes
 from ..engine.tableaux import METHODS, Method
 from ..errors import BadInput
@@ -121,17 +121,9 @@ def _trajectory(
     plan = Plan(system, settings)
     durations = np.array([duration])
     with np.errstate(all="ignore"):  # numbers may overflow: the motion is then not finite
-        bound = ensemble.frequency_bound
-        if system.has_numeric_bound:
-            bound, _ = numeric_bound.along_runs(
-                system,
-                plan.kernel,
-                METHODS[settings.method],
-                ensemble,
-                durations,
-                settings.max_steps,
-                threads=1,
-            )
+        bound, _ = numeric_bound.along_runs(
+            system, plan.kernel, METHODS[settings.method], ensemble, durations, settings.max_steps, threads=1
+        )
         step_sizes = StepSizes.of(settings, bound, durations)
     # Whole steps between samples, never longer than in the atlas.
     steps = -(-int(step_sizes.steps[0]) // (samples - 1))
@@ -149,7 +141,13 @@ def _trajectory(
     at_samples = slice(None, None, parts)
     path, lost = ({name: values[at_samples] for name, values in each.items()} for each in (path, lost))
     ds = _dataset(system, ensemble, states[at_samples], lost, path, np.linspace(0.0, duration, samples))
-    _add_parameters(ds, system, points, float(step_size[0]))
+    # Variables, because xarray prints scalar coordinates over every plot.
+    ds["step"] = ((), float(step_size[0]), {"long_name": "integration step", "units": "s"})
+    for name, parameter in system.parameters.items():
+        value = float(points[name][0])
+        if not np.isnan(value):
+            attributes = {"long_name": parameter.meaning, "units": parameter.unit}
+            ds[f"{name}_start" if name in ds else name] = ((), value, attributes)
     ds.attrs = netcdf.provenance(
         system, settings, plan.kernel_hash, title=title or f"trajectory of the {system.title}",
         scene="", seconds=0.0, points=1, warnings=system.warnings(points),
@@ -208,7 +206,22 @@ def _dataset(
     equations, constants = system.equations, ensemble.constants
     columns = {name: states[:, i] for i, name in enumerate(equations.STATE)}
     if path:
-        columns |= _angles(equations, states, constants, path)
+        u1, u2, u3, g1, g2, g3 = equations.frame_motion(states.T, constants)
+        with np.errstate(all="ignore"):
+            sine = np.hypot(g1, g2)
+            psi_dot = (u1 * g1 + u2 * g2) / sine**2
+            columns |= {
+                "theta": np.arctan2(sine, g3),
+                "phi": np.where(sine == 0.0, np.nan, path["phi"]),
+                "theta_dot": (u1 * g2 - u2 * g1) / sine,
+                "psi_dot": psi_dot,
+                "phi_dot": u3 - psi_dot * g3,
+                "normal_rate": u1 * g1 + u2 * g2 + u3 * g3,
+                "psi": np.where(sine == 0.0, np.nan, path["psi"]),
+                "axis_x": path["axis_x"],
+                "axis_y": path["axis_y"],
+                "axis_z": g3,
+            }
     for name in (o.name for o in system.observables if o.name not in columns):
         with np.errstate(all="ignore"):
             columns[name] = np.broadcast_to(getattr(equations, name)(states.T, constants), len(states))
@@ -218,58 +231,22 @@ def _dataset(
             total = sum(getattr(equations, name)(states.T, constants)) + lost.get(name, 0.0)
             drift = np.maximum(drift, np.abs(total - total[0]) * scale)
     columns["integral_drift"] = drift
-    attributes = _attributes(system, _VARIABLES.keys() if path else {"integral_drift"})
-    return xr.Dataset(
-        {name: ("time", np.asarray(values), attributes[name]) for name, values in columns.items()},
-        coords={"time": ("time", time, {"long_name": "time", "units": "s"})},
-    )
-
-
-def _attributes(system: System, names: Set[str]) -> dict[str, dict[str, str]]:
-    """long_name and units of the states, of variables of these names and of observables; of a state that is no rate the units are unknown."""
-    attributes = {name: {"long_name": f"state {name}"} for name in system.equations.STATE}
+    # Of a state that is no rate the units are unknown.
+    attributes = {name: {"long_name": f"state {name}"} for name in equations.STATE}
     for name in system.rate_states:
         attributes[name]["units"] = _RATE
     for name, axis in zip(("axis_x", "axis_y", "axis_z"), system.frame_axes, strict=True):
         attributes[name] = {"long_name": f"third axis along {axis.strip('$')}", "units": "1"}
-    described = {name: _VARIABLES[name] for name in names} | {
-        o.name: (o.long_name, o.unit) for o in system.observables
-    }
+    described = {name: text for name, text in _VARIABLES.items() if path or name == "integral_drift"}
+    described |= {o.name: (o.long_name, o.unit) for o in system.observables}
     for name, (long_name, units) in described.items():
         attributes[name] = {"long_name": long_name, "units": units}
-    for name in names & {"psi", "phi", "theta_dot", "psi_dot", "phi_dot"}:
+    for name in described.keys() & {"psi", "phi", "theta_dot", "psi_dot", "phi_dot"} if path else ():
         attributes[name]["comment"] = "nan where the third axis is exactly on the vertical"
-    return attributes
-
-
-def _add_parameters(ds: xr.Dataset, system: System, points: Points, step: float) -> None:
-    """Add step and parameters as variables: xarray prints scalar coordinates over every plot."""
-    ds["step"] = ((), step, {"long_name": "integration step", "units": "s"})
-    for name, parameter in system.parameters.items():
-        value = float(points[name][0])
-        if not np.isnan(value):
-            attributes = {"long_name": parameter.meaning, "units": parameter.unit}
-            ds[f"{name}_start" if name in ds else name] = ((), value, attributes)
-
-
-def _angles(equations: Any, states: Array, constants: Array, path: Mapping[str, Array]) -> dict[str, Array]:
-    """Euler angles, their rates and the third body axis in the frame, at every instant; path: as `_path` returns."""
-    u1, u2, u3, g1, g2, g3 = equations.frame_motion(states.T, constants)
-    with np.errstate(all="ignore"):
-        sine = np.hypot(g1, g2)
-        psi_dot = (u1 * g1 + u2 * g2) / sine**2
-        return {
-            "theta": np.arctan2(sine, g3),
-            "phi": np.where(sine == 0.0, np.nan, path["phi"]),
-            "theta_dot": (u1 * g2 - u2 * g1) / sine,
-            "psi_dot": psi_dot,
-            "phi_dot": u3 - psi_dot * g3,
-            "normal_rate": u1 * g1 + u2 * g2 + u3 * g3,
-            "psi": np.where(sine == 0.0, np.nan, path["psi"]),
-            "axis_x": path["axis_x"],
-            "axis_y": path["axis_y"],
-            "axis_z": g3,
-        }
+    return xr.Dataset(
+        {name: ("time", np.asarray(values), attributes[name]) for name, values in columns.items()},
+        coords={"time": ("time", time, {"long_name": "time", "units": "s"})},
+    )
 
 
 def _path(system: System, points: Points, motion: _Motion, states: Array, steps: int) -> dict[str, Array]:

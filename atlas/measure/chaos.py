@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ..engine import blocks, tangent, tangent_space
+from ..engine import augmented, blocks, tangent
 from ..engine.ensemble import Ensemble
 from ..engine.generated import WIDTH
 from ..engine.stepsize import StepSizes, count_ladder, steps_of_length
@@ -108,8 +108,20 @@ class Separation:
         self.state, self.constants = ensemble.state.copy(), ensemble.constants
         with np.errstate(all="ignore"):
             unit = steps.step_size / METHOD.kernel_step
-            self.weights = _norm_weights(system, ensemble, unit, rate_unit)
-            start = tangent_space.start(system.equations, self.state)
+            # Factors of the components of a tangent vector, in the kernel's units, in its norm.
+            equations = system.equations
+            constants = equations.scaled(self.state, self.constants, unit)[1]
+            # Of changes by 1, for the units are factors.
+            in_caller_units = equations.unscaled(np.ones_like(self.state), constants, unit)
+            rows = [
+                in_caller_units[i]
+                / (rate_unit if equations.STATE[i] in system.rate_states else 1.0)
+                * np.ones_like(unit)
+                for i in augmented.own_components(equations)
+            ]
+            rows += (3 if augmented.rotates(equations) else 0) * [np.ones_like(unit)]
+            self.weights = np.ascontiguousarray(rows)
+            start = augmented.tangent_start(equations, self.state)
             self.vectors = np.ascontiguousarray(start / self.weights)
         self.durations = np.zeros(ensemble.size, np.int64)  # integrated so far
         self.sums = np.empty((tangent.SUMS, ensemble.size))
@@ -147,45 +159,6 @@ class Separation:
         call = partial(self.kernel.integrate, longest, arrays)
         blocks.call_by_parts(call, schedule.steps * WIDTH, first_node, first_node + nodes, threads, progress)
         self.durations[where] += 1
-
-    @property
-    def passes_unstable_motion(self) -> Mask:
-        """Whether errors may decide how motions leave an unstable one: after growth, not where all neighbours come nearer."""
-        highest, drawdown = self.sums[tangent.HIGHEST], self.sums[tangent.DRAWDOWN]
-        return np.asarray((drawdown > MAX_DRAWDOWN) & (highest > MAX_DRAWDOWN))
-
-    def is_sustained(
-        self,
-        where: NDArray[np.int64],
-        *,
-        threads: int | None = None,
-        progress: Callable[[int], None] | None = None,
-    ) -> Mask:
-        """Whether vectors grow by more than one passage of an unstable motion explains; other runs go on."""
-        drawdown, log_growth = self.sums[tangent.DRAWDOWN], self.sums[tangent.LOG_GROWTH]  # views
-        active = where
-        for duration in range(1, MAX_DURATIONS + 1):
-            active = active[(drawdown[active] <= MAX_DRAWDOWN) & (log_growth[active] <= MAX_PASSAGE_GROWTH)]
-            if duration < MAX_DURATIONS and active.size:
-                self.integrate(active, threads=threads, progress=progress)
-        return (drawdown[where] <= MAX_DRAWDOWN) & (log_growth[where] > MAX_PASSAGE_GROWTH)
-
-
-def _norm_weights(system: System, ensemble: Ensemble, unit: Array, rate_unit: Array) -> Array:
-    """Factors of the components of a tangent vector, in the kernel's units, in its norm: (components, points)."""
-    equations = system.equations
-    constants = equations.scaled(ensemble.state, ensemble.constants, unit)[1]
-    ones = np.ones_like(ensemble.state)
-    in_caller_units = equations.unscaled(ones, constants, unit)  # of changes by 1, for the units are factors
-    rows = [
-        in_caller_units[i]
-        / (rate_unit if equations.STATE[i] in system.rate_states else 1.0)
-        * np.ones_like(unit)
-        for i in tangent_space.own_components(equations)
-    ]
-    if tangent_space.rotates(equations):
-        rows += 3 * [np.ones_like(unit)]
-    return np.ascontiguousarray(rows)
 
 
 @dataclass(frozen=True)
@@ -264,9 +237,17 @@ class TangentRuns:
         values[:, ~np.isfinite(values).all(0)] = np.nan
         kind = regularity(columns["label"][where].astype(np.int8), values[0])
         drifting = np.isin(kind, (Regularity.REGULAR, Regularity.CHAOTIC, Regularity.UNDECIDED))
-        values[:, drifting & separation.passes_unstable_motion] = np.nan
-        chaotic = np.flatnonzero(kind == Regularity.CHAOTIC)
-        sustained = separation.is_sustained(chaotic, threads=threads, progress=lambda steps: progress(0.0))
+        # Errors may decide how motions leave an unstable one: after growth, not where all neighbours come nearer.
+        highest, drawdown = separation.sums[tangent.HIGHEST], separation.sums[tangent.DRAWDOWN]
+        values[:, drifting & (drawdown > MAX_DRAWDOWN) & (highest > MAX_DRAWDOWN)] = np.nan
+        # Vectors of chaos grow by more than one passage of an unstable motion explains; other runs go on.
+        active = chaotic = np.flatnonzero(kind == Regularity.CHAOTIC)
+        log_growth = separation.sums[tangent.LOG_GROWTH]  # as `drawdown` a view
+        for duration in range(1, MAX_DURATIONS + 1):
+            active = active[(drawdown[active] <= MAX_DRAWDOWN) & (log_growth[active] <= MAX_PASSAGE_GROWTH)]
+            if duration < MAX_DURATIONS and active.size:
+                separation.integrate(active, threads=threads, progress=lambda steps: progress(0.0))
+        sustained = (drawdown[chaotic] <= MAX_DRAWDOWN) & (log_growth[chaotic] > MAX_PASSAGE_GROWTH)
         kind[chaotic[~sustained]] = Regularity.UNDECIDED
         values[:, chaotic[~sustained]] = np.nan
         (megno[where], lyapunov[where]), flags[where] = values, kind

@@ -15,13 +15,14 @@ from __future__ import annotations
 
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass
-from enum import IntEnum, auto
+from enum import auto
 from types import ModuleType
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..engine.ensemble import Ensemble
+from ..engine.statistics import Counted
 from ..engine.stepsize import ROUNDING
 from ..flags import Agreement, Label, Status
 from ..systems.base import Array, Flags, Mask, Points, System
@@ -37,15 +38,7 @@ DIFFERENCE_TIME = 1e-2
 SWEEPS = 6
 
 
-class _Counted(IntEnum):
-    """Enumeration whose values count from 0."""
-
-    @staticmethod
-    def _generate_next_value_(name: str, start: int, count: int, last_values: list[int]) -> int:
-        return count
-
-
-class Axis(_Counted):
+class Axis(Counted):
     """Constants of a point in one frame: axes x, y, z in the body, and the motion at the start."""
 
     FRAME_RATE = auto()  # the angular velocity is u + FRAME_RATE g
@@ -70,7 +63,7 @@ class Axis(_Counted):
     VERTICAL_Z = auto()
 
 
-class Sum(_Counted):
+class Sum(Counted):
     """Sums over the nodes, half at both ends, of changes since the start and of their products: x, y, z of
     the angular velocity, l of the square of its length, s of the square of its speed.
     """
@@ -141,27 +134,18 @@ def circle_axes(
             for sign in (1.0, 0.0, -1.0)
         )
         motions = now, (later - earlier) / (2.0 * h), (later - 2.0 * now + earlier) / h**2
-        return _axes_in_frame(frame_rate, *motions)
-
-
-def _axes_in_frame(rate: Array, motion: Array, slope: Array, second: Array) -> Array:
-    """Rows of `Axis` from the motion at the start and its derivatives, each of shape (6, points)."""
-    u, du, ddu = (each[:3] + rate * each[3:] for each in (motion, slope, second))
-    du = np.where(np.isfinite(du), du, 0.0)  # where it overflows, the run is not resolved
-    # u' = u x m s and u'' = u' x m s give u'' x u' = |u'|^2 m s.
-    x, y, z = _right_handed(cross(ddu, du))
-    along = [np.array([dot(axis, vector) for axis in (x, y, z)]) for vector in (u, du, motion[3:])]
-    return np.concatenate([[rate], x, y, z, along[0], [dot(du, du)], along[1], along[2]])
-
-
-def _right_handed(direction: Array) -> tuple[Array, Array, Array]:
-    """Right-handed frames with z along `direction`, (3, points) each; arbitrary where it vanishes."""
-    size = np.sqrt(dot(direction, direction))
-    exists = np.isfinite(size) & (size > 0)
-    z = np.where(exists, direction / size, np.array([[0.0], [0.0], [1.0]]))
-    x = cross(np.eye(3)[np.argmin(np.abs(z), axis=0)].T, z)
-    x = x / np.sqrt(dot(x, x))
-    return x, cross(z, x), z
+        u, du, ddu = (each[:3] + frame_rate * each[3:] for each in motions)
+        du = np.where(np.isfinite(du), du, 0.0)  # where it overflows, the run is not resolved
+        # u' = u x m s and u'' = u' x m s give u'' x u' = |u'|^2 m s: z is along it, or arbitrary where it vanishes.
+        direction = cross(ddu, du)
+        size = np.sqrt(dot(direction, direction))
+        exists = np.isfinite(size) & (size > 0)
+        z = np.where(exists, direction / size, np.array([[0.0], [0.0], [1.0]]))
+        x = cross(np.eye(3)[np.argmin(np.abs(z), axis=0)].T, z)
+        x = x / np.sqrt(dot(x, x))
+        y = cross(z, x)
+        along = [np.array([dot(axis, vector) for axis in (x, y, z)]) for vector in (u, du, now[3:])]
+        return np.concatenate([[frame_rate], x, y, z, along[0], [dot(du, du)], along[1], along[2]])
 
 
 def circle_statistics(sums: Array, axes: Array, weight: NDArray[np.int64]) -> dict[str, Array]:
@@ -223,25 +207,23 @@ def principal_axes(matrix: Array) -> tuple[Array, Array]:
     for _ in range(SWEEPS):
         for p, q in ((0, 1), (0, 2), (1, 2)):
             with np.errstate(all="ignore"):  # of elements that are 0 already
-                _rotate(a, vectors, p, q)
+                r = 3 - p - q
+                ratio = (a[q, q] - a[p, p]) / (2.0 * a[p, q])
+                tangent = np.copysign(1.0, ratio) / (np.abs(ratio) + np.sqrt(1.0 + ratio * ratio))
+                tangent = np.where(a[p, q] == 0.0, 0.0, tangent)
+                cosine = 1.0 / np.sqrt(1.0 + tangent * tangent)
+                sine = tangent * cosine
+                a[p, p], a[q, q] = a[p, p] - tangent * a[p, q], a[q, q] + tangent * a[p, q]
+                a[p, q] = a[q, p] = 0.0
+                a[r, p], a[r, q] = cosine * a[r, p] - sine * a[r, q], sine * a[r, p] + cosine * a[r, q]
+                a[p, r], a[q, r] = a[r, p], a[r, q]
+                vectors[p], vectors[q] = (
+                    cosine * vectors[p] - sine * vectors[q],
+                    sine * vectors[p] + cosine * vectors[q],
+                )
     values = np.array([a[0, 0], a[1, 1], a[2, 2]])
     order = np.argsort(values, axis=0, kind="stable")
     return np.take_along_axis(values, order, 0), np.take_along_axis(vectors, order[:, None], 0)
-
-
-def _rotate(a: Array, vectors: Array, p: int, q: int) -> None:
-    """Turn the axes p and q of symmetric matrices so that their element (p, q) vanishes."""
-    r = 3 - p - q
-    ratio = (a[q, q] - a[p, p]) / (2.0 * a[p, q])
-    tangent = np.copysign(1.0, ratio) / (np.abs(ratio) + np.sqrt(1.0 + ratio * ratio))
-    tangent = np.where(a[p, q] == 0.0, 0.0, tangent)
-    cosine = 1.0 / np.sqrt(1.0 + tangent * tangent)
-    sine = tangent * cosine
-    a[p, p], a[q, q] = a[p, p] - tangent * a[p, q], a[q, q] + tangent * a[p, q]
-    a[p, q] = a[q, p] = 0.0
-    a[r, p], a[r, q] = cosine * a[r, p] - sine * a[r, q], sine * a[r, p] + cosine * a[r, q]
-    a[p, r], a[q, r] = a[r, p], a[r, q]
-    vectors[p], vectors[q] = cosine * vectors[p] - sine * vectors[q], sine * vectors[p] + cosine * vectors[q]
 
 
 def _angle(a: Array, b: Array) -> Array:
@@ -292,15 +274,18 @@ class Circle(Instrument):
         """Variables of both frames, of the instrument of the system's frame."""
         if self.inertial:
             return ()
+        labels, predicted = [], []
+        for suffix, frame, axes in (("", system.frame, "frame"), ("_inertial", "inertial", "space")):
+            labels.append(Variable(
+                f"label_any_axis{suffix}", "int8", "1", f"kind of motion in the {frame} frame, about any axes of body and {axes}",
+                Label.meanings(), f"the same as label{suffix} where that is steady", optional=True,
+            ))  # fmt: skip
+            predicted.append(Variable(
+                f"predicted_any_axis{suffix}", "int8", "1", f"kind of motion in the {frame} frame about any axes, from theory alone",
+                Label.meanings(), f"the same as predicted{suffix} where that is steady", optional=True,
+            ))  # fmt: skip
         return (
-            Variable(
-                "label_any_axis", "int8", "1", f"kind of motion in the {system.frame} frame, about any axes of body and frame",
-                Label.meanings(), "the same as label where that is steady", optional=True,
-            ),
-            Variable(
-                "label_any_axis_inertial", "int8", "1", "kind of motion in the inertial frame, about any axes of body and space",
-                Label.meanings(), "the same as label_inertial where that is steady", optional=True,
-            ),
+            *labels,
             *(
                 Variable(name, "float64", units, long_name, comment=comment, optional=True)
                 for name, units, long_name, comment in (
@@ -316,14 +301,7 @@ class Circle(Instrument):
                      f"for a permanent rotation of the angular velocity; {_NOT_STEADY}, and for a body at rest"),
                 )
             ),
-            Variable(
-                "predicted_any_axis", "int8", "1", f"kind of motion in the {system.frame} frame about any axes, from theory alone",
-                Label.meanings(), "the same as predicted where that is steady", optional=True,
-            ),
-            Variable(
-                "predicted_any_axis_inertial", "int8", "1", "kind of motion in the inertial frame about any axes, from theory alone",
-                Label.meanings(), "the same as predicted_inertial where that is steady", optional=True,
-            ),
+            *predicted,
             Variable(
                 "agreement_any_axis", "int8", "1", "measured label about any axes against theory", Agreement.meanings(), optional=True,
             ),
@@ -457,39 +435,40 @@ def values(
         }  # fmt: skip
         regular = kind == Label.REGULAR_PRECESSION
         conditions = [regular & (own_label == kind), regular, kind == Label.PERMANENT_ROTATION]
+        s = [circle[f"spin_axis_{i}"] for i in (1, 2, 3)]
+        last = np.select(
+            [np.abs(s[2]) > tolerances.angle, np.abs(s[1]) > tolerances.angle], [s[2], s[1]], s[0]
+        )
+        sign = np.copysign(1.0, last)
+        components = [circle[f"rate_{i}"] for i in (1, 2, 3)]
+        size = np.sqrt(sum(component**2 for component in components))
+        rotates = size > tolerances.rate
+        zero_or_nan = np.where(rotates, 0.0, np.nan)
         choices = (
             about_third_axis,
-            _of_circle(circle, tolerances.angle),
-            _of_rotation(circle, tolerances.rate),
+            (
+                {
+                    "precession_rate": circle["precession"],
+                    "spin_rate": sign * circle["spin"],
+                    "nutation": np.arctan2(circle["radius"], sign * (circle["height"] - circle["spin"])),
+                    "precession_inclination": circle["precession_inclination"],
+                }
+                | {f"spin_axis_{i + 1}": sign * component + 0.0 for i, component in enumerate(s)}
+            ),
+            (
+                {
+                    "precession_rate": np.zeros_like(size),
+                    "spin_rate": size,
+                    "nutation": zero_or_nan,
+                    "precession_inclination": circle["rotation_inclination"] + zero_or_nan,
+                }
+                | {
+                    f"spin_axis_{i + 1}": component / size + zero_or_nan
+                    for i, component in enumerate(components)
+                }
+            ),
         )
         return {
             name: np.select(conditions, [choice[name] for choice in choices], np.nan)
             for name in (*RATES, *ANGLES)
         }
-
-
-def _of_circle(circle: Mapping[str, Array], angle: float) -> dict[str, Array]:
-    """Rates and angles of regular precessions: the last component of the spin axis above `angle` is positive."""
-    s = [circle[f"spin_axis_{i}"] for i in (1, 2, 3)]
-    last = np.select([np.abs(s[2]) > angle, np.abs(s[1]) > angle], [s[2], s[1]], s[0])
-    sign = np.copysign(1.0, last)
-    return {
-        "precession_rate": circle["precession"],
-        "spin_rate": sign * circle["spin"],
-        "nutation": np.arctan2(circle["radius"], sign * (circle["height"] - circle["spin"])),
-        "precession_inclination": circle["precession_inclination"],
-    } | {f"spin_axis_{i + 1}": sign * component + 0.0 for i, component in enumerate(s)}  # no -0.0
-
-
-def _of_rotation(circle: Mapping[str, Array], rate: float) -> dict[str, Array]:
-    """Rates and angles of permanent rotations: about the mean angular velocity, which a body at rest has not."""
-    components = [circle[f"rate_{i}"] for i in (1, 2, 3)]
-    size = np.sqrt(sum(component**2 for component in components))
-    rotates = size > rate
-    zero_or_nan = np.where(rotates, 0.0, np.nan)
-    return {
-        "precession_rate": np.zeros_like(size),
-        "spin_rate": size,
-        "nutation": zero_or_nan,
-        "precession_inclination": circle["rotation_inclination"] + zero_or_nan,
-    } | {f"spin_axis_{i + 1}": component / size + zero_or_nan for i, component in enumerate(components)}

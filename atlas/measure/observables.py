@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, fields
 from functools import partial
 from typing import Any
 
@@ -11,7 +11,7 @@ import numpy as np
 
 from ..engine import observe
 from ..engine.stepsize import INTERPOLATION_ERROR, StepSizes
-from ..engine.tableaux import METHODS, Method
+from ..engine.tableaux import METHODS
 from ..flags import Status, Steadiness
 from ..systems.base import Array, Flags, Mask, System
 from .instrument import MainInstrument, Measured, Rule, Run, Variable
@@ -87,9 +87,25 @@ class Observables(MainInstrument):
         return np.asarray(np.fmax.reduce(shares))
 
     def step_sizes(self, settings: Any, bound: Array, duration: Array) -> StepSizes:
-        """With nodes so dense that extremes are found."""
-        step_sizes = StepSizes.of(settings, bound, duration)
-        return with_dense_nodes(step_sizes, bound, METHODS[settings.method], may_halve=settings.step is None)
+        """With nodes so dense that extremes are found: at most MAX_NODE_RADIANS apart; longer steps are halved unless given.
+
+        Where a node comes after several steps, the error of the interpolation is within the phase error.
+        """
+        step_sizes, may_halve = StepSizes.of(settings, bound, duration), settings.step is None
+        finest = (np.maximum(step_sizes.dispersion_error, 1e-16) / INTERPOLATION_ERROR) ** (1 / 8) / OVERTONE
+        for _ in range(MAX_HALVINGS):
+            radians = bound * step_sizes.sample_spacing
+            far = radians > MAX_NODE_RADIANS
+            several = (radians > np.minimum(finest, MAX_NODE_RADIANS)) & (step_sizes.steps_per_sample > 1)
+            per_node = np.where(several, step_sizes.steps_per_sample // 2, step_sizes.steps_per_sample)
+            halved = step_sizes.halved(METHODS[settings.method])
+            halve = far & ~several & may_halve & step_sizes.resolved
+            chosen = {
+                field.name: np.where(halve, getattr(halved, field.name), getattr(step_sizes, field.name))
+                for field in fields(step_sizes)
+            }
+            step_sizes = StepSizes(**(chosen | {"steps_per_sample": per_node}))
+        return step_sizes
 
     def resolved(self, run: Run) -> Mask:
         """Where no observable jumps between nodes, because the steps are too long for the motion.
@@ -191,26 +207,3 @@ def sizes(system: System, measured: Measured) -> dict[str, Array]:
     """Largest magnitude of each observable, in its unit, by name."""
     names = [observable.name for observable in system.observables]
     return {n: np.maximum(np.abs(measured[f"{n}_min"]), np.abs(measured[f"{n}_max"])) for n in names}
-
-
-def with_dense_nodes(step_sizes: StepSizes, bound: Array, method: Method, *, may_halve: bool) -> StepSizes:
-    """The same steps with nodes at most MAX_NODE_RADIANS apart; longer steps are halved if they may be.
-
-    Where a node comes after several steps, the error of the interpolation is within the phase error.
-    """
-    finest = (np.maximum(step_sizes.dispersion_error, 1e-16) / INTERPOLATION_ERROR) ** (1 / 8) / OVERTONE
-    for _ in range(MAX_HALVINGS):
-        radians = bound * step_sizes.sample_spacing
-        far = radians > MAX_NODE_RADIANS
-        several = (radians > np.minimum(finest, MAX_NODE_RADIANS)) & (step_sizes.steps_per_sample > 1)
-        per_node = np.where(several, step_sizes.steps_per_sample // 2, step_sizes.steps_per_sample)
-        halved, halve = step_sizes.halved(method), far & ~several & may_halve & step_sizes.resolved
-        step_sizes = replace(
-            step_sizes,
-            **{
-                field.name: np.where(halve, getattr(halved, field.name), getattr(step_sizes, field.name))
-                for field in fields(step_sizes)
-            },
-        )
-        step_sizes = replace(step_sizes, steps_per_sample=per_node)
-    return step_sizes

@@ -229,7 +229,7 @@ def label(measured: Mapping[str, Array], tolerances: Tolerances, frame_rate: Arr
     cylinder = in_cylinder(measured, tolerances.angle)
     nutates = measured["theta_dot_rms"] > rate
     # A run that enters or leaves the cylinder has no usable psi' there: theta decides.
-    entered = np.minimum(np.sin(measured["theta_min"]), np.sin(measured["theta_max"])) < tolerances.angle
+    entered = _least_sine(measured) < tolerances.angle
     # psi' is then measured on a small part of the run, so the rate about the vertical must be steady as well.
     swings = measured["theta_max"] - measured["theta_min"] > tolerances.angle
     crossing = entered & (swings | (measured["normal_rate_std"] > rate))

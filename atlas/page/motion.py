@@ -14,9 +14,9 @@ import xarray as xr
 
 from ..analysis.metadata import axes_of, settings_of
 from ..engine import assemble
+from ..engine.augmented import with_frame_vector
+from ..engine.differentiate import simplify
 from ..engine.ensemble import Ensemble
-from ..engine.losses import with_frame_vector
-from ..engine.simplify import simplify
 from ..engine.stepsize import StepSizes
 from ..engine.tableaux import METHODS
 from ..errors import BadInput

@@ -1,7 +1,8 @@
-"""Engine "atlas" of xarray: `xr.open_dataset` opens run folders, and every atlas that `open_atlas` opens."""
+"""Opening an atlas from a file or a run folder; also the engine "atlas" of xarray, so that `xr.open_dataset` does the same."""
 
 from __future__ import annotations
 
+import logging
 import os
 from collections.abc import Iterable
 from pathlib import Path
@@ -11,7 +12,10 @@ import xarray as xr
 from xarray.backends import BackendEntrypoint
 
 from ..errors import BadInput, shown
-from ..files import read_json
+from ..files import one_line, read_json
+from ..io import zarr_store
+from ..io.checksums import CheckedStore
+from ..scene.checks import typed
 
 
 class AtlasBackend(BackendEntrypoint):
@@ -33,8 +37,6 @@ class AtlasBackend(BackendEntrypoint):
         self, filename_or_obj: Any, *, drop_variables: str | Iterable[str] | None = None
     ) -> xr.Dataset:
         """Open an atlas as `atlas.open_atlas` does; of a run folder chunks={} gives a chunk for each tile."""
-        from .open import open_atlas
-
         if not isinstance(filename_or_obj, str | os.PathLike):
             raise BadInput(f"{shown(filename_or_obj)}: the engine atlas opens paths")
         ds = open_atlas(Path(filename_or_obj))
@@ -46,3 +48,61 @@ class AtlasBackend(BackendEntrypoint):
         result = ds.drop_vars(names, errors="ignore")
         result.set_close(ds.close)
         return result
+
+
+@typed
+def open_atlas(path: str | Path) -> xr.Dataset:
+    """Open an atlas lazily.
+
+    Parameters
+    ----------
+    path : str or Path
+        An atlas file (NAME.nc), a Zarr store (NAME.zarr), or a run folder, which may still be growing.
+
+    Returns
+    -------
+    xarray.Dataset
+        Flag variables are plain integers. A run folder gives dask arrays with a chunk for each tile;
+        points of tiles that are missing are `not_computed` and nan, which is logged as a warning. Tiles are
+        read whenever values are computed, so that tiles finished later appear in the same Dataset. Values of
+        a file are compared with their checksums when they are read, and BadInput is raised if they differ.
+
+    Raises
+    ------
+    BadInput
+        If there is no such file, if it is damaged, or if it is not an atlas.
+    """
+    path = Path(path)
+    if not path.exists():
+        raise BadInput(f"{path}: there is no such file")
+    if (path / zarr_store.METADATA).is_file():
+        ds = zarr_store.open_store(path)
+    elif path.is_dir():
+        from .folder import RunFolder
+
+        folder = RunFolder.open(path)
+        missing_tiles = folder.tiling.count - folder.tiles.written_count()
+        if missing_tiles:
+            logging.getLogger("atlas").warning(
+                "%s: %d of %d tiles are missing; their points are not_computed",
+                path, missing_tiles, folder.tiling.count,
+            )  # fmt: skip
+        return folder.dataset()
+    else:
+        try:
+            store = CheckedStore.of(path)
+            try:
+                ds = xr.open_dataset(store, chunks=None)
+            except Exception:
+                store.close()
+                raise
+            ds.encoding["source"] = str(path.absolute())
+        except BadInput:
+            raise
+        except Exception as error:  # reading a damaged file may raise any error
+            raise BadInput(f"{path}: not a NetCDF file that can be read ({one_line(error)})") from None
+    missing = [name for name in ("atlas_system", "atlas_version") if name not in ds.attrs]
+    if missing:
+        ds.close()
+        raise BadInput(f"{path}: not an atlas: the attribute {missing[0]} is missing")
+    return ds

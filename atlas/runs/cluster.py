@@ -10,7 +10,7 @@ import uuid
 import warnings
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import CancelledError
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from typing import TYPE_CHECKING, Any
 
 from ..errors import BadInput
@@ -96,7 +96,16 @@ def _client(cluster: Any) -> Iterator[Client]:
 
 def check_workers(client: Client, check: Callable[..., None], arguments: tuple[Any, ...]) -> None:
     """Raise BadInput if a worker has another dask or fails `check`, except workers that join later."""
-    different = _different_versions(client.get_versions())
+    versions: Any = client.get_versions()
+    servers = {"the scheduler": versions["scheduler"]}
+    servers |= {f"worker {address}": info for address, info in versions["workers"].items()}
+    expected = versions["client"]["packages"]
+    different = ", ".join(
+        f"{server} has {name} {info['packages'][name]} and this process {expected[name]}"
+        for server, info in servers.items()
+        for name in ("dask", "distributed")
+        if info["packages"][name] != expected[name]
+    )
     if different:
         raise BadInput(f"versions of dask must be the same everywhere: {different}")
     for worker, result in client.run(check, *arguments, on_error="return").items():
@@ -104,19 +113,6 @@ def check_workers(client: Client, check: Callable[..., None], arguments: tuple[A
             raise result
         if isinstance(result, Exception) and not isinstance(result, OSError):  # OSError: the worker has died
             raise BadInput(f"worker {worker}: {type(result).__name__}: {one_line(result)}")
-
-
-def _different_versions(versions: Any) -> str:
-    """Versions of dask in `Client.get_versions()` that differ from the client's, in one line."""
-    servers = {"the scheduler": versions["scheduler"]}
-    servers |= {f"worker {address}": info for address, info in versions["workers"].items()}
-    expected = versions["client"]["packages"]
-    return ", ".join(
-        f"{server} has {name} {info['packages'][name]} and this process {expected[name]}"
-        for server, info in servers.items()
-        for name in ("dask", "distributed")
-        if info["packages"][name] != expected[name]
-    )
 
 
 def for_each(
@@ -130,6 +126,8 @@ def for_each(
     It must be harmless to run a task twice. Raises a task's error, or OSError if each attempt lost its
     worker.
     """
+    from distributed import wait
+
     source = iter(arguments)
     in_flight: dict[Future[Any], tuple[tuple[Any, ...], int]] = {}
 
@@ -154,7 +152,11 @@ def for_each(
                     exhausted = True
                 else:
                     submit(task_arguments, 1)
-            for future in _wait_for_any(in_flight):
+            ended: Iterable[Future[Any]] = []
+            with suppress(TimeoutError):  # the interval is over
+                if in_flight:
+                    ended = wait(list(in_flight), timeout=POLL_INTERVAL, return_when="FIRST_COMPLETED").done
+            for future in ended:
                 task_arguments, attempt = in_flight.pop(future)
                 if _succeeded(future, attempt):
                     on_result(future.result())
@@ -163,17 +165,6 @@ def for_each(
     finally:
         for future in in_flight:
             future.cancel()
-
-
-def _wait_for_any(futures: Iterable[Future[Any]]) -> Iterable[Future[Any]]:
-    """The futures that have ended, after one has, or none when the interval is over."""
-    from distributed import wait
-
-    try:
-        pending = list(futures)
-        return wait(pending, timeout=POLL_INTERVAL, return_when="FIRST_COMPLETED").done if pending else []
-    except TimeoutError:
-        return []
 
 
 def _succeeded(future: Future[Any], attempt: int) -> bool:

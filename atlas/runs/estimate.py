@@ -19,7 +19,6 @@ from ..label.theory import predict_runs
 from ..scene import grid
 from ..scene.model import Scene
 from ..systems.base import derived_values
-from .concurrency import tiles_in_flight
 from .plan import ScenePlan
 from .refine import expected_points
 from .tiles import tile_types
@@ -47,16 +46,28 @@ def dry_run(scene: Scene, *, threads: int | None = None, workers: int | None = N
     points = existing if scene.refine is None else expected_points(plan)
     cost = _measure(plan, processors)
     file_bytes = scene.size * sum(np.dtype(dtype).itemsize for dtype in tile_types(scene).values())
-    derived_seconds = _derived_seconds(scene, plan.sample)
+    # The derived variables of one point, from as many points as take a few tenths of a second.
+    has_derived = not scene.system.derived.keys().isdisjoint(scene.outputs)
+    existing_points, derived_seconds, count = np.flatnonzero(exists), 0.0, 0
+    while has_derived and derived_seconds < 0.2 and count < existing_points.size:
+        count = min(max(4 * count, 6), existing_points.size)
+        places = np.linspace(0, existing_points.size - 1, count).astype(np.int64)
+        chosen = plan.sample.subset(existing_points[places])
+        started = time.perf_counter()
+        derived_values(scene.system, scene.outputs, chosen.base, chosen.duration, lambda: None)
+        derived_seconds = time.perf_counter() - started
+    derived_seconds /= max(count, 1)
     # A refined atlas has predictions at every point.
     theory_seconds = existing * cost.theory_seconds + points * derived_seconds
     seconds = points * plan.mean_work * cost.seconds_per_step + theory_seconds
     tile_bytes = cost.bytes_per_point * math.prod(tiles.tile)
+    unit = 1 if sys.platform == "darwin" else 1024
+    resident_bytes = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * unit  # the largest so far
     if workers:
-        memory, processors_text = workers * (_resident_bytes() + tile_bytes), f"{workers} processes"
+        memory, processors_text = workers * (resident_bytes + tile_bytes), f"{workers} processes"
     else:
-        in_flight = tiles_in_flight(plan, processors)
-        memory, processors_text = _resident_bytes() + in_flight * tile_bytes, f"{processors} threads"
+        in_flight = plan.tiles_in_flight(processors)
+        memory, processors_text = resident_bytes + in_flight * tile_bytes, f"{processors} threads"
     phase_error = plan.step_sizes.dispersion_error[exists].max()
     division = "in one process, near the borders that theory predicts"
     if scene.refine is None:
@@ -78,7 +89,20 @@ def dry_run(scene: Scene, *, threads: int | None = None, workers: int | None = N
 
 def _measure(plan: ScenePlan, threads: int) -> _Measurement:
     """Integrate some points of the sample three times: to compile, to time, and to trace memory."""
-    plan = _calibration(plan, threads)
+    # Small duration and max_steps, without slow variables.
+    outputs = tuple(name for name in plan.scene.outputs if name not in plan.scene.system.derived)
+    exists = np.flatnonzero(plan.sample.exists)
+    chosen = exists[np.linspace(0, exists.size - 1, min(exists.size, CALIBRATION_POINTS)).astype(np.int64)]
+    plan, fraction = ScenePlan(replace(plan.scene, outputs=outputs), plan.sample.subset(chosen)), 0.0
+    while fraction <= 0.8:  # counts of steps are rounded
+        schedule = blocks.schedule_of(plan.step_sizes.without_unresolved())
+        work = plan.mean_work / plan.mean_steps * schedule.point_steps
+        fraction = CALIBRATION_STEPS * min(threads, len(schedule.points)) / work
+        if fraction <= 0.8:
+            # Both, because a limited number of steps does not depend on the duration.
+            settings = plan.limited(max(round(plan.scene.settings.max_steps * fraction), 1))
+            sample = replace(plan.sample, duration=plan.sample.duration * fraction)
+            plan = ScenePlan(replace(plan.scene, settings=settings), sample)
     points = plan.sample
     stopwatch = Stopwatch()  # without the time in which a kernel is compiled
     predict_runs(plan.points, points, threads=threads)
@@ -101,41 +125,3 @@ def _measure(plan: ScenePlan, threads: int) -> _Measurement:
         compile_seconds=max(first - second, 0.0),
         bytes_per_point=peak_bytes / points.exists.size,
     )
-
-
-def _calibration(plan: ScenePlan, threads: int) -> ScenePlan:
-    """Scene and points of a short measurement, with small duration and max_steps, without slow variables."""
-    outputs = tuple(name for name in plan.scene.outputs if name not in plan.scene.system.derived)
-    exists = np.flatnonzero(plan.sample.exists)
-    chosen = exists[np.linspace(0, exists.size - 1, min(exists.size, CALIBRATION_POINTS)).astype(np.int64)]
-    plan = ScenePlan(replace(plan.scene, outputs=outputs), plan.sample.subset(chosen))
-    while True:
-        schedule = blocks.schedule_of(plan.step_sizes.without_unresolved())
-        work = plan.mean_work / plan.mean_steps * schedule.point_steps
-        fraction = CALIBRATION_STEPS * min(threads, len(schedule.points)) / work
-        if fraction > 0.8:  # counts of steps are rounded
-            return plan
-        # Both, because a limited number of steps does not depend on the duration.
-        settings = plan.limited(max(round(plan.scene.settings.max_steps * fraction), 1))
-        sample = replace(plan.sample, duration=plan.sample.duration * fraction)
-        plan = ScenePlan(replace(plan.scene, settings=settings), sample)
-
-
-def _derived_seconds(scene: Scene, sample: grid.Grid) -> float:
-    """Wall-clock time of the derived variables of one point, from as many points as take a few tenths of a second."""
-    has_derived = not scene.system.derived.keys().isdisjoint(scene.outputs)
-    exists = np.flatnonzero(sample.exists)
-    seconds, count = 0.0, 0
-    while has_derived and seconds < 0.2 and count < exists.size:
-        count = min(max(4 * count, 6), exists.size)
-        points = sample.subset(exists[np.linspace(0, exists.size - 1, count).astype(np.int64)])
-        started = time.perf_counter()
-        derived_values(scene.system, scene.outputs, points.base, points.duration, lambda: None)
-        seconds = time.perf_counter() - started
-    return seconds / max(count, 1)
-
-
-def _resident_bytes() -> int:
-    """Largest memory of this process so far."""
-    unit = 1 if sys.platform == "darwin" else 1024
-    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * unit

@@ -30,7 +30,6 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from .. import files
 from ..errors import MAX_MESSAGE, MAX_TEXT, BadInput, printable
 from ..files import (
     atomic_write,
@@ -50,8 +49,7 @@ from ..io import netcdf, progress, zarr_store
 from ..io.netcdf import Block, scene_provenance
 from ..scene import grid
 from ..scene.read import parse_scene
-from .identity import differences, identity
-from .plan import ScenePlan
+from .plan import ScenePlan, differences, identity
 from .tiles import DamagedTile, Tally, TileFiles, Tiling, tile_types
 
 FORMAT = 2
@@ -121,8 +119,29 @@ class RunFolder:
         """Create the run folder of a scene, or open it to be continued; BadInput for anything else in it."""
         path = path.absolute()
         if not (path / MANIFEST).exists():
-            _check_new_folder(path)
-            manifest = _manifest(plan, warnings)
+            if path.exists() and not path.is_dir():
+                raise BadInput(f"{path}: this is a file, not a run folder")
+            claim = claim_path(path / MANIFEST).name
+            if path.exists() and any(
+                entry.name != claim and not is_temporary(entry.name) and not PROGRESS.fullmatch(entry.name)
+                for entry in path.iterdir()
+            ):
+                raise BadInput(f"{path}: this folder contains something else: there is no {MANIFEST} in it")
+            check_folder(path / MANIFEST if path.exists() else path)
+            scene, kernel = plan.scene, plan.points.kernel_hash
+            attributes = scene_provenance(scene, kernel, seconds=0.0, points=scene.size, warnings=warnings)
+            manifest = {
+                "format": FORMAT,
+                "scene": scene.toml(),
+                "identity": identity(plan.points),
+                "tile": plan.tiling.tile,
+                "created": f"{datetime.now(UTC):%Y-%m-%dT%H:%M:%SZ}",
+                "provenance": {  # JSON has no nan
+                    name: None if isinstance(value, float) and math.isnan(value) else value
+                    for name, value in attributes.items()
+                },
+            }
+            manifest["key"] = _key(manifest)
             path.mkdir(exist_ok=True)
             # Another process may have created the manifest in the meantime; its folder is then checked below.
             with suppress(FileExistsError), atomic_write(path / MANIFEST, exclusive=True) as temporary:
@@ -146,7 +165,13 @@ class RunFolder:
         try:
             run.check_same(plan)
         except BadInput:
-            run.check_idle()
+            for content, state in run._processes():
+                match = files.PROCESS_NAME.fullmatch(content["process"])
+                if match is not None and state == progress.AT_WORK:
+                    raise BadInput(
+                        f"{run.path}: is computed by process {match[3]} on {content['host']}; wait for it, end it, or choose"
+                        " another name"
+                    ) from None
             run.remove()
 
     def check_same(self, plan: ScenePlan) -> None:
@@ -158,16 +183,6 @@ class RunFolder:
             raise BadInput(
                 f"{self.path}: holds another run; choose another name or remove it. It differs in {different}"
             )
-
-    def check_idle(self) -> None:
-        """Raise BadInput if a process is at work in this folder."""
-        for content, state in self._processes():
-            match = files.PROCESS_NAME.fullmatch(content["process"])
-            if match is not None and state == progress.AT_WORK:
-                raise BadInput(
-                    f"{self.path}: is computed by process {match[3]} on {content['host']}; wait for it, end it, or choose"
-                    " another name"
-                )
 
     def check_kept(self) -> None:
         """Raise OSError if another process has removed the run, or replaced it by another one."""
@@ -193,18 +208,10 @@ class RunFolder:
         """Key of this run if programs and processors of another identity computed it."""
         return _key(self.manifest | {"identity": identity})
 
-    def check_writable(self) -> None:
-        """Raise BadInput unless tiles can be written."""
-        check_folder(self.tiles.folder / "tile")
-
     def remove_leftovers(self) -> None:
         """Remove temporary files of processes that were killed."""
         remove_leftovers(self.path)
         remove_leftovers(self.tiles.folder)
-
-    def is_written(self) -> bool:
-        """Whether all tiles are written."""
-        return not self.tiles.missing()
 
     def progress_text(self) -> str:
         """Number of the tiles that are written, as text; empty if the folder has been removed."""
@@ -371,11 +378,7 @@ class RunFolder:
             os.rename(self.tiles.folder, removed)
         for folder in (removed, claim_path(self.path / MANIFEST)):
             shutil.rmtree(folder, ignore_errors=True)
-        for path in [
-            *self.path.glob("progress*.json"),
-            self.path / FINAL_ATTRIBUTES,
-            self.path / MANIFEST,
-        ]:
+        for path in [*self.path.glob("progress*.json"), self.path / FINAL_ATTRIBUTES, self.path / MANIFEST]:
             path.unlink(missing_ok=True)
         remove_empty(self.path)
 
@@ -387,47 +390,18 @@ def remove_empty(path: Path) -> None:
         path.rmdir()
 
 
-def _check_new_folder(path: Path) -> None:
-    """Raise BadInput unless a run folder can be created at `path`."""
-    if path.exists() and not path.is_dir():
-        raise BadInput(f"{path}: this is a file, not a run folder")
-    claim = claim_path(path / MANIFEST).name
-    if path.exists() and any(
-        entry.name != claim and not is_temporary(entry.name) and not PROGRESS.fullmatch(entry.name)
-        for entry in path.iterdir()
-    ):
-        raise BadInput(f"{path}: this folder contains something else: there is no {MANIFEST} in it")
-    check_folder(path / MANIFEST if path.exists() else path)
-
-
-def _manifest(plan: ScenePlan, warnings: list[str]) -> dict[str, Any]:
-    """Content of a new manifest."""
-    scene, kernel = plan.scene, plan.points.kernel_hash
-    attributes = scene_provenance(scene, kernel, seconds=0.0, points=scene.size, warnings=warnings)
-    manifest = {
-        "format": FORMAT,
-        "scene": scene.toml(),
-        "identity": identity(plan.points),
-        "tile": plan.tiling.tile,
-        "created": f"{datetime.now(UTC):%Y-%m-%dT%H:%M:%SZ}",
-        "provenance": {  # JSON has no nan
-            name: None if isinstance(value, float) and math.isnan(value) else value
-            for name, value in attributes.items()
-        },
-    }
-    return manifest | {"key": _key(manifest)}
-
-
 def result_hash(scene: str, programs: dict[str, str]) -> str:
     """Hash of everything on which the bits of an atlas depend: the text of its scene, and its `identity`."""
-    content = {"scene": scene, "identity": programs}
+    return _hash({"scene": scene, "identity": programs})
+
+
+def _hash(content: dict[str, Any]) -> str:
     return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
 
 
 def _key(manifest: dict[str, Any]) -> str:
     """Hash of the scene, the programs and the tiling of a manifest."""
-    content = {name: manifest[name] for name in ("format", "scene", "identity", "tile")}
-    return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
+    return _hash({name: manifest[name] for name in ("format", "scene", "identity", "tile")})
 
 
 def _read_chunk(run: RunFolder, name: str, block_id: tuple[int, ...]) -> np.ndarray:

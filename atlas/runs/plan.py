@@ -1,18 +1,28 @@
-"""The plan of a scene: a sample of its points, their steps, the work and the tiles, made once and carried. Imports no compiler."""
+"""The plan of a scene: a sample of its points, their steps, the work and the tiles, made once and carried; and the identity
+of a computation: programs and processor on which the bits of an atlas depend. Imports no compiler.
+"""
 
 from __future__ import annotations
 
 import math
+import os
+import platform
+import sys
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
+import netCDF4
 import numpy as np
 
-from ..engine import numeric_bound
+from .. import sources, systems
+from .._version import __version__
+from ..engine import blocks, numeric_bound
 from ..engine.stepsize import StepSizes
 from ..engine.tableaux import METHODS
 from ..engine.tangent import METHOD as TANGENT_METHOD
+from ..errors import BadInput
 from ..measure.chaos import RELATIVE_COST, Chaos, TangentSteps
 from ..scene import grid
 from ..scene.model import MAX_STEPS, Scene, Settings
@@ -21,6 +31,7 @@ from . import tiles
 
 if TYPE_CHECKING:
     from ..label.plan import Plan
+
 
 # Shortest run that shows most chaos: revolutions of the frame, or, where the frame does not turn, periods of the bound
 # of the fastest frequency.
@@ -96,6 +107,18 @@ class ScenePlan:
         # A power of two, because the last bits of the mean may differ between machines.
         return tiles.Tiling.of(self.scene.shape, 2 ** round(math.log2(min(points, grid.MAX_POINTS_PER_TILE))))
 
+    def tiles_in_flight(self, threads: int | None) -> int:
+        """Number of tiles to compute at a time.
+
+        Usually two, so that the processors stay busy while one tile is prepared or written; more where a tile is
+        too small to give every thread a call of the kernel; one on a single processor.
+        """
+        threads = threads or blocks.available_threads()
+        if threads == 1:
+            return 1
+        calls_per_tile = math.prod(self.tiling.tile) * self.mean_steps / blocks.CHUNK
+        return min(1 + math.ceil(threads / max(calls_per_tile, 1.0)), threads + 1, self.tiling.count)
+
     def step_warnings(self) -> list[str]:
         """A sentence each on points that `max_steps` cuts short, and on points whose steps are too long for a label."""
         exists, sizes = self.sample.exists, self.step_sizes
@@ -157,3 +180,52 @@ class ScenePlan:
             f" {'of' if ratio < 1 else 'times'} the time at the same tolerance"
             for name, ratio in self.relative_costs().items()
         ]
+
+
+def identity(plan: Plan) -> dict[str, str]:
+    """Versions, hashes and processor on which bits depend; BadInput if sources changed since the import."""
+    import llvmlite
+    import numba
+    import scipy
+
+    from ..engine import jit
+
+    # The hash is computed from source files, so before the check whether these have changed.
+    kernel, origin = plan.kernel_hash, systems.origin(plan.system)
+    changed: list[Any] = [sources.PACKAGE / name for name in sources.changed()]
+    if not changed and origin is not None and (file := origin.changed()) is not None:
+        changed = [file]
+    if changed:
+        raise BadInput(
+            f"{changed[0]} was written after this process (host {platform.node()}, process {os.getpid()}) had imported it:"
+            " start the process again"
+        )
+    # A system that is not of this package, as it was when it was registered.
+    system_code = {} if origin is None else {"system_code": origin.code}
+    if origin is not None and origin.package:
+        system_code["system_package"] = origin.package
+    versions = {module.__name__: str(module.__version__) for module in (np, numba, llvmlite, scipy, netCDF4)}
+    return {
+        "atlas": __version__,
+        "code": sources.code(),
+        **system_code,
+        "kernel": kernel,
+        "cpu": jit.cpu(),
+        **{f"NUMBA_{name}": value for name, value in jit.settings().items()},
+        "numpy_simd": " ".join(np.show_config(mode="dicts")["SIMD Extensions"].get("found", ())),
+        "python": f"{sys.version_info.major}.{sys.version_info.minor}",
+        "libc": " ".join(platform.libc_ver()) or platform.release(),
+        **versions,
+        "HDF5": str(netCDF4.__hdf5libversion__),
+    }
+
+
+def differences(
+    expected: Mapping[str, Any], actual: Mapping[str, Any], expected_place: str, actual_place: str
+) -> str:
+    """Entries that differ, in one line with the places, such as "in the run" and "in the worker"."""
+    return ", ".join(
+        f"{name} ({expected.get(name, 'nothing')} {expected_place}, {actual.get(name, 'nothing')} {actual_place})"
+        for name in {**expected, **actual}
+        if expected.get(name) != actual.get(name)
+    )

@@ -21,7 +21,6 @@ from ..io.netcdf import scene_provenance
 from ..label import theory
 from ..label.pipeline import evaluate
 from ..scene import grid
-from ..scene.model import Scene
 from ..systems.base import Flags
 from ..validation import half_step
 from ..variables import COMPUTED, variables
@@ -61,7 +60,16 @@ def refined(
     scene = plan.scene
     assert scene.refine is not None
     stopwatch = Stopwatch()
-    _check_memory(scene)
+    numbers = (
+        sum(variables(scene.system)[name].flags is None for name in scene.outputs) + len(scene.solve) + 1
+    )
+    needed = scene.size * (8 * numbers + len(PREDICTED) + 5)
+    memory = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
+    if needed > memory:
+        raise BadInput(
+            f"refine: the finest grid of {scene.size} points needs {needed / 1e9:.3g} GB, this machine has"
+            f" {memory / 1e9:.3g} GB; take fewer levels or fewer [outputs]"
+        )
     fine = _FineGrid(plan, threads)
     for level in range(scene.refine.levels + 1):
         fine.refine_to(level)
@@ -83,20 +91,6 @@ def refined(
         "atlas_probe_missed": probe_missed,
     }
     return ds.assign_attrs(attributes | half_step.half_step_sample(scene, plan.points, threads=threads))
-
-
-def _check_memory(scene: Scene) -> None:
-    """Raise BadInput if the finest grid needs more memory than this machine has."""
-    numbers = (
-        sum(variables(scene.system)[name].flags is None for name in scene.outputs) + len(scene.solve) + 1
-    )
-    needed = scene.size * (8 * numbers + len(PREDICTED) + 5)
-    memory = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
-    if needed > memory:
-        raise BadInput(
-            f"refine: the finest grid of {scene.size} points needs {needed / 1e9:.3g} GB, this machine has"
-            f" {memory / 1e9:.3g} GB; take fewer levels or fewer [outputs]"
-        )
 
 
 class _FineGrid:
@@ -121,6 +115,13 @@ class _FineGrid:
         self.growth_rate = np.full(scene.size, np.nan)
         self.predicted = {name: np.zeros(scene.size, np.int8) for name in PREDICTED if name in self.registry}
         self.slowly_unstable = np.zeros(scene.size, bool)
+        # Product of growth rate and duration above which all nudged unstable points but EXPECTED_MISSES drift. A nudge survives
+        # if its component along the unstable motion is a smaller share of it than rate_tolerance / nudge * exp(-growth): the
+        # share of such starts among all points, in regions narrower than the spacing. Without a nudge no point drifts.
+        nudge, self.growth_needed = max(map(abs, scene.nudge.values()), default=0.0), -math.inf
+        if nudge > 0:
+            survivors = scene.settings.rate_tolerance / nudge * scene.size
+            self.growth_needed = math.log(survivors / EXPECTED_MISSES)
         reason = np.empty(scene.size, np.int8)
         for chunk in _chunks(scene.size):
             reason[chunk] = self._predict(np.arange(chunk.start, chunk.stop))
@@ -137,7 +138,7 @@ class _FineGrid:
 
     def _predict(self, indices: np.ndarray) -> np.ndarray:
         """Evaluate theory at points of the grid; returns why they are not computed, values of grid.Reason."""
-        scene, points = self.scene, grid.points_at_indices(self.scene, indices)
+        points = grid.points_at_indices(self.scene, indices)
         for name, column in self.solved.items():
             column[indices] = points.base[name]
         existing = indices[points.exists]
@@ -149,7 +150,7 @@ class _FineGrid:
             for name, flags in self.predicted.items():
                 flags[existing] = prediction.variables[name]
             unstable = prediction.variables["stable"] == Stability.UNSTABLE
-            self.slowly_unstable[existing] = unstable & (prediction.log_growth < _growth_needed(scene))
+            self.slowly_unstable[existing] = unstable & (prediction.log_growth < self.growth_needed)
         return points.reason
 
     def refine_to(self, level: int) -> None:
@@ -257,10 +258,6 @@ class _PredictedGrid(_FineGrid):
         predictions = {name: self.predicted.get(self.PREDICTIONS.get(name, "")) for name in self.flags}
         return {name: zero if flags is None else flags[indices] for name, flags in predictions.items()}
 
-    def boundary_points(self) -> int:
-        """Number of points of the finest grid near a boundary of the flags."""
-        return int((self._near_boundary(self.flag_code) & self.computed).sum())
-
 
 def expected_points(plan: ScenePlan) -> float:
     """Expected number of points that `refined` integrates, from the boundaries that theory predicts.
@@ -276,11 +273,19 @@ def expected_points(plan: ScenePlan) -> float:
     finer = 0  # levels between the grid of the simulation and the finest one
     while scene.size / 2 ** (n_axes * finer) > MAX_PREDICTED:
         finer += 1
-    predicted = _PredictedGrid(replace(plan, scene=_coarser(scene, finer)))
+    # The scene with 2^finer times the spacing.
+    axes = {
+        name: replace(axis, values=axis.values[:: 2**finer]) if axis.can_be_refined else axis
+        for name, axis in scene.axes.items()
+    }
+    coarser = replace(scene.refine, levels=max(levels - finer, 0))
+    predicted = _PredictedGrid(replace(plan, scene=replace(scene, axes=axes, refine=coarser)))
     for level in range(max(levels - finer, 0) + 1):
         predicted.refine_to(level)
     predicted.trace_predicted_boundary()
-    near, slow = predicted.boundary_points(), int(predicted.slowly_unstable.sum())
+    # Points of the finest grid near a boundary of the flags.
+    near = int((predicted._near_boundary(predicted.flag_code) & predicted.computed).sum())
+    slow = int(predicted.slowly_unstable.sum())
     existing_share = predicted.n_existing / predicted.scene.size
     expected = float(predicted.n_integrated)
     if finer > levels:  # not even the coarse grid is small enough
@@ -293,31 +298,6 @@ def expected_points(plan: ScenePlan) -> float:
     expected += slow * (2 ** (n_axes * finer) - 1)
     existing = existing_share * scene.size
     return min(expected + scene.refine.probe * max(existing - expected, 0.0), existing)
-
-
-def _coarser(scene: Scene, levels: int) -> Scene:
-    """The scene with 2^levels times the spacing, which takes so many levels of refinement less, but not below 0."""
-    assert scene.refine is not None
-    axes = {
-        name: replace(axis, values=axis.values[:: 2**levels]) if axis.can_be_refined else axis
-        for name, axis in scene.axes.items()
-    }
-    return replace(
-        scene, axes=axes, refine=replace(scene.refine, levels=max(scene.refine.levels - levels, 0))
-    )
-
-
-def _growth_needed(scene: Scene) -> float:
-    """Product of growth rate and duration above which all nudged unstable points but EXPECTED_MISSES drift.
-
-    A nudge survives if its component along the unstable motion is a smaller share of it than rate_tolerance /
-    nudge * exp(-growth). This is the share of such starts among all points, in regions narrower than the
-    spacing of the grid. Without a nudge no point drifts: -inf.
-    """
-    nudge = max(map(abs, scene.nudge.values()), default=0.0)
-    if nudge == 0:
-        return -math.inf
-    return math.log(scene.settings.rate_tolerance / nudge * scene.size / EXPECTED_MISSES)
 
 
 def _subgrid(spacing: Sequence[int]) -> tuple[slice, ...]:

@@ -6,7 +6,9 @@ import logging
 import random
 import socket
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import ThreadPoolExecutor, as_completed
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
@@ -18,7 +20,7 @@ from .. import systems
 from ..engine import blocks
 from ..engine.compiling import Stopwatch, announced
 from ..errors import BadInput, shown
-from ..files import check_name, exists_message
+from ..files import check_folder, check_name, exists_message
 from ..interruption import explain_kept
 from ..io import checksums, netcdf
 from ..io.netcdf import log_warnings, scene_provenance
@@ -31,14 +33,13 @@ from ..scene.model import Scene
 from ..scene.read import load_scene
 from ..validation import half_step
 from . import cluster, refine
-from .concurrency import Advance, for_each_tile, tiles_in_flight
+from .backend import open_atlas
 from .folder import LONGEST_NAME, MANIFEST, RESULT, RunFolder, remove_empty, result_hash
-from .identity import differences, identity
-from .open import open_atlas
-from .plan import ScenePlan
+from .plan import ScenePlan, differences, identity
 from .tiles import TileFiles, tile_types
 
 MAX_DAMAGE_WARNINGS = 5
+Advance = Callable[[float], None]  # takes a number of finished points
 
 
 @dataclass(frozen=True)
@@ -150,7 +151,7 @@ def run(
             ds = refine.refined(plan, warnings, threads=threads, progress=progress)
         if path is None:
             return ds
-        netcdf.write(ds.assign_attrs({RESULT: _own_result_hash(plan)}), path)
+        netcdf.write(ds.assign_attrs({RESULT: result_hash(plan.scene.toml(), identity(plan.points))}), path)
         return open_atlas(path)
     if path is None:
         return _run_in_memory(plan, warnings, threads, progress)
@@ -191,28 +192,43 @@ def _complete(folder: RunFolder, plan: ScenePlan, execution: _Execution, progres
     """Compute the missing tiles of a folder or shard; the progress is at work until it is closed."""
     explain_kept(folder.progress_text)
     job = _Job(folder, execution.shard or (1, 1))
-    job.warn_of_damage()
+    logger = logging.getLogger("atlas")
+    for tile, reason in list(job.status.damaged.items())[:MAX_DAMAGE_WARNINGS]:
+        logger.warning("%s: tile %d is computed again: %s", folder.path, tile, reason)
+    if len(job.status.damaged) > MAX_DAMAGE_WARNINGS:
+        logger.warning("... and %d damaged tiles more", len(job.status.damaged) - MAX_DAMAGE_WARNINGS)
     if job.unfinished:
-        folder.check_writable()
-    bar = job.open_progress(progress and bool(job.unfinished))
+        check_folder(folder.tiles.folder / "tile")
+    name = "progress.json" if job.parts == 1 else f"progress-{job.part}-of-{job.parts}.json"
+    bar = Progress(
+        sum(map(folder.tiling.size_of, job.tiles)),
+        done=sum(map(folder.tiling.size_of, job.status.done)),
+        show=progress and bool(job.unfinished),
+        file=folder.path / name,
+        facts={"shard": f"{job.part}/{job.parts}", "host": socket.gethostname()},
+    )
     try:
         if job.unfinished:
-            _compute_tiles(job, bar, plan, execution)
+            try:
+                if execution.on_cluster:
+                    _compute_on_cluster(job, bar, plan, execution)
+                else:
+                    _compute_in_threads(job, bar, plan, execution.threads)
+            finally:
+                folder.remove_leftovers()
         try:
             finished = bool(folder.final_attributes())
         except BadInput as error:
-            logging.getLogger("atlas").warning("%s", error)
+            logger.warning("%s", error)
             finished = False
-        if not finished and folder.is_written():
+        if not finished and not folder.tiles.missing():
             folder.save_final_attributes(
                 half_step.half_step_sample(plan.scene, plan.points, threads=execution.threads)
             )
-    except OSError:
+    except BaseException as error:
         bar.close()
-        folder.check_kept()
-        raise
-    except BaseException:
-        bar.close()
+        if isinstance(error, OSError):
+            folder.check_kept()
         raise
     return bar
 
@@ -262,12 +278,11 @@ def _is_result(plan: ScenePlan, path: Path) -> bool:
     except BadInput:
         return False
     # A dataset that a user derives from an atlas has its attributes but no checksums.
-    return result is not None and checksums.are_in(path) and result == _own_result_hash(plan)
-
-
-def _own_result_hash(plan: ScenePlan) -> str:
-    """`result_hash` of what this process computes for a scene."""
-    return result_hash(plan.scene.toml(), identity(plan.points))
+    return (
+        result is not None
+        and checksums.are_in(path)
+        and result == result_hash(plan.scene.toml(), identity(plan.points))
+    )
 
 
 def _finished(plan: ScenePlan, path: Path) -> xr.Dataset:
@@ -304,7 +319,7 @@ def _run_in_memory(plan: ScenePlan, warnings: list[str], threads: int | None, pr
         bar.skip(indices.size - int(points.exists.sum()))
 
     try:
-        for_each_tile(range(tiles.count), compute, bar.advance, tiles_in_flight(plan, threads))
+        for_each_tile(range(tiles.count), compute, bar.advance, plan.tiles_in_flight(threads))
     finally:
         bar.close()
     attributes = scene_provenance(
@@ -312,6 +327,38 @@ def _run_in_memory(plan: ScenePlan, warnings: list[str], threads: int | None, pr
     )
     attributes |= half_step.half_step_sample(plan.scene, plan.points, threads=threads)
     return netcdf.dataset(scene, columns).assign_attrs(attributes)
+
+
+class _Stopped(Exception):
+    """Ends a tile in flight after another one failed or the user pressed Ctrl-C."""
+
+
+def for_each_tile(
+    tiles: Iterable[int], compute: Callable[[int, Advance], None], advance: Advance, in_flight: int
+) -> None:
+    """Call compute(tile, advance) in threads; after an error or Ctrl-C abandon tiles and raise it."""
+    source, lock, stop = iter(tiles), threading.Lock(), threading.Event()
+
+    def advance_or_stop(points: float) -> None:
+        if stop.is_set():
+            raise _Stopped
+        advance(points)
+
+    def worker() -> None:
+        with suppress(_Stopped):
+            while not stop.is_set():
+                with lock:
+                    tile = next(source, None)
+                if tile is None:
+                    return
+                compute(tile, advance_or_stop)
+
+    with ThreadPoolExecutor(in_flight) as pool:
+        try:
+            for future in as_completed([pool.submit(worker) for _ in range(in_flight)]):
+                future.result()
+        finally:
+            stop.set()
 
 
 class _Job:
@@ -324,26 +371,6 @@ class _Job:
         self.status = folder.tiles.status(self.tiles)
         self.unfinished = sorted([*self.status.missing, *self.status.damaged])
 
-    def warn_of_damage(self) -> None:
-        """Log a warning for each damaged tile, at most MAX_DAMAGE_WARNINGS of them."""
-        logger = logging.getLogger("atlas")
-        for tile, reason in list(self.status.damaged.items())[:MAX_DAMAGE_WARNINGS]:
-            logger.warning("%s: tile %d is computed again: %s", self.folder.path, tile, reason)
-        if len(self.status.damaged) > MAX_DAMAGE_WARNINGS:
-            logger.warning("... and %d damaged tiles more", len(self.status.damaged) - MAX_DAMAGE_WARNINGS)
-
-    def open_progress(self, show: bool) -> Progress:
-        """Progress of the job, which also writes its progress file."""
-        size_of = self.folder.tiling.size_of
-        name = "progress.json" if self.parts == 1 else f"progress-{self.part}-of-{self.parts}.json"
-        return Progress(
-            sum(map(size_of, self.tiles)),
-            done=sum(map(size_of, self.status.done)),
-            show=show,
-            file=self.folder.path / name,
-            facts={"shard": f"{self.part}/{self.parts}", "host": socket.gethostname()},
-        )
-
     def remaining_tiles(self, bar: Progress) -> Iterator[int]:
         """Unfinished tiles one by one, from a random one on, so that parallel processes share the work."""
         first = random.randrange(len(self.unfinished))
@@ -352,19 +379,6 @@ class _Job:
                 bar.skip(self.folder.tiling.size_of(tile))
             else:
                 yield tile
-
-
-def _compute_tiles(job: _Job, bar: Progress, plan: ScenePlan, execution: _Execution) -> None:
-    """Compute the tiles of a job that are missing or damaged."""
-    try:
-        if execution.on_cluster:
-            if execution.workers:
-                _compile_kernel(plan)
-            _compute_on_cluster(job, bar, execution)
-        else:
-            _compute_in_threads(job, bar, plan, execution.threads)
-    finally:
-        job.folder.remove_leftovers()
 
 
 def _compute_in_threads(job: _Job, bar: Progress, plan: ScenePlan, threads: int | None) -> None:
@@ -384,7 +398,7 @@ def _compute_in_threads(job: _Job, bar: Progress, plan: ScenePlan, threads: int 
         folder.tiles.write(tile, columns, computed=computed, seconds=seconds, by=by)
         bar.skip(folder.tiling.size_of(tile) - computed)
 
-    for_each_tile(job.remaining_tiles(bar), compute, bar.advance, tiles_in_flight(plan, threads))
+    for_each_tile(job.remaining_tiles(bar), compute, bar.advance, plan.tiles_in_flight(threads))
 
 
 def _tile_columns(
@@ -396,16 +410,14 @@ def _tile_columns(
     return {name: values[name] for name in folder.tiles.types}, int(points.exists.sum())
 
 
-def _compile_kernel(plan: ScenePlan) -> None:
-    """Compile the kernel of a scene by one step at one point: each new process would compile it otherwise."""
-    points = replace(plan.points.without_derived(), settings=plan.limited(1))
-    if points.outputs:
-        evaluate(points, plan.sample.subset(np.flatnonzero(plan.sample.exists)[:1]), threads=1)
-
-
-def _compute_on_cluster(job: _Job, bar: Progress, execution: _Execution) -> None:
+def _compute_on_cluster(job: _Job, bar: Progress, plan: ScenePlan, execution: _Execution) -> None:
     """Compute the tiles of a job on dask workers."""
     folder = job.folder
+    if execution.workers:
+        # Compile the kernel by one step at one point: each new process would compile it otherwise.
+        points = replace(plan.points.without_derived(), settings=plan.limited(1))
+        if points.outputs:
+            evaluate(points, plan.sample.subset(np.flatnonzero(plan.sample.exists)[:1]), threads=1)
 
     def on_result(tile: int) -> None:
         if not folder.tiles.is_written(tile):

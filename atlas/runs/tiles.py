@@ -37,10 +37,7 @@ COUNTED = (
     "label", "label_inertial", "label_any_axis", "label_any_axis_inertial", "status", "agreement", "computed",
 )  # fmt: skip
 # Groups of points whose expected errors are printed apart: drifting motions amplify errors, steady ones do not.
-GROUPS = {
-    "steady": (Label.REGULAR_PRECESSION, Label.PERMANENT_ROTATION),
-    "drifting": (Label.DRIFTING,),
-}
+GROUPS = {"steady": (Label.REGULAR_PRECESSION, Label.PERMANENT_ROTATION), "drifting": (Label.DRIFTING,)}
 # Histogram of errors: quarters of a decade from 1e-20 on.
 BINS_PER_DECADE, LOWEST_DECADE, BINS = 4, -20, 161
 

@@ -117,7 +117,16 @@ class SymmetricTop:
         beta = 2 * abs(weight) / A
         kinetic = theta_dot0**2 + n**2 * low * high
         self._find_range(beta, kinetic, low, high, a, upper, lower)
-        self._find_phase(low, high, slope)
+        # Phase of the start, where theta' sin theta = slope; exact where that is 0.
+        above, below = max(low - self.x, 0.0), max(high - self.y, 0.0)
+        sn, cn = np.sqrt(above / self.width), np.sqrt(below / self.width)
+        dn = np.sqrt(cn**2 + self.complement * sn**2)
+        if above < below:
+            sn = slope / (2 * self.width * self.frequency * cn * dn)
+        else:
+            sn = float(np.copysign(sn, slope))
+            cn = slope / (2 * self.width * self.frequency * sn * dn)
+        self.phase = inverse_jacobi(sn, cn, self.complement)
         self.rate = abs(self.spin) + abs(self.a) + abs(n) + 2 * self.frequency
         self.period = 2 * float(ellipkm1(self.complement)) / self.frequency
 
@@ -146,18 +155,6 @@ class SymmetricTop:
         square = beta * (2 - x) + third
         self.frequency = 0.5 * np.sqrt(square)
         self.complement = min((beta * y + third) / square, 1.0)
-
-    def _find_phase(self, low: float, high: float, slope: float) -> None:
-        """Phase of the start, where theta' sin theta = slope; exact where that is 0."""
-        above, below = max(low - self.x, 0.0), max(high - self.y, 0.0)
-        sn, cn = np.sqrt(above / self.width), np.sqrt(below / self.width)
-        dn = np.sqrt(cn**2 + self.complement * sn**2)
-        if above < below:
-            sn = slope / (2 * self.width * self.frequency * cn * dn)
-        else:
-            sn = float(np.copysign(sn, slope))
-            cn = slope / (2 * self.width * self.frequency * sn * dn)
-        self.phase = inverse_jacobi(sn, cn, self.complement)
 
     def __call__(self, time: Array) -> EulerMotion:
         """Angles and rates at the times."""
@@ -207,7 +204,19 @@ class FreeGyrostat:
         self.energy = float(inertia @ w**2)
         self._find_roots(float(w[2]))
         self._find_phase(w)
-        self._find_precession()
+        # Fourier series of the rate at which the body turns about its angular momentum.
+        A, B, _ = inertia
+        time = self.turn * np.arange(FOURIER_SAMPLES) / FOURIER_SAMPLES
+        p, q, _ = self.velocity(time)
+        rate = self.momentum * (A * p**2 + B * q**2) / ((A * p) ** 2 + (B * q) ** 2)
+        series = np.fft.rfft(rate) / FOURIER_SAMPLES
+        if np.abs(series[-8:]).max() > 1e-13 * np.abs(series[0]):
+            raise ValueError("the precession about the angular momentum has too narrow peaks")
+        self.mean_precession = series[0].real
+        used = np.flatnonzero(np.abs(series) > 1e-16 * np.abs(series[0]))
+        used = used[used > 0]
+        self.harmonics = 2 * np.pi * used / self.turn
+        self.series = 2 * series[used] / (1j * self.harmonics)
         self.rate = float(np.abs(w).max() + self.momentum / inertia.min() + 2 * np.pi / self.turn)
         self.period = np.inf
         axis, node, across = self._directions(np.zeros(1), w[:, None])
@@ -291,21 +300,6 @@ class FreeGyrostat:
         w[self.zero_of] = np.where(large, product / (second_sign * safe_second), first_sign * first)
         w[2] = r
         return w
-
-    def _find_precession(self) -> None:
-        """Fourier series of the rate at which the body turns about its angular momentum."""
-        A, B, _ = self.inertia
-        time = self.turn * np.arange(FOURIER_SAMPLES) / FOURIER_SAMPLES
-        p, q, _ = self.velocity(time)
-        rate = self.momentum * (A * p**2 + B * q**2) / ((A * p) ** 2 + (B * q) ** 2)
-        series = np.fft.rfft(rate) / FOURIER_SAMPLES
-        if np.abs(series[-8:]).max() > 1e-13 * np.abs(series[0]):
-            raise ValueError("the precession about the angular momentum has too narrow peaks")
-        self.mean_precession = series[0].real
-        used = np.flatnonzero(np.abs(series) > 1e-16 * np.abs(series[0]))
-        used = used[used > 0]
-        self.harmonics = 2 * np.pi * used / self.turn
-        self.series = 2 * series[used] / (1j * self.harmonics)
 
     def _directions(self, time: Array, w: Array) -> tuple[Array, Array, Array]:
         """Three fixed directions in body axes, (3, times): angular momentum, node at the start, across both."""
@@ -424,7 +418,16 @@ def statistics(motion: Motion, duration: float) -> dict[str, float]:
     turns = int(duration // motion.period)
     first = motion.period if turns else duration
     time, weight = _quadrature(motion, first)
-    theta = _theta_at_turns(motion, np.concatenate([[0.0], time, [first]]))
+    # theta at both ends and where it has an extreme between two neighbouring nodes.
+    nodes = np.concatenate([[0.0], time, [first]])
+    slope = motion(nodes).cos_theta_dot
+    changes = np.flatnonzero(slope[:-1] * slope[1:] < 0)
+    low, high, sign = nodes[changes], nodes[changes + 1], slope[changes]
+    for _ in range(60):
+        middle = 0.5 * (low + high)
+        is_low = motion(middle).cos_theta_dot * sign > 0
+        low, high = np.where(is_low, middle, low), np.where(is_low, high, middle)
+    theta = motion(np.concatenate([nodes[[0, -1]], 0.5 * (low + high)])).theta
     if turns:  # every whole period counts alike; then the rest
         rest = _quadrature(motion, duration - turns * motion.period)
         time, weight = np.concatenate([time, rest[0]]), np.concatenate([turns * weight, rest[1]])
@@ -469,15 +472,3 @@ def _integrals(motion: Motion, edges: Array) -> Array:
     at_nodes = motion(edges[:-1, None] + half[:, None] * (1 + GAUSS_NODES))
     rates = np.nan_to_num([at_nodes.theta_dot, at_nodes.psi_dot, at_nodes.phi_dot, at_nodes.normal_rate])
     return np.concatenate([rates, rates**2]) @ GAUSS_WEIGHTS * half
-
-
-def _theta_at_turns(motion: Motion, time: Array) -> Array:
-    """theta at both ends of the times and where it has an extreme between two neighbouring times."""
-    slope = motion(time).cos_theta_dot
-    turns = np.flatnonzero(slope[:-1] * slope[1:] < 0)
-    low, high, sign = time[turns], time[turns + 1], slope[turns]
-    for _ in range(60):
-        middle = 0.5 * (low + high)
-        is_low = motion(middle).cos_theta_dot * sign > 0
-        low, high = np.where(is_low, middle, low), np.where(is_low, high, middle)
-    return motion(np.concatenate([time[[0, -1]], 0.5 * (low + high)])).theta

@@ -15,7 +15,6 @@ from ..label.pipeline import evaluate
 from ..label.plan import Plan
 from ..scene import grid
 from ..scene.model import Scene
-from ..systems.base import Flags, Mask
 
 CONFIDENCE = 0.95
 # Size of the sample: one point in POINTS_PER_SAMPLE (about 1 % of the cost of a run), within these limits.
@@ -71,7 +70,12 @@ def half_step_sample(scene: Scene, plan: Plan | None = None, *, threads: int | N
     part = grid.points_at_indices(scene, indices)
     plan = (plan or Plan.of(scene)).without_derived()
     full, half = (evaluate(plan, part, halved=halved, threads=threads) for halved in (False, True))
-    changed = _labels_changed(full, half)
+    # Points that have a label at the full step and another one, or none, at half the step.
+    changed = np.zeros(indices.size, bool)
+    for name in ("label", "label_inertial", "label_any_axis", "label_any_axis_inertial"):
+        if name in full:
+            labelled = (full[name] != Label.NOT_COMPUTED) & (full[name] != Label.UNRESOLVED)
+            changed |= labelled & (half[name] != full[name])
     bound = upper_bound(int(changed.sum()), indices.size, scene.size)
     attributes: dict[str, Any] = {
         "atlas_half_step_points": indices.size,
@@ -92,16 +96,6 @@ def half_step_sample(scene: Scene, plan: Plan | None = None, *, threads: int | N
     if np.isfinite(steady_change).any():
         attributes["atlas_half_step_difference"] = float(np.nanmax(steady_change))
     return attributes
-
-
-def _labels_changed(full: Mapping[str, Flags], half: Mapping[str, Flags]) -> Mask:
-    """Points that have a label at the full step and another one, or none, at half the step."""
-    changed = np.zeros(full["label"].shape, bool)
-    for name in ("label", "label_inertial", "label_any_axis", "label_any_axis_inertial"):
-        if name in full:
-            labelled = (full[name] != Label.NOT_COMPUTED) & (full[name] != Label.UNRESOLVED)
-            changed |= labelled & (half[name] != full[name])
-    return changed
 
 
 def half_step_text(attributes: Mapping[str, Any]) -> str:

@@ -14,7 +14,7 @@ from ..errors import BadInput
 from ..measure import observables, rates
 from ..measure.rates import state_distance
 from ..scene.model import Settings
-from ..systems.base import Array, Flags, Mask, Points, System
+from ..systems.base import Array, Flags, Mask, Points, System, subset
 from ..variables import main_instrument
 
 # Sums of the rates, which are integrated beside the states, in this order.
@@ -87,7 +87,18 @@ def reference(
         closed, exact = _closed_forms(system, points, duration, settings.cylinder)
         best = {name: np.where(exact, closed[name], runs[0][name]) for name in runs[0]}
         other = {name: np.where(exact, runs[0][name], runs[1][name]) for name in runs[0]}
-    label, other_label = (_labels_in_frames(system, points, run, settings) for run in (best, other))
+    frame_rates: list[Array | float] = [0.0]
+    if system.frame_rate is not None:
+        frame_rates.append(system.frame_rate(points))
+    labels = []
+    for run in (best, other):
+        if main.has_theory:
+            with np.errstate(invalid="ignore"):
+                labels.append(np.array([rates.label(run, settings.tolerances, rate) for rate in frame_rates]))
+        else:
+            limits = observables.std_tolerances(system, settings)
+            labels.append(observables.label(run, limits)[None])
+    label, other_label = labels
     if main.has_theory:
         for run in (best, other):
             inside = rates.in_cylinder(run, settings.cylinder)  # psi' and phi' have no meaning there
@@ -106,6 +117,21 @@ def reference(
         },
         label_certain=(label == other_label).all(0),
     )
+
+
+def reference_where_possible(
+    system: System, points: Points, duration: Array, settings: Settings, advance: Advance = no_progress
+) -> tuple[Reference | None, np.ndarray]:
+    """The reference of the points at which it can be computed, and their indices; None if there is no such point."""
+    indices = np.arange(duration.size)
+    while indices.size:
+        try:
+            solution = reference(system, subset(points, indices), duration[indices], settings, advance)
+        except ReferenceFailure as failure:
+            indices = np.delete(indices, failure.indices)
+        else:
+            return solution, indices
+    return None, indices
 
 
 def largest_sine(theta_min: Array, theta_max: Array) -> Array:
@@ -133,20 +159,9 @@ def _closed_forms(system: System, points: Points, duration: Array, cylinder: flo
     }
     for flag in np.unique(flags[exact]):
         members = np.flatnonzero(exact & (flags == flag))
-        states = motions[flag]({name: values[members] for name, values in points.items()}, duration[members])
+        states = motions[flag](subset(points, members), duration[members])
         run["state"][:, members] = np.einsum("sii->si", states)  # each point at its own time
     return run, exact
-
-
-def _labels_in_frames(system: System, points: Points, run: Run, settings: Settings) -> Flags:
-    """Labels of a run, (frames, points)."""
-    if not main_instrument(system).has_theory:
-        return observables.label(run, observables.std_tolerances(system, settings))[None]
-    frame_rates: list[Array | float] = [0.0]
-    if system.frame_rate is not None:
-        frame_rates.append(system.frame_rate(points))
-    with np.errstate(invalid="ignore"):
-        return np.array([rates.label(run, settings.tolerances, rate) for rate in frame_rates])
 
 
 class EulerRates(NamedTuple):
@@ -196,7 +211,7 @@ def _dop853(
         indices = indices[~similar]
     while groups:
         group = groups.pop()
-        members = {name: values[group] for name, values in points.items()}
+        members = subset(points, group)
         if main_instrument(system).has_theory:
             part = _integrate_group(system, members, duration[group], cylinder, rtol, advance)
         else:
@@ -245,23 +260,17 @@ def _integrate_group(
         return None
     final, theta_min, theta_max = end
     theta = euler_rates(equations.frame_motion(final[:states], constants), cylinder).theta
-    rates = _finish_sums(final[states:], at_start, theta, duration)
-    extremes = {
-        "theta_min": theta_min, "theta_max": theta_max, "sine_max": largest_sine(theta_min, theta_max)
-    }  # fmt: skip
-    return rates | extremes | {"state": final[:states]}
-
-
-def _finish_sums(sums: Array, at_start: EulerRates, theta: Array, duration: Array) -> Run:
-    """Means, rms and standard deviations of the rates from their means over the run and theta at its end, by name."""
-    out = np.zeros((len(Row), sums.shape[1]))
-    out[list(RATE_SUMS)] = sums
+    out = np.zeros((len(Row), size))
+    out[list(RATE_SUMS)] = final[states:]
     out[Row.PSI_DOT_REFERENCE] = at_start.psi_dot
     out[Row.PHI_DOT_REFERENCE] = at_start.phi_dot
     out[Row.NORMAL_RATE_REFERENCE] = at_start.normal_rate
     out[Row.FIRST_THETA], out[Row.LAST_THETA] = at_start.theta, theta
-    result = finish(out, np.ones(sums.shape[1], np.int64), duration)
-    return {name: result[name] for name in RATES}
+    result = finish(out, np.ones(size, np.int64), duration)
+    return {name: result[name] for name in RATES} | {
+        "theta_min": theta_min, "theta_max": theta_max, "sine_max": largest_sine(theta_min, theta_max),
+        "state": final[:states],
+    }  # fmt: skip
 
 
 def _final_and_range(

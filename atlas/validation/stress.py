@@ -15,7 +15,7 @@ from ..engine.ensemble import Ensemble
 from ..engine.specialization import kernel
 from ..engine.stepsize import StepSizes
 from ..engine.tableaux import METHODS, Method
-from ..errors import BadInput
+from ..errors import BadInput, text_table
 from ..flags import Flag, Label, Status
 from ..label.pipeline import evaluate
 from ..label.plan import Plan
@@ -23,11 +23,10 @@ from ..scene import model
 from ..scene.grid import Grid
 from ..scene.model import Settings
 from ..scene.tables import point_columns
-from ..systems.base import Array, Mask, Parameter, Points, StressCase, System
+from ..systems.base import Array, Mask, Points, StressCase, System, subset
 from ..variables import main_instrument, variables
-from .reference import ReferenceFailure, reference
+from .reference import reference_where_possible
 from .stress_truth import EXACT_ACCURACY, EXACT_STATISTICS, TrueLabels, no_statistics, true_labels
-from .text_table import text_table
 
 # The levels, coarse to fine: fixed steps as a share of the stability limit at the frequency bound, then
 # the automatic step at tolerances down to the default one.
@@ -62,31 +61,13 @@ def stress(
     """
     if isinstance(system, str):
         system = systems.get(system)
-    parts, truth = (
-        _points_of_generic_cases(system)
-        if cases is None and not system.stress_cases()
-        else _points_of_cases(system, cases)
-    )
-    points = {name: np.concatenate([part.points[name] for part in parts]) for name in system.parameters}
-    duration = np.concatenate([part.duration for part in parts])
-    results = _run_levels(system, points, duration, threads)
-    return _dataset(system, parts, points, truth, results)
-
-
-def _points_of_cases(
-    system: System, cases: Sequence[StressCase] | None
-) -> tuple[list[CasePoints], TrueLabels]:
-    """Points of the given cases (None: all of the system), and their true labels."""
-    parts = [case_points(system, case) for case in (system.stress_cases() if cases is None else cases)]
-    return parts, TrueLabels.join([
-        true_labels(system, part.points, part.duration, Settings(), part.truth, part.base) for part in parts
-    ])  # fmt: skip
-
-
-def _points_of_generic_cases(system: System) -> tuple[list[CasePoints], TrueLabels]:
-    """Points of generic cases whose true labels the reference determines, and these labels."""
+    cases = system.stress_cases() if cases is None else cases
     parts, truths = [], []
-    for case in generic_cases(system):
+    for case in cases:
+        part = case_points(system, case)
+        parts.append(part)
+        truths.append(true_labels(system, part.points, part.duration, Settings(), part.truth, part.base))
+    for case in [] if cases else generic_cases(system):
         part = case_points(system, case)
         truth, known = generic_true_labels(system, part, Settings())
         if known.any():
@@ -94,84 +75,67 @@ def _points_of_generic_cases(system: System) -> tuple[list[CasePoints], TrueLabe
             truths.append(truth.subset(known))
     if not parts:
         raise BadInput(f"stress: the reference determines no label of the generic cases of {system.name}")
-    return parts, TrueLabels.join(truths)
-
-
-@dataclass(frozen=True)
-class _Job:
-    """Points to be run with the same settings."""
-
-    cell: tuple[int, int]  # indices of the method and the level
-    settings: Settings
-    indices: np.ndarray
-
-
-def _jobs(system: System, points: Points, duration: Array) -> list[_Job]:
-    """All runs: at fixed steps one for each point, as its step is its own; else one for each level."""
-    with np.errstate(all="ignore"):
-        bound = system.frequency_bound(points)
-    jobs = []
-    for i, method in enumerate(METHODS.values()):
-        settings = Settings(method=method.name, max_steps=MAX_STEPS)
-        for j, ratio in enumerate(RATIOS):
-            with np.errstate(all="ignore"):
-                length = np.clip(ratio * method.stability / bound, 0.0, duration)
-            jobs += [
-                _Job((i, j), replace(settings, step=float(length[k])), np.array([k]))
-                for k in np.flatnonzero(length > 0)
-            ]
-        jobs += [
-            _Job((i, j), replace(settings, tolerance=tolerance), np.arange(duration.size))
-            for j, tolerance in enumerate(TOLERANCES, len(RATIOS))
-        ]
-    return jobs
+    points = {name: np.concatenate([part.points[name] for part in parts]) for name in system.parameters}
+    duration = np.concatenate([part.duration for part in parts])
+    results = _run_levels(system, points, duration, threads)
+    return _dataset(system, parts, points, TrueLabels.join(truths), results)
 
 
 def _run_levels(
     system: System, points: Points, duration: Array, threads: int | None
 ) -> dict[str, np.ndarray]:
-    """Label, status and the measured numbers that are compared, each (method, level, point)."""
+    """Label, status and the measured numbers that are compared, each (method, level, point).
+
+    At fixed steps each point is a job of its own, as its step is its own; else each level is one.
+    """
     shape = len(METHODS), len(LEVELS), duration.size
     numbers = ("step_ratio", "error_estimate", "unsteadiness", *EXACT_STATISTICS)
     results: dict[str, np.ndarray] = {name: np.zeros(shape, np.int8) for name in ("label", "status")}
     results |= {name: np.full(shape, np.nan) for name in numbers}
-    for method in METHODS:
-        kernel(system, method)  # loaded here, so that no two threads load it at once
+    for name in METHODS:
+        kernel(system, name)  # loaded here, so that no two threads load it at once
+    with np.errstate(all="ignore"):
+        bound = system.frequency_bound(points)
 
-    def work(job: _Job) -> None:
-        for indices, values in _run_job(system, points, duration, job):
-            for name, column in results.items():
-                column[(*job.cell, indices)] = values[name]
+    def work(cell: tuple[int, int], settings: Settings, where: np.ndarray) -> None:
+        """Run the points of a method and a level that take no more than MAX_STEPS."""
+        with np.errstate(all="ignore"):
+            radians = bound[where] * duration[where]
+            unlimited = StepSizes.of(
+                replace(settings, max_steps=model.MAX_STEPS), bound[where], duration[where]
+            )
+        # Points whose numbers overflow would take any number of steps; a few steps show the overflow.
+        overflow = ~np.isfinite(bound[where]) | (radians > 1e12)
+        runs = [
+            (settings, where[~overflow & (unlimited.steps <= MAX_STEPS)]),
+            (replace(settings, max_steps=1000), where[overflow]),
+        ]
+        for limited, indices in runs:
+            if indices.size:
+                part, none = subset(points, indices), np.zeros(indices.size, np.int8)
+                values = evaluate(Plan(system, limited), Grid(part, part, none, duration[indices]), threads=1)
+                values["unsteadiness"] = main_instrument(system).unsteadiness(system, values, settings)
+                # Exact motions are those of bodies.
+                values = dict.fromkeys(EXACT_STATISTICS, np.full(indices.size, np.nan)) | values
+                for name, column in results.items():
+                    column[(*cell, indices)] = values[name]
 
     # The kernel releases the interpreter lock; one job is seldom large enough for two threads.
     with ThreadPoolExecutor(threads or blocks.available_threads()) as pool:
-        list(pool.map(work, _jobs(system, points, duration)))
-    return results
-
-
-def _run_job(
-    system: System, points: Points, duration: Array, job: _Job
-) -> list[tuple[np.ndarray, dict[str, np.ndarray]]]:
-    """Indices and results of the points of a job that take no more than MAX_STEPS."""
-    settings, duration_of_job = job.settings, duration[job.indices]
-    with np.errstate(all="ignore"):
-        bound = system.frequency_bound(points)[job.indices]
-        unlimited = StepSizes.of(replace(settings, max_steps=model.MAX_STEPS), bound, duration_of_job)
-    # Points whose numbers overflow would take any number of steps; a few steps show the overflow.
-    overflow = ~np.isfinite(bound) | (bound * duration_of_job > 1e12)
-    runs = [
-        (settings, job.indices[~overflow & (unlimited.steps <= MAX_STEPS)]),
-        (replace(settings, max_steps=1000), job.indices[overflow]),
-    ]
-    results = []
-    for limited, indices in runs:
-        if indices.size:
-            part = {name: values[indices] for name, values in points.items()}
-            none = np.zeros(indices.size, np.int8)
-            values = evaluate(Plan(system, limited), Grid(part, part, none, duration[indices]), threads=1)
-            values |= {"unsteadiness": main_instrument(system).unsteadiness(system, values, settings)}
-            missing = np.full(indices.size, np.nan)  # exact motions are those of bodies
-            results.append((indices, dict.fromkeys(EXACT_STATISTICS, missing) | values))
+        jobs = []
+        for i, method in enumerate(METHODS.values()):
+            settings = Settings(method=method.name, max_steps=MAX_STEPS)
+            for j, ratio in enumerate(RATIOS):
+                with np.errstate(all="ignore"):
+                    length = np.clip(ratio * method.stability / bound, 0.0, duration)
+                for k in np.flatnonzero(length > 0):
+                    own = replace(settings, step=float(length[k]))
+                    jobs.append(pool.submit(work, (i, j), own, np.array([k])))
+            for j, tolerance in enumerate(TOLERANCES, len(RATIOS)):
+                own = replace(settings, tolerance=tolerance)
+                jobs.append(pool.submit(work, (i, j), own, np.arange(duration.size)))
+        for job in jobs:
+            job.result()
     return results
 
 
@@ -192,45 +156,14 @@ def _dataset(
     with np.errstate(invalid="ignore"):
         error = np.abs(results["unsteadiness"] - truth.unsteadiness)
         error /= np.maximum(truth.unsteadiness, main_instrument(system).steady_below(Settings()))
-    statistic_attributes = {
-        "long_name": "error of a statistic against the exact motion",
-        "units": "1",
-        "comment": "of a rate in units of the frequency bound, of an angle in rad; nan where the motion is not known exactly",
-    }
-    verdict_attributes = {
-        "long_name": "label compared with the true label",
-        "flag_values": np.arange(len(Verdict), dtype=np.int8),
-        "flag_meanings": " ".join(Verdict.meanings()),
-    }
-    error_attributes = {
-        "long_name": f"relative error of the {main_instrument(system).unsteadiness_text}",
-        "units": "1",
-        "comment": "relative to the tolerance where the true value is less; nan where it is unknown, because only a"
-        " part of the run was integrated by the reference or numbers overflow",
-    }
+        errors = [np.abs(results[name] - truth.statistics[name]) for name in EXACT_STATISTICS]
+    with np.errstate(all="ignore"):
+        bound = system.frequency_bound(points)
+        for statistic_error, name in zip(errors, EXACT_STATISTICS, strict=True):
+            statistic_error /= 1.0 if name in ("theta_min", "theta_max") else bound
     names = [(part, name) for part in parts for name in part.names]
-    return xr.Dataset(
-        {
-            **{
-                name: (dims, results[name], registry[name].attributes())
-                for name in ("label", "status", "step_ratio", "error_estimate")
-            },
-            "statistic_error": (
-                ("method", "level", "statistic", "point"),
-                _statistic_errors(system, points, truth, results),
-                statistic_attributes,
-            ),
-            "error": (dims, error, error_attributes),
-            "verdict": (dims, verdict.astype(np.int8), verdict_attributes),
-            "truth": ("point", truth.label, registry["label"].attributes() | {"long_name": "true label"}),
-            "duration": (
-                "point",
-                np.concatenate([part.duration for part in parts]),
-                {"long_name": "length of the run", "units": "s"},
-            ),
-            **{name: ("point", values) for name, values in points.items() if not np.isnan(values).all()},
-        },
-        {
+    ds = xr.Dataset(
+        coords={
             "method": list(METHODS),
             "level": list(LEVELS),
             "statistic": list(EXACT_STATISTICS),
@@ -239,22 +172,27 @@ def _dataset(
             "known_from": ("point", truth.source),
             "may_stay_unresolved": ("point", [part.may_stay_unresolved for part, _ in names]),
         },
-        {"title": f"stiff and extreme cases of the {system.name}", "atlas_system": system.name},
+        attrs={"title": f"stiff and extreme cases of the {system.name}", "atlas_system": system.name},
     )
-
-
-def _statistic_errors(
-    system: System, points: Points, truth: TrueLabels, results: Mapping[str, np.ndarray]
-) -> Array:
-    """Errors of EXACT_STATISTICS against exact motions, (method, level, statistic, point)."""
-    with np.errstate(all="ignore"):
-        bound = system.frequency_bound(points)
-        errors = [
-            np.abs(results[name] - truth.statistics[name])
-            / (1.0 if name in ("theta_min", "theta_max") else bound)
-            for name in EXACT_STATISTICS
-        ]
-    return np.stack(errors, axis=2)
+    for name in ("label", "status", "step_ratio", "error_estimate"):
+        ds[name] = dims, results[name], registry[name].attributes()
+    ds["statistic_error"] = (*dims[:2], "statistic", "point"), np.stack(errors, axis=2), {
+        "long_name": "error of a statistic against the exact motion", "units": "1",
+        "comment": "of a rate in units of the frequency bound, of an angle in rad; nan where the motion is not known exactly",
+    }  # fmt: skip
+    ds["error"] = dims, error, {
+        "long_name": f"relative error of the {main_instrument(system).unsteadiness_text}", "units": "1",
+        "comment": "relative to the tolerance where the true value is less; nan where it is unknown, because only a"
+        " part of the run was integrated by the reference or numbers overflow",
+    }  # fmt: skip
+    ds["verdict"] = dims, verdict.astype(np.int8), {
+        "long_name": "label compared with the true label", "flag_values": np.arange(len(Verdict), dtype=np.int8),
+        "flag_meanings": " ".join(Verdict.meanings()),
+    }  # fmt: skip
+    ds["truth"] = "point", truth.label, registry["label"].attributes() | {"long_name": "true label"}
+    duration = np.concatenate([part.duration for part in parts])
+    ds["duration"] = "point", duration, {"long_name": "length of the run", "units": "s"}
+    return ds.assign({k: ("point", values) for k, values in points.items() if not np.isnan(values).all()})
 
 
 def mislabelled(ds: xr.Dataset) -> Mask:
@@ -299,41 +237,41 @@ LEGEND = (
 def report(ds: xr.Dataset) -> str:
     """The study as text: a row for each case with a sign for each level, then each point that failed."""
     counts = np.bincount(ds["verdict"].values.ravel(), minlength=len(Verdict))
-    return "\n".join(
-        [
-            _case_table(ds),
-            LEGEND,
-            *_point_lines(ds, "label not true", mislabelled(ds)),
-            *_point_lines(ds, "unresolved at an automatic step", unresolved(ds)),
-            ", ".join(f"{name} {count}" for name, count in zip(Verdict.meanings(), counts, strict=True)),
-            *_accuracy_lines(ds),
-            *_statistics_table(ds),
-        ]
-    )
-
-
-def _case_table(ds: xr.Dataset) -> str:
-    """A row for each case, with a sign for each method and level."""
     meanings = list(Label.meanings())
     rows = [("case", "points", "true label", "determined by", *ds["method"].values)]
     for case in dict.fromkeys(ds["case"].values):
         part = ds.isel(point=np.flatnonzero(ds["case"].values == case))
         truth = ", ".join(dict.fromkeys(meanings[i] for i in part["truth"].values))
         source = ", ".join(dict.fromkeys(part["known_from"].values))
-        signs = ["".join(_sign(level) for level in method) for method in part["verdict"].values]
-        rows.append((str(case), str(part.sizes["point"]), truth, source, *signs))
-    return text_table(rows)
-
-
-def _sign(verdict: Array) -> str:
-    """One character for the verdicts on the points of a case."""
-    if (verdict == Verdict.WRONG).any():
-        return "X"
-    if (verdict == Verdict.LEFT_OUT).all():
-        return "-"
-    if (verdict == Verdict.UNRESOLVED).any():
-        return "u" if (verdict == Verdict.RIGHT).any() else "U"
-    return "."
+        verdict = part["verdict"].values
+        is_wrong, is_left_out = (verdict == Verdict.WRONG).any(-1), (verdict == Verdict.LEFT_OUT).all(-1)
+        is_unresolved, is_right = ((verdict == v).any(-1) for v in (Verdict.UNRESOLVED, Verdict.RIGHT))
+        conditions = [is_wrong, is_left_out, is_unresolved & is_right, is_unresolved]
+        signs = np.select(conditions, ["X", "-", "u", "U"], ".")
+        rows.append((str(case), str(part.sizes["point"]), truth, source, *map("".join, signs)))
+    # For each method and level: the number of true labels with an accurate unsteadiness, and with a known one.
+    accuracy = []
+    for name, verdict, error in zip(
+        ds["method"].values, ds["verdict"].values, ds["error"].values, strict=True
+    ):
+        error = np.where(verdict == Verdict.RIGHT, error, np.nan)
+        accurate, known = (error < ACCURATE).sum(1), np.isfinite(error).sum(1)
+        accuracy.append(
+            f"{name}: true labels with {ds['error'].attrs['long_name'].removeprefix('relative error of ')} within"
+            f" {100 * ACCURATE:g} %, of those for which it is known, by level: "
+            + " ".join(f"{n}/{k}" for n, k in zip(accurate, known, strict=True))
+        )
+    return "\n".join(
+        [
+            text_table(rows),
+            LEGEND,
+            *_point_lines(ds, "label not true", mislabelled(ds)),
+            *_point_lines(ds, "unresolved at an automatic step", unresolved(ds)),
+            ", ".join(f"{name} {count}" for name, count in zip(Verdict.meanings(), counts, strict=True)),
+            *accuracy,
+            *_statistics_table(ds),
+        ]
+    )
 
 
 def _point_lines(ds: xr.Dataset, text: str, selected: Mask) -> list[str]:
@@ -344,20 +282,6 @@ def _point_lines(ds: xr.Dataset, text: str, selected: Mask) -> list[str]:
         lines.append(
             f"{text}: {run['case'].item()}, {run['name'].item()}; {run['method'].item()}, {run['level'].item()}:"
             f" {label[int(run['label'])]} ({status[int(run['status'])]}), true {label[int(run['truth'])]}"
-        )
-    return lines
-
-
-def _accuracy_lines(ds: xr.Dataset) -> list[str]:
-    """For each method and level: the number of true labels with an accurate unsteadiness, and with a known one."""
-    lines = []
-    for i, method in enumerate(ds["method"].values):
-        error = np.where(ds["verdict"].values[i] == Verdict.RIGHT, ds["error"].values[i], np.nan)
-        accurate, known = (error < ACCURATE).sum(1), np.isfinite(error).sum(1)
-        counts = " ".join(f"{n}/{k}" for n, k in zip(accurate, known, strict=True))
-        lines.append(
-            f"{method}: true labels with {ds['error'].attrs['long_name'].removeprefix('relative error of ')} within"
-            f" {100 * ACCURATE:g} %, of those for which it is known, by level: {counts}"
         )
     return lines
 
@@ -375,7 +299,17 @@ def _statistics_table(ds: xr.Dataset) -> list[str]:
         members = np.flatnonzero(known & (ds["case"].values == case))
         row = [str(case), str(members.size)]
         for i in range(ds.sizes["method"]):
-            row += _error_cells(ds.isel(method=i, level=-1, point=members))
+            part = ds.isel(method=i, level=-1, point=members)
+            resolved = part["status"].values == Status.OK
+            error = np.where(resolved, part["statistic_error"].values, np.nan)
+            if np.isnan(error).all():
+                row += ["-", "-", "-"]
+            else:
+                worst = np.nanmax(error, axis=1, initial=0.0)
+                estimate = np.maximum(part["error_estimate"].values, EXACT_ACCURACY)
+                ratio = np.nanmax(error, axis=0, initial=0.0) / estimate
+                largest = str(part["statistic"].values[worst.argmax()])
+                row += [f"{worst.max():.1e}", largest, f"{np.nanmax(np.where(resolved, ratio, np.nan)):.2g}"]
             row.append(f"{beyond[i][:, members].sum()}/{estimated[i][:, members].sum()}")
         rows.append(row)
     total = [
@@ -387,18 +321,6 @@ def _statistics_table(ds: xr.Dataset) -> list[str]:
         text_table(rows),
         f"runs with a statistic off by more than ten times error_estimate: {', '.join(total)}",
     ]
-
-
-def _error_cells(ds: xr.Dataset) -> list[str]:
-    """Largest error of a statistic, the name of that statistic, and the largest ratio of an error to the estimate."""
-    resolved = ds["status"].values == Status.OK
-    error = np.where(resolved, ds["statistic_error"].values, np.nan)
-    if np.isnan(error).all():
-        return ["-", "-", "-"]
-    worst = np.nanmax(error, axis=1, initial=0.0)
-    estimate = np.maximum(ds["error_estimate"].values, EXACT_ACCURACY)
-    ratio = np.nanmax(np.where(resolved, np.nanmax(error, axis=0, initial=0.0) / estimate, np.nan))
-    return [f"{worst.max():.1e}", str(ds["statistic"].values[worst.argmax()]), f"{ratio:.2g}"]
 
 
 @dataclass(frozen=True)
@@ -419,8 +341,8 @@ class CasePoints:
         """The points where a mask is true."""
         return replace(
             self,
-            points={name: values[where] for name, values in self.points.items()},
-            base={name: values[where] for name, values in self.base.items()},
+            points=subset(self.points, where),
+            base=subset(self.base, where),
             duration=self.duration[where],
             names=tuple(name for name, kept in zip(self.names, where, strict=True) if kept),
         )
@@ -459,28 +381,21 @@ def generic_cases(system: System) -> list[StressCase]:
 
     The length of a run follows from its frequency at the start, so that stiff runs are short.
     """
-    moderate = {name: _moderate_value(p) for name, p in system.parameters.items() if np.isfinite(p.default)}
-    cases = [_case(system, name, moderate | {name: _values(system.parameters[name])}) for name in moderate]
-    return [_case(system, "defaults", {}), _case(system, "beside the defaults", moderate), *cases]
-
-
-def _moderate_value(parameter: Parameter) -> float:
-    """The default, or START for a start value whose default is 0, so that the state changes."""
-    if not parameter.start or parameter.default != 0:
-        return parameter.default
-    return START if parameter.low <= START <= parameter.high else parameter.default
-
-
-def _values(parameter: Parameter) -> Array:
-    """Small, large and huge values of a parameter within its range."""
-    scale = parameter.default if parameter.default != 0 else 1.0
-    values = scale * 10.0 ** (POWERS_OF_STARTS if parameter.start else POWERS)
-    values = np.concatenate([values, -values, [HUGE, -HUGE]])
-    if np.isfinite(parameter.low) and np.isfinite(parameter.high):
-        values = np.concatenate([values, np.linspace(parameter.low, parameter.high, 5)])
-    inside = (values >= parameter.low) & (values <= parameter.high)
-    inside &= (values > parameter.low) | (not parameter.open_low)
-    return np.unique(values[inside])
+    moderate = {name: p.default for name, p in system.parameters.items() if np.isfinite(p.default)}
+    for name, p in system.parameters.items():
+        if p.start and p.default == 0 and p.low <= START <= p.high:
+            moderate[name] = START  # so that the state changes
+    cases = [_case(system, "defaults", {}), _case(system, "beside the defaults", moderate)]
+    for name in moderate:
+        p = system.parameters[name]
+        scale = p.default if p.default != 0 else 1.0
+        values = scale * 10.0 ** (POWERS_OF_STARTS if p.start else POWERS)
+        values = np.concatenate([values, -values, [HUGE, -HUGE]])
+        if np.isfinite(p.low) and np.isfinite(p.high):
+            values = np.concatenate([values, np.linspace(p.low, p.high, 5)])
+        inside = (values >= p.low) & (values <= p.high) & ((values > p.low) | (not p.open_low))
+        cases.append(_case(system, name, moderate | {name: np.unique(values[inside])}))
+    return cases
 
 
 def _case(system: System, name: str, columns: Mapping[str, float | Array]) -> StressCase:
@@ -504,19 +419,18 @@ def generic_true_labels(system: System, part: CasePoints, settings: Settings) ->
     source, known = np.full(size, "overflow", "<U15"), np.ones(size, bool)
     with np.errstate(all="ignore"):
         start, frequency = system.initial_state(part.points), system.frequency_bound(part.points)
-    usable = np.isfinite(start).all(0) & np.isfinite(frequency)
-    indices = np.flatnonzero(usable)
-    while indices.size:
-        points: Points = {name: values[indices] for name, values in part.points.items()}
-        try:
-            solution = reference(system, points, part.duration[indices], settings)
-        except ReferenceFailure as failure:
-            known[indices[failure.indices]] = False
-            indices = np.delete(indices, failure.indices)
-            continue
-        label[indices], source[indices], known[indices] = solution.label, "reference", solution.label_certain
-        largest[indices] = main_instrument(system).unsteadiness(system, solution.statistics, settings)
-        break
+    usable = np.flatnonzero(np.isfinite(start).all(0) & np.isfinite(frequency))
+    solution, computed = reference_where_possible(
+        system, subset(part.points, usable), part.duration[usable], settings
+    )
+    known[usable], computed = False, usable[computed]
+    if solution is not None:
+        label[computed], source[computed], known[computed] = (
+            solution.label,
+            "reference",
+            solution.label_certain,
+        )
+        largest[computed] = main_instrument(system).unsteadiness(system, solution.statistics, settings)
     return TrueLabels(label, largest, source, no_statistics(size)), known
 
 

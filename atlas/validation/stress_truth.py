@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -10,12 +10,11 @@ import numpy as np
 from scipy.integrate import solve_ivp
 
 from ..flags import Label
-from ..label.labels import rounding_limit
-from ..label.theory import predict
+from ..label.theory import predict, rounding_limit
 from ..measure.instrument import could_change
 from ..measure.rates import LABEL_STATISTICS, rule
 from ..scene.model import Settings
-from ..systems.base import Array, Flags, Mask, Points, System
+from ..systems.base import Array, Flags, Mask, Points, System, subset
 from ..variables import main_instrument
 from . import exact
 from .reference import EXACT_RESIDUAL, largest_sine, reference
@@ -58,8 +57,9 @@ class TrueLabels:
 
     def subset(self, where: Mask) -> TrueLabels:
         """The labels where a mask is true."""
-        statistics = {name: values[where] for name, values in self.statistics.items()}
-        return TrueLabels(self.label[where], self.unsteadiness[where], self.source[where], statistics)
+        return TrueLabels(
+            self.label[where], self.unsteadiness[where], self.source[where], subset(self.statistics, where)
+        )
 
 
 def true_labels(
@@ -79,9 +79,17 @@ def true_labels(
     point is no stress case.
     """
     if truth == "departure":
-        return _labels_by_departure(system, points if base is None else base, points, duration, settings)
+        rest, constants = system.initial_state(points if base is None else base), system.constants(points)
+        offset = system.initial_state(points) - rest
+        runs = [
+            _departure(system, rest[:, i], offset[:, i], constants[:, i], duration[i])
+            for i in range(duration.size)
+        ]
+        return _labels_of_runs(system, runs, settings, truth, 1e-3 + STATE_ROUNDING / np.abs(offset).max(0))
     if truth:
-        return _labels_by_exact_motion(system, points, duration, settings, truth)
+        motions = (exact.motion_of(system, truth, points, i) for i in range(duration.size))
+        runs = [exact.statistics(motion, T) for motion, T in zip(motions, duration, strict=True)]
+        return _labels_of_runs(system, runs, settings, "exact motion")
     with np.errstate(all="ignore"):
         theory = predict(system, points, settings.rate_tolerance, False, settings.cylinder)
         residual, bound = system.condition_residual(points), system.frequency_bound(points)
@@ -100,11 +108,11 @@ def true_labels(
     label[overflow], unsteadiness[overflow], source[overflow] = Label.UNRESOLVED, np.nan, "overflow"
     others = np.flatnonzero(~is_exact & ~overflow)
     if others.size:
-        part = {name: values[others] for name, values in despun.items()}
         solved, undecided = _labels_by_reference(
-            system, part, excess[others], duration[others], radians[others], settings
+            system, subset(despun, others), excess[others], duration[others], radians[others], settings
         )
-        _require_decided("the reference", others[undecided])
+        if undecided.any():
+            raise ValueError(f"the reference cannot decide the labels of points {others[undecided]}")
         label[others], unsteadiness[others] = solved.label, solved.unsteadiness
         source[others] = solved.source
     return TrueLabels(label, unsteadiness, source, no_statistics(duration.size))
@@ -115,60 +123,35 @@ def no_statistics(size: int) -> dict[str, Array]:
     return {name: np.full(size, np.nan) for name in EXACT_STATISTICS}
 
 
-def _require_decided(source: str, undecided: np.ndarray) -> None:
-    """Raise ValueError if there are undecided points."""
-    if undecided.size:
-        raise ValueError(f"{source} cannot decide the labels of points {undecided}")
-
-
-def _labels_by_exact_motion(
-    system: System, points: Points, duration: Array, settings: Settings, kind: str
+def _labels_of_runs(
+    system: System,
+    runs: Sequence[Mapping[str, float]],
+    settings: Settings,
+    source: str,
+    departure_error: Array | None = None,
 ) -> TrueLabels:
-    """Labels and statistics of points that follow an exact motion."""
-    runs = [
-        exact.statistics(exact.motion_of(system, kind, points, i), duration[i]) for i in range(duration.size)
-    ]
+    """Labels from the statistics of a run of each point: of an exact motion, or of a departure with a relative error."""
     measured = {name: np.array([run[name] for run in runs]) for name in EXACT_STATISTICS}
     measured["sine_max"] = largest_sine(measured["theta_min"], measured["theta_max"])
-    error = {name: np.full(duration.shape, EXACT_ACCURACY) for name in LABEL_STATISTICS}
+    if departure_error is None:
+        error = {name: np.full(len(runs), EXACT_ACCURACY) for name in LABEL_STATISTICS}
+    else:
+        error = {
+            name: np.abs(measured[name]) * np.where(name.endswith(("rms", "std")), departure_error, 1e-12)
+            for name in LABEL_STATISTICS
+        }
     with np.errstate(invalid="ignore"):
         undecided = could_change(rule(settings.tolerances), measured, error)
         label = rule(settings.tolerances).label(measured)
-    _require_decided("the exact motion", np.flatnonzero(undecided))
-    source = np.full(duration.shape, "exact motion", "<U15")
+    if undecided.any():
+        raise ValueError(f"the {source} cannot decide the labels of points {np.flatnonzero(undecided)}")
+    unsteadiness = main_instrument(system).unsteadiness(system, measured, settings)
     statistics = {name: measured[name] for name in EXACT_STATISTICS}
     return TrueLabels(
-        label, main_instrument(system).unsteadiness(system, measured, settings), source, statistics
-    )
-
-
-def _labels_by_departure(
-    system: System, base: Points, points: Points, duration: Array, settings: Settings
-) -> TrueLabels:
-    """Labels of points that start at a tiny offset from an equilibrium."""
-    rest, constants = system.initial_state(base), system.constants(points)
-    offset = system.initial_state(points) - rest
-    runs = [
-        _departure(system, rest[:, i], offset[:, i], constants[:, i], duration[i])
-        for i in range(duration.size)
-    ]
-    measured = {name: np.array([run[name] for run in runs]) for name in EXACT_STATISTICS}
-    measured["sine_max"] = largest_sine(measured["theta_min"], measured["theta_max"])
-    relative = 1e-3 + STATE_ROUNDING / np.abs(offset).max(0)
-    error = {
-        name: np.abs(measured[name]) * np.where(name.endswith(("rms", "std")), relative, 1e-12)
-        for name in LABEL_STATISTICS
-    }
-    with np.errstate(invalid="ignore"):
-        undecided = could_change(rule(settings.tolerances), measured, error)
-        label = rule(settings.tolerances).label(measured)
-    _require_decided("the departure", np.flatnonzero(undecided))
-    source = np.full(duration.shape, "departure", "<U15")
-    return TrueLabels(
         label,
-        main_instrument(system).unsteadiness(system, measured, settings),
-        source,
-        no_statistics(duration.size),
+        unsteadiness,
+        np.full(len(runs), source, "<U15"),
+        statistics if departure_error is None else no_statistics(len(runs)),
     )
 
 
@@ -212,7 +195,7 @@ def linear_growth(
     motions = {family.flag: family.motion for family in system.families.values()}
     result = []
     for i in indices:
-        point = {name: values[i : i + 1] for name, values in points.items()}
+        point = subset(points, slice(i, i + 1))
         result.append(_growth_along(system, motions[flags[i]], point, float(duration[i])))
     return np.array(result)
 

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from statistics import median
 from time import process_time
 from types import ModuleType
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 import xarray as xr
@@ -20,7 +20,7 @@ from ..engine.generated import WIDTH
 from ..engine.specialization import kernel
 from ..engine.stepsize import StepSizes
 from ..engine.tableaux import METHODS
-from ..errors import BadInput, attribute_text
+from ..errors import BadInput, attribute_text, text_table
 from ..flags import Label
 from ..io import netcdf
 from ..io.progress import Progress
@@ -29,17 +29,10 @@ from ..label.plan import Plan
 from ..measure.rates import state_distance
 from ..scene import grid
 from ..scene.model import Scene, Settings
-from ..systems.base import Array, Mask
+from ..systems.base import Array
 from ..variables import main_instrument, variables
 from .half_step import stratified_indices, upper_bound
-from .reference import (
-    MAX_RADIANS,
-    Advance,
-    Reference,
-    ReferenceFailure,
-    reference,
-)
-from .text_table import text_table
+from .reference import MAX_RADIANS, Advance, Reference, reference_where_possible
 
 # Levels: the scene's tolerance times powers of 10 within these limits, or its step times powers of 2.
 MAX_TOLERANCE, MIN_TOLERANCE, STEP_EXPONENTS = 1e-1, 1e-13, range(5, -7, -1)
@@ -85,6 +78,10 @@ def scene_level(settings: Settings) -> int:
     return int(np.abs(np.log(np.array(values) / value)).argmin())
 
 
+# What one method gives at one level: arrays (points,) by the names of the dataset's variables, and `seconds_per_point`.
+Columns: TypeAlias = dict[str, Any]
+
+
 @dataclass(frozen=True)
 class _Sample:
     """Points of a scene with their reference solution; arrays of shape (points,)."""
@@ -105,14 +102,6 @@ class _Sample:
         """Largest error: of a rate over the frequency bound, of an observable over its magnitude."""
         system = self.scene.system
         return main_instrument(system).largest(system, self.reference.statistics, errors, self.bound)
-
-
-@dataclass(frozen=True)
-class _LevelResult:
-    """What one method gives at one level."""
-
-    values: dict[str, np.ndarray]  # by the names of the dataset's variables, (points,)
-    seconds_per_point: float
 
 
 def work_precision(scene: Scene, count: int = 64, *, progress: bool = False) -> xr.Dataset:
@@ -139,7 +128,12 @@ def work_precision(scene: Scene, count: int = 64, *, progress: bool = False) -> 
         raise BadInput(f"points = {count}: must be at least 2")
     stopwatch = Stopwatch()
     grid.check(scene)
-    indices = _sample_indices(scene, count)
+    # At most `count` points of the grid at which the scene's family exists.
+    indices = stratified_indices(scene.size, CANDIDATES_PER_POINT * count)
+    exists = np.flatnonzero(grid.points_at_indices(scene, indices).exists)
+    if not exists.size:
+        raise BadInput(f"family.name = {scene.family!r}: exists at none of the points tried")
+    indices = indices[exists[stratified_indices(exists.size, count)]]
     bar = Progress(indices.size, show=progress)
 
     def advance(points: float) -> None:
@@ -162,49 +156,28 @@ def work_precision(scene: Scene, count: int = 64, *, progress: bool = False) -> 
     return ds
 
 
-def _sample_indices(scene: Scene, count: int) -> np.ndarray:
-    """Flat indices of at most `count` points of the grid at which the scene's family exists."""
-    candidates = stratified_indices(scene.size, CANDIDATES_PER_POINT * count)
-    exists = np.flatnonzero(grid.points_at_indices(scene, candidates).exists)
-    if not exists.size:
-        raise BadInput(f"family.name = {scene.family!r}: exists at none of the points tried")
-    return candidates[exists[stratified_indices(exists.size, count)]]
-
-
 def _with_reference(scene: Scene, indices: np.ndarray, advance: Advance) -> _Sample:
     """The points that have a reference solution, with it; BadInput if there are fewer than 2."""
-    left_out = ""
-    while True:
-        part = grid.points_at_indices(scene, indices)
-        try:
-            solution = reference(scene.system, part.points, part.duration, scene.settings, advance)
-        except ReferenceFailure as failure:
-            failed = indices[failure.indices]
-            left_out = (
-                f"the reference fails at {failed.size} of {indices.size} points, where the motion is not finite"
-                f" or turns more than {MAX_RADIANS:g} rad: {points_text(_on_axes(scene, failed), 5)}"
-            )
-            indices = np.delete(indices, failure.indices)
-            if indices.size < 2:
-                raise BadInput(left_out) from None
-        else:
-            bound = _bound_along_runs(scene, part)
-            return _Sample(scene, indices, part, solution, bound, left_out)
-
-
-def _bound_along_runs(scene: Scene, part: grid.Grid) -> Array:
-    """Frequency bound of the points, raised along their motions where it is numeric, rad per time unit."""
-    system, method = scene.system, METHODS[scene.settings.method]
-    if not system.has_numeric_bound:
-        return system.frequency_bound(part.points)
+    system, method, left_out = scene.system, METHODS[scene.settings.method], ""
+    part = grid.points_at_indices(scene, indices)
+    solution, where = reference_where_possible(system, part.points, part.duration, scene.settings, advance)
+    if where.size < indices.size:
+        failed = np.delete(indices, where)
+        left_out = (
+            f"the reference fails at {failed.size} of {indices.size} points, where the motion is not finite"
+            f" or turns more than {MAX_RADIANS:g} rad: {points_text(_on_axes(scene, failed), 5)}"
+        )
+        indices, part = indices[where], part.subset(where)
+    if solution is None or (left_out and indices.size < 2):
+        raise BadInput(left_out)
+    ensemble, kernel_of_scene = Ensemble.of(system, part.points), _kernel(scene, method.name)
     bound, _ = numeric_bound.along_runs(
-        system, _kernel(scene, method.name), method, Ensemble.of(system, part.points), part.duration,
-        scene.settings.max_steps,
-    )  # fmt: skip
-    return bound
+        system, kernel_of_scene, method, ensemble, part.duration, scene.settings.max_steps
+    )
+    return _Sample(scene, indices, part, solution, bound, left_out)
 
 
-def _run_method(sample: _Sample, method: str, advance: Advance) -> Iterator[tuple[int, _LevelResult]]:
+def _run_method(sample: _Sample, method: str, advance: Advance) -> Iterator[tuple[int, Columns]]:
     """Index and result of the levels of one method, coarse to fine, until smaller steps no longer reduce the error."""
     settings, part = sample.scene.settings, sample.grid
     name, values = levels(settings)
@@ -212,7 +185,13 @@ def _run_method(sample: _Sample, method: str, advance: Advance) -> Iterator[tupl
     main = main_instrument(sample.scene.system)
     step_sizes = [main.step_sizes(s, sample.bound, part.duration) for s in at_levels]
     own = scene_level(settings)
-    selected = _levels_to_run(step_sizes, own)
+    # One level for each distinct set of steps, the scene's own or else the finest, unless it takes long.
+    selected = []
+    for level, sizes in enumerate(step_sizes):
+        equal = [k for k, other in enumerate(step_sizes) if (other.steps == sizes.steps).all()]
+        representative = own if own in equal else equal[-1]
+        if level == representative and (level == 0 or sizes.steps.sum() <= MAX_POINT_STEPS):
+            selected.append(level)
     ensemble = Ensemble.of(sample.scene.system, part.points)
     uncertainty = max(nanmedian(sample.reference.state_error), nanmedian(sample.rates_uncertainty))
     smallest_error, without_gain = math.inf, 0
@@ -220,7 +199,7 @@ def _run_method(sample: _Sample, method: str, advance: Advance) -> Iterator[tupl
         result = _run_level(sample, ensemble, at_levels[level], step_sizes[level])
         yield level, result
         advance(sample.indices.size / len(selected))
-        error = max(nanmedian(result.values["error_state"]), nanmedian(result.values["error_rates"]))
+        error = max(nanmedian(result["error_state"]), nanmedian(result["error_rates"]))
         without_gain = without_gain + 1 if error > 0.5 * smallest_error else 0
         # Rounding and the uncertainty of the reference limit what smaller steps can show.
         if level > own and without_gain >= (1 if error < 3 * uncertainty else 3):
@@ -228,20 +207,7 @@ def _run_method(sample: _Sample, method: str, advance: Advance) -> Iterator[tupl
         smallest_error = min(smallest_error, error)
 
 
-def _levels_to_run(step_sizes: Sequence[StepSizes], own: int) -> list[int]:
-    """One level for each distinct set of steps, the scene's own or else the finest, unless it takes long."""
-    selected = []
-    for level, sizes in enumerate(step_sizes):
-        equal = [k for k, other in enumerate(step_sizes) if (other.steps == sizes.steps).all()]
-        representative = own if own in equal else equal[-1]
-        if level == representative and (level == 0 or sizes.steps.sum() <= MAX_POINT_STEPS):
-            selected.append(level)
-    return selected
-
-
-def _run_level(
-    sample: _Sample, ensemble: Ensemble, settings: Settings, step_sizes: StepSizes
-) -> _LevelResult:
+def _run_level(sample: _Sample, ensemble: Ensemble, settings: Settings, step_sizes: StepSizes) -> Columns:
     """Integrate the sample and compare states, statistics and labels with the reference."""
     system = sample.scene.system
     statistics = main_instrument(system).statistics(system)
@@ -249,74 +215,61 @@ def _run_level(
     measured = evaluate(replace(Plan.of(sample.scene), settings=settings, outputs=outputs), sample.grid)
     module = _kernel(sample.scene, settings.method)
     final = ensemble.final_states(module, step_sizes.steps, step_sizes.step_size)
-    values = _errors(sample, measured, final, step_sizes.resolved) | {
+    solution, label = sample.reference, measured["label"]
+    # Errors of the final states and of the statistics, none below the uncertainty of the reference.
+    with np.errstate(invalid="ignore"):
+        not_finite = ~np.isfinite(final).all(0)
+        distance = np.where(not_finite, np.inf, state_distance(system, final, solution.state, sample.bound))
+        errors = {
+            name: np.maximum(
+                np.abs(measured[name] - solution.statistics[name]), solution.statistics_error[name]
+            )
+            for name in statistics
+        }
+        worst = np.where(not_finite | ~step_sizes.resolved, np.inf, sample.worst(errors))
+        distance = np.maximum(distance, solution.state_error)
+    values = {f"error_{name}": error for name, error in errors.items()} | {
+        "error_state": distance,
+        "error_rates": worst,
         "integral_drift": measured.get("integral_drift", np.full(final.shape[1], np.nan)),
         "step_length": step_sizes.step_size,
         "steps": step_sizes.steps,
     }
-    solution, label = sample.reference, measured["label"]
     wrong = label != solution.label
     if solution.label_inertial is not None:
         wrong |= measured["label_inertial"] != solution.label_inertial
     compared = solution.label_certain & (label != Label.UNRESOLVED) & (label != Label.NOT_COMPUTED)
-    values |= {
+    return values | {
         "label_compared": compared.astype(np.int8),
         "label_wrong": (compared & wrong).astype(np.int8),
         "label_unresolved": (label == Label.UNRESOLVED).astype(np.int8),
+        "seconds_per_point": _seconds_per_point(sample, step_sizes, settings.method),
     }
-    return _LevelResult(values, _seconds_per_point(sample, step_sizes, settings.method))
-
-
-def _errors(sample: _Sample, measured: Mapping[str, Array], final: Array, resolved: Mask) -> dict[str, Array]:
-    """Errors of the final states and of the statistics, none below the uncertainty of the reference."""
-    solution = sample.reference
-    with np.errstate(invalid="ignore"):
-        not_finite = ~np.isfinite(final).all(0)
-        distance = np.where(
-            not_finite, np.inf, state_distance(sample.scene.system, final, solution.state, sample.bound)
-        )
-        errors = {
-            f"error_{name}": np.maximum(
-                np.abs(measured[name] - solution.statistics[name]), solution.statistics_error[name]
-            )
-            for name in main_instrument(sample.scene.system).statistics(sample.scene.system)
-        }
-        worst = sample.worst({name.removeprefix("error_"): error for name, error in errors.items()})
-        return errors | {
-            "error_state": np.maximum(distance, solution.state_error),
-            "error_rates": np.where(not_finite | ~resolved, np.inf, worst),
-        }
 
 
 def _seconds_per_point(sample: _Sample, step_sizes: StepSizes, method: str) -> float:
-    """Mean processor time of a point to the end of its run.
+    """Mean processor time of a point to the end of its run, seconds; of each timing the median of several runs.
 
-    Each number of steps per sample is timed, because samples that are closer together cost more.
+    Each number of steps per sample is timed in full blocks, because samples that are closer together cost more.
     """
-    counts = step_sizes.steps_per_sample.tolist()
-    seconds = {count: _seconds_per_point_step(sample, step_sizes, method, count) for count in set(counts)}
-    return float((np.array([seconds[count] for count in counts]) * step_sizes.steps).mean())
-
-
-def _seconds_per_point_step(
-    sample: _Sample, step_sizes: StepSizes, method: str, steps_per_sample: int
-) -> float:
-    """Processor time of a point-step in full blocks, seconds; the median of several runs."""
-    size = step_sizes.steps.size
+    counts, size = step_sizes.steps_per_sample.tolist(), step_sizes.steps.size
     repeated = np.resize(np.arange(size), -(-size // WIDTH) * WIDTH)
     ensemble = Ensemble.of(sample.scene.system, sample.grid.points).subset(repeated)
-    steps = max(POINT_STEPS_TIMED // repeated.size // steps_per_sample, 1) * steps_per_sample
-    timed = replace(
-        step_sizes.subset(repeated),
-        steps=np.full(repeated.size, steps),
-        steps_per_sample=np.full(repeated.size, steps_per_sample),
-    )
-    module, times = _kernel(sample.scene, method), []
-    for _ in range(6):  # the first may load or compile the kernel
-        began = process_time()
-        ensemble.integrate(module, timed, sample.scene.settings.cylinder, threads=1)
-        times.append(process_time() - began)
-    return median(times[1:]) / (steps * repeated.size)
+    module, seconds = _kernel(sample.scene, method), {}  # of a point-step, by the number of steps per sample
+    for count in set(counts):
+        steps = max(POINT_STEPS_TIMED // repeated.size // count, 1) * count
+        timed = replace(
+            step_sizes.subset(repeated),
+            steps=np.full(repeated.size, steps),
+            steps_per_sample=np.full(repeated.size, count),
+        )
+        times = []
+        for _ in range(6):  # the first may load or compile the kernel
+            began = process_time()
+            ensemble.integrate(module, timed, sample.scene.settings.cylinder, threads=1)
+            times.append(process_time() - began)
+        seconds[count] = median(times[1:]) / (steps * repeated.size)
+    return float((np.array([seconds[count] for count in counts]) * step_sizes.steps).mean())
 
 
 def _kernel(scene: Scene, method: str) -> ModuleType:
@@ -340,7 +293,7 @@ def points_text(on_axes: Mapping[str, Array], most: int) -> str:
     return "; ".join(texts[:most]) + (f" and {len(texts) - most} more" if len(texts) > most else "")
 
 
-def _dataset(sample: _Sample, results: Mapping[tuple[int, int], _LevelResult]) -> xr.Dataset:
+def _dataset(sample: _Sample, results: Mapping[tuple[int, int], Columns]) -> xr.Dataset:
     """The results, by (index of the method, index of the level), as a dataset."""
     scene, solution = sample.scene, sample.reference
     name, values = levels(scene.settings)
@@ -363,14 +316,22 @@ def _dataset(sample: _Sample, results: Mapping[tuple[int, int], _LevelResult]) -
     for variable, (dtype, long_name, units) in (errors | descriptions).items():
         column = np.full(shape, np.nan if dtype is float else 0, dtype)
         for cell, result in results.items():
-            column[cell] = result.values[variable]
+            column[cell] = result[variable]
         ds[variable] = dims, column, {"long_name": long_name, "units": units}
     seconds = np.full(shape[:2], np.nan)
     for cell, result in results.items():
-        seconds[cell] = result.seconds_per_point
+        seconds[cell] = result["seconds_per_point"]
     attributes = {"long_name": "processor time to the end of the run", "units": "s"}
     ds["seconds_per_point"] = dims[:2], seconds, attributes
-    order = _orders(ds, solution.state_error)
+    # Median over the points of log(error ratio) / log(step ratio); NaN where too few show it.
+    error, step = ds["error_state"].values, ds["step_length"].values
+    order = np.full(error.shape[:2], np.nan)
+    with np.errstate(all="ignore"):
+        ratio = np.log(error[:, :-1] / error[:, 1:]) / np.log(step[:, :-1] / step[:, 1:])
+    # Errors near the uncertainty of the reference, or of a run far from convergence, show no order.
+    usable = (error[:, 1:] > 10 * solution.state_error) & (error[:, :-1] < 1e-2) & np.isfinite(ratio)
+    for i, j in np.argwhere(usable.sum(2) >= max(2, error.shape[2] / 2)):
+        order[i, j + 1] = np.median(ratio[i, j][usable[i, j]])
     ds["order"] = dims[:2], order, {"long_name": "observed order from the level before"}
     uncertainties = {"state": solution.state_error, "rates": sample.rates_uncertainty}
     for quantity, uncertainty in (uncertainties | solution.statistics_error).items():
@@ -395,19 +356,6 @@ def uncertainty_name(quantity: str) -> str:
     return "reference_error" + ("" if quantity == "state" else f"_{quantity}")
 
 
-def _orders(ds: xr.Dataset, state_uncertainty: Array) -> Array:
-    """Median over the points of log(error ratio) / log(step ratio), (method, level); NaN where too few show it."""
-    error, step = ds["error_state"].values, ds["step_length"].values
-    order = np.full(error.shape[:2], np.nan)
-    with np.errstate(all="ignore"):
-        ratio = np.log(error[:, :-1] / error[:, 1:]) / np.log(step[:, :-1] / step[:, 1:])
-    # Errors near the uncertainty of the reference, or of a run far from convergence, show no order.
-    usable = (error[:, 1:] > 10 * state_uncertainty) & (error[:, :-1] < 1e-2) & np.isfinite(ratio)
-    for i, j in np.argwhere(usable.sum(2) >= max(2, error.shape[2] / 2)):
-        order[i, j + 1] = np.median(ratio[i, j][usable[i, j]])
-    return order
-
-
 def nanmedian(values: Array) -> float:
     """Median of the values that are not NaN; NaN, without a warning, if there are none."""
     values = values[~np.isnan(values)]
@@ -415,36 +363,33 @@ def nanmedian(values: Array) -> float:
 
 
 def summary(ds: xr.Dataset) -> list[dict[str, Any]]:
-    """Medians and largest values over the points, one row for each method and level that was run."""
+    """Medians, largest values and counts over the points, one row for each method and level that was run."""
     name, rows = ds.attrs["ladder"], []
     for method in ds["method"].values:
         for level in range(ds.sizes["level"]):
             at = ds.sel({"method": method}).isel(level=level)
-            if np.isfinite(at["seconds_per_point"]):
-                own = method == ds.attrs["own_method"] and level == ds.attrs["own_level"]
-                setting = {"method": str(method), name: float(ds[name][level]), "own_setting": own}
-                rows.append(setting | _summary_of_level(at, ds.attrs["atlas_points"]))
+            if not np.isfinite(at["seconds_per_point"]):
+                continue
+            compared, wrong = int(at["label_compared"].sum()), int(at["label_wrong"].sum())
+            row = {
+                "method": str(method),
+                name: float(ds[name][level]),
+                "own_setting": method == ds.attrs["own_method"] and level == ds.attrs["own_level"],
+                "steps": float(at["steps"].mean()),
+                "seconds_per_point": float(at["seconds_per_point"]),
+                **_median_and_largest(at, "state"),
+                **_median_and_largest(at, "rates"),
+                "labels_unresolved": int(at["label_unresolved"].sum()),
+                "labels_compared": compared,
+                "labels_wrong": wrong,
+                "labels_wrong_at_most": upper_bound(wrong, compared, ds.attrs["atlas_points"]),
+                "integral_drift_largest": nanmax(at["integral_drift"].values),
+                "order": float(at["order"]),
+            }
+            for statistic in _statistics(at):
+                row |= _median_and_largest(at, statistic)
+            rows.append(row)
     return rows
-
-
-def _summary_of_level(at: xr.Dataset, atlas_points: int) -> dict[str, Any]:
-    """Medians, largest values and counts of one method at one level."""
-    compared, wrong = int(at["label_compared"].sum()), int(at["label_wrong"].sum())
-    row = {
-        "steps": float(at["steps"].mean()),
-        "seconds_per_point": float(at["seconds_per_point"]),
-        **_median_and_largest(at, "state"),
-        **_median_and_largest(at, "rates"),
-        "labels_unresolved": int(at["label_unresolved"].sum()),
-        "labels_compared": compared,
-        "labels_wrong": wrong,
-        "labels_wrong_at_most": upper_bound(wrong, compared, atlas_points),
-        "integral_drift_largest": nanmax(at["integral_drift"].values),
-        "order": float(at["order"]),
-    }
-    for name in _statistics(at):
-        row |= _median_and_largest(at, name)
-    return row
 
 
 def _statistics(ds: xr.Dataset) -> list[str]:
@@ -485,12 +430,6 @@ def report(ds: xr.Dataset) -> str:
     """The study as plain text: header, table of the levels, table of the statistics, advice."""
     rows = summary(ds)
     legend = LEGEND.format(measured=MEASURED[ds.attrs["measured"]])
-    parts = [_header(ds), _levels_table(ds, rows), legend, _statistics_table(ds, rows), advice(ds)]
-    return "\n\n".join(part for part in parts if part)
-
-
-def _header(ds: xr.Dataset) -> str:
-    """Lines about the sample, the processor and the reference."""
     exact, uncertainty = int(ds["reference_exact"].sum()), ds["reference_error"].values
     lines = [
         f"{attribute_text(ds.attrs, 'title')}: {ds.sizes['sample']} of {ds.attrs['atlas_points']} points;"
@@ -500,50 +439,34 @@ def _header(ds: xr.Dataset) -> str:
     ]
     if "left_out" in ds.attrs:
         lines.append(f"left out: {ds.attrs['left_out']}")
-    return "\n".join(lines)
-
-
-def _levels_table(ds: xr.Dataset, rows: Sequence[Mapping[str, Any]]) -> str:
-    """A line for each method and level that was run."""
     name, measured = ds.attrs["ladder"], ds.attrs["measured"]
-    cells: list[tuple[str, ...]] = [
+    level_cells: list[tuple[str, ...]] = [
         ("method", name, "steps", "us/point", "state error", "largest", measured, "labels wrong", "drift", "order")
     ]  # fmt: skip
     for row in rows:
         at = _at_row(ds, row)
-        cells.append(
-            (
-                row["method"],
-                f"{row[name]:.3g}" + (" *" if row["own_setting"] else ""),
-                f"{row['steps']:.0f}",
-                f"{1e6 * row['seconds_per_point']:.3g}",
-                *_error_texts(at, "state"),
-                _error_texts(at, "rates")[0],
-                f"{row['labels_wrong']}/{row['labels_compared']} (<= {100 * row['labels_wrong_at_most']:.3g} %)",
-                f"{row['integral_drift_largest']:.1e}",
-                "-" if np.isnan(row["order"]) else f"{row['order']:.2f}",
-            )
-        )
-    return text_table(cells, right=True)
-
-
-def _statistics_table(ds: xr.Dataset, rows: Sequence[Mapping[str, Any]]) -> str:
-    """A line for each statistic at the scene's own setting; empty if that was not run."""
-    own = _own_row(rows)
-    if own is None:
-        return ""
-    at = _at_row(ds, own)
-    cells = [("at the scene's setting", "median error", "largest", "points with a value")]
-    for name in _statistics(ds):
-        points = int(at[f"error_{name}"].notnull().sum())
-        if points:
-            cells.append((name, *_error_texts(at, name), str(points)))
-    return text_table(cells, right=True)
-
-
-def _own_row(rows: Sequence[Mapping[str, Any]]) -> Mapping[str, Any] | None:
-    """The row of the scene's own setting, None if that was not run."""
-    return next((row for row in rows if row["own_setting"]), None)
+        level_cells.append((
+            row["method"],
+            f"{row[name]:.3g}" + (" *" if row["own_setting"] else ""),
+            f"{row['steps']:.0f}",
+            f"{1e6 * row['seconds_per_point']:.3g}",
+            *_error_texts(at, "state"),
+            _error_texts(at, "rates")[0],
+            f"{row['labels_wrong']}/{row['labels_compared']} (<= {100 * row['labels_wrong_at_most']:.3g} %)",
+            f"{row['integral_drift_largest']:.1e}",
+            "-" if np.isnan(row["order"]) else f"{row['order']:.2f}",
+        ))  # fmt: skip
+    parts = ["\n".join(lines), text_table(level_cells, right=True), legend]
+    own = next((row for row in rows if row["own_setting"]), None)
+    if own is not None:
+        at = _at_row(ds, own)
+        cells = [("at the scene's setting", "median error", "largest", "points with a value")]
+        for name in _statistics(ds):
+            points = int(at[f"error_{name}"].notnull().sum())
+            if points:
+                cells.append((name, *_error_texts(at, name), str(points)))
+        parts.append(text_table(cells, right=True))
+    return "\n\n".join([*parts, advice(ds)])
 
 
 def _at_row(ds: xr.Dataset, row: Mapping[str, Any]) -> xr.Dataset:
@@ -569,7 +492,7 @@ def advice(ds: xr.Dataset) -> str:
     A scene with a step has no tolerance; the target is then the median error of its own setting.
     """
     name, rows, measured = ds.attrs["ladder"], summary(ds), ds.attrs["measured"]
-    own = _own_row(rows)
+    own = next((row for row in rows if row["own_setting"]), None)
     if name == "tolerance":
         target = float(ds["tolerance"][ds.attrs["own_level"]])
         target_text = f"a median error of {target:.3g} in states and {measured}"
@@ -587,7 +510,15 @@ def advice(ds: xr.Dataset) -> str:
         if _median_error(row) <= target and numbers == fewest
     ]
     if not adequate:
-        return _out_of_reach_text(ds, min(rows, key=_median_error), target, target_text)
+        best = min(rows, key=_median_error)
+        text = (
+            f"Out of reach: {target_text}. The most accurate setting, {best['method']} with {name} = {best[name]:.3g},"
+            f" has {best['error_state']:.1e} in states and {best['error_rates']:.1e} in {measured}"
+        )
+        states, rates = (nanmedian(ds[uncertainty_name(quantity)].values) for quantity in ("state", "rates"))
+        if max(states, rates) > target:
+            text += f"; the uncertainty of the reference is larger than that (states {states:.1e}, {measured} {rates:.1e})"
+        return f"{text}; the largest errors are at {_points_above(ds, best, target)[1]}."
     cheapest = min(adequate, key=lambda row: row["seconds_per_point"])
     return _cheapest_text(ds, cheapest, own, target, target_text)
 
@@ -595,19 +526,6 @@ def advice(ds: xr.Dataset) -> str:
 def _median_error(row: Mapping[str, Any]) -> float:
     """The larger one of the median errors of states and rates."""
     return max(row["error_state"], row["error_rates"])
-
-
-def _out_of_reach_text(ds: xr.Dataset, best: Mapping[str, Any], target: float, target_text: str) -> str:
-    """Advice where no setting reaches the target: the most accurate one."""
-    name, measured = ds.attrs["ladder"], ds.attrs["measured"]
-    text = (
-        f"Out of reach: {target_text}. The most accurate setting, {best['method']} with {name} = {best[name]:.3g},"
-        f" has {best['error_state']:.1e} in states and {best['error_rates']:.1e} in {measured}"
-    )
-    states, rates = (nanmedian(ds[uncertainty_name(quantity)].values) for quantity in ("state", "rates"))
-    if max(states, rates) > target:
-        text += f"; the uncertainty of the reference is larger than that (states {states:.1e}, {measured} {rates:.1e})"
-    return f"{text}; the largest errors are at {_points_above(ds, best, target)[1]}."
 
 
 def _cheapest_text(

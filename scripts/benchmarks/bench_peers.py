@@ -39,8 +39,8 @@ from numba import cfunc, njit
 from scipy.integrate import odeint, solve_ivp
 
 from atlas.engine import assemble, jit
+from atlas.engine.differentiate import simplify
 from atlas.engine.ensemble import Ensemble
-from atlas.engine.simplify import simplify
 from atlas.engine.specialization import Specialization, kernel
 from atlas.engine.stepsize import StepSizes
 from atlas.engine.tableaux import METHODS

@@ -13,7 +13,7 @@ from strategies import default_points, random_satellites, select
 
 import atlas
 from atlas import systems
-from atlas.engine import assemble, blocks, losses, tangent
+from atlas.engine import assemble, augmented, blocks, tangent
 from atlas.engine.ensemble import Ensemble
 from atlas.engine.specialization import kernel
 from atlas.engine.statistics import Row
@@ -82,9 +82,9 @@ def test_kernels_with_tangent_vectors_have_no_losses():
 
 
 def test_losses_that_vanish():
-    assert losses.losses_of(equations, ("damping_A", "damping_B", "damping_C"), {}) == {}
-    assert losses.losses_of(equations, ("N",), {}) == equations.LOSSES
-    assert losses.losses_of(without_losses(), (), {}) == {}
+    assert augmented.losses_of(equations, ("damping_A", "damping_B", "damping_C"), {}) == {}
+    assert augmented.losses_of(equations, ("N",), {}) == equations.LOSSES
+    assert augmented.losses_of(without_losses(), (), {}) == {}
 
 
 @pytest.mark.parametrize("method", METHODS)
@@ -205,7 +205,7 @@ def test_names_of_sums_are_new():
             "unscaled": "def unscaled(state, constants, h):\n    return state",
         },
     )  # fmt: skip
-    extended = losses.with_losses(with_constant, with_constant.LOSSES)
+    extended = augmented.with_losses(with_constant, with_constant.LOSSES)
     assert extended.STATE == ("v", "energy_lost_")
     assert extended.rhs((2.0, 7.0), (0.5, 1.0)) == (-1.0, 2.0)
     assert extended.energy((2.0, 7.0), (0.5, 1.0)) == (2.0, 7.0)

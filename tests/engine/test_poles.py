@@ -5,10 +5,9 @@ import pytest
 from numpy.polynomial import Polynomial
 from scipy.integrate import quad
 
-from atlas.engine import kernel, poles, sampling, turning
-from atlas.engine.poles import Passage, Term
+from atlas.engine import kernel, poles, sampling
+from atlas.engine.poles import Passage, Term, Turn
 from atlas.engine.statistics import NO_ZERO, Row
-from atlas.engine.turning import Turn
 
 
 @pytest.mark.parametrize("intervals", [9, 30])
@@ -161,9 +160,9 @@ def test_turning_points_are_roots_of_the_derivative_of_theta():
         for x in (0.2, 1.7, 2.9):
             values = [(p(x), p.deriv()(x), 0.5 * p.deriv(2)(x)) for p in path]
             change = -numerator(x) / numerator.deriv()(x)
-            assert turning.newton_change(*values) == pytest.approx(np.clip(change, -0.5, 0.5), rel=1e-9)
+            assert poles.newton_change(*values) == pytest.approx(np.clip(change, -0.5, 0.5), rel=1e-9)
             clipped += abs(change) > 0.5
-        turns, nodes = np.zeros((turning.TURN_ROWS, 1)), np.arange(4.0)
+        turns, nodes = np.zeros((poles.TURN_ROWS, 1)), np.arange(4.0)
         for row, p in zip((Turn.G1, Turn.G2, Turn.G3), path, strict=True):
             turns[row : row + 8, 0] = np.r_[p(nodes), p.deriv()(nodes)]
             poles.difference(turns, row, 0)
@@ -173,14 +172,14 @@ def test_turning_points_are_roots_of_the_derivative_of_theta():
                 continue
             root, roots = root.real, roots + 1
             turns[Turn.TIME, 0], turns[Turn.NODE, 0] = root + 0.05, 1.0
-            for _ in range(turning.TURN_STEPS):
-                turning.turning_point(turns, 0)
+            for _ in range(poles.TURN_STEPS):
+                poles.turning_point(turns, 0)
             x = turns[Turn.TIME, 0]
             assert x == pytest.approx(root, abs=1e-7)
-            assert turning.turning_point(turns, 0) == pytest.approx((w(x), sin2_theta(x)), abs=1e-11)
+            assert poles.turning_point(turns, 0) == pytest.approx((w(x), sin2_theta(x)), abs=1e-11)
         turns[Turn.TIME, 0], turns[Turn.NODE, 0] = 1.5, 1.0
-        for _ in range(turning.TURN_STEPS):
-            turning.turning_point(turns, 0)
+        for _ in range(poles.TURN_STEPS):
+            poles.turning_point(turns, 0)
             assert 1.0 <= turns[Turn.TIME, 0] <= 2.0
     assert 20 < clipped < 100
     assert roots > 10

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from strategies import evaluate
 
 import atlas
-from atlas.engine.simplify import simplify
+from atlas.engine.differentiate import simplify
 from atlas.engine.specialization import GENERIC, Specialization
 from atlas.flags import Label, Status
 from atlas.scene.model import Settings

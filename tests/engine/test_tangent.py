@@ -5,7 +5,7 @@ import pytest
 from scipy.integrate import solve_ivp
 from strategies import random_fixed_points, random_satellites, select
 
-from atlas.engine import assemble, blocks, tangent, tangent_space
+from atlas.engine import assemble, augmented, blocks, tangent
 from atlas.engine.ensemble import Ensemble
 from atlas.engine.specialization import Specialization, tangent_kernel
 from atlas.measure import chaos
@@ -76,7 +76,7 @@ def reference(name, points, i, duration):
     """Mean MEGNO and exponent of point i from DOP853 and fine quadratures of ln|v|."""
     system = SYSTEMS[name]
     state = system.initial_state(points)[:, [i]]
-    v = tangent_space.start(system.equations, state)[:, 0]
+    v = augmented.tangent_start(system.equations, state)[:, 0]
     unit = system.rate_unit(points)[i]
     v[:3] *= unit
     slope = VARIATION[name](points, i)
@@ -114,7 +114,7 @@ def test_variation_is_the_difference_of_two_neighbours(name):
         np.array, equations.scaled(system.initial_state(points), system.constants(points), 0.7)
     )
     module = assemble.plain_module(equations, "rk8", of=tangent)
-    v = rng.normal(size=(tangent_space.size(equations), 30))
+    v = rng.normal(size=(augmented.tangent_size(equations), 30))
 
     def displacement(state, v):
         if name == "fixed_point":
@@ -139,7 +139,7 @@ def test_variation_is_the_difference_of_two_neighbours(name):
 def test_starts_have_norm_1_and_leave_the_constraints_satisfied(name):
     points = RANDOM[name](np.random.default_rng(0), 10)
     state = SYSTEMS[name].initial_state(points)
-    v = tangent_space.start(SYSTEMS[name].equations, state)
+    v = augmented.tangent_start(SYSTEMS[name].equations, state)
     assert v.shape == (6, 10)
     np.testing.assert_allclose((v * v).sum(0), 1.0, rtol=1e-14)
     np.testing.assert_allclose(v[0] / v[1], -1.25, rtol=1e-14)

@@ -14,7 +14,7 @@ from atlas.engine.statistics import STATISTICS
 from atlas.engine.stepsize import StepSizes
 from atlas.engine.tableaux import METHODS
 from atlas.flags import Label, Status
-from atlas.label import labels
+from atlas.label import pipeline, theory
 from atlas.measure import rates
 from atlas.scene.model import Settings, Tolerances
 from atlas.systems.satellite.system import SATELLITE
@@ -94,7 +94,7 @@ def test_inertial_label_adds_the_rate_of_the_frame():
     st.booleans(), st.sampled_from([0.0, 1e-3]), st.booleans(), st.sampled_from([0.0, 30.0])
 )  # fmt: skip
 def test_status_is_the_first_that_applies(finite, drift, resolved, growth):
-    result = labels.status(
+    result = pipeline.label_status(
         np.array([finite]),
         np.array([drift]),
         1e-5,
@@ -113,7 +113,7 @@ def test_status_at_its_limits():
     """A drift equal to the tolerance is within it; growth counts above its limit, whatever its sign, but not none."""
     yes = np.ones(5, bool)
     drift, growth = np.array([1e-5, 0, 0, 0, 0]), np.array([0.0, 0.5, 0.0, 0.5, 0.5])
-    result = labels.status(yes, drift, 1e-5, yes, growth, np.array([25.0, 0.4, -1.0, 0.5, -1.0]))
+    result = pipeline.label_status(yes, drift, 1e-5, yes, growth, np.array([25.0, 0.4, -1.0, 0.5, -1.0]))
     decided = Status.ROUNDOFF_DECIDED
     assert result.tolist() == [Status.OK, decided, Status.OK, Status.OK, decided]
 
@@ -122,7 +122,7 @@ def test_rounding_limit_is_the_growth_that_brings_rounding_errors_to_a_tolerance
     """Of a rate, relative to the frequency bound, or of the angle: whichever is reached first."""
     residual = np.array([0.0, np.nan, 1e-10, 1e-10])
     bound, tolerances = np.array([2.0, 2.0, 2.0, 1e-3]), Tolerances(1e-5, 1e-3)
-    limit = labels.rounding_limit(residual, bound, tolerances)
+    limit = theory.rounding_limit(residual, bound, tolerances)
     error = np.array([1e-16, 1e-16, 1e-10, 1e-10]) * np.exp(limit)
     np.testing.assert_allclose(error[:3] * bound[:3], tolerances.rate)
     assert (error[:3] < tolerances.angle).all()

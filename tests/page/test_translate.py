@@ -12,7 +12,7 @@ import pytest
 
 import atlas
 from atlas.engine import assemble, blocks
-from atlas.engine.losses import with_frame_vector
+from atlas.engine.augmented import with_frame_vector
 from atlas.label.trajectory import frame_vector
 from atlas.page import motion
 from atlas.page.motion import CannotTranslate, translate

@@ -18,7 +18,7 @@ import atlas
 from atlas import BadInput, sources
 from atlas.engine import jit
 from atlas.label.plan import Plan
-from atlas.runs import identity, runner
+from atlas.runs import plan, runner
 from atlas.runs.folder import RunFolder
 from atlas.runs.plan import ScenePlan
 
@@ -52,7 +52,7 @@ def test_the_copy_of_the_package_is_the_same_code(run, scene, package):
     "name",
     [
         "flags.py", "variables.py", "engine/stepsize.py", "systems/satellite/families.py", "scene/grid.py",
-        "label/labels.py", "measure/rates.py", "io/netcdf.py", "runs/tiles.py", "runs/runner.py",
+        "label/theory.py", "measure/rates.py", "io/netcdf.py", "runs/tiles.py", "runs/runner.py",
     ],
 )  # fmt: skip
 def test_a_run_is_not_continued_by_other_code(name, run, scene, package, monkeypatch):
@@ -90,9 +90,9 @@ def edit_and_undo(file):
 
 @pytest.mark.parametrize("change", [edit, edit_and_hide, edit_and_undo, os.remove], ids=lambda f: f.__name__)
 def test_a_process_whose_files_changed_after_the_import_is_refused(change, run, scene, package):
-    change(package / "label" / "labels.py")
+    change(package / "label" / "theory.py")
     with pytest.raises(
-        BadInput, match=r"labels\.py was written after this process .* had imported it"
+        BadInput, match=r"theory\.py was written after this process .* had imported it"
     ) as refused:
         run.check_same(ScenePlan.of(scene))
     assert len(str(refused.value).splitlines()) == 1
@@ -101,13 +101,13 @@ def test_a_process_whose_files_changed_after_the_import_is_refused(change, run, 
 def test_a_file_that_appears_after_the_import_is_noticed(scene, package):
     (package / "engine" / "new.py").write_text("")
     with pytest.raises(BadInput, match=r"new\.py was written after"):
-        identity.identity(Plan.of(scene))
+        plan.identity(Plan.of(scene))
 
 
 @pytest.mark.parametrize(
     ("name", "owner", "attribute", "value"),
     [
-        ("atlas", identity, "__version__", "9.9"),
+        ("atlas", plan, "__version__", "9.9"),
         ("cpu", jit, "cpu", lambda: "another"),
         ("kernel", Plan, "kernel_hash", "0" * 16),
         ("NUMBA_SLP_VECTORIZE", numba.config, "SLP_VECTORIZE", 1),
@@ -117,7 +117,7 @@ def test_a_file_that_appears_after_the_import_is_noticed(scene, package):
         ("scipy", scipy, "__version__", "9.9"),
         ("netCDF4", netCDF4, "__version__", "9.9"),
         ("HDF5", netCDF4, "__hdf5libversion__", "9.9"),
-        ("libc", identity.platform, "libc_ver", lambda: ("glibc", "0.1")),
+        ("libc", plan.platform, "libc_ver", lambda: ("glibc", "0.1")),
         ("numpy_simd", np, "show_config", lambda mode: {"SIMD Extensions": {"found": ["NONE"]}}),
     ],
 )
@@ -132,7 +132,7 @@ def test_a_run_is_not_continued_where_one_program_or_the_processor_differs(
 
 
 def test_a_worker_that_computes_other_bits_writes_nothing(run, scene, monkeypatch):
-    other = identity.identity(Plan.of(scene)) | {"code": "0" * 16}
+    other = plan.identity(Plan.of(scene)) | {"code": "0" * 16}
     monkeypatch.setattr(runner, "identity", lambda plan: other)
     runner._open_cached.cache_clear()
     refused = rf"would compute other bits; .* It differs in code \({run.manifest['identity']['code']} in the run, 0+ in"
@@ -148,7 +148,7 @@ def test_a_worker_that_computes_other_bits_writes_nothing(run, scene, monkeypatc
 
 def test_a_tile_carries_the_key_of_what_computed_it_and_is_refused_in_another_run(run, scene, monkeypatch):
     """Even if a worker of other code were let through, what it writes would not be taken for a tile of the run."""
-    other = identity.identity(Plan.of(scene)) | {"code": "0" * 16}
+    other = plan.identity(Plan.of(scene)) | {"code": "0" * 16}
     monkeypatch.setattr(runner, "identity", lambda plan: other)
     monkeypatch.setattr(runner, "differences", lambda *arguments: "")
     runner._open_cached.cache_clear()
@@ -175,7 +175,7 @@ def test_the_code_of_a_system_of_ones_own_is_part_of_the_identity(scene, tmp_pat
         module = importlib.util.module_from_spec(spec)
         monkeypatch.setitem(sys.modules, "my_system", module)
         spec.loader.exec_module(module)
-        return identity.identity(Plan.of(replace(scene, system=module.Mine())))
+        return plan.identity(Plan.of(replace(scene, system=module.Mine())))
 
     text = "from atlas.systems.satellite import SATELLITE\nclass Mine(type(SATELLITE)):\n    pass\n"
     first = identity_with(text)
@@ -183,13 +183,13 @@ def test_the_code_of_a_system_of_ones_own_is_part_of_the_identity(scene, tmp_pat
         text + "    def frequency_bound(self, points):\n        return 7.0 + 0.0 * points['A']\n"
     )
     assert {name for name in changed if changed[name] != first.get(name)} == {"system_code"}
-    assert "system_code" not in identity.identity(Plan.of(scene))
+    assert "system_code" not in plan.identity(Plan.of(scene))
 
 
 def test_differences_name_what_is_missing_on_one_side():
-    text = identity.differences({"a": "1", "b": "2"}, {"b": "2", "c": "3"}, "there", "here")
+    text = plan.differences({"a": "1", "b": "2"}, {"b": "2", "c": "3"}, "there", "here")
     assert text == "a (1 there, nothing here), c (nothing there, 3 here)"
-    assert identity.differences({"a": "1"}, {"a": "1"}, "there", "here") == ""
+    assert plan.differences({"a": "1"}, {"a": "1"}, "there", "here") == ""
 
 
 def test_sources_are_hashed_before_any_of_them_is_imported():

@@ -12,7 +12,7 @@ from strategies import evaluate
 
 import atlas
 from atlas import systems
-from atlas.engine import assemble, numeric_bound, observe, sampling, turning
+from atlas.engine import assemble, numeric_bound, observe, poles, sampling
 from atlas.engine.ensemble import Ensemble
 from atlas.engine.specialization import kernel
 from atlas.engine.stepsize import StepSizes
@@ -169,9 +169,9 @@ def test_turning_points_of_cubics_and_the_interpolation_between_nodes(pendulum):
         f0, f1, s0, s1 = cubic(0.0), cubic(1.0), cubic.deriv()(0.0), cubic.deriv()(1.0)
         turns = cubic.deriv().roots()
         count = (np.isreal(turns) & (turns.real > 0) & (turns.real < 1)).sum()
-        assert s0 * s1 < 0 or turning.turns_twice(f0, f1, s0, s1, 0.0) == (count == 2)
+        assert s0 * s1 < 0 or poles.turns_twice(f0, f1, s0, s1, 0.0) == (count == 2)
         if count:
-            x = turning.place_of_turn(f0, f1, s0, s1)
+            x = poles.place_of_turn(f0, f1, s0, s1)
             assert 0 <= x <= 1
             assert abs(cubic.deriv()(x)) < 1e-9 * (abs(s0) + abs(s1) + abs(f0 - f1))
     plain = assemble.plain_module(pendulum.equations, METHOD, of=observe)

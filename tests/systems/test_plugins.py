@@ -12,7 +12,7 @@ from plugins import PENDULUM, PENDULUM_SCENE, install
 import atlas
 from atlas import cli, systems
 from atlas.label.plan import Plan
-from atlas.runs.identity import identity
+from atlas.runs.plan import identity
 
 
 @pytest.fixture

@@ -18,7 +18,7 @@ from truth import (
 )
 
 import atlas
-from atlas.engine.simplify import simplify
+from atlas.engine.differentiate import simplify
 from atlas.errors import BadInput
 from atlas.flags import EnergyStability, Label, Stability
 from atlas.systems.arithmetic import functions

@@ -9,7 +9,7 @@ PACKAGE = Path(__file__).parent
 # Everything from the scene to the tile: equations, kernels, grid, labels, the registry of variables, and which
 # points and variables a tile contains. Modules that only read, join or draw finished tiles are left out.
 NUMERIC_SOURCES = (
-    "flags.py", "variables.py", "engine/**/*.py", "systems/**/*.py", "measure/**/*.py", "scene/**/*.py", "label/**/*.py",
+    "flags.py", "jit.py", "variables.py", "engine/**/*.py", "systems/**/*.py", "measure/**/*.py", "scene/**/*.py", "label/**/*.py",
     "papers/**/*.py", "io/netcdf.py", "runs/runner.py", "runs/plan.py", "runs/tiles.py",
     "validation/half_step.py",
 )  # fmt: skip

@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from typing import NoReturn
 
 from .._version import __version__
-from ..engine.compiling import announced
+from ..compiling import announced
 from ..errors import MAX_MESSAGE, BadInput, messages_for_shell, printable, say
 from ..interruption import exit_process, explain_kept, outcome, signals_as_interrupt
 from . import atlases, scenes, studies

@@ -143,7 +143,7 @@ def check_scene(options: argparse.Namespace) -> int:
 @command("cache", argument("--clear", action="store_true", help="remove them"))
 def list_kernels(options: argparse.Namespace) -> int:
     """List the compiled kernels."""
-    from ..engine import jit
+    from .. import jit
 
     if options.clear:
         say(f"removed {jit.clear()} kernels from {jit.cache_folder()}")

@@ -18,9 +18,10 @@ from typing import Any
 
 import numpy as np
 
+from .. import jit
 from ..errors import BadInput
 from ..systems import arithmetic
-from . import augmented, deviation, generated, jit, kernel, observe, tangent
+from . import augmented, deviation, generated, kernel, observe, tangent
 from .differentiate import differential, simplify
 from .ensemble import Plug
 from .statistics import Row

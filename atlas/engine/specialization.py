@@ -9,8 +9,9 @@ from types import ModuleType
 
 import numpy as np
 
+from .. import jit
 from ..systems.base import Points, System
-from . import assemble, deviation, jit, observe, tangent
+from . import assemble, deviation, observe, tangent
 from . import kernel as kernel_of_bodies
 from .ensemble import Plug
 

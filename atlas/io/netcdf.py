@@ -249,7 +249,7 @@ def provenance(
     `points` were integrated in `seconds` of wall-clock time; `scene` is empty where points were given.
     `atlas_tolerance` is nan where a step was given, `atlas_step` where it was not.
     """
-    from ..engine.jit import cpu
+    from ..jit import cpu
 
     packages = ("numpy", "numba", "llvmlite", "xarray", "netCDF4", "scipy")
     now = f"{datetime.now(UTC):%Y-%m-%dT%H:%M:%SZ}"

@@ -12,8 +12,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, TextIO
 
-from .. import files
-from ..engine import compiling
+from .. import compiling, files
 from ..files import atomic_write
 
 # Seconds between two plain lines, two updates of the live line, and two of the file.

@@ -9,7 +9,7 @@ import numpy as np
 import xarray as xr
 
 from .. import systems
-from ..engine.compiling import Stopwatch
+from ..compiling import Stopwatch
 from ..engine.specialization import Specialization
 from ..errors import BadInput, allowed_text, shown
 from ..io import netcdf

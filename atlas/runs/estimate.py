@@ -11,8 +11,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from ..compiling import Stopwatch
 from ..engine import blocks
-from ..engine.compiling import Stopwatch
 from ..io.progress import clock
 from ..label.pipeline import evaluate
 from ..label.theory import predict_runs

@@ -32,6 +32,7 @@ import xarray as xr
 
 from ..errors import MAX_MESSAGE, MAX_TEXT, BadInput, printable
 from ..files import (
+    PROCESS_NAME,
     atomic_write,
     check_folder,
     check_types,
@@ -166,7 +167,7 @@ class RunFolder:
             run.check_same(plan)
         except BadInput:
             for content, state in run._processes():
-                match = files.PROCESS_NAME.fullmatch(content["process"])
+                match = PROCESS_NAME.fullmatch(content["process"])
                 if match is not None and state == progress.AT_WORK:
                     raise BadInput(
                         f"{run.path}: is computed by process {match[3]} on {content['host']}; wait for it, end it, or choose"

@@ -188,7 +188,7 @@ def identity(plan: Plan) -> dict[str, str]:
     import numba
     import scipy
 
-    from ..engine import jit
+    from .. import jit
 
     # The hash is computed from source files, so before the check whether these have changed.
     kernel, origin = plan.kernel_hash, systems.origin(plan.system)

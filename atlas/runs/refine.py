@@ -13,7 +13,7 @@ import numpy as np
 import xarray as xr
 from scipy.ndimage import maximum_filter, minimum_filter
 
-from ..engine.compiling import Stopwatch
+from ..compiling import Stopwatch
 from ..errors import BadInput, say
 from ..flags import Stability
 from ..io import netcdf

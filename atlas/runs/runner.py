@@ -17,8 +17,8 @@ import numpy as np
 import xarray as xr
 
 from .. import systems
+from ..compiling import Stopwatch, announced
 from ..engine import blocks
-from ..engine.compiling import Stopwatch, announced
 from ..errors import BadInput, shown
 from ..files import check_folder, check_name, exists_message
 from ..interruption import explain_kept

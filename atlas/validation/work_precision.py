@@ -13,8 +13,8 @@ from typing import Any, TypeAlias
 import numpy as np
 import xarray as xr
 
+from ..compiling import Stopwatch
 from ..engine import numeric_bound
-from ..engine.compiling import Stopwatch
 from ..engine.ensemble import Ensemble
 from ..engine.generated import WIDTH
 from ..engine.specialization import kernel

@@ -35,7 +35,8 @@ from numba.extending import intrinsic
 from numba.np.unsafe.ndarray import to_fixed_tuple
 
 import atlas
-from atlas.engine import blocks, jit
+from atlas import jit
+from atlas.engine import blocks
 from atlas.engine.ensemble import Ensemble
 from atlas.engine.specialization import Specialization, kernel, tangent_kernel
 from atlas.engine.stepsize import StepSizes

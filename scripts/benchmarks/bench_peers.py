@@ -38,7 +38,8 @@ from matplotlib.figure import Figure
 from numba import cfunc, njit
 from scipy.integrate import odeint, solve_ivp
 
-from atlas.engine import assemble, jit
+from atlas import jit
+from atlas.engine import assemble
 from atlas.engine.differentiate import simplify
 from atlas.engine.ensemble import Ensemble
 from atlas.engine.specialization import Specialization, kernel

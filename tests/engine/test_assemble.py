@@ -4,7 +4,8 @@ import ast
 
 import pytest
 
-from atlas.engine import assemble, jit, kernel
+from atlas import jit
+from atlas.engine import assemble, kernel
 from atlas.engine.tableaux import METHODS
 from atlas.systems import SYSTEMS
 

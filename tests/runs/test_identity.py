@@ -15,8 +15,7 @@ import pytest
 import scipy
 
 import atlas
-from atlas import BadInput, sources
-from atlas.engine import jit
+from atlas import BadInput, jit, sources
 from atlas.label.plan import Plan
 from atlas.runs import plan, runner
 from atlas.runs.folder import RunFolder

@@ -40,7 +40,7 @@ def of_harmonics(
 @cache
 def _compiled() -> Any:
     """The function `integrate` in machine code."""
-    from ...engine import jit
+    from ... import jit
 
     numbers = "\n".join(f"{name} = {globals()[name]!r}" for name in ("LANES", "GAUSS", "RESCALING"))
     functions = [f"{jit.CALLED}\n{inspect.getsource(each)}" for each in (combine, multiply, solve)]

@@ -14,9 +14,8 @@ import numba
 import pytest
 
 import atlas
-from atlas import files
-from atlas.engine import jit
-from atlas.engine.compiling import ANNOUNCEMENT, announced
+from atlas import files, jit
+from atlas.compiling import ANNOUNCEMENT, announced
 from atlas.systems.satellite.system import SATELLITE
 
 # A point at which no term of the equations vanishes: its kernel is that of many other tests.
@@ -262,7 +261,7 @@ def test_a_folder_that_vanishes_is_made_again(cache, caplog):
 
 
 def test_processes_that_compile_at_once_all_succeed(cache):
-    code = f"from atlas.engine import jit; print(jit.load({SOURCE!r}).integrate(1.0))"
+    code = f"from atlas import jit; print(jit.load({SOURCE!r}).integrate(1.0))"
     processes = [
         subprocess.Popen(
             [sys.executable, "-c", code], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
@@ -368,12 +367,12 @@ def changes(when):
 
 
 before = snapshot()
-import atlas.engine.jit
+import atlas.jit
 
 source, empty_cache, point = sys.argv[1:]
 all_changes = changes("after the import")
 usual_cache, os.environ["ATLAS_CACHE"] = os.environ["ATLAS_CACHE"], empty_cache
-assert atlas.engine.jit.load(source).integrate(1.0) == 2.0
+assert atlas.jit.load(source).integrate(1.0) == 2.0
 os.environ["ATLAS_CACHE"] = usual_cache
 all_changes += changes("after a compilation")
 import atlas

@@ -2,8 +2,8 @@
 
 import threading
 
-from atlas.engine import compiling
-from atlas.engine.compiling import ANNOUNCEMENT, Stopwatch, announced, compilation
+from atlas import compiling
+from atlas.compiling import ANNOUNCEMENT, Stopwatch, announced, compilation
 
 
 class Clock:

@@ -23,7 +23,7 @@ from ..errors import BadInput
 from ..files import atomic_write, disk_error
 from ..measure.observables import std_tolerances
 from ..scene import grid
-from ..scene.model import EMPTY_ABOUT, About, Scene, Settings
+from ..scene.model import About, Scene, Settings
 from ..systems.base import System
 from ..variables import variables
 from . import checksums, zarr_store
@@ -227,8 +227,8 @@ def scene_provenance(
 ) -> dict[str, Any]:
     """Global attributes of the atlas of a scene, see `provenance`."""
     return provenance(
-        scene.system, scene.settings, kernel_hash, title=scene.title, scene=scene.toml(), seconds=seconds,
-        points=points, warnings=warnings, about=scene.about,
+        scene.system, scene.settings, kernel_hash, title=scene.title, seconds=seconds, points=points,
+        warnings=warnings, scene=scene,
     )  # fmt: skip
 
 
@@ -238,19 +238,19 @@ def provenance(
     kernel_hash: str,
     *,
     title: str,
-    scene: str,
     seconds: float,
     points: int,
     warnings: list[str],
-    about: About = EMPTY_ABOUT,
+    scene: Scene | None = None,
 ) -> dict[str, Any]:
     """CF and ACDD-1.3 attributes of an atlas, and the program's own, which begin with `atlas_`.
 
-    `points` were integrated in `seconds` of wall-clock time; `scene` is empty where points were given.
+    `points` were integrated in `seconds` of wall-clock time; there is no scene where points were given.
     `atlas_tolerance` is nan where a step was given, `atlas_step` where it was not.
     """
     from ..jit import cpu
 
+    about = About() if scene is None else scene.about
     packages = ("numpy", "numba", "llvmlite", "xarray", "netCDF4", "scipy")
     now = f"{datetime.now(UTC):%Y-%m-%dT%H:%M:%SZ}"
     reference = system.reference + (f", https://doi.org/{system.doi}" if system.doi else "")
@@ -264,7 +264,7 @@ def provenance(
         **about.attributes(),
         "atlas_version": __version__,
         "atlas_system": system.name,
-        "atlas_scene": scene,
+        "atlas_scene": "" if scene is None else scene.toml(),
         "atlas_method": settings.method,
         "atlas_rate_tolerance": settings.rate_tolerance,
         "atlas_cylinder_tolerance": settings.cylinder,

@@ -134,7 +134,7 @@ def label_points(
     columns = _evaluate_in_tiles(plan, grid.Grid(full, full, reason, durations), outputs, threads, progress)
     ds = _dataset(description, columns, full, kept)
     ds.attrs |= netcdf.provenance(
-        description, settings, plan.kernel_hash, title=f"points of the {system}", scene="", seconds=stopwatch.seconds(),
+        description, settings, plan.kernel_hash, title=f"points of the {system}", seconds=stopwatch.seconds(),
         points=size, warnings=warnings,
     )  # fmt: skip
     return ds

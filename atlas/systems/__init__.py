@@ -77,7 +77,12 @@ def _register(system: Any, package: str, name: str = "") -> System:
             raise BadInput(f"its name is {shown(system.name)}; the name of the entry point must be the same")
         if new:
             _ORIGINS[system] = plugins.origin(system, package)
-            _complete(system)
+            # What the equations leave out, and the constant that stands for the kernels' unit of time.
+            given = len(getattr(system.equations, "CONSTANTS", ()))
+            observables = [observable.name for observable in system.observables]
+            system.equations = arithmetic.completed(system.equations, observables)
+            if len(system.equations.CONSTANTS) > given and type(system).constants is not System.constants:
+                vars(system)["constants"] = arithmetic.with_unit_row(system.constants)
         check_start(system)
     except BadInput as error:
         raise BadInput(f"{key}: {error}") from None
@@ -85,14 +90,6 @@ def _register(system: Any, package: str, name: str = "") -> System:
         raise BadInput(f"{key}: {type(error).__name__}: {one_line(error)}") from None
     SYSTEMS[system.name] = system
     return system
-
-
-def _complete(system: System) -> None:
-    """Fill in what the equations leave out, and the constant that stands for the kernels' unit of time."""
-    given = len(getattr(system.equations, "CONSTANTS", ()))
-    system.equations = arithmetic.completed(system.equations, [o.name for o in system.observables])
-    if len(system.equations.CONSTANTS) > given and type(system).constants is not System.constants:
-        vars(system)["constants"] = arithmetic.with_unit_row(system.constants)
 
 
 def get(name: object) -> System:

@@ -150,7 +150,7 @@ def work_precision(scene: Scene, count: int = 64, *, progress: bool = False) -> 
         bar.close()
     ds = _dataset(sample, results)
     ds.attrs = netcdf.provenance(
-        scene.system, scene.settings, Plan.of(scene).kernel_hash, title=scene.title, scene=scene.toml(),
+        scene.system, scene.settings, Plan.of(scene).kernel_hash, title=scene.title, scene=scene,
         seconds=stopwatch.seconds(), points=sample.indices.size, warnings=[],
     ) | ds.attrs  # fmt: skip
     return ds

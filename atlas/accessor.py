@@ -55,6 +55,10 @@ class Atlas:
     ) -> Figure:
         """Figure of one variable over two axes, or of single points over two of their parameters.
 
+        Flags have one colour each in every figure. Positive numbers that span more than two decades get a logarithmic scale,
+        numbers of both signs a scale centred on zero, integers a colour each. White cells have no value. A single axis
+        gives a strip or a line.
+
         Parameters
         ----------
         variable : str, optional

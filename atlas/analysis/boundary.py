@@ -74,7 +74,7 @@ def boundary(
 
 
 TRACED_PLANES = 16
-# Lines of planes: a page shows those of its map, and a map of another variable has the same ones.
+# Lines of the planes drawn last, because tracing takes seconds: a page and maps of several variables show the same ones.
 _TRACED: dict[tuple[System, str, str, str, bool], Lines] = {}
 
 
@@ -89,11 +89,13 @@ def theory_lines(scene: Scene, plane: xr.Dataset, dims: list[str], variable: str
         return count_borders(whole, plane[variable], derived)
     inertial = variable.endswith("_inertial")
     key = scene.system, scene.toml(), repr(whole.extent), repr(whole.fixed), inertial
-    if key not in _TRACED:
-        if len(_TRACED) == TRACED_PLANES:
+    lines = _TRACED.get(key)
+    if lines is None:
+        lines = theory_borders(whole, inertial=inertial)
+        if len(_TRACED) >= TRACED_PLANES:
             _TRACED.clear()
-        _TRACED[key] = theory_borders(whole, inertial=inertial)
-    borders = dict(_TRACED[key])
+        _TRACED[key] = lines
+    borders = dict(lines)
     if variable in RESONANCE_VARIABLES and variable in scene.system.derived and len(dims) == 2:
         borders |= resonance_lines(whole)
     return borders

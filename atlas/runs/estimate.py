@@ -89,20 +89,21 @@ def dry_run(scene: Scene, *, threads: int | None = None, workers: int | None = N
 
 def _measure(plan: ScenePlan, threads: int) -> _Measurement:
     """Integrate some points of the sample three times: to compile, to time, and to trace memory."""
-    # Small duration and max_steps, without slow variables.
+    # A short measurement: without slow variables, with a small duration and few steps.
     outputs = tuple(name for name in plan.scene.outputs if name not in plan.scene.system.derived)
     exists = np.flatnonzero(plan.sample.exists)
     chosen = exists[np.linspace(0, exists.size - 1, min(exists.size, CALIBRATION_POINTS)).astype(np.int64)]
-    plan, fraction = ScenePlan(replace(plan.scene, outputs=outputs), plan.sample.subset(chosen)), 0.0
-    while fraction <= 0.8:  # counts of steps are rounded
+    plan = ScenePlan(replace(plan.scene, outputs=outputs), plan.sample.subset(chosen))
+    while True:
         schedule = blocks.schedule_of(plan.step_sizes.without_unresolved())
         work = plan.mean_work / plan.mean_steps * schedule.point_steps
         fraction = CALIBRATION_STEPS * min(threads, len(schedule.points)) / work
-        if fraction <= 0.8:
-            # Both, because a limited number of steps does not depend on the duration.
-            settings = plan.limited(max(round(plan.scene.settings.max_steps * fraction), 1))
-            sample = replace(plan.sample, duration=plan.sample.duration * fraction)
-            plan = ScenePlan(replace(plan.scene, settings=settings), sample)
+        if fraction > 0.8:  # counts of steps are rounded
+            break
+        # Both, because a limited number of steps does not depend on the duration.
+        settings = plan.limited(max(round(plan.scene.settings.max_steps * fraction), 1))
+        sample = replace(plan.sample, duration=plan.sample.duration * fraction)
+        plan = ScenePlan(replace(plan.scene, settings=settings), sample)
     points = plan.sample
     stopwatch = Stopwatch()  # without the time in which a kernel is compiled
     predict_runs(plan.points, points, threads=threads)

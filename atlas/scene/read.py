@@ -185,16 +185,7 @@ def scene_from(table: Mapping[str, Any], name: str = "scene", folder: Path | Non
     }
     _check_names(system, names, axes, ties)
     duration, settings = _integration(system, section["integration"], section["labels"])
-    checks.check_keys(section["outputs"], "outputs.", ("variables", "map"))
-    registry = variables(system)
-    listed = section["outputs"].get("variables", default_variables(system))
-    if not isinstance(listed, list) or not listed:
-        raise BadInput(f"outputs.variables = {shown(listed)}: must be a list of at least one variable name")
-    for each in listed:
-        if not isinstance(each, str) or each not in registry:
-            raise BadInput(f"outputs.variables: {shown(each)} is unknown; {allowed_text(each, registry)}")
-    outputs = tuple(each for each in registry if each in set(listed))
-    map_variable = section["outputs"].get("map", "")
+    outputs, map_variable = _outputs(system, section["outputs"])
     about = section["about"]
     if "licence" in about and "license" not in about:  # both spellings are read
         about = {"license" if key == "licence" else key: value for key, value in about.items()}
@@ -210,11 +201,25 @@ def scene_from(table: Mapping[str, Any], name: str = "scene", folder: Path | Non
         duration=duration,
         settings=settings,
         outputs=outputs,
-        map=checks.choice("outputs.map", map_variable, outputs) if "map" in section["outputs"] else "",
+        map=map_variable,
         refine=refine,
         points=points,
         about=checks.instance_of(About, about, "about"),
     )
+
+
+def _outputs(system: System, table: Mapping[str, Any]) -> tuple[tuple[str, ...], str]:
+    """Variables of the atlas in the order of the registry, and the one that maps show; empty if none is named."""
+    checks.check_keys(table, "outputs.", ("variables", "map"))
+    registry = variables(system)
+    listed = table.get("variables", default_variables(system))
+    if not isinstance(listed, list) or not listed:
+        raise BadInput(f"outputs.variables = {shown(listed)}: must be a list of at least one variable name")
+    for name in listed:
+        if not isinstance(name, str) or name not in registry:
+            raise BadInput(f"outputs.variables: {shown(name)} is unknown; {allowed_text(name, registry)}")
+    outputs = tuple(name for name in registry if name in set(listed))
+    return outputs, checks.choice("outputs.map", table["map"], outputs) if "map" in table else ""
 
 
 # Keys of a table [axes.NAME] with evenly spaced values, with listed ones, and of both.
@@ -243,7 +248,7 @@ def _axes(system: System, tables: Mapping[str, Any], refine: Refine | None) -> d
     if POINT in tables:
         raise BadInput(f"axes.{POINT}: this is the dimension of scenes with [points]; choose another name")
     levels = 0 if refine is None else refine.levels
-    keys, counts = {}, {}
+    checked_tables, counts = {}, {}
     for name, table in tables.items():
         key = f"axes.{name}"
         checks.identifier(key, name)
@@ -253,11 +258,9 @@ def _axes(system: System, tables: Mapping[str, Any], refine: Refine | None) -> d
         for other in SPACED:
             if other in table and "values" in table:
                 raise BadInput(f"{key}.{other}: not together with values")
-        needed, rule = (
-            (LISTED if "values" in table else SPACED),
-            "an axis needs from, to and count, or values",
-        )
-        keys[name] = checks.from_table({**needed, **OF_BOTH}, table, key, rule=rule)
+        needed = LISTED if "values" in table else SPACED
+        rule = "an axis needs from, to and count, or values"
+        checked_tables[name] = checks.from_table({**needed, **OF_BOTH}, table, key, rule=rule)
         counts[name] = len(table["values"]) if "values" in table else (table["count"] - 1) * 2**levels + 1
         if "count" in table and counts[name] > MAX_AXIS_COUNT:
             raise BadInput(f"{key}.count = {table['count']}: too many for {levels} levels of [refine]")
@@ -274,7 +277,7 @@ def _axes(system: System, tables: Mapping[str, Any], refine: Refine | None) -> d
                 f"refine: {size:.3g} points on the finest grid; allowed: at most {MAX_REFINED_POINTS:.0e}"
             )
     axes = {}
-    for name, table in keys.items():
+    for name, table in checked_tables.items():
         values = (
             np.array(table["values"]) if "values" in table else _spaced(f"axes.{name}", table, counts[name])
         )
@@ -340,9 +343,8 @@ def _check_names(
         is_offset = given_in == ["axes", "solve"] and axes[name].offset_from_family
         if len(given_in) > 1 and not is_offset:
             raise BadInput(f"{name} is given in {' and in '.join(given_in)}: a name has one value")
-    variables_of_file = data_variables(
-        system
-    )  # a name is one of variable, parameter and dimension in a dataset
+    # In a dataset a name is only one of variable, parameter and dimension.
+    variables_of_file = data_variables(system)
     for name, given_in in sections.items():
         if name in variables_of_file:
             raise BadInput(f"{given_in[0]}.{name}: an atlas has a variable of this name; choose another name")

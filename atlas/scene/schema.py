@@ -45,7 +45,10 @@ def scene_schema() -> Schema:
         "properties": {
             "schema": {"const": SCHEMA, "description": "version of the format"},
             "title": text,
-            "system": {"enum": [s.name for s in systems], "description": "; ".join(f"{s.name}: {s.title}" for s in systems)},
+            "system": {
+                "enum": [s.name for s in systems],
+                "description": "; ".join(f"{s.name}: {s.title}" for s in systems),
+            },
             "about": about | {"description": "attributes of the atlas, by the names of ACDD-1.3"},
             "fixed": {
                 **names,
@@ -66,7 +69,11 @@ def scene_schema() -> Schema:
                 " abs, pi",
                 "additionalProperties": {"type": "string"},
             },
-            "family": {"type": "object", "required": ["name"], "description": "every point starts on these steady motions"},
+            "family": {
+                "type": "object",
+                "required": ["name"],
+                "description": "every point starts on these steady motions",
+            },
             "nudge": {
                 "type": "object",
                 "description": "added to start values after solving",
@@ -76,7 +83,11 @@ def scene_schema() -> Schema:
             "labels": checks.table_schema(checks.keys_of(Settings, "labels")),
             "refine": checks.table_schema(checks.keys_of(Refine))
             | {"description": "integrate a finer grid near the borders of labels only"},
-            "outputs": {"type": "object", "additionalProperties": False, "properties": {"variables": {"type": "array"}, "map": {"type": "string"}}},
+            "outputs": {
+                "type": "object",
+                "additionalProperties": False,
+                "properties": {"variables": {"type": "array"}, "map": {"type": "string"}},
+            },
         },
         "allOf": [
             {

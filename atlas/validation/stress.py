@@ -61,13 +61,13 @@ def stress(
     """
     if isinstance(system, str):
         system = systems.get(system)
-    cases = system.stress_cases() if cases is None else cases
+    given = system.stress_cases() if cases is None else cases
     parts, truths = [], []
-    for case in cases:
+    for case in given:
         part = case_points(system, case)
         parts.append(part)
         truths.append(true_labels(system, part.points, part.duration, Settings(), part.truth, part.base))
-    for case in [] if cases else generic_cases(system):
+    for case in generic_cases(system) if cases is None and not given else ():
         part = case_points(system, case)
         truth, known = generic_true_labels(system, part, Settings())
         if known.any():
@@ -134,8 +134,11 @@ def _run_levels(
             for j, tolerance in enumerate(TOLERANCES, len(RATIOS)):
                 own = replace(settings, tolerance=tolerance)
                 jobs.append(pool.submit(work, (i, j), own, np.arange(duration.size)))
-        for job in jobs:
-            job.result()
+        try:
+            for job in jobs:
+                job.result()
+        finally:  # no further job begins after an error or Ctrl-C
+            pool.shutdown(wait=False, cancel_futures=True)
     return results
 
 

@@ -50,7 +50,7 @@ def test_the_copy_of_the_package_is_the_same_code(run, scene, package):
 @pytest.mark.parametrize(
     "name",
     [
-        "flags.py", "variables.py", "engine/stepsize.py", "systems/satellite/families.py", "scene/grid.py",
+        "flags.py", "jit.py", "variables.py", "engine/stepsize.py", "systems/satellite/families.py", "scene/grid.py",
         "label/theory.py", "measure/rates.py", "io/netcdf.py", "runs/tiles.py", "runs/runner.py",
     ],
 )  # fmt: skip

@@ -302,7 +302,7 @@ def run(step):
 
     if NO_LINKS:
         os.link = refuse
-    for name in ("replace", "link", "unlink", "rmdir", "mkdir", "fsync"):
+    for name in ("replace", "link", "rename", "unlink", "rmdir", "mkdir", "fsync"):
         setattr(os, name, counted(getattr(os, name)))
     try:
         atlas.run(scene, "a.nc", threads=1, progress=False)

@@ -77,8 +77,9 @@ def allowed_text(value: object, names: Collection[str]) -> str:
     question = ""
     if isinstance(value, str) and len(value) <= MAX_TEXT:
         by_lower_case = {name.lower(): name for name in names}
-        for similar in difflib.get_close_matches(value.lower(), by_lower_case, 1):
-            question = f"did you mean {by_lower_case[similar]!r}? "
+        similar = difflib.get_close_matches(value.lower(), by_lower_case, 1)
+        if similar:
+            question = f"did you mean {by_lower_case[similar[0]]!r}? "
     return f"{question}allowed: {', '.join(names) or 'none'}"
 
 

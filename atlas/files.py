@@ -30,7 +30,7 @@ TRIAL_BYTES = 1 << 20  # written as a trial, to find out why a write failed
 # makes at most 3000 of one; less than MIN_CLAIM bytes are allowed in any case.
 MAX_JSON_BYTES = 100_000_000
 MAX_RATIO, MIN_CLAIM = 4_000, 1_000_000_000
-# Of a process: machine-boot-pid-start. On the same machine it decides exactly whether the process runs, because a number
+# The name of a process is machine-boot-pid-start. On the same machine the name decides exactly whether the process runs, because a number
 # that is used again belongs to a process with another start, and a machine that was started again has no process of
 # before. A container counts as a machine of its own, because it cannot see the processes of another one. Of another
 # machine nothing is known.
@@ -49,7 +49,8 @@ def process_name() -> str:
 
 def is_running(process: str) -> bool | None:
     """Whether a process runs, by its `process_name`; None for one of another machine, where this cannot be known."""
-    match, (machine, boot) = PROCESS_NAME.fullmatch(process), _machine_and_boot()
+    match = PROCESS_NAME.fullmatch(process)
+    machine, boot = _machine_and_boot()
     if match is None or match[1] != machine:
         return None
     if match[2] != boot:
@@ -81,8 +82,8 @@ def _machine_and_boot() -> tuple[str, str]:
 def _start(pid: int) -> int | None:
     """Start of a process, in ticks since the machine's; -1 for a zombie, None if it cannot be read."""
     try:
-        stat = Path(f"/proc/{pid}/stat").read_text(encoding="ascii", errors="replace")
-        fields = stat.rpartition(")")[2].split()  # the name of the program, in brackets, may contain blanks
+        text = Path(f"/proc/{pid}/stat").read_text(encoding="ascii", errors="replace")
+        fields = text.rpartition(")")[2].split()  # the name of the program, in brackets, may contain blanks
         return -1 if fields[0] in "ZX" else int(fields[19])
     except (OSError, ValueError, IndexError):
         return None

@@ -108,9 +108,8 @@ def _lines(trajectory: xr.Dataset, lines: int) -> tuple[xr.Dataset, tuple[str, f
 def _signals(trajectory: xr.Dataset) -> dict[str, tuple[Signal, Signal]]:
     """The signals of a motion (of theta, psi and phi, or the observables) by name, with their derivatives."""
     system = system_of(trajectory) if "atlas_system" in trajectory.attrs else None
-    if (
-        system is not None and system.observables
-    ):  # with derivatives by differences along the slope of the motion
+    if system is not None and system.observables:
+        # Derivatives by differences along the slope of the motion.
         points = {
             name: np.array([float(trajectory.get(f"{name}_start", trajectory.get(name, np.nan)))])
             for name in system.parameters

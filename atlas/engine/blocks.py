@@ -146,11 +146,8 @@ def call_by_parts(
     an exception no further call begins.
     """
     # Bounds of chunks of blocks: at least about four for each thread, of at most about CHUNK point-steps each.
-    total, least_chunks, stop = (
-        np.cumsum(point_steps),
-        4 * (threads or available_threads()),
-        threading.Event(),
-    )
+    total, stop = np.cumsum(point_steps), threading.Event()
+    least_chunks = 4 * (threads or available_threads())
     max_cost = min(CHUNK, -(-int(total[-1]) // least_chunks)) if total.size else CHUNK
     bounds = [0]
     while bounds[-1] < len(total):

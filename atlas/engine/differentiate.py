@@ -129,6 +129,7 @@ def _sum(x: ast.expr | None, y: ast.expr | None, op: ast.operator) -> ast.expr:
 
 
 def _factors(node: ast.expr) -> list[ast.expr]:
+    """All factors of a product."""
     if isinstance(node, ast.BinOp) and isinstance(node.op, ast.Mult):
         return _factors(node.left) + _factors(node.right)
     return [node]
@@ -202,6 +203,7 @@ class _Simplifier(ast.NodeTransformer):
 
 
 def _left_factors(node: ast.expr) -> list[ast.expr]:
+    """Factors of a product from left to right; a product in parentheses on the right is one factor."""
     if isinstance(node, ast.BinOp) and isinstance(node.op, ast.Mult):
         return [*_left_factors(node.left), node.right]
     return [node]

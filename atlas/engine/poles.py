@@ -9,8 +9,8 @@ have poles there. The trapezoidal rule converges slowly on such a spike, but its
 form (Poisson's summation formula): `trapezoid_error_of_pole`. The zero is found on the polynomial through
 four nodes of the motion (`pole_terms`), and the kernel subtracts the errors of the sums.
 
-Theta turns on such polynomials, of degree 7 (`turning_point`); whether and about where, a cubic tells. The unit of
-time is the distance of two nodes.
+Turning points of theta are computed on such polynomials, of degree 7 (`turning_point`), from those of the cubic between two
+nodes (`turns_twice`, `place_of_turn`). The unit of time is the distance of two nodes.
 """
 
 from enum import IntEnum

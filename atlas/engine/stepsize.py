@@ -42,7 +42,8 @@ class StepSizes:
     def of(cls, settings: Any, bound: NDArray[np.float64], duration: NDArray[np.float64]) -> StepSizes:
         """Step sizes of points with these frequency bounds (rad per time unit) and durations (time units).
 
-        Of `settings`, see `scene.model.Settings`, method, tolerance, step, max_steps and rate_tolerance are used.
+        Of `settings`, see `scene.model.Settings`, method, tolerance (rad), step (time units), max_steps and rate_tolerance (rad
+        per time unit) are used.
         With `settings.step` steps are at most that long. Otherwise they are so short that the phase error of an
         oscillation at the bound stays within `settings.tolerance`, and that neither its loss of amplitude nor the
         local error lets a steady rate as large as the bound vary by more than RATE_ERROR_BUDGET of the rate tolerance.
@@ -56,12 +57,12 @@ class StepSizes:
         if settings.step is None:
             with np.errstate(divide="ignore"):
                 by_phase = settings.tolerance / (method.dispersion * np.maximum(radians, 1e-300))
-                rate = RATE_ERROR_BUDGET * settings.rate_tolerance
-                rate = rate / np.where(finite, np.maximum(bound, 1e-300), 1.0)  # relative
+                rate_unit = np.where(finite, np.maximum(bound, 1e-300), 1.0)
+                relative_rate = RATE_ERROR_BUDGET * settings.rate_tolerance / rate_unit
                 y = np.minimum(
-                    by_phase ** (1 / method.order), (rate / method.dispersion) ** (1 / method.order)
+                    by_phase ** (1 / method.order), (relative_rate / method.dispersion) ** (1 / method.order)
                 )
-                by_dissipation = rate / (method.dissipation * np.maximum(radians, 1e-300))
+                by_dissipation = relative_rate / (method.dissipation * np.maximum(radians, 1e-300))
                 y = np.minimum(y, by_dissipation ** (1 / (method.dissipation_order - 1)))
                 # A body at rest needs no steps, also where the tolerances are so small that y underflows to 0.
                 count = np.divide(radians, y, out=np.zeros_like(radians), where=radians > 0)

@@ -46,7 +46,8 @@ def add(path: Path) -> None:
         blocks: BlockShapes = {}
         for name, variable in file.variables.items():
             # The chunks of a variable, or some rows of one without chunks.
-            chunks, block, room = variable.chunking(), list[int](), BLOCK_VALUES
+            chunks, room = variable.chunking(), BLOCK_VALUES
+            block: list[int] = []
             if chunks == "contiguous":
                 for count in reversed(variable.shape):
                     block.insert(0, min(count, room))

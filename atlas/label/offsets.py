@@ -95,7 +95,7 @@ def off_family_labels(
             )
             if drifts.size:
                 part = motions.subset(drifts), unit[drifts], steps[drifts], step_size[drifts]
-                # Whether deviations grow otherwise: their sizes, or the times at which they leave the linear range.
+                # Deviations without the terms of second order may differ in size, or in when they leave the linear range.
                 own, other = sums[:, drifts], _integrate(*part, *options)
                 ratio = own[Deviation.LARGEST_SQUARE] / other[Deviation.LARGEST_SQUARE]
                 linear = (own[Deviation.LINEAR] > 0) & (other[Deviation.LINEAR] > 0)
@@ -263,7 +263,7 @@ def _label(
     tolerances: Tolerances,
     frame_rate: Array,
 ) -> Flags:
-    """Label of motions x0 + d as long as d is small; not_computed where the linear equations do not decide. unit: of rates."""
+    """Label of motions x0 + d as long as d is small; not_computed where the linear equations do not decide. unit: that of rates."""
     mean = sums / sums[Deviation.NODES]
     # Of a part of the run. Those of the whole one are not smaller than the root of its share times these.
     share = sums[Deviation.NODES] / (steps + 1)

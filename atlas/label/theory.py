@@ -165,7 +165,7 @@ def predict(
     A nudged start keeps the label of its family where the motion is linearly stable and drifts where it is
     unstable. Off every family `predicted` is drifting where the system's catalogue is complete, else
     not_computed. Rates of at most rate_tolerance, rad per time unit, count as zero, and a tilt below
-    cylinder_tolerance, rad (default: the same number), as on the vertical.
+    cylinder_tolerance, rad (default: the same number), as on the vertical. family: that of each start, if it is known already.
     """
     if family is None:
         family, _ = _identify(system, points)

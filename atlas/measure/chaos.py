@@ -119,7 +119,8 @@ class Separation:
                 * np.ones_like(unit)
                 for i in augmented.own_components(equations)
             ]
-            rows += (3 if augmented.rotates(equations) else 0) * [np.ones_like(unit)]
+            if augmented.rotates(equations):
+                rows += 3 * [np.ones_like(unit)]
             self.weights = np.ascontiguousarray(rows)
             start = augmented.tangent_start(equations, self.state)
             self.vectors = np.ascontiguousarray(start / self.weights)
@@ -241,7 +242,8 @@ class TangentRuns:
         highest, drawdown = separation.sums[tangent.HIGHEST], separation.sums[tangent.DRAWDOWN]
         values[:, drifting & (drawdown > MAX_DRAWDOWN) & (highest > MAX_DRAWDOWN)] = np.nan
         # Vectors of chaos grow by more than one passage of an unstable motion explains; other runs go on.
-        active = chaotic = np.flatnonzero(kind == Regularity.CHAOTIC)
+        chaotic = np.flatnonzero(kind == Regularity.CHAOTIC)
+        active = chaotic
         log_growth = separation.sums[tangent.LOG_GROWTH]  # as `drawdown` a view
         for duration in range(1, MAX_DURATIONS + 1):
             active = active[(drawdown[active] <= MAX_DRAWDOWN) & (log_growth[active] <= MAX_PASSAGE_GROWTH)]

@@ -206,6 +206,7 @@ def principal_axes(matrix: Array) -> tuple[Array, Array]:
     vectors = np.broadcast_to(np.eye(3)[:, :, None], a.shape).copy()
     for _ in range(SWEEPS):
         for p, q in ((0, 1), (0, 2), (1, 2)):
+            # Turn the axes p and q so that the element (p, q) vanishes.
             with np.errstate(all="ignore"):  # of elements that are 0 already
                 r = 3 - p - q
                 ratio = (a[q, q] - a[p, p]) / (2.0 * a[p, q])
@@ -435,11 +436,13 @@ def values(
         }  # fmt: skip
         regular = kind == Label.REGULAR_PRECESSION
         conditions = [regular & (own_label == kind), regular, kind == Label.PERMANENT_ROTATION]
+        # Of a regular precession: the last component of the spin axis above the tolerance is positive.
         s = [circle[f"spin_axis_{i}"] for i in (1, 2, 3)]
         last = np.select(
             [np.abs(s[2]) > tolerances.angle, np.abs(s[1]) > tolerances.angle], [s[2], s[1]], s[0]
         )
         sign = np.copysign(1.0, last)
+        # Of a permanent rotation: about the mean angular velocity, which a body at rest has not.
         components = [circle[f"rate_{i}"] for i in (1, 2, 3)]
         size = np.sqrt(sum(component**2 for component in components))
         rotates = size > tolerances.rate
@@ -453,6 +456,7 @@ def values(
                     "nutation": np.arctan2(circle["radius"], sign * (circle["height"] - circle["spin"])),
                     "precession_inclination": circle["precession_inclination"],
                 }
+                # 0.0 makes -0.0 positive.
                 | {f"spin_axis_{i + 1}": sign * component + 0.0 for i, component in enumerate(s)}
             ),
             (

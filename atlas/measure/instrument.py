@@ -250,7 +250,7 @@ class MainInstrument(Instrument):
         raise NotImplementedError
 
     def bound(self, bound: Array, settled: Mask) -> Array:
-        """Frequency bound with which points are integrated that have a numeric one; settled: where it holds for the whole run."""
+        """Frequency bound with which points are integrated; settled: where it holds for the whole run, as a proved one does."""
         return bound
 
     def early_stop_rate(self, bound: Array, step_sizes: StepSizes, tolerances: Tolerances) -> Array:

@@ -319,10 +319,9 @@ def _hatched(region: str, background: str | None = None) -> Patch:
 
 def legend_columns(entries: Iterable[str], width: float) -> int:
     """The most columns of a legend that fit a width in mm; entries fill one column after the other."""
-    names = list(entries)
-    for columns in range(len(names), 1, -1):
-        # A formula is as long as one letter.
-        lengths = np.array([len(re.sub(r"\$[^$]*\$", "x", name)) for name in names])
+    # A formula is as long as one letter.
+    lengths = np.array([len(re.sub(r"\$[^$]*\$", "x", name)) for name in entries])
+    for columns in range(len(lengths), 1, -1):
         longest = [column.max() for column in np.array_split(lengths, columns)]
         if sum(10.0 + 1.15 * length for length in longest) < width:
             return columns

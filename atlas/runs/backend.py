@@ -13,8 +13,6 @@ from xarray.backends import BackendEntrypoint
 
 from ..errors import BadInput, shown
 from ..files import one_line, read_json
-from ..io import zarr_store
-from ..io.checksums import CheckedStore
 from ..scene.checks import typed
 
 
@@ -72,6 +70,10 @@ def open_atlas(path: str | Path) -> xr.Dataset:
     BadInput
         If there is no such file, if it is damaged, or if it is not an atlas.
     """
+    # Here, because xarray imports this module in every process that opens any file.
+    from ..io import zarr_store
+    from ..io.checksums import CheckedStore
+
     path = Path(path)
     if not path.exists():
         raise BadInput(f"{path}: there is no such file")

@@ -192,15 +192,15 @@ def identity(plan: Plan) -> dict[str, str]:
 
     # The hash is computed from source files, so before the check whether these have changed.
     kernel, origin = plan.kernel_hash, systems.origin(plan.system)
-    changed: list[Any] = [sources.PACKAGE / name for name in sources.changed()]
-    if not changed and origin is not None and (file := origin.changed()) is not None:
-        changed = [file]
-    if changed:
+    changed: Any = next((sources.PACKAGE / name for name in sources.changed()), None)
+    if changed is None and origin is not None:
+        changed = origin.changed()
+    if changed is not None:
         raise BadInput(
-            f"{changed[0]} was written after this process (host {platform.node()}, process {os.getpid()}) had imported it:"
+            f"{changed} was written after this process (host {platform.node()}, process {os.getpid()}) had imported it:"
             " start the process again"
         )
-    # A system that is not of this package, as it was when it was registered.
+    # The code of a system that is not of this package, as it was when it was registered.
     system_code = {} if origin is None else {"system_code": origin.code}
     if origin is not None and origin.package:
         system_code["system_package"] = origin.package

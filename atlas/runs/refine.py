@@ -120,8 +120,8 @@ class _FineGrid:
         # share of such starts among all points, in regions narrower than the spacing. Without a nudge no point drifts.
         nudge, self.growth_needed = max(map(abs, scene.nudge.values()), default=0.0), -math.inf
         if nudge > 0:
-            survivors = scene.settings.rate_tolerance / nudge * scene.size
-            self.growth_needed = math.log(survivors / EXPECTED_MISSES)
+            missed_without_growth = scene.settings.rate_tolerance / nudge * scene.size
+            self.growth_needed = math.log(missed_without_growth / EXPECTED_MISSES)
         reason = np.empty(scene.size, np.int8)
         for chunk in _chunks(scene.size):
             reason[chunk] = self._predict(np.arange(chunk.start, chunk.stop))

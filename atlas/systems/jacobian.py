@@ -51,7 +51,7 @@ def frequency(
 def derivatives(
     equations: Any, state: NDArray[np.float64], constants: NDArray[np.float64], rate: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """The states and their first three derivatives along the motion, in units of time of 1 / rate; all within DISTANCE^2.
+    """The states and their first three derivatives along the motion, in units of 1 / rate; those of the states within DISTANCE^2.
 
     The third contains what the Jacobian cannot: the rate at which the equations themselves change in time.
     """

@@ -38,7 +38,10 @@ def names() -> list[str]:
 
 
 def load(name: str) -> tuple[object, str] | None:
-    """An object that an installed package names as this system, and the package; None if no package does, or BadInput."""
+    """An object that an installed package names as this system, and the package; None if no package does.
+
+    Raises BadInput if it cannot be imported, or if two packages give the name.
+    """
     entries = list(entry_points(group=GROUP, name=name))
     if not entries:
         return None

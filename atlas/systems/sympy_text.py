@@ -191,10 +191,8 @@ class Block:
         self.functions = [*functions.values()]
         replaced, reduced = sympy.cse([*functions, *given], order="canonical", list=True)
         named, new = dict(zip(reduced, self.functions, strict=False)), dict[Expression, Expression]()
-        for (
-            symbol,
-            expression,
-        ) in replaced:  # each stands for a name, or for itself if it is one operation at most
+        # Each stands for a name, or for itself if it is one operation at most.
+        for symbol, expression in replaced:
             part = expression.xreplace(new)
             new[symbol] = named.get(symbol) or (part if part.count_ops() <= 1 else self._new("common1"))
         values = [expression.xreplace(new) for expression in reduced]

@@ -426,13 +426,11 @@ def generic_true_labels(system: System, part: CasePoints, settings: Settings) ->
     solution, computed = reference_where_possible(
         system, subset(part.points, usable), part.duration[usable], settings
     )
-    known[usable], computed = False, usable[computed]
+    known[usable] = False
+    computed = usable[computed]
     if solution is not None:
-        label[computed], source[computed], known[computed] = (
-            solution.label,
-            "reference",
-            solution.label_certain,
-        )
+        label[computed], source[computed] = solution.label, "reference"
+        known[computed] = solution.label_certain
         largest[computed] = main_instrument(system).unsteadiness(system, solution.statistics, settings)
     return TrueLabels(label, largest, source, no_statistics(size)), known
 

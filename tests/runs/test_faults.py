@@ -98,7 +98,11 @@ def small_disk(longer):
 
     if mount("-t", "tmpfs", "-o", "size=4k", "tmpfs"):
         pytest.skip("only root can mount a disk")
-    yield lambda options: mount("-o", f"remount,{options}") == 0 or pytest.fail(options)
+
+    def change(options):
+        assert mount("-o", f"remount,{options}") == 0, options
+
+    yield change
     subprocess.run(["umount", str(path)], check=True)
 
 
@@ -182,14 +186,21 @@ def test_an_ordinary_user_changes_nothing_of_somebody_else(finished):
     run.join(path / "a.nc")
     run.tiles.path(5).unlink()
     (path / "closed").mkdir()
-    for each in [path, *path.parents]:
-        each.chmod(each.stat().st_mode | 0o055)
+    modes = {each: each.stat().st_mode for each in [path, *path.parents]}
+    closed = {each: mode for each, mode in modes.items() if mode & 0o011 != 0o011}
+    for each, mode in closed.items():
+        each.chmod(mode | 0o011)
+    path.chmod(modes[path] | 0o055)
     (path / "closed").chmod(0)
     run.tiles.path(6).chmod(0)
     before = {file: file.read_bytes() for file in path.rglob("*") if file.is_file()}
-    done = subprocess.run(
-        [sys.executable, "-c", ORDINARY_USER], cwd=path, text=True, capture_output=True, check=False
-    )
+    try:
+        done = subprocess.run(
+            [sys.executable, "-c", ORDINARY_USER], cwd=path, text=True, capture_output=True, check=False
+        )
+    finally:
+        for each, mode in closed.items():
+            each.chmod(mode)
     assert done.returncode == 0, done.stderr
     answers = done.stdout.splitlines()
     assert len(answers) == 6
@@ -210,9 +221,10 @@ COMMANDS = {
     "workers": ["run", "many.toml", "-o", "workers.nc", "--force", "--workers", "2"],
     "theory": ["run", CONFIGS / "first_order_error.toml", "-o", "theory.nc", "--force"],
     "refine": ["run", CONFIGS / "conical_precession_body.toml", "-o", "refined.nc", "--force"],
-    "join": ["join", "run/", "-o", "joined.nc", "--force"],
-    "map": ["map", "run/", "-o", "map.png", "--force"],
-    "compare": ["compare", "run/"],
+    "folder": ["run", "many.toml", "-o", "folder/"],
+    "join": ["join", "whole/", "-o", "joined.nc", "--force"],
+    "map": ["map", "whole/", "-o", "map.png", "--force"],
+    "compare": ["compare", "whole/"],
     "accuracy": ["accuracy", CONFIGS / "quickstart.toml", "--points", "64"],
     "conditions": ["conditions"],
     "stress": ["stress", "satellite"],
@@ -220,11 +232,21 @@ COMMANDS = {
 }
 
 
+@pytest.fixture(scope="module")
+def whole_folder(tmp_path_factory, scene_text):
+    """A finished run folder of a million points."""
+    path = tmp_path_factory.mktemp("whole") / "run"
+    scene = {"axes.sigma.count": 1000, "axes.theta0.count": 1000, "integration.duration": 2.0}
+    atlas.run(atlas.load_scene(scene_text(scene)), f"{path}/", progress=False).close()
+    return path
+
+
 @pytest.mark.parametrize("name", COMMANDS)
 def test_an_interrupted_command_ends_within_two_seconds_without_a_traceback(
-    finished, scene_text, fault_rounds, name
+    tmp_path, whole_folder, scene_text, fault_rounds, name
 ):
-    path, _, _ = finished
+    path = tmp_path
+    (path / "whole").symlink_to(whole_folder)
     (path / "long.toml").write_text(scene_text(LONG))
     (path / "rk8.toml").write_text(scene_text(LONG | {"integration.method": "rk8"}))
     (path / "unresolved.toml").write_text(scene_text(LONG | {"fixed.m": 1e8}))
@@ -239,6 +261,7 @@ def test_an_interrupted_command_ends_within_two_seconds_without_a_traceback(
     rng = np.random.default_rng(3)
     for _ in range(fault_rounds):
         number = signal.SIGINT if rng.random() < 0.5 else signal.SIGTERM
+        shutil.rmtree(path / "folder", ignore_errors=True)
         process = start(
             path, *COMMANDS[name], preexec_fn=lambda: signal.signal(signal.SIGINT, signal.default_int_handler)
         )

@@ -207,6 +207,19 @@ def test_every_damaged_tile_is_reported_and_computed_again(scene, whole, tmp_pat
     assert_same_bytes(whole, ds)
 
 
+def test_swapped_tiles_are_computed_again(scene, whole, tmp_path, small_tiles):
+    """With their sidecars, whose hashes are bound to a tile."""
+    atlas.run(scene, f"{tmp_path}/run/", progress=False)
+    run = RunFolder.open(tmp_path / "run")
+    for suffix in (".nc", ".json"):
+        one, two = run.tiles.path(2, suffix), run.tiles.path(5, suffix)
+        contents = one.read_bytes(), two.read_bytes()
+        two.write_bytes(contents[0])
+        one.write_bytes(contents[1])
+    assert list(run.tiles.status().damaged) == [2, 5]
+    assert_same_bytes(whole, atlas.run(scene, f"{tmp_path}/run/", progress=False))
+
+
 def test_a_finished_folder_is_read_once(scene, whole, tmp_path, small_tiles, monkeypatch, capsys):
     """Status, resume and summary hash every tile and open none; a join opens each once."""
     (tmp_path / "small.toml").write_text(scene.toml())

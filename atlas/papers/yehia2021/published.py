@@ -66,7 +66,7 @@ def _condition(entry: Entry, reading: str, rng: np.random.Generator) -> float:
 
 
 def _beyond(entry: Entry, reading: str, rng: np.random.Generator) -> float:
-    """By how much a true motion breaks the printed limits, or its residual."""
+    """By how much a true motion breaks the printed limits; as true, its residual."""
     point = with_values(random_point(rng), entry["start"])
     for name in entry.get("solve", ()):
         point[name] = FAMILIES[entry["family"]].solve[name](point)
@@ -227,8 +227,13 @@ MEASURES = {
     "start": ("largest |rate - right-hand side| along the motion under the condition", _condition),
 }
 ENTRIES: dict[str, Entry] = {entry["number"]: entry for entry in CONTENT["equation"]}
-PUBLISHED: list[PublishedEquation] = []
-for entry in ENTRIES.values():
+
+
+def _published(entry: Entry) -> PublishedEquation:
+    """The row of an entry of equations.toml."""
     text, measure = MEASURES[entry.get("function") or next(key for key in MEASURES if key in entry)]
     readings = partial(measure, entry, "printed"), partial(measure, entry, "true")
-    PUBLISHED.append(row(entry, readings, text.format(**entry)))
+    return row(entry, readings, text.format(**entry))
+
+
+PUBLISHED = tuple(map(_published, ENTRIES.values()))

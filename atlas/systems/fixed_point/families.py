@@ -41,7 +41,10 @@ def steady_rates(points: Points) -> tuple[Array, Array, Array]:
 
 
 def squared_rate(points: Points) -> Array:
-    """Largest squared rate of the start: |w0|^2, n^2, m^2, and the torques of fields and rotor over the least moment."""
+    """Largest squared rate of the start: |w0|^2, n^2, m^2, and the torques of fields and rotor over the least moment.
+
+    n and m count because they may cancel in w0, near theta = pi, down to their rounding.
+    """
     inertia, rotor, weight, N = bodies(points)
     _, n, m = rates(points)
     turn = np.maximum((initial_state(points)[:3] ** 2).sum(0), np.maximum(n**2, m**2))
@@ -51,7 +54,10 @@ def squared_rate(points: Points) -> Array:
 
 
 def condition_residual(points: Points) -> Array:
-    """|w'-dot less what constant n and m need| over the largest squared rate, or theta' over its root, whichever is larger."""
+    """How far the start is from a steady motion, 0 on one.
+
+    The larger of |w' less what theta' = 0 and constant n and m need| over the largest squared rate, and theta' over its root.
+    """
     state = initial_state(points)
     gamma = state[3:]
     theta_dot, n, m = rates(points)

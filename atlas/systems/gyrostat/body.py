@@ -84,7 +84,7 @@ class Body(NamedTuple):
         return sum(parts).sum(-1)  # type: ignore[union-attr]
 
     def gradient(self, alpha: Array, gamma: Array) -> tuple[Array, Array]:
-        """Gradient and Hessian (symmetric where it vanishes) of W under rotations xi; the torque at rest is -gradient."""
+        """Gradient and Hessian of W under rotations xi, symmetric where the gradient vanishes; the torque at rest is -gradient."""
         return self._variations(self.amended(), alpha, gamma)
 
     def _variations(
@@ -154,12 +154,13 @@ class Body(NamedTuple):
             return product + np.swapaxes(product, -1, -2)
 
         shift, shift_dot = symmetric(0.5 * np.cross(v, along)), symmetric(0.5 * np.cross(v_dot, along))
+        # xi' = I^-1 (G xi + p~), p~' = (P + S' - G^T I^-1 G) xi - G^T I^-1 p~, along the rows of across.
         G = 0.5 * cross_matrix(v) - shift
         transposed = np.swapaxes(across, -1, -2)
         left = G / self.inertia[..., None]
         blocks = (
             (left, np.broadcast_to(np.eye(3) / self.inertia[..., None], left.shape)),
-            ((P + shift_dot) - np.swapaxes(G, -1, -2) @ left, -np.swapaxes(left, -1, -2)),
+            (P + shift_dot - np.swapaxes(G, -1, -2) @ left, -np.swapaxes(left, -1, -2)),
         )
         return np.concatenate(
             [np.concatenate([across @ block @ transposed for block in row], -1) for row in blocks], -2
@@ -167,7 +168,10 @@ class Body(NamedTuple):
 
 
 def gyration(inertia: Array, rotor: Array, max_rates: Array, third_alone: Mask | bool = False) -> Array:
-    """Bound of the norm of sqrt(I) I^-1 ((I w + k) x . - w x I .) sqrt(I)^-1; third_alone: for w along e3 alone."""
+    """Bound of the norm of sqrt(I) I^-1 ((I w + k) x . - w x I .) sqrt(I)^-1, as sqrt(norm_1 norm_inf).
+
+    third_alone: for w along e3 alone.
+    """
     rows, columns = np.zeros_like(inertia), np.zeros_like(inertia)
     for i, j, axis in ((0, 1, 2), (1, 0, 2), (0, 2, 1), (2, 0, 1), (1, 2, 0), (2, 1, 0)):
         entry = np.abs(inertia[axis] - inertia[j]) * max_rates[axis] + np.abs(rotor[axis])

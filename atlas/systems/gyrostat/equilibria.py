@@ -40,9 +40,10 @@ def equilibria(system: Gyrostat, points: Points) -> dict[str, NDArray[Any]]:
     Newton's method from _STARTS orientations, doubled until no new equilibria appear and, where none
     is degenerate, the isolated ones satisfy the Poincare-Hopf sum (-1)^index = 0 of SO(3).
 
-    points: every parameter, arrays (1,); start values are ignored. Returns _VARIABLES, arrays (E,) or (E, 3): potential is the
-    amended one, index its Morse index; circle: the equilibrium represents a circle of them, and axis is that in the body about
-    which the body may be turned (nan elsewhere); degenerate: an isolated one with a zero eigenvalue. Raises BadInput where a
+    points: every parameter, arrays (1,); start values are ignored. Returns theta0, psi0, phi0 (rad), potential (the amended
+    one), index (its Morse index; of a degenerate one, that counts the negative eigenvalues), circle (it represents a circle of
+    equilibria), degenerate (isolated, with a zero eigenvalue), stable, growth_rate and the frequencies, (E,); alpha, gamma and
+    axis, about which the body may be turned by any angle (nan off circles), in body axes, (E, 3). Raises BadInput where a
     surface of orientations is in equilibrium or the search would overflow, RuntimeError where the sum cannot be met.
     """
     given = system.body(points)
@@ -100,12 +101,12 @@ def stability_at_rest(
 def equilibria_of_bodies(
     system: Gyrostat, points: Points, pause: Callable[[], None] = lambda: None, stability: bool = True
 ) -> dict[str, NDArray[Any]]:
-    """The same of many bodies, on an orbit by homotopy continuation; see `homotopy`.
+    """All relative equilibria of many bodies, as `equilibria`, on an orbit by homotopy continuation; see `homotopy`.
 
     Bodies of which it does not find all equilibria with certainty, those with circles of them and those without an orbit are
     searched one by one, as `equilibria` does, in about 70 ms each. pause: called at least once a second; it may raise an
     exception. stability: whether to compute stable, growth_rate and the frequencies. Returns arrays (bodies, places) in the
-    order of the potential, unused places at the end, and completeness (bodies,), values of flags.Completeness.
+    order of the potential, unused places at the end (nan, index -1, stable 0), and completeness (bodies,), values of flags.Completeness.
     """
     count = points["A"].size
     completeness = np.full(count, Completeness.COMPLETE, np.int8)
@@ -177,8 +178,8 @@ def _by_continuation(
     row = body[order]
     frames = np.stack([a, np.cross(g, a), g], 1)[order]
     result = _described(frames, potential[order], index[order])
-    none = np.zeros(row.size, bool)
-    result |= {"circle": none, "axis": np.full((row.size, 3), np.nan), "degenerate": none}
+    result |= {"circle": np.zeros(row.size, bool), "axis": np.full((row.size, 3), np.nan)}
+    result["degenerate"] = np.zeros(row.size, bool)
     if stability:
         angles = {name: result[name] for name in ANGLES}
         result |= stability_at_rest(system, subset(points, row), angles)
@@ -193,13 +194,14 @@ def _search(bodies: Body, scale: float) -> Array:
         if starts > 64 * _STARTS:
             raise RuntimeError(f"equilibria: signed sum of Morse indices {total}, not 0: some were missed")
         previous_count = len(frames)
+        # Uniform orientations, rows alpha, beta, gamma in body axes.
         w, x, y, z = np.moveaxis(generator.normal(size=(starts, 4)), -1, 0)
         first = np.stack([w * w + x * x - y * y - z * z, 2 * (x * y + w * z), 2 * (x * z - w * y)], -1)
         second = np.stack([2 * (x * y - w * z), w * w - x * x + y * y - z * z, 2 * (y * z + w * x)], -1)
         rows = np.stack(
             [first, second, np.cross(first, second) / (w * w + x * x + y * y + z * z)[:, None]], 1
         )
-        new = _critical(bodies, (rows / np.linalg.norm(rows, axis=2, keepdims=True)), scale)
+        new = _critical(bodies, rows / np.linalg.norm(rows, axis=2, keepdims=True), scale)
         frames = _distinct(bodies, np.concatenate([frames, new]), scale)
         index, axis, degenerate = _classify(bodies, frames, scale)
         isolated = np.isnan(axis[:, 0])

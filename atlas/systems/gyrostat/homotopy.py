@@ -47,7 +47,7 @@ def solve(inertia: Array, p: Array, q: Array) -> tuple[Array, Array, Mask, Mask]
     """Critical points of W of some bodies; a common multiple of (1, 1, 1) in the inertia has no effect.
 
     Returns alpha, gamma, unit vectors, of the critical points that are real; real, which are; each once, (24,
-    bodies); complete, where all 24 complex solutions were found, all different, each of them clearly real or not, (bodies,).
+    bodies); complete, where all 24 complex solutions were found, all different, each of them clearly real or clearly not, (bodies,).
     """
     inertia = inertia - inertia.mean(0)
     scale = np.max([np.abs(inertia).max(0), np.abs(p).max(0), 0.3 * np.abs(q).max(0)], axis=0)
@@ -68,8 +68,8 @@ def _ends(target: Three, tolerance: float, max_step: float) -> tuple[Complex, Ma
     count = target[0].shape[1]
     # Of the 24 rotations that permute the axes the second half has -alpha.
     pairs = [(AXES[i], sign * AXES[j]) for i, j in permutations(range(3), 2) for sign in (1.0, -1.0)]
-    radius, normal = (np.array(vectors).T for vectors in zip(*pairs, strict=True))
-    starts = np.concatenate([radius, -radius], 1), np.concatenate([normal, normal], 1)
+    alpha, gamma = (np.array(vectors).T for vectors in zip(*pairs, strict=True))
+    starts = np.concatenate([alpha, -alpha], 1), np.concatenate([gamma, gamma], 1)
     # Without p the solutions come in pairs +-alpha, +-beta: one of each is followed.
     mirrored = not target[1].any()
     paths = PATHS // 2 if mirrored else PATHS

@@ -124,7 +124,10 @@ class Equation(Condition):
 
 
 def linear(function: Callable[[Points], Array], *names: str, keep: bool = False) -> Mapping[str, Solver]:
-    """Solvers of function(points) = 0 for parameters in which it is linear; keep: one that does not enter keeps its value."""
+    """Solvers of function(points) = 0 for parameters in which it is linear.
+
+    keep: a parameter that does not enter keeps its value where the equation holds; else it becomes nan.
+    """
     return each(partial(_solve, function, keep), *names)
 
 

@@ -119,7 +119,8 @@ def rotations(system: Gyrostat, points: Points) -> dict[str, NDArray[Any]]:
 
     points: every parameter, arrays (bodies,), of a system in which nothing acts along alpha. A set of solutions is represented
     by one member. Returns, in the order of theta, row: the number of the body; dimension of the set; index: number of
-    directions in which the amended potential decreases; flat: where an eigenvalue of its Hessian is zero but for rounding.
+    directions in which the amended potential decreases (0: stable); flat: where an eigenvalue of its Hessian is zero but for
+    _NEAR_BIFURCATION; theta0, phi0 (rad), gamma, stable, growth_rate and the frequencies.
     """
     turning = system.body(points)._replace(turn=points["n"])
     vectors, dimensions = directions(turning)

@@ -13,6 +13,7 @@ from ...flags import Stability
 from ..base import Array, Flags, Mask, Points, System, shape_of, subset
 from . import equilibria, floquet
 from .body import Body, length
+from .equilibria import equilibria_of_bodies as all_equilibria_of_bodies
 from .oscillations import Equilibria
 from .variables import oscillation_variables
 
@@ -91,8 +92,8 @@ class Gyrostat(System):
     def log_growth(self, points: Points, flags: Flags, growth_rate: Array, duration: Array) -> Array:
         """Growth over a run as System.log_growth.
 
-        A run that is shorter than the period of the linear system may meet its unstable phases alone: there it is that from the
-        start to the end of the run, if larger than changes of the amplitude.
+        A run that is shorter than the period of the linear system may meet its unstable phases alone: there it is the
+        growth from the start to the end of the run, where that is larger than changes of the amplitude.
         """
         result = growth_rate * duration
         w, _, gamma = self.start(points)
@@ -116,7 +117,7 @@ class Gyrostat(System):
             )
         return result
 
-    equilibria_of_bodies = equilibria.equilibria_of_bodies
+    equilibria_of_bodies = all_equilibria_of_bodies
 
     def equilibria(self, body: Mapping[str, float]) -> dict[str, NDArray[Any]]:
         """All relative equilibria of one body, see equilibria.equilibria; start values are ignored."""

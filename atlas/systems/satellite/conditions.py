@@ -225,7 +225,7 @@ _ROUNDING = 1e-12
 
 
 def _quartic(P: Array, Q: Array, scale: Array) -> tuple[Flags, Array]:
-    """Stability and growth (round-off up to GROWTH_TOLERANCE * scale) of lambda^4 + P lambda^2 + Q = 0; nan: unknown."""
+    """Stability and growth (round-off up to GROWTH_TOLERANCE * scale) of lambda^4 + P lambda^2 + Q = 0; unknown where P or Q is nan."""
     growth = quartic_growth(P, Q)
     margin = _ROUNDING * P * P
     stable = np.where((P > 0) & (margin < Q) & (margin < P * P - 4 * Q), Stability.STABLE, Stability.UNKNOWN)

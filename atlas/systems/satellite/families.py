@@ -10,8 +10,8 @@ a = (A + B) / 2. With n = 0 and A = B the motion is steady if and only if (m not
     w3 K = H3 U,   Omega s K = (H2 + i H1) U,   cos psi0 (3 Omega^2 s sin psi0 (a - C) - h1 mu3) = 0,
     Omega s (k3 + C m) = Omega^2 s c (a - C) (1 + 3 sin^2 psi0) + mu3 H2.                       (*)
 
-Their equations are in `conditions`, and give the parameters in which they are linear, and closed forms of their stability. The families overlap; a point belongs to the first that holds, in
-the order of FAMILIES. Residuals are divided by natural scales: largest inertia J, rate
+Their equations are in `conditions`, with the closed forms of their stability, and give the parameters in which they are
+linear. The families overlap; a point belongs to the first that holds, in the order of FAMILIES. Residuals are divided by natural scales: largest inertia J, rate
 w = Omega + |n| + |m| + |theta_dot0|, momentum J w + |k|, torque w (J w + |k|) + |mu| |h|. With Omega = 0 every
 family below is still exact, but a free or heavy body has more steady motions than these. With damping a steady
 motion keeps its Jacobi integral only at rest in the orbital frame, w' = 0: these motions alone remain.

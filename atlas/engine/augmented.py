@@ -62,13 +62,13 @@ def with_losses(equations: ModuleType, losses: Mapping[str, str]) -> ModuleType:
 
 @cache
 def with_frame_vector(equations: ModuleType) -> ModuleType:
-    """Equations of a body with `axis_in_frame`.
+    """Equations of a body with `axis_in_frame`; those without a frame as they are.
 
-    Where they have none, the components x1, x2, x3 of the first axis of the frame in body axes are three more states,
+    Where a body has none, the components x1, x2, x3 of the first axis of the frame in body axes are three more states,
     x' = x x u with the angular velocity u of ``frame_motion``. Unlike psi they are regular everywhere.
     """
     sources = arithmetic.functions(equations)
-    if "axis_in_frame" in sources:
+    if "axis_in_frame" in sources or "frame_motion" not in sources:
         return equations
     names = _new_names(["x1", "x2", "x3"], sources)
     x1, x2, x3 = names

@@ -286,8 +286,8 @@ def provenance(
         attributes["atlas_system_code"] = origin.code
     if system.has_numeric_bound:
         attributes["atlas_frequency_bound"] = "numeric"
-    if system.observables:
-        limits = std_tolerances(system, settings)
+    limits = std_tolerances(system, settings)
+    if limits:
         attributes["atlas_std_tolerance"] = ", ".join(f"{name} {limit!r}" for name, limit in limits.items())
     if warnings:
         attributes["atlas_warnings"] = "; ".join(warnings)

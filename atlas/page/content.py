@@ -80,7 +80,7 @@ class Content:
         return {
             "title": attribute_text(attributes, "title", "Atlas"),
             "system": self.system.title,
-            "frame": "" if self.system.observables else self.system.frame,
+            "frame": self.system.frame,
             "reference": attribute_text(attributes, "references", limit=MAX_MESSAGE),
             "caption": caption(self.layout.whole) if not self.layout.points else "",
             "notes": [runs(note) for note in self.notes],

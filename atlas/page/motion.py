@@ -50,7 +50,7 @@ class Motions:
 
 def sources(system: System, method: str) -> dict[str, str]:
     """Sources of the Python functions that integrate a point and show its motion; states as in `Motions`."""
-    equations = system.equations if system.observables else with_frame_vector(system.equations)
+    equations = with_frame_vector(system.equations)
     texts = arithmetic.functions(equations)
     observables = [observable.name for observable in system.observables]
     chosen = {name: texts[name] for name in (*_KERNEL, *_OF_BODY, *observables) if name in texts}
@@ -101,7 +101,7 @@ def motions(ds: xr.Dataset, system: System, scene: Scene | None, dims: list[str]
     sentences = [grid.sentence(each, system, family, unit) if each else "" for each in grid.Reason]
     ensemble = Ensemble.of(system, parameters)
     state = ensemble.state
-    if not system.observables and with_frame_vector(system.equations) is not system.equations:
+    if with_frame_vector(system.equations) is not system.equations:
         state = np.concatenate([state, frame_vector(system, parameters, state, ensemble.constants)])
     with np.errstate(all="ignore"):
         step_sizes = StepSizes.of(

@@ -230,7 +230,7 @@ def caption(ds: xr.Dataset) -> str:
     system, scene, attributes = system_of(ds), scene_of(ds), ds.attrs
     sentences = [
         f"{attribute_text(attributes, 'title', 'Atlas')}: {system.title}"
-        + ("." if system.observables else f", motion in the {system.frame} frame.")
+        + (f", motion in the {system.frame} frame." if system.frame else ".")
     ]
     if scene is not None:
         dims = axes_of(scene)
@@ -264,7 +264,7 @@ def caption(ds: xr.Dataset) -> str:
     )
     tolerances = (
         ""
-        if system.observables
+        if not system.frame
         else f"; rates count as constant within {number_attribute(ds, 'atlas_rate_tolerance'):g} rad per time unit, the third axis"
         f" as vertical within {number_attribute(ds, 'atlas_cylinder_tolerance'):g} rad"
     )

@@ -455,7 +455,7 @@ def parse_duration(value: object, key: str = "duration") -> Duration:
 
 def check_unit(system: System, duration: Duration, key: str = "duration") -> None:
     """Raise BadInput for a duration in orbits of a system without an orbit; key: beginning of the message."""
-    if duration.unit and system.observables:
+    if duration.unit and not system.frame:
         raise BadInput(f"{key} = {shown(str(duration))}: nothing turns in the {system.name}; use time units")
     if duration.unit == "orbits" and system.frame_rate is None:
         raise BadInput(

@@ -182,7 +182,7 @@ def _properties_of(system: System) -> Schema:
     }
     if families:
         schema["family"] = {"oneOf": families}
-    if system.observables:
-        observables = [observable.name for observable in system.observables]
+    observables = [observable.name for observable in system.observables]
+    if observables:
         schema["labels"] = {"properties": {"std_tolerance": {"propertyNames": {"enum": observables}}}}
     return schema

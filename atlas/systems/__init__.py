@@ -81,6 +81,8 @@ def _register(system: Any, package: str, name: str = "") -> System:
             given = len(getattr(system.equations, "CONSTANTS", ()))
             observables = [observable.name for observable in system.observables]
             system.equations = arithmetic.completed(system.equations, observables)
+            if system.observables:
+                system.frame = ""
             if len(system.equations.CONSTANTS) > given and type(system).constants is not System.constants:
                 vars(system)["constants"] = arithmetic.with_unit_row(system.constants)
         check_start(system)

@@ -214,7 +214,10 @@ class System(ABC):
     title: str
     """What the system is, in a few words."""
     frame: str = "space"
-    """Name of the frame in which theta, psi and phi are measured; its third axis is "the vertical"."""
+    """Name of the frame in which theta, psi and phi are measured; its third axis is "the vertical".
+
+    Empty, once a system is registered, where it has `observables` instead.
+    """
     frame_axes: tuple[str, str, str] = ("$x$", "$y$", "vertical")
     """Labels of the three axes of that frame in figures."""
     reference: str = ""

@@ -627,7 +627,7 @@ def identify(
     flat = {name: np.ravel(value) for name, value in points.items()}
     for first in range(0, flags.size, _CHUNK):
         chunk = slice(first, first + _CHUNK)
-        part = subset(flat, chunk)
+        part = SharedValues(subset(flat, chunk))
         flag, least = flags.reshape(-1)[chunk], residual.reshape(-1)[chunk]  # views
         computed: dict[Condition, Array] = {}  # families share conditions
         for family in families:
@@ -677,6 +677,20 @@ def derived_values(
             values = variable.together(group, points, duration, pause)
             columns |= {name: values[name] for name in group}
     return columns
+
+
+class SharedValues(dict[str, Array]):
+    """Points, and functions of them that several conditions share, such as their units."""
+
+    def __init__(self, points: Points):
+        super().__init__(points)
+        self._values: dict[Callable[[Points], Array], Array] = {}
+
+    def of(self, function: Callable[[Points], Array]) -> Array:
+        """The value of a function of the points, computed when it is first asked for."""
+        if function not in self._values:
+            self._values[function] = function(self)
+        return self._values[function]
 
 
 def subset(columns: Mapping[str, Array], where: Any) -> dict[str, Array]:

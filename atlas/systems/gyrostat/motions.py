@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from ...flags import Stability
-from ..base import Array, Condition, Family, Flags, Points, TwoAxes, motion_about_axes, shape_of
+from ..base import Array, Condition, Family, Flags, Points, SharedValues, TwoAxes, motion_about_axes, shape_of
 from ..jacobian import STEP
 from ..vectors import across, dot, length, principal, ratio
 
@@ -116,7 +116,10 @@ class Equation(Condition):
         value = self.function(points)
         if value.ndim > len(shape_of(points)):
             value = np.hypot(*value) if len(value) == 2 else length(value)
-        return value if self.unit is None else relative_to(value, self.unit(points))
+        if self.unit is None:
+            return value
+        unit = points.of(self.unit) if isinstance(points, SharedValues) else self.unit(points)
+        return relative_to(value, unit)
 
     def solve(self, *names: str) -> Mapping[str, Solver]:
         """Solvers of the parameters of these names, in each of which the equation is linear."""

@@ -336,8 +336,8 @@ class _Function:
                 own = isinstance(function, ast.Name) and name in self.functions
                 if not own and name not in _FUNCTIONS:
                     raise self.fault(function)
-                called = _name(name) if own else _FUNCTIONS[name]
-                return f"{called}({', '.join(map(self.expression, arguments))})"
+                translated = _name(name) if own else _FUNCTIONS[name]
+                return f"{translated}({', '.join(map(self.expression, arguments))})"
         raise self.fault(node)
 
     def number(self, value: float) -> str:

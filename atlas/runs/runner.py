@@ -151,7 +151,7 @@ def run(
             ds = refine.refined(plan, warnings, threads=threads, progress=progress)
         if path is None:
             return ds
-        netcdf.write(ds.assign_attrs({RESULT: result_hash(plan.scene.toml(), identity(plan.points))}), path)
+        netcdf.write(ds.assign_attrs({RESULT: _own_result_hash(plan)}), path)
         return open_atlas(path)
     if path is None:
         return _run_in_memory(plan, warnings, threads, progress)
@@ -278,11 +278,12 @@ def _is_result(plan: ScenePlan, path: Path) -> bool:
     except BadInput:
         return False
     # A dataset that a user derives from an atlas has its attributes but no checksums.
-    return (
-        result is not None
-        and checksums.are_in(path)
-        and result == result_hash(plan.scene.toml(), identity(plan.points))
-    )
+    return result is not None and checksums.are_in(path) and result == _own_result_hash(plan)
+
+
+def _own_result_hash(plan: ScenePlan) -> str:
+    """Hash of the result of a scene as computed by this process."""
+    return result_hash(plan.scene.toml(), identity(plan.points))
 
 
 def _finished(plan: ScenePlan, path: Path) -> xr.Dataset:

@@ -149,10 +149,9 @@ def work_precision(scene: Scene, count: int = 64, *, progress: bool = False) -> 
     finally:
         bar.close()
     ds = _dataset(sample, results)
-    ds.attrs = netcdf.provenance(
-        scene.system, scene.settings, Plan.of(scene).kernel_hash, title=scene.title, scene=scene,
-        seconds=stopwatch.seconds(), points=sample.indices.size, warnings=[],
-    ) | ds.attrs  # fmt: skip
+    kernel, seconds, points = Plan.of(scene).kernel_hash, stopwatch.seconds(), sample.indices.size
+    attributes = netcdf.scene_provenance(scene, kernel, seconds=seconds, points=points, warnings=[])
+    ds.attrs = attributes | ds.attrs
     return ds
 
 

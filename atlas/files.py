@@ -95,8 +95,8 @@ def exists_message(path: Path) -> str:
 
 
 @contextmanager
-def atomic_write(path: Path, *, exclusive: bool = False) -> Iterator[Path]:
-    """Give a temporary name, whose file appears at `path` whole or not at all, also after a power cut.
+def atomic_write(path: Path, *, exclusive: bool = False, durable: bool = True) -> Iterator[Path]:
+    """Give a temporary name, whose file appears at `path` whole or not at all, if `durable` also after a power cut.
 
     It is a new, empty file in the folder of `path` with the permissions of any new file, never a link that
     somebody else put there. An existing `path` is replaced, or if `exclusive` kept with FileExistsError.
@@ -105,7 +105,8 @@ def atomic_write(path: Path, *, exclusive: bool = False) -> Iterator[Path]:
     os.close(os.open(temporary, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW, 0o666))
     try:
         yield temporary
-        _sync(temporary)
+        if durable:
+            _sync(temporary)
         if exclusive:
             try:
                 os.link(temporary, path)
@@ -115,7 +116,8 @@ def atomic_write(path: Path, *, exclusive: bool = False) -> Iterator[Path]:
                 _claim(temporary, path)
         else:
             os.replace(temporary, path)
-        _sync(path.parent)  # the new name too must reach the disk
+        if durable:
+            _sync(path.parent)  # the new name too must reach the disk
     finally:
         temporary.unlink(missing_ok=True)
 

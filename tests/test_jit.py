@@ -241,7 +241,7 @@ def test_the_planted_file_would_be_executed_in_a_private_folder(cache):
 
 def test_a_full_or_read_only_disk_compiles_in_memory_with_one_warning(cache, caplog, monkeypatch):
     @contextmanager
-    def full(path):
+    def full(path, durable=True):
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
         yield
 

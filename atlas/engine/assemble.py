@@ -9,7 +9,6 @@ from __future__ import annotations
 import ast
 import importlib.util
 import sys
-from collections import Counter
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from enum import IntEnum
 from pathlib import Path
@@ -150,21 +149,9 @@ def source(
             raise BadInput(f"{key}: {name} is the name of a function of the kernel; choose another name")
     constants = _constants(equations, METHODS[method], of, plugs) | numbers
     texts = generated_functions | sources
-    # The functions with a loop that the others call at one place.
-    trees = {name: ast.parse(text) for name, text in texts.items()}
-    nodes = [node for tree in trees.values() for node in ast.walk(tree)]
-    calls = Counter(
-        node.func.id for node in nodes if isinstance(node, ast.Call) and isinstance(node.func, ast.Name)
-    )
-    has_loop = {
-        name: any(isinstance(node, ast.For) for node in ast.walk(tree)) for name, tree in trees.items()
-    }
     decorators = {name: jit.CALLED for name in objects if hasattr(objects[name], "called_seldom")}
     decorators["integrate"] = jit.KERNEL
-    parts = [
-        f"{decorators.get(name, jit.INLINE_LOOP if calls[name] == 1 and has_loop[name] else jit.INLINE)}\n{text}"
-        for name, text in texts.items()
-    ]
+    parts = [f"{decorators.get(name, jit.INLINE)}\n{text}" for name, text in texts.items()]
     lines = [f"{name} = {value!r}" for name, value in constants.items()]
     if arithmetic.uses_functions(generated_functions):
         lines += [f"{name} = np.{numpy_name}" for name, numpy_name in arithmetic.FUNCTIONS.items()]
@@ -183,7 +170,7 @@ def plain_module(
     """The same kernel as plain Python, slow; arguments as for `source`."""
     measured = augmented.losses_of(equations, zero, equal) if of in MEASURING else {}
     equations = augmented.with_losses(equations, measured)
-    namespace: dict[str, object] = {"np": np, **arithmetic.numpy_functions()}
+    namespace: dict[str, object] = {"np": np, "axpy": generated.axpy, **arithmetic.numpy_functions()}
     for name, text in _generated_functions(equations, METHODS[method], zero, equal, of, plugs).items():
         exec(compile(text, f"<{name} of {equations.__name__}>", "exec"), namespace)
     objects, _, _ = _reachable(of, plugs)
@@ -269,9 +256,9 @@ def _generated_functions(
             f"block[{i}, l] = scales[{i}, p]{' * inverse_unit' * power}"
             for i, power in enumerate(equations.INTEGRALS.values())
         ],
-        "step(state, slope, constants)": step_lines(method, extended, "extended_rhs")
+        "step(state, slope, constants)": step_lines(method, "extended_rhs")
         if of is tangent
-        else step_lines(method, states),
+        else step_lines(method),
         "store_integrals(block, l, state, constants)": [
             line
             for i, name in enumerate(equations.INTEGRALS)
@@ -406,31 +393,27 @@ def _integral_lines(equations: ModuleType, name: str) -> list[str]:
     return [f"{', '.join(terms)}, = {name}(state, constants)", f"total = {' + '.join(terms)}"]
 
 
-def step_lines(method: Method, states: int, rhs_name: str = "rhs") -> list[str]:
-    """Body of `step`: one step of length method.kernel_step, unrolled to scalars.
+def step_lines(method: Method, rhs_name: str = "rhs") -> list[str]:
+    """Body of `step`: one step of length method.kernel_step.
 
     The first weight is factored out, because the inner coefficients of rk4 are then 1, 2, 2, 1: additions
     leave the multipliers, the narrowest part of the processor, to the equations. The sum s goes along with
     the stages, so that fewer of them are in use at once.
     """
-    y = ", ".join(f"y{i}" for i in range(states))
-    lines, first = [f"{y}, = state"], method.b[0]
+    lines, first = [], method.b[0]
     for stage in range(method.stages):
-        moves = (_weighted_sum(method.a[stage], method.kernel_step, i) for i in range(states))
-        arguments = [f"y{i} + ({move})" if move else f"y{i}" for i, move in enumerate(moves)]
-        slopes = ", ".join(f"k{stage}_{i}" for i in range(states))
-        rhs = f"{rhs_name}(({', '.join(arguments)},), constants)" if stage else "slope"
-        lines.append(f"{slopes}, = {rhs}")
-        weights = (0.0,) * stage + (method.b[stage] / first,)
-        for i in range(states):
-            if term := _weighted_sum(weights, 1.0, i):
-                lines.append(f"s{i} = s{i} + {term}" if stage else f"s{i} = {term}")
-    new = ", ".join(f"y{i} + {first * method.kernel_step!r} * s{i}" for i in range(states))
-    return [*lines, f"return ({new},)"]
+        moved = _axpy("state", method.a[stage], method.kernel_step)
+        lines.append(f"k{stage} = {f'{rhs_name}({moved}, constants)' if stage else 'slope'}")
+        if method.b[stage] != 0.0:
+            total = _axpy("total", (0.0,) * stage + (method.b[stage] / first,)) if stage else "k0"
+            lines.append(f"total = {total}")
+    return [*lines, f"return axpy(state, ({first * method.kernel_step!r},), (total,))"]
 
 
-def _weighted_sum(coefficients: Iterable[float], factor: float, i: int) -> str:
-    """Component i of the slopes k, weighted by coefficients times factor; empty if all are 0."""
-    forms = {1.0: "{k}", 2.0: "({k} + {k})"}
-    terms = [(f"k{j}_{i}", a * factor) for j, a in enumerate(coefficients) if a != 0.0]
-    return " + ".join(forms.get(a, f"{a!r} * {{k}}").format(k=k) for k, a in terms)
+def _axpy(base: str, coefficients: Iterable[float], factor: float = 1.0) -> str:
+    """A tuple plus the sum of the slopes k, weighted by coefficients times factor; those with weight 0 are left out."""
+    # A sum of two is cheaper than a product with 2.
+    pairs = [(a * factor, f"k{j}") for j, a in enumerate(coefficients) if a != 0.0]
+    terms = [term for a, k in pairs for term in ([(1.0, k), (1.0, k)] if a == 2.0 else [(a, k)])]
+    weights, slopes = (", ".join(str(term[i]) for term in terms) for i in range(2))
+    return f"axpy({base}, ({weights},), ({slopes},))" if terms else base

@@ -6,6 +6,9 @@ in the kernel's units (see `scaled` of a system's equations), blocks are (rows, 
 
 from __future__ import annotations
 
+from functools import reduce
+from operator import add
+
 import numpy as np
 
 WIDTH = 32  # points of a block
@@ -36,6 +39,12 @@ def aligned_empty(shape):
 
 def aligned_stack():
     """Align the stack of the calling kernel to cache lines where it is compiled."""
+
+
+def axpy(y, weights, slopes):
+    """The tuple y plus the weighted sum of other tuples."""
+    products = ([weight * value for value in slope] for weight, slope in zip(weights, slopes, strict=True))
+    return tuple(value + reduce(add, column) for value, *column in zip(y, *products, strict=True))
 
 
 def rhs(state, constants):

@@ -62,7 +62,7 @@ def sources(system: System, method: str) -> dict[str, str]:
                 queue.append(texts[node.id])
     for name in ("rhs", "unscaled"):
         chosen[name] = simplify(chosen[name], (), {}, equations.ONES)
-    lines = assemble.step_lines(METHODS[method], len(equations.STATE))
+    lines = assemble.step_lines(METHODS[method])
     chosen["step"] = "\n    ".join(["def step(state, slope, constants):", *lines])
     return chosen
 
@@ -169,6 +169,15 @@ _RESERVED = frozenset((
     "Infinity", "Math", "NaN",
 ))  # fmt: skip
 MAX_POWER = 64
+_AXPY = """function axpy(y, weights, slopes) {
+  const result = new Array(y.length);
+  for (let i = 0; i < y.length; i++) {
+    let sum = weights[0] * slopes[0][i];
+    for (let j = 1; j < weights.length; j++) sum += weights[j] * slopes[j][i];
+    result[i] = y[i] + sum;
+  }
+  return result;
+}"""
 _INDENT = "  "
 
 
@@ -180,9 +189,11 @@ def translate(sources: Mapping[str, str]) -> str:
     """JavaScript functions, of the same names, of Python functions; else CannotTranslate.
 
     They may contain assignments, `if` and return; arithmetic, comparisons, conditional expressions, tuples
-    (arrays in JavaScript), subscripts and slices with constant bounds, and calls of `math` and of each other.
+    (arrays in JavaScript), subscripts and slices with constant bounds, and calls of `math`, `axpy` and each other.
     """
-    return "\n".join(_Function(name, text, frozenset(sources)).script() for name, text in sources.items())
+    functions = frozenset((*sources, "axpy"))
+    scripts = [_Function(name, text, functions).script() for name, text in sources.items()]
+    return "\n".join([_AXPY, *scripts])
 
 
 def _name(name: str) -> str:

@@ -11,6 +11,7 @@ import ast
 import functools
 import gc
 import hashlib
+import io
 import logging
 import os
 import pickle
@@ -154,8 +155,8 @@ class _Statement(NamedTuple):
     """A statement of the source of a kernel."""
 
     name: str  # of the function or number that it defines; empty for imports
+    node: ast.stmt
     tree: str  # syntax tree as text
-    uses: frozenset[str]  # names in it
 
 
 @functools.lru_cache(maxsize=8)
@@ -170,8 +171,7 @@ def _statements(source: str) -> tuple[_Statement, ...]:
             name = node.name
         elif isinstance(node, ast.Assign) and isinstance(node.targets[0], ast.Name):
             name = node.targets[0].id
-        uses = frozenset(n.id for n in ast.walk(node) if isinstance(n, ast.Name))
-        statements.append(_Statement(name, ast.dump(node), uses))
+        statements.append(_Statement(name, node, ast.dump(node)))
     return tuple(statements)
 
 
@@ -205,7 +205,7 @@ def load(source: str) -> ModuleType:
             exec(compile(source, f"<{name}>", "exec"), module.__dict__)
             compiles = isinstance(module.integrate, Dispatcher)  # not under NUMBA_DISABLE_JIT
             if compiles:
-                module.integrate._cache = _MachineCode(name)  # what its option `cache` sets
+                cache = module.integrate._cache = _MachineCode(name)  # what its option `cache` sets
                 compiler = module.integrate._compiler
                 compile_function = compiler.compile
 
@@ -216,44 +216,51 @@ def load(source: str) -> ModuleType:
                     gc.disable()
                     try:
                         with compilation():
+                            cache.modules = _share_functions(source, module)
                             return compile_function(*arguments)
                     finally:
                         if enabled:
                             gc.enable()
 
                 compiler.compile = reported
-                _share_functions(source, module)
             sys.modules[name] = module  # Numba looks the globals of a cached kernel up by module name
         return sys.modules[name]
 
 
-def _share_functions(source: str, module: ModuleType) -> None:
+def _share_functions(source: str, module: ModuleType) -> list[str]:
     """Cache each function of a kernel under a hash of its text, of the functions that it calls and of the
-    numbers that these use, so that only what is new in another kernel is compiled.
+    numbers that these use, so that only what is new in another kernel is compiled; returns these names.
     """
     definitions = {statement.name: statement for statement in _statements(source) if statement.name}
-    environment = _environment()
+    uses = {
+        name: {node.id for node in ast.walk(statement.node) if isinstance(node, ast.Name)}
+        & definitions.keys()
+        for name, statement in definitions.items()
+    }
+    environment, names = _environment(), []
     dispatchers: dict[str, Any] = {k: v for k, v in vars(module).items() if isinstance(v, Dispatcher)}
     for name, function in dispatchers.items():
         if name != "integrate":
             needed, queue = {name}, [name]
             while queue:
-                new = (definitions[queue.pop()].uses & definitions.keys()) - needed
+                new = uses[queue.pop()] - needed
                 needed |= new
                 queue += new
             trees = (definitions[each].tree for each in sorted(needed))
             shared = f"atlas_function_{name}_{_hash(trees, environment)}"
+            names.append(shared)
             # Numba looks the globals of cached code up by module name, and a module of this kernel may not be there.
             function.py_func.__module__ = shared
             sys.modules.setdefault(shared, ModuleType(shared))
             function._cache = _MachineCode(shared)
             if function.targetoptions.get("forceinline"):
                 function._compiler.compile = functools.partial(_simplified, function._compiler.compile)
+    return names
 
 
 def _simplified(compile_function: Callable[..., Any], *arguments: Any) -> Any:
     """Compile a function that is inlined: neither vectorised nor unrolled, which is done where it is inlined."""
-    config = numba.config
+    config: Any = numba.config
     with global_compiler_lock:
         before = config.OPT, config.LOOP_VECTORIZE
         config.OPT, config.LOOP_VECTORIZE = type(config.OPT)(1), 0
@@ -268,6 +275,7 @@ class _MachineCode(NullCache):
 
     def __init__(self, name: str):
         self.name = name
+        self.modules: list[str] = []  # of the functions in it
 
     def load_overload(self, signature: Any, target_context: Any) -> CompileResult | None:
         """The compiled function, or None if it has to be compiled."""
@@ -286,7 +294,10 @@ class _MachineCode(NullCache):
             payload = content[hashlib.sha256().digest_size :]
             if content != _hashed(key, payload):
                 raise ValueError("its hash differs")
-            return CompileResult._rebuild(target_context, *pickle.loads(payload))
+            stream = io.BytesIO(payload)
+            for module in pickle.load(stream):
+                sys.modules.setdefault(module, ModuleType(module))
+            return CompileResult._rebuild(target_context, *pickle.load(stream))
         except FileNotFoundError:
             return None
         except Exception as error:  # whatever unpickling raises
@@ -298,7 +309,7 @@ class _MachineCode(NullCache):
         if compiled.lifted or compiled.library.has_dynamic_globals:
             return
         path, key = self._place(signature, compiled.codegen)
-        payload = dumps(compiled._reduce())
+        payload = pickle.dumps(self.modules) + dumps(compiled._reduce())
         try:
             path.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
             if _warned_of_foreign(path.parent):

@@ -11,6 +11,7 @@ import importlib.util
 import sys
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from enum import IntEnum
+from functools import cache
 from pathlib import Path
 from types import FunctionType, ModuleType
 from typing import Any
@@ -34,24 +35,27 @@ def functions(module: ModuleType, absent: Collection[str] = ()) -> dict[str, str
     """Sources of a module's functions by name, without docstrings, decorators and what `if name:` holds of an
     absent name; members of enumerations become numbers.
     """
-    return {node.name: ast.unparse(node) for node in _functions(module, absent)}
+    nodes = (node for node in _parsed(module).body if isinstance(node, ast.FunctionDef))
+    return {node.name: ast.unparse(_stripped(node, module, absent)) for node in nodes}
 
 
-def _functions(module: ModuleType, absent: Collection[str]) -> list[ast.FunctionDef]:
-    """The functions of `functions` as syntax trees."""
-    path = module.__file__
-    assert path is not None
-    tree = _EnumNumbers(vars(module)).visit(ast.parse(Path(path).read_text(encoding="utf-8")))
-    nodes = [node for node in _Without(absent).visit(tree).body if isinstance(node, ast.FunctionDef)]
-    for node in nodes:
-        node.decorator_list = []
-        if ast.get_docstring(node) is not None:
-            node.body = node.body[1:] or [ast.Pass()]
-    return [ast.fix_missing_locations(node) for node in nodes]
+def _parsed(module: ModuleType) -> ast.Module:
+    assert module.__file__ is not None
+    return ast.parse(Path(module.__file__).read_text(encoding="utf-8"))
 
 
+def _stripped(node: ast.FunctionDef, module: ModuleType, absent: Collection[str]) -> ast.FunctionDef:
+    """A function of a module as `functions` gives it."""
+    node = _Without(absent).visit(_EnumNumbers(vars(module)).visit(node))
+    node.decorator_list = []
+    if ast.get_docstring(node) is not None:
+        node.body = node.body[1:] or [ast.Pass()]
+    return node
+
+
+@cache
 def _reachable(
-    of: ModuleType, plugs: Sequence[Plug] = (), absent: Collection[str] = ()
+    of: ModuleType, plugs: tuple[Plug, ...] = (), absent: tuple[str, ...] = ()
 ) -> tuple[dict[str, Any], dict[str, str], dict[str, Any]]:
     """Functions, sources and numbers that `integrate` of a kernel with plugs needs by name, callees first."""
     trees: dict[str, dict[str, ast.FunctionDef]] = {}
@@ -62,8 +66,9 @@ def _reachable(
     def visit(function: Any) -> None:
         module = sys.modules[function.__module__]
         if module.__name__ not in trees:
-            trees[module.__name__] = {node.name: node for node in _functions(module, absent)}
-        node = trees[module.__name__][function.__name__]
+            nodes = (node for node in _parsed(module).body if isinstance(node, ast.FunctionDef))
+            trees[module.__name__] = {node.name: node for node in nodes}
+        node = _stripped(trees[module.__name__][function.__name__], module, absent)
         objects[function.__name__] = function
         for name in dict.fromkeys(part.id for part in ast.walk(node) if isinstance(part, ast.Name)):
             value = vars(module).get(name)
@@ -136,7 +141,7 @@ def source(
     `deviation` keeps the units of the caller. Raises BadInput for equations that cannot be differentiated,
     and if a first integral or a loss has the name of a function of the kernel.
     """
-    objects, sources, numbers = _reachable(of, plugs, () if plugs else ("PLUGGED",))
+    objects, sources, numbers = _reachable(of, tuple(plugs), () if plugs else ("PLUGGED",))
     measured = augmented.losses_of(equations, zero, equal) if of in MEASURING else {}
     equations = augmented.with_losses(equations, measured)
     try:
@@ -173,7 +178,7 @@ def plain_module(
     namespace: dict[str, object] = {"np": np, "axpy": generated.axpy, **arithmetic.numpy_functions()}
     for name, text in _generated_functions(equations, METHODS[method], zero, equal, of, plugs).items():
         exec(compile(text, f"<{name} of {equations.__name__}>", "exec"), namespace)
-    objects, _, _ = _reachable(of, plugs)
+    objects, _, _ = _reachable(of, tuple(plugs))
     namespace |= {plug.add_node.__name__: plug.add_node for plug in plugs}
     namespace |= _constants(equations, METHODS[method], of, plugs)
     for shared in {function.__module__ for function in objects.values()} - {of.__name__}:

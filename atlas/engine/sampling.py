@@ -72,8 +72,8 @@ def quadrature() -> Quadrature:
     node_weights = np.zeros((LONG + 1, LONG + 1))
     first_sample = np.zeros((LONG + 1, LONG + 1), np.int64)
     rows, count = [], 0
-    for intervals in range(MIN_INTERVALS, LONG + 1):
-        t, weight = instants(intervals)
+    lengths = range(MIN_INTERVALS, LONG + 1)
+    for intervals, (t, weight) in zip(lengths, instants(*lengths), strict=True):
         node = np.rint(t)
         at_node = np.abs(t - node) < SAME_AS_NODE
         at_node &= (node > 0) & (node < intervals)
@@ -89,10 +89,13 @@ def quadrature() -> Quadrature:
     return Quadrature(node_weights, first_sample, np.concatenate(rows))
 
 
-def instants(intervals: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Instants of the samples of a run, ascending, and their weights, both in node distances, without the two ends."""
+def instants(*lengths: int) -> list[tuple[NDArray[np.float64], NDArray[np.float64]]]:
+    """Instants of the samples of each run of so many intervals, ascending, and their weights, both in node distances,
+    without the two ends.
+    """
+    intervals = np.array(lengths)[:, None]
     reach = int(np.ceil(-np.log(NEAREST) * CLUSTERING)) + END
-    tau = np.arange(-reach, intervals + reach + 1.0)
+    tau = np.minimum(np.arange(-reach, max(lengths) + reach + 1.0), intervals + reach)
     low, high = np.full(tau.shape, -40.0), np.full(tau.shape, 40.0)  # of the logarithm of start / end
     for _ in range(20):
         middle = 0.5 * (low + high)
@@ -104,11 +107,12 @@ def instants(intervals: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         middle = np.clip(middle + (tau - value) * intervals / (slope * start * end), low - 1.0, high + 1.0)
     start, end = _from_both_ends(middle, intervals)
     used = np.minimum(start, end) > 0.5 * NEAREST
-    return start[used], 1.0 / stretched(start, end)[1][used]
+    weight = 1.0 / stretched(start, end)[1]
+    return [(start[i][used[i]], weight[i][used[i]]) for i in range(len(lengths))]
 
 
 def _from_both_ends(
-    x: NDArray[np.float64], intervals: int
+    x: NDArray[np.float64], intervals: NDArray[np.int64]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Distances from start and end, whose ratio is exp(x)."""
     return intervals / (1.0 + np.exp(-x)), intervals / (1.0 + np.exp(x))

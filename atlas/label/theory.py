@@ -16,7 +16,17 @@ from ..measure.instrument import Run, Tolerances
 from ..measure.rates import steady_label
 from ..scene.grid import Grid
 from ..scene.model import Settings
-from ..systems.base import FAMILY_TOLERANCE, Array, Flags, Mask, Points, System, shape_of, subset
+from ..systems.base import (
+    FAMILY_TOLERANCE,
+    Array,
+    Flags,
+    Mask,
+    Points,
+    SharedValues,
+    System,
+    shape_of,
+    subset,
+)
 from .offsets import describes, near_circle, off_family_labels
 from .plan import Plan
 
@@ -57,7 +67,8 @@ def predict_runs(
     A nudge along a family leads to another exact start. Where no labels about any axes are measured, a motion about other
     axes than the third and the vertical drifts, however it grows. pause, threads: see `offsets.off_family_labels`.
     """
-    system, base, points, duration = plan.system, tile.base, tile.points, tile.duration
+    system, duration, base = plan.system, tile.duration, SharedValues(tile.base)
+    points = SharedValues(tile.points)
     tolerances, nudged = plan.settings.tolerances, plan.nudged
     with np.errstate(all="ignore"):
         residual = system.condition_residual(points)

@@ -5,9 +5,10 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence, Set
 from dataclasses import dataclass, field, replace
+from functools import wraps
 from importlib import import_module
 from types import MappingProxyType
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -30,6 +31,7 @@ MAX_MAGNITUDE = 1e60
 # vertical.
 FAMILY_TOLERANCE = 1e-10
 NO_RIGID_BODY = "no rigid body has these moments of inertia"
+_T = TypeVar("_T")
 _CHUNK = 16384  # points whose family is identified together, so that the arrays stay in the cache
 
 
@@ -627,7 +629,8 @@ def identify(
     flat = {name: np.ravel(value) for name, value in points.items()}
     for first in range(0, flags.size, _CHUNK):
         chunk = slice(first, first + _CHUNK)
-        part = SharedValues(subset(flat, chunk))
+        whole = len(shape) == 1 and flags.size <= _CHUNK and isinstance(points, SharedValues)
+        part = points if whole else SharedValues(subset(flat, chunk))
         flag, least = flags.reshape(-1)[chunk], residual.reshape(-1)[chunk]  # views
         computed: dict[Condition, Array] = {}  # families share conditions
         for family in families:
@@ -684,13 +687,26 @@ class SharedValues(dict[str, Array]):
 
     def __init__(self, points: Points):
         super().__init__(points)
-        self._values: dict[Callable[[Points], Array], Array] = {}
+        self._values: dict[Callable[[Points], Any], Any] = {}
 
-    def of(self, function: Callable[[Points], Array]) -> Array:
-        """The value of a function of the points, computed when it is first asked for."""
+    def of(self, function: Callable[[Points], _T]) -> _T:
+        """The value of a function of the points, computed when it is first asked for; its arrays cannot be changed."""
         if function not in self._values:
-            self._values[function] = function(self)
+            value: Any = function(self)
+            for array in value if isinstance(value, tuple) else (value,):
+                array.setflags(write=False)
+            self._values[function] = value
         return self._values[function]
+
+
+def shared(function: Callable[[Points], _T]) -> Callable[[Points], _T]:
+    """A function of points that is computed once for SharedValues."""
+
+    @wraps(function)
+    def of(points: Points) -> _T:
+        return points.of(function) if isinstance(points, SharedValues) else function(points)
+
+    return of
 
 
 def subset(columns: Mapping[str, Array], where: Any) -> dict[str, Array]:

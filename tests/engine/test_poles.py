@@ -15,7 +15,7 @@ from atlas.engine.statistics import NO_ZERO, Row
 @pytest.mark.parametrize("height", [0.01, 0.3, -0.3, 2.0])
 def test_quadrature_error_of_a_pole(intervals, place, height):
     """Beside the sums over all samples and integrals by quadrature; the same from both ends."""
-    t, weights = sampling.instants(intervals)
+    ((t, weights),) = sampling.instants(intervals)
     for z in (complex(place, height), complex(intervals - place, height)):
         tau, slope = sampling.stretched(z, intervals - z)
         errors = poles.trapezoid_error_of_pole(tau, slope)

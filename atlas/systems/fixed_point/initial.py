@@ -7,7 +7,7 @@ from collections.abc import Set
 import numpy as np
 
 from ...errors import BadInput
-from ..base import Array, Mask, Parameter, Points
+from ..base import Array, Mask, Parameter, Points, shared
 from ..gyrostat import Body, Direction
 from ..gyrostat.body import gyration, perron_root
 from ..gyrostat.motions import angular_velocity, directions
@@ -53,6 +53,7 @@ UNIT_LENGTH = 1e-9  # by which the length of the vertical of a start may differ 
 START_CONDITION = f"(gamma10, gamma20, gamma30) must be a unit vector within {UNIT_LENGTH:g}"
 
 
+@shared
 def fields(points: Points) -> tuple[Array, Array]:
     """Weight Mg and field gradient N, from M, lambda and R where these are given: (4), (5) of the paper."""
     given = ~np.isnan(points["M"])
@@ -61,6 +62,7 @@ def fields(points: Points) -> tuple[Array, Array]:
     return Mg, N
 
 
+@shared
 def bodies(points: Points) -> tuple[Array, Array, Array, Array]:
     """Inertia I, rotor l and moment of weight Mg r_c, each of shape (3, points), and N."""
     Mg, N = fields(points)
@@ -84,6 +86,7 @@ def constants(points: Points) -> Array:
     return np.concatenate([inertia, 1 / inertia, rotor, weight, N * inertia])
 
 
+@shared
 def vertical(points: Points) -> Array:
     """gamma in body axes at the start, shape (3, points)."""
     angles = directions(points)[1]
@@ -94,6 +97,7 @@ def vertical(points: Points) -> Array:
     return np.where(np.isnan(points["gamma10"]), angles, vector)
 
 
+@shared
 def rates(points: Points) -> tuple[Array, Array, Array]:
     """theta', n and m of the start, w = n gamma + m e3 + theta' about the node; at a pole n = 0 and m = r."""
     gamma = vertical(points)
@@ -111,6 +115,7 @@ def rates(points: Points) -> tuple[Array, Array, Array]:
     )
 
 
+@shared
 def initial_state(points: Points) -> Array:
     """State at t = 0, shape (6, points): p0, q0, r0 or w = n gamma + m e3 + theta_dot0 about the node."""
     gamma = vertical(points)

@@ -10,11 +10,23 @@ from typing import Any
 import numpy as np
 
 from ...flags import Stability
-from ..base import Array, Condition, Family, Flags, Points, SharedValues, TwoAxes, motion_about_axes, shape_of
+from ..base import (
+    Array,
+    Condition,
+    Family,
+    Flags,
+    Points,
+    SharedValues,
+    TwoAxes,
+    motion_about_axes,
+    shape_of,
+    shared,
+)
 from ..jacobian import STEP
 from ..vectors import across, dot, length, principal, ratio
 
 
+@shared
 def directions(points: Points) -> tuple[Array, Array]:
     """alpha and gamma in body axes at the start, each of shape (3, points), from theta0, psi0 and phi0."""
     st, ct = np.sin(points["theta0"]), np.cos(points["theta0"])

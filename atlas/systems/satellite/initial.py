@@ -6,7 +6,7 @@ from collections.abc import Set
 
 import numpy as np
 
-from ..base import Array, Mask, Parameter, Points
+from ..base import Array, Mask, Parameter, Points, shared
 from ..gyrostat import Body, Direction
 from ..gyrostat.body import gyration, perron_root
 from ..gyrostat.motions import angular_velocity
@@ -56,6 +56,7 @@ def constants(points: Points) -> Array:
     return np.array([*body, *D, 3 * Omega**2, np.ones_like(A), np.ones_like(A), *rotor, *magnet, *damping])
 
 
+@shared
 def body_vectors(points: Points) -> tuple[Array, Array, Array]:
     """I, k, mu as arrays of shape (3, points)."""
     return tuple(  # type: ignore[return-value]
@@ -76,6 +77,7 @@ def body(points: Points) -> Body:
     return Body(inertia, rotor, Omega, radius, normal, points["damping"])
 
 
+@shared
 def initial_state(points: Points) -> Array:
     """State at t = 0, shape (9, points): w' = n gamma + m e3 + theta_dot0 about the node, w = w' + Omega gamma."""
     alpha, gamma = directions(points)

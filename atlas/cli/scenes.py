@@ -6,11 +6,13 @@ import argparse
 import json
 import re
 import shlex
+import time
 import tomllib
 from importlib.resources import files
 from importlib.resources.abc import Traversable
 from pathlib import Path
 
+from ..compiling import Stopwatch
 from ..errors import MAX_MESSAGE, MAX_TEXT, BadInput, allowed_text, attribute_text, printable, say, text_table
 from ..files import atomic_write, check_not_input, writable
 from ..interruption import called_as
@@ -140,11 +142,31 @@ def check_scene(options: argparse.Namespace) -> int:
     return DONE
 
 
-@command("cache", argument("--clear", action="store_true", help="remove them"))
+@command(
+    "cache",
+    argument("--clear", action="store_true", help="remove them"),
+    argument(
+        "--warm", nargs="*", metavar="SCENE", help="compile those of these scenes (default: of every example)"
+    ),
+)
 def list_kernels(options: argparse.Namespace) -> int:
     """List the compiled kernels."""
     from .. import jit
 
+    if options.warm is not None:
+        from ..label.pipeline import evaluate
+        from ..label.plan import Plan
+        from ..scene import grid
+        from ..scene.read import load_scene
+
+        scenes = {name: read_scene(name) for name in options.warm}
+        if not scenes:
+            scenes = {name: load_scene(text.read_text("utf-8")) for name, text in examples().items()}
+        for name, scene in scenes.items():
+            sample, watch, began = grid.check(scene), Stopwatch(), time.perf_counter()
+            evaluate(Plan.of(scene), sample.subset([int(sample.exists.argmax())]))
+            seconds = time.perf_counter() - began - watch.seconds()
+            say(f"{name}: " + (f"compiled in {seconds:.1f} s" if seconds > 0.01 else "nothing to compile"))
     if options.clear:
         say(f"removed {jit.clear()} kernels from {jit.cache_folder()}")
         return DONE

@@ -253,12 +253,12 @@ def frequency_bound(points: Points) -> Array:
 
 
 def specialization(zero: Set[str], equal: Set[tuple[str, str]]) -> tuple[set[str], set[tuple[str, str]]]:
-    """Constants that vanish without weight, field or rotor; those equal on an axially symmetric body."""
+    """Constants that vanish without weight or field; those equal on an axially symmetric body.
+
+    Terms of the rotor stay: they cost no time that can be measured, and a kernel less has to be compiled.
+    """
     weight = {"Mx", "My", "Mz"}
-    rows = (
-        ({"Mg", "M"}, weight), ({"x0", "y0", "z0"}, weight), ({"N", "lambda"}, {"NA", "NB", "NC"}),
-        ({"l1", "l2", "l3"}, {"l1", "l2", "l3"}),
-    )  # fmt: skip
+    rows = (({"Mg", "M"}, weight), ({"x0", "y0", "z0"}, weight), ({"N", "lambda"}, {"NA", "NB", "NC"}))
     zero_constants = {name for parameters, names in rows if zero >= parameters for name in names}
     no_transverse_weight = zero >= {"x0", "y0"} or "Mx" in zero_constants
     if ("A", "B") in equal and zero | zero_constants >= {"l1", "l2"} and no_transverse_weight:

@@ -1,6 +1,7 @@
 # Make the virtual environment .venv (if there is none) and install the package into it.
 # Sourced by the other scripts from the repository root. The variable `extras` names extras of the package, such
-# as [test]: a plain POSIX shell passes no arguments to a sourced file.
+# as [test]: a plain POSIX shell passes no arguments to a sourced file. What is installed already is not installed again
+# until pyproject.toml or the version changes.
 python=${PYTHON:-python3}
 "$python" -c 'import sys; sys.exit(sys.version_info < (3, 11))' || {
     echo "Precession Atlas needs Python 3.11 or newer; set PYTHON to one" >&2
@@ -23,12 +24,16 @@ install_package() {
     fi
 }
 
-echo "Installing Precession Atlas into .venv; the first time this takes a minute or two" >&2
-# One short line for each package that pip fetches. The exit status of pip, which `sed` would hide, takes file
-# descriptor 3.
-status=$({ { install_package; echo $? >&3; } | sed -n \
-    -e '/\.metadata/d' \
-    -e 's/^ *Downloading \([^- ]*-[^- ]*\)-[^ ]*\.whl\(.*\)/  downloading \1\2/p' \
-    -e 's/^ *Using cached \([^- ]*-[^- ]*\)-[^ ]*\.whl\(.*\)/  from the cache \1\2/p' \
-    -e 's/^Installing collected packages:.*/  installing them/p' >&2; } 3>&1)
-[ "$status" = 0 ] || exit 1
+wanted="${extras:-} $(cat pyproject.toml atlas/_version.py | cksum)"
+if ! grep -qxF -e "$wanted" .venv/installed 2>/dev/null; then
+    echo "Installing Precession Atlas into .venv; the first time this takes a minute or two" >&2
+    # One short line for each package that pip fetches. The exit status of pip, which `sed` would hide, takes file
+    # descriptor 3.
+    status=$({ { install_package; echo $? >&3; } | sed -n \
+        -e '/\.metadata/d' \
+        -e 's/^ *Downloading \([^- ]*-[^- ]*\)-[^ ]*\.whl\(.*\)/  downloading \1\2/p' \
+        -e 's/^ *Using cached \([^- ]*-[^- ]*\)-[^ ]*\.whl\(.*\)/  from the cache \1\2/p' \
+        -e 's/^Installing collected packages:.*/  installing them/p' >&2; } 3>&1)
+    [ "$status" = 0 ] || exit 1
+    echo "$wanted" >>.venv/installed
+fi

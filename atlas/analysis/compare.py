@@ -6,7 +6,6 @@ from collections import Counter
 
 import numpy as np
 import xarray as xr
-from scipy.ndimage import maximum_filter, minimum_filter
 
 from ..errors import BadInput, printable
 from ..flags import Agreement, Label, Stability
@@ -117,6 +116,11 @@ def _stability_lines(ds: xr.Dataset) -> list[str]:
 
 def near_boundary(stable: Flags) -> np.ndarray:
     """Points within BAND of the axis range of a point of other linear stability; none in a list."""
+    from scipy.ndimage import (  # slow to import, and most commands do not need it
+        maximum_filter,
+        minimum_filter,
+    )
+
     window = [1 + 2 * max(1, int(np.ceil(BAND * (count - 1)))) if count > 1 else 1 for count in stable.shape]
     return np.asarray(maximum_filter(stable, window) != minimum_filter(stable, window))
 

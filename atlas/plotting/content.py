@@ -12,7 +12,6 @@ import xarray as xr
 from matplotlib import colormaps
 from matplotlib.axes import Axes
 from matplotlib.colors import Colormap, is_color_like
-from scipy.ndimage import distance_transform_edt
 
 from ..analysis.boundary import CHANGE, EXISTENCE, RESONANCES, STABILITY, theory_lines
 from ..analysis.compare import MAX_SURVIVED_GROWTH
@@ -61,6 +60,8 @@ def panel_of(ds: xr.Dataset, name: str, dims: list[str], scene: Scene | None, bo
         # Where a refined atlas did not integrate, the value of the nearest integrated point is drawn.
         gaps = ~np.isfinite(array.values) & (ds["computed"].values == 0)
         if gaps.any() and not gaps.all():
+            from scipy.ndimage import distance_transform_edt  # slow to import, and most maps do not need it
+
             nearest = distance_transform_edt(gaps, return_distances=False, return_indices=True)
             array = array.copy(data=array.values[tuple(nearest)])
     if not boundary or scene is None:

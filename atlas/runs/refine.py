@@ -11,7 +11,6 @@ from typing import ClassVar
 
 import numpy as np
 import xarray as xr
-from scipy.ndimage import maximum_filter, minimum_filter
 
 from ..compiling import Stopwatch
 from ..errors import BadInput, say
@@ -202,6 +201,11 @@ class _FineGrid:
 
     def _near_boundary(self, code: np.ndarray) -> np.ndarray:
         """Mask of points within BOUNDARY_WIDTH of two different codes, along the axes that are refined."""
+        from scipy.ndimage import (  # slow to import, and most runs do not need it
+            maximum_filter,
+            minimum_filter,
+        )
+
         window = [1 + 2 * BOUNDARY_WIDTH * axis.can_be_refined for axis in self.scene.axes.values()]
         return np.asarray(maximum_filter(code, window) != minimum_filter(code, window))
 

@@ -32,6 +32,7 @@ MAX_MAGNITUDE = 1e60
 FAMILY_TOLERANCE = 1e-10
 NO_RIGID_BODY = "no rigid body has these moments of inertia"
 _T = TypeVar("_T")
+_F = TypeVar("_F", bound=Callable[[Any], Any])
 _CHUNK = 16384  # points whose family is identified together, so that the arrays stay in the cache
 
 
@@ -699,14 +700,14 @@ class SharedValues(dict[str, Array]):
         return self._values[function]
 
 
-def shared(function: Callable[[Points], _T]) -> Callable[[Points], _T]:
+def shared(function: _F) -> _F:
     """A function of points that is computed once for SharedValues."""
 
     @wraps(function)
-    def of(points: Points) -> _T:
+    def of(points: Points) -> Any:
         return points.of(function) if isinstance(points, SharedValues) else function(points)
 
-    return of
+    return of  # type: ignore[return-value]
 
 
 def subset(columns: Mapping[str, Array], where: Any) -> dict[str, Array]:

@@ -7,7 +7,6 @@ from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
-from scipy.special import betaincinv
 
 from ..engine.statistics import RATES
 from ..flags import Label
@@ -28,6 +27,10 @@ def upper_bound(events: int, draws: int, population: int | None = None) -> float
     """
     if draws == population:
         return events / draws
+    if events == 0:
+        return -math.expm1(math.log1p(-CONFIDENCE) / draws)
+    from scipy.special import betaincinv  # slow to import, and most runs do not need it
+
     return 1.0 if events >= draws else float(betaincinv(events + 1, draws - events, CONFIDENCE))
 
 

@@ -44,7 +44,7 @@ CASES = {
         (("damping", "mu1", "mu2", "mu3", "h1", "h3", "k1", "k2"), True),
     ],
     "fixed_point": [
-        (("N",), False), (("Mg",), False), (("l1", "l2", "l3"), False),
+        (("N",), False), (("Mg",), False), (("N", "l1", "l2", "l3"), False),
         (("l1", "l2", "Mg"), True), (("N", "l1", "l2", "l3", "x0", "y0"), True), (("l1", "l2", "x0", "y0"), True),
     ],
 }  # fmt: skip

@@ -3,6 +3,7 @@
 import io
 import os
 import re
+import shutil
 import signal
 import subprocess
 import sys
@@ -14,6 +15,7 @@ import pytest
 import xarray as xr
 
 from atlas.cli import main, parser
+from atlas.jit import cache_folder
 from atlas.systems.satellite.system import SATELLITE
 
 
@@ -390,6 +392,18 @@ def test_conditions_and_version_and_cache(capsys, tmp_path, monkeypatch):
     assert main(["cache"]) == 0
     assert main(["cache", "--clear"]) == 0
     assert "removed 0" in capsys.readouterr().out
+
+
+def test_cache_warm_compiles_the_kernel_of_a_scene(folder, tmp_path, monkeypatch, capsys):
+    kernels = tmp_path / "kernels"
+    kernels.mkdir(mode=0o700)
+    for path in cache_folder().glob("atlas_function_*"):  # what other tests have compiled
+        shutil.copy2(path, kernels)
+    monkeypatch.setenv("ATLAS_CACHE", str(kernels))
+    warmed = shell("cache", "--warm", "small.toml", cwd=folder)
+    assert re.search(r"small.toml: compiled in \d+\.\d s", warmed.stdout), warmed.stderr
+    assert main(["cache"]) == 0
+    assert "1 kernels" in capsys.readouterr().out
 
 
 def test_trajectory_of_a_point_of_a_scene(folder, monkeypatch, capsys):

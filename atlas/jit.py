@@ -146,7 +146,7 @@ def cpu() -> str:
 
 def settings() -> dict[str, str]:
     """Settings of Numba that change the machine code, as they are in effect, by name."""
-    with global_compiler_lock:  # `_simplified` changes two of them for a while
+    with global_compiler_lock:  # `_at_level` changes two of them for a while
         numba.config.reload_config()  # the compiler does the same, and would use variables that have changed
         return {name: str(getattr(numba.config, name, None)) for name in MACHINE_CODE_SETTINGS}
 
@@ -237,6 +237,7 @@ def _share_functions(source: str, module: ModuleType) -> list[str]:
         & definitions.keys()
         for name, statement in definitions.items()
     }
+    config: Any = numba.config
     environment, names = _environment(), []
     dispatchers: dict[str, Any] = {k: v for k, v in vars(module).items() if isinstance(v, Dispatcher)}
     for name, function in dispatchers.items():
@@ -253,17 +254,19 @@ def _share_functions(source: str, module: ModuleType) -> list[str]:
             function.py_func.__module__ = shared
             sys.modules.setdefault(shared, ModuleType(shared))
             function._cache = _MachineCode(shared)
-            if function.targetoptions.get("forceinline"):
-                function._compiler.compile = functools.partial(_simplified, function._compiler.compile)
+            # What is inlined is neither vectorised nor unrolled before: both are done where it is inlined.
+            inlined = function.targetoptions.get("forceinline")
+            level = (type(config.OPT)(1), 0) if inlined else (config.OPT, config.LOOP_VECTORIZE)
+            function._compiler.compile = functools.partial(_at_level, level, function._compiler.compile)
     return names
 
 
-def _simplified(compile_function: Callable[..., Any], *arguments: Any) -> Any:
-    """Compile a function that is inlined: neither vectorised nor unrolled, which is done where it is inlined."""
+def _at_level(level: tuple[int, int], compile_function: Callable[..., Any], *arguments: Any) -> Any:
+    """Compile a function, perhaps while another is compiled, with this level of optimisation and of vectorisation."""
     config: Any = numba.config
     with global_compiler_lock:
         before = config.OPT, config.LOOP_VECTORIZE
-        config.OPT, config.LOOP_VECTORIZE = type(config.OPT)(1), 0
+        config.OPT, config.LOOP_VECTORIZE = level
         try:
             return compile_function(*arguments)
         finally:

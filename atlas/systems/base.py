@@ -694,9 +694,10 @@ class SharedValues(dict[str, Array]):
         """The value of a function of the points, computed when it is first asked for; its arrays cannot be changed."""
         if function not in self._values:
             value: Any = function(self)
-            for array in value if isinstance(value, tuple) else (value,):
-                array.setflags(write=False)
-            self._values[function] = value
+            views = [np.asarray(array).view() for array in (value if isinstance(value, tuple) else (value,))]
+            for view in views:
+                view.setflags(write=False)
+            self._values[function] = tuple(views) if isinstance(value, tuple) else views[0]
         return self._values[function]
 
 

@@ -302,6 +302,8 @@ def test_the_claims_of_the_paper_have_their_verdicts():
         "does not hold",
         "does not hold",
         "holds to lowest order, but not for the period",
+        "does not hold",
+        "holds for p2 only",
     ]
     assert [claim.holds for claim in judged] == [c.verdict == "holds" for c in judged]
     assert "1066.43, 5307.59" in judged[0].measured
@@ -309,6 +311,9 @@ def test_the_claims_of_the_paper_have_their_verdicts():
     assert "0.00368" in judged[3].measured
     assert "(33) drops p2 as well" in judged[4].measured
     assert "|p2| < 1e-10" in judged[4].measured
+    assert "exact periodic solution is stable with the paper's data" in judged[6].measured
+    assert "rho + 1/rho = 2.201" in judged[6].measured
+    assert "1.37 |mu/Omega| at most as printed, < 1e-9" in judged[9].measured
 
 
 @pytest.mark.parametrize("body", fast_spin.PAPER_BODIES)

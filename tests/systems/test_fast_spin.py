@@ -430,10 +430,11 @@ def test_a_spherical_body_with_an_axial_rotor_has_a_solution():
 @pytest.mark.parametrize("row", published.PUBLISHED, ids=lambda row: row.number)
 def test_printed_equations_are_much_worse_than_the_true_ones(row):
     assert [other.number for other in published.PUBLISHED].count(row.number) == 1
-    assert all((row.printed, row.true, row.verdict, row.effect))
+    assert all((row.printed, row.true, row.verdict))
+    assert row.effect or row.measure
     if row.residual_true is not None:
         seeds = range(3)
         true = [row.residual_true(np.random.default_rng(seed)) for seed in seeds]
         printed = [row.residual_printed(np.random.default_rng(seed)) for seed in seeds]
         assert max(true) < 1e-2  # asymptotic formulas: the first term that they omit
-        assert min(printed) > 20 * max(true)
+        assert (max(printed) < 1e-2) if row.verdict == "true" else (min(printed) > 20 * max(true))

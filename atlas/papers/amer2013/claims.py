@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
+from functools import cache
 from itertools import product
 from typing import NamedTuple
 
@@ -126,7 +127,8 @@ class PeriodicRow(NamedTuple):
     stable_printed: bool  # omega'^2 > 0: (20) is an ellipse
 
 
-def periodic_table(rotors: Sequence[float] = PAPER_ROTORS) -> list[PeriodicRow]:
+@cache
+def periodic_table(rotors: tuple[float, ...] = PAPER_ROTORS) -> list[PeriodicRow]:
     """Periodic solutions of the bodies of figures 1-20."""
     rows, begin = list[PeriodicRow](), np.zeros(len(rotors))
     for body in PAPER_BODIES:
@@ -244,7 +246,7 @@ def claims(rows: Sequence[Row]) -> list[Claim]:
 
 def _periodic_claim() -> Claim:
     """How far the motions from the starts of (33) are from returning, and the exact periodic solution."""
-    of_33, *corrected = np.max([row.defect for row in periodic_table(PAPER_ROTORS[1:])], axis=0)
+    of_33, *corrected = np.max([row.defect for row in periodic_table() if row.rotor], axis=0)
     first, exact = ("< 1e-9" if defect < 1e-9 else f"{defect:.2g}" for defect in corrected)
     return Claim(
         "(33) is a periodic solution",
@@ -311,7 +313,7 @@ def _phase_plane_claim(rows: Sequence[Row]) -> Claim:
     offsets = [abs(row.centre) / row.amplitude for row in largest]
     # A fast body with a rotor, l1 = l2 = l3 = A r0 / 10, whose multipliers are real
     band = FastSpin.of(1.0, 0.8, 0.8 / 0.352, 0.0, 10.0, 10.0, 10.0, 100.0, 0.352).of_shape((1,))
-    exact, by_paper = periodic.solutions(band), periodic_table((0.0, max(row.rotor for row in rows)))
+    exact, by_paper = periodic.solutions(band), periodic_table()
     real = exact.stability[0] == PeriodicSolution.UNSTABLE
     same &= bool(published.frequency_squared(band)[0] > 0)
     stable = all(row.stability == "stable" for row in by_paper)

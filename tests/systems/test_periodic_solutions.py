@@ -197,6 +197,23 @@ def test_first_order_differs_from_the_exact_solution_by_second_order():
     np.testing.assert_allclose(exact.period - 2 * np.pi, fast_spin.period_correction(spin), rtol=0.03)
 
 
+def test_near_the_resonance_omega_1_the_path_ends_in_a_fold():
+    """rho comes to 1, and the solution moves ever faster with the field; bodies beside it have the solution."""
+    share = np.array([0.02, 0.06, 0.08, 0.086, 0.1])
+    spin = gyrostats(0.1 * np.sqrt(share), 0.1, 1.91, -1.0)
+    assert spin.Omega == pytest.approx(np.full(5, 1.01))
+    reached = periodic.solutions(spin)
+    assert list(reached.stability) == [
+        *3 * [PeriodicSolution.STABLE], PeriodicSolution.UNSTABLE, PeriodicSolution.NOT_REACHED,
+    ]  # fmt: skip
+    speed = np.abs(np.diff(spin.eps * reached.start[1]) / np.diff(share))[:3]
+    assert np.all(np.diff(speed) > 0)
+    assert speed[2] > 3 * speed[0]
+    assert np.all(np.diff(reached.trace[:4]) > 0)
+    beside = periodic.solutions(gyrostats(0.1, 0.1, [1.88, 1.95], -1.0))
+    assert list(beside.stability) == 2 * [PeriodicSolution.STABLE]
+
+
 @pytest.mark.parametrize(
     ("C", "stable"), [(0.70, True), (0.75, True), (0.78, False), (0.86, False), (0.95, True)]
 )

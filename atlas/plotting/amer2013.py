@@ -89,11 +89,9 @@ def curves(figure: PaperFigure, tau: Array) -> dict[str, Array]:
     spin = fast_spin.paper_body(figure.body, np.array(figure.rotors))
     y0 = fast_spin.paper_start(spin)
     x0 = fast_spin.to_quasilinear(spin, y0)
-    starts = {"(1)": y0, "periodic": periodic.solutions(spin.of_shape(y0.shape[1:])).start}
-    exact = {
-        name: fast_spin.to_quasilinear(spin, rk4(lambda y: fast_spin.rhs(spin, y), start, tau))
-        for name, start in starts.items()
-    }
+    starts = np.stack([y0, periodic.solutions(spin.of_shape(y0.shape[1:])).start], 1)
+    full = fast_spin.to_quasilinear(spin, rk4(lambda y: fast_spin.rhs(spin, y), starts, tau))
+    exact = dict(zip(("(1)", "periodic"), np.moveaxis(full, 2, 0), strict=True))
     if figure.numerical:
         return {
             "(15), printed": rk4(lambda x: published.quasilinear(spin, x, x0), x0, tau),

@@ -107,6 +107,15 @@ class StabilityKind(Flag):
     UNSTABLE = 5, "some characteristic exponent has a positive real part"
 
 
+class PeriodicSolution(Flag):
+    """Linear stability of a periodic solution, by its multipliers rho and 1/rho that are not 1."""
+
+    NOT_REACHED = 0, "no periodic solution is reached from eps = 0"
+    STABLE = 1, "rho is on the unit circle"
+    UNSTABLE = 2, "rho is real, and one multiplier is larger than 1 in magnitude"
+    MARGINAL = 3, "rho is 1 or -1 to rounding errors"
+
+
 class Completeness(Flag):
     """Whether the equilibria of a body are all listed."""
 

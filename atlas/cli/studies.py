@@ -135,12 +135,14 @@ FORMATS = tuple(suffix.removeprefix(".") for suffix in FIGURES)
         "--format", belongs=FORMATS.__contains__, choices=FORMATS, help="one or several (default: png pdf)"
     ),
     argument(
-        "--table", action="store_true", help="print amplitudes, periods and the paper's claims; draw nothing"
+        "--table",
+        action="store_true",
+        help="print amplitudes, periods, stability and the paper's claims; draw nothing",
     ),
     force_option("existing figures"),
 )
 def draw_figures(options: argparse.Namespace) -> int:
-    """Draw figures 1-20 of Amer et al., as printed and as true."""
+    """Draw figures 1-20 of Amer et al., as printed, corrected and exact."""
     from ..papers.amer2013 import claims
     from ..plotting import amer2013
     from ..plotting.style import save
@@ -148,7 +150,8 @@ def draw_figures(options: argparse.Namespace) -> int:
     if options.table:
         rows = claims.figure_table()
         texts = [f"{claim.verdict}: {claim.text}\n  {claim.measured}" for claim in claims.claims(rows)]
-        say(*"\n\n".join([text_table(amer2013.amplitude_table(rows)), *texts]).split("\n"))
+        tables = (amer2013.amplitude_table(rows), amer2013.periodic_solutions(claims.periodic_table()))
+        say(*"\n\n".join([*map(text_table, tables), *texts]).split("\n"))
         return DONE
     figures = [amer2013.paper_figure(number) for number in options.only or amer2013.NUMBERS]
     kinds = options.format or ["png", "pdf"]

@@ -1,4 +1,4 @@
-"""Figures 1-20 of Amer, Abo Essa, Ibrahim & Amer from the paper's data: as printed and corrected."""
+"""Figures 1-20 of Amer, Abo Essa, Ibrahim & Amer from the paper's data: as printed, corrected and exact."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ from matplotlib.lines import Line2D
 from matplotlib.ticker import MaxNLocator
 
 from ..errors import BadInput
-from ..papers.amer2013 import fast_spin, published
-from ..papers.amer2013.claims import Row
+from ..papers.amer2013 import fast_spin, periodic, published
+from ..papers.amer2013.claims import PeriodicRow, Row
 from ..systems.base import Array
 from .style import COLOURS, STYLE, WIDTHS
 
@@ -81,19 +81,22 @@ def rk4(rate: Callable[[Array], Array], y0: Array, tau: Array) -> Array:
 def curves(figure: PaperFigure, tau: Array) -> dict[str, Array]:
     """Solutions (p2, p2', gamma2, gamma2') by source, (4, times, rotors).
 
-    All but "(33), true" start at (18): p2 = C A1 y1 / A, p2' = gamma2' = 0. Sources of an analytical figure
-    are (20) and (33) as printed, the two-frequency solution from (18), and (33) corrected; of a numerical
-    one, by RK4, (15) as printed, the full equations (1), and (15) corrected.
+    All but "(33), true" and "periodic" start at (18): p2 = C A1 y1 / A, p2' = gamma2' = 0. Sources of an analytical
+    figure are (20) and (33) as printed, the two-frequency solution from (18), and (33) corrected; of a numerical
+    one, by RK4, (15) as printed and (15) corrected. Both have the full equations (1) from (18) and from the start of
+    their exact periodic solution, by RK4.
     """
     spin = fast_spin.paper_body(figure.body, np.array(figure.rotors))
     y0 = fast_spin.paper_start(spin)
     x0 = fast_spin.to_quasilinear(spin, y0)
+    starts = np.stack([y0, periodic.solutions(spin.of_shape(y0.shape[1:])).start], 1)
+    full = fast_spin.to_quasilinear(spin, rk4(lambda y: fast_spin.rhs(spin, y), starts, tau))
+    exact = dict(zip(("(1)", "periodic"), np.moveaxis(full, 2, 0), strict=True))
     if figure.numerical:
-        full = rk4(lambda y: fast_spin.rhs(spin, y), y0, tau)
         return {
             "(15), printed": rk4(lambda x: published.quasilinear(spin, x, x0), x0, tau),
-            "(1)": fast_spin.to_quasilinear(spin, full),
             "(15), true": rk4(lambda x: fast_spin.quasilinear(spin, x), x0, tau),
+            **exact,
         }
     times, h, p0 = tau[:, None], 1e-3, x0[0]
 
@@ -116,18 +119,22 @@ def curves(figure: PaperFigure, tau: Array) -> dict[str, Array]:
         "(33), printed": np.array([p2, p2_dot, gamma2, gamma2_dot]),
         "general": fast_spin.to_quasilinear(spin, fast_spin.general(spin, y0, times)),
         "(33), true": fast_spin.to_quasilinear(spin, fast_spin.first_order(spin, times)),
+        **exact,
     }
 
 
-# Whether a figure is numerical -> two columns, each with its title and the label of each source in `curves`.
+# Whether a figure is numerical -> three columns, each with its title and the label of each source in `curves`.
+_EXACT = ("exact", {"(1)": "(1) from (18)", "periodic": "periodic"})
 _COLUMNS = {
     False: (
         ("as printed", {"(20), printed": "(20)", "(33), printed": "(33)"}),
-        ("corrected", {"general": "general solution, start (18)", "(33), true": "(33)"}),
+        ("first order, corrected", {"general": "from (18)", "(33), true": "(33)"}),
+        _EXACT,
     ),
     True: (
-        ("as printed", {"(15), printed": "(15) by RK4"}),
-        ("corrected", {"(1)": "full equations (1) by RK4", "(15), true": "(15) by RK4"}),
+        ("as printed", {"(15), printed": "(15)"}),
+        ("first order, corrected", {"(15), true": "(15)"}),
+        _EXACT,
     ),
 }
 # Line width, dash and gap in points, and share of white: of a single source, of the first and of the second of two. The
@@ -139,7 +146,7 @@ NOTE = "Curves of different rotors that coincide are drawn as one line of altern
 
 
 def draw(number: int) -> Figure:
-    """One of the figures 1-20, 180 mm wide: on the left as printed, on the right corrected.
+    """One of the figures 1-20, 180 mm wide: as printed, corrected to first order, and exact.
 
     Time is tau = r0 t, p2 is in units of c sqrt(gamma0''). Below gamma2 over time is its difference from M3
     cos tau. The phase plane of gamma2, on which all solutions coincide, is drawn once, next to the
@@ -166,7 +173,7 @@ def draw(number: int) -> Figure:
 
 
 def _two_columns(figure: PaperFigure, tau: Array, solutions: dict[str, Array]) -> tuple[Figure, bool]:
-    """Printed and corrected solutions side by side, and whether any of their curves coincide."""
+    """Printed, corrected and exact solutions side by side, and whether any of their curves coincide."""
     row, time = ROW[figure.quantity], tau[:, None]
     if figure.phase_plane:
         rows = {"plane": {name: (path[row], path[row + 1]) for name, path in solutions.items()}}
@@ -176,7 +183,7 @@ def _two_columns(figure: PaperFigure, tau: Array, solutions: dict[str, Array]) -
         harmonic = figure.M3 * np.cos(time)
         rows["difference"] = {name: (time, path[row] - harmonic) for name, path in solutions.items()}
     fig = Figure(figsize=(WIDTHS["page"] / 25.4, (30.0 + 44.0 * len(rows)) / 25.4), layout="constrained")
-    axes = fig.subplots(len(rows), 2, sharex=True, sharey="row", squeeze=False)
+    axes = fig.subplots(len(rows), 3, sharex=True, sharey="row", squeeze=False)
     coincide = False
     for number, (panels, lines) in enumerate(zip(axes, rows.values(), strict=True)):
         resolution = COINCIDE * np.ptp(np.concatenate([y.ravel() for _, y in lines.values()]))
@@ -210,8 +217,8 @@ def _gamma2_plane(figure: PaperFigure, tau: Array, solutions: dict[str, Array]) 
     """The phase plane of gamma2 once, and in the first turn the differences of the solutions from a circle."""
     M3, time = figure.M3, tau[:, None]
     circle, turn = M3 * np.array([np.cos(time), -np.sin(time)]), tau <= 2 * np.pi
-    fig = Figure(figsize=(WIDTHS["page"] / 25.4, 74.0 / 25.4), layout="constrained")
-    plane, *panels = fig.subplots(1, 3)
+    fig = Figure(figsize=(WIDTHS["page"] / 25.4, 66.0 / 25.4), layout="constrained")
+    plane, *panels = fig.subplots(1, 4)
     columns = _COLUMNS[figure.numerical]
     differences = {name: 1e3 * (path[2:] - circle)[:, turn] for name, path in solutions.items()}
     true = next(iter(columns[1][1]))
@@ -289,16 +296,40 @@ def amplitude_table(rows: Sequence[Row]) -> list[tuple[str, ...]]:
         "gamma2 amplitude", "period", "max |gamma2 - M3 cos tau|", "unit of p2, rad/s",
     )  # fmt: skip
     table: list[tuple[str, ...]] = [heading]
-
-    def six(value: float) -> str:
-        """A number to six digits; a dash for nan."""
-        return "-" if np.isnan(value) else "0" if value == 0 else f"{value:#.6g}"
-
     for r in rows:
         values = (
             r.start, r.centre, r.amplitude, r.period, r.waves, r.largest, r.centre_theory, r.period_theory,
             r.centre_printed, r.amplitude_printed, r.period_printed, r.gamma2_amplitude, r.gamma2_period,
         )  # fmt: skip
         change = f"{r.gamma2_change:.3g}" if r.gamma2_change > 1e-10 else "< 1e-10"  # below: rounding
-        table.append((r.body, f"{r.rotor:g}", *map(six, values), change, six(r.unit)))
+        table.append((r.body, f"{r.rotor:g}", *map(_six, values), change, _six(r.unit)))
+    return table
+
+
+def _six(value: float) -> str:
+    """A number to six digits; a dash for nan."""
+    return "-" if np.isnan(value) else "0" if value == 0 else f"{value:#.6g}"
+
+
+def periodic_solutions(rows: Sequence[PeriodicRow]) -> list[tuple[str, ...]]:
+    """Rows of `claims.periodic_table` as text, below a heading: as printed, corrected to first order, exact."""
+    readings = ("printed", "first order", "exact")
+    quantities = [
+        (name, reading) for name in ("p1(0)", "period - 2 pi", "rho + 1/rho") for reading in readings
+    ]
+    heading = ("body", "l1 = l2 = l3", *(f"{name}, {reading}" for name, reading in quantities))
+    table: list[tuple[str, ...]] = [(*heading, "stable, printed", "exact")]
+    for r in rows:
+        periods = ("< 1e-10" if abs(value) < 1e-10 else f"{value:.6g}" for value in r.period)
+        stable = "yes" if r.stable_printed else "no", r.stability
+        table.append(
+            (
+                r.body,
+                f"{r.rotor:g}",
+                *(_six(p1) if abs(p1) > 1e-3 else f"{p1:.2g}" for p1 in r.p1),
+                *periods,
+                *map(_six, r.trace),
+                *stable,
+            )
+        )
     return table

@@ -166,6 +166,13 @@ PICTURES = (
         " (`first_order_error_printed`) is wrong by the order of the rotor.",
     ),
     Picture(
+        "periodic_solution",
+        f"The exact periodic solution of which (33) of {TOP} is the first order, upright, over eps and the body, with the rotor"
+        " l1 = l2 = l3 = A r0 / 10. The band below C/A = 0.9, where Omega = 0, is unstable however fast the spin; the tongue from"
+        " C/A = 0.4, where Omega = -1/2, is a parametric resonance; for slow spins the path from eps = 0 ends in a fold. As"
+        " printed the solution exists and is stable wherever omega'^2 > 0.",
+    ),
+    Picture(
         "chaos_tumbling",
         "An asymmetric body (A : B : C = 1 : 1.3 : 1.6) without rotor and magnet, turned by psi0 about the orbit normal and"
         " tilted by 0.1 from it, rotating at m relative to the orbit. Small librations and fast rotations are regular."

@@ -15,7 +15,7 @@ import numpy as np
 from atlas.analysis import catalogue
 from atlas.flags import Agreement, Flag, Label, Stability, Status
 from atlas.papers.amer2013 import claims
-from atlas.plotting.amer2013 import amplitude_table
+from atlas.plotting.amer2013 import amplitude_table, periodic_solutions
 from atlas.systems import SYSTEMS
 from atlas.systems.base import System
 from atlas.variables import variables
@@ -70,6 +70,11 @@ def amplitudes(system: System) -> str:
     return table(amplitude_table(claims.figure_table()))
 
 
+def periodic(system: System) -> str:
+    """Table of the periodic solutions of Amer et al. (2013)."""
+    return table(periodic_solutions(claims.periodic_table()))
+
+
 def claim_table(system: System) -> str:
     """Table of the claims of Amer et al. (2013)."""
     rows = [("claim", "verdict", "measured")]
@@ -99,6 +104,7 @@ TABLES = {
     "families": families,
     "flags": flags,
     "amplitudes": amplitudes,
+    "periodic": periodic,
     "claims": claim_table,
     "printed": published_equations,
 }

@@ -34,10 +34,15 @@ SATELLITE, FIXED_POINT = systems.get("satellite"), systems.get("fixed_point")
 WRONG = {
     *(f"({i})" for i in range(4, 14)), "(14)1", "(14)2", "(14)3", "(19)1", "(21)", "(26)", "(29)1", "(31b)",
     "after (31)", "(32)", "(33)", "(34)", "(36)", "(37)", "(38)", "(40)", "(41)", "(42)", "(44)1", "(44)3", "names",
+    "before (11)", "after (20), mu3 = 0", "after (23), formula of [3]", "after (26), m* < 0", "after (27)",
+    "after (31b), in space", "after (31), n = Omega", "after (45), new solutions", "abstract, accuracy",
 }  # fmt: skip
 RIGHT = {
     "(15)", "(16)", "(17)1", "(17)2", "(18)", "(19)2", "(20)", "(22)", "(23)", "after (23)", "(24)", "(25)",
     "(27)", "(28)", "(29)2", "(30)", "(31)1", "(31)2", "(35)", "(39)", "(43)", "(44)2", "(45)",
+    "(1)", "(2), (3)", "after (18), special case", "after (20), B = C", "after (20), h1 = h3 = 0", "after (23), [3]",
+    "after (24)", "after (31), m = 2n", "after (43)", "after (44)",
+    *(f"after ({i}), in space" for i in (15, 16, 18, 20, 23, 25, 28, 30, 45)),
 }  # fmt: skip
 
 

@@ -54,10 +54,15 @@ def test_curves_are_those_of_the_equations(number):
         size = np.ptp(exact[0])
         start = float(spin.C * spin.A1 * spin.y[0] / spin.A)
         for source, path in motion.items():
-            if "(33)" not in source:  # (33) has another start
+            if "(33)" not in source and source != "periodic":  # these have other starts
                 np.testing.assert_allclose(path[:2, 0, i], [start, 0], atol=1e-6 * size)
+        np.testing.assert_allclose(motion["(1)"][..., i], exact, atol=1e-8 * size)
+        # the exact periodic solution returns, and its p2 rests where the exact motion has its centre
+        periodic = motion["periodic"][..., i]
+        assert np.ptp(periodic[0]) < 1e-5 * size
+        assert periodic[0, 0] == pytest.approx(0.5 * (exact[0].max() + exact[0].min()), rel=1e-4)
+        np.testing.assert_allclose(periodic[2:, 500], periodic[2:, 0], atol=1e-3)
         if figure.numerical:
-            np.testing.assert_allclose(motion["(1)"][..., i], exact, atol=1e-8 * size)
             assert np.abs(motion["(15), true"][0, :, i] - exact[0]).max() < 1e-4 * size
             # only the sign in omega'^2 is wrong
             assert 1e-3 < np.abs(motion["(15), printed"][0, :, i] - exact[0]).max() / size < 5e-2
@@ -71,15 +76,14 @@ def test_curves_are_those_of_the_equations(number):
             assert np.abs(motion["(20), printed"][0, :, i] - exact[0]).max() > 0.5 * size
 
 
-@pytest.mark.parametrize(("number", "panels"), [(1, 2), (3, 4), (9, 2), (20, 3)])
+@pytest.mark.parametrize(("number", "panels"), [(1, 3), (3, 6), (9, 3), (20, 4)])
 def test_figures_are_drawn(number, panels):
     drawn = amer2013.draw(number)
     assert drawn.get_figwidth() == pytest.approx(180 / 25.4)
     assert len(drawn.axes) == panels
     drawn.canvas.draw()
-    left, right = (np.concatenate([line.get_ydata() for line in ax.lines]) for ax in drawn.axes[:2])
-    assert np.isfinite(left).all()
-    assert np.isfinite(right).all()
+    for ax in drawn.axes:
+        assert np.isfinite(np.concatenate([line.get_ydata() for line in ax.lines])).all()
 
 
 @pytest.mark.parametrize("number", [2, 3, 8, 13, 18])
@@ -104,12 +108,14 @@ def test_no_curve_hides_another(number):
 @pytest.mark.parametrize("number", [4, 5])
 def test_the_legend_has_every_source_as_it_is_drawn(number):
     """Dashed, or a cross where a solution rests in the phase plane."""
-    printed, corrected = amer2013.draw(number).axes[-2:]
-    for ax, second in (printed, "+"), (corrected, "+" if number == 4 else "None"):
-        assert [text.get_text()[-4:] for text in ax.get_legend().get_texts()] in (
-            ["(20)", "(33)"],
-            ["(18)", "(33)"],
-        )
+    printed, corrected, exact = amer2013.draw(number).axes[-3:]
+    at_rest = "+" if number == 4 else "None"
+    for ax, second, names in (
+        (printed, "+", ["(20)", "(33)"]),
+        (corrected, at_rest, ["from (18)", "(33)"]),
+        (exact, at_rest, ["(1) from (18)", "periodic"]),
+    ):
+        assert [text.get_text() for text in ax.get_legend().get_texts()] == names
         entries = ax.get_legend().get_lines()
         for i, entry in enumerate(entries):
             assert entry.get_marker() == ax.lines[i].get_marker()
@@ -133,6 +139,26 @@ def test_the_table_has_six_digits():
     assert moving[heading.index("max |p2|")] == "10700.0"
     assert moving[heading.index("amplitude")] == "4250.97"
     assert still[heading.index("max |gamma2 - M3 cos tau|")] == "< 1e-10"
+
+
+def test_the_table_of_periodic_solutions_has_three_readings():
+    rows = claims.periodic_table((0.0, 50.0))
+    heading, *lines = amer2013.periodic_solutions(rows)
+    assert {len(line) for line in lines} == {len(heading)} == {13}
+    for row in rows:
+        printed, first, exact = row.p1, row.period, row.trace
+        assert row.stable_printed
+        assert row.stability == "stable"
+        if row.rotor:
+            assert abs(printed[0]) < 1e-3 < abs(printed[1])
+            assert printed[1] == pytest.approx(printed[2], rel=1e-6)
+            assert first[1] == pytest.approx(first[2], rel=1e-4)
+            assert abs(first[0]) > 100 * abs(first[2])
+            assert abs(exact[1] - exact[2]) < 1e-4 < abs(exact[0] - exact[2])
+            assert row.defect[0] > 0.5
+            assert row.defect[1:].max() < 1e-9
+    assert lines[1][heading.index("p1(0), exact")] == "8055.20"
+    assert lines[1][-2:] == ("yes", "stable")
 
 
 def test_the_command_writes_figures_and_the_table(tmp_path, monkeypatch, capsys):

@@ -302,6 +302,8 @@ def test_the_claims_of_the_paper_have_their_verdicts():
         "does not hold",
         "does not hold",
         "holds to lowest order, but not for the period",
+        "does not hold",
+        "holds for p2 only",
     ]
     assert [claim.holds for claim in judged] == [c.verdict == "holds" for c in judged]
     assert "1066.43, 5307.59" in judged[0].measured
@@ -309,6 +311,9 @@ def test_the_claims_of_the_paper_have_their_verdicts():
     assert "0.00368" in judged[3].measured
     assert "(33) drops p2 as well" in judged[4].measured
     assert "|p2| < 1e-10" in judged[4].measured
+    assert "exact periodic solution is stable with the paper's data" in judged[6].measured
+    assert "rho + 1/rho = 2.201" in judged[6].measured
+    assert "1.37 |mu/Omega| at most as printed, < 1e-9" in judged[9].measured
 
 
 @pytest.mark.parametrize("body", fast_spin.PAPER_BODIES)
@@ -425,10 +430,11 @@ def test_a_spherical_body_with_an_axial_rotor_has_a_solution():
 @pytest.mark.parametrize("row", published.PUBLISHED, ids=lambda row: row.number)
 def test_printed_equations_are_much_worse_than_the_true_ones(row):
     assert [other.number for other in published.PUBLISHED].count(row.number) == 1
-    assert all((row.printed, row.true, row.verdict, row.effect))
+    assert all((row.printed, row.true, row.verdict))
+    assert row.effect or row.measure
     if row.residual_true is not None:
         seeds = range(3)
         true = [row.residual_true(np.random.default_rng(seed)) for seed in seeds]
         printed = [row.residual_printed(np.random.default_rng(seed)) for seed in seeds]
         assert max(true) < 1e-2  # asymptotic formulas: the first term that they omit
-        assert min(printed) > 20 * max(true)
+        assert (max(printed) < 1e-2) if row.verdict == "true" else (min(printed) > 20 * max(true))

@@ -72,6 +72,12 @@ class FastSpin:
         """That of numbers or arrays."""
         return cls(*values)
 
+    def of_shape(self, shape: tuple[int, ...]) -> FastSpin:
+        """The same with fields of one shape."""
+        return FastSpin.of(
+            *(np.broadcast_to(getattr(self, name), shape) for name in self.__dataclass_fields__)
+        )
+
     @cached_property
     def scale(self) -> Array:
         """c sqrt(gamma0''), the unit of p and q, rad s-1."""

@@ -16,7 +16,7 @@ import numpy as np
 
 from ...errors import BadInput
 from ...systems.base import Array, Points, PublishedEquation
-from .. import Readings, load, row
+from .. import Readings, row
 from . import fast_spin, reduction
 from .fast_spin import FastSpin, paper_spin, random_spin, true_acceleration, true_rate
 
@@ -232,20 +232,22 @@ def _readings(
     """The magnitude of a measure (body, random generator, reading) for both readings; `draw` draws the body."""
 
     def measured(reading: Any, rng: np.random.Generator) -> float:
-        return float(np.abs(measure(draw(rng), rng, reading)))
+        return float(np.abs(measure(draw(rng), rng, reading)).max())
 
     return partial(measured, printed), partial(measured, true)
 
 
-def _of_motion(index: int, spin: FastSpin, rng: np.random.Generator, right_side: Formula) -> Array:
+def _of_motion(
+    index: int | list[int], spin: FastSpin, rng: np.random.Generator, right_side: Formula
+) -> Array:
     y = rng.normal(size=6)
     return (right_side(spin, y) - true_rate(spin, y))[index]
 
 
-def _constancy(spin: FastSpin, rng: np.random.Generator, constants: Formula) -> Array:
+def _constancy(index: int | list[int], spin: FastSpin, rng: np.random.Generator, constants: Formula) -> Array:
     begin = fast_spin.first_order(spin, np.array(0.0))
     y = fast_spin.integrate(spin, begin, np.linspace(0, 2 * np.pi, 41))
-    return np.ptp(constants(spin, y)[0])
+    return np.ptp(constants(spin, y)[index], axis=-1)
 
 
 def _direction_cosine(spin: FastSpin, rng: np.random.Generator, sign: int) -> Array:
@@ -284,7 +286,7 @@ def _of_solution(index: int, spin: FastSpin, rng: np.random.Generator, solution:
 
 
 def _of_angle(index: int, spin: FastSpin, rng: np.random.Generator, formula: Formula) -> Array:
-    """Error of theta or psi over two turns, over the swing that is first order in eps."""
+    """Error of theta, psi or phi over two turns, over the swing that is first order in eps."""
     from scipy.integrate import cumulative_simpson  # slow to import, and scenes do not need it
 
     tau = np.linspace(0, 4 * np.pi, 401)
@@ -292,7 +294,7 @@ def _of_angle(index: int, spin: FastSpin, rng: np.random.Generator, formula: For
     p, q, _, g1, g2, g3 = fast_spin.dimensional(spin, fast_spin.integrate(spin, begin, tau))
     t = tau / spin.r0
     psi = cumulative_simpson((p * g1 + q * g2) / (1 - g3**2), x=t, initial=0)
-    exact = np.arccos(g3) if index == 0 else psi
+    exact = (np.arccos(g3), psi, np.unwrap(np.arctan2(g1, g2)))[index]
     return np.abs(formula(spin, t)[index] - exact).max() / (spin.eps * np.abs(spin.forced))
 
 
@@ -308,10 +310,10 @@ def _in_other_units(spin: FastSpin, rng: np.random.Generator, term: Callable[[Fa
     return term(replace(spin, **doubled)) / term(spin) - 1
 
 
-def _kernel_24(spin: FastSpin, rng: np.random.Generator, frequency: Callable[[FastSpin], Array]) -> Array:
-    """h'' + h - 1 at a random time, for h the integral (24) of Phi = 1 with the kernel sin(frequency (tau - t1))."""
-    w, tau = frequency(spin), rng.uniform(0.5, 5.0)
-    return w * np.cos(w * tau) + (1 - np.cos(w * tau)) / w - 1
+def _kernel_24(spin: FastSpin, rng: np.random.Generator, frequencies: Callable[[FastSpin], Any]) -> Array:
+    """h'' + f^2 h - 1 at a random time, for 1/f times the integral h of 1 with the kernel sin(w (tau - t1))."""
+    (f, w), tau = frequencies(spin), rng.uniform(0.5, 5.0)
+    return (w * np.cos(w * tau) + f**2 * (1 - np.cos(w * tau)) / w) / f - 1
 
 
 _ONE, _NONE = np.array([1.0, 0, 1, 0, 0, 1]), np.array([0.0, 0, 1, 0, 0, 1])
@@ -319,7 +321,12 @@ _FAST = partial(random_spin, r0=50.0)
 _FASTEST = partial(random_spin, r0=1e5)
 READINGS: dict[str, Readings] = {
     "(1), second equation": _readings(partial(_of_motion, 1), rhs, fast_spin.rhs),
-    "(3), S1": _readings(_constancy, integrals, fast_spin.integrals),
+    "(1) but for the second equation, (5)": _readings(
+        partial(_of_motion, [0, 2, 3, 4, 5]),
+        *2 * (lambda spin, y: rhs(replace(spin, N=spin.N * spin.gamma0), y),),
+    ),
+    "(2), (3), S2": _readings(partial(_constancy, [1, 2]), integrals, integrals),
+    "(3), S1": _readings(partial(_constancy, 0), integrals, fast_spin.integrals),
     "(4)": _readings(partial(_of_motion, 0), rhs, fast_spin.rhs),
     "(7), (15)": _readings(
         # the square of the rate at which q1 grows with p1
@@ -345,10 +352,6 @@ READINGS: dict[str, Readings] = {
         lambda spin: (spin.y[1] * coefficients(spin).X / spin.A) ** 2,
         lambda spin: (spin.C * spin.y[1] * coefficients(spin).X / spin.A) ** 2,
     ),
-    # gamma2 or its rate at tau = 0 on (20), which is to vanish
-    "(18)": _readings(
-        lambda spin, rng, index: reduction.generating(spin, 1.0, 0.0, np.asarray(0.0))[index], 2, 3
-    ),
     # (19), with the true frequency, has no forcing
     "(19), (20), (25)": _readings(
         partial(_reduced, 1),
@@ -357,8 +360,9 @@ READINGS: dict[str, Readings] = {
         _FASTEST,
     ),
     "(24), h_k": _readings(
-        _kernel_24, lambda spin: np.sqrt(frequency_squared(spin)), lambda spin: np.ones(()), _FAST
+        _kernel_24, lambda spin: (1, np.sqrt(frequency_squared(spin))), lambda spin: (1, 1), _FAST
     ),
+    "(24), g_k": _readings(_kernel_24, *2 * (lambda spin: 2 * (np.sqrt(frequency_squared(spin)),),), _FAST),
     # by how much W1 has the wrong sign
     "(32)": _readings(lambda spin, rng, sign: np.maximum(0, -sign * W1(spin)), 1, -1, paper_spin),
     **{
@@ -376,10 +380,11 @@ READINGS: dict[str, Readings] = {
     ),
     "theta after (34)": _readings(partial(_of_angle, 0), angles, fast_spin.angles, paper_spin),
     "psi after (34)": _readings(partial(_of_angle, 1), angles, fast_spin.angles, paper_spin),
+    "phi after (34)": _readings(partial(_of_angle, 2), angles, fast_spin.angles, paper_spin),
     "section VI, data": (None, None),
     **reduction.READINGS,
 }
 
 PUBLISHED: Sequence[PublishedEquation] = tuple(
-    row(entry, READINGS[entry["number"]]) for entry in load("amer2013")["equation"]
+    row(entry, READINGS[number]) for number, entry in reduction.ENTRIES.items()
 )

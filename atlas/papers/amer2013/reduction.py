@@ -1,25 +1,83 @@
-"""Reduction (6)-(8), (11), (13), (14), (17), (26), (27) of Amer, Abo Essa, Ibrahim & Amer, printed and true.
+"""Equations of Amer, Abo Essa, Ibrahim & Amer that are expressions in equations.toml, printed and true, with residuals.
 
-These are the steps from the equations of motion to the solution (33), with residuals. Each row changes its
-own equation alone: k, the frequency and chi, chi1, nu, X are the true ones (X = 1 / Omega, chi = 0) in both
-readings. S1 and S2 are from (2), or from (3) with its own misprint corrected. Residuals are in units of the
-difference of the two readings; where an equation is an expansion in eps, the true one is of order eps. Terms
-with l2 / (A r0), which is of order eps, in S12, S22 and Phi1 are of higher order and left out.
+Each row changes its own equation alone: k, the frequency and chi, chi1, nu, X are the true ones (X = 1 / Omega, chi = 0) in
+both readings, and A^-1 y2 is C A^-1 y2. S1 and S2 are from (2), or from (3) with its own misprint corrected; S11 to S22 are
+(13), corrected. Residuals are in units of the difference of the two readings, or of the exact value where both are one; where
+an equation is an expansion in eps, the true one is of order eps. Terms with l2 / (A r0), which is of order eps, in S12 and S22
+are of higher order and left out.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from functools import partial
+from collections.abc import Callable, Mapping
+from functools import cache, partial
 from itertools import combinations_with_replacement
-from typing import NamedTuple, TypeVar
+from typing import Any
 
 import numpy as np
 
+from ...scene.expressions import Expression
 from ...systems.base import Array
-from .. import Measure
-from . import fast_spin
-from .fast_spin import FastSpin, random_spin, true_acceleration
+from .. import Readings, load
+from . import fast_spin, periodic
+from .fast_spin import (
+    PAPER_BODIES,
+    PAPER_ROTORS,
+    FastSpin,
+    paper_body,
+    random_spin,
+    true_acceleration,
+    true_rate,
+)
+
+Values = dict[str, Any]
+Entry = Mapping[str, Any]
+CONTENT = load("amer2013")
+ENTRIES: dict[str, Entry] = {entry["number"]: entry for entry in CONTENT["equation"]}
+
+
+def evaluate(text: str, values: Values) -> Any:
+    """Value of an expression in the names of equations.toml; names of [definitions] that it contains are evaluated first."""
+    expression = Expression("equations.toml", text)
+    for name in expression.names - values.keys():
+        values[name] = evaluate(CONTENT["definitions"][name], values)
+    return expression.value(values)
+
+
+def reading(number: str, which: str, values: Values) -> Any:
+    """An equation as printed or as true."""
+    entry = ENTRIES[number]
+    return sum(evaluate(term, values) for term in entry.get(f"terms_{which}", entry["terms_true"]))
+
+
+def names(spin: FastSpin) -> Values:
+    """The numbers of a body by their names, in their true forms."""
+    y1, y2, y3 = spin.y
+    X, momentum = 1 / spin.Omega, spin.A * spin.r0
+    fields = (
+        "A",
+        "C",
+        "A1",
+        "a",
+        "k",
+        "z",
+        "r0",
+        "eps",
+        "l1",
+        "l2",
+        "l3",
+        "Omega",
+        "M3",
+        "G0",
+        "chi1",
+        "nu",
+        "gamma0",
+    )
+    return {name: getattr(spin, name) for name in fields} | {
+        "y1": y1, "y2": y2, "y3": y3, "mu1": spin.mu.real, "mu2": spin.mu.imag, "s1": spin.l1 / momentum,
+        "s2": spin.l2 / momentum, "s3": spin.l3 / momentum, "X": X, "chi2": spin.chi1 + spin.G0, "nu2": spin.nu - X,
+    }  # fmt: skip
+
 
 # (3), corrected, and states that satisfy (2) with it.
 
@@ -35,287 +93,159 @@ def S1_S2(spin: FastSpin, y0: Array, y: Array) -> tuple[Array, Array]:
     return S1, S2
 
 
+def on_integrals(spin: FastSpin, y0: Array, y: Array) -> Array:
+    """r1 and g1'' of a state by (2), from its other variables and the start."""
+    S1, S2 = S1_S2(spin, y0, y)
+    r = np.sqrt(1 + spin.eps**2 * S1)
+    return np.array([*y[:2], r, *y[3:5], (1 + spin.eps * S2) / r])
+
+
 def random_states(rng: np.random.Generator, spin: FastSpin) -> tuple[Array, Array]:
     """A random start with r1 = g1'' = 1, and a random state with the same energy and area, (2) with (3)."""
     y0, y = rng.normal(size=(2, 6))
     y0[[2, 5]] = y[[2, 5]] = 1.0
     for _ in range(60):  # a contraction by a factor of order eps
-        S1, S2 = S1_S2(spin, y0, y)
-        y[2] = np.sqrt(1 + spin.eps**2 * S1)
-        y[5] = (1 + spin.eps * S2) / y[2]
+        y = on_integrals(spin, y0, y)
     return y0, y
 
 
-# (13): S1 = S11 + 2 eps S12 and S2 = S21 + eps S22 in p2, gamma2 and their rates.
+def of_variables(spin: FastSpin, x: Array, start: Array | None = None) -> Array:
+    """y of the variables (p2, p2', gamma2, gamma2'), on the integrals (2) of a start, or with r1 = g1'' = 1."""
+    p, v, g, u = x
+    eps, q, g2, r, g3 = spin.eps, 0.0, 0.0, 1.0, 1.0
+    for _ in range(60):
+        field = spin.z / spin.a - spin.k * spin.A1 * g3
+        q = spin.mu.imag * r - v - eps * (spin.chi1 * u + field * g2)
+        q = q / (spin.A1 * r + spin.l3 / (spin.A * spin.r0))
+        g2 = (u + eps * (spin.nu * v + q * g3)) / r
+        y = np.array(np.broadcast_arrays(p + eps * spin.chi1 * g, q, r, g + eps * spin.nu * p, g2, g3))
+        if start is not None:
+            r, g3 = on_integrals(spin, start, y)[[2, 5]]
+    return y
 
 
-def differences(x0: Array, x: Array) -> dict[str, Array]:
-    """Values at x0 less those at x of p = p2, v = p2', g = gamma2, u = gamma2' and their products, by their names."""
+def variables(x0: Array, x: Array) -> Values:
+    """p = p2, v = p2', g = gamma2, u = gamma2' at x, at x0 with 0, and D with a name: its value at x0 less that at x."""
 
-    def values(state: Array) -> dict[str, Array]:
+    def products(state: Array) -> Values:
         of = dict(zip("pvgu", state, strict=True))
         return of | {a + b: of[a] * of[b] for a, b in combinations_with_replacement("pvgu", 2)}
 
-    first, second = values(x0), values(x)
-    return {name: first[name] - second[name] for name in first}
-
-
-def coefficients(spin: FastSpin) -> tuple[Array, Array, Array, Array]:
-    """X = 1 / Omega, chi2 = chi1 + z0'/a - k A1, nu2 = nu - X of (11) and l2 / (A r0), in their true forms."""
-    X = 1 / spin.Omega
-    return X, spin.chi1 + spin.G0, spin.nu - X, spin.l2 / (spin.A * spin.r0)
-
-
-def S11(spin: FastSpin, x0: Array, x: Array) -> Array:
-    """S11 of (13), true as printed."""
-    d, (X, _, _, s2) = differences(x0, x), coefficients(spin)
-    field = spin.k * (d["gg"] + d["uu"] + 2 * X * s2 * d["u"])
-    return spin.a * (d["pp"] + X**2 * d["vv"] + field - 2 * spin.C * X**2 / spin.A * spin.y[1] * d["v"])
-
-
-def S12(spin: FastSpin, x0: Array, x: Array, printed: bool = False) -> Array:
-    """S12 of (13)."""
-    d, (X, chi2, nu2, _) = differences(x0, x), coefficients(spin)
-    front = 1.0 if printed else spin.a
+    first, second = products(x0), products(x)
+    differences = {f"D{name}": first[name] - second[name] for name in first}
     return (
-        spin.a * (spin.chi1 * d["pg"] + X**2 * chi2 * d["vu"]) + (spin.z - spin.k) * S21(spin, x0, x)
-        + spin.k * spin.a * (spin.nu * d["pg"] + nu2 * d["vu"])
-        - front * spin.C * X**2 / spin.A * chi2 * spin.y[1] * d["u"]
-    )  # fmt: skip
-
-
-def S21(spin: FastSpin, x0: Array, x: Array, signs: tuple[int, int] = (1, 1)) -> Array:
-    """S21 of (13); signs of its two terms in l2, both -1 as printed."""
-    d, (X, _, _, s2) = differences(x0, x), coefficients(spin)
-    twist = d["vu"] + signs[0] * X * s2 * d["v"]
-    lean = spin.y[0] * d["g"] + spin.y[1] * (1 + signs[1] * spin.a * X * spin.C / spin.A) * d["u"]
-    return spin.a * (d["pg"] - X * twist) + lean
-
-
-def S22(spin: FastSpin, x0: Array, x: Array, printed: bool = False) -> Array:
-    """S22 of (13)."""
-    d, (X, chi2, nu2, _) = differences(x0, x), coefficients(spin)
-    y1, y2, y3 = spin.y
-    last = 1.0 if printed else nu2
-    return (
-        spin.a * (spin.nu * d["pp"] + spin.chi1 * d["gg"])
-        + spin.a * X * (-nu2 * d["vv"] + spin.C / spin.A * y2 * nu2 * d["v"] - chi2 * d["uu"])
-        + y1 * spin.nu * d["p"] + y2 * last * d["v"] - y3 * S21(spin, x0, x)
-    )  # fmt: skip
-
-
-# (6), (11), (14) and (17).
-
-
-def half_6(spin: FastSpin, y: Array, S1: Array, printed: bool) -> Array:
-    """What (6) adds to 1 in r1, over eps^2."""
-    return 0.5 * (S1 + 2 * spin.z * (1 - y[5]) - spin.k * (1 - y[5] ** 2) if printed else S1)
-
-
-def third_14(spin: FastSpin, x0: Array, x: Array, printed: bool) -> Array:
-    """What (14) adds to r1 in its third order, over eps^3."""
-    third = S12(spin, x0, x)
-    return third + (spin.k - spin.z) * S21(spin, x0, x) if printed else third
-
-
-def q1_of_11(spin: FastSpin, x0: Array, x: Array, printed: bool) -> Array:
-    """q1 of (11)."""
-    _, v, _, u = x
-    X, chi2, nu2, s2 = coefficients(spin)
-    first_integral, eps = S11(spin, x0, x), spin.eps
-    field = s2 * first_integral if printed else -X * spin.G0 * s2
-    carried = spin.nu if printed else nu2
-    second = X * (0.5 * first_integral - spin.G0 * carried) * v + X * spin.k * spin.A1 * u * S21(spin, x0, x)
-    return -X * (v - spin.mu.imag) - eps * X * (chi2 * u - field) + eps**2 * second
-
-
-def length_17(spin: FastSpin, x0: Array, x: Array, printed: bool) -> Array:
-    """Left side of (17), which is |gamma|^2 / gamma0''^2 - 1."""
-    p, v, g, u = x
-    X, chi2, nu2, s2 = coefficients(spin)
-    turn, area = S11(spin, x0, x), S21(spin, x0, x)
-    lowest = g**2 + u * (u + 2 * X * s2)
-    first = 2 * (spin.nu * g * p + (u + X * s2) * (nu2 * v + X * s2 * area) + area)
-    second = (spin.nu * p) ** 2 + (nu2 * v) ** 2 - 2 * X * u * (chi2 * u + area * v) + area**2
-    second = second + 2 * S22(spin, x0, x) - turn
-    if not printed:
-        lowest, second = lowest + (X * s2) ** 2, second - turn * u**2
-    return lowest + spin.eps * first + spin.eps**2 * second
-
-
-# (7) and (8): second derivatives of p1 and g1.
-
-
-def seven(spin: FastSpin, y: Array, S1: Array, printed: bool) -> Array:
-    """p1'' by (7) up to its terms of first order, with the true frequency in place of omega'."""
-    p, q, _, g1, _, _ = y
-    A, C, A1, r0 = spin.A, spin.C, spin.A1, spin.r0
-    s3, mu1, mu2 = spin.l3 / (A * r0), spin.mu.real, spin.mu.imag
-    torque = (q * spin.l1 - p * spin.l2) / (C * r0)
-    field, newton = spin.z / spin.a * g1, spin.k * A1 * g1
-    first = A1 * spin.l1 / (A * r0) * S1 + (1 - A1) * (field - newton)
-    if printed:
-        return A1 * mu1 + spin.eps * (first + A1 * torque * q + s3 * (field + newton)) - spin.Omega**2 * p
-    first = first + torque * (mu2 - A1 * q) + s3 * (newton - field)
-    return (A1 + s3) * mu1 + spin.eps * first - spin.Omega**2 * p
-
-
-def eight(spin: FastSpin, y: Array, S1: Array, S2: Array, printed: bool) -> Array:
-    """g1'' by (8)."""
-    p, q, _, g1, g2, _ = y
-    A, A1, eps = spin.A, spin.A1, spin.eps
-    s1, s3, field = spin.l1 / (A * spin.r0), spin.l3 / (A * spin.r0), spin.z / spin.a
-    torque = (q * spin.l1 - p * spin.l2) / (spin.C * spin.r0)
-    first = (1 - A1) * p + s1 * S2 - s3 * p + torque * g2
-    second = -S1 * g1 + (1 - A1) * p * S2 + p * q * g2 - g1 * (field + q * q) + spin.k * A1 * g1
-    third = (field - 2 * spin.k * A1) * g1 * S2
-    if not printed:
-        second, third = second - s3 * p * S2, -third
-    return s1 - g1 + eps * first + eps**2 * second + eps**3 * third
-
-
-# (26) and (27): (13) and Phi1 on the generating solution (20), (25).
-
-
-def generating(spin: FastSpin, E: float, eta: float, tau: Array) -> Array:
-    """(p2, p2', gamma2, gamma2') of (25), with the true frequency."""
-    turn = spin.Omega * tau - eta
-    return np.array(
-        [E * np.cos(turn), -spin.Omega * E * np.sin(turn), spin.M3 * np.cos(tau), -spin.M3 * np.sin(tau)]
+        dict(zip("pvgu", x, strict=True)) | dict(zip(("p0", "v0", "g0", "u0"), x0, strict=True)) | differences
     )
 
 
-def start_and_state(spin: FastSpin, E: float, eta: float, tau: Array | float) -> tuple[Array, Array]:
-    """The variables of (25) at 0 and at tau."""
-    return generating(spin, E, eta, np.asarray(0.0)), generating(spin, E, eta, np.asarray(tau))
+# What the names of a row stand for, by its key `at`: (random generator, entry) -> values.
 
 
-def S11_of_26(spin: FastSpin, E: float, eta: float, tau: Array | float, printed: bool) -> Array:
-    """S11^(0) of (26)."""
-    X, _, _, s2 = coefficients(spin)
-    turn, square = spin.Omega * tau - eta, (X * spin.Omega) ** 2
-    wave = np.cos(eta) ** 2 + square * np.sin(eta) ** 2
-    if printed:
-        wave = wave + 0.5 * (square - 1) * (1 - np.cos(2 * turn))
-        rotor = spin.l3 * X / (spin.A * spin.r0)
-    else:
-        wave = wave - 0.5 * (square + 1) + 0.5 * (square - 1) * np.cos(2 * turn)
-        rotor = X * s2
-    sway = 2 * spin.a * E * spin.Omega * X**2 * spin.mu.imag * (np.sin(eta) + np.sin(turn))
-    return spin.a * E**2 * wave + 2 * spin.k * spin.a * spin.M3 * rotor * np.sin(tau) - sway
+def _states(rng: np.random.Generator, entry: Entry) -> Values:
+    """Two random states of one motion, the second with its S1 and S2."""
+    spin = random_spin(rng, r0=entry.get("r0", 1e4))
+    y0, y = random_states(rng, spin)
+    x0, x = (fast_spin.to_quasilinear(spin, state) for state in (y0, y))
+    S1, S2 = S1_S2(spin, y0, y)
+    state = dict(zip(("p1", "q1", "r1", "g1", "g2", "g3"), y, strict=True))
+    return names(spin) | variables(x0, x) | state | {"S1": S1, "S2": S2}
 
 
-def Phi1(spin: FastSpin, x0: Array, x: Array) -> Array:
-    """Phi1 of (16), with C A^-1 y2 for A^-1 y2 and X l1 for A^-1 l1."""
-    p, v, _, u = x
-    torque = (spin.l1 / spin.Omega * (spin.mu.imag - v) - spin.l2 * p) / (spin.C * spin.r0)
-    return spin.l1 * S21(spin, x0, x) / (spin.A * spin.r0) + u * torque
+def _motion(rng: np.random.Generator, entry: Entry) -> Values:
+    """A random state with random S1, S2, which are what (2) makes of r1 and g1'', its rates and accelerations."""
+    spin = random_spin(rng, r0=entry.get("r0", 1e4))
+    p, q, g1, g2, S1, S2 = rng.normal(size=6)
+    r = np.sqrt(1 + spin.eps**2 * S1)
+    y = np.array([p, q, r, g1, g2, (1 + spin.eps * S2) / r])
+    of_y = [
+        (prefix, values)
+        for prefix, values in (("", y), ("d_", true_rate(spin, y)), ("dd_", true_acceleration(spin, y)))
+    ]
+    state = {
+        prefix + name: value
+        for prefix, values in of_y
+        for name, value in zip(("p1", "q1", "r1", "g1", "g2", "g3"), values, strict=True)
+    }
+    return names(spin) | state | {"S1": S1, "S2": S2}
 
 
-def Phi1_of_27(spin: FastSpin, tau: Array, printed: bool) -> Array:
-    """Phi1^(0) of (27) with M1 = M2 = 0, which the paper arrives at."""
-    X = 1 / spin.Omega
-    y1, y2, _ = spin.y
-    if printed:
-        inner = spin.a * X * spin.C - spin.l1 / (spin.A1 * spin.C * spin.r0)
-        return y2 * (1 + inner / spin.A) * spin.M3 * np.sin(tau)
-    return spin.l1 / (spin.A * spin.r0) * spin.M3 * (y1 * (1 - np.cos(tau)) + y2 * np.sin(tau))
+def _generating(rng: np.random.Generator, entry: Entry) -> Values:
+    """The solution (25), with the true frequency, over all phases of its two frequencies, t1 = Omega tau and tau."""
+    spin = random_spin(rng, **{"r0": entry["r0"]} if "r0" in entry else {})
+    E, eta = rng.uniform(0.5, 1.5, 2) * (entry.get("amplitude", 1.0), 1)
+    phases = 2 * np.pi * np.arange(12) / 12
+    tau, t1 = phases[:, None], phases
+    M1, M2, w = E * np.cos(eta), E * np.sin(eta), spin.Omega
+    x0 = np.array([M1, w * M2, spin.M3, 0.0])
+    p, v = M1 * np.cos(t1) + M2 * np.sin(t1), w * (M2 * np.cos(t1) - M1 * np.sin(t1))
+    x = np.array(np.broadcast_arrays(p, v, spin.M3 * np.cos(tau), -spin.M3 * np.sin(tau)))
+    beta = dict(zip(("b1", "b2", "b3"), rng.uniform(0.1, 1.0, 3), strict=True))
+    return (
+        names(spin) | variables(x0, x) | {"M1": M1, "M2": M2, "E": E, "eta": eta, "t1": t1, "tau": tau} | beta
+    )
 
 
-# The measures of both readings.
+def _series(rng: np.random.Generator, entry: Entry) -> Values:
+    """Two states given by their variables at several eps, k and the rotor the same, and p2'', gamma2'' of the motion."""
+    eps = 0.002 * np.array([-4.0, -3, -2, -1, 1, 2, 3, 4])
+    C, gamma0, rotor = rng.uniform(1.2, 1.8), rng.uniform(0.3, 0.7), rng.uniform(0.5, 1, 3)
+    spin = FastSpin.of(1.0, C, C / gamma0, rng.uniform(1, 2), *rotor, 1 / eps, gamma0).of_shape(eps.shape)
+    x0, x = rng.normal(size=(2, 4, 1)) * np.ones(eps.size)
+    y = of_variables(spin, x, of_variables(spin, x0))
+    rate = fast_spin.rhs(spin, y)
+    acceleration = 0.5 * (
+        fast_spin.rhs(spin, y + rate) - fast_spin.rhs(spin, y - rate)
+    )  # exact: (1) is quadratic
+    second = acceleration[3] - spin.eps * spin.nu * acceleration[0]
+    second = second / (1 - spin.eps**2 * spin.nu * spin.chi1)
+    exact = {"dd_p": acceleration[0] - spin.eps * spin.chi1 * second, "dd_g": second}
+    return names(spin) | variables(x0, x) | exact
 
 
-class States(NamedTuple):
-    """Two random states of one motion in the variables of (15), the second also in those of (1) and with S1, S2."""
-
-    spin: FastSpin
-    x0: Array
-    x: Array
-    y: Array
-    S1: Array
-    S2: Array
-
-    @classmethod
-    def draw(cls, rng: np.random.Generator) -> States:
-        spin = random_spin(rng, r0=1e4)
-        y0, y = random_states(rng, spin)
-        x0, x = (fast_spin.to_quasilinear(spin, state) for state in (y0, y))
-        return cls(spin, x0, x, y, *S1_S2(spin, y0, y))
+@cache
+def _periodic(body: str, rotor: float) -> Values:
+    """The exact periodic solution of a body of section VI at tau = 0, and its variables p2 to gamma2'."""
+    spin = paper_body(body, rotor).of_shape((1,))
+    start = periodic.solutions(spin).start
+    state = dict(zip(("p1", "q1", "r1", "g1", "g2", "g3"), start, strict=True))
+    x = dict(zip("pvgu", fast_spin.to_quasilinear(spin, start), strict=True))
+    return names(spin) | state | x | {"b1": 0.0, "b2": 0.0, "b3": 0.0}
 
 
-class Motion(NamedTuple):
-    """A random state y with random S1, S2, which are what (2) makes of r1 and g1''."""
-
-    spin: FastSpin
-    y: Array
-    S1: Array
-    S2: Array
-
-    @classmethod
-    def draw(cls, r0: float, rng: np.random.Generator) -> Motion:
-        spin = random_spin(rng, r0=r0)
-        p, q, g1, g2, S1, S2 = rng.normal(size=6)
-        r = np.sqrt(1 + spin.eps**2 * S1)
-        return cls(spin, np.array([p, q, r, g1, g2, (1 + spin.eps * S2) / r]), S1, S2)
+def _orbit(rng: np.random.Generator, entry: Entry) -> Values:
+    """That of a random one with a rotor."""
+    return dict(_periodic(str(rng.choice(list(PAPER_BODIES))), float(rng.choice(PAPER_ROTORS[1:4]))))
 
 
-Drawn = TypeVar("Drawn")
+AT: dict[str, Callable[[np.random.Generator, Entry], Values]] = {
+    "states": _states, "motion": _motion, "generating": _generating, "series": _series, "orbit": _orbit,
+}  # fmt: skip
 
 
-def _readings(
-    draw: Callable[[np.random.Generator], Drawn], error: Callable[[Drawn, bool], Array]
-) -> tuple[Measure, Measure]:
-    """Errors (drawn, printed) of both readings at what `draw` draws, over the difference of the two."""
-
-    def measured(reading: int, rng: np.random.Generator) -> float:
-        drawn = draw(rng)
-        pair = error(drawn, True), error(drawn, False)
-        return float(np.abs(pair[reading] / (pair[0] - pair[1])))
-
-    return partial(measured, 0), partial(measured, 1)
+def _reduced(entry: Entry, values: Values, value: Any) -> Any:
+    """A coefficient of the series in eps, or the mean over all phases, where the entry asks so."""
+    if "order" in entry:
+        eps = values["eps"]
+        return np.linalg.solve(np.vander(eps, increasing=True), value + 0 * eps)[entry["order"]]
+    return np.mean(value) if "mean" in entry else value
 
 
-def _error_13(s: States, signs: tuple[int, int] = (1, 1), printed: bool = False) -> Array:
-    """S2 less S21 + eps S22, with S21 of these signs, or with S22 as printed."""
-    return s.S2 - S21(*s[:3], signs) - s.spin.eps * S22(*s[:3], printed)
+def residual(entry: Entry, which: str, rng: np.random.Generator) -> float:
+    """Largest error of a reading, over the difference of the two readings or the exact value."""
+    values = AT[entry["at"]](rng, entry)
+    exact, printed, true = (
+        _reduced(entry, values, value)
+        for value in (
+            evaluate(entry["exact"], values),
+            *(reading(entry["number"], of, values) for of in ("printed", "true")),
+        )
+    )
+    size = np.abs(printed - true).max() if "terms_printed" in entry else max(np.abs(exact).max(), 1e-3)
+    return float(np.abs((printed if which == "printed" else true) - exact).max() / size)
 
 
-READINGS = {
-    # r1 - 1 = eps^2 S1 / (r1 + 1), without cancellation
-    "(6)": _readings(
-        States.draw, lambda s, printed: s.S1 / (s.y[2] + 1) - half_6(s.spin, s.y, s.S1, printed)
-    ),
-    "(7), forcing and first order": _readings(
-        partial(Motion.draw, 1e4),
-        lambda m, printed: seven(*m[:3], printed=printed) - true_acceleration(*m[:2])[0],
-    ),
-    "(8)": _readings(  # eps^3 far above rounding errors
-        partial(Motion.draw, 1e3),
-        lambda m, printed: eight(*m, printed=printed) - true_acceleration(*m[:2])[3],
-    ),
-    "(11), q1": _readings(States.draw, lambda s, printed: q1_of_11(*s[:3], printed=printed) - s.y[1]),
-    "(13), S12": _readings(
-        States.draw, lambda s, printed: (s.S1 - S11(*s[:3])) / s.spin.eps - 2 * S12(*s[:3], printed=printed)
-    ),
-    "(13), S21": _readings(States.draw, lambda s, printed: _error_13(s, (-1, -1) if printed else (1, 1))),
-    "(13), S22": _readings(States.draw, lambda s, printed: _error_13(s, printed=printed)),
-    "(14)": _readings(
-        States.draw,
-        lambda s, printed: (
-            s.S1 / (s.y[2] + 1) - 0.5 * S11(*s[:3]) - s.spin.eps * third_14(*s[:3], printed=printed)
-        ),
-    ),
-    "(17)": _readings(
-        States.draw, lambda s, printed: length_17(*s[:3], printed=printed) - ((s.y[3:] ** 2).sum() - 1)
-    ),
-    "(26), S11": _readings(
-        lambda rng: (random_spin(rng), rng.uniform(0.5, 1.5), rng.uniform(0.5, 5.0), rng.uniform(0.5, 5.0)),
-        lambda drawn, printed: S11_of_26(*drawn, printed) - S11(drawn[0], *start_and_state(*drawn)),
-    ),
-    "(27), Phi1": _readings(
-        lambda rng: (random_spin(rng), 0.0, 0.0, rng.uniform(0.5, 5.0, ())),
-        lambda drawn, printed: (
-            Phi1_of_27(drawn[0], drawn[3], printed) - Phi1(drawn[0], *start_and_state(*drawn))
-        ),
-    ),
+READINGS: dict[str, Readings] = {
+    number: (partial(residual, entry, "printed"), partial(residual, entry, "true"))
+    for number, entry in ENTRIES.items()
+    if "at" in entry
 }

@@ -75,26 +75,52 @@ def _beyond(entry: Entry, reading: str, rng: np.random.Generator) -> float:
     return float(np.abs(Expression("breaks", entry["breaks"]).value(point))[0])
 
 
+TIMES = np.linspace(0.0, 13.0, 13)
+
+
+def _along(entry: Entry, reading: str, point: Mapping[str, Any], step: complex = 0) -> list[Array]:
+    """w, alpha, gamma and beta of a closed form at TIMES + step."""
+    form = entry["form"] | (entry.get("form_true", {}) if reading == "true" else {})
+    values = {**point, "t": TIMES + step}
+    alpha, beta, gamma, turn = (
+        np.array([Expression(name, str(entry)).value(values) + 0 * values["t"] for entry in entries])
+        for name, entries in {**form, "turn": [0, 0, form["turn"]]}.items()
+    )
+    return [turn + point["Omega"] * gamma, alpha, gamma, beta]
+
+
 def _closed_form(entry: Entry, reading: str, rng: np.random.Generator) -> float:
     """Largest error of the rates, and of beta = gamma x alpha, along a closed form of the motion."""
-    form = entry["form"] | (entry.get("form_true", {}) if reading == "true" else {})
     point = with_values(random_point(rng), entry["start"])
-    t = np.linspace(0.0, 13.0, 13)
-
-    def evaluate(time: Any) -> list[Array]:
-        values = point | {"t": time}
-        alpha, beta, gamma, turn = (
-            np.array([Expression(name, str(entry)).value(values) + 0 * time for entry in entries])
-            for name, entries in {**form, "turn": [0, 0, form["turn"]]}.items()
-        )
-        return [turn + point["Omega"] * gamma, alpha, gamma, beta]
-
-    w, alpha, gamma, beta = evaluate(t)
+    w, alpha, gamma, beta = _along(entry, reading, point)
     # A derivative by a complex step is exact to round-off.
-    slopes = [part.imag / 1e-30 for part in evaluate(t + 1e-30j)[:3]]
+    slopes = [part.imag / 1e-30 for part in _along(entry, reading, point, 1e-30j)[:3]]
     rates = np.array(rhs(np.concatenate([w, alpha, gamma]), constants(point)))
     orientation = np.abs(beta - np.cross(gamma, alpha, axis=0)).max()
     return float(max(np.abs(np.concatenate(slopes) - rates).max(), orientation))
+
+
+def _inertial(entry: Entry, reading: str, rng: np.random.Generator) -> float:
+    """Largest error of w from its precession about the normal and its spin, by the axes X, Y, Z at rest in space."""
+    motion = ENTRIES[entry["motion"]]
+    point = with_values(random_point(rng), motion["start"])
+
+    def axes(step: complex = 0) -> Array:
+        _, alpha, gamma, beta = _along(motion, "true", point, step)
+        angle = point["Omega"] * (TIMES + step)
+        return np.array(
+            [
+                np.cos(angle) * alpha - np.sin(angle) * beta,
+                np.sin(angle) * alpha + np.cos(angle) * beta,
+                gamma,
+            ]
+        )
+
+    still, moving = axes(), axes(1e-30j).imag / 1e-30
+    w = -0.5 * np.cross(still, moving, axis=1).sum(0)  # e' = e x w for each axis e
+    texts = entry.get("inertial_true", entry["inertial"]) if reading == "true" else entry["inertial"]
+    precession, spin = (Expression(entry["number"], str(text)).value(point) for text in texts)
+    return float(np.abs(w - precession * still[2] - spin * np.array([[0.0], [0.0], [1.0]])).max())
 
 
 # Lagrange's equations on theta = theta0, psi = psi0 + n t, phi = m t: (8)-(13), and section 4.2, n/m irrational.
@@ -140,7 +166,9 @@ def _equation_on_motion(entry: Entry, reading: str, rng: np.random.Generator) ->
 
 def _vanishing(entry: Entry, reading: str, rng: np.random.Generator) -> float:
     point = random_point(rng)
-    values = point | instant(entry, rng, point)
+    values = with_values(
+        point | instant(entry, rng, point), entry.get("start", {}) | entry.get(f"as_{reading}", {})
+    )
     return max(float(np.abs(Expression("vanish", text).value(values)).max()) for text in entry["vanish"])
 
 
@@ -201,6 +229,54 @@ def _determinant(entry: Entry, reading: str, rng: np.random.Generator) -> float:
     return abs(first / second - 1)
 
 
+def _kinematics(entry: Entry, reading: str, rng: np.random.Generator) -> float:
+    """Errors of alpha' = alpha x w', gamma' = gamma x w' and |alpha| = 1, alpha.gamma = 0 at a random state of (1)."""
+    p = _free(rng)
+    moved = {
+        angle: p[angle] + 1e-30j * p[rate]
+        for angle, rate in zip(("psi0", "theta0", "phi0"), ("n", "theta_dot0", "m"), strict=True)
+    }
+    still, moving = directions(p), np.imag(directions(p | moved)) / 1e-30
+    node = np.array([np.cos(p["phi0"]), -np.sin(p["phi0"]), np.zeros(1)])
+    w = p["n"] * still[1] + p["theta_dot0"] * node + p["m"] * np.array([[0.0], [0.0], [1.0]])
+    turning = max(np.abs(m - np.cross(v, w, axis=0)).max() for v, m in zip(still, moving, strict=True))
+    return float(max(turning, abs((still[0] ** 2).sum() - 1), abs((still[0] * still[1]).sum())))
+
+
+def _both_forms(entry: Entry, reading: str, rng: np.random.Generator) -> float:
+    """Largest difference of w' by Lagrange's equations, corrected, from that of the Euler-Poisson equations, over |w'|."""
+    p = with_values(_free(rng), entry.get(f"as_{reading}", {}))
+    state = np.array(euler_state(p))
+
+    def w(state):
+        _, theta, phi, psi_dot, theta_dot, phi_dot = state
+        across = (psi_dot + p["Omega"]) * np.sin(theta)
+        transverse = (
+            across * np.sin(phi) + theta_dot * np.cos(phi),
+            across * np.cos(phi) - theta_dot * np.sin(phi),
+        )
+        return np.array([*transverse, (psi_dot + p["Omega"]) * np.cos(theta) + phi_dot])
+
+    by_lagrange = w(state + 1e-30j * np.array(lagrange.rhs(state, constants(p)))).imag / 1e-30
+    exact = np.array(rhs(np.concatenate([w(state), *directions(p)]), constants(p))[:3])
+    return float(np.abs(by_lagrange - exact).max() / np.abs(exact).max())
+
+
+def _shared(entry: Entry, reading: str, rng: np.random.Generator) -> float:
+    """Share of the paper's true conditions whose motions satisfy the Euler-Poisson equations too, or what it lacks of 1."""
+    rows = [row for row in ENTRIES.values() if "start" in row and "vanish" not in row and "breaks" not in row]
+    share = np.mean([_condition(row, "true", rng) < 1e-9 for row in rows if "form" not in row])
+    return float(share if reading == "printed" else 1 - share)
+
+
+def _lost_rank(entry: Entry, reading: str, rng: np.random.Generator) -> float:
+    """10 less the rank of ten equations (36), in the coefficients of even and of odd i, for an irrational n/m."""
+    i = np.arange(1, 11)
+    x = np.pi * i * np.sqrt(2) * (1 + rng.integers(1, 4))
+    waves = np.array([np.cos(2 * x), np.sin(2 * x), np.cos(x), np.sin(x), np.ones(10)])
+    return float(10 - np.linalg.matrix_rank(np.concatenate([waves * (i % 2), waves * (1 - i % 2)])))
+
+
 def _apex_distance(entry: Entry, reading: str, rng: np.random.Generator) -> float:
     """Least distance of the line along e3 through the satellite from the Earth's normal, over the orbit's radius."""
     psi0 = 0.0 if reading == "printed" else np.pi / 2
@@ -215,13 +291,27 @@ def _apex_distance(entry: Entry, reading: str, rng: np.random.Generator) -> floa
 MEASURES = {
     "lagrangian": ("L at a random state, less (2) with (3)", _lagrangian_error),
     "lagrange": ("left side at a random state and its true accelerations", _equation_of_motion),
+    "kinematics": (
+        "error of the rates of alpha and gamma, and of their lengths and angle, at a random state",
+        _kinematics,
+    ),
+    "both_forms": (
+        "difference of w' by Lagrange's and by the Euler-Poisson equations at a random state, over |w'|",
+        _both_forms,
+    ),
+    "shared": ("", _shared),
+    "lost_rank": ("", _lost_rank),
     "determinant": ("", _determinant),
     "apex_distance": ("", _apex_distance),
     "left_side": (
         "left side at a random time, less that of ({left_side}), corrected, on the precession",
         _equation_on_motion,
     ),
-    "vanish": ("what is to vanish at a random one of these times", _vanishing),
+    "vanish": ("what is to vanish at a random time", _vanishing),
+    "inertial": (
+        "largest error of w in space from this precession about the normal and this spin",
+        _inertial,
+    ),
     "form": ("largest |rate - right-hand side| of the closed form, or |beta - gamma x alpha|", _closed_form),
     "breaks": ("by how much a true motion breaks the printed limits; its defect", _beyond),
     "start": ("largest |rate - right-hand side| along the motion under the condition", _condition),

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ...flags import PeriodicSolution
 from ..base import Array, DerivedVariable, Flags, Mask, Points, identify, shape_of
 from ..gyrostat import Gyrostat, secular
 from ..gyrostat.stress_cases import fixed_point_cases
@@ -56,6 +57,34 @@ def solution_errors(module: str, form: str) -> dict[str, DerivedVariable]:
 SOLUTION_ERRORS = solution_errors("fast_spin", "true") | solution_errors("published", "printed")
 
 
+def periodic_solutions() -> dict[str, DerivedVariable]:
+    """Stability, period and trace of the exact periodic solution near (33)."""
+    names = "periodic_stability", "periodic_period", "periodic_trace"
+
+    def together(
+        _: Collection[str], points: Points, duration: Array, pause: Callable[[], None]
+    ) -> dict[str, NDArray[Any]]:
+        return dict(zip(names, import_module(f"{PAPER}.periodic").of_points(points, pause), strict=True))
+
+    def check(points: Points, duration: Array) -> None:
+        with np.errstate(all="ignore"):
+            import_module(f"{PAPER}.fast_spin").fast_spin(points)
+
+    comment = (
+        "of the full equations (1) with r0 and gamma0'' of the point, followed from eps = 0 at constant l / (A r0); not of the"
+        " motion that is integrated; nan where none is reached"
+    )
+    texts = (
+        ("1", "Floquet stability of the exact periodic solution near (33)", PeriodicSolution.meanings()),
+        ("s", "period of the exact periodic solution near (33)", None),
+        ("1", "rho + 1/rho of the exact periodic solution near (33), rho the multiplier that is not 1", None),
+    )
+    return {
+        name: DerivedVariable.of_group(together, name, unit, text, comment, check=check, flags=flags)
+        for name, (unit, text, flags) in zip(names, texts, strict=True)
+    }
+
+
 class FixedPoint(Gyrostat):
     """Heavy gyrostat about a fixed point, attracted by a distant centre."""
 
@@ -97,7 +126,7 @@ class FixedPoint(Gyrostat):
         }
     )
     stress_cases = fixed_point_cases
-    derived = MappingProxyType(SOLUTION_ERRORS)
+    derived = MappingProxyType(SOLUTION_ERRORS | periodic_solutions())
     body = staticmethod(initial.body)
     axial_rotor = "l3"
     conserves_axial_momentum = staticmethod(initial.symmetric)

@@ -1,0 +1,167 @@
+"""Exact periodic solutions of (1) at any eps, by shooting, and their Floquet multipliers.
+
+A solution of (1) whose gamma returns after about one turn is fixed by r1 = g1'' = 1 and the phase gamma2' = 0 at tau = 0, as
+(22) wants it. Unknown are eps p1, eps q1, the angle of g1 + i g1' and the period. Of the six multipliers four are 1: of the
+direction of the motion and of the three integrals (2). The others are rho and 1/rho, and their sum is the trace of the
+monodromy matrix less 4. The solution is stable where rho is on the unit circle.
+
+Without a field the solution is known: p1 + i q1 rests at mu / Omega and gamma turns about the axis of rotation, so that the
+period is 2 pi / |w|. `follow` raises the field from there to its value at constant l / (A r0), which is the same as raising
+eps from 0: a solution exists where this path does not end before.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...engine.tableaux import RK8
+from ...flags import PeriodicSolution
+from ...systems.base import Array, Flags, Mask, Points
+from .fast_spin import CHUNK, FastSpin, fast_spin, rhs, to_quasilinear
+
+STEPS = 24  # of the method rk8 in a period along the path of solutions
+FINE = 48  # the same at its end: errors of rounding, in units of r0 for p and q
+LARGEST_CORRECTION = np.array(
+    [[0.2], [0.2], [0.2], [1.0]]
+)  # of the unknowns: beyond, another solution may be met
+LEAST_STEP = 0.005  # of the path, in shares of the field; a path with smaller ones has met a fold
+DEFECT = 1e-5  # of a periodic solution before the last correction
+MARGIN = 1e-7  # of |trace| about 2, within which rounding decides on stability
+
+
+class Periodic(NamedTuple):
+    """Periodic solutions of some points; nan where none is reached."""
+
+    start: Array  # y at tau = 0, (6, points)
+    period: Array  # in tau, (points,)
+    trace: Array  # rho + 1/rho, (points,)
+
+    @property
+    def stability(self) -> Flags:
+        """Values of PeriodicSolution, (points,)."""
+        excess = np.abs(self.trace) - 2
+        kinds = (PeriodicSolution.STABLE, PeriodicSolution.UNSTABLE, PeriodicSolution.MARGINAL)
+        where = (excess < -MARGIN, excess > MARGIN, ~np.isnan(excess))
+        return np.select(where, kinds, PeriodicSolution.NOT_REACHED).astype(np.int8)
+
+
+def flow(spin: FastSpin, y: Array, directions: Array, period: Array, steps: int) -> tuple[Array, Array]:
+    """The state after a period, (6, points), and the changes that those in some directions, (6, k, points), have become.
+
+    The right side of (1) is quadratic, so that its derivative along v is exactly [f(y + v) - f(y - v)] / 2.
+    """
+    k = directions.shape[1]
+
+    def slope(bundle: Array) -> Array:
+        centre, change = bundle[:, :1], bundle[:, 1:]
+        rate = rhs(spin, np.concatenate([centre, centre + change, centre - change], 1))
+        return np.concatenate([rate[:, :1], 0.5 * (rate[:, 1 : k + 1] - rate[:, k + 1 :])], 1)
+
+    bundle, h = np.concatenate([y[:, None], directions], 1), period / steps
+    for _ in range(steps):
+        slopes: list[Array] = []
+        for row in RK8.a:
+            slopes.append(slope(bundle + h * _sum(row, slopes)))
+        bundle = bundle + h * _sum(RK8.b, slopes)
+    return bundle[:, 0], bundle[:, 1:]
+
+
+def _sum(weights: tuple[float, ...], slopes: list[Array]) -> Array | float:
+    """Weighted sum of the slopes of stages."""
+    return sum(a * slope for a, slope in zip(weights, slopes, strict=True) if a)
+
+
+def state(spin: FastSpin, x: Array) -> Array:
+    """y at tau = 0 of the unknowns eps p1, eps q1, angle of g1 + i g1' and period, (4, points)."""
+    one = np.ones_like(x[0])
+    return np.array(
+        [x[0] / spin.eps, x[1] / spin.eps, one, spin.M3 * np.cos(x[2]), spin.M3 * np.sin(x[2]), one]
+    )
+
+
+def unknowns(spin: FastSpin, y: Array, period: Array) -> Array:
+    """The unknowns of a state at tau = 0 and a period."""
+    return np.array([spin.eps * y[0], spin.eps * y[1], np.arctan2(y[4], y[3]), period])
+
+
+def correct(spin: FastSpin, x: Array, corrections: int, steps: int = STEPS) -> tuple[Array, Array]:
+    """Unknowns after corrections by Newton's method, and their defect before the last one, whose square is left."""
+    unit = np.array([1.0, 1, 0, 0, 0, 0])[:, None] * spin.eps + np.array([0.0, 0, 1, 1, 1, 1])[:, None]
+    for _ in range(corrections):
+        y, zero = state(spin, x), np.zeros_like(x[0])
+        along = np.array(
+            [[zero + 1 / spin.eps, zero, zero, zero, zero, zero], [zero, zero + 1 / spin.eps, zero, zero, zero, zero],
+             [zero, zero, zero, -y[4], y[3], zero]]
+        ).swapaxes(0, 1)  # fmt: skip
+        end, changed = flow(spin, y, along, x[3], steps)
+        phase, ahead, behind = (
+            to_quasilinear(spin, at)[3] for at in (y[:, None], y[:, None] + along, y[:, None] - along)
+        )
+        defect = np.concatenate([(end - y) * unit, phase])
+        columns = np.concatenate([changed - along, rhs(spin, end)[:, None]], 1) * unit[:, None]
+        last = np.concatenate([0.5 * (ahead - behind), zero[None]])  # to_quasilinear is quadratic, too
+        matrix = np.moveaxis(np.concatenate([columns, last[None]]), -1, 0)
+        finite = np.isfinite(matrix).all((1, 2)) & np.isfinite(defect).all(0)
+        # Three of the seven equations follow from the others, by the integrals.
+        inverse = np.linalg.pinv(np.where(finite[:, None, None], matrix, 0.0))
+        x = x - np.where(finite, np.einsum("nij,jn->in", inverse, np.where(finite, defect, 0.0)), np.nan)
+    return x, np.abs(defect).max(0)
+
+
+def follow(spin: FastSpin, pause: Callable[[], None] = lambda: None) -> tuple[Array, Mask]:
+    """Unknowns of the periodic solutions, (4, points), and where they are reached; the fields of spin are (points,)."""
+    free = spin.eps * spin.forced
+    angle = np.arcsin(np.clip(free.imag / spin.M3, -1, 1))
+    x = np.array([free.real, free.imag, angle, 2 * np.pi / np.sqrt(1 + np.abs(free) ** 2)])
+    slope, share, step = np.zeros_like(x), np.zeros_like(angle), np.ones_like(angle)
+    step[~(np.abs(free.imag) < spin.M3)] = 0.0  # g1' = eps q1 at tau = 0 is beyond gamma
+    while (going := np.flatnonzero((share < 1) & (step >= LEAST_STEP))).size:
+        pause()
+        to = np.minimum(share + step, 1)[going]
+        length, before = to - share[going], x[:, going]
+        guess = before + slope[:, going] * length
+        after, defect = correct(_part(spin, going, to), guess, 4)
+        right = (defect < DEFECT) & (np.abs(after - guess) < LARGEST_CORRECTION).all(0)
+        x[:, going] = np.where(right, after, before)
+        slope[:, going] = np.where(right, (after - before) / length, slope[:, going])
+        share[going], step[going] = np.where(right, to, share[going]), np.where(right, 2, 0.5) * step[going]
+    return x, share >= 1
+
+
+def _part(spin: FastSpin, where: NDArray[np.intp], share: Array) -> FastSpin:
+    """Some of the points at a share of their fields."""
+    part = FastSpin.of(*(getattr(spin, name)[where] for name in spin.__dataclass_fields__))
+    return replace(part, weight=share * part.weight, N=share * part.N)
+
+
+def of_unknowns(spin: FastSpin, x: Array) -> Periodic:
+    """The periodic solutions of unknowns, with their multipliers."""
+    y, size = state(spin, x), x.shape[1]
+    along = np.eye(6)[:, :, None] * np.array([spin.eps**-1, spin.eps**-1, *4 * (np.ones(size),)])[:, None]
+    changed = flow(spin, y, along, x[3], FINE)[1]
+    trace = (np.einsum("iin->in", changed) / np.einsum("iin->in", along)).sum(0) - 4
+    return Periodic(y, x[3], trace)
+
+
+def solutions(spin: FastSpin, pause: Callable[[], None] = lambda: None) -> Periodic:
+    """Periodic solutions by `follow`; the fields of spin are (points,)."""
+    with np.errstate(all="ignore"):
+        x, reached = follow(spin, pause)
+        x, _ = correct(spin, np.where(reached, x, np.nan), 2, FINE)
+        return of_unknowns(spin, x)
+
+
+def of_points(points: Points, pause: Callable[[], None]) -> tuple[Flags, Array, Array]:
+    """Values of PeriodicSolution, periods in time units and traces, (points,)."""
+    columns = []
+    for first in range(0, points["A"].size, CHUNK):
+        spin = fast_spin({name: values[first : first + CHUNK] for name, values in points.items()})
+        reached = solutions(spin, pause)
+        columns.append((reached.stability, reached.period / np.abs(spin.r0), reached.trace))
+    stability, period, trace = map(np.concatenate, zip(*columns, strict=True))
+    return stability, period, trace

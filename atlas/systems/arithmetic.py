@@ -11,7 +11,6 @@ import ast
 import inspect
 import textwrap
 from collections.abc import Callable, Collection, Mapping, Sequence
-from functools import lru_cache
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -31,7 +30,6 @@ _ALLOWED = f"allowed: the state, the constants, names assigned before, {', '.joi
 _PLAIN = f"allowed: assignments and one return of + - * / **, numbers, {', '.join(FUNCTIONS)}"
 
 
-@lru_cache(maxsize=16)
 def functions(equations: Any) -> dict[str, str]:
     """Source of every function of a module or class of equations without its docstring, by name."""
     return {name: ast.unparse(node) for name, node in _definitions(equations).items()}

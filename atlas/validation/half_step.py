@@ -27,11 +27,13 @@ def upper_bound(events: int, draws: int, population: int | None = None) -> float
     """
     if draws == population:
         return events / draws
+    if events >= draws:
+        return 1.0
     if events == 0:
         return -math.expm1(math.log1p(-CONFIDENCE) / draws)
     from scipy.special import betaincinv  # slow to import, and most runs do not need it
 
-    return 1.0 if events >= draws else float(betaincinv(events + 1, draws - events, CONFIDENCE))
+    return float(betaincinv(events + 1, draws - events, CONFIDENCE))
 
 
 def stratified_indices(size: int, count: int) -> np.ndarray:

@@ -187,6 +187,8 @@ def print_comparison(options: argparse.Namespace) -> int:
     argument("--variable", metavar="NAME", help="what to map (default: what the scene is about)"),
     argument("--x", metavar="AXIS", help="horizontal axis (default: the first)"),
     argument("--y", metavar="AXIS", help="vertical axis (default: the second)"),
+    argument("--row", metavar="AXIS", help="axis of panels from top to bottom"),
+    argument("--col", metavar="AXIS", help="axis of panels from left to right"),
     assignment_option("--select", "AXIS=VALUE", "values of the other axes, one or several"),
     argument("--width", choices=("column", "page"), default="column", help="journal width"),
     argument("--size", metavar="WIDTHxHEIGHT", help="size in mm, such as 120x90"),
@@ -208,9 +210,8 @@ def draw_map(options: argparse.Namespace) -> int:
     stem = without_suffix(options.atlas, ".nc", ".zarr")
     names = [options.out] if options.out else [f"{stem}.png", f"{stem}.pdf"]
     paths = [writable(name, FIGURES, force=options.force, inputs=[options.atlas]) for name in names]
-    given = {
-        name: getattr(options, name) for name in ("x", "y", "title", "cmap", "boundary", "legend", "width")
-    }
+    names = ["x", "y", "row", "col", "title", "cmap", "boundary", "legend", "width"]
+    given = {name: getattr(options, name) for name in names}
     for name in ("colors", "labels"):
         given[name] = assignments(f"--{name}", getattr(options, name), "NAME=TEXT")
     select = axis_values("--select", options.select)

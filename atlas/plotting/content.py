@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 import logging
+import math
 import re
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 import xarray as xr
 from matplotlib import colormaps
 from matplotlib.axes import Axes
 from matplotlib.colors import Colormap, is_color_like
-from scipy.ndimage import distance_transform_edt
+from scipy.ndimage import binary_erosion, distance_transform_edt
 
 from ..analysis.boundary import CHANGE, EXISTENCE, RESONANCES, STABILITY, theory_lines
 from ..analysis.compare import MAX_SURVIVED_GROWTH
@@ -30,6 +31,8 @@ NO_BODY, NO_MOTION, NOT_YET, NO_VALUE = "no such body", "no such motion", "not c
 SLOW = "unstable, too slow to show in this run"
 # A region with a smaller share of the points is not visible.
 MIN_VISIBLE = 1e-3
+# Hatching narrower than this, and lines of a kind that are shorter in all, in sides of the frame, are not visible.
+MIN_HATCHED, MIN_LENGTH = 0.01, 0.01
 # Flags of motions, on whose maps theory draws the borders of labels.
 MOTIONS = ("label", "predicted", "agreement", "geometry")
 
@@ -45,6 +48,44 @@ class Panel:
     slow: Mask  # cells of unstable motions that had no time to drift, bool of the shape of the array
     borders: Lines = field(default_factory=dict)  # kind of border -> lines
     families: Lines = field(default_factory=dict)  # family -> lines
+
+
+@dataclass(frozen=True)
+class Frame:
+    """Cells of a map along its axes, x first."""
+
+    edges: list[np.ndarray]  # of the cells
+    log: list[bool]  # whether the axis is logarithmic
+
+    def sides(self, vertices: np.ndarray) -> np.ndarray:
+        """Vertices (vertices, axes) of a line in sides of the frame, from 0 to 1 inside it."""
+        columns = vertices.copy()
+        for i, (edges, is_log) in enumerate(zip(self.edges, self.log, strict=True)):
+            column, low, high = (np.log(v) if is_log else v for v in (vertices[:, i], edges[0], edges[-1]))
+            columns[:, i] = (column - low) / (high - low)
+        return columns
+
+    def contains(self, lines: list[np.ndarray]) -> bool:
+        """Whether lines run inside the frame far enough to be visible; on one axis, whether one is inside."""
+        length = 0.0
+        for line in map(self.sides, lines):
+            points, steps = line, np.ones(len(line))
+            if line.shape[1] == 2:
+                points, steps = 0.5 * (line[1:] + line[:-1]), np.linalg.norm(np.diff(line, axis=0), axis=1)
+            length += float(steps[(np.abs(points - 0.5) < 0.5).all(axis=1)].sum())
+        return length > MIN_LENGTH
+
+
+def visible(panel: Panel, frame: Frame) -> Panel:
+    """A panel without the hatching and the lines of theory that nobody could see inside its frame."""
+    slow, box = panel.slow, [math.ceil(MIN_HATCHED * count) for count in panel.slow.shape]
+    if slow.mean() < MIN_VISIBLE or not binary_erosion(slow, np.ones(box)).any():
+        slow = np.zeros(slow.shape, bool)
+    borders, families = (
+        {kind: lines for kind, lines in group.items() if frame.contains(lines)}
+        for group in (panel.borders, panel.families)
+    )
+    return replace(panel, slow=slow, borders=borders, families=families)
 
 
 def panel_of(ds: xr.Dataset, name: str, dims: list[str], scene: Scene | None, boundary: bool) -> Panel:
@@ -66,7 +107,8 @@ def panel_of(ds: xr.Dataset, name: str, dims: list[str], scene: Scene | None, bo
     if not boundary or scene is None:
         return Panel(array, white, slow)
     of_motions = name.removesuffix("_inertial") in MOTIONS
-    if scene.nudge and of_motions and {"label", "stable", "growth_rate", "end_time"} <= set(ds):
+    of_runs = of_motions and not name.startswith("predicted")
+    if scene.nudge and of_runs and {"label", "stable", "growth_rate", "end_time"} <= set(ds):
         # Nudged motions that are unstable by theory and stayed steady: the run ended before the nudge grew.
         label = ds["label"].values
         steady = (label == Label.REGULAR_PRECESSION) | (label == Label.PERMANENT_ROTATION)
@@ -151,6 +193,8 @@ class MapOptions:
 
     x: str | None = None
     y: str | None = None
+    row: str | None = None
+    col: str | None = None
     select: Mapping[str, float] | None = None
     ax: Axes | None = None
     title: str | None = None

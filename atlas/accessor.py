@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import xarray as xr
 
-from .errors import MAX_MESSAGE, BadInput, attribute_text, shown
+from .errors import MAX_MESSAGE, BadInput, attribute_text, shown, text_table
 from .scene.checks import typed, whole_number
 
 if TYPE_CHECKING:
@@ -33,6 +33,12 @@ class Atlas:
 
     def __init__(self, ds: xr.Dataset) -> None:
         self._ds = ds
+
+    def __repr__(self) -> str:
+        """The questions, one in a line."""
+        methods = {name: method for name, method in vars(Atlas).items() if not name.startswith("_")}
+        rows = [(f"ds.atlas.{name}()", method.__doc__.partition("\n")[0]) for name, method in methods.items()]
+        return text_table(rows)
 
     def map(
         self,

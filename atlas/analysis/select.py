@@ -8,7 +8,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 import xarray as xr
 
-from ..errors import BadInput, option, shown
+from ..errors import BadInput, allowed_text, option, shown
 from ..label.trajectory import trajectory, trajectory_of_scene
 from .metadata import (
     axes_of,
@@ -73,9 +73,7 @@ def nearest(ds: xr.Dataset, values: Mapping[str, float]) -> xr.Dataset:
     allowed = numeric_coordinates(ds, "point")
     for name, value in values.items():
         if name not in allowed:
-            raise BadInput(
-                f"{name}: does not vary over these points; allowed: {', '.join(allowed) or 'none'}"
-            )
+            raise BadInput(f"{name}: does not vary over these points; {allowed_text(name, allowed)}")
         column, value = ds[name].values, _number(name, value)
         finite = column[np.isfinite(column)]
         if not finite.size:
@@ -103,7 +101,7 @@ def nearest_on_axes(ds: xr.Dataset, values: Mapping[str, float]) -> xr.Dataset:
     for name, value in values.items():
         if name not in axes:
             problem = "has no values in this dataset" if name in ds.dims else "not an axis of this atlas"
-            raise BadInput(f"{name}: {problem}; allowed: {', '.join(axes) or 'none'}")
+            raise BadInput(f"{name}: {problem}; {allowed_text(name, axes)}")
         value = _number(name, value)
         axis = ds[name].values
         if axis.size > 1:
@@ -134,7 +132,7 @@ def check_axes(allowed: Sequence[str], what: str, **chosen: str | None) -> None:
     roles: dict[str, str] = {}
     for role, name in chosen.items():
         if name is not None and name not in allowed:
-            raise BadInput(f"{role} = {shown(name)}: not {what}; allowed: {', '.join(allowed) or 'none'}")
+            raise BadInput(f"{role} = {shown(name)}: not {what}; {allowed_text(name, allowed)}")
         if name in roles:
             raise BadInput(f"{roles[name]} = {role} = {shown(name)}: each must be another axis")
         if name is not None:

@@ -19,6 +19,7 @@ from .options import (
     QUIET,
     STANDARD_INPUT,
     THREADS,
+    VERBOSE,
     argument,
     assignment_option,
     assignments,
@@ -70,6 +71,7 @@ def _is_column(word: str) -> bool:
     THREADS,
     force_option("an existing file"),
     QUIET,
+    VERBOSE,
 )  # fmt: skip
 def label_points_of_file(options: argparse.Namespace) -> int:
     """Label points of a file, which names their parameters."""
@@ -107,7 +109,7 @@ def label_points_of_file(options: argparse.Namespace) -> int:
         keep=options.keep,
     )
     (netcdf.write_csv if out.suffix.lower() == ".csv" else netcdf.write)(ds, out)
-    say(*summary(ds).split("\n"), f"wrote {out}")
+    say(*summary(ds, verbose=options.verbose).split("\n"), f"wrote {out}")
     return DONE
 
 

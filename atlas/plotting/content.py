@@ -19,7 +19,7 @@ from ..analysis.boundary import CHANGE, EXISTENCE, RESONANCES, STABILITY, theory
 from ..analysis.compare import MAX_SURVIVED_GROWTH
 from ..analysis.metadata import axes_of, flag_names, is_averaged
 from ..analysis.plane import Plane, family_curves
-from ..errors import BadInput, attribute_text, shown
+from ..errors import BadInput, allowed_text, attribute_text, shown
 from ..flags import Label, Stability
 from ..scene.checks import choice
 from ..scene.model import Scene
@@ -224,7 +224,10 @@ class MapOptions:
                     f"size = {shown(self.size)}: must be width and height in mm, each from {MIN_SIZE:g} to {MAX_SIZE:g}"
                 )
         if isinstance(self.cmap, str) and self.cmap not in colormaps:
-            raise BadInput(f"cmap = {shown(self.cmap)}: Matplotlib has no such colour map")
+            similar = allowed_text(self.cmap, colormaps).partition("allowed")[0]
+            raise BadInput(
+                f"cmap = {shown(self.cmap)}: Matplotlib has no such colour map; {similar}".rstrip("; ")
+            )
         if self.cmap is not None and not isinstance(self.cmap, str | Colormap):
             raise BadInput(f"cmap = {shown(self.cmap)}: must be a colour map of Matplotlib or its name")
         for name in ("colors", "labels"):
@@ -254,7 +257,7 @@ class MapOptions:
         ):
             for name in names or {}:
                 if name not in allowed:
-                    raise BadInput(f"{option}: {shown(name)}: allowed: {', '.join(allowed)}")
+                    raise BadInput(f"{option}: {shown(name)}: {allowed_text(name, allowed)}")
 
     def text(self, name: str, default: str) -> str:
         """Text for a flag, an axis or a variable: the caller's, or the default."""

@@ -31,7 +31,7 @@ from ..analysis.metadata import (
     system_of,
 )
 from ..analysis.select import cell_edges, check_axes, nearest_on_axes, plane_of
-from ..errors import BadInput, attribute_text
+from ..errors import BadInput, allowed_text, attribute_text
 from ..flags import Regularity
 from ..systems.base import Mask
 from ..variables import POINT
@@ -48,7 +48,9 @@ def atlas_map(ds: xr.Dataset, variable: str | None = None, **options: Any) -> Fi
         chosen = replace(chosen, title=drawable(chosen.title))
     name = map_variable(ds) if variable is None else variable
     if name not in list(ds.data_vars):
-        raise BadInput(f"{name}: not a variable of this atlas; allowed: {', '.join(map(str, ds.data_vars))}")
+        raise BadInput(
+            f"{name}: not a variable of this atlas; {allowed_text(name, list(map(str, ds.data_vars)))}"
+        )
     with nullcontext() if chosen.ax is not None else rc_context(STYLE):
         if ds[name].dims != ("point",):
             return _draw_map(ds, name, chosen)

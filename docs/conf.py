@@ -42,7 +42,7 @@ napoleon_use_rtype = False
 
 
 def setup(app):
-    """Set formulas, written in LaTeX, as MathML."""
+    """Set formulas, written in LaTeX, as MathML; leave out links to pages of atlases that were not made."""
 
     def formula(display):
         def visit(translator, node):
@@ -57,4 +57,11 @@ def setup(app):
 
         return visit, None
 
+    def existing(match):
+        return match[0] if (Path(app.srcdir).parent / "out" / "pages" / match[1]).exists() else ""
+
+    def links(app, name, source):
+        source[0] = re.sub(r'^<a href="(\w+_page\.html)">.*</a>$', existing, source[0], flags=re.MULTILINE)
+
+    app.connect("source-read", links)
     app.add_html_math_renderer("mathml", formula("inline"), formula("block"))

@@ -170,26 +170,23 @@ def summary(ds: xr.Dataset, tally: Tally | None = None, *, verbose: bool = True)
         for box in chunks(ds[names[0]].sizes, ds[names[0]].dims) if names else ():
             part = ds[names].isel(box).load()
             tally.add(Tally.of({name: part[name].transpose(*ds[names[0]].dims).values for name in names}))
-    counts = {}
-    for name in COUNTED:
-        if name in ds:
-            tallied = tally.counts.get(name, Counter())
-            counts[name] = {
-                flag: count
-                for value, flag in enumerate(flag_names(ds[name]))
-                if (count := tallied.get(str(value), 0))
-            }
+    counts: dict[str, dict[str, int]] = {}
+    for name in (name for name in COUNTED if name in ds):
+        tallied = tally.counts.get(name, Counter())
+        flags = enumerate(flag_names(ds[name]))
+        counts[name] = {flag: n for value, flag in flags if (n := tallied.get(str(value), 0))}
+
+    def listed(name: str, *without: str) -> str:
+        return ", ".join(f"{flag} {n}" for flag, n in counts.get(name, {}).items() if flag not in without)
+
     shown = [name for name in counts if verbose or name not in ("status", "agreement", "computed")]
-    lines = [f"{n}: {', '.join(f'{flag} {count}' for flag, count in counts[n].items())}" for n in shown]
+    lines = [f"{name}: {listed(name)}" for name in shown]
     if not verbose:
-        if compared := sum(n for flag, n in counts.get("agreement", {}).items() if flag != "not_compared"):
-            share = 100 * counts["agreement"].get("agree", 0) / compared
+        agreement = counts.get("agreement", {})
+        if compared := sum(agreement.values()) - agreement.get("not_compared", 0):
+            share = 100 * agreement.get("agree", 0) / compared
             lines.append(f"theory: {share:.2f} % of {compared} compared points agree")
-        doubt = {
-            flag: n for flag, n in counts.get("status", {}).items() if flag not in ("ok", "not_computed")
-        }
-        named = ", ".join(f"{flag} {count}" for flag, count in doubt.items())
-        lines.append(f"in doubt: {named or 'no point'}")
+        lines.append(f"in doubt: {listed('status', 'ok', 'not_computed') or 'no point'}")
     scene = scene_of(ds)
     sample = None if scene is None else grid.check(scene)
     if scene is not None and sample is not None:
@@ -212,12 +209,9 @@ def _nearest_family(ds: xr.Dataset) -> list[str]:
     """Of single points that drift, the family of steady motions they are nearest to, and a parameter that leads to it."""
     if "label" not in ds or ds["label"].dims != ("point",) or "atlas_system" not in ds.attrs:
         return []
-    system = system_of(ds)
-    if not set(system.parameters) <= set(ds.coords):
-        return []
-    drifting = np.flatnonzero(ds["label"].values == Label.DRIFTING)[:MAX_NEAREST]
+    system, drifting = system_of(ds), np.flatnonzero(ds["label"].values == Label.DRIFTING)[:MAX_NEAREST]
     families = [each for each in system.families.values() if each.conditions and each.axes is None]
-    if not drifting.size or not families:
+    if not drifting.size or not families or not set(system.parameters) <= set(ds.coords):
         return []
     points = {name: np.asarray(ds[name].values[drifting], np.float64) for name in system.parameters}
     with np.errstate(all="ignore"):

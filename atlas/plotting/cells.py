@@ -247,7 +247,7 @@ def draw_overlay(ax: Axes, panel: Panel, frame: Frame, families: Sequence[str]) 
             draw_hatching(ax, mask, frame.edges, HATCHES[what])
     for kind in (CHANGE, *RESONANCES, *KINDS[::-1]):
         lines = panel.borders.get(kind, [])
-        if kind in KINDS and panel.array.ndim == 2:
+        if lines and kind in KINDS and panel.array.ndim == 2:
             parts = _crowded_parts(ax, lines, frame)
             _draw_lines(ax, [line for line, crowded in parts if crowded], border_style(kind), thin=True)
             lines = [line for line, crowded in parts if not crowded]
@@ -276,18 +276,15 @@ def draw_hatching(ax: Axes, mask: Mask, edges: list[np.ndarray], hatch: Hatch) -
 
 def _crowded_parts(ax: Axes, lines: list[np.ndarray], frame: Frame) -> list[tuple[np.ndarray, bool]]:
     """Parts of lines over two axes, each to the start of the next; whether lines crowd there, or it is very short."""
-    figure = ax.get_figure(root=True)
-    if not lines or figure is None:
-        return []
-    size = np.array(ax.bbox.size) * 72 / figure.dpi  # of the frame in points
+    size = np.array(ax.bbox.size) * 72 / ax.figure.dpi  # of the frame in points
     vertices = [frame.sides(line) * size for line in lines]
     steps = [np.linalg.norm(np.diff(each, axis=0), axis=1) for each in vertices]
     lengths = np.concatenate([0.5 * (np.append(step, 0) + np.append(0, step)) for step in steps])
     a, b = KDTree(np.concatenate(vertices)).query_pairs(NEAR, output_type="ndarray").T
     near = lengths + np.bincount(a, lengths[b], lengths.size) + np.bincount(b, lengths[a], lengths.size)
-    marks = np.split(near > CROWDED * 2 * NEAR, np.cumsum([len(line) for line in lines])[:-1])
-    parts = []
-    for line, mark, step in zip(lines, marks, steps, strict=True):
+    marks, parts = near > CROWDED * 2 * NEAR, []
+    for line, step in zip(lines, steps, strict=True):
+        mark, marks = marks[: len(line)], marks[len(line) :]
         for part in np.split(np.arange(len(line)), np.flatnonzero(np.diff(mark)) + 1):
             short = step[part[0] : part[-1]].sum() < 2 * NEAR
             parts.append((line[part[0] : part[-1] + 2], bool(mark[part[0]] or short)))

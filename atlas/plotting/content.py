@@ -59,33 +59,30 @@ class Frame:
 
     def sides(self, vertices: np.ndarray) -> np.ndarray:
         """Vertices (vertices, axes) of a line in sides of the frame, from 0 to 1 inside it."""
-        columns = vertices.copy()
-        for i, (edges, is_log) in enumerate(zip(self.edges, self.log, strict=True)):
-            column, low, high = (np.log(v) if is_log else v for v in (vertices[:, i], edges[0], edges[-1]))
-            columns[:, i] = (column - low) / (high - low)
-        return columns
+        columns = zip(vertices.T, self.edges, self.log, strict=True)
+        scaled = [(np.log(v), np.log(e)) if is_log else (v, e) for v, e, is_log in columns]
+        return np.stack([(v - e[0]) / (e[-1] - e[0]) for v, e in scaled], -1)
 
     def contains(self, lines: list[np.ndarray]) -> bool:
         """Whether lines run inside the frame far enough to be visible; on one axis, whether one is inside."""
         length = 0.0
         for line in map(self.sides, lines):
-            points, steps = line, np.ones(len(line))
+            middles, steps = line, np.ones(len(line))
             if line.shape[1] == 2:
-                points, steps = 0.5 * (line[1:] + line[:-1]), np.linalg.norm(np.diff(line, axis=0), axis=1)
-            length += float(steps[(np.abs(points - 0.5) < 0.5).all(axis=1)].sum())
+                middles, steps = 0.5 * (line[1:] + line[:-1]), np.linalg.norm(np.diff(line, axis=0), axis=1)
+            length += float(steps[(np.abs(middles - 0.5) < 0.5).all(axis=1)].sum())
         return length > MIN_LENGTH
 
 
 def visible(panel: Panel, frame: Frame) -> Panel:
     """A panel without the hatching and the lines of theory that nobody could see inside its frame."""
     slow, box = panel.slow, [math.ceil(MIN_HATCHED * count) for count in panel.slow.shape]
-    if slow.mean() < MIN_VISIBLE or not binary_erosion(slow, np.ones(box)).any():
-        slow = np.zeros(slow.shape, bool)
+    seen = slow.mean() >= MIN_VISIBLE and binary_erosion(slow, np.ones(box)).any()
     borders, families = (
         {kind: lines for kind, lines in group.items() if frame.contains(lines)}
         for group in (panel.borders, panel.families)
     )
-    return replace(panel, slow=slow, borders=borders, families=families)
+    return replace(panel, slow=slow & seen, borders=borders, families=families)
 
 
 def panel_of(ds: xr.Dataset, name: str, dims: list[str], scene: Scene | None, boundary: bool) -> Panel:

@@ -121,28 +121,22 @@ def _draw_map(ds: xr.Dataset, name: str, options: MapOptions) -> Figure:
             cells.set_axis(ax, which, is_log, inner=which == "x" and sheet.columns > 1)
         if panel.array.ndim == 2 or flags:
             cells.draw_overlay(ax, panel, frame, families)
-        texts = [_value_text(part, dim) for dim in panel_dims]
+        texts = []
+        for dim in panel_dims:
+            value = f"{float(part[dim]):.4g}".replace("-", "\N{MINUS SIGN}")
+            unit = unit_text(attribute_text(part[dim].attrs, "units"))
+            texts.append(drawable(f"{axis_label(part, dim, unit=False)} = {value} {unit}".strip()))
         if len(texts) == 1 or (texts and i < columns):
             ax.set_title(texts[-1])
         if len(texts) == 2 and (i + 1) % columns == 0:  # at the end of a row
             ax.annotate(texts[0], (1.03, 0.5), xycoords="axes fraction", rotation=270, va="center")
-    for text, sample in entries.items():  # for a legend of the caller
-        sample.set_label(text)
-        axes[0].add_artist(sample)
-    sheet.label_axes(axes, [options.text(dim, axis_label(ds, dim)) for dim in dims])
+    sheet.label_axes(axes, [options.text(dim, axis_label(ds, dim)) for dim in dims], entries)
     if image is not None and exponents is not None:
         label = variable_label(plane["lyapunov"]).replace("lyapunov", r"Lyapunov exponent $\lambda$")
         cells.add_color_bar(figure, axes, image, exponents, label)
     elif image is not None and not flags:
         cells.add_color_bar(figure, axes, image, scale, variable_text)
     return figure
-
-
-def _value_text(part: xr.Dataset, dim: str) -> str:
-    """The value of an axis in a panel, with symbol and unit."""
-    value = f"{float(part[dim]):.4g}".replace("-", "\N{MINUS SIGN}")
-    unit = unit_text(attribute_text(part[dim].attrs, "units"))
-    return drawable(f"{axis_label(part, dim, unit=False)} = {value} {unit}".strip())
 
 
 # Area of a dot in square points: within limits that with which all dots together cover the panel about once.
@@ -181,7 +175,7 @@ def draw_scatter(ds: xr.Dataset, name: str, options: MapOptions) -> Figure:
         log = log and bool((np.median(column) - column.min()) / np.ptp(column) < 0.1)
         cells.set_axis(ax, which, log, inner=False)
     ax.margins(0.03)
-    sheet.label_axes([ax], [options.text(axis, axis_label(ds, axis)) for axis in axes])
+    sheet.label_axes([ax], [options.text(axis, axis_label(ds, axis)) for axis in axes], entries)
     if not flags:
         cells.add_color_bar(figure, [ax], image, scale, options.text(name, variable_label(array)))
     return figure
@@ -273,8 +267,11 @@ class Sheet:
             figure.suptitle(options.title, fontsize=9)
         return figure, axes[: self.panels]
 
-    def label_axes(self, axes: list[Axes], labels: list[str]) -> None:
-        """Label the axes: of a single panel its own, of several panels once for all of them."""
+    def label_axes(self, axes: list[Axes], labels: list[str], entries: Entries) -> None:
+        """Label the axes, of several panels once for all of them; entries: of a legend that the caller may draw."""
+        for text, sample in entries.items():
+            sample.set_label(text)
+            axes[0].add_artist(sample)
         figure = axes[0].get_figure(root=True)
         if self.panels == 1:
             axes[0].set_xlabel(labels[0])

@@ -135,20 +135,17 @@ class ScenePlan:
         costly = steps >= np.quantile(steps, 0.99) if steps.size else np.zeros(0, bool)
         share = steps[costly].sum() / max(steps.sum(), 1.0)
         if share > COSTLY_SHARE and costly.mean() < 0.5 * COSTLY_SHARE:
-            columns = [
-                (name, self.sample.points[name][exists])
-                for name in self.scene.axes
-                if name in self.sample.points
-            ]
+            axes = {n: self.sample.points[n][exists] for n in self.scene.axes if n in self.sample.points}
             where = [
                 f"{name} from {values[costly].min():.3g} to {values[costly].max():.3g}"
-                for name, values in columns
+                for name, values in axes.items()
                 if np.ptp(values[costly]) < 0.5 * np.ptp(values)
             ]
-            warnings.append(
-                f"{100 * costly.mean():.2g} % of the points take {100 * share:.0f} % of the steps{', with ' * bool(where)}"
-                f"{', '.join(where)}; max_steps would cut them short"
-            )
+            parts = [
+                f"{100 * costly.mean():.2g} % of the points take {100 * share:.0f} % of the steps",
+                *where,
+            ]
+            warnings.append(f"{', '.join(parts)}; max_steps would cut them short")
         if unresolved > 0:
             warnings.append(
                 f"{100 * unresolved:.3g} % of the points have steps too long for their fastest frequency: they get no label"

@@ -700,6 +700,7 @@ def test_single_points_become_dots(sample):
     for i in range(sample.sizes["point"]):
         assert by_place[float(sample.theta0[i]), float(sample.k3[i])] == sample.label[i]
     assert "drifting" in legend(figure)
+    assert figure.axes[0].get_legend_handles_labels()[1] == legend(figure)
 
 
 def test_scatter_axes_are_given_parameters_that_vary(sample, small):
@@ -848,7 +849,7 @@ def test_a_rate_that_is_zero_on_a_line_is_traced_and_a_pole_is_not():
         ({"cmap": "viridis"}, "cmap: label has flags"),
         ({"variable": "theta_dot_rms", "cmap": "rainbows"}, "no such colour map"),
         ({"variable": "theta_dot_rms", "colors": {"drifting": "red"}}, "colors: theta_dot_rms has no flags"),
-        ({"colors": {"drift": "red"}}, "colors: 'drift': allowed: not_computed"),
+        ({"colors": {"drift": "red"}}, "colors: 'drift': did you mean 'drifting'? allowed: not_computed"),
         ({"colors": {"drifting": "reddish"}}, "not a colour of Matplotlib"),
         ({"colors": ["red"]}, "colors = ['red']: must be a mapping"),
         ({"labels": {"k3": "x"}}, "labels: 'k3': allowed: "),

@@ -64,7 +64,7 @@ def test_the_few_points_that_take_most_steps_are_named():
     table = {"schema": 1, "title": "spins", "system": "satellite", "fixed": {"C": 1.2}, "axes": axes}
     table["integration"] = {"duration": 5.0}
     (warning,) = ScenePlan.of(scene_from(table)).step_warnings()
-    assert warning.startswith("1 % of the points take 94 % of the steps, with m from 2e+04 to 2e+04;")
+    assert warning.startswith("1 % of the points take 94 % of the steps, m from 2e+04 to 2e+04;")
     axes["m"] = {"from": 1.0, "to": 100.0, "count": 100}
     assert ScenePlan.of(scene_from(table)).step_warnings() == []
 

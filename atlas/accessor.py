@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import xarray as xr
 
-from .errors import MAX_MESSAGE, BadInput, attribute_text, shown
+from .errors import MAX_MESSAGE, BadInput, attribute_text, shown, text_table
 from .scene.checks import typed, whole_number
 
 if TYPE_CHECKING:
@@ -34,12 +34,20 @@ class Atlas:
     def __init__(self, ds: xr.Dataset) -> None:
         self._ds = ds
 
+    def __repr__(self) -> str:
+        """The questions, one in a line."""
+        methods = {name: method for name, method in vars(Atlas).items() if not name.startswith("_")}
+        rows = [(f"ds.atlas.{name}()", method.__doc__.partition("\n")[0]) for name, method in methods.items()]
+        return text_table(rows)
+
     def map(
         self,
         variable: str | None = None,
         *,
         x: str | None = None,
         y: str | None = None,
+        row: str | None = None,
+        col: str | None = None,
         select: Mapping[str, float] | None = None,
         ax: Axes | None = None,
         title: str | None = None,
@@ -57,7 +65,7 @@ class Atlas:
 
         Flags have one colour each in every figure. Positive numbers that span more than two decades get a logarithmic scale,
         numbers of both signs a scale centred on zero, integers a colour each. White cells have no value. A single axis
-        gives a strip or a line.
+        gives a curve, of flags with a level for each.
 
         Parameters
         ----------
@@ -67,11 +75,14 @@ class Atlas:
         x, y : str, optional
             Axes of the map; default the two longest, x the one that comes first in the atlas. For single points,
             parameters or other coordinates along them; default the two with the most values.
+        row, col : str, optional
+            Axes whose values become panels, at most `atlas.analysis.select.MAX_PANELS` in all: from top to bottom, and from
+            left to right. Default: one more axis than x and y becomes panels row by row.
         select : mapping of str to float, optional
-            Axis -> value for other axes; the nearest value is taken. One more axis of at most
-            `atlas.analysis.select.MAX_PANELS` values becomes a row of panels.
+            Axis -> value for other axes; the nearest value is taken.
         ax : matplotlib.axes.Axes, optional
-            Axes to draw into, with the fonts and the size that they have; default a figure of its own.
+            Axes to draw into, with the fonts and the size that they have; default a figure of its own. Its
+            `get_legend_handles_labels` returns the entries of the legend, also of one that is not drawn.
         title : str, optional
             Title of the figure.
         cmap : str or Colormap, optional
@@ -97,7 +108,7 @@ class Atlas:
         Returns
         -------
         matplotlib.figure.Figure
-            With one panel, or one for each value of a third axis; the figure of `ax` if that is given.
+            With one panel, or one for each value of `row` and `col`; the figure of `ax` if that is given.
 
         Raises
         ------
@@ -107,7 +118,7 @@ class Atlas:
         from .plotting.maps import atlas_map
 
         return atlas_map(
-            self._ds, variable, x=x, y=y, select=select, ax=ax, title=title, cmap=cmap, colors=colors,
+            self._ds, variable, x=x, y=y, row=row, col=col, select=select, ax=ax, title=title, cmap=cmap, colors=colors,
             labels=labels, boundary=boundary, legend=legend, width=width, size=size, dpi=dpi, caption=caption,
         )  # fmt: skip
 
@@ -320,9 +331,9 @@ class Atlas:
         scene = scene_of(self._ds)
         if scene is None:
             raise BadInput("families: these points come from no scene, so that there are no axes")
-        plane, dims, panel_dim = plane_of(self._ds, x, y, select or {})
-        if panel_dim is not None:
-            raise BadInput(f"{panel_dim} has {plane.sizes[panel_dim]} values here: choose one by select")
+        plane, dims, panel_dims = plane_of(self._ds, x, y, select or {})
+        for dim in panel_dims:
+            raise BadInput(f"{dim} has {plane.sizes[dim]} values here: choose one by select")
         return family_curves(Plane.of(scene, plane, dims))
 
     def frequencies(

@@ -8,7 +8,7 @@ import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 
-ANNOUNCEMENT = "compiling the kernel for scenes of this kind, once on this machine: some seconds"
+ANNOUNCEMENT = "compiling these equations to machine code, which later runs use again: about 10 s, more on a busy machine"
 
 _lock = threading.Lock()
 _finished = 0.0  # seconds of all compilations that have ended

@@ -1,5 +1,12 @@
 """Configuration of Sphinx for the pages of this folder; `sh scripts/docs.sh` builds them."""
 
+import re
+from pathlib import Path
+
+import ziamath
+from docutils import nodes
+from latex2mathml.converter import convert
+
 from atlas import __version__
 
 project = "Precession Atlas"
@@ -7,11 +14,18 @@ author = copyright = "The Precession Atlas developers"
 version = release = __version__
 
 extensions = ["myst_nb", "sphinx.ext.autodoc", "sphinx.ext.napoleon"]
+myst_enable_extensions = ["dollarmath"]
+html_math_renderer = "mathml"  # which browsers set themselves: the site needs no network and no script for it
 exclude_patterns = ["paper", "examples"]
 
 html_theme = "furo"
 html_title = f"Precession Atlas {version}"
 html_show_sphinx = False
+html_static_path = [
+    "static",
+    str(Path(ziamath.__file__).parent / "fonts"),
+]  # of ziamath only its font for formulas
+html_css_files = ["site.css"]
 html_extra_path = ["../out/pages"]  # the page of the quickstart, which scripts/docs.sh makes
 
 myst_heading_anchors = 4  # links such as scenes.md#refinement-at-borders
@@ -20,7 +34,34 @@ nb_execution_raise_on_error = True
 nb_execution_timeout = 300  # seconds for a cell; the first one may compile a kernel
 
 default_role = "code"  # of single backticks in docstrings
-autodoc_typehints = "none"  # the docstrings give types, with shapes and units
+autodoc_typehints_format = "short"
+maximum_signature_line_length = 90
 autodoc_member_order = "bysource"
 napoleon_google_docstring = False
 napoleon_use_rtype = False
+
+
+def setup(app):
+    """Set formulas, written in LaTeX, as MathML; leave out links to pages of atlases that were not made."""
+
+    def formula(display):
+        def visit(translator, node):
+            latex = node.astext().replace("{aligned}", "{align*}")  # the converter knows the latter alone
+            formula = re.sub(
+                r"<mo[^>]*>(&#x0007C;|\|)",
+                r'<mo stretchy="false" lspace="0" rspace="0">\1',
+                convert(latex, display=display),
+            )
+            translator.body.append(formula)
+            raise nodes.SkipNode
+
+        return visit, None
+
+    def existing(match):
+        return match[0] if (Path(app.srcdir).parent / "out" / "pages" / match[1]).exists() else ""
+
+    def links(app, name, source):
+        source[0] = re.sub(r'^<a href="(\w+_page\.html)">.*</a>$', existing, source[0], flags=re.MULTILINE)
+
+    app.connect("source-read", links)
+    app.add_html_math_renderer("mathml", formula("inline"), formula("block"))

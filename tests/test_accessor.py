@@ -16,6 +16,7 @@ from hypothesis.extra.numpy import array_shapes, arrays
 
 import atlas
 from atlas import BadInput, load_scene
+from atlas.accessor import Atlas
 from atlas.analysis import metadata, plane
 from atlas.analysis.metadata import map_variable
 from atlas.flags import Agreement, Label
@@ -428,3 +429,22 @@ def test_questions_that_need_a_scene_or_an_atlas_are_errors():
     ):
         with pytest.raises(BadInput, match=re.escape(words)):
             question()
+
+
+def test_the_accessor_lists_its_questions(small):
+    lines = repr(small.atlas).splitlines()
+    public = [name for name in vars(Atlas) if not name.startswith("_")]
+    assert [line.split()[0] for line in lines] == [f"ds.atlas.{name}()" for name in public]
+
+
+def test_systems_are_described():
+    assert [line.split()[0] for line in atlas.systems.describe().splitlines()][:2] == [
+        "satellite",
+        "fixed_point",
+    ]
+    text = atlas.systems.describe("satellite")
+    system = atlas.systems.get("satellite")
+    first = [line.split()[0] for line in text.splitlines()[1:]]
+    assert first == [*system.parameters, *system.families]
+    with pytest.raises(atlas.BadInput, match="did you mean 'satellite'"):
+        atlas.systems.describe("satelite")

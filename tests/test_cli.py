@@ -34,7 +34,7 @@ def folder(tmp_path, small_scene):
 
 
 def test_run_compare_and_the_files_they_leave(folder):
-    done = shell("run", "small.toml", cwd=folder)
+    done = shell("run", "small.toml", "--verbose", cwd=folder)
     assert done.returncode == 0, done.stderr
     assert "wrote small.nc" in done.stdout
     assert "label:" in done.stdout
@@ -136,11 +136,12 @@ def test_map_takes_the_choices_of_a_paper(folder, monkeypatch, capsys):
         (["run", "small.toml", "--colour", "red"], "--colour"),
         (["run"], "SCENE"),
         (["check", "bad.toml"], "count"),
-        (["compare", "small.toml"], "not a NetCDF file"),
+        (["compare", "small.toml"], "this is a scene, not an atlas"),
         (["map", "none.nc"], "none.nc"),
         (["conditions", "sputnik"], "sputnik"),
         (["conditions", "satellite", "--family", "banana"], "banana"),
         (["fly"], "fly"),
+        (["rum"], "did you mean 'run'?"),
         ([], "COMMAND"),
     ],
 )

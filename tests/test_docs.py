@@ -5,6 +5,7 @@ import importlib
 import io
 import re
 import sys
+import textwrap
 from pathlib import Path
 
 import matplotlib
@@ -12,7 +13,9 @@ import pytest
 from matplotlib import pyplot
 from PIL import Image
 
+import atlas
 from atlas import cli, systems
+from atlas.accessor import Atlas
 from atlas.flags import Status
 
 ROOT = Path(__file__).parent.parent
@@ -79,6 +82,21 @@ def test_code_blocks_run(page):
             run_commands(text)
         elif language == CELL:
             exec(compile(text, page, "exec"), cells)
+
+
+@pytest.mark.usefixtures("whole_kernels", "folder_of_reader")
+def test_the_reference_has_an_example_of_each_function():
+    text = (ROOT / "docs" / "api.rst").read_text()
+    blocks = re.findall(r"^\.\. code-block:: (\w+)\n\n((?:(?:   .*)?\n)+)", text, re.M)
+    code = "".join(textwrap.dedent(block) for language, block in blocks if language == "python")
+    (scene,) = [textwrap.dedent(block) for language, block in blocks if language == "toml"]
+    Path("first.toml").write_text(scene)
+    with contextlib.redirect_stdout(io.StringIO()):
+        exec(compile(code, "api.rst", "exec"), {"__name__": "__main__"})
+    functions = {name for name in atlas.__all__ if name not in ("__version__", "register")}
+    assert {name for name in functions if f"atlas.{name}" not in code} == set()
+    methods = [name for name in vars(Atlas) if not name.startswith("_")]
+    assert [name for name in methods if f".atlas.{name}(" not in code] == []
 
 
 @pytest.mark.parametrize("page", PAGES)
@@ -148,3 +166,20 @@ def test_the_gallery_shows_its_pictures_with_all_their_colours():
         with Image.open(picture) as image:
             assert image.mode in ("RGB", "RGBA")  # no palette
         assert (ROOT / "configs" / f"{picture.stem}.toml").is_file()
+
+
+@pytest.mark.parametrize(
+    ("text", "latex"),
+    [
+        ("k1 = 0, or C m = k3 cos(theta0)", r"$k_{1} = 0$, or $C m = k_{3} \cos (\theta_{0})$"),
+        (
+            "theta_dot0 = 0 (or h1 != -sqrt(3) h3)",
+            r"$\dot{\theta}_{0} = 0$ (or $h_{1} \ne - \sqrt{3} h_{3})$",
+        ),
+        ("w3 k1,2 = |Mg r_c|^2 A^-1", r"$\omega_{3} k_{1,2} = \lvert Mg r_{c} \rvert^{2} A^{-1}$"),
+        ("l along the axis s of a one-sheet cone", "$l$ along the axis $s$ of a one-sheet cone"),
+    ],
+)
+def test_conditions_are_set_as_formulas(text, latex, monkeypatch):
+    monkeypatch.syspath_prepend(str(ROOT / "scripts" / "tools"))
+    assert importlib.import_module("make_docs").in_latex(text) == latex

@@ -1,6 +1,7 @@
 """The package: directions of its imports, cost of the command line, form of the registries."""
 
 import ast
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -91,3 +92,22 @@ def test_families_are_numbered_in_order_and_solve_parameters_of_the_system(syste
         assert name == family.name
         assert set(family.solve) <= set(system.parameters)
         assert family.geometry in {"", *system.geometries}
+
+
+def test_what_is_released_is_the_same_everywhere():
+    root = Path(__file__).parents[1]
+    citation, changelog = (root / "CITATION.cff").read_text(), (root / "CHANGELOG.md").read_text()
+    assert re.search(r"^version: (.+)$", citation, re.MULTILINE)[1] == atlas.__version__
+    released = re.search(rf"^## \[{re.escape(atlas.__version__)}\] - (\S+)$", changelog, re.MULTILINE)
+    date = re.search(r"^date-released: (.+)$", citation, re.MULTILINE)
+    assert (released and released[1]) == (date and date[1])
+
+
+def test_no_hint_names_the_package_on_an_index():
+    root = Path(__file__).parents[1]
+    files = [*root.glob("*.md"), *(root / "docs").rglob("*.md"), *(root / "atlas").rglob("*.py")]
+    assert [
+        f.name
+        for f in files
+        if re.search(r"install\W+precession-atlas", f.read_text()) and f.name != "CONTRIBUTING.md"
+    ] == []

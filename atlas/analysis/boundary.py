@@ -33,8 +33,8 @@ def boundary(
 ) -> xr.Dataset:
     """Borders of theory, or of the region where a variable has one flag; see `Atlas.boundary`."""
     system_of(ds)
-    plane, dims, panel_dim = plane_of(ds, x, y, select)
-    if panel_dim is not None or (label is not None and len(dims) != 2):
+    plane, dims, panel_dims = plane_of(ds, x, y, select)
+    if panel_dims or (label is not None and len(dims) != 2):
         raise BadInput(
             f"boundary: needs two axes, found {', '.join(map(str, plane.dims))}; use select for the others"
         )

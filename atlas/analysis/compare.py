@@ -14,7 +14,7 @@ from ..runs.plan import ScenePlan
 from ..runs.tiles import BINS, BINS_PER_DECADE, COUNTED, GROUPS, LOWEST_DECADE, Tally
 from ..scene import grid
 from ..scene.checks import whole_number
-from ..systems.base import Flags
+from ..systems.base import Flags, on_family
 from ..validation import half_step
 from .metadata import (
     chunks,
@@ -32,6 +32,10 @@ BAND = 0.02
 # Largest growth_rate x duration that an unstable motion may survive: one nudged by 1e-4 and observed with a tolerance
 # of 1e-3 may stay within it while a disturbance grows by e^12.
 MAX_SURVIVED_GROWTH = 12.0
+MAX_NEAREST, ON_FAMILY = (
+    10_000,
+    1e-9,
+)  # drifting points that are compared with families; residual of those on one
 # Variations of the rates, of which the largest is the unsteadiness of a point.
 RATES = ("theta_dot_rms", "psi_dot_std", "phi_dot_std", "normal_rate_std")
 
@@ -159,32 +163,74 @@ def _worst_lines(ds: xr.Dataset, result: Flags, count: int) -> list[str]:
     return lines
 
 
-def summary(ds: xr.Dataset, tally: Tally | None = None) -> str:
-    """Summary of an atlas at the end of its run, as text; without a tally all points are read."""
+def summary(ds: xr.Dataset, tally: Tally | None = None, *, verbose: bool = True) -> str:
+    """Summary of an atlas at the end of its run, as text; without a tally all points are read.
+
+    Without `verbose`: labels, agreement with theory, and points in doubt.
+    """
     names = [name for name in (*COUNTED, "error_estimate", "integral_drift") if name in ds]
     if tally is None:
         tally = Tally()
         for box in chunks(ds[names[0]].sizes, ds[names[0]].dims) if names else ():
             part = ds[names].isel(box).load()
             tally.add(Tally.of({name: part[name].transpose(*ds[names[0]].dims).values for name in names}))
-    lines = []
-    for name in COUNTED:
-        if name in ds:
-            counts = tally.counts.get(name, Counter())
-            named = ((flag, counts.get(str(value), 0)) for value, flag in enumerate(flag_names(ds[name])))
-            lines.append(f"{name}: {', '.join(f'{flag} {count}' for flag, count in named if count)}")
+    counts: dict[str, dict[str, int]] = {}
+    for name in (name for name in COUNTED if name in ds):
+        tallied = tally.counts.get(name, Counter())
+        flags = enumerate(flag_names(ds[name]))
+        counts[name] = {flag: n for value, flag in flags if (n := tallied.get(str(value), 0))}
+
+    def listed(name: str, *without: str) -> str:
+        return ", ".join(f"{flag} {n}" for flag, n in counts.get(name, {}).items() if flag not in without)
+
+    shown = [name for name in counts if verbose or name not in ("status", "agreement", "computed")]
+    lines = [f"{name}: {listed(name)}" for name in shown]
+    if not verbose:
+        agreement = counts.get("agreement", {})
+        if compared := sum(agreement.values()) - agreement.get("not_compared", 0):
+            share = 100 * agreement.get("agree", 0) / compared
+            lines.append(f"theory: {share:.2f} % of {compared} compared points agree")
+        lines.append(f"in doubt: {listed('status', 'ok', 'not_computed') or 'no point'}")
     scene = scene_of(ds)
     sample = None if scene is None else grid.check(scene)
     if scene is not None and sample is not None:
         lines += grid.not_computed(scene, sample)
+    lines += _nearest_family(ds)
+    if not verbose:
+        return "\n".join(lines)
     lines += _error_lines(ds, tally)
     if "atlas_half_step_points" in ds.attrs:
         lines.append(half_step.half_step_text(ds.attrs))
     seconds, speed = (number_attribute(ds, f"atlas_{name}") for name in ("seconds", "points_per_second"))
     lines.append(f"{seconds:.1f} s, {speed:.4g} points/s")
     if scene is not None and sample is not None:
-        lines += ScenePlan(scene, sample).method_lines()
+        plan = ScenePlan(scene, sample)
+        lines += [] if plan.has_chaos else plan.method_lines()
     return "\n".join(lines)
+
+
+def _nearest_family(ds: xr.Dataset) -> list[str]:
+    """Of single points that drift, the family of steady motions they are nearest to, and a parameter that leads to it."""
+    if "label" not in ds or ds["label"].dims != ("point",) or "atlas_system" not in ds.attrs:
+        return []
+    system, drifting = system_of(ds), np.flatnonzero(ds["label"].values == Label.DRIFTING)[:MAX_NEAREST]
+    families = [each for each in system.families.values() if each.conditions and each.axes is None]
+    if not drifting.size or not families or not set(system.parameters) <= set(ds.coords):
+        return []
+    points = {name: np.asarray(ds[name].values[drifting], np.float64) for name in system.parameters}
+    with np.errstate(all="ignore"):
+        distances = [
+            float(np.median(np.nan_to_num(on_family(each, points), nan=np.inf))) for each in families
+        ]
+        nearest = families[int(np.argmin(distances))]
+        text = (
+            f"drifting points: nearest to the family {nearest.name}, residual {min(distances):.2g} (median)"
+        )
+        for name in sorted(nearest.solve, key=lambda name: system.parameters[name].start):
+            solved = nearest.solve[name](points)
+            if (on_family(nearest, points | {name: solved}) < ON_FAMILY).all():
+                return [f"{text}; on it with {name} from {solved.min():.4g} to {solved.max():.4g}"]
+    return [text]
 
 
 def _error_lines(ds: xr.Dataset, tally: Tally) -> list[str]:

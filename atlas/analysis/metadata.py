@@ -14,7 +14,7 @@ import xarray as xr
 from numpy.typing import ArrayLike
 
 from .. import systems
-from ..errors import MAX_TEXT, BadInput, attribute_text, printable, shown
+from ..errors import MAX_TEXT, BadInput, allowed_text, attribute_text, printable, shown
 from ..runs.tiles import Tiling
 from ..scene.model import Axis, Scene, Settings
 from ..scene.read import parse_scene
@@ -157,7 +157,7 @@ def flag_variable(ds: xr.Dataset, variable: str) -> xr.DataArray:
             raise BadInput(
                 f"{variable}: no variable here has flag_meanings: the dataset is no atlas, or has lost its attributes"
             )
-        raise BadInput(f"{variable}: not a flag variable of this atlas; allowed: {', '.join(flags)}")
+        raise BadInput(f"{variable}: not a flag variable of this atlas; {allowed_text(variable, flags)}")
     flag_names(ds[variable])  # raises BadInput for averages
     return ds[variable]
 

@@ -8,7 +8,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 import xarray as xr
 
-from ..errors import BadInput, option, shown
+from ..errors import BadInput, allowed_text, option, shown
 from ..label.trajectory import trajectory, trajectory_of_scene
 from .metadata import (
     axes_of,
@@ -73,9 +73,7 @@ def nearest(ds: xr.Dataset, values: Mapping[str, float]) -> xr.Dataset:
     allowed = numeric_coordinates(ds, "point")
     for name, value in values.items():
         if name not in allowed:
-            raise BadInput(
-                f"{name}: does not vary over these points; allowed: {', '.join(allowed) or 'none'}"
-            )
+            raise BadInput(f"{name}: does not vary over these points; {allowed_text(name, allowed)}")
         column, value = ds[name].values, _number(name, value)
         finite = column[np.isfinite(column)]
         if not finite.size:
@@ -103,7 +101,7 @@ def nearest_on_axes(ds: xr.Dataset, values: Mapping[str, float]) -> xr.Dataset:
     for name, value in values.items():
         if name not in axes:
             problem = "has no values in this dataset" if name in ds.dims else "not an axis of this atlas"
-            raise BadInput(f"{name}: {problem}; allowed: {', '.join(axes) or 'none'}")
+            raise BadInput(f"{name}: {problem}; {allowed_text(name, axes)}")
         value = _number(name, value)
         axis = ds[name].values
         if axis.size > 1:
@@ -129,38 +127,49 @@ def cell_edges(values: np.ndarray, log: bool = False) -> np.ndarray:
     return np.exp(edges) if log else edges
 
 
-def check_axes(x: str | None, y: str | None, allowed: Sequence[str], what: str) -> None:
+def check_axes(allowed: Sequence[str], what: str, **chosen: str | None) -> None:
     """Raise BadInput unless the axes of a map, as far as they are named, are different and allowed; what: each must be."""
-    for role, name in (("x", x), ("y", y)):
+    roles: dict[str, str] = {}
+    for role, name in chosen.items():
         if name is not None and name not in allowed:
-            raise BadInput(f"{role} = {shown(name)}: not {what}; allowed: {', '.join(allowed) or 'none'}")
-    if x is not None and x == y:
-        raise BadInput(f"x = y = {shown(x)}: a map needs two axes")
+            raise BadInput(f"{role} = {shown(name)}: not {what}; {allowed_text(name, allowed)}")
+        if name in roles:
+            raise BadInput(f"{roles[name]} = {role} = {shown(name)}: each must be another axis")
+        if name is not None:
+            roles[name] = role
 
 
 def plane_of(
-    ds: xr.Dataset, x: str | None, y: str | None, select: Mapping[str, float]
-) -> tuple[xr.Dataset, list[str], str | None]:
-    """The plane that a map shows, not loaded: the sorted plane, its axes (x first), and the axis of panels.
+    ds: xr.Dataset,
+    x: str | None,
+    y: str | None,
+    select: Mapping[str, float],
+    row: str | None = None,
+    col: str | None = None,
+) -> tuple[xr.Dataset, list[str], list[str]]:
+    """The plane that a map shows, not loaded: the sorted plane, its axes (x first), and the axes of panels.
 
-    Axes that are not given are the longest; of one longer than MAX_CELLS every k-th value is shown. Raises
-    BadInput for names that are no axes, and where more axes are left.
+    Axes that are not given are the longest; of one longer than MAX_CELLS every k-th value is shown. One more axis becomes
+    panels if neither row nor col is given. Raises BadInput for names that are no axes, and where more axes are left.
     """
     check_not_empty(ds)
     plane = nearest_on_axes(ds, select).squeeze()
     axes = [str(d) for d in plane.dims if is_numeric_axis(plane, d)]
-    check_axes(x, y, axes, "an axis with several values here")
+    check_axes(axes, "an axis with several values here", x=x, y=y, row=row, col=col)
     if not axes or set(map(str, plane.dims)) - set(axes):
         raise BadInput("this dataset has no axes to draw a map over: single points, or all axes selected")
-    by_length = sorted((d for d in axes if d not in (x, y)), key=lambda d: -plane.sizes[d])
+    by_length = sorted((d for d in axes if d not in (x, y, row, col)), key=lambda d: -plane.sizes[d])
     n_free = (x is None) + (y is None)
     chosen, others = sorted(by_length[:n_free], key=axes.index), by_length[n_free:]
+    panel_dims = [dim for dim in (row, col) if dim is not None]
     for dim in others:
-        if len(others) > 1 or plane.sizes[dim] > MAX_PANELS:
+        if len(others) > 1 or panel_dims or plane.sizes[dim] > MAX_PANELS:
             raise BadInput(
                 f"{dim} has {plane.sizes[dim]} values here: choose one by {option('select', {dim: 'VALUE'})}"
             )
-    panel_dim = others[0] if others else None
+    panel_dims = panel_dims or others
+    if (count := math.prod(plane.sizes[dim] for dim in panel_dims)) > MAX_PANELS:
+        raise BadInput(f"{' x '.join(panel_dims)} are {count} panels; allowed: at most {MAX_PANELS}")
     dims = []
     for name in (x, y):
         if name is not None or chosen:
@@ -169,7 +178,7 @@ def plane_of(
         if not 0 < np.ptp(plane[dim].values) < np.inf:
             raise BadInput(f"{dim}: its values are equal or not finite: no axis to draw a map over")
     plane = plane.isel({dim: slice(None, None, -(-plane.sizes[dim] // MAX_CELLS)) for dim in dims})
-    return plane.sortby(dims + ([panel_dim] if panel_dim else [])), dims, panel_dim
+    return plane.sortby(dims + panel_dims), dims, panel_dims
 
 
 def nearest_trajectory(ds: xr.Dataset, coordinates: Mapping[str, float], samples: int) -> xr.Dataset:

@@ -19,6 +19,7 @@ from .options import (
     QUIET,
     STANDARD_INPUT,
     THREADS,
+    VERBOSE,
     argument,
     assignment_option,
     assignments,
@@ -70,6 +71,7 @@ def _is_column(word: str) -> bool:
     THREADS,
     force_option("an existing file"),
     QUIET,
+    VERBOSE,
 )  # fmt: skip
 def label_points_of_file(options: argparse.Namespace) -> int:
     """Label points of a file, which names their parameters."""
@@ -107,7 +109,7 @@ def label_points_of_file(options: argparse.Namespace) -> int:
         keep=options.keep,
     )
     (netcdf.write_csv if out.suffix.lower() == ".csv" else netcdf.write)(ds, out)
-    say(*summary(ds).split("\n"), f"wrote {out}")
+    say(*summary(ds, verbose=options.verbose).split("\n"), f"wrote {out}")
     return DONE
 
 
@@ -187,6 +189,8 @@ def print_comparison(options: argparse.Namespace) -> int:
     argument("--variable", metavar="NAME", help="what to map (default: what the scene is about)"),
     argument("--x", metavar="AXIS", help="horizontal axis (default: the first)"),
     argument("--y", metavar="AXIS", help="vertical axis (default: the second)"),
+    argument("--row", metavar="AXIS", help="axis of panels from top to bottom"),
+    argument("--col", metavar="AXIS", help="axis of panels from left to right"),
     assignment_option("--select", "AXIS=VALUE", "values of the other axes, one or several"),
     argument("--width", choices=("column", "page"), default="column", help="journal width"),
     argument("--size", metavar="WIDTHxHEIGHT", help="size in mm, such as 120x90"),
@@ -208,9 +212,8 @@ def draw_map(options: argparse.Namespace) -> int:
     stem = without_suffix(options.atlas, ".nc", ".zarr")
     names = [options.out] if options.out else [f"{stem}.png", f"{stem}.pdf"]
     paths = [writable(name, FIGURES, force=options.force, inputs=[options.atlas]) for name in names]
-    given = {
-        name: getattr(options, name) for name in ("x", "y", "title", "cmap", "boundary", "legend", "width")
-    }
+    names = ["x", "y", "row", "col", "title", "cmap", "boundary", "legend", "width"]
+    given = {name: getattr(options, name) for name in names}
     for name in ("colors", "labels"):
         given[name] = assignments(f"--{name}", getattr(options, name), "NAME=TEXT")
     select = axis_values("--select", options.select)

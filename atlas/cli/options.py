@@ -12,7 +12,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn, TypeAlias
 
-from ..errors import MAX_MESSAGE, BadInput, printable, say
+from ..errors import MAX_MESSAGE, BadInput, allowed_text, printable, say, shown
 from ..files import check_name, without_suffix
 
 if TYPE_CHECKING:
@@ -68,6 +68,12 @@ class Parser(argparse.ArgumentParser):
                 first = False
             repeated.append(word)
         return repeated
+
+    def _check_value(self, action: argparse.Action, value: Any) -> None:
+        if action.choices is not None and value not in action.choices:
+            raise argparse.ArgumentError(
+                action, f"{shown(value)}: {allowed_text(value, list(action.choices))}"
+            )
 
     def error(self, message: str) -> NoReturn:
         """Print a message, which may quote any argument, in one line and exit with the code of bad input."""
@@ -135,6 +141,7 @@ ATLAS = argument("atlas", metavar="ATLAS", help="atlas file (.nc) or run folder"
 RUN_FOLDER = argument("folder", metavar="RUN", help="run folder")
 THREADS = argument("--threads", type=int, metavar="N", help="processors to use (default: all)")
 QUIET = argument("--quiet", action="store_true", help="print no progress")
+VERBOSE = argument("--verbose", action="store_true", help="print errors, checks and times of the run too")
 
 
 def program() -> str:

@@ -22,6 +22,7 @@ from .options import (
     RUN_FOLDER,
     SCENE,
     THREADS,
+    VERBOSE,
     argument,
     check_at_least,
     command,
@@ -49,6 +50,7 @@ from .options import (
     argument("--dry-run", action="store_true", help="print the expected size, time, memory and error"),
     force_option("an existing atlas"),
     QUIET,
+    VERBOSE,
 )
 def run_scene(options: argparse.Namespace) -> int:
     """Integrate a scene and write its labelled atlas."""
@@ -83,7 +85,7 @@ def run_scene(options: argparse.Namespace) -> int:
         workers=options.workers,
     )
     if shard is None:
-        say(*summary(ds, ds.encoding.get(TALLY)).split("\n"), f"wrote {out}")
+        say(*summary(ds, ds.encoding.get(TALLY), verbose=options.verbose).split("\n"), f"wrote {out}")
     else:
         say(
             f"shard {options.shard} is done; {out} holds {attribute_text(ds.attrs, 'atlas_run', limit=MAX_MESSAGE)}"

@@ -64,10 +64,9 @@ class Progress:
             if self.show and now - self._last_print >= (LIVE_INTERVAL if self.live else PLAIN_INTERVAL):
                 self._last_print = now
                 speed, seconds_left = self._speed()
-                text = (
-                    f"{100 * self._done / self.points:5.1f} %  {self._done:.0f} of {self.points} points"
-                    f"  {speed:.3g} points/s  {clock(seconds_left)} left"
-                )
+                rest = f"{speed:.3g} points/s  {clock(seconds_left)} left" if speed > 0 else "starting"
+                done = f"{100 * self._done / self.points:5.1f} %  {self._done:.0f} of {self.points} points"
+                text = f"{done}  {rest}"
                 self.stream.write(f"\r{text}\x1b[K" if self.live else f"{text}\n")
                 self.stream.flush()
             if self.file is not None and now - self._last_save >= FILE_INTERVAL:

@@ -38,9 +38,7 @@ def zarr_package() -> Any:
     try:
         import zarr
     except ImportError:
-        raise BadInput(
-            'Zarr stores need the package zarr: python -m pip install "precession-atlas[zarr]"'
-        ) from None
+        raise BadInput("Zarr stores need the package zarr: python -m pip install zarr") from None
     return zarr
 
 

@@ -17,6 +17,40 @@ function choose(index) {
   showPoint(null);
   announce(index);
   showMotion(state.chosen);
+  writeAddress();
+}
+
+// The address of the page names variable and point, "#variable=label&m=0.5&h3=1", so that a link leads to both.
+function writeAddress() {
+  const names = new URLSearchParams({ variable: state.variable.name });
+  if (data.points && state.chosen) names.set("point", state.chosen[0]);
+  else if (state.chosen) data.shape.forEach((_, k) => names.set(data.axes[k].name, data.axes[k].values[state.chosen[k]]));
+  try {
+    history.replaceState(null, "", `#${names}`);
+  } catch {
+    // Within a notebook the page has no address.
+  }
+}
+
+function readAddress() {
+  const names = new URLSearchParams(location.hash.slice(1));
+  const variable = data.variables.findIndex((each) => each.name === names.get("variable"));
+  if (variable >= 0) {
+    byId("variable").value = String(variable);
+    byId("variable").dispatchEvent(new Event("change"));
+  }
+  const nearest = (values, value) => values.reduce((best, each, i) => (Math.abs(each - value) < Math.abs(values[best] - value) ? i : best), 0);
+  const places = data.shape.map((size, k) => {
+    const value = Number.parseFloat(names.get(data.points ? "point" : data.axes[k].name));
+    return data.points ? (value >= 0 && value < size ? Math.floor(value) : NaN) : Number.isNaN(value) ? NaN : nearest(data.axes[k].values, value);
+  });
+  if (places.some(Number.isNaN)) return;
+  further.forEach((axis, i) => {
+    const slider = byId("sliders").querySelectorAll("input")[i];
+    slider.value = String(places[axis]);
+    slider.dispatchEvent(new Event("input"));
+  });
+  choose(places);
 }
 
 // Menus and sliders.
@@ -39,6 +73,7 @@ function buildVariables() {
     state.variable = data.variables[Number(menu.value)];
     if (flat && (wasLine || isLine())) state.view = null;
     refresh();
+    writeAddress();
   });
 }
 
@@ -77,7 +112,9 @@ function buildSliders() {
       show();
       refresh();
     });
-    slider.addEventListener("change", () => { if (state.chosen) showMotion(state.chosen); });
+    slider.addEventListener("change", () => {
+      if (state.chosen) choose(state.chosen);
+    });
     show();
     byId("sliders").append(element("label", {}, output, slider));
   }
@@ -303,6 +340,8 @@ async function start() {
   buildValues();
   addListeners();
   refresh();
+  readAddress();
+  addEventListener("hashchange", readAddress);
   performance.mark("map drawn");
   document.documentElement.dataset.ready = "yes";
 }

@@ -258,10 +258,16 @@ function addSphere(parent, path) {
     role: "img", tabindex: "0", class: "turn",
     "aria-label": "Path of the third body axis on the unit sphere; drag, or use the arrow keys, to turn it",
   });
-  parent.append(element("figure", {}, element("figcaption", {}, "third body axis; drag to turn"), canvas));
+  const play = element("button", { type: "button", class: "play" });
+  parent.append(element("figure", {}, element("figcaption", {}, "third body axis; drag to turn ", play), canvas));
   const radius = Math.min((canvas.clientWidth / 2 - sideLabels(canvas)) / 1.13, 130);
   canvas.style.height = `${Math.round(2.56 * radius)}px`;
-  const redraw = () => drawSphere(canvas, path, radius);
+  let place = 0;
+  const redraw = () => drawSphere(canvas, path, radius, place);
+  addPlayer(play, canvas, (share) => {
+    place = Math.round(share * (path.length - 1));
+    redraw();
+  });
   const turn = (dx, dy) => {
     view3d.azimuth -= dx;
     view3d.elevation = Math.min(Math.max(view3d.elevation + dy, -Math.PI / 2), Math.PI / 2);
@@ -280,6 +286,40 @@ function addSphere(parent, path) {
   redraw();
 }
 
+// A button that lets time run once from start to end, and stops it; show: draws the motion at a share of its duration.
+const PLAY_SECONDS = 12;
+
+function addPlayer(button, canvas, show) {
+  let from = 0; // share at which the time runs on
+  let started = null;
+  const label = (text, words) => {
+    button.textContent = text;
+    button.setAttribute("aria-label", words);
+  };
+  const step = (now) => {
+    if (started === null || !canvas.isConnected) return;
+    const share = Math.min(from + (now - started) / (1000 * PLAY_SECONDS), 1);
+    show(share);
+    if (share < 1) requestAnimationFrame(step);
+    else stop(0);
+  };
+  const stop = (share) => {
+    from = share;
+    started = null;
+    label("▶ play", "Play the motion");
+  };
+  button.addEventListener("click", () => {
+    if (started !== null) {
+      stop(Math.min(from + (performance.now() - started) / (1000 * PLAY_SECONDS), 1));
+      return;
+    }
+    started = performance.now();
+    label("❚❚ pause", "Pause the motion");
+    requestAnimationFrame(step);
+  });
+  stop(0);
+}
+
 // Width that the longer name of the two horizontal directions needs beside the sphere.
 function sideLabels(canvas) {
   const context = canvas.getContext("2d");
@@ -287,7 +327,7 @@ function sideLabels(canvas) {
   return 6 + Math.max(...data.motion.frameAxes.slice(0, 2).map((name) => context.measureText(letters(name)).width));
 }
 
-function drawSphere(canvas, path, radius) {
+function drawSphere(canvas, path, radius, place) {
   const [width, height] = [canvas.clientWidth, canvas.clientHeight];
   const context = preparedContext(canvas, width, height);
   const { azimuth, elevation } = view3d;
@@ -322,8 +362,14 @@ function drawSphere(canvas, path, radius) {
   drawDirections(context, project, radius, width, height);
   context.lineJoin = "round";
   trace(path, colour("accent"), colour("far"), 1.6);
-  const [x, y] = project(path[0]);
-  context.fillStyle = colour("second");
+  const [x, y] = project(path[place]);
+  context.strokeStyle = context.fillStyle = colour("second");
+  if (place) { // the axis itself, from the fixed centre
+    context.beginPath();
+    context.moveTo(width / 2, height / 2);
+    context.lineTo(x, y);
+    context.stroke();
+  }
   context.beginPath();
   context.arc(x, y, 3.6, 0, 2 * Math.PI);
   context.fill();

@@ -176,6 +176,11 @@ function verdict(index) {
   } else if (flag) {
     nodes.push(element("p", { class: "sentence" }, `Status: ${flag.sentence}.`));
   }
+  const estimate = data.variables.find((each) => each.name === "error_estimate");
+  if (estimate && at(estimate.values, index) > 1) {
+    const words = "an instability has amplified errors until the final state is unknown; the label has checks of its own";
+    nodes.push(element("p", { class: "sentence" }, `Error estimate above 1: ${words}.`));
+  }
   const reason = data.motion.reason ? at(data.motion.reason, index) : 0;
   if (reason && data.motion.sentences[reason]) {
     nodes.push(element("p", { class: "sentence warning" }, `No motion: ${data.motion.sentences[reason]}.`));
@@ -193,6 +198,7 @@ function showPoint(index) {
   const point = index || state.chosen;
   const heading = byId("place");
   byId("values").hidden = !point;
+  byId("point-section").classList.toggle("empty", !point);
   if (!point) {
     heading.replaceChildren("Point at the map");
     byId("verdict").replaceChildren(element("p", { class: "sentence" }, "The values of the point appear here, and after a click its motion."));

@@ -1,4 +1,4 @@
-"""Values of an atlas along its axes: cells over two, a strip or a line over one."""
+"""Values of an atlas along its axes: cells over two, a curve or levels of flags over one."""
 
 from __future__ import annotations
 
@@ -22,21 +22,22 @@ from matplotlib.colors import (
 )
 from matplotlib.figure import Figure
 from matplotlib.ticker import FixedLocator, LogLocator, MaxNLocator, NullFormatter, NullLocator
+from scipy.spatial import KDTree
 
 from ..analysis.boundary import CHANGE, EXISTENCE, KINDS, LABEL, RESONANCES, STABILITY
-from ..analysis.metadata import flag_names, scene_of
+from ..analysis.metadata import scene_of
 from ..flags import Regularity
 from ..systems.base import Mask
-from .content import NOT_YET, SLOW, MapOptions, Panel
+from .content import NOT_YET, SLOW, Frame, MapOptions, Panel
 from .style import COLOURS
 
 
 def draw_values(
     ax: Axes, array: xr.DataArray, edges: list[np.ndarray], scale: ColorScale, label: str
 ) -> ScalarMappable | None:
-    """Draw the cells of an array, or its line if it has one axis and no flags; returns the cells."""
+    """Draw the cells of an array over two axes, or its curve over one; returns the cells."""
     ax.set_xlim(edges[0][0], edges[0][-1])
-    if array.ndim == 1 and not flag_names(array):
+    if array.ndim == 1:
         values = array.values
         if scale.log_range is not None:
             low, high = scale.log_range
@@ -46,12 +47,30 @@ def draw_values(
         ax.plot(array[array.dims[0]].values, values, color=COLOURS["regular_precession"])
         ax.set_ylabel(label)
         return None
-    if array.ndim == 1:
-        ax.set_yticks([])
-    values = scale.shown(np.atleast_2d(array.values))
-    image = ax.pcolormesh(*edges, values, cmap=scale.colormap, norm=scale.norm, rasterized=True)
+    image = ax.pcolormesh(
+        *edges, scale.shown(array.values), cmap=scale.colormap, norm=scale.norm, rasterized=True
+    )
     ax.set_ylim(edges[1][0], edges[1][-1])
     return image
+
+
+def draw_levels(
+    ax: Axes,
+    array: xr.DataArray,
+    levels: Sequence[int],
+    names: Sequence[str],
+    edges: np.ndarray,
+    scale: ColorScale,
+) -> None:
+    """Draw flags over one axis as a curve whose levels are the flags, each in its colour."""
+    of_level = array.values == np.array(levels)[:, np.newaxis]
+    heights = np.arange(len(levels) + 1) - 0.5
+    cells = xr.DataArray(np.where(of_level, array.values, np.nan), dims=("level", *array.dims))
+    draw_values(ax, cells, [edges, heights], scale, "")
+    curve = np.where(of_level.any(0), of_level.argmax(0), np.nan)
+    ax.step(array[array.dims[0]].values, curve, where="mid", color="0.35", linewidth=0.6)
+    ax.set_yticks(range(len(levels)), names)
+    ax.tick_params(axis="y", length=0)
 
 
 def set_axis(ax: Axes, which: str, log: bool, *, inner: bool) -> None:
@@ -190,6 +209,8 @@ ZERO_RATE: dict[str, Any] = {"linestyle": (0, (1.5, 1.2)), "linewidth": 1.0}
 DASHES: tuple[Any, ...] = ((0, (8, 2)), ":", "-.", "--", (0, (6, 1, 1, 1, 1, 1)))
 # The halo keeps lines visible on dark colours; it must not hide a strip of cells along the line.
 HALO = 0.35  # points on each side
+# Lines of a border are THIN, without halo, where there are more than CROWDED times as many within NEAR as a single one has.
+NEAR, CROWDED, THIN = 4.0, 2.2, 0.35  # points, and their ratio
 
 
 @dataclass(frozen=True)
@@ -219,24 +240,30 @@ def family_style(number: int) -> dict[str, Any]:
     return {"color": "black", "linestyle": DASHES[number % len(DASHES)], "linewidth": 1.0}
 
 
-def draw_overlay(ax: Axes, panel: Panel, edges: list[np.ndarray], families: Sequence[str]) -> None:
+def draw_overlay(ax: Axes, panel: Panel, frame: Frame, families: Sequence[str]) -> None:
     """Draw hatching and theory over the cells of a panel."""
     for what, mask in ((NOT_YET, panel.white.get(NOT_YET)), (SLOW, panel.slow)):
         if mask is not None and mask.any():
-            draw_hatching(ax, np.atleast_2d(mask), edges, HATCHES[what])
+            draw_hatching(ax, mask, frame.edges, HATCHES[what])
     for kind in (CHANGE, *RESONANCES, *KINDS[::-1]):
-        _draw_lines(ax, panel.borders.get(kind, []), border_style(kind))
+        lines = panel.borders.get(kind, [])
+        if lines and kind in KINDS and panel.array.ndim == 2:
+            parts = _crowded_parts(ax, lines, frame)
+            _draw_lines(ax, [line for line, crowded in parts if crowded], border_style(kind), thin=True)
+            lines = [line for line, crowded in parts if not crowded]
+        _draw_lines(ax, lines, border_style(kind))
     for name, lines in panel.families.items():
         _draw_lines(ax, lines, family_style(families.index(name)))
 
 
 def draw_hatching(ax: Axes, mask: Mask, edges: list[np.ndarray], hatch: Hatch) -> None:
-    """Hatch the marked cells, one rectangle for each run of them along x."""
-    x, y = edges[0], edges[1]
+    """Hatch the marked cells, one rectangle for each run of them along x; over one axis from bottom to top."""
+    x, y = edges[0], edges[1] if mask.ndim == 2 else ax.get_ylim()
+    mask = np.atleast_2d(mask)
     steps = np.diff(np.pad(mask, ((0, 0), (1, 1))).astype(np.int8), axis=1)
     row, start = np.nonzero(steps == 1)
     stop = np.nonzero(steps == -1)[1]
-    left, right, bottom, top = x[start], x[stop], y[row], y[row + 1]
+    left, right, bottom, top = x[start], x[stop], np.asarray(y)[row], np.asarray(y)[row + 1]
     corners = np.stack([left, bottom, right, bottom, right, top, left, top], -1).reshape(-1, 4, 2)
     ax.add_collection(
         PolyCollection(
@@ -247,14 +274,32 @@ def draw_hatching(ax: Axes, mask: Mask, edges: list[np.ndarray], hatch: Hatch) -
     )  # fmt: skip
 
 
-def _draw_lines(ax: Axes, lines: list[np.ndarray], line: dict[str, Any]) -> None:
-    """Draw lines over dark and bright colours alike, with a white halo.
+def _crowded_parts(ax: Axes, lines: list[np.ndarray], frame: Frame) -> list[tuple[np.ndarray, bool]]:
+    """Parts of lines over two axes, each to the start of the next; whether lines crowd there, or it is very short."""
+    size = np.array(ax.bbox.size) * 72 / ax.figure.dpi  # of the frame in points
+    vertices = [frame.sides(line) * size for line in lines]
+    steps = [np.linalg.norm(np.diff(each, axis=0), axis=1) for each in vertices]
+    lengths = np.concatenate([0.5 * (np.append(step, 0) + np.append(0, step)) for step in steps])
+    a, b = KDTree(np.concatenate(vertices)).query_pairs(NEAR, output_type="ndarray").T
+    near = lengths + np.bincount(a, lengths[b], lengths.size) + np.bincount(b, lengths[a], lengths.size)
+    marks, parts = near > CROWDED * 2 * NEAR, []
+    for line, step in zip(lines, steps, strict=True):
+        mark, marks = marks[: len(line)], marks[len(line) :]
+        for part in np.split(np.arange(len(line)), np.flatnonzero(np.diff(mark)) + 1):
+            short = step[part[0] : part[-1]].sum() < 2 * NEAR
+            parts.append((line[part[0] : part[-1] + 2], bool(mark[part[0]] or short)))
+    return parts
+
+
+def _draw_lines(ax: Axes, lines: list[np.ndarray], line: dict[str, Any], *, thin: bool = False) -> None:
+    """Draw lines over dark and bright colours alike, with a white halo unless they are thin.
 
     It also fills the gaps of dashed lines, and is below every line so that none is cut where they cross.
     """
     halo = line | {"color": "white", "linestyle": "-", "linewidth": line["linewidth"] + 2 * HALO}
+    styles = [(2.1, line | {"linewidth": THIN})] if thin else [(2.0, halo), (2.1, line)]
     for vertices in lines:
-        for zorder, style in ((2.0, halo), (2.1, line)):
+        for zorder, style in styles:
             if vertices.shape[1] == 1:
                 ax.axvline(float(vertices[0, 0]), zorder=zorder, **style)
             else:

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import logging
+import math
 import re
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 import xarray as xr
@@ -17,7 +18,7 @@ from ..analysis.boundary import CHANGE, EXISTENCE, RESONANCES, STABILITY, theory
 from ..analysis.compare import MAX_SURVIVED_GROWTH
 from ..analysis.metadata import axes_of, flag_names, is_averaged
 from ..analysis.plane import Plane, family_curves
-from ..errors import BadInput, attribute_text, shown
+from ..errors import BadInput, allowed_text, attribute_text, shown
 from ..flags import Label, Stability
 from ..scene.checks import choice
 from ..scene.model import Scene
@@ -29,6 +30,8 @@ NO_BODY, NO_MOTION, NOT_YET, NO_VALUE = "no such body", "no such motion", "not c
 SLOW = "unstable, too slow to show in this run"
 # A region with a smaller share of the points is not visible.
 MIN_VISIBLE = 1e-3
+# Hatching narrower than this, and lines of a kind that are shorter in all, in sides of the frame, are not visible.
+MIN_HATCHED, MIN_LENGTH = 0.01, 0.01
 # Flags of motions, on whose maps theory draws the borders of labels.
 MOTIONS = ("label", "predicted", "agreement", "geometry")
 
@@ -44,6 +47,45 @@ class Panel:
     slow: Mask  # cells of unstable motions that had no time to drift, bool of the shape of the array
     borders: Lines = field(default_factory=dict)  # kind of border -> lines
     families: Lines = field(default_factory=dict)  # family -> lines
+
+
+@dataclass(frozen=True)
+class Frame:
+    """Cells of a map along its axes, x first."""
+
+    edges: list[np.ndarray]  # of the cells
+    log: list[bool]  # whether the axis is logarithmic
+
+    def sides(self, vertices: np.ndarray) -> np.ndarray:
+        """Vertices (vertices, axes) of a line in sides of the frame, from 0 to 1 inside it."""
+        columns = zip(vertices.T, self.edges, self.log, strict=True)
+        scaled = [(np.log(v), np.log(e)) if is_log else (v, e) for v, e, is_log in columns]
+        return np.stack([(v - e[0]) / (e[-1] - e[0]) for v, e in scaled], -1)
+
+    def contains(self, lines: list[np.ndarray]) -> bool:
+        """Whether lines run inside the frame far enough to be visible; on one axis, whether one is inside."""
+        length = 0.0
+        for line in map(self.sides, lines):
+            middles, steps = line, np.ones(len(line))
+            if line.shape[1] == 2:
+                middles, steps = 0.5 * (line[1:] + line[:-1]), np.linalg.norm(np.diff(line, axis=0), axis=1)
+            length += float(steps[(np.abs(middles - 0.5) < 0.5).all(axis=1)].sum())
+        return length > MIN_LENGTH
+
+
+def visible(panel: Panel, frame: Frame) -> Panel:
+    """A panel without the hatching and the lines of theory that nobody could see inside its frame."""
+    slow, box = panel.slow, [math.ceil(MIN_HATCHED * count) for count in panel.slow.shape]
+    seen = slow.mean() >= MIN_VISIBLE
+    if seen:
+        from scipy.ndimage import binary_erosion  # slow to import, and most maps do not need it
+
+        seen = binary_erosion(slow, np.ones(box)).any()
+    borders, families = (
+        {kind: lines for kind, lines in group.items() if frame.contains(lines)}
+        for group in (panel.borders, panel.families)
+    )
+    return replace(panel, slow=slow & seen, borders=borders, families=families)
 
 
 def panel_of(ds: xr.Dataset, name: str, dims: list[str], scene: Scene | None, boundary: bool) -> Panel:
@@ -67,7 +109,8 @@ def panel_of(ds: xr.Dataset, name: str, dims: list[str], scene: Scene | None, bo
     if not boundary or scene is None:
         return Panel(array, white, slow)
     of_motions = name.removesuffix("_inertial") in MOTIONS
-    if scene.nudge and of_motions and {"label", "stable", "growth_rate", "end_time"} <= set(ds):
+    of_runs = of_motions and not name.startswith("predicted")
+    if scene.nudge and of_runs and {"label", "stable", "growth_rate", "end_time"} <= set(ds):
         # Nudged motions that are unstable by theory and stayed steady: the run ended before the nudge grew.
         label = ds["label"].values
         steady = (label == Label.REGULAR_PRECESSION) | (label == Label.PERMANENT_ROTATION)
@@ -152,6 +195,8 @@ class MapOptions:
 
     x: str | None = None
     y: str | None = None
+    row: str | None = None
+    col: str | None = None
     select: Mapping[str, float] | None = None
     ax: Axes | None = None
     title: str | None = None
@@ -181,7 +226,10 @@ class MapOptions:
                     f"size = {shown(self.size)}: must be width and height in mm, each from {MIN_SIZE:g} to {MAX_SIZE:g}"
                 )
         if isinstance(self.cmap, str) and self.cmap not in colormaps:
-            raise BadInput(f"cmap = {shown(self.cmap)}: Matplotlib has no such colour map")
+            similar = allowed_text(self.cmap, colormaps).partition("allowed")[0]
+            raise BadInput(
+                f"cmap = {shown(self.cmap)}: Matplotlib has no such colour map; {similar}".rstrip("; ")
+            )
         if self.cmap is not None and not isinstance(self.cmap, str | Colormap):
             raise BadInput(f"cmap = {shown(self.cmap)}: must be a colour map of Matplotlib or its name")
         for name in ("colors", "labels"):
@@ -211,7 +259,7 @@ class MapOptions:
         ):
             for name in names or {}:
                 if name not in allowed:
-                    raise BadInput(f"{option}: {shown(name)}: allowed: {', '.join(allowed)}")
+                    raise BadInput(f"{option}: {shown(name)}: {allowed_text(name, allowed)}")
 
     def text(self, name: str, default: str) -> str:
         """Text for a flag, an axis or a variable: the caller's, or the default."""

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import logging
-import re
 import textwrap
+import warnings
 from collections.abc import Iterable, Mapping, Sequence
 from contextlib import nullcontext
 from dataclasses import dataclass, replace
+from math import prod
 from typing import Any
 
 import numpy as np
@@ -16,8 +17,10 @@ from matplotlib import rc_context
 from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.font_manager import FontProperties
 from matplotlib.lines import Line2D
-from matplotlib.patches import Patch
+from matplotlib.patches import Patch, Polygon
+from matplotlib.textpath import TextPath
 
 from ..analysis.metadata import (
     axes_of,
@@ -28,13 +31,13 @@ from ..analysis.metadata import (
     system_of,
 )
 from ..analysis.select import cell_edges, check_axes, nearest_on_axes, plane_of
-from ..errors import BadInput, attribute_text
+from ..errors import BadInput, allowed_text, attribute_text
 from ..flags import Regularity
 from ..systems.base import Mask
 from ..variables import POINT
 from . import cells
-from .content import MIN_VISIBLE, NOT_YET, SLOW, MapOptions, Panel, panel_of, tiles_done
-from .style import STYLE, SYMBOLS, PrintFigure, axis_label, caption, drawable, unit_text, variable_label
+from .content import MIN_VISIBLE, NOT_YET, SLOW, Frame, MapOptions, Panel, panel_of, tiles_done, visible
+from .style import FONT, STYLE, SYMBOLS, PrintFigure, axis_label, caption, drawable, unit_text, variable_label
 
 
 def atlas_map(ds: xr.Dataset, variable: str | None = None, **options: Any) -> Figure:
@@ -45,14 +48,17 @@ def atlas_map(ds: xr.Dataset, variable: str | None = None, **options: Any) -> Fi
         chosen = replace(chosen, title=drawable(chosen.title))
     name = map_variable(ds) if variable is None else variable
     if name not in list(ds.data_vars):
-        raise BadInput(f"{name}: not a variable of this atlas; allowed: {', '.join(map(str, ds.data_vars))}")
+        raise BadInput(
+            f"{name}: not a variable of this atlas; {allowed_text(name, list(map(str, ds.data_vars)))}"
+        )
     with nullcontext() if chosen.ax is not None else rc_context(STYLE):
         if ds[name].dims != ("point",):
             return _draw_map(ds, name, chosen)
-        if chosen.select:
-            raise BadInput(
-                "select: these are single points without axes; choose some by ds.atlas.select or ds.sel"
-            )
+        for option in ("select", "row", "col"):
+            if getattr(chosen, option):
+                raise BadInput(
+                    f"{option}: these are single points without axes; choose some by ds.atlas.select or ds.sel"
+                )
         return draw_scatter(ds, name, chosen)
 
 
@@ -60,40 +66,52 @@ def _draw_map(ds: xr.Dataset, name: str, options: MapOptions) -> Figure:
     """Draw a variable over its axes."""
     ds = ds.drop_dims(set(ds.dims) - set(ds[name].dims))  # over which the variable was averaged
     select = options.select or {}
-    plane, dims, panel_dim = plane_of(ds, options.x, options.y, select)
+    plane, dims, panel_dims = plane_of(ds, options.x, options.y, select, options.row, options.col)
     options.check_for(ds[name], dims)
-    if panel_dim is not None and options.ax is not None:
+    counts = tuple(plane.sizes[dim] for dim in panel_dims)
+    if panel_dims and options.ax is not None:
         raise BadInput(
-            f"ax: {panel_dim} has {plane.sizes[panel_dim]} values here, and a panel for each; choose one by select"
+            f"ax: {' x '.join(panel_dims)} has {prod(counts)} values here, and a panel for each; choose one by select"
         )
-    array = plane[name].transpose(*[dim for dim in (panel_dim, *dims[::-1]) if dim]).load()
-    parts = [plane] if panel_dim is None else [plane.isel({panel_dim: i}) for i in range(len(array))]
+    array = plane[name].transpose(*panel_dims, *dims[::-1]).load()
+    parts = [plane.isel(dict(zip(panel_dims, index, strict=True))) for index in np.ndindex(counts)]
     scene = scene_of(ds)
-    panels = [panel_of(part, name, dims, scene, options.boundary) for part in parts]
+    log = [is_logarithmic(scene, dim, plane[dim].values) for dim in dims]
+    edges = [cell_edges(plane[dim].values, is_log) for dim, is_log in zip(dims, log, strict=True)]
+    frame = Frame(edges, log)
+    panels = [visible(panel_of(part, name, dims, scene, options.boundary), frame) for part in parts]
     flags = options.flag_colours(array)
     families = list(system_of(ds).families)
-    exponents = cells.exponent_scale(plane, name)
+    exponents = cells.exponent_scale(plane, name) if len(dims) == 2 else None
     if name == "regularity":
         options = replace(options, labels={**cells.texts(ds), **(options.labels or {})})
-    entries, notes = map_legend(panels, flags, options, families)
+    levels: list[int] = []  # flags of a curve, named beside it
+    if flags and len(dims) == 1:
+        white = [sum(panel.white.values(), np.zeros(panel.array.shape, bool)) for panel in panels]
+        values = [panel.array.values[~mask] for panel, mask in zip(panels, white, strict=True)]
+        levels = np.unique(np.concatenate(values).astype(int)).tolist() or [0]
+    entries, notes = map_legend(panels, {} if levels else flags, options, families)
     if not flags and "computed" in ds:
         notes.append("Between the points that were integrated: the value of the nearest one.")
     if (tiles := tiles_done(ds)) is not None:
         notes.append(f"Unfinished: {tiles[0]} of {tiles[1]} tiles are computed.")
     if options.caption:
         notes.append(caption(nearest_on_axes(ds, select)))
-    sheet = Sheet(options, len(panels), len(dims) == 1, len(dims) == 1 and not flags)
+    wrapped = 2 if options.size_mm[0] < 130 else 4
+    columns = 1 if options.row else min(prod(counts), wrapped)
+    columns = counts[-1] if options.row and options.col else columns
+    sheet = Sheet(options, len(panels), columns, len(levels), len(dims) == 1 and not flags)
     figure, axes = sheet.figure(entries, notes)
     scale, image = cells.color_scale(array, options), None
     variable_text = options.text(name, variable_label(array))
-    log = [is_logarithmic(scene, dim, plane[dim].values) for dim in dims]
-    for part, panel, ax in zip(parts, panels, axes, strict=True):
-        edges = [cell_edges(panel.array[dim].values, is_log) for dim, is_log in zip(dims, log, strict=True)]
-        if len(dims) == 1:
-            edges.append(np.array([0.0, 1.0]))  # of a strip
-        image = cells.draw_values(ax, panel.array, edges, scale, variable_text)
-        if name == "regularity":
-            undecided = np.atleast_2d(panel.array.values == Regularity.UNDECIDED)
+    for i, (part, panel, ax) in enumerate(zip(parts, panels, axes, strict=True)):
+        if levels:
+            names = [options.text(flag, flag.replace("_", " ")) for flag in np.array(list(flags))[levels]]
+            cells.draw_levels(ax, panel.array, levels, names, edges[0], scale)
+        else:
+            image = cells.draw_values(ax, panel.array, edges, scale, variable_text)
+        if name == "regularity" and not levels:
+            undecided = panel.array.values == Regularity.UNDECIDED
             if undecided.any():
                 cells.draw_hatching(ax, undecided, edges, cells.HATCHES[cells.UNDECIDED])
             image = (
@@ -102,12 +120,17 @@ def _draw_map(ds: xr.Dataset, name: str, options: MapOptions) -> Figure:
         for which, is_log in zip("xy", log, strict=False):
             cells.set_axis(ax, which, is_log, inner=which == "x" and sheet.columns > 1)
         if panel.array.ndim == 2 or flags:
-            cells.draw_overlay(ax, panel, edges, families)
-        if panel_dim is not None:
-            value = f"{float(part[panel_dim]):.4g}".replace("-", "\N{MINUS SIGN}")
-            unit = unit_text(attribute_text(part[panel_dim].attrs, "units"))
-            ax.set_title(drawable(f"{axis_label(part, panel_dim, unit=False)} = {value} {unit}".strip()))
-    sheet.label_axes(axes, [options.text(dim, axis_label(ds, dim)) for dim in dims])
+            cells.draw_overlay(ax, panel, frame, families)
+        texts = []
+        for dim in panel_dims:
+            value = f"{float(part[dim]):.4g}".replace("-", "\N{MINUS SIGN}")
+            unit = unit_text(attribute_text(part[dim].attrs, "units"))
+            texts.append(drawable(f"{axis_label(part, dim, unit=False)} = {value} {unit}".strip()))
+        if len(texts) == 1 or (texts and i < columns):
+            ax.set_title(texts[-1])
+        if len(texts) == 2 and (i + 1) % columns == 0:  # at the end of a row
+            ax.annotate(texts[0], (1.03, 0.5), xycoords="axes fraction", rotation=270, va="center")
+    sheet.label_axes(axes, [options.text(dim, axis_label(ds, dim)) for dim in dims], entries)
     if image is not None and exponents is not None:
         label = variable_label(plane["lyapunov"]).replace("lyapunov", r"Lyapunov exponent $\lambda$")
         cells.add_color_bar(figure, axes, image, exponents, label)
@@ -132,7 +155,7 @@ def draw_scatter(ds: xr.Dataset, name: str, options: MapOptions) -> Figure:
     white = {} if flags else {"no value": ~np.isfinite(array.values)}
     panel = Panel(array, {k: v for k, v in white.items() if v.any()}, np.zeros(array.shape, bool))
     entries, notes = map_legend([panel], flags, options, families)
-    sheet = Sheet(options, 1)
+    sheet = Sheet(options)
     figure, (ax,) = sheet.figure(entries, notes + captions)
     columns = [np.asarray(ds[axis].values, float) for axis in axes]
     scale = cells.color_scale(array, options)
@@ -152,7 +175,7 @@ def draw_scatter(ds: xr.Dataset, name: str, options: MapOptions) -> Figure:
         log = log and bool((np.median(column) - column.min()) / np.ptp(column) < 0.1)
         cells.set_axis(ax, which, log, inner=False)
     ax.margins(0.03)
-    sheet.label_axes([ax], [options.text(axis, axis_label(ds, axis)) for axis in axes])
+    sheet.label_axes([ax], [options.text(axis, axis_label(ds, axis)) for axis in axes], entries)
     if not flags:
         cells.add_color_bar(figure, [ax], image, scale, options.text(name, variable_label(array)))
     return figure
@@ -161,7 +184,7 @@ def draw_scatter(ds: xr.Dataset, name: str, options: MapOptions) -> Figure:
 def scatter_axes(ds: xr.Dataset, x: str | None, y: str | None) -> list[str]:
     """Axes of a scatter map, x first, by default the most varied coordinates; BadInput without two."""
     allowed = [name for name in numeric_coordinates(ds, POINT) if name != POINT]
-    check_axes(x, y, allowed, "a number given at each of these points")
+    check_axes(allowed, "a number given at each of these points", x=x, y=y)
     varied_by_scene: set[str] = set()  # names with a range or a column, not computed by ties and families
     if (scene := scene_of(ds)) is not None:
         points = scene.points or {}
@@ -178,6 +201,8 @@ def scatter_axes(ds: xr.Dataset, x: str | None, y: str | None) -> list[str]:
 
 
 LEGEND_ROW, TEXT_ROW = 4.0, 2.8  # height in mm
+LEGEND_SHARE = 0.97  # of the width that a legend may take; screens of few dots draw letters wider than print
+HANDLE, MIN_GAP = 1.8, 0.6  # of a legend in sizes of its font: samples, and the least distance of columns
 
 
 @dataclass(frozen=True)
@@ -185,14 +210,10 @@ class Sheet:
     """A figure with panels in rows, or the Axes of the caller."""
 
     options: MapOptions  # choices of the caller
-    panels: int  # how many panels
-    flat: bool = False  # whether the panels are strips, with one axis
-    line: bool = False  # whether they are lines over one axis
-
-    @property
-    def columns(self) -> int:
-        """Panels in a row."""
-        return min(self.panels, 2 if self.options.size_mm[0] < 130 else 4)
+    panels: int = 1  # how many panels
+    columns: int = 1  # panels in a row
+    levels: int = 0  # flags of a curve over one axis
+    line: bool = False  # whether they are numbers over one axis
 
     def figure(self, legend: Entries, notes: Sequence[str]) -> tuple[Figure, list[Axes]]:
         """The figure with empty panels, legend, title and notes; notes on the caller's Axes are logged."""
@@ -217,12 +238,12 @@ class Sheet:
             panel_height = 0.72 * width / self.columns + 6.0  # with a title above each panel
             if self.line:
                 panel_height = 0.6 * width / self.columns
-            elif self.flat:
-                panel_height = 18.0
+            elif self.levels:
+                panel_height = 8.0 + 7.0 * self.levels
             elif self.panels == 1:
                 panel_height = (0.5 if width >= 130 else 0.72) * width
             height = rows * panel_height + foot + 9.0
-            legend_rows = -(-len(legend) // legend_columns(legend, width)) if legend else 0
+            legend_rows = -(-len(legend) // legend_columns(legend, width)[0]) if legend else 0
             height += LEGEND_ROW * legend_rows + (5.0 if options.title else 0.0)
         figure = PrintFigure(
             figsize=(width / 25.4, height / 25.4), layout="constrained", dpi=float(options.dpi)
@@ -236,17 +257,21 @@ class Sheet:
         for unused in axes[self.panels :]:
             unused.remove()
         if legend:
+            columns, gap = legend_columns(legend, width)
             figure.legend(
                 list(legend.values()), list(legend), loc="outside upper center",
-                ncols=legend_columns(legend, width), frameon=False, handlelength=1.8, columnspacing=1.4,
+                ncols=columns, frameon=False, handlelength=HANDLE, columnspacing=gap,
                 borderaxespad=0.2, title=options.title, title_fontsize=9,
             )  # fmt: skip
         elif options.title:
             figure.suptitle(options.title, fontsize=9)
         return figure, axes[: self.panels]
 
-    def label_axes(self, axes: list[Axes], labels: list[str]) -> None:
-        """Label the axes: of a single panel its own, of several panels once for all of them."""
+    def label_axes(self, axes: list[Axes], labels: list[str], entries: Entries) -> None:
+        """Label the axes, of several panels once for all of them; entries: of a legend that the caller may draw."""
+        for text, sample in entries.items():
+            sample.set_label(text)
+            axes[0].add_artist(sample)
         figure = axes[0].get_figure(root=True)
         if self.panels == 1:
             axes[0].set_xlabel(labels[0])
@@ -304,25 +329,43 @@ def as_math(kind: str) -> str:
     return kind
 
 
+# Samples are part of the Axes, where they draw nothing.
+_NOWHERE = np.full((1, 2), np.nan)
+
+
 def _patch(colour: str) -> Patch:
     """Sample of a colour."""
-    return Patch(facecolor=colour, edgecolor="0.4", linewidth=0.4)
+    return Polygon(_NOWHERE, facecolor=colour, edgecolor="0.4", linewidth=0.4)
 
 
 def _hatched(region: str, background: str | None = None) -> Patch:
     """Sample of the hatching of a region, a key of cells.HATCHES."""
     hatch = cells.HATCHES[region]
-    return Patch(
-        facecolor=background or hatch.background, edgecolor=hatch.colour, hatch=hatch.pattern, linewidth=0.4
+    return Polygon(
+        _NOWHERE,
+        facecolor=background or hatch.background,
+        edgecolor=hatch.colour,
+        hatch=hatch.pattern,
+        linewidth=0.4,
     )
 
 
-def legend_columns(entries: Iterable[str], width: float) -> int:
-    """The most columns of a legend that fit a width in mm; entries fill one column after the other."""
-    # A formula is as long as one letter.
-    lengths = np.array([len(re.sub(r"\$[^$]*\$", "x", name)) for name in entries])
+def legend_columns(entries: Iterable[str], width: float) -> tuple[int, float]:
+    """The most columns of a legend that fit a width in mm, and their distance in sizes of the font.
+
+    Entries fill one column after the other.
+    """
+    font = FontProperties(family=FONT, size=STYLE["legend.fontsize"])
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", "Glyph .* missing from")
+        lengths = [
+            max(TextPath((0, 0), line, prop=font).get_extents().width for line in name.split("\n"))
+            for name in entries
+        ]
+    available = LEGEND_SHARE * width * 72 / 25.4 / STYLE["legend.fontsize"]
     for columns in range(len(lengths), 1, -1):
-        longest = [column.max() for column in np.array_split(lengths, columns)]
-        if sum(10.0 + 1.15 * length for length in longest) < width:
-            return columns
-    return 1
+        longest = sum(map(max, np.array_split(lengths, columns))) / STYLE["legend.fontsize"]
+        gap = (available - longest - columns * (HANDLE + 0.8)) / (columns - 1)
+        if gap > MIN_GAP:
+            return columns, min(gap, 1.4)
+    return 1, 1.4

@@ -102,9 +102,14 @@ class PrintFigure(Figure):
 
     def savefig(self, fname: Any, **options: Any) -> None:
         """Write the figure as Matplotlib does; letters that FONT does not have are drawn as boxes."""
-        with rc_context(STYLE), warnings.catch_warnings():
+        options = {"dpi": self.dpi} | options
+        # Letters fitted to few dots are wider than those that the legend was measured with.
+        hinting = (
+            {} if options["dpi"] in (None, "figure") or options["dpi"] >= 300 else {"text.hinting": "none"}
+        )
+        with rc_context(STYLE | hinting), warnings.catch_warnings():
             warnings.filterwarnings("ignore", "Glyph .* missing from")
-            super().savefig(fname, **{"dpi": self.dpi} | options)
+            super().savefig(fname, **options)
 
 
 def save(figure: Figure, path: str | Path, dpi: float | None = None) -> None:

@@ -161,7 +161,8 @@ def _draw_enlarged(ax: Axes, offset: np.ndarray, direction: np.ndarray, names: S
         first, second, labels = np.eye(3)[0], np.eye(3)[1], [f"along {name}" for name in names[:2]]
     else:
         first = np.array([-direction[1], direction[0], 0.0]) / sine
-        second, labels = np.cross(direction, first), ["sideways", "upward"]
+        second = np.cross(direction, first)
+        labels = ["sideways", "downward" if names[2].startswith("down") else "upward"]
     x, y = offset @ first, offset @ second
     half = 0.6 * max(np.ptp(x), np.ptp(y))
     exponent = int(np.floor(np.log10(half)))

@@ -77,6 +77,8 @@ def open_atlas(path: str | Path) -> xr.Dataset:
     path = Path(path)
     if not path.exists():
         raise BadInput(f"{path}: there is no such file")
+    if path.suffix.lower() == ".toml":
+        raise BadInput(f"{path}: this is a scene, not an atlas; `atlas run {path}` makes its atlas")
     if (path / zarr_store.METADATA).is_file():
         ds = zarr_store.open_store(path)
     elif path.is_dir():

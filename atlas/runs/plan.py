@@ -36,6 +36,7 @@ if TYPE_CHECKING:
 # Shortest run that shows most chaos: revolutions of the frame, or, where the frame does not turn, periods of the bound
 # of the fastest frequency.
 MIN_ORBITS, MIN_PERIODS = 80, 400
+COSTLY_SHARE = 0.3  # of all steps, that a warning names when a hundredth of the points takes it
 
 
 @dataclass(frozen=True, eq=False)
@@ -130,6 +131,21 @@ class ScenePlan:
                 f"max_steps = {self.scene.settings.max_steps} cuts short {100 * limited:.3g} % of the points, whose errors are"
                 " larger than the tolerance"
             )
+        steps = sizes.steps[exists].astype(np.float64)
+        costly = steps >= np.quantile(steps, 0.99) if steps.size else np.zeros(0, bool)
+        share = steps[costly].sum() / max(steps.sum(), 1.0)
+        if share > COSTLY_SHARE and costly.mean() < 0.5 * COSTLY_SHARE:
+            axes = {n: self.sample.points[n][exists] for n in self.scene.axes if n in self.sample.points}
+            where = [
+                f"{name} from {values[costly].min():.3g} to {values[costly].max():.3g}"
+                for name, values in axes.items()
+                if np.ptp(values[costly]) < 0.5 * np.ptp(values)
+            ]
+            parts = [
+                f"{100 * costly.mean():.2g} % of the points take {100 * share:.0f} % of the steps",
+                *where,
+            ]
+            warnings.append(f"{', '.join(parts)}; max_steps would cut them short")
         if unresolved > 0:
             warnings.append(
                 f"{100 * unresolved:.3g} % of the points have steps too long for their fastest frequency: they get no label"

@@ -34,7 +34,7 @@ STATUS_BATCH = 64  # tiles that a thread checks at a time
 SIDECAR_TYPES = {"points": int, "computed": int, "seconds": (int, float), "by": str}
 
 COUNTED = (
-    "label", "label_inertial", "label_any_axis", "label_any_axis_inertial", "status", "agreement", "computed",
+    "label", "label_inertial", "label_any_axis", "label_any_axis_inertial", "regularity", "status", "agreement", "computed",
 )  # fmt: skip
 # Groups of points whose expected errors are printed apart: drifting motions amplify errors, steady ones do not.
 GROUPS = {"steady": (Label.REGULAR_PRECESSION, Label.PERMANENT_ROTATION), "drifting": (Label.DRIFTING,)}

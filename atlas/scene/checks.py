@@ -17,7 +17,7 @@ import numpy as np
 
 from ..errors import BadInput, allowed_text, shown
 from ..systems.base import Parameter
-from .expressions import RESERVED
+from .expressions import RESERVED, Expression
 
 # Characters of a name that a scene makes up.
 MAX_NAME = 60
@@ -56,6 +56,19 @@ def number(key: str, value: object) -> float:
     if not math.isfinite(result):
         raise BadInput(f"{key} = {shown(value)}: must be a finite number")
     return result
+
+
+@accepts(type=["number", "string"], pattern=rf"^([-+*/().0-9\s]|[0-9][eE]|{'|'.join(sorted(RESERVED))})+$")
+def quantity(key: str, value: object) -> float:
+    """The value as a float, if it is a finite number or arithmetic in numbers, such as "90 * deg"."""
+    if not isinstance(value, str):
+        return number(key, value)
+    expression = Expression(key, value)
+    for name in sorted(expression.names):
+        raise BadInput(
+            f"{key} = {shown(value)}: {name} has no value here; put what follows from other names into [ties]"
+        )
+    return number(key, float(expression.value({})))
 
 
 @accepts(type="number", exclusiveMinimum=0)
@@ -268,8 +281,8 @@ def checked(
 
 
 INTERVAL: Keys = {
-    "from": checked(number, description="first value"),
-    "to": checked(number, description="last value"),
+    "from": checked(quantity, description="first value"),
+    "to": checked(quantity, description="last value"),
     "spacing": checked(one_of(SPACINGS), "linear"),
 }
 

@@ -39,9 +39,14 @@ FUNCTIONS: dict[str, Callable[..., Any]] = {
     "log": np.log,
     "abs": np.abs,
 }
-CONSTANTS = {"pi": math.pi}
+CONSTANTS = {"pi": math.pi, "deg": math.pi / 180}
 RESERVED = {*FUNCTIONS, *CONSTANTS}
-_ALLOWED = f"allowed: + - * / **, {', '.join(FUNCTIONS)}, pi, numbers and other names"
+_HINTS = {
+    "^": "powers are **",
+    "np.": "functions have no np. before them",
+    "arc": "arcsin is asin, and so on",
+}
+_ALLOWED = f"allowed: + - * / **, {', '.join(FUNCTIONS)}, pi, deg (pi / 180), numbers and other names"
 
 
 class Expression:
@@ -78,8 +83,10 @@ class Expression:
                 return _OPERATORS[type(op)], [operand]
             case ast.Call(func=ast.Name(id=name), args=[argument], keywords=[]) if name in FUNCTIONS:
                 return FUNCTIONS[name], [argument]
+        hint = next((f"{sentence}; " for sign, sentence in _HINTS.items() if sign in self.text), "")
         raise BadInput(
-            f"{self.key} = {shown(self.text)}: {shown(ast.get_source_segment(self.text, node))} is not arithmetic; {_ALLOWED}"
+            f"{self.key} = {shown(self.text)}: {shown(ast.get_source_segment(self.text, node))} is not arithmetic;"
+            f" {hint}{_ALLOWED}"
         )
 
     def _names_in(self, node: ast.expr) -> set[str]:

@@ -268,8 +268,15 @@ def warnings(scene: Scene, sample: Grid) -> list[str]:
 
 
 def system_warnings(system: System, points: Points) -> list[str]:
-    """Warnings of the system about points that are computed, and one about numbers of extreme magnitude."""
+    """Warnings of the system about points that are computed, and some about numbers that are hardly meant."""
     messages = system.warnings(points)
+    for name, parameter in system.parameters.items():
+        largest = np.abs(points[name]).max(initial=0.0, where=np.isfinite(points[name]))
+        if parameter.unit == "rad" and largest > 2 * np.pi:
+            messages.append(
+                f"{name} reaches {largest:.6g} rad = {float(largest) * 180 / np.pi:.6g} degrees: angles are in rad; in a scene"
+                f' {name} = "{largest:.6g} * deg" is one in degrees'
+            )
     if not system.within_range(points).all():
         messages.append(
             f"at some points a number is larger than {MAX_MAGNITUDE:g}, or one that must be positive is less than"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import html
 import math
 import re
 from collections.abc import Iterable, Mapping
@@ -321,6 +322,9 @@ class Scene:
         lines.append(f"rate tolerance {settings.rate_tolerance:g}, cylinder tolerance {settings.cylinder:g}")
         return "\n  ".join(lines)
 
+    def _repr_html_(self) -> str:
+        return f"<pre>{html.escape(str(self))}</pre>"
+
 
 def optional_start_values(system: System, names: Iterable[str]) -> list[str]:
     """Those of the names that a start need not give, because other start values can replace them."""
@@ -331,6 +335,13 @@ MAX_KEY = 300  # characters of a line in which a key is looked for
 _KEY = re.compile(r"[A-Za-z_][\w-]*(?:\.[\w-]+)*")
 _HEADER = re.compile(r"\s*\[\[?\s*([^\[\]]+?)\s*\]\]?\s*(?:#.*)?$")
 _ASSIGNMENT = re.compile(r"""\s*([\w."' -]+?)\s*=""")
+# What is wrong in a line that TOML's parser cannot read: a pattern of the line -> what was meant.
+_TOML_HINTS = {
+    r"^[^\"]*[^\x00-\x7f][^\"]*$": "names are ASCII letters, digits and _",
+    r"=\s*(True|False)\b": "true and false have small letters",
+    r"=\s*[-+]?\d+,\d": "the decimal sign is a point",
+    r"=\s*[^\s\"'=\[{]*\s*[A-Za-z*/(^]": 'texts and arithmetic are quoted, such as "sigma * A"',
+}
 _TOML_POSITION = re.compile(r" \(at (?:line (\d+), column \d+|end of document)\)")
 
 
@@ -357,8 +368,8 @@ class Source:
         message = f"not valid TOML: {_TOML_POSITION.sub('', message)}"
         if line is not None and line <= len(self.text.splitlines()):
             content = self.text.splitlines()[line - 1].partition("#")[0]
-            if not content.isascii() and '"' not in content:
-                message += "; names are ASCII letters, digits and _"
+            hints = [hint for pattern, hint in _TOML_HINTS.items() if re.search(pattern, content[:MAX_KEY])]
+            message = "; ".join([message, *hints[:1]])
         return self.at_line(line, message)
 
     def at_line(self, line: int | None, message: str) -> BadInput:

@@ -146,7 +146,7 @@ def scene_from(table: Mapping[str, Any], name: str = "scene", folder: Path | Non
         raise BadInput(f"{count} names are given values; allowed: at most {MAX_NAMES}")
     system = systems.get(checks.text("system", table["system"]))
     title = checks.text("title", table.get("title", name))
-    fixed = {key: checks.number(f"fixed.{key}", value) for key, value in section["fixed"].items()}
+    fixed = {key: checks.quantity(f"fixed.{key}", value) for key, value in section["fixed"].items()}
     for key, number in fixed.items():
         if key in system.parameters:
             checks.check_range(system.parameters[key], f"fixed.{key}", number, number)
@@ -389,7 +389,7 @@ def _nudge(system: System, table: Mapping[str, Any], names: set[str]) -> dict[st
     """Amounts added to start values; `names` have a value in the scene."""
     starts = [parameter.name for parameter in system.parameters.values() if parameter.start]
     checks.check_keys(table, "nudge.", starts)
-    nudge = {name: checks.number(f"nudge.{name}", value) for name, value in table.items()}
+    nudge = {name: checks.quantity(f"nudge.{name}", value) for name, value in table.items()}
     optional = optional_start_values(system, nudge)
     for name in optional:
         if name not in names:

@@ -17,7 +17,7 @@ DIALECT = "https://json-schema.org/draft/2020-12/schema"
 NAME = f"^(?!({'|'.join(sorted(RESERVED))})$)[A-Za-z_][A-Za-z0-9_]*$"
 DURATION = r"^\s*[+]?[0-9.][0-9.eE+-]*\s*([Oo]rbits?|[Tt]urns?)?\s*$"
 
-NUMBER = checks.number.schema
+NUMBER = checks.quantity.schema
 
 Schema = dict[str, Any]
 

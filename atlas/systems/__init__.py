@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 from typing import Any
 
-from ..errors import BadInput, allowed_text, shown
+from ..errors import BadInput, allowed_text, shown, text_table
 from ..files import one_line
 from . import arithmetic, plugins
 from .base import Observable, Parameter, System
@@ -21,6 +21,7 @@ __all__ = [
     "Parameter",
     "System",
     "available",
+    "describe",
     "from_lagrangian",
     "get",
     "names",
@@ -108,6 +109,18 @@ def get(name: object) -> System:
 def names() -> list[str]:
     """Names of all systems: of this package, registered, and installed; nothing is imported."""
     return list(dict.fromkeys([*SYSTEMS, *plugins.names()]))
+
+
+def describe(name: str | None = None) -> str:
+    """A system with its parameters and families, or all systems in a line each, as text to print."""
+    if name is None:
+        return text_table([(key, system.title) for key, system in available().items()])
+    system = get(name)
+    parameters = [(n, p.unit, f"{p.default:g}", p.meaning) for n, p in system.parameters.items()]
+    families = [(n, f"solves {', '.join(f.solve) or 'nothing'}", f.title) for n, f in system.families.items()]
+    return "\n".join(
+        [f"{name}: {system.title}", text_table(parameters), text_table(families or [("no families",)])]
+    )
 
 
 def available() -> dict[str, System]:

@@ -55,7 +55,7 @@ def from_lagrangian(
 ) -> str:
     """Write the module of equations of a system from its Lagrangian.
 
-    All expressions are SymPy's (``pip install 'precession-atlas[lagrangian]'``) and consist of plain symbols, numbers,
+    All expressions are SymPy's (``pip install sympy``) and consist of plain symbols, numbers,
     arithmetic and the functions of `arithmetic.FUNCTIONS`. The same arguments give the same text.
 
     Parameters
@@ -101,9 +101,7 @@ def from_lagrangian(
     try:
         import sympy  # noqa: F401
     except ImportError:
-        raise BadInput(
-            "from_lagrangian: needs SymPy, which is not installed: pip install 'precession-atlas[lagrangian]'"
-        ) from None
+        raise BadInput("from_lagrangian: needs SymPy, which is not installed: pip install sympy") from None
     mechanics = _Mechanics.of(
         lagrangian, coordinates, velocities, parameters, forces or {}, dissipation, omit, functions or {}
     )

@@ -12,7 +12,7 @@ make a factor 1. Errors are medians over the first points against SciPy's DOP853
 tolerances to the errors asked for. --docs writes the tables, the figure and the sentence of the README below a folder.
 Integrators that are not installed are skipped:
 
-    pip install "precession-atlas[peers]"      (in a clone: pip install -e ".[peers]")
+    pip install -e ".[peers]"      (in a clone of the repository)
 """
 
 from __future__ import annotations
@@ -357,7 +357,7 @@ def installed(peers: dict[str, Peer], parts: Sequence[str], required: bool) -> d
         try:
             engines[name] = peer.make()
         except ImportError as missing:
-            text = f'{name}: no module {missing.name}; pip install "precession-atlas[peers]"'
+            text = f'{name}: no module {missing.name}; in a clone: pip install -e ".[peers]"'
             if required:
                 sys.exit(text)
             print(f"skipped {text}")

@@ -218,7 +218,7 @@ def section(picture: Picture, ds: xr.Dataset) -> list[str]:
         f"## {ds.attrs['title']}", "", f"![{picture.scene}](gallery/{picture.scene}.png)", "",
         picture.caption, "",
         f"`configs/{picture.scene}.toml`: {ds['label'].size} points, {agreement_with_theory(ds)}.", "",
-        *commands(picture), "",
+        *commands(picture), "", f'<a href="{picture.scene}_page.html">The same as a page to point at</a>', "",
     ]  # fmt: skip
 
 
@@ -275,8 +275,8 @@ def main() -> None:
         "Each figure is made from a scene in `configs/` by `python scripts/tools/gallery.py`, which writes it as PNG and"
         ' PDF, and the atlas behind it, to `out/gallery/`. "Changed" starts are those of the scene\'s `[nudge]`.',
         "",
-        "A map to point at, with the motion of every point: [`atlas page`](page.md), for instance"
-        ' <a href="quickstart_page.html">that of the quickstart</a> on the site of these pages.',
+        "On the site of these pages a link below each figure leads to its [page to point at](page.md), with the motion of every"
+        " point; `sh scripts/docs.sh` makes those of the atlases in `out/gallery/`.",
         "",
     ]
     chosen = [picture for picture in PICTURES if picture.scene in options.only]

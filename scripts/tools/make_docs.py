@@ -8,6 +8,7 @@ from __future__ import annotations
 import argparse
 import re
 import sys
+from itertools import groupby
 from pathlib import Path
 
 import numpy as np
@@ -16,6 +17,7 @@ from atlas.analysis import catalogue
 from atlas.flags import Agreement, Flag, Label, Stability, Status
 from atlas.papers.amer2013 import claims
 from atlas.plotting.amer2013 import amplitude_table, periodic_solutions
+from atlas.plotting.style import GREEK
 from atlas.systems import SYSTEMS
 from atlas.systems.base import System
 from atlas.variables import variables
@@ -29,6 +31,78 @@ def table(rows: list[tuple[str, ...]]) -> str:
     return "\n".join([lines[0], "|" + "---|" * len(rows[0]), *lines[1:]])
 
 
+FUNCTIONS = ("sin", "cos", "tan", "log", "exp", "ln")
+NAMES = {name: rf"\{name}" for name in GREEK} | {
+    "w": r"\omega",
+    "eps": r"\epsilon",
+    "mt": "m t",
+    "nt": "n t",
+    "Mg": "Mg",
+}
+SIGNS = {
+    "+-": r"\pm",
+    "-+": r"\mp",
+    ">=": r"\ge",
+    "<=": r"\le",
+    "!=": r"\ne",
+    "->": r"\to",
+    "x": r"\times",
+    "*": r"\,",
+}
+SIGNS |= {".": r"\cdot", "..": r"\ldots", "...": r"\ldots", "{": r"\{", "}": r"\}"}
+NAME = re.compile(r"([A-Za-z]+?)(_dot)?(\d+(?:,\d)?)?(_[a-z*])?('*)")
+TOKEN = re.compile(
+    r"[a-z]+-[a-z]{2,}|√\w+|[A-Za-z]+(?:_dot)?\d*(?:,\d)?(?:_[a-z*])?'*|\^-?\w+|\d+(?:\.\d+)?|\.{2,}|\+-|-\+|->|[<>!]=|\S"
+)
+
+
+def in_latex(text: str) -> str:
+    """A text with formulas, such as "k1 = 0, or C m = k3 cos(theta0)", with the formulas as LaTeX between dollars.
+
+    Names of one letter, Greek letters and functions are formulas, other words are words.
+    """
+    text = re.sub(r"sqrt\((\w+)\)", r"√\1", re.sub(r"\b([A-Za-z]+)(\d)-dot", r"\1_dot\2", text))
+    text = re.sub(r"sqrt\(([^()]+)\)", r"(\1)^½", text)
+    pieces: list[tuple[bool, str]] = []  # whether in a formula, and the text
+    bars = 0
+    tokens = TOKEN.findall(text)
+
+    def is_word(token: str) -> bool:
+        """Whether a token is a word of the language."""
+        name = NAME.fullmatch(token)
+        return bool(re.search("[a-z]-[a-z]", token)) or (
+            name is not None and name[1] not in (*NAMES, *FUNCTIONS) and len(name[1]) > 1
+        )
+
+    for token, following in zip(tokens, [*tokens[1:], ""], strict=True):
+        name = NAME.fullmatch(token)
+        article = token in ("a", "(") and is_word(following) and following[-1].isalpha()
+        closing = token == ")" and bool(pieces) and not pieces[-1][0]
+        if (is_word(token) and token not in SIGNS) or article or closing or token in ",:;":
+            pieces.append((False, token))
+        elif token in SIGNS:
+            pieces.append((True, SIGNS[token]))
+        elif token == "|":
+            bars += 1
+            pieces.append((True, r"\lvert" if bars % 2 else r"\rvert"))
+        elif token[0] in "^√":
+            pieces.append((True, rf"^{{{token[1:]}}}" if token[0] == "^" else rf"\sqrt{{{token[1:]}}}"))
+        elif name is None:
+            pieces.append((True, token))
+        elif name[1] in FUNCTIONS:
+            pieces.append((True, rf"\{name[1]}"))
+        else:
+            letter = NAMES.get(name[1], name[1])
+            letter = rf"\dot{{{letter}}}" if name[2] else letter
+            index = (name[3] or "") + (name[4] or "")[1:]
+            pieces.append((True, letter + (f"_{{{index}}}" if index else "") + name[5]))
+    runs: list[str] = []
+    for is_formula, group in groupby(pieces, key=lambda piece: piece[0]):
+        joined = re.sub(r" (?=[\^)\]/])|(?<=[(\[/]) ", "", " ".join(piece for _, piece in group))
+        runs.append(f"${joined}$" if is_formula else joined)
+    return re.sub(r" (?=[,:;)])|(?<=\() ", "", " ".join(runs))
+
+
 def parameters(system: System) -> str:
     """Table of the parameters of a system."""
     rows = [("parameter", "unit", "default", "allowed", "meaning")]
@@ -40,12 +114,14 @@ def parameters(system: System) -> str:
 
 
 def dataset(system: System) -> str:
-    """Table of the variables of an atlas."""
-    rows = [("variable", "type", "unit or flags", "meaning")]
+    """List of the variables of an atlas: their remarks are too long for the cells of a table."""
+    lines = []
     for v in variables(system).values():
-        values = ", ".join(v.flags) if v.flags else v.units
-        rows.append((f"`{v.name}`", v.dtype, values, v.long_name + (f" ({v.comment})" if v.comment else "")))
-    return table(rows)
+        values = f"flags {', '.join(v.flags)}" if v.flags else v.units
+        asked = "; on request" if v.optional else ""
+        remark = f"  \n  *{v.comment[0].upper()}{v.comment[1:]}.*" if v.comment else ""
+        lines.append(f"- **`{v.name}`** ({v.dtype}, {values}{asked}): {v.long_name}{remark}")
+    return "\n".join(lines)
 
 
 def families(system: System) -> str:
@@ -53,7 +129,13 @@ def families(system: System) -> str:
     rows = [("family", "equations", "solves for", "motion", "conditions")]
     for f in system.families.values():
         rows.append(
-            (f"`{f.name}`", f.equations, ", ".join(f.solve), f.title, "; ".join(c.text for c in f.conditions))
+            (
+                f"`{f.name}`",
+                f.equations,
+                ", ".join(f.solve),
+                f.title,
+                "; ".join(in_latex(c.text) for c in f.conditions),
+            )
         )
     return table(rows)
 
@@ -88,8 +170,8 @@ def published_equations(system: System) -> str:
     rows = [("equation", "verdict", "as printed", "true", "residual as printed", "as true", "effect")]
     for row in catalogue.published(system):
         sizes = (_rounded(row["residual_printed"]), _rounded(row["residual_true"]))
-        texts = (row[key] for key in ("equation", "verdict", "printed", "true"))
-        rows.append((*texts, *sizes, row["effect"] or row["measure"]))
+        formulas = (in_latex(row[key]) for key in ("printed", "true"))
+        rows.append((row["equation"], row["verdict"], *formulas, *sizes, row["effect"] or row["measure"]))
     return table(rows)
 
 

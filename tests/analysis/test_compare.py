@@ -190,3 +190,30 @@ def test_the_summary_reads_the_median_of_some_labels_to_a_quarter_of_a_decade(co
     middle = np.sort(values)[(count - 1) // 2]
     assert largest == pytest.approx(values.max(), rel=0.05)  # printed with two digits
     assert 0.9 * middle <= median <= 1.1 * middle * 10**0.25  # printed with one digit
+
+
+def test_a_run_ends_with_labels_agreement_and_points_in_doubt(small_scene):
+    ds = atlas.run(load_scene(small_scene), progress=False)
+    lines = compare.summary(ds, verbose=False).splitlines()
+    agree = int((ds.agreement == Agreement.AGREE).sum())
+    compared = int((ds.agreement != Agreement.NOT_COMPARED).sum())
+    assert lines[2:] == [
+        f"theory: {100 * agree / compared:.2f} % of {compared} compared points agree",
+        "in doubt: no point",
+    ]
+    assert lines[:2] == compare.summary(ds).splitlines()[:2]
+    ds["status"][0, 0] = 5
+    assert "in doubt: step_sensitive 1" in compare.summary(ds, verbose=False)
+
+
+def test_drifting_points_are_told_the_nearest_family():
+    bodies = {"C": np.array([1.2, 1.3]), "k3": 0.1, "theta0": np.array([0.4, 0.5]), "m": 0.5}
+    line = compare.summary(
+        atlas.label_points("satellite", bodies, duration=20.0), verbose=False
+    ).splitlines()[-1]
+    low, high = map(
+        float, re.search(r"family perp_radius, residual .* on it with k3 from (\S+) to (\S+)", line).groups()
+    )
+    # (17): Omega (A - C) cos(theta0) = C m + k3
+    exact = (1 - bodies["C"]) * np.cos(bodies["theta0"]) - bodies["C"] * 0.5
+    assert (low, high) == pytest.approx((exact.min(), exact.max()), rel=1e-3)

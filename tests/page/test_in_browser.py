@@ -177,6 +177,59 @@ def test_every_variable_can_be_drawn_in_light_and_dark(browser, address, small_a
     assert not browser.errors
 
 
+def test_the_address_leads_to_variable_and_point(browser, address, small_atlas):
+    browser.open(address)
+    browser.click(*pixel(browser, [7, 2]))
+    browser.wait(DONE)
+    sigma, theta0 = float(small_atlas.sigma[7]), float(small_atlas.theta0[2])
+    hash_ = browser.evaluate("location.hash")
+    assert dict(part.split("=") for part in hash_[1:].split("&")) == {
+        "variable": "label", "sigma": repr(sigma), "theta0": repr(theta0),
+    }  # fmt: skip
+    browser.call("Page.navigate", url="about:blank")
+    browser.open(f"{address}#variable=growth_rate&sigma={sigma + 0.01}&theta0={theta0}")
+    browser.wait(DONE)
+    assert browser.evaluate("document.getElementById('motion-section').dataset.done") == "7,2"
+    assert browser.evaluate("state.variable.name") == "growth_rate"
+    assert not browser.errors
+
+
+def test_the_motion_plays_on_the_sphere(browser, address):
+    browser.open(address)
+    browser.click(*pixel(browser, [5, 1]))
+    browser.wait(DONE)
+    still = painted_bytes(browser, "document.querySelector('#plots .turn')")
+    browser.evaluate("document.querySelector('.play').click()")
+    browser.wait(f"document.querySelector('#plots .turn').toDataURL() !== {still!r}")
+    assert "pause" in browser.evaluate("document.querySelector('.play').textContent")
+    browser.evaluate("document.querySelector('.play').click()")
+    assert "play" in browser.evaluate("document.querySelector('.play').textContent")
+    assert not browser.errors
+
+
+def test_errors_above_1_are_explained(browser, address, small_atlas):
+    browser.open(address)
+    above = (small_atlas.error_estimate > 1).transpose("sigma", "theta0").values
+    assert above.any()
+    assert not above.all()
+    for index in (np.argwhere(above)[0], np.argwhere(~above)[0]):
+        browser.evaluate(f"showPoint({index.tolist()})")
+        assert ("Error estimate above 1: an instability" in text(browser, "verdict")) == above[tuple(index)]
+
+
+def test_a_print_has_no_buttons(browser, address):
+    browser.open(address)
+    browser.call("Emulation.setEmulatedMedia", media="print")
+    shown = "(name) => getComputedStyle(document.querySelector(name)).display !== 'none'"
+    try:
+        assert not any(
+            browser.evaluate(f"({shown})('{name}')") for name in ("button", "#keys", "#point-section")
+        )
+        assert browser.evaluate(f"({shown})('#variable')")
+    finally:
+        browser.call("Emulation.setEmulatedMedia", media="")
+
+
 def test_phone(browser, address):
     browser.open(address, 390, 800, mobile=True)
     assert browser.evaluate("document.documentElement.scrollWidth") <= 390

@@ -22,7 +22,7 @@ from atlas.analysis import boundary, metadata, select
 from atlas.analysis import plane as planes
 from atlas.errors import MAX_TEXT, printable
 from atlas.flags import Label
-from atlas.plotting import content, maps, style, trajectory
+from atlas.plotting import cells, content, maps, style, trajectory
 from atlas.scene import grid
 from atlas.systems import SYSTEMS
 from atlas.variables import variables
@@ -280,9 +280,37 @@ def test_a_third_axis_becomes_panels(solid):
     assert numbers == [False, True, True]  # two above, one below
 
 
-def test_one_axis_gives_a_strip_or_a_line(small):
-    strip = maps.atlas_map(small, select={"theta0": 0.8})
-    assert meshes(strip)
+def test_rows_and_columns_of_panels(solid):
+    solid = solid.expand_dims(k2=[0.0, 0.5])
+    figure = maps.atlas_map(solid, "theta_dot_rms", row="k2", col="n", width="page", boundary=False)
+    panels = figure.axes[:6]
+    places = [ax.get_subplotspec() for ax in panels]
+    assert [(p.rowspan.start, p.colspan.start) for p in places] == list(np.ndindex(2, 3))
+    assert [bool(ax.get_title()) for ax in panels] == [True] * 3 + [False] * 3
+    assert [[t.get_text() for t in ax.texts] for ax in panels[2::3]] == [
+        ["$k_2$ = 0"],
+        ["$k_2$ = 0.5"],
+    ]
+    for ax, (row, column) in zip(panels, np.ndindex(2, 3), strict=True):
+        (mesh,) = [c for c in ax.collections if isinstance(c, QuadMesh)]
+        part = solid.theta_dot_rms.isel(k2=row).sortby("n").isel(n=column).transpose("theta0", "sigma")
+        np.testing.assert_array_equal(
+            np.ravel(mesh.get_array()), np.where(part > 0, part, mesh.get_array().min()).ravel()
+        )
+    column = maps.atlas_map(solid.isel(k2=0), "theta_dot_rms", row="n", boundary=False)
+    assert [ax.get_subplotspec().rowspan.start for ax in column.axes[:3]] == [0, 1, 2]
+
+
+def test_one_axis_gives_a_curve(small):
+    levels = maps.atlas_map(small, select={"theta0": 0.8})
+    (ax,) = levels.axes
+    label = small.label.sel(theta0=0.8, method="nearest")
+    values = np.unique(label)
+    assert [t.get_text() for t in ax.get_yticklabels()] == [
+        Label(v).name.lower().replace("_", " ") for v in values
+    ]
+    np.testing.assert_array_equal(values[ax.lines[0].get_ydata().astype(int)], label)
+    assert legend(levels) == ["stability limit (theory)"]
     line = maps.atlas_map(small, "theta_dot_rms", select={"theta0": 0.8})
     curve = line.axes[0].lines[0]
     nearest = small.theta_dot_rms.sel(theta0=0.8, method="nearest")
@@ -462,6 +490,31 @@ def test_a_map_in_the_axes_of_the_caller(small):
     assert figure.get_size_inches().tolist() == [4, 3]
 
 
+def test_maps_of_the_caller_carry_the_entries_of_one_legend(small):
+    figure = Figure()
+    left, right = figure.subplots(1, 2)
+    maps.atlas_map(small, ax=left, legend=False)
+    maps.atlas_map(small, "predicted", ax=right, legend=False)
+    handles, texts = left.get_legend_handles_labels()
+    assert texts == legend(maps.atlas_map(small))
+    figure.legend(handles, texts)
+    figure.draw_without_rendering()
+    drawn = dict(zip(texts, figure.legends[0].legend_handles, strict=True))
+    assert drawn["drifting"].get_facecolor() == matplotlib.colors.to_rgba(style.COLOURS["drifting"])
+    assert content.SLOW not in right.get_legend_handles_labels()[1]  # nothing was run there
+
+
+@pytest.mark.parametrize("dpi", [72, 110, 300])
+def test_the_legend_is_inside_the_figure_at_any_resolution(small, dpi):
+    figure = maps.atlas_map(small)
+    file = io.BytesIO()
+    figure.savefig(file, dpi=dpi)
+    file.seek(0)
+    ink = (matplotlib.image.imread(file)[: dpi // 4, :, :3] < 0.9).any(axis=(0, 2))  # of the legend
+    assert ink.any()
+    assert not ink[[0, -1]].any()
+
+
 def test_colours_texts_and_size_can_be_chosen(small):
     figure = maps.atlas_map(
         small,
@@ -554,6 +607,40 @@ def test_slow_instabilities_are_hatched_where_growth_had_no_time(small):
     assert slow.any()
 
 
+def test_what_cannot_be_seen_has_no_entry():
+    """Lines that only touch the frame, and hatching narrower than a hundredth of it."""
+    array = regions((300, 300)).label
+    slow = np.zeros((300, 300), bool)
+    slow[:, 7:9] = True
+    corner = np.array([[299.4, 299.5], [299.5, 299.4]])
+    inside = np.array([[100.0, 100.0], [110.0, 100.0]])
+    panel = content.Panel(array, {}, slow, {"a": [corner], "b": [corner, inside], "c": [inside + 300]}, {})
+    frame = content.Frame([np.linspace(-0.5, 299.5, 301)] * 2, [False, False])
+    seen = content.visible(panel, frame)
+    assert list(seen.borders) == ["b"]
+    assert not seen.slow.any()
+    slow[:, 7:10] = True
+    assert content.visible(panel, frame).slow.sum() == 900
+    one = content.Frame([np.geomspace(1, 100, 9)], [True])
+    lines = {"in": [np.array([[10.0]])], "out": [np.array([[0.9]])]}
+    assert list(content.visible(content.Panel(array[0], {}, slow[:, 0], lines), one).borders) == ["in"]
+
+
+def test_crowded_lines_are_thin():
+    ax = Figure(figsize=(3, 3)).subplots()
+    frame = content.Frame([np.array([0.0, 1.0])] * 2, [False, False])
+    x = np.linspace(0, 1, 500)
+    cusp = [np.stack([x, 0.5 + s * 0.005 * x], -1) for s in (1, -1)]  # two branches side by side
+    assert not any(crowded for _, crowded in cells._crowded_parts(ax, cusp, frame))
+    third = np.stack([x, 0.5 + 0.0 * x], -1)[250:]
+    parts = cells._crowded_parts(ax, [*cusp, third], frame)
+    for part, crowded in parts:
+        middle = part[len(part) // 2, 0]
+        assert crowded == (middle > 0.5)
+    dot = 0.2 + 0.002 * np.stack([np.cos(6.3 * x), np.sin(6.3 * x)], -1)
+    assert cells._crowded_parts(ax, [dot], frame)[0][1]
+
+
 def test_integers_have_a_colour_each(small):
     counts = small.label.astype(float) * 3 + 2
     ds = small.assign(theta_dot_rms=small.theta_dot_rms.copy(data=counts.values))
@@ -613,6 +700,7 @@ def test_single_points_become_dots(sample):
     for i in range(sample.sizes["point"]):
         assert by_place[float(sample.theta0[i]), float(sample.k3[i])] == sample.label[i]
     assert "drifting" in legend(figure)
+    assert figure.axes[0].get_legend_handles_labels()[1] == legend(figure)
 
 
 def test_scatter_axes_are_given_parameters_that_vary(sample, small):
@@ -749,6 +837,8 @@ def test_a_rate_that_is_zero_on_a_line_is_traced_and_a_pole_is_not():
         ({"x": "k3"}, "x = 'k3': not an axis"),
         ({"x": "sigma", "y": "sigma"}, "x = y"),
         ({"select": {"k3": 1.0}}, "k3: not an axis"),
+        ({"row": "k3"}, "row = 'k3': not an axis"),
+        ({"x": "sigma", "col": "sigma"}, "x = col = 'sigma': each must be another axis"),
         ({"select": {"sigma": 7.0}}, "sigma = 7: outside the atlas; allowed: 0.3 to 1.7"),
         ({"select": {"sigma": float("nan")}}, "must be a finite number"),
         ({"select": {"sigma": 1.0, "theta0": 1.0}}, "no axes to draw"),
@@ -759,7 +849,7 @@ def test_a_rate_that_is_zero_on_a_line_is_traced_and_a_pole_is_not():
         ({"cmap": "viridis"}, "cmap: label has flags"),
         ({"variable": "theta_dot_rms", "cmap": "rainbows"}, "no such colour map"),
         ({"variable": "theta_dot_rms", "colors": {"drifting": "red"}}, "colors: theta_dot_rms has no flags"),
-        ({"colors": {"drift": "red"}}, "colors: 'drift': allowed: not_computed"),
+        ({"colors": {"drift": "red"}}, "colors: 'drift': did you mean 'drifting'? allowed: not_computed"),
         ({"colors": {"drifting": "reddish"}}, "not a colour of Matplotlib"),
         ({"colors": ["red"]}, "colors = ['red']: must be a mapping"),
         ({"labels": {"k3": "x"}}, "labels: 'k3': allowed: "),

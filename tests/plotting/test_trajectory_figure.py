@@ -95,3 +95,12 @@ def test_rates_that_diverge_near_the_vertical_do_not_hide_the_others():
     tr = atlas.trajectory("satellite", {"theta0": 1.0, "n": 0.3}, duration=20.0, samples=201)
     tr["psi_dot"][100] = 1e6
     assert trajectory.trajectory_figure(tr).axes[2].get_ylim()[1] < 100
+
+
+def test_down_is_named_where_gamma_points_down():
+    tr = atlas.trajectory("fixed_point", {"theta0": 2.9, "m": 6.0, "psi0": 0.1}, duration=1.0, samples=50)
+    figure = trajectory.trajectory_figure(tr)
+    texts = [text.get_text() for ax in figure.axes for text in ax.texts]
+    assert "down (\N{GREEK SMALL LETTER GAMMA})" in texts
+    assert any(ax.get_ylabel().startswith("downward") for ax in figure.axes)
+    assert tr.axis_z.long_name == "third axis along down (\N{GREEK SMALL LETTER GAMMA})"

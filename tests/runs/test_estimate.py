@@ -59,6 +59,16 @@ def test_the_share_of_points_that_are_not_resolved_is_printed(monkeypatch):
     assert "25 % of the points have steps too long" in dry_run(scene, threads=1)
 
 
+def test_the_few_points_that_take_most_steps_are_named():
+    axes = {"theta0": {"from": 0.1, "to": 1.5, "count": 4}, "m": {"values": [*range(1, 100), 20_000]}}
+    table = {"schema": 1, "title": "spins", "system": "satellite", "fixed": {"C": 1.2}, "axes": axes}
+    table["integration"] = {"duration": 5.0}
+    (warning,) = ScenePlan.of(scene_from(table)).step_warnings()
+    assert warning.startswith("1 % of the points take 94 % of the steps, m from 2e+04 to 2e+04;")
+    axes["m"] = {"from": 1.0, "to": 100.0, "count": 100}
+    assert ScenePlan.of(scene_from(table)).step_warnings() == []
+
+
 def test_derived_variables_are_priced_by_some_points(monkeypatch):
     scene = scene_from(
         {

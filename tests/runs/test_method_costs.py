@@ -75,7 +75,7 @@ def test_check_dry_run_and_summary_print_the_line_once(small_scene, tmp_path, mo
     assert main(["check", "small.toml"]) == 0
     assert capsys.readouterr().out.splitlines().count(line) == 1
     assert dry_run(scene, threads=1).splitlines().count(line) == 1
-    assert main(["run", "small.toml", "--quiet"]) == 0
+    assert main(["run", "small.toml", "--quiet", "--verbose"]) == 0
     assert capsys.readouterr().out.splitlines().count(line) == 1
 
 

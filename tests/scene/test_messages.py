@@ -19,6 +19,12 @@ LOCATED = [
     ("count = 9", "count = -1", "count = -1", "axes.sigma.count = -1: must be"),
     ("count = 9\n", "", "[axes.sigma]", "axes.sigma.count is missing"),
     ("A = 1.0", "A = = 1.0", "A = = 1.0", "not valid TOML: Invalid value"),
+    ("A = 1.0", "A = 1,0", "A = 1,0", "not valid TOML: .*; the decimal sign is a point"),
+    ("A = 1.0", "A = True", "A = True", "not valid TOML: Invalid value; true and false have small letters"),
+    ("A = 1.0", "A = 2 * m", "A = 2 * m", 'not valid TOML: .*; texts and arithmetic are quoted, such as "sigma * A"'),
+    ("A = 1.0", 'A = "m"', 'A = "m"', "fixed.A = 'm': m has no value here; .* [ties]"),
+    ("sigma * A", "sigma^2", 'C = "sigma^2', "ties.C = 'sigma^2': 'sigma^2' is not arithmetic; powers are **; allowed"),
+    ("pi / 2", "arcsin(1)", 'psi0 = "arc', "ties.psi0 = .* is not arithmetic; arcsin is asin, and so on; allowed"),
     ("A = 1.0", "θ = 1.0", "θ = 1.0", "not valid TOML: Invalid statement; names are ASCII letters"),
     ("A = 1.0", '"θ" = 1.0', '"θ" = 1.0', "fixed.θ: 'θ' cannot be used as a name; allowed: ASCII letters"),
     ("from = 0.3", "from = -0.3", 'C = "sigma', "ties.C = 'sigma * A' = -0.3: allowed: C > 0"),
@@ -143,6 +149,20 @@ def test_numbers_of_numpy_are_shown_as_numbers():
     with pytest.raises(BadInput) as error:
         atlas.label_points("satellite", {"m": 1.0}, duration=np.array([-1.0]))
     assert str(error.value) == "duration = -1: must be a finite number above 0"
+
+
+def test_angles_in_degrees(small_scene):
+    text = small_scene.replace("to = 1.4", 'to = "80 * deg"').replace("pi / 2", "90 * deg")
+    scene = load_scene(text.replace("m = 0.5", 'm = "sqrt(0.25)"'))
+    assert scene.fixed["m"] == 0.5
+    assert scene.axes["theta0"].values[-1] == pytest.approx(np.radians(80), abs=1e-15)
+    assert load_scene(scene.toml()).axes["theta0"].values.tolist() == scene.axes["theta0"].values.tolist()
+    points = grid.check(scene)
+    assert points.base["psi0"] == pytest.approx(np.pi / 2)
+    assert not grid.warnings(scene, points)
+    scene = load_scene(small_scene.replace("to = 1.4", "to = 90"))
+    (warning,) = grid.warnings(scene, grid.check(scene))
+    assert warning.startswith("theta0 reaches 90 rad = 5156.62 degrees: angles are in rad")
 
 
 def test_numbers_of_extreme_size_give_a_warning(small_scene):

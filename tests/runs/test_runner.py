@@ -15,7 +15,7 @@ from truth import assert_same_bytes
 
 import atlas
 from atlas import BadInput, files, load_scene
-from atlas.flags import Label, Stability
+from atlas.flags import Label, Stability, Status
 from atlas.runs import runner
 from atlas.runs.folder import RunFolder
 from atlas.scene import grid
@@ -94,6 +94,14 @@ def test_the_same_scene_gives_the_same_values_for_other_tiles_and_threads(small_
     for name in ds.data_vars:
         np.testing.assert_array_equal(ds[name].values, rerun[name].values, err_msg=name)
     assert rerun.attrs["atlas_kernel_hash"] == ds.attrs["atlas_kernel_hash"]
+
+
+def test_a_tile_may_be_without_possible_bodies(scene_text, monkeypatch):
+    monkeypatch.setattr(grid, "MAX_POINTS_PER_TILE", 4)
+    ds = atlas.run(load_scene(scene_text({"axes.sigma.to": 4.7})), progress=False)
+    possible = (ds.C <= 2).broadcast_like(ds.status)
+    np.testing.assert_array_equal(ds.status == Status.IMPOSSIBLE_BODY, ~possible)
+    np.testing.assert_array_equal(ds.theta_max.isnull(), ~possible)
 
 
 def test_a_point_of_the_atlas_equals_the_same_point_labelled_alone(small_atlas):

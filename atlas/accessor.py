@@ -33,6 +33,9 @@ class Atlas:
 
     def __init__(self, ds: xr.Dataset) -> None:
         self._ds = ds
+        dims = [dim for dim in ds.dims if dim not in ds.coords or ds[dim].dtype.kind not in "iuf"]
+        if len(dims) == len(ds.dims) == 1 and "point" not in (*dims, *ds.variables):
+            self._ds = ds.rename({dims[0]: "point"})  # a list of points under another name
 
     def map(
         self,

@@ -274,23 +274,49 @@ class Atlas:
 
         return nearest_trajectory(self._ds, coords, samples)
 
-    def compare(self, worst: int = 5) -> str:
-        """Comparison with theory in plain text, as `atlas compare` prints it.
+    def compare(self, other: xr.Dataset | None = None, worst: int = 5) -> str:
+        """Comparison with theory, or with another atlas on the same grid, in plain text, as `atlas compare` prints it.
 
         Parameters
         ----------
+        other : Dataset, optional
+            An atlas with the system and the grid of this one, such as one with another tolerance or damping.
         worst : int, optional
-            Number of disagreements to list, at least 0.
+            Number of disagreements, or of changes of each label, to list, at least 0.
 
         Returns
         -------
         str
-            Confusion table, agreement, survivors and the clearest disagreements; the variables label
-            and predicted are loaded whole.
+            With theory: confusion table, agreement, survivors and the clearest disagreements; the variables label
+            and predicted are loaded whole. With another atlas: what differs in the input; changes of flags, with a table of
+            labels here (rows) and there; for each variable of numbers the largest difference, the largest over the larger
+            error_estimate, and where that is. Variables are loaded one by one.
         """
-        from .analysis.compare import report
+        if other is None:
+            from .analysis.compare import report
 
-        return report(self._ds, worst)
+            return report(self._ds, worst)
+        from .analysis import differences
+
+        return differences.report(self._ds, other, worst)
+
+    def differences(self, other: xr.Dataset) -> xr.Dataset:
+        """Changes of flags and differences of numbers to another atlas on the same grid, for maps.
+
+        Parameters
+        ----------
+        other : Dataset
+            As for `compare`.
+
+        Returns
+        -------
+        Dataset
+            For flags `label_change`, ...: unchanged, or to_drifting, ...; for numbers `theta_max_difference`, ...: the other
+            less this one. `differences(other).atlas.map()` draws where labels change.
+        """
+        from .analysis import differences
+
+        return differences.differences(self._ds, other)
 
     def families(
         self, *, x: str | None = None, y: str | None = None, select: Mapping[str, float] | None = None

@@ -1,12 +1,13 @@
 """`ds.atlas`: questions to an atlas. Importing this module registers the accessor with xarray.
 
 An atlas may be larger than memory: files opened lazily, dask-chunked datasets and datasets in memory are
-all read in chunks. Only `Atlas.map` and `Atlas.page` import Matplotlib.
+all read in chunks. Only `Atlas.map`, `Atlas.page`, `Atlas.plot` and `Atlas.animate` import Matplotlib.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -22,6 +23,7 @@ if TYPE_CHECKING:
 
     from .page.page import Page
     from .plotting.style import Width
+    from .plotting.trajectory import Film
 
 MAX_LINES = 1000  # of the spectrum of a signal
 
@@ -29,7 +31,7 @@ MAX_LINES = 1000  # of the spectrum of a signal
 @xr.register_dataset_accessor("atlas")
 @typed
 class Atlas:
-    """Questions to a dataset made by `atlas.run`, `atlas.open_atlas` or `atlas.label_points`."""
+    """Questions to a dataset made by `atlas.run`, `atlas.open_atlas`, `atlas.label_points` or `atlas.trajectory`."""
 
     def __init__(self, ds: xr.Dataset) -> None:
         self._ds = ds
@@ -353,6 +355,43 @@ class Atlas:
         if panel_dim is not None:
             raise BadInput(f"{panel_dim} has {plane.sizes[panel_dim]} values here: choose one by select")
         return family_curves(Plane.of(scene, plane, dims))
+
+    def plot(self, ax: Axes | None = None) -> Figure:
+        """Figure of a motion from `atlas.trajectory`: angles, rates, and the path of the third axis on the sphere.
+
+        Parameters
+        ----------
+        ax : matplotlib.axes.Axes, optional
+            Axes for the sphere alone; default a figure with all panels, as `atlas trajectory` draws it.
+
+        Returns
+        -------
+        matplotlib.figure.Figure
+            The path is dark on the near side of the sphere and pale on the far side, with a dot at its start. Of a system
+            with observables these over time.
+        """
+        from .plotting.trajectory import trajectory_figure
+
+        return trajectory_figure(self._ds, ax=ax)
+
+    def animate(self, path: str | Path | None = None, *, seconds: float = 10.0) -> Film | None:
+        """Animation of a motion from `atlas.trajectory`: the third axis on the sphere, with its trace.
+
+        Parameters
+        ----------
+        path : str or Path, optional
+            File to write or replace: .gif, or .mp4 by the program ffmpeg.
+        seconds : float, optional
+            Length of the animation, at most 25 frames per second, as far as the motion has samples.
+
+        Returns
+        -------
+        matplotlib.animation.FuncAnimation or None
+            Without a path; a notebook shows it with buttons.
+        """
+        from .plotting.trajectory import animate
+
+        return animate(self._ds, path, seconds)
 
     def frequencies(
         self, lines: int = 3, *, samples: int = 8193, trajectory: xr.Dataset | None = None, **coords: float

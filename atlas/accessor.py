@@ -1,12 +1,13 @@
 """`ds.atlas`: questions to an atlas. Importing this module registers the accessor with xarray.
 
 An atlas may be larger than memory: files opened lazily, dask-chunked datasets and datasets in memory are
-all read in chunks. Only `Atlas.map` and `Atlas.page` import Matplotlib.
+all read in chunks. Only `Atlas.map`, `Atlas.page`, `Atlas.plot` and `Atlas.animate` import Matplotlib.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -22,6 +23,7 @@ if TYPE_CHECKING:
 
     from .page.page import Page
     from .plotting.style import Width
+    from .plotting.trajectory import Film
 
 MAX_LINES = 1000  # of the spectrum of a signal
 
@@ -29,10 +31,13 @@ MAX_LINES = 1000  # of the spectrum of a signal
 @xr.register_dataset_accessor("atlas")
 @typed
 class Atlas:
-    """Questions to a dataset made by `atlas.run`, `atlas.open_atlas` or `atlas.label_points`."""
+    """Questions to a dataset made by `atlas.run`, `atlas.open_atlas`, `atlas.label_points` or `atlas.trajectory`."""
 
     def __init__(self, ds: xr.Dataset) -> None:
         self._ds = ds
+        dims = [dim for dim in ds.dims if dim not in ds.coords or ds[dim].dtype.kind not in "iuf"]
+        if len(dims) == len(ds.dims) == 1 and "point" not in (*dims, *ds.variables):
+            self._ds = ds.rename({dims[0]: "point"})  # a list of points under another name
 
     def __repr__(self) -> str:
         """The questions, one in a line."""
@@ -282,23 +287,49 @@ class Atlas:
 
         return nearest_trajectory(self._ds, coords, samples)
 
-    def compare(self, worst: int = 5) -> str:
-        """Comparison with theory in plain text, as `atlas compare` prints it.
+    def compare(self, other: xr.Dataset | None = None, worst: int = 5) -> str:
+        """Comparison with theory, or with another atlas on the same grid, in plain text, as `atlas compare` prints it.
 
         Parameters
         ----------
+        other : Dataset, optional
+            An atlas with the system and the grid of this one, such as one with another tolerance or damping.
         worst : int, optional
-            Number of disagreements to list, at least 0.
+            Number of disagreements, or of changes of each label, to list, at least 0.
 
         Returns
         -------
         str
-            Confusion table, agreement, survivors and the clearest disagreements; the variables label
-            and predicted are loaded whole.
+            With theory: confusion table, agreement, survivors and the clearest disagreements; the variables label
+            and predicted are loaded whole. With another atlas: what differs in the input; changes of flags, with a table of
+            labels here (rows) and there; for each variable of numbers the largest difference, the largest over the larger
+            error_estimate, and where that is. Variables are loaded one by one.
         """
-        from .analysis.compare import report
+        if other is None:
+            from .analysis.compare import report
 
-        return report(self._ds, worst)
+            return report(self._ds, worst)
+        from .analysis import differences
+
+        return differences.report(self._ds, other, worst)
+
+    def differences(self, other: xr.Dataset) -> xr.Dataset:
+        """Changes of flags and differences of numbers to another atlas on the same grid, for maps.
+
+        Parameters
+        ----------
+        other : Dataset
+            As for `compare`.
+
+        Returns
+        -------
+        Dataset
+            For flags `label_change`, ...: unchanged, or to_drifting, ...; for numbers `theta_max_difference`, ...: the other
+            less this one. `differences(other).atlas.map()` draws where labels change.
+        """
+        from .analysis import differences
+
+        return differences.differences(self._ds, other)
 
     def families(
         self, *, x: str | None = None, y: str | None = None, select: Mapping[str, float] | None = None
@@ -335,6 +366,43 @@ class Atlas:
         for dim in panel_dims:
             raise BadInput(f"{dim} has {plane.sizes[dim]} values here: choose one by select")
         return family_curves(Plane.of(scene, plane, dims))
+
+    def plot(self, ax: Axes | None = None) -> Figure:
+        """Figure of a motion from `atlas.trajectory`: angles, rates, and the path of the third axis on the sphere.
+
+        Parameters
+        ----------
+        ax : matplotlib.axes.Axes, optional
+            Axes for the sphere alone; default a figure with all panels, as `atlas trajectory` draws it.
+
+        Returns
+        -------
+        matplotlib.figure.Figure
+            The path is dark on the near side of the sphere and pale on the far side, with a dot at its start. Of a system
+            with observables these over time.
+        """
+        from .plotting.trajectory import trajectory_figure
+
+        return trajectory_figure(self._ds, ax=ax)
+
+    def animate(self, path: str | Path | None = None, *, seconds: float = 10.0) -> Film | None:
+        """Animation of a motion from `atlas.trajectory`: the third axis on the sphere, with its trace.
+
+        Parameters
+        ----------
+        path : str or Path, optional
+            File to write or replace: .gif, or .mp4 by the program ffmpeg.
+        seconds : float, optional
+            Length of the animation, at most 25 frames per second, as far as the motion has samples.
+
+        Returns
+        -------
+        matplotlib.animation.FuncAnimation or None
+            Without a path; a notebook shows it with buttons.
+        """
+        from .plotting.trajectory import animate
+
+        return animate(self._ds, path, seconds)
 
     def frequencies(
         self, lines: int = 3, *, samples: int = 8193, trajectory: xr.Dataset | None = None, **coords: float

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Mapping
 
 import numpy as np
 import xarray as xr
@@ -85,9 +86,8 @@ def report(ds: xr.Dataset, worst: int = 5) -> str:
     return "\n".join(lines)
 
 
-def confusion(label: Flags, predicted: Flags) -> np.ndarray:
-    """Counts [predicted, measured] over the values of Label, int64 of shape (5, 5)."""
-    size = len(Label)
+def confusion(label: Flags, predicted: Flags, size: int = len(Label)) -> np.ndarray:
+    """Counts [predicted, measured] over the values of flags, int64 of shape (size, size)."""
     return np.bincount(
         np.ravel(predicted).astype(np.int64) * size + np.ravel(label), minlength=size * size
     ).reshape(size, size)
@@ -146,21 +146,27 @@ def _worst_lines(ds: xr.Dataset, result: Flags, count: int) -> list[str]:
     for i in order:
         index = np.unravel_index(disagree[i], ds["label"].shape)
         indices = dict(zip(map(str, dims), map(int, index), strict=True))
-        point, texts = ds.isel(indices), []
-        for dim, k in indices.items():
-            shown = [dim]
-            if not is_numeric_axis(ds, dim):  # its index, and the parameters that vary along it
-                texts.append(f"{printable(dim)} {k}")
-                shown = [name for name in numeric_coordinates(ds, dim) if (ds[name] != ds[name][0]).any()]
-            texts += [f"{printable(name)} = {float(ds[name][k]):.9g}" for name in shown]
+        point = ds.isel(indices)
         line = (
-            f"  {', '.join(texts)}: theory {names[int(point['predicted'])]},"
+            f"  {place(ds, indices)}: theory {names[int(point['predicted'])]},"
             f" measured {names[int(point['label'])]}, unsteadiness {unsteadiness[i]:.3g}"
         )
         if {"growth_rate", "end_time"} <= set(ds):
             line += f", growth_rate x time = {float(point['growth_rate'] * point['end_time']):.2f}"
         lines.append(line)
     return lines
+
+
+def place(ds: xr.Dataset, indices: Mapping[str, int]) -> str:
+    """A point by the values of its axes, or by its index and the parameters that vary along it."""
+    texts = []
+    for dim, k in indices.items():
+        shown = [dim]
+        if not is_numeric_axis(ds, dim):
+            texts.append(f"{printable(dim)} {k}")
+            shown = [name for name in numeric_coordinates(ds, dim) if (ds[name] != ds[name][0]).any()]
+        texts += [f"{printable(name)} = {float(ds[name][k]):.9g}" for name in shown]
+    return ", ".join(texts)
 
 
 def summary(ds: xr.Dataset, tally: Tally | None = None, *, verbose: bool = True) -> str:

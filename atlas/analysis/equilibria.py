@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import math
+from collections.abc import Mapping, Sequence
+from functools import cache, partial
 from typing import Any
 
 import numpy as np
@@ -11,9 +13,11 @@ import xarray as xr
 from .. import systems
 from ..errors import BadInput
 from ..flags import Completeness, Stability
+from ..io import netcdf
 from ..measure.instrument import Variable
-from ..scene.tables import point_columns, table
-from ..systems.base import System
+from ..scene.checks import typed, whole_number
+from ..scene.tables import Table, flat_columns, parameter_arrays, point_columns, table
+from ..systems.base import Array, Points, System, subset
 
 _UNITS = {
     "theta0": ("rad", "angle from the vertical to the third body axis"),
@@ -44,7 +48,8 @@ _UNUSED = {"completeness": Completeness.IMPOSSIBLE_BODY, "index": -1, "dimension
 _DIMS = ("equilibrium", "body_axis")
 
 
-def equilibria(system: str, body: Any) -> xr.Dataset:
+@typed
+def equilibria(system: str, body: Table, *, max_equilibria: int | None = None) -> xr.Dataset:
     """All relative equilibria of a satellite, or permanent rotations of a heavy gyrostat about the vertical.
 
     Parameters
@@ -56,6 +61,9 @@ def equilibria(system: str, body: Any) -> xr.Dataset:
         of the fixed_point, the rate of rotation in rad per time unit (default 0: rest). For many bodies, DataArrays of
         any dimensions, which are broadcast against each other, or 1-D arrays of one length; or a table of bodies, as
         `label_points` takes one of points.
+    max_equilibria : int, optional
+        Length of the dimension "equilibrium"; default: as long as these bodies need. Where an array is one of dask it has to
+        be given, and the result is lazy. A satellite without circles of equilibria has at most 24.
 
     Returns
     -------
@@ -75,7 +83,7 @@ def equilibria(system: str, body: Any) -> xr.Dataset:
     ------
     BadInput
         For bodies that cannot exist, and where every orientation is an equilibrium; of many bodies only if none can
-        exist.
+        exist, which a lazy result marks as the others. For more equilibria than `max_equilibria`.
 
     Notes
     -----
@@ -83,103 +91,100 @@ def equilibria(system: str, body: Any) -> xr.Dataset:
     are computed one by one, in about 70 ms each.
     """
     description = systems.get(system)
-    if isinstance(body, xr.Dataset):
-        names = [name for name in body.variables if name not in body.dims or name in description.parameters]
-        body = {str(name): body[name] for name in names}
-    else:
-        body = table(body, description.parameters)
-    if any(np.ndim(value) for value in body.values()):
-        return _equilibria_of_bodies(description, body)
-    columns, _ = point_columns(description, body)
-    description.check(columns)
-    description.check_possible(columns)
-    solutions = description.equilibria({k: float(v[0]) for k, v in columns.items()})
-    return _dataset(
-        description,
-        "equilibria of one body",
-        {name: xr.DataArray(values, dims=_DIMS[: values.ndim]) for name, values in solutions.items()},
-        {name: xr.DataArray(column[0]) for name, column in columns.items()},
-    )
-
-
-def _equilibria_of_bodies(description: System, body: Mapping[str, Any]) -> xr.Dataset:
-    """Equilibria of the bodies that arrays give."""
-    arrays = _broadcast(body)
-    template = next(array for array in arrays.values() if array.ndim)
-    columns, size = point_columns(
-        description,
-        {name: array.values.ravel() if array.ndim else array.item() for name, array in arrays.items()},
-    )
-    description.check(columns)
-    description.check_possible(columns)
-    possible = np.flatnonzero(description.possible_body(columns))
-    equilibria = description.equilibria_of_bodies({k: v[possible] for k, v in columns.items()}, lambda: None)
-    isolated = equilibria["completeness"] <= Completeness.NEAR_BIFURCATION
-    degenerate = equilibria.get("degenerate", np.zeros(equilibria["index"].shape, bool))
-    masks = {
-        "equilibrium_count": equilibria["index"] >= 0,
-        "equilibrium_stable_count": equilibria["stable"] == Stability.STABLE,
-        "equilibrium_energy_stable_count": (equilibria["index"] == 0) & ~degenerate,
-    }
-    counts = {name: np.where(isolated, mask.sum(1), np.nan) for name, mask in masks.items()}
-    variables = {}
-    for name, values in (dict(equilibria) | counts).items():
-        unused = _UNUSED.get(name, np.nan if values.dtype.kind == "f" else 0)
-        full = np.full((size, *values.shape[1:]), unused, values.dtype)
-        full[possible] = values
-        dims = (*template.dims, *_DIMS[: values.ndim - 1])
-        variables[name] = xr.DataArray(
-            full.reshape(*template.shape, *values.shape[1:]), template.coords, dims
+    if max_equilibria is not None:
+        whole_number("max_equilibria", max_equilibria, 1)
+    source = table(body, description.parameters)
+    names, arrays, _ = parameter_arrays(description, source)
+    by_name = dict(zip(names, arrays, strict=True))
+    if max_equilibria is None and not any(array.ndim for array in arrays):
+        columns, _ = point_columns(description, source)
+        description.check(columns)
+        description.check_possible(columns)
+        solutions = description.equilibria({k: float(v[0]) for k, v in columns.items()})
+        ds = xr.Dataset({name: (_DIMS[: values.ndim], values) for name, values in solutions.items()})
+        return _dataset(description, "equilibria of one body", ds, by_name)
+    for dim in _DIMS:
+        if any(dim in array.dims for array in arrays):
+            raise BadInput(f"body: the dimension {dim} is one of the result; rename it")
+    if (lazy := any(array.chunks is not None for array in arrays)) and max_equilibria is None:
+        raise BadInput(
+            "max_equilibria: needed for arrays of dask, as the length of the dimension equilibrium"
         )
-    constants = {k: arrays.get(k, xr.DataArray(v[0])) for k, v in columns.items()}
-    return _dataset(description, f"equilibria of {size} bodies", variables, constants)
+    kinds = _kinds(description)
+    results = xr.apply_ufunc(
+        partial(_equilibria_of_bodies, system, names, max_equilibria, None if lazy else source), *arrays or [xr.DataArray(0.0)],
+        dask="parallelized", output_dtypes=[values.dtype for values in kinds.values()],
+        output_core_dims=[_DIMS[: values.ndim] for values in kinds.values()],
+        dask_gufunc_kwargs={"output_sizes": {"equilibrium": max_equilibria, "body_axis": 3}} if lazy else None,
+    )  # fmt: skip
+    ds = xr.Dataset(dict(zip(kinds, results, strict=True)))
+    return _dataset(description, f"equilibria of {ds['completeness'].size} bodies", ds, by_name)
 
 
-def _broadcast(body: Mapping[str, Any]) -> dict[str, xr.DataArray]:
-    """Parameters as numbers and as arrays of one shape; an array over a dimension with its own name is its coordinate."""
-    arrays: dict[str, xr.DataArray] = {}
-    for name, value in body.items():
-        if isinstance(value, xr.DataArray):
-            arrays[name] = value.drop_vars([c for c in value.coords if c not in value.dims])
-            if value.dims == (name,):
-                arrays[name] = arrays[name].assign_coords({name: value.values})
-        elif np.ndim(value) < 2:
-            arrays[name] = xr.DataArray(np.asarray(value), dims=["point"][: np.ndim(value)])
-        else:
-            raise BadInput(
-                f"{name}: an array of {np.ndim(value)} dimensions; give a DataArray, whose dimensions have names"
-            )
-    reserved = {str(dim) for array in arrays.values() for dim in array.dims} & {*_DIMS}
-    if reserved:
-        raise BadInput(f"body: the dimension {min(reserved)} is one of the result; rename it")
-    try:
-        names = [name for name, array in arrays.items() if array.ndim]
-        full = xr.broadcast(*xr.align(*(arrays[name] for name in names), join="exact"))
-    except ValueError as error:
-        raise BadInput(f"body: arrays of different bodies: {' '.join(str(error).split())}") from None
-    return arrays | dict(zip(names, full, strict=True))
+@cache
+def _kinds(system: System) -> dict[str, np.ndarray]:
+    """Variables of the default body, as examples of what others have."""
+    body = flat_columns(system, (), (), (), None)
+    return {name: values[0] for name, values in _with_counts(system, body).items()}
+
+
+def _with_counts(system: System, bodies: Points) -> dict[str, np.ndarray]:
+    """Equilibria of bodies that can exist, and their numbers."""
+    every = system.equilibria_of_bodies(bodies, lambda: None)
+    isolated = every["completeness"] <= Completeness.NEAR_BIFURCATION
+    degenerate = every.get("degenerate", np.zeros(every["index"].shape, bool))
+    masks = {
+        "equilibrium_count": every["index"] >= 0,
+        "equilibrium_stable_count": every["stable"] == Stability.STABLE,
+        "equilibrium_energy_stable_count": (every["index"] == 0) & ~degenerate,
+    }
+    return {**every, **{name: np.where(isolated, mask.sum(1), np.nan) for name, mask in masks.items()}}
+
+
+def _equilibria_of_bodies(
+    system_name: str, names: Sequence[str], places: int | None, source: Any, *arrays: Array
+) -> tuple[np.ndarray, ...]:
+    """Variables of equilibria from arrays of the named parameters, maybe in another process.
+
+    Each body has so many places for equilibria, None: as many as they need; source: see `flat_columns`, None: in which all
+    bodies may be impossible.
+    """
+    system, shape = systems.get(system_name), np.broadcast_shapes(*(array.shape for array in arrays))
+    columns = flat_columns(system, names, arrays[: len(names)], shape, source)
+    system.check(columns)
+    if source is not None:
+        system.check_possible(columns)
+    possible = np.flatnonzero(system.possible_body(columns))
+    some = {name: values[np.newaxis][:0] for name, values in _kinds(system).items()}
+    if possible.size:
+        some = _with_counts(system, subset(columns, possible))
+    needed = int((some["index"] >= 0).sum(1).max(initial=0))
+    places = places or some["index"].shape[1]
+    if needed > places:
+        raise BadInput(f"max_equilibria = {places}: a body has {needed} equilibria")
+    results = []
+    for name, values in some.items():
+        unused = _UNUSED.get(name, np.nan if values.dtype.kind == "f" else 0)
+        rows = values[:, :places] if values.ndim > 1 else values
+        inner = (places, *rows.shape[2:])[: rows.ndim - 1]
+        full = np.full((math.prod(shape), *inner), unused, values.dtype)
+        full[possible if values.ndim == 1 else (possible, slice(rows.shape[1]))] = rows
+        results.append(full.reshape((*shape, *inner)))
+    return tuple(results)
 
 
 def _dataset(
-    description: System,
-    title: str,
-    variables: Mapping[str, xr.DataArray],
-    constants: Mapping[str, xr.DataArray],
+    description: System, title: str, ds: xr.Dataset, arrays: Mapping[str, xr.DataArray]
 ) -> xr.Dataset:
     """Dataset of equilibria with CF attributes, and with the parameters of the bodies as coordinates."""
-    ds = xr.Dataset(attrs={"title": f"{title}: {description.title}", "references": description.reference})
-    for name, array in variables.items():
-        units, long_name = _UNITS.get(name, ("1", name))
-        comment = _NOT_COUNTED if name.endswith("_count") else ""
-        variable = Variable(name, "int8", units, long_name, _FLAGS.get(name), comment)
-        ds[name] = array.assign_attrs(variable.attributes())
-    for name, parameter in description.parameters.items():
-        if parameter.start and not (constants[name].ndim and np.isfinite(constants[name]).all()):
-            continue
-        attributes = {"units": parameter.unit, "long_name": parameter.meaning}
-        if name in ds.dims:
-            ds[name].attrs = attributes
-        else:
-            values = constants[name]
-            ds = ds.assign_coords({name: (values.dims, values.values.astype(float), attributes)})
+    for name in ds.data_vars:
+        units, long_name = _UNITS.get(str(name), ("1", str(name)))
+        comment = _NOT_COUNTED if str(name).endswith("_count") else ""
+        ds[name].attrs = Variable(
+            str(name), "int8", units, long_name, _FLAGS.get(str(name)), comment
+        ).attributes()
+    starts = {name for name, parameter in description.parameters.items() if parameter.start}
+    varying = {name for name, array in arrays.items() if array.ndim}
+    ds = netcdf.with_parameters(ds, description, arrays, leave_out=starts - varying)
+    ds.attrs = {"title": f"{title}: {description.title}", "references": description.reference}
     return ds

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 import io
-from contextlib import suppress
+from contextlib import ExitStack, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -170,15 +170,40 @@ def _motion(name: str, coordinates: dict[str, float], samples: int) -> Dataset:
     return trajectory_of_scene(scene, coordinates, samples=samples)
 
 
-@command("compare", ATLAS, option_with_default("--worst", "N", 5, "disagreements to list"))
+@command(
+    "compare",
+    ATLAS,
+    argument("other", metavar="OTHER", nargs="?", help="another atlas on the same grid, instead of theory"),
+    option_with_default("--worst", "N", 5, "disagreements, or changes of each label, to list"),
+    out_option(
+        "FILE", "of two atlases: .png, .pdf or .svg for a map of changed labels, .nc for all differences"
+    ),
+    force_option("an existing file"),
+)
 def print_comparison(options: argparse.Namespace) -> int:
-    """Print an atlas beside theory: confusion table, worst disagreements."""
-    from ..analysis.compare import report
+    """Print an atlas beside theory, or beside another atlas."""
+    from ..io import netcdf
     from ..runs.backend import open_atlas
 
     check_at_least("--worst", options.worst, 0)
-    with open_atlas(options.atlas) as ds:
-        say(*report(ds, worst=options.worst).split("\n"))
+    if options.out and not options.other:
+        raise BadInput(
+            "-o: only of two atlases; atlas map --variable agreement draws the comparison with theory"
+        )
+    inputs = [name for name in (options.atlas, options.other) if name]
+    out = options.out and netcdf.writable(options.out, (".nc", *FIGURES), force=options.force, inputs=inputs)
+    with ExitStack() as stack:
+        ds, *other = (stack.enter_context(open_atlas(name)) for name in inputs)
+        say(*ds.atlas.compare(*other, worst=options.worst).split("\n"))
+        if out:
+            changes = ds.atlas.differences(*other)
+            if out.suffix.lower() == ".nc":
+                netcdf.write(changes, out)
+            else:
+                from ..plotting import style
+
+                style.save(changes.atlas.map(), out)
+            say(f"wrote {out}")
     return DONE
 
 

@@ -89,6 +89,34 @@ def parameter_attributes(system: System, name: str, offset: bool) -> dict[str, s
     return {"long_name": long_name, "units": parameter.unit}
 
 
+def with_parameters(
+    ds: xr.Dataset, system: System, arrays: Mapping[str, xr.DataArray], leave_out: Collection[str] = ()
+) -> xr.Dataset:
+    """A dataset with the parameters of a system as coordinates, those without arrays as their defaults.
+
+    A parameter that is absent at every point is none. A dimension without coordinate, along which a single array in memory
+    lies, has its values as coordinate. BadInput if an index with the name of a parameter has other values.
+    """
+    for name, parameter in system.parameters.items():
+        array = arrays.get(name, xr.DataArray(parameter.default))
+        attributes = parameter_attributes(system, name, False)
+        if name in leave_out:
+            continue
+        if name in ds.indexes:
+            if array.dims != ds[name].dims or not np.array_equal(array.values, ds[name].values):
+                raise BadInput(
+                    f"{name}: an index of the points has the name of this parameter and other values"
+                )
+            ds[name].attrs = attributes
+        elif array.chunks is not None or not np.isnan(array).all():
+            ds = ds.assign_coords({name: (array.dims, array.data, attributes)})
+    for dim in [dim for dim in ds.sizes if dim != "point" and dim not in ds.coords]:
+        match [ds[name] for name, array in arrays.items() if dim in array.dims and name in ds.coords]:
+            case [array] if array.ndim == 1 and array.chunks is None and array.to_index().is_unique:
+                ds = ds.assign_coords({dim: (dim, array.values, array.attrs)})
+    return ds
+
+
 def _parameter_along_axes(scene: Scene, name: str, chunks: Sequence[int] | None) -> tuple[list[int], Any]:
     """Axes, by number, on which a fixed or tied parameter depends, and its values along them; chunks: see `dataset`."""
     names, pending = {name}, [name]
@@ -206,9 +234,9 @@ def write_csv(ds: xr.Dataset, path: Path) -> None:
     columns: dict[str, list[Any]] = {}
     for name in [*ds.coords, *ds.data_vars]:
         array = ds[name]
-        if array.dims == ("point",):
+        if set(array.dims) <= {"point"}:
             flags = str(array.attrs.get("flag_meanings", "")).split()
-            values = array.values.tolist()
+            values = np.broadcast_to(array.values, ds.sizes["point"]).tolist()
             columns[str(name)] = [flags[value] for value in values] if flags else values
     with atomic_write(path) as temporary, temporary.open("w", encoding="utf-8", newline="") as file:
         writer = csv.writer(file, lineterminator="\n")
@@ -238,14 +266,14 @@ def provenance(
     kernel_hash: str,
     *,
     title: str,
-    seconds: float,
+    seconds: float | None,
     points: int,
     warnings: list[str],
     scene: Scene | None = None,
 ) -> dict[str, Any]:
     """CF and ACDD-1.3 attributes of an atlas, and the program's own, which begin with `atlas_`.
 
-    `points` were integrated in `seconds` of wall-clock time; there is no scene where points were given.
+    `points` were integrated in `seconds` of wall-clock time, if it is known; there is no scene where points were given.
     `atlas_tolerance` is nan where a step was given, `atlas_step` where it was not.
     """
     from ..jit import cpu
@@ -275,9 +303,10 @@ def provenance(
         "atlas_cpu": cpu(),
         "atlas_platform": f"{platform.system()} {platform.machine()}, Python {platform.python_version()}",
         "atlas_versions": ", ".join(f"{name} {version(name)}" for name in packages),
-        "atlas_seconds": seconds,
-        "atlas_points_per_second": points / seconds if seconds > 0 else float("nan"),
     }
+    if seconds is not None:
+        attributes["atlas_seconds"] = seconds
+        attributes["atlas_points_per_second"] = points / seconds if seconds > 0 else float("nan")
     origin = systems.origin(system)
     if origin is not None:
         attributes["atlas_system_package"] = (

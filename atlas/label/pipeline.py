@@ -17,6 +17,7 @@ from ..measure.circle import ANY_AXIS_THEORY
 from ..measure.instrument import Run
 from ..scene.grid import Grid, status_of
 from ..systems.base import Array, Flags, Mask, derived_values
+from ..variables import variables
 from .plan import Plan
 from .theory import Theory, agreement, departure_changes, predict_any_axis
 
@@ -40,7 +41,9 @@ def evaluate(
     """
     if not tile.exists.all():
         columns = {}
-        some = evaluate(plan, tile.subset(tile.exists), halved=halved, threads=threads, progress=progress)
+        some = {name: np.empty(0, variable.dtype) for name, variable in variables(plan.system).items()}
+        if tile.exists.any():
+            some = evaluate(plan, tile.subset(tile.exists), halved=halved, threads=threads, progress=progress)
         for name, values in some.items():
             empty = np.nan if values.dtype.kind == "f" else 0
             columns[name] = np.full(tile.exists.shape, empty, values.dtype)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Collection
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -30,6 +31,17 @@ class Plan:
     def of(cls, scene: Scene) -> Plan:
         terms = Specialization.of(scene.system, *scene.zero_and_equal_parameters())
         return cls(scene.system, scene.settings, scene.outputs, terms, bool(scene.nudge))
+
+    @classmethod
+    def of_points(
+        cls, system: System, settings: Settings, outputs: Collection[str] | None, given: Collection[str]
+    ) -> Plan:
+        """Of points that give values of some parameters, whatever these values are; the others have their defaults."""
+        defaults = {name: p.default for name, p in system.parameters.items() if name not in given}
+        zero = {name for name, value in defaults.items() if value == 0 or math.isnan(value)}
+        pairs = ((a, b) for a, b in system.equal_parameters if {a, b} <= defaults.keys())
+        equal = {(a, b) for a, b in pairs if defaults[a] == defaults[b]}
+        return cls(system, settings, outputs, Specialization.of(system, zero, equal))
 
     def without_derived(self) -> Plan:
         """The same without the variables from theory alone, which may take long."""

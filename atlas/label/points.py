@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -10,7 +11,6 @@ import xarray as xr
 
 from .. import systems
 from ..compiling import Stopwatch
-from ..engine.specialization import Specialization
 from ..errors import BadInput, allowed_text, shown
 from ..io import netcdf
 from ..io.netcdf import log_warnings
@@ -19,9 +19,9 @@ from ..scene import grid
 from ..scene.checks import MAX_THREADS, texts, typed, whole_number
 from ..scene.model import DEFAULTS, Duration, Settings
 from ..scene.read import check_std_tolerance, check_unit, parse_duration
-from ..scene.tables import kept_columns, number_column, point_columns, table
-from ..systems.base import Array, Points, System, subset
-from ..variables import default_variables
+from ..scene.tables import Table, Values, flat_columns, parameter_arrays, table
+from ..systems.base import Array, System
+from ..variables import POINT, default_variables
 from ..variables import variables as variable_registry
 from .pipeline import evaluate
 from .plan import Plan
@@ -32,9 +32,9 @@ MORE_SETTINGS = ("cylinder_tolerance", "std_tolerance", "drift_tolerance", "max_
 @typed
 def label_points(
     system: str,
-    points: Any,
+    points: Table,
     *,
-    duration: Any = Duration.amount,
+    duration: str | Values = Duration.amount,
     step: float | None = None,
     tolerance: float = DEFAULTS.tolerance,
     method: str = DEFAULTS.method,
@@ -45,16 +45,17 @@ def label_points(
     keep: Sequence[str] = (),
     **more: Any,
 ) -> xr.Dataset:
-    """Label points given one by one.
+    """Label points given one by one, or as arrays that are broadcast against each other.
 
     Parameters
     ----------
     system : str
         Name of a system, such as "satellite" or "fixed_point".
     points : mapping, list of mappings, Dataset, DataFrame or path
-        Parameter -> number or 1-D array, all arrays of one length, in the units of the registry; parameters that are
-        left out take their defaults. A path names a .csv or .nc file.
-    duration : float, array_like of float, shape (points,), or str
+        Parameter -> number, 1-D array or DataArray of any dimensions, in the units of the registry; parameters that are
+        left out take their defaults. DataArrays are broadcast as xarray does; other arrays lie along the dimension "point",
+        and so do the variables of a Dataset of one dimension that is no parameter. A path names a .csv or .nc file.
+    duration : float, array_like, DataArray or str
         In time units, or a text as in a scene, such as "20 orbits" or "50 turns".
     step : float, optional
         Largest step in time units, instead of `tolerance`.
@@ -67,7 +68,7 @@ def label_points(
     variables : sequence of str, optional
         Names of the variables wanted; default: every one that is measured or predicted.
     threads : int, optional
-        Default: all processors.
+        Default: all processors; of a lazy result one for each chunk.
     progress : bool
         Print progress on the standard error stream.
     keep : sequence of str, optional
@@ -79,7 +80,9 @@ def label_points(
     Returns
     -------
     xarray.Dataset
-        Over the dimension "point"; the parameters are coordinates.
+        Over the dimensions of the arrays with their coordinates, or over "point" for numbers alone. The parameters are
+        coordinates along the dimensions that they were given with. A dimension along which a single parameter was given
+        has its values as coordinate, unless it has one of its own.
 
     Raises
     ------
@@ -91,6 +94,13 @@ def label_points(
     Points with moments of inertia that no body can have, and those of which nothing turns where the duration is a
     number of turns, are not computed: their label is not_computed, and the status of the former impossible_body. A
     logged warning, which the attribute `atlas_warnings` repeats, counts them. It is an error if no point is computed.
+
+    If an array is one of dask, the result is lazy, computed chunk by chunk with the bits of a call in memory. Values out of
+    range are then errors of the computation, and there are no warnings and no attributes that depend on values.
+
+    Terms that vanish or are equal by the defaults of parameters that are left out are no part of the kernel. It depends on
+    which parameters are given and not on their values, so that no point depends on others; with or without a term that
+    vanishes, results differ by rounding.
     """
     description = systems.get(system)
     for key in set(more) - set(MORE_SETTINGS):
@@ -105,57 +115,95 @@ def label_points(
             if name not in registry:
                 raise BadInput(f"variables: {shown(name)} is unknown; {allowed_text(name, registry)}")
         outputs = [name for name in registry if name in variables]
-    keep = texts("keep", keep)
-    source = table(points, {*description.parameters, *keep})
-    kept = kept_columns(description, source, keep)
-    for name in kept:
+    source = table(points, {*description.parameters, *(keep := texts("keep", keep))})
+    text = parse_duration(duration) if isinstance(duration, str) else None
+    if text is not None:
+        check_unit(description, text)
+    names, (*arrays, lengths), kept = parameter_arrays(
+        description, source, keep, duration=1.0 if text is not None else duration
+    )
+    dims = {dim for array in (*arrays, lengths) for dim in array.dims}
+    more = {str(dim): n for array in kept.values() for dim, n in array.sizes.items() if dim not in dims}
+    lengths = lengths.expand_dims(more if dims or more else {POINT: 1})
+    for name in {str(each) for array in (*arrays, *kept.values()) for each in array.coords} | kept.keys():
         if name in outputs:
             raise BadInput(f"points: the column {name} has the name of a variable of the result; rename it")
-    full, size = point_columns(description, source, kept)
-    durations, unit = _durations(description, duration, full, size)
-    description.check_possible(full)
-    reason = grid.reasons(description, full)
-    reason[(reason == grid.Reason.NONE) & np.isnan(durations)] = grid.Reason.NO_TURN
-    if (reason != grid.Reason.NONE).all():
-        raise BadInput(
-            f"{grid.sentence(grid.Reason.NO_TURN, description, None, unit)}; give a number of time units"
-        )
-    computed = subset(full, reason == grid.Reason.NONE)
-    counts = np.bincount(reason, minlength=len(grid.Reason))
-    warnings = grid.count_lines(counts, description, None, unit) + grid.system_warnings(description, computed)
-    try:
-        description.check(full)
-    except BadInput as error:  # of incomplete points
-        warnings.append(str(error))
-    log_warnings(warnings)
-    stopwatch = Stopwatch()
-    specialization = Specialization.of_points(description, computed)
-    plan = Plan(description, settings, None if variables is None else outputs, specialization)
-    columns = _evaluate_in_tiles(plan, grid.Grid(full, full, reason, durations), outputs, threads, progress)
-    ds = _dataset(description, columns, full, kept)
-    ds.attrs |= netcdf.provenance(
-        description, settings, plan.kernel_hash, title=f"points of the {system}", seconds=stopwatch.seconds(),
-        points=size, warnings=warnings,
+    lazy = any(array.chunks is not None for array in (*arrays, lengths))
+    if lazy:  # numbers are checked now
+        single = {name: array.values for name, array in zip(names, arrays, strict=True) if not array.ndim}
+        flat_columns(description, [*single], [*single.values()], (), source)
+    plan = Plan.of_points(description, settings, None if variables is None else outputs, names)
+    warnings, stopwatch = list[str](), Stopwatch()
+    labels = partial(
+        _labels, system, settings, plan.outputs, outputs, names, text, 1 if lazy and threads is None else threads,
+        progress and not lazy, *((None, None) if lazy else (source, warnings)),
+    )  # fmt: skip
+    results = xr.apply_ufunc(
+        labels, *arrays, lengths, dask="parallelized", output_core_dims=[()] * len(outputs),
+        output_dtypes=[registry[name].dtype for name in outputs],
+    )  # fmt: skip
+    ds = xr.Dataset(dict(zip(outputs, results if len(outputs) > 1 else [results], strict=True)), kept)
+    for name in outputs:
+        ds[name].attrs = netcdf.variable_attributes(description, name, outputs)
+    ds = netcdf.with_parameters(ds, description, dict(zip(names, arrays, strict=True)))
+    ds.attrs = netcdf.provenance(
+        description, settings, plan.kernel_hash, title=f"points of the {system}", points=ds[outputs[0]].size,
+        seconds=None if lazy else stopwatch.seconds(), warnings=warnings,
     )  # fmt: skip
     return ds
 
 
-def _durations(system: System, duration: Any, points: Points, size: int) -> tuple[Array, Duration]:
-    """Duration of each point, checked, and the text that was given; nan for turns of what rests."""
-    if isinstance(duration, str):
-        text = parse_duration(duration)
-        check_unit(system, text)
-        return grid.durations(system, text, points), text
-    given = number_column("duration", duration)
-    if given.ndim and given.shape != (size,):
-        raise BadInput(
-            f"duration has shape {given.shape}; allowed: a number, or one for each of {size} points"
-        )
-    durations = np.broadcast_to(given, (size,)).astype(np.float64)
-    bad = ~(np.isfinite(durations) & (durations > 0))
-    if bad.any():
+def _labels(
+    system_name: str,
+    settings: Settings,
+    wanted: Collection[str] | None,
+    outputs: Sequence[str],
+    names: Sequence[str],
+    duration: Duration | None,
+    threads: int | None,
+    progress: bool,
+    source: Any,
+    warnings: list[str] | None,
+    *arrays: Array,
+) -> tuple[np.ndarray, ...] | np.ndarray:
+    """The outputs from arrays of the named parameters and, without a duration, of durations, maybe in another process.
+
+    source: see `flat_columns`; warnings gets those about the points, which are refused if none is computed (None: neither).
+    """
+    system, shape = systems.get(system_name), np.broadcast_shapes(*(array.shape for array in arrays))
+    points = flat_columns(system, names, arrays[:-1], shape, source)
+    durations = np.broadcast_to(arrays[-1], shape).ravel()
+    if duration is not None:
+        durations = grid.durations(system, duration, points)
+    elif (bad := ~(np.isfinite(durations) & (durations > 0))).any():
         raise BadInput(f"duration = {durations[bad][0]:g}: must be a finite number above 0")
-    return durations, Duration()
+    reason = grid.reasons(system, points)
+    reason[(reason == grid.Reason.NONE) & np.isnan(durations)] = grid.Reason.NO_TURN
+    tile = grid.Grid(points, points, reason, durations)
+    if warnings is not None:
+        warnings.extend(_warnings(system, tile, duration or Duration()))
+        log_warnings(warnings)
+    plan = Plan.of_points(system, settings, wanted, names)
+    columns = _evaluate_in_tiles(plan, tile, outputs, threads, progress)
+    results = tuple(columns[name].reshape(shape) for name in outputs)
+    return results if len(results) > 1 else results[0]
+
+
+def _warnings(system: System, points: grid.Grid, duration: Duration) -> list[str]:
+    """Warnings about points; BadInput if none can be computed."""
+    system.check_possible(points.base)
+    if not points.exists.any():
+        raise BadInput(
+            f"{grid.sentence(grid.Reason.NO_TURN, system, None, duration)}; give a number of time units"
+        )
+    counts = np.bincount(points.reason, minlength=len(grid.Reason))
+    warnings = grid.count_lines(counts, system, None, duration)
+    warnings += grid.system_warnings(system, points.subset(points.exists).base)
+    try:
+        system.check(points.base)
+    except BadInput as error:  # of incomplete points
+        warnings.append(str(error))
+    return warnings
 
 
 def _evaluate_in_tiles(
@@ -174,22 +222,3 @@ def _evaluate_in_tiles(
             column[tile] = values[name]
     bar.close()
     return columns
-
-
-def _dataset(
-    system: System, columns: dict[str, np.ndarray], points: Points, kept: dict[str, np.ndarray]
-) -> xr.Dataset:
-    """Variables, parameters and kept columns along the dimension "point"."""
-    ds = xr.Dataset(
-        {
-            name: ("point", column, netcdf.variable_attributes(system, name, columns))
-            for name, column in columns.items()
-        },
-        coords={name: ("point", column) for name, column in kept.items()},
-    )
-    for name, values in points.items():
-        absent = np.isnan(system.parameters[name].default) and np.isnan(values).all()
-        if not absent:
-            attributes = netcdf.parameter_attributes(system, name, False)
-            ds = ds.assign_coords({name: ("point", values, attributes)})
-    return ds

@@ -150,10 +150,8 @@ def _trajectory(
             ds[f"{name}_start" if name in ds else name] = ((), value, attributes)
     ds.attrs = netcdf.provenance(
         system, settings, plan.kernel_hash, title=title or f"trajectory of the {system.title}",
-        seconds=0.0, points=1, warnings=system.warnings(points),
+        seconds=None, points=1, warnings=system.warnings(points),
     )  # fmt: skip
-    for name in ("atlas_seconds", "atlas_points_per_second"):
-        del ds.attrs[name]
     return ds
 
 

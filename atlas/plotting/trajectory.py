@@ -3,19 +3,23 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
 import xarray as xr
 from matplotlib import rc_context
+from matplotlib.animation import FFMpegWriter, FuncAnimation, PillowWriter
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure, SubFigure
 from matplotlib.lines import Line2D
 from matplotlib.ticker import MaxNLocator, ScalarFormatter
 
 from ..analysis.metadata import system_of
-from ..errors import BadInput, attribute_text
-from ..scene.checks import choice
+from ..errors import BadInput, attribute_text, shown
+from ..files import atomic_write, writable
+from ..scene.checks import choice, positive
 from ..systems.base import Observable
 from .style import COLOURS, STYLE, SYMBOLS, WIDTHS, Width, unit_text
 
@@ -35,11 +39,13 @@ CLIP_ABOVE, CLIP_AT = 10, 3
 # Paths within the first angle (rad) of their mean direction are also drawn enlarged; within the second angle the axis
 # is at rest but for rounding.
 SMALL, AT_REST = 0.1, 1e-12
+ANIMATIONS: dict[str, Any] = {".gif": PillowWriter, ".mp4": FFMpegWriter}
+FRAMES_PER_SECOND, FILM_DPI = 25, 150
 NOTE = SYMBOLS["normal_rate"] + ": angular velocity relative to the frame along its vertical"
 
 
-def trajectory_figure(tr: xr.Dataset, *, width: Width = "page") -> Figure:
-    """Angles and rates over time, and the path of the third body axis on the unit sphere of the frame.
+def trajectory_figure(tr: xr.Dataset, *, width: Width = "page", ax: Axes | None = None) -> Figure:
+    """Angles and rates over time, and the path of the third body axis on the unit sphere of the frame; on `ax` the latter alone.
 
     Or the observables of the system, at most MAX_PANELS. psi and phi are shown between -pi and pi. The path
     is dark on the near side of the sphere and pale on the far side, with a dot at its start; one that stays
@@ -47,11 +53,14 @@ def trajectory_figure(tr: xr.Dataset, *, width: Width = "page") -> Figure:
     bound near the vertical are clipped. Raises BadInput if the dataset is no trajectory.
     """
     choice("width", width, WIDTHS)
+    if ax is not None:
+        if not isinstance(ax, Axes):
+            raise BadInput(f"ax = {shown(ax)}: must be Axes of Matplotlib")
+        _draw_sphere(ax, _path(tr), system_of(tr).frame_axes)
+        return ax.get_figure(root=True)  # type: ignore[return-value]
     if "time" in tr.dims and "atlas_system" in tr.attrs and (observables := system_of(tr).observables):
         return _figure_of_observables(tr, observables[:MAX_PANELS], width)
-    missing = [n for n in ("theta", "psi", "phi", *RATES, "axis_x", "axis_y", "axis_z") if n not in tr]
-    if missing or "time" not in tr.dims:
-        raise BadInput(f"not a trajectory: {missing[0] if missing else 'time'} is missing")
+    path = _path(tr)
     page = width == "page"
     height = 85.0 if page else 165.0
     with rc_context(STYLE):
@@ -62,7 +71,6 @@ def trajectory_figure(tr: xr.Dataset, *, width: Width = "page") -> Figure:
             subfigures = figure.subfigures(2, 1, height_ratios=(1.2, 1), squeeze=False)
         left, right = subfigures.ravel()
         _draw_time_series(left, tr)
-        path = np.stack([tr[f"axis_{name}"].values for name in "xyz"], -1)
         mean = path.mean(axis=0)
         mean /= np.linalg.norm(mean) or 1.0
         distance = float(np.linalg.norm(path - mean, axis=1).max())
@@ -88,6 +96,50 @@ def trajectory_figure(tr: xr.Dataset, *, width: Width = "page") -> Figure:
             frameon=False, handlelength=1.6, columnspacing=1.2,
         )  # fmt: skip
     return figure
+
+
+def _path(tr: xr.Dataset) -> np.ndarray:
+    """Third body axis in the frame, (times, 3); BadInput unless this is the trajectory of a body."""
+    missing = [n for n in ("theta", "psi", "phi", *RATES, "axis_x", "axis_y", "axis_z") if n not in tr]
+    if missing or "time" not in tr.dims:
+        raise BadInput(f"not a trajectory: {missing[0] if missing else 'time'} is missing")
+    return np.stack([tr[f"axis_{name}"].values for name in "xyz"], -1)
+
+
+class Film(FuncAnimation):
+    """An animation that notebooks show with buttons."""
+
+    def _repr_html_(self) -> str:
+        with rc_context(STYLE | {"savefig.dpi": FILM_DPI}):
+            return str(self.to_jshtml())
+
+
+def animate(tr: xr.Dataset, path: str | Path | None, seconds: float) -> Film | None:
+    """The third body axis on the sphere, with its trace, or the file of it, whole or not at all; see `Atlas.animate`."""
+    axis, names, time = _path(tr), system_of(tr).frame_axes, tr["time"].values
+    unit, side = unit_text(attribute_text(tr["time"].attrs, "units", "s")), WIDTHS["column"] / 25.4
+    count = int(max(2, min(positive("seconds", seconds) * FRAMES_PER_SECOND, len(axis))))
+    suffix = "" if path is None else (path := writable(path, (*ANIMATIONS,), force=True)).suffix.lower()
+    if path is not None and not ANIMATIONS[suffix].isAvailable():
+        raise BadInput(f"{path}: needs the program ffmpeg, which is not on the path; a .gif needs nothing")
+
+    def draw(k: int) -> None:
+        ax.clear()
+        _draw_sphere(ax, axis[: k + 1], names, pointer=True)
+        ax.set_title(f"{time[k]:.4g} {unit}")
+
+    with TemporaryDirectory() as folder, rc_context(STYLE):
+        figure = Figure(figsize=(side, side))
+        ax = figure.add_axes((0.0, 0.0, 1.0, 0.93))
+        frames = np.linspace(0, len(axis) - 1, count).astype(int)
+        film = Film(figure, draw, frames=frames, interval=1000 * seconds / count, cache_frame_data=False)
+        if path is None:
+            return film
+        with atomic_write(Path(path)) as temporary:
+            whole = Path(folder) / f"film{suffix}"  # Matplotlib goes by the end of the name
+            film.save(whole, ANIMATIONS[suffix](fps=count / seconds), dpi=FILM_DPI)
+            temporary.write_bytes(whole.read_bytes())
+    return None
 
 
 def _figure_of_observables(tr: xr.Dataset, observables: Sequence[Observable], width: Width) -> Figure:
@@ -179,8 +231,11 @@ def _draw_enlarged(ax: Axes, offset: np.ndarray, direction: np.ndarray, names: S
         axis.set_label_text(rf"{label} ($10^{{{exponent}}}$ rad)")
 
 
-def _draw_sphere(ax: Axes, path: np.ndarray, names: Sequence[str]) -> None:
-    """Orthographic picture of a path on the unit sphere, shape (times, 3), seen from above the x-y plane."""
+def _draw_sphere(ax: Axes, path: np.ndarray, names: Sequence[str], pointer: bool = False) -> None:
+    """Orthographic picture of a path on the unit sphere, shape (times, 3), seen from above the x-y plane.
+
+    pointer: whether a line leads from the centre to the end of the path.
+    """
     azimuth, elevation = np.radians(40.0), np.radians(25.0)
     toward_viewer = np.array(
         [np.cos(elevation) * np.cos(azimuth), np.cos(elevation) * np.sin(azimuth), np.sin(elevation)]
@@ -214,5 +269,7 @@ def _draw_sphere(ax: Axes, path: np.ndarray, names: Sequence[str]) -> None:
         ax.text(x, y, name, ha=side, va="center" if abs(x) > 0.3 else "bottom")
     draw(path, COLOURS["regular_precession"], 1.1, 3)
     ax.plot(*project(path[0]), zorder=6, **START_MARKER)
+    if pointer:
+        draw(np.outer([1e-9, 1.0], path[-1]), "black", 2.0, 5)
     ax.set(aspect="equal", xlim=(-1.5, 1.5), ylim=(-1.1, 1.35))
     ax.set_axis_off()

@@ -9,15 +9,24 @@ import re
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from ..errors import BadInput, allowed_text, shown
 from ..files import one_line, open_text
 from ..systems.base import Array, Parameter, System
 from .checks import check_range
 
+if TYPE_CHECKING:
+    import pandas as pd
+    import xarray as xr
+
+Values: TypeAlias = "ArrayLike | xr.DataArray"
+Table: TypeAlias = (
+    "Mapping[str, Values] | Sequence[Mapping[str, float]] | xr.Dataset | pd.DataFrame | str | Path"
+)
 FORMATS = (".csv", ".nc")
 IDENTIFIERS = ("id", "index", "name", "number", "point")  # columns that name points, in lower case
 
@@ -25,22 +34,25 @@ IDENTIFIERS = ("id", "index", "name", "number", "point")  # columns that name po
 def table(source: Any, names: Collection[str]) -> dict[str, Any]:
     """Columns by name from a .csv or .nc file, a Dataset, a mapping, a list of mappings or a DataFrame.
 
-    The coordinate that numbers the points of a Dataset is a column only if `names` contains it.
+    Those of a Dataset are DataArrays; of its coordinates only `names` are columns, and the others belong to these arrays. A
+    single dimension that is none of `names` is called "point" and loses the coordinate that numbers it.
     """
     import xarray as xr
 
     if isinstance(source, str | Path):
         return read(source, names)
     if isinstance(source, xr.Dataset):
-        columns = {}
-        for name in source.variables:
-            if name in source.dims and name not in names:
-                continue
-            if source[name].ndim > 1:
-                dims = ", ".join(map(str, source[name].dims))
-                raise BadInput(f"{name} lies along {dims}: points need one dimension")
-            columns[str(name)] = source[name].values
-        return columns
+        columns = [n for n in source.variables if n in source.data_vars or n in names]
+        for dim in map(str, source.dims):
+            if not any(dim in source[name].dims for name in columns):
+                raise BadInput(f"{dim}: no parameter varies along it; {allowed_text(dim, sorted(names))}")
+        match list(source.dims):
+            case [only] if (
+                only not in names
+            ):  # a list; its index numbers the points, unless it has several levels
+                index = [only] if only in source.indexes and source.indexes[only].nlevels == 1 else []
+                source = source.drop_vars(index).rename({only: "point"} if only != "point" else {})
+        return {str(name): source[name] for name in columns}
     if isinstance(source, CsvColumns):
         return source
     if isinstance(source, Mapping):
@@ -98,7 +110,7 @@ def read(
         raise BadInput(f"{path}: {error}") from None
 
 
-def kept_columns(system: System, table: Mapping[str, Any], keep: Collection[str] = ()) -> dict[str, Array]:
+def kept_columns(system: System, table: Mapping[str, Any], keep: Collection[str] = ()) -> dict[str, Any]:
     """Columns that name the points: texts, IDENTIFIERS and `keep` (BadInput for parameters and unknowns).
 
     Other columns of numbers are not kept, since such a name may be a mistyped parameter.
@@ -111,42 +123,105 @@ def kept_columns(system: System, table: Mapping[str, Any], keep: Collection[str]
                 else "no column of the points"
             )
             raise BadInput(f"keep: {shown(name)} is {problem}")
-    columns = {name: np.asarray(values) for name, values in table.items() if name not in system.parameters}
     kept = {}
-    for name, column in columns.items():
-        if column.ndim == 1:
+    for name in (name for name in table if name not in system.parameters):
+        column = table[name] if hasattr(table[name], "dims") else np.asarray(table[name])
+        if column.ndim == 1 or (column.ndim and hasattr(column, "dims")):
             is_text = column.dtype.kind in "UT"
             if column.dtype.kind == "O":  # also among missing values
-                is_text = any(isinstance(value, str) for value in column)
+                is_text = any(isinstance(value, str) for value in np.ravel(column))
             if is_text or name in keep or name.lower() in IDENTIFIERS:
                 kept[name] = column
     return kept
 
 
-def point_columns(system: System, points: Any, kept: Collection[str] = ()) -> tuple[dict[str, Array], int]:
-    """Checked columns of every parameter, nan for an absent optional start, and the number of points."""
-    source = table(points, system.parameters)
-    arrays: dict[str, Array] = {}
-    for name, values in source.items():
-        if name in kept:
-            continue
+def parameter_arrays(
+    system: System, columns: Mapping[str, Any], keep: Collection[str] = (), **more: Any
+) -> tuple[tuple[str, ...], tuple[xr.DataArray, ...], dict[str, xr.DataArray]]:
+    """Names of the parameters in a table; their arrays of float64, aligned, and those of `more`; and the columns that are kept.
+
+    Without named dimensions they lie along "point". Of coordinates with names of parameters only indices stay.
+    """
+    import xarray as xr
+
+    kept = {
+        name: column if isinstance(column, xr.DataArray) else xr.DataArray(column, dims="point")
+        for name, column in kept_columns(system, columns, keep).items()
+    }
+    names, arrays = tuple(name for name in columns if name not in kept), []
+    for name in names:
         if name not in system.parameters:
-            file = f"{source.source}: " if isinstance(source, CsvColumns) else ""
+            file = f"{columns.source}: " if isinstance(columns, CsvColumns) else ""
             raise BadInput(
                 f"{file}{name}: not a parameter of the {system.name}; {allowed_text(name, system.parameters)}"
             )
-        arrays[name] = number_column(name, values)
-    sizes = {name: column.size for name, column in arrays.items() if column.ndim}
-    size = common_size(sizes | {name: len(source[name]) for name in kept})
-    columns: dict[str, Array] = {}
+    for name, values in [*((name, columns[name]) for name in names), *more.items()]:
+        array = _numbers(name, values)
+        array = array.drop_vars(array.coords.keys() & system.parameters.keys() - array.indexes.keys())
+        if array.dims == (name,):
+            array = array.drop_vars(name, errors="ignore").assign_coords({name: array.data})
+        arrays.append(array)
+    every = zip((*names, *more, *kept), (*arrays, *kept.values()), strict=True)
+    common_size({name: array.sizes["point"] for name, array in every if "point" in array.dims})
+    try:
+        return names, xr.align(*arrays, join="exact"), kept
+    except ValueError as error:
+        raise BadInput(f"arrays of different points: {one_line(error)}") from None
+
+
+def _numbers(name: str, values: Any) -> xr.DataArray:
+    """A number, a 1-D array or a DataArray as one of float64; BadInput for anything else. Arrays of dask stay lazy."""
+    import xarray as xr
+
+    try:
+        array = values if hasattr(values, "__dask_graph__") else np.asarray(values)
+        if not isinstance(array, xr.DataArray):
+            if array.ndim > 1:
+                dimensions = f"{array.ndim} dimensions; give a DataArray, whose dimensions have names"
+                raise BadInput(f"{name}: an array of {dimensions} (its shape: {array.shape})")
+            array = xr.DataArray(array, dims=["point"][: array.ndim])
+        kind = array.dtype.kind
+        if kind not in "iufO" or (
+            kind == "O" and any(isinstance(v, str | bool) for v in array.values.ravel())
+        ):
+            raise TypeError
+        return array.astype(np.float64)
+    except BadInput:
+        raise
+    except (TypeError, ValueError, OverflowError):  # also of rows of different lengths
+        raise BadInput(f"{name} = {shown(values)}: must be a number or an array of numbers") from None
+
+
+def point_columns(system: System, points: Any) -> tuple[dict[str, Array], int]:
+    """Checked columns of every parameter, nan for an absent optional start, and the number of points."""
+    import xarray as xr
+
+    source = table(points, system.parameters)
+    names, arrays, _ = parameter_arrays(system, source)
+    full = zip(arrays, xr.broadcast(*arrays), strict=True)
+    values = [(broadcast if array.ndim else array).values for array, broadcast in full]
+    shape = np.broadcast_shapes(*(each.shape for each in values))
+    return flat_columns(system, names, values, shape, source), math.prod(shape)
+
+
+def flat_columns(
+    system: System, names: Sequence[str], values: Sequence[Array], shape: tuple[int, ...], source: Any
+) -> dict[str, Array]:
+    """Checked columns of every parameter from arrays that NumPy broadcasts to a shape.
+
+    source: the table in which messages locate values; None: nowhere.
+    """
+    columns, given = {}, dict(zip(names, values, strict=True))
     for name, parameter in system.parameters.items():
-        column = arrays.get(name, np.asarray(parameter.default))
+        column = given.get(name, np.asarray(parameter.default))
+        if column.ndim:
+            column = np.broadcast_to(column, shape).ravel()
         _check_column(parameter, column, source)
-        columns[name] = np.broadcast_to(column, (size,)).astype(np.float64)
-    return columns, size
+        columns[name] = np.broadcast_to(column, math.prod(shape)).astype(np.float64)
+    return columns
 
 
-def _check_column(parameter: Parameter, column: Array, source: Mapping[str, Any]) -> None:
+def _check_column(parameter: Parameter, column: Array, source: Mapping[str, Any] | None) -> None:
     """Raise BadInput with the location of a value that is out of range, or not finite and not allowed to be missing."""
     name = parameter.name
     if np.isnan(parameter.default):
@@ -171,22 +246,11 @@ def _check_column(parameter: Parameter, column: Array, source: Mapping[str, Any]
             raise BadInput(f"{_location(source, column, i)}{error}") from None
 
 
-def _location(source: Mapping[str, Any], column: Array, point: np.integer) -> str:
+def _location(source: Mapping[str, Any] | None, column: Array, point: np.integer) -> str:
     """Beginning of an error message about a point of a column."""
     if isinstance(source, CsvColumns):
         return f"{source.location(int(point))}: "
-    return f"point {point} (counted from 0): " if column.ndim else ""
-
-
-def number_column(name: str, values: Any) -> Array:
-    """A number or a 1-D array of numbers as a float64 array; BadInput for anything else."""
-    try:
-        column = np.asarray(values, dtype=np.float64)
-    except (TypeError, ValueError, OverflowError):
-        raise BadInput(f"{name} = {shown(values)}: must be a number or a 1-D array of numbers") from None
-    if column.ndim > 1:
-        raise BadInput(f"{name} has shape {column.shape}: must be a number or a 1-D array of numbers")
-    return column
+    return f"point {point} (counted from 0): " if column.ndim and source is not None else ""
 
 
 def common_size(sizes: Mapping[str, int]) -> int:

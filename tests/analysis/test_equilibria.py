@@ -100,10 +100,10 @@ ON_X = xr.DataArray([1.0, 2.0], dims="x", coords={"x": [0, 1]})
 @pytest.mark.parametrize(
     ("body", "named"),
     [
-        ({"A": [1.0, 2.0], "B": [1.0, 2.0, 3.0]}, "sizes"),
+        ({"A": [1.0, 2.0], "B": [1.0, 2.0, 3.0]}, "different lengths"),
         ({"A": np.ones((2, 2))}, "A: an array of 2 dimensions; give a DataArray"),
         ({"A": xr.DataArray([1.0, 2.0], dims="equilibrium")}, "dimension equilibrium"),
-        ({"A": ON_X, "B": ON_X.assign_coords(x=[0, 2])}, "arrays of different bodies"),
+        ({"A": ON_X, "B": ON_X.assign_coords(x=[0, 2])}, "arrays of different points"),
         ({"A": [1.0, np.nan]}, r"point 1 \(counted from 0\): A = nan"),
         ({"A": [1.0, -2.0]}, "A > 0"),
         ({"C": [9.0, 8.0]}, "none of 2 points is possible"),
@@ -114,3 +114,22 @@ def test_impossible_arrays_are_errors(body, named):
     with pytest.raises(atlas.BadInput, match=named) as error:
         atlas.equilibria("satellite", body)
     assert "\n" not in str(error.value)
+
+
+def test_lazy_equilibria_have_the_bits_of_eager_ones():
+    k1 = xr.DataArray([0.01, 0.7, 2.0, 3.0], dims="k1")
+    C = xr.DataArray([1.7, 9.0], dims="C")  # in the second chunk along C no body is possible
+    eager = atlas.equilibria("satellite", BODY | {"k1": k1, "C": C})
+    chunked = BODY | {"k1": k1.chunk(k1=3), "C": C.chunk(C=1)}
+    lazy = atlas.equilibria("satellite", chunked, max_equilibria=24)
+    assert all(array.chunks is not None for array in lazy.data_vars.values())
+    xr.testing.assert_identical(lazy.compute(), eager)
+    few = atlas.equilibria("satellite", chunked, max_equilibria=int(eager.equilibrium_count.max()))
+    assert (few["index"].sel(C=1.7).values >= 0).sum() == eager.equilibrium_count.sum()
+    with pytest.raises(atlas.BadInput, match="max_equilibria: needed"):
+        atlas.equilibria("satellite", chunked)
+    with pytest.raises(atlas.BadInput, match=r"max_equilibria = 2: a body has \d+ equilibria"):
+        atlas.equilibria("satellite", chunked, max_equilibria=2).compute()
+    with pytest.raises(atlas.BadInput, match="max_equilibria = 0"):
+        atlas.equilibria("satellite", BODY, max_equilibria=0)
+    assert atlas.equilibria("satellite", BODY, max_equilibria=30)["index"].shape == (30,)

@@ -6,9 +6,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+from PIL import Image, ImageSequence
 
 import atlas
-from atlas import load_scene
+from atlas import BadInput, load_scene
 from atlas.label.trajectory import trajectory_of_scene
 from atlas.plotting import style, trajectory
 
@@ -104,3 +106,48 @@ def test_down_is_named_where_gamma_points_down():
     assert "down (\N{GREEK SMALL LETTER GAMMA})" in texts
     assert any(ax.get_ylabel().startswith("downward") for ax in figure.axes)
     assert tr.axis_z.long_name == "third axis along down (\N{GREEK SMALL LETTER GAMMA})"
+
+
+def test_a_motion_is_drawn_from_its_dataset():
+    tr = atlas.trajectory("satellite", {"theta0": 1.0, "n": 0.3, "m": 0.4}, duration=20.0, samples=201)
+    assert len(tr.atlas.plot().axes) == 4
+    figure = Figure()
+    left, right = figure.subplots(1, 2)
+    assert tr.atlas.plot(ax=left) is figure
+    assert [text.get_text() for text in left.texts] == ["radius", "velocity", "normal"]
+    assert not right.lines
+    for call in (lambda: tr.atlas.plot(ax=3), tr[["theta"]].atlas.plot, tr[["theta"]].atlas.animate):
+        with pytest.raises(BadInput, match=r"Axes of Matplotlib|not a trajectory: psi is missing"):
+            call()
+
+
+def test_an_animation_shows_the_axis_at_each_instant(tmp_path, monkeypatch):
+    tr = atlas.trajectory("satellite", {"theta0": 1.0, "n": 0.3, "m": 0.4}, duration=20.0, samples=41)
+    tr.atlas.animate(tmp_path / "a.gif", seconds=0.2)
+    with Image.open(tmp_path / "a.gif") as film:
+        assert film.n_frames == 5
+        assert film.info["duration"] == 40  # ms
+        pictures = [np.asarray(frame.convert("RGB")) for frame in ImageSequence.Iterator(film)]
+    assert (pictures[0] != pictures[-1]).any()
+    film = tr.atlas.animate(seconds=100.0)
+    assert len([*film.new_frame_seq()]) == 41  # as many as samples
+    film._func(40)
+    (ax,) = film._fig.axes
+    assert ax.get_title() == "20 s"
+    pointers = [line.get_xydata() for line in ax.lines if line.get_color() == "black"]
+    (pointer,) = [each for each in pointers if np.isfinite(each).all()]
+    trace = [
+        line.get_xydata() for line in ax.lines if line.get_color() == style.COLOURS["regular_precession"]
+    ]
+    ends = [each[-1] for each in trace if np.isfinite(each[-1]).all()]
+    np.testing.assert_allclose(pointer[0], 0.0, atol=1e-8)
+    np.testing.assert_allclose(pointer[1], ends[0])
+    assert "<script" in tr.atlas.animate(seconds=0.1)._repr_html_()
+    film._draw_was_started = True  # else Matplotlib warns that nothing was drawn
+    monkeypatch.setitem(trajectory.ANIMATIONS, ".mp4", type("Missing", (), {"isAvailable": lambda: False}))
+    for name, named in (("a.mp4", "needs the program ffmpeg"), ("a.png", "must end in .gif or .mp4")):
+        with pytest.raises(BadInput, match=named):
+            tr.atlas.animate(tmp_path / name)
+    with pytest.raises(BadInput, match="seconds = 0"):
+        tr.atlas.animate(seconds=0.0)
+    assert [path.name for path in tmp_path.iterdir()] == ["a.gif"]

@@ -191,7 +191,6 @@ def test_sources_that_are_no_table_of_points_are_refused(tmp_path):
     cases = [
         (tmp_path / "none.csv", "no such file"),
         (tmp_path / "plane.nc", "x, y"),
-        (plane, "one dimension"),
         ([{"C": 1.0}, {"m": 1.0}], "number 1 and number 0 differ in C, m"),
         ([], "there are none"),
         (3.0, "float cannot be read"),

@@ -1,0 +1,133 @@
+"""Two atlases on the same grid: changes of flags, and differences of numbers beside their error estimates."""
+
+from __future__ import annotations
+
+import difflib
+from contextlib import suppress
+from typing import Any
+
+import numpy as np
+import xarray as xr
+
+from ..engine.statistics import RATES
+from ..engine.tableaux import METHODS
+from ..errors import MAX_MESSAGE, BadInput, attribute_text, printable, shown, text_table
+from ..measure import circle
+from ..scene.checks import choice, whole_number
+from ..variables import main_instrument
+from .compare import confusion, place
+from .metadata import flag_names, has_flags, is_averaged, numeric_coordinates, scene_of, system_of
+
+OVER_BOUND = (*RATES, *circle.RATES)  # variables whose errors count over the bound of the fastest frequency
+
+
+def report(first: xr.Dataset, second: xr.Dataset, worst: int = 5) -> str:
+    """How the second atlas differs from the first, as text; see `Atlas.compare`."""
+    whole_number("worst", worst, 0)
+    flags, numbers = _shared(first, second)
+    lines = [f"{w}: {attribute_text(ds.attrs, 'title')}" for w, ds in (("first", first), ("second", second))]
+    scenes = [scene_of(ds) for ds in (first, second)]
+    texts = [[] if scene is None else scene.toml().split("\n") for scene in scenes]
+    changes = difflib.unified_diff(texts[0], texts[1], n=0, lineterm="")
+    lines += [f"  {line}" for line in changes if line[:2] not in ("--", "++", "@@")]
+    same, rows = [], [["variable", "largest difference", "over error_estimate", "place"]]
+    for name in flags:
+        names, dims = flag_names(first[name]), [*map(str, first[name].dims)]
+        a, b = (ds[name].transpose(*dims).values for ds in (first, second))
+        if not np.isin([a, b], range(len(names))).all():
+            raise BadInput(f"{name}: damaged: not the flags of an atlas, 0 to {len(names) - 1}")
+        places = np.argwhere(a != b)
+        if not len(places):
+            same.append(name)
+            continue
+        lines.append(f"{name}: {len(places)} of {a.size} points change ({100 * len(places) / a.size:.3g} %)")
+        if name.startswith("label"):
+            table = confusion(b, a, len(names))
+            used = np.flatnonzero(table.any(0) | table.any(1))
+            cells = [["first \\ second", *(names[j] for j in used)]]
+            cells += [[names[i], *map(str, table[i, used])] for i in used]
+            lines += [f"  {row}" for row in text_table(cells, right=True).split("\n")]
+            for i in map(tuple, places[:worst]):
+                lines.append(
+                    f"  {place(first, dict(zip(dims, i, strict=True)))}: {names[a[i]]} to {names[b[i]]}"
+                )
+    for name in numbers:
+        ours, theirs = first[name].variable, second[name].variable
+        # A value in one atlas only is an infinite difference.
+        both = (ours == theirs) | (ours.isnull() & theirs.isnull())
+        difference = abs(ours - theirs).fillna(np.inf).where(~both, 0.0)
+        if not difference.any():
+            same.append(name)
+            continue
+        estimate = _estimate(first, second, name)
+        ratio = difference if estimate is None else (difference / estimate).where(difference > 0, 0.0)
+        index = map(int, np.unravel_index(int(np.argmax(ratio.values)), ratio.shape))
+        where = place(first, dict(zip(map(str, ratio.dims), index, strict=True)))
+        largest = [f"{float(each.max()):.3g}" for each in (difference, ratio)]
+        rows.append([name, largest[0], "-" if estimate is None else largest[1], where])
+    lines += text_table(rows).split("\n") if len(rows) > 1 else []
+    lines += [f"the same at every point: {', '.join(same)}"] if same else []
+    return "\n".join(printable(line, MAX_MESSAGE) for line in lines)
+
+
+def differences(first: xr.Dataset, second: xr.Dataset) -> xr.Dataset:
+    """Changes of flags, and second less first of numbers; see `Atlas.differences`."""
+    flags, numbers = _shared(first, second)
+    result: dict[str, xr.Variable] = {}
+    for name in flags:
+        ours, theirs = first[name].variable, second[name].variable
+        meanings = ["unchanged", *(f"to_{flag}" for flag in flag_names(first[name]))]
+        result[f"{name}_change"] = changed = (theirs + 1).where(ours != theirs, 0).astype(np.int8)
+        changed.attrs = {
+            "long_name": f"change of {name}",
+            "flag_values": np.arange(len(meanings), dtype=np.int8),
+            "flag_meanings": " ".join(meanings),
+        }
+    for name in numbers:
+        result[f"{name}_difference"] = difference = second[name].variable - first[name].variable
+        units = attribute_text(first[name].attrs, "units", "1")
+        difference.attrs = {"long_name": f"difference of {name}", "units": units}
+    return xr.Dataset(result, first.coords, first.attrs)
+
+
+def _shared(first: xr.Dataset, second: xr.Dataset) -> tuple[list[str], list[str]]:
+    """Flags and numbers that both atlases have; BadInput unless these have one system and one grid."""
+    if not isinstance(second, xr.Dataset):
+        raise BadInput(f"other = {shown(second)}: must be the dataset of an atlas")
+    systems, problems = [system_of(ds).name for ds in (first, second)], []
+    if systems[0] != systems[1]:
+        problems.append(f"the systems are {systems[0]} and {systems[1]}")
+    for dim in map(str, dict.fromkeys([*first.dims, *second.dims])):
+        sizes = [ds.sizes.get(dim, 0) for ds in (first, second)]
+        names = [dim] if dim in first.indexes else numeric_coordinates(first, dim)
+        if sizes[0] != sizes[1]:
+            problems.append(f"{dim} has {sizes[0]} and {sizes[1]} values")
+        elif not all(n in second.coords and first[n].variable.equals(second[n].variable) for n in names):
+            problems.append(f"{dim} has other values")
+    if problems:
+        raise BadInput(f"these atlases are not on the same grid: {'; '.join(problems)}")
+    flags, numbers = [], []
+    for name in (str(n) for n in first.data_vars if n in second and {*first[n].dims} == {*second[n].dims}):
+        a, b = first[name], second[name]
+        if all(has_flags(each) and not is_averaged(each) for each in (a, b)):
+            flags += [name] if flag_names(a) == flag_names(b) else []
+        elif a.dtype.kind in "iuf" and b.dtype.kind in "iuf":
+            numbers.append(name)
+    return flags, numbers
+
+
+def _estimate(first: xr.Dataset, second: xr.Dataset, name: str) -> Any:
+    """The larger error estimate of a variable, in its unit; None where it has none, or what its unit needs is missing."""
+    system, stem = system_of(first), name.rpartition("_")[0]
+    if name not in (*main_instrument(system).statistics(system), *OVER_BOUND, *circle.ANGLES):
+        return None
+    with suppress(KeyError):
+        error = np.fmax(first["error_estimate"].variable, second["error_estimate"].variable)
+        if system.observables:
+            low, high = (abs(first[f"{stem}_{end}"].variable) for end in ("min", "max"))
+            return error * np.fmax(low, high)
+        if name in OVER_BOUND:
+            method = METHODS[choice("atlas_method", attribute_text(first.attrs, "atlas_method"), METHODS)]
+            return error * first["step_ratio"].variable * method.stability / first["step"].variable
+        return error
+    return None

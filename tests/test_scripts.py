@@ -33,7 +33,7 @@ SCRIPTS = {
     "fuzz_scenes": ("--count 5 --runs 1 --points 1", r"check: ok"),
     "gallery": ("--out FOLDER --docs FOLDER --only first_order_error --count 3", r"wrote FOLDER"),
     "lagrange_form": ("--points 2 --steps 200", r"share unresolved"),
-    "make_docs": ("--docs FOLDER", r"written: scenes.md"),
+    "make_docs": ("--docs FOLDER", r"written: variables.md"),
 }
 OTHERS = {
     "bench_page": "tests/page/test_in_browser.py",
@@ -102,8 +102,8 @@ def less_work(script_folders, monkeypatch, tmp_path):
     monkeypatch.setattr("gallery.PAPER_FIGURES", (4,))
     monkeypatch.setattr("gallery.DPI", 50)
     (tmp_path / "gallery").mkdir()
-    pages = (ROOT / "docs" / "scenes.md").read_text()
-    (tmp_path / "scenes.md").write_text(
+    pages = (ROOT / "docs" / "variables.md").read_text()
+    (tmp_path / "variables.md").write_text(
         re.sub(r"(<!-- parameters satellite -->).*?(<!-- end)", r"\1\n\2", pages, flags=re.S)
     )
 
@@ -120,7 +120,7 @@ def test_script(name, monkeypatch, tmp_path, capfd):
         for file in ("first_order_error.pdf", "gallery/first_order_error.png", "fixed_point_figure_04.png"):
             assert (tmp_path / file).is_file()
     if name == "make_docs":
-        assert (tmp_path / "scenes.md").read_text() == (ROOT / "docs" / "scenes.md").read_text()
+        assert (tmp_path / "variables.md").read_text() == (ROOT / "docs" / "variables.md").read_text()
 
 
 def test_tables_are_those_of_the_registries(monkeypatch):

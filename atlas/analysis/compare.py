@@ -33,10 +33,8 @@ BAND = 0.02
 # Largest growth_rate x duration that an unstable motion may survive: one nudged by 1e-4 and observed with a tolerance
 # of 1e-3 may stay within it while a disturbance grows by e^12.
 MAX_SURVIVED_GROWTH = 12.0
-MAX_NEAREST, ON_FAMILY = (
-    10_000,
-    1e-9,
-)  # drifting points that are compared with families; residual of those on one
+# Drifting points that are compared with families, and the residual of a point on one.
+MAX_NEAREST, ON_FAMILY = 10_000, 1e-9
 # Variations of the rates, of which the largest is the unsteadiness of a point.
 RATES = ("theta_dot_rms", "psi_dot_std", "phi_dot_std", "normal_rate_std")
 
@@ -223,7 +221,8 @@ def _nearest_family(ds: xr.Dataset) -> list[str]:
     families = [each for each in system.families.values() if each.conditions and each.axes is None]
     if not drifting.size or not families or not set(system.parameters) <= set(ds.coords):
         return []
-    points = {name: np.asarray(ds[name].values[drifting], np.float64) for name in system.parameters}
+    columns = {name: ds[name].broadcast_like(ds["label"]).values[drifting] for name in system.parameters}
+    points = {name: np.asarray(column, np.float64) for name, column in columns.items()}
     with np.errstate(all="ignore"):
         distances = [
             float(np.median(np.nan_to_num(on_family(each, points), nan=np.inf))) for each in families

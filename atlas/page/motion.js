@@ -298,7 +298,8 @@ function addPlayer(button, canvas, show) {
   };
   const step = (now) => {
     if (started === null || !canvas.isConnected) return;
-    const share = Math.min(from + (now - started) / (1000 * PLAY_SECONDS), 1);
+    // The time of a frame may be a little before that of the click.
+    const share = Math.min(from + Math.max(now - started, 0) / (1000 * PLAY_SECONDS), 1);
     show(share);
     if (share < 1) requestAnimationFrame(step);
     else stop(0);

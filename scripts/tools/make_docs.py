@@ -99,6 +99,8 @@ def in_latex(text: str) -> str:
     runs: list[str] = []
     for is_formula, group in groupby(pieces, key=lambda piece: piece[0]):
         joined = re.sub(r" (?=[\^)\]/])|(?<=[(\[/]) ", "", " ".join(piece for _, piece in group))
+        # TeX takes primes and a power together alone.
+        joined = re.sub(r"('+)\^\{", lambda match: "^{" + r"\prime " * len(match[1]), joined)
         runs.append(f"${joined}$" if is_formula else joined)
     return re.sub(r" (?=[,:;)])|(?<=\() ", "", " ".join(runs))
 

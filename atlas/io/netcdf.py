@@ -113,7 +113,9 @@ def with_parameters(
     for dim in [dim for dim in ds.sizes if dim != "point" and dim not in ds.coords]:
         match [ds[name] for name, array in arrays.items() if dim in array.dims and name in ds.coords]:
             case [array] if array.ndim == 1 and array.chunks is None and array.to_index().is_unique:
-                ds = ds.assign_coords({dim: (dim, array.values, array.attrs)})
+                ds = ds.assign_coords(
+                    {dim: (dim, array.values, array.attrs | {"long_name": str(array.name)})}
+                )
     return ds
 
 

@@ -63,7 +63,8 @@ def test_maps_and_questions_work_at_once(grid):
     spin = xr.DataArray([0.1, 0.5], dims="m")
     ds = atlas.label_points("satellite", grid | {"m": spin}, **SETTINGS)
     assert set(ds.indexes) == {"m", "shape"}
-    assert ds.atlas.map().axes[0].get_xlabel()
+    axes = ds.atlas.map().axes[0]
+    assert {axes.get_xlabel(), axes.get_ylabel()} == {"$C$ (kg m$^{2}$)", "$m$ (rad s$^{-1}$)"}
     np.testing.assert_array_equal(ds.atlas.nearest(m=0.5, shape=1.2).label, ds.label[1, 1])
     # a list of bodies under any name of a dimension is one of single points
     bodies = atlas.label_points("satellite", random_points(), **SETTINGS)

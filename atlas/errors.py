@@ -74,13 +74,16 @@ def shown(value: object) -> str:
 
 def allowed_text(value: object, names: Collection[str]) -> str:
     """End of a message: "did you mean 'tolerance'? allowed: tolerance, step", or without the question."""
-    question = ""
+    return f"{similar_text(value, names)}allowed: {', '.join(names) or 'none'}"
+
+
+def similar_text(value: object, names: Collection[str]) -> str:
+    """The question "did you mean 'tolerance'? " with a blank after it, or nothing if no name is similar."""
     if isinstance(value, str) and len(value) <= MAX_TEXT:
         by_lower_case = {name.lower(): name for name in names}
-        similar = difflib.get_close_matches(value.lower(), by_lower_case, 1)
-        if similar:
-            question = f"did you mean {by_lower_case[similar[0]]!r}? "
-    return f"{question}allowed: {', '.join(names) or 'none'}"
+        for similar in difflib.get_close_matches(value.lower(), by_lower_case, 1):
+            return f"did you mean {by_lower_case[similar]!r}? "
+    return ""
 
 
 _in_shell = False

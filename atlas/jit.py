@@ -119,10 +119,10 @@ def axpy(typingctx, y, weights, slopes):
     """The tuple y plus the weighted sum of tuples, which the compiler need not read as a thousand operations."""
 
     def generate(context, builder, signature, arguments):
-        given = []
-        for value, kind in zip(arguments, signature.args, strict=True):
-            unpacked = cgutils.unpack_tuple(builder, value)
-            given.append([(item, each) for item, each in zip(unpacked, kind, strict=True)])
+        given = [
+            list(zip(cgutils.unpack_tuple(builder, value), kind, strict=True))
+            for value, kind in zip(arguments, signature.args, strict=True)
+        ]
 
         def component(vector, kind, i):
             return context.cast(builder, builder.extract_value(vector, i), kind[i], types.float64)

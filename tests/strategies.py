@@ -9,6 +9,7 @@ from __future__ import annotations
 import numpy as np
 from hypothesis import strategies as st
 
+from atlas.engine.specialization import Specialization
 from atlas.label import pipeline
 from atlas.label.plan import Plan
 from atlas.scene.grid import Grid
@@ -166,3 +167,10 @@ def evaluate(system, base, points, duration, settings, *, halved=False, threads=
     """The variables of a `tile_of` these; plan: further fields of a Plan."""
     tile = tile_of(base, points, duration)
     return pipeline.evaluate(Plan(system, settings, **plan), tile, halved=halved, threads=threads)
+
+
+def specialization_of(system, points):
+    """Terms that vanish, or are equal, at every one of these points."""
+    zero = {name for name, values in points.items() if ((values == 0) | np.isnan(values)).all()}
+    equal = {(a, b) for a, b in system.equal_parameters if (points[a] == points[b]).all()}
+    return Specialization.of(system, zero, equal)

@@ -33,8 +33,7 @@ BAND = 0.02
 # Largest growth_rate x duration that an unstable motion may survive: one nudged by 1e-4 and observed with a tolerance
 # of 1e-3 may stay within it while a disturbance grows by e^12.
 MAX_SURVIVED_GROWTH = 12.0
-# Drifting points that are compared with families, and the residual of a point on one.
-MAX_NEAREST, ON_FAMILY = 10_000, 1e-9
+MAX_NEAREST = 10_000  # drifting points that are compared with families
 # Variations of the rates, of which the largest is the unsteadiness of a point.
 RATES = ("theta_dot_rms", "psi_dot_std", "phi_dot_std", "normal_rate_std")
 
@@ -118,13 +117,8 @@ def _stability_lines(ds: xr.Dataset) -> list[str]:
 
 def near_boundary(stable: Flags) -> np.ndarray:
     """Points within BAND of the axis range of a point of other linear stability; none in a list."""
-    from scipy.ndimage import (  # slow to import, and most commands do not need it
-        maximum_filter,
-        minimum_filter,
-    )
-
     window = [1 + 2 * max(1, int(np.ceil(BAND * (count - 1)))) if count > 1 else 1 for count in stable.shape]
-    return np.asarray(maximum_filter(stable, window) != minimum_filter(stable, window))
+    return grid.near_change(stable, window)
 
 
 def _worst_lines(ds: xr.Dataset, result: Flags, count: int) -> list[str]:
@@ -221,8 +215,10 @@ def _nearest_family(ds: xr.Dataset) -> list[str]:
     families = [each for each in system.families.values() if each.conditions and each.axes is None]
     if not drifting.size or not families or not set(system.parameters) <= set(ds.coords):
         return []
-    columns = {name: ds[name].broadcast_like(ds["label"]).values[drifting] for name in system.parameters}
-    points = {name: np.asarray(column, np.float64) for name, column in columns.items()}
+    part = ds.isel(point=drifting)
+    points = {
+        name: np.broadcast_to(part[name].values, drifting.shape).astype(float) for name in system.parameters
+    }
     with np.errstate(all="ignore"):
         distances = [
             float(np.median(np.nan_to_num(on_family(each, points), nan=np.inf))) for each in families
@@ -233,7 +229,7 @@ def _nearest_family(ds: xr.Dataset) -> list[str]:
         )
         for name in sorted(nearest.solve, key=lambda name: system.parameters[name].start):
             solved = nearest.solve[name](points)
-            if (on_family(nearest, points | {name: solved}) < ON_FAMILY).all():
+            if (on_family(nearest, points | {name: solved}) < grid.ON_FAMILY).all():
                 return [f"{text}; on it with {name} from {solved.min():.4g} to {solved.max():.4g}"]
     return [text]
 

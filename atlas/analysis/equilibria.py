@@ -16,7 +16,7 @@ from ..flags import Completeness, Stability
 from ..io import netcdf
 from ..measure.instrument import Variable
 from ..scene.checks import typed, whole_number
-from ..scene.tables import Table, flat_columns, parameter_arrays, point_columns, table
+from ..scene.tables import Table, flat_columns, parameter_arrays, table
 from ..systems.base import Array, Points, System, subset
 
 _UNITS = {
@@ -97,7 +97,7 @@ def equilibria(system: str, body: Table, *, max_equilibria: int | None = None) -
     names, arrays, _ = parameter_arrays(description, source)
     by_name = dict(zip(names, arrays, strict=True))
     if max_equilibria is None and not any(array.ndim for array in arrays):
-        columns, _ = point_columns(description, source)
+        columns = flat_columns(description, names, [array.values for array in arrays], (), source)
         description.check(columns)
         description.check_possible(columns)
         solutions = description.equilibria({k: float(v[0]) for k, v in columns.items()})

@@ -237,8 +237,8 @@ def draw_map(options: argparse.Namespace) -> int:
     stem = without_suffix(options.atlas, ".nc", ".zarr")
     names = [options.out] if options.out else [f"{stem}.png", f"{stem}.pdf"]
     paths = [writable(name, FIGURES, force=options.force, inputs=[options.atlas]) for name in names]
-    names = ["x", "y", "row", "col", "title", "cmap", "boundary", "legend", "width"]
-    given = {name: getattr(options, name) for name in names}
+    same = ("x", "y", "row", "col", "title", "cmap", "boundary", "legend", "width")
+    given = {name: getattr(options, name) for name in same}
     for name in ("colors", "labels"):
         given[name] = assignments(f"--{name}", getattr(options, name), "NAME=TEXT")
     select = axis_values("--select", options.select)

@@ -156,6 +156,8 @@ def list_kernels(options: argparse.Namespace) -> int:
     from .. import jit
 
     if options.warm is not None:
+        import numpy as np
+
         from ..label.pipeline import evaluate
         from ..label.plan import Plan
         from ..scene import grid
@@ -166,7 +168,7 @@ def list_kernels(options: argparse.Namespace) -> int:
             scenes = {name: load_scene(text.read_text("utf-8")) for name, text in examples().items()}
         for name, scene in scenes.items():
             sample, watch, began = grid.check(scene), Stopwatch(), time.perf_counter()
-            evaluate(Plan.of(scene), sample.subset(sample.exists.cumsum() * sample.exists == 1))
+            evaluate(Plan.of(scene), sample.subset(np.flatnonzero(sample.exists)[:1]))
             seconds = time.perf_counter() - began - watch.seconds()
             say(f"{name}: " + (f"compiled in {seconds:.1f} s" if seconds > 0.01 else "nothing to compile"))
     if options.clear:

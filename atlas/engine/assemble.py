@@ -35,13 +35,14 @@ def functions(module: ModuleType, absent: Collection[str] = ()) -> dict[str, str
     """Sources of a module's functions by name, without docstrings, decorators and what `if name:` holds of an
     absent name; members of enumerations become numbers.
     """
-    nodes = (node for node in _parsed(module).body if isinstance(node, ast.FunctionDef))
-    return {node.name: ast.unparse(_stripped(node, module, absent)) for node in nodes}
+    return {name: ast.unparse(_stripped(node, module, absent)) for name, node in _parsed(module).items()}
 
 
-def _parsed(module: ModuleType) -> ast.Module:
+def _parsed(module: ModuleType) -> dict[str, ast.FunctionDef]:
+    """Syntax trees of a module's functions by name."""
     assert module.__file__ is not None
-    return ast.parse(Path(module.__file__).read_text(encoding="utf-8"))
+    tree = ast.parse(Path(module.__file__).read_text(encoding="utf-8"))
+    return {node.name: node for node in tree.body if isinstance(node, ast.FunctionDef)}
 
 
 def _stripped(node: ast.FunctionDef, module: ModuleType, absent: Collection[str]) -> ast.FunctionDef:
@@ -66,8 +67,7 @@ def _reachable(
     def visit(function: Any) -> None:
         module = sys.modules[function.__module__]
         if module.__name__ not in trees:
-            nodes = (node for node in _parsed(module).body if isinstance(node, ast.FunctionDef))
-            trees[module.__name__] = {node.name: node for node in nodes}
+            trees[module.__name__] = _parsed(module)
         node = _stripped(trees[module.__name__][function.__name__], module, absent)
         objects[function.__name__] = function
         for name in dict.fromkeys(part.id for part in ast.walk(node) if isinstance(part, ast.Name)):
@@ -133,7 +133,7 @@ def source(
     equal: Mapping[str, str] = {},
     *,
     of: ModuleType = kernel,
-    plugs: Sequence[Plug] = (),
+    plugs: tuple[Plug, ...] = (),
 ) -> str:
     """Text of a compiled kernel module of a system's equations and a method.
 
@@ -141,7 +141,7 @@ def source(
     `deviation` keeps the units of the caller. Raises BadInput for equations that cannot be differentiated,
     and if a first integral or a loss has the name of a function of the kernel.
     """
-    objects, sources, numbers = _reachable(of, tuple(plugs), () if plugs else ("PLUGGED",))
+    objects, sources, numbers = _reachable(of, plugs, () if plugs else ("PLUGGED",))
     measured = augmented.losses_of(equations, zero, equal) if of in MEASURING else {}
     equations = augmented.with_losses(equations, measured)
     try:
@@ -170,7 +170,7 @@ def plain_module(
     equal: Mapping[str, str] = {},
     *,
     of: ModuleType = kernel,
-    plugs: Sequence[Plug] = (),
+    plugs: tuple[Plug, ...] = (),
 ) -> ModuleType:
     """The same kernel as plain Python, slow; arguments as for `source`."""
     measured = augmented.losses_of(equations, zero, equal) if of in MEASURING else {}
@@ -178,7 +178,7 @@ def plain_module(
     namespace: dict[str, object] = {"np": np, "axpy": generated.axpy, **arithmetic.numpy_functions()}
     for name, text in _generated_functions(equations, METHODS[method], zero, equal, of, plugs).items():
         exec(compile(text, f"<{name} of {equations.__name__}>", "exec"), namespace)
-    objects, _, _ = _reachable(of, tuple(plugs))
+    objects, _, _ = _reachable(of, plugs)
     namespace |= {plug.add_node.__name__: plug.add_node for plug in plugs}
     namespace |= _constants(equations, METHODS[method], of, plugs)
     for shared in {function.__module__ for function in objects.values()} - {of.__name__}:
@@ -402,7 +402,7 @@ def step_lines(method: Method, rhs_name: str = "rhs") -> list[str]:
     """Body of `step`: one step of length method.kernel_step.
 
     The first weight is factored out, because the inner coefficients of rk4 are then 1, 2, 2, 1: additions
-    leave the multipliers, the narrowest part of the processor, to the equations. The sum s goes along with
+    leave the multipliers, the narrowest part of the processor, to the equations. Their total goes along with
     the stages, so that fewer of them are in use at once.
     """
     lines, first = [], method.b[0]

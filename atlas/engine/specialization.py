@@ -7,10 +7,8 @@ from dataclasses import dataclass
 from functools import cache
 from types import ModuleType
 
-import numpy as np
-
 from .. import jit
-from ..systems.base import Points, System
+from ..systems.base import System
 from . import assemble, deviation, observe, tangent
 from . import kernel as kernel_of_bodies
 from .ensemble import Plug
@@ -29,13 +27,6 @@ class Specialization:
         """Where these parameters are 0 (or absent), and these pairs of them equal, at every point."""
         zero_constants, equal_constants = system.specialization(zero, equal)
         return cls(frozenset(zero_constants), frozenset(equal_constants))
-
-    @classmethod
-    def of_points(cls, system: System, points: Points) -> Specialization:
-        """From an explicit set of points."""
-        zero = {name for name, values in points.items() if ((values == 0) | np.isnan(values)).all()}
-        equal = {(a, b) for a, b in system.equal_parameters if (points[a] == points[b]).all()}
-        return cls.of(system, zero, equal)
 
 
 GENERIC = Specialization()

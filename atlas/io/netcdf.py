@@ -98,10 +98,10 @@ def with_parameters(
     lies, has its values as coordinate. BadInput if an index with the name of a parameter has other values.
     """
     for name, parameter in system.parameters.items():
-        array = arrays.get(name, xr.DataArray(parameter.default))
-        attributes = parameter_attributes(system, name, False)
         if name in leave_out:
             continue
+        array = arrays.get(name, xr.DataArray(parameter.default))
+        attributes = parameter_attributes(system, name, False)
         if name in ds.indexes:
             if array.dims != ds[name].dims or not np.array_equal(array.values, ds[name].values):
                 raise BadInput(

@@ -41,9 +41,10 @@ def evaluate(
     """
     if not tile.exists.all():
         columns = {}
-        some = {name: np.empty(0, variable.dtype) for name, variable in variables(plan.system).items()}
         if tile.exists.any():
             some = evaluate(plan, tile.subset(tile.exists), halved=halved, threads=threads, progress=progress)
+        else:
+            some = {name: np.empty(0, variable.dtype) for name, variable in variables(plan.system).items()}
         for name, values in some.items():
             empty = np.nan if values.dtype.kind == "f" else 0
             columns[name] = np.full(tile.exists.shape, empty, values.dtype)

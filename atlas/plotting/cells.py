@@ -22,7 +22,6 @@ from matplotlib.colors import (
 )
 from matplotlib.figure import Figure
 from matplotlib.ticker import FixedLocator, LogLocator, MaxNLocator, NullFormatter, NullLocator
-from scipy.spatial import KDTree
 
 from ..analysis.boundary import CHANGE, EXISTENCE, KINDS, LABEL, RESONANCES, STABILITY
 from ..analysis.metadata import scene_of
@@ -276,6 +275,8 @@ def draw_hatching(ax: Axes, mask: Mask, edges: list[np.ndarray], hatch: Hatch) -
 
 def _crowded_parts(ax: Axes, lines: list[np.ndarray], frame: Frame) -> list[tuple[np.ndarray, bool]]:
     """Parts of lines over two axes, each to the start of the next; whether lines crowd there, or it is very short."""
+    from scipy.spatial import KDTree  # slow to import, and maps without lines do not need it
+
     size = np.array(ax.bbox.size) * 72 / ax.figure.dpi  # of the frame in points
     vertices = [frame.sides(line) * size for line in lines]
     steps = [np.linalg.norm(np.diff(each, axis=0), axis=1) for each in vertices]

@@ -18,7 +18,7 @@ from ..analysis.boundary import CHANGE, EXISTENCE, RESONANCES, STABILITY, theory
 from ..analysis.compare import MAX_SURVIVED_GROWTH
 from ..analysis.metadata import axes_of, flag_names, is_averaged
 from ..analysis.plane import Plane, family_curves
-from ..errors import BadInput, allowed_text, attribute_text, shown
+from ..errors import BadInput, allowed_text, attribute_text, shown, similar_text
 from ..flags import Label, Stability
 from ..scene.checks import choice
 from ..scene.model import Scene
@@ -226,9 +226,9 @@ class MapOptions:
                     f"size = {shown(self.size)}: must be width and height in mm, each from {MIN_SIZE:g} to {MAX_SIZE:g}"
                 )
         if isinstance(self.cmap, str) and self.cmap not in colormaps:
-            similar = allowed_text(self.cmap, colormaps).partition("allowed")[0]
+            question = similar_text(self.cmap, colormaps).rstrip()
             raise BadInput(
-                f"cmap = {shown(self.cmap)}: Matplotlib has no such colour map; {similar}".rstrip("; ")
+                f"cmap = {shown(self.cmap)}: Matplotlib has no such colour map{question and f'; {question}'}"
             )
         if self.cmap is not None and not isinstance(self.cmap, str | Colormap):
             raise BadInput(f"cmap = {shown(self.cmap)}: must be a colour map of Matplotlib or its name")

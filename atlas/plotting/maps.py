@@ -233,7 +233,7 @@ class Sheet:
         width, height = options.size_mm
         text = drawable(textwrap.fill(" ".join(notes), int(0.78 * width))) if notes else ""
         foot = TEXT_ROW * (text.count("\n") + 1) + 2.0 if text else 0.0
-        rows = -(-self.panels // self.columns)
+        rows, (columns, gap) = -(-self.panels // self.columns), legend_columns(legend, width)
         if height is None:
             panel_height = 0.72 * width / self.columns + 6.0  # with a title above each panel
             if self.line:
@@ -243,8 +243,7 @@ class Sheet:
             elif self.panels == 1:
                 panel_height = (0.5 if width >= 130 else 0.72) * width
             height = rows * panel_height + foot + 9.0
-            legend_rows = -(-len(legend) // legend_columns(legend, width)[0]) if legend else 0
-            height += LEGEND_ROW * legend_rows + (5.0 if options.title else 0.0)
+            height += LEGEND_ROW * -(-len(legend) // columns) + (5.0 if options.title else 0.0)
         figure = PrintFigure(
             figsize=(width / 25.4, height / 25.4), layout="constrained", dpi=float(options.dpi)
         )
@@ -257,7 +256,6 @@ class Sheet:
         for unused in axes[self.panels :]:
             unused.remove()
         if legend:
-            columns, gap = legend_columns(legend, width)
             figure.legend(
                 list(legend.values()), list(legend), loc="outside upper center",
                 ncols=columns, frameon=False, handlelength=HANDLE, columnspacing=gap,

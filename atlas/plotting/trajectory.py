@@ -128,14 +128,14 @@ def animate(tr: xr.Dataset, path: str | Path | None, seconds: float) -> Film | N
         _draw_sphere(ax, axis[: k + 1], names, pointer=True)
         ax.set_title(f"{time[k]:.4g} {unit}")
 
-    with TemporaryDirectory() as folder, rc_context(STYLE):
+    with rc_context(STYLE):
         figure = Figure(figsize=(side, side))
         ax = figure.add_axes((0.0, 0.0, 1.0, 0.93))
         frames = np.linspace(0, len(axis) - 1, count).astype(int)
         film = Film(figure, draw, frames=frames, interval=1000 * seconds / count, cache_frame_data=False)
         if path is None:
             return film
-        with atomic_write(Path(path)) as temporary:
+        with TemporaryDirectory() as folder, atomic_write(Path(path)) as temporary:
             whole = Path(folder) / f"film{suffix}"  # Matplotlib goes by the end of the name
             film.save(whole, ANIMATIONS[suffix](fps=count / seconds), dpi=FILM_DPI)
             temporary.write_bytes(whole.read_bytes())

@@ -201,13 +201,8 @@ class _FineGrid:
 
     def _near_boundary(self, code: np.ndarray) -> np.ndarray:
         """Mask of points within BOUNDARY_WIDTH of two different codes, along the axes that are refined."""
-        from scipy.ndimage import (  # slow to import, and most runs do not need it
-            maximum_filter,
-            minimum_filter,
-        )
-
         window = [1 + 2 * BOUNDARY_WIDTH * axis.can_be_refined for axis in self.scene.axes.values()]
-        return np.asarray(maximum_filter(code, window) != minimum_filter(code, window))
+        return grid.near_change(code, window)
 
     def _integrate(self, subgrid_indices: np.ndarray, spacing: Sequence[int]) -> None:
         """Integrate points given by their flat indices in the grid of this spacing."""

@@ -267,6 +267,13 @@ def warnings(scene: Scene, sample: Grid) -> list[str]:
     return not_computed(scene, sample) + system_warnings(scene.system, sample.subset(sample.exists).base)
 
 
+def near_change(values: np.ndarray, window: Sequence[int]) -> Mask:
+    """Points of a grid that have another value than one of those within a window around them, of this size along each axis."""
+    from scipy.ndimage import maximum_filter, minimum_filter  # slow to import, and most runs do not need it
+
+    return np.asarray(maximum_filter(values, window) != minimum_filter(values, window))
+
+
 def system_warnings(system: System, points: Points) -> list[str]:
     """Warnings of the system about points that are computed, and some about numbers that are hardly meant."""
     messages = system.warnings(points)

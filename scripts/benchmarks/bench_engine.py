@@ -103,7 +103,8 @@ class Case:
         self.step_sizes = replace(typical, steps=np.full(count, steps))
         per_sample = int(typical.steps_per_sample[0])
         self.sampling = f"a sample every {per_sample} steps" if per_sample > 1 else "a sample every step"
-        self.kernel = kernel(system, method, Specialization.of_points(system, points))
+        absent = {parameter for parameter, values in points.items() if not np.nan_to_num(values).any()}
+        self.kernel = kernel(system, method, Specialization.of(system, absent, frozenset()))
         self.point_steps = count * steps
         self.first_call = seconds(partial(self.run, 1))
 

@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from strategies import evaluate
+from strategies import evaluate, specialization_of
 
 import atlas
 from atlas.engine.differentiate import simplify
-from atlas.engine.specialization import GENERIC, Specialization
+from atlas.engine.specialization import GENERIC
 from atlas.flags import Label, Status
 from atlas.scene.model import Settings
 from atlas.scene.read import load_scene
@@ -57,7 +57,7 @@ def test_a_kernel_that_leaves_terms_out_gives_the_same_to_roundoff(system_name, 
     """The simplified right-hand side, as Python, against the whole one at random states; no kernel is compiled."""
     system = SYSTEMS[system_name]
     points = random_points(system, 20, np.random.default_rng(1), zero, symmetric)
-    specialization = Specialization.of_points(system, points)
+    specialization = specialization_of(system, points)
     assert specialization != GENERIC
     state, constants = system.initial_state(points), system.constants(points)
     source = ast.unparse(next(n for n in ast.parse(Path(system.equations.__file__).read_text()).body
@@ -138,7 +138,7 @@ def test_specialised_and_whole_kernels_agree_on_labels_and_rates(system_name):
     options = Settings(tolerance=1e-6)
     generic, specialized = (
         evaluate(system, points, points, duration, options, specialization=specialization)
-        for specialization in (GENERIC, Specialization.of_points(system, points))
+        for specialization in (GENERIC, specialization_of(system, points))
     )
     np.testing.assert_array_equal(generic["label"], specialized["label"])
     np.testing.assert_allclose(

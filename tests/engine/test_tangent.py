@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
-from strategies import random_fixed_points, random_satellites, select
+from strategies import random_fixed_points, random_satellites, select, specialization_of
 
 from atlas.engine import assemble, augmented, blocks, tangent
 from atlas.engine.ensemble import Ensemble
-from atlas.engine.specialization import Specialization, tangent_kernel
+from atlas.engine.specialization import tangent_kernel
 from atlas.measure import chaos
 from atlas.systems import SYSTEMS
 
@@ -191,7 +191,7 @@ def test_terms_that_vanish_may_be_left_out():
     zero = dict.fromkeys(("mu1", "mu2", "mu3", "k1", "k2", "k3"), 0.0)
     points = random_satellites(np.random.default_rng(4), 8, **zero)
     system = SYSTEMS["satellite"]
-    special = tangent_kernel(system, Specialization.of_points(system, points))
+    special = tangent_kernel(system, specialization_of(system, points))
     actual = indicators("satellite", points, 10.0, kernel=special)
     np.testing.assert_allclose(actual, indicators("satellite", points, 10.0), rtol=1e-9, atol=1e-11)
 

@@ -17,7 +17,6 @@ from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ...engine.tableaux import RK8
 from ...flags import PeriodicSolution
@@ -26,9 +25,8 @@ from .fast_spin import CHUNK, FastSpin, fast_spin, rhs, to_quasilinear
 
 STEPS = 24  # of the method rk8 in a period along the path of solutions
 FINE = 48  # the same at its end: errors of rounding, in units of r0 for p and q
-LARGEST_CORRECTION = np.array(
-    [[0.2], [0.2], [0.2], [1.0]]
-)  # of the unknowns: beyond, another solution may be met
+# Of the unknowns: beyond, another solution may be met.
+LARGEST_CORRECTION = np.array([[0.2], [0.2], [0.2], [1.0]])
 LEAST_STEP = 0.005  # of the path, in shares of the field; a path with smaller ones has met a fold
 DEFECT = 1e-5  # of a periodic solution before the last correction
 MARGIN = 1e-7  # of |trace| about 2, within which rounding decides on stability
@@ -125,18 +123,13 @@ def follow(spin: FastSpin, pause: Callable[[], None] = lambda: None) -> tuple[Ar
         to = np.minimum(share + step, 1)[going]
         length, before = to - share[going], x[:, going]
         guess = before + slope[:, going] * length
-        after, defect = correct(_part(spin, going, to), guess, 4)
+        part = FastSpin.of(*(getattr(spin, name)[going] for name in spin.__dataclass_fields__))
+        after, defect = correct(replace(part, weight=to * part.weight, N=to * part.N), guess, 4)
         right = (defect < DEFECT) & (np.abs(after - guess) < LARGEST_CORRECTION).all(0)
         x[:, going] = np.where(right, after, before)
         slope[:, going] = np.where(right, (after - before) / length, slope[:, going])
         share[going], step[going] = np.where(right, to, share[going]), np.where(right, 2, 0.5) * step[going]
     return x, share >= 1
-
-
-def _part(spin: FastSpin, where: NDArray[np.intp], share: Array) -> FastSpin:
-    """Some of the points at a share of their fields."""
-    part = FastSpin.of(*(getattr(spin, name)[where] for name in spin.__dataclass_fields__))
-    return replace(part, weight=share * part.weight, N=share * part.N)
 
 
 def of_unknowns(spin: FastSpin, x: Array) -> Periodic:

@@ -91,11 +91,8 @@ class FixedPoint(Gyrostat):
     name = "fixed_point"
     title = "gyrostat about a fixed point in a central Newtonian field"
     frame = "space"
-    frame_axes = (
-        "$x$",
-        "$y$",
-        "down (\N{GREEK SMALL LETTER GAMMA})",
-    )  # gamma points to the attracting centre
+    # gamma points to the attracting centre
+    frame_axes = ("$x$", "$y$", "down (\N{GREEK SMALL LETTER GAMMA})")
     reference = (
         "T. S. Amer, Y. M. Abo Essa, I. A. Ibrahim, W. S. Amer, Int. J. Engineering Research and Applications"
         " 3(5) (2013) 655-671"

@@ -10,18 +10,7 @@ from typing import Any
 import numpy as np
 
 from ...flags import Stability
-from ..base import (
-    Array,
-    Condition,
-    Family,
-    Flags,
-    Points,
-    SharedValues,
-    TwoAxes,
-    motion_about_axes,
-    shape_of,
-    shared,
-)
+from ..base import Array, Condition, Family, Flags, Points, TwoAxes, motion_about_axes, shape_of, shared
 from ..jacobian import STEP
 from ..vectors import across, dot, length, principal, ratio
 
@@ -128,10 +117,7 @@ class Equation(Condition):
         value = self.function(points)
         if value.ndim > len(shape_of(points)):
             value = np.hypot(*value) if len(value) == 2 else length(value)
-        if self.unit is None:
-            return value
-        unit = points.of(self.unit) if isinstance(points, SharedValues) else self.unit(points)
-        return relative_to(value, unit)
+        return value if self.unit is None else relative_to(value, shared(self.unit)(points))
 
     def solve(self, *names: str) -> Mapping[str, Solver]:
         """Solvers of the parameters of these names, in each of which the equation is linear."""

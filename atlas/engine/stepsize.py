@@ -39,22 +39,28 @@ class StepSizes:
     rate_error: NDArray[np.float64]
 
     @classmethod
-    def of(cls, settings: Any, bound: NDArray[np.float64], duration: NDArray[np.float64]) -> StepSizes:
+    def of(
+        cls,
+        settings: Any,
+        bound: NDArray[np.float64],
+        duration: NDArray[np.float64],
+        step: NDArray[np.float64] | None = None,
+    ) -> StepSizes:
         """Step sizes of points with these frequency bounds (rad per time unit) and durations (time units).
 
         Of `settings`, see `scene.model.Settings`, method, tolerance (rad), step (time units), max_steps and rate_tolerance (rad
         per time unit) are used.
-        With `settings.step` steps are at most that long. Otherwise they are so short that the phase error of an
+        With `step`, of each point, or else `settings.step`, steps are at most that long. Otherwise they are so short that the phase error of an
         oscillation at the bound stays within `settings.tolerance`, and that neither its loss of amplitude nor the
         local error lets a steady rate as large as the bound vary by more than RATE_ERROR_BUDGET of the rate tolerance.
         `settings.max_steps` limits their number before it is rounded up: the errors show what that costs. A point
         without finite bound gets the fewest steps and an infinite step ratio.
         """
-        method = METHODS[settings.method]
+        method, length = METHODS[settings.method], settings.step if step is None else step
         radians = bound * duration
         finite = np.isfinite(radians)
         radians = np.where(finite, radians, 0.0)
-        if settings.step is None:
+        if length is None:
             with np.errstate(divide="ignore"):
                 by_phase = settings.tolerance / (method.dispersion * np.maximum(radians, 1e-300))
                 rate_unit = np.where(finite, np.maximum(bound, 1e-300), 1.0)
@@ -69,7 +75,7 @@ class StepSizes:
             steps = count_ladder(np.minimum(count, float(settings.max_steps)))
         else:
             run = np.where(finite, duration, 0.0)
-            steps = steps_of_length(settings.step, run, MIN_INTERVALS, settings.max_steps)
+            steps = steps_of_length(length, run, MIN_INTERVALS, settings.max_steps)
         y = radians / steps
         # A power of 2. The interpolation error, of order 8 in the distance of nodes, is kept below a tenth of the phase error.
         with np.errstate(divide="ignore", invalid="ignore"):
@@ -158,7 +164,7 @@ class StepSizes:
         )
 
 
-def steps_of_length(length: float, duration: NDArray[np.float64], least: int, most: int) -> NDArray[np.int64]:
+def steps_of_length(length: Any, duration: NDArray[np.float64], least: int, most: int) -> NDArray[np.int64]:
     """Number of steps of at most a length, but for the least and the largest number."""
     count = np.ceil(np.minimum(duration / length, float(most)) - 1e-9)
     return np.maximum(count, least).astype(np.int64)

@@ -163,7 +163,7 @@ def _prepare(
     )
     ensemble = replace(ensemble, frequency_bound=main.bound(bound, settled))
     with np.errstate(all="ignore"):
-        step_sizes = main.step_sizes(settings, ensemble.frequency_bound, tile.duration)
+        step_sizes = main.step_sizes(settings, ensemble.frequency_bound, tile.duration, tile.step)
         if halved:
             step_sizes = step_sizes.halved(method)
         theory = Theory.of(plan, tile, ensemble, step_sizes, pause=lambda: progress(0.0), threads=threads)

@@ -257,9 +257,11 @@ class MainInstrument(Instrument):
         """See `engine.ensemble.Ensemble.integrate`; of one that may stop early."""
         raise NotImplementedError
 
-    def step_sizes(self, settings: Any, bound: Array, duration: Array) -> StepSizes:
-        """Steps of runs with these frequency bounds."""
-        return StepSizes.of(settings, bound, duration)
+    def step_sizes(
+        self, settings: Any, bound: Array, duration: Array, step: Array | None = None
+    ) -> StepSizes:
+        """Steps of runs with these frequency bounds; step: see `StepSizes.of`."""
+        return StepSizes.of(settings, bound, duration, step)
 
     def resolved(self, run: Run) -> Mask | bool:
         """Where the nodes show the motion."""

@@ -86,12 +86,15 @@ class Observables(MainInstrument):
         ]
         return np.asarray(np.fmax.reduce(shares))
 
-    def step_sizes(self, settings: Any, bound: Array, duration: Array) -> StepSizes:
+    def step_sizes(
+        self, settings: Any, bound: Array, duration: Array, step: Array | None = None
+    ) -> StepSizes:
         """With nodes so dense that extremes are found: at most MAX_NODE_RADIANS apart; longer steps are halved unless given.
 
         Where a node comes after several steps, the error of the interpolation is within the phase error.
         """
-        step_sizes, may_halve = StepSizes.of(settings, bound, duration), settings.step is None
+        step_sizes = StepSizes.of(settings, bound, duration, step)
+        may_halve = step is None and settings.step is None
         finest = (np.maximum(step_sizes.dispersion_error, 1e-16) / INTERPOLATION_ERROR) ** (1 / 8) / OVERTONE
         for _ in range(MAX_HALVINGS):
             radians = bound * step_sizes.sample_spacing

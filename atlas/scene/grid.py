@@ -61,6 +61,9 @@ class Grid:
     points: dict[str, Array]  # parameter -> values of the starts, after the nudge; float64 of shape (points,)
     reason: Flags  # int8 of shape (points,), values of `Reason`: why a point is not computed
     duration: Array  # length of the run in time units; float64 of shape (points,), nan where nothing turns
+    step: Array | None = (
+        None  # length of a step in time units instead of that of the settings; float64 of shape (points,)
+    )
 
     @property
     def exists(self) -> Mask:
@@ -72,7 +75,8 @@ class Grid:
         base, points = (
             {name: values[where] for name, values in columns.items()} for columns in (self.base, self.points)
         )
-        return Grid(base, points, self.reason[where], self.duration[where])
+        step = None if self.step is None else self.step[where]
+        return Grid(base, points, self.reason[where], self.duration[where], step)
 
 
 def status_of(reason: Flags) -> Flags:

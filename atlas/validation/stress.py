@@ -84,10 +84,7 @@ def stress(
 def _run_levels(
     system: System, points: Points, duration: Array, threads: int | None
 ) -> dict[str, np.ndarray]:
-    """Label, status and the measured numbers that are compared, each (method, level, point).
-
-    At fixed steps each point is a job of its own, as its step is its own; else each level is one.
-    """
+    """Label, status and the measured numbers that are compared, each (method, level, point)."""
     shape = len(METHODS), len(LEVELS), duration.size
     numbers = ("step_ratio", "error_estimate", "unsteadiness", *EXACT_STATISTICS)
     results: dict[str, np.ndarray] = {name: np.zeros(shape, np.int8) for name in ("label", "status")}
@@ -97,30 +94,30 @@ def _run_levels(
     with np.errstate(all="ignore"):
         bound = system.frequency_bound(points)
 
-    def work(cell: tuple[int, int], settings: Settings, where: np.ndarray) -> None:
-        """Run the points of a method and a level that take no more than MAX_STEPS."""
+    def work(cell: tuple[int, int], settings: Settings, step: Array | None) -> None:
+        """Run the points of a method and a level that take no more than MAX_STEPS, and have a step where one is given."""
+        where = np.arange(duration.size) if step is None else np.flatnonzero(step > 0)
+        whole = Grid(dict(points), dict(points), np.zeros(duration.size, np.int8), duration, step)
+        tile = whole.subset(where)
         with np.errstate(all="ignore"):
-            radians = bound[where] * duration[where]
+            radians = bound[where] * tile.duration
             unlimited = StepSizes.of(
-                replace(settings, max_steps=model.MAX_STEPS), bound[where], duration[where]
+                replace(settings, max_steps=model.MAX_STEPS), bound[where], tile.duration, tile.step
             )
         # Points whose numbers overflow would take any number of steps; a few steps show the overflow.
         overflow = ~np.isfinite(bound[where]) | (radians > 1e12)
-        runs = [
-            (settings, where[~overflow & (unlimited.steps <= MAX_STEPS)]),
-            (replace(settings, max_steps=1000), where[overflow]),
-        ]
-        for limited, indices in runs:
-            if indices.size:
-                part, none = subset(points, indices), np.zeros(indices.size, np.int8)
-                values = evaluate(Plan(system, limited), Grid(part, part, none, duration[indices]), threads=1)
+        runs = {MAX_STEPS: ~overflow & (unlimited.steps <= MAX_STEPS), 1000: overflow}
+        for max_steps, chosen in runs.items():
+            if chosen.any():
+                plan = Plan(system, replace(settings, max_steps=max_steps))
+                values = evaluate(plan, tile.subset(chosen), threads=1)
                 values["unsteadiness"] = main_instrument(system).unsteadiness(system, values, settings)
                 # Exact motions are those of bodies.
-                values = dict.fromkeys(EXACT_STATISTICS, np.full(indices.size, np.nan)) | values
+                values = dict.fromkeys(EXACT_STATISTICS, np.full(chosen.sum(), np.nan)) | values
                 for name, column in results.items():
-                    column[(*cell, indices)] = values[name]
+                    column[(*cell, where[chosen])] = values[name]
 
-    # The kernel releases the interpreter lock; one job is seldom large enough for two threads.
+    # The kernel releases the interpreter lock; one level is seldom large enough for two threads.
     with ThreadPoolExecutor(threads or blocks.available_threads()) as pool:
         jobs = []
         for i, method in enumerate(METHODS.values()):
@@ -128,12 +125,9 @@ def _run_levels(
             for j, ratio in enumerate(RATIOS):
                 with np.errstate(all="ignore"):
                     length = np.clip(ratio * method.stability / bound, 0.0, duration)
-                for k in np.flatnonzero(length > 0):
-                    own = replace(settings, step=float(length[k]))
-                    jobs.append(pool.submit(work, (i, j), own, np.array([k])))
+                jobs.append(pool.submit(work, (i, j), settings, length))
             for j, tolerance in enumerate(TOLERANCES, len(RATIOS)):
-                own = replace(settings, tolerance=tolerance)
-                jobs.append(pool.submit(work, (i, j), own, np.arange(duration.size)))
+                jobs.append(pool.submit(work, (i, j), replace(settings, tolerance=tolerance), None))
         try:
             for job in jobs:
                 job.result()

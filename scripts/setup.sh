@@ -17,6 +17,8 @@ fi
 
 install_package() {
     set -- install --disable-pip-version-check --progress-bar off --editable ".${extras:-}"
+    # Python compiles the modules that it imports, a quarter of those that pip would compile.
+    [ -n "${PYTHONDONTWRITEBYTECODE:-}" ] || set -- "$@" --no-compile
     if [ -x .venv/bin/pip ]; then
         PYTHONUNBUFFERED=1 .venv/bin/python -m pip "$@"
     else  # the pip of the system installs into .venv

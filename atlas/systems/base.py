@@ -89,7 +89,7 @@ class Condition:
 
 @dataclass(frozen=True)
 class Family:
-    """A family of exact steady motions theta = theta0, psi' = n, phi' = m, or of motions alike about other axes."""
+    """A family of exact steady motions theta = theta0, psi' = n, phi' = m, or alike about other axes, or in the plane."""
 
     name: str
     flag: int = 0  # value of the dataset variable `family`, from 1; see numbered
@@ -111,6 +111,9 @@ class Family:
     # points -> axes and rates of a motion about any axes, which drifts about the third axis and the vertical; None: the
     # motion is about these two
     axes: Callable[[Points], TwoAxes] | None = None
+    # (points, durations) -> standard deviation, (points,), of the rate of a body that turns unsteadily about the vertical, with
+    # its third axis on it; infinite durations are of whole periods. None: the motion is steady
+    rate_std: Callable[[Points, Array], Array] | None = None
 
 
 def numbered(families: Iterable[Family], after: Collection[str] = ()) -> dict[str, Family]:
@@ -205,7 +208,7 @@ class System(ABC):
         physically possible: `moments_of_inertia`, `possible_body`, `possible_start`, `start_condition`,
         `check_possible`.
     Theory
-        `families`, `identify_family`, `condition_residual`, `linear_stability`, `log_growth`,
+        `families`, `identify_family`, `condition_residual`, `linear_stability`, `unsteady`, `rate_std`, `log_growth`,
         `growth_about_vertical`, `complete`, `complete_any_axis`, `any_axis_rates`, `frame_rate`, `geometries`,
         `geometry`, `derived`, `equilibria`, `equilibria_of_bodies`, `published`, `stress_cases`, `despun_equivalent`.
 
@@ -521,6 +524,19 @@ class System(ABC):
             if members.size and family.stability is not None:
                 stable[members], growth[members] = family.stability(subset(points, members))
         return stable, growth
+
+    def unsteady(self, flags: Flags) -> Mask:
+        """Where a family is one of motions of which the rate about the vertical varies, bool (points,)."""
+        return np.isin(flags, [each.flag for each in self.families.values() if each.rate_std is not None])
+
+    def rate_std(self, points: Points, flags: Flags, duration: Array) -> Array:
+        """Standard deviation of that rate over runs, 0 of steady motions, (points,)."""
+        result = np.zeros(flags.shape)
+        for family in self.families.values():
+            members = np.flatnonzero(flags == family.flag)
+            if family.rate_std is not None and members.size:
+                result[members] = family.rate_std(subset(points, members), duration[members])
+        return result
 
     def log_growth(self, points: Points, flags: Flags, growth_rate: Array, duration: Array) -> Array:
         """Logarithm of the growth of a small distance from the steady motions over runs, (points,); nan: unknown.

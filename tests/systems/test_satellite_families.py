@@ -323,6 +323,7 @@ def test_closed_form_shapes():
 def test_the_68_cases_are_recognised():
     points = satellite_cases()
     flags, _ = SATELLITE.identify_family(points)
+    flags[SATELLITE.unsteady(flags)] = 0
     residuals = condition_residual(points)
     upright = np.abs(np.sin(points["theta0"])) < 1e-12
 

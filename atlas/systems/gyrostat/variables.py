@@ -11,10 +11,12 @@ from numpy.typing import NDArray
 
 from ...flags import Completeness, EnergyStability, Stability, StabilityKind
 from ..base import Array, DerivedVariable, Flags, Points, subset
+from .plane import PlaneMotions
 
 if TYPE_CHECKING:
     from .system import Gyrostat
 
+_CHUNK = 4096  # points whose multipliers are computed between two pauses
 FREQUENCIES = ("frequency_1", "frequency_2", "frequency_3")
 
 
@@ -72,6 +74,32 @@ def stability_kind(linear: Flags, growth: Array, energy: Flags) -> Flags:
     )
     where, values = zip(*kinds, strict=True)
     return np.select(where, values, StabilityKind.UNKNOWN).astype(np.int8)
+
+
+def plane_variables(system: Gyrostat) -> dict[str, DerivedVariable]:
+    """Period and multipliers of motions in the plane; nan elsewhere."""
+    names = ("plane_period", "plane_trace", "plane_second")
+
+    def together(_: Any, points: Points, __: Array, pause: Callable[[], None]) -> dict[str, NDArray[Any]]:
+        flags = system.identify_family(points)[0]
+        columns, members = np.full((3, flags.size), np.nan), np.flatnonzero(system.unsteady(flags))
+        for first in range(0, members.size, _CHUNK):
+            pause()
+            some = members[first : first + _CHUNK]
+            part = subset(points, some)
+            with np.errstate(all="ignore"):
+                motions = PlaneMotions.of(system.body(part), *system.start(part))
+                columns[:, some] = motions.period(), *motions.multipliers()
+        return dict(zip(names, columns, strict=True))
+
+    equation = "of rho^2 - t rho + s - 2 = 0, rho = multiplier + 1/multiplier, over the period; nan where that is too long"
+    rows = (
+        ("s", "period of the libration in the plane, or of a whole turn", ""),
+        ("1", "sum of the multipliers out of the plane, t", equation),
+        ("1", "sum of the products of two multipliers out of the plane, s", equation),
+    )
+    group = partial(DerivedVariable.of_group, together)
+    return {name: group(name, *row) for name, row in zip(names, rows, strict=True)}
 
 
 def count_variables(system: Gyrostat) -> dict[str, DerivedVariable]:

@@ -10,9 +10,17 @@ import numpy as np
 
 from ...scene.expressions import Expression
 from ...systems.base import Array, PublishedEquation
+from ...systems.gyrostat.plane import PlaneMotions
 from ...systems.satellite.equations import rhs
 from ...systems.satellite.families import FAMILIES, steady_motion
-from ...systems.satellite.initial import PARAMETERS, body_vectors, constants, directions
+from ...systems.satellite.initial import (
+    PARAMETERS,
+    body,
+    body_vectors,
+    constants,
+    directions,
+    initial_state,
+)  # fmt: skip
 from .. import load, row
 from . import lagrange
 
@@ -269,6 +277,21 @@ def _shared(entry: Entry, reading: str, rng: np.random.Generator) -> float:
     return float(share if reading == "printed" else 1 - share)
 
 
+def _plane(entry: Entry, reading: str, rng: np.random.Generator) -> float:
+    """Largest error of the pitch and its rate by elliptic functions, by differences over 1e-3, or as true of rho at amplitude 0."""
+    p = with_values(random_point(rng), entry["plane"])
+    state = np.moveaxis(initial_state(p), 0, -1)
+    motion = PlaneMotions.of(body(p), state[:, :3], state[:, 3:6], state[:, 6:])
+    if "rho" in entry:
+        return float(np.abs(motion.multipliers()[0] - 2 - Expression("rho", entry["rho"]).value(p))[0])
+    steps = np.array([1, -8, 0, 8, -1]) / 12e-3
+    times = TIMES[:, None, None] + 1e-3 * np.arange(-2, 3)[:, None]
+    x, rate = motion.pitch(times)
+    slopes = np.einsum("k,ntk->nt", steps, np.array([x, rate])[..., 0])
+    needed = [rate[:, 2, 0], -1.5 * np.abs(p["B"] - p["A"]) / p["C"] * np.sin(2 * x[:, 2, 0])]
+    return float(np.abs(slopes - needed).max())
+
+
 def _lost_rank(entry: Entry, reading: str, rng: np.random.Generator) -> float:
     """10 less the rank of ten equations (36), in the coefficients of even and of odd i, for an irrational n/m."""
     i = np.arange(1, 11)
@@ -301,6 +324,7 @@ MEASURES = {
     ),
     "shared": ("", _shared),
     "lost_rank": ("", _lost_rank),
+    "plane": ("", _plane),
     "determinant": ("", _determinant),
     "apex_distance": ("", _apex_distance),
     "left_side": (

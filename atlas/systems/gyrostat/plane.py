@@ -42,7 +42,6 @@ _MIN_PAIRS, _MAX_PAIRS = 4, 512  # of steps, in a quarter of the period
 _MAX_ROUNDING = 1e-7
 _TOLERANCE = 1e-11  # relative error of what is 0 on a border of stability, with short steps
 _CHANGE = 0.05  # share of the change by halving the step that may be left after the extrapolation: 0.005 was measured
-_LARGE = 16.0  # growth over the integration, as a logarithm, beyond which there is no doubt
 # Signs of R H^-1 R beside the blocks of H transposed.
 _SIGNS = np.kron([[1.0, -1.0], [-1.0, 1.0]], np.ones((2, 2))) * np.outer([-1, 1, 1, -1], [-1, 1, 1, -1])
 
@@ -51,16 +50,18 @@ class Mean(NamedTuple):
     """Arithmetic-geometric means of 1 and k', by level, each (points,)."""
 
     a: list[Array]
-    c: list[Array]  # c_0 = k, c_n = (a_{n-1} - b_{n-1}) / 2
+    b: list[Array]
+    c: list[Array]  # c_0 = k, c_n = (a_{n-1} - b_{n-1}) / 2 = a_n - b_{n-1}
 
     @classmethod
     def of(cls, modulus: Array, complement: Array) -> Mean:
         """modulus, complement: k^2 and 1 - k^2."""
-        a, b, c = [np.ones_like(modulus)], np.sqrt(complement), [np.sqrt(modulus)]
+        a, b, c = [np.ones_like(modulus)], [np.sqrt(complement)], [np.sqrt(modulus)]
         while (c[-1] > 1e-9 * a[-1]).any():
-            mean = 0.5 * (a[-1] + b)
-            a, b, c = [*a, mean], np.sqrt(a[-1] * b), [*c, c[-1] ** 2 / (4 * mean)]
-        return cls(a, c)
+            a.append(0.5 * (a[-1] + b[-1]))
+            b.append(np.sqrt(a[-2] * b[-1]))
+            c.append(c[-1] ** 2 / (4 * a[-1]))
+        return cls(a, b, c)
 
     @property
     def period(self) -> Array:
@@ -70,11 +71,10 @@ class Mean(NamedTuple):
     def functions(self, turns: Array) -> tuple[Array, Array, Array]:
         """sn, cn and dn at 4 K turns."""
         sn, cn, dn = np.sin(2 * np.pi * turns), np.cos(2 * np.pi * turns), np.ones(1)
-        for a, c in zip(self.a[:0:-1], self.c[:0:-1], strict=True):
-            ratio = c / a
-            term = ratio * sn * sn
-            below = 1 / (1 + term)
-            sn, cn, dn = (1 + ratio) * sn * below, cn * dn * below, (1 - term) * below
+        for a, b, c in zip(self.a[:0:-1], self.b[-2::-1], self.c[:0:-1], strict=True):
+            below = 1 / (a + c * sn * sn)
+            # b + c cn^2 = a - c sn^2, with its digits where that is small
+            sn, cn, dn = (a + c) * sn * below, a * cn * dn * below, (b + c * cn * cn) * below
         return sn, cn, dn
 
     def periodic(self, turns: Array) -> tuple[Array, Array]:
@@ -266,22 +266,16 @@ class PlaneMotions(NamedTuple):
 def _decide(sums: Array, symmetric: Mask) -> tuple[Flags, Array]:
     """Stability, and the growth over the matrix of these sums as a logarithm: 0 where their errors decide, nan where unknown."""
     t, u, log_scale, *changes = sums
-    scale = np.exp(np.where(log_scale > _LARGE, 0.0, log_scale))
-    t, u = t * scale, u * scale**2
-    rest = np.where(log_scale > _LARGE, 2 * np.exp(-2 * log_scale), 2.0)  # in u - 2
-    positive = np.array([t**2 / 4 - u + rest, u + 2 - 2 * t, u + 2 + 2 * t, 16 - t**2])
-    positive[:2] = np.where(symmetric, (4 - t, t), positive[:2])
-    positive[2:] = np.where(symmetric, positive[:2], positive[2:])
-    size = np.maximum(1.0, t**2)
-    error = _TOLERANCE * size + _CHANGE * (4 * np.sqrt(size) * changes[0] * scale + changes[1] * scale**2)
-    root = np.sqrt(t**2 / 4 - u + rest + 0j)
-    rho = np.array([t / 2 + root, t / 2 - root])
-    rho = np.where(symmetric & (log_scale <= _LARGE), (np.full(t.shape, 2.0), t - 2), rho)
-    with np.errstate(divide="ignore"):
-        large = np.log(np.abs(rho)).max(0) + log_scale
-    exponent = np.where(log_scale > _LARGE, large, np.abs(np.arccosh(rho / 2).real).max(0))
-    unstable = (positive < -error).any(0) | (log_scale > _LARGE)
-    stable = np.select(
-        [unstable, (positive > error).all(0)], [Stability.UNSTABLE, Stability.STABLE], Stability.UNKNOWN
-    )
-    return stable.astype(np.int8), np.where(unstable | np.isnan(t), exponent, 0.0)
+    one = np.exp(-log_scale)  # 1 in the unit of t and rho; its square in that of u
+    discriminant, u = t**2 / 4 - u + 2 * one**2, u + 2 * one**2
+    positive = np.array([discriminant, u - 2 * t * one, u + 2 * t * one, 16 * one**2 - t**2])
+    positive[:, symmetric] = (4 * one**2 - t * one)[symmetric]
+    positive[1, symmetric] = (t * one)[symmetric]
+    size = np.maximum(one, np.abs(t))
+    error = _TOLERANCE * size**2 + _CHANGE * (4 * size * changes[0] + changes[1])
+    root = np.sqrt(discriminant + 0j)
+    rho = np.where(symmetric, (2 * one, t - 2 * one), (t / 2 + root, t / 2 - root))
+    exponent = np.abs(log_scale + np.log(np.abs(rho + np.sqrt(rho**2 - 4 * one**2)) / 2)).max(0)
+    unstable = (positive < -error).any(0)
+    flags = np.select([unstable, (positive > error).all(0)], [Stability.UNSTABLE, Stability.STABLE])
+    return flags.astype(np.int8), np.where(unstable | np.isnan(t), exponent, 0.0)

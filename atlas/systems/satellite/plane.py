@@ -1,7 +1,7 @@
 """Librations and rotations in the plane of the orbit, of an asymmetric body whose third axis stays on the normal.
 
-They are no steady motions: the rate about the normal varies. Theory and notation are those of `gyrostat.plane`: x =
-phi + psi cos theta0 is the pitch, counted from the axis of the smaller moment of A and B.
+They are no steady motions: the rate about the normal varies. The theory is that of `gyrostat.plane`, of which x is the pitch
+chi = phi + psi cos theta0, counted from the axis of the smaller moment of A and B.
 """
 
 from __future__ import annotations
@@ -61,7 +61,7 @@ _CONDITIONS = (
     Condition("A != B", lambda p: np.where(p["A"] == p["B"], 1.0, 0.0)),
 )  # fmt: skip
 _LIBRATES = Condition(
-    "C (n cos theta0 + m)^2 < 3 Omega^2 |B - A| cos^2 x",
+    "C (n cos theta0 + m)^2 < 3 Omega^2 |B - A| cos^2 chi",
     lambda p: np.where(_excess(p) < 0, 0.0, 1 + _excess(p)),
 )
 _ROTATES = Condition(

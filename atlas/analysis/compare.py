@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Mapping
+from typing import Any
 
 import numpy as np
 import xarray as xr
@@ -15,7 +16,7 @@ from ..runs.plan import ScenePlan
 from ..runs.tiles import BINS, BINS_PER_DECADE, COUNTED, GROUPS, LOWEST_DECADE, Tally
 from ..scene import grid
 from ..scene.checks import whole_number
-from ..systems.base import Flags, on_family
+from ..systems.base import Flags, on_family, unsteady
 from ..validation import half_step
 from .metadata import (
     chunks,
@@ -122,14 +123,17 @@ def _plane_lines(ds: xr.Dataset) -> list[str]:
     names = ("stable", "growth_rate", "end_time", "family", "regularity", "lyapunov")
     if not {*names, "atlas_system"} <= {*ds, *ds.attrs}:
         return []
-    where = system_of(ds).unsteady(ds["family"].values.astype(np.int8))
+    where = unsteady(system_of(ds), ds["family"].values.astype(np.int8))
     stable, growth, time, _, kind, exponent = (ds[name].values[where] for name in names)
     table = confusion(kind, stable, len(Regularity))
     columns = [flag for flag in Regularity if table[:, flag].any()]
-    head = "motions in the plane, stability out of it \\ regularity".ljust(53)
-    lines = [head + "".join(f"{flag.name.lower():>14}" for flag in columns)]
-    for flag in (flag for flag in Stability if table[flag].any()):
-        lines.append(f"  {flag.name.lower():51}" + "".join(f"{n:14d}" for n in table[flag, columns]))
+    rows: dict[str, Any] = {
+        f"  {flag.name.lower()}": table[flag, columns] for flag in Stability if table[flag].any()
+    }
+    rows = {
+        "motions in the plane, stability out of it \\ regularity": [c.name.lower() for c in columns]
+    } | rows
+    lines = [f"{name:53}" + "".join(f"{cell!s:>14}" for cell in row) for name, row in rows.items()]
     unstable = stable == Stability.UNSTABLE
     if (missed := unstable & (kind == Regularity.REGULAR)).any():
         text = "  unstable ones that read as regular: growth_rate x duration at most"

@@ -24,8 +24,10 @@ from ..systems.base import (
     Points,
     SharedValues,
     System,
+    rate_std,
     shape_of,
     subset,
+    unsteady,
 )
 from .offsets import describes, near_circle, off_family_labels
 from .plan import Plan
@@ -90,7 +92,7 @@ def predict_runs(
                 variables[name][where] = values
         growth = system.log_growth(base, family, variables["growth_rate"], duration)
         # What drifts in any case drifts however it grows.
-        growth[system.unsteady(family) & (variables["predicted"] == Label.DRIFTING)] = 0.0
+        growth[unsteady(system, family) & (variables["predicted"] == Label.DRIFTING)] = 0.0
         start_residual = residual.copy()
         if CIRCLES[0] in plan.instruments:
             members = np.flatnonzero(other)
@@ -190,7 +192,7 @@ def predict(
     result: dict[str, np.ndarray] = {"family": family, "stable": stable, "growth_rate": growth}
     on_family = (family > 0) & ~_about_other_axes(system, family)
     complete = system.complete(points) & system.within_range(points)
-    drifts = system.rate_std(points, family, np.broadcast_to(duration, family.shape)) > rate_tolerance
+    drifts = rate_std(system, points, family, np.broadcast_to(duration, family.shape)) > rate_tolerance
     for name, frame_rate in _frame_rates(system, points).items():
         label = steady_label(n + frame_rate, m, np.abs(sine) < angle, rate_tolerance)
         label = _after_nudge(label, stable, nudged, on_family, complete)

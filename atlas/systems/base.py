@@ -208,7 +208,7 @@ class System(ABC):
         physically possible: `moments_of_inertia`, `possible_body`, `possible_start`, `start_condition`,
         `check_possible`.
     Theory
-        `families`, `identify_family`, `condition_residual`, `linear_stability`, `unsteady`, `rate_std`, `log_growth`,
+        `families`, `identify_family`, `condition_residual`, `linear_stability`, `log_growth`,
         `growth_about_vertical`, `complete`, `complete_any_axis`, `any_axis_rates`, `frame_rate`, `geometries`,
         `geometry`, `derived`, `equilibria`, `equilibria_of_bodies`, `published`, `stress_cases`, `despun_equivalent`.
 
@@ -525,19 +525,6 @@ class System(ABC):
                 stable[members], growth[members] = family.stability(subset(points, members))
         return stable, growth
 
-    def unsteady(self, flags: Flags) -> Mask:
-        """Where a family is one of motions of which the rate about the vertical varies, bool (points,)."""
-        return np.isin(flags, [each.flag for each in self.families.values() if each.rate_std is not None])
-
-    def rate_std(self, points: Points, flags: Flags, duration: Array) -> Array:
-        """Standard deviation of that rate over runs, 0 of steady motions, (points,)."""
-        result = np.zeros(flags.shape)
-        for family in self.families.values():
-            members = np.flatnonzero(flags == family.flag)
-            if family.rate_std is not None and members.size:
-                result[members] = family.rate_std(subset(points, members), duration[members])
-        return result
-
     def log_growth(self, points: Points, flags: Flags, growth_rate: Array, duration: Array) -> Array:
         """Logarithm of the growth of a small distance from the steady motions over runs, (points,); nan: unknown.
 
@@ -734,6 +721,20 @@ def subset(columns: Mapping[str, Array], where: Any) -> dict[str, Array]:
 
 def shape_of(points: Points) -> tuple[int, ...]:
     return np.shape(next(iter(points.values())))
+
+
+def unsteady(system: System, flags: Flags) -> Mask:
+    """Where a family is one of motions of which the rate about the vertical varies, (points,)."""
+    return np.isin(flags, [each.flag for each in system.families.values() if each.rate_std])
+
+
+def rate_std(system: System, points: Points, flags: Flags, duration: Array) -> Array:
+    """Standard deviation of that rate over runs, 0 of steady motions, (points,)."""
+    result = np.zeros(flags.shape)
+    for family in system.families.values():
+        if family.rate_std and (members := np.flatnonzero(flags == family.flag)).size:
+            result[members] = family.rate_std(subset(points, members), duration[members])
+    return result
 
 
 def on_family(family: Family, points: Points) -> Array:

@@ -143,9 +143,7 @@ def largest_sine(theta_min: Array, theta_max: Array) -> Array:
 def _closed_forms(system: System, points: Points, duration: Array, cylinder: float) -> tuple[Run, Mask]:
     """The steady motion of each start by the family's closed form, and a mask of the starts exactly on a family."""
     flags, _ = system.identify_family(points)
-    motions = {
-        f.flag: f.motion for f in system.families.values() if f.motion is not None and f.rate_std is None
-    }
+    motions = {f.flag: f.motion for f in system.families.values() if f.motion is not None}
     exact = (system.condition_residual(points) <= EXACT_RESIDUAL) & np.isin(flags, list(motions))
     start = system.initial_state(points)
     rates = euler_rates(system.equations.frame_motion(start, system.constants(points)), cylinder)

@@ -18,7 +18,7 @@ from atlas.engine.specialization import tangent_kernel
 from atlas.errors import BadInput
 from atlas.flags import Label, Regularity, Stability
 from atlas.measure import chaos
-from atlas.systems.base import derived_values
+from atlas.systems.base import derived_values, rate_std, unsteady
 from atlas.systems.gyrostat.plane import PlaneMotions
 from atlas.systems.satellite import SATELLITE
 from atlas.systems.satellite.equations import rhs
@@ -191,7 +191,7 @@ def test_predicted_labels_are_the_measured_ones():
     period = motions_of(points).period()
     ds = atlas.label_points("satellite", points, duration=20 * period, tolerance=1e-9, rate_tolerance=1e-3)
     np.testing.assert_allclose(
-        ds.normal_rate_std, SATELLITE.rate_std(points, ds.family.values, 20 * period), atol=1e-8
+        ds.normal_rate_std, rate_std(SATELLITE, points, ds.family.values, 20 * period), atol=1e-8
     )
     steady, drifting = Label.PERMANENT_ROTATION, Label.DRIFTING
     expected = [steady, steady, drifting, drifting, steady, steady, drifting, drifting, drifting, drifting]
@@ -226,7 +226,7 @@ def test_conditions_and_solvers():
         {"Omega": 0.0},
         {"theta0": 0.1},
     ):
-        assert not SATELLITE.unsteady(SATELLITE.identify_family(points_of(**on | change))[0]).any()
+        assert not unsteady(SATELLITE, SATELLITE.identify_family(points_of(**on | change))[0]).any()
     solved = points_of(**on)
     solved["psi0"] = LIBRATION.solve["psi0"](solved)
     motions = motions_of(solved)

@@ -11,16 +11,10 @@ import numpy as np
 from ...scene.expressions import Expression
 from ...systems.base import Array, PublishedEquation
 from ...systems.gyrostat.plane import PlaneMotions
+from ...systems.satellite import SATELLITE
 from ...systems.satellite.equations import rhs
 from ...systems.satellite.families import FAMILIES, steady_motion
-from ...systems.satellite.initial import (
-    PARAMETERS,
-    body,
-    body_vectors,
-    constants,
-    directions,
-    initial_state,
-)  # fmt: skip
+from ...systems.satellite.initial import PARAMETERS, body_vectors, constants, directions
 from .. import load, row
 from . import lagrange
 
@@ -278,17 +272,14 @@ def _shared(entry: Entry, reading: str, rng: np.random.Generator) -> float:
 
 
 def _plane(entry: Entry, reading: str, rng: np.random.Generator) -> float:
-    """Largest error of the pitch and its rate by elliptic functions, by differences over 1e-3, or as true of rho at amplitude 0."""
+    """Largest error of the pitch and its rate by elliptic functions, by differences, or of rho from what it is at amplitude 0."""
     p = with_values(random_point(rng), entry["plane"])
-    state = np.moveaxis(initial_state(p), 0, -1)
-    motion = PlaneMotions.of(body(p), state[:, :3], state[:, 3:6], state[:, 6:])
+    motion = PlaneMotions.of(SATELLITE.body(p), *SATELLITE.start(p))
     if "rho" in entry:
         return float(np.abs(motion.multipliers()[0] - 2 - Expression("rho", entry["rho"]).value(p))[0])
-    steps = np.array([1, -8, 0, 8, -1]) / 12e-3
-    times = TIMES[:, None, None] + 1e-3 * np.arange(-2, 3)[:, None]
-    x, rate = motion.pitch(times)
-    slopes = np.einsum("k,ntk->nt", steps, np.array([x, rate])[..., 0])
-    needed = [rate[:, 2, 0], -1.5 * np.abs(p["B"] - p["A"]) / p["C"] * np.sin(2 * x[:, 2, 0])]
+    x, rate = np.array(motion.pitch(TIMES[:, None, None] / 4 + 0.01 * np.arange(-4, 5)[:, None]))[..., 0]
+    slopes = np.array([x, rate]) @ np.array([3, -32, 168, -672, 0, 672, -168, 32, -3]) / 8.4
+    needed = rate[:, 4], -1.5 * np.abs(p["B"] - p["A"]) / p["C"] * np.sin(2 * x[:, 4])
     return float(np.abs(slopes - needed).max())
 
 

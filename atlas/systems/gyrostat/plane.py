@@ -1,13 +1,10 @@
 """Motions in the plane: the third axis stays on the vertical, and the body librates or rotates about it like a pendulum.
 
-With alpha = (cos x, -sin x, 0), rotor and fields along e3 and no field along alpha, whose gradient is g > 0,
-
-    C x'' = -g (B - A) sin x cos x,
-
-whatever the rotor is. For A < B it librates about x = 0, sin x = k sn(f t), x' = f k cn(f t), f^2 = g (B - A)/C, or rotates,
-x = am(f t), x' = f dn(f t), k^2 f^2 = g (B - A)/C. For B < A the first two axes change places, and x is counted from pi/2. The
-elliptic functions are those of an arithmetic-geometric mean (M. Abramowitz and I. A. Stegun, Handbook of Mathematical Functions,
-16.4, 16.12, 17.6), from 1 - k^2, which keeps its digits near the separatrix.
+With alpha = (cos x, -sin x, 0), rotor and fields along e3 and no field along alpha, whose gradient is g > 0, the pitch x obeys
+C x'' = -g (B - A) sin x cos x. For A < B it librates about x = 0, sin x = k sn(f t), x' = f k cn(f t), f^2 = g (B - A)/C, or
+rotates, x = am(f t), x' = f dn(f t), k^2 f^2 = g (B - A)/C. For B < A the first two axes change places, and x is counted from
+pi/2. The elliptic functions are those of an arithmetic-geometric mean (M. Abramowitz and I. A. Stegun, Handbook of Mathematical
+Functions, 16.4, 16.12, 17.6), from 1 - k^2, which keeps its digits near the separatrix.
 
 A small rotation xi = (xi_1, xi_2) out of the plane and p = I xi' - D xi / 2 obey the equations of `floquet`, which hold along any
 motion. With the angular velocity w3 along e3, v = k3 + (C - A - B) w3, h = field.gamma and alpha = (a1, a2, 0) they are
@@ -16,10 +13,9 @@ motion. With the angular velocity w3 along e3, v = k3 + (C - A - B) w3, h = fiel
     xi_2' = (p_2 + v xi_1 / 2)/B,    p_2' = P12 xi_1 + P22 xi_2 + v xi_1'/2,    P22 = (A - C)(w3^2 + g a1^2) - k3 w3 + h,
     P12 = g a1 a2 (2 C - A - B - (B - A)^2 / C) / 2.
 
-P12 alone is odd in x. So where x is odd in time about an instant, and H leads from there to a later one, R H^-1 R with
-R = diag(-1, 1, 1, -1) leads there from the earlier one. The multipliers of a libration are those of R H^-1 R H over half a period
-from the bottom, those of a whole turn the squares of those of half a turn, which is R H^-1 R H over a quarter. H is symplectic,
-so that no digits are lost in H^-1 = -J H^T J.
+P12 alone is odd in x. So if H leads from x = 0 to a later instant, R H^-1 R leads there from the earlier one, R = diag(-1, 1, 1,
+-1). A libration has the multipliers of R H^-1 R H over half a period, half a turn those over a quarter, and a whole turn their
+squares. H is symplectic, so that no digits are lost in H^-1 = -J H^T J.
 """
 
 from __future__ import annotations
@@ -35,14 +31,14 @@ from ..base import Array, Flags, Mask
 from .body import Body, length
 from .fundamental import GAUSS, LANES, between_nodes, of_steps
 
-# Steps of the integration, over the norm of the system: errors of the sums of about 1e-7 and 1e-12.
-_STEP, _SHORT_STEP = 1.2, 0.2
+_STEP, _SHORT_STEP = 1.2, 0.2  # over the norm of the system: errors of the sums of about 1e-7 and 1e-12
 _MIN_PAIRS, _MAX_PAIRS = 4, 512  # of steps, in a quarter of the period
-# Relative rounding error of 1 - k^2 beyond which the period, which diverges on the separatrix, is not known.
-_MAX_ROUNDING = 1e-7
+_MAX_ROUNDING = (
+    1e-7  # of 1 - k^2, relative: beyond it the period, which diverges on the separatrix, is not known
+)
 _TOLERANCE = 1e-11  # relative error of what is 0 on a border of stability, with short steps
 _CHANGE = 0.05  # share of the change by halving the step that may be left after the extrapolation: 0.005 was measured
-# Signs of R H^-1 R beside the blocks of H transposed.
+# Of R H^-1 R beside the blocks of H transposed.
 _SIGNS = np.kron([[1.0, -1.0], [-1.0, 1.0]], np.ones((2, 2))) * np.outer([-1, 1, 1, -1], [-1, 1, 1, -1])
 
 
@@ -51,7 +47,7 @@ class Mean(NamedTuple):
 
     a: list[Array]
     b: list[Array]
-    c: list[Array]  # c_0 = k, c_n = (a_{n-1} - b_{n-1}) / 2 = a_n - b_{n-1}
+    c: list[Array]  # k, then c_n = (a_{n-1} - b_{n-1}) / 2 = a_n - b_{n-1}
 
     @classmethod
     def of(cls, modulus: Array, complement: Array) -> Mean:
@@ -62,11 +58,6 @@ class Mean(NamedTuple):
             b.append(np.sqrt(a[-2] * b[-1]))
             c.append(c[-1] ** 2 / (4 * a[-1]))
         return cls(a, b, c)
-
-    @property
-    def period(self) -> Array:
-        """4 K, K the complete integral of the first kind."""
-        return 2 * np.pi / self.a[-1]
 
     def functions(self, turns: Array) -> tuple[Array, Array, Array]:
         """sn, cn and dn at 4 K turns."""
@@ -91,7 +82,7 @@ class Mean(NamedTuple):
 
     def squares(self, weight: float) -> Array:
         """Sum over n > 0 of (weight - 2^(n-1)) c_n^2."""
-        return sum(((weight - 2.0 ** (n - 1)) * c**2 for n, c in enumerate(self.c) if n), np.zeros(1))
+        return sum(((weight - 2.0**n) * c**2 for n, c in enumerate(self.c[1:])), np.zeros(1))
 
 
 class PlaneMotions(NamedTuple):
@@ -109,9 +100,9 @@ class PlaneMotions(NamedTuple):
     rotates: Mask
     frequency: Array  # f, of a rotation with the sign of x'
     modulus: Array  # k^2
-    complement: Array  # 1 - k^2, 0 on the separatrix
-    rounding: Array  # relative error of the complement
-    sine: Array  # sin x at the start
+    complement: Array  # 1 - k^2, 0 on the separatrix, and its relative rounding error
+    rounding: Array
+    sine: Array  # sin x, cos x and x' at the start
     cosine: Array
     start_rate: Array
 
@@ -146,8 +137,8 @@ class PlaneMotions(NamedTuple):
         return Mean.of(self.modulus, self.complement)
 
     def period(self) -> Array:
-        """Of a libration, or of a whole turn, in time units."""
-        return self.mean.period / np.abs(self.frequency * self.unit)
+        """Of a libration, or of a whole turn, in time units: 4 K/f, K the complete integral of the first kind."""
+        return 2 * np.pi / (self.mean.a[-1] * np.abs(self.frequency) * self.unit)
 
     def start_turns(self) -> Array:
         """Time since x = 0, or x = pi of a libration about it, at the start, in periods."""
@@ -156,7 +147,9 @@ class PlaneMotions(NamedTuple):
         k, sign = np.sqrt(self.modulus), np.sign(np.where(self.rotates, self.frequency, self.cosine))
         sn = sign * self.sine / np.where(self.rotates, 1.0, k)
         cn = np.where(self.rotates, self.cosine, self.start_rate / (k * self.frequency))
-        turns = sn * elliprf(cn**2, self.complement + self.modulus * cn**2, 1.0) / self.mean.period
+        turns = (
+            sn * elliprf(cn**2, self.complement + self.modulus * cn**2, 1.0) * self.mean.a[-1] / (2 * np.pi)
+        )
         return np.where(cn < 0, np.copysign(0.5, sn) - turns, turns)
 
     def at(self, turns: Array) -> tuple[Array, Array, Array]:
@@ -177,8 +170,8 @@ class PlaneMotions(NamedTuple):
     def rate_std(self, duration: Array) -> Array:
         """Standard deviation of x' over runs, in time units; infinite ones are of whole periods."""
         f, mean, span = np.abs(self.frequency), self.mean, duration * self.unit
-        start, finite = self.start_turns(), np.isfinite(duration)
-        angles, _, zeta = self.at(np.array([start, start + np.where(finite, f * span / mean.period, 0.0)]))
+        start, turns = self.start_turns(), np.where(np.isfinite(duration), duration / self.period(), 0.0)
+        angles, _, zeta = self.at(np.array([start, start + turns]))
         # over whole periods, and what the ends add to the means of x' and of its square
         square = np.where(self.rotates, mean.squares(1.5), 0.5 * self.modulus + mean.squares(0.0)) * f**2
         slope, ends = (angles[1] - angles[0]) / span, f * (zeta[1] - zeta[0]) / span
@@ -191,12 +184,26 @@ class PlaneMotions(NamedTuple):
         Both rho = multiplier + 1/multiplier, of rho^2 - t rho + u - 2 = 0, are real and between -2 and 2 if and only if
         t^2/4 - u + 2, u + 2 -+ 2 t and 16 - t^2 are positive.
         """
-        stable, exponent = _decide(self.multiplier_sums(_STEP), self.symmetric)
+        stable, exponent = self._decided(_STEP)
         near = np.flatnonzero((stable == Stability.UNKNOWN) & (exponent == 0))
-        if near.size:
-            sums = self.subset(near).multiplier_sums(_SHORT_STEP)
-            stable[near], exponent[near] = _decide(sums, self.symmetric[near])
+        stable[near], exponent[near] = self.subset(near)._decided(_SHORT_STEP)
         return stable, exponent / (self.period() * np.where(self.rotates, 0.5, 1.0))
+
+    def _decided(self, step: float) -> tuple[Flags, Array]:
+        """Stability, and the growth over the period or half a turn as a logarithm: 0 where errors decide, nan where unknown."""
+        t, u, log_scale, *changes = self.multiplier_sums(step)
+        one = np.exp(-log_scale)  # 1 in the unit of t and rho; its square in that of u
+        discriminant, u = t**2 / 4 - u + 2 * one**2, u + 2 * one**2
+        positive = np.array([discriminant, u - 2 * t * one, u + 2 * t * one, 16 * one**2 - t**2])
+        positive = np.where(self.symmetric, np.array([4 * one - t, t, t, t]) * one, positive)
+        size = np.maximum(one, np.abs(t))
+        error = _TOLERANCE * size**2 + _CHANGE * (4 * size * changes[0] + changes[1])
+        root = np.sqrt(discriminant + 0j)
+        rho = np.where(self.symmetric, (2 * one, t - 2 * one), (t / 2 + root, t / 2 - root))
+        exponent = np.abs(log_scale + np.log(np.abs(rho + np.sqrt(rho**2 - 4 * one**2)) / 2)).max(0)
+        unstable = (positive < -error).any(0)
+        flags = np.select([unstable, (positive > error).all(0)], [Stability.UNSTABLE, Stability.STABLE])
+        return flags.astype(np.int8), np.where(unstable | np.isnan(t), exponent, 0.0)
 
     def multipliers(self) -> tuple[Array, Array]:
         """t and s of rho^2 - t rho + s - 2 = 0 over the period."""
@@ -214,7 +221,7 @@ class PlaneMotions(NamedTuple):
         stiffness = np.maximum(np.abs(B - C), np.abs(A - C)) * (fastest**2 + g) + np.abs(self.field)
         stiffness = np.sqrt((stiffness + np.abs(self.rotor) * fastest) / A)
         norm = stiffness + 0.5 * (np.abs(self.rotor) + np.abs(C - A - B) * fastest) / A
-        pairs = np.maximum(0.125 * self.mean.period / f * norm / step, _MIN_PAIRS)
+        pairs = np.maximum(0.125 * self.period() * self.unit * norm / step, _MIN_PAIRS)
         pairs = np.ceil(2.0 ** (np.ceil(4 * np.log2(pairs)) / 4))
         pairs[~(self.rounding < _MAX_ROUNDING)] = np.nan
         result = np.full((5, f.size), np.nan)
@@ -244,7 +251,7 @@ class PlaneMotions(NamedTuple):
             a1, a2, rate = dn, -k * sn, f * k * cn
             w3 = np.concatenate([self.frame + rate, self.frame - rate[::-1, ::-1]], 1)
             a1, a2 = (np.concatenate([x, x[::-1, ::-1]], 1) for x in (a1, a2))
-        step = 0.25 * mean.period / (np.abs(f) * count)
+        step = 0.5 * np.pi / (mean.a[-1] * np.abs(f) * count)
         half = 0.5 * (self.rotor + (C - A - B) * w3)
         square, both, common = w3 * w3, half * half, self.field - self.rotor * w3
         parts[:, 0, 0, 2], parts[:, 0, 1, 3] = step / A, step / B
@@ -261,21 +268,3 @@ class PlaneMotions(NamedTuple):
         matrix = (np.swapaxes(H, 1, 2)[:, [[2], [3], [0], [1]], [2, 3, 0, 1]] * _SIGNS) @ H
         trace = np.trace(matrix, axis1=1, axis2=2)
         return np.array([trace, 0.5 * (trace**2 - np.einsum("nij,nji->n", matrix, matrix)), 2 * log_scale])
-
-
-def _decide(sums: Array, symmetric: Mask) -> tuple[Flags, Array]:
-    """Stability, and the growth over the matrix of these sums as a logarithm: 0 where their errors decide, nan where unknown."""
-    t, u, log_scale, *changes = sums
-    one = np.exp(-log_scale)  # 1 in the unit of t and rho; its square in that of u
-    discriminant, u = t**2 / 4 - u + 2 * one**2, u + 2 * one**2
-    positive = np.array([discriminant, u - 2 * t * one, u + 2 * t * one, 16 * one**2 - t**2])
-    positive[:, symmetric] = (4 * one**2 - t * one)[symmetric]
-    positive[1, symmetric] = (t * one)[symmetric]
-    size = np.maximum(one, np.abs(t))
-    error = _TOLERANCE * size**2 + _CHANGE * (4 * size * changes[0] + changes[1])
-    root = np.sqrt(discriminant + 0j)
-    rho = np.where(symmetric, (2 * one, t - 2 * one), (t / 2 + root, t / 2 - root))
-    exponent = np.abs(log_scale + np.log(np.abs(rho + np.sqrt(rho**2 - 4 * one**2)) / 2)).max(0)
-    unstable = (positive < -error).any(0)
-    flags = np.select([unstable, (positive > error).all(0)], [Stability.UNSTABLE, Stability.STABLE])
-    return flags.astype(np.int8), np.where(unstable | np.isnan(t), exponent, 0.0)

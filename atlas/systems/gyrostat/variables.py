@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...flags import Completeness, EnergyStability, Stability, StabilityKind
-from ..base import Array, DerivedVariable, Flags, Points, subset
+from ..base import Array, DerivedVariable, Flags, Points, subset, unsteady
 from .plane import PlaneMotions
 
 if TYPE_CHECKING:
@@ -82,7 +82,7 @@ def plane_variables(system: Gyrostat) -> dict[str, DerivedVariable]:
 
     def together(_: Any, points: Points, __: Array, pause: Callable[[], None]) -> dict[str, NDArray[Any]]:
         flags = system.identify_family(points)[0]
-        columns, members = np.full((3, flags.size), np.nan), np.flatnonzero(system.unsteady(flags))
+        columns, members = np.full((3, flags.size), np.nan), np.flatnonzero(unsteady(system, flags))
         for first in range(0, members.size, _CHUNK):
             pause()
             some = members[first : first + _CHUNK]
@@ -94,12 +94,11 @@ def plane_variables(system: Gyrostat) -> dict[str, DerivedVariable]:
 
     equation = "of rho^2 - t rho + s - 2 = 0, rho = multiplier + 1/multiplier, over the period; nan where that is too long"
     rows = (
-        ("s", "period of the libration in the plane, or of a whole turn", ""),
-        ("1", "sum of the multipliers out of the plane, t", equation),
-        ("1", "sum of the products of two multipliers out of the plane, s", equation),
+        (names[0], "s", "period of the libration in the plane, or of a whole turn", ""),
+        (names[1], "1", "sum of the multipliers out of the plane, t", equation),
+        (names[2], "1", "sum of the products of two multipliers out of the plane, s", equation),
     )
-    group = partial(DerivedVariable.of_group, together)
-    return {name: group(name, *row) for name, row in zip(names, rows, strict=True)}
+    return {row[0]: DerivedVariable.of_group(together, *row) for row in rows}
 
 
 def count_variables(system: Gyrostat) -> dict[str, DerivedVariable]:

@@ -25,10 +25,8 @@ def _motions(points: Points) -> plane.PlaneMotions:
 
 
 def stability(points: Points) -> tuple[Flags, Array]:
-    """Out of the plane: Floquet multipliers of the 4 x 4 linear system along the pitch, which is given by elliptic functions.
-
-    In the plane neighbouring motions have other periods, and their distance grows like t. Unknown where the period is too long
-    to be integrated, near the separatrix of libration and rotation.
+    """Out of the plane, by Floquet multipliers; unknown where the period is too long, near the separatrix. In the plane
+    neighbouring motions have other periods, and their distance grows like t.
     """
     return _motions(points).stability()
 
@@ -60,13 +58,11 @@ _CONDITIONS = (
     Condition("Omega > 0", lambda p: np.where(p["Omega"] > 0, 0.0, 1.0)),
     Condition("A != B", lambda p: np.where(p["A"] == p["B"], 1.0, 0.0)),
 )  # fmt: skip
-_LIBRATES = Condition(
-    "C (n cos theta0 + m)^2 < 3 Omega^2 |B - A| cos^2 chi",
-    lambda p: np.where(_excess(p) < 0, 0.0, 1 + _excess(p)),
-)
-_ROTATES = Condition(
-    _LIBRATES.text.replace("<", ">"), lambda p: np.where(_excess(p) > 0, 0.0, 1 - _excess(p))
-)
+_ENERGY = "C (n cos theta0 + m)^2 {} 3 Omega^2 |B - A| cos^2 chi"
+_LIBRATES = Condition(_ENERGY.format("<"), lambda p: np.where(_excess(p) < 0, 0.0, 1 + _excess(p)))
+_ROTATES = Condition(_ENERGY.format(">"), lambda p: np.where(_excess(p) > 0, 0.0, 1 - _excess(p)))
+_SOLVE = {**each(families.nearest_pole, "theta0"), "psi0": _bottom}
+_BOTTOM = "psi0 is solved for the bottom, where n and m are the largest rate"
 FAMILIES = numbered(
     (
         _family(
@@ -74,19 +70,17 @@ FAMILIES = numbered(
             title="libration in the plane of the orbit, third axis on the normal, asymmetric body with axial rotor",
             equations="references [4], [6], [7]; with rotor and magnet derived from (1)-(3)",
             conditions=(*_CONDITIONS, _LIBRATES),
-            solve={
-                **each(families.nearest_pole, "theta0"), "psi0": _bottom, "m": lambda p: -p["n"] * the.tilt(p)[1]
-            },
-            exists="psi0 is solved for the bottom, where n and m are the largest rate; m for rest, where the pitch is the amplitude",
+            solve={**_SOLVE, "m": lambda p: -p["n"] * the.tilt(p)[1]},
+            exists=f"{_BOTTOM}; m for rest, where the pitch is the amplitude",
         ),
         _family(
             name="plane_rotation",
             title="rotation in the plane of the orbit at a varying rate, third axis on the normal, asymmetric body with axial rotor",
             equations="references [6], [7]; with rotor and magnet derived from (1)-(3)",
             conditions=(*_CONDITIONS, _ROTATES),
-            solve={**each(families.nearest_pole, "theta0"), "psi0": _bottom},
-            exists="psi0 is solved for the bottom, where n and m are the largest rate",
+            solve=_SOLVE,
+            exists=_BOTTOM,
         ),
     ),
     after=families.FAMILIES | any_axis.FAMILIES,
-)  # fmt: skip
+)

@@ -127,12 +127,9 @@ def _plane_lines(ds: xr.Dataset) -> list[str]:
     stable, growth, time, _, kind, exponent = (ds[name].values[where] for name in names)
     table = confusion(kind, stable, len(Regularity))
     columns = [flag for flag in Regularity if table[:, flag].any()]
-    rows: dict[str, Any] = {
-        f"  {flag.name.lower()}": table[flag, columns] for flag in Stability if table[flag].any()
-    }
-    rows = {
-        "motions in the plane, stability out of it \\ regularity": [c.name.lower() for c in columns]
-    } | rows
+    title = "motions in the plane, stability out of it \\ regularity"
+    rows: dict[str, Any] = {title: [flag.name.lower() for flag in columns]}
+    rows |= {f"  {flag.name.lower()}": table[flag, columns] for flag in Stability if table[flag].any()}
     lines = [f"{name:53}" + "".join(f"{cell!s:>14}" for cell in row) for name, row in rows.items()]
     unstable = stable == Stability.UNSTABLE
     if (missed := unstable & (kind == Regularity.REGULAR)).any():
@@ -140,9 +137,8 @@ def _plane_lines(ds: xr.Dataset) -> list[str]:
         lines.append(f"{text} {(growth * time)[missed].max():.3g}; below about 10 it cannot be seen")
     if (seen := unstable & (kind == Regularity.CHAOTIC)).any():
         low, high = np.nanpercentile(exponent[seen] / growth[seen], [5, 95])
-        lines.append(
-            f"  lyapunov / growth_rate of unstable chaotic ones: {low:.3f} to {high:.3f} (5 to 95 %)"
-        )
+        text = "  lyapunov / growth_rate of unstable chaotic ones:"
+        lines.append(f"{text} {low:.3f} to {high:.3f} (5 to 95 %)")
     return lines if where.any() else []
 
 

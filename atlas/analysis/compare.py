@@ -4,18 +4,19 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Mapping
+from typing import Any
 
 import numpy as np
 import xarray as xr
 
 from ..errors import BadInput, printable
-from ..flags import Agreement, Label, Stability
+from ..flags import Agreement, Label, Regularity, Stability
 from ..label.theory import agreement
 from ..runs.plan import ScenePlan
 from ..runs.tiles import BINS, BINS_PER_DECADE, COUNTED, GROUPS, LOWEST_DECADE, Tally
 from ..scene import grid
 from ..scene.checks import whole_number
-from ..systems.base import Flags, on_family
+from ..systems.base import Flags, on_family, unsteady
 from ..validation import half_step
 from .metadata import (
     chunks,
@@ -57,7 +58,7 @@ def report(ds: xr.Dataset, worst: int = 5) -> str:
             )
     if ds["label"].dims != ds["predicted"].dims:
         raise BadInput("label and predicted lie along different dimensions: not an atlas")
-    for name in ("stable", "growth_rate", "end_time", *RATES):
+    for name in ("stable", "growth_rate", "end_time", "family", "regularity", "lyapunov", *RATES):
         if name in ds and set(ds[name].dims) != set(ds["label"].dims):
             raise BadInput(f"label and {name} lie along different dimensions: not an atlas")
     ds = ds.transpose(..., *ds["label"].dims)
@@ -79,6 +80,7 @@ def report(ds: xr.Dataset, worst: int = 5) -> str:
     lines += [f"  {name}: {n}" for name, n in zip(Agreement.meanings(), counts, strict=True) if n]
     if {"stable", "growth_rate", "end_time"} <= set(ds):
         lines += _stability_lines(ds)
+    lines += _plane_lines(ds)
     lines += _worst_lines(ds, result.ravel(), worst)
     return "\n".join(lines)
 
@@ -97,6 +99,7 @@ def _stability_lines(ds: xr.Dataset) -> list[str]:
     near = near_boundary(stable)
     steady = (label == Label.REGULAR_PRECESSION) | (label == Label.PERMANENT_ROTATION)
     drift = (stable == Stability.STABLE) & (label == Label.DRIFTING)
+    drift &= ds["predicted"].values != Label.DRIFTING  # as motions in the plane, which are not steady
     survive = (stable == Stability.UNSTABLE) & steady
     lines = [
         f"linearly {description}: {points.sum()}, of these {(points & ~near).sum()} outside a band of"
@@ -113,6 +116,30 @@ def _stability_lines(ds: xr.Dataset) -> list[str]:
             f" largest growth_rate x duration: {log_growth[survive].max():.2f}"
         )
     return lines
+
+
+def _plane_lines(ds: xr.Dataset) -> list[str]:
+    """Motions in the plane: their stability out of it by theory against the measured regularity and Lyapunov exponent."""
+    names = ("stable", "growth_rate", "end_time", "family", "regularity", "lyapunov")
+    if not {*names, "atlas_system"} <= {*ds, *ds.attrs}:
+        return []
+    where = unsteady(system_of(ds), ds["family"].values.astype(np.int8))
+    stable, growth, time, _, kind, exponent = (ds[name].values[where] for name in names)
+    table = confusion(kind, stable, len(Regularity))
+    columns = [flag for flag in Regularity if table[:, flag].any()]
+    title = "motions in the plane, stability out of it \\ regularity"
+    rows: dict[str, Any] = {title: [flag.name.lower() for flag in columns]}
+    rows |= {f"  {flag.name.lower()}": table[flag, columns] for flag in Stability if table[flag].any()}
+    lines = [f"{name:53}" + "".join(f"{cell!s:>14}" for cell in row) for name, row in rows.items()]
+    unstable = stable == Stability.UNSTABLE
+    if (missed := unstable & (kind == Regularity.REGULAR)).any():
+        text = "  unstable ones that read as regular: growth_rate x duration at most"
+        lines.append(f"{text} {(growth * time)[missed].max():.3g}; below about 10 it cannot be seen")
+    if (seen := unstable & (kind == Regularity.CHAOTIC)).any():
+        low, high = np.nanpercentile(exponent[seen] / growth[seen], [5, 95])
+        text = "  lyapunov / growth_rate of unstable chaotic ones:"
+        lines.append(f"{text} {low:.3f} to {high:.3f} (5 to 95 %)")
+    return lines if where.any() else []
 
 
 def near_boundary(stable: Flags) -> np.ndarray:
@@ -212,7 +239,7 @@ def _nearest_family(ds: xr.Dataset) -> list[str]:
     if "label" not in ds or ds["label"].dims != ("point",) or "atlas_system" not in ds.attrs:
         return []
     system, drifting = system_of(ds), np.flatnonzero(ds["label"].values == Label.DRIFTING)[:MAX_NEAREST]
-    families = [each for each in system.families.values() if each.conditions and each.axes is None]
+    families = [f for f in system.families.values() if f.conditions and not (f.axes or f.rate_std)]
     if not drifting.size or not families or not set(system.parameters) <= set(ds.coords):
         return []
     part = ds.isel(point=drifting)

@@ -136,6 +136,8 @@ def family_curves(plane: Plane) -> dict[str, list[np.ndarray]]:
     curves = {}
     for name in [scene.family] if scene.family is not None else list(scene.system.families):
         family = scene.system.families[name]
+        if family.rate_std:  # its motions fill regions
+            continue
         # Of the axes that the family is solved for, the one with the longer curve: the other may give a single point.
         longest = max((_solution_curves(plane, family, dim) for dim in plane.extent), key=_n_vertices)
         if _n_vertices(longest):

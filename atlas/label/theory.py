@@ -24,8 +24,10 @@ from ..systems.base import (
     Points,
     SharedValues,
     System,
+    rate_std,
     shape_of,
     subset,
+    unsteady,
 )
 from .offsets import describes, near_circle, off_family_labels
 from .plan import Plan
@@ -76,7 +78,7 @@ def predict_runs(
         pushed = ~exact_starts(system, points, nearby) if nudged else np.zeros_like(nearby)
         family, family_residual = _identify(system, base)
         other = _about_other_axes(system, family)
-        variables = predict(system, base, tolerances.rate, pushed, tolerances.angle, family)
+        variables = predict(system, base, tolerances.rate, pushed, tolerances.angle, family, duration)
         off = ((family == 0) | other) & system.complete(base)
         if not nudged:
             off |= (family > 0) & (family_residual > ROUNDING_RESIDUAL)
@@ -89,6 +91,8 @@ def predict_runs(
             for name, values in off_labels.items():
                 variables[name][where] = values
         growth = system.log_growth(base, family, variables["growth_rate"], duration)
+        # What drifts in any case drifts however it grows.
+        growth[unsteady(system, family) & (variables["predicted"] == Label.DRIFTING)] = 0.0
         start_residual = residual.copy()
         if CIRCLES[0] in plan.instruments:
             members = np.flatnonzero(other)
@@ -170,13 +174,15 @@ def predict(
     nudged: Mask | bool,
     cylinder_tolerance: float | None = None,
     family: Flags | None = None,
+    duration: Array | float = np.inf,
 ) -> dict[str, np.ndarray]:
     """Labels of starts, given before any nudge, from theory alone, with family, stable and growth_rate.
 
     A nudged start keeps the label of its family where the motion is linearly stable and drifts where it is
     unstable. Off every family `predicted` is drifting where the system's catalogue is complete, else
     not_computed. Rates of at most rate_tolerance, rad per time unit, count as zero, and a tilt below
-    cylinder_tolerance, rad (default: the same number), as on the vertical. family: that of each start, if it is known already.
+    cylinder_tolerance, rad (default: the same number), as on the vertical. A family of motions of which the rate about the
+    vertical varies during a run of this duration by more than rate_tolerance drifts. family: that of each start, if it is known.
     """
     if family is None:
         family, _ = _identify(system, points)
@@ -186,9 +192,11 @@ def predict(
     result: dict[str, np.ndarray] = {"family": family, "stable": stable, "growth_rate": growth}
     on_family = (family > 0) & ~_about_other_axes(system, family)
     complete = system.complete(points) & system.within_range(points)
+    drifts = rate_std(system, points, family, np.broadcast_to(duration, family.shape)) > rate_tolerance
     for name, frame_rate in _frame_rates(system, points).items():
         label = steady_label(n + frame_rate, m, np.abs(sine) < angle, rate_tolerance)
-        result[name] = _after_nudge(label, stable, nudged, on_family, complete)
+        label = _after_nudge(label, stable, nudged, on_family, complete)
+        result[name] = np.where(drifts, np.int8(Label.DRIFTING), label)
     return result
 
 

@@ -92,6 +92,9 @@ def flag_colours(meanings: Iterable[str]) -> dict[str, str]:
     shades = colormaps["cividis" if few else "magma"](
         np.linspace(*((1.1, 0.0) if few else (1.06, 0.03)), len(names))
     )
+    if len(names) > 12:  # no map has as many colours that also differ in grey: warm and cold greys in turn
+        tint = 0.04 * (-1.0) ** np.arange(len(names))[:, None] * [1, 0, -1]
+        shades = np.clip(np.linspace(1, 0.02, len(names))[:, None] + tint, 0, 1)
     return {
         name: COLOURS.get(name, "#ffffff" if i == 0 else to_hex(shades[i])) for i, name in enumerate(names)
     }

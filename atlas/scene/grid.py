@@ -350,8 +350,8 @@ def _with_values(
 
 
 def _check_not_free(family: Family, name: str, points: Points) -> None:
-    """Raise BadInput if the points, which differ in one parameter, are all on the family."""
-    if (on_family(family, points) < ON_FAMILY).all():
+    """Raise BadInput if the points, which differ in one parameter, are all on the family, unless its motions fill regions."""
+    if family.rate_std is None and (on_family(family, points) < ON_FAMILY).all():
         raise BadInput(
             f"family.solve = {shown(name)}: the family {family.name} leaves it free here, every value is one;"
             " give it in [fixed], [axes] or [ties]"

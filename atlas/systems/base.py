@@ -89,7 +89,7 @@ class Condition:
 
 @dataclass(frozen=True)
 class Family:
-    """A family of exact steady motions theta = theta0, psi' = n, phi' = m, or of motions alike about other axes."""
+    """A family of exact steady motions theta = theta0, psi' = n, phi' = m, or alike about other axes, or in the plane."""
 
     name: str
     flag: int = 0  # value of the dataset variable `family`, from 1; see numbered
@@ -111,6 +111,9 @@ class Family:
     # points -> axes and rates of a motion about any axes, which drifts about the third axis and the vertical; None: the
     # motion is about these two
     axes: Callable[[Points], TwoAxes] | None = None
+    # (points, durations) -> standard deviation, (points,), of the rate of a body that turns unsteadily about the vertical, with
+    # its third axis on it; infinite durations are of whole periods. None: the motion is steady
+    rate_std: Callable[[Points, Array], Array] | None = None
 
 
 def numbered(families: Iterable[Family], after: Collection[str] = ()) -> dict[str, Family]:
@@ -718,6 +721,20 @@ def subset(columns: Mapping[str, Array], where: Any) -> dict[str, Array]:
 
 def shape_of(points: Points) -> tuple[int, ...]:
     return np.shape(next(iter(points.values())))
+
+
+def unsteady(system: System, flags: Flags) -> Mask:
+    """Where a family is one of motions of which the rate about the vertical varies, (points,)."""
+    return np.isin(flags, [each.flag for each in system.families.values() if each.rate_std])
+
+
+def rate_std(system: System, points: Points, flags: Flags, duration: Array) -> Array:
+    """Standard deviation of that rate over runs, 0 of steady motions, (points,)."""
+    result = np.zeros(flags.shape)
+    for family in system.families.values():
+        if family.rate_std and (members := np.flatnonzero(flags == family.flag)).size:
+            result[members] = family.rate_std(subset(points, members), duration[members])
+    return result
 
 
 def on_family(family: Family, points: Points) -> Array:

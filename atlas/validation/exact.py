@@ -14,6 +14,8 @@ import numpy as np
 from scipy.special import ellipkm1, elliprf
 
 from ..systems.base import Array, Points, System
+from ..systems.gyrostat.plane import PlaneMotions
+from ..systems.satellite import SATELLITE
 
 # Samples, over one period, of the precession of a free body about its angular momentum.
 FOURIER_SAMPLES = 1024
@@ -341,36 +343,18 @@ def euler_motion(w: Array, gamma: Array, frame_rate: float = 0.0) -> EulerMotion
 
 
 class PlanarLibration:
-    """Satellite whose third axis stays on the orbit normal: C x'' = -3 Omega^2 (B - A) sin x cos x.
+    """Satellite whose third axis stays on the orbit normal, see `systems.gyrostat.plane`; a rotor along it has no effect."""
 
-    x = psi + phi; a rotor along the third axis has no effect. V. V. Beletsky, Motion of an Artificial
-    Satellite about its Center of Mass (1966), chapter 1.
-    """
-
-    def __init__(self, A: float, B: float, C: float, Omega: float, angle: float, rate: float):
-        self.stiffness = Omega * np.sqrt(3 * abs(B - A) / C)
-        # Counted from the stable direction; its sine and cosine keep their digits near the unstable one.
-        sine, cosine = (np.sin(angle), np.cos(angle)) if B > A else (-np.cos(angle), np.sin(angle))
-        energy = rate**2 + (self.stiffness * sine) ** 2
-        barrier = (self.stiffness * cosine) ** 2 - rate**2
-        self.rotates = barrier < 0
-        if self.rotates:
-            self.frequency, self.complement = float(np.sqrt(energy)), -barrier / energy
-            self.amplitude = float(np.copysign(self.frequency, rate))
-            self.phase = inverse_jacobi(np.copysign(1.0, rate) * sine, cosine, self.complement)
-        else:
-            self.frequency, self.complement = self.stiffness, barrier / self.stiffness**2
-            self.amplitude = float(np.copysign(np.sqrt(energy), cosine))
-            sn, cn = sine * self.stiffness / np.sqrt(energy), rate / self.amplitude
-            self.phase = inverse_jacobi(sn, cn, self.complement)
-        self.rate = 2 * self.frequency
-        self.period = (2 if self.rotates else 4) * float(ellipkm1(self.complement)) / self.frequency
+    def __init__(self, motion: PlaneMotions):
+        self.motion = motion
+        self.rate = 2 * abs(float((motion.frequency * motion.unit)[0]))
+        self.period = float((motion.period() * np.where(motion.rotates, 0.5, 1.0))[0])
 
     def __call__(self, time: Array) -> EulerMotion:
         """Angles and rates at the times; psi' and phi' have no meaning here."""
-        _, cn, dn = jacobi(self.frequency * np.asarray(time, float) + self.phase, self.complement)
-        zero, nan = np.zeros_like(cn), np.full_like(cn, np.nan)
-        return EulerMotion(zero, zero, nan, nan, self.amplitude * (dn if self.rotates else cn), zero)
+        rate = self.motion.pitch(np.asarray(time, float)[..., None])[1][..., 0]
+        zero, nan = np.zeros_like(rate), np.full_like(rate, np.nan)
+        return EulerMotion(zero, zero, nan, nan, rate, zero)
 
 
 # The exact motions of points of a system, by the names that stress cases use.
@@ -403,7 +387,7 @@ def motion_of(system: System, kind: str, points: Points, index: int) -> Motion:
         return FreeGyrostat(inertia, rotor, motion[:3] + frame_rate * motion[3:], motion[3:], frame_rate)
     upright = satellite and p["theta0"] == 0 and p["theta_dot0"] == 0 and not any([*rotor[:2], *weight[:2]])
     if kind == "planar libration" and upright and not any(others[:3]):
-        return PlanarLibration(p["A"], p["B"], p["C"], p["Omega"], p["psi0"] + p["phi0"], p["n"] + p["m"])
+        return PlanarLibration(PlaneMotions.of(SATELLITE.body(points), *SATELLITE.start(points)))
     raise ValueError(f"a point of the {system.name} has no exact motion of the kind {kind!r}")
 
 

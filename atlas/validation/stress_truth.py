@@ -91,7 +91,7 @@ def true_labels(
         runs = [exact.statistics(motion, T) for motion, T in zip(motions, duration, strict=True)]
         return _labels_of_runs(system, runs, settings, "exact motion")
     with np.errstate(all="ignore"):
-        theory = predict(system, points, settings.rate_tolerance, False, settings.cylinder)
+        theory = predict(system, points, settings.rate_tolerance, False, settings.cylinder, duration=duration)
         residual, bound = system.condition_residual(points), system.frequency_bound(points)
         is_exact = (theory["family"] > 0) & (residual <= EXACT_RESIDUAL)
         growth = system.log_growth(points, theory["family"], theory["growth_rate"], duration)

@@ -181,7 +181,19 @@ PICTURES = (
     Picture(
         "planar_oscillations",
         "A symmetric body whose axis swings in the orbital plane like a pendulum. Each motion is periodic; in the tongues,"
-        " resonances with the motion out of the plane, its neighbours leave exponentially." + CHAOS,
+        " resonances with the motion out of the plane, its neighbours leave exponentially. The lines are theory, by Floquet"
+        " multipliers." + CHAOS,
+    ),
+    Picture(
+        "plane_libration_rotor",
+        "An asymmetric body (A : B : C = 1 : 1.3 : 1.6) that librates in the plane of the orbit, with a rotor along the normal."
+        " The rotor does not change the libration, but its stability: lines as above. Unstable strips that read as regular"
+        " grow too slowly to be seen in 150 orbits." + CHAOS,
+    ),
+    Picture(
+        "plane_rotation_rotor",
+        "The same body rotating in the plane of the orbit, over the rate at which its first axis passes the radius. Between the"
+        " thin lines it cannot pass the velocity, and librates." + CHAOS,
     ),
     Picture(
         "chaos_unstable",

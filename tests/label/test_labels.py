@@ -17,6 +17,7 @@ from atlas.flags import Label, Status
 from atlas.label import pipeline, theory
 from atlas.measure import rates
 from atlas.scene.model import Settings, Tolerances
+from atlas.systems.base import unsteady
 from atlas.systems.satellite.system import SATELLITE
 
 pytestmark = pytest.mark.usefixtures("whole_kernels")
@@ -144,7 +145,7 @@ def test_the_68_satellite_cases(monkeypatch):
             assert ds.family[i] > 0
             assert ds.condition_residual[i] < 1e-12
         else:
-            assert ds.family[i] == 0
+            assert ds.family[i] == 0 or unsteady(SATELLITE, ds.family.values[i])
     assert (ds.status == Status.OK).all()
     assert (ds.agreement == 1).all()
 

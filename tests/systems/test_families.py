@@ -167,9 +167,8 @@ def expected_families(system, points):
             no_spin = next(each for each in system.families["staude"].conditions if each.text == "m = 0")
             worst[np.abs(no_spin.residual(points)) > base.FAMILY_TOLERANCE] = np.inf
         holds = worst <= base.FAMILY_TOLERANCE
-        residual = np.where(
-            (flags == 0) & (holds | (family.axes is None)), np.minimum(worst, residual), residual
-        )
+        about_third_axis = family.axes is None and family.rate_std is None
+        residual = np.where((flags == 0) & (holds | about_third_axis), np.minimum(worst, residual), residual)
         flags[(flags == 0) & holds] = family.flag
     return flags, residual
 

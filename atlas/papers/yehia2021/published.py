@@ -10,6 +10,8 @@ import numpy as np
 
 from ...scene.expressions import Expression
 from ...systems.base import Array, PublishedEquation
+from ...systems.gyrostat.plane import PlaneMotions
+from ...systems.satellite import SATELLITE
 from ...systems.satellite.equations import rhs
 from ...systems.satellite.families import FAMILIES, steady_motion
 from ...systems.satellite.initial import PARAMETERS, body_vectors, constants, directions
@@ -269,6 +271,18 @@ def _shared(entry: Entry, reading: str, rng: np.random.Generator) -> float:
     return float(share if reading == "printed" else 1 - share)
 
 
+def _plane(entry: Entry, reading: str, rng: np.random.Generator) -> float:
+    """Largest error of the pitch and its rate by elliptic functions, by differences, or of rho from what it is at amplitude 0."""
+    p = with_values(random_point(rng), entry["plane"])
+    motion = PlaneMotions.of(SATELLITE.body(p), *SATELLITE.start(p))
+    if "rho" in entry:
+        return float(np.abs(motion.multipliers()[0] - 2 - Expression("rho", entry["rho"]).value(p))[0])
+    x, rate = np.array(motion.pitch(TIMES[:, None, None] / 4 + 0.01 * np.arange(-4, 5)[:, None]))[..., 0]
+    slopes = np.array([x, rate]) @ np.array([3, -32, 168, -672, 0, 672, -168, 32, -3]) / 8.4
+    needed = rate[:, 4], -1.5 * np.abs(p["B"] - p["A"]) / p["C"] * np.sin(2 * x[:, 4])
+    return float(np.abs(slopes - needed).max())
+
+
 def _lost_rank(entry: Entry, reading: str, rng: np.random.Generator) -> float:
     """10 less the rank of ten equations (36), in the coefficients of even and of odd i, for an irrational n/m."""
     i = np.arange(1, 11)
@@ -301,6 +315,7 @@ MEASURES = {
     ),
     "shared": ("", _shared),
     "lost_rank": ("", _lost_rank),
+    "plane": ("", _plane),
     "determinant": ("", _determinant),
     "apex_distance": ("", _apex_distance),
     "left_side": (

@@ -1,4 +1,4 @@
-"""Fundamental matrices of linear systems that are a mean and two harmonics in time, of many points side by side.
+"""Fundamental matrices of linear systems, of many points side by side, from a mean and two harmonics or matrices at nodes.
 
 Magnus' series of order 6, symplectic where the system is Hamiltonian. The exponential is a Pade approximation, squared twice:
 the multipliers of a stable motion stay on the unit circle. S. Blanes et al., Phys. Rep. 470 (2009) 151.
@@ -39,11 +39,28 @@ def of_harmonics(
     integrate_steps = _compiled()
     for start in range(0, points, LANES):
         lanes = slice(start, start + LANES)
-        of_lanes = np.ascontiguousarray(parts[..., lanes])
+        of_lanes = np.ascontiguousarray(parts[np.newaxis, ..., lanes])
         for begin in range(0, count, STEPS):
             end = min(begin + STEPS, count)
             integrate_steps(of_lanes, turn[lanes], begin, end, result[lanes], log_scale[lanes])
     return result, log_scale
+
+
+def of_steps(parts: Array) -> tuple[Array, Array]:
+    """As `of_harmonics`, over the steps of at most LANES points, (steps, 3, size, size, points).
+
+    parts: mean, cosine and sine of the harmonic of each step, times the step, as `between_nodes` gives them.
+    """
+    steps, _, size, _, points = parts.shape
+    result, log_scale = np.tile(np.eye(size), (points, 1, 1)), np.zeros(points)
+    _compiled()(parts, np.full(points, 2 * np.pi), 0, steps, result, log_scale)
+    return result, log_scale
+
+
+def between_nodes(first: Array, middle: Array, last: Array) -> tuple[Array, Array, Array]:
+    """Mean, cosine and sine of the harmonic of a step that has these values at its Gauss nodes."""
+    amplitude = (0.5 * (first + last) - middle) * (1 / (1 - np.cos(2 * np.pi * GAUSS)))
+    return middle + amplitude, amplitude, (first - last) * (0.5 / np.sin(2 * np.pi * GAUSS))
 
 
 @cache
@@ -114,11 +131,12 @@ def solve(a, b):
 def integrate(parts, turn, begin, end, result, log_scale):
     """Multiply the matrices of at most LANES points by those of the steps from begin to end.
 
-    parts: mean, cosine and sine of both harmonics, times the step, (5, size, size, points); turn: phase of a step, rad; result:
-    (points, size, size), rescaled, the logarithms of the factors added to log_scale.
+    parts: mean, cosine and sine of one harmonic or two, of all steps or of each, times the step, (1 or steps, 3 or 5, size,
+    size, points); turn: phase of a step, rad; result: (points, size, size), rescaled, the logarithms of the factors added to
+    log_scale.
     """
-    size, points = parts.shape[1], parts.shape[3]
-    part, nodes = np.empty((5, size, size, LANES)), np.empty((3, size, size, LANES))
+    size, points = parts.shape[2], parts.shape[4]
+    part, nodes = np.zeros((5, size, size, LANES)), np.empty((3, size, size, LANES))
     identity, space = np.zeros((size, size, LANES)), np.empty((8, size, size, LANES))
     first, middle, last = nodes[0], nodes[1], nodes[2]
     b2, b3, c1, x, y, z = space[0], space[1], space[2], space[3], space[4], space[5]
@@ -138,9 +156,14 @@ def integrate(parts, turn, begin, end, result, log_scale):
             identity[i, i, lane] = 1.0
             for j in range(size):
                 matrix[i, j, lane] = result[point, i, j]
-                for k in range(5):
-                    part[k, i, j, lane] = parts[k, i, j, point]
     for step in range(begin, end):
+        if step == begin or parts.shape[0] > 1:
+            of_step = parts[step % parts.shape[0]]
+            for k in range(parts.shape[1]):
+                for i in range(size):
+                    for j in range(size):
+                        for lane in range(LANES):
+                            part[k, i, j, lane] = of_step[k, i, j, min(lane, points - 1)]
         for node in range(3):
             if step % RESCALING == 0:
                 for lane in range(LANES):

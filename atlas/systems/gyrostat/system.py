@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...flags import Stability
-from ..base import Array, Flags, Mask, Points, System, shape_of, subset
+from ..base import Array, Flags, Mask, Points, System, shape_of, subset, unsteady
 from . import equilibria, floquet
 from .body import Body, length
 from .equilibria import equilibria_of_bodies as all_equilibria_of_bodies
@@ -71,7 +71,7 @@ class Gyrostat(System):
         if "damping" in points:  # the closed forms are without it
             damped = points["damping"] > 0
             stable[damped], growth[damped] = Stability.UNKNOWN, np.nan
-        remaining = np.flatnonzero((flags > 0) & (stable == Stability.UNKNOWN))
+        remaining = np.flatnonzero((flags > 0) & ~unsteady(self, flags) & (stable == Stability.UNKNOWN))
         for first in range(0, remaining.size, _CHUNK):
             chunk = remaining[first : first + _CHUNK]
             stable[chunk], growth[chunk] = self.stability(subset(points, chunk))
@@ -99,7 +99,7 @@ class Gyrostat(System):
         w, _, gamma = self.start(points)
         turn = self.body(points).turn
         short = length(w - turn[:, None] * gamma) * duration < 2 * np.pi
-        where = np.flatnonzero((flags > 0) & short)
+        where = np.flatnonzero((flags > 0) & ~unsteady(self, flags) & short)
         closed = super().linear_stability(subset(points, where), flags[where])[0]
         where = where[closed == Stability.UNKNOWN]
         for first in range(0, where.size, _CHUNK):

@@ -45,7 +45,7 @@ def _psi_on_velocity(p: Points) -> Array:
     return np.pi * (np.floor(p["psi0"] / np.pi) + 0.5)
 
 
-def _nearest_pole(name: str, p: Points) -> Array:
+def nearest_pole(name: str, p: Points) -> Array:
     """The nearest of 0 and pi (mod 2 pi)."""
     return np.pi * np.round(p[name] / np.pi)
 
@@ -101,7 +101,7 @@ _TABLE = (
         title="third axis along the orbit's normal, symmetric body turning about it at n +- m",
         equations="(14)-(16), (21)-(23), (29)-(31), (44), (45)",
         conditions=(the.UPRIGHT, the.SYMMETRIC, the.NO_RADIAL_TORQUE, the.SPINNING_PAIR),
-        solve={**each(_nearest_pole, "theta0"), **the.SPINNING_PAIR.solve("mu1", "mu2", "k1", "k2")},
+        solve={**each(nearest_pole, "theta0"), **the.SPINNING_PAIR.solve("mu1", "mu2", "k1", "k2")},
         stability=the.stability_about_normal,
         geometry="cylindrical",
         paper_wording="n = 0: cylindrical permanent rotation (orbital), cylindrical regular precession "
@@ -133,7 +133,7 @@ _TABLE = (
         equations="(17), (18)",
         conditions=(*_SYMMETRIC_TILT, the.NODE_ON_RADIUS, the.NO_AXIAL_RADIAL_TORQUE, the.TILT_BALANCE),
         solve={
-            **each(_nearest_pole, "psi0"),
+            **each(nearest_pole, "psi0"),
             "theta0": _theta,
             **the.TILT_BALANCE.solve("m"),
             **linear(the.tilt_over_sine, "h3"),

@@ -10,8 +10,8 @@ import numpy as np
 from ..base import Array, Flags, Mask, Points, identify, shape_of
 from ..gyrostat import Gyrostat
 from ..gyrostat.stress_cases import satellite_cases
-from ..gyrostat.variables import count_variables
-from . import any_axis, equations, families, initial
+from ..gyrostat.variables import count_variables, plane_variables
+from . import any_axis, equations, families, initial, plane
 
 
 class Satellite(Gyrostat):
@@ -39,7 +39,7 @@ class Satellite(Gyrostat):
 
     condition_residual = staticmethod(families.condition_residual)
     growth_about_vertical = staticmethod(initial.growth_about_vertical)
-    families = families.FAMILIES | any_axis.FAMILIES
+    families = families.FAMILIES | any_axis.FAMILIES | plane.FAMILIES
     geometries = MappingProxyType(
         {
             "none": "drifting or unresolved",
@@ -65,7 +65,7 @@ class Satellite(Gyrostat):
 
     def __init__(self) -> None:
         super().__init__()
-        self.derived = {**count_variables(self), **self.derived}
+        self.derived = {**count_variables(self), **self.derived, **plane_variables(self)}
 
     def possible_start(self, points: Points) -> Mask:
         """Everywhere: numbers that overflow get the status not_finite."""
@@ -91,8 +91,9 @@ class Satellite(Gyrostat):
         return points["Omega"]
 
     def identify_family(self, points: Points) -> tuple[Flags, Array]:
-        """Family about the third axis and the normal, else one about any axes."""
-        return identify(points, families.FAMILIES.values(), any_axis.FAMILIES.values())
+        """Family about the third axis and the normal, else one about any axes, else of motions in the plane."""
+        others = (any_axis.FAMILIES | plane.FAMILIES).values()
+        return identify(points, families.FAMILIES.values(), others)
 
     def complete(self, points: Points) -> Mask:
         """Without an orbit an undamped free or heavy body has more steady motions than the families."""

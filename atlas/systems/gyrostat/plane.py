@@ -1,0 +1,270 @@
+"""Motions in the plane: the third axis stays on the vertical, and the body librates or rotates about it like a pendulum.
+
+With alpha = (cos x, -sin x, 0), rotor and fields along e3 and no field along alpha, whose gradient is g > 0, the pitch x obeys
+C x'' = -g (B - A) sin x cos x. For A < B it librates about x = 0, sin x = k sn(f t), x' = f k cn(f t), f^2 = g (B - A)/C, or
+rotates, x = am(f t), x' = f dn(f t), k^2 f^2 = g (B - A)/C. For B < A the first two axes change places, and x is counted from
+pi/2. The elliptic functions are those of an arithmetic-geometric mean (M. Abramowitz and I. A. Stegun, Handbook of Mathematical
+Functions, 16.4, 16.12, 17.6), from 1 - k^2, which keeps its digits near the separatrix.
+
+A small rotation xi = (xi_1, xi_2) out of the plane and p = I xi' - D xi / 2 obey the equations of `floquet`, which hold along any
+motion. With the angular velocity w3 along e3, v = k3 + (C - A - B) w3, h = field.gamma and alpha = (a1, a2, 0) they are
+
+    xi_1' = (p_1 - v xi_2 / 2)/A,    p_1' = P11 xi_1 + P12 xi_2 - v xi_2'/2,    P11 = (B - C)(w3^2 + g a2^2) - k3 w3 + h,
+    xi_2' = (p_2 + v xi_1 / 2)/B,    p_2' = P12 xi_1 + P22 xi_2 + v xi_1'/2,    P22 = (A - C)(w3^2 + g a1^2) - k3 w3 + h,
+    P12 = g a1 a2 (2 C - A - B - (B - A)^2 / C) / 2.
+
+P12 alone is odd in x. So if H leads from x = 0 to a later instant, R H^-1 R leads there from the earlier one, R = diag(-1, 1, 1,
+-1). A libration has the multipliers of R H^-1 R H over half a period, half a turn those over a quarter, and a whole turn their
+squares. H is symplectic, so that no digits are lost in H^-1 = -J H^T J.
+"""
+
+from __future__ import annotations
+
+from itertools import product
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...flags import Stability
+from ..base import Array, Flags, Mask
+from .body import Body, length
+from .fundamental import GAUSS, LANES, between_nodes, of_steps
+
+_STEP, _SHORT_STEP = 1.2, 0.2  # over the norm of the system: errors of the sums of about 1e-7 and 1e-12
+_MIN_PAIRS, _MAX_PAIRS = 4, 512  # of steps, in a quarter of the period
+_MAX_ROUNDING = (
+    1e-7  # of 1 - k^2, relative: beyond it the period, which diverges on the separatrix, is not known
+)
+_TOLERANCE = 1e-11  # relative error of what is 0 on a border of stability, with short steps
+_CHANGE = 0.05  # share of the change by halving the step that may be left after the extrapolation: 0.005 was measured
+# Of R H^-1 R beside the blocks of H transposed.
+_SIGNS = np.kron([[1.0, -1.0], [-1.0, 1.0]], np.ones((2, 2))) * np.outer([-1, 1, 1, -1], [-1, 1, 1, -1])
+
+
+class Mean(NamedTuple):
+    """Arithmetic-geometric means of 1 and k', by level, each (points,)."""
+
+    a: list[Array]
+    b: list[Array]
+    c: list[Array]  # k, then c_n = (a_{n-1} - b_{n-1}) / 2 = a_n - b_{n-1}
+
+    @classmethod
+    def of(cls, modulus: Array, complement: Array) -> Mean:
+        """modulus, complement: k^2 and 1 - k^2."""
+        a, b, c = [np.ones_like(modulus)], [np.sqrt(complement)], [np.sqrt(modulus)]
+        while (c[-1] > 1e-9 * a[-1]).any():
+            a.append(0.5 * (a[-1] + b[-1]))
+            b.append(np.sqrt(a[-2] * b[-1]))
+            c.append(c[-1] ** 2 / (4 * a[-1]))
+        return cls(a, b, c)
+
+    def functions(self, turns: Array) -> tuple[Array, Array, Array]:
+        """sn, cn and dn at 4 K turns."""
+        sn, cn, dn = np.sin(2 * np.pi * turns), np.cos(2 * np.pi * turns), np.ones(1)
+        for a, b, c in zip(self.a[:0:-1], self.b[-2::-1], self.c[:0:-1], strict=True):
+            below = 1 / (a + c * sn * sn)
+            # b + c cn^2 = a - c sn^2, with its digits where that is small
+            sn, cn, dn = (a + c) * sn * below, a * cn * dn * below, (b + c * cn * cn) * below
+        return sn, cn, dn
+
+    def periodic(self, turns: Array) -> tuple[Array, Array]:
+        """am(u) - 2 pi turns and Jacobi's Z(u) at u = 4 K turns."""
+        level = len(self.a) - 1
+        phase = 2 * np.pi * 2.0**level * (turns - np.round(turns))
+        amplitude, zeta = np.zeros_like(phase), np.zeros_like(phase)
+        for n in range(level, 0, -1):
+            sine = np.sin(phase)
+            correction = np.arcsin(self.c[n] / self.a[n] * sine)
+            amplitude, zeta = amplitude + correction / 2.0**n, zeta + self.c[n] * sine
+            phase = 0.5 * (phase + correction)
+        return amplitude, zeta
+
+    def squares(self, weight: float) -> Array:
+        """Sum over n > 0 of (weight - 2^(n-1)) c_n^2."""
+        return sum(((weight - 2.0**n) * c**2 for n, c in enumerate(self.c[1:])), np.zeros(1))
+
+
+class PlaneMotions(NamedTuple):
+    """Motions of bodies in the plane, in units of the largest moment and of a rate; arrays (points,)."""
+
+    unit: Array  # of rates
+    low: Array  # moment about the axis that is along alpha at x = 0, A
+    high: Array  # B
+    axial: Array  # C
+    rotor: Array
+    gradient: Array
+    field: Array  # h
+    frame: Array  # angular velocity along e3 of a body at rest in the frame
+    symmetric: Mask  # about an axis in the plane: the momentum about it is constant, and one rho is 2
+    rotates: Mask
+    frequency: Array  # f, of a rotation with the sign of x'
+    modulus: Array  # k^2
+    complement: Array  # 1 - k^2, 0 on the separatrix, and its relative rounding error
+    rounding: Array
+    sine: Array  # sin x, cos x and x' at the start
+    cosine: Array
+    start_rate: Array
+
+    @classmethod
+    def of(cls, body: Body, w: Array, alpha: Array, gamma: Array) -> PlaneMotions:
+        """From the start, (points, 3)."""
+        unit = np.abs(body.turn) + length(w)
+        body = body.scaled(unit)
+        frame = body.turn * gamma[:, 2]
+        A, B, C = body.inertia.T
+        rate, (first, second, _) = w[:, 2] / unit - frame, alpha.T
+        sine, cosine = np.where(A < B, (-second, first), (first, second))
+        stiffness = body.alpha.gradient * np.abs(B - A) / C
+        kinetic, up, down = rate**2, stiffness * cosine**2, stiffness * sine**2
+        rotates = kinetic > up
+        square = np.where(rotates, kinetic + down, stiffness)
+        return cls(
+            unit, np.minimum(A, B), np.maximum(A, B), C, body.rotor[:, 2], body.alpha.gradient,
+            body.gamma.field[:, 2] * gamma[:, 2], frame, body.symmetric_about(0) | body.symmetric_about(1), rotates,
+            np.where(rotates, np.sign(rate), 1.0) * np.sqrt(square),
+            np.where(rotates, stiffness, kinetic + down) / square, np.abs(up - kinetic) / square,
+            np.finfo(float).eps * (up + kinetic) / np.abs(up - kinetic), sine, cosine, rate,
+        )  # fmt: skip
+
+    def subset(self, where: NDArray[np.int64]) -> PlaneMotions:
+        """Some of the motions."""
+        return PlaneMotions._make(values[where] for values in self)
+
+    @property
+    def mean(self) -> Mean:
+        """The elliptic functions."""
+        return Mean.of(self.modulus, self.complement)
+
+    def period(self) -> Array:
+        """Of a libration, or of a whole turn, in time units: 4 K/f, K the complete integral of the first kind."""
+        return 2 * np.pi / (self.mean.a[-1] * np.abs(self.frequency) * self.unit)
+
+    def start_turns(self) -> Array:
+        """Time since x = 0, or x = pi of a libration about it, at the start, in periods."""
+        from scipy.special import elliprf  # here, because every command imports the systems
+
+        k, sign = np.sqrt(self.modulus), np.sign(np.where(self.rotates, self.frequency, self.cosine))
+        sn = sign * self.sine / np.where(self.rotates, 1.0, k)
+        cn = np.where(self.rotates, self.cosine, self.start_rate / (k * self.frequency))
+        turns = (
+            sn * elliprf(cn**2, self.complement + self.modulus * cn**2, 1.0) * self.mean.a[-1] / (2 * np.pi)
+        )
+        return np.where(cn < 0, np.copysign(0.5, sn) - turns, turns)
+
+    def at(self, turns: Array) -> tuple[Array, Array, Array]:
+        """x less its mean rotation, x' / f and Z, at these times since x = 0 in periods."""
+        (sn, cn, dn), (amplitude, zeta) = self.mean.functions(turns), self.mean.periodic(turns)
+        k = np.sqrt(self.modulus)
+        angle = np.where(self.rotates, amplitude, np.arctan2(k * sn, dn))
+        return angle, np.where(self.rotates, dn, k * cn), zeta
+
+    def pitch(self, time: Array) -> tuple[Array, Array]:
+        """x, not reduced to a turn, and x' at times (..., points) or (..., 1), in time units and rad."""
+        turns = self.start_turns() + time / self.period()
+        angle, rate, _ = self.at(turns)
+        turned = np.sign(self.frequency) * (2 * np.pi * turns + angle)
+        swung = angle + np.where(self.cosine < 0, np.pi, 0.0)
+        return np.where(self.rotates, turned, swung), self.frequency * self.unit * rate
+
+    def rate_std(self, duration: Array) -> Array:
+        """Standard deviation of x' over runs, in time units; infinite ones are of whole periods."""
+        f, mean, span = np.abs(self.frequency), self.mean, duration * self.unit
+        start, turns = self.start_turns(), np.where(np.isfinite(duration), duration / self.period(), 0.0)
+        angles, _, zeta = self.at(np.array([start, start + turns]))
+        # over whole periods, and what the ends add to the means of x' and of its square
+        square = np.where(self.rotates, mean.squares(1.5), 0.5 * self.modulus + mean.squares(0.0)) * f**2
+        slope, ends = (angles[1] - angles[0]) / span, f * (zeta[1] - zeta[0]) / span
+        variance = square + ends - np.where(self.rotates, 2 * mean.a[-1] * f * slope, 0.0) - slope**2
+        return np.sqrt(np.maximum(variance, 0.0)) * self.unit
+
+    def stability(self) -> tuple[Flags, Array]:
+        """Stability out of the plane and growth rate.
+
+        Both rho = multiplier + 1/multiplier, of rho^2 - t rho + u - 2 = 0, are real and between -2 and 2 if and only if
+        t^2/4 - u + 2, u + 2 -+ 2 t and 16 - t^2 are positive.
+        """
+        stable, exponent = self._decided(_STEP)
+        near = np.flatnonzero((stable == Stability.UNKNOWN) & (exponent == 0))
+        stable[near], exponent[near] = self.subset(near)._decided(_SHORT_STEP)
+        return stable, exponent / (self.period() * np.where(self.rotates, 0.5, 1.0))
+
+    def _decided(self, step: float) -> tuple[Flags, Array]:
+        """Stability, and the growth over the period or half a turn as a logarithm: 0 where errors decide, nan where unknown."""
+        t, u, log_scale, *changes = self.multiplier_sums(step)
+        one = np.exp(-log_scale)  # 1 in the unit of t and rho; its square in that of u
+        discriminant, u = t**2 / 4 - u + 2 * one**2, u + 2 * one**2
+        positive = np.array([discriminant, u - 2 * t * one, u + 2 * t * one, 16 * one**2 - t**2])
+        positive = np.where(self.symmetric, np.array([4 * one - t, t, t, t]) * one, positive)
+        size = np.maximum(one, np.abs(t))
+        error = _TOLERANCE * size**2 + _CHANGE * (4 * size * changes[0] + changes[1])
+        root = np.sqrt(discriminant + 0j)
+        rho = np.where(self.symmetric, (2 * one, t - 2 * one), (t / 2 + root, t / 2 - root))
+        exponent = np.abs(log_scale + np.log(np.abs(rho + np.sqrt(rho**2 - 4 * one**2)) / 2)).max(0)
+        unstable = (positive < -error).any(0)
+        flags = np.select([unstable, (positive > error).all(0)], [Stability.UNSTABLE, Stability.STABLE])
+        return flags.astype(np.int8), np.where(unstable | np.isnan(t), exponent, 0.0)
+
+    def multipliers(self) -> tuple[Array, Array]:
+        """t and s of rho^2 - t rho + s - 2 = 0 over the period."""
+        t, u, log_scale, *_ = self.multiplier_sums(_SHORT_STEP)
+        t, u = t * np.exp(log_scale), u * np.exp(2 * log_scale)
+        product = (u - 2) ** 2 - 2 * t**2 + 4 * u - 4  # of rho^2 - 2, over the two halves of a turn
+        return np.where(self.rotates, t**2 - 2 * u, t), np.where(self.rotates, product + 2, u)
+
+    def multiplier_sums(self, step: float) -> Array:
+        """Trace t and second coefficient u of the matrix over a libration or half a turn as t / exp(s), u / exp(2 s) and s, and
+        the changes of the first two from twice the step, from which they are extrapolated; nan where they are not known.
+        """
+        A, B, C, g, f = self.low, self.high, self.axial, self.gradient, np.abs(self.frequency)
+        fastest = np.abs(self.frame) + f * np.where(self.rotates, 1.0, np.sqrt(self.modulus))
+        stiffness = np.maximum(np.abs(B - C), np.abs(A - C)) * (fastest**2 + g) + np.abs(self.field)
+        stiffness = np.sqrt((stiffness + np.abs(self.rotor) * fastest) / A)
+        norm = stiffness + 0.5 * (np.abs(self.rotor) + np.abs(C - A - B) * fastest) / A
+        pairs = np.maximum(0.125 * self.period() * self.unit * norm / step, _MIN_PAIRS)
+        pairs = np.ceil(2.0 ** (np.ceil(4 * np.log2(pairs)) / 4))
+        pairs[~(self.rounding < _MAX_ROUNDING)] = np.nan
+        result = np.full((5, f.size), np.nan)
+        for count, rotates in product(np.unique(pairs[pairs <= _MAX_PAIRS]).astype(int), (False, True)):
+            members = np.flatnonzero((pairs == count) & (self.rotates == rotates))
+            parts = [np.zeros((n * count * (1 if rotates else 2), 3, 4, 4, LANES)) for n in (1, 2)]
+            for first in range(0, members.size, LANES):
+                some = members[first : first + LANES]
+                lanes = self.subset(np.resize(some, LANES))
+                mean = lanes.mean
+                coarse, fine = (lanes._sums(n * count, rotates, mean, parts[n - 1]) for n in (1, 2))
+                coarse[:2] *= np.exp((coarse[2] - fine[2]) * np.array([[1.0], [2.0]]))
+                change = fine[:2] - coarse[:2]
+                fine[:2] += change / 63  # Richardson's, of order 8
+                result[:, some] = np.concatenate([fine, np.abs(change)])[:, : some.size]
+        return result
+
+    def _sums(self, count: int, rotates: bool, mean: Mean, parts: Array) -> Array:
+        """The same by so many steps of a quarter of the period, of LANES points; parts: space for `of_steps`, 0 elsewhere."""
+        A, B, C, g, f = self.low, self.high, self.axial, self.gradient, self.frequency
+        nodes = np.arange(count) + 0.5 + GAUSS * np.array([-1, 0, 1])[:, None]
+        sn, cn, dn = mean.functions(nodes[..., None] / (4 * count))
+        if rotates:
+            a1, a2, w3 = cn, -np.sign(f) * sn, self.frame + f * dn
+        else:  # the second quarter is the first one backwards, with -cn
+            k = np.sqrt(self.modulus)
+            a1, a2, rate = dn, -k * sn, f * k * cn
+            w3 = np.concatenate([self.frame + rate, self.frame - rate[::-1, ::-1]], 1)
+            a1, a2 = (np.concatenate([x, x[::-1, ::-1]], 1) for x in (a1, a2))
+        step = 0.5 * np.pi / (mean.a[-1] * np.abs(f) * count)
+        half = 0.5 * (self.rotor + (C - A - B) * w3)
+        square, both, common = w3 * w3, half * half, self.field - self.rotor * w3
+        parts[:, 0, 0, 2], parts[:, 0, 1, 3] = step / A, step / B
+        for value, places in (
+            (half, ((0, 1, -step / A), (1, 0, step / B), (2, 3, -step / B), (3, 2, step / A))),
+            ((B - C) * (square + g * a2 * a2) + common - both / B, ((2, 0, step),)),
+            ((A - C) * (square + g * a1 * a1) + common - both / A, ((3, 1, step),)),
+            (a1 * a2 * (0.5 * g * (2 * C - A - B - (B - A) ** 2 / C)), ((2, 1, step), (3, 0, step))),
+        ):
+            for row, part in enumerate(between_nodes(*value)):
+                for i, j, factor in places:
+                    np.multiply(part, factor, out=parts[:, row, i, j])
+        H, log_scale = of_steps(parts)
+        matrix = (np.swapaxes(H, 1, 2)[:, [[2], [3], [0], [1]], [2, 3, 0, 1]] * _SIGNS) @ H
+        trace = np.trace(matrix, axis1=1, axis2=2)
+        return np.array([trace, 0.5 * (trace**2 - np.einsum("nij,nji->n", matrix, matrix)), 2 * log_scale])

@@ -1,0 +1,86 @@
+"""Librations and rotations in the plane of the orbit, of an asymmetric body whose third axis stays on the normal.
+
+They are no steady motions: the rate about the normal varies. The theory is that of `gyrostat.plane`, of which x is the pitch
+chi = phi + psi cos theta0, counted from the axis of the smaller moment of A and B.
+"""
+
+from __future__ import annotations
+
+from functools import partial
+
+import numpy as np
+
+from ..base import Array, Condition, Family, Flags, Points, numbered
+from ..gyrostat import plane
+from ..gyrostat.motions import Equation, each
+from ..vectors import ratio
+from . import any_axis, families
+from . import conditions as the
+from .initial import body, directions, initial_state
+
+
+def _motions(points: Points) -> plane.PlaneMotions:
+    state = np.moveaxis(initial_state(points), 0, -1)
+    return plane.PlaneMotions.of(body(points), state[:, :3], state[:, 3:6], state[:, 6:])
+
+
+def stability(points: Points) -> tuple[Flags, Array]:
+    """Out of the plane, by Floquet multipliers; unknown where the period is too long, near the separatrix. In the plane
+    neighbouring motions have other periods, and their distance grows like t.
+    """
+    return _motions(points).stability()
+
+
+def _excess(p: Points) -> Array:
+    """Kinetic energy less what lifts the body over the barrier, over the sum of both; any shape."""
+    alpha, rate = directions(p)[0], p["n"] * the.tilt(p)[1] + p["m"]
+    barrier = 3 * p["Omega"] ** 2 * np.abs(p["B"] - p["A"]) * np.where(p["A"] < p["B"], *alpha[:2] ** 2)
+    kinetic = p["C"] * rate**2
+    return ratio(kinetic - barrier, kinetic + barrier)
+
+
+def _bottom(p: Points) -> Array:
+    """The psi0 nearest to the given one at which x is a multiple of pi."""
+    bottom = np.sign(the.tilt(p)[1]) * (np.where(p["A"] < p["B"], 0.0, np.pi / 2) - p["phi0"])
+    return bottom + np.pi * np.round((p["psi0"] - bottom) / np.pi)
+
+
+_family = partial(
+    Family,
+    stability=stability,
+    rate_std=lambda points, duration: _motions(points).rate_std(duration),
+    labels="drifting; permanent rotation in both frames where the rate varies by no more than rate_tolerance",
+    free=("C", "k3", "h3"),
+)
+_CONDITIONS = (
+    the.STEADY_TILT, the.UPRIGHT, the.AXIAL_ROTOR, the.AXIAL_MAGNET, the.NO_RADIAL_TORQUE,
+    Equation("damping = 0", lambda p: p["damping"], the.momentum_scale),
+    Condition("Omega > 0", lambda p: np.where(p["Omega"] > 0, 0.0, 1.0)),
+    Condition("A != B", lambda p: np.where(p["A"] == p["B"], 1.0, 0.0)),
+)  # fmt: skip
+_ENERGY = "C (n cos theta0 + m)^2 {} 3 Omega^2 |B - A| cos^2 chi"
+_LIBRATES = Condition(_ENERGY.format("<"), lambda p: np.where(_excess(p) < 0, 0.0, 1 + _excess(p)))
+_ROTATES = Condition(_ENERGY.format(">"), lambda p: np.where(_excess(p) > 0, 0.0, 1 - _excess(p)))
+_SOLVE = {**each(families.nearest_pole, "theta0"), "psi0": _bottom}
+_BOTTOM = "psi0 is solved for the bottom, where n and m are the largest rate"
+FAMILIES = numbered(
+    (
+        _family(
+            name="plane_libration",
+            title="libration in the plane of the orbit, third axis on the normal, asymmetric body with axial rotor",
+            equations="references [4], [6], [7]; with rotor and magnet derived from (1)-(3)",
+            conditions=(*_CONDITIONS, _LIBRATES),
+            solve={**_SOLVE, "m": lambda p: -p["n"] * the.tilt(p)[1]},
+            exists=f"{_BOTTOM}; m for rest, where the pitch is the amplitude",
+        ),
+        _family(
+            name="plane_rotation",
+            title="rotation in the plane of the orbit at a varying rate, third axis on the normal, asymmetric body with axial rotor",
+            equations="references [6], [7]; with rotor and magnet derived from (1)-(3)",
+            conditions=(*_CONDITIONS, _ROTATES),
+            solve=_SOLVE,
+            exists=_BOTTOM,
+        ),
+    ),
+    after=families.FAMILIES | any_axis.FAMILIES,
+)

@@ -1,0 +1,291 @@
+"""Librations and rotations in the plane of the orbit: pitch, variation of its rate, and stability out of the plane."""
+
+import json
+
+import mpmath
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+from scipy.optimize import brentq
+from strategies import default_points, select
+from truth import REFERENCE, monodromy_matrix
+
+import atlas
+from atlas.analysis.compare import report
+from atlas.engine import tangent
+from atlas.engine.ensemble import Ensemble
+from atlas.engine.specialization import tangent_kernel
+from atlas.errors import BadInput
+from atlas.flags import Label, Regularity, Stability
+from atlas.measure import chaos
+from atlas.systems.base import derived_values, rate_std, unsteady
+from atlas.systems.gyrostat.plane import PlaneMotions
+from atlas.systems.satellite import SATELLITE
+from atlas.systems.satellite.equations import rhs
+from atlas.systems.satellite.initial import constants, initial_state
+
+ORACLE = json.loads((REFERENCE / "plane_motions.json").read_text())
+LIBRATION, ROTATION = (SATELLITE.families[f"plane_{kind}"] for kind in ("libration", "rotation"))
+
+
+def motions_of(points):
+    return PlaneMotions.of(SATELLITE.body(points), *SATELLITE.start(points))
+
+
+def points_of(**given):
+    """Points with these parameters, in arrays of one length."""
+    return default_points("satellite", np.broadcast(*map(np.asarray, given.values())).size, **given)
+
+
+def random_points(count, seed=0):
+    """Bodies with rotor and magnet, upright and upside down, about both stable axes, librating and rotating."""
+    rng = np.random.default_rng(seed)
+    parts = rng.uniform(0.4, 1.0, (3, count))
+    points = dict(zip("ABC", parts.sum(0) - parts, strict=True))
+    points |= {name: rng.normal(size=count) for name in ("k3", "h3", "n", "m")}
+    points |= {name: rng.uniform(-4, 4, count) for name in ("psi0", "phi0")}
+    points |= {"mu3": rng.uniform(0, 1, count), "Omega": rng.uniform(0.5, 1.5, count)}
+    return points_of(**points, theta0=np.where(np.arange(count) % 3, 0.0, np.pi))
+
+
+def out_of_plane(matrix):
+    """Trace and second coefficient of a block in w1, w2, a3, g1, g2, without the multiplier 1 of alpha.gamma."""
+    t = np.trace(matrix) - 1
+    return t, 0.5 * ((t + 1) ** 2 - np.trace(matrix @ matrix)) - t
+
+
+def test_verified_motions():
+    columns = {name: np.array([case[name] for case in ORACLE["cases"]]) for name in ORACLE["cases"][0]}
+    points = points_of(
+        **{name: columns[name] for name in ("A", "B", "C", "k3")},
+        h3=columns["h3mu3"], mu3=1.0, psi0=columns["chi0"], m=columns["m0"],
+    )  # fmt: skip
+    names = ("plane_period", "plane_trace", "plane_second")
+    derived = derived_values(SATELLITE, names, points, np.ones(columns["A"].size), lambda: None)
+    for name in names:
+        expected = columns[name.removeprefix("plane_")]
+        np.testing.assert_allclose(derived[name], expected, rtol=0, atol=1e-9)
+    flags, _ = SATELLITE.identify_family(points)
+    kinds = np.where(columns["kind"] == "libration", LIBRATION.flag, ROTATION.flag)
+    np.testing.assert_array_equal(flags, kinds)
+    stable, growth = SATELLITE.linear_stability(points, flags)
+    verdict = np.where(columns["stable"] == "stable", Stability.STABLE, Stability.UNSTABLE)
+    np.testing.assert_array_equal(stable, verdict)
+    np.testing.assert_allclose(growth, columns["growth_rate"], rtol=0, atol=1e-6)
+
+
+def test_verified_borders_of_tongues():
+    for entry in ORACLE["borders"]:
+        body = {name: entry[name] for name in ("A", "B", "C", "k3")}
+        for amplitude, rho in entry["borders"]:
+
+            def excess(x, body=body, rho=rho):
+                return motions_of(points_of(**body, psi0=[x])).multipliers()[0][0] - 2 - rho
+
+            assert brentq(excess, amplitude - 1e-6, amplitude + 1e-6, xtol=1e-11) == pytest.approx(
+                amplitude, abs=1e-8
+            )
+            stable, _ = motions_of(points_of(**body, psi0=amplitude + np.array([-1e-8, 1e-8]))).stability()
+            assert sorted(stable) == [Stability.STABLE, Stability.UNSTABLE]
+
+
+def test_multipliers_are_those_of_the_equations_of_motion():
+    points = random_points(5, seed=4)
+    motions = motions_of(points)
+    assert motions.rotates.any()
+    assert not motions.rotates.all()
+    period, (t, s), (stable, growth) = motions.period(), motions.multipliers(), motions.stability()
+    for i in range(5):
+        point = select(points, i)
+        matrix = monodromy_matrix(rhs, initial_state(point)[:, 0], constants(point)[:, 0], period[i])
+        expected = out_of_plane(matrix[np.ix_([0, 1, 5, 6, 7], [0, 1, 5, 6, 7])])
+        np.testing.assert_allclose([t[i], s[i]], expected, rtol=1e-7, atol=1e-7)
+        rho = np.roots([1, -expected[0], expected[1] - 2])
+        exponent = np.abs(np.arccosh(rho / 2 + 0j).real).max()
+        assert growth[i] == pytest.approx(exponent / period[i], abs=1e-5)
+        assert stable[i] == (Stability.UNSTABLE if exponent > 1e-4 else Stability.STABLE)
+    assert set(stable) == {Stability.STABLE, Stability.UNSTABLE}
+
+
+def test_multipliers_are_those_of_the_compiled_tangent_vectors():
+    """Six tangent vectors over the period, and the block of those out of the plane."""
+    points = random_points(4, seed=1)
+    motions = motions_of(points)
+    period, size = motions.period(), 4
+    many = {name: np.repeat(values, 6) for name, values in points.items()}
+    ensemble, duration = Ensemble.of(SATELLITE, many), np.repeat(period, 6)
+    steps = chaos.TangentSteps.of(ensemble.frequency_bound, duration, 0.01, 10**6)
+    separation = chaos.Separation(
+        SATELLITE, tangent_kernel(SATELLITE), ensemble, steps, SATELLITE.rate_unit(many)
+    )
+    separation.vectors[:] = np.tile(np.eye(6), size) / separation.weights
+    separation.integrate(threads=1)
+    columns = separation.vectors * separation.weights * np.exp(separation.sums[tangent.LOG_GROWTH])
+    t, s = motions.multipliers()
+    for i in range(size):
+        matrix = columns[:, 6 * i : 6 * i + 6][np.ix_([0, 1, 3, 4], [0, 1, 3, 4])]
+        second = 0.5 * (np.trace(matrix) ** 2 - np.trace(matrix @ matrix))
+        np.testing.assert_allclose([t[i], s[i]], [np.trace(matrix), second], rtol=1e-8, atol=1e-8)
+
+
+def test_tongues_of_symmetric_bodies_begin_where_frequencies_are_in_resonance():
+    """At amplitude 0 the axis oscillates out of the plane at sqrt(4 - 3a), in it at sqrt(3 - 3a), a = A/B."""
+    a = np.array([0.3, 0.7, 11 / 15, 0.8, 8 / 9, 0.95])
+    motions = motions_of(points_of(A=a, B=1.0, C=1.0, psi0=1e-5))
+    rho = 2 * np.cos(2 * np.pi * np.sqrt((4 - 3 * a) / (3 - 3 * a)))
+    np.testing.assert_allclose(motions.multipliers()[0] - 2, rho, rtol=0, atol=1e-8)
+    np.testing.assert_allclose(rho[[2, 4]], [-2, 2], rtol=0, atol=1e-12)
+    stable, growth = motions_of(points_of(A=a[[0, 1, 3, 5]], B=1.0, C=1.0, psi0=1e-5)).stability()
+    assert (stable == Stability.STABLE).all()
+    assert not growth.any()
+
+
+@pytest.mark.parametrize(("psi0", "m"), [(0.4, 0.0), (1.5707, 0.0), (0.3, 0.2), (0.0, 2.0), (0.4, -0.9)])
+def test_pitch_is_an_elliptic_function(psi0, m):
+    A, B, C, f = 1.0, 1.3, 1.2, np.sqrt(0.9 / 1.2)
+    motions = motions_of(points_of(A=A, B=B, C=C, psi0=[psi0], m=m))
+    square = mpmath.mpf(np.sin(psi0)) ** 2 + (m / mpmath.mpf(f)) ** 2
+    period = (
+        4 * mpmath.ellipk(square) / f
+        if square < 1
+        else 4 * mpmath.ellipk(1 / square) / f / mpmath.sqrt(square)
+    )
+    assert motions.period()[0] == pytest.approx(float(period), rel=1e-9)
+    time = np.linspace(0, 25, 7)
+    run = solve_ivp(
+        lambda _, y: [y[1], -(f**2) * np.sin(y[0]) * np.cos(y[0])],
+        (0, 25), [psi0, m], "DOP853", t_eval=time, rtol=1e-13, atol=1e-13,
+    )  # fmt: skip
+    pitch, rate = motions.pitch(time[:, None])
+    np.testing.assert_allclose(np.array([pitch[:, 0], rate[:, 0]]), run.y, rtol=0, atol=1e-8)
+
+
+def test_deviation_of_the_rate_is_that_of_the_exact_pitch():
+    points = random_points(12, seed=2)
+    motions, duration = motions_of(points), np.random.default_rng(3).uniform(0.1, 30, 12)
+    nodes, weights = np.polynomial.legendre.leggauss(600)
+    rates = motions.pitch(0.5 * duration * (nodes[:, None] + 1))[1]
+    means = [0.5 * weights @ rates**power for power in (1, 2)]
+    expected = np.sqrt(means[1] - means[0] ** 2)
+    np.testing.assert_allclose(motions.rate_std(duration), expected, rtol=0, atol=1e-7)
+
+
+def test_deviation_of_small_librations_and_fast_rotations():
+    """f a / sqrt(2) and f^2 / (sqrt(32) m), f^2 = 3 (B - A)/C, with all their digits."""
+    sizes = 10.0 ** np.arange(-3, -9, -1)
+    zero, whole = np.zeros(6), np.full(6, np.inf)
+    small = motions_of(points_of(A=1.0, B=1.3, C=1.2, psi0=sizes)).rate_std(whole)
+    np.testing.assert_allclose(small, np.sqrt(0.75 / 2) * sizes, rtol=1e-6)
+    fast = motions_of(points_of(A=1.0, B=1.3, C=1.2, psi0=zero, m=1 / sizes)).rate_std(whole)
+    np.testing.assert_allclose(fast, 0.75 / np.sqrt(32) * sizes, rtol=1e-6)
+
+
+@pytest.mark.usefixtures("whole_kernels")
+def test_predicted_labels_are_the_measured_ones():
+    """Librations and rotations of which the rate varies by a little more or less than the tolerance."""
+    factor = np.array([0.9, 0.99, 1.01, 1.1])
+    points = points_of(
+        A=1.0, B=1.3, C=1.2, psi0=np.r_[factor * 1e-3 / np.sqrt(0.375), np.zeros(4), 1.2, 0.0],
+        m=np.r_[np.zeros(4), 0.75e3 / np.sqrt(32) / factor, 0.0, 1.5],
+    )  # fmt: skip
+    period = motions_of(points).period()
+    ds = atlas.label_points("satellite", points, duration=20 * period, tolerance=1e-9, rate_tolerance=1e-3)
+    np.testing.assert_allclose(
+        ds.normal_rate_std, rate_std(SATELLITE, points, ds.family.values, 20 * period), atol=1e-8
+    )
+    steady, drifting = Label.PERMANENT_ROTATION, Label.DRIFTING
+    expected = [steady, steady, drifting, drifting, steady, steady, drifting, drifting, drifting, drifting]
+    np.testing.assert_array_equal(ds.predicted, expected)
+    for measured, predicted in (("label", "predicted"), ("label_inertial", "predicted_inertial")):
+        np.testing.assert_array_equal(ds[measured], ds[predicted])
+
+
+def test_where_the_period_is_too_long_nothing_is_said():
+    """Within rounding of the separatrix, and of bodies on which gravity has next to no torque; beside both the multipliers decide."""
+    f = np.sqrt(0.9 / 1.2)
+    rate = f * np.array([1 - 1e-15, 1 + 1e-15, 1 - 1e-6, 1 + 1e-6])
+    stable, growth = motions_of(points_of(A=1.0, B=1.3, C=1.2, m=rate)).stability()
+    assert (stable[:2] == Stability.UNKNOWN).all()
+    assert np.isnan(growth[:2]).all()
+    assert (stable[2:] != Stability.UNKNOWN).all()
+    slow = points_of(A=1.0, B=1.0 + np.array([1e-4, 1e-8]), C=1.2, psi0=1.0)
+    stable, _ = motions_of(slow).stability()
+    np.testing.assert_array_equal(stable == Stability.UNKNOWN, [False, True])
+
+
+def test_conditions_and_solvers():
+    on = dict(A=[1.3], B=1.0, C=1.2, k3=0.3, mu3=0.5, h3=0.2, psi0=1.2, phi0=0.4, theta0=np.pi, n=0.3, m=0.2)
+    assert SATELLITE.identify_family(points_of(**on))[0] == LIBRATION.flag
+    assert SATELLITE.identify_family(points_of(**on | {"m": 3.0}))[0] == ROTATION.flag
+    for change in (
+        {"B": 1.3},
+        {"k1": 0.1},
+        {"mu1": 0.1},
+        {"h1": 0.1},
+        {"damping": 0.1},
+        {"Omega": 0.0},
+        {"theta0": 0.1},
+    ):
+        assert not unsteady(SATELLITE, SATELLITE.identify_family(points_of(**on | change))[0]).any()
+    solved = points_of(**on)
+    solved["psi0"] = LIBRATION.solve["psi0"](solved)
+    motions = motions_of(solved)
+    assert motions.sine == pytest.approx(0, abs=1e-15)
+    assert abs(solved["psi0"] - 1.2) < np.pi / 2
+    solved = points_of(**on)
+    solved["m"] = LIBRATION.solve["m"](solved)
+    assert motions_of(solved).start_rate == pytest.approx(0, abs=1e-15)
+    solved["theta0"] = LIBRATION.solve["theta0"](solved | {"theta0": np.array([3.0])})
+    assert solved["theta0"] == np.pi
+
+
+SCENE = """
+schema = 1
+system = "satellite"
+[fixed]
+A = 1.0
+B = 1.3
+C = 1.6
+[axes.k3]
+values = [-0.5, 0.4, 1.5]
+[axes.psi0]
+from = 0.2
+to = 1.4
+count = 4
+[family]
+name = "plane_libration"
+solve = ["m"]
+[integration]
+duration = "100 orbits"
+method = "rk8"
+tolerance = 1e-4
+[labels]
+rate_tolerance = 1e-3
+[outputs]
+variables = ["label", "predicted", "regularity", "lyapunov", "family", "stable", "growth_rate", "end_time", "plane_period"]
+"""
+
+
+@pytest.mark.usefixtures("whole_kernels")
+def test_a_scene_compares_stability_with_regularity(tmp_path):
+    ds = atlas.run(atlas.load_scene(SCENE), progress=False)
+    assert (ds.predicted == Label.DRIFTING).all()
+    assert (ds.family == LIBRATION.flag).all()
+    np.testing.assert_allclose(ds.plane_period.values.std(0), 0, atol=1e-12)  # whatever the rotor is
+    unstable = ds.stable == Stability.UNSTABLE
+    assert not (unstable & (ds.regularity == Regularity.REGULAR) & (ds.growth_rate * ds.end_time > 12)).any()
+    assert not (~unstable & (ds.regularity == Regularity.CHAOTIC)).any()
+    seen = (unstable & (ds.regularity == Regularity.CHAOTIC)).values
+    assert seen.sum() > 3
+    np.testing.assert_allclose(ds.lyapunov.values[seen] / ds.growth_rate.values[seen], 1, atol=0.1)
+    text = report(ds)
+    assert "motions in the plane, stability out of it" in text
+    assert f"{seen.sum():14d}" in text
+    assert "linearly stable points that drift: 0" in text
+    assert "lyapunov / growth_rate of unstable chaotic ones: " in text
+    assert "motions in the plane" not in report(ds.drop_vars("lyapunov"))
+
+
+def test_a_scene_of_a_symmetric_body_has_no_motion_of_the_family():
+    with pytest.raises(BadInput, match="it needs A != B, which fails"):
+        atlas.run(atlas.load_scene(SCENE.replace("B = 1.3", "B = 1.0")), progress=False)

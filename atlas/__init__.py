@@ -12,7 +12,8 @@ if _interruption.is_command():
 from . import sources as _sources  # noqa: F401  (before all that it hashes is loaded)
 
 # isort: split
-from . import accessor as _accessor  # noqa: F401  (registers ds.atlas with xarray)
+if not _interruption.is_command():  # commands that need no dataset start in half of the time without xarray
+    from . import accessor as _accessor  # noqa: F401  (registers ds.atlas with xarray)
 from ._version import __version__
 
 if TYPE_CHECKING:
@@ -43,6 +44,7 @@ def __getattr__(name: str) -> Any:
     if name in _MODULES:
         from importlib import import_module
 
+        import_module(".accessor", __name__)  # for equations of one's own that a command loads
         value = getattr(import_module(f".{_MODULES[name]}", __name__), name)
         globals()[name] = value
         return value

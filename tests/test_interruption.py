@@ -113,15 +113,15 @@ def test_outside_the_main_thread_nothing_changes():
 
 @pytest.mark.parametrize("number", EXIT_CODES)
 def test_during_imports_the_command_ends_without_a_traceback(number):
-    """A finder of modules sends the signal when xarray is about to be imported."""
+    """A finder of modules sends the signal when NumPy is about to be imported."""
     code = (
         "import os, signal, sys\n"
         "class Finder:\n"
         "    def find_spec(self, name, path=None, target=None):\n"
-        f"        if name == 'xarray': os.kill(os.getpid(), {int(number)})\n"
+        f"        if name == 'numpy': os.kill(os.getpid(), {int(number)})\n"
         "sys.meta_path.insert(0, Finder())\n"
         "sys.argv = ['atlas', '--version']\n"
-        "import atlas\n"
+        "import atlas.cli\n"
         "print('imported')\n"
     )
     result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)

@@ -21,6 +21,7 @@ SMALL = ROOT / "tests" / "small.toml"
 SCRIPTS = {
     "bench_any_axis": ("--points 2 --rounds 1 --systems fixed_point --methods rk8", r"the same to the bit"),
     "bench_catalogue": ("--points 30", r"together .*(?s:.*)multipliers"),
+    "bench_drawing": ("FOLDER/small.nc --rounds 1", r"small \| \d.* \| \d"),
     "bench_engine": (f"--points 8 --steps 64 --repeat 1 --scene {SMALL}", r"small.toml: .* for labels only"),
     "bench_estimate": ("--points 2 --systems fixed_point", r"fixed_point: symmetric bodies \| \d"),
     "bench_label_checks": ("--points 20", r"labels of the fixed point differ at 0"),
@@ -94,7 +95,13 @@ def less_work(script_folders, monkeypatch, tmp_path):
         multiplied = njit("f8[::1](f8[::1], f8[::1])", fastmath=True)(lambda a, b: a * b + a)
         return next(iter(multiplied.inspect_asm().values()))
 
+    def processor_time(python, atlas, name, out):
+        if not Path(atlas).exists():
+            command(tmp_path, "run", str(SMALL), "-o", atlas)
+        return command(tmp_path, name, atlas, "-o", str(out), "--force")[0]
+
     monkeypatch.setattr("bench_scaling.command", command)
+    monkeypatch.setattr("bench_drawing.processor_time", processor_time)
     monkeypatch.setattr("bench_engine.Case.assembly", assembly)
     monkeypatch.setattr("bench_engine.PEAK_ROUNDS", 100)
     monkeypatch.setattr("bench_engine.CASES", import_module("bench_engine").CASES[::5])

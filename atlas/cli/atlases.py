@@ -182,6 +182,7 @@ def _motion(name: str, coordinates: dict[str, float], samples: int) -> Dataset:
 )
 def print_comparison(options: argparse.Namespace) -> int:
     """Print an atlas beside theory, or beside another atlas."""
+    from .. import accessor  # noqa: F401  (registers ds.atlas with xarray)
     from ..io import netcdf
     from ..runs.backend import open_atlas
 

@@ -27,10 +27,10 @@ from ..measure.chaos import RELATIVE_COST, Chaos, TangentSteps
 from ..scene import grid
 from ..scene.model import MAX_STEPS, Scene, Settings
 from ..systems.base import Array
-from . import tiles
 
 if TYPE_CHECKING:
     from ..label.plan import Plan
+    from .tiles import Tiling
 
 
 # Shortest run that shows most chaos: revolutions of the frame, or, where the frame does not turn, periods of the bound
@@ -101,8 +101,12 @@ class ScenePlan:
         return self.mean_steps + float(tangent[self.sample.exists].mean())
 
     @cached_property
-    def tiling(self) -> tiles.Tiling:
+    def tiling(self) -> Tiling:
         """The tiles, of similar work. They depend on the scene alone, never on timing or the number of processors."""
+        from . import (
+            tiles,  # here, because it imports xarray, without which a scene is checked in half of the time
+        )
+
         least = max(tiles.MIN_POINTS_PER_TILE, 3 * self.scene.size / tiles.MAX_TILES)
         points = max(tiles.TILE_POINT_STEPS / self.mean_work, least)
         # A power of two, because the last bits of the mean may differ between machines.

@@ -107,6 +107,15 @@ def points_at_indices(scene: Scene, indices: np.ndarray) -> Grid:
 
     Raises BadInput for ties out of range, and for starts or fields given incompletely or twice.
     """
+    base, reason, duration = _before_nudge(scene, indices)
+    with np.errstate(all="ignore"):
+        start = scene.system.as_euler_angles(base) if scene.nudges_angles else base
+    points = {name: start[name] + scene.nudge.get(name, 0.0) for name in base}
+    return Grid(base, points, reason, duration)
+
+
+def _before_nudge(scene: Scene, indices: np.ndarray) -> tuple[dict[str, Array], Flags, Array]:
+    """Points before the nudge, why they are not computed, and their durations, as in `Grid`."""
     system = scene.system
     values = parameter_values(scene, indices)
     base = {name: values[name] for name in system.parameters}
@@ -134,9 +143,7 @@ def points_at_indices(scene: Scene, indices: np.ndarray) -> Grid:
         system.check(
             base if has_values.all() else {name: column[has_values] for name, column in base.items()}
         )
-        start = system.as_euler_angles(base) if scene.nudges_angles else base
-    points = {name: start[name] + scene.nudge.get(name, 0.0) for name in base}
-    return Grid(base, points, reason, duration)
+    return base, reason, duration
 
 
 def reasons(
@@ -233,7 +240,7 @@ def not_computed(scene: Scene, sample: Grid) -> list[str]:
         counts = np.zeros(len(Reason), np.int64)
         for first in range(0, scene.size, MAX_POINTS_PER_TILE):
             indices = np.arange(first, min(first + MAX_POINTS_PER_TILE, scene.size))
-            counts += np.bincount(points_at_indices(scene, indices).reason, minlength=len(Reason))
+            counts += np.bincount(_before_nudge(scene, indices)[1], minlength=len(Reason))
     else:
         counts = np.bincount(sample.reason, minlength=len(Reason))
     if exact:

@@ -1,0 +1,52 @@
+"""Processor time of the commands `atlas map` and `atlas page`, imports included, with warm caches.
+
+python scripts/benchmarks/bench_drawing.py ATLAS ... [--rounds N] [--python OTHER/bin/python ...]
+
+Other interpreters, in whose environments other versions are installed, take turns with this one.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import sys
+import tempfile
+from pathlib import Path
+from subprocess import DEVNULL, Popen
+
+
+def processor_time(python: str, atlas: str, command: str, out: Path) -> float:
+    """Seconds of user and system time of a command."""
+    arguments = [python, "-m", "atlas", command, atlas, "-o", str(out), "--force"]
+    process = Popen(arguments, stdout=DEVNULL)
+    _, status, usage = os.wait4(process.pid, 0)
+    process.returncode = os.waitstatus_to_exitcode(status)
+    if process.returncode:
+        sys.exit(f"{' '.join(arguments)}: exit code {process.returncode}")
+    return usage.ru_utime + usage.ru_stime
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("atlases", nargs="+", metavar="ATLAS")
+    parser.add_argument("--rounds", type=int, default=3, help="after one that compiles")
+    parser.add_argument("--python", action="append", default=[], help="another interpreter")
+    options = parser.parse_args()
+    pythons = [sys.executable, *options.python]
+    print(
+        "| atlas | "
+        + " | ".join(f"{command}, s ({python})" for command in ("map", "page") for python in pythons)
+        + " |"
+    )
+    print("|---" * (1 + 2 * len(pythons)) + "|")
+    with tempfile.TemporaryDirectory() as folder:
+        for atlas in options.atlases:
+            cases = [(python, atlas, command, Path(folder) / f"out.{kind}")
+                     for command, kind in (("map", "png"), ("page", "html")) for python in pythons]  # fmt: skip
+            rounds = [[processor_time(*case) for case in cases] for _ in range(options.rounds + 1)][1:]
+            best = [f"{min(times):.2f}" for times in zip(*rounds, strict=True)]
+            print(f"| {Path(atlas).stem} | {' | '.join(best)} |", flush=True)
+
+
+if __name__ == "__main__":
+    main()

@@ -103,9 +103,8 @@ class ScenePlan:
     @cached_property
     def tiling(self) -> Tiling:
         """The tiles, of similar work. They depend on the scene alone, never on timing or the number of processors."""
-        from . import (
-            tiles,  # here, because it imports xarray, without which a scene is checked in half of the time
-        )
+        # Here, because it imports xarray, without which a scene is checked in half of the time.
+        from . import tiles
 
         least = max(tiles.MIN_POINTS_PER_TILE, 3 * self.scene.size / tiles.MAX_TILES)
         points = max(tiles.TILE_POINT_STEPS / self.mean_work, least)

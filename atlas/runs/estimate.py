@@ -4,15 +4,20 @@ from __future__ import annotations
 
 import math
 import resource
+import shutil
 import sys
 import time
 import tracemalloc
+import zlib
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 import numpy as np
 
 from ..compiling import Stopwatch
 from ..engine import blocks
+from ..errors import BadInput
+from ..io import netcdf
 from ..io.progress import clock
 from ..label.pipeline import evaluate
 from ..label.theory import predict_runs
@@ -21,10 +26,14 @@ from ..scene.model import Scene
 from ..systems.base import derived_values
 from .plan import ScenePlan
 from .refine import expected_points
-from .tiles import tile_types
+from .tiles import MIN_COMPRESSED_POINTS, SIDECAR_BYTES, TABLE_BYTES, tile_types
 
-# Points that are integrated for the measurement, and the steps of all lanes for each thread: some tenths of a second.
-CALIBRATION_POINTS, CALIBRATION_STEPS = 4096, 2e7
+# Points that are integrated for the measurement, in runs of neighbours, which compress as tiles do, and the steps of all
+# lanes for each thread: some tenths of a second.
+CALIBRATION_POINTS, CALIBRATION_RUNS, CALIBRATION_STEPS = 4096, 16, 2e7
+PROCESSORS = (1, 16, 256, 4096)  # for which times are printed
+# Bytes that `atlas join` takes before it reads a tile, and copies of a block of points that it holds.
+JOIN_BYTES, JOIN_COPIES = 175e6, 4
 
 
 @dataclass(frozen=True)
@@ -35,6 +44,7 @@ class _Measurement:
     theory_seconds: float  # wall-clock time of what theory predicts of one point
     compile_seconds: float
     bytes_per_point: float  # peak memory of a tile
+    stored_bytes_per_point: float  # compressed, of the variables that are measured and of parameters
 
 
 def dry_run(scene: Scene, *, threads: int | None = None, workers: int | None = None) -> str:
@@ -45,7 +55,7 @@ def dry_run(scene: Scene, *, threads: int | None = None, workers: int | None = N
     existing = scene.size * exists.mean()
     points = existing if scene.refine is None else expected_points(plan)
     cost = _measure(plan, processors)
-    file_bytes = scene.size * sum(np.dtype(dtype).itemsize for dtype in tile_types(scene).values())
+    stored = _StoredBytes.of(plan, cost)
     # The derived variables of one point, from as many points as take a few tenths of a second.
     has_derived = not scene.system.derived.keys().isdisjoint(scene.outputs)
     existing_points, derived_seconds, count = np.flatnonzero(exists), 0.0, 0
@@ -60,6 +70,15 @@ def dry_run(scene: Scene, *, threads: int | None = None, workers: int | None = N
     # A refined atlas has predictions at every point.
     theory_seconds = existing * cost.theory_seconds + points * derived_seconds
     seconds = points * plan.mean_work * cost.seconds_per_step + theory_seconds
+    tile_hours, relative = seconds * processors / 3600 / tiles.count, plan.relative_costs()
+    others = [
+        f"about {seconds * processors / 3600 * ratio:.3g} by {name}" for name, ratio in relative.items()
+    ]
+    clocks = [
+        f"{clock(3600 * tile_hours * math.ceil(tiles.count / n))} on {n}"
+        for n in PROCESSORS
+        if n <= tiles.count
+    ]
     tile_bytes = cost.bytes_per_point * math.prod(tiles.tile)
     unit = 1 if sys.platform == "darwin" else 1024
     resident_bytes = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * unit  # the largest so far
@@ -75,7 +94,10 @@ def dry_run(scene: Scene, *, threads: int | None = None, workers: int | None = N
     lines = [
         f"{scene.size} points, about {points:.0f} to integrate, {division}",
         *grid.not_computed(scene, plan.sample),
-        f"file: at most {file_bytes / 1e6:.4g} MB before compression",
+        f"file: about {stored.joined / 1e6:.3g} MB; run folder: {2 * tiles.count + 3} files, about {stored.tiles / 1e6:.3g} MB;"
+        f" joining takes about {(JOIN_BYTES + JOIN_COPIES * stored.block) / 1e6:.0f} MB of memory",
+        f"processor time: {', '.join([f'{tile_hours * tiles.count:.3g} h by {scene.settings.method}', *others])};"
+        f" time with so many processors: {', '.join(clocks)}",
         f"time: about {clock(seconds)} on {processors_text} ({plan.mean_steps:.4g} steps a point,"
         f" {1e9 * cost.seconds_per_step * processors:.3g} ns a step and processor), of which theory"
         f" {clock(theory_seconds)}",
@@ -87,13 +109,56 @@ def dry_run(scene: Scene, *, threads: int | None = None, workers: int | None = N
     return "\n".join([*lines, *plan.step_warnings()])
 
 
+@dataclass(frozen=True)
+class _StoredBytes:
+    """Bytes on the disk of an atlas."""
+
+    tiles: float  # of all tiles of a run folder
+    joined: float  # of one file
+    block: float  # of the points of a box that are joined at a time, in memory
+
+    @classmethod
+    def of(cls, plan: ScenePlan, cost: _Measurement, missing: float = 1.0) -> _StoredBytes:
+        """Of the points of a scene, or of a share of them that is missing."""
+        scene, tiling = plan.scene, plan.tiling
+        types = tile_types(scene)
+        raw = sum(np.dtype(dtype).itemsize for dtype in types.values())
+        derived = sum(np.dtype(types[name]).itemsize for name in scene.system.derived.keys() & types)
+        joined = scene.size * plan.sample.exists.mean() * (cost.stored_bytes_per_point + derived)
+        tiles, size = joined, math.prod(tiling.tile)
+        if size < MIN_COMPRESSED_POINTS:
+            tiles = scene.size * raw
+        tiles += tiling.count * (SIDECAR_BYTES + TABLE_BYTES * len(types) * (size >= MIN_COMPRESSED_POINTS))
+        return cls(tiles * missing, joined, raw * min(scene.size, grid.MAX_POINTS_PER_TILE))
+
+
+def check_disk(plan: ScenePlan, folder: Path, missing: int, *, is_joined: bool) -> None:
+    """Raise BadInput if so many missing points of a run, and the file if it is joined there, do not fit onto a disk."""
+    scene, free = plan.scene, shutil.disk_usage(folder).free
+    raw = sum(np.dtype(dtype).itemsize for dtype in tile_types(scene).values())
+    if 2 * scene.size * raw < free:  # without any compression
+        return
+    stored = _StoredBytes.of(plan, _measure(plan, 1), missing / scene.size)
+    needed = stored.tiles + (stored.joined if is_joined else 0)
+    if needed > free:
+        raise BadInput(
+            f"{folder}: the run needs about {needed / 1e9:.3g} GB more, and {free / 1e9:.3g} GB are free on this disk"
+        )
+
+
 def _measure(plan: ScenePlan, threads: int) -> _Measurement:
-    """Integrate some points of the sample three times: to compile, to time, and to trace memory."""
+    """Integrate some points three times: to compile, to time, and to trace memory."""
     # A short measurement: without slow variables, with a small duration and few steps.
     outputs = tuple(name for name in plan.scene.outputs if name not in plan.scene.system.derived)
-    exists = np.flatnonzero(plan.sample.exists)
+    scene, length = plan.scene, CALIBRATION_POINTS // CALIBRATION_RUNS
+    first = np.linspace(0, max(scene.size - length, 0), CALIBRATION_RUNS).astype(np.int64)
+    indices = np.unique(np.minimum(first[:, None] + np.arange(length), scene.size - 1))
+    sample = grid.points_at_indices(scene, indices)
+    if sample.exists.sum() < length:
+        sample = plan.sample
+    exists = np.flatnonzero(sample.exists)
     chosen = exists[np.linspace(0, exists.size - 1, min(exists.size, CALIBRATION_POINTS)).astype(np.int64)]
-    plan = ScenePlan(replace(plan.scene, outputs=outputs), plan.sample.subset(chosen))
+    plan = ScenePlan(replace(scene, outputs=outputs), sample.subset(chosen))
     while True:
         schedule = blocks.schedule_of(plan.step_sizes.without_unresolved())
         work = plan.mean_work / plan.mean_steps * schedule.point_steps
@@ -115,14 +180,19 @@ def _measure(plan: ScenePlan, threads: int) -> _Measurement:
         evaluate(plan.points, points, threads=threads)
         return time.perf_counter() - started
 
-    first, second = seconds(), seconds()
+    compiling, second = seconds(), seconds()
     tracemalloc.start()
-    evaluate(plan.points, points, threads=threads)
+    columns = evaluate(plan.points, points, threads=threads) | points.base
     peak_bytes = tracemalloc.get_traced_memory()[1]
     tracemalloc.stop()
+    stored = 0
+    for name, dtype in tile_types(plan.scene).items():
+        shuffled = columns[name].astype(dtype).view(np.uint8).reshape(points.exists.size, -1).T
+        stored += len(zlib.compress(shuffled.tobytes(), netcdf.COMPRESSION["complevel"]))
     return _Measurement(
         seconds_per_step=max(second - theory_seconds, 0.1 * second) / (points.exists.size * plan.mean_work),
         theory_seconds=theory_seconds / points.exists.size,
-        compile_seconds=max(first - second, 0.0),
+        compile_seconds=max(compiling - second, 0.0),
         bytes_per_point=peak_bytes / points.exists.size,
+        stored_bytes_per_point=stored / points.exists.size,
     )

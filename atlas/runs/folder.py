@@ -21,7 +21,7 @@ import re
 import shutil
 import tomllib
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import suppress
 from datetime import UTC, datetime
 from pathlib import Path
@@ -66,6 +66,7 @@ ATTRIBUTE = str | int | float  # types of the attributes of an atlas
 MANIFEST_TYPES = {"key": str, "scene": str, "identity": dict, "tile": list, "provenance": dict}
 TALLY = "tally"  # entry of the encoding of a dataset of a whole run folder
 RESULT = "atlas_result"  # attribute of an atlas with its `result_hash`
+HISTORY = "atlas_history"  # attribute of an atlas with points of earlier ones: which these are
 
 
 class RunFolder:
@@ -78,7 +79,7 @@ class RunFolder:
         self.scene = parse_scene(str(manifest["scene"]))
         self.tiling = Tiling(self.scene.shape, tuple(manifest["tile"]))
         self.tiling.check()
-        self.tiles = TileFiles(path / "tiles", self.key, self.scene, self.tiling)
+        self.tiles = self.tiles_with(self.key)
 
     def __reduce__(self) -> Any:
         return RunFolder.open, (self.path,)
@@ -209,6 +210,11 @@ class RunFolder:
         """Key of this run if programs and processors of another identity computed it."""
         return _key(self.manifest | {"identity": identity})
 
+    def tiles_with(self, key: str) -> TileFiles:
+        """The tiles of this run if it had this key."""
+        types = tile_types(self.scene)
+        return TileFiles(self.path / "tiles", key, netcdf.dims(self.scene), types, self.tiling)
+
     def remove_leftovers(self) -> None:
         """Remove temporary files of processes that were killed."""
         remove_leftovers(self.path)
@@ -272,11 +278,12 @@ class RunFolder:
 
     def _provenance(self) -> tuple[dict[str, Any], Tally | None]:
         """Provenance of the written tiles, summed over processes, and the tally if all are written."""
-        points, seconds, tiles_by = 0, 0.0, Counter[str]()
+        points, seconds, tiles_by, reused = 0, 0.0, Counter[str](), Counter[str]()
         tally: Tally | None = Tally()
         for sidecar in self.tiles.sidecars():
             points, seconds = points + sidecar["points"], seconds + sidecar["seconds"]
             tiles_by[sidecar["by"]] += 1
+            reused.update(sidecar["reused"])
             if tally is not None:
                 try:
                     tally.add(Tally(sidecar["tally"]))
@@ -287,7 +294,9 @@ class RunFolder:
         }
         attributes[RESULT] = result_hash(self.manifest["scene"], self.manifest["identity"])
         attributes["atlas_seconds"] = seconds
-        attributes["atlas_points_per_second"] = points / seconds if seconds > 0 else math.nan
+        computed = points - reused.total()
+        attributes["atlas_points_per_second"] = computed / seconds if seconds > 0 else math.nan
+        attributes |= history_text(reused)
         attributes["atlas_run"] = f"{tiles_by.total()} of {self.tiling.count} tiles" + "".join(
             f"; {count} by {by}" for by, count in sorted(tiles_by.items())
         )
@@ -394,6 +403,12 @@ def remove_empty(path: Path) -> None:
 def result_hash(scene: str, programs: dict[str, str]) -> str:
     """Hash of everything on which the bits of an atlas depend: the text of its scene, and its `identity`."""
     return _hash({"scene": scene, "identity": programs})
+
+
+def history_text(reused: Mapping[str, int]) -> dict[str, str]:
+    """The attribute with the numbers of points from earlier atlases, by what these are; none without such points."""
+    lines = [f"{count} points of: {earlier}" for earlier, count in sorted(reused.items())]
+    return {HISTORY: "\n".join(lines)} if lines else {}
 
 
 def _hash(content: dict[str, Any]) -> str:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import os
 import sys
+from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from typing import ClassVar
@@ -18,11 +19,12 @@ from ..flags import Stability
 from ..io import netcdf
 from ..io.netcdf import scene_provenance
 from ..label import theory
-from ..label.pipeline import evaluate
 from ..scene import grid
 from ..systems.base import Flags
 from ..validation import half_step
 from ..variables import COMPUTED, variables
+from .earlier import Earlier, evaluate_at
+from .folder import history_text
 from .plan import ScenePlan
 
 # Measured flags whose boundaries are traced: the label always, the others where the scene asks for them.
@@ -41,7 +43,12 @@ MAX_PREDICTED = 2**18
 
 
 def refined(
-    plan: ScenePlan, warnings: list[str], *, threads: int | None = None, progress: bool = True
+    plan: ScenePlan,
+    warnings: list[str],
+    *,
+    threads: int | None = None,
+    progress: bool = True,
+    earlier: Sequence[Earlier] = (),
 ) -> xr.Dataset:
     """Compute the atlas of a scene that has [refine], on its finest grid.
 
@@ -69,7 +76,7 @@ def refined(
             f"refine: the finest grid of {scene.size} points needs {needed / 1e9:.3g} GB, this machine has"
             f" {memory / 1e9:.3g} GB; take fewer levels or fewer [outputs]"
         )
-    fine = _FineGrid(plan, threads)
+    fine = _FineGrid(plan, threads, earlier)
     for level in range(scene.refine.levels + 1):
         fine.refine_to(level)
         if progress:
@@ -89,6 +96,7 @@ def refined(
         "atlas_probe_points": probe_points,
         "atlas_probe_missed": probe_missed,
     }
+    attributes |= history_text(fine.reused)
     return ds.assign_attrs(attributes | half_step.half_step_sample(scene, plan.points, threads=threads))
 
 
@@ -99,8 +107,9 @@ class _FineGrid:
     (integrated, or without motion), assumed elsewhere. A spacing is a number of fine points for each axis.
     """
 
-    def __init__(self, plan: ScenePlan, threads: int | None):
-        self.scene, self.plan, self.threads = plan.scene, plan.points, threads
+    def __init__(self, plan: ScenePlan, threads: int | None, earlier: Sequence[Earlier] = ()):
+        self.scene, self.plan, self.threads, self.earlier = plan.scene, plan.points, threads, earlier
+        self.reused = Counter[str]()
         scene = plan.scene
         self.registry = variables(scene.system)
         self.flags = [name for name in MEASURED if name == "label" or name in scene.outputs]
@@ -221,8 +230,9 @@ class _FineGrid:
 
     def _values(self, indices: np.ndarray) -> dict[str, np.ndarray]:
         """Flags and numbers of points, by their flat indices in the finest grid."""
-        points = grid.points_at_indices(self.scene, indices)
-        return evaluate(self.plan, points, threads=self.threads)
+        values, _, reused = evaluate_at(self.plan, self.scene, indices, self.earlier, threads=self.threads)
+        self.reused.update(reused)
+        return values
 
     def dataset(self) -> xr.Dataset:
         """The atlas without provenance."""

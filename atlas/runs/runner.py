@@ -6,7 +6,9 @@ import logging
 import random
 import socket
 import threading
-from collections.abc import Callable, Iterable, Iterator
+import time
+from collections import Counter
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor, as_completed
 from contextlib import suppress
 from dataclasses import dataclass, replace
@@ -21,10 +23,10 @@ from ..compiling import Stopwatch, announced
 from ..engine import blocks
 from ..errors import BadInput, shown
 from ..files import check_folder, check_name, exists_message
-from ..interruption import explain_kept
+from ..interruption import Stopped, explain_kept
 from ..io import checksums, netcdf
 from ..io.netcdf import log_warnings, scene_provenance
-from ..io.progress import Progress
+from ..io.progress import Progress, clock
 from ..label.pipeline import evaluate
 from ..label.plan import Plan
 from ..scene import grid
@@ -32,13 +34,15 @@ from ..scene.checks import MAX_THREADS, typed, whole_number
 from ..scene.model import Scene
 from ..scene.read import load_scene
 from ..validation import half_step
-from . import cluster, refine
+from . import cluster, estimate, refine
 from .backend import open_atlas
-from .folder import LONGEST_NAME, MANIFEST, RESULT, RunFolder, remove_empty, result_hash
+from .earlier import Earlier, evaluate_at
+from .folder import LONGEST_NAME, MANIFEST, RESULT, RunFolder, history_text, remove_empty, result_hash
 from .plan import ScenePlan, differences, identity
 from .tiles import TileFiles, tile_types
 
 MAX_DAMAGE_WARNINGS = 5
+RUN_SUFFIX = ".run"  # of the folder in which an atlas of one file is computed
 Advance = Callable[[float], None]  # takes a number of finished points
 
 
@@ -50,6 +54,14 @@ class _Execution:
     shard: tuple[int, int] | None
     scheduler: str | None
     workers: int | None
+    stop_after: float | None
+    began: float  # time.monotonic
+    earlier: list[Earlier]
+
+    @property
+    def time_is_up(self) -> bool:
+        """Whether no tile may begin any more."""
+        return self.stop_after is not None and time.monotonic() - self.began >= self.stop_after
 
     @property
     def on_cluster(self) -> bool:
@@ -69,6 +81,8 @@ class _Execution:
             if len(self.shard) != 2:
                 raise BadInput(f"shard = {shown(self.shard)}: must be (i, n)")
             whole_number("shard: i", self.shard[0], 1, whole_number("shard: n", self.shard[1], 1))
+        if self.stop_after is not None and not self.stop_after > 0:
+            raise BadInput(f"stop_after = {shown(self.stop_after)}: must be a number of seconds above 0")
 
 
 @typed
@@ -82,6 +96,8 @@ def run(
     shard: tuple[int, int] | None = None,
     scheduler: str | None = None,
     workers: int | None = None,
+    stop_after: float | None = None,
+    reuse: str | Path | Sequence[str | Path] = (),
 ) -> xr.Dataset:
     """Integrate every point of a scene, label it, and write the atlas if `out` is given.
 
@@ -108,6 +124,12 @@ def run(
         Address of a dask scheduler, whose workers compute the tiles.
     workers : int, optional
         Number of processes on this machine that compute the tiles.
+    stop_after : float, optional
+        Seconds after which no tile begins; those that are being computed are finished. Needs `out`.
+    reuse : str, Path or sequence of them, optional
+        Earlier atlases, also unfinished run folders, on the same processor by the same programs: points that they share
+        with the scene are not computed again. The result is the same to the bit; its attribute `atlas_history` states
+        which points were taken from where.
 
     Returns
     -------
@@ -118,13 +140,15 @@ def run(
     Raises
     ------
     BadInput
-        If no point can be computed, or if `out` cannot be written or contains something else. Nothing has then
-        been computed.
+        If no point can be computed, or if `out` cannot be written or contains something else, or if an atlas to be
+        reused shares no point with the scene. Nothing has then been computed.
+    interruption.Stopped
+        If `stop_after` is over before the run is; the same call continues it.
     """
     scene = scene if isinstance(scene, Scene) else load_scene(scene)
-    execution = _Execution(threads, shard, scheduler, workers)
-    if out is None and (shard or execution.on_cluster):
-        raise BadInput("shard, scheduler and workers need an out that ends in / or .nc")
+    execution = _Execution(threads, shard, scheduler, workers, stop_after, time.monotonic(), [])
+    if out is None and (shard or execution.on_cluster or stop_after is not None):
+        raise BadInput("shard, scheduler, workers and stop_after need an out that ends in / or .nc")
     execution.check()
     origin = systems.origin(scene.system)
     if execution.on_cluster and origin is not None and not origin.package:
@@ -144,17 +168,19 @@ def run(
     if scheduler:
         cluster.check(scheduler)
     plan = ScenePlan.of(scene)
+    for each in [reuse] if isinstance(reuse, str | Path) else reuse:
+        execution.earlier.append(Earlier.of(each, scene))
     warnings = [*grid.warnings(scene, plan.sample), *plan.chaos_warnings()]
     log_warnings(warnings)
     if scene.refine is not None:
         with announced(progress):
-            ds = refine.refined(plan, warnings, threads=threads, progress=progress)
+            ds = refine.refined(plan, warnings, threads=threads, progress=progress, earlier=execution.earlier)
         if path is None:
             return ds
         netcdf.write(ds.assign_attrs({RESULT: _own_result_hash(plan)}), path)
         return open_atlas(path)
     if path is None:
-        return _run_in_memory(plan, warnings, threads, progress)
+        return _run_in_memory(plan, warnings, threads, progress, execution.earlier)
     if one_file:
         if force:
             RunFolder.discard(plan, _folder_of(path))
@@ -185,13 +211,13 @@ def _destination(out: str | Path) -> tuple[Path, bool]:
 
 def _folder_of(path: Path) -> Path:
     """Run folder in which an atlas of one file is computed."""
-    return path.with_name(path.name + ".run")
+    return path.with_name(path.name + RUN_SUFFIX)
 
 
 def _complete(folder: RunFolder, plan: ScenePlan, execution: _Execution, progress: bool) -> Progress:
     """Compute the missing tiles of a folder or shard; the progress is at work until it is closed."""
     explain_kept(folder.progress_text)
-    job = _Job(folder, execution.shard or (1, 1))
+    job = _Job(folder, execution)
     logger = logging.getLogger("atlas")
     for tile, reason in list(job.status.damaged.items())[:MAX_DAMAGE_WARNINGS]:
         logger.warning("%s: tile %d is computed again: %s", folder.path, tile, reason)
@@ -199,6 +225,8 @@ def _complete(folder: RunFolder, plan: ScenePlan, execution: _Execution, progres
         logger.warning("... and %d damaged tiles more", len(job.status.damaged) - MAX_DAMAGE_WARNINGS)
     if job.unfinished:
         check_folder(folder.tiles.folder / "tile")
+        missing = sum(map(folder.tiling.size_of, job.unfinished))
+        estimate.check_disk(plan, folder.path, missing, is_joined=folder.path.suffix == RUN_SUFFIX)
     name = "progress.json" if job.parts == 1 else f"progress-{job.part}-of-{job.parts}.json"
     bar = Progress(
         sum(map(folder.tiling.size_of, job.tiles)),
@@ -213,9 +241,11 @@ def _complete(folder: RunFolder, plan: ScenePlan, execution: _Execution, progres
                 if execution.on_cluster:
                     _compute_on_cluster(job, bar, plan, execution)
                 else:
-                    _compute_in_threads(job, bar, plan, execution.threads)
+                    _compute_in_threads(job, bar, plan, execution)
             finally:
                 folder.remove_leftovers()
+        if job.is_stopped:
+            raise Stopped(f"stopped after {clock(execution.stop_after or 0)}; {folder.progress_text()}")
         try:
             finished = bool(folder.final_attributes())
         except BadInput as error:
@@ -305,19 +335,23 @@ def _finished(plan: ScenePlan, path: Path) -> xr.Dataset:
     return open_atlas(path)
 
 
-def _run_in_memory(plan: ScenePlan, warnings: list[str], threads: int | None, progress: bool) -> xr.Dataset:
+def _run_in_memory(
+    plan: ScenePlan, warnings: list[str], threads: int | None, progress: bool, earlier: Sequence[Earlier]
+) -> xr.Dataset:
     """Compute an atlas without a run folder."""
-    scene, tiles = plan.scene, plan.tiling
+    scene, tiles, all_reused = plan.scene, plan.tiling, Counter[str]()
     columns = {name: np.empty(scene.size, dtype) for name, dtype in tile_types(scene).items()}
     bar = Progress(scene.size, show=progress)
 
     def compute(tile: int, advance: Advance) -> None:
         indices = tiles.indices(tile)
-        points = grid.points_at_indices(scene, indices)
-        values = evaluate(plan.points, points, threads=threads, progress=advance) | points.base
+        values, computed, reused = evaluate_at(
+            plan.points, scene, indices, earlier, threads=threads, progress=advance
+        )
         for name, column in columns.items():
             column[indices] = values[name]
-        bar.skip(indices.size - int(points.exists.sum()))
+        all_reused.update(reused)
+        bar.skip(indices.size - computed + reused.total())
 
     try:
         for_each_tile(range(tiles.count), compute, bar.advance, plan.tiles_in_flight(threads))
@@ -327,10 +361,10 @@ def _run_in_memory(plan: ScenePlan, warnings: list[str], threads: int | None, pr
         scene, plan.points.kernel_hash, seconds=bar.stopwatch.seconds(), points=scene.size, warnings=warnings
     )
     attributes |= half_step.half_step_sample(plan.scene, plan.points, threads=threads)
-    return netcdf.dataset(scene, columns).assign_attrs(attributes)
+    return netcdf.dataset(scene, columns).assign_attrs(attributes | history_text(all_reused))
 
 
-class _Stopped(Exception):
+class _Abandoned(Exception):
     """Ends a tile in flight after another one failed or the user pressed Ctrl-C."""
 
 
@@ -342,11 +376,11 @@ def for_each_tile(
 
     def advance_or_stop(points: float) -> None:
         if stop.is_set():
-            raise _Stopped
+            raise _Abandoned
         advance(points)
 
     def worker() -> None:
-        with suppress(_Stopped):
+        with suppress(_Abandoned):
             while not stop.is_set():
                 with lock:
                     tile = next(source, None)
@@ -365,9 +399,10 @@ def for_each_tile(
 class _Job:
     """The tiles of a run folder, or of one shard of it, that this process has to compute."""
 
-    def __init__(self, folder: RunFolder, shard: tuple[int, int]):
-        self.folder = folder
-        self.part, self.parts = shard
+    def __init__(self, folder: RunFolder, execution: _Execution):
+        self.folder, self.execution = folder, execution
+        self.part, self.parts = execution.shard or (1, 1)
+        self.is_stopped = False  # whether the time was over before the tiles were done
         self.tiles = range(self.part - 1, folder.tiling.count, self.parts)
         self.status = folder.tiles.status(self.tiles)
         self.unfinished = sorted([*self.status.missing, *self.status.damaged])
@@ -378,37 +413,33 @@ class _Job:
         for tile in self.unfinished[first:] + self.unfinished[:first]:
             if tile not in self.status.damaged and self.folder.tiles.is_done(tile):
                 bar.skip(self.folder.tiling.size_of(tile))
+            elif self.execution.time_is_up:
+                self.is_stopped = True
+                return
             else:
                 yield tile
 
 
-def _compute_in_threads(job: _Job, bar: Progress, plan: ScenePlan, threads: int | None) -> None:
+def _compute_in_threads(job: _Job, bar: Progress, plan: ScenePlan, execution: _Execution) -> None:
     """Compute the tiles of a job in threads of this process."""
-    folder = job.folder
+    folder, threads, earlier = job.folder, execution.threads, execution.earlier
     by = f"{threads or blocks.available_threads()} threads"
     by += f", shard {job.part}/{job.parts}" if job.parts > 1 else ""
     stopwatch, last_end, lock = Stopwatch(), 0.0, threading.Lock()
 
     def compute(tile: int, advance: Advance) -> None:
         nonlocal last_end
-        columns, computed = _tile_columns(plan.points, folder, tile, threads, advance)
+        columns, computed, reused = evaluate_at(
+            plan.points, folder.scene, folder.tiling.indices(tile), earlier, threads=threads, progress=advance
+        )
         with lock:  # tiles overlap: each takes the time since the one before it ended
             now = stopwatch.seconds()
             seconds, last_end = now - last_end, now
         folder.check_kept()
-        folder.tiles.write(tile, columns, computed=computed, seconds=seconds, by=by)
-        bar.skip(folder.tiling.size_of(tile) - computed)
+        folder.tiles.write(tile, columns, computed=computed, seconds=seconds, by=by, reused=reused)
+        bar.skip(folder.tiling.size_of(tile) - computed + reused.total())
 
     for_each_tile(job.remaining_tiles(bar), compute, bar.advance, plan.tiles_in_flight(threads))
-
-
-def _tile_columns(
-    plan: Plan, folder: RunFolder, tile: int, threads: int | None, progress: Advance | None
-) -> tuple[dict[str, np.ndarray], int]:
-    """Columns of a tile by name, and the number of its points where the family exists."""
-    points = grid.points_at_indices(folder.scene, folder.tiling.indices(tile))
-    values = evaluate(plan, points, threads=threads, progress=progress) | points.base
-    return {name: values[name] for name in folder.tiles.types}, int(points.exists.sum())
 
 
 def _compute_on_cluster(job: _Job, bar: Progress, plan: ScenePlan, execution: _Execution) -> None:
@@ -428,30 +459,37 @@ def _compute_on_cluster(job: _Job, bar: Progress, plan: ScenePlan, execution: _E
         bar.advance(folder.tiling.size_of(tile))
 
     run = str(folder.path), folder.key
-    arguments = ((*run, tile) for tile in job.remaining_tiles(bar))
+    reuse = tuple(str(each.path) for each in execution.earlier)
+    arguments = ((*run, tile, reuse) for tile in job.remaining_tiles(bar))
     with cluster.connect(execution.scheduler, execution.workers) as client:
-        cluster.check_workers(client, check_worker, run)
+        cluster.check_workers(client, check_worker, (*run, reuse))
         cluster.for_each(client, compute_tile, arguments, on_result)
 
 
-def check_worker(path: str, key: str) -> None:
+def check_worker(path: str, key: str, reuse: tuple[str, ...] = ()) -> None:
     """Raise BadInput unless this worker computes the same bits as the client of a run, which made the key."""
-    _open_cached(path, key)
+    _open_cached(path, key, reuse)
 
 
-def compute_tile(path: str, key: str, tile: int) -> int:
+def compute_tile(path: str, key: str, tile: int, reuse: tuple[str, ...] = ()) -> int:
     """Compute and write one tile with one thread, the task of a dask worker; BadInput as `check_worker`."""
-    folder, tiles, plan = _open_cached(path, key)
+    folder, tiles, plan, earlier = _open_cached(path, key, reuse)
     stopwatch = Stopwatch()
-    columns, computed = _tile_columns(plan, folder, tile, 1, None)
+    columns, computed, reused = evaluate_at(
+        plan, folder.scene, folder.tiling.indices(tile), earlier, threads=1
+    )
     folder.check_kept()
-    tiles.write(tile, columns, computed=computed, seconds=stopwatch.seconds(), by="dask workers")
+    tiles.write(
+        tile, columns, computed=computed, seconds=stopwatch.seconds(), by="dask workers", reused=reused
+    )
     return tile
 
 
 @lru_cache(maxsize=8)
-def _open_cached(path: str, key: str) -> tuple[RunFolder, TileFiles, Plan]:
-    """A run whose bits this process computes, its tiles with the key of what this process computes, and its plan."""
+def _open_cached(
+    path: str, key: str, reuse: tuple[str, ...]
+) -> tuple[RunFolder, TileFiles, Plan, list[Earlier]]:
+    """A run whose bits this process computes, its tiles with the key of what this process computes, plan, earlier atlases."""
     folder = RunFolder.open(path)
     if folder.key != key:
         raise BadInput(f"{path}: holds another run on the machine of this worker ({socket.gethostname()})")
@@ -463,4 +501,5 @@ def _open_cached(path: str, key: str) -> tuple[RunFolder, TileFiles, Plan]:
             f"{path}: a dask worker on {socket.gethostname()} would compute other bits; start it again with the"
             f" same programs. It differs in {different}"
         )
-    return folder, TileFiles(folder.tiles.folder, folder.key_with(own), folder.scene, folder.tiling), plan
+    earlier = [Earlier.of(each, folder.scene) for each in reuse]
+    return folder, folder.tiles_with(folder.key_with(own)), plan, earlier

@@ -30,8 +30,10 @@ from ..variables import variables
 
 # Below this number of points the tables of a NetCDF-4 file take more room and time than its compression saves.
 MIN_COMPRESSED_POINTS = 4096
+# Bytes of a sidecar, and of the tables of one variable in a NetCDF-4 file.
+SIDECAR_BYTES, TABLE_BYTES = 1200, 3600
 STATUS_BATCH = 64  # tiles that a thread checks at a time
-SIDECAR_TYPES = {"points": int, "computed": int, "seconds": (int, float), "by": str}
+SIDECAR_TYPES = {"points": int, "computed": int, "seconds": (int, float), "by": str, "reused": dict}
 
 COUNTED = (
     "label", "label_inertial", "label_any_axis", "label_any_axis_inertial", "regularity", "status", "agreement", "computed",
@@ -108,11 +110,13 @@ class Tally:
 class TileFiles:
     """The tiles of one run, in one folder."""
 
-    def __init__(self, folder: Path, key: str, scene: Scene, tiling: Tiling):
+    def __init__(
+        self, folder: Path, key: str, dims: tuple[str, ...], types: Mapping[str, str], tiling: Tiling
+    ):
         self.folder = folder
         self.key = key
-        self.dims = netcdf.dims(scene)
-        self.types = tile_types(scene)
+        self.dims = dims
+        self.types = types
         self.tiling = tiling
 
     def path(self, tile: int, suffix: str = ".nc") -> Path:
@@ -132,13 +136,22 @@ class TileFiles:
         return self._error(tile) is None
 
     def write(
-        self, tile: int, columns: dict[str, np.ndarray], *, computed: int, seconds: float, by: str
+        self,
+        tile: int,
+        columns: Mapping[str, np.ndarray],
+        *,
+        computed: int,
+        seconds: float,
+        by: str,
+        reused: Mapping[str, int] | None = None,
     ) -> None:
         """Write a tile, then the sidecar that marks it as written.
 
-        `computed` counts the points where the family exists. Raises OSError if the tile reads back otherwise.
+        `computed` counts the points where the family exists, `reused` those of earlier atlases by what these are. Raises
+        OSError if the tile reads back otherwise.
         """
         path, shape = self.path(tile), self.tiling.shape_of(tile)
+        columns = {name: columns[name] for name in self.types}
         points = math.prod(shape)
         small = points < MIN_COMPRESSED_POINTS
         kind: Literal["NETCDF3_64BIT_OFFSET", "NETCDF4"] = "NETCDF3_64BIT_OFFSET" if small else "NETCDF4"
@@ -168,7 +181,7 @@ class TileFiles:
         sidecar = {
             "key": self.key, "tile": tile, "points": points, "computed": computed,
             "hash": self._hash(tile, content, computed), "tally": vars(Tally.of(columns)),
-            "host": socket.gethostname(), "seconds": seconds, "by": by,
+            "host": socket.gethostname(), "seconds": seconds, "by": by, "reused": dict(reused or {}),
         }  # fmt: skip
         with atomic_write(self.path(tile, ".json")) as temporary:
             temporary.write_text(sealed(sidecar), encoding="utf-8")
@@ -264,8 +277,9 @@ class TileFiles:
     def _sidecar(self, tile: int) -> dict[str, Any]:
         """The sidecar of a tile; see `read` for what it raises."""
         try:
-            sidecar = unsealed(read_bytes(self.path(tile, ".json")))
+            sidecar = {"reused": {}} | unsealed(read_bytes(self.path(tile, ".json")))
             check_types(sidecar, SIDECAR_TYPES)
+            check_types(sidecar["reused"], dict.fromkeys(sidecar["reused"], int))
         except ValueError as error:
             raise DamagedTile(f"its sidecar cannot be read: {one_line(error)}") from None
         if sidecar.get("key") != self.key or sidecar.get("tile") != tile:

@@ -15,7 +15,7 @@ from atlas.flags import Label, Stability
 from atlas.io import netcdf
 from atlas.runs import estimate, refine
 from atlas.runs.plan import ScenePlan
-from atlas.scene.grid import Grid
+from atlas.scene import grid
 from atlas.scene.read import scene_from
 
 pytestmark = pytest.mark.usefixtures("whole_kernels")
@@ -115,10 +115,12 @@ def labels_of_region(inside, x, y):
 
 
 def replace_integration(monkeypatch, inside):
-    def evaluate(plan, points: Grid, *, threads=None):
-        return {"label": labels_of_region(inside, points.base["h1"], points.base["h3"])}
+    def evaluate_at(plan, scene, indices, earlier, *, threads=None):
+        points = grid.points_at_indices(scene, indices)
+        labels = labels_of_region(inside, points.base["h1"], points.base["h3"])
+        return {"label": labels}, indices.size, {}
 
-    monkeypatch.setattr(refine, "evaluate", evaluate)
+    monkeypatch.setattr(refine, "evaluate_at", evaluate_at)
 
 
 def plane(count, levels, probe):

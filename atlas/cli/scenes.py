@@ -154,7 +154,9 @@ def join_folder(options: argparse.Namespace) -> int:
 
     folder = RunFolder.open(options.folder)
     folder.join(
-        netcdf.writable(options.out, (".nc", ".zarr"), force=options.force, inputs=[folder.tiles.folder])
+        netcdf.writable(
+            options.out, (".nc", ".zarr"), force=options.force, inputs=[folder.path / folder.content]
+        )
     )
     say(f"wrote {options.out}")
     return DONE

@@ -56,6 +56,15 @@ class Progress:
         if file is not None:
             self._save(running=True)
 
+    def add(self, points: int, done: int) -> None:
+        """Add points of which some were done before."""
+        with self._lock:
+            self.points += points
+            self._done += done
+            self._done_at_no_cost += done
+        if self.file is not None:
+            self._save(running=True)
+
     def advance(self, points: float) -> None:
         """Add finished points; fractions too, because a tile reports after each block of its points."""
         with self._lock:

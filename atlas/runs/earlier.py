@@ -21,6 +21,7 @@ from ..systems.base import Mask, derived_values
 from ..variables import COMPUTED, variables
 from .backend import open_atlas
 from .folder import HISTORY, RESULT, RunFolder, result_hash
+from .levels import RESULT_FILE
 from .plan import differences, identity
 from .tiles import DamagedTile, Tiling
 
@@ -45,6 +46,8 @@ class Earlier:
         """An atlas for a scene; BadInput unless its points have the bits that this process would compute."""
         path = Path(path).absolute()
         ds = open_atlas(path)
+        if (path / RESULT_FILE).exists():  # of a refined run
+            path = path / RESULT_FILE
         text = ds.attrs.get("atlas_scene")
         if not isinstance(text, str) or not text:
             raise BadInput(

@@ -55,7 +55,6 @@ def dry_run(scene: Scene, *, threads: int | None = None, workers: int | None = N
     existing = scene.size * exists.mean()
     points = existing if scene.refine is None else expected_points(plan)
     cost = _measure(plan, processors)
-    stored = _StoredBytes.of(plan, cost)
     # The derived variables of one point, from as many points as take a few tenths of a second.
     has_derived = not scene.system.derived.keys().isdisjoint(scene.outputs)
     existing_points, derived_seconds, count = np.flatnonzero(exists), 0.0, 0
@@ -70,15 +69,9 @@ def dry_run(scene: Scene, *, threads: int | None = None, workers: int | None = N
     # A refined atlas has predictions at every point.
     theory_seconds = existing * cost.theory_seconds + points * derived_seconds
     seconds = points * plan.mean_work * cost.seconds_per_step + theory_seconds
-    tile_hours, relative = seconds * processors / 3600 / tiles.count, plan.relative_costs()
-    others = [
-        f"about {seconds * processors / 3600 * ratio:.3g} by {name}" for name, ratio in relative.items()
-    ]
-    clocks = [
-        f"{clock(3600 * tile_hours * math.ceil(tiles.count / n))} on {n}"
-        for n in PROCESSORS
-        if n <= tiles.count
-    ]
+    hours = {scene.settings.method: seconds * processors / 3600}
+    hours |= {name: ratio * hours[scene.settings.method] for name, ratio in plan.relative_costs().items()}
+    night = "processor time: " + ", ".join(f"{each:.3g} h by {name}" for name, each in hours.items())
     tile_bytes = cost.bytes_per_point * math.prod(tiles.tile)
     unit = 1 if sys.platform == "darwin" else 1024
     resident_bytes = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * unit  # the largest so far
@@ -88,16 +81,25 @@ def dry_run(scene: Scene, *, threads: int | None = None, workers: int | None = N
         in_flight = plan.tiles_in_flight(processors)
         memory, processors_text = resident_bytes + in_flight * tile_bytes, f"{processors} threads"
     phase_error = plan.step_sizes.dispersion_error[exists].max()
-    division = "in one process, near the borders that theory predicts"
+    division, files, joining = "near the borders that theory predicts", "", ""
     if scene.refine is None:
         division = f"{tiles.count} tiles of at most {math.prod(tiles.tile)}"
+        files = f"{2 * tiles.count + 3} files, "
+        box = min(scene.size, grid.MAX_POINTS_PER_TILE)
+        raw = box * sum(np.dtype(dtype).itemsize for dtype in tile_types(scene).values())
+        joining = f"; joining takes about {(JOIN_BYTES + JOIN_COPIES * raw) / 1e6:.0f} MB of memory"
+        clocks = [
+            f"{clock(seconds * processors / tiles.count * math.ceil(tiles.count / n))} on {n}"
+            for n in PROCESSORS
+            if n <= tiles.count
+        ]
+        night += f"; time with so many processors: {', '.join(clocks)}"
     lines = [
         f"{scene.size} points, about {points:.0f} to integrate, {division}",
         *grid.not_computed(scene, plan.sample),
-        f"file: about {stored.joined / 1e6:.3g} MB; run folder: {2 * tiles.count + 3} files, about {stored.tiles / 1e6:.3g} MB;"
-        f" joining takes about {(JOIN_BYTES + JOIN_COPIES * stored.block) / 1e6:.0f} MB of memory",
-        f"processor time: {', '.join([f'{tile_hours * tiles.count:.3g} h by {scene.settings.method}', *others])};"
-        f" time with so many processors: {', '.join(clocks)}",
+        f"file: about {_stored_bytes(plan, cost, points, tiled=False) / 1e6:.3g} MB; run folder: {files}about"
+        f" {_stored_bytes(plan, cost, points, tiled=True) / 1e6:.3g} MB{joining}",
+        night,
         f"time: about {clock(seconds)} on {processors_text} ({plan.mean_steps:.4g} steps a point,"
         f" {1e9 * cost.seconds_per_step * processors:.3g} ns a step and processor), of which theory"
         f" {clock(theory_seconds)}",
@@ -109,37 +111,28 @@ def dry_run(scene: Scene, *, threads: int | None = None, workers: int | None = N
     return "\n".join([*lines, *plan.step_warnings()])
 
 
-@dataclass(frozen=True)
-class _StoredBytes:
-    """Bytes on the disk of an atlas."""
-
-    tiles: float  # of all tiles of a run folder
-    joined: float  # of one file
-    block: float  # of the points of a box that are joined at a time, in memory
-
-    @classmethod
-    def of(cls, plan: ScenePlan, cost: _Measurement, missing: float = 1.0) -> _StoredBytes:
-        """Of the points of a scene, or of a share of them that is missing."""
-        scene, tiling = plan.scene, plan.tiling
-        types = tile_types(scene)
-        raw = sum(np.dtype(dtype).itemsize for dtype in types.values())
-        derived = sum(np.dtype(types[name]).itemsize for name in scene.system.derived.keys() & types)
-        joined = scene.size * plan.sample.exists.mean() * (cost.stored_bytes_per_point + derived)
-        tiles, size = joined, math.prod(tiling.tile)
-        if size < MIN_COMPRESSED_POINTS:
-            tiles = scene.size * raw
-        tiles += tiling.count * (SIDECAR_BYTES + TABLE_BYTES * len(types) * (size >= MIN_COMPRESSED_POINTS))
-        return cls(tiles * missing, joined, raw * min(scene.size, grid.MAX_POINTS_PER_TILE))
+def _stored_bytes(plan: ScenePlan, cost: _Measurement, points: float, *, tiled: bool) -> float:
+    """Bytes on the disk of so many integrated points in the tiles of a run folder, or in one file."""
+    types = tile_types(plan.scene)
+    sizes = {name: np.dtype(dtype).itemsize for name, dtype in types.items()}
+    of_theory = sum(sizes[name] for name in plan.scene.system.derived.keys() & types)  # not measured
+    stored, size = points * (cost.stored_bytes_per_point + of_theory), math.prod(plan.tiling.tile)
+    if not tiled:
+        return stored
+    compressed = size >= MIN_COMPRESSED_POINTS
+    tables = math.ceil(points / size) * (SIDECAR_BYTES + compressed * TABLE_BYTES * len(types))
+    return tables + (stored if compressed else points * sum(sizes.values()))
 
 
 def check_disk(plan: ScenePlan, folder: Path, missing: int, *, is_joined: bool) -> None:
     """Raise BadInput if so many missing points of a run, and the file if it is joined there, do not fit onto a disk."""
     scene, free = plan.scene, shutil.disk_usage(folder).free
-    raw = sum(np.dtype(dtype).itemsize for dtype in tile_types(scene).values())
-    if 2 * scene.size * raw < free:  # without any compression
-        return
-    stored = _StoredBytes.of(plan, _measure(plan, 1), missing / scene.size)
-    needed = stored.tiles + (stored.joined if is_joined else 0)
+    if 2 * scene.size * sum(np.dtype(dtype).itemsize for dtype in tile_types(scene).values()) < free:
+        return  # also without compression
+    cost, share = _measure(plan, 1), float(plan.sample.exists.mean())
+    needed = _stored_bytes(plan, cost, share * missing, tiled=True)
+    if is_joined:
+        needed += _stored_bytes(plan, cost, share * scene.size, tiled=False)
     if needed > free:
         raise BadInput(
             f"{folder}: the run needs about {needed / 1e9:.3g} GB more, and {free / 1e9:.3g} GB are free on this disk"

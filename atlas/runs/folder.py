@@ -24,6 +24,7 @@ from collections import Counter
 from collections.abc import Iterator, Mapping
 from contextlib import suppress
 from datetime import UTC, datetime
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -72,6 +73,9 @@ HISTORY = "atlas_history"  # attribute of an atlas with points of earlier ones: 
 class RunFolder:
     """One run on disk, which other processes open themselves when it is sent to them."""
 
+    content = "tiles"  # name of the folder with all that is computed
+    more = ""  # what an unfinished run has beside the points that its status counts
+
     def __init__(self, path: Path, manifest: dict[str, Any]):
         self.path = path
         self.manifest = manifest
@@ -109,7 +113,12 @@ class RunFolder:
             check_types(manifest["provenance"], dict.fromkeys(manifest["provenance"], ATTRIBUTE | None))
             if manifest["key"] != _key(manifest):
                 raise ValueError("its key does not match its content")
-            return cls(path, manifest)
+            run = cls(path, manifest)
+            if run.scene.refine is None:
+                return run
+            from .levels import RefinedFolder  # imports this module
+
+            return RefinedFolder(path, manifest)
         except BadInput as error:
             version = manifest["identity"].get("atlas")
             raise BadInput(f"{file}: its scene, of atlas {version}, cannot be read: {error}") from None
@@ -152,7 +161,7 @@ class RunFolder:
         run.check_same(plan)
         run.remove_leftovers()
         with suppress(OSError):
-            run.tiles.folder.mkdir(exist_ok=True)
+            (path / run.content).mkdir(exist_ok=True)
         return run
 
     @classmethod
@@ -206,6 +215,24 @@ class RunFolder:
                 check_types(content, PROGRESS_TYPES)
                 yield content, progress.state(content)
 
+    def indices(self, tile: int) -> np.ndarray:
+        """Flat indices of the points of a tile."""
+        return self.tiling.indices(tile)
+
+    def tile_sets(self) -> dict[str, TileFiles]:
+        """The tiles by the name of their part of the run."""
+        return {"": self.tiles}
+
+    @property
+    def run(self) -> RunFolder:
+        """The folder of the whole run."""
+        return self
+
+    @property
+    def is_complete(self) -> bool:
+        """Whether the atlas can be read as a whole."""
+        return not self.tiles.missing()
+
     def key_with(self, identity: dict[str, str]) -> str:
         """Key of this run if programs and processors of another identity computed it."""
         return _key(self.manifest | {"identity": identity})
@@ -218,28 +245,35 @@ class RunFolder:
     def remove_leftovers(self) -> None:
         """Remove temporary files of processes that were killed."""
         remove_leftovers(self.path)
-        remove_leftovers(self.tiles.folder)
+        for tiles in self.tile_sets().values():
+            remove_leftovers(tiles.folder)
 
     def progress_text(self) -> str:
         """Number of the tiles that are written, as text; empty if the folder has been removed."""
         if not self.path.is_dir():
             return ""
-        path = os.path.relpath(self.path)
-        return f"{self.tiles.written_count()} of {self.tiling.count} tiles are in {path if path[0] != '.' else self.path}/"
+        path, sets = os.path.relpath(self.path), self.tile_sets().values()
+        written, count = (
+            sum(tiles.written_count() for tiles in sets),
+            sum(tiles.tiling.count for tiles in sets),
+        )
+        return f"{written} of {count} tiles are in {path if path[0] != '.' else self.path}/"
 
     def status(self) -> str:
         """State of processes and tiles, all of which are read; removes files of killed processes."""
         self.remove_leftovers()
         remove_leftovers(self.path.parent)
-        status, tiling = self.tiles.status(), self.tiling
-        lines = [
-            f"{printable(self.scene.title, MAX_TEXT)}: {self.scene.size} points in {tiling.count} tiles of at most {math.prod(tiling.tile)}",
-            f"done {len(status.done)}, damaged {len(status.damaged)}, missing {len(status.missing)}",
-        ]
-        lines += [
-            f"tile {tile} will be computed again: {reason}" for tile, reason in sorted(status.damaged.items())
-        ]
-        points_left = sum(tiling.size_of(tile) for tile in [*status.missing, *status.damaged])
+        lines, points_left = [f"{printable(self.scene.title, MAX_TEXT)}: {self._size_text()}"], 0
+        for name, tiles in self.tile_sets().items():
+            status = tiles.status()
+            lines.append(
+                f"{name}done {len(status.done)}, damaged {len(status.damaged)}, missing {len(status.missing)}"
+            )
+            lines += [
+                f"{name}tile {tile} will be computed again: {reason}"
+                for tile, reason in sorted(status.damaged.items())
+            ]
+            points_left += sum(tiles.tiling.size_of(tile) for tile in [*status.missing, *status.damaged])
         total_speed, is_running = 0.0, False
         for content, state in self._processes():
             lines.append(
@@ -253,11 +287,17 @@ class RunFolder:
                 f"{points_left} points left, {progress.clock(points_left / total_speed)} at the speed of the"
                 " processes at work"
             )
-        elif points_left and not is_running:
+        elif not is_running and (points_left or not self.is_complete):
             lines.append(
-                f"{points_left} points left, no process is at work; `atlas run` with its scene continues"
+                f"{points_left} points left{self.more}, no process is at work; `atlas run` with its scene continues"
             )
         return "\n".join(printable(line, MAX_MESSAGE) for line in lines)
+
+    def _size_text(self) -> str:
+        """The numbers of its points and tiles."""
+        return (
+            f"{self.scene.size} points in {self.tiling.count} tiles of at most {math.prod(self.tiling.tile)}"
+        )
 
     def dataset(self) -> xr.Dataset:
         """The atlas so far, with a dask chunk for each tile; missing points are `not_computed` and nan."""
@@ -271,16 +311,17 @@ class RunFolder:
             for name, dtype in tile_types(self.scene).items()
         }
         ds = netcdf.dataset(self.scene, arrays, self.tiling.tile)
-        provenance, tally = self._provenance()
+        provenance, tally = self.provenance()
         if tally is not None:
             ds.encoding[TALLY] = tally
         return ds.assign_attrs(provenance | self.final_attributes())
 
-    def _provenance(self) -> tuple[dict[str, Any], Tally | None]:
+    def provenance(self) -> tuple[dict[str, Any], Tally | None]:
         """Provenance of the written tiles, summed over processes, and the tally if all are written."""
         points, seconds, tiles_by, reused = 0, 0.0, Counter[str](), Counter[str]()
         tally: Tally | None = Tally()
-        for sidecar in self.tiles.sidecars():
+        sets = self.tile_sets().values()
+        for sidecar in chain.from_iterable(tiles.sidecars() for tiles in sets):
             points, seconds = points + sidecar["points"], seconds + sidecar["seconds"]
             tiles_by[sidecar["by"]] += 1
             reused.update(sidecar["reused"])
@@ -297,7 +338,8 @@ class RunFolder:
         computed = points - reused.total()
         attributes["atlas_points_per_second"] = computed / seconds if seconds > 0 else math.nan
         attributes |= history_text(reused)
-        attributes["atlas_run"] = f"{tiles_by.total()} of {self.tiling.count} tiles" + "".join(
+        count = sum(tiles.tiling.count for tiles in sets)
+        attributes["atlas_run"] = f"{tiles_by.total()} of {count} tiles" + "".join(
             f"; {count} by {by}" for by, count in sorted(tiles_by.items())
         )
         return attributes, tally if points == self.scene.size else None
@@ -385,7 +427,7 @@ class RunFolder:
         """
         removed = temporary_path(self.path / MANIFEST)
         with suppress(OSError):
-            os.rename(self.tiles.folder, removed)
+            os.rename(self.path / self.content, removed)
         for folder in (removed, claim_path(self.path / MANIFEST)):
             shutil.rmtree(folder, ignore_errors=True)
         for path in [*self.path.glob("progress*.json"), self.path / FINAL_ATTRIBUTES, self.path / MANIFEST]:
@@ -402,7 +444,7 @@ def remove_empty(path: Path) -> None:
 
 def result_hash(scene: str, programs: dict[str, str]) -> str:
     """Hash of everything on which the bits of an atlas depend: the text of its scene, and its `identity`."""
-    return _hash({"scene": scene, "identity": programs})
+    return hash_of({"scene": scene, "identity": programs})
 
 
 def history_text(reused: Mapping[str, int]) -> dict[str, str]:
@@ -411,13 +453,14 @@ def history_text(reused: Mapping[str, int]) -> dict[str, str]:
     return {HISTORY: "\n".join(lines)} if lines else {}
 
 
-def _hash(content: dict[str, Any]) -> str:
+def hash_of(content: dict[str, Any]) -> str:
+    """Hash of the entries of a table."""
     return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
 
 
 def _key(manifest: dict[str, Any]) -> str:
     """Hash of the scene, the programs and the tiling of a manifest."""
-    return _hash({name: manifest[name] for name in ("format", "scene", "identity", "tile")})
+    return hash_of({name: manifest[name] for name in ("format", "scene", "identity", "tile")})
 
 
 def _read_chunk(run: RunFolder, name: str, block_id: tuple[int, ...]) -> np.ndarray:

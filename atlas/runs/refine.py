@@ -6,9 +6,9 @@ import math
 import os
 import sys
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
-from typing import ClassVar
+from typing import ClassVar, TypeAlias
 
 import numpy as np
 import xarray as xr
@@ -25,12 +25,13 @@ from ..validation import half_step
 from ..variables import COMPUTED, variables
 from .earlier import Earlier, evaluate_at
 from .folder import history_text
+from .levels import MEASURED
 from .plan import ScenePlan
 
-# Measured flags whose boundaries are traced: the label always, the others where the scene asks for them.
-MEASURED = (
-    "label", "label_inertial", "label_any_axis", "label_any_axis_inertial", "geometry", "status", "regularity",
-)  # fmt: skip
+COMPUTED_SHARE = "atlas_computed_share"
+# Integrates points by their flat indices in the finest grid, and gives the variables of some of them at a time.
+Part: TypeAlias = tuple[slice, Mapping[str, np.ndarray]]
+Integrate: TypeAlias = Callable[[np.ndarray], Iterable[Part]]
 PREDICTED = ("family", "stable", "predicted", "predicted_inertial")
 # Points on either side of a boundary that are integrated, at each level: with 2, every point of a cell
 # whose corners differ, and the cells around it.
@@ -50,7 +51,38 @@ def refined(
     progress: bool = True,
     earlier: Sequence[Earlier] = (),
 ) -> xr.Dataset:
-    """Compute the atlas of a scene that has [refine], on its finest grid.
+    """Compute the atlas of a scene that has [refine] in memory; see `refined_by`."""
+    reused, integrated, stopwatch = Counter[str](), 0, Stopwatch()
+
+    def integrate(indices: np.ndarray) -> Iterator[Part]:
+        nonlocal integrated
+        for first in range(0, indices.size, grid.MAX_POINTS_PER_TILE):
+            chunk = slice(first, first + grid.MAX_POINTS_PER_TILE)
+            values, points, taken = evaluate_at(
+                plan.points, plan.scene, indices[chunk], earlier, threads=threads
+            )
+            integrated += points
+            reused.update(taken)
+            yield chunk, values
+
+    ds = refined_by(integrate, plan, threads=threads, progress=progress)
+    return ds.assign_attrs(
+        scene_provenance(
+            plan.scene,
+            plan.points.kernel_hash,
+            seconds=stopwatch.seconds(),
+            points=integrated,
+            warnings=warnings,
+        )
+        | ds.attrs
+        | history_text(reused)
+    )
+
+
+def refined_by(
+    integrate: Integrate, plan: ScenePlan, *, threads: int | None = None, progress: bool = True
+) -> xr.Dataset:
+    """Compute the atlas of a scene that has [refine], on its finest grid; its attributes are those stated here.
 
     The coarse grid is integrated. At each level the spacing is halved and the points within BOUNDARY_WIDTH of
     two points with different flags are integrated, until every boundary runs between integrated points. On
@@ -65,7 +97,6 @@ def refined(
     """
     scene = plan.scene
     assert scene.refine is not None
-    stopwatch = Stopwatch()
     numbers = (
         sum(variables(scene.system)[name].flags is None for name in scene.outputs) + len(scene.solve) + 1
     )
@@ -76,7 +107,7 @@ def refined(
             f"refine: the finest grid of {scene.size} points needs {needed / 1e9:.3g} GB, this machine has"
             f" {memory / 1e9:.3g} GB; take fewer levels or fewer [outputs]"
         )
-    fine = _FineGrid(plan, threads, earlier)
+    fine = _FineGrid(plan, threads, integrate)
     for level in range(scene.refine.levels + 1):
         fine.refine_to(level)
         if progress:
@@ -85,18 +116,11 @@ def refined(
     fine.trace_predicted_boundary()
     probe_points, probe_missed = fine.probe(scene.refine.probe)
     ds = fine.dataset()
-    attributes = scene_provenance(
-        scene,
-        plan.points.kernel_hash,
-        seconds=stopwatch.seconds(),
-        points=fine.n_integrated,
-        warnings=warnings,
-    ) | {
-        "atlas_computed_share": fine.n_integrated / fine.n_existing,
+    attributes = {
+        COMPUTED_SHARE: fine.n_integrated / fine.n_existing,
         "atlas_probe_points": probe_points,
         "atlas_probe_missed": probe_missed,
     }
-    attributes |= history_text(fine.reused)
     return ds.assign_attrs(attributes | half_step.half_step_sample(scene, plan.points, threads=threads))
 
 
@@ -107,9 +131,8 @@ class _FineGrid:
     (integrated, or without motion), assumed elsewhere. A spacing is a number of fine points for each axis.
     """
 
-    def __init__(self, plan: ScenePlan, threads: int | None, earlier: Sequence[Earlier] = ()):
-        self.scene, self.plan, self.threads, self.earlier = plan.scene, plan.points, threads, earlier
-        self.reused = Counter[str]()
+    def __init__(self, plan: ScenePlan, threads: int | None, integrate: Integrate):
+        self.scene, self.plan, self.threads, self.integrate = plan.scene, plan.points, threads, integrate
         scene = plan.scene
         self.registry = variables(scene.system)
         self.flags = [name for name in MEASURED if name == "label" or name in scene.outputs]
@@ -219,20 +242,13 @@ class _FineGrid:
         along_axes = np.unravel_index(subgrid_indices, subgrid_shape)
         fine_indices = [index * step for index, step in zip(along_axes, spacing, strict=True)]
         indices = np.ravel_multi_index(fine_indices, self.scene.shape)
-        for chunk in _chunks(indices.size):
-            values = self._values(indices[chunk])
+        for chunk, values in self.integrate(indices):
             flags = {name: values[name] for name in self.flags}
             self.flag_code.flat[indices[chunk]] = _encode(flags, self.flag_counts)
             for name, column in self.numbers.items():
                 column[indices[chunk]] = values[name]
         self.computed.flat[indices] = True
         self.n_integrated += indices.size
-
-    def _values(self, indices: np.ndarray) -> dict[str, np.ndarray]:
-        """Flags and numbers of points, by their flat indices in the finest grid."""
-        values, _, reused = evaluate_at(self.plan, self.scene, indices, self.earlier, threads=self.threads)
-        self.reused.update(reused)
-        return values
 
     def dataset(self) -> xr.Dataset:
         """The atlas without provenance."""
@@ -259,13 +275,16 @@ class _PredictedGrid(_FineGrid):
 
     def __init__(self, plan: ScenePlan):
         scene = replace(plan.scene, outputs=tuple(n for n in plan.scene.outputs if n in MEASURED))
-        super().__init__(replace(plan, scene=scene), threads=1)
+        super().__init__(replace(plan, scene=scene), 1, self._predictions)
 
-    def _values(self, indices: np.ndarray) -> dict[str, np.ndarray]:
+    def _predictions(self, indices: np.ndarray) -> Iterator[Part]:
         """Predictions in place of the measured flags; 0 where theory predicts nothing of a flag."""
         zero = np.zeros(indices.size, np.int8)
         predictions = {name: self.predicted.get(self.PREDICTIONS.get(name, "")) for name in self.flags}
-        return {name: zero if flags is None else flags[indices] for name, flags in predictions.items()}
+        yield (
+            slice(None),
+            {name: zero if flags is None else flags[indices] for name, flags in predictions.items()},
+        )
 
 
 def expected_points(plan: ScenePlan) -> float:

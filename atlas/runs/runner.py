@@ -10,10 +10,11 @@ import time
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor, as_completed
-from contextlib import suppress
-from dataclasses import dataclass, replace
+from contextlib import ExitStack, suppress
+from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import xarray as xr
@@ -38,6 +39,7 @@ from . import cluster, estimate, refine
 from .backend import open_atlas
 from .earlier import Earlier, evaluate_at
 from .folder import LONGEST_NAME, MANIFEST, RESULT, RunFolder, history_text, remove_empty, result_hash
+from .levels import LEVELS, Level, RefinedFolder
 from .plan import ScenePlan, differences, identity
 from .tiles import TileFiles, tile_types
 
@@ -56,7 +58,8 @@ class _Execution:
     workers: int | None
     stop_after: float | None
     began: float  # time.monotonic
-    earlier: list[Earlier]
+    earlier: list[Earlier] = field(default_factory=list)
+    clients: list[Any] = field(default_factory=list)  # the client of dask, when it is connected
 
     @property
     def time_is_up(self) -> bool:
@@ -67,6 +70,17 @@ class _Execution:
     def on_cluster(self) -> bool:
         """Whether dask workers compute the tiles."""
         return bool(self.scheduler or self.workers)
+
+    def client(self, plan: ScenePlan, stack: ExitStack) -> Any:
+        """The client of dask workers, which is connected once and closed with the stack."""
+        if not self.clients:
+            if self.workers:
+                # Compile the kernel by one step at one point: each new process would compile it otherwise.
+                points = replace(plan.points.without_derived(), settings=plan.limited(1))
+                if points.outputs:
+                    evaluate(points, plan.sample.subset(np.flatnonzero(plan.sample.exists)[:1]), threads=1)
+            self.clients.append(stack.enter_context(cluster.connect(self.scheduler, self.workers)))
+        return self.clients[0]
 
     def check(self) -> None:
         """Raise BadInput for values and combinations that are not allowed."""
@@ -102,7 +116,6 @@ def run(
     """Integrate every point of a scene, label it, and write the atlas if `out` is given.
 
     After an error or KeyboardInterrupt, finished tiles stay in the run folder, and the same call continues.
-    A scene with [refine] runs in this process only, into memory or one file; see `refine.refined`.
 
     Parameters
     ----------
@@ -119,7 +132,8 @@ def run(
     force : bool
         Replace an existing file.
     shard : (int, int), optional
-        (i, n) computes only the i-th of n parts, counted from 1; needs a run folder.
+        (i, n) computes only the i-th of n parts, counted from 1; needs a run folder. Of a refined scene a shard computes
+        its part of each level first and then what others have not.
     scheduler : str, optional
         Address of a dask scheduler, whose workers compute the tiles.
     workers : int, optional
@@ -146,7 +160,7 @@ def run(
         If `stop_after` is over before the run is; the same call continues it.
     """
     scene = scene if isinstance(scene, Scene) else load_scene(scene)
-    execution = _Execution(threads, shard, scheduler, workers, stop_after, time.monotonic(), [])
+    execution = _Execution(threads, shard, scheduler, workers, stop_after, time.monotonic())
     if out is None and (shard or execution.on_cluster or stop_after is not None):
         raise BadInput("shard, scheduler, workers and stop_after need an out that ends in / or .nc")
     execution.check()
@@ -159,8 +173,6 @@ def run(
     path, one_file = (None, False) if out is None else _destination(out)
     if shard and one_file:
         raise BadInput(f"shard: {path} is one file; shards need a run folder, a name that ends in /")
-    if scene.refine is not None and (shard or execution.on_cluster or (path is not None and not one_file)):
-        raise BadInput("refine: a refined scene runs in one process, into memory or one file, NAME.nc")
     if path is not None and one_file and path.exists() and not force:
         if not _folder_of(path).exists():
             raise BadInput(exists_message(path))
@@ -172,13 +184,11 @@ def run(
         execution.earlier.append(Earlier.of(each, scene))
     warnings = [*grid.warnings(scene, plan.sample), *plan.chaos_warnings()]
     log_warnings(warnings)
-    if scene.refine is not None:
+    if path is None and scene.refine is not None:
         with announced(progress):
-            ds = refine.refined(plan, warnings, threads=threads, progress=progress, earlier=execution.earlier)
-        if path is None:
-            return ds
-        netcdf.write(ds.assign_attrs({RESULT: _own_result_hash(plan)}), path)
-        return open_atlas(path)
+            return refine.refined(
+                plan, warnings, threads=threads, progress=progress, earlier=execution.earlier
+            )
     if path is None:
         return _run_in_memory(plan, warnings, threads, progress, execution.earlier)
     if one_file:
@@ -215,52 +225,96 @@ def _folder_of(path: Path) -> Path:
 
 
 def _complete(folder: RunFolder, plan: ScenePlan, execution: _Execution, progress: bool) -> Progress:
-    """Compute the missing tiles of a folder or shard; the progress is at work until it is closed."""
+    """Compute what is missing in a folder or shard; the progress is at work until it is closed."""
     explain_kept(folder.progress_text)
-    job = _Job(folder, execution)
-    logger = logging.getLogger("atlas")
-    for tile, reason in list(job.status.damaged.items())[:MAX_DAMAGE_WARNINGS]:
-        logger.warning("%s: tile %d is computed again: %s", folder.path, tile, reason)
-    if len(job.status.damaged) > MAX_DAMAGE_WARNINGS:
-        logger.warning("... and %d damaged tiles more", len(job.status.damaged) - MAX_DAMAGE_WARNINGS)
-    if job.unfinished:
-        check_folder(folder.tiles.folder / "tile")
-        missing = sum(map(folder.tiling.size_of, job.unfinished))
-        estimate.check_disk(plan, folder.path, missing, is_joined=folder.path.suffix == RUN_SUFFIX)
-    name = "progress.json" if job.parts == 1 else f"progress-{job.part}-of-{job.parts}.json"
+    part, parts = execution.shard or (1, 1)
+    name = "progress.json" if parts == 1 else f"progress-{part}-of-{parts}.json"
     bar = Progress(
-        sum(map(folder.tiling.size_of, job.tiles)),
-        done=sum(map(folder.tiling.size_of, job.status.done)),
-        show=progress and bool(job.unfinished),
+        0,
+        show=progress,
         file=folder.path / name,
-        facts={"shard": f"{job.part}/{job.parts}", "host": socket.gethostname()},
+        facts={"shard": f"{part}/{parts}", "host": socket.gethostname()},
     )
     try:
-        if job.unfinished:
-            try:
-                if execution.on_cluster:
-                    _compute_on_cluster(job, bar, plan, execution)
-                else:
-                    _compute_in_threads(job, bar, plan, execution)
-            finally:
-                folder.remove_leftovers()
-        if job.is_stopped:
-            raise Stopped(f"stopped after {clock(execution.stop_after or 0)}; {folder.progress_text()}")
-        try:
-            finished = bool(folder.final_attributes())
-        except BadInput as error:
-            logger.warning("%s", error)
-            finished = False
-        if not finished and not folder.tiles.missing():
-            folder.save_final_attributes(
-                half_step.half_step_sample(plan.scene, plan.points, threads=execution.threads)
-            )
+        with ExitStack() as stack:
+            if isinstance(folder, RefinedFolder):
+                _compute_levels(folder, bar, plan, execution, stack, progress)
+            else:
+                _compute(_Job(folder, execution), bar, plan, stack)
+        if not isinstance(folder, RefinedFolder):
+            _complete_notes(folder, plan, execution)
     except BaseException as error:
         bar.close()
         if isinstance(error, OSError):
             folder.check_kept()
         raise
     return bar
+
+
+def _complete_notes(folder: RunFolder, plan: ScenePlan, execution: _Execution) -> None:
+    """Write the attributes that only the finished run has, if all tiles are there."""
+    try:
+        finished = bool(folder.final_attributes())
+    except BadInput as error:
+        logging.getLogger("atlas").warning("%s", error)
+        finished = False
+    if not finished and not folder.tiles.missing():
+        folder.save_final_attributes(
+            half_step.half_step_sample(plan.scene, plan.points, threads=execution.threads)
+        )
+
+
+def _compute_levels(
+    folder: RefinedFolder,
+    bar: Progress,
+    plan: ScenePlan,
+    execution: _Execution,
+    stack: ExitStack,
+    progress: bool,
+) -> None:
+    """Compute the levels of a refined scene one after the other, and write its atlas."""
+    if folder.is_complete and _is_result(plan, folder.result):
+        bar.add(plan.scene.size, done=plan.scene.size)
+        return
+    levels = list[Level]()
+
+    def integrate(indices: np.ndarray) -> Iterator[refine.Part]:
+        if not indices.size:
+            return
+        level = Level(folder, len(levels), levels[-1].key if levels else "", indices)
+        levels.append(level)
+        level.prepare()
+        _compute(_Job(level, execution), bar, plan, stack)
+        for tile in range(level.tiling.count):
+            yield level.tiling.slices(tile)[0], level.tiles.read(tile)
+
+    ds = refine.refined_by(integrate, plan, threads=execution.threads, progress=progress)
+    folder.check_kept()
+    netcdf.write(ds.assign_attrs(folder.provenance()[0] | ds.attrs), folder.result)
+
+
+def _compute(job: _Job, bar: Progress, plan: ScenePlan, stack: ExitStack) -> None:
+    """Compute the tiles of a job; a client of dask workers is closed with the stack."""
+    folder, execution, logger = job.folder, job.execution, logging.getLogger("atlas")
+    for tile, reason in list(job.status.damaged.items())[:MAX_DAMAGE_WARNINGS]:
+        logger.warning("%s: tile %d is computed again: %s", folder.path, tile, reason)
+    if len(job.status.damaged) > MAX_DAMAGE_WARNINGS:
+        logger.warning("... and %d damaged tiles more", len(job.status.damaged) - MAX_DAMAGE_WARNINGS)
+    missing = sum(map(folder.tiling.size_of, job.unfinished))
+    bar.add(sum(map(folder.tiling.size_of, job.tiles)), done=sum(map(folder.tiling.size_of, job.status.done)))
+    if not job.unfinished:
+        return
+    check_folder(folder.tiles.folder / "tile")
+    estimate.check_disk(plan, folder.path, missing, is_joined=folder.path.suffix == RUN_SUFFIX)
+    try:
+        if execution.on_cluster:
+            _compute_on_cluster(job, bar, execution.client(plan, stack))
+        else:
+            _compute_in_threads(job, bar, plan)
+    finally:
+        folder.remove_leftovers()
+    if job.is_stopped:
+        raise Stopped(f"stopped after {clock(execution.stop_after or 0)}; {folder.run.progress_text()}")
 
 
 def _run_to_file(
@@ -397,20 +451,25 @@ def for_each_tile(
 
 
 class _Job:
-    """The tiles of a run folder, or of one shard of it, that this process has to compute."""
+    """The tiles of a run folder, or of one shard of it, that this process has to compute.
 
-    def __init__(self, folder: RunFolder, execution: _Execution):
+    No shard goes on to the next level before this one is complete, so that it computes the tiles of the others too, after its own.
+    """
+
+    def __init__(self, folder: RunFolder | Level, execution: _Execution):
         self.folder, self.execution = folder, execution
         self.part, self.parts = execution.shard or (1, 1)
         self.is_stopped = False  # whether the time was over before the tiles were done
-        self.tiles = range(self.part - 1, folder.tiling.count, self.parts)
+        own = range(self.part - 1, folder.tiling.count, self.parts)
+        self.tiles = range(folder.tiling.count) if isinstance(folder, Level) else own
         self.status = folder.tiles.status(self.tiles)
         self.unfinished = sorted([*self.status.missing, *self.status.damaged])
 
     def remaining_tiles(self, bar: Progress) -> Iterator[int]:
         """Unfinished tiles one by one, from a random one on, so that parallel processes share the work."""
         first = random.randrange(len(self.unfinished))
-        for tile in self.unfinished[first:] + self.unfinished[:first]:
+        tiles = self.unfinished[first:] + self.unfinished[:first]
+        for tile in sorted(tiles, key=lambda tile: tile % self.parts != self.part - 1):
             if tile not in self.status.damaged and self.folder.tiles.is_done(tile):
                 bar.skip(self.folder.tiling.size_of(tile))
             elif self.execution.time_is_up:
@@ -420,9 +479,9 @@ class _Job:
                 yield tile
 
 
-def _compute_in_threads(job: _Job, bar: Progress, plan: ScenePlan, execution: _Execution) -> None:
+def _compute_in_threads(job: _Job, bar: Progress, plan: ScenePlan) -> None:
     """Compute the tiles of a job in threads of this process."""
-    folder, threads, earlier = job.folder, execution.threads, execution.earlier
+    folder, threads, earlier = job.folder, job.execution.threads, job.execution.earlier
     by = f"{threads or blocks.available_threads()} threads"
     by += f", shard {job.part}/{job.parts}" if job.parts > 1 else ""
     stopwatch, last_end, lock = Stopwatch(), 0.0, threading.Lock()
@@ -430,7 +489,7 @@ def _compute_in_threads(job: _Job, bar: Progress, plan: ScenePlan, execution: _E
     def compute(tile: int, advance: Advance) -> None:
         nonlocal last_end
         columns, computed, reused = evaluate_at(
-            plan.points, folder.scene, folder.tiling.indices(tile), earlier, threads=threads, progress=advance
+            plan.points, folder.scene, folder.indices(tile), earlier, threads=threads, progress=advance
         )
         with lock:  # tiles overlap: each takes the time since the one before it ended
             now = stopwatch.seconds()
@@ -442,14 +501,9 @@ def _compute_in_threads(job: _Job, bar: Progress, plan: ScenePlan, execution: _E
     for_each_tile(job.remaining_tiles(bar), compute, bar.advance, plan.tiles_in_flight(threads))
 
 
-def _compute_on_cluster(job: _Job, bar: Progress, plan: ScenePlan, execution: _Execution) -> None:
+def _compute_on_cluster(job: _Job, bar: Progress, client: Any) -> None:
     """Compute the tiles of a job on dask workers."""
     folder = job.folder
-    if execution.workers:
-        # Compile the kernel by one step at one point: each new process would compile it otherwise.
-        points = replace(plan.points.without_derived(), settings=plan.limited(1))
-        if points.outputs:
-            evaluate(points, plan.sample.subset(np.flatnonzero(plan.sample.exists)[:1]), threads=1)
 
     def on_result(tile: int) -> None:
         if not folder.tiles.is_written(tile):
@@ -459,11 +513,10 @@ def _compute_on_cluster(job: _Job, bar: Progress, plan: ScenePlan, execution: _E
         bar.advance(folder.tiling.size_of(tile))
 
     run = str(folder.path), folder.key
-    reuse = tuple(str(each.path) for each in execution.earlier)
+    reuse = tuple(str(each.path) for each in job.execution.earlier)
     arguments = ((*run, tile, reuse) for tile in job.remaining_tiles(bar))
-    with cluster.connect(execution.scheduler, execution.workers) as client:
-        cluster.check_workers(client, check_worker, (*run, reuse))
-        cluster.for_each(client, compute_tile, arguments, on_result)
+    cluster.check_workers(client, check_worker, (*run, reuse))
+    cluster.for_each(client, compute_tile, arguments, on_result)
 
 
 def check_worker(path: str, key: str, reuse: tuple[str, ...] = ()) -> None:
@@ -475,9 +528,7 @@ def compute_tile(path: str, key: str, tile: int, reuse: tuple[str, ...] = ()) ->
     """Compute and write one tile with one thread, the task of a dask worker; BadInput as `check_worker`."""
     folder, tiles, plan, earlier = _open_cached(path, key, reuse)
     stopwatch = Stopwatch()
-    columns, computed, reused = evaluate_at(
-        plan, folder.scene, folder.tiling.indices(tile), earlier, threads=1
-    )
+    columns, computed, reused = evaluate_at(plan, folder.scene, folder.indices(tile), earlier, threads=1)
     folder.check_kept()
     tiles.write(
         tile, columns, computed=computed, seconds=stopwatch.seconds(), by="dask workers", reused=reused
@@ -488,9 +539,9 @@ def compute_tile(path: str, key: str, tile: int, reuse: tuple[str, ...] = ()) ->
 @lru_cache(maxsize=8)
 def _open_cached(
     path: str, key: str, reuse: tuple[str, ...]
-) -> tuple[RunFolder, TileFiles, Plan, list[Earlier]]:
+) -> tuple[RunFolder | Level, TileFiles, Plan, list[Earlier]]:
     """A run whose bits this process computes, its tiles with the key of what this process computes, plan, earlier atlases."""
-    folder = RunFolder.open(path)
+    folder = Level.open(Path(path)) if Path(path).parent.name == LEVELS else RunFolder.open(path)
     if folder.key != key:
         raise BadInput(f"{path}: holds another run on the machine of this worker ({socket.gethostname()})")
     plan = Plan.of(folder.scene)

@@ -167,7 +167,8 @@ class Level:
         except BadInput:
             pass
         self.check_kept()
-        self.tiles.folder.mkdir(parents=True, exist_ok=True)
+        for folder in (self.path, self.tiles.folder):  # not the run, which another process may have removed
+            folder.mkdir(exist_ok=True)
         with atomic_write(self.path / POINTS) as temporary:
             temporary.write_bytes(self.points.astype("<i8").tobytes())
         manifest: dict[str, Any] = {"key": self.key, "level": self.number, "before": self.before}

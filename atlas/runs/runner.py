@@ -41,7 +41,7 @@ from .earlier import Earlier, evaluate_at
 from .folder import LONGEST_NAME, MANIFEST, RESULT, RunFolder, history_text, remove_empty, result_hash
 from .levels import LEVELS, Level, RefinedFolder
 from .plan import ScenePlan, differences, identity
-from .tiles import TileFiles, tile_types
+from .tiles import DamagedTile, TileFiles, tile_types
 
 MAX_DAMAGE_WARNINGS = 5
 RUN_SUFFIX = ".run"  # of the folder in which an atlas of one file is computed
@@ -286,7 +286,10 @@ def _compute_levels(
         level.prepare()
         _compute(_Job(level, execution), bar, plan, stack)
         for tile in range(level.tiling.count):
-            yield level.tiling.slices(tile)[0], level.tiles.read(tile)
+            try:
+                yield level.tiling.slices(tile)[0], level.tiles.read(tile)
+            except DamagedTile as error:
+                raise OSError(f"{level.path}: tile {tile}: {error}; run the scene again") from None
 
     ds = refine.refined_by(integrate, plan, threads=execution.threads, progress=progress)
     folder.check_kept()

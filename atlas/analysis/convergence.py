@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import csv
-import io
 import math
 from collections import Counter
 from collections.abc import Sequence
@@ -28,7 +26,7 @@ FACTORS = (0.25, 0.5, 1.0, 2.0, 4.0)
 FLAGS = ("label", "label_inertial", "label_any_axis", "label_any_axis_inertial", "regularity")
 MAX_POINTS = 10_000  # default
 CHANGE = "label_change"
-MAX_TRANSITIONS = 3  # printed for each value
+HEAD = ("variable", "setting", "factor", "changed", "percent", "changes")
 
 
 def convergence(
@@ -118,49 +116,31 @@ def _columns(scene: Scene, bar: Progress) -> dict[str, np.ndarray]:
     return {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
 
 
-def rows(ds: xr.Dataset) -> list[dict[str, str]]:
-    """A row for each flag, setting and factor: the points that change and the most frequent changes."""
-    result = []
+def rows(ds: xr.Dataset) -> list[tuple[str, ...]]:
+    """A row of HEAD for each flag, setting and factor: the points that change and the most frequent changes."""
+    result = list[tuple[str, ...]]()
     for name in VARIED:
         for flag in (flag for flag in FLAGS if f"{flag}_of_{name}" in ds):
             meanings, base = flag_names(ds[flag]), ds[flag].values
-            for factor in FACTORS:
-                values = ds[f"{flag}_of_{name}"].sel({f"{name}_factor": factor}).values
-                changed = values != base
-                pairs = Counter(zip(base[changed].tolist(), values[changed].tolist(), strict=True))
-                result.append({
-                    "variable": flag,
-                    "setting": name,
-                    "factor": f"{factor:g}",
-                    "points": str(base.size),
-                    "changed": str(int(changed.sum())),
-                    "percent": f"{100 * changed.mean():.3g}",
-                    "changes": ", ".join(
-                        f"{meanings[a]} to {meanings[b]} {n}" for (a, b), n in pairs.most_common(MAX_TRANSITIONS)
-                    ),
-                })  # fmt: skip
+            for factor, values in zip(FACTORS, ds[f"{flag}_of_{name}"].values, strict=True):
+                where = values != base
+                pairs = Counter(zip(base[where].tolist(), values[where].tolist(), strict=True)).most_common(3)
+                changes = "; ".join(f"{meanings[a]} to {meanings[b]} {count}" for (a, b), count in pairs)
+                result.append(
+                    (flag, name, f"{factor:g}", str(where.sum()), f"{100 * where.mean():.3g}", changes)
+                )
     return result
 
 
 def report(ds: xr.Dataset) -> str:
     """The rows as a table, and how many points change at all."""
-    listed = rows(ds)
     changed, size = int((ds[CHANGE] != 0).sum()), ds[CHANGE].size
-    counted = [
-        f"{' or '.join(f'{factor:g}' for factor in VARIED[name])} times the {name}"
-        for name in VARIED
-        if f"label_of_{name}" in ds
-    ]
-    return (
-        f"{text_table([tuple(listed[0]), *(tuple(row.values()) for row in listed)])}\n"
-        f"{changed} of {size} points ({100 * changed / size:.3g} %) change with {', '.join(counted)}"
-    )
+    varied = [name for name in VARIED if f"label_of_{name}" in ds]
+    counted = [f"{' or '.join(f'{factor:g}' for factor in VARIED[name])} times the {name}" for name in varied]
+    summary = f"{changed} of {size} points ({100 * changed / size:.3g} %) change with {', '.join(counted)}"
+    return f"{text_table([HEAD, *rows(ds)])}\n{summary}"
 
 
 def table(ds: xr.Dataset) -> str:
     """The rows as comma-separated values."""
-    text = io.StringIO()
-    writer = csv.DictWriter(text, list(rows(ds)[0]), lineterminator="\n")
-    writer.writeheader()
-    writer.writerows(rows(ds))
-    return text.getvalue()
+    return "".join(f"{','.join(row)}\n" for row in [HEAD, *rows(ds)])

@@ -108,7 +108,7 @@ class Progress:
         speed, seconds_left = self._speed()
         content = self.facts | {
             "points": self.points,
-            "done": round(self._done),
+            "done": min(round(self._done), self.points),
             "points_per_second": speed,
             "seconds_left": seconds_left,
             "running": running,

@@ -9,12 +9,13 @@ import sys
 import time
 import tracemalloc
 import zlib
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
-from ..compiling import Stopwatch
 from ..engine import blocks
 from ..errors import BadInput
 from ..io import netcdf
@@ -163,17 +164,17 @@ def _measure(plan: ScenePlan, threads: int) -> _Measurement:
         sample = replace(plan.sample, duration=plan.sample.duration * fraction)
         plan = ScenePlan(replace(plan.scene, settings=settings), sample)
     points = plan.sample
-    stopwatch = Stopwatch()  # without the time in which a kernel is compiled
-    predict_runs(plan.points, points, threads=threads)
-    theory_seconds = stopwatch.seconds()
+    started = time.perf_counter()
+    evaluate(plan.points, points, threads=threads)
+    compiled = time.perf_counter()
 
-    def seconds() -> float:
-        """Wall-clock time of integrating the points."""
-        started = time.perf_counter()
-        evaluate(plan.points, points, threads=threads)
-        return time.perf_counter() - started
+    def processor_seconds(call: Callable[..., Any]) -> float:
+        """Time of a call on each of the processors, which other programs at work do not lengthen."""
+        began = time.process_time()
+        call(plan.points, points, threads=threads)
+        return (time.process_time() - began) / threads
 
-    compiling, second = seconds(), seconds()
+    theory_seconds, seconds = processor_seconds(predict_runs), processor_seconds(evaluate)
     tracemalloc.start()
     columns = evaluate(plan.points, points, threads=threads) | points.base
     peak_bytes = tracemalloc.get_traced_memory()[1]
@@ -183,9 +184,9 @@ def _measure(plan: ScenePlan, threads: int) -> _Measurement:
         shuffled = columns[name].astype(dtype).view(np.uint8).reshape(points.exists.size, -1).T
         stored += len(zlib.compress(shuffled.tobytes(), netcdf.COMPRESSION["complevel"]))
     return _Measurement(
-        seconds_per_step=max(second - theory_seconds, 0.1 * second) / (points.exists.size * plan.mean_work),
+        seconds_per_step=max(seconds - theory_seconds, 0.1 * seconds) / (points.exists.size * plan.mean_work),
         theory_seconds=theory_seconds / points.exists.size,
-        compile_seconds=max(compiling - second, 0.0),
+        compile_seconds=max(compiled - started - seconds, 0.0),
         bytes_per_point=peak_bytes / points.exists.size,
         stored_bytes_per_point=stored / points.exists.size,
     )

@@ -246,7 +246,7 @@ class RunFolder:
         """Remove temporary files of processes that were killed."""
         remove_leftovers(self.path)
         for tiles in self.tile_sets().values():
-            remove_leftovers(tiles.folder)
+            tiles.remove_leftovers()
 
     def progress_text(self) -> str:
         """Number of the tiles that are written, as text; empty if the folder has been removed."""
@@ -374,12 +374,12 @@ class RunFolder:
 
         `out` is replaced, or kept after BadInput (a tile or the package zarr is missing) and OSError.
         """
-        missing = len(self.tiles.missing())
-        if missing:
-            raise BadInput(
-                f"{self.path}: {missing} of {self.tiling.count} tiles are missing; run its scene again first"
-            )
-        names, shape = tuple(tile_types(self.scene)), self.scene.shape
+        if not self.is_complete:
+            raise BadInput(f"{self.path}: unfinished, {self.progress_text()}; run its scene again first")
+        ds, shape = self.dataset(), self.scene.shape
+        if self.scene.refine is not None:
+            ds.load()  # a file cannot be read while another one is written
+        names = (*map(str, ds.data_vars), *self.scene.solve)
         # Chunks as long as tiles of the cheapest scene: many small tiles would make a slow file.
         lengths = Tiling.of(shape, grid.MAX_POINTS_PER_TILE).tile
         chunk = dict(zip(netcdf.dims(self.scene), lengths, strict=True))
@@ -388,10 +388,10 @@ class RunFolder:
                 zarr_store.zarr_package()
                 sizes = dict(zip(chunk, shape, strict=True))
                 blocks = self._blocks(tuple(zarr_store.shard_lengths(sizes, chunk).values()))
-                zarr_store.write_blocks(self.dataset(), chunk, names, blocks, out)
+                zarr_store.write_blocks(ds, chunk, names, blocks, out)
             else:
                 whole = (t * max(c // t, 1) for t, c in zip(self.tiling.tile, lengths, strict=True))
-                netcdf.write_blocks(self.dataset(), chunk, names, self._blocks(tuple(whole)), out)
+                netcdf.write_blocks(ds, chunk, names, self._blocks(tuple(whole)), out)
         except DamagedTile as error:
             raise BadInput(f"{self.path}: {error}; run its scene again first") from None
 

@@ -15,6 +15,7 @@ from __future__ import annotations
 import hashlib
 import logging
 import math
+from collections.abc import Iterator
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -24,8 +25,7 @@ import xarray as xr
 
 from ..errors import BadInput
 from ..files import atomic_write, check_types, one_line, read_bytes, remove_leftovers, sealed, unsealed
-from ..io import netcdf, zarr_store
-from ..scene import grid
+from ..io.netcdf import Block
 from ..variables import POINT, variables
 from .backend import open_atlas
 from .folder import MANIFEST, RunFolder, hash_of
@@ -62,7 +62,8 @@ class RefinedFolder(RunFolder):
 
     def remove_leftovers(self) -> None:
         """Remove temporary files of processes that were killed."""
-        for folder in (self.path, *self.path.glob(f"{LEVELS}/*"), *self.path.glob(f"{LEVELS}/*/tiles")):
+        super().remove_leftovers()
+        for folder in self.path.glob(f"{LEVELS}/*"):
             remove_leftovers(folder)
 
     def tile_sets(self) -> dict[str, TileFiles]:
@@ -85,25 +86,10 @@ class RefinedFolder(RunFolder):
             )
         return open_atlas(self.result)
 
-    def join(self, out: Path) -> None:
-        """Write the finished atlas as a NetCDF file or .zarr store."""
-        with self.dataset() as ds:
-            if out.suffix.lower() != ".zarr":
-                ds.load()
-                netcdf.write(ds, out)
-                return
-            names, shape = tuple(map(str, (*ds.data_vars, *self.scene.solve))), self.scene.shape
-            chunk = dict(
-                zip(netcdf.dims(self.scene), Tiling.of(shape, grid.MAX_POINTS_PER_TILE).tile, strict=True)
-            )
-            boxes = Tiling(
-                shape, tuple(zarr_store.shard_lengths(dict(zip(chunk, shape, strict=True)), chunk).values())
-            )
-            blocks = (
-                (box, {name: ds[name].values[box] for name in names})
-                for box in map(boxes.slices, range(boxes.count))
-            )
-            zarr_store.write_blocks(ds, chunk, names, blocks, out)
+    def _blocks(self, lengths: tuple[int, ...]) -> Iterator[Block]:
+        ds, boxes = self.dataset().load(), Tiling(self.scene.shape, lengths)
+        for box in map(boxes.slices, range(boxes.count)):
+            yield box, {name: ds[name].values[box] for name in (*map(str, ds.data_vars), *self.scene.solve)}
 
     def remove(self) -> None:
         """Remove the run, the manifest last."""
@@ -185,5 +171,5 @@ class Level:
 
     def remove_leftovers(self) -> None:
         """Remove temporary files of processes that were killed."""
-        for folder in (self.path, self.tiles.folder):
-            remove_leftovers(folder)
+        remove_leftovers(self.path)
+        self.tiles.remove_leftovers()

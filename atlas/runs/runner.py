@@ -5,7 +5,6 @@ from __future__ import annotations
 import logging
 import random
 import socket
-import threading
 import time
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -14,6 +13,7 @@ from contextlib import ExitStack, suppress
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from pathlib import Path
+from threading import Event, Lock
 from typing import Any
 
 import numpy as np
@@ -44,6 +44,7 @@ from .plan import ScenePlan, differences, identity
 from .tiles import DamagedTile, TileFiles, tile_types
 
 MAX_DAMAGE_WARNINGS = 5
+CLAIM_POLL = 0.5  # seconds between two looks at tiles that other processes compute
 RUN_SUFFIX = ".run"  # of the folder in which an atlas of one file is computed
 Advance = Callable[[float], None]  # takes a number of finished points
 
@@ -411,7 +412,8 @@ def _run_in_memory(
         bar.skip(indices.size - computed + reused.total())
 
     try:
-        for_each_tile(range(tiles.count), compute, bar.advance, plan.tiles_in_flight(threads))
+        in_flight = plan.tiles_in_flight(threads)
+        for_each_tile(range(tiles.count), compute, bar.advance, in_flight, Event())
     finally:
         bar.close()
     attributes = scene_provenance(
@@ -426,10 +428,14 @@ class _Abandoned(Exception):
 
 
 def for_each_tile(
-    tiles: Iterable[int], compute: Callable[[int, Advance], None], advance: Advance, in_flight: int
+    tiles: Iterable[int],
+    compute: Callable[[int, Advance], None],
+    advance: Advance,
+    in_flight: int,
+    stop: Event,
 ) -> None:
-    """Call compute(tile, advance) in threads; after an error or Ctrl-C abandon tiles and raise it."""
-    source, lock, stop = iter(tiles), threading.Lock(), threading.Event()
+    """Call compute(tile, advance) in threads; after an error or Ctrl-C, which set `stop`, abandon tiles and raise it."""
+    source, lock = iter(tiles), Lock()
 
     def advance_or_stop(points: float) -> None:
         if stop.is_set():
@@ -463,6 +469,7 @@ class _Job:
         self.folder, self.execution = folder, execution
         self.part, self.parts = execution.shard or (1, 1)
         self.is_stopped = False  # whether the time was over before the tiles were done
+        self.stop = Event()  # set when an error or Ctrl-C ends the job
         own = range(self.part - 1, folder.tiling.count, self.parts)
         self.tiles = range(folder.tiling.count) if isinstance(folder, Level) else own
         self.status = folder.tiles.status(self.tiles)
@@ -471,15 +478,24 @@ class _Job:
     def remaining_tiles(self, bar: Progress) -> Iterator[int]:
         """Unfinished tiles one by one, from a random one on, so that parallel processes share the work."""
         first = random.randrange(len(self.unfinished))
-        tiles = self.unfinished[first:] + self.unfinished[:first]
-        for tile in sorted(tiles, key=lambda tile: tile % self.parts != self.part - 1):
-            if tile not in self.status.damaged and self.folder.tiles.is_done(tile):
-                bar.skip(self.folder.tiling.size_of(tile))
-            elif self.execution.time_is_up:
-                self.is_stopped = True
+        tiles, files = self.unfinished[first:] + self.unfinished[:first], self.folder.tiles
+        tiles.sort(key=lambda tile: tile % self.parts != self.part - 1)
+        while tiles:
+            claimed = []
+            for tile in tiles:
+                if self.execution.time_is_up:
+                    self.is_stopped = True
+                    return
+                if tile not in self.status.damaged and files.is_written(tile) and files.is_done(tile):
+                    bar.skip(self.folder.tiling.size_of(tile))
+                elif files.claim(tile):
+                    self.status.damaged.pop(tile, None)
+                    yield tile
+                else:
+                    claimed.append(tile)
+            if len(claimed) == len(tiles) and self.stop.wait(CLAIM_POLL):
                 return
-            else:
-                yield tile
+            tiles = claimed
 
 
 def _compute_in_threads(job: _Job, bar: Progress, plan: ScenePlan) -> None:
@@ -487,21 +503,28 @@ def _compute_in_threads(job: _Job, bar: Progress, plan: ScenePlan) -> None:
     folder, threads, earlier = job.folder, job.execution.threads, job.execution.earlier
     by = f"{threads or blocks.available_threads()} threads"
     by += f", shard {job.part}/{job.parts}" if job.parts > 1 else ""
-    stopwatch, last_end, lock = Stopwatch(), 0.0, threading.Lock()
+    stopwatch, last_end, lock = Stopwatch(), 0.0, Lock()
 
     def compute(tile: int, advance: Advance) -> None:
         nonlocal last_end
-        columns, computed, reused = evaluate_at(
-            plan.points, folder.scene, folder.indices(tile), earlier, threads=threads, progress=advance
-        )
-        with lock:  # tiles overlap: each takes the time since the one before it ended
-            now = stopwatch.seconds()
-            seconds, last_end = now - last_end, now
-        folder.check_kept()
-        folder.tiles.write(tile, columns, computed=computed, seconds=seconds, by=by, reused=reused)
+        with folder.tiles.held(tile) as keep:
+
+            def report(points: float) -> None:
+                keep()
+                advance(points)
+
+            columns, computed, reused = evaluate_at(
+                plan.points, folder.scene, folder.indices(tile), earlier, threads=threads, progress=report
+            )
+            with lock:  # tiles overlap: each takes the time since the one before it ended
+                now = stopwatch.seconds()
+                seconds, last_end = now - last_end, now
+            folder.check_kept()
+            folder.tiles.write(tile, columns, computed=computed, seconds=seconds, by=by, reused=reused)
         bar.skip(folder.tiling.size_of(tile) - computed + reused.total())
 
-    for_each_tile(job.remaining_tiles(bar), compute, bar.advance, plan.tiles_in_flight(threads))
+    in_flight = plan.tiles_in_flight(threads)
+    for_each_tile(job.remaining_tiles(bar), compute, bar.advance, in_flight, job.stop)
 
 
 def _compute_on_cluster(job: _Job, bar: Progress, client: Any) -> None:
@@ -531,11 +554,14 @@ def compute_tile(path: str, key: str, tile: int, reuse: tuple[str, ...] = ()) ->
     """Compute and write one tile with one thread, the task of a dask worker; BadInput as `check_worker`."""
     folder, tiles, plan, earlier = _open_cached(path, key, reuse)
     stopwatch = Stopwatch()
-    columns, computed, reused = evaluate_at(plan, folder.scene, folder.indices(tile), earlier, threads=1)
-    folder.check_kept()
-    tiles.write(
-        tile, columns, computed=computed, seconds=stopwatch.seconds(), by="dask workers", reused=reused
-    )
+    with tiles.held(tile) as keep:
+        columns, computed, reused = evaluate_at(
+            plan, folder.scene, folder.indices(tile), earlier, threads=1, progress=lambda points: keep()
+        )
+        folder.check_kept()
+        tiles.write(
+            tile, columns, computed=computed, seconds=stopwatch.seconds(), by="dask workers", reused=reused
+        )
     return tile
 
 

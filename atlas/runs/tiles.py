@@ -8,10 +8,11 @@ import json
 import math
 import os
 import socket
+import time
 from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import suppress
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from itertools import chain
 from pathlib import Path
@@ -21,7 +22,19 @@ import netCDF4
 import numpy as np
 
 from ..errors import shown
-from ..files import atomic_write, check_types, disk_error, one_line, read_bytes, sealed, unsealed
+from ..files import (
+    CLAIM_INTERVAL,
+    atomic_write,
+    check_types,
+    claim,
+    disk_error,
+    is_claimed,
+    one_line,
+    read_bytes,
+    remove_leftovers,
+    sealed,
+    unsealed,
+)
 from ..flags import Label, Status
 from ..io import netcdf
 from ..io.checksums import NETCDF_LOCK
@@ -32,6 +45,7 @@ from ..variables import variables
 MIN_COMPRESSED_POINTS = 4096
 # Bytes of a sidecar, and of the tables of one variable in a NetCDF-4 file.
 SIDECAR_BYTES, TABLE_BYTES = 1200, 3600
+CLAIM = ".claim"  # suffix of the file of a tile that a process computes
 STATUS_BATCH = 64  # tiles that a thread checks at a time
 SIDECAR_TYPES = {"points": int, "computed": int, "seconds": (int, float), "by": str, "reused": dict}
 
@@ -185,6 +199,36 @@ class TileFiles:
         }  # fmt: skip
         with atomic_write(self.path(tile, ".json")) as temporary:
             temporary.write_text(sealed(sidecar), encoding="utf-8")
+
+    @contextmanager
+    def held(self, tile: int) -> Iterator[Callable[[], None]]:
+        """Keep the claim of a tile while it is computed, by calls of what this gives, and release it."""
+        path, touched = self.path(tile, CLAIM), time.monotonic()
+
+        def keep() -> None:
+            nonlocal touched
+            if time.monotonic() - touched > CLAIM_INTERVAL:
+                touched = time.monotonic()
+                with suppress(OSError):
+                    os.utime(path)
+
+        try:
+            yield keep
+        finally:
+            with suppress(OSError):
+                path.unlink(missing_ok=True)
+
+    def claim(self, tile: int) -> bool:
+        """Whether this process may compute a tile, which it claims: no other one that is at work does."""
+        return claim(self.path(tile, CLAIM))
+
+    def remove_leftovers(self) -> None:
+        """Remove temporary files and claims of processes that were killed."""
+        remove_leftovers(self.folder)
+        for path in self.folder.glob(f"*{CLAIM}"):
+            if not is_claimed(path):
+                with suppress(OSError):
+                    path.unlink(missing_ok=True)
 
     def read(self, tile: int, names: Iterable[str] | None = None) -> dict[str, np.ndarray]:
         """Checked variables of a tile, default all; FileNotFoundError, DamagedTile if a check fails."""

@@ -51,9 +51,8 @@ def test_points_that_change_are_flagged_and_counted(study):
     ]
     np.testing.assert_array_equal(ds[CHANGE].values, by["duration"] + 2 * by["rate_tolerance"])
     assert len(np.unique(ds[CHANGE])) > 1
-    rows = [
-        row for row in convergence.rows(ds) if row["variable"] == "label" and row["setting"] == "duration"
-    ]
+    rows = [dict(zip(convergence.HEAD, row, strict=True)) for row in convergence.rows(ds)]
+    rows = [row for row in rows if row["variable"] == "label" and row["setting"] == "duration"]
     assert [float(row["factor"]) for row in rows] == list(FACTORS)
     for row in rows:
         varied = ds.label_of_duration.sel(duration_factor=float(row["factor"]))

@@ -44,7 +44,8 @@ from .plan import ScenePlan, differences, identity
 from .tiles import DamagedTile, TileFiles, tile_types
 
 MAX_DAMAGE_WARNINGS = 5
-CLAIM_POLL = 0.5  # seconds between two looks at tiles that other processes compute
+# Seconds between the first and between later checks whether tiles that other processes compute are done.
+CLAIM_POLL, MAX_CLAIM_POLL = 0.5, 10.0
 RUN_SUFFIX = ".run"  # of the folder in which an atlas of one file is computed
 Advance = Callable[[float], None]  # takes a number of finished points
 
@@ -480,21 +481,24 @@ class _Job:
         first = random.randrange(len(self.unfinished))
         tiles, files = self.unfinished[first:] + self.unfinished[:first], self.folder.tiles
         tiles.sort(key=lambda tile: tile % self.parts != self.part - 1)
+        pause = CLAIM_POLL
         while tiles:
             claimed = []
             for tile in tiles:
-                if self.execution.time_is_up:
-                    self.is_stopped = True
-                    return
                 if tile not in self.status.damaged and files.is_written(tile) and files.is_done(tile):
                     bar.skip(self.folder.tiling.size_of(tile))
+                elif self.execution.time_is_up:
+                    self.is_stopped = True
+                    return
                 elif files.claim(tile):
                     self.status.damaged.pop(tile, None)
                     yield tile
                 else:
                     claimed.append(tile)
-            if len(claimed) == len(tiles) and self.stop.wait(CLAIM_POLL):
-                return
+            if len(claimed) == len(tiles):
+                if self.stop.wait(pause):
+                    return
+                pause = min(2 * pause, MAX_CLAIM_POLL)
             tiles = claimed
 
 

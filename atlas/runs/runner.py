@@ -229,6 +229,9 @@ def _folder_of(path: Path) -> Path:
 def _complete(folder: RunFolder, plan: ScenePlan, execution: _Execution, progress: bool) -> Progress:
     """Compute what is missing in a folder or shard; the progress is at work until it is closed."""
     explain_kept(folder.progress_text)
+    job = None if isinstance(folder, RefinedFolder) else _Job(folder, execution)
+    if job.unfinished if job is not None else not folder.is_complete:
+        check_folder(folder.path / folder.content / "tile")
     part, parts = execution.shard or (1, 1)
     name = "progress.json" if parts == 1 else f"progress-{part}-of-{parts}.json"
     bar = Progress(
@@ -241,10 +244,9 @@ def _complete(folder: RunFolder, plan: ScenePlan, execution: _Execution, progres
         with ExitStack() as stack:
             if isinstance(folder, RefinedFolder):
                 _compute_levels(folder, bar, plan, execution, stack, progress)
-            else:
-                _compute(_Job(folder, execution), bar, plan, stack)
-        if not isinstance(folder, RefinedFolder):
-            _complete_notes(folder, plan, execution)
+            elif job is not None:
+                _compute(job, bar, plan, stack)
+                _complete_notes(folder, plan, execution)
     except BaseException as error:
         bar.close()
         if isinstance(error, OSError):
@@ -309,7 +311,6 @@ def _compute(job: _Job, bar: Progress, plan: ScenePlan, stack: ExitStack) -> Non
     bar.add(sum(map(folder.tiling.size_of, job.tiles)), done=sum(map(folder.tiling.size_of, job.status.done)))
     if not job.unfinished:
         return
-    check_folder(folder.tiles.folder / "tile")
     estimate.check_disk(plan, folder.path, missing, is_joined=folder.path.suffix == RUN_SUFFIX)
     try:
         if execution.on_cluster:

@@ -38,6 +38,8 @@ PROCESS_NAME = re.compile(r"([0-9a-f]{8})-([0-9a-f]{8})-(\d+)-(\d+)")
 TEMPORARY = re.compile(rf"\.atlas-({PROCESS_NAME.pattern})-[0-9a-f]{{8}}\.tmp")
 # Seconds without a write after which the temporary file of another machine is a leftover.
 FOREIGN_LEFTOVER_AGE = 7 * 86400.0
+# Seconds without a sign of life after which a claim expires, and between two signs of life of this process.
+CLAIM_AGE, CLAIM_INTERVAL = 180.0, 20.0
 
 
 def process_name() -> str:
@@ -181,6 +183,37 @@ def claim_path(path: Path) -> Path:
     return path.with_name(f".{path.name}.first")
 
 
+def claim(path: Path) -> bool:
+    """Whether this process may do what a file stands for: it creates the file, or takes over one that expired."""
+    if path.exists() and is_claimed(path):
+        return False
+    if path.exists():
+        with atomic_write(path, durable=False) as temporary:
+            temporary.write_text(process_name(), encoding="ascii")
+        return True
+    try:
+        with path.open("x", encoding="ascii") as file:
+            file.write(process_name())
+        return True
+    except FileExistsError:
+        return False
+
+
+def is_claimed(path: Path) -> bool:
+    """Whether another process that claimed a file is at work: as far as is known it runs, and it touched the file of late."""
+    try:
+        process = path.read_text(encoding="ascii", errors="replace")
+        return process != process_name() and is_running(process) is not False and _age(path) <= CLAIM_AGE
+    except OSError:  # it has been removed
+        return False
+
+
+def _age(path: Path) -> float:
+    """Seconds since a file was written, by the clock of its file system."""
+    with tempfile.TemporaryFile(dir=path.parent) as new:
+        return os.fstat(new.fileno()).st_mtime - path.stat().st_mtime
+
+
 def remove_leftovers(folder: Path) -> None:
     """Remove the temporary files in a folder whose writers are gone; errors are ignored.
 
@@ -196,9 +229,8 @@ def remove_leftovers(folder: Path) -> None:
                 continue
             running = is_running(match[1])
             if running is None:  # its age is known by the clock of the file system
-                with suppress(OSError), tempfile.TemporaryFile(dir=folder) as new:
-                    age = os.fstat(new.fileno()).st_mtime - os.stat(entry).st_mtime
-                    running = age <= FOREIGN_LEFTOVER_AGE
+                with suppress(OSError):
+                    running = _age(Path(entry)) <= FOREIGN_LEFTOVER_AGE
             if running is False:
                 if entry.is_dir(follow_symlinks=False):
                     shutil.rmtree(entry, ignore_errors=True)

@@ -19,6 +19,7 @@ from .errors import printable
 
 # Exit codes, 128 and the number of the signal, as shells and batch systems expect them.
 INTERRUPTED, TERMINATED = 130, 143
+STOPPED = 75  # of a run whose time is over: "try again later" in sysexits.h
 MESSAGE = "finished work is kept, and no file is half written"
 # Seconds from a signal to the end of the process, also where it does not react to exceptions, as in a compiler.
 GRACE_PERIOD = 1.2
@@ -26,6 +27,10 @@ SIGNALS = (signal.SIGINT, signal.SIGTERM)
 
 _received = signal.SIGINT  # the last signal
 _kept: Callable[[], str] | None = None
+
+
+class Stopped(Exception):
+    """The time given to a run is over; what is finished is kept, and the same call continues."""
 
 
 def end_process(number: int | None = None, *_: object) -> None:

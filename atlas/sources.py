@@ -10,7 +10,7 @@ PACKAGE = Path(__file__).parent
 # points and variables a tile contains. Modules that only read, join or draw finished tiles are left out.
 NUMERIC_SOURCES = (
     "flags.py", "jit.py", "variables.py", "engine/**/*.py", "systems/**/*.py", "measure/**/*.py", "scene/**/*.py", "label/**/*.py",
-    "papers/**/*.py", "io/netcdf.py", "runs/runner.py", "runs/plan.py", "runs/tiles.py",
+    "papers/**/*.py", "io/netcdf.py", "runs/runner.py", "runs/earlier.py", "runs/levels.py", "runs/refine.py", "runs/plan.py", "runs/tiles.py",
     "validation/half_step.py",
 )  # fmt: skip
 

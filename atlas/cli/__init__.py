@@ -11,7 +11,14 @@ from typing import NoReturn
 from .._version import __version__
 from ..compiling import announced
 from ..errors import MAX_MESSAGE, BadInput, messages_for_shell, printable, say
-from ..interruption import exit_process, explain_kept, outcome, signals_as_interrupt
+from ..interruption import (
+    STOPPED,
+    Stopped,
+    exit_process,
+    explain_kept,
+    outcome,
+    signals_as_interrupt,
+)
 from . import atlases, scenes, studies
 from .options import BAD_INPUT, DONE, FAILED, Parser, program
 
@@ -19,7 +26,7 @@ __all__ = ["BAD_INPUT", "DONE", "FAILED", "command", "main", "parser"]
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run a command; exit code 0 done, 1 failed, 2 bad input, 130 interrupted, 143 terminated."""
+    """Run a command; exit code 0 done, 1 failed, 2 bad input, 75 out of time, 130 interrupted, 143 terminated."""
     explain_kept(None)
     try:
         with messages_for_shell(), signals_as_interrupt():
@@ -29,6 +36,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except BadInput as error:
         say(f"atlas: {error}", file=sys.stderr)
         return BAD_INPUT
+    except Stopped as stopped:
+        say(f"atlas: {stopped}; the same command continues", file=sys.stderr)
+        return STOPPED
     except KeyboardInterrupt:
         code, message = outcome()
         say(message, file=sys.stderr)
@@ -60,12 +70,14 @@ def parser() -> argparse.ArgumentParser:
     top = Parser(
         prog=program(),
         description="Where in parameter space a gyrostat precesses regularly, rotates permanently or drifts.",
-        epilog="Exit codes: 0 done, 1 failed, 2 bad input, 130 interrupted, 143 terminated (SIGTERM).",
+        epilog="Exit codes: 0 done, 1 failed, 2 bad input, 75 out of time (--stop-after), 130 interrupted, 143 terminated"
+        " (SIGTERM).",
     )
     top.add_argument("--version", action="version", version=f"atlas {__version__}")
     commands = top.add_subparsers(title="commands", metavar="COMMAND", required=True, parser_class=Parser)
     for each in (
         scenes.run_scene,
+        scenes.extend_atlases,
         scenes.print_status,
         scenes.join_folder,
         scenes.check_scene,

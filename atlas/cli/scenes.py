@@ -8,6 +8,7 @@ import re
 import shlex
 import time
 import tomllib
+from collections.abc import Sequence
 from importlib.resources import files
 from importlib.resources.abc import Traversable
 from pathlib import Path
@@ -33,27 +34,58 @@ from .options import (
     read_scene,
 )
 
-
-@command(
-    "run",
-    SCENE,
-    out_option(
-        "OUT",
-        "NAME.nc, or NAME/ for a run folder, which the same command continues (default: the scene's name with .nc)",
-    ),
+OUT = "NAME.nc, or NAME/ for a run folder, which the same command continues"
+EXECUTION = (
     THREADS,
     argument("--shard", metavar="I/N", help="compute part I of N of a run folder, counted from 1"),
     [
         argument("--scheduler", metavar="ADDRESS", help="compute on the workers of this dask scheduler"),
         argument("--workers", type=int, metavar="N", help="compute in N processes of one thread each"),
     ],
-    argument("--dry-run", action="store_true", help="print the expected size, time, memory and error"),
+    argument("--stop-after", metavar="TIME", help="begin no tile after this time, such as 2h or 1h30m"),
     force_option("an existing atlas"),
     QUIET,
     VERBOSE,
 )
+SECONDS = {"d": 86400, "h": 3600, "m": 60, "s": 1}
+
+
+@command(
+    "run",
+    SCENE,
+    out_option("OUT", f"{OUT} (default: the scene's name with .nc)"),
+    argument("--dry-run", action="store_true", help="print the expected size, time, memory and error"),
+    *EXECUTION,
+)
 def run_scene(options: argparse.Namespace) -> int:
     """Integrate a scene and write its labelled atlas."""
+    if options.dry_run:
+        check_at_least("--threads", options.threads, 1)
+        check_at_least("--workers", options.workers, 1)
+        from ..runs.estimate import dry_run
+
+        scene = read_scene(options.scene)
+        say(*dry_run(scene, threads=options.threads, workers=options.workers).split("\n"))
+        return DONE
+    return _run(options, options.out or default_name(options.scene) + ".nc", ())
+
+
+@command(
+    "extend",
+    argument("atlases", metavar="ATLAS", nargs="+", help="earlier atlases, also unfinished run folders"),
+    SCENE,
+    out_option("OUT", OUT, required=True),
+    *EXECUTION,
+)
+def extend_atlases(options: argparse.Namespace) -> int:
+    """Run a scene, and take the points that it shares with earlier atlases from these."""
+    for each in options.atlases:
+        check_not_input(Path(options.out), [each])
+    return _run(options, options.out, options.atlases)
+
+
+def _run(options: argparse.Namespace, out: str, reuse: Sequence[str]) -> int:
+    """Run the scene of the options into an atlas."""
     check_at_least("--threads", options.threads, 1)
     check_at_least("--workers", options.workers, 1)
     shard = None
@@ -63,17 +95,20 @@ def run_scene(options: argparse.Namespace) -> int:
         if not 1 <= number <= count:
             raise BadInput(f"--shard {options.shard}: must be I/N with whole numbers, 1 <= I <= N < 10^9")
         shard = number, count
+    stop_after = None
+    if options.stop_after is not None:
+        if not re.fullmatch("([0-9]{1,9}[dhms])+", options.stop_after):
+            raise BadInput(
+                f"--stop-after {options.stop_after}: must be a time such as 90s, 30m, 2h, 1h30m or 1d"
+            )
+        parts = re.findall("([0-9]+)([dhms])", options.stop_after)
+        stop_after = float(sum(int(number) * SECONDS[unit] for number, unit in parts))
     scene = read_scene(options.scene)
-    out = options.out or default_name(options.scene) + ".nc"
     check_not_input(Path(out), input_files(options.scene))
     from ..analysis.compare import summary
-    from ..runs.estimate import dry_run
-    from ..runs.folder import TALLY
+    from ..runs.folder import HISTORY, TALLY
     from ..runs.runner import run
 
-    if options.dry_run:
-        say(*dry_run(scene, threads=options.threads, workers=options.workers).split("\n"))
-        return DONE
     ds = run(
         scene,
         out,
@@ -83,7 +118,11 @@ def run_scene(options: argparse.Namespace) -> int:
         shard=shard,
         scheduler=options.scheduler,
         workers=options.workers,
+        stop_after=stop_after,
+        reuse=reuse,
     )
+    if HISTORY in ds.attrs:
+        say(*(printable(line, MAX_MESSAGE) for line in str(ds.attrs[HISTORY]).split("\n")))
     if shard is None:
         say(*summary(ds, ds.encoding.get(TALLY), verbose=options.verbose).split("\n"), f"wrote {out}")
     else:
@@ -115,7 +154,9 @@ def join_folder(options: argparse.Namespace) -> int:
 
     folder = RunFolder.open(options.folder)
     folder.join(
-        netcdf.writable(options.out, (".nc", ".zarr"), force=options.force, inputs=[folder.tiles.folder])
+        netcdf.writable(
+            options.out, (".nc", ".zarr"), force=options.force, inputs=[folder.path / folder.content]
+        )
     )
     say(f"wrote {options.out}")
     return DONE

@@ -7,7 +7,8 @@ import csv
 import json
 import sys
 import textwrap
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from typing import Any
 
 from ..errors import say, text_table
@@ -24,7 +25,6 @@ from .options import (
     command,
     force_option,
     input_files,
-    option_with_default,
     out_option,
     output_folder,
     read_scene,
@@ -177,11 +177,17 @@ def draw_figures(options: argparse.Namespace) -> int:
         metavar="OUT",
         help=".nc for every number, .csv for the table, .png, .pdf or .svg for the figure; one or several",
     ),
-    option_with_default("--points", "N", 64, "points to integrate"),
+    argument("--points", type=int, metavar="N", help="points to integrate (default: 64; with --vary 10000)"),
+    argument(
+        "--vary",
+        belongs=str.isidentifier,
+        metavar="SETTING",
+        help="how labels depend on duration, rate_tolerance or tolerance instead; one or several",
+    ),
     force_option("existing files"),
 )
 def measure_accuracy(options: argparse.Namespace) -> int:
-    """Measure error against run time at some points of a scene."""
+    """Measure error against run time, or how labels depend on settings, at some points of a scene."""
     from ..io import netcdf
 
     inputs = input_files(options.scene)
@@ -193,18 +199,28 @@ def measure_accuracy(options: argparse.Namespace) -> int:
     scene = read_scene(options.scene)
     from ..plotting import style
     from ..plotting.stress import work_precision_figure
-    from ..validation import work_precision
 
-    ds = work_precision.work_precision(scene, options.points, progress=True)
-    say(*work_precision.report(ds).split("\n"))
+    study: Any
+    figure: Callable[[Any], Any]
+    if options.vary:
+        from ..analysis import convergence as study
+        from ..plotting.maps import atlas_map
+
+        ds = study.convergence(scene, options.vary, options.points or study.MAX_POINTS)
+        figure = partial(atlas_map, variable=study.CHANGE)
+    else:
+        from ..validation import work_precision as study
+
+        ds, figure = study.work_precision(scene, options.points or 64, progress=True), work_precision_figure
+    say(*study.report(ds).split("\n"))
     for out in outs:
         if out.suffix.lower() == ".nc":
             netcdf.write(ds, out)
         elif out.suffix.lower() == ".csv":
             with atomic_write(out) as temporary:
-                temporary.write_text(work_precision.table(ds))
+                temporary.write_text(study.table(ds))
         else:
-            style.save(work_precision_figure(ds), out)
+            style.save(figure(ds), out)
         say(f"wrote {out}")
     return DONE
 

@@ -56,6 +56,15 @@ class Progress:
         if file is not None:
             self._save(running=True)
 
+    def add(self, points: int, done: int) -> None:
+        """Add points of which some were done before."""
+        with self._lock:
+            self.points += points
+            self._done += done
+            self._done_at_no_cost += done
+        if self.file is not None:
+            self._save(running=True)
+
     def advance(self, points: float) -> None:
         """Add finished points; fractions too, because a tile reports after each block of its points."""
         with self._lock:
@@ -99,7 +108,7 @@ class Progress:
         speed, seconds_left = self._speed()
         content = self.facts | {
             "points": self.points,
-            "done": round(self._done),
+            "done": min(round(self._done), self.points),
             "points_per_second": speed,
             "seconds_left": seconds_left,
             "running": running,

@@ -61,7 +61,8 @@ def open_atlas(path: str | Path) -> xr.Dataset:
     -------
     xarray.Dataset
         Flag variables are plain integers. A run folder gives dask arrays with a chunk for each tile;
-        points of tiles that are missing are `not_computed` and nan, which is logged as a warning. Tiles are
+        points of tiles that are missing are `not_computed` and nan, which is logged as a warning; that of a refined
+        scene must be finished. Tiles are
         read whenever values are computed, so that tiles finished later appear in the same Dataset. Values of
         a file are compared with their checksums when they are read, and BadInput is raised if they differ.
 
@@ -86,7 +87,7 @@ def open_atlas(path: str | Path) -> xr.Dataset:
 
         folder = RunFolder.open(path)
         missing_tiles = folder.tiling.count - folder.tiles.written_count()
-        if missing_tiles:
+        if missing_tiles and folder.scene.refine is None:
             logging.getLogger("atlas").warning(
                 "%s: %d of %d tiles are missing; their points are not_computed",
                 path, missing_tiles, folder.tiling.count,

@@ -4,15 +4,21 @@ from __future__ import annotations
 
 import math
 import resource
+import shutil
 import sys
 import time
 import tracemalloc
+import zlib
+from collections.abc import Callable
 from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 
-from ..compiling import Stopwatch
 from ..engine import blocks
+from ..errors import BadInput
+from ..io import netcdf
 from ..io.progress import clock
 from ..label.pipeline import evaluate
 from ..label.theory import predict_runs
@@ -21,10 +27,14 @@ from ..scene.model import Scene
 from ..systems.base import derived_values
 from .plan import ScenePlan
 from .refine import expected_points
-from .tiles import tile_types
+from .tiles import MIN_COMPRESSED_POINTS, SIDECAR_BYTES, TABLE_BYTES, tile_types
 
-# Points that are integrated for the measurement, and the steps of all lanes for each thread: some tenths of a second.
-CALIBRATION_POINTS, CALIBRATION_STEPS = 4096, 2e7
+# Points that are integrated for the measurement, in runs of neighbours, which compress as tiles do, and the steps of all
+# lanes for each thread: some tenths of a second.
+CALIBRATION_POINTS, CALIBRATION_RUNS, CALIBRATION_STEPS = 4096, 16, 2e7
+PROCESSORS = (1, 16, 256, 4096)  # for which times are printed
+# Bytes that `atlas join` takes before it reads a tile, and copies of a block of points that it holds.
+JOIN_BYTES, JOIN_COPIES = 175e6, 4
 
 
 @dataclass(frozen=True)
@@ -35,6 +45,7 @@ class _Measurement:
     theory_seconds: float  # wall-clock time of what theory predicts of one point
     compile_seconds: float
     bytes_per_point: float  # peak memory of a tile
+    stored_bytes_per_point: float  # compressed, of the variables that are measured and of parameters
 
 
 def dry_run(scene: Scene, *, threads: int | None = None, workers: int | None = None) -> str:
@@ -45,7 +56,6 @@ def dry_run(scene: Scene, *, threads: int | None = None, workers: int | None = N
     existing = scene.size * exists.mean()
     points = existing if scene.refine is None else expected_points(plan)
     cost = _measure(plan, processors)
-    file_bytes = scene.size * sum(np.dtype(dtype).itemsize for dtype in tile_types(scene).values())
     # The derived variables of one point, from as many points as take a few tenths of a second.
     has_derived = not scene.system.derived.keys().isdisjoint(scene.outputs)
     existing_points, derived_seconds, count = np.flatnonzero(exists), 0.0, 0
@@ -60,6 +70,9 @@ def dry_run(scene: Scene, *, threads: int | None = None, workers: int | None = N
     # A refined atlas has predictions at every point.
     theory_seconds = existing * cost.theory_seconds + points * derived_seconds
     seconds = points * plan.mean_work * cost.seconds_per_step + theory_seconds
+    hours = {scene.settings.method: seconds * processors / 3600}
+    hours |= {name: ratio * hours[scene.settings.method] for name, ratio in plan.relative_costs().items()}
+    night = "processor time: " + ", ".join(f"{each:.3g} h by {name}" for name, each in hours.items())
     tile_bytes = cost.bytes_per_point * math.prod(tiles.tile)
     unit = 1 if sys.platform == "darwin" else 1024
     resident_bytes = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * unit  # the largest so far
@@ -69,13 +82,25 @@ def dry_run(scene: Scene, *, threads: int | None = None, workers: int | None = N
         in_flight = plan.tiles_in_flight(processors)
         memory, processors_text = resident_bytes + in_flight * tile_bytes, f"{processors} threads"
     phase_error = plan.step_sizes.dispersion_error[exists].max()
-    division = "in one process, near the borders that theory predicts"
+    division, files, joining = "near the borders that theory predicts", "", ""
     if scene.refine is None:
         division = f"{tiles.count} tiles of at most {math.prod(tiles.tile)}"
+        files = f"{2 * tiles.count + 3} files, "
+        box = min(scene.size, grid.MAX_POINTS_PER_TILE)
+        raw = box * sum(np.dtype(dtype).itemsize for dtype in tile_types(scene).values())
+        joining = f"; joining takes about {(JOIN_BYTES + JOIN_COPIES * raw) / 1e6:.0f} MB of memory"
+        clocks = [
+            f"{clock(seconds * processors / tiles.count * math.ceil(tiles.count / n))} on {n}"
+            for n in PROCESSORS
+            if n <= tiles.count
+        ]
+        night += f"; time with so many processors: {', '.join(clocks)}"
     lines = [
         f"{scene.size} points, about {points:.0f} to integrate, {division}",
         *grid.not_computed(scene, plan.sample),
-        f"file: at most {file_bytes / 1e6:.4g} MB before compression",
+        f"file: about {_stored_bytes(plan, cost, points, tiled=False) / 1e6:.3g} MB; run folder: {files}about"
+        f" {_stored_bytes(plan, cost, points, tiled=True) / 1e6:.3g} MB{joining}",
+        night,
         f"time: about {clock(seconds)} on {processors_text} ({plan.mean_steps:.4g} steps a point,"
         f" {1e9 * cost.seconds_per_step * processors:.3g} ns a step and processor), of which theory"
         f" {clock(theory_seconds)}",
@@ -87,13 +112,47 @@ def dry_run(scene: Scene, *, threads: int | None = None, workers: int | None = N
     return "\n".join([*lines, *plan.step_warnings()])
 
 
+def _stored_bytes(plan: ScenePlan, cost: _Measurement, points: float, *, tiled: bool) -> float:
+    """Bytes on the disk of so many integrated points in the tiles of a run folder, or in one file."""
+    types = tile_types(plan.scene)
+    sizes = {name: np.dtype(dtype).itemsize for name, dtype in types.items()}
+    of_theory = sum(sizes[name] for name in plan.scene.system.derived.keys() & types)  # not measured
+    stored, size = points * (cost.stored_bytes_per_point + of_theory), math.prod(plan.tiling.tile)
+    if not tiled:
+        return stored
+    compressed = size >= MIN_COMPRESSED_POINTS
+    tables = math.ceil(points / size) * (SIDECAR_BYTES + compressed * TABLE_BYTES * len(types))
+    return tables + (stored if compressed else points * sum(sizes.values()))
+
+
+def check_disk(plan: ScenePlan, folder: Path, missing: int, *, is_joined: bool) -> None:
+    """Raise BadInput if so many missing points of a run, and the file if it is joined there, do not fit onto a disk."""
+    scene, free = plan.scene, shutil.disk_usage(folder).free
+    if 2 * scene.size * sum(np.dtype(dtype).itemsize for dtype in tile_types(scene).values()) < free:
+        return  # also without compression
+    cost, share = _measure(plan, 1), float(plan.sample.exists.mean())
+    needed = _stored_bytes(plan, cost, share * missing, tiled=True)
+    if is_joined:
+        needed += _stored_bytes(plan, cost, share * scene.size, tiled=False)
+    if needed > free:
+        raise BadInput(
+            f"{folder}: the run needs about {needed / 1e9:.3g} GB more, and {free / 1e9:.3g} GB are free on this disk"
+        )
+
+
 def _measure(plan: ScenePlan, threads: int) -> _Measurement:
-    """Integrate some points of the sample three times: to compile, to time, and to trace memory."""
+    """Integrate some points three times: to compile, to time, and to trace memory."""
     # A short measurement: without slow variables, with a small duration and few steps.
     outputs = tuple(name for name in plan.scene.outputs if name not in plan.scene.system.derived)
-    exists = np.flatnonzero(plan.sample.exists)
+    scene, length = plan.scene, CALIBRATION_POINTS // CALIBRATION_RUNS
+    first = np.linspace(0, max(scene.size - length, 0), CALIBRATION_RUNS).astype(np.int64)
+    indices = np.unique(np.minimum(first[:, None] + np.arange(length), scene.size - 1))
+    sample = grid.points_at_indices(scene, indices)
+    if sample.exists.sum() < length:
+        sample = plan.sample
+    exists = np.flatnonzero(sample.exists)
     chosen = exists[np.linspace(0, exists.size - 1, min(exists.size, CALIBRATION_POINTS)).astype(np.int64)]
-    plan = ScenePlan(replace(plan.scene, outputs=outputs), plan.sample.subset(chosen))
+    plan = ScenePlan(replace(scene, outputs=outputs), sample.subset(chosen))
     while True:
         schedule = blocks.schedule_of(plan.step_sizes.without_unresolved())
         work = plan.mean_work / plan.mean_steps * schedule.point_steps
@@ -105,24 +164,29 @@ def _measure(plan: ScenePlan, threads: int) -> _Measurement:
         sample = replace(plan.sample, duration=plan.sample.duration * fraction)
         plan = ScenePlan(replace(plan.scene, settings=settings), sample)
     points = plan.sample
-    stopwatch = Stopwatch()  # without the time in which a kernel is compiled
-    predict_runs(plan.points, points, threads=threads)
-    theory_seconds = stopwatch.seconds()
-
-    def seconds() -> float:
-        """Wall-clock time of integrating the points."""
-        started = time.perf_counter()
-        evaluate(plan.points, points, threads=threads)
-        return time.perf_counter() - started
-
-    first, second = seconds(), seconds()
-    tracemalloc.start()
+    started = time.perf_counter()
     evaluate(plan.points, points, threads=threads)
+    compiled = time.perf_counter()
+
+    def processor_seconds(call: Callable[..., Any]) -> float:
+        """Time of a call on each of the processors, which other programs at work do not lengthen."""
+        began = time.process_time()
+        call(plan.points, points, threads=threads)
+        return (time.process_time() - began) / threads
+
+    theory_seconds, seconds = processor_seconds(predict_runs), processor_seconds(evaluate)
+    tracemalloc.start()
+    columns = evaluate(plan.points, points, threads=threads) | points.base
     peak_bytes = tracemalloc.get_traced_memory()[1]
     tracemalloc.stop()
+    stored = 0
+    for name, dtype in tile_types(plan.scene).items():
+        shuffled = columns[name].astype(dtype).view(np.uint8).reshape(points.exists.size, -1).T
+        stored += len(zlib.compress(shuffled.tobytes(), netcdf.COMPRESSION["complevel"]))
     return _Measurement(
-        seconds_per_step=max(second - theory_seconds, 0.1 * second) / (points.exists.size * plan.mean_work),
+        seconds_per_step=max(seconds - theory_seconds, 0.1 * seconds) / (points.exists.size * plan.mean_work),
         theory_seconds=theory_seconds / points.exists.size,
-        compile_seconds=max(first - second, 0.0),
+        compile_seconds=max(compiled - started - seconds, 0.0),
         bytes_per_point=peak_bytes / points.exists.size,
+        stored_bytes_per_point=stored / points.exists.size,
     )

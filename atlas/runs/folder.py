@@ -21,9 +21,10 @@ import re
 import shutil
 import tomllib
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import suppress
 from datetime import UTC, datetime
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -66,10 +67,14 @@ ATTRIBUTE = str | int | float  # types of the attributes of an atlas
 MANIFEST_TYPES = {"key": str, "scene": str, "identity": dict, "tile": list, "provenance": dict}
 TALLY = "tally"  # entry of the encoding of a dataset of a whole run folder
 RESULT = "atlas_result"  # attribute of an atlas with its `result_hash`
+HISTORY = "atlas_history"  # attribute of an atlas with points of earlier ones: which these are
 
 
 class RunFolder:
     """One run on disk, which other processes open themselves when it is sent to them."""
+
+    content = "tiles"  # name of the folder with all that is computed
+    more = ""  # what an unfinished run has beside the points that its status counts
 
     def __init__(self, path: Path, manifest: dict[str, Any]):
         self.path = path
@@ -78,7 +83,7 @@ class RunFolder:
         self.scene = parse_scene(str(manifest["scene"]))
         self.tiling = Tiling(self.scene.shape, tuple(manifest["tile"]))
         self.tiling.check()
-        self.tiles = TileFiles(path / "tiles", self.key, self.scene, self.tiling)
+        self.tiles = self.tiles_with(self.key)
 
     def __reduce__(self) -> Any:
         return RunFolder.open, (self.path,)
@@ -108,7 +113,12 @@ class RunFolder:
             check_types(manifest["provenance"], dict.fromkeys(manifest["provenance"], ATTRIBUTE | None))
             if manifest["key"] != _key(manifest):
                 raise ValueError("its key does not match its content")
-            return cls(path, manifest)
+            run = cls(path, manifest)
+            if run.scene.refine is None:
+                return run
+            from .levels import RefinedFolder  # imports this module
+
+            return RefinedFolder(path, manifest)
         except BadInput as error:
             version = manifest["identity"].get("atlas")
             raise BadInput(f"{file}: its scene, of atlas {version}, cannot be read: {error}") from None
@@ -151,7 +161,7 @@ class RunFolder:
         run.check_same(plan)
         run.remove_leftovers()
         with suppress(OSError):
-            run.tiles.folder.mkdir(exist_ok=True)
+            (path / run.content).mkdir(exist_ok=True)
         return run
 
     @classmethod
@@ -205,35 +215,65 @@ class RunFolder:
                 check_types(content, PROGRESS_TYPES)
                 yield content, progress.state(content)
 
+    def indices(self, tile: int) -> np.ndarray:
+        """Flat indices of the points of a tile."""
+        return self.tiling.indices(tile)
+
+    def tile_sets(self) -> dict[str, TileFiles]:
+        """The tiles by the name of their part of the run."""
+        return {"": self.tiles}
+
+    @property
+    def run(self) -> RunFolder:
+        """The folder of the whole run."""
+        return self
+
+    @property
+    def is_complete(self) -> bool:
+        """Whether the atlas can be read as a whole."""
+        return not self.tiles.missing()
+
     def key_with(self, identity: dict[str, str]) -> str:
         """Key of this run if programs and processors of another identity computed it."""
         return _key(self.manifest | {"identity": identity})
 
+    def tiles_with(self, key: str) -> TileFiles:
+        """The tiles of this run if it had this key."""
+        types = tile_types(self.scene)
+        return TileFiles(self.path / "tiles", key, netcdf.dims(self.scene), types, self.tiling)
+
     def remove_leftovers(self) -> None:
         """Remove temporary files of processes that were killed."""
         remove_leftovers(self.path)
-        remove_leftovers(self.tiles.folder)
+        for tiles in self.tile_sets().values():
+            tiles.remove_leftovers()
 
     def progress_text(self) -> str:
         """Number of the tiles that are written, as text; empty if the folder has been removed."""
         if not self.path.is_dir():
             return ""
-        path = os.path.relpath(self.path)
-        return f"{self.tiles.written_count()} of {self.tiling.count} tiles are in {path if path[0] != '.' else self.path}/"
+        path, sets = os.path.relpath(self.path), self.tile_sets().values()
+        written, count = (
+            sum(tiles.written_count() for tiles in sets),
+            sum(tiles.tiling.count for tiles in sets),
+        )
+        return f"{written} of {count} tiles are in {path if path[0] != '.' else self.path}/"
 
     def status(self) -> str:
         """State of processes and tiles, all of which are read; removes files of killed processes."""
         self.remove_leftovers()
         remove_leftovers(self.path.parent)
-        status, tiling = self.tiles.status(), self.tiling
-        lines = [
-            f"{printable(self.scene.title, MAX_TEXT)}: {self.scene.size} points in {tiling.count} tiles of at most {math.prod(tiling.tile)}",
-            f"done {len(status.done)}, damaged {len(status.damaged)}, missing {len(status.missing)}",
-        ]
-        lines += [
-            f"tile {tile} will be computed again: {reason}" for tile, reason in sorted(status.damaged.items())
-        ]
-        points_left = sum(tiling.size_of(tile) for tile in [*status.missing, *status.damaged])
+        lines, points_left = [f"{printable(self.scene.title, MAX_TEXT)}: {self._size_text()}"], 0
+        for name, tiles in self.tile_sets().items():
+            status = tiles.status()
+            lines.append(
+                f"{name}done {len(status.done)}, damaged {len(status.damaged)}, missing {len(status.missing)}"
+            )
+            lines += [
+                f"{name}tile {tile} will be computed again: {reason}"
+                for tile, reason in sorted(status.damaged.items())
+            ]
+            points_left += sum(tiles.tiling.size_of(tile) for tile in [*status.missing, *status.damaged])
         total_speed, is_running = 0.0, False
         for content, state in self._processes():
             lines.append(
@@ -247,11 +287,17 @@ class RunFolder:
                 f"{points_left} points left, {progress.clock(points_left / total_speed)} at the speed of the"
                 " processes at work"
             )
-        elif points_left and not is_running:
+        elif not is_running and (points_left or not self.is_complete):
             lines.append(
-                f"{points_left} points left, no process is at work; `atlas run` with its scene continues"
+                f"{points_left} points left{self.more}, no process is at work; `atlas run` with its scene continues"
             )
         return "\n".join(printable(line, MAX_MESSAGE) for line in lines)
+
+    def _size_text(self) -> str:
+        """The numbers of its points and tiles."""
+        return (
+            f"{self.scene.size} points in {self.tiling.count} tiles of at most {math.prod(self.tiling.tile)}"
+        )
 
     def dataset(self) -> xr.Dataset:
         """The atlas so far, with a dask chunk for each tile; missing points are `not_computed` and nan."""
@@ -265,18 +311,20 @@ class RunFolder:
             for name, dtype in tile_types(self.scene).items()
         }
         ds = netcdf.dataset(self.scene, arrays, self.tiling.tile)
-        provenance, tally = self._provenance()
+        provenance, tally = self.provenance()
         if tally is not None:
             ds.encoding[TALLY] = tally
         return ds.assign_attrs(provenance | self.final_attributes())
 
-    def _provenance(self) -> tuple[dict[str, Any], Tally | None]:
+    def provenance(self) -> tuple[dict[str, Any], Tally | None]:
         """Provenance of the written tiles, summed over processes, and the tally if all are written."""
-        points, seconds, tiles_by = 0, 0.0, Counter[str]()
+        points, seconds, tiles_by, reused = 0, 0.0, Counter[str](), Counter[str]()
         tally: Tally | None = Tally()
-        for sidecar in self.tiles.sidecars():
+        sets = self.tile_sets().values()
+        for sidecar in chain.from_iterable(tiles.sidecars() for tiles in sets):
             points, seconds = points + sidecar["points"], seconds + sidecar["seconds"]
             tiles_by[sidecar["by"]] += 1
+            reused.update(sidecar["reused"])
             if tally is not None:
                 try:
                     tally.add(Tally(sidecar["tally"]))
@@ -287,8 +335,11 @@ class RunFolder:
         }
         attributes[RESULT] = result_hash(self.manifest["scene"], self.manifest["identity"])
         attributes["atlas_seconds"] = seconds
-        attributes["atlas_points_per_second"] = points / seconds if seconds > 0 else math.nan
-        attributes["atlas_run"] = f"{tiles_by.total()} of {self.tiling.count} tiles" + "".join(
+        computed = points - reused.total()
+        attributes["atlas_points_per_second"] = computed / seconds if seconds > 0 else math.nan
+        attributes |= history_text(reused)
+        count = sum(tiles.tiling.count for tiles in sets)
+        attributes["atlas_run"] = f"{tiles_by.total()} of {count} tiles" + "".join(
             f"; {count} by {by}" for by, count in sorted(tiles_by.items())
         )
         return attributes, tally if points == self.scene.size else None
@@ -323,12 +374,12 @@ class RunFolder:
 
         `out` is replaced, or kept after BadInput (a tile or the package zarr is missing) and OSError.
         """
-        missing = len(self.tiles.missing())
-        if missing:
-            raise BadInput(
-                f"{self.path}: {missing} of {self.tiling.count} tiles are missing; run its scene again first"
-            )
-        names, shape = tuple(tile_types(self.scene)), self.scene.shape
+        if not self.is_complete:
+            raise BadInput(f"{self.path}: unfinished, {self.progress_text()}; run its scene again first")
+        ds, shape = self.dataset(), self.scene.shape
+        if self.scene.refine is not None:
+            ds.load()  # a file cannot be read while another one is written
+        names = (*map(str, ds.data_vars), *self.scene.solve)
         # Chunks as long as tiles of the cheapest scene: many small tiles would make a slow file.
         lengths = Tiling.of(shape, grid.MAX_POINTS_PER_TILE).tile
         chunk = dict(zip(netcdf.dims(self.scene), lengths, strict=True))
@@ -337,10 +388,10 @@ class RunFolder:
                 zarr_store.zarr_package()
                 sizes = dict(zip(chunk, shape, strict=True))
                 blocks = self._blocks(tuple(zarr_store.shard_lengths(sizes, chunk).values()))
-                zarr_store.write_blocks(self.dataset(), chunk, names, blocks, out)
+                zarr_store.write_blocks(ds, chunk, names, blocks, out)
             else:
                 whole = (t * max(c // t, 1) for t, c in zip(self.tiling.tile, lengths, strict=True))
-                netcdf.write_blocks(self.dataset(), chunk, names, self._blocks(tuple(whole)), out)
+                netcdf.write_blocks(ds, chunk, names, self._blocks(tuple(whole)), out)
         except DamagedTile as error:
             raise BadInput(f"{self.path}: {error}; run its scene again first") from None
 
@@ -376,7 +427,7 @@ class RunFolder:
         """
         removed = temporary_path(self.path / MANIFEST)
         with suppress(OSError):
-            os.rename(self.tiles.folder, removed)
+            os.rename(self.path / self.content, removed)
         for folder in (removed, claim_path(self.path / MANIFEST)):
             shutil.rmtree(folder, ignore_errors=True)
         for path in [*self.path.glob("progress*.json"), self.path / FINAL_ATTRIBUTES, self.path / MANIFEST]:
@@ -393,16 +444,23 @@ def remove_empty(path: Path) -> None:
 
 def result_hash(scene: str, programs: dict[str, str]) -> str:
     """Hash of everything on which the bits of an atlas depend: the text of its scene, and its `identity`."""
-    return _hash({"scene": scene, "identity": programs})
+    return hash_of({"scene": scene, "identity": programs})
 
 
-def _hash(content: dict[str, Any]) -> str:
+def history_text(reused: Mapping[str, int]) -> dict[str, str]:
+    """The attribute with the numbers of points from earlier atlases, by what these are; none without such points."""
+    lines = [f"{count} points of: {earlier}" for earlier, count in sorted(reused.items())]
+    return {HISTORY: "\n".join(lines)} if lines else {}
+
+
+def hash_of(content: dict[str, Any]) -> str:
+    """Hash of the entries of a table."""
     return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
 
 
 def _key(manifest: dict[str, Any]) -> str:
     """Hash of the scene, the programs and the tiling of a manifest."""
-    return _hash({name: manifest[name] for name in ("format", "scene", "identity", "tile")})
+    return hash_of({name: manifest[name] for name in ("format", "scene", "identity", "tile")})
 
 
 def _read_chunk(run: RunFolder, name: str, block_id: tuple[int, ...]) -> np.ndarray:

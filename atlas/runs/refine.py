@@ -5,9 +5,10 @@ from __future__ import annotations
 import math
 import os
 import sys
-from collections.abc import Iterator, Mapping, Sequence
+from collections import Counter
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
-from typing import ClassVar
+from typing import ClassVar, TypeAlias
 
 import numpy as np
 import xarray as xr
@@ -18,17 +19,19 @@ from ..flags import Stability
 from ..io import netcdf
 from ..io.netcdf import scene_provenance
 from ..label import theory
-from ..label.pipeline import evaluate
 from ..scene import grid
 from ..systems.base import Flags
 from ..validation import half_step
 from ..variables import COMPUTED, variables
+from .earlier import Earlier, evaluate_at
+from .folder import history_text
+from .levels import MEASURED
 from .plan import ScenePlan
 
-# Measured flags whose boundaries are traced: the label always, the others where the scene asks for them.
-MEASURED = (
-    "label", "label_inertial", "label_any_axis", "label_any_axis_inertial", "geometry", "status", "regularity",
-)  # fmt: skip
+COMPUTED_SHARE = "atlas_computed_share"
+# Integrates points by their flat indices in the finest grid, and gives the variables of some of them at a time.
+Part: TypeAlias = tuple[slice, Mapping[str, np.ndarray]]
+Integrate: TypeAlias = Callable[[np.ndarray], Iterable[Part]]
 PREDICTED = ("family", "stable", "predicted", "predicted_inertial")
 # Points on either side of a boundary that are integrated, at each level: with 2, every point of a cell
 # whose corners differ, and the cells around it.
@@ -41,9 +44,45 @@ MAX_PREDICTED = 2**18
 
 
 def refined(
-    plan: ScenePlan, warnings: list[str], *, threads: int | None = None, progress: bool = True
+    plan: ScenePlan,
+    warnings: list[str],
+    *,
+    threads: int | None = None,
+    progress: bool = True,
+    earlier: Sequence[Earlier] = (),
 ) -> xr.Dataset:
-    """Compute the atlas of a scene that has [refine], on its finest grid.
+    """Compute the atlas of a scene that has [refine] in memory; see `refined_by`."""
+    reused, integrated, stopwatch = Counter[str](), 0, Stopwatch()
+
+    def integrate(indices: np.ndarray) -> Iterator[Part]:
+        nonlocal integrated
+        for first in range(0, indices.size, grid.MAX_POINTS_PER_TILE):
+            chunk = slice(first, first + grid.MAX_POINTS_PER_TILE)
+            values, points, taken = evaluate_at(
+                plan.points, plan.scene, indices[chunk], earlier, threads=threads
+            )
+            integrated += points
+            reused.update(taken)
+            yield chunk, values
+
+    ds = refined_by(integrate, plan, threads=threads, progress=progress)
+    return ds.assign_attrs(
+        scene_provenance(
+            plan.scene,
+            plan.points.kernel_hash,
+            seconds=stopwatch.seconds(),
+            points=integrated,
+            warnings=warnings,
+        )
+        | ds.attrs
+        | history_text(reused)
+    )
+
+
+def refined_by(
+    integrate: Integrate, plan: ScenePlan, *, threads: int | None = None, progress: bool = True
+) -> xr.Dataset:
+    """Compute the atlas of a scene that has [refine], on its finest grid; its attributes are those stated here.
 
     The coarse grid is integrated. At each level the spacing is halved and the points within BOUNDARY_WIDTH of
     two points with different flags are integrated, until every boundary runs between integrated points. On
@@ -58,7 +97,6 @@ def refined(
     """
     scene = plan.scene
     assert scene.refine is not None
-    stopwatch = Stopwatch()
     numbers = (
         sum(variables(scene.system)[name].flags is None for name in scene.outputs) + len(scene.solve) + 1
     )
@@ -69,7 +107,7 @@ def refined(
             f"refine: the finest grid of {scene.size} points needs {needed / 1e9:.3g} GB, this machine has"
             f" {memory / 1e9:.3g} GB; take fewer levels or fewer [outputs]"
         )
-    fine = _FineGrid(plan, threads)
+    fine = _FineGrid(plan, threads, integrate)
     for level in range(scene.refine.levels + 1):
         fine.refine_to(level)
         if progress:
@@ -78,14 +116,8 @@ def refined(
     fine.trace_predicted_boundary()
     probe_points, probe_missed = fine.probe(scene.refine.probe)
     ds = fine.dataset()
-    attributes = scene_provenance(
-        scene,
-        plan.points.kernel_hash,
-        seconds=stopwatch.seconds(),
-        points=fine.n_integrated,
-        warnings=warnings,
-    ) | {
-        "atlas_computed_share": fine.n_integrated / fine.n_existing,
+    attributes = {
+        COMPUTED_SHARE: fine.n_integrated / fine.n_existing,
         "atlas_probe_points": probe_points,
         "atlas_probe_missed": probe_missed,
     }
@@ -99,8 +131,8 @@ class _FineGrid:
     (integrated, or without motion), assumed elsewhere. A spacing is a number of fine points for each axis.
     """
 
-    def __init__(self, plan: ScenePlan, threads: int | None):
-        self.scene, self.plan, self.threads = plan.scene, plan.points, threads
+    def __init__(self, plan: ScenePlan, threads: int | None, integrate: Integrate):
+        self.scene, self.plan, self.threads, self.integrate = plan.scene, plan.points, threads, integrate
         scene = plan.scene
         self.registry = variables(scene.system)
         self.flags = [name for name in MEASURED if name == "label" or name in scene.outputs]
@@ -210,19 +242,13 @@ class _FineGrid:
         along_axes = np.unravel_index(subgrid_indices, subgrid_shape)
         fine_indices = [index * step for index, step in zip(along_axes, spacing, strict=True)]
         indices = np.ravel_multi_index(fine_indices, self.scene.shape)
-        for chunk in _chunks(indices.size):
-            values = self._values(indices[chunk])
+        for chunk, values in self.integrate(indices):
             flags = {name: values[name] for name in self.flags}
             self.flag_code.flat[indices[chunk]] = _encode(flags, self.flag_counts)
             for name, column in self.numbers.items():
                 column[indices[chunk]] = values[name]
         self.computed.flat[indices] = True
         self.n_integrated += indices.size
-
-    def _values(self, indices: np.ndarray) -> dict[str, np.ndarray]:
-        """Flags and numbers of points, by their flat indices in the finest grid."""
-        points = grid.points_at_indices(self.scene, indices)
-        return evaluate(self.plan, points, threads=self.threads)
 
     def dataset(self) -> xr.Dataset:
         """The atlas without provenance."""
@@ -249,13 +275,16 @@ class _PredictedGrid(_FineGrid):
 
     def __init__(self, plan: ScenePlan):
         scene = replace(plan.scene, outputs=tuple(n for n in plan.scene.outputs if n in MEASURED))
-        super().__init__(replace(plan, scene=scene), threads=1)
+        super().__init__(replace(plan, scene=scene), 1, self._predictions)
 
-    def _values(self, indices: np.ndarray) -> dict[str, np.ndarray]:
+    def _predictions(self, indices: np.ndarray) -> Iterator[Part]:
         """Predictions in place of the measured flags; 0 where theory predicts nothing of a flag."""
         zero = np.zeros(indices.size, np.int8)
         predictions = {name: self.predicted.get(self.PREDICTIONS.get(name, "")) for name in self.flags}
-        return {name: zero if flags is None else flags[indices] for name, flags in predictions.items()}
+        yield (
+            slice(None),
+            {name: zero if flags is None else flags[indices] for name, flags in predictions.items()},
+        )
 
 
 def expected_points(plan: ScenePlan) -> float:

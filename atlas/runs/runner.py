@@ -5,13 +5,16 @@ from __future__ import annotations
 import logging
 import random
 import socket
-import threading
-from collections.abc import Callable, Iterable, Iterator
+import time
+from collections import Counter
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor, as_completed
-from contextlib import suppress
-from dataclasses import dataclass, replace
+from contextlib import ExitStack, suppress
+from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from pathlib import Path
+from threading import Event, Lock
+from typing import Any
 
 import numpy as np
 import xarray as xr
@@ -21,10 +24,10 @@ from ..compiling import Stopwatch, announced
 from ..engine import blocks
 from ..errors import BadInput, shown
 from ..files import check_folder, check_name, exists_message
-from ..interruption import explain_kept
+from ..interruption import Stopped, explain_kept
 from ..io import checksums, netcdf
 from ..io.netcdf import log_warnings, scene_provenance
-from ..io.progress import Progress
+from ..io.progress import Progress, clock
 from ..label.pipeline import evaluate
 from ..label.plan import Plan
 from ..scene import grid
@@ -32,13 +35,18 @@ from ..scene.checks import MAX_THREADS, typed, whole_number
 from ..scene.model import Scene
 from ..scene.read import load_scene
 from ..validation import half_step
-from . import cluster, refine
+from . import cluster, estimate, refine
 from .backend import open_atlas
-from .folder import LONGEST_NAME, MANIFEST, RESULT, RunFolder, remove_empty, result_hash
+from .earlier import Earlier, evaluate_at
+from .folder import LONGEST_NAME, MANIFEST, RESULT, RunFolder, history_text, remove_empty, result_hash
+from .levels import LEVELS, Level, RefinedFolder
 from .plan import ScenePlan, differences, identity
-from .tiles import TileFiles, tile_types
+from .tiles import DamagedTile, TileFiles, tile_types
 
 MAX_DAMAGE_WARNINGS = 5
+# Seconds between the first and between later checks whether tiles that other processes compute are done.
+CLAIM_POLL, MAX_CLAIM_POLL = 0.5, 10.0
+RUN_SUFFIX = ".run"  # of the folder in which an atlas of one file is computed
 Advance = Callable[[float], None]  # takes a number of finished points
 
 
@@ -50,11 +58,31 @@ class _Execution:
     shard: tuple[int, int] | None
     scheduler: str | None
     workers: int | None
+    stop_after: float | None
+    began: float  # time.monotonic
+    earlier: list[Earlier] = field(default_factory=list)
+    clients: list[Any] = field(default_factory=list)  # the client of dask, when it is connected
+
+    @property
+    def time_is_up(self) -> bool:
+        """Whether no tile may begin any more."""
+        return self.stop_after is not None and time.monotonic() - self.began >= self.stop_after
 
     @property
     def on_cluster(self) -> bool:
         """Whether dask workers compute the tiles."""
         return bool(self.scheduler or self.workers)
+
+    def client(self, plan: ScenePlan, stack: ExitStack) -> Any:
+        """The client of dask workers, which is connected once and closed with the stack."""
+        if not self.clients:
+            if self.workers:
+                # Compile the kernel by one step at one point: each new process would compile it otherwise.
+                points = replace(plan.points.without_derived(), settings=plan.limited(1))
+                if points.outputs:
+                    evaluate(points, plan.sample.subset(np.flatnonzero(plan.sample.exists)[:1]), threads=1)
+            self.clients.append(stack.enter_context(cluster.connect(self.scheduler, self.workers)))
+        return self.clients[0]
 
     def check(self) -> None:
         """Raise BadInput for values and combinations that are not allowed."""
@@ -69,6 +97,8 @@ class _Execution:
             if len(self.shard) != 2:
                 raise BadInput(f"shard = {shown(self.shard)}: must be (i, n)")
             whole_number("shard: i", self.shard[0], 1, whole_number("shard: n", self.shard[1], 1))
+        if self.stop_after is not None and not self.stop_after > 0:
+            raise BadInput(f"stop_after = {shown(self.stop_after)}: must be a number of seconds above 0")
 
 
 @typed
@@ -82,11 +112,12 @@ def run(
     shard: tuple[int, int] | None = None,
     scheduler: str | None = None,
     workers: int | None = None,
+    stop_after: float | None = None,
+    reuse: str | Path | Sequence[str | Path] = (),
 ) -> xr.Dataset:
     """Integrate every point of a scene, label it, and write the atlas if `out` is given.
 
     After an error or KeyboardInterrupt, finished tiles stay in the run folder, and the same call continues.
-    A scene with [refine] runs in this process only, into memory or one file; see `refine.refined`.
 
     Parameters
     ----------
@@ -103,11 +134,18 @@ def run(
     force : bool
         Replace an existing file.
     shard : (int, int), optional
-        (i, n) computes only the i-th of n parts, counted from 1; needs a run folder.
+        (i, n) computes only the i-th of n parts, counted from 1; needs a run folder. Of a refined scene a shard computes
+        its part of each level first and then what others have not.
     scheduler : str, optional
         Address of a dask scheduler, whose workers compute the tiles.
     workers : int, optional
         Number of processes on this machine that compute the tiles.
+    stop_after : float, optional
+        Seconds after which no tile begins; those that are being computed are finished. Needs `out`.
+    reuse : str, Path or sequence of them, optional
+        Earlier atlases, also unfinished run folders, on the same processor by the same programs: points that they share
+        with the scene are not computed again. The result is the same to the bit; its attribute `atlas_history` states
+        which points were taken from where.
 
     Returns
     -------
@@ -118,13 +156,15 @@ def run(
     Raises
     ------
     BadInput
-        If no point can be computed, or if `out` cannot be written or contains something else. Nothing has then
-        been computed.
+        If no point can be computed, or if `out` cannot be written or contains something else, or if an atlas to be
+        reused shares no point with the scene. Nothing has then been computed.
+    interruption.Stopped
+        If `stop_after` is over before the run is; the same call continues it.
     """
     scene = scene if isinstance(scene, Scene) else load_scene(scene)
-    execution = _Execution(threads, shard, scheduler, workers)
-    if out is None and (shard or execution.on_cluster):
-        raise BadInput("shard, scheduler and workers need an out that ends in / or .nc")
+    execution = _Execution(threads, shard, scheduler, workers, stop_after, time.monotonic())
+    if out is None and (shard or execution.on_cluster or stop_after is not None):
+        raise BadInput("shard, scheduler, workers and stop_after need an out that ends in / or .nc")
     execution.check()
     origin = systems.origin(scene.system)
     if execution.on_cluster and origin is not None and not origin.package:
@@ -135,8 +175,6 @@ def run(
     path, one_file = (None, False) if out is None else _destination(out)
     if shard and one_file:
         raise BadInput(f"shard: {path} is one file; shards need a run folder, a name that ends in /")
-    if scene.refine is not None and (shard or execution.on_cluster or (path is not None and not one_file)):
-        raise BadInput("refine: a refined scene runs in one process, into memory or one file, NAME.nc")
     if path is not None and one_file and path.exists() and not force:
         if not _folder_of(path).exists():
             raise BadInput(exists_message(path))
@@ -144,17 +182,17 @@ def run(
     if scheduler:
         cluster.check(scheduler)
     plan = ScenePlan.of(scene)
+    for each in [reuse] if isinstance(reuse, str | Path) else reuse:
+        execution.earlier.append(Earlier.of(each, scene))
     warnings = [*grid.warnings(scene, plan.sample), *plan.chaos_warnings()]
     log_warnings(warnings)
-    if scene.refine is not None:
+    if path is None and scene.refine is not None:
         with announced(progress):
-            ds = refine.refined(plan, warnings, threads=threads, progress=progress)
-        if path is None:
-            return ds
-        netcdf.write(ds.assign_attrs({RESULT: _own_result_hash(plan)}), path)
-        return open_atlas(path)
+            return refine.refined(
+                plan, warnings, threads=threads, progress=progress, earlier=execution.earlier
+            )
     if path is None:
-        return _run_in_memory(plan, warnings, threads, progress)
+        return _run_in_memory(plan, warnings, threads, progress, execution.earlier)
     if one_file:
         if force:
             RunFolder.discard(plan, _folder_of(path))
@@ -185,52 +223,104 @@ def _destination(out: str | Path) -> tuple[Path, bool]:
 
 def _folder_of(path: Path) -> Path:
     """Run folder in which an atlas of one file is computed."""
-    return path.with_name(path.name + ".run")
+    return path.with_name(path.name + RUN_SUFFIX)
 
 
 def _complete(folder: RunFolder, plan: ScenePlan, execution: _Execution, progress: bool) -> Progress:
-    """Compute the missing tiles of a folder or shard; the progress is at work until it is closed."""
+    """Compute what is missing in a folder or shard; the progress is at work until it is closed."""
     explain_kept(folder.progress_text)
-    job = _Job(folder, execution.shard or (1, 1))
-    logger = logging.getLogger("atlas")
-    for tile, reason in list(job.status.damaged.items())[:MAX_DAMAGE_WARNINGS]:
-        logger.warning("%s: tile %d is computed again: %s", folder.path, tile, reason)
-    if len(job.status.damaged) > MAX_DAMAGE_WARNINGS:
-        logger.warning("... and %d damaged tiles more", len(job.status.damaged) - MAX_DAMAGE_WARNINGS)
-    if job.unfinished:
-        check_folder(folder.tiles.folder / "tile")
-    name = "progress.json" if job.parts == 1 else f"progress-{job.part}-of-{job.parts}.json"
+    job = None if isinstance(folder, RefinedFolder) else _Job(folder, execution)
+    if job.unfinished if job is not None else not folder.is_complete:
+        check_folder(folder.path / folder.content / "tile")
+    part, parts = execution.shard or (1, 1)
+    name = "progress.json" if parts == 1 else f"progress-{part}-of-{parts}.json"
     bar = Progress(
-        sum(map(folder.tiling.size_of, job.tiles)),
-        done=sum(map(folder.tiling.size_of, job.status.done)),
-        show=progress and bool(job.unfinished),
+        0,
+        show=progress,
         file=folder.path / name,
-        facts={"shard": f"{job.part}/{job.parts}", "host": socket.gethostname()},
+        facts={"shard": f"{part}/{parts}", "host": socket.gethostname()},
     )
     try:
-        if job.unfinished:
-            try:
-                if execution.on_cluster:
-                    _compute_on_cluster(job, bar, plan, execution)
-                else:
-                    _compute_in_threads(job, bar, plan, execution.threads)
-            finally:
-                folder.remove_leftovers()
-        try:
-            finished = bool(folder.final_attributes())
-        except BadInput as error:
-            logger.warning("%s", error)
-            finished = False
-        if not finished and not folder.tiles.missing():
-            folder.save_final_attributes(
-                half_step.half_step_sample(plan.scene, plan.points, threads=execution.threads)
-            )
+        with ExitStack() as stack:
+            if isinstance(folder, RefinedFolder):
+                _compute_levels(folder, bar, plan, execution, stack, progress)
+            elif job is not None:
+                _compute(job, bar, plan, stack)
+                _complete_notes(folder, plan, execution)
     except BaseException as error:
         bar.close()
         if isinstance(error, OSError):
             folder.check_kept()
         raise
     return bar
+
+
+def _complete_notes(folder: RunFolder, plan: ScenePlan, execution: _Execution) -> None:
+    """Write the attributes that only the finished run has, if all tiles are there."""
+    try:
+        finished = bool(folder.final_attributes())
+    except BadInput as error:
+        logging.getLogger("atlas").warning("%s", error)
+        finished = False
+    if not finished and not folder.tiles.missing():
+        folder.save_final_attributes(
+            half_step.half_step_sample(plan.scene, plan.points, threads=execution.threads)
+        )
+
+
+def _compute_levels(
+    folder: RefinedFolder,
+    bar: Progress,
+    plan: ScenePlan,
+    execution: _Execution,
+    stack: ExitStack,
+    progress: bool,
+) -> None:
+    """Compute the levels of a refined scene one after the other, and write its atlas."""
+    if folder.is_complete and _is_result(plan, folder.result):
+        bar.add(plan.scene.size, done=plan.scene.size)
+        return
+    levels = list[Level]()
+
+    def integrate(indices: np.ndarray) -> Iterator[refine.Part]:
+        if not indices.size:
+            return
+        level = Level(folder, len(levels), levels[-1].key if levels else "", indices)
+        levels.append(level)
+        level.prepare()
+        _compute(_Job(level, execution), bar, plan, stack)
+        for tile in range(level.tiling.count):
+            try:
+                yield level.tiling.slices(tile)[0], level.tiles.read(tile)
+            except DamagedTile as error:
+                raise OSError(f"{level.path}: tile {tile}: {error}; run the scene again") from None
+
+    ds = refine.refined_by(integrate, plan, threads=execution.threads, progress=progress)
+    folder.check_kept()
+    netcdf.write(ds.assign_attrs(folder.provenance()[0] | ds.attrs), folder.result)
+
+
+def _compute(job: _Job, bar: Progress, plan: ScenePlan, stack: ExitStack) -> None:
+    """Compute the tiles of a job; a client of dask workers is closed with the stack."""
+    folder, execution, logger = job.folder, job.execution, logging.getLogger("atlas")
+    for tile, reason in list(job.status.damaged.items())[:MAX_DAMAGE_WARNINGS]:
+        logger.warning("%s: tile %d is computed again: %s", folder.path, tile, reason)
+    if len(job.status.damaged) > MAX_DAMAGE_WARNINGS:
+        logger.warning("... and %d damaged tiles more", len(job.status.damaged) - MAX_DAMAGE_WARNINGS)
+    missing = sum(map(folder.tiling.size_of, job.unfinished))
+    bar.add(sum(map(folder.tiling.size_of, job.tiles)), done=sum(map(folder.tiling.size_of, job.status.done)))
+    if not job.unfinished:
+        return
+    estimate.check_disk(plan, folder.path, missing, is_joined=folder.path.suffix == RUN_SUFFIX)
+    try:
+        if execution.on_cluster:
+            _compute_on_cluster(job, bar, execution.client(plan, stack))
+        else:
+            _compute_in_threads(job, bar, plan)
+    finally:
+        folder.remove_leftovers()
+    if job.is_stopped:
+        raise Stopped(f"stopped after {clock(execution.stop_after or 0)}; {folder.run.progress_text()}")
 
 
 def _run_to_file(
@@ -305,48 +395,57 @@ def _finished(plan: ScenePlan, path: Path) -> xr.Dataset:
     return open_atlas(path)
 
 
-def _run_in_memory(plan: ScenePlan, warnings: list[str], threads: int | None, progress: bool) -> xr.Dataset:
+def _run_in_memory(
+    plan: ScenePlan, warnings: list[str], threads: int | None, progress: bool, earlier: Sequence[Earlier]
+) -> xr.Dataset:
     """Compute an atlas without a run folder."""
-    scene, tiles = plan.scene, plan.tiling
+    scene, tiles, all_reused = plan.scene, plan.tiling, Counter[str]()
     columns = {name: np.empty(scene.size, dtype) for name, dtype in tile_types(scene).items()}
     bar = Progress(scene.size, show=progress)
 
     def compute(tile: int, advance: Advance) -> None:
         indices = tiles.indices(tile)
-        points = grid.points_at_indices(scene, indices)
-        values = evaluate(plan.points, points, threads=threads, progress=advance) | points.base
+        values, computed, reused = evaluate_at(
+            plan.points, scene, indices, earlier, threads=threads, progress=advance
+        )
         for name, column in columns.items():
             column[indices] = values[name]
-        bar.skip(indices.size - int(points.exists.sum()))
+        all_reused.update(reused)
+        bar.skip(indices.size - computed + reused.total())
 
     try:
-        for_each_tile(range(tiles.count), compute, bar.advance, plan.tiles_in_flight(threads))
+        in_flight = plan.tiles_in_flight(threads)
+        for_each_tile(range(tiles.count), compute, bar.advance, in_flight, Event())
     finally:
         bar.close()
     attributes = scene_provenance(
         scene, plan.points.kernel_hash, seconds=bar.stopwatch.seconds(), points=scene.size, warnings=warnings
     )
     attributes |= half_step.half_step_sample(plan.scene, plan.points, threads=threads)
-    return netcdf.dataset(scene, columns).assign_attrs(attributes)
+    return netcdf.dataset(scene, columns).assign_attrs(attributes | history_text(all_reused))
 
 
-class _Stopped(Exception):
+class _Abandoned(Exception):
     """Ends a tile in flight after another one failed or the user pressed Ctrl-C."""
 
 
 def for_each_tile(
-    tiles: Iterable[int], compute: Callable[[int, Advance], None], advance: Advance, in_flight: int
+    tiles: Iterable[int],
+    compute: Callable[[int, Advance], None],
+    advance: Advance,
+    in_flight: int,
+    stop: Event,
 ) -> None:
-    """Call compute(tile, advance) in threads; after an error or Ctrl-C abandon tiles and raise it."""
-    source, lock, stop = iter(tiles), threading.Lock(), threading.Event()
+    """Call compute(tile, advance) in threads; after an error or Ctrl-C, which set `stop`, abandon tiles and raise it."""
+    source, lock = iter(tiles), Lock()
 
     def advance_or_stop(points: float) -> None:
         if stop.is_set():
-            raise _Stopped
+            raise _Abandoned
         advance(points)
 
     def worker() -> None:
-        with suppress(_Stopped):
+        with suppress(_Abandoned):
             while not stop.is_set():
                 with lock:
                     tile = next(source, None)
@@ -363,62 +462,79 @@ def for_each_tile(
 
 
 class _Job:
-    """The tiles of a run folder, or of one shard of it, that this process has to compute."""
+    """The tiles of a run folder, or of one shard of it, that this process has to compute.
 
-    def __init__(self, folder: RunFolder, shard: tuple[int, int]):
-        self.folder = folder
-        self.part, self.parts = shard
-        self.tiles = range(self.part - 1, folder.tiling.count, self.parts)
+    No shard goes on to the next level before this one is complete, so that it computes the tiles of the others too, after its own.
+    """
+
+    def __init__(self, folder: RunFolder | Level, execution: _Execution):
+        self.folder, self.execution = folder, execution
+        self.part, self.parts = execution.shard or (1, 1)
+        self.is_stopped = False  # whether the time was over before the tiles were done
+        self.stop = Event()  # set when an error or Ctrl-C ends the job
+        own = range(self.part - 1, folder.tiling.count, self.parts)
+        self.tiles = range(folder.tiling.count) if isinstance(folder, Level) else own
         self.status = folder.tiles.status(self.tiles)
         self.unfinished = sorted([*self.status.missing, *self.status.damaged])
 
     def remaining_tiles(self, bar: Progress) -> Iterator[int]:
         """Unfinished tiles one by one, from a random one on, so that parallel processes share the work."""
         first = random.randrange(len(self.unfinished))
-        for tile in self.unfinished[first:] + self.unfinished[:first]:
-            if tile not in self.status.damaged and self.folder.tiles.is_done(tile):
-                bar.skip(self.folder.tiling.size_of(tile))
-            else:
-                yield tile
+        tiles, files = self.unfinished[first:] + self.unfinished[:first], self.folder.tiles
+        tiles.sort(key=lambda tile: tile % self.parts != self.part - 1)
+        pause = CLAIM_POLL
+        while tiles:
+            claimed = []
+            for tile in tiles:
+                if tile not in self.status.damaged and files.is_written(tile) and files.is_done(tile):
+                    bar.skip(self.folder.tiling.size_of(tile))
+                elif self.execution.time_is_up:
+                    self.is_stopped = True
+                    return
+                elif files.claim(tile):
+                    self.status.damaged.pop(tile, None)
+                    yield tile
+                else:
+                    claimed.append(tile)
+            if len(claimed) == len(tiles):
+                if self.stop.wait(pause):
+                    return
+                pause = min(2 * pause, MAX_CLAIM_POLL)
+            tiles = claimed
 
 
-def _compute_in_threads(job: _Job, bar: Progress, plan: ScenePlan, threads: int | None) -> None:
+def _compute_in_threads(job: _Job, bar: Progress, plan: ScenePlan) -> None:
     """Compute the tiles of a job in threads of this process."""
-    folder = job.folder
+    folder, threads, earlier = job.folder, job.execution.threads, job.execution.earlier
     by = f"{threads or blocks.available_threads()} threads"
     by += f", shard {job.part}/{job.parts}" if job.parts > 1 else ""
-    stopwatch, last_end, lock = Stopwatch(), 0.0, threading.Lock()
+    stopwatch, last_end, lock = Stopwatch(), 0.0, Lock()
 
     def compute(tile: int, advance: Advance) -> None:
         nonlocal last_end
-        columns, computed = _tile_columns(plan.points, folder, tile, threads, advance)
-        with lock:  # tiles overlap: each takes the time since the one before it ended
-            now = stopwatch.seconds()
-            seconds, last_end = now - last_end, now
-        folder.check_kept()
-        folder.tiles.write(tile, columns, computed=computed, seconds=seconds, by=by)
-        bar.skip(folder.tiling.size_of(tile) - computed)
+        with folder.tiles.held(tile) as keep:
 
-    for_each_tile(job.remaining_tiles(bar), compute, bar.advance, plan.tiles_in_flight(threads))
+            def report(points: float) -> None:
+                keep()
+                advance(points)
+
+            columns, computed, reused = evaluate_at(
+                plan.points, folder.scene, folder.indices(tile), earlier, threads=threads, progress=report
+            )
+            with lock:  # tiles overlap: each takes the time since the one before it ended
+                now = stopwatch.seconds()
+                seconds, last_end = now - last_end, now
+            folder.check_kept()
+            folder.tiles.write(tile, columns, computed=computed, seconds=seconds, by=by, reused=reused)
+        bar.skip(folder.tiling.size_of(tile) - computed + reused.total())
+
+    in_flight = plan.tiles_in_flight(threads)
+    for_each_tile(job.remaining_tiles(bar), compute, bar.advance, in_flight, job.stop)
 
 
-def _tile_columns(
-    plan: Plan, folder: RunFolder, tile: int, threads: int | None, progress: Advance | None
-) -> tuple[dict[str, np.ndarray], int]:
-    """Columns of a tile by name, and the number of its points where the family exists."""
-    points = grid.points_at_indices(folder.scene, folder.tiling.indices(tile))
-    values = evaluate(plan, points, threads=threads, progress=progress) | points.base
-    return {name: values[name] for name in folder.tiles.types}, int(points.exists.sum())
-
-
-def _compute_on_cluster(job: _Job, bar: Progress, plan: ScenePlan, execution: _Execution) -> None:
+def _compute_on_cluster(job: _Job, bar: Progress, client: Any) -> None:
     """Compute the tiles of a job on dask workers."""
     folder = job.folder
-    if execution.workers:
-        # Compile the kernel by one step at one point: each new process would compile it otherwise.
-        points = replace(plan.points.without_derived(), settings=plan.limited(1))
-        if points.outputs:
-            evaluate(points, plan.sample.subset(np.flatnonzero(plan.sample.exists)[:1]), threads=1)
 
     def on_result(tile: int) -> None:
         if not folder.tiles.is_written(tile):
@@ -428,31 +544,38 @@ def _compute_on_cluster(job: _Job, bar: Progress, plan: ScenePlan, execution: _E
         bar.advance(folder.tiling.size_of(tile))
 
     run = str(folder.path), folder.key
-    arguments = ((*run, tile) for tile in job.remaining_tiles(bar))
-    with cluster.connect(execution.scheduler, execution.workers) as client:
-        cluster.check_workers(client, check_worker, run)
-        cluster.for_each(client, compute_tile, arguments, on_result)
+    reuse = tuple(str(each.path) for each in job.execution.earlier)
+    arguments = ((*run, tile, reuse) for tile in job.remaining_tiles(bar))
+    cluster.check_workers(client, check_worker, (*run, reuse))
+    cluster.for_each(client, compute_tile, arguments, on_result)
 
 
-def check_worker(path: str, key: str) -> None:
+def check_worker(path: str, key: str, reuse: tuple[str, ...] = ()) -> None:
     """Raise BadInput unless this worker computes the same bits as the client of a run, which made the key."""
-    _open_cached(path, key)
+    _open_cached(path, key, reuse)
 
 
-def compute_tile(path: str, key: str, tile: int) -> int:
+def compute_tile(path: str, key: str, tile: int, reuse: tuple[str, ...] = ()) -> int:
     """Compute and write one tile with one thread, the task of a dask worker; BadInput as `check_worker`."""
-    folder, tiles, plan = _open_cached(path, key)
+    folder, tiles, plan, earlier = _open_cached(path, key, reuse)
     stopwatch = Stopwatch()
-    columns, computed = _tile_columns(plan, folder, tile, 1, None)
-    folder.check_kept()
-    tiles.write(tile, columns, computed=computed, seconds=stopwatch.seconds(), by="dask workers")
+    with tiles.held(tile) as keep:
+        columns, computed, reused = evaluate_at(
+            plan, folder.scene, folder.indices(tile), earlier, threads=1, progress=lambda points: keep()
+        )
+        folder.check_kept()
+        tiles.write(
+            tile, columns, computed=computed, seconds=stopwatch.seconds(), by="dask workers", reused=reused
+        )
     return tile
 
 
 @lru_cache(maxsize=8)
-def _open_cached(path: str, key: str) -> tuple[RunFolder, TileFiles, Plan]:
-    """A run whose bits this process computes, its tiles with the key of what this process computes, and its plan."""
-    folder = RunFolder.open(path)
+def _open_cached(
+    path: str, key: str, reuse: tuple[str, ...]
+) -> tuple[RunFolder | Level, TileFiles, Plan, list[Earlier]]:
+    """A run whose bits this process computes, its tiles with the key of what this process computes, plan, earlier atlases."""
+    folder = Level.open(Path(path)) if Path(path).parent.name == LEVELS else RunFolder.open(path)
     if folder.key != key:
         raise BadInput(f"{path}: holds another run on the machine of this worker ({socket.gethostname()})")
     plan = Plan.of(folder.scene)
@@ -463,4 +586,5 @@ def _open_cached(path: str, key: str) -> tuple[RunFolder, TileFiles, Plan]:
             f"{path}: a dask worker on {socket.gethostname()} would compute other bits; start it again with the"
             f" same programs. It differs in {different}"
         )
-    return folder, TileFiles(folder.tiles.folder, folder.key_with(own), folder.scene, folder.tiling), plan
+    earlier = [Earlier.of(each, folder.scene) for each in reuse]
+    return folder, folder.tiles_with(folder.key_with(own)), plan, earlier

@@ -8,10 +8,11 @@ import json
 import math
 import os
 import socket
+import time
 from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import suppress
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from itertools import chain
 from pathlib import Path
@@ -21,7 +22,19 @@ import netCDF4
 import numpy as np
 
 from ..errors import shown
-from ..files import atomic_write, check_types, disk_error, one_line, read_bytes, sealed, unsealed
+from ..files import (
+    CLAIM_INTERVAL,
+    atomic_write,
+    check_types,
+    claim,
+    disk_error,
+    is_claimed,
+    one_line,
+    read_bytes,
+    remove_leftovers,
+    sealed,
+    unsealed,
+)
 from ..flags import Label, Status
 from ..io import netcdf
 from ..io.checksums import NETCDF_LOCK
@@ -30,8 +43,11 @@ from ..variables import variables
 
 # Below this number of points the tables of a NetCDF-4 file take more room and time than its compression saves.
 MIN_COMPRESSED_POINTS = 4096
+# Bytes of a sidecar, and of the tables of one variable in a NetCDF-4 file.
+SIDECAR_BYTES, TABLE_BYTES = 1200, 3600
+CLAIM = ".claim"  # suffix of the file of a tile that a process computes
 STATUS_BATCH = 64  # tiles that a thread checks at a time
-SIDECAR_TYPES = {"points": int, "computed": int, "seconds": (int, float), "by": str}
+SIDECAR_TYPES = {"points": int, "computed": int, "seconds": (int, float), "by": str, "reused": dict}
 
 COUNTED = (
     "label", "label_inertial", "label_any_axis", "label_any_axis_inertial", "regularity", "status", "agreement", "computed",
@@ -108,11 +124,13 @@ class Tally:
 class TileFiles:
     """The tiles of one run, in one folder."""
 
-    def __init__(self, folder: Path, key: str, scene: Scene, tiling: Tiling):
+    def __init__(
+        self, folder: Path, key: str, dims: tuple[str, ...], types: Mapping[str, str], tiling: Tiling
+    ):
         self.folder = folder
         self.key = key
-        self.dims = netcdf.dims(scene)
-        self.types = tile_types(scene)
+        self.dims = dims
+        self.types = types
         self.tiling = tiling
 
     def path(self, tile: int, suffix: str = ".nc") -> Path:
@@ -132,13 +150,22 @@ class TileFiles:
         return self._error(tile) is None
 
     def write(
-        self, tile: int, columns: dict[str, np.ndarray], *, computed: int, seconds: float, by: str
+        self,
+        tile: int,
+        columns: Mapping[str, np.ndarray],
+        *,
+        computed: int,
+        seconds: float,
+        by: str,
+        reused: Mapping[str, int] | None = None,
     ) -> None:
         """Write a tile, then the sidecar that marks it as written.
 
-        `computed` counts the points where the family exists. Raises OSError if the tile reads back otherwise.
+        `computed` counts the points where the family exists, `reused` those of earlier atlases by what these are. Raises
+        OSError if the tile reads back otherwise.
         """
         path, shape = self.path(tile), self.tiling.shape_of(tile)
+        columns = {name: columns[name] for name in self.types}
         points = math.prod(shape)
         small = points < MIN_COMPRESSED_POINTS
         kind: Literal["NETCDF3_64BIT_OFFSET", "NETCDF4"] = "NETCDF3_64BIT_OFFSET" if small else "NETCDF4"
@@ -168,10 +195,40 @@ class TileFiles:
         sidecar = {
             "key": self.key, "tile": tile, "points": points, "computed": computed,
             "hash": self._hash(tile, content, computed), "tally": vars(Tally.of(columns)),
-            "host": socket.gethostname(), "seconds": seconds, "by": by,
+            "host": socket.gethostname(), "seconds": seconds, "by": by, "reused": dict(reused or {}),
         }  # fmt: skip
         with atomic_write(self.path(tile, ".json")) as temporary:
             temporary.write_text(sealed(sidecar), encoding="utf-8")
+
+    @contextmanager
+    def held(self, tile: int) -> Iterator[Callable[[], None]]:
+        """Keep the claim of a tile while it is computed, by calls of what this gives, and release it."""
+        path, touched = self.path(tile, CLAIM), time.monotonic()
+
+        def keep() -> None:
+            nonlocal touched
+            if time.monotonic() - touched > CLAIM_INTERVAL:
+                touched = time.monotonic()
+                with suppress(OSError):
+                    os.utime(path)
+
+        try:
+            yield keep
+        finally:
+            with suppress(OSError):
+                path.unlink(missing_ok=True)
+
+    def claim(self, tile: int) -> bool:
+        """Whether this process may compute a tile, which it claims: no other one that is at work does."""
+        return claim(self.path(tile, CLAIM))
+
+    def remove_leftovers(self) -> None:
+        """Remove temporary files and claims of processes that were killed."""
+        remove_leftovers(self.folder)
+        for path in self.folder.glob(f"*{CLAIM}"):
+            if not is_claimed(path):
+                with suppress(OSError):
+                    path.unlink(missing_ok=True)
 
     def read(self, tile: int, names: Iterable[str] | None = None) -> dict[str, np.ndarray]:
         """Checked variables of a tile, default all; FileNotFoundError, DamagedTile if a check fails."""
@@ -264,8 +321,9 @@ class TileFiles:
     def _sidecar(self, tile: int) -> dict[str, Any]:
         """The sidecar of a tile; see `read` for what it raises."""
         try:
-            sidecar = unsealed(read_bytes(self.path(tile, ".json")))
+            sidecar = {"reused": {}} | unsealed(read_bytes(self.path(tile, ".json")))
             check_types(sidecar, SIDECAR_TYPES)
+            check_types(sidecar["reused"], dict.fromkeys(sidecar["reused"], int))
         except ValueError as error:
             raise DamagedTile(f"its sidecar cannot be read: {one_line(error)}") from None
         if sidecar.get("key") != self.key or sidecar.get("tile") != tile:

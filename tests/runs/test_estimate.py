@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 
+import numpy as np
 import pytest
 
 from atlas.engine import blocks
@@ -16,6 +17,11 @@ MANY_POINTS = {
     "theta0": {"from": 0.1, "to": 1.5, "count": 1000},
     "k3": {"from": 0.0, "to": 1.0, "count": 1000},
 }
+
+
+def no_values(plan, points, **options):
+    """Zeros in place of all variables."""
+    return {name: np.zeros(points.exists.size) for name in plan.outputs}
 
 
 @pytest.mark.parametrize("axes", [FEW_LONG, MANY_LONG, MANY_POINTS])
@@ -39,6 +45,7 @@ def test_a_dry_run_is_short_whatever_the_scene(monkeypatch, axes, integration):
         sizes = ScenePlan(replace(scene, settings=plan.settings), points).step_sizes.without_unresolved()
         measured.append(blocks.schedule_of(sizes).point_steps)
         assert points.exists.size <= estimate.CALIBRATION_POINTS
+        return no_values(plan, points)
 
     monkeypatch.setattr(estimate, "evaluate", evaluate_nothing)
     text = dry_run(scene, threads=2)
@@ -55,7 +62,7 @@ def test_the_share_of_points_that_are_not_resolved_is_printed(monkeypatch):
             "integration": {"duration": 30.0, "max_steps": 100_000},
         }
     )  # fmt: skip
-    monkeypatch.setattr(estimate, "evaluate", lambda *arguments, **options: None)
+    monkeypatch.setattr(estimate, "evaluate", no_values)
     assert "25 % of the points have steps too long" in dry_run(scene, threads=1)
 
 
@@ -85,10 +92,11 @@ def test_derived_variables_are_priced_by_some_points(monkeypatch):
 
     priced = dict(scene.system.derived) | {"equilibrium_count": replace(derived, values=values)}
     monkeypatch.setattr(scene.system, "derived", priced)
-    monkeypatch.setattr(estimate, "evaluate", lambda plan, points, **options: check_outputs(plan))
+    monkeypatch.setattr(estimate, "evaluate", lambda plan, points, **options: check_outputs(plan, points))
 
-    def check_outputs(plan):
+    def check_outputs(plan, points):
         assert plan.outputs == ("label",)
+        return no_values(plan, points)
 
     assert "of which theory" in dry_run(scene, threads=1)
     assert sizes[0] == 6

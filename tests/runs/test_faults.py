@@ -23,17 +23,17 @@ pytestmark = pytest.mark.faults
 CONFIGS = Path(__file__).parents[2] / "configs"
 
 
-def start(folder, *arguments, **options):
+def start(folder, *arguments, program=("-m", "atlas"), **options):
     """Start an `atlas` command."""
     return subprocess.Popen(
-        [sys.executable, "-m", "atlas", *map(str, arguments)], cwd=folder, text=True, start_new_session=True,
+        [sys.executable, *program, *map(str, arguments)], cwd=folder, text=True, start_new_session=True,
         stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, **options,
     )  # fmt: skip
 
 
-def finish(folder, *arguments):
+def finish(folder, *arguments, **options):
     """Run an `atlas` command to its end; its exit code and what it printed on stderr."""
-    process = start(folder, *arguments)
+    process = start(folder, *arguments, **options)
     _, errors = process.communicate()
     return process.returncode, errors
 
@@ -106,14 +106,25 @@ def small_disk(longer):
     subprocess.run(["umount", str(path)], check=True)
 
 
+UNAWARE_OF_FREE_SPACE = """
+import sys
+from atlas import cli
+from atlas.runs import estimate
+
+estimate.check_disk = lambda *arguments, **options: None
+sys.exit(cli.main(sys.argv[1:]))
+"""
+
+
 def test_a_full_or_read_only_disk_stops_a_run_in_one_line_that_goes_on_later(
     longer, small_disk, fault_rounds
 ):
     path, run, whole = longer
-    disk, full = path / "disk", 0
+    disk, full, refused = path / "disk", 0, 0
 
     def completed(*command):
-        code, errors = finish(path, *command)
+        """Whether a command ends well that knows nothing of the free space, as if others filled the disk meanwhile."""
+        code, errors = finish(path, *command, program=("-c", UNAWARE_OF_FREE_SPACE))
         assert code == 0 or (code == 1 and "No space left" in errors and len(errors.splitlines()) == 1), (
             errors
         )
@@ -129,8 +140,14 @@ def test_a_full_or_read_only_disk_stops_a_run_in_one_line_that_goes_on_later(
         if completed("run", "scene.toml", "-o", "disk/run/", "--quiet"):
             break
         full += 1
+        code, errors = finish(path, "run", "scene.toml", "-o", "disk/run/", "--quiet")
+        assert code == 0 or (
+            code == 2 and "are free on this disk" in errors and len(errors.splitlines()) == 1
+        )
+        refused += code == 2
         assert not RunFolder.open(disk / "run").tiles.status().damaged
     assert full
+    assert refused
     used = sum(file.stat().st_blocks // 2 for file in disk.rglob("*"))
     RunFolder.open(disk / "run").join(path / "size.nc")
     needed = (path / "size.nc").stat().st_size // 1024

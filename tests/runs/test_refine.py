@@ -15,7 +15,7 @@ from atlas.flags import Label, Stability
 from atlas.io import netcdf
 from atlas.runs import estimate, refine
 from atlas.runs.plan import ScenePlan
-from atlas.scene.grid import Grid
+from atlas.scene import grid
 from atlas.scene.read import scene_from
 
 pytestmark = pytest.mark.usefixtures("whole_kernels")
@@ -115,10 +115,12 @@ def labels_of_region(inside, x, y):
 
 
 def replace_integration(monkeypatch, inside):
-    def evaluate(plan, points: Grid, *, threads=None):
-        return {"label": labels_of_region(inside, points.base["h1"], points.base["h3"])}
+    def evaluate_at(plan, scene, indices, earlier, *, threads=None):
+        points = grid.points_at_indices(scene, indices)
+        labels = labels_of_region(inside, points.base["h1"], points.base["h3"])
+        return {"label": labels}, indices.size, {}
 
-    monkeypatch.setattr(refine, "evaluate", evaluate)
+    monkeypatch.setattr(refine, "evaluate_at", evaluate_at)
 
 
 def plane(count, levels, probe):
@@ -226,9 +228,6 @@ def test_run_refines_into_memory_or_one_file(scene_text, tmp_path, both):
     xr.testing.assert_equal(ds.load(), both[0])
     assert "interpolated" in compare.summary(ds)
     xr.testing.assert_equal(atlas.run(scene, progress=False), both[0])
-    for out, options in ((tmp_path / "folder", {}), (tmp_path / "b.nc", {"workers": 1})):
-        with pytest.raises(BadInput, match="one process"):
-            atlas.run(scene, out, progress=False, **options)
 
 
 def test_a_grid_that_does_not_fit_into_memory_is_refused(scene_text, monkeypatch):
@@ -271,6 +270,6 @@ def test_the_expected_number_of_points_is_that_of_a_run(scene_text, both, monkey
 def test_a_dry_run_prices_the_points_that_are_integrated(scene_text, both):
     ds, _ = both
     text = estimate.dry_run(refined_scene(scene_text), threads=1)
-    number = int(re.search(r"3185 points, about (\d+) to integrate, in one process, near", text)[1])
+    number = int(re.search(r"3185 points, about (\d+) to integrate, near", text)[1])
     assert number == pytest.approx(ds.attrs["atlas_computed_share"] * 3185, rel=0.1)
     assert "tiles" not in text

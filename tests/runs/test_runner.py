@@ -16,7 +16,7 @@ from truth import assert_same_bytes
 import atlas
 from atlas import BadInput, files, load_scene
 from atlas.flags import Label, Stability, Status
-from atlas.runs import runner
+from atlas.runs import earlier, runner
 from atlas.runs.folder import RunFolder
 from atlas.scene import grid
 from atlas.variables import variables
@@ -148,7 +148,7 @@ def test_an_existing_file_is_kept_without_force(small_scene, tmp_path):
 @pytest.mark.parametrize("name", ["no/such/folder/a.nc", "a.txt", "folder.nc"])
 def test_an_output_that_cannot_be_written_is_refused_before_the_run(small_scene, tmp_path, name, monkeypatch):
     (tmp_path / "folder.nc").mkdir()
-    monkeypatch.setattr(runner, "evaluate", None)
+    monkeypatch.setattr(earlier, "evaluate", None)
     with pytest.raises(BadInput):
         atlas.run(load_scene(small_scene), tmp_path / name, progress=False)
     assert sorted(p.name for p in tmp_path.iterdir()) == ["folder.nc"]
@@ -160,7 +160,7 @@ def test_after_an_interrupt_or_a_full_disk_only_the_run_folder_is_left(small_sce
 
     scene = load_scene(small_scene)
     with monkeypatch.context() as patched:
-        patched.setattr(runner, "evaluate", interrupt)
+        patched.setattr(earlier, "evaluate", interrupt)
         with pytest.raises(KeyboardInterrupt):
             atlas.run(scene, tmp_path / "a.nc", progress=False)
 
@@ -266,7 +266,7 @@ def test_names_of_any_length_work_or_are_refused_before_the_run(small_scene, tmp
     while len(str(deep)) + 240 < os.pathconf(tmp_path, "PC_PATH_MAX"):
         deep = deep / ("d" * 200)
     os.makedirs(deep)
-    monkeypatch.setattr(runner, "evaluate", None)
+    monkeypatch.setattr(earlier, "evaluate", None)
     before = sorted(tmp_path.rglob("*"))
     for out in (
         f"{tmp_path}/{'a' * (longest - 6)}.nc",

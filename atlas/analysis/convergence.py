@@ -1,0 +1,146 @@
+"""How labels depend on settings that have no true value: the same points with other durations and tolerances."""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import xarray as xr
+
+from ..compiling import Stopwatch
+from ..errors import BadInput, allowed_text, text_table
+from ..io import netcdf
+from ..io.progress import Progress
+from ..runs.earlier import evaluate_at
+from ..runs.plan import ScenePlan
+from ..scene.model import Axis, Scene
+from .metadata import flag_names
+
+# What can be varied -> factors of its value whose changes count on the map; the others show the way there.
+VARIED = {"duration": (2.0, 4.0), "rate_tolerance": (0.25, 0.5, 2.0, 4.0), "tolerance": (0.25, 0.5)}
+FACTORS = (0.25, 0.5, 1.0, 2.0, 4.0)
+FLAGS = ("label", "label_inertial", "label_any_axis", "label_any_axis_inertial", "regularity")
+MAX_POINTS = 10_000  # default
+CHANGE = "label_change"
+HEAD = ("variable", "setting", "factor", "changed", "percent", "changes")
+
+
+def convergence(
+    scene: Scene, names: Sequence[str], points: int = MAX_POINTS, *, progress: bool = True
+) -> xr.Dataset:
+    """The flags of at most so many points of a grid, for several values of each of the named settings.
+
+    Variables NAME_of_SETTING lie along SETTING_factor and the axes of the scene; `label_change` tells by which settings any of these
+    flags changes, in the direction of VARIED.
+    """
+    for name in names:
+        if name not in VARIED:
+            raise BadInput(f"{name}: cannot be varied; {allowed_text(name, VARIED)}")
+    flags = tuple(name for name in FLAGS if name == "label" or name in scene.outputs)
+    if scene.refine is not None:
+        factors = zip(scene.axes.items(), scene.coarsening, strict=True)
+        axes = {name: replace(axis, values=axis.values[::factor]) for (name, axis), factor in factors}
+        scene = replace(scene, axes=axes, refine=None)
+    scene = replace(scene, outputs=flags, map="")
+    if scene.points is None:
+        share = min(1.0, points / scene.size) ** (1 / max(sum(count > 1 for count in scene.shape), 1))
+        axes = {
+            name: _thinned(axis, math.ceil(share * len(axis.values))) for name, axis in scene.axes.items()
+        }
+        scene = replace(scene, axes=axes)
+    names, stopwatch = list(dict.fromkeys(names)), Stopwatch()
+    cases = [(name, factor) for name in names for factor in FACTORS if factor != 1.0]
+    bar = Progress(scene.size * (1 + len(cases)), show=progress)
+    try:
+        base = _columns(scene, bar)
+        varied = {case: _columns(_changed(scene, *case), bar) for case in cases}
+    finally:
+        bar.close()
+    ds = netcdf.dataset(scene, base)
+    plan = ScenePlan.of(scene)
+    ds.attrs = netcdf.scene_provenance(
+        scene, plan.points.kernel_hash, seconds=stopwatch.seconds(), points=bar.points, warnings=[]
+    )
+    change = np.zeros(scene.shape, np.int8)
+    for bit, name in enumerate(names):
+        ds = ds.assign_coords({f"{name}_factor": list(FACTORS)})
+        for flag in flags:
+            stacked = [varied.get((name, factor), base)[flag].reshape(scene.shape) for factor in FACTORS]
+            ds[f"{flag}_of_{name}"] = (f"{name}_factor", *ds[flag].dims), np.stack(stacked), ds[flag].attrs
+            for factor, values in zip(FACTORS, stacked, strict=True):
+                if factor in VARIED[name]:
+                    change |= np.where(values != ds[flag].values, 1 << bit, 0).astype(np.int8)
+    masks = range(1 << len(names))
+    meanings = ["_and_".join(n for bit, n in enumerate(names) if mask >> bit & 1) for mask in masks]
+    ds[CHANGE] = ds["label"].dims, change, {
+        "long_name": "settings by which a label changes",
+        "flag_values": np.arange(len(masks), dtype=np.int8),
+        "flag_meanings": " ".join(f"by_{meaning}" if meaning else "unchanged" for meaning in meanings),
+    }  # fmt: skip
+    return ds
+
+
+def _thinned(axis: Axis, count: int) -> Axis:
+    """An axis with fewer of its values, the first and the last among them."""
+    if count >= len(axis.values):
+        return axis
+    values = axis.values[np.linspace(0, len(axis.values) - 1, max(count, 2)).round().astype(int)]
+    table = {key: value for key, value in axis.table.items() if key not in ("from", "to", "count", "spacing")}
+    return replace(axis, values=values, table=table | {"values": values.tolist()})
+
+
+def _changed(scene: Scene, name: str, factor: float) -> Scene:
+    """The scene with one setting multiplied; a step in place of the tolerance of the integration."""
+    if name == "duration":
+        return replace(scene, duration=replace(scene.duration, amount=factor * scene.duration.amount))
+    settings: Any = scene.settings
+    if name == "tolerance" and settings.step is not None:
+        name = "step"
+    return replace(scene, settings=replace(settings, **{name: factor * getattr(settings, name)}))
+
+
+def _columns(scene: Scene, bar: Progress) -> dict[str, np.ndarray]:
+    """The outputs and the parameters at all points."""
+    plan = ScenePlan.of(scene)
+    parts = []
+    for tile in range(plan.tiling.count):
+        columns, computed, _ = evaluate_at(
+            plan.points, scene, plan.tiling.indices(tile), progress=bar.advance
+        )
+        bar.skip(plan.tiling.size_of(tile) - computed)
+        parts.append({name: columns[name] for name in (*scene.outputs, *scene.solve)})
+    return {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
+
+
+def rows(ds: xr.Dataset) -> list[tuple[str, ...]]:
+    """A row of HEAD for each flag, setting and factor: the points that change and the most frequent changes."""
+    result = list[tuple[str, ...]]()
+    for name in VARIED:
+        for flag in (flag for flag in FLAGS if f"{flag}_of_{name}" in ds):
+            meanings, base = flag_names(ds[flag]), ds[flag].values
+            for factor, values in zip(FACTORS, ds[f"{flag}_of_{name}"].values, strict=True):
+                where = values != base
+                pairs = Counter(zip(base[where].tolist(), values[where].tolist(), strict=True)).most_common(3)
+                changes = "; ".join(f"{meanings[a]} to {meanings[b]} {count}" for (a, b), count in pairs)
+                result.append(
+                    (flag, name, f"{factor:g}", str(where.sum()), f"{100 * where.mean():.3g}", changes)
+                )
+    return result
+
+
+def report(ds: xr.Dataset) -> str:
+    """The rows as a table, and how many points change at all."""
+    changed, size = int((ds[CHANGE] != 0).sum()), ds[CHANGE].size
+    varied = [name for name in VARIED if f"label_of_{name}" in ds]
+    counted = [f"{' or '.join(f'{factor:g}' for factor in VARIED[name])} times the {name}" for name in varied]
+    summary = f"{changed} of {size} points ({100 * changed / size:.3g} %) change with {', '.join(counted)}"
+    return f"{text_table([HEAD, *rows(ds)])}\n{summary}"
+
+
+def table(ds: xr.Dataset) -> str:
+    """The rows as comma-separated values."""
+    return "".join(f"{','.join(row)}\n" for row in [HEAD, *rows(ds)])

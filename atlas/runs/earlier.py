@@ -1,0 +1,205 @@
+"""Points that a scene shares with earlier atlases: where all that decides on the bits is the same, values are used again."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, fields
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ..errors import MAX_MESSAGE, BadInput, attribute_text
+from ..io import checksums, netcdf, zarr_store
+from ..label.pipeline import evaluate
+from ..label.plan import Plan
+from ..scene import grid
+from ..scene.model import Scene, Settings
+from ..scene.read import parse_scene
+from ..systems.base import Mask, derived_values
+from ..variables import COMPUTED, variables
+from .backend import open_atlas
+from .folder import HISTORY, RESULT, RunFolder, result_hash
+from .levels import RESULT_FILE
+from .plan import differences, identity
+from .tiles import DamagedTile, Tiling
+
+SAMPLE = 2048  # points of an earlier atlas that are sought in a scene before it runs
+
+
+@dataclass(frozen=True, eq=False)
+class Earlier:
+    """An atlas, which may be unfinished, whose points are used again."""
+
+    path: Path
+    scene: Scene
+    tiling: Tiling  # boxes in which it is read
+    names: tuple[str, ...]  # variables to read
+    read: Callable[
+        [int], Mapping[str, np.ndarray]
+    ]  # values in a box; FileNotFoundError or DamagedTile without them
+    history: str  # what it is and where its own points come from
+
+    @classmethod
+    def of(cls, path: str | Path, scene: Scene) -> Earlier:
+        """An atlas for a scene; BadInput unless its points have the bits that this process would compute."""
+        path = Path(path).absolute()
+        ds = open_atlas(path)
+        if (path / RESULT_FILE).exists():  # of a refined run
+            path = path / RESULT_FILE
+        text = ds.attrs.get("atlas_scene")
+        if not isinstance(text, str) or not text:
+            raise BadInput(
+                f"{path}: its points come from no scene; only the atlas of a scene can be extended"
+            )
+        old = parse_scene(text)
+        own, folder = identity(Plan.of(old)), None
+        if path.is_dir() and not (path / zarr_store.METADATA).exists():
+            folder = RunFolder.open(path)
+            programs = differences(folder.manifest["identity"], own, "there", "now")
+        else:
+            whole = zarr_store.is_whole(path) if path.is_dir() else checksums.are_in(path)
+            same = whole and ds.attrs.get(RESULT) == result_hash(text, own)
+            programs = "" if same else "the programs or the processor, or another program wrote the file"
+        if programs:
+            raise BadInput(f"{path}: `atlas run` of now would not give its bits: different is {programs}")
+        there, here = (_facts(Plan.of(each)) for each in (old, scene))
+        if different := differences(there, here, f"in {path}", "in the scene"):
+            raise BadInput(
+                f"{path}: its points have other bits than those of the scene: it differs in {different}"
+            )
+        system = scene.system
+        if missing := [name for name in scene.outputs if name not in {*old.outputs, *system.derived}]:
+            raise BadInput(f"{path}: has no {', '.join(missing)}, for which every point is integrated again")
+        some = np.unique(np.linspace(0, old.size - 1, SAMPLE).astype(np.int64))
+        if (_indices_in(scene, old, some, grid.points_at_indices(old, some)) < 0).all():
+            raise BadInput(
+                f"{path}: none of {some.size} points of it, evenly chosen, is a point of the scene, with the same duration and"
+                " equal values of all parameters"
+            )
+        names = (*(name for name in scene.outputs if name in old.outputs), *({COMPUTED.name} & ds.keys()))
+        history = "; ".join(
+            attribute_text(ds.attrs, name)
+            for name in ("title", "source", "date_created", "atlas_cpu", RESULT)
+        )
+        if HISTORY in ds.attrs:
+            history += f" (of these, {attribute_text(ds.attrs, HISTORY, limit=MAX_MESSAGE)})"
+        if folder is not None:
+            tiles = folder.tiles
+            return cls(path, old, folder.tiling, names, lambda tile: tiles.read(tile, names), history)
+        tiling = Tiling.of(old.shape, grid.MAX_POINTS_PER_TILE)
+
+        def read(tile: int) -> dict[str, np.ndarray]:
+            box = ds.isel(dict(zip(netcdf.dims(old), tiling.slices(tile), strict=True)))
+            return {name: box[name].values for name in names}
+
+        return cls(path, old, tiling, names, read, history)
+
+    def take(
+        self, scene: Scene, indices: np.ndarray, points: grid.Grid
+    ) -> tuple[Mask, dict[str, np.ndarray]]:
+        """Which of some points of a scene this atlas has, and the variables of these points."""
+        places = _indices_in(self.scene, scene, indices, points)
+        registry = variables(scene.system) | {COMPUTED.name: COMPUTED}
+        columns = {name: np.empty(indices.size, registry[name].dtype) for name in self.names}
+        along = np.unravel_index(np.maximum(places, 0), self.scene.shape)
+        tiles = np.ravel_multi_index(
+            [index // length for index, length in zip(along, self.tiling.tile, strict=True)],
+            self.tiling.counts,
+        )
+        taken = np.zeros(indices.size, bool)
+        for tile in np.unique(tiles[places >= 0]):
+            try:
+                values = self.read(int(tile))
+            except (FileNotFoundError, DamagedTile):
+                continue
+            here = np.flatnonzero((tiles == tile) & (places >= 0))
+            first = [part.start for part in self.tiling.slices(int(tile))]
+            inside = tuple(index[here] - start for index, start in zip(along, first, strict=True))
+            for name, column in columns.items():
+                column[here] = values[name][inside]
+            taken[here] = True
+        if COMPUTED.name in columns:
+            taken &= columns.pop(COMPUTED.name) == 1
+        return taken, {name: column[taken] for name, column in columns.items()}
+
+
+def evaluate_at(
+    plan: Plan,
+    scene: Scene,
+    indices: np.ndarray,
+    earlier: Sequence[Earlier] = (),
+    *,
+    threads: int | None = None,
+    progress: Callable[[float], None] | None = None,
+) -> tuple[dict[str, np.ndarray], int, Counter[str]]:
+    """Variables and parameters of points of a scene by flat indices, and the number where the family exists.
+
+    The last result counts the points that were taken from earlier atlases, by their history.
+    """
+    points = grid.points_at_indices(scene, indices)
+    reused, parts = Counter[str](), list[tuple[np.ndarray, Mapping[str, np.ndarray]]]()
+    remaining = np.arange(indices.size)
+    for atlas in earlier:
+        taken, columns = atlas.take(scene, indices[remaining], points.subset(remaining))
+        where, remaining = remaining[taken], remaining[~taken]
+        if where.size:
+            part = points.subset(where)
+            missing = [name for name in scene.outputs if name not in columns]
+            columns |= derived_values(scene.system, missing, part.base, part.duration, lambda: None)
+            parts.append((where, columns))
+            reused[atlas.history] += where.size
+    if remaining.size:
+        part = points.subset(remaining) if parts else points
+        parts.append((remaining, evaluate(plan, part, threads=threads, progress=progress)))
+    if len(parts) == 1:
+        merged = dict(parts[0][1])
+    else:
+        registry = variables(scene.system)
+        merged = {name: np.empty(indices.size, registry[name].dtype) for name in scene.outputs}
+        for where, some in parts:
+            for name, column in merged.items():
+                column[where] = some[name]
+    return merged | points.base, int(points.exists.sum()), reused
+
+
+def _facts(plan: Plan) -> dict[str, Any]:
+    """All but its parameters and its duration on which the bits of a point depend."""
+    return {
+        "system": plan.system.name,
+        **{f.name: getattr(plan.settings, f.name) for f in fields(Settings)},
+        "cylinder_tolerance": plan.settings.cylinder,
+        "kernel": plan.kernel_hash,
+        "measured": ", ".join(map(str, plan.instruments)),
+        "nudge": "some" if plan.nudged else "none",
+        "runs": "to the end" if not plan.may_stop_early else "until the label is certain",
+    }
+
+
+def _indices_in(other: Scene, scene: Scene, indices: np.ndarray, points: grid.Grid) -> np.ndarray:
+    """Flat indices in another scene of points of a scene that are computed and have the same bits there, else -1."""
+    along = np.unravel_index(indices, scene.shape)
+    values = grid.parameter_values(scene, indices)
+    values |= {axis.dim: axis.values[i] for axis, i in zip(scene.axes.values(), along, strict=True)}
+    places, inside = [], points.exists.copy()
+    for axis in other.axes.values():
+        if axis.dim not in values:
+            return np.full(indices.size, -1)
+        order = np.argsort(axis.values)
+        place = order[np.searchsorted(axis.values[order], values[axis.dim]).clip(max=order.size - 1)]
+        inside &= axis.values[place] == values[axis.dim]
+        places.append(place)
+    result = np.where(inside, np.ravel_multi_index(places, other.shape), -1)
+    candidates = np.flatnonzero(inside)
+    if candidates.size:
+        ours, theirs = points.subset(candidates), grid.points_at_indices(other, result[candidates])
+        same = ours.reason == theirs.reason
+        for a, b in [
+            (ours.duration, theirs.duration),
+            *((ours.base[name], theirs.base[name]) for name in ours.base),
+            *((ours.points[name], theirs.points[name]) for name in ours.points),
+        ]:
+            same &= a.view(np.int64) == b.view(np.int64)
+        result[candidates[~same]] = -1
+    return result

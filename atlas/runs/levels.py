@@ -1,0 +1,175 @@
+"""Run folders of refined scenes: each level is a list of points, computed in tiles as those of a grid.
+
+    NAME/manifest.json                 as in every run folder
+    NAME/levels/0003/manifest.json     the number of the level, its key, and the key of the level before
+    NAME/levels/0003/points.bin        flat indices of its points in the finest grid, int64, little-endian
+    NAME/levels/0003/tiles/            as in every run folder
+    NAME/atlas.nc                      the refined atlas, written when all levels are done
+
+The points of a level follow from the results of those before, so that a run that is continued, and every process that shares
+it, finds the same levels; the key of a level is a hash of run, points and key before, and all its tiles carry it.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import logging
+import math
+from collections.abc import Iterator
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import xarray as xr
+
+from ..errors import BadInput
+from ..files import atomic_write, check_types, one_line, read_bytes, remove_leftovers, sealed, unsealed
+from ..io.netcdf import Block
+from ..variables import POINT, variables
+from .backend import open_atlas
+from .folder import MANIFEST, RunFolder, hash_of
+from .tiles import MIN_POINTS_PER_TILE, TileFiles, Tiling
+
+LEVELS, POINTS, RESULT_FILE = "levels", "points.bin", "atlas.nc"
+# Measured flags whose boundaries are traced: the label always, the others where the scene asks for them.
+MEASURED = (
+    "label", "label_inertial", "label_any_axis", "label_any_axis_inertial", "geometry", "status", "regularity",
+)  # fmt: skip
+TILES_PER_LEVEL = 64  # if they have enough points, so that many processes can share a level
+
+
+class RefinedFolder(RunFolder):
+    """The run of a refined scene on disk."""
+
+    content = LEVELS
+    more = " of the levels that have begun, and more levels may follow"
+
+    @property
+    def result(self) -> Path:
+        """The file of the finished atlas."""
+        return self.path / RESULT_FILE
+
+    def levels(self) -> list[Level]:
+        """The levels that have begun; the next run writes damaged ones, which are logged, anew."""
+        levels = []
+        for file in sorted((self.path / LEVELS).glob(f"*/{MANIFEST}")):
+            try:
+                levels.append(Level.open(file.parent, self))
+            except BadInput as error:
+                logging.getLogger("atlas").warning("%s", error)
+        return levels
+
+    def remove_leftovers(self) -> None:
+        """Remove temporary files of processes that were killed."""
+        super().remove_leftovers()
+        for folder in self.path.glob(f"{LEVELS}/*"):
+            remove_leftovers(folder)
+
+    def tile_sets(self) -> dict[str, TileFiles]:
+        """The tiles of each level by its name."""
+        return {f"level {level.number}: ": level.tiles for level in self.levels()}
+
+    def _size_text(self) -> str:
+        return f"refined, {self.scene.size} points on the finest grid"
+
+    @property
+    def is_complete(self) -> bool:
+        """Whether the atlas is written."""
+        return self.result.exists()
+
+    def dataset(self) -> xr.Dataset:
+        """The finished atlas, lazily."""
+        if not self.is_complete:
+            raise BadInput(
+                f"{self.path}: {self.progress_text()}, and more levels may follow; run its scene again first"
+            )
+        return open_atlas(self.result)
+
+    def _blocks(self, lengths: tuple[int, ...]) -> Iterator[Block]:
+        ds, boxes = self.dataset().load(), Tiling(self.scene.shape, lengths)
+        for box in map(boxes.slices, range(boxes.count)):
+            yield box, {name: ds[name].values[box] for name in (*map(str, ds.data_vars), *self.scene.solve)}
+
+    def remove(self) -> None:
+        """Remove the run, the manifest last."""
+        self.result.unlink(missing_ok=True)
+        super().remove()
+
+
+class Level:
+    """Some points of the finest grid, which are computed in tiles like a grid of one axis."""
+
+    def __init__(self, run: RunFolder, number: int, before: str, points: np.ndarray):
+        self.run, self.number, self.before, self.points = run, number, before, points
+        self.scene, self.manifest = run.scene, run.manifest
+        self.path = run.path / LEVELS / f"{number:04d}"
+        most = max(MIN_POINTS_PER_TILE, min(math.prod(run.tiling.tile), points.size // TILES_PER_LEVEL))
+        self.tiling = Tiling.of((points.size,), most)
+        self.key = self.key_with(run.manifest["identity"])
+        self.tiles = self.tiles_with(self.key)
+
+    @classmethod
+    def open(cls, path: Path, run: RunFolder | None = None) -> Level:
+        """A level that some process has begun; BadInput if it is damaged."""
+        run = run or RunFolder.open(path.parent.parent)
+        try:
+            manifest = unsealed(read_bytes(path / MANIFEST))
+            check_types(manifest, {"key": str, "level": int, "before": str})
+            points = np.frombuffer((path / POINTS).read_bytes(), "<i8")
+            level = cls(run, manifest["level"], manifest["before"], points)
+            if manifest["key"] != level.key:
+                raise ValueError("its key does not match its points")
+            return level
+        except (OSError, ValueError) as error:
+            raise BadInput(
+                f"{path}: damaged: {one_line(error)}; run the scene again, which writes it anew"
+            ) from None
+
+    @cached_property
+    def _points_hash(self) -> str:
+        return hashlib.sha256(self.points.astype("<i8").tobytes()).hexdigest()
+
+    def key_with(self, identity: dict[str, str]) -> str:
+        """Key of this level if programs and processors of another identity computed it."""
+        run = self.run.key_with(identity)
+        return hash_of({"run": run, "level": self.number, "before": self.before, "points": self._points_hash})
+
+    def tiles_with(self, key: str) -> TileFiles:
+        """The tiles of this level if it had this key."""
+        registry = variables(self.scene.system)
+        names = [
+            name for name in registry if name == "label" or name in {*self.scene.outputs} - {"growth_rate"}
+        ]
+        types = {n: registry[n].dtype for n in names if n in MEASURED or registry[n].flags is None}
+        return TileFiles(self.path / "tiles", key, (POINT,), types, self.tiling)
+
+    def prepare(self) -> None:
+        """Write the manifest of the level unless it is there; a damaged one is replaced."""
+        try:
+            if Level.open(self.path, self.run).key == self.key:
+                self.remove_leftovers()
+                return
+        except BadInput:
+            pass
+        self.check_kept()
+        for folder in (self.path, self.tiles.folder):  # not the run, which another process may have removed
+            folder.mkdir(exist_ok=True)
+        with atomic_write(self.path / POINTS) as temporary:
+            temporary.write_bytes(self.points.astype("<i8").tobytes())
+        manifest: dict[str, Any] = {"key": self.key, "level": self.number, "before": self.before}
+        with atomic_write(self.path / MANIFEST) as temporary:
+            temporary.write_text(sealed(manifest), encoding="utf-8")
+
+    def indices(self, tile: int) -> np.ndarray:
+        """Flat indices in the finest grid of the points of a tile."""
+        return self.points[self.tiling.indices(tile)]
+
+    def check_kept(self) -> None:
+        """Raise OSError if another process has removed the run."""
+        self.run.check_kept()
+
+    def remove_leftovers(self) -> None:
+        """Remove temporary files of processes that were killed."""
+        remove_leftovers(self.path)
+        self.tiles.remove_leftovers()

@@ -1,0 +1,131 @@
+"""Any number of processes on one folder: each claims the tiles that it computes, and claims of dead ones expire."""
+
+import os
+import subprocess
+import sys
+from threading import Event
+
+import pytest
+from truth import assert_same_bytes
+
+import atlas
+from atlas import files, load_scene
+from atlas.runs import runner
+from atlas.runs.folder import RunFolder
+from atlas.runs.plan import ScenePlan
+from atlas.runs.tiles import CLAIM
+from atlas.scene import grid
+
+
+@pytest.fixture
+def folder(small_scene, tmp_path, monkeypatch):
+    """An empty run folder of 9 tiles."""
+    monkeypatch.setattr(grid, "MAX_POINTS_PER_TILE", 7)
+    return RunFolder.prepare(ScenePlan.of(load_scene(small_scene)), tmp_path / "run", [])
+
+
+@pytest.fixture
+def living():
+    """Name of another process that runs."""
+    process = subprocess.Popen(
+        [sys.executable, "-c", "from atlas.files import process_name; print(process_name(), flush=True); input()"],
+        stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True,
+    )  # fmt: skip
+    yield process.stdout.readline().strip()
+    process.communicate("\n")
+
+
+def age(path, seconds):
+    """Let the last sign of life of a claim be so long ago."""
+    status = path.stat()
+    os.utime(path, (status.st_atime - seconds, status.st_mtime - seconds))
+
+
+def test_a_claim_holds_while_its_process_gives_signs_of_life(tmp_path, living):
+    path = tmp_path / "a.claim"
+    assert files.claim(path)
+    assert path.read_text() == files.process_name()
+    assert files.claim(path)  # one's own, from a call that was interrupted
+    path.write_text(living)
+    assert not files.claim(path)
+    age(path, files.CLAIM_AGE + 10)  # it is suspended
+    assert files.claim(path)
+    assert path.read_text() == files.process_name()
+    machine, boot, pid, start = living.split("-")
+    path.write_text(
+        "-".join((machine, boot, pid, str(int(start) - 1)))
+    )  # a dead one whose number was used again
+    assert files.claim(path)
+    path.write_text("-".join(("0" * 8, boot, pid, start)))  # on another machine
+    assert not files.claim(path)
+    age(path, files.CLAIM_AGE + 10)
+    assert files.claim(path)
+    path.write_text("")  # just created
+    assert not files.claim(path)
+
+
+def test_only_one_process_creates_a_claim(tmp_path, monkeypatch):
+    path = tmp_path / "a.claim"
+    monkeypatch.setattr(type(path), "exists", lambda self: False)  # both looked at the same time
+    assert files.claim(path)
+    assert not files.claim(path)
+
+
+def test_a_claim_is_kept_while_a_tile_is_computed_and_then_released(folder, monkeypatch):
+    monkeypatch.setattr("atlas.runs.tiles.CLAIM_INTERVAL", 0.0)
+    path = folder.tiles.path(3, CLAIM)
+    assert folder.tiles.claim(3)
+    age(path, 100)
+    before = path.stat().st_mtime
+    with folder.tiles.held(3) as keep:
+        keep()
+        assert path.stat().st_mtime > before + 90
+    assert not path.exists()
+
+
+@pytest.mark.parametrize("end", ["written", "expired"])
+def test_tiles_of_others_are_left_to_them_until_they_are_done_or_dead(end, folder, living, monkeypatch):
+    other = folder.tiles.path(3, CLAIM)
+    other.write_text(living)
+    computed, waits = [], []
+    evaluate_at = runner.evaluate_at
+
+    def counted(plan, scene, indices, *arguments, **options):
+        computed.append(int(indices[0]) // 7)
+        return evaluate_at(plan, scene, indices, *arguments, **options)
+
+    def wait(event, seconds):
+        waits.append(seconds)
+        assert sorted(computed) == [0, 1, 2, 4, 5, 6, 7, 8]
+        if end == "expired":
+            age(other, files.CLAIM_AGE + 10)
+        else:
+            columns, number, _ = evaluate_at(plan.points, folder.scene, folder.indices(3))
+            folder.tiles.write(3, columns, computed=number, seconds=0.0, by="the other one")
+        return False
+
+    plan = ScenePlan.of(folder.scene)
+    monkeypatch.setattr(runner, "evaluate_at", counted)
+    monkeypatch.setattr(runner, "Event", type("Event", (Event,), {"wait": wait}))
+    ds = atlas.run(folder.scene, folder.path, threads=1, progress=False)
+    assert waits == [runner.CLAIM_POLL]
+    assert computed[8:] == ([] if end == "written" else [3])
+    assert ("1 by the other one" in ds.attrs["atlas_run"]) == (end == "written")
+    monkeypatch.undo()
+    assert_same_bytes(atlas.run(folder.scene, progress=False), ds)
+    assert list(folder.tiles.folder.glob(f"*{CLAIM}")) == ([other] if end == "written" else [])
+
+
+def test_who_waits_for_others_ends_at_once_when_the_job_is_stopped(folder, living):
+    for tile in range(9):
+        folder.tiles.path(tile, CLAIM).write_text(living)
+    job = runner._Job(folder, runner._Execution(1, None, None, None, None, 0.0))
+    job.stop.set()
+    assert list(job.remaining_tiles(None)) == []
+
+
+def test_claims_of_killed_processes_are_removed(folder, living):
+    folder.tiles.path(1, CLAIM).write_text(living)
+    folder.tiles.path(2, CLAIM).write_text(living[:-1] + str((int(living[-1]) + 1) % 10))
+    folder.status()
+    assert [path.name for path in folder.tiles.folder.iterdir()] == [f"00000001{CLAIM}"]

@@ -665,6 +665,8 @@ def test_a_tile_is_written_whole_or_not_at_all(scene, tmp_path, small_tiles, mon
     run = empty_run_folder(scene, tmp_path / "run")
     columns, computed, _ = evaluate_at(Plan.of(scene), scene, run.tiling.indices(3), threads=1)
     run.tiles.write(3, columns, computed=computed, seconds=1.0, by="test")
+    with netCDF4.Dataset(run.tiles.path(3)) as file:
+        assert set(file.variables) == set(tiles.tile_types(scene))
     before = {p: p.read_bytes() for p in run.tiles.folder.glob(unchanged)}
     fsync, calls = os.fsync, 0
 

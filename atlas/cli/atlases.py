@@ -96,18 +96,9 @@ def label_points_of_file(options: argparse.Namespace) -> int:
     duration: float | str = options.duration
     with suppress(ValueError):  # such as 20 orbits
         duration = float(options.duration)
-    ds = label_points(
-        system.name,
-        columns,
-        duration=duration,
-        step=options.step,
-        tolerance=options.tolerance,
-        method=options.method,
-        rate_tolerance=options.rate_tolerance,
-        threads=options.threads,
-        progress=not options.quiet,
-        keep=options.keep,
-    )
+    same = ("step", "tolerance", "method", "rate_tolerance", "threads", "keep")
+    given = {name: getattr(options, name) for name in same}
+    ds = label_points(system.name, columns, duration=duration, progress=not options.quiet, **given)
     (netcdf.write_csv if out.suffix.lower() == ".csv" else netcdf.write)(ds, out)
     say(*summary(ds, verbose=options.verbose).split("\n"), f"wrote {out}")
     return DONE
@@ -139,15 +130,9 @@ def draw_trajectory(options: argparse.Namespace) -> int:
         style.save(trajectory.trajectory_figure(tr), out)
     observables = system_of(tr).observables
     variable = observables[0].name if observables else "theta"
-    low, high, unit = (
-        float(tr[variable].min()),
-        float(tr[variable].max()),
-        attribute_text(tr[variable].attrs, "units"),
-    )
-    duration = f"{float(tr['time'][-1]):.9g} time units"
-    say(
-        f"{variable} from {low:.9g} to {high:.9g}{'' if unit == '1' else ' ' + unit} in {duration}; wrote {out}"
-    )
+    values, unit = tr[variable].values, attribute_text(tr[variable].attrs, "units")
+    span = f"{values.min():.9g} to {values.max():.9g}{'' if unit == '1' else ' ' + unit}"
+    say(f"{variable} from {span} in {float(tr['time'][-1]):.9g} time units; wrote {out}")
     return DONE
 
 

@@ -3,8 +3,9 @@
     python scripts/tools/gallery.py [--out FOLDER] [--only NAME ...] [--force] [--docs [DOCS]] [--count N]
 
 Atlases, and figures as PNG and PDF, are written to FOLDER, by default out/gallery of the repository. An atlas there is
-used again if it comes from the same scene; --force computes all anew. --docs writes docs/gallery/*.png,
-docs/gallery.md and the paper's figures in docs/fixed_point.md. All scenes take about five minutes on two cores.
+used again if it comes from the same scene; --force computes all anew. --docs writes docs/gallery/*.png, the pages of some of
+the atlases beside them, docs/gallery.md and the paper's figures in docs/fixed_point.md. All scenes take about five
+minutes on two cores.
 """
 
 from __future__ import annotations
@@ -22,6 +23,7 @@ import atlas
 from atlas.cli.scenes import figure_options
 from atlas.flags import Agreement
 from atlas.label import theory
+from atlas.page.page import atlas_page
 from atlas.plotting import amer2013, maps, style
 from atlas.scene.read import scene_from
 
@@ -29,6 +31,15 @@ ROOT = Path(__file__).resolve().parents[2]
 DOCS = ROOT / "docs"
 PAPER_FIGURES = (1, 4, 11)  # those shown in docs/fixed_point.md
 DPI = 300  # of the pictures in docs
+# Scenes whose pages are in the repository, with at most so many points each; scripts/docs.sh makes the others.
+PAGES = (
+    "stability_cylindrical",
+    "gravity_gradient",
+    "asymmetric_tilt",
+    "conical_precession_spin",
+    "chaos_tumbling",
+)
+PAGE_POINTS = 2500
 
 
 @dataclass(frozen=True)
@@ -252,6 +263,9 @@ def draw(picture: Picture, out: Path, force: bool, docs: Path | None, count: int
             style.save(figure, file.with_suffix(suffix))
         if docs:
             write_picture(figure, docs / "gallery" / f"{picture.scene}.png")
+            if picture.scene in PAGES:
+                page = atlas_page(ds, max_points=PAGE_POINTS)
+                page.save(docs / "gallery" / f"{picture.scene}_page.html", force=True)
         return section(picture, ds)
 
 
@@ -276,7 +290,8 @@ def main() -> None:
         ' PDF, and the atlas behind it, to `out/gallery/`. "Changed" starts are those of the scene\'s `[nudge]`.',
         "",
         "On the site of these pages a link below each figure leads to its [page to point at](page.md), with the motion of every"
-        " point; `sh scripts/docs.sh` makes those of the atlases in `out/gallery/`.",
+        f" point. Five of them are in the repository, with at most {PAGE_POINTS} points each; `sh scripts/docs.sh` makes those of"
+        " the atlases in `out/gallery/`.",
         "",
     ]
     chosen = [picture for picture in PICTURES if picture.scene in options.only]

@@ -16,6 +16,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import xarray as xr
+from make_docs import with_formulas
 from matplotlib import rc_context
 from matplotlib.figure import Figure
 
@@ -35,11 +36,11 @@ DPI = 300  # of the pictures in docs
 PAGES = (
     "stability_cylindrical",
     "gravity_gradient",
-    "asymmetric_tilt",
+    "sleeping_top_spin",
     "conical_precession_spin",
     "chaos_tumbling",
 )
-PAGE_POINTS = 2500
+PAGE_POINTS = 1600
 
 
 @dataclass(frozen=True)
@@ -118,13 +119,13 @@ PICTURES = (
     ),
     Picture(
         "equilibrium_count",
-        "How many orientations of an asymmetric body (A : B : C = 1 : 1.3 : 1.7, k3 = 0.1) can rest in the orbital frame,"
+        "How many orientations of an asymmetric body ($A : B : C = 1 : 1.3 : 1.7$, k3 = 0.1) can rest in the orbital frame,"
         " over the other two components of its rotor: from 24, the number without a rotor, to 8. Near k1 = 1.1,"
         " k2 < 0.05 a small region has 16, between two curves on each of which two pairs of equilibria appear. On every line"
         " equilibria appear or vanish.",
     ),
     Picture(
-        "asymmetric_tilt",
+        "sleeping_top_spin",
         "A body of any three moments with its axis at 60 degrees to the orbit normal and m = -Omega, axial magnet and"
         f" rotor; (19) of {SATELLITE} with its misprint in k3 corrected. The start changed by 1e-4. The body turns"
         " in the orbital frame, so the equations linearised about this motion have periodic coefficients; the narrow"
@@ -185,7 +186,7 @@ PICTURES = (
     ),
     Picture(
         "chaos_tumbling",
-        "An asymmetric body (A : B : C = 1 : 1.3 : 1.6) without rotor and magnet, turned by psi0 about the orbit normal and"
+        "An asymmetric body ($A : B : C = 1 : 1.3 : 1.6$) without rotor and magnet, turned by psi0 about the orbit normal and"
         " tilted by 0.1 from it, rotating at m relative to the orbit. Small librations and fast rotations are regular."
         + CHAOS,
     ),
@@ -227,7 +228,7 @@ def section(picture: Picture, ds: xr.Dataset) -> list[str]:
     """The lines of the page about one scene."""
     return [
         f"## {ds.attrs['title']}", "", f"![{picture.scene}](gallery/{picture.scene}.png)", "",
-        picture.caption, "",
+        with_formulas(picture.caption), "",
         f"`configs/{picture.scene}.toml`: {ds['label'].size} points, {agreement_with_theory(ds)}.", "",
         *commands(picture), "", f'<a href="{picture.scene}_page.html">The same as a page to point at</a>', "",
     ]  # fmt: skip

@@ -185,7 +185,7 @@ def summary(ds: xr.Dataset, tally: Tally | None = None, *, verbose: bool = True)
         if compared := sum(agreement.values()) - agreement.get("not_compared", 0):
             share = 100 * agreement.get("agree", 0) / compared
             lines.append(f"theory: {share:.2f} % of {compared} compared points agree")
-        lines.append(f"in doubt: {listed('status', 'ok', 'not_computed') or 'no point'}")
+        lines.append(f"in doubt: {listed('status', 'ok', 'not_computed', 'impossible_body') or 'no point'}")
     scene = scene_of(ds)
     sample = None if scene is None else grid.check(scene)
     if scene is not None and sample is not None:

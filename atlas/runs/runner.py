@@ -86,7 +86,7 @@ def run(
     """Integrate every point of a scene, label it, and write the atlas if `out` is given.
 
     After an error or KeyboardInterrupt, finished tiles stay in the run folder, and the same call continues.
-    A scene with [refine] runs in this process only, into memory or one file; see `refine.refined`.
+    A scene with [refine] runs in this process only, into memory or one file.
 
     Parameters
     ----------

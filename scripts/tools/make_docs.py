@@ -177,6 +177,7 @@ def _trim(run: list[tuple[str, int, int]], text: str) -> None:
             or first == "x"
             or first[0] in "=/)]<>^!"
             or (first[0] in "+-" and text[end : end + 1] == " ")
+            or (first[0].isdigit() and follows == "(" and text[end : end + 1] == " ")
             or (first in ("(", "[") and _depth(run) > 0)
         ):
             run.pop(0)

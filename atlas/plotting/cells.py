@@ -279,22 +279,20 @@ def _draw_crowded(ax: Axes, lines: list[np.ndarray], style: dict[str, Any]) -> l
         pixels.append(tuple(np.clip(places, 0, np.array(ink.shape)[:, np.newaxis] - 1).astype(int)))
         np.add.at(ink, pixels[-1], PIXEL)
         lengths.append(along[-1])
-    near, merged = (
-        ndimage.maximum_filter(
-            ndimage.uniform_filter(ink, size, mode="constant") * size > CROWDED * PIXEL, size
-        )
-        for size in (int(NEAR / PIXEL), int(MERGED / PIXEL))
-    )
-    size = 3 * int(NEAR / PIXEL)
-    near = ndimage.minimum_filter(
-        ndimage.maximum_filter(near, size), size
-    )  # without gaps, where lines would be thick again
+    crowded = []
+    for width in (NEAR, MERGED):
+        size, run = int(width / PIXEL), int(2.5 * width / PIXEL)
+        dense = ndimage.uniform_filter(ink, size, mode="constant") * size > CROWDED * PIXEL
+        dense = ndimage.maximum_filter(dense, size)
+        # Along a line without short gaps, and without the places where lines only cross.
+        masks = [np.pad(dense[pixel], run, mode="edge") for pixel in pixels]
+        masks = [ndimage.binary_opening(ndimage.binary_closing(m, np.ones(run)), np.ones(run)) for m in masks]
+        crowded.append([mask[run:-run, np.newaxis] for mask in masks])
     apart = []
-    for line, pixel, length in zip(fine, pixels, lengths, strict=True):
-        shaded = np.where(merged[pixel][:, np.newaxis], line, np.nan)
-        _draw_lines(ax, [shaded], SHADE, zorder=1.8, halo=False)
+    for line, near, merged, length in zip(fine, *crowded, lengths, strict=True):
+        _draw_lines(ax, [np.where(merged, line, np.nan)], SHADE, zorder=1.8, halo=False)
         _draw_lines(ax, [line], style | THIN, zorder=1.9, halo=False)
-        apart.append(np.where(near[pixel][:, np.newaxis] | (length < 2 * NEAR), np.nan, line))
+        apart.append(np.where(near | (length < 2 * NEAR), np.nan, line))
     return apart
 
 

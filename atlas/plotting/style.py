@@ -126,7 +126,9 @@ def save(figure: Figure, path: str | Path, dpi: float | None = None) -> None:
 
 
 _PARSER = MathTextParser("path")
-STATISTICS = {"mean": "mean", "rms": "rms", "std": "standard deviation of", "min": "least", "max": "largest"}
+STATISTICS = {
+    "mean": "mean", "rms": "rms", "std": "standard deviation of", "min": "least", "max": "largest", "drift": "drift of",
+}  # fmt: skip
 
 
 def axis_label(ds: xr.Dataset, dim: str, *, unit: bool = True) -> str:
@@ -218,7 +220,11 @@ def variable_label(array: xr.DataArray) -> str:
     """Short name and unit of a variable: a statistic of a symbol, or the words of its name."""
     name, units = str(array.name), unit_text(attribute_text(array.attrs, "units"))
     stem, _, statistic = name.rpartition("_")
-    text = f"{STATISTICS[statistic]} {SYMBOLS[stem]}" if stem in SYMBOLS else name.replace("_", " ")
+    text = (
+        f"{STATISTICS[statistic]} {SYMBOLS[stem]}"
+        if stem in SYMBOLS and statistic in STATISTICS
+        else name.replace("_", " ")
+    )
     return drawable(f"{text} ({units})" if units else text)
 
 

@@ -205,13 +205,20 @@ def _depth(run: list[tuple[str, int, int]]) -> int:
     return sum(words.count(sign) for sign in "([") - sum(words.count(sign) for sign in ")]")
 
 
+def unit(text: str) -> str:
+    """A unit such as "rad s-1" with raised exponents, in one line."""
+    raised = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
+    text = re.sub(r"(?<=[a-z])-?\d+", lambda match: match[0].translate(raised), text)
+    return text.replace(" ", "\N{NO-BREAK SPACE}")
+
+
 def parameters(system: System) -> str:
     """Table of the parameters of a system."""
     rows = [("parameter", "unit", "default", "allowed", "meaning")]
     for p in system.parameters.values():
         low = "" if np.isinf(p.low) else f"{'>' if p.open_low else '>='} {p.low:g}"
         default = "" if np.isnan(p.default) else f"{p.default:g}"
-        rows.append((f"`{p.name}`", p.unit, default, low, with_formulas(p.meaning)))
+        rows.append((f"`{p.name}`", unit(p.unit), default, low, with_formulas(p.meaning)))
     return table(rows)
 
 
@@ -219,7 +226,7 @@ def dataset(system: System) -> str:
     """List of the variables of an atlas: their remarks are too long for the cells of a table."""
     lines = []
     for v in variables(system).values():
-        values = f"flags {', '.join(v.flags)}" if v.flags else v.units
+        values = f"flags {', '.join(v.flags)}" if v.flags else unit(v.units)
         asked = "; on request" if v.optional else ""
         remark = f"  \n  *{v.comment[0].upper()}{v.comment[1:]}.*" if v.comment else ""
         lines.append(

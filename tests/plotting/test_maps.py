@@ -746,6 +746,15 @@ def test_names_of_axes_are_mathematics(words, printed):
 QUICKSTART = Path(__file__).parents[2] / "configs" / "quickstart.toml"
 
 
+@pytest.mark.parametrize(
+    ("name", "label"),
+    [("theta_drift", r"drift of $\theta$"), ("theta_other", "theta other"), ("x_drift", "x drift")],
+)
+def test_statistics_of_observables_have_labels(name, label):
+    """Also of observables with the name of an angle."""
+    assert style.variable_label(xr.DataArray(0.0, name=name)) == label
+
+
 def test_borders_of_the_quickstart_are_those_of_the_formulas():
     scene = load_scene(QUICKSTART)
     view = planes.Plane(scene, {"l3": (-2.5, 2.5), "n": (-2.0, 2.0)}, {})

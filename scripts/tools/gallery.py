@@ -125,7 +125,7 @@ PICTURES = (
         " equilibria appear or vanish.",
     ),
     Picture(
-        "sleeping_top_spin",
+        "asymmetric_tilt",
         "A body of any three moments with its axis at 60 degrees to the orbit normal and m = -Omega, axial magnet and"
         f" rotor; (19) of {SATELLITE} with its misprint in k3 corrected. The start changed by 1e-4. The body turns"
         " in the orbital frame, so the equations linearised about this motion have periodic coefficients; the narrow"

@@ -303,12 +303,8 @@ def _draw_lines(
 
     The halo also fills the gaps of dashed lines.
     """
-    styles = [(zorder, line)]
-    if halo:
-        styles = [
-            (2.0, line | {"color": "white", "linestyle": "-", "linewidth": line["linewidth"] + 2 * HALO}),
-            *styles,
-        ]
+    white = {"color": "white", "linestyle": "-", "linewidth": line["linewidth"] + 2 * HALO}
+    styles = [(2.0, line | white), (zorder, line)] if halo else [(zorder, line)]
     for vertices in lines:
         for level, style in styles:
             if vertices.shape[1] == 1:

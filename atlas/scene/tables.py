@@ -46,12 +46,10 @@ def table(source: Any, names: Collection[str]) -> dict[str, Any]:
         for dim in map(str, source.dims):
             if not any(dim in source[name].dims for name in columns):
                 raise BadInput(f"{dim}: no parameter varies along it; {allowed_text(dim, sorted(names))}")
-        match list(source.dims):
-            case [only] if (
-                only not in names
-            ):  # a list; its index numbers the points, unless it has several levels
-                index = [only] if only in source.indexes and source.indexes[only].nlevels == 1 else []
-                source = source.drop_vars(index).rename({only: "point"} if only != "point" else {})
+        if len(source.dims) == 1 and (only := next(iter(source.dims))) not in names:
+            # A list; its index numbers the points, unless it has several levels.
+            index = [only] if only in source.indexes and source.indexes[only].nlevels == 1 else []
+            source = source.drop_vars(index).rename({only: "point"} if only != "point" else {})
         return {str(name): source[name] for name in columns}
     if isinstance(source, CsvColumns):
         return source

@@ -47,10 +47,7 @@ def families(system: System, name: str | None = None) -> list[dict[str, Any]]:
 
 
 def published(system: System, family: str | None = None, errata: bool = False) -> list[dict[str, Any]]:
-    """Rows on the published equations of the system's paper, as printed and as true, or on its errata.
-
-    Residuals are the largest at N_SAMPLES random parameters, the same in every call, or None.
-    """
+    """Rows on the published equations of the system's paper, as printed and as true, or on its errata."""
     return [
         {
             "equation": row.number,

@@ -159,10 +159,7 @@ def place(ds: xr.Dataset, indices: Mapping[str, int]) -> str:
 
 
 def summary(ds: xr.Dataset, tally: Tally | None = None, *, verbose: bool = True) -> str:
-    """Summary of an atlas at the end of its run, as text; without a tally all points are read.
-
-    Without `verbose`: labels, agreement with theory, and points in doubt.
-    """
+    """Summary of an atlas at the end of its run, as text; without a tally all points are read."""
     names = [name for name in (*COUNTED, "error_estimate", "integral_drift") if name in ds]
     if tally is None:
         tally = Tally()

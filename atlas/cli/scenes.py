@@ -24,7 +24,6 @@ from .options import (
     THREADS,
     VERBOSE,
     argument,
-    check_at_least,
     command,
     default_name,
     force_option,
@@ -45,7 +44,9 @@ from .options import (
     argument("--shard", metavar="I/N", help="compute part I of N of a run folder, counted from 1"),
     [
         argument("--scheduler", metavar="ADDRESS", help="compute on the workers of this dask scheduler"),
-        argument("--workers", type=int, metavar="N", help="compute in N processes of one thread each"),
+        argument(
+            "--workers", type=int, metavar="N", lowest=1, help="compute in N processes of one thread each"
+        ),
     ],
     argument("--dry-run", action="store_true", help="print the expected size, time, memory and error"),
     force_option("an existing atlas"),
@@ -54,8 +55,6 @@ from .options import (
 )
 def run_scene(options: argparse.Namespace) -> int:
     """Integrate a scene and write its labelled atlas."""
-    check_at_least("--threads", options.threads, 1)
-    check_at_least("--workers", options.workers, 1)
     shard = None
     if options.shard is not None:
         match = re.fullmatch("([0-9]{1,9})/([0-9]{1,9})", options.shard)

@@ -215,6 +215,7 @@ class Hatch:
 
 
 UNDECIDED = "undecided"
+PLAIN = Hatch("", "0.4", "#ffffff")
 HATCHES = {
     UNDECIDED: Hatch("\\\\\\\\\\\\", "0.9", "none"),
     SLOW: Hatch("//////", "#262626", "none"),

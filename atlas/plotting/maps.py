@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 import textwrap
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import nullcontext
 from dataclasses import dataclass, replace
 from math import prod
@@ -33,7 +33,7 @@ from ..flags import Regularity
 from ..systems.base import Mask
 from ..variables import POINT
 from . import cells
-from .content import MIN_VISIBLE, NOT_YET, SLOW, MapOptions, Panel, panel_of, tiles_done, visible
+from .content import MIN_VISIBLE, SLOW, MapOptions, Panel, panel_of, tiles_done, visible
 from .style import STYLE, SYMBOLS, PrintFigure, axis_label, caption, drawable, unit_text, variable_label
 
 
@@ -267,14 +267,12 @@ class Sheet:
             sample.set_label(text)
             axes[0].add_artist(sample)
         figure = axes[0].get_figure(root=True)
+        assert figure is not None
+        setters: list[Callable[[str], object]] = [figure.supxlabel, figure.supylabel]
         if self.panels == 1:
-            axes[0].set_xlabel(labels[0])
-            if len(labels) == 2:
-                axes[0].set_ylabel(labels[1])
-        elif figure is not None:
-            figure.supxlabel(labels[0], fontsize=8)
-            if len(labels) == 2:
-                figure.supylabel(labels[1], fontsize=8)
+            setters = [axes[0].set_xlabel, axes[0].set_ylabel]
+        for set_label, label in zip(setters, labels, strict=False):
+            set_label(label)
         for ax in axes[-self.columns :]:  # nothing is below them
             ax.tick_params(labelbottom=True)
 
@@ -301,12 +299,11 @@ def map_legend(
     white = [sum(panel.white.values(), np.zeros(panel.array.shape, bool)) for panel in panels]
     for value, (name, colour) in enumerate(flags.items()):
         masks = [(panel.array.values == value) & ~mask for panel, mask in zip(panels, white, strict=True)]
-        sample = _hatched(name, colour) if name == cells.UNDECIDED else _patch(colour)
-        add(options.text(name, name.replace("_", " ")), masks, sample)
+        add(options.text(name, name.replace("_", " ")), masks, _sample(name, colour))
     for reason in dict.fromkeys(reason for panel in panels for reason in panel.white):
         masks = [panel.white[reason] for panel in panels if reason in panel.white]
-        add(reason, masks, _hatched(NOT_YET) if reason == NOT_YET else _patch("#ffffff"))
-    add(SLOW, [panel.slow for panel in panels], _hatched(SLOW))
+        add(reason, masks, _sample(reason))
+    add(SLOW, [panel.slow for panel in panels], _sample(SLOW))
     for kind in dict.fromkeys(kind for panel in panels for kind in panel.borders):
         entries[f"{as_math(kind)} (theory)"] = Line2D([], [], **cells.border_style(kind))
     for name in dict.fromkeys(name for panel in panels for name in panel.families):
@@ -327,18 +324,8 @@ def as_math(kind: str) -> str:
 _NOWHERE = np.full((1, 2), np.nan)
 
 
-def _patch(colour: str) -> Patch:
-    """Sample of a colour."""
-    return Polygon(_NOWHERE, facecolor=colour, edgecolor="0.4", linewidth=0.4)
-
-
-def _hatched(region: str, background: str | None = None) -> Patch:
-    """Sample of the hatching of a region, a key of cells.HATCHES."""
-    hatch = cells.HATCHES[region]
-    return Polygon(
-        _NOWHERE,
-        facecolor=background or hatch.background,
-        edgecolor=hatch.colour,
-        hatch=hatch.pattern,
-        linewidth=0.4,
-    )
+def _sample(region: str, colour: str = "") -> Patch:
+    """Sample of the colour of a region, or its background, with the hatching of cells.HATCHES."""
+    hatch = cells.HATCHES.get(region, cells.PLAIN)
+    background = colour or hatch.background
+    return Polygon(_NOWHERE, facecolor=background, edgecolor=hatch.colour, hatch=hatch.pattern, linewidth=0.4)

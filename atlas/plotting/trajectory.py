@@ -50,13 +50,7 @@ NOTE = SYMBOLS["normal_rate"] + ": angular velocity relative to the frame along 
 
 
 def trajectory_figure(tr: xr.Dataset, *, width: Width = "page", ax: Axes | None = None) -> Figure:
-    """Angles and rates over time, and the path of the third body axis on the unit sphere of the frame; on `ax` the latter alone.
-
-    Or the observables of the system, at most MAX_PANELS. psi and phi are shown between -pi and pi. The path
-    is dark on the near side of the sphere and pale on the far side, with a dot at its start; one that stays
-    close to a direction is also drawn enlarged, in the plane perpendicular to it. Rates that grow without
-    bound near the vertical are clipped. Raises BadInput if the dataset is no trajectory.
-    """
+    """Angles and rates over time and the path of the third body axis, or observables, or on `ax` the path; see `Atlas.plot`."""
     choice("width", width, WIDTHS)
     if ax is not None:
         if not isinstance(ax, Axes):
@@ -70,20 +64,15 @@ def trajectory_figure(tr: xr.Dataset, *, width: Width = "page", ax: Axes | None 
     height = 85.0 if page else 165.0
     with rc_context(STYLE):
         figure = Figure(figsize=(WIDTHS[width] / 25.4, height / 25.4), layout="constrained")
-        if page:
-            subfigures = figure.subfigures(1, 2, width_ratios=(1.35, 1), squeeze=False)
-        else:
-            subfigures = figure.subfigures(2, 1, height_ratios=(1.2, 1), squeeze=False)
-        left, right = subfigures.ravel()
+        shares: dict[str, Any] = {"width_ratios": (1.35, 1)} if page else {"height_ratios": (1.2, 1)}
+        left, right = figure.subfigures(*((1, 2) if page else (2, 1)), **shares)
         _draw_time_series(left, tr)
         mean = path.mean(axis=0)
         mean /= np.linalg.norm(mean) or 1.0
         distance = float(np.linalg.norm(path - mean, axis=1).max())
         if AT_REST < distance < SMALL:
-            if page:
-                sphere, plane = right.subplots(2, 1, height_ratios=(1.25, 1))
-            else:
-                sphere, plane = right.subplots(1, 2, width_ratios=(1.25, 1))
+            shares = {"height_ratios" if page else "width_ratios": (1.25, 1)}
+            sphere, plane = right.subplots(*((2, 1) if page else (1, 2)), **shares)
             _draw_enlarged(plane, path - mean, mean, system_of(tr).frame_axes)
         else:
             sphere = right.subplots()
@@ -237,10 +226,7 @@ def _draw_enlarged(ax: Axes, offset: np.ndarray, direction: np.ndarray, names: S
 
 
 def _draw_sphere(ax: Axes, path: np.ndarray, names: Sequence[str], pointer: bool = False) -> None:
-    """Orthographic picture of a path on the unit sphere, shape (times, 3), seen from above the x-y plane.
-
-    pointer: whether a line leads from the centre to the end of the path.
-    """
+    """Orthographic picture of a path on the unit sphere, shape (times, 3), maybe with a pointer from the centre to its end."""
     azimuth, elevation = np.radians(40.0), np.radians(25.0)
     toward_viewer = np.array(
         [np.cos(elevation) * np.cos(azimuth), np.cos(elevation) * np.sin(azimuth), np.sin(elevation)]

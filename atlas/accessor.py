@@ -31,7 +31,11 @@ MAX_LINES = 1000  # of the spectrum of a signal
 @xr.register_dataset_accessor("atlas")
 @typed
 class Atlas:
-    """Questions to a dataset made by `atlas.run`, `atlas.open_atlas`, `atlas.label_points` or `atlas.trajectory`."""
+    """Questions to a dataset made by `atlas.run`, `atlas.open_atlas`, `atlas.label_points` or `atlas.trajectory`.
+
+    Each raises BadInput for names and values that the dataset does not have, and where it cannot answer: without axes, flags
+    or variables that the question needs, with more than two axes left, or where the family of its scene has no motion.
+    """
 
     def __init__(self, ds: xr.Dataset) -> None:
         self._ds = ds
@@ -114,11 +118,6 @@ class Atlas:
         -------
         matplotlib.figure.Figure
             With one panel, or one for each value of `row` and `col`; the figure of `ax` if that is given.
-
-        Raises
-        ------
-        BadInput
-            For variables, axes and options that the atlas does not have.
         """
         from .plotting.maps import atlas_map
 
@@ -135,11 +134,6 @@ class Atlas:
         Page
             Jupyter shows it in the cell; `page().save("map.html")` writes it. It needs no server and loads nothing.
             Of atlases of more than `atlas.page.content.MAX_POINTS` points it shows every k-th value along the longest axes.
-
-        Raises
-        ------
-        BadInput
-            For a dataset that is no atlas or has no axes.
         """
         from .page.page import atlas_page
 
@@ -159,11 +153,6 @@ class Atlas:
         Dataset
             The points in memory along the dimension "point", in the order of the atlas; its axes and
             parameters are coordinates along "point".
-
-        Raises
-        ------
-        BadInput
-            For variables and flags that are not in the atlas.
         """
         from .analysis.select import select
 
@@ -182,11 +171,6 @@ class Atlas:
         -------
         Dataset
             The point; along axes without a value, all of their points.
-
-        Raises
-        ------
-        BadInput
-            For names that the atlas does not have and for values outside its axes.
         """
         from .analysis.select import nearest
 
@@ -207,11 +191,6 @@ class Atlas:
         DataArray
             float64, the fractions of a row sum to 1; nan where there are no points. The dimension named like the variable, whose
             coordinate is the names of the flags, comes after the dimension `along` if that is given.
-
-        Raises
-        ------
-        BadInput
-            If the variable has no flags, or `along` is no axis.
         """
         from .analysis.trust import fractions
 
@@ -250,11 +229,6 @@ class Atlas:
             theory reach half a cell beyond the outermost points, as maps do. Those of a region run halfway
             between points in and out of it, on a logarithmic axis in the logarithm; of axes longer than `atlas.analysis.select.MAX_CELLS` every k-th
             value counts.
-
-        Raises
-        ------
-        BadInput
-            For names that are not in the atlas, if more than two axes are left, and for single points.
         """
         from .analysis.boundary import boundary
 
@@ -277,11 +251,6 @@ class Atlas:
         -------
         Dataset
             Over time, see `atlas.trajectory`.
-
-        Raises
-        ------
-        BadInput
-            As `nearest`, for axes without a value, and where the scene's family has no motion.
         """
         from .analysis.select import nearest_trajectory
 
@@ -348,11 +317,6 @@ class Atlas:
         dict
             Family -> curves of shape (vertices, axes), x first; rows of nan cut a curve. Which families
             have curves: see `atlas.analysis.plane.family_curves`.
-
-        Raises
-        ------
-        BadInput
-            For names that are not in the atlas, where more than two axes are left, and for single points.
         """
         from .analysis.metadata import scene_of, system_of
         from .analysis.plane import Plane, family_curves
@@ -429,11 +393,6 @@ class Atlas:
             observables the signals are these, with amplitudes in their units. Where there are fewer
             lines than asked for, the others are nan.
 
-        Raises
-        ------
-        BadInput
-            As `trajectory`, and where the samples of the motion given are too few for a line.
-
         Notes
         -----
         A regular motion has lines that stay the same in both halves of a run; those of a chaotic one do not.
@@ -461,11 +420,6 @@ class Atlas:
             Sum over the axes of the second differences of theta_max - theta_min between neighbouring points, rad; nan
             at the edges. It is small where motions depend smoothly on the parameters and large where they are chaotic
             or a border runs; draw its logarithm.
-
-        Raises
-        ------
-        BadInput
-            Without theta_min and theta_max, or without an axis of at least 3 values.
 
         References
         ----------
@@ -500,11 +454,6 @@ class Atlas:
             - missed_bound: its upper 95 % bound [2]_, cells taken as independent samples. It holds for
               side 2; with an exponent above 0 the map itself, of side 1, misses less.
 
-        Raises
-        ------
-        BadInput
-            If the variable has no flags, or every axis is too short.
-
         References
         ----------
         .. [1] Grebogi, McDonald, Ott & Yorke, Phys. Lett. A 99 (1983) 415.
@@ -521,11 +470,6 @@ class Atlas:
         -------
         str
             Three lines.
-
-        Raises
-        ------
-        BadInput
-            If the dataset is no atlas.
         """
         from .analysis.metadata import system_of
 

@@ -138,12 +138,8 @@ _SHORT.maxlevel = 3
 
 
 def text_table(rows: Sequence[Sequence[str]], *, right: bool = False) -> str:
-    """Rows of cells as lines with columns of equal width."""
+    """Rows of cells as lines with columns of equal width, if `right` all but the first flush right."""
+    signs = ["<", *(">" if right else "<" for _ in rows[0][1:])]
     widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
-    lines = [
-        "  ".join(
-            cell.rjust(width) if right else cell.ljust(width) for cell, width in zip(row, widths, strict=True)
-        )
-        for row in rows
-    ]
-    return "\n".join(line.rstrip() for line in lines)
+    form = "  ".join(f"{{:{sign}{width}}}" for sign, width in zip(signs, widths, strict=True))
+    return "\n".join(form.format(*row).rstrip() for row in rows)

@@ -41,6 +41,10 @@ napoleon_google_docstring = False
 napoleon_use_rtype = False
 
 
+PRIME = r'<mrow>\1<mo lspace="0" rspace="0">\2</mo></mrow>'
+SPACE = r'\1<mspace width="0.17em"/>'
+
+
 def setup(app):
     """Set formulas, written in LaTeX, as MathML; leave out links to pages of atlases that were not made."""
 
@@ -52,6 +56,9 @@ def setup(app):
                 r'<mo stretchy="false" lspace="0" rspace="0">\1',
                 convert(latex, display=display),
             )
+            # A prime is raised in the font already, and names of functions need a space before their argument.
+            formula = re.sub(r"<msup>(<mi>[^<]*</mi>)<mi>(&#x0203[23];)</mi></msup>", PRIME, formula)
+            formula = re.sub(r"(<mi>(?:sin|cos|tan|ln|log|exp)</mi>)(?=<m[in])", SPACE, formula)
             translator.body.append(formula)
             raise nodes.SkipNode
 

@@ -7,6 +7,7 @@ extras="[docs]"
 mkdir -p out/pages
 [ -f out/quickstart.nc ] || .venv/bin/atlas run configs/quickstart.toml -o out/quickstart.nc
 .venv/bin/atlas page out/quickstart.nc -o out/pages/quickstart_page.html --force
+cp docs/gallery/*_page.html out/pages/
 for atlas in out/gallery/*.nc; do  # those that scripts/tools/gallery.py has computed
     page="out/pages/$(basename "$atlas" .nc)_page.html"
     [ ! -f "$atlas" ] || [ "$page" -nt "$atlas" ] || .venv/bin/atlas page "$atlas" -o "$page" --force

@@ -399,7 +399,10 @@ def test_compare_and_cite(small):
     ("question", "words"),
     [
         (lambda a: a.select(), "name at least one flag"),
-        (lambda a: a.select(label="drift"), "label = 'drift': allowed: not_computed, regular_precession"),
+        (
+            lambda a: a.select(label="drift"),
+            "label = 'drift': did you mean 'drifting'? allowed: not_computed, regular_precession",
+        ),
         (lambda a: a.select(theta_dot_rms="drifting"), "theta_dot_rms: not a flag variable"),
         (lambda a: a.fractions("step"), "step: not a flag variable"),
         (

@@ -183,3 +183,22 @@ def test_the_gallery_shows_its_pictures_with_all_their_colours():
 def test_conditions_are_set_as_formulas(text, latex, monkeypatch):
     monkeypatch.syspath_prepend(str(ROOT / "scripts" / "tools"))
     assert importlib.import_module("make_docs").in_latex(text) == latex
+
+
+@pytest.mark.parametrize(
+    ("text", "latex"),
+    [
+        (
+            "A body with A != B, stable where (C r0 + l3)^2 > 4 A. At theta0 = 0 a top needs m.",
+            r"A body with $A \ne B$, stable where $(C r_{0} + l_{3})^{2} > 4 A$. At $\theta_{0} = 0$ a top needs $m$.",
+        ),
+        (
+            "- A list, 2 s, of T. S. Amer, (31b), `m = 0`, $n$ and a *word*.",
+            "- A list, 2 s, of T. S. Amer, (31b), `m = 0`, $n$ and a *word*.",
+        ),
+        ("| a C/A | A < C | psi', (A > C) |", r"| a $C/A$ | $A < C$ | $\psi'$, $(A > C)$ |"),
+    ],
+)
+def test_formulas_in_prose_are_set(text, latex, monkeypatch):
+    monkeypatch.syspath_prepend(str(ROOT / "scripts" / "tools"))
+    assert importlib.import_module("make_docs").with_formulas(text) == latex

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from ..errors import BadInput
+from ..errors import BadInput, allowed_text
 from ..systems.base import PublishedEquation, System
 
 N_SAMPLES = 5  # random parameters behind each residual, from the seeds 0, 1, ...
@@ -17,7 +17,7 @@ N_SAMPLES = 5  # random parameters behind each residual, from the seeds 0, 1, ..
 def families(system: System, name: str | None = None) -> list[dict[str, Any]]:
     """Rows on the families of exact steady motions, with the largest residuals of published equations."""
     if name is not None and name not in system.families:
-        raise BadInput(f"family {name}: unknown; allowed: {', '.join(system.families)}")
+        raise BadInput(f"family {name}: unknown; {allowed_text(name, system.families)}")
     rows = []
     for family in system.families.values():
         if name not in (None, family.name):
@@ -47,10 +47,7 @@ def families(system: System, name: str | None = None) -> list[dict[str, Any]]:
 
 
 def published(system: System, family: str | None = None, errata: bool = False) -> list[dict[str, Any]]:
-    """Rows on the published equations of the system's paper, as printed and as true, or on its errata.
-
-    Residuals are the largest at N_SAMPLES random parameters, the same in every call, or None.
-    """
+    """Rows on the published equations of the system's paper, as printed and as true, or on its errata."""
     return [
         {
             "equation": row.number,

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Mapping
-from typing import Any
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 import xarray as xr
 
-from ..errors import BadInput, printable
+from ..errors import BadInput, printable, text_table
 from ..flags import Agreement, Label, Regularity, Stability
 from ..label.theory import agreement
 from ..runs.plan import ScenePlan
@@ -66,17 +65,11 @@ def report(ds: xr.Dataset, worst: int = 5) -> str:
         raise BadInput("label: has no values here: the dataset is empty")
     label, predicted = ds["label"].values, ds["predicted"].values
     result = agreement(label, predicted)
-    table, names = confusion(label, predicted), list(Label.meanings())
-    columns = [i for i in range(len(names)) if table[i].any() or table[:, i].any()]
-    width = max(len(names[i]) for i in columns) + 2
-    rows = ["theory \\ measured".ljust(width + 4) + "".join(names[i].rjust(width) for i in columns)]
-    for i in columns:
-        if table[i].any():
-            rows.append(names[i].ljust(width + 4) + "".join(f"{table[i, j]:{width}d}" for j in columns))
     counts = np.bincount(result.ravel(), minlength=len(Agreement))
     compared = result.size - counts[Agreement.NOT_COMPARED]
     share = f"{100 * counts[Agreement.AGREE] / compared:.3f} %" if compared else "nothing"
-    lines = [*rows, f"compared: {compared} of {result.size} points, {share} agree"]
+    lines = confusion("theory \\ measured", predicted, label, list(Label.meanings()))
+    lines.append(f"compared: {compared} of {result.size} points, {share} agree")
     lines += [f"  {name}: {n}" for name, n in zip(Agreement.meanings(), counts, strict=True) if n]
     if {"stable", "growth_rate", "end_time"} <= set(ds):
         lines += _stability_lines(ds)
@@ -85,11 +78,15 @@ def report(ds: xr.Dataset, worst: int = 5) -> str:
     return "\n".join(lines)
 
 
-def confusion(label: Flags, predicted: Flags, size: int = len(Label)) -> np.ndarray:
-    """Counts [predicted, measured] over the values of flags, int64 of shape (size, size)."""
-    return np.bincount(
-        np.ravel(predicted).astype(np.int64) * size + np.ravel(label), minlength=size * size
-    ).reshape(size, size)
+def confusion(
+    corner: str, down: Flags, across: Flags, names: Sequence[str], columns: Sequence[str] | None = None
+) -> list[str]:
+    """How many points have each pair of flags, as the lines of a table of those that occur; columns: other names across."""
+    table = np.zeros((len(names), len(columns or names)), np.int64)
+    np.add.at(table, (np.ravel(down), np.ravel(across)), 1)
+    used = np.flatnonzero(table.any(0) if columns else table.any(0) | table.any(1)).tolist()
+    rows = [[name, *map(str, row[used])] for name, row in zip(names, table, strict=True) if row.any()]
+    return text_table([[corner, *((columns or names)[j] for j in used)], *rows], right=True).split("\n")
 
 
 def _stability_lines(ds: xr.Dataset) -> list[str]:
@@ -125,12 +122,8 @@ def _plane_lines(ds: xr.Dataset) -> list[str]:
         return []
     where = unsteady(system_of(ds), ds["family"].values.astype(np.int8))
     stable, growth, time, _, kind, exponent = (ds[name].values[where] for name in names)
-    table = confusion(kind, stable, len(Regularity))
-    columns = [flag for flag in Regularity if table[:, flag].any()]
-    title = "motions in the plane, stability out of it \\ regularity"
-    rows: dict[str, Any] = {title: [flag.name.lower() for flag in columns]}
-    rows |= {f"  {flag.name.lower()}": table[flag, columns] for flag in Stability if table[flag].any()}
-    lines = [f"{name:53}" + "".join(f"{cell!s:>14}" for cell in row) for name, row in rows.items()]
+    corner = "motions in the plane, stability out of it \\ regularity"
+    lines = confusion(corner, stable, kind, list(Stability.meanings()), list(Regularity.meanings()))
     unstable = stable == Stability.UNSTABLE
     if (missed := unstable & (kind == Regularity.REGULAR)).any():
         text = "  unstable ones that read as regular: growth_rate x duration at most"
@@ -189,10 +182,7 @@ def place(ds: xr.Dataset, indices: Mapping[str, int]) -> str:
 
 
 def summary(ds: xr.Dataset, tally: Tally | None = None, *, verbose: bool = True) -> str:
-    """Summary of an atlas at the end of its run, as text; without a tally all points are read.
-
-    Without `verbose`: labels, agreement with theory, and points in doubt.
-    """
+    """Summary of an atlas at the end of its run, as text; without a tally all points are read."""
     names = [name for name in (*COUNTED, "error_estimate", "integral_drift") if name in ds]
     if tally is None:
         tally = Tally()
@@ -215,7 +205,7 @@ def summary(ds: xr.Dataset, tally: Tally | None = None, *, verbose: bool = True)
         if compared := sum(agreement.values()) - agreement.get("not_compared", 0):
             share = 100 * agreement.get("agree", 0) / compared
             lines.append(f"theory: {share:.2f} % of {compared} compared points agree")
-        lines.append(f"in doubt: {listed('status', 'ok', 'not_computed') or 'no point'}")
+        lines.append(f"in doubt: {listed('status', 'ok', 'not_computed', 'impossible_body') or 'no point'}")
     scene = scene_of(ds)
     sample = None if scene is None else grid.check(scene)
     if scene is not None and sample is not None:
@@ -235,30 +225,19 @@ def summary(ds: xr.Dataset, tally: Tally | None = None, *, verbose: bool = True)
 
 
 def _nearest_family(ds: xr.Dataset) -> list[str]:
-    """Of single points that drift, the family of steady motions they are nearest to, and a parameter that leads to it."""
+    """Of single points that drift, the family of steady motions they are nearest to."""
     if "label" not in ds or ds["label"].dims != ("point",) or "atlas_system" not in ds.attrs:
         return []
-    system, drifting = system_of(ds), np.flatnonzero(ds["label"].values == Label.DRIFTING)[:MAX_NEAREST]
+    system = system_of(ds)
+    drifting = ds.isel(point=np.flatnonzero(ds["label"].values == Label.DRIFTING)[:MAX_NEAREST])
     families = [f for f in system.families.values() if f.conditions and not (f.axes or f.rate_std)]
-    if not drifting.size or not families or not set(system.parameters) <= set(ds.coords):
+    if not drifting.sizes["point"] or not families or not set(system.parameters) <= set(ds.coords):
         return []
-    part = ds.isel(point=drifting)
-    points = {
-        name: np.broadcast_to(part[name].values, drifting.shape).astype(float) for name in system.parameters
-    }
+    points = {n: np.broadcast_to(drifting[n].values, drifting.sizes["point"]) for n in system.parameters}
     with np.errstate(all="ignore"):
-        distances = [
-            float(np.median(np.nan_to_num(on_family(each, points), nan=np.inf))) for each in families
-        ]
-        nearest = families[int(np.argmin(distances))]
-        text = (
-            f"drifting points: nearest to the family {nearest.name}, residual {min(distances):.2g} (median)"
-        )
-        for name in sorted(nearest.solve, key=lambda name: system.parameters[name].start):
-            solved = nearest.solve[name](points)
-            if (on_family(nearest, points | {name: solved}) < grid.ON_FAMILY).all():
-                return [f"{text}; on it with {name} from {solved.min():.4g} to {solved.max():.4g}"]
-    return [text]
+        residuals = [float(np.median(on_family(each, points))) for each in families]
+    name, residual = families[int(np.argmin(residuals))].name, min(residuals)
+    return [f"drifting points: nearest to the family {name}, residual {residual:.2g} (median)"]
 
 
 def _error_lines(ds: xr.Dataset, tally: Tally) -> list[str]:

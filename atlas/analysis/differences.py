@@ -42,29 +42,22 @@ def report(first: xr.Dataset, second: xr.Dataset, worst: int = 5) -> str:
             continue
         lines.append(f"{name}: {len(places)} of {a.size} points change ({100 * len(places) / a.size:.3g} %)")
         if name.startswith("label"):
-            table = confusion(b, a, len(names))
-            used = np.flatnonzero(table.any(0) | table.any(1))
-            cells = [["first \\ second", *(names[j] for j in used)]]
-            cells += [[names[i], *map(str, table[i, used])] for i in used]
-            lines += [f"  {row}" for row in text_table(cells, right=True).split("\n")]
+            lines += [f"  {row}" for row in confusion("first \\ second", a, b, names)]
             for i in map(tuple, places[:worst]):
-                lines.append(
-                    f"  {place(first, dict(zip(dims, i, strict=True)))}: {names[a[i]]} to {names[b[i]]}"
-                )
+                where = place(first, dict(zip(dims, i, strict=True)))
+                lines.append(f"  {where}: {names[a[i]]} to {names[b[i]]}")
     for name in numbers:
         ours, theirs = first[name].variable, second[name].variable
-        # A value in one atlas only is an infinite difference.
-        both = (ours == theirs) | (ours.isnull() & theirs.isnull())
-        difference = abs(ours - theirs).fillna(np.inf).where(~both, 0.0)
+        # A value in one atlas only is an infinite difference; that of equal infinite values is nan.
+        difference = abs(ours - theirs).where(ours.isnull() == theirs.isnull(), np.inf).fillna(0.0)
         if not difference.any():
             same.append(name)
             continue
         estimate = _estimate(first, second, name)
-        ratio = difference if estimate is None else (difference / estimate).where(difference > 0, 0.0)
-        index = map(int, np.unravel_index(int(np.argmax(ratio.values)), ratio.shape))
-        where = place(first, dict(zip(map(str, ratio.dims), index, strict=True)))
-        largest = [f"{float(each.max()):.3g}" for each in (difference, ratio)]
-        rows.append([name, largest[0], "-" if estimate is None else largest[1], where])
+        ratio = (difference / (1.0 if estimate is None else estimate)).fillna(0.0)  # nan is 0 over 0
+        where = place(first, {str(dim): int(index) for dim, index in ratio.argmax(ratio.dims).items()})
+        over = "-" if estimate is None else f"{float(ratio.max()):.3g}"
+        rows.append([name, f"{float(difference.max()):.3g}", over, where])
     lines += text_table(rows).split("\n") if len(rows) > 1 else []
     lines += [f"the same at every point: {', '.join(same)}"] if same else []
     return "\n".join(printable(line, MAX_MESSAGE) for line in lines)

@@ -144,11 +144,7 @@ def _with_counts(system: System, bodies: Points) -> dict[str, np.ndarray]:
 def _equilibria_of_bodies(
     system_name: str, names: Sequence[str], places: int | None, source: Any, *arrays: Array
 ) -> tuple[np.ndarray, ...]:
-    """Variables of equilibria from arrays of the named parameters, maybe in another process.
-
-    Each body has so many places for equilibria, None: as many as they need; source: see `flat_columns`, None: in which all
-    bodies may be impossible.
-    """
+    """Variables of equilibria, maybe in another process; places: of each body, or None; source: None if no body need be possible."""
     system, shape = systems.get(system_name), np.broadcast_shapes(*(array.shape for array in arrays))
     columns = flat_columns(system, names, arrays[: len(names)], shape, source)
     system.check(columns)

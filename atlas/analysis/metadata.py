@@ -190,9 +190,8 @@ def flag_values(ds: xr.Dataset, variable: str, flags: str | int | Sequence[str |
     for flag in flags if is_list else [flags]:  # type: ignore[union-attr]
         number = np.asarray(allowed.index(flag) if isinstance(flag, str) and flag in allowed else flag)
         if number.ndim or number.dtype.kind not in "iu" or not 0 <= number < len(allowed):
-            raise BadInput(
-                f"{variable} = {shown(flag)}: allowed: {', '.join(allowed)}, or their numbers 0 to {len(allowed) - 1}"
-            )
+            choice = allowed_text(flag, allowed)
+            raise BadInput(f"{variable} = {shown(flag)}: {choice}, or their numbers 0 to {len(allowed) - 1}")
         numbers.append(int(number))
     return numbers
 

@@ -9,7 +9,7 @@ import numpy as np
 import xarray as xr
 
 from ..errors import BadInput, allowed_text, option, shown
-from ..label.trajectory import trajectory, trajectory_of_scene
+from ..label.trajectory import trajectory_of_point, trajectory_of_scene
 from .metadata import (
     axes_of,
     check_not_empty,
@@ -46,17 +46,15 @@ def select(ds: xr.Dataset, flags: Mapping[str, str | int | Sequence[str | int]])
         mask = np.ones([chunk.sizes[dim] for dim in dims], bool)
         for variable, values in flag_numbers.items():
             mask &= np.isin(chunk[variable].transpose(*dims).values, values)
-        if (
-            mask.any() or not selected
-        ):  # the first selection is kept even if empty: it has the names and types
-            if selected and not selected[0].sizes["point"]:
-                selected.clear()
-            if not mask.any():  # old versions of xarray cannot read no points from a file
-                first_point = dict.fromkeys(dims, slice(0, 1))
-                chunk, mask = chunk.isel(first_point).load(), mask[tuple(first_point.values())]
+        if mask.any():
             indices = dict(zip(dims, np.nonzero(mask), strict=True))
             pointwise = {dim: xr.DataArray(index, dims="point") for dim, index in indices.items()}
             selected.append(chunk.isel(pointwise).load())
+    if (
+        not selected
+    ):  # names and types of a point in memory: old versions of xarray cannot read no points from a file
+        nothing = dict.fromkeys(dims, xr.DataArray(np.zeros(0, int), dims="point"))
+        return ds.isel(dict.fromkeys(dims, slice(0, 1))).load().isel(nothing)
     if len(selected) == 1:
         return selected[0]
     return xr.concat(
@@ -147,11 +145,7 @@ def plane_of(
     row: str | None = None,
     col: str | None = None,
 ) -> tuple[xr.Dataset, list[str], list[str]]:
-    """The plane that a map shows, not loaded: the sorted plane, its axes (x first), and the axes of panels.
-
-    Axes that are not given are the longest; of one longer than MAX_CELLS every k-th value is shown. One more axis becomes
-    panels if neither row nor col is given. Raises BadInput for names that are no axes, and where more axes are left.
-    """
+    """The plane that a map shows, not loaded: the sorted plane, its axes (x first), and the axes of panels; see `Atlas.map`."""
     check_not_empty(ds)
     plane = nearest_on_axes(ds, select).squeeze()
     axes = [str(d) for d in plane.dims if is_numeric_axis(plane, d)]
@@ -205,14 +199,5 @@ def nearest_trajectory(ds: xr.Dataset, coordinates: Mapping[str, float], samples
         if name not in point.coords and not math.isnan(parameter.default):
             raise BadInput(f"{name}: this parameter of the point is not in the dataset")
     start = {name: float(point[name]) for name in system.parameters if name in point.coords}
-    settings = settings_of(ds)
-    return trajectory(
-        system.name,
-        {name: value for name, value in start.items() if not math.isnan(value)},
-        duration=float(point["end_time"]),
-        samples=samples,
-        method=settings.method,
-        rate_tolerance=settings.rate_tolerance,
-        step=settings.step,
-        tolerance=settings.tolerance,
-    )
+    given = {name: value for name, value in start.items() if not math.isnan(value)}
+    return trajectory_of_point(system, given, float(point["end_time"]), samples, settings_of(ds))

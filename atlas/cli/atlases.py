@@ -24,7 +24,6 @@ from .options import (
     assignment_option,
     assignments,
     axis_values,
-    check_at_least,
     command,
     default_name,
     force_option,
@@ -79,7 +78,6 @@ def label_points_of_file(options: argparse.Namespace) -> int:
     from ..io import netcdf
     from ..scene import tables
 
-    check_at_least("--threads", options.threads, 1)
     from_input = options.points == STANDARD_INPUT
     inputs = [] if from_input else [options.points]
     out = netcdf.writable(options.out, tables.FORMATS, force=options.force, inputs=inputs)
@@ -96,18 +94,9 @@ def label_points_of_file(options: argparse.Namespace) -> int:
     duration: float | str = options.duration
     with suppress(ValueError):  # such as 20 orbits
         duration = float(options.duration)
-    ds = label_points(
-        system.name,
-        columns,
-        duration=duration,
-        step=options.step,
-        tolerance=options.tolerance,
-        method=options.method,
-        rate_tolerance=options.rate_tolerance,
-        threads=options.threads,
-        progress=not options.quiet,
-        keep=options.keep,
-    )
+    same = ("step", "tolerance", "method", "rate_tolerance", "threads", "keep")
+    given = {name: getattr(options, name) for name in same}
+    ds = label_points(system.name, columns, duration=duration, progress=not options.quiet, **given)
     (netcdf.write_csv if out.suffix.lower() == ".csv" else netcdf.write)(ds, out)
     say(*summary(ds, verbose=options.verbose).split("\n"), f"wrote {out}")
     return DONE
@@ -118,7 +107,7 @@ def label_points_of_file(options: argparse.Namespace) -> int:
     argument("scene", metavar="SCENE", help="scene file, atlas or run folder, - for standard input"),
     assignment_option("--at", "AXIS=VALUE", "the point, by a value for every axis"),
     out_option("OUT", ".png, .pdf, .svg or .nc (default: NAME_trajectory.png)"),
-    option_with_default("--samples", "N", 1001, "instants to keep"),
+    option_with_default("--samples", "N", 1001, "instants to keep", lowest=2),
     force_option("an existing file"),
 )
 def draw_trajectory(options: argparse.Namespace) -> int:
@@ -128,7 +117,6 @@ def draw_trajectory(options: argparse.Namespace) -> int:
 
     name = options.out or f"{default_name(options.scene)}_trajectory.png"
     out = netcdf.writable(name, (".nc", *FIGURES), force=options.force, inputs=input_files(options.scene))
-    check_at_least("--samples", options.samples, 2)
     coordinates = axis_values("--at", options.at)
     tr = _motion(options.scene, coordinates, options.samples)
     if out.suffix.lower() == ".nc":
@@ -139,15 +127,9 @@ def draw_trajectory(options: argparse.Namespace) -> int:
         style.save(trajectory.trajectory_figure(tr), out)
     observables = system_of(tr).observables
     variable = observables[0].name if observables else "theta"
-    low, high, unit = (
-        float(tr[variable].min()),
-        float(tr[variable].max()),
-        attribute_text(tr[variable].attrs, "units"),
-    )
-    duration = f"{float(tr['time'][-1]):.9g} time units"
-    say(
-        f"{variable} from {low:.9g} to {high:.9g}{'' if unit == '1' else ' ' + unit} in {duration}; wrote {out}"
-    )
+    values, unit = tr[variable].values, attribute_text(tr[variable].attrs, "units")
+    span = f"{values.min():.9g} to {values.max():.9g}{'' if unit == '1' else ' ' + unit}"
+    say(f"{variable} from {span} in {float(tr['time'][-1]):.9g} time units; wrote {out}")
     return DONE
 
 
@@ -174,7 +156,7 @@ def _motion(name: str, coordinates: dict[str, float], samples: int) -> Dataset:
     "compare",
     ATLAS,
     argument("other", metavar="OTHER", nargs="?", help="another atlas on the same grid, instead of theory"),
-    option_with_default("--worst", "N", 5, "disagreements, or changes of each label, to list"),
+    option_with_default("--worst", "N", 5, "disagreements, or changes of each label, to list", lowest=0),
     out_option(
         "FILE", "of two atlases: .png, .pdf or .svg for a map of changed labels, .nc for all differences"
     ),
@@ -186,7 +168,6 @@ def print_comparison(options: argparse.Namespace) -> int:
     from ..io import netcdf
     from ..runs.backend import open_atlas
 
-    check_at_least("--worst", options.worst, 0)
     if options.out and not options.other:
         raise BadInput(
             "-o: only of two atlases; atlas map --variable agreement draws the comparison with theory"

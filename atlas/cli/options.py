@@ -36,10 +36,7 @@ class Parser(argparse.ArgumentParser):
         self._several: dict[str, Callable[[str], bool]] = {}
 
     def add_argument(self, *names: str, belongs: Callable[[str], bool] | None = None, **more: Any) -> Any:
-        """As argparse; an option with `belongs` takes several words that it accepts: --at a=1 b=2, or --at a=1 --at b=2.
-
-        Other words are not taken from the positional arguments, as argparse would.
-        """
+        """As argparse; an option with `belongs` takes several words that it accepts, as argparse would any: --at a=1 b=2."""
         if belongs is not None:
             more["action"] = "append"
             self._several |= dict.fromkeys(names, belongs)
@@ -85,7 +82,7 @@ Argument: TypeAlias = tuple[tuple[str, ...], dict[str, Any]]
 
 
 def argument(*names: str, **settings: Any) -> Argument:
-    """An argument or option, as `Parser.add_argument` takes it."""
+    """An argument or option, as `Parser.add_argument` takes it, and `lowest`, the least number."""
     return names, settings
 
 
@@ -102,11 +99,20 @@ class Command:
         description = inspect.getdoc(self.handler) or f"{self.name}."
         text = description[0].lower() + description[1:].removesuffix(".")
         parser = commands.add_parser(self.name, help=text, description=description)
-        parser.set_defaults(handler=self.handler)
+        parser.set_defaults(handler=self.run)
         for each in self.arguments:
             group = parser.add_mutually_exclusive_group() if isinstance(each, list) else parser
             for names, settings in each if isinstance(each, list) else [each]:
-                group.add_argument(*names, **settings)
+                group.add_argument(*names, **{k: v for k, v in settings.items() if k != "lowest"})
+
+    def run(self, options: argparse.Namespace) -> int:
+        """Run the handler; BadInput for a number that is too small."""
+        for each in self.arguments:
+            for (name, *_), settings in each if isinstance(each, list) else [each]:
+                value = getattr(options, name.removeprefix("--")) if "lowest" in settings else None
+                if value is not None and value < settings["lowest"]:
+                    raise BadInput(f"{name} {value}: must be at least {settings['lowest']}")
+        return self.handler(options)
 
 
 def command(name: str, *arguments: Argument | list[Argument]) -> Callable[[Handler], Command]:
@@ -124,11 +130,10 @@ def force_option(what: str) -> Argument:
     return argument("--force", action="store_true", help=f"replace {what}")
 
 
-def option_with_default(name: str, metavar: str, default: float | str, text: str) -> Argument:
+def option_with_default(name: str, metavar: str, default: float | str, text: str, **more: Any) -> Argument:
     """An option whose default its help shows."""
-    return argument(
-        name, type=type(default), default=default, metavar=metavar, help=f"{text} (default: {default})"
-    )
+    text = f"{text} (default: {default})"
+    return argument(name, type=type(default), default=default, metavar=metavar, help=text, **more)
 
 
 def assignment_option(name: str, metavar: str, text: str) -> Argument:
@@ -139,7 +144,7 @@ def assignment_option(name: str, metavar: str, text: str) -> Argument:
 SCENE = argument("scene", metavar="SCENE", help="scene file (TOML), - for standard input")
 ATLAS = argument("atlas", metavar="ATLAS", help="atlas file (.nc) or run folder")
 RUN_FOLDER = argument("folder", metavar="RUN", help="run folder")
-THREADS = argument("--threads", type=int, metavar="N", help="processors to use (default: all)")
+THREADS = argument("--threads", type=int, metavar="N", lowest=1, help="processors to use (default: all)")
 QUIET = argument("--quiet", action="store_true", help="print no progress")
 VERBOSE = argument("--verbose", action="store_true", help="print errors, checks and times of the run too")
 
@@ -194,12 +199,6 @@ def output_folder(name: str, files: Sequence[str], *, force: bool) -> Path:
     for file in files:
         netcdf.writable(folder / file, (Path(file).suffix,), force=True)
     return folder
-
-
-def check_at_least(option: str, value: int | None, lowest: int) -> None:
-    """Raise BadInput for a number that is too small."""
-    if value is not None and value < lowest:
-        raise BadInput(f"{option} {value}: must be at least {lowest}")
 
 
 def assignments(option: str, texts: Sequence[str], form: str) -> dict[str, str]:

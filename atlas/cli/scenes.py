@@ -25,7 +25,6 @@ from .options import (
     THREADS,
     VERBOSE,
     argument,
-    check_at_least,
     command,
     default_name,
     force_option,
@@ -40,7 +39,9 @@ EXECUTION = (
     argument("--shard", metavar="I/N", help="compute part I of N of a run folder, counted from 1"),
     [
         argument("--scheduler", metavar="ADDRESS", help="compute on the workers of this dask scheduler"),
-        argument("--workers", type=int, metavar="N", help="compute in N processes of one thread each"),
+        argument(
+            "--workers", type=int, metavar="N", lowest=1, help="compute in N processes of one thread each"
+        ),
     ],
     argument("--stop-after", metavar="TIME", help="begin no tile after this time, such as 2h or 1h30m"),
     force_option("an existing atlas"),
@@ -60,8 +61,6 @@ SECONDS = {"d": 86400, "h": 3600, "m": 60, "s": 1}
 def run_scene(options: argparse.Namespace) -> int:
     """Integrate a scene and write its labelled atlas."""
     if options.dry_run:
-        check_at_least("--threads", options.threads, 1)
-        check_at_least("--workers", options.workers, 1)
         from ..runs.estimate import dry_run
 
         scene = read_scene(options.scene)
@@ -86,8 +85,6 @@ def extend_atlases(options: argparse.Namespace) -> int:
 
 def _run(options: argparse.Namespace, out: str, reuse: Sequence[str]) -> int:
     """Run the scene of the options into an atlas."""
-    check_at_least("--threads", options.threads, 1)
-    check_at_least("--workers", options.workers, 1)
     shard = None
     if options.shard is not None:
         match = re.fullmatch("([0-9]{1,9})/([0-9]{1,9})", options.shard)

@@ -79,7 +79,9 @@ def schedule_of(step_sizes: StepSizes, where: NDArray[np.int64] | None = None) -
 
 
 def available_threads() -> int:
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    count = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    limit = os.environ.get("NUMBA_NUM_THREADS", "")
+    return min(count, max(int(limit), 1)) if limit.isdecimal() else count
 
 
 class Arrays(NamedTuple):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Sequence
 from functools import partial
+from inspect import signature
 from typing import Any
 
 import numpy as np
@@ -104,7 +105,8 @@ def label_points(
     """
     description = systems.get(system)
     for key in set(more) - set(MORE_SETTINGS):
-        raise BadInput(f"{key}: unknown option of label_points; {allowed_text(key, MORE_SETTINGS)}")
+        options = [*[*signature(label_points).parameters][2:-1], *MORE_SETTINGS]
+        raise BadInput(f"{key}: unknown option of label_points; {allowed_text(key, options)}")
     settings = Settings(method=method, tolerance=tolerance, step=step, rate_tolerance=rate_tolerance, **more)
     check_std_tolerance(description, settings.std_tolerance)
     whole_number("threads", 1 if threads is None else threads, 1, MAX_THREADS)

@@ -105,12 +105,18 @@ def trajectory(
     where it passes exactly through it, phi turns forward.
     """
     settings = Settings(method=method, step=step, tolerance=tolerance, rate_tolerance=rate_tolerance)
-    return _trajectory(systems.get(system), point, duration, samples, settings, "")
+    return trajectory_of_point(systems.get(system), point, duration, samples, settings)
 
 
-def _trajectory(
-    system: System, point: Mapping[str, Any], duration: float, samples: int, settings: Settings, title: str
+def trajectory_of_point(
+    system: System,
+    point: Mapping[str, Any],
+    duration: float,
+    samples: int,
+    settings: Settings,
+    title: str = "",
 ) -> xr.Dataset:
+    """Motion of one point with these settings, see `trajectory`."""
     checks.whole_number("samples", samples, 2, MAX_SAMPLES)
     duration = checks.positive("duration", duration)
     points, size = point_columns(system, point)
@@ -173,7 +179,9 @@ def trajectory_of_scene(scene: Scene, places: Mapping[str, float], *, samples: i
     point = {name: values[0] for name, values in located.points.items() if not np.isnan(values[0])}
     place = ", ".join(f"{name} = {value:g}" for name, value in places.items())
     title = f"{scene.title}: trajectory at {place}"
-    return _trajectory(scene.system, point, float(located.duration[0]), samples, scene.settings, title)
+    return trajectory_of_point(
+        scene.system, point, float(located.duration[0]), samples, scene.settings, title
+    )
 
 
 def _states(

@@ -146,12 +146,7 @@ NOTE = "Curves of different rotors that coincide are drawn as one line of altern
 
 
 def draw(number: int) -> Figure:
-    """One of the figures 1-20, 180 mm wide: as printed, corrected to first order, and exact.
-
-    Time is tau = r0 t, p2 is in units of c sqrt(gamma0''). Below gamma2 over time is its difference from M3
-    cos tau. The phase plane of gamma2, on which all solutions coincide, is drawn once, next to the
-    differences from (M3 cos tau, -M3 sin tau).
-    """
+    """One of the figures 1-20, 180 mm wide: as printed, corrected to first order, and exact."""
     figure = paper_figure(number)
     tau = np.linspace(0.0, END, TIMES)
     solutions = curves(figure, tau)

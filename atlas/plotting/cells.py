@@ -21,13 +21,13 @@ from matplotlib.colors import (
     Normalize,
 )
 from matplotlib.figure import Figure
-from matplotlib.ticker import FixedLocator, LogLocator, MaxNLocator, NullFormatter, NullLocator
+from matplotlib.ticker import LogLocator, MaxNLocator, NullFormatter
 
 from ..analysis.boundary import CHANGE, EXISTENCE, KINDS, LABEL, RESONANCES, STABILITY
 from ..analysis.metadata import scene_of
 from ..flags import Regularity
 from ..systems.base import Mask
-from .content import NOT_YET, SLOW, Frame, MapOptions, Panel
+from .content import NOT_YET, SLOW, MapOptions, Panel
 from .style import COLOURS
 
 
@@ -53,22 +53,15 @@ def draw_values(
     return image
 
 
-def draw_levels(
-    ax: Axes,
-    array: xr.DataArray,
-    levels: Sequence[int],
-    names: Sequence[str],
-    edges: np.ndarray,
-    scale: ColorScale,
-) -> None:
-    """Draw flags over one axis as a curve whose levels are the flags, each in its colour."""
-    of_level = array.values == np.array(levels)[:, np.newaxis]
-    heights = np.arange(len(levels) + 1) - 0.5
-    cells = xr.DataArray(np.where(of_level, array.values, np.nan), dims=("level", *array.dims))
-    draw_values(ax, cells, [edges, heights], scale, "")
-    curve = np.where(of_level.any(0), of_level.argmax(0), np.nan)
-    ax.step(array[array.dims[0]].values, curve, where="mid", color="0.35", linewidth=0.6)
-    ax.set_yticks(range(len(levels)), names)
+def draw_levels(ax: Axes, array: xr.DataArray, colours: Mapping[str, str], levels: Sequence[int]) -> None:
+    """Draw flags over one axis as a curve with some of them as its levels, and a dot in its colour at each point."""
+    x, heights = array[array.dims[0]].values, np.searchsorted(levels, array.values)
+    ax.step(x, heights, where="mid", color="0.35", linewidth=0.6)
+    ax.scatter(
+        x, heights, c=np.array(list(colours.values()))[array.values.astype(int)], s=9, marker="s", zorder=2.2
+    )
+    ax.set_yticks(range(len(levels)), np.array(list(colours))[levels])
+    ax.set_ylim(-0.6, len(levels) - 0.4)
     ax.tick_params(axis="y", length=0)
 
 
@@ -147,13 +140,11 @@ def add_color_bar(
     """Colour bar to the right of the panels."""
     bar = figure.colorbar(image, ax=axes, pad=0.02, extend=scale.extend, aspect=25)
     bar.set_label(label)
-    if scale.integers:
-        assert isinstance(scale.norm, BoundaryNorm)
+    if isinstance(scale.norm, BoundaryNorm):  # integers
         low, high = scale.norm.boundaries[0] + 0.5, scale.norm.boundaries[-1] - 0.5
         ticks = MaxNLocator(10, integer=True, steps=[1, 2, 5, 10]).tick_values(low, high)
-        bar.locator = FixedLocator([tick for tick in ticks if low <= tick <= high and tick == round(tick)])
-        bar.minorlocator = NullLocator()
-        bar.update_ticks()
+        bar.set_ticks([tick for tick in ticks if low <= tick <= high and tick == round(tick)])
+        bar.minorticks_off()
     bar.ax.tick_params(length=2.5)
     bar.outline.set_linewidth(0.6)
 
@@ -208,8 +199,10 @@ ZERO_RATE: dict[str, Any] = {"linestyle": (0, (1.5, 1.2)), "linewidth": 1.0}
 DASHES: tuple[Any, ...] = ((0, (8, 2)), ":", "-.", "--", (0, (6, 1, 1, 1, 1, 1)))
 # The halo keeps lines visible on dark colours; it must not hide a strip of cells along the line.
 HALO = 0.35  # points on each side
-# Lines of a border are THIN, without halo, where there are more than CROWDED times as many within NEAR as a single one has.
-NEAR, CROWDED, THIN = 4.0, 2.2, 0.35  # points, and their ratio
+# Where there is more than CROWDED times the length of a single line within NEAR, lines are THIN and without halo; where that is
+# so within MERGED, even thin ones could not be told apart, and a SHADE is below them.
+NEAR, MERGED, CROWDED, PIXEL = 4.5, 1.75, 1.6, 0.25  # points, and the ratio
+THIN, SHADE = {"linestyle": "-", "linewidth": 0.5}, {"linestyle": "-", "linewidth": 1.7, "color": "0.5"}
 
 
 @dataclass(frozen=True)
@@ -222,6 +215,7 @@ class Hatch:
 
 
 UNDECIDED = "undecided"
+PLAIN = Hatch("", "0.4", "#ffffff")
 HATCHES = {
     UNDECIDED: Hatch("\\\\\\\\\\\\", "0.9", "none"),
     SLOW: Hatch("//////", "#262626", "none"),
@@ -239,17 +233,15 @@ def family_style(number: int) -> dict[str, Any]:
     return {"color": "black", "linestyle": DASHES[number % len(DASHES)], "linewidth": 1.0}
 
 
-def draw_overlay(ax: Axes, panel: Panel, frame: Frame, families: Sequence[str]) -> None:
-    """Draw hatching and theory over the cells of a panel."""
+def draw_overlay(ax: Axes, panel: Panel, edges: list[np.ndarray], families: Sequence[str]) -> None:
+    """Draw hatching and theory over the cells of a panel, whose axes have their limits and scales."""
     for what, mask in ((NOT_YET, panel.white.get(NOT_YET)), (SLOW, panel.slow)):
         if mask is not None and mask.any():
-            draw_hatching(ax, mask, frame.edges, HATCHES[what])
+            draw_hatching(ax, mask, edges, HATCHES[what])
     for kind in (CHANGE, *RESONANCES, *KINDS[::-1]):
         lines = panel.borders.get(kind, [])
         if lines and kind in KINDS and panel.array.ndim == 2:
-            parts = _crowded_parts(ax, lines, frame)
-            _draw_lines(ax, [line for line, crowded in parts if crowded], border_style(kind), thin=True)
-            lines = [line for line, crowded in parts if not crowded]
+            lines = _draw_crowded(ax, lines, border_style(kind))
         _draw_lines(ax, lines, border_style(kind))
     for name, lines in panel.families.items():
         _draw_lines(ax, lines, family_style(families.index(name)))
@@ -273,35 +265,50 @@ def draw_hatching(ax: Axes, mask: Mask, edges: list[np.ndarray], hatch: Hatch) -
     )  # fmt: skip
 
 
-def _crowded_parts(ax: Axes, lines: list[np.ndarray], frame: Frame) -> list[tuple[np.ndarray, bool]]:
-    """Parts of lines over two axes, each to the start of the next; whether lines crowd there, or it is very short."""
-    from scipy.spatial import KDTree  # slow to import, and maps without lines do not need it
+def _draw_crowded(ax: Axes, lines: list[np.ndarray], style: dict[str, Any]) -> list[np.ndarray]:
+    """Draw those parts of lines over two axes that crowd, and short lines; returns the lines, with nan in these parts."""
+    from scipy import ndimage  # slow to import, and maps without lines do not need it
 
-    size = np.array(ax.bbox.size) * 72 / ax.figure.dpi  # of the frame in points
-    vertices = [frame.sides(line) * size for line in lines]
-    steps = [np.linalg.norm(np.diff(each, axis=0), axis=1) for each in vertices]
-    lengths = np.concatenate([0.5 * (np.append(step, 0) + np.append(0, step)) for step in steps])
-    a, b = KDTree(np.concatenate(vertices)).query_pairs(NEAR, output_type="ndarray").T
-    near = lengths + np.bincount(a, lengths[b], lengths.size) + np.bincount(b, lengths[a], lengths.size)
-    marks, parts = near > CROWDED * 2 * NEAR, []
-    for line, step in zip(lines, steps, strict=True):
-        mark, marks = marks[: len(line)], marks[len(line) :]
-        for part in np.split(np.arange(len(line)), np.flatnonzero(np.diff(mark)) + 1):
-            short = step[part[0] : part[-1]].sum() < 2 * NEAR
-            parts.append((line[part[0] : part[-1] + 2], bool(mark[part[0]] or short)))
-    return parts
+    ink = np.zeros(np.ceil(np.array(ax.bbox.size) * 72 / ax.figure.dpi / PIXEL).astype(int) + 1)
+    fine, pixels, lengths = [], [], []
+    for line in lines:
+        dots = (ax.transData.transform(line) - ax.bbox.p0) * 72 / ax.figure.dpi  # in points
+        along = np.cumsum(np.append(0, np.linalg.norm(np.diff(dots, axis=0), axis=1)))
+        at = np.arange(0, along[-1] + PIXEL, PIXEL)
+        fine.append(np.stack([np.interp(at, along, values) for values in line.T], -1))
+        places = [np.interp(at, along, values) / PIXEL for values in dots.T]
+        pixels.append(tuple(np.clip(places, 0, np.array(ink.shape)[:, np.newaxis] - 1).astype(int)))
+        np.add.at(ink, pixels[-1], PIXEL)
+        lengths.append(along[-1])
+    crowded = []
+    for width in (NEAR, MERGED):
+        size, run = int(width / PIXEL), int(2.5 * width / PIXEL)
+        dense = ndimage.uniform_filter(ink, size, mode="constant") * size > CROWDED * PIXEL
+        dense = ndimage.maximum_filter(dense, size)
+        # Along a line without short gaps, and without the places where lines only cross.
+        masks = [np.pad(dense[pixel], run, mode="edge") for pixel in pixels]
+        masks = [ndimage.binary_opening(ndimage.binary_closing(m, np.ones(run)), np.ones(run)) for m in masks]
+        crowded.append([mask[run:-run, np.newaxis] for mask in masks])
+    apart = []
+    for line, near, merged, length in zip(fine, *crowded, lengths, strict=True):
+        _draw_lines(ax, [np.where(merged, line, np.nan)], SHADE, zorder=1.8, halo=False)
+        _draw_lines(ax, [line], style | THIN, zorder=1.9, halo=False)
+        apart.append(np.where(near | (length < 2 * NEAR), np.nan, line))
+    return apart
 
 
-def _draw_lines(ax: Axes, lines: list[np.ndarray], line: dict[str, Any], *, thin: bool = False) -> None:
-    """Draw lines over dark and bright colours alike, with a white halo unless they are thin.
+def _draw_lines(
+    ax: Axes, lines: list[np.ndarray], line: dict[str, Any], *, zorder: float = 2.1, halo: bool = True
+) -> None:
+    """Draw lines over dark and bright colours alike, with a white halo below all of them.
 
-    It also fills the gaps of dashed lines, and is below every line so that none is cut where they cross.
+    The halo also fills the gaps of dashed lines.
     """
-    halo = line | {"color": "white", "linestyle": "-", "linewidth": line["linewidth"] + 2 * HALO}
-    styles = [(2.1, line | {"linewidth": THIN})] if thin else [(2.0, halo), (2.1, line)]
+    white = {"color": "white", "linestyle": "-", "linewidth": line["linewidth"] + 2 * HALO}
+    styles = [(2.0, line | white), (zorder, line)] if halo else [(zorder, line)]
     for vertices in lines:
-        for zorder, style in styles:
+        for level, style in styles:
             if vertices.shape[1] == 1:
-                ax.axvline(float(vertices[0, 0]), zorder=zorder, **style)
+                ax.axvline(float(vertices[0, 0]), zorder=level, **style)
             else:
-                ax.plot(vertices[:, 0], vertices[:, 1], zorder=zorder, scalex=False, scaley=False, **style)
+                ax.plot(vertices[:, 0], vertices[:, 1], zorder=level, scalex=False, scaley=False, **style)

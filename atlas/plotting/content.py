@@ -13,6 +13,8 @@ import xarray as xr
 from matplotlib import colormaps
 from matplotlib.axes import Axes
 from matplotlib.colors import Colormap, is_color_like
+from matplotlib.path import Path
+from matplotlib.transforms import Bbox
 
 from ..analysis.boundary import CHANGE, EXISTENCE, RESONANCES, STABILITY, theory_lines
 from ..analysis.compare import MAX_SURVIVED_GROWTH
@@ -30,8 +32,9 @@ NO_BODY, NO_MOTION, NOT_YET, NO_VALUE = "no such body", "no such motion", "not c
 SLOW = "unstable, too slow to show in this run"
 # A region with a smaller share of the points is not visible.
 MIN_VISIBLE = 1e-3
-# Hatching narrower than this, and lines of a kind that are shorter in all, in sides of the frame, are not visible.
-MIN_HATCHED, MIN_LENGTH = 0.01, 0.01
+# Hatching narrower than this, and lines nearer to the frame, in sides of the frame, are not visible.
+MIN_HATCHED = 0.01
+INSIDE = Bbox([[MIN_HATCHED] * 2, [1 - MIN_HATCHED] * 2])
 # Flags of motions, on whose maps theory draws the borders of labels.
 MOTIONS = ("label", "predicted", "agreement", "geometry")
 
@@ -49,40 +52,23 @@ class Panel:
     families: Lines = field(default_factory=dict)  # family -> lines
 
 
-@dataclass(frozen=True)
-class Frame:
-    """Cells of a map along its axes, x first."""
-
-    edges: list[np.ndarray]  # of the cells
-    log: list[bool]  # whether the axis is logarithmic
-
-    def sides(self, vertices: np.ndarray) -> np.ndarray:
-        """Vertices (vertices, axes) of a line in sides of the frame, from 0 to 1 inside it."""
-        columns = zip(vertices.T, self.edges, self.log, strict=True)
-        scaled = [(np.log(v), np.log(e)) if is_log else (v, e) for v, e, is_log in columns]
-        return np.stack([(v - e[0]) / (e[-1] - e[0]) for v, e in scaled], -1)
-
-    def contains(self, lines: list[np.ndarray]) -> bool:
-        """Whether lines run inside the frame far enough to be visible; on one axis, whether one is inside."""
-        length = 0.0
-        for line in map(self.sides, lines):
-            middles, steps = line, np.ones(len(line))
-            if line.shape[1] == 2:
-                middles, steps = 0.5 * (line[1:] + line[:-1]), np.linalg.norm(np.diff(line, axis=0), axis=1)
-            length += float(steps[(np.abs(middles - 0.5) < 0.5).all(axis=1)].sum())
-        return length > MIN_LENGTH
-
-
-def visible(panel: Panel, frame: Frame) -> Panel:
-    """A panel without the hatching and the lines of theory that nobody could see inside its frame."""
+def visible(panel: Panel, edges: list[np.ndarray]) -> Panel:
+    """A panel without the hatching and the lines of theory that nobody could see within the edges of its cells."""
     slow, box = panel.slow, [math.ceil(MIN_HATCHED * count) for count in panel.slow.shape]
     seen = slow.mean() >= MIN_VISIBLE
     if seen:
         from scipy.ndimage import binary_erosion  # slow to import, and most maps do not need it
 
         seen = binary_erosion(slow, np.ones(box)).any()
+
+    def is_inside(line: np.ndarray) -> bool:
+        """Whether a line runs inside; on one axis it is a value."""
+        places = [np.interp(v, e, np.linspace(0, 1, e.size)) for v, e in zip(line.T, edges, strict=True)]
+        path = Path(np.transpose(places if len(places) == 2 else [places[0].repeat(2), [0, 1]]))
+        return path.intersects_bbox(INSIDE, filled=False)
+
     borders, families = (
-        {kind: lines for kind, lines in group.items() if frame.contains(lines)}
+        {kind: lines for kind, lines in group.items() if any(map(is_inside, lines))}
         for group in (panel.borders, panel.families)
     )
     return replace(panel, slow=slow & seen, borders=borders, families=families)

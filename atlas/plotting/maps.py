@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import logging
 import textwrap
-import warnings
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import nullcontext
 from dataclasses import dataclass, replace
 from math import prod
@@ -17,10 +16,8 @@ from matplotlib import rc_context
 from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.font_manager import FontProperties
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch, Polygon
-from matplotlib.textpath import TextPath
 
 from ..analysis.metadata import (
     axes_of,
@@ -36,8 +33,8 @@ from ..flags import Regularity
 from ..systems.base import Mask
 from ..variables import POINT
 from . import cells
-from .content import MIN_VISIBLE, NOT_YET, SLOW, Frame, MapOptions, Panel, panel_of, tiles_done, visible
-from .style import FONT, STYLE, SYMBOLS, PrintFigure, axis_label, caption, drawable, unit_text, variable_label
+from .content import MIN_VISIBLE, SLOW, MapOptions, Panel, panel_of, tiles_done, visible
+from .style import STYLE, SYMBOLS, PrintFigure, axis_label, caption, drawable, unit_text, variable_label
 
 
 def atlas_map(ds: xr.Dataset, variable: str | None = None, **options: Any) -> Figure:
@@ -78,19 +75,14 @@ def _draw_map(ds: xr.Dataset, name: str, options: MapOptions) -> Figure:
     scene = scene_of(ds)
     log = [is_logarithmic(scene, dim, plane[dim].values) for dim in dims]
     edges = [cell_edges(plane[dim].values, is_log) for dim, is_log in zip(dims, log, strict=True)]
-    frame = Frame(edges, log)
-    panels = [visible(panel_of(part, name, dims, scene, options.boundary), frame) for part in parts]
+    panels = [visible(panel_of(part, name, dims, scene, options.boundary), edges) for part in parts]
     flags = options.flag_colours(array)
     families = list(system_of(ds).families)
     exponents = cells.exponent_scale(plane, name) if len(dims) == 2 else None
     if name == "regularity":
         options = replace(options, labels={**cells.texts(ds), **(options.labels or {})})
-    levels: list[int] = []  # flags of a curve, named beside it
-    if flags and len(dims) == 1:
-        white = [sum(panel.white.values(), np.zeros(panel.array.shape, bool)) for panel in panels]
-        values = [panel.array.values[~mask] for panel, mask in zip(panels, white, strict=True)]
-        levels = np.unique(np.concatenate(values).astype(int)).tolist() or [0]
-    entries, notes = map_legend(panels, {} if levels else flags, options, families)
+    is_curve, levels = len(dims) == 1, np.unique(array.values.astype(int)).tolist() if flags else []
+    entries, notes = map_legend(panels, {} if is_curve else flags, options, families)
     if not flags and "computed" in ds:
         notes.append("Between the points that were integrated: the value of the nearest one.")
     if (tiles := tiles_done(ds)) is not None:
@@ -100,17 +92,18 @@ def _draw_map(ds: xr.Dataset, name: str, options: MapOptions) -> Figure:
     wrapped = 2 if options.size_mm[0] < 130 else 4
     columns = 1 if options.row else min(prod(counts), wrapped)
     columns = counts[-1] if options.row and options.col else columns
-    sheet = Sheet(options, len(panels), columns, len(levels), len(dims) == 1 and not flags)
+    curve_height = 8.0 + 7.0 * len(levels) if flags else 0.6 * options.size_mm[0] / columns
+    sheet = Sheet(options, len(panels), columns, curve_height if is_curve else None)
     figure, axes = sheet.figure(entries, notes)
     scale, image = cells.color_scale(array, options), None
     variable_text = options.text(name, variable_label(array))
     for i, (part, panel, ax) in enumerate(zip(parts, panels, axes, strict=True)):
-        if levels:
-            names = [options.text(flag, flag.replace("_", " ")) for flag in np.array(list(flags))[levels]]
-            cells.draw_levels(ax, panel.array, levels, names, edges[0], scale)
+        if flags and is_curve:
+            colours = {options.text(flag, flag.replace("_", " ")): colour for flag, colour in flags.items()}
+            cells.draw_levels(ax, panel.array, colours, levels)
         else:
             image = cells.draw_values(ax, panel.array, edges, scale, variable_text)
-        if name == "regularity" and not levels:
+        if name == "regularity" and not is_curve:
             undecided = panel.array.values == Regularity.UNDECIDED
             if undecided.any():
                 cells.draw_hatching(ax, undecided, edges, cells.HATCHES[cells.UNDECIDED])
@@ -120,7 +113,7 @@ def _draw_map(ds: xr.Dataset, name: str, options: MapOptions) -> Figure:
         for which, is_log in zip("xy", log, strict=False):
             cells.set_axis(ax, which, is_log, inner=which == "x" and sheet.columns > 1)
         if panel.array.ndim == 2 or flags:
-            cells.draw_overlay(ax, panel, frame, families)
+            cells.draw_overlay(ax, panel, edges, families)
         texts = []
         for dim in panel_dims:
             value = f"{float(part[dim]):.4g}".replace("-", "\N{MINUS SIGN}")
@@ -200,9 +193,8 @@ def scatter_axes(ds: xr.Dataset, x: str | None, y: str | None) -> list[str]:
     return [str(name) for name in chosen]
 
 
-LEGEND_ROW, TEXT_ROW = 4.0, 2.8  # height in mm
+TEXT_ROW = 2.8  # height in mm
 LEGEND_SHARE = 0.97  # of the width that a legend may take; screens of few dots draw letters wider than print
-HANDLE, MIN_GAP = 1.8, 0.6  # of a legend in sizes of its font: samples, and the least distance of columns
 
 
 @dataclass(frozen=True)
@@ -212,8 +204,7 @@ class Sheet:
     options: MapOptions  # choices of the caller
     panels: int = 1  # how many panels
     columns: int = 1  # panels in a row
-    levels: int = 0  # flags of a curve over one axis
-    line: bool = False  # whether they are numbers over one axis
+    panel_height: float | None = None  # mm, if it is not that of a map
 
     def figure(self, legend: Entries, notes: Sequence[str]) -> tuple[Figure, list[Axes]]:
         """The figure with empty panels, legend, title and notes; notes on the caller's Axes are logged."""
@@ -231,22 +222,19 @@ class Sheet:
                 logging.getLogger("atlas").info("%s", note)
             return caller, [options.ax]
         width, height = options.size_mm
+        figure = PrintFigure(
+            figsize=(width / 25.4, (height or width) / 25.4), layout="constrained", dpi=float(options.dpi)
+        )
         text = drawable(textwrap.fill(" ".join(notes), int(0.78 * width))) if notes else ""
         foot = TEXT_ROW * (text.count("\n") + 1) + 2.0 if text else 0.0
-        rows, (columns, gap) = -(-self.panels // self.columns), legend_columns(legend, width)
+        head = self._draw_legend(figure, legend)
+        rows = -(-self.panels // self.columns)
         if height is None:
-            panel_height = 0.72 * width / self.columns + 6.0  # with a title above each panel
-            if self.line:
-                panel_height = 0.6 * width / self.columns
-            elif self.levels:
-                panel_height = 8.0 + 7.0 * self.levels
-            elif self.panels == 1:
-                panel_height = (0.5 if width >= 130 else 0.72) * width
-            height = rows * panel_height + foot + 9.0
-            height += LEGEND_ROW * -(-len(legend) // columns) + (5.0 if options.title else 0.0)
-        figure = PrintFigure(
-            figsize=(width / 25.4, height / 25.4), layout="constrained", dpi=float(options.dpi)
-        )
+            of_map = (0.5 if width >= 130 else 0.72) * width
+            if self.panels > 1:
+                of_map = 0.72 * width / self.columns + 6.0  # with a title above each panel
+            height = rows * (self.panel_height or of_map) + head + foot + 9.0
+            figure.set_size_inches(width / 25.4, height / 25.4)
         engine = figure.get_layout_engine()
         assert engine is not None
         engine.set(rect=(0, foot / height, 1, 1 - foot / height), w_pad=0.02, h_pad=0.02)  # type: ignore[call-arg]
@@ -255,15 +243,23 @@ class Sheet:
         axes = list(figure.subplots(rows, self.columns, sharex=True, sharey=True, squeeze=False).ravel())
         for unused in axes[self.panels :]:
             unused.remove()
-        if legend:
-            figure.legend(
-                list(legend.values()), list(legend), loc="outside upper center",
-                ncols=columns, frameon=False, handlelength=HANDLE, columnspacing=gap,
-                borderaxespad=0.2, title=options.title, title_fontsize=9,
-            )  # fmt: skip
-        elif options.title:
-            figure.suptitle(options.title, fontsize=9)
         return figure, axes[: self.panels]
+
+    def _draw_legend(self, figure: Figure, legend: Entries) -> float:
+        """Draw the legend above the panels in as many columns as fit, and the title; returns their height in mm."""
+        for columns in range(len(legend), 0, -1):
+            drawn = figure.legend(
+                list(legend.values()), list(legend), loc="outside upper center",
+                ncols=columns, frameon=False, handlelength=1.8, columnspacing=0.8,
+                borderaxespad=0.2, borderpad=0, title=self.options.title, title_fontsize=9,
+            )  # fmt: skip
+            box = drawn.get_window_extent()
+            if columns == 1 or box.width < LEGEND_SHARE * figure.bbox.width:
+                return box.height / figure.dpi * 25.4
+            drawn.remove()
+        if self.options.title:
+            figure.suptitle(self.options.title, fontsize=9)
+        return 5.0 if self.options.title else 0.0
 
     def label_axes(self, axes: list[Axes], labels: list[str], entries: Entries) -> None:
         """Label the axes, of several panels once for all of them; entries: of a legend that the caller may draw."""
@@ -271,14 +267,12 @@ class Sheet:
             sample.set_label(text)
             axes[0].add_artist(sample)
         figure = axes[0].get_figure(root=True)
+        assert figure is not None
+        setters: list[Callable[[str], object]] = [figure.supxlabel, figure.supylabel]
         if self.panels == 1:
-            axes[0].set_xlabel(labels[0])
-            if len(labels) == 2:
-                axes[0].set_ylabel(labels[1])
-        elif figure is not None:
-            figure.supxlabel(labels[0], fontsize=8)
-            if len(labels) == 2:
-                figure.supylabel(labels[1], fontsize=8)
+            setters = [axes[0].set_xlabel, axes[0].set_ylabel]
+        for set_label, label in zip(setters, labels, strict=False):
+            set_label(label)
         for ax in axes[-self.columns :]:  # nothing is below them
             ax.tick_params(labelbottom=True)
 
@@ -305,12 +299,11 @@ def map_legend(
     white = [sum(panel.white.values(), np.zeros(panel.array.shape, bool)) for panel in panels]
     for value, (name, colour) in enumerate(flags.items()):
         masks = [(panel.array.values == value) & ~mask for panel, mask in zip(panels, white, strict=True)]
-        sample = _hatched(name, colour) if name == cells.UNDECIDED else _patch(colour)
-        add(options.text(name, name.replace("_", " ")), masks, sample)
+        add(options.text(name, name.replace("_", " ")), masks, _sample(name, colour))
     for reason in dict.fromkeys(reason for panel in panels for reason in panel.white):
         masks = [panel.white[reason] for panel in panels if reason in panel.white]
-        add(reason, masks, _hatched(NOT_YET) if reason == NOT_YET else _patch("#ffffff"))
-    add(SLOW, [panel.slow for panel in panels], _hatched(SLOW))
+        add(reason, masks, _sample(reason))
+    add(SLOW, [panel.slow for panel in panels], _sample(SLOW))
     for kind in dict.fromkeys(kind for panel in panels for kind in panel.borders):
         entries[f"{as_math(kind)} (theory)"] = Line2D([], [], **cells.border_style(kind))
     for name in dict.fromkeys(name for panel in panels for name in panel.families):
@@ -331,39 +324,8 @@ def as_math(kind: str) -> str:
 _NOWHERE = np.full((1, 2), np.nan)
 
 
-def _patch(colour: str) -> Patch:
-    """Sample of a colour."""
-    return Polygon(_NOWHERE, facecolor=colour, edgecolor="0.4", linewidth=0.4)
-
-
-def _hatched(region: str, background: str | None = None) -> Patch:
-    """Sample of the hatching of a region, a key of cells.HATCHES."""
-    hatch = cells.HATCHES[region]
-    return Polygon(
-        _NOWHERE,
-        facecolor=background or hatch.background,
-        edgecolor=hatch.colour,
-        hatch=hatch.pattern,
-        linewidth=0.4,
-    )
-
-
-def legend_columns(entries: Iterable[str], width: float) -> tuple[int, float]:
-    """The most columns of a legend that fit a width in mm, and their distance in sizes of the font.
-
-    Entries fill one column after the other.
-    """
-    font = FontProperties(family=FONT, size=STYLE["legend.fontsize"])
-    with warnings.catch_warnings():
-        warnings.filterwarnings("ignore", "Glyph .* missing from")
-        lengths = [
-            max(TextPath((0, 0), line, prop=font).get_extents().width for line in name.split("\n"))
-            for name in entries
-        ]
-    available = LEGEND_SHARE * width * 72 / 25.4 / STYLE["legend.fontsize"]
-    for columns in range(len(lengths), 1, -1):
-        longest = sum(map(max, np.array_split(lengths, columns))) / STYLE["legend.fontsize"]
-        gap = (available - longest - columns * (HANDLE + 0.8)) / (columns - 1)
-        if gap > MIN_GAP:
-            return columns, min(gap, 1.4)
-    return 1, 1.4
+def _sample(region: str, colour: str = "") -> Patch:
+    """Sample of the colour of a region, or its background, with the hatching of cells.HATCHES."""
+    hatch = cells.HATCHES.get(region, cells.PLAIN)
+    background = colour or hatch.background
+    return Polygon(_NOWHERE, facecolor=background, edgecolor=hatch.colour, hatch=hatch.pattern, linewidth=0.4)

@@ -32,6 +32,7 @@ STYLE: dict[Any, Any] = {
     "font.size": 8,
     "axes.labelsize": 8,
     "axes.titlesize": 8,
+    "figure.labelsize": 8,
     "legend.fontsize": 7,
     "xtick.labelsize": 7,
     "ytick.labelsize": 7,
@@ -42,35 +43,23 @@ STYLE: dict[Any, Any] = {
     "svg.hashsalt": "atlas",
     "hatch.linewidth": 0.4,
 }
-# One colour per meaning; colour-blind readers and prints in grey keep them apart.
-COLOURS = {
-    "not_computed": "#ffffff",
-    "permanent_rotation": "#a8d8f0",
-    "drifting": "#e0892b",
-    "regular_precession": "#1b6ca8",
-    "unresolved": "#262626",
-    "not_compared": "#ffffff",
-    "agree": "#b9e3cc",
-    "theory_only": "#e0892b",
-    "numerics_only": "#1b6ca8",
-    "differ": "#262626",
-    "steady": "#76b0d8",
-    "regular": "#f2d49a",
-    "chaotic": "#4e1b04",
-    "undecided": "#848484",
-    "hyperbolic": "#155a8e",
-    "unknown": "#ffffff",
-    "stable": "#a8d8f0",
-    "unstable": "#e0892b",
-    "energy_stable": "#1b6ca8",
-    "gyroscopic": "#a8d8f0",
-    "marginal": "#1c0a02",
-    "linearly_stable": "#1f4a36",
-    "yes": "#1b6ca8",
-    "no": "#e0892b",
-    "false": "#a8d8f0",
-    "true": "#1b6ca8",
+# One colour per meaning; colour-blind readers and prints in grey keep those of a variable apart.
+_FLAGS_OF_COLOUR = {
+    "#ffffff": ("not_computed", "not_compared", "unknown"),
+    "#a8d8f0": ("permanent_rotation", "stable", "gyroscopic", "false"),
+    "#e0892b": ("drifting", "theory_only", "unstable", "no"),
+    "#1b6ca8": ("regular_precession", "numerics_only", "energy_stable", "yes", "true"),
+    "#262626": ("unresolved", "differ"),
+    "#b9e3cc": ("agree",),
+    "#76b0d8": ("steady",),
+    "#f2d49a": ("regular",),
+    "#4e1b04": ("chaotic",),
+    "#848484": ("undecided",),
+    "#155a8e": ("hyperbolic",),
+    "#1c0a02": ("marginal",),
+    "#1f4a36": ("linearly_stable",),
 }
+COLOURS = {flag: colour for colour, flags in _FLAGS_OF_COLOUR.items() for flag in flags}
 # Flags for which one colour map from blue to yellow has enough shades.
 MAX_EVEN_SHADES = 11
 SYMBOLS = {
@@ -129,7 +118,9 @@ def save(figure: Figure, path: str | Path, dpi: float | None = None) -> None:
 
 
 _PARSER = MathTextParser("path")
-STATISTICS = {"mean": "mean", "rms": "rms", "std": "standard deviation of", "min": "least", "max": "largest"}
+STATISTICS = {
+    "mean": "mean", "rms": "rms", "std": "standard deviation of", "min": "least", "max": "largest", "drift": "drift of",
+}  # fmt: skip
 
 
 def axis_label(ds: xr.Dataset, dim: str, *, unit: bool = True) -> str:
@@ -221,7 +212,11 @@ def variable_label(array: xr.DataArray) -> str:
     """Short name and unit of a variable: a statistic of a symbol, or the words of its name."""
     name, units = str(array.name), unit_text(attribute_text(array.attrs, "units"))
     stem, _, statistic = name.rpartition("_")
-    text = f"{STATISTICS[statistic]} {SYMBOLS[stem]}" if stem in SYMBOLS else name.replace("_", " ")
+    text = (
+        f"{STATISTICS[statistic]} {SYMBOLS[stem]}"
+        if stem in SYMBOLS and statistic in STATISTICS
+        else name.replace("_", " ")
+    )
     return drawable(f"{text} ({units})" if units else text)
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
@@ -31,7 +31,12 @@ START_MARKER: dict[str, Any] = {
     "linestyle": "",
 }
 RATES = ("theta_dot", "psi_dot", "phi_dot", "normal_rate")
-LINE_COLOURS = (COLOURS["regular_precession"], COLOURS["drifting"], "black", "#7fb9d8")
+LINES: tuple[dict[str, Any], ...] = (
+    {"color": COLOURS["regular_precession"], "linestyle": "-"},
+    {"color": COLOURS["drifting"], "linestyle": "--"},
+    {"color": "black", "linestyle": ":"},
+    {"color": "#7fb9d8", "linestyle": "-."},
+)
 MAX_PANELS = 8  # of a system with observables
 # Rates larger than this many times their quantile 0.9 do not set the range of the panel, which then ends
 # at a smaller multiple of it.
@@ -45,13 +50,7 @@ NOTE = SYMBOLS["normal_rate"] + ": angular velocity relative to the frame along 
 
 
 def trajectory_figure(tr: xr.Dataset, *, width: Width = "page", ax: Axes | None = None) -> Figure:
-    """Angles and rates over time, and the path of the third body axis on the unit sphere of the frame; on `ax` the latter alone.
-
-    Or the observables of the system, at most MAX_PANELS. psi and phi are shown between -pi and pi. The path
-    is dark on the near side of the sphere and pale on the far side, with a dot at its start; one that stays
-    close to a direction is also drawn enlarged, in the plane perpendicular to it. Rates that grow without
-    bound near the vertical are clipped. Raises BadInput if the dataset is no trajectory.
-    """
+    """Angles and rates over time and the path of the third body axis, or observables, or on `ax` the path; see `Atlas.plot`."""
     choice("width", width, WIDTHS)
     if ax is not None:
         if not isinstance(ax, Axes):
@@ -65,20 +64,15 @@ def trajectory_figure(tr: xr.Dataset, *, width: Width = "page", ax: Axes | None 
     height = 85.0 if page else 165.0
     with rc_context(STYLE):
         figure = Figure(figsize=(WIDTHS[width] / 25.4, height / 25.4), layout="constrained")
-        if page:
-            subfigures = figure.subfigures(1, 2, width_ratios=(1.35, 1), squeeze=False)
-        else:
-            subfigures = figure.subfigures(2, 1, height_ratios=(1.2, 1), squeeze=False)
-        left, right = subfigures.ravel()
+        shares: dict[str, Any] = {"width_ratios": (1.35, 1)} if page else {"height_ratios": (1.2, 1)}
+        left, right = figure.subfigures(*((1, 2) if page else (2, 1)), **shares)
         _draw_time_series(left, tr)
         mean = path.mean(axis=0)
         mean /= np.linalg.norm(mean) or 1.0
         distance = float(np.linalg.norm(path - mean, axis=1).max())
         if AT_REST < distance < SMALL:
-            if page:
-                sphere, plane = right.subplots(2, 1, height_ratios=(1.25, 1))
-            else:
-                sphere, plane = right.subplots(1, 2, width_ratios=(1.25, 1))
+            shares = {"height_ratios" if page else "width_ratios": (1.25, 1)}
+            sphere, plane = right.subplots(*((2, 1) if page else (1, 2)), **shares)
             _draw_enlarged(plane, path - mean, mean, system_of(tr).frame_axes)
         else:
             sphere = right.subplots()
@@ -144,56 +138,56 @@ def animate(tr: xr.Dataset, path: str | Path | None, seconds: float) -> Film | N
 
 def _figure_of_observables(tr: xr.Dataset, observables: Sequence[Observable], width: Width) -> Figure:
     """A panel over time for each observable."""
-    missing = [o.name for o in observables if o.name not in tr]
-    if missing:
-        raise BadInput(f"not a trajectory: {missing[0]} is missing")
+    panels = {}
+    for observable in observables:
+        if observable.name not in tr:
+            raise BadInput(f"not a trajectory: {observable.name} is missing")
+        unit = "" if observable.unit == "1" else f" ({unit_text(observable.unit)})"
+        panels[f"{observable.symbol or observable.name}{unit}"] = {
+            observable.name: tr[observable.name].values
+        }
     with rc_context(STYLE):
         size = WIDTHS[width] / 25.4, (14 + 26 * len(observables)) / 25.4
         figure = Figure(figsize=size, layout="constrained")
-        panels = figure.subplots(len(observables), 1, sharex=True, squeeze=False)[:, 0]
-        for ax, observable in zip(panels, observables, strict=True):
-            ax.plot(tr["time"].values, tr[observable.name].values, color=LINE_COLOURS[0])
-            unit = "" if observable.unit == "1" else f" ({unit_text(observable.unit)})"
-            ax.set_ylabel(f"{observable.symbol or observable.name}{unit}")
-            ax.yaxis.set_major_formatter(_Formatter(useMathText=True))
-            ax.ticklabel_format(axis="y", scilimits=(-2, 4))
-            ax.tick_params(length=2.5)
-        panels[-1].set_xlabel(f"time ({unit_text(attribute_text(tr['time'].attrs, 'units', 's'))})")
-        panels[-1].set_xlim(tr["time"].values[0], tr["time"].values[-1])
-        figure.align_ylabels()
+        _draw_over_time(figure, tr, panels)
     return figure
+
+
+def _draw_over_time(
+    figure: Figure | SubFigure, tr: xr.Dataset, panels: Mapping[str, Mapping[str, np.ndarray]]
+) -> list[Axes]:
+    """Draw panels one below the other: label -> name -> values over time."""
+    axes = list(figure.subplots(len(panels), 1, sharex=True, squeeze=False)[:, 0])
+    time = tr["time"]
+    for ax, (label, curves) in zip(axes, panels.items(), strict=True):
+        for (name, values), style in zip(curves.items(), LINES, strict=False):
+            ax.plot(time.values, values, label=SYMBOLS.get(name), **style)
+        ax.set_ylabel(label)
+        ax.yaxis.set_major_formatter(_Formatter(useMathText=True))
+        ax.ticklabel_format(axis="y", scilimits=(-2, 4))
+        ax.tick_params(length=2.5)
+        if len(curves) > 1:
+            ax.legend(loc="center left", bbox_to_anchor=(1.0, 0.5), frameon=False, handlelength=1.6)
+    axes[-1].set_xlabel(f"time ({unit_text(attribute_text(time.attrs, 'units', 's'))})")
+    axes[-1].set_xlim(time.values[0], time.values[-1])
+    figure.align_ylabels()
+    return axes
 
 
 def _draw_time_series(figure: SubFigure, tr: xr.Dataset) -> None:
     """Draw theta, the other angles and the rates in three panels."""
-    time = tr["time"].values
-    theta_ax, angle_ax, rate_ax = figure.subplots(3, 1, sharex=True)
-    theta_ax.plot(time, tr["theta"].values, color=LINE_COLOURS[0])
-    theta_ax.set_ylabel(r"$\theta$ (rad)")
-    for name, colour, dashes in zip(("psi", "phi"), LINE_COLOURS, ("-", "--"), strict=False):
-        angle = (tr[name].values + np.pi) % (2 * np.pi) - np.pi
+    angles = {name: (tr[name].values + np.pi) % (2 * np.pi) - np.pi for name in ("psi", "phi")}
+    for angle in angles.values():
         angle[1:][np.abs(np.diff(angle)) > np.pi] = np.nan  # no line is drawn across a jump
-        angle_ax.plot(time, angle, color=colour, linestyle=dashes, label=SYMBOLS[name])
+    rates = {name: tr[name].values for name in RATES}
+    panels = {r"$\theta$ (rad)": {"theta": tr["theta"].values}, r"$\psi$, $\varphi$ (rad)": angles}
+    _, angle_ax, rate_ax = _draw_over_time(figure, tr, panels | {"rates (rad s$^{-1}$)": rates})
     angle_ax.set_ylim(-np.pi, np.pi)
     angle_ax.set_yticks([-np.pi, 0, np.pi], [r"$-\pi$", "0", r"$\pi$"])
-    angle_ax.set_ylabel(r"$\psi$, $\varphi$ (rad)")
-    for name, colour, dashes in zip(RATES, LINE_COLOURS, ("-", "--", ":", "-."), strict=True):
-        rate_ax.plot(time, tr[name].values, color=colour, linestyle=dashes, label=SYMBOLS[name])
-    rate_ax.set_ylabel("rates (rad s$^{-1}$)")
-    rate_ax.set_xlabel(f"time ({unit_text(attribute_text(tr['time'].attrs, 'units', 's'))})")
-    rate_ax.set_xlim(time[0], time[-1])
-    magnitude = np.abs(np.concatenate([tr[name].values for name in RATES]))
+    magnitude = np.abs(list(rates.values()))
     quantile = float(np.nanquantile(magnitude, 0.9))
     if np.nanmax(magnitude) > CLIP_ABOVE * quantile > 0:
         rate_ax.set_ylim(-CLIP_AT * quantile, CLIP_AT * quantile)
-    for ax in (theta_ax, rate_ax):
-        ax.yaxis.set_major_formatter(_Formatter(useMathText=True))
-        ax.ticklabel_format(axis="y", scilimits=(-2, 4))
-    for ax in (theta_ax, angle_ax, rate_ax):
-        ax.tick_params(length=2.5)
-    for ax in (angle_ax, rate_ax):
-        ax.legend(loc="center left", bbox_to_anchor=(1.0, 0.5), frameon=False, handlelength=1.6)
-    figure.align_ylabels()
     figure.supxlabel(NOTE, fontsize=6.5)
 
 
@@ -232,10 +226,7 @@ def _draw_enlarged(ax: Axes, offset: np.ndarray, direction: np.ndarray, names: S
 
 
 def _draw_sphere(ax: Axes, path: np.ndarray, names: Sequence[str], pointer: bool = False) -> None:
-    """Orthographic picture of a path on the unit sphere, shape (times, 3), seen from above the x-y plane.
-
-    pointer: whether a line leads from the centre to the end of the path.
-    """
+    """Orthographic picture of a path on the unit sphere, shape (times, 3), maybe with a pointer from the centre to its end."""
     azimuth, elevation = np.radians(40.0), np.radians(25.0)
     toward_viewer = np.array(
         [np.cos(elevation) * np.cos(azimuth), np.cos(elevation) * np.sin(azimuth), np.sin(elevation)]

@@ -135,20 +135,15 @@ class ScenePlan:
                 " larger than the tolerance"
             )
         steps = sizes.steps[exists].astype(np.float64)
-        costly = steps >= np.quantile(steps, 0.99) if steps.size else np.zeros(0, bool)
+        costly = np.argsort(-steps, kind="stable")[: steps.size // 100]
         share = steps[costly].sum() / max(steps.sum(), 1.0)
-        if share > COSTLY_SHARE and costly.mean() < 0.5 * COSTLY_SHARE:
-            axes = {n: self.sample.points[n][exists] for n in self.scene.axes if n in self.sample.points}
-            where = [
-                f"{name} from {values[costly].min():.3g} to {values[costly].max():.3g}"
-                for name, values in axes.items()
-                if np.ptp(values[costly]) < 0.5 * np.ptp(values)
-            ]
-            parts = [
-                f"{100 * costly.mean():.2g} % of the points take {100 * share:.0f} % of the steps",
-                *where,
-            ]
-            warnings.append(f"{', '.join(parts)}; max_steps would cut them short")
+        if share > COSTLY_SHARE:
+            text = f"1 % of the points take {100 * share:.0f} % of the steps"
+            for name, values in self.sample.points.items():
+                some, every = values[exists][costly], values[exists]
+                if name in self.scene.axes and np.ptp(some) < 0.5 * np.ptp(every):
+                    text += f", {name} from {some.min():.3g} to {some.max():.3g}"
+            warnings.append(f"{text}; max_steps would cut them short")
         if unresolved > 0:
             warnings.append(
                 f"{100 * unresolved:.3g} % of the points have steps too long for their fastest frequency: they get no label"

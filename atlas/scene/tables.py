@@ -46,12 +46,10 @@ def table(source: Any, names: Collection[str]) -> dict[str, Any]:
         for dim in map(str, source.dims):
             if not any(dim in source[name].dims for name in columns):
                 raise BadInput(f"{dim}: no parameter varies along it; {allowed_text(dim, sorted(names))}")
-        match list(source.dims):
-            case [only] if (
-                only not in names
-            ):  # a list; its index numbers the points, unless it has several levels
-                index = [only] if only in source.indexes and source.indexes[only].nlevels == 1 else []
-                source = source.drop_vars(index).rename({only: "point"} if only != "point" else {})
+        if len(source.dims) == 1 and (only := next(iter(source.dims))) not in names:
+            # A list; its index numbers the points, unless it has several levels.
+            index = [only] if only in source.indexes and source.indexes[only].nlevels == 1 else []
+            source = source.drop_vars(index).rename({only: "point"} if only != "point" else {})
         return {str(name): source[name] for name in columns}
     if isinstance(source, CsvColumns):
         return source
@@ -110,28 +108,31 @@ def read(
         raise BadInput(f"{path}: {error}") from None
 
 
-def kept_columns(system: System, table: Mapping[str, Any], keep: Collection[str] = ()) -> dict[str, Any]:
+def kept_columns(
+    system: System, table: Mapping[str, Any], keep: Collection[str] = ()
+) -> dict[str, xr.DataArray]:
     """Columns that name the points: texts, IDENTIFIERS and `keep` (BadInput for parameters and unknowns).
 
     Other columns of numbers are not kept, since such a name may be a mistyped parameter.
     """
+    import xarray as xr
+
     for name in keep:
-        if name in system.parameters or name not in table:
-            problem = (
-                "a parameter, which the result contains anyhow"
-                if name in table
-                else "no column of the points"
-            )
-            raise BadInput(f"keep: {shown(name)} is {problem}")
+        if name not in table:
+            raise BadInput(f"keep: {shown(name)} is no column of the points")
+        if name in system.parameters:
+            raise BadInput(f"keep: {shown(name)} is a parameter, which the result contains anyhow")
     kept = {}
-    for name in (name for name in table if name not in system.parameters):
-        column = table[name] if hasattr(table[name], "dims") else np.asarray(table[name])
-        if column.ndim == 1 or (column.ndim and hasattr(column, "dims")):
-            is_text = column.dtype.kind in "UT"
-            if column.dtype.kind == "O":  # also among missing values
-                is_text = any(isinstance(value, str) for value in np.ravel(column))
-            if is_text or name in keep or name.lower() in IDENTIFIERS:
+    for name, values in ((name, table[name]) for name in table if name not in system.parameters):
+        column = values if isinstance(values, xr.DataArray) else np.asarray(values)
+        is_text = column.dtype.kind in "UT"
+        if column.dtype.kind == "O":  # also among missing values
+            is_text = any(isinstance(value, str) for value in np.ravel(column))
+        if is_text or name in keep or name.lower() in IDENTIFIERS:
+            if isinstance(column, xr.DataArray) and column.ndim:
                 kept[name] = column
+            elif column.ndim == 1:
+                kept[name] = xr.DataArray(column, dims="point")
     return kept
 
 
@@ -144,10 +145,7 @@ def parameter_arrays(
     """
     import xarray as xr
 
-    kept = {
-        name: column if isinstance(column, xr.DataArray) else xr.DataArray(column, dims="point")
-        for name, column in kept_columns(system, columns, keep).items()
-    }
+    kept = kept_columns(system, columns, keep)
     names, arrays = tuple(name for name in columns if name not in kept), []
     for name in names:
         if name not in system.parameters:
@@ -175,31 +173,25 @@ def _numbers(name: str, values: Any) -> xr.DataArray:
 
     try:
         array = values if hasattr(values, "__dask_graph__") else np.asarray(values)
-        if not isinstance(array, xr.DataArray):
-            if array.ndim > 1:
-                dimensions = f"{array.ndim} dimensions; give a DataArray, whose dimensions have names"
-                raise BadInput(f"{name}: an array of {dimensions} (its shape: {array.shape})")
-            array = xr.DataArray(array, dims=["point"][: array.ndim])
         kind = array.dtype.kind
-        if kind not in "iufO" or (
-            kind == "O" and any(isinstance(v, str | bool) for v in array.values.ravel())
-        ):
+        if kind not in "iufO" or (kind == "O" and any(isinstance(v, str | bool) for v in np.ravel(array))):
             raise TypeError
-        return array.astype(np.float64)
-    except BadInput:
-        raise
+        array = array.astype(np.float64)
     except (TypeError, ValueError, OverflowError):  # also of rows of different lengths
         raise BadInput(f"{name} = {shown(values)}: must be a number or an array of numbers") from None
+    if isinstance(array, xr.DataArray):
+        return array
+    if array.ndim > 1:
+        dimensions = f"{array.ndim} dimensions; give a DataArray, whose dimensions have names"
+        raise BadInput(f"{name}: an array of {dimensions} (its shape: {array.shape})")
+    return xr.DataArray(array, dims=["point"][: array.ndim])
 
 
 def point_columns(system: System, points: Any) -> tuple[dict[str, Array], int]:
     """Checked columns of every parameter, nan for an absent optional start, and the number of points."""
-    import xarray as xr
-
     source = table(points, system.parameters)
     names, arrays, _ = parameter_arrays(system, source)
-    full = zip(arrays, xr.broadcast(*arrays), strict=True)
-    values = [(broadcast if array.ndim else array).values for array, broadcast in full]
+    values = [array.values for array in arrays]
     shape = np.broadcast_shapes(*(each.shape for each in values))
     return flat_columns(system, names, values, shape, source), math.prod(shape)
 

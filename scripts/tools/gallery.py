@@ -3,8 +3,9 @@
     python scripts/tools/gallery.py [--out FOLDER] [--only NAME ...] [--force] [--docs [DOCS]] [--count N]
 
 Atlases, and figures as PNG and PDF, are written to FOLDER, by default out/gallery of the repository. An atlas there is
-used again if it comes from the same scene; --force computes all anew. --docs writes docs/gallery/*.png,
-docs/gallery.md and the paper's figures in docs/fixed_point.md. All scenes take about five minutes on two cores.
+used again if it comes from the same scene; --force computes all anew. --docs writes docs/gallery/*.png, the pages of some of
+the atlases beside them, docs/gallery.md and the paper's figures in docs/fixed_point.md. All scenes take about five
+minutes on two cores.
 """
 
 from __future__ import annotations
@@ -15,6 +16,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import xarray as xr
+from make_docs import with_formulas
 from matplotlib import rc_context
 from matplotlib.figure import Figure
 
@@ -22,6 +24,7 @@ import atlas
 from atlas.cli.scenes import figure_options
 from atlas.flags import Agreement
 from atlas.label import theory
+from atlas.page.page import atlas_page
 from atlas.plotting import amer2013, maps, style
 from atlas.scene.read import scene_from
 
@@ -29,6 +32,15 @@ ROOT = Path(__file__).resolve().parents[2]
 DOCS = ROOT / "docs"
 PAPER_FIGURES = (1, 4, 11)  # those shown in docs/fixed_point.md
 DPI = 300  # of the pictures in docs
+# Scenes whose pages are in the repository, with at most so many points each; scripts/docs.sh makes the others.
+PAGES = (
+    "stability_cylindrical",
+    "gravity_gradient",
+    "sleeping_top_spin",
+    "conical_precession_spin",
+    "chaos_tumbling",
+)
+PAGE_POINTS = 1600
 
 
 @dataclass(frozen=True)
@@ -107,7 +119,7 @@ PICTURES = (
     ),
     Picture(
         "equilibrium_count",
-        "How many orientations of an asymmetric body (A : B : C = 1 : 1.3 : 1.7, k3 = 0.1) can rest in the orbital frame,"
+        "How many orientations of an asymmetric body ($A : B : C = 1 : 1.3 : 1.7$, k3 = 0.1) can rest in the orbital frame,"
         " over the other two components of its rotor: from 24, the number without a rotor, to 8. Near k1 = 1.1,"
         " k2 < 0.05 a small region has 16, between two curves on each of which two pairs of equilibria appear. On every line"
         " equilibria appear or vanish.",
@@ -174,7 +186,7 @@ PICTURES = (
     ),
     Picture(
         "chaos_tumbling",
-        "An asymmetric body (A : B : C = 1 : 1.3 : 1.6) without rotor and magnet, turned by psi0 about the orbit normal and"
+        "An asymmetric body ($A : B : C = 1 : 1.3 : 1.6$) without rotor and magnet, turned by psi0 about the orbit normal and"
         " tilted by 0.1 from it, rotating at m relative to the orbit. Small librations and fast rotations are regular."
         + CHAOS,
     ),
@@ -228,7 +240,7 @@ def section(picture: Picture, ds: xr.Dataset) -> list[str]:
     """The lines of the page about one scene."""
     return [
         f"## {ds.attrs['title']}", "", f"![{picture.scene}](gallery/{picture.scene}.png)", "",
-        picture.caption, "",
+        with_formulas(picture.caption), "",
         f"`configs/{picture.scene}.toml`: {ds['label'].size} points, {agreement_with_theory(ds)}.", "",
         *commands(picture), "", f'<a href="{picture.scene}_page.html">The same as a page to point at</a>', "",
     ]  # fmt: skip
@@ -264,6 +276,9 @@ def draw(picture: Picture, out: Path, force: bool, docs: Path | None, count: int
             style.save(figure, file.with_suffix(suffix))
         if docs:
             write_picture(figure, docs / "gallery" / f"{picture.scene}.png")
+            if picture.scene in PAGES:
+                page = atlas_page(ds, max_points=PAGE_POINTS)
+                page.save(docs / "gallery" / f"{picture.scene}_page.html", force=True)
         return section(picture, ds)
 
 
@@ -288,7 +303,8 @@ def main() -> None:
         ' PDF, and the atlas behind it, to `out/gallery/`. "Changed" starts are those of the scene\'s `[nudge]`.',
         "",
         "On the site of these pages a link below each figure leads to its [page to point at](page.md), with the motion of every"
-        " point; `sh scripts/docs.sh` makes those of the atlases in `out/gallery/`.",
+        f" point. Five of them are in the repository, with at most {PAGE_POINTS} points each; `sh scripts/docs.sh` makes those of"
+        " the atlases in `out/gallery/`.",
         "",
     ]
     chosen = [picture for picture in PICTURES if picture.scene in options.only]

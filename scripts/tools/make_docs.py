@@ -105,13 +105,120 @@ def in_latex(text: str) -> str:
     return re.sub(r" (?=[,:;)])|(?<=\() ", "", " ".join(runs))
 
 
+PROTECTED = re.compile(
+    r"`[^`]*`\w*|\$[^$]*\$|\[[^\]]*\]\([^)]*\)|</?[a-z!][^>]*>|https?://\S+|\*\*[^*]*\*\*|\d+(?:\.\d+)?e[+-]?\d+|\b[\w.]+/[\w./]*\.\w+"
+)
+OPERATORS = {*SIGNS, *"=<>+-/|()[]", "!="} - {"x", "*", ".", "..", "...", "{", "}"}
+
+
+def with_formulas(text: str) -> str:
+    """Prose with the formulas between its words, such as "stable for C > A", as LaTeX between dollars.
+
+    Code, links and formulas in LaTeX stay. A letter after a number, "2 s", is a unit, and one before a point an initial.
+    """
+    if text.startswith("|") and text.endswith("|"):  # a row of a table
+        return "|".join(map(with_formulas, re.split(r"(?<!\\)\|", text[1:]))).join(["|", ""])
+    parts, start = [], 0
+    for match in PROTECTED.finditer(text):
+        parts += [_set(text[start : match.start()]), match[0]]
+        start = match.end()
+    return "".join([*parts, _set(text[start:])])
+
+
+def _set(text: str) -> str:
+    """The same of text without what stays."""
+    tokens = [(m[0], m.start(), m.end()) for m in TOKEN.finditer(text)]
+    runs: list[list[tuple[str, int, int]]] = [[]]
+    for token in tokens:
+        adjoins = runs[-1] and not text[runs[-1][-1][2] : token[1]].strip(" ")
+        if not _is_formula(token[0]) or not adjoins:
+            runs.append([])
+        if _is_formula(token[0]):
+            runs[-1].append(token)
+    for run in reversed(runs):
+        _trim(run, text)
+        words = [token for token, _, _ in run]
+        names = [word for word in words if NAME.fullmatch(word) and word not in FUNCTIONS]
+        core = [word for word in words if word not in ("(", ")")]
+        powers = [word for word in words if word.startswith("^")]
+        if (
+            not (names or powers)
+            or "^" in powers
+            or "x)" in "".join(words)
+            or _depth(run)
+            or words.count("|") % 2
+        ):
+            continue
+        first, last = run[0][1], run[-1][2]
+        before, after = text[:first].rstrip(" ("), text[last:]
+        is_single = len(core) == 1 and len(core[0]) == 1
+        is_unit = (before[-1:].isdigit() and is_single) or (len(core) == 2 and core[0][0].isdigit())
+        is_initial = is_single and core[0].isupper() and after.startswith(".")
+        if is_unit or is_initial or re.search(r"[\w\-'_]", text[max(first - 1, 0) : first] + after[:1]):
+            continue
+        text = text[:first] + in_latex(text[first:last]) + after
+    return text
+
+
+def _trim(run: list[tuple[str, int, int]], text: str) -> None:
+    """Remove what belongs to the prose from both ends of a run: articles, list marks, brackets and functions without argument."""
+    while run:
+        (first, start, end), last = run[0], run[-1][0]
+        follows = run[1][0] if len(run) > 1 else ""
+        starts_sentence = not text[:start].strip(" -*(") or text[:start].rstrip(" *(")[-1] in ".:?"
+        is_article = (first == "a" and re.match(r"\s*[A-Za-z*]|\s*$", text[end:])) or (
+            first == "A"
+            and starts_sentence
+            and follows not in OPERATORS
+            and text[end : end + 1] not in (",", ")")
+        )
+        if (
+            is_article
+            or first == "x"
+            or first[0] in "=/)]<>^!"
+            or (first[0] in "+-" and text[end : end + 1] == " ")
+            or (first[0].isdigit() and follows == "(" and text[end : end + 1] == " ")
+            or (first in ("(", "[") and _depth(run) > 0)
+        ):
+            run.pop(0)
+        elif (
+            last in (*"+-=/<>([x", *FUNCTIONS)
+            or (last in (")", "]") and _depth(run) < 0)
+            or (last == "a" and len(run) > 1 and run[-2][0] not in OPERATORS and follows)
+        ):
+            run.pop()
+        else:
+            return
+
+
+def _is_formula(token: str) -> bool:
+    """Whether a token may be part of a formula in prose."""
+    name = NAME.fullmatch(token)
+    if name is not None:
+        return name[1] in (*NAMES, *FUNCTIONS) or len(name[1]) == 1
+    return token in OPERATORS or token[0] in "^√" or token[0].isdigit()
+
+
+def _depth(run: list[tuple[str, int, int]]) -> int:
+    """Brackets that are open at the end of a run."""
+    words = [token for token, _, _ in run]
+    return sum(words.count(sign) for sign in "([") - sum(words.count(sign) for sign in ")]")
+
+
+def unit(text: str) -> str:
+    """A unit such as "rad s-1" with raised exponents, in one line."""
+    raised = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
+    text = re.sub(r"(?<=[a-z])-?\d+", lambda match: match[0].translate(raised), text)
+    return text.replace(" ", "\N{NO-BREAK SPACE}")
+
+
 def parameters(system: System) -> str:
     """Table of the parameters of a system."""
     rows = [("parameter", "unit", "default", "allowed", "meaning")]
     for p in system.parameters.values():
         low = "" if np.isinf(p.low) else f"{'>' if p.open_low else '>='} {p.low:g}"
         default = "" if np.isnan(p.default) else f"{p.default:g}"
-        rows.append((f"`{p.name}`", p.unit, default, low, p.meaning))
+        rows.append((f"`{p.name}`", unit(p.unit), default, low, with_formulas(p.meaning)))
     return table(rows)
 
 
@@ -119,10 +226,12 @@ def dataset(system: System) -> str:
     """List of the variables of an atlas: their remarks are too long for the cells of a table."""
     lines = []
     for v in variables(system).values():
-        values = f"flags {', '.join(v.flags)}" if v.flags else v.units
+        values = f"flags {', '.join(v.flags)}" if v.flags else unit(v.units)
         asked = "; on request" if v.optional else ""
         remark = f"  \n  *{v.comment[0].upper()}{v.comment[1:]}.*" if v.comment else ""
-        lines.append(f"- **`{v.name}`** ({v.dtype}, {values}{asked}): {v.long_name}{remark}")
+        lines.append(
+            f"- **`{v.name}`** ({v.dtype}, {values}{asked}): {with_formulas(v.long_name)}{with_formulas(remark)}"
+        )
     return "\n".join(lines)
 
 
@@ -133,9 +242,9 @@ def families(system: System) -> str:
         rows.append(
             (
                 f"`{f.name}`",
-                f.equations,
+                with_formulas(f.equations),
                 ", ".join(f.solve),
-                f.title,
+                with_formulas(f.title),
                 "; ".join(in_latex(c.text) for c in f.conditions),
             )
         )
@@ -151,19 +260,20 @@ def flags(flag: type[Flag]) -> str:
 
 def amplitudes(system: System) -> str:
     """Table of the amplitudes behind the figures of Amer et al. (2013)."""
-    return table(amplitude_table(claims.figure_table()))
+    return table([tuple(map(with_formulas, row)) for row in amplitude_table(claims.figure_table())])
 
 
 def periodic(system: System) -> str:
     """Table of the periodic solutions of Amer et al. (2013)."""
-    return table(periodic_solutions(claims.periodic_table()))
+    return table([tuple(map(with_formulas, row)) for row in periodic_solutions(claims.periodic_table())])
 
 
 def claim_table(system: System) -> str:
     """Table of the claims of Amer et al. (2013)."""
     rows = [("claim", "verdict", "measured")]
     for claim in claims.claims(claims.figure_table()):
-        rows.append((claim.text, claim.verdict if claim.holds else f"**{claim.verdict}**", claim.measured))
+        verdict = claim.verdict if claim.holds else f"**{claim.verdict}**"
+        rows.append((with_formulas(claim.text), verdict, with_formulas(claim.measured)))
     return table(rows)
 
 
@@ -173,7 +283,8 @@ def published_equations(system: System) -> str:
     for row in catalogue.published(system):
         sizes = (_rounded(row["residual_printed"]), _rounded(row["residual_true"]))
         formulas = (in_latex(row[key]) for key in ("printed", "true"))
-        rows.append((row["equation"], row["verdict"], *formulas, *sizes, row["effect"] or row["measure"]))
+        effect = with_formulas(row["effect"] or row["measure"])
+        rows.append((row["equation"], row["verdict"], *formulas, *sizes, effect))
     return table(rows)
 
 

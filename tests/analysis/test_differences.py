@@ -42,7 +42,7 @@ def test_changes_of_labels_are_counted_and_located(pair):
     before, after = NAMES[first.label.values[i, j]], NAMES[second.label.values[i, j]]
     place = f"sigma = {float(first.sigma[i]):.9g}, theta0 = {float(first.theta0[j]):.9g}"
     assert f"  {place}: {before} to {after}" in text
-    table = re.search(rf"^ +{before}((?: +\d+)+)$", text, re.MULTILINE)[1].split()
+    table = re.search(rf"^ +{before} *((?: +\d+)+)$", text, re.MULTILINE)[1].split()
     both = [(first.label == NAMES.index(before)) & (second.label == NAMES.index(n)) for n in (before, after)]
     assert sorted(map(int, table)) == sorted(int(each.sum()) for each in both)
     assert f"  {place}" not in first.atlas.compare(second, worst=0)

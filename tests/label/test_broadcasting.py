@@ -165,3 +165,8 @@ def test_the_kernel_depends_on_the_names_of_the_parameters_given():
     assert "damping_A" not in terms("C", "damping").zero
     assert ("B", "A") in terms("C", "m").equal
     assert not terms("A", "B", "C").equal
+
+
+def test_a_mistyped_option_is_answered_with_the_option_meant():
+    with pytest.raises(BadInput, match=r"tolerence: .*did you mean 'tolerance'\? allowed: duration, step"):
+        atlas.label_points("satellite", {"C": 1.2}, tolerence=1e-5)

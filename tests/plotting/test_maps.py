@@ -309,7 +309,7 @@ def test_one_axis_gives_a_curve(small):
     assert [t.get_text() for t in ax.get_yticklabels()] == [
         Label(v).name.lower().replace("_", " ") for v in values
     ]
-    np.testing.assert_array_equal(values[ax.lines[0].get_ydata().astype(int)], label)
+    np.testing.assert_array_equal(values[ax.lines[0].get_ydata()], label)
     assert legend(levels) == ["stability limit (theory)"]
     line = maps.atlas_map(small, "theta_dot_rms", select={"theta0": 0.8})
     curve = line.axes[0].lines[0]
@@ -615,30 +615,35 @@ def test_what_cannot_be_seen_has_no_entry():
     corner = np.array([[299.4, 299.5], [299.5, 299.4]])
     inside = np.array([[100.0, 100.0], [110.0, 100.0]])
     panel = content.Panel(array, {}, slow, {"a": [corner], "b": [corner, inside], "c": [inside + 300]}, {})
-    frame = content.Frame([np.linspace(-0.5, 299.5, 301)] * 2, [False, False])
-    seen = content.visible(panel, frame)
+    edges = [np.linspace(-0.5, 299.5, 301)] * 2
+    seen = content.visible(panel, edges)
     assert list(seen.borders) == ["b"]
     assert not seen.slow.any()
     slow[:, 7:10] = True
-    assert content.visible(panel, frame).slow.sum() == 900
-    one = content.Frame([np.geomspace(1, 100, 9)], [True])
+    assert content.visible(panel, edges).slow.sum() == 900
+    one = [np.geomspace(1, 100, 9)]
     lines = {"in": [np.array([[10.0]])], "out": [np.array([[0.9]])]}
     assert list(content.visible(content.Panel(array[0], {}, slow[:, 0], lines), one).borders) == ["in"]
 
 
-def test_crowded_lines_are_thin():
+def test_crowded_lines_are_thin_and_shaded_where_they_would_touch():
     ax = Figure(figsize=(3, 3)).subplots()
-    frame = content.Frame([np.array([0.0, 1.0])] * 2, [False, False])
+    ax.set(xlim=(0, 1), ylim=(0, 1))
     x = np.linspace(0, 1, 500)
-    cusp = [np.stack([x, 0.5 + s * 0.005 * x], -1) for s in (1, -1)]  # two branches side by side
-    assert not any(crowded for _, crowded in cells._crowded_parts(ax, cusp, frame))
-    third = np.stack([x, 0.5 + 0.0 * x], -1)[250:]
-    parts = cells._crowded_parts(ax, [*cusp, third], frame)
-    for part, crowded in parts:
-        middle = part[len(part) // 2, 0]
-        assert crowded == (middle > 0.5)
+    cusp = [np.stack([x, 0.5 + s * 0.05 * x], -1) for s in (1, -1)]  # 17 points apart at their ends
+    upper, lower = cells._draw_crowded(ax, cusp, cells.border_style(boundary.STABILITY))
+    for line in (upper, lower):
+        thick = line[~np.isnan(line[:, 0])]
+        assert 0.2 < thick[:, 0].min() < 0.6
+        assert thick[-1, 0] > 0.99
+    shade = [line for line in ax.lines if line.get_linewidth() == cells.SHADE["linewidth"]]
+    thin = [line for line in ax.lines if line.get_linewidth() == cells.THIN["linewidth"]]
+    assert 0.03 < np.nanmax(shade[0].get_xdata()) < 0.2
+    assert np.nanmax(thin[0].get_xdata()) > 0.99
     dot = 0.2 + 0.002 * np.stack([np.cos(6.3 * x), np.sin(6.3 * x)], -1)
-    assert cells._crowded_parts(ax, [dot], frame)[0][1]
+    assert np.isnan(cells._draw_crowded(ax, [dot], cells.border_style(boundary.STABILITY))[0]).all()
+    single = [np.stack([x, x**2], -1)]
+    assert not np.isnan(cells._draw_crowded(ax, single, cells.border_style(boundary.STABILITY))[0]).any()
 
 
 def test_integers_have_a_colour_each(small):
@@ -739,6 +744,15 @@ def test_names_of_axes_are_mathematics(words, printed):
 # Borders of theory.
 
 QUICKSTART = Path(__file__).parents[2] / "configs" / "quickstart.toml"
+
+
+@pytest.mark.parametrize(
+    ("name", "label"),
+    [("theta_drift", r"drift of $\theta$"), ("theta_other", "theta other"), ("x_drift", "x drift")],
+)
+def test_statistics_of_observables_have_labels(name, label):
+    """Also of observables with the name of an angle."""
+    assert style.variable_label(xr.DataArray(0.0, name=name)) == label
 
 
 def test_borders_of_the_quickstart_are_those_of_the_formulas():

@@ -66,6 +66,13 @@ def test_the_share_of_points_that_are_not_resolved_is_printed(monkeypatch):
     assert "25 % of the points have steps too long" in dry_run(scene, threads=1)
 
 
+def test_numba_num_threads_limits_the_threads(monkeypatch):
+    monkeypatch.setattr(blocks.os, "sched_getaffinity", lambda pid: range(8), raising=False)
+    for text, threads in {"3": 3, "20": 8, "0": 1, "": 8, "all": 8}.items():
+        monkeypatch.setenv("NUMBA_NUM_THREADS", text)
+        assert blocks.available_threads() == threads
+
+
 def test_the_few_points_that_take_most_steps_are_named():
     axes = {"theta0": {"from": 0.1, "to": 1.5, "count": 4}, "m": {"values": [*range(1, 100), 20_000]}}
     table = {"schema": 1, "title": "spins", "system": "satellite", "fixed": {"C": 1.2}, "axes": axes}

@@ -55,24 +55,8 @@ def names(spin: FastSpin) -> Values:
     y1, y2, y3 = spin.y
     X, momentum = 1 / spin.Omega, spin.A * spin.r0
     fields = (
-        "A",
-        "C",
-        "A1",
-        "a",
-        "k",
-        "z",
-        "r0",
-        "eps",
-        "l1",
-        "l2",
-        "l3",
-        "Omega",
-        "M3",
-        "G0",
-        "chi1",
-        "nu",
-        "gamma0",
-    )
+        "A", "C", "A1", "a", "k", "z", "r0", "eps", "l1", "l2", "l3", "Omega", "M3", "G0", "chi1", "nu", "gamma0",
+    )  # fmt: skip
     return {name: getattr(spin, name) for name in fields} | {
         "y1": y1, "y2": y2, "y3": y3, "mu1": spin.mu.real, "mu2": spin.mu.imag, "s1": spin.l1 / momentum,
         "s2": spin.l2 / momentum, "s3": spin.l3 / momentum, "X": X, "chi2": spin.chi1 + spin.G0, "nu2": spin.nu - X,

@@ -149,11 +149,8 @@ def periodic_table(rotors: tuple[float, ...] = PAPER_ROTORS) -> list[PeriodicRow
                 for group in ([y[0] for y in starts], periods, traces)
             )
             stability = list(PeriodicSolution.meanings())[exact.stability[i]]
-            rows.append(
-                PeriodicRow(
-                    body, rotor, p1, period, trace, np.array(defects), stability, bool(squared[i] > 0)
-                )
-            )
+            ellipse = bool(squared[i] > 0)
+            rows.append(PeriodicRow(body, rotor, p1, period, trace, np.array(defects), stability, ellipse))
     return rows
 
 

@@ -101,15 +101,10 @@ def curves(figure: PaperFigure, tau: Array) -> dict[str, Array]:
     near, far = (printed(times + k * h) - printed(times - k * h) for k in (1, 2))
     (p2, gamma2), (p2_dot, gamma2_dot) = printed(times), (8 * near - far) / (12 * h)  # of order four
     slow = np.sqrt(published.frequency_squared(spin))
+    ellipse = p0 * np.cos(slow * times), -slow * p0 * np.sin(slow * times)
+    circle = spin.M3 * np.cos(times), -spin.M3 * np.sin(times)
     return {
-        "(20), printed": np.array(
-            np.broadcast_arrays(
-                p0 * np.cos(slow * times),
-                -slow * p0 * np.sin(slow * times),
-                spin.M3 * np.cos(times),
-                -spin.M3 * np.sin(times),
-            )
-        ),
+        "(20), printed": np.array(np.broadcast_arrays(*ellipse, *circle)),
         "(33), printed": np.array([p2, p2_dot, gamma2, gamma2_dot]),
         "general": fast_spin.to_quasilinear(spin, fast_spin.general(spin, y0, times)),
         "(33), true": fast_spin.to_quasilinear(spin, fast_spin.first_order(spin, times)),

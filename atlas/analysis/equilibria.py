@@ -173,12 +173,10 @@ def _dataset(
     description: System, title: str, ds: xr.Dataset, arrays: Mapping[str, xr.DataArray]
 ) -> xr.Dataset:
     """Dataset of equilibria with CF attributes, and with the parameters of the bodies as coordinates."""
-    for name in ds.data_vars:
-        units, long_name = _UNITS.get(str(name), ("1", str(name)))
-        comment = _NOT_COUNTED if str(name).endswith("_count") else ""
-        ds[name].attrs = Variable(
-            str(name), "int8", units, long_name, _FLAGS.get(str(name)), comment
-        ).attributes()
+    for name in map(str, ds.data_vars):
+        units, long_name = _UNITS.get(name, ("1", name))
+        comment = _NOT_COUNTED if name.endswith("_count") else ""
+        ds[name].attrs = Variable(name, "int8", units, long_name, _FLAGS.get(name), comment).attributes()
     starts = {name for name, parameter in description.parameters.items() if parameter.start}
     varying = {name for name, array in arrays.items() if array.ndim}
     ds = netcdf.with_parameters(ds, description, arrays, leave_out=starts - varying)

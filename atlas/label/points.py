@@ -168,10 +168,7 @@ def _labels(
     warnings: list[str] | None,
     *arrays: Array,
 ) -> tuple[np.ndarray, ...] | np.ndarray:
-    """The outputs from arrays of the named parameters and, without a duration, of durations, maybe in another process.
-
-    source: see `flat_columns`; warnings gets those about the points, which are refused if none is computed (None: neither).
-    """
+    """The outputs from parameters and, without a duration, durations; `warnings` gets those about the points, unless it is None."""
     system, shape = systems.get(system_name), np.broadcast_shapes(*(array.shape for array in arrays))
     points = flat_columns(system, names, arrays[:-1], shape, source)
     durations = np.broadcast_to(arrays[-1], shape).ravel()

@@ -119,7 +119,10 @@ class Content:
             "symbol": symbol_runs,
             "text": attribute_text(attributes, "long_name", dim),
             "unit": runs(unit_text(attribute_text(attributes, "units"))),
-            "values": np.asarray(self.ds[dim].values, np.float64).tolist(),
+            # JSON has no nan.
+            "values": [
+                x if math.isfinite(x) else None for x in self.ds[dim].values.astype(np.float64).tolist()
+            ],
             "log": is_logarithmic(self.scene, dim, self.ds[dim].values),
         }
 
@@ -133,11 +136,7 @@ class Content:
             and printable(name, MAX_TEXT) == name
             and np.unique(values[np.isfinite(values)]).size > 1
         ]
-        finite = {  # JSON has no nan
-            name: [float(value) if math.isfinite(value) else None for value in columns[name]]
-            for name in names
-        }
-        return [self.axis(name) | {"values": finite[name]} for name in names]
+        return [self.axis(name) for name in names]
 
     def variables(self) -> list[dict[str, Any]]:
         """Variables of the atlas over its points, in the order of the file."""
@@ -179,8 +178,7 @@ class Content:
         if flags:
             return description | self.flag_values(name, flags, values)
         scale = color_scale(array, MapOptions())
-        description |= {"values": self.store.add(float_array(values)), "scale": self.scale(scale)}
-        return description
+        return description | {"values": self.store.add(float_array(values)), "scale": self.scale(scale)}
 
     def flag_values(self, name: str, flags: list[str], values: np.ndarray) -> dict[str, Any]:
         """Values, colours and sentences of the flags of a variable."""

@@ -74,20 +74,14 @@ class Page:
 
 
 def atlas_page(ds: xr.Dataset, *, file: str = "", max_points: int = MAX_POINTS) -> Page:
-    """Make the page of an atlas: its maps, and the motion of every point, integrated in the page.
-
-    `file` is the name of the atlas in the commands of the page. Of larger atlases than max_points or
-    `content.MAX_BYTES` every k-th value along the longest axes is shown. Raises BadInput for a dataset that is
-    no atlas, or has no axes. Variables have seven digits in the page (float32); starts, constants, steps and
-    coordinates have all, so that a trajectory equals `ds.atlas.trajectory` but for rounding: the compiled
-    kernel fuses products and sums, a browser does not.
-    """
+    """Make the page of an atlas, whose name in the commands of the page is `file`; see `Atlas.page`."""
     system, scene = system_of(ds), scene_of(ds)
     file = file or Path(str(ds.encoding.get("source", "atlas.nc"))).name
     method = attribute_text(ds.attrs, "atlas_method") if scene is None else scene.settings.method
     checks.choice("damaged: the attribute atlas_method", method, METHODS)
     script, fault = "", {}
     try:
+        # Its trajectories are those of the atlas but for rounding: kernels fuse products and sums, browsers do not.
         texts = sources(system, method)
         script = f"{translate(texts)}\nreturn {{{', '.join(texts)}}};"
     except CannotTranslate as error:

@@ -79,13 +79,7 @@ def rk4(rate: Callable[[Array], Array], y0: Array, tau: Array) -> Array:
 
 
 def curves(figure: PaperFigure, tau: Array) -> dict[str, Array]:
-    """Solutions (p2, p2', gamma2, gamma2') by source, (4, times, rotors).
-
-    All but "(33), true" and "periodic" start at (18): p2 = C A1 y1 / A, p2' = gamma2' = 0. Sources of an analytical
-    figure are (20) and (33) as printed, the two-frequency solution from (18), and (33) corrected; of a numerical
-    one, by RK4, (15) as printed and (15) corrected. Both have the full equations (1) from (18) and from the start of
-    their exact periodic solution, by RK4.
-    """
+    """Solutions (p2, p2', gamma2, gamma2') by source, (4, times, rotors); "(33), true" and "periodic" do not start at (18)."""
     spin = fast_spin.paper_body(figure.body, np.array(figure.rotors))
     y0 = fast_spin.paper_start(spin)
     x0 = fast_spin.to_quasilinear(spin, y0)
@@ -107,15 +101,10 @@ def curves(figure: PaperFigure, tau: Array) -> dict[str, Array]:
     near, far = (printed(times + k * h) - printed(times - k * h) for k in (1, 2))
     (p2, gamma2), (p2_dot, gamma2_dot) = printed(times), (8 * near - far) / (12 * h)  # of order four
     slow = np.sqrt(published.frequency_squared(spin))
+    ellipse = p0 * np.cos(slow * times), -slow * p0 * np.sin(slow * times)
+    circle = spin.M3 * np.cos(times), -spin.M3 * np.sin(times)
     return {
-        "(20), printed": np.array(
-            np.broadcast_arrays(
-                p0 * np.cos(slow * times),
-                -slow * p0 * np.sin(slow * times),
-                spin.M3 * np.cos(times),
-                -spin.M3 * np.sin(times),
-            )
-        ),
+        "(20), printed": np.array(np.broadcast_arrays(*ellipse, *circle)),
         "(33), printed": np.array([p2, p2_dot, gamma2, gamma2_dot]),
         "general": fast_spin.to_quasilinear(spin, fast_spin.general(spin, y0, times)),
         "(33), true": fast_spin.to_quasilinear(spin, fast_spin.first_order(spin, times)),
@@ -254,12 +243,8 @@ def _draw_sources(
             group = [k for k in range(y.shape[1]) if np.abs(y[:, k] - y[:, i]).max() < resolution] or [i]
             coincide |= len(group) > 1
             shown = slice(0, 1 if point else None)
-            ax.plot(
-                x[shown, i],
-                y[shown, i],
-                zorder=level,
-                **_line(LINES[i], group.index(i), len(group), style) | marker,
-            )
+            line = _line(LINES[i], group.index(i), len(group), style) | marker
+            ax.plot(x[shown, i], y[shown, i], zorder=level, **line)
         handles.append(Line2D([], [], **_line("0.2", 0, 1, style) | marker))
     return handles, coincide
 
@@ -317,14 +302,6 @@ def periodic_solutions(rows: Sequence[PeriodicRow]) -> list[tuple[str, ...]]:
     for r in rows:
         periods = ("< 1e-10" if abs(value) < 1e-10 else f"{value:.6g}" for value in r.period)
         stable = "yes" if r.stable_printed else "no", r.stability
-        table.append(
-            (
-                r.body,
-                f"{r.rotor:g}",
-                *(_six(p1) if abs(p1) > 1e-3 else f"{p1:.2g}" for p1 in r.p1),
-                *periods,
-                *map(_six, r.trace),
-                *stable,
-            )
-        )
+        starts = (_six(p1) if abs(p1) > 1e-3 else f"{p1:.2g}" for p1 in r.p1)
+        table.append((r.body, f"{r.rotor:g}", *starts, *periods, *map(_six, r.trace), *stable))
     return table

@@ -300,10 +300,7 @@ def _draw_crowded(ax: Axes, lines: list[np.ndarray], style: dict[str, Any]) -> l
 def _draw_lines(
     ax: Axes, lines: list[np.ndarray], line: dict[str, Any], *, zorder: float = 2.1, halo: bool = True
 ) -> None:
-    """Draw lines over dark and bright colours alike, with a white halo below all of them.
-
-    The halo also fills the gaps of dashed lines.
-    """
+    """Draw lines over dark and bright colours alike, with a white halo below all of them, also in the gaps of dashes."""
     white = {"color": "white", "linestyle": "-", "linewidth": line["linewidth"] + 2 * HALO}
     styles = [(2.0, line | white), (zorder, line)] if halo else [(zorder, line)]
     for vertices in lines:

@@ -111,10 +111,7 @@ def read(
 def kept_columns(
     system: System, table: Mapping[str, Any], keep: Collection[str] = ()
 ) -> dict[str, xr.DataArray]:
-    """Columns that name the points: texts, IDENTIFIERS and `keep` (BadInput for parameters and unknowns).
-
-    Other columns of numbers are not kept, since such a name may be a mistyped parameter.
-    """
+    """Columns that name the points: texts, IDENTIFIERS and `keep`; other names may be those of parameters, mistyped."""
     import xarray as xr
 
     for name in keep:
@@ -139,10 +136,7 @@ def kept_columns(
 def parameter_arrays(
     system: System, columns: Mapping[str, Any], keep: Collection[str] = (), **more: Any
 ) -> tuple[tuple[str, ...], tuple[xr.DataArray, ...], dict[str, xr.DataArray]]:
-    """Names of the parameters in a table; their arrays of float64, aligned, and those of `more`; and the columns that are kept.
-
-    Without named dimensions they lie along "point". Of coordinates with names of parameters only indices stay.
-    """
+    """Names of the parameters in a table; their arrays of float64, aligned, and those of `more`; and the columns that are kept."""
     import xarray as xr
 
     kept = kept_columns(system, columns, keep)
@@ -199,10 +193,7 @@ def point_columns(system: System, points: Any) -> tuple[dict[str, Array], int]:
 def flat_columns(
     system: System, names: Sequence[str], values: Sequence[Array], shape: tuple[int, ...], source: Any
 ) -> dict[str, Array]:
-    """Checked columns of every parameter from arrays that NumPy broadcasts to a shape.
-
-    source: the table in which messages locate values; None: nowhere.
-    """
+    """Checked columns of every parameter from arrays that NumPy broadcasts to a shape; messages locate values in `source`."""
     columns, given = {}, dict(zip(names, values, strict=True))
     for name, parameter in system.parameters.items():
         column = given.get(name, np.asarray(parameter.default))
@@ -216,20 +207,15 @@ def flat_columns(
 def _check_column(parameter: Parameter, column: Array, source: Mapping[str, Any] | None) -> None:
     """Raise BadInput with the location of a value that is out of range, or not finite and not allowed to be missing."""
     name = parameter.name
-    if np.isnan(parameter.default):
-        missing = np.isnan(column)
-        if missing.all():
-            return
-    else:
-        missing = np.zeros(column.shape, bool)
+    missing = np.isnan(column) & np.isnan(parameter.default)
+    if missing.all():
+        return
     bad = np.flatnonzero(~(np.isfinite(column) | missing))
     if bad.size:
         location, value = _location(source, column, bad[0]), column.ravel()[bad[0]]
         if np.isnan(value) and isinstance(source, CsvColumns):
             raise BadInput(f"{location}{name} is empty or nan; must be a finite number")
         raise BadInput(f"{location}{name} = {value:g}: must be a finite number")
-    if not column.size:
-        return
     for i in (np.nanargmin(column), np.nanargmax(column)):
         value = float(column.ravel()[i])
         try:

@@ -125,14 +125,18 @@ def variables(x0: Array, x: Array) -> Values:
 # What the names of a row stand for, by its key `at`: (random generator, entry) -> values.
 
 
+def _state(y: Array, prefix: str = "") -> Values:
+    """The variables of (1), or their rates, by their names."""
+    return {prefix + name: value for name, value in zip(("p1", "q1", "r1", "g1", "g2", "g3"), y, strict=True)}
+
+
 def _states(rng: np.random.Generator, entry: Entry) -> Values:
     """Two random states of one motion, the second with its S1 and S2."""
     spin = random_spin(rng, r0=entry.get("r0", 1e4))
     y0, y = random_states(rng, spin)
     x0, x = (fast_spin.to_quasilinear(spin, state) for state in (y0, y))
     S1, S2 = S1_S2(spin, y0, y)
-    state = dict(zip(("p1", "q1", "r1", "g1", "g2", "g3"), y, strict=True))
-    return names(spin) | variables(x0, x) | state | {"S1": S1, "S2": S2}
+    return names(spin) | variables(x0, x) | _state(y) | {"S1": S1, "S2": S2}
 
 
 def _motion(rng: np.random.Generator, entry: Entry) -> Values:
@@ -141,16 +145,8 @@ def _motion(rng: np.random.Generator, entry: Entry) -> Values:
     p, q, g1, g2, S1, S2 = rng.normal(size=6)
     r = np.sqrt(1 + spin.eps**2 * S1)
     y = np.array([p, q, r, g1, g2, (1 + spin.eps * S2) / r])
-    of_y = [
-        (prefix, values)
-        for prefix, values in (("", y), ("d_", true_rate(spin, y)), ("dd_", true_acceleration(spin, y)))
-    ]
-    state = {
-        prefix + name: value
-        for prefix, values in of_y
-        for name, value in zip(("p1", "q1", "r1", "g1", "g2", "g3"), values, strict=True)
-    }
-    return names(spin) | state | {"S1": S1, "S2": S2}
+    rates = _state(true_rate(spin, y), "d_") | _state(true_acceleration(spin, y), "dd_")
+    return names(spin) | _state(y) | rates | {"S1": S1, "S2": S2}
 
 
 def _generating(rng: np.random.Generator, entry: Entry) -> Values:
@@ -191,9 +187,8 @@ def _periodic(body: str, rotor: float) -> Values:
     """The exact periodic solution of a body of section VI at tau = 0, and its variables p2 to gamma2'."""
     spin = paper_body(body, rotor).of_shape((1,))
     start = periodic.solutions(spin).start
-    state = dict(zip(("p1", "q1", "r1", "g1", "g2", "g3"), start, strict=True))
     x = dict(zip("pvgu", fast_spin.to_quasilinear(spin, start), strict=True))
-    return names(spin) | state | x | {"b1": 0.0, "b2": 0.0, "b3": 0.0}
+    return names(spin) | _state(start) | x | {"b1": 0.0, "b2": 0.0, "b3": 0.0}
 
 
 def _orbit(rng: np.random.Generator, entry: Entry) -> Values:

@@ -14,7 +14,7 @@ import numpy as np
 from scipy.special import ellipkm1, elliprf
 
 from ..systems.base import Array, Points, System
-from ..systems.gyrostat.plane import PlaneMotions
+from ..systems.gyrostat.plane import Mean, PlaneMotions
 from ..systems.satellite import SATELLITE
 
 # Samples, over one period, of the precession of a free body about its angular momentum.
@@ -46,30 +46,11 @@ class Motion(Protocol):
 
 
 def jacobi(argument: Array, complement: float) -> tuple[Array, Array, Array]:
-    """Jacobi's elliptic functions sn, cn and dn of the squared modulus m = 1 - complement, complement > 0.
-
-    R. Bulirsch, Numer. Math. 7 (1965) 78-90: descending Landen transformations.
-    """
+    """Jacobi's elliptic functions sn, cn and dn of the squared modulus m = 1 - complement, complement > 0."""
     if not 0 < complement <= 1:
         raise ValueError(f"complement = {complement!r}: must be above 0 and at most 1")
-    a, b, means = 1.0, float(np.sqrt(complement)), []
-    while True:
-        means.append((a, b))
-        half = 0.5 * (a + b)
-        if abs(a - b) <= 1e-8 * a:
-            break
-        a, b = half, np.sqrt(a * b)
-    sine, cosine = np.sin(half * argument), np.cos(half * argument)
-    zero = sine == 0.0
-    ratio, dn = cosine / np.where(zero, 1.0, sine), np.ones_like(sine)
-    c = half * ratio
-    for a, b in reversed(means):
-        ratio = ratio * c
-        c = c * dn
-        dn = (b + ratio) / (a + ratio)
-        ratio = c / a
-    sn = np.copysign(1.0 / np.hypot(c, 1.0), sine)
-    return np.where(zero, 0.0, sn), np.where(zero, cosine, c * sn), np.where(zero, 1.0, dn)
+    mean = Mean.of(np.asarray(1.0 - complement), np.asarray(complement))
+    return mean.functions(argument * mean.a[-1] / (2 * np.pi))
 
 
 def inverse_jacobi(sn: float, cn: float, complement: float) -> float:

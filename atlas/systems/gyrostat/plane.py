@@ -33,9 +33,7 @@ from .fundamental import GAUSS, LANES, between_nodes, of_steps
 
 _STEP, _SHORT_STEP = 1.2, 0.2  # over the norm of the system: errors of the sums of about 1e-7 and 1e-12
 _MIN_PAIRS, _MAX_PAIRS = 4, 512  # of steps, in a quarter of the period
-_MAX_ROUNDING = (
-    1e-7  # of 1 - k^2, relative: beyond it the period, which diverges on the separatrix, is not known
-)
+_MAX_ROUNDING = 1e-7  # of 1 - k^2, relative: beyond it the period, which diverges there, is not known
 _TOLERANCE = 1e-11  # relative error of what is 0 on a border of stability, with short steps
 _CHANGE = 0.05  # share of the change by halving the step that may be left after the extrapolation: 0.005 was measured
 # Of R H^-1 R beside the blocks of H transposed.
@@ -61,7 +59,7 @@ class Mean(NamedTuple):
 
     def functions(self, turns: Array) -> tuple[Array, Array, Array]:
         """sn, cn and dn at 4 K turns."""
-        sn, cn, dn = np.sin(2 * np.pi * turns), np.cos(2 * np.pi * turns), np.ones(1)
+        sn, cn, dn = np.sin(2 * np.pi * turns), np.cos(2 * np.pi * turns), np.ones_like(turns)
         for a, b, c in zip(self.a[:0:-1], self.b[-2::-1], self.c[:0:-1], strict=True):
             below = 1 / (a + c * sn * sn)
             # b + c cn^2 = a - c sn^2, with its digits where that is small
@@ -147,9 +145,8 @@ class PlaneMotions(NamedTuple):
         k, sign = np.sqrt(self.modulus), np.sign(np.where(self.rotates, self.frequency, self.cosine))
         sn = sign * self.sine / np.where(self.rotates, 1.0, k)
         cn = np.where(self.rotates, self.cosine, self.start_rate / (k * self.frequency))
-        turns = (
-            sn * elliprf(cn**2, self.complement + self.modulus * cn**2, 1.0) * self.mean.a[-1] / (2 * np.pi)
-        )
+        time = sn * elliprf(cn**2, self.complement + self.modulus * cn**2, 1.0)
+        turns = time * self.mean.a[-1] / (2 * np.pi)
         return np.where(cn < 0, np.copysign(0.5, sn) - turns, turns)
 
     def at(self, turns: Array) -> tuple[Array, Array, Array]:

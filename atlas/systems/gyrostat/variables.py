@@ -81,7 +81,8 @@ def plane_variables(system: Gyrostat) -> dict[str, DerivedVariable]:
     names = ("plane_period", "plane_trace", "plane_second")
 
     def together(_: Any, points: Points, __: Array, pause: Callable[[], None]) -> dict[str, NDArray[Any]]:
-        flags = system.identify_family(points)[0]
+        with np.errstate(all="ignore"):  # parameters may overflow
+            flags = system.identify_family(points)[0]
         columns, members = np.full((3, flags.size), np.nan), np.flatnonzero(unsteady(system, flags))
         for first in range(0, members.size, _CHUNK):
             pause()

@@ -113,3 +113,18 @@ def longer(tmp_path, longer_atlas, monkeypatch):
         run = RunFolder.prepare(ScenePlan.of(scene), tmp_path / "run", [])
     assert run.tiling.count == 18
     return tmp_path, run, whole
+
+
+@pytest.fixture
+def evaluated(monkeypatch):
+    """Numbers of points that are integrated, call by call."""
+    from atlas.runs import earlier
+
+    sizes, evaluate = [], earlier.evaluate
+
+    def counted(plan, points, **options):
+        sizes.append(int(points.exists.sum()))
+        return evaluate(plan, points, **options)
+
+    monkeypatch.setattr(earlier, "evaluate", counted)
+    return sizes

@@ -231,7 +231,7 @@ def test_a_signal_leaves_no_half_file_and_the_message_continues(
     folder, scene_text, number, code, monkeypatch
 ):
     monkeypatch.chdir(folder)
-    large = {"axes.sigma.count": 900, "axes.theta0.count": 700, "integration.tolerance": 1e-9}
+    large = {"axes.sigma.count": 900, "axes.theta0.count": 700, "integration.tolerance": 1e-7}
     (folder / "long.toml").write_text(scene_text(large))
     assert main(["run", "small.toml", "--quiet"]) == 0  # the kernel is warm now
     process = subprocess.Popen(
@@ -262,7 +262,7 @@ def test_names_with_points_stay_whole(folder, monkeypatch, suffix):
     monkeypatch.chdir(folder)
     (folder / "small.toml").rename(folder / "k3_0.5.toml")
     assert main(["run", "k3_0.5.toml", "-o", f"k3_0.5{suffix}", "--quiet"]) == 0
-    assert main(["map", f"k3_0.5{suffix}"]) == 0
+    assert main(["map", f"k3_0.5{suffix}", "--no-boundary"]) == 0
     assert main(["trajectory", "k3_0.5.toml", "--at", "sigma=0.5", "--at", "theta0=0.7"]) == 0
     assert {"k3_0.5.png", "k3_0.5.pdf", "k3_0.5_trajectory.png"} < {p.name for p in folder.iterdir()}
 
@@ -351,7 +351,7 @@ def test_an_unfinished_folder_is_announced(longer, monkeypatch, caplog, capsys):
     folder, run, _ = longer
     monkeypatch.chdir(folder)
     assert main(["run", "scene.toml", "-o", "run/", "--shard", "1/3", "--quiet"]) == 0
-    for command in (["map", "run"], ["compare", "run"]):
+    for command in (["map", "run", "--no-boundary"], ["compare", "run"]):
         caplog.clear()
         assert main(command) == 0
         assert "12 of 18 tiles are missing" in caplog.text

@@ -36,9 +36,8 @@ class Earlier:
     scene: Scene
     tiling: Tiling  # boxes in which it is read
     names: tuple[str, ...]  # variables to read
-    read: Callable[
-        [int], Mapping[str, np.ndarray]
-    ]  # values in a box; FileNotFoundError or DamagedTile without them
+    # Values in a box; FileNotFoundError or DamagedTile without them.
+    read: Callable[[int], Mapping[str, np.ndarray]]
     history: str  # what it is and where its own points come from
 
     @classmethod
@@ -64,8 +63,8 @@ class Earlier:
             programs = "" if same else "the programs or the processor, or another program wrote the file"
         if programs:
             raise BadInput(f"{path}: `atlas run` of now would not give its bits: different is {programs}")
-        there, here = (_facts(Plan.of(each)) for each in (old, scene))
-        if different := differences(there, here, f"in {path}", "in the scene"):
+        own_facts, facts = (_facts(Plan.of(each)) for each in (old, scene))
+        if different := differences(own_facts, facts, f"in {path}", "in the scene"):
             raise BadInput(
                 f"{path}: its points have other bits than those of the scene: it differs in {different}"
             )

@@ -198,7 +198,7 @@ PICTURES = (
     ),
     Picture(
         "plane_libration_rotor",
-        "An asymmetric body (A : B : C = 1 : 1.3 : 1.6) that librates in the plane of the orbit, with a rotor along the normal."
+        "An asymmetric body ($A : B : C = 1 : 1.3 : 1.6$) that librates in the plane of the orbit, with a rotor along the normal."
         " The rotor does not change the libration, but its stability: lines as above. Unstable strips that read as regular"
         " grow too slowly to be seen in 150 orbits." + CHAOS,
     ),

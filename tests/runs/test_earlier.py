@@ -28,19 +28,6 @@ def old(scene_text, tmp_path_factory):
     return path
 
 
-@pytest.fixture
-def evaluated(monkeypatch):
-    """Numbers of points that are integrated, call by call."""
-    sizes, evaluate = [], earlier.evaluate
-
-    def counted(plan, points, **options):
-        sizes.append(int(points.exists.sum()))
-        return evaluate(plan, points, **options)
-
-    monkeypatch.setattr(earlier, "evaluate", counted)
-    return sizes
-
-
 @pytest.mark.parametrize(
     ("changes", "shared"),
     [

@@ -39,19 +39,6 @@ def small_tiles(monkeypatch):
     monkeypatch.setattr("atlas.runs.levels.MIN_POINTS_PER_TILE", 16)
 
 
-@pytest.fixture
-def evaluated(monkeypatch):
-    """Numbers of points that are integrated, call by call."""
-    sizes, evaluate = [], earlier.evaluate
-
-    def counted(plan, points, **options):
-        sizes.append(int(points.exists.sum()))
-        return evaluate(plan, points, **options)
-
-    monkeypatch.setattr(earlier, "evaluate", counted)
-    return sizes
-
-
 def run(scene, out, **options):
     """The atlas of a run."""
     with atlas.run(scene, out, threads=1, progress=False, **options) as ds:

@@ -22,7 +22,8 @@ OPTIONS = (
     "--disable-dev-shm-usage", "--remote-debugging-pipe", "--window-size=1300,900", "--force-color-profile=srgb",
     "--disable-features=IsolateSandboxedIframes",
 )  # fmt: skip
-TIMEOUT = 60.0  # seconds for an answer
+# Seconds for an answer: a browser that is read from a slow disk takes more than a minute to begin.
+TIMEOUT = 180.0
 # Chromium reads commands from descriptor 3 and writes answers to descriptor 4.
 _LAUNCH = (
     "import os, sys; r, w = int(sys.argv[1]), int(sys.argv[2]); os.dup2(r, 3); os.dup2(w, 4);"

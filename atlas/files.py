@@ -185,9 +185,9 @@ def claim_path(path: Path) -> Path:
 
 def claim(path: Path) -> bool:
     """Whether this process may do what a file stands for: it creates the file, or takes over one that expired."""
-    if path.exists() and is_claimed(path):
-        return False
     if path.exists():
+        if is_claimed(path):
+            return False
         with atomic_write(path, durable=False) as temporary:
             temporary.write_text(process_name(), encoding="ascii")
         return True

@@ -289,12 +289,12 @@ def _draw_crowded(ax: Axes, lines: list[np.ndarray], style: dict[str, Any]) -> l
         masks = [np.pad(dense[pixel], run, mode="edge") for pixel in pixels]
         masks = [ndimage.binary_opening(ndimage.binary_closing(m, np.ones(run)), np.ones(run)) for m in masks]
         crowded.append([mask[run:-run, np.newaxis] for mask in masks])
-    apart = []
+    isolated = []
     for line, near, merged, length in zip(fine, *crowded, lengths, strict=True):
         _draw_lines(ax, [np.where(merged, line, np.nan)], SHADE, zorder=1.8, halo=False)
         _draw_lines(ax, [line], style | THIN, zorder=1.9, halo=False)
-        apart.append(np.where(near | (length < 2 * NEAR), np.nan, line))
-    return apart
+        isolated.append(np.where(near | (length < 2 * NEAR), np.nan, line))
+    return isolated
 
 
 def _draw_lines(

@@ -93,12 +93,12 @@ def _run_levels(
         kernel(system, name)  # loaded here, so that no two threads load it at once
     with np.errstate(all="ignore"):
         bound = system.frequency_bound(points)
+    grid = Grid(dict(points), dict(points), np.zeros(duration.size, np.int8), duration)
 
     def work(cell: tuple[int, int], settings: Settings, step: Array | None) -> None:
         """Run the points of a method and a level that take no more than MAX_STEPS, and have a step where one is given."""
         where = np.arange(duration.size) if step is None else np.flatnonzero(step > 0)
-        whole = Grid(dict(points), dict(points), np.zeros(duration.size, np.int8), duration, step)
-        tile = whole.subset(where)
+        tile = replace(grid, step=step).subset(where)
         with np.errstate(all="ignore"):
             radians = bound[where] * tile.duration
             unlimited = StepSizes.of(

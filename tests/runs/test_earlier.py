@@ -90,12 +90,12 @@ def test_atlases_are_joined_and_extended_again_with_the_provenance_of_all(
         ("63", "small"),
     ]
     ds.close()
-    again = atlas.run(both, reuse=tmp_path / "both.nc", progress=False)
+    extended = atlas.run(both, reuse=tmp_path / "both.nc", progress=False)
     assert re.match(
         r"77 points of: both;.* \(of these, 14 points of: right; .*63 points of: small; ",
-        again.attrs[HISTORY],
+        extended.attrs[HISTORY],
     )
-    assert_same_bytes(atlas.run(both, progress=False), again)
+    assert_same_bytes(atlas.run(both, progress=False), extended)
 
 
 def test_of_an_unfinished_folder_the_whole_tiles_are_taken(old, scene_text, tmp_path, monkeypatch, evaluated):
@@ -115,9 +115,9 @@ def test_of_an_unfinished_folder_the_whole_tiles_are_taken(old, scene_text, tmp_
     # Without the earlier atlas the run goes on as well: it is the run of its scene.
     run = RunFolder.open(tmp_path / "wider")
     run.tiles.path(0, ".json").unlink()
-    again = atlas.run(wider, f"{tmp_path}/wider/", progress=False)
-    assert again.attrs[HISTORY].startswith("42 points of: small")
-    assert_same_bytes(ds, again)
+    continued = atlas.run(wider, f"{tmp_path}/wider/", progress=False)
+    assert continued.attrs[HISTORY].startswith("42 points of: small")
+    assert_same_bytes(ds, continued)
 
 
 def test_of_a_refined_atlas_only_integrated_points_are_taken(scene_text, tmp_path, evaluated):
@@ -130,9 +130,9 @@ def test_of_a_refined_atlas_only_integrated_points_are_taken(scene_text, tmp_pat
     assert sum(evaluated) == int((ds.computed == 0).sum()) > 0
     assert_same_bytes(fresh, extended)
     evaluated.clear()
-    again = atlas.run(refined, reuse=tmp_path / "refined.nc", progress=False)
+    extended = atlas.run(refined, reuse=tmp_path / "refined.nc", progress=False)
     assert sum(evaluated) == 0
-    xr.testing.assert_equal(again, ds.load())
+    xr.testing.assert_equal(extended, ds.load())
 
 
 @pytest.mark.parametrize(

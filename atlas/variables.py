@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from functools import lru_cache
+from types import MappingProxyType
+
 from .errors import BadInput
 from .measure.chaos import Chaos
 from .measure.circle import CIRCLES
@@ -32,12 +36,18 @@ def main_instrument(system: System) -> MainInstrument:
 
 def data_variables(system: System) -> dict[str, Variable]:
     """Every data variable that a dataset of the system may have: no coordinate can have such a name."""
-    return variables(system) | {COMPUTED.name: COMPUTED}
+    return {**variables(system), COMPUTED.name: COMPUTED}
 
 
-def variables(system: System) -> dict[str, Variable]:
+def variables(system: System) -> Mapping[str, Variable]:
     """Variables that an atlas of the system can hold, in the order of the file; BadInput if names clash."""
-    listed = [variable for each in INSTRUMENTS for variable in each.variables(system)] + [
+    return _registry(system, tuple(INSTRUMENTS))
+
+
+@lru_cache(maxsize=64)  # a run asks for it some thirty times
+def _registry(system: System, instruments: tuple[Instrument, ...]) -> Mapping[str, Variable]:
+    """The variables of instruments and of theory."""
+    listed = [variable for each in instruments for variable in each.variables(system)] + [
         Variable(
             d.name, "int8" if d.flags else "float64", d.unit, d.long_name, dict(d.flags) if d.flags else None,
             comment=d.comment, optional=True,
@@ -51,7 +61,7 @@ def variables(system: System) -> dict[str, Variable]:
         raise BadInput(
             f"the system {system.name}: two variables of its atlases would be called {repeated}; rename an observable"
         )
-    every = {variable.name for each in INSTRUMENTS for variable in each.every_variable(system)}
+    every = {variable.name for each in instruments for variable in each.every_variable(system)}
     reserved = {*registry, *every, COMPUTED.name, POINT, "time"}
     for kind, names in (
         ("parameter", list(system.parameters)),
@@ -62,7 +72,7 @@ def variables(system: System) -> dict[str, Variable]:
                 raise BadInput(
                     f"the system {system.name}: its {kind} {name} has the name of a variable of the atlas; choose another name"
                 )
-    return registry
+    return MappingProxyType(registry)
 
 
 def default_variables(system: System) -> list[str]:

@@ -2,7 +2,7 @@
 # Set up and build the pages of docs/ as a site, out/site/index.html; any warning is an error.
 set -e
 cd "$(dirname "$0")/.."
-extras="[docs]"
+extras="docs"
 . scripts/setup.sh
 mkdir -p out/pages
 [ -f out/quickstart.nc ] || .venv/bin/atlas run configs/quickstart.toml -o out/quickstart.nc

@@ -1,7 +1,7 @@
 # Make the virtual environment .venv (if there is none) and install the package into it.
 # Sourced by the other scripts from the repository root. The variable `extras` names extras of the package, such
-# as [test]: a plain POSIX shell passes no arguments to a sourced file. What is installed already is not installed again
-# until pyproject.toml or the version changes.
+# as "test docs": a plain POSIX shell passes no arguments to a sourced file. What is installed already is not installed
+# again until pyproject.toml or the version changes.
 python=${PYTHON:-python3}
 "$python" -c 'import sys; sys.exit(sys.version_info < (3, 11))' || {
     echo "Precession Atlas needs Python 3.11 or newer; set PYTHON to one" >&2
@@ -16,7 +16,7 @@ if [ ! -x .venv/bin/python ]; then
 fi
 
 install_package() {
-    set -- install --disable-pip-version-check --progress-bar off --editable ".${extras:-}"
+    set -- install --disable-pip-version-check --progress-bar off --editable ".${extras:+[$(echo "$extras" | tr ' ' ',')]}"
     # Python compiles the modules that it imports, a quarter of those that pip would compile.
     [ -n "${PYTHONDONTWRITEBYTECODE:-}" ] || set -- "$@" --no-compile
     if [ -x .venv/bin/pip ]; then
@@ -26,8 +26,12 @@ install_package() {
     fi
 }
 
-wanted="${extras:-} $(cat pyproject.toml atlas/_version.py | cksum)"
-if ! grep -qxF -e "$wanted" .venv/installed 2>/dev/null; then
+version=$(cat pyproject.toml atlas/_version.py | cksum)
+missing=""
+for extra in package ${extras:-}; do
+    grep -qxF -e "$extra $version" .venv/installed 2>/dev/null || missing="$missing $extra"
+done
+if [ -n "$missing" ]; then
     echo "Installing Precession Atlas into .venv; the first time this takes a minute or two" >&2
     # One short line for each package that pip fetches. The exit status of pip, which `sed` would hide, takes file
     # descriptor 3.
@@ -37,5 +41,5 @@ if ! grep -qxF -e "$wanted" .venv/installed 2>/dev/null; then
         -e 's/^ *Using cached \([^- ]*-[^- ]*\)-[^ ]*\.whl\(.*\)/  from the cache \1\2/p' \
         -e 's/^Installing collected packages:.*/  installing them/p' >&2; } 3>&1)
     [ "$status" = 0 ] || exit 1
-    echo "$wanted" >>.venv/installed
+    for extra in $missing; do echo "$extra $version"; done >>.venv/installed
 fi

@@ -9,7 +9,7 @@ import platform
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from datetime import UTC, datetime
-from importlib.metadata import version
+from importlib import import_module
 from pathlib import Path
 from typing import Any, TypeAlias
 
@@ -55,20 +55,21 @@ def dataset(scene: Scene, columns: Mapping[str, Any], chunks: Sequence[int] | No
             for name in scene.outputs
         }
     )
+    coordinates: dict[str, tuple[Any, Any, dict[str, str]]] = {}
     for name, axis in zip(dimensions, scene.axes.values(), strict=True):
         attributes = parameter_attributes(scene.system, axis.name, axis.offset_from_family)
         attributes |= {k: v for k in ("long_name", "units") if (v := getattr(axis, k))}
-        ds = ds.assign_coords({name: (name, np.asarray(axis.values), attributes)})
+        coordinates[name] = name, np.asarray(axis.values), attributes
     for name, parameter in scene.system.parameters.items():
         attributes = parameter_attributes(scene.system, name, False)
         if name in scene.solve:
-            ds = ds.assign_coords({name: (dimensions, columns[name].reshape(scene.shape), attributes)})
+            coordinates[name] = dimensions, columns[name].reshape(scene.shape), attributes
         elif name not in scene.axes and (
             not np.isnan(parameter.default) or name in scene.fixed or name in scene.ties
         ):
             axes, values = _parameter_along_axes(scene, name, chunks)
-            ds = ds.assign_coords({name: ([dimensions[i] for i in axes], values, attributes)})
-    return ds
+            coordinates[name] = [dimensions[i] for i in axes], values, attributes
+    return ds.assign_coords(coordinates)
 
 
 def variable_attributes(system: System, name: str, present: Collection[str]) -> dict[str, object]:
@@ -304,7 +305,7 @@ def provenance(
         "atlas_kernel_hash": kernel_hash,
         "atlas_cpu": cpu(),
         "atlas_platform": f"{platform.system()} {platform.machine()}, Python {platform.python_version()}",
-        "atlas_versions": ", ".join(f"{name} {version(name)}" for name in packages),
+        "atlas_versions": ", ".join(f"{name} {import_module(name).__version__}" for name in packages),
     }
     if seconds is not None:
         attributes["atlas_seconds"] = seconds

@@ -18,7 +18,7 @@ from ..scene import grid
 from ..scene.model import Scene, Settings
 from ..scene.read import parse_scene
 from ..systems.base import Mask, derived_values
-from ..variables import COMPUTED, variables
+from ..variables import COMPUTED, data_variables, variables
 from .backend import open_atlas
 from .folder import HISTORY, RESULT, RunFolder, result_hash
 from .levels import RESULT_FILE
@@ -100,7 +100,7 @@ class Earlier:
     ) -> tuple[Mask, dict[str, np.ndarray]]:
         """Which of some points of a scene this atlas has, and the variables of these points."""
         places = _indices_in(self.scene, scene, indices, points)
-        registry = variables(scene.system) | {COMPUTED.name: COMPUTED}
+        registry = data_variables(scene.system)
         columns = {name: np.empty(indices.size, registry[name].dtype) for name in self.names}
         along = np.unravel_index(np.maximum(places, 0), self.scene.shape)
         tiles = np.ravel_multi_index(

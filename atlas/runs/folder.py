@@ -88,6 +88,10 @@ class RunFolder:
     def __reduce__(self) -> Any:
         return RunFolder.open, (self.path,)
 
+    def __dask_tokenize__(self) -> tuple[str, str]:
+        # By default dask pickles and opens the folder for each of its arrays.
+        return str(self.path), self.key
+
     @classmethod
     def open(cls, path: str | Path) -> RunFolder:
         """Open a run folder; BadInput if it is none, its manifest is damaged, or another version wrote it."""

@@ -103,12 +103,10 @@ def lagrangian_arguments(points, accelerations=None):
 
 def jacobian_matrices(rhs, state, constants):
     """Matrices of the equations linearised at states of shape (d, samples), by complex steps: (samples, d, d)."""
-    columns = []
-    for i in range(len(state)):
-        shifted = state.astype(complex)
-        shifted[i] += 1e-30j
-        columns.append(np.array(rhs(shifted, constants)).imag / 1e-30)
-    return np.moveaxis(np.array(columns), -1, 0).swapaxes(1, 2)
+    shifted = (
+        state[:, None] + 1e-30j * np.eye(len(state))[:, :, None]
+    )  # (d, one state for each column, samples)
+    return np.moveaxis(np.array(rhs(shifted, constants)).imag / 1e-30, -1, 0)
 
 
 def monodromy_matrix(rhs, state, constants, duration):

@@ -8,11 +8,13 @@ from __future__ import annotations
 
 import tomllib
 from collections.abc import Callable, Mapping
+from functools import cache
 from importlib import resources
 from typing import Any
 
 import numpy as np
 
+from ..scene.expressions import Expression
 from ..systems.base import PublishedEquation
 
 Measure = Callable[[np.random.Generator], float]
@@ -20,6 +22,7 @@ Measure = Callable[[np.random.Generator], float]
 Readings = tuple[Measure | None, Measure | None]
 
 TEXTS = ("number", "family", "printed", "true", "verdict", "measure", "effect")
+expression = cache(Expression)  # the same few are evaluated at many random points
 
 
 def load(folder: str) -> dict[str, Any]:

@@ -16,9 +16,8 @@ from typing import Any
 
 import numpy as np
 
-from ...scene.expressions import Expression
 from ...systems.base import Array
-from .. import Readings, load
+from .. import Readings, expression, load
 from . import fast_spin, periodic
 from .fast_spin import (
     PAPER_BODIES,
@@ -38,10 +37,10 @@ ENTRIES: dict[str, Entry] = {entry["number"]: entry for entry in CONTENT["equati
 
 def evaluate(text: str, values: Values) -> Any:
     """Value of an expression in the names of equations.toml; names of [definitions] that it contains are evaluated first."""
-    expression = Expression("equations.toml", text)
-    for name in expression.names - values.keys():
+    parsed = expression("equations.toml", text)
+    for name in parsed.names - values.keys():
         values[name] = evaluate(CONTENT["definitions"][name], values)
-    return expression.value(values)
+    return parsed.value(values)
 
 
 def reading(number: str, which: str, values: Values) -> Any:

@@ -8,14 +8,13 @@ from typing import Any
 
 import numpy as np
 
-from ...scene.expressions import Expression
 from ...systems.base import Array, PublishedEquation
 from ...systems.gyrostat.plane import PlaneMotions
 from ...systems.satellite import SATELLITE
 from ...systems.satellite.equations import rhs
 from ...systems.satellite.families import FAMILIES, steady_motion
 from ...systems.satellite.initial import PARAMETERS, body_vectors, constants, directions
-from .. import load, row
+from .. import expression, load, row
 from . import lagrange
 
 Point = dict[str, Array]
@@ -39,7 +38,7 @@ def with_values(point: Mapping[str, Any], values: Values) -> dict[str, Any]:
     """The point with further values: numbers, or expressions in what stands before them."""
     point = dict(point)
     for name, value in values.items():
-        point[name] = Expression(name, str(value)).value(point) + np.zeros(1)
+        point[name] = expression(name, str(value)).value(point) + np.zeros(1)
     return point
 
 
@@ -74,7 +73,7 @@ def _beyond(entry: Entry, reading: str, rng: np.random.Generator) -> float:
         point[name] = FAMILIES[entry["family"]].solve[name](point)
     if reading == "true":
         return residual(point)
-    return float(np.abs(Expression("breaks", entry["breaks"]).value(point))[0])
+    return float(np.abs(expression("breaks", entry["breaks"]).value(point))[0])
 
 
 TIMES = np.linspace(0.0, 13.0, 13)
@@ -85,7 +84,7 @@ def _along(entry: Entry, reading: str, point: Mapping[str, Any], step: complex =
     form = entry["form"] | (entry.get("form_true", {}) if reading == "true" else {})
     values = {**point, "t": TIMES + step}
     alpha, beta, gamma, turn = (
-        np.array([Expression(name, str(entry)).value(values) + 0 * values["t"] for entry in entries])
+        np.array([expression(name, str(entry)).value(values) + 0 * values["t"] for entry in entries])
         for name, entries in {**form, "turn": [0, 0, form["turn"]]}.items()
     )
     return [turn + point["Omega"] * gamma, alpha, gamma, beta]
@@ -121,7 +120,7 @@ def _inertial(entry: Entry, reading: str, rng: np.random.Generator) -> float:
     still, moving = axes(), axes(1e-30j).imag / 1e-30
     w = -0.5 * np.cross(still, moving, axis=1).sum(0)  # e' = e x w for each axis e
     texts = entry.get("inertial_true", entry["inertial"]) if reading == "true" else entry["inertial"]
-    precession, spin = (Expression(entry["number"], str(text)).value(point) for text in texts)
+    precession, spin = (expression(entry["number"], str(text)).value(point) for text in texts)
     return float(np.abs(w - precession * still[2] - spin * np.array([[0.0], [0.0], [1.0]])).max())
 
 
@@ -149,7 +148,7 @@ def left_side(entry: Entry, reading: str, values: Mapping[str, Any]) -> Array:
     terms = entry[f"terms_{reading}"]
     if isinstance(terms, str):
         terms = ENTRIES[terms]["terms_true"]
-    return np.sum([Expression(entry["number"], term).value(values) for term in terms], axis=0)
+    return np.sum([expression(entry["number"], term).value(values) for term in terms], axis=0)
 
 
 def true_left_side(point: Point, t: Any, number: int) -> Array:
@@ -171,7 +170,7 @@ def _vanishing(entry: Entry, reading: str, rng: np.random.Generator) -> float:
     values = with_values(
         point | instant(entry, rng, point), entry.get("start", {}) | entry.get(f"as_{reading}", {})
     )
-    return max(float(np.abs(Expression("vanish", text).value(values)).max()) for text in entry["vanish"])
+    return max(float(np.abs(expression("vanish", text).value(values)).max()) for text in entry["vanish"])
 
 
 # What no expression says: the Lagrangian, Lagrange's equations at any state, the determinant (43), the apex of a cone.
@@ -276,7 +275,7 @@ def _plane(entry: Entry, reading: str, rng: np.random.Generator) -> float:
     p = with_values(random_point(rng), entry["plane"])
     motion = PlaneMotions.of(SATELLITE.body(p), *SATELLITE.start(p))
     if "rho" in entry:
-        return float(np.abs(motion.multipliers()[0] - 2 - Expression("rho", entry["rho"]).value(p))[0])
+        return float(np.abs(motion.multipliers()[0] - 2 - expression("rho", entry["rho"]).value(p))[0])
     x, rate = np.array(motion.pitch(TIMES[:, None, None] / 4 + 0.01 * np.arange(-4, 5)[:, None]))[..., 0]
     slopes = np.array([x, rate]) @ np.array([3, -32, 168, -672, 0, 672, -168, 32, -3]) / 8.4
     needed = rate[:, 4], -1.5 * np.abs(p["B"] - p["A"]) / p["C"] * np.sin(2 * x[:, 4])

@@ -189,13 +189,12 @@ def _states(
 ) -> tuple[Array, dict[str, Array]]:
     """States at evenly spaced instants, shape (samples, states), and what was lost of first integrals until then."""
     steps, count = np.array([steps_per_sample]), len(ensemble.state)
-    ensemble = replace(ensemble, state=blocks.start_state(module, ensemble.state))
-    states = np.empty((samples, len(ensemble.state)))
-    states[0] = ensemble.state[:, 0]
+    schedule, arrays = blocks.pack_blocks(steps, steps), ensemble.arrays(module, step_size)
+    states = np.empty((samples, len(arrays.state)))
+    states[0] = arrays.state[:, 0]
     for i in range(1, samples):
-        state = ensemble.final_states(module, steps, step_size, threads=1)
-        ensemble = replace(ensemble, state=state)
-        states[i] = state[:, 0]
+        blocks.integrate(module, schedule, arrays, threads=0)
+        states[i] = arrays.state[:, 0]
     lost = getattr(module, "LOSSES", ())
     return states[:, :count], dict(zip(lost, states[:, count:].T, strict=True))
 

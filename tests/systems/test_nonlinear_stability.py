@@ -229,6 +229,18 @@ def test_resonances_and_zeros_of_the_determinant():
         assert beside[NONLINEAR][0] == ARNOLD_MOSER
 
 
+@pytest.mark.parametrize(("low", "high"), [(-2.0, -1.5), (0.3, 0.6)])
+def test_the_resonance_3_to_1_is_unstable_near_the_zeros_of_the_determinant(low, high):
+    """Runs leave such motions, see scripts/tools/nonlinear_runs.py."""
+
+    def off_resonance(momentum):
+        values = theory(SATELLITE, cylindrical(1.07, momentum))
+        return values["frequency_1"][0] / values["frequency_2"][0] - 3
+
+    values = theory(SATELLITE, cylindrical(1.07, brentq(off_resonance, low, high, xtol=1e-13)))
+    assert values[NONLINEAR][0] == NonlinearStability.RESONANCE_UNSTABLE
+
+
 def test_the_markeev_amplitude_at_the_resonance_3_to_1():
     for case in CASES["resonance_3_1"]:
         points = cylindrical(float(case["C_over_A"]), float(case["momentum"]))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from itertools import combinations
+from itertools import combinations, combinations_with_replacement, permutations
 from pathlib import Path
 
 import numpy as np
@@ -37,11 +37,14 @@ def derivatives(*homogeneous):
     tensors = []
     for order, polynomial in enumerate(homogeneous, 2):
         tensor = np.zeros(order * [4])
-        for index in np.ndindex(tensor.shape):
+        for index in combinations_with_replacement(range(4), order):
             vectors = np.eye(4)[list(index)]
+            value = 0.0
             for count in range(1, order + 1):
                 sums = [sum(chosen) for chosen in combinations(vectors, count)]
-                tensor[index] += (-1) ** (order - count) * sum(polynomial(x) for x in sums)
+                value += (-1) ** (order - count) * sum(polynomial(x) for x in sums)
+            for place in permutations(index):
+                tensor[place] = value
         tensors.append(tensor[None])
     return tensors
 
@@ -229,16 +232,23 @@ def test_resonances_and_zeros_of_the_determinant():
         assert beside[NONLINEAR][0] == ARNOLD_MOSER
 
 
-@pytest.mark.parametrize(("low", "high"), [(-2.0, -1.5), (0.3, 0.6)])
-def test_the_resonance_3_to_1_is_unstable_near_the_zeros_of_the_determinant(low, high):
+@pytest.mark.parametrize(
+    ("momenta", "ends"), [((-2.0, -1.5), (1.05182, 1.08671)), ((0.3, 0.6), (1.05606, 1.07165))]
+)
+def test_the_resonance_3_to_1_is_unstable_near_the_zeros_of_the_determinant(momenta, ends):
     """Runs leave such motions, see scripts/tools/nonlinear_runs.py."""
 
-    def off_resonance(momentum):
-        values = theory(SATELLITE, cylindrical(1.07, momentum))
-        return values["frequency_1"][0] / values["frequency_2"][0] - 3
+    def verdict(sigma):
+        def off_resonance(momentum):
+            values = theory(SATELLITE, cylindrical(sigma, momentum))
+            return values["frequency_1"][0] / values["frequency_2"][0] - 3
 
-    values = theory(SATELLITE, cylindrical(1.07, brentq(off_resonance, low, high, xtol=1e-13)))
-    assert values[NONLINEAR][0] == NonlinearStability.RESONANCE_UNSTABLE
+        resonance = brentq(off_resonance, *momenta, xtol=1e-13)
+        return theory(SATELLITE, cylindrical(sigma, resonance))[NONLINEAR][0]
+
+    for end, outward in zip(ends, (-1, 1), strict=True):
+        assert verdict(end + 2e-5 * outward) == NonlinearStability.RESONANCE_STABLE
+        assert verdict(end - 2e-5 * outward) == NonlinearStability.RESONANCE_UNSTABLE
 
 
 def test_the_markeev_amplitude_at_the_resonance_3_to_1():

@@ -214,7 +214,8 @@ class Atlas:
             theory.
         variable : str, optional
             The flag variable; default label. For the lines of theory its frame counts, label_inertial for labels in inertial
-            space; a number of equilibria gives the lines on which it changes, a frequency the resonances too.
+            space; a number of equilibria gives the lines on which it changes, a frequency the resonances too,
+            nonlinear_stability those where the energy does not decide, and D = 0.
         x, y : str, optional
             Axes, as in `map`.
         select : mapping of str to float, optional

@@ -107,6 +107,19 @@ class StabilityKind(Flag):
     UNSTABLE = 5, "some characteristic exponent has a positive real part"
 
 
+class NonlinearStability(Flag):
+    """Stability of a steady motion in the full equations, as far as it is proved."""
+
+    UNKNOWN = 0, "linear stability unknown, or no steady motion"
+    ENERGY = 1, "stable by the energy"
+    ARNOLD_MOSER = 2, "stable by the theorem of Arnold and Moser: two degrees of freedom, D is not 0"
+    RESONANCE_STABLE = 3, "at a resonance 2:1 or 3:1, and stable by the criterion of Markeev"
+    RESONANCE_UNSTABLE = 4, "at a resonance 2:1 or 3:1, and unstable by the criterion of Markeev"
+    DEGENERATE = 5, "resonance 1:1, a zero exponent or D = 0: terms up to degree 4 decide nothing"
+    UNDECIDED = 6, "linearly stable, not by the energy, with three degrees of freedom: not decided"
+    LINEARLY_UNSTABLE = 7, "some characteristic exponent has a positive real part"
+
+
 class PeriodicSolution(Flag):
     """Linear stability of a periodic solution, by its multipliers rho and 1/rho that are not 1."""
 

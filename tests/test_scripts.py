@@ -34,6 +34,10 @@ SCRIPTS = {
     "fuzz_scenes": ("--count 5 --runs 1 --points 1", r"check: ok"),
     "gallery": ("--out FOLDER --docs FOLDER --only first_order_error --count 3", r"wrote FOLDER"),
     "lagrange_form": ("--points 2 --steps 200", r"share unresolved"),
+    "nonlinear_runs": (
+        "--points 2 --duration 60 --starts 1 --nudges 0.01",
+        r"random +arnold_moser .*(?s:.*)resonance_unstable",
+    ),
     "make_docs": ("--docs FOLDER", r"written: variables.md"),
 }
 OTHERS = {

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from functools import partial
+from collections.abc import Callable, Collection, Mapping
 from itertools import combinations, pairwise, product
 from typing import cast
 
@@ -12,10 +11,10 @@ import numpy as np
 import xarray as xr
 
 from ..errors import BadInput, attribute_text
-from ..flags import Label, Stability
+from ..flags import Label, NonlinearStability, Stability
 from ..scene.model import Scene
 from ..systems.base import Array, DerivedVariable, Flags, Mask, System, derived_values
-from ..systems.gyrostat.variables import FREQUENCIES
+from ..systems.gyrostat.variables import FREQUENCIES, NONLINEAR, NORMAL_FORM
 from .metadata import axes_of, flag_values, is_logarithmic, scene_of, system_of
 from .plane import SAMPLES, Plane
 from .select import plane_of
@@ -73,9 +72,9 @@ def boundary(
     )
 
 
-TRACED_PLANES = 16
+TRACED_PLANES = 32
 # Lines of the planes drawn last, because tracing takes seconds: a page and maps of several variables show the same ones.
-_TRACED: dict[tuple[System, str, str, str, bool], Lines] = {}
+_TRACED: dict[tuple[System, str, str, str, str], Lines] = {}
 
 
 def theory_lines(scene: Scene, plane: xr.Dataset, dims: list[str], variable: str) -> Lines:
@@ -87,17 +86,20 @@ def theory_lines(scene: Scene, plane: xr.Dataset, dims: list[str], variable: str
     whole = Plane.of(scene, plane, dims)
     if derived is not None and derived.is_count and variable in plane:
         return count_borders(whole, plane[variable], derived)
-    inertial = variable.endswith("_inertial")
-    key = scene.system, scene.toml(), repr(whole.extent), repr(whole.fixed), inertial
-    lines = _TRACED.get(key)
-    if lines is None:
-        lines = theory_borders(whole, inertial=inertial)
-        if len(_TRACED) >= TRACED_PLANES:
-            _TRACED.clear()
-        _TRACED[key] = lines
-    borders = dict(lines)
+
+    def traced(lines: Callable[..., Lines], **option: bool) -> Lines:
+        """Lines of the plane, those of a plane drawn before if there are any."""
+        key = scene.system, scene.toml(), repr(whole.extent), repr(whole.fixed), repr(option)
+        if key not in _TRACED:
+            result = lines(whole, **option)
+            if len(_TRACED) >= TRACED_PLANES:
+                _TRACED.clear()
+            _TRACED[key] = result
+        return _TRACED[key]
+
+    borders = dict(traced(theory_borders, inertial=variable.endswith("_inertial")))
     if variable in RESONANCE_VARIABLES and variable in scene.system.derived and len(dims) == 2:
-        borders |= resonance_lines(whole)
+        borders |= traced(resonance_lines, nonlinear=variable in (NONLINEAR, *NORMAL_FORM))
     return borders
 
 
@@ -147,30 +149,42 @@ def theory_borders(plane: Plane, *, inertial: bool = False) -> dict[str, list[np
                 columns[kind] = np.where(kept, np.where(theory.rates[name] < 0, 1, 2), 0)
         return {kind: column.astype(np.int8) for kind, column in columns.items()}
 
-    def classes_of(kind: str, positions: Array) -> Flags:
-        """Classes for one kind of line."""
-        return classes(positions)[kind]
-
     if len(plane.extent) == 1:
         samples, bisections = classes(np.linspace(0, 1, SAMPLES)[:, np.newaxis]), LINE_BISECTIONS
     else:
         samples, bisections = _refined_samples(classes), BISECTIONS
     result = {}
     for kind, column in samples.items():
-        lines = _lines_at(np.where(column > 0, column, np.nan), 1.5)
-        if not lines:
-            continue
-        positions, cells = np.concatenate(lines), len(column) - 1
-        low, high = np.floor(positions + 0.25) / cells, np.ceil(positions - 0.25) / cells
-        vertices = _bisected(partial(classes_of, kind), low, high, bisections)
-        ends = np.cumsum([len(line) for line in lines])[:-1]
-        lines = np.split(vertices, ends)
+        cells = len(column) - 1
+
+        def class_at(positions: Array, kind: str = kind, cells: int = cells) -> Flags:
+            return classes(positions / cells)[kind]
+
+        lines, edges = _bisected_lines(np.where(column > 0, column, np.nan), 1.5, class_at, bisections)
         if kind in ZERO_RATES.values():
-            edges = zip(np.split(low, ends), np.split(high, ends), strict=True)
-            lines = _without_poles(plane, kind, list(edges), lines, inertial)
+            (rate,) = (name for name, zero_kind in ZERO_RATES.items() if zero_kind == kind)
+
+            def size(positions: Array, rate: str = rate, cells: int = cells) -> Array:
+                coordinates = plane.coordinates(positions / cells)
+                return np.abs(plane.theory(coordinates, inertial=inertial).rates[rate])
+
+            lines = _without_poles(size, edges, lines)
         if lines:
-            result[kind] = [np.stack(list(plane.coordinates(line).values()), -1) for line in lines]
+            result[kind] = [np.stack(list(plane.coordinates(line / cells).values()), -1) for line in lines]
     return result
+
+
+def _bisected_lines(
+    values: Array, level: float, class_at: Callable[[Array], np.ndarray], bisections: int
+) -> tuple[list[Array], list[tuple[Array, Array]]]:
+    """Lines between samples on both sides of a level, bisected, and the samples on either side; all as indices (vertices, axes)."""
+    lines = _lines_at(values, level)
+    if not lines:
+        return [], []
+    positions, ends = np.concatenate(lines), np.cumsum([len(line) for line in lines])[:-1]
+    low, high = np.floor(positions + 0.25), np.ceil(positions - 0.25)
+    vertices = _bisected(class_at, low, high, bisections)
+    return np.split(vertices, ends), list(zip(np.split(low, ends), np.split(high, ends), strict=True))
 
 
 def _bisected(class_at: Callable[[Array], np.ndarray], low: Array, high: Array, count: int) -> Array:
@@ -230,18 +244,12 @@ def _over_cells(column: np.ndarray, reduce: np.ufunc) -> np.ndarray:
 
 
 def _without_poles(
-    plane: Plane, kind: str, edges: list[tuple[Array, Array]], lines: list[Array], inertial: bool
+    size: Callable[[Array], Array], edges: list[tuple[Array, Array]], lines: list[Array]
 ) -> list[Array]:
-    """The parts of lines on which a rate changes its sign through zero, not through infinity."""
-    (name,) = (rate for rate, zero_kind in ZERO_RATES.items() if zero_kind == kind)
-
-    def size(positions: Array) -> Array:
-        """Magnitude of the rate."""
-        return np.abs(plane.theory(plane.coordinates(positions), inertial=inertial).rates[name])
-
+    """The parts of lines on which a quantity of this magnitude changes its sign through zero, not through infinity."""
     parts = []
     for (low, high), line in zip(edges, lines, strict=True):
-        through_zero = size(line) < np.maximum(size(low), size(high))
+        through_zero = size(line) < 0.5 * np.maximum(size(low), size(high))
         indices = np.split(np.arange(len(line)), np.flatnonzero(np.diff(through_zero)) + 1)
         parts += [line[part] for part in indices if through_zero[part[0]]]
     return parts
@@ -300,34 +308,55 @@ def _contours(values: Array, level: float) -> list[Array]:
 
 RESONANCE_RATIOS = (1, 2, 3)
 RESONANCES = tuple(f"resonance {ratio}:1" for ratio in RESONANCE_RATIOS)
+DEGENERATE = "D = 0 of the normal form"
 # Variables on whose maps the lines are drawn.
-RESONANCE_VARIABLES = (*FREQUENCIES, "stability_kind")
+RESONANCE_VARIABLES = (*FREQUENCIES, "stability_kind", NONLINEAR, *NORMAL_FORM)
 RESONANCE_SAMPLES = 200  # along each axis
 # By how much the difference of two frequencies, continued linearly from two samples, may miss the third where they cross.
 _CURVATURE = 0.5
 
 
-def resonance_lines(plane: Plane) -> dict[str, list[Array]]:
+def resonance_lines(plane: Plane, *, nonlinear: bool = False) -> dict[str, list[Array]]:
     """Lines, by RESONANCES, where two frequencies of a motion that is not unstable have the ratio 1, 2 or 3.
 
-    A resonance 1:1 at which stability ends is a stability limit and is left out.
+    A resonance 1:1 at which stability ends is a stability limit and is left out. nonlinear: only where the energy does not
+    decide, with the lines DEGENERATE on which the normal form does not either.
     """
     axes = [plane.samples(dim, RESONANCE_SAMPLES) for dim in plane.extent]
     grids = np.meshgrid(*axes, indexing="ij")
+    names = (*FREQUENCIES, NONLINEAR, NORMAL_FORM[-1]) if nonlinear else FREQUENCIES
+
+    def derived(coordinates: Mapping[str, Array], names: Collection[str]) -> dict[str, np.ndarray]:
+        """Derived variables at some coordinates."""
+        points = plane.points(coordinates)
+        return derived_values(plane.scene.system, names, points.base, points.duration, lambda: None)
+
     coordinates = dict(zip(plane.extent, (grid.ravel() for grid in grids), strict=True))
-    points, theory = plane.points(coordinates), plane.theory(coordinates)
-    not_unstable = theory.exists & (theory.stable != Stability.UNSTABLE)
-    derived = derived_values(plane.scene.system, FREQUENCIES, points.base, points.duration, lambda: None)
-    frequencies = [
-        np.where(not_unstable, derived[name], np.nan).reshape(RESONANCE_SAMPLES, RESONANCE_SAMPLES)
-        for name in FREQUENCIES
-    ]
+    theory, columns = plane.theory(coordinates), derived(coordinates, names)
+    shown = theory.exists & (theory.stable != Stability.UNSTABLE)
+    if nonlinear:
+        shown &= columns.pop(NONLINEAR) != NonlinearStability.ENERGY
+    shape = 2 * (RESONANCE_SAMPLES,)
+    values = {name: np.where(shown, column, np.nan).reshape(shape) for name, column in columns.items()}
+    frequencies = [values[name] for name in FREQUENCIES]
     result = {}
     for ratio, kind in zip(RESONANCE_RATIOS, RESONANCES, strict=True):
         differences = [large - ratio * small for large, small in combinations(frequencies, 2)]
         traced = [_crossings(each) if ratio == 1 else _contours(each, 0.0) for each in differences]
         if lines := [_interpolated(line, axes) for each in traced for line in each]:
             result[kind] = lines
+    if nonlinear:
+
+        def determinant(positions: Array) -> Array:
+            """D at positions that are indices."""
+            columns = dict(zip(plane.extent, _interpolated(positions, axes).T, strict=True))
+            return derived(columns, NORMAL_FORM[-1:])[NORMAL_FORM[-1]]
+
+        lines, edges = _bisected_lines(
+            values[NORMAL_FORM[-1]], 0.0, lambda positions: determinant(positions) > 0, BISECTIONS
+        )
+        if lines := _without_poles(lambda positions: np.abs(determinant(positions)), edges, lines):
+            result[DEGENERATE] = [_interpolated(line, axes) for line in lines if len(line) > 1]
     return result
 
 

@@ -23,7 +23,7 @@ from matplotlib.colors import (
 from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator, MaxNLocator, NullFormatter
 
-from ..analysis.boundary import CHANGE, EXISTENCE, KINDS, LABEL, RESONANCES, STABILITY
+from ..analysis.boundary import CHANGE, DEGENERATE, EXISTENCE, KINDS, LABEL, RESONANCES, STABILITY
 from ..analysis.metadata import scene_of
 from ..flags import Regularity
 from ..systems.base import Mask
@@ -192,7 +192,9 @@ BORDERS: dict[str, dict[str, Any]] = {
     CHANGE: {"linestyle": "-", "linewidth": 0.6},
     **{
         kind: {"linestyle": "-", "linewidth": 0.8, "color": colour}
-        for kind, colour in zip(RESONANCES, ("#d62728", "#2ca02c", "#9467bd"), strict=True)
+        for kind, colour in zip(
+            (*RESONANCES, DEGENERATE), ("#d62728", "#2ca02c", "#9467bd", "#e6007e"), strict=True
+        )
     },
 }
 ZERO_RATE: dict[str, Any] = {"linestyle": (0, (1.5, 1.2)), "linewidth": 1.0}
@@ -238,7 +240,7 @@ def draw_overlay(ax: Axes, panel: Panel, edges: list[np.ndarray], families: Sequ
     for what, mask in ((NOT_YET, panel.white.get(NOT_YET)), (SLOW, panel.slow)):
         if mask is not None and mask.any():
             draw_hatching(ax, mask, edges, HATCHES[what])
-    for kind in (CHANGE, *RESONANCES, *KINDS[::-1]):
+    for kind in (CHANGE, *RESONANCES, DEGENERATE, *KINDS[::-1]):
         lines = panel.borders.get(kind, [])
         if lines and kind in KINDS and panel.array.ndim == 2:
             lines = _draw_crowded(ax, lines, border_style(kind))

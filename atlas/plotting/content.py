@@ -16,7 +16,7 @@ from matplotlib.colors import Colormap, is_color_like
 from matplotlib.path import Path
 from matplotlib.transforms import Bbox
 
-from ..analysis.boundary import CHANGE, EXISTENCE, RESONANCES, STABILITY, theory_lines
+from ..analysis.boundary import CHANGE, DEGENERATE, EXISTENCE, RESONANCES, STABILITY, theory_lines
 from ..analysis.compare import MAX_SURVIVED_GROWTH
 from ..analysis.metadata import axes_of, flag_names, is_averaged
 from ..analysis.plane import Plane, family_curves
@@ -114,7 +114,7 @@ def panel_of(ds: xr.Dataset, name: str, dims: list[str], scene: Scene | None, bo
     if CHANGE in borders:
         return Panel(array, white, slow, borders)
     if not of_motions:
-        shown = (STABILITY, EXISTENCE, *RESONANCES)
+        shown = (STABILITY, EXISTENCE, *RESONANCES, DEGENERATE)
         borders = {kind: borders[kind] for kind in shown if kind in borders}
     return Panel(array, white, slow, borders, families)
 

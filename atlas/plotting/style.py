@@ -46,9 +46,9 @@ STYLE: dict[Any, Any] = {
 # One colour per meaning; colour-blind readers and prints in grey keep those of a variable apart.
 _FLAGS_OF_COLOUR = {
     "#ffffff": ("not_computed", "not_compared", "unknown"),
-    "#a8d8f0": ("permanent_rotation", "stable", "gyroscopic", "false"),
-    "#e0892b": ("drifting", "theory_only", "unstable", "no"),
-    "#1b6ca8": ("regular_precession", "numerics_only", "energy_stable", "yes", "true"),
+    "#a8d8f0": ("permanent_rotation", "stable", "gyroscopic", "arnold_moser", "false"),
+    "#e0892b": ("drifting", "theory_only", "unstable", "linearly_unstable", "no"),
+    "#1b6ca8": ("regular_precession", "numerics_only", "energy_stable", "energy", "yes", "true"),
     "#262626": ("unresolved", "differ"),
     "#b9e3cc": ("agree",),
     "#76b0d8": ("steady",),
@@ -56,7 +56,9 @@ _FLAGS_OF_COLOUR = {
     "#4e1b04": ("chaotic",),
     "#848484": ("undecided",),
     "#155a8e": ("hyperbolic",),
-    "#1c0a02": ("marginal",),
+    "#1c0a02": ("marginal", "degenerate"),
+    "#8fc4e4": ("resonance_stable",),
+    "#8a2b0c": ("resonance_unstable",),
     "#1f4a36": ("linearly_stable",),
 }
 COLOURS = {flag: colour for colour, flags in _FLAGS_OF_COLOUR.items() for flag in flags}

@@ -76,6 +76,13 @@ PICTURES = (
         " changed by 1e-4. This is the classical diagram of Thomson and Likins.",
     ),
     Picture(
+        "cylindrical_nonlinear",
+        "The same motion without magnet by theory alone, over the momentum of the axis. Dark: the energy has a minimum. Pale:"
+        " gyroscopic terms alone stabilise, and the normal form of degree 4 proves that the motion is stable in the full"
+        " equations (Arnold, Moser), but on the curve D = 0, where higher terms decide. The resonance 2:1 is harmless; on that of"
+        " 3:1 the motion is stable by the criterion of Markeev but for two short arcs about the points where it meets D = 0.",
+    ),
+    Picture(
         "stability_perp_radius",
         "The third axis at rest in the orbital frame, perpendicular to the radius and at theta0 to the orbit normal;"
         f" (17) of {SATELLITE}, who call it conical motion. {AT_REST} The motion is stable for C > A. At small tilts near"

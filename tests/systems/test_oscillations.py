@@ -185,7 +185,7 @@ def test_variables_computed_together_are_those_computed_alone(system):
         system.name, A=rng.uniform(1, 2, 30), B=rng.uniform(1, 2, 30), C=rng.uniform(1, 2, 30)
     )
     points["theta0"][:10] = 0.3
-    names = [*FREQUENCIES, "energy_stable", "stability_kind"]
+    names = [*FREQUENCIES, "energy_stable", "stability_kind", "nonlinear_stability", "birkhoff_determinant"]
     together = derived_values(system, names, points, np.ones(30), lambda: None)
     assert list(together) == names
     for name in names:
@@ -203,13 +203,15 @@ def test_variables_share_what_they_have_in_common():
     system = SimpleNamespace(
         oscillation_families=counted("family", flags), linear_stability=counted("linear", (flags, np.zeros(2))),
         frequencies=counted("frequencies", np.ones((2, 3))), frequency_comment="", energy_comment="",
-        energy_stability=counted("energy", flags),
+        energy_stability=counted("energy", flags), families={},
+        nonlinear_stability=counted("nonlinear", (flags, np.zeros((4, 2)))),
     )  # fmt: skip
     system.derived = oscillation_variables(system)
     for names, expected in (
         (FREQUENCIES, ["family", "frequencies"]),
         (["energy_stable"], ["family", "energy"]),
         (["stability_kind", "frequency_2", "energy_stable"], ["family", "frequencies", "energy", "linear"]),
+        (["nonlinear_stability", "birkhoff_c11"], ["family", "energy", "linear", "nonlinear"]),
     ):
         calls.clear()
         derived_values(system, names, {}, np.ones(2), lambda: None)

@@ -9,6 +9,8 @@ from typing import Any
 import numpy as np
 
 from ...systems.base import Array, PublishedEquation
+from ...systems.gyrostat.nonlinear import NormalForm, derivatives
+from ...systems.gyrostat.oscillations import Equilibria
 from ...systems.gyrostat.plane import PlaneMotions
 from ...systems.satellite import SATELLITE
 from ...systems.satellite.equations import rhs
@@ -282,6 +284,16 @@ def _plane(entry: Entry, reading: str, rng: np.random.Generator) -> float:
     return float(np.abs(slopes - needed).max())
 
 
+def _normal_form(entry: Entry, reading: str, rng: np.random.Generator) -> float:
+    """What f^4 - P f^2 + Q lacks of 0 at the frequencies of the normal form of a random motion."""
+    p = with_values(random_point(rng), entry["normal_form"])
+    rest = Equilibria.of(SATELLITE.body(p), *SATELLITE.start(p))
+    form = NormalForm.of(*derivatives(rest, np.zeros(1, int)))
+    squares = (np.array([form.l1, form.l2]) * rest.rate) ** 2
+    P, Q = (Expression(name, entry[name]).value(p) for name in "PQ")
+    return float(np.abs(squares**2 - P * squares + Q).max())
+
+
 def _lost_rank(entry: Entry, reading: str, rng: np.random.Generator) -> float:
     """10 less the rank of ten equations (36), in the coefficients of even and of odd i, for an irrational n/m."""
     i = np.arange(1, 11)
@@ -315,6 +327,7 @@ MEASURES = {
     "shared": ("", _shared),
     "lost_rank": ("", _lost_rank),
     "plane": ("", _plane),
+    "normal_form": ("", _normal_form),
     "determinant": ("", _determinant),
     "apex_distance": ("", _apex_distance),
     "left_side": (

@@ -145,25 +145,23 @@ class Body(NamedTuple):
         v = self.gyroscopic(w)
         v_dot = (2 * self.inertia - self.inertia.sum(-1, keepdims=True)) * acceleration
         along = u / length(u)[..., None]
-        first = np.cross(along, np.eye(3)[np.abs(along).argmin(-1)])
-        first = first / length(first)[..., None]
-        across = np.stack([first, np.cross(along, first)], -2)
+        rows = across(along)
 
         def symmetric(d: Array) -> Array:
             product = d[..., :, None] * along[..., None, :]
             return product + np.swapaxes(product, -1, -2)
 
         shift, shift_dot = symmetric(0.5 * np.cross(v, along)), symmetric(0.5 * np.cross(v_dot, along))
-        # xi' = I^-1 (G xi + p~), p~' = (P + S' - G^T I^-1 G) xi - G^T I^-1 p~, along the rows of across.
+        # xi' = I^-1 (G xi + p~), p~' = (P + S' - G^T I^-1 G) xi - G^T I^-1 p~, along the rows.
         G = 0.5 * cross_matrix(v) - shift
-        transposed = np.swapaxes(across, -1, -2)
+        transposed = np.swapaxes(rows, -1, -2)
         left = G / self.inertia[..., None]
         blocks = (
             (left, np.broadcast_to(np.eye(3) / self.inertia[..., None], left.shape)),
             (P + shift_dot - np.swapaxes(G, -1, -2) @ left, -np.swapaxes(left, -1, -2)),
         )
         return np.concatenate(
-            [np.concatenate([across @ block @ transposed for block in row], -1) for row in blocks], -2
+            [np.concatenate([rows @ block @ transposed for block in row], -1) for row in blocks], -2
         )
 
 
@@ -190,6 +188,13 @@ def perron_root(first: Array, second: Array, product: Array) -> Array:
 def length(v: Array) -> Array:
     """Euclidean length of vectors (..., 3)."""
     return np.sqrt((v**2).sum(-1))
+
+
+def across(v: Array) -> Array:
+    """Two unit vectors in the rows that complete unit vectors (..., 3) to right-handed axes, (..., 2, 3)."""
+    first = np.cross(v, np.eye(3)[np.abs(v).argmin(-1)])
+    first = first / length(first)[..., None]
+    return np.stack([first, np.cross(v, first)], -2)
 
 
 def cross_matrix(v: Array) -> Array:

@@ -9,8 +9,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ...flags import Completeness, EnergyStability, Stability, StabilityKind
+from ...flags import Completeness, EnergyStability, NonlinearStability, Stability, StabilityKind
 from ..base import Array, DerivedVariable, Flags, Points, subset, unsteady
+from .nonlinear import RESONANCE_BAND
 from .plane import PlaneMotions
 
 if TYPE_CHECKING:
@@ -18,10 +19,15 @@ if TYPE_CHECKING:
 
 _CHUNK = 4096  # points whose multipliers are computed between two pauses
 FREQUENCIES = ("frequency_1", "frequency_2", "frequency_3")
+NORMAL_FORM = ("birkhoff_c20", "birkhoff_c11", "birkhoff_c02", "birkhoff_determinant")
+NONLINEAR = "nonlinear_stability"
+
+_BANDS = f"within {RESONANCE_BAND:g} of l1/l2 = -1, -2 and -3 that of the resonance; with three degrees of freedom undecided"
+_NORMAL_FORM = "of H = l1 J1 + l2 J2 + c20 J1^2 + c11 J1 J2 + c02 J2^2; nan without two degrees of freedom and two frequencies"
 
 
 def oscillation_variables(system: Gyrostat) -> dict[str, DerivedVariable]:
-    """The variables frequency_1, frequency_2 and frequency_3, the largest first, energy_stable and stability_kind."""
+    """Frequencies, the largest first, stability by the energy, its kind, and stability by the normal form."""
 
     def together(
         names: Collection[str], points: Points, duration: Array, pause: Callable[[], None]
@@ -30,19 +36,29 @@ def oscillation_variables(system: Gyrostat) -> dict[str, DerivedVariable]:
         pause()
         with np.errstate(all="ignore"):
             flags = system.oscillation_families(points)
+            steady = np.where(unsteady(system, flags), 0, flags)
             if not set(FREQUENCIES).isdisjoint(names):
                 pause()
-                columns |= dict(zip(FREQUENCIES, system.frequencies(points, flags).T, strict=True))
-            if not {"stability_kind", "energy_stable"}.isdisjoint(names):
+                columns |= dict(zip(FREQUENCIES, system.frequencies(points, steady).T, strict=True))
+            nonlinear = not {NONLINEAR, *NORMAL_FORM}.isdisjoint(names)
+            if nonlinear or not {"stability_kind", "energy_stable"}.isdisjoint(names):
                 pause()
-                columns["energy_stable"] = system.energy_stability(points, flags)
-            if "stability_kind" in names:
+                columns["energy_stable"] = system.energy_stability(points, steady)
+            if nonlinear or "stability_kind" in names:
                 pause()
                 stable, growth = system.linear_stability(points, flags)
                 columns["stability_kind"] = stability_kind(stable, growth, columns["energy_stable"])
-        return columns
+            if nonlinear:
+                pause()
+                verdicts, values = system.nonlinear_stability(points, steady, columns["stability_kind"])
+                columns |= {NONLINEAR: verdicts, **dict(zip(NORMAL_FORM, values, strict=True))}
+        return {name: columns[name] for name in names}
 
-    flags = {"energy_stable": EnergyStability.meanings(), "stability_kind": StabilityKind.meanings()}
+    flags = {
+        "energy_stable": EnergyStability.meanings(),
+        "stability_kind": StabilityKind.meanings(),
+        NONLINEAR: NonlinearStability.meanings(),
+    }
     rows = [
         (
             name,
@@ -57,6 +73,16 @@ def oscillation_variables(system: Gyrostat) -> dict[str, DerivedVariable]:
         for name, what in (
             ("energy_stable", "stability of the steady motion by the energy"),
             ("stability_kind", "linear stability and stability by the energy"),
+        )
+    ]
+    rows += [(NONLINEAR, "1", "stability of the steady motion in the full equations, from theory", _BANDS)]
+    rows += [
+        (name, unit, f"{what} of the normal form of degree 4", _NORMAL_FORM)
+        for name, unit, what in (
+            (NORMAL_FORM[0], "kg-1 m-2", "coefficient of the squared action of the larger frequency"),
+            (NORMAL_FORM[1], "kg-1 m-2", "coefficient of the product of the actions"),
+            (NORMAL_FORM[2], "kg-1 m-2", "coefficient of the squared action of the smaller frequency"),
+            (NORMAL_FORM[3], "kg-1 m-2 s-2", "determinant D = c20 l2^2 - c11 l1 l2 + c02 l1^2"),
         )
     ]
     return {row[0]: DerivedVariable.of_group(together, *row, flags=flags.get(row[0])) for row in rows}

@@ -1,0 +1,272 @@
+"""Nonlinear stability of equilibria with two degrees of freedom, by Birkhoff's normal form of degree 4.
+
+A gyrostat whose rotation about one direction is cyclic keeps the momentum about it, and two degrees of freedom remain. For an
+axis of symmetry of the body they are those of that axis e in the frame, with the angular momentum m in the frame; for the
+vertical, where nothing acts along alpha, those of e = gamma in the body, with m in the body. In both cases |e| = 1 and m.e = S is
+constant, m and e have the brackets of the Euclidean group, and
+
+    H = m.J m / 2 + b.m + e.G e / 2 + c.e,
+
+the axis: J = 1/I_t, I_t the moment across it, b = -Omega gamma, G and c by what acts along alpha and gamma;
+the vertical: J = 1/I, b = -k/I, G = gradient I, c = field.
+
+With the equilibrium at u = v = 0 of latitude v and longitude u, e = (cos v cos u, cos v sin u, sin v), these are canonical,
+
+    m = S (cos u, sin u, 0)/cos v + p_u (-tan v cos u, -tan v sin u, 1) + p_v (sin u, -cos u, 0),
+
+and the chart is singular nowhere near it. The Taylor polynomials of m and e are the same for all points; those of H are linear in
+the products of its coefficients with those of m at the equilibrium.
+
+In H = l1 J1 + l2 J2 + c20 J1^2 + c11 J1 J2 + c02 J2^2 + ..., |l1| > |l2|, J = (q^2 + p^2)/2, an equilibrium is stable for l1 l2 > 0.
+For l1 l2 < 0 without resonance up to order 4 it is if D = c20 l2^2 - c11 l1 l2 + c02 l1^2 is not 0 (V. I. Arnold, Sov. Math. Dokl. 2
+(1961) 247; J. Moser, Lectures on Hamiltonian Systems, Mem. AMS 81 (1968)). By A. P. Markeev, Libration Points in Celestial Mechanics
+and Cosmodynamics (1978), it is unstable at l1 = -2 l2 if the cubic terms have a resonant one; at l1 = -3 l2 it is stable if
+|c20 + 3 c11 + 9 c02| > 3 sqrt(3) B, unstable if it is less, B sqrt(J1 J2^3) cos(phi1 + 3 phi2 + const) the resonant term. With three degrees of
+freedom invariant tori do not separate the motions (Arnold diffusion), so that none of this shows stability.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from functools import cache
+from itertools import permutations
+from math import factorial
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...flags import NonlinearStability
+from ..base import Array, Flags
+from .body import across
+from .oscillations import GROWTH_TOLERANCE, Equilibria
+
+if TYPE_CHECKING:
+    from scipy.sparse import csr_array
+
+RESONANCE_BAND = 1e-3  # distance of |l1/l2| from 1, 2 and 3 up to which the verdict is that of the resonance
+_ZERO = 1e-9  # of what a verdict needs to differ from 0, relative to its terms
+_DEGREE = 4
+_EXPONENTS = np.array([e for e in np.ndindex(*4 * [_DEGREE + 1]) if sum(e) <= _DEGREE])
+_CHUNK = 256  # points, whose arrays stay in the cache
+# zeta_1, zeta_2 and their conjugates, as which the coordinates z = w_1 zeta_1 + w_2 zeta_2 + conjugates are written
+_MONOMIALS = (0, 0, 2, 2), (0, 1, 2, 3), (1, 1, 3, 3), (0, 1, 1, 1)  # of c20, c11, c02, the resonance 3:1
+
+
+class NormalForm(NamedTuple):
+    """Normal forms of degree 4, each (points,); nan where the exponents are not imaginary."""
+
+    l1: Array
+    l2: Array
+    c20: Array
+    c11: Array
+    c02: Array
+    cubic: Array  # magnitude of the coefficient of zeta_1 zeta_2^2, which is resonant at l1 = -2 l2
+    quartic: Array  # B
+
+    @classmethod
+    def of(cls, second: Array, third: Array, fourth: Array) -> NormalForm:
+        """From the derivatives of H by (q1, q2, p1, p2), (points, 4, 4), (points, 4, 4, 4) and (points, 4, 4, 4, 4)."""
+        frequencies, modes = _modes(second)
+        t = (third.reshape(-1, 16, 4) @ modes).reshape(-1, 4, 4, 4)
+        transposed = np.swapaxes(modes, 1, 2)
+        t = (transposed @ (transposed[:, None] @ t).reshape(-1, 4, 16)).reshape(-1, 4, 4, 4)
+        t[np.abs(t) < 1e-12 * np.abs(t).max((1, 2, 3), keepdims=True, initial=0.0)] = 0.0
+        first, other = modes[:, :, 0], modes[:, :, 1]
+        actions = [_product(w, w.conj()).real for w in (first, other)]
+        square = _product(other, other)
+        images = np.stack([*actions, square.real, square.imag], 1) @ fourth.reshape(-1, 16, 16)
+        direct = [  # times the orders of the factors, over 4!
+            (actions[0] * images[:, 0]).sum(1) / 4,
+            (actions[0] * images[:, 1]).sum(1),
+            (actions[1] * images[:, 1]).sum(1) / 4,
+            (_product(first, other) * (images[:, 2] + 1j * images[:, 3])).sum(1) / 6,
+        ]
+        # Half of {H3, chi}, with chi such that {H2, chi} = -H3.
+        (a, b, c, e, d), weights, starts = _brackets()
+        rates = np.concatenate([frequencies, -frequencies], 1)
+        products = t[:, a, b, d] * t[:, c, e, (d + 2) % 4] * weights
+        with np.errstate(all="ignore"):
+            terms = np.where(products == 0, 0.0, products / (rates[:, c] + rates[:, e] - rates[:, d]))
+        c20, c11, c02, resonant = np.stack(direct) + np.add.reduceat(terms, starts, axis=1).T
+        cubic, quartic = np.abs(t[:, 0, 1, 1]) / 2, 2 * np.abs(resonant)
+        l1, l2 = frequencies.T
+        return cls(l1, l2, c20.real, c11.real, c02.real, cubic, quartic)
+
+    @property
+    def determinant(self) -> Array:
+        """D = c20 l2^2 - c11 l1 l2 + c02 l1^2."""
+        return self.c20 * self.l2**2 - self.c11 * self.l1 * self.l2 + self.c02 * self.l1**2
+
+    def verdict(self) -> Flags:
+        """Values of flags.NonlinearStability; degenerate where no normal form exists."""
+        sizes = [np.abs(c) for c in (self.c20, self.c11, self.c02)]
+        ratio = np.abs(self.l1 / self.l2)
+        near = {order: np.abs(ratio - order) < RESONANCE_BAND for order in (1, 2, 3)}
+        barrier, resonant = np.abs(self.c20 + 3 * self.c11 + 9 * self.c02), 3 * np.sqrt(3) * self.quartic
+        margin = _ZERO * (sizes[0] + 3 * sizes[1] + 9 * sizes[2] + resonant)
+        terms = sizes[0] * self.l2**2 + sizes[1] * np.abs(self.l1 * self.l2) + sizes[2] * self.l1**2
+        rows = (
+            (self.l1 * self.l2 > 0, NonlinearStability.ENERGY),
+            (near[1], NonlinearStability.DEGENERATE),
+            (near[2] & (self.cubic > _ZERO * np.abs(self.l1)), NonlinearStability.RESONANCE_UNSTABLE),
+            (near[3] & (barrier > resonant + margin), NonlinearStability.RESONANCE_STABLE),
+            (near[3] & (barrier < resonant - margin), NonlinearStability.RESONANCE_UNSTABLE),
+            (near[3] | ~(np.abs(self.determinant) > _ZERO * terms), NonlinearStability.DEGENERATE),
+            (near[2], NonlinearStability.RESONANCE_STABLE),
+        )
+        where, values = zip(*rows, strict=True)
+        return np.select(where, values, NonlinearStability.ARNOLD_MOSER).astype(np.int8)
+
+
+def stability(rest: Equilibria) -> tuple[Flags, Array]:
+    """Verdicts of the normal form, (points,), and c20, c11, c02 and D, times the moment, (4, points), nan where there is none.
+
+    The verdict is degenerate with fewer degrees of freedom, of which the energy decides, and undecided with more.
+    """
+    count = (rest.cyclic != 0).any(1).sum(1)
+    verdicts = np.where(count, NonlinearStability.DEGENERATE, NonlinearStability.UNDECIDED).astype(np.int8)
+    values = np.full((4, count.size), np.nan)
+    # Of a body that is symmetric about the vertical, and of a free one, the motion has one degree of freedom less.
+    symmetric = np.any([rest.body.symmetric_about(i) for i in range(3)], axis=0)
+    about_axis = (rest.cyclic[..., 1] != 0).any(1)
+    members = (count == 1) & (about_axis | ~symmetric) & ~rest.free & (rest.body.damping == 0)
+    for first in range(0, count.size, _CHUNK):
+        chunk = first + np.flatnonzero(members[first : first + _CHUNK])
+        if chunk.size:
+            form = NormalForm.of(*derivatives(rest, chunk))
+            verdicts[chunk] = form.verdict()
+            values[:, chunk] = form.c20, form.c11, form.c02, form.determinant * rest.rate[chunk] ** 2
+    return verdicts, values
+
+
+def derivatives(rest: Equilibria, members: NDArray[np.int64]) -> tuple[Array, Array, Array]:
+    """Derivatives of order 2, 3 and 4 of H by (u, v, p_u, p_v) at some of the equilibria."""
+    body, alpha, gamma = rest.body.subset(members), rest.alpha[members], rest.gamma[members]
+    axis, inertia, turn = rest.cyclic[members, :, 1], body.inertia, body.turn[:, None]
+    axial = (axis != 0).any(1, keepdims=True)
+    e = np.where(axial, axis, gamma)
+    along = (inertia * e).sum(1, keepdims=True)
+    side = 0.5 * (inertia.sum(1, keepdims=True) - along)
+    inverse = np.where(axial, 1 / side, 1 / inertia)
+    linear = np.where(axial, -turn * gamma, -body.rotor / inertia)
+    square = np.where(axial, 0.0, body.gamma.gradient[:, None] * inertia)[..., None] * np.eye(3)
+    force = np.where(axial, 0.0, body.gamma.field)
+    for direction, vector in ((body.alpha, alpha), (body.gamma, gamma)):
+        weight = np.where(axial, direction.gradient[:, None] * (along - side), 0.0)
+        square = square + (weight * vector)[..., None] * vector[:, None]
+        force = force + np.where(axial, (direction.field * e).sum(1, keepdims=True), 0.0) * vector
+    axes = np.concatenate([e[:, None], across(e)], 1)
+    transposed = np.swapaxes(axes, 1, 2)
+    inverse = (axes * inverse[:, None]) @ transposed
+    square = axes @ square @ transposed
+    linear, force, momentum = (
+        (axes @ vector[..., None])[..., 0] for vector in (linear, force, inertia * turn * gamma + body.rotor)
+    )
+    S, p_v, p_u = momentum.T * [[1], [-1], [1]]
+    weights = np.stack([S, p_u, p_v, np.ones_like(S)], 1)
+    squares = weights[:, :, None] * weights[:, None]
+    factors = [
+        0.5 * inverse[:, :, :, None, None] * squares[:, None, None],
+        linear[:, :, None] * weights[:, None],
+        0.5 * square,
+        force,
+    ]
+    table, places = _taylor()
+    values = (table @ np.concatenate([factor.reshape(members.size, -1) for factor in factors], 1).T).T
+    # Not values[:, place], in which the points are contiguous.
+    second, third, fourth = (np.take(values, place, axis=1) for place in places)
+    return second, third, fourth
+
+
+@cache
+def _taylor() -> tuple[csr_array, list[NDArray[np.int64]]]:
+    """Derivatives at 0 of the functions of which H is the sum, (monomials, functions), and the places of each order among them."""
+    from scipy.sparse import csr_array  # here, because every command imports the systems
+
+    cos_u, sin_u = cos_v, sin_v = np.array([[1, 0, -1 / 2, 0, 1 / 24], [0, 1, 0, -1 / 6, 0]])
+    one, sec, tan = np.array([[1, 0, 0, 0, 0], [1, 0, 1 / 2, 0, 5 / 24], [0, 1, 0, 1 / 3, 0]])
+
+    def polynomial(*terms: tuple[Array, Array, tuple[int, int]]) -> Array:
+        """Sum of terms: powers of u, of v, and the exponents of p_u and p_v."""
+        dense = np.zeros(4 * [_DEGREE + 1])
+        for in_u, in_v, momenta in terms:
+            dense[(..., *momenta)] += np.outer(in_u, in_v)
+        return dense[tuple(_EXPONENTS.T)]
+
+    still, zero = (0, 0), 0 * one
+    e = np.array([polynomial((x, y, still)) for x, y in ((cos_u, cos_v), (sin_u, cos_v), (one, sin_v))])
+    of_s = [(cos_u, sec), (sin_u, sec), (zero, zero)]
+    of_p_u = [(-cos_u, tan), (-sin_u, tan), (one, one)]
+    of_p_v = [(sin_u, one), (-cos_u, one), (zero, zero)]
+    rows = []
+    for parts in zip(of_s, of_p_u, of_p_v, strict=True):
+        deviation = polynomial((*parts[1], (1, 0)), (*parts[2], (0, 1)))
+        rows.append([*(polynomial((*part, still)) for part in parts), deviation])
+    m = np.array(rows)
+    functions = [_times(m[:, None, :, None], m[:, None, :]), m, _times(e[:, None], e), e]
+    table = np.concatenate([part.reshape(-1, len(_EXPONENTS)) for part in functions])
+    table = table * np.vectorize(factorial)(_EXPONENTS).prod(1)
+    place = {tuple(exponents): i for i, exponents in enumerate(_EXPONENTS.tolist())}
+    places = []
+    for order in (2, 3, 4):
+        exponents = [tuple(index.count(i) for i in range(4)) for index in np.ndindex(*order * [4])]
+        places.append(np.reshape([place[each] for each in exponents], order * [4]))
+    return csr_array(table.T), places
+
+
+def _times(a: Array, b: Array) -> Array:
+    """Products of polynomials, (..., monomials), up to the degree of these."""
+    sums = _EXPONENTS[:, None] + _EXPONENTS
+    i, j = np.nonzero(sums.sum(2) <= _DEGREE)
+    result = np.zeros((len(_EXPONENTS), *np.broadcast_shapes(a.shape, b.shape)[:-1]))
+    place = (sums[i, j][:, None] == _EXPONENTS).all(2).argmax(1)
+    np.add.at(result, place, np.moveaxis(a[..., i] * b[..., j], -1, 0))
+    return np.moveaxis(result, 0, -1)
+
+
+def _product(a: NDArray[np.complex128], b: NDArray[np.complex128]) -> NDArray[np.complex128]:
+    """Products of the components of two vectors, (points, 16)."""
+    return (a[:, :, None] * b[:, None]).reshape(len(a), 16)
+
+
+def _modes(second: Array) -> tuple[Array, NDArray[np.complex128]]:
+    """l1 and l2, (points, 2), and w_1, w_2 and their conjugates in columns, (points, 4, 4), of z' = J H'' z.
+
+    w is an eigenvector of -i l with w* J w = -i, so that zeta* zeta = (q^2 + p^2)/2 is an action.
+    """
+    A = np.concatenate([second[:, 2:], -second[:, :2]], 1)
+    square = A @ A
+    half = -0.25 * np.trace(square, axis1=1, axis2=2)
+    determinant = np.linalg.det(second)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        root = np.sqrt(half**2 - determinant)
+        # At a resonance 1:1 modes are not defined.
+        large = np.where(root > GROWTH_TOLERANCE * half, half + root, np.nan)
+        squares = np.stack([large, determinant / large], 1)
+        frequencies = np.sqrt(squares)
+        vectors = []
+        for i in (0, 1):
+            # The other pair of exponents is a factor of the characteristic polynomial, which vanishes at A.
+            part = square + squares[:, 1 - i, None, None] * np.eye(4)
+            column = np.take_along_axis(part, (part**2).sum(1).argmax(1)[:, None, None], 2)[..., 0]
+            vector = (A @ column[..., None])[..., 0] - 1j * frequencies[:, i, None] * column
+            norm = -2 * (vector[:, :2].conj() * vector[:, 2:]).imag.sum(1)
+            frequencies[:, i] *= np.sign(norm)
+            vector = np.where(norm[:, None] > 0, vector, vector.conj())
+            vectors.append(vector / np.sqrt(np.abs(norm))[:, None])
+    return frequencies, np.stack([*vectors, *(vector.conj() for vector in vectors)], -1)
+
+
+@cache
+def _brackets() -> tuple[NDArray[np.int64], Array, list[int]]:
+    """Terms t_abd t_ce(d*) / (rate_c + rate_e - rate_d) of the bracket: a, b, c, e, d, their factors, and the first of each monomial."""
+    indices: list[tuple[int, ...]] = []
+    weights, starts = [], []
+    for monomial in _MONOMIALS:
+        starts.append(len(indices))
+        orders = Counter((*sorted(order[:2]), *sorted(order[2:])) for order in set(permutations(monomial)))
+        for d, sign in enumerate((1, 1, -1, -1)):
+            indices += [(*order, d) for order in orders]
+            weights += [sign * count / 8 for count in orders.values()]
+    return np.array(indices).T, np.array(weights), starts

@@ -196,6 +196,32 @@ class Atlas:
 
         return fractions(self._ds, variable, along)
 
+    def probability(self, variable: str = "label", *, over: str | Sequence[str]) -> xr.Dataset:
+        """Probability of each flag of a variable, over an axis of random draws.
+
+        Parameters
+        ----------
+        variable : str, optional
+            A flag variable; default label.
+        over : str or sequence of str
+            The axis, or axes, that number the draws: ties of the scene contain `normal` or `uniform` of it.
+
+        Returns
+        -------
+        Dataset
+            `probability`, `lower` and `upper`, the 95 % interval of Wilson [1]_, over the other axes and a dimension named
+            like the variable, whose coordinate is the names of the flags. All draws count, those without a motion too, as
+            not_computed. The intervals are of each cell by itself: cells that share their draws are right or wrong together.
+            `probability().sel(label="drifting").atlas.map()` draws the probability of one flag.
+
+        References
+        ----------
+        .. [1] E. B. Wilson, J. Am. Stat. Assoc. 22 (1927) 209.
+        """
+        from .analysis.trust import probability
+
+        return probability(self._ds, variable, over)
+
     def boundary(
         self,
         label: str | int | None = None,

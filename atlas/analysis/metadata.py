@@ -173,7 +173,7 @@ def map_variable(ds: xr.Dataset) -> str:
     ]
     if scene is not None and scene.map in ds.data_vars:
         return scene.map
-    default = "label" if "label" in ds or not ds.data_vars else str(next(iter(ds.data_vars)))
+    default = "label" if "label" in ds.data_vars or not ds.data_vars else str(next(iter(ds.data_vars)))
     for name in flags:  # read in chunks, to the first difference
         values = (ds[name].isel(box).values.ravel() for box in chunks(ds[name].sizes, ds[name].dims))
         first = next(values)

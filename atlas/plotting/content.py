@@ -102,7 +102,7 @@ def panel_of(ds: xr.Dataset, name: str, dims: list[str], scene: Scene | None, bo
         steady = (label == Label.REGULAR_PRECESSION) | (label == Label.PERMANENT_ROTATION)
         grown = ds["growth_rate"].values * ds["end_time"].values >= MAX_SURVIVED_GROWTH
         slow = steady & (ds["stable"].values == Stability.UNSTABLE) & ~grown
-    if not set(dims) <= set(axes_of(scene)):
+    if not set(dims) <= axes_of(scene).keys() <= ds.coords.keys():  # of other axes, or over some of them
         return Panel(array, white, slow)
     try:
         borders = theory_lines(scene, ds, dims, name)

@@ -222,6 +222,24 @@ class Atlas:
 
         return probability(self._ds, variable, over)
 
+    def basin_fractions(self, over: str | Sequence[str] | None = None) -> xr.Dataset:
+        """Fractions of starts that end in each equilibrium, of an atlas that holds `end_equilibrium`.
+
+        Parameters
+        ----------
+        over : str or sequence of str, optional
+            The axes of starts; default all. Points of a list lie along "point".
+
+        Returns
+        -------
+        Dataset
+            `fraction`, `lower` and `upper`, the limits of `probability`, over the other axes and `end_equilibrium`, whose
+            coordinate is the positions in `atlas.equilibria` and first -1, not settled.
+        """
+        from .analysis.trust import basin_fractions
+
+        return basin_fractions(self._ds, over)
+
     def boundary(
         self,
         label: str | int | None = None,
@@ -475,6 +493,9 @@ class Atlas:
               above 0 [1]_: 1 for smooth borders, towards 0 for fractal ones, which finer grids hardly
               sharpen; nan with fewer than two such sides. The dimension of the borders is the number of
               axes less the exponent.
+            - entropy, border_entropy: mean over boxes of `atlas.analysis.trust.BOX` points along each axis of
+              -sum p ln p, p the fractions of the flags in a box [3]_, and over the boxes with more than one
+              flag alone, where more than ln 2 means fractal borders.
             - missed: fraction of the cells of side 2 with equal corners that have another value on the
               points between them, such as an island or a thin tongue.
             - missed_bound: its upper 95 % bound [2]_, cells taken as independent samples. It holds for
@@ -484,6 +505,7 @@ class Atlas:
         ----------
         .. [1] Grebogi, McDonald, Ott & Yorke, Phys. Lett. A 99 (1983) 415.
         .. [2] Clopper & Pearson, Biometrika 26 (1934) 404.
+        .. [3] Daza, Wagemakers, Georgeot, Guery-Odelin & Sanjuan, Sci. Rep. 6 (2016) 31416.
         """
         from .analysis.trust import trust
 

@@ -9,6 +9,7 @@ import numpy as np
 import xarray as xr
 
 from ..errors import BadInput, shown
+from ..measure.ends import END, NO_END
 from ..validation.half_step import upper_bound
 from ..variables import POINT
 from .intervals import wilson_interval
@@ -16,6 +17,7 @@ from .metadata import check_not_empty, chunks, flag_names, flag_variable
 
 # Values of an axis with cells; shorter axes count as separate maps, since they contain no information about resolution.
 MIN_VALUES = 5
+BOX = 4  # points along each axis of a box of which the entropy is taken
 
 
 def trust(ds: xr.Dataset, variable: str) -> xr.Dataset:
@@ -47,10 +49,21 @@ def trust(ds: xr.Dataset, variable: str) -> xr.Dataset:
         n_uniform += int(uniform.sum())
         n_missed += int((uniform & _differ(values, len(dims), (0, 1, 2), step=2)).sum())
     missed = n_missed / n_uniform if n_uniform else np.nan
+    boxes = mixed = total = 0.0
+    for box in chunks(array.sizes, dims, cell_side=BOX):
+        part, entropy = array.isel(box), np.zeros(1)
+        for flag in np.unique(part.values):
+            share = (part == flag).coarsen(dict.fromkeys(dims, BOX), boundary="trim").mean().values
+            entropy = entropy - share * np.log(np.where(share > 0, share, 1.0))
+        boxes, mixed = boxes + entropy.size, mixed + np.count_nonzero(entropy)
+        total += float(entropy.sum())
+    border = total / mixed if mixed else np.nan
     return xr.Dataset(
         {
             "uncertain": ("stride", uncertain, {"long_name": "share of cells whose corners differ"}),
             "exponent": ((), exponent, {"long_name": "uncertainty exponent"}),
+            "entropy": ((), total / boxes, {"long_name": f"basin entropy, of boxes of side {BOX}"}),
+            "border_entropy": ((), border, {"long_name": "basin entropy of the boxes with several flags"}),
             "missed": ((), missed, {"long_name": "share of cells with equal corners that hide a border"}),
             "missed_bound": (
                 (),
@@ -123,6 +136,21 @@ def probability(ds: xr.Dataset, variable: str, over: str | Sequence[str]) -> xr.
         for (name, text), values in zip(texts.items(), columns, strict=True)
     }
     return xr.Dataset(variables, {**coords, **counts.coords}, {**ds.attrs, "atlas_draws": draws})
+
+
+def basin_fractions(ds: xr.Dataset, over: str | Sequence[str] | None) -> xr.Dataset:
+    """Fractions of starts that end in each equilibrium, with their intervals; see `Atlas.basin_fractions`."""
+    array = flag_variable(ds, END)
+    result = probability(ds, END, [str(dim) for dim in array.dims] if over is None else over)
+    names = {"probability": "fraction"}
+    for name, text in (
+        ("probability", "fraction"),
+        ("lower", "lower 95 % limit"),
+        ("upper", "upper 95 % limit"),
+    ):
+        result[name].attrs["long_name"] = f"{text} of the starts that end in an equilibrium"
+    positions = np.arange(result.sizes[END]) + NO_END
+    return result.rename(names).assign_coords({END: (END, positions, ds[END].attrs)})
 
 
 def _axis(ds: xr.Dataset, variable: str, option: str, name: str) -> str:

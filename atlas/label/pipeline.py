@@ -40,13 +40,13 @@ def evaluate(
     once its label is certain. `halved`: at half the step of the settings; `progress`: gets points done.
     """
     if not tile.exists.all():
-        columns = {}
+        columns, registry = {}, variables(plan.system)
         if tile.exists.any():
             some = evaluate(plan, tile.subset(tile.exists), halved=halved, threads=threads, progress=progress)
         else:
-            some = {name: np.empty(0, variable.dtype) for name, variable in variables(plan.system).items()}
+            some = {name: np.empty(0, variable.dtype) for name, variable in registry.items()}
         for name, values in some.items():
-            empty = np.nan if values.dtype.kind == "f" else 0
+            empty = np.nan if values.dtype.kind == "f" else registry[name].missing
             columns[name] = np.full(tile.exists.shape, empty, values.dtype)
             columns[name][tile.exists] = values
         return columns | {"status": np.where(tile.exists, columns["status"], status_of(tile.reason))}

@@ -62,14 +62,14 @@ class Ends(OfDamped):
             "nan where the motion is not settled, and where the members of a circle of equilibria differ"
         )
         return (
-            Variable(END, "int16", "1", "position in atlas.equilibria of the equilibrium in which the motion ends", comment=_ORDER, optional=True),
+            Variable(END, "int16", "1", "position in atlas.equilibria of the equilibrium in which the motion ends", comment=_ORDER, optional=True, missing=NO_END),
             *(
                 Variable(f"end_{name}", "float64", "rad", f"{text} at the equilibrium in which the motion ends", comment=comment, optional=True)
                 for name, text in zip(ANGLES, texts, strict=True)
             ),
             Variable(
                 "end_index", "int8", "1", "Morse index of the equilibrium in which the motion ends",
-                comment="0 of a minimum of the amended potential; -1 where the motion is not settled", optional=True,
+                comment="0 of a minimum of the amended potential; -1 where the motion is not settled", optional=True, missing=-1,
             ),
             Variable("settled_by", "int8", "1", "how the end is known", SettledBy.meanings(), optional=True),
         )  # fmt: skip

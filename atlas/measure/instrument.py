@@ -36,6 +36,7 @@ class Variable:
     flags: dict[str, str] | None = None  # flag name -> sentence, values 0, 1, 2, ...
     comment: str = ""
     optional: bool = False  # only in the atlases of scenes that ask for it
+    missing: int = 0  # of integers: the value where a point is not computed
 
     def attributes(self) -> dict[str, object]:
         """CF attributes: units or flags, long_name, comment."""

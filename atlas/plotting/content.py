@@ -195,6 +195,7 @@ class MapOptions:
     size: tuple[float, float] | None = None
     dpi: float = 300
     caption: bool = False
+    frames: Mapping[str, np.ndarray] = field(default_factory=dict)  # flag -> attitude, drawn in the legend
 
     def __post_init__(self) -> None:
         choice("width", self.width, WIDTHS)

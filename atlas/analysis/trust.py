@@ -140,17 +140,10 @@ def probability(ds: xr.Dataset, variable: str, over: str | Sequence[str]) -> xr.
 
 def basin_fractions(ds: xr.Dataset, over: str | Sequence[str] | None) -> xr.Dataset:
     """Fractions of starts that end in each equilibrium, with their intervals; see `Atlas.basin_fractions`."""
-    array = flag_variable(ds, END)
-    result = probability(ds, END, [str(dim) for dim in array.dims] if over is None else over)
-    names = {"probability": "fraction"}
-    for name, text in (
-        ("probability", "fraction"),
-        ("lower", "lower 95 % limit"),
-        ("upper", "upper 95 % limit"),
-    ):
-        result[name].attrs["long_name"] = f"{text} of the starts that end in an equilibrium"
+    every = [str(dim) for dim in flag_variable(ds, END).dims]
+    result = probability(ds, END, every if over is None else over).rename(probability="fraction")
     positions = np.arange(result.sizes[END]) + NO_END
-    return result.rename(names).assign_coords({END: (END, positions, ds[END].attrs)})
+    return result.assign_coords({END: (END, positions, ds[END].attrs)})
 
 
 def _axis(ds: xr.Dataset, variable: str, option: str, name: str) -> str:

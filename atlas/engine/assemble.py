@@ -293,15 +293,13 @@ def _generated_functions(
             if plug.add_node:
                 lines += ["for l in range(WIDTH):", f"    {plug.add_node.__name__}({arguments})"]
             if plug.levels:
-                level_lines += _level_lines(row, first, plug.levels)
+                level_lines += _level_lines(equations, row, first, plug.levels)
             row, first = row + plug.sums, first + plug.given
         generated_lines["add_to_plugged(plugged, given, nodes, i, intervals, spacing, inverse_unit)"] = (
             lines or ["pass"]
         )
         if level_lines:
-            generated_lines["energy_of(state, constants)"] = _energy_lines(equations)
-            signature = "count_levels(plugged, given, i, state, constants, inverse_unit)"
-            generated_lines[signature] = level_lines
+            generated_lines["count_levels(plugged, given, i, state, constants, inverse_unit)"] = level_lines
     if of is tangent:
         sources |= augmented.variation(equations, sources["rhs"])
         generated_lines |= {
@@ -411,21 +409,17 @@ def _integral_lines(equations: ModuleType, name: str) -> list[str]:
     return [f"{', '.join(terms)}, = {name}(state, constants)", f"total = {' + '.join(terms)}"]
 
 
-def _energy_lines(equations: ModuleType) -> list[str]:
-    """Lines that return the first of the integrals, without the sum of what was lost of it."""
-    name, *_ = equations.INTEGRALS
+def _level_lines(equations: ModuleType, row: int, first: int, levels: int) -> list[str]:
+    """Body of `count_levels` for these sums and constants; the energy is the first integral without the sum of its loss."""
+    name, energy = next(iter(equations.INTEGRALS)), f"plugged[{row + levels}, l]"
     assign, total = _integral_lines(equations, name)
-    return [assign, total.rsplit(" + ", 1)[0] if name in equations.LOSSES else total, "return total"]
-
-
-def _level_lines(row: int, first: int, levels: int) -> list[str]:
-    """Body of `count_levels` for an instrument with these sums and constants."""
-    energy = f"plugged[{row + levels}, l]"
+    total = total.rsplit(" + ", 1)[0] if name in equations.LOSSES else total
     return [
         f"if i % {kernel.NODES_PER_LEVEL} == 0:",
         "    for l in range(WIDTH):",
-        "        energy = energy_of(load_state(state, l), load_constants(constants, l))",
-        f"        {energy} = energy * inverse_unit[l] * inverse_unit[l]",
+        "        "
+        + assign.replace("(state, constants)", "(load_state(state, l), load_constants(constants, l))"),
+        f"        {energy} = ({total.removeprefix('total = ')}) * inverse_unit[l] * inverse_unit[l]",
         f"    for k in range({levels}):",
         "        for l in range(WIDTH):",
         f"            plugged[{row} + k, l] += 1.0 if {energy} > given[{first} + k, l] else 0.0",

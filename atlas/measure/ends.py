@@ -16,63 +16,53 @@ from ..systems.gyrostat.equilibria import ANGLES
 from ..systems.gyrostat.wells import SETTLED, wells_of
 from .instrument import Instrument, Measured, Run, Variable
 
-# Errors of the energy by which a body stays below the rim of its well where the end is proved.
-MARGIN = 10.0
+MARGIN = 10.0  # errors of the energy by which a body stays below the rim of its well where the end is proved
 ROUNDING = 1e-14  # of the energy, relative
-# Minima of a body, those of the least potentials, of which the time of settling is measured.
-LEVELS = 6
+LEVELS = 6  # minima of a body, those of the least potentials, of which the time of settling is measured
 PLACE, SETTLED_BY = "ends:place", "ends:settled_by"  # measurements
-END, TIME = "end_equilibrium", "settling_time"
-NO_END = -1  # value of END
-
+END, NO_END, TIME = "end_equilibrium", -1, "settling_time"
 _ORDER = (
     "in the order of the potential, then of alpha and gamma, or of theta0 about a fixed point; -1 where the motion is not settled;"
     " positions of different bodies cannot be compared"
 )
 _TIME = (
-    "the energy is then too low for more than 1e-3 rad and 1e-3 of the frame's rate, or rad per time unit where that is 0; found at"
+    "the energy is then too low for more than 1e-3 rad and 1e-3 of the frame's rate, or rad per time unit where that is 0; seen at"
     " every eighth node; nan where this is not reached, and at ends that are no minimum"
 )
-
-
-class OfDamped(Instrument):
-    """An instrument of damped gyrostats."""
-
-    def variables(self, system: System) -> tuple[Variable, ...]:
-        """Without a precession angle about a fixed point, where it has no meaning."""
-        if not isinstance(system, Gyrostat) or "damping" not in system.parameters:
-            return ()
-        single = len(system.equations.FRAME_VECTORS) == 1
-        return tuple(v for v in self.every_variable(system) if not (single and v.name == "end_psi0"))
+_INDEX = "0 of a minimum of the amended potential; -1 where the motion is not settled"
+_ANGLE = "nan where the motion is not settled, and where the members of a circle of equilibria differ"
 
 
 @dataclass(frozen=True)
-class Ends(OfDamped):
-    """The equilibrium in which a motion ends, from its last state and the energy."""
+class Ends(Instrument):
+    """The equilibrium in which a damped gyrostat ends, from its last state and the energy."""
 
     needs_whole_run = True
 
     def every_variable(self, system: System) -> tuple[Variable, ...]:
+        def at_end(name: str, dtype: str, units: str, what: str, comment: str, missing: int = 0) -> Variable:
+            text = f"{what} the equilibrium in which the motion ends"
+            return Variable(name, dtype, units, text, comment=comment, optional=True, missing=missing)
+
         texts = (
             "angle from the vertical to the third body axis",
             "precession angle",
             "angle of proper rotation",
         )
-        comment = (
-            "nan where the motion is not settled, and where the members of a circle of equilibria differ"
-        )
+        angles = zip(ANGLES, texts, strict=True)
         return (
-            Variable(END, "int16", "1", "position in atlas.equilibria of the equilibrium in which the motion ends", comment=_ORDER, optional=True, missing=NO_END),
-            *(
-                Variable(f"end_{name}", "float64", "rad", f"{text} at the equilibrium in which the motion ends", comment=comment, optional=True)
-                for name, text in zip(ANGLES, texts, strict=True)
-            ),
-            Variable(
-                "end_index", "int8", "1", "Morse index of the equilibrium in which the motion ends",
-                comment="0 of a minimum of the amended potential; -1 where the motion is not settled", optional=True, missing=-1,
-            ),
+            at_end(END, "int16", "1", "position in atlas.equilibria of", _ORDER, NO_END),
+            *(at_end(f"end_{name}", "float64", "rad", f"{text} at", _ANGLE) for name, text in angles),
+            at_end("end_index", "int8", "1", "Morse index of", _INDEX, -1),
             Variable("settled_by", "int8", "1", "how the end is known", SettledBy.meanings(), optional=True),
-        )  # fmt: skip
+        )
+
+    def variables(self, system: System) -> tuple[Variable, ...]:
+        """Without a precession angle about a fixed point, where it has no meaning."""
+        if not isinstance(system, Gyrostat) or "damping" not in system.parameters:
+            return ()
+        missing = "end_psi0" if len(system.equations.FRAME_VECTORS) == 1 else ""
+        return tuple(variable for variable in self.every_variable(system) if variable.name != missing)
 
     def wanted(self, system: System, outputs: Collection[str]) -> bool:
         return super().wanted(system, outputs) or SETTLING.wanted(system, outputs)
@@ -84,10 +74,8 @@ class Ends(OfDamped):
             error = (measured["integral_drift"] + ROUNDING) / scale
             damped = run.integration.finite & (run.points["damping"] > 0)
             w, alpha, gamma = wells.system.vectors(np.where(run.integration.finite, states, 0.0))
-            frames, rates = (
-                np.stack([alpha, np.cross(gamma, alpha), gamma], 1),
-                w - wells.body.turn[row, None] * gamma,
-            )
+            frames = np.stack([alpha, np.cross(gamma, alpha), gamma], 1)
+            rates = w - wells.body.turn[row, None] * gamma
             place, angle = wells.nearest(frames, row)
             near = (angle <= SETTLED) & run.integration.finite
             energy = np.where(damped, wells.energy(frames, rates, row) + MARGIN * error, np.inf)
@@ -115,7 +103,7 @@ class Ends(OfDamped):
 
 
 @dataclass(frozen=True)
-class Settling(OfDamped):
+class Settling(Instrument):
     """The time after which the energy keeps a body near the minimum in which it ends."""
 
     sums, given, levels = LEVELS + 1, LEVELS, LEVELS
@@ -123,6 +111,9 @@ class Settling(OfDamped):
     def every_variable(self, system: System) -> tuple[Variable, ...]:
         text = "time after which attitude and rates stay within 1e-3 of the end"
         return (Variable(TIME, "float64", "s", text, comment=_TIME, optional=True),)
+
+    def variables(self, system: System) -> tuple[Variable, ...]:
+        return self.every_variable(system) if Ends().variables(system) else ()
 
     def constants(self, system: System, points: Points, start: Ensemble) -> Array:
         """The energies at which the body is settled; nan, of which none is above, after the last."""

@@ -8,9 +8,9 @@ import numpy as np
 import xarray as xr
 from matplotlib.artist import Artist
 from matplotlib.legend import Legend
-from matplotlib.legend_handler import HandlerBase
+from matplotlib.legend_handler import HandlerPatch
 from matplotlib.lines import Line2D
-from matplotlib.patches import Polygon, Rectangle
+from matplotlib.patches import Polygon
 
 from ..analysis.metadata import system_of
 from ..measure.ends import END
@@ -28,28 +28,19 @@ class Attitude(Polygon):
     """Sample of a colour with the axes of a body, alpha, beta and gamma being the rows of a frame."""
 
     def __init__(self, frame: Array, colour: str):
-        super().__init__(np.full((1, 2), np.nan), facecolor=colour)
-        self.frame = frame
+        super().__init__(np.full((1, 2), np.nan), facecolor=colour, edgecolor="0.4", linewidth=0.4)
+        self.axes_on_paper = frame.T @ _ON_PAPER
 
 
-class _Handler(HandlerBase):
-    def create_artists(self, legend: Legend, orig_handle: Artist, *sizes: Any) -> list[Artist]:
-        assert isinstance(orig_handle, Attitude)
+class _Handler(HandlerPatch):
+    def create_artists(self, legend: Legend, orig_handle: Any, *sizes: Any) -> list[Artist]:
         x, y, width, height, _, transform = sizes
-        half = 0.5 * min(width, height)
-        box = Rectangle(
-            (-x, -y), width, height, facecolor=orig_handle.get_facecolor(), edgecolor="0.4", linewidth=0.4
-        )
         centre = np.array([0.5 * width - x, 0.5 * height - y])
-        artists: list[Artist] = [box]
-        for axis, thickness in zip(orig_handle.frame.T @ _ON_PAPER, (0.7, 0.7, 1.8), strict=True):
-            tip = centre + 0.9 * half * axis
+        artists = [*super().create_artists(legend, orig_handle, *sizes)]
+        for axis, thickness in zip(orig_handle.axes_on_paper, (0.7, 0.7, 1.8), strict=True):
+            ends = np.stack([centre, centre + 0.45 * min(width, height) * axis], 1)
             for colour, wider in (("white", 1.2), ("black", 0.0)):  # seen on light and dark grounds
-                artists.append(
-                    Line2D(*zip(centre, tip, strict=True), color=colour, linewidth=thickness + wider)
-                )
-        for artist in artists:
-            artist.set_transform(transform)
+                artists.append(Line2D(*ends, color=colour, linewidth=thickness + wider, transform=transform))
         return artists
 
 
@@ -59,16 +50,16 @@ Legend.update_default_handler_map({Attitude: _Handler()})
 def attitudes(ds: xr.Dataset) -> dict[str, Array]:
     """Frames of the equilibria in which motions end by their flags, where all points that end there have the same."""
     names = [f"end_{name}" for name in ANGLES if f"end_{name}" in data_variables(system_of(ds))]
-    if END not in ds or not {*names} <= {*ds}:
+    if not {END, *names} <= {*ds}:
         return {}
-    columns = ds[[END, *names]].load()
-    place = columns[END].values.ravel()
-    zero, result = np.zeros(place.size), dict[str, Array]()
-    angles = [columns[f"end_{name}"].values.ravel() if f"end_{name}" in columns else zero for name in ANGLES]
-    for i in np.unique(place[place >= 0]):
-        own = np.array(angles)[:, place == i]
-        if np.ptp(own, axis=1).max() < 1e-6:
-            points = {name: own[k, :1] for k, name in enumerate(ANGLES)}
-            alpha, gamma = (vector[:, 0] for vector in directions(points))
+    columns = {name: ds[name].transpose(*ds[END].dims).values.ravel() for name in (END, *names)}
+    result = {}
+    for i in np.unique(columns[END][columns[END] >= 0]):
+        own = {
+            name: columns.get(f"end_{name}", np.zeros(columns[END].size))[columns[END] == i]
+            for name in ANGLES
+        }
+        if max(np.ptp(values) for values in own.values()) < 1e-6:
+            alpha, gamma = (vector[:, 0] for vector in directions(own))
             result[f"equilibrium_{i}"] = np.stack([alpha, np.cross(gamma, alpha), gamma])
     return result

@@ -25,8 +25,8 @@ CONSTANTS = (
 ONES = ()
 # First integrals: name of the function below, and the power of a rate in its unit.
 INTEGRALS = {"energy": 2, "area": 1, "length_gamma": 0, "lagrange": 1, "clebsch": 2, "kovalevskaya": 4}
-# What damping takes of some of them: name of the function below that returns it per time.
-LOSSES = {"energy": "energy_loss", "area": "area_loss", "lagrange": "lagrange_loss"}
+# What damping takes of one of them: name of the function below that returns it per time.
+LOSSES = {"energy": "energy_loss"}
 
 
 def rhs(state, constants):
@@ -134,17 +134,3 @@ def energy_loss(state, constants):
     p, q, r, g1, g2, g3 = state
     A, B, C, A_inv, B_inv, C_inv, l1, l2, l3, Mx, My, Mz, NA, NB, NC, damping = constants
     return damping * (p * p + q * q + r * r)
-
-
-def area_loss(state, constants):
-    """Loss of `area` per time, damping w.g."""
-    p, q, r, g1, g2, g3 = state
-    A, B, C, A_inv, B_inv, C_inv, l1, l2, l3, Mx, My, Mz, NA, NB, NC, damping = constants
-    return damping * (p * g1 + q * g2 + r * g3)
-
-
-def lagrange_loss(state, constants):
-    """Loss of `lagrange` per time, damping r."""
-    p, q, r, g1, g2, g3 = state
-    A, B, C, A_inv, B_inv, C_inv, l1, l2, l3, Mx, My, Mz, NA, NB, NC, damping = constants
-    return damping * r

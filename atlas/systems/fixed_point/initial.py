@@ -78,9 +78,7 @@ def body(points: Points) -> Body:
     zero = np.zeros_like(N)
     vertical = Direction(N, -np.moveaxis(weight, 0, -1))
     none = Direction(zero, np.zeros((*N.shape, 3)))
-    return Body(
-        np.moveaxis(inertia, 0, -1), np.moveaxis(rotor, 0, -1), zero, none, vertical, points["damping"]
-    )
+    return Body(inertia.T, rotor.T, zero, none, vertical, points["damping"])
 
 
 def constants(points: Points) -> Array:
@@ -216,22 +214,20 @@ def integral_scales(points: Points) -> dict[str, Array]:
     # The most by which the fields can change the kinetic energy; terms that vanish at the start reach this size.
     potential = length(weight) + 0.5 * np.abs(N) * (largest - inertia.min(0))
     momentum = length(inertia * w) + np.sqrt(2 * largest * potential)
-    undamped = points["damping"] == 0
     no_weight, no_rotor = (weight == 0).all(0), (rotor == 0).all(0)
     no_gradient = (N == 0) | (largest == inertia.min(0))
     kovalevskaya = (inertia[0] == inertia[1]) & (inertia[0] == 2 * inertia[2]) & (N == 0) & (weight[2] == 0)
     kovalevskaya = kovalevskaya & (rotor[:2] == 0).all(0)
     transverse = w[0] ** 2 + w[1] ** 2 + 2 * potential / inertia[2]
-    return {
-        "energy": potential,
+    conserved = {
         "area": momentum + length(rotor),
-        "length_gamma": zero,
         "lagrange": np.where(symmetric(points), momentum, np.nan),
-        "clebsch": np.where(
-            undamped & no_weight & (no_rotor | no_gradient), momentum**2 + (rotor**2).sum(0), np.nan
-        ),
-        "kovalevskaya": np.where(undamped & kovalevskaya, transverse**2, np.nan),
+        "clebsch": np.where(no_weight & (no_rotor | no_gradient), momentum**2 + (rotor**2).sum(0), np.nan),
+        "kovalevskaya": np.where(kovalevskaya, transverse**2, np.nan),
     }
+    damped = points["damping"] > 0
+    scales = {name: np.where(damped, np.nan, scale) for name, scale in conserved.items()}
+    return {"energy": potential, "length_gamma": zero, **scales}
 
 
 def frequency_bound(points: Points) -> Array:
@@ -270,11 +266,8 @@ def specialization(zero: Set[str], equal: Set[tuple[str, str]]) -> tuple[set[str
     """
     weight = {"Mx", "My", "Mz"}
     rows = (
-        ({"Mg", "M"}, weight),
-        ({"x0", "y0", "z0"}, weight),
-        ({"N", "lambda"}, {"NA", "NB", "NC"}),
-        ({"damping"}, {"damping"}),
-    )
+        ({"Mg", "M"}, weight), ({"x0", "y0", "z0"}, weight), ({"N", "lambda"}, {"NA", "NB", "NC"}), ({"damping"}, {"damping"}),
+    )  # fmt: skip
     zero_constants = {name for parameters, names in rows if zero >= parameters for name in names}
     no_transverse_weight = zero >= {"x0", "y0"} or "Mx" in zero_constants
     if ("A", "B") in equal and zero | zero_constants >= {"l1", "l2"} and no_transverse_weight:

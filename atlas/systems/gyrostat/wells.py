@@ -42,9 +42,7 @@ class Wells:
     body: Body
     rate: Array  # unit of rates, (bodies,)
     single: bool  # whether the frame has one direction, gamma, so that attitudes are known but for a turn about it
-    frames: (
-        Array  # alpha, beta and gamma in body axes, 0 where the frame has them not, (bodies, places, 3, 3)
-    )
+    frames: Array  # alpha, beta, gamma in body axes, 0 where there is none, (bodies, places, 3, 3)
     axis: Array  # in the body, of a circle of equilibria, else nan, (bodies, places, 3)
     angles: dict[str, Array]  # nan where the members of a circle differ
     potential: Array
@@ -61,25 +59,15 @@ class Wells:
         directions = 1 if self.single else 3
         for first in range(0, len(row), _BLOCK):
             part = slice(first, first + _BLOCK)
-            bodies = row[part]
-            one = (bodies == bodies[0]).all()
-            known = self.frames[bodies[:1]] if one else self.frames[bodies]
-            trace = np.einsum(
-                "nij,npij->np", frames[part], np.broadcast_to(known, (len(bodies), *known.shape[1:]))
-            )
-            axis = self.axis[bodies]
-            n, p = np.nonzero(~np.isnan(axis[..., 0]))
-            if n.size:  # the nearest member of a circle
-                s = axis[n, p]
-                turn = np.swapaxes(frames[part][n], 1, 2) @ self.frames[bodies[n], p]
-                along = np.einsum("ni,nij,nj->n", s, turn, s)
-                skew = turn - np.swapaxes(turn, 1, 2)
-                across = s[:, 0] * skew[:, 1, 2] + s[:, 1] * skew[:, 2, 0] + s[:, 2] * skew[:, 0, 1]
-                trace[n, p] = along + np.hypot(trace[n, p] - along, across)
-            trace = np.where(np.isnan(trace), -np.inf, trace)
+            own, known, axis = frames[part], self.frames[row[part]], self.axis[row[part]]
+            trace = np.nan_to_num(np.einsum("nij,npij->np", own, known), nan=-np.inf)
+            n, p = np.nonzero(~np.isnan(axis[..., 0]))  # circles, of which the nearest member counts
+            s, first_vectors, second_vectors = axis[n, p][:, None], own[n], known[n, p]
+            along = ((first_vectors * s).sum(-1) * (second_vectors * s).sum(-1)).sum(-1)
+            across = (np.cross(first_vectors, second_vectors) * s).sum((-2, -1))
+            trace[n, p] = along + np.hypot(trace[n, p] - along, across)
             place[part], largest = trace.argmax(1), trace.max(1)
-            half_sine = np.sqrt(np.clip((directions - largest) / (directions + 1), 0.0, 1.0))
-            angle[part] = 2 * np.arcsin(half_sine)
+            angle[part] = 2 * np.arcsin(np.sqrt(np.clip((directions - largest) / (directions + 1), 0.0, 1.0)))
         return place, angle
 
     def energy(self, frames: Array, rates: Array, row: Places) -> Array:
@@ -117,16 +105,14 @@ class Wells:
         that saddle is lower and in the same component.
         """
         bodies = bodies[np.isnan(self.rim[bodies]).all(1)]
-        other = ~np.isnan(self.potential[bodies]) & ~self.minimum[bodies]
-        which, place = np.nonzero(other)
+        which, place = np.nonzero(~np.isnan(self.potential[bodies]) & ~self.minimum[bodies])
         row = bodies[which]
         rim = np.where(self.minimum[bodies], np.inf, np.nan)
         for sign in (-1.0, 1.0):
             start = _rotated(self.frames[row, place], sign * _DISPLACED * self.downhill[row, place])
-            reached = self.descend(start, row)
-            for i, end in enumerate(reached):
-                wells = slice(None) if end < 0 else end
-                rim[which[i], wells] = np.minimum(rim[which[i], wells], self.potential[row[i], place[i]])
+            for i, end in enumerate(self.descend(start, row)):
+                joined = which[i], slice(None) if end < 0 else end
+                rim[joined] = np.minimum(rim[joined], self.potential[row[i], place[i]])
         self.rim[bodies] = rim
 
     def proved(self, frames: Array, energy: Array, row: Places, place: Places, settled: Mask) -> Places:
@@ -134,8 +120,7 @@ class Wells:
 
         place: of the nearest equilibria; settled: whether the attitude is within SETTLED of it.
         """
-        others = np.where(self.minimum, np.inf, self.potential)
-        least = np.nanmin(others, axis=1, initial=np.inf)[row]
+        least = np.nanmin(np.where(self.minimum, np.inf, self.potential), axis=1, initial=np.inf)[row]
         decided = self.listed[row] & np.isfinite(energy)
         above = decided & (energy >= least)
         if above.any():

@@ -196,6 +196,50 @@ class Atlas:
 
         return fractions(self._ds, variable, along)
 
+    def probability(self, variable: str = "label", *, over: str | Sequence[str]) -> xr.Dataset:
+        """Probability of each flag of a variable, over an axis of random draws.
+
+        Parameters
+        ----------
+        variable : str, optional
+            A flag variable; default label.
+        over : str or sequence of str
+            The axis, or axes, that number the draws: ties of the scene contain `normal` or `uniform` of it.
+
+        Returns
+        -------
+        Dataset
+            `probability`, `lower` and `upper`, the 95 % interval of Wilson [1]_, over the other axes and a dimension named
+            like the variable, whose coordinate is the names of the flags. All draws count, those without a motion too, as
+            not_computed. The intervals are of each cell by itself: cells that share their draws are right or wrong together.
+            `probability().sel(label="drifting").atlas.map()` draws the probability of one flag.
+
+        References
+        ----------
+        .. [1] E. B. Wilson, J. Am. Stat. Assoc. 22 (1927) 209.
+        """
+        from .analysis.trust import probability
+
+        return probability(self._ds, variable, over)
+
+    def basin_fractions(self, over: str | Sequence[str] | None = None) -> xr.Dataset:
+        """Fractions of starts that end in each equilibrium, of an atlas that holds `end_equilibrium`.
+
+        Parameters
+        ----------
+        over : str or sequence of str, optional
+            The axes of starts; default all. Points of a list lie along "point".
+
+        Returns
+        -------
+        Dataset
+            `fraction`, `lower` and `upper`, the limits of `probability`, over the other axes and `end_equilibrium`, whose
+            coordinate is the positions in `atlas.equilibria` and first -1, not settled.
+        """
+        from .analysis.trust import basin_fractions
+
+        return basin_fractions(self._ds, over)
+
     def boundary(
         self,
         label: str | int | None = None,
@@ -450,6 +494,9 @@ class Atlas:
               above 0 [1]_: 1 for smooth borders, towards 0 for fractal ones, which finer grids hardly
               sharpen; nan with fewer than two such sides. The dimension of the borders is the number of
               axes less the exponent.
+            - entropy, border_entropy: mean over boxes of `atlas.analysis.trust.BOX` points along each axis of
+              -sum p ln p, p the fractions of the flags in a box [3]_, and over the boxes with more than one
+              flag alone, where more than ln 2 means fractal borders.
             - missed: fraction of the cells of side 2 with equal corners that have another value on the
               points between them, such as an island or a thin tongue.
             - missed_bound: its upper 95 % bound [2]_, cells taken as independent samples. It holds for
@@ -459,6 +506,7 @@ class Atlas:
         ----------
         .. [1] Grebogi, McDonald, Ott & Yorke, Phys. Lett. A 99 (1983) 415.
         .. [2] Clopper & Pearson, Biometrika 26 (1934) 404.
+        .. [3] Daza, Wagemakers, Georgeot, Guery-Odelin & Sanjuan, Sci. Rep. 6 (2016) 31416.
         """
         from .analysis.trust import trust
 

@@ -142,6 +142,14 @@ class Completeness(Flag):
     IMPOSSIBLE_BODY = 4, "no rigid body has these moments of inertia"
 
 
+class SettledBy(Flag):
+    """How the equilibrium is known in which a motion ends."""
+
+    NOT = 0, "not settled, or unresolved: see status"
+    PROVED = 1, "the energy holds the body in the well of one minimum, in which every motion ends"
+    MEASURED = 2, "attitude and rates are within 1e-3 (rad, and of the frame's rate) of the equilibrium"
+
+
 class Regularity(Flag):
     """Whether neighbouring motions separate exponentially."""
 

@@ -9,13 +9,14 @@ from types import MappingProxyType
 from .errors import BadInput
 from .measure.chaos import Chaos
 from .measure.circle import CIRCLES
+from .measure.ends import ENDS
 from .measure.instrument import Instrument, MainInstrument, Variable
 from .measure.observables import Observables
 from .measure.rates import Rates
 from .systems.base import System
 
 # Every instrument, in the order of the variables in a file; the first of a system is its main one.
-INSTRUMENTS: list[Instrument] = [Rates(), Observables(), *CIRCLES, Chaos()]
+INSTRUMENTS: list[Instrument] = [Rates(), Observables(), *CIRCLES, Chaos(), *ENDS]
 # Dimension of points that come from no axes.
 POINT = "point"
 # Only in refined atlases, which are not integrated at every point.

@@ -13,6 +13,7 @@ import xarray as xr
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import array_shapes, arrays
+from scipy import stats
 
 import atlas
 from atlas import BadInput, load_scene
@@ -111,6 +112,25 @@ def test_fractions_are_counts(small, files):
         np.testing.assert_array_equal(rows[along], ds[along])
         for value in Agreement:
             np.testing.assert_allclose(rows[:, value], (ds.agreement.values == value).mean(axis))
+
+
+def test_probabilities_are_shares_with_the_interval_of_scipy(small, files):
+    _, ds = files
+    shares = small.atlas.probability("agreement", over="theta0")
+    assert shares.probability.dims == ("sigma", "agreement")
+    counts = np.array([(ds.agreement.values == value).sum(1) for value in Agreement]).T
+    np.testing.assert_array_equal(shares.probability, counts / ds.sizes["theta0"])
+    for k, low, high in zip(
+        counts.ravel(), shares.lower.values.ravel(), shares.upper.values.ravel(), strict=True
+    ):
+        interval = stats.binomtest(k, ds.sizes["theta0"]).proportion_ci(method="wilson")
+        np.testing.assert_allclose((low, high), interval, atol=1e-15)
+    assert "k3" not in shares.coords
+    np.testing.assert_array_equal(shares.C, ds.C)
+    both = small.atlas.probability(over=["sigma", "theta0"])
+    np.testing.assert_array_equal(both.probability, small.atlas.fractions())
+    figure = shares.sel(agreement="agree").atlas.map()
+    assert figure.axes[0].get_ylabel().startswith("probability")
 
 
 @settings(max_examples=20)
@@ -409,6 +429,8 @@ def test_compare_and_cite(small):
             lambda a: a.fractions(along="k3"),
             "along = 'k3': not an axis of this atlas; allowed: sigma, theta0",
         ),
+        (lambda a: a.probability("step", over="sigma"), "step: not a flag variable"),
+        (lambda a: a.probability(over=["sigma", "draw"]), "over = 'draw': not an axis of this atlas"),
         (lambda a: a.nearest(k3=0.2), "k3: not an axis of this atlas; allowed: sigma, theta0"),
         (lambda a: a.nearest(sigma=9.0), "outside the atlas; allowed: 0.3 to 1.7"),
         (lambda a: a.trajectory(sigma=1.0), "a trajectory needs a value of every axis: sigma, theta0"),

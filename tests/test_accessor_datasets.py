@@ -100,6 +100,7 @@ QUESTIONS = {
     "nearest": lambda a: a.nearest(),
     "fractions": lambda a: a.fractions(),
     "fractions along": lambda a: a.fractions(along="sigma"),
+    "probability": lambda a: a.probability(over="sigma"),
     "boundary": lambda a: a.boundary("drifting"),
     "trajectory": lambda a: a.trajectory(samples=3, sigma=1.2, theta0=0.5),
     "trajectory theta0": lambda a: a.trajectory(samples=3, theta0=0.5),

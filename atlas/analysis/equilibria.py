@@ -71,7 +71,8 @@ def equilibria(system: str, body: Table, *, max_equilibria: int | None = None) -
         Dimension "equilibrium"; a circle of equilibria is listed once, by one of its members. Variables:
         theta0, phi0 and, for the satellite, psi0 (rad), gamma (equilibrium, body_axis), index, circle,
         stable (flags), growth_rate and frequency_1 to frequency_3 (rad per time unit). For the satellite also alpha, axis, degenerate,
-        potential, in the order of the potential; for the fixed_point dimension, in the order of theta0.
+        potential, in the order of the potential, where that is the same of the components of alpha, then of gamma (of a circle
+        their means); for the fixed_point dimension, in the order of theta0.
 
         Of many bodies: the same over the dimensions of the DataArrays, or the dimension "point" of 1-D arrays, and
         "equilibrium", of which each body uses the first places; in the others index is -1 and what is no flag is nan.

@@ -15,6 +15,7 @@ from numpy.typing import ArrayLike
 
 from .. import systems
 from ..errors import MAX_TEXT, BadInput, allowed_text, attribute_text, printable, shown
+from ..measure.ends import END, NO_END
 from ..runs.tiles import Tiling
 from ..scene.model import Axis, Scene, Settings
 from ..scene.read import parse_scene
@@ -149,8 +150,19 @@ def is_averaged(array: xr.DataArray) -> bool:
     return has_flags(array) and array.dtype.kind not in "biu"
 
 
+def positions_as_flags(ds: xr.Dataset, variable: str) -> xr.Dataset:
+    """With the positions of equilibria, if that is the variable, as flags: not settled, then every position."""
+    if variable != END or END not in ds or "flag_meanings" in ds[END].attrs:
+        return ds
+    last = int(ds[END].max()) if ds[END].size else NO_END
+    names = ["not_settled", *(f"equilibrium_{i}" for i in range(last + 1))]
+    flags = ds[END] - NO_END
+    return ds.assign({END: flags.assign_attrs(ds[END].attrs | {"flag_meanings": " ".join(names)})})
+
+
 def flag_variable(ds: xr.Dataset, variable: str) -> xr.DataArray:
-    """The flag variable of this name; BadInput if the dataset has none."""
+    """The flag variable of this name, positions of equilibria as flags; BadInput if the dataset has none."""
+    ds = positions_as_flags(ds, variable)
     flags = [str(name) for name, array in ds.data_vars.items() if has_flags(array)]
     if variable not in flags:
         if not flags:
@@ -173,7 +185,7 @@ def map_variable(ds: xr.Dataset) -> str:
     ]
     if scene is not None and scene.map in ds.data_vars:
         return scene.map
-    default = "label" if "label" in ds or not ds.data_vars else str(next(iter(ds.data_vars)))
+    default = "label" if "label" in ds.data_vars or not ds.data_vars else str(next(iter(ds.data_vars)))
     for name in flags:  # read in chunks, to the first difference
         values = (ds[name].isel(box).values.ravel() for box in chunks(ds[name].sizes, ds[name].dims))
         first = next(values)
@@ -185,13 +197,16 @@ def map_variable(ds: xr.Dataset) -> str:
 def flag_values(ds: xr.Dataset, variable: str, flags: str | int | Sequence[str | int]) -> list[int]:
     """Values of one or several flags of a variable by their names or numbers; BadInput for unknown ones."""
     allowed = flag_names(flag_variable(ds, variable))
+    first = NO_END if variable == END else 0
     is_list = isinstance(flags, Iterable) and not isinstance(flags, str) and getattr(flags, "ndim", 1) != 0
     numbers = []
     for flag in flags if is_list else [flags]:  # type: ignore[union-attr]
-        number = np.asarray(allowed.index(flag) if isinstance(flag, str) and flag in allowed else flag)
-        if number.ndim or number.dtype.kind not in "iu" or not 0 <= number < len(allowed):
-            choice = allowed_text(flag, allowed)
-            raise BadInput(f"{variable} = {shown(flag)}: {choice}, or their numbers 0 to {len(allowed) - 1}")
+        number = np.asarray(
+            first + allowed.index(flag) if isinstance(flag, str) and flag in allowed else flag
+        )
+        if number.ndim or number.dtype.kind not in "iu" or not 0 <= number - first < len(allowed):
+            choice, last = allowed_text(flag, allowed), first + len(allowed) - 1
+            raise BadInput(f"{variable} = {shown(flag)}: {choice}, or their numbers {first} to {last}")
         numbers.append(int(number))
     return numbers
 

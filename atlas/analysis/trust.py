@@ -2,16 +2,22 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Sequence
+
 import numpy as np
 import xarray as xr
 
 from ..errors import BadInput, shown
+from ..measure.ends import END, NO_END
 from ..validation.half_step import upper_bound
 from ..variables import POINT
+from .intervals import wilson_interval
 from .metadata import check_not_empty, chunks, flag_names, flag_variable
 
 # Values of an axis with cells; shorter axes count as separate maps, since they contain no information about resolution.
 MIN_VALUES = 5
+BOX = 4  # points along each axis of a box of which the entropy is taken
 
 
 def trust(ds: xr.Dataset, variable: str) -> xr.Dataset:
@@ -43,10 +49,21 @@ def trust(ds: xr.Dataset, variable: str) -> xr.Dataset:
         n_uniform += int(uniform.sum())
         n_missed += int((uniform & _differ(values, len(dims), (0, 1, 2), step=2)).sum())
     missed = n_missed / n_uniform if n_uniform else np.nan
+    boxes = mixed = total = 0.0
+    for box in chunks(array.sizes, dims, cell_side=BOX):
+        part, entropy = array.isel(box), np.zeros(1)
+        for flag in np.unique(part.values):
+            share = (part == flag).coarsen(dict.fromkeys(dims, BOX), boundary="trim").mean().values
+            entropy = entropy - share * np.log(np.where(share > 0, share, 1.0))
+        boxes, mixed = boxes + entropy.size, mixed + np.count_nonzero(entropy)
+        total += float(entropy.sum())
+    border = total / mixed if mixed else np.nan
     return xr.Dataset(
         {
             "uncertain": ("stride", uncertain, {"long_name": "share of cells whose corners differ"}),
             "exponent": ((), exponent, {"long_name": "uncertainty exponent"}),
+            "entropy": ((), total / boxes, {"long_name": f"basin entropy, of boxes of side {BOX}"}),
+            "border_entropy": ((), border, {"long_name": "basin entropy of the boxes with several flags"}),
             "missed": ((), missed, {"long_name": "share of cells with equal corners that hide a border"}),
             "missed_bound": (
                 (),
@@ -93,26 +110,61 @@ def roughness(ds: xr.Dataset, x: str | None, y: str | None) -> xr.DataArray:
 
 def fractions(ds: xr.Dataset, variable: str, along: str | None) -> xr.DataArray:
     """Fraction of the points with each flag of a variable; see `Atlas.fractions`."""
+    counts = flag_counts(ds, variable, [] if along is None else [_axis(ds, variable, "along", along)])
+    with np.errstate(invalid="ignore"):
+        shares = counts / counts.sum(variable)  # nan where there are no points
+    attributes = {"long_name": f"share of the points by {variable}", "units": "1"}
+    return shares.rename("fraction").assign_attrs(attributes)
+
+
+def probability(ds: xr.Dataset, variable: str, over: str | Sequence[str]) -> xr.Dataset:
+    """Fraction of the draws with each flag of a variable, with its interval; see `Atlas.probability`."""
+    drawn = [_axis(ds, variable, "over", name) for name in ([over] if isinstance(over, str) else over)]
+    counts = flag_counts(ds, variable, [str(dim) for dim in ds[variable].dims if dim not in drawn])
+    draws = math.prod(ds.sizes[dim] for dim in drawn)
+    coords = {name: c for name, c in ds.coords.items() if set(c.dims) <= {*counts.dims} and name != variable}
+    with np.errstate(invalid="ignore"):  # without draws
+        columns = counts.values / draws, *wilson_interval(counts.values, draws)
+    what = f"probability of each {variable} over {' and '.join(drawn)}"
+    texts = {
+        "probability": what,
+        "lower": f"lower 95 % limit of the {what}",
+        "upper": f"upper 95 % limit of the {what}",
+    }
+    variables = {
+        name: (counts.dims, values, {"long_name": text, "units": "1"})
+        for (name, text), values in zip(texts.items(), columns, strict=True)
+    }
+    return xr.Dataset(variables, {**coords, **counts.coords}, {**ds.attrs, "atlas_draws": draws})
+
+
+def basin_fractions(ds: xr.Dataset, over: str | Sequence[str] | None) -> xr.Dataset:
+    """Fractions of starts that end in each equilibrium, with their intervals; see `Atlas.basin_fractions`."""
+    every = [str(dim) for dim in flag_variable(ds, END).dims]
+    result = probability(ds, END, every if over is None else over).rename(probability="fraction")
+    positions = np.arange(result.sizes[END]) + NO_END
+    return result.assign_coords({END: (END, positions, ds[END].attrs)})
+
+
+def _axis(ds: xr.Dataset, variable: str, option: str, name: str) -> str:
+    """The name of an axis of a flag variable; BadInput for another name."""
+    if name not in (dims := [str(dim) for dim in flag_variable(ds, variable).dims]):
+        raise BadInput(
+            f"{option} = {shown(name)}: not an axis of this atlas; allowed: {', '.join(dims) or 'none'}"
+        )
+    return name
+
+
+def flag_counts(ds: xr.Dataset, variable: str, along: Sequence[str]) -> xr.DataArray:
+    """Numbers of points with each flag, over the axes `along`, in their order in the atlas, and one named like the variable."""
     array = flag_variable(ds, variable)
     names, dims = flag_names(array), [str(dim) for dim in array.dims]
-    if along is not None and along not in dims:
-        raise BadInput(
-            f"along = {shown(along)}: not an axis of this atlas; allowed: {', '.join(dims) or 'none'}"
-        )
-    counts = np.zeros((1 if along is None else ds.sizes[along], len(names)), np.int64)
+    kept = [dim for dim in dims if dim in along]
+    others = tuple(i for i, dim in enumerate(dims) if dim not in along)
+    counts = np.zeros([*(array.sizes[dim] for dim in kept), len(names)], np.int64)
     for box in chunks(array.sizes, dims):
         values = array.isel(box).values
-        rows = slice(None) if along is None else box[along]
-        table = values[np.newaxis] if along is None else np.moveaxis(values, dims.index(along), 0)
         for flag in range(len(names)):
-            counts[rows, flag] += (table == flag).sum(tuple(range(1, table.ndim)))
-    with np.errstate(invalid="ignore"):
-        shares = counts / counts.sum(1, keepdims=True)  # nan where there are no points
-    result = xr.DataArray(
-        shares,
-        dims=(along or "all", variable),
-        coords={variable: names} | ({along: ds[along]} if along in ds.coords else {}),
-        name="fraction",
-        attrs={"long_name": f"share of the points by {variable}", "units": "1"},
-    )
-    return result.isel(all=0) if along is None else result
+            counts[..., flag][tuple(box[dim] for dim in kept)] += (values == flag).sum(others)
+    coords = {dim: ds[dim] for dim in kept if dim in ds.coords}
+    return xr.DataArray(counts, {**coords, variable: names}, (*kept, variable))

@@ -80,7 +80,7 @@ def _reachable(
                 numbers[name] = value
         sources[function.__name__] = ast.unparse(node)
 
-    for function in (*dict.fromkeys(plug.add_node for plug in plugs), of.integrate):
+    for function in (*dict.fromkeys(plug.add_node for plug in plugs if plug.add_node), of.integrate):
         visit(function)
     return objects, sources, numbers
 
@@ -141,7 +141,10 @@ def source(
     `deviation` keeps the units of the caller. Raises BadInput for equations that cannot be differentiated,
     and if a first integral or a loss has the name of a function of the kernel.
     """
-    objects, sources, numbers = _reachable(of, plugs, () if plugs else ("PLUGGED",))
+    absent = {"PLUGGED": plugs, "LEVELS": any(plug.levels for plug in plugs)}
+    objects, sources, numbers = _reachable(
+        of, plugs, tuple(n for n, present in absent.items() if not present)
+    )
     measured = augmented.losses_of(equations, zero, equal) if of in MEASURING else {}
     equations = augmented.with_losses(equations, measured)
     try:
@@ -179,7 +182,7 @@ def plain_module(
     for name, text in _generated_functions(equations, METHODS[method], zero, equal, of, plugs).items():
         exec(compile(text, f"<{name} of {equations.__name__}>", "exec"), namespace)
     objects, _, _ = _reachable(of, plugs)
-    namespace |= {plug.add_node.__name__: plug.add_node for plug in plugs}
+    namespace |= {plug.add_node.__name__: plug.add_node for plug in plugs if plug.add_node}
     namespace |= _constants(equations, METHODS[method], of, plugs)
     for shared in {function.__module__ for function in objects.values()} - {of.__name__}:
         if any(
@@ -215,6 +218,7 @@ def _constants(
         "OBSERVABLES": observables,
         "PLUGGED": plugged,
         "PLUGGED_GIVEN": sum(plug.given for plug in plugs),
+        **({"LEVELS": levels} if (levels := sum(plug.levels for plug in plugs)) else {}),
         "NODE_ROWS": 2 * (observables if of is observe else kernel.MOTION),
         "SUMS": observe.FIRST_ROW + observe.FIELDS * observables if of is observe else len(Row) + plugged,
     }
@@ -283,12 +287,19 @@ def _generated_functions(
     if of is kernel:
         sources["frame_motion_change"] = differential(sources["frame_motion"], "frame_motion_change")
     if plugs:
-        lines, row, first = [], 0, 0
+        lines, level_lines, row, first = [], list[str](), 0, 0
         for plug in plugs:
             arguments = f"plugged, {row}, given, {first}, l, nodes, i, intervals, spacing, inverse_unit[l]"
-            lines += ["for l in range(WIDTH):", f"    {plug.add_node.__name__}({arguments})"]
+            if plug.add_node:
+                lines += ["for l in range(WIDTH):", f"    {plug.add_node.__name__}({arguments})"]
+            if plug.levels:
+                level_lines += _level_lines(equations, row, first, plug.levels)
             row, first = row + plug.sums, first + plug.given
-        generated_lines["add_to_plugged(plugged, given, nodes, i, intervals, spacing, inverse_unit)"] = lines
+        generated_lines["add_to_plugged(plugged, given, nodes, i, intervals, spacing, inverse_unit)"] = (
+            lines or ["pass"]
+        )
+        if level_lines:
+            generated_lines["count_levels(plugged, given, i, state, constants, inverse_unit)"] = level_lines
     if of is tangent:
         sources |= augmented.variation(equations, sources["rhs"])
         generated_lines |= {
@@ -396,6 +407,23 @@ def _integral_lines(equations: ModuleType, name: str) -> list[str]:
     ones = (1.0,) * len(equations.STATE), (1.0,) * len(equations.CONSTANTS)
     terms = [f"t{j}" for j in range(len(getattr(equations, name)(*ones)))]
     return [f"{', '.join(terms)}, = {name}(state, constants)", f"total = {' + '.join(terms)}"]
+
+
+def _level_lines(equations: ModuleType, row: int, first: int, levels: int) -> list[str]:
+    """Body of `count_levels` for these sums and constants; the energy is the first integral without the sum of its loss."""
+    name, energy = next(iter(equations.INTEGRALS)), f"plugged[{row + levels}, l]"
+    assign, total = _integral_lines(equations, name)
+    total = total.rsplit(" + ", 1)[0] if name in equations.LOSSES else total
+    return [
+        f"if i % {kernel.NODES_PER_LEVEL} == 0:",
+        "    for l in range(WIDTH):",
+        "        "
+        + assign.replace("(state, constants)", "(load_state(state, l), load_constants(constants, l))"),
+        f"        {energy} = ({total.removeprefix('total = ')}) * inverse_unit[l] * inverse_unit[l]",
+        f"    for k in range({levels}):",
+        "        for l in range(WIDTH):",
+        f"            plugged[{row} + k, l] += 1.0 if {energy} > given[{first} + k, l] else 0.0",
+    ]
 
 
 def step_lines(method: Method, rhs_name: str = "rhs") -> list[str]:

@@ -20,6 +20,7 @@ from .generated import (
     CONSTANTS,
     HAS_AXIS,
     INTEGRALS,
+    LEVELS,
     PLUGGED,
     PLUGGED_GIVEN,
     STATES,
@@ -29,6 +30,7 @@ from .generated import (
     aligned_empty,
     aligned_stack,
     axis_in_frame,
+    count_levels,
     frame_motion,
     frame_motion_change,
     load_constants,
@@ -74,6 +76,8 @@ from .statistics import Row, accumulate, begin, end, extend, may_extend
 MOTION = 6
 # First integrals change slowly: they are evaluated at every fourth node and at the end.
 NODES_PER_DRIFT = 4
+# Nodes from one at which the energy is compared with levels to the next.
+NODES_PER_LEVEL = 8
 # Turning points and passages that are computed side by side.
 QUEUE = 96
 # sin^2 theta below which both ends of a run are searched for passages.
@@ -196,6 +200,8 @@ def integrate(schedule, arrays, first_block, last_block, first_node, last_node):
                         passage_count = np.int64(0)
             if PLUGGED:
                 add_to_plugged(plugged, given, nodes, i, intervals, spacing, inverse_unit)
+            if LEVELS:
+                count_levels(plugged, given, i, state, constants, inverse_unit)
             if HAS_AXIS:
                 add_axis(stats, state, constants)
             if (i + 1) % NODES_PER_DRIFT == 0 or i == intervals:

@@ -40,13 +40,13 @@ def evaluate(
     once its label is certain. `halved`: at half the step of the settings; `progress`: gets points done.
     """
     if not tile.exists.all():
-        columns = {}
+        columns, registry = {}, variables(plan.system)
         if tile.exists.any():
             some = evaluate(plan, tile.subset(tile.exists), halved=halved, threads=threads, progress=progress)
         else:
-            some = {name: np.empty(0, variable.dtype) for name, variable in variables(plan.system).items()}
+            some = {name: np.empty(0, variable.dtype) for name, variable in registry.items()}
         for name, values in some.items():
-            empty = np.nan if values.dtype.kind == "f" else 0
+            empty = np.nan if values.dtype.kind == "f" else registry[name].missing
             columns[name] = np.full(tile.exists.shape, empty, values.dtype)
             columns[name][tile.exists] = values
         return columns | {"status": np.where(tile.exists, columns["status"], status_of(tile.reason))}
@@ -128,7 +128,8 @@ class _Runs:
         )  # fmt: skip
         rates, growth = self.theory.frame_rates, self.theory.prediction.log_growth
         return Run(
-            self.plan.system, settings, self.plan.instruments, self.ensemble, self.step_sizes, rates, growth, integration
+            self.plan.system, settings, self.plan.instruments, self.ensemble, self.step_sizes, rates, growth,
+            integration, self.tile.points,
         ).measure()  # fmt: skip
 
     def by_steps(self, run: Run, step_sizes: StepSizes) -> Run:
@@ -209,7 +210,7 @@ def _recheck(runs: _Runs, run: Run) -> tuple[Array, Mask]:
                 [each.pair_error(part, coarse, expected) for each in run.instruments]
             )
             could_differ = part.unsure(run.main.differences(part, coarse, error[sample]))
-            unsure[sample] = could_differ | ~coarse.integration.finite
+            unsure[sample] = could_differ | ~coarse.integration.finite | part.ends_otherwise(coarse)
         where = np.flatnonzero(usable & ~step_sensitive & (unsure | departed))
         if where.size:
             part = run.subset(where)
@@ -218,7 +219,7 @@ def _recheck(runs: _Runs, run: Run) -> tuple[Array, Mask]:
             changes = fine.unsure(run.main.differences(fine, part, change))
             before, after = part.labels(), fine.labels()
             changes |= np.any([before[name] != after[name] for name in before], axis=0)
-            changes |= departed[where] & departure_changes(part, fine)
+            changes |= departed[where] & departure_changes(part, fine) | part.ends_otherwise(fine)
             step_sensitive[where] = changes
             error[where] = np.fmax(error[where], change)
         return np.fmax(error, run.measured["integral_drift"]), step_sensitive

@@ -75,7 +75,8 @@ class Plan:
 
     @property
     def may_stop_early(self) -> bool:
-        return self.outputs is not None and not self.plugs and self.main.may_stop_early(self.outputs)
+        whole = self.plugs or any(each.needs_whole_run for each in self.instruments)
+        return self.outputs is not None and not whole and self.main.may_stop_early(self.outputs)
 
     @property
     def kernel(self) -> ModuleType:

@@ -36,6 +36,7 @@ class Variable:
     flags: dict[str, str] | None = None  # flag name -> sentence, values 0, 1, 2, ...
     comment: str = ""
     optional: bool = False  # only in the atlases of scenes that ask for it
+    missing: int = 0  # of integers: the value where a point is not computed
 
     def attributes(self) -> dict[str, object]:
         """CF attributes: units or flags, long_name, comment."""
@@ -103,6 +104,7 @@ class Run:
     # Growth of a distance from the family's motion over the run, as a logarithm; 0 where it is unknown
     log_growth: Array
     integration: Integration
+    points: Points = field(default_factory=dict)  # every parameter of the points
     measured: Measured = field(default_factory=dict)  # by all instruments
 
     @property
@@ -149,6 +151,11 @@ class Run:
             [could_change(rule, self.measured, error) for rule in self.rules.values()]
         )
 
+    def ends_otherwise(self, other: Run) -> Mask:
+        """Where the same points end differently in another run."""
+        differences = [each.outcome_differs(self, other) for each in self.instruments]
+        return np.logical_or.reduce(np.broadcast_arrays(*differences, np.zeros(self.ensemble.size, bool)))
+
     def errors(self) -> tuple[dict[str, Array], Array]:
         """Expected errors of the measurements that decide labels, in their units, and the relative one of states and values."""
         errors: dict[str, Array] = {}
@@ -166,6 +173,7 @@ class Run:
             frame_rates=subset(self.frame_rates, where),
             log_growth=self.log_growth[where],
             integration=self.integration.subset(where),
+            points=subset(self.points, where),
             measured=subset(self.measured, where),
         )
 
@@ -174,8 +182,9 @@ class Instrument:
     """A measurement."""
 
     # Of instruments that add to the sums of the kernel: see `engine.ensemble.Plug`.
-    sums, given = 0, 0
-    add_node: Callable[..., None]
+    sums, given, levels = 0, 0, 0
+    add_node: Callable[..., None] | None = None
+    needs_whole_run = False  # whether no run may end before its duration
 
     def every_variable(self, system: System) -> tuple[Variable, ...]:
         """Variables, whether or not the system has them: no parameter may have such a name."""
@@ -208,6 +217,10 @@ class Instrument:
     def rate_change(self, run: Run, other: Run) -> Array:
         """Largest relative difference of a rate, or of what decides a label, in two runs of the same points, (points,)."""
         return np.zeros(run.ensemble.size)
+
+    def outcome_differs(self, run: Run, other: Run) -> Mask | bool:
+        """Where two runs of the same points end differently, (points,)."""
+        return False
 
     def pair_error(self, run: Run, coarse: Run, expected: Array) -> Array:
         """Relative error of its values by a second run with fewer steps, (points,); expected: without that run."""

@@ -102,7 +102,7 @@ def panel_of(ds: xr.Dataset, name: str, dims: list[str], scene: Scene | None, bo
         steady = (label == Label.REGULAR_PRECESSION) | (label == Label.PERMANENT_ROTATION)
         grown = ds["growth_rate"].values * ds["end_time"].values >= MAX_SURVIVED_GROWTH
         slow = steady & (ds["stable"].values == Stability.UNSTABLE) & ~grown
-    if not set(dims) <= set(axes_of(scene)):
+    if not set(dims) <= axes_of(scene).keys() <= ds.coords.keys():  # of other axes, or over some of them
         return Panel(array, white, slow)
     try:
         borders = theory_lines(scene, ds, dims, name)
@@ -195,6 +195,7 @@ class MapOptions:
     size: tuple[float, float] | None = None
     dpi: float = 300
     caption: bool = False
+    frames: Mapping[str, np.ndarray] = field(default_factory=dict)  # flag -> attitude, drawn in the legend
 
     def __post_init__(self) -> None:
         choice("width", self.width, WIDTHS)

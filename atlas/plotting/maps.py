@@ -24,15 +24,18 @@ from ..analysis.metadata import (
     is_logarithmic,
     map_variable,
     numeric_coordinates,
+    positions_as_flags,
     scene_of,
     system_of,
 )
 from ..analysis.select import cell_edges, check_axes, nearest_on_axes, plane_of
 from ..errors import BadInput, allowed_text, attribute_text
 from ..flags import Regularity
+from ..measure.ends import END
 from ..systems.base import Mask
 from ..variables import POINT
 from . import cells
+from .attitude import SIZE, Attitude, attitudes
 from .content import MIN_VISIBLE, SLOW, MapOptions, Panel, panel_of, tiles_done, visible
 from .style import STYLE, SYMBOLS, PrintFigure, axis_label, caption, drawable, unit_text, variable_label
 
@@ -48,6 +51,8 @@ def atlas_map(ds: xr.Dataset, variable: str | None = None, **options: Any) -> Fi
         raise BadInput(
             f"{name}: not a variable of this atlas; {allowed_text(name, list(map(str, ds.data_vars)))}"
         )
+    chosen = replace(chosen, frames=attitudes(ds) if name == END else {})
+    ds = positions_as_flags(ds, name)
     with nullcontext() if chosen.ax is not None else rc_context(STYLE):
         if ds[name].dims != ("point",):
             return _draw_map(ds, name, chosen)
@@ -250,7 +255,8 @@ class Sheet:
         for columns in range(len(legend), 0, -1):
             drawn = figure.legend(
                 list(legend.values()), list(legend), loc="outside upper center",
-                ncols=columns, frameon=False, handlelength=1.8, columnspacing=0.8,
+                ncols=columns, frameon=False, columnspacing=0.8,
+                **({"handlelength": SIZE, "handleheight": SIZE} if self.options.frames else {"handlelength": 1.8}),
                 borderaxespad=0.2, borderpad=0, title=self.options.title, title_fontsize=9,
             )  # fmt: skip
             box = drawn.get_window_extent()
@@ -299,7 +305,9 @@ def map_legend(
     white = [sum(panel.white.values(), np.zeros(panel.array.shape, bool)) for panel in panels]
     for value, (name, colour) in enumerate(flags.items()):
         masks = [(panel.array.values == value) & ~mask for panel, mask in zip(panels, white, strict=True)]
-        add(options.text(name, name.replace("_", " ")), masks, _sample(name, colour))
+        frame = options.frames.get(name)
+        sample = _sample(name, colour) if frame is None else Attitude(frame, colour)
+        add(options.text(name, name.replace("_", " ")), masks, sample)
     for reason in dict.fromkeys(reason for panel in panels for reason in panel.white):
         masks = [panel.white[reason] for panel in panels if reason in panel.white]
         add(reason, masks, _sample(reason))

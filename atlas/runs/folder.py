@@ -51,6 +51,7 @@ from ..io import netcdf, progress, zarr_store
 from ..io.netcdf import Block, scene_provenance
 from ..scene import grid
 from ..scene.read import parse_scene
+from ..variables import variables
 from .plan import ScenePlan, differences, identity
 from .tiles import DamagedTile, Tally, TileFiles, Tiling, tile_types
 
@@ -477,7 +478,8 @@ def _read_chunk(run: RunFolder, name: str, block_id: tuple[int, ...]) -> np.ndar
     except DamagedTile as error:
         logging.getLogger("atlas").warning("%s: tile %d is damaged: %s", run.path, tile, error)
     dtype = np.dtype(tile_types(run.scene)[name])
-    return np.full(run.tiling.shape_of(tile), 0 if dtype.kind == "i" else np.nan, dtype)
+    missing = variables(run.scene.system)[name].missing if dtype.kind == "i" else np.nan
+    return np.full(run.tiling.shape_of(tile), missing, dtype)
 
 
 def _flattened(table: dict[str, Any], prefix: str = "") -> dict[str, Any]:

@@ -35,7 +35,9 @@ LEVELS, POINTS, RESULT_FILE = "levels", "points.bin", "atlas.nc"
 # Measured flags whose boundaries are traced: the label always, the others where the scene asks for them.
 MEASURED = (
     "label", "label_inertial", "label_any_axis", "label_any_axis_inertial", "geometry", "status", "regularity",
+    "end_equilibrium", "end_index", "settled_by",
 )  # fmt: skip
+MAX_VALUES = 32  # of those that have no flags
 TILES_PER_LEVEL = 64  # if they have enough points, so that many processes can share a level
 
 

@@ -25,7 +25,7 @@ from ..validation import half_step
 from ..variables import COMPUTED, variables
 from .earlier import Earlier, evaluate_at
 from .folder import history_text
-from .levels import MEASURED
+from .levels import MAX_VALUES, MEASURED
 from .plan import ScenePlan
 
 COMPUTED_SHARE = "atlas_computed_share"
@@ -136,11 +136,11 @@ class _FineGrid:
         scene = plan.scene
         self.registry = variables(scene.system)
         self.flags = [name for name in MEASURED if name == "label" or name in scene.outputs]
-        self.flag_counts = [len(self.registry[name].flags or ()) for name in self.flags]
+        self.flag_counts = [len(self.registry[name].flags or range(MAX_VALUES)) for name in self.flags]
         self.numbers = {
             name: np.full(scene.size, np.nan)
             for name in scene.outputs
-            if self.registry[name].flags is None and name != "growth_rate"
+            if self.registry[name].flags is None and name not in ("growth_rate", *self.flags)
         }
         self.solved = {name: np.empty(scene.size) for name in scene.solve}
         self.growth_rate = np.full(scene.size, np.nan)
@@ -243,7 +243,7 @@ class _FineGrid:
         fine_indices = [index * step for index, step in zip(along_axes, spacing, strict=True)]
         indices = np.ravel_multi_index(fine_indices, self.scene.shape)
         for chunk, values in self.integrate(indices):
-            flags = {name: values[name] for name in self.flags}
+            flags = {name: values[name] - self.registry[name].missing for name in self.flags}
             self.flag_code.flat[indices[chunk]] = _encode(flags, self.flag_counts)
             for name, column in self.numbers.items():
                 column[indices[chunk]] = values[name]
@@ -254,7 +254,9 @@ class _FineGrid:
         """The atlas without provenance."""
         columns = dict[str, np.ndarray](self.numbers) | self.predicted | self.solved
         columns["growth_rate"] = self.growth_rate
-        columns |= zip(self.flags, _decode(self.flag_code.ravel(), self.flag_counts), strict=True)
+        for name, values in zip(self.flags, _decode(self.flag_code.ravel(), self.flag_counts), strict=True):
+            variable = self.registry[name]
+            columns[name] = (values + variable.missing).astype(variable.dtype)
         if "predicted" in self.predicted:
             columns["agreement"] = theory.agreement(columns["label"], self.predicted["predicted"])
         ds = netcdf.dataset(self.scene, columns)

@@ -8,6 +8,7 @@ import operator
 import warnings
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from functools import partial
 from graphlib import CycleError, TopologicalSorter
 from typing import Any
 
@@ -15,6 +16,7 @@ import numpy as np
 
 from ..errors import BadInput, allowed_text, shown
 from ..systems.base import Array
+from .draws import DRAWS
 
 MAX_LENGTH = 500  # characters
 MAX_DEPTH = 200  # of parts within parts
@@ -47,13 +49,17 @@ _HINTS = {
     "arc": "arcsin is asin, and so on",
 }
 _ALLOWED = f"allowed: + - * / **, {', '.join(FUNCTIONS)}, pi, deg (pi / 180), numbers and other names"
+_ALLOWED_DRAWS = "".join(f", {name}(draw)" for name in DRAWS)
 
 
 class Expression:
-    """Arithmetic in names, numbers, pi, + - * / ** and FUNCTIONS, parsed once; else BadInput at `key`."""
+    """Arithmetic in names, numbers, pi, + - * / ** and FUNCTIONS, parsed once; else BadInput at `key`.
 
-    def __init__(self, key: str, text: str):
-        self.key, self.text = key, text.strip()
+    With a seed the arithmetic may contain DRAWS of any values, by the seed, the key, and the number of the draw in the text.
+    """
+
+    def __init__(self, key: str, text: str, seed: int | None = None):
+        self.key, self.text, self.seed = key, text.strip(), seed
         if len(text) > MAX_LENGTH:
             raise BadInput(f"{key}: the expression has {len(text)} characters; allowed: at most {MAX_LENGTH}")
         try:
@@ -67,6 +73,8 @@ class Expression:
             parts = [child for part in parts for child in ast.iter_child_nodes(part)]
         if parts:
             raise BadInput(f"{key} = {shown(self.text)}: nested more than {MAX_DEPTH} deep")
+        calls = [] if seed is None else [part for part in ast.walk(self._tree) if isinstance(part, ast.Call)]
+        self._draws = [call for call in calls if isinstance(call.func, ast.Name) and call.func.id in DRAWS]
         self.names = frozenset(self._names_in(self._tree))
 
     def value(self, values: Mapping[str, Array]) -> Array:
@@ -83,11 +91,19 @@ class Expression:
                 return _OPERATORS[type(op)], [operand]
             case ast.Call(func=ast.Name(id=name), args=[argument], keywords=[]) if name in FUNCTIONS:
                 return FUNCTIONS[name], [argument]
+            case ast.Call(func=ast.Name(id=name), args=[_, *_], keywords=[]) if node in self._draws:
+                key = f"{self.seed} {self.key} {self._draws.index(node)}"
+                return partial(DRAWS[name], key), node.args
         hint = next((f"{sentence}; " for sign, sentence in _HINTS.items() if sign in self.text), "")
         raise BadInput(
             f"{self.key} = {shown(self.text)}: {shown(ast.get_source_segment(self.text, node))} is not arithmetic;"
-            f" {hint}{_ALLOWED}"
+            f" {hint}{_ALLOWED}{_ALLOWED_DRAWS if self.seed is not None else ''}"
         )
+
+    @property
+    def drawn(self) -> set[str]:
+        """Names of which the draws depend."""
+        return {name for node in self._draws for name in self._names_in(node)}
 
     def _names_in(self, node: ast.expr) -> set[str]:
         """Names in a part of the expression; BadInput if the part is not arithmetic."""

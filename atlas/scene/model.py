@@ -211,6 +211,7 @@ class Scene:
     # The one of them that its map and its page show unless another is named; empty: see
     # `analysis.metadata.map_variable`
     map: str = ""
+    seed: int = 0  # of the random numbers in ties
     refine: Refine | None = None  # refinement at borders
     # The table [points] that stands instead of axes, with the numbers of a file in it
     points: Mapping[str, Any] | None = None
@@ -269,6 +270,8 @@ class Scene:
             "fixed": dict(self.fixed),
             "ties": {name: tie.text for name, tie in self.ties.items() if not isinstance(tie, PointColumn)},
         }
+        if self.seed:
+            table["seed"] = self.seed
         if about := self.about.table():
             table["about"] = about
         if self.points is None:

@@ -30,6 +30,7 @@ MAX_FILE_BYTES = 50_000_000
 MAX_FILE_FIELDS = 5 * checks.MAX_LISTED_NUMBERS
 
 
+SEED = checks.whole(0, 2**63 - 1)
 RANGES = checks.Check(
     checks.mapping.read,
     {"type": "object", "minProperties": 1, "additionalProperties": checks.table_schema(checks.INTERVAL)},
@@ -44,7 +45,7 @@ class Sample:
         checks.one_of(SAMPLES), description="quasi-random points that fill the ranges evenly"
     )
     count: int = checked(checks.whole(1, MAX_SAMPLED_POINTS), description="number of points")
-    seed: int = checked(checks.whole(0, 2**63 - 1), 0)  # seed of the random numbers
+    seed: int = checked(SEED, 0)  # seed of the random numbers
     ranges: Mapping[str, Any] = checked(RANGES)  # name -> table with from, to and spacing
 
 

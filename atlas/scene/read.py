@@ -33,7 +33,7 @@ from .model import (
     Source,
     optional_start_values,
 )
-from .points import read_points
+from .points import SEED, read_points
 
 # With these limits any text is read and checked as a scene within a few seconds and 500 MB. They are checked before
 # anything of that size is allocated.
@@ -55,7 +55,7 @@ TABLES = (
 )
 # First bytes of NetCDF files, in the HDF5 format and in the classic ones.
 NETCDF_BEGINS = (b"\x89HDF", b"CDF")
-KEYS = ("schema", "title", "system", *TABLES)
+KEYS = ("schema", "title", "system", "seed", *TABLES)
 
 
 def load_scene(source: str | Path | Scene) -> Scene:
@@ -162,19 +162,24 @@ def scene_from(table: Mapping[str, Any], name: str = "scene", folder: Path | Non
         axes[POINT] = Axis(POINT, np.arange(count, dtype=np.float64), long_name="number of the point")
     if not axes:
         raise BadInput("axes: a scene needs at least one [axes.NAME] table")
-    expressions = {}
+    expressions, seed = {}, SEED("seed", table.get("seed", 0))
     for key, value in section["ties"].items():
         checks.identifier(f"ties.{key}", key)
         if not isinstance(value, str):
             raise BadInput(
                 f'ties.{key} = {shown(value)}: must be a string of arithmetic, such as "sigma * A"'
             )
-        expressions[key] = Expression(f"ties.{key}", value)
+        expressions[key] = Expression(f"ties.{key}", value, seed)
     if (length := sum(len(tie.text) for tie in expressions.values())) > MAX_TIE_CHARACTERS:
         raise BadInput(f"ties: {length} characters in all; allowed: at most {MAX_TIE_CHARACTERS}")
     family, solve = _family(system, section["family"]) if "family" in table else (None, ())
     ties: dict[str, Tie] = expressions | columns
     _check_solved(axes, expressions, solve)
+    for name in {name for tie in expressions.values() for name in tie.drawn} & axes.keys():
+        if refine is not None and axes[name].can_be_refined:
+            raise BadInput(
+                f"axes.{name}: its values number draws, between which [refine] can interpolate nothing; list them as values = [...]"
+            )
     order = evaluation_order(ties, {*system.parameters, *fixed, *axes} - set(solve))
     names: dict[str, Iterable[str]] = {
         "fixed": fixed,
@@ -202,6 +207,7 @@ def scene_from(table: Mapping[str, Any], name: str = "scene", folder: Path | Non
         settings=settings,
         outputs=outputs,
         map=map_variable,
+        seed=seed,
         refine=refine,
         points=points,
         about=checks.instance_of(About, about, "about"),

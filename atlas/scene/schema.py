@@ -49,6 +49,7 @@ def scene_schema() -> Schema:
                 "enum": [s.name for s in systems],
                 "description": "; ".join(f"{s.name}: {s.title}" for s in systems),
             },
+            "seed": points.SEED.schema | {"default": 0, "description": "seed of normal and uniform in ties"},
             "about": about | {"description": "attributes of the atlas, by the names of ACDD-1.3"},
             "fixed": {
                 **names,
@@ -66,7 +67,7 @@ def scene_schema() -> Schema:
             "ties": {
                 **names,
                 "description": "names computed from other names: + - * / **, sqrt, sin, cos, tan, asin, acos, atan, exp, log,"
-                " abs, pi",
+                " abs, pi; random numbers normal(draw), uniform(draw)",
                 "additionalProperties": {"type": "string"},
             },
             "family": {

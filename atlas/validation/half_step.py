@@ -13,6 +13,7 @@ from ..flags import Label
 from ..label.pipeline import evaluate
 from ..label.plan import Plan
 from ..scene import grid
+from ..scene.draws import mixed
 from ..scene.model import Scene
 
 CONFIDENCE = 0.95
@@ -39,14 +40,10 @@ def upper_bound(events: int, draws: int, population: int | None = None) -> float
 def stratified_indices(size: int, count: int) -> np.ndarray:
     """One index from each of `count` equal parts of range(size), ascending, the same for the same size.
 
-    A hash (SplitMix64) gives the position in a part, so that the sample follows no period of the grid.
+    A hash gives the position in a part, so that the sample follows no period of the grid.
     """
     count = min(size, count)
-    part = np.arange(count, dtype=np.uint64)
-    mixed = (part + np.uint64(1)) * np.uint64(0x9E3779B97F4A7C15)
-    mixed = (mixed ^ (mixed >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
-    mixed = (mixed ^ (mixed >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
-    fraction = ((mixed ^ (mixed >> np.uint64(31))) >> np.uint64(11)).astype(np.float64) / 2.0**53
+    fraction = (mixed(np.arange(count, dtype=np.uint64)) >> np.uint64(11)).astype(np.float64) / 2.0**53
     edges = [i * size // count for i in range(count + 1)]
     first, width = np.array(edges[:-1]), np.diff(edges)
     return np.asarray(first + np.minimum((fraction * width).astype(np.int64), width - 1), np.int64)

@@ -123,7 +123,7 @@ EXISTS = {
 def test_integrals_are_conserved_where_they_exist(name):
     state = sp.symbols("p q r g1 g2 g3")
     A, B, C, Mg, x0, y0, z0, N, l1, l2, l3 = sp.symbols("A B C Mg x0 y0 z0 N l1 l2 l3")
-    constants = (A, B, C, 1 / A, 1 / B, 1 / C, l1, l2, l3, Mg * x0, Mg * y0, Mg * z0, N * A, N * B, N * C)
+    constants = (A, B, C, 1 / A, 1 / B, 1 / C, l1, l2, l3, Mg * x0, Mg * y0, Mg * z0, N * A, N * B, N * C, 0)
     integral = sum(getattr(equations, name)(state, constants))
     rates = equations.rhs(state, constants)
     change = sum(integral.diff(x) * rate for x, rate in zip(state, rates, strict=True))

@@ -102,7 +102,7 @@ def test_steady_motion_satisfies_exactly_the_equations_of_the_catalogue():
     A, B, C, n, m, N, s, c, phi = sp.symbols("A B C n m N s c phi")
     l1, l2, l3, M1, M2, M3 = sp.symbols("l1 l2 l3 M1 M2 M3")
     g1, g2 = s * sp.sin(phi), s * sp.cos(phi)
-    constants = (A, B, C, 1 / A, 1 / B, 1 / C, l1, l2, l3, M1, M2, M3, N * A, N * B, N * C)
+    constants = (A, B, C, 1 / A, 1 / B, 1 / C, l1, l2, l3, M1, M2, M3, N * A, N * B, N * C, 0)
     rates = equations.rhs((n * g1, n * g2, n * c + m, g1, g2, c), constants)
     K = n**2 - N
     b1, b2, b3 = n * l1 + M1, n * l2 + M2, n * l3 + M3

@@ -37,6 +37,7 @@ G. Grioli, Ann. Mat. Pura Appl. 26 (1947) 271-281; with a rotor E. I. Kharlamova
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from functools import partial
 from typing import Any, NamedTuple, Self
 
@@ -48,7 +49,7 @@ from ..gyrostat.motions import about_axis, always_stable, each, family_about_axe
 from ..jacobian import jacobian
 from ..vectors import across, cross, dot, length, principal, ratio, unit
 from . import equations, families
-from .families import decide
+from .families import NO_DISSIPATION, decide
 from .initial import VECTORS, bodies, constants, initial_state, vertical
 
 OFFSETS, ROTORS = ("x0", "y0", "z0"), ("l1", "l2", "l3")
@@ -347,7 +348,8 @@ class Balanced(Start):
 
 
 def _family(kind: Any, **more: Any) -> Family:
-    return family_about_axes(kind.of, kind.axes, lambda p: (vertical(p),), **more)
+    family = family_about_axes(kind.of, kind.axes, lambda p: (vertical(p),), **more)
+    return replace(family, conditions=(*family.conditions, NO_DISSIPATION))
 
 
 _FREE = (("Mg r_c = 0", lambda b: b.residual(b.weight)), ("N = 0, or A = B = C", Start.field_residual))

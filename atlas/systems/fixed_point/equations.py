@@ -5,7 +5,9 @@ and gyrostatic momentum; `tests/systems/test_fixed_point_equations.py` derives i
 vectors are given in the body's principal axes at the fixed point: w = (p, q, r) is the angular velocity
 and g (gamma) the unit vector of the vertical Z, which points to the attracting centre (down).
 
-    I w' = (I w + l) x w + Mg r_c x g + N g x (I g),     g' = g x w
+    I w' = (I w + l) x w + Mg r_c x g + N g x (I g) - damping w,     g' = g x w
+
+The damping is not of the paper; with it the energy falls at the rate damping w.w.
 
 Every function takes the state and the constants as sequences in the order of STATE and CONSTANTS and
 is plain arithmetic, which holds for numbers and for arrays of one shape. The engine copies the source of the
@@ -17,24 +19,26 @@ STATE = ("p", "q", "r", "g1", "g2", "g3")
 FRAME_VECTORS = (("g1", "g2", "g3"),)
 # Mx, My, Mz stand for Mg x0, Mg y0, Mg z0 and NA, NB, NC for N A, N B, N C.
 CONSTANTS = (
-    "A", "B", "C", "A_inv", "B_inv", "C_inv", "l1", "l2", "l3", "Mx", "My", "Mz", "NA", "NB", "NC",
+    "A", "B", "C", "A_inv", "B_inv", "C_inv", "l1", "l2", "l3", "Mx", "My", "Mz", "NA", "NB", "NC", "damping",
 )  # fmt: skip
 # Constants that are 1 in the kernels' units.
 ONES = ()
 # First integrals: name of the function below, and the power of a rate in its unit.
 INTEGRALS = {"energy": 2, "area": 1, "length_gamma": 0, "lagrange": 1, "clebsch": 2, "kovalevskaya": 4}
+# What damping takes of one of them: name of the function below that returns it per time.
+LOSSES = {"energy": "energy_loss"}
 
 
 def rhs(state, constants):
     """Time derivatives of the state; F collects both fields, whose torque is g x F."""
     p, q, r, g1, g2, g3 = state
-    A, B, C, A_inv, B_inv, C_inv, l1, l2, l3, Mx, My, Mz, NA, NB, NC = constants
+    A, B, C, A_inv, B_inv, C_inv, l1, l2, l3, Mx, My, Mz, NA, NB, NC, damping = constants
     L1, L2, L3 = A * p + l1, B * q + l2, C * r + l3
     F1, F2, F3 = NA * g1 - Mx, NB * g2 - My, NC * g3 - Mz
     return (
-        (L2 * r - L3 * q + g2 * F3 - g3 * F2) * A_inv,
-        (L3 * p - L1 * r + g3 * F1 - g1 * F3) * B_inv,
-        (L1 * q - L2 * p + g1 * F2 - g2 * F1) * C_inv,
+        (L2 * r - L3 * q + g2 * F3 - g3 * F2 - damping * p) * A_inv,
+        (L3 * p - L1 * r + g3 * F1 - g1 * F3 - damping * q) * B_inv,
+        (L1 * q - L2 * p + g1 * F2 - g2 * F1 - damping * r) * C_inv,
         g2 * r - g3 * q,
         g3 * p - g1 * r,
         g1 * q - g2 * p,
@@ -44,10 +48,10 @@ def rhs(state, constants):
 def scaled(state, constants, h):
     """State and constants in units in which the time h is 1."""
     p, q, r, g1, g2, g3 = state
-    A, B, C, A_inv, B_inv, C_inv, l1, l2, l3, Mx, My, Mz, NA, NB, NC = constants
+    A, B, C, A_inv, B_inv, C_inv, l1, l2, l3, Mx, My, Mz, NA, NB, NC, damping = constants
     return (p * h, q * h, r * h, g1, g2, g3), (
         A, B, C, A_inv, B_inv, C_inv, l1 * h, l2 * h, l3 * h,
-        Mx * h * h, My * h * h, Mz * h * h, NA * h * h, NB * h * h, NC * h * h,
+        Mx * h * h, My * h * h, Mz * h * h, NA * h * h, NB * h * h, NC * h * h, damping * h,
     )  # fmt: skip
 
 
@@ -69,7 +73,7 @@ def frame_motion(state, constants):
 def energy(state, constants):
     """Kinetic energy plus the potential -Mg r_c . g + (N/2) g . I g; the rotor does not enter."""
     p, q, r, g1, g2, g3 = state
-    A, B, C, A_inv, B_inv, C_inv, l1, l2, l3, Mx, My, Mz, NA, NB, NC = constants
+    A, B, C, A_inv, B_inv, C_inv, l1, l2, l3, Mx, My, Mz, NA, NB, NC, damping = constants
     return (
         0.5 * (A * p * p + B * q * q + C * r * r),
         -(Mx * g1 + My * g2 + Mz * g3),
@@ -80,7 +84,7 @@ def energy(state, constants):
 def area(state, constants):
     """Angular momentum about the vertical, (I w + l) . g."""
     p, q, r, g1, g2, g3 = state
-    A, B, C, A_inv, B_inv, C_inv, l1, l2, l3, Mx, My, Mz, NA, NB, NC = constants
+    A, B, C, A_inv, B_inv, C_inv, l1, l2, l3, Mx, My, Mz, NA, NB, NC, damping = constants
     return (A * p + l1) * g1, (B * q + l2) * g2, (C * r + l3) * g3
 
 
@@ -93,14 +97,14 @@ def length_gamma(state, constants):
 def lagrange(state, constants):
     """C r + l3, conserved if A = B, l1 = l2 = 0 and Mg x0 = Mg y0 = 0."""
     p, q, r, g1, g2, g3 = state
-    A, B, C, A_inv, B_inv, C_inv, l1, l2, l3, Mx, My, Mz, NA, NB, NC = constants
+    A, B, C, A_inv, B_inv, C_inv, l1, l2, l3, Mx, My, Mz, NA, NB, NC, damping = constants
     return C * r, l3
 
 
 def clebsch(state, constants):
     """|I w + l|^2 - N det(I) g . I^-1 g, conserved if Mg r_c = 0 and either l = 0 or the field exerts no torque."""
     p, q, r, g1, g2, g3 = state
-    A, B, C, A_inv, B_inv, C_inv, l1, l2, l3, Mx, My, Mz, NA, NB, NC = constants
+    A, B, C, A_inv, B_inv, C_inv, l1, l2, l3, Mx, My, Mz, NA, NB, NC, damping = constants
     L1, L2, L3 = A * p + l1, B * q + l2, C * r + l3
     return (
         L1 * L1 + L2 * L2 + L3 * L3,
@@ -111,7 +115,7 @@ def clebsch(state, constants):
 def kovalevskaya(state, constants):
     """Kovalevskaya's integral with a rotor, conserved if A = B = 2 C, Mg z0 = 0, l1 = l2 = 0 and N = 0."""
     p, q, r, g1, g2, g3 = state
-    A, B, C, A_inv, B_inv, C_inv, l1, l2, l3, Mx, My, Mz, NA, NB, NC = constants
+    A, B, C, A_inv, B_inv, C_inv, l1, l2, l3, Mx, My, Mz, NA, NB, NC, damping = constants
     x, y, rotor = Mx * C_inv, My * C_inv, l3 * C_inv
     real = p * p - q * q + x * g1 - y * g2
     imaginary = 2 * p * q + x * g2 + y * g1
@@ -123,3 +127,10 @@ def kovalevskaya(state, constants):
         -2 * rotor * rotor * transverse,
         4 * rotor * g3 * (x * p + y * q),
     )
+
+
+def energy_loss(state, constants):
+    """Loss of `energy` per time, damping w.w."""
+    p, q, r, g1, g2, g3 = state
+    A, B, C, A_inv, B_inv, C_inv, l1, l2, l3, Mx, My, Mz, NA, NB, NC, damping = constants
+    return damping * (p * p + q * q + r * r)

@@ -274,6 +274,11 @@ _MOTION = motion_of(third_axis, lambda points: (vertical(points),))
 _RESTING = partial(precession, n=0.0)
 _STILL = Equation("theta' = 0", lambda p: rates(p)[0], _rate)
 _NO_SPIN = Equation("m = 0", lambda p: rates(p)[2], _rate)
+NO_DISSIPATION = Equation(
+    "damping w = 0",
+    lambda p: p["damping"] * initial_state(p)[:3],
+    lambda p: _torque(p) + p["damping"] * np.sqrt(squared_rate(p)),
+)
 PERMANENT = Equation("((n^2 - N) I g + n l + Mg r_c) x g = 0", permanent_torque, _torque)
 FAMILIES = numbered(
     (
@@ -287,6 +292,7 @@ FAMILIES = numbered(
                 Equation("Mg x0 = Mg y0 = 0", lambda p: bodies(p)[2][:2], _torque),
                 _STILL,
                 Equation("(C - A)(n^2 - N) cos theta0 + (C m + l3) n + Mg z0 = 0", precession, _torque),
+                NO_DISSIPATION,
             ),
             solve={
                 **linear(precession, "m", "l3", "Mg", "z0", "N", keep=True),
@@ -311,6 +317,7 @@ FAMILIES = numbered(
                 Equation("sin theta0 = 0", lambda p: vertical(p)[:2]),
                 Equation("p = q = 0", lambda p: initial_state(p)[:2], _rate),
                 Equation("r l1 + cos(theta0) Mg x0 = r l2 + cos(theta0) Mg y0 = 0", _upright, _torque),
+                NO_DISSIPATION,
             ),
             solve={
                 "theta0": lambda points: np.where(np.cos(points["theta0"]) < 0, np.pi, 0.0),
@@ -330,7 +337,7 @@ FAMILIES = numbered(
             name="staude",
             title="permanent rotation of any body about the vertical",
             equations="from the equations of motion: (n^2 - N) I g + n l + Mg r_c parallel to g",
-            conditions=(_NO_SPIN, _STILL, PERMANENT),
+            conditions=(_NO_SPIN, _STILL, PERMANENT, NO_DISSIPATION),
             solve={
                 **each(_solve_direction, "theta0", "phi0"),
                 **each(_solve_permanent, "l1", "l2", "x0", "y0", "l3", "z0", "Mg", "N"),
@@ -354,6 +361,7 @@ FAMILIES = numbered(
                     "(Mg r_c - N I g) x g = 0", lambda p: permanent_torque(p, np.zeros_like(p["A"])), _torque
                 ),
                 Equation("m = 0, or N (A - B) = Mg x0 = Mg y0 = l1 = l2 = 0", _turning_torque, _torque),
+                NO_DISSIPATION,
             ),
             solve={
                 **each(_solve_rest, "theta0", "phi0"),

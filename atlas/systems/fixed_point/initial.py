@@ -29,6 +29,7 @@ _TABLE = (
     ("M", "kg", "$M$", np.nan, 0.0, True, False, "mass; with lambda and R instead of Mg and N"),
     ("lambda", "m3 s-2", r"$\lambda$", np.nan, 0.0, False, False, "coefficient of attraction of the centre, g = lambda / R^2"),
     ("R", "m", "$R$", np.nan, 0.0, True, False, "distance from the fixed point to the attracting centre"),
+    ("damping", "N m s", "$D$", 0.0, 0.0, False, False, "viscous damping, a torque of -D times the angular velocity"),
     ("theta0", "rad", r"$\theta_0$", 0.0, -np.inf, False, True, "angle from the vertical (towards the attracting centre) to the third body axis at the start"),
     ("psi0", "rad", r"$\psi_0$", 0.0, -np.inf, False, True, "precession angle at the start; it turns the motion about the vertical and changes nothing else"),
     ("phi0", "rad", r"$\varphi_0$", 0.0, -np.inf, False, True, "angle of proper rotation at the start"),
@@ -77,13 +78,13 @@ def body(points: Points) -> Body:
     zero = np.zeros_like(N)
     vertical = Direction(N, -np.moveaxis(weight, 0, -1))
     none = Direction(zero, np.zeros((*N.shape, 3)))
-    return Body(np.moveaxis(inertia, 0, -1), np.moveaxis(rotor, 0, -1), zero, none, vertical, zero)
+    return Body(inertia.T, rotor.T, zero, none, vertical, points["damping"])
 
 
 def constants(points: Points) -> Array:
     """Constants of the equations, shape (constants, points), in the order of equations.CONSTANTS."""
     inertia, rotor, weight, N = bodies(points)
-    return np.concatenate([inertia, 1 / inertia, rotor, weight, N * inertia])
+    return np.concatenate([inertia, 1 / inertia, rotor, weight, N * inertia, points["damping"][None]])
 
 
 @shared
@@ -199,8 +200,13 @@ def symmetric(points: Points) -> Mask:
     return (inertia[0] == inertia[1]) & (rotor[:2] == 0).all(0) & (weight[:2] == 0).all(0)
 
 
+def conserves_axial_momentum(points: Points) -> Mask:
+    """Where C r + l3 is conserved."""
+    return symmetric(points) & (points["damping"] == 0)
+
+
 def integral_scales(points: Points) -> dict[str, Array]:
-    """Lower bound of the magnitude of each integral, nan where it is not conserved; see System.integral_scales."""
+    """Lower bound of the magnitude of each integral, nan where it has no balance; see System.integral_scales."""
     inertia, rotor, weight, N = bodies(points)
     w = initial_state(points)[:3]
     zero = np.zeros_like(points["A"])
@@ -213,14 +219,15 @@ def integral_scales(points: Points) -> dict[str, Array]:
     kovalevskaya = (inertia[0] == inertia[1]) & (inertia[0] == 2 * inertia[2]) & (N == 0) & (weight[2] == 0)
     kovalevskaya = kovalevskaya & (rotor[:2] == 0).all(0)
     transverse = w[0] ** 2 + w[1] ** 2 + 2 * potential / inertia[2]
-    return {
-        "energy": potential,
+    conserved = {
         "area": momentum + length(rotor),
-        "length_gamma": zero,
         "lagrange": np.where(symmetric(points), momentum, np.nan),
         "clebsch": np.where(no_weight & (no_rotor | no_gradient), momentum**2 + (rotor**2).sum(0), np.nan),
         "kovalevskaya": np.where(kovalevskaya, transverse**2, np.nan),
     }
+    damped = points["damping"] > 0
+    scales = {name: np.where(damped, np.nan, scale) for name, scale in conserved.items()}
+    return {"energy": potential, "length_gamma": zero, **scales}
 
 
 def frequency_bound(points: Points) -> Array:
@@ -229,7 +236,7 @@ def frequency_bound(points: Points) -> Array:
     A, B, C = inertia
     state = initial_state(points)
     w, gamma = state[:3], state[3:]
-    fixed = symmetric(points)
+    fixed, damping = conserves_axial_momentum(points), points["damping"]
     moment = length(weight)
 
     # U - min U <= each term at the start minus its own minimum; a bound of 2 T for all or for p, q.
@@ -249,16 +256,18 @@ def frequency_bound(points: Points) -> Array:
     differences = np.array([C - B, A - C, B - A])
     newtonian = np.where(fixed, np.abs(C - A) / A, np.sqrt((differences**2 / inertia).sum(0) / min_inertia))
     stiffness = np.abs(N) * newtonian + moment / min_inertia
-    return perron_root(own, max_turn, stiffness)
+    return perron_root(own + damping / min_inertia, max_turn, stiffness)
 
 
 def specialization(zero: Set[str], equal: Set[tuple[str, str]]) -> tuple[set[str], set[tuple[str, str]]]:
-    """Constants that vanish without weight or field; those equal on an axially symmetric body.
+    """Constants that vanish without weight, field or damping; those equal on an axially symmetric body.
 
     Terms of the rotor stay: they cost no time that can be measured, and a kernel less has to be compiled.
     """
     weight = {"Mx", "My", "Mz"}
-    rows = (({"Mg", "M"}, weight), ({"x0", "y0", "z0"}, weight), ({"N", "lambda"}, {"NA", "NB", "NC"}))
+    rows = (
+        ({"Mg", "M"}, weight), ({"x0", "y0", "z0"}, weight), ({"N", "lambda"}, {"NA", "NB", "NC"}), ({"damping"}, {"damping"}),
+    )  # fmt: skip
     zero_constants = {name for parameters, names in rows if zero >= parameters for name in names}
     no_transverse_weight = zero >= {"x0", "y0"} or "Mx" in zero_constants
     if ("A", "B") in equal and zero | zero_constants >= {"l1", "l2"} and no_transverse_weight:

@@ -130,7 +130,7 @@ class FixedPoint(Gyrostat):
     derived = MappingProxyType(SOLUTION_ERRORS | periodic_solutions())
     body = staticmethod(initial.body)
     axial_rotor = "l3"
-    conserves_axial_momentum = staticmethod(initial.symmetric)
+    conserves_axial_momentum = staticmethod(initial.conserves_axial_momentum)
     frequency_comment = (
         "nan for exponents that are 0 or have a real part, and off conical, sleeping, staude and rest; of a permanent rotation"
         " relative to the body, of a symmetric body on the vertical in space"

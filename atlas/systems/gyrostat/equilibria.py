@@ -21,6 +21,8 @@ if TYPE_CHECKING:
 _STARTS = 200  # orientations from which the search begins
 _ZERO_EIGENVALUE = 1e-6  # of the Hessian, relative to its scale
 _SAME = 1e-4  # distance of rotation matrices that are taken as equal
+# Potentials closer than this share of their scale are taken as equal, and components of unit vectors after so many decimals.
+_SAME_POTENTIAL, _DECIMALS = 1e-9, 6
 _MAX_SCALE = 1e60  # of units, rates and torques; products of a few of them are finite
 _BLOCK = 512  # bodies that are computed together
 ANGLES = ("theta0", "psi0", "phi0")
@@ -58,14 +60,30 @@ def equilibria(system: Gyrostat, points: Points) -> dict[str, NDArray[Any]]:
         raise BadInput("equilibria: the numbers of the body differ too much in magnitude")
     frames = _search(body, scale)
     index, axis, degenerate = _classify(body, frames, scale)
-    potential = body.potential(frames[:, 0], frames[:, 2]) * given.inertia.max() * rate**2
+    scaled = body.potential(frames[:, 0], frames[:, 2])
+    order = _order(np.zeros(len(frames)), scaled / scale, frames, axis)
+    potential = scaled * given.inertia.max() * rate**2
     result = _described(frames, potential, index) | {
         "circle": ~np.isnan(axis[:, 0]), "axis": axis, "degenerate": degenerate,
     }  # fmt: skip
     members = {name: np.full(len(frames), value[0]) for name, value in points.items()}
     result |= stability_at_rest(system, members, {name: result[name] for name in ANGLES})
-    order = np.argsort(potential, kind="stable")
     return {name: result[name][order] for name in _VARIABLES}
+
+
+def _order(body: NDArray[Any], potential: Array, frames: Array, axis: Array) -> NDArray[np.int64]:
+    """Equilibria by their body, their potential over its scale, and alpha, then gamma, of circles the means of these.
+
+    Potentials and components that differ by rounding alone count as equal, so that the order is that of the attitudes.
+    """
+    by_potential = np.lexsort((potential, body))
+    steps = np.diff(potential[by_potential], prepend=0.0) > _SAME_POTENTIAL
+    level = np.empty(body.size, np.int64)
+    level[by_potential] = np.cumsum(steps | (np.diff(body[by_potential], prepend=0) > 0))
+    vectors = frames[:, [0, 2]]
+    mean = (vectors * axis[:, None]).sum(-1, keepdims=True) * axis[:, None]
+    components = np.round(np.where(np.isnan(mean), vectors, mean), _DECIMALS).reshape(-1, 6)
+    return np.lexsort((*components.T[::-1], level))
 
 
 def _scale(body: Body) -> Array:
@@ -106,7 +124,7 @@ def equilibria_of_bodies(
     Bodies of which it does not find all equilibria with certainty, those with circles of them and those without an orbit are
     searched one by one, as `equilibria` does, in about 70 ms each. pause: called at least once a second; it may raise an
     exception. stability: whether to compute stable, growth_rate and the frequencies. Returns arrays (bodies, places) in the
-    order of the potential, unused places at the end (nan, index -1, stable 0), and completeness (bodies,), values of flags.Completeness.
+    order of the potential, then of the attitude, unused places at the end (nan, index -1, stable 0), and completeness (bodies,), values of flags.Completeness.
     """
     count = points["A"].size
     completeness = np.full(count, Completeness.COMPLETE, np.int8)
@@ -172,11 +190,12 @@ def _by_continuation(
     flat = (np.abs(values) < _ZERO_EIGENVALUE * _scale(bodies)[:, None]).any(1)
     complete[body[flat]] = False
     complete &= np.bincount(body, (-1.0) ** index, rate.size) == 0
-    potential = bodies.potential(a, g) * given.inertia.max(1)[body] * rate[body] ** 2
-    order = np.lexsort((potential, body))
+    scaled = bodies.potential(a, g)
+    potential = scaled * given.inertia.max(1)[body] * rate[body] ** 2
+    frames = np.stack([a, np.cross(g, a), g], 1)
+    order = _order(body, scaled / _scale(bodies), frames, np.full_like(a, np.nan))
     order = order[complete[body[order]]]
-    row = body[order]
-    frames = np.stack([a, np.cross(g, a), g], 1)[order]
+    row, frames = body[order], frames[order]
     result = _described(frames, potential[order], index[order])
     result |= {"circle": np.zeros(row.size, bool), "axis": np.full((row.size, 3), np.nan)}
     result["degenerate"] = np.zeros(row.size, bool)

@@ -51,7 +51,11 @@ class Gyrostat(System):
 
     def start(self, points: Points) -> tuple[Array, Array, Array]:
         """w, alpha and gamma at the start, each (points, 3) in body axes."""
-        state = dict(zip(self.equations.STATE, self.initial_state(points), strict=True))
+        return self.vectors(self.initial_state(points))
+
+    def vectors(self, states: Array) -> tuple[Array, Array, Array]:
+        """w, alpha and gamma of states (states, points), each (points, 3); alpha is any across gamma if the frame has none."""
+        state = dict(zip(self.equations.STATE, states, strict=True))
         *others, gamma = (
             np.stack([state[name] for name in names], -1)
             for names in (self.rate_states, *self.equations.FRAME_VECTORS)

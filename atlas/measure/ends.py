@@ -1,0 +1,136 @@
+"""Where damped motions end: the equilibrium, how it is known, and the time of settling; see `systems.gyrostat.wells`."""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..engine.ensemble import Ensemble
+from ..engine.kernel import NODES_PER_LEVEL
+from ..flags import SettledBy, Status
+from ..systems.base import Array, Mask, Points, System
+from ..systems.gyrostat import Gyrostat
+from ..systems.gyrostat.equilibria import ANGLES
+from ..systems.gyrostat.wells import SETTLED, wells_of
+from .instrument import Instrument, Measured, Run, Variable
+
+MARGIN = 10.0  # errors of the energy by which a body stays below the rim of its well where the end is proved
+ROUNDING = 1e-14  # of the energy, relative
+LEVELS = 6  # minima of a body, those of the least potentials, of which the time of settling is measured
+PLACE, SETTLED_BY = "ends:place", "ends:settled_by"  # measurements
+END, NO_END, TIME = "end_equilibrium", -1, "settling_time"
+_ORDER = (
+    "in the order of the potential, then of alpha and gamma, or of theta0 about a fixed point; -1 where the motion is not settled;"
+    " positions of different bodies cannot be compared"
+)
+_TIME = (
+    "the energy is then too low for more than 1e-3 rad and 1e-3 of the frame's rate, or rad per time unit where that is 0; seen at"
+    " every eighth node; nan where this is not reached, and at ends that are no minimum"
+)
+_INDEX = "0 of a minimum of the amended potential; -1 where the motion is not settled"
+_ANGLE = "nan where the motion is not settled, and where the members of a circle of equilibria differ"
+
+
+@dataclass(frozen=True)
+class Ends(Instrument):
+    """The equilibrium in which a damped gyrostat ends, from its last state and the energy."""
+
+    needs_whole_run = True
+
+    def every_variable(self, system: System) -> tuple[Variable, ...]:
+        def at_end(name: str, dtype: str, units: str, what: str, comment: str, missing: int = 0) -> Variable:
+            text = f"{what} the equilibrium in which the motion ends"
+            return Variable(name, dtype, units, text, comment=comment, optional=True, missing=missing)
+
+        texts = (
+            "angle from the vertical to the third body axis",
+            "precession angle",
+            "angle of proper rotation",
+        )
+        angles = zip(ANGLES, texts, strict=True)
+        return (
+            at_end(END, "int16", "1", "position in atlas.equilibria of", _ORDER, NO_END),
+            *(at_end(f"end_{name}", "float64", "rad", f"{text} at", _ANGLE) for name, text in angles),
+            at_end("end_index", "int8", "1", "Morse index of", _INDEX, -1),
+            Variable("settled_by", "int8", "1", "how the end is known", SettledBy.meanings(), optional=True),
+        )
+
+    def variables(self, system: System) -> tuple[Variable, ...]:
+        """Without a precession angle about a fixed point, where it has no meaning."""
+        if not isinstance(system, Gyrostat) or "damping" not in system.parameters:
+            return ()
+        missing = "end_psi0" if len(system.equations.FRAME_VECTORS) == 1 else ""
+        return tuple(variable for variable in self.every_variable(system) if variable.name != missing)
+
+    def wanted(self, system: System, outputs: Collection[str]) -> bool:
+        return super().wanted(system, outputs) or SETTLING.wanted(system, outputs)
+
+    def measurements(self, run: Run, measured: Measured) -> dict[str, Array]:
+        wells, row = wells_of(run.system, run.points)
+        states, scale = run.integration.final_state, run.ensemble.scales[0]
+        with np.errstate(all="ignore"):
+            error = (measured["integral_drift"] + ROUNDING) / scale
+            damped = run.integration.finite & (run.points["damping"] > 0)
+            w, alpha, gamma = wells.system.vectors(np.where(run.integration.finite, states, 0.0))
+            frames = np.stack([alpha, np.cross(gamma, alpha), gamma], 1)
+            rates = w - wells.body.turn[row, None] * gamma
+            place, angle = wells.nearest(frames, row)
+            near = (angle <= SETTLED) & run.integration.finite
+            energy = np.where(damped, wells.energy(frames, rates, row) + MARGIN * error, np.inf)
+            well = wells.proved(frames, energy, row, place, near)
+            at_rest = near & (np.sqrt((rates**2).sum(-1)) <= SETTLED * wells.rate[row])
+        known = [well >= 0, at_rest]
+        return {
+            PLACE: np.select(known, [well, place], NO_END).astype(float),
+            SETTLED_BY: np.select(known, [SettledBy.PROVED, SettledBy.MEASURED], SettledBy.NOT).astype(float),
+        }
+
+    def outcome_differs(self, run: Run, other: Run) -> Mask:
+        return run.measured[PLACE] != other.measured[PLACE]
+
+    def columns(self, run: Run, columns: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+        wells, row = wells_of(run.system, run.points)
+        place = np.where(columns["status"] == Status.OK, run.measured[PLACE], NO_END).astype(np.int16)
+        at, settled = (row, np.maximum(place, 0)), place >= 0
+        return {
+            END: place,
+            "end_index": np.where(settled, wells.index[at], -1).astype(np.int8),
+            "settled_by": np.where(settled, run.measured[SETTLED_BY], SettledBy.NOT).astype(np.int8),
+            **{f"end_{name}": np.where(settled, wells.angles[name][at], np.nan) for name in ANGLES},
+        }
+
+
+@dataclass(frozen=True)
+class Settling(Instrument):
+    """The time after which the energy keeps a body near the minimum in which it ends."""
+
+    sums, given, levels = LEVELS + 1, LEVELS, LEVELS
+
+    def every_variable(self, system: System) -> tuple[Variable, ...]:
+        text = "time after which attitude and rates stay within 1e-3 of the end"
+        return (Variable(TIME, "float64", "s", text, comment=_TIME, optional=True),)
+
+    def variables(self, system: System) -> tuple[Variable, ...]:
+        return self.every_variable(system) if Ends().variables(system) else ()
+
+    def constants(self, system: System, points: Points, start: Ensemble) -> Array:
+        """The energies at which the body is settled; nan, of which none is above, after the last."""
+        wells, row = wells_of(system, points)
+        return np.ascontiguousarray(np.sort(wells.settled, axis=1)[row, :LEVELS].T)
+
+    def measurements(self, run: Run, measured: Measured) -> dict[str, Array]:
+        wells, row = wells_of(run.system, run.points)
+        counts, levels = run.plugged(self)
+        own = levels == wells.settled[row, np.maximum(measured[PLACE], 0).astype(np.int64)]
+        nodes = NODES_PER_LEVEL * counts[own.argmax(0), np.arange(row.size)]
+        reached = (measured[PLACE] >= 0) & own.any(0) & (nodes <= run.integration.intervals)
+        return {TIME: np.where(reached, nodes * run.step_sizes.sample_spacing, np.nan)}
+
+    def columns(self, run: Run, columns: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+        return {TIME: np.where(columns[END] >= 0, run.measured[TIME], np.nan)}
+
+
+SETTLING = Settling()
+ENDS = (Ends(), SETTLING)

@@ -1,0 +1,65 @@
+"""Attitudes of equilibria as small drawings in legends: the axes of the body in the frame, the third one thick."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import xarray as xr
+from matplotlib.artist import Artist
+from matplotlib.legend import Legend
+from matplotlib.legend_handler import HandlerPatch
+from matplotlib.lines import Line2D
+from matplotlib.patches import Polygon
+
+from ..analysis.metadata import system_of
+from ..measure.ends import END
+from ..systems.base import Array
+from ..systems.gyrostat.equilibria import ANGLES
+from ..systems.gyrostat.motions import directions
+from ..variables import data_variables
+
+SIZE = 2.6  # of a drawing, in sizes of the font
+# Radius (to the lower left), velocity (to the right) and normal (up) of the frame on paper.
+_ON_PAPER = np.array([[-0.45, -0.35], [0.9, -0.1], [0.0, 0.9]])
+
+
+class Attitude(Polygon):
+    """Sample of a colour with the axes of a body, alpha, beta and gamma being the rows of a frame."""
+
+    def __init__(self, frame: Array, colour: str):
+        super().__init__(np.full((1, 2), np.nan), facecolor=colour, edgecolor="0.4", linewidth=0.4)
+        self.axes_on_paper = frame.T @ _ON_PAPER
+
+
+class _Handler(HandlerPatch):
+    def create_artists(self, legend: Legend, orig_handle: Any, *sizes: Any) -> list[Artist]:
+        x, y, width, height, _, transform = sizes
+        centre = np.array([0.5 * width - x, 0.5 * height - y])
+        artists = [*super().create_artists(legend, orig_handle, *sizes)]
+        for axis, thickness in zip(orig_handle.axes_on_paper, (0.7, 0.7, 1.8), strict=True):
+            ends = np.stack([centre, centre + 0.45 * min(width, height) * axis], 1)
+            for colour, wider in (("white", 1.2), ("black", 0.0)):  # seen on light and dark grounds
+                artists.append(Line2D(*ends, color=colour, linewidth=thickness + wider, transform=transform))
+        return artists
+
+
+Legend.update_default_handler_map({Attitude: _Handler()})
+
+
+def attitudes(ds: xr.Dataset) -> dict[str, Array]:
+    """Frames of the equilibria in which motions end by their flags, where all points that end there have the same."""
+    names = [f"end_{name}" for name in ANGLES if f"end_{name}" in data_variables(system_of(ds))]
+    if not {END, *names} <= {*ds}:
+        return {}
+    columns = {name: ds[name].transpose(*ds[END].dims).values.ravel() for name in (END, *names)}
+    result = {}
+    for i in np.unique(columns[END][columns[END] >= 0]):
+        own = {
+            name: columns.get(f"end_{name}", np.zeros(columns[END].size))[columns[END] == i]
+            for name in ANGLES
+        }
+        if max(np.ptp(values) for values in own.values()) < 1e-6:
+            alpha, gamma = (vector[:, 0] for vector in directions(own))
+            result[f"equilibrium_{i}"] = np.stack([alpha, np.cross(gamma, alpha), gamma])
+    return result

@@ -1,0 +1,38 @@
+"""Random numbers of ties: functions of a key and of values, so that they depend on no order, tile or thread."""
+
+from __future__ import annotations
+
+from hashlib import blake2b
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..systems.base import Array
+
+
+def mixed(counter: NDArray[np.uint64]) -> NDArray[np.uint64]:
+    """Random bits by the number of the draw: SplitMix64, G. L. Steele, D. Lea & C. H. Flood, OOPSLA 2014."""
+    bits = (counter + np.uint64(1)) * np.uint64(0x9E3779B97F4A7C15)
+    bits = (bits ^ (bits >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
+    bits = (bits ^ (bits >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
+    return np.asarray(bits ^ (bits >> np.uint64(31)))
+
+
+def uniform(key: str, *values: Array) -> Array:
+    """Numbers evenly distributed between 0 and 1, both excluded, one for each key and values; nan unless these are finite."""
+    bits: NDArray[np.uint64] = np.frombuffer(blake2b(key.encode(), digest_size=8).digest(), "<u8")[0]
+    no_number = np.asarray(0.0)
+    for value in values:
+        bits = mixed(bits ^ np.asarray(value + 0.0).view(np.uint64))  # -0.0 is 0.0
+        no_number = np.asarray(no_number + 0.0 * value)
+    return np.asarray(((bits >> np.uint64(12)).astype(np.float64) + 0.5) * 2.0**-52 + no_number)
+
+
+def normal(key: str, *values: Array) -> Array:
+    """The same of mean 0 and standard deviation 1, normally distributed."""
+    from scipy.special import ndtri  # slow to import, and most scenes do not need it
+
+    return np.asarray(ndtri(uniform(key, *values)))
+
+
+DRAWS = {"normal": normal, "uniform": uniform}

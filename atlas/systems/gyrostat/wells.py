@@ -1,0 +1,190 @@
+"""Where a damped gyrostat ends: its equilibria, and the wells of the amended potential W in which the energy holds it.
+
+With a torque of -D u, u the angular velocity relative to the frame, the energy J = u.I u / 2 + W falls at the rate D u.u, so
+that the body stays in the component of {W <= J} in which it is. Where that contains no equilibrium but a minimum, every motion
+in it ends there (LaSalle). As the level rises, the first other equilibrium that joins the component of a minimum is one from
+which descent of W reaches this minimum: the rim of the well is the least potential of such an equilibrium.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...flags import Completeness
+from ..base import Array, Mask, Points
+from .body import Body
+from .equilibria import ANGLES, _described, _rotated
+
+if TYPE_CHECKING:
+    from .system import Gyrostat
+
+Places = NDArray[np.int64]
+# A body is settled within this angle of an equilibrium, in rad, and this share of the frame's rate (or of 1 where it rests).
+SETTLED = 1e-3
+_FLAT = 1e-6  # eigenvalue of the Hessian, relative to the largest of the body's equilibria
+_DISPLACED = 1e-2  # angle from an equilibrium at which a descent begins, rad
+_SADDLE = 1e-6  # angle from an equilibrium that is no minimum at which a descent ends there, rad
+_STEPS, _MAX_STEPS = 16, 4096  # of a descent between two searches of the nearest equilibrium, and at most
+_BLOCK = 4096  # attitudes that are compared together
+
+
+@dataclass(frozen=True)
+class Wells:
+    """The equilibria of some bodies, in the places of `Gyrostat.equilibria_of_bodies`; arrays (bodies, places), nan if unused."""
+
+    system: Gyrostat
+    body: Body
+    rate: Array  # unit of rates, (bodies,)
+    single: bool  # whether the frame has one direction, gamma, so that attitudes are known but for a turn about it
+    frames: Array  # alpha, beta, gamma in body axes, 0 where there is none, (bodies, places, 3, 3)
+    axis: Array  # in the body, of a circle of equilibria, else nan, (bodies, places, 3)
+    angles: dict[str, Array]  # nan where the members of a circle differ
+    potential: Array
+    index: Array  # Morse index
+    minimum: Mask
+    downhill: Array  # axis of the turn by which W falls most, (bodies, places, 3)
+    settled: Array  # of a minimum: energy below which attitude and rates stay within SETTLED
+    listed: Mask  # whether every equilibrium is known, and its index is certain, (bodies,)
+    rim: Array  # of the wells, computed where needed, else nan
+
+    def nearest(self, frames: Array, row: Places) -> tuple[Places, Array]:
+        """Places of the equilibria nearest to attitudes (points, 3, 3) of these bodies, and the angles to them, rad."""
+        place, angle = np.empty(len(row), np.int64), np.empty(len(row))
+        directions = 1 if self.single else 3
+        for first in range(0, len(row), _BLOCK):
+            part = slice(first, first + _BLOCK)
+            own, known, axis = frames[part], self.frames[row[part]], self.axis[row[part]]
+            trace = np.nan_to_num(np.einsum("nij,npij->np", own, known), nan=-np.inf)
+            n, p = np.nonzero(~np.isnan(axis[..., 0]))  # circles, of which the nearest member counts
+            s, first_vectors, second_vectors = axis[n, p][:, None], own[n], known[n, p]
+            along = ((first_vectors * s).sum(-1) * (second_vectors * s).sum(-1)).sum(-1)
+            across = (np.cross(first_vectors, second_vectors) * s).sum((-2, -1))
+            trace[n, p] = along + np.hypot(trace[n, p] - along, across)
+            place[part], largest = trace.argmax(1), trace.max(1)
+            angle[part] = 2 * np.arcsin(np.sqrt(np.clip((directions - largest) / (directions + 1), 0.0, 1.0)))
+        return place, angle
+
+    def energy(self, frames: Array, rates: Array, row: Places) -> Array:
+        """The energy J of attitudes and angular velocities relative to the frame."""
+        body = self.body.subset(row)
+        return body.potential(frames[:, 0], frames[:, 2]) + 0.5 * (body.inertia * rates**2).sum(-1)
+
+    def descend(self, frames: Array, row: Places) -> Places:
+        """Places of the equilibria, minima but for exceptions, that descent of W reaches, -1 where none is reached.
+
+        A step along the negative gradient is 1 / L long, L a bound of the second derivatives of W, so that W falls all along it.
+        """
+        frames, place, active = frames.copy(), np.full(len(row), -1), np.arange(len(row))
+        for _ in range(_MAX_STEPS // _STEPS):
+            if not active.size:
+                break
+            nearest, angle = self.nearest(frames[active], row[active])
+            arrived = angle < np.where(self.minimum[row[active], nearest], SETTLED, _SADDLE)
+            place[active[arrived]] = nearest[arrived]
+            active = active[~arrived]
+            body = self.body.subset(row[active])
+            spread = body.inertia.max(-1) - body.inertia.min(-1)
+            bound = sum(np.abs(d.gradient) * spread + np.sqrt((d.field**2).sum(-1)) for d in body.amended())
+            turned = frames[active]
+            for _ in range(_STEPS):
+                gradient = body.gradient(turned[:, 0], turned[:, 2])[0]
+                turned = _rotated(turned, -gradient / bound[:, None])
+            frames[active] = turned
+        return place
+
+    def find_rims(self, bodies: Places) -> None:
+        """Compute the rims of the wells of some bodies.
+
+        An equilibrium of which no descent is known to end counts for every rim, one from which it leads to a saddle for none:
+        that saddle is lower and in the same component.
+        """
+        bodies = bodies[np.isnan(self.rim[bodies]).all(1)]
+        which, place = np.nonzero(~np.isnan(self.potential[bodies]) & ~self.minimum[bodies])
+        row = bodies[which]
+        rim = np.where(self.minimum[bodies], np.inf, np.nan)
+        for sign in (-1.0, 1.0):
+            start = _rotated(self.frames[row, place], sign * _DISPLACED * self.downhill[row, place])
+            for i, end in enumerate(self.descend(start, row)):
+                joined = which[i], slice(None) if end < 0 else end
+                rim[joined] = np.minimum(rim[joined], self.potential[row[i], place[i]])
+        self.rim[bodies] = rim
+
+    def proved(self, frames: Array, energy: Array, row: Places, place: Places, settled: Mask) -> Places:
+        """Places of the minima at which bodies of at most this energy end for certain, else -1.
+
+        place: of the nearest equilibria; settled: whether the attitude is within SETTLED of it.
+        """
+        least = np.nanmin(np.where(self.minimum, np.inf, self.potential), axis=1, initial=np.inf)[row]
+        decided = self.listed[row] & np.isfinite(energy)
+        above = decided & (energy >= least)
+        if above.any():
+            self.find_rims(np.unique(row[above]))
+            decided &= ~above | (energy < np.nanmax(self.rim[row], axis=1, initial=-np.inf))
+        well = np.where(decided & settled & self.minimum[row, place], place, -1)
+        where = np.flatnonzero(decided & (well < 0))
+        well[where] = self.descend(frames[where], row[where])
+        inside = self.minimum[row, well] & (~above | (energy < self.rim[row, well]))
+        return np.where((well >= 0) & inside, well, -1)
+
+
+def wells_of(system: Any, points: Points) -> tuple[Wells, Places]:
+    """The wells of the bodies of some points of a Gyrostat, and the body of each; those of the last bodies are kept."""
+    names = [name for name, p in system.parameters.items() if not p.start and name != "damping"]
+    columns = [np.nan_to_num(points[name], nan=-1.0) for name in names]
+    varying = [column for column in columns if (column != column[:1]).any()]
+    key = np.stack(varying, -1) if varying else np.zeros((len(columns[0]), 1))
+    _, first, row = np.unique(key, axis=0, return_index=True, return_inverse=True)
+    unique = np.stack([points[name][first] for name in names])
+    return _wells(system, tuple(names), unique.tobytes()), row.ravel()
+
+
+@lru_cache(maxsize=1)
+def _wells(system: Gyrostat, names: Sequence[str], numbers: bytes) -> Wells:
+    """The wells of bodies with these parameters, (parameters, bodies)."""
+    columns = np.frombuffer(numbers).reshape(len(names), -1)
+    points = {name: np.full(columns.shape[1], p.default) for name, p in system.parameters.items()}
+    points |= dict(zip(names, columns, strict=True))
+    solutions = system.equilibria_of_bodies(points, stability=False)
+    body, gamma, index, circle = (
+        system.body(points),
+        solutions["gamma"],
+        solutions["index"],
+        solutions["circle"],
+    )
+    single = len(system.equations.FRAME_VECTORS) == 1
+    alpha = 0.0 * gamma if single else solutions["alpha"]
+    frames = np.stack([alpha, np.cross(gamma, alpha), gamma], 2)
+    each = body.subset(np.arange(len(gamma))[:, None])
+    potential, hessian = each.potential(alpha, gamma), np.nan_to_num(each.gradient(alpha, gamma)[1])
+    values, directions = np.linalg.eigh(0.5 * (hessian + np.swapaxes(hessian, -1, -2)))
+    flat = np.abs(values) <= _FLAT * np.abs(values).max((1, 2), keepdims=True)
+    # Turning the body about gamma changes nothing in a frame of one direction, nor does turning it along a circle.
+    regular = flat.sum(-1) == circle.astype(int) + single
+    minimum = (index == 0) & regular
+    rate = np.where(body.turn == 0, 1.0, np.abs(body.turn))
+    stiffness = np.minimum(np.where(flat, np.inf, values).min(-1), each.inertia.min(-1) * rate[:, None] ** 2)
+    settled = np.where(minimum, potential + 0.5 * SETTLED**2 * stiffness, np.nan)
+    axis = solutions.get("axis", np.full(gamma.shape, np.nan))
+    if single:  # the rotor does not act on a body at rest
+        still = body._replace(rotor=np.zeros_like(body.rotor))
+        for i in range(3):
+            axis[circle & still.symmetric_about(i)[:, None]] = np.eye(3)[i]
+    listed = np.isin(solutions["completeness"], (Completeness.COMPLETE, Completeness.NOT_ISOLATED))
+    listed &= (regular | (index < 0)).all(1) & (index >= 0).any(1)
+    turned = _rotated(frames, np.nan_to_num(axis))
+    own, other = (_described(x.reshape(-1, 3, 3), np.zeros(0), index) for x in (frames, turned))
+    angles = {name: np.full(index.shape, np.nan) for name in ANGLES}
+    for name in ("theta0", "phi0") if single else ANGLES:
+        same = np.abs(np.sin(0.5 * (own[name] - other[name]))) < SETTLED
+        positive = own[name] + np.where(own[name] < -np.pi + SETTLED**2, 2 * np.pi, 0.0)
+        angles[name] = np.where(same, positive, np.nan).reshape(index.shape)
+    return Wells(
+        system, body, rate, single, frames, axis, angles, potential, index, minimum, directions[..., 0], settled, listed,
+        np.full(index.shape, np.nan),
+    )  # fmt: skip

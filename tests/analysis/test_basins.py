@@ -1,0 +1,145 @@
+"""Basins as data: fractions, trust tools, maps, refinement, run folders and shards of an atlas of ends."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import xarray as xr
+
+import atlas
+from atlas.analysis.metadata import positions_as_flags
+from atlas.analysis.trust import BOX
+from atlas.cli import main
+from atlas.plotting.attitude import Attitude, attitudes
+
+SCENE = """
+schema = 1
+title = "Ends"
+system = "satellite"
+[fixed]
+A = 1.0
+B = 1.3
+C = 1.6
+k1 = 0.05
+k2 = 0.1
+k3 = 0.3
+damping = 0.4
+theta0 = 1.0
+psi0 = 0.4
+phi0 = 0.6
+[axes.n]
+from = -2.0
+to = 2.0
+count = 17
+[axes.m]
+from = -2.0
+to = 2.0
+count = 9
+[integration]
+duration = 60.0
+tolerance = 1e-6
+method = "rk8"
+[outputs]
+variables = ["label", "status", "end_equilibrium", "end_theta0", "end_psi0", "end_phi0", "end_index", "settled_by", "settling_time"]
+map = "end_equilibrium"
+"""
+
+
+@pytest.fixture(scope="module")
+def scene(tmp_path_factory):
+    path = tmp_path_factory.mktemp("basins") / "ends.toml"
+    path.write_text(SCENE)
+    return path
+
+
+@pytest.fixture(scope="module")
+def ds(scene):
+    return atlas.run(scene, progress=False)
+
+
+def test_fractions_over_starts(ds):
+    """With the interval of Wilson, over all axes or some; the coordinate is the position, -1 of those that are not settled."""
+    whole = ds.atlas.basin_fractions()
+    np.testing.assert_array_equal(whole["end_equilibrium"], [-1, 0, 1])
+    counts = [(ds["end_equilibrium"] == i).sum().item() for i in (-1, 0, 1)]
+    np.testing.assert_allclose(whole["fraction"], np.array(counts) / 153)
+    assert counts[0] == 0
+    p, n, z = counts[1] / 153, 153, 1.959963984540054
+    half = z * np.sqrt(p * (1 - p) / n + z**2 / (4 * n**2)) / (1 + z**2 / n)
+    middle = (p + z**2 / (2 * n)) / (1 + z**2 / n)
+    limits = whole.sel(end_equilibrium=0)
+    np.testing.assert_allclose([limits["lower"], limits["upper"]], [middle - half, middle + half])
+    along = ds.atlas.basin_fractions("n")
+    assert dict(along.sizes) == {"m": 9, "end_equilibrium": 3}
+    np.testing.assert_allclose(along["fraction"].sum("end_equilibrium"), 1.0)
+    np.testing.assert_allclose(along["fraction"].mean("m"), whole["fraction"])
+
+
+def test_tools_of_flags_take_positions(ds):
+    end = ds["end_equilibrium"].values
+    chosen = ds.atlas.select(end_equilibrium=[1])
+    assert chosen.sizes["point"] == (end == 1).sum()
+    assert ds.atlas.select(end_equilibrium="equilibrium_0").sizes["point"] == (end == 0).sum()
+    with pytest.raises(atlas.BadInput, match="their numbers -1 to 1"):
+        ds.atlas.select(end_equilibrium=2)
+    assert ds.atlas.boundary(0, "end_equilibrium").sizes["vertex"] > 4
+    trust = ds.atlas.trust("end_equilibrium")
+    order = ds["end_equilibrium"].transpose("n", "m").values
+    cells = [order[i : i + 2, j : j + 2] for i in range(16) for j in range(8)]
+    np.testing.assert_allclose(trust["uncertain"][0], np.mean([np.unique(cell).size > 1 for cell in cells]))
+    boxes = [order[i : i + BOX, j : j + BOX] for i in range(0, 16, BOX) for j in range(0, 8, BOX)]
+    shares = np.array([np.mean(box == 0) for box in boxes])
+    inside = shares[(shares > 0) & (shares < 1)]
+    entropy = -(inside * np.log(inside) + (1 - inside) * np.log(1 - inside))
+    np.testing.assert_allclose(trust["entropy"], entropy.sum() / 8)
+    np.testing.assert_allclose(trust["border_entropy"], entropy.mean())
+
+
+def test_a_map_shows_the_attitudes(ds):
+    frames = attitudes(ds)
+    equilibria = atlas.equilibria(
+        "satellite", {name: float(ds[name]) for name in ("A", "B", "C", "k1", "k2", "k3")}
+    )
+    assert [*frames] == ["equilibrium_0", "equilibrium_1"]
+    for i, frame in enumerate(frames.values()):
+        np.testing.assert_allclose(frame[0], equilibria["alpha"][i], atol=1e-9)
+        np.testing.assert_allclose(frame[2], equilibria["gamma"][i], atol=1e-9)
+    (legend,) = ds.atlas.map().legends
+    assert [text.get_text() for text in legend.get_texts()] == ["equilibrium 0", "equilibrium 1"]
+    assert len(legend.findobj(Attitude)) == 0  # drawn by lines
+    assert positions_as_flags(ds, "label") is ds
+
+
+def test_run_folders_shards_and_refinement_give_the_same_ends(ds, scene, tmp_path):
+    for shard in ("1/2", "2/2"):
+        assert main(["run", str(scene), "-o", f"{tmp_path}/run/", "--shard", shard]) == 0
+    with atlas.open_atlas(tmp_path / "run") as joined:
+        xr.testing.assert_equal(joined[[*ds.data_vars]].load(), ds[[*ds.data_vars]])
+    refined = tmp_path / "refined.toml"
+    refined.write_text(SCENE.replace("count = 9", "count = 17") + "[refine]\nlevels = 1\nprobe = 0.2\n")
+    fine = atlas.run(refined, progress=False)
+    assert fine["end_equilibrium"].dtype == np.int16
+    computed = fine["computed"] == 1
+    assert not computed.all()
+    coarse = fine.sel(m=ds["m"].values, n=ds["n"].values, method="nearest")
+    assert (coarse["end_equilibrium"].values == ds["end_equilibrium"].values).mean() > 0.97
+    assert (fine["settled_by"] == 1).all()
+    assert (fine["end_index"] == 0).all()
+
+
+def test_points_without_a_body_have_no_end():
+    points = {
+        "A": [1.0, 1.0],
+        "B": 1.3,
+        "C": [1.6, 9.0],
+        "k1": 0.05,
+        "k2": 0.1,
+        "k3": 0.3,
+        "damping": 0.4,
+        "n": 0.5,
+    }
+    names = ["status", "end_equilibrium", "end_theta0", "end_index", "settled_by", "settling_time"]
+    ds = atlas.label_points("satellite", points, duration=60.0, method="rk8", variables=names)
+    np.testing.assert_array_equal(ds["end_equilibrium"], [ds["end_equilibrium"][0], -1])
+    np.testing.assert_array_equal(ds["end_index"], [0, -1])
+    np.testing.assert_array_equal(np.isnan(ds["end_theta0"]), [False, True])

@@ -378,10 +378,8 @@ def _observable_functions(
             strobed.append(f"{function}(state, constants)")
         else:
             strobed.append(f"state[{list(equations.STATE).index(name)}]")
-    of_strobes = {
-        "strobe(state, constants)": [f"return ({', '.join(strobed)},)"],
-        "store_strobe(block, l, values)": [f"{_columns('block', len(strobed))} = values"],
-    }
+    lines_of_strobes = [f"block[{k}, l] = {value}" for k, value in enumerate(strobed)]
+    of_strobes = {"store_strobes(block, l, state, constants)": lines_of_strobes}
     return changes, (of_strobes if strobed else {}) | {
         "observe(state, constants)": [f"return ({', '.join(values)},)"],
         "observe_change(state, constants, change)": [*lines, f"return ({', '.join(slopes)},)"],

@@ -159,13 +159,8 @@ def store_values(nodes, slot, row, l, values):
     raise NotImplementedError
 
 
-def strobe(state, constants):
-    """Every observable that is measured once a period, as a tuple."""
-    raise NotImplementedError
-
-
-def store_strobe(block, l, values):
-    """Write their values into column l of a block."""
+def store_strobes(block, l, state, constants):
+    """Write the values of the observables that are measured once a period into column l of a block."""
     raise NotImplementedError
 
 

@@ -27,9 +27,8 @@ from .generated import (
     rhs,
     store_integrals,
     store_state,
-    store_strobe,
+    store_strobes,
     store_values,
-    strobe,
 )
 from .lanes import advance, extend_changes, load_points, load_runs, store_ends, store_runs, store_sums
 from .poles import place_of_turn, turns_twice
@@ -136,7 +135,7 @@ def accumulate(sums, nodes, slot, i, intervals, spacing, value_weights, slope_we
 def add_strobes(sums, strobes, state, constants, period, i, intervals):
     """Add node i of a run to the sums of what is measured once a period, in the lanes in which it ends one or is the start."""
     for l in range(WIDTH):
-        store_strobe(strobes, l, strobe(load_state(state, l), load_constants(constants, l)))
+        store_strobes(strobes, l, load_state(state, l), load_constants(constants, l))
     u = i / intervals - 0.5
     for k in range(STROBED):
         row = FIRST_ROW + FIELDS * (OBSERVABLES + k)

@@ -211,10 +211,12 @@ def whole_periods(
     every = next((str(o.every) for o in system.observables if is_strobed(o)), None)
     if every is None:
         return None, duration
-    period = np.abs(arithmetic.value(every, dict(zip(system.equations.CONSTANTS, constants, strict=True))))
-    periods = np.clip(np.floor(duration / period + MISSING), 1, MAX_PERIODS)
-    periods = np.nan_to_num(periods, nan=1.0).astype(np.int64)
-    return periods, periods * period
+    names = dict(zip(system.equations.CONSTANTS, constants, strict=True))
+    with np.errstate(all="ignore"):
+        period = np.abs(arithmetic.value("every", every, names))
+        periods = np.clip(np.floor(duration / period + MISSING), 1, MAX_PERIODS)
+        periods = np.nan_to_num(periods, nan=1.0).astype(np.int64)
+        return periods, periods * period
 
 
 def std_tolerances(system: System, settings: Any) -> dict[str, float]:

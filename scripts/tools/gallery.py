@@ -233,6 +233,14 @@ PICTURES = (
         " where chaos follows the label of 645 depends on the step: unresolved.",
         folder="docs/examples/elliptic_orbit",
     ),
+    Picture(
+        "two_field_top",
+        "A gyrostat about a fixed point in two uniform fields, its weight and a magnetic one across it: rotation at m about its axis,"
+        " which rests against the fields' resultant at theta0 to the vertical, the start changed by 1e-4. It is stable where"
+        " (C m + l3)^2 > 4 A F, with the resultant F = |mu3|/sin theta0. Theory comes from `atlas.systems.gyrostat` and two"
+        " directions.",
+        folder="docs/examples/two_field_top",
+    ),
 )
 
 

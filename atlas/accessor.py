@@ -204,15 +204,14 @@ class Atlas:
         variable : str, optional
             A flag variable; default label.
         over : str or sequence of str
-            The axis, or axes, that number the draws: ties of the scene contain `normal` or `uniform` of it.
+            The axis, or axes, of the draws.
 
         Returns
         -------
         Dataset
-            `probability`, `lower` and `upper`, the 95 % interval of Wilson [1]_, over the other axes and a dimension named
-            like the variable, whose coordinate is the names of the flags. All draws count, those without a motion too, as
-            not_computed. The intervals are of each cell by itself: cells that share their draws are right or wrong together.
-            `probability().sel(label="drifting").atlas.map()` draws the probability of one flag.
+            `probability`, `lower` and `upper`, the 95 % interval of Wilson [1]_ for each cell by itself, over the other axes
+            and a dimension named like the variable, whose coordinate is the names of the flags; `.sel(label="drifting").atlas.map()`
+            draws one of them. All draws count, those without a motion as not_computed.
 
         References
         ----------

@@ -141,10 +141,13 @@ def source(
     `deviation` keeps the units of the caller. Raises BadInput for equations that cannot be differentiated,
     and if a first integral or a loss has the name of a function of the kernel.
     """
-    absent = {"PLUGGED": plugs, "LEVELS": any(plug.levels for plug in plugs)}
-    objects, sources, numbers = _reachable(
-        of, plugs, tuple(n for n, present in absent.items() if not present)
-    )
+    present = {
+        "PLUGGED": plugs,
+        "LEVELS": any(plug.levels for plug in plugs),
+        "STROBED": getattr(equations, "STROBED", ()),
+    }
+    absent = tuple(name for name, parts in present.items() if not parts)
+    objects, sources, numbers = _reachable(of, plugs, absent)
     measured = augmented.losses_of(equations, zero, equal) if of in MEASURING else {}
     equations = augmented.with_losses(equations, measured)
     try:
@@ -214,13 +217,16 @@ def _constants(
 ) -> dict[str, Any]:
     """The numbers that `generated` declares."""
     plugged, observables = sum(plug.sums for plug in plugs), len(observable_names(equations))
+    strobed = len(getattr(equations, "STROBED", ()))
+    observed = observe.FIRST_ROW + observe.FIELDS * (observables + strobed)
     measured = {
         "OBSERVABLES": observables,
         "PLUGGED": plugged,
-        "PLUGGED_GIVEN": sum(plug.given for plug in plugs),
+        "PLUGGED_GIVEN": sum(plug.given for plug in plugs) + (strobed > 0),
         **({"LEVELS": levels} if (levels := sum(plug.levels for plug in plugs)) else {}),
         "NODE_ROWS": 2 * (observables if of is observe else kernel.MOTION),
-        "SUMS": observe.FIRST_ROW + observe.FIELDS * observables if of is observe else len(Row) + plugged,
+        "SUMS": observed if of is observe else len(Row) + plugged,
+        **({"STROBED": strobed} if strobed else {}),
     }
     return {
         "WIDTH": generated.WIDTH,
@@ -377,7 +383,17 @@ def _observable_functions(
         lines.append(f"d_{name}, = {change}(state, constants, change)")
         slopes.append(f"d_{name}")
     rows = ", ".join(f"nodes[slot, row + {k}, l]" for k in range(len(values)))
-    return changes, {
+    strobed = []
+    for name in getattr(equations, "STROBED", ()):
+        if name in sources:
+            function = f"observable_{name}"
+            changes[function] = sources.pop(name).replace(f"def {name}(", f"def {function}(", 1)
+            strobed.append(f"{function}(state, constants)")
+        else:
+            strobed.append(f"state[{list(equations.STATE).index(name)}]")
+    lines_of_strobes = [f"block[{k}, l] = {value}" for k, value in enumerate(strobed)]
+    of_strobes = {"store_strobes(block, l, state, constants)": lines_of_strobes}
+    return changes, (of_strobes if strobed else {}) | {
         "observe(state, constants)": [f"return ({', '.join(values)},)"],
         "observe_change(state, constants, change)": [*lines, f"return ({', '.join(slopes)},)"],
         "store_values(nodes, slot, row, l, values)": [f"{rows}, = values"],

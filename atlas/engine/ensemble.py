@@ -8,7 +8,7 @@ from types import ModuleType
 from typing import Any, Protocol
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from ..systems.base import Array, Mask, Points, System
 from . import blocks
@@ -100,12 +100,17 @@ class Ensemble:
     def subset(self, where: NDArray[np.int64]) -> Ensemble:
         return Ensemble(*(np.ascontiguousarray(each[..., where]) for each in vars(self).values()))
 
-    def arrays(self, kernel: ModuleType, step_size: Array, cylinder: float = 0.0) -> blocks.Arrays:
-        """What a kernel integrates these points with; cylinder: see `integrate`."""
+    def arrays(
+        self, kernel: ModuleType, step_size: Array, cylinder: float = 0.0, period: ArrayLike = 1
+    ) -> blocks.Arrays:
+        """What a kernel integrates these points with; cylinder: see `integrate`; period: in nodes."""
         rule = end_weights() if kernel.OBSERVABLES else quadrature()
         sums = np.empty((kernel.SUMS, self.size))
+        given = self.given
+        if len(given) < kernel.PLUGGED_GIVEN:  # of a kernel that measures once a period
+            given = np.full((1, self.size), period, np.float64)
         return blocks.Arrays(
-            step_size, blocks.start_state(kernel, self.state), self.constants, self.scales, self.given, rule,
+            step_size, blocks.start_state(kernel, self.state), self.constants, self.scales, given, rule,
             cylinder * cylinder, np.empty((0, 0)), sums,
         )  # fmt: skip
 
@@ -124,7 +129,8 @@ class Ensemble:
         beyond which a point outside the cylinder is certain to drift, so that its run may end early; by
         default every run is whole.
         """
-        arrays, nodes = self.arrays(kernel, step_sizes.step_size, cylinder), step_sizes.intervals + 1
+        arrays = self.arrays(kernel, step_sizes.step_size, cylinder, step_sizes.nodes_per_period)
+        nodes = step_sizes.intervals + 1
         if early_stop_rate is None:
             blocks.integrate(kernel, blocks.schedule_of(step_sizes), arrays, **options)
         else:

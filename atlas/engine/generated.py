@@ -16,7 +16,9 @@ STATES = 0  # of the equations, and the sums of losses
 CONSTANTS = 0
 INTEGRALS = 0
 LOSSES = ()  # integrals whose losses are the last states, see `augmented`; only where there are any
-OBSERVABLES = 0
+OBSERVABLES = 0  # that are measured throughout
+# Observables that are measured once a period; without them what stands under `if STROBED:` is left out.
+STROBED = 0
 TANGENT = 0  # components of a tangent vector
 STEP = 1.0  # length of a step in the kernel's unit of time, `Method.kernel_step`
 STORES_SLOPE = False  # is the slope at a node kept for the first stage of the step after it?
@@ -161,6 +163,11 @@ def observe_change(state, constants, change):
 
 def store_values(nodes, slot, row, l, values):
     """Write the values of every observable, or their derivatives, into rows `row` and following of a node."""
+    raise NotImplementedError
+
+
+def store_strobes(block, l, state, constants):
+    """Write the values of the observables that are measured once a period into column l of a block."""
     raise NotImplementedError
 
 

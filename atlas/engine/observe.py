@@ -3,9 +3,12 @@
 What depends on the system and the method stands in `generated`. An observable is evaluated with its
 derivative at the nodes, instants a few steps apart. Its integrals over a run are sums over the nodes by the
 trapezoidal rule with the corrections of `sampling.end_weights` at both ends; its extremes between two nodes
-are extremes of the interpolation of four. With the value f0 at the start, g = f - f0 and u from -1/2 to 1/2
+are extremes of the interpolation of four. Of an observable that is measured once a period the sums and extremes are those of
+the nodes there. With the value f0 at the start, g = f - f0 and u from -1/2 to 1/2
 along the run, sums of g, g^2 and u g give mean, standard deviation and slope of the line fitted to f.
 """
+
+import numpy as np
 
 from .generated import (
     CONSTANTS,
@@ -13,6 +16,7 @@ from .generated import (
     OBSERVABLES,
     STATES,
     STEP,
+    STROBED,
     WIDTH,
     aligned_empty,
     aligned_stack,
@@ -23,6 +27,7 @@ from .generated import (
     rhs,
     store_integrals,
     store_state,
+    store_strobes,
     store_values,
 )
 from .lanes import advance, extend_changes, load_points, load_runs, store_ends, store_runs, store_sums
@@ -48,6 +53,9 @@ def integrate(schedule, arrays, first_block, last_block, first_node, last_node):
     slopes, nodes = aligned_empty((STATES, WIDTH)), aligned_empty((4, 2 * OBSERVABLES, WIDTH))
     inverse_scales, integrals0 = aligned_empty((INTEGRALS, WIDTH)), aligned_empty((INTEGRALS, WIDTH))
     sums, turning = aligned_empty((FIRST_ROW + FIELDS * OBSERVABLES, WIDTH)), aligned_empty((WIDTH,))
+    if STROBED:  # the given constants are the nodes between two instants
+        sums = aligned_empty((FIRST_ROW + FIELDS * (OBSERVABLES + STROBED), WIDTH))
+        strobes, period = aligned_empty((STROBED, WIDTH)), aligned_empty((WIDTH,))
     for block in range(first_block, last_block):
         stride = steps_per_node[block]
         intervals, spacing = steps[block] // stride, STEP * stride
@@ -60,8 +68,13 @@ def integrate(schedule, arrays, first_block, last_block, first_node, last_node):
             begin(sums, nodes)
         else:
             load_runs(points, block, state, sums, nodes, integrals0, state0, resume, out)
+        if STROBED:
+            for l in range(WIDTH):
+                period[l] = given0[0, points[block, l]]
         for i in range(first_node[block], last_node[block]):
             slot = i & 3
+            if STROBED:
+                add_strobes(sums, strobes, state, constants, period, i, intervals)
             for l in range(WIDTH):
                 y, c = load_state(state, l), load_constants(constants, l)
                 slope = rhs(y, c)
@@ -117,6 +130,26 @@ def accumulate(sums, nodes, slot, i, intervals, spacing, value_weights, slope_we
             least, largest = sums[row + LEAST, l], sums[row + LARGEST, l]
             sums[row + LEAST, l] = value if value < least else least
             sums[row + LARGEST, l] = value if value > largest else largest
+
+
+def add_strobes(sums, strobes, state, constants, period, i, intervals):
+    """Add node i of a run to the sums of what is measured once a period, in the lanes in which it ends one or is the start."""
+    for l in range(WIDTH):
+        store_strobes(strobes, l, load_state(state, l), load_constants(constants, l))
+    u = i / intervals - 0.5
+    for k in range(STROBED):
+        row = FIRST_ROW + FIELDS * (OBSERVABLES + k)
+        for l in range(WIDTH):
+            value = strobes[k, l]
+            if i == 0:
+                sums[row + START, l], sums[row + LEAST, l], sums[row + LARGEST, l] = value, value, value
+            weight = 1.0 if np.floor(i / period[l] + 0.5) * period[l] == i else 0.0
+            g, least, largest = value - sums[row + START, l], sums[row + LEAST, l], sums[row + LARGEST, l]
+            sums[row + TOTAL, l] += weight * g
+            sums[row + SQUARE, l] += weight * g * g
+            sums[row + TREND, l] += weight * u * g
+            sums[row + LEAST, l] = value if weight > 0.0 and value < least else least
+            sums[row + LARGEST, l] = value if weight > 0.0 and value > largest else largest
 
 
 def compare_with_neighbours(sums, nodes, i, spacing):

@@ -19,6 +19,7 @@ ROUNDING = 1e-16
 MAX_STEP_RATIO, MAX_DISSIPATION_ERROR = 0.5, 0.1
 # Steps of a run that is not resolved. They show whether its numbers overflow; it gets no label however long it is.
 STEPS_UNRESOLVED = 64
+MIN_NODES_PER_PERIOD = 8
 GOLDEN_SECTION = 0.5 * (5**0.5 - 1.0)
 # Error of the interpolation between four nodes that are x radians of an oscillation apart: this times x^8.
 INTERPOLATION_ERROR = 81 / 256 / 40320
@@ -37,6 +38,8 @@ class StepSizes:
     dissipation_error: NDArray[np.float64]  # relative loss of its amplitude by then
     # Expected variation of a steady rate as large as the bound, rad per time unit
     rate_error: NDArray[np.float64]
+    # Periods that a run consists of, each of equally many nodes; 0: of a run that is not measured once a period
+    periods: NDArray[np.int64]
 
     @classmethod
     def of(
@@ -96,12 +99,18 @@ class StepSizes:
             dispersion_error=radians * dispersion,
             dissipation_error=dissipation_error,
             rate_error=bound * (dispersion + dissipation_error + ROUNDING * np.sqrt(steps)),
+            periods=np.zeros_like(steps),
         )
 
     @property
     def intervals(self) -> NDArray[np.int64]:
         """Intervals between the nodes of the whole run."""
         return self.steps // self.steps_per_sample
+
+    @property
+    def nodes_per_period(self) -> NDArray[np.int64]:
+        """Intervals between the nodes of a period."""
+        return np.maximum(self.intervals // np.maximum(self.periods, 1), 1)
 
     @property
     def sample_spacing(self) -> NDArray[np.float64]:
@@ -141,16 +150,26 @@ class StepSizes:
         What is faster than the steps and looks slow at these instants looks different at the others: no
         number is farther from all fractions with small denominators than the golden section.
         """
-        fewer = (GOLDEN_SECTION * self.intervals).astype(np.int64) | 1
+        nodes, periods = self.nodes_per_period, np.maximum(self.periods, 1)
+        fewer = (GOLDEN_SECTION * nodes).astype(np.int64) | 1
         for _ in range(3):  # the next odd numbers, where both have a common factor
-            fewer = np.where(np.gcd(fewer, self.intervals) > 3, fewer + 2, fewer)
-        intervals = np.where(fewer >= MIN_INTERVALS, fewer, 2 * self.intervals - 1)
+            fewer = np.where(np.gcd(fewer, nodes) > 3, fewer + 2, fewer)
+        intervals = np.where(fewer * periods >= MIN_INTERVALS, fewer, 2 * nodes - 1) * periods
         return self._in_steps(intervals * self.steps_per_sample, self.steps_per_sample, method)
+
+    def in_periods(self, periods: NDArray[np.int64] | None, method: Method) -> StepSizes:
+        """The same runs in so many periods of equally many nodes; None: without periods."""
+        if periods is None:
+            return self
+        steps = np.maximum(self.steps, MIN_NODES_PER_PERIOD * periods * self.steps_per_sample)
+        return replace(self, periods=periods)._in_steps(steps, self.steps_per_sample, method)
 
     def _in_steps(
         self, steps: NDArray[np.int64], steps_per_sample: NDArray[np.int64], method: Method
     ) -> StepSizes:
-        """The same runs in other numbers of steps."""
+        """The same runs in other numbers of steps, rounded up to equally many nodes in each period."""
+        nodes = np.maximum(self.periods, 1) * steps_per_sample
+        steps = -(-steps // nodes) * nodes
         ratio = self.steps / steps
         return replace(
             self,

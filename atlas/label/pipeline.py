@@ -15,6 +15,7 @@ from ..flags import Label, Status
 from ..measure.chaos import TangentRuns
 from ..measure.circle import ANY_AXIS_THEORY
 from ..measure.instrument import Run
+from ..measure.observables import whole_periods
 from ..scene.grid import Grid, status_of
 from ..systems.base import Array, Flags, Mask, derived_values
 from ..variables import variables
@@ -159,12 +160,15 @@ def _prepare(
     """The ensemble, its step sizes and its theory. Parameters may overflow: such points end up unresolved."""
     system, settings, main = plan.system, plan.settings, plan.main
     ensemble, method = Ensemble.of(system, tile.points, plan.plugs), METHODS[settings.method]
+    periods, duration = whole_periods(system, ensemble.constants, tile.duration)
+    tile = replace(tile, duration=duration)
     bound, settled = numeric_bound.along_runs(
         system, plan.kernel, method, ensemble, tile.duration, settings.max_steps, threads=threads
     )
     ensemble = replace(ensemble, frequency_bound=main.bound(bound, settled))
     with np.errstate(all="ignore"):
         step_sizes = main.step_sizes(settings, ensemble.frequency_bound, tile.duration, tile.step)
+        step_sizes = step_sizes.in_periods(periods, method)
         if halved:
             step_sizes = step_sizes.halved(method)
         theory = Theory.of(plan, tile, ensemble, step_sizes, pause=lambda: progress(0.0), threads=threads)

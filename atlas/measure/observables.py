@@ -8,12 +8,14 @@ from functools import partial
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ..engine import observe
 from ..engine.stepsize import INTERPOLATION_ERROR, StepSizes
 from ..engine.tableaux import METHODS
 from ..flags import Status, Steadiness
-from ..systems.base import Array, Flags, Mask, System
+from ..systems import arithmetic
+from ..systems.base import Array, Flags, Mask, Observable, System
 from .instrument import MainInstrument, Measured, Rule, Run, Variable
 from .rates import INTEGRAL_DRIFT, rounding_error, step_variables
 
@@ -29,6 +31,8 @@ STATISTICS = {
 OVERTONE = 3.0
 # Largest distance of two nodes in rad of the frequency bound.
 MAX_NODE_RADIANS = 0.4
+# How much of the last period of a run may be missing; periods of a run.
+MISSING, MAX_PERIODS = 1e-3, 10**9
 MAX_HALVINGS = 8  # of steps and of steps between nodes together: by 2^8 in all
 # Share of the range of an observable by which it may jump between two nodes.
 MAX_ROUGHNESS = 0.3
@@ -128,14 +132,18 @@ class Observables(MainInstrument):
     def measurements(self, run: Run, measured: Measured) -> dict[str, Array]:
         """Every statistic of every observable, as `name_mean`, and `integral_drift`; arrays (points,)."""
         sums, intervals = run.integration.sums, run.integration.intervals
+        periods = run.step_sizes.periods
         result = {}
         with np.errstate(all="ignore"):
-            for k, observable in enumerate(run.system.observables):
+            for k, observable in enumerate(sorted(run.system.observables, key=is_strobed)):
                 first = observe.FIRST_ROW + observe.FIELDS * k
                 start, total, square, trend, least, largest, _ = sums[first : first + observe.FIELDS]
-                shift = total / intervals
-                variance = np.maximum(square / intervals - shift * shift, 0.0)
-                values = (start + shift, np.sqrt(variance), least, largest, 12.0 * trend / intervals)
+                count, per_trend = intervals, np.asarray(12.0)
+                if is_strobed(observable):  # the sum of u^2 is count / per_trend
+                    count, per_trend = periods + 1, 12.0 * periods / (periods + 2)
+                shift = total / count
+                variance = np.maximum(square / count - shift * shift, 0.0)
+                values = (start + shift, np.sqrt(variance), least, largest, per_trend * trend / count)
                 for suffix, column in zip(STATISTICS, values, strict=True):
                     result[f"{observable.name}_{suffix}"] = column
         result["integral_drift"] = sums[observe.CHANGE].copy()
@@ -189,6 +197,26 @@ class Observables(MainInstrument):
         change /= np.abs(ratio ** METHODS[run.settings.method].order - 1.0)
         statistics = self.rate_change(run, coarse, np.abs(ratio**STATISTICS_ORDER - 1.0))
         return np.asarray(np.fmax.reduce([statistics, change, 0.3 * expected]))
+
+
+def is_strobed(observable: Observable) -> bool:
+    """Whether an observable is measured once a period."""
+    return observable.every is not None
+
+
+def whole_periods(
+    system: System, constants: Array, duration: Array
+) -> tuple[NDArray[np.int64] | None, Array]:
+    """Number of periods in runs, at least one, and their durations; None without observables that are measured once a period."""
+    every = next((str(o.every) for o in system.observables if is_strobed(o)), None)
+    if every is None:
+        return None, duration
+    names = dict(zip(system.equations.CONSTANTS, constants, strict=True))
+    with np.errstate(all="ignore"):
+        period = np.abs(arithmetic.value("every", every, names))
+        periods = np.clip(np.floor(duration / period + MISSING), 1, MAX_PERIODS)
+        periods = np.nan_to_num(periods, nan=1.0).astype(np.int64)
+        return periods, periods * period
 
 
 def std_tolerances(system: System, settings: Any) -> dict[str, float]:

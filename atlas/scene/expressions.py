@@ -76,6 +76,7 @@ class Expression:
         calls = [] if seed is None else [part for part in ast.walk(self._tree) if isinstance(part, ast.Call)]
         self._draws = [call for call in calls if isinstance(call.func, ast.Name) and call.func.id in DRAWS]
         self.names = frozenset(self._names_in(self._tree))
+        self.drawn = {name for call in self._draws for name in self._names_in(call)}
 
     def value(self, values: Mapping[str, Array]) -> Array:
         """Value for values of the names; inf or nan where the arithmetic has no finite one."""
@@ -99,11 +100,6 @@ class Expression:
             f"{self.key} = {shown(self.text)}: {shown(ast.get_source_segment(self.text, node))} is not arithmetic;"
             f" {hint}{_ALLOWED}{_ALLOWED_DRAWS if self.seed is not None else ''}"
         )
-
-    @property
-    def drawn(self) -> set[str]:
-        """Names of which the draws depend."""
-        return {name for node in self._draws for name in self._names_in(node)}
 
     def _names_in(self, node: ast.expr) -> set[str]:
         """Names in a part of the expression; BadInput if the part is not arithmetic."""

@@ -82,6 +82,9 @@ def _register(system: Any, package: str, name: str = "") -> System:
             given = len(getattr(system.equations, "CONSTANTS", ()))
             observables = [observable.name for observable in system.observables]
             system.equations = arithmetic.completed(system.equations, observables)
+            if strobed := tuple(o.name for o in system.observables if o.every is not None):
+                system.equations.STROBED = strobed
+                system.equations.OBSERVABLES = tuple(name for name in observables if name not in strobed)
             if system.observables:
                 system.frame = ""
             if len(system.equations.CONSTANTS) > given and type(system).constants is not System.constants:

@@ -73,6 +73,18 @@ def numpy_functions() -> dict[str, Callable[..., Any]]:
     return {name: getattr(np, numpy_name) for name, numpy_name in FUNCTIONS.items()}
 
 
+def value(key: str, text: str, names: Mapping[str, Any]) -> Any:
+    """Value of arithmetic in pi, FUNCTIONS and names that have values; BadInput for another text, which begins with the key."""
+    known = {**numpy_functions(), "pi": np.pi, **names}
+    try:
+        tree = ast.parse(text, mode="eval")
+    except SyntaxError:
+        raise BadInput(f"{key} = {shown(text)} is not arithmetic; {_PLAIN}") from None
+    _check_expression(f"{key} = {shown(text)}", tree.body, {*known})
+    with np.errstate(all="ignore"):
+        return eval(compile(tree, text, "eval"), known)
+
+
 def completed(equations: Any, observables: Collection[str]) -> ModuleType:
     """Equations with everything that the engine reads, evaluated anew from their source, so that FUNCTIONS take arrays.
 

@@ -77,6 +77,9 @@ class Observable:
     # its variation does not count. The table labels.tolerances of a scene comes before it.
     tolerance: float | None = None
     symbol: str = ""  # mathematical form for axis labels, e.g. r"$x$"
+    # Measured at the start and after each of these times alone, in time units: a number, or arithmetic in pi and constants of
+    # the equations such as "2*pi/w". Runs then last whole periods. None: measured throughout.
+    every: str | float | None = None
 
 
 @dataclass(frozen=True)

@@ -109,6 +109,16 @@ def _check_observables(system: System) -> None:
         tolerance = observable.tolerance
         if tolerance is not None and not (isinstance(tolerance, int | float) and tolerance > 0):
             raise BadInput(f"{key}: tolerance = {shown(tolerance)}: must be a number above 0, or None")
+    every = {str(observable.every) for observable in observables if observable.every is not None}
+    if len(every) > 1:
+        raise BadInput(f"observables: every = {', '.join(sorted(every))}: allowed: one time for all of them")
+    for text in every:
+        constants = dict.fromkeys(getattr(system.equations, "CONSTANTS", ()), np.ones(1))
+        arithmetic.value("observables: every", text, constants)
+        if all(observable.every is not None for observable in observables):
+            raise BadInput(
+                f"observables: every = {text}: one at least must be measured throughout, without it"
+            )
     if observables and all(observable.tolerance == math.inf for observable in observables):
         raise BadInput("observables: the tolerance of each is infinite; one at least must decide the label")
 

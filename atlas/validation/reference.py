@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
-from scipy.integrate import DOP853
+from scipy.integrate import DOP853, solve_ivp
 
 from ..engine.statistics import NEEDS_PSI, RATES, Row, finish
 from ..errors import BadInput
@@ -330,6 +330,7 @@ def integrate_observed_group(
     equations, constants, start = system.equations, system.constants(points), system.initial_state(points)
     states, size = start.shape
     first = observe(system, start, constants)
+    periods, duration = observables.whole_periods(system, constants, duration)
 
     def slope(time: float, flat: Array) -> Array:
         """Slopes of the states and of the integrals of g, g^2 and u g, see `engine.observe`."""
@@ -352,6 +353,20 @@ def integrate_observed_group(
     total, square, trend = final[states:].reshape(3, count, size)
     deviation = np.sqrt(np.maximum(square - total**2, 0.0))
     columns = np.stack([first + total, deviation, lowest, highest, 12.0 * trend], axis=1)
+    if periods is not None:  # the instants of all points, and which of them are those of each
+        times = np.unique(np.concatenate([np.arange(n + 1) / n for n in np.unique(periods)]))
+        place = times * periods[:, None]
+        path = solve_ivp(
+            lambda time, flat: slope(time, flat)[: flat.size],
+            (0.0, 1.0), start.ravel(), "DOP853", times, rtol=rtol, atol=rtol,
+        ).y.reshape(states, size, -1)  # fmt: skip
+        values = observe(system, path, constants[:, :, None]) - first[:, :, None]
+        values[:, np.abs(place - np.rint(place)) > 1e-9] = np.nan
+        trend = 12 * periods / (periods + 1) / (periods + 2) * np.nansum((times - 0.5) * values, axis=-1)
+        kinds = [summary(values, axis=-1) for summary in (np.nanmean, np.nanstd, np.nanmin, np.nanmax)]
+        strobed = [observables.is_strobed(o) for o in system.observables]
+        added = np.stack([first, 0 * first, first, first, 0 * first], axis=1)
+        columns[strobed] = (np.stack([*kinds, trend], axis=1) + added)[strobed]
     names = main_instrument(system).statistics(system)
     return dict(zip(names, columns.reshape(-1, size), strict=True)) | {"state": final[:states]}
 

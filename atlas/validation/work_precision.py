@@ -26,6 +26,7 @@ from ..io import netcdf
 from ..io.progress import Progress
 from ..label.pipeline import evaluate
 from ..label.plan import Plan
+from ..measure.observables import whole_periods
 from ..measure.rates import state_distance
 from ..scene import grid
 from ..scene.model import Scene, Settings
@@ -159,6 +160,7 @@ def _with_reference(scene: Scene, indices: np.ndarray, advance: Advance) -> _Sam
     """The points that have a reference solution, with it; BadInput if there are fewer than 2."""
     system, method, left_out = scene.system, METHODS[scene.settings.method], ""
     part = grid.points_at_indices(scene, indices)
+    part = replace(part, duration=whole_periods(system, system.constants(part.points), part.duration)[1])
     solution, where = reference_where_possible(system, part.points, part.duration, scene.settings, advance)
     if where.size < indices.size:
         failed = np.delete(indices, where)
@@ -182,7 +184,10 @@ def _run_method(sample: _Sample, method: str, advance: Advance) -> Iterator[tupl
     name, values = levels(settings)
     at_levels = [replace(settings, method=method, **{name: value}) for value in values]  # type: ignore[arg-type]
     main = main_instrument(sample.scene.system)
+    ensemble = Ensemble.of(sample.scene.system, part.points)
+    periods, _ = whole_periods(sample.scene.system, ensemble.constants, part.duration)
     step_sizes = [main.step_sizes(s, sample.bound, part.duration) for s in at_levels]
+    step_sizes = [each.in_periods(periods, METHODS[method]) for each in step_sizes]
     own = scene_level(settings)
     # One level for each distinct set of steps, the scene's own or else the finest, unless it takes long.
     selected = []
@@ -191,7 +196,6 @@ def _run_method(sample: _Sample, method: str, advance: Advance) -> Iterator[tupl
         representative = own if own in equal else equal[-1]
         if level == representative and (level == 0 or sizes.steps.sum() <= MAX_POINT_STEPS):
             selected.append(level)
-    ensemble = Ensemble.of(sample.scene.system, part.points)
     uncertainty = max(nanmedian(sample.reference.state_error), nanmedian(sample.rates_uncertainty))
     smallest_error, without_gain = math.inf, 0
     for level in selected:

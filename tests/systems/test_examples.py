@@ -14,7 +14,7 @@ from scipy.integrate import solve_ivp
 import atlas
 from atlas import cli, systems
 from atlas.analysis import catalogue
-from atlas.flags import EnergyStability, Label, Regularity, Stability, Status
+from atlas.flags import EnergyStability, Label, Regularity, Stability, Status, Steadiness
 from atlas.systems.jacobian import jacobian
 from atlas.validation import stress
 from atlas.validation.work_precision import work_precision
@@ -64,7 +64,7 @@ def scene_of(name, **counts):
 
 
 def test_the_folder_of_examples_is_not_empty():
-    assert NAMES == ["double_pendulum", "heavy_top_euler", "henon_heiles", "two_field_top"]
+    assert NAMES == ["double_pendulum", "elliptic_orbit", "heavy_top_euler", "henon_heiles", "two_field_top"]
 
 
 @pytest.mark.parametrize("name", NAMES)
@@ -291,6 +291,196 @@ def test_two_field_top_is_stable_where_it_spins_fast():
 
 def test_catalogue_of_the_two_field_top():
     rows = catalogue.families(systems.get("two_field_top"))
-    assert [row["family"] for row in rows] == ["rest", "axial"]
+    assert [row["family"] for row in rows] == ["rest", "axial", "precession"]
     assert rows[0]["conditions"] == ["n = theta_dot0 = 0", "m = 0", "Mg r x g + mu x a = 0"]
     assert rows[1]["solves_for"] == ["Mg", "x3", "mu3"]
+
+
+# Odd solutions of the period of the orbit: e, (B - A)/C, psi'(0) by heyoka's Taylor series and by DOP853, which agree to 1e-13,
+# and the branch of the example; nan: on neither.
+BELETSKY = np.array([
+    (0.1, 0.1, -0.260115886395, 0), (0.1, 0.5, -1.052388658749, 0), (0.1, 0.7, -1.330501004653, 0),
+    (0.1, 0.7, 0.162515563928, 1), (0.1, 0.7, 1.037640245380, np.nan), (0.1, 1.0, 0.074068885575, 1),
+    (0.1, 1.0, 1.444111677631, np.nan), (0.3, 1.0, 0.153419856999, 1), (0.3, 1.0, 1.000703396655, np.nan),
+]).T  # fmt: skip
+
+
+def pitch(nu, state, e, K):
+    """Beletsky's equation with a change of the state, written anew: d/dnu of w^2 (1 + psi') is the torque over w^-1."""
+    psi, rate, a, b = state
+    w, slope = 1 + e * np.cos(nu), -e * np.sin(nu)
+    force = -3 * K * np.sin(psi) * np.cos(psi) * w
+    return (
+        rate,
+        (force - 2 * w * slope * (1 + rate)) / w**2,
+        b,
+        (-3 * K * np.cos(2 * psi) * w * a - 2 * w * slope * b) / w**2,
+    )
+
+
+def test_periodic_pitch_on_an_elliptic_orbit():
+    """The references are periodic by Radau, an implicit method, too; those of the branches come out of the example, with their traces."""
+    from elliptic_orbit import periodic
+
+    e, K, rate, branch = BELETSKY
+    orbit = systems.get("elliptic_orbit")
+    points = {
+        "e": e,
+        "K": K,
+        "branch": np.nan_to_num(branch),
+        "psi0": 0 * e,
+        "rate0": np.where(np.isnan(branch), rate, np.nan),
+    }
+    np.testing.assert_allclose(orbit.initial_state(points)[1], rate, atol=2e-12)
+    psi, _ = periodic.half_turn(e, K, rate, 1e-13)
+    np.testing.assert_allclose(psi, 0, atol=3e-11)
+    trace = periodic.odd_solution(points)[1]
+    for i in (1, 3):
+        columns = []
+        for change in ((1.0, 0.0), (0.0, 1.0)):
+            solution = solve_ivp(
+                pitch,
+                (0, 2 * np.pi),
+                (0.0, rate[i], *change),
+                "Radau",
+                rtol=1e-9,
+                atol=1e-10,
+                args=(e[i], K[i]),
+            )
+            columns.append(solution.y[:, -1])
+        assert columns[0][:2] == pytest.approx((0, rate[i]), abs=1e-6)
+        assert columns[0][2] + columns[1][3] == pytest.approx(trace[i], abs=1e-6)
+
+
+def test_pitch_is_steady_once_an_orbit_where_floquet_says_so():
+    e, K = (grid.ravel() for grid in np.meshgrid(np.linspace(0.04, 0.4, 5), np.linspace(0.05, 0.95, 8)))
+    points = {"e": np.r_[e, e], "K": np.r_[K, K], "branch": np.repeat([0.0, 1.0], e.size), "psi0": 1e-4}
+    names = ["label", "status", "floquet", "floquet_trace", "psi_std", "psi_at_pericentre_std"]
+    tolerances = {"rate_tolerance": 1e-3, "std_tolerance": {"psi_at_pericentre": 0.01}}
+    ds = atlas.label_points(
+        "elliptic_orbit", points, duration=314.2, method="rk8", tolerance=1e-4, variables=names, **tolerances
+    )
+    stable, label = ds["floquet"].values, ds["label"].values
+    assert (label[stable == Stability.STABLE] == Steadiness.STEADY).all()
+    grown = 50 * np.arccosh(np.maximum(np.abs(ds["floquet_trace"].values) / 2, 1)) > 12
+    unstable = (stable == Stability.UNSTABLE) & grown
+    assert np.isin(label[unstable], [Steadiness.DRIFTING, Label.UNRESOLVED]).all()
+    assert (label[unstable] == Steadiness.DRIFTING).sum() > 12
+    assert (ds["status"].values[stable == Stability.UNKNOWN] == Status.NOT_FINITE).all()
+    assert set(stable) == {Stability.UNKNOWN, Stability.STABLE, Stability.UNSTABLE}
+    assert ds["psi_std"].values[label == Steadiness.STEADY].max() > 0.5  # large, and steady once an orbit
+
+
+def test_satellite_on_an_elliptic_orbit_obeys_euler_and_poisson():
+    """Its Lagrange equations over the true anomaly against equations in time, by components along the axes of the body."""
+    from elliptic_orbit import satellite_equations as equations
+
+    inertia, e, end = np.array([0.9, 1.2, 1.5]), 0.3, 9.0
+
+    def axes(state):
+        (sp, sr, sy), (cp, cr, cy) = np.sin(state[:3]), np.cos(state[:3])
+        normal = np.array([-sy * cr, sr, cy * cr])
+        radius = np.array([cp * cy - sp * sr * sy, -sp * cr, cp * sy + sp * sr * cy])
+        relative = state[4] * normal + state[5] * np.array([cy, 0, sy]) + state[6] * np.array([0, 1, 0])
+        return radius, normal, relative
+
+    def slope(t, y):
+        nu, w, radius, normal = y[0], y[1:4], y[4:7], y[7:10]
+        rate = (1 + e * np.cos(nu)) ** 2
+        torque = 3 * rate**1.5 * np.cross(radius, inertia * radius) - np.cross(w, inertia * w)
+        relative = w - rate * normal
+        return np.r_[rate, torque / inertia, np.cross(radius, relative), np.cross(normal, relative)]
+
+    start = np.array([0.4, 0.3, -0.5, 0.0, 0.2, -0.1, 0.15, 1.0])
+    options = {"method": "DOP853", "rtol": 1e-11, "atol": 1e-12}
+    final = solve_ivp(lambda nu, y: equations.rhs(y, (*inertia, e)), (0, end), start, **options).y[:, -1]
+    radius, normal, relative = axes(start)
+
+    def arrived(t, y):
+        return y[0] - end
+
+    arrived.terminal = True
+    first = np.r_[0.0, (1 + e) ** 2 * (relative + normal), radius, normal]
+    y = solve_ivp(slope, (0, 100), first, events=arrived, **options).y[:, -1]
+    radius, normal, relative = axes(final)
+    np.testing.assert_allclose(y[1:4] / (1 + e * np.cos(end)) ** 2, relative + normal, atol=1e-9)
+    np.testing.assert_allclose(np.r_[y[4:7], y[7:10]], np.r_[radius, normal], atol=1e-9)
+    scene = EXAMPLES / "elliptic_orbit" / "elliptic_satellite.toml"
+    assert atlas.load_scene(scene).system.name == "elliptic_satellite"
+
+
+def test_satellite_in_the_plane_of_its_orbit_is_the_pitch():
+    from elliptic_orbit import Equations, satellite_equations
+
+    e, (A, B, C) = 0.3, (0.7, 1.0, 1.2)
+    for psi, rate, nu in np.random.default_rng(2).uniform(-1, 2, (5, 3)):
+        planar = Equations.rhs((psi, rate, np.cos(nu), np.sin(nu)), (e, (B - A) / C))
+        whole = satellite_equations.rhs((psi, 0, 0, nu, rate, 0, 0, 1), (A, B, C, e))
+        np.testing.assert_allclose(whole, (rate, 0, 0, 1, planar[1], 0, 0, 0), atol=1e-13)
+
+
+def test_two_field_top_precesses_about_the_resultant():
+    """The conditions give motions that DOP853 confirms, measured as regular about two axes, and small nutations as derived:
+    A theta'' = f(theta) of the axis to the resultant has -f'/A = N^2 sin^2 + (b/A - 2 N cos)^2, b = C w3 + l3.
+    """
+    rng, top, size = np.random.default_rng(8), systems.get("two_field_top"), 8
+    columns = {name: np.full(size, p.default) for name, p in top.parameters.items()}
+    for name in ("C", "x3", "Mg", "mu3", "theta0", "psi0", "n", "m"):
+        columns[name] = rng.uniform(0.5, 1.4, size)
+    # w = N f + m e3: the part of N f along the node is the rate of theta0.
+    weight, magnet = columns["Mg"] * columns["x3"], columns["mu3"]
+    cotangent = 1 / np.tan(columns["theta0"])
+    along = columns["n"] / (weight - magnet * np.sin(columns["psi0"]) * cotangent)  # N / |F|
+    columns["theta_dot0"] = along * magnet * np.cos(columns["psi0"])
+    columns["l3"] = top.families["precession"].solve["l3"](columns)
+    assert (top.identify_family(columns)[0] == 3).all()
+    axes = top.families["precession"].axes(columns)
+    np.testing.assert_allclose(axes.precession_rate, along * np.hypot(weight, magnet))
+    state, constants = top.initial_state(columns), top.constants(columns)
+    times = np.linspace(0, 5, 4)
+    exact = top.families["precession"].motion(columns, times)
+    for i in range(size):
+        path = solve_ivp(
+            lambda t, y, c=constants[:, i]: top.equations.rhs(y, c),
+            (0, 5),
+            state[:, i],
+            "DOP853",
+            times,
+            rtol=1e-10,
+            atol=1e-11,
+        )
+        np.testing.assert_allclose(exact[..., i], path.y, atol=1e-7)
+    # A small push of the axis to or from the resultant: it oscillates by sin(w t) / w times the push.
+    b, cosine, N = columns["C"] * state[2] + columns["l3"], axes.fixed_axis[2], axes.precession_rate
+    nutation = np.sqrt(N**2 * (1 - cosine**2) + (b - 2 * N * cosine) ** 2)
+    weights = weight[:, None], magnet[:, None], np.hypot(weight, magnet)[:, None]
+    for i in range(3):
+        node, push = np.array([axes.fixed_axis[1, i], -axes.fixed_axis[0, i], 0]), 1e-5
+        start = state[:, i] + push * np.r_[node / np.linalg.norm(node), np.zeros(6)]
+        y = solve_ivp(
+            lambda t, y, c=constants[:, i]: top.equations.rhs(y, c),
+            (0, 5),
+            start,
+            "DOP853",
+            times,
+            rtol=1e-11,
+            atol=1e-13,
+        ).y
+        tilt = np.arccos((weights[0][i] * y[8] + weights[1][i] * y[5]) / weights[2][i])
+        expected = push * np.sin(nutation[i] * times) / nutation[i]
+        np.testing.assert_allclose(np.abs(tilt - tilt[0]), np.abs(expected), atol=1e-2 * push)
+    assert (top.linear_stability(columns, np.full(size, 3, np.int8))[0] == Stability.STABLE).all()
+    names = [
+        "label",
+        "label_any_axis",
+        "precession_rate",
+        "predicted",
+        "predicted_any_axis",
+        "agreement_any_axis",
+        "status",
+    ]
+    ds = atlas.label_points("two_field_top", columns, duration=60.0, variables=names, progress=False)
+    assert (ds["label_any_axis"] == Label.REGULAR_PRECESSION).all()
+    assert (ds["agreement_any_axis"] == 1).all()
+    assert (ds["label"] == Label.DRIFTING).all()
+    np.testing.assert_allclose(np.abs(ds["precession_rate"]), np.abs(N), rtol=1e-6)

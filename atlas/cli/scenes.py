@@ -152,7 +152,7 @@ def join_folder(options: argparse.Namespace) -> int:
     folder = RunFolder.open(options.folder)
     folder.join(
         netcdf.writable(
-            options.out, (".nc", ".zarr"), force=options.force, inputs=[folder.path / folder.content]
+            options.out, (".nc", ".zarr"), force=options.force, inputs=[f"{folder.storage}/{folder.content}"]
         )
     )
     say(f"wrote {options.out}")

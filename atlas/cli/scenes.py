@@ -33,7 +33,7 @@ from .options import (
     read_scene,
 )
 
-OUT = "NAME.nc, or NAME/ for a run folder, which the same command continues"
+OUT = "NAME.nc; or NAME/ for a run folder or NAME.zarr for a store (also s3://...), which the same command continues"
 EXECUTION = (
     THREADS,
     argument("--shard", metavar="I/N", help="compute part I of N of a run folder, counted from 1"),

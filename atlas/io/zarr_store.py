@@ -2,8 +2,8 @@
 
 An object of a store holds the values of one variable at the points of one tile of the grid. The group RUN holds what else
 belongs to the run that computes the store, with a sidecar for each tile, which has the hashes of its objects. `seal` writes the
-coordinates, then the metadata of the store with the hashes of its other objects. Zarr takes a missing object for one of fill
-values, and metadata without checksum as they are; therefore an object is compared with its hash before it is first read.
+coordinates, the hashes of all objects by their places and, last, the metadata with a hash of all that. Zarr takes a missing object
+for one of fill values, and metadata as they are; therefore an object is compared with its hash before it is first read.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ import hashlib
 import json
 import math
 import re
-from collections.abc import Collection, Mapping
+from collections.abc import Mapping
 from functools import lru_cache
 from itertools import product
 from pathlib import Path
@@ -22,17 +22,15 @@ import numpy as np
 import xarray as xr
 
 from ..errors import BadInput
-from ..files import MIN_CLAIM, check_claim, one_line, unsealed
+from ..files import MIN_CLAIM, check_claim, one_line
 from .storage import Folder, Storage, located, storage_at
 
 METADATA = "zarr.json"
 SUFFIX = ".zarr"
 RUN = "atlas"  # the group of the run
-SEAL = "atlas_seal"  # attribute with the hash of the metadata of a store
-OBJECTS = "atlas_objects"  # JSON text: hashes of the objects that belong to no tile, by their names
-KEY = "atlas_run_key"  # key of the run, which its sidecars carry
+OBJECTS = f"{RUN}/objects.json"  # hashes of the objects of a store by their names
+SEAL = "atlas_seal"  # attribute with a hash of the metadata of a store and of OBJECTS
 COMPRESSION_LEVEL = 3
-TILES_PER_FOLDER = 1000
 MAX_OBJECT_BYTES = 1 << 31
 # Files of a store of another run, or of another program.
 OWN = re.compile(rf"{RUN}/([\w/-]+\.(json|claim|pack|nc|bin)|clock)|[^/]+/(zarr\.json|c(/\d+)*)|zarr\.json")
@@ -48,12 +46,6 @@ def zarr_package() -> Any:
     except ImportError:
         raise BadInput("Zarr stores need the package zarr: python -m pip install zarr") from None
     return zarr
-
-
-def tile_name(tile: int, count: int, suffix: str, per_folder: int = TILES_PER_FOLDER) -> str:
-    """Name of a file of a tile, in folders of limited size."""
-    folder = f"{tile // per_folder:05d}/" if count > per_folder else ""
-    return f"{folder}{tile:08d}{suffix}"
 
 
 def _array(
@@ -95,23 +87,21 @@ def decode(
     contents = dict[str, Any]()
     array = _array(contents, name, dtype, shape, chunk, tile)
     place = [part.start // length for part, length in zip(box, tile, strict=True)]
-    contents["/".join([name, "c", *map(str, place)])] = zarr_package().core.buffer.cpu.Buffer.from_bytes(
-        content
-    )
+    buffer = zarr_package().core.buffer.cpu.Buffer
+    contents["/".join([name, "c", *map(str, place)])] = buffer.from_bytes(content)
     return np.asarray(array[box])
 
 
 def seal(
     root: Storage,
     ds: xr.Dataset,
-    names: Collection[str],
+    objects: dict[str, str],
     chunk: Mapping[str, int],
     tile: Mapping[str, int],
-    key: str,
 ) -> None:
-    """Write all of a store but the variables `names`, which the tiles of a run hold; its metadata are written last."""
+    """Write all of a store but the objects with these hashes, which the tiles of a run are; its metadata are written last."""
     coordinates = " ".join(str(name) for name in ds.coords if name not in ds.dims)
-    objects, metadata = dict[str, str](), dict[str, Any]()
+    names, metadata = {name.partition("/")[0] for name in objects}, dict[str, Any]()
     for variable_name, variable in ds.variables.items():
         name, contents, dims = str(variable_name), dict[str, Any](), [str(dim) for dim in variable.dims]
         attributes = variable.attrs | ({"coordinates": coordinates} if name in ds.data_vars else {})
@@ -137,18 +127,19 @@ def seal(
                 objects[object_name] = hashlib.sha256(content).hexdigest()
     group = {"zarr_format": 3, "node_type": "group", "attributes": {}}
     root.write(f"{RUN}/{METADATA}", json.dumps(group).encode())
-    attributes = _plain(ds.attrs) | {KEY: key, OBJECTS: json.dumps(objects)}
+    content = json.dumps(objects).encode()
+    root.write(OBJECTS, content)
     consolidated = {"kind": "inline", "must_understand": False, "metadata": metadata}
-    whole: dict[str, Any] = group | {"attributes": attributes, "consolidated_metadata": consolidated}
-    attributes[SEAL] = _seal_of(whole)
+    whole: dict[str, Any] = group | {"attributes": _plain(ds.attrs), "consolidated_metadata": consolidated}
+    whole["attributes"][SEAL] = _seal_of(whole, content)
     root.write(METADATA, json.dumps(whole).encode())
 
 
-def _seal_of(metadata: Mapping[str, Any]) -> str:
-    """Hash of the metadata of a store."""
+def _seal_of(metadata: Mapping[str, Any], objects: bytes) -> str:
+    """Hash of the metadata of a store and of the hashes of its objects."""
     attributes = {name: value for name, value in metadata["attributes"].items() if name != SEAL}
     content = json.dumps({**metadata, "attributes": attributes}, sort_keys=True)
-    return hashlib.sha256(content.encode()).hexdigest()
+    return hashlib.sha256(content.encode() + objects).hexdigest()
 
 
 def _plain(attributes: Mapping[Any, Any]) -> dict[str, Any]:
@@ -165,7 +156,7 @@ def is_whole(path: Path) -> bool:
         metadata = json.loads((path / METADATA).read_bytes())
         names = {*metadata["consolidated_metadata"]["metadata"], RUN, METADATA}
         files = [file.relative_to(path) for file in path.rglob("*") if file.is_file()]
-        return bool(metadata["attributes"][SEAL] == _seal_of(metadata)) and all(
+        return metadata["attributes"][SEAL] == _seal_of(metadata, (path / OBJECTS).read_bytes()) and all(
             file.parts[0] in names and OWN.fullmatch(file.as_posix()) for file in files
         )
     except (OSError, LookupError, TypeError, ValueError):
@@ -189,13 +180,12 @@ def open_store(path: Path | str) -> xr.Dataset:
     try:
         metadata = json.loads(root.read(METADATA))
         attributes = metadata["attributes"]
-        own = not {SEAL, OBJECTS, KEY}.isdisjoint(attributes)
-        if own and attributes.get(SEAL) != _seal_of(metadata):
-            raise ValueError("its metadata were changed since it was written")
-        store = root.zarr(zarr)
+        store, own = root.zarr(zarr), SEAL in attributes or OBJECTS.rpartition("/")[2] in root.names(RUN)
         if own:
-            arrays = metadata["consolidated_metadata"]["metadata"]
-            store = _checked_store(zarr)(store, path, root, attributes, arrays)
+            objects = root.read(OBJECTS, MAX_OBJECT_BYTES)
+            if attributes.get(SEAL) != _seal_of(metadata, objects):
+                raise ValueError("its metadata were changed since it was written")
+            store = _checked_store()(store, path, json.loads(objects))
         group = zarr.open_group(store, mode="r", use_consolidated=own)
         claimed = sum(array.size * array.dtype.itemsize for _, array in group.arrays())
         if claimed > MIN_CLAIM and isinstance(root, Folder):
@@ -208,66 +198,32 @@ def open_store(path: Path | str) -> xr.Dataset:
     for variable in ds.variables.values():
         if "flag_values" in variable.attrs:
             variable.attrs["flag_values"] = np.array(variable.attrs["flag_values"], variable.dtype)
-    for name in (SEAL, OBJECTS, KEY, "atlas_checksum", "atlas_chunks"):  # the last two of earlier versions
+    for name in (SEAL, "atlas_checksum", "atlas_chunks"):  # the last two of earlier versions
         ds.attrs.pop(name, None)
     return ds
 
 
 @lru_cache
-def _checked_store(zarr: Any) -> Any:
+def _checked_store() -> Any:
     """A class of the package zarr: a store that compares each object with its hash before it is first read."""
 
-    class CheckedStore(zarr.storage.WrapperStore):  # type: ignore[misc]
-        def __init__(
-            self,
-            store: Any,
-            path: Any,
-            root: Storage,
-            attributes: Mapping[str, Any],
-            arrays: Mapping[str, Any],
-        ):
+    class CheckedStore(zarr_package().storage.WrapperStore):  # type: ignore[misc]
+        def __init__(self, store: Any, path: Path | str, objects: dict[str, str]):
             super().__init__(store)
-            self.arguments = path, root, attributes, arrays
-            self.objects, self.verified = json.loads(attributes[OBJECTS]), {METADATA}
+            self.path, self.objects = path, objects
 
         def _with_store(self, store: Any) -> Any:
-            return type(self)(store, *self.arguments)
-
-        def check(self, key: str, content: bytes) -> None:
-            path, root, attributes, arrays = self.arguments
-            name = key.partition("/")[0]
-            try:
-                computed = None
-                if key not in self.objects:
-                    grid = [arrays[name]["shape"], arrays[name]["chunk_grid"]["configuration"]["chunk_shape"]]
-                    counts = [-(-count // length) for count, length in zip(*grid, strict=True)]
-                    place = tuple(map(int, key.split("/")[2:]))
-                    tile = int(np.ravel_multi_index(place, counts))
-                    file = f"{RUN}/tiles/{tile_name(tile, math.prod(counts), '.json')}"
-                    sidecar = unsealed(root.read(file))
-                    if (sidecar["key"], sidecar["tile"]) != (attributes[KEY], tile):
-                        raise ValueError("its sidecar is of another run or tile")
-                    expected, computed = sidecar["hash"][name], sidecar["computed"]
-                    actual = tile_hash(attributes[KEY], tile, content, computed)
-                else:
-                    expected, actual = self.objects[key], hashlib.sha256(content).hexdigest()
-                if expected != actual:
-                    raise ValueError("its objects are not those that were written, or not in their places")
-            except (ValueError, LookupError, OSError, TypeError) as error:
-                raise BadInput(f"{path}: the values of {name} are damaged: {one_line(error)}") from None
-            self.verified.add(key)
+            return type(self)(store, self.path, self.objects)
 
         async def get(self, key: str, prototype: Any, byte_range: Any = None) -> Any:
-            if key not in self.verified and "/c" in key:
+            if key in self.objects:
                 content = await self._store.get(key, prototype)
-                self.check(key, b"" if content is None else content.to_bytes())
+                if content is None or hashlib.sha256(content.to_bytes()).hexdigest() != self.objects[key]:
+                    name = key.partition("/")[0]
+                    raise BadInput(
+                        f"{self.path}: the values of {name} are damaged: not the object {key} that was written"
+                    )
+                self.objects.pop(key, None)  # compared once
             return await self._store.get(key, prototype, byte_range)
 
     return CheckedStore
-
-
-def tile_hash(key: str, tile: int, content: bytes, computed: int) -> str:
-    """SHA-256 of a content together with its run, its place in the grid and the number of computed points."""
-    digest = hashlib.sha256(json.dumps([key, tile, computed]).encode())
-    digest.update(content)
-    return digest.hexdigest()

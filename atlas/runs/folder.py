@@ -55,7 +55,6 @@ from ..scene import grid
 from ..scene.read import parse_scene
 from .plan import ScenePlan, differences, identity
 from .tiles import (
-    MAX_TILES,
     SHARD_CHUNKS,
     DamagedTile,
     Tally,
@@ -91,6 +90,7 @@ class RunFolder:
 
     def __init__(self, path: Path | str, manifest: dict[str, Any]):
         self.path = path
+        self.is_flat = manifest["format"] == OLDER_FORMAT
         self.is_store = str(path).lower().endswith(zarr_store.SUFFIX)
         self.root, self.storage = _storage(path)
         self.manifest = manifest
@@ -260,12 +260,7 @@ class RunFolder:
         rest = key, netcdf.dims(self.scene), tile_types(self.scene), self.tiling
         if self.is_store:
             return TileShards(self.root, *rest)
-        return TileFiles(self.storage.inside("tiles"), *rest, self.per_folder)
-
-    @property
-    def per_folder(self) -> int:
-        """Most tiles in a folder."""
-        return MAX_TILES if self.manifest["format"] == OLDER_FORMAT else zarr_store.TILES_PER_FOLDER
+        return TileFiles(self.storage.inside("tiles"), *rest, is_flat=self.is_flat)
 
     def remove_leftovers(self) -> None:
         """Remove temporary files of processes that were killed."""

@@ -158,7 +158,9 @@ class Level:
             name for name in registry if name == "label" or name in {*self.scene.outputs} - {"growth_rate"}
         ]
         types = {n: registry[n].dtype for n in names if n in MEASURED or registry[n].flags is None}
-        return TileFiles(self.storage.inside("tiles"), key, (POINT,), types, self.tiling, self.run.per_folder)
+        return TileFiles(
+            self.storage.inside("tiles"), key, (POINT,), types, self.tiling, is_flat=self.run.is_flat
+        )
 
     def prepare(self) -> None:
         """Write the manifest of the level unless it is there; a damaged one is replaced."""

@@ -27,7 +27,7 @@ from ..flags import Label, Status
 from ..io import netcdf, zarr_store
 from ..io.checksums import NETCDF_LOCK
 from ..io.storage import CLAIM_INTERVAL, Folder, Stamp, Storage, claim, is_claimed
-from ..io.zarr_store import MAX_OBJECT_BYTES, TILES_PER_FOLDER, tile_hash, tile_name
+from ..io.zarr_store import MAX_OBJECT_BYTES
 from ..scene import grid
 from ..scene.model import Scene
 from ..variables import variables
@@ -37,6 +37,7 @@ MIN_COMPRESSED_POINTS = 4096
 # Bytes of a sidecar, and of the tables of one variable in a NetCDF-4 file.
 SIDECAR_BYTES, TABLE_BYTES = 1200, 3600
 CLAIM = ".claim"  # suffix of the file of a tile that a process computes
+TILES_PER_FOLDER = 1000
 STATUS_BATCH = 64  # tiles that a thread checks at a time
 MIN_PACK = 64  # tiles that are worth a new pack
 SIDECAR_TYPES = {"points": int, "computed": int, "seconds": (int, float), "by": str, "reused": dict}
@@ -137,19 +138,21 @@ class TileFiles:
         dims: tuple[str, ...],
         types: Mapping[str, str],
         tiling: Tiling,
-        per_folder: int = TILES_PER_FOLDER,
+        *,
+        is_flat: bool = False,
     ):
         self.storage = storage
         self.key = key
         self.dims = dims
         self.types = types
         self.tiling = tiling
-        self.per_folder = per_folder
+        self.per_folder = MAX_TILES if is_flat else TILES_PER_FOLDER
         self._last = 0  # tile that this process wrote
 
     def name(self, tile: int, suffix: str = ".nc") -> str:
         """Name of the file of a tile, or with suffix ".json" of its sidecar."""
-        return tile_name(tile, self.tiling.count, suffix, self.per_folder)
+        folder = f"{tile // self.per_folder:05d}/" if self.tiling.count > self.per_folder else ""
+        return f"{folder}{tile:08d}{suffix}"
 
     def path(self, tile: int, suffix: str = ".nc") -> Path:
         """Path of a file in a folder."""
@@ -201,7 +204,7 @@ class TileFiles:
         contents = self._write(tile, columns, computed)
         sidecar = {
             "key": self.key, "tile": tile, "points": self.tiling.size_of(tile), "computed": computed,
-            "hash": {name: tile_hash(self.key, tile, content, computed) for name, content in contents.items()},
+            "hash": {name: self._hash(tile, content, computed) for name, content in contents.items()},
             "tally": vars(Tally.of(columns)), "host": socket.gethostname(), "seconds": seconds, "by": by,
             "reused": dict(reused or {}),
         }  # fmt: skip
@@ -305,7 +308,10 @@ class TileFiles:
         return contents
 
     def _hash(self, tile: int, content: bytes, computed: int) -> str:
-        return tile_hash(self.key, tile, content, computed)
+        """SHA-256 of a file together with its run, its place in the grid and the number of computed points."""
+        digest = hashlib.sha256(json.dumps([self.key, tile, computed]).encode())
+        digest.update(content)
+        return digest.hexdigest()
 
     def _decoded(
         self, tile: int, contents: Mapping[str, bytes], names: Iterable[str]
@@ -479,8 +485,16 @@ class TileShards(TileFiles):
 
     def seal(self, ds: xr.Dataset) -> None:
         """Write what the store of a dataset has beside the tiles."""
+        objects = {
+            place: sidecar["hash"][name]
+            for sidecar in self.sidecars()
+            for name, (_, place) in self._objects(sidecar["tile"], self.types).items()
+        }
         chunk, tile = (dict(zip(self.dims, lengths, strict=True)) for lengths in self.lengths[1:])
-        zarr_store.seal(self.root, ds, self.types, chunk, tile, self.key)
+        zarr_store.seal(self.root, ds, objects, chunk, tile)
+
+    def _hash(self, tile: int, content: bytes, computed: int) -> str:
+        return hashlib.sha256(content).hexdigest()  # in the sidecar, with run, place and number
 
 
 # Work of a tile, in points times steps: a few seconds of one processor at about 6 ns each.

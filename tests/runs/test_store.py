@@ -10,7 +10,7 @@ from truth import assert_same_bytes
 import atlas
 from atlas import BadInput, load_scene
 from atlas.cli import main
-from atlas.io import storage, zarr_store
+from atlas.io import storage
 from atlas.runs import earlier, tiles
 from atlas.runs.folder import RunFolder
 from atlas.runs.plan import ScenePlan
@@ -174,7 +174,7 @@ def test_a_store_that_cannot_be_reached_ends_a_run_in_one_line(scene, server, mo
 
 def test_packs_spare_reading_files_that_did_not_change(scene, whole, tmp_path, monkeypatch):
     monkeypatch.setattr(tiles, "MIN_PACK", 1)
-    monkeypatch.setattr(zarr_store, "TILES_PER_FOLDER", 4)
+    monkeypatch.setattr(tiles, "TILES_PER_FOLDER", 4)
     atlas.run(scene, f"{tmp_path}/run/", progress=False)
     folder = tmp_path / "run" / "tiles"
     assert {path.name for path in folder.iterdir() if path.is_dir()} == {"00000", "00001", "00002"}

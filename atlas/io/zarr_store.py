@@ -127,7 +127,7 @@ def seal(
                 objects[object_name] = hashlib.sha256(content).hexdigest()
     group = {"zarr_format": 3, "node_type": "group", "attributes": {}}
     root.write(f"{RUN}/{METADATA}", json.dumps(group).encode())
-    content = json.dumps(objects).encode()
+    content = json.dumps(objects, sort_keys=True).encode()  # the same by any process that seals
     root.write(OBJECTS, content)
     consolidated = {"kind": "inline", "must_understand": False, "metadata": metadata}
     whole: dict[str, Any] = group | {"attributes": _plain(ds.attrs), "consolidated_metadata": consolidated}

@@ -326,14 +326,18 @@ class RunFolder:
         )
 
     def dataset(self) -> xr.Dataset:
-        """The atlas so far, with a dask chunk for each tile; missing points are `not_computed` and nan."""
+        """The atlas so far, with a dask chunk for each tile; missing points are `not_computed` and nan. A sealed store as it is."""
+        if not (self.is_store and self.is_complete):
+            return self.tiled_dataset()
+        ds = zarr_store.open_store(self.path)
+        if (tally := self.provenance()[1]) is not None:
+            ds.encoding[TALLY] = tally
+        return ds
+
+    def tiled_dataset(self) -> xr.Dataset:
+        """The atlas so far, with a dask chunk for each tile."""
         import dask.array as da
 
-        if self.is_store and self.is_complete:
-            ds = zarr_store.open_store(self.path)
-            if (tally := self.provenance()[1]) is not None:
-                ds.encoding[TALLY] = tally
-            return ds
         chunks = da.core.normalize_chunks(self.tiling.tile, self.scene.shape)
         arrays = {
             name: da.map_blocks(
@@ -381,7 +385,7 @@ class RunFolder:
         self.storage.write(FINAL_ATTRIBUTES, sealed({"key": self.key, "attributes": attributes}).encode())
         if self.is_store:
             assert isinstance(self.tiles, TileShards)
-            self.tiles.seal(self.dataset())
+            self.tiles.seal(self.tiled_dataset())
 
     def final_attributes(self) -> dict[str, Any]:
         """Attributes saved by `save_final_attributes`, or none; BadInput if their file is damaged."""
@@ -409,9 +413,9 @@ class RunFolder:
         """
         if not self.is_complete:
             raise BadInput(f"{self.path}: unfinished, {self.progress_text()}; run its scene again first")
-        ds, shape = self.dataset(), self.scene.shape
-        if self.scene.refine is not None:
-            ds.load()  # a file cannot be read while another one is written
+        shape = self.scene.shape
+        # A file cannot be read while another one is written.
+        ds = self.tiled_dataset() if self.scene.refine is None else self.dataset().load()
         try:
             if out.suffix.lower() == zarr_store.SUFFIX:
                 zarr_store.zarr_package()

@@ -413,9 +413,25 @@ def _run_in_memory(
     plan: ScenePlan, warnings: list[str], threads: int | None, progress: bool, earlier: Sequence[Earlier]
 ) -> xr.Dataset:
     """Compute an atlas without a run folder."""
+    scene = plan.scene
+    bar = Progress(scene.size, show=progress)
+    try:
+        columns, reused = columns_of(plan, bar, threads, earlier)
+    finally:
+        bar.close()
+    attributes = scene_provenance(
+        scene, plan.points.kernel_hash, seconds=bar.stopwatch.seconds(), points=scene.size, warnings=warnings
+    )
+    attributes |= half_step.half_step_sample(plan.scene, plan.points, threads=threads)
+    return netcdf.dataset(scene, columns).assign_attrs(attributes | history_text(reused))
+
+
+def columns_of(
+    plan: ScenePlan, bar: Progress, threads: int | None = None, earlier: Sequence[Earlier] = ()
+) -> tuple[dict[str, np.ndarray], Counter[str]]:
+    """Variables and solved parameters of all points of a scene, tile by tile; the numbers of points of earlier atlases."""
     scene, tiles, all_reused = plan.scene, plan.tiling, Counter[str]()
     columns = {name: np.empty(scene.size, dtype) for name, dtype in tile_types(scene).items()}
-    bar = Progress(scene.size, show=progress)
 
     def compute(tile: int, advance: Advance) -> None:
         indices = tiles.indices(tile)
@@ -427,16 +443,9 @@ def _run_in_memory(
         all_reused.update(reused)
         bar.skip(indices.size - computed + reused.total())
 
-    try:
-        in_flight = plan.tiles_in_flight(threads)
-        for_each_tile(range(tiles.count), compute, bar.advance, in_flight, Event())
-    finally:
-        bar.close()
-    attributes = scene_provenance(
-        scene, plan.points.kernel_hash, seconds=bar.stopwatch.seconds(), points=scene.size, warnings=warnings
-    )
-    attributes |= half_step.half_step_sample(plan.scene, plan.points, threads=threads)
-    return netcdf.dataset(scene, columns).assign_attrs(attributes | history_text(all_reused))
+    in_flight = plan.tiles_in_flight(threads)
+    for_each_tile(range(tiles.count), compute, bar.advance, in_flight, Event())
+    return columns, all_reused
 
 
 class _Abandoned(Exception):

@@ -72,7 +72,7 @@ def small_tiles(monkeypatch):
     monkeypatch.setattr(tiles, "SHARD_CHUNKS", 1)
 
 
-def test_a_run_is_interrupted_and_continued(scene, whole, place, monkeypatch, capsys, caplog):
+def test_a_run_is_interrupted_and_continued(scene, whole, place, tmp_path, monkeypatch, capsys, caplog):
     calls, evaluate = 0, earlier.evaluate
 
     def interrupted_at_the_sixth_call(*arguments, **options):
@@ -100,6 +100,9 @@ def test_a_run_is_interrupted_and_continued(scene, whole, place, monkeypatch, ca
         assert opened.atlas.compare() == whole.atlas.compare()
     assert_same_bytes(whole, atlas.run(scene, place, progress=False))
     assert calls == 14
+    assert main(["join", place, "-o", str(tmp_path / "joined.nc")]) == 0
+    with atlas.open_atlas(tmp_path / "joined.nc") as joined:
+        assert_same_bytes(whole, joined)
     caplog.clear()
     # Damaged and lost objects are reported, and computed again after that.
     run = RunFolder.open(place)

@@ -112,9 +112,11 @@ class Folder:
         stamps = dict[str, Stamp]()
         with suppress(FileNotFoundError, NotADirectoryError), os.scandir(self.path / folder) as entries:
             for entry in entries:
-                with suppress(FileNotFoundError):
+                try:  # `suppress` would take half of the time
                     status = entry.stat()
                     stamps[entry.name] = [status.st_size, status.st_mtime_ns]
+                except FileNotFoundError:
+                    continue
         return stamps
 
     def age(self, name: str) -> float:

@@ -507,16 +507,20 @@ class _Job:
         tiles.sort(key=lambda tile: tile % self.parts != self.part - 1)
         pause = CLAIM_POLL
         while tiles:
-            claimed = []
+            claimed, files.listed = [], None
             for tile in tiles:
-                if tile not in self.status.damaged and files.is_done(tile):
+                if tile not in self.status.damaged and files.was_written(tile):
                     bar.skip(self.folder.tiling.size_of(tile))
                 elif self.execution.time_is_up:
                     self.is_stopped = True
                     return
                 elif files.claim(tile):
-                    self.status.damaged.pop(tile, None)
-                    yield tile
+                    if self.status.damaged.pop(tile, None) is None and files.is_written(tile):
+                        with files.held(tile):  # written since the folder was listed, perhaps with others
+                            bar.skip(self.folder.tiling.size_of(tile))
+                        files.listed = None
+                    else:
+                        yield tile
                 else:
                     claimed.append(tile)
             if len(claimed) == len(tiles):

@@ -148,6 +148,7 @@ class TileFiles:
         self.tiling = tiling
         self.per_folder = MAX_TILES if is_flat else TILES_PER_FOLDER
         self._last = 0  # tile that this process wrote
+        self.listed: tuple[int, set[str]] | None = None  # number of a folder, and the names in it
 
     def name(self, tile: int, suffix: str = ".nc") -> str:
         """Name of the file of a tile, or with suffix ".json" of its sidecar."""
@@ -165,22 +166,21 @@ class TileFiles:
         return self.storage.path
 
     def is_written(self, tile: int) -> bool:
-        """Whether some process has finished writing a tile; the tile may be damaged."""
-        try:
-            self._sidecar(tile)
-        except FileNotFoundError:
-            return False
-        except DamagedTile:
-            pass
-        return True
+        """Whether some process has finished writing a tile, whose values may be damaged since."""
+        with suppress(FileNotFoundError, DamagedTile):
+            return bool(self._sidecar(tile))
+        return False
+
+    def was_written(self, tile: int) -> bool:
+        """Whether the folder of a tile had its sidecar when it was last listed; this needs no look at each tile."""
+        part = tile // self.per_folder
+        if self.listed is None or self.listed[0] != part:
+            self.listed = part, self.storage.names(self._folder(part))
+        return self.name(tile, ".json").rpartition("/")[2] in self.listed[1]
 
     def written_count(self) -> int:
         """Number of the tiles that are written; some may be damaged."""
         return sum(len(self._stamps(part)) for part in self._parts())
-
-    def is_done(self, tile: int) -> bool:
-        """Whether a tile is written and not damaged; reads all of it."""
-        return not isinstance(self._checked(tile), Exception)
 
     def write(
         self,
@@ -355,8 +355,8 @@ class TileFiles:
         threads = 1 if self.tiling.size_of(0) < MIN_COMPRESSED_POINTS else 4
         chosen = range(self.tiling.count) if tiles is None else tiles
         for part, group in groupby(chosen, lambda tile: tile // self.per_folder):
-            stamps, whole = self._packed(part)
-            wanted = list(group)
+            stamps, whole, packed = self._packed(part)
+            wanted, read = list(group), dict[int, Any]()
             unread = [tile for tile in wanted if tile in stamps and tile not in whole]
             batches = [unread[first : first + STATUS_BATCH] for first in range(0, len(unread), STATUS_BATCH)]
             with ThreadPoolExecutor(threads) as pool:
@@ -365,9 +365,16 @@ class TileFiles:
                         if isinstance(result, DamagedTile):
                             status.damaged[tile] = str(result)
                         elif not isinstance(result, Exception):  # removed in the meantime
-                            whole[tile] = stamps[tile], result
-            if sum(tile in whole for tile in unread) >= MIN_PACK:
-                self._pack(part, whole)
+                            read[tile] = result
+            whole |= read.keys()
+            if len(read) >= MIN_PACK:
+                before = json.loads(packed)
+                sidecars = {tile: read.get(tile) or before[str(tile)] for tile in sorted(whole)}
+                head = json.dumps([self.key, [[tile, stamps[tile]] for tile in sidecars]])
+                content = f"{head}\n{json.dumps(sidecars)}".encode()
+                digest = hashlib.sha256(content).hexdigest().encode()
+                with suppress(OSError):
+                    self.storage.write(self._pack_name(part), digest + b"\n" + content, durable=False)
             status.done += [tile for tile in wanted if tile in whole]
             status.missing += [tile for tile in wanted if tile not in whole and tile not in status.damaged]
         return status
@@ -375,10 +382,11 @@ class TileFiles:
     def sidecars(self) -> Iterator[dict[str, Any]]:
         """Readable sidecars of all tiles that are written."""
         for part in self._parts():
-            stamps, whole = self._packed(part)
+            stamps, whole, packed = self._packed(part)
+            sidecars = json.loads(packed)
             for tile in stamps:
                 with suppress(FileNotFoundError, DamagedTile):
-                    yield whole[tile][1] if tile in whole else self._sidecar(tile)
+                    yield sidecars[str(tile)] if tile in whole else self._sidecar(tile)
 
     def _parts(self) -> range:
         """Numbers of the folders of tiles."""
@@ -397,24 +405,17 @@ class TileFiles:
             if name.endswith(".json") and name[:8].isdigit()
         }
 
-    def _packed(self, part: int) -> tuple[dict[int, list[Stamp | None]], dict[int, Any]]:
-        """Stamps of the written tiles of a folder; those that its pack has, each with stamps and sidecar."""
-        stamps, whole = self._stamps(part), dict[int, Any]()
+    def _packed(self, part: int) -> tuple[dict[int, list[Stamp | None]], set[int], bytes]:
+        """Stamps of the written tiles of a folder; those of them that are in its pack; the sidecars in this, as JSON."""
+        stamps = self._stamps(part)
         with suppress(OSError, ValueError):
             digest, _, content = self.storage.read(self._pack_name(part), MAX_OBJECT_BYTES).partition(b"\n")
             if hashlib.sha256(content).hexdigest().encode() == digest:
-                pack = json.loads(content)
-                if pack["key"] == self.key:
-                    whole = {tile: entry for tile, *entry in pack["tiles"] if stamps.get(tile) == entry[0]}
-        return stamps, whole
-
-    def _pack(self, part: int, whole: Mapping[int, Any]) -> None:
-        """Write the pack of a folder."""
-        tiles = [[tile, *entry] for tile, entry in sorted(whole.items())]
-        content = json.dumps({"key": self.key, "tiles": tiles}).encode()
-        with suppress(OSError):
-            digest = hashlib.sha256(content).hexdigest().encode()
-            self.storage.write(self._pack_name(part), digest + b"\n" + content, durable=False)
+                head, _, sidecars = content.partition(b"\n")
+                key, tiles = json.loads(head)
+                if key == self.key:
+                    return stamps, {tile for tile, stamp in tiles if stamps.get(tile) == stamp}, sidecars
+        return stamps, set(), b"{}"
 
     def _pack_name(self, part: int) -> str:
         """Name of the pack of a folder."""

@@ -107,7 +107,7 @@ def main() -> None:
         size = int(options.points)
         case = scene(folder, size)
         if options.refined:
-            side = int(size**0.5) // 16 * 16 + 1
+            side = int(size**0.5) // 16 + 1  # before four levels
             text = (
                 (folder / "scene.toml").read_text().replace(f"count = {case.shape[0]}", f"count = {side}", 1)
             )

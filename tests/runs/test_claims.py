@@ -131,3 +131,18 @@ def test_claims_of_killed_processes_are_removed(folder, living):
     folder.tiles.path(2, CLAIM).write_text(living[:-1] + str((int(living[-1]) + 1) % 10))
     folder.status()
     assert [path.name for path in folder.tiles.folder.iterdir()] == [f"00000001{CLAIM}"]
+
+
+def test_a_tile_that_another_process_has_finished_since_the_listing_is_not_computed_again(folder):
+    job = runner._Job(folder, runner._Execution(1, None, None, None, None, 0.0))
+    skipped = []
+    remaining = job.remaining_tiles(type("Bar", (), {"skip": lambda self, points: skipped.append(points)})())
+    first = next(remaining)
+    other = (first + 4) % 9
+    columns, number, _ = runner.evaluate_at(
+        ScenePlan.of(folder.scene).points, folder.scene, folder.indices(other)
+    )
+    folder.tiles.write(other, columns, computed=number, seconds=0.0, by="the other one")
+    assert sorted([first, *remaining]) == sorted({*range(9)} - {other})
+    assert skipped == [7]
+    assert not folder.tiles.path(other, CLAIM).exists()

@@ -37,6 +37,7 @@ OWN = re.compile(rf"{RUN}/([\w/-]+\.(json|claim|pack|nc|bin)|clock)|[^/]+/(zarr\
 
 Box = tuple[slice, ...]
 Lengths = tuple[int, ...]
+Layout = tuple[Lengths, Lengths, Lengths]  # shape of an array, of its chunks, and of the part of it in a tile
 
 
 def zarr_package() -> Any:
@@ -48,17 +49,9 @@ def zarr_package() -> Any:
     return zarr
 
 
-def _array(
-    contents: dict[str, Any],
-    name: str,
-    dtype: Any,
-    shape: Lengths,
-    chunk: Lengths,
-    tile: Lengths,
-    **metadata: Any,
-) -> Any:
+def _array(contents: dict[str, Any], name: str, dtype: Any, layout: Layout, **metadata: Any) -> Any:
     """An empty array in memory, whose objects are those of a store."""
-    zarr = zarr_package()
+    zarr, (shape, chunk, tile) = zarr_package(), layout
     shards = tuple(-(-length // part) * part for length, part in zip(tile, chunk, strict=True))
     codecs = zarr.codecs
     return zarr.create_array(
@@ -71,58 +64,47 @@ def _array(
     )  # fmt: skip
 
 
-def encode(
-    name: str, values: np.ndarray, box: Box, shape: Lengths, chunk: Lengths, tile: Lengths
-) -> dict[str, bytes]:
+def encode(name: str, values: np.ndarray, box: Box, layout: Layout) -> dict[str, bytes]:
     """Content of the object of a variable in the box of a tile, by its name."""
     contents = dict[str, Any]()
-    _array(contents, name, values.dtype, shape, chunk, tile)[box] = values
+    _array(contents, name, values.dtype, layout)[box] = values
     return {key: each.to_bytes() for key, each in contents.items() if not key.endswith(METADATA)}
 
 
-def decode(
-    name: str, dtype: str, content: bytes, box: Box, shape: Lengths, chunk: Lengths, tile: Lengths
-) -> np.ndarray:
+def decode(name: str, dtype: str, content: bytes, box: Box, layout: Layout) -> np.ndarray:
     """Inverse of `encode`."""
     contents = dict[str, Any]()
-    array = _array(contents, name, dtype, shape, chunk, tile)
-    place = [part.start // length for part, length in zip(box, tile, strict=True)]
+    array = _array(contents, name, dtype, layout)
+    place = [part.start // length for part, length in zip(box, layout[2], strict=True)]
     buffer = zarr_package().core.buffer.cpu.Buffer
     contents["/".join([name, "c", *map(str, place)])] = buffer.from_bytes(content)
     return np.asarray(array[box])
 
 
 def seal(
-    root: Storage,
-    ds: xr.Dataset,
-    objects: dict[str, str],
-    chunk: Mapping[str, int],
-    tile: Mapping[str, int],
+    root: Storage, ds: xr.Dataset, objects: dict[str, str], dims: tuple[str, ...], layout: Layout
 ) -> None:
     """Write all of a store but the objects with these hashes, which the tiles of a run are; its metadata are written last."""
     coordinates = " ".join(str(name) for name in ds.coords if name not in ds.dims)
     names, metadata = {name.partition("/")[0] for name in objects}, dict[str, Any]()
+    lengths = dict(zip(dims, zip(*layout, strict=True), strict=True))
     for variable_name, variable in ds.variables.items():
-        name, contents, dims = str(variable_name), dict[str, Any](), [str(dim) for dim in variable.dims]
+        name, contents = str(variable_name), dict[str, Any]()
+        own: Any = tuple(tuple(lengths[str(dim)][i] for dim in variable.dims) for i in range(3))
+        shape, _, tile = own
         attributes = variable.attrs | ({"coordinates": coordinates} if name in ds.data_vars else {})
-        lengths = tuple(chunk[dim] for dim in dims), tuple(tile[dim] for dim in dims)
-        _array(
-            contents, name, variable.dtype, variable.shape, *lengths,
-            dimension_names=dims, attributes=_plain(attributes),
-        )  # fmt: skip
+        described = {"dimension_names": [*map(str, variable.dims)], "attributes": _plain(attributes)}
+        _array(contents, name, variable.dtype, own, **described)
         content = contents[f"{name}/{METADATA}"].to_bytes()
         metadata[name] = json.loads(content)
         root.write(f"{name}/{METADATA}", content)
         if name in names:
             continue
-        starts = [range(0, count, length) for count, length in zip(variable.shape, lengths[1], strict=True)]
-        for place in product(*starts):  # a parameter may be too large for memory
-            ends = (
-                min(a + length, n) for a, length, n in zip(place, lengths[1], variable.shape, strict=True)
-            )
-            box = tuple(map(slice, place, ends))
-            encoded = encode(name, np.asarray(variable[box].values), box, variable.shape, *lengths)
-            for object_name, content in encoded.items():
+        for place in product(
+            *map(range, [0] * len(shape), shape, tile)
+        ):  # a parameter may be too large for memory
+            box = tuple(slice(a, min(a + length, n)) for a, length, n in zip(place, tile, shape, strict=True))
+            for object_name, content in encode(name, np.asarray(variable[box].values), box, own).items():
                 root.write(object_name, content)
                 objects[object_name] = hashlib.sha256(content).hexdigest()
     group = {"zarr_format": 3, "node_type": "group", "attributes": {}}

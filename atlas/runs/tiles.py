@@ -459,8 +459,7 @@ class TileShards(TileFiles):
     ):
         super().__init__(root.inside(zarr_store.RUN).inside("tiles"), key, dims, types, tiling)
         self.root = root
-        # For `zarr_store.encode`.
-        self.lengths = tiling.shape, tiling.chunk, tiling.tile
+        self.layout = tiling.shape, tiling.chunk, tiling.tile  # for `zarr_store`
 
     def _objects(self, tile: int, names: Iterable[str]) -> dict[str, tuple[Storage, str]]:
         place = "/".join(map(str, np.unravel_index(tile, self.tiling.counts)))
@@ -469,7 +468,7 @@ class TileShards(TileFiles):
     def _write(self, tile: int, columns: Mapping[str, np.ndarray], computed: int) -> dict[str, bytes]:
         box, contents = self.tiling.slices(tile), dict[str, bytes]()
         for name, (storage, place) in self._objects(tile, self.types).items():
-            (contents[name],) = zarr_store.encode(name, columns[name], box, *self.lengths).values()
+            (contents[name],) = zarr_store.encode(name, columns[name], box, self.layout).values()
             storage.write(place, contents[name])
             if storage.read(place, MAX_OBJECT_BYTES) != contents[name]:
                 raise OSError(errno.EIO, "read back otherwise than it was written", place)
@@ -480,7 +479,7 @@ class TileShards(TileFiles):
     ) -> dict[str, np.ndarray]:
         box = self.tiling.slices(tile)
         return {
-            name: zarr_store.decode(name, self.types[name], contents[name], box, *self.lengths)
+            name: zarr_store.decode(name, self.types[name], contents[name], box, self.layout)
             for name in names
         }
 
@@ -491,8 +490,7 @@ class TileShards(TileFiles):
             for sidecar in self.sidecars()
             for name, (_, place) in self._objects(sidecar["tile"], self.types).items()
         }
-        chunk, tile = (dict(zip(self.dims, lengths, strict=True)) for lengths in self.lengths[1:])
-        zarr_store.seal(self.root, ds, objects, chunk, tile)
+        zarr_store.seal(self.root, ds, objects, self.dims, self.layout)
 
     def _hash(self, tile: int, content: bytes, computed: int) -> str:
         return hashlib.sha256(content).hexdigest()  # in the sidecar, with run, place and number

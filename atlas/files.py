@@ -38,8 +38,6 @@ PROCESS_NAME = re.compile(r"([0-9a-f]{8})-([0-9a-f]{8})-(\d+)-(\d+)")
 TEMPORARY = re.compile(rf"\.atlas-({PROCESS_NAME.pattern})-[0-9a-f]{{8}}\.tmp")
 # Seconds without a write after which the temporary file of another machine is a leftover.
 FOREIGN_LEFTOVER_AGE = 7 * 86400.0
-# Seconds without a sign of life after which a claim expires, and between two signs of life of this process.
-CLAIM_AGE, CLAIM_INTERVAL = 180.0, 20.0
 
 
 def process_name() -> str:
@@ -183,32 +181,7 @@ def claim_path(path: Path) -> Path:
     return path.with_name(f".{path.name}.first")
 
 
-def claim(path: Path) -> bool:
-    """Whether this process may do what a file stands for: it creates the file, or takes over one that expired."""
-    if path.exists():
-        if is_claimed(path):
-            return False
-        with atomic_write(path, durable=False) as temporary:
-            temporary.write_text(process_name(), encoding="ascii")
-        return True
-    try:
-        with path.open("x", encoding="ascii") as file:
-            file.write(process_name())
-        return True
-    except FileExistsError:
-        return False
-
-
-def is_claimed(path: Path) -> bool:
-    """Whether another process that claimed a file is at work: as far as is known it runs, and it touched the file of late."""
-    try:
-        process = path.read_text(encoding="ascii", errors="replace")
-        return process != process_name() and is_running(process) is not False and _age(path) <= CLAIM_AGE
-    except OSError:  # it has been removed
-        return False
-
-
-def _age(path: Path) -> float:
+def age(path: Path) -> float:
     """Seconds since a file was written, by the clock of its file system."""
     with tempfile.TemporaryFile(dir=path.parent) as new:
         return os.fstat(new.fileno()).st_mtime - path.stat().st_mtime
@@ -230,7 +203,7 @@ def remove_leftovers(folder: Path) -> None:
             running = is_running(match[1])
             if running is None:  # its age is known by the clock of the file system
                 with suppress(OSError):
-                    running = _age(Path(entry)) <= FOREIGN_LEFTOVER_AGE
+                    running = age(Path(entry)) <= FOREIGN_LEFTOVER_AGE
             if running is False:
                 if entry.is_dir(follow_symlinks=False):
                     shutil.rmtree(entry, ignore_errors=True)
@@ -265,21 +238,26 @@ def unsealed(text: str | bytes) -> dict[str, Any]:
     return content
 
 
-def read_bytes(path: Path) -> bytes:
-    """Content of a JSON file; ValueError if it is longer than MAX_JSON_BYTES, or no regular file."""
+def read_bytes(path: Path, most: int = MAX_JSON_BYTES) -> bytes:
+    """Content of a file; ValueError if it is longer than allowed, or no regular file."""
     if not stat.S_ISREG(path.stat().st_mode):
         raise ValueError("it is no regular file")
     with path.open("rb") as file:
-        content = file.read(MAX_JSON_BYTES + 1)
-    if len(content) > MAX_JSON_BYTES:
-        raise ValueError(f"more than {MAX_JSON_BYTES} bytes")
+        content = file.read(most + 1)
+    if len(content) > most:
+        raise ValueError(f"more than {most} bytes")
     return content
 
 
 def read_json(path: Path) -> dict[str, Any]:
     """Entries of a JSON file; ValueError if it is damaged or too large."""
+    return parsed(read_bytes(path))
+
+
+def parsed(text: bytes) -> dict[str, Any]:
+    """Entries of a JSON text; ValueError if it is damaged."""
     try:
-        content = json.loads(read_bytes(path))
+        content = json.loads(text)
     except RecursionError:
         raise ValueError("it is nested too deeply") from None
     if not isinstance(content, dict):

@@ -29,6 +29,7 @@ SCRIPTS = {
     "bench_methods": (f"{SMALL} --points 8 --rounds 1", r"small \| .*0 of 8 \| 0, 0"),
     "bench_refine": (f"{SMALL} --count 5 --levels 1", r"small: 9 x 9 points, .* 0 labels differ"),
     "bench_scaling": ("100 --only points tiles", r"(?s)100, 1, .*tiles for 100 points"),
+    "bench_elastic": ("1000 --kills 0 --jobs 1 --places store", r"store: 1000 points, .* 0 kills, .* equal"),
     "bench_start": (str(SMALL), r"first steps, .*small.toml: 0?\d+\.\d+ s"),
     "draw": ("--out FOLDER", r""),
     "fuzz_scenes": ("--count 5 --runs 1 --points 1", r"check: ok"),

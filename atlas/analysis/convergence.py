@@ -15,8 +15,8 @@ from ..compiling import Stopwatch
 from ..errors import BadInput, allowed_text, text_table
 from ..io import netcdf
 from ..io.progress import Progress
-from ..runs.earlier import evaluate_at
 from ..runs.plan import ScenePlan
+from ..runs.runner import columns_of
 from ..scene.model import Axis, Scene
 from .metadata import flag_names
 
@@ -56,8 +56,9 @@ def convergence(
     cases = [(name, factor) for name in names for factor in FACTORS if factor != 1.0]
     bar = Progress(scene.size * (1 + len(cases)), show=progress)
     try:
-        base = _columns(scene, bar)
-        varied = {case: _columns(_changed(scene, *case), bar) for case in cases}
+        scenes = [scene, *(_changed(scene, *case) for case in cases)]
+        base, *others = (columns_of(ScenePlan.of(each), bar)[0] for each in scenes)
+        varied = dict(zip(cases, others, strict=True))
     finally:
         bar.close()
     ds = netcdf.dataset(scene, base)
@@ -101,19 +102,6 @@ def _changed(scene: Scene, name: str, factor: float) -> Scene:
     if name == "tolerance" and settings.step is not None:
         name = "step"
     return replace(scene, settings=replace(settings, **{name: factor * getattr(settings, name)}))
-
-
-def _columns(scene: Scene, bar: Progress) -> dict[str, np.ndarray]:
-    """The outputs and the parameters at all points."""
-    plan = ScenePlan.of(scene)
-    parts = []
-    for tile in range(plan.tiling.count):
-        columns, computed, _ = evaluate_at(
-            plan.points, scene, plan.tiling.indices(tile), progress=bar.advance
-        )
-        bar.skip(plan.tiling.size_of(tile) - computed)
-        parts.append({name: columns[name] for name in (*scene.outputs, *scene.solve)})
-    return {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
 
 
 def rows(ds: xr.Dataset) -> list[tuple[str, ...]]:

@@ -33,7 +33,7 @@ from .options import (
     read_scene,
 )
 
-OUT = "NAME.nc, or NAME/ for a run folder, which the same command continues"
+OUT = "NAME.nc; or NAME/ for a run folder or NAME.zarr for a store (also s3://...), which the same command continues"
 EXECUTION = (
     THREADS,
     argument("--shard", metavar="I/N", help="compute part I of N of a run folder, counted from 1"),
@@ -152,7 +152,7 @@ def join_folder(options: argparse.Namespace) -> int:
     folder = RunFolder.open(options.folder)
     folder.join(
         netcdf.writable(
-            options.out, (".nc", ".zarr"), force=options.force, inputs=[folder.path / folder.content]
+            options.out, (".nc", ".zarr"), force=options.force, inputs=[f"{folder.storage}/{folder.content}"]
         )
     )
     say(f"wrote {options.out}")

@@ -6,14 +6,12 @@ import json
 import sys
 import threading
 import time
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from contextlib import suppress
 from datetime import UTC, datetime
-from pathlib import Path
 from typing import Any, TextIO
 
 from .. import compiling, files
-from ..files import atomic_write
 
 # Seconds between two plain lines, two updates of the live line, and two of the file.
 PLAIN_INTERVAL = 10.0
@@ -28,7 +26,7 @@ class Progress:
     """Counter of finished points, for any thread, that reports points per second and the time left.
 
     Points `done` by earlier runs do not count for the speed, and `stopwatch` does not count the compilation
-    of kernels. The JSON `file` is for people and scripts; no computation reads it.
+    of kernels. `save` takes JSON for people and scripts, which no computation reads.
     """
 
     def __init__(
@@ -38,14 +36,14 @@ class Progress:
         *,
         done: int = 0,
         show: bool = True,
-        file: Path | None = None,
+        save: Callable[[bytes], object] | None = None,
         facts: Mapping[str, Any] | None = None,
     ):
         self.points = points
         self.show = show
         self.stream = sys.stderr if stream is None else stream
         self.live = self.stream.isatty()
-        self.file = file
+        self.save = save
         self.facts = dict(facts or {})
         self.stopwatch = compiling.Stopwatch()
         self._last_print = self._last_save = time.perf_counter()
@@ -53,7 +51,7 @@ class Progress:
         self._lock = threading.Lock()
         if show:
             compiling.announce(+1)
-        if file is not None:
+        if save is not None:
             self._save(running=True)
 
     def add(self, points: int, done: int) -> None:
@@ -62,7 +60,7 @@ class Progress:
             self.points += points
             self._done += done
             self._done_at_no_cost += done
-        if self.file is not None:
+        if self.save is not None:
             self._save(running=True)
 
     def advance(self, points: float) -> None:
@@ -78,7 +76,7 @@ class Progress:
                 text = f"{done}  {rest}"
                 self.stream.write(f"\r{text}\x1b[K" if self.live else f"{text}\n")
                 self.stream.flush()
-            if self.file is not None and now - self._last_save >= FILE_INTERVAL:
+            if self.save is not None and now - self._last_save >= FILE_INTERVAL:
                 self._last_save = now
                 self._save(running=True)
 
@@ -95,7 +93,7 @@ class Progress:
             if self.live:
                 self.stream.write("\r\x1b[K")
                 self.stream.flush()
-        if self.file is not None:
+        if self.save is not None:
             self._save(running=False)
 
     def _speed(self) -> tuple[float, float]:
@@ -104,7 +102,7 @@ class Progress:
         return speed, (self.points - self._done) / speed if speed > 0 else 0.0
 
     def _save(self, *, running: bool) -> None:
-        assert self.file is not None
+        assert self.save is not None
         speed, seconds_left = self._speed()
         content = self.facts | {
             "points": self.points,
@@ -116,8 +114,8 @@ class Progress:
             "written": f"{datetime.now(UTC):%Y-%m-%dT%H:%M:%SZ}",
         }
         # On a full disk the run fails where it writes a tile, with a better message.
-        with suppress(OSError), atomic_write(self.file) as temporary:
-            temporary.write_text(json.dumps(content, indent=1), encoding="utf-8")
+        with suppress(OSError):
+            self.save(json.dumps(content, indent=1).encode())
 
 
 def state(content: Mapping[str, Any]) -> str:

@@ -1,9 +1,9 @@
 """Zarr stores of atlases, in version 3 of the format.
 
-A Zarr chunk that is missing reads as its fill value, and metadata have no checksums. The attribute CHECKSUM
-of a store therefore holds a hash of all metadata and of names and sizes of all other files, which is compared
-when the store is opened. Every chunk ends in a CRC-32C, which Zarr compares whenever it is read. The
-attribute CHUNKS binds these to their array and place; it is compared before an array is read.
+An object of a store holds the values of one variable at the points of one tile of the grid. The group RUN holds what else
+belongs to the run that computes the store, with a sidecar for each tile, which has the hashes of its objects. `seal` writes the
+coordinates, the hashes of all objects by their places and, last, the metadata with a hash of all that. Zarr takes a missing object
+for one of fill values, and metadata as they are; therefore an object is compared with its hash before it is first read.
 """
 
 from __future__ import annotations
@@ -11,26 +11,33 @@ from __future__ import annotations
 import hashlib
 import json
 import math
-import os
-import zlib
-from collections.abc import Collection, Iterator, Mapping
+import re
+from collections.abc import Mapping
+from functools import lru_cache
+from itertools import product
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import xarray as xr
-from xarray.backends import BackendArray
-from xarray.backends.zarr import ZarrStore
-from xarray.core import indexing
 
 from ..errors import BadInput
-from ..files import atomic_folder, check_claim, one_line, read_json
+from ..files import MIN_CLAIM, check_claim, one_line
+from .storage import Folder, Storage, located, storage_at
 
 METADATA = "zarr.json"
-CHECKSUM = "atlas_checksum"
-CHUNKS = "atlas_chunks"  # JSON text: name of an array -> `_crc_of_chunks`
-CHUNKS_PER_SHARD = 16  # chunks in one file
+SUFFIX = ".zarr"
+RUN = "atlas"  # the group of the run
+OBJECTS = f"{RUN}/objects.json"  # hashes of the objects of a store by their names
+SEAL = "atlas_seal"  # attribute with a hash of the metadata of a store and of OBJECTS
 COMPRESSION_LEVEL = 3
+MAX_OBJECT_BYTES = 1 << 31
+# Files of a store of another run, or of another program.
+OWN = re.compile(rf"{RUN}/([\w/-]+\.(json|claim|pack|nc|bin)|clock)|[^/]+/(zarr\.json|c(/\d+)*)|zarr\.json")
+
+Box = tuple[slice, ...]
+Lengths = tuple[int, ...]
+Layout = tuple[Lengths, Lengths, Lengths]  # shape of an array, of its chunks, and of the part of it in a tile
 
 
 def zarr_package() -> Any:
@@ -42,52 +49,79 @@ def zarr_package() -> Any:
     return zarr
 
 
-def shard_lengths(sizes: Mapping[str, int], chunk: Mapping[str, int]) -> dict[str, int]:
-    """Lengths of the box of chunks in one file: at most CHUNKS_PER_SHARD chunks, the last dimension first."""
-    shard, room = dict(chunk), CHUNKS_PER_SHARD
-    for dim in reversed(list(chunk)):
-        count = min(math.ceil(sizes[dim] / chunk[dim]), room)
-        shard[dim], room = count * chunk[dim], room // count
-    return shard
+def _array(contents: dict[str, Any], name: str, dtype: Any, layout: Layout, **metadata: Any) -> Any:
+    """An empty array in memory, whose objects are those of a store."""
+    zarr, (shape, chunk, tile) = zarr_package(), layout
+    shards = tuple(-(-length // part) * part for length, part in zip(tile, chunk, strict=True))
+    codecs = zarr.codecs
+    return zarr.create_array(
+        zarr.storage.MemoryStore(contents),
+        name=name, shape=shape, dtype=dtype, chunks=chunk, shards=shards or None,
+        compressors=[codecs.BloscCodec(cname="zstd", clevel=COMPRESSION_LEVEL, shuffle="shuffle"), codecs.Crc32cCodec()],
+        fill_value=math.nan if np.dtype(dtype).kind == "f" else 0,
+        config={"write_empty_chunks": True},  # so that a missing object is always a loss
+        **metadata,
+    )  # fmt: skip
 
 
-def write_blocks(
-    ds: xr.Dataset, chunk: Mapping[str, int], names: Collection[str], blocks: Iterator[Any], path: Path
+def encode(name: str, values: np.ndarray, box: Box, layout: Layout) -> dict[str, bytes]:
+    """Content of the object of a variable in the box of a tile, by its name."""
+    contents = dict[str, Any]()
+    _array(contents, name, values.dtype, layout)[box] = values
+    return {key: each.to_bytes() for key, each in contents.items() if not key.endswith(METADATA)}
+
+
+def decode(name: str, dtype: str, content: bytes, box: Box, layout: Layout) -> np.ndarray:
+    """Inverse of `encode`."""
+    contents = dict[str, Any]()
+    array = _array(contents, name, dtype, layout)
+    place = [part.start // length for part, length in zip(box, layout[2], strict=True)]
+    buffer = zarr_package().core.buffer.cpu.Buffer
+    contents["/".join([name, "c", *map(str, place)])] = buffer.from_bytes(content)
+    return np.asarray(array[box])
+
+
+def seal(
+    root: Storage, ds: xr.Dataset, objects: dict[str, str], dims: tuple[str, ...], layout: Layout
 ) -> None:
-    """Write an atlas as a Zarr store, as `netcdf.write_blocks`; boxes are of `shard_lengths`, a file each."""
-    zarr = zarr_package()
+    """Write all of a store but the objects with these hashes, which the tiles of a run are; its metadata are written last."""
     coordinates = " ".join(str(name) for name in ds.coords if name not in ds.dims)
-    shard = shard_lengths({str(dim): size for dim, size in ds.sizes.items()}, chunk)
-    with atomic_folder(path) as temporary:
-        root = zarr.create_group(str(temporary), zarr_format=3, attributes=_plain(ds.attrs))
-        arrays = {}
-        for name, variable in ds.variables.items():
-            dims = [str(dim) for dim in variable.dims]
-            attributes = variable.attrs | ({"coordinates": coordinates} if name in ds.data_vars else {})
-            lengths = tuple(shard[dim] for dim in dims)
-            array = arrays[name] = root.create_array(
-                str(name),
-                shape=variable.shape,
-                dtype=variable.dtype,
-                chunks=tuple(chunk[dim] for dim in dims),
-                shards=lengths or None,
-                compressors=[
-                    zarr.codecs.BloscCodec(cname="zstd", clevel=COMPRESSION_LEVEL, shuffle="shuffle"),
-                    zarr.codecs.Crc32cCodec(),
-                ],
-                fill_value=math.nan if variable.dtype.kind == "f" else 0,
-                dimension_names=dims,
-                attributes=_plain(attributes),
-                config={"write_empty_chunks": True},  # so that a missing file is always a loss
-            )
-            if variable.chunks is None:
-                array[...] = variable.values
-            elif name not in names:  # a parameter too large for memory
-                variable.data.rechunk(lengths).store(array, lock=False, scheduler="synchronous")
-        for box, values in blocks:
-            for name, part in values.items():
-                arrays[name][box] = part
-        _add_checksum(temporary)
+    names, metadata = {name.partition("/")[0] for name in objects}, dict[str, Any]()
+    lengths = dict(zip(dims, zip(*layout, strict=True), strict=True))
+    for variable_name, variable in ds.variables.items():
+        name, contents = str(variable_name), dict[str, Any]()
+        own: Any = tuple(tuple(lengths[str(dim)][i] for dim in variable.dims) for i in range(3))
+        shape, _, tile = own
+        attributes = variable.attrs | ({"coordinates": coordinates} if name in ds.data_vars else {})
+        described = {"dimension_names": [*map(str, variable.dims)], "attributes": _plain(attributes)}
+        _array(contents, name, variable.dtype, own, **described)
+        content = contents[f"{name}/{METADATA}"].to_bytes()
+        metadata[name] = json.loads(content)
+        root.write(f"{name}/{METADATA}", content)
+        if name in names:
+            continue
+        for place in product(
+            *map(range, [0] * len(shape), shape, tile)
+        ):  # a parameter may be too large for memory
+            box = tuple(slice(a, min(a + length, n)) for a, length, n in zip(place, tile, shape, strict=True))
+            for object_name, content in encode(name, np.asarray(variable[box].values), box, own).items():
+                root.write(object_name, content)
+                objects[object_name] = hashlib.sha256(content).hexdigest()
+    group = {"zarr_format": 3, "node_type": "group", "attributes": {}}
+    root.write(f"{RUN}/{METADATA}", json.dumps(group).encode())
+    content = json.dumps(objects, sort_keys=True).encode()  # the same by any process that seals
+    root.write(OBJECTS, content)
+    consolidated = {"kind": "inline", "must_understand": False, "metadata": metadata}
+    whole: dict[str, Any] = group | {"attributes": _plain(ds.attrs), "consolidated_metadata": consolidated}
+    whole["attributes"][SEAL] = _seal_of(whole, content)
+    root.write(METADATA, json.dumps(whole).encode())
+
+
+def _seal_of(metadata: Mapping[str, Any], objects: bytes) -> str:
+    """Hash of the metadata of a store and of the hashes of its objects."""
+    attributes = {name: value for name, value in metadata["attributes"].items() if name != SEAL}
+    content = json.dumps({**metadata, "attributes": attributes}, sort_keys=True)
+    return hashlib.sha256(content.encode() + objects).hexdigest()
 
 
 def _plain(attributes: Mapping[Any, Any]) -> dict[str, Any]:
@@ -98,116 +132,80 @@ def _plain(attributes: Mapping[Any, Any]) -> dict[str, Any]:
     }
 
 
-def _add_checksum(path: Path) -> None:
-    """Add the checksums to a store when all is written."""
-    file = path / METADATA
-    metadata = json.loads(file.read_bytes())
-    arrays = _arrays(path)
-    metadata["attributes"][CHUNKS] = json.dumps({name: _crc_of_chunks(path / name) for name in arrays})
-    metadata["attributes"][CHECKSUM] = _checksum(path, metadata["attributes"])
-    file.write_text(json.dumps(metadata, indent=2))
-
-
-def _arrays(path: Path) -> dict[str, dict[str, Any]]:
-    """Metadata of the arrays of a store by their names."""
-    nodes = {file.parent.name: read_json(file) for file in path.glob(f"*/{METADATA}")}
-    return {name: node for name, node in nodes.items() if node["node_type"] == "array"}
-
-
-def _checksum(path: Path, attributes: Mapping[str, Any]) -> str:
-    """Hash of the metadata of a store, and of names and sizes of its other files."""
-    attributes = {name: value for name, value in attributes.items() if name != CHECKSUM}
-    digest = hashlib.sha256(json.dumps(attributes, sort_keys=True).encode())
-    for file in sorted(path.rglob("*")):
-        if file.is_file() and file != path / METADATA:
-            name = file.relative_to(path).as_posix()
-            content = file.read_bytes() if file.name == METADATA else b"%d" % file.stat().st_size
-            digest.update(b"%s %d %s" % (name.encode(), len(content), content))
-    return digest.hexdigest()
-
-
-def _crc_of_chunks(folder: Path) -> int:
-    """CRC-32 of the places of all chunks of an array, and of the CRC-32C in which each of them ends."""
-    array, crc = read_json(folder / METADATA), 0
-    codec = array["codecs"][0]
-    for file in sorted(file for file in folder.rglob("*") if file.is_file() and file.name != METADATA):
-        with file.open("rb") as opened:
-            if codec["name"] == "sharding_indexed":
-                shapes = array["chunk_grid"]["configuration"], codec["configuration"]
-                in_file, in_chunk = (math.prod(shape["chunk_shape"]) for shape in shapes)
-                opened.seek(-16 * (in_file // in_chunk) - 4, os.SEEK_END)
-                content = opened.read()
-                for place, length in np.frombuffer(content[:-4], "<u8").reshape(-1, 2).tolist():
-                    if length < 1 << 63:  # a chunk beyond the end of the array is not stored
-                        opened.seek(place + length - 4)
-                        content += opened.read(4)
-            else:
-                opened.seek(-4, os.SEEK_END)
-                content = opened.read()
-        crc = zlib.crc32(file.relative_to(folder).as_posix().encode() + content, crc)
-    return crc
-
-
 def is_whole(path: Path) -> bool:
-    """Whether a folder is a store with checksum that holds exactly the files that were written."""
+    """Whether a folder is a sealed store, in which nothing else is."""
     try:
-        attributes = read_json(path / METADATA)["attributes"]
-        return bool(attributes[CHECKSUM] == _checksum(path, attributes))
+        metadata = json.loads((path / METADATA).read_bytes())
+        names = {*metadata["consolidated_metadata"]["metadata"], RUN, METADATA}
+        files = [file.relative_to(path) for file in path.rglob("*") if file.is_file()]
+        return metadata["attributes"][SEAL] == _seal_of(metadata, (path / OBJECTS).read_bytes()) and all(
+            file.parts[0] in names and OWN.fullmatch(file.as_posix()) for file in files
+        )
     except (OSError, LookupError, TypeError, ValueError):
         return False
 
 
-def open_store(path: Path) -> xr.Dataset:
+def is_sealed(root: Storage) -> bool:
+    """Whether a store is written, by `seal`."""
+    try:
+        return SEAL in json.loads(root.read(METADATA))["attributes"]
+    except (OSError, LookupError, TypeError, ValueError):
+        return False
+
+
+def open_store(path: Path | str) -> xr.Dataset:
     """Open a store lazily; BadInput without the package zarr, or if it is damaged or too large for its files.
 
-    A store of another program, without checksum, is read as it is. Reading finds damaged values.
+    A store of another program, or of a version without a seal, is read as it is. Reading finds damaged values.
     """
-    zarr_package()
+    zarr, root = zarr_package(), storage_at(located(path))
     try:
-        attributes = read_json(path / METADATA)["attributes"]
-        if {CHECKSUM, CHUNKS} & attributes.keys() and attributes.get(CHECKSUM) != _checksum(path, attributes):
-            raise ValueError("files were changed, added or lost since it was written")
-        claimed = 0
-        for array in _arrays(path).values():
-            lengths = array["chunk_grid"]["configuration"]["chunk_shape"]
-            size = 1 if array["data_type"] in ("int8", "bool") else 8
-            claimed += size * math.prod(map(max, array["shape"], lengths))
-        check_claim(claimed, sum(file.stat().st_size for file in path.rglob("*")))
-        ds = xr.open_dataset(_CheckedStore.open_group(str(path), consolidated=False))
+        metadata = json.loads(root.read(METADATA))
+        attributes = metadata["attributes"]
+        store, own = root.zarr(zarr), SEAL in attributes or OBJECTS.rpartition("/")[2] in root.names(RUN)
+        if own:
+            objects = root.read(OBJECTS, MAX_OBJECT_BYTES)
+            if attributes.get(SEAL) != _seal_of(metadata, objects):
+                raise ValueError("its metadata were changed since it was written")
+            store = _checked_store()(store, path, json.loads(objects))
+        group = zarr.open_group(store, mode="r", use_consolidated=own)
+        claimed = sum(array.size * array.dtype.itemsize for _, array in group.arrays())
+        if claimed > MIN_CLAIM and isinstance(root, Folder):
+            check_claim(claimed, sum(file.stat().st_size for file in root.path.rglob("*")))
+        ds = xr.open_zarr(store, consolidated=own, chunks=None)
+    except BadInput:
+        raise
     except Exception as error:  # damaged metadata may raise any error
         raise BadInput(f"{path}: not a Zarr store that can be read ({one_line(error)})") from None
-    for name in (CHECKSUM, CHUNKS):
+    for variable in ds.variables.values():
+        if "flag_values" in variable.attrs:
+            variable.attrs["flag_values"] = np.array(variable.attrs["flag_values"], variable.dtype)
+    for name in (SEAL, "atlas_checksum", "atlas_chunks"):  # the last two of earlier versions
         ds.attrs.pop(name, None)
     return ds
 
 
-class _CheckedStore(ZarrStore):
-    """A store whose damaged values raise BadInput."""
+@lru_cache
+def _checked_store() -> Any:
+    """A class of the package zarr: a store that compares each object with its hash before it is first read."""
 
-    def open_store_variable(self, name: str, *args: Any) -> xr.Variable:
-        """Variable of the store, read through `_CheckedArray`."""
-        variable = super().open_store_variable(name, *args)
-        attributes = dict(variable.attrs)
-        if "flag_values" in attributes:
-            attributes["flag_values"] = np.array(attributes["flag_values"], variable.dtype)
-        crc = json.loads(self.zarr_group.attrs.get(CHUNKS, "{}")).get(name)
-        array = _CheckedArray(variable._data.array, self.zarr_group.store.root / name, crc)
-        return xr.Variable(variable.dims, indexing.LazilyIndexedArray(array), attributes, variable.encoding)
+    class CheckedStore(zarr_package().storage.WrapperStore):  # type: ignore[misc]
+        def __init__(self, store: Any, path: Path | str, objects: dict[str, str]):
+            super().__init__(store)
+            self.path, self.objects = path, objects
 
+        def _with_store(self, store: Any) -> Any:
+            return type(self)(store, self.path, self.objects)
 
-class _CheckedArray(BackendArray):
-    """A Zarr array whose damaged chunks raise BadInput."""
+        async def get(self, key: str, prototype: Any, byte_range: Any = None) -> Any:
+            if key in self.objects:
+                content = await self._store.get(key, prototype)
+                if content is None or hashlib.sha256(content.to_bytes()).hexdigest() != self.objects[key]:
+                    name = key.partition("/")[0]
+                    raise BadInput(
+                        f"{self.path}: the values of {name} are damaged: not the object {key} that was written"
+                    )
+                self.objects.pop(key, None)  # compared once
+            return await self._store.get(key, prototype, byte_range)
 
-    def __init__(self, array: Any, folder: Path, crc: int | None):
-        self.array, self.folder, self.crc = array, folder, crc
-        self.shape, self.dtype = array.shape, array.dtype
-
-    def __getitem__(self, key: indexing.ExplicitIndexer) -> Any:
-        try:
-            if self.crc is not None and self.crc != _crc_of_chunks(self.folder):
-                raise ValueError("its chunks are not those that were written, or not in their places")
-            self.crc = None  # compared once
-            return self.array[key]
-        except (ValueError, RuntimeError, OSError) as error:
-            path, name = self.folder.parent, self.folder.name
-            raise BadInput(f"{path}: the values of {name} are damaged: {one_line(error)}") from None
+    return CheckedStore

@@ -55,7 +55,8 @@ def open_atlas(path: str | Path) -> xr.Dataset:
     Parameters
     ----------
     path : str or Path
-        An atlas file (NAME.nc), a Zarr store (NAME.zarr), or a run folder, which may still be growing.
+        An atlas file (NAME.nc), a Zarr store (NAME.zarr, or an address such as s3://BUCKET/NAME.zarr), or a run folder. Store and
+        folder may still be growing.
 
     Returns
     -------
@@ -74,15 +75,18 @@ def open_atlas(path: str | Path) -> xr.Dataset:
     # Here, because xarray imports this module in every process that opens any file.
     from ..io import zarr_store
     from ..io.checksums import CheckedStore
+    from ..io.storage import located, storage_at
 
-    path = Path(path)
-    if not path.exists():
+    place = located(path)
+    path = Path(path) if isinstance(place, Path) else place
+    if isinstance(place, Path) and not place.exists():
         raise BadInput(f"{path}: there is no such file")
-    if path.suffix.lower() == ".toml":
+    if str(path).lower().endswith(".toml"):
         raise BadInput(f"{path}: this is a scene, not an atlas; `atlas run {path}` makes its atlas")
-    if (path / zarr_store.METADATA).is_file():
+    is_file = isinstance(place, Path) and not place.is_dir()
+    if not is_file and zarr_store.METADATA in storage_at(place).names():
         ds = zarr_store.open_store(path)
-    elif path.is_dir():
+    elif not is_file:
         from .folder import RunFolder
 
         folder = RunFolder.open(path)
@@ -95,13 +99,13 @@ def open_atlas(path: str | Path) -> xr.Dataset:
         return folder.dataset()
     else:
         try:
-            store = CheckedStore.of(path)
+            store = CheckedStore.of(Path(place))
             try:
                 ds = xr.open_dataset(store, chunks=None)
             except Exception:
                 store.close()
                 raise
-            ds.encoding["source"] = str(path.absolute())
+            ds.encoding["source"] = str(place)
         except BadInput:
             raise
         except Exception as error:  # reading a damaged file may raise any error

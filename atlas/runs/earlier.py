@@ -12,6 +12,7 @@ import numpy as np
 
 from ..errors import MAX_MESSAGE, BadInput, attribute_text
 from ..io import checksums, netcdf, zarr_store
+from ..io.storage import located, storage_at
 from ..label.pipeline import evaluate
 from ..label.plan import Plan
 from ..scene import grid
@@ -32,7 +33,7 @@ SAMPLE = 2048  # points of an earlier atlas that are sought in a scene before it
 class Earlier:
     """An atlas, which may be unfinished, whose points are used again."""
 
-    path: Path
+    path: Path | str
     scene: Scene
     tiling: Tiling  # boxes in which it is read
     names: tuple[str, ...]  # variables to read
@@ -43,9 +44,9 @@ class Earlier:
     @classmethod
     def of(cls, path: str | Path, scene: Scene) -> Earlier:
         """An atlas for a scene; BadInput unless its points have the bits that this process would compute."""
-        path = Path(path).absolute()
+        path = located(path)
         ds = open_atlas(path)
-        if (path / RESULT_FILE).exists():  # of a refined run
+        if isinstance(path, Path) and (path / RESULT_FILE).exists():  # of a refined run
             path = path / RESULT_FILE
         text = ds.attrs.get("atlas_scene")
         if not isinstance(text, str) or not text:
@@ -54,11 +55,12 @@ class Earlier:
             )
         old = parse_scene(text)
         own, folder = identity(Plan.of(old)), None
-        if path.is_dir() and not (path / zarr_store.METADATA).exists():
+        is_file = isinstance(path, Path) and path.is_file()
+        if not is_file and zarr_store.METADATA not in storage_at(path).names():
             folder = RunFolder.open(path)
             programs = differences(folder.manifest["identity"], own, "there", "now")
         else:
-            whole = zarr_store.is_whole(path) if path.is_dir() else checksums.are_in(path)
+            whole = checksums.are_in(Path(path)) if is_file else zarr_store.is_sealed(storage_at(path))
             same = whole and ds.attrs.get(RESULT) == result_hash(text, own)
             programs = "" if same else "the programs or the processor, or another program wrote the file"
         if programs:

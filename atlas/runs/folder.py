@@ -6,6 +6,8 @@
     NAME/progress.json        progress of the process that wrote it last, for people and scripts
     NAME/notes.json           attributes that only the finished run has
 
+In a Zarr store they are in its group `atlas`, and of a tile the sidecar alone; see `io.zarr_store`.
+
 Nothing is locked: files appear whole by a move, and a tile computed twice has the same bytes. Every file but
 progress.json, which nothing computed depends on, carries a checksum.
 """
@@ -34,14 +36,13 @@ import xarray as xr
 from ..errors import MAX_MESSAGE, MAX_TEXT, BadInput, printable
 from ..files import (
     PROCESS_NAME,
-    atomic_write,
+    atomic_folder,
     check_folder,
     check_types,
     claim_path,
     is_temporary,
     one_line,
-    read_bytes,
-    read_json,
+    parsed,
     remove_leftovers,
     sealed,
     temporary_path,
@@ -49,13 +50,23 @@ from ..files import (
 )
 from ..io import netcdf, progress, zarr_store
 from ..io.netcdf import Block, scene_provenance
+from ..io.storage import Folder, Storage, located, storage_at
 from ..scene import grid
 from ..scene.read import parse_scene
 from ..variables import variables
 from .plan import ScenePlan, differences, identity
-from .tiles import DamagedTile, Tally, TileFiles, Tiling, tile_types
+from .tiles import (
+    SHARD_CHUNKS,
+    DamagedTile,
+    Tally,
+    TileFiles,
+    TileShards,
+    Tiling,
+    computed_counts,
+    tile_types,
+)
 
-FORMAT = 2
+FORMAT, OLDER_FORMAT = 3, 2  # with all tiles in one folder
 MANIFEST = "manifest.json"
 FINAL_ATTRIBUTES = "notes.json"
 # As long as the longest name in a run folder, so that a path that is too long is refused before anything is computed.
@@ -76,9 +87,13 @@ class RunFolder:
 
     content = "tiles"  # name of the folder with all that is computed
     more = ""  # what an unfinished run has beside the points that its status counts
+    number: int | None = None  # of a level
 
-    def __init__(self, path: Path, manifest: dict[str, Any]):
+    def __init__(self, path: Path | str, manifest: dict[str, Any]):
         self.path = path
+        self.is_flat = manifest["format"] == OLDER_FORMAT
+        self.is_store = str(path).lower().endswith(zarr_store.SUFFIX)
+        self.root, self.storage = _storage(path)
         self.manifest = manifest
         self.key = str(manifest["key"])  # hash of scene, programs and tiling; every tile carries it
         self.scene = parse_scene(str(manifest["scene"]))
@@ -96,10 +111,11 @@ class RunFolder:
     @classmethod
     def open(cls, path: str | Path) -> RunFolder:
         """Open a run folder; BadInput if it is none, its manifest is damaged, or another version wrote it."""
-        path = Path(path).absolute()
-        file = path / MANIFEST
+        path = located(path)
+        storage = _storage(path)[1]
+        file = f"{storage}/{MANIFEST}"
         try:
-            manifest = unsealed(read_bytes(file))
+            manifest = unsealed(storage.read(MANIFEST))
         except FileNotFoundError:
             raise BadInput(f"{path}: not a run folder: there is no {MANIFEST} in it") from None
         except NotADirectoryError:
@@ -110,7 +126,7 @@ class RunFolder:
             ) from None
         except OSError as error:
             raise BadInput(f"{file}: cannot be read: {error.strerror}") from None
-        if manifest.get("format") != FORMAT:
+        if manifest.get("format") not in (OLDER_FORMAT, FORMAT):
             raise BadInput(f"{file}: not a manifest of this version of atlas (format {FORMAT})")
         try:
             check_types(manifest, MANIFEST_TYPES)
@@ -131,26 +147,28 @@ class RunFolder:
             raise BadInput(f"{file}: damaged: {one_line(error)}") from None
 
     @classmethod
-    def prepare(cls, plan: ScenePlan, path: Path, warnings: list[str]) -> RunFolder:
-        """Create the run folder of a scene, or open it to be continued; BadInput for anything else in it."""
-        path = path.absolute()
-        if not (path / MANIFEST).exists():
-            if path.exists() and not path.is_dir():
-                raise BadInput(f"{path}: this is a file, not a run folder")
-            claim = claim_path(path / MANIFEST).name
-            if path.exists() and any(
-                entry.name != claim and not is_temporary(entry.name) and not PROGRESS.fullmatch(entry.name)
-                for entry in path.iterdir()
+    def prepare(cls, plan: ScenePlan, path: Path | str, warnings: list[str]) -> RunFolder:
+        """Create the run folder or store of a scene, or open it to be continued; BadInput for anything else in it."""
+        path = located(path)
+        root, storage = _storage(path)
+        if MANIFEST not in storage.names():
+            if isinstance(path, Path):
+                if path.exists() and not path.is_dir():
+                    raise BadInput(f"{path}: this is a file, not a run folder")
+                check_folder(path / MANIFEST if path.exists() else path)
+            own = {claim_path(Path(MANIFEST)).name, *([] if root is storage else [zarr_store.RUN])}
+            if any(
+                name not in own and not is_temporary(name) and not PROGRESS.fullmatch(name)
+                for name in root.names() | storage.names()
             ):
                 raise BadInput(f"{path}: this folder contains something else: there is no {MANIFEST} in it")
-            check_folder(path / MANIFEST if path.exists() else path)
             scene, kernel = plan.scene, plan.points.kernel_hash
             attributes = scene_provenance(scene, kernel, seconds=0.0, points=scene.size, warnings=warnings)
             manifest = {
                 "format": FORMAT,
                 "scene": scene.toml(),
                 "identity": identity(plan.points),
-                "tile": plan.tiling.tile,
+                "tile": (plan.tiling if root is storage or scene.refine else plan.shards).tile,
                 "created": f"{datetime.now(UTC):%Y-%m-%dT%H:%M:%SZ}",
                 "provenance": {  # JSON has no nan
                     name: None if isinstance(value, float) and math.isnan(value) else value
@@ -158,15 +176,15 @@ class RunFolder:
                 },
             }
             manifest["key"] = _key(manifest)
-            path.mkdir(exist_ok=True)
+            root.make()
+            storage.make()
             # Another process may have created the manifest in the meantime; its folder is then checked below.
-            with suppress(FileExistsError), atomic_write(path / MANIFEST, exclusive=True) as temporary:
-                temporary.write_text(sealed(manifest), encoding="utf-8")
+            storage.create(MANIFEST, sealed(manifest).encode())
         run = cls.open(path)
         run.check_same(plan)
         run.remove_leftovers()
         with suppress(OSError):
-            (path / run.content).mkdir(exist_ok=True)
+            storage.inside(run.content).make()
         return run
 
     @classmethod
@@ -203,7 +221,7 @@ class RunFolder:
     def check_kept(self) -> None:
         """Raise OSError if another process has removed the run, or replaced it by another one."""
         try:
-            kept = unsealed(read_bytes(self.path / MANIFEST)).get("key") == self.key
+            kept = unsealed(self.storage.read(MANIFEST)).get("key") == self.key
         except (OSError, ValueError):
             kept = False
         if not kept:
@@ -213,10 +231,10 @@ class RunFolder:
 
     def _processes(self) -> Iterator[tuple[dict[str, Any], str]]:
         """Content of each progress file that can be read, and the state of its process."""
-        for path in sorted(self.path.glob("progress*.json")):
+        for name in sorted(filter(PROGRESS.fullmatch, self.storage.names())):
             # KeyError and TypeError: no entry `running`, or a time without a zone
             with suppress(OSError, ValueError, KeyError, TypeError):
-                content = read_json(path)
+                content = parsed(self.storage.read(name))
                 check_types(content, PROGRESS_TYPES)
                 yield content, progress.state(content)
 
@@ -236,7 +254,7 @@ class RunFolder:
     @property
     def is_complete(self) -> bool:
         """Whether the atlas can be read as a whole."""
-        return not self.tiles.missing()
+        return zarr_store.is_sealed(self.root) if self.is_store else not self.tiles.missing()
 
     def key_with(self, identity: dict[str, str]) -> str:
         """Key of this run if programs and processors of another identity computed it."""
@@ -244,20 +262,27 @@ class RunFolder:
 
     def tiles_with(self, key: str) -> TileFiles:
         """The tiles of this run if it had this key."""
-        types = tile_types(self.scene)
-        return TileFiles(self.path / "tiles", key, netcdf.dims(self.scene), types, self.tiling)
+        rest = key, netcdf.dims(self.scene), tile_types(self.scene), self.tiling
+        if self.is_store:
+            return TileShards(self.root, *rest)
+        return TileFiles(self.storage.inside("tiles"), *rest, is_flat=self.is_flat)
 
     def remove_leftovers(self) -> None:
         """Remove temporary files of processes that were killed."""
-        remove_leftovers(self.path)
+        self.storage.remove_leftovers()
+        if self.is_store and isinstance(self.root, Folder):
+            for folder, _, _ in os.walk(self.root.path):
+                remove_leftovers(Path(folder))
         for tiles in self.tile_sets().values():
             tiles.remove_leftovers()
 
     def progress_text(self) -> str:
         """Number of the tiles that are written, as text; empty if the folder has been removed."""
-        if not self.path.is_dir():
-            return ""
-        path, sets = os.path.relpath(self.path), self.tile_sets().values()
+        path, sets = str(self.path), self.tile_sets().values()
+        if isinstance(self.path, Path):
+            if not self.path.is_dir():
+                return ""
+            path = os.path.relpath(self.path)
         written, count = (
             sum(tiles.written_count() for tiles in sets),
             sum(tiles.tiling.count for tiles in sets),
@@ -267,7 +292,8 @@ class RunFolder:
     def status(self) -> str:
         """State of processes and tiles, all of which are read; removes files of killed processes."""
         self.remove_leftovers()
-        remove_leftovers(self.path.parent)
+        if isinstance(self.path, Path):
+            remove_leftovers(self.path.parent)
         lines, points_left = [f"{printable(self.scene.title, MAX_TEXT)}: {self._size_text()}"], 0
         for name, tiles in self.tile_sets().items():
             status = tiles.status()
@@ -305,7 +331,16 @@ class RunFolder:
         )
 
     def dataset(self) -> xr.Dataset:
-        """The atlas so far, with a dask chunk for each tile; missing points are `not_computed` and nan."""
+        """The atlas so far, with a dask chunk for each tile; missing points are `not_computed` and nan. A sealed store as it is."""
+        if not (self.is_store and self.is_complete):
+            return self.tiled_dataset()
+        ds = zarr_store.open_store(self.path)
+        if (tally := self.provenance()[1]) is not None:
+            ds.encoding[TALLY] = tally
+        return ds
+
+    def tiled_dataset(self) -> xr.Dataset:
+        """The atlas so far, with a dask chunk for each tile."""
         import dask.array as da
 
         chunks = da.core.normalize_chunks(self.tiling.tile, self.scene.shape)
@@ -352,14 +387,16 @@ class RunFolder:
     def save_final_attributes(self, attributes: dict[str, Any]) -> None:
         """Save attributes that only the finished run has; `dataset` then has them."""
         self.check_kept()
-        with atomic_write(self.path / FINAL_ATTRIBUTES) as temporary:
-            temporary.write_text(sealed({"key": self.key, "attributes": attributes}), encoding="utf-8")
+        self.storage.write(FINAL_ATTRIBUTES, sealed({"key": self.key, "attributes": attributes}).encode())
+        if self.is_store:
+            assert isinstance(self.tiles, TileShards)
+            self.tiles.seal(self.tiled_dataset())
 
     def final_attributes(self) -> dict[str, Any]:
         """Attributes saved by `save_final_attributes`, or none; BadInput if their file is damaged."""
-        file = self.path / FINAL_ATTRIBUTES
+        file = f"{self.storage}/{FINAL_ATTRIBUTES}"
         try:
-            content = unsealed(read_bytes(file))
+            content = unsealed(self.storage.read(FINAL_ATTRIBUTES))
             check_types(content, {"key": str, "attributes": dict})
             check_types(content["attributes"], dict.fromkeys(content["attributes"], ATTRIBUTE))
             if content["key"] != self.key:
@@ -381,27 +418,39 @@ class RunFolder:
         """
         if not self.is_complete:
             raise BadInput(f"{self.path}: unfinished, {self.progress_text()}; run its scene again first")
-        ds, shape = self.dataset(), self.scene.shape
-        if self.scene.refine is not None:
-            ds.load()  # a file cannot be read while another one is written
-        names = (*map(str, ds.data_vars), *self.scene.solve)
-        # Chunks as long as tiles of the cheapest scene: many small tiles would make a slow file.
-        lengths = Tiling.of(shape, grid.MAX_POINTS_PER_TILE).tile
-        chunk = dict(zip(netcdf.dims(self.scene), lengths, strict=True))
+        shape = self.scene.shape
+        # A file cannot be read while another one is written.
+        ds = self.tiled_dataset() if self.scene.refine is None else self.dataset().load()
         try:
-            if out.suffix.lower() == ".zarr":
+            if out.suffix.lower() == zarr_store.SUFFIX:
                 zarr_store.zarr_package()
-                sizes = dict(zip(chunk, shape, strict=True))
-                blocks = self._blocks(tuple(zarr_store.shard_lengths(sizes, chunk).values()))
-                zarr_store.write_blocks(ds, chunk, names, blocks, out)
+                with atomic_folder(out) as temporary:
+                    self.write_store(Folder(temporary), ds)
             else:
+                names = (*map(str, ds.data_vars), *self.scene.solve)
+                # Chunks as long as tiles of the cheapest scene: many small tiles would make a slow file.
+                lengths = Tiling.of(shape, grid.MAX_POINTS_PER_TILE).tile
+                chunk = dict(zip(netcdf.dims(self.scene), lengths, strict=True))
                 whole = (t * max(c // t, 1) for t, c in zip(self.tiling.tile, lengths, strict=True))
-                netcdf.write_blocks(ds, chunk, names, self._blocks(tuple(whole)), out)
+                netcdf.write_blocks(ds, chunk, names, self._blocks(tuple(whole), ds), out)
         except DamagedTile as error:
             raise BadInput(f"{self.path}: {error}; run its scene again first") from None
 
-    def _blocks(self, lengths: tuple[int, ...]) -> Iterator[Block]:
-        """All points in boxes of these lengths, with the values of all variables of the tiles."""
+    def write_store(self, root: Storage, ds: xr.Dataset) -> None:
+        """Write the atlas as a Zarr store, tile by tile."""
+        names = (*map(str, ds.data_vars), *self.scene.solve)
+        tiling = Tiling.of(self.scene.shape, SHARD_CHUNKS * grid.MAX_POINTS_PER_TILE).of_whole_chunks()
+        types = {name: str(ds[name].dtype) for name in names}
+        shards = TileShards(root, self.key, netcdf.dims(self.scene), types, tiling)
+        for storage in (root.inside(zarr_store.RUN), shards.storage):
+            storage.make()
+        for tile, (_, values) in enumerate(self._blocks(tiling.tile, ds)):
+            computed = next(iter(computed_counts(values)), tiling.size_of(tile))
+            shards.write(tile, values, computed=computed, seconds=0.0, by="atlas join")
+        shards.seal(ds)
+
+    def _blocks(self, lengths: tuple[int, ...], ds: xr.Dataset) -> Iterator[Block]:
+        """All points in boxes of these lengths, with the values of the tiles, or of the dataset of a refined run."""
         boxes = Tiling(self.scene.shape, lengths)
         for box in map(boxes.slices, range(boxes.count)):
             values = {
@@ -430,14 +479,21 @@ class RunFolder:
 
         The tiles go by one move, so that a process which still computes some cannot leave any behind.
         """
-        removed = temporary_path(self.path / MANIFEST)
+        path = Path(self.path)
+        removed = temporary_path(path / MANIFEST)
         with suppress(OSError):
-            os.rename(self.path / self.content, removed)
-        for folder in (removed, claim_path(self.path / MANIFEST)):
+            os.rename(path / self.content, removed)
+        for folder in (removed, claim_path(path / MANIFEST)):
             shutil.rmtree(folder, ignore_errors=True)
-        for path in [*self.path.glob("progress*.json"), self.path / FINAL_ATTRIBUTES, self.path / MANIFEST]:
-            path.unlink(missing_ok=True)
-        remove_empty(self.path)
+        for file in [*path.glob("progress*.json"), path / FINAL_ATTRIBUTES, path / MANIFEST]:
+            file.unlink(missing_ok=True)
+        remove_empty(path)
+
+
+def _storage(path: Path | str) -> tuple[Storage, Storage]:
+    """Where a run is kept, and the part of it without the values of a Zarr store."""
+    root = storage_at(path)
+    return root, root.inside(zarr_store.RUN) if str(path).lower().endswith(zarr_store.SUFFIX) else root
 
 
 def remove_empty(path: Path) -> None:

@@ -24,8 +24,10 @@ import numpy as np
 import xarray as xr
 
 from ..errors import BadInput
-from ..files import atomic_write, check_types, one_line, read_bytes, remove_leftovers, sealed, unsealed
+from ..files import check_types, one_line, sealed, unsealed
+from ..io import netcdf, zarr_store
 from ..io.netcdf import Block
+from ..io.zarr_store import MAX_OBJECT_BYTES
 from ..variables import POINT, variables
 from .backend import open_atlas
 from .folder import MANIFEST, RunFolder, hash_of
@@ -41,6 +43,11 @@ MAX_VALUES = 32  # of those that have no flags
 TILES_PER_LEVEL = 64  # if they have enough points, so that many processes can share a level
 
 
+def level_name(number: int) -> str:
+    """Name of the folder of a level."""
+    return f"{LEVELS}/{number:04d}"
+
+
 class RefinedFolder(RunFolder):
     """The run of a refined scene on disk."""
 
@@ -48,25 +55,34 @@ class RefinedFolder(RunFolder):
     more = " of the levels that have begun, and more levels may follow"
 
     @property
-    def result(self) -> Path:
-        """The file of the finished atlas."""
-        return self.path / RESULT_FILE
+    def result(self) -> Path | str:
+        """The file or store of the finished atlas."""
+        return self.path / RESULT_FILE if isinstance(self.path, Path) and not self.is_store else self.path
+
+    def save_result(self, ds: xr.Dataset) -> None:
+        """Write the finished atlas."""
+        self.check_kept()
+        if self.is_store:
+            self.write_store(self.root, ds)
+        else:
+            netcdf.write(ds, Path(self.result))
 
     def levels(self) -> list[Level]:
         """The levels that have begun; the next run writes damaged ones, which are logged, anew."""
-        levels = []
-        for file in sorted((self.path / LEVELS).glob(f"*/{MANIFEST}")):
+        levels, number = list[Level](), 0
+        while MANIFEST in self.storage.names(level_name(number)):
             try:
-                levels.append(Level.open(file.parent, self))
+                levels.append(Level.open(self, number))
             except BadInput as error:
                 logging.getLogger("atlas").warning("%s", error)
+            number += 1
         return levels
 
     def remove_leftovers(self) -> None:
         """Remove temporary files of processes that were killed."""
         super().remove_leftovers()
-        for folder in self.path.glob(f"{LEVELS}/*"):
-            remove_leftovers(folder)
+        for level in self.levels():
+            level.storage.remove_leftovers()
 
     def tile_sets(self) -> dict[str, TileFiles]:
         """The tiles of each level by its name."""
@@ -78,7 +94,7 @@ class RefinedFolder(RunFolder):
     @property
     def is_complete(self) -> bool:
         """Whether the atlas is written."""
-        return self.result.exists()
+        return zarr_store.is_sealed(self.root) if self.is_store else Path(self.result).exists()
 
     def dataset(self) -> xr.Dataset:
         """The finished atlas, lazily."""
@@ -88,14 +104,14 @@ class RefinedFolder(RunFolder):
             )
         return open_atlas(self.result)
 
-    def _blocks(self, lengths: tuple[int, ...]) -> Iterator[Block]:
-        ds, boxes = self.dataset().load(), Tiling(self.scene.shape, lengths)
+    def _blocks(self, lengths: tuple[int, ...], ds: xr.Dataset) -> Iterator[Block]:
+        boxes = Tiling(self.scene.shape, lengths)
         for box in map(boxes.slices, range(boxes.count)):
             yield box, {name: ds[name].values[box] for name in (*map(str, ds.data_vars), *self.scene.solve)}
 
     def remove(self) -> None:
         """Remove the run, the manifest last."""
-        self.result.unlink(missing_ok=True)
+        Path(self.result).unlink(missing_ok=True)
         super().remove()
 
 
@@ -105,27 +121,27 @@ class Level:
     def __init__(self, run: RunFolder, number: int, before: str, points: np.ndarray):
         self.run, self.number, self.before, self.points = run, number, before, points
         self.scene, self.manifest = run.scene, run.manifest
-        self.path = run.path / LEVELS / f"{number:04d}"
+        self.storage = run.storage.inside(level_name(number))
         most = max(MIN_POINTS_PER_TILE, min(math.prod(run.tiling.tile), points.size // TILES_PER_LEVEL))
         self.tiling = Tiling.of((points.size,), most)
         self.key = self.key_with(run.manifest["identity"])
         self.tiles = self.tiles_with(self.key)
 
     @classmethod
-    def open(cls, path: Path, run: RunFolder | None = None) -> Level:
+    def open(cls, run: RunFolder, number: int) -> Level:
         """A level that some process has begun; BadInput if it is damaged."""
-        run = run or RunFolder.open(path.parent.parent)
+        storage = run.storage.inside(level_name(number))
         try:
-            manifest = unsealed(read_bytes(path / MANIFEST))
+            manifest = unsealed(storage.read(MANIFEST))
             check_types(manifest, {"key": str, "level": int, "before": str})
-            points = np.frombuffer((path / POINTS).read_bytes(), "<i8")
+            points = np.frombuffer(storage.read(POINTS, MAX_OBJECT_BYTES), "<i8")
             level = cls(run, manifest["level"], manifest["before"], points)
             if manifest["key"] != level.key:
                 raise ValueError("its key does not match its points")
             return level
         except (OSError, ValueError) as error:
             raise BadInput(
-                f"{path}: damaged: {one_line(error)}; run the scene again, which writes it anew"
+                f"{storage}: damaged: {one_line(error)}; run the scene again, which writes it anew"
             ) from None
 
     @cached_property
@@ -144,24 +160,27 @@ class Level:
             name for name in registry if name == "label" or name in {*self.scene.outputs} - {"growth_rate"}
         ]
         types = {n: registry[n].dtype for n in names if n in MEASURED or registry[n].flags is None}
-        return TileFiles(self.path / "tiles", key, (POINT,), types, self.tiling)
+        return TileFiles(
+            self.storage.inside("tiles"), key, (POINT,), types, self.tiling, is_flat=self.run.is_flat
+        )
 
     def prepare(self) -> None:
         """Write the manifest of the level unless it is there; a damaged one is replaced."""
         try:
-            if Level.open(self.path, self.run).key == self.key:
+            if Level.open(self.run, self.number).key == self.key:
                 self.remove_leftovers()
                 return
         except BadInput:
             pass
         self.check_kept()
-        for folder in (self.path, self.tiles.folder):  # not the run, which another process may have removed
-            folder.mkdir(exist_ok=True)
-        with atomic_write(self.path / POINTS) as temporary:
-            temporary.write_bytes(self.points.astype("<i8").tobytes())
+        for storage in (
+            self.storage,
+            self.tiles.storage,
+        ):  # not the run, which another process may have removed
+            storage.make()
+        self.storage.write(POINTS, self.points.astype("<i8").tobytes())
         manifest: dict[str, Any] = {"key": self.key, "level": self.number, "before": self.before}
-        with atomic_write(self.path / MANIFEST) as temporary:
-            temporary.write_text(sealed(manifest), encoding="utf-8")
+        self.storage.write(MANIFEST, sealed(manifest).encode())
 
     def indices(self, tile: int) -> np.ndarray:
         """Flat indices in the finest grid of the points of a tile."""
@@ -173,5 +192,5 @@ class Level:
 
     def remove_leftovers(self) -> None:
         """Remove temporary files of processes that were killed."""
-        remove_leftovers(self.path)
+        self.storage.remove_leftovers()
         self.tiles.remove_leftovers()

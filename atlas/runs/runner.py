@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor, as_completed
 from contextlib import ExitStack, suppress
 from dataclasses import dataclass, field, replace
-from functools import lru_cache
+from functools import lru_cache, partial
 from pathlib import Path
 from threading import Event, Lock
 from typing import Any
@@ -25,9 +25,10 @@ from ..engine import blocks
 from ..errors import BadInput, shown
 from ..files import check_folder, check_name, exists_message
 from ..interruption import Stopped, explain_kept
-from ..io import checksums, netcdf
+from ..io import checksums, netcdf, zarr_store
 from ..io.netcdf import log_warnings, scene_provenance
 from ..io.progress import Progress, clock
+from ..io.storage import Folder, located, storage_at
 from ..label.pipeline import evaluate
 from ..label.plan import Plan
 from ..scene import grid
@@ -39,7 +40,7 @@ from . import cluster, estimate, refine
 from .backend import open_atlas
 from .earlier import Earlier, evaluate_at
 from .folder import LONGEST_NAME, MANIFEST, RESULT, RunFolder, history_text, remove_empty, result_hash
-from .levels import LEVELS, Level, RefinedFolder
+from .levels import Level, RefinedFolder
 from .plan import ScenePlan, differences, identity
 from .tiles import DamagedTile, TileFiles, tile_types
 
@@ -124,7 +125,8 @@ def run(
     scene : Scene, str or Path
         A scene from `load_scene`, or what `load_scene` reads.
     out : str or Path, optional
-        NAME.nc for one file, which is computed in the run folder NAME.nc.run; the folder is joined and
+        NAME.zarr, or an address such as s3://BUCKET/NAME.zarr, for a Zarr store, which is continued if it exists. NAME.nc for
+        one file, which is computed in the run folder NAME.nc.run; the folder is joined and
         removed in the end. If a run was killed between the two, the same call finishes it. Or a run folder:
         a text that ends in /, or a Path without suffix. A run folder that exists is continued.
     threads : int, optional
@@ -164,7 +166,7 @@ def run(
     scene = scene if isinstance(scene, Scene) else load_scene(scene)
     execution = _Execution(threads, shard, scheduler, workers, stop_after, time.monotonic())
     if out is None and (shard or execution.on_cluster or stop_after is not None):
-        raise BadInput("shard, scheduler, workers and stop_after need an out that ends in / or .nc")
+        raise BadInput("shard, scheduler, workers and stop_after need an out that ends in /, .zarr or .nc")
     execution.check()
     origin = systems.origin(scene.system)
     if execution.on_cluster and origin is not None and not origin.package:
@@ -172,13 +174,13 @@ def run(
             f"the system {scene.system.name} is registered in this process alone, where dask workers cannot find it; run it in"
             " threads, or install it as a package with an entry point in the group atlas.systems"
         )
-    path, one_file = (None, False) if out is None else _destination(out)
-    if shard and one_file:
-        raise BadInput(f"shard: {path} is one file; shards need a run folder, a name that ends in /")
-    if path is not None and one_file and path.exists() and not force:
-        if not _folder_of(path).exists():
-            raise BadInput(exists_message(path))
-        return _finished(ScenePlan.of(scene), path)
+    path, file = (None, None) if out is None else _destination(out)
+    if shard and file:
+        raise BadInput(f"shard: {file} is one file; shards need a run folder, a name that ends in / or .zarr")
+    if file is not None and file.exists() and not force:
+        if not _folder_of(file).exists():
+            raise BadInput(exists_message(file))
+        return _finished(ScenePlan.of(scene), file)
     if scheduler:
         cluster.check(scheduler)
     plan = ScenePlan.of(scene)
@@ -193,32 +195,42 @@ def run(
             )
     if path is None:
         return _run_in_memory(plan, warnings, threads, progress, execution.earlier)
-    if one_file:
+    if file is not None:
         if force:
-            RunFolder.discard(plan, _folder_of(path))
-        return _run_to_file(plan, path, warnings, execution, progress)
+            RunFolder.discard(plan, _folder_of(file))
+        return _run_to_file(plan, file, warnings, execution, progress)
     folder = RunFolder.prepare(plan, path, warnings)
     _complete(folder, plan, execution, progress).close()
     explain_kept(None)
     return folder.dataset()
 
 
-def _destination(out: str | Path) -> tuple[Path, bool]:
-    """Path of an atlas, and whether it is one file; BadInput if it cannot be written."""
-    path = Path(out)
+def _destination(out: str | Path) -> tuple[Path | str, Path | None]:
+    """Where a run is kept, and the path of an atlas that is one file; BadInput if it cannot be written."""
+    place = located(out)
+    if isinstance(place, str):
+        if not place.lower().endswith(zarr_store.SUFFIX):
+            raise BadInput(f"{place}: on object storage the name must end in {zarr_store.SUFFIX}")
+        zarr_store.zarr_package()
+        return place, None
+    path = place if str(out).startswith("file:") else Path(out)
     check_name(path)
     may_be_folder = isinstance(out, Path) or path.is_dir()  # a Path cannot end in /
     is_folder = str(out).endswith("/") or (may_be_folder and not path.suffix) or (path / MANIFEST).exists()
-    if not is_folder:
+    if path.suffix.lower() == zarr_store.SUFFIX:
+        zarr_store.zarr_package()
+    elif not is_folder:
         if path.suffix.lower() != ".nc":
-            raise BadInput(f"{path}: the name must end in .nc, for one file, or in /, for a run folder")
+            raise BadInput(
+                f"{path}: the name must end in .nc, for one file, in /, for a run folder, or in .zarr, for a Zarr store"
+            )
         check_name(_folder_of(path), LONGEST_NAME)
-        return netcdf.writable(path, (".nc",), force=True), True
+        return _folder_of(path), netcdf.writable(path, (".nc",), force=True)
     check_name(path, LONGEST_NAME)
     checksums.check_path(path)
     if not path.absolute().parent.is_dir():
         raise BadInput(f"{path}: there is no folder {path.parent}")
-    return path, False
+    return path, None
 
 
 def _folder_of(path: Path) -> Path:
@@ -230,14 +242,14 @@ def _complete(folder: RunFolder, plan: ScenePlan, execution: _Execution, progres
     """Compute what is missing in a folder or shard; the progress is at work until it is closed."""
     explain_kept(folder.progress_text)
     job = None if isinstance(folder, RefinedFolder) else _Job(folder, execution)
-    if job.unfinished if job is not None else not folder.is_complete:
-        check_folder(folder.path / folder.content / "tile")
+    if isinstance(folder.storage, Folder) and (job.unfinished if job else not folder.is_complete):
+        check_folder(folder.storage.path / folder.content / "tile")
     part, parts = execution.shard or (1, 1)
     name = "progress.json" if parts == 1 else f"progress-{part}-of-{parts}.json"
     bar = Progress(
         0,
         show=progress,
-        file=folder.path / name,
+        save=partial(folder.storage.write, name),
         facts={"shard": f"{part}/{parts}", "host": socket.gethostname()},
     )
     try:
@@ -258,7 +270,7 @@ def _complete(folder: RunFolder, plan: ScenePlan, execution: _Execution, progres
 def _complete_notes(folder: RunFolder, plan: ScenePlan, execution: _Execution) -> None:
     """Write the attributes that only the finished run has, if all tiles are there."""
     try:
-        finished = bool(folder.final_attributes())
+        finished = bool(folder.final_attributes()) and (folder.is_complete or not folder.is_store)
     except BadInput as error:
         logging.getLogger("atlas").warning("%s", error)
         finished = False
@@ -293,25 +305,26 @@ def _compute_levels(
             try:
                 yield level.tiling.slices(tile)[0], level.tiles.read(tile)
             except DamagedTile as error:
-                raise OSError(f"{level.path}: tile {tile}: {error}; run the scene again") from None
+                raise OSError(f"{level.storage}: tile {tile}: {error}; run the scene again") from None
 
     ds = refine.refined_by(integrate, plan, threads=execution.threads, progress=progress)
-    folder.check_kept()
-    netcdf.write(ds.assign_attrs(folder.provenance()[0] | ds.attrs), folder.result)
+    folder.save_result(ds.assign_attrs(folder.provenance()[0] | ds.attrs))
 
 
 def _compute(job: _Job, bar: Progress, plan: ScenePlan, stack: ExitStack) -> None:
     """Compute the tiles of a job; a client of dask workers is closed with the stack."""
     folder, execution, logger = job.folder, job.execution, logging.getLogger("atlas")
     for tile, reason in list(job.status.damaged.items())[:MAX_DAMAGE_WARNINGS]:
-        logger.warning("%s: tile %d is computed again: %s", folder.path, tile, reason)
+        logger.warning("%s: tile %d is computed again: %s", folder.storage, tile, reason)
     if len(job.status.damaged) > MAX_DAMAGE_WARNINGS:
         logger.warning("... and %d damaged tiles more", len(job.status.damaged) - MAX_DAMAGE_WARNINGS)
     missing = sum(map(folder.tiling.size_of, job.unfinished))
     bar.add(sum(map(folder.tiling.size_of, job.tiles)), done=sum(map(folder.tiling.size_of, job.status.done)))
     if not job.unfinished:
         return
-    estimate.check_disk(plan, folder.path, missing, is_joined=folder.path.suffix == RUN_SUFFIX)
+    if isinstance(folder.storage, Folder):
+        path = folder.storage.path
+        estimate.check_disk(plan, path, missing, is_joined=path.suffix == RUN_SUFFIX)
     try:
         if execution.on_cluster:
             _compute_on_cluster(job, bar, execution.client(plan, stack))
@@ -360,15 +373,16 @@ def _stamp(path: Path) -> tuple[int, int] | None:
     return status.st_ino, status.st_mtime_ns
 
 
-def _is_result(plan: ScenePlan, path: Path) -> bool:
-    """Whether a file is the undamaged result of running this scene by these programs."""
+def _is_result(plan: ScenePlan, path: Path | str) -> bool:
+    """Whether a file or a sealed store is the undamaged result of running this scene by these programs."""
     try:
         with open_atlas(path) as ds:
             result = ds.attrs.get(RESULT)
     except BadInput:
         return False
     # A dataset that a user derives from an atlas has its attributes but no checksums.
-    return result is not None and checksums.are_in(path) and result == _own_result_hash(plan)
+    whole = zarr_store.is_sealed(storage_at(located(path))) or checksums.are_in(Path(path))
+    return whole and result == _own_result_hash(plan)
 
 
 def _own_result_hash(plan: ScenePlan) -> str:
@@ -399,9 +413,25 @@ def _run_in_memory(
     plan: ScenePlan, warnings: list[str], threads: int | None, progress: bool, earlier: Sequence[Earlier]
 ) -> xr.Dataset:
     """Compute an atlas without a run folder."""
+    scene = plan.scene
+    bar = Progress(scene.size, show=progress)
+    try:
+        columns, reused = columns_of(plan, bar, threads, earlier)
+    finally:
+        bar.close()
+    attributes = scene_provenance(
+        scene, plan.points.kernel_hash, seconds=bar.stopwatch.seconds(), points=scene.size, warnings=warnings
+    )
+    attributes |= half_step.half_step_sample(plan.scene, plan.points, threads=threads)
+    return netcdf.dataset(scene, columns).assign_attrs(attributes | history_text(reused))
+
+
+def columns_of(
+    plan: ScenePlan, bar: Progress, threads: int | None = None, earlier: Sequence[Earlier] = ()
+) -> tuple[dict[str, np.ndarray], Counter[str]]:
+    """Variables and solved parameters of all points of a scene, tile by tile; the numbers of points of earlier atlases."""
     scene, tiles, all_reused = plan.scene, plan.tiling, Counter[str]()
     columns = {name: np.empty(scene.size, dtype) for name, dtype in tile_types(scene).items()}
-    bar = Progress(scene.size, show=progress)
 
     def compute(tile: int, advance: Advance) -> None:
         indices = tiles.indices(tile)
@@ -413,16 +443,9 @@ def _run_in_memory(
         all_reused.update(reused)
         bar.skip(indices.size - computed + reused.total())
 
-    try:
-        in_flight = plan.tiles_in_flight(threads)
-        for_each_tile(range(tiles.count), compute, bar.advance, in_flight, Event())
-    finally:
-        bar.close()
-    attributes = scene_provenance(
-        scene, plan.points.kernel_hash, seconds=bar.stopwatch.seconds(), points=scene.size, warnings=warnings
-    )
-    attributes |= half_step.half_step_sample(plan.scene, plan.points, threads=threads)
-    return netcdf.dataset(scene, columns).assign_attrs(attributes | history_text(all_reused))
+    in_flight = plan.tiles_in_flight(threads)
+    for_each_tile(range(tiles.count), compute, bar.advance, in_flight, Event())
+    return columns, all_reused
 
 
 class _Abandoned(Exception):
@@ -484,16 +507,20 @@ class _Job:
         tiles.sort(key=lambda tile: tile % self.parts != self.part - 1)
         pause = CLAIM_POLL
         while tiles:
-            claimed = []
+            claimed, files.listed = [], None
             for tile in tiles:
-                if tile not in self.status.damaged and files.is_written(tile) and files.is_done(tile):
+                if tile not in self.status.damaged and files.was_written(tile):
                     bar.skip(self.folder.tiling.size_of(tile))
                 elif self.execution.time_is_up:
                     self.is_stopped = True
                     return
                 elif files.claim(tile):
-                    self.status.damaged.pop(tile, None)
-                    yield tile
+                    if self.status.damaged.pop(tile, None) is None and files.is_written(tile):
+                        with files.held(tile):  # written since the folder was listed, perhaps with others
+                            bar.skip(self.folder.tiling.size_of(tile))
+                        files.listed = None
+                    else:
+                        yield tile
                 else:
                     claimed.append(tile)
             if len(claimed) == len(tiles):
@@ -539,25 +566,25 @@ def _compute_on_cluster(job: _Job, bar: Progress, client: Any) -> None:
     def on_result(tile: int) -> None:
         if not folder.tiles.is_written(tile):
             raise BadInput(
-                f"a worker wrote tile {tile}, but it is not in {folder.path}: workers must see the same files"
+                f"a worker wrote tile {tile}, but it is not in {folder.storage}: workers must see the same files"
             )
         bar.advance(folder.tiling.size_of(tile))
 
-    run = str(folder.path), folder.key
+    run = str(folder.run.path), folder.number, folder.key
     reuse = tuple(str(each.path) for each in job.execution.earlier)
     arguments = ((*run, tile, reuse) for tile in job.remaining_tiles(bar))
     cluster.check_workers(client, check_worker, (*run, reuse))
     cluster.for_each(client, compute_tile, arguments, on_result)
 
 
-def check_worker(path: str, key: str, reuse: tuple[str, ...] = ()) -> None:
+def check_worker(path: str, number: int | None, key: str, reuse: tuple[str, ...] = ()) -> None:
     """Raise BadInput unless this worker computes the same bits as the client of a run, which made the key."""
-    _open_cached(path, key, reuse)
+    _open_cached(path, number, key, reuse)
 
 
-def compute_tile(path: str, key: str, tile: int, reuse: tuple[str, ...] = ()) -> int:
+def compute_tile(path: str, number: int | None, key: str, tile: int, reuse: tuple[str, ...] = ()) -> int:
     """Compute and write one tile with one thread, the task of a dask worker; BadInput as `check_worker`."""
-    folder, tiles, plan, earlier = _open_cached(path, key, reuse)
+    folder, tiles, plan, earlier = _open_cached(path, number, key, reuse)
     stopwatch = Stopwatch()
     with tiles.held(tile) as keep:
         columns, computed, reused = evaluate_at(
@@ -572,10 +599,11 @@ def compute_tile(path: str, key: str, tile: int, reuse: tuple[str, ...] = ()) ->
 
 @lru_cache(maxsize=8)
 def _open_cached(
-    path: str, key: str, reuse: tuple[str, ...]
+    path: str, number: int | None, key: str, reuse: tuple[str, ...]
 ) -> tuple[RunFolder | Level, TileFiles, Plan, list[Earlier]]:
     """A run whose bits this process computes, its tiles with the key of what this process computes, plan, earlier atlases."""
-    folder = Level.open(Path(path)) if Path(path).parent.name == LEVELS else RunFolder.open(path)
+    run = RunFolder.open(path)
+    folder = run if number is None else Level.open(run, number)
     if folder.key != key:
         raise BadInput(f"{path}: holds another run on the machine of this worker ({socket.gethostname()})")
     plan = Plan.of(folder.scene)

@@ -1,4 +1,4 @@
-"""Tiles of a run on disk: for each a NetCDF file, and a JSON file (its sidecar) with its hash and cost."""
+"""Tiles of a run: of each a NetCDF file or the objects of a Zarr store, and a JSON file (its sidecar) with hashes and cost."""
 
 from __future__ import annotations
 
@@ -6,7 +6,6 @@ import errno
 import hashlib
 import json
 import math
-import os
 import socket
 import time
 from collections import Counter
@@ -14,30 +13,22 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
-from itertools import chain
+from itertools import chain, groupby
 from pathlib import Path
 from typing import Any, Literal
 
 import netCDF4
 import numpy as np
+import xarray as xr
 
 from ..errors import shown
-from ..files import (
-    CLAIM_INTERVAL,
-    atomic_write,
-    check_types,
-    claim,
-    disk_error,
-    is_claimed,
-    one_line,
-    read_bytes,
-    remove_leftovers,
-    sealed,
-    unsealed,
-)
+from ..files import check_types, disk_error, one_line, process_name, sealed, unsealed
 from ..flags import Label, Status
-from ..io import netcdf
+from ..io import netcdf, zarr_store
 from ..io.checksums import NETCDF_LOCK
+from ..io.storage import CLAIM_INTERVAL, Folder, Stamp, Storage, claim, is_claimed
+from ..io.zarr_store import MAX_OBJECT_BYTES
+from ..scene import grid
 from ..scene.model import Scene
 from ..variables import variables
 
@@ -46,7 +37,9 @@ MIN_COMPRESSED_POINTS = 4096
 # Bytes of a sidecar, and of the tables of one variable in a NetCDF-4 file.
 SIDECAR_BYTES, TABLE_BYTES = 1200, 3600
 CLAIM = ".claim"  # suffix of the file of a tile that a process computes
+TILES_PER_FOLDER = 1000
 STATUS_BATCH = 64  # tiles that a thread checks at a time
+MIN_PACK = 64  # tiles that are worth a new pack
 SIDECAR_TYPES = {"points": int, "computed": int, "seconds": (int, float), "by": str, "reused": dict}
 
 COUNTED = (
@@ -56,6 +49,8 @@ COUNTED = (
 GROUPS = {"steady": (Label.REGULAR_PRECESSION, Label.PERMANENT_ROTATION), "drifting": (Label.DRIFTING,)}
 # Histogram of errors: quarters of a decade from 1e-20 on.
 BINS_PER_DECADE, LOWEST_DECADE, BINS = 4, -20, 161
+# Flags of points that are not computed.
+MISSING = {"label": (Label.NOT_COMPUTED,), "status": (Status.NOT_COMPUTED, Status.IMPOSSIBLE_BODY)}
 
 
 class DamagedTile(Exception):
@@ -75,6 +70,15 @@ def tile_types(scene: Scene) -> dict[str, str]:
     """Names and types of the columns of a tile: its variables, and the parameters the family is solved for."""
     registry = variables(scene.system)
     return {name: registry[name].dtype for name in scene.outputs} | dict.fromkeys(scene.solve, "float64")
+
+
+def computed_counts(columns: Mapping[str, np.ndarray]) -> set[int]:
+    """Number of points that are computed, by each variable that shows it."""
+    return {
+        columns[name].size - int(np.isin(columns[name], flags).sum())
+        for name, flags in MISSING.items()
+        if name in columns
+    }
 
 
 class Tally:
@@ -122,32 +126,61 @@ class Tally:
 
 
 class TileFiles:
-    """The tiles of one run, in one folder."""
+    """The tiles of one run: of each a NetCDF file, then a sidecar that marks it as written.
+
+    A pack holds the sidecars of many tiles whose files were read and not changed since, so that these are not read again.
+    """
 
     def __init__(
-        self, folder: Path, key: str, dims: tuple[str, ...], types: Mapping[str, str], tiling: Tiling
+        self,
+        storage: Storage,
+        key: str,
+        dims: tuple[str, ...],
+        types: Mapping[str, str],
+        tiling: Tiling,
+        *,
+        is_flat: bool = False,
     ):
-        self.folder = folder
+        self.storage = storage
         self.key = key
         self.dims = dims
         self.types = types
         self.tiling = tiling
+        self.per_folder = MAX_TILES if is_flat else TILES_PER_FOLDER
+        self._last = 0  # tile that this process wrote
+        self.listed: tuple[int, set[str]] | None = None  # number of a folder, and the names in it
+
+    def name(self, tile: int, suffix: str = ".nc") -> str:
+        """Name of the file of a tile, or with suffix ".json" of its sidecar."""
+        folder = f"{tile // self.per_folder:05d}/" if self.tiling.count > self.per_folder else ""
+        return f"{folder}{tile:08d}{suffix}"
 
     def path(self, tile: int, suffix: str = ".nc") -> Path:
-        """File of a tile, or with suffix ".json" its sidecar."""
-        return self.folder / f"{tile:08d}{suffix}"
+        """Path of a file in a folder."""
+        return self.folder / self.name(tile, suffix)
+
+    @property
+    def folder(self) -> Path:
+        """The folder of the tiles."""
+        assert isinstance(self.storage, Folder)
+        return self.storage.path
 
     def is_written(self, tile: int) -> bool:
-        """Whether some process has finished writing a tile; the tile may be damaged."""
-        return self.path(tile, ".json").exists()
+        """Whether some process has finished writing a tile, whose values may be damaged since."""
+        with suppress(FileNotFoundError, DamagedTile):
+            return bool(self._sidecar(tile))
+        return False
+
+    def was_written(self, tile: int) -> bool:
+        """Whether the folder of a tile had its sidecar when it was last listed; this needs no look at each tile."""
+        part = tile // self.per_folder
+        if self.listed is None or self.listed[0] != part:
+            self.listed = part, self.storage.names(self._folder(part))
+        return self.name(tile, ".json").rpartition("/")[2] in self.listed[1]
 
     def written_count(self) -> int:
         """Number of the tiles that are written; some may be damaged."""
-        return sum(name.endswith(".json") and not name.startswith(".") for name in self._file_names())
-
-    def is_done(self, tile: int) -> bool:
-        """Whether a tile is written and not damaged; reads all of it."""
-        return self._error(tile) is None
+        return sum(len(self._stamps(part)) for part in self._parts())
 
     def write(
         self,
@@ -164,14 +197,31 @@ class TileFiles:
         `computed` counts the points where the family exists, `reused` those of earlier atlases by what these are. Raises
         OSError if the tile reads back otherwise.
         """
-        path, shape = self.path(tile), self.tiling.shape_of(tile)
-        columns = {name: columns[name] for name in self.types}
-        points = math.prod(shape)
-        small = points < MIN_COMPRESSED_POINTS
+        columns = {
+            name: columns[name].astype(dtype, copy=False).reshape(self.tiling.shape_of(tile))
+            for name, dtype in self.types.items()
+        }
+        contents = self._write(tile, columns, computed)
+        sidecar = {
+            "key": self.key, "tile": tile, "points": self.tiling.size_of(tile), "computed": computed,
+            "hash": {name: self._hash(tile, content, computed) for name, content in contents.items()},
+            "tally": vars(Tally.of(columns)), "host": socket.gethostname(), "seconds": seconds, "by": by,
+            "reused": dict(reused or {}),
+        }  # fmt: skip
+        self.storage.write(self.name(tile, ".json"), sealed(sidecar).encode())
+        last, self._last = self._last, tile
+        if last // self.per_folder != tile // self.per_folder:
+            first = last // self.per_folder * self.per_folder
+            self.status(range(first, min(first + self.per_folder, self.tiling.count)))
+
+    def _write(self, tile: int, columns: Mapping[str, np.ndarray], computed: int) -> dict[str, bytes]:
+        """Write the values of a tile, and read them back; the contents by the names that the sidecar gives them."""
+        small = self.tiling.size_of(tile) < MIN_COMPRESSED_POINTS
         kind: Literal["NETCDF3_64BIT_OFFSET", "NETCDF4"] = "NETCDF3_64BIT_OFFSET" if small else "NETCDF4"
         # Filled first, because the library leaves the bytes between variables as they are in memory otherwise.
         options = {"fill_value": None} if small else {"fill_value": False, **netcdf.COMPRESSION}
-        with atomic_write(path) as temporary:
+        with self.storage.writing(self.name(tile)) as temporary:
+            path = temporary.with_name(self.name(tile).rpartition("/")[2])
             try:
                 # Made in memory and written when closed: such a file, unlike others, has no time stamp inside.
                 with (
@@ -179,76 +229,83 @@ class TileFiles:
                     netCDF4.Dataset(temporary, "w", format=kind, diskless=True, persist=True) as file,
                 ):
                     file.setncatts({"atlas_key": self.key, "atlas_tile": tile})
-                    for name, length in zip(self.dims, shape, strict=True):
+                    for name, length in zip(self.dims, self.tiling.shape_of(tile), strict=True):
                         file.createDimension(name, length)
                     for name, dtype in self.types.items():
-                        variable = file.createVariable(name, dtype, self.dims, **options)
-                        variable[:] = columns[name].astype(dtype, copy=False).reshape(shape)
-                content = temporary.read_bytes()
+                        file.createVariable(name, dtype, self.dims, **options)[:] = columns[name]
+                contents = {"": temporary.read_bytes()}
             except (RuntimeError, OSError) as error:
                 raise disk_error(error, path) from None
             try:
-                self._arrays(tile, content, computed, ())
+                self._arrays(tile, contents, computed, ())
             except DamagedTile as error:  # netCDF writes short files in NetCDF-3 without an error
                 differs = OSError(errno.EIO, f"read back otherwise than it was computed: {error}", str(path))
                 raise disk_error(differs, path) from None
-        sidecar = {
-            "key": self.key, "tile": tile, "points": points, "computed": computed,
-            "hash": self._hash(tile, content, computed), "tally": vars(Tally.of(columns)),
-            "host": socket.gethostname(), "seconds": seconds, "by": by, "reused": dict(reused or {}),
-        }  # fmt: skip
-        with atomic_write(self.path(tile, ".json")) as temporary:
-            temporary.write_text(sealed(sidecar), encoding="utf-8")
+        return contents
 
     @contextmanager
     def held(self, tile: int) -> Iterator[Callable[[], None]]:
         """Keep the claim of a tile while it is computed, by calls of what this gives, and release it."""
-        path, touched = self.path(tile, CLAIM), time.monotonic()
+        name, renewed = self.name(tile, CLAIM), time.monotonic()
 
         def keep() -> None:
-            nonlocal touched
-            if time.monotonic() - touched > CLAIM_INTERVAL:
-                touched = time.monotonic()
+            nonlocal renewed
+            if time.monotonic() - renewed > CLAIM_INTERVAL:
+                renewed = time.monotonic()
                 with suppress(OSError):
-                    os.utime(path)
+                    self.storage.write(name, process_name().encode(), durable=False)
 
         try:
             yield keep
         finally:
             with suppress(OSError):
-                path.unlink(missing_ok=True)
+                self.storage.remove(name)
 
     def claim(self, tile: int) -> bool:
         """Whether this process may compute a tile, which it claims: no other one that is at work does."""
-        return claim(self.path(tile, CLAIM))
+        return claim(self.storage, self.name(tile, CLAIM))
 
     def remove_leftovers(self) -> None:
         """Remove temporary files and claims of processes that were killed."""
-        remove_leftovers(self.folder)
-        for path in self.folder.glob(f"*{CLAIM}"):
-            if not is_claimed(path):
-                with suppress(OSError):
-                    path.unlink(missing_ok=True)
+        for part in self._parts():
+            folder = self._folder(part)
+            self.storage.remove_leftovers(folder)
+            for name in self.storage.names(folder):
+                if name.endswith(CLAIM) and not is_claimed(self.storage, folder + name):
+                    with suppress(OSError):
+                        self.storage.remove(folder + name)
 
     def read(self, tile: int, names: Iterable[str] | None = None) -> dict[str, np.ndarray]:
         """Checked variables of a tile, default all; FileNotFoundError, DamagedTile if a check fails."""
-        sidecar = self._sidecar(tile)
-        content = self._content(tile, sidecar)
-        return self._arrays(tile, content, sidecar["computed"], self.types if names is None else names)
-
-    def _content(self, tile: int, sidecar: Mapping[str, Any]) -> bytes:
-        """Content of the file of a tile, if it has the hash of the sidecar; see `read` for what it raises."""
+        sidecar, names = self._sidecar(tile), list(self.types if names is None else names)
         try:
-            content = self.path(tile).read_bytes()
-        except (FileNotFoundError, IsADirectoryError):
-            raise DamagedTile("its file is missing") from None
-        if "hash" in sidecar:
-            differs = sidecar["hash"] != self._hash(tile, content, sidecar["computed"])
-        else:  # of version 0.1.0 before its sidecars had tallies
-            differs = sidecar.get("sha256") != hashlib.sha256(content).hexdigest()
-        if differs:
-            raise DamagedTile("its hash differs")
-        return content
+            return self._arrays(tile, self._contents(tile, sidecar, names), sidecar["computed"], names)
+        except DamagedTile:
+            with suppress(OSError):  # so that the next run reads the tile
+                self.storage.remove(self._pack_name(tile // self.per_folder))
+            raise
+
+    def _objects(self, tile: int, names: Iterable[str]) -> dict[str, tuple[Storage, str]]:
+        """Where the values of a tile are, by the names in its sidecar."""
+        return {"": (self.storage, self.name(tile))}
+
+    def _contents(self, tile: int, sidecar: Mapping[str, Any], names: Iterable[str]) -> dict[str, bytes]:
+        """What holds some variables of a tile, if it has the hashes of the sidecar; see `read` for what it raises."""
+        contents = dict[str, bytes]()
+        for name, (storage, place) in self._objects(tile, names).items():
+            try:
+                content = storage.read(place, MAX_OBJECT_BYTES)
+            except (FileNotFoundError, ValueError):
+                raise DamagedTile("its file is missing") from None
+            if "hash" in sidecar:
+                actual, expected = self._hash(tile, content, sidecar["computed"]), sidecar["hash"]
+                expected = expected.get(name) if isinstance(expected, dict) else expected
+            else:  # of version 0.1.0 before its sidecars had tallies
+                actual, expected = hashlib.sha256(content).hexdigest(), sidecar.get("sha256")
+            if actual != expected:
+                raise DamagedTile("its hash differs")
+            contents[name] = content
+        return contents
 
     def _hash(self, tile: int, content: bytes, computed: int) -> str:
         """SHA-256 of a file together with its run, its place in the grid and the number of computed points."""
@@ -256,72 +313,118 @@ class TileFiles:
         digest.update(content)
         return digest.hexdigest()
 
-    def _arrays(
-        self, tile: int, content: bytes, computed: int, names: Iterable[str]
+    def _decoded(
+        self, tile: int, contents: Mapping[str, bytes], names: Iterable[str]
     ) -> dict[str, np.ndarray]:
-        """Variables of the file of a tile; DamagedTile unless key, shape and number of computed points are right."""
+        """Variables in what holds them."""
+        with NETCDF_LOCK, netCDF4.Dataset("tile.nc", memory=contents[""]) as file:
+            if (file.getncattr("atlas_key"), file.getncattr("atlas_tile")) != (self.key, tile):
+                raise DamagedTile("it is a tile of another run or place")
+            file.set_auto_maskandscale(False)
+            return {name: np.asarray(file.variables[name][...]) for name in names}
+
+    def _arrays(
+        self, tile: int, contents: Mapping[str, bytes], computed: int, names: Iterable[str]
+    ) -> dict[str, np.ndarray]:
+        """Variables of a tile; DamagedTile unless key, shape and number of computed points are right."""
         shape, selected = self.tiling.shape_of(tile), list(names)
-        flags = [name for name in ("label", "status") if name in self.types]
         try:
-            with NETCDF_LOCK, netCDF4.Dataset("tile.nc", memory=content) as file:
-                if (file.getncattr("atlas_key"), file.getncattr("atlas_tile")) != (self.key, tile):
-                    raise DamagedTile("it is a tile of another run or place")
-                variables = {name: file.variables[name] for name in {*selected, *flags}}
-                if any(variable.shape != shape for variable in variables.values()):
-                    raise DamagedTile("its shape or type is wrong")
-                file.set_auto_maskandscale(False)
-                arrays = {name: np.asarray(variable[...]) for name, variable in variables.items()}
-        except (OSError, RuntimeError, AttributeError, LookupError) as error:
+            arrays = self._decoded(tile, contents, {*selected, *self._flags})
+        except (OSError, RuntimeError, AttributeError, LookupError, ValueError) as error:
             raise DamagedTile(f"it does not open: {error}") from None
-        if any(array.dtype != self.types[name] for name, array in arrays.items()):
+        if any(array.shape != shape or array.dtype != self.types[name] for name, array in arrays.items()):
             raise DamagedTile("its shape or type is wrong")
-        not_computed = math.prod(shape) - computed
-        missing = {"label": (Label.NOT_COMPUTED,), "status": (Status.NOT_COMPUTED, Status.IMPOSSIBLE_BODY)}
-        if any(np.isin(arrays[name], missing[name]).sum() != not_computed for name in flags):
+        if computed_counts(arrays) - {computed}:
             raise DamagedTile("it contains points that are not computed")
         return {name: arrays[name] for name in selected}
 
+    @property
+    def _flags(self) -> list[str]:
+        """Variables that show which points are computed."""
+        return [name for name in MISSING if name in self.types]
+
     def missing(self) -> list[int]:
         """Tiles that are not written."""
-        names = self._file_names()
-        return [tile for tile in range(self.tiling.count) if f"{tile:08d}.json" not in names]
+        written = set(chain.from_iterable(map(self._stamps, self._parts())))
+        return [tile for tile in range(self.tiling.count) if tile not in written]
 
     def status(self, tiles: Iterable[int] | None = None) -> TileStatus:
-        """Check tiles (default: all), reading the whole of every file."""
-        names = self._file_names()
+        """Check tiles (default: all), reading the whole of every file that is in no pack."""
         status = TileStatus()
-        written: list[int] = []
-        for tile in range(self.tiling.count) if tiles is None else tiles:
-            (written if f"{tile:08d}.json" in names else status.missing).append(tile)
-        batches = [written[first : first + STATUS_BATCH] for first in range(0, len(written), STATUS_BATCH)]
         # Threads that read small files take turns, at up to four times the processor time.
-        small = self.tiling.size_of(0) < MIN_COMPRESSED_POINTS
-        with ThreadPoolExecutor(1 if small else 4) as pool:
-            errors = chain.from_iterable(pool.map(self._errors, batches))
-            for tile, error in zip(written, errors, strict=True):
-                if error is None:
-                    status.done.append(tile)
-                elif isinstance(error, DamagedTile):
-                    status.damaged[tile] = str(error)
-                else:  # removed in the meantime
-                    status.missing.append(tile)
+        threads = 1 if self.tiling.size_of(0) < MIN_COMPRESSED_POINTS else 4
+        chosen = range(self.tiling.count) if tiles is None else tiles
+        for part, group in groupby(chosen, lambda tile: tile // self.per_folder):
+            stamps, whole, packed = self._packed(part)
+            wanted, read = list(group), dict[int, Any]()
+            unread = [tile for tile in wanted if tile in stamps and tile not in whole]
+            batches = [unread[first : first + STATUS_BATCH] for first in range(0, len(unread), STATUS_BATCH)]
+            with ThreadPoolExecutor(threads) as pool:
+                for batch, results in zip(batches, pool.map(self._checked_batch, batches), strict=True):
+                    for tile, result in zip(batch, results, strict=True):
+                        if isinstance(result, DamagedTile):
+                            status.damaged[tile] = str(result)
+                        elif not isinstance(result, Exception):  # removed in the meantime
+                            read[tile] = result
+            whole |= read.keys()
+            if len(read) >= MIN_PACK:
+                before = json.loads(packed)
+                sidecars = {tile: read.get(tile) or before[str(tile)] for tile in sorted(whole)}
+                head = json.dumps([self.key, [[tile, stamps[tile]] for tile in sidecars]])
+                content = f"{head}\n{json.dumps(sidecars)}".encode()
+                digest = hashlib.sha256(content).hexdigest().encode()
+                with suppress(OSError):
+                    self.storage.write(self._pack_name(part), digest + b"\n" + content, durable=False)
+            status.done += [tile for tile in wanted if tile in whole]
+            status.missing += [tile for tile in wanted if tile not in whole and tile not in status.damaged]
         return status
 
     def sidecars(self) -> Iterator[dict[str, Any]]:
         """Readable sidecars of all tiles that are written."""
-        for name in self._file_names():
-            if name.endswith(".json") and not name.startswith("."):
+        for part in self._parts():
+            stamps, whole, packed = self._packed(part)
+            sidecars = json.loads(packed)
+            for tile in stamps:
                 with suppress(FileNotFoundError, DamagedTile):
-                    yield self._sidecar(int(name[:8]))
+                    yield sidecars[str(tile)] if tile in whole else self._sidecar(tile)
 
-    def _file_names(self) -> set[str]:
-        """Names of the files in the folder."""
-        return {entry.name for entry in os.scandir(self.folder)} if self.folder.is_dir() else set()
+    def _parts(self) -> range:
+        """Numbers of the folders of tiles."""
+        return range(-(-self.tiling.count // self.per_folder))
+
+    def _folder(self, part: int) -> str:
+        """Where the files of a folder are."""
+        return self.name(part * self.per_folder, "")[:-8]
+
+    def _stamps(self, part: int) -> dict[int, list[Stamp | None]]:
+        """Stamps of the files of each tile of a folder that is written."""
+        files = self.storage.stamps(self._folder(part))
+        return {
+            int(name[:8]): [stamp, files.get(f"{name[:8]}.nc")]
+            for name, stamp in files.items()
+            if name.endswith(".json") and name[:8].isdigit()
+        }
+
+    def _packed(self, part: int) -> tuple[dict[int, list[Stamp | None]], set[int], bytes]:
+        """Stamps of the written tiles of a folder; those of them that are in its pack; the sidecars in this, as JSON."""
+        stamps = self._stamps(part)
+        with suppress(OSError, ValueError):
+            digest, _, content = self.storage.read(self._pack_name(part), MAX_OBJECT_BYTES).partition(b"\n")
+            if hashlib.sha256(content).hexdigest().encode() == digest:
+                head, _, sidecars = content.partition(b"\n")
+                key, tiles = json.loads(head)
+                if key == self.key:
+                    return stamps, {tile for tile, stamp in tiles if stamps.get(tile) == stamp}, sidecars
+        return stamps, set(), b"{}"
+
+    def _pack_name(self, part: int) -> str:
+        """Name of the pack of a folder."""
+        return f"{part:05d}.pack"
 
     def _sidecar(self, tile: int) -> dict[str, Any]:
         """The sidecar of a tile; see `read` for what it raises."""
         try:
-            sidecar = {"reused": {}} | unsealed(read_bytes(self.path(tile, ".json")))
+            sidecar = {"reused": {}} | unsealed(self.storage.read(self.name(tile, ".json")))
             check_types(sidecar, SIDECAR_TYPES)
             check_types(sidecar["reused"], dict.fromkeys(sidecar["reused"], int))
         except ValueError as error:
@@ -332,24 +435,71 @@ class TileFiles:
             raise DamagedTile("it contains points that are not computed")
         return sidecar
 
-    def _errors(self, tiles: Iterable[int]) -> list[Exception | None]:
-        """Error on reading each of some tiles, if any."""
-        return [self._error(tile) for tile in tiles]
+    def _checked_batch(self, tiles: Iterable[int]) -> list[dict[str, Any] | Exception]:
+        """`_checked` of some tiles."""
+        return list(map(self._checked, tiles))
 
-    def _error(self, tile: int) -> Exception | None:
-        """Error on reading a tile, if any; a file that has its hash was read back by `write`."""
+    def _checked(self, tile: int) -> dict[str, Any] | Exception:
+        """The sidecar of a tile, or the error on reading it; a file that has its hash was read back by `write`."""
         try:
             sidecar = self._sidecar(tile)
-            content = self._content(tile, sidecar)
+            contents = self._contents(tile, sidecar, self.types)
             if "hash" not in sidecar:
-                self._arrays(tile, content, sidecar["computed"], ())
+                self._arrays(tile, contents, sidecar["computed"], ())
         except (FileNotFoundError, DamagedTile) as error:
             return error
-        return None
+        return sidecar
+
+
+class TileShards(TileFiles):
+    """The tiles of a run in a Zarr store: of each an object of every variable, then a sidecar."""
+
+    def __init__(
+        self, root: Storage, key: str, dims: tuple[str, ...], types: Mapping[str, str], tiling: Tiling
+    ):
+        super().__init__(root.inside(zarr_store.RUN).inside("tiles"), key, dims, types, tiling)
+        self.root = root
+        self.layout = tiling.shape, tiling.chunk, tiling.tile  # for `zarr_store`
+
+    def _objects(self, tile: int, names: Iterable[str]) -> dict[str, tuple[Storage, str]]:
+        place = "/".join(map(str, np.unravel_index(tile, self.tiling.counts)))
+        return {name: (self.root, f"{name}/c/{place}") for name in {*names, *self._flags}}
+
+    def _write(self, tile: int, columns: Mapping[str, np.ndarray], computed: int) -> dict[str, bytes]:
+        box, contents = self.tiling.slices(tile), dict[str, bytes]()
+        for name, (storage, place) in self._objects(tile, self.types).items():
+            (contents[name],) = zarr_store.encode(name, columns[name], box, self.layout).values()
+            storage.write(place, contents[name])
+            if storage.read(place, MAX_OBJECT_BYTES) != contents[name]:
+                raise OSError(errno.EIO, "read back otherwise than it was written", place)
+        return contents
+
+    def _decoded(
+        self, tile: int, contents: Mapping[str, bytes], names: Iterable[str]
+    ) -> dict[str, np.ndarray]:
+        box = self.tiling.slices(tile)
+        return {
+            name: zarr_store.decode(name, self.types[name], contents[name], box, self.layout)
+            for name in names
+        }
+
+    def seal(self, ds: xr.Dataset) -> None:
+        """Write what the store of a dataset has beside the tiles."""
+        objects = {
+            place: sidecar["hash"][name]
+            for sidecar in self.sidecars()
+            for name, (_, place) in self._objects(sidecar["tile"], self.types).items()
+        }
+        zarr_store.seal(self.root, ds, objects, self.dims, self.layout)
+
+    def _hash(self, tile: int, content: bytes, computed: int) -> str:
+        return hashlib.sha256(content).hexdigest()  # in the sidecar, with run, place and number
 
 
 # Work of a tile, in points times steps: a few seconds of one processor at about 6 ns each.
 TILE_POINT_STEPS = 5e8
+# The same in a Zarr store, whose objects are to be large: two minutes, and as many chunks of the cheapest points.
+SHARD_POINT_STEPS, SHARD_CHUNKS = 2e10, 8
 # With fewer points the blocks of the kernel would not be full.
 MIN_POINTS_PER_TILE = 512
 # Limits of what a run folder may claim. The tiles of the largest grid, cut evenly, are half as many.
@@ -389,6 +539,20 @@ class Tiling:
                 f"tile = {shown(self.tile)}: allowed: some rows of a grid of {shown(self.shape)}, at most"
                 f" {MAX_TILE_POINTS} points in each and {MAX_TILES} tiles"
             )
+
+    @property
+    def chunk(self) -> tuple[int, ...]:
+        """Lengths of the chunks of a joined file or store: as tiles of the cheapest scene, many small ones would be slow to read."""
+        cheapest = Tiling.of(self.shape, grid.MAX_POINTS_PER_TILE).tile
+        return tuple(map(min, cheapest, self.tile))
+
+    def of_whole_chunks(self) -> Tiling:
+        """Tiles of as many chunks as fit into these along an axis that is cut."""
+        lengths = [
+            length if length == count else length // part * part
+            for length, count, part in zip(self.tile, self.shape, self.chunk, strict=True)
+        ]
+        return Tiling(self.shape, tuple(lengths))
 
     @property
     def counts(self) -> tuple[int, ...]:

@@ -66,9 +66,9 @@ def test_points_that_change_are_flagged_and_counted(study):
 
 def test_a_large_grid_is_thinned_and_a_refined_one_taken_coarse(scene_text, monkeypatch):
     sizes = []
-    columns = convergence._columns
+    columns = convergence.columns_of
     monkeypatch.setattr(
-        convergence, "_columns", lambda scene, bar: sizes.append(scene.shape) or columns(scene, bar)
+        convergence, "columns_of", lambda plan, bar: sizes.append(plan.scene.shape) or columns(plan, bar)
     )
     text = scene_text({"axes.sigma.count": 90, "axes.theta0.count": 70, "axes.h3.values": [0.0]})
     ds = convergence.convergence(load_scene(text), ["tolerance", "tolerance"], 63, progress=False)

@@ -10,6 +10,8 @@ from truth import assert_same_bytes
 
 import atlas
 from atlas import files, load_scene
+from atlas.io import storage
+from atlas.io.storage import claim
 from atlas.runs import runner
 from atlas.runs.folder import RunFolder
 from atlas.runs.plan import ScenePlan
@@ -42,33 +44,33 @@ def age(path, seconds):
 
 
 def test_a_claim_holds_while_its_process_gives_signs_of_life(tmp_path, living):
-    path = tmp_path / "a.claim"
-    assert files.claim(path)
+    path, place = tmp_path / "a.claim", (storage.Folder(tmp_path), "a.claim")
+    assert claim(*place)
     assert path.read_text() == files.process_name()
-    assert files.claim(path)  # one's own, from a call that was interrupted
+    assert claim(*place)  # one's own, from a call that was interrupted
     path.write_text(living)
-    assert not files.claim(path)
-    age(path, files.CLAIM_AGE + 10)  # it is suspended
-    assert files.claim(path)
+    assert not claim(*place)
+    age(path, storage.CLAIM_AGE + 10)  # it is suspended
+    assert claim(*place)
     assert path.read_text() == files.process_name()
     machine, boot, pid, start = living.split("-")
     path.write_text(
         "-".join((machine, boot, pid, str(int(start) - 1)))
     )  # a dead one whose number was used again
-    assert files.claim(path)
+    assert claim(*place)
     path.write_text("-".join(("0" * 8, boot, pid, start)))  # on another machine
-    assert not files.claim(path)
-    age(path, files.CLAIM_AGE + 10)
-    assert files.claim(path)
+    assert not claim(*place)
+    age(path, storage.CLAIM_AGE + 10)
+    assert claim(*place)
     path.write_text("")  # just created
-    assert not files.claim(path)
+    assert not claim(*place)
 
 
-def test_only_one_process_creates_a_claim(tmp_path, monkeypatch):
-    path = tmp_path / "a.claim"
-    monkeypatch.setattr(type(path), "exists", lambda self: False)  # both looked at the same time
-    assert files.claim(path)
-    assert not files.claim(path)
+def test_only_one_process_creates_a_claim(tmp_path):
+    for place in (storage.Folder(tmp_path), storage.Objects("memory://claims")):
+        assert place.create("a.claim", b"one", durable=False)
+        assert not place.create("a.claim", b"two", durable=False)
+        assert place.read("a.claim") == b"one"
 
 
 def test_a_claim_is_kept_while_a_tile_is_computed_and_then_released(folder, monkeypatch):
@@ -98,7 +100,7 @@ def test_tiles_of_others_are_left_to_them_until_they_are_done_or_dead(end, folde
         waits.append(seconds)
         assert sorted(computed) == [0, 1, 2, 4, 5, 6, 7, 8]
         if end == "expired":
-            age(other, files.CLAIM_AGE + 10)
+            age(other, storage.CLAIM_AGE + 10)
         else:
             columns, number, _ = evaluate_at(plan.points, folder.scene, folder.indices(3))
             folder.tiles.write(3, columns, computed=number, seconds=0.0, by="the other one")
@@ -129,3 +131,18 @@ def test_claims_of_killed_processes_are_removed(folder, living):
     folder.tiles.path(2, CLAIM).write_text(living[:-1] + str((int(living[-1]) + 1) % 10))
     folder.status()
     assert [path.name for path in folder.tiles.folder.iterdir()] == [f"00000001{CLAIM}"]
+
+
+def test_a_tile_that_another_process_has_finished_since_the_listing_is_not_computed_again(folder):
+    job = runner._Job(folder, runner._Execution(1, None, None, None, None, 0.0))
+    skipped = []
+    remaining = job.remaining_tiles(type("Bar", (), {"skip": lambda self, points: skipped.append(points)})())
+    first = next(remaining)
+    other = (first + 4) % 9
+    columns, number, _ = runner.evaluate_at(
+        ScenePlan.of(folder.scene).points, folder.scene, folder.indices(other)
+    )
+    folder.tiles.write(other, columns, computed=number, seconds=0.0, by="the other one")
+    assert sorted([first, *remaining]) == sorted({*range(9)} - {other})
+    assert skipped == [7]
+    assert not folder.tiles.path(other, CLAIM).exists()

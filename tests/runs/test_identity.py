@@ -136,8 +136,8 @@ def test_a_worker_that_computes_other_bits_writes_nothing(run, scene, monkeypatc
     runner._open_cached.cache_clear()
     refused = rf"would compute other bits; .* It differs in code \({run.manifest['identity']['code']} in the run, 0+ in"
     for refusing in (
-        lambda: runner.compute_tile(str(run.path), run.key, 0),
-        lambda: runner.check_worker(str(run.path), run.key),
+        lambda: runner.compute_tile(str(run.path), None, run.key, 0),
+        lambda: runner.check_worker(str(run.path), None, run.key),
     ):
         with pytest.raises(BadInput, match=refused) as error:
             refusing()
@@ -151,18 +151,18 @@ def test_a_tile_carries_the_key_of_what_computed_it_and_is_refused_in_another_ru
     monkeypatch.setattr(runner, "identity", lambda plan: other)
     monkeypatch.setattr(runner, "differences", lambda *arguments: "")
     runner._open_cached.cache_clear()
-    runner.compute_tile(str(run.path), run.key, 0)
+    runner.compute_tile(str(run.path), None, run.key, 0)
     assert run.tiles.status().damaged == {0: "its sidecar is of another run or tile"}
     monkeypatch.undo()
     runner._open_cached.cache_clear()
-    runner.compute_tile(str(run.path), run.key, 0)
+    runner.compute_tile(str(run.path), None, run.key, 0)
     assert run.tiles.status().done == [0]
 
 
 def test_a_worker_refuses_another_run_of_the_same_name(run):
     runner._open_cached.cache_clear()
     with pytest.raises(BadInput, match="holds another run on the machine of this worker"):
-        runner.compute_tile(str(run.path), "0" * 64, 0)
+        runner.compute_tile(str(run.path), None, "0" * 64, 0)
 
 
 def test_the_code_of_a_system_of_ones_own_is_part_of_the_identity(scene, tmp_path, monkeypatch):

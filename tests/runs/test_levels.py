@@ -132,7 +132,7 @@ def test_damaged_levels_are_computed_again(scene, whole, tmp_path, evaluated):
         damaged.tiles.path(0).write_bytes(damaged.tiles.path(1).read_bytes())
 
     def lose_points():
-        (damaged.path / POINTS).write_bytes(b"\0" * 8)
+        (damaged.storage.path / POINTS).write_bytes(b"\0" * 8)
 
     def lose_result():
         pass
@@ -148,7 +148,7 @@ def test_damaged_levels_are_computed_again(scene, whole, tmp_path, evaluated):
     assert_whole(run(scene, f"{tmp_path}/night/"), whole)
     # A level of another run is none of this one.
     other = RefinedFolder.prepare(runner.ScenePlan.of(scene), tmp_path / "other", [])
-    (damaged.path).rename(other.path / LEVELS / "0000")
+    damaged.storage.path.rename(other.path / LEVELS / "0000")
     evaluated.clear()
     assert_whole(run(scene, f"{tmp_path}/other/"), whole)
     assert sum(evaluated) == int(whole.computed.sum())
@@ -189,14 +189,14 @@ def test_a_worker_computes_a_tile_of_a_level_and_refuses_another_one(scene, tmp_
     folder = RefinedFolder.prepare(runner.ScenePlan.of(scene), tmp_path / "night", [])
     level = Level(folder, 0, "", np.arange(0, 825, 8))
     level.prepare()
-    runner.compute_tile(str(level.path), level.key, 0)
+    runner.compute_tile(str(folder.path), 0, level.key, 0)
     assert level.tiles.status().done == [0]
     with pytest.raises(BadInput, match="holds another run on the machine of this worker"):
-        runner.compute_tile(str(level.path), "0" * 64, 0)
-    (level.path / POINTS).unlink()
+        runner.compute_tile(str(folder.path), 0, "0" * 64, 0)
+    (level.storage.path / POINTS).unlink()
     runner._open_cached.cache_clear()
     with pytest.raises(BadInput, match=r"damaged: .*; run the scene again, which writes it anew"):
-        runner.compute_tile(str(level.path), level.key, 0)
+        runner.compute_tile(str(folder.path), 0, level.key, 0)
 
 
 def test_dask_workers_compute_the_levels(scene, whole, tmp_path):

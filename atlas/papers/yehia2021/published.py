@@ -290,7 +290,7 @@ def _normal_form(entry: Entry, reading: str, rng: np.random.Generator) -> float:
     rest = Equilibria.of(SATELLITE.body(p), *SATELLITE.start(p))
     form = NormalForm.of(*derivatives(rest, np.zeros(1, int)))
     squares = (np.array([form.l1, form.l2]) * rest.rate) ** 2
-    P, Q = (Expression(name, entry[name]).value(p) for name in "PQ")
+    P, Q = (expression(name, entry[name]).value(p) for name in "PQ")
     return float(np.abs(squares**2 - P * squares + Q).max())
 
 

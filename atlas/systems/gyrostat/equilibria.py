@@ -9,11 +9,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...errors import BadInput
-from ...flags import Completeness, Stability
-from ..base import Array, Points, subset
+from ...flags import Completeness, EnergyStability, Stability, StabilityKind
+from ..base import Array, Mask, Points, subset
 from . import homotopy
 from .body import Body, cross_matrix
-from .variables import FREQUENCIES
+from .secular import critical_directions
+from .variables import FREQUENCIES, stability_kind
 
 if TYPE_CHECKING:
     from .system import Gyrostat
@@ -24,13 +25,14 @@ _SAME = 1e-4  # distance of rotation matrices that are taken as equal
 _MAX_SCALE = 1e60  # of units, rates and torques; products of a few of them are finite
 _BLOCK = 512  # bodies that are computed together
 ANGLES = ("theta0", "psi0", "phi0")
-STABILITY = ("stable", "growth_rate", *FREQUENCIES)
+STABILITY = ("stable", "growth_rate", "energy_stable", "stability_kind", *FREQUENCIES)
 # Variables of equilibria, in their order.
 _VARIABLES = (*ANGLES, "alpha", "gamma", "potential", "index", "circle", "axis", "degenerate", *STABILITY)
 # What stands in the unused places of padded arrays; else nan.
 _UNUSED = {
     "index": np.int8(-1), "dimension": np.int8(-1), "circle": False, "degenerate": False, "flat": False,
-    "stable": np.int8(Stability.UNKNOWN),
+    "stable": np.int8(Stability.UNKNOWN), "energy_stable": np.int8(EnergyStability.UNKNOWN),
+    "stability_kind": np.int8(StabilityKind.UNKNOWN),
 }  # fmt: skip
 
 
@@ -42,7 +44,7 @@ def equilibria(system: Gyrostat, points: Points) -> dict[str, NDArray[Any]]:
 
     points: every parameter, arrays (1,); start values are ignored. Returns theta0, psi0, phi0 (rad), potential (the amended
     one), index (its Morse index; of a degenerate one, that counts the negative eigenvalues), circle (it represents a circle of
-    equilibria), degenerate (isolated, with a zero eigenvalue), stable, growth_rate and the frequencies, (E,); alpha, gamma and
+    equilibria), degenerate (isolated, with a zero eigenvalue) and STABILITY, (E,); alpha, gamma and
     axis, about which the body may be turned by any angle (nan off circles), in body axes, (E, 3). Raises BadInput where a
     surface of orientations is in equilibrium or the search would overflow, RuntimeError where the sum cannot be met.
     """
@@ -59,8 +61,8 @@ def equilibria(system: Gyrostat, points: Points) -> dict[str, NDArray[Any]]:
     frames = _search(body, scale)
     index, axis, degenerate = _classify(body, frames, scale)
     potential = body.potential(frames[:, 0], frames[:, 2]) * given.inertia.max() * rate**2
-    result = _described(frames, potential, index) | {
-        "circle": ~np.isnan(axis[:, 0]), "axis": axis, "degenerate": degenerate,
+    result = described(frames, potential) | {
+        "index": index.astype(np.int8), "circle": ~np.isnan(axis[:, 0]), "axis": axis, "degenerate": degenerate,
     }  # fmt: skip
     members = {name: np.full(len(frames), value[0]) for name, value in points.items()}
     result |= stability_at_rest(system, members, {name: result[name] for name in ANGLES})
@@ -74,8 +76,8 @@ def _scale(body: Body) -> Array:
     return np.abs(body.alpha.gradient) + np.abs(body.gamma.gradient) + vectors.sum(-1)
 
 
-def _described(frames: Array, potential: Array, index: NDArray[Any]) -> dict[str, Any]:
-    """Orientation, potential and index of equilibria; psi = 0 where only psi +- phi is defined."""
+def described(frames: Array, potential: Array) -> dict[str, Any]:
+    """Orientation and potential of equilibria; psi = 0 where only psi +- phi is defined."""
     alpha, beta, gamma = frames[:, 0], frames[:, 1], frames[:, 2]
     sine = np.hypot(gamma[:, 0], gamma[:, 1])
     upright = sine < 1e-9
@@ -83,19 +85,24 @@ def _described(frames: Array, potential: Array, index: NDArray[Any]) -> dict[str
         "theta0": np.arctan2(sine, gamma[:, 2]),
         "psi0": np.where(upright, 0.0, np.arctan2(alpha[:, 2], -beta[:, 2])),
         "phi0": np.where(upright, np.arctan2(-alpha[:, 1], alpha[:, 0]), np.arctan2(gamma[:, 0], gamma[:, 1])),
-        "alpha": alpha, "gamma": gamma, "potential": potential, "index": index.astype(np.int8),
+        "alpha": alpha, "gamma": gamma, "potential": potential,
     }  # fmt: skip
 
 
 def stability_at_rest(
     system: Gyrostat, members: Points, start: Mapping[str, Array]
 ) -> dict[str, NDArray[Any]]:
-    """Linear stability and frequencies of equilibria with these angles and rates, each of the body in the same place."""
+    """Stability and frequencies of equilibria with these angles and rates, each of the body in the same place."""
     rest = {name: np.zeros_like(members["A"]) for name in ("n", "m", "theta_dot0")}
     points = {**members, **rest, **start}
     stable, growth = system.stability(points)
-    values = system.frequencies(points, np.ones_like(stable)).T
-    return {"stable": stable, "growth_rate": growth, **dict(zip(FREQUENCIES, values, strict=True))}
+    every = np.ones_like(stable)
+    energy = system.energy_stability(points, every)
+    return {
+        "stable": stable, "growth_rate": growth, "energy_stable": energy,
+        "stability_kind": stability_kind(stable, growth, energy),
+        **dict(zip(FREQUENCIES, system.frequencies(points, every).T, strict=True)),
+    }  # fmt: skip
 
 
 def equilibria_of_bodies(
@@ -103,9 +110,9 @@ def equilibria_of_bodies(
 ) -> dict[str, NDArray[Any]]:
     """All relative equilibria of many bodies, as `equilibria`, on an orbit by homotopy continuation; see `homotopy`.
 
-    Bodies of which it does not find all equilibria with certainty, those with circles of them and those without an orbit are
-    searched one by one, as `equilibria` does, in about 70 ms each. pause: called at least once a second; it may raise an
-    exception. stability: whether to compute stable, growth_rate and the frequencies. Returns arrays (bodies, places) in the
+    Those of bodies with an axis of symmetry follow from the secular equation. Bodies of which neither finds all equilibria
+    with certainty and those without an orbit are searched one by one, as `equilibria` does, in about 70 ms each. pause:
+    called at least once a second; it may raise an exception. stability: whether to compute STABILITY. Returns arrays (bodies, places) in the
     order of the potential, unused places at the end (nan, index -1, stable 0), and completeness (bodies,), values of flags.Completeness.
     """
     count = points["A"].size
@@ -113,10 +120,14 @@ def equilibria_of_bodies(
     parts = []
     for first in range(0, count, _BLOCK):
         pause()
-        block = subset(points, slice(first, first + _BLOCK))
-        complete, row, columns = _by_continuation(system, block, stability)
-        parts.append({"row": first + row, **columns})
-        for i in first + np.flatnonzero(~complete):
+        remaining = np.arange(first, min(first + _BLOCK, count))
+        for method in (_by_symmetry, _by_continuation):
+            solved, row, columns = method(system, subset(points, remaining), stability)
+            parts.append({"row": remaining[row], **columns})
+            if method is _by_symmetry:
+                completeness[remaining[solved]] = Completeness.NOT_ISOLATED
+            remaining = remaining[~solved]
+        for i in remaining:
             pause()
             try:
                 solutions = equilibria(system, subset(points, [i]))
@@ -164,26 +175,91 @@ def _by_continuation(
     radius, normal, real, complete = homotopy.solve(*(np.where(usable, v.T, 0.0) for v in of_potential))
     complete &= usable
     body, path = np.nonzero(real.T & complete[:, None])
+    frames = _frames(radius[:, path, body].T, normal[:, path, body].T)
     bodies = bodies.subset(body)
-    a, g = radius[:, path, body].T, normal[:, path, body].T
-    hessian = bodies.gradient(a, g)[1]
-    values = np.linalg.eigvalsh(0.5 * (hessian + np.swapaxes(hessian, 1, 2)))
+    values = _hessian_eigenvalues(bodies, frames)
     index = (values < 0).sum(1)
     flat = (np.abs(values) < _ZERO_EIGENVALUE * _scale(bodies)[:, None]).any(1)
     complete[body[flat]] = False
     complete &= np.bincount(body, (-1.0) ** index, rate.size) == 0
-    potential = bodies.potential(a, g) * given.inertia.max(1)[body] * rate[body] ** 2
-    order = np.lexsort((potential, body))
-    order = order[complete[body[order]]]
-    row = body[order]
-    frames = np.stack([a, np.cross(g, a), g], 1)[order]
-    result = _described(frames, potential[order], index[order])
-    result |= {"circle": np.zeros(row.size, bool), "axis": np.full((row.size, 3), np.nan)}
-    result["degenerate"] = np.zeros(row.size, bool)
+    potential = bodies.potential(frames[:, 0], frames[:, 2]) * given.inertia.max(1)[body] * rate[body] ** 2
+    isolated = np.full((body.size, 3), np.nan)
+    return complete, *_listed(system, points, complete, (body, frames, index, potential, isolated), stability)
+
+
+def _by_symmetry(
+    system: Gyrostat, points: Points, stability: bool
+) -> tuple[NDArray[np.bool_], NDArray[np.int64], dict[str, NDArray[Any]]]:
+    """The same of bodies with one axis of symmetry, in a frame of which both directions act.
+
+    The axis s = (s.alpha, s.beta, s.gamma) is a critical point of a quadratic function on the unit sphere.
+    """
+    given = system.body(points)
+    symmetric = np.stack([given.symmetric_about(i) for i in range(3)])
+    solved = (symmetric.sum(0) == 1) & given.acts_along(given.alpha) & (given.turn != 0)
+    i = symmetric.argmax(0)
+    with np.errstate(all="ignore"):
+        bodies = given.scaled(np.where(solved, given.turn, 1.0))
+        solved &= _scale(bodies) < _MAX_SCALE
+        own = np.arange(i.size)
+        excess = bodies.inertia[own, i] - bodies.inertia[own, (i + 1) % 3]
+        along = [(d.gradient * excess, d.field[own, i]) for d in bodies.amended()]
+        d, b = (
+            np.where(solved, [first, np.zeros(i.size), second], 0.0)
+            for first, second in zip(*along, strict=True)
+        )
+    s, dimension = critical_directions(d, b)
+    solved &= ~(dimension > 0).any(0)
+    column, row = np.nonzero((dimension == 0) & solved)
+    axis = s[:, column, row].T
+    first = np.cross(axis, np.eye(3)[np.abs(axis).argmin(1)])
+    first /= np.linalg.norm(first, axis=1)[:, None]
+    # Columns e_i, e_i+1, e_i+2 of the frame by their components along alpha, beta, gamma.
+    frames = np.empty((row.size, 3, 3))
+    for shift, vector in enumerate((axis, first, np.cross(axis, first))):
+        frames[np.arange(row.size), :, (i[row] + shift) % 3] = vector
+    bodies = bodies.subset(row)
+    values = _hessian_eigenvalues(bodies, frames)
+    flat = np.abs(values) < _ZERO_EIGENVALUE * _scale(bodies)[:, None]
+    solved[row[flat.sum(1) != 1]] = False
+    index = ((values < 0) & ~flat).sum(1)
+    potential = bodies.potential(frames[:, 0], frames[:, 2]) * (given.inertia.max(1) * given.turn**2)[row]
+    return solved, *_listed(
+        system, points, solved, (row, frames, index, potential, np.eye(3)[i[row]]), stability
+    )
+
+
+def _frames(alpha: Array, gamma: Array) -> Array:
+    """Rows alpha, beta, gamma."""
+    return np.stack([alpha, np.cross(gamma, alpha), gamma], -2)
+
+
+def _hessian_eigenvalues(bodies: Body, frames: Array) -> Array:
+    """Eigenvalues of the Hessian at equilibria, ascending, (E, 3)."""
+    hessian = bodies.gradient(frames[:, 0], frames[:, 2])[1]
+    return np.asarray(np.linalg.eigvalsh(0.5 * (hessian + np.swapaxes(hessian, 1, 2))), float)
+
+
+def _listed(
+    system: Gyrostat, points: Points, kept: Mask, columns: tuple[NDArray[Any], ...], stability: bool
+) -> tuple[NDArray[np.int64], dict[str, NDArray[Any]]]:
+    """Body and variables of equilibria that are not degenerate, of the bodies that are kept, in the order of the potential.
+
+    columns: body, frame, index, potential and axis of each equilibrium.
+    """
+    order = np.lexsort((columns[3], columns[0]))
+    row, frames, index, potential, axis = (column[order[kept[columns[0][order]]]] for column in columns)
+    result = described(frames, potential)
+    result |= {
+        "index": index.astype(np.int8),
+        "circle": ~np.isnan(axis[:, 0]),
+        "axis": axis,
+        "degenerate": np.zeros(row.size, bool),
+    }
     if stability:
         angles = {name: result[name] for name in ANGLES}
         result |= stability_at_rest(system, subset(points, row), angles)
-    return complete, row, result
+    return row, result
 
 
 def _search(bodies: Body, scale: float) -> Array:
@@ -210,7 +286,7 @@ def _search(bodies: Body, scale: float) -> Array:
     return frames
 
 
-def _rotated(frames: Array, xi: Array) -> Array:
+def rotated(frames: Array, xi: Array) -> Array:
     """Frames after the body turned by the rotation vectors xi (body axes)."""
     angle = np.linalg.norm(xi, axis=-1)[..., None, None]
     hat = cross_matrix(xi)
@@ -229,7 +305,7 @@ def _critical(bodies: Body, frames: Array, scale: float) -> Array:
         inverse = values / (values**2 + (1e-7 * scale) ** 2)
         step = -np.einsum("nji,nj,nkj,nk->ni", right, inverse, left, gradient)
         length = np.linalg.norm(step, axis=1)
-        frames[active] = _rotated(
+        frames[active] = rotated(
             frames[active], step * np.minimum(1.0, 0.5 / np.maximum(length, 0.5))[:, None]
         )
         active = active[length > 1e-9]
@@ -250,7 +326,7 @@ def _classify(
         )
     axis = np.einsum("nij,nj->ni", vectors, flat.astype(float))
     # A circle is the orbit of a symmetry, of the body about one of its axes or about the normal.
-    turned = _rotated(frames, np.array([0.3, 1.1, 2.5, 4.0])[:, None, None] * axis)
+    turned = rotated(frames, np.array([0.3, 1.1, 2.5, 4.0])[:, None, None] * axis)
     gradient, _ = bodies.gradient(turned[:, :, 0], turned[:, :, 2])
     circle = flat.any(1) & (np.linalg.norm(gradient, axis=2).max(0) < _ZERO_EIGENVALUE * scale)
     return ((values < 0) & ~flat).sum(1), np.where(circle[:, None], axis, np.nan), flat.any(1) & ~circle

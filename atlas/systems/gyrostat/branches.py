@@ -140,12 +140,10 @@ class Bifurcation(NamedTuple):
     solutions: list[Solution]  # one of each branch
 
 
-def solutions_at(
-    family: Family, values: Array, stability: bool = False
-) -> tuple[Nodes, dict[str, NDArray[Any]]]:
-    """All solutions at some values, (nodes,), and what `equilibria_of_bodies` says of them."""
+def solutions_at(family: Family, values: Array, given: bool = False) -> tuple[Nodes, dict[str, NDArray[Any]]]:
+    """All solutions at some values, (nodes,), and what `equilibria_of_bodies` says of them; given: by the caller, in order."""
     points = family.points(values[:, None])
-    listed = family.system.equilibria_of_bodies(points, lambda: None, stability)
+    listed = family.system.equilibria_of_bodies(points, lambda: None, stability=given, ordered=given)
     gamma, used = listed["gamma"], listed["index"] >= 0
     across = np.cross(gamma, np.eye(3)[np.nan_to_num(np.abs(gamma)).argmin(-1)])
     alpha = listed.get("alpha", across / length(across)[..., None])
@@ -270,7 +268,7 @@ class Branches(NamedTuple):
 
 def follow(family: Family, values: Array, part: Places) -> Branches:
     """Branches of all solutions over increasing values, (values,); none goes on from one part of them to another."""
-    nodes, listed = solutions_at(family, values, stability=True)
+    nodes, listed = solutions_at(family, values, given=True)
     usable = np.flatnonzero(nodes.usable).tolist()
     pending = [(a, b) for a, b in pairwise(usable) if part[a] == part[b]]
     finished, points = [], []
@@ -278,10 +276,13 @@ def follow(family: Family, values: Array, part: Places) -> Branches:
         if not pending:
             break
         low, high = np.array(pending).T
-        rows = zip(low.tolist(), high.tolist(), joined(family, nodes, low, high), strict=True)
-        every = [Interval.of(nodes, *row) for row in rows]
-        unclear = [each for each in every if each.ends or each.changes]
-        finished += [each for each in every if not (each.ends or each.changes)]
+        follower = joined(family, nodes, low, high)
+        going, used = follower >= 0, nodes.morse >= 0
+        same = nodes.morse[low] == np.take_along_axis(nodes.morse[high], np.maximum(follower, 0), 1)
+        clear = (going == used[low]).all(1) & (going.sum(1) == used[high].sum(1)) & (same | ~going).all(1)
+        rows = list(zip(low.tolist(), high.tolist(), follower, strict=True))
+        finished += [Interval(*rows[i], [], []) for i in np.flatnonzero(clear)]
+        unclear = [Interval.of(nodes, *rows[i]) for i in np.flatnonzero(~clear)]
         pending, divided = [], []
         for each, inside in zip(
             unclear, bifurcations(family, nodes, unclear) if unclear else (), strict=True

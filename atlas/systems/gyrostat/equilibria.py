@@ -106,13 +106,17 @@ def stability_at_rest(
 
 
 def equilibria_of_bodies(
-    system: Gyrostat, points: Points, pause: Callable[[], None] = lambda: None, stability: bool = True
+    system: Gyrostat,
+    points: Points,
+    pause: Callable[[], None] = lambda: None,
+    stability: bool = True,
+    ordered: bool = False,
 ) -> dict[str, NDArray[Any]]:
     """All relative equilibria of many bodies, as `equilibria`, on an orbit by homotopy continuation; see `homotopy`.
 
     Those of bodies with an axis of symmetry follow from the secular equation. Bodies of which neither finds all equilibria
     with certainty and those without an orbit are searched one by one, as `equilibria` does, in about 70 ms each. pause:
-    called at least once a second; it may raise an exception. stability: whether to compute STABILITY. Returns arrays (bodies, places) in the
+    called at least once a second; it may raise an exception. stability: whether to compute STABILITY. ordered: see `homotopy.solve`. Returns arrays (bodies, places) in the
     order of the potential, unused places at the end (nan, index -1, stable 0), and completeness (bodies,), values of flags.Completeness.
     """
     count = points["A"].size
@@ -120,14 +124,11 @@ def equilibria_of_bodies(
     parts = []
     for first in range(0, count, _BLOCK):
         pause()
-        remaining = np.arange(first, min(first + _BLOCK, count))
-        for method in (_by_symmetry, _by_continuation):
-            solved, row, columns = method(system, subset(points, remaining), stability)
-            parts.append({"row": remaining[row], **columns})
-            if method is _by_symmetry:
-                completeness[remaining[solved]] = Completeness.NOT_ISOLATED
-            remaining = remaining[~solved]
-        for i in remaining:
+        block = np.arange(first, min(first + _BLOCK, count))
+        solved, symmetric, row, columns = _at_once(system, subset(points, block), stability, ordered)
+        parts.append({"row": block[row], **columns})
+        completeness[block[solved & symmetric]] = Completeness.NOT_ISOLATED
+        for i in block[~solved]:
             pause()
             try:
                 solutions = equilibria(system, subset(points, [i]))
@@ -157,10 +158,10 @@ def padded(columns: Mapping[str, NDArray[Any]], count: int, places: int) -> dict
     return result
 
 
-def _by_continuation(
-    system: Gyrostat, points: Points, stability: bool
-) -> tuple[NDArray[np.bool_], NDArray[np.int64], dict[str, NDArray[Any]]]:
-    """Of which bodies the continuation finds all equilibria, and these: the body of each, and its variables."""
+def _at_once(
+    system: Gyrostat, points: Points, stability: bool, ordered: bool
+) -> tuple[Mask, Mask, NDArray[np.int64], dict[str, NDArray[Any]]]:
+    """Which bodies have all equilibria here, which are symmetric; of each equilibrium the body, and its variables."""
     given = system.body(points)
     rate = np.where(given.turn == 0, 1.0, given.turn)
     with np.errstate(all="ignore"):
@@ -171,95 +172,60 @@ def _by_continuation(
         vectors = np.concatenate([bodies.rotor, alpha.field, gamma.field], -1)
         usable &= (np.abs(vectors) < _MAX_SCALE).all(-1)
         usable &= (np.abs(alpha.gradient - 3) < 1e-9) & (np.abs(gamma.gradient + 1) < 1e-9)
-    of_potential = (bodies.inertia, alpha.field, gamma.field)
-    radius, normal, real, complete = homotopy.solve(*(np.where(usable, v.T, 0.0) for v in of_potential))
-    complete &= usable
-    body, path = np.nonzero(real.T & complete[:, None])
-    frames = _frames(radius[:, path, body].T, normal[:, path, body].T)
-    bodies = bodies.subset(body)
-    values = _hessian_eigenvalues(bodies, frames)
-    index = (values < 0).sum(1)
-    flat = (np.abs(values) < _ZERO_EIGENVALUE * _scale(bodies)[:, None]).any(1)
-    complete[body[flat]] = False
-    complete &= np.bincount(body, (-1.0) ** index, rate.size) == 0
-    potential = bodies.potential(frames[:, 0], frames[:, 2]) * given.inertia.max(1)[body] * rate[body] ** 2
-    isolated = np.full((body.size, 3), np.nan)
-    return complete, *_listed(system, points, complete, (body, frames, index, potential, isolated), stability)
-
-
-def _by_symmetry(
-    system: Gyrostat, points: Points, stability: bool
-) -> tuple[NDArray[np.bool_], NDArray[np.int64], dict[str, NDArray[Any]]]:
-    """The same of bodies with one axis of symmetry, in a frame of which both directions act.
-
-    The axis s = (s.alpha, s.beta, s.gamma) is a critical point of a quadratic function on the unit sphere.
-    """
-    given = system.body(points)
-    symmetric = np.stack([given.symmetric_about(i) for i in range(3)])
-    solved = (symmetric.sum(0) == 1) & given.acts_along(given.alpha) & (given.turn != 0)
-    i = symmetric.argmax(0)
-    with np.errstate(all="ignore"):
-        bodies = given.scaled(np.where(solved, given.turn, 1.0))
-        solved &= _scale(bodies) < _MAX_SCALE
-        own = np.arange(i.size)
-        excess = bodies.inertia[own, i] - bodies.inertia[own, (i + 1) % 3]
-        along = [(d.gradient * excess, d.field[own, i]) for d in bodies.amended()]
-        d, b = (
-            np.where(solved, [first, np.zeros(i.size), second], 0.0)
-            for first, second in zip(*along, strict=True)
-        )
-    s, dimension = critical_directions(d, b)
-    solved &= ~(dimension > 0).any(0)
-    column, row = np.nonzero((dimension == 0) & solved)
-    axis = s[:, column, row].T
-    first = np.cross(axis, np.eye(3)[np.abs(axis).argmin(1)])
-    first /= np.linalg.norm(first, axis=1)[:, None]
-    # Columns e_i, e_i+1, e_i+2 of the frame by their components along alpha, beta, gamma.
-    frames = np.empty((row.size, 3, 3))
-    for shift, vector in enumerate((axis, first, np.cross(axis, first))):
-        frames[np.arange(row.size), :, (i[row] + shift) % 3] = vector
+    axes = np.stack([given.symmetric_about(i) for i in range(3)], 1)
+    symmetric = np.asarray(axes.any(1))
+    general, single = np.flatnonzero(usable & ~symmetric), np.flatnonzero(usable & (axes.sum(1) == 1))
+    parts = [(general, *_by_continuation(bodies.subset(general), ordered))]
+    parts += [(single, *_by_symmetry(bodies.subset(single), axes[single].argmax(1)))]
+    row, frames = (np.concatenate(c) for c in zip(*((some[body], f) for some, body, f in parts), strict=True))
     bodies = bodies.subset(row)
-    values = _hessian_eigenvalues(bodies, frames)
-    flat = np.abs(values) < _ZERO_EIGENVALUE * _scale(bodies)[:, None]
-    solved[row[flat.sum(1) != 1]] = False
-    index = ((values < 0) & ~flat).sum(1)
-    potential = bodies.potential(frames[:, 0], frames[:, 2]) * (given.inertia.max(1) * given.turn**2)[row]
-    return solved, *_listed(
-        system, points, solved, (row, frames, index, potential, np.eye(3)[i[row]]), stability
-    )
-
-
-def _frames(alpha: Array, gamma: Array) -> Array:
-    """Rows alpha, beta, gamma."""
-    return np.stack([alpha, np.cross(gamma, alpha), gamma], -2)
-
-
-def _hessian_eigenvalues(bodies: Body, frames: Array) -> Array:
-    """Eigenvalues of the Hessian at equilibria, ascending, (E, 3)."""
     hessian = bodies.gradient(frames[:, 0], frames[:, 2])[1]
-    return np.asarray(np.linalg.eigvalsh(0.5 * (hessian + np.swapaxes(hessian, 1, 2))), float)
-
-
-def _listed(
-    system: Gyrostat, points: Points, kept: Mask, columns: tuple[NDArray[Any], ...], stability: bool
-) -> tuple[NDArray[np.int64], dict[str, NDArray[Any]]]:
-    """Body and variables of equilibria that are not degenerate, of the bodies that are kept, in the order of the potential.
-
-    columns: body, frame, index, potential and axis of each equilibrium.
-    """
-    order = np.lexsort((columns[3], columns[0]))
-    row, frames, index, potential, axis = (column[order[kept[columns[0][order]]]] for column in columns)
-    result = described(frames, potential)
-    result |= {
-        "index": index.astype(np.int8),
-        "circle": ~np.isnan(axis[:, 0]),
-        "axis": axis,
-        "degenerate": np.zeros(row.size, bool),
-    }
+    values = np.linalg.eigvalsh(0.5 * (hessian + np.swapaxes(hessian, 1, 2)))
+    flat = np.abs(values) < _ZERO_EIGENVALUE * _scale(bodies)[:, None]
+    index = ((values < 0) & ~flat).sum(1)
+    # The Poincare-Hopf sum is 0 on SO(3), and 2 on the sphere of the axis of symmetry.
+    sums = np.bincount(row, (-1.0) ** index, rate.size)
+    solved = (np.bincount(row, minlength=rate.size) > 0) & (sums == 2 * symmetric)
+    solved[row[flat.sum(1) != symmetric[row]]] = False
+    potential = bodies.potential(frames[:, 0], frames[:, 2]) * given.inertia.max(1)[row] * rate[row] ** 2
+    order = np.lexsort((potential, row))
+    order = order[solved[row[order]]]
+    row, circle = row[order], symmetric[row[order]]
+    result = described(frames[order], potential[order]) | {
+        "index": index[order].astype(np.int8), "circle": circle, "degenerate": np.zeros(row.size, bool),
+        "axis": np.where(circle[:, None], axes[row], np.nan),
+    }  # fmt: skip
     if stability:
         angles = {name: result[name] for name in ANGLES}
         result |= stability_at_rest(system, subset(points, row), angles)
-    return row, result
+    return solved, symmetric, row, result
+
+
+def _by_continuation(bodies: Body, ordered: bool) -> tuple[NDArray[np.int64], Array]:
+    """Body and frame of each equilibrium, of those bodies of which the continuation finds all."""
+    alpha, gamma = (direction.field.T for direction in bodies.amended())
+    radius, normal, real, complete = homotopy.solve(bodies.inertia.T, alpha, gamma, ordered)
+    body, path = np.nonzero(real.T & complete[:, None])
+    a, g = radius[:, path, body].T, normal[:, path, body].T
+    return body, np.stack([a, np.cross(g, a), g], 1)
+
+
+def _by_symmetry(bodies: Body, i: NDArray[np.int64]) -> tuple[NDArray[np.int64], Array]:
+    """The same of bodies with one axis of symmetry i, which in the frame is a critical point of a function on the sphere."""
+    own = np.arange(i.size)
+    excess, none = bodies.inertia[own, i] - bodies.inertia[own, (i + 1) % 3], np.zeros(i.size)
+    alpha, gamma = bodies.amended()
+    d = np.array([alpha.gradient * excess, none, gamma.gradient * excess])
+    b = np.array([alpha.field[own, i], none, gamma.field[own, i]])
+    components, dimension = critical_directions(d, b)
+    column, body = np.nonzero((dimension == 0) & ~(dimension > 0).any(0))
+    axis = components[:, column, body].T
+    across = np.cross(axis, np.eye(3)[np.abs(axis).argmin(1)])
+    across /= np.linalg.norm(across, axis=1)[:, None]
+    frames = np.empty((body.size, 3, 3))
+    for shift, vector in enumerate((axis, across, np.cross(axis, across))):
+        frames[np.arange(body.size), :, (i[body] + shift) % 3] = vector
+    return body, frames
 
 
 def _search(bodies: Body, scale: float) -> Array:

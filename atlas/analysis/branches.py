@@ -78,8 +78,8 @@ def branches(
 
     Notes
     -----
-    No branch is lost at a value that is looked at. One that begins and ends between two of them is found only if another
-    branch shows it by a determinant of the Hessian that falls towards 0 in between.
+    No branch is lost at a value that is looked at. One with two folds between two values is found where the tangents at both do
+    not predict one another; a closed line of equilibria between two values leaves no trace and is not found.
     """
     table = {
         "schema": SCHEMA, "title": "branches", "system": system, "fixed": dict(body), "ties": dict(ties or {}),

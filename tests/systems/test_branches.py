@@ -79,6 +79,14 @@ def test_verified_folds_of_permanent_rotations(case):
     assert counts == [[fold["count_below"], fold["count_above"]] for fold in case["folds"]]
 
 
+def test_folds_between_two_values():
+    """A window of two more minima, of which the numbers of equilibria at the values given tell nothing."""
+    ds = atlas.branches("satellite", BODY | {"k2": 0.02, "k3": 0.05}, along={"k1": [0.9, 1.2, 1.5]})
+    assert ds.equilibrium_count.values.tolist() == [12, 12, 12]
+    folds = [float(fold["k1"]) for fold in ORACLE["satellite"][0]["folds"][3:5]]
+    np.testing.assert_allclose(ds.fold_k1, np.repeat(folds, 2), rtol=1e-12)
+
+
 @pytest.mark.parametrize("N", [-1.0, 4.0])
 def test_folds_move_with_the_newtonian_field_by_a_law(N):
     """Without a rotor n_fold^2 = N +- n_fold(0)^2, as far as that is positive."""

@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...flags import BifurcationKind, Completeness
-from ..base import Array, Mask, Points, subset
+from ..base import Array, Mask, Points
 from .body import length
 from .equilibria import rotated
 
@@ -142,22 +142,17 @@ class Bifurcation(NamedTuple):
 
 def solutions_at(family: Family, values: Array, given: bool = False) -> tuple[Nodes, dict[str, NDArray[Any]]]:
     """All solutions at some values, (nodes,), and what `equilibria_of_bodies` says of them; given: by the caller, in order."""
-    points = family.points(values[:, None])
-    listed = family.system.equilibria_of_bodies(points, lambda: None, stability=given, ordered=given)
-    gamma, used = listed["gamma"], listed["index"] >= 0
-    across = np.cross(gamma, np.eye(3)[np.nan_to_num(np.abs(gamma)).argmin(-1)])
-    alpha = listed.get("alpha", across / length(across)[..., None])
-    frames = np.stack([alpha, np.cross(gamma, alpha), gamma], -2)
-    node, some, step = np.nonzero(used)[0], frames[used], _DIFFERENCE * family.span
-    _, hessian, _, unit = family.linear(values[node, None], some)
+    listed, frames, (eigenvalues, vectors), unit = _listed(family, values[:, None], given)
+    used, step = listed["index"] >= 0, _DIFFERENCE * family.span
+    node, some = np.nonzero(used)[0], frames[used]
     below, above = (family.linear(values[node, None] + shift, some, unit)[0] for shift in (-step, step))
-    eigenvalues, vectors = np.linalg.eigh(hessian)
     index, number, turn = listed["index"].copy(), np.zeros(used.shape, int), np.zeros((*used.shape, 3))
     rates = np.einsum("nji,nj->ni", vectors, (below - above) / (2 * step)) * eigenvalues
     turn[used] = np.einsum("nij,nj->ni", vectors, rates / (eigenvalues**2 + _DAMPING**2))
     index[used], number[used] = (eigenvalues < 0).sum(1), np.abs(eigenvalues).argmin(1)
     potential = np.full(used.shape, np.nan)
-    potential[used] = family.system.body_at_rest(subset(points, node)).potential(some[:, 0], some[:, 2])
+    body = family.system.body_at_rest(family.points(values[node, None]))
+    potential[used] = body.potential(some[:, 0], some[:, 2])
     allowed = [Completeness.COMPLETE, Completeness.NEAR_BIFURCATION]
     allowed += [Completeness.NOT_ISOLATED] if family.axis >= 0 else []
     usable = np.isin(listed["completeness"], allowed)
@@ -168,6 +163,39 @@ def solutions_at(family: Family, values: Array, given: bool = False) -> tuple[No
     return Nodes(values, frames, index, number, turn, usable), {"potential": potential} | listed | {
         "index": index
     }
+
+
+def _listed(family: Family, values: Array, given: bool) -> tuple[dict[str, NDArray[Any]], Array, Any, Array]:
+    """All solutions at values (bodies, parameters) and their frames (bodies, places, 3, 3); of those in use, (N,), the
+    eigenvalues and eigenvectors of the Hessian, and its size.
+    """
+    points = family.points(values)
+    listed = family.system.equilibria_of_bodies(points, lambda: None, stability=given, ordered=given)
+    gamma, used = listed["gamma"], listed["index"] >= 0
+    across = np.cross(gamma, np.eye(3)[np.nan_to_num(np.abs(gamma)).argmin(-1)])
+    alpha = listed.get("alpha", across / length(across)[..., None])
+    frames = np.stack([alpha, np.cross(gamma, alpha), gamma], -2)
+    _, hessian, _, unit = family.linear(values[np.nonzero(used)[0]], frames[used])
+    return listed, frames, np.linalg.eigh(hessian), unit
+
+
+def on_bifurcations(family: Family, low: Array, high: Array, reach: float) -> Array:
+    """Points at which solutions merge, exact but for rounding, between near bodies with different numbers of them.
+
+    Newton's method starts from the solution nearest to a bifurcation of the body that has more. low, high: parameters of both,
+    (N, parameters). Returns the middle where it ends farther from there than reach, in units of the ranges.
+    """
+    middle, values = 0.5 * (low + high), np.concatenate([low, high])
+    listed, frames, (eigenvalues, _), _ = _listed(family, values, False)
+    used = listed["index"] >= 0
+    size, number = np.full(used.shape, np.inf), np.zeros(used.shape, int)
+    size[used], number[used] = np.abs(eigenvalues).min(1), np.abs(eigenvalues).argmin(1)
+    first, second = used.sum(1).reshape(2, -1)
+    body = np.arange(len(low)) + len(low) * (second > first)
+    chosen = body, size[body].argmin(1)
+    points, _, _, step, _ = family.singular(values[body], frames[chosen], number[chosen])
+    near = length((points - middle) / family.span) < reach
+    return np.where((near & (step < _CONVERGED))[:, None], points, middle)
 
 
 def prediction_errors(family: Family, nodes: Nodes, start: Places, end: Places) -> Array:

@@ -41,7 +41,10 @@ def check_consistent(ds, along, characteristic):
         own = (ds.fold_branch == branch).any("meeting").values
         changes = values[where[:-1]][np.diff(index[where]) != 0]
         inside = ds[f"fold_{along}"].values[own & (ds.fold_kind != FOLD).values]
-        assert all(((inside >= low) & (inside <= low + values[1] - values[0])).any() for low in changes)
+        following = values[np.minimum(np.searchsorted(values, changes) + 1, values.size - 1)]
+        assert all(
+            ((inside >= low) & (inside <= high)).any() for low, high in zip(changes, following, strict=True)
+        )
         assert own.sum() >= (where[0] > 0) + (where[-1] < values.size - 1)
 
 
@@ -124,6 +127,15 @@ def test_pitchforks_of_a_rotor_along_an_axis():
     counts = ds.equilibrium_count.sel(k3=[0.1, 0.5, 1.2, 2.0, 3.0], method="nearest")
     assert counts.values.tolist() == [24, 20, 16, 12, 8]
     assert ((ds.fold_branch >= 0).sum("meeting") == np.where(ds.fold_kind == PITCHFORK, 3, 1)).all()
+
+
+def test_pitchforks_of_a_rotor_across_an_axis_over_a_wide_range():
+    """Branches leave these pitchforks so steeply that Newton's method from beside them has to be told from one that ends."""
+    values = np.geomspace(0.01, 30.0, 20)
+    ds = atlas.branches("satellite", BODY | {"k1": 0.05, "k3": 0.3}, along={"Omega": values})
+    check_consistent(ds, "Omega", 0)
+    assert ((ds.fold_branch >= 0).sum("meeting") == np.where(ds.fold_kind == PITCHFORK, 3, 2)).all()
+    assert (ds.fold_kind == PITCHFORK).sum() == 8
 
 
 def test_circles_of_equilibria_of_a_symmetric_satellite():

@@ -35,6 +35,8 @@ _ROUNDS, _GOLDEN = 30, 0.618034  # divisions of an interval, at fractions that m
 _DIFFERENCE = 1e-5  # step of central differences, in rad and in units of the ranges of the parameters
 _ITERATIONS, _DAMPING = 15, 1e-7
 _CONVERGED = 1e-9  # last step of Newton's method, in units of the range
+_SETTLED = 1e-6  # the same with its rotation: from beside a pitchfork steps only halve
+_BLOCK = 512  # intervals joined together
 _SAME = 1e-3  # distance of points that are one
 # Relative sizes: of an eigenvalue at a solution that is degenerate, of the derivative along the null vector at a fold.
 _DEGENERATE = _TRANSVERSAL = 1e-6
@@ -45,7 +47,7 @@ class Family(NamedTuple):
 
     system: Gyrostat
     points: Callable[[Array], Points]  # every parameter of bodies from the values (bodies, parameters)
-    span: Array  # ranges of the parameters, their units, (parameters,)
+    limits: Array  # lowest and highest values of the parameters, (2, parameters)
     upright: bool  # every solution may be turned about the vertical
     axis: int  # and about this axis of the body; -1: none
 
@@ -55,9 +57,13 @@ class Family(NamedTuple):
         body = system.body_at_rest(points(values))
         symmetric = [i for i in range(3) if 2 * body.symmetric_about(i).sum() > len(values)]
         upright = 2 * body.acts_along(body.alpha).sum() < len(values)
-        return cls(
-            system, points, np.ptp(values, axis=0), bool(upright), symmetric[0] if len(symmetric) == 1 else -1
-        )
+        limits, axis = np.array([values.min(0), values.max(0)]), symmetric[0] if len(symmetric) == 1 else -1
+        return cls(system, points, limits, bool(upright), axis)
+
+    @property
+    def span(self) -> Array:
+        """Ranges of the parameters, their units."""
+        return np.asarray(self.limits[1] - self.limits[0])
 
     def place(self, frames: Array) -> Array:
         """What no turn about a cyclic direction changes, (..., components)."""
@@ -69,7 +75,7 @@ class Family(NamedTuple):
     def linear(
         self, values: Array, frames: Array, unit: Array | None = None
     ) -> tuple[Array, Array, Array, Array]:
-        """Gradient and Hessian of W over their size, the latter with the projector onto the cyclic directions; both also given."""
+        """Gradient and Hessian of W over their size, the latter plus the projector onto the cyclic directions; it, and the size."""
         body = self.system.body_at_rest(self.points(values))
         if unit is None:
             spread = np.ptp(body.inertia, axis=1)
@@ -88,7 +94,7 @@ class Family(NamedTuple):
     def singular(
         self, values: Array, frames: Array, number: Places
     ) -> tuple[Array, Array, Array, Array, Mask]:
-        """Where eigenvalues of these numbers vanish: values, frames, null vectors, last steps, and which are folds.
+        """Where eigenvalues of these numbers vanish: values, frames, null vectors, last steps of the values, which are folds.
 
         Steps are damped least squares: at a pitchfork the derivatives along the null vector vanish, as the equations do.
         """
@@ -109,10 +115,12 @@ class Family(NamedTuple):
             inverse = sizes / (sizes**2 + (_DAMPING * sizes[:, :1]) ** 2)
             step = -np.einsum("nji,nj,nkj,nk->ni", right, inverse, left, residual[0])
             step /= np.maximum(1.0, length(step) / _MAX_TURN)[:, None]
-            frames, values = rotated(frames, step[:, :3]), values + self.span * step[:, 3:]
+            frames = rotated(frames, step[:, :3])
+            values = np.clip(values + self.span * step[:, 3:], *self.limits)  # beyond may be no body
         null, slope = vectors[np.arange(count), :, number], slopes[3:, :, :3]
         across = np.abs((slope * null).sum(-1)) > _TRANSVERSAL * np.abs(slope).max(-1)
-        return values, frames, null, np.abs(step[:, 3:]).max(1), across.any(0)
+        error = np.where(length(step) < _SETTLED, np.abs(step[:, 3:]).max(1), np.inf)
+        return values, frames, null, error, across.any(0)
 
 
 class Nodes(NamedTuple):
@@ -209,8 +217,12 @@ def prediction_errors(family: Family, nodes: Nodes, start: Places, end: Places) 
 
 def joined(family: Family, nodes: Nodes, low: Places, high: Places) -> Places:
     """Which solution at the upper ends of intervals follows each one at the lower ends, -1: none, (intervals, places)."""
-    backward = prediction_errors(family, nodes, high, low)
-    return clear_choices(prediction_errors(family, nodes, low, high) + np.swapaxes(backward, 1, 2))
+    followers = []
+    for first in range(0, low.size, _BLOCK):
+        a, b = low[first : first + _BLOCK], high[first : first + _BLOCK]
+        backward = np.swapaxes(prediction_errors(family, nodes, b, a), 1, 2)
+        followers.append(clear_choices(prediction_errors(family, nodes, a, b) + backward))
+    return np.concatenate(followers)
 
 
 def clear_choices(errors: Array) -> Places:

@@ -253,6 +253,7 @@ CHANGE = "change of the number"
 COUNT_BISECTIONS = 6  # of the distance between two neighbouring points of the atlas
 # Counts that change only where equilibria merge, so that Newton's method ends on the line.
 MERGING_COUNTS = ("equilibrium_count", "equilibrium_energy_stable_count")
+MERGING_BISECTIONS = 3  # nearer to the line counts take long
 
 
 def count_borders(plane: Plane, counts: xr.DataArray, derived: DerivedVariable) -> dict[str, list[Array]]:
@@ -276,18 +277,21 @@ def count_borders(plane: Plane, counts: xr.DataArray, derived: DerivedVariable) 
     vertices = np.concatenate([line for _, line in lines])
     level_of = np.concatenate([np.full(len(line), level) for level, line in lines])
     low, high = np.floor(vertices + 0.25), np.ceil(vertices - 0.25)
-    vertices = _bisected(is_above, low, high, COUNT_BISECTIONS)
     ends = np.cumsum([len(line) for _, line in lines])[:-1]
     system = plane.scene.system
-    if derived.name in MERGING_COUNTS and isinstance(system, Gyrostat):
-        half = 0.5 ** (COUNT_BISECTIONS + 1) * (high - low)
+    merging = derived.name in MERGING_COUNTS
+    bisections = MERGING_BISECTIONS if merging else COUNT_BISECTIONS
+    vertices = _bisected(is_above, low, high, bisections)
+    if merging and isinstance(system, Gyrostat):
+        half = 0.5 ** (bisections + 1) * (high - low)
         below, above = (_interpolated(vertices + side * half, axes) for side in (-1, 1))
 
         def points(values: Array) -> Points:
             return plane.points(dict(zip(plane.extent, values.T, strict=True))).base
 
         family = Family.of(system, points, np.array(list(plane.extent.values())).T)
-        return {CHANGE: np.split(on_bifurcations(family, below, above, 0.1 / max(map(len, axes))), ends)}
+        reach = 0.5 * _interpolated(vertices, [np.gradient(axis) for axis in axes])  # half a cell
+        return {CHANGE: np.split(on_bifurcations(family, below, above, reach), ends)}
     return {CHANGE: np.split(_interpolated(vertices, axes), ends)}
 
 

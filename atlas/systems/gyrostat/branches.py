@@ -37,6 +37,7 @@ _ITERATIONS, _DAMPING = 15, 1e-7
 _CONVERGED = 1e-9  # last step of Newton's method, in units of the range
 _SETTLED = 1e-6  # the same with its rotation: from beside a pitchfork steps only halve
 _BLOCK = 512  # intervals joined together
+_CANDIDATES = 4  # solutions that may merge
 _SAME = 1e-3  # distance of points that are one
 # Relative sizes: of an eigenvalue at a solution that is degenerate, of the derivative along the null vector at a fold.
 _DEGENERATE = _TRANSVERSAL = 1e-6
@@ -92,35 +93,36 @@ class Family(NamedTuple):
         return gradient / unit[:, None], hessian + projector, projector, unit
 
     def singular(
-        self, values: Array, frames: Array, number: Places
+        self, values: Array, frames: Array, number: Places, varied: Mask
     ) -> tuple[Array, Array, Array, Array, Mask]:
         """Where eigenvalues of these numbers vanish: values, frames, null vectors, last steps of the values, which are folds.
 
+        varied: the one parameter that changes from each start, (N, parameters).
         Steps are damped least squares: at a pitchfork the derivatives along the null vector vanish, as the equations do.
         """
-        count, unknowns = len(values), 3 + len(self.span)
-        steps = _DIFFERENCE * np.concatenate([np.zeros((1, unknowns)), np.eye(unknowns), -np.eye(unknowns)])
-        steps = np.broadcast_to(steps[:, None], (len(steps), count, unknowns))
+        count, units = len(values), self.span * varied
+        steps = _DIFFERENCE * np.concatenate([np.zeros((1, 4)), np.eye(4), -np.eye(4)])
+        steps = np.broadcast_to(steps[:, None], (9, count, 4))
         for _ in range(_ITERATIONS):
             projector, unit = self.linear(values, frames)[2:]
-            changed = (values + self.span * steps[..., 3:]).reshape(-1, len(self.span))
+            changed = (values + units * steps[..., 3:]).reshape(-1, values.shape[1])
             turned = rotated(frames, steps[..., :3]).reshape(-1, 3, 3)
-            gradient, hessian, *_ = self.linear(changed, turned, np.tile(unit, len(steps)))
+            gradient, hessian, *_ = self.linear(changed, turned, np.tile(unit, 9))
             gradient = gradient.reshape(-1, count, 3) + np.einsum("nij,snj->sni", projector, steps[..., :3])
             eigenvalues, vectors = np.linalg.eigh(hessian)
             kappa = np.take_along_axis(eigenvalues.reshape(-1, count, 3), number[None, :, None], 2)
             residual = np.concatenate([gradient, kappa], -1)
-            slopes = (residual[1 : unknowns + 1] - residual[unknowns + 1 :]) / (2 * _DIFFERENCE)
+            slopes = (residual[1:5] - residual[5:]) / (2 * _DIFFERENCE)
             left, sizes, right = np.linalg.svd(np.moveaxis(slopes, 0, -1), full_matrices=False)
             inverse = sizes / (sizes**2 + (_DAMPING * sizes[:, :1]) ** 2)
             step = -np.einsum("nji,nj,nkj,nk->ni", right, inverse, left, residual[0])
             step /= np.maximum(1.0, length(step) / _MAX_TURN)[:, None]
             frames = rotated(frames, step[:, :3])
-            values = np.clip(values + self.span * step[:, 3:], *self.limits)  # beyond may be no body
-        null, slope = vectors[np.arange(count), :, number], slopes[3:, :, :3]
+            values = np.clip(values + units * step[:, 3:], *self.limits)  # beyond may be no body
+        null, slope = vectors[np.arange(count), :, number], slopes[3, :, :3]
         across = np.abs((slope * null).sum(-1)) > _TRANSVERSAL * np.abs(slope).max(-1)
-        error = np.where(length(step) < _SETTLED, np.abs(step[:, 3:]).max(1), np.inf)
-        return values, frames, null, error, across.any(0)
+        error = np.where(length(step) < _SETTLED, np.abs(step[:, 3]), np.inf)
+        return values, frames, null, error, across
 
 
 class Nodes(NamedTuple):
@@ -187,11 +189,11 @@ def _listed(family: Family, values: Array, given: bool) -> tuple[dict[str, NDArr
     return listed, frames, np.linalg.eigh(hessian), unit
 
 
-def on_bifurcations(family: Family, low: Array, high: Array, reach: float) -> Array:
+def on_bifurcations(family: Family, low: Array, high: Array, reach: Array) -> Array:
     """Points at which solutions merge, exact but for rounding, between near bodies with different numbers of them.
 
-    Newton's method starts from the solution nearest to a bifurcation of the body that has more. low, high: parameters of both,
-    (N, parameters). Returns the middle where it ends farther from there than reach, in units of the ranges.
+    Newton's method starts from the solutions nearest to a bifurcation, _CANDIDATES of the body that has more; of its ends the
+    nearest counts. low, high: parameters of both, one of which differs, (N, parameters). The middle where none is within reach, (N, parameters).
     """
     middle, values = 0.5 * (low + high), np.concatenate([low, high])
     listed, frames, (eigenvalues, _), _ = _listed(family, values, False)
@@ -200,10 +202,16 @@ def on_bifurcations(family: Family, low: Array, high: Array, reach: float) -> Ar
     size[used], number[used] = np.abs(eigenvalues).min(1), np.abs(eigenvalues).argmin(1)
     first, second = used.sum(1).reshape(2, -1)
     body = np.arange(len(low)) + len(low) * (second > first)
-    chosen = body, size[body].argmin(1)
-    points, _, _, step, _ = family.singular(values[body], frames[chosen], number[chosen])
-    near = length((points - middle) / family.span) < reach
-    return np.where((near & (step < _CONVERGED))[:, None], points, middle)
+    place = np.argsort(size[body], axis=1)[:, :_CANDIDATES].ravel()
+    body = np.repeat(body, _CANDIDATES)
+    points, _, _, step, _ = family.singular(
+        values[body], frames[body, place], number[body, place], np.repeat(low != high, _CANDIDATES, 0)
+    )
+    points = points.reshape(len(low), _CANDIDATES, -1)
+    distance = length((points - middle[:, None]) / reach[:, None])
+    distance = np.where(step.reshape(distance.shape) < _CONVERGED, distance, np.inf)
+    nearest = np.take_along_axis(points, distance.argmin(1)[:, None, None], 1)[:, 0]
+    return np.where((distance.min(1) < 1)[:, None], nearest, middle)
 
 
 def prediction_errors(family: Family, nodes: Nodes, start: Places, end: Places) -> Array:
@@ -264,7 +272,8 @@ def bifurcations(family: Family, nodes: Nodes, intervals: list[Interval]) -> lis
     """The bifurcations in each of some intervals; None where they do not explain all ends and changes of index."""
     starts = [start for each in intervals for start in (*each.changes, *each.ends)]
     which = tuple(np.array(starts).reshape(-1, 2).T)
-    found = family.singular(nodes.values[which[0], None], nodes.frames[which], nodes.number[which])
+    values = nodes.values[which[0], None]
+    found = family.singular(values, nodes.frames[which], nodes.number[which], np.ones(values.shape, bool))
     rows = iter(zip(*found, strict=True))
     result: list[list[Bifurcation] | None] = []
     for each in intervals:

@@ -51,7 +51,7 @@ def check_consistent(ds, along, characteristic):
 @pytest.mark.parametrize("case", ORACLE["satellite"], ids=lambda case: f"A={case['A']}")
 def test_verified_folds_of_satellites(case):
     body = {name: float(case[name]) for name in ("A", "B", "C", "k2", "k3", "Omega")}
-    ds = atlas.branches("satellite", body, along={"k1": np.linspace(*case["range_of_k1"], 26)})
+    ds = atlas.branches("satellite", body, along={"k1": np.linspace(*case["range_of_k1"], 12)})
     check_consistent(ds, "k1", 0)
     assert ds.equilibrium_count.values[[0, -1]].tolist() == case["count_at_ends"]
     expected = [(float(fold["k1"]), sign) for fold in case["folds"] for sign in (1, -1)]  # alpha -> -alpha
@@ -72,7 +72,7 @@ def test_verified_folds_of_satellites(case):
 def test_verified_folds_of_permanent_rotations(case):
     body = {name: float(case[name]) for name in ("A", "B", "C", "N")} | {"Mg": 1.0}
     body |= dict(zip(("l1", "l2", "l3", "x0", "y0", "z0"), map(float, case["l"] + case["Mg_r"]), strict=True))
-    ds = atlas.branches("fixed_point", body, along={"n": np.linspace(*map(float, case["range_of_n"]), 30)})
+    ds = atlas.branches("fixed_point", body, along={"n": np.linspace(*map(float, case["range_of_n"]), 12)})
     check_consistent(ds, "n", 2)
     np.testing.assert_allclose(ds.fold_n, [float(fold["n"]) for fold in case["folds"]], rtol=0, atol=1e-12)
     assert (ds.fold_kind == FOLD).all()
@@ -96,7 +96,7 @@ def test_folds_move_with_the_newtonian_field_by_a_law(N):
     heavy = BODY | {"Mg": 1.0, "x0": 0.3, "y0": 0.2, "z0": 0.5}
     squares = np.array([float(fold["n"]) for fold in ORACLE["fixed_point"][0]["folds"]]) ** 2
     expected = np.concatenate([N + squares[:2], N - squares[:2]])
-    ds = atlas.branches("fixed_point", heavy | {"N": N}, along={"n": np.linspace(0.013, 3.1, 25)})
+    ds = atlas.branches("fixed_point", heavy | {"N": N}, along={"n": np.linspace(0.013, 3.1, 12)})
     np.testing.assert_allclose(ds.fold_n, np.sqrt(np.sort(expected[expected > 0])), rtol=1e-12)
 
 
@@ -175,7 +175,7 @@ def random_families(count):
 @pytest.mark.parametrize("family", list(random_families(3)), ids=lambda family: family[0])
 def test_no_branch_of_a_random_body_is_lost(family):
     system, body, along, limits = family
-    values = np.linspace(*limits, 12)
+    values = np.linspace(*limits, 8)
     body.pop(along, None)
     ds = atlas.branches(system, body, along={along: values})
     check_consistent(ds, along, 0 if system == "satellite" else 2)

@@ -17,6 +17,7 @@ if not _interruption.is_command():  # commands that need no dataset start in hal
 from ._version import __version__
 
 if TYPE_CHECKING:
+    from .analysis.branches import branches as branches
     from .analysis.equilibria import equilibria as equilibria
     from .errors import BadInput as BadInput
     from .label.points import label_points as label_points
@@ -34,6 +35,7 @@ _MODULES = {
     "open_atlas": "runs.backend",
     "trajectory": "label.trajectory",
     "equilibria": "analysis.equilibria",
+    "branches": "analysis.branches",
     "register": "systems",
     "BadInput": "errors",
 }

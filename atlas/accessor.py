@@ -1,7 +1,7 @@
 """`ds.atlas`: questions to an atlas. Importing this module registers the accessor with xarray.
 
 An atlas may be larger than memory: files opened lazily, dask-chunked datasets and datasets in memory are
-all read in chunks. Only `Atlas.map`, `Atlas.page`, `Atlas.plot` and `Atlas.animate` import Matplotlib.
+all read in chunks. Only the methods that make figures, films and pages import Matplotlib.
 """
 
 from __future__ import annotations
@@ -392,6 +392,41 @@ class Atlas:
         from .plotting.trajectory import trajectory_figure
 
         return trajectory_figure(self._ds, ax=ax)
+
+    def diagram(
+        self,
+        variable: str = "theta0",
+        *,
+        ax: Axes | None = None,
+        title: str | None = None,
+        legend: bool = True,
+        width: Width = "column",
+    ) -> Figure:
+        """Bifurcation diagram of branches from `atlas.branches`: a variable over the parameter, or a vector on the sphere.
+
+        Parameters
+        ----------
+        variable : str, optional
+            A variable of the branches, such as theta0, potential or frequency_1. gamma and alpha are drawn on the unit sphere of
+            the body: for permanent rotations over their rate gamma gives Staude's arcs.
+        ax : matplotlib.axes.Axes, optional
+            Axes to draw into; default a figure of its own.
+        title : str, optional
+            Title of the figure.
+        legend : bool, optional
+            Draw the legend.
+        width : {"column", "page"}, optional
+            88 mm or 180 mm.
+
+        Returns
+        -------
+        matplotlib.figure.Figure
+            Lines are thick where the energy proves stability, thin where motions are stable without it, dashed where they are
+            unstable; dots, diamonds and crosses are folds, pitchforks and exchanges.
+        """
+        from .plotting.branches import branch_diagram
+
+        return branch_diagram(self._ds, variable, ax=ax, title=title, legend=legend, width=width)
 
     def animate(self, path: str | Path | None = None, *, seconds: float = 10.0) -> Film | None:
         """Animation of a motion from `atlas.trajectory`: the third axis on the sphere, with its trace.

@@ -150,6 +150,18 @@ class SettledBy(Flag):
     MEASURED = 2, "attitude and rates are within 1e-3 (rad, and of the frame's rate) of the equilibrium"
 
 
+class BifurcationKind(Flag):
+    """What happens where branches of equilibria meet."""
+
+    UNRESOLVED = (
+        0,
+        "branches end or change their stability between two values, and no single bifurcation explains it",
+    )
+    FOLD = 1, "two branches end in each other"
+    PITCHFORK = 2, "a branch changes its stability, and others end at it on one side"
+    EXCHANGE = 3, "a branch changes its stability, and no other ends there"
+
+
 class Regularity(Flag):
     """Whether neighbouring motions separate exponentially."""
 

@@ -367,6 +367,7 @@ def test_help_of_every_command_is_real(capsys):
         "compare",
         "map",
         "trajectory",
+        "branches",
         "accuracy",
         "stress",
         "points",

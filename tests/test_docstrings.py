@@ -15,7 +15,16 @@ from atlas.systems.base import System
 
 ROOT = Path(__file__).parent.parent
 CHECKS = set(tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["numpydoc_validation"]["checks"])
-FUNCTIONS = ("equilibria", "label_points", "load_scene", "open_atlas", "register", "run", "trajectory")
+FUNCTIONS = (
+    "branches",
+    "equilibria",
+    "label_points",
+    "load_scene",
+    "open_atlas",
+    "register",
+    "run",
+    "trajectory",
+)
 SYSTEM = "atlas.systems.base.System."
 
 

@@ -13,7 +13,9 @@ import xarray as xr
 from ..errors import BadInput, attribute_text
 from ..flags import Label, NonlinearStability, Stability
 from ..scene.model import Scene
-from ..systems.base import Array, DerivedVariable, Flags, Mask, System, derived_values
+from ..systems.base import Array, DerivedVariable, Flags, Mask, Points, System, derived_values
+from ..systems.gyrostat import Gyrostat
+from ..systems.gyrostat.branches import Family, on_bifurcations
 from ..systems.gyrostat.variables import FREQUENCIES, NONLINEAR, NORMAL_FORM
 from .metadata import axes_of, flag_values, is_logarithmic, scene_of, system_of
 from .plane import SAMPLES, Plane
@@ -257,12 +259,16 @@ def _without_poles(
 
 CHANGE = "change of the number"
 COUNT_BISECTIONS = 6  # of the distance between two neighbouring points of the atlas
+# Counts that change only where equilibria merge, so that Newton's method ends on the line.
+MERGING_COUNTS = ("equilibrium_count", "equilibrium_energy_stable_count")
+MERGING_BISECTIONS = 3  # nearer to the line counts take long
 
 
 def count_borders(plane: Plane, counts: xr.DataArray, derived: DerivedVariable) -> dict[str, list[Array]]:
     """Lines, under CHANGE, between the regions of a plane where a count has different values.
 
-    Regions narrower than a cell are missed; each change of a count that skips values gives its own line.
+    Regions narrower than a cell are missed; each change of a count that skips values gives its own line. Lines of MERGING_COUNTS
+    are exact but for rounding.
     """
     values = counts.transpose(*plane.extent).values
     axes = [counts[dim].values for dim in plane.extent]
@@ -279,8 +285,22 @@ def count_borders(plane: Plane, counts: xr.DataArray, derived: DerivedVariable) 
     vertices = np.concatenate([line for _, line in lines])
     level_of = np.concatenate([np.full(len(line), level) for level, line in lines])
     low, high = np.floor(vertices + 0.25), np.ceil(vertices - 0.25)
-    vertices = _bisected(is_above, low, high, COUNT_BISECTIONS)
-    return {CHANGE: np.split(_interpolated(vertices, axes), np.cumsum([len(line) for _, line in lines])[:-1])}
+    ends = np.cumsum([len(line) for _, line in lines])[:-1]
+    system = plane.scene.system
+    merging = derived.name in MERGING_COUNTS
+    bisections = MERGING_BISECTIONS if merging else COUNT_BISECTIONS
+    vertices = _bisected(is_above, low, high, bisections)
+    if merging and isinstance(system, Gyrostat):
+        half = 0.5 ** (bisections + 1) * (high - low)
+        below, above = (_interpolated(vertices + side * half, axes) for side in (-1, 1))
+
+        def points(values: Array) -> Points:
+            return plane.points(dict(zip(plane.extent, values.T, strict=True))).base
+
+        family = Family.of(system, points, np.array(list(plane.extent.values())).T)
+        reach = 0.5 * _interpolated(vertices, [np.gradient(axis) for axis in axes])  # half a cell
+        return {CHANGE: np.split(on_bifurcations(family, below, above, reach), ends)}
+    return {CHANGE: np.split(_interpolated(vertices, axes), ends)}
 
 
 def _interpolated(positions: Array, axes: list[Array]) -> Array:

@@ -12,7 +12,7 @@ import xarray as xr
 
 from .. import systems
 from ..errors import BadInput
-from ..flags import Completeness, Stability
+from ..flags import Completeness, EnergyStability, Stability, StabilityKind
 from ..io import netcdf
 from ..measure.instrument import Variable
 from ..scene.checks import typed, whole_number
@@ -36,15 +36,20 @@ _UNITS = {
     "frequency_2": ("rad s-1", "second frequency of small oscillations"),
     "frequency_3": ("rad s-1", "third frequency of small oscillations"),
     "stable": ("1", "linear stability"),
+    "energy_stable": ("1", "stability by the energy"),
+    "stability_kind": ("1", "linear stability and stability by the energy"),
     "completeness": ("1", "whether the equilibria of a body are all listed"),
     "equilibrium_count": ("1", "number of equilibria"),
     "equilibrium_stable_count": ("1", "number of linearly stable equilibria"),
     "equilibrium_energy_stable_count": ("1", "number of minima of the amended potential"),
 }
-_FLAGS = {"stable": Stability.meanings(), "completeness": Completeness.meanings()}
+_FLAGS = {
+    "stable": Stability.meanings(), "energy_stable": EnergyStability.meanings(),
+    "stability_kind": StabilityKind.meanings(), "completeness": Completeness.meanings(),
+}  # fmt: skip
 _NOT_COUNTED = "nan where some are not isolated or not listed"
 # Values of variables, 0 or nan of the others, for a body that cannot exist and an equilibrium that a body does not have.
-_UNUSED = {"completeness": Completeness.IMPOSSIBLE_BODY, "index": -1, "dimension": -1}
+UNUSED = {"completeness": Completeness.IMPOSSIBLE_BODY, "index": -1, "dimension": -1}
 _DIMS = ("equilibrium", "body_axis")
 
 
@@ -70,9 +75,9 @@ def equilibria(system: str, body: Table, *, max_equilibria: int | None = None) -
     Dataset
         Dimension "equilibrium"; a circle of equilibria is listed once, by one of its members. Variables:
         theta0, phi0 and, for the satellite, psi0 (rad), gamma (equilibrium, body_axis), index, circle,
-        stable (flags), growth_rate and frequency_1 to frequency_3 (rad per time unit). For the satellite also alpha, axis, degenerate,
-        potential, in the order of the potential, where that is the same of the components of alpha, then of gamma (of a circle
-        their means); for the fixed_point dimension, in the order of theta0.
+        stable, energy_stable, stability_kind (flags), growth_rate and frequency_1 to frequency_3 (rad per time unit). For the
+        satellite also alpha, axis, degenerate, potential, in the order of the potential, where that is the same of the components
+        of alpha, then of gamma (of a circle their means); for the fixed_point dimension, in the order of theta0.
 
         Of many bodies: the same over the dimensions of the DataArrays, or the dimension "point" of 1-D arrays, and
         "equilibrium", of which each body uses the first places; in the others index is -1 and what is no flag is nan.
@@ -88,8 +93,8 @@ def equilibria(system: str, body: Table, *, max_equilibria: int | None = None) -
 
     Notes
     -----
-    10 000 satellites take about five seconds of one processor. Those with circles of equilibria, on a bifurcation, or without an orbit
-    are computed one by one, in about 70 ms each.
+    10 000 satellites take about seven seconds of one processor, with an axis of symmetry less. Those on a bifurcation or without
+    an orbit are computed one by one, in about 70 ms each.
     """
     description = systems.get(system)
     if max_equilibria is not None:
@@ -120,6 +125,13 @@ def equilibria(system: str, body: Table, *, max_equilibria: int | None = None) -
     )  # fmt: skip
     ds = xr.Dataset(dict(zip(kinds, results, strict=True)))
     return _dataset(description, f"equilibria of {ds['completeness'].size} bodies", ds, by_name)
+
+
+def attributes(name: str) -> dict[str, object]:
+    """CF attributes of a variable of equilibria."""
+    units, long_name = _UNITS.get(name, ("1", name))
+    comment = _NOT_COUNTED if name.endswith("_count") else ""
+    return Variable(name, "int8", units, long_name, _FLAGS.get(name), comment).attributes()
 
 
 @cache
@@ -161,7 +173,7 @@ def _equilibria_of_bodies(
         raise BadInput(f"max_equilibria = {places}: a body has {needed} equilibria")
     results = []
     for name, values in some.items():
-        unused = _UNUSED.get(name, np.nan if values.dtype.kind == "f" else 0)
+        unused = UNUSED.get(name, np.nan if values.dtype.kind == "f" else 0)
         rows = values[:, :places] if values.ndim > 1 else values
         inner = (places, *rows.shape[2:])[: rows.ndim - 1]
         full = np.full((math.prod(shape), *inner), unused, values.dtype)
@@ -175,9 +187,7 @@ def _dataset(
 ) -> xr.Dataset:
     """Dataset of equilibria with CF attributes, and with the parameters of the bodies as coordinates."""
     for name in map(str, ds.data_vars):
-        units, long_name = _UNITS.get(name, ("1", name))
-        comment = _NOT_COUNTED if name.endswith("_count") else ""
-        ds[name].attrs = Variable(name, "int8", units, long_name, _FLAGS.get(name), comment).attributes()
+        ds[name].attrs = attributes(name)
     starts = {name for name, parameter in description.parameters.items() if parameter.start}
     varying = {name for name, array in arrays.items() if array.ndim}
     ds = netcdf.with_parameters(ds, description, arrays, leave_out=starts - varying)

@@ -87,6 +87,7 @@ def parser() -> argparse.ArgumentParser:
         atlases.draw_map,
         atlases.make_page,
         atlases.draw_trajectory,
+        atlases.draw_branches,
         scenes.copy_example,
         studies.measure_accuracy,
         studies.print_conditions,

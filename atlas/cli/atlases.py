@@ -17,6 +17,7 @@ from .options import (
     FIGURES,
     FILES,
     QUIET,
+    SCENE,
     STANDARD_INPUT,
     THREADS,
     VERBOSE,
@@ -119,18 +120,47 @@ def draw_trajectory(options: argparse.Namespace) -> int:
     out = netcdf.writable(name, (".nc", *FIGURES), force=options.force, inputs=input_files(options.scene))
     coordinates = axis_values("--at", options.at)
     tr = _motion(options.scene, coordinates, options.samples)
-    if out.suffix.lower() == ".nc":
-        netcdf.write(tr, out)
-    else:
-        from ..plotting import style, trajectory
-
-        style.save(trajectory.trajectory_figure(tr), out)
+    _write(tr, out, "plot")
     observables = system_of(tr).observables
     variable = observables[0].name if observables else "theta"
     values, unit = tr[variable].values, attribute_text(tr[variable].attrs, "units")
     span = f"{values.min():.9g} to {values.max():.9g}{'' if unit == '1' else ' ' + unit}"
     say(f"{variable} from {span} in {float(tr['time'][-1]):.9g} time units; wrote {out}")
     return DONE
+
+
+@command(
+    "branches",
+    SCENE,
+    out_option("OUT", ".png, .pdf, .svg or .nc (default: NAME_branches.png)"),
+    option_with_default("--variable", "NAME", "theta0", "what to draw; gamma: the arcs on the sphere"),
+    force_option("an existing file"),
+)
+def draw_branches(options: argparse.Namespace) -> int:
+    """Draw the branches of equilibria of the bodies of a scene along its only axis."""
+    from ..analysis.branches import branches_of_scene
+    from ..io import netcdf
+
+    name = options.out or f"{default_name(options.scene)}_branches.png"
+    out = netcdf.writable(name, (".nc", *FIGURES), force=options.force, inputs=input_files(options.scene))
+    ds = branches_of_scene(read_scene(options.scene))
+    _write(ds, out, "diagram", options.variable)
+    say(f"{ds.sizes['branch']} branches, {ds.sizes['fold']} points at which they meet or change; wrote {out}")
+    return DONE
+
+
+def _write(ds: Dataset, out: Path, figure: str, *arguments: str) -> None:
+    """Write a dataset, or its figure by a method of the accessor."""
+    from .. import accessor  # noqa: F401  (registers ds.atlas with xarray)
+
+    if out.suffix.lower() == ".nc":
+        from ..io import netcdf
+
+        netcdf.write(ds, out)
+    else:
+        from ..plotting import style
+
+        style.save(getattr(ds.atlas, figure)(*arguments), out)
 
 
 def _motion(name: str, coordinates: dict[str, float], samples: int) -> Dataset:
@@ -178,13 +208,7 @@ def print_comparison(options: argparse.Namespace) -> int:
         ds, *other = (stack.enter_context(open_atlas(name)) for name in inputs)
         say(*ds.atlas.compare(*other, worst=options.worst).split("\n"))
         if out:
-            changes = ds.atlas.differences(*other)
-            if out.suffix.lower() == ".nc":
-                netcdf.write(changes, out)
-            else:
-                from ..plotting import style
-
-                style.save(changes.atlas.map(), out)
+            _write(ds.atlas.differences(*other), out, "map")
             say(f"wrote {out}")
     return DONE
 

@@ -225,42 +225,47 @@ def _draw_enlarged(ax: Axes, offset: np.ndarray, direction: np.ndarray, names: S
         axis.set_label_text(rf"{label} ($10^{{{exponent}}}$ rad)")
 
 
-def _draw_sphere(ax: Axes, path: np.ndarray, names: Sequence[str], pointer: bool = False) -> None:
-    """Orthographic picture of a path on the unit sphere, shape (times, 3), maybe with a pointer from the centre to its end."""
-    azimuth, elevation = np.radians(40.0), np.radians(25.0)
-    toward_viewer = np.array(
-        [np.cos(elevation) * np.cos(azimuth), np.cos(elevation) * np.sin(azimuth), np.sin(elevation)]
-    )
-    right = np.array([-np.sin(azimuth), np.cos(azimuth), 0.0])
-    up = np.cross(toward_viewer, right)
+class Sphere:
+    """Orthographic picture of the unit sphere with named axes."""
 
-    def project(points: np.ndarray) -> np.ndarray:
-        return np.stack([points @ right, points @ up], -1)
+    def __init__(self, ax: Axes, names: Sequence[str]):
+        azimuth, elevation = np.radians(40.0), np.radians(25.0)
+        horizontal = np.array([np.cos(azimuth), np.sin(azimuth), 0.0])
+        self.ax, self.toward_viewer = ax, np.cos(elevation) * horizontal + [0.0, 0.0, np.sin(elevation)]
+        self.right = np.array([-np.sin(azimuth), np.cos(azimuth), 0.0])
+        angle = np.linspace(0, 2 * np.pi, 181)
+        circle = np.stack([np.cos(angle), np.sin(angle), np.zeros_like(angle)], -1)
+        ax.plot(*circle[:, :2].T, color="0.3", linewidth=0.8)
+        for latitude in np.radians((-60, -30, 0, 30, 60)):
+            parallel = circle * np.cos(latitude) + [0, 0, np.sin(latitude)]
+            self.draw(parallel, 1, color="0.7", linewidth=0.6 if latitude == 0 else 0.3)
+        for direction, name in zip(np.eye(3), names, strict=True):
+            tip = self.project(direction)
+            outside = tip / np.linalg.norm(tip)  # the label is outside the disc, where no path is
+            ax.plot(*np.transpose([tip, 1.1 * outside]), color="0.3", linewidth=0.8, zorder=2)
+            x, y = 1.14 * outside
+            side = "center" if abs(x) < 0.3 else "left" if x > 0 else "right"
+            ax.text(x, y, name, ha=side, va="center" if abs(x) > 0.3 else "bottom")
+        ax.set(aspect="equal", xlim=(-1.5, 1.5), ylim=(-1.1, 1.35))
+        ax.set_axis_off()
 
-    def draw(points: np.ndarray, colour: str, linewidth: float, zorder: int) -> None:
+    def project(self, points: np.ndarray) -> np.ndarray:
+        """Points (..., 3) on the page, (..., 2)."""
+        return np.stack([points @ self.right, points @ np.cross(self.toward_viewer, self.right)], -1)
+
+    def draw(self, points: np.ndarray, zorder: int, **style: Any) -> None:
         """Draw the far part of a line pale and its near part over it."""
-        near = points @ toward_viewer >= 0
+        near = points @ self.toward_viewer >= 0
         for visible, alpha, level in ((~near, FAR_OPACITY, zorder), (near, 1.0, zorder + 1)):
-            line = project(points)
+            line = self.project(points)
             line[~visible] = np.nan
-            ax.plot(*line.T, color=colour, alpha=alpha, linewidth=linewidth, zorder=level)
+            self.ax.plot(*line.T, alpha=alpha, zorder=level, **style)
 
-    angle = np.linspace(0, 2 * np.pi, 181)
-    circle = np.stack([np.cos(angle), np.sin(angle), np.zeros_like(angle)], -1)
-    ax.plot(*circle[:, :2].T, color="0.3", linewidth=0.8)
-    for latitude in np.radians((-60, -30, 0, 30, 60)):
-        parallel = circle * np.cos(latitude) + [0, 0, np.sin(latitude)]
-        draw(parallel, "0.7", 0.6 if latitude == 0 else 0.3, 1)
-    for direction, name in zip(np.eye(3), names, strict=True):
-        tip = project(direction)
-        outside = tip / np.linalg.norm(tip)  # the label is outside the disc, where no path is
-        ax.plot(*np.transpose([tip, 1.1 * outside]), color="0.3", linewidth=0.8, zorder=2)
-        x, y = 1.14 * outside
-        side = "center" if abs(x) < 0.3 else "left" if x > 0 else "right"
-        ax.text(x, y, name, ha=side, va="center" if abs(x) > 0.3 else "bottom")
-    draw(path, COLOURS["regular_precession"], 1.1, 3)
-    ax.plot(*project(path[0]), zorder=6, **START_MARKER)
+
+def _draw_sphere(ax: Axes, path: np.ndarray, names: Sequence[str], pointer: bool = False) -> None:
+    """Draw a path on the unit sphere, shape (times, 3), maybe with a pointer from the centre to its end."""
+    sphere = Sphere(ax, names)
+    sphere.draw(path, 3, color=COLOURS["regular_precession"], linewidth=1.1)
+    ax.plot(*sphere.project(path[0]), zorder=6, **START_MARKER)
     if pointer:
-        draw(np.outer([1e-9, 1.0], path[-1]), "black", 2.0, 5)
-    ax.set(aspect="equal", xlim=(-1.5, 1.5), ylim=(-1.1, 1.35))
-    ax.set_axis_off()
+        sphere.draw(np.outer([1e-9, 1.0], path[-1]), 5, color="black", linewidth=2.0)

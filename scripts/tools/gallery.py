@@ -17,6 +17,7 @@ import tomllib
 from dataclasses import dataclass
 from pathlib import Path
 
+import numpy as np
 import xarray as xr
 from make_docs import with_formulas
 from matplotlib import rc_context
@@ -44,6 +45,16 @@ PAGES = (
     "chaos_tumbling",
 )
 PAGE_POINTS = 1600
+
+
+# The diagrams of docs/branches.md: file, system, body, parameter and its values, variable.
+BRANCHES = (
+    ("branches", "satellite", {"A": 1.0, "B": 1.3, "C": 1.7, "k2": 0.02, "k3": 0.05}, "k1", np.linspace(0.01, 3, 300), "theta0"),
+    (
+        "branches_arcs", "fixed_point", {"A": 1.0, "B": 1.3, "C": 1.7, "Mg": 1.0, "x0": 0.3, "y0": 0.2, "z0": 0.5},
+        "n", np.tan(np.linspace(-1.5, 1.5, 301)), "gamma",
+    ),
+)  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -398,6 +409,9 @@ def main() -> None:
     if options.docs:
         for number in PAPER_FIGURES:
             write_picture(amer2013.draw(number), options.docs / f"fixed_point_figure_{number:02d}.png")
+        for name, system, body, along, values, variable in BRANCHES:
+            branches = atlas.branches(system, body, along={along: values})
+            write_picture(branches.atlas.diagram(variable), options.docs / f"{name}.png")
         if len(chosen) == len(PICTURES):
             (options.docs / "gallery.md").write_text("\n".join(lines).rstrip() + "\n")
     print(f"wrote {options.out}" + (f" and {options.docs}" if options.docs else ""))

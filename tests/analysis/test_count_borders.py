@@ -38,8 +38,7 @@ def test_lines_are_where_equilibria_vanish(rotor_map):
     assert set(lines.kind.values) == {CHANGE}
     ratio = (lines.k3 / lines.Omega).values
     nearest = CRITICAL[np.abs(ratio[:, None] - CRITICAL).argmin(1)]
-    cells = np.hypot((4.0 - 0.05) / 32 / lines.Omega, 0.25 * ratio / lines.Omega)
-    assert (np.abs(ratio - nearest) < cells / 2**6).all()
+    np.testing.assert_allclose(ratio, nearest, rtol=1e-12)
     for value in CRITICAL:
         omega = lines.Omega.values[nearest == value]
         assert omega.min() < 0.55
@@ -50,7 +49,7 @@ def test_lines_on_one_axis():
     ds = atlas.run(rotor_scene({"k3": {"from": 0.05, "to": 4.0, "count": 33}}), progress=False)
     panel = panel_of(ds, "equilibrium_count", ["k3"], scene_of(ds), True)
     places = np.sort([float(line[0, 0]) for line in panel.borders[CHANGE]])
-    np.testing.assert_allclose(places, CRITICAL, atol=4.0 / 32 / 2**6)
+    np.testing.assert_allclose(places, CRITICAL, rtol=1e-12)
     assert not panel.families
 
 

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from ...flags import PeriodicSolution
 from ..base import Array, DerivedVariable, Flags, Mask, Points, identify, shape_of
-from ..gyrostat import Gyrostat, secular
+from ..gyrostat import Body, Gyrostat, rotations
 from ..gyrostat.stress_cases import fixed_point_cases
 from . import any_axis, equations, families, initial
 
@@ -174,16 +174,24 @@ class FixedPoint(Gyrostat):
         flags = [names.index(name) for _, name in conditions]
         return np.select([where for where, _ in conditions], flags, names.index("conical")).astype(np.int8)
 
+    def body_at_rest(self, points: Points) -> Body:
+        """In a frame that turns at the rate n."""
+        return self.body(points)._replace(turn=points["n"])
+
     def equilibria(self, body: Mapping[str, float]) -> dict[str, NDArray[Any]]:
-        """All permanent rotations of one body about the vertical at the rate n; see secular.rotations."""
-        solutions = secular.rotations(self, initial.without_vectors(self.with_defaults(body)))
+        """All permanent rotations of one body about the vertical at the rate n; see rotations.rotations."""
+        solutions = rotations.rotations(self, initial.without_vectors(self.with_defaults(body)))
         return {name: values for name, values in solutions.items() if name not in ("row", "flat")}
 
     def equilibria_of_bodies(
-        self, points: Points, pause: Callable[[], None] = lambda: None, stability: bool = True
+        self,
+        points: Points,
+        pause: Callable[[], None] = lambda: None,
+        stability: bool = True,
+        ordered: bool = False,
     ) -> dict[str, NDArray[Any]]:
-        """All permanent rotations of many bodies, each at its rate n; see secular.rotations_of_bodies."""
-        return secular.rotations_of_bodies(self, initial.without_vectors(points))
+        """All permanent rotations of many bodies, each at its rate n; see rotations.rotations_of_bodies."""
+        return rotations.rotations_of_bodies(self, initial.without_vectors(points))
 
 
 FIXED_POINT = FixedPoint()

@@ -9,11 +9,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...errors import BadInput
-from ...flags import Completeness, Stability
-from ..base import Array, Points, subset
+from ...flags import Completeness, EnergyStability, Stability, StabilityKind
+from ..base import Array, Mask, Points, subset
 from . import homotopy
 from .body import Body, cross_matrix
-from .variables import FREQUENCIES
+from .secular import critical_directions
+from .variables import FREQUENCIES, stability_kind
 
 if TYPE_CHECKING:
     from .system import Gyrostat
@@ -26,13 +27,14 @@ _SAME_POTENTIAL, _DECIMALS = 1e-9, 6
 _MAX_SCALE = 1e60  # of units, rates and torques; products of a few of them are finite
 _BLOCK = 512  # bodies that are computed together
 ANGLES = ("theta0", "psi0", "phi0")
-STABILITY = ("stable", "growth_rate", *FREQUENCIES)
+STABILITY = ("stable", "growth_rate", "energy_stable", "stability_kind", *FREQUENCIES)
 # Variables of equilibria, in their order.
 _VARIABLES = (*ANGLES, "alpha", "gamma", "potential", "index", "circle", "axis", "degenerate", *STABILITY)
 # What stands in the unused places of padded arrays; else nan.
 _UNUSED = {
     "index": np.int8(-1), "dimension": np.int8(-1), "circle": False, "degenerate": False, "flat": False,
-    "stable": np.int8(Stability.UNKNOWN),
+    "stable": np.int8(Stability.UNKNOWN), "energy_stable": np.int8(EnergyStability.UNKNOWN),
+    "stability_kind": np.int8(StabilityKind.UNKNOWN),
 }  # fmt: skip
 
 
@@ -44,7 +46,7 @@ def equilibria(system: Gyrostat, points: Points) -> dict[str, NDArray[Any]]:
 
     points: every parameter, arrays (1,); start values are ignored. Returns theta0, psi0, phi0 (rad), potential (the amended
     one), index (its Morse index; of a degenerate one, that counts the negative eigenvalues), circle (it represents a circle of
-    equilibria), degenerate (isolated, with a zero eigenvalue), stable, growth_rate and the frequencies, (E,); alpha, gamma and
+    equilibria), degenerate (isolated, with a zero eigenvalue) and STABILITY, (E,); alpha, gamma and
     axis, about which the body may be turned by any angle (nan off circles), in body axes, (E, 3). Raises BadInput where a
     surface of orientations is in equilibrium or the search would overflow, RuntimeError where the sum cannot be met.
     """
@@ -62,9 +64,8 @@ def equilibria(system: Gyrostat, points: Points) -> dict[str, NDArray[Any]]:
     index, axis, degenerate = _classify(body, frames, scale)
     scaled = body.potential(frames[:, 0], frames[:, 2])
     order = _order(np.zeros(len(frames)), scaled / scale, frames, axis)
-    potential = scaled * given.inertia.max() * rate**2
-    result = _described(frames, potential, index) | {
-        "circle": ~np.isnan(axis[:, 0]), "axis": axis, "degenerate": degenerate,
+    result = described(frames, scaled * given.inertia.max() * rate**2) | {
+        "index": index.astype(np.int8), "circle": ~np.isnan(axis[:, 0]), "axis": axis, "degenerate": degenerate,
     }  # fmt: skip
     members = {name: np.full(len(frames), value[0]) for name, value in points.items()}
     result |= stability_at_rest(system, members, {name: result[name] for name in ANGLES})
@@ -92,8 +93,8 @@ def _scale(body: Body) -> Array:
     return np.abs(body.alpha.gradient) + np.abs(body.gamma.gradient) + vectors.sum(-1)
 
 
-def _described(frames: Array, potential: Array, index: NDArray[Any]) -> dict[str, Any]:
-    """Orientation, potential and index of equilibria; psi = 0 where only psi +- phi is defined."""
+def described(frames: Array, potential: Array) -> dict[str, Any]:
+    """Orientation and potential of equilibria; psi = 0 where only psi +- phi is defined."""
     alpha, beta, gamma = frames[:, 0], frames[:, 1], frames[:, 2]
     sine = np.hypot(gamma[:, 0], gamma[:, 1])
     upright = sine < 1e-9
@@ -101,29 +102,38 @@ def _described(frames: Array, potential: Array, index: NDArray[Any]) -> dict[str
         "theta0": np.arctan2(sine, gamma[:, 2]),
         "psi0": np.where(upright, 0.0, np.arctan2(alpha[:, 2], -beta[:, 2])),
         "phi0": np.where(upright, np.arctan2(-alpha[:, 1], alpha[:, 0]), np.arctan2(gamma[:, 0], gamma[:, 1])),
-        "alpha": alpha, "gamma": gamma, "potential": potential, "index": index.astype(np.int8),
+        "alpha": alpha, "gamma": gamma, "potential": potential,
     }  # fmt: skip
 
 
 def stability_at_rest(
     system: Gyrostat, members: Points, start: Mapping[str, Array]
 ) -> dict[str, NDArray[Any]]:
-    """Linear stability and frequencies of equilibria with these angles and rates, each of the body in the same place."""
+    """Stability and frequencies of equilibria with these angles and rates, each of the body in the same place."""
     rest = {name: np.zeros_like(members["A"]) for name in ("n", "m", "theta_dot0")}
     points = {**members, **rest, **start}
     stable, growth = system.stability(points)
-    values = system.frequencies(points, np.ones_like(stable)).T
-    return {"stable": stable, "growth_rate": growth, **dict(zip(FREQUENCIES, values, strict=True))}
+    every = np.ones_like(stable)
+    energy = system.energy_stability(points, every)
+    return {
+        "stable": stable, "growth_rate": growth, "energy_stable": energy,
+        "stability_kind": stability_kind(stable, growth, energy),
+        **dict(zip(FREQUENCIES, system.frequencies(points, every).T, strict=True)),
+    }  # fmt: skip
 
 
 def equilibria_of_bodies(
-    system: Gyrostat, points: Points, pause: Callable[[], None] = lambda: None, stability: bool = True
+    system: Gyrostat,
+    points: Points,
+    pause: Callable[[], None] = lambda: None,
+    stability: bool = True,
+    ordered: bool = False,
 ) -> dict[str, NDArray[Any]]:
     """All relative equilibria of many bodies, as `equilibria`, on an orbit by homotopy continuation; see `homotopy`.
 
-    Bodies of which it does not find all equilibria with certainty, those with circles of them and those without an orbit are
-    searched one by one, as `equilibria` does, in about 70 ms each. pause: called at least once a second; it may raise an
-    exception. stability: whether to compute stable, growth_rate and the frequencies. Returns arrays (bodies, places) in the
+    Those of bodies with an axis of symmetry follow from the secular equation. Bodies of which neither finds all equilibria
+    with certainty and those without an orbit are searched one by one, as `equilibria` does, in about 70 ms each. pause:
+    called at least once a second; it may raise an exception. stability: whether to compute STABILITY. ordered: see `homotopy.solve`. Returns arrays (bodies, places) in the
     order of the potential, then of the attitude, unused places at the end (nan, index -1, stable 0), and completeness (bodies,), values of flags.Completeness.
     """
     count = points["A"].size
@@ -131,10 +141,11 @@ def equilibria_of_bodies(
     parts = []
     for first in range(0, count, _BLOCK):
         pause()
-        block = subset(points, slice(first, first + _BLOCK))
-        complete, row, columns = _by_continuation(system, block, stability)
-        parts.append({"row": first + row, **columns})
-        for i in first + np.flatnonzero(~complete):
+        block = np.arange(first, min(first + _BLOCK, count))
+        solved, symmetric, row, columns = _at_once(system, subset(points, block), stability, ordered)
+        parts.append({"row": block[row], **columns})
+        completeness[block[solved & symmetric]] = Completeness.NOT_ISOLATED
+        for i in block[~solved]:
             pause()
             try:
                 solutions = equilibria(system, subset(points, [i]))
@@ -164,10 +175,10 @@ def padded(columns: Mapping[str, NDArray[Any]], count: int, places: int) -> dict
     return result
 
 
-def _by_continuation(
-    system: Gyrostat, points: Points, stability: bool
-) -> tuple[NDArray[np.bool_], NDArray[np.int64], dict[str, NDArray[Any]]]:
-    """Of which bodies the continuation finds all equilibria, and these: the body of each, and its variables."""
+def _at_once(
+    system: Gyrostat, points: Points, stability: bool, ordered: bool
+) -> tuple[Mask, Mask, NDArray[np.int64], dict[str, NDArray[Any]]]:
+    """Which bodies have all equilibria here, which are symmetric; of each equilibrium the body, and its variables."""
     given = system.body(points)
     rate = np.where(given.turn == 0, 1.0, given.turn)
     with np.errstate(all="ignore"):
@@ -178,31 +189,62 @@ def _by_continuation(
         vectors = np.concatenate([bodies.rotor, alpha.field, gamma.field], -1)
         usable &= (np.abs(vectors) < _MAX_SCALE).all(-1)
         usable &= (np.abs(alpha.gradient - 3) < 1e-9) & (np.abs(gamma.gradient + 1) < 1e-9)
-    of_potential = (bodies.inertia, alpha.field, gamma.field)
-    radius, normal, real, complete = homotopy.solve(*(np.where(usable, v.T, 0.0) for v in of_potential))
-    complete &= usable
-    body, path = np.nonzero(real.T & complete[:, None])
-    bodies = bodies.subset(body)
-    a, g = radius[:, path, body].T, normal[:, path, body].T
-    hessian = bodies.gradient(a, g)[1]
+    axes = np.stack([given.symmetric_about(i) for i in range(3)], 1)
+    symmetric = np.asarray(axes.any(1))
+    general, single = np.flatnonzero(usable & ~symmetric), np.flatnonzero(usable & (axes.sum(1) == 1))
+    parts = [(general, *_by_continuation(bodies.subset(general), ordered))]
+    parts += [(single, *_by_symmetry(bodies.subset(single), axes[single].argmax(1)))]
+    row, frames = (np.concatenate(c) for c in zip(*((some[body], f) for some, body, f in parts), strict=True))
+    bodies = bodies.subset(row)
+    hessian = bodies.gradient(frames[:, 0], frames[:, 2])[1]
     values = np.linalg.eigvalsh(0.5 * (hessian + np.swapaxes(hessian, 1, 2)))
-    index = (values < 0).sum(1)
-    flat = (np.abs(values) < _ZERO_EIGENVALUE * _scale(bodies)[:, None]).any(1)
-    complete[body[flat]] = False
-    complete &= np.bincount(body, (-1.0) ** index, rate.size) == 0
-    scaled = bodies.potential(a, g)
-    potential = scaled * given.inertia.max(1)[body] * rate[body] ** 2
-    frames = np.stack([a, np.cross(g, a), g], 1)
-    order = _order(body, scaled / _scale(bodies), frames, np.full_like(a, np.nan))
-    order = order[complete[body[order]]]
-    row, frames = body[order], frames[order]
-    result = _described(frames, potential[order], index[order])
-    result |= {"circle": np.zeros(row.size, bool), "axis": np.full((row.size, 3), np.nan)}
-    result["degenerate"] = np.zeros(row.size, bool)
+    flat = np.abs(values) < _ZERO_EIGENVALUE * _scale(bodies)[:, None]
+    index = ((values < 0) & ~flat).sum(1)
+    # The Poincare-Hopf sum is 0 on SO(3), and 2 on the sphere of the axis of symmetry.
+    sums = np.bincount(row, (-1.0) ** index, rate.size)
+    solved = (np.bincount(row, minlength=rate.size) > 0) & (sums == 2 * symmetric)
+    solved[row[flat.sum(1) != symmetric[row]]] = False
+    scaled = bodies.potential(frames[:, 0], frames[:, 2])
+    potential = scaled * given.inertia.max(1)[row] * rate[row] ** 2
+    axis = np.where(symmetric[row, None], axes[row], np.nan)
+    order = _order(row, scaled / _scale(bodies), frames, axis)
+    order = order[solved[row[order]]]
+    row = row[order]
+    result = described(frames[order], potential[order]) | {
+        "index": index[order].astype(np.int8), "circle": symmetric[row], "axis": axis[order],
+        "degenerate": np.zeros(row.size, bool),
+    }  # fmt: skip
     if stability:
         angles = {name: result[name] for name in ANGLES}
         result |= stability_at_rest(system, subset(points, row), angles)
-    return complete, row, result
+    return solved, symmetric, row, result
+
+
+def _by_continuation(bodies: Body, ordered: bool) -> tuple[NDArray[np.int64], Array]:
+    """Body and frame of each equilibrium, of those bodies of which the continuation finds all."""
+    alpha, gamma = (direction.field.T for direction in bodies.amended())
+    radius, normal, real, complete = homotopy.solve(bodies.inertia.T, alpha, gamma, ordered)
+    body, path = np.nonzero(real.T & complete[:, None])
+    a, g = radius[:, path, body].T, normal[:, path, body].T
+    return body, np.stack([a, np.cross(g, a), g], 1)
+
+
+def _by_symmetry(bodies: Body, i: NDArray[np.int64]) -> tuple[NDArray[np.int64], Array]:
+    """The same of bodies with one axis of symmetry i, which in the frame is a critical point of a function on the sphere."""
+    own = np.arange(i.size)
+    excess, none = bodies.inertia[own, i] - bodies.inertia[own, (i + 1) % 3], np.zeros(i.size)
+    alpha, gamma = bodies.amended()
+    d = np.array([alpha.gradient * excess, none, gamma.gradient * excess])
+    b = np.array([alpha.field[own, i], none, gamma.field[own, i]])
+    components, dimension = critical_directions(d, b)
+    column, body = np.nonzero((dimension == 0) & ~(dimension > 0).any(0))
+    axis = components[:, column, body].T
+    across = np.cross(axis, np.eye(3)[np.abs(axis).argmin(1)])
+    across /= np.linalg.norm(across, axis=1)[:, None]
+    frames = np.empty((body.size, 3, 3))
+    for shift, vector in enumerate((axis, across, np.cross(axis, across))):
+        frames[np.arange(body.size), :, (i[body] + shift) % 3] = vector
+    return body, frames
 
 
 def _search(bodies: Body, scale: float) -> Array:
@@ -229,7 +271,7 @@ def _search(bodies: Body, scale: float) -> Array:
     return frames
 
 
-def _rotated(frames: Array, xi: Array) -> Array:
+def rotated(frames: Array, xi: Array) -> Array:
     """Frames after the body turned by the rotation vectors xi (body axes)."""
     angle = np.linalg.norm(xi, axis=-1)[..., None, None]
     hat = cross_matrix(xi)
@@ -248,7 +290,7 @@ def _critical(bodies: Body, frames: Array, scale: float) -> Array:
         inverse = values / (values**2 + (1e-7 * scale) ** 2)
         step = -np.einsum("nji,nj,nkj,nk->ni", right, inverse, left, gradient)
         length = np.linalg.norm(step, axis=1)
-        frames[active] = _rotated(
+        frames[active] = rotated(
             frames[active], step * np.minimum(1.0, 0.5 / np.maximum(length, 0.5))[:, None]
         )
         active = active[length > 1e-9]
@@ -269,7 +311,7 @@ def _classify(
         )
     axis = np.einsum("nij,nj->ni", vectors, flat.astype(float))
     # A circle is the orbit of a symmetry, of the body about one of its axes or about the normal.
-    turned = _rotated(frames, np.array([0.3, 1.1, 2.5, 4.0])[:, None, None] * axis)
+    turned = rotated(frames, np.array([0.3, 1.1, 2.5, 4.0])[:, None, None] * axis)
     gradient, _ = bodies.gradient(turned[:, :, 0], turned[:, :, 2])
     circle = flat.any(1) & (np.linalg.norm(gradient, axis=2).max(0) < _ZERO_EIGENVALUE * scale)
     return ((values < 0) & ~flat).sum(1), np.where(circle[:, None], axis, np.nan), flat.any(1) & ~circle

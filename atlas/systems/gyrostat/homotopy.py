@@ -37,15 +37,17 @@ _START_INERTIA = np.array([-0.985 - 0.174j, 0.631 - 0.366j, 0.354 + 0.540j])
 _ATTEMPTS = ((0.05, 0.25), (0.01, 0.1), (0.0005, 0.1))
 _FIRST_STEP, _MIN_STEP, _MAX_STEPS = 0.1, 1e-6, 600
 _POLISH = 6  # Newton iterations at the end
+_STRIDE = 5  # of bodies in order, of which one is followed
 _ROUNDING = 1e-11  # of the gradient at an end
 # A solution with imaginary parts below this is real; solutions closer to each other, or with imaginary parts between
 # the two, are not certainly different or real.
 _REAL, _DISTINCT = 1e-9, 1e-5
 
 
-def solve(inertia: Array, p: Array, q: Array) -> tuple[Array, Array, Mask, Mask]:
+def solve(inertia: Array, p: Array, q: Array, ordered: bool = False) -> tuple[Array, Array, Mask, Mask]:
     """Critical points of W of some bodies; a common multiple of (1, 1, 1) in the inertia has no effect.
 
+    ordered: neighbours are similar, so that most are solved by Newton's method from the complex solutions of another.
     Returns alpha, gamma, unit vectors, of the critical points that are real; real, which are; each once, (24,
     bodies); complete, where all 24 complex solutions were found, all different, each of them clearly real or clearly not, (bodies,).
     """
@@ -53,8 +55,8 @@ def solve(inertia: Array, p: Array, q: Array) -> tuple[Array, Array, Mask, Mask]
     scale = np.max([np.abs(inertia).max(0), np.abs(p).max(0), 0.3 * np.abs(q).max(0)], axis=0)
     with np.errstate(all="ignore"):
         target = [np.where(scale > 0, values / scale, 0.0) for values in (inertia, p, q)]
-        ends, complete = _ends(target, *_ATTEMPTS[0])
-        for attempt in _ATTEMPTS[1:]:
+        ends, complete = (_ends_of_neighbours if ordered else _ends)(target, *_ATTEMPTS[0])
+        for attempt in _ATTEMPTS[0 if ordered else 1 :]:
             repeated = np.flatnonzero(~complete)
             if repeated.size:
                 part = [values[:, repeated] for values in target]
@@ -79,13 +81,30 @@ def _ends(target: Three, tolerance: float, max_step: float) -> tuple[Complex, Ma
     ends = np.concatenate([alpha, gamma]).reshape(6, paths, count)
     if mirrored:
         ends = np.concatenate([ends, ends * np.array([-1, -1, -1, 1, 1, 1])[:, None, None]], 1)
-    distance = np.full((PATHS, count), np.inf)
+    return ends, arrived.reshape(paths, count).all(0) & _all_different(ends)
+
+
+def _ends_of_neighbours(target: Three, tolerance: float, max_step: float) -> tuple[Complex, Mask]:
+    """As `_ends`, with paths for every _STRIDE-th body alone; 24 different solutions are all, wherever they start."""
+    count = target[0].shape[1]
+    followed = np.arange(0, count, _STRIDE)
+    ends, _ = _ends([values[:, followed] for values in target], tolerance, max_step)
+    nearest = np.minimum((np.arange(count) + _STRIDE // 2) // _STRIDE, followed.size - 1)
+    start = ends[:, :, nearest].reshape(6, -1)
+    repeated = [np.tile(values, PATHS) for values in target]
+    alpha, gamma, exact = _polished(repeated, start[:3], start[3:])
+    ends = np.concatenate([alpha, gamma]).reshape(6, PATHS, count)
+    return ends, exact.reshape(PATHS, count).all(0) & _all_different(ends)
+
+
+def _all_different(ends: Complex) -> Mask:
+    """Where all solutions are clearly different, and clearly real or not, (bodies,)."""
+    distance = np.full(ends.shape[1:], np.inf)
     for shift in range(1, PATHS // 2 + 1):
         distance = np.fmin(distance, np.abs(ends - np.roll(ends, shift, 1)).max(0))
     imaginary = np.abs(ends.imag).max(0)
     clear = (imaginary < _REAL) | (imaginary > _DISTINCT)
-    lost = (~arrived.reshape(paths, count)).any(0) | (~clear | ~(distance > _DISTINCT)).any(0)
-    return ends, np.logical_not(lost)
+    return np.asarray((clear & (distance > _DISTINCT)).all(0))
 
 
 def _follow(
@@ -121,6 +140,12 @@ def _follow(
         growth = np.where(accepted, growth, np.minimum(np.nan_to_num(growth, nan=0.3), 0.4))
         step[active] = np.minimum(length * growth, max_step)
         active = active[(t[active] < 1) & (step[active] > _MIN_STEP)]
+    alpha, gamma, exact = _polished(target, alpha, gamma)
+    return alpha, gamma, (t >= 1) & exact
+
+
+def _polished(target: Three, alpha: Complex, gamma: Complex) -> tuple[Complex, Complex, Mask]:
+    """Solutions by Newton's method from near ones, and which are exact but for rounding."""
     inertia, p, q = target
     for _ in range(_POLISH):
         xi = _newton(_gradient(inertia, p, q, alpha, gamma), inertia, p, q, alpha, gamma)
@@ -128,7 +153,7 @@ def _follow(
         alpha, gamma = _turned(alpha, gamma, [np.where(small, x, 0) for x in xi], 1.0)
     magnitude = (np.abs(alpha).max(0) + np.abs(gamma).max(0)) ** 2
     exact = _size(_gradient(inertia, p, q, alpha, gamma)) < _ROUNDING * magnitude
-    return alpha, gamma, (t >= 1) & exact
+    return alpha, gamma, exact
 
 
 def _size(xi: Three) -> Array:

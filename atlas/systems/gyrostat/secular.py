@@ -1,24 +1,15 @@
-"""All permanent rotations about the vertical of bodies on which nothing acts along the other direction of the frame."""
+"""All critical points of a quadratic function on the unit sphere, from the secular equation of its multiplier."""
 
 from __future__ import annotations
-
-from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ...flags import Completeness
-from ..base import FAMILY_TOLERANCE, Array, Mask, Points, subset
+from ..base import Array, Mask
 from ..vectors import length, unit
 from .body import Body
-from .equilibria import padded, stability_at_rest
-from .oscillations import Equilibria
-
-if TYPE_CHECKING:
-    from .system import Gyrostat
 
 PLACES = 12  # columns of directions
-_NEAR_BIFURCATION = 1e-9  # eigenvalue of the amended potential's Hessian, relative to its size
 
 
 class _SecularEquation:
@@ -34,7 +25,8 @@ class _SecularEquation:
         self.total = length(b)
 
     def sum(self, shift: Array, origin: Array, power: int = 2) -> Array:
-        return (self.b**2 / (self.d - origin - shift) ** power).sum(0)
+        terms = self.b**2 / (self.d - origin - shift) ** power
+        return np.where(self.b == 0, 0.0, terms).sum(0)  # a pole without residue may be met exactly
 
     def direction(self, shift: Array, origin: Array) -> Array:
         return unit(-self.b / (self.d - origin - shift))
@@ -81,17 +73,23 @@ class _SecularEquation:
 
 
 def directions(body: Body, towards: Array | None = None) -> tuple[Array, NDArray[np.int8]]:
-    """All directions g of the vertical in the body at which the body can rest in the frame, where nothing acts along alpha.
+    """All directions of the vertical in the body at which the body can rest in the frame, where nothing acts along alpha.
 
-    g = -b / (d - L) with d = (n^2 - N) I, b = n l + Mg r_c of a body about a fixed point, and L a root of the secular equation
-    sum b_i^2 / (d_i - L)^2 = 1, which has one root outside each end pole and none or two between
-    neighbours; a component with b_i = 0 also allows L = d_i with g_i free.
+    As `critical_directions`, with d = (n^2 - N) I and b = n l + Mg r_c of a body about a fixed point.
+    """
+    d = (body.turn**2 - body.gamma.gradient) * body.inertia.T
+    return critical_directions(d, body.turn * body.rotor.T - body.gamma.field.T, towards)
+
+
+def critical_directions(d: Array, b: Array, towards: Array | None = None) -> tuple[Array, NDArray[np.int8]]:
+    """Critical points of g.(d g) / 2 + b.g on the unit sphere, d diagonal; arrays (3, points).
+
+    g = -b / (d - L), and L a root of the secular equation sum b_i^2 / (d_i - L)^2 = 1, which has one root outside each end pole
+    and none or two between neighbours; a component with b_i = 0 also allows L = d_i with g_i free.
 
     towards: selects the member of a circle of solutions, (3, points). Returns g, (3, 12, points), nan in unused columns, and
     the dimension of the set that each belongs to, (12, points): 0 isolated, 1 a circle, 2 every direction, -1 unused.
     """
-    d = (body.turn**2 - body.gamma.gradient) * body.inertia.T
-    b = body.turn * body.rotor.T - body.gamma.field.T
     order = np.argsort(d, axis=0, kind="stable")
     d, b = np.take_along_axis(d, order, 0), np.take_along_axis(b, order, 0)
     towards = np.ones_like(d) if towards is None else np.take_along_axis(towards, order, 0)
@@ -112,44 +110,3 @@ def directions(body: Body, towards: Array | None = None) -> tuple[Array, NDArray
                 dimension[column] = np.where(exists, size - 1, -1)
     inverse = np.argsort(order, axis=0)
     return np.take_along_axis(g, np.broadcast_to(inverse[:, None], g.shape), 0), dimension
-
-
-def rotations(system: Gyrostat, points: Points) -> dict[str, NDArray[Any]]:
-    """All permanent rotations of bodies about the vertical, each at its rate n (0: positions of rest).
-
-    points: every parameter, arrays (bodies,), of a system in which nothing acts along alpha. A set of solutions is represented
-    by one member. Returns, in the order of theta, row: the number of the body; dimension of the set; index: number of
-    directions in which the amended potential decreases (0: stable); flat: where an eigenvalue of its Hessian is zero but for
-    _NEAR_BIFURCATION; theta0, phi0 (rad), gamma, stable, growth_rate and the frequencies.
-    """
-    turning = system.body(points)._replace(turn=points["n"])
-    vectors, dimensions = directions(turning)
-    column, body = np.nonzero(dimensions >= 0)
-    g = vectors[:, column, body]
-    theta, phi = np.arctan2(np.hypot(g[0], g[1]), g[2]), np.arctan2(g[0], g[1])
-    order = np.lexsort([g[0], theta, body])
-    g, body, theta, phi = g[:, order], body[order], theta[order], phi[order]
-    dimension = dimensions[column[order], body]
-    start = {"theta0": theta, "phi0": phi, "n": points["n"][body]}
-    turning, gamma = turning.subset(body), g.T
-    rate = turning.rate(turning.turn[:, None] * gamma)
-    vertical = np.stack([gamma, np.zeros_like(gamma)], -1)
-    scaled = turning.scaled(rate)
-    equilibria = Equilibria(
-        np.arange(theta.size), scaled, gamma, gamma, rate, vertical, np.zeros(theta.shape, bool)
-    )
-    values = equilibria.hessian_eigenvalues()
-    return {
-        "row": body, "theta0": theta, "phi0": phi, "gamma": gamma, "dimension": dimension,
-        "index": (values < -FAMILY_TOLERANCE).sum(1).astype(np.int8), **stability_at_rest(system, subset(points, body), start),
-        "circle": dimension == 1, "flat": (np.abs(values) <= _NEAR_BIFURCATION).any(1),
-    }  # fmt: skip
-
-
-def rotations_of_bodies(system: Gyrostat, points: Points) -> dict[str, NDArray[Any]]:
-    """The same with the arrays of the bodies padded, (bodies, places), and completeness, values of flags.Completeness."""
-    result = padded(rotations(system, points), points["n"].size, PLACES)
-    near = (result.pop("flat") & (result["dimension"] == 0)).any(1)
-    flags = np.where(near, Completeness.NEAR_BIFURCATION, Completeness.COMPLETE)
-    flags = np.where((result["dimension"] > 0).any(1), Completeness.NOT_ISOLATED, flags)
-    return result | {"completeness": flags.astype(np.int8)}

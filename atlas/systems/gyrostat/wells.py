@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from ...flags import Completeness
 from ..base import Array, Mask, Points
 from .body import Body
-from .equilibria import ANGLES, _described, _rotated
+from .equilibria import ANGLES, described, rotated
 
 if TYPE_CHECKING:
     from .system import Gyrostat
@@ -94,7 +94,7 @@ class Wells:
             turned = frames[active]
             for _ in range(_STEPS):
                 gradient = body.gradient(turned[:, 0], turned[:, 2])[0]
-                turned = _rotated(turned, -gradient / bound[:, None])
+                turned = rotated(turned, -gradient / bound[:, None])
             frames[active] = turned
         return place
 
@@ -109,7 +109,7 @@ class Wells:
         row = bodies[which]
         rim = np.where(self.minimum[bodies], np.inf, np.nan)
         for sign in (-1.0, 1.0):
-            start = _rotated(self.frames[row, place], sign * _DISPLACED * self.downhill[row, place])
+            start = rotated(self.frames[row, place], sign * _DISPLACED * self.downhill[row, place])
             for i, end in enumerate(self.descend(start, row)):
                 joined = which[i], slice(None) if end < 0 else end
                 rim[joined] = np.minimum(rim[joined], self.potential[row[i], place[i]])
@@ -177,8 +177,8 @@ def _wells(system: Gyrostat, names: Sequence[str], numbers: bytes) -> Wells:
             axis[circle & still.symmetric_about(i)[:, None]] = np.eye(3)[i]
     listed = np.isin(solutions["completeness"], (Completeness.COMPLETE, Completeness.NOT_ISOLATED))
     listed &= (regular | (index < 0)).all(1) & (index >= 0).any(1)
-    turned = _rotated(frames, np.nan_to_num(axis))
-    own, other = (_described(x.reshape(-1, 3, 3), np.zeros(0), index) for x in (frames, turned))
+    turned = rotated(frames, np.nan_to_num(axis))
+    own, other = (described(x.reshape(-1, 3, 3), np.zeros(0)) for x in (frames, turned))
     angles = {name: np.full(index.shape, np.nan) for name in ANGLES}
     for name in ("theta0", "phi0") if single else ANGLES:
         same = np.abs(np.sin(0.5 * (own[name] - other[name]))) < SETTLED

@@ -1,0 +1,182 @@
+"""Branches of relative equilibria against a parameter as a dataset."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+import xarray as xr
+
+from ..errors import BadInput
+from ..flags import BifurcationKind
+from ..io import netcdf
+from ..measure.instrument import Variable
+from ..scene import grid
+from ..scene.checks import typed
+from ..scene.model import SCHEMA, Duration, Scene
+from ..scene.read import scene_from
+from ..systems.base import Array, Points
+from ..systems.gyrostat import Gyrostat
+from ..systems.gyrostat.branches import Branches, Family, follow
+from ..systems.gyrostat.equilibria import described
+from .equilibria import UNUSED, attributes
+
+_OWN = {  # variables that `equilibria` does not give; fold_<name> without a row has the attributes of <name>
+    variable.name: variable.attributes()
+    for variable in (
+        Variable("index_sum", "int64", "1", "sum of (-1)^index over the equilibria"),
+        Variable("fold_kind", "int8", "1", "kind of bifurcation", BifurcationKind.meanings()),
+        Variable(
+            "fold_direction", "float64", "1", "rotation vector in body axes along which solutions separate"
+        ),
+        Variable("fold_branch", "int64", "1", "branches that meet; -1: no more"),
+    )
+}
+
+
+@typed
+def branches(
+    system: str,
+    body: Mapping[str, float],
+    *,
+    along: Mapping[str, Sequence[float]],
+    ties: Mapping[str, str] | None = None,
+) -> xr.Dataset:
+    """Branches of relative equilibria, or of permanent rotations about the vertical, against one parameter.
+
+    All solutions are computed at every value, and those of neighbouring values joined; an interval in which one begins, ends or
+    changes its stability is divided until each bifurcation in it follows from Newton's method.
+
+    Parameters
+    ----------
+    system : str
+        "satellite" or "fixed_point".
+    body : mapping of str to float
+        Parameter -> number; those left out take their defaults. Start values have no effect, except n of the fixed_point, the
+        rate of rotation.
+    along : mapping of str to sequence of float
+        One parameter, or another name that `ties` refer to -> its values, two or more.
+    ties : mapping of str to str, optional
+        Parameter -> arithmetic in the other names, such as ``{"B": "1 + 0.5 * A"}``, as in a scene.
+
+    Returns
+    -------
+    Dataset
+        Over the dimensions "branch" and the parameter, what `equilibria` gives, nan (index -1) where a branch does not exist;
+        index is the number of directions in which the amended potential falls at a constant rate. Over the parameter
+        completeness (flags), equilibrium_count and index_sum, the sum of (-1)^index: 0 for a satellite without symmetry, 2 for
+        one with an axis of symmetry and for permanent rotations. Over the
+        dimension "fold", in the order of the parameter: ``fold_<parameter>``, fold_error, fold_kind (flags), the angles,
+        vectors and the potential there as fold_theta0, ..., fold_direction, in which the solutions separate, and fold_branch, the
+        branches that meet.
+
+    Raises
+    ------
+    BadInput
+        For names, values and ties that a scene would not take, for a parameter that changes no body, and where no body is possible.
+
+    Notes
+    -----
+    No branch is lost at a value that is looked at. One with two folds between two values is found where the tangents at both do
+    not predict one another; a closed line of equilibria between two values leaves no trace and is not found.
+    """
+    table = {
+        "schema": SCHEMA, "title": "branches", "system": system, "fixed": dict(body), "ties": dict(ties or {}),
+        "axes": {name: {"values": np.asarray(values).tolist()} for name, values in along.items()},
+        "integration": {"duration": 1.0},
+    }  # fmt: skip
+    return branches_of_scene(scene_from(table, folder=None))
+
+
+def branches_of_scene(scene: Scene) -> xr.Dataset:
+    """The branches of the bodies of a scene along its only axis, as `branches`."""
+    if len(scene.axes) != 1:
+        raise BadInput(f"branches: needs one axis, found {', '.join(scene.axes)}")
+    (name,) = scene.axes
+    scene = replace(scene, axes={name: replace(scene.axes[name], values=np.sort(scene.axes[name].values))})
+    values = scene.axes[name].values
+    sample = grid.points_at(scene, {name: values})
+    scene.system.check_possible(sample.base)
+    possible = np.flatnonzero(
+        scene.system.possible_body(sample.base) & (sample.reason != grid.Reason.NO_VALUE)
+    )
+    family = family_of(scene, values[possible, None])
+    result = follow(family, values[possible], possible - np.arange(possible.size))
+    frames = np.array([point.frame for point in result.points]).reshape(-1, 3, 3)
+    folds = np.array([[point.value] for point in result.points]).reshape(-1, 1)
+    potential = family.system.body_at_rest(family.points(folds)).potential(frames[:, 0], frames[:, 2])
+    variables = over_values(name, values.size, possible, result)
+    variables |= of_points(name, result, described(frames, potential))
+    ds = netcdf.dataset(replace(scene, outputs=()), {})
+    starts = {name for name, parameter in scene.system.parameters.items() if parameter.start}
+    given = {name, *scene.fixed, *scene.ties} - set(variables)
+    ds = ds.drop_vars(starts - given, errors="ignore").assign(variables)
+    parameter = ds[name].attrs
+    of_axis = {f"fold_{name}": parameter, "fold_error": {"units": parameter["units"]}}
+    for each in variables:
+        ds[each].attrs = _OWN.get(each) or of_axis.get(each) or attributes(each.removeprefix("fold_"))
+    system = scene.system
+    ds.attrs = {"title": scene.title, "references": system.reference, "atlas_system": system.name}
+    return ds
+
+
+def family_of(scene: Scene, values: Array) -> Family:
+    """The bodies of a scene as a family, on the range of some values (bodies, axes); BadInput if none of them differ."""
+    system = scene.system
+    if not isinstance(system, Gyrostat):
+        raise BadInput(f"branches: of the {system.name} no relative equilibria are known")
+    if len(values) < 2 or scene.points or any(axis.offset_from_family for axis in scene.axes.values()):
+        raise BadInput("branches: needs an axis on which two values or more have a body that is possible")
+    scene = replace(scene, duration=Duration(1.0), nudge={})
+
+    def points(values: Array) -> Points:
+        return grid.points_at(scene, dict(zip(scene.axes, values.T, strict=True))).base
+
+    body = system.body_at_rest(points(values))
+    if not any(np.ptp(each, axis=0).any() for each in (*body[:3], *body.alpha, *body.gamma)):
+        raise BadInput(
+            f"branches: {', '.join(scene.axes)} changes no equilibria; take a parameter of body or field"
+        )
+    return Family.of(system, points, values)
+
+
+Variables = dict[str, tuple[tuple[str, ...], np.ndarray]]
+
+
+def over_values(along: str, size: int, possible: np.ndarray, result: Branches) -> Variables:
+    """Variables of the branches, which are over those values of the axis at which a body is possible."""
+    node, place = np.nonzero(result.branch >= 0)
+    variables: Variables = {}
+    for name, values in result.listed.items():
+        shape = (size,) if values.ndim == 1 else (result.total, size, *values.shape[2:])
+        full = np.full(shape, UNUSED.get(name, np.nan if values.dtype.kind == "f" else 0), values.dtype)
+        if values.ndim == 1:
+            full[possible] = values
+        else:
+            full[result.branch[node, place], possible[node]] = values[node, place]
+        variables[name] = ("branch", along, "body_axis")[values.ndim == 1 :][: values.ndim], full
+    index = variables["index"][1]
+    sums = np.where(index >= 0, (-1) ** np.maximum(index, 0), 0).sum(0)
+    return variables | {
+        "equilibrium_count": ((along,), (index >= 0).sum(0)),
+        "index_sum": ((along,), sums),
+    }
+
+
+def of_points(along: str, result: Branches, where: Mapping[str, np.ndarray]) -> Variables:
+    """Variables of the points at which branches meet; where: angles, vectors and potential there."""
+    points = result.points
+    meeting = np.full((len(points), max(map(len, result.meeting), default=0)), -1)
+    for row, members in zip(meeting, result.meeting, strict=True):
+        row[: len(members)] = members
+    columns = {name: values for name, values in where.items() if name in result.listed} | {
+        along: np.array([point.value for point in points]),
+        "kind": np.array([point.kind for point in points], np.int8),
+        "error": np.array([point.error for point in points]),
+        "direction": np.array([point.direction for point in points]).reshape(-1, 3),
+    }
+    variables: Variables = {
+        f"fold_{name}": (("fold", "body_axis")[: values.ndim], values) for name, values in columns.items()
+    }
+    return variables | {"fold_branch": (("fold", "meeting"), meeting)}

@@ -1,0 +1,60 @@
+"""All permanent rotations about the vertical of bodies on which nothing acts along the other direction of the frame."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...flags import Completeness
+from ..base import FAMILY_TOLERANCE, Points, subset
+from .equilibria import padded, stability_at_rest
+from .oscillations import Equilibria
+from .secular import PLACES, directions
+
+if TYPE_CHECKING:
+    from .system import Gyrostat
+
+_NEAR_BIFURCATION = 1e-9  # eigenvalue of the amended potential's Hessian, relative to its size
+
+
+def rotations(system: Gyrostat, points: Points) -> dict[str, NDArray[Any]]:
+    """All permanent rotations of bodies about the vertical, each at its rate n (0: positions of rest).
+
+    points: every parameter, arrays (bodies,), of a system in which nothing acts along alpha. A set of solutions is represented
+    by one member. Returns, in the order of theta, row: the number of the body; dimension of the set; index: number of
+    directions in which the amended potential decreases (0: stable); flat: where an eigenvalue of its Hessian is zero but for
+    _NEAR_BIFURCATION; theta0, phi0 (rad), gamma and equilibria.STABILITY.
+    """
+    turning = system.body_at_rest(points)
+    vectors, dimensions = directions(turning)
+    column, body = np.nonzero(dimensions >= 0)
+    g = vectors[:, column, body]
+    theta, phi = np.arctan2(np.hypot(g[0], g[1]), g[2]), np.arctan2(g[0], g[1])
+    order = np.lexsort([g[0], theta, body])
+    g, body, theta, phi = g[:, order], body[order], theta[order], phi[order]
+    dimension = dimensions[column[order], body]
+    start = {"theta0": theta, "phi0": phi, "n": points["n"][body]}
+    turning, gamma = turning.subset(body), g.T
+    rate = turning.rate(turning.turn[:, None] * gamma)
+    vertical = np.stack([gamma, np.zeros_like(gamma)], -1)
+    scaled = turning.scaled(rate)
+    equilibria = Equilibria(
+        np.arange(theta.size), scaled, gamma, gamma, rate, vertical, np.zeros(theta.shape, bool)
+    )
+    values = equilibria.hessian_eigenvalues()
+    return {
+        "row": body, "theta0": theta, "phi0": phi, "gamma": gamma, "dimension": dimension,
+        "index": (values < -FAMILY_TOLERANCE).sum(1).astype(np.int8), **stability_at_rest(system, subset(points, body), start),
+        "circle": dimension == 1, "flat": (np.abs(values) <= _NEAR_BIFURCATION).any(1),
+    }  # fmt: skip
+
+
+def rotations_of_bodies(system: Gyrostat, points: Points) -> dict[str, NDArray[Any]]:
+    """The same with the arrays of the bodies padded, (bodies, places), and completeness, values of flags.Completeness."""
+    result = padded(rotations(system, points), points["n"].size, PLACES)
+    near = (result.pop("flat") & (result["dimension"] == 0)).any(1)
+    flags = np.where(near, Completeness.NEAR_BIFURCATION, Completeness.COMPLETE)
+    flags = np.where((result["dimension"] > 0).any(1), Completeness.NOT_ISOLATED, flags)
+    return result | {"completeness": flags.astype(np.int8)}

@@ -1,0 +1,94 @@
+"""Diagrams of branches: what is drawn how, and the command that draws them."""
+
+import numpy as np
+import pytest
+import xarray as xr
+from matplotlib.figure import Figure
+
+import atlas
+from atlas.cli import main
+from atlas.errors import BadInput
+from atlas.flags import BifurcationKind, StabilityKind
+from atlas.plotting.branches import LINES, MARKERS, branch_lines
+
+SCENE = """
+schema = 1
+title = "rotor"
+system = "satellite"
+fixed = { A = 1.0, B = 1.3, C = 1.7 }
+axes.k3 = { from = 0.05, to = 3.0, count = 12 }
+"""
+
+
+@pytest.fixture(scope="module")
+def ds():
+    return atlas.branches(
+        "satellite", {"A": 1.0, "B": 1.3, "C": 1.7}, along={"k3": np.linspace(0.05, 3.0, 12)}
+    )
+
+
+@pytest.fixture(scope="module")
+def arcs():
+    top = {"A": 1.0, "B": 1.3, "C": 1.7, "Mg": 1.0, "x0": 0.3, "y0": 0.2, "z0": 0.5}
+    return atlas.branches("fixed_point", top, along={"n": np.linspace(-3.0, 3.0, 12)})
+
+
+def test_lines_end_at_the_bifurcations(arcs):
+    """Every fold is the end of lines of two branches, and the lines hold every value of every branch."""
+    lines = branch_lines(arcs, "theta0", "n")
+    assert set(lines) <= set(StabilityKind)
+    vertices = np.concatenate([line for group in lines.values() for line in group])
+    for n, theta in zip(arcs.fold_n.values, arcs.fold_theta0.values, strict=True):
+        assert (np.abs(vertices - [n, theta]).max(1) == 0).sum() == 2
+    stable = np.argwhere((arcs.stability_kind == StabilityKind.ENERGY_STABLE).values)
+    drawn = np.concatenate(lines[StabilityKind.ENERGY_STABLE])
+    for branch, i in stable:
+        point = [arcs.n.values[i], arcs.theta0.values[branch, i]]
+        assert (np.abs(drawn - point).max(1) == 0).any()
+
+
+def test_angles_are_not_joined_across_a_jump(ds):
+    lines = branch_lines(ds, "psi0", "k3")
+    assert max(np.abs(np.diff(line[:, 1])).max() for group in lines.values() for line in group) < 0.9 * np.pi
+
+
+def test_figure_marks_stability_and_bifurcations(ds):
+    figure = ds.atlas.diagram("theta0", title="rotor")
+    (ax,) = figure.axes
+    markers = {line.get_marker(): line.get_xydata() for line in ax.lines if line.get_marker() != "None"}
+    pitchforks = markers[MARKERS[BifurcationKind.PITCHFORK]["marker"]]
+    np.testing.assert_allclose(np.unique(pitchforks[:, 0].round(9)), [0.4, 0.7, 1.6, 2.8])
+    styles = {(line.get_color(), line.get_linewidth()) for line in ax.lines}
+    thick = LINES[StabilityKind.ENERGY_STABLE]
+    assert (thick["color"], thick["linewidth"]) in styles
+    names = {text.get_text() for text in figure.legends[0].get_texts()}
+    assert {"energy stable", "unstable", "pitchfork", "exchange"} <= names
+    assert ax.get_xlabel() == "$k_3$ (N m s)"
+
+
+def test_arcs_on_the_sphere_and_axes_of_the_caller(arcs):
+    figure = Figure()
+    ax = figure.subplots()
+    assert arcs.atlas.diagram("gamma", ax=ax, legend=False) is figure
+    drawn = np.concatenate([line.get_xydata() for line in ax.lines])
+    assert np.nanmax(np.hypot(*drawn.T)) <= 1.1 + 1e-9
+
+
+def test_command(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "rotor.toml").write_text(SCENE)
+    assert main(["branches", "rotor.toml", "-o", "rotor.svg"]) == 0
+    assert "<svg" in (tmp_path / "rotor.svg").read_text()
+    assert main(["branches", "rotor.toml", "-o", "rotor.nc"]) == 0
+    assert "24 branches, 16 points at which they meet" in capsys.readouterr().out
+    with xr.open_dataset("rotor.nc") as read:
+        assert read.fold_kind.attrs["flag_meanings"].split()[2] == "pitchfork"
+    assert main(["branches", "rotor.toml", "-o", "x.svg", "--variable", "theta"]) == 2
+    assert "did you mean 'theta0'" in capsys.readouterr().err
+
+
+def test_other_datasets_have_no_diagram(ds):
+    with pytest.raises(BadInput, match="no branches"):
+        atlas.equilibria("fixed_point", {}).atlas.diagram()
+    with pytest.raises(BadInput, match="allowed"):
+        ds.atlas.diagram("axis")

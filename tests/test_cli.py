@@ -105,8 +105,14 @@ def test_map_takes_the_choices_of_a_paper(folder, monkeypatch, capsys):
             "--at sigma=nan: must be AXIS=VALUE with a finite",
         ),
         (["map", "small.nc", "--select", "a=1", "--select", "a=2"], "--select: a is given twice"),
-        (["run", "small.toml", "-o", "okout"], "must end in .nc, for one file, or in /, for a run folder"),
-        (["run", "small.toml", "-o", "k3_0.5"], "must end in .nc, for one file, or in /, for a run folder"),
+        (
+            ["run", "small.toml", "-o", "okout"],
+            "must end in .nc, for one file, in /, for a run folder, or in .zarr, for a Zarr store",
+        ),
+        (
+            ["run", "small.toml", "-o", "k3_0.5"],
+            "must end in .nc, for one file, in /, for a run folder, or in .zarr, for a Zarr store",
+        ),
         (["run", "small.toml", "-o", "a" * 300 + ".nc"], "too long"),
         (["run", "a" * 300 + ".toml"], "too long"),
         (["map", "a" * 300 + ".nc"], "too long"),

@@ -209,13 +209,9 @@ class Atlas:
         Returns
         -------
         Dataset
-            `probability`, `lower` and `upper`, the 95 % interval of Wilson [1]_ for each cell by itself, over the other axes
+            `probability`, `lower` and `upper`, the 95 % interval of Wilson for each cell by itself, over the other axes
             and a dimension named like the variable, whose coordinate is the names of the flags; `.sel(label="drifting").atlas.map()`
             draws one of them. All draws count, those without a motion as not_computed.
-
-        References
-        ----------
-        .. [1] E. B. Wilson, J. Am. Stat. Assoc. 22 (1927) 209.
         """
         from .analysis.trust import probability
 

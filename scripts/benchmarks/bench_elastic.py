@@ -2,7 +2,7 @@
 
 python scripts/benchmarks/bench_elastic.py [POINTS] [--kills 10] [--places folder s3] [--refined]      (default 3e7, both)
 
-Prints the time, the largest memory of a job, and whether every value equals that of a run that nobody killed. Needs moto[server].
+Prints the time, the largest memory of a job, and whether every value equals that of a run that nobody killed. Needs moto[s3], flask and flask-cors.
 """
 
 from __future__ import annotations

@@ -64,12 +64,12 @@ def test_ends_are_those_of_two_other_integrators(given):
     ds = ends(body | starts, given["duration"])
     assert (ds["settled_by"] == SettledBy.PROVED).all()
     assert (ds["end_index"] == 0).all()
-    found = vectors_of(atlas.equilibria("satellite", body), ds["end_equilibrium"].values)
+    attitudes = vectors_of(atlas.equilibria("satellite", body), ds["end_equilibrium"].values)
     minima = np.array([[*minimum["alpha"], *minimum["gamma"]] for minimum in given["minima"]])
-    np.testing.assert_allclose(found, minima[[case["end"] for case in given["cases"]]], atol=1e-8)
+    np.testing.assert_allclose(attitudes, minima[[case["end"] for case in given["cases"]]], atol=1e-8)
     at_end = {name: ds[f"end_{name}"].values for name in ANGLES}
-    state = initial_state(SATELLITE.with_defaults(body) | at_end | {"n": np.zeros(len(found))})
-    np.testing.assert_allclose(state[3:].T, found, atol=1e-8)
+    state = initial_state(SATELLITE.with_defaults(body) | at_end | {"n": np.zeros(len(attitudes))})
+    np.testing.assert_allclose(state[3:].T, attitudes, atol=1e-8)
 
 
 def test_a_proof_in_a_short_run_holds_in_a_long_one_of_another_integrator():

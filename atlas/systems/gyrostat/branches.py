@@ -273,8 +273,9 @@ def bifurcations(family: Family, nodes: Nodes, intervals: list[Interval]) -> lis
     starts = [start for each in intervals for start in (*each.changes, *each.ends)]
     which = tuple(np.array(starts).reshape(-1, 2).T)
     values = nodes.values[which[0], None]
-    found = family.singular(values, nodes.frames[which], nodes.number[which], np.ones(values.shape, bool))
-    rows = iter(zip(*found, strict=True))
+    varied = np.ones(values.shape, bool)
+    singular = family.singular(values, nodes.frames[which], nodes.number[which], varied)
+    rows = iter(zip(*singular, strict=True))
     result: list[list[Bifurcation] | None] = []
     for each in intervals:
         own = [*each.changes, *each.ends]

@@ -51,8 +51,8 @@ def trust(ds: xr.Dataset, variable: str) -> xr.Dataset:
     missed = n_missed / n_uniform if n_uniform else np.nan
     boxes = mixed = total = 0.0
     for box in chunks(array.sizes, dims, cell_side=BOX):
-        part, entropy = array.isel(box), np.zeros(1)
-        for flag in np.unique(part.values):
+        part, entropy = xr.DataArray(array.isel(box).values, dims=array.dims), np.zeros(1)
+        for flag in np.unique(part):
             share = (part == flag).coarsen(dict.fromkeys(dims, BOX), boundary="trim").mean().values
             entropy = entropy - share * np.log(np.where(share > 0, share, 1.0))
         boxes, mixed = boxes + entropy.size, mixed + np.count_nonzero(entropy)

@@ -85,7 +85,8 @@ def random_points(system: str, count: int, rng: np.random.Generator) -> dict[str
         points[name] = np.full(count, np.nan) if optional else rng.normal(size=count) * 0.3
     points |= {"A": rng.uniform(1, 1.4, count), "B": rng.uniform(1, 1.4, count)}
     points |= {"C": rng.uniform(0.6, 1.9, count), "theta0": rng.uniform(0.2, 2.9, count)}
-    return points | ({"Omega": np.ones(count), "damping": np.zeros(count)} if system == "satellite" else {})
+    points["damping"] = np.zeros(count)
+    return points | ({"Omega": np.ones(count)} if system == "satellite" else {})
 
 
 class Case:

@@ -346,7 +346,7 @@ def test_a_server_that_is_no_scheduler_is_refused_after_the_timeout(monkeypatch)
 def test_examples_of_the_documentation_that_need_a_cluster_have_valid_syntax():
     text = (Path(__file__).parents[2] / "docs" / "cluster.md").read_text()
     scripts = re.findall(r"^```bash\n(.*?)^```", text, re.M | re.S)
-    assert len(scripts) == 3
+    assert len(scripts) == 4
     for script in scripts:
         assert subprocess.run(["bash", "-n"], input=script, text=True, check=False).returncode == 0
     (example,) = re.findall(r"^```py\n(.*?)^```", text, re.M | re.S)

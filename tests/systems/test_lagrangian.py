@@ -93,7 +93,7 @@ def test_gyrostat_in_euler_angles_agrees_with_the_euler_poisson_equations(in_eul
     along = np.array(in_euler_angles.frame_motion(state + change, constants)).imag / 1e-30
     motion = np.array(in_euler_angles.frame_motion(state, constants))
     none = np.zeros(20)
-    body = [A, B, C, 1 / A, 1 / B, 1 / C, *rotor_and_weight, none, none, none]
+    body = [A, B, C, 1 / A, 1 / B, 1 / C, *rotor_and_weight, none, none, none, none]
     np.testing.assert_allclose(along, fixed_point.rhs(motion, body), atol=1e-13)
     np.testing.assert_allclose(in_euler_angles.height(state, constants), np.cos(state[0]))
 

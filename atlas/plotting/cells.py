@@ -11,7 +11,7 @@ import xarray as xr
 from matplotlib import colormaps
 from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable
-from matplotlib.collections import PolyCollection
+from matplotlib.collections import PathCollection
 from matplotlib.colors import (
     BoundaryNorm,
     Colormap,
@@ -21,6 +21,7 @@ from matplotlib.colors import (
     Normalize,
 )
 from matplotlib.figure import Figure
+from matplotlib.path import Path
 from matplotlib.ticker import LogLocator, MaxNLocator, NullFormatter
 
 from ..analysis.boundary import CHANGE, DEGENERATE, EXISTENCE, KINDS, LABEL, RESONANCES, STABILITY
@@ -250,18 +251,22 @@ def draw_overlay(ax: Axes, panel: Panel, edges: list[np.ndarray], families: Sequ
 
 
 def draw_hatching(ax: Axes, mask: Mask, edges: list[np.ndarray], hatch: Hatch) -> None:
-    """Hatch the marked cells, one rectangle for each run of them along x; over one axis from bottom to top."""
+    """Hatch the marked cells; over one axis from bottom to top.
+
+    One path of a rectangle for each run of cells along x: Matplotlib takes seconds to hatch as many paths.
+    """
     x, y = edges[0], edges[1] if mask.ndim == 2 else ax.get_ylim()
     mask = np.atleast_2d(mask)
     steps = np.diff(np.pad(mask, ((0, 0), (1, 1))).astype(np.int8), axis=1)
     row, start = np.nonzero(steps == 1)
     stop = np.nonzero(steps == -1)[1]
     left, right, bottom, top = x[start], x[stop], np.asarray(y)[row], np.asarray(y)[row + 1]
-    corners = np.stack([left, bottom, right, bottom, right, top, left, top], -1).reshape(-1, 4, 2)
+    corners = np.stack([left, bottom, right, bottom, right, top, left, top, left, bottom], -1).reshape(-1, 2)
+    codes = np.tile([Path.MOVETO, Path.LINETO, Path.LINETO, Path.LINETO, Path.CLOSEPOLY], left.size)
     ax.add_collection(
-        PolyCollection(
-            list(corners), facecolors=hatch.background, edgecolors=hatch.colour, hatch=hatch.pattern,
-            linewidths=0, zorder=1.5, rasterized=True,
+        PathCollection(
+            [Path(corners, codes)], facecolors=hatch.background, edgecolors=hatch.colour,
+            hatch=hatch.pattern, linewidths=0, zorder=1.5, rasterized=True,
         ),
         autolim=False,
     )  # fmt: skip

@@ -19,7 +19,7 @@ from atlas.systems.jacobian import jacobian
 from atlas.validation import stress
 from atlas.validation.work_precision import work_precision
 
-pytestmark = pytest.mark.usefixtures("whole_kernels")
+pytestmark = pytest.mark.usefixtures("whole_kernels", "short_timings")
 
 ROOT = Path(__file__).parents[2]
 EXAMPLES = ROOT / "docs" / "examples"

@@ -128,3 +128,23 @@ def evaluated(monkeypatch):
 
     monkeypatch.setattr(earlier, "evaluate", counted)
     return sizes
+
+
+@pytest.fixture
+def interrupt(monkeypatch, evaluated):
+    """Function of a number: the integration of this number from then on is interrupted, and not counted by `evaluated`."""
+    from atlas.runs import earlier
+
+    def interrupt(number: int) -> None:
+        calls, evaluate = 0, earlier.evaluate
+
+        def interrupted(*arguments, **options):
+            nonlocal calls
+            calls += 1
+            if calls == number:
+                raise KeyboardInterrupt
+            return evaluate(*arguments, **options)
+
+        monkeypatch.setattr(earlier, "evaluate", interrupted)
+
+    return interrupt

@@ -109,6 +109,21 @@ def jacobian_matrices(rhs, state, constants):
     return np.moveaxis(np.array(rhs(shifted, constants)).imag / 1e-30, -1, 0)
 
 
+def exponents_along_runs(rhs, states, constants, duration):
+    """Of each point the states along its run, (d, instants), and the exponents of the equations linearised there."""
+    for state, column in zip(states.T, constants.T, strict=True):
+        run = solve_ivp(
+            lambda t, y, c=column: rhs(y, c),
+            (0, duration),
+            state,
+            "LSODA",
+            rtol=1e-8,
+            atol=1e-8,
+            max_step=0.1,
+        )
+        yield run.y, np.linalg.eigvals(jacobian_matrices(rhs, run.y, column[:, None]))
+
+
 def monodromy_matrix(rhs, state, constants, duration):
     """Derivative of the final state by the initial state of shape (d,), from the variational equations: (d, d)."""
     d = state.size

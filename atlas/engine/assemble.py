@@ -361,16 +361,23 @@ def _observable_functions(
     equations: ModuleType, sources: dict[str, str]
 ) -> tuple[dict[str, str], dict[str, list[str]]]:
     """Functions of the observables with their differentials, by name, and lines that call them all."""
-    changes, values, slopes, lines = {}, [], [], []
+    changes, values, slopes, lines = dict[str, str](), [], [], []
+
+    def value(name: str) -> str:
+        """The value of an observable, whose function is added to the others unless it is a state."""
+        if name not in sources:
+            return f"state[{list(equations.STATE).index(name)}]"
+        changes[f"observable_{name}"] = sources.pop(name).replace(
+            f"def {name}(", f"def observable_{name}(", 1
+        )
+        return f"observable_{name}(state, constants)"
+
     for name in observable_names(equations):
-        text = sources.pop(name, None)
+        text, change = sources.get(name), f"change_of_{name}"
+        values.append(value(name))
         if text is None:
-            index = list(equations.STATE).index(name)
-            values.append(f"state[{index}]")
-            slopes.append(f"change[{index}]")
+            slopes.append(f"change[{list(equations.STATE).index(name)}]")
             continue
-        function, change = f"observable_{name}", f"change_of_{name}"
-        changes[function] = text.replace(f"def {name}(", f"def {function}(", 1)
         function_tree = ast.parse(text).body[0]
         assert isinstance(function_tree, ast.FunctionDef)
         last = function_tree.body[-1]
@@ -379,19 +386,11 @@ def _observable_functions(
         last.value = ast.Tuple([last.value], ast.Load())  # `differential` takes functions that return a tuple
         tuple_text = ast.unparse(ast.fix_missing_locations(function_tree))
         changes[change] = differential(tuple_text, change)
-        values.append(f"{function}(state, constants)")
         lines.append(f"d_{name}, = {change}(state, constants, change)")
         slopes.append(f"d_{name}")
     rows = ", ".join(f"nodes[slot, row + {k}, l]" for k in range(len(values)))
-    strobed = []
-    for name in getattr(equations, "STROBED", ()):
-        if name in sources:
-            function = f"observable_{name}"
-            changes[function] = sources.pop(name).replace(f"def {name}(", f"def {function}(", 1)
-            strobed.append(f"{function}(state, constants)")
-        else:
-            strobed.append(f"state[{list(equations.STATE).index(name)}]")
-    lines_of_strobes = [f"block[{k}, l] = {value}" for k, value in enumerate(strobed)]
+    strobed = getattr(equations, "STROBED", ())
+    lines_of_strobes = [f"block[{k}, l] = {value(name)}" for k, name in enumerate(strobed)]
     of_strobes = {"store_strobes(block, l, state, constants)": lines_of_strobes}
     return changes, (of_strobes if strobed else {}) | {
         "observe(state, constants)": [f"return ({', '.join(values)},)"],
@@ -418,24 +417,28 @@ def _columns(block: str, rows: int) -> str:
     return f"({', '.join(f'{block}[{i}, l]' for i in range(rows))},)"
 
 
+def _terms(equations: ModuleType, name: str) -> list[str]:
+    """Names of a first integral's terms."""
+    ones = (1.0,) * len(equations.STATE), (1.0,) * len(equations.CONSTANTS)
+    return [f"t{j}" for j in range(len(getattr(equations, name)(*ones)))]
+
+
 def _integral_lines(equations: ModuleType, name: str) -> list[str]:
     """Lines that assign the sum of a first integral's terms to `total`."""
-    ones = (1.0,) * len(equations.STATE), (1.0,) * len(equations.CONSTANTS)
-    terms = [f"t{j}" for j in range(len(getattr(equations, name)(*ones)))]
+    terms = _terms(equations, name)
     return [f"{', '.join(terms)}, = {name}(state, constants)", f"total = {' + '.join(terms)}"]
 
 
 def _level_lines(equations: ModuleType, row: int, first: int, levels: int) -> list[str]:
     """Body of `count_levels` for these sums and constants; the energy is the first integral without the sum of its loss."""
     name, energy = next(iter(equations.INTEGRALS)), f"plugged[{row + levels}, l]"
-    assign, total = _integral_lines(equations, name)
-    total = total.rsplit(" + ", 1)[0] if name in equations.LOSSES else total
+    terms = _terms(equations, name)
+    total = " + ".join(terms[:-1] if name in equations.LOSSES else terms)
     return [
         f"if i % {kernel.NODES_PER_LEVEL} == 0:",
         "    for l in range(WIDTH):",
-        "        "
-        + assign.replace("(state, constants)", "(load_state(state, l), load_constants(constants, l))"),
-        f"        {energy} = ({total.removeprefix('total = ')}) * inverse_unit[l] * inverse_unit[l]",
+        f"        {', '.join(terms)}, = {name}(load_state(state, l), load_constants(constants, l))",
+        f"        {energy} = ({total}) * inverse_unit[l] * inverse_unit[l]",
         f"    for k in range({levels}):",
         "        for l in range(WIDTH):",
         f"            plugged[{row} + k, l] += 1.0 if {energy} > given[{first} + k, l] else 0.0",

@@ -92,8 +92,8 @@ class RunFolder:
     def __init__(self, path: Path | str, manifest: dict[str, Any]):
         self.path = path
         self.is_flat = manifest["format"] == OLDER_FORMAT
-        self.is_store = str(path).lower().endswith(zarr_store.SUFFIX)
         self.root, self.storage = _storage(path)
+        self.is_store = self.storage is not self.root
         self.manifest = manifest
         self.key = str(manifest["key"])  # hash of scene, programs and tiling; every tile carries it
         self.scene = parse_scene(str(manifest["scene"]))

@@ -113,19 +113,10 @@ def test_tiles_of_two_runs_have_the_same_bytes(scene, tmp_path, small_tiles):
         assert file.read_bytes() == (tmp_path / "two" / "tiles" / file.name).read_bytes()
 
 
-def test_finished_tiles_are_not_computed_again(scene, whole, tmp_path, small_tiles, monkeypatch):
+def test_finished_tiles_are_not_computed_again(scene, whole, tmp_path, small_tiles, evaluated, interrupt):
     out = f"{tmp_path}/run/"
     run = empty_run_folder(scene, out)
-    calls, evaluate = 0, earlier.evaluate
-
-    def interrupted_at_the_sixth_call(*arguments, **options):
-        nonlocal calls
-        calls += 1
-        if calls == 6:
-            raise KeyboardInterrupt
-        return evaluate(*arguments, **options)
-
-    monkeypatch.setattr(earlier, "evaluate", interrupted_at_the_sixth_call)
+    interrupt(6)
     with pytest.raises(KeyboardInterrupt):
         atlas.run(scene, out, progress=False, threads=1)
     kept = run.tiles.status().done
@@ -133,9 +124,9 @@ def test_finished_tiles_are_not_computed_again(scene, whole, tmp_path, small_til
     partial = atlas.open_atlas(out)
     not_computed = int((partial.label == Label.NOT_COMPUTED).sum())
     assert not_computed == 63 - sum(run.tiling.size_of(tile) for tile in kept)
-    calls = 10
+    evaluated.clear()
     assert_same_bytes(whole, atlas.run(scene, out, progress=False))
-    assert calls - 10 == 9 - len(kept)
+    assert len(evaluated) == 9 - len(kept)
     assert_same_bytes(whole, partial)  # lazily opened before it was finished
 
 

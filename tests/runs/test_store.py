@@ -11,7 +11,7 @@ import atlas
 from atlas import BadInput, load_scene
 from atlas.cli import main
 from atlas.io import storage
-from atlas.runs import earlier, tiles
+from atlas.runs import tiles
 from atlas.runs.folder import RunFolder
 from atlas.runs.plan import ScenePlan
 from atlas.scene import grid
@@ -72,26 +72,19 @@ def small_tiles(monkeypatch):
     monkeypatch.setattr(tiles, "SHARD_CHUNKS", 1)
 
 
-def test_a_run_is_interrupted_and_continued(scene, whole, place, tmp_path, monkeypatch, capsys, caplog):
-    calls, evaluate = 0, earlier.evaluate
-
-    def interrupted_at_the_fourth_call(*arguments, **options):
-        nonlocal calls
-        calls += 1
-        if calls == 4:
-            raise KeyboardInterrupt
-        return evaluate(*arguments, **options)
-
-    monkeypatch.setattr(earlier, "evaluate", interrupted_at_the_fourth_call)
+def test_a_run_is_interrupted_and_continued(
+    scene, whole, place, tmp_path, evaluated, interrupt, capsys, caplog
+):
+    interrupt(4)
     with pytest.raises(KeyboardInterrupt):
         atlas.run(scene, place, progress=False, threads=1)
     assert main(["status", place]) == 0
     assert "done 3, damaged 0, missing 2" in capsys.readouterr().out
     with atlas.open_atlas(place) as growing:
         assert int((growing.label == 0).sum()) == 14
-    calls = 10
+    evaluated.clear()
     ds = atlas.run(scene, place, progress=False, threads=1)
-    assert calls == 12
+    assert len(evaluated) == 2
     assert_same_bytes(whole, ds)
     assert "5 of 5 tiles" in ds.attrs["atlas_run"]
     with atlas.open_atlas(place) as opened:
@@ -99,7 +92,7 @@ def test_a_run_is_interrupted_and_continued(scene, whole, place, tmp_path, monke
         assert opened.attrs["atlas_scene"] == whole.attrs["atlas_scene"]
         assert opened.atlas.compare() == whole.atlas.compare()
     assert_same_bytes(whole, atlas.run(scene, place, progress=False))
-    assert calls == 12
+    assert len(evaluated) == 2
     assert main(["join", place, "-o", str(tmp_path / "joined.nc")]) == 0
     with atlas.open_atlas(tmp_path / "joined.nc") as joined:
         assert_same_bytes(whole, joined)

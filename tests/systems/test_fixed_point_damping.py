@@ -7,7 +7,7 @@ import pytest
 import sympy as sp
 from scipy.integrate import solve_ivp
 from strategies import default_points, random_fixed_points
-from truth import jacobian_matrices
+from truth import exponents_along_runs
 
 import atlas
 from atlas.engine.differentiate import simplify
@@ -63,12 +63,8 @@ def test_frequency_bound_holds_along_damped_motions(strength, symmetric):
         points["B"] = points["A"]
         points |= {name: np.zeros(6) for name in ("l1", "l2", "x0", "y0")}
     bound, state, values = frequency_bound(points), initial_state(points), constants(points)
-    for i in range(6):
-        column = values[:, i]
-        run = solve_ivp(lambda t, y, c=column: rhs(y, c), (0, 4), state[:, i], "LSODA", rtol=1e-8, atol=1e-8,
-                        max_step=0.1)  # fmt: skip
-        exponents = np.linalg.eigvals(jacobian_matrices(rhs, run.y, column[:, None]))
-        assert np.linalg.norm(run.y[:3], axis=0).max() <= bound[i]
+    for i, (path, exponents) in enumerate(exponents_along_runs(rhs, state, values, 4)):
+        assert np.linalg.norm(path[:3], axis=0).max() <= bound[i]
         assert np.abs(exponents).max() <= bound[i]
 
 

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from ...flags import BifurcationKind, Completeness
 from ..base import Array, Mask, Points
-from .body import length
+from .body import across, length
 from .equilibria import rotated
 
 if TYPE_CHECKING:
@@ -182,8 +182,7 @@ def _listed(family: Family, values: Array, given: bool) -> tuple[dict[str, NDArr
     points = family.points(values)
     listed = family.system.equilibria_of_bodies(points, lambda: None, stability=given, ordered=given)
     gamma, used = listed["gamma"], listed["index"] >= 0
-    across = np.cross(gamma, np.eye(3)[np.nan_to_num(np.abs(gamma)).argmin(-1)])
-    alpha = listed.get("alpha", across / length(across)[..., None])
+    alpha = listed["alpha"] if "alpha" in listed else across(gamma)[..., 0, :]
     frames = np.stack([alpha, np.cross(gamma, alpha), gamma], -2)
     _, hessian, _, unit = family.linear(values[np.nonzero(used)[0]], frames[used])
     return listed, frames, np.linalg.eigh(hessian), unit

@@ -12,7 +12,7 @@ from ...errors import BadInput
 from ...flags import Completeness, EnergyStability, Stability, StabilityKind
 from ..base import Array, Mask, Points, subset
 from . import homotopy
-from .body import Body, cross_matrix
+from .body import Body, across, cross_matrix
 from .secular import critical_directions
 from .variables import FREQUENCIES, stability_kind
 
@@ -239,11 +239,9 @@ def _by_symmetry(bodies: Body, i: NDArray[np.int64]) -> tuple[NDArray[np.int64],
     components, dimension = critical_directions(d, b)
     column, body = np.nonzero((dimension == 0) & ~(dimension > 0).any(0))
     axis = components[:, column, body].T
-    across = np.cross(axis, np.eye(3)[np.abs(axis).argmin(1)])
-    across /= np.linalg.norm(across, axis=1)[:, None]
-    frames = np.empty((body.size, 3, 3))
-    for shift, vector in enumerate((axis, across, np.cross(axis, across))):
-        frames[np.arange(body.size), :, (i[body] + shift) % 3] = vector
+    frames, columns = np.empty((body.size, 3, 3)), (i[body, None] + np.arange(3)) % 3
+    vectors = np.concatenate([axis[:, None], across(axis)], 1)
+    np.put_along_axis(frames, columns[:, None], np.swapaxes(vectors, 1, 2), 2)
     return body, frames
 
 

@@ -16,7 +16,7 @@ from atlas.engine.augmented import with_frame_vector
 from atlas.label.trajectory import frame_vector
 from atlas.page import motion
 from atlas.page.motion import CannotTranslate, translate
-from atlas.systems import SYSTEMS
+from atlas.systems import SYSTEMS, arithmetic
 
 NODE = shutil.which("node")
 needs_node = pytest.mark.skipif(NODE is None, reason="Node.js is not installed")
@@ -50,7 +50,7 @@ def arguments(system, count, seed=5):
 def test_every_function_of_the_equations_has_the_same_bits(system):
     """Also the first integrals, which the page does not need."""
     equations = system.equations
-    sources = assemble.functions(equations)
+    sources = arithmetic.functions(equations)
     state, constants = arguments(system, 200)
     calls, expected = [], []
     for name in sources:

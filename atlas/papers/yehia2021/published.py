@@ -184,36 +184,33 @@ def _free(rng: np.random.Generator) -> Point:
     return {**random_point(rng), "theta_dot0": rate, "phi0": angle}
 
 
-def _lagrangian_error(entry: Entry, reading: str, rng: np.random.Generator) -> float:
-    """(4), with its two questionable signs as printed or as they follow, less (2) with (3), at a random state."""
+def _at_state(rng: np.random.Generator) -> dict[str, Any]:
+    """A random state with its true accelerations, by the names of [state]."""
     p = _free(rng)
-    sign = 1.0 if reading == "printed" else -1.0
-    psi, theta, phi, psi_dot, theta_dot, phi_dot = euler_state(p)
-    s, c, sf, cf, sp, cp = np.sin(theta), np.cos(theta), np.sin(phi), np.cos(phi), np.sin(psi), np.cos(psi)
-    rate = psi_dot + p["Omega"]
-    w1, w2, w3 = rate * s * sf + theta_dot * cf, rate * s * cf - theta_dot * sf, phi_dot + rate * c
-    kinetic = 0.5 * (p["A"] * w1**2 + p["B"] * w2**2 + p["C"] * w3**2)
-    rotor = p["k1"] * w1 + p["k2"] * w2 + p["k3"] * w3
-    first, second = cp * cf - c * sf * sp, cp * sf + c * cf * sp
-    gravity = p["A"] * first**2 - sign * p["B"] * second**2 + p["C"] * s**2 * sp**2
-    magnet = p["mu1"] * (p["h1"] * first + p["h3"] * s * sf)
-    magnet = magnet + p["mu2"] * (sign * p["h1"] * second + p["h3"] * s * cf)
-    magnet = magnet + p["mu3"] * (p["h1"] * s * sp + p["h3"] * c)
-    terms = kinetic + rotor - 1.5 * p["Omega"] ** 2 * gravity - magnet
-    # (2) with (3), by the vectors of (1)
+    state = euler_state(p)
+    accelerations = lagrange.rhs(state, constants(p))[3:]
+    names = (*lagrange.STATE, "psi_accel", "theta_accel", "phi_accel")
+    return with_values(p | dict(zip(names, (*state, *accelerations), strict=True)), CONTENT["state"])
+
+
+def _lagrangian_error(entry: Entry, reading: str, rng: np.random.Generator) -> float:
+    """(4) less (2) with (3), by the vectors of (1), at a random state."""
+    p = _at_state(rng)
     alpha, gamma = directions(p)
     inertia, k, mu = body_vectors(p)
     node = np.array([np.cos(p["phi0"]), -np.sin(p["phi0"]), np.zeros(1)])
     w = (p["n"] + p["Omega"]) * gamma + p["theta_dot0"] * node + p["m"] * np.array([[0.0], [0.0], [1.0]])
     potential = 1.5 * p["Omega"] ** 2 * inertia * alpha**2 + mu * (p["h1"] * alpha + p["h3"] * gamma)
-    return float(np.abs(terms - (0.5 * inertia * w**2 + k * w - potential).sum(0))[0])
+    exact = (0.5 * inertia * w**2 + k * w - potential).sum(0)
+    return float(np.abs(left_side(entry, reading, p) - exact)[0])
 
 
 def _equation_of_motion(entry: Entry, reading: str, rng: np.random.Generator) -> float:
-    equations = lagrange.equations_printed if reading == "printed" else lagrange.equations
-    point = _free(rng)
-    accelerations = lagrange.rhs(euler_state(point), constants(point))[3:]
-    left = equations(euler_state(point), accelerations, constants(point))[int(entry["number"][1]) - 5]
+    p = _at_state(rng)
+    if reading == "printed":
+        return float(np.abs(left_side(entry, reading, p))[0])
+    accelerations = [p[f"{name}_accel"] for name in ("psi", "theta", "phi")]
+    left = lagrange.equations(euler_state(p), accelerations, constants(p))[int(entry["number"][1]) - 5]
     return float(np.abs(left)[0])
 
 

@@ -8,7 +8,7 @@ number can be measured. The formulas are in the table [printed] of equations.tom
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import fields, replace
+from dataclasses import replace
 from functools import lru_cache, partial
 from typing import Any
 
@@ -31,9 +31,11 @@ def frequency_squared(spin: FastSpin) -> Array:
 
 def numbers(spin: FastSpin) -> Values:
     """The numbers of a body by their names in [printed]."""
-    values = {each.name: getattr(spin, each.name) for each in fields(spin)}
-    values |= {name: getattr(spin, name) for name in ("A1", "a", "z", "scale", "eps", "M3")}
-    return values | dict(zip(("y1", "y2", "y3"), spin.y, strict=True)) | {"squared": frequency_squared(spin)}
+    names = ("A", "C", "weight", "N", "l1", "l2", "l3", "r0", "gamma0", "A1", "a", "z", "scale", "eps", "M3")
+    values = {name: getattr(spin, name) for name in names} | dict(
+        zip(("y1", "y2", "y3"), spin.y, strict=True)
+    )
+    return values | {"squared": frequency_squared(spin)}
 
 
 def formulas(values: Values, *names: str) -> Array:

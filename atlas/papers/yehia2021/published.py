@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from ...systems.base import Array, PublishedEquation
+from ...systems.gyrostat.motions import angular_velocity
 from ...systems.gyrostat.nonlinear import NormalForm, derivatives
 from ...systems.gyrostat.oscillations import Equilibria
 from ...systems.gyrostat.plane import PlaneMotions
@@ -24,6 +25,7 @@ Entry = Mapping[str, Any]
 Values = Mapping[str, float | str]
 
 CONTENT = load("yehia2021")
+STATE = ("psi0", "theta0", "phi0", "n", "theta_dot0", "m")
 
 
 def random_point(rng: np.random.Generator) -> Point:
@@ -46,7 +48,7 @@ def with_values(point: Mapping[str, Any], values: Values) -> dict[str, Any]:
 
 def euler_state(point: Point) -> list[Array]:
     """psi, theta, phi and their rates at the start, in the order of lagrange.STATE."""
-    return [point[name] for name in ("psi0", "theta0", "phi0", "n", "theta_dot0", "m")]
+    return [point[name] for name in STATE]
 
 
 # Conditions: the residual is measured on the motion.
@@ -111,13 +113,8 @@ def _inertial(entry: Entry, reading: str, rng: np.random.Generator) -> float:
     def axes(step: complex = 0) -> Array:
         _, alpha, gamma, beta = _along(motion, "true", point, step)
         angle = point["Omega"] * (TIMES + step)
-        return np.array(
-            [
-                np.cos(angle) * alpha - np.sin(angle) * beta,
-                np.sin(angle) * alpha + np.cos(angle) * beta,
-                gamma,
-            ]
-        )
+        cosine, sine = np.cos(angle), np.sin(angle)
+        return np.array([cosine * alpha - sine * beta, sine * alpha + cosine * beta, gamma])
 
     still, moving = axes(), axes(1e-30j).imag / 1e-30
     w = -0.5 * np.cross(still, moving, axis=1).sum(0)  # e' = e x w for each axis e
@@ -198,8 +195,7 @@ def _lagrangian_error(entry: Entry, reading: str, rng: np.random.Generator) -> f
     p = _at_state(rng)
     alpha, gamma = directions(p)
     inertia, k, mu = body_vectors(p)
-    node = np.array([np.cos(p["phi0"]), -np.sin(p["phi0"]), np.zeros(1)])
-    w = (p["n"] + p["Omega"]) * gamma + p["theta_dot0"] * node + p["m"] * np.array([[0.0], [0.0], [1.0]])
+    w = angular_velocity(p, p["n"] + p["Omega"], gamma)
     potential = 1.5 * p["Omega"] ** 2 * inertia * alpha**2 + mu * (p["h1"] * alpha + p["h3"] * gamma)
     exact = (0.5 * inertia * w**2 + k * w - potential).sum(0)
     return float(np.abs(left_side(entry, reading, p) - exact)[0])
@@ -232,13 +228,9 @@ def _determinant(entry: Entry, reading: str, rng: np.random.Generator) -> float:
 def _kinematics(entry: Entry, reading: str, rng: np.random.Generator) -> float:
     """Errors of alpha' = alpha x w', gamma' = gamma x w' and |alpha| = 1, alpha.gamma = 0 at a random state of (1)."""
     p = _free(rng)
-    moved = {
-        angle: p[angle] + 1e-30j * p[rate]
-        for angle, rate in zip(("psi0", "theta0", "phi0"), ("n", "theta_dot0", "m"), strict=True)
-    }
+    moved = {angle: p[angle] + 1e-30j * p[rate] for angle, rate in zip(STATE[:3], STATE[3:], strict=True)}
     still, moving = directions(p), np.imag(directions(p | moved)) / 1e-30
-    node = np.array([np.cos(p["phi0"]), -np.sin(p["phi0"]), np.zeros(1)])
-    w = p["n"] * still[1] + p["theta_dot0"] * node + p["m"] * np.array([[0.0], [0.0], [1.0]])
+    w = angular_velocity(p, p["n"], still[1])
     turning = max(np.abs(m - np.cross(v, w, axis=0)).max() for v, m in zip(still, moving, strict=True))
     return float(max(turning, abs((still[0] ** 2).sum() - 1), abs((still[0] * still[1]).sum())))
 
@@ -249,13 +241,8 @@ def _both_forms(entry: Entry, reading: str, rng: np.random.Generator) -> float:
     state = np.array(euler_state(p))
 
     def w(state):
-        _, theta, phi, psi_dot, theta_dot, phi_dot = state
-        across = (psi_dot + p["Omega"]) * np.sin(theta)
-        transverse = (
-            across * np.sin(phi) + theta_dot * np.cos(phi),
-            across * np.cos(phi) - theta_dot * np.sin(phi),
-        )
-        return np.array([*transverse, (psi_dot + p["Omega"]) * np.cos(theta) + phi_dot])
+        moved = p | dict(zip(STATE, state, strict=True))
+        return angular_velocity(moved, moved["n"] + p["Omega"], directions(moved)[1])
 
     by_lagrange = w(state + 1e-30j * np.array(lagrange.rhs(state, constants(p)))).imag / 1e-30
     exact = np.array(rhs(np.concatenate([w(state), *directions(p)]), constants(p))[:3])

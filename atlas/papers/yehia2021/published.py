@@ -296,45 +296,33 @@ def _apex_distance(entry: Entry, reading: str, rng: np.random.Generator) -> floa
     return float(np.hypot(1 + along * across[0], along * across[1]))
 
 
-# By the key or the function of an entry: what is measured, and the measure (entry, reading, random generator).
+# By the key or the function of an entry: the measure (entry, reading, random generator); [measures] describes them.
 MEASURES = {
-    "lagrangian": ("L at a random state, less (2) with (3)", _lagrangian_error),
-    "lagrange": ("left side at a random state and its true accelerations", _equation_of_motion),
-    "kinematics": (
-        "error of the rates of alpha and gamma, and of their lengths and angle, at a random state",
-        _kinematics,
-    ),
-    "both_forms": (
-        "difference of w' by Lagrange's and by the Euler-Poisson equations at a random state, over |w'|",
-        _both_forms,
-    ),
-    "shared": ("", _shared),
-    "lost_rank": ("", _lost_rank),
-    "plane": ("", _plane),
-    "normal_form": ("", _normal_form),
-    "determinant": ("", _determinant),
-    "apex_distance": ("", _apex_distance),
-    "left_side": (
-        "left side at a random time, less that of ({left_side}), corrected, on the precession",
-        _equation_on_motion,
-    ),
-    "vanish": ("what is to vanish at a random time", _vanishing),
-    "inertial": (
-        "largest error of w in space from this precession about the normal and this spin",
-        _inertial,
-    ),
-    "form": ("largest |rate - right-hand side| of the closed form, or |beta - gamma x alpha|", _closed_form),
-    "breaks": ("by how much a true motion breaks the printed limits; its defect", _beyond),
-    "start": ("largest |rate - right-hand side| along the motion under the condition", _condition),
+    "lagrangian": _lagrangian_error,
+    "lagrange": _equation_of_motion,
+    "kinematics": _kinematics,
+    "both_forms": _both_forms,
+    "shared": _shared,
+    "lost_rank": _lost_rank,
+    "plane": _plane,
+    "normal_form": _normal_form,
+    "determinant": _determinant,
+    "apex_distance": _apex_distance,
+    "left_side": _equation_on_motion,
+    "vanish": _vanishing,
+    "inertial": _inertial,
+    "form": _closed_form,
+    "breaks": _beyond,
+    "start": _condition,
 }
 ENTRIES: dict[str, Entry] = {entry["number"]: entry for entry in CONTENT["equation"]}
 
 
 def _published(entry: Entry) -> PublishedEquation:
     """The row of an entry of equations.toml."""
-    text, measure = MEASURES[entry.get("function") or next(key for key in MEASURES if key in entry)]
-    readings = partial(measure, entry, "printed"), partial(measure, entry, "true")
-    return row(entry, readings, text.format(**entry))
+    key = entry.get("function") or next(key for key in MEASURES if key in entry)
+    readings = partial(MEASURES[key], entry, "printed"), partial(MEASURES[key], entry, "true")
+    return row(entry, readings, CONTENT["measures"].get(key, "").format(**entry))
 
 
 PUBLISHED = tuple(map(_published, ENTRIES.values()))

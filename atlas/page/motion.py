@@ -136,18 +136,8 @@ def over_points(array: xr.DataArray, sizes: Mapping[str, int]) -> np.ndarray:
 
 
 _OPERATORS = {ast.Add: "+", ast.Sub: "-", ast.Mult: "*", ast.Div: "/"}
-# Words that JavaScript reserves or that the translation uses; "$" cannot occur in a Python name.
-_RESERVED = frozenset((
-    "abstract", "arguments", "await", "boolean", "break", "byte", "case", "catch", "char", "class", "const",
-    "continue", "debugger", "default", "delete", "do", "double", "else", "enum", "eval", "export", "extends",
-    "false", "final", "finally", "float", "for", "function", "goto", "if", "implements", "import", "in",
-    "instanceof", "int", "interface", "let", "long", "native", "new", "null", "package", "private", "protected",
-    "public", "return", "short", "static", "super", "switch", "synchronized", "this", "throw", "throws",
-    "transient", "true", "try", "typeof", "undefined", "var", "void", "volatile", "while", "with", "yield",
-    "Infinity", "Math", "NaN",
-))  # fmt: skip
 MAX_POWER = 64
-_AXPY = """function axpy(y, weights, slopes) {
+_AXPY = """function axpy$(y, weights, slopes) {
   const result = new Array(y.length);
   for (let i = 0; i < y.length; i++) {
     let sum = weights[0] * slopes[0][i];
@@ -163,18 +153,14 @@ class CannotTranslate(ValueError):
 
 
 def translate(sources: Mapping[str, str]) -> str:
-    """JavaScript functions, of the same names, of Python functions in the grammar of `arithmetic`; else CannotTranslate.
+    """JavaScript functions of Python functions in the grammar of `arithmetic`; else CannotTranslate.
 
-    They may also contain tuples, which are arrays in JavaScript, and calls of `axpy` and each other.
+    They may also contain tuples, which are arrays in JavaScript, and calls of `axpy` and each other. Every name is followed by
+    "$", which no Python name contains, so that it is no word of JavaScript.
     """
     functions = frozenset((*sources, "axpy"))
     scripts = [_Function(name, text, functions).script() for name, text in sources.items()]
     return "\n".join([_AXPY, *scripts])
-
-
-def _name(name: str) -> str:
-    """A Python name in JavaScript."""
-    return f"{name}$" if name in _RESERVED else name
 
 
 def _number(value: float) -> str:
@@ -205,9 +191,9 @@ class _Function:
             raise CannotTranslate(f"{self.name}: parameters other than positional ones")
         self.parameters = [argument.arg for argument in (*arguments.posonlyargs, *arguments.args)]
         body = [line for statement in node.body for line in self.statement(statement)]
-        names = [_name(name) for name in self.locals if name not in self.parameters]
+        names = [f"{name}$" for name in self.locals if name not in self.parameters]
         names += [f"t${i}" for i in range(self.temporaries)]
-        head = f"function {_name(self.name)}({', '.join(map(_name, self.parameters))}) {{"
+        head = f"function {self.name}$({', '.join(f'{name}$' for name in self.parameters)}) {{"
         lines = [f"let {', '.join(names)};", *body] if names else body
         return "\n".join([head, *(f"  {line}" for line in lines), "}"])
 
@@ -249,7 +235,7 @@ class _Function:
         """Lines that assign translated text to a name, or its items to a tuple of names."""
         if isinstance(target, ast.Name):
             self.locals[target.id] = None
-            return [f"{_name(target.id)} = {text};"]
+            return [f"{target.id}$ = {text};"]
         if isinstance(target, ast.Tuple):
             items = enumerate(target.elts)
             return [line for i, each in items for line in self.assigned(each, f"{text}[{i}]")]
@@ -266,7 +252,7 @@ class _Function:
             case ast.Constant(value=int() | float() as value):
                 return _number(value)
             case ast.Name(id=name) if name in self.locals or name in self.parameters:
-                return _name(name)
+                return f"{name}$"
             case ast.UnaryOp(op=ast.USub(), operand=operand):
                 return f"(-{self.expression(operand)})"
             case ast.UnaryOp(op=ast.UAdd(), operand=operand):
@@ -280,7 +266,7 @@ class _Function:
             case ast.Call(func=ast.Name(id=name) as function, args=arguments, keywords=[]):
                 if name not in self.functions and name not in arithmetic.FUNCTIONS:
                     raise self.fault(function)
-                translated = _name(name) if name in self.functions else f"Math.{name}"
+                translated = f"{name}$" if name in self.functions else f"Math.{name}"
                 return f"{translated}({', '.join(map(self.expression, arguments))})"
         raise self.fault(node)
 

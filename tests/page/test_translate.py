@@ -58,7 +58,7 @@ def test_every_function_of_the_equations_has_the_same_bits(system):
         result = getattr(equations, name)(state.T, constants.T, *more)
         flat = [part for item in result for part in (item if isinstance(item, tuple) else (item,))]
         expected.append(np.stack(np.broadcast_arrays(*flat), -1).ravel())
-        calls.append(f"data[0].map((y, i) => {name}(y, data[1][i]{', 0.037' if more else ''}))")
+        calls.append(f"data[0].map((y, i) => {name}$(y, data[1][i]{', 0.037' if more else ''}))")
     values = node(translate(sources), f"[{', '.join(calls)}]", [state.tolist(), constants.tolist()])
     assert np.array_equal(values, np.concatenate(expected))
 
@@ -83,10 +83,10 @@ def test_two_thousand_steps_have_the_bits_of_the_kernel_in_plain_python(system, 
     expected = plain.unscaled(y, c, unit)[: len(start)]
     script = translate(motion.sources(system, method))
     call = (
-        f"(() => {{ let [y, c] = scaled(data[0], data[1], {unit});"
-        f" for (let i = 0; i < {steps}; i++) y = step(y, rhs(y, c), c); return unscaled(y, c, {unit}); }})()"
+        f"(() => {{ let [y, c] = scaled$(data[0], data[1], {unit});"
+        f" for (let i = 0; i < {steps}; i++) y = step$(y, rhs$(y, c), c); return unscaled$(y, c, {unit}); }})()"
     )
-    end = node(script, f"((y) => [y, axis_in_frame(y, data[1])])({call})", [start, constants])
+    end = node(script, f"((y) => [y, axis_in_frame$(y, data[1])])({call})", [start, constants])
     assert np.array_equal(end[:-2], expected)
     step = unit * plain.STEP
     tr = atlas.trajectory(system.name, given, duration=steps * step, samples=41, step=step, method=method)
@@ -108,7 +108,7 @@ def test_constructs():
     text = textwrap.dedent(inspect.getsource(everything))
     states = [0.3, -1.7, 2.0], [4.0, 0.25, 5.0], [-1.0, 8.0, 0.5]
     expected = [everything(state, (1.0, 0.75)) for state in states]
-    values = node(translate({"everything": text}), "data.map((y) => everything(y, [1.0, 0.75]))", states)
+    values = node(translate({"everything": text}), "data.map((y) => everything$(y, [1.0, 0.75]))", states)
     np.testing.assert_allclose(values, np.ravel(expected), rtol=4e-16)
 
 
@@ -117,7 +117,7 @@ def test_functions_agree_to_an_ulp_or_two():
     names = ("sin", "cos", "tan", "exp", "log", "sqrt", "atan", "sinh", "cosh", "tanh")
     text = f"def f(x):\n    return {', '.join(f'{name}(x)' for name in names)}"
     x = np.random.default_rng(2).uniform(0.1, 6.0, 500)
-    results = node(translate({"f": text}), "data.map(f)", x.tolist()).reshape(500, -1)
+    results = node(translate({"f": text}), "data.map(f$)", x.tolist()).reshape(500, -1)
     expected = np.stack([getattr(np, {"atan": "arctan"}.get(name, name))(x) for name in names], -1)
     np.testing.assert_array_almost_equal_nulp(results, expected, 4)
 

@@ -162,14 +162,8 @@ class FixedPoint(Gyrostat):
         rate_tolerance: float,
         angle_tolerance: float,
     ) -> Flags:
-        names = list(self.geometries)
-        conditions = [
-            (~steady, "none"),
-            (cylinder, "sleeping"),
-            (np.abs(measured["phi_dot_mean"]) <= rate_tolerance, "staude"),
-        ]
-        flags = [names.index(name) for _, name in conditions]
-        return np.select([where for where, _ in conditions], flags, names.index("conical")).astype(np.int8)
+        no_spin = np.abs(measured["phi_dot_mean"]) <= rate_tolerance
+        return self.first_geometry({"none": ~steady, "sleeping": cylinder, "staude": no_spin}, "conical")
 
     def body_at_rest(self, points: Points) -> Body:
         """In a frame that turns at the rate n."""

@@ -77,15 +77,14 @@ def oscillation_variables(system: Gyrostat) -> dict[str, DerivedVariable]:
 def stability_kind(linear: Flags, growth: Array, energy: Flags) -> Flags:
     """Values of flags.StabilityKind, (points,), from those of Stability with the growth rate and of EnergyStability."""
     stable = linear == Stability.STABLE
-    kinds = (
-        (linear == Stability.UNSTABLE, StabilityKind.UNSTABLE),
-        (stable & (energy == EnergyStability.YES), StabilityKind.ENERGY_STABLE),
-        ((linear == Stability.UNKNOWN) & (growth == 0), StabilityKind.MARGINAL),
-        (stable & (energy == EnergyStability.NO), StabilityKind.GYROSCOPIC),
-        (stable, StabilityKind.LINEARLY_STABLE),
-    )
-    where, values = zip(*kinds, strict=True)
-    return np.select(where, values, StabilityKind.UNKNOWN).astype(np.int8)
+    kinds = {
+        StabilityKind.UNSTABLE: linear == Stability.UNSTABLE,
+        StabilityKind.ENERGY_STABLE: stable & (energy == EnergyStability.YES),
+        StabilityKind.MARGINAL: (linear == Stability.UNKNOWN) & (growth == 0),
+        StabilityKind.GYROSCOPIC: stable & (energy == EnergyStability.NO),
+        StabilityKind.LINEARLY_STABLE: stable,
+    }
+    return np.select(list(kinds.values()), list(kinds), StabilityKind.UNKNOWN).astype(np.int8)
 
 
 def plane_variables(system: Gyrostat) -> dict[str, DerivedVariable]:

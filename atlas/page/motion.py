@@ -199,11 +199,8 @@ class _Function:
 
     def fault(self, node: ast.AST) -> CannotTranslate:
         """The exception for a node without translation."""
-        try:
-            text = ast.unparse(node).partition("\n")[0]
-        except (AttributeError, ValueError, RecursionError):
-            text = ""
-        return CannotTranslate(f"{self.name}: {text or type(node).__name__}")
+        text = ast.unparse(node).partition("\n")[0]
+        return CannotTranslate(f"{self.name}: {text}")
 
     def statement(self, node: ast.stmt) -> list[str]:
         """Lines of one statement."""

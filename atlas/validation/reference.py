@@ -95,14 +95,11 @@ def reference(
         if main.has_theory:
             with np.errstate(invalid="ignore"):
                 labels.append(np.array([rates.label(run, settings.tolerances, rate) for rate in frame_rates]))
-        else:
-            limits = observables.std_tolerances(system, settings)
-            labels.append(observables.label(run, limits)[None])
-    label, other_label = labels
-    if main.has_theory:
-        for run in (best, other):
             inside = rates.in_cylinder(run, settings.cylinder)  # psi' and phi' have no meaning there
             run |= {name: np.where(inside, np.nan, run[name]) for name in NEEDS_PSI}
+        else:
+            labels.append(observables.label(run, observables.std_tolerances(system, settings))[None])
+    label, other_label = labels
     distance = state_distance(system, best["state"], other["state"], system.frequency_bound(points))
     return Reference(
         state=best["state"],

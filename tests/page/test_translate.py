@@ -113,6 +113,12 @@ def test_constructs():
 
 
 @needs_node
+def test_an_observable_may_have_the_name_of_a_word_of_javascript():
+    script = translate({"new": "def new(state, this):\n    return state * this"})
+    assert node(f"{script}\nconst equations = {{new: new$}};", "[equations.new(data, 2)]", 1.5) == 3.0
+
+
+@needs_node
 def test_functions_agree_to_an_ulp_or_two():
     names = ("sin", "cos", "tan", "exp", "log", "sqrt", "atan", "sinh", "cosh", "tanh")
     text = f"def f(x):\n    return {', '.join(f'{name}(x)' for name in names)}"

@@ -271,10 +271,8 @@ def predict_any_axis(
     return result
 
 
-def exact_starts(
-    system: System, points: Points, candidates: Mask, max_residual: Array | float = ROUNDING_RESIDUAL
-) -> Mask:
-    """Which candidates are on a steady motion of a family as exactly as rounding, or max_residual, allows.
+def exact_starts(system: System, points: Points, candidates: Mask) -> Mask:
+    """Which candidates are on a steady motion of a family as exactly as rounding allows.
 
     A nudge along a family or a symmetry leads to such a start again.
     """
@@ -282,7 +280,7 @@ def exact_starts(
     where = np.flatnonzero(candidates)
     if where.size:
         flag, residual = system.identify_family(subset(points, where))
-        exact[where] = (flag > 0) & (residual <= np.broadcast_to(max_residual, candidates.shape)[where])
+        exact[where] = (flag > 0) & (residual <= ROUNDING_RESIDUAL)
     return exact
 
 

@@ -268,5 +268,4 @@ def regularity(label: Flags, megno: Array) -> Flags:
         Regularity.REGULAR: drifting & (megno < MAX_REGULAR),
         Regularity.UNDECIDED: drifting,
     }
-    flags = np.select(list(conditions.values()), list(conditions), Regularity.NOT_COMPUTED)
-    return np.asarray(flags, np.int8)
+    return np.select(list(conditions.values()), list(conditions), Regularity.NOT_COMPUTED).astype(np.int8)

@@ -15,14 +15,13 @@ from __future__ import annotations
 
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass
-from enum import auto
+from enum import IntEnum
 from types import ModuleType
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..engine.ensemble import Ensemble
-from ..engine.statistics import Counted
 from ..engine.stepsize import ROUNDING
 from ..flags import Agreement, Label, Status
 from ..systems.base import Array, Flags, Mask, Points, System
@@ -38,52 +37,24 @@ DIFFERENCE_TIME = 1e-2
 SWEEPS = 6
 
 
-class Axis(Counted):
+class Axis(IntEnum):
     """Constants of a point in one frame: axes x, y, z in the body, and the motion at the start."""
 
-    FRAME_RATE = auto()  # the angular velocity is u + FRAME_RATE g
-    X1 = auto()
-    X2 = auto()
-    X3 = auto()
-    Y1 = auto()
-    Y2 = auto()
-    Y3 = auto()
-    Z1 = auto()
-    Z2 = auto()
-    Z3 = auto()
-    START_X = auto()  # the angular velocity along x, y and z
-    START_Y = auto()
-    START_Z = auto()
-    START_SPEED_SQUARED = auto()  # square of its derivative
-    SLOPE_X = auto()  # its derivative
-    SLOPE_Y = auto()
-    SLOPE_Z = auto()
-    VERTICAL_X = auto()  # the vertical of the frame
-    VERTICAL_Y = auto()
-    VERTICAL_Z = auto()
+    FRAME_RATE, X1, X2, X3, Y1, Y2, Y3, Z1, Z2, Z3 = range(10)  # the angular velocity is u + FRAME_RATE g
+    START_X, START_Y, START_Z, START_SPEED_SQUARED = range(
+        10, 14
+    )  # it along x, y, z; square of its derivative
+    SLOPE_X, SLOPE_Y, SLOPE_Z, VERTICAL_X, VERTICAL_Y, VERTICAL_Z = range(
+        14, 20
+    )  # its derivative; the vertical
 
 
-class Sum(Counted):
+class Sum(IntEnum):
     """Sums over the nodes, half at both ends, of changes since the start and of their products: x, y, z of
     the angular velocity, l of the square of its length, s of the square of its speed.
     """
 
-    X = auto()
-    Y = auto()
-    Z = auto()
-    XX = auto()
-    XY = auto()
-    YY = auto()
-    XZ = auto()
-    YZ = auto()
-    ZZ = auto()
-    L = auto()
-    LL = auto()
-    LX = auto()
-    LY = auto()
-    LZ = auto()
-    S = auto()
-    SS = auto()
+    X, Y, Z, XX, XY, YY, XZ, YZ, ZZ, L, LL, LX, LY, LZ, S, SS = range(16)
 
 
 def add_to_circle(sums, s, axes, a, l, nodes, i, intervals, spacing, inverse_unit):
@@ -426,14 +397,6 @@ def values(
         kind = label(circle, own_label, tolerances)
         tilt = circle["tilt"]
         reversed_axis = measured["psi_dot_mean"] < 0
-        zero, one = np.zeros_like(tilt), np.ones_like(tilt)
-        about_third_axis = {
-            "precession_rate": np.abs(measured["psi_dot_mean"]),
-            "spin_rate": measured["phi_dot_mean"],
-            "nutation": np.where(reversed_axis, np.pi - tilt, tilt),
-            "precession_inclination": np.where(reversed_axis, np.pi, 0.0),
-            "spin_axis_1": zero, "spin_axis_2": zero, "spin_axis_3": one,
-        }  # fmt: skip
         regular = kind == Label.REGULAR_PRECESSION
         conditions = [regular & (own_label == kind), regular, kind == Label.PERMANENT_ROTATION]
         # Of a regular precession: the last component of the spin axis above the tolerance is positive.
@@ -445,34 +408,21 @@ def values(
         # Of a permanent rotation: about the mean angular velocity, which a body at rest has not.
         components = [circle[f"rate_{i}"] for i in (1, 2, 3)]
         size = np.sqrt(sum(component**2 for component in components))
-        rotates = size > tolerances.rate
-        zero_or_nan = np.where(rotates, 0.0, np.nan)
-        choices = (
-            about_third_axis,
-            (
-                {
-                    "precession_rate": circle["precession"],
-                    "spin_rate": sign * circle["spin"],
-                    "nutation": np.arctan2(circle["radius"], sign * (circle["height"] - circle["spin"])),
-                    "precession_inclination": circle["precession_inclination"],
-                }
-                # 0.0 makes -0.0 positive.
-                | {f"spin_axis_{i + 1}": sign * component + 0.0 for i, component in enumerate(s)}
+        zero, third_axis = np.zeros_like(size), (0.0, 0.0, 1.0)
+        zero_or_nan = np.where(size > tolerances.rate, 0.0, np.nan)
+        lean = np.arctan2(circle["radius"], sign * (circle["height"] - circle["spin"]))
+        inclination = circle["rotation_inclination"] + zero_or_nan
+        # About the third axis and the vertical, of another regular precession, and of a permanent rotation; 0.0 makes -0.0
+        # positive.
+        choices = {
+            "precession_rate": (np.abs(measured["psi_dot_mean"]), circle["precession"], zero),
+            "spin_rate": (measured["phi_dot_mean"], sign * circle["spin"], size),
+            "nutation": (np.where(reversed_axis, np.pi - tilt, tilt), lean, zero_or_nan),
+            "precession_inclination": (
+                np.where(reversed_axis, np.pi, 0.0), circle["precession_inclination"], inclination,
             ),
-            (
-                {
-                    "precession_rate": np.zeros_like(size),
-                    "spin_rate": size,
-                    "nutation": zero_or_nan,
-                    "precession_inclination": circle["rotation_inclination"] + zero_or_nan,
-                }
-                | {
-                    f"spin_axis_{i + 1}": component / size + zero_or_nan
-                    for i, component in enumerate(components)
-                }
-            ),
-        )
-        return {
-            name: np.select(conditions, [choice[name] for choice in choices], np.nan)
-            for name in (*RATES, *ANGLES)
-        }
+        } | {
+            f"spin_axis_{i + 1}": (zero + third_axis[i], sign * s[i] + 0.0, components[i] / size + zero_or_nan)
+            for i in range(3)
+        }  # fmt: skip
+        return {name: np.select(conditions, of_kind, np.nan) for name, of_kind in choices.items()}

@@ -5,9 +5,7 @@ from __future__ import annotations
 import ast
 import math
 from collections.abc import Mapping
-from contextlib import suppress
 from dataclasses import dataclass
-from itertools import pairwise
 
 import numpy as np
 import xarray as xr
@@ -137,39 +135,9 @@ def over_points(array: xr.DataArray, sizes: Mapping[str, int]) -> np.ndarray:
     return np.asarray(whole.transpose(*sizes).values)
 
 
-# Functions of numbers, by their Python names without the module.
-_FUNCTIONS = {
-    name: f"Math.{name}"
-    for name in (
-        "sqrt", "cbrt", "exp", "expm1", "log", "log1p", "log2", "log10", "hypot", "floor", "ceil",
-        "sin", "cos", "tan", "asin", "acos", "atan", "atan2", "sinh", "cosh", "tanh", "asinh", "acosh", "atanh",
-        "abs", "min", "max",
-    )
-}  # fmt: skip
-# NumPy's names of the same functions.
-_FUNCTIONS |= {
-    "fabs": "Math.abs", "absolute": "Math.abs", "minimum": "Math.min", "maximum": "Math.max",
-    "arcsin": "Math.asin", "arccos": "Math.acos", "arctan": "Math.atan", "arctan2": "Math.atan2",
-    "arcsinh": "Math.asinh", "arccosh": "Math.acosh", "arctanh": "Math.atanh",
-}  # fmt: skip
-_MODULES = ("math", "np", "numpy")
-_NUMBERS = {"pi": "Math.PI", "e": "Math.E", "inf": "Infinity", "nan": "NaN"}
 _OPERATORS = {ast.Add: "+", ast.Sub: "-", ast.Mult: "*", ast.Div: "/"}
-_COMPARISONS = {
-    ast.Lt: "<", ast.LtE: "<=", ast.Gt: ">", ast.GtE: ">=", ast.Eq: "===", ast.NotEq: "!=="
-}  # fmt: skip
-# Words that JavaScript reserves or that the translation uses; "$" cannot occur in a Python name.
-_RESERVED = frozenset((
-    "abstract", "arguments", "await", "boolean", "break", "byte", "case", "catch", "char", "class", "const",
-    "continue", "debugger", "default", "delete", "do", "double", "else", "enum", "eval", "export", "extends",
-    "false", "final", "finally", "float", "for", "function", "goto", "if", "implements", "import", "in",
-    "instanceof", "int", "interface", "let", "long", "native", "new", "null", "package", "private", "protected",
-    "public", "return", "short", "static", "super", "switch", "synchronized", "this", "throw", "throws",
-    "transient", "true", "try", "typeof", "undefined", "var", "void", "volatile", "while", "with", "yield",
-    "Infinity", "Math", "NaN",
-))  # fmt: skip
 MAX_POWER = 64
-_AXPY = """function axpy(y, weights, slopes) {
+_AXPY = """function axpy$(y, weights, slopes) {
   const result = new Array(y.length);
   for (let i = 0; i < y.length; i++) {
     let sum = weights[0] * slopes[0][i];
@@ -178,7 +146,6 @@ _AXPY = """function axpy(y, weights, slopes) {
   }
   return result;
 }"""
-_INDENT = "  "
 
 
 class CannotTranslate(ValueError):
@@ -186,29 +153,19 @@ class CannotTranslate(ValueError):
 
 
 def translate(sources: Mapping[str, str]) -> str:
-    """JavaScript functions, of the same names, of Python functions; else CannotTranslate.
+    """JavaScript functions of Python functions in the grammar of `arithmetic`; else CannotTranslate.
 
-    They may contain assignments, `if` and return; arithmetic, comparisons, conditional expressions, tuples
-    (arrays in JavaScript), subscripts and slices with constant bounds, and calls of `math`, `axpy` and each other.
+    They may also contain tuples, which are arrays in JavaScript, and calls of `axpy` and each other. Every name is followed by
+    "$", which no Python name contains, so that it is no word of JavaScript.
     """
     functions = frozenset((*sources, "axpy"))
     scripts = [_Function(name, text, functions).script() for name, text in sources.items()]
     return "\n".join([_AXPY, *scripts])
 
 
-def _name(name: str) -> str:
-    """A Python name in JavaScript."""
-    return f"{name}$" if name in _RESERVED else name
-
-
-def _without_module(node: ast.expr) -> str:
-    """A name such as sqrt, of sqrt or math.sqrt; empty for anything else."""
-    match node:
-        case ast.Name(id=name):
-            return name
-        case ast.Attribute(value=ast.Name(id=module), attr=name) if module in _MODULES:
-            return name
-    return ""
+def _number(value: float) -> str:
+    """A number with the same 64 bits."""
+    return {"inf": "Infinity", "nan": "NaN"}.get(repr(float(value)), repr(float(value)))
 
 
 class _Function:
@@ -233,52 +190,32 @@ class _Function:
         if arguments.vararg or arguments.kwarg or arguments.kwonlyargs or arguments.defaults:
             raise CannotTranslate(f"{self.name}: parameters other than positional ones")
         self.parameters = [argument.arg for argument in (*arguments.posonlyargs, *arguments.args)]
-        body = self.block(node.body, _INDENT)
-        names = [_name(name) for name in self.locals if name not in self.parameters]
+        body = [line for statement in node.body for line in self.statement(statement)]
+        names = [f"{name}$" for name in self.locals if name not in self.parameters]
         names += [f"t${i}" for i in range(self.temporaries)]
-        declared = [f"{_INDENT}let {', '.join(names)};"] if names else []
-        head = f"function {_name(self.name)}({', '.join(map(_name, self.parameters))}) {{"
-        return "\n".join([head, *declared, *body, "}"])
+        head = f"function {self.name}$({', '.join(f'{name}$' for name in self.parameters)}) {{"
+        lines = [f"let {', '.join(names)};", *body] if names else body
+        return "\n".join([head, *(f"  {line}" for line in lines), "}"])
 
     def fault(self, node: ast.AST) -> CannotTranslate:
         """The exception for a node without translation."""
-        try:
-            text = ast.unparse(node).partition("\n")[0]
-        except (AttributeError, ValueError, RecursionError):
-            text = ""
-        return CannotTranslate(f"{self.name}: {text or type(node).__name__}")
+        text = ast.unparse(node).partition("\n")[0]
+        return CannotTranslate(f"{self.name}: {text}")
 
-    def block(self, statements: list[ast.stmt], indent: str) -> list[str]:
-        """Lines of some statements."""
-        return [line for statement in statements for line in self.statement(statement, indent)]
-
-    def statement(self, node: ast.stmt, indent: str) -> list[str]:
+    def statement(self, node: ast.stmt) -> list[str]:
         """Lines of one statement."""
         match node:
-            case ast.Expr(value=ast.Constant()) | ast.Pass():
-                return []  # a docstring
             case ast.Return(value=ast.expr() as value):
-                return [f"{indent}return {self.expression(value)};"]
-            case (
-                ast.Assign(targets=[target], value=value)
-                | ast.AnnAssign(target=ast.Name() as target, value=ast.expr() as value)
-            ):
-                return [indent + line for line in self.assignment(target, value)]
-            case ast.AugAssign(target=ast.Name(id=name) as target, op=op, value=value):
-                total = ast.BinOp(ast.Name(name, ast.Load()), op, value)
-                return [indent + line for line in self.assignment(target, total)]
-            case ast.If(test=test, body=body, orelse=orelse):
-                lines = [f"{indent}if ({self.expression(test)}) {{", *self.block(body, indent + _INDENT)]
-                if orelse:
-                    lines += [f"{indent}}} else {{", *self.block(orelse, indent + _INDENT)]
-                return [*lines, f"{indent}}}"]
+                return [f"return {self.expression(value)};"]
+            case ast.Assign(targets=[target], value=value):
+                return self.assignment(target, value)
         raise self.fault(node)
 
     def assignment(self, target: ast.expr, value: ast.expr) -> list[str]:
         """Lines that assign a value to a name, or the items of a tuple to several at once."""
         if isinstance(target, ast.Name):
             return self.assigned(target, self.expression(value))
-        if isinstance(target, ast.Tuple | ast.List) and isinstance(value, ast.Tuple | ast.List):
+        if isinstance(target, ast.Tuple) and isinstance(value, ast.Tuple):
             if len(value.elts) != len(target.elts):
                 raise self.fault(value)
             items = [self.temporary() for _ in target.elts]
@@ -295,8 +232,8 @@ class _Function:
         """Lines that assign translated text to a name, or its items to a tuple of names."""
         if isinstance(target, ast.Name):
             self.locals[target.id] = None
-            return [f"{_name(target.id)} = {text};"]
-        if isinstance(target, ast.Tuple | ast.List):
+            return [f"{target.id}$ = {text};"]
+        if isinstance(target, ast.Tuple):
             items = enumerate(target.elts)
             return [line for i, each in items for line in self.assigned(each, f"{text}[{i}]")]
         raise self.fault(target)
@@ -309,51 +246,26 @@ class _Function:
     def expression(self, node: ast.expr) -> str:
         """An expression, in parentheses unless it is one name, number or call."""
         match node:
-            case ast.Constant(value=bool() as value):
-                return str(value).lower()
             case ast.Constant(value=int() | float() as value):
-                return self.number(float(value))
+                return _number(value)
             case ast.Name(id=name) if name in self.locals or name in self.parameters:
-                return _name(name)
-            case ast.Name() | ast.Attribute() if _without_module(node) in _NUMBERS:
-                return _NUMBERS[_without_module(node)]
+                return f"{name}$"
             case ast.UnaryOp(op=ast.USub(), operand=operand):
                 return f"(-{self.expression(operand)})"
             case ast.UnaryOp(op=ast.UAdd(), operand=operand):
                 return self.expression(operand)
-            case ast.UnaryOp(op=ast.Not(), operand=operand):
-                return f"(!{self.expression(operand)})"
             case ast.BinOp(left=base, op=ast.Pow(), right=exponent):
                 return self.power(base, exponent)
             case ast.BinOp(left=left, op=op, right=right) if type(op) in _OPERATORS:
                 return f"({self.expression(left)} {_OPERATORS[type(op)]} {self.expression(right)})"
-            case ast.BoolOp(op=op, values=values):
-                sign = " && " if isinstance(op, ast.And) else " || "
-                return f"({sign.join(map(self.expression, values))})"
-            case ast.Compare(left=left, ops=ops, comparators=others) if all(
-                type(o) in _COMPARISONS for o in ops
-            ):
-                sides = [self.expression(side) for side in (left, *others)]
-                pairs = zip(pairwise(sides), ops, strict=True)
-                return f"({' && '.join(f'{a} {_COMPARISONS[type(op)]} {b}' for (a, b), op in pairs)})"
-            case ast.IfExp(test=test, body=body, orelse=orelse):
-                return f"({self.expression(test)} ? {self.expression(body)} : {self.expression(orelse)})"
-            case ast.Tuple(elts=elements) | ast.List(elts=elements):
+            case ast.Tuple(elts=elements):
                 return f"[{', '.join(map(self.expression, elements))}]"
-            case ast.Subscript(value=value, slice=index):
-                return self.subscript(node, value, index)
-            case ast.Call(func=function, args=arguments, keywords=[]):
-                name = _without_module(function)
-                own = isinstance(function, ast.Name) and name in self.functions
-                if not own and name not in _FUNCTIONS:
+            case ast.Call(func=ast.Name(id=name) as function, args=arguments, keywords=[]):
+                if name not in self.functions and name not in arithmetic.FUNCTIONS:
                     raise self.fault(function)
-                translated = _name(name) if own else _FUNCTIONS[name]
+                translated = f"{name}$" if name in self.functions else f"Math.{name}"
                 return f"{translated}({', '.join(map(self.expression, arguments))})"
         raise self.fault(node)
-
-    def number(self, value: float) -> str:
-        """A number with the same 64 bits."""
-        return {"inf": "Infinity", "nan": "NaN"}.get(repr(value), repr(value))
 
     def power(self, base: ast.expr, exponent: ast.expr) -> str:
         """A power: a product, a square root, or Math.pow, which may differ in the last bit."""
@@ -369,7 +281,7 @@ class _Function:
         if number == 0.5:
             return f"Math.sqrt({text})"
         if number != int(number) or not 1 <= abs(number) <= MAX_POWER:
-            return f"Math.pow({text}, {self.number(number)})"
+            return f"Math.pow({text}, {_number(number)})"
         product = self.product(base, text, int(abs(number)))
         return product if number > 0 else f"(1.0 / {product})"
 
@@ -388,25 +300,3 @@ class _Function:
         for factor in factors[1:]:
             result = f"({result} * {factor})"
         return result
-
-    def subscript(self, node: ast.expr, value: ast.expr, index: ast.expr) -> str:
-        """An item or a slice with constant bounds."""
-        text = self.expression(value)
-        if isinstance(index, ast.Slice):
-            if index.step is not None:
-                raise self.fault(node)
-            lower = self.bound(node, index.lower, "0")
-            upper = self.bound(node, index.upper, "")
-            return f"{text}.slice({lower}{', ' if upper else ''}{upper})"
-        position = self.bound(node, index, "")
-        return f"{text}.at({position})" if position.startswith("-") else f"{text}[{position}]"
-
-    def bound(self, node: ast.expr, index: ast.expr | None, missing: str) -> str:
-        """A constant index."""
-        if index is None:
-            return missing
-        with suppress(ValueError):
-            value = ast.literal_eval(index)
-            if isinstance(value, int) and not isinstance(value, bool):
-                return str(value)
-        raise self.fault(node)

@@ -83,7 +83,7 @@ def atlas_page(ds: xr.Dataset, *, file: str = "", max_points: int = MAX_POINTS) 
     try:
         # Its trajectories are those of the atlas but for rounding: kernels fuse products and sums, browsers do not.
         texts = sources(system, method)
-        script = f"{translate(texts)}\nreturn {{{', '.join(texts)}}};"
+        script = f"{translate(texts)}\nreturn {{{', '.join(f'{name}: {name}$' for name in texts)}}};"
     except CannotTranslate as error:
         fault["fault"] = f"The equations of this system cannot be translated for this page: {error}"
     count = max_points

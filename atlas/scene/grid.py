@@ -236,15 +236,13 @@ _NOTHING_TURNS = {"turns": "n and m are 0, and nothing turns", "orbits": "the fr
 
 def not_computed(scene: Scene, sample: Grid) -> list[str]:
     """Sentences on the points not computed, by reason, counted or (beyond MAX_COUNTED) from the sample."""
-    if exact := scene.size <= MAX_COUNTED:
+    if scene.size <= MAX_COUNTED:
         counts = np.zeros(len(Reason), np.int64)
         for first in range(0, scene.size, MAX_POINTS_PER_TILE):
             indices = np.arange(first, min(first + MAX_POINTS_PER_TILE, scene.size))
             counts += np.bincount(_before_nudge(scene, indices)[1], minlength=len(Reason))
-    else:
-        counts = np.bincount(sample.reason, minlength=len(Reason))
-    if exact:
         return count_lines(counts, scene.system, scene.family, scene.duration)
+    counts = np.bincount(sample.reason, minlength=len(Reason))
     shares = {Reason(i): 100 * count / counts.sum() for i, count in enumerate(counts) if i and count}
     return [
         f"about {share:.2g} % of the points: {sentence(reason, scene.system, scene.family, scene.duration)}"

@@ -36,7 +36,8 @@ def functions(equations: Any) -> dict[str, str]:
 
 
 def _definitions(equations: Any) -> dict[str, ast.FunctionDef]:
-    """Syntax tree of every function of the equations, by name, without its docstring."""
+    """Syntax tree of every function of the equations, by name, without its docstring; *_ among constants becomes their names."""
+    constants = getattr(equations, "CONSTANTS", ())
     sources = getattr(equations, "SOURCES", None)
     file = getattr(equations, "__file__", None)
     if sources is not None:
@@ -51,6 +52,12 @@ def _definitions(equations: Any) -> dict[str, ast.FunctionDef]:
         node.decorator_list = []  # staticmethod, in a class
         if ast.get_docstring(node) is not None:
             node.body = node.body[1:] or [ast.Pass()]
+        for statement in node.body:
+            match statement:
+                case ast.Assign(targets=[ast.Tuple(elts=names)], value=ast.Name(id="constants")):
+                    for i in [i for i, name in enumerate(names) if isinstance(name, ast.Starred)]:
+                        rest = constants[i : len(constants) - len(names) + i + 1]
+                        names[i : i + 1] = [ast.Name(name, ast.Store()) for name in rest]
     return {node.name: node for node in nodes}
 
 

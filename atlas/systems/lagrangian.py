@@ -102,10 +102,8 @@ def from_lagrangian(
         import sympy  # noqa: F401
     except ImportError:
         raise BadInput("from_lagrangian: needs SymPy, which is not installed: pip install sympy") from None
-    mechanics = _Mechanics.of(
-        lagrangian, coordinates, velocities, parameters, forces or {}, dissipation, omit, functions or {}
-    )
-    source = mechanics.module(title)
+    groups = {"coordinates": coordinates, "velocities": velocities, "parameters": parameters, "omit": omit}
+    source = _Mechanics.of(lagrangian, groups, forces or {}, dissipation, functions or {}).module(title)
     if path is not None:
         with atomic_write(Path(path)) as temporary:
             temporary.write_text(source, encoding="utf-8")
@@ -129,23 +127,14 @@ class _Mechanics:
     def of(
         cls,
         lagrangian: Expression,
-        coordinates: Sequence[Expression],
-        velocities: Sequence[Expression],
-        parameters: Sequence[Expression],
+        groups: Mapping[str, Sequence[Expression]],
         forces: Mapping[Expression, Expression],
         dissipation: Expression,
-        omit: Sequence[Expression],
         functions: Mapping[str, Expression | Sequence[Expression]],
     ) -> _Mechanics:
-        """The arguments after all checks but of the mass matrix."""
+        """The arguments after all checks but of the mass matrix; groups: of symbols, by the names of the arguments."""
         import sympy
 
-        groups = {
-            "coordinates": coordinates,
-            "velocities": velocities,
-            "parameters": parameters,
-            "omit": omit,
-        }
         for name, group in groups.items():
             if not isinstance(group, Iterable):
                 raise BadInput(f"from_lagrangian: {name} = {shown(group)}: must be a sequence of symbols")

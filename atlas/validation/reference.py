@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from scipy.integrate import DOP853, solve_ivp
@@ -95,14 +95,11 @@ def reference(
         if main.has_theory:
             with np.errstate(invalid="ignore"):
                 labels.append(np.array([rates.label(run, settings.tolerances, rate) for rate in frame_rates]))
-        else:
-            limits = observables.std_tolerances(system, settings)
-            labels.append(observables.label(run, limits)[None])
-    label, other_label = labels
-    if main.has_theory:
-        for run in (best, other):
             inside = rates.in_cylinder(run, settings.cylinder)  # psi' and phi' have no meaning there
             run |= {name: np.where(inside, np.nan, run[name]) for name in NEEDS_PSI}
+        else:
+            labels.append(observables.label(run, observables.std_tolerances(system, settings))[None])
+    label, other_label = labels
     distance = state_distance(system, best["state"], other["state"], system.frequency_bound(points))
     return Reference(
         state=best["state"],
@@ -146,17 +143,12 @@ def _closed_forms(system: System, points: Points, duration: Array, cylinder: flo
     motions = {f.flag: f.motion for f in system.families.values() if f.motion is not None}
     exact = (system.condition_residual(points) <= EXACT_RESIDUAL) & np.isin(flags, list(motions))
     start = system.initial_state(points)
-    rates = euler_rates(system.equations.frame_motion(start, system.constants(points)), cylinder)
-    run = {name: np.zeros(exact.size) for name in RATES}
-    run |= {
-        "psi_dot_mean": rates.psi_dot,
-        "phi_dot_mean": rates.phi_dot,
-        "normal_rate_mean": rates.normal_rate,
-        "theta_min": rates.theta,
-        "theta_max": rates.theta,
-        "sine_max": np.sin(rates.theta),
-        "state": np.full_like(start, np.nan),
-    }
+    motion = system.equations.frame_motion(start, system.constants(points))
+    _, psi_dot, phi_dot, normal_rate, _, theta = euler_rates(motion, cylinder)
+    run = {name: np.zeros(exact.size) for name in RATES} | {
+        "psi_dot_mean": psi_dot, "phi_dot_mean": phi_dot, "normal_rate_mean": normal_rate, "theta_min": theta,
+        "theta_max": theta, "sine_max": np.sin(theta), "state": np.full_like(start, np.nan),
+    }  # fmt: skip
     for flag in np.unique(flags[exact]):
         members = np.flatnonzero(exact & (flags == flag))
         states = motions[flag](subset(points, members), duration[members])
@@ -164,32 +156,19 @@ def _closed_forms(system: System, points: Points, duration: Array, cylinder: flo
     return run, exact
 
 
-class EulerRates(NamedTuple):
-    """Euler rates, rad per time unit, and theta, rad; arrays of one shape."""
+def euler_rates(motion: Sequence[Array], cylinder: float) -> tuple[Array, ...]:
+    """theta', psi', phi' and the rate about the vertical of what `frame_motion` of the equations returns, and theta.
 
-    theta_dot: Array
-    psi_dot: Array  # 0 in the polar cap
-    phi_dot: Array  # 0 in the polar cap
-    normal_rate: Array  # angular velocity about the frame's vertical
-    outside: Array  # 1.0 outside the polar cap, 0.0 inside
-    theta: Array
-
-
-def euler_rates(motion: Sequence[Array], cylinder: float) -> EulerRates:
-    """Euler rates of the motion (u1, u2, u3, g1, g2, g3) that `frame_motion` of the equations returns."""
+    Before theta: 1.0 outside the polar cap and 0.0 inside, where psi' and phi' are 0.
+    """
     u1, u2, u3, g1, g2, g3 = motion
     sine = np.hypot(g1, g2)
     outside = np.where(sine >= cylinder, 1.0, 0.0)
     safe_sine = np.where(sine == 0.0, 1.0, sine)
     psi_dot = (u1 * g1 + u2 * g2) / safe_sine**2 * outside
-    return EulerRates(
-        theta_dot=(u1 * g2 - u2 * g1) / safe_sine,
-        psi_dot=psi_dot,
-        phi_dot=(u3 - psi_dot * g3) * outside,
-        normal_rate=u1 * g1 + u2 * g2 + u3 * g3,
-        outside=outside,
-        theta=np.arctan2(sine, g3),
-    )
+    theta_dot, normal_rate = (u1 * g2 - u2 * g1) / safe_sine, u1 * g1 + u2 * g2 + u3 * g3
+    phi_dot = (u3 - psi_dot * g3) * outside
+    return theta_dot, psi_dot, phi_dot, normal_rate, outside, np.arctan2(sine, g3)
 
 
 def _dop853(
@@ -238,34 +217,31 @@ def _integrate_group(
     """Integrate the points as one system of equations in the time t / duration; None if a step fails."""
     equations, constants, start = system.equations, system.constants(points), system.initial_state(points)
     states, size = start.shape
-    at_start = euler_rates(equations.frame_motion(start, constants), cylinder)
+    _, psi0, phi0, normal0, _, theta0 = euler_rates(equations.frame_motion(start, constants), cylinder)
 
     def slope(time: float, flat: Array) -> Array:
         """Slopes of the states, then of the sums in the order of RATE_SUMS."""
         state = flat.reshape(-1, size)[:states]
-        rates = euler_rates(equations.frame_motion(state, constants), cylinder)
-        normal_rate = rates.normal_rate - at_start.normal_rate
-        psi_dot = (rates.psi_dot - at_start.psi_dot) * rates.outside
-        phi_dot = (rates.phi_dot - at_start.phi_dot) * rates.outside
+        motion = equations.frame_motion(state, constants)
+        theta_dot, psi_dot, phi_dot, normal, outside, _ = euler_rates(motion, cylinder)
+        psi, phi, normal = (psi_dot - psi0) * outside, (phi_dot - phi0) * outside, normal - normal0
         rows = [duration * rate for rate in equations.rhs(state, constants)]
-        rows += [rates.theta_dot, rates.theta_dot**2, rates.outside, psi_dot, psi_dot**2, phi_dot, phi_dot**2]
-        return np.concatenate([*rows, normal_rate, normal_rate**2])
+        sums = (theta_dot, theta_dot**2, outside, psi, psi**2, phi, phi**2, normal, normal**2)
+        return np.concatenate([*rows, *sums])
 
     def theta_along(path: Array) -> tuple[Array, Array]:
-        rates = euler_rates(equations.frame_motion(path, constants[:, :, None]), cylinder)
-        return rates.theta, rates.theta_dot
+        theta_dot, *_, theta = euler_rates(equations.frame_motion(path, constants[:, :, None]), cylinder)
+        return theta, theta_dot
 
-    end = _final_and_range(slope, start, len(RATE_SUMS), rtol, theta_along, at_start.theta, duration, advance)
+    end = _final_and_range(slope, start, len(RATE_SUMS), rtol, theta_along, theta0, duration, advance)
     if end is None:
         return None
     final, theta_min, theta_max = end
-    theta = euler_rates(equations.frame_motion(final[:states], constants), cylinder).theta
+    *_, theta = euler_rates(equations.frame_motion(final[:states], constants), cylinder)
     out = np.zeros((len(Row), size))
     out[list(RATE_SUMS)] = final[states:]
-    out[Row.PSI_DOT_REFERENCE] = at_start.psi_dot
-    out[Row.PHI_DOT_REFERENCE] = at_start.phi_dot
-    out[Row.NORMAL_RATE_REFERENCE] = at_start.normal_rate
-    out[Row.FIRST_THETA], out[Row.LAST_THETA] = at_start.theta, theta
+    references = Row.PSI_DOT_REFERENCE, Row.PHI_DOT_REFERENCE, Row.NORMAL_RATE_REFERENCE
+    out[[*references, Row.FIRST_THETA, Row.LAST_THETA]] = psi0, phi0, normal0, theta0, theta
     result = finish(out, np.ones(size, np.int64), duration)
     return {name: result[name] for name in RATES} | {
         "theta_min": theta_min, "theta_max": theta_max, "sine_max": largest_sine(theta_min, theta_max),

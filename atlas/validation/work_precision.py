@@ -43,7 +43,7 @@ POINT_STEPS_TIMED = 6_000_000  # point-steps of one timing
 # Points tried for each point of the sample, because a family need not exist at every point.
 CANDIDATES_PER_POINT = 16
 
-# Variables over (method, level, sample) but for error_NAME of statistics: type, long name and units.
+# Variables over (method, level, sample), the last over (method, level), but for error_NAME of statistics: type, long name and units.
 VARIABLES = {
     "error_state": (float, "largest error of a component of the final state, angular velocities over the frequency bound", "1"),
     "error_rates": (float, "error of the least accurate mean, rms or standard deviation of a rate, over the frequency bound", "1"),
@@ -53,6 +53,7 @@ VARIABLES = {
     "label_compared": (np.int8, "both the method and the reference determine the label", "1"),
     "label_wrong": (np.int8, "a label differs from the reference's", "1"),
     "label_unresolved": (np.int8, "the method gives no label", "1"),
+    "seconds_per_point": (float, "processor time to the end of the run", "s"),
 }  # fmt: skip
 
 # Variables with another meaning for systems with observables.
@@ -317,15 +318,11 @@ def _dataset(sample: _Sample, results: Mapping[tuple[int, int], Columns]) -> xr.
     }
     descriptions = VARIABLES | (OF_OBSERVABLES if main.quantity == "observables" else {})
     for variable, (dtype, long_name, units) in (errors | descriptions).items():
-        column = np.full(shape, np.nan if dtype is float else 0, dtype)
+        rank = 2 if variable == "seconds_per_point" else 3
+        column = np.full(shape[:rank], np.nan if dtype is float else 0, dtype)
         for cell, result in results.items():
             column[cell] = result[variable]
-        ds[variable] = dims, column, {"long_name": long_name, "units": units}
-    seconds = np.full(shape[:2], np.nan)
-    for cell, result in results.items():
-        seconds[cell] = result["seconds_per_point"]
-    attributes = {"long_name": "processor time to the end of the run", "units": "s"}
-    ds["seconds_per_point"] = dims[:2], seconds, attributes
+        ds[variable] = dims[:rank], column, {"long_name": long_name, "units": units}
     # Median over the points of log(error ratio) / log(step ratio); NaN where too few show it.
     error, step = ds["error_state"].values, ds["step_length"].values
     order = np.full(error.shape[:2], np.nan)

@@ -16,6 +16,7 @@ from truth import (
     satellite_symbols,
 )
 
+from atlas.systems import arithmetic
 from atlas.systems.satellite import equations
 from atlas.systems.satellite.initial import constants, directions, frequency_bound, initial_state
 
@@ -34,6 +35,14 @@ def test_accelerations_are_those_of_the_lagrangian():
         )
     rates = np.array(equations.rhs(initial_state(points), constants(points)))[:3].T
     assert np.abs(rates - np.array(reference)).max() < 1e-12 * (1 + np.abs(rates).max())
+
+
+def test_a_star_among_the_constants_becomes_their_names():
+    texts = arithmetic.functions(equations)
+    for name in ("jacobi", "jacobi_loss", "axis_in_frame"):
+        assert f"{', '.join(equations.CONSTANTS)} = constants" in texts[name].replace("(", "").replace(
+            ")", ""
+        )
 
 
 def test_kinematics_and_start_are_those_of_the_paper():

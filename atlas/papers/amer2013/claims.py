@@ -327,7 +327,7 @@ def _singularity_claim() -> Claim:
     for distance in (1e-2, 1e-4, 1e-6):
         l3 = A * r0 * (A1**2 - 1 + distance) / (2 * A1)  # omega'^2 = 1 - distance
         spin = FastSpin.of(A, A * (1 + A1), 1.0, 1.0, 0.0, 0.0, l3, r0, 0.5)
-        printed.append(float(published.coefficients(spin).chi1 / spin.G0))
+        printed.append(float(published.coefficients(spin)["chi1"] / spin.G0))
         true.append(float(spin.chi1 / spin.G0))
     errors = []
     tau = np.linspace(0, 2 * np.pi, 41)

@@ -17,8 +17,7 @@ the paper's (19), (20) and (33).
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
-from functools import cached_property
+from dataclasses import dataclass, fields
 from typing import Any
 
 import numpy as np
@@ -35,9 +34,9 @@ PAPER_ROTORS = (0.0, 10.0, 20.0, 30.0, 40.0, 50.0)
 PAPER_DATA = {"r0": 1000.0, "R": 2000.0, "lambda": 0.6, "M": 30.0, "z0": 5.0, "gamma0": 0.352}
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(eq=False)
 class FastSpin:
-    """A body of the paper and its numbers (4), (5), (10), (30); BadInput where a formula is undefined."""
+    """A body of the paper and its numbers (4), (5), (10), (30), numbers or arrays; BadInput where a formula is undefined."""
 
     A: Array  # = B, kg m2
     C: Array  # kg m2
@@ -49,23 +48,37 @@ class FastSpin:
     r0: Array  # rad s-1
     gamma0: Array  # gamma0'' = cos theta0
 
+    @np.errstate(all="ignore")
     def __post_init__(self) -> None:
-        for name in self.__dataclass_fields__:
-            object.__setattr__(self, name, np.asarray(getattr(self, name), float))
-        _raise_where(self.r0 == 0, "r0 = 0: the small parameter eps = c sqrt(gamma0'') / r0 does not exist")
+        for each in fields(self):
+            setattr(self, each.name, np.asarray(getattr(self, each.name), float))
+        A, C, r0 = self.A, self.C, self.r0
+        _raise_where(r0 == 0, "r0 = 0: the small parameter eps = c sqrt(gamma0'') / r0 does not exist")
         _raise_where(
             ~((self.gamma0 > 0) & (self.gamma0 < 1)),
             "gamma0'' = cos theta0 outside (0, 1): the scaling (4) divides by it and takes its root, and"
             " psi' in (34) divides by sin theta0",
         )
         _raise_where(self.weight == 0, "Mg z0 = 0: the unit c sqrt(gamma0'') of p and q in (4) vanishes")
-        _raise_where(
-            self.C * self.r0 + self.l3 == 0, "C r0 + l3 = 0: chi1 and nu of (10) divide by 1 + Omega"
-        )
+        _raise_where(C * r0 + self.l3 == 0, "C r0 + l3 = 0: chi1 and nu of (10) divide by 1 + Omega")
+        self.scale = np.sqrt(np.abs(self.weight) / C * self.gamma0)  # c sqrt(gamma0''), of p and q, rad s-1
+        self.eps = self.scale / r0
+        self.a, self.A1 = A / C, (C - A) / A
+        self.k = self.N * C / np.abs(self.weight) * self.gamma0  # N gamma0'' / c^2; (4) prints N / c^2
+        self.z = np.sign(self.weight)  # z0' = +-1
+        unit = C * self.scale
+        self.y = self.l1 / unit, self.l2 / unit, self.l3 / unit  # y_i = l_i / (c C sqrt(gamma0''))
+        # (l1 + i l2) / (A c sqrt(gamma0'')), C / A times y1 + i y2, and the centre about which p1, q1 turn, mu / Omega
+        self.mu = (self.l1 + 1j * self.l2) / (A * self.scale)
+        self.Omega = ((C - A) * r0 + self.l3) / (A * r0)  # frequency of p1, q1 in tau, exact at eps = 0
         _raise_where(
             (self.Omega == 0) & (self.mu != 0),
             "A1 + l3 / (A r0) = 0: the forced part mu / Omega of p1, q1 is resonant",
         )
+        self.forced = np.where(self.mu == 0, 0.0, self.mu / np.where(self.Omega == 0, 1.0, self.Omega))
+        self.G0 = self.z / self.a - self.k * self.A1
+        self.chi1, self.nu = -self.G0 / (1 + self.Omega), 1 / (1 + self.Omega)
+        self.M3 = np.sqrt(1 - self.gamma0**2) / self.gamma0  # tan theta0, (30)
 
     @classmethod
     def of(cls, *values: Any) -> FastSpin:
@@ -74,75 +87,7 @@ class FastSpin:
 
     def of_shape(self, shape: tuple[int, ...]) -> FastSpin:
         """The same with fields of one shape."""
-        return FastSpin.of(
-            *(np.broadcast_to(getattr(self, name), shape) for name in self.__dataclass_fields__)
-        )
-
-    @cached_property
-    def scale(self) -> Array:
-        """c sqrt(gamma0''), the unit of p and q, rad s-1."""
-        return np.sqrt(np.abs(self.weight) / self.C * self.gamma0)
-
-    @cached_property
-    def eps(self) -> Array:
-        return self.scale / self.r0
-
-    @cached_property
-    def a(self) -> Array:
-        return self.A / self.C
-
-    @cached_property
-    def A1(self) -> Array:
-        return (self.C - self.A) / self.A
-
-    @cached_property
-    def k(self) -> Array:
-        """N gamma0'' / c^2; (4) prints N / c^2."""
-        return self.N * self.C / np.abs(self.weight) * self.gamma0
-
-    @cached_property
-    def z(self) -> Array:
-        """z0' = +-1, the sign of Mg z0."""
-        return np.sign(self.weight)
-
-    @cached_property
-    def y(self) -> tuple[Array, Array, Array]:
-        """y_i = l_i / (c C sqrt(gamma0''))."""
-        unit = self.C * self.scale
-        return self.l1 / unit, self.l2 / unit, self.l3 / unit
-
-    @cached_property
-    def mu(self) -> Array:
-        """(l1 + i l2) / (A c sqrt(gamma0'')), complex: C / A times y1 + i y2."""
-        return (self.l1 + 1j * self.l2) / (self.A * self.scale)
-
-    @cached_property
-    def Omega(self) -> Array:
-        """Frequency of p1, q1 in tau: A1 + l3 / (A r0), exact at eps = 0."""
-        return ((self.C - self.A) * self.r0 + self.l3) / (self.A * self.r0)
-
-    @cached_property
-    def forced(self) -> Array:
-        """mu / Omega, complex: the centre about which p1, q1 turn."""
-        safe = np.where(self.Omega == 0, 1.0, self.Omega)
-        return np.where(self.mu == 0, 0.0, self.mu / safe)
-
-    @cached_property
-    def G0(self) -> Array:
-        return self.z / self.a - self.k * self.A1
-
-    @cached_property
-    def chi1(self) -> Array:
-        return -self.G0 / (1 + self.Omega)
-
-    @cached_property
-    def nu(self) -> Array:
-        return 1 / (1 + self.Omega)
-
-    @cached_property
-    def M3(self) -> Array:
-        """tan theta0, (30)."""
-        return np.sqrt(1 - self.gamma0**2) / self.gamma0
+        return FastSpin(*(np.broadcast_to(getattr(self, each.name), shape) for each in fields(self)))
 
 
 def _raise_where(bad: Mask, reason: str) -> None:

@@ -1,16 +1,16 @@
 """The fast-spin formulas of Amer, Abo Essa, Ibrahim & Amer exactly as the paper prints them.
 
 For comparison only, because most of them are wrong; PUBLISHED lists the errors, with their amounts where a
-number can be measured. The steps between (6) and (27) are in `reduction`. Each function has the signature and
-the units of its namesake in `fast_spin`. X and what depends on it need A1 != 0.
+number can be measured. The formulas are in the table [printed] of equations.toml, the steps between (6) and (27) in
+`reduction`. Each function has the signature and the units of its namesake in `fast_spin`. X and what depends on it need A1 != 0.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from functools import partial
-from typing import Any, NamedTuple
+from functools import lru_cache, partial
+from typing import Any
 
 import numpy as np
 
@@ -19,36 +19,9 @@ from ...systems.base import Array, Points, PublishedEquation
 from .. import Readings, row
 from . import fast_spin, reduction
 from .fast_spin import FastSpin, paper_spin, random_spin, true_acceleration, true_rate
+from .reduction import CONTENT, VARIABLES, Values, evaluate
 
-
-def k(spin: FastSpin) -> Array:
-    """N / c^2, (4)."""
-    return spin.N * spin.C / np.abs(spin.weight)
-
-
-def rhs(spin: FastSpin, y: Array) -> Array:
-    """dy/dtau, (1) with (4) and (5); A = B, so C1 = 0."""
-    p, q, r, g1, g2, g3 = y
-    eps, a, A, A1, B1 = spin.eps, spin.a, spin.A, spin.A1, -spin.A1
-    rotor2, rotor1 = r * spin.l2 / spin.scale, r * spin.l1 / spin.scale
-    dp = (
-        -A1 * q * r
-        - (q * spin.l3 / spin.r0 - rotor2) / A
-        - eps / a * (spin.z * g2 - k(spin) * a * A1 * g2 * g3)
-    )
-    dq = -B1 * p * r + (p * spin.l3 / spin.r0 - rotor1) / A + eps / a * (spin.z * g1 + a * B1 * g1 * g3)
-    dr = eps**2 * (q * spin.l1 - p * spin.l2) / (spin.C * spin.scale)
-    return np.array([dp, dq, dr, r * g2 - eps * q * g3, eps * p * g3 - r * g1, eps * (q * g1 - p * g2)])
-
-
-def integrals(spin: FastSpin, y: Array) -> Array:
-    """The constants of the motion according to (2) with (3): energy, area and |gamma|^2, shape (3, ...)."""
-    p, q, r, g1, g2, g3 = y
-    y1, y2, y3 = spin.y
-    length = g1**2 + g2**2 + g3**2
-    energy = r**2 + spin.eps**2 * (spin.a * (p**2 + q**2 + k(spin) * length) - 2 * spin.z * g3)
-    area = r * g3 + spin.eps * (spin.a * (p * g1 + q * g2) + y1 * g1 + y2 * g2 + y3 * g3)
-    return np.array([energy, area, length])
+COEFFICIENTS = ("chi", "chi1", "nu", "X", "chi2", "nu2")
 
 
 def frequency_squared(spin: FastSpin) -> Array:
@@ -56,142 +29,77 @@ def frequency_squared(spin: FastSpin) -> Array:
     return spin.A1**2 - 2 * spin.A1 * spin.l3 / (spin.A * spin.r0)
 
 
-class Coefficients(NamedTuple):
-    """chi, chi1 and nu of (10), X, chi2 and nu2 of (11)."""
-
-    chi: Array
-    chi1: Array
-    nu: Array
-    X: Array
-    chi2: Array
-    nu2: Array
+def numbers(spin: FastSpin) -> Values:
+    """The numbers of a body by their names in [printed]."""
+    names = ("A", "C", "weight", "N", "l1", "l2", "l3", "r0", "gamma0", "A1", "a", "z", "scale", "eps", "M3")
+    values = {name: getattr(spin, name) for name in names} | dict(
+        zip(("y1", "y2", "y3"), spin.y, strict=True)
+    )
+    return values | {"squared": frequency_squared(spin)}
 
 
-def coefficients(spin: FastSpin) -> Coefficients:
-    """Coefficients of (10) and (11); BadInput where they divide by zero."""
-    A, C, A1, a, r0 = spin.A, spin.C, spin.A1, spin.a, spin.r0
-    squared = frequency_squared(spin)
-    if np.any(A1 == 0):
+def formulas(values: Values, *names: str) -> Array:
+    """Formulas of [printed], shape (names, ...)."""
+    return np.array(np.broadcast_arrays(*(evaluate(name, values, CONTENT["printed"]) for name in names)))
+
+
+@lru_cache(maxsize=8)  # a right-hand side asks for them at every step
+def coefficients(spin: FastSpin) -> Values:
+    """The numbers of a body with chi, chi1 and nu of (10), X, chi2 and nu2 of (11); BadInput where they divide by zero."""
+    values = numbers(spin)
+    if np.any(spin.A1 == 0):
         raise BadInput("A1 = 0 (A = C): X of (11) divides by A1")
-    if np.any((squared == 1) | (squared == 0)):
+    if np.any((values["squared"] == 1) | (values["squared"] == 0)):
         raise BadInput("omega'^2 = 0 or 1: chi, chi1 and nu of (10) divide by omega'^2 or 1 - omega'^2")
-    y2, s = spin.y[1], spin.l3 / (A * r0)
-    chi = y2**2 * spin.l1 / (C * r0 * A1 * A**2 * squared)
-    field = spin.z / a
-    chi1 = (-field * (1 - A1) + k(spin) * (A1 - A1**2) + s * (field - k(spin) * A1)) / (1 - squared)
-    nu = (1 - A1 - s) / (1 - squared)
-    X = (1 - s / A1) / A1
-    return Coefficients(chi, chi1, nu, X, chi1 + field - k(spin) * A1, nu - X)
+    formulas(values, *COEFFICIENTS)
+    return values
+
+
+def rhs(spin: FastSpin, y: Array) -> Array:
+    """dy/dtau, (1) with (4) and (5); A = B, so C1 = 0."""
+    values = numbers(spin) | dict(zip(VARIABLES, y, strict=True))
+    return formulas(values, *(f"d_{name}" for name in VARIABLES))
+
+
+def integrals(spin: FastSpin, y: Array) -> Array:
+    """The constants of the motion according to (2) with (3): energy, area and |gamma|^2, shape (3, ...)."""
+    return formulas(numbers(spin) | dict(zip(VARIABLES, y, strict=True)), "energy", "area", "length")
 
 
 def quasilinear(spin: FastSpin, x: Array, x0: Array) -> Array:
     """d/dtau of x = (p2, p2', gamma2, gamma2'), (15) with F1 and Phi1 of (16); x0 is x at tau = 0."""
-    p, p_dot, g, g_dot = x
-    A, C, A1, a, r0, eps = spin.A, spin.C, spin.A1, spin.a, spin.r0, spin.eps
-    l1, l2 = spin.l1, spin.l2
-    y1, y2, _ = spin.y
-    _, chi1, _, X, chi2, _ = coefficients(spin)
-    p0, p_dot0, g0, g_dot0 = x0
-    twist = (p_dot0 * g_dot0 - p_dot * g_dot) - X / (A * r0) * l2 * (p_dot0 - p_dot)
-    S21 = a * ((p0 * g0 - p * g) - X * twist)
-    S21 = S21 + y1 * (g0 - g) + y2 * (1 - a * X * C / A) * (g_dot0 - g_dot)
-    inner = (p_dot**2 - 2 * y2 / A * p_dot + 2 * p_dot * chi2 * g_dot) / C - A1 * p * (y2 / A - p_dot) / C
-    F1 = -chi1 * l1 / (A * r0) + l2 / (A1 * r0) * inner
-    Phi1 = l1 * S21 / (A * r0) + g_dot * (l1 / A * (y2 / A - p_dot) - l2 * p) / (C * r0)
-    forcing = C * A1 * y1 / A
-    return np.array(
-        [p_dot, forcing + eps * F1 - frequency_squared(spin) * p, g_dot, l1 / (A * r0) + eps * Phi1 - g]
-    )
+    (p, v, g, u), (p0, v0, g0, u0), known = x, x0, coefficients(spin)
+    A, C, A1, a, r0, eps, X, chi2 = (known[name] for name in ("A", "C", "A1", "a", "r0", "eps", "X", "chi2"))
+    l1, l2, y1, y2 = (known[name] for name in ("l1", "l2", "y1", "y2"))
+    twist = (v0 * u0 - v * u) - X / (A * r0) * l2 * (v0 - v)
+    S21 = a * ((p0 * g0 - p * g) - X * twist) + y1 * (g0 - g) + y2 * (1 - a * X * C / A) * (u0 - u)
+    inner = (v**2 - 2 * y2 / A * v + 2 * v * chi2 * u) / C - A1 * p * (y2 / A - v) / C
+    F1 = -known["chi1"] * l1 / (A * r0) + l2 / (A1 * r0) * inner
+    Phi1 = l1 * S21 / (A * r0) + u * (l1 / A * (y2 / A - v) - l2 * p) / (C * r0)
+    return np.array([v, C * A1 * y1 / A + eps * F1 - known["squared"] * p, u, l1 / (A * r0) + eps * Phi1 - g])
 
 
 def first_order(spin: FastSpin, tau: Array) -> Array:
     """The periodic solution (33); tau broadcasts with the fields of spin; returns y of shape (6, ...)."""
-    A, C, A1, a, r0, eps, M3 = spin.A, spin.C, spin.A1, spin.a, spin.r0, spin.eps, spin.M3
-    l2, l3 = spin.l2, spin.l3
-    y1, y2, y3 = spin.y
-    chi, chi1, _, X, chi2, _ = coefficients(spin)
-    cosine, sine = np.cos(tau), np.sin(tau)
-    s2, s3 = l2 / (A * A1 * r0), l3 / (A * A1 * r0)
-    # The first term of (33) is l1 y2^2 / (C A1 A^2 r0 omega'^2), the chi of (10).
-    p = eps * (chi + chi1 * M3 * cosine)
-    q = C * X * y2 / A + eps * (2 * a * k(spin) * l2 * l3 / (A * A1 * r0) ** 2 + X * chi2) * M3 * sine
-    r = 1 - eps**2 * k(spin) * M3 * a * s3 * sine
-    swing = y1 * (1 - cosine) + y2 * sine
-    second = X * chi2 * M3 * sine + k(spin) * M3 * a * s3 * sine * (2 * s2 + X * M3 * sine)
-    g2 = -M3 * sine + s2 * (1 + eps * M3 * swing) + eps**2 * second
-    lean = swing - a * C * l2 * y2 / (A**2 * A1**2 * r0) * sine
-    third = a * chi * (1 - cosine) + 0.5 * a * M3 * (chi1 + X * chi2) * (1 - np.cos(2 * tau))
-    third = third - a * l2 * chi2 / (A * A1**2 * r0) * sine - y3 * lean - k(spin) * a * s3 * sine
-    g3 = 1 + eps * M3 * lean + eps**2 * M3 * third
-    return np.array(np.broadcast_arrays(p, q, r, M3 * cosine, g2, g3))
+    return formulas(coefficients(spin) | {"tau": tau}, *VARIABLES)
 
 
 def to_quasilinear(spin: FastSpin, y: Array) -> Array:
     """(p2, gamma2) of y, by (10); shape (2, ...)."""
-    chi, chi1, nu, *_ = coefficients(spin)
-    gamma2 = (y[3] - spin.eps * nu * (y[0] - spin.eps * chi)) / (1 - spin.eps**2 * nu * chi1)
-    return np.array([y[0] - spin.eps * chi - spin.eps * chi1 * gamma2, gamma2])
+    return formulas(coefficients(spin) | dict(zip(VARIABLES, y, strict=True)), "p2", "gamma2")
 
 
 def period_correction(spin: FastSpin, turns: int = 1) -> Array:
     """alpha(eps) of (33) with beta3 = 0, its value to the lowest order."""
-    A, a, A1 = spin.A, spin.a, spin.A1
-    y1, y2, _ = spin.y
-    chi, chi1, nu, X, _, _ = coefficients(spin)
-    front = 1 + spin.l1 / A / (spin.r0 * spin.M3 - spin.l3)
-    bracket = spin.z / a - nu * chi1 * (1 - frequency_squared(spin)) + (y2 * X / A) ** 2 - k(spin) * A1
-    bracket = bracket + a * chi * spin.l1 / (A * spin.r0) + y1 * spin.M3 * (spin.z / a - 2 * k(spin) * A1)
-    return -spin.eps * np.pi * turns * front * bracket
+    return turns * formulas(coefficients(spin), "alpha")[0]
 
 
-def angles(spin: FastSpin, t: Array, h: float = 0.0, psi0: float = 0.0) -> Array:
-    """theta, psi and phi after (34), shape (3, ...)."""
-    A, C, A1, a, r0, eps = spin.A, spin.C, spin.A1, spin.a, spin.r0, spin.eps
-    l2, l3 = spin.l2, spin.l3
-    y1, y2, y3 = spin.y
-    chi, chi1, _, X, chi2, _ = coefficients(spin)
-    theta0 = np.arctan(spin.M3)
-    tangent, cosine0 = np.tan(theta0), np.cos(theta0)
-    c = spin.scale / np.sqrt(spin.gamma0)
-    field = k(spin) * l3
-
-    def theta1(s: Array) -> Array:
-        # "c a l2" in the printed bracket is the c of (5).
-        return -y1 * np.cos(r0 * s) + (1 - c * a * l2 / (A1**2 * A**2 * r0)) * y2 * np.sin(r0 * s)
-
-    def theta2(s: Array) -> Array:
-        sine = -y2 * y3 - a / (A1 * A * r0) * (l2 * chi2 / A1 + field)
-        return (
-            (y1 * y3 - a * chi) * np.cos(r0 * s)
-            + sine * np.sin(r0 * s)
-            - 0.5 * a * tangent * (chi1 + X * chi2) * np.cos(2 * r0 * s)
-        )
-
-    def psi1(s: Array) -> Array:
-        return C * y2 / (A1 * A * r0) * (l2 * cosine0 / (A1 * A) * s + np.cos(r0 * s))
-
-    def psi2(s: Array) -> Array:
-        drift = l2 * C * y1 * y2 / (A1**2 * A**2 * r0) - 0.5 * X * chi2 * tangent
-        return drift * s + chi2 * tangent / (4 * r0 * A1) * np.sin(2 * r0 * s)
-
-    def psi3(s: Array) -> Array:
-        drift = chi1 + C * X**2 * y2 * a * field / (A1 * A**2 * r0) + chi2 * y2 * l2 / (A1**2 * A * r0)
-        wave = chi1 * tangent / (4 * r0) * np.sin(2 * r0 * s)
-        return 0.5 * drift * tangent * s + wave - C * y2 * chi2 / (A1**2 * A * r0) * np.cos(r0 * s)
-
-    def phi3(s: Array) -> Array:
-        return a * field / (8 * A1 * A * r0) * np.cos(r0 * s)
-
-    def change(f, s: Array) -> Array:
-        return f(s + h) - f(h)
-
-    t = np.asarray(t, float)
-    unit = c * np.sqrt(cosine0)
-    theta = theta0 - eps * change(theta1, t) - eps**2 * change(theta2, t)
-    sway = change(psi1, t) + eps * change(psi2, t) + eps**2 * change(psi3, t)
-    psi = psi0 + unit / np.sin(theta0) * sway
-    phi = np.pi / 2 + r0 * h + r0 * t - unit / tangent * sway - eps**2 * tangent * change(phi3, t)
-    return np.array(np.broadcast_arrays(theta, psi, phi))
+def angles(spin: FastSpin, t: Array) -> Array:
+    """theta, psi and phi after (34) with h = 0, shape (3, ...)."""
+    values = coefficients(spin)
+    now, start = (formulas(values | {"t": time}, "theta", "psi", "phi") for time in (t, np.zeros_like(t)))
+    theta, psi, phi = now - start
+    return np.array([np.arctan(spin.M3) + theta, psi, np.pi / 2 + phi])
 
 
 def check(points: Points, duration: Array) -> None:
@@ -199,13 +107,6 @@ def check(points: Points, duration: Array) -> None:
     with np.errstate(all="ignore"):
         coefficients(fast_spin.fast_spin(points))
     fast_spin.check(points, duration)
-
-
-def W1(spin: FastSpin) -> Array:
-    """W1 of (32)."""
-    squared, X = frequency_squared(spin), coefficients(spin).X
-    rotor = spin.A1 * spin.l3 / (spin.r0 * spin.A)
-    return 0.5 * spin.a * (squared * X**2 - 1) * (squared - rotor) - (1 + spin.a) * (squared * X) ** 2
 
 
 def measured_period_correction(spin: FastSpin, turns: int = 4) -> float:
@@ -337,20 +238,20 @@ READINGS: dict[str, Readings] = {
     "(9)": _readings(_direction_cosine, -1, 1),
     "(10), chi1 and nu": _readings(
         _coupling,
-        lambda spin: coefficients(spin)[1:3],
+        lambda spin: formulas(coefficients(spin), "chi1", "nu"),
         lambda spin: (spin.chi1, spin.nu),
         partial(random_spin, l1=0.0, l2=0.0),
     ),
     "(10), chi": _readings(
-        _constant_10, lambda spin: coefficients(spin).chi, lambda spin: np.zeros(()), _FAST
+        _constant_10, lambda spin: coefficients(spin)["chi"], lambda spin: np.zeros(()), _FAST
     ),
     "(15), second equation": _readings(
         partial(_reduced, 3), lambda spin, x: quasilinear(spin, x, x), fast_spin.quasilinear, _FASTEST
     ),
     "(16), (27)-(33)": _readings(
         _in_other_units,
-        lambda spin: (spin.y[1] * coefficients(spin).X / spin.A) ** 2,
-        lambda spin: (spin.C * spin.y[1] * coefficients(spin).X / spin.A) ** 2,
+        lambda spin: (spin.y[1] * coefficients(spin)["X"] / spin.A) ** 2,
+        lambda spin: (spin.C * spin.y[1] * coefficients(spin)["X"] / spin.A) ** 2,
     ),
     # (19), with the true frequency, has no forcing
     "(19), (20), (25)": _readings(
@@ -364,7 +265,9 @@ READINGS: dict[str, Readings] = {
     ),
     "(24), g_k": _readings(_kernel_24, *2 * (lambda spin: 2 * (np.sqrt(frequency_squared(spin)),),), _FAST),
     # by how much W1 has the wrong sign
-    "(32)": _readings(lambda spin, rng, sign: np.maximum(0, -sign * W1(spin)), 1, -1, paper_spin),
+    "(32)": _readings(
+        lambda spin, rng, sign: np.maximum(0, -sign * formulas(coefficients(spin), "W1")), 1, -1, paper_spin
+    ),
     **{
         f"(33), {name}": _readings(
             partial(_of_solution, index), first_order, fast_spin.first_order, paper_spin

@@ -31,15 +31,16 @@ from .fast_spin import (
 
 Values = dict[str, Any]
 Entry = Mapping[str, Any]
+VARIABLES = ("p1", "q1", "r1", "g1", "g2", "g3")  # p1, q1, r1, g1, g1' and g1'' of (1)
 CONTENT = load("amer2013")
 ENTRIES: dict[str, Entry] = {entry["number"]: entry for entry in CONTENT["equation"]}
 
 
-def evaluate(text: str, values: Values) -> Any:
-    """Value of an expression in the names of equations.toml; names of [definitions] that it contains are evaluated first."""
+def evaluate(text: str, values: Values, definitions: Mapping[str, str] = CONTENT["definitions"]) -> Any:
+    """Value of an expression in the names of equations.toml; names that it contains are evaluated first, by their definitions."""
     parsed = expression("equations.toml", text)
     for name in parsed.names - values.keys():
-        values[name] = evaluate(CONTENT["definitions"][name], values)
+        values[name] = evaluate(definitions[name], values, definitions)
     return parsed.value(values)
 
 
@@ -126,7 +127,7 @@ def variables(x0: Array, x: Array) -> Values:
 
 def _state(y: Array, prefix: str = "") -> Values:
     """The variables of (1), or their rates, by their names."""
-    return {prefix + name: value for name, value in zip(("p1", "q1", "r1", "g1", "g2", "g3"), y, strict=True)}
+    return {prefix + name: value for name, value in zip(VARIABLES, y, strict=True)}
 
 
 def _states(rng: np.random.Generator, entry: Entry) -> Values:

@@ -1,6 +1,6 @@
-"""Lagrange's equations (5)-(7) of the satellite in Euler angles, corrected, and as printed.
+"""Lagrange's equations (5)-(7) of the satellite in Euler angles, corrected; equations.toml has them as printed.
 
-The corrected ones are the equations of the Lagrangian (2), (3) of Yehia & El-kenani 2021 (doi
+They are the equations of the Lagrangian (2), (3) of Yehia & El-kenani 2021 (doi
 10.22055/JACM.2021.37913.3113); `tests/systems/test_satellite_lagrange.py` derives them. They give the
 accelerations of the Euler-Poisson equations of equations.py except at sin theta = 0, where the matrix of the
 second derivatives, of determinant A B C sin^2 theta, is singular and the result not finite. State and
@@ -63,46 +63,3 @@ def equations(state, accelerations, constants):
         + 0.5 * (A - B) * sin2 * (theta_dot * theta_dot - s * s * rate * rate)
         - theta_dot * rate * s * ((A - B) * cos2 + C) + theta_dot * k_across - rate * s * k_node + V_phi,
     )  # fmt: skip
-
-
-def equations_printed(state, accelerations, constants):
-    """Left sides of (5), (6) and (7) to the letter of the paper, brackets and all."""
-    psi, theta, phi, psi_dot, theta_dot, phi_dot = state
-    psi_accel, theta_accel, phi_accel = accelerations
-    A, B, C, Omega, k1, k2, k3, mu1, mu2, mu3, h1, h3 = constants[:12]
-    s, c, sf, cf, sp, cp = sin(theta), cos(theta), sin(phi), cos(phi), sin(psi), cos(psi)
-    sin2, cos2, sin2p, cos2p, sin2t = sin(2 * phi), cos(2 * phi), sin(2 * psi), cos(2 * psi), sin(2 * theta)
-    J = A * sf**2 + B * cf**2
-    k_across, k_node = k2 * cf + k1 * sf, k1 * cf - k2 * sf
-    square = Omega**2
-    five = (
-        0.5 * (A - B) * sin2 * s * theta_accel + (J * s**2 + C * c**2) * psi_accel + C * c * phi_accel
-        + 0.5 * (A - B) * sin2 * c * theta_dot**2
-        + (((A - B) * cos2 - C) * s * phi_dot + (J - C) * sin2t * psi_dot
-           + (2 * Omega * c * (J - C) - k3) * s + k_across * theta_dot)
-        + ((A - B) * sin2 * s**2 * (psi_dot + Omega) + s * k_node) * phi_dot
-        + 1.5 * square * C * s**2 * sin2p + mu3 * h1 * cp * s - 1.5 * square * (-B * c**2 + A) * sin2p * cf**2
-        + (-3 * square * cos2p * (A - B) * c * sf - h1 * (mu2 * sp * c + mu1 * sp)) * cf
-        + 3 * sf * (square / 2 * sin2p * (A * c**2 - B) * sf - h1 / 3 * (mu1 * cp * c - mu2 * sp))
-    )  # fmt: skip
-    six = (
-        0.5 * (A - B) * sin2 * s * psi_accel + (A * cf**2 + B * sf**2) * theta_accel
-        - 0.5 * (J - C) * sin2t * psi_dot**2
-        + (((A - B) * cos2 + C) * s * phi_dot + 0.5 * (A - B) * sin2 * c * theta_dot
-           + (-2 * Omega * c * J + 2 * C * Omega * c + k3) * s - c * k_across * psi_dot)
-        + ((B - A) * sin2 * theta_dot + ((A - B) * cos2 + C) * Omega * s - k_across) * phi_dot
-        + 0.5 * (A - B) * sin2 * c * Omega * theta_dot
-        + (-square * (B + A - C) * c * (3 * sp**2 + 1) + 0.75 * square * (A - B) * sin2p * sin2
-           + h1 * mu2 * sp * cf + h1 * mu1 * sp * sf + Omega * k3 - h3 * mu3) * s
-        - c * (Omega * k2 - h3 * mu2) * cf + (Omega * k1 - h3 * mu1) * sf - h1 * mu3 * sp
-    )  # fmt: skip
-    seven = (
-        C * c * phi_accel + C * phi_accel + 0.5 * (A - B) * sin2 * theta_dot**2
-        + ((B - A) * cos2 - C) * s * psi_dot - ((A - B) * cos2 + C) * Omega * s
-        + (k1 * sf + k2 * cf) * theta_dot
-        - 0.5 * (A - B) * sin2 * s**2 * psi_dot**2 - Omega * s * sin2 * (A - B) * s + k_node * psi_dot
-        - 0.5 * square * (A - B) * sin2 * s**2 + (-Omega * k_node + h3 * (mu1 * cf - mu2 * sf)) * s
-        - 1.5 * square * (A - B) * (sin2p * c * cos2 - (cp**2 - sp**2 * c**2) * sin2)
-        - h1 * mu1 * sp * cf * c + cp * sf - h1 * mu2 * (-sp * sf * c + cp * cf)
-    )  # fmt: skip
-    return five, six, seven

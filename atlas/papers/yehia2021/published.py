@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from ...systems.base import Array, PublishedEquation
+from ...systems.gyrostat.motions import angular_velocity
 from ...systems.gyrostat.nonlinear import NormalForm, derivatives
 from ...systems.gyrostat.oscillations import Equilibria
 from ...systems.gyrostat.plane import PlaneMotions
@@ -24,6 +25,7 @@ Entry = Mapping[str, Any]
 Values = Mapping[str, float | str]
 
 CONTENT = load("yehia2021")
+STATE = ("psi0", "theta0", "phi0", "n", "theta_dot0", "m")
 
 
 def random_point(rng: np.random.Generator) -> Point:
@@ -46,7 +48,7 @@ def with_values(point: Mapping[str, Any], values: Values) -> dict[str, Any]:
 
 def euler_state(point: Point) -> list[Array]:
     """psi, theta, phi and their rates at the start, in the order of lagrange.STATE."""
-    return [point[name] for name in ("psi0", "theta0", "phi0", "n", "theta_dot0", "m")]
+    return [point[name] for name in STATE]
 
 
 # Conditions: the residual is measured on the motion.
@@ -111,13 +113,8 @@ def _inertial(entry: Entry, reading: str, rng: np.random.Generator) -> float:
     def axes(step: complex = 0) -> Array:
         _, alpha, gamma, beta = _along(motion, "true", point, step)
         angle = point["Omega"] * (TIMES + step)
-        return np.array(
-            [
-                np.cos(angle) * alpha - np.sin(angle) * beta,
-                np.sin(angle) * alpha + np.cos(angle) * beta,
-                gamma,
-            ]
-        )
+        cosine, sine = np.cos(angle), np.sin(angle)
+        return np.array([cosine * alpha - sine * beta, sine * alpha + cosine * beta, gamma])
 
     still, moving = axes(), axes(1e-30j).imag / 1e-30
     w = -0.5 * np.cross(still, moving, axis=1).sum(0)  # e' = e x w for each axis e
@@ -184,36 +181,32 @@ def _free(rng: np.random.Generator) -> Point:
     return {**random_point(rng), "theta_dot0": rate, "phi0": angle}
 
 
-def _lagrangian_error(entry: Entry, reading: str, rng: np.random.Generator) -> float:
-    """(4), with its two questionable signs as printed or as they follow, less (2) with (3), at a random state."""
+def _at_state(rng: np.random.Generator) -> dict[str, Any]:
+    """A random state with its true accelerations, by the names of [state]."""
     p = _free(rng)
-    sign = 1.0 if reading == "printed" else -1.0
-    psi, theta, phi, psi_dot, theta_dot, phi_dot = euler_state(p)
-    s, c, sf, cf, sp, cp = np.sin(theta), np.cos(theta), np.sin(phi), np.cos(phi), np.sin(psi), np.cos(psi)
-    rate = psi_dot + p["Omega"]
-    w1, w2, w3 = rate * s * sf + theta_dot * cf, rate * s * cf - theta_dot * sf, phi_dot + rate * c
-    kinetic = 0.5 * (p["A"] * w1**2 + p["B"] * w2**2 + p["C"] * w3**2)
-    rotor = p["k1"] * w1 + p["k2"] * w2 + p["k3"] * w3
-    first, second = cp * cf - c * sf * sp, cp * sf + c * cf * sp
-    gravity = p["A"] * first**2 - sign * p["B"] * second**2 + p["C"] * s**2 * sp**2
-    magnet = p["mu1"] * (p["h1"] * first + p["h3"] * s * sf)
-    magnet = magnet + p["mu2"] * (sign * p["h1"] * second + p["h3"] * s * cf)
-    magnet = magnet + p["mu3"] * (p["h1"] * s * sp + p["h3"] * c)
-    terms = kinetic + rotor - 1.5 * p["Omega"] ** 2 * gravity - magnet
-    # (2) with (3), by the vectors of (1)
+    state = euler_state(p)
+    accelerations = lagrange.rhs(state, constants(p))[3:]
+    names = (*lagrange.STATE, "psi_accel", "theta_accel", "phi_accel")
+    return with_values(p | dict(zip(names, (*state, *accelerations), strict=True)), CONTENT["state"])
+
+
+def _lagrangian_error(entry: Entry, reading: str, rng: np.random.Generator) -> float:
+    """(4) less (2) with (3), by the vectors of (1), at a random state."""
+    p = _at_state(rng)
     alpha, gamma = directions(p)
     inertia, k, mu = body_vectors(p)
-    node = np.array([np.cos(p["phi0"]), -np.sin(p["phi0"]), np.zeros(1)])
-    w = (p["n"] + p["Omega"]) * gamma + p["theta_dot0"] * node + p["m"] * np.array([[0.0], [0.0], [1.0]])
+    w = angular_velocity(p, p["n"] + p["Omega"], gamma)
     potential = 1.5 * p["Omega"] ** 2 * inertia * alpha**2 + mu * (p["h1"] * alpha + p["h3"] * gamma)
-    return float(np.abs(terms - (0.5 * inertia * w**2 + k * w - potential).sum(0))[0])
+    exact = (0.5 * inertia * w**2 + k * w - potential).sum(0)
+    return float(np.abs(left_side(entry, reading, p) - exact)[0])
 
 
 def _equation_of_motion(entry: Entry, reading: str, rng: np.random.Generator) -> float:
-    equations = lagrange.equations_printed if reading == "printed" else lagrange.equations
-    point = _free(rng)
-    accelerations = lagrange.rhs(euler_state(point), constants(point))[3:]
-    left = equations(euler_state(point), accelerations, constants(point))[int(entry["number"][1]) - 5]
+    p = _at_state(rng)
+    if reading == "printed":
+        return float(np.abs(left_side(entry, reading, p))[0])
+    accelerations = [p[f"{name}_accel"] for name in ("psi", "theta", "phi")]
+    left = lagrange.equations(euler_state(p), accelerations, constants(p))[int(entry["number"][1]) - 5]
     return float(np.abs(left)[0])
 
 
@@ -235,13 +228,9 @@ def _determinant(entry: Entry, reading: str, rng: np.random.Generator) -> float:
 def _kinematics(entry: Entry, reading: str, rng: np.random.Generator) -> float:
     """Errors of alpha' = alpha x w', gamma' = gamma x w' and |alpha| = 1, alpha.gamma = 0 at a random state of (1)."""
     p = _free(rng)
-    moved = {
-        angle: p[angle] + 1e-30j * p[rate]
-        for angle, rate in zip(("psi0", "theta0", "phi0"), ("n", "theta_dot0", "m"), strict=True)
-    }
+    moved = {angle: p[angle] + 1e-30j * p[rate] for angle, rate in zip(STATE[:3], STATE[3:], strict=True)}
     still, moving = directions(p), np.imag(directions(p | moved)) / 1e-30
-    node = np.array([np.cos(p["phi0"]), -np.sin(p["phi0"]), np.zeros(1)])
-    w = p["n"] * still[1] + p["theta_dot0"] * node + p["m"] * np.array([[0.0], [0.0], [1.0]])
+    w = angular_velocity(p, p["n"], still[1])
     turning = max(np.abs(m - np.cross(v, w, axis=0)).max() for v, m in zip(still, moving, strict=True))
     return float(max(turning, abs((still[0] ** 2).sum() - 1), abs((still[0] * still[1]).sum())))
 
@@ -252,13 +241,8 @@ def _both_forms(entry: Entry, reading: str, rng: np.random.Generator) -> float:
     state = np.array(euler_state(p))
 
     def w(state):
-        _, theta, phi, psi_dot, theta_dot, phi_dot = state
-        across = (psi_dot + p["Omega"]) * np.sin(theta)
-        transverse = (
-            across * np.sin(phi) + theta_dot * np.cos(phi),
-            across * np.cos(phi) - theta_dot * np.sin(phi),
-        )
-        return np.array([*transverse, (psi_dot + p["Omega"]) * np.cos(theta) + phi_dot])
+        moved = p | dict(zip(STATE, state, strict=True))
+        return angular_velocity(moved, moved["n"] + p["Omega"], directions(moved)[1])
 
     by_lagrange = w(state + 1e-30j * np.array(lagrange.rhs(state, constants(p)))).imag / 1e-30
     exact = np.array(rhs(np.concatenate([w(state), *directions(p)]), constants(p))[:3])
@@ -312,45 +296,33 @@ def _apex_distance(entry: Entry, reading: str, rng: np.random.Generator) -> floa
     return float(np.hypot(1 + along * across[0], along * across[1]))
 
 
-# By the key or the function of an entry: what is measured, and the measure (entry, reading, random generator).
+# By the key or the function of an entry: the measure (entry, reading, random generator); [measures] describes them.
 MEASURES = {
-    "lagrangian": ("L at a random state, less (2) with (3)", _lagrangian_error),
-    "lagrange": ("left side at a random state and its true accelerations", _equation_of_motion),
-    "kinematics": (
-        "error of the rates of alpha and gamma, and of their lengths and angle, at a random state",
-        _kinematics,
-    ),
-    "both_forms": (
-        "difference of w' by Lagrange's and by the Euler-Poisson equations at a random state, over |w'|",
-        _both_forms,
-    ),
-    "shared": ("", _shared),
-    "lost_rank": ("", _lost_rank),
-    "plane": ("", _plane),
-    "normal_form": ("", _normal_form),
-    "determinant": ("", _determinant),
-    "apex_distance": ("", _apex_distance),
-    "left_side": (
-        "left side at a random time, less that of ({left_side}), corrected, on the precession",
-        _equation_on_motion,
-    ),
-    "vanish": ("what is to vanish at a random time", _vanishing),
-    "inertial": (
-        "largest error of w in space from this precession about the normal and this spin",
-        _inertial,
-    ),
-    "form": ("largest |rate - right-hand side| of the closed form, or |beta - gamma x alpha|", _closed_form),
-    "breaks": ("by how much a true motion breaks the printed limits; its defect", _beyond),
-    "start": ("largest |rate - right-hand side| along the motion under the condition", _condition),
+    "lagrangian": _lagrangian_error,
+    "lagrange": _equation_of_motion,
+    "kinematics": _kinematics,
+    "both_forms": _both_forms,
+    "shared": _shared,
+    "lost_rank": _lost_rank,
+    "plane": _plane,
+    "normal_form": _normal_form,
+    "determinant": _determinant,
+    "apex_distance": _apex_distance,
+    "left_side": _equation_on_motion,
+    "vanish": _vanishing,
+    "inertial": _inertial,
+    "form": _closed_form,
+    "breaks": _beyond,
+    "start": _condition,
 }
 ENTRIES: dict[str, Entry] = {entry["number"]: entry for entry in CONTENT["equation"]}
 
 
 def _published(entry: Entry) -> PublishedEquation:
     """The row of an entry of equations.toml."""
-    text, measure = MEASURES[entry.get("function") or next(key for key in MEASURES if key in entry)]
-    readings = partial(measure, entry, "printed"), partial(measure, entry, "true")
-    return row(entry, readings, text.format(**entry))
+    key = entry.get("function") or next(key for key in MEASURES if key in entry)
+    readings = partial(MEASURES[key], entry, "printed"), partial(MEASURES[key], entry, "true")
+    return row(entry, readings, CONTENT["measures"].get(key, "").format(**entry))
 
 
 PUBLISHED = tuple(map(_published, ENTRIES.values()))

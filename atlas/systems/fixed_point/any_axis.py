@@ -54,9 +54,8 @@ from .initial import VECTORS, bodies, constants, initial_state, vertical
 
 OFFSETS, ROTORS = ("x0", "y0", "z0"), ("l1", "l2", "l3")
 
-_LAST_START: dict[
-    tuple[tuple[int, ...], bytes], Array
-] = {}  # of Grioli's motion, by the body: six formulas need the same one
+# Start of Grioli's motion, by the body: six formulas need the same one.
+_LAST_START: dict[tuple[tuple[int, ...], bytes], Array] = {}
 
 
 class Start(NamedTuple):

@@ -281,7 +281,8 @@ NO_DISSIPATION = Equation(
 )
 PERMANENT = Equation("((n^2 - N) I g + n l + Mg r_c) x g = 0", permanent_torque, _torque)
 FAMILIES = numbered(
-    (
+    replace(family, motion=_MOTION, conditions=(*family.conditions, NO_DISSIPATION))
+    for family in (
         Family(
             name="conical",
             title="regular precession about the vertical, or turning about a resting inclined axis (n = 0)",
@@ -292,7 +293,6 @@ FAMILIES = numbered(
                 Equation("Mg x0 = Mg y0 = 0", lambda p: bodies(p)[2][:2], _torque),
                 _STILL,
                 Equation("(C - A)(n^2 - N) cos theta0 + (C m + l3) n + Mg z0 = 0", precession, _torque),
-                NO_DISSIPATION,
             ),
             solve={
                 **linear(precession, "m", "l3", "Mg", "z0", "N", keep=True),
@@ -302,7 +302,6 @@ FAMILIES = numbered(
                 "n": _solve_n,
             },
             stability=conical_stability,
-            motion=_MOTION,
             geometry="conical",
             paper_wording="Lagrange's case",
             labels="regular precession (n, m); permanent rotation where one of the two rates is 0",
@@ -317,7 +316,6 @@ FAMILIES = numbered(
                 Equation("sin theta0 = 0", lambda p: vertical(p)[:2]),
                 Equation("p = q = 0", lambda p: initial_state(p)[:2], _rate),
                 Equation("r l1 + cos(theta0) Mg x0 = r l2 + cos(theta0) Mg y0 = 0", _upright, _torque),
-                NO_DISSIPATION,
             ),
             solve={
                 "theta0": lambda points: np.where(np.cos(points["theta0"]) < 0, np.pi, 0.0),
@@ -327,7 +325,6 @@ FAMILIES = numbered(
                 **linear(lambda p: _upright(p)[1], "y0", keep=True),
             },
             stability=sleeping_stability,
-            motion=_MOTION,
             geometry="sleeping",
             paper_wording="permanent rotation with spin r0 about the z axis",
             labels="permanent rotation about the vertical at n +- m",
@@ -337,13 +334,12 @@ FAMILIES = numbered(
             name="staude",
             title="permanent rotation of any body about the vertical",
             equations="from the equations of motion: (n^2 - N) I g + n l + Mg r_c parallel to g",
-            conditions=(_NO_SPIN, _STILL, PERMANENT, NO_DISSIPATION),
+            conditions=(_NO_SPIN, _STILL, PERMANENT),
             solve={
                 **each(_solve_direction, "theta0", "phi0"),
                 **each(_solve_permanent, "l1", "l2", "x0", "y0", "l3", "z0", "Mg", "N"),
             },
             stability=staude_stability,
-            motion=_MOTION,
             geometry="staude",
             labels="permanent rotation about the vertical at n",
             exists="2, 4 or 6 directions of a body off special ones, and sets of them for these;"
@@ -361,7 +357,6 @@ FAMILIES = numbered(
                     "(Mg r_c - N I g) x g = 0", lambda p: permanent_torque(p, np.zeros_like(p["A"])), _torque
                 ),
                 Equation("m = 0, or N (A - B) = Mg x0 = Mg y0 = l1 = l2 = 0", _turning_torque, _torque),
-                NO_DISSIPATION,
             ),
             solve={
                 **each(_solve_rest, "theta0", "phi0"),
@@ -369,7 +364,6 @@ FAMILIES = numbered(
                 **each(partial(_possible_moment, _RESTING), "C"),
             },
             stability=rest_stability,
-            motion=_MOTION,
             labels="permanent rotation: at rest, or turning at m about the resting third axis",
             free=("psi0",),
         ),

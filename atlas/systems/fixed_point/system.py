@@ -41,17 +41,12 @@ def solution_errors(module: str, form: str) -> dict[str, DerivedVariable]:
         "against the full equations from the formula's own start, with r0 and gamma0'' of the point; over the"
         f" duration of the run; nan beyond {MAX_RADIANS:g} rad of the fastest frequency"
     )
-    texts = (
-        ("rad", f"largest error of gamma in the first-order solution (33), {form}"),
-        (
-            "1",
-            f"largest error of p + i q in the first-order solution (33), {form}, over its largest magnitude",
-        ),
+    text = f"in the first-order solution (33), {form}"
+    rows = (
+        (names[0], "rad", f"largest error of gamma {text}"),
+        (names[1], "1", f"largest error of p + i q {text}, over its largest magnitude"),
     )
-    return {
-        name: DerivedVariable.of_group(together, name, unit, long_name, comment, check=check)
-        for name, (unit, long_name) in zip(names, texts, strict=True)
-    }
+    return {row[0]: DerivedVariable.of_group(together, *row, comment, check=check) for row in rows}
 
 
 SOLUTION_ERRORS = solution_errors("fast_spin", "true") | solution_errors("published", "printed")
@@ -74,14 +69,16 @@ def periodic_solutions() -> dict[str, DerivedVariable]:
         "of the full equations (1) with r0 and gamma0'' of the point, followed from eps = 0 at constant l / (A r0); not of the"
         " motion that is integrated; nan where none is reached"
     )
-    texts = (
-        ("1", "Floquet stability of the exact periodic solution near (33)", PeriodicSolution.meanings()),
-        ("s", "period of the exact periodic solution near (33)", None),
-        ("1", "rho + 1/rho of the exact periodic solution near (33), rho the multiplier that is not 1", None),
+    text = "of the exact periodic solution near (33)"
+    flags = {names[0]: PeriodicSolution.meanings()}
+    rows = (
+        (names[0], "1", f"Floquet stability {text}"),
+        (names[1], "s", f"period {text}"),
+        (names[2], "1", f"rho + 1/rho {text}, rho the multiplier that is not 1"),
     )
     return {
-        name: DerivedVariable.of_group(together, name, unit, text, comment, check=check, flags=flags)
-        for name, (unit, text, flags) in zip(names, texts, strict=True)
+        row[0]: DerivedVariable.of_group(together, *row, comment, check=check, flags=flags.get(row[0]))
+        for row in rows
     }
 
 
@@ -165,14 +162,8 @@ class FixedPoint(Gyrostat):
         rate_tolerance: float,
         angle_tolerance: float,
     ) -> Flags:
-        names = list(self.geometries)
-        conditions = [
-            (~steady, "none"),
-            (cylinder, "sleeping"),
-            (np.abs(measured["phi_dot_mean"]) <= rate_tolerance, "staude"),
-        ]
-        flags = [names.index(name) for _, name in conditions]
-        return np.select([where for where, _ in conditions], flags, names.index("conical")).astype(np.int8)
+        no_spin = np.abs(measured["phi_dot_mean"]) <= rate_tolerance
+        return self.first_geometry({"none": ~steady, "sleeping": cylinder, "staude": no_spin}, "conical")
 
     def body_at_rest(self, points: Points) -> Body:
         """In a frame that turns at the rate n."""

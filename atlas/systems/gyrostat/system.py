@@ -124,6 +124,12 @@ class Gyrostat(System):
             )
         return result
 
+    def first_geometry(self, tests: Mapping[str, Mask], otherwise: str) -> Flags:
+        """The flag of the first test that holds, by the names of `geometries`, (points,)."""
+        flag = {name: i for i, name in enumerate(self.geometries)}
+        kinds = [flag[name] for name in tests]
+        return np.select(list(tests.values()), kinds, flag[otherwise]).astype(np.int8)
+
     equilibria_of_bodies = all_equilibria_of_bodies
 
     def equilibria(self, body: Mapping[str, float]) -> dict[str, NDArray[Any]]:

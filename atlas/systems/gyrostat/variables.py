@@ -59,47 +59,32 @@ def oscillation_variables(system: Gyrostat) -> dict[str, DerivedVariable]:
         "stability_kind": StabilityKind.meanings(),
         NONLINEAR: NonlinearStability.meanings(),
     }
-    rows = [
-        (
-            name,
-            "rad s-1",
-            f"{order} frequency of small oscillations about the steady motion",
-            system.frequency_comment,
-        )
-        for name, order in zip(FREQUENCIES, ("largest", "second", "third"), strict=True)
-    ]
-    rows += [
-        (name, "1", f"{what}, from theory", system.energy_comment)
-        for name, what in (
-            ("energy_stable", "stability of the steady motion by the energy"),
-            ("stability_kind", "linear stability and stability by the energy"),
-        )
-    ]
-    rows += [(NONLINEAR, "1", "stability of the steady motion in the full equations, from theory", _BANDS)]
-    rows += [
-        (name, unit, f"{what} of the normal form of degree 4", _NORMAL_FORM)
-        for name, unit, what in (
-            (NORMAL_FORM[0], "kg-1 m-2", "coefficient of the squared action of the larger frequency"),
-            (NORMAL_FORM[1], "kg-1 m-2", "coefficient of the product of the actions"),
-            (NORMAL_FORM[2], "kg-1 m-2", "coefficient of the squared action of the smaller frequency"),
-            (NORMAL_FORM[3], "kg-1 m-2 s-2", "determinant D = c20 l2^2 - c11 l1 l2 + c02 l1^2"),
-        )
-    ]
+    form, energy = "of the normal form of degree 4", system.energy_comment
+    rows = (
+        *((name, "rad s-1", f"{order} frequency of small oscillations about the steady motion", system.frequency_comment)
+          for name, order in zip(FREQUENCIES, ("largest", "second", "third"), strict=True)),
+        ("energy_stable", "1", "stability of the steady motion by the energy, from theory", energy),
+        ("stability_kind", "1", "linear stability and stability by the energy, from theory", energy),
+        (NONLINEAR, "1", "stability of the steady motion in the full equations, from theory", _BANDS),
+        ("birkhoff_c20", "kg-1 m-2", f"coefficient of the squared action of the larger frequency {form}", _NORMAL_FORM),
+        ("birkhoff_c11", "kg-1 m-2", f"coefficient of the product of the actions {form}", _NORMAL_FORM),
+        ("birkhoff_c02", "kg-1 m-2", f"coefficient of the squared action of the smaller frequency {form}", _NORMAL_FORM),
+        ("birkhoff_determinant", "kg-1 m-2 s-2", f"determinant D = c20 l2^2 - c11 l1 l2 + c02 l1^2 {form}", _NORMAL_FORM),
+    )  # fmt: skip
     return {row[0]: DerivedVariable.of_group(together, *row, flags=flags.get(row[0])) for row in rows}
 
 
 def stability_kind(linear: Flags, growth: Array, energy: Flags) -> Flags:
     """Values of flags.StabilityKind, (points,), from those of Stability with the growth rate and of EnergyStability."""
     stable = linear == Stability.STABLE
-    kinds = (
-        (linear == Stability.UNSTABLE, StabilityKind.UNSTABLE),
-        (stable & (energy == EnergyStability.YES), StabilityKind.ENERGY_STABLE),
-        ((linear == Stability.UNKNOWN) & (growth == 0), StabilityKind.MARGINAL),
-        (stable & (energy == EnergyStability.NO), StabilityKind.GYROSCOPIC),
-        (stable, StabilityKind.LINEARLY_STABLE),
-    )
-    where, values = zip(*kinds, strict=True)
-    return np.select(where, values, StabilityKind.UNKNOWN).astype(np.int8)
+    kinds = {
+        StabilityKind.UNSTABLE: linear == Stability.UNSTABLE,
+        StabilityKind.ENERGY_STABLE: stable & (energy == EnergyStability.YES),
+        StabilityKind.MARGINAL: (linear == Stability.UNKNOWN) & (growth == 0),
+        StabilityKind.GYROSCOPIC: stable & (energy == EnergyStability.NO),
+        StabilityKind.LINEARLY_STABLE: stable,
+    }
+    return np.select(list(kinds.values()), list(kinds), StabilityKind.UNKNOWN).astype(np.int8)
 
 
 def plane_variables(system: Gyrostat) -> dict[str, DerivedVariable]:

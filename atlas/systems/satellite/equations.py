@@ -12,7 +12,8 @@ The damping is not of the paper; with it the Jacobi integral falls at the rate d
 
 Every function takes the state and the constants as sequences in the order of STATE and CONSTANTS and
 is plain arithmetic, which holds for numbers and for arrays of one shape. The engine copies the source of the
-functions into its kernels, so they may use no imports and no names but those of this file.
+functions into its kernels, so they may use no imports and no names but those of this file. A name with a star stands for
+constants that a function does not use.
 
 The equations hold in any unit of time, for an a of any length 1 / a_inv and a g of any length 1 / g_inv. The
 kernels use units in which most factors are 1 (`scaled`); everywhere else a and g are unit vectors.
@@ -86,33 +87,21 @@ def scaled(state, constants, h):
 def unscaled(state, constants, h):
     """Inverse of `scaled` for the state; the constants are the scaled ones."""
     w1, w2, w3, a1, a2, a3, g1, g2, g3 = state
-    (
-        A, B, C, Omega, k1, k2, k3, mu1, mu2, mu3, h1, h3, D1, D2, D3, N, a_inv, g_inv,
-        k2_A, k3_A, k3_B, k1_B, k1_C, k2_C, mu3_A, mu2_A, mu1_B, mu3_B, mu2_C, mu1_C,
-        damping_A, damping_B, damping_C,
-    ) = constants  # fmt: skip
+    A, B, C, Omega, k1, k2, k3, mu1, mu2, mu3, h1, h3, D1, D2, D3, N, a_inv, g_inv, *_ = constants
     return w1 / h, w2 / h, w3 / h, a1 * a_inv, a2 * a_inv, a3 * a_inv, g1 * g_inv, g2 * g_inv, g3 * g_inv
 
 
 def frame_motion(state, constants):
     """Angular velocity relative to the orbital frame, w - Omega g, and that frame's vertical, g; linear in the state."""
     w1, w2, w3, a1, a2, a3, g1, g2, g3 = state
-    (
-        A, B, C, Omega, k1, k2, k3, mu1, mu2, mu3, h1, h3, D1, D2, D3, N, a_inv, g_inv,
-        k2_A, k3_A, k3_B, k1_B, k1_C, k2_C, mu3_A, mu2_A, mu1_B, mu3_B, mu2_C, mu1_C,
-        damping_A, damping_B, damping_C,
-    ) = constants  # fmt: skip
+    A, B, C, Omega, k1, k2, k3, mu1, mu2, mu3, h1, h3, D1, D2, D3, N, a_inv, g_inv, *_ = constants
     return w1 - Omega * g1, w2 - Omega * g2, w3 - Omega * g3, g1 * g_inv, g2 * g_inv, g3 * g_inv
 
 
 def axis_in_frame(state, constants):
     """Components of the third body axis along the radius and along the velocity."""
     w1, w2, w3, a1, a2, a3, g1, g2, g3 = state
-    (
-        A, B, C, Omega, k1, k2, k3, mu1, mu2, mu3, h1, h3, D1, D2, D3, N, a_inv, g_inv,
-        k2_A, k3_A, k3_B, k1_B, k1_C, k2_C, mu3_A, mu2_A, mu1_B, mu3_B, mu2_C, mu1_C,
-        damping_A, damping_B, damping_C,
-    ) = constants  # fmt: skip
+    A, B, C, Omega, k1, k2, k3, mu1, mu2, mu3, h1, h3, D1, D2, D3, N, a_inv, g_inv, *_ = constants
     return a3 * a_inv, (g1 * a2 - g2 * a1) * a_inv * g_inv
 
 
@@ -122,11 +111,7 @@ def axis_in_frame(state, constants):
 def jacobi(state, constants):
     """Jacobi integral L2 - L0 + V of (2) and (3), written in absolute rates."""
     w1, w2, w3, a1, a2, a3, g1, g2, g3 = state
-    (
-        A, B, C, Omega, k1, k2, k3, mu1, mu2, mu3, h1, h3, D1, D2, D3, N, a_inv, g_inv,
-        k2_A, k3_A, k3_B, k1_B, k1_C, k2_C, mu3_A, mu2_A, mu1_B, mu3_B, mu2_C, mu1_C,
-        damping_A, damping_B, damping_C,
-    ) = constants  # fmt: skip
+    A, B, C, Omega, k1, k2, k3, mu1, mu2, mu3, h1, h3, D1, D2, D3, N, *_ = constants
     return (
         0.5 * (A * w1 * w1 + B * w2 * w2 + C * w3 * w3),
         -Omega * (g1 * (A * w1 + k1) + g2 * (B * w2 + k2) + g3 * (C * w3 + k3)),
@@ -138,11 +123,7 @@ def jacobi(state, constants):
 def length_alpha(state, constants):
     """|alpha|^2 = 1."""
     w1, w2, w3, a1, a2, a3, g1, g2, g3 = state
-    (
-        A, B, C, Omega, k1, k2, k3, mu1, mu2, mu3, h1, h3, D1, D2, D3, N, a_inv, g_inv,
-        k2_A, k3_A, k3_B, k1_B, k1_C, k2_C, mu3_A, mu2_A, mu1_B, mu3_B, mu2_C, mu1_C,
-        damping_A, damping_B, damping_C,
-    ) = constants  # fmt: skip
+    A, B, C, Omega, k1, k2, k3, mu1, mu2, mu3, h1, h3, D1, D2, D3, N, a_inv, g_inv, *_ = constants
     a1, a2, a3 = a1 * a_inv, a2 * a_inv, a3 * a_inv
     return a1 * a1, a2 * a2, a3 * a3
 
@@ -150,11 +131,7 @@ def length_alpha(state, constants):
 def length_gamma(state, constants):
     """|gamma|^2 = 1."""
     w1, w2, w3, a1, a2, a3, g1, g2, g3 = state
-    (
-        A, B, C, Omega, k1, k2, k3, mu1, mu2, mu3, h1, h3, D1, D2, D3, N, a_inv, g_inv,
-        k2_A, k3_A, k3_B, k1_B, k1_C, k2_C, mu3_A, mu2_A, mu1_B, mu3_B, mu2_C, mu1_C,
-        damping_A, damping_B, damping_C,
-    ) = constants  # fmt: skip
+    A, B, C, Omega, k1, k2, k3, mu1, mu2, mu3, h1, h3, D1, D2, D3, N, a_inv, g_inv, *_ = constants
     g1, g2, g3 = g1 * g_inv, g2 * g_inv, g3 * g_inv
     return g1 * g1, g2 * g2, g3 * g3
 
@@ -162,11 +139,7 @@ def length_gamma(state, constants):
 def length_sum(state, constants):
     """|alpha + gamma|^2 = 2, that is alpha . gamma = 0 with terms that cannot all vanish."""
     w1, w2, w3, a1, a2, a3, g1, g2, g3 = state
-    (
-        A, B, C, Omega, k1, k2, k3, mu1, mu2, mu3, h1, h3, D1, D2, D3, N, a_inv, g_inv,
-        k2_A, k3_A, k3_B, k1_B, k1_C, k2_C, mu3_A, mu2_A, mu1_B, mu3_B, mu2_C, mu1_C,
-        damping_A, damping_B, damping_C,
-    ) = constants  # fmt: skip
+    A, B, C, Omega, k1, k2, k3, mu1, mu2, mu3, h1, h3, D1, D2, D3, N, a_inv, g_inv, *_ = constants
     x, y, z = a1 * a_inv + g1 * g_inv, a2 * a_inv + g2 * g_inv, a3 * a_inv + g3 * g_inv
     return x * x, y * y, z * z
 
@@ -174,11 +147,7 @@ def length_sum(state, constants):
 def axial_momentum(state, constants):
     """C w3 + k3; only damping changes it if A = B and neither rotor nor magnet has a transverse part."""
     w1, w2, w3, a1, a2, a3, g1, g2, g3 = state
-    (
-        A, B, C, Omega, k1, k2, k3, mu1, mu2, mu3, h1, h3, D1, D2, D3, N, a_inv, g_inv,
-        k2_A, k3_A, k3_B, k1_B, k1_C, k2_C, mu3_A, mu2_A, mu1_B, mu3_B, mu2_C, mu1_C,
-        damping_A, damping_B, damping_C,
-    ) = constants  # fmt: skip
+    A, B, C, Omega, k1, k2, k3, *_ = constants
     return C * w3, k3
 
 
@@ -188,11 +157,7 @@ def axial_momentum(state, constants):
 def jacobi_loss(state, constants):
     """Loss of `jacobi` per time, damping u.u."""
     w1, w2, w3, a1, a2, a3, g1, g2, g3 = state
-    (
-        A, B, C, Omega, k1, k2, k3, mu1, mu2, mu3, h1, h3, D1, D2, D3, N, a_inv, g_inv,
-        k2_A, k3_A, k3_B, k1_B, k1_C, k2_C, mu3_A, mu2_A, mu1_B, mu3_B, mu2_C, mu1_C,
-        damping_A, damping_B, damping_C,
-    ) = constants  # fmt: skip
+    A, B, C, Omega, *_, damping_A, damping_B, damping_C = constants
     u1, u2, u3 = w1 - Omega * g1, w2 - Omega * g2, w3 - Omega * g3
     return A * damping_A * (u1 * u1 + u2 * u2 + u3 * u3)
 
@@ -200,9 +165,5 @@ def jacobi_loss(state, constants):
 def axial_momentum_loss(state, constants):
     """Loss of `axial_momentum` per time, damping u3."""
     w1, w2, w3, a1, a2, a3, g1, g2, g3 = state
-    (
-        A, B, C, Omega, k1, k2, k3, mu1, mu2, mu3, h1, h3, D1, D2, D3, N, a_inv, g_inv,
-        k2_A, k3_A, k3_B, k1_B, k1_C, k2_C, mu3_A, mu2_A, mu1_B, mu3_B, mu2_C, mu1_C,
-        damping_A, damping_B, damping_C,
-    ) = constants  # fmt: skip
+    A, B, C, Omega, *_, damping_A, damping_B, damping_C = constants
     return A * damping_A * (w3 - Omega * g3)

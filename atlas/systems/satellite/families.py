@@ -95,6 +95,8 @@ _TILT_LABELS = (
     "permanent rotation about the third axis in the orbital frame; in space regular precession (Omega, m),"
     " permanent rotation where m = 0"
 )
+_tilted = partial(Family, labels=_TILT_LABELS, free=("phi0",))
+_symmetric = partial(_tilted, stability=the.stability_tilted)
 _TABLE = (
     Family(
         name="cylindrical",
@@ -127,7 +129,7 @@ _TABLE = (
         " atlas.equilibria finds all orientations of a given body",
         free=("damping",),
     ),
-    Family(
+    _symmetric(
         name="perp_radius",
         title="third axis at rest in the plane of normal and velocity, symmetric body spinning at m",
         equations="(17), (18)",
@@ -139,14 +141,11 @@ _TABLE = (
             **linear(the.tilt_over_sine, "h3"),
             **the.TILT_BALANCE.solve("k3"),
         },
-        stability=the.stability_tilted,
         geometry="perp_radius",
         paper_wording="conical permanent rotation (orbital), conical regular precession (inertial)",
-        labels=_TILT_LABELS,
         exists="every theta0; for given k3 and m: |k3 + C m - mu3 h3 / Omega| <= Omega |A - C|",
-        free=("phi0",),
     ),
-    Family(
+    _symmetric(
         name="perp_velocity",
         title="third axis at rest in the plane of normal and radius, symmetric body spinning at m",
         equations="(24), (25)",
@@ -159,15 +158,12 @@ _TABLE = (
             **linear(the.tilt_over_sine, "h3"),
             **the.TILT_BALANCE.solve("k3"),
         },
-        stability=the.stability_tilted,
         geometry="perp_velocity",
         paper_wording="hyperboloidal permanent rotation (orbital), hyperboloidal regular precession (inertial)",
-        labels=_TILT_LABELS,
         exists="every theta0, but sin theta0 = 0 only if h1 mu3 = 0; for given k3 and m without h1 mu3:"
         " |k3 + C m - mu3 h3 / Omega| <= 4 Omega |A - C|",
-        free=("phi0",),
     ),
-    Family(
+    _symmetric(
         name="oblique",
         title="third axis at rest in an oblique plane through the normal, symmetric body with axial magnet",
         equations="derived from (1)-(3); not in the paper",
@@ -179,13 +175,10 @@ _TABLE = (
             **linear(the.tilt_over_sine, "h3"),
             **the.TILT_BALANCE.solve("k3"),
         },
-        stability=the.stability_tilted,
         geometry="oblique",
-        labels=_TILT_LABELS,
         exists="|h1 mu3| <= 3 Omega^2 |sin theta0 (A - C)|: from perp_radius at h1 mu3 = 0 to perp_velocity at equality",
-        free=("phi0",),
     ),
-    Family(
+    _tilted(
         name="transverse_magnet",
         title="as perp_velocity, with rotor and magnet across the third axis",
         equations="derived from (1)-(3); not in the paper",
@@ -206,11 +199,9 @@ _TABLE = (
             **the.TILT_BALANCE.solve("k3"),
         },
         geometry="perp_velocity",
-        labels=_TILT_LABELS,
         exists="where mu1 or mu2 is not 0: sin psi0 h1 (Omega + m cos theta0) = m sin theta0 h3",
-        free=("phi0",),
     ),
-    Family(
+    _tilted(
         name="despun_transverse",
         title="symmetric body without rotation about its axis (w3 = 0), rotor and magnet across it",
         equations="derived from (1)-(3); not in the paper",
@@ -226,11 +217,9 @@ _TABLE = (
             **the.NODE_PAIR.solve("k1", "k2"),
             **the.TILT_BALANCE.solve("k3"),
         },
-        labels=_TILT_LABELS,
         exists="cos psi0 = 0, or |h1 mu3| <= 3 Omega^2 |sin theta0 (A - C)|",
-        free=("phi0",),
     ),
-    Family(
+    _tilted(
         name="asymmetric_tilt",
         title="any body, third axis at 60 or 120 degrees in the plane of normal and radius, m = -+Omega",
         equations="(19), (20); 120 degrees and psi0 = -pi/2 derived from (1)-(3)",
@@ -250,9 +239,7 @@ _TABLE = (
         },
         geometry="perp_velocity",
         paper_wording="hyperboloidal permanent rotation (orbital), hyperboloidal regular precession (inertial)",
-        labels=_TILT_LABELS,
         exists="mu1 = mu2 = 0, or h1 = -sin psi0 sgn(cos theta0) sqrt(3) h3",
-        free=("phi0",),
     ),
     Family(
         name="spherical",

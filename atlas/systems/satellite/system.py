@@ -107,16 +107,14 @@ class Satellite(Gyrostat):
         rate_tolerance: float,
         angle_tolerance: float,
     ) -> Flags:
-        names = list(self.geometries)
-        conditions = [
-            (~steady, "none"),
-            (cylinder, "cylindrical"),
-            (np.abs(measured["psi_dot_mean"]) > rate_tolerance, "general"),
-            (np.abs(measured["axis_1"]) <= angle_tolerance, "perp_radius"),
-            (np.abs(measured["axis_2"]) <= angle_tolerance, "perp_velocity"),
-        ]
-        flags = [names.index(name) for _, name in conditions]
-        return np.select([where for where, _ in conditions], flags, names.index("oblique")).astype(np.int8)
+        tests = {
+            "none": ~steady,
+            "cylindrical": cylinder,
+            "general": np.abs(measured["psi_dot_mean"]) > rate_tolerance,
+            "perp_radius": np.abs(measured["axis_1"]) <= angle_tolerance,
+            "perp_velocity": np.abs(measured["axis_2"]) <= angle_tolerance,
+        }
+        return self.first_geometry(tests, "oblique")
 
 
 SATELLITE = Satellite()

@@ -106,7 +106,7 @@ class Ends(Instrument):
 class Settling(Instrument):
     """The time after which the energy keeps a body near the minimum in which it ends."""
 
-    sums, given, levels = LEVELS + 1, LEVELS, LEVELS
+    sums = given = LEVELS
 
     def every_variable(self, system: System) -> tuple[Variable, ...]:
         text = "time after which attitude and rates stay within 1e-3 of the end"

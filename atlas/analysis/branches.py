@@ -107,7 +107,7 @@ def branches_of_scene(scene: Scene) -> xr.Dataset:
     folds = np.array([[point.value] for point in result.points]).reshape(-1, 1)
     potential = family.system.body_at_rest(family.points(folds)).potential(frames[:, 0], frames[:, 2])
     variables = over_values(name, values.size, possible, result)
-    variables |= of_points(name, result, described(frames, potential))
+    variables |= of_points(name, result, described(frames) | {"potential": potential})
     ds = netcdf.dataset(replace(scene, outputs=()), {})
     starts = {name for name, parameter in scene.system.parameters.items() if parameter.start}
     given = {name, *scene.fixed, *scene.ties} - set(variables)

@@ -114,13 +114,9 @@ def has_flags(array: xr.DataArray) -> bool:
     if array.dtype.kind == "b":
         return True
     registered = [_registered_flags(system) for system in systems.SYSTEMS.values()]
-    return "flag_meanings" in array.attrs and (
-        any(array.name in flags for flags in registered)
-        or (
-            "long_name" in array.attrs
-            and not any(array.attrs["long_name"] in flags.values() for flags in registered)
-        )
-    )
+    text, known = array.attrs.get("long_name"), any(array.name in flags for flags in registered)
+    own = text is not None and not any(text in flags.values() for flags in registered)
+    return "flag_meanings" in array.attrs and (known or own)
 
 
 def flag_names(array: xr.DataArray) -> list[str]:
@@ -135,9 +131,8 @@ def flag_names(array: xr.DataArray) -> list[str]:
             " nan; choose points by select, sel or isel, or mask with where(condition, 0)"
         )
     names = [printable(name, MAX_TEXT) for name in str(array.attrs["flag_meanings"]).split()]
-    if len(names) > MAX_FLAGS or not np.array_equal(
-        array.attrs.get("flag_values", range(len(names))), range(len(names))
-    ):
+    values = array.attrs.get("flag_values", range(len(names)))
+    if len(names) > MAX_FLAGS or not np.array_equal(values, range(len(names))):
         raise BadInput(
             f"{array.name}: its flag_values are not 0 to {len(names) - 1}, as those of an atlas are, of which there are"
             f" at most {MAX_FLAGS}"

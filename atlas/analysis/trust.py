@@ -49,6 +49,7 @@ def trust(ds: xr.Dataset, variable: str) -> xr.Dataset:
         n_uniform += int(uniform.sum())
         n_missed += int((uniform & _differ(values, len(dims), (0, 1, 2), step=2)).sum())
     missed = n_missed / n_uniform if n_uniform else np.nan
+    bound = upper_bound(n_missed, n_uniform)
     boxes = mixed = total = 0.0
     for box in chunks(array.sizes, dims, cell_side=BOX):
         part, entropy = xr.DataArray(array.isel(box).values, dims=array.dims), np.zeros(1)
@@ -65,11 +66,7 @@ def trust(ds: xr.Dataset, variable: str) -> xr.Dataset:
             "entropy": ((), total / boxes, {"long_name": f"basin entropy, of boxes of side {BOX}"}),
             "border_entropy": ((), border, {"long_name": "basin entropy of the boxes with several flags"}),
             "missed": ((), missed, {"long_name": "share of cells with equal corners that hide a border"}),
-            "missed_bound": (
-                (),
-                upper_bound(n_missed, n_uniform),
-                {"long_name": "upper 95 % bound of missed"},
-            ),
+            "missed_bound": ((), bound, {"long_name": "upper 95 % bound of missed"}),
         },
         coords={"stride": ("stride", sides, {"long_name": "side of the cells in points"})},
         attrs={"variable": variable, "axes": ", ".join(dims)},
@@ -126,13 +123,9 @@ def probability(ds: xr.Dataset, variable: str, over: str | Sequence[str]) -> xr.
     with np.errstate(invalid="ignore"):  # without draws
         columns = counts.values / draws, *wilson_interval(counts.values, draws)
     what = f"probability of each {variable} over {' and '.join(drawn)}"
-    texts = {
-        "probability": what,
-        "lower": f"lower 95 % limit of the {what}",
-        "upper": f"upper 95 % limit of the {what}",
-    }
+    texts = {"probability": "", "lower": "lower 95 % limit of the ", "upper": "upper 95 % limit of the "}
     variables = {
-        name: (counts.dims, values, {"long_name": text, "units": "1"})
+        name: (counts.dims, values, {"long_name": text + what, "units": "1"})
         for (name, text), values in zip(texts.items(), columns, strict=True)
     }
     return xr.Dataset(variables, {**coords, **counts.coords}, {**ds.attrs, "atlas_draws": draws})

@@ -89,11 +89,8 @@ class _EnumNumbers(ast.NodeTransformer):
     """Members and sizes of the enumerations of a module as plain numbers, which the compiler needs not look up."""
 
     def __init__(self, namespace: Mapping[str, Any]):
-        self.enums = {
-            name: value
-            for name, value in namespace.items()
-            if isinstance(value, type) and issubclass(value, IntEnum)
-        }
+        enums = {name: value for name, value in namespace.items() if isinstance(value, type)}
+        self.enums = {name: value for name, value in enums.items() if issubclass(value, IntEnum)}
 
     def visit_Attribute(self, node: ast.Attribute) -> ast.expr:
         members = getattr(self.enums.get(ast.unparse(node.value)), "__members__", {})
@@ -103,12 +100,8 @@ class _EnumNumbers(ast.NodeTransformer):
         return node
 
     def visit_Call(self, node: ast.Call) -> ast.expr:
-        if (
-            isinstance(node.func, ast.Name)
-            and node.func.id == "len"
-            and ast.unparse(node.args[0]) in self.enums
-        ):
-            return ast.Constant(len(self.enums[ast.unparse(node.args[0])]))
+        if ast.unparse(node.func) == "len" and (name := ast.unparse(node.args[0])) in self.enums:
+            return ast.Constant(len(self.enums[name]))
         self.generic_visit(node)
         return node
 
@@ -141,11 +134,7 @@ def source(
     `deviation` keeps the units of the caller. Raises BadInput for equations that cannot be differentiated,
     and if a first integral or a loss has the name of a function of the kernel.
     """
-    present = {
-        "PLUGGED": plugs,
-        "LEVELS": any(plug.levels for plug in plugs),
-        "STROBED": getattr(equations, "STROBED", ()),
-    }
+    present = {"PLUGGED": plugs, "STROBED": getattr(equations, "STROBED", ())}
     absent = tuple(name for name, parts in present.items() if not parts)
     objects, sources, numbers = _reachable(of, plugs, absent)
     measured = augmented.losses_of(equations, zero, equal) if of in MEASURING else {}
@@ -188,10 +177,8 @@ def plain_module(
     namespace |= {plug.add_node.__name__: plug.add_node for plug in plugs if plug.add_node}
     namespace |= _constants(equations, METHODS[method], of, plugs)
     for shared in {function.__module__ for function in objects.values()} - {of.__name__}:
-        if any(
-            getattr(value, "__module__", "") == generated.__name__
-            for value in vars(sys.modules[shared]).values()
-        ):
+        values = vars(sys.modules[shared]).values()
+        if any(getattr(value, "__module__", "") == generated.__name__ for value in values):
             copy = _copy(sys.modules[shared], namespace)
             namespace |= {name: getattr(copy, name) for name in objects if objects[name].__module__ == shared}
     module = _copy(of, namespace)
@@ -223,7 +210,6 @@ def _constants(
         "OBSERVABLES": observables,
         "PLUGGED": plugged,
         "PLUGGED_GIVEN": sum(plug.given for plug in plugs) + (strobed > 0),
-        **({"LEVELS": levels} if (levels := sum(plug.levels for plug in plugs)) else {}),
         "NODE_ROWS": 2 * (observables if of is observe else kernel.MOTION),
         "SUMS": observed if of is observe else len(Row) + plugged,
         **({"STROBED": strobed} if strobed else {}),
@@ -271,9 +257,7 @@ def _generated_functions(
             f"block[{i}, l] = scales[{i}, p]{' * inverse_unit' * power}"
             for i, power in enumerate(equations.INTEGRALS.values())
         ],
-        "step(state, slope, constants)": step_lines(method, "extended_rhs")
-        if of is tangent
-        else step_lines(method),
+        "step(state, slope, constants)": step_lines(method, "extended_rhs" if of is tangent else "rhs"),
         "store_integrals(block, l, state, constants)": [
             line
             for i, name in enumerate(equations.INTEGRALS)
@@ -293,19 +277,16 @@ def _generated_functions(
     if of is kernel:
         sources["frame_motion_change"] = differential(sources["frame_motion"], "frame_motion_change")
     if plugs:
-        lines, level_lines, row, first = [], list[str](), 0, 0
+        lines, row, first = [], 0, 0
         for plug in plugs:
             arguments = f"plugged, {row}, given, {first}, l, nodes, i, intervals, spacing, inverse_unit[l]"
-            if plug.add_node:
+            if plug.add_node is None:
+                lines += _level_lines(equations, row, first, plug.sums)
+            else:
                 lines += ["for l in range(WIDTH):", f"    {plug.add_node.__name__}({arguments})"]
-            if plug.levels:
-                level_lines += _level_lines(equations, row, first, plug.levels)
             row, first = row + plug.sums, first + plug.given
-        generated_lines["add_to_plugged(plugged, given, nodes, i, intervals, spacing, inverse_unit)"] = (
-            lines or ["pass"]
-        )
-        if level_lines:
-            generated_lines["count_levels(plugged, given, i, state, constants, inverse_unit)"] = level_lines
+        signature = "plugged, given, nodes, i, intervals, spacing, inverse_unit, state, constants"
+        generated_lines[f"add_to_plugged({signature})"] = lines
     if of is tangent:
         sources |= augmented.variation(equations, sources["rhs"])
         generated_lines |= {
@@ -430,19 +411,17 @@ def _integral_lines(equations: ModuleType, name: str) -> list[str]:
 
 
 def _level_lines(equations: ModuleType, row: int, first: int, levels: int) -> list[str]:
-    """Body of `count_levels` for these sums and constants; the energy is the first integral without the sum of its loss."""
-    name, energy = next(iter(equations.INTEGRALS)), f"plugged[{row + levels}, l]"
+    """Lines that count nodes above levels in these sums; the energy is the first integral without the sum of its loss."""
+    name = next(iter(equations.INTEGRALS))
     terms = _terms(equations, name)
     total = " + ".join(terms[:-1] if name in equations.LOSSES else terms)
     return [
         f"if i % {kernel.NODES_PER_LEVEL} == 0:",
         "    for l in range(WIDTH):",
         f"        {', '.join(terms)}, = {name}(load_state(state, l), load_constants(constants, l))",
-        f"        {energy} = ({total}) * inverse_unit[l] * inverse_unit[l]",
-        f"    for k in range({levels}):",
-        "        for l in range(WIDTH):",
-        f"            plugged[{row} + k, l] += 1.0 if {energy} > given[{first} + k, l] else 0.0",
-    ]
+        f"        total = ({total}) * inverse_unit[l] * inverse_unit[l]",
+        *(f"        plugged[{row + k}, l] += 1.0 if total > given[{first + k}, l] else 0.0" for k in range(levels)),
+    ]  # fmt: skip
 
 
 def step_lines(method: Method, rhs_name: str = "rhs") -> list[str]:

@@ -35,18 +35,13 @@ class Plug(Protocol):
         """Number of constants of a point that it is given."""
 
     @property
-    def levels(self) -> int:
-        """Number of energies among its constants: the first sums count the nodes, of one in `kernel.NODES_PER_LEVEL`, at which the energy is above each of them.
-
-        The sum after these is the energy at the last node. The energy is the first of the equations' INTEGRALS.
-        """
-
-    @property
     def add_node(self) -> Callable[..., None] | None:
         """Function (sums, s, given, g, l, nodes, i, intervals, spacing, inverse_unit) of lane l, pasted into the kernel.
 
         Its sums begin at row s and its constants at row g. Node i of the intervals + 1, `spacing` apart in the kernel's unit of
         time, is in slot i & 3 of `nodes`, after the three before it: see `kernel.motion_at`; slopes are per 1 / inverse_unit.
+        None: the constants are energies, and the sums count the nodes, of one in `kernel.NODES_PER_LEVEL`, at which the first of
+        the equations' INTEGRALS is above them.
         """
 
     def constants(self, system: System, points: Points, start: Ensemble) -> Array:

@@ -26,8 +26,6 @@ HAS_AXIS = False  # does the system have `axis_in_frame`?
 # Sums of the plugged instruments, see `ensemble.Plug`, and what they are given; without them what stands under `if PLUGGED:`
 # is left out.
 PLUGGED, PLUGGED_GIVEN = 0, 0
-# Energies that plugged instruments are given; without them what stands under `if LEVELS:` is left out.
-LEVELS = 0
 
 
 def called_seldom(function):
@@ -126,13 +124,8 @@ def largest_change(first, scales, l, state, constants, largest):
     raise NotImplementedError
 
 
-def add_to_plugged(plugged, given, nodes, i, intervals, spacing, inverse_unit):
+def add_to_plugged(plugged, given, nodes, i, intervals, spacing, inverse_unit, state, constants):
     """Add node i to the sums of every plugged instrument."""
-    raise NotImplementedError
-
-
-def count_levels(plugged, given, i, state, constants, inverse_unit):
-    """Count a node for every level below which the energy is not; see `ensemble.Plug.levels`."""
     raise NotImplementedError
 
 

@@ -20,7 +20,6 @@ from .generated import (
     CONSTANTS,
     HAS_AXIS,
     INTEGRALS,
-    LEVELS,
     PLUGGED,
     PLUGGED_GIVEN,
     STATES,
@@ -30,7 +29,6 @@ from .generated import (
     aligned_empty,
     aligned_stack,
     axis_in_frame,
-    count_levels,
     frame_motion,
     frame_motion_change,
     load_constants,
@@ -199,9 +197,7 @@ def integrate(schedule, arrays, first_block, last_block, first_node, last_node):
                                 cylinder_squared)  # fmt: skip
                         passage_count = np.int64(0)
             if PLUGGED:
-                add_to_plugged(plugged, given, nodes, i, intervals, spacing, inverse_unit)
-            if LEVELS:
-                count_levels(plugged, given, i, state, constants, inverse_unit)
+                add_to_plugged(plugged, given, nodes, i, intervals, spacing, inverse_unit, state, constants)
             if HAS_AXIS:
                 add_axis(stats, state, constants)
             if (i + 1) % NODES_PER_DRIFT == 0 or i == intervals:

@@ -12,15 +12,16 @@ from ..engine.kernel import NODES_PER_LEVEL
 from ..flags import SettledBy, Status
 from ..systems.base import Array, Mask, Points, System
 from ..systems.gyrostat import Gyrostat
-from ..systems.gyrostat.equilibria import ANGLES
+from ..systems.gyrostat.body import length
+from ..systems.gyrostat.equilibria import ANGLES, frames_of
 from ..systems.gyrostat.wells import SETTLED, wells_of
 from .instrument import Instrument, Measured, Run, Variable
 
 MARGIN = 10.0  # errors of the energy by which a body stays below the rim of its well where the end is proved
 ROUNDING = 1e-14  # of the energy, relative
 LEVELS = 6  # minima of a body, those of the least potentials, of which the time of settling is measured
-PLACE, SETTLED_BY = "ends:place", "ends:settled_by"  # measurements
 END, NO_END, TIME = "end_equilibrium", -1, "settling_time"
+LEVEL = "ends:level"  # measurement: the energy at which the body is settled in its end
 _ORDER = (
     "in the order of the potential, then of alpha and gamma, or of theta0 about a fixed point; -1 where the motion is not settled;"
     " positions of different bodies cannot be compared"
@@ -31,6 +32,13 @@ _TIME = (
 )
 _INDEX = "0 of a minimum of the amended potential; -1 where the motion is not settled"
 _ANGLE = "nan where the motion is not settled, and where the members of a circle of equilibria differ"
+_ROWS = (
+    (END, "int16", "1", "position in atlas.equilibria of", _ORDER, NO_END),
+    ("end_theta0", "float64", "rad", "angle from the vertical to the third body axis at", _ANGLE, 0),
+    ("end_psi0", "float64", "rad", "precession angle at", _ANGLE, 0),
+    ("end_phi0", "float64", "rad", "angle of proper rotation at", _ANGLE, 0),
+    ("end_index", "int8", "1", "Morse index of", _INDEX, -1),
+)
 
 
 @dataclass(frozen=True)
@@ -40,20 +48,12 @@ class Ends(Instrument):
     needs_whole_run = True
 
     def every_variable(self, system: System) -> tuple[Variable, ...]:
-        def at_end(name: str, dtype: str, units: str, what: str, comment: str, missing: int = 0) -> Variable:
-            text = f"{what} the equilibrium in which the motion ends"
-            return Variable(name, dtype, units, text, comment=comment, optional=True, missing=missing)
-
-        texts = (
-            "angle from the vertical to the third body axis",
-            "precession angle",
-            "angle of proper rotation",
-        )
-        angles = zip(ANGLES, texts, strict=True)
+        end = "the equilibrium in which the motion ends"
         return (
-            at_end(END, "int16", "1", "position in atlas.equilibria of", _ORDER, NO_END),
-            *(at_end(f"end_{name}", "float64", "rad", f"{text} at", _ANGLE) for name, text in angles),
-            at_end("end_index", "int8", "1", "Morse index of", _INDEX, -1),
+            *(
+                Variable(name, dtype, units, f"{text} {end}", None, comment, True, missing)
+                for name, dtype, units, text, comment, missing in _ROWS
+            ),
             Variable("settled_by", "int8", "1", "how the end is known", SettledBy.meanings(), optional=True),
         )
 
@@ -68,45 +68,43 @@ class Ends(Instrument):
         return super().wanted(system, outputs) or SETTLING.wanted(system, outputs)
 
     def measurements(self, run: Run, measured: Measured) -> dict[str, Array]:
-        wells, row = wells_of(run.system, run.points)
-        states, scale = run.integration.final_state, run.ensemble.scales[0]
+        assert isinstance(run.system, Gyrostat)
+        (wells, row), finite = wells_of(run.system, run.points), run.integration.finite
         with np.errstate(all="ignore"):
-            error = (measured["integral_drift"] + ROUNDING) / scale
-            damped = run.integration.finite & (run.points["damping"] > 0)
-            w, alpha, gamma = wells.system.vectors(np.where(run.integration.finite, states, 0.0))
-            frames = np.stack([alpha, np.cross(gamma, alpha), gamma], 1)
-            rates = w - wells.body.turn[row, None] * gamma
-            place, angle = wells.nearest(frames, row)
-            near = (angle <= SETTLED) & run.integration.finite
+            error = (measured["integral_drift"] + ROUNDING) / run.ensemble.scales[0]
+            w, alpha, gamma = run.system.vectors(np.where(finite, run.integration.final_state, 0.0))
+            frames, rates = frames_of(alpha, gamma), w - wells.body.turn[row, None] * gamma
+            nearest, angle = wells.nearest(frames, row)
+            near, damped = finite & (angle <= SETTLED), finite & (run.points["damping"] > 0)
             energy = np.where(damped, wells.energy(frames, rates, row) + MARGIN * error, np.inf)
-            well = wells.proved(frames, energy, row, place, near)
-            at_rest = near & (np.sqrt((rates**2).sum(-1)) <= SETTLED * wells.rate[row])
-        known = [well >= 0, at_rest]
+            well = wells.proved(frames, energy, row, nearest, near)
+            known = [well >= 0, near & (length(rates) <= SETTLED * wells.rate[row])]
+        place = np.select(known, [well, nearest], NO_END)
         return {
-            PLACE: np.select(known, [well, place], NO_END).astype(float),
-            SETTLED_BY: np.select(known, [SettledBy.PROVED, SettledBy.MEASURED], SettledBy.NOT).astype(float),
+            END: place,
+            **{f"end_{name}": wells.angles[name][row, place] for name in ANGLES},
+            "end_index": wells.index[row, place],
+            "settled_by": np.select(known, [SettledBy.PROVED, SettledBy.MEASURED], SettledBy.NOT),
+            LEVEL: wells.settled[row, place],
         }
 
     def outcome_differs(self, run: Run, other: Run) -> Mask:
-        return run.measured[PLACE] != other.measured[PLACE]
+        return run.measured[END] != other.measured[END]
 
     def columns(self, run: Run, columns: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
-        wells, row = wells_of(run.system, run.points)
-        place = np.where(columns["status"] == Status.OK, run.measured[PLACE], NO_END).astype(np.int16)
-        at, settled = (row, np.maximum(place, 0)), place >= 0
-        return {
-            END: place,
-            "end_index": np.where(settled, wells.index[at], -1).astype(np.int8),
-            "settled_by": np.where(settled, run.measured[SETTLED_BY], SettledBy.NOT).astype(np.int8),
-            **{f"end_{name}": np.where(settled, wells.angles[name][at], np.nan) for name in ANGLES},
-        }
+        settled = (columns["status"] == Status.OK) & (run.measured[END] >= 0)
+        result = {}
+        for v in self.every_variable(run.system):
+            missing = v.missing if v.dtype.startswith("int") else np.nan
+            result[v.name] = np.where(settled, run.measured[v.name], missing).astype(v.dtype)
+        return result
 
 
 @dataclass(frozen=True)
 class Settling(Instrument):
     """The time after which the energy keeps a body near the minimum in which it ends."""
 
-    sums, given, levels = LEVELS + 1, LEVELS, LEVELS
+    sums = given = LEVELS
 
     def every_variable(self, system: System) -> tuple[Variable, ...]:
         text = "time after which attitude and rates stay within 1e-3 of the end"
@@ -121,11 +119,10 @@ class Settling(Instrument):
         return np.ascontiguousarray(np.sort(wells.settled, axis=1)[row, :LEVELS].T)
 
     def measurements(self, run: Run, measured: Measured) -> dict[str, Array]:
-        wells, row = wells_of(run.system, run.points)
         counts, levels = run.plugged(self)
-        own = levels == wells.settled[row, np.maximum(measured[PLACE], 0).astype(np.int64)]
-        nodes = NODES_PER_LEVEL * counts[own.argmax(0), np.arange(row.size)]
-        reached = (measured[PLACE] >= 0) & own.any(0) & (nodes <= run.integration.intervals)
+        own = levels == measured[LEVEL]
+        nodes = NODES_PER_LEVEL * counts[own.argmax(0), np.arange(own.shape[1])]
+        reached = (measured[END] >= 0) & own.any(0) & (nodes <= run.integration.intervals)
         return {TIME: np.where(reached, nodes * run.step_sizes.sample_spacing, np.nan)}
 
     def columns(self, run: Run, columns: dict[str, np.ndarray]) -> dict[str, np.ndarray]:

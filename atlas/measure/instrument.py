@@ -20,9 +20,8 @@ from ..engine.statistics import Row
 from ..engine.stepsize import StepSizes
 from ..systems.base import Array, Flags, Mask, Points, System, subset
 
-Measured = Mapping[
-    str, Array
-]  # measurements by name, (points,) each; a colon is in names that no atlas holds
+# Measurements by name, (points,) each; a colon is in names that no atlas holds.
+Measured = Mapping[str, Array]
 
 
 @dataclass(frozen=True)
@@ -182,7 +181,7 @@ class Instrument:
     """A measurement."""
 
     # Of instruments that add to the sums of the kernel: see `engine.ensemble.Plug`.
-    sums, given, levels = 0, 0, 0
+    sums, given = 0, 0
     add_node: Callable[..., None] | None = None
     needs_whole_run = False  # whether no run may end before its duration
 

@@ -15,7 +15,7 @@ from matplotlib.patches import Polygon
 from ..analysis.metadata import system_of
 from ..measure.ends import END
 from ..systems.base import Array
-from ..systems.gyrostat.equilibria import ANGLES
+from ..systems.gyrostat.equilibria import ANGLES, frames_of
 from ..systems.gyrostat.motions import directions
 from ..variables import data_variables
 
@@ -52,14 +52,11 @@ def attitudes(ds: xr.Dataset) -> dict[str, Array]:
     names = [f"end_{name}" for name in ANGLES if f"end_{name}" in data_variables(system_of(ds))]
     if not {END, *names} <= {*ds}:
         return {}
-    columns = {name: ds[name].transpose(*ds[END].dims).values.ravel() for name in (END, *names)}
+    angles = {name: ds.get(f"end_{name}", 0.0 * ds[END]) for name in ANGLES}
     result = {}
-    for i in np.unique(columns[END][columns[END] >= 0]):
-        own = {
-            name: columns.get(f"end_{name}", np.zeros(columns[END].size))[columns[END] == i]
-            for name in ANGLES
-        }
-        if max(np.ptp(values) for values in own.values()) < 1e-6:
-            alpha, gamma = (vector[:, 0] for vector in directions(own))
-            result[f"equilibrium_{i}"] = np.stack([alpha, np.cross(gamma, alpha), gamma])
+    for i in np.unique(ds[END].values[ds[END].values >= 0]):
+        own = {name: angle.where(ds[END] == i) for name, angle in angles.items()}
+        if all(angle.max() - angle.min() < 1e-6 for angle in own.values()):
+            alpha, gamma = directions({name: angle.max().values for name, angle in own.items()})
+            result[f"equilibrium_{i}"] = frames_of(alpha, gamma)
     return result

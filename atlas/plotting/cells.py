@@ -185,18 +185,16 @@ def texts(ds: xr.Dataset) -> Mapping[str, str]:
     return {name: f"{name} up to {scene.duration}" for name in ("regular", "chaotic")}
 
 
+_LINE_COLOURS = dict(
+    zip((*RESONANCES, DEGENERATE), ("#d62728", "#2ca02c", "#9467bd", "#e6007e"), strict=True)
+)
 # Dashes of borders and of families, in the order of their names.
 BORDERS: dict[str, dict[str, Any]] = {
     STABILITY: {"linestyle": "-", "linewidth": 1.2},
     LABEL: {"linestyle": (0, (5, 1.5)), "linewidth": 1.0},
     EXISTENCE: {"linestyle": "-", "linewidth": 0.6},
     CHANGE: {"linestyle": "-", "linewidth": 0.6},
-    **{
-        kind: {"linestyle": "-", "linewidth": 0.8, "color": colour}
-        for kind, colour in zip(
-            (*RESONANCES, DEGENERATE), ("#d62728", "#2ca02c", "#9467bd", "#e6007e"), strict=True
-        )
-    },
+    **{kind: {"linestyle": "-", "linewidth": 0.8, "color": colour} for kind, colour in _LINE_COLOURS.items()},
 }
 ZERO_RATE: dict[str, Any] = {"linestyle": (0, (1.5, 1.2)), "linewidth": 1.0}
 DASHES: tuple[Any, ...] = ((0, (8, 2)), ":", "-.", "--", (0, (6, 1, 1, 1, 1, 1)))

@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+import signal
+import subprocess
+import sys
+
 import numpy as np
 import pytest
 import xarray as xr
@@ -11,6 +15,8 @@ from atlas.analysis.metadata import positions_as_flags
 from atlas.analysis.trust import BOX
 from atlas.cli import main
 from atlas.plotting.attitude import Attitude, attitudes
+from atlas.runs.folder import RunFolder
+from atlas.scene import grid
 
 SCENE = """
 schema = 1
@@ -42,6 +48,21 @@ method = "rk8"
 [outputs]
 variables = ["label", "status", "end_equilibrium", "end_theta0", "end_psi0", "end_phi0", "end_index", "settled_by", "settling_time"]
 map = "end_equilibrium"
+"""
+
+NUMBERS = ["end_theta0", "end_psi0", "end_phi0", "end_index", "settled_by", "settling_time"]
+REFINED = SCENE.replace("count = 9", "count = 17") + "[refine]\nlevels = 1\nprobe = 0.2\n"
+# Runs the scene into the folder of its arguments, and dies in the second tile.
+KILLED = """
+import os, signal, sys
+import atlas
+from atlas.runs import earlier
+evaluate = earlier.evaluate
+def killed(*arguments, **options):
+    earlier.evaluate = lambda *_, **__: os.kill(os.getpid(), signal.SIGKILL)
+    return evaluate(*arguments, **options)
+earlier.evaluate = killed
+atlas.run(*sys.argv[1:], threads=1, progress=False)
 """
 
 
@@ -110,13 +131,17 @@ def test_a_map_shows_the_attitudes(ds):
     assert positions_as_flags(ds, "label") is ds
 
 
-def test_run_folders_shards_and_refinement_give_the_same_ends(ds, scene, tmp_path):
+def test_run_folders_shards_and_refinement_give_the_same_ends(ds, scene, tmp_path, monkeypatch):
+    """In memory, in tiles that two shards share, and in a refined run that was killed and goes on with workers of dask."""
+    monkeypatch.setattr(grid, "MAX_POINTS_PER_TILE", 40)
     for shard in ("1/2", "2/2"):
         assert main(["run", str(scene), "-o", f"{tmp_path}/run/", "--shard", shard]) == 0
     with atlas.open_atlas(tmp_path / "run") as joined:
         xr.testing.assert_equal(joined[[*ds.data_vars]].load(), ds[[*ds.data_vars]])
+    assert RunFolder.open(tmp_path / "run").tiling.count > 2
+    monkeypatch.undo()
     refined = tmp_path / "refined.toml"
-    refined.write_text(SCENE.replace("count = 9", "count = 17") + "[refine]\nlevels = 1\nprobe = 0.2\n")
+    refined.write_text(REFINED)
     fine = atlas.run(refined, progress=False)
     assert fine["end_equilibrium"].dtype == np.int16
     computed = fine["computed"] == 1
@@ -125,6 +150,28 @@ def test_run_folders_shards_and_refinement_give_the_same_ends(ds, scene, tmp_pat
     assert (coarse["end_equilibrium"].values == ds["end_equilibrium"].values).mean() > 0.97
     assert (fine["settled_by"] == 1).all()
     assert (fine["end_index"] == 0).all()
+    out = f"{tmp_path}/fine/"
+    process = subprocess.run([sys.executable, "-c", KILLED, refined, out], check=False)
+    assert process.returncode == -signal.SIGKILL
+    written = [level.tiles.written_count() for level in RunFolder.open(tmp_path / "fine").levels()]
+    assert written == [1, 0]
+    assert main(["run", str(refined), "-o", out, "--workers", "1", "--quiet"]) == 0
+    with atlas.open_atlas(out) as resumed:
+        xr.testing.assert_equal(resumed[[*fine.data_vars]].load(), fine[[*fine.data_vars]])
+
+
+def test_lazy_points_give_the_same_ends():
+    rng = np.random.default_rng(2)
+    rest = dict.fromkeys(("theta0", "phi0", "theta_dot0"), 0.0)
+    points = {"A": 1.0, "B": 1.3, "C": 1.6, "k1": 0.05, "k2": 0.1, "k3": 0.3, "damping": 0.4} | rest
+    points |= {name: xr.DataArray(rng.uniform(-2, 2, size), dims=name) for name, size in (("n", 6), ("m", 4))}
+    points["psi0"] = xr.DataArray([0.4, 2.0, -1.0], dims="psi0")
+    options = {"duration": 60.0, "method": "rk8", "variables": ["status", "end_equilibrium", *NUMBERS]}
+    eager = atlas.label_points("satellite", points, **options)
+    lazy = atlas.label_points("satellite", points | {"n": points["n"].chunk(n=2)}, **options)
+    assert lazy["end_equilibrium"].chunks is not None
+    xr.testing.assert_equal(lazy.compute(scheduler="threads"), eager)
+    assert np.isfinite(eager["settling_time"]).any()
 
 
 def test_points_without_a_body_have_no_end():

@@ -87,6 +87,17 @@ class Body(NamedTuple):
         """Gradient and Hessian of W under rotations xi, symmetric where the gradient vanishes; the torque at rest is -gradient."""
         return self._variations(self.amended(), alpha, gamma)
 
+    def hessian(self, alpha: Array, gamma: Array) -> Array:
+        """Symmetric part of the Hessian of W."""
+        hessian = self.gradient(alpha, gamma)[1]
+        return 0.5 * (hessian + np.swapaxes(hessian, -1, -2))
+
+    def steepness(self) -> Array:
+        """Bound of the second derivatives of W under rotations, (...,)."""
+        spread = np.ptp(self.inertia, axis=-1)
+        alpha, gamma = (np.abs(d.gradient) * spread + length(d.field) for d in self.amended())
+        return alpha + gamma
+
     def _variations(
         self, directions: tuple[Direction, Direction], alpha: Array, gamma: Array
     ) -> tuple[Array, Array]:

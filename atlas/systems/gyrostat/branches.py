@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from ...flags import BifurcationKind, Completeness
 from ..base import Array, Mask, Points
 from .body import across, length
-from .equilibria import rotated
+from .equilibria import frames_of, rotated
 
 if TYPE_CHECKING:
     from .system import Gyrostat
@@ -79,11 +79,10 @@ class Family(NamedTuple):
         """Gradient and Hessian of W over their size, the latter plus the projector onto the cyclic directions; it, and the size."""
         body = self.system.body_at_rest(self.points(values))
         if unit is None:
-            spread = np.ptp(body.inertia, axis=1)
-            unit = sum(np.abs(d.gradient) * spread + length(d.field) for d in body.amended())
+            unit = body.steepness()
             unit = np.where(unit > 0, unit, 1.0)
-        gradient, hessian = body.gradient(frames[:, 0], frames[:, 2])
-        hessian = 0.5 * (hessian + np.swapaxes(hessian, 1, 2)) / unit[:, None, None]
+        gradient, _ = body.gradient(frames[:, 0], frames[:, 2])
+        hessian = body.hessian(frames[:, 0], frames[:, 2]) / unit[:, None, None]
         gamma, projector = frames[:, 2] * self.upright, np.zeros_like(hessian)
         axis = np.eye(3)[self.axis] * (self.axis >= 0)
         axis = axis - (gamma @ axis)[:, None] * gamma
@@ -183,7 +182,7 @@ def _listed(family: Family, values: Array, given: bool) -> tuple[dict[str, NDArr
     listed = family.system.equilibria_of_bodies(points, lambda: None, stability=given, ordered=given)
     gamma, used = listed["gamma"], listed["index"] >= 0
     alpha = listed["alpha"] if "alpha" in listed else across(gamma)[..., 0, :]
-    frames = np.stack([alpha, np.cross(gamma, alpha), gamma], -2)
+    frames = frames_of(alpha, gamma)
     _, hessian, _, unit = family.linear(values[np.nonzero(used)[0]], frames[used])
     return listed, frames, np.linalg.eigh(hessian), unit
 

@@ -64,8 +64,8 @@ def equilibria(system: Gyrostat, points: Points) -> dict[str, NDArray[Any]]:
     index, axis, degenerate = _classify(body, frames, scale)
     scaled = body.potential(frames[:, 0], frames[:, 2])
     order = _order(np.zeros(len(frames)), scaled / scale, frames, axis)
-    result = described(frames, scaled * given.inertia.max() * rate**2) | {
-        "index": index.astype(np.int8), "circle": ~np.isnan(axis[:, 0]), "axis": axis, "degenerate": degenerate,
+    result = described(frames) | {
+        "potential": scaled * given.inertia.max() * rate**2, "index": index.astype(np.int8), "circle": ~np.isnan(axis[:, 0]), "axis": axis, "degenerate": degenerate,
     }  # fmt: skip
     members = {name: np.full(len(frames), value[0]) for name, value in points.items()}
     result |= stability_at_rest(system, members, {name: result[name] for name in ANGLES})
@@ -93,16 +93,22 @@ def _scale(body: Body) -> Array:
     return np.abs(body.alpha.gradient) + np.abs(body.gamma.gradient) + vectors.sum(-1)
 
 
-def described(frames: Array, potential: Array) -> dict[str, Any]:
-    """Orientation and potential of equilibria; psi = 0 where only psi +- phi is defined."""
-    alpha, beta, gamma = frames[:, 0], frames[:, 1], frames[:, 2]
-    sine = np.hypot(gamma[:, 0], gamma[:, 1])
+def frames_of(alpha: Array, gamma: Array) -> Array:
+    """Frames with these rows alpha and gamma, (..., 3, 3)."""
+    return np.stack([alpha, np.cross(gamma, alpha), gamma], -2)
+
+
+def described(frames: Array) -> dict[str, Any]:
+    """Attitudes of frames (..., 3, 3); psi = 0 where only psi +- phi is defined."""
+    alpha, beta, gamma = np.moveaxis(frames, -2, 0)
+    sine = np.hypot(gamma[..., 0], gamma[..., 1])
     upright = sine < 1e-9
+    turn = np.arctan2(-alpha[..., 1], alpha[..., 0])
     return {
-        "theta0": np.arctan2(sine, gamma[:, 2]),
-        "psi0": np.where(upright, 0.0, np.arctan2(alpha[:, 2], -beta[:, 2])),
-        "phi0": np.where(upright, np.arctan2(-alpha[:, 1], alpha[:, 0]), np.arctan2(gamma[:, 0], gamma[:, 1])),
-        "alpha": alpha, "gamma": gamma, "potential": potential,
+        "theta0": np.arctan2(sine, gamma[..., 2]),
+        "psi0": np.where(upright, 0.0, np.arctan2(alpha[..., 2], -beta[..., 2])),
+        "phi0": np.where(upright, turn, np.arctan2(gamma[..., 0], gamma[..., 1])),
+        "alpha": alpha, "gamma": gamma,
     }  # fmt: skip
 
 
@@ -168,9 +174,8 @@ def padded(columns: Mapping[str, NDArray[Any]], count: int, places: int) -> dict
     result = {}
     for name, values in columns.items():
         if name != "row":
-            result[name] = np.full(
-                (count, places, *values.shape[1:]), _UNUSED.get(name, np.nan), values.dtype
-            )
+            shape = count, places, *values.shape[1:]
+            result[name] = np.full(shape, _UNUSED.get(name, np.nan), values.dtype)
             result[name][row, place] = values[order]
     return result
 
@@ -196,8 +201,7 @@ def _at_once(
     parts += [(single, *_by_symmetry(bodies.subset(single), axes[single].argmax(1)))]
     row, frames = (np.concatenate(c) for c in zip(*((some[body], f) for some, body, f in parts), strict=True))
     bodies = bodies.subset(row)
-    hessian = bodies.gradient(frames[:, 0], frames[:, 2])[1]
-    values = np.linalg.eigvalsh(0.5 * (hessian + np.swapaxes(hessian, 1, 2)))
+    values = np.linalg.eigvalsh(bodies.hessian(frames[:, 0], frames[:, 2]))
     flat = np.abs(values) < _ZERO_EIGENVALUE * _scale(bodies)[:, None]
     index = ((values < 0) & ~flat).sum(1)
     # The Poincare-Hopf sum is 0 on SO(3), and 2 on the sphere of the axis of symmetry.
@@ -210,8 +214,8 @@ def _at_once(
     order = _order(row, scaled / _scale(bodies), frames, axis)
     order = order[solved[row[order]]]
     row = row[order]
-    result = described(frames[order], potential[order]) | {
-        "index": index[order].astype(np.int8), "circle": symmetric[row], "axis": axis[order],
+    result = described(frames[order]) | {
+        "potential": potential[order], "index": index[order].astype(np.int8), "circle": symmetric[row], "axis": axis[order],
         "degenerate": np.zeros(row.size, bool),
     }  # fmt: skip
     if stability:
@@ -226,7 +230,7 @@ def _by_continuation(bodies: Body, ordered: bool) -> tuple[NDArray[np.int64], Ar
     radius, normal, real, complete = homotopy.solve(bodies.inertia.T, alpha, gamma, ordered)
     body, path = np.nonzero(real.T & complete[:, None])
     a, g = radius[:, path, body].T, normal[:, path, body].T
-    return body, np.stack([a, np.cross(g, a), g], 1)
+    return body, frames_of(a, g)
 
 
 def _by_symmetry(bodies: Body, i: NDArray[np.int64]) -> tuple[NDArray[np.int64], Array]:
@@ -257,9 +261,8 @@ def _search(bodies: Body, scale: float) -> Array:
         w, x, y, z = np.moveaxis(generator.normal(size=(starts, 4)), -1, 0)
         first = np.stack([w * w + x * x - y * y - z * z, 2 * (x * y + w * z), 2 * (x * z - w * y)], -1)
         second = np.stack([2 * (x * y - w * z), w * w - x * x + y * y - z * z, 2 * (y * z + w * x)], -1)
-        rows = np.stack(
-            [first, second, np.cross(first, second) / (w * w + x * x + y * y + z * z)[:, None]], 1
-        )
+        third = np.cross(first, second) / (w * w + x * x + y * y + z * z)[:, None]
+        rows = np.stack([first, second, third], 1)
         new = _critical(bodies, rows / np.linalg.norm(rows, axis=2, keepdims=True), scale)
         frames = _distinct(bodies, np.concatenate([frames, new]), scale)
         index, axis, degenerate = _classify(bodies, frames, scale)
@@ -288,20 +291,16 @@ def _critical(bodies: Body, frames: Array, scale: float) -> Array:
         inverse = values / (values**2 + (1e-7 * scale) ** 2)
         step = -np.einsum("nji,nj,nkj,nk->ni", right, inverse, left, gradient)
         length = np.linalg.norm(step, axis=1)
-        frames[active] = rotated(
-            frames[active], step * np.minimum(1.0, 0.5 / np.maximum(length, 0.5))[:, None]
-        )
+        step *= np.minimum(1.0, 0.5 / np.maximum(length, 0.5))[:, None]
+        frames[active] = rotated(frames[active], step)
         active = active[length > 1e-9]
     gradient, _ = bodies.gradient(frames[:, 0], frames[:, 2])
     return frames[np.linalg.norm(gradient, axis=1) < 1e-11 * scale]
 
 
-def _classify(
-    bodies: Body, frames: Array, scale: float
-) -> tuple[NDArray[np.int64], Array, NDArray[np.bool_]]:
+def _classify(bodies: Body, frames: Array, scale: float) -> tuple[NDArray[np.int64], Array, Mask]:
     """Morse index, axis of the circle of equilibria through each frame (nan: isolated), degenerate or not."""
-    _, hessian = bodies.gradient(frames[:, 0], frames[:, 2])
-    values, vectors = np.linalg.eigh(0.5 * (hessian + np.swapaxes(hessian, 1, 2)))
+    values, vectors = np.linalg.eigh(bodies.hessian(frames[:, 0], frames[:, 2]))
     flat = np.abs(values) < _ZERO_EIGENVALUE * scale
     if (flat.sum(1) > 1).any():
         raise BadInput(

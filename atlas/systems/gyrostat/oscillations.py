@@ -89,7 +89,7 @@ class Equilibria(NamedTuple):
     def squared_exponents(self) -> NDArray[np.complex128]:
         """Squares of the characteristic exponents without damping, (points, 3); nan for those of cyclic directions, inf: overflow."""
         inertia, v = self.body.inertia, self.body.gyroscopic(self.body.turn[:, None] * self.gamma)
-        hessian = self._hessian()
+        hessian = self.body.hessian(self.alpha, self.gamma)
         diagonal = np.diagonal(hessian, axis1=1, axis2=2)
         following = [1, 2, 0], [2, 0, 1]
         across = hessian[:, *following]
@@ -131,7 +131,8 @@ class Equilibria(NamedTuple):
             rates = (D - body.damping[:, None, None] * np.eye(3)) / inertia
             matrix = np.zeros((damped.size, 6, 6))
             matrix[:, :3, 3:] = np.eye(3)
-            matrix[:, 3:, :3], matrix[:, 3:, 3:] = -self._hessian()[damped] / inertia, rates
+            hessian = body.hessian(self.alpha[damped], self.gamma[damped])
+            matrix[:, 3:, :3], matrix[:, 3:, 3:] = -hessian / inertia, rates
             finite = np.asarray(np.isfinite(matrix).all((1, 2)))
             exponents[damped[finite]] = np.linalg.eigvals(matrix[finite])
         return exponents
@@ -171,7 +172,8 @@ class Equilibria(NamedTuple):
         forces = cross_matrix(self.body.gyroscopic(self.body.turn[:, None] * self.gamma)) @ E
         moments = np.swapaxes(E, 1, 2) @ (self.body.inertia[..., None] * E)
         stiffness = forces @ np.linalg.pinv(moments, hermitian=True) @ np.swapaxes(forces, 1, 2)
-        hessian = self._hessian() + np.where(self.body.damping[:, None, None] > 0, 0.0, stiffness)
+        hessian = self.body.hessian(self.alpha, self.gamma)
+        hessian = hessian + np.where(self.body.damping[:, None, None] > 0, 0.0, stiffness)
         scale = np.abs(hessian).max((1, 2))
         projection = E @ np.linalg.pinv(E)
         complement = np.eye(3) - projection
@@ -190,15 +192,8 @@ class Equilibria(NamedTuple):
             # The energy on the level of a momentum that is constant in space: a maximum is as good as a minimum.
             polhode = -self.squared_exponents()[:, 0].real
             least = np.where(self.free, np.where(np.isnan(polhode), 1.0, polhode), least)
-            decided = np.where(least > 0, EnergyStability.YES, EnergyStability.NO)
-            return np.where(np.abs(least) > FAMILY_TOLERANCE, decided, EnergyStability.UNKNOWN).astype(
-                np.int8
-            )
-
-    def _hessian(self) -> Array:
-        """Symmetric part of the Hessian of W, (points, 3, 3)."""
-        hessian = self.body.gradient(self.alpha, self.gamma)[1]
-        return 0.5 * (hessian + np.swapaxes(hessian, 1, 2))
+            flags = np.where(least > 0, EnergyStability.YES, EnergyStability.NO).astype(np.int8)
+            return np.where(np.abs(least) > FAMILY_TOLERANCE, flags, np.int8(EnergyStability.UNKNOWN))
 
 
 def _turn_and_axis(

@@ -132,6 +132,16 @@ class Gyrostat(System):
 
     equilibria_of_bodies = all_equilibria_of_bodies
 
+    def bodies_of(self, points: Points) -> tuple[Points, NDArray[np.int64]]:
+        """Every parameter of the distinct bodies of some points, those of the start having defaults, and the body of each point."""
+        names = [name for name, p in self.parameters.items() if not p.start]
+        columns = np.stack([points[name] for name in names], -1)
+        key = np.where(np.isnan(columns), -np.inf, columns)  # nan equals nothing
+        varying = (key != key[:1]).any(0)
+        _, first, row = np.unique(key[:, varying], axis=0, return_index=True, return_inverse=True)
+        bodies = {name: np.full(first.size, p.default) for name, p in self.parameters.items()}
+        return bodies | dict(zip(names, columns[first].T, strict=True)), row.ravel()
+
     def equilibria(self, body: Mapping[str, float]) -> dict[str, NDArray[Any]]:
         """All relative equilibria of one body, see equilibria.equilibria; start values are ignored."""
         return equilibria.equilibria(self, self.with_defaults(body))

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Collection
-from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -115,44 +114,33 @@ def plane_variables(system: Gyrostat) -> dict[str, DerivedVariable]:
 
 def count_variables(system: Gyrostat) -> dict[str, DerivedVariable]:
     """Numbers of relative equilibria of each body; nan where some form circles or surfaces."""
-    body = [name for name, parameter in system.parameters.items() if not parameter.start]
-    # Counts of the bodies that were computed last: a scene asks for several counts of the same bodies.
-    last: dict[bytes, dict[str, Array]] = {}
 
-    def count(which: str, points: Points, _: Array, pause: Callable[[], None]) -> Array:
+    def together(_: Any, points: Points, __: Array, pause: Callable[[], None]) -> dict[str, NDArray[Any]]:
         """Points that differ in their start alone share one search."""
-        rows, inverse = np.unique(np.stack([points[name] for name in body], -1), axis=0, return_inverse=True)
-        key = rows.tobytes()
-        if key not in last:
-            start = {name: np.zeros(len(rows)) for name in points if name not in body}
-            bodies = dict(zip(body, rows.T, strict=True)) | start
-            # About an axis of symmetry every equilibrium can be turned: there is no need to search.
-            symmetric = [system.body(bodies).symmetric_about(i) for i in range(3)]
-            countable = np.flatnonzero(~np.any(symmetric, axis=0))
-            counts = {name: np.full(len(rows), np.nan) for name in ("all", "stable", "minima")}
-            if countable.size:
-                equilibria = system.equilibria_of_bodies(subset(bodies, countable), pause)
-                known = (Completeness.COMPLETE, Completeness.NEAR_BIFURCATION)
-                isolated = np.isin(equilibria["completeness"], known)
-                counted = {
-                    "all": equilibria["index"] >= 0,
-                    "stable": equilibria["stable"] == Stability.STABLE,
-                    "minima": (equilibria["index"] == 0) & ~equilibria["degenerate"],
-                }
-                for name, where in counted.items():
-                    counts[name][countable] = np.where(isolated, where.sum(1), np.nan)
-            last.clear()
-            last[key] = counts
-        return last[key][which][inverse]
+        bodies, row = system.bodies_of(points)
+        # About an axis of symmetry every equilibrium can be turned: there is no need to search.
+        symmetric = np.any([system.body(bodies).symmetric_about(i) for i in range(3)], axis=0)
+        countable, counts = np.flatnonzero(~symmetric), np.full((len(rows), symmetric.size), np.nan)
+        if countable.size:
+            equilibria = system.equilibria_of_bodies(subset(bodies, countable), pause)
+            known = (Completeness.COMPLETE, Completeness.NEAR_BIFURCATION)
+            isolated, index = np.isin(equilibria["completeness"], known), equilibria["index"]
+            stable, minimum = (
+                equilibria["stable"] == Stability.STABLE,
+                (index == 0) & ~equilibria["degenerate"],
+            )
+            for count, counted in zip(counts, (index >= 0, stable, minimum), strict=True):
+                count[countable] = np.where(isolated, counted.sum(1), np.nan)
+        return {name: values[row] for (name, *_), values in zip(rows, counts, strict=True)}
 
     comment = "nan where some are not isolated; depends on body, rotor and fields alone"
     rows = (
-        ("equilibrium_count", "all", "number of relative equilibria"),
-        ("equilibrium_stable_count", "stable", "number of linearly stable relative equilibria"),
-        ("equilibrium_energy_stable_count", "minima",
+        ("equilibrium_count", "number of relative equilibria"),
+        ("equilibrium_stable_count", "number of linearly stable relative equilibria"),
+        ("equilibrium_energy_stable_count",
          "number of relative equilibria that are minima of the amended potential"),
     )  # fmt: skip
     return {
-        name: DerivedVariable(name, "1", long_name, partial(count, which), comment, is_count=True)
-        for name, which, long_name in rows
+        name: DerivedVariable.of_group(together, name, "1", text, comment, is_count=True)
+        for name, text in rows
     }

@@ -8,10 +8,9 @@ which descent of W reaches this minimum: the rim of the well is the least potent
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,10 +18,8 @@ from numpy.typing import NDArray
 from ...flags import Completeness
 from ..base import Array, Mask, Points
 from .body import Body
-from .equilibria import ANGLES, described, rotated
-
-if TYPE_CHECKING:
-    from .system import Gyrostat
+from .equilibria import ANGLES, described, frames_of, rotated
+from .system import Gyrostat
 
 Places = NDArray[np.int64]
 # A body is settled within this angle of an equilibrium, in rad, and this share of the frame's rate (or of 1 where it rests).
@@ -38,7 +35,6 @@ _BLOCK = 4096  # attitudes that are compared together
 class Wells:
     """The equilibria of some bodies, in the places of `Gyrostat.equilibria_of_bodies`; arrays (bodies, places), nan if unused."""
 
-    system: Gyrostat
     body: Body
     rate: Array  # unit of rates, (bodies,)
     single: bool  # whether the frame has one direction, gamma, so that attitudes are known but for a turn about it
@@ -89,12 +85,9 @@ class Wells:
             place[active[arrived]] = nearest[arrived]
             active = active[~arrived]
             body = self.body.subset(row[active])
-            spread = body.inertia.max(-1) - body.inertia.min(-1)
-            bound = sum(np.abs(d.gradient) * spread + np.sqrt((d.field**2).sum(-1)) for d in body.amended())
-            turned = frames[active]
+            bound, turned = body.steepness()[:, None], frames[active]
             for _ in range(_STEPS):
-                gradient = body.gradient(turned[:, 0], turned[:, 2])[0]
-                turned = rotated(turned, -gradient / bound[:, None])
+                turned = rotated(turned, -body.gradient(turned[:, 0], turned[:, 2])[0] / bound)
             frames[active] = turned
         return place
 
@@ -123,9 +116,8 @@ class Wells:
         least = np.nanmin(np.where(self.minimum, np.inf, self.potential), axis=1, initial=np.inf)[row]
         decided = self.listed[row] & np.isfinite(energy)
         above = decided & (energy >= least)
-        if above.any():
-            self.find_rims(np.unique(row[above]))
-            decided &= ~above | (energy < np.nanmax(self.rim[row], axis=1, initial=-np.inf))
+        self.find_rims(np.unique(row[above]))
+        decided &= ~above | (energy < np.nanmax(self.rim[row], axis=1, initial=-np.inf))
         well = np.where(decided & settled & self.minimum[row, place], place, -1)
         where = np.flatnonzero(decided & (well < 0))
         well[where] = self.descend(frames[where], row[where])
@@ -135,34 +127,22 @@ class Wells:
 
 def wells_of(system: Any, points: Points) -> tuple[Wells, Places]:
     """The wells of the bodies of some points of a Gyrostat, and the body of each; those of the last bodies are kept."""
-    names = [name for name, p in system.parameters.items() if not p.start and name != "damping"]
-    columns = [np.nan_to_num(points[name], nan=-1.0) for name in names]
-    varying = [column for column in columns if (column != column[:1]).any()]
-    key = np.stack(varying, -1) if varying else np.zeros((len(columns[0]), 1))
-    _, first, row = np.unique(key, axis=0, return_index=True, return_inverse=True)
-    unique = np.stack([points[name][first] for name in names])
-    return _wells(system, tuple(names), unique.tobytes()), row.ravel()
+    bodies, row = system.bodies_of({**points, "damping": np.zeros_like(points["damping"])})
+    return _wells(system, tuple(bodies), np.stack([*bodies.values()]).tobytes()), row
 
 
 @lru_cache(maxsize=1)
-def _wells(system: Gyrostat, names: Sequence[str], numbers: bytes) -> Wells:
+def _wells(system: Gyrostat, names: tuple[str, ...], numbers: bytes) -> Wells:
     """The wells of bodies with these parameters, (parameters, bodies)."""
-    columns = np.frombuffer(numbers).reshape(len(names), -1)
-    points = {name: np.full(columns.shape[1], p.default) for name, p in system.parameters.items()}
-    points |= dict(zip(names, columns, strict=True))
+    points = dict(zip(names, np.frombuffer(numbers).reshape(len(names), -1), strict=True))
     solutions = system.equilibria_of_bodies(points, stability=False)
-    body, gamma, index, circle = (
-        system.body(points),
-        solutions["gamma"],
-        solutions["index"],
-        solutions["circle"],
-    )
+    body, gamma, index, circle = system.body(points), *(solutions[n] for n in ("gamma", "index", "circle"))
     single = len(system.equations.FRAME_VECTORS) == 1
     alpha = 0.0 * gamma if single else solutions["alpha"]
-    frames = np.stack([alpha, np.cross(gamma, alpha), gamma], 2)
+    frames = frames_of(alpha, gamma)
     each = body.subset(np.arange(len(gamma))[:, None])
-    potential, hessian = each.potential(alpha, gamma), np.nan_to_num(each.gradient(alpha, gamma)[1])
-    values, directions = np.linalg.eigh(0.5 * (hessian + np.swapaxes(hessian, -1, -2)))
+    potential = each.potential(alpha, gamma)
+    values, directions = np.linalg.eigh(np.nan_to_num(each.hessian(alpha, gamma)))
     flat = np.abs(values) <= _FLAT * np.abs(values).max((1, 2), keepdims=True)
     # Turning the body about gamma changes nothing in a frame of one direction, nor does turning it along a circle.
     regular = flat.sum(-1) == circle.astype(int) + single
@@ -177,14 +157,13 @@ def _wells(system: Gyrostat, names: Sequence[str], numbers: bytes) -> Wells:
             axis[circle & still.symmetric_about(i)[:, None]] = np.eye(3)[i]
     listed = np.isin(solutions["completeness"], (Completeness.COMPLETE, Completeness.NOT_ISOLATED))
     listed &= (regular | (index < 0)).all(1) & (index >= 0).any(1)
-    turned = rotated(frames, np.nan_to_num(axis))
-    own, other = (described(x.reshape(-1, 3, 3), np.zeros(0)) for x in (frames, turned))
-    angles = {name: np.full(index.shape, np.nan) for name in ANGLES}
-    for name in ("theta0", "phi0") if single else ANGLES:
-        same = np.abs(np.sin(0.5 * (own[name] - other[name]))) < SETTLED
-        positive = own[name] + np.where(own[name] < -np.pi + SETTLED**2, 2 * np.pi, 0.0)
-        angles[name] = np.where(same, positive, np.nan).reshape(index.shape)
+    own, turned = described(frames), described(rotated(frames, np.nan_to_num(axis)))
+    angles = {}
+    for name in ANGLES:
+        same = np.abs(np.sin(0.5 * (own[name] - turned[name]))) < SETTLED
+        positive = own[name] + np.where(own[name] < SETTLED**2 - np.pi, 2 * np.pi, 0.0)
+        angles[name] = np.where(same, positive, np.nan)
     return Wells(
-        system, body, rate, single, frames, axis, angles, potential, index, minimum, directions[..., 0], settled, listed,
+        body, rate, single, frames, axis, angles, potential, index, minimum, directions[..., 0], settled, listed,
         np.full(index.shape, np.nan),
     )  # fmt: skip

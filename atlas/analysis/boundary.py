@@ -97,33 +97,29 @@ def theory_lines(scene: Scene, plane: xr.Dataset, dims: list[str], variable: str
 
 LINES_FOLDER, KEPT_PLANES = "lines", 200  # in the cache
 WORTH_KEEPING = 0.1  # seconds of tracing
-_TRACED: dict[str, Lines] = {}
 
 
 def _traced(trace: Callable[..., Lines], plane: Plane, **option: bool) -> Lines:
-    """Lines of a plane, also for later processes: tracing takes seconds, and maps and pages show the same planes."""
+    """Lines of a plane, kept in the cache: tracing takes seconds, and maps and pages show the same planes."""
     code = [Path(path).read_bytes() for path in (__file__, planes.__file__)], sources.code()
     scene = systems.origin(plane.scene.system), plane.scene.toml()
-    of = code, scene, plane.extent, plane.fixed, trace.__name__, option
-    name = hashlib.sha256(repr(of).encode()).hexdigest()[:32]
-    path = files.cache_folder() / LINES_FOLDER / f"{name}.json"
-    if name not in _TRACED:
-        try:
-            groups = files.unsealed(files.read_bytes(path))["lines"]
-            _TRACED[name] = {kind: [np.array(line) for line in lines] for kind, lines in groups.items()}
-        except (OSError, ValueError):
-            began = time.process_time()
-            _TRACED[name] = trace(plane, **option)
-            if time.process_time() - began > WORTH_KEEPING:
-                with suppress(OSError):
-                    path.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
-                    kept = {kind: [line.tolist() for line in lines] for kind, lines in _TRACED[name].items()}
-                    with files.atomic_write(path, durable=False) as temporary:
-                        temporary.write_text(files.sealed({"lines": kept}))
-                    files.remove_leftovers(path.parent)
-                    for old in sorted(path.parent.glob("*.json"), key=files.age)[KEPT_PLANES:]:
-                        old.unlink(missing_ok=True)
-    return _TRACED[name]
+    of = repr((code, scene, plane.extent, plane.fixed, trace.__name__, option))
+    path = files.cache_folder() / LINES_FOLDER / f"{hashlib.sha256(of.encode()).hexdigest()[:32]}.json"
+    with suppress(OSError, ValueError):
+        kept = files.unsealed(files.read_bytes(path))["lines"]
+        return {kind: [np.array(line) for line in group] for kind, group in kept.items()}
+    began = time.process_time()
+    lines = trace(plane, **option)
+    if time.process_time() - began > WORTH_KEEPING:
+        with suppress(OSError):
+            path.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
+            content = {kind: [line.tolist() for line in group] for kind, group in lines.items()}
+            with files.atomic_write(path, durable=False) as temporary:
+                temporary.write_text(files.sealed({"lines": content}))
+            files.remove_leftovers(path.parent)
+            for old in sorted(path.parent.glob("*.json"), key=files.age)[KEPT_PLANES:]:
+                old.unlink(missing_ok=True)
+    return lines
 
 
 # Samples along each axis before refinement: even, as SAMPLES.
@@ -136,7 +132,7 @@ ANNOUNCED = 0.3
 TRACING = "tracing the lines of theory, which later maps of this plane use again: some seconds"
 # Bisections of a vertex: on two axes to about 1e-5 of each, on one axis to less.
 BISECTIONS, LINE_BISECTIONS = 5, 17
-# Cells that a line is first assumed to cross straight, and cells by which it may differ from a straight line there.
+# Vertices of the stretches into which a line is first divided, and cells by which a straight one may differ from its chord.
 STRETCH, FLATNESS = 16, 0.05
 
 STABILITY = "stability limit"
@@ -218,27 +214,22 @@ def _bisected_lines(
     low, high = np.floor(halfway + 0.25), np.ceil(halfway - 0.25)
     at_low = values[tuple(low.astype(int).T)] > level
     vertices = np.full(halfway.shape, np.nan)
-    knots = [np.append(np.arange(i, j - 1, STRETCH), j - 1) for i, j in pairwise(starts)]
+    # At least two stretches, since a ring ends where it begins.
+    knots = [np.unique(np.linspace(i, j - 1, 3 + (j - i) // STRETCH, dtype=int)) for i, j in pairwise(starts)]
     first, last = (np.concatenate([line[part] for line in knots]) for part in (np.s_[:-1], np.s_[1:]))
     new = np.concatenate(knots)
     while new.size:
         vertices[new] = _bisected(is_above, at_low[new], low[new], high[new], bisections)
         long = last - first > 1
         first, last = first[long], last[long]
-        chord = (vertices[last] - vertices[first])[:, np.newaxis]
-        with np.errstate(invalid="ignore"):  # of a ring
-            normal = chord[..., ::-1] * [-1, 1] / np.linalg.norm(chord, axis=-1, keepdims=True)
-        between = np.minimum(first[:, np.newaxis] + np.arange(1, STRETCH), last[:, np.newaxis])
-        offset = ((halfway[between] - vertices[first][:, np.newaxis]) * normal).sum(-1)
-        straight = (np.abs(offset) < 0.5 + FLATNESS).all(-1)  # a straight line is within half a cell
-        if straight.any():
-            places = (vertices[first][:, np.newaxis] + chord * [[0.25], [0.5], [0.75]])[
-                straight, :, np.newaxis
-            ]
-            sides = places + FLATNESS * np.stack([-normal, normal], 2)[straight]
-            above = is_above(np.clip(sides, 0, np.array(values.shape) - 1).reshape(-1, 2)).reshape(-1, 3, 2)
-            straight[straight] = (above[..., 0] != above[..., 1]).all(1)
-        first, last = first[~straight], last[~straight]
+        if first.size:
+            start, chord = vertices[first], vertices[last] - vertices[first]
+            normal = chord[:, ::-1] * [-1, 1] / np.maximum(np.hypot(*chord.T), FLATNESS)[:, np.newaxis]
+            places = product((0.25, 0.5, 0.75), (-FLATNESS, FLATNESS))
+            beside = np.concatenate([start + along * chord + across * normal for along, across in places])
+            above = is_above(np.clip(beside, 0, np.array(values.shape) - 1)).reshape(3, 2, -1)
+            bent = (above[:, 0] == above[:, 1]).any(0)
+            first, last = first[bent], last[bent]
         new = (first + last) // 2
         first, last = np.append(first, new), np.append(new, last)
     kept = np.isfinite(vertices[:, 0])
@@ -259,10 +250,8 @@ def _bisected(is_above: Callable[[Array], Mask], at_low: Mask, low: Array, high:
 def _refined_samples(classes: Callable[[Array], Classes]) -> Classes:
     """Classes on a fine grid over two axes, evaluated only where they change, (samples, samples)."""
     count, steps = COARSE_SAMPLES, np.linspace(0, 1, COARSE_SAMPLES)
-    positions, began = (
-        np.stack(np.meshgrid(steps, steps, indexing="ij"), -1).reshape(-1, 2),
-        time.process_time(),
-    )
+    positions = np.stack(np.meshgrid(steps, steps, indexing="ij"), -1).reshape(-1, 2)
+    began = time.process_time()
     samples = {kind: column.reshape(count, count) for kind, column in classes(positions).items()}
     if time.process_time() - began > ANNOUNCED:
         compiling.say(TRACING)
@@ -272,18 +261,16 @@ def _refined_samples(classes: Callable[[Array], Classes]) -> Classes:
         count = DIVISION * (count - 1) + 1
         nearest = np.rint(np.arange(count) / DIVISION).astype(int)
         samples = {kind: column[np.ix_(nearest, nearest)] for kind, column in samples.items()}
-        known, coarse = np.zeros((count, count), bool), evaluated
-        known[::DIVISION, ::DIVISION] = True
-        evaluated = np.zeros((count, count), bool)
+        coarse, evaluated = evaluated, np.zeros((count, count), bool)
         evaluated[::DIVISION, ::DIVISION] = coarse
         while True:
-            # Coarse cells of which two known samples have different classes, edges included, and all their samples.
+            # Coarse cells of which two samples have different classes, edges included, and all their samples.
             changed = np.zeros(2 * [(count - 1) // DIVISION], bool)
             for column in samples.values():
-                if column.min() == column.max():
-                    continue
-                low, high = np.where(known, column, 127), np.where(known, column, -1)
-                changed |= _over_cells(low, np.minimum) != _over_cells(high, np.maximum)
+                if column.min() != column.max():
+                    window = 2 * [DIVISION + 1]
+                    cells = np.lib.stride_tricks.sliding_window_view(column, window)[::DIVISION, ::DIVISION]
+                    changed |= (cells != cells[..., :1, :1]).any((2, 3))
             blocks = np.repeat(np.repeat(changed, DIVISION, 0), DIVISION, 1)
             missing = np.zeros((count, count), bool)
             for x, y in product((0, 1), repeat=2):
@@ -294,17 +281,7 @@ def _refined_samples(classes: Callable[[Array], Classes]) -> Classes:
             for kind, column in classes(np.argwhere(missing) / (count - 1)).items():
                 samples[kind][missing] = column
             evaluated |= missing
-            known |= missing
     return samples
-
-
-def _over_cells(column: np.ndarray, reduce: np.ufunc) -> np.ndarray:
-    """Smallest or largest sample of each coarse cell, the samples on its edges included; (cells, cells)."""
-    for axis in (0, 1):
-        moved = np.moveaxis(column, axis, 0)
-        parts = [moved[i : len(moved) - DIVISION + i : DIVISION] for i in range(DIVISION)]
-        column = np.moveaxis(reduce.reduce([*parts, moved[DIVISION::DIVISION]]), 0, axis)
-    return column
 
 
 def _without_poles(

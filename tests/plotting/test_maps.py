@@ -777,7 +777,6 @@ def test_lines_are_kept_for_later_processes(small, tmp_path, monkeypatch, capsys
     monkeypatch.setenv("ATLAS_CACHE", str(tmp_path))
     for name in ("ANNOUNCED", "WORTH_KEEPING"):
         monkeypatch.setattr(boundary, name, 0.0)
-    monkeypatch.setattr(boundary, "_TRACED", {})
     with announced(True):
         lines = small.atlas.boundary()
     assert "tracing the lines of theory" in capsys.readouterr().err
@@ -790,13 +789,11 @@ def test_lines_are_kept_for_later_processes(small, tmp_path, monkeypatch, capsys
     traced: list[planes.Plane] = []
     trace.__name__ = "theory_borders"
     monkeypatch.setattr(boundary, "theory_borders", trace)
-    boundary._TRACED.clear()  # as in another process
     xr.testing.assert_identical(small.atlas.boundary(), lines)
     assert not traced
     small.isel(sigma=slice(1, None)).atlas.boundary()  # another plane
     assert len(traced) == 1
     kept.write_text(kept.read_text().replace("1", "2"))
-    boundary._TRACED.clear()
     assert small.atlas.boundary().sizes["vertex"] == 0
     assert len(traced) == 2
 

@@ -88,10 +88,17 @@ def theory_lines(scene: Scene, plane: xr.Dataset, dims: list[str], variable: str
     derived = scene.system.derived.get(variable)
     whole = Plane.of(scene, plane, dims)
     if derived is not None and derived.is_count and variable in plane:
-        return count_borders(whole, plane[variable], derived)
-    borders = dict(_traced(theory_borders, whole, inertial=variable.endswith("_inertial")))
+        counts = plane[variable].transpose(*dims)
+        values = [counts[dim].values.tobytes() for dim in dims]
+        return _traced(
+            lambda: count_borders(whole, counts, derived), whole, variable, counts.values.tobytes(), *values
+        )
+    inertial = variable.endswith("_inertial")
+    borders = _traced(lambda: theory_borders(whole, inertial=inertial), whole, inertial)
     if variable in RESONANCE_VARIABLES and variable in scene.system.derived and len(dims) == 2:
-        borders |= _traced(resonance_lines, whole, nonlinear=variable in (NONLINEAR, *NORMAL_FORM))
+        nonlinear = variable in (NONLINEAR, *NORMAL_FORM)
+        traced = _traced(lambda: resonance_lines(whole, nonlinear=nonlinear), whole, "resonances", nonlinear)
+        borders = borders | traced
     return borders
 
 
@@ -99,17 +106,17 @@ LINES_FOLDER, KEPT_PLANES = "lines", 200  # in the cache
 WORTH_KEEPING = 0.1  # seconds of tracing
 
 
-def _traced(trace: Callable[..., Lines], plane: Plane, **option: bool) -> Lines:
+def _traced(trace: Callable[[], Lines], plane: Plane, *what: object) -> Lines:
     """Lines of a plane, kept in the cache: tracing takes seconds, and maps and pages show the same planes."""
     code = [Path(path).read_bytes() for path in (__file__, planes.__file__)], sources.code()
     scene = systems.origin(plane.scene.system), plane.scene.toml()
-    of = repr((code, scene, plane.extent, plane.fixed, trace.__name__, option))
+    of = repr((code, scene, plane.extent, plane.fixed, what))
     path = files.cache_folder() / LINES_FOLDER / f"{hashlib.sha256(of.encode()).hexdigest()[:32]}.json"
     with suppress(OSError, ValueError):
         kept = files.unsealed(files.read_bytes(path))["lines"]
         return {kind: [np.array(line) for line in group] for kind, group in kept.items()}
     began = time.process_time()
-    lines = trace(plane, **option)
+    lines = trace()
     if time.process_time() - began > WORTH_KEEPING:
         with suppress(OSError):
             path.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
@@ -300,6 +307,7 @@ CHANGE = "change of the number"
 COUNT_BISECTIONS = 6  # of the distance between two neighbouring points of the atlas
 # Counts that change only where equilibria merge, so that Newton's method ends on the line.
 MERGING_COUNTS = ("equilibrium_count", "equilibrium_energy_stable_count")
+MANY_COUNTS = 300  # vertices, which take more than a second
 MERGING_BISECTIONS = 3  # nearer to the line counts take long
 
 
@@ -329,6 +337,8 @@ def count_borders(plane: Plane, counts: xr.DataArray, derived: DerivedVariable) 
     merging = derived.name in MERGING_COUNTS
     bisections = MERGING_BISECTIONS if merging else COUNT_BISECTIONS
     at_low = values[tuple(low.astype(int).T)] > level_of
+    if len(vertices) > MANY_COUNTS:
+        compiling.say(TRACING)
     vertices = _bisected(is_above, at_low, low, high, bisections)
     if merging and isinstance(system, Gyrostat):
         half = 0.5 ** (bisections + 1) * (high - low)

@@ -787,7 +787,6 @@ def test_lines_are_kept_for_later_processes(small, tmp_path, monkeypatch, capsys
         return {boundary.STABILITY: []}
 
     traced: list[planes.Plane] = []
-    trace.__name__ = "theory_borders"
     monkeypatch.setattr(boundary, "theory_borders", trace)
     xr.testing.assert_identical(small.atlas.boundary(), lines)
     assert not traced

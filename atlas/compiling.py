@@ -22,16 +22,20 @@ def compilation() -> Iterator[None]:
     global _began, _finished
     with _lock:
         _began = time.perf_counter()
-        announced = _announcers > 0
-    if announced:
-        clear_line = "\r\x1b[K" if sys.stderr.isatty() else ""
-        print(f"{clear_line}{ANNOUNCEMENT}", file=sys.stderr, flush=True)
+    say(ANNOUNCEMENT)
     try:
         yield
     finally:
         with _lock:
             _finished += time.perf_counter() - _began
             _began = None
+
+
+def say(announcement: str) -> None:
+    """Print a line on stderr if some part of the program asks for it."""
+    if _announcers:
+        clear_line = "\r\x1b[K" if sys.stderr.isatty() else ""
+        print(f"{clear_line}{announcement}", file=sys.stderr, flush=True)
 
 
 def announce(change: int) -> None:

@@ -249,6 +249,13 @@ def read_bytes(path: Path, most: int = MAX_JSON_BYTES) -> bytes:
     return content
 
 
+def cache_folder() -> Path:
+    """Folder of what later processes use again; the environment variable ATLAS_CACHE overrides the user's own."""
+    import platformdirs  # few commands need it
+
+    return Path(os.environ.get("ATLAS_CACHE") or platformdirs.user_cache_path("precession-atlas", False))
+
+
 def read_json(path: Path) -> dict[str, Any]:
     """Entries of a JSON file; ValueError if it is damaged or too large."""
     return parsed(read_bytes(path))

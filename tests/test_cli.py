@@ -14,6 +14,7 @@ import matplotlib.image
 import pytest
 import xarray as xr
 
+from atlas.analysis.boundary import LINES_FOLDER
 from atlas.cli import main, parser
 from atlas.jit import cache_folder
 from atlas.systems.satellite.system import SATELLITE
@@ -398,7 +399,9 @@ def test_conditions_and_version_and_cache(capsys, tmp_path, monkeypatch):
     assert "A = B" in capsys.readouterr().out
     monkeypatch.setenv("ATLAS_CACHE", str(tmp_path))
     assert main(["cache"]) == 0
+    (tmp_path / LINES_FOLDER).mkdir()
     assert main(["cache", "--clear"]) == 0
+    assert not (tmp_path / LINES_FOLDER).exists()
     assert "removed 0" in capsys.readouterr().out
 
 

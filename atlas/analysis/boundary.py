@@ -2,21 +2,27 @@
 
 from __future__ import annotations
 
+import hashlib
+import time
 from collections.abc import Callable, Collection, Mapping
+from contextlib import suppress
 from itertools import combinations, pairwise, product
+from pathlib import Path
 from typing import cast
 
 import contourpy
 import numpy as np
 import xarray as xr
 
+from .. import compiling, files, sources, systems
 from ..errors import BadInput, attribute_text
 from ..flags import Label, NonlinearStability, Stability
 from ..scene.model import Scene
-from ..systems.base import Array, DerivedVariable, Flags, Mask, Points, System, derived_values
+from ..systems.base import Array, DerivedVariable, Flags, Mask, Points, derived_values
 from ..systems.gyrostat import Gyrostat
 from ..systems.gyrostat.branches import Family, on_bifurcations
 from ..systems.gyrostat.variables import FREQUENCIES, NONLINEAR, NORMAL_FORM
+from . import plane as planes
 from .metadata import axes_of, flag_values, is_logarithmic, scene_of, system_of
 from .plane import SAMPLES, Plane
 from .select import plane_of
@@ -74,11 +80,6 @@ def boundary(
     )
 
 
-TRACED_PLANES = 32
-# Lines of the planes drawn last, because tracing takes seconds: a page and maps of several variables show the same ones.
-_TRACED: dict[tuple[System, str, str, str, str], Lines] = {}
-
-
 def theory_lines(scene: Scene, plane: xr.Dataset, dims: list[str], variable: str) -> Lines:
     """Borders of theory on a plane of an atlas by kind; BadInput if its dimensions are not the scene's."""
     for dim in dims:
@@ -87,22 +88,45 @@ def theory_lines(scene: Scene, plane: xr.Dataset, dims: list[str], variable: str
     derived = scene.system.derived.get(variable)
     whole = Plane.of(scene, plane, dims)
     if derived is not None and derived.is_count and variable in plane:
-        return count_borders(whole, plane[variable], derived)
-
-    def traced(lines: Callable[..., Lines], **option: bool) -> Lines:
-        """Lines of the plane, those of a plane drawn before if there are any."""
-        key = scene.system, scene.toml(), repr(whole.extent), repr(whole.fixed), repr(option)
-        if key not in _TRACED:
-            result = lines(whole, **option)
-            if len(_TRACED) >= TRACED_PLANES:
-                _TRACED.clear()
-            _TRACED[key] = result
-        return _TRACED[key]
-
-    borders = dict(traced(theory_borders, inertial=variable.endswith("_inertial")))
+        counts = plane[variable].transpose(*dims)
+        values = [counts[dim].values.tobytes() for dim in dims]
+        return _traced(
+            lambda: count_borders(whole, counts, derived), whole, variable, counts.values.tobytes(), *values
+        )
+    inertial = variable.endswith("_inertial")
+    borders = _traced(lambda: theory_borders(whole, inertial=inertial), whole, inertial)
     if variable in RESONANCE_VARIABLES and variable in scene.system.derived and len(dims) == 2:
-        borders |= traced(resonance_lines, nonlinear=variable in (NONLINEAR, *NORMAL_FORM))
+        nonlinear = variable in (NONLINEAR, *NORMAL_FORM)
+        traced = _traced(lambda: resonance_lines(whole, nonlinear=nonlinear), whole, "resonances", nonlinear)
+        borders = borders | traced
     return borders
+
+
+LINES_FOLDER, KEPT_PLANES = "lines", 200  # in the cache
+WORTH_KEEPING = 0.1  # seconds of tracing
+
+
+def _traced(trace: Callable[[], Lines], plane: Plane, *what: object) -> Lines:
+    """Lines of a plane, kept in the cache: tracing takes seconds, and maps and pages show the same planes."""
+    code = [Path(path).read_bytes() for path in (__file__, planes.__file__)], sources.code()
+    scene = systems.origin(plane.scene.system), plane.scene.toml()
+    of = repr((code, scene, plane.extent, plane.fixed, what))
+    path = files.cache_folder() / LINES_FOLDER / f"{hashlib.sha256(of.encode()).hexdigest()[:32]}.json"
+    with suppress(OSError, ValueError):
+        kept = files.unsealed(files.read_bytes(path))["lines"]
+        return {kind: [np.array(line) for line in group] for kind, group in kept.items()}
+    began = time.process_time()
+    lines = trace()
+    if time.process_time() - began > WORTH_KEEPING:
+        with suppress(OSError):
+            path.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
+            content = {kind: [line.tolist() for line in group] for kind, group in lines.items()}
+            with files.atomic_write(path, durable=False) as temporary:
+                temporary.write_text(files.sealed({"lines": content}))
+            files.remove_leftovers(path.parent)
+            for old in sorted(path.parent.glob("*.json"), key=files.age)[KEPT_PLANES:]:
+                old.unlink(missing_ok=True)
+    return lines
 
 
 # Samples along each axis before refinement: even, as SAMPLES.
@@ -110,8 +134,13 @@ COARSE_SAMPLES = 150
 # Cells that a line crosses are divided into 3 x 3, so often. An odd number leaves the middle of an extent, where
 # special values such as 0 often are, between two samples.
 DIVISION, LEVELS = 3, 2
+# Seconds of the first samples, from which the whole takes more than two.
+ANNOUNCED = 0.3
+TRACING = "tracing the lines of theory, which later maps of this plane use again: some seconds"
 # Bisections of a vertex: on two axes to about 1e-5 of each, on one axis to less.
 BISECTIONS, LINE_BISECTIONS = 5, 17
+# Vertices of the stretches into which a line is first divided, and cells by which a straight one may differ from its chord.
+STRETCH, FLATNESS = 16, 0.05
 
 STABILITY = "stability limit"
 LABEL = "precession limit"
@@ -157,12 +186,14 @@ def theory_borders(plane: Plane, *, inertial: bool = False) -> dict[str, list[np
         samples, bisections = _refined_samples(classes), BISECTIONS
     result = {}
     for kind, column in samples.items():
+        if not ((column == 1).any() and (column == 2).any()):
+            continue
         cells = len(column) - 1
 
-        def class_at(positions: Array, kind: str = kind, cells: int = cells) -> Flags:
-            return classes(positions / cells)[kind]
+        def is_above(positions: Array, kind: str = kind, cells: int = cells) -> Mask:
+            return np.asarray(classes(positions / cells)[kind] > 1)
 
-        lines, edges = _bisected_lines(np.where(column > 0, column, np.nan), 1.5, class_at, bisections)
+        lines, edges = _bisected_lines(np.where(column > 0, column, np.nan), 1.5, is_above, bisections)
         if kind in ZERO_RATES.values():
             (rate,) = (name for name, zero_kind in ZERO_RATES.items() if zero_kind == kind)
 
@@ -177,24 +208,48 @@ def theory_borders(plane: Plane, *, inertial: bool = False) -> dict[str, list[np
 
 
 def _bisected_lines(
-    values: Array, level: float, class_at: Callable[[Array], np.ndarray], bisections: int
+    values: Array, level: float, is_above: Callable[[Array], Mask], bisections: int
 ) -> tuple[list[Array], list[tuple[Array, Array]]]:
-    """Lines between samples on both sides of a level, bisected, and the samples on either side; all as indices (vertices, axes)."""
+    """Lines between samples on both sides of a level, bisected, and the samples on either side; all as indices (vertices, axes).
+
+    Only the ends of straight stretches are vertices: a stretch that is not straight within FLATNESS is halved.
+    """
     lines = _lines_at(values, level)
     if not lines:
         return [], []
-    positions, ends = np.concatenate(lines), np.cumsum([len(line) for line in lines])[:-1]
-    low, high = np.floor(positions + 0.25), np.ceil(positions - 0.25)
-    vertices = _bisected(class_at, low, high, bisections)
-    return np.split(vertices, ends), list(zip(np.split(low, ends), np.split(high, ends), strict=True))
+    halfway, starts = np.concatenate(lines), np.cumsum([0, *map(len, lines)])
+    low, high = np.floor(halfway + 0.25), np.ceil(halfway - 0.25)
+    at_low = values[tuple(low.astype(int).T)] > level
+    vertices = np.full(halfway.shape, np.nan)
+    # At least two stretches, since a ring ends where it begins.
+    knots = [np.unique(np.linspace(i, j - 1, 3 + (j - i) // STRETCH, dtype=int)) for i, j in pairwise(starts)]
+    first, last = (np.concatenate([line[part] for line in knots]) for part in (np.s_[:-1], np.s_[1:]))
+    new = np.concatenate(knots)
+    while new.size:
+        vertices[new] = _bisected(is_above, at_low[new], low[new], high[new], bisections)
+        long = last - first > 1
+        first, last = first[long], last[long]
+        if first.size:
+            start, chord = vertices[first], vertices[last] - vertices[first]
+            normal = chord[:, ::-1] * [-1, 1] / np.maximum(np.hypot(*chord.T), FLATNESS)[:, np.newaxis]
+            places = product((0.25, 0.5, 0.75), (-FLATNESS, FLATNESS))
+            beside = np.concatenate([start + along * chord + across * normal for along, across in places])
+            above = is_above(np.clip(beside, 0, np.array(values.shape) - 1)).reshape(3, 2, -1)
+            bent = (above[:, 0] == above[:, 1]).any(0)
+            first, last = first[bent], last[bent]
+        new = (first + last) // 2
+        first, last = np.append(first, new), np.append(new, last)
+    kept = np.isfinite(vertices[:, 0])
+    ends = np.cumsum(kept)[starts[1:-1] - 1]
+    edges = zip(np.split(low[kept], ends), np.split(high[kept], ends), strict=True)
+    return np.split(vertices[kept], ends), list(edges)
 
 
-def _bisected(class_at: Callable[[Array], np.ndarray], low: Array, high: Array, count: int) -> Array:
-    """Positions between low and high (vertices, axes), up to which the class is what it is at low."""
-    at_low = class_at(low)
+def _bisected(is_above: Callable[[Array], Mask], at_low: Mask, low: Array, high: Array, count: int) -> Array:
+    """Positions between low and high (vertices, axes), up to which a level is exceeded as it is at low."""
     for _ in range(count):
         middle = 0.5 * (low + high)
-        is_low = (class_at(middle) == at_low)[:, np.newaxis]
+        is_low = (is_above(middle) == at_low)[:, np.newaxis]
         low, high = np.where(is_low, middle, low), np.where(is_low, high, middle)
     return 0.5 * (low + high)
 
@@ -203,25 +258,26 @@ def _refined_samples(classes: Callable[[Array], Classes]) -> Classes:
     """Classes on a fine grid over two axes, evaluated only where they change, (samples, samples)."""
     count, steps = COARSE_SAMPLES, np.linspace(0, 1, COARSE_SAMPLES)
     positions = np.stack(np.meshgrid(steps, steps, indexing="ij"), -1).reshape(-1, 2)
+    began = time.process_time()
     samples = {kind: column.reshape(count, count) for kind, column in classes(positions).items()}
+    if time.process_time() - began > ANNOUNCED:
+        compiling.say(TRACING)
     evaluated = np.ones((count, count), bool)
     for _ in range(LEVELS):
         # Each fine sample begins with the class of the coarse one next to it, which holds unless a line is near.
         count = DIVISION * (count - 1) + 1
         nearest = np.rint(np.arange(count) / DIVISION).astype(int)
         samples = {kind: column[np.ix_(nearest, nearest)] for kind, column in samples.items()}
-        known, coarse = np.zeros((count, count), bool), evaluated
-        known[::DIVISION, ::DIVISION] = True
-        evaluated = np.zeros((count, count), bool)
+        coarse, evaluated = evaluated, np.zeros((count, count), bool)
         evaluated[::DIVISION, ::DIVISION] = coarse
         while True:
-            # Coarse cells of which two known samples have different classes, edges included, and all their samples.
+            # Coarse cells of which two samples have different classes, edges included, and all their samples.
             changed = np.zeros(2 * [(count - 1) // DIVISION], bool)
             for column in samples.values():
-                if column.min() == column.max():
-                    continue
-                low, high = np.where(known, column, 127), np.where(known, column, -1)
-                changed |= _over_cells(low, np.minimum) != _over_cells(high, np.maximum)
+                if column.min() != column.max():
+                    window = 2 * [DIVISION + 1]
+                    cells = np.lib.stride_tricks.sliding_window_view(column, window)[::DIVISION, ::DIVISION]
+                    changed |= (cells != cells[..., :1, :1]).any((2, 3))
             blocks = np.repeat(np.repeat(changed, DIVISION, 0), DIVISION, 1)
             missing = np.zeros((count, count), bool)
             for x, y in product((0, 1), repeat=2):
@@ -232,17 +288,7 @@ def _refined_samples(classes: Callable[[Array], Classes]) -> Classes:
             for kind, column in classes(np.argwhere(missing) / (count - 1)).items():
                 samples[kind][missing] = column
             evaluated |= missing
-            known |= missing
     return samples
-
-
-def _over_cells(column: np.ndarray, reduce: np.ufunc) -> np.ndarray:
-    """Smallest or largest sample of each coarse cell, the samples on its edges included; (cells, cells)."""
-    for axis in (0, 1):
-        moved = np.moveaxis(column, axis, 0)
-        parts = [moved[i : len(moved) - DIVISION + i : DIVISION] for i in range(DIVISION)]
-        column = np.moveaxis(reduce.reduce([*parts, moved[DIVISION::DIVISION]]), 0, axis)
-    return column
 
 
 def _without_poles(
@@ -261,6 +307,7 @@ CHANGE = "change of the number"
 COUNT_BISECTIONS = 6  # of the distance between two neighbouring points of the atlas
 # Counts that change only where equilibria merge, so that Newton's method ends on the line.
 MERGING_COUNTS = ("equilibrium_count", "equilibrium_energy_stable_count")
+MANY_COUNTS = 300  # vertices, which take more than a second
 MERGING_BISECTIONS = 3  # nearer to the line counts take long
 
 
@@ -289,7 +336,10 @@ def count_borders(plane: Plane, counts: xr.DataArray, derived: DerivedVariable) 
     system = plane.scene.system
     merging = derived.name in MERGING_COUNTS
     bisections = MERGING_BISECTIONS if merging else COUNT_BISECTIONS
-    vertices = _bisected(is_above, low, high, bisections)
+    at_low = values[tuple(low.astype(int).T)] > level_of
+    if len(vertices) > MANY_COUNTS:
+        compiling.say(TRACING)
+    vertices = _bisected(is_above, at_low, low, high, bisections)
     if merging and isinstance(system, Gyrostat):
         half = 0.5 ** (bisections + 1) * (high - low)
         below, above = (_interpolated(vertices + side * half, axes) for side in (-1, 1))

@@ -6,6 +6,7 @@ import argparse
 import json
 import re
 import shlex
+import shutil
 import time
 import tomllib
 from collections.abc import Sequence
@@ -184,7 +185,7 @@ def check_scene(options: argparse.Namespace) -> int:
 
 @command(
     "cache",
-    argument("--clear", action="store_true", help="remove them"),
+    argument("--clear", action="store_true", help="remove them, and the lines of theory of earlier maps"),
     argument(
         "--warm", nargs="*", metavar="SCENE", help="compile those of these scenes (default: of every example)"
     ),
@@ -210,6 +211,9 @@ def list_kernels(options: argparse.Namespace) -> int:
             seconds = time.perf_counter() - began - watch.seconds()
             say(f"{name}: " + (f"compiled in {seconds:.1f} s" if seconds > 0.01 else "nothing to compile"))
     if options.clear:
+        from ..analysis.boundary import LINES_FOLDER
+
+        shutil.rmtree(jit.cache_folder() / LINES_FOLDER, ignore_errors=True)
         say(f"removed {jit.clear()} kernels from {jit.cache_folder()}")
         return DONE
     files = jit.cached()

@@ -18,7 +18,6 @@ from typing import Any
 
 import numpy as np
 
-from .. import jit
 from ..errors import BadInput
 from ..systems import arithmetic
 from . import augmented, deviation, generated, kernel, observe, tangent
@@ -134,6 +133,8 @@ def source(
     `deviation` keeps the units of the caller. Raises BadInput for equations that cannot be differentiated,
     and if a first integral or a loss has the name of a function of the kernel.
     """
+    from .. import jit  # here, because what only draws atlases needs no compiler
+
     present = {"PLUGGED": plugs, "STROBED": getattr(equations, "STROBED", ())}
     absent = tuple(name for name, parts in present.items() if not parts)
     objects, sources, numbers = _reachable(of, plugs, absent)

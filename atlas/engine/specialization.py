@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from functools import cache
 from types import ModuleType
 
-from .. import jit
 from ..systems.base import System
 from . import assemble, deviation, observe, tangent
 from . import kernel as kernel_of_bodies
@@ -41,6 +40,8 @@ def source(
     of: ModuleType | None = None,
 ) -> str:
     """Text of the kernel of a system; plugs, of: see `assemble.source`."""
+    from .. import jit  # in each function: what only reads or draws atlases needs no compiler
+
     of = of or (observe if system.observables else kernel_of_bodies)
     zero, equal = specialization.zero, dict(specialization.equal)
     with jit.PARSING:
@@ -52,22 +53,31 @@ def kernel(
     system: System, method: str, specialization: Specialization = GENERIC, plugs: tuple[Plug, ...] = ()
 ) -> ModuleType:
     """The compiled module that integrates a system; compiled, or taken from the cache, at its first call."""
-    return jit.load(source(system, method, specialization, plugs))
+    return _loaded(source(system, method, specialization, plugs))
 
 
 @cache
 def tangent_kernel(system: System, specialization: Specialization = GENERIC) -> ModuleType:
     """The compiled module that integrates a system with a tangent vector."""
-    return jit.load(source(system, tangent.METHOD.name, specialization, of=tangent))
+    return _loaded(source(system, tangent.METHOD.name, specialization, of=tangent))
 
 
 @cache
 def kernel_hash(*sources: str) -> str:
     """Hashes of sources with compilers and processor type, recorded in every atlas."""
+    from .. import jit
+
     return "-".join(map(jit.digest, sources))
 
 
 @cache
 def deviation_kernel(system: System) -> ModuleType:
     """The compiled module of linear deviations from given motions of a system, see `deviation`."""
-    return jit.load(source(system, "rk4", of=deviation))
+    return _loaded(source(system, "rk4", of=deviation))
+
+
+def _loaded(text: str) -> ModuleType:
+    """The module of a kernel."""
+    from .. import jit
+
+    return jit.load(text)

@@ -1,4 +1,7 @@
-"""Processor time of the commands `atlas map` and `atlas page`, imports included, with warm caches.
+"""Processor time of the commands `atlas map` and `atlas page`, imports included.
+
+Of the first round, which may compile kernels and trace lines of theory that are not in the cache, and the best of those
+after it.
 
 python scripts/benchmarks/bench_drawing.py ATLAS ... [--rounds N] [--python OTHER/bin/python ...]
 
@@ -29,7 +32,7 @@ def processor_time(python: str, atlas: str, command: str, out: Path) -> float:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("atlases", nargs="+", metavar="ATLAS")
-    parser.add_argument("--rounds", type=int, default=3, help="after one that compiles")
+    parser.add_argument("--rounds", type=int, default=3, help="after the first")
     parser.add_argument("--python", action="append", default=[], help="another interpreter")
     options = parser.parse_args()
     pythons = [sys.executable, *options.python]
@@ -43,8 +46,8 @@ def main() -> None:
         for atlas in options.atlases:
             cases = [(python, atlas, command, Path(folder) / f"out.{kind}")
                      for command, kind in (("map", "png"), ("page", "html")) for python in pythons]  # fmt: skip
-            rounds = [[processor_time(*case) for case in cases] for _ in range(options.rounds + 1)][1:]
-            best = [f"{min(times):.2f}" for times in zip(*rounds, strict=True)]
+            rounds = [[processor_time(*case) for case in cases] for _ in range(options.rounds + 1)]
+            best = [f"{first:.2f} / {min(later):.2f}" for first, *later in zip(*rounds, strict=True)]
             print(f"| {Path(atlas).stem} | {' | '.join(best)} |", flush=True)
 
 

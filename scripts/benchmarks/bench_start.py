@@ -16,6 +16,7 @@ PROCESSES = 5  # one may have to compile the kernel, which does not alter the me
 CODE = """
 import os, sys, time
 import atlas
+from atlas import jit
 from atlas.engine import blocks
 from atlas.runs import runner
 

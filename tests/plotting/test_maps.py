@@ -20,6 +20,7 @@ import atlas
 from atlas import BadInput, load_scene
 from atlas.analysis import boundary, metadata, select
 from atlas.analysis import plane as planes
+from atlas.compiling import announced
 from atlas.errors import MAX_TEXT, printable
 from atlas.flags import Label
 from atlas.plotting import cells, content, maps, style, trajectory
@@ -770,6 +771,48 @@ def test_borders_of_the_quickstart_are_those_of_the_formulas():
     spin = 0.4 * (0.5 + n * cosine) + l3
     stiffness = (n**2 - 0.6 * 2.0) * (1 - cosine**2) + (2 * n * cosine - spin) ** 2
     np.testing.assert_allclose(stiffness, 0, atol=1e-3)
+
+
+def test_lines_are_kept_for_later_processes(small, tmp_path, monkeypatch, capsys):
+    monkeypatch.setenv("ATLAS_CACHE", str(tmp_path))
+    for name in ("ANNOUNCED", "WORTH_KEEPING"):
+        monkeypatch.setattr(boundary, name, 0.0)
+    with announced(True):
+        lines = small.atlas.boundary()
+    assert "tracing the lines of theory" in capsys.readouterr().err
+    (kept,) = (tmp_path / "lines").iterdir()
+
+    def trace(plane, inertial):
+        traced.append(plane)
+        return {boundary.STABILITY: []}
+
+    traced: list[planes.Plane] = []
+    monkeypatch.setattr(boundary, "theory_borders", trace)
+    xr.testing.assert_identical(small.atlas.boundary(), lines)
+    assert not traced
+    small.isel(sigma=slice(1, None)).atlas.boundary()  # another plane
+    assert len(traced) == 1
+    kept.write_text(kept.read_text().replace("1", "2"))
+    assert small.atlas.boundary().sizes["vertex"] == 0
+    assert len(traced) == 2
+
+
+def test_straight_lines_have_few_vertices_and_bent_ones_as_many_as_they_need():
+    """Stable inside a circle, and beyond a straight line."""
+
+    def theory(places, inertial=False):
+        x, y = places["x"], places["y"]
+        stable = (np.hypot(x - 0.3, y - 0.6) < 0.2) | (x + 0.3 * y > 0.9)
+        ones = np.ones(x.shape)
+        return planes.Theory(ones.astype(bool), np.where(stable, 1, 2), 2 * ones, {"n": ones, "m": ones})
+
+    line, circle = sorted(boundary.theory_borders(drawn_plane(theory, "xy"))[boundary.STABILITY], key=len)
+    np.testing.assert_allclose(line @ [1, 0.3], 0.9, atol=2e-5)
+    assert len(line) < 150
+    middles = 0.5 * (circle[1:] + circle[:-1])
+    for places in (circle, middles):
+        np.testing.assert_allclose(np.hypot(*(places - [0.3, 0.6]).T), 0.2, atol=6e-5)
+    assert len(circle) < 300
 
 
 def test_borders_reach_the_frame_of_coarse_maps(small):

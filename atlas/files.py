@@ -89,7 +89,7 @@ def _start(pid: int) -> int | None:
         return None
 
 
-def exists_message(path: Path) -> str:
+def exists_message(path: Path | str) -> str:
     """Message about a file that would have to be replaced."""
     return f"{path}: this file exists; {option('force', True)} replaces it"
 

@@ -64,7 +64,8 @@ def run_scene(options: argparse.Namespace) -> int:
         from ..runs.estimate import dry_run
 
         scene = read_scene(options.scene)
-        say(*dry_run(scene, threads=options.threads, workers=options.workers).split("\n"))
+        text = dry_run(scene, options.out or "", threads=options.threads, workers=options.workers)
+        say(*text.split("\n"))
         return DONE
     return _run(options, options.out or default_name(options.scene) + ".nc", ())
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 import errno
 import os
 import re
+import shutil
 import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
@@ -26,6 +27,7 @@ from ..files import (
     process_name,
     read_bytes,
     remove_leftovers,
+    temporary_path,
 )
 
 Stamp: TypeAlias = list[int | str]  # size and version of a content, which differ after a change
@@ -103,9 +105,19 @@ class Folder:
             return {entry.name for entry in os.scandir(self.path / folder)}
         return set()
 
+    def walk(self) -> list[str]:
+        """Names of all contents, also those of folders inside."""
+        return [path.relative_to(self.path).as_posix() for path in self.path.rglob("*") if path.is_file()]
+
     def remove(self, name: str) -> None:
         """Remove a content, if there is one."""
         (self.path / name).unlink(missing_ok=True)
+
+    def clear(self, last: str) -> None:
+        """Remove everything; on an object store what is removed last says what a part of it was."""
+        removed = temporary_path(self.path)
+        os.rename(self.path, removed)  # at once, so that a process at work cannot leave anything behind
+        shutil.rmtree(removed, ignore_errors=True)
 
     def stamps(self, folder: str = "") -> dict[str, Stamp]:
         """Stamps of the files of a folder by their names."""
@@ -178,9 +190,16 @@ class Objects:
             return True
         return False
 
+    def walk(self) -> list[str]:
+        return [each["path"].removeprefix(self.prefix) for each in self._call("list", "")]
+
     def remove(self, name: str) -> None:
         with suppress(FileNotFoundError):
             self._call("delete", name)
+
+    def clear(self, last: str) -> None:
+        self._call("delete", [name for name in self.walk() if name != last])
+        self.remove(last)
 
     def make(self) -> None:
         pass
@@ -203,12 +222,14 @@ class Objects:
     def zarr(self, package: Any) -> Any:
         return package.storage.ObjectStore(self.store, read_only=True)
 
-    def _call(self, function: str, name: str, *arguments: Any, **options: Any) -> Any:
+    def _call(self, function: str, name: str | list[str], *arguments: Any, **options: Any) -> Any:
         """Call a function of obstore; FileNotFoundError, FileExistsError or another OSError if it fails."""
         import obstore
 
+        place = self.prefix + name if isinstance(name, str) else [self.prefix + each for each in name]
         try:
-            return getattr(obstore, function)(self.store, self.prefix + name, *arguments, **options)
+            result = getattr(obstore, function)(self.store, place, *arguments, **options)
+            return result.collect() if function == "list" else result
         except obstore.exceptions.AlreadyExistsError:
             raise FileExistsError(errno.EEXIST, os.strerror(errno.EEXIST), name) from None
         except obstore.exceptions.BaseError as error:

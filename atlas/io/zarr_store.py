@@ -22,7 +22,7 @@ import numpy as np
 import xarray as xr
 
 from ..errors import BadInput
-from ..files import MIN_CLAIM, check_claim, one_line
+from ..files import MIN_CLAIM, check_claim, is_temporary, one_line
 from .storage import Folder, Storage, located, storage_at
 
 METADATA = "zarr.json"
@@ -132,17 +132,25 @@ def _plain(attributes: Mapping[Any, Any]) -> dict[str, Any]:
     }
 
 
-def is_whole(path: Path) -> bool:
-    """Whether a folder is a sealed store, in which nothing else is."""
+def is_store(path: Path | str) -> bool:
+    """Whether what `located` gives has the name of a store."""
+    return str(path).lower().endswith(SUFFIX)
+
+
+def is_whole(root: Storage) -> bool:
+    """Whether this is a sealed store, in which nothing else is."""
     try:
-        metadata = json.loads((path / METADATA).read_bytes())
+        metadata = json.loads(root.read(METADATA))
         names = {*metadata["consolidated_metadata"]["metadata"], RUN, METADATA}
-        files = [file.relative_to(path) for file in path.rglob("*") if file.is_file()]
-        return metadata["attributes"][SEAL] == _seal_of(metadata, (path / OBJECTS).read_bytes()) and all(
-            file.parts[0] in names and OWN.fullmatch(file.as_posix()) for file in files
-        )
+        sealed = metadata["attributes"][SEAL] == _seal_of(metadata, root.read(OBJECTS, MAX_OBJECT_BYTES))
+        return sealed and has_only_own(root) and {n.partition("/")[0] for n in root.walk()} <= names
     except (OSError, LookupError, TypeError, ValueError):
         return False
+
+
+def has_only_own(root: Storage) -> bool:
+    """Whether all contents have names of a store and of its run, or of temporary files."""
+    return all(OWN.fullmatch(name) or is_temporary(name.rpartition("/")[2]) for name in root.walk())
 
 
 def is_sealed(root: Storage) -> bool:

@@ -33,13 +33,14 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from ..errors import MAX_MESSAGE, MAX_TEXT, BadInput, printable
+from ..errors import MAX_MESSAGE, MAX_TEXT, BadInput, option, printable
 from ..files import (
     PROCESS_NAME,
     atomic_folder,
     check_folder,
     check_types,
     claim_path,
+    exists_message,
     is_temporary,
     one_line,
     parsed,
@@ -161,6 +162,8 @@ class RunFolder:
                 name not in own and not is_temporary(name) and not PROGRESS.fullmatch(name)
                 for name in root.names() | storage.names()
             ):
+                if zarr_store.is_whole(root):
+                    raise BadInput(exists_message(path))
                 raise BadInput(f"{path}: this folder contains something else: there is no {MANIFEST} in it")
             scene, kernel = plan.scene, plan.points.kernel_hash
             attributes = scene_provenance(scene, kernel, seconds=0.0, points=scene.size, warnings=warnings)
@@ -188,10 +191,13 @@ class RunFolder:
         return run
 
     @classmethod
-    def discard(cls, plan: ScenePlan, path: Path) -> None:
-        """Remove a folder with another scene's or version's run; BadInput if a process computes it."""
-        if not (path / MANIFEST).exists():
-            return
+    def discard(cls, plan: ScenePlan, path: Path | str) -> None:
+        """Remove another scene's or version's run, or a joined store; BadInput if a process computes it."""
+        root, storage = _storage(path)
+        if MANIFEST not in storage.names():
+            if root is not storage and zarr_store.is_whole(root):
+                root.clear(zarr_store.METADATA)
+            return  # `prepare` refuses anything else
         try:
             run = cls.open(path)
         except BadInput:
@@ -215,7 +221,8 @@ class RunFolder:
         different = differences(stored, current, "in the folder", "now")
         if different:
             raise BadInput(
-                f"{self.path}: holds another run; choose another name or remove it. It differs in {different}"
+                f"{self.path}: holds another run; choose another name, or {option('force', True)} replaces it. It differs in"
+                f" {different}"
             )
 
     def check_kept(self) -> None:
@@ -422,7 +429,7 @@ class RunFolder:
         # A file cannot be read while another one is written.
         ds = self.tiled_dataset() if self.scene.refine is None else self.dataset().load()
         try:
-            if out.suffix.lower() == zarr_store.SUFFIX:
+            if zarr_store.is_store(out):
                 zarr_store.zarr_package()
                 with atomic_folder(out) as temporary:
                     self.write_store(Folder(temporary), ds)
@@ -479,6 +486,14 @@ class RunFolder:
 
         The tiles go by one move, so that a process which still computes some cannot leave any behind.
         """
+        if self.is_store:
+            if not zarr_store.has_only_own(self.root):
+                raise BadInput(
+                    f"{self.path}: holds something else than a run; remove it or choose another name"
+                )
+            self.root.remove(zarr_store.METADATA)
+            self.root.clear(f"{zarr_store.RUN}/{MANIFEST}")
+            return
         path = Path(self.path)
         removed = temporary_path(path / MANIFEST)
         with suppress(OSError):
@@ -493,7 +508,7 @@ class RunFolder:
 def _storage(path: Path | str) -> tuple[Storage, Storage]:
     """Where a run is kept, and the part of it without the values of a Zarr store."""
     root = storage_at(path)
-    return root, root.inside(zarr_store.RUN) if str(path).lower().endswith(zarr_store.SUFFIX) else root
+    return root, root.inside(zarr_store.RUN) if zarr_store.is_store(path) else root
 
 
 def remove_empty(path: Path) -> None:

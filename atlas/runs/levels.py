@@ -111,7 +111,8 @@ class RefinedFolder(RunFolder):
 
     def remove(self) -> None:
         """Remove the run, the manifest last."""
-        Path(self.result).unlink(missing_ok=True)
+        if not self.is_store:
+            Path(self.result).unlink(missing_ok=True)
         super().remove()
 
 

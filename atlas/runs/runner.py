@@ -134,7 +134,8 @@ def run(
     progress : bool
         Print progress to stderr.
     force : bool
-        Replace an existing file.
+        Replace an existing file, or another run in the folder or store that no process computes. The run of this scene is
+        continued, because its values are the same.
     shard : (int, int), optional
         (i, n) computes only the i-th of n parts, counted from 1; needs a run folder. Of a refined scene a shard computes
         its part of each level first and then what others have not.
@@ -195,9 +196,9 @@ def run(
             )
     if path is None:
         return _run_in_memory(plan, warnings, threads, progress, execution.earlier)
+    if force:
+        RunFolder.discard(plan, path)
     if file is not None:
-        if force:
-            RunFolder.discard(plan, _folder_of(file))
         return _run_to_file(plan, file, warnings, execution, progress)
     folder = RunFolder.prepare(plan, path, warnings)
     _complete(folder, plan, execution, progress).close()
@@ -208,18 +209,18 @@ def run(
 def _destination(out: str | Path) -> tuple[Path | str, Path | None]:
     """Where a run is kept, and the path of an atlas that is one file; BadInput if it cannot be written."""
     place = located(out)
-    if isinstance(place, str):
-        if not place.lower().endswith(zarr_store.SUFFIX):
-            raise BadInput(f"{place}: on object storage the name must end in {zarr_store.SUFFIX}")
+    is_store = zarr_store.is_store(place)
+    if is_store:
         zarr_store.zarr_package()
+    if isinstance(place, str):
+        if not is_store:
+            raise BadInput(f"{place}: on object storage the name must end in {zarr_store.SUFFIX}")
         return place, None
     path = place if str(out).startswith("file:") else Path(out)
     check_name(path)
     may_be_folder = isinstance(out, Path) or path.is_dir()  # a Path cannot end in /
     is_folder = str(out).endswith("/") or (may_be_folder and not path.suffix) or (path / MANIFEST).exists()
-    if path.suffix.lower() == zarr_store.SUFFIX:
-        zarr_store.zarr_package()
-    elif not is_folder:
+    if not is_store and not is_folder:
         if path.suffix.lower() != ".nc":
             raise BadInput(
                 f"{path}: the name must end in .nc, for one file, in /, for a run folder, or in .zarr, for a Zarr store"

@@ -97,9 +97,7 @@ def refined_by(
     """
     scene = plan.scene
     assert scene.refine is not None
-    numbers = (
-        sum(variables(scene.system)[name].flags is None for name in scene.outputs) + len(scene.solve) + 1
-    )
+    numbers = sum(variables(scene.system)[name].flags is None for name in scene.outputs) + len(scene.solve)
     needed = scene.size * (8 * numbers + len(PREDICTED) + 5)
     memory = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
     if needed > memory:
@@ -143,7 +141,9 @@ class _FineGrid:
             if self.registry[name].flags is None and name not in ("growth_rate", *self.flags)
         }
         self.solved = {name: np.empty(scene.size) for name in scene.solve}
-        self.growth_rate = np.full(scene.size, np.nan)
+        self.growth_rates = {
+            name: np.full(scene.size, np.nan) for name in ("growth_rate",) if name in scene.outputs
+        }
         self.predicted = {name: np.zeros(scene.size, np.int8) for name in PREDICTED if name in self.registry}
         self.slowly_unstable = np.zeros(scene.size, bool)
         # Product of growth rate and duration above which all nudged unstable points but EXPECTED_MISSES drift. A nudge survives
@@ -177,7 +177,8 @@ class _FineGrid:
             # How long a motion about other axes lasts does not count here.
             plan = replace(self.plan, outputs=())
             prediction = theory.predict_runs(plan, points.subset(points.exists), threads=self.threads)
-            self.growth_rate[existing] = prediction.variables["growth_rate"]
+            for name, rates in self.growth_rates.items():
+                rates[existing] = prediction.variables[name]
             for name, flags in self.predicted.items():
                 flags[existing] = prediction.variables[name]
             unstable = prediction.variables["stable"] == Stability.UNSTABLE
@@ -252,8 +253,7 @@ class _FineGrid:
 
     def dataset(self) -> xr.Dataset:
         """The atlas without provenance."""
-        columns = dict[str, np.ndarray](self.numbers) | self.predicted | self.solved
-        columns["growth_rate"] = self.growth_rate
+        columns = dict[str, np.ndarray](self.numbers) | self.growth_rates | self.predicted | self.solved
         for name, values in zip(self.flags, _decode(self.flag_code.ravel(), self.flag_counts), strict=True):
             variable = self.registry[name]
             columns[name] = (values + variable.missing).astype(variable.dtype)
@@ -343,7 +343,7 @@ def _chunks(size: int) -> Iterator[slice]:
 
 def _encode(flags: Mapping[str, Flags], counts: Sequence[int]) -> np.ndarray:
     """Several flags of each point as one number; counts: how many values each flag has."""
-    kind = np.dtype("int16" if math.prod(counts) < 2**15 else "int32")
+    kind = np.min_scalar_type(-math.prod(counts))  # signed, and as short as may be
     code = np.zeros(1, kind)
     for values, count in zip(flags.values(), counts, strict=True):
         code = (code * count + values).astype(kind)

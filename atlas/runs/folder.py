@@ -469,7 +469,7 @@ class RunFolder:
             for offset in np.ndindex(*[b - a + 1 for a, b in zip(first, last, strict=True)]):
                 tile = int(np.ravel_multi_index(tuple(np.add(first, offset)), self.tiling.counts))
                 try:
-                    arrays = self.tiles.read(tile)
+                    arrays = self.tiles.read(tile, packed=True)
                 except (FileNotFoundError, DamagedTile) as error:
                     raise DamagedTile(f"tile {tile}: {error}") from None
                 in_box, in_tile = [], []

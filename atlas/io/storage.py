@@ -76,15 +76,11 @@ class Folder:
         with self.writing(name, durable=durable) as temporary:
             temporary.write_bytes(content)
 
-    def create(self, name: str, content: bytes, *, durable: bool = True) -> bool:
-        """Whether this call writes a content, because there was none; unless `durable` others may see a part of it."""
+    def create(self, name: str, content: bytes) -> bool:
+        """Whether this call writes a content, because there was none; others may see a part of it."""
         with suppress(FileExistsError):
-            if durable:
-                with atomic_write(self._place(name), exclusive=True) as temporary:
-                    temporary.write_bytes(content)
-            else:
-                with self._place(name).open("xb") as file:
-                    file.write(content)
+            with self._place(name).open("xb") as file:
+                file.write(content)
             return True
         return False
 
@@ -135,9 +131,10 @@ class Folder:
         """Seconds since a content was written, by the clock of the storage."""
         return age(self.path / name)
 
-    def remove_leftovers(self, folder: str = "") -> None:
-        """Remove temporary files of processes that were killed."""
-        remove_leftovers(self.path / folder)
+    def remove_leftovers(self) -> None:
+        """Remove temporary files of processes that were killed, also in folders inside."""
+        for folder, _, _ in os.walk(self.path):
+            remove_leftovers(Path(folder))
 
     def __str__(self) -> str:
         return str(self.path)
@@ -184,7 +181,7 @@ class Objects:
     def write(self, name: str, content: bytes, *, durable: bool = True) -> None:
         self._call("put", name, content)
 
-    def create(self, name: str, content: bytes, *, durable: bool = True) -> bool:
+    def create(self, name: str, content: bytes) -> bool:
         with suppress(FileExistsError):
             self._call("put", name, content, mode="create")
             return True
@@ -216,7 +213,7 @@ class Objects:
         written, now = (self._call("head", each)["last_modified"] for each in (name, "clock"))
         return float((now - written).total_seconds())
 
-    def remove_leftovers(self, folder: str = "") -> None:
+    def remove_leftovers(self) -> None:
         pass  # a put that was not finished leaves no object
 
     def zarr(self, package: Any) -> Any:
@@ -242,7 +239,7 @@ Storage: TypeAlias = Folder | Objects
 def claim(storage: Storage, name: str) -> bool:
     """Whether this process may do what a content stands for: it creates the content, or takes over one that expired."""
     process = process_name().encode()
-    if storage.create(name, process, durable=False):
+    if storage.create(name, process):
         return True
     if is_claimed(storage, name):
         return False

@@ -21,6 +21,7 @@ import math
 import os
 import re
 import shutil
+import time
 import tomllib
 from collections import Counter
 from collections.abc import Iterator, Mapping
@@ -39,7 +40,6 @@ from ..files import (
     atomic_folder,
     check_folder,
     check_types,
-    claim_path,
     exists_message,
     is_temporary,
     one_line,
@@ -51,7 +51,7 @@ from ..files import (
 )
 from ..io import netcdf, progress, zarr_store
 from ..io.netcdf import Block, scene_provenance
-from ..io.storage import Folder, Storage, located, storage_at
+from ..io.storage import Folder, Storage, claim, located, storage_at
 from ..scene import grid
 from ..scene.read import parse_scene
 from ..variables import variables
@@ -69,6 +69,10 @@ from .tiles import (
 
 FORMAT, OLDER_FORMAT = 3, 2  # with all tiles in one folder
 MANIFEST = "manifest.json"
+CREATION, CLAIM_POLL = (
+    "manifest.claim",
+    0.5,
+)  # claim of the process that creates it; seconds between two attempts
 FINAL_ATTRIBUTES = "notes.json"
 # As long as the longest name in a run folder, so that a path that is too long is refused before anything is computed.
 LONGEST_NAME = "tiles/" + 64 * "x"
@@ -157,7 +161,7 @@ class RunFolder:
                 if path.exists() and not path.is_dir():
                     raise BadInput(f"{path}: this is a file, not a run folder")
                 check_folder(path / MANIFEST if path.exists() else path)
-            own = {claim_path(Path(MANIFEST)).name, *([] if root is storage else [zarr_store.RUN])}
+            own = {CREATION, *([] if root is storage else [zarr_store.RUN])}
             if any(
                 name not in own and not is_temporary(name) and not PROGRESS.fullmatch(name)
                 for name in root.names() | storage.names()
@@ -181,8 +185,13 @@ class RunFolder:
             manifest["key"] = _key(manifest)
             root.make()
             storage.make()
-            # Another process may have created the manifest in the meantime; its folder is then checked below.
-            storage.create(MANIFEST, sealed(manifest).encode())
+            while MANIFEST not in storage.names():  # of several processes one creates it
+                if not claim(storage, CREATION):
+                    time.sleep(CLAIM_POLL)
+                    continue
+                if MANIFEST not in storage.names():
+                    storage.write(MANIFEST, sealed(manifest).encode())
+                storage.remove(CREATION)
         run = cls.open(path)
         run.check_same(plan)
         run.remove_leftovers()
@@ -275,13 +284,10 @@ class RunFolder:
         return TileFiles(self.storage.inside("tiles"), *rest, is_flat=self.is_flat)
 
     def remove_leftovers(self) -> None:
-        """Remove temporary files of processes that were killed."""
-        self.storage.remove_leftovers()
-        if self.is_store and isinstance(self.root, Folder):
-            for folder, _, _ in os.walk(self.root.path):
-                remove_leftovers(Path(folder))
+        """Remove temporary files and claims of processes that were killed."""
+        self.root.remove_leftovers()
         for tiles in self.tile_sets().values():
-            tiles.remove_leftovers()
+            tiles.remove_claims()
 
     def progress_text(self) -> str:
         """Number of the tiles that are written, as text; empty if the folder has been removed."""
@@ -498,9 +504,8 @@ class RunFolder:
         removed = temporary_path(path / MANIFEST)
         with suppress(OSError):
             os.rename(path / self.content, removed)
-        for folder in (removed, claim_path(path / MANIFEST)):
-            shutil.rmtree(folder, ignore_errors=True)
-        for file in [*path.glob("progress*.json"), path / FINAL_ATTRIBUTES, path / MANIFEST]:
+        shutil.rmtree(removed, ignore_errors=True)
+        for file in [*path.glob("progress*.json"), path / CREATION, path / FINAL_ATTRIBUTES, path / MANIFEST]:
             file.unlink(missing_ok=True)
         remove_empty(path)
 

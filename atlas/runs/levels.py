@@ -78,12 +78,6 @@ class RefinedFolder(RunFolder):
             number += 1
         return levels
 
-    def remove_leftovers(self) -> None:
-        """Remove temporary files of processes that were killed."""
-        super().remove_leftovers()
-        for level in self.levels():
-            level.storage.remove_leftovers()
-
     def tile_sets(self) -> dict[str, TileFiles]:
         """The tiles of each level by its name."""
         return {f"level {level.number}: ": level.tiles for level in self.levels()}
@@ -192,6 +186,6 @@ class Level:
         self.run.check_kept()
 
     def remove_leftovers(self) -> None:
-        """Remove temporary files of processes that were killed."""
+        """Remove temporary files and claims of processes that were killed."""
         self.storage.remove_leftovers()
-        self.tiles.remove_leftovers()
+        self.tiles.remove_claims()

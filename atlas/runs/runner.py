@@ -39,14 +39,24 @@ from ..validation import half_step
 from . import cluster, estimate, refine
 from .backend import open_atlas
 from .earlier import Earlier, evaluate_at
-from .folder import LONGEST_NAME, MANIFEST, RESULT, RunFolder, history_text, remove_empty, result_hash
+from .folder import (
+    CLAIM_POLL,
+    LONGEST_NAME,
+    MANIFEST,
+    RESULT,
+    RunFolder,
+    history_text,
+    remove_empty,
+    result_hash,
+)
 from .levels import Level, RefinedFolder
 from .plan import ScenePlan, differences, identity
 from .tiles import DamagedTile, TileFiles, tile_types
 
 MAX_DAMAGE_WARNINGS = 5
-# Seconds between the first and between later checks whether tiles that other processes compute are done.
-CLAIM_POLL, MAX_CLAIM_POLL = 0.5, 10.0
+MAX_CLAIM_POLL = (
+    10.0  # seconds between two checks whether tiles that other processes compute are done; first CLAIM_POLL
+)
 RUN_SUFFIX = ".run"  # of the folder in which an atlas of one file is computed
 Advance = Callable[[float], None]  # takes a number of finished points
 
@@ -383,12 +393,7 @@ def _is_result(plan: ScenePlan, path: Path | str) -> bool:
         return False
     # A dataset that a user derives from an atlas has its attributes but no checksums.
     whole = zarr_store.is_sealed(storage_at(located(path))) or checksums.are_in(Path(path))
-    return whole and result == _own_result_hash(plan)
-
-
-def _own_result_hash(plan: ScenePlan) -> str:
-    """Hash of the result of a scene as computed by this process."""
-    return result_hash(plan.scene.toml(), identity(plan.points))
+    return whole and result == result_hash(plan.scene.toml(), identity(plan.points))
 
 
 def _finished(plan: ScenePlan, path: Path) -> xr.Dataset:

@@ -267,11 +267,9 @@ class TileFiles:
         """Whether this process may compute a tile, which it claims: no other one that is at work does."""
         return claim(self.storage, self.name(tile, CLAIM))
 
-    def remove_leftovers(self) -> None:
-        """Remove temporary files and claims of processes that were killed."""
-        for part in self._parts():
-            folder = self._folder(part)
-            self.storage.remove_leftovers(folder)
+    def remove_claims(self) -> None:
+        """Remove the claims of processes that were killed."""
+        for folder in map(self._folder, self._parts()):
             for name in self.storage.names(folder):
                 if name.endswith(CLAIM) and not is_claimed(self.storage, folder + name):
                     with suppress(OSError):

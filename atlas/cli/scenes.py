@@ -107,18 +107,8 @@ def _run(options: argparse.Namespace, out: str, reuse: Sequence[str]) -> int:
     from ..runs.folder import HISTORY, TALLY
     from ..runs.runner import run
 
-    ds = run(
-        scene,
-        out,
-        threads=options.threads,
-        progress=not options.quiet,
-        force=options.force,
-        shard=shard,
-        scheduler=options.scheduler,
-        workers=options.workers,
-        stop_after=stop_after,
-        reuse=reuse,
-    )
+    given = {name: getattr(options, name) for name in ("threads", "force", "scheduler", "workers")}
+    ds = run(scene, out, progress=not options.quiet, shard=shard, stop_after=stop_after, reuse=reuse, **given)
     if HISTORY in ds.attrs:
         say(*(printable(line, MAX_MESSAGE) for line in str(ds.attrs[HISTORY]).split("\n")))
     if shard is None:

@@ -32,6 +32,7 @@ OBJECTS = f"{RUN}/objects.json"  # hashes of the objects of a store by their nam
 SEAL = "atlas_seal"  # attribute with a hash of the metadata of a store and of OBJECTS
 COMPRESSION_LEVEL = 3
 MAX_OBJECT_BYTES = 1 << 31
+MAX_WHOLE = 1 << 20  # values of a coordinate in one object, so that a store with a long axis opens at once
 # Files of a store of another run, or of another program.
 OWN = re.compile(rf"{RUN}/([\w/-]+\.(json|claim|pack|nc|bin)|clock)|[^/]+/(zarr\.json|c(/\d+)*)|zarr\.json")
 
@@ -91,6 +92,8 @@ def seal(
     for variable_name, variable in ds.variables.items():
         name, contents = str(variable_name), dict[str, Any]()
         own: Any = tuple(tuple(lengths[str(dim)][i] for dim in variable.dims) for i in range(3))
+        if name not in names and math.prod(own[0]) <= MAX_WHOLE:
+            own = (own[0],) * 3
         shape, _, tile = own
         attributes = variable.attrs | ({"coordinates": coordinates} if name in ds.data_vars else {})
         described = {"dimension_names": [*map(str, variable.dims)], "attributes": _plain(attributes)}

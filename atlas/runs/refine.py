@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 import os
 import sys
-from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from typing import ClassVar, TypeAlias
@@ -13,18 +12,14 @@ from typing import ClassVar, TypeAlias
 import numpy as np
 import xarray as xr
 
-from ..compiling import Stopwatch
 from ..errors import BadInput, say
 from ..flags import Stability
 from ..io import netcdf
-from ..io.netcdf import scene_provenance
 from ..label import theory
 from ..scene import grid
 from ..systems.base import Flags
 from ..validation import half_step
 from ..variables import COMPUTED, variables
-from .earlier import Earlier, evaluate_at
-from .folder import history_text
 from .levels import MAX_VALUES, MEASURED
 from .plan import ScenePlan
 
@@ -44,42 +39,6 @@ MAX_PREDICTED = 2**18
 
 
 def refined(
-    plan: ScenePlan,
-    warnings: list[str],
-    *,
-    threads: int | None = None,
-    progress: bool = True,
-    earlier: Sequence[Earlier] = (),
-) -> xr.Dataset:
-    """Compute the atlas of a scene that has [refine] in memory; see `refined_by`."""
-    reused, integrated, stopwatch = Counter[str](), 0, Stopwatch()
-
-    def integrate(indices: np.ndarray) -> Iterator[Part]:
-        nonlocal integrated
-        for first in range(0, indices.size, grid.MAX_POINTS_PER_TILE):
-            chunk = slice(first, first + grid.MAX_POINTS_PER_TILE)
-            values, points, taken = evaluate_at(
-                plan.points, plan.scene, indices[chunk], earlier, threads=threads
-            )
-            integrated += points
-            reused.update(taken)
-            yield chunk, values
-
-    ds = refined_by(integrate, plan, threads=threads, progress=progress)
-    return ds.assign_attrs(
-        scene_provenance(
-            plan.scene,
-            plan.points.kernel_hash,
-            seconds=stopwatch.seconds(),
-            points=integrated,
-            warnings=warnings,
-        )
-        | ds.attrs
-        | history_text(reused)
-    )
-
-
-def refined_by(
     integrate: Integrate, plan: ScenePlan, *, threads: int | None = None, progress: bool = True
 ) -> xr.Dataset:
     """Compute the atlas of a scene that has [refine], on its finest grid; its attributes are those stated here.
@@ -154,7 +113,7 @@ class _FineGrid:
             missed_without_growth = scene.settings.rate_tolerance / nudge * scene.size
             self.growth_needed = math.log(missed_without_growth / EXPECTED_MISSES)
         reason = np.empty(scene.size, np.int8)
-        for chunk in _chunks(scene.size):
+        for chunk in chunks(scene.size):
             reason[chunk] = self._predict(np.arange(chunk.start, chunk.stop))
         exists = reason == grid.Reason.NONE
         self.n_existing, self.n_integrated = int(exists.sum()), 0
@@ -335,7 +294,7 @@ def _subgrid(spacing: Sequence[int]) -> tuple[slice, ...]:
     return tuple(slice(None, None, step) for step in spacing)
 
 
-def _chunks(size: int) -> Iterator[slice]:
+def chunks(size: int) -> Iterator[slice]:
     """Slices that cut a range of indices into pieces of at most grid.MAX_POINTS_PER_TILE."""
     for first in range(0, size, grid.MAX_POINTS_PER_TILE):
         yield slice(first, min(first + grid.MAX_POINTS_PER_TILE, size))

@@ -199,11 +199,6 @@ def run(
         execution.earlier.append(Earlier.of(each, scene))
     warnings = [*grid.warnings(scene, plan.sample), *plan.chaos_warnings()]
     log_warnings(warnings)
-    if path is None and scene.refine is not None:
-        with announced(progress):
-            return refine.refined(
-                plan, warnings, threads=threads, progress=progress, earlier=execution.earlier
-            )
     if path is None:
         return _run_in_memory(plan, warnings, threads, progress, execution.earlier)
     if force:
@@ -318,7 +313,7 @@ def _compute_levels(
             except DamagedTile as error:
                 raise OSError(f"{level.storage}: tile {tile}: {error}; run the scene again") from None
 
-    ds = refine.refined_by(integrate, plan, threads=execution.threads, progress=progress)
+    ds = refine.refined(integrate, plan, threads=execution.threads, progress=progress)
     folder.save_result(ds.assign_attrs(folder.provenance()[0] | ds.attrs))
 
 
@@ -419,17 +414,34 @@ def _run_in_memory(
     plan: ScenePlan, warnings: list[str], threads: int | None, progress: bool, earlier: Sequence[Earlier]
 ) -> xr.Dataset:
     """Compute an atlas without a run folder."""
-    scene = plan.scene
-    bar = Progress(scene.size, show=progress)
-    try:
-        columns, reused = columns_of(plan, bar, threads, earlier)
-    finally:
-        bar.close()
+    scene, points, stopwatch, reused = plan.scene, 0, Stopwatch(), Counter[str]()
+
+    def integrate(indices: np.ndarray) -> Iterator[refine.Part]:
+        nonlocal points
+        for chunk in refine.chunks(indices.size):
+            values, computed, taken = evaluate_at(
+                plan.points, scene, indices[chunk], earlier, threads=threads
+            )
+            points += computed
+            reused.update(taken)
+            yield chunk, values
+
+    if scene.refine is not None:
+        with announced(progress):
+            ds = refine.refined(integrate, plan, threads=threads, progress=progress)
+    else:
+        bar = Progress(scene.size, show=progress)
+        try:
+            columns, reused = columns_of(plan, bar, threads, earlier)
+        finally:
+            bar.close()
+        ds, points = netcdf.dataset(scene, columns), scene.size
     attributes = scene_provenance(
-        scene, plan.points.kernel_hash, seconds=bar.stopwatch.seconds(), points=scene.size, warnings=warnings
+        scene, plan.points.kernel_hash, seconds=stopwatch.seconds(), points=points, warnings=warnings
     )
-    attributes |= half_step.half_step_sample(plan.scene, plan.points, threads=threads)
-    return netcdf.dataset(scene, columns).assign_attrs(attributes | history_text(reused))
+    if scene.refine is None:
+        attributes |= half_step.half_step_sample(scene, plan.points, threads=threads)
+    return ds.assign_attrs(attributes | ds.attrs | history_text(reused))
 
 
 def columns_of(
@@ -557,7 +569,7 @@ def _compute_in_threads(job: _Job, bar: Progress, plan: ScenePlan) -> None:
             with lock:  # tiles overlap: each takes the time since the one before it ended
                 now = stopwatch.seconds()
                 seconds, last_end = now - last_end, now
-            folder.check_kept()
+            folder.run.check_kept()
             folder.tiles.write(tile, columns, computed=computed, seconds=seconds, by=by, reused=reused)
         bar.skip(folder.tiling.size_of(tile) - computed + reused.total())
 
@@ -596,7 +608,7 @@ def compute_tile(path: str, number: int | None, key: str, tile: int, reuse: tupl
         columns, computed, reused = evaluate_at(
             plan, folder.scene, folder.indices(tile), earlier, threads=1, progress=lambda points: keep()
         )
-        folder.check_kept()
+        folder.run.check_kept()
         tiles.write(
             tile, columns, computed=computed, seconds=stopwatch.seconds(), by="dask workers", reused=reused
         )

@@ -13,6 +13,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
+from functools import cached_property
 from itertools import chain, groupby
 from pathlib import Path
 from typing import Any, Literal
@@ -75,7 +76,7 @@ def tile_types(scene: Scene) -> dict[str, str]:
 def computed_counts(columns: Mapping[str, np.ndarray]) -> set[int]:
     """Number of points that are computed, by each variable that shows it."""
     return {
-        columns[name].size - int(np.isin(columns[name], flags).sum())
+        columns[name].size - sum(np.count_nonzero(columns[name] == flag) for flag in flags)
         for name, flags in MISSING.items()
         if name in columns
     }
@@ -387,7 +388,8 @@ class TileFiles:
             unread = [tile for tile in wanted if tile in stamps and tile not in whole]
             batches = [unread[first : first + STATUS_BATCH] for first in range(0, len(unread), STATUS_BATCH)]
             with ThreadPoolExecutor(threads) as pool:
-                for batch, results in zip(batches, pool.map(self._checked_batch, batches), strict=True):
+                checked = pool.map(lambda batch: [*map(self._checked, batch)], batches)
+                for batch, results in zip(batches, checked, strict=True):
                     for tile, result in zip(batch, results, strict=True):
                         if isinstance(result, DamagedTile):
                             status.damaged[tile] = str(result)
@@ -461,10 +463,6 @@ class TileFiles:
         if sidecar["points"] != self.tiling.size_of(tile):
             raise DamagedTile("it contains points that are not computed")
         return sidecar
-
-    def _checked_batch(self, tiles: Iterable[int]) -> list[dict[str, Any] | Exception]:
-        """`_checked` of some tiles."""
-        return list(map(self._checked, tiles))
 
     def _checked(self, tile: int) -> dict[str, Any] | Exception:
         """The sidecar of a tile, or the error on reading it; a file that has its hash was read back by `write`."""
@@ -581,7 +579,7 @@ class Tiling:
         ]
         return Tiling(self.shape, tuple(lengths))
 
-    @property
+    @cached_property
     def counts(self) -> tuple[int, ...]:
         """Number of tiles along each axis."""
         return tuple(-(-count // length) for count, length in zip(self.shape, self.tile, strict=True))

@@ -20,7 +20,6 @@ import logging
 import math
 import os
 import re
-import shutil
 import time
 import tomllib
 from collections import Counter
@@ -46,7 +45,6 @@ from ..files import (
     parsed,
     remove_leftovers,
     sealed,
-    temporary_path,
     unsealed,
 )
 from ..io import netcdf, progress, zarr_store
@@ -296,10 +294,8 @@ class RunFolder:
             if not self.path.is_dir():
                 return ""
             path = os.path.relpath(self.path)
-        written, count = (
-            sum(tiles.written_count() for tiles in sets),
-            sum(tiles.tiling.count for tiles in sets),
-        )
+        written = sum(tiles.written_count() for tiles in sets)
+        count = sum(tiles.tiling.count for tiles in sets)
         return f"{written} of {count} tiles are in {path if path[0] != '.' else self.path}/"
 
     def status(self) -> str:
@@ -501,10 +497,8 @@ class RunFolder:
             self.root.clear(f"{zarr_store.RUN}/{MANIFEST}")
             return
         path = Path(self.path)
-        removed = temporary_path(path / MANIFEST)
         with suppress(OSError):
-            os.rename(path / self.content, removed)
-        shutil.rmtree(removed, ignore_errors=True)
+            self.storage.inside(self.content).clear("")
         for file in [*path.glob("progress*.json"), path / CREATION, path / FINAL_ATTRIBUTES, path / MANIFEST]:
             file.unlink(missing_ok=True)
         remove_empty(path)

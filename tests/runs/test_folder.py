@@ -465,7 +465,7 @@ def test_a_process_whose_folder_is_removed_says_so(
         rmtree(folder, **options)
 
     monkeypatch.setattr(earlier, "evaluate", remove_first)
-    monkeypatch.setattr(folder.shutil, "rmtree", tile_in_between)
+    monkeypatch.setattr(shutil, "rmtree", tile_in_between)
     for replaced in (False, True):
         with pytest.raises(OSError, match="another process has removed this run while it was computed"):
             atlas.run(scene, f"{tmp_path}/{out}", progress=False, threads=1)

@@ -140,8 +140,9 @@ class Level:
 
     def key_with(self, identity: dict[str, str]) -> str:
         """Key of this level if programs and processors of another identity computed it."""
-        run, points = self.run.key_with(identity), hashlib.sha256(self.points.astype("<i8")).hexdigest()
-        return hash_of({"run": run, "level": self.number, "before": self.before, "points": points})
+        run, points = self.run.key_with(identity), hashlib.sha256(self.points.astype("<i8").tobytes())
+        content = {"run": run, "level": self.number, "before": self.before, "points": points.hexdigest()}
+        return hash_of(content)
 
     def tiles_with(self, key: str) -> TileFiles:
         """The tiles of this level if it had this key."""

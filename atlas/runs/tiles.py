@@ -76,7 +76,7 @@ def tile_types(scene: Scene) -> dict[str, str]:
 def computed_counts(columns: Mapping[str, np.ndarray]) -> set[int]:
     """Number of points that are computed, by each variable that shows it."""
     return {
-        columns[name].size - sum(np.count_nonzero(columns[name] == flag) for flag in flags)
+        columns[name].size - sum(int(np.count_nonzero(columns[name] == flag)) for flag in flags)
         for name, flags in MISSING.items()
         if name in columns
     }
@@ -332,7 +332,7 @@ class TileFiles:
         content, shape, head = contents[""], self.tiling.shape_of(tile), b""
         if content.startswith(b"CDF"):  # each tile opened by the library would take three times as long
             end, arrays = len(content), dict[str, np.ndarray]()
-            for name, dtype in reversed(self.types.items()):  # the file ends with the values
+            for name, dtype in [*self.types.items()][::-1]:  # the file ends with the values
                 kind, count = np.dtype(dtype).newbyteorder(">"), math.prod(shape)
                 end -= -(-count * kind.itemsize // 4) * 4
                 arrays[name] = np.frombuffer(content, kind, count, end).reshape(shape)

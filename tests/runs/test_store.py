@@ -238,13 +238,20 @@ def test_packs_spare_reading_files_that_did_not_change(scene_text, tmp_path, mon
     run = RunFolder.open(tmp_path / "run")
     assert run.tiles.status().done == list(range(9))
     checked = []
-    whole_check = tiles.TileFiles._checked
+    whole_check, whole_sidecar = tiles.TileFiles._checked, tiles.TileFiles._sidecar
     monkeypatch.setattr(
         tiles.TileFiles, "_checked", lambda self, tile: checked.append(tile) or whole_check(self, tile)
     )
     assert run.tiles.status().done == list(range(9))
     assert run.dataset().encoding
     assert checked == []
+    sidecars = []
+    monkeypatch.setattr(tiles.TileFiles, "_sidecar", lambda self, tile: sidecars.append(tile))
+    run.join(tmp_path / "packed.nc")
+    assert sidecars == []
+    with atlas.open_atlas(tmp_path / "packed.nc") as joined:
+        assert_same_bytes(atlas.run(scene, progress=False), joined)
+    monkeypatch.setattr(tiles.TileFiles, "_sidecar", whole_sidecar)
     content = bytearray(run.tiles.path(5).read_bytes())
     content[-9] ^= 1
     run.tiles.path(5).write_bytes(content)

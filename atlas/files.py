@@ -89,17 +89,17 @@ def _start(pid: int) -> int | None:
         return None
 
 
-def exists_message(path: Path) -> str:
+def exists_message(path: Path | str) -> str:
     """Message about a file that would have to be replaced."""
     return f"{path}: this file exists; {option('force', True)} replaces it"
 
 
 @contextmanager
-def atomic_write(path: Path, *, exclusive: bool = False, durable: bool = True) -> Iterator[Path]:
+def atomic_write(path: Path, *, durable: bool = True) -> Iterator[Path]:
     """Give a temporary name, whose file appears at `path` whole or not at all, if `durable` also after a power cut.
 
     It is a new, empty file in the folder of `path` with the permissions of any new file, never a link that
-    somebody else put there. An existing `path` is replaced, or if `exclusive` kept with FileExistsError.
+    somebody else put there. An existing `path` is replaced.
     """
     temporary = temporary_path(path)
     os.close(os.open(temporary, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW, 0o666))
@@ -107,15 +107,7 @@ def atomic_write(path: Path, *, exclusive: bool = False, durable: bool = True) -
         yield temporary
         if durable:
             _sync(temporary)
-        if exclusive:
-            try:
-                os.link(temporary, path)
-            except FileExistsError:
-                raise
-            except OSError:  # exFAT and some network file systems have no hard links
-                _claim(temporary, path)
-        else:
-            os.replace(temporary, path)
+        os.replace(temporary, path)
         if durable:
             _sync(path.parent)  # the new name too must reach the disk
     finally:
@@ -144,41 +136,6 @@ def atomic_folder(path: Path) -> Iterator[Path]:
             os.rename(old, path)
         for folder in (temporary, old):
             shutil.rmtree(folder, ignore_errors=True)
-
-
-def _claim(temporary: Path, path: Path) -> None:
-    """Give a file the name `path` on a file system without hard links; FileExistsError if there is one of that name.
-
-    A folder moved onto one that is not empty fails everywhere, so that the first process to move its folder
-    to `claim_path(path)` is the only one. Its file stays there, and every process copies it to `path`: if the
-    first one is killed in between, the next one finishes.
-    """
-    claim = claim_path(path)
-    folder = temporary_path(path)
-    folder.mkdir()
-    try:
-        os.replace(temporary, folder / path.name)
-        if path.exists():
-            raise FileExistsError(errno.EEXIST, os.strerror(errno.EEXIST), str(path))
-        try:
-            os.rename(folder, claim)
-            first = True
-        except OSError:
-            first = False
-            if not claim.is_dir():
-                raise
-        if not path.exists():
-            with atomic_write(path) as copy:
-                copy.write_bytes((claim / path.name).read_bytes())
-        if not first:
-            raise FileExistsError(errno.EEXIST, os.strerror(errno.EEXIST), str(path))
-    finally:
-        shutil.rmtree(folder, ignore_errors=True)
-
-
-def claim_path(path: Path) -> Path:
-    """Folder that decides, where there are no hard links, which process creates `path`."""
-    return path.with_name(f".{path.name}.first")
 
 
 def age(path: Path) -> float:
@@ -254,11 +211,6 @@ def cache_folder() -> Path:
     import platformdirs  # few commands need it
 
     return Path(os.environ.get("ATLAS_CACHE") or platformdirs.user_cache_path("precession-atlas", False))
-
-
-def read_json(path: Path) -> dict[str, Any]:
-    """Entries of a JSON file; ValueError if it is damaged or too large."""
-    return parsed(read_bytes(path))
 
 
 def parsed(text: bytes) -> dict[str, Any]:

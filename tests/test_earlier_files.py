@@ -51,7 +51,9 @@ def test_an_earlier_file_is_opened_mapped_and_compared(folder, name):
 def test_an_unfinished_run_of_an_earlier_version_is_not_continued(folder, capsys):
     scene = load_scene(atlas.open_atlas(folder / "unfinished").attrs["atlas_scene"])
     before = sorted(path.name for path in (folder / "unfinished").rglob("*"))
-    with pytest.raises(BadInput, match="holds another run; choose another name or remove it") as error:
+    with pytest.raises(
+        BadInput, match="holds another run; choose another name, or force=True replaces it"
+    ) as error:
         atlas.run(scene, folder / "unfinished", progress=False)
     assert "\n" not in str(error.value)
     assert sorted(path.name for path in (folder / "unfinished").rglob("*")) == before

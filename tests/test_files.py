@@ -1,7 +1,5 @@
 """Files appear whole or not at all, under names that fit, and never through somebody else's link."""
 
-import errno
-import multiprocessing
 import os
 import subprocess
 import sys
@@ -62,63 +60,6 @@ def test_a_planted_link_is_not_followed(tmp_path, monkeypatch):
     with pytest.raises(FileExistsError), atomic_write(tmp_path / "a") as temporary:
         temporary.write_text("overwritten")
     assert victim.read_text() == "kept"
-
-
-@pytest.mark.parametrize("links", [True, False])
-def test_exclusive_creation_keeps_the_first_file(tmp_path, monkeypatch, links):
-    if not links:
-
-        def refuse(*arguments):
-            raise OSError(errno.EPERM, os.strerror(errno.EPERM))
-
-        monkeypatch.setattr(files.os, "link", refuse)
-    contents = []
-    for content in ("first", "second"):
-        try:
-            with atomic_write(tmp_path / "a", exclusive=True) as temporary:
-                temporary.write_text(content)
-        except FileExistsError:
-            contents.append(content)
-    assert contents == ["second"]
-    assert (tmp_path / "a").read_text() == "first"
-    assert not list(tmp_path.glob("*.tmp"))
-
-
-def test_without_links_the_file_of_a_killed_creator_is_completed(tmp_path, monkeypatch):
-    def refuse(*arguments):
-        raise OSError(errno.EPERM, os.strerror(errno.EPERM))
-
-    monkeypatch.setattr(files.os, "link", refuse)
-    claim = files.claim_path(tmp_path / "a")
-    claim.mkdir()
-    (claim / "a").write_text("first")  # killed before it was copied to its place
-    with pytest.raises(FileExistsError), atomic_write(tmp_path / "a", exclusive=True) as temporary:
-        temporary.write_text("second")
-    assert (tmp_path / "a").read_text() == "first"
-
-
-def _create(folder, start, number):
-    files.os.link = lambda *arguments: (_ for _ in ()).throw(OSError(errno.EPERM, "no links"))
-    start.wait()
-    try:
-        with atomic_write(folder / "a", exclusive=True) as temporary:
-            temporary.write_text(str(number))
-    except FileExistsError:
-        sys.exit(1)
-
-
-def test_without_links_one_of_several_processes_creates_the_file(tmp_path):
-    context = multiprocessing.get_context("spawn")
-    start = context.Event()
-    creators = [context.Process(target=_create, args=(tmp_path, start, i)) for i in range(4)]
-    for creator in creators:
-        creator.start()
-    start.set()
-    for creator in creators:
-        creator.join()
-    winners = [i for i, creator in enumerate(creators) if creator.exitcode == 0]
-    assert len(winners) == 1
-    assert (tmp_path / "a").read_text() == str(winners[0])
 
 
 @pytest.fixture

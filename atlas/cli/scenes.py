@@ -65,7 +65,8 @@ def run_scene(options: argparse.Namespace) -> int:
         from ..runs.estimate import dry_run
 
         scene = read_scene(options.scene)
-        say(*dry_run(scene, threads=options.threads, workers=options.workers).split("\n"))
+        text = dry_run(scene, options.out or "", threads=options.threads, workers=options.workers)
+        say(*text.split("\n"))
         return DONE
     return _run(options, options.out or default_name(options.scene) + ".nc", ())
 
@@ -107,18 +108,8 @@ def _run(options: argparse.Namespace, out: str, reuse: Sequence[str]) -> int:
     from ..runs.folder import HISTORY, TALLY
     from ..runs.runner import run
 
-    ds = run(
-        scene,
-        out,
-        threads=options.threads,
-        progress=not options.quiet,
-        force=options.force,
-        shard=shard,
-        scheduler=options.scheduler,
-        workers=options.workers,
-        stop_after=stop_after,
-        reuse=reuse,
-    )
+    given = {name: getattr(options, name) for name in ("threads", "force", "scheduler", "workers")}
+    ds = run(scene, out, progress=not options.quiet, shard=shard, stop_after=stop_after, reuse=reuse, **given)
     if HISTORY in ds.attrs:
         say(*(printable(line, MAX_MESSAGE) for line in str(ds.attrs[HISTORY]).split("\n")))
     if shard is None:

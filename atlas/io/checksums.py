@@ -15,6 +15,7 @@ import math
 import os
 import zlib
 from collections.abc import Iterator, Sequence
+from contextlib import closing
 from itertools import product
 from pathlib import Path
 from typing import Any
@@ -55,10 +56,14 @@ def add(path: Path) -> None:
             else:
                 block = [min(length, count) for length, count in zip(chunks, variable.shape, strict=True)]
             blocks[name] = block
-        crc = _crc_of_blocks(file, blocks)
+        crc = [
+            _crc(np.asarray(variable[_slices(index, blocks[name]) or ...]))
+            for name, variable in file.variables.items()
+            for index in np.ndindex(*_counts(variable.shape, blocks[name]))
+        ]
         group = file.createGroup(GROUP)
         group.createDimension("block", len(crc))
-        group.createVariable("crc32", np.uint32, ["block"], fill_value=False)[:] = crc
+        group.createVariable("crc32", np.uint32, ["block"], fill_value=False)[:] = np.array(crc, np.uint32)
         group.setncattr("block_shapes", json.dumps(blocks))
         group.setncattr("metadata_sha256", _metadata_hash(file))
 
@@ -80,27 +85,11 @@ def check_path(path: Path) -> None:
 
 def verify(path: Path) -> None:
     """Read all of a file that has checksums; BadInput if it is damaged."""
-    try:
-        with NETCDF_LOCK, netCDF4.Dataset(path) as file:
-            file.set_auto_maskandscale(False)
-            file.set_auto_chartostring(False)
-            group = file.groups[GROUP]
-            crc = _crc_of_blocks(file, json.loads(group.getncattr("block_shapes")))
-            damaged = not np.array_equal(crc, group.variables["crc32"][:])
-    except (RuntimeError, OSError) as error:
-        raise BadInput(f"{path}: damaged: {one_line(error)}") from None
-    if damaged:
-        raise BadInput(f"{path}: damaged: its values differ from their checksums")
-
-
-def _crc_of_blocks(file: netCDF4.Dataset, blocks: BlockShapes) -> np.ndarray:
-    """CRC of all blocks of all variables."""
-    crc = [
-        _crc(np.asarray(variable[_slices(index, blocks[name]) or ...]))
-        for name, variable in file.variables.items()
-        for index in np.ndindex(*_counts(variable.shape, blocks[name]))
-    ]
-    return np.array(crc, np.uint32)
+    with closing(CheckedStore.of(path)) as store:
+        for name, (block, crc) in (store.checksums or {}).items():
+            array = _CheckedArray(NetCDF4ArrayWrapper(name, store), str(path), block, crc)
+            for index in np.ndindex(crc.shape):
+                array.read(_slices(index, block))
 
 
 def _counts(shape: Sequence[int], block: Sequence[int]) -> list[int]:
@@ -203,9 +192,9 @@ class _CheckedArray(BackendArray):
         self.shape, self.dtype = array.shape, array.dtype
 
     def __getitem__(self, key: indexing.ExplicitIndexer) -> Any:
-        return indexing.explicit_indexing_adapter(key, self.shape, indexing.IndexingSupport.BASIC, self._read)
+        return indexing.explicit_indexing_adapter(key, self.shape, indexing.IndexingSupport.BASIC, self.read)
 
-    def _read(self, key: tuple[int | slice, ...]) -> np.ndarray:
+    def read(self, key: tuple[int | slice, ...]) -> np.ndarray:
         """Values at an integer or a slice for each axis."""
         chosen = [range(count)[k] for count, k in zip(self.shape, key, strict=True)]
         ranges = [c if isinstance(c, range) else range(c, c + 1) for c in chosen]

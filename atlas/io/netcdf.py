@@ -28,6 +28,7 @@ from ..systems.base import System
 from ..variables import variables
 from . import checksums, zarr_store
 from .checksums import NETCDF_LOCK
+from .storage import Folder
 
 COMPRESSION: dict[str, Any] = {"zlib": True, "complevel": 4, "shuffle": True}
 CHECKED_COMPRESSION = COMPRESSION | {"fletcher32": True}
@@ -223,7 +224,7 @@ def writable(
         with suppress(OSError, RuntimeError), NETCDF_LOCK, netCDF4.Dataset(path) as file:
             is_own = checksums.GROUP in file.groups or "atlas_version" in file.ncattrs()
     elif path.is_dir():
-        is_own = zarr_store.is_whole(path)
+        is_own = zarr_store.is_whole(Folder(path))
     if not is_own:
         raise BadInput(
             f"{path}: holds something else than an atlas, or is damaged; it is not replaced: remove it or choose"

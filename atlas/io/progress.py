@@ -9,7 +9,7 @@ import time
 from collections.abc import Callable, Mapping
 from contextlib import suppress
 from datetime import UTC, datetime
-from typing import Any, TextIO
+from typing import Any
 
 from .. import compiling, files
 
@@ -25,29 +25,27 @@ AT_WORK = "at work"
 class Progress:
     """Counter of finished points, for any thread, that reports points per second and the time left.
 
-    Points `done` by earlier runs do not count for the speed, and `stopwatch` does not count the compilation
+    Points done by earlier runs do not count for the speed, and `stopwatch` does not count the compilation
     of kernels. `save` takes JSON for people and scripts, which no computation reads.
     """
 
     def __init__(
         self,
         points: int,
-        stream: TextIO | None = None,
         *,
-        done: int = 0,
         show: bool = True,
         save: Callable[[bytes], object] | None = None,
         facts: Mapping[str, Any] | None = None,
     ):
         self.points = points
         self.show = show
-        self.stream = sys.stderr if stream is None else stream
+        self.stream = sys.stderr
         self.live = self.stream.isatty()
         self.save = save
         self.facts = dict(facts or {})
         self.stopwatch = compiling.Stopwatch()
         self._last_print = self._last_save = time.perf_counter()
-        self._done_at_no_cost = self._done = float(done)
+        self._done_at_no_cost = self._done = 0.0
         self._lock = threading.Lock()
         if show:
             compiling.announce(+1)

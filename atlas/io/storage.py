@@ -8,6 +8,7 @@ from __future__ import annotations
 import errno
 import os
 import re
+import shutil
 import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
@@ -26,6 +27,7 @@ from ..files import (
     process_name,
     read_bytes,
     remove_leftovers,
+    temporary_path,
 )
 
 Stamp: TypeAlias = list[int | str]  # size and version of a content, which differ after a change
@@ -74,15 +76,11 @@ class Folder:
         with self.writing(name, durable=durable) as temporary:
             temporary.write_bytes(content)
 
-    def create(self, name: str, content: bytes, *, durable: bool = True) -> bool:
-        """Whether this call writes a content, because there was none; unless `durable` others may see a part of it."""
+    def create(self, name: str, content: bytes) -> bool:
+        """Whether this call writes a content, because there was none; others may see a part of it."""
         with suppress(FileExistsError):
-            if durable:
-                with atomic_write(self._place(name), exclusive=True) as temporary:
-                    temporary.write_bytes(content)
-            else:
-                with self._place(name).open("xb") as file:
-                    file.write(content)
+            with self._place(name).open("xb") as file:
+                file.write(content)
             return True
         return False
 
@@ -103,9 +101,19 @@ class Folder:
             return {entry.name for entry in os.scandir(self.path / folder)}
         return set()
 
+    def walk(self) -> list[str]:
+        """Names of all contents, also those of folders inside."""
+        return [path.relative_to(self.path).as_posix() for path in self.path.rglob("*") if path.is_file()]
+
     def remove(self, name: str) -> None:
         """Remove a content, if there is one."""
         (self.path / name).unlink(missing_ok=True)
+
+    def clear(self, last: str) -> None:
+        """Remove everything; on an object store what is removed last says what a part of it was."""
+        removed = temporary_path(self.path)
+        os.rename(self.path, removed)  # at once, so that a process at work cannot leave anything behind
+        shutil.rmtree(removed, ignore_errors=True)
 
     def stamps(self, folder: str = "") -> dict[str, Stamp]:
         """Stamps of the files of a folder by their names."""
@@ -123,9 +131,10 @@ class Folder:
         """Seconds since a content was written, by the clock of the storage."""
         return age(self.path / name)
 
-    def remove_leftovers(self, folder: str = "") -> None:
-        """Remove temporary files of processes that were killed."""
-        remove_leftovers(self.path / folder)
+    def remove_leftovers(self) -> None:
+        """Remove temporary files of processes that were killed, also in folders inside."""
+        for folder, _, _ in os.walk(self.path):
+            remove_leftovers(Path(folder))
 
     def __str__(self) -> str:
         return str(self.path)
@@ -172,15 +181,22 @@ class Objects:
     def write(self, name: str, content: bytes, *, durable: bool = True) -> None:
         self._call("put", name, content)
 
-    def create(self, name: str, content: bytes, *, durable: bool = True) -> bool:
+    def create(self, name: str, content: bytes) -> bool:
         with suppress(FileExistsError):
             self._call("put", name, content, mode="create")
             return True
         return False
 
+    def walk(self) -> list[str]:
+        return [each["path"].removeprefix(self.prefix) for each in self._call("list", "")]
+
     def remove(self, name: str) -> None:
         with suppress(FileNotFoundError):
             self._call("delete", name)
+
+    def clear(self, last: str) -> None:
+        self._call("delete", [name for name in self.walk() if name != last])
+        self.remove(last)
 
     def make(self) -> None:
         pass
@@ -197,18 +213,20 @@ class Objects:
         written, now = (self._call("head", each)["last_modified"] for each in (name, "clock"))
         return float((now - written).total_seconds())
 
-    def remove_leftovers(self, folder: str = "") -> None:
+    def remove_leftovers(self) -> None:
         pass  # a put that was not finished leaves no object
 
     def zarr(self, package: Any) -> Any:
         return package.storage.ObjectStore(self.store, read_only=True)
 
-    def _call(self, function: str, name: str, *arguments: Any, **options: Any) -> Any:
+    def _call(self, function: str, name: str | list[str], *arguments: Any, **options: Any) -> Any:
         """Call a function of obstore; FileNotFoundError, FileExistsError or another OSError if it fails."""
         import obstore
 
+        place = self.prefix + name if isinstance(name, str) else [self.prefix + each for each in name]
         try:
-            return getattr(obstore, function)(self.store, self.prefix + name, *arguments, **options)
+            result = getattr(obstore, function)(self.store, place, *arguments, **options)
+            return result.collect() if function == "list" else result
         except obstore.exceptions.AlreadyExistsError:
             raise FileExistsError(errno.EEXIST, os.strerror(errno.EEXIST), name) from None
         except obstore.exceptions.BaseError as error:
@@ -221,7 +239,7 @@ Storage: TypeAlias = Folder | Objects
 def claim(storage: Storage, name: str) -> bool:
     """Whether this process may do what a content stands for: it creates the content, or takes over one that expired."""
     process = process_name().encode()
-    if storage.create(name, process, durable=False):
+    if storage.create(name, process):
         return True
     if is_claimed(storage, name):
         return False

@@ -14,7 +14,7 @@ import math
 import re
 from collections.abc import Mapping
 from functools import lru_cache
-from itertools import product
+from itertools import accumulate, product
 from pathlib import Path
 from typing import Any
 
@@ -22,7 +22,7 @@ import numpy as np
 import xarray as xr
 
 from ..errors import BadInput
-from ..files import MIN_CLAIM, check_claim, one_line
+from ..files import MAX_RATIO, MIN_CLAIM, check_claim, is_temporary, one_line
 from .storage import Folder, Storage, located, storage_at
 
 METADATA = "zarr.json"
@@ -32,6 +32,7 @@ OBJECTS = f"{RUN}/objects.json"  # hashes of the objects of a store by their nam
 SEAL = "atlas_seal"  # attribute with a hash of the metadata of a store and of OBJECTS
 COMPRESSION_LEVEL = 3
 MAX_OBJECT_BYTES = 1 << 31
+MAX_WHOLE = 1 << 20  # values of a coordinate in one object, so that a store with a long axis opens at once
 # Files of a store of another run, or of another program.
 OWN = re.compile(rf"{RUN}/([\w/-]+\.(json|claim|pack|nc|bin)|clock)|[^/]+/(zarr\.json|c(/\d+)*)|zarr\.json")
 
@@ -91,6 +92,8 @@ def seal(
     for variable_name, variable in ds.variables.items():
         name, contents = str(variable_name), dict[str, Any]()
         own: Any = tuple(tuple(lengths[str(dim)][i] for dim in variable.dims) for i in range(3))
+        if name not in names and math.prod(own[0]) <= MAX_WHOLE:
+            own = (own[0],) * 3
         shape, _, tile = own
         attributes = variable.attrs | ({"coordinates": coordinates} if name in ds.data_vars else {})
         described = {"dimension_names": [*map(str, variable.dims)], "attributes": _plain(attributes)}
@@ -132,17 +135,25 @@ def _plain(attributes: Mapping[Any, Any]) -> dict[str, Any]:
     }
 
 
-def is_whole(path: Path) -> bool:
-    """Whether a folder is a sealed store, in which nothing else is."""
+def is_store(path: Path | str) -> bool:
+    """Whether what `located` gives has the name of a store."""
+    return str(path).lower().endswith(SUFFIX)
+
+
+def is_whole(root: Storage) -> bool:
+    """Whether this is a sealed store, in which nothing else is."""
     try:
-        metadata = json.loads((path / METADATA).read_bytes())
+        metadata = json.loads(root.read(METADATA))
         names = {*metadata["consolidated_metadata"]["metadata"], RUN, METADATA}
-        files = [file.relative_to(path) for file in path.rglob("*") if file.is_file()]
-        return metadata["attributes"][SEAL] == _seal_of(metadata, (path / OBJECTS).read_bytes()) and all(
-            file.parts[0] in names and OWN.fullmatch(file.as_posix()) for file in files
-        )
+        sealed = metadata["attributes"][SEAL] == _seal_of(metadata, root.read(OBJECTS, MAX_OBJECT_BYTES))
+        return sealed and has_only_own(root) and {n.partition("/")[0] for n in root.walk()} <= names
     except (OSError, LookupError, TypeError, ValueError):
         return False
+
+
+def has_only_own(root: Storage) -> bool:
+    """Whether all contents have names of a store and of its run, or of temporary files."""
+    return all(OWN.fullmatch(name) or is_temporary(name.rpartition("/")[2]) for name in root.walk())
 
 
 def is_sealed(root: Storage) -> bool:
@@ -171,7 +182,10 @@ def open_store(path: Path | str) -> xr.Dataset:
         group = zarr.open_group(store, mode="r", use_consolidated=own)
         claimed = sum(array.size * array.dtype.itemsize for _, array in group.arrays())
         if claimed > MIN_CLAIM and isinstance(root, Folder):
-            check_claim(claimed, sum(file.stat().st_size for file in root.path.rglob("*")))
+            for stored in accumulate(file.stat().st_size for file in root.path.rglob("*")):
+                if stored * MAX_RATIO >= claimed:  # a large store has many files
+                    break
+            check_claim(claimed, stored)
         ds = xr.open_zarr(store, consolidated=own, chunks=None)
     except BadInput:
         raise

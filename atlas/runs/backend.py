@@ -12,7 +12,7 @@ import xarray as xr
 from xarray.backends import BackendEntrypoint
 
 from ..errors import BadInput, shown
-from ..files import one_line, read_json
+from ..files import one_line, parsed, read_bytes
 from ..scene.checks import typed
 
 
@@ -27,7 +27,9 @@ class AtlasBackend(BackendEntrypoint):
         if not isinstance(filename_or_obj, str | os.PathLike):
             return False
         try:
-            return {"scene", "identity", "tile"} <= read_json(Path(filename_or_obj) / "manifest.json").keys()
+            return {"scene", "identity", "tile"} <= parsed(
+                read_bytes(Path(filename_or_obj, "manifest.json"))
+            ).keys()
         except (OSError, ValueError):
             return False
 

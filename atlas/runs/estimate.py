@@ -18,7 +18,7 @@ import numpy as np
 
 from ..engine import blocks
 from ..errors import BadInput
-from ..io import netcdf
+from ..io import netcdf, zarr_store
 from ..io.progress import clock
 from ..label.pipeline import evaluate
 from ..label.theory import predict_runs
@@ -48,10 +48,10 @@ class _Measurement:
     stored_bytes_per_point: float  # compressed, of the variables that are measured and of parameters
 
 
-def dry_run(scene: Scene, *, threads: int | None = None, workers: int | None = None) -> str:
-    """Estimate what running a scene takes, from a short run of some points, as text; BadInput as `run`."""
-    plan = ScenePlan.of(scene)
-    tiles, exists = plan.tiling, plan.sample.exists
+def dry_run(scene: Scene, out: str = "", *, threads: int | None = None, workers: int | None = None) -> str:
+    """Estimate what running a scene into a file, folder or store takes, from a short run of some points, as text; BadInput as `run`."""
+    plan, is_store = ScenePlan.of(scene), zarr_store.is_store(out)
+    tiles, exists = plan.shards if is_store and scene.refine is None else plan.tiling, plan.sample.exists
     processors = workers or threads or blocks.available_threads()
     existing = scene.size * exists.mean()
     points = existing if scene.refine is None else expected_points(plan)
@@ -82,10 +82,12 @@ def dry_run(scene: Scene, *, threads: int | None = None, workers: int | None = N
         in_flight = plan.tiles_in_flight(processors)
         memory, processors_text = resident_bytes + in_flight * tile_bytes, f"{processors} threads"
     phase_error = plan.step_sizes.dispersion_error[exists].max()
-    division, files, joining = "near the borders that theory predicts", "", ""
+    division, files, objects, joining = "near the borders that theory predicts", "", "", ""
     if scene.refine is None:
         division = f"{tiles.count} tiles of at most {math.prod(tiles.tile)}"
         files = f"{2 * tiles.count + 3} files, "
+        names = len(tile_types(scene)) + len(scene.axes) + len(scene.system.parameters)  # metadata of each
+        objects = f"{tiles.count * (len(tile_types(scene)) + 1) + 2 * names} objects, "
         box = min(scene.size, grid.MAX_POINTS_PER_TILE)
         raw = box * sum(np.dtype(dtype).itemsize for dtype in tile_types(scene).values())
         joining = f"; joining takes about {(JOIN_BYTES + JOIN_COPIES * raw) / 1e6:.0f} MB of memory"
@@ -98,7 +100,9 @@ def dry_run(scene: Scene, *, threads: int | None = None, workers: int | None = N
     lines = [
         f"{scene.size} points, about {points:.0f} to integrate, {division}",
         *grid.not_computed(scene, plan.sample),
-        f"file: about {_stored_bytes(plan, cost, points, tiled=False) / 1e6:.3g} MB; run folder: {files}about"
+        f"store: {objects}about {_stored_bytes(plan, cost, points) / 1e6:.3g} MB"
+        if is_store
+        else f"file: about {_stored_bytes(plan, cost, points) / 1e6:.3g} MB; run folder: {files}about"
         f" {_stored_bytes(plan, cost, points, tiled=True) / 1e6:.3g} MB{joining}",
         night,
         f"time: about {clock(seconds)} on {processors_text} ({plan.mean_steps:.4g} steps a point,"
@@ -112,7 +116,7 @@ def dry_run(scene: Scene, *, threads: int | None = None, workers: int | None = N
     return "\n".join([*lines, *plan.step_warnings()])
 
 
-def _stored_bytes(plan: ScenePlan, cost: _Measurement, points: float, *, tiled: bool) -> float:
+def _stored_bytes(plan: ScenePlan, cost: _Measurement, points: float, *, tiled: bool = False) -> float:
     """Bytes on the disk of so many integrated points in the tiles of a run folder, or in one file."""
     types = tile_types(plan.scene)
     sizes = {name: np.dtype(dtype).itemsize for name, dtype in types.items()}
@@ -133,7 +137,7 @@ def check_disk(plan: ScenePlan, folder: Path, missing: int, *, is_joined: bool) 
     cost, share = _measure(plan, 1), float(plan.sample.exists.mean())
     needed = _stored_bytes(plan, cost, share * missing, tiled=True)
     if is_joined:
-        needed += _stored_bytes(plan, cost, share * scene.size, tiled=False)
+        needed += _stored_bytes(plan, cost, share * scene.size)
     if needed > free:
         raise BadInput(
             f"{folder}: the run needs about {needed / 1e9:.3g} GB more, and {free / 1e9:.3g} GB are free on this disk"

@@ -20,7 +20,7 @@ import logging
 import math
 import os
 import re
-import shutil
+import time
 import tomllib
 from collections import Counter
 from collections.abc import Iterator, Mapping
@@ -33,24 +33,23 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from ..errors import MAX_MESSAGE, MAX_TEXT, BadInput, printable
+from ..errors import MAX_MESSAGE, MAX_TEXT, BadInput, option, printable
 from ..files import (
     PROCESS_NAME,
     atomic_folder,
     check_folder,
     check_types,
-    claim_path,
+    exists_message,
     is_temporary,
     one_line,
     parsed,
     remove_leftovers,
     sealed,
-    temporary_path,
     unsealed,
 )
 from ..io import netcdf, progress, zarr_store
 from ..io.netcdf import Block, scene_provenance
-from ..io.storage import Folder, Storage, located, storage_at
+from ..io.storage import Folder, Storage, claim, located, storage_at
 from ..scene import grid
 from ..scene.read import parse_scene
 from ..variables import variables
@@ -68,6 +67,10 @@ from .tiles import (
 
 FORMAT, OLDER_FORMAT = 3, 2  # with all tiles in one folder
 MANIFEST = "manifest.json"
+CREATION, CLAIM_POLL = (
+    "manifest.claim",
+    0.5,
+)  # claim of the process that creates it; seconds between two attempts
 FINAL_ATTRIBUTES = "notes.json"
 # As long as the longest name in a run folder, so that a path that is too long is refused before anything is computed.
 LONGEST_NAME = "tiles/" + 64 * "x"
@@ -156,11 +159,13 @@ class RunFolder:
                 if path.exists() and not path.is_dir():
                     raise BadInput(f"{path}: this is a file, not a run folder")
                 check_folder(path / MANIFEST if path.exists() else path)
-            own = {claim_path(Path(MANIFEST)).name, *([] if root is storage else [zarr_store.RUN])}
+            own = {CREATION, *([] if root is storage else [zarr_store.RUN])}
             if any(
                 name not in own and not is_temporary(name) and not PROGRESS.fullmatch(name)
                 for name in root.names() | storage.names()
             ):
+                if zarr_store.is_whole(root):
+                    raise BadInput(exists_message(path))
                 raise BadInput(f"{path}: this folder contains something else: there is no {MANIFEST} in it")
             scene, kernel = plan.scene, plan.points.kernel_hash
             attributes = scene_provenance(scene, kernel, seconds=0.0, points=scene.size, warnings=warnings)
@@ -178,8 +183,13 @@ class RunFolder:
             manifest["key"] = _key(manifest)
             root.make()
             storage.make()
-            # Another process may have created the manifest in the meantime; its folder is then checked below.
-            storage.create(MANIFEST, sealed(manifest).encode())
+            while MANIFEST not in storage.names():  # of several processes one creates it
+                if not claim(storage, CREATION):
+                    time.sleep(CLAIM_POLL)
+                    continue
+                if MANIFEST not in storage.names():
+                    storage.write(MANIFEST, sealed(manifest).encode())
+                storage.remove(CREATION)
         run = cls.open(path)
         run.check_same(plan)
         run.remove_leftovers()
@@ -188,10 +198,13 @@ class RunFolder:
         return run
 
     @classmethod
-    def discard(cls, plan: ScenePlan, path: Path) -> None:
-        """Remove a folder with another scene's or version's run; BadInput if a process computes it."""
-        if not (path / MANIFEST).exists():
-            return
+    def discard(cls, plan: ScenePlan, path: Path | str) -> None:
+        """Remove another scene's or version's run, or a joined store; BadInput if a process computes it."""
+        root, storage = _storage(path)
+        if MANIFEST not in storage.names():
+            if root is not storage and zarr_store.is_whole(root):
+                root.clear(zarr_store.METADATA)
+            return  # `prepare` refuses anything else
         try:
             run = cls.open(path)
         except BadInput:
@@ -215,7 +228,8 @@ class RunFolder:
         different = differences(stored, current, "in the folder", "now")
         if different:
             raise BadInput(
-                f"{self.path}: holds another run; choose another name or remove it. It differs in {different}"
+                f"{self.path}: holds another run; choose another name, or {option('force', True)} replaces it. It differs in"
+                f" {different}"
             )
 
     def check_kept(self) -> None:
@@ -268,13 +282,10 @@ class RunFolder:
         return TileFiles(self.storage.inside("tiles"), *rest, is_flat=self.is_flat)
 
     def remove_leftovers(self) -> None:
-        """Remove temporary files of processes that were killed."""
-        self.storage.remove_leftovers()
-        if self.is_store and isinstance(self.root, Folder):
-            for folder, _, _ in os.walk(self.root.path):
-                remove_leftovers(Path(folder))
+        """Remove temporary files and claims of processes that were killed."""
+        self.root.remove_leftovers()
         for tiles in self.tile_sets().values():
-            tiles.remove_leftovers()
+            tiles.remove_claims()
 
     def progress_text(self) -> str:
         """Number of the tiles that are written, as text; empty if the folder has been removed."""
@@ -283,10 +294,8 @@ class RunFolder:
             if not self.path.is_dir():
                 return ""
             path = os.path.relpath(self.path)
-        written, count = (
-            sum(tiles.written_count() for tiles in sets),
-            sum(tiles.tiling.count for tiles in sets),
-        )
+        written = sum(tiles.written_count() for tiles in sets)
+        count = sum(tiles.tiling.count for tiles in sets)
         return f"{written} of {count} tiles are in {path if path[0] != '.' else self.path}/"
 
     def status(self) -> str:
@@ -422,7 +431,7 @@ class RunFolder:
         # A file cannot be read while another one is written.
         ds = self.tiled_dataset() if self.scene.refine is None else self.dataset().load()
         try:
-            if out.suffix.lower() == zarr_store.SUFFIX:
+            if zarr_store.is_store(out):
                 zarr_store.zarr_package()
                 with atomic_folder(out) as temporary:
                     self.write_store(Folder(temporary), ds)
@@ -462,7 +471,7 @@ class RunFolder:
             for offset in np.ndindex(*[b - a + 1 for a, b in zip(first, last, strict=True)]):
                 tile = int(np.ravel_multi_index(tuple(np.add(first, offset)), self.tiling.counts))
                 try:
-                    arrays = self.tiles.read(tile)
+                    arrays = self.tiles.read(tile, packed=True)
                 except (FileNotFoundError, DamagedTile) as error:
                     raise DamagedTile(f"tile {tile}: {error}") from None
                 in_box, in_tile = [], []
@@ -479,13 +488,18 @@ class RunFolder:
 
         The tiles go by one move, so that a process which still computes some cannot leave any behind.
         """
+        if self.is_store:
+            if not zarr_store.has_only_own(self.root):
+                raise BadInput(
+                    f"{self.path}: holds something else than a run; remove it or choose another name"
+                )
+            self.root.remove(zarr_store.METADATA)
+            self.root.clear(f"{zarr_store.RUN}/{MANIFEST}")
+            return
         path = Path(self.path)
-        removed = temporary_path(path / MANIFEST)
         with suppress(OSError):
-            os.rename(path / self.content, removed)
-        for folder in (removed, claim_path(path / MANIFEST)):
-            shutil.rmtree(folder, ignore_errors=True)
-        for file in [*path.glob("progress*.json"), path / FINAL_ATTRIBUTES, path / MANIFEST]:
+            self.storage.inside(self.content).clear("")
+        for file in [*path.glob("progress*.json"), path / CREATION, path / FINAL_ATTRIBUTES, path / MANIFEST]:
             file.unlink(missing_ok=True)
         remove_empty(path)
 
@@ -493,7 +507,7 @@ class RunFolder:
 def _storage(path: Path | str) -> tuple[Storage, Storage]:
     """Where a run is kept, and the part of it without the values of a Zarr store."""
     root = storage_at(path)
-    return root, root.inside(zarr_store.RUN) if str(path).lower().endswith(zarr_store.SUFFIX) else root
+    return root, root.inside(zarr_store.RUN) if zarr_store.is_store(path) else root
 
 
 def remove_empty(path: Path) -> None:

@@ -16,7 +16,6 @@ import hashlib
 import logging
 import math
 from collections.abc import Iterator
-from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -78,12 +77,6 @@ class RefinedFolder(RunFolder):
             number += 1
         return levels
 
-    def remove_leftovers(self) -> None:
-        """Remove temporary files of processes that were killed."""
-        super().remove_leftovers()
-        for level in self.levels():
-            level.storage.remove_leftovers()
-
     def tile_sets(self) -> dict[str, TileFiles]:
         """The tiles of each level by its name."""
         return {f"level {level.number}: ": level.tiles for level in self.levels()}
@@ -111,7 +104,8 @@ class RefinedFolder(RunFolder):
 
     def remove(self) -> None:
         """Remove the run, the manifest last."""
-        Path(self.result).unlink(missing_ok=True)
+        if not self.is_store:
+            Path(self.result).unlink(missing_ok=True)
         super().remove()
 
 
@@ -144,14 +138,11 @@ class Level:
                 f"{storage}: damaged: {one_line(error)}; run the scene again, which writes it anew"
             ) from None
 
-    @cached_property
-    def _points_hash(self) -> str:
-        return hashlib.sha256(self.points.astype("<i8").tobytes()).hexdigest()
-
     def key_with(self, identity: dict[str, str]) -> str:
         """Key of this level if programs and processors of another identity computed it."""
-        run = self.run.key_with(identity)
-        return hash_of({"run": run, "level": self.number, "before": self.before, "points": self._points_hash})
+        run, points = self.run.key_with(identity), hashlib.sha256(self.points.astype("<i8").tobytes())
+        content = {"run": run, "level": self.number, "before": self.before, "points": points.hexdigest()}
+        return hash_of(content)
 
     def tiles_with(self, key: str) -> TileFiles:
         """The tiles of this level if it had this key."""
@@ -172,11 +163,8 @@ class Level:
                 return
         except BadInput:
             pass
-        self.check_kept()
-        for storage in (
-            self.storage,
-            self.tiles.storage,
-        ):  # not the run, which another process may have removed
+        self.run.check_kept()
+        for storage in self.storage, self.tiles.storage:  # not the run, which may have been removed
             storage.make()
         self.storage.write(POINTS, self.points.astype("<i8").tobytes())
         manifest: dict[str, Any] = {"key": self.key, "level": self.number, "before": self.before}
@@ -186,11 +174,7 @@ class Level:
         """Flat indices in the finest grid of the points of a tile."""
         return self.points[self.tiling.indices(tile)]
 
-    def check_kept(self) -> None:
-        """Raise OSError if another process has removed the run."""
-        self.run.check_kept()
-
     def remove_leftovers(self) -> None:
-        """Remove temporary files of processes that were killed."""
+        """Remove temporary files and claims of processes that were killed."""
         self.storage.remove_leftovers()
-        self.tiles.remove_leftovers()
+        self.tiles.remove_claims()

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 import os
 import sys
-from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from typing import ClassVar, TypeAlias
@@ -13,18 +12,14 @@ from typing import ClassVar, TypeAlias
 import numpy as np
 import xarray as xr
 
-from ..compiling import Stopwatch
 from ..errors import BadInput, say
 from ..flags import Stability
 from ..io import netcdf
-from ..io.netcdf import scene_provenance
 from ..label import theory
 from ..scene import grid
 from ..systems.base import Flags
 from ..validation import half_step
 from ..variables import COMPUTED, variables
-from .earlier import Earlier, evaluate_at
-from .folder import history_text
 from .levels import MAX_VALUES, MEASURED
 from .plan import ScenePlan
 
@@ -44,42 +39,6 @@ MAX_PREDICTED = 2**18
 
 
 def refined(
-    plan: ScenePlan,
-    warnings: list[str],
-    *,
-    threads: int | None = None,
-    progress: bool = True,
-    earlier: Sequence[Earlier] = (),
-) -> xr.Dataset:
-    """Compute the atlas of a scene that has [refine] in memory; see `refined_by`."""
-    reused, integrated, stopwatch = Counter[str](), 0, Stopwatch()
-
-    def integrate(indices: np.ndarray) -> Iterator[Part]:
-        nonlocal integrated
-        for first in range(0, indices.size, grid.MAX_POINTS_PER_TILE):
-            chunk = slice(first, first + grid.MAX_POINTS_PER_TILE)
-            values, points, taken = evaluate_at(
-                plan.points, plan.scene, indices[chunk], earlier, threads=threads
-            )
-            integrated += points
-            reused.update(taken)
-            yield chunk, values
-
-    ds = refined_by(integrate, plan, threads=threads, progress=progress)
-    return ds.assign_attrs(
-        scene_provenance(
-            plan.scene,
-            plan.points.kernel_hash,
-            seconds=stopwatch.seconds(),
-            points=integrated,
-            warnings=warnings,
-        )
-        | ds.attrs
-        | history_text(reused)
-    )
-
-
-def refined_by(
     integrate: Integrate, plan: ScenePlan, *, threads: int | None = None, progress: bool = True
 ) -> xr.Dataset:
     """Compute the atlas of a scene that has [refine], on its finest grid; its attributes are those stated here.
@@ -97,9 +56,7 @@ def refined_by(
     """
     scene = plan.scene
     assert scene.refine is not None
-    numbers = (
-        sum(variables(scene.system)[name].flags is None for name in scene.outputs) + len(scene.solve) + 1
-    )
+    numbers = sum(variables(scene.system)[name].flags is None for name in scene.outputs) + len(scene.solve)
     needed = scene.size * (8 * numbers + len(PREDICTED) + 5)
     memory = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
     if needed > memory:
@@ -143,7 +100,9 @@ class _FineGrid:
             if self.registry[name].flags is None and name not in ("growth_rate", *self.flags)
         }
         self.solved = {name: np.empty(scene.size) for name in scene.solve}
-        self.growth_rate = np.full(scene.size, np.nan)
+        self.growth_rates = {
+            name: np.full(scene.size, np.nan) for name in ("growth_rate",) if name in scene.outputs
+        }
         self.predicted = {name: np.zeros(scene.size, np.int8) for name in PREDICTED if name in self.registry}
         self.slowly_unstable = np.zeros(scene.size, bool)
         # Product of growth rate and duration above which all nudged unstable points but EXPECTED_MISSES drift. A nudge survives
@@ -154,7 +113,7 @@ class _FineGrid:
             missed_without_growth = scene.settings.rate_tolerance / nudge * scene.size
             self.growth_needed = math.log(missed_without_growth / EXPECTED_MISSES)
         reason = np.empty(scene.size, np.int8)
-        for chunk in _chunks(scene.size):
+        for chunk in chunks(scene.size):
             reason[chunk] = self._predict(np.arange(chunk.start, chunk.stop))
         exists = reason == grid.Reason.NONE
         self.n_existing, self.n_integrated = int(exists.sum()), 0
@@ -177,7 +136,8 @@ class _FineGrid:
             # How long a motion about other axes lasts does not count here.
             plan = replace(self.plan, outputs=())
             prediction = theory.predict_runs(plan, points.subset(points.exists), threads=self.threads)
-            self.growth_rate[existing] = prediction.variables["growth_rate"]
+            for name, rates in self.growth_rates.items():
+                rates[existing] = prediction.variables[name]
             for name, flags in self.predicted.items():
                 flags[existing] = prediction.variables[name]
             unstable = prediction.variables["stable"] == Stability.UNSTABLE
@@ -252,8 +212,7 @@ class _FineGrid:
 
     def dataset(self) -> xr.Dataset:
         """The atlas without provenance."""
-        columns = dict[str, np.ndarray](self.numbers) | self.predicted | self.solved
-        columns["growth_rate"] = self.growth_rate
+        columns = dict[str, np.ndarray](self.numbers) | self.growth_rates | self.predicted | self.solved
         for name, values in zip(self.flags, _decode(self.flag_code.ravel(), self.flag_counts), strict=True):
             variable = self.registry[name]
             columns[name] = (values + variable.missing).astype(variable.dtype)
@@ -335,7 +294,7 @@ def _subgrid(spacing: Sequence[int]) -> tuple[slice, ...]:
     return tuple(slice(None, None, step) for step in spacing)
 
 
-def _chunks(size: int) -> Iterator[slice]:
+def chunks(size: int) -> Iterator[slice]:
     """Slices that cut a range of indices into pieces of at most grid.MAX_POINTS_PER_TILE."""
     for first in range(0, size, grid.MAX_POINTS_PER_TILE):
         yield slice(first, min(first + grid.MAX_POINTS_PER_TILE, size))
@@ -343,7 +302,7 @@ def _chunks(size: int) -> Iterator[slice]:
 
 def _encode(flags: Mapping[str, Flags], counts: Sequence[int]) -> np.ndarray:
     """Several flags of each point as one number; counts: how many values each flag has."""
-    kind = np.dtype("int16" if math.prod(counts) < 2**15 else "int32")
+    kind = np.min_scalar_type(-math.prod(counts))  # signed, and as short as may be
     code = np.zeros(1, kind)
     for values, count in zip(flags.values(), counts, strict=True):
         code = (code * count + values).astype(kind)

@@ -39,14 +39,24 @@ from ..validation import half_step
 from . import cluster, estimate, refine
 from .backend import open_atlas
 from .earlier import Earlier, evaluate_at
-from .folder import LONGEST_NAME, MANIFEST, RESULT, RunFolder, history_text, remove_empty, result_hash
+from .folder import (
+    CLAIM_POLL,
+    LONGEST_NAME,
+    MANIFEST,
+    RESULT,
+    RunFolder,
+    history_text,
+    remove_empty,
+    result_hash,
+)
 from .levels import Level, RefinedFolder
 from .plan import ScenePlan, differences, identity
 from .tiles import DamagedTile, TileFiles, tile_types
 
 MAX_DAMAGE_WARNINGS = 5
-# Seconds between the first and between later checks whether tiles that other processes compute are done.
-CLAIM_POLL, MAX_CLAIM_POLL = 0.5, 10.0
+MAX_CLAIM_POLL = (
+    10.0  # seconds between two checks whether tiles that other processes compute are done; first CLAIM_POLL
+)
 RUN_SUFFIX = ".run"  # of the folder in which an atlas of one file is computed
 Advance = Callable[[float], None]  # takes a number of finished points
 
@@ -134,7 +144,8 @@ def run(
     progress : bool
         Print progress to stderr.
     force : bool
-        Replace an existing file.
+        Replace an existing file, or another run in the folder or store that no process computes. The run of this scene is
+        continued, because its values are the same.
     shard : (int, int), optional
         (i, n) computes only the i-th of n parts, counted from 1; needs a run folder. Of a refined scene a shard computes
         its part of each level first and then what others have not.
@@ -188,16 +199,11 @@ def run(
         execution.earlier.append(Earlier.of(each, scene))
     warnings = [*grid.warnings(scene, plan.sample), *plan.chaos_warnings()]
     log_warnings(warnings)
-    if path is None and scene.refine is not None:
-        with announced(progress):
-            return refine.refined(
-                plan, warnings, threads=threads, progress=progress, earlier=execution.earlier
-            )
     if path is None:
         return _run_in_memory(plan, warnings, threads, progress, execution.earlier)
+    if force:
+        RunFolder.discard(plan, path)
     if file is not None:
-        if force:
-            RunFolder.discard(plan, _folder_of(file))
         return _run_to_file(plan, file, warnings, execution, progress)
     folder = RunFolder.prepare(plan, path, warnings)
     _complete(folder, plan, execution, progress).close()
@@ -208,18 +214,18 @@ def run(
 def _destination(out: str | Path) -> tuple[Path | str, Path | None]:
     """Where a run is kept, and the path of an atlas that is one file; BadInput if it cannot be written."""
     place = located(out)
-    if isinstance(place, str):
-        if not place.lower().endswith(zarr_store.SUFFIX):
-            raise BadInput(f"{place}: on object storage the name must end in {zarr_store.SUFFIX}")
+    is_store = zarr_store.is_store(place)
+    if is_store:
         zarr_store.zarr_package()
+    if isinstance(place, str):
+        if not is_store:
+            raise BadInput(f"{place}: on object storage the name must end in {zarr_store.SUFFIX}")
         return place, None
     path = place if str(out).startswith("file:") else Path(out)
     check_name(path)
     may_be_folder = isinstance(out, Path) or path.is_dir()  # a Path cannot end in /
     is_folder = str(out).endswith("/") or (may_be_folder and not path.suffix) or (path / MANIFEST).exists()
-    if path.suffix.lower() == zarr_store.SUFFIX:
-        zarr_store.zarr_package()
-    elif not is_folder:
+    if not is_store and not is_folder:
         if path.suffix.lower() != ".nc":
             raise BadInput(
                 f"{path}: the name must end in .nc, for one file, in /, for a run folder, or in .zarr, for a Zarr store"
@@ -307,7 +313,7 @@ def _compute_levels(
             except DamagedTile as error:
                 raise OSError(f"{level.storage}: tile {tile}: {error}; run the scene again") from None
 
-    ds = refine.refined_by(integrate, plan, threads=execution.threads, progress=progress)
+    ds = refine.refined(integrate, plan, threads=execution.threads, progress=progress)
     folder.save_result(ds.assign_attrs(folder.provenance()[0] | ds.attrs))
 
 
@@ -382,12 +388,7 @@ def _is_result(plan: ScenePlan, path: Path | str) -> bool:
         return False
     # A dataset that a user derives from an atlas has its attributes but no checksums.
     whole = zarr_store.is_sealed(storage_at(located(path))) or checksums.are_in(Path(path))
-    return whole and result == _own_result_hash(plan)
-
-
-def _own_result_hash(plan: ScenePlan) -> str:
-    """Hash of the result of a scene as computed by this process."""
-    return result_hash(plan.scene.toml(), identity(plan.points))
+    return whole and result == result_hash(plan.scene.toml(), identity(plan.points))
 
 
 def _finished(plan: ScenePlan, path: Path) -> xr.Dataset:
@@ -413,17 +414,34 @@ def _run_in_memory(
     plan: ScenePlan, warnings: list[str], threads: int | None, progress: bool, earlier: Sequence[Earlier]
 ) -> xr.Dataset:
     """Compute an atlas without a run folder."""
-    scene = plan.scene
-    bar = Progress(scene.size, show=progress)
-    try:
-        columns, reused = columns_of(plan, bar, threads, earlier)
-    finally:
-        bar.close()
+    scene, points, stopwatch, reused = plan.scene, 0, Stopwatch(), Counter[str]()
+
+    def integrate(indices: np.ndarray) -> Iterator[refine.Part]:
+        nonlocal points
+        for chunk in refine.chunks(indices.size):
+            values, computed, taken = evaluate_at(
+                plan.points, scene, indices[chunk], earlier, threads=threads
+            )
+            points += computed
+            reused.update(taken)
+            yield chunk, values
+
+    if scene.refine is not None:
+        with announced(progress):
+            ds = refine.refined(integrate, plan, threads=threads, progress=progress)
+    else:
+        bar = Progress(scene.size, show=progress)
+        try:
+            columns, reused = columns_of(plan, bar, threads, earlier)
+        finally:
+            bar.close()
+        ds, points = netcdf.dataset(scene, columns), scene.size
     attributes = scene_provenance(
-        scene, plan.points.kernel_hash, seconds=bar.stopwatch.seconds(), points=scene.size, warnings=warnings
+        scene, plan.points.kernel_hash, seconds=stopwatch.seconds(), points=points, warnings=warnings
     )
-    attributes |= half_step.half_step_sample(plan.scene, plan.points, threads=threads)
-    return netcdf.dataset(scene, columns).assign_attrs(attributes | history_text(reused))
+    if scene.refine is None:
+        attributes |= half_step.half_step_sample(scene, plan.points, threads=threads)
+    return ds.assign_attrs(attributes | ds.attrs | history_text(reused))
 
 
 def columns_of(
@@ -551,7 +569,7 @@ def _compute_in_threads(job: _Job, bar: Progress, plan: ScenePlan) -> None:
             with lock:  # tiles overlap: each takes the time since the one before it ended
                 now = stopwatch.seconds()
                 seconds, last_end = now - last_end, now
-            folder.check_kept()
+            folder.run.check_kept()
             folder.tiles.write(tile, columns, computed=computed, seconds=seconds, by=by, reused=reused)
         bar.skip(folder.tiling.size_of(tile) - computed + reused.total())
 
@@ -590,7 +608,7 @@ def compute_tile(path: str, number: int | None, key: str, tile: int, reuse: tupl
         columns, computed, reused = evaluate_at(
             plan, folder.scene, folder.indices(tile), earlier, threads=1, progress=lambda points: keep()
         )
-        folder.check_kept()
+        folder.run.check_kept()
         tiles.write(
             tile, columns, computed=computed, seconds=stopwatch.seconds(), by="dask workers", reused=reused
         )

@@ -1,6 +1,6 @@
 """Three jobs on one run, each killed so many times at random moments and started again, into a folder and a store on an S3 server.
 
-python scripts/benchmarks/bench_elastic.py [POINTS] [--kills 10] [--places folder s3] [--refined]      (default 3e7, both)
+python scripts/benchmarks/bench_elastic.py [POINTS] [--kills 10] [--places folder s3] [--refined | --scene FILE]
 
 Prints the time, the largest memory of a job, and whether every value equals that of a run that nobody killed. Needs moto[s3], flask and flask-cors.
 """
@@ -101,12 +101,15 @@ def main() -> None:
     parser.add_argument("--pause", type=float, default=10.0, help="mean seconds of a job before it is killed")
     parser.add_argument("--places", nargs="+", choices=("folder", "store", "s3"), default=("folder", "s3"))
     parser.add_argument("--refined", action="store_true")
+    parser.add_argument("--scene", type=Path, help="of its own, instead of so many POINTS (default 3e7)")
     options = parser.parse_args()
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         size = int(options.points)
-        case = scene(folder, size)
-        if options.refined:
+        case = scene(folder, size, duration=1.0)  # so short that points cost, not steps
+        if options.scene:
+            (folder / "scene.toml").write_text(options.scene.read_text())
+        elif options.refined:
             side = int(size**0.5) // 16 + 1  # before four levels
             text = (
                 (folder / "scene.toml").read_text().replace(f"count = {case.shape[0]}", f"count = {side}", 1)

@@ -13,8 +13,6 @@ import tomllib
 from pathlib import Path
 
 import atlas
-from atlas.runs.plan import ScenePlan
-from atlas.runs.refine import refined
 from atlas.scene.read import scene_from
 
 CONFIGS = Path(__file__).parents[2] / "configs"
@@ -31,7 +29,7 @@ def main() -> None:
         table["axes"] = {name: axis | {"count": options.count} for name, axis in table["axes"].items()}
         scene = scene_from(table | {"refine": {"levels": options.levels}}, path.stem)
         began = time.perf_counter()
-        ds = refined(ScenePlan.of(scene), [], progress=False)
+        ds = atlas.run(scene, progress=False)
         refined_seconds = time.perf_counter() - began
         for name, count in zip(scene.axes, scene.shape, strict=True):
             table["axes"][name]["count"] = count

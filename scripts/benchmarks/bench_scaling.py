@@ -39,17 +39,17 @@ from = 0.1
 to = 1.0
 count = {layers}
 [integration]
-duration = 10.0
+duration = {duration}
 tolerance = 1e-3
 [outputs]
 variables = ["label", "status", "theta_dot_rms"]
 """
 
 
-def scene(folder: Path, count: int, layers: int = 1) -> Scene:
+def scene(folder: Path, count: int, layers: int = 1, duration: float = 10.0) -> Scene:
     """The scene with so many points in each layer, saved in the folder."""
     columns = min(count // 10, 1000)
-    text = SCENE.format(rows=count // columns, columns=columns, layers=layers)
+    text = SCENE.format(rows=count // columns, columns=columns, layers=layers, duration=duration)
     (folder / "scene.toml").write_text(text)
     return atlas.load_scene(folder / "scene.toml")
 

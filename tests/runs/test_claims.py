@@ -9,7 +9,7 @@ import pytest
 from truth import assert_same_bytes
 
 import atlas
-from atlas import files, load_scene
+from atlas import BadInput, files, load_scene
 from atlas.io import storage
 from atlas.io.storage import claim
 from atlas.runs import runner
@@ -68,9 +68,34 @@ def test_a_claim_holds_while_its_process_gives_signs_of_life(tmp_path, living):
 
 def test_only_one_process_creates_a_claim(tmp_path):
     for place in (storage.Folder(tmp_path), storage.Objects("memory://claims")):
-        assert place.create("a.claim", b"one", durable=False)
-        assert not place.create("a.claim", b"two", durable=False)
+        assert place.create("a.claim", b"one")
+        assert not place.create("a.claim", b"two")
         assert place.read("a.claim") == b"one"
+
+
+@pytest.mark.parametrize("creator", ["slow", "dead"])
+def test_one_of_several_processes_creates_a_run(
+    creator, small_scene, scene_text, tmp_path, living, monkeypatch
+):
+    """Another one makes its run while this one waits, or was killed before it did."""
+    claim, waits = tmp_path / "run" / "manifest.claim", []
+    claim.parent.mkdir()
+    claim.write_text(living if creator == "slow" else living[:-1] + str((int(living[-1]) + 1) % 10))
+
+    def sleep(seconds):
+        waits.append(seconds)
+        claim.unlink()
+        RunFolder.prepare(ScenePlan.of(load_scene(scene_text({"fixed.m": 0.6}))), tmp_path / "run", [])
+
+    monkeypatch.setattr("atlas.runs.folder.time.sleep", sleep)
+    plan = ScenePlan.of(load_scene(small_scene))
+    if creator == "slow":
+        with pytest.raises(BadInput, match=r"holds another run.*fixed\.m \(0\.6 in the folder, 0\.5 now\)"):
+            RunFolder.prepare(plan, tmp_path / "run", [])
+    else:
+        RunFolder.prepare(plan, tmp_path / "run", [])
+    assert len(waits) == (creator == "slow")
+    assert {path.name for path in claim.parent.iterdir()} == {"manifest.json", "tiles"}
 
 
 def test_a_claim_is_kept_while_a_tile_is_computed_and_then_released(folder, monkeypatch):

@@ -4,6 +4,7 @@ import errno
 import hashlib
 import json
 import os
+import re
 import shutil
 import signal
 import subprocess
@@ -464,7 +465,7 @@ def test_a_process_whose_folder_is_removed_says_so(
         rmtree(folder, **options)
 
     monkeypatch.setattr(earlier, "evaluate", remove_first)
-    monkeypatch.setattr(folder.shutil, "rmtree", tile_in_between)
+    monkeypatch.setattr(shutil, "rmtree", tile_in_between)
     for replaced in (False, True):
         with pytest.raises(OSError, match="another process has removed this run while it was computed"):
             atlas.run(scene, f"{tmp_path}/{out}", progress=False, threads=1)
@@ -807,6 +808,8 @@ def test_status_join_and_dry_run_on_the_command_line(tmp_path, small_scene, monk
     estimate = output("run", "s.toml", "--dry-run")
     assert "63 points" in estimate
     assert "phase error" in estimate
+    assert "store: " not in estimate
+    assert re.search(r"store: \d+ objects, about", output("run", "s.toml", "--dry-run", "-o", "s.zarr"))
     output("run", "s.toml", "-o", "r/", "--shard", "1/2", "--quiet")
     assert "done 1, damaged 0, missing 0" in output("status", "r")
     output("join", "r", "-o", "s.nc")

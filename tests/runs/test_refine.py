@@ -13,7 +13,7 @@ from atlas import BadInput, load_scene
 from atlas.analysis import compare
 from atlas.flags import Label, Stability
 from atlas.io import netcdf
-from atlas.runs import estimate, refine
+from atlas.runs import estimate, refine, runner
 from atlas.runs.plan import ScenePlan
 from atlas.scene import grid
 from atlas.scene.read import scene_from
@@ -44,7 +44,7 @@ def both(scene_text):
     """A refined atlas, and the same on the full grid."""
     scene = refined_scene(scene_text)
     full = full_scene(scene_text, scene.shape)
-    return refine.refined(ScenePlan.of(scene), [], progress=False), atlas.run(full, progress=False)
+    return atlas.run(scene, progress=False), atlas.run(full, progress=False)
 
 
 def test_flags_and_parameters_are_those_of_the_full_grid(both):
@@ -90,7 +90,7 @@ def test_axes_given_by_values_are_not_refined(scene_text):
     axes = {"axes.k1.values": [0.0], "axes.h3.values": [0.0, 0.2]}
     scene = refined_scene(scene_text, (5, 4), axes, {"levels": 2, "probe": 0.0})
     assert scene.shape == (17, 13, 1, 2)
-    ds = refine.refined(ScenePlan.of(scene), [], progress=False)
+    ds = atlas.run(scene, progress=False)
     assert ds.label.dims == ("sigma", "theta0", "k1", "h3")
     full = atlas.run(full_scene(scene_text, (17, 13), axes), progress=False)
     np.testing.assert_array_equal(ds.label, full.label)
@@ -99,7 +99,7 @@ def test_axes_given_by_values_are_not_refined(scene_text):
 
 def test_points_without_motion_are_not_computed_and_their_boundary_is_traced(scene_text):
     scene = refined_scene(scene_text, (5, 4), OBLIQUE)
-    ds = refine.refined(ScenePlan.of(scene), [], progress=False)
+    ds = atlas.run(scene, progress=False)
     full = atlas.run(full_scene(scene_text, scene.shape, OBLIQUE), progress=False)
     without_motion = full.label.values == Label.NOT_COMPUTED
     assert 0 < without_motion.sum() < without_motion.size
@@ -120,7 +120,7 @@ def replace_integration(monkeypatch, inside):
         labels = labels_of_region(inside, points.base["h1"], points.base["h3"])
         return {"label": labels}, indices.size, {}
 
-    monkeypatch.setattr(refine, "evaluate_at", evaluate_at)
+    monkeypatch.setattr(runner, "evaluate_at", evaluate_at)
 
 
 def plane(count, levels, probe):
@@ -156,7 +156,7 @@ def test_any_ellipse_that_contains_a_coarse_point_is_exact(x0, y0, semi_axis, ra
 
     with pytest.MonkeyPatch.context() as patch:
         replace_integration(patch, inside)
-        ds = refine.refined(ScenePlan.of(plane(9, 3, 0.0)), [], progress=False)
+        ds = atlas.run(plane(9, 3, 0.0), progress=False)
     if (ds.label == Label.PERMANENT_ROTATION).any():
         # on the finest grid a thinner ellipse is a row of separate islands
         if semi_axis * ratio > 2 / 64:
@@ -171,10 +171,10 @@ def test_islands_that_the_probe_hits_are_traced_and_counted(monkeypatch):
         return (abs((8 * x) % 1 - 0.5) < 0.2) & (abs((8 * y) % 1 - 0.5) < 0.2)
 
     replace_integration(monkeypatch, islands)
-    without_probe = refine.refined(ScenePlan.of(plane(9, 3, 0.0)), [], progress=False)
+    without_probe = atlas.run(plane(9, 3, 0.0), progress=False)
     assert (without_probe.label == Label.DRIFTING).all()
     assert without_probe.attrs["atlas_computed_share"] == 81 / 65**2
-    ds = refine.refined(ScenePlan.of(plane(9, 3, 0.1)), [], progress=False)
+    ds = atlas.run(plane(9, 3, 0.1), progress=False)
     probed, missed = ds.attrs["atlas_probe_points"], ds.attrs["atlas_probe_missed"]
     assert probed == np.ceil(0.1 * (65**2 - 81))
     expected = expected_labels(ds, islands)
@@ -183,13 +183,13 @@ def test_islands_that_the_probe_hits_are_traced_and_counted(monkeypatch):
     assert (ds.label == Label.PERMANENT_ROTATION).sum() > 4 * missed
     computed = ds.computed.values == 1
     np.testing.assert_array_equal(ds.label.values[computed], expected[computed])
-    repeated = refine.refined(ScenePlan.of(plane(9, 3, 0.1)), [], progress=False)
+    repeated = atlas.run(plane(9, 3, 0.1), progress=False)
     np.testing.assert_array_equal(repeated.computed, ds.computed)
 
 
 def test_progress_is_printed(monkeypatch, capsys):
     replace_integration(monkeypatch, lambda x, y: x + y < 0.7)
-    refine.refined(ScenePlan.of(plane(5, 2, 0.01)), [], progress=True)
+    atlas.run(plane(5, 2, 0.01), progress=True)
     assert "level 2 of 2" in capsys.readouterr().err
 
 

@@ -1,5 +1,6 @@
 """Runs straight into a Zarr store, in a folder and on an S3 server."""
 
+import json
 import logging
 import urllib.request
 
@@ -8,10 +9,12 @@ import pytest
 from truth import assert_same_bytes
 
 import atlas
-from atlas import BadInput, load_scene
+from atlas import BadInput, jit, load_scene
 from atlas.cli import main
+from atlas.files import process_name
 from atlas.io import storage
-from atlas.runs import tiles
+from atlas.runs import runner, tiles
+from atlas.runs.earlier import evaluate_at
 from atlas.runs.folder import RunFolder
 from atlas.runs.plan import ScenePlan
 from atlas.scene import grid
@@ -126,6 +129,63 @@ def test_another_scene_and_anything_else_are_refused(scene, scene_text, place):
         atlas.run(scene, elsewhere, progress=False)
 
 
+def test_force_replaces_another_run_and_nothing_else(scene, scene_text, whole, place, evaluated):
+    other = load_scene(scene_text(FEW | {"fixed.m": 0.6}))
+    RunFolder.prepare(ScenePlan.of(other), place, [])
+    for _ in range(2):  # the second time it is the run of this scene
+        assert_same_bytes(whole, atlas.run(scene, place, force=True, progress=False))
+        assert len(evaluated) == 5
+    root = RunFolder.open(place).root
+    root.clear("")
+    assert not root.walk()
+    RunFolder.prepare(ScenePlan.of(other), place, [])
+    progress = {"shard": "1/1", "host": "h", "points": 63, "done": 1, "points_per_second": 1.0}
+    progress |= {"running": True, "process": process_name(), "written": "2026-01-01T00:00:00Z"}
+    for name, content, message in (
+        ("atlas/progress.json", json.dumps(progress), "is computed by process"),
+        ("thesis.txt", "mine", "holds something else than a run"),
+    ):
+        root.write(name, content.encode())
+        before = root.walk()
+        with pytest.raises(BadInput, match=message):
+            atlas.run(scene, place, force=True, progress=False)
+        assert sorted(root.walk()) == sorted(before)
+        root.remove(name)
+
+
+def test_force_replaces_a_joined_store(scene, whole, tmp_path):
+    atlas.run(scene, f"{tmp_path}/run/", progress=False).close()
+    out = tmp_path / "joined.zarr"
+    RunFolder.open(tmp_path / "run").join(out)
+    with pytest.raises(BadInput, match=r"joined\.zarr: this file exists; force=True replaces it"):
+        atlas.run(scene, out, progress=False)
+    (out / "mine").write_text("")
+    with pytest.raises(BadInput, match="contains something else"):
+        atlas.run(scene, out, force=True, progress=False)
+    (out / "mine").unlink()
+    assert_same_bytes(whole, atlas.run(scene, out, force=True, progress=False))
+
+
+def test_a_store_takes_no_tile_of_another_processor(scene, whole, place, monkeypatch):
+    run = RunFolder.prepare(ScenePlan.of(scene), place, [])
+    values, computed, _ = evaluate_at(ScenePlan.of(scene).points, scene, run.indices(3))
+    foreign = run.tiles_with(run.key_with(run.manifest["identity"] | {"cpu": "another"}))
+    foreign.write(3, values, computed=computed, seconds=0.0, by="a job on another processor")
+    assert run.tiles.status().damaged == {3: "its sidecar is of another run or tile"}
+    before = run.root.walk()
+    with monkeypatch.context() as patched:
+        patched.setattr(jit, "cpu", lambda: "another")
+        for execution in ({}, {"shard": (1, 2)}):
+            with pytest.raises(BadInput, match=r"differs in cpu \(.* in the folder, another now\)$"):
+                atlas.run(scene, place, progress=False, **execution)
+        with pytest.raises(
+            BadInput, match=r"would compute other bits.* differs in cpu \(.*, another in the worker\)$"
+        ):
+            runner.check_worker(place, None, run.key)
+    assert sorted(run.root.walk()) == sorted(before)
+    assert_same_bytes(whole, atlas.run(scene, place, progress=False))
+
+
 def test_claims_expire_by_the_clock_of_the_storage(scene, place, monkeypatch):
     run = RunFolder.prepare(ScenePlan.of(scene), place, [])
     other = storage.process_name().replace(storage.process_name()[:8], "0" * 8).encode()  # on another machine
@@ -178,13 +238,20 @@ def test_packs_spare_reading_files_that_did_not_change(scene_text, tmp_path, mon
     run = RunFolder.open(tmp_path / "run")
     assert run.tiles.status().done == list(range(9))
     checked = []
-    whole_check = tiles.TileFiles._checked
+    whole_check, whole_sidecar = tiles.TileFiles._checked, tiles.TileFiles._sidecar
     monkeypatch.setattr(
         tiles.TileFiles, "_checked", lambda self, tile: checked.append(tile) or whole_check(self, tile)
     )
     assert run.tiles.status().done == list(range(9))
     assert run.dataset().encoding
     assert checked == []
+    sidecars = []
+    monkeypatch.setattr(tiles.TileFiles, "_sidecar", lambda self, tile: sidecars.append(tile))
+    run.join(tmp_path / "packed.nc")
+    assert sidecars == []
+    with atlas.open_atlas(tmp_path / "packed.nc") as joined:
+        assert_same_bytes(atlas.run(scene, progress=False), joined)
+    monkeypatch.setattr(tiles.TileFiles, "_sidecar", whole_sidecar)
     content = bytearray(run.tiles.path(5).read_bytes())
     content[-9] ^= 1
     run.tiles.path(5).write_bytes(content)

@@ -11,6 +11,7 @@ import atlas
 from atlas import BadInput, load_scene
 from atlas.cli import main
 from atlas.io import netcdf, zarr_store
+from atlas.io.storage import Folder
 from atlas.runs import folder as folder_module
 from atlas.runs.folder import RunFolder
 from atlas.scene import grid
@@ -153,7 +154,7 @@ def test_a_copy_by_another_program_is_read_as_it_is(store, tmp_path):
         ds.to_zarr(tmp_path / "copy.zarr")
     with atlas.open_atlas(tmp_path / "copy.zarr") as copy, atlas.open_atlas(store) as ds:
         np.testing.assert_array_equal(copy.label, ds.label)
-    assert not zarr_store.is_whole(tmp_path / "copy.zarr")
+    assert not zarr_store.is_whole(Folder(tmp_path / "copy.zarr"))
 
 
 def test_a_store_that_claims_more_than_its_files_can_hold_is_refused(store):

@@ -8,9 +8,7 @@ import atlas
 from atlas import BadInput, load_scene
 from atlas.analysis.compare import summary
 from atlas.flags import Agreement, Label, Status
-from atlas.runs import refine
 from atlas.runs.estimate import dry_run
-from atlas.runs.plan import ScenePlan
 from atlas.scene import grid
 from atlas.scene.read import scene_from
 
@@ -103,9 +101,7 @@ def test_a_run_folder_its_join_and_its_comparison_with_theory(computed, tmp_path
 def test_a_refined_scene_has_the_flags_of_the_full_grid():
     fine = {name: axis | {"count": 8 * axis["count"] - 7} for name, axis in RECTANGLE["axes"].items()}
     outputs = {"variables": ["label", "status", "predicted", "theta_dot_rms"]}
-    refined = refine.refined(
-        ScenePlan.of(rectangle(refine={"levels": 3}, outputs=outputs)), [], progress=False
-    )
+    refined = atlas.run(rectangle(refine={"levels": 3}, outputs=outputs), progress=False)
     full = atlas.run(rectangle(axes=fine, outputs=outputs), progress=False)
     for name in ("label", "status", "predicted"):
         np.testing.assert_array_equal(refined[name], full[name], err_msg=name)

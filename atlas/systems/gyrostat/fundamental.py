@@ -207,7 +207,7 @@ def integrate(parts, turn, begin, end, result, log_scale):
         multiply(z, z, x, False)
         multiply(x, x, y, False)
         multiply(y, matrix, product, False)
-        matrix[:] = product
+        matrix, product = product, matrix
         if (step + 1) % RESCALING == 0 or step == end - 1:
             largest[:] = 0.0
             for i in range(size):

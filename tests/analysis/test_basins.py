@@ -12,6 +12,8 @@ from atlas.analysis.trust import BOX
 from atlas.cli import main
 from atlas.plotting.attitude import Attitude, attitudes
 
+pytestmark = pytest.mark.usefixtures("whole_kernels")
+
 SCENE = """
 schema = 1
 title = "Ends"

@@ -93,10 +93,9 @@ def theory_lines(scene: Scene, plane: xr.Dataset, dims: list[str], variable: str
         """Lines of the plane, those of a plane drawn before if there are any."""
         key = scene.system, scene.toml(), repr(whole.extent), repr(whole.fixed), repr(option)
         if key not in _TRACED:
-            result = lines(whole, **option)
             if len(_TRACED) >= TRACED_PLANES:
                 _TRACED.clear()
-            _TRACED[key] = result
+            _TRACED[key] = lines(whole, **option)
         return _TRACED[key]
 
     borders = dict(traced(theory_borders, inertial=variable.endswith("_inertial")))
@@ -312,6 +311,8 @@ def _interpolated(positions: Array, axes: list[Array]) -> Array:
 def _lines_at(values: Array, level: float) -> list[Array]:
     """Lines halfway between neighbours on both sides of a level, as indices (vertices, axes); not at nan."""
     above = np.where(np.isfinite(values), np.where(values > level, 1.0, 0.0), np.nan)
+    if not ((above == 0).any() and (above == 1).any()):
+        return []
     if values.ndim == 1:
         return [np.array([[index + 0.5]]) for index in np.flatnonzero(np.abs(np.diff(above)) == 1)]
     # A ring of up to six vertices contains one or two points, as many of a region narrower than the cells do.

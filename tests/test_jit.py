@@ -13,7 +13,6 @@ from pathlib import Path
 import numba
 import pytest
 
-import atlas
 from atlas import files, jit
 from atlas.compiling import ANNOUNCEMENT, announced
 from atlas.systems.satellite.system import SATELLITE
@@ -22,11 +21,9 @@ from atlas.systems.satellite.system import SATELLITE
 ALL_TERMS = {name: 1.0 + i / 50 for i, name in enumerate(SATELLITE.parameters)}
 
 
-def test_an_edited_line_is_never_answered_by_a_stale_kernel(tmp_path):
+def test_an_edited_line_is_never_answered_by_a_stale_kernel(copied_package, tmp_path):
     """A copy of the package, one sign of the right-hand side edited: the result must change; a comment must not."""
-    shutil.copytree(
-        Path(atlas.__file__).parent, tmp_path / "atlas", ignore=shutil.ignore_patterns("__pycache__")
-    )
+    package, variables = copied_package
     code = (
         "import atlas; from atlas.engine.specialization import kernel_hash, source; from atlas.systems import SYSTEMS\n"
         f"ds = atlas.label_points('satellite', {ALL_TERMS}, duration=5.0, tolerance=1e-6)\n"
@@ -36,11 +33,11 @@ def test_an_edited_line_is_never_answered_by_a_stale_kernel(tmp_path):
     def result() -> list[str]:
         done = subprocess.run(
             [sys.executable, "-c", code], cwd=tmp_path, capture_output=True, text=True, check=True,
-            env={"PATH": "", "ATLAS_CACHE": os.environ["ATLAS_CACHE"], "HOME": str(tmp_path)},
+            env=variables | {"PATH": "", "ATLAS_CACHE": os.environ["ATLAS_CACHE"], "HOME": str(tmp_path)},
         )  # fmt: skip
         return done.stdout.split()
 
-    path = tmp_path / "atlas" / "systems" / "satellite" / "equations.py"
+    path = package / "systems" / "satellite" / "equations.py"
     original = path.read_text()
     first = result()
     commented = original.replace("H1, H2, H3 =", "# a comment\n    H1, H2, H3 =", 1)

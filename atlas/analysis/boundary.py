@@ -362,6 +362,8 @@ def _interpolated(positions: Array, axes: list[Array]) -> Array:
 def _lines_at(values: Array, level: float) -> list[Array]:
     """Lines halfway between neighbours on both sides of a level, as indices (vertices, axes); not at nan."""
     above = np.where(np.isfinite(values), np.where(values > level, 1.0, 0.0), np.nan)
+    if not ((above == 0).any() and (above == 1).any()):
+        return []
     if values.ndim == 1:
         return [np.array([[index + 0.5]]) for index in np.flatnonzero(np.abs(np.diff(above)) == 1)]
     # A ring of up to six vertices contains one or two points, as many of a region narrower than the cells do.

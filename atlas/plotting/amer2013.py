@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -78,14 +79,20 @@ def rk4(rate: Callable[[Array], Array], y0: Array, tau: Array) -> Array:
     return np.stack(path, 1)
 
 
+@cache
+def _exact(body: str, rotors: tuple[float, ...], tau: tuple[float, ...]) -> tuple[Any, Array, Array]:
+    """Body, start (18) and the exact solutions of `curves`, those from (18) first; up to four figures share them."""
+    spin = fast_spin.paper_body(body, np.array(rotors))
+    y0 = fast_spin.paper_start(spin)
+    starts = np.stack([y0, periodic.solutions(spin.of_shape(y0.shape[1:])).start], 1)
+    path = rk4(lambda y: fast_spin.rhs(spin, y), starts, np.array(tau))
+    return spin, y0, np.moveaxis(fast_spin.to_quasilinear(spin, path), 2, 0)
+
+
 def curves(figure: PaperFigure, tau: Array) -> dict[str, Array]:
     """Solutions (p2, p2', gamma2, gamma2') by source, (4, times, rotors); "(33), true" and "periodic" do not start at (18)."""
-    spin = fast_spin.paper_body(figure.body, np.array(figure.rotors))
-    y0 = fast_spin.paper_start(spin)
-    x0 = fast_spin.to_quasilinear(spin, y0)
-    starts = np.stack([y0, periodic.solutions(spin.of_shape(y0.shape[1:])).start], 1)
-    full = fast_spin.to_quasilinear(spin, rk4(lambda y: fast_spin.rhs(spin, y), starts, tau))
-    exact = dict(zip(("(1)", "periodic"), np.moveaxis(full, 2, 0), strict=True))
+    spin, y0, paths = _exact(figure.body, figure.rotors, tuple(tau))
+    x0, exact = fast_spin.to_quasilinear(spin, y0), dict(zip(("(1)", "periodic"), paths, strict=True))
     if figure.numerical:
         return {
             "(15), printed": rk4(lambda x: published.quasilinear(spin, x, x0), x0, tau),
@@ -215,10 +222,8 @@ def _gamma2_plane(figure: PaperFigure, tau: Array, solutions: dict[str, Array]) 
     for ax, (title, sources) in zip(panels, columns, strict=True):
         handles, _ = _draw_sources(ax, [tuple(differences[name]) for name in sources], 0.0)
         _add_legend(ax, title, handles, list(sources.values()), columns=1)
-        ax.set_xlabel(r"$10^3\,(\gamma_2 - M_3 \cos\tau)$")
-        ax.set_ylabel(r"$10^3\,(\dot\gamma_2 + M_3 \sin\tau)$")
-        ax.set_xlim(middle[0] - half, middle[0] + half)
-        ax.set_ylim(middle[1] - half, middle[1] + half)
+        ax.set(xlabel=r"$10^3\,(\gamma_2 - M_3 \cos\tau)$", ylabel=r"$10^3\,(\dot\gamma_2 + M_3 \sin\tau)$")
+        ax.set(xlim=middle[0] + [-half, half], ylim=middle[1] + [-half, half])
     for ax in (plane, *panels):
         ax.set_box_aspect(1)
         ax.tick_params(length=2.5)
@@ -236,9 +241,8 @@ def _draw_sources(
     for (x, y), style, level in zip(lines, styles, (2.0, 3.0), strict=False):
         x = np.broadcast_to(x, y.shape)
         point = bool((np.ptp(x, axis=0) + np.ptp(y, axis=0) < 1e-6).all())  # at rest in a phase plane
-        marker = (
-            {"linestyle": "", "marker": "o" if style is _FIRST else "+", "markersize": 6} if point else {}
-        )
+        symbol = {"linestyle": "", "marker": "o" if style is _FIRST else "+", "markersize": 6}
+        marker = symbol if point else {}
         for i in range(y.shape[1]):
             group = [k for k in range(y.shape[1]) if np.abs(y[:, k] - y[:, i]).max() < resolution] or [i]
             coincide |= len(group) > 1

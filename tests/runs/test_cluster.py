@@ -4,7 +4,6 @@ import json
 import os
 import random
 import re
-import shutil
 import signal
 import socket
 import subprocess
@@ -58,8 +57,8 @@ def servers(tmp_path):
             with suppress(OSError, ValueError):
                 return process, json.loads(file.read_text())["address"]
 
-    def start_worker(address, *options, **variables):
-        return start("worker", address, "--nthreads", "1", *options, **variables)
+    def start_worker(address, **variables):
+        return start("worker", address, "--nthreads", "1", "--no-nanny", **variables)
 
     yield start_scheduler, start_worker
     for process in reversed(processes):
@@ -175,14 +174,6 @@ def test_two_clusters_finish_one_folder_even_where_one_loses_its_scheduler(longe
     assert_same_bytes(whole, atlas.open_atlas(path / "run"))
 
 
-@pytest.fixture
-def copied_package(tmp_path):
-    """A copy of the package, and the variables of processes that import it."""
-    copy = tmp_path / "copy" / "atlas"
-    shutil.copytree(Path(atlas.__file__).parent, copy, ignore=shutil.ignore_patterns("__pycache__"))
-    return copy, {"PYTHONPATH": str(copy.parent)}
-
-
 def swap_labels(package):
     """Exchange two labels in the code; the size of the file stays."""
     file = package / "measure" / "rates.py"
@@ -198,7 +189,7 @@ def test_a_worker_that_started_before_an_edit_is_refused(copied_package, servers
     (folder / "scene.toml").write_text(small_scene)
     start_scheduler, start_worker = servers
     _, address = start_scheduler()
-    worker = start_worker(address, "--no-nanny", **variables)
+    worker = start_worker(address, **variables)
     first = client(folder, address, "first/", **variables)
     _, errors = first.communicate(timeout=300)
     assert first.returncode == 0, errors
@@ -210,7 +201,7 @@ def test_a_worker_that_started_before_an_edit_is_refused(copied_package, servers
     assert "rates.py was written after this process" in errors
     assert list((folder / "second" / "tiles").iterdir()) == []
     kill(worker)
-    start_worker(address, "--no-nanny", **variables)
+    start_worker(address, **variables)
     third = client(folder, address, "second/", **variables)
     _, errors = third.communicate(timeout=300)
     assert third.returncode == 0, errors
@@ -221,7 +212,7 @@ def test_a_worker_of_another_copy_of_the_package_is_refused(copied_package, long
     swap_labels(package)
     start_scheduler, start_worker = servers
     _, address = start_scheduler()
-    start_worker(address, "--no-nanny", **variables)
+    start_worker(address, **variables)
     process = client(folder, address)
     # The worker may come after the client has compared those that there are; its first tile is then refused.
     _, errors = process.communicate(timeout=300)

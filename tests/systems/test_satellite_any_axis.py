@@ -39,7 +39,7 @@ def test_measured_labels_about_any_axes_agree():
         "label", "label_any_axis", "label_any_axis_inertial", "predicted_any_axis", "predicted_any_axis_inertial",
         "agreement_any_axis", "status",
     ]  # fmt: skip
-    ds = label_points("satellite", points, duration=40.0, variables=names, method="rk8")
+    ds = label_points("satellite", points, duration=40.0, variables=names)
     assert (ds["status"] == 1).all()
     assert (ds["agreement_any_axis"] == Agreement.AGREE).all()
     np.testing.assert_array_equal(ds["label_any_axis_inertial"], ds["predicted_any_axis_inertial"])

@@ -15,9 +15,8 @@ from numpy.typing import NDArray
 
 from ..base import Array
 
-LANES = (
-    64  # points side by side, over which the innermost loops become vector instructions; fewer take as long
-)
+# Points side by side, over which the innermost loops become vector instructions; fewer take as long.
+LANES = 64
 GAUSS = np.sqrt(0.15)  # distance of the outer Gauss nodes from the middle of a step, in steps
 RESCALING = 16  # steps after which matrices are rescaled, lest they overflow, and phases computed anew
 STEPS = 4096  # of a call, which cannot be interrupted: some tenths of a second; a multiple of RESCALING
@@ -91,9 +90,8 @@ def multiply(a, b, out, subtract):
             if subtract:
                 for k in range(0, size, 2):
                     for lane in range(LANES):
-                        out[i, j, lane] -= (
-                            a[i, k, lane] * b[k, j, lane] + a[i, k + 1, lane] * b[k + 1, j, lane]
-                        )
+                        pair = a[i, k, lane] * b[k, j, lane] + a[i, k + 1, lane] * b[k + 1, j, lane]
+                        out[i, j, lane] -= pair
             else:
                 for lane in range(LANES):
                     out[i, j, lane] = a[i, 0, lane] * b[0, j, lane] + a[i, 1, lane] * b[1, j, lane]
@@ -147,11 +145,8 @@ def integrate(parts, turn, begin, end, result, log_scale):
     second_sine, largest = np.empty(LANES), np.empty(LANES)
     for lane in range(LANES):
         point = min(lane, points - 1)
-        turn_of[lane], turn_cosine[lane], turn_sine[lane] = (
-            turn[point],
-            np.cos(turn[point]),
-            np.sin(turn[point]),
-        )
+        turn_of[lane] = turn[point]
+        turn_cosine[lane], turn_sine[lane] = np.cos(turn[point]), np.sin(turn[point])
         for i in range(size):
             identity[i, i, lane] = 1.0
             for j in range(size):
@@ -207,7 +202,7 @@ def integrate(parts, turn, begin, end, result, log_scale):
         multiply(z, z, x, False)
         multiply(x, x, y, False)
         multiply(y, matrix, product, False)
-        matrix[:] = product
+        matrix, product = product, matrix
         if (step + 1) % RESCALING == 0 or step == end - 1:
             largest[:] = 0.0
             for i in range(size):

@@ -3,19 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Mapping
+from dataclasses import replace
 from itertools import combinations, pairwise, product
 from typing import cast
 
 import contourpy
 import numpy as np
 import xarray as xr
+from numpy.typing import NDArray
 
 from ..errors import BadInput, attribute_text
 from ..flags import Label, NonlinearStability, Stability
 from ..scene.model import Scene
 from ..systems.base import Array, DerivedVariable, Flags, Mask, Points, System, derived_values
 from ..systems.gyrostat import Gyrostat
-from ..systems.gyrostat.branches import Family, on_bifurcations
+from ..systems.gyrostat.branches import Family, curves, on_segments
 from ..systems.gyrostat.variables import FREQUENCIES, NONLINEAR, NORMAL_FORM
 from .metadata import axes_of, flag_values, is_logarithmic, scene_of, system_of
 from .plane import SAMPLES, Plane
@@ -259,19 +261,26 @@ def _without_poles(
 
 CHANGE = "change of the number"
 COUNT_BISECTIONS = 6  # of the distance between two neighbouring points of the atlas
-# Counts that change only where equilibria merge, so that Newton's method ends on the line.
+# Counts that change only where equilibria merge.
 MERGING_COUNTS = ("equilibrium_count", "equilibrium_energy_stable_count")
-MERGING_BISECTIONS = 3  # nearer to the line counts take long
+SLICES, SLICE_VALUES = 7, 9  # along each axis, on which curves begin
+MAX_SEARCHES, MAX_SEGMENTS = (
+    8,
+    64,
+)  # of further points on curves, and changes of a count between neighbours in each
+TOGETHER = 4  # curves that are followed at once
+SAME_CURVE = 1e-3  # distance over the extent of the axes: further than the chords of a curve are from it
 
 
 def count_borders(plane: Plane, counts: xr.DataArray, derived: DerivedVariable) -> dict[str, list[Array]]:
     """Lines, under CHANGE, between the regions of a plane where a count has different values.
 
-    Regions narrower than a cell are missed; each change of a count that skips values gives its own line. Lines of MERGING_COUNTS
-    are exact but for rounding.
+    Regions narrower than a cell are missed, but for MERGING_COUNTS; each change of a count that skips values gives its own line.
     """
     values = counts.transpose(*plane.extent).values
     axes = [counts[dim].values for dim in plane.extent]
+    if derived.name in MERGING_COUNTS and isinstance(plane.scene.system, Gyrostat):
+        return _merging_lines(plane, plane.scene.system, values, axes, derived.name == MERGING_COUNTS[1])
     levels = [0.5 * (a + b) for a, b in pairwise(np.unique(values[np.isfinite(values)]))]
     lines = [(level, line) for level in levels for line in _lines_at(values, level)]
     if not lines:
@@ -286,21 +295,83 @@ def count_borders(plane: Plane, counts: xr.DataArray, derived: DerivedVariable) 
     level_of = np.concatenate([np.full(len(line), level) for level, line in lines])
     low, high = np.floor(vertices + 0.25), np.ceil(vertices - 0.25)
     ends = np.cumsum([len(line) for _, line in lines])[:-1]
-    system = plane.scene.system
-    merging = derived.name in MERGING_COUNTS
-    bisections = MERGING_BISECTIONS if merging else COUNT_BISECTIONS
-    vertices = _bisected(is_above, low, high, bisections)
-    if merging and isinstance(system, Gyrostat):
-        half = 0.5 ** (bisections + 1) * (high - low)
-        below, above = (_interpolated(vertices + side * half, axes) for side in (-1, 1))
-
-        def points(values: Array) -> Points:
-            return plane.points(dict(zip(plane.extent, values.T, strict=True))).base
-
-        family = Family.of(system, points, np.array(list(plane.extent.values())).T)
-        reach = 0.5 * _interpolated(vertices, [np.gradient(axis) for axis in axes])  # half a cell
-        return {CHANGE: np.split(on_bifurcations(family, below, above, reach), ends)}
+    vertices = _bisected(is_above, low, high, COUNT_BISECTIONS)
     return {CHANGE: np.split(_interpolated(vertices, axes), ends)}
+
+
+def _merging_lines(
+    plane: Plane, system: Gyrostat, counts: Array, axes: list[Array], minima: bool
+) -> dict[str, list[Array]]:
+    """Curves on which equilibria merge, minima alone of the amended potential, exact but for rounding.
+
+    They are followed from points on SLICES of the plane, then from changes of the count between neighbours that none of them
+    explains.
+    """
+    extent = {dim: (axis.min(), axis.max()) for dim, axis in zip(plane.extent, axes, strict=True)}
+    plane = replace(plane, extent=extent)
+
+    def points(positions: Array) -> Points:
+        return plane.points(plane.coordinates(positions)).base
+
+    def in_units(positions: Array) -> Array:
+        return np.stack(list(plane.coordinates(positions).values()), -1)
+
+    family = Family.of(system, points, np.array(list(product((0.0, 0.4, 1.0), repeat=len(axes)))))
+    if len(axes) == 1:
+        where, _, number = on_segments(family, np.zeros((1, 1)), np.ones((1, 1)), axes[0].size)
+        where = where[(number == 0) | (not minima)]
+        first = np.unique(where.round(9), return_index=True)[1]
+        return {CHANGE: list(in_units(where[first])[:, None])} if first.size else {}
+    across = (np.arange(SLICES) + 0.38) / SLICES
+    sides = [np.stack([across, np.full(SLICES, side)], 1) for side in (0.0, 1.0)]
+    start, end = (np.concatenate([side, side[:, ::-1]]) for side in sides)
+    changes = _changes(counts, [plane.positions(dim, axis) for dim, axis in zip(extent, axes, strict=True)])
+    lines: list[tuple[Array, NDArray[np.int64]]] = []
+
+    def is_new(position: Array) -> bool:
+        return all(_distances(line, position[None])[0] > SAME_CURVE for line, _ in lines)
+
+    size = SLICE_VALUES
+    for _ in range(MAX_SEARCHES):
+        where, frames, _ = on_segments(family, start, end, size)
+        _, first = np.unique(where.round(9), axis=0, return_index=True)
+        for some in np.split(first, range(TOGETHER, first.size, TOGETHER)):
+            new = some[[is_new(position) for position in where[some]]]
+            for position, line in zip(where[new], curves(family, where[new], frames[new]), strict=True):
+                if is_new(position):
+                    lines.append(line)
+        cells = np.array(counts.shape) - 1
+        for vertices, number in lines:
+            far = _distances(vertices * cells, changes.mean(1) * cells) > 1
+            changes = changes[far | bool(minima and number.any())]
+        if not len(changes):
+            break
+        start, end = np.moveaxis(changes[:MAX_SEGMENTS], 1, 0)
+        changes, size = changes[MAX_SEGMENTS:], 2
+    result = []
+    for vertices, number in lines:
+        shown = system.possible_body(points(vertices)) & ((number == 0) | (not minima))
+        parts = np.split(np.arange(shown.size), np.flatnonzero(np.diff(shown)) + 1)
+        result += [in_units(vertices[part]) for part in parts if shown[part[0]] and part.size > 1]
+    return {CHANGE: result} if result else {}
+
+
+def _changes(counts: Array, positions: list[Array]) -> Array:
+    """Positions of neighbours with different counts, (changes, 2, axes)."""
+    grid, changes = np.stack(np.meshgrid(*positions, indexing="ij"), -1), []
+    for axis in range(counts.ndim):
+        values, where = np.moveaxis(counts, axis, 0), np.moveaxis(grid, axis, 0)
+        differ = np.isfinite(values[1:] + values[:-1]) & (values[1:] != values[:-1])
+        changes.append(np.stack([where[:-1][differ], where[1:][differ]], 1))
+    return np.concatenate(changes)
+
+
+def _distances(line: Array, points: Array) -> Array:
+    """Distances of points (N, axes) from a polyline."""
+    start, chord = line[:-1], np.diff(line, axis=0)
+    offset = points[:, None] - start
+    fraction = np.clip((offset * chord).sum(-1) / np.maximum((chord**2).sum(-1), 1e-300), 0, 1)
+    return np.sqrt(((offset - fraction[..., None] * chord) ** 2).sum(-1)).min(1, initial=np.inf)
 
 
 def _interpolated(positions: Array, axes: list[Array]) -> Array:

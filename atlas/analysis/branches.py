@@ -102,7 +102,7 @@ def branches_of_scene(scene: Scene) -> xr.Dataset:
         scene.system.possible_body(sample.base) & (sample.reason != grid.Reason.NO_VALUE)
     )
     family = family_of(scene, values[possible, None])
-    result = follow(family, values[possible], possible - np.arange(possible.size))
+    result = follow(family, values[possible], possible - np.arange(possible.size), stability=True)
     frames = np.array([point.frame for point in result.points]).reshape(-1, 3, 3)
     folds = np.array([[point.value] for point in result.points]).reshape(-1, 1)
     potential = family.system.body_at_rest(family.points(folds)).potential(frames[:, 0], frames[:, 2])

@@ -191,7 +191,7 @@ class FixedPoint(Gyrostat):
         ordered: bool = False,
     ) -> dict[str, NDArray[Any]]:
         """All permanent rotations of many bodies, each at its rate n; see rotations.rotations_of_bodies."""
-        return rotations.rotations_of_bodies(self, initial.without_vectors(points))
+        return rotations.rotations_of_bodies(self, initial.without_vectors(points), ordered)
 
 
 FIXED_POINT = FixedPoint()

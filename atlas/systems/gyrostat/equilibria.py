@@ -13,7 +13,7 @@ from ...flags import Completeness, EnergyStability, Stability, StabilityKind
 from ..base import Array, Mask, Points, subset
 from . import homotopy
 from .body import Body, across, cross_matrix
-from .secular import critical_directions
+from .secular import NEARLY, critical_directions
 from .variables import FREQUENCIES, stability_kind
 
 if TYPE_CHECKING:
@@ -133,8 +133,9 @@ def equilibria_of_bodies(
 
     Those of bodies with an axis of symmetry follow from the secular equation. Bodies of which neither finds all equilibria
     with certainty and those without an orbit are searched one by one, as `equilibria` does, in about 70 ms each. pause:
-    called at least once a second; it may raise an exception. stability: whether to compute STABILITY. ordered: see `homotopy.solve`. Returns arrays (bodies, places) in the
-    order of the potential, then of the attitude, unused places at the end (nan, index -1, stable 0), and completeness (bodies,), values of flags.Completeness.
+    called at least once a second; it may raise an exception. stability: whether to compute STABILITY. ordered: see `homotopy.solve`;
+    unused places then hold alpha and gamma near complex solutions. Returns arrays (bodies, places) in the order of the potential,
+    then of the attitude, unused places at the end (nan, index -1, stable 0), and completeness (bodies,), values of flags.Completeness.
     """
     count = points["A"].size
     completeness = np.full(count, Completeness.COMPLETE, np.int8)
@@ -142,8 +143,8 @@ def equilibria_of_bodies(
     for first in range(0, count, _BLOCK):
         pause()
         block = np.arange(first, min(first + _BLOCK, count))
-        solved, symmetric, row, columns = _at_once(system, subset(points, block), stability, ordered)
-        parts.append({"row": block[row], **columns})
+        solved, symmetric, columns = _at_once(system, subset(points, block), stability, ordered)
+        parts.append({**columns, "row": block[columns["row"]]})
         completeness[block[solved & symmetric]] = Completeness.NOT_ISOLATED
         for i in block[~solved]:
             pause()
@@ -168,17 +169,31 @@ def padded(columns: Mapping[str, NDArray[Any]], count: int, places: int) -> dict
     result = {}
     for name, values in columns.items():
         if name != "row":
-            result[name] = np.full(
-                (count, places, *values.shape[1:]), _UNUSED.get(name, np.nan), values.dtype
-            )
+            result[name] = _unused(name, values, count, places)
             result[name][row, place] = values[order]
     return result
 
 
+def extended(
+    columns: Mapping[str, NDArray[Any]], near: Mapping[str, NDArray[Any]]
+) -> dict[str, NDArray[Any]]:
+    """Columns over equilibria, then those of solutions that are nearly real in what is unused else."""
+    count = near["row"].size
+    return {
+        name: np.concatenate([values, near[name] if name in near else _unused(name, values, count)])
+        for name, values in columns.items()
+    }
+
+
+def _unused(name: str, values: NDArray[Any], *shape: int) -> NDArray[Any]:
+    """An array of this shape over equilibria of what stands in the unused places of a variable."""
+    return np.full((*shape, *values.shape[1:]), _UNUSED.get(name, np.nan), values.dtype)
+
+
 def _at_once(
     system: Gyrostat, points: Points, stability: bool, ordered: bool
-) -> tuple[Mask, Mask, NDArray[np.int64], dict[str, NDArray[Any]]]:
-    """Which bodies have all equilibria here, which are symmetric; of each equilibrium the body, and its variables."""
+) -> tuple[Mask, Mask, dict[str, NDArray[Any]]]:
+    """Which bodies have all equilibria here, which are symmetric; of each equilibrium the body, "row", and its variables."""
     given = system.body(points)
     rate = np.where(given.turn == 0, 1.0, given.turn)
     with np.errstate(all="ignore"):
@@ -193,8 +208,11 @@ def _at_once(
     symmetric = np.asarray(axes.any(1))
     general, single = np.flatnonzero(usable & ~symmetric), np.flatnonzero(usable & (axes.sum(1) == 1))
     parts = [(general, *_by_continuation(bodies.subset(general), ordered))]
-    parts += [(single, *_by_symmetry(bodies.subset(single), axes[single].argmax(1)))]
-    row, frames = (np.concatenate(c) for c in zip(*((some[body], f) for some, body, f in parts), strict=True))
+    parts += [(single, *_by_symmetry(bodies.subset(single), axes[single].argmax(1), ordered))]
+    columns = zip(*((some[body], *rest) for some, body, *rest in parts), strict=True)
+    row, frames, real = (np.concatenate(column) for column in columns)
+    near, near_frames = row[~real], frames[~real]
+    row, frames = row[real], frames[real]
     bodies = bodies.subset(row)
     hessian = bodies.gradient(frames[:, 0], frames[:, 2])[1]
     values = np.linalg.eigvalsh(0.5 * (hessian + np.swapaxes(hessian, 1, 2)))
@@ -217,32 +235,37 @@ def _at_once(
     if stability:
         angles = {name: result[name] for name in ANGLES}
         result |= stability_at_rest(system, subset(points, row), angles)
-    return solved, symmetric, row, result
+    where = solved[near]
+    nearly = {"row": near[where], "alpha": near_frames[where, 0], "gamma": near_frames[where, 2]}
+    return solved, symmetric, extended({"row": row} | result, nearly)
 
 
-def _by_continuation(bodies: Body, ordered: bool) -> tuple[NDArray[np.int64], Array]:
-    """Body and frame of each equilibrium, of those bodies of which the continuation finds all."""
+def _by_continuation(bodies: Body, ordered: bool) -> tuple[NDArray[np.int64], Array, Mask]:
+    """Body and frame of each equilibrium, of those bodies of which the continuation finds all.
+
+    ordered: also of solutions that are nearly real; which are real.
+    """
     alpha, gamma = (direction.field.T for direction in bodies.amended())
-    radius, normal, real, complete = homotopy.solve(bodies.inertia.T, alpha, gamma, ordered)
-    body, path = np.nonzero(real.T & complete[:, None])
+    radius, normal, real, nearly, complete = homotopy.solve(bodies.inertia.T, alpha, gamma, ordered)
+    body, path = np.nonzero((real | nearly & ordered).T & complete[:, None])
     a, g = radius[:, path, body].T, normal[:, path, body].T
-    return body, np.stack([a, np.cross(g, a), g], 1)
+    return body, np.stack([a, np.cross(g, a), g], 1), real[path, body]
 
 
-def _by_symmetry(bodies: Body, i: NDArray[np.int64]) -> tuple[NDArray[np.int64], Array]:
+def _by_symmetry(bodies: Body, i: NDArray[np.int64], ordered: bool) -> tuple[NDArray[np.int64], Array, Mask]:
     """The same of bodies with one axis of symmetry i, which in the frame is a critical point of a function on the sphere."""
     own = np.arange(i.size)
     excess, none = bodies.inertia[own, i] - bodies.inertia[own, (i + 1) % 3], np.zeros(i.size)
     alpha, gamma = bodies.amended()
     d = np.array([alpha.gradient * excess, none, gamma.gradient * excess])
     b = np.array([alpha.field[own, i], none, gamma.field[own, i]])
-    components, dimension = critical_directions(d, b)
-    column, body = np.nonzero((dimension == 0) & ~(dimension > 0).any(0))
+    components, dimension = critical_directions(d, b, nearly=ordered)
+    column, body = np.nonzero(((dimension == 0) | (dimension == NEARLY)) & ~(dimension > 0).any(0))
     axis = components[:, column, body].T
     frames, columns = np.empty((body.size, 3, 3)), (i[body, None] + np.arange(3)) % 3
     vectors = np.concatenate([axis[:, None], across(axis)], 1)
     np.put_along_axis(frames, columns[:, None], np.swapaxes(vectors, 1, 2), 2)
-    return body, frames
+    return body, frames, dimension[column, body] == 0
 
 
 def _search(bodies: Body, scale: float) -> Array:

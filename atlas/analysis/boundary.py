@@ -203,6 +203,8 @@ def _bisected(class_at: Callable[[Array], np.ndarray], low: Array, high: Array, 
 
 def _refined_samples(classes: Callable[[Array], Classes]) -> Classes:
     """Classes on a fine grid over two axes, evaluated only where they change, (samples, samples)."""
+    from scipy import ndimage  # here, because every command imports this module
+
     count, steps = COARSE_SAMPLES, np.linspace(0, 1, COARSE_SAMPLES)
     positions = np.stack(np.meshgrid(steps, steps, indexing="ij"), -1).reshape(-1, 2)
     samples = {kind: column.reshape(count, count) for kind, column in classes(positions).items()}
@@ -222,13 +224,11 @@ def _refined_samples(classes: Callable[[Array], Classes]) -> Classes:
             for column in samples.values():
                 if column.min() == column.max():
                     continue
-                low, high = np.where(known, column, 127), np.where(known, column, -1)
-                changed |= _over_cells(low, np.minimum) != _over_cells(high, np.maximum)
+                low = ndimage.minimum_filter(np.where(known, column, 127), DIVISION + 1, origin=-2)
+                high = ndimage.maximum_filter(np.where(known, column, -1), DIVISION + 1, origin=-2)
+                changed |= (low != high)[:-1:DIVISION, :-1:DIVISION]
             blocks = np.repeat(np.repeat(changed, DIVISION, 0), DIVISION, 1)
-            missing = np.zeros((count, count), bool)
-            for x, y in product((0, 1), repeat=2):
-                missing[x : count - 1 + x, y : count - 1 + y] |= blocks
-            missing &= ~evaluated
+            missing = ndimage.maximum_filter(np.pad(blocks, (0, 1)), 2) & ~evaluated
             if not missing.any():
                 break
             for kind, column in classes(np.argwhere(missing) / (count - 1)).items():
@@ -238,25 +238,21 @@ def _refined_samples(classes: Callable[[Array], Classes]) -> Classes:
     return samples
 
 
-def _over_cells(column: np.ndarray, reduce: np.ufunc) -> np.ndarray:
-    """Smallest or largest sample of each coarse cell, the samples on its edges included; (cells, cells)."""
-    for axis in (0, 1):
-        moved = np.moveaxis(column, axis, 0)
-        parts = [moved[i : len(moved) - DIVISION + i : DIVISION] for i in range(DIVISION)]
-        column = np.moveaxis(reduce.reduce([*parts, moved[DIVISION::DIVISION]]), 0, axis)
-    return column
-
-
 def _without_poles(
     size: Callable[[Array], Array], edges: list[tuple[Array, Array]], lines: list[Array]
 ) -> list[Array]:
     """The parts of lines on which a quantity of this magnitude changes its sign through zero, not through infinity."""
-    parts = []
-    for (low, high), line in zip(edges, lines, strict=True):
-        through_zero = size(line) < 0.5 * np.maximum(size(low), size(high))
-        indices = np.split(np.arange(len(line)), np.flatnonzero(np.diff(through_zero)) + 1)
-        parts += [line[part] for part in indices if through_zero[part[0]]]
-    return parts
+    return [
+        part
+        for (low, high), line in zip(edges, lines, strict=True)
+        for part in _parts(line, size(line) < 0.5 * np.maximum(size(low), size(high)))
+    ]
+
+
+def _parts(line: Array, shown: Mask) -> list[Array]:
+    """The parts of a line of which every vertex is shown."""
+    parts = np.split(np.arange(len(line)), np.flatnonzero(np.diff(shown)) + 1)
+    return [line[part] for part in parts if shown[part[0]]]
 
 
 CHANGE = "change of the number"
@@ -279,36 +275,38 @@ def count_borders(plane: Plane, counts: xr.DataArray, derived: DerivedVariable) 
     """
     values = counts.transpose(*plane.extent).values
     axes = [counts[dim].values for dim in plane.extent]
-    if derived.name in MERGING_COUNTS and isinstance(plane.scene.system, Gyrostat):
-        return _merging_lines(plane, plane.scene.system, values, axes, derived.name == MERGING_COUNTS[1])
     levels = [0.5 * (a + b) for a, b in pairwise(np.unique(values[np.isfinite(values)]))]
     lines = [(level, line) for level in levels for line in _lines_at(values, level)]
-    if not lines:
-        return {}
+    vertices = np.concatenate([np.zeros((0, len(axes))), *(line for _, line in lines)])
+    low, high = np.floor(vertices + 0.25), np.ceil(vertices - 0.25)
+    if derived.name in MERGING_COUNTS and isinstance(plane.scene.system, Gyrostat):
+        merging = _merging_lines(
+            plane, plane.scene.system, axes, (low, high), derived.name == MERGING_COUNTS[1]
+        )
+        return {CHANGE: merging} if merging else {}
 
     def is_above(positions: Array) -> Mask:
         """Whether the count at positions (vertices, axes) is above the level of each."""
         points = plane.points(dict(zip(plane.extent, _interpolated(positions, axes).T, strict=True)))
         return np.asarray(derived.values(points.base, points.duration, lambda: None) > level_of)
 
-    vertices = np.concatenate([line for _, line in lines])
-    level_of = np.concatenate([np.full(len(line), level) for level, line in lines])
-    low, high = np.floor(vertices + 0.25), np.ceil(vertices - 0.25)
+    level_of = np.repeat([level for level, _ in lines], [len(line) for _, line in lines])
     ends = np.cumsum([len(line) for _, line in lines])[:-1]
-    vertices = _bisected(is_above, low, high, COUNT_BISECTIONS)
-    return {CHANGE: np.split(_interpolated(vertices, axes), ends)}
+    vertices = _interpolated(_bisected(is_above, low, high, COUNT_BISECTIONS), axes)
+    return {CHANGE: np.split(vertices, ends)} if lines else {}
 
 
 def _merging_lines(
-    plane: Plane, system: Gyrostat, counts: Array, axes: list[Array], minima: bool
-) -> dict[str, list[Array]]:
+    plane: Plane, system: Gyrostat, axes: list[Array], changes: tuple[Array, Array], minima: bool
+) -> list[Array]:
     """Curves on which equilibria merge, minima alone of the amended potential, exact but for rounding.
 
-    They are followed from points on SLICES of the plane, then from changes of the count between neighbours that none of them
-    explains.
+    They are followed from points on SLICES of the plane, then from changes of the count between neighbours, as indices (N, axes),
+    that none of them explains.
     """
     extent = {dim: (axis.min(), axis.max()) for dim, axis in zip(plane.extent, axes, strict=True)}
     plane = replace(plane, extent=extent)
+    places = [plane.positions(dim, axis) for dim, axis in zip(extent, axes, strict=True)]
 
     def points(positions: Array) -> Points:
         return plane.points(plane.coordinates(positions)).base
@@ -320,50 +318,35 @@ def _merging_lines(
     if len(axes) == 1:
         where, _, number = on_segments(family, np.zeros((1, 1)), np.ones((1, 1)), axes[0].size)
         where = where[(number == 0) | (not minima)]
-        first = np.unique(where.round(9), return_index=True)[1]
-        return {CHANGE: list(in_units(where[first])[:, None])} if first.size else {}
-    across = (np.arange(SLICES) + 0.38) / SLICES
-    sides = [np.stack([across, np.full(SLICES, side)], 1) for side in (0.0, 1.0)]
-    start, end = (np.concatenate([side, side[:, ::-1]]) for side in sides)
-    changes = _changes(counts, [plane.positions(dim, axis) for dim, axis in zip(extent, axes, strict=True)])
+        return list(in_units(where[np.unique(where.round(9), return_index=True)[1]])[:, None])
+    across, ends = (np.arange(SLICES) + 0.38) / SLICES, np.repeat([[0.0], [1.0]], SLICES, 1)
+    sides = np.stack([np.broadcast_to(across, ends.shape), ends], -1)
+    (low, high), size = np.concatenate([sides, sides[..., ::-1]], 1), SLICE_VALUES
+    unexplained = np.stack([_interpolated(each, places) for each in changes], 1)
     lines: list[tuple[Array, NDArray[np.int64]]] = []
-
-    def is_new(position: Array) -> bool:
-        return all(_distances(line, position[None])[0] > SAME_CURVE for line, _ in lines)
-
-    size = SLICE_VALUES
     for _ in range(MAX_SEARCHES):
-        where, frames, _ = on_segments(family, start, end, size)
-        _, first = np.unique(where.round(9), axis=0, return_index=True)
-        for some in np.split(first, range(TOGETHER, first.size, TOGETHER)):
-            new = some[[is_new(position) for position in where[some]]]
-            for position, line in zip(where[new], curves(family, where[new], frames[new]), strict=True):
-                if is_new(position):
+        where, frames, _ = on_segments(family, low, high, size)
+        remaining = np.unique(where.round(9), axis=0, return_index=True)[1]
+        for vertices, _ in lines:
+            remaining = remaining[_distances(vertices, where[remaining]) > SAME_CURVE]
+        while remaining.size:
+            some = remaining[:TOGETHER]
+            for i, line in zip(some, curves(family, where[some], frames[some]), strict=True):
+                if i in remaining:
                     lines.append(line)
-        cells = np.array(counts.shape) - 1
+                    remaining = remaining[_distances(line[0], where[remaining]) > SAME_CURVE]
+            remaining = np.setdiff1d(remaining, some)
+        cells = np.array([axis.size - 1 for axis in axes])
         for vertices, number in lines:
-            far = _distances(vertices * cells, changes.mean(1) * cells) > 1
-            changes = changes[far | bool(minima and number.any())]
-        if not len(changes):
+            far = _distances(vertices * cells, unexplained.mean(1) * cells) > 1
+            unexplained = unexplained[far | bool(minima and number.any())]
+        if not len(unexplained):
             break
-        start, end = np.moveaxis(changes[:MAX_SEGMENTS], 1, 0)
-        changes, size = changes[MAX_SEGMENTS:], 2
-    result = []
-    for vertices, number in lines:
-        shown = system.possible_body(points(vertices)) & ((number == 0) | (not minima))
-        parts = np.split(np.arange(shown.size), np.flatnonzero(np.diff(shown)) + 1)
-        result += [in_units(vertices[part]) for part in parts if shown[part[0]] and part.size > 1]
-    return {CHANGE: result} if result else {}
-
-
-def _changes(counts: Array, positions: list[Array]) -> Array:
-    """Positions of neighbours with different counts, (changes, 2, axes)."""
-    grid, changes = np.stack(np.meshgrid(*positions, indexing="ij"), -1), []
-    for axis in range(counts.ndim):
-        values, where = np.moveaxis(counts, axis, 0), np.moveaxis(grid, axis, 0)
-        differ = np.isfinite(values[1:] + values[:-1]) & (values[1:] != values[:-1])
-        changes.append(np.stack([where[:-1][differ], where[1:][differ]], 1))
-    return np.concatenate(changes)
+        (low, high), size = np.moveaxis(unexplained[:MAX_SEGMENTS], 1, 0), 2
+        unexplained = unexplained[MAX_SEGMENTS:]
+    shown = [system.possible_body(points(line)) & ((number == 0) | (not minima)) for line, number in lines]
+    parts = [part for (line, _), mask in zip(lines, shown, strict=True) for part in _parts(line, mask)]
+    return [in_units(part) for part in parts if len(part) > 1]
 
 
 def _distances(line: Array, points: Array) -> Array:

@@ -155,7 +155,7 @@ class Family(NamedTuple):
 
 
 class Nodes(NamedTuple):
-    """All solutions at some values of the parameter, each body's in the first places."""
+    """All solutions at some values of the parameter."""
 
     values: Array  # (nodes,)
     frames: Array  # rows alpha, beta, gamma in body axes; nan where unused, (nodes, places, 3, 3)

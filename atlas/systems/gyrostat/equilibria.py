@@ -134,8 +134,8 @@ def equilibria_of_bodies(
     Those of bodies with an axis of symmetry follow from the secular equation. Bodies of which neither finds all equilibria
     with certainty and those without an orbit are searched one by one, as `equilibria` does, in about 70 ms each. pause:
     called at least once a second; it may raise an exception. stability: whether to compute STABILITY. ordered: see `homotopy.solve`;
-    unused places then hold alpha and gamma near complex solutions. Returns arrays (bodies, places) in the order of the potential,
-    then of the attitude, unused places at the end (nan, index -1, stable 0), and completeness (bodies,), values of flags.Completeness.
+    with attitudes near complex solutions, index -1. Returns arrays (bodies, places) in the order of the potential, then of the
+    attitude, unused places at the end (nan, index -1, stable 0), and completeness (bodies,), values of flags.Completeness.
     """
     count = points["A"].size
     completeness = np.full(count, Completeness.COMPLETE, np.int8)
@@ -143,8 +143,8 @@ def equilibria_of_bodies(
     for first in range(0, count, _BLOCK):
         pause()
         block = np.arange(first, min(first + _BLOCK, count))
-        solved, symmetric, columns = _at_once(system, subset(points, block), stability, ordered)
-        parts.append({**columns, "row": block[columns["row"]]})
+        solved, symmetric, row, columns = _at_once(system, subset(points, block), stability, ordered)
+        parts.append({"row": block[row], **columns})
         completeness[block[solved & symmetric]] = Completeness.NOT_ISOLATED
         for i in block[~solved]:
             pause()
@@ -169,31 +169,16 @@ def padded(columns: Mapping[str, NDArray[Any]], count: int, places: int) -> dict
     result = {}
     for name, values in columns.items():
         if name != "row":
-            result[name] = _unused(name, values, count, places)
+            shape = (count, places, *values.shape[1:])
+            result[name] = np.full(shape, _UNUSED.get(name, np.nan), values.dtype)
             result[name][row, place] = values[order]
     return result
 
 
-def extended(
-    columns: Mapping[str, NDArray[Any]], near: Mapping[str, NDArray[Any]]
-) -> dict[str, NDArray[Any]]:
-    """Columns over equilibria, then those of solutions that are nearly real in what is unused else."""
-    count = near["row"].size
-    return {
-        name: np.concatenate([values, near[name] if name in near else _unused(name, values, count)])
-        for name, values in columns.items()
-    }
-
-
-def _unused(name: str, values: NDArray[Any], *shape: int) -> NDArray[Any]:
-    """An array of this shape over equilibria of what stands in the unused places of a variable."""
-    return np.full((*shape, *values.shape[1:]), _UNUSED.get(name, np.nan), values.dtype)
-
-
 def _at_once(
     system: Gyrostat, points: Points, stability: bool, ordered: bool
-) -> tuple[Mask, Mask, dict[str, NDArray[Any]]]:
-    """Which bodies have all equilibria here, which are symmetric; of each equilibrium the body, "row", and its variables."""
+) -> tuple[Mask, Mask, NDArray[np.int64], dict[str, NDArray[Any]]]:
+    """Which bodies have all equilibria here, which are symmetric; of each equilibrium the body, and its variables."""
     given = system.body(points)
     rate = np.where(given.turn == 0, 1.0, given.turn)
     with np.errstate(all="ignore"):
@@ -211,17 +196,15 @@ def _at_once(
     parts += [(single, *_by_symmetry(bodies.subset(single), axes[single].argmax(1), ordered))]
     columns = zip(*((some[body], *rest) for some, body, *rest in parts), strict=True)
     row, frames, real = (np.concatenate(column) for column in columns)
-    near, near_frames = row[~real], frames[~real]
-    row, frames = row[real], frames[real]
     bodies = bodies.subset(row)
     hessian = bodies.gradient(frames[:, 0], frames[:, 2])[1]
     values = np.linalg.eigvalsh(0.5 * (hessian + np.swapaxes(hessian, 1, 2)))
     flat = np.abs(values) < _ZERO_EIGENVALUE * _scale(bodies)[:, None]
-    index = ((values < 0) & ~flat).sum(1)
+    index = np.where(real, ((values < 0) & ~flat).sum(1), -1)
     # The Poincare-Hopf sum is 0 on SO(3), and 2 on the sphere of the axis of symmetry.
-    sums = np.bincount(row, (-1.0) ** index, rate.size)
-    solved = (np.bincount(row, minlength=rate.size) > 0) & (sums == 2 * symmetric)
-    solved[row[flat.sum(1) != symmetric[row]]] = False
+    sums = np.bincount(row[real], (-1.0) ** index[real], rate.size)
+    solved = (np.bincount(row[real], minlength=rate.size) > 0) & (sums == 2 * symmetric)
+    solved[row[real & (flat.sum(1) != symmetric[row])]] = False
     scaled = bodies.potential(frames[:, 0], frames[:, 2])
     potential = scaled * given.inertia.max(1)[row] * rate[row] ** 2
     axis = np.where(symmetric[row, None], axes[row], np.nan)
@@ -235,9 +218,7 @@ def _at_once(
     if stability:
         angles = {name: result[name] for name in ANGLES}
         result |= stability_at_rest(system, subset(points, row), angles)
-    where = solved[near]
-    nearly = {"row": near[where], "alpha": near_frames[where, 0], "gamma": near_frames[where, 2]}
-    return solved, symmetric, extended({"row": row} | result, nearly)
+    return solved, symmetric, row, result
 
 
 def _by_continuation(bodies: Body, ordered: bool) -> tuple[NDArray[np.int64], Array, Mask]:

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from ...flags import Completeness
 from ..base import FAMILY_TOLERANCE, Points, subset
-from .equilibria import extended, padded, stability_at_rest
+from .equilibria import padded, stability_at_rest
 from .oscillations import Equilibria
 from .secular import NEARLY, PLACES, directions
 
@@ -25,14 +25,12 @@ def rotations(system: Gyrostat, points: Points, nearly: bool = False) -> dict[st
     points: every parameter, arrays (bodies,), of a system in which nothing acts along alpha. A set of solutions is represented
     by one member. Returns, in the order of theta, row: the number of the body; dimension of the set; index: number of
     directions in which the amended potential decreases (0: stable); flat: where an eigenvalue of its Hessian is zero but for
-    _NEAR_BIFURCATION; theta0, phi0 (rad), gamma and equilibria.STABILITY. nearly: then of complex solutions that are nearly real row
-    and gamma alone.
+    _NEAR_BIFURCATION; theta0, phi0 (rad), gamma and equilibria.STABILITY. nearly: also attitudes near complex solutions,
+    index -1.
     """
     turning = system.body_at_rest(points)
     vectors, dimensions = directions(turning, nearly=nearly)
-    column, body = np.nonzero(dimensions == NEARLY)
-    near = {"row": body, "gamma": vectors[:, column, body].T}
-    column, body = np.nonzero(dimensions >= 0)
+    column, body = np.nonzero(dimensions != -1)
     g = vectors[:, column, body]
     theta, phi = np.arctan2(np.hypot(g[0], g[1]), g[2]), np.arctan2(g[0], g[1])
     order = np.lexsort([g[0], theta, body])
@@ -47,12 +45,12 @@ def rotations(system: Gyrostat, points: Points, nearly: bool = False) -> dict[st
         np.arange(theta.size), scaled, gamma, gamma, rate, vertical, np.zeros(theta.shape, bool)
     )
     values = equilibria.hessian_eigenvalues()
-    columns = {
+    index = np.where(dimension == NEARLY, -1, (values < -FAMILY_TOLERANCE).sum(1)).astype(np.int8)
+    return {
         "row": body, "theta0": theta, "phi0": phi, "gamma": gamma, "dimension": dimension,
-        "index": (values < -FAMILY_TOLERANCE).sum(1).astype(np.int8), **stability_at_rest(system, subset(points, body), start),
+        "index": index, **stability_at_rest(system, subset(points, body), start),
         "circle": dimension == 1, "flat": (np.abs(values) <= _NEAR_BIFURCATION).any(1),
     }  # fmt: skip
-    return extended(columns, near)
 
 
 def rotations_of_bodies(system: Gyrostat, points: Points, nearly: bool) -> dict[str, NDArray[Any]]:

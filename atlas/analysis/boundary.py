@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection, Mapping
 from dataclasses import replace
+from functools import partial
 from itertools import combinations, pairwise, product
 from typing import cast
 
@@ -276,34 +277,30 @@ def count_borders(plane: Plane, counts: xr.DataArray, derived: DerivedVariable) 
     values = counts.transpose(*plane.extent).values
     axes = [counts[dim].values for dim in plane.extent]
     levels = [0.5 * (a + b) for a, b in pairwise(np.unique(values[np.isfinite(values)]))]
-    lines = [(level, line) for level in levels for line in _lines_at(values, level)]
-    vertices = np.concatenate([np.zeros((0, len(axes))), *(line for _, line in lines)])
-    low, high = np.floor(vertices + 0.25), np.ceil(vertices - 0.25)
     if derived.name in MERGING_COUNTS and isinstance(plane.scene.system, Gyrostat):
-        merging = _merging_lines(
-            plane, plane.scene.system, axes, (low, high), derived.name == MERGING_COUNTS[1]
-        )
-        return {CHANGE: merging} if merging else {}
+        changes = [np.zeros((0, len(axes))), *(line for level in levels for line in _lines_at(values, level))]
+        lines = _merging_lines(plane, plane.scene.system, axes, np.concatenate(changes), derived.name)
+        return {CHANGE: lines} if lines else {}
 
-    def is_above(positions: Array) -> Mask:
-        """Whether the count at positions (vertices, axes) is above the level of each."""
+    def is_above(positions: Array, level: float) -> Mask:
+        """Whether the count at positions (vertices, axes) is above a level."""
         points = plane.points(dict(zip(plane.extent, _interpolated(positions, axes).T, strict=True)))
-        return np.asarray(derived.values(points.base, points.duration, lambda: None) > level_of)
+        return np.asarray(derived.values(points.base, points.duration, lambda: None) > level)
 
-    level_of = np.repeat([level for level, _ in lines], [len(line) for _, line in lines])
-    ends = np.cumsum([len(line) for _, line in lines])[:-1]
-    vertices = _interpolated(_bisected(is_above, low, high, COUNT_BISECTIONS), axes)
-    return {CHANGE: np.split(vertices, ends)} if lines else {}
+    classes = [(level, partial(is_above, level=level), COUNT_BISECTIONS) for level in levels]
+    lines = [_interpolated(line, axes) for each in classes for line in _bisected_lines(values, *each)[0]]
+    return {CHANGE: lines} if lines else {}
 
 
 def _merging_lines(
-    plane: Plane, system: Gyrostat, axes: list[Array], changes: tuple[Array, Array], minima: bool
+    plane: Plane, system: Gyrostat, axes: list[Array], changes: Array, count: str
 ) -> list[Array]:
-    """Curves on which equilibria merge, minima alone of the amended potential, exact but for rounding.
+    """Curves on which equilibria merge, exact but for rounding.
 
-    They are followed from points on SLICES of the plane, then from changes of the count between neighbours, as indices (N, axes),
-    that none of them explains.
+    They are followed from points on SLICES of the plane, then from changes of the count between neighbours, the indices halfway
+    (N, axes), that none of them explains. Those on which no minimum merges are followed and left out where minima are counted.
     """
+    minima = count == MERGING_COUNTS[1]
     extent = {dim: (axis.min(), axis.max()) for dim, axis in zip(plane.extent, axes, strict=True)}
     plane = replace(plane, extent=extent)
     places = [plane.positions(dim, axis) for dim, axis in zip(extent, axes, strict=True)]
@@ -322,7 +319,8 @@ def _merging_lines(
     across, ends = (np.arange(SLICES) + 0.38) / SLICES, np.repeat([[0.0], [1.0]], SLICES, 1)
     sides = np.stack([np.broadcast_to(across, ends.shape), ends], -1)
     (low, high), size = np.concatenate([sides, sides[..., ::-1]], 1), SLICE_VALUES
-    unexplained = np.stack([_interpolated(each, places) for each in changes], 1)
+    indices = np.stack([np.floor(changes + 0.25), np.ceil(changes - 0.25)])
+    unexplained = np.stack([_interpolated(each, places) for each in indices], 1)
     lines: list[tuple[Array, NDArray[np.int64]]] = []
     for _ in range(MAX_SEARCHES):
         where, frames, _ = on_segments(family, low, high, size)
@@ -336,8 +334,8 @@ def _merging_lines(
                     lines.append(line)
                     remaining = remaining[_distances(line[0], where[remaining]) > SAME_CURVE]
             remaining = np.setdiff1d(remaining, some)
-        cells = np.array([axis.size - 1 for axis in axes])
         for vertices, number in lines:
+            cells = np.array([axis.size - 1 for axis in axes])
             far = _distances(vertices * cells, unexplained.mean(1) * cells) > 1
             unexplained = unexplained[far | bool(minima and number.any())]
         if not len(unexplained):

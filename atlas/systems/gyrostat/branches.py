@@ -68,7 +68,9 @@ class Singular(NamedTuple):
         """Whether a change of the parameters lets solutions merge and vanish."""
         by_parameters = self.slopes[:, :3, 3:]
         along = np.abs(np.einsum("ni,nij->nj", self.null, by_parameters))
-        return np.asarray((along > _TRANSVERSAL * np.abs(by_parameters).max(1)).any(1))
+        rounding = 1e-3 * np.abs(self.slopes).max((1, 2))  # of a parameter that changes nothing
+        size = np.maximum(np.abs(by_parameters).max(1), rounding[:, None])
+        return np.asarray((along > _TRANSVERSAL * size).any(1))
 
     @property
     def tangent(self) -> Array:
@@ -325,11 +327,10 @@ def follow(family: Family, values: Array, part: Places, stability: bool = False)
             kinds = [each[i, side[own], place[own]] for each in (ends, changes)]
             some = Singular._make(each[own] for each in singular)
             inside, done[i] = meetings(family, nodes, starts, kinds, some, limits[i])
-            if not done[i] and attempt == _ROUNDS - 1:
-                done[i], real = (
-                    True,
-                    [start for start, *kind in zip(starts, *kinds, strict=True) if any(kind)],
-                )
+            real = [start for start, *kind in zip(starts, *kinds, strict=True) if any(kind)]
+            narrow = np.ptp(limits[i]) < _SETTLED * family.span[0] and not real
+            if not done[i] and (attempt == _ROUNDS - 1 or narrow):
+                done[i] = True
                 where, error = float(limits[i].mean()), 0.5 * float(np.ptp(limits[i]))
                 point = (
                     where,

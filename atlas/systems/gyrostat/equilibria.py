@@ -151,6 +151,8 @@ def equilibria_of_bodies(
             try:
                 solutions = equilibria(system, subset(points, [i]))
             except (BadInput, RuntimeError):
+                solutions = None
+            if solutions is None or solutions["index"].size > homotopy.PATHS:  # repeated at a bifurcation
                 completeness[i] = Completeness.NOT_LISTED
                 continue
             isolated = not solutions["circle"].any()
@@ -192,10 +194,14 @@ def _at_once(
     axes = np.stack([given.symmetric_about(i) for i in range(3)], 1)
     symmetric = np.asarray(axes.any(1))
     general, single = np.flatnonzero(usable & ~symmetric), np.flatnonzero(usable & (axes.sum(1) == 1))
-    parts = [(general, *_by_continuation(bodies.subset(general), ordered))]
-    parts += [(single, *_by_symmetry(bodies.subset(single), axes[single].argmax(1), ordered))]
-    columns = zip(*((some[body], *rest) for some, body, *rest in parts), strict=True)
-    row, frames, real = (np.concatenate(column) for column in columns)
+    p, q = (direction.field[general].T for direction in (alpha, gamma))
+    a, g, real, nearly, complete = homotopy.solve(bodies.inertia[general].T, p, q, ordered)
+    body, path = np.nonzero((real | nearly & ordered).T & complete[:, None])
+    a, g = a[:, path, body].T, g[:, path, body].T
+    row, frames, known = _by_symmetry(bodies.subset(single), axes[single].argmax(1), ordered)
+    row = np.concatenate([general[body], single[row]])
+    frames = np.concatenate([np.stack([a, np.cross(g, a), g], 1), frames])
+    real = np.concatenate([real[path, body], known])
     bodies = bodies.subset(row)
     hessian = bodies.gradient(frames[:, 0], frames[:, 2])[1]
     values = np.linalg.eigvalsh(0.5 * (hessian + np.swapaxes(hessian, 1, 2)))
@@ -221,20 +227,8 @@ def _at_once(
     return solved, symmetric, row, result
 
 
-def _by_continuation(bodies: Body, ordered: bool) -> tuple[NDArray[np.int64], Array, Mask]:
-    """Body and frame of each equilibrium, of those bodies of which the continuation finds all.
-
-    ordered: also of solutions that are nearly real; which are real.
-    """
-    alpha, gamma = (direction.field.T for direction in bodies.amended())
-    radius, normal, real, nearly, complete = homotopy.solve(bodies.inertia.T, alpha, gamma, ordered)
-    body, path = np.nonzero((real | nearly & ordered).T & complete[:, None])
-    a, g = radius[:, path, body].T, normal[:, path, body].T
-    return body, np.stack([a, np.cross(g, a), g], 1), real[path, body]
-
-
 def _by_symmetry(bodies: Body, i: NDArray[np.int64], ordered: bool) -> tuple[NDArray[np.int64], Array, Mask]:
-    """The same of bodies with one axis of symmetry i, which in the frame is a critical point of a function on the sphere."""
+    """Body and frame of each solution, and which are real; the axis of symmetry i is a critical point of a function on the sphere."""
     own = np.arange(i.size)
     excess, none = bodies.inertia[own, i] - bodies.inertia[own, (i + 1) % 3], np.zeros(i.size)
     alpha, gamma = bodies.amended()

@@ -119,7 +119,8 @@ def branches_of_scene(scene: Scene) -> xr.Dataset:
     starts = {name for name, parameter in system.parameters.items() if parameter.start}
     given = {name, *scene.fixed, *scene.ties} - set(variables)
     ds = ds.drop_vars(starts - given, errors="ignore").assign(variables)
-    of_axis = {f"fold_{name}": ds[name].attrs, "fold_error": {"units": ds[name].attrs["units"]}}
+    parameter = ds[name].attrs
+    of_axis = {f"fold_{name}": parameter, "fold_error": {"units": parameter["units"]}}
     for each in variables:
         ds[each].attrs = _OWN.get(each) or of_axis.get(each) or attributes(each.removeprefix("fold_"))
     ds.attrs = {"title": scene.title, "references": system.reference, "atlas_system": system.name}

@@ -137,7 +137,7 @@ class Completeness(Flag):
     NOT_ISOLATED = 2, "some equilibria form circles or larger sets, each of which is listed once"
     NOT_LISTED = (
         3,
-        "none is listed: they form surfaces, or the numbers of the body differ too much in magnitude",
+        "none is listed: they form surfaces, merge here, or the numbers of the body differ too much in magnitude",
     )
     IMPOSSIBLE_BODY = 4, "no rigid body has these moments of inertia"
 

@@ -6,6 +6,8 @@ import hashlib
 import time
 from collections.abc import Callable, Collection, Mapping
 from contextlib import suppress
+from dataclasses import replace
+from functools import partial
 from itertools import combinations, pairwise, product
 from pathlib import Path
 from typing import cast
@@ -13,6 +15,7 @@ from typing import cast
 import contourpy
 import numpy as np
 import xarray as xr
+from numpy.typing import NDArray
 
 from .. import compiling, files, sources, systems
 from ..errors import BadInput, attribute_text
@@ -20,7 +23,7 @@ from ..flags import Label, NonlinearStability, Stability
 from ..scene.model import Scene
 from ..systems.base import Array, DerivedVariable, Flags, Mask, Points, derived_values
 from ..systems.gyrostat import Gyrostat
-from ..systems.gyrostat.branches import Family, on_bifurcations
+from ..systems.gyrostat.branches import Family, curves, on_segments
 from ..systems.gyrostat.variables import FREQUENCIES, NONLINEAR, NORMAL_FORM
 from . import plane as planes
 from .metadata import axes_of, flag_values, is_logarithmic, scene_of, system_of
@@ -256,6 +259,8 @@ def _bisected(is_above: Callable[[Array], Mask], at_low: Mask, low: Array, high:
 
 def _refined_samples(classes: Callable[[Array], Classes]) -> Classes:
     """Classes on a fine grid over two axes, evaluated only where they change, (samples, samples)."""
+    from scipy import ndimage  # here, because every command imports this module
+
     count, steps = COARSE_SAMPLES, np.linspace(0, 1, COARSE_SAMPLES)
     positions = np.stack(np.meshgrid(steps, steps, indexing="ij"), -1).reshape(-1, 2)
     began = time.process_time()
@@ -279,10 +284,7 @@ def _refined_samples(classes: Callable[[Array], Classes]) -> Classes:
                     cells = np.lib.stride_tricks.sliding_window_view(column, window)[::DIVISION, ::DIVISION]
                     changed |= (cells != cells[..., :1, :1]).any((2, 3))
             blocks = np.repeat(np.repeat(changed, DIVISION, 0), DIVISION, 1)
-            missing = np.zeros((count, count), bool)
-            for x, y in product((0, 1), repeat=2):
-                missing[x : count - 1 + x, y : count - 1 + y] |= blocks
-            missing &= ~evaluated
+            missing = ndimage.maximum_filter(np.pad(blocks, (0, 1)), 2) & ~evaluated
             if not missing.any():
                 break
             for kind, column in classes(np.argwhere(missing) / (count - 1)).items():
@@ -295,62 +297,119 @@ def _without_poles(
     size: Callable[[Array], Array], edges: list[tuple[Array, Array]], lines: list[Array]
 ) -> list[Array]:
     """The parts of lines on which a quantity of this magnitude changes its sign through zero, not through infinity."""
-    parts = []
-    for (low, high), line in zip(edges, lines, strict=True):
-        through_zero = size(line) < 0.5 * np.maximum(size(low), size(high))
-        indices = np.split(np.arange(len(line)), np.flatnonzero(np.diff(through_zero)) + 1)
-        parts += [line[part] for part in indices if through_zero[part[0]]]
-    return parts
+    return [
+        part
+        for (low, high), line in zip(edges, lines, strict=True)
+        for part in _parts(line, size(line) < 0.5 * np.maximum(size(low), size(high)))
+    ]
+
+
+def _parts(line: Array, shown: Mask) -> list[Array]:
+    """The parts of a line of which every vertex is shown."""
+    parts = np.split(np.arange(len(line)), np.flatnonzero(np.diff(shown)) + 1)
+    return [line[part] for part in parts if shown[part[0]]]
 
 
 CHANGE = "change of the number"
 COUNT_BISECTIONS = 6  # of the distance between two neighbouring points of the atlas
-# Counts that change only where equilibria merge, so that Newton's method ends on the line.
+# Counts that change only where equilibria merge.
 MERGING_COUNTS = ("equilibrium_count", "equilibrium_energy_stable_count")
 MANY_COUNTS = 300  # vertices, which take more than a second
-MERGING_BISECTIONS = 3  # nearer to the line counts take long
+SLICES, SLICE_VALUES = 7, 9  # along each axis, on which curves begin
+MAX_SEARCHES = 8  # of further points on curves
+MAX_SEGMENTS = 64  # changes of a count between neighbours in each search
+TOGETHER = 4  # curves that are followed at once
+SAME_CURVE = 1e-3  # distance over the extent of the axes: further than the chords of a curve are from it
 
 
 def count_borders(plane: Plane, counts: xr.DataArray, derived: DerivedVariable) -> dict[str, list[Array]]:
     """Lines, under CHANGE, between the regions of a plane where a count has different values.
 
-    Regions narrower than a cell are missed; each change of a count that skips values gives its own line. Lines of MERGING_COUNTS
-    are exact but for rounding.
+    Regions narrower than a cell are missed, but for MERGING_COUNTS; each change of a count that skips values gives its own line.
     """
     values = counts.transpose(*plane.extent).values
     axes = [counts[dim].values for dim in plane.extent]
     levels = [0.5 * (a + b) for a, b in pairwise(np.unique(values[np.isfinite(values)]))]
-    lines = [(level, line) for level in levels for line in _lines_at(values, level)]
-    if not lines:
-        return {}
-
-    def is_above(positions: Array) -> Mask:
-        """Whether the count at positions (vertices, axes) is above the level of each."""
-        points = plane.points(dict(zip(plane.extent, _interpolated(positions, axes).T, strict=True)))
-        return np.asarray(derived.values(points.base, points.duration, lambda: None) > level_of)
-
-    vertices = np.concatenate([line for _, line in lines])
-    level_of = np.concatenate([np.full(len(line), level) for level, line in lines])
-    low, high = np.floor(vertices + 0.25), np.ceil(vertices - 0.25)
-    ends = np.cumsum([len(line) for _, line in lines])[:-1]
-    system = plane.scene.system
-    merging = derived.name in MERGING_COUNTS
-    bisections = MERGING_BISECTIONS if merging else COUNT_BISECTIONS
-    at_low = values[tuple(low.astype(int).T)] > level_of
-    if len(vertices) > MANY_COUNTS:
+    changes = np.concatenate(
+        [np.zeros((0, len(axes))), *(line for level in levels for line in _lines_at(values, level))]
+    )
+    if len(changes) > MANY_COUNTS:
         compiling.say(TRACING)
-    vertices = _bisected(is_above, at_low, low, high, bisections)
-    if merging and isinstance(system, Gyrostat):
-        half = 0.5 ** (bisections + 1) * (high - low)
-        below, above = (_interpolated(vertices + side * half, axes) for side in (-1, 1))
+    if derived.name in MERGING_COUNTS and isinstance(plane.scene.system, Gyrostat):
+        lines = _merging_lines(plane, plane.scene.system, axes, changes, derived.name)
+        return {CHANGE: lines} if lines else {}
 
-        def points(values: Array) -> Points:
-            return plane.points(dict(zip(plane.extent, values.T, strict=True))).base
+    def is_above(positions: Array, level: float) -> Mask:
+        """Whether the count at positions (vertices, axes) is above a level."""
+        points = plane.points(dict(zip(plane.extent, _interpolated(positions, axes).T, strict=True)))
+        return np.asarray(derived.values(points.base, points.duration, lambda: None) > level)
 
-        family = Family.of(system, points, np.array(list(plane.extent.values())).T)
-        reach = 0.5 * _interpolated(vertices, [np.gradient(axis) for axis in axes])  # half a cell
-        return {CHANGE: np.split(on_bifurcations(family, below, above, reach), ends)}
-    return {CHANGE: np.split(_interpolated(vertices, axes), ends)}
+    classes = [(level, partial(is_above, level=level), COUNT_BISECTIONS) for level in levels]
+    lines = [_interpolated(line, axes) for each in classes for line in _bisected_lines(values, *each)[0]]
+    return {CHANGE: lines} if lines else {}
+
+
+def _merging_lines(
+    plane: Plane, system: Gyrostat, axes: list[Array], changes: Array, count: str
+) -> list[Array]:
+    """Curves on which equilibria merge, exact but for rounding.
+
+    They are followed from points on SLICES of the plane, then from changes of the count between neighbours, the indices halfway
+    (N, axes), that none of them explains. Those on which no minimum merges are followed and left out where minima are counted.
+    """
+    minima = count == MERGING_COUNTS[1]
+    extent = {dim: (axis.min(), axis.max()) for dim, axis in zip(plane.extent, axes, strict=True)}
+    plane = replace(plane, extent=extent)
+    places = [plane.positions(dim, axis) for dim, axis in zip(extent, axes, strict=True)]
+
+    def points(positions: Array) -> Points:
+        return plane.points(plane.coordinates(positions)).base
+
+    def in_units(positions: Array) -> Array:
+        return np.stack(list(plane.coordinates(positions).values()), -1)
+
+    family = Family.of(system, points, np.array(list(product((0.0, 0.4, 1.0), repeat=len(axes)))))
+    if len(axes) == 1:
+        where, _, number = on_segments(family, np.zeros((1, 1)), np.ones((1, 1)), axes[0].size)
+        where = where[(number == 0) | (not minima)]
+        return list(in_units(where[np.unique(where.round(9), return_index=True)[1]])[:, None])
+    across, ends = (np.arange(SLICES) + 0.38) / SLICES, np.repeat([[0.0], [1.0]], SLICES, 1)
+    sides = np.stack([np.broadcast_to(across, ends.shape), ends], -1)
+    (low, high), size = np.concatenate([sides, sides[..., ::-1]], 1), SLICE_VALUES
+    indices = np.stack([np.floor(changes + 0.25), np.ceil(changes - 0.25)])
+    unexplained = np.stack([_interpolated(each, places) for each in indices], 1)
+    lines: list[tuple[Array, NDArray[np.int64]]] = []
+    for _ in range(MAX_SEARCHES):
+        where, frames, _ = on_segments(family, low, high, size)
+        remaining = np.unique(where.round(9), axis=0, return_index=True)[1]
+        for vertices, _ in lines:
+            remaining = remaining[_distances(vertices, where[remaining]) > SAME_CURVE]
+        while remaining.size:
+            some = remaining[:TOGETHER]
+            for i, line in zip(some, curves(family, where[some], frames[some]), strict=True):
+                if i in remaining:
+                    lines.append(line)
+                    remaining = remaining[_distances(line[0], where[remaining]) > SAME_CURVE]
+            remaining = np.setdiff1d(remaining, some)
+        for vertices, number in lines:
+            cells = np.array([axis.size - 1 for axis in axes])
+            far = _distances(vertices * cells, unexplained.mean(1) * cells) > 1
+            unexplained = unexplained[far | bool(minima and number.any())]
+        if not len(unexplained):
+            break
+        (low, high), size = np.moveaxis(unexplained[:MAX_SEGMENTS], 1, 0), 2
+        unexplained = unexplained[MAX_SEGMENTS:]
+    shown = [system.possible_body(points(line)) & ((number == 0) | (not minima)) for line, number in lines]
+    parts = [part for (line, _), mask in zip(lines, shown, strict=True) for part in _parts(line, mask)]
+    return [in_units(part) for part in parts if len(part) > 1]
+
+
+def _distances(line: Array, points: Array) -> Array:
+    """Distances of points (N, axes) from a polyline."""
+    start, chord = line[:-1], np.diff(line, axis=0)
+    offset = points[:, None] - start
+    fraction = np.clip((offset * chord).sum(-1) / np.maximum((chord**2).sum(-1), 1e-300), 0, 1)
+    return np.sqrt(((offset - fraction[..., None] * chord) ** 2).sum(-1)).min(1, initial=np.inf)
 
 
 def _interpolated(positions: Array, axes: list[Array]) -> Array:

@@ -91,92 +91,74 @@ def branches(
 
 def branches_of_scene(scene: Scene) -> xr.Dataset:
     """The branches of the bodies of a scene along its only axis, as `branches`."""
+    system = scene.system
     if len(scene.axes) != 1:
         raise BadInput(f"branches: needs one axis, found {', '.join(scene.axes)}")
-    (name,) = scene.axes
-    scene = replace(scene, axes={name: replace(scene.axes[name], values=np.sort(scene.axes[name].values))})
-    values = scene.axes[name].values
+    if not isinstance(system, Gyrostat):
+        raise BadInput(f"branches: of the {system.name} no relative equilibria are known")
+    ((name, axis),) = scene.axes.items()
+    values = np.sort(axis.values)
+    scene = replace(scene, axes={name: replace(axis, values=values)}, duration=Duration(1.0), nudge={})
     sample = grid.points_at(scene, {name: values})
-    scene.system.check_possible(sample.base)
-    possible = np.flatnonzero(
-        scene.system.possible_body(sample.base) & (sample.reason != grid.Reason.NO_VALUE)
-    )
-    family = family_of(scene, values[possible, None])
-    result = follow(family, values[possible], possible - np.arange(possible.size))
-    frames = np.array([point.frame for point in result.points]).reshape(-1, 3, 3)
-    folds = np.array([[point.value] for point in result.points]).reshape(-1, 1)
-    potential = family.system.body_at_rest(family.points(folds)).potential(frames[:, 0], frames[:, 2])
-    variables = over_values(name, values.size, possible, result)
-    variables |= of_points(name, result, described(frames) | {"potential": potential})
+    system.check_possible(sample.base)
+    possible = np.flatnonzero(system.possible_body(sample.base) & (sample.reason != grid.Reason.NO_VALUE))
+    if possible.size < 2 or scene.points or axis.offset_from_family:
+        raise BadInput("branches: needs an axis on which two values or more have a body that is possible")
+
+    def points(values: Array) -> Points:
+        return grid.points_at(scene, {name: values[:, 0]}).base
+
+    some = values[possible]
+    body = system.body_at_rest(points(some[:, None]))
+    if not any(np.ptp(each, axis=0).any() for each in (*body[:3], *body.alpha, *body.gamma)):
+        raise BadInput(f"branches: {name} changes no equilibria; take a parameter of body or field")
+    family = Family.of(system, points, some[:, None])
+    result = follow(family, some, possible - np.arange(possible.size), stability=True)
+    variables = _variables(name, values.size, possible, family, result)
     ds = netcdf.dataset(replace(scene, outputs=()), {})
-    starts = {name for name, parameter in scene.system.parameters.items() if parameter.start}
+    starts = {name for name, parameter in system.parameters.items() if parameter.start}
     given = {name, *scene.fixed, *scene.ties} - set(variables)
     ds = ds.drop_vars(starts - given, errors="ignore").assign(variables)
     parameter = ds[name].attrs
     of_axis = {f"fold_{name}": parameter, "fold_error": {"units": parameter["units"]}}
     for each in variables:
         ds[each].attrs = _OWN.get(each) or of_axis.get(each) or attributes(each.removeprefix("fold_"))
-    system = scene.system
     ds.attrs = {"title": scene.title, "references": system.reference, "atlas_system": system.name}
     return ds
 
 
-def family_of(scene: Scene, values: Array) -> Family:
-    """The bodies of a scene as a family, on the range of some values (bodies, axes); BadInput if none of them differ."""
-    system = scene.system
-    if not isinstance(system, Gyrostat):
-        raise BadInput(f"branches: of the {system.name} no relative equilibria are known")
-    if len(values) < 2 or scene.points or any(axis.offset_from_family for axis in scene.axes.values()):
-        raise BadInput("branches: needs an axis on which two values or more have a body that is possible")
-    scene = replace(scene, duration=Duration(1.0), nudge={})
-
-    def points(values: Array) -> Points:
-        return grid.points_at(scene, dict(zip(scene.axes, values.T, strict=True))).base
-
-    body = system.body_at_rest(points(values))
-    if not any(np.ptp(each, axis=0).any() for each in (*body[:3], *body.alpha, *body.gamma)):
-        raise BadInput(
-            f"branches: {', '.join(scene.axes)} changes no equilibria; take a parameter of body or field"
-        )
-    return Family.of(system, points, values)
-
-
-Variables = dict[str, tuple[tuple[str, ...], np.ndarray]]
-
-
-def over_values(along: str, size: int, possible: np.ndarray, result: Branches) -> Variables:
-    """Variables of the branches, which are over those values of the axis at which a body is possible."""
+def _variables(
+    along: str, size: int, possible: np.ndarray, family: Family, result: Branches
+) -> dict[str, tuple[tuple[str, ...], np.ndarray]]:
+    """Variables of the branches, which are over those values of the axis at which a body is possible, and of their points."""
     node, place = np.nonzero(result.branch >= 0)
-    variables: Variables = {}
-    for name, values in result.listed.items():
-        shape = (size,) if values.ndim == 1 else (result.total, size, *values.shape[2:])
-        full = np.full(shape, UNUSED.get(name, np.nan if values.dtype.kind == "f" else 0), values.dtype)
-        if values.ndim == 1:
-            full[possible] = values
+    variables = {}
+    for name, column in result.listed.items():
+        dims = ("branch", along, "body_axis")[column.ndim == 1 :][: column.ndim]
+        shape = (result.total, size, 3)[column.ndim == 1 :][: column.ndim]
+        full = np.full(shape, UNUSED.get(name, np.nan if column.dtype.kind == "f" else 0), column.dtype)
+        if column.ndim == 1:
+            full[possible] = column
         else:
-            full[result.branch[node, place], possible[node]] = values[node, place]
-        variables[name] = ("branch", along, "body_axis")[values.ndim == 1 :][: values.ndim], full
-    index = variables["index"][1]
-    sums = np.where(index >= 0, (-1) ** np.maximum(index, 0), 0).sum(0)
-    return variables | {
-        "equilibrium_count": ((along,), (index >= 0).sum(0)),
-        "index_sum": ((along,), sums),
-    }
-
-
-def of_points(along: str, result: Branches, where: Mapping[str, np.ndarray]) -> Variables:
-    """Variables of the points at which branches meet; where: angles, vectors and potential there."""
-    points = result.points
-    meeting = np.full((len(points), max(map(len, result.meeting), default=0)), -1)
-    for row, members in zip(meeting, result.meeting, strict=True):
-        row[: len(members)] = members
-    columns = {name: values for name, values in where.items() if name in result.listed} | {
-        along: np.array([point.value for point in points]),
+            full[result.branch[node, place], possible[node]] = column[node, place]
+        variables[name] = dims, full
+    index, points = variables["index"][1], result.points
+    variables["equilibrium_count"] = (along,), (index >= 0).sum(0)
+    variables["index_sum"] = (along,), np.where(index >= 0, (-1) ** np.maximum(index, 0), 0).sum(0)
+    frames = np.array([point.frame for point in points]).reshape(-1, 3, 3)
+    where = np.array([point.value for point in points])
+    potential = family.system.body_at_rest(family.points(where[:, None])).potential(
+        frames[:, 0], frames[:, 2]
+    )
+    attitude = described(frames) | {"potential": potential}
+    columns = {name: column for name, column in attitude.items() if name in variables} | {
+        along: where,
         "kind": np.array([point.kind for point in points], np.int8),
         "error": np.array([point.error for point in points]),
         "direction": np.array([point.direction for point in points]).reshape(-1, 3),
     }
-    variables: Variables = {
-        f"fold_{name}": (("fold", "body_axis")[: values.ndim], values) for name, values in columns.items()
-    }
-    return variables | {"fold_branch": (("fold", "meeting"), meeting)}
+    for name, column in columns.items():
+        variables[f"fold_{name}"] = ("fold", "body_axis")[: column.ndim], column
+    width = max(map(len, result.meeting), default=0)
+    meeting = np.array([[*row, *(width - len(row)) * [-1]] for row in result.meeting], int)
+    return variables | {"fold_branch": (("fold", "meeting"), meeting.reshape(len(points), width))}

@@ -93,6 +93,12 @@ class Plane:
                 values[dim] = low + (high - low) * position
         return values
 
+    def positions(self, dim: str, values: Array) -> Array:
+        """Fractions of the extent of an axis at some values."""
+        scale = np.log if is_logarithmic(self.scene, dim, self.extent[dim]) else np.asarray
+        low, high = scale(self.extent[dim])
+        return (scale(values) - low) / (high - low)
+
     def points(self, coordinates: Mapping[str, Array]) -> grid.Grid:
         """The points of the scene at some coordinates in the plane: dimension -> values of one shape (points,)."""
         shape = next(iter(coordinates.values())).shape

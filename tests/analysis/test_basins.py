@@ -18,8 +18,6 @@ from atlas.plotting.attitude import Attitude, attitudes
 from atlas.runs.folder import RunFolder
 from atlas.scene import grid
 
-pytestmark = pytest.mark.usefixtures("whole_kernels")
-
 SCENE = """
 schema = 1
 title = "Ends"

@@ -2,14 +2,20 @@
 
 from __future__ import annotations
 
+import json
+
 import numpy as np
 import pytest
+import xarray as xr
+from truth import REFERENCE
 
 import atlas
-from atlas.analysis.boundary import CHANGE
+from atlas.analysis.boundary import CHANGE, MERGING_COUNTS, count_borders
 from atlas.analysis.metadata import scene_of
+from atlas.analysis.plane import Plane
 from atlas.plotting.content import panel_of
 from atlas.scene.read import scene_from
+from atlas.systems.satellite import SATELLITE
 
 pytestmark = pytest.mark.usefixtures("whole_kernels")
 
@@ -51,6 +57,33 @@ def test_lines_on_one_axis():
     places = np.sort([float(line[0, 0]) for line in panel.borders[CHANGE]])
     np.testing.assert_allclose(places, CRITICAL, rtol=1e-12)
     assert not panel.families
+
+
+def test_curve_around_a_region_that_no_point_meets():
+    """Four more equilibria, two of them minima, within a closed curve with four cusps; the atlas sees 12 and 2 everywhere."""
+    variable = MERGING_COUNTS[1]
+    axes = {"k1": np.linspace(0.85, 1.45, 4), "k2": np.linspace(-0.3, 0.3, 4)}
+    body = {"A": 1.0, "B": 1.3, "C": 1.7, "k3": 0.05}
+    counts = atlas.equilibria("satellite", body | {k: xr.DataArray(v, dims=k) for k, v in axes.items()})[
+        variable
+    ]
+    assert len(np.unique(counts)) == 1
+    scene = scene_from(
+        {
+            "schema": 1, "title": "counts", "system": "satellite", "fixed": body,
+            "axes": {name: {"values": values.tolist()} for name, values in axes.items()}, "integration": {"duration": 0.1},
+        }
+    )  # fmt: skip
+    plane = Plane(scene, {name: (values[0], values[-1]) for name, values in axes.items()}, {})
+    (line,) = count_borders(plane, counts, SATELLITE.derived[variable])[CHANGE]
+    assert (line[0] == line[-1]).all()
+    (i,) = np.nonzero(np.diff(np.sign(line[:, 1] - 0.02)))
+    share = (0.02 - line[i, 1]) / (line[i + 1, 1] - line[i, 1])
+    crossings = np.sort(line[i, 0] + share * (line[i + 1, 0] - line[i, 0]))
+    verified = json.loads((REFERENCE / "branches.json").read_text())["satellite"][0]["folds"][3:5]
+    folds = np.array([float(fold["k1"]) for fold in verified])  # at k2 = 0.02
+    assert np.abs(crossings[:, None] - folds).min(0).max() < 1e-3
+    assert np.abs(crossings[:, None] - folds).min(1).max() < 1e-3
 
 
 def test_maps_draw_the_lines(rotor_map):

@@ -90,6 +90,36 @@ def test_folds_between_two_values():
     np.testing.assert_allclose(ds.fold_k1, np.repeat(folds, 2), rtol=1e-12)
 
 
+ROTOR, TOP = BODY | {"k2": 0.02, "k3": 0.05}, BODY | {"Mg": 1.0, "x0": 0.3, "y0": 0.2, "z0": 0.5}
+LAST = [
+    float(ORACLE[system][0]["folds"][-1][name])
+    for system, name in (("satellite", "k1"), ("fixed_point", "n"))
+]
+
+
+@pytest.mark.parametrize(
+    ("system", "body", "tie", "edge", "kind"),
+    [  # solutions exist on one side of a bifurcation, which a parabola passes between two of eight values of e
+        ("satellite", ROTOR, "k1 = 2.5 + 1.5 * e**2", np.sqrt((LAST[0] - 2.5) / 1.5), FOLD),
+        ("satellite", ROTOR, "k1 = 2.5177 + 1.5 * e**2", np.sqrt((LAST[0] - 2.5177) / 1.5), FOLD),
+        ("fixed_point", TOP, "n = 1.593 - 0.6 * e**2", np.sqrt((1.593 - LAST[1]) / 0.6), FOLD),
+        ("satellite", BODY | {"B": 1.0}, "k3 = 0.69 + 0.8 * e**2", np.sqrt(0.01 / 0.8), PITCHFORK),
+    ],
+)  # fmt: skip
+def test_closed_lines_between_two_values(system, body, tie, edge, kind):
+    """Isolas, and a pair of pitchforks of one branch: the equilibria at the values given are those without them."""
+    name, formula = tie.split(" = ")
+    ds = atlas.branches(system, body, along={"e": np.linspace(-1, 1, 8)}, ties={name: formula})
+    inside = np.abs(ds.fold_e.values) < 0.14  # the values on both sides are +-1/7
+    np.testing.assert_allclose(np.abs(ds.fold_e.values[inside]), edge, rtol=1e-9)
+    assert inside.sum() >= 2
+    assert (ds.fold_kind.values[inside] == kind).all()
+    assert ds.equilibrium_count.values[3] == ds.equilibrium_count.values[4]
+    lines = np.unique(ds.fold_branch.values[inside])
+    between = np.isin(lines, np.flatnonzero((ds["index"] < 0).all("e").values))
+    assert between.sum() == (inside.sum() if kind == FOLD else 2)
+
+
 @pytest.mark.parametrize("N", [-1.0, 4.0])
 def test_folds_move_with_the_newtonian_field_by_a_law(N):
     """Without a rotor n_fold^2 = N +- n_fold(0)^2, as far as that is positive."""

@@ -77,7 +77,7 @@ def test_continuation_finds_the_solutions_of_newtons_method():
     inertia, p, q = np.random.default_rng(3).normal(size=(3, 3))
     real = complex_solutions(inertia + 0j, p, q, 2500, 0)
     real = real[np.abs(real.imag).max(1) < 1e-9].real
-    alpha, gamma, is_real, complete = homotopy.solve(inertia[:, None], p[:, None], q[:, None])
+    alpha, gamma, is_real, _, complete = homotopy.solve(inertia[:, None], p[:, None], q[:, None])
     assert complete.all()
     continued = np.concatenate([alpha, gamma])[:, is_real[:, 0], 0].T
     assert len(continued) == len(real)

@@ -174,9 +174,11 @@ class FixedPoint(Gyrostat):
         solutions = rotations.rotations(self, initial.without_vectors(self.with_defaults(body)))
         return {name: values for name, values in solutions.items() if name not in ("row", "flat")}
 
-    def equilibria_of_bodies(self, points: Points, *_: Any, **__: Any) -> dict[str, NDArray[Any]]:
+    def equilibria_of_bodies(
+        self, points: Points, *_: Any, ordered: bool = False, **__: Any
+    ) -> dict[str, NDArray[Any]]:
         """All permanent rotations of many bodies, each at its rate n; see rotations.rotations_of_bodies."""
-        return rotations.rotations_of_bodies(self, initial.without_vectors(points))
+        return rotations.rotations_of_bodies(self, initial.without_vectors(points), ordered)
 
 
 FIXED_POINT = FixedPoint()

@@ -4,7 +4,10 @@ Branches are not followed one by one: `equilibria_of_bodies` lists all solutions
 are joined where the tangents of both predict one another far better than any other solution. An interval in which a solution is
 not joined so, or changes its index, is divided until each of its bifurcations follows from Newton's method on
 
-    gradient of W = 0,    kappa = 0,    kappa the eigenvalue of the Hessian that is nearest to 0 at a solution.
+    gradient of W = 0,    kappa = 0,    kappa the eigenvalue of the Hessian that is nearest to 0.
+
+So is one in which two complex solutions of an end may become real: there Newton's method starts from their real part. Over two
+parameters the same equations define curves of bifurcations, which are followed from points on them by their arc length.
 
 Directions in which every solution may be turned (about the vertical where nothing acts along alpha, about an axis of symmetry of
 the body) are left out: the projector onto them is added to the Hessian, and distances are those of what a turn leaves as it is.
@@ -13,7 +16,6 @@ the body) are left out: the projector onto them is added to the Hessian, and dis
 from __future__ import annotations
 
 from collections.abc import Callable
-from itertools import pairwise
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -22,7 +24,7 @@ from numpy.typing import NDArray
 from ...flags import BifurcationKind, Completeness
 from ..base import Array, Mask, Points
 from .body import across, length
-from .equilibria import frames_of, rotated
+from .equilibria import rotated
 
 if TYPE_CHECKING:
     from .system import Gyrostat
@@ -34,13 +36,47 @@ _MAX_TURN = 0.5  # of a prediction and of a step of Newton's method, rad
 _ROUNDS, _GOLDEN = 30, 0.618034  # divisions of an interval, at fractions that meet no special value
 _DIFFERENCE = 1e-5  # step of central differences, in rad and in units of the ranges of the parameters
 _ITERATIONS, _DAMPING = 15, 1e-7
+_EXACT = 1e-13  # step of Newton's method that no other follows
 _CONVERGED = 1e-9  # last step of Newton's method, in units of the range
 _SETTLED = 1e-6  # the same with its rotation: from beside a pitchfork steps only halve
 _BLOCK = 512  # intervals joined together
-_CANDIDATES = 4  # solutions that may merge
-_SAME = 1e-3  # distance of points that are one
+_SAME = 1e-3  # distance of points that are one, and a hundred times that of values
 # Relative sizes: of an eigenvalue at a solution that is degenerate, of the derivative along the null vector at a fold.
 _DEGENERATE = _TRANSVERSAL = 1e-6
+_FIRST_ARC, _MAX_ARC, _MIN_ARC, _MAX_ARCS = 0.01, 0.04, 1e-5, 2000  # steps along curves, in rad and ranges
+_STRAIGHT = 0.95  # cosine of the angle between tangents a step apart
+_AWAY = 10  # steps until a curve may close
+
+
+class Singular(NamedTuple):
+    """Points at which an eigenvalue of the Hessian vanishes at a solution, as the end of Newton's method."""
+
+    values: Array  # (N, parameters)
+    frames: Array
+    null: Array  # eigenvector, (N, 3)
+    number: Places  # of the eigenvalue, ascending
+    slopes: Array  # of gradient and eigenvalue by rotation and parameters, (N, 4, 3 + parameters)
+    step: Array  # the last one, (N, 3 + parameters)
+
+    @property
+    def error(self) -> Array:
+        """Of the values, in units of the ranges; infinite where Newton's method does not converge."""
+        return np.where(length(self.step) < _SETTLED, np.abs(self.step[:, 3:]).max(-1), np.inf)
+
+    @property
+    def is_fold(self) -> Mask:
+        """Whether a change of the parameters lets solutions merge and vanish."""
+        by_parameters = self.slopes[:, :3, 3:]
+        along = np.abs(np.einsum("ni,nij->nj", self.null, by_parameters))
+        rounding = 1e-3 * np.abs(self.slopes).max((1, 2))  # of a parameter that changes nothing
+        size = np.maximum(np.abs(by_parameters).max(1), rounding[:, None])
+        return np.asarray((along > _TRANSVERSAL * size).any(1))
+
+    @property
+    def tangent(self) -> Array:
+        """Unit tangents of curves over two parameters; across the null vector where that is one more solution, at pitchforks."""
+        null = np.concatenate([self.null, 0 * self.values], 1) * _SAME
+        return np.linalg.svd(np.concatenate([self.slopes, null[:, None]], 1))[2][:, -1]
 
 
 class Family(NamedTuple):
@@ -73,65 +109,60 @@ class Family(NamedTuple):
             return gamma if self.upright else np.concatenate([alpha, gamma], -1)
         return np.stack([np.hypot(axis[..., 0], axis[..., 1]), axis[..., 2]], -1) if self.upright else axis
 
-    def linear(
-        self, values: Array, frames: Array, unit: Array | None = None
-    ) -> tuple[Array, Array, Array, Array]:
-        """Gradient and Hessian of W over their size, the latter plus the projector onto the cyclic directions; it, and the size."""
+    def linear(self, values: Array, frames: Array) -> tuple[Array, Array, Array]:
+        """Gradient and Hessian of W over their size, the latter plus the projector onto the cyclic directions, and that."""
         body = self.system.body_at_rest(self.points(values))
-        if unit is None:
-            unit = body.steepness()
-            unit = np.where(unit > 0, unit, 1.0)
+        unit = body.steepness()
+        unit = np.where(unit > 0, unit, 1.0)[:, None]
         gradient, _ = body.gradient(frames[:, 0], frames[:, 2])
-        hessian = body.hessian(frames[:, 0], frames[:, 2]) / unit[:, None, None]
+        hessian = body.hessian(frames[:, 0], frames[:, 2]) / unit[..., None]
         gamma, projector = frames[:, 2] * self.upright, np.zeros_like(hessian)
         axis = np.eye(3)[self.axis] * (self.axis >= 0)
         axis = axis - (gamma @ axis)[:, None] * gamma
         size = length(axis)[:, None]
         for d in (gamma, np.where(size > 1e-9, axis / np.where(size > 0, size, 1.0), 0.0)):
             projector += d[:, :, None] * d[:, None, :]
-        return gradient / unit[:, None], hessian + projector, projector, unit
+        return gradient / unit, hessian + projector, projector
 
-    def singular(
-        self, values: Array, frames: Array, number: Places, varied: Mask
-    ) -> tuple[Array, Array, Array, Array, Mask]:
-        """Where eigenvalues of these numbers vanish: values, frames, null vectors, last steps of the values, which are folds.
+    def singular(self, values: Array, frames: Array, fixed: Array) -> Singular:
+        """Where the eigenvalue vanishes that is nearest to 0 at the start; no step has a part along fixed, (N, -1, 3 + parameters).
 
-        varied: the one parameter that changes from each start, (N, parameters).
         Steps are damped least squares: at a pitchfork the derivatives along the null vector vanish, as the equations do.
         """
-        count, units = len(values), self.span * varied
-        steps = _DIFFERENCE * np.concatenate([np.zeros((1, 4)), np.eye(4), -np.eye(4)])
-        steps = np.broadcast_to(steps[:, None], (9, count, 4))
-        for _ in range(_ITERATIONS):
-            projector, unit = self.linear(values, frames)[2:]
-            changed = (values + units * steps[..., 3:]).reshape(-1, values.shape[1])
-            turned = rotated(frames, steps[..., :3]).reshape(-1, 3, 3)
-            gradient, hessian, *_ = self.linear(changed, turned, np.tile(unit, 9))
-            gradient = gradient.reshape(-1, count, 3) + np.einsum("nij,snj->sni", projector, steps[..., :3])
+        count, size = len(values), 3 + values.shape[1]
+        steps = _DIFFERENCE * np.concatenate([np.zeros((1, size)), np.eye(size), -np.eye(size)])
+        steps = np.broadcast_to(steps[:, None], (len(steps), count, size))
+        for iteration in range(_ITERATIONS):
+            changed = (values + self.span * steps[..., 3:]).reshape(-1, size - 3)
+            gradient, hessian, projector = self.linear(
+                changed, rotated(frames, steps[..., :3]).reshape(-1, 3, 3)
+            )
             eigenvalues, vectors = np.linalg.eigh(hessian)
-            kappa = np.take_along_axis(eigenvalues.reshape(-1, count, 3), number[None, :, None], 2)
-            residual = np.concatenate([gradient, kappa], -1)
-            slopes = (residual[1:5] - residual[5:]) / (2 * _DIFFERENCE)
-            left, sizes, right = np.linalg.svd(np.moveaxis(slopes, 0, -1), full_matrices=False)
+            if iteration == 0:
+                number = np.abs(eigenvalues[:count]).argmin(1)
+            kappa = np.take_along_axis(eigenvalues.reshape(len(steps), count, 3), number[None, :, None], 2)
+            residual = np.concatenate([gradient.reshape(len(steps), count, 3), kappa], -1)
+            slopes = np.moveaxis(residual[1 : size + 1] - residual[size + 1 :], 0, -1) / (2 * _DIFFERENCE)
+            slopes[:, :3, :3] += projector[:count]
+            left, sizes, right = np.linalg.svd(np.concatenate([slopes, fixed], 1), full_matrices=False)
             inverse = sizes / (sizes**2 + (_DAMPING * sizes[:, :1]) ** 2)
-            step = -np.einsum("nji,nj,nkj,nk->ni", right, inverse, left, residual[0])
+            step = -np.einsum("nji,nj,nkj,nk->ni", right, inverse, left[:, :4], residual[0])
             step /= np.maximum(1.0, length(step) / _MAX_TURN)[:, None]
             frames = rotated(frames, step[:, :3])
-            values = np.clip(values + units * step[:, 3:], *self.limits)  # beyond may be no body
-        null, slope = vectors[np.arange(count), :, number], slopes[3, :, :3]
-        across = np.abs((slope * null).sum(-1)) > _TRANSVERSAL * np.abs(slope).max(-1)
-        error = np.where(length(step) < _SETTLED, np.abs(step[:, 3]), np.inf)
-        return values, frames, null, error, across
+            values = np.clip(values + self.span * step[:, 3:], *self.limits)  # beyond may be no body
+            if (length(step) < _EXACT).all():
+                break
+        return Singular(values, frames, vectors[np.arange(count), :, number], number, slopes, step)
 
 
 class Nodes(NamedTuple):
-    """All solutions at some values of the parameter, each body's in the first places."""
+    """All solutions at some values of the parameter."""
 
     values: Array  # (nodes,)
     frames: Array  # rows alpha, beta, gamma in body axes; nan where unused, (nodes, places, 3, 3)
-    morse: NDArray[Any]  # Morse index, -1 where unused, (nodes, places)
-    number: Places  # of the eigenvalue of the Hessian nearest to 0, (nodes, places)
+    morse: NDArray[Any]  # Morse index, -1 where unused and of complex solutions, (nodes, places)
     turn: Array  # rotation per unit of the parameter along the branch, (nodes, places, 3)
+    distance: Array  # along the parameter to where solutions may merge, to first order, (nodes, places)
     usable: Mask  # all listed, none degenerate, and the sum of (-1)^index is right, (nodes,)
 
 
@@ -149,67 +180,44 @@ class Bifurcation(NamedTuple):
     solutions: list[Solution]  # one of each branch
 
 
-def solutions_at(family: Family, values: Array, given: bool = False) -> tuple[Nodes, dict[str, NDArray[Any]]]:
-    """All solutions at some values, (nodes,), and what `equilibria_of_bodies` says of them; given: by the caller, in order."""
-    listed, frames, (eigenvalues, vectors), unit = _listed(family, values[:, None], given)
-    used, step = listed["index"] >= 0, _DIFFERENCE * family.span
-    node, some = np.nonzero(used)[0], frames[used]
-    below, above = (family.linear(values[node, None] + shift, some, unit)[0] for shift in (-step, step))
-    index, number, turn = listed["index"].copy(), np.zeros(used.shape, int), np.zeros((*used.shape, 3))
-    rates = np.einsum("nji,nj->ni", vectors, (below - above) / (2 * step)) * eigenvalues
-    turn[used] = np.einsum("nij,nj->ni", vectors, rates / (eigenvalues**2 + _DAMPING**2))
-    index[used], number[used] = (eigenvalues < 0).sum(1), np.abs(eigenvalues).argmin(1)
+def solutions_at(
+    family: Family, values: Array, stability: bool = False
+) -> tuple[Nodes, dict[str, NDArray[Any]]]:
+    """All solutions at some values, (nodes,), and what `equilibria_of_bodies` says of them, maybe with their stability."""
+    points = family.points(values[:, None])
+    listed = family.system.equilibria_of_bodies(points, lambda: None, stability, ordered=True)
+    gamma, used = listed["gamma"], listed["index"] >= 0
+    alpha = listed["alpha"] if "alpha" in listed else across(gamma)[..., 0, :]
+    frames, known = np.stack([alpha, np.cross(gamma, alpha), gamma], -2), ~np.isnan(gamma[..., 0])
+    left, _, right = np.linalg.svd(frames[known & ~used])
+    frames[known & ~used] = left @ right
+    node, some, is_used = np.nonzero(known)[0], frames[known], used[known]
+    index, turn, distance = listed["index"].copy(), np.zeros((*used.shape, 3)), np.full(used.shape, np.nan)
+    step, own = _DIFFERENCE * family.span, values[node, None]
+    gradient, hessian, _ = family.linear(own, some)
+    eigenvalues, vectors = np.linalg.eigh(hessian)
+    changes = (family.linear(own + step, some)[0] - gradient) / step
+    slopes, rates = (np.einsum("nji,nj->ni", vectors, each) for each in (gradient, changes))
+    turns = -np.einsum("nij,nj->ni", vectors, rates * eigenvalues / (eigenvalues**2 + _DAMPING**2))
+    shifted = np.linalg.eigvalsh(family.linear(own + step, rotated(some, turns * step))[1])
+    # Where the eigenvalue nearest to 0 vanishes at solutions, and where two complex ones are one.
+    with np.errstate(all="ignore"):
+        apart = np.where(is_used[:, None], eigenvalues * step / (shifted - eigenvalues), slopes / rates)
+    turn[known], nearest = turns, np.abs(eigenvalues).argmin(1)[:, None]
+    distance[known] = -np.take_along_axis(apart, nearest, 1)[:, 0]
+    index[used] = (eigenvalues[is_used] < 0).sum(1)
     potential = np.full(used.shape, np.nan)
     body = family.system.body_at_rest(family.points(values[node, None]))
-    potential[used] = body.potential(some[:, 0], some[:, 2])
+    potential[known] = body.potential(some[:, 0], some[:, 2])
     allowed = [Completeness.COMPLETE, Completeness.NEAR_BIFURCATION]
     allowed += [Completeness.NOT_ISOLATED] if family.axis >= 0 else []
     usable = np.isin(listed["completeness"], allowed)
-    usable[node[np.abs(eigenvalues).min(1) < _DEGENERATE]] = False
+    usable[node[is_used & (np.abs(eigenvalues).min(1) < _DEGENERATE)]] = False
     if not (family.upright and family.axis >= 0):  # there circles count 0, and only poles are isolated
         characteristic = 2 if family.upright or family.axis >= 0 else 0
         usable &= np.where(used, (-1.0) ** index, 0.0).sum(1) == characteristic
-    return Nodes(values, frames, index, number, turn, usable), {"potential": potential} | listed | {
-        "index": index
-    }
-
-
-def _listed(family: Family, values: Array, given: bool) -> tuple[dict[str, NDArray[Any]], Array, Any, Array]:
-    """All solutions at values (bodies, parameters) and their frames (bodies, places, 3, 3); of those in use, (N,), the
-    eigenvalues and eigenvectors of the Hessian, and its size.
-    """
-    points = family.points(values)
-    listed = family.system.equilibria_of_bodies(points, lambda: None, stability=given, ordered=given)
-    gamma, used = listed["gamma"], listed["index"] >= 0
-    alpha = listed["alpha"] if "alpha" in listed else across(gamma)[..., 0, :]
-    frames = frames_of(alpha, gamma)
-    _, hessian, _, unit = family.linear(values[np.nonzero(used)[0]], frames[used])
-    return listed, frames, np.linalg.eigh(hessian), unit
-
-
-def on_bifurcations(family: Family, low: Array, high: Array, reach: Array) -> Array:
-    """Points at which solutions merge, exact but for rounding, between near bodies with different numbers of them.
-
-    Newton's method starts from the solutions nearest to a bifurcation, _CANDIDATES of the body that has more; of its ends the
-    nearest counts. low, high: parameters of both, one of which differs, (N, parameters). The middle where none is within reach, (N, parameters).
-    """
-    middle, values = 0.5 * (low + high), np.concatenate([low, high])
-    listed, frames, (eigenvalues, _), _ = _listed(family, values, False)
-    used = listed["index"] >= 0
-    size, number = np.full(used.shape, np.inf), np.zeros(used.shape, int)
-    size[used], number[used] = np.abs(eigenvalues).min(1), np.abs(eigenvalues).argmin(1)
-    first, second = used.sum(1).reshape(2, -1)
-    body = np.arange(len(low)) + len(low) * (second > first)
-    place = np.argsort(size[body], axis=1)[:, :_CANDIDATES].ravel()
-    body = np.repeat(body, _CANDIDATES)
-    points, _, _, step, _ = family.singular(
-        values[body], frames[body, place], number[body, place], np.repeat(low != high, _CANDIDATES, 0)
-    )
-    points = points.reshape(len(low), _CANDIDATES, -1)
-    distance = length((points - middle[:, None]) / reach[:, None])
-    distance = np.where(step.reshape(distance.shape) < _CONVERGED, distance, np.inf)
-    nearest = np.take_along_axis(points, distance.argmin(1)[:, None, None], 1)[:, 0]
-    return np.where((distance.min(1) < 1)[:, None], nearest, middle)
+    listed = {"potential": potential} | listed | {"index": index}
+    return Nodes(values, frames, index, turn, distance, usable), listed
 
 
 def prediction_errors(family: Family, nodes: Nodes, start: Places, end: Places) -> Array:
@@ -218,7 +226,8 @@ def prediction_errors(family: Family, nodes: Nodes, start: Places, end: Places) 
     turn = turn / np.maximum(1.0, length(turn) / _MAX_TURN)[..., None]
     predicted = family.place(rotated(nodes.frames[start], turn))
     errors = length(predicted[:, :, None] - family.place(nodes.frames[end])[:, None])
-    return np.where(np.isnan(errors), np.inf, errors)
+    real = (nodes.morse[start] >= 0)[:, :, None] & (nodes.morse[end] >= 0)[:, None]
+    return np.where(real, errors, np.inf)
 
 
 def joined(family: Family, nodes: Nodes, low: Places, high: Places) -> Places:
@@ -233,75 +242,48 @@ def joined(family: Family, nodes: Nodes, low: Places, high: Places) -> Places:
 
 def clear_choices(errors: Array) -> Places:
     """Column of the least error in each row, (N, rows); -1 where it is not small or not far the least of row and column."""
-    choice, row = errors.argmin(2), errors.argmin(1)
-    least = errors.min(2)
-    rivals = []
-    for axis, chosen in ((2, choice[..., None]), (1, row[:, None])):
-        others = errors.copy()
-        np.put_along_axis(others, chosen, np.inf, axis)
-        rivals.append(others.min(axis))
-    rival = np.minimum(rivals[0], np.take_along_axis(rivals[1], choice, 1))
-    clear = np.take_along_axis(row, choice, 1) == np.arange(errors.shape[1])
-    return np.where(clear & (least < np.minimum(_JOINED, _DISTINCT * rival)), choice, -1)
+    choice, least = errors.argmin(2), errors.min(2)
+    in_row, in_column = (np.partition(errors, 1, axis).take(1, axis) for axis in (2, 1))
+    rival = np.minimum(in_row, np.take_along_axis(in_column, choice, 1))
+    return np.where(least < np.minimum(_JOINED, _DISTINCT * rival), choice, -1)
 
 
-class Interval(NamedTuple):
-    """An interval between neighbouring nodes."""
+def meetings(
+    family: Family, nodes: Nodes, starts: list[Solution], kinds: list[Mask], found: Singular, limits: Array
+) -> tuple[list[Bifurcation], bool]:
+    """The bifurcations between two nodes, and whether these explain which solutions end there or change their index.
 
-    low: int
-    high: int
-    follower: Places  # place at the upper node of each solution at the lower one, -1: none
-    ends: list[Solution]  # solutions at either node that do not go on
-    changes: list[Solution]  # solutions at the lower node that go on with another index
-
-    @classmethod
-    def of(cls, nodes: Nodes, low: int, high: int, follower: Places) -> Interval:
-        going = np.flatnonzero(follower >= 0)
-        ends = [
-            (node, place)
-            for node, joined in ((low, going), (high, follower[going]))
-            for place in np.setdiff1d(np.flatnonzero(nodes.morse[node] >= 0), joined).tolist()
-        ]
-        changed = going[nodes.morse[low, going] != nodes.morse[high, follower[going]]]
-        return cls(low, high, follower, ends, [(low, place) for place in changed.tolist()])
-
-
-def bifurcations(family: Family, nodes: Nodes, intervals: list[Interval]) -> list[list[Bifurcation] | None]:
-    """The bifurcations in each of some intervals; None where they do not explain all ends and changes of index."""
-    starts = [start for each in intervals for start in (*each.changes, *each.ends)]
-    which = tuple(np.array(starts).reshape(-1, 2).T)
-    values = nodes.values[which[0], None]
-    varied = np.ones(values.shape, bool)
-    singular = family.singular(values, nodes.frames[which], nodes.number[which], varied)
-    rows = iter(zip(*singular, strict=True))
-    result: list[list[Bifurcation] | None] = []
-    for each in intervals:
-        own = [*each.changes, *each.ends]
-        places = family.place(np.array([nodes.frames[start] for start in own]))
-        points: list[Bifurcation] = []
-        for value, frame, null, step, is_fold in (next(rows) for _ in own):
-            inside = nodes.values[each.low] < value[0] < nodes.values[each.high] and step < _CONVERGED
-            place = family.place(frame)
-            if inside and all(length(place - family.place(point.frame)) > _SAME for point in points):
-                kind = BifurcationKind.FOLD if is_fold else BifurcationKind.EXCHANGE
-                points.append(Bifurcation(float(value[0]), frame, null, kind, step * family.span[0], []))
-        if not points:
-            result.append(None)
-            continue
-        distances = length(places[:, None] - family.place(np.array([point.frame for point in points])))
-        for start, nearest in zip(own, distances.argmin(1), strict=True):
-            points[nearest].solutions.append(start)
-        explained = bool((distances.min(1) < _JOINED).all())
-        for i, point in enumerate(points):
-            changes = [start for start in point.solutions if start in each.changes]
-            ends = [start for start in point.solutions if start in each.ends]
-            if point.kind == BifurcationKind.FOLD:
-                explained &= not changes and len(ends) == 2 and ends[0][0] == ends[1][0]
-            else:
-                explained &= len(changes) >= 1 and len(ends) <= 2
-                points[i] = point._replace(kind=BifurcationKind.PITCHFORK if ends else point.kind)
-        result.append(points if explained else None)
-    return result
+    kinds: which of the starts of Newton's method, found: its ends, are solutions that end, and that change their index.
+    """
+    points: list[Bifurcation] = []
+    values, places, (ends, changes) = found.values[:, 0], family.place(found.frames), kinds
+    real, errors, is_fold = ends | changes, found.error, found.is_fold
+    inside = (values > limits[0]) & (values < limits[1]) & (errors < _CONVERGED)
+    for i in np.flatnonzero(inside).tolist():
+        if all(length(places[i] - family.place(point.frame)) > _SAME for point in points):
+            kind = BifurcationKind.FOLD if is_fold[i] else BifurcationKind.EXCHANGE
+            error = float(errors[i] * family.span[0])
+            points.append(Bifurcation(float(values[i]), found.frames[i], found.null[i], kind, error, []))
+    if not points:
+        return points, not real.any()
+    own = family.place(np.array([nodes.frames[start] for start in starts]))
+    distances = length(own[:, None] - family.place(np.array([point.frame for point in points])))
+    nearest, result = np.where(real, distances.argmin(1), -1), []
+    is_explained = bool((distances.min(1) < _JOINED)[real].all())
+    for i, point in enumerate(points):
+        meeting = np.flatnonzero(nearest == i).tolist()
+        merging, sides = ends[meeting].sum(), {starts[j][0] for j in meeting if ends[j]}
+        if point.kind == BifurcationKind.FOLD:
+            is_explained &= len(meeting) == merging == 2 and len(sides) == 1
+        elif meeting:
+            is_explained &= merging < len(meeting) and merging <= 2
+            point = point._replace(kind=BifurcationKind.PITCHFORK if merging else point.kind)
+        else:  # of a line of solutions others count
+            met = [points[j].value for j in set(nearest[real]) if points[j].kind != BifurcationKind.FOLD]
+            is_explained &= any(abs(value - point.value) < _SETTLED * family.span[0] for value in met)
+        if meeting:
+            result.append(point._replace(solutions=[starts[j] for j in meeting]))
+    return result, is_explained
 
 
 class Branches(NamedTuple):
@@ -314,76 +296,156 @@ class Branches(NamedTuple):
     total: int  # of the branches, also of those that exist between two values alone
 
 
-def follow(family: Family, values: Array, part: Places) -> Branches:
+def follow(family: Family, values: Array, part: Places, stability: bool = False) -> Branches:
     """Branches of all solutions over increasing values, (values,); none goes on from one part of them to another."""
-    nodes, listed = solutions_at(family, values, given=True)
-    usable = np.flatnonzero(nodes.usable).tolist()
-    pending = [(a, b) for a, b in pairwise(usable) if part[a] == part[b]]
-    finished, points = [], []
+    nodes, listed = solutions_at(family, values, stability)
+    usable = np.flatnonzero(nodes.usable)
+    pending = np.stack([usable[:-1], usable[1:]], 1)
+    pending = pending[part[pending[:, 0]] == part[pending[:, 1]]]
+    intervals, links, points = [pending[:0]], [np.zeros((0, 2, 2), int)], []
     for attempt in range(_ROUNDS):
-        if not pending:
+        if not len(pending):
             break
-        low, high = np.array(pending).T
-        follower = joined(family, nodes, low, high)
-        going, used = follower >= 0, nodes.morse >= 0
-        same = nodes.morse[low] == np.take_along_axis(nodes.morse[high], np.maximum(follower, 0), 1)
-        clear = (going == used[low]).all(1) & (going.sum(1) == used[high].sum(1)) & (same | ~going).all(1)
-        rows = list(zip(low.tolist(), high.tolist(), follower, strict=True))
-        finished += [Interval(*rows[i], [], []) for i in np.flatnonzero(clear)]
-        unclear = [Interval.of(nodes, *rows[i]) for i in np.flatnonzero(~clear)]
-        pending, divided = [], []
-        for each, inside in zip(
-            unclear, bifurcations(family, nodes, unclear) if unclear else (), strict=True
-        ):
-            if inside is None and attempt < _ROUNDS - 1:
-                divided.append((each.low, each.high))
-                continue
-            finished.append(each)
-            a, b = nodes.values[[each.low, each.high]]
-            starts, unknown = [*each.changes, *each.ends], np.full(3, np.nan)
-            points += inside or [
-                Bifurcation(
-                    0.5 * (a + b),
+        limits, follower = nodes.values[pending], joined(family, nodes, *pending.T)
+        interval, place = np.nonzero(follower >= 0)
+        joins, ends = links_of(pending, follower), nodes.morse[pending] >= 0
+        ends[interval, 0, place] = ends[interval, 1, joins[:, 1, 1]] = False
+        changes, (before, after) = np.zeros_like(ends), nodes.morse[(*np.moveaxis(joins, -1, 0),)].T
+        changes[interval, 0, place] = before != after
+        ahead = nodes.distance[pending] * [[1], [-1]]
+        near = (ahead > 0) & (ahead < np.diff(limits)[..., None])
+        which, side, place = np.nonzero(ends | changes | near)
+        node = pending[which, side]
+        singular = family.singular(
+            nodes.values[node, None], nodes.frames[node, place], np.zeros((node.size, 0, 4))
+        )
+        done = np.ones(len(pending), bool)
+        for i in np.unique(which):
+            own = np.flatnonzero(which == i)
+            starts = list(zip(node[own].tolist(), place[own].tolist(), strict=True))
+            kinds = [each[i, side[own], place[own]] for each in (ends, changes)]
+            some = Singular._make(each[own] for each in singular)
+            inside, done[i] = meetings(family, nodes, starts, kinds, some, limits[i])
+            real = [start for start, *kind in zip(starts, *kinds, strict=True) if any(kind)]
+            narrow = np.ptp(limits[i]) < _SETTLED * family.span[0] and not real
+            if not done[i] and (attempt == _ROUNDS - 1 or narrow):
+                done[i] = True
+                where, error = float(limits[i].mean()), 0.5 * float(np.ptp(limits[i]))
+                point = (
+                    where,
                     nodes.frames[starts[0]],
-                    unknown,
+                    np.full(3, np.nan),
                     BifurcationKind.UNRESOLVED,
-                    0.5 * (b - a),
-                    starts,
+                    error,
+                    real,
                 )
-            ]
-        if divided:
+                inside = [Bifurcation(*point)] if real else inside
+            points += inside if done[i] else []
+        intervals.append(pending[done])
+        links.append(joins[done[interval]])
+        pending = pending[~done]
+        if len(pending):
             fraction = 0.3 + 0.4 * (_GOLDEN * (attempt + 1) % 1)
-            between = nodes.values[np.array(divided)] @ [1 - fraction, fraction]
-            added = solutions_at(family, between)[0]
-            for new, ((a, b), is_node) in enumerate(
-                zip(divided, added.usable, strict=True), nodes.values.size
-            ):
-                pending += [(a, new), (new, b)] if is_node else [(a, b)]
+            added, _ = solutions_at(family, nodes.values[pending] @ [1 - fraction, fraction])
+            new = nodes.values.size + np.arange(len(pending))
             nodes = Nodes(*(np.concatenate(pair) for pair in zip(nodes, added, strict=True)))
-    branch = numbered(family, nodes, finished, values.size)
+            halves = np.concatenate([np.stack([pending[:, 0], new], 1), np.stack([new, pending[:, 1]], 1)])
+            pending = np.concatenate([pending[~added.usable], halves[np.tile(added.usable, 2)]])
+    # The values given that are no nodes, at bifurcations: solutions that the nodes on both sides predict.
+    every, degenerate = np.concatenate(intervals), np.flatnonzero(~nodes.usable[: values.size])
+    low, high = nodes.values[every].T
+    which, i = np.nonzero((low < values[degenerate, None]) & (values[degenerate, None] < high))
+    pairs = np.stack([every[i].ravel(), np.repeat(degenerate[which], 2)], 1)
+    links.append(links_of(pairs, clear_choices(2 * prediction_errors(family, nodes, *pairs.T))))
+    branch, total = numbered(nodes, np.concatenate(links))
     points.sort(key=lambda point: point.value)
     meeting = [sorted({int(branch[each]) for each in point.solutions}) for point in points]
-    return Branches(listed, branch[: values.size], points, meeting, int(branch.max(initial=-1)) + 1)
+    return Branches(listed, branch[: values.size], points, meeting, total)
 
 
-def numbered(family: Family, nodes: Nodes, intervals: list[Interval], count: int) -> Places:
-    """Number of the branch of each solution, -1: none; branches are in the order of their lowest values."""
-    branch, total = np.full(nodes.morse.shape, -1), 0
-    from_below = {each.high: each for each in intervals}
-    order = np.flatnonzero(nodes.usable)[np.argsort(nodes.values[nodes.usable], kind="stable")]
-    for node in order.tolist():
-        if node in from_below:
-            going = np.flatnonzero(from_below[node].follower >= 0)
-            branch[node, from_below[node].follower[going]] = branch[from_below[node].low, going]
-        new = np.flatnonzero((nodes.morse[node] >= 0) & (branch[node] < 0))
-        branch[node, new] = total + np.arange(new.size)
-        total += new.size
-    # The values given that are no nodes, at bifurcations: solutions that the nodes on both sides predict.
-    for value in np.flatnonzero(~nodes.usable[:count]):
-        after = int(np.searchsorted(nodes.values[order], nodes.values[value]))
-        if 0 < after < order.size and order[after] in from_below:
-            for node in order[[after - 1, after]]:
-                errors = prediction_errors(family, nodes, np.array([node]), np.array([value]))
-                choice = clear_choices(2 * errors)[0]
-                branch[value, choice[choice >= 0]] = branch[node, choice >= 0]
-    return branch
+def links_of(pairs: Places, follower: Places) -> Places:
+    """Node and place of solutions and of those that follow them, (links, 2, 2); pairs: nodes, (pairs, 2)."""
+    pair, place = np.nonzero(follower >= 0)
+    return np.stack([pairs[pair], np.stack([place, follower[pair, place]], 1)], -1)
+
+
+def numbered(nodes: Nodes, links: Places) -> tuple[Places, int]:
+    """Number of the branch of each solution, -1: none, in the order of the lowest values; links: (links, 2, node and place)."""
+    from scipy.sparse import coo_array  # here, because every command imports the systems
+    from scipy.sparse.csgraph import connected_components
+
+    shape = nodes.morse.shape
+    first, second = np.ravel_multi_index(tuple(np.moveaxis(links, -1, 0)), shape).T
+    graph = coo_array((np.ones(len(links)), (first, second)), shape=2 * (nodes.morse.size,))
+    label = connected_components(graph, directed=False)[1]
+    belongs = np.repeat(nodes.usable, shape[1])
+    belongs[np.concatenate([first, second])] = True
+    own = np.flatnonzero((nodes.morse.ravel() >= 0) & belongs)
+    own = own[np.argsort(nodes.values[own // shape[1]], kind="stable")]
+    _, where, inverse = np.unique(label[own], return_index=True, return_inverse=True)
+    branch = np.full(nodes.morse.size, -1)
+    branch[own] = np.argsort(np.argsort(where))[inverse]
+    return branch.reshape(shape), where.size
+
+
+def on_segments(family: Family, start: Array, end: Array, count: int) -> tuple[Array, Array, Places]:
+    """Points at which the number of solutions changes on segments (segments, parameters), from so many values on each.
+
+    Returns the parameters (N, parameters), frames and numbers of the eigenvalues that vanish.
+    """
+
+    def placed(values: Array) -> Array:
+        """The points of segment i for the values from 1.5 i on."""
+        i = np.clip(np.rint((values[:, 0] - 0.5) / 1.5).astype(int), 0, len(start) - 1)
+        return start[i] + (values - 1.5 * i[:, None]) * (end - start)[i]
+
+    values = (1.5 * np.arange(len(start))[:, None] + np.linspace(0, 1, count)).ravel()
+    along = family._replace(points=lambda values: family.points(placed(values)), limits=values[[0, -1], None])
+    merging = BifurcationKind.FOLD, BifurcationKind.PITCHFORK
+    points = follow(along, values, np.arange(values.size) // count).points
+    points = [point for point in points if point.kind in merging]
+    where = placed(np.array([point.value for point in points]).reshape(-1, 1))
+    frames = np.array([point.frame for point in points]).reshape(-1, 3, 3)
+    return where, frames, np.abs(np.linalg.eigvalsh(family.linear(where, frames)[1])).argmin(1)
+
+
+def curves(family: Family, values: Array, frames: Array) -> list[tuple[Array, Places]]:
+    """Curves of bifurcations of a family of two parameters through points on them, (N, 2), by pseudo-arclength continuation.
+
+    Each ends where it leaves the limits, or closes. Returns the parameters of its vertices and the number of the eigenvalue that vanishes.
+    """
+    count = len(values)
+    start = family.singular(np.tile(values, (2, 1)), np.tile(frames, (2, 1, 1)), np.zeros((2 * count, 0, 5)))
+    first = start.tangent * np.repeat([[1.0], [-1.0]], count, 0)
+    values, frames, tangent = start.values.copy(), start.frames.copy(), first.copy()
+    step, active = np.full(2 * count, _FIRST_ARC), np.flatnonzero(start.error < _CONVERGED)
+    paths = [[(row, number)] for row, number in zip(start.values, start.number, strict=True)]
+    closed = np.zeros(2 * count, bool)
+    for attempt in range(_MAX_ARCS):
+        if not active.size:
+            break
+        t, at = tangent[active], values[active]
+        slope = family.span * t[:, 3:]
+        with np.errstate(divide="ignore"):
+            to_edge = (np.where(slope > 0, *family.limits[::-1, None]) - at) / slope
+        arc = np.minimum(step[active], to_edge.min(1))[:, None]
+        leaves = arc[:, 0] < step[active]
+        fixed = np.where(leaves[:, None], np.eye(5)[3 + to_edge.argmin(1)], t)[:, None]
+        new = family.singular(at + arc * slope, rotated(frames[active], arc * t[:, :3]), fixed)
+        ahead, moved = new.tangent, length((new.values - at) / family.span)
+        ahead *= np.where((ahead * t).sum(1) < 0, -1, 1)[:, None]
+        accepted = (new.error < _CONVERGED) & ((ahead * t).sum(1) > _STRAIGHT) & (moved < 2 * arc[:, 0])
+        away = (new.values - start.values[active]) / family.span
+        away = np.concatenate([away, family.place(new.frames) - family.place(start.frames[active])], 1)
+        is_back = accepted & (length(away) < arc[:, 0]) & (attempt >= _AWAY)
+        is_back &= (ahead * first[active]).sum(1) > _STRAIGHT
+        for i in np.flatnonzero(accepted):
+            path = paths[active[i]]
+            path.append(path[0] if is_back[i] else (new.values[i], new.number[i]))
+        some = active[accepted]
+        values[some], frames[some] = new.values[accepted], new.frames[accepted]
+        tangent[some], closed[active] = ahead[accepted], is_back
+        step[active] = np.where(accepted, np.minimum(1.4 * arc[:, 0], _MAX_ARC), 0.5 * arc[:, 0])
+        active = active[~(accepted & leaves) & ~is_back & (step[active] > _MIN_ARC)]
+    lines = [a if back else [*b[:0:-1], *a] for a, b, back in zip(paths, paths[count:], closed, strict=False)]
+    return [(np.array([at for at, _ in line]), np.array([number for _, number in line])) for line in lines]

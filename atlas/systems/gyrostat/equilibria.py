@@ -13,7 +13,7 @@ from ...flags import Completeness, EnergyStability, Stability, StabilityKind
 from ..base import Array, Mask, Points, subset
 from . import homotopy
 from .body import Body, across, cross_matrix
-from .secular import critical_directions
+from .secular import NEARLY, critical_directions
 from .variables import FREQUENCIES, stability_kind
 
 if TYPE_CHECKING:
@@ -139,8 +139,9 @@ def equilibria_of_bodies(
 
     Those of bodies with an axis of symmetry follow from the secular equation. Bodies of which neither finds all equilibria
     with certainty and those without an orbit are searched one by one, as `equilibria` does, in about 70 ms each. pause:
-    called at least once a second; it may raise an exception. stability: whether to compute STABILITY. ordered: see `homotopy.solve`. Returns arrays (bodies, places) in the
-    order of the potential, then of the attitude, unused places at the end (nan, index -1, stable 0), and completeness (bodies,), values of flags.Completeness.
+    called at least once a second; it may raise an exception. stability: whether to compute STABILITY. ordered: see `homotopy.solve`;
+    with attitudes near complex solutions, index -1. Returns arrays (bodies, places) in the order of the potential, then of the
+    attitude, unused places at the end (nan, index -1, stable 0), and completeness (bodies,), values of flags.Completeness.
     """
     count = points["A"].size
     completeness = np.full(count, Completeness.COMPLETE, np.int8)
@@ -156,6 +157,8 @@ def equilibria_of_bodies(
             try:
                 solutions = equilibria(system, subset(points, [i]))
             except (BadInput, RuntimeError):
+                solutions = None
+            if solutions is None or solutions["index"].size > homotopy.PATHS:  # repeated at a bifurcation
                 completeness[i] = Completeness.NOT_LISTED
                 continue
             isolated = not solutions["circle"].any()
@@ -174,7 +177,7 @@ def padded(columns: Mapping[str, NDArray[Any]], count: int, places: int) -> dict
     result = {}
     for name, values in columns.items():
         if name != "row":
-            shape = count, places, *values.shape[1:]
+            shape = (count, places, *values.shape[1:])
             result[name] = np.full(shape, _UNUSED.get(name, np.nan), values.dtype)
             result[name][row, place] = values[order]
     return result
@@ -197,17 +200,22 @@ def _at_once(
     axes = np.stack([given.symmetric_about(i) for i in range(3)], 1)
     symmetric = np.asarray(axes.any(1))
     general, single = np.flatnonzero(usable & ~symmetric), np.flatnonzero(usable & (axes.sum(1) == 1))
-    parts = [(general, *_by_continuation(bodies.subset(general), ordered))]
-    parts += [(single, *_by_symmetry(bodies.subset(single), axes[single].argmax(1)))]
-    row, frames = (np.concatenate(c) for c in zip(*((some[body], f) for some, body, f in parts), strict=True))
+    p, q = (direction.field[general].T for direction in (alpha, gamma))
+    a, g, real, nearly, complete = homotopy.solve(bodies.inertia[general].T, p, q, ordered)
+    body, path = np.nonzero((real | nearly & ordered).T & complete[:, None])
+    a, g = a[:, path, body].T, g[:, path, body].T
+    row, frames, known = _by_symmetry(bodies.subset(single), axes[single].argmax(1), ordered)
+    row = np.concatenate([general[body], single[row]])
+    frames = np.concatenate([frames_of(a, g), frames])
+    real = np.concatenate([real[path, body], known])
     bodies = bodies.subset(row)
     values = np.linalg.eigvalsh(bodies.hessian(frames[:, 0], frames[:, 2]))
     flat = np.abs(values) < _ZERO_EIGENVALUE * _scale(bodies)[:, None]
-    index = ((values < 0) & ~flat).sum(1)
+    index = np.where(real, ((values < 0) & ~flat).sum(1), -1)
     # The Poincare-Hopf sum is 0 on SO(3), and 2 on the sphere of the axis of symmetry.
-    sums = np.bincount(row, (-1.0) ** index, rate.size)
-    solved = (np.bincount(row, minlength=rate.size) > 0) & (sums == 2 * symmetric)
-    solved[row[flat.sum(1) != symmetric[row]]] = False
+    sums = np.bincount(row[real], (-1.0) ** index[real], rate.size)
+    solved = (np.bincount(row[real], minlength=rate.size) > 0) & (sums == 2 * symmetric)
+    solved[row[real & (flat.sum(1) != symmetric[row])]] = False
     scaled = bodies.potential(frames[:, 0], frames[:, 2])
     potential = scaled * given.inertia.max(1)[row] * rate[row] ** 2
     axis = np.where(symmetric[row, None], axes[row], np.nan)
@@ -224,29 +232,20 @@ def _at_once(
     return solved, symmetric, row, result
 
 
-def _by_continuation(bodies: Body, ordered: bool) -> tuple[NDArray[np.int64], Array]:
-    """Body and frame of each equilibrium, of those bodies of which the continuation finds all."""
-    alpha, gamma = (direction.field.T for direction in bodies.amended())
-    radius, normal, real, complete = homotopy.solve(bodies.inertia.T, alpha, gamma, ordered)
-    body, path = np.nonzero(real.T & complete[:, None])
-    a, g = radius[:, path, body].T, normal[:, path, body].T
-    return body, frames_of(a, g)
-
-
-def _by_symmetry(bodies: Body, i: NDArray[np.int64]) -> tuple[NDArray[np.int64], Array]:
-    """The same of bodies with one axis of symmetry i, which in the frame is a critical point of a function on the sphere."""
+def _by_symmetry(bodies: Body, i: NDArray[np.int64], ordered: bool) -> tuple[NDArray[np.int64], Array, Mask]:
+    """Body and frame of each solution, and which are real; the axis of symmetry i is a critical point of a function on the sphere."""
     own = np.arange(i.size)
     excess, none = bodies.inertia[own, i] - bodies.inertia[own, (i + 1) % 3], np.zeros(i.size)
     alpha, gamma = bodies.amended()
     d = np.array([alpha.gradient * excess, none, gamma.gradient * excess])
     b = np.array([alpha.field[own, i], none, gamma.field[own, i]])
-    components, dimension = critical_directions(d, b)
-    column, body = np.nonzero((dimension == 0) & ~(dimension > 0).any(0))
+    components, dimension = critical_directions(d, b, nearly=ordered)
+    column, body = np.nonzero(((dimension == 0) | (dimension == NEARLY)) & ~(dimension > 0).any(0))
     axis = components[:, column, body].T
     frames, columns = np.empty((body.size, 3, 3)), (i[body, None] + np.arange(3)) % 3
     vectors = np.concatenate([axis[:, None], across(axis)], 1)
     np.put_along_axis(frames, columns[:, None], np.swapaxes(vectors, 1, 2), 2)
-    return body, frames
+    return body, frames, dimension[column, body] == 0
 
 
 def _search(bodies: Body, scale: float) -> Array:

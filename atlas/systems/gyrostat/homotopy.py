@@ -42,14 +42,15 @@ _ROUNDING = 1e-11  # of the gradient at an end
 # A solution with imaginary parts below this is real; solutions closer to each other, or with imaginary parts between
 # the two, are not certainly different or real.
 _REAL, _DISTINCT = 1e-9, 1e-5
+_NEARLY_REAL = 1.0  # imaginary parts of solutions that may soon be real
 
 
-def solve(inertia: Array, p: Array, q: Array, ordered: bool = False) -> tuple[Array, Array, Mask, Mask]:
+def solve(inertia: Array, p: Array, q: Array, ordered: bool = False) -> tuple[Array, Array, Mask, Mask, Mask]:
     """Critical points of W of some bodies; a common multiple of (1, 1, 1) in the inertia has no effect.
 
     ordered: neighbours are similar, so that most are solved by Newton's method from the complex solutions of another.
-    Returns alpha, gamma, unit vectors, of the critical points that are real; real, which are; each once, (24,
-    bodies); complete, where all 24 complex solutions were found, all different, each of them clearly real or clearly not, (bodies,).
+    Returns alpha, gamma, unit vectors, of the critical points that are real, of others the real parts; real, which are; nearly,
+    one of each conjugate pair that is not far from real; each once, (24, bodies); complete, where all 24 complex solutions were found, all different, each of them clearly real or clearly not, (bodies,).
     """
     inertia = inertia - inertia.mean(0)
     scale = np.max([np.abs(inertia).max(0), np.abs(p).max(0), 0.3 * np.abs(q).max(0)], axis=0)
@@ -61,8 +62,10 @@ def solve(inertia: Array, p: Array, q: Array, ordered: bool = False) -> tuple[Ar
             if repeated.size:
                 part = [values[:, repeated] for values in target]
                 ends[:, :, repeated], complete[repeated] = _ends(part, *attempt)
-        real = np.abs(ends.imag).max(0) < _REAL
-    return ends[:3].real, ends[3:].real, real, complete
+        size = np.abs(ends.imag).max(0)
+        upper = np.take_along_axis(ends.imag, np.abs(ends.imag).argmax(0)[None], 0)[0] > 0
+    nearly = (size >= _REAL) & (size < _NEARLY_REAL) & upper
+    return ends[:3].real, ends[3:].real, size < _REAL, nearly, complete
 
 
 def _ends(target: Three, tolerance: float, max_step: float) -> tuple[Complex, Mask]:

@@ -11,7 +11,7 @@ from ...flags import Completeness
 from ..base import FAMILY_TOLERANCE, Points, subset
 from .equilibria import padded, stability_at_rest
 from .oscillations import Equilibria
-from .secular import PLACES, directions
+from .secular import NEARLY, PLACES, directions
 
 if TYPE_CHECKING:
     from .system import Gyrostat
@@ -19,17 +19,18 @@ if TYPE_CHECKING:
 _NEAR_BIFURCATION = 1e-9  # eigenvalue of the amended potential's Hessian, relative to its size
 
 
-def rotations(system: Gyrostat, points: Points) -> dict[str, NDArray[Any]]:
+def rotations(system: Gyrostat, points: Points, nearly: bool = False) -> dict[str, NDArray[Any]]:
     """All permanent rotations of bodies about the vertical, each at its rate n (0: positions of rest).
 
     points: every parameter, arrays (bodies,), of a system in which nothing acts along alpha. A set of solutions is represented
     by one member. Returns, in the order of theta, row: the number of the body; dimension of the set; index: number of
     directions in which the amended potential decreases (0: stable); flat: where an eigenvalue of its Hessian is zero but for
-    _NEAR_BIFURCATION; theta0, phi0 (rad), gamma and equilibria.STABILITY.
+    _NEAR_BIFURCATION; theta0, phi0 (rad), gamma and equilibria.STABILITY. nearly: also attitudes near complex solutions,
+    index -1.
     """
     turning = system.body_at_rest(points)
-    vectors, dimensions = directions(turning)
-    column, body = np.nonzero(dimensions >= 0)
+    vectors, dimensions = directions(turning, nearly=nearly)
+    column, body = np.nonzero(dimensions != -1)
     g = vectors[:, column, body]
     theta, phi = np.arctan2(np.hypot(g[0], g[1]), g[2]), np.arctan2(g[0], g[1])
     order = np.lexsort([g[0], theta, body])
@@ -44,16 +45,17 @@ def rotations(system: Gyrostat, points: Points) -> dict[str, NDArray[Any]]:
         np.arange(theta.size), scaled, gamma, gamma, rate, vertical, np.zeros(theta.shape, bool)
     )
     values = equilibria.hessian_eigenvalues()
+    index = np.where(dimension == NEARLY, -1, (values < -FAMILY_TOLERANCE).sum(1)).astype(np.int8)
     return {
         "row": body, "theta0": theta, "phi0": phi, "gamma": gamma, "dimension": dimension,
-        "index": (values < -FAMILY_TOLERANCE).sum(1).astype(np.int8), **stability_at_rest(system, subset(points, body), start),
+        "index": index, **stability_at_rest(system, subset(points, body), start),
         "circle": dimension == 1, "flat": (np.abs(values) <= _NEAR_BIFURCATION).any(1),
     }  # fmt: skip
 
 
-def rotations_of_bodies(system: Gyrostat, points: Points) -> dict[str, NDArray[Any]]:
+def rotations_of_bodies(system: Gyrostat, points: Points, nearly: bool) -> dict[str, NDArray[Any]]:
     """The same with the arrays of the bodies padded, (bodies, places), and completeness, values of flags.Completeness."""
-    result = padded(rotations(system, points), points["n"].size, PLACES)
+    result = padded(rotations(system, points, nearly), points["n"].size, PLACES)
     near = (result.pop("flat") & (result["dimension"] == 0)).any(1)
     flags = np.where(near, Completeness.NEAR_BIFURCATION, Completeness.COMPLETE)
     flags = np.where((result["dimension"] > 0).any(1), Completeness.NOT_ISOLATED, flags)

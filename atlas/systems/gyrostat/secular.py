@@ -10,6 +10,7 @@ from ..vectors import length, unit
 from .body import Body
 
 PLACES = 12  # columns of directions
+NEARLY = np.int8(-2)  # dimension of a direction at which two complex solutions are nearly one
 
 
 class _SecularEquation:
@@ -57,7 +58,7 @@ class _SecularEquation:
         """Write the directions of the roots into columns 0 to 5."""
 
         def write(column: int, shift: Array, origin: Array, exists: Mask) -> None:
-            g[:, column] = np.where(exists, self.direction(shift, origin), np.nan)
+            g[:, column] = self.direction(shift, origin)
             dimension[column] = np.where(exists, 0, -1)
 
         for column, end, side in ((0, 0, -1.0), (1, 2, 1.0)):
@@ -67,28 +68,36 @@ class _SecularEquation:
         for column, left in ((2, 0), (4, 1)):
             low, high = self.poles[left], self.poles[left + 1]
             width, minimum = high - low, self.minimum(low, high)
-            exists = self.exists & (width > 0) & (self.sum(minimum, low) < 1)
-            write(column, self.root(self.residue(low), minimum, low), low, exists)
+            is_gap = self.exists & (width > 0)
+            exists = is_gap & (self.sum(minimum, low) < 1)
+            root = self.root(self.residue(low), minimum, low)
+            write(column, np.where(exists, root, minimum), low, exists)
+            dimension[column, is_gap & ~exists] = NEARLY
             write(column + 1, self.root(-self.residue(high), minimum - width, high), high, exists)
 
 
-def directions(body: Body, towards: Array | None = None) -> tuple[Array, NDArray[np.int8]]:
+def directions(
+    body: Body, towards: Array | None = None, nearly: bool = False
+) -> tuple[Array, NDArray[np.int8]]:
     """All directions of the vertical in the body at which the body can rest in the frame, where nothing acts along alpha.
 
     As `critical_directions`, with d = (n^2 - N) I and b = n l + Mg r_c of a body about a fixed point.
     """
     d = (body.turn**2 - body.gamma.gradient) * body.inertia.T
-    return critical_directions(d, body.turn * body.rotor.T - body.gamma.field.T, towards)
+    return critical_directions(d, body.turn * body.rotor.T - body.gamma.field.T, towards, nearly)
 
 
-def critical_directions(d: Array, b: Array, towards: Array | None = None) -> tuple[Array, NDArray[np.int8]]:
+def critical_directions(
+    d: Array, b: Array, towards: Array | None = None, nearly: bool = False
+) -> tuple[Array, NDArray[np.int8]]:
     """Critical points of g.(d g) / 2 + b.g on the unit sphere, d diagonal; arrays (3, points).
 
     g = -b / (d - L), and L a root of the secular equation sum b_i^2 / (d_i - L)^2 = 1, which has one root outside each end pole
     and none or two between neighbours; a component with b_i = 0 also allows L = d_i with g_i free.
 
     towards: selects the member of a circle of solutions, (3, points). Returns g, (3, 12, points), nan in unused columns, and
-    the dimension of the set that each belongs to, (12, points): 0 isolated, 1 a circle, 2 every direction, -1 unused.
+    the dimension of the set that each belongs to, (12, points): 0 isolated, 1 a circle, 2 every direction, -1 unused, with nearly
+    also NEARLY.
     """
     order = np.argsort(d, axis=0, kind="stable")
     d, b = np.take_along_axis(d, order, 0), np.take_along_axis(b, order, 0)
@@ -106,7 +115,11 @@ def critical_directions(d: Array, b: Array, towards: Array | None = None) -> tup
             inside = unit(np.where(length(inside) > 0, inside, group)) * np.sqrt(remainder)
             for column, side in ((6 + 2 * i, 1.0), (7 + 2 * i, -1.0)):
                 exists = free & (remainder > 0) & ((size == 1) | (side > 0))
-                g[:, column] = np.where(exists, fixed + side * inside, np.nan)
-                dimension[column] = np.where(exists, size - 1, -1)
+                is_near = free & (remainder <= 0) & (size == 1) & (side > 0)
+                g[:, column] = np.where(is_near, unit(fixed), fixed + side * inside)
+                dimension[column] = np.where(exists, size - 1, np.where(is_near, NEARLY, -1))
+    if not nearly:
+        dimension[dimension == NEARLY] = -1
+    g[:, dimension == -1] = np.nan
     inverse = np.argsort(order, axis=0)
     return np.take_along_axis(g, np.broadcast_to(inverse[:, None], g.shape), 0), dimension

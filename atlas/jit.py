@@ -28,7 +28,6 @@ from typing import Any, NamedTuple
 import llvmlite
 import llvmlite.binding as llvm
 import numba
-import platformdirs
 from llvmlite import ir
 from numba import types
 from numba.core import cgutils
@@ -41,7 +40,7 @@ from numba.extending import intrinsic
 from numba.np import arrayobj
 
 from .compiling import compilation
-from .files import atomic_write, one_line, remove_leftovers
+from .files import atomic_write, cache_folder, one_line, remove_leftovers
 
 # contract lets LLVM fuse multiply and add; anything more (nnan above all) would lose NaN checks.
 OPTIONS = {"fastmath": {"contract"}, "error_model": "numpy", "boundscheck": False}
@@ -189,11 +188,6 @@ def _environment() -> str:
 
 def _hash(trees: Iterable[str], environment: str) -> str:
     return hashlib.sha256("\n".join([*trees, environment]).encode()).hexdigest()[:16]
-
-
-def cache_folder() -> Path:
-    """Folder of the compiled kernels; the environment variable ATLAS_CACHE overrides the user's own."""
-    return Path(os.environ.get("ATLAS_CACHE") or platformdirs.user_cache_path("precession-atlas", False))
 
 
 def load(source: str) -> ModuleType:

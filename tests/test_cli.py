@@ -16,7 +16,7 @@ import xarray as xr
 
 from atlas.analysis.boundary import LINES_FOLDER
 from atlas.cli import main, parser
-from atlas.jit import cache_folder
+from atlas.files import cache_folder
 from atlas.systems.satellite.system import SATELLITE
 
 

@@ -16,7 +16,7 @@ from pathlib import Path
 
 from ..compiling import Stopwatch
 from ..errors import MAX_MESSAGE, MAX_TEXT, BadInput, allowed_text, attribute_text, printable, say, text_table
-from ..files import atomic_write, check_not_input, writable
+from ..files import atomic_write, cache_folder, check_not_input, writable
 from ..interruption import called_as
 from .options import (
     DONE,
@@ -204,13 +204,13 @@ def list_kernels(options: argparse.Namespace) -> int:
     if options.clear:
         from ..analysis.boundary import LINES_FOLDER
 
-        shutil.rmtree(jit.cache_folder() / LINES_FOLDER, ignore_errors=True)
-        say(f"removed {jit.clear()} kernels from {jit.cache_folder()}")
+        shutil.rmtree(cache_folder() / LINES_FOLDER, ignore_errors=True)
+        say(f"removed {jit.clear()} kernels from {cache_folder()}")
         return DONE
     files = jit.cached()
     kernels = [(name, size) for name, size, _ in files if jit.is_kernel(name)]
     say(
-        f"{jit.cache_folder()}: {len(kernels)} kernels, {len(files) - len(kernels)} functions that they share,"
+        f"{cache_folder()}: {len(kernels)} kernels, {len(files) - len(kernels)} functions that they share,"
         f" {sum(size for _, size, _ in files) / 1e6:.1f} MB"
     )
     for name, size in kernels:

@@ -16,7 +16,9 @@ if [ ! -x .venv/bin/python ]; then
 fi
 
 install_package() {
-    set -- install --disable-pip-version-check --progress-bar off --editable ".${extras:+[$(echo "$extras" | tr ' ' ',')]}"
+    package="."
+    case " $missing " in *" package "*) set -- --editable ;; *) package=precession-atlas; set -- ;; esac  # extras alone
+    set -- install --disable-pip-version-check --progress-bar off "$@" "$package${extras:+[$(echo "$extras" | tr ' ' ',')]}"
     # Python compiles the modules that it imports, a quarter of those that pip would compile.
     [ -n "${PYTHONDONTWRITEBYTECODE:-}" ] || set -- "$@" --no-compile
     if [ -x .venv/bin/pip ]; then

@@ -114,8 +114,8 @@ def has_flags(array: xr.DataArray) -> bool:
     if array.dtype.kind == "b":
         return True
     registered = [_registered_flags(system) for system in systems.SYSTEMS.values()]
-    text, known = array.attrs.get("long_name"), any(array.name in flags for flags in registered)
-    own = text is not None and not any(text in flags.values() for flags in registered)
+    known, text = any(array.name in flags for flags in registered), str(array.attrs.get("long_name"))
+    own = "long_name" in array.attrs and not any(text in flags.values() for flags in registered)
     return "flag_meanings" in array.attrs and (known or own)
 
 

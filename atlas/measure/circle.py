@@ -41,12 +41,9 @@ class Axis(IntEnum):
     """Constants of a point in one frame: axes x, y, z in the body, and the motion at the start."""
 
     FRAME_RATE, X1, X2, X3, Y1, Y2, Y3, Z1, Z2, Z3 = range(10)  # the angular velocity is u + FRAME_RATE g
-    START_X, START_Y, START_Z, START_SPEED_SQUARED = range(
-        10, 14
-    )  # it along x, y, z; square of its derivative
-    SLOPE_X, SLOPE_Y, SLOPE_Z, VERTICAL_X, VERTICAL_Y, VERTICAL_Z = range(
-        14, 20
-    )  # its derivative; the vertical
+    # It along x, y and z, the square of its derivative, its derivative, the vertical.
+    START_X, START_Y, START_Z, START_SPEED_SQUARED = range(10, 14)
+    SLOPE_X, SLOPE_Y, SLOPE_Z, VERTICAL_X, VERTICAL_Y, VERTICAL_Z = range(14, 20)
 
 
 class Sum(IntEnum):

@@ -54,9 +54,8 @@ from .plan import ScenePlan, differences, identity
 from .tiles import DamagedTile, TileFiles, tile_types
 
 MAX_DAMAGE_WARNINGS = 5
-MAX_CLAIM_POLL = (
-    10.0  # seconds between two checks whether tiles that other processes compute are done; first CLAIM_POLL
-)
+# Seconds between two checks whether tiles that other processes compute are done; between the first CLAIM_POLL.
+MAX_CLAIM_POLL = 10.0
 RUN_SUFFIX = ".run"  # of the folder in which an atlas of one file is computed
 Advance = Callable[[float], None]  # takes a number of finished points
 

@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 from ...flags import BifurcationKind, Completeness
 from ..base import Array, Mask, Points
 from .body import across, length
-from .equilibria import rotated
+from .equilibria import frames_of, rotated
 
 if TYPE_CHECKING:
     from .system import Gyrostat
@@ -188,7 +188,7 @@ def solutions_at(
     listed = family.system.equilibria_of_bodies(points, lambda: None, stability, ordered=True)
     gamma, used = listed["gamma"], listed["index"] >= 0
     alpha = listed["alpha"] if "alpha" in listed else across(gamma)[..., 0, :]
-    frames, known = np.stack([alpha, np.cross(gamma, alpha), gamma], -2), ~np.isnan(gamma[..., 0])
+    frames, known = frames_of(alpha, gamma), ~np.isnan(gamma[..., 0])
     left, _, right = np.linalg.svd(frames[known & ~used])
     frames[known & ~used] = left @ right
     node, some, is_used = np.nonzero(known)[0], frames[known], used[known]
@@ -249,21 +249,23 @@ def clear_choices(errors: Array) -> Places:
 
 
 def meetings(
-    family: Family, nodes: Nodes, starts: list[Solution], kinds: list[Mask], found: Singular, limits: Array
+    family: Family, nodes: Nodes, starts: list[Solution], kinds: list[Mask], singular: Singular, limits: Array
 ) -> tuple[list[Bifurcation], bool]:
     """The bifurcations between two nodes, and whether these explain which solutions end there or change their index.
 
-    kinds: which of the starts of Newton's method, found: its ends, are solutions that end, and that change their index.
+    kinds: which of the starts of Newton's method, whose ends are singular, are solutions that end, and that change their index.
     """
     points: list[Bifurcation] = []
-    values, places, (ends, changes) = found.values[:, 0], family.place(found.frames), kinds
-    real, errors, is_fold = ends | changes, found.error, found.is_fold
+    values, places, (ends, changes) = singular.values[:, 0], family.place(singular.frames), kinds
+    real, errors, is_fold = ends | changes, singular.error, singular.is_fold
     inside = (values > limits[0]) & (values < limits[1]) & (errors < _CONVERGED)
     for i in np.flatnonzero(inside).tolist():
         if all(length(places[i] - family.place(point.frame)) > _SAME for point in points):
             kind = BifurcationKind.FOLD if is_fold[i] else BifurcationKind.EXCHANGE
             error = float(errors[i] * family.span[0])
-            points.append(Bifurcation(float(values[i]), found.frames[i], found.null[i], kind, error, []))
+            points.append(
+                Bifurcation(float(values[i]), singular.frames[i], singular.null[i], kind, error, [])
+            )
     if not points:
         return points, not real.any()
     own = family.place(np.array([nodes.frames[start] for start in starts]))

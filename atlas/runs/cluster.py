@@ -77,13 +77,14 @@ def _client(cluster: Any) -> Iterator[Client]:
         try:
             with warnings.catch_warnings():
                 warnings.simplefilter("ignore", VersionMismatchWarning)  # `check_workers` refuses them
-                client = distributed.Client(cluster)
+                # Never the default of the session, which a client that fails to connect would remain.
+                client = distributed.Client(cluster, set_as_default=False)
         except (TypeError, RuntimeError) as error:  # what dask raises for its settings of TLS
             raise BadInput(f"the dask scheduler cannot be used: {one_line(error)}") from None
         except OSError:
             raise OSError(SCHEDULER_LOST) from None
         try:
-            with client:
+            with client, client.as_current():
                 try:
                     yield client
                 except OSError:

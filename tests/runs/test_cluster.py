@@ -15,6 +15,7 @@ from types import SimpleNamespace
 
 import distributed
 import pytest
+from dask.base import get_scheduler
 from truth import assert_same_bytes
 
 import atlas
@@ -231,6 +232,7 @@ def test_a_scheduler_with_tls_without_a_key_is_bad_input():
         cluster.connect("tls://127.0.0.1:1", None),
     ):
         pass
+    assert get_scheduler() is None  # else the next computation would wait for it
 
 
 def versions(scheduler="1.0", worker="1.0"):

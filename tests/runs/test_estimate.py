@@ -97,7 +97,9 @@ def test_derived_variables_are_priced_by_some_points(monkeypatch):
         sizes.append(duration.size)
         return derived.values({name: column[:1] for name, column in points.items()}, duration[:1], pause)
 
-    priced = dict(scene.system.derived) | {"equilibrium_count": replace(derived, values=values)}
+    priced = dict(scene.system.derived) | {
+        "equilibrium_count": replace(derived, values=values, together=None)
+    }
     monkeypatch.setattr(scene.system, "derived", priced)
     monkeypatch.setattr(estimate, "evaluate", lambda plan, points, **options: check_outputs(plan, points))
 

@@ -67,10 +67,8 @@ from .tiles import (
 
 FORMAT, OLDER_FORMAT = 3, 2  # with all tiles in one folder
 MANIFEST = "manifest.json"
-CREATION, CLAIM_POLL = (
-    "manifest.claim",
-    0.5,
-)  # claim of the process that creates it; seconds between two attempts
+CREATION = "manifest.claim"  # of the process that creates it
+CLAIM_POLL = 0.5  # seconds between two attempts to claim
 FINAL_ATTRIBUTES = "notes.json"
 # As long as the longest name in a run folder, so that a path that is too long is refused before anything is computed.
 LONGEST_NAME = "tiles/" + 64 * "x"

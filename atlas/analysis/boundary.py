@@ -127,7 +127,8 @@ def _traced(trace: Callable[[], Lines], plane: Plane, *what: object) -> Lines:
             with files.atomic_write(path, durable=False) as temporary:
                 temporary.write_text(files.sealed({"lines": content}))
             files.remove_leftovers(path.parent)
-            for old in sorted(path.parent.glob("*.json"), key=files.age)[KEPT_PLANES:]:
+            stored = sorted(path.parent.glob("*.json"), key=lambda file: file.stat().st_mtime)
+            for old in stored[:-KEPT_PLANES]:
                 old.unlink(missing_ok=True)
     return lines
 
@@ -189,8 +190,6 @@ def theory_borders(plane: Plane, *, inertial: bool = False) -> dict[str, list[np
         samples, bisections = _refined_samples(classes), BISECTIONS
     result = {}
     for kind, column in samples.items():
-        if not ((column == 1).any() and (column == 2).any()):
-            continue
         cells = len(column) - 1
 
         def is_above(positions: Array, kind: str = kind, cells: int = cells) -> Mask:

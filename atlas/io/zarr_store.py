@@ -12,7 +12,7 @@ import hashlib
 import json
 import math
 import re
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from functools import lru_cache
 from itertools import accumulate, product
 from pathlib import Path
@@ -146,14 +146,15 @@ def is_whole(root: Storage) -> bool:
         metadata = json.loads(root.read(METADATA))
         names = {*metadata["consolidated_metadata"]["metadata"], RUN, METADATA}
         sealed = metadata["attributes"][SEAL] == _seal_of(metadata, root.read(OBJECTS, MAX_OBJECT_BYTES))
-        return sealed and has_only_own(root) and {n.partition("/")[0] for n in root.walk()} <= names
+        contents = root.walk()
+        return sealed and are_own(contents) and {name.partition("/")[0] for name in contents} <= names
     except (OSError, LookupError, TypeError, ValueError):
         return False
 
 
-def has_only_own(root: Storage) -> bool:
+def are_own(contents: Iterable[str]) -> bool:
     """Whether all contents have names of a store and of its run, or of temporary files."""
-    return all(OWN.fullmatch(name) or is_temporary(name.rpartition("/")[2]) for name in root.walk())
+    return all(OWN.fullmatch(name) or is_temporary(name.rpartition("/")[2]) for name in contents)
 
 
 def is_sealed(root: Storage) -> bool:

@@ -487,7 +487,7 @@ class RunFolder:
         The tiles go by one move, so that a process which still computes some cannot leave any behind.
         """
         if self.is_store:
-            if not zarr_store.has_only_own(self.root):
+            if not zarr_store.are_own(self.root.walk()):
                 raise BadInput(
                     f"{self.path}: holds something else than a run; remove it or choose another name"
                 )

@@ -44,7 +44,7 @@ _SAME = 1e-3  # distance of points that are one, and a hundred times that of val
 # Relative sizes: of an eigenvalue at a solution that is degenerate, of the derivative along the null vector at a fold.
 _DEGENERATE = _TRANSVERSAL = 1e-6
 _FIRST_ARC, _MAX_ARC, _MIN_ARC, _MAX_ARCS = 0.01, 0.04, 1e-5, 2000  # steps along curves, in rad and ranges
-_STRAIGHT = 0.95  # cosine of the angle between tangents a step apart
+_STRAIGHT = 0.95  # cosine of the angle between tangents at both ends of a step
 _AWAY = 10  # steps until a curve may close
 
 
@@ -202,9 +202,9 @@ def solutions_at(
     shifted = np.linalg.eigvalsh(family.linear(own + step, rotated(some, turns * step))[1])
     # Where the eigenvalue nearest to 0 vanishes at solutions, and where two complex ones are one.
     with np.errstate(all="ignore"):
-        apart = np.where(is_used[:, None], eigenvalues * step / (shifted - eigenvalues), slopes / rates)
+        roots = np.where(is_used[:, None], eigenvalues * step / (shifted - eigenvalues), slopes / rates)
     turn[known], nearest = turns, np.abs(eigenvalues).argmin(1)[:, None]
-    distance[known] = -np.take_along_axis(apart, nearest, 1)[:, 0]
+    distance[known] = -np.take_along_axis(roots, nearest, 1)[:, 0]
     index[used] = (eigenvalues[is_used] < 0).sum(1)
     potential = np.full(used.shape, np.nan)
     body = family.system.body_at_rest(family.points(values[node, None]))

@@ -207,9 +207,9 @@ def summary(ds: xr.Dataset, tally: Tally | None = None, *, verbose: bool = True)
             lines.append(f"theory: {share:.2f} % of {compared} compared points agree")
         lines.append(f"in doubt: {listed('status', 'ok', 'not_computed', 'impossible_body') or 'no point'}")
     scene = scene_of(ds)
-    sample = None if scene is None else grid.check(scene)
-    if scene is not None and sample is not None:
-        lines += grid.not_computed(scene, sample)
+    plan = None if scene is None else ScenePlan.of(scene)
+    if plan is not None:
+        lines += grid.not_computed(plan.scene, plan.sample)
     lines += _nearest_family(ds)
     if not verbose:
         return "\n".join(lines)
@@ -218,9 +218,8 @@ def summary(ds: xr.Dataset, tally: Tally | None = None, *, verbose: bool = True)
         lines.append(half_step.half_step_text(ds.attrs))
     seconds, speed = (number_attribute(ds, f"atlas_{name}") for name in ("seconds", "points_per_second"))
     lines.append(f"{seconds:.1f} s, {speed:.4g} points/s")
-    if scene is not None and sample is not None:
-        plan = ScenePlan(scene, sample)
-        lines += [] if plan.has_chaos else plan.method_lines()
+    if plan is not None and not plan.has_chaos:
+        lines += plan.method_lines()
     return "\n".join(lines)
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Sequence
+from contextlib import closing
 from dataclasses import replace
 from typing import Any
 
@@ -54,17 +55,13 @@ def convergence(
         scene = replace(scene, axes=axes)
     names, stopwatch = list(dict.fromkeys(names)), Stopwatch()
     cases = [(name, factor) for name in names for factor in FACTORS if factor != 1.0]
-    bar = Progress(scene.size * (1 + len(cases)), show=progress)
-    try:
-        scenes = [scene, *(_changed(scene, *case) for case in cases)]
-        base, *others = (columns_of(ScenePlan.of(each), bar)[0] for each in scenes)
-        varied = dict(zip(cases, others, strict=True))
-    finally:
-        bar.close()
+    plans = [ScenePlan.of(scene), *(ScenePlan.of(_changed(scene, *case)) for case in cases)]
+    with closing(Progress(scene.size * len(plans), show=progress)) as bar:
+        base, *others = (columns_of(plan, bar)[0] for plan in plans)
+    varied = dict(zip(cases, others, strict=True))
     ds = netcdf.dataset(scene, base)
-    plan = ScenePlan.of(scene)
     ds.attrs = netcdf.scene_provenance(
-        scene, plan.points.kernel_hash, seconds=stopwatch.seconds(), points=bar.points, warnings=[]
+        scene, plans[0].points.kernel_hash, seconds=stopwatch.seconds(), points=bar.points, warnings=[]
     )
     change = np.zeros(scene.shape, np.int8)
     for bit, name in enumerate(names):

@@ -49,8 +49,7 @@ class Progress:
         self._lock = threading.Lock()
         if show:
             compiling.announce(+1)
-        if save is not None:
-            self._save(running=True)
+        self._save(running=True)
 
     def add(self, points: int, done: int) -> None:
         """Add points of which some were done before."""
@@ -58,8 +57,7 @@ class Progress:
             self.points += points
             self._done += done
             self._done_at_no_cost += done
-        if self.save is not None:
-            self._save(running=True)
+        self._save(running=True)
 
     def advance(self, points: float) -> None:
         """Add finished points; fractions too, because a tile reports after each block of its points."""
@@ -74,7 +72,7 @@ class Progress:
                 text = f"{done}  {rest}"
                 self.stream.write(f"\r{text}\x1b[K" if self.live else f"{text}\n")
                 self.stream.flush()
-            if self.save is not None and now - self._last_save >= FILE_INTERVAL:
+            if now - self._last_save >= FILE_INTERVAL:
                 self._last_save = now
                 self._save(running=True)
 
@@ -91,8 +89,7 @@ class Progress:
             if self.live:
                 self.stream.write("\r\x1b[K")
                 self.stream.flush()
-        if self.save is not None:
-            self._save(running=False)
+        self._save(running=False)
 
     def _speed(self) -> tuple[float, float]:
         """Points per second, and seconds left."""
@@ -100,7 +97,8 @@ class Progress:
         return speed, (self.points - self._done) / speed if speed > 0 else 0.0
 
     def _save(self, *, running: bool) -> None:
-        assert self.save is not None
+        if self.save is None:
+            return
         speed, seconds_left = self._speed()
         content = self.facts | {
             "points": self.points,

@@ -13,7 +13,6 @@ from ..files import without_suffix, writable
 from ..scene.model import DEFAULTS, Duration
 from .options import (
     ATLAS,
-    DONE,
     FIGURES,
     FILES,
     QUIET,
@@ -73,7 +72,7 @@ def _is_column(word: str) -> bool:
     QUIET,
     VERBOSE,
 )  # fmt: skip
-def label_points_of_file(options: argparse.Namespace) -> int:
+def label_points_of_file(options: argparse.Namespace) -> None:
     """Label points of a file, which names their parameters."""
     from .. import systems
     from ..io import netcdf
@@ -100,7 +99,6 @@ def label_points_of_file(options: argparse.Namespace) -> int:
     ds = label_points(system.name, columns, duration=duration, progress=not options.quiet, **given)
     (netcdf.write_csv if out.suffix.lower() == ".csv" else netcdf.write)(ds, out)
     say(*summary(ds, verbose=options.verbose).split("\n"), f"wrote {out}")
-    return DONE
 
 
 @command(
@@ -111,7 +109,7 @@ def label_points_of_file(options: argparse.Namespace) -> int:
     option_with_default("--samples", "N", 1001, "instants to keep", lowest=2),
     force_option("an existing file"),
 )
-def draw_trajectory(options: argparse.Namespace) -> int:
+def draw_trajectory(options: argparse.Namespace) -> None:
     """Integrate one point of a scene and draw its motion."""
     from ..analysis.metadata import system_of
     from ..io import netcdf
@@ -126,7 +124,6 @@ def draw_trajectory(options: argparse.Namespace) -> int:
     values, unit = tr[variable].values, attribute_text(tr[variable].attrs, "units")
     span = f"{values.min():.9g} to {values.max():.9g}{'' if unit == '1' else ' ' + unit}"
     say(f"{variable} from {span} in {float(tr['time'][-1]):.9g} time units; wrote {out}")
-    return DONE
 
 
 @command(
@@ -136,7 +133,7 @@ def draw_trajectory(options: argparse.Namespace) -> int:
     option_with_default("--variable", "NAME", "theta0", "what to draw; gamma: the arcs on the sphere"),
     force_option("an existing file"),
 )
-def draw_branches(options: argparse.Namespace) -> int:
+def draw_branches(options: argparse.Namespace) -> None:
     """Draw the branches of equilibria of the bodies of a scene along its only axis."""
     from ..analysis.branches import branches_of_scene
     from ..io import netcdf
@@ -146,7 +143,6 @@ def draw_branches(options: argparse.Namespace) -> int:
     ds = branches_of_scene(read_scene(options.scene))
     _write(ds, out, "diagram", options.variable)
     say(f"{ds.sizes['branch']} branches, {ds.sizes['fold']} points at which they meet or change; wrote {out}")
-    return DONE
 
 
 def _write(ds: Dataset, out: Path, figure: str, *arguments: str) -> None:
@@ -192,7 +188,7 @@ def _motion(name: str, coordinates: dict[str, float], samples: int) -> Dataset:
     ),
     force_option("an existing file"),
 )
-def print_comparison(options: argparse.Namespace) -> int:
+def print_comparison(options: argparse.Namespace) -> None:
     """Print an atlas beside theory, or beside another atlas."""
     from .. import accessor  # noqa: F401  (registers ds.atlas with xarray)
     from ..io import netcdf
@@ -210,7 +206,6 @@ def print_comparison(options: argparse.Namespace) -> int:
         if out:
             _write(ds.atlas.differences(*other), out, "map")
             say(f"wrote {out}")
-    return DONE
 
 
 @command(
@@ -235,7 +230,7 @@ def print_comparison(options: argparse.Namespace) -> int:
     argument("--caption", action="store_true", help="print a caption for the figure"),
     force_option("existing figures"),
 )
-def draw_map(options: argparse.Namespace) -> int:
+def draw_map(options: argparse.Namespace) -> None:
     """Draw a map of an atlas."""
     from ..plotting import maps, style
     from ..runs.backend import open_atlas
@@ -262,11 +257,10 @@ def draw_map(options: argparse.Namespace) -> int:
     for path in paths:
         style.save(figure, path, options.dpi)
         say(f"wrote {path}")
-    return DONE
 
 
 @command("page", ATLAS, out_option("FILE", ".html (default: ATLAS.html)"), force_option("an existing file"))
-def make_page(options: argparse.Namespace) -> int:
+def make_page(options: argparse.Namespace) -> None:
     """Make one HTML file of an atlas, in which points can be integrated."""
     from ..page.page import FORMATS, atlas_page
     from ..runs.backend import open_atlas
@@ -277,4 +271,3 @@ def make_page(options: argparse.Namespace) -> int:
         page = atlas_page(ds, file=Path(options.atlas).name)
     page.save(out, force=options.force)
     say(f"wrote {out}, {len(page.html.encode()) / 1e6:.1f} MB; open it in any browser")
-    return DONE

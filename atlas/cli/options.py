@@ -24,7 +24,7 @@ DONE, FAILED, BAD_INPUT = 0, 1, 2  # exit codes
 FIGURES = (".png", ".pdf", ".svg")
 FILES = (*FIGURES, ".nc", ".csv")
 
-Handler = Callable[[argparse.Namespace], int]  # runs a command and returns its exit code
+Handler = Callable[[argparse.Namespace], int | None]  # runs a command; its exit code unless it is DONE
 Commands: TypeAlias = "argparse._SubParsersAction[Parser]"
 
 
@@ -106,13 +106,13 @@ class Command:
                 group.add_argument(*names, **{k: v for k, v in settings.items() if k != "lowest"})
 
     def run(self, options: argparse.Namespace) -> int:
-        """Run the handler; BadInput for a number that is too small."""
+        """Run the handler, for its exit code; BadInput for a number that is too small."""
         for each in self.arguments:
             for (name, *_), settings in each if isinstance(each, list) else [each]:
                 value = getattr(options, name.removeprefix("--")) if "lowest" in settings else None
                 if value is not None and value < settings["lowest"]:
                     raise BadInput(f"{name} {value}: must be at least {settings['lowest']}")
-        return self.handler(options)
+        return self.handler(options) or DONE
 
 
 def command(name: str, *arguments: Argument | list[Argument]) -> Callable[[Handler], Command]:

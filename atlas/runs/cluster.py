@@ -11,6 +11,7 @@ import warnings
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import CancelledError
 from contextlib import contextmanager, suppress
+from itertools import islice
 from typing import TYPE_CHECKING, Any
 
 from ..errors import BadInput
@@ -137,8 +138,8 @@ def for_each(
         in_flight[future] = task_arguments, attempt
 
     try:
-        exhausted, last_worker = False, time.monotonic()
-        while not exhausted or in_flight:
+        last_worker = time.monotonic()
+        while True:
             threads = sum(client.nthreads().values())
             if threads:
                 last_worker = time.monotonic()
@@ -147,16 +148,14 @@ def for_each(
                     "no dask worker for %.0f s: still waiting", NO_WORKER_WARNING
                 )
                 last_worker = math.inf  # no second warning before a worker appears
-            while not exhausted and len(in_flight) < max(TASKS_PER_THREAD * threads, 1):
-                task_arguments = next(source, None)
-                if task_arguments is None:
-                    exhausted = True
-                else:
-                    submit(task_arguments, 1)
+            free = max(TASKS_PER_THREAD * threads, 1) - len(in_flight)
+            for task_arguments in islice(source, max(free, 0)):
+                submit(task_arguments, 1)
+            if not in_flight:
+                return
             ended: Iterable[Future[Any]] = []
             with suppress(TimeoutError):  # the interval is over
-                if in_flight:
-                    ended = wait(list(in_flight), timeout=POLL_INTERVAL, return_when="FIRST_COMPLETED").done
+                ended = wait(list(in_flight), timeout=POLL_INTERVAL, return_when="FIRST_COMPLETED").done
             for future in ended:
                 task_arguments, attempt = in_flight.pop(future)
                 if _succeeded(future, attempt):

@@ -36,6 +36,14 @@ MAX_SURVIVED_GROWTH = 12.0
 MAX_NEAREST = 10_000  # drifting points that are compared with families
 # Variations of the rates, of which the largest is the unsteadiness of a point.
 RATES = ("theta_dot_rms", "psi_dot_std", "phi_dot_std", "normal_rate_std")
+OF_PLANE = (
+    "stable",
+    "growth_rate",
+    "end_time",
+    "family",
+    "regularity",
+    "lyapunov",
+)  # of motions in the plane
 
 
 def report(ds: xr.Dataset, worst: int = 5) -> str:
@@ -57,7 +65,7 @@ def report(ds: xr.Dataset, worst: int = 5) -> str:
             )
     if ds["label"].dims != ds["predicted"].dims:
         raise BadInput("label and predicted lie along different dimensions: not an atlas")
-    for name in ("stable", "growth_rate", "end_time", "family", "regularity", "lyapunov", *RATES):
+    for name in (*OF_PLANE, *RATES):
         if name in ds and set(ds[name].dims) != set(ds["label"].dims):
             raise BadInput(f"label and {name} lie along different dimensions: not an atlas")
     ds = ds.transpose(..., *ds["label"].dims)
@@ -117,11 +125,10 @@ def _stability_lines(ds: xr.Dataset) -> list[str]:
 
 def _plane_lines(ds: xr.Dataset) -> list[str]:
     """Motions in the plane: their stability out of it by theory against the measured regularity and Lyapunov exponent."""
-    names = ("stable", "growth_rate", "end_time", "family", "regularity", "lyapunov")
-    if not {*names, "atlas_system"} <= {*ds, *ds.attrs}:
+    if not {*OF_PLANE, "atlas_system"} <= {*ds, *ds.attrs}:
         return []
     where = unsteady(system_of(ds), ds["family"].values.astype(np.int8))
-    stable, growth, time, _, kind, exponent = (ds[name].values[where] for name in names)
+    stable, growth, time, _, kind, exponent = (ds[name].values[where] for name in OF_PLANE)
     corner = "motions in the plane, stability out of it \\ regularity"
     lines = confusion(corner, stable, kind, list(Stability.meanings()), list(Regularity.meanings()))
     unstable = stable == Stability.UNSTABLE
@@ -146,11 +153,8 @@ def _worst_lines(ds: xr.Dataset, result: Flags, count: int) -> list[str]:
     disagree = np.flatnonzero(result > Agreement.AGREE)
     if not disagree.size or not count:
         return []
-    largest = np.zeros(ds["label"].size)
-    for name in RATES:
-        if name in ds:
-            largest = np.fmax(largest, ds[name].values.ravel())
-    unsteadiness = largest[disagree]
+    variations = [ds[name].values.ravel()[disagree] for name in RATES if name in ds]
+    unsteadiness = np.fmax.reduce([np.zeros(disagree.size), *variations])
     theory_steady = result[disagree] == Agreement.THEORY_ONLY
     order = np.argsort(np.where(theory_steady, -unsteadiness, unsteadiness), kind="stable")[:count]
     names, dims = list(Label.meanings()), ds["label"].dims

@@ -11,14 +11,7 @@ from typing import NoReturn
 from .._version import __version__
 from ..compiling import announced
 from ..errors import MAX_MESSAGE, BadInput, messages_for_shell, printable, say
-from ..interruption import (
-    STOPPED,
-    Stopped,
-    exit_process,
-    explain_kept,
-    outcome,
-    signals_as_interrupt,
-)
+from ..interruption import STOPPED, Stopped, exit_process, explain_kept, outcome, signals_as_interrupt
 from . import atlases, scenes, studies
 from .options import BAD_INPUT, DONE, FAILED, Parser, program
 

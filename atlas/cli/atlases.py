@@ -26,10 +26,9 @@ from .options import (
     axis_values,
     command,
     default_name,
-    force_option,
     input_files,
     option_with_default,
-    out_option,
+    out_options,
     read_input,
     read_scene,
 )
@@ -53,7 +52,7 @@ def _is_column(word: str) -> bool:
         metavar="POINTS",
         help=".csv with names in its first line, or .nc; - for CSV on standard input",
     ),
-    out_option("FILE", ".nc, or .csv", required=True),
+    *out_options("FILE", ".nc, or .csv", required=True),
     option_with_default(
         "--duration", "T", str(Duration()), 'time units, or as in a scene: "20 orbits", "50 turns"'
     ),
@@ -68,7 +67,6 @@ def _is_column(word: str) -> bool:
         help="columns that are no parameters, to be kept; those of text, id, index, name, number and point always are",
     ),
     THREADS,
-    force_option("an existing file"),
     QUIET,
     VERBOSE,
 )  # fmt: skip
@@ -105,9 +103,8 @@ def label_points_of_file(options: argparse.Namespace) -> None:
     "trajectory",
     argument("scene", metavar="SCENE", help="scene file, atlas or run folder, - for standard input"),
     assignment_option("--at", "AXIS=VALUE", "the point, by a value for every axis"),
-    out_option("OUT", ".png, .pdf, .svg or .nc (default: NAME_trajectory.png)"),
+    *out_options("OUT", ".png, .pdf, .svg or .nc (default: NAME_trajectory.png)"),
     option_with_default("--samples", "N", 1001, "instants to keep", lowest=2),
-    force_option("an existing file"),
 )
 def draw_trajectory(options: argparse.Namespace) -> None:
     """Integrate one point of a scene and draw its motion."""
@@ -129,9 +126,8 @@ def draw_trajectory(options: argparse.Namespace) -> None:
 @command(
     "branches",
     SCENE,
-    out_option("OUT", ".png, .pdf, .svg or .nc (default: NAME_branches.png)"),
+    *out_options("OUT", ".png, .pdf, .svg or .nc (default: NAME_branches.png)"),
     option_with_default("--variable", "NAME", "theta0", "what to draw; gamma: the arcs on the sphere"),
-    force_option("an existing file"),
 )
 def draw_branches(options: argparse.Namespace) -> None:
     """Draw the branches of equilibria of the bodies of a scene along its only axis."""
@@ -183,10 +179,9 @@ def _motion(name: str, coordinates: dict[str, float], samples: int) -> Dataset:
     ATLAS,
     argument("other", metavar="OTHER", nargs="?", help="another atlas on the same grid, instead of theory"),
     option_with_default("--worst", "N", 5, "disagreements, or changes of each label, to list", lowest=0),
-    out_option(
+    *out_options(
         "FILE", "of two atlases: .png, .pdf or .svg for a map of changed labels, .nc for all differences"
     ),
-    force_option("an existing file"),
 )
 def print_comparison(options: argparse.Namespace) -> None:
     """Print an atlas beside theory, or beside another atlas."""
@@ -211,7 +206,9 @@ def print_comparison(options: argparse.Namespace) -> None:
 @command(
     "map",
     ATLAS,
-    out_option("FIGURE", ".png, .pdf or .svg (default: ATLAS.png and ATLAS.pdf)"),
+    *out_options(
+        "FIGURE", ".png, .pdf or .svg (default: ATLAS.png and ATLAS.pdf)", replaces="existing figures"
+    ),
     argument("--variable", metavar="NAME", help="what to map (default: what the scene is about)"),
     argument("--x", metavar="AXIS", help="horizontal axis (default: the first)"),
     argument("--y", metavar="AXIS", help="vertical axis (default: the second)"),
@@ -228,7 +225,6 @@ def print_comparison(options: argparse.Namespace) -> None:
     argument("--no-boundary", dest="boundary", action="store_false", help="draw no theory"),
     argument("--no-legend", dest="legend", action="store_false", help="draw no legend"),
     argument("--caption", action="store_true", help="print a caption for the figure"),
-    force_option("existing figures"),
 )
 def draw_map(options: argparse.Namespace) -> None:
     """Draw a map of an atlas."""
@@ -259,7 +255,7 @@ def draw_map(options: argparse.Namespace) -> None:
         say(f"wrote {path}")
 
 
-@command("page", ATLAS, out_option("FILE", ".html (default: ATLAS.html)"), force_option("an existing file"))
+@command("page", ATLAS, *out_options("FILE", ".html (default: ATLAS.html)"))
 def make_page(options: argparse.Namespace) -> None:
     """Make one HTML file of an atlas, in which points can be integrated."""
     from ..page.page import FORMATS, atlas_page

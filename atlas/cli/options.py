@@ -120,14 +120,14 @@ def command(name: str, *arguments: Argument | list[Argument]) -> Callable[[Handl
     return partial(Command, name, arguments)
 
 
-def out_option(metavar: str, text: str, **more: Any) -> Argument:
-    """The option for the output."""
-    return argument("-o", "--out", metavar=metavar, help=text, **more)
-
-
-def force_option(what: str) -> Argument:
-    """The option that allows to replace files; what: their description in the help."""
-    return argument("--force", action="store_true", help=f"replace {what}")
+def out_options(
+    metavar: str, text: str, *, replaces: str = "an existing file", **more: Any
+) -> tuple[Argument, Argument]:
+    """The option for the output, and the one that allows to replace what its help names."""
+    return (
+        argument("-o", "--out", metavar=metavar, help=text, **more),
+        argument("--force", action="store_true", help=f"replace {replaces}"),
+    )
 
 
 def option_with_default(name: str, metavar: str, default: float | str, text: str, **more: Any) -> Argument:

@@ -27,9 +27,8 @@ from .options import (
     argument,
     command,
     default_name,
-    force_option,
     input_files,
-    out_option,
+    out_options,
     read_scene,
 )
 
@@ -44,7 +43,6 @@ EXECUTION = (
         ),
     ],
     argument("--stop-after", metavar="TIME", help="begin no tile after this time, such as 2h or 1h30m"),
-    force_option("an existing atlas"),
     QUIET,
     VERBOSE,
 )
@@ -54,7 +52,7 @@ SECONDS = {"d": 86400, "h": 3600, "m": 60, "s": 1}
 @command(
     "run",
     SCENE,
-    out_option("OUT", f"{OUT} (default: the scene's name with .nc)"),
+    *out_options("OUT", f"{OUT} (default: the scene's name with .nc)", replaces="an existing atlas"),
     argument("--dry-run", action="store_true", help="print the expected size, time, memory and error"),
     *EXECUTION,
 )
@@ -74,7 +72,7 @@ def run_scene(options: argparse.Namespace) -> None:
     "extend",
     argument("atlases", metavar="ATLAS", nargs="+", help="earlier atlases, also unfinished run folders"),
     SCENE,
-    out_option("OUT", OUT, required=True),
+    *out_options("OUT", OUT, replaces="an existing atlas", required=True),
     *EXECUTION,
 )
 def extend_atlases(options: argparse.Namespace) -> None:
@@ -127,12 +125,7 @@ def print_status(options: argparse.Namespace) -> None:
     say(*RunFolder.open(options.folder).status().split("\n"))
 
 
-@command(
-    "join",
-    RUN_FOLDER,
-    out_option("FILE", "atlas to write (.nc or .zarr)", required=True),
-    force_option("an existing file"),
-)
+@command("join", RUN_FOLDER, *out_options("FILE", "atlas to write (.nc or .zarr)", required=True))
 def join_folder(options: argparse.Namespace) -> None:
     """Write a finished run folder as one file."""
     from ..io import netcdf
@@ -208,7 +201,7 @@ def list_kernels(options: argparse.Namespace) -> None:
         say(f"  {name}  {size / 1e6:.1f} MB")
 
 
-@command("schema", out_option("FILE", "write it to this file (.json)"), force_option("an existing file"))
+@command("schema", *out_options("FILE", "write it to this file (.json)"))
 def print_schema(options: argparse.Namespace) -> None:
     """Print the JSON Schema of scenes, with which editors complete and check them."""
     from ..scene.schema import scene_schema
@@ -225,7 +218,7 @@ def print_schema(options: argparse.Namespace) -> None:
 @command(
     "new",
     argument("name", metavar="NAME", nargs="?", help="which example (default: list them)"),
-    out_option("SCENE", "name of the copy (default: NAME.toml)"),
+    argument("-o", "--out", metavar="SCENE", help="name of the copy (default: NAME.toml)"),
 )
 def copy_example(options: argparse.Namespace) -> None:
     """Copy an example scene, to run it or to change it."""

@@ -21,9 +21,8 @@ from .options import (
     THREADS,
     argument,
     command,
-    force_option,
     input_files,
-    out_option,
+    out_options,
     output_folder,
     read_scene,
 )
@@ -110,7 +109,9 @@ FORMATS = tuple(suffix.removeprefix(".") for suffix in FIGURES)
 
 @command(
     "figures",
-    out_option("FOLDER", "folder of the figures (default: figures)", default="figures"),
+    *out_options(
+        "FOLDER", "folder of the figures (default: figures)", default="figures", replaces="existing figures"
+    ),
     argument(
         "--only",
         belongs=str.isdecimal,
@@ -126,7 +127,6 @@ FORMATS = tuple(suffix.removeprefix(".") for suffix in FIGURES)
         action="store_true",
         help="print amplitudes, periods, stability and the paper's claims; draw nothing",
     ),
-    force_option("existing figures"),
 )
 def draw_figures(options: argparse.Namespace) -> None:
     """Draw figures 1-20 of Amer et al., as printed, corrected and exact."""
@@ -155,13 +155,12 @@ def draw_figures(options: argparse.Namespace) -> None:
 @command(
     "accuracy",
     SCENE,
-    argument(
-        "-o",
-        "--out",
+    *out_options(
+        "OUT",
+        ".nc for every number, .csv for the table, .png, .pdf or .svg for the figure; one or several",
+        replaces="existing files",
         belongs=lambda word: word.lower().endswith(FILES),
         default=[],
-        metavar="OUT",
-        help=".nc for every number, .csv for the table, .png, .pdf or .svg for the figure; one or several",
     ),
     argument(
         "--points",
@@ -176,7 +175,6 @@ def draw_figures(options: argparse.Namespace) -> None:
         metavar="SETTING",
         help="how labels depend on duration, rate_tolerance or tolerance instead; one or several",
     ),
-    force_option("existing files"),
 )
 def measure_accuracy(options: argparse.Namespace) -> None:
     """Measure error against run time, or how labels depend on settings, at some points of a scene."""
@@ -220,9 +218,8 @@ def measure_accuracy(options: argparse.Namespace) -> None:
     argument(
         "system", metavar="SYSTEM", nargs="?", help="one system (default: all that have cases of their own)"
     ),
-    out_option("FOLDER", "write SYSTEM.nc and SYSTEM.png there"),
+    *out_options("FOLDER", "write SYSTEM.nc and SYSTEM.png there", replaces="existing files"),
     THREADS,
-    force_option("existing files"),
 )
 def run_stress_cases(options: argparse.Namespace) -> int | None:
     """Run stiff and extreme cases and compare every label with the true one."""

@@ -10,7 +10,7 @@ import uuid
 import warnings
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import CancelledError
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager, nullcontext, suppress
 from itertools import islice
 from typing import TYPE_CHECKING, Any
 
@@ -53,16 +53,12 @@ def connect(scheduler: str | None, workers: int | None) -> Iterator[Client]:
     """
     import distributed
 
-    if scheduler is not None:
-        with _client(scheduler) as client:
-            yield client
-        return
-    cluster = distributed.LocalCluster(
+    cluster: Any = nullcontext(scheduler) if scheduler else distributed.LocalCluster(
         n_workers=workers, threads_per_worker=1, processes=True, memory_limit=None,
         host="127.0.0.1", dashboard_address="127.0.0.1:0", scheduler_kwargs={"dashboard": False},
         silence_logs=logging.CRITICAL,
     )  # fmt: skip
-    with cluster, _client(cluster) as client:
+    with cluster as server, _client(server) as client:
         yield client
 
 

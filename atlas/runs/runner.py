@@ -255,12 +255,8 @@ def _complete(folder: RunFolder, execution: _Execution) -> Iterator[None]:
         check_folder(folder.storage.path / folder.content / "tile")
     part, parts = execution.shard or (1, 1)
     name = "progress.json" if parts == 1 else f"progress-{part}-of-{parts}.json"
-    bar = Progress(
-        0,
-        show=execution.progress,
-        save=partial(folder.storage.write, name),
-        facts={"shard": f"{part}/{parts}", "host": socket.gethostname()},
-    )
+    facts = {"shard": f"{part}/{parts}", "host": socket.gethostname()}
+    bar = Progress(0, show=execution.progress, save=partial(folder.storage.write, name), facts=facts)
     try:
         with execution.stack:
             if isinstance(folder, RefinedFolder):
